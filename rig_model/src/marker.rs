@@ -1,0 +1,192 @@
+//! The four coloured squares: their colours, where they are on the platform, and what their image's centroid is.
+
+use crate::camera::CameraModel;
+use nalgebra::{Isometry3, Matrix2x3, Point3, Vector2, Vector3};
+use std::{
+    fmt,
+    ops::{Index, IndexMut},
+};
+
+/// The colour that names a marker.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(u8)]
+pub enum MarkerColor {
+    /// Red, 0.
+    Red = 0,
+    /// Green, 1.
+    Green = 1,
+    /// Blue, 2.
+    Blue = 2,
+    /// Yellow, 3.
+    Yellow = 3,
+}
+
+impl MarkerColor {
+    /// All four in the order of `MarkerObservations`.
+    pub const ALL: [MarkerColor; 4] =
+        [MarkerColor::Red, MarkerColor::Green, MarkerColor::Blue, MarkerColor::Yellow];
+
+    /// Lower-case name, as in the rig file.
+    pub const fn name(self) -> &'static str {
+        match self {
+            MarkerColor::Red => "red",
+            MarkerColor::Green => "green",
+            MarkerColor::Blue => "blue",
+            MarkerColor::Yellow => "yellow",
+        }
+    }
+
+    /// Place in [`MarkerColor::ALL`].
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+}
+
+impl fmt::Display for MarkerColor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// One value for each of the four markers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PerColor<T>(pub [T; 4]);
+
+impl<T> PerColor<T> {
+    /// Made colour by colour.
+    pub fn from_fn(mut f: impl FnMut(MarkerColor) -> T) -> Self {
+        Self(MarkerColor::ALL.map(&mut f))
+    }
+
+    /// Each value with its colour.
+    pub fn iter(&self) -> impl Iterator<Item = (MarkerColor, &T)> {
+        MarkerColor::ALL.into_iter().zip(self.0.iter())
+    }
+}
+
+impl<T> Index<MarkerColor> for PerColor<T> {
+    type Output = T;
+    fn index(&self, color: MarkerColor) -> &T {
+        &self.0[color.index()]
+    }
+}
+
+impl<T> IndexMut<MarkerColor> for PerColor<T> {
+    fn index_mut(&mut self, color: MarkerColor) -> &mut T {
+        &mut self.0[color.index()]
+    }
+}
+
+/// Where the markers are on the platform.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MarkerLayout {
+    /// Side of each square, m.
+    pub side: f64,
+    /// Centres in the volant frame, m. Each square lies in a plane of constant z of that frame; how it is turned
+    /// in its plane was never measured.
+    pub centres: PerColor<Point3<f64>>,
+}
+
+/// Centroid of a square's image, with its derivatives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProjectedCentroid {
+    /// Area centroid of the image, raw (distorted) pixels.
+    pub pixel: Vector2<f64>,
+    /// ∂pixel/∂(square's centre in the camera frame), px/m, as the mean over the square; the square's orientation is
+    /// held. (What is left out, the change of the area weights, is of the order of the centroid shift itself.)
+    pub jacobian_by_centre: Matrix2x3<f64>,
+    /// Area of the image, px², to second order.
+    pub area: f64,
+}
+
+impl MarkerLayout {
+    /// The area centroid of the image of the square `color` for a platform at `camera_from_volant`.
+    ///
+    /// A tilted square's image is larger where it is nearer, so its centroid lies beside the image of its centre by
+    /// about 4·f·h²·sinθ·cosθ/(3·z²) px (h = half the side). The integral ∫ π(u)·|∂π/∂u| du / ∫ |∂π/∂u| du over the
+    /// square is taken by 2×2 Gauss–Legendre points, exact for cubic integrands; because a square's second
+    /// moments are the same in all directions the result does not depend, to that order, on how the square is
+    /// turned in its plane. Lens distortion is included, point by point.
+    ///
+    /// `None` where any of the four points is behind the camera or outside the lens model's range.
+    pub fn projected_centroid(
+        &self,
+        color: MarkerColor,
+        camera: &CameraModel,
+        camera_from_volant: &Isometry3<f64>,
+    ) -> Option<ProjectedCentroid> {
+        let offset = self.side / 2.0 / 3f64.sqrt();
+        let centre = self.centres[color];
+        let u = camera_from_volant.rotation * Vector3::x();
+        let v = camera_from_volant.rotation * Vector3::y();
+        let centre_camera = camera_from_volant * centre;
+        let (mut weight, mut pixel, mut jacobian) = (0.0, Vector2::zeros(), Matrix2x3::zeros());
+        for (su, sv) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
+            let point = centre_camera + u * (su * offset) + v * (sv * offset);
+            let (p, dp) = camera.project_with_jacobian(&point)?;
+            let (pu, pv) = (dp * u, dp * v);
+            let density = (pu.x * pv.y - pu.y * pv.x).abs();
+            weight += density;
+            pixel += p * density;
+            jacobian += dp * density;
+        }
+        (weight > 0.0 && weight.is_finite()).then(|| ProjectedCentroid {
+            pixel: pixel / weight,
+            jacobian_by_centre: jacobian / weight,
+            area: weight / 4.0 * self.side * self.side,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Distortion;
+    use nalgebra::{Rotation3, Translation3, UnitQuaternion, Vector3};
+
+    /// The integral by brute force: 400×400 cells of the square.
+    fn centroid_by_cells(
+        camera: &CameraModel,
+        pose: &Isometry3<f64>,
+        side: f64,
+        turn: f64,
+    ) -> (Vector2<f64>, f64) {
+        let n = 400;
+        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), turn);
+        let (mut w, mut s) = (0.0, Vector2::zeros());
+        for i in 0..n {
+            for j in 0..n {
+                let cell = |k: usize| ((k as f64 + 0.5) / n as f64 - 0.5) * side;
+                let p = pose * Point3::from(turn * Vector3::new(cell(i), cell(j), 0.0));
+                let (pixel, d) = camera.project_with_jacobian(&p).unwrap();
+                let (a, b) = (d * (pose.rotation * Vector3::x()), d * (pose.rotation * Vector3::y()));
+                let area = (a.x * b.y - a.y * b.x).abs();
+                w += area;
+                s += pixel * area;
+            }
+        }
+        (s / w, w / (n * n) as f64 * side * side)
+    }
+
+    #[test]
+    fn four_gauss_points_give_the_centroid_to_a_thousandth_of_a_pixel_however_the_square_is_turned() {
+        let camera = CameraModel::new(
+            640,
+            480,
+            [590.0, 590.0, 319.5, 239.5],
+            Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]),
+        )
+        .unwrap();
+        let layout = MarkerLayout { side: 0.076, centres: PerColor([Point3::origin(); 4]) };
+        for (tilt, turn) in [(0.0, 0.2), (0.35, 0.0), (0.35, 0.7), (0.8, 0.4), (1.0, 1.2)] {
+            let pose = Isometry3::from_parts(
+                Translation3::new(0.2, -0.15, 1.0),
+                UnitQuaternion::from_euler_angles(std::f64::consts::PI - tilt, 0.1, 0.4),
+            );
+            let (truth, area) = centroid_by_cells(&camera, &pose, 0.076, turn);
+            let ours = layout.projected_centroid(MarkerColor::Red, &camera, &pose).unwrap();
+            assert!((ours.pixel - truth).norm() < 2e-3, "{tilt} {turn}: {}", (ours.pixel - truth).norm());
+            assert!((ours.area / area - 1.0).abs() < 2e-3);
+        }
+    }
+}
