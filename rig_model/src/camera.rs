@@ -177,7 +177,7 @@ impl CameraModel {
 
     /// [`CameraModel::project`] with ∂pixel/∂point, px/m.
     pub fn project_with_jacobian(&self, point: &Point3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
-        if !(point.z > 1e-6) || !point.x.is_finite() || !point.y.is_finite() {
+        if point.z.is_nan() || point.z <= 1e-6 || !point.x.is_finite() || !point.y.is_finite() {
             return None;
         }
         let z_inverse = 1.0 / point.z;

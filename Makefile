@@ -1,0 +1,61 @@
+# make demo    sets up what is missing, builds, runs the main job on a simulated rig: separate nodes, live over DDS
+# make test    sets up what is missing, passes the tests
+# make lint    what CI lints: format, clippy, cores without middleware
+# make bench   the figures against the peers;  make faults: every fault on real processes
+
+SHELL := /bin/bash
+.DEFAULT_GOAL := build
+.PHONY: setup build demo test lint bench faults clean-setup
+
+ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
+export OPENCV_LINK_PATHS := /usr/lib/$(ARCH_LIB)
+export OPENCV_INCLUDE_PATHS := /usr/include/opencv4,/usr/include/$(ARCH_LIB)/opencv4
+
+CARGO ?= cargo
+VENV := .venv
+export VOLANT_PYTHON := $(CURDIR)/$(VENV)/bin/python
+
+# Set up once: Debian's packages (the smallest OpenCV set) and a Python environment for the peers in the tests.
+setup: .setup/debian .setup/python
+
+.setup/debian: setup/debian-packages.txt setup/install-debian-packages
+	@mkdir -p .setup
+	@setup/install-debian-packages setup/debian-packages.txt
+	@touch $@
+
+.setup/python: test/requirements.txt .setup/debian
+	@echo "setting up a Python environment for the tests' peers in $(VENV)"
+	@python3 -m venv $(VENV)
+	@$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -r test/requirements.txt
+	@touch $@
+
+build: .setup/debian
+	$(CARGO) build --release --workspace --bins
+
+demo: build
+	target/release/volant demo
+
+test: setup build
+	$(CARGO) test --release --workspace
+
+# A core knows no middleware, device or OpenCV: it must build without its default features.
+CORES := rig_model node_kit marker_tracker imu_driver climber_driver pose_fusion
+
+lint: .setup/debian
+	$(CARGO) fmt --all --check
+	@for core in $(CORES); do \
+	  echo "core alone: $$core"; \
+	  $(CARGO) check --quiet --release --no-default-features -p $$core || exit 1; \
+	  if $(CARGO) tree --quiet --no-default-features --edges normal -p $$core | grep -E ' (ros2-client|rustdds|opencv|serialport|mcap) v'; then \
+	    echo "$$core: its core depends on middleware or a device"; exit 1; fi; \
+	done
+	$(CARGO) clippy --release --workspace --all-targets -- -D warnings
+
+bench: build
+	$(CARGO) bench --workspace
+
+faults: setup build
+	$(CARGO) run --release -p volant_test --bin volant-faults
+
+clean-setup:
+	rm -rf .setup $(VENV)
