@@ -18,9 +18,9 @@ export VOLANT_PYTHON := $(CURDIR)/$(VENV)/bin/python
 # Set up once: Debian's packages (the smallest OpenCV set) and a Python environment for the peers in the tests.
 setup: .setup/debian .setup/python
 
-.setup/debian: setup/debian-packages.txt setup/install-debian-packages
+.setup/debian: launch_config/setup/debian-packages.txt launch_config/setup/install-debian-packages
 	@mkdir -p .setup
-	@setup/install-debian-packages setup/debian-packages.txt
+	@launch_config/setup/install-debian-packages launch_config/setup/debian-packages.txt
 	@touch $@
 
 .setup/python: test/requirements.txt .setup/debian
