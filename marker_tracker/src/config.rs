@@ -1,0 +1,20 @@
+//! What can be set.
+
+/// Settings of the tracker. Every default works for any camera and light that the markers can be told in.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrackerConfig {
+    /// Whether the optical flow takes part (the paper's first criterion).
+    pub use_flow: bool,
+    /// Whether the hue histogram takes part (the paper's second criterion).
+    pub use_hue: bool,
+    /// Images in a row for which an occluded marker is predicted before it is lost.
+    pub max_predicted: u16,
+    /// Largest standard deviation of a centroid, px, that still counts as measured.
+    pub max_centroid_sigma: f64,
+}
+
+impl Default for TrackerConfig {
+    fn default() -> Self {
+        Self { use_flow: true, use_hue: true, max_predicted: 6, max_centroid_sigma: 0.5 }
+    }
+}
