@@ -201,7 +201,8 @@ mod tests {
     #[test]
     fn the_defaults_are_valid_and_each_mistake_names_its_parameter() {
         assert_eq!(ClimberConfig::default().validate(), Ok(()));
-        let mistakes: [(&str, fn(&mut ClimberConfig)); 9] = [
+        type Spoil = fn(&mut ClimberConfig);
+        let mistakes: [(&str, Spoil); 9] = [
             ("scale.rail_y", |c| c.joints[1].scale = 0.0),
             ("zero.turn", |c| c.joints[2].zero = f64::NAN),
             ("uncertainty.rail_x", |c| c.joints[0].uncertainty = -1.0),

@@ -57,7 +57,8 @@ fn joints_are_found_by_name_and_scaled() {
 #[test]
 fn each_refusal_is_named_and_the_next_good_reading_is_taken() {
     let good = |s| reading(s, 0.1, 0.2, 0.3);
-    let spoiled: [(&str, fn(&mut JointReading)); 8] = [
+    type Spoil = fn(&mut JointReading);
+    let spoiled: [(&str, Spoil); 8] = [
         ("not finite", |r| r.positions[1] = f64::NAN),
         ("not finite", |r| r.positions[3] = f64::INFINITY),
         ("length mismatch", |r| {
