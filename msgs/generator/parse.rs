@@ -1,0 +1,272 @@
+//! The text of a `.msg` file, line by line: `type name`, `type name default`, `type NAME=value`, `# comment`.
+
+use std::fmt;
+
+/// `package/kind/Name`, such as `std_msgs/msg/Header`.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Name {
+    /// ROS package.
+    pub package: String,
+    /// `msg` or `srv`.
+    pub kind: String,
+    /// Without package.
+    pub name: String,
+}
+
+impl Name {
+    /// From its three parts.
+    pub fn new(package: &str, kind: &str, name: &str) -> Self {
+        Self { package: package.into(), kind: kind.into(), name: name.into() }
+    }
+}
+
+impl fmt::Display for Name {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}/{}", self.package, self.kind, self.name)
+    }
+}
+
+/// What one element of a field is.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Base {
+    /// A number, `bool`, `byte` or `char`, by its name in the text.
+    Primitive(Primitive),
+    /// `string`, with its bound where there is one.
+    String(Option<u64>),
+    /// Another message.
+    Nested(Name),
+}
+
+/// The primitive types.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum Primitive {
+    Bool,
+    Byte,
+    Char,
+    Int8,
+    Uint8,
+    Int16,
+    Uint16,
+    Int32,
+    Uint32,
+    Int64,
+    Uint64,
+    Float32,
+    Float64,
+}
+
+impl Primitive {
+    /// Name in `.msg`, name in Rust, number in `type_description_interfaces/msg/FieldType`.
+    const TABLE: [(&'static str, &'static str, u32, Primitive); 13] = [
+        ("bool", "bool", 15, Primitive::Bool),
+        ("byte", "u8", 16, Primitive::Byte),
+        // ROS 2 reads `char` as uint8.
+        ("char", "u8", 3, Primitive::Char),
+        ("int8", "i8", 2, Primitive::Int8),
+        ("uint8", "u8", 3, Primitive::Uint8),
+        ("int16", "i16", 4, Primitive::Int16),
+        ("uint16", "u16", 5, Primitive::Uint16),
+        ("int32", "i32", 6, Primitive::Int32),
+        ("uint32", "u32", 7, Primitive::Uint32),
+        ("int64", "i64", 8, Primitive::Int64),
+        ("uint64", "u64", 9, Primitive::Uint64),
+        ("float32", "f32", 10, Primitive::Float32),
+        ("float64", "f64", 11, Primitive::Float64),
+    ];
+
+    fn row(self) -> &'static (&'static str, &'static str, u32, Primitive) {
+        // The table is in the order of the variants.
+        &Self::TABLE[self as usize]
+    }
+
+    /// The Rust type.
+    pub fn rust(self) -> &'static str {
+        self.row().1
+    }
+
+    /// The number that ROS 2's type description has for it.
+    pub fn type_id(self) -> u32 {
+        self.row().2
+    }
+
+    fn from_name(name: &str) -> Option<Self> {
+        Self::TABLE.iter().find(|row| row.0 == name).map(|row| row.3)
+    }
+}
+
+/// How many elements a field has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Count {
+    /// One.
+    One,
+    /// `[n]`.
+    Fixed(u64),
+    /// `[<=n]`.
+    Bounded(u64),
+    /// `[]`.
+    Unbounded,
+}
+
+/// A field.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Field {
+    /// As written, for the docs.
+    pub written: String,
+    /// Element type.
+    pub base: Base,
+    /// Element count.
+    pub count: Count,
+    /// Its name.
+    pub name: String,
+    /// Default value as written.
+    pub default: Option<String>,
+    /// The comment in its line.
+    pub comment: String,
+}
+
+/// A constant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Constant {
+    /// Its type.
+    pub base: Base,
+    /// Its name.
+    pub name: String,
+    /// Its value as written.
+    pub value: String,
+    /// The comment in its line.
+    pub comment: String,
+}
+
+/// One message.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Interface {
+    /// Its name.
+    pub name: Name,
+    /// Its text, as it stands in the file.
+    pub text: String,
+    /// The comment before its first field.
+    pub comment: Vec<String>,
+    /// Fields in order.
+    pub fields: Vec<Field>,
+    /// Constants in order.
+    pub constants: Vec<Constant>,
+}
+
+impl Interface {
+    /// Reads the text of a message, or of half a service.
+    pub fn parse(name: Name, text: &str) -> Result<Self, String> {
+        let mut message =
+            Self { name, text: text.to_owned(), comment: vec![], fields: vec![], constants: vec![] };
+        for (i, line) in text.lines().enumerate() {
+            message.line(line).map_err(|e| format!("line {}: {e}", i + 1))?;
+        }
+        if message.fields.is_empty() {
+            // An empty struct does not exist in C, so ROS 2 puts this in, on the wire as well.
+            message.fields.push(Field {
+                written: "uint8".into(),
+                base: Base::Primitive(Primitive::Uint8),
+                count: Count::One,
+                name: "structure_needs_at_least_one_member".into(),
+                default: None,
+                comment: "what ROS 2 puts into a message without fields".into(),
+            });
+        }
+        Ok(message)
+    }
+
+    fn line(&mut self, line: &str) -> Result<(), String> {
+        let (code, comment) = split_comment(line);
+        let code = code.trim();
+        if code.is_empty() {
+            if self.fields.is_empty() && self.constants.is_empty() && !comment.is_empty() {
+                self.comment.push(comment.to_owned());
+            }
+            return Ok(());
+        }
+        let comment = comment.to_owned();
+        let (written, rest) = code.split_once(char::is_whitespace).ok_or("a type without a name")?;
+        let rest = rest.trim();
+        let (base, count) = self.field_type(written)?;
+        let name_end = rest.find(|c: char| !(c.is_ascii_alphanumeric() || c == '_')).unwrap_or(rest.len());
+        let (name, after) = rest.split_at(name_end);
+        if !name.starts_with(|c: char| c.is_ascii_alphabetic()) {
+            return Err(format!("`{rest}` does not start with a name"));
+        }
+        let name = name.to_owned();
+        let after = after.trim();
+        if let Some(value) = after.strip_prefix('=') {
+            if count != Count::One || matches!(base, Base::Nested(_)) {
+                return Err(format!("constant `{name}` is neither a number, a bool nor a string"));
+            }
+            let value = unquoted(value.trim()).to_owned();
+            self.constants.push(Constant { base, name, value, comment });
+        } else {
+            let default = (!after.is_empty()).then(|| unquoted(after).to_owned());
+            if default.is_some() && count != Count::One {
+                return Err(format!("`{name}`: a default for a list is not supported"));
+            }
+            self.fields.push(Field { written: written.into(), base, count, name, default, comment });
+        }
+        Ok(())
+    }
+
+    fn field_type(&self, written: &str) -> Result<(Base, Count), String> {
+        let bad = || format!("`{written}` is not a type");
+        let (base, count) = match written.strip_suffix(']') {
+            None => (written, Count::One),
+            Some(open) => {
+                let (base, count) = open.rsplit_once('[').ok_or_else(bad)?;
+                let count = match (count, count.strip_prefix("<=")) {
+                    ("", _) => Count::Unbounded,
+                    (_, Some(n)) => Count::Bounded(n.parse().map_err(|_| bad())?),
+                    (n, None) => Count::Fixed(n.parse().map_err(|_| bad())?),
+                };
+                (base, count)
+            }
+        };
+        let base = if let Some(primitive) = Primitive::from_name(base) {
+            Base::Primitive(primitive)
+        } else if base == "string" {
+            Base::String(None)
+        } else if let Some(bound) = base.strip_prefix("string<=") {
+            Base::String(Some(bound.parse().map_err(|_| bad())?))
+        } else {
+            let mut parts = base.split('/');
+            let name = match (parts.next(), parts.next(), parts.next(), parts.next()) {
+                (Some(name), None, None, None) => Name::new(&self.name.package, "msg", name),
+                (Some(package), Some(name), None, None) => Name::new(package, "msg", name),
+                (Some(package), Some(kind), Some(name), None) => Name::new(package, kind, name),
+                _ => return Err(bad()),
+            };
+            if !name.name.starts_with(|c: char| c.is_ascii_uppercase()) {
+                return Err(bad());
+            }
+            Base::Nested(name)
+        };
+        Ok((base, count))
+    }
+}
+
+/// Splits at the first `#` that is not inside quotes.
+fn split_comment(line: &str) -> (&str, &str) {
+    let mut quote = None;
+    for (i, c) in line.char_indices() {
+        match (quote, c) {
+            (None, '#') => return (&line[..i], line[i + 1..].trim()),
+            (None, '"' | '\'') => quote = Some(c),
+            (Some(q), c) if c == q => quote = None,
+            _ => {}
+        }
+    }
+    (line, "")
+}
+
+fn unquoted(value: &str) -> &str {
+    for quote in ['"', '\''] {
+        if let Some(inner) = value.strip_prefix(quote).and_then(|v| v.strip_suffix(quote)) {
+            return inner;
+        }
+    }
+    value
+}
