@@ -5,7 +5,7 @@
 
 SHELL := /bin/bash
 .DEFAULT_GOAL := build
-.PHONY: setup build demo test lint bench faults clean-setup
+.PHONY: setup build demo test lint bench faults calibrate clean-setup
 
 ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 export OPENCV_LINK_PATHS := /usr/lib/$(ARCH_LIB)
@@ -51,8 +51,16 @@ lint: .setup/debian
 	done
 	$(CARGO) clippy --release --workspace --all-targets -- -D warnings
 
-bench: build
-	$(CARGO) bench --workspace
+# The rivals and the calibration need the large OpenCV, so they are workspaces of their own that `make test` never builds.
+.setup/debian-large: launch_config/setup/debian-packages-large.txt launch_config/setup/install-debian-packages .setup/debian
+	@launch_config/setup/install-debian-packages $<
+	@touch $@
+
+bench: build .setup/debian-large
+	cd test/peers && $(CARGO) run --release -- bench
+
+calibrate: build .setup/debian-large
+	cd launch_config/calibrate && $(CARGO) build --release
 
 faults: setup build
 	$(CARGO) run --release -p volant_test --bin volant-faults
