@@ -1,1 +1,19 @@
-//! Placeholder, about to be filled.
+//! What rclcpp gives a node and ros2-client does not.
+//!
+//! A node is a [`NodeShell`](node::NodeShell): it says its parameters ([`parameters!`]), subscribes and advertises in
+//! `start`, and gets every message and device event in order of arrival in `handle`. In flows what `--ros-args`, the
+//! environment and the network say; out flow publications, `/rosout`, `/diagnostics`, `/tf` and services.
+//!
+//! Without the feature `dds` there is no middleware, thread or signal in here: names, parameters, `--ros-args`, QoS
+//! and [`convert`], the one place where ROS messages and `rig_model`'s types meet.
+
+pub mod args;
+pub mod level;
+pub mod names;
+pub mod parameters;
+
+pub use args::RosArguments;
+pub use level::Level;
+pub use names::NodeName;
+pub use parameters::{ParameterError, ParameterSet};
+pub use rig_model::Stamp;

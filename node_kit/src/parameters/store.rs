@@ -1,0 +1,240 @@
+//! The values of a node while it runs: what is declared, what holds now, what may change.
+
+use super::{Descriptor, ParameterError, ParameterMap, ParameterValue};
+use crate::args::Override;
+use rig_model::rig::did_you_mean;
+use std::collections::BTreeMap;
+
+/// Overrides of a topic's QoS are declared when the topic is.
+const QOS_OVERRIDES: &str = "qos_overrides.";
+
+/// A parameter that has changed or come into being.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Change {
+    /// Flat name.
+    pub name: String,
+    /// The value now.
+    pub value: ParameterValue,
+}
+
+/// All parameters of one node.
+#[derive(Clone, Debug, Default)]
+pub struct ParameterStore {
+    declared: BTreeMap<String, Descriptor>,
+    values: ParameterMap,
+    /// Given at the start for topics that were not yet declared.
+    pending: BTreeMap<String, Override>,
+}
+
+impl ParameterStore {
+    /// Declares parameters and takes the values given at the start.
+    ///
+    /// # Errors
+    /// The first value that is unknown or cannot be, in the order of the names.
+    pub fn new(
+        descriptors: Vec<Descriptor>,
+        overrides: BTreeMap<String, Override>,
+    ) -> Result<Self, ParameterError> {
+        let mut store = Self::default();
+        for descriptor in descriptors {
+            if let Some(default) = &descriptor.default {
+                store.values.insert(descriptor.name.clone(), default.clone());
+            }
+            store.declared.insert(descriptor.name.clone(), descriptor);
+        }
+        for (name, given) in overrides {
+            if let Some(descriptor) = store.declared.get(&name) {
+                store.values.insert(name, descriptor.accept(&given.value)?);
+            } else if name.starts_with(QOS_OVERRIDES) {
+                store.pending.insert(name, given);
+            } else {
+                return Err(store.unknown(&name, &given.origin));
+            }
+        }
+        Ok(store)
+    }
+
+    fn unknown(&self, name: &str, origin: &str) -> ParameterError {
+        ParameterError::Unknown {
+            name: name.to_owned(),
+            hint: did_you_mean(name, self.declared.keys().map(String::as_str)),
+            origin: origin.to_owned(),
+        }
+    }
+
+    /// Declares one more, with the value given for it at the start, if any.
+    ///
+    /// # Errors
+    /// That value cannot be.
+    pub fn declare(&mut self, descriptor: Descriptor) -> Result<Option<ParameterValue>, ParameterError> {
+        if !self.declared.contains_key(&descriptor.name) {
+            let value = match self.pending.remove(&descriptor.name) {
+                Some(given) => Some(descriptor.accept(&given.value)?),
+                None => descriptor.default.clone(),
+            };
+            if let Some(value) = value {
+                self.values.insert(descriptor.name.clone(), value);
+            }
+            self.declared.insert(descriptor.name.clone(), descriptor.clone());
+        }
+        Ok(self.values.get(&descriptor.name).cloned())
+    }
+
+    /// Given at the start, but for a topic that the node does not have: typing mistakes.
+    pub fn left_over(&self) -> Vec<ParameterError> {
+        self.pending.iter().map(|(name, given)| self.unknown(name, &given.origin)).collect()
+    }
+
+    /// All values that hold now.
+    pub fn values(&self) -> &ParameterMap {
+        &self.values
+    }
+
+    /// The value of one.
+    pub fn get(&self, name: &str) -> Option<&ParameterValue> {
+        self.values.get(name)
+    }
+
+    /// The declaration of one.
+    pub fn descriptor(&self, name: &str) -> Option<&Descriptor> {
+        self.declared.get(name)
+    }
+
+    /// All declarations, by name.
+    pub fn descriptors(&self) -> impl Iterator<Item = &Descriptor> {
+        self.declared.values()
+    }
+
+    /// What the values would be if all of `changes` were made at once. Nothing is changed yet: whoever owns the
+    /// parameters looks at the whole first, then calls [`ParameterStore::commit`].
+    ///
+    /// # Errors
+    /// The first change that is unknown, read-only or cannot be.
+    pub fn propose(
+        &self,
+        changes: &[(String, ParameterValue)],
+    ) -> Result<(ParameterMap, Vec<Change>), ParameterError> {
+        let mut values = self.values.clone();
+        let mut made = Vec::new();
+        for (name, value) in changes {
+            let descriptor = self.declared.get(name).ok_or_else(|| self.unknown(name, "set_parameters"))?;
+            let value = descriptor.accept(value)?;
+            if !descriptor.live && values.get(name) != Some(&value) {
+                return Err(ParameterError::ReadOnly { name: name.clone() });
+            }
+            values.insert(name.clone(), value.clone());
+            made.push(Change { name: name.clone(), value });
+        }
+        Ok((values, made))
+    }
+
+    /// Makes proposed values hold.
+    pub fn commit(&mut self, values: ParameterMap) {
+        self.values = values;
+    }
+
+    /// Names below any of `prefixes` (all if empty), at most `depth` dots deeper than the prefix (0: any depth), and the
+    /// prefixes that they lie under: the answer of `list_parameters`.
+    pub fn list(&self, prefixes: &[String], depth: u64) -> (Vec<String>, Vec<String>) {
+        let within = |rest: &str| depth == 0 || (rest.matches('.').count() as u64) < depth;
+        let names: Vec<String> = self
+            .declared
+            .keys()
+            .filter(|name| {
+                if prefixes.is_empty() {
+                    return within(name);
+                }
+                prefixes.iter().any(|prefix| {
+                    *name == prefix
+                        || name
+                            .strip_prefix(prefix.as_str())
+                            .and_then(|r| r.strip_prefix('.'))
+                            .is_some_and(within)
+                })
+            })
+            .cloned()
+            .collect();
+        let mut parents: Vec<String> =
+            names.iter().filter_map(|n| n.rsplit_once('.').map(|(parent, _)| parent.to_owned())).collect();
+        parents.sort();
+        parents.dedup();
+        (names, parents)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::parameters::{ParameterKind, common_descriptors};
+
+    fn given(name: &str, value: ParameterValue) -> (String, Override) {
+        (name.to_owned(), Override { value, origin: "rig.yaml".into() })
+    }
+
+    fn store() -> ParameterStore {
+        let mut all = common_descriptors();
+        all.push(
+            Descriptor::new("a.gain", ParameterKind::Double, Some(ParameterValue::Double(1.0)), "")
+                .range(0.0..=2.0)
+                .live(),
+        );
+        ParameterStore::new(all, BTreeMap::new()).unwrap()
+    }
+
+    #[test]
+    fn an_unknown_name_is_a_typing_mistake_and_the_right_one_is_said() {
+        let error = ParameterStore::new(
+            common_descriptors(),
+            [given("markers.sise", ParameterValue::Double(0.1))].into(),
+        )
+        .unwrap_err()
+        .to_string();
+        assert!(error.contains("did you mean `markers.size`") && error.contains("rig.yaml"), "{error}");
+    }
+
+    #[test]
+    fn a_change_is_checked_whole_before_it_is_made() {
+        let mut store = store();
+        let live = ("a.gain".to_owned(), ParameterValue::Integer(2));
+        let fixed = ("markers.size".to_owned(), ParameterValue::Double(0.1));
+        assert!(matches!(store.propose(&[live.clone(), fixed]), Err(ParameterError::ReadOnly { .. })));
+        assert!(store.propose(&[("a.gain".to_owned(), ParameterValue::Integer(3))]).is_err());
+        assert!(store.propose(&[("gain".to_owned(), ParameterValue::Integer(1))]).is_err());
+        let (values, made) = store.propose(&[live]).unwrap();
+        assert_eq!(store.get("a.gain"), Some(&ParameterValue::Double(1.0)));
+        store.commit(values);
+        assert_eq!(store.get("a.gain"), Some(&ParameterValue::Double(2.0)));
+        assert_eq!(made.len(), 1);
+    }
+
+    #[test]
+    fn qos_overrides_wait_for_their_topic() {
+        let mut store = ParameterStore::new(
+            vec![],
+            [
+                given("qos_overrides./a.publisher.depth", ParameterValue::Integer(3)),
+                given("qos_overrides./b.publisher.depth", ParameterValue::Integer(3)),
+            ]
+            .into(),
+        )
+        .unwrap();
+        let descriptor = Descriptor::new(
+            "qos_overrides./a.publisher.depth",
+            ParameterKind::Integer,
+            Some(ParameterValue::Integer(10)),
+            "",
+        );
+        assert_eq!(store.declare(descriptor).unwrap(), Some(ParameterValue::Integer(3)));
+        assert_eq!(store.left_over().len(), 1);
+    }
+
+    #[test]
+    fn listing_knows_prefixes_and_depth() {
+        let store = store();
+        let (names, prefixes) = store.list(&["markers".to_owned()], 1);
+        assert_eq!(names.len(), 5);
+        assert_eq!(prefixes, ["markers"]);
+        let (top, _) = store.list(&[], 1);
+        assert_eq!(top, ["autostart", "use_sim_time"]);
+    }
+}

@@ -1,0 +1,84 @@
+//! Descriptors as text: the table for the documentation, the YAML file, the help on a terminal.
+
+use super::{Descriptor, ParameterValue};
+use std::fmt::Write;
+
+/// A markdown table, one row for each parameter.
+pub fn markdown_table(descriptors: &[Descriptor]) -> String {
+    let mut text = String::from(
+        "| parameter | type | default | unit | allowed | changes | what it is |\n|---|---|---|---|---|---|---|\n",
+    );
+    for d in descriptors {
+        let default = d.default.as_ref().map_or("(must be given)".to_owned(), |v| format!("`{v}`"));
+        let _ = writeln!(
+            text,
+            "| `{}` | {} | {default} | {} | {} | {} | {} |",
+            d.name,
+            d.kind.name(),
+            d.unit,
+            d.constraint().replace('|', "\\|"),
+            if d.live { "live" } else { "at start" },
+            d.description.replace('|', "\\|"),
+        );
+    }
+    text
+}
+
+/// A parameter file with every default, and each parameter's sentence as a comment. What must be given is commented
+/// out.
+pub fn yaml_file(selector: &str, descriptors: &[Descriptor]) -> String {
+    let mut text = format!("{selector}:\n  ros__parameters:\n");
+    for d in descriptors {
+        let unit = if d.unit.is_empty() { String::new() } else { format!(" [{}]", d.unit) };
+        let constraint = d.constraint();
+        let constraint = if constraint.is_empty() { constraint } else { format!(" ({constraint})") };
+        let _ = writeln!(text, "    # {}{unit}{constraint}", d.description);
+        let _ = match &d.default {
+            Some(value) => writeln!(text, "    {}: {}", d.name, yaml_value(value)),
+            None => writeln!(text, "    # {}:", d.name),
+        };
+    }
+    text
+}
+
+fn yaml_value(value: &ParameterValue) -> String {
+    // Rust's way to write lists, numbers and quoted texts is YAML's flow style, but for infinities.
+    value.to_string().replace("inf", ".inf")
+}
+
+/// Lines for a terminal: name, default, unit, sentence.
+pub fn help_table(descriptors: &[Descriptor]) -> String {
+    let width = descriptors.iter().map(|d| d.name.len()).max().unwrap_or(0);
+    let mut text = String::new();
+    for d in descriptors {
+        let default = d.default.as_ref().map_or("must be given".to_owned(), |v| format!("default {v}"));
+        let unit = if d.unit.is_empty() { String::new() } else { format!(" {}", d.unit) };
+        let constraint = d.constraint();
+        let constraint = if constraint.is_empty() { constraint } else { format!(", {constraint}") };
+        let live = if d.live { ", live" } else { "" };
+        let _ = writeln!(
+            text,
+            "  {:width$}  {} ({}, {default}{unit}{constraint}{live})",
+            d.name,
+            d.description,
+            d.kind.name()
+        );
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::parameters::common_descriptors;
+    use rig_model::parameters::ParameterFile;
+
+    #[test]
+    fn the_yaml_file_reads_back_as_the_defaults() {
+        let all = common_descriptors();
+        let map = ParameterFile::parse(&yaml_file("/**", &all)).unwrap().for_node("/x");
+        for d in &all {
+            assert_eq!(map.get(&d.name).map(|v| d.accept(v).unwrap()), d.default.clone(), "{}", d.name);
+        }
+    }
+}
