@@ -238,6 +238,14 @@ fn emit_registry(out: &mut String, set: &Interfaces) {
         line(out, format!("crate::MessageInfo::of::<{}>(),", rust_path(name)));
     }
     line(out, "];");
+    // For code that does the same with each type, such as the tests against other implementations.
+    doc(out, "Calls a macro with the paths of all types, the halves of services included.");
+    line(out, "#[macro_export]");
+    line(out, "macro_rules! for_each_type { ($call:ident) => { $call! {");
+    for name in set.messages.keys() {
+        line(out, format!("{},", rust_path(name).replacen("crate::", "$crate::", 1)));
+    }
+    line(out, "} } }");
     doc(out, "Every service that is built in: name and hash.");
     line(out, "pub static SERVICES: &[(&str, &str)] = &[");
     for name in &set.services {
