@@ -1,0 +1,187 @@
+//! Names of the messages, error codes and baud codes.
+
+use std::fmt;
+
+/// The message identifier (MID).
+#[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct MessageId(pub u8);
+
+macro_rules! messages {
+    ($($(#[$doc:meta])* $name:ident = $mid:literal, $text:literal;)*) => {
+        impl MessageId {
+            $($(#[$doc])* pub const $name: Self = Self($mid);)*
+
+            /// The manual's name, for the message and for its acknowledgement.
+            pub fn name(self) -> Option<&'static str> {
+                match self.0 {
+                    $($mid => Some($text),)*
+                    _ => None,
+                }
+            }
+        }
+    };
+}
+
+messages! {
+    /// Asks for the device identifier.
+    REQ_DEVICE_ID = 0x00, "ReqDID";
+    /// Sampling period, u16, ticks of 1/115200 s.
+    PERIOD = 0x04, "SetPeriod";
+    /// Asks how long the data of an MTData message are.
+    REQ_DATA_LENGTH = 0x0A, "ReqDataLength";
+    /// Asks for the 118 bytes of the configuration.
+    REQ_CONFIGURATION = 0x0C, "ReqConfiguration";
+    /// Back to the factory's settings (config state only).
+    RESTORE_FACTORY = 0x0E, "RestoreFactoryDef";
+    /// To the measurement state.
+    GO_TO_MEASUREMENT = 0x10, "GoToMeasurement";
+    /// Asks for the firmware's revision.
+    REQ_FIRMWARE = 0x12, "ReqFWRev";
+    /// Baud rate as a code, in force after a reset.
+    BAUD_RATE = 0x18, "SetBaudrate";
+    /// Asks for the product code.
+    REQ_PRODUCT_CODE = 0x1C, "ReqProductCode";
+    /// Asks for the hardware's version.
+    REQ_HARDWARE = 0x1E, "ReqHWVersion";
+    /// Newer units estimate the gyroscopes' bias for so many seconds.
+    SET_NO_ROTATION = 0x22, "SetNoRotation";
+    /// To the config state.
+    GO_TO_CONFIG = 0x30, "GoToConfig";
+    /// Data of a legacy unit.
+    MT_DATA = 0x32, "MTData";
+    /// Asks for one data message.
+    REQ_DATA = 0x34, "ReqData";
+    /// Data of a newer unit.
+    MT_DATA2 = 0x36, "MTData2";
+    /// From a unit that has just started.
+    WAKE_UP = 0x3E, "WakeUp";
+    /// To a unit that has just started: enter the config state.
+    WAKE_UP_ACK = 0x3F, "WakeUpAck";
+    /// Start anew.
+    RESET = 0x40, "Reset";
+    /// From the unit: an error, its code first.
+    ERROR = 0x42, "Error";
+    /// Date and time.
+    UTC = 0x60, "SetUTCTime";
+    /// Location identifier.
+    LOCATION_ID = 0x84, "SetLocationID";
+    /// Turns the orientation's zero.
+    RESET_ORIENTATION = 0xA4, "ResetOrientation";
+    /// What a newer unit sends.
+    OUTPUT_CONFIGURATION = 0xC0, "SetOutputConfiguration";
+    /// What a legacy unit sends.
+    OUTPUT_MODE = 0xD0, "SetOutputMode";
+    /// How a legacy unit writes it.
+    OUTPUT_SETTINGS = 0xD2, "SetOutputSettings";
+    /// Every so-manieth sample is left out.
+    OUTPUT_SKIP_FACTOR = 0xD4, "SetOutputSkipFactor";
+    /// What the unit does after an error.
+    ERROR_MODE = 0xDA, "SetErrorMode";
+}
+
+impl MessageId {
+    /// The identifier of the acknowledgement.
+    pub const fn ack(self) -> Self {
+        Self(self.0.wrapping_add(1))
+    }
+
+    /// Data that stream by themselves, as opposed to an answer.
+    pub fn is_data(self) -> bool {
+        self == Self::MT_DATA || self == Self::MT_DATA2
+    }
+}
+
+impl fmt::Display for MessageId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.name(), Self(self.0.wrapping_sub(1)).name()) {
+            (Some(name), _) => f.write_str(name),
+            (None, Some(name)) => write!(f, "{name}'s acknowledgement"),
+            (None, None) => write!(f, "message {:02X}", self.0),
+        }
+    }
+}
+
+impl fmt::Debug for MessageId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:02X} ({self})", self.0)
+    }
+}
+
+/// What a unit complains about in an Error message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct DeviceError(pub u8);
+
+impl fmt::Display for DeviceError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let meaning = match self.0 {
+            0x03 => "the period is out of range",
+            0x04 => "the message is invalid or not known to this unit",
+            0x1E => "timer overflow",
+            0x20 => "the baud rate is not possible",
+            0x21 => "a parameter is invalid",
+            0x28 => "device error",
+            0x29 => {
+                "more data than the line can carry; lower the rate, leave outputs out, or raise the baud rate"
+            }
+            _ => "not in the manual",
+        };
+        write!(f, "error {:02X}: {meaning}", self.0)
+    }
+}
+
+/// Baud rates and their codes.
+const BAUDS: [(u32, u8); 15] = [
+    (921_600, 0x80),
+    (460_800, 0x00),
+    (230_400, 0x01),
+    (115_200, 0x02),
+    (76_800, 0x03),
+    (57_600, 0x04),
+    (38_400, 0x05),
+    (28_800, 0x06),
+    (19_200, 0x07),
+    (14_400, 0x08),
+    (9_600, 0x09),
+    (4_800, 0x0B),
+    (2_000_000, 0x0C),
+    (3_500_000, 0x0E),
+    (4_000_000, 0x0D),
+];
+
+/// In which order a unit of unknown baud rate is looked for.
+pub const BAUD_SCAN: [u32; 8] = [115_200, 921_600, 460_800, 230_400, 57_600, 38_400, 19_200, 9_600];
+
+/// The code of a baud rate, where it has one.
+pub fn baud_code(baud: u32) -> Option<u8> {
+    BAUDS.iter().find(|(b, _)| *b == baud).map(|(_, code)| *code)
+}
+
+/// The baud rate of a code.
+pub fn baud_from_code(code: u8) -> Option<u32> {
+    // 921600 has two codes.
+    let code = if code == 0x0A { 0x80 } else { code };
+    BAUDS.iter().find(|(_, c)| *c == code).map(|(baud, _)| *baud)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_for_people() {
+        assert_eq!(MessageId(0xD1).to_string(), "SetOutputMode's acknowledgement");
+        assert_eq!(MessageId(0x32).to_string(), "MTData");
+        assert_eq!(MessageId(0x77).to_string(), "message 77");
+        assert!(DeviceError(0x29).to_string().contains("line can carry"));
+    }
+
+    #[test]
+    fn baud_codes_lead_there_and_back() {
+        for (baud, code) in BAUDS {
+            assert_eq!((baud_code(baud), baud_from_code(code)), (Some(code), Some(baud)));
+        }
+        assert_eq!(baud_from_code(0x0A), Some(921_600));
+        assert_eq!((baud_code(12_345), baud_from_code(0x55)), (None, None));
+        assert!(BAUD_SCAN.iter().all(|b| baud_code(*b).is_some()));
+    }
+}

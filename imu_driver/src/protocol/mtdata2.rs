@@ -1,0 +1,222 @@
+//! MTData2: what the newer units send, a list of `identifier u16 | size u8 | data`. Unknown identifiers are skipped by
+//! their size.
+
+use super::{
+    DecodeError,
+    legacy::{read_utc, write_utc},
+    measurement::{Attitude, GlobalFrame, Measurement, Orientation, Status},
+    number::{NumberFormat, Reader},
+};
+
+/// Data identifiers without their low nibble (number format and global frame).
+pub mod xdi {
+    /// Temperature.
+    pub const TEMPERATURE: u16 = 0x0810;
+    /// Date and time.
+    pub const UTC: u16 = 0x1010;
+    /// Counter.
+    pub const COUNTER: u16 = 0x1020;
+    /// 0.1 ms ticks.
+    pub const SAMPLE_TIME_FINE: u16 = 0x1060;
+    /// Seconds.
+    pub const SAMPLE_TIME_COARSE: u16 = 0x1070;
+    /// Quaternion.
+    pub const QUATERNION: u16 = 0x2010;
+    /// Matrix.
+    pub const MATRIX: u16 = 0x2020;
+    /// Euler angles.
+    pub const EULER: u16 = 0x2030;
+    /// Pressure.
+    pub const PRESSURE: u16 = 0x3010;
+    /// Velocity increment.
+    pub const DELTA_VELOCITY: u16 = 0x4010;
+    /// Specific force.
+    pub const ACCELERATION: u16 = 0x4020;
+    /// Acceleration without gravity.
+    pub const FREE_ACCELERATION: u16 = 0x4030;
+    /// Specific force, faster path.
+    pub const ACCELERATION_HR: u16 = 0x4040;
+    /// Height above the ellipsoid.
+    pub const ALTITUDE: u16 = 0x5020;
+    /// Earth-centred position.
+    pub const POSITION_ECEF: u16 = 0x5030;
+    /// Latitude and longitude.
+    pub const LATITUDE_LONGITUDE: u16 = 0x5040;
+    /// GNSS solution.
+    pub const GNSS_PVT: u16 = 0x7010;
+    /// GNSS satellites.
+    pub const GNSS_SATELLITES: u16 = 0x7020;
+    /// Rate of turn.
+    pub const ANGULAR_VELOCITY: u16 = 0x8020;
+    /// Orientation increment.
+    pub const DELTA_ORIENTATION: u16 = 0x8030;
+    /// Rate of turn, faster path.
+    pub const ANGULAR_VELOCITY_HR: u16 = 0x8040;
+    /// Magnetic field.
+    pub const MAGNETIC_FIELD: u16 = 0xC020;
+    /// Velocity.
+    pub const VELOCITY: u16 = 0xD010;
+    /// Status byte.
+    pub const STATUS_BYTE: u16 = 0xE010;
+    /// Status word.
+    pub const STATUS_WORD: u16 = 0xE020;
+}
+
+/// Decodes the data of one MTData2 message.
+///
+/// # Errors
+/// [`DecodeError::Overrun`] where an item claims more bytes than there are, [`DecodeError::ItemSize`] where a known
+/// item is not as long as its identifier says.
+#[inline]
+pub fn decode(data: &[u8]) -> Result<Measurement, DecodeError> {
+    let mut m = Measurement::default();
+    let r = &mut Reader::new(data);
+    while !r.rest().is_empty() {
+        let offset = data.len() - r.rest().len();
+        let overrun = DecodeError::Overrun { offset, length: data.len() };
+        let (Some(id), Some(size)) = (r.u16(), r.u8()) else {
+            return Err(overrun);
+        };
+        let Some(item) = r.take(usize::from(size)) else {
+            return Err(overrun);
+        };
+        let mut item_reader = Reader::new(item);
+        if read_item(&mut m, id, &mut item_reader).is_none() || !item_reader.rest().is_empty() {
+            return Err(DecodeError::ItemSize { id, size });
+        }
+    }
+    Ok(m)
+}
+
+fn read_item(m: &mut Measurement, id: u16, r: &mut Reader<'_>) -> Option<()> {
+    let format = NumberFormat::from_bits(u32::from(id));
+    let frame = match (id >> 2) & 3 {
+        0 => Some(GlobalFrame::EastNorthUp),
+        1 => Some(GlobalFrame::NorthEastDown),
+        2 => Some(GlobalFrame::NorthWestUp),
+        _ => None,
+    };
+    let attitude = |m: &mut Measurement, attitude| {
+        if let Some(frame) = frame {
+            m.add_orientation(Orientation { attitude, frame });
+        }
+    };
+    match id & 0xFFF0 {
+        xdi::TEMPERATURE => m.temperature = Some(r.numbers::<1>(format)?[0]),
+        xdi::UTC => m.utc = Some(read_utc(r)?),
+        xdi::COUNTER => m.counter = Some(r.u16()?),
+        xdi::SAMPLE_TIME_FINE => m.sample_time_fine = Some(r.u32()?),
+        xdi::SAMPLE_TIME_COARSE => m.sample_time_coarse = Some(r.u32()?),
+        xdi::QUATERNION => attitude(m, Attitude::Quaternion(r.numbers(format)?)),
+        xdi::MATRIX => attitude(m, Attitude::Matrix(r.numbers(format)?)),
+        xdi::EULER => attitude(m, Attitude::Euler(r.numbers(format)?)),
+        xdi::PRESSURE => m.pressure = Some(r.u32()?),
+        xdi::DELTA_VELOCITY => m.delta_velocity = Some(r.numbers(format)?),
+        xdi::ACCELERATION => m.acceleration = Some(r.numbers(format)?),
+        xdi::FREE_ACCELERATION => m.free_acceleration = Some(r.numbers(format)?),
+        xdi::ACCELERATION_HR => m.acceleration_hr = Some(r.numbers(format)?),
+        xdi::ALTITUDE => m.altitude = Some(r.numbers::<1>(format)?[0]),
+        xdi::POSITION_ECEF => m.position_ecef = Some(r.numbers(format)?),
+        xdi::LATITUDE_LONGITUDE => m.latitude_longitude = Some(r.numbers(format)?),
+        xdi::ANGULAR_VELOCITY => m.angular_velocity = Some(r.numbers(format)?),
+        xdi::DELTA_ORIENTATION => m.delta_orientation = Some(r.numbers(format)?),
+        xdi::ANGULAR_VELOCITY_HR => m.angular_velocity_hr = Some(r.numbers(format)?),
+        xdi::MAGNETIC_FIELD => m.magnetic_field = Some(r.numbers(format)?),
+        xdi::VELOCITY => m.velocity = Some(r.numbers(format)?),
+        // A status word beside a status byte says more, whatever their order.
+        xdi::STATUS_BYTE => {
+            let byte = u32::from(r.u8()?);
+            m.status = m.status.or(Some(Status(byte)));
+        }
+        xdi::STATUS_WORD => m.status = Some(Status(r.u32()?)),
+        other => {
+            m.has_gnss |= matches!(other, xdi::GNSS_PVT | xdi::GNSS_SATELLITES);
+            r.take(r.rest().len())?;
+        }
+    }
+    Some(())
+}
+
+/// Appends the items that the measurement holds, numbers in `format`: the inverse of [`decode`].
+pub fn encode(m: &Measurement, format: NumberFormat, out: &mut Vec<u8>) {
+    let bits = format.bits() as u16;
+    fn head(out: &mut Vec<u8>, id: u16, size: usize) {
+        out.extend_from_slice(&id.to_be_bytes());
+        out.push(size as u8);
+    }
+    let numbers = |out: &mut Vec<u8>, id: u16, values: Option<&[f64]>| {
+        if let Some(values) = values {
+            head(out, id | bits, values.len() * format.size());
+            values.iter().for_each(|v| format.write(*v, out));
+        }
+    };
+    let words = |out: &mut Vec<u8>, id: u16, value: Option<u32>| {
+        if let Some(value) = value {
+            head(out, id, 4);
+            out.extend_from_slice(&value.to_be_bytes());
+        }
+    };
+    if let Some(counter) = m.counter {
+        head(out, xdi::COUNTER, 2);
+        out.extend_from_slice(&counter.to_be_bytes());
+    }
+    words(out, xdi::SAMPLE_TIME_FINE, m.sample_time_fine);
+    words(out, xdi::SAMPLE_TIME_COARSE, m.sample_time_coarse);
+    if let Some(utc) = &m.utc {
+        head(out, xdi::UTC, 12);
+        write_utc(utc, out);
+    }
+    numbers(out, xdi::TEMPERATURE, m.temperature.as_ref().map(std::slice::from_ref));
+    for orientation in std::iter::once(&m.orientation).chain(&m.further_orientations).flatten() {
+        let frame = match orientation.frame {
+            GlobalFrame::EastNorthUp => 0,
+            GlobalFrame::NorthEastDown => 4,
+            GlobalFrame::NorthWestUp => 8,
+        };
+        match &orientation.attitude {
+            Attitude::Quaternion(q) => numbers(out, xdi::QUATERNION | frame, Some(q)),
+            Attitude::Matrix(c) => numbers(out, xdi::MATRIX | frame, Some(c)),
+            Attitude::Euler(e) => numbers(out, xdi::EULER | frame, Some(e)),
+        }
+    }
+    words(out, xdi::PRESSURE, m.pressure);
+    let vectors: [(u16, Option<&[f64]>); 12] = [
+        (xdi::DELTA_VELOCITY, m.delta_velocity.as_ref().map(|v| v.as_slice())),
+        (xdi::ACCELERATION, m.acceleration.as_ref().map(|v| v.as_slice())),
+        (xdi::FREE_ACCELERATION, m.free_acceleration.as_ref().map(|v| v.as_slice())),
+        (xdi::ACCELERATION_HR, m.acceleration_hr.as_ref().map(|v| v.as_slice())),
+        (xdi::ALTITUDE, m.altitude.as_ref().map(std::slice::from_ref)),
+        (xdi::POSITION_ECEF, m.position_ecef.as_ref().map(|v| v.as_slice())),
+        (xdi::LATITUDE_LONGITUDE, m.latitude_longitude.as_ref().map(|v| v.as_slice())),
+        (xdi::ANGULAR_VELOCITY, m.angular_velocity.as_ref().map(|v| v.as_slice())),
+        (xdi::DELTA_ORIENTATION, m.delta_orientation.as_ref().map(|v| v.as_slice())),
+        (xdi::ANGULAR_VELOCITY_HR, m.angular_velocity_hr.as_ref().map(|v| v.as_slice())),
+        (xdi::MAGNETIC_FIELD, m.magnetic_field.as_ref().map(|v| v.as_slice())),
+        (xdi::VELOCITY, m.velocity.as_ref().map(|v| v.as_slice())),
+    ];
+    for (id, values) in vectors {
+        numbers(out, id, values);
+    }
+    words(out, xdi::STATUS_WORD, m.status.map(|s| s.0));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_known_is_skipped_by_its_size() {
+        let data = [0x12, 0x34, 2, 9, 9, 0x10, 0x20, 2, 0x01, 0x02, 0x70, 0x10, 1, 7];
+        let m = decode(&data).unwrap();
+        assert_eq!((m.counter, m.has_gnss, m.is_inertial()), (Some(0x0102), true, false));
+    }
+
+    #[test]
+    fn sizes_that_cannot_be_are_named() {
+        assert_eq!(decode(&[0x10, 0x20, 3, 1, 2, 3]), Err(DecodeError::ItemSize { id: 0x1020, size: 3 }));
+        assert_eq!(decode(&[0x10, 0x20, 1, 1]), Err(DecodeError::ItemSize { id: 0x1020, size: 1 }));
+        assert_eq!(decode(&[0x10, 0x20, 9, 1]), Err(DecodeError::Overrun { offset: 0, length: 4 }));
+        assert_eq!(decode(&[0x10]), Err(DecodeError::Overrun { offset: 0, length: 1 }));
+        assert_eq!(decode(&[]), Ok(Measurement::default()));
+    }
+}

@@ -1,0 +1,183 @@
+//! The four ways in which a unit writes a number, and a reader that never runs past the end.
+
+/// How values are written, in OutputSettings (bits 9:8) and in the low nibble of an MTData2 identifier (bits 1:0).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum NumberFormat {
+    /// IEEE 754 single.
+    #[default]
+    Float32,
+    /// Signed 32 bits, 20 of them behind the point.
+    Fp1220,
+    /// 32 bits of fraction, then a signed 16-bit integer part: the halves stand in this order on the wire.
+    Fp1632,
+    /// IEEE 754 double.
+    Float64,
+}
+
+impl NumberFormat {
+    /// All four, in the order of their codes.
+    pub const ALL: [Self; 4] = [Self::Float32, Self::Fp1220, Self::Fp1632, Self::Float64];
+
+    /// From the two bits; the others are ignored.
+    pub const fn from_bits(bits: u32) -> Self {
+        match bits & 3 {
+            0 => Self::Float32,
+            1 => Self::Fp1220,
+            2 => Self::Fp1632,
+            _ => Self::Float64,
+        }
+    }
+
+    /// The two bits.
+    pub const fn bits(self) -> u32 {
+        self as u32
+    }
+
+    /// Bytes of one number.
+    pub const fn size(self) -> usize {
+        match self {
+            Self::Float32 | Self::Fp1220 => 4,
+            Self::Fp1632 => 6,
+            Self::Float64 => 8,
+        }
+    }
+
+    /// Appends one number; what the format cannot hold is clamped to its range (NaN becomes 0 in the fixed ones).
+    pub fn write(self, value: f64, out: &mut Vec<u8>) {
+        match self {
+            Self::Float32 => out.extend_from_slice(&(value as f32).to_be_bytes()),
+            Self::Fp1220 => out.extend_from_slice(&((value * 1_048_576.0).round() as i32).to_be_bytes()),
+            Self::Fp1632 => {
+                let limit = (1_i64 << 47) as f64;
+                let scaled = (value * 4_294_967_296.0).round().clamp(-limit, limit - 1.0) as i64;
+                out.extend_from_slice(&(scaled as u32).to_be_bytes());
+                out.extend_from_slice(&((scaled >> 32) as i16).to_be_bytes());
+            }
+            Self::Float64 => out.extend_from_slice(&value.to_be_bytes()),
+        }
+    }
+
+    /// The nearest number that the format can hold: what comes back after a round trip.
+    pub fn quantise(self, value: f64) -> f64 {
+        let mut bytes = Vec::with_capacity(8);
+        self.write(value, &mut bytes);
+        Reader::new(&bytes).numbers::<1>(self).map_or(0.0, |[x]| x)
+    }
+}
+
+/// Reads big-endian fields from the front of a slice; `None` where it is too short.
+#[derive(Clone, Copy, Debug)]
+pub struct Reader<'a>(&'a [u8]);
+
+impl<'a> Reader<'a> {
+    /// Starts at the front of `data`.
+    pub const fn new(data: &'a [u8]) -> Self {
+        Self(data)
+    }
+
+    /// What is left.
+    pub const fn rest(&self) -> &'a [u8] {
+        self.0
+    }
+
+    /// The next `n` bytes.
+    #[inline]
+    pub fn take(&mut self, n: usize) -> Option<&'a [u8]> {
+        let (head, tail) = self.0.split_at_checked(n)?;
+        self.0 = tail;
+        Some(head)
+    }
+
+    #[inline]
+    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (head, tail) = self.0.split_first_chunk::<N>()?;
+        self.0 = tail;
+        Some(*head)
+    }
+
+    /// One byte.
+    #[inline]
+    pub fn u8(&mut self) -> Option<u8> {
+        self.array::<1>().map(|[b]| b)
+    }
+
+    /// Two bytes.
+    #[inline]
+    pub fn u16(&mut self) -> Option<u16> {
+        self.array().map(u16::from_be_bytes)
+    }
+
+    /// Four bytes.
+    #[inline]
+    pub fn u32(&mut self) -> Option<u32> {
+        self.array().map(u32::from_be_bytes)
+    }
+
+    /// Four bytes, signed.
+    #[inline]
+    pub fn i32(&mut self) -> Option<i32> {
+        self.array().map(i32::from_be_bytes)
+    }
+
+    /// `N` numbers in a format.
+    #[inline]
+    pub fn numbers<const N: usize>(&mut self, format: NumberFormat) -> Option<[f64; N]> {
+        let bytes = self.take(N * format.size())?;
+        let mut values = [0.0; N];
+        match format {
+            NumberFormat::Float32 => {
+                for (value, b) in values.iter_mut().zip(bytes.as_chunks::<4>().0) {
+                    *value = f64::from(f32::from_be_bytes(*b));
+                }
+            }
+            NumberFormat::Fp1220 => {
+                for (value, b) in values.iter_mut().zip(bytes.as_chunks::<4>().0) {
+                    *value = f64::from(i32::from_be_bytes(*b)) / 1_048_576.0;
+                }
+            }
+            NumberFormat::Fp1632 => {
+                for (value, b) in values.iter_mut().zip(bytes.as_chunks::<6>().0) {
+                    let fraction = u32::from_be_bytes([b[0], b[1], b[2], b[3]]);
+                    let integer = i16::from_be_bytes([b[4], b[5]]);
+                    let scaled = (i64::from(integer) << 32) | i64::from(fraction);
+                    *value = scaled as f64 / 4_294_967_296.0;
+                }
+            }
+            NumberFormat::Float64 => {
+                for (value, b) in values.iter_mut().zip(bytes.as_chunks::<8>().0) {
+                    *value = f64::from_be_bytes(*b);
+                }
+            }
+        }
+        Some(values)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fp1632_of_a_real_frame() {
+        // From the first frame of a recorded FP16.32 log: acceleration x and y.
+        let bytes = [0x0b, 0xd2, 0xd9, 0x60, 0x00, 0x00, 0xbc, 0x86, 0xa0, 0x00, 0xff, 0xf8];
+        let [x, y] = Reader::new(&bytes).numbers(NumberFormat::Fp1632).unwrap();
+        assert_eq!((x, y), (0.04618605226278305, -7.263570785522461));
+    }
+
+    #[test]
+    fn numbers_round_trip_and_the_fixed_formats_clamp() {
+        for format in NumberFormat::ALL {
+            assert_eq!(NumberFormat::from_bits(format.bits()), format);
+            for value in [0.0, 1.0, -1.0, 9.812_345, -2047.5, 1e-6, -1e-6] {
+                let error = (format.quantise(value) - value).abs();
+                let bound = if format == NumberFormat::Fp1220 { 0.5 / 1_048_576.0 } else { 1e-4 };
+                assert!(error <= bound, "{format:?} {value} {error}");
+                assert_eq!(format.quantise(format.quantise(value)), format.quantise(value));
+            }
+        }
+        assert!((NumberFormat::Fp1220.quantise(1e9) - 2048.0).abs() < 1e-5);
+        assert!((NumberFormat::Fp1632.quantise(-1e9) + 32768.0).abs() < 1e-5);
+        assert_eq!(NumberFormat::Fp1632.quantise(f64::NAN), 0.0);
+    }
+}
