@@ -4,3 +4,6 @@
 //! at which they were **measured**, and events that say what is going on. [`protocol`] is the wire format alone.
 
 pub mod protocol;
+
+pub mod fake_unit;
+pub mod orientation;

@@ -1,0 +1,118 @@
+//! From the attitude as a unit sends it to ROS's: east-north-up from the unit's axes (REP-103, REP-145).
+
+use crate::protocol::{Attitude, GlobalFrame, Orientation};
+use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion};
+use std::f64::consts::FRAC_1_SQRT_2;
+
+/// East-north-up from a unit's global frame.
+///
+/// A legacy unit means x north, y west, z up: taken for east-north-up, its heading would be off by 90°.
+pub fn enu_from_global(frame: GlobalFrame) -> UnitQuaternion<f64> {
+    let q = match frame {
+        GlobalFrame::EastNorthUp => Quaternion::identity(),
+        // A quarter turn about up: north (x) becomes the second axis, west (y) the negative first one.
+        GlobalFrame::NorthWestUp => Quaternion::new(FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2),
+        // Half a turn about the bisector of north and east.
+        GlobalFrame::NorthEastDown => Quaternion::new(0.0, FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0),
+    };
+    UnitQuaternion::new_unchecked(q)
+}
+
+/// East-north-up from the unit's axes; `None` where what was sent is no attitude (not finite, far from unit length or
+/// from orthonormal).
+pub fn enu_from_imu(orientation: &Orientation) -> Option<UnitQuaternion<f64>> {
+    let global_from_imu = match orientation.attitude {
+        Attitude::Quaternion([w, x, y, z]) => {
+            let q = Quaternion::new(w, x, y, z);
+            let norm = q.norm();
+            if norm.is_nan() || (norm - 1.0).abs() > 0.05 {
+                return None;
+            }
+            UnitQuaternion::new_unchecked(q / norm)
+        }
+        Attitude::Euler(degrees) => {
+            if degrees.iter().any(|d| !d.is_finite() || d.abs() > 720.0) {
+                return None;
+            }
+            let [roll, pitch, yaw] = degrees.map(f64::to_radians);
+            UnitQuaternion::from_euler_angles(roll, pitch, yaw)
+        }
+        Attitude::Matrix(columns) => {
+            let m = Matrix3::from_column_slice(&columns);
+            let defect = (m.transpose() * m - Matrix3::identity()).norm();
+            if defect.is_nan() || defect > 0.05 || m.determinant() <= 0.0 {
+                return None;
+            }
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(m))
+        }
+    };
+    // The product of two unit quaternions drifts from unit length by rounding alone.
+    Some(enu_from_global(orientation.frame) * global_from_imu)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn north_west_and_down_go_where_they_belong() {
+        let nwu = enu_from_global(GlobalFrame::NorthWestUp);
+        assert!((nwu * Vector3::x() - Vector3::y()).norm() < 1e-12);
+        assert!((nwu * Vector3::y() + Vector3::x()).norm() < 1e-12);
+        let ned = enu_from_global(GlobalFrame::NorthEastDown);
+        assert!((ned * Vector3::x() - Vector3::y()).norm() < 1e-12);
+        assert!((ned * Vector3::y() - Vector3::x()).norm() < 1e-12);
+        assert!((ned * Vector3::z() + Vector3::z()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn three_forms_of_one_real_attitude_agree() {
+        // Matrix and quaternion of one recorded message (a newer unit, east-north-up).
+        let frame = GlobalFrame::EastNorthUp;
+        let from_matrix = enu_from_imu(&Orientation {
+            attitude: Attitude::Matrix([
+                -0.9999539256095886,
+                0.009366998448967934,
+                0.0020883751567453146,
+                -0.000489559955894947,
+                0.16753709316253662,
+                -0.985865592956543,
+                -0.009584481827914715,
+                -0.9858212471008301,
+                -0.1675248146057129,
+            ]),
+            frame,
+        })
+        .unwrap();
+        let from_quaternion = enu_from_imu(&Orientation {
+            attitude: Attitude::Quaternion([
+                0.0038194628432393074,
+                -0.002904776716604829,
+                -0.7640379071235657,
+                0.6451534628868103,
+            ]),
+            frame,
+        })
+        .unwrap();
+        assert!(from_matrix.angle_to(&from_quaternion) < 1e-4);
+        let (roll, pitch, yaw) = from_quaternion.euler_angles();
+        let degrees = [roll, pitch, yaw].map(f64::to_degrees);
+        let from_euler = enu_from_imu(&Orientation { attitude: Attitude::Euler(degrees), frame }).unwrap();
+        assert!(from_euler.angle_to(&from_quaternion) < 1e-9);
+    }
+
+    #[test]
+    fn what_is_no_attitude_is_refused() {
+        let frame = GlobalFrame::NorthWestUp;
+        for attitude in [
+            Attitude::Quaternion([0.0; 4]),
+            Attitude::Quaternion([f64::NAN, 0.0, 0.0, 1.0]),
+            Attitude::Euler([f64::INFINITY, 0.0, 0.0]),
+            Attitude::Matrix([0.0; 9]),
+            Attitude::Matrix([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0]),
+        ] {
+            assert_eq!(enu_from_imu(&Orientation { attitude, frame }), None);
+        }
+    }
+}
