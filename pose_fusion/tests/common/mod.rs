@@ -1,0 +1,9 @@
+//! What the tests share: the simulated rig (the very files of the test package, without its weight).
+#![allow(dead_code, missing_docs)]
+
+#[path = "../../../test/src/rig"]
+pub mod rig {
+    pub mod inertial;
+    pub mod motion;
+    pub mod random;
+}

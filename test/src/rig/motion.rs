@@ -1,0 +1,295 @@
+//! How the simulated platform swings and the climber drives: smooth functions of time, fixed by a seed.
+//!
+//! In flows a [`MotionConfig`]; out flow poses and their derivatives at any instant. The platform hangs as a
+//! pendulum below the climber's centre: it tilts along the rope (its accelerometer feels hardly any tilt), turns
+//! about the rope and wobbles a little. Nothing reacts back on anything: the climber drives as told.
+
+use super::random::Random;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use rig_model::Rig;
+use std::f64::consts::TAU;
+
+/// How a run moves.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MotionConfig {
+    /// Everything random follows from it.
+    pub seed: u64,
+    /// How long the run is, s.
+    pub duration: f64,
+    /// All is at rest until then, s; the motion sets in smoothly within a second.
+    pub still_until: f64,
+    /// Largest tilt by the swing, rad.
+    pub swing: f64,
+    /// How often it swings, Hz; the rope that belongs to it has the length g/(2πf)².
+    pub frequency: f64,
+    /// Largest tilt beside the swing (against the rope), rad.
+    pub wobble: f64,
+    /// Largest yaw against the climber, rad.
+    pub yaw: f64,
+    /// Largest speed of the climber in x and in y, m/s.
+    pub climber_speed: f64,
+    /// Largest rate at which the climber turns, rad/s.
+    pub climber_turn_rate: f64,
+    /// Height of the climber's frame above the world's origin, m.
+    pub climber_height: f64,
+    /// Height of the platform at rest, m.
+    pub platform_height: f64,
+}
+
+impl MotionConfig {
+    /// A calm swing below a driving climber.
+    pub fn nominal(seed: u64) -> Self {
+        Self {
+            seed,
+            duration: 12.0,
+            still_until: -10.0,
+            swing: 0.14,
+            frequency: 0.45,
+            wobble: 0.06,
+            yaw: 0.4,
+            climber_speed: 0.3,
+            climber_turn_rate: 0.15,
+            climber_height: 2.8,
+            platform_height: 1.35,
+        }
+    }
+
+    /// Up to 35° of tilt at about 1 Hz.
+    pub fn fast_swing(seed: u64) -> Self {
+        Self { swing: 0.55, frequency: 1.0, ..Self::nominal(seed) }
+    }
+
+    /// Nothing moves.
+    pub fn rest(seed: u64) -> Self {
+        Self {
+            swing: 0.0,
+            wobble: 0.0,
+            yaw: 0.0,
+            climber_speed: 0.0,
+            climber_turn_rate: 0.0,
+            ..Self::nominal(seed)
+        }
+    }
+}
+
+/// Pose and derivatives of the platform at an instant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Kinematics {
+    /// Pose.
+    pub world_from_volant: Isometry3<f64>,
+    /// Velocity of the origin, world axes, m/s.
+    pub velocity: Vector3<f64>,
+    /// Acceleration of the origin, world axes, m/s².
+    pub acceleration: Vector3<f64>,
+    /// Rate of turn, volant axes, rad/s.
+    pub angular_velocity: Vector3<f64>,
+    /// Its derivative, volant axes, rad/s².
+    pub angular_acceleration: Vector3<f64>,
+}
+
+/// A sum of two sines that stays within ±amplitude.
+#[derive(Clone, Debug)]
+struct Wave {
+    amplitude: [f64; 2],
+    rate: [f64; 2],
+    phase: [f64; 2],
+}
+
+impl Wave {
+    fn new(random: &mut Random, amplitude: f64, frequency: f64) -> Self {
+        let first = random.within(0.6, 0.8);
+        Self {
+            amplitude: [amplitude * first, amplitude * (1.0 - first)],
+            rate: [1.0, random.within(0.55, 0.8)].map(|r| r * TAU * frequency),
+            phase: [random.within(0.0, TAU), random.within(0.0, TAU)],
+        }
+    }
+
+    fn at(&self, t: f64) -> f64 {
+        (0..2).map(|i| self.amplitude[i] * (self.rate[i] * t + self.phase[i]).sin()).sum()
+    }
+}
+
+/// A run's motion.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    config: MotionConfig,
+    rope: f64,
+    swing: [Wave; 2],
+    wobble: [Wave; 2],
+    yaw: Wave,
+    heave: Wave,
+    drive: [Wave; 2],
+    turn: Wave,
+    /// The climber's turn at rest, rad.
+    heading: f64,
+}
+
+impl Motion {
+    /// The motion of a configuration.
+    pub fn new(config: MotionConfig) -> Self {
+        let mut r = Random::fork(config.seed, "motion");
+        let f = config.frequency.max(0.05);
+        // A path of period T that is never faster than v has an amplitude of at most v·T/2π.
+        let drive_frequency = r.within(0.09, 0.13);
+        let drive = config.climber_speed / (TAU * drive_frequency);
+        let turn_frequency = r.within(0.09, 0.13);
+        let turn = config.climber_turn_rate / (TAU * turn_frequency);
+        // The two swings together stay within the tilt that was asked for.
+        let direction = r.within(0.0, TAU);
+        let shares = [direction.cos().abs().max(0.2), direction.sin().abs().max(0.2)];
+        let scale = 1.0 / (shares[0] * shares[0] + shares[1] * shares[1]).sqrt();
+        Self {
+            rope: 9.81 / (TAU * f).powi(2),
+            swing: shares.map(|s| Wave::new(&mut r, config.swing * s * scale, f)),
+            wobble: [0; 2].map(|_| Wave::new(&mut r, config.wobble * 0.7, 1.3)),
+            yaw: Wave::new(&mut r, config.yaw, 0.2),
+            heave: Wave::new(&mut r, if config.swing > 0.0 { 0.01 } else { 0.0 }, 0.25),
+            drive: [0; 2].map(|_| Wave::new(&mut r, drive, drive_frequency)),
+            turn: Wave::new(&mut r, turn, turn_frequency),
+            heading: r.within(-0.6, 0.6),
+            config,
+        }
+    }
+
+    /// What it was made from.
+    pub fn config(&self) -> &MotionConfig {
+        &self.config
+    }
+
+    /// How long the run is, s.
+    pub fn duration(&self) -> f64 {
+        self.config.duration
+    }
+
+    /// Length of the rope between pivot and platform, m.
+    pub fn rope_length(&self) -> f64 {
+        self.rope
+    }
+
+    /// 0 while all stands still, then smoothly to 1.
+    fn envelope(&self, t: f64) -> f64 {
+        let s = (t - self.config.still_until).clamp(0.0, 1.0);
+        s * s * s * s * (35.0 + s * (-84.0 + s * (70.0 - 20.0 * s)))
+    }
+
+    /// x, y (m) and turn (rad) of the climber at `t` seconds.
+    pub fn climber(&self, t: f64) -> [f64; 3] {
+        let e = self.envelope(t);
+        let from_rest = |w: &Wave| e * w.at(t);
+        [from_rest(&self.drive[0]), from_rest(&self.drive[1]), self.heading + from_rest(&self.turn)]
+    }
+
+    /// Pose of the climber at `t` seconds.
+    pub fn world_from_climber(&self, t: f64) -> Isometry3<f64> {
+        let [x, y, turn] = self.climber(t);
+        Isometry3::from_parts(
+            Translation3::new(x, y, self.config.climber_height),
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn),
+        )
+    }
+
+    /// Pose of the camera at `t` seconds.
+    pub fn world_from_camera(&self, t: f64, rig: &Rig) -> Isometry3<f64> {
+        self.world_from_climber(t) * rig.climber_from_camera
+    }
+
+    /// Pose of the platform at `t` seconds.
+    pub fn world_from_volant(&self, t: f64) -> Isometry3<f64> {
+        let e = self.envelope(t);
+        let [x, y, turn] = self.climber(t);
+        let swing = [e * self.swing[0].at(t), e * self.swing[1].at(t)];
+        let wobble = [e * self.wobble[0].at(t), e * self.wobble[1].at(t)];
+        // Along the rope: leaning by φ about x moves the platform towards −y … and lifts it.
+        let rope = UnitQuaternion::from_scaled_axis(Vector3::new(swing[0], swing[1], 0.0));
+        let hang = rope * Vector3::new(0.0, 0.0, -self.rope);
+        let position =
+            Vector3::new(x, y, self.config.platform_height + self.rope + e * self.heave.at(t)) + hang;
+        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn + e * self.yaw.at(t));
+        let lean = UnitQuaternion::from_scaled_axis(Vector3::new(wobble[0], wobble[1], 0.0));
+        Isometry3::from_parts(position.into(), rope * yaw * lean)
+    }
+
+    /// Where the rope's upper end is at `t` seconds (the pivot that the platform swings about), world axes, m.
+    pub fn pivot(&self, t: f64) -> Vector3<f64> {
+        let [x, y, _] = self.climber(t);
+        Vector3::new(x, y, self.config.platform_height + self.rope + self.envelope(t) * self.heave.at(t))
+    }
+
+    /// Pose and derivatives of the platform at `t` seconds, by fourth-order differences (to about 1e-8).
+    pub fn kinematics(&self, t: f64) -> Kinematics {
+        let h = 1e-3;
+        let pose = [-2.0, -1.0, 0.0, 1.0, 2.0].map(|k| self.world_from_volant(t + k * h));
+        let p = pose.map(|x| x.translation.vector);
+        let rate = |t: f64| {
+            let step = 1e-4;
+            let turn = |s: f64| {
+                let (a, b) = (self.world_from_volant(t - s), self.world_from_volant(t + s));
+                (a.rotation.inverse() * b.rotation).scaled_axis() / (2.0 * s)
+            };
+            (turn(step) * 4.0 - turn(2.0 * step)) / 3.0
+        };
+        Kinematics {
+            world_from_volant: pose[2],
+            velocity: (p[0] - p[4] + (p[3] - p[1]) * 8.0) / (12.0 * h),
+            acceleration: (-p[0] - p[4] + (p[1] + p[3]) * 16.0 - p[2] * 30.0) / (12.0 * h * h),
+            angular_velocity: rate(t),
+            angular_acceleration: (rate(t - 2.0 * h) - rate(t + 2.0 * h) + (rate(t + h) - rate(t - h)) * 8.0)
+                / (12.0 * h),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_derivatives_integrate_back_to_the_pose() {
+        let motion = Motion::new(MotionConfig::fast_swing(3));
+        let dt = 1e-3;
+        let start = motion.kinematics(1.0);
+        let (mut p, mut v, mut q) =
+            (start.world_from_volant.translation.vector, start.velocity, start.world_from_volant.rotation);
+        for i in 0..1000 {
+            let k = motion.kinematics(1.0 + (f64::from(i) + 0.5) * dt);
+            p += v * dt + k.acceleration * (dt * dt / 2.0);
+            v += k.acceleration * dt;
+            q *= UnitQuaternion::from_scaled_axis(k.angular_velocity * dt);
+        }
+        let end = motion.kinematics(2.0);
+        assert!((p - end.world_from_volant.translation.vector).norm() < 1e-5);
+        assert!((v - end.velocity).norm() < 1e-5);
+        assert!(q.angle_to(&end.world_from_volant.rotation) < 1e-5);
+    }
+
+    #[test]
+    fn it_stays_within_what_was_asked_and_in_front_of_the_camera() {
+        for seed in 0..20 {
+            let motion = Motion::new(MotionConfig::fast_swing(seed));
+            for i in 0..1200 {
+                let t = f64::from(i) * 0.01;
+                let k = motion.kinematics(t);
+                let tilt = (k.world_from_volant.rotation * Vector3::z()).z.acos();
+                assert!(tilt < 0.55 + 0.09, "{seed} {t} {tilt}");
+                let below = motion.world_from_climber(t).inverse() * k.world_from_volant.translation.vector;
+                let offset =
+                    k.world_from_volant.translation.vector - motion.world_from_climber(t).translation.vector;
+                assert!(offset.xy().norm() < 0.5 && below.norm() > 0.0, "{offset:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_swinging_platform_s_accelerometer_points_along_the_rope() {
+        let motion =
+            Motion::new(MotionConfig { wobble: 0.0, climber_speed: 0.0, ..MotionConfig::nominal(5) });
+        for i in 0..100 {
+            let k = motion.kinematics(f64::from(i) * 0.1);
+            let force =
+                k.world_from_volant.rotation.inverse() * (k.acceleration + Vector3::new(0.0, 0.0, 9.81));
+            let felt = force.xy().norm() / force.z;
+            assert!(felt < 0.06, "{felt}");
+        }
+    }
+}
