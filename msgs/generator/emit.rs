@@ -153,6 +153,8 @@ fn emit_message(out: &mut String, set: &Interfaces, message: &Interface) -> Resu
     line(out, "}");
     emit_constants(out, message, &name)?;
 
+    // Written out for all: a derive knows neither the definition's defaults nor arrays beyond 32.
+    line(out, "#[allow(clippy::derivable_impls)]");
     line(out, format!("impl ::std::default::Default for {name} {{ fn default() -> Self {{ Self {{"));
     for field in &message.fields {
         line(out, format!("{}: {},", field_name(&field.name), default_value(field, &message.name)?));

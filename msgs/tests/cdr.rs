@@ -1,6 +1,8 @@
 //! CDR against implementations that are not ours: PyPI `rosbags` and `cyclonedds` (the golden file, made by
 //! `make_golden_cdr.py`) and the crate that writes the wire of the middleware; and against bytes that lie.
 
+#![allow(clippy::unwrap_used, clippy::panic)]
+
 use proptest::prelude::*;
 use std::sync::LazyLock;
 use volant_msgs::{
@@ -93,8 +95,8 @@ fn an_error_names_the_field() {
         Err(CdrError::Trailing { .. })
     ));
 
-    let mut three = ParameterDescriptor::default();
-    three.integer_range = vec![Default::default(); 3];
+    let three =
+        ParameterDescriptor { integer_range: vec![Default::default(); 3], ..ParameterDescriptor::default() };
     assert_eq!(
         cdr::from_bytes::<ParameterDescriptor>(&cdr::to_bytes(&three)).unwrap_err(),
         CdrError::Bound { field: "rcl_interfaces/msg/ParameterDescriptor.integer_range", found: 3, bound: 1 }
