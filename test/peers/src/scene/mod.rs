@@ -1,0 +1,16 @@
+//! Scenes made from a seed, with truth: a camera above, a platform that carries markers or a tag, a floor with clutter.
+//!
+//! Every edge is area-true: a pixel's value is the exact area integral of what its square covers, found by clipping
+//! polygons, so that no rival profits from how the others' edges were drawn.
+
+mod canvas;
+mod floor;
+mod geometry;
+mod plate;
+mod rng;
+
+pub use canvas::{Canvas, Light, Picture};
+pub use floor::{Floor, Thing};
+pub use geometry::{Pinhole, clip_area, polygon_centroid};
+pub use plate::{MarkerTruth, Plate, PlateKind, cover_by};
+pub use rng::Rng;
