@@ -11,6 +11,7 @@
 pub mod camera;
 pub mod marker;
 pub mod parameters;
+pub mod planar_pose;
 pub mod rig;
 pub mod samples;
 pub mod stamp;
