@@ -18,11 +18,18 @@
 //! assert!(matches!(tracker.poll(), Some(Output::Observations(_))));
 //! ```
 
+mod acquire;
+mod blob;
 mod config;
 mod decode;
+mod engine;
+mod geometry;
 mod image;
+mod model;
 #[cfg(feature = "opencv")]
 mod opencv;
+mod quad;
+mod signal;
 mod tracker;
 
 pub use config::TrackerConfig;

@@ -2,9 +2,10 @@
 
 use crate::{
     config::TrackerConfig,
+    engine::Engine,
     image::{ImageError, ImageView},
 };
-use rig_model::{CameraModel, MarkerLayout, MarkerObservation, MarkerObservations, PerColor, Stamp};
+use rig_model::{CameraModel, MarkerLayout, MarkerObservations, Stamp};
 use std::collections::VecDeque;
 use thiserror::Error;
 
@@ -59,26 +60,34 @@ pub enum Warning {
 /// Finds and follows the four markers.
 #[derive(Debug)]
 pub struct Tracker {
-    _layout: MarkerLayout,
-    _config: TrackerConfig,
+    engine: Engine,
+    last_stamp: Option<Stamp>,
     outputs: VecDeque<Output>,
 }
 
 impl Tracker {
     /// For markers at these places of the platform.
     pub fn new(layout: MarkerLayout, config: TrackerConfig) -> Self {
-        Self { _layout: layout, _config: config, outputs: VecDeque::new() }
+        Self { engine: Engine::new(layout, config), last_stamp: None, outputs: VecDeque::with_capacity(8) }
     }
 
     /// Takes the next input; what follows from it waits in [`Tracker::poll`].
     pub fn handle(&mut self, input: Input<'_>) {
-        if let Input::Image(image) = input {
-            match image.check() {
-                Ok(()) => self.outputs.push_back(Output::Observations(MarkerObservations {
-                    stamp: image.stamp,
-                    markers: PerColor([MarkerObservation::lost(MarkerObservation::NEVER); 4]),
-                })),
-                Err(error) => self.outputs.push_back(Output::Warning(Warning::Image(error))),
+        match input {
+            Input::Camera(camera) => self.engine.set_camera(camera),
+            Input::Image(image) => {
+                if let Err(error) = image.check() {
+                    self.outputs.push_back(Output::Warning(Warning::Image(error)));
+                    return;
+                }
+                if let Some(previous) = self.last_stamp.filter(|last| image.stamp <= *last) {
+                    self.outputs
+                        .push_back(Output::Warning(Warning::StampFromThePast { stamp: image.stamp, previous }));
+                    return;
+                }
+                self.last_stamp = Some(image.stamp);
+                let observations = self.engine.process(&image);
+                self.outputs.push_back(Output::Observations(observations));
             }
         }
     }

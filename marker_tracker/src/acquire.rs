@@ -1,0 +1,208 @@
+//! Which of the patches are the markers: combinations of four (or, where one is hidden, three) patches that can be an image
+//! of the layout, best first. Coloured things on the floor do not stand so.
+
+use crate::{
+    blob::Blob,
+    geometry::{Sight, pose_from_four, poses_from_three, refine},
+};
+use nalgebra::{Isometry3, Vector2};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, PerColor};
+
+/// A set of patches that the layout explains.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Hypothesis {
+    pub camera_from_volant: Isometry3<f64>,
+    pub blobs: PerColor<Option<usize>>,
+    /// Lower is better: reprojection error over the squares' side, and disagreement of the areas.
+    pub score: f64,
+}
+
+/// How strictly geometry is taken; a guessed camera cannot be held to much.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Strictness {
+    /// RMS reprojection error in parts of the square's side.
+    pub reprojection: f64,
+    /// Factor by which an area may be off.
+    pub area: f64,
+}
+
+/// Most hypotheses that are kept.
+const KEEP: usize = 8;
+/// Most patches of one colour that are looked at.
+const PER_COLOR: usize = 40;
+
+/// All hypotheses worth a closer look, best first, into `found` (cleared before).
+pub(crate) fn hypotheses(
+    layout: &MarkerLayout,
+    camera: &CameraModel,
+    blobs: &[Blob],
+    strictness: Strictness,
+    allow_three: bool,
+    found: &mut Vec<Hypothesis>,
+) {
+    found.clear();
+    let mut of: PerColor<([usize; PER_COLOR], usize)> = PerColor([([0; PER_COLOR], 0); 4]);
+    for (i, blob) in blobs.iter().enumerate() {
+        let fill = blob.fill();
+        let slot = &mut of[blob.color];
+        if (0.55..1.35).contains(&fill) && blob.elongation() < 5.0 && slot.1 < PER_COLOR {
+            slot.0[slot.1] = i;
+            slot.1 += 1;
+        }
+    }
+    let list = |c: MarkerColor| &of[c].0[..of[c].1];
+    let seeds = [
+        [MarkerColor::Red, MarkerColor::Green, MarkerColor::Blue, MarkerColor::Yellow],
+        [MarkerColor::Green, MarkerColor::Blue, MarkerColor::Yellow, MarkerColor::Red],
+        [MarkerColor::Blue, MarkerColor::Yellow, MarkerColor::Red, MarkerColor::Green],
+        [MarkerColor::Yellow, MarkerColor::Red, MarkerColor::Green, MarkerColor::Blue],
+    ];
+    for (round, [a, b, c, d]) in seeds.into_iter().enumerate() {
+        let (pa, pb, pc, pd) = (layout.centres[a], layout.centres[b], layout.centres[c], layout.centres[d]);
+        let (u, v) = ((pb - pa).xy(), (pc - pa).xy());
+        let twist = u.x * v.y - u.y * v.x;
+        let side2 = layout.side * layout.side;
+        if twist.abs() < side2 * 0.5 {
+            continue;
+        }
+        // The platform is seen from in front and the image's y points down, so orientation is reversed.
+        let expected = -twist / side2;
+        // Place of d in the affine frame of the other three.
+        let w = (pd - pa).xy();
+        let (s, t) = ((w.x * v.y - w.y * v.x) / twist, (u.x * w.y - u.y * w.x) / twist);
+        let reach = u.norm().max(v.norm()) / layout.side;
+        for &ia in list(a) {
+            for &ib in list(b) {
+                let (ba, bb) = (&blobs[ia], &blobs[ib]);
+                let side = (ba.area * bb.area).sqrt().sqrt();
+                let limit = 2.6 * side * reach + 10.0;
+                if (ba.centroid - bb.centroid).norm() > limit || !like_areas(ba.area, bb.area) {
+                    continue;
+                }
+                for &ic in list(c) {
+                    let bc = &blobs[ic];
+                    if !like_areas(ba.area, bc.area) || !like_areas(bb.area, bc.area) {
+                        continue;
+                    }
+                    let (iu, iv) = (bb.centroid - ba.centroid, bc.centroid - ba.centroid);
+                    let area = (ba.area * bb.area * bc.area).cbrt();
+                    let ratio = (iu.x * iv.y - iu.y * iv.x) / area / expected;
+                    if !(0.55..2.2).contains(&ratio) {
+                        continue;
+                    }
+                    if round == 0 {
+                        let guess = ba.centroid + iu * s + iv * t;
+                        for &id in list(d) {
+                            let bd = &blobs[id];
+                            if (bd.centroid - guess).norm() < 0.35 * reach * side + 3.0 && like_areas(area, bd.area) {
+                                four(layout, camera, blobs, [ia, ib, ic, id], [a, b, c, d], strictness, found);
+                            }
+                        }
+                    }
+                    if allow_three {
+                        three(layout, camera, blobs, [ia, ib, ic], [a, b, c], strictness, found);
+                    }
+                }
+            }
+        }
+    }
+    found.sort_by(|a, b| a.score.total_cmp(&b.score));
+    found.truncate(KEEP * 2);
+}
+
+/// Areas of two markers in one image differ by perspective and by what covers them.
+fn like_areas(a: f64, b: f64) -> bool {
+    let r = a / b;
+    (0.38..2.6).contains(&r)
+}
+
+fn four(
+    layout: &MarkerLayout,
+    camera: &CameraModel,
+    blobs: &[Blob],
+    indices: [usize; 4],
+    colors: [MarkerColor; 4],
+    strictness: Strictness,
+    found: &mut Vec<Hypothesis>,
+) {
+    let mut pixels = PerColor([Vector2::zeros(); 4]);
+    let mut chosen = PerColor([None; 4]);
+    for (&i, c) in indices.iter().zip(colors) {
+        pixels[c] = blobs[i].centroid;
+        chosen[c] = Some(i);
+    }
+    let Some(start) = pose_from_four(layout, camera, &pixels) else { return };
+    let sights = colors.map(|color| Sight { color, pixel: pixels[color], sigma: 1.0 });
+    score(layout, camera, blobs, &sights, &start, chosen, strictness, 0.0, found);
+}
+
+fn three(
+    layout: &MarkerLayout,
+    camera: &CameraModel,
+    blobs: &[Blob],
+    indices: [usize; 3],
+    colors: [MarkerColor; 3],
+    strictness: Strictness,
+    found: &mut Vec<Hypothesis>,
+) {
+    let mut chosen = PerColor([None; 4]);
+    for (&i, c) in indices.iter().zip(colors) {
+        if blobs[i].cut || !(0.8..1.2).contains(&blobs[i].fill()) {
+            return;
+        }
+        chosen[c] = Some(i);
+    }
+    let sights: [Sight; 3] =
+        std::array::from_fn(|k| Sight { color: colors[k], pixel: blobs[indices[k]].centroid, sigma: 1.0 });
+    let Some(starts) = poses_from_three(layout, camera, &sights) else { return };
+    for start in &starts {
+        // Three sights are explained by many poses, so they come after every four, and their areas must be right.
+        let strict = Strictness { area: strictness.area.min(1.45), ..strictness };
+        score(layout, camera, blobs, &sights, start, chosen, strict, 1.0, found);
+    }
+}
+
+#[allow(clippy::too_many_arguments)]
+fn score(
+    layout: &MarkerLayout,
+    camera: &CameraModel,
+    blobs: &[Blob],
+    sights: &[Sight],
+    start: &Isometry3<f64>,
+    chosen: PerColor<Option<usize>>,
+    strictness: Strictness,
+    handicap: f64,
+    found: &mut Vec<Hypothesis>,
+) {
+    let Some((pose, rms)) = refine(layout, camera, sights, start, None, 15) else { return };
+    // Beyond 78° a square is a line.
+    let up = pose.rotation * nalgebra::Vector3::z();
+    if -up.dot(&pose.translation.vector.normalize()) < 0.2 {
+        return;
+    }
+    let mut disagreement = 0.0;
+    let mut side = 0.0;
+    for (color, index) in chosen.iter() {
+        let Some(index) = *index else { continue };
+        let Some(predicted) = layout.projected_centroid(color, camera, &pose) else { return };
+        // The scan loses a rim of blurred pixels, and covers cost area, so less is forgiven sooner than more.
+        let ratio = blobs[index].area / predicted.area;
+        let side_here = predicted.area.sqrt();
+        let rim = ((side_here - 2.0) / side_here).max(0.3).powi(2);
+        let off = (ratio / rim.sqrt()).ln();
+        if off > strictness.area.ln() || -off > 2.2 * strictness.area.ln() {
+            return;
+        }
+        disagreement += off.abs();
+        side += side_here / sights.len() as f64;
+    }
+    if rms > strictness.reprojection * side + 1.0 {
+        return;
+    }
+    let score = handicap + rms / side + 0.1 * disagreement;
+    if found.len() >= 4 * KEEP {
+        found.sort_by(|a, b| a.score.total_cmp(&b.score));
+        found.truncate(2 * KEEP);
+    }
+    found.push(Hypothesis { camera_from_volant: pose, blobs: chosen, score });
+}

@@ -1,0 +1,296 @@
+//! The whole image in one pass: patches of the markers' hues, by runs of like colour on every `stride`-th row and column.
+
+use crate::{image::ImageView, signal::rgb_at};
+use nalgebra::{Matrix2, Vector2};
+use rig_model::MarkerColor;
+
+/// A patch of one colour.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Blob {
+    pub color: MarkerColor,
+    pub centroid: Vector2<f64>,
+    /// px² of the full image.
+    pub area: f64,
+    /// Second central moments, px².
+    pub spread: Matrix2<f64>,
+    pub rgb: [f32; 3],
+    /// True where it touches the image's edge.
+    pub cut: bool,
+}
+
+impl Blob {
+    /// Area over that of the parallelogram with the same second moments: 1 for a parallelogram, 1.05 for an ellipse,
+    /// less for what has holes, arms or a bent outline.
+    pub fn fill(&self) -> f64 {
+        self.area / (12.0 * self.spread.determinant().max(1e-6).sqrt())
+    }
+
+    /// Ratio of the principal extents, ≥ 1.
+    pub fn elongation(&self) -> f64 {
+        let (t, d) = (self.spread.trace(), self.spread.determinant());
+        let root = (t * t / 4.0 - d).max(0.0).sqrt();
+        ((t / 2.0 + root) / (t / 2.0 - root).max(1e-3)).sqrt()
+    }
+}
+
+/// Which marker's hue a pixel has, with how much of its brightness is colour (0 to 1). The four measures are the paper's
+/// layer differences, each taken against the stronger of the layers that it has to be free of.
+#[inline(always)]
+pub(crate) fn classify([r, g, b]: [u8; 3]) -> Option<(MarkerColor, i32, i32)> {
+    let (r, g, b) = (i32::from(r), i32::from(g), i32::from(b));
+    let max = r.max(g).max(b);
+    let (color, layer) = if r >= g && g >= b {
+        // Between red and yellow; orange (hue 30°) is where they meet.
+        if 2 * (g - b) >= r - b { (MarkerColor::Yellow, g - b) } else { (MarkerColor::Red, r - g) }
+    } else if r >= g {
+        (MarkerColor::Red, r - g.max(b))
+    } else if g >= b {
+        // Yellow-green (hue 75°) is where yellow meets green.
+        if 4 * (r - b) >= 3 * (g - b) { (MarkerColor::Yellow, r - b) } else { (MarkerColor::Green, g - r.max(b)) }
+    } else {
+        (MarkerColor::Blue, b - g.max(r))
+    };
+    (layer > 0).then_some((color, layer, max))
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    color: MarkerColor,
+    start: u32,
+    end: u32,
+    label: u32,
+    sum: [f32; 3],
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Sums {
+    n: f64,
+    x: f64,
+    y: f64,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+    rgb: [f64; 3],
+    cut: bool,
+}
+
+/// Memory of the scan, kept from one image to the next.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Scanner {
+    above: Vec<Run>,
+    here: Vec<Run>,
+    parent: Vec<u32>,
+    sums: Vec<(MarkerColor, Sums)>,
+    pub blobs: Vec<Blob>,
+}
+
+/// What a pixel must have to belong to a patch.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ScanConfig {
+    pub stride: usize,
+    /// Least share of the brightness that is colour.
+    pub min_saturation: f32,
+    /// Least layer difference of 255.
+    pub min_layer: i32,
+    /// Smallest and largest patch, px².
+    pub min_area: f64,
+    pub max_area: f64,
+}
+
+impl Scanner {
+    fn root(&mut self, mut label: u32) -> u32 {
+        while self.parent[label as usize] != label {
+            let up = self.parent[self.parent[label as usize] as usize];
+            self.parent[label as usize] = up;
+            label = up;
+        }
+        label
+    }
+
+    /// Finds the patches of the rectangle `[x0, x1) × [y0, y1)`; they are in `self.blobs` afterwards.
+    pub fn scan(&mut self, image: &ImageView<'_>, [x0, y0, x1, y1]: [i32; 4], config: &ScanConfig) {
+        self.blobs.clear();
+        self.sums.clear();
+        self.parent.clear();
+        self.above.clear();
+        let stride = config.stride.max(1);
+        let (x0, y0) = (x0.clamp(0, image.width as i32) as usize, y0.clamp(0, image.height as i32) as usize);
+        let (x1, y1) = (x1.clamp(0, image.width as i32) as usize, y1.clamp(0, image.height as i32) as usize);
+        if x1 <= x0 || y1 <= y0 {
+            return;
+        }
+        let bytes = image.format.bytes_per_pixel();
+        let blue_first = image.format.blue_first();
+        let saturation = (config.min_saturation * 256.0) as i32;
+        for y in (y0..y1).step_by(stride) {
+            self.here.clear();
+            let Some(row) = image.data.get(y * image.step + x0 * bytes..y * image.step + x1 * bytes) else { break };
+            let mut open: Option<Run> = None;
+            for (i, pixel) in row.chunks_exact(bytes).step_by(stride).enumerate() {
+                let x = (x0 + i * stride) as u32;
+                let rgb = if blue_first { [pixel[2], pixel[1], pixel[0]] } else { [pixel[0], pixel[1], pixel[2]] };
+                // Most of a picture is grey: leave it by the cheapest test.
+                let max = rgb[0].max(rgb[1]).max(rgb[2]);
+                let min = rgb[0].min(rgb[1]).min(rgb[2]);
+                let chroma = i32::from(max - min);
+                let class = if chroma >= config.min_layer && chroma * 256 >= saturation * i32::from(max) {
+                    classify(rgb).filter(|&(_, layer, max)| {
+                        layer >= config.min_layer && layer * 256 >= saturation * max
+                    })
+                } else {
+                    None
+                };
+                let rgb = rgb.map(f32::from);
+                match (class, &mut open) {
+                    (Some((color, ..)), Some(run)) if run.color == color && alike(run, rgb) => {
+                        run.end = x;
+                        for c in 0..3 {
+                            run.sum[c] += rgb[c];
+                        }
+                    }
+                    (class, open) => {
+                        if let Some(run) = open.take() {
+                            self.here.push(run);
+                        }
+                        *open = class.map(|(color, ..)| Run { color, start: x, end: x, label: 0, sum: rgb });
+                    }
+                }
+            }
+            if let Some(run) = open {
+                self.here.push(run);
+            }
+            self.link(y, stride, x0, x1, y0, y1);
+        }
+        self.collect(stride, config);
+    }
+
+    fn link(&mut self, y: usize, stride: usize, x0: usize, x1: usize, y0: usize, y1: usize) {
+        let mut first = 0;
+        for index in 0..self.here.len() {
+            let run = self.here[index];
+            let n = ((run.end - run.start) as usize / stride + 1) as f32;
+            let mean = run.sum.map(|s| s / n);
+            while first < self.above.len() && self.above[first].end < run.start {
+                first += 1;
+            }
+            let mut label = None;
+            let mut j = first;
+            while j < self.above.len() && self.above[j].start <= run.end {
+                let other = self.above[j];
+                if other.color == run.color && alike(&other, mean) {
+                    let root = self.root(other.label);
+                    label = Some(match label {
+                        None => root,
+                        Some(mine) if mine != root => {
+                            let (low, high) = (root.min(mine), root.max(mine));
+                            self.parent[high as usize] = low;
+                            low
+                        }
+                        Some(mine) => mine,
+                    });
+                }
+                j += 1;
+            }
+            let label = label.unwrap_or_else(|| {
+                let new = self.parent.len() as u32;
+                self.parent.push(new);
+                self.sums.push((run.color, Sums::default()));
+                new
+            });
+            self.here[index].label = label;
+            let s = &mut self.sums[label as usize].1;
+            let (a, b, n) = (f64::from(run.start), f64::from(run.end), f64::from(n));
+            let mean_x = (a + b) / 2.0;
+            // Σx² of n places a, a + stride, …, b.
+            let spread = (stride * stride) as f64 * (n * n - 1.0) / 12.0;
+            let yf = y as f64;
+            s.n += n;
+            s.x += n * mean_x;
+            s.y += n * yf;
+            s.xx += n * (mean_x * mean_x + spread);
+            s.xy += n * mean_x * yf;
+            s.yy += n * yf * yf;
+            for c in 0..3 {
+                s.rgb[c] += f64::from(run.sum[c]);
+            }
+            s.cut |= (run.start as usize) < x0 + stride
+                || run.end as usize + stride >= x1
+                || y < y0 + stride
+                || y + stride >= y1;
+        }
+        std::mem::swap(&mut self.above, &mut self.here);
+    }
+
+    fn collect(&mut self, stride: usize, config: &ScanConfig) {
+        for label in (0..self.sums.len()).rev() {
+            let root = self.root(label as u32) as usize;
+            if root != label {
+                let s = self.sums[label].1;
+                let r = &mut self.sums[root].1;
+                r.n += s.n;
+                r.x += s.x;
+                r.y += s.y;
+                r.xx += s.xx;
+                r.xy += s.xy;
+                r.yy += s.yy;
+                for c in 0..3 {
+                    r.rgb[c] += s.rgb[c];
+                }
+                r.cut |= s.cut;
+                self.sums[label].1.n = 0.0;
+            }
+        }
+        let cell = (stride * stride) as f64;
+        for (color, s) in &self.sums {
+            let area = s.n * cell;
+            if s.n < 6.0 || area < config.min_area || area > config.max_area {
+                continue;
+            }
+            let (mx, my) = (s.x / s.n, s.y / s.n);
+            // The cells' own extent belongs to the moments.
+            let own = cell / 12.0;
+            self.blobs.push(Blob {
+                color: *color,
+                centroid: Vector2::new(mx, my),
+                area,
+                spread: Matrix2::new(
+                    s.xx / s.n - mx * mx + own,
+                    s.xy / s.n - mx * my,
+                    s.xy / s.n - mx * my,
+                    s.yy / s.n - my * my + own,
+                ),
+                rgb: s.rgb.map(|c| (c / s.n) as f32),
+                cut: s.cut,
+            });
+        }
+    }
+}
+
+/// Whether a colour continues a run: by less than a quarter of the brightness in each channel.
+#[inline(always)]
+fn alike(run: &Run, rgb: [f32; 3]) -> bool {
+    // The run's first pixel is a blurred one, so compare with the brightest channel's scale.
+    let n = run.sum[0].max(run.sum[1]).max(run.sum[2]);
+    let m = rgb[0].max(rgb[1]).max(rgb[2]);
+    let scale = m / n.max(1.0);
+    let limit = (0.25 * m).max(20.0);
+    (0..3).all(|c| (run.sum[c] * scale - rgb[c]).abs() < limit)
+}
+
+/// Mean colour over a few pixels about a place, or `None` outside.
+pub(crate) fn mean_rgb(image: &ImageView<'_>, at: Vector2<f64>, radius: i32) -> Option<[f32; 3]> {
+    let (cx, cy) = (at.x.round() as i32, at.y.round() as i32);
+    let mut sum = [0f32; 3];
+    let mut n = 0f32;
+    for y in cy - radius..=cy + radius {
+        for x in cx - radius..=cx + radius {
+            if let Some(p) = rgb_at(image, x, y) {
+                for c in 0..3 {
+                    sum[c] += f32::from(p[c]);
+                }
+                n += 1.0;
+            }
+        }
+    }
+    (n > 0.0).then(|| sum.map(|s| s / n))
+}

@@ -1,0 +1,614 @@
+//! One image after the other: acquisition, tracking, occlusion. Plain data in, plain data out; the facade is in `tracker`.
+
+use crate::{
+    acquire::{Hypothesis, Strictness, hypotheses},
+    blob::{ScanConfig, Scanner, classify, mean_rgb},
+    config::TrackerConfig,
+    geometry::{PosePrior, Sight, guessed_camera, project_square, refine},
+    image::ImageView,
+    model::Appearance,
+    quad::{Quad, QuadFit, ShapePrior, fit},
+    signal::Window,
+};
+use nalgebra::{Isometry3, Matrix2, Vector2};
+use rig_model::{
+    CameraModel, MarkerColor, MarkerLayout, MarkerObservation, MarkerObservations, MarkerState, PerColor, Stamp,
+};
+
+/// What is remembered of one marker.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Memory {
+    pub appearance: Option<Appearance>,
+    /// Turn in its plane, rad, and from how many images it was learnt.
+    turn: (f64, u32),
+    /// Edges' distance outside of the geometry, px, and from how many images it was learnt.
+    edge_bias: (f64, u32),
+    /// Where it was last measured or predicted.
+    pub centroid: Option<Vector2<f64>>,
+    /// Displacement over the last image interval, px.
+    pub flow: Vector2<f64>,
+    /// Standard deviation of a prediction, px.
+    sigma: f64,
+    /// Images since it was detected.
+    occluded: Option<u16>,
+    window: Window,
+    /// The measurement in this image.
+    pub fit: Option<QuadFit>,
+}
+
+#[derive(Debug)]
+pub(crate) struct Engine {
+    layout: MarkerLayout,
+    config: TrackerConfig,
+    camera: Option<CameraModel>,
+    guessed: Option<CameraModel>,
+    pub pose: Option<Isometry3<f64>>,
+    last_stamp: Option<Stamp>,
+    /// Interval before the last image, s.
+    interval: f64,
+    pub markers: PerColor<Memory>,
+    scanner: Scanner,
+    found: Vec<Hypothesis>,
+    /// Images since two markers were detected at once.
+    blind: u32,
+    /// Running Σ rᵢrᵢ₊₁ and Σ rᵢ² of the edges' rows: their correlation.
+    lag: [f64; 2],
+}
+
+/// Largest turn of a square in its plane that counts as "a few degrees", rad.
+const MAX_TURN: f64 = 0.35;
+
+impl Engine {
+    pub fn new(layout: MarkerLayout, config: TrackerConfig) -> Self {
+        Self {
+            layout,
+            config,
+            camera: None,
+            guessed: None,
+            pose: None,
+            last_stamp: None,
+            interval: 0.0,
+            markers: PerColor::default(),
+            scanner: Scanner::default(),
+            found: Vec::with_capacity(64),
+            blind: 0,
+            lag: [0.0; 2],
+        }
+    }
+
+    pub fn set_camera(&mut self, camera: CameraModel) {
+        if self.camera.as_ref() != Some(&camera) {
+            self.camera = Some(camera);
+        }
+    }
+
+    /// The observations of one image, whose fields were checked.
+    pub fn process(&mut self, image: &ImageView<'_>) -> MarkerObservations {
+        let elapsed = self.last_stamp.map(|last| image.stamp.seconds_since(last));
+        let ratio = match elapsed {
+            Some(dt) if self.interval > 0.0 => (dt / self.interval).clamp(0.2, 4.0),
+            _ => 1.0,
+        };
+        self.interval = elapsed.unwrap_or(0.0);
+        self.last_stamp = Some(image.stamp);
+        let before: [Option<Vector2<f64>>; 4] = std::array::from_fn(|i| self.markers.0[i].centroid);
+        for m in &mut self.markers.0 {
+            m.fit = None;
+        }
+        if let Some(camera) = self.camera_for(image) {
+            let mut detected = 0;
+            if self.pose.is_some() {
+                detected = self.track(image, &camera, ratio);
+            }
+            if detected < 2 && self.acquire(image, &camera) {
+                for m in &mut self.markers.0 {
+                    m.flow = Vector2::zeros();
+                }
+                detected = self.track(image, &camera, 1.0);
+            }
+            self.blind = if detected >= 2 { 0 } else { self.blind + 1 };
+            if self.blind > u32::from(self.config.max_predicted) {
+                self.pose = None;
+            }
+        }
+        self.conclude(image, before, ratio)
+    }
+
+    fn camera_for(&mut self, image: &ImageView<'_>) -> Option<CameraModel> {
+        let size = (image.width as u32, image.height as u32);
+        if let Some(c) = self.camera.as_ref().filter(|c| c.size() == size) {
+            return Some(c.clone());
+        }
+        if self.guessed.as_ref().is_none_or(|c| c.size() != size) {
+            self.guessed = guessed_camera(image.width, image.height);
+        }
+        self.guessed.clone()
+    }
+
+    fn known_camera(&self, image: &ImageView<'_>) -> bool {
+        self.camera.as_ref().is_some_and(|c| c.size() == (image.width as u32, image.height as u32))
+    }
+
+    fn inflation(&self) -> f64 {
+        // A mean of n rows whose neighbours correlate by ρ has (1 + ρ)/(1 − ρ) times the variance.
+        let rho = if self.lag[1] > 0.0 { (self.lag[0] / self.lag[1]).clamp(0.0, 0.8) } else { 0.4 };
+        (1.0 + rho) / (1.0 - rho)
+    }
+
+    fn measure(
+        &mut self,
+        image: &ImageView<'_>,
+        color: MarkerColor,
+        quad: &Quad,
+        half_width: f64,
+        edge_sigma: f64,
+        slope_sigma: f64,
+    ) -> Option<QuadFit> {
+        let inflation = self.inflation();
+        let memory = &mut self.markers[color];
+        let appearance = memory.appearance.as_ref()?;
+        memory.window.fill(image, quad.bounds(1.6 * half_width + 5.0), &appearance.discriminant);
+        let prior = ShapePrior { edge_bias: memory.edge_bias.0, edge_sigma, slope_sigma, inflation, half_width };
+        fit(&memory.window, quad, &prior, 0.45)
+    }
+
+    /// Looks for each marker near where it should be; the number of those detected.
+    fn track(&mut self, image: &ImageView<'_>, camera: &CameraModel, ratio: f64) -> usize {
+        let Some(pose) = self.pose else { return 0 };
+        let mut whole: [Option<QuadFit>; 4] = [None; 4];
+        for color in MarkerColor::ALL {
+            if self.markers[color].appearance.is_none() {
+                continue;
+            }
+            let Some(quad) = project_square(&self.layout, color, self.markers[color].turn.0, camera, &pose) else {
+                continue;
+            };
+            let quad = quad.shifted(self.markers[color].flow * ratio);
+            let first = self.measure(image, color, &quad, 4.5, 1.0, 0.06).filter(is_whole);
+            whole[color.index()] = match first {
+                Some(f) => self.measure(image, color, &f.quad, 3.0, 0.5, 0.03).filter(is_whole),
+                None => self.search(image, color, &quad),
+            };
+        }
+        self.drop_contradictions(camera, &pose, &mut whole);
+        let sights: Vec<Sight> = MarkerColor::ALL
+            .into_iter()
+            .filter_map(|color| whole[color.index()].map(|f| Sight { color, pixel: f.centroid, sigma: 0.1 }))
+            .collect();
+        let prior = PosePrior { camera_from_volant: pose, position_sigma: 0.3, rotation_sigma: 0.3 };
+        let mut now = pose;
+        if !sights.is_empty() {
+            if let Some((refined, _)) = refine(&self.layout, camera, &sights, &pose, Some(&prior), 8) {
+                now = refined;
+            }
+        }
+        // What is covered in part, or was not where it was sought: again, from the pose that the others tell.
+        let mut detected = sights.len();
+        let trust = match sights.len() {
+            0 | 1 => None,
+            2 => Some((4.0, 0.4)),
+            _ => Some((1.0, 0.2)),
+        };
+        for color in MarkerColor::ALL {
+            if let Some(f) = whole[color.index()] {
+                self.markers[color].fit = Some(f);
+                continue;
+            }
+            let Some((reach, edge_sigma)) = trust else { continue };
+            let Some(fit) = self.measure_again(image, color, camera, &now, edge_sigma) else { continue };
+            let expected = self.layout.projected_centroid(color, camera, &now).map(|p| p.pixel);
+            if expected.is_some_and(|e| (e - fit.centroid).norm() < reach) {
+                self.markers[color].fit = Some(fit);
+                detected += 1;
+            }
+        }
+        self.learn(image, camera, &now);
+        self.pose = Some(now);
+        detected
+    }
+
+    /// A marker at the place that the others' pose gives, covered in part as it may be.
+    fn measure_again(
+        &mut self,
+        image: &ImageView<'_>,
+        color: MarkerColor,
+        camera: &CameraModel,
+        pose: &Isometry3<f64>,
+        edge_sigma: f64,
+    ) -> Option<QuadFit> {
+        let quad = project_square(&self.layout, color, self.markers[color].turn.0, camera, pose)?;
+        let (unknown, known_turn) = (self.markers[color].appearance.is_none(), self.markers[color].turn.1 > 5);
+        if unknown {
+            let appearance = Appearance::learn(image, &quad)?;
+            let rgb = appearance.marker.map(|v| v as u8);
+            if classify(rgb).is_none_or(|(c, _, _)| c != color) {
+                return None;
+            }
+            self.markers[color].appearance = Some(appearance);
+        }
+        let result = if known_turn {
+            self.measure(image, color, &quad, 3.5, edge_sigma, 0.02)
+                .and_then(|f| {
+                    let (_, place) = quad.area_and_centroid();
+                    self.measure(image, color, &quad.shifted(f.centroid - place), 3.0, edge_sigma, 0.02)
+                })
+                .filter(|f| is_told(f, &self.config))
+        } else {
+            self.measure(image, color, &quad, 4.5, 1.0, 0.08)
+                .filter(is_whole)
+                .and_then(|f| self.measure(image, color, &f.quad, 3.0, 0.5, 0.03))
+                .filter(is_whole)
+        };
+        if unknown && result.is_none() {
+            self.markers[color].appearance = None;
+        }
+        result
+    }
+
+    /// A marker that is further off than an edge can be followed: by its patch of colour.
+    fn search(&mut self, image: &ImageView<'_>, color: MarkerColor, quad: &Quad) -> Option<QuadFit> {
+        let (area, place) = quad.area_and_centroid();
+        let margin = 25.0 + self.markers[color].flow.norm();
+        let config = ScanConfig {
+            stride: 1,
+            min_saturation: 0.15,
+            min_layer: 10,
+            min_area: 0.5 * area.abs(),
+            max_area: 1.5 * area.abs(),
+        };
+        self.scanner.scan(image, quad.bounds(margin), &config);
+        let blob = self
+            .scanner
+            .blobs
+            .iter()
+            .filter(|b| b.color == color && !b.cut && (0.8..1.2).contains(&b.fill()))
+            .min_by(|a, b| (a.centroid - place).norm().total_cmp(&(b.centroid - place).norm()))?;
+        let quad = quad.shifted(blob.centroid - place);
+        let first = self.measure(image, color, &quad, 4.5, 1.0, 0.06).filter(is_whole)?;
+        self.measure(image, color, &first.quad, 3.0, 0.5, 0.03).filter(is_whole)
+    }
+
+    /// Four centroids over-determine the pose by two, and each square has the area that the pose gives it: what does not
+    /// fit is not a marker.
+    fn drop_contradictions(&mut self, camera: &CameraModel, pose: &Isometry3<f64>, whole: &mut [Option<QuadFit>; 4]) {
+        let tolerance = if self.camera.is_some() { 0.6 } else { 3.0 };
+        loop {
+            let mut sights = [Sight { color: MarkerColor::Red, pixel: Vector2::zeros(), sigma: 0.1 }; 4];
+            let mut n = 0;
+            for color in MarkerColor::ALL {
+                if let Some(f) = whole[color.index()] {
+                    sights[n] = Sight { color, pixel: f.centroid, sigma: 0.1 };
+                    n += 1;
+                }
+            }
+            if n < 3 {
+                return;
+            }
+            let sights = &sights[..n];
+            let prior = PosePrior { camera_from_volant: *pose, position_sigma: 0.3, rotation_sigma: 0.3 };
+            let Some((now, rms)) = refine(&self.layout, camera, sights, pose, Some(&prior), 8) else { return };
+            // Areas, against the common bias of all edges.
+            let mut ratios = [0.0; 4];
+            for (r, s) in ratios.iter_mut().zip(sights) {
+                let Some(f) = whole[s.color.index()] else { continue };
+                let Some(p) = self.layout.projected_centroid(s.color, camera, &now) else { continue };
+                *r = f.area.sqrt() - p.area.sqrt() - 2.0 * self.markers[s.color].edge_bias.0;
+            }
+            let worst_area = (0..n).max_by(|&a, &b| ratios[a].abs().total_cmp(&ratios[b].abs()));
+            let Some(worst_area) = worst_area else { return };
+            let side = whole[sights[worst_area].color.index()].map_or(1.0, |f| f.area.sqrt());
+            let area_off = ratios[worst_area].abs() > 1.0 + 0.05 * side;
+            if rms < tolerance && !area_off {
+                return;
+            }
+            // Whose displacement differs most from the others'.
+            let moved: Vec<(usize, Vector2<f64>)> = sights
+                .iter()
+                .filter_map(|s| {
+                    let m = &self.markers[s.color];
+                    Some((s.color.index(), s.pixel - m.centroid? - m.flow))
+                })
+                .collect();
+            let odd = if area_off {
+                Some(sights[worst_area].color.index())
+            } else {
+                let distance = |a: &Vector2<f64>| {
+                    let mut d: Vec<f64> = moved.iter().map(|(_, b)| (a - b).norm()).collect();
+                    d.sort_by(f64::total_cmp);
+                    d.get(d.len() / 2).copied().unwrap_or(0.0)
+                };
+                moved
+                    .iter()
+                    .max_by(|a, b| distance(&a.1).total_cmp(&distance(&b.1)))
+                    .map(|(i, _)| *i)
+            };
+            match odd {
+                Some(i) => whole[i] = None,
+                None => return,
+            }
+        }
+    }
+
+    /// Keeps what a clean look teaches: colours, turn, edge bias, correlation of the noise.
+    fn learn(&mut self, image: &ImageView<'_>, camera: &CameraModel, pose: &Isometry3<f64>) {
+        let detected = self.markers.0.iter().filter(|m| m.fit.is_some()).count();
+        for color in MarkerColor::ALL {
+            let Some(f) = self.markers[color].fit.filter(is_whole) else { continue };
+            for e in f.edges.iter().flatten() {
+                self.lag[0] += e.lag[0];
+                self.lag[1] += e.lag[1];
+            }
+            let m = &mut self.markers[color];
+            if let Some(a) = &mut m.appearance {
+                a.follow(image, &f.quad, 0.1);
+            }
+            if detected < 3 {
+                continue;
+            }
+            let turn = m.turn.0;
+            let (Some(here), Some(turned)) = (
+                project_square(&self.layout, color, turn, camera, pose),
+                project_square(&self.layout, color, turn + 0.01, camera, pose),
+            ) else {
+                continue;
+            };
+            let (mut gain, mut sum, mut bias) = (0.0, 0.0, 0.0);
+            let (_, here_centre) = here.area_and_centroid();
+            for i in 0..4 {
+                let side = |q: &Quad| q.0[(i + 1) % 4] - q.0[i];
+                let (a, b, measured) = (side(&here), side(&turned), side(&f.quad));
+                let turn_of = |v: &Vector2<f64>| (a.x * v.y - a.y * v.x).atan2(a.dot(v));
+                let g = turn_of(&b) / 0.01;
+                gain += g * g;
+                sum += g * turn_of(&measured);
+                // Distance of the measured edge's middle outside of the predicted one, about the same centre.
+                let normal = Vector2::new(a.y, -a.x) / a.norm();
+                let normal = if normal.dot(&((here.0[i] + here.0[(i + 1) % 4]) / 2.0 - here_centre)) < 0.0 {
+                    -normal
+                } else {
+                    normal
+                };
+                let half = |q: &Quad, c: Vector2<f64>| ((q.0[i] + q.0[(i + 1) % 4]) / 2.0 - c).dot(&normal);
+                bias += (half(&f.quad, f.centroid) - half(&here, here_centre)) / 4.0;
+            }
+            let rate = |n: u32| 1.0 / f64::from(n.min(30) + 1);
+            m.turn.0 = (turn + rate(m.turn.1) * sum / gain.max(1e-9)).clamp(-MAX_TURN, MAX_TURN);
+            m.turn.1 = m.turn.1.saturating_add(1);
+            m.edge_bias.0 += rate(m.edge_bias.1) * (bias - m.edge_bias.0).clamp(-1.0, 1.0);
+            m.edge_bias.1 = m.edge_bias.1.saturating_add(1);
+        }
+        if self.lag[1] > 100.0 {
+            self.lag = self.lag.map(|v| v * 0.5);
+        }
+    }
+
+    /// The markers in the whole image, wherever they are. True where they were found; pose and colours are then set.
+    fn acquire(&mut self, image: &ImageView<'_>, camera: &CameraModel) -> bool {
+        let size = (image.width * image.height) as f64;
+        let config = ScanConfig {
+            stride: (image.width.max(image.height) / 320).clamp(1, 8),
+            min_saturation: 0.15,
+            min_layer: 12,
+            min_area: 40.0,
+            max_area: size / 6.0,
+        };
+        self.scanner.scan(image, [0, 0, image.width as i32, image.height as i32], &config);
+        let known = self.known_camera(image);
+        let strictness = if known {
+            Strictness { reprojection: 0.08, area: 1.8 }
+        } else {
+            Strictness { reprojection: 0.3, area: 2.2 }
+        };
+        let mut found = std::mem::take(&mut self.found);
+        hypotheses(&self.layout, camera, &self.scanner.blobs, strictness, true, &mut found);
+        let mut best: Option<(usize, f64, Verified)> = None;
+        let mut rivals = 0;
+        for h in &found {
+            let Some(v) = self.verify(image, camera, h, known) else { continue };
+            let (count, error) = (v.count, v.error);
+            match &best {
+                Some((n, e, b)) if (*n, -*e) >= (count, -error) => {
+                    rivals += u32::from(*n == count && !same_place(&b.centroids, &v.centroids));
+                }
+                Some((n, _, b)) => {
+                    rivals = u32::from(*n == count && !same_place(&b.centroids, &v.centroids));
+                    best = Some((count, error, v));
+                }
+                None => best = Some((count, error, v)),
+            }
+        }
+        self.found = found;
+        let Some((count, _, v)) = best else { return false };
+        // Three that could be several places tell nothing.
+        if count < 4 && rivals > 0 {
+            return false;
+        }
+        self.pose = Some(v.pose);
+        for color in MarkerColor::ALL {
+            let m = &mut self.markers[color];
+            if v.appearances[color].is_some() {
+                m.appearance = v.appearances[color];
+            }
+            if let Some(t) = v.turns[color] {
+                if m.turn.1 == 0 {
+                    m.turn = (t, 1);
+                }
+            }
+        }
+        true
+    }
+
+    /// Looks at the outlines that a hypothesis claims.
+    fn verify(
+        &mut self,
+        image: &ImageView<'_>,
+        camera: &CameraModel,
+        hypothesis: &Hypothesis,
+        known_camera: bool,
+    ) -> Option<Verified> {
+        let kept: PerColor<Option<Appearance>> = PerColor::from_fn(|c| self.markers[c].appearance);
+        let mut v = Verified {
+            pose: hypothesis.camera_from_volant,
+            appearances: PerColor([None; 4]),
+            turns: PerColor([None; 4]),
+            centroids: PerColor([None; 4]),
+            count: 0,
+            error: 0.0,
+        };
+        let mut shape_error = 0.0;
+        let mut side = 0.0;
+        for color in MarkerColor::ALL {
+            let Some(index) = hypothesis.blobs[color] else { continue };
+            let Some(blob) = self.scanner.blobs.get(index).copied() else { continue };
+            let turn = self.markers[color].turn.0;
+            let Some(quad) = project_square(&self.layout, color, turn, camera, &v.pose) else { continue };
+            let (_, place) = quad.area_and_centroid();
+            let quad = quad.shifted(blob.centroid - place);
+            let Some(mut appearance) = Appearance::learn(image, &quad) else { continue };
+            if let Some(rgb) = mean_rgb(image, blob.centroid, 1) {
+                if classify(rgb.map(|c| c as u8)).is_none() {
+                    continue;
+                }
+            }
+            self.markers[color].appearance = Some(appearance);
+            let tolerance = if known_camera { 1.5 } else { 3.0 };
+            let Some(first) = self.measure(image, color, &quad, 6.0, tolerance, 0.12).filter(is_whole) else {
+                continue;
+            };
+            let Some(second) = self.measure(image, color, &first.quad, 3.5, 0.5, 0.05).filter(is_whole) else {
+                continue;
+            };
+            appearance.follow(image, &second.quad, 1.0);
+            v.appearances[color] = Some(appearance);
+            v.centroids[color] = Some(second.centroid);
+            v.count += 1;
+            side += second.area.sqrt();
+            let spread = second.area.sqrt() - quad.area_and_centroid().0.abs().sqrt();
+            shape_error += (spread - 0.0).powi(2);
+        }
+        for color in MarkerColor::ALL {
+            self.markers[color].appearance = kept[color];
+        }
+        let claimed = hypothesis.blobs.0.iter().flatten().count();
+        if v.count < 3 || (claimed == 3 && v.count < 3) {
+            return None;
+        }
+        let sights: Vec<Sight> = MarkerColor::ALL
+            .into_iter()
+            .filter_map(|color| Some(Sight { color, pixel: v.centroids[color]?, sigma: 0.1 }))
+            .collect();
+        let (pose, rms) = refine(&self.layout, camera, &sights, &v.pose, None, 20)?;
+        side /= v.count as f64;
+        let limit = if known_camera { 0.35 + 0.01 * side } else { 2.0 + 0.1 * side };
+        let shape = (shape_error / v.count as f64).sqrt();
+        let shape_limit = if known_camera { 1.0 + 0.05 * side } else { 2.0 + 0.15 * side };
+        if rms > limit || shape > shape_limit {
+            return None;
+        }
+        v.pose = pose;
+        v.error = rms + 0.2 * shape;
+        Some(v)
+    }
+
+    /// States of the markers from what was measured; eq. 3 for what was not.
+    fn conclude(
+        &mut self,
+        image: &ImageView<'_>,
+        before: [Option<Vector2<f64>>; 4],
+        ratio: f64,
+    ) -> MarkerObservations {
+        // Flows of the visible markers that were known in the previous image as well.
+        let (mut mean, mut n) = (Vector2::zeros(), 0.0);
+        let mut flows = [None; 4];
+        for i in 0..4 {
+            if let (Some(f), Some(b)) = (self.markers.0[i].fit, before[i]) {
+                let flow = f.centroid - b;
+                flows[i] = Some(flow);
+                mean += flow;
+                n += 1.0;
+            }
+        }
+        let mut spread = 1.0;
+        if n > 0.0 {
+            mean /= n;
+            let sum: f64 = flows.iter().flatten().map(|f| (f - mean).norm_squared()).sum();
+            spread = (sum / n / 2.0).sqrt() + 0.05;
+        } else {
+            // Nobody is seen: on as before.
+            let known: Vec<Vector2<f64>> =
+                self.markers.0.iter().filter(|m| m.centroid.is_some()).map(|m| m.flow * ratio).collect();
+            if !known.is_empty() {
+                mean = known.iter().sum::<Vector2<f64>>() / known.len() as f64;
+                spread = 1.0 + mean.norm() * 0.5;
+            }
+        }
+        let max = self.config.max_predicted;
+        let markers = PerColor::from_fn(|color| {
+            let m = &mut self.markers[color];
+            if let Some(f) = m.fit {
+                m.flow = flows[color.index()].unwrap_or(mean);
+                m.centroid = Some(f.centroid);
+                m.occluded = Some(0);
+                m.sigma = 0.3;
+                return MarkerObservation {
+                    state: MarkerState::Detected,
+                    occluded_frames: 0,
+                    centroid: f.centroid,
+                    covariance: f.covariance,
+                    area: f.area as f32,
+                };
+            }
+            m.flow = mean;
+            let Some(since) = m.occluded else { return MarkerObservation::lost(MarkerObservation::NEVER) };
+            let since = since.saturating_add(1).min(MarkerObservation::NEVER - 1);
+            m.occluded = Some(since);
+            match m.centroid {
+                Some(c) if since <= max && self.pose.is_some() => {
+                    let place = c + mean;
+                    m.sigma += spread;
+                    m.centroid = Some(place);
+                    MarkerObservation {
+                        state: MarkerState::Predicted,
+                        occluded_frames: since,
+                        centroid: place,
+                        covariance: Matrix2::identity() * m.sigma * m.sigma,
+                        area: 0.0,
+                    }
+                }
+                _ => {
+                    m.centroid = None;
+                    MarkerObservation::lost(since)
+                }
+            }
+        });
+        MarkerObservations { stamp: image.stamp, markers }
+    }
+}
+
+struct Verified {
+    pose: Isometry3<f64>,
+    appearances: PerColor<Option<Appearance>>,
+    turns: PerColor<Option<f64>>,
+    centroids: PerColor<Option<Vector2<f64>>>,
+    count: usize,
+    error: f64,
+}
+
+fn same_place(a: &PerColor<Option<Vector2<f64>>>, b: &PerColor<Option<Vector2<f64>>>) -> bool {
+    a.0.iter().zip(&b.0).all(|(a, b)| match (a, b) {
+        (Some(a), Some(b)) => (a - b).norm() < 3.0,
+        _ => true,
+    })
+}
+
+/// All four edges were seen along most of their length.
+fn is_whole(f: &QuadFit) -> bool {
+    f.filled > 0.8 && f.edges.iter().all(|e| e.is_some_and(|e| e.support > 0.7))
+}
+
+/// Whether the centroid of the whole square is told, covered in part as it may be.
+fn is_told(f: &QuadFit, config: &TrackerConfig) -> bool {
+    let seen = f.edges.iter().flatten().count();
+    let limit = config.max_centroid_sigma;
+    seen >= 2 && f.filled > 0.5 && f.covariance.trace() < 2.0 * limit * limit
+}

@@ -1,0 +1,616 @@
+//! The square's outline: four straight edges, each fitted below the pixel, and the area centroid that they enclose.
+//!
+//! In flow the colour signal of a window ([`Window`]) and the predicted outline; out flow the measured outline, its
+//! centroid and the centroid's covariance. The image of a square through a lens of ordinary distortion bends by a few
+//! hundredths of a pixel; the straight line fitted by least squares encloses the same area, and so the same centroid to
+//! first order.
+
+use crate::signal::Window;
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+
+/// Four corners in order around the square, px.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Quad(pub [Vector2<f64>; 4]);
+
+impl Quad {
+    pub fn shifted(&self, by: Vector2<f64>) -> Self {
+        Self(self.0.map(|c| c + by))
+    }
+
+    /// Signed area and area centroid of the polygon.
+    pub fn area_and_centroid(&self) -> (f64, Vector2<f64>) {
+        let origin = self.0[0];
+        let (mut area, mut moment) = (0.0, Vector2::zeros());
+        for i in 0..4 {
+            let (a, b) = (self.0[i] - origin, self.0[(i + 1) % 4] - origin);
+            let cross = a.x * b.y - a.y * b.x;
+            area += cross;
+            moment += (a + b) * cross;
+        }
+        if area.abs() < 1e-9 {
+            return (0.0, self.0.iter().sum::<Vector2<f64>>() / 4.0);
+        }
+        (area / 2.0, origin + moment / (3.0 * area))
+    }
+
+    /// x0, y0, x1, y1 with a margin, whole pixels, the upper ones excluded.
+    pub fn bounds(&self, margin: f64) -> [i32; 4] {
+        let min = self.0.iter().fold(Vector2::repeat(f64::INFINITY), |m, c| m.inf(c));
+        let max = self.0.iter().fold(Vector2::repeat(f64::NEG_INFINITY), |m, c| m.sup(c));
+        [
+            (min.x - margin).floor() as i32,
+            (min.y - margin).floor() as i32,
+            (max.x + margin).ceil() as i32 + 1,
+            (max.y + margin).ceil() as i32 + 1,
+        ]
+    }
+
+    /// Shortest side, px.
+    pub fn shortest_side(&self) -> f64 {
+        (0..4).map(|i| (self.0[(i + 1) % 4] - self.0[i]).norm()).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Smallest distance between opposite sides' middles, px: what is there to measure a level in.
+    pub fn thickness(&self) -> f64 {
+        let (area, _) = self.area_and_centroid();
+        let longest = (0..4).map(|i| (self.0[(i + 1) % 4] - self.0[i]).norm()).fold(0.0, f64::max);
+        if longest > 0.0 { area.abs() / longest } else { 0.0 }
+    }
+}
+
+/// How the outline was measured.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EdgeFit {
+    /// Displacement of the edge's middle along its outward normal, px.
+    pub offset: f64,
+    /// Change of the displacement per pixel along the edge.
+    pub slope: f64,
+    /// Covariance of (offset, slope).
+    pub covariance: Matrix2<f64>,
+    /// Share of the edge's usable rows that agreed with the line.
+    pub support: f64,
+    /// Number of rows that did.
+    pub rows: usize,
+    /// RMS of their residuals, px.
+    pub rms: f64,
+    /// Correlation of neighbouring residuals, summed up: Σ rᵢrᵢ₊₁ and Σ rᵢ².
+    pub lag: [f64; 2],
+}
+
+/// The outline, measured.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct QuadFit {
+    pub quad: Quad,
+    pub centroid: Vector2<f64>,
+    pub covariance: Matrix2<f64>,
+    pub area: f64,
+    /// Per edge; `None` where it was not seen.
+    pub edges: [Option<EdgeFit>; 4],
+    /// Signal inside and outside at the square's middle.
+    pub inside: f64,
+    pub outside: f64,
+    /// Share of the interior samples that have the marker's level.
+    pub filled: f64,
+    /// Standard deviation of the interior signal, in units of the contrast.
+    pub noise: f64,
+}
+
+/// What is known of the outline beforehand, beside its predicted place.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ShapePrior {
+    /// By how much the marker's edges lie further out than the geometry says, px (paper cut too large, blooming).
+    pub edge_bias: f64,
+    /// Standard deviation of one edge's distance from the predicted shape, px.
+    pub edge_sigma: f64,
+    /// Standard deviation of one edge's direction, rad.
+    pub slope_sigma: f64,
+    /// Variance inflation of a mean of rows by their correlation.
+    pub inflation: f64,
+    /// Half-width across the edge that is integrated, px.
+    pub half_width: f64,
+}
+
+/// Pixels along an edge that a corner's blur spoils.
+const CORNER: f64 = 2.0;
+/// Most rows of one edge that are used; longer edges are sampled evenly.
+const MAX_ROWS: usize = 96;
+
+#[derive(Clone, Copy, Default)]
+struct Row {
+    along: f64,
+    across: f64,
+    outside: f64,
+}
+
+/// Signal level of the interior: a plane, robustly.
+struct Interior {
+    centre: Vector2<f64>,
+    level: f64,
+    gradient: Vector2<f64>,
+    filled: f64,
+    sigma: f64,
+}
+
+impl Interior {
+    fn at(&self, x: f64, y: f64) -> f64 {
+        self.level + self.gradient.x * (x - self.centre.x) + self.gradient.y * (y - self.centre.y)
+    }
+
+    fn measure(window: &Window, quad: &Quad, half_width: f64) -> Option<Self> {
+        const N: usize = 11;
+        let (_, centre) = quad.area_and_centroid();
+        // Samples on a grid that stays half_width away from the edges.
+        let side = quad.thickness();
+        let shrink = ((side - 2.0 * half_width) / side).clamp(0.25, 0.9);
+        let mut samples = [(0f32, 0f32, 0f32); N * N];
+        let mut count = 0;
+        for i in 0..N {
+            for j in 0..N {
+                let (u, v) = (i as f64 / (N - 1) as f64, j as f64 / (N - 1) as f64);
+                let p = quad.0[0] * (1.0 - u) * (1.0 - v)
+                    + quad.0[1] * u * (1.0 - v)
+                    + quad.0[2] * u * v
+                    + quad.0[3] * (1.0 - u) * v;
+                let p = centre + (p - centre) * shrink;
+                let (x, y) = (p.x.round(), p.y.round());
+                if let Some(value) = window.at(x as i32, y as i32) {
+                    samples[count] = ((x - centre.x) as f32, (y - centre.y) as f32, value);
+                    count += 1;
+                }
+            }
+        }
+        if count < N * N / 3 {
+            return None;
+        }
+        let samples = &mut samples[..count];
+        samples.sort_unstable_by(|a, b| a.2.total_cmp(&b.2));
+        let median = samples[count / 2].2;
+        // The middle half tells the noise, whatever crosses the square.
+        let spread = f64::from(samples[count * 3 / 4].2 - samples[count / 4].2) / 1.35;
+        let gate = (4.0 * spread).clamp(0.08, 0.3) as f32;
+        let mut normal = nalgebra::Matrix3::<f64>::zeros();
+        let mut right = nalgebra::Vector3::<f64>::zeros();
+        let mut square = 0.0;
+        let mut n = 0usize;
+        for &(x, y, s) in samples.iter().filter(|s| (s.2 - median).abs() < gate) {
+            let (row, d) = (nalgebra::Vector3::new(1.0, f64::from(x), f64::from(y)), f64::from(s - median));
+            normal += row * row.transpose();
+            right += row * d;
+            square += d * d;
+            n += 1;
+        }
+        if n < 12 {
+            return None;
+        }
+        // A weak pull to a flat level keeps small squares stable.
+        let weak = n as f64 * 4.0;
+        normal[(1, 1)] += weak;
+        normal[(2, 2)] += weak;
+        let solution = normal.cholesky()?.solve(&right);
+        let variance = ((square - solution.dot(&right)) / (n as f64 - 3.0)).max(1e-8);
+        Some(Self {
+            centre,
+            level: f64::from(median) + solution.x,
+            gradient: Vector2::new(solution.y, solution.z),
+            filled: n as f64 / (N * N) as f64,
+            sigma: variance.sqrt(),
+        })
+    }
+}
+
+/// Measures the outline near `predicted`.
+///
+/// Each edge is crossed by the rows (or columns, whichever crosses it more steeply) of the image. Along a row the signal,
+/// scaled to 0 outside and 1 inside, is summed up: that is the place of the edge, exactly, for any symmetric blur and
+/// without interpolation. The inside level is a plane over the interior and the outside level a line along the edge,
+/// carried on with the interior's relative shading. Rows that a crossing thing spoils are left out. An edge that is not
+/// seen is put where the shape prior has it relative to the others, and the covariance says so.
+///
+/// `None` where fewer than two adjacent edges were seen or the contrast is gone.
+pub(crate) fn fit(window: &Window, predicted: &Quad, prior: &ShapePrior, min_contrast: f64) -> Option<QuadFit> {
+    let (signed_area, centre) = predicted.area_and_centroid();
+    if signed_area.abs() < 9.0 {
+        return None;
+    }
+    let half_width = prior.half_width.min(predicted.thickness() * 0.35);
+    let interior = Interior::measure(window, predicted, half_width)?;
+    let mut edges: [Option<EdgeFit>; 4] = [None; 4];
+    let mut outside_levels = [0.0; 4];
+    for i in 0..4 {
+        let (p, q) = (predicted.0[i], predicted.0[(i + 1) % 4]);
+        if let Some((edge, outside)) = fit_edge(window, &interior, p, q, centre, half_width, prior, min_contrast) {
+            edges[i] = Some(edge);
+            outside_levels[i] = outside;
+        }
+    }
+    combine(predicted, edges, prior, &interior, outside_levels)
+}
+
+#[allow(clippy::too_many_arguments)]
+fn fit_edge(
+    window: &Window,
+    interior: &Interior,
+    p: Vector2<f64>,
+    q: Vector2<f64>,
+    centre: Vector2<f64>,
+    half_width: f64,
+    prior: &ShapePrior,
+    min_contrast: f64,
+) -> Option<(EdgeFit, f64)> {
+    let length = (q - p).norm();
+    if length < 4.0 {
+        return None;
+    }
+    let tangent = (q - p) / length;
+    let middle = (p + q) / 2.0;
+    let mut normal = Vector2::new(tangent.y, -tangent.x);
+    if normal.dot(&(middle - centre)) < 0.0 {
+        normal = -normal;
+    }
+    // Along which axis the edge is crossed: k = 0 walks along x on rows, k = 1 along y on columns.
+    let k = usize::from(normal.x.abs() < normal.y.abs());
+    let (steep, sign) = (normal[k].abs(), normal[k].signum());
+    let half = half_width / steep;
+    let (from, to) = (p[1 - k].min(q[1 - k]), p[1 - k].max(q[1 - k]));
+    // Walking inward shifts the place along the edge, and must not run over the neighbouring edge.
+    let inward = -sign * half * tangent[k];
+    let corner = CORNER.min(0.15 * length + 0.5);
+    let (low, high) = (-length / 2.0 + corner + (-inward).max(0.0), length / 2.0 - corner - inward.max(0.0));
+    let first = from.ceil() as i32;
+    let last = to.floor() as i32;
+    let usable = ((last - first + 1).max(0)) as usize;
+    let stride = usable.div_ceil(MAX_ROWS).max(1);
+    let outside_count = (2.0 / steep).ceil() as i32;
+    let mut rows = [Row::default(); MAX_ROWS];
+    let (mut count, mut possible) = (0usize, 0usize);
+    let step = sign as i32;
+    let at = |along_axis: i32, line: i32| {
+        if k == 0 { window.at(along_axis, line) } else { window.at(line, along_axis) }
+    };
+    let slope_axis = (q[k] - p[k]) / (q[1 - k] - p[1 - k]);
+    for line in (first..=last).step_by(stride) {
+        let crossing = p[k] + (f64::from(line) - p[1 - k]) * slope_axis;
+        let point = if k == 0 {
+            Vector2::new(crossing, f64::from(line))
+        } else {
+            Vector2::new(f64::from(line), crossing)
+        };
+        let along = (point - middle).dot(&tangent);
+        if along < low || along > high {
+            continue;
+        }
+        possible += 1;
+        let start = (crossing - sign * half).round() as i32;
+        let end = (crossing + sign * half).round() as i32;
+        // Outside level first.
+        let mut outside = 0.0;
+        let mut seen = 0;
+        for j in 1..=outside_count {
+            if let Some(v) = at(end + step * j, line) {
+                outside += f64::from(v);
+                seen += 1;
+            }
+        }
+        if seen < outside_count {
+            continue;
+        }
+        outside /= f64::from(seen);
+        if count < MAX_ROWS {
+            // Until the outside level is known along the edge, `across` holds where the row's sum starts.
+            rows[count] = Row { along, across: f64::from(line), outside };
+            count += 1;
+        }
+        let _ = start;
+    }
+    if count < 3 || count * 4 < possible {
+        return None;
+    }
+    let rows = &mut rows[..count];
+    // Outside level along the edge: median, then a line through what agrees.
+    let mut levels = [0f64; MAX_ROWS];
+    for (l, r) in levels.iter_mut().zip(rows.iter()) {
+        *l = r.outside;
+    }
+    let levels = &mut levels[..count];
+    levels.sort_unstable_by(f64::total_cmp);
+    let outside_median = levels[count / 2];
+    let contrast = interior.level - outside_median;
+    if !(contrast > min_contrast) {
+        return None;
+    }
+    let gate = (4.0 * interior.sigma).clamp(0.06, 0.2) * contrast.max(0.3);
+    let (mut n, mut st, mut stt, mut so, mut sto) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for r in rows.iter().filter(|r| (r.outside - outside_median).abs() < gate) {
+        n += 1.0;
+        st += r.along;
+        stt += r.along * r.along;
+        so += r.outside - outside_median;
+        sto += r.along * (r.outside - outside_median);
+    }
+    if n < 3.0 {
+        return None;
+    }
+    // A weak pull to a constant level: the outer rows must not lever it.
+    let det = (stt + 2.0 * n * n) * n - st * st;
+    let (level, tilt) = (
+        outside_median + ((stt + 2.0 * n * n) * so - st * sto) / det,
+        (n * sto - st * so) / det,
+    );
+    // Sum the scaled signal along each row.
+    let mut kept = 0usize;
+    for index in 0..count {
+        let r = rows[index];
+        let outside_here = level + tilt * r.along;
+        if (r.outside - outside_here).abs() > gate {
+            continue;
+        }
+        let line = r.across as i32;
+        let crossing = p[k] + (r.across - p[1 - k]) * slope_axis;
+        let start = (crossing - sign * half).round() as i32;
+        let end = (crossing + sign * half).round() as i32;
+        let (x, y) = if k == 0 { (crossing, r.across) } else { (r.across, crossing) };
+        let inside_here = interior.at(x, y);
+        let difference = inside_here - outside_here;
+        if difference < min_contrast {
+            continue;
+        }
+        // Shading relative to the crossing; the outside shares it.
+        let shading = interior.gradient[k] / interior.level.abs().max(0.3);
+        let mut sum = 0.0;
+        let mut complete = true;
+        let n = (end - start).abs();
+        for j in 0..=n {
+            let i = start + step * j;
+            let Some(v) = at(i, line) else {
+                complete = false;
+                break;
+            };
+            let local = 1.0 + shading * (f64::from(i) - crossing);
+            sum += (f64::from(v) / local.max(0.5) - outside_here) / difference;
+        }
+        if !complete {
+            continue;
+        }
+        let edge = f64::from(start) - 0.5 * sign + sign * sum;
+        let across = (edge - crossing) * sign * steep;
+        if across.abs() < half_width {
+            rows[kept] = Row { along: r.along, across, outside: r.outside };
+            kept += 1;
+        }
+    }
+    let rows = &rows[..kept];
+    line_through(rows, possible, length, prior).map(|edge| (edge, level))
+}
+
+/// Robust straight line through the rows' offsets.
+fn line_through(rows: &[Row], possible: usize, length: f64, prior: &ShapePrior) -> Option<EdgeFit> {
+    if rows.len() < 3 {
+        return None;
+    }
+    let mut sorted = [0f64; MAX_ROWS];
+    for (s, r) in sorted.iter_mut().zip(rows.iter()) {
+        *s = r.across;
+    }
+    let sorted = &mut sorted[..rows.len()];
+    sorted.sort_unstable_by(f64::total_cmp);
+    let median = sorted[rows.len() / 2];
+    let spread = (sorted[rows.len() * 3 / 4] - sorted[rows.len() / 4]) / 1.35;
+    let (mut offset, mut slope) = (median, 0.0);
+    let mut gate = (3.0 * spread).clamp(0.25, 0.8) + 2.0 * prior.slope_sigma * length / 2.0;
+    let mut result = None;
+    for _ in 0..3 {
+        let (mut n, mut st, mut stt, mut sa, mut sta) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for r in rows.iter().filter(|r| (r.across - offset - slope * r.along).abs() < gate) {
+            n += 1.0;
+            st += r.along;
+            stt += r.along * r.along;
+            sa += r.across;
+            sta += r.along * r.across;
+        }
+        if n < 3.0 {
+            return None;
+        }
+        // The direction is known to slope_sigma beforehand; what the rows weigh against it is their usual noise.
+        let pull = 0.01 / (prior.slope_sigma * prior.slope_sigma);
+        let normal = Matrix2::new(n, st, st, stt + pull);
+        let inverse = normal.try_inverse()?;
+        let solution = inverse * Vector2::new(sa, sta);
+        (offset, slope) = (solution.x, solution.y);
+        let (mut square, mut lag, mut used) = (0.0, 0.0, 0usize);
+        let mut last: Option<f64> = None;
+        for r in rows {
+            let residual = r.across - offset - slope * r.along;
+            if residual.abs() < gate {
+                square += residual * residual;
+                used += 1;
+                if let Some(previous) = last {
+                    lag += previous * residual;
+                }
+                last = Some(residual);
+            } else {
+                last = None;
+            }
+        }
+        let variance = (square / (n - 2.0).max(1.0)).max(4e-4);
+        gate = (3.2 * variance.sqrt()).clamp(0.12, gate);
+        result = Some(EdgeFit {
+            offset,
+            slope,
+            covariance: inverse * variance * prior.inflation,
+            support: used as f64 / possible.max(1) as f64,
+            rows: used,
+            rms: (square / used.max(1) as f64).sqrt(),
+            lag: [lag, square],
+        });
+    }
+    result.filter(|e| e.support > 0.25)
+}
+
+/// Edges into an outline; where one is missing or contradicts the shape, the shape prior stands in.
+fn combine(
+    predicted: &Quad,
+    mut edges: [Option<EdgeFit>; 4],
+    prior: &ShapePrior,
+    interior: &Interior,
+    outside_levels: [f64; 4],
+) -> Option<QuadFit> {
+    let (_, centre) = predicted.area_and_centroid();
+    let geometry: [(Vector2<f64>, Vector2<f64>, Vector2<f64>, f64); 4] = std::array::from_fn(|i| {
+        let (p, q) = (predicted.0[i], predicted.0[(i + 1) % 4]);
+        let length = (q - p).norm();
+        let tangent = (q - p) / length;
+        let middle = (p + q) / 2.0;
+        let normal = Vector2::new(tangent.y, -tangent.x);
+        let normal = if normal.dot(&(middle - centre)) < 0.0 { -normal } else { normal };
+        (middle, tangent, normal, length)
+    });
+    // Drop the edge that contradicts the shape most, while there is one.
+    loop {
+        let seen: Vec4 = Vec4::of(&edges);
+        if seen.count < 2 || !seen.adjacent() {
+            return None;
+        }
+        let estimate = solve(&geometry, &edges, prior)?;
+        let worst = (0..4)
+            .filter_map(|i| {
+                let e = edges[i]?;
+                let expected = geometry[i].2.dot(&estimate.shift) + prior.edge_bias;
+                let sigma = (prior.edge_sigma.powi(2) + e.covariance[(0, 0)]).sqrt();
+                let z = (e.offset - expected).abs() / sigma;
+                Some((i, z))
+            })
+            .max_by(|a, b| a.1.total_cmp(&b.1))?;
+        if worst.1 > 3.5 && seen.count > 2 {
+            edges[worst.0] = None;
+            continue;
+        }
+        if worst.1 > 5.0 {
+            return None;
+        }
+        return Some(finish(predicted, &geometry, edges, estimate, interior, outside_levels));
+    }
+}
+
+struct Vec4 {
+    seen: [bool; 4],
+    count: usize,
+}
+
+impl Vec4 {
+    fn of(edges: &[Option<EdgeFit>; 4]) -> Self {
+        let seen = edges.map(|e| e.is_some());
+        Self { seen, count: seen.iter().filter(|s| **s).count() }
+    }
+
+    fn adjacent(&self) -> bool {
+        (0..4).any(|i| self.seen[i] && self.seen[(i + 1) % 4])
+    }
+}
+
+struct Estimate {
+    shift: Vector2<f64>,
+    offsets: [f64; 4],
+    slopes: [f64; 4],
+    /// Of (offsets, slopes).
+    covariance: SMatrix<f64, 8, 8>,
+}
+
+type Geometry = (Vector2<f64>, Vector2<f64>, Vector2<f64>, f64);
+
+/// Least squares over the common shift (2), the edges' offsets (4) and slopes (4): offsets are the shift's normal part
+/// plus the bias within `edge_sigma`, slopes are zero within `slope_sigma`, and both are what was measured.
+fn solve(geometry: &[Geometry; 4], edges: &[Option<EdgeFit>; 4], prior: &ShapePrior) -> Option<Estimate> {
+    let mut information = SMatrix::<f64, 10, 10>::zeros();
+    let mut right = SVector::<f64, 10>::zeros();
+    information[(0, 0)] = 1e-4;
+    information[(1, 1)] = 1e-4;
+    let (we, ws) = (prior.edge_sigma.powi(-2), prior.slope_sigma.powi(-2));
+    for i in 0..4 {
+        let n = geometry[i].2;
+        let a = 2 + i;
+        for r in 0..2 {
+            for c in 0..2 {
+                information[(r, c)] += we * n[r] * n[c];
+            }
+            information[(r, a)] -= we * n[r];
+            information[(a, r)] -= we * n[r];
+            right[r] -= we * n[r] * prior.edge_bias;
+        }
+        information[(a, a)] += we;
+        right[a] += we * prior.edge_bias;
+        let b = 6 + i;
+        information[(b, b)] += ws;
+        if let Some(e) = &edges[i] {
+            let info = e.covariance.try_inverse()?;
+            let measured = Vector2::new(e.offset, e.slope);
+            let v = info * measured;
+            information[(a, a)] += info[(0, 0)];
+            information[(a, b)] += info[(0, 1)];
+            information[(b, a)] += info[(1, 0)];
+            information[(b, b)] += info[(1, 1)];
+            right[a] += v.x;
+            right[b] += v.y;
+        }
+    }
+    let inverse = information.cholesky()?.inverse();
+    let x = inverse * right;
+    Some(Estimate {
+        shift: Vector2::new(x[0], x[1]),
+        offsets: std::array::from_fn(|i| x[2 + i]),
+        slopes: std::array::from_fn(|i| x[6 + i]),
+        covariance: inverse.fixed_view::<8, 8>(2, 2).into_owned(),
+    })
+}
+
+fn finish(
+    predicted: &Quad,
+    geometry: &[Geometry; 4],
+    edges: [Option<EdgeFit>; 4],
+    estimate: Estimate,
+    interior: &Interior,
+    outside_levels: [f64; 4],
+) -> QuadFit {
+    // Each edge as point and direction, then neighbours intersected.
+    let line: [(Vector2<f64>, Vector2<f64>); 4] = std::array::from_fn(|i| {
+        let (middle, tangent, normal, _) = geometry[i];
+        (middle + normal * estimate.offsets[i], tangent + normal * estimate.slopes[i])
+    });
+    let mut quad = *predicted;
+    for i in 0..4 {
+        // Corner i + 1 is where edge i meets edge i + 1.
+        let ((p, d), (q, e)) = (line[i], line[(i + 1) % 4]);
+        let cross = d.x * e.y - d.y * e.x;
+        if cross.abs() > 1e-6 {
+            let w = q - p;
+            quad.0[(i + 1) % 4] = p + d * ((w.x * e.y - w.y * e.x) / cross);
+        }
+    }
+    let (area, centroid) = quad.area_and_centroid();
+    let a = area.abs().max(1.0);
+    // ∂centroid/∂(offset, slope) of each edge: the strip's first moment about the centroid over the area.
+    let mut by = SMatrix::<f64, 2, 8>::zeros();
+    for i in 0..4 {
+        let (middle, tangent, _, length) = geometry[i];
+        let lever = (middle - predicted.area_and_centroid().1) * (length / a);
+        let turn = tangent * (length.powi(3) / (12.0 * a));
+        for r in 0..2 {
+            by[(r, i)] = lever[r];
+            by[(r, 4 + i)] = turn[r];
+        }
+    }
+    let covariance = by * estimate.covariance * by.transpose();
+    let seen: f64 = edges.iter().flatten().count() as f64;
+    let outside =
+        (0..4).filter(|&i| edges[i].is_some()).map(|i| outside_levels[i]).sum::<f64>() / seen.max(1.0);
+    QuadFit {
+        quad,
+        centroid,
+        covariance: (covariance + covariance.transpose()) * 0.5,
+        area: a,
+        edges,
+        inside: interior.level,
+        outside,
+        filled: interior.filled,
+        noise: interior.sigma / (interior.level - outside).abs().max(1e-3),
+    }
+}

@@ -1,0 +1,211 @@
+//! The tracker over the recorded bags, against their truth, marker by marker.
+
+use marker_tracker::{Input, Output, Tracker, TrackerConfig, decode_compressed};
+use nalgebra::Vector2;
+use rig_model::{CameraModel, MarkerColor, MarkerObservations, MarkerState, PerColor, Rig, Stamp};
+use std::{collections::BTreeMap, path::Path};
+
+/// A cursor over CDR (little endian), as far as these two messages need it.
+struct Cdr<'a>(&'a [u8], usize);
+
+impl<'a> Cdr<'a> {
+    fn new(data: &'a [u8]) -> Self {
+        Self(&data[4..], 0)
+    }
+    fn bytes(&mut self, n: usize, align: usize) -> &'a [u8] {
+        self.1 = self.1.next_multiple_of(align);
+        let out = &self.0[self.1..self.1 + n];
+        self.1 += n;
+        out
+    }
+    fn u32(&mut self) -> u32 {
+        u32::from_le_bytes(self.bytes(4, 4).try_into().unwrap())
+    }
+    fn f64(&mut self) -> f64 {
+        f64::from_le_bytes(self.bytes(8, 8).try_into().unwrap())
+    }
+    fn text(&mut self) -> &'a str {
+        let n = self.u32() as usize;
+        std::str::from_utf8(&self.bytes(n, 1)[..n - 1]).unwrap()
+    }
+    fn stamp(&mut self) -> Stamp {
+        let (s, n) = (self.u32(), self.u32());
+        let _frame = self.text();
+        Stamp::from_sec_nanosec(s as i32, n)
+    }
+}
+
+/// Runs the tracker over a bag's compressed images.
+pub fn track_bag(folder: &Path, config: TrackerConfig) -> Vec<MarkerObservations> {
+    let rig = Rig::from_yaml(&std::fs::read_to_string(folder.join("rig.yaml")).unwrap()).unwrap();
+    let mut tracker = Tracker::new(rig.markers, config);
+    let file = std::fs::read(folder.join("in.mcap")).unwrap();
+    let mut out = Vec::new();
+    for message in mcap::MessageStream::new(&file).unwrap() {
+        let message = message.unwrap();
+        match message.channel.topic.as_str() {
+            "/climber/camera/camera_info" => {
+                let mut c = Cdr::new(&message.data);
+                c.stamp();
+                let (h, w) = (c.u32(), c.u32());
+                let model = c.text().to_owned();
+                let d: Vec<f64> = (0..c.u32()).map(|_| c.f64()).collect();
+                let k: [f64; 9] = std::array::from_fn(|_| c.f64());
+                let camera = CameraModel::from_camera_info(w, h, &model, &d, &k).unwrap();
+                tracker.handle(Input::Camera(camera));
+            }
+            "/climber/camera/image_raw/compressed" => {
+                let mut c = Cdr::new(&message.data);
+                let stamp = c.stamp();
+                let format = c.text().to_owned();
+                let n = c.u32() as usize;
+                let image = decode_compressed(&format, c.bytes(n, 1)).unwrap();
+                tracker.handle(Input::Image(image.view(stamp)));
+            }
+            _ => {}
+        }
+        while let Some(output) = tracker.poll() {
+            if let Output::Observations(o) = output {
+                out.push(o);
+            }
+        }
+    }
+    out
+}
+
+#[derive(Clone, Copy)]
+struct Truth {
+    centroid: Vector2<f64>,
+    shown: f64,
+}
+
+fn truth(folder: &Path) -> BTreeMap<i64, PerColor<Truth>> {
+    let text = std::fs::read_to_string(folder.join("truth_markers.csv")).unwrap();
+    let mut lines = text.lines();
+    let header: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let column = |name: String| header.iter().position(|h| *h == name).unwrap();
+    lines
+        .map(|line| {
+            let cells: Vec<&str> = line.split(',').collect();
+            let number = |name: String| cells[column(name)].parse::<f64>().unwrap();
+            let markers = PerColor::from_fn(|c| Truth {
+                centroid: Vector2::new(number(format!("{c}_cx")), number(format!("{c}_cy"))),
+                shown: number(format!("{c}_shown")),
+            });
+            (cells[0].parse().unwrap(), markers)
+        })
+        .collect()
+}
+
+#[derive(Default)]
+struct Score {
+    whole: usize,
+    whole_detected: usize,
+    square: Vector2<f64>,
+    sum: Vector2<f64>,
+    nes: f64,
+    part: usize,
+    part_detected: usize,
+    part_square: f64,
+    part_nes: f64,
+    part_worst: f64,
+    hidden: usize,
+    hidden_detected: usize,
+    wrong: usize,
+    predicted: usize,
+    predicted_square: f64,
+    predicted_nes: f64,
+}
+
+fn score(folder: &Path, observations: &[MarkerObservations], verbose: bool) -> PerColor<Score> {
+    let truth = truth(folder);
+    let mut scores: PerColor<Score> = PerColor::from_fn(|_| Score::default());
+    for (k, o) in observations.iter().enumerate() {
+        let t = &truth[&o.stamp.as_nanos()];
+        for color in MarkerColor::ALL {
+            let (m, t, s) = (&o.markers[color], &t[color], &mut scores[color]);
+            let detected = m.state == MarkerState::Detected;
+            let error = m.centroid - t.centroid;
+            let nes = m.covariance.try_inverse().map_or(0.0, |i| (error.transpose() * i * error)[0]);
+            if verbose && (t.shown < 1.0 || !detected || nes > 12.0) && std::env::var("VERBOSE").is_ok() {
+                eprintln!(
+                    "{k:4} {color:6} shown {:.3} {:?} error {:6.3} {:6.3} sigma {:.3} nes {nes:.1}",
+                    t.shown,
+                    m.state,
+                    error.x,
+                    error.y,
+                    (m.covariance.trace() / 2.0).sqrt()
+                );
+            }
+            if detected && error.norm() > 5.0 {
+                s.wrong += 1;
+            }
+            if m.state == MarkerState::Predicted {
+                s.predicted += 1;
+                s.predicted_square += error.norm_squared();
+                s.predicted_nes += nes;
+            }
+            if t.shown >= 1.0 {
+                s.whole += 1;
+                if detected {
+                    s.whole_detected += 1;
+                    s.square += error.component_mul(&error);
+                    s.sum += error;
+                    s.nes += nes;
+                }
+            } else if t.shown > 0.0 {
+                s.part += 1;
+                if detected {
+                    s.part_detected += 1;
+                    s.part_square += error.norm_squared() / 2.0;
+                    s.part_nes += nes;
+                    s.part_worst = s.part_worst.max(error.norm());
+                }
+            } else {
+                s.hidden += 1;
+                s.hidden_detected += usize::from(detected);
+            }
+        }
+    }
+    scores
+}
+
+#[test]
+fn centroids_states_and_covariances_on_the_recorded_bags() {
+    let Ok(shared) = std::env::var("VOLANT_SHARED") else {
+        eprintln!("skipped: VOLANT_SHARED (the folder with the recorded bags) is not set");
+        return;
+    };
+    for bag in ["nominal", "occlude_two", "clutter", "fast_swing"] {
+        let folder = Path::new(&shared).join("bags").join(bag);
+        let observations = track_bag(&folder, TrackerConfig::default());
+        let scores = score(&folder, &observations, true);
+        let (mut whole, mut detected, mut square, mut nes) = (0, 0, Vector2::zeros(), 0.0);
+        for (color, s) in scores.iter() {
+            let n = s.whole_detected.max(1) as f64;
+            let rms = (s.square / n).map(f64::sqrt);
+            eprintln!(
+                "{bag:12} {color:6} whole {:3}/{:3} rms {:.4} {:.4} mean {:7.4} {:7.4} nes {:5.2} | part {:3}/{:3} rms {:.3} nes {:5.2} worst {:.2} | hidden {}/{} wrong {} | predicted {} rms {:.2} nes {:.2}",
+                s.whole_detected, s.whole, rms.x, rms.y, s.sum.x / n, s.sum.y / n, s.nes / n,
+                s.part_detected, s.part,
+                (s.part_square / s.part_detected.max(1) as f64).sqrt(),
+                s.part_nes / s.part_detected.max(1) as f64, s.part_worst,
+                s.hidden_detected, s.hidden, s.wrong, s.predicted,
+                (s.predicted_square / s.predicted.max(1) as f64).sqrt(),
+                s.predicted_nes / s.predicted.max(1) as f64,
+            );
+            whole += s.whole;
+            detected += s.whole_detected;
+            square += s.square;
+            nes += s.nes;
+        }
+        let rms = (square / f64::from(detected.max(1) as u32)).map(f64::sqrt);
+        eprintln!(
+            "{bag:12} all    whole {detected}/{whole} = {:.2} %  rms {:.4} {:.4} px  nes {:.2}",
+            100.0 * detected as f64 / whole as f64,
+            rms.x,
+            rms.y,
+            nes / detected as f64
+        );
+    }
+}
