@@ -205,7 +205,7 @@ impl Renderer {
         for (pixel, ray) in canvas.iter_mut().zip(&self.rays) {
             let direction = |i: usize| r[(i, 0)] * ray[0] + r[(i, 1)] * ray[1] + r[(i, 2)];
             let down = direction(2);
-            if !(down < -1e-3) {
+            if down.is_nan() || down > -1e-3 {
                 *pixel = [0.0; 3];
                 continue;
             }

@@ -1,0 +1,187 @@
+//! How far a track is from the truth, axis by axis: the rows of the paper's Table II; and the inertial unit alone.
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use rig_model::{ImuSample, Stamp};
+
+/// Poses with their stamps, in order: `world_from_volant`.
+pub type Track = Vec<(Stamp, Isometry3<f64>)>;
+
+/// The six axes in the order of the arrays here.
+pub const AXES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
+/// Their units.
+pub const UNITS: [&str; 6] = ["mm", "mm", "mm", "deg", "deg", "deg"];
+
+/// Position in mm and roll, pitch, yaw in degrees (rotations about the fixed axes x, y, z in this order).
+pub fn six(pose: &Isometry3<f64>) -> [f64; 6] {
+    let p = pose.translation.vector * 1e3;
+    let (roll, pitch, yaw) = pose.rotation.euler_angles();
+    [p.x, p.y, p.z, roll.to_degrees(), pitch.to_degrees(), yaw.to_degrees()]
+}
+
+/// Errors of a track, per axis and as a whole.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Errors {
+    /// How many poses were compared.
+    pub count: usize,
+    /// Root of the mean square, mm and degrees.
+    pub rmse: [f64; 6],
+    /// Largest, mm and degrees.
+    pub max: [f64; 6],
+    /// Root of the mean square of the distance, mm.
+    pub position_rmse: f64,
+    /// Root of the mean square of the angle of the rotation that is missing, degrees.
+    pub rotation_rmse: f64,
+}
+
+impl Errors {
+    /// Errors of the poses stamped in `from ..= to`, against the truth at their stamps.
+    pub fn of(track: &Track, from: Stamp, to: Stamp, truth: impl Fn(Stamp) -> Isometry3<f64>) -> Self {
+        let mut errors = Self::default();
+        for (stamp, pose) in track.iter().filter(|(stamp, _)| *stamp >= from && *stamp <= to) {
+            let truth = truth(*stamp);
+            let (a, b) = (six(pose), six(&truth));
+            errors.count += 1;
+            for i in 0..6 {
+                let mut d = a[i] - b[i];
+                if i >= 3 {
+                    d = (d + 180.0).rem_euclid(360.0) - 180.0;
+                }
+                errors.rmse[i] += d * d;
+                errors.max[i] = errors.max[i].max(d.abs());
+            }
+            errors.position_rmse += (pose.translation.vector - truth.translation.vector).norm_squared() * 1e6;
+            errors.rotation_rmse += pose.rotation.angle_to(&truth.rotation).to_degrees().powi(2);
+        }
+        let mean = |sum: f64| (sum / errors.count as f64).sqrt();
+        Self {
+            count: errors.count,
+            rmse: errors.rmse.map(mean),
+            max: errors.max,
+            position_rmse: mean(errors.position_rmse),
+            rotation_rmse: mean(errors.rotation_rmse),
+        }
+    }
+}
+
+/// The inertial unit alone, as the paper has it: the unit's own attitude gives the rotation (its unknown heading is
+/// taken from the first pose), the accelerations, turned into the world and freed of gravity, are integrated twice.
+/// Where the velocity changes by less than `threshold` (m/s) from one sample to the next, it is held to stand still.
+///
+/// Samples before the first pose's stamp and samples without an attitude are passed over.
+pub fn inertial_alone(
+    samples: &[ImuSample],
+    volant_from_imu: &Isometry3<f64>,
+    first: &(Stamp, Isometry3<f64>),
+    velocity: Vector3<f64>,
+    threshold: f64,
+) -> Track {
+    let imu_from_volant = volant_from_imu.inverse();
+    let gravity = Vector3::new(0.0, 0.0, 9.81);
+    let mut heading: Option<UnitQuaternion<f64>> = None;
+    let (mut position, mut velocity, mut last) = (first.1.translation.vector, velocity, first.0);
+    // The unit does not sit in the platform's origin: what it feels is the motion of its own place.
+    let mut lever = Vector3::zeros();
+    let mut before: Option<Vector3<f64>> = None;
+    let mut track = Track::new();
+    for sample in samples.iter().filter(|s| s.stamp >= first.0) {
+        let Some(orientation) = &sample.orientation else { continue };
+        let enu_from_volant = orientation.enu_from_imu * imu_from_volant.rotation;
+        let heading = *heading.get_or_insert_with(|| {
+            lever = first.1.rotation * volant_from_imu.translation.vector;
+            position += lever;
+            let (_, _, own) = enu_from_volant.euler_angles();
+            let (_, _, true_yaw) = first.1.rotation.euler_angles();
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), true_yaw - own)
+        });
+        let world_from_volant = heading * enu_from_volant;
+        let acceleration = world_from_volant * (volant_from_imu.rotation * sample.specific_force) - gravity;
+        let dt = sample.stamp.seconds_since(last);
+        last = sample.stamp;
+        // By the trapezoid rule: the sample alone would lag by half a period.
+        let change = (acceleration + before.unwrap_or(acceleration)) * (0.5 * dt);
+        before = Some(acceleration);
+        if change.norm() >= threshold {
+            position += velocity * dt + change * (0.5 * dt);
+            velocity += change;
+        }
+        lever = world_from_volant * volant_from_imu.translation.vector;
+        track.push((
+            sample.stamp,
+            Isometry3::from_parts(Translation3::from(position - lever), world_from_volant),
+        ));
+    }
+    track
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::{
+        inertial::{Message, SensorConfig, Sensors},
+        motion::{Motion, MotionConfig},
+    };
+    use rig_model::{CameraModel, Distortion, Rig};
+
+    fn run(noise: f64, bias: f64) -> (Errors, Errors) {
+        let rig = Rig::from_yaml(crate::live::scenario::RIG_YAML).unwrap();
+        let camera =
+            CameraModel::new(640, 480, [590.0, 590.0, 319.5, 239.5], Distortion::PlumbBob([0.0; 5])).unwrap();
+        let motion = Motion::new(MotionConfig { duration: 6.0, ..MotionConfig::nominal(3) });
+        let config = SensorConfig {
+            imu_noise_factor: noise,
+            attitude_error: 1e-9 + 0.0096 * noise,
+            accelerometer_bias: Vector3::repeat(bias),
+            ..SensorConfig::nominal(3)
+        };
+        let samples: Vec<ImuSample> = Sensors::new(&motion, &rig, &camera, &config)
+            .imu()
+            .into_iter()
+            .filter_map(|(_, m)| if let Message::Imu(s) = m { Some(s) } else { None })
+            .collect();
+        let truth = |s: Stamp| motion.world_from_volant(s.seconds_since(config.epoch));
+        let start = samples[0].stamp;
+        let k = motion.kinematics(start.seconds_since(config.epoch));
+        let lever = k.world_from_volant.rotation
+            * k.angular_velocity.cross(&rig.imu.volant_from_imu.translation.vector);
+        let track = inertial_alone(
+            &samples,
+            &rig.imu.volant_from_imu,
+            &(start, truth(start)),
+            k.velocity + lever,
+            1e-5,
+        );
+        let errors = |from, to| {
+            Errors::of(&track, config.epoch.plus_seconds(from), config.epoch.plus_seconds(to), truth)
+        };
+        (errors(0.0, 1.0), errors(5.0, 6.0))
+    }
+
+    #[test]
+    fn a_perfect_unit_alone_follows_the_truth_and_a_real_one_drifts_off() {
+        let (_, late) = run(0.0, 0.0);
+        assert!(late.position_rmse < 15.0 && late.rotation_rmse < 0.01, "{late:?}");
+        let (early, late) = run(1.0, 0.03);
+        // Half of bias times time squared is 390 mm an axis at 5 s.
+        assert!(
+            late.position_rmse > 200.0 && early.position_rmse < 0.2 * late.position_rmse,
+            "{early:?} {late:?}"
+        );
+    }
+
+    #[test]
+    fn an_angle_s_error_wraps_and_the_axes_are_told_apart() {
+        let pose = |x: f64, yaw: f64| {
+            Isometry3::from_parts(
+                Translation3::new(x, 0.0, 0.0),
+                UnitQuaternion::from_euler_angles(0.0, 0.0, yaw.to_radians()),
+            )
+        };
+        let at = Stamp::from_nanos;
+        let track = vec![(at(1), pose(0.003, 179.0)), (at(2), pose(-0.004, -179.0)), (at(9), pose(9.0, 0.0))];
+        let errors = Errors::of(&track, at(0), at(5), |_| pose(0.0, 180.0));
+        assert_eq!(errors.count, 2);
+        assert!((errors.rmse[0] - 12.5_f64.sqrt()).abs() < 1e-9 && (errors.max[0] - 4.0).abs() < 1e-9);
+        assert!((errors.rmse[5] - 1.0).abs() < 1e-9 && errors.rmse[3] < 1e-9);
+        assert!((errors.rotation_rmse - 1.0).abs() < 1e-9);
+    }
+}

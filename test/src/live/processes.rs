@@ -1,0 +1,274 @@
+//! The four nodes as processes of their own, started as a person would and ended as a person would: by SIGINT.
+
+use std::{
+    fs::File,
+    io,
+    path::{Path, PathBuf},
+    process::{Child, Command, ExitStatus, Stdio},
+    time::{Duration, Instant},
+};
+use thiserror::Error;
+
+/// What can go wrong with a node's process.
+#[derive(Debug, Error)]
+pub enum ProcessError {
+    /// The executable is not there.
+    #[error(
+        "{name}: no executable at {path}; build it with `cargo build --release --workspace --bins`, or name its folder in VOLANT_BIN"
+    )]
+    NotBuilt {
+        /// The node.
+        name: String,
+        /// Where it should be.
+        path: PathBuf,
+    },
+    /// The system refused.
+    #[error("{name}: {error}")]
+    Io {
+        /// The node.
+        name: String,
+        /// What the system said.
+        error: io::Error,
+    },
+    /// It ended though nobody asked it to.
+    #[error("{name} ended with {status} in mid-run; its last words are in {log}")]
+    Ended {
+        /// The node.
+        name: String,
+        /// How.
+        status: ExitStatus,
+        /// What it said.
+        log: PathBuf,
+    },
+    /// It did not end when it was asked to.
+    #[error("{name} did not end within {seconds} s of SIGINT and was killed; see {log}")]
+    Hangs {
+        /// The node.
+        name: String,
+        /// How long it was given.
+        seconds: u64,
+        /// What it said.
+        log: PathBuf,
+    },
+}
+
+/// Folder of the executables: `VOLANT_BIN`, else where this executable is (for a test, one above).
+pub fn executables() -> PathBuf {
+    if let Some(folder) = std::env::var_os("VOLANT_BIN") {
+        return folder.into();
+    }
+    let own = std::env::current_exe().unwrap_or_default();
+    let mut folder = own.parent().unwrap_or(Path::new(".")).to_owned();
+    if folder.ends_with("deps") || folder.ends_with("examples") {
+        folder.pop();
+    }
+    folder
+}
+
+/// One running node.
+#[derive(Debug)]
+pub struct Node {
+    /// Its executable's name.
+    pub name: String,
+    /// What it says goes here.
+    pub log: PathBuf,
+    child: Child,
+    arguments: Vec<String>,
+    environment: Vec<(String, String)>,
+    status: Option<ExitStatus>,
+}
+
+impl Node {
+    /// Starts the executable `name` with `arguments`; what it says is appended to `folder`/`name`.log.
+    ///
+    /// # Errors
+    /// An executable that is not built, or what the system says.
+    pub fn start(
+        name: &str,
+        arguments: &[String],
+        environment: &[(String, String)],
+        folder: &Path,
+    ) -> Result<Self, ProcessError> {
+        let path = executables().join(name);
+        if !path.is_file() {
+            return Err(ProcessError::NotBuilt { name: name.into(), path });
+        }
+        let io = |error| ProcessError::Io { name: name.into(), error };
+        let log = folder.join(format!("{name}.log"));
+        let out = File::options().create(true).append(true).open(&log).map_err(io)?;
+        let child = Command::new(path)
+            .args(arguments)
+            .envs(environment.iter().map(|(k, v)| (k, v)))
+            .stdin(Stdio::null())
+            .stdout(out.try_clone().map_err(io)?)
+            .stderr(out)
+            .spawn()
+            .map_err(io)?;
+        Ok(Self {
+            name: name.into(),
+            log,
+            child,
+            arguments: arguments.to_vec(),
+            environment: environment.to_vec(),
+            status: None,
+        })
+    }
+
+    /// Process id.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Sends a signal by its name (INT, TERM, KILL, STOP, CONT).
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn signal(&self, signal: &str) -> Result<(), ProcessError> {
+        let io = |error| ProcessError::Io { name: self.name.clone(), error };
+        Command::new("kill")
+            .args([format!("-{signal}"), self.id().to_string()])
+            .status()
+            .map_err(io)
+            .map(|_| ())
+    }
+
+    /// How it ended, if it did.
+    pub fn ended(&mut self) -> Option<ExitStatus> {
+        if self.status.is_none() {
+            self.status = self.child.try_wait().ok().flatten();
+        }
+        self.status
+    }
+
+    /// Kills it (as `kill -9` does) and starts it anew with the same arguments.
+    ///
+    /// # Errors
+    /// As [`Node::start`].
+    pub fn kill_and_restart(&mut self) -> Result<(), ProcessError> {
+        self.kill()?;
+        self.restart()
+    }
+
+    /// Kills it, as `kill -9` does.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn kill(&mut self) -> Result<(), ProcessError> {
+        let name = self.name.clone();
+        let io = |error| ProcessError::Io { name: name.clone(), error };
+        if self.ended().is_none() {
+            self.child.kill().map_err(io)?;
+            self.status = Some(self.child.wait().map_err(io)?);
+        }
+        Ok(())
+    }
+
+    /// Starts it anew with the same arguments, after it ended.
+    ///
+    /// # Errors
+    /// As [`Node::start`].
+    pub fn restart(&mut self) -> Result<(), ProcessError> {
+        let folder = self.log.parent().unwrap_or(Path::new(".")).to_owned();
+        *self = Self::start(&self.name.clone(), &self.arguments.clone(), &self.environment.clone(), &folder)?;
+        Ok(())
+    }
+
+    /// Resident memory now, bytes; 0 where the system does not tell.
+    pub fn resident_bytes(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.id())).unwrap_or_default();
+        let line = status.lines().find(|l| l.starts_with("VmRSS:")).unwrap_or_default();
+        line.split_whitespace().nth(1).and_then(|kb| kb.parse::<u64>().ok()).unwrap_or(0) * 1024
+    }
+
+    /// Processor time used so far, s; 0 where the system does not tell.
+    pub fn processor_seconds(&self) -> f64 {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.id())).unwrap_or_default();
+        let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+        let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(0.0);
+        // utime and stime are fields 14 and 15 of the line, in ticks of 1/100 s on every Linux.
+        (ticks(11) + ticks(12)) / 100.0
+    }
+
+    #[allow(clippy::disallowed_methods)] // a shell: it waits for a process
+    fn wait_until(&mut self, deadline: Instant) -> Option<ExitStatus> {
+        loop {
+            if let Some(status) = self.ended() {
+                return Some(status);
+            }
+            if Instant::now() >= deadline {
+                return None;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl Drop for Node {
+    fn drop(&mut self) {
+        let _ = self.kill();
+    }
+}
+
+/// The processes of a run.
+#[derive(Debug, Default)]
+pub struct Nodes(Vec<Node>);
+
+/// A node that was asked to end gets so long, s.
+const GRACE: u64 = 5;
+
+impl Nodes {
+    /// Adds one.
+    pub fn push(&mut self, node: Node) {
+        self.0.push(node);
+    }
+
+    /// The node of this name.
+    pub fn get(&mut self, name: &str) -> Option<&mut Node> {
+        self.0.iter_mut().find(|n| n.name == name)
+    }
+
+    /// All of them.
+    pub fn iter(&self) -> impl Iterator<Item = &Node> {
+        self.0.iter()
+    }
+
+    /// That all of them still run.
+    ///
+    /// # Errors
+    /// The first one that ended.
+    pub fn check(&mut self) -> Result<(), ProcessError> {
+        for node in &mut self.0 {
+            if let Some(status) = node.ended() {
+                return Err(ProcessError::Ended { name: node.name.clone(), status, log: node.log.clone() });
+            }
+        }
+        Ok(())
+    }
+
+    /// Ends all of them by SIGINT and tells how each one ended.
+    ///
+    /// # Errors
+    /// A node that hangs; the others are ended all the same.
+    #[allow(clippy::disallowed_methods)] // a shell: it waits for processes
+    pub fn stop(mut self) -> Result<Vec<(String, ExitStatus)>, ProcessError> {
+        for node in &self.0 {
+            node.signal("INT")?;
+        }
+        let deadline = Instant::now() + Duration::from_secs(GRACE);
+        let mut ends = Vec::new();
+        let mut hanging = None;
+        for node in &mut self.0 {
+            match node.wait_until(deadline) {
+                Some(status) => ends.push((node.name.clone(), status)),
+                None => {
+                    hanging = Some(ProcessError::Hangs {
+                        name: node.name.clone(),
+                        seconds: GRACE,
+                        log: node.log.clone(),
+                    });
+                }
+            }
+        }
+        hanging.map_or(Ok(ends), Err)
+    }
+}

@@ -1,0 +1,121 @@
+//! What happens in a run: how the rig moves, what its sensors are like, when a marker is covered.
+
+use crate::rig::{
+    Covers, Instant, SceneConfig,
+    inertial::SensorConfig,
+    motion::{Motion, MotionConfig},
+};
+use nalgebra::{Isometry3, Vector3};
+use rig_model::{CameraModel, CameraModelError, Distortion, MarkerColor, Rig, RigError};
+use std::sync::Arc;
+
+/// The rig file of the simulated rig.
+pub const RIG_YAML: &str = include_str!("../rig/rig.yaml");
+/// Shutter open, s.
+pub const EXPOSURE: f64 = 0.005;
+/// Images per second.
+pub const IMAGE_RATE: f64 = 30.0;
+
+/// A plank over a marker for a while.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cover {
+    /// The marker.
+    pub color: MarkerColor,
+    /// First and last instant at which nothing of it is seen, s.
+    pub seconds: [f64; 2],
+}
+
+/// A run, all of it fixed by a seed. Time counts from the instant at which the platform begins to swing, s.
+#[derive(Clone, Debug)]
+pub struct Scenario {
+    /// The rig file.
+    pub rig: Rig,
+    /// Its text.
+    pub rig_yaml: String,
+    /// The camera's lens.
+    pub camera: CameraModel,
+    /// How the rig moves; at rest before zero.
+    pub motion: Arc<Motion>,
+    /// Biases and noise of the sensors.
+    pub sensors: SensorConfig,
+    /// What there is to see.
+    pub scene: SceneConfig,
+    /// Planks.
+    pub covers: Vec<Cover>,
+}
+
+/// The plank takes so long to slide in or out, s.
+const SLIDE: f64 = 0.3;
+
+impl Scenario {
+    /// A swing of `duration` seconds with one marker covered for a while in its middle.
+    ///
+    /// # Errors
+    /// None but those of a rig file or lens that were edited wrongly.
+    pub fn swing(seed: u64, duration: f64) -> Result<Self, ScenarioError> {
+        Self::new(MotionConfig { duration, still_until: 0.0, ..MotionConfig::nominal(seed) })
+    }
+
+    /// The run of this motion, with the usual rig, lens and sensors.
+    ///
+    /// # Errors
+    /// None but those of a rig file or lens that were edited wrongly.
+    pub fn new(motion: MotionConfig) -> Result<Self, ScenarioError> {
+        let lens = Distortion::PlumbBob([-0.229_544, 0.082_09, 0.000_69, -0.000_372, -0.006_257]);
+        let (seed, duration) = (motion.seed, motion.duration);
+        let colors = MarkerColor::ALL;
+        Ok(Self {
+            rig: Rig::from_yaml(RIG_YAML)?,
+            rig_yaml: RIG_YAML.to_owned(),
+            camera: CameraModel::new(640, 480, [591.322, 589.677, 319.275, 235.227], lens)?,
+            motion: Arc::new(Motion::new(motion)),
+            sensors: SensorConfig::nominal(seed),
+            scene: SceneConfig { seed, ..SceneConfig::default() },
+            covers: vec![Cover {
+                color: colors[seed as usize % 4],
+                seconds: [0.45 * duration, 0.45 * duration + (0.15 * duration).min(3.0)],
+            }],
+        })
+    }
+
+    /// Seconds that the run takes.
+    pub fn duration(&self) -> f64 {
+        self.motion.duration()
+    }
+
+    /// Where everything is at `t`.
+    pub fn instant(&self, t: f64) -> Instant {
+        Instant {
+            world_from_climber: self.motion.world_from_climber(t),
+            world_from_volant: self.motion.world_from_volant(t),
+        }
+    }
+
+    /// The truth: pose, and velocity and rate of turn in the volant frame.
+    pub fn truth(&self, t: f64) -> (Isometry3<f64>, Vector3<f64>, Vector3<f64>) {
+        let k = self.motion.kinematics(t);
+        (k.world_from_volant, k.world_from_volant.rotation.inverse() * k.velocity, k.angular_velocity)
+    }
+
+    /// How far the planks are in at `t`.
+    pub fn covers_at(&self, t: f64) -> Covers {
+        let mut covers = Covers::default();
+        for cover in &self.covers {
+            let rise = (t - cover.seconds[0]) / SLIDE + 1.0;
+            let fall = (cover.seconds[1] - t) / SLIDE + 1.0;
+            covers[cover.color] = f64::max(covers[cover.color], rise.min(fall).clamp(0.0, 1.0));
+        }
+        covers
+    }
+}
+
+/// A rig file or a lens that cannot be.
+#[derive(Debug, thiserror::Error)]
+pub enum ScenarioError {
+    /// The rig file.
+    #[error("the simulated rig's rig file: {0}")]
+    Rig(#[from] RigError),
+    /// The lens.
+    #[error("the simulated rig's lens: {0}")]
+    Camera(#[from] CameraModelError),
+}
