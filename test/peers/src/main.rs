@@ -1,2 +1,114 @@
-//! stub
-fn main() {}
+//! `volant-peers`: the project's marker tracker beside its rivals, in one run, on scenes made from a seed with truth.
+//!
+//! `bench` prints the main table (time, accuracy, success) and the targets of the tracker; `sweep` the success over viewing
+//! angle and distance; `trials` what the tracker does in scenes that are made to mislead it.
+
+mod bench;
+mod clock;
+mod measure;
+mod methods;
+mod report;
+mod scene;
+mod stage;
+mod trajectory;
+
+/// The texture of the SIFT plate.
+mod sift_texture {
+    pub use crate::methods::{CELLS, texture};
+}
+
+use anyhow::{Context, Result};
+use clap::{Parser, Subcommand};
+use std::{
+    alloc::{GlobalAlloc, Layout, System},
+    path::PathBuf,
+    process::ExitCode,
+    sync::atomic::{AtomicU64, Ordering},
+};
+
+/// Counts what is asked of the system's allocator.
+struct Counting;
+
+static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+
+// SAFETY: every call is handed on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: as for the caller.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as for the caller.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: as for the caller.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Allocations of this process so far.
+fn allocations() -> u64 {
+    ALLOCATIONS.load(Ordering::Relaxed)
+}
+
+/// The marker tracker beside its rivals.
+#[derive(Parser)]
+#[command(name = "volant-peers", version)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+    /// Where CSV files go.
+    #[arg(long, global = true, default_value = "bench_out")]
+    out: PathBuf,
+    /// The scenes' seed.
+    #[arg(long, global = true, default_value_t = 1)]
+    seed: u64,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Time, accuracy and success on one motion; bench.csv, table-1.csv, fig-12.csv.
+    Bench {
+        /// How many pictures.
+        #[arg(long, default_value_t = 300)]
+        pictures: usize,
+    },
+}
+
+fn work(arguments: &Arguments) -> Result<usize> {
+    opencv::core::set_num_threads(1)?;
+    std::fs::create_dir_all(&arguments.out)
+        .with_context(|| format!("{} cannot be made; name a folder with --out", arguments.out.display()))?;
+    match &arguments.command {
+        Command::Bench { pictures } => {
+            let outcome = bench::run(*pictures, arguments.seed)?;
+            outcome.print();
+            outcome.write(&arguments.out)?;
+            Ok(outcome.targets().print())
+        }
+    }
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    match work(&arguments) {
+        Ok(failed) => {
+            if failed > 0 {
+                eprintln!("volant-peers: {failed} figures are short of their target");
+            }
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            eprintln!("volant-peers: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -22,7 +22,9 @@ impl Picture {
     pub fn gray(&self) -> Vec<u8> {
         self.rgb
             .chunks_exact(3)
-            .map(|p| ((299 * u32::from(p[0]) + 587 * u32::from(p[1]) + 114 * u32::from(p[2]) + 500) / 1000) as u8)
+            .map(|p| {
+                ((299 * u32::from(p[0]) + 587 * u32::from(p[1]) + 114 * u32::from(p[2]) + 500) / 1000) as u8
+            })
             .collect()
     }
 }
@@ -121,7 +123,8 @@ impl Canvas {
                 let noise = self.noise.four(rng);
                 let pixel = self.light[y * w + x];
                 for c in 0..3 {
-                    let value = f64::from(pixel[c]) * gain * light.white[c] + light.noise * f64::from(noise[c]);
+                    let value =
+                        f64::from(pixel[c]) * gain * light.white[c] + light.noise * f64::from(noise[c]);
                     rgb[3 * (y * w + x) + c] = (value + 0.5).clamp(0.0, 255.0) as u8;
                 }
             }
@@ -155,9 +158,17 @@ impl Canvas {
 }
 
 /// Calls `f(index, share)` for each pixel that a convex polygon covers in part or in full.
-pub fn for_each_covered(polygon: &[Vector2<f64>], width: usize, height: usize, mut f: impl FnMut(usize, f64)) {
+pub fn for_each_covered(
+    polygon: &[Vector2<f64>],
+    width: usize,
+    height: usize,
+    mut f: impl FnMut(usize, f64),
+) {
     let bound = |axis: usize, low: bool| {
-        polygon.iter().map(|p| p[axis]).fold(if low { f64::MAX } else { f64::MIN }, |a, b| if low { a.min(b) } else { a.max(b) })
+        polygon
+            .iter()
+            .map(|p| p[axis])
+            .fold(if low { f64::MAX } else { f64::MIN }, |a, b| if low { a.min(b) } else { a.max(b) })
     };
     let x0 = (bound(0, true) - 0.5).ceil().max(0.0) as usize;
     let y0 = (bound(1, true) - 0.5).ceil().max(0.0) as usize;

@@ -40,7 +40,12 @@ impl Floor {
         let mut ground = Canvas::new(width + 2 * margin, height + 2 * margin);
         let waves: Vec<[f64; 4]> = (0..14)
             .map(|_| {
-                [rng.within(-0.06, 0.06), rng.within(-0.06, 0.06), rng.within(0.0, 6.3), rng.within(0.005, 0.02)]
+                [
+                    rng.within(-0.06, 0.06),
+                    rng.within(-0.06, 0.06),
+                    rng.within(0.0, 6.3),
+                    rng.within(0.005, 0.02),
+                ]
             })
             .collect();
         for y in 0..ground.height {

@@ -29,7 +29,12 @@ impl Pinhole {
     }
 
     /// Pixels of a polygon of the plane `z = height` of a body.
-    pub fn polygon(&self, camera_from_body: &Isometry3<f64>, corners: &[[f64; 2]], height: f64) -> Vec<Vector2<f64>> {
+    pub fn polygon(
+        &self,
+        camera_from_body: &Isometry3<f64>,
+        corners: &[[f64; 2]],
+        height: f64,
+    ) -> Vec<Vector2<f64>> {
         corners.iter().map(|c| self.project(&(camera_from_body * Point3::new(c[0], c[1], height)))).collect()
     }
 

@@ -11,6 +11,6 @@ mod rng;
 
 pub use canvas::{Canvas, Light, Picture};
 pub use floor::{Floor, Thing};
-pub use geometry::{Pinhole, clip_area, polygon_centroid};
-pub use plate::{MarkerTruth, Plate, PlateKind, cover_by};
+pub use geometry::Pinhole;
+pub use plate::{MarkerTruth, Plate, PlateKind};
 pub use rng::Rng;

@@ -118,9 +118,8 @@ impl Plate {
         let PlateKind::Markers { layout, turns, .. } = &self.kind else { return [[0.0; 2]; 4] };
         let (centre, half) = (layout.centres.0[index], layout.side / 2.0);
         let (sin, cos) = turns[index].sin_cos();
-        [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| {
-            [centre.x + half * (cos * x - sin * y), centre.y + half * (sin * x + cos * y)]
-        })
+        [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
+            .map(|(x, y)| [centre.x + half * (cos * x - sin * y), centre.y + half * (sin * x + cos * y)])
     }
 
     /// The truth of each marker under these covers.
@@ -132,7 +131,8 @@ impl Plate {
         [0, 1, 2, 3].map(|i| {
             let z = layout.centres.0[i].z;
             let images: Vec<_> = poses.iter().map(|p| camera.polygon(p, &self.square(i), z)).collect();
-            let centroid = images.iter().map(|p| polygon_centroid(p).1).sum::<Vector2<f64>>() / poses.len() as f64;
+            let centroid =
+                images.iter().map(|p| polygon_centroid(p).1).sum::<Vector2<f64>>() / poses.len() as f64;
             let image = camera.polygon(middle, &self.square(i), z);
             let area = polygon_centroid(&image).0.abs();
             let mut seen = 0.0;

@@ -1,0 +1,269 @@
+//! The main table: every method on the same motion, one run, one core.
+
+use crate::{
+    allocations,
+    measure::{Record, mean_and_deviation, median},
+    methods::{AprilTag, Aruco, Carrier, Method, Ours, Recipe, Sift},
+    report::{Csv, Targets, number},
+    scene::{Picture, Pinhole, PlateKind},
+    sift_texture,
+    stage::{FOOTPRINT, Stage},
+    trajectory,
+};
+use anyhow::{Result, bail};
+use marker_tracker::TrackerConfig;
+use rig_model::{MarkerLayout, MarkerState};
+use std::path::Path;
+
+/// The published times of Table I, ms.
+pub const PUBLISHED_MS: [f64; 4] = [1.5, 2.1, 3.31, 0.36];
+
+/// The layout that the standard plate bears.
+pub fn layout(stage: &Stage) -> Result<MarkerLayout> {
+    match &stage.plate(Carrier::Markers).kind {
+        PlateKind::Markers { layout, .. } => Ok(layout.clone()),
+        PlateKind::Cells { .. } => bail!("the first plate bears no markers"),
+    }
+}
+
+/// Every method, ours first, the recipe second.
+pub fn methods(camera: &Pinhole, layout: &MarkerLayout, seed: u64) -> Result<Vec<Box<dyn Method>>> {
+    Ok(vec![
+        Box::new(Ours::new(camera, layout.clone(), TrackerConfig::default())),
+        Box::new(Recipe::new(camera, layout)?),
+        Box::new(Aruco::new(camera, FOOTPRINT)?),
+        Box::new(AprilTag::new(camera, 1, FOOTPRINT)?),
+        Box::new(AprilTag::new(camera, 2, FOOTPRINT)?),
+        Box::new(Sift::new(camera, &sift_texture::texture(seed), FOOTPRINT)?),
+    ])
+}
+
+/// A picture as it would come from a decoder: just written, by the core that reads it.
+pub fn fresh(picture: &Picture) -> Picture {
+    picture.clone()
+}
+
+/// What the bench found.
+pub struct Outcome {
+    /// Name of the method and its record, in the order of [`methods`].
+    pub records: Vec<(&'static str, Record)>,
+    /// Whole-image acquisition of ours, median µs: a new tracker; one that had lost everything.
+    pub acquisition_us: [f64; 2],
+    /// Share of those pictures in which all four markers were told at once.
+    pub acquired: f64,
+    /// Allocations in a tracked frame: median and largest.
+    pub allocations: (u64, u64),
+    /// Mean normalised squared error of our centroids (ideal 2).
+    pub nees: f64,
+}
+
+/// Runs the main sequence.
+pub fn run(pictures: usize, seed: u64) -> Result<Outcome> {
+    let camera = Pinhole::BENCH;
+    let mut stage = Stage::new(camera, seed)?;
+    let layout = layout(&stage)?;
+    let mut methods = methods(&camera, &layout, seed)?;
+    let mut records = vec![Record::default(); methods.len()];
+    let mut ours = Ours::new(&camera, layout.clone(), TrackerConfig::default());
+    let (mut allocated, mut nees, mut told) = (Vec::new(), 0.0, 0usize);
+    let (mut first, mut again, mut acquired, mut tried) = (Vec::new(), Vec::new(), 0usize, 0usize);
+    let blank = Picture {
+        width: camera.width,
+        height: camera.height,
+        rgb: vec![128; 3 * camera.width * camera.height],
+    };
+    for number in 0..pictures {
+        let pose = trajectory::standard(&camera, number as f64 / 30.0);
+        let shots = [Carrier::Markers, Carrier::Tag, Carrier::Texture].map(|c| stage.shoot(c, &pose, number));
+        let truths = [Carrier::Markers, Carrier::Tag, Carrier::Texture].map(|c| stage.truth(c, &pose));
+        for (method, record) in methods.iter_mut().zip(&mut records) {
+            let carrier = method.carrier() as usize;
+            let estimate = method.estimate(&fresh(&shots[carrier]))?;
+            record.add(&estimate, &pose, &truths[carrier]);
+        }
+        // The same pictures once more for what is not timed: allocations and consistency.
+        let before = allocations();
+        ours.track(&shots[0]);
+        let count = allocations() - before;
+        if number >= 10 {
+            allocated.push(count);
+        }
+        for (color, marker) in ours.observed.iter().flat_map(|o| o.markers.iter()) {
+            if marker.state == MarkerState::Detected
+                && let Some(information) = marker.covariance.try_inverse()
+            {
+                let error = marker.centroid - truths[0][color.index()];
+                nees += error.dot(&(information * error));
+                told += 1;
+            }
+        }
+        if number % 10 == 0 {
+            let mut fresh_tracker = Ours::new(&camera, layout.clone(), TrackerConfig::default());
+            tried += 2;
+            let image = fresh(&shots[0]);
+            first.push(fresh_tracker.track(&image).as_secs_f64() * 1e6);
+            acquired += usize::from(all_told(&fresh_tracker));
+            for _ in 0..9 {
+                fresh_tracker.track(&blank);
+            }
+            let image = fresh(&shots[0]);
+            again.push(fresh_tracker.track(&image).as_secs_f64() * 1e6);
+            acquired += usize::from(all_told(&fresh_tracker));
+        }
+    }
+    allocated.sort_unstable();
+    Ok(Outcome {
+        records: methods.iter().map(|m| m.name()).zip(records).collect(),
+        acquisition_us: [median(first), median(again)],
+        acquired: acquired as f64 / tried as f64,
+        allocations: (
+            allocated.get(allocated.len() / 2).copied().unwrap_or(0),
+            allocated.last().copied().unwrap_or(0),
+        ),
+        nees: nees / told as f64,
+    })
+}
+
+fn all_told(ours: &Ours) -> bool {
+    ours.observed.as_ref().is_some_and(|o| o.markers.0.iter().all(|m| m.state == MarkerState::Detected))
+}
+
+impl Outcome {
+    fn of(&self, part: &str) -> &Record {
+        self.records.iter().find(|r| r.0.contains(part)).map_or(&self.records[0].1, |r| &r.1)
+    }
+
+    /// The main table as text.
+    pub fn print(&self) {
+        let recipe = self.of("recipe").median_us();
+        println!(
+            "{:<34} {:>10} {:>9} {:>9} {:>9} {:>9} {:>9} {:>7}",
+            "method", "median us", "ratio", "px RMS", "mm RMSE", "deg RMSE", "success", "gross"
+        );
+        for (name, record) in &self.records {
+            println!(
+                "{name:<34} {:>10.1} {:>9.4} {:>9} {:>9.3} {:>9.4} {:>8.1}% {:>7}",
+                record.median_us(),
+                record.median_us() / recipe,
+                number(record.pixel_rms(), 4),
+                record.translation_rmse(),
+                record.rotation_rmse(),
+                100.0 * record.success(),
+                record.gross,
+            );
+        }
+        let ours = &self.records[0].1;
+        println!(
+            "ours: tracker {:.1} us + extrinsics {:.1} us; acquisition {:.0} us (new tracker), {:.0} us (after a loss), \
+             {:.0}% at the first picture; bias {:+.4} {:+.4} px",
+            ours.stage_us(0),
+            ours.stage_us(1),
+            self.acquisition_us[0],
+            self.acquisition_us[1],
+            100.0 * self.acquired,
+            ours.pixel_bias().x,
+            ours.pixel_bias().y,
+        );
+        let stages = self.of("recipe");
+        println!(
+            "recipe: flow {:.0}, tracking {:.0}, feature extraction {:.0}, extrinsics {:.0} us",
+            stages.stage_us(0),
+            stages.stage_us(1),
+            stages.stage_us(2),
+            stages.stage_us(3)
+        );
+    }
+
+    /// The rows of issue 3 that compare with a peer, each beside its target.
+    pub fn targets(&self) -> Targets {
+        let ours = &self.records[0].1;
+        let (recipe, aruco, april) = (self.of("recipe"), self.of("ArUco"), self.of("decimate 2"));
+        let time = ours.median_us();
+        let mut targets = Targets::default();
+        targets.at_most(
+            "tracked frame, all criteria and pose / recipe",
+            time / recipe.median_us(),
+            1.0 / 80.0,
+        );
+        targets.at_most("tracked frame / AprilTag decimate 2", time / april.median_us(), 1.0 / 50.0);
+        targets.at_most("tracked frame / ArUco", time / aruco.median_us(), 1.0 / 100.0);
+        targets.at_most(
+            "whole-image acquisition / recipe",
+            self.acquisition_us[1] / recipe.median_us(),
+            1.0 / 15.0,
+        );
+        targets.at_most("allocations in a tracked frame", self.allocations.1 as f64, 0.0);
+        targets.at_most("centroid, clean RGB, px RMS per axis", ours.pixel_rms(), 0.015);
+        targets.at_most(
+            "translation RMSE / AprilTag decimate 2",
+            ours.translation_rmse() / april.translation_rmse(),
+            0.25,
+        );
+        targets.at_most(
+            "rotation RMSE / AprilTag decimate 2",
+            ours.rotation_rmse() / april.rotation_rmse(),
+            1.0 / 6.0,
+        );
+        targets.at_least("success, ours", ours.success(), 0.99);
+        targets.within("normalised squared error of the centres", self.nees, 1.6, 2.6);
+        targets
+    }
+
+    /// `bench.csv`, `table-1.csv`, `fig-12.csv`.
+    pub fn write(&self, folder: &Path) -> Result<()> {
+        let recipe = self.of("recipe").median_us();
+        let mut csv = Csv::new(
+            "method,median_us,ratio_to_recipe,px_rms,translation_rmse_mm,rotation_rmse_deg,success,gross_errors",
+        );
+        for (name, r) in &self.records {
+            csv.row(&[
+                (*name).into(),
+                number(r.median_us(), 2),
+                number(r.median_us() / recipe, 5),
+                number(r.pixel_rms(), 5),
+                number(r.translation_rmse(), 4),
+                number(r.rotation_rmse(), 5),
+                number(r.success(), 4),
+                r.gross.to_string(),
+            ]);
+        }
+        csv.write(&folder.join("bench.csv"))?;
+        self.table_1().write(&folder.join("table-1.csv"))?;
+        self.fig_12().write(&folder.join("fig-12.csv"))
+    }
+
+    /// Table I. Our tracker's criteria are one pass over the windows, so its time stands in one row: `total`, beside
+    /// the extrinsics; stages that cannot be told apart are left empty.
+    pub fn table_1(&self) -> Csv {
+        let (ours, recipe) = (&self.records[0].1, self.of("recipe"));
+        let mut csv = Csv::new("stage,published_ms,plain_opencv_ms,ours_ms");
+        let names = ["optical flow", "tracking", "feature extraction", "extrinsics"];
+        for (i, name) in names.iter().enumerate() {
+            let own = if i == 3 { number(ours.stage_us(1) * 1e-3, 5) } else { String::new() };
+            csv.row(&[(*name).into(), number(PUBLISHED_MS[i], 2), number(recipe.stage_us(i) * 1e-3, 4), own]);
+        }
+        csv.row(&[
+            "flow, tracking and extraction".into(),
+            number(PUBLISHED_MS[..3].iter().sum(), 2),
+            number((0..3).map(|i| recipe.stage_us(i)).sum::<f64>() * 1e-3, 4),
+            number(ours.stage_us(0) * 1e-3, 5),
+        ]);
+        csv.row(&[
+            "total".into(),
+            number(PUBLISHED_MS.iter().sum(), 2),
+            number(recipe.median_us() * 1e-3, 4),
+            number(ours.median_us() * 1e-3, 5),
+        ]);
+        csv
+    }
+
+    /// Mean error and deviation of each method over the run.
+    pub fn fig_12(&self) -> Csv {
+        let mut csv = Csv::new("method,mean_mm,std_mm,mean_deg,std_deg");
+        for (name, r) in &self.records {
+            let (mm, deg) = (mean_and_deviation(&r.millimetres), mean_and_deviation(&r.degrees));
+            csv.row(&[(*name).into(), number(mm.0, 4), number(mm.1, 4), number(deg.0, 5), number(deg.1, 5)]);
+        }
+        csv
+    }
+}

@@ -1,0 +1,63 @@
+//! The rivals and our own tracker behind one call: a picture in, points and a pose out, with the time of each stage.
+
+mod april;
+mod aruco;
+mod ours;
+mod pose;
+mod recipe;
+mod sift;
+
+pub use april::{AprilTag, tag_picture};
+pub use aruco::Aruco;
+pub use ours::Ours;
+pub use pose::{gauss_newton, pose_from_centroids};
+pub use recipe::Recipe;
+pub use sift::{CELLS, Sift, texture};
+
+use crate::scene::Picture;
+use anyhow::Result;
+use nalgebra::{Isometry3, Vector2};
+use std::time::Duration;
+
+/// Which plate a method looks at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Carrier {
+    /// Four coloured squares.
+    Markers,
+    /// A tag36h11 tag.
+    Tag,
+    /// A texture.
+    Texture,
+}
+
+/// What a method made of one picture.
+#[derive(Clone, Debug, Default)]
+pub struct Estimate {
+    /// `camera_from_volant`.
+    pub camera_from_volant: Option<Isometry3<f64>>,
+    /// Measured points: number of the marker or corner, px.
+    pub points: Vec<(usize, Vector2<f64>)>,
+    /// Time of each stage, in the order of [`Method::stages`].
+    pub stages: Vec<Duration>,
+}
+
+impl Estimate {
+    /// The whole.
+    pub fn time(&self) -> Duration {
+        self.stages.iter().sum()
+    }
+}
+
+/// A way to a pose.
+pub trait Method {
+    /// Its name in tables.
+    fn name(&self) -> &'static str;
+    /// What it looks at.
+    fn carrier(&self) -> Carrier;
+    /// What its stages are called.
+    fn stages(&self) -> &'static [&'static str];
+    /// The next picture. Rivals that work on grey pictures are given one: its making is not counted.
+    fn estimate(&mut self, picture: &Picture) -> Result<Estimate>;
+    /// Forgets what it followed: the next picture is searched as a whole.
+    fn forget(&mut self);
+}

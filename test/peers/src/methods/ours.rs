@@ -1,0 +1,119 @@
+//! The project's own tracker, as a node drives it, and the pose by Gauss–Newton from the previous one.
+
+use super::{Carrier, Estimate, Method, gauss_newton, pose_from_centroids};
+use crate::clock::Clock;
+use crate::scene::{Picture, Pinhole};
+use anyhow::Result;
+use marker_tracker::{ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig};
+use nalgebra::Isometry3;
+use rig_model::{CameraModel, MarkerLayout, MarkerObservations, MarkerState, Stamp};
+use std::time::Duration;
+
+/// Tracker and pose.
+pub struct Ours {
+    layout: MarkerLayout,
+    pinhole: Pinhole,
+    camera: CameraModel,
+    config: TrackerConfig,
+    tracker: Tracker,
+    pose: Option<Isometry3<f64>>,
+    stamp: i64,
+    /// What the tracker said to the last picture.
+    pub observed: Option<MarkerObservations>,
+    /// What it warned of.
+    pub warnings: Vec<String>,
+}
+
+impl Ours {
+    /// A tracker that has seen nothing yet.
+    pub fn new(camera: &Pinhole, layout: MarkerLayout, config: TrackerConfig) -> Self {
+        let mut ours = Self {
+            tracker: Tracker::new(layout.clone(), config.clone()),
+            camera: camera.model(),
+            pinhole: *camera,
+            layout,
+            config,
+            pose: None,
+            stamp: 1_000_000_000,
+            observed: None,
+            warnings: Vec::new(),
+        };
+        ours.forget();
+        ours
+    }
+
+    /// The tracker alone: time from pixels to the finished observations, 30 pictures a second.
+    pub fn track(&mut self, picture: &Picture) -> Duration {
+        self.stamp += 33_333_333;
+        let view = ImageView {
+            stamp: Stamp::from_nanos(self.stamp),
+            width: picture.width,
+            height: picture.height,
+            step: 3 * picture.width,
+            format: PixelFormat::Rgb8,
+            data: &picture.rgb,
+        };
+        self.observed = None;
+        let start = Clock::start();
+        self.tracker.handle(Input::Image(view));
+        let mut time = start.elapsed();
+        while let Some(output) = self.tracker.poll() {
+            match output {
+                Output::Observations(o) => {
+                    time = start.elapsed();
+                    self.observed = Some(o);
+                }
+                Output::Warning(w) => self.warnings.push(w.to_string()),
+                #[allow(unreachable_patterns)] // the tracker may tell more than this bench listens to
+                _ => {}
+            }
+        }
+        time
+    }
+}
+
+impl Method for Ours {
+    fn name(&self) -> &'static str {
+        "volant: all criteria, and pose"
+    }
+
+    fn carrier(&self) -> Carrier {
+        Carrier::Markers
+    }
+
+    fn stages(&self) -> &'static [&'static str] {
+        &["tracker", "extrinsics"]
+    }
+
+    fn estimate(&mut self, picture: &Picture) -> Result<Estimate> {
+        let tracked = self.track(picture);
+        let Some(observed) = &self.observed else {
+            return Ok(Estimate { stages: vec![tracked], ..Estimate::default() });
+        };
+        let start = Clock::start();
+        let from_prior = self
+            .pose
+            .and_then(|prior| gauss_newton(&self.layout, &self.camera, observed, &prior))
+            .map(|p| p.0);
+        let pose = match from_prior {
+            Some(pose) => Some(pose),
+            None => pose_from_centroids(&self.layout, &self.pinhole, &self.camera, observed)?,
+        };
+        let extrinsics = start.elapsed();
+        self.pose = pose;
+        let points = observed
+            .markers
+            .iter()
+            .filter(|(_, m)| m.state == MarkerState::Detected)
+            .map(|(c, m)| (c.index(), m.centroid))
+            .collect();
+        Ok(Estimate { camera_from_volant: pose, points, stages: vec![tracked, extrinsics] })
+    }
+
+    fn forget(&mut self) {
+        self.tracker = Tracker::new(self.layout.clone(), self.config.clone());
+        self.tracker.handle(Input::Camera(self.camera.clone()));
+        while self.tracker.poll().is_some() {}
+        self.pose = None;
+    }
+}

@@ -1,0 +1,139 @@
+//! From points to a pose: OpenCV's solvers for the rivals, Gauss–Newton on centroids for ours.
+
+use crate::scene::Pinhole;
+use anyhow::Result;
+use nalgebra::{
+    Isometry3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3,
+    Vector6,
+};
+use opencv::{calib3d, core, prelude::*};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState};
+
+/// OpenCV's camera matrix.
+pub fn camera_matrix(camera: &Pinhole) -> Result<core::Mat> {
+    let c = camera.centre();
+    Ok(core::Mat::from_slice_2d(&[[camera.focal, 0.0, c.x], [0.0, camera.focal, c.y], [0.0, 0.0, 1.0]])?)
+}
+
+fn to_isometry(rvec: &core::Mat, tvec: &core::Mat) -> Result<Isometry3<f64>> {
+    let read = |m: &core::Mat| -> Result<Vector3<f64>> {
+        Ok(Vector3::new(*m.at::<f64>(0)?, *m.at::<f64>(1)?, *m.at::<f64>(2)?))
+    };
+    Ok(Isometry3::from_parts(
+        Translation3::from(read(tvec)?),
+        UnitQuaternion::from_rotation_matrix(&Rotation3::new(read(rvec)?)),
+    ))
+}
+
+/// `solvePnP` by `flag`, then refined by Levenberg–Marquardt where `refine` says so.
+pub fn solve_pnp(
+    matrix: &core::Mat,
+    object: &core::Vector<core::Point3d>,
+    image: &core::Vector<core::Point2d>,
+    flag: calib3d::SolvePnPMethod,
+    refine: bool,
+) -> Result<Option<Isometry3<f64>>> {
+    let (mut rvec, mut tvec) = (core::Mat::default(), core::Mat::default());
+    let none = core::no_array();
+    if !calib3d::solve_pnp(object, image, matrix, &none, &mut rvec, &mut tvec, false, flag as i32)? {
+        return Ok(None);
+    }
+    if refine {
+        calib3d::solve_pnp_refine_lm_def(object, image, matrix, &none, &mut rvec, &mut tvec)?;
+    }
+    Ok(Some(to_isometry(&rvec, &tvec)?))
+}
+
+/// A point of a body as OpenCV has it.
+pub fn point3(p: &Point3<f64>) -> core::Point3d {
+    core::Point3d::new(p.x, p.y, p.z)
+}
+
+/// A pixel as OpenCV has it.
+pub fn point2(p: &Vector2<f64>) -> core::Point2d {
+    core::Point2d::new(p.x, p.y)
+}
+
+/// Gauss–Newton on the centroids of the projected squares, weighted by their covariances, from a prior pose.
+/// Returns the pose and the weighted sum of squares; `None` with less than four markers or without a solution.
+pub fn gauss_newton(
+    layout: &MarkerLayout,
+    camera: &CameraModel,
+    observed: &MarkerObservations,
+    prior: &Isometry3<f64>,
+) -> Option<(Isometry3<f64>, f64)> {
+    let mut pose = *prior;
+    let mut last = f64::MAX;
+    for _ in 0..12 {
+        let (mut normal, mut right, mut cost, mut used) = (Matrix6::zeros(), Vector6::zeros(), 0.0, 0);
+        for (color, marker) in observed.markers.iter() {
+            if marker.state != MarkerState::Detected {
+                continue;
+            }
+            let predicted = layout.projected_centroid(color, camera, &pose)?;
+            let weight = marker.covariance.try_inverse()?;
+            let residual = marker.centroid - predicted.pixel;
+            let arm = pose.rotation * layout.centres[color].coords;
+            let mut motion = SMatrix::<f64, 3, 6>::zeros();
+            motion.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
+            motion.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-arm.cross_matrix()));
+            let jacobian = predicted.jacobian_by_centre * motion;
+            let weighted = jacobian.transpose() * weight;
+            normal += weighted * jacobian;
+            right += weighted * residual;
+            cost += residual.dot(&(weight * residual));
+            used += 1;
+        }
+        if used < 4 {
+            return None;
+        }
+        let step = normal.cholesky()?.solve(&right);
+        pose.translation.vector += step.fixed_rows::<3>(0);
+        pose.rotation =
+            UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned()) * pose.rotation;
+        if step.norm() < 1e-7 || (last - cost).abs() < 1e-9 * (1.0 + cost) {
+            return (pose.translation.vector.z > 0.05).then_some((pose, cost));
+        }
+        last = cost;
+    }
+    (pose.translation.vector.z > 0.05).then_some((pose, last))
+}
+
+/// The pose without a prior: both of IPPE's solutions, each refined, and the better one.
+pub fn pose_from_centroids(
+    layout: &MarkerLayout,
+    pinhole: &Pinhole,
+    camera: &CameraModel,
+    observed: &MarkerObservations,
+) -> Result<Option<Isometry3<f64>>> {
+    if observed.markers.0.iter().any(|m| m.state != MarkerState::Detected) {
+        return Ok(None);
+    }
+    let object: core::Vector<core::Point3d> =
+        MarkerColor::ALL.iter().map(|&c| point3(&layout.centres[c])).collect();
+    let image: core::Vector<core::Point2d> = observed.markers.0.iter().map(|m| point2(&m.centroid)).collect();
+    let (mut rvecs, mut tvecs) = (core::Vector::<core::Mat>::new(), core::Vector::<core::Mat>::new());
+    calib3d::solve_pnp_generic(
+        &object,
+        &image,
+        &camera_matrix(pinhole)?,
+        &core::no_array(),
+        &mut rvecs,
+        &mut tvecs,
+        false,
+        calib3d::SolvePnPMethod::SOLVEPNP_IPPE,
+        &core::no_array(),
+        &core::no_array(),
+        &mut core::no_array(),
+    )?;
+    let mut best: Option<(Isometry3<f64>, f64)> = None;
+    for i in 0..rvecs.len() {
+        let start = to_isometry(&rvecs.get(i)?, &tvecs.get(i)?)?;
+        if let Some(found) = gauss_newton(layout, camera, observed, &start)
+            && best.is_none_or(|b| found.1 < b.1)
+        {
+            best = Some(found);
+        }
+    }
+    Ok(best.map(|b| b.0))
+}

@@ -1,0 +1,94 @@
+//! The bench's standard pictures: one pose, three carriers of one footprint, the same light, floor and noise.
+
+use crate::{
+    methods::{Carrier, tag_picture},
+    scene::{Canvas, Floor, Light, MarkerTruth, Picture, Pinhole, Plate, Rng, Thing},
+    sift_texture,
+};
+use anyhow::Result;
+use nalgebra::{Isometry3, Vector2};
+use std::f64::consts::TAU;
+
+/// Edge of what the plates carry, m.
+pub const FOOTPRINT: f64 = 0.376;
+
+/// Paper as bright as it is sold: red, green, blue, yellow as the sensor sees them.
+pub const VIVID: [[f32; 3]; 4] =
+    [[205.0, 30.0, 35.0], [30.0, 180.0, 60.0], [30.0, 65.0, 200.0], [215.0, 200.0, 30.0]];
+
+/// Pale paper: a layer difference of 95 to 135 grey levels.
+pub const MUTED: [[f32; 3]; 4] =
+    [[190.0, 80.0, 85.0], [80.0, 175.0, 105.0], [75.0, 110.0, 180.0], [200.0, 185.0, 80.0]];
+
+/// Plates, floor and canvas.
+pub struct Stage {
+    /// The camera.
+    pub camera: Pinhole,
+    canvas: Canvas,
+    floor: Floor,
+    plates: [Plate; 3],
+    seed: u64,
+}
+
+impl Stage {
+    /// With clutter of other colours on the floor.
+    pub fn new(camera: Pinhole, seed: u64) -> Result<Self> {
+        let mut rng = Rng::new(seed);
+        let mut floor = Floor::new(camera.width, camera.height, 4, [150.0, 146.0, 138.0], &mut rng);
+        let things: Vec<Thing> = (0..30)
+            .map(|_| {
+                let gray = rng.within(50.0, 190.0) as f32;
+                let tint = [0; 3].map(|_| rng.within(-28.0, 28.0) as f32);
+                Thing::rectangle(
+                    Vector2::new(rng.within(0.0, camera.width as f64), rng.within(0.0, camera.height as f64)),
+                    Vector2::new(rng.within(8.0, 70.0), rng.within(8.0, 70.0)),
+                    rng.within(0.0, TAU),
+                    tint.map(|t| gray + t),
+                )
+            })
+            .collect();
+        floor.strew(&things);
+        let plates = [
+            Plate::markers(VIVID, &mut rng),
+            Plate::cells(10, tag_picture()?),
+            Plate::cells(sift_texture::CELLS, sift_texture::texture(seed)),
+        ];
+        Ok(Self { canvas: Canvas::new(camera.width, camera.height), camera, floor, plates, seed })
+    }
+
+    /// The plate that bears `carrier`.
+    pub fn plate(&self, carrier: Carrier) -> &Plate {
+        &self.plates[carrier as usize]
+    }
+
+    /// The picture `number` of a carrier at a pose: noise σ = 3, ±10 % of light over time and over the picture.
+    pub fn shoot(&mut self, carrier: Carrier, pose: &Isometry3<f64>, number: usize) -> Picture {
+        let phase = number as f64;
+        let light = Light {
+            gain: 1.0 + 0.1 * (0.061 * phase).sin(),
+            shading: 0.1,
+            direction: 0.043 * phase,
+            ..Light::default()
+        };
+        self.floor.copy_to(&mut self.canvas, Vector2::zeros());
+        self.plates[carrier as usize].draw(&mut self.canvas, &self.camera, &[*pose]);
+        let mut rng =
+            Rng::new(self.seed ^ (number as u64 * 3 + carrier as u64 + 1).wrapping_mul(0x2545_f491));
+        self.canvas.expose(&light, &mut rng)
+    }
+
+    /// Where the markers, or the corners of the tag's black square, truly are.
+    pub fn truth(&self, carrier: Carrier, pose: &Isometry3<f64>) -> Vec<Vector2<f64>> {
+        match carrier {
+            Carrier::Markers => {
+                let truth: [MarkerTruth; 4] = self.plates[0].truth(&self.camera, &[*pose], &[]);
+                truth.iter().map(|t| t.centroid).collect()
+            }
+            Carrier::Tag => {
+                let h = 0.4 * FOOTPRINT;
+                self.camera.polygon(pose, &[[-h, h], [h, h], [h, -h], [-h, -h]], 0.0)
+            }
+            Carrier::Texture => Vec::new(),
+        }
+    }
+}
