@@ -38,6 +38,14 @@ pub enum ArgumentError {
         /// The option.
         option: String,
     },
+    /// An argument outside of `--ros-args` that the program does not have.
+    #[error("`{argument}` is not known{hint}")]
+    UnknownArgument {
+        /// The argument.
+        argument: String,
+        /// ` (did you mean …?)` or nothing.
+        hint: String,
+    },
     /// A parameter file that cannot be opened.
     #[error("the parameter file {path}: {source}")]
     Unreadable {

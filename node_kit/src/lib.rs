@@ -8,12 +8,24 @@
 //! and [`convert`], the one place where ROS messages and `rig_model`'s types meet.
 
 pub mod args;
+pub mod environment;
+#[cfg(feature = "dds")]
+mod inbox;
 pub mod level;
 pub mod names;
+#[cfg(feature = "dds")]
+pub mod node;
 pub mod parameters;
+pub mod qos;
 
 pub use args::RosArguments;
 pub use level::Level;
 pub use names::NodeName;
+#[cfg(feature = "dds")]
+pub use node::{
+    Clock, DeviceSender, Health, Kit, Logger, NodeError, NodeShell, Process, Publisher, run_node,
+    run_node_with,
+};
 pub use parameters::{ParameterError, ParameterSet};
+pub use qos::QosPreset;
 pub use rig_model::Stamp;

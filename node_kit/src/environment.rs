@@ -1,0 +1,139 @@
+//! What ROS 2's environment variables say about the network.
+
+use std::net::{IpAddr, Ipv4Addr};
+use thiserror::Error;
+
+/// An environment variable that cannot be.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("the environment variable {name}={value} is not understood; expected {expected}")]
+pub struct EnvironmentError {
+    /// Its name.
+    pub name: &'static str,
+    /// Its value.
+    pub value: String,
+    /// What it may be.
+    pub expected: &'static str,
+}
+
+/// How far discovery reaches.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DiscoveryRange {
+    /// Only this host: `ROS_LOCALHOST_ONLY=1`, or `ROS_AUTOMATIC_DISCOVERY_RANGE` `LOCALHOST` or `OFF`. (RustDDS cannot
+    /// be kept from finding peers on the host, so `OFF` is as narrow as it gets.)
+    Localhost,
+    /// The local network: `SUBNET` and `SYSTEM_DEFAULT`, and ROS 2's default.
+    #[default]
+    Subnet,
+}
+
+/// Which service wire format the peers speak.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ServiceFlavour {
+    /// Fast DDS, Connext and RustDDS: the request's identity travels beside the payload.
+    #[default]
+    Enhanced,
+    /// Cyclone DDS: it travels inside.
+    Cyclone,
+}
+
+/// The network that a process takes part in.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Network {
+    /// `ROS_DOMAIN_ID`, 0 to 232.
+    pub domain_id: u16,
+    /// How far discovery reaches.
+    pub range: DiscoveryRange,
+    /// From `RMW_IMPLEMENTATION`.
+    pub services: ServiceFlavour,
+}
+
+impl Network {
+    /// From the environment of this process.
+    ///
+    /// # Errors
+    /// A variable with a value that ROS 2 does not know.
+    pub fn from_environment() -> Result<Self, EnvironmentError> {
+        Self::from_variables(|name| std::env::var(name).ok())
+    }
+
+    /// From variables; an empty one counts as not set, as in rcl.
+    ///
+    /// # Errors
+    /// As [`Network::from_environment`].
+    pub fn from_variables(get: impl Fn(&str) -> Option<String>) -> Result<Self, EnvironmentError> {
+        let get = |name| get(name).filter(|value| !value.is_empty());
+        let wrong = |name, value: String, expected| EnvironmentError { name, value, expected };
+        let domain_id = match get("ROS_DOMAIN_ID") {
+            None => 0,
+            Some(value) => value.parse().ok().filter(|id| *id <= 232).ok_or_else(|| {
+                wrong("ROS_DOMAIN_ID", value, "a number from 0 to 232 (UDP has no ports for more)")
+            })?,
+        };
+        let range = match (get("ROS_LOCALHOST_ONLY").as_deref(), get("ROS_AUTOMATIC_DISCOVERY_RANGE")) {
+            (Some("1"), _) => DiscoveryRange::Localhost,
+            (_, None) => DiscoveryRange::default(),
+            (_, Some(value)) => match value.as_str() {
+                "LOCALHOST" | "OFF" => DiscoveryRange::Localhost,
+                "SUBNET" | "SYSTEM_DEFAULT" => DiscoveryRange::Subnet,
+                _ => {
+                    return Err(wrong(
+                        "ROS_AUTOMATIC_DISCOVERY_RANGE",
+                        value,
+                        "SUBNET, LOCALHOST, OFF or SYSTEM_DEFAULT",
+                    ));
+                }
+            },
+        };
+        let services = match get("RMW_IMPLEMENTATION").as_deref() {
+            Some("rmw_cyclonedds_cpp") => ServiceFlavour::Cyclone,
+            _ => ServiceFlavour::Enhanced,
+        };
+        Ok(Self { domain_id, range, services })
+    }
+
+    /// The addresses that discovery is limited to; `None` for all of the host's.
+    pub fn only_addresses(&self) -> Option<Vec<IpAddr>> {
+        match self.range {
+            DiscoveryRange::Localhost => Some(vec![IpAddr::V4(Ipv4Addr::LOCALHOST)]),
+            DiscoveryRange::Subnet => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn network(variables: &[(&str, &str)]) -> Result<Network, EnvironmentError> {
+        Network::from_variables(|name| {
+            variables.iter().find(|(n, _)| *n == name).map(|(_, value)| (*value).to_owned())
+        })
+    }
+
+    #[test]
+    fn the_variables_are_rcl_s() {
+        assert_eq!(network(&[]).unwrap(), Network::default());
+        assert_eq!(network(&[("ROS_DOMAIN_ID", "")]).unwrap().domain_id, 0);
+        assert_eq!(network(&[("ROS_DOMAIN_ID", "42")]).unwrap().domain_id, 42);
+        for (variables, range) in [
+            (vec![("ROS_LOCALHOST_ONLY", "1")], DiscoveryRange::Localhost),
+            (vec![("ROS_LOCALHOST_ONLY", "0")], DiscoveryRange::Subnet),
+            (vec![("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")], DiscoveryRange::Localhost),
+            (vec![("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")], DiscoveryRange::Subnet),
+        ] {
+            assert_eq!(network(&variables).unwrap().range, range, "{variables:?}");
+        }
+        let cyclone = network(&[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]).unwrap();
+        assert_eq!(cyclone.services, ServiceFlavour::Cyclone);
+    }
+
+    #[test]
+    fn a_value_that_cannot_be_is_named() {
+        for (name, value) in
+            [("ROS_DOMAIN_ID", "233"), ("ROS_DOMAIN_ID", "x"), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FAR")]
+        {
+            let error = network(&[(name, value)]).unwrap_err().to_string();
+            assert!(error.contains(name) && error.contains(value), "{error}");
+        }
+    }
+}

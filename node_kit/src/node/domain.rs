@@ -1,0 +1,194 @@
+//! The process's place in the DDS domain: one participant for all of its nodes, and who is at the other end of their
+//! topics.
+//!
+//! ros2-client's own spinner is not used: it would subscribe to `/clock` with a wrong type, and two of them on one
+//! participant take each other's events. What it would tell is read from discovery here.
+
+use super::{NodeError, hub::Hub};
+use crate::{environment::Network, inbox::now, level::Level, node::logger::Logger};
+use futures_lite::{Stream, StreamExt};
+use ros2_client::{Context, Gid};
+use rustdds::{DomainParticipantBuilder, DomainParticipantStatusEvent, GUID, StatusEvented};
+use std::{
+    collections::HashSet,
+    pin::pin,
+    sync::{
+        Arc, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    task::{Context as TaskContext, Poll, Wake, Waker},
+    thread::{JoinHandle, Thread},
+    time::{Duration, Instant},
+};
+
+/// The participant, the hub of its nodes, and the thread that watches discovery.
+pub(crate) struct Domain {
+    pub context: Context,
+    pub hub: Arc<Hub>,
+    pub network: Network,
+    stop: Arc<AtomicBool>,
+    watcher: Option<JoinHandle<()>>,
+}
+
+/// Events can be lost when many come at once (RustDDS keeps 2048), so the state is read again this often without one.
+const BACKSTOP: Duration = Duration::from_secs(2);
+/// Events come in bursts; the state is read once for each burst.
+const SETTLE: Duration = Duration::from_millis(5);
+
+impl Domain {
+    pub fn join(network: Network, log: Logger) -> Result<Self, NodeError> {
+        let failed = |reason: String| NodeError::Middleware {
+            what: format!("the participant in domain {}", network.domain_id),
+            reason,
+        };
+        let mut builder = DomainParticipantBuilder::new(network.domain_id);
+        if let Some(addresses) = network.only_addresses() {
+            builder = builder.with_only_networks(addresses);
+        }
+        let participant = builder.build().map_err(|e| failed(e.to_string()))?;
+        let context = Context::from_domain_participant(participant).map_err(|e| failed(e.to_string()))?;
+        let hub = Arc::<Hub>::default();
+        let stop = Arc::<AtomicBool>::default();
+        let watcher = std::thread::Builder::new()
+            .name("dds_graph".into())
+            .spawn({
+                let (context, hub, stop) = (context.clone(), Arc::clone(&hub), Arc::clone(&stop));
+                move || watch(&context, &hub, &stop, &log)
+            })
+            .map_err(|source| NodeError::System { what: "a thread".into(), source })?;
+        Ok(Self { context, hub, network, stop, watcher: Some(watcher) })
+    }
+
+    /// Has the other ends of the topics read again soon: a topic is new.
+    pub fn refresh(&self) {
+        if let Some(watcher) = &self.watcher {
+            watcher.thread().unpark();
+        }
+    }
+}
+
+impl Drop for Domain {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        if let Some(watcher) = self.watcher.take() {
+            watcher.thread().unpark();
+            let _ = watcher.join();
+        }
+        // The context drops after this, with the last handle to the participant.
+    }
+}
+
+struct Unpark(Thread);
+
+impl Wake for Unpark {
+    fn wake(self: Arc<Self>) {
+        self.0.unpark();
+    }
+}
+
+fn watch(context: &Context, hub: &Hub, stop: &AtomicBool, log: &Logger) {
+    let participant = context.domain_participant();
+    let listener = participant.status_listener();
+    let mut events = pin!(listener.as_async_status_stream());
+    let waker = Waker::from(Arc::new(Unpark(std::thread::current())));
+    let mut said = HashSet::new();
+    while !stop.load(Ordering::Acquire) {
+        read_endpoints(&participant, hub, log, &mut said);
+        let deadline = now() + BACKSTOP;
+        wait(&waker, deadline);
+        let mut any = drain(&mut events, &waker, log, &mut said);
+        while any && !stop.load(Ordering::Acquire) {
+            std::thread::sleep(SETTLE);
+            any = drain(&mut events, &waker, log, &mut said);
+        }
+    }
+}
+
+fn wait(_: &Waker, deadline: Instant) {
+    std::thread::park_timeout(deadline.saturating_duration_since(now()));
+}
+
+/// Reads all events that are there; with none left, the waker is registered for the next.
+fn drain<S: Stream<Item = DomainParticipantStatusEvent> + Unpin>(
+    events: &mut S,
+    waker: &Waker,
+    log: &Logger,
+    said: &mut HashSet<(GUID, GUID)>,
+) -> bool {
+    let mut any = false;
+    let mut task = TaskContext::from_waker(waker);
+    while let Poll::Ready(Some(event)) = events.poll_next(&mut task) {
+        any = true;
+        let (here, there) = match &event {
+            DomainParticipantStatusEvent::RemoteReaderQosIncompatible {
+                local_writer, remote_reader, ..
+            } => (*local_writer, *remote_reader),
+            DomainParticipantStatusEvent::RemoteWriterQosIncompatible {
+                local_reader, remote_writer, ..
+            } => (*local_reader, *remote_writer),
+            _ => continue,
+        };
+        // An endpoint is announced again and again; the mismatch is said once.
+        if said.len() < 10_000 && said.insert((here, there)) {
+            log.log(
+                Level::Warn,
+                "a publisher and a subscription of the same topic do not match for their quality of service \
+                 (`ros2 topic info -v` shows both); set qos_overrides.<topic>.…",
+            );
+        }
+    }
+    any
+}
+
+fn read_endpoints(
+    participant: &rustdds::DomainParticipant,
+    hub: &Hub,
+    log: &Logger,
+    said: &mut HashSet<(GUID, GUID)>,
+) {
+    let topics = hub.topics();
+    if topics.is_empty() {
+        return;
+    }
+    let (readers, writers) = (participant.discovered_readers(), participant.discovered_writers());
+    for (name, type_name, state) in topics {
+        let dds_name = format!("rt{name}");
+        let dds_type = dds_type_name(type_name);
+        let count = readers
+            .iter()
+            .filter(|r| {
+                r.subscription_topic_data.topic_name() == &dds_name
+                    && r.subscription_topic_data.type_name() == &dds_type
+            })
+            .count();
+        state.remote_readers.store(count, Ordering::Relaxed);
+        let mut foreign = HashSet::new();
+        let mut matching = 0;
+        for writer in writers.iter().map(|w| &w.publication_topic_data).filter(|w| w.topic_name == dds_name) {
+            if writer.type_name == dds_type {
+                matching += 1;
+                continue;
+            }
+            foreign.insert(Gid::from(writer.key));
+            if said.len() < 10_000 && said.insert((writer.key, writer.key)) {
+                log.log(
+                    Level::Warn,
+                    format!(
+                        "somebody publishes {} on {name}, which is {type_name} here; those messages are refused",
+                        writer.type_name
+                    ),
+                );
+            }
+        }
+        state.remote_writers.store(matching, Ordering::Relaxed);
+        *state.foreign_writers.write().unwrap_or_else(PoisonError::into_inner) = foreign;
+    }
+}
+
+/// `sensor_msgs/msg/Imu` as `sensor_msgs::msg::dds_::Imu_`.
+pub(crate) fn dds_type_name(type_name: &str) -> String {
+    match type_name.rsplit_once('/') {
+        Some((package, name)) => format!("{}::dds_::{name}_", package.replace('/', "::")),
+        None => type_name.to_owned(),
+    }
+}

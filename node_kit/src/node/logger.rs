@@ -1,0 +1,76 @@
+//! Lines of the log: on standard error as rclcpp writes them, and on `/rosout`.
+
+use super::{clock::Clock, publisher::Publisher};
+use crate::{inbox::now, level::Level};
+use std::{
+    collections::HashMap,
+    io::Write,
+    sync::{Arc, Mutex, OnceLock, PoisonError},
+    time::{Duration, Instant},
+};
+use volant_msgs::{builtin_interfaces::msg::Time, rcl_interfaces::msg::Log};
+
+/// Writes lines of one node. Clones write for the same node, from any thread.
+#[derive(Clone)]
+pub struct Logger(Arc<State>);
+
+struct State {
+    name: String,
+    level: Level,
+    clock: Clock,
+    rosout: OnceLock<Publisher<Log>>,
+    throttled: Mutex<HashMap<String, Instant>>,
+}
+
+impl Logger {
+    pub(crate) fn new(name: String, level: Level, clock: Clock) -> Self {
+        Self(Arc::new(State { name, level, clock, rosout: OnceLock::new(), throttled: Mutex::default() }))
+    }
+
+    pub(crate) fn connect(&self, rosout: Publisher<Log>) {
+        let _ = self.0.rosout.set(rosout);
+    }
+
+    /// Writes a line, unless the node's level is above it.
+    pub fn log(&self, level: Level, text: impl AsRef<str>) {
+        let (state, text) = (&*self.0, text.as_ref());
+        if level < state.level {
+            return;
+        }
+        let stamp = state.clock.now();
+        // A closed terminal is no reason to stop.
+        let _ = writeln!(std::io::stderr(), "[{level}] [{stamp}] [{}]: {text}", state.name);
+        if let Some(rosout) = state.rosout.get() {
+            let (sec, nanosec) = stamp.to_sec_nanosec();
+            rosout.publish(Log {
+                stamp: Time { sec, nanosec },
+                level: level as u8,
+                name: state.name.clone(),
+                msg: text.to_owned(),
+                ..Log::default()
+            });
+        }
+    }
+
+    /// [`Logger::log`], but not the same `key` again within `period`.
+    pub fn throttled(&self, level: Level, key: &str, period: Duration, text: impl AsRef<str>) {
+        let now = now();
+        {
+            let mut said = self.0.throttled.lock().unwrap_or_else(PoisonError::into_inner);
+            if said.get(key).is_some_and(|at| now.duration_since(*at) < period) {
+                return;
+            }
+            // Keys are few (one per kind of warning), but nothing here may grow without bound.
+            if said.len() >= 256 {
+                said.clear();
+            }
+            said.insert(key.to_owned(), now);
+        }
+        self.log(level, text);
+    }
+
+    /// The name in each line: `rig1.pose_fusion`.
+    pub fn name(&self) -> &str {
+        &self.0.name
+    }
+}

@@ -1,0 +1,298 @@
+//! Several nodes in one process: each on its own thread, one DDS participant for all, messages handed over as `Arc`s.
+
+use super::{
+    NodeError, NodeShell,
+    clock::Clock,
+    domain::Domain,
+    kit::{Event, Kit, KitParts},
+    logger::Logger,
+};
+use crate::{
+    args::{Override, RosArguments},
+    environment::Network,
+    inbox::{Inbox, Taken, now},
+    level::Level,
+    names::NodeName,
+    parameters::{ParameterSet, ParameterStore, common_descriptors},
+};
+use std::{
+    collections::BTreeMap,
+    sync::{
+        Arc,
+        mpsc::{Receiver, SyncSender, sync_channel},
+    },
+    thread::JoinHandle,
+    time::Duration,
+};
+
+/// A process with nodes in it.
+///
+/// ```no_run
+/// # use node_kit::node::{Kit, NodeError, NodeShell, Process};
+/// # struct Camera; struct Tracker;
+/// # impl NodeShell for Camera { const NAME: &'static str = "camera"; type Parameters = (); type Input = ();
+/// #     fn start(_: &mut Kit<()>, _: ()) -> Result<Self, NodeError> { Ok(Self) } fn handle(&mut self, _: &mut Kit<()>, _: ()) {} }
+/// # impl NodeShell for Tracker { const NAME: &'static str = "tracker"; type Parameters = (); type Input = ();
+/// #     fn start(_: &mut Kit<()>, _: ()) -> Result<Self, NodeError> { Ok(Self) } fn handle(&mut self, _: &mut Kit<()>, _: ()) {} }
+/// # fn main() -> Result<(), NodeError> {
+/// let (ros, _) = node_kit::RosArguments::parse(std::env::args().skip(1))?;
+/// let mut process = Process::from_environment()?;
+/// process.start::<Camera>(&ros)?;
+/// process.start::<Tracker>(&ros)?;
+/// process.stop_on_signals()?;
+/// process.wait()
+/// # }
+/// ```
+pub struct Process {
+    nodes: Vec<Running>,
+    ended: Receiver<Ended>,
+    ended_sender: SyncSender<Ended>,
+    log: Logger,
+    domain: Arc<Domain>,
+}
+
+struct Running {
+    name: String,
+    close: Box<dyn Fn() + Send>,
+    thread: JoinHandle<Result<(), NodeError>>,
+}
+
+/// What wakes [`Process::wait`].
+enum Ended {
+    Node,
+    Stop,
+}
+
+/// Asks a [`Process`] to stop, from any thread.
+#[derive(Clone)]
+pub struct Stopper(SyncSender<Ended>);
+
+impl Stopper {
+    /// Asks; returns at once. Asking again changes nothing.
+    pub fn stop(&self) {
+        let _ = self.0.try_send(Ended::Stop);
+    }
+}
+
+impl Process {
+    /// Joins the DDS domain that the environment names.
+    ///
+    /// # Errors
+    /// A variable that cannot be, or DDS's refusal.
+    pub fn from_environment() -> Result<Self, NodeError> {
+        let network = Network::from_environment().map_err(|e| NodeError::Environment {
+            name: e.name,
+            value: e.value,
+            expected: e.expected,
+        })?;
+        Self::new(network)
+    }
+
+    /// Joins a DDS domain.
+    ///
+    /// # Errors
+    /// DDS's refusal.
+    pub fn new(network: Network) -> Result<Self, NodeError> {
+        let log = Logger::new("volant".to_owned(), Level::Info, Clock::default());
+        let domain = Arc::new(Domain::join(network, log.clone())?);
+        let (ended_sender, ended) = sync_channel(64);
+        Ok(Self { nodes: Vec::new(), ended, ended_sender, log, domain })
+    }
+
+    /// Starts a node; returns when its [`NodeShell::start`] has.
+    ///
+    /// # Errors
+    /// Names or parameters that cannot be, or what the node's start says.
+    pub fn start<S: NodeShell>(&mut self, arguments: &RosArguments) -> Result<(), NodeError> {
+        let name = arguments.node_name(S::NAME)?;
+        let overrides = arguments.overrides(&name);
+        self.start_node::<S>(name, arguments, overrides)
+    }
+
+    fn start_node<S: NodeShell>(
+        &mut self,
+        name: NodeName,
+        arguments: &RosArguments,
+        overrides: BTreeMap<String, Override>,
+    ) -> Result<(), NodeError> {
+        let mut descriptors = S::Parameters::descriptors();
+        descriptors.extend(common_descriptors());
+        let store = ParameterStore::new(descriptors, overrides)?;
+        let clock = Clock::default();
+        let logger = Logger::new(
+            name.fully_qualified().trim_start_matches('/').replace('/', "."),
+            arguments.level(&name),
+            clock.clone(),
+        );
+        let parts = KitParts {
+            remaps: arguments.remaps(),
+            rosout: arguments.rosout(),
+            name: name.clone(),
+            store,
+            clock,
+            logger,
+        };
+        let inbox = Inbox::<Event<S::Input>>::new();
+        let close = Box::new({
+            let inbox = inbox.clone();
+            move || inbox.close()
+        });
+        let (started_sender, started) = sync_channel(1);
+        let (domain, ended) = (Arc::clone(&self.domain), self.ended_sender.clone());
+        let thread = std::thread::Builder::new()
+            .name(name.base().chars().take(15).collect())
+            .spawn(move || {
+                let result = live::<S>(domain, inbox, parts, &started_sender);
+                let _ = ended.try_send(Ended::Node);
+                result
+            })
+            .map_err(|source| NodeError::System { what: format!("a thread for {}", name.base()), source })?;
+        // The sender drops without a word when the node could not start; its thread says why.
+        if started.recv().is_ok() {
+            self.nodes.push(Running { name: name.fully_qualified(), close, thread });
+            return Ok(());
+        }
+        let reason = join(thread, &name.fully_qualified());
+        // That end has been reported here.
+        let _ = self.ended.try_recv();
+        reason
+    }
+
+    /// Something that stops the process from another thread.
+    pub fn stopper(&self) -> Stopper {
+        Stopper(self.ended_sender.clone())
+    }
+
+    /// Has SIGINT and SIGTERM stop the process in order. A second one ends it at once.
+    ///
+    /// # Errors
+    /// The system refuses the handler.
+    pub fn stop_on_signals(&self) -> Result<(), NodeError> {
+        use signal_hook::{
+            consts::{SIGINT, SIGTERM},
+            iterator::Signals,
+            low_level::emulate_default_handler,
+        };
+        let refused = |source| NodeError::System { what: "a signal handler".into(), source };
+        let mut signals = Signals::new([SIGINT, SIGTERM]).map_err(refused)?;
+        let stopper = self.stopper();
+        std::thread::Builder::new()
+            .name("signals".into())
+            .spawn(move || {
+                for (count, signal) in signals.forever().enumerate() {
+                    stopper.stop();
+                    if count > 0 {
+                        let _ = emulate_default_handler(signal);
+                    }
+                }
+            })
+            .map_err(refused)?;
+        Ok(())
+    }
+
+    /// Waits until it is asked to stop, or a node ends; then stops all nodes and leaves the domain.
+    ///
+    /// # Errors
+    /// Why the first node that failed did.
+    pub fn wait(mut self) -> Result<(), NodeError> {
+        if !self.nodes.is_empty() {
+            let _ = self.ended.recv();
+        }
+        self.shut_down()
+    }
+
+    fn shut_down(&mut self) -> Result<(), NodeError> {
+        for node in &self.nodes {
+            (node.close)();
+        }
+        let mut first = Ok(());
+        for node in std::mem::take(&mut self.nodes) {
+            let result = join(node.thread, &node.name);
+            if let Err(error) = &result {
+                self.log.log(Level::Error, format!("{}: {error}", node.name));
+            }
+            if first.is_ok() {
+                first = result;
+            }
+        }
+        first
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.shut_down();
+    }
+}
+
+fn join(thread: JoinHandle<Result<(), NodeError>>, node: &str) -> Result<(), NodeError> {
+    thread.join().unwrap_or_else(|panic| {
+        let message = panic
+            .downcast_ref::<&str>()
+            .map(|s| (*s).to_owned())
+            .or_else(|| panic.downcast_ref::<String>().cloned())
+            .unwrap_or_default();
+        Err(NodeError::Panicked { node: node.to_owned(), message })
+    })
+}
+
+/// A node's whole life.
+fn live<S: NodeShell>(
+    domain: Arc<Domain>,
+    inbox: Inbox<Event<S::Input>>,
+    parts: KitParts,
+    started: &SyncSender<()>,
+) -> Result<(), NodeError> {
+    let parameters = S::Parameters::from_map(parts.store.values())?;
+    let mut kit = Kit::new(domain, inbox, parts)?;
+    let shell = match S::start(&mut kit, parameters) {
+        Ok(shell) => shell,
+        Err(error) => {
+            end(kit, None::<S>);
+            return Err(error);
+        }
+    };
+    for mistake in kit.parameter_store().left_over() {
+        kit.log(Level::Warn, mistake.to_string());
+    }
+    let _ = started.send(());
+    let (mut kit, mut shell) = (kit, shell);
+    run(&mut kit, &mut shell);
+    let ending = kit.ending.take();
+    end(kit, Some(shell));
+    ending.unwrap_or(Ok(()))
+}
+
+/// Once a second: the shell's tick, then the diagnostics.
+const TICK: Duration = Duration::from_secs(1);
+
+fn run<S: NodeShell>(kit: &mut Kit<S::Input>, shell: &mut S) {
+    let mut next_tick = now() + TICK;
+    loop {
+        let deadline = kit.next_timer().map_or(next_tick, |timer| timer.min(next_tick));
+        match kit.inbox.take(Some(deadline)) {
+            Taken::Entry(Event::Input(input)) => shell.handle(kit, input),
+            Taken::Entry(Event::Wake) | Taken::Deadline => {}
+            Taken::Closed => return,
+        }
+        while let Some(input) = kit.due_timer() {
+            shell.handle(kit, input);
+        }
+        if now() >= next_tick {
+            next_tick = now() + TICK;
+            shell.tick(kit);
+            kit.publish_diagnostics();
+        }
+    }
+}
+
+/// Ends a node in the order that leaves nothing behind: devices, shell with its publishers, then the kit, whose fields drop
+/// subscriptions, reader thread and DDS node in this order.
+fn end<S: NodeShell>(mut kit: Kit<S::Input>, shell: Option<S>) {
+    kit.inbox.close();
+    for device in std::mem::take(&mut kit.devices) {
+        let _ = device.join();
+    }
+    drop(shell);
+    drop(kit);
+}
