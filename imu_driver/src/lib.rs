@@ -7,3 +7,5 @@ pub mod protocol;
 
 pub mod fake_unit;
 pub mod orientation;
+
+pub mod clock_fit;
