@@ -8,6 +8,7 @@
 //! and [`convert`], the one place where ROS messages and `rig_model`'s types meet.
 
 pub mod args;
+pub mod convert;
 pub mod environment;
 #[cfg(feature = "dds")]
 mod inbox;
