@@ -95,6 +95,10 @@ pub struct ProjectedCentroid {
     /// ∂pixel/∂(square's centre in the camera frame), px/m, as the mean over the square; the square's orientation is
     /// held. (What is left out, the change of the area weights, is of the order of the centroid shift itself.)
     pub jacobian_by_centre: Matrix2x3<f64>,
+    /// ∂pixel/∂(turn of the square about its own centre, as a rotation vector along the camera's axes), px/rad: how the
+    /// centroid's shift, −4h²/(3z)·∂π/∂p·(e_z − n·n_z) to second order in the half side h (n: the square's normal), changes
+    /// as the square tilts.
+    pub jacobian_by_turn: Matrix2x3<f64>,
     /// Area of the image, px², to second order.
     pub area: f64,
 }
@@ -130,10 +134,17 @@ impl MarkerLayout {
             pixel += p * density;
             jacobian += dp * density;
         }
-        (weight > 0.0 && weight.is_finite()).then(|| ProjectedCentroid {
-            pixel: pixel / weight,
-            jacobian_by_centre: jacobian / weight,
-            area: weight / 4.0 * self.side * self.side,
+        (weight > 0.0 && weight.is_finite()).then(|| {
+            let jacobian_by_centre = jacobian / weight;
+            let n = u.cross(&v);
+            let n_cross = n.cross_matrix();
+            let shift = self.side * self.side / (3.0 * centre_camera.z);
+            ProjectedCentroid {
+                pixel: pixel / weight,
+                jacobian_by_centre,
+                jacobian_by_turn: jacobian_by_centre * ((n_cross * n.z + n * n_cross.row(2)) * -shift),
+                area: weight / 4.0 * self.side * self.side,
+            }
         })
     }
 }
@@ -187,6 +198,40 @@ mod tests {
             let ours = layout.projected_centroid(MarkerColor::Red, &camera, &pose).unwrap();
             assert!((ours.pixel - truth).norm() < 2e-3, "{tilt} {turn}: {}", (ours.pixel - truth).norm());
             assert!((ours.area / area - 1.0).abs() < 2e-3);
+        }
+    }
+
+    #[test]
+    fn the_derivatives_are_the_numerical_ones() {
+        let lens = Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]);
+        let camera = CameraModel::new(640, 480, [590.0, 590.0, 319.5, 239.5], lens).unwrap();
+        let layout = MarkerLayout { side: 0.076, centres: PerColor([Point3::origin(); 4]) };
+        for tilt in [0.0, 0.2, 0.6] {
+            let pose = Isometry3::from_parts(
+                Translation3::new(0.15, -0.1, 1.1),
+                UnitQuaternion::from_euler_angles(std::f64::consts::PI - tilt, 0.1, 0.4),
+            );
+            let at =
+                |pose: &Isometry3<f64>| layout.projected_centroid(MarkerColor::Red, &camera, pose).unwrap();
+            let ours = at(&pose);
+            let h = 1e-5;
+            for axis in 0..3 {
+                let mut step = Vector3::zeros();
+                step[axis] = h;
+                let shifted = |s: f64| {
+                    at(&Isometry3::from_parts((pose.translation.vector + step * s).into(), pose.rotation))
+                        .pixel
+                };
+                let by_centre = (shifted(1.0) - shifted(-1.0)) / (2.0 * h);
+                assert!((by_centre - ours.jacobian_by_centre.column(axis)).norm() < 2.0, "{axis}");
+                let turned = |s: f64| {
+                    let turn = UnitQuaternion::from_scaled_axis(step * s);
+                    at(&Isometry3::from_parts(pose.translation, turn * pose.rotation)).pixel
+                };
+                let by_turn = (turned(1.0) - turned(-1.0)) / (2.0 * h);
+                let error = (by_turn - ours.jacobian_by_turn.column(axis)).norm();
+                assert!(error < 0.1, "{tilt} {axis}: {by_turn} {}", ours.jacobian_by_turn);
+            }
         }
     }
 }

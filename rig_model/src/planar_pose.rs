@@ -179,7 +179,7 @@ fn normal_equations(
         jacobian.fixed_view_mut::<2, 3>(0, 0).copy_from(&predicted.jacobian_by_centre);
         jacobian
             .fixed_view_mut::<2, 3>(0, 3)
-            .copy_from(&(predicted.jacobian_by_centre * -arm.cross_matrix()));
+            .copy_from(&(predicted.jacobian_by_turn - predicted.jacobian_by_centre * arm.cross_matrix()));
         let weighted = jacobian.transpose() * weight;
         n.matrix += weighted * jacobian;
         n.gradient += weighted * residual;
