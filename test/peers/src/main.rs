@@ -11,6 +11,7 @@ mod report;
 mod scene;
 mod stage;
 mod trajectory;
+mod trials;
 
 /// The texture of the SIFT plate.
 mod sift_texture {
@@ -81,6 +82,18 @@ enum Command {
         #[arg(long, default_value_t = 300)]
         pictures: usize,
     },
+    /// Scenes that are made to mislead the tracker; trials.csv.
+    Trials {
+        /// Only scenes whose name contains this.
+        #[arg(long, default_value = "")]
+        only: String,
+        /// Every mistake in a line of its own.
+        #[arg(long)]
+        verbose: bool,
+        /// One picture of each scene instead, as PNG.
+        #[arg(long)]
+        pictures: bool,
+    },
 }
 
 fn work(arguments: &Arguments) -> Result<usize> {
@@ -94,6 +107,11 @@ fn work(arguments: &Arguments) -> Result<usize> {
             outcome.write(&arguments.out)?;
             Ok(outcome.targets().print())
         }
+        Command::Trials { pictures: true, .. } => {
+            trials::pictures(&arguments.out, arguments.seed)?;
+            Ok(0)
+        }
+        Command::Trials { only, verbose, .. } => trials::run(&arguments.out, arguments.seed, only, *verbose),
     }
 }
 

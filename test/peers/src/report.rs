@@ -1,6 +1,11 @@
 //! Tables as text and as CSV, and figures beside their targets.
 
-use anyhow::{Context, Result};
+use crate::scene::Picture;
+use anyhow::{Context, Result, ensure};
+use opencv::{
+    core::{self, Mat},
+    imgcodecs, imgproc,
+};
 use std::{fs, path::Path};
 
 /// A number with `digits` decimals; empty where there is none.
@@ -60,4 +65,18 @@ impl Targets {
         }
         self.0.iter().filter(|t| !t.3).count()
     }
+}
+
+/// A picture as PNG.
+pub fn write_png(picture: &Picture, path: &Path) -> Result<()> {
+    let rgb = Mat::new_rows_cols_with_bytes::<core::Vec3b>(
+        picture.height as i32,
+        picture.width as i32,
+        &picture.rgb,
+    )?;
+    let mut bgr = Mat::default();
+    imgproc::cvt_color_def(&rgb, &mut bgr, imgproc::COLOR_RGB2BGR)?;
+    let written = imgcodecs::imwrite_def(path, &bgr)?;
+    ensure!(written, "{} cannot be written", path.display());
+    Ok(())
 }

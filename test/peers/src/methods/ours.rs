@@ -12,7 +12,6 @@ use std::time::Duration;
 /// Tracker and pose.
 pub struct Ours {
     layout: MarkerLayout,
-    pinhole: Pinhole,
     camera: CameraModel,
     config: TrackerConfig,
     tracker: Tracker,
@@ -30,7 +29,6 @@ impl Ours {
         let mut ours = Self {
             tracker: Tracker::new(layout.clone(), config.clone()),
             camera: camera.model(),
-            pinhole: *camera,
             layout,
             config,
             pose: None,
@@ -97,7 +95,7 @@ impl Method for Ours {
             .map(|p| p.0);
         let pose = match from_prior {
             Some(pose) => Some(pose),
-            None => pose_from_centroids(&self.layout, &self.pinhole, &self.camera, observed)?,
+            None => pose_from_centroids(&self.layout, &self.camera, observed),
         };
         let extrinsics = start.elapsed();
         self.pose = pose;

@@ -7,7 +7,7 @@ use nalgebra::{
     Vector6,
 };
 use opencv::{calib3d, core, prelude::*};
-use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState};
+use rig_model::{CameraModel, MarkerLayout, MarkerObservations, MarkerState, PerColor, planar_pose};
 
 /// OpenCV's camera matrix.
 pub fn camera_matrix(camera: &Pinhole) -> Result<core::Mat> {
@@ -99,41 +99,18 @@ pub fn gauss_newton(
     (pose.translation.vector.z > 0.05).then_some((pose, last))
 }
 
-/// The pose without a prior: both of IPPE's solutions, each refined, and the better one.
+/// The pose without a prior: the best of the planar solutions.
 pub fn pose_from_centroids(
     layout: &MarkerLayout,
-    pinhole: &Pinhole,
     camera: &CameraModel,
     observed: &MarkerObservations,
-) -> Result<Option<Isometry3<f64>>> {
-    if observed.markers.0.iter().any(|m| m.state != MarkerState::Detected) {
-        return Ok(None);
+) -> Option<Isometry3<f64>> {
+    let pixels = PerColor::from_fn(|color| {
+        let marker = &observed.markers[color];
+        (marker.state == MarkerState::Detected).then_some((marker.centroid, marker.covariance))
+    });
+    if pixels.0.iter().any(Option::is_none) {
+        return None;
     }
-    let object: core::Vector<core::Point3d> =
-        MarkerColor::ALL.iter().map(|&c| point3(&layout.centres[c])).collect();
-    let image: core::Vector<core::Point2d> = observed.markers.0.iter().map(|m| point2(&m.centroid)).collect();
-    let (mut rvecs, mut tvecs) = (core::Vector::<core::Mat>::new(), core::Vector::<core::Mat>::new());
-    calib3d::solve_pnp_generic(
-        &object,
-        &image,
-        &camera_matrix(pinhole)?,
-        &core::no_array(),
-        &mut rvecs,
-        &mut tvecs,
-        false,
-        calib3d::SolvePnPMethod::SOLVEPNP_IPPE,
-        &core::no_array(),
-        &core::no_array(),
-        &mut core::no_array(),
-    )?;
-    let mut best: Option<(Isometry3<f64>, f64)> = None;
-    for i in 0..rvecs.len() {
-        let start = to_isometry(&rvecs.get(i)?, &tvecs.get(i)?)?;
-        if let Some(found) = gauss_newton(layout, camera, observed, &start)
-            && best.is_none_or(|b| found.1 < b.1)
-        {
-            best = Some(found);
-        }
-    }
-    Ok(best.map(|b| b.0))
+    planar_pose::candidates(layout, camera, &pixels, None).first().map(|c| c.camera_from_volant)
 }

@@ -44,11 +44,13 @@ pub struct Light {
     pub noise: f64,
     /// Standard deviation of the lens's blur, px (0: none).
     pub blur: f64,
+    /// The sensor's gamma (1: linear): the levels that a scene is given in are those after it.
+    pub gamma: f64,
 }
 
 impl Default for Light {
     fn default() -> Self {
-        Self { gain: 1.0, shading: 0.0, direction: 0.0, white: [1.0; 3], noise: 3.0, blur: 0.0 }
+        Self { gain: 1.0, shading: 0.0, direction: 0.0, white: [1.0; 3], noise: 3.0, blur: 0.0, gamma: 1.0 }
     }
 }
 
@@ -112,6 +114,9 @@ impl Canvas {
         if light.blur > 0.0 {
             self.blur(light.blur);
         }
+        let curve = |v: f64| {
+            if light.gamma == 1.0 { v } else { 255.0 * (v.max(0.0) / 255.0).powf(1.0 / light.gamma) }
+        };
         let (w, h) = (self.width, self.height);
         let (sin, cos) = light.direction.sin_cos();
         let mut rgb = vec![0u8; 3 * w * h];
