@@ -41,14 +41,26 @@ pub(crate) fn hypotheses(
     found: &mut Vec<Hypothesis>,
 ) {
     found.clear();
-    let mut of: PerColor<([usize; PER_COLOR], usize)> = PerColor([([0; PER_COLOR], 0); 4]);
+    // The most colourful and most square patches first; of wood and cardboard there may be hundreds.
+    let mut of: PerColor<([(usize, f64); PER_COLOR], usize)> = PerColor([([(0, 0.0); PER_COLOR], 0); 4]);
     for (i, blob) in blobs.iter().enumerate() {
         let fill = blob.fill();
-        let slot = &mut of[blob.color];
-        if (0.55..1.35).contains(&fill) && blob.elongation() < 5.0 && slot.1 < PER_COLOR {
-            slot.0[slot.1] = i;
-            slot.1 += 1;
+        if !(0.55..1.35).contains(&fill) || blob.elongation() >= 5.0 {
+            continue;
         }
+        let merit = f64::from(blob.saturation()) * (-2.0 * fill.ln().abs()).exp();
+        let (list, n) = &mut of[blob.color];
+        if *n < PER_COLOR {
+            *n += 1;
+        } else if list[PER_COLOR - 1].1 >= merit {
+            continue;
+        }
+        let mut k = *n - 1;
+        while k > 0 && list[k - 1].1 < merit {
+            list[k] = list[k - 1];
+            k -= 1;
+        }
+        list[k] = (i, merit);
     }
     let list = |c: MarkerColor| &of[c].0[..of[c].1];
     let seeds = [
@@ -71,15 +83,15 @@ pub(crate) fn hypotheses(
         let w = (pd - pa).xy();
         let (s, t) = ((w.x * v.y - w.y * v.x) / twist, (u.x * w.y - u.y * w.x) / twist);
         let reach = u.norm().max(v.norm()) / layout.side;
-        for &ia in list(a) {
-            for &ib in list(b) {
+        for &(ia, _) in list(a) {
+            for &(ib, _) in list(b) {
                 let (ba, bb) = (&blobs[ia], &blobs[ib]);
                 let side = (ba.area * bb.area).sqrt().sqrt();
                 let limit = 2.6 * side * reach + 10.0;
                 if (ba.centroid - bb.centroid).norm() > limit || !like_areas(ba.area, bb.area) {
                     continue;
                 }
-                for &ic in list(c) {
+                for &(ic, _) in list(c) {
                     let bc = &blobs[ic];
                     if !like_areas(ba.area, bc.area) || !like_areas(bb.area, bc.area) {
                         continue;
@@ -92,7 +104,7 @@ pub(crate) fn hypotheses(
                     }
                     if round == 0 {
                         let guess = ba.centroid + iu * s + iv * t;
-                        for &id in list(d) {
+                        for &(id, _) in list(d) {
                             let bd = &blobs[id];
                             if (bd.centroid - guess).norm() < 0.35 * reach * side + 3.0 && like_areas(area, bd.area) {
                                 four(layout, camera, blobs, [ia, ib, ic, id], [a, b, c, d], strictness, found);
@@ -132,7 +144,7 @@ fn four(
         chosen[c] = Some(i);
     }
     let Some(start) = pose_from_four(layout, camera, &pixels) else { return };
-    let sights = colors.map(|color| Sight { color, pixel: pixels[color], sigma: 1.0 });
+    let sights = colors.map(|color| Sight { color, pixel: pixels[color], sigma: 1.0, outline: None });
     score(layout, camera, blobs, &sights, &start, chosen, strictness, 0.0, found);
 }
 
@@ -153,7 +165,7 @@ fn three(
         chosen[c] = Some(i);
     }
     let sights: [Sight; 3] =
-        std::array::from_fn(|k| Sight { color: colors[k], pixel: blobs[indices[k]].centroid, sigma: 1.0 });
+        std::array::from_fn(|k| Sight { color: colors[k], pixel: blobs[indices[k]].centroid, sigma: 1.0, outline: None });
     let Some(starts) = poses_from_three(layout, camera, &sights) else { return };
     for start in &starts {
         // Three sights are explained by many poses, so they come after every four, and their areas must be right.

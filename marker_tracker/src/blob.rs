@@ -25,6 +25,13 @@ impl Blob {
         self.area / (12.0 * self.spread.determinant().max(1e-6).sqrt())
     }
 
+    /// Share of the brightness that is colour, 0 to 1.
+    pub fn saturation(&self) -> f32 {
+        let max = self.rgb.iter().fold(1.0f32, |m, v| m.max(*v));
+        let min = self.rgb.iter().fold(max, |m, v| m.min(*v));
+        (max - min) / max
+    }
+
     /// Ratio of the principal extents, ≥ 1.
     pub fn elongation(&self) -> f64 {
         let (t, d) = (self.spread.trace(), self.spread.determinant());

@@ -9,12 +9,15 @@ pub struct TrackerConfig {
     pub use_hue: bool,
     /// Images in a row for which an occluded marker is predicted before it is lost.
     pub max_predicted: u16,
+    /// Whether an occluded marker moves with the others' flow as a rigid motion (their turn included) or, as eq. 3 has it,
+    /// with its mean.
+    pub rigid_prediction: bool,
     /// Largest standard deviation of a centroid, px, that still counts as measured.
     pub max_centroid_sigma: f64,
 }
 
 impl Default for TrackerConfig {
     fn default() -> Self {
-        Self { use_flow: true, use_hue: true, max_predicted: 6, max_centroid_sigma: 0.5 }
+        Self { use_flow: true, use_hue: true, max_predicted: 6, rigid_prediction: true, max_centroid_sigma: 0.5 }
     }
 }

@@ -55,6 +55,11 @@ pub(crate) struct Engine {
     lag: [f64; 2],
 }
 
+/// Half-width that is integrated across an edge, px: while it is sought, and once it is known to a fraction of a pixel. The
+/// narrower the less noise; blur that reaches beyond is the same on both sides.
+const COARSE: f64 = 4.5;
+const FINE: f64 = 2.0;
+
 /// Largest turn of a square in its plane that counts as "a few degrees", rad.
 const MAX_TURN: f64 = 0.35;
 
@@ -92,6 +97,7 @@ impl Engine {
         self.interval = elapsed.unwrap_or(0.0);
         self.last_stamp = Some(image.stamp);
         let before: [Option<Vector2<f64>>; 4] = std::array::from_fn(|i| self.markers.0[i].centroid);
+        let pose_before = self.pose;
         for m in &mut self.markers.0 {
             m.fit = None;
         }
@@ -107,11 +113,13 @@ impl Engine {
                 detected = self.track(image, &camera, 1.0);
             }
             self.blind = if detected >= 2 { 0 } else { self.blind + 1 };
-            if self.blind > u32::from(self.config.max_predicted) {
+            // One marker's outline holds the pose for a while, none does not.
+            let patience = if detected == 1 { 10 } else { 1 };
+            if self.blind > patience * u32::from(self.config.max_predicted) {
                 self.pose = None;
             }
         }
-        self.conclude(image, before, ratio)
+        self.conclude(image, before, pose_before, ratio)
     }
 
     fn camera_for(&mut self, image: &ImageView<'_>) -> Option<CameraModel> {
@@ -142,13 +150,21 @@ impl Engine {
         quad: &Quad,
         half_width: f64,
         edge_sigma: f64,
+        place_sigma: f64,
         slope_sigma: f64,
     ) -> Option<QuadFit> {
         let inflation = self.inflation();
         let memory = &mut self.markers[color];
         let appearance = memory.appearance.as_ref()?;
         memory.window.fill(image, quad.bounds(1.6 * half_width + 5.0), &appearance.discriminant);
-        let prior = ShapePrior { edge_bias: memory.edge_bias.0, edge_sigma, slope_sigma, inflation, half_width };
+        let prior = ShapePrior {
+            edge_bias: memory.edge_bias.0,
+            edge_sigma,
+            place_sigma,
+            slope_sigma,
+            inflation,
+            half_width,
+        };
         fit(&memory.window, quad, &prior, 0.45)
     }
 
@@ -164,18 +180,18 @@ impl Engine {
                 continue;
             };
             let quad = quad.shifted(self.markers[color].flow * ratio);
-            let first = self.measure(image, color, &quad, 4.5, 1.0, 0.06).filter(is_whole);
+            let first = self.measure(image, color, &quad, COARSE, 1.0, 3.0, 0.06).filter(is_whole);
             whole[color.index()] = match first {
-                Some(f) => self.measure(image, color, &f.quad, 3.0, 0.5, 0.03).filter(is_whole),
+                Some(f) => self.measure(image, color, &f.quad, FINE, 0.5, 3.0, 0.03).filter(is_whole),
                 None => self.search(image, color, &quad),
             };
         }
         self.drop_contradictions(camera, &pose, &mut whole);
         let sights: Vec<Sight> = MarkerColor::ALL
             .into_iter()
-            .filter_map(|color| whole[color.index()].map(|f| Sight { color, pixel: f.centroid, sigma: 0.1 }))
+            .filter_map(|color| whole[color.index()].map(|f| self.sight(color, &f)))
             .collect();
-        let prior = PosePrior { camera_from_volant: pose, position_sigma: 0.3, rotation_sigma: 0.3 };
+        let prior = PosePrior { camera_from_volant: pose, position_sigma: 0.1, rotation_sigma: 0.1 };
         let mut now = pose;
         if !sights.is_empty() {
             if let Some((refined, _)) = refine(&self.layout, camera, &sights, &pose, Some(&prior), 8) {
@@ -185,19 +201,20 @@ impl Engine {
         // What is covered in part, or was not where it was sought: again, from the pose that the others tell.
         let mut detected = sights.len();
         let trust = match sights.len() {
-            0 | 1 => None,
-            2 => Some((4.0, 0.4)),
-            _ => Some((1.0, 0.2)),
+            0 => None,
+            1 => Some((3.0, 0.4)),
+            2 => Some((2.0, 0.25)),
+            _ => Some((0.8, 0.15)),
         };
         for color in MarkerColor::ALL {
             if let Some(f) = whole[color.index()] {
                 self.markers[color].fit = Some(f);
                 continue;
             }
-            let Some((reach, edge_sigma)) = trust else { continue };
-            let Some(fit) = self.measure_again(image, color, camera, &now, edge_sigma) else { continue };
+            let Some((place_sigma, edge_sigma)) = trust else { continue };
+            let Some(fit) = self.measure_again(image, color, camera, &now, edge_sigma, place_sigma) else { continue };
             let expected = self.layout.projected_centroid(color, camera, &now).map(|p| p.pixel);
-            if expected.is_some_and(|e| (e - fit.centroid).norm() < reach) {
+            if expected.is_some_and(|e| (e - fit.centroid).norm() < 3.0 * place_sigma) {
                 self.markers[color].fit = Some(fit);
                 detected += 1;
             }
@@ -205,6 +222,20 @@ impl Engine {
         self.learn(image, camera, &now);
         self.pose = Some(now);
         detected
+    }
+
+    /// What a whole outline tells of the pose.
+    fn sight(&self, color: MarkerColor, f: &QuadFit) -> Sight {
+        let m = &self.markers[color];
+        // Paper cut too large or a blooming sensor widen the outline; that is not nearness.
+        let scale = 1.0 - 2.0 * m.edge_bias.0 / f.area.sqrt().max(1.0);
+        let outline = Quad(f.quad.0.map(|c| f.centroid + (c - f.centroid) * scale));
+        Sight {
+            color,
+            pixel: f.centroid,
+            sigma: 0.1,
+            outline: (m.turn.1 > 0).then_some((outline, m.turn.0)),
+        }
     }
 
     /// A marker at the place that the others' pose gives, covered in part as it may be.
@@ -215,6 +246,7 @@ impl Engine {
         camera: &CameraModel,
         pose: &Isometry3<f64>,
         edge_sigma: f64,
+        place_sigma: f64,
     ) -> Option<QuadFit> {
         let quad = project_square(&self.layout, color, self.markers[color].turn.0, camera, pose)?;
         let (unknown, known_turn) = (self.markers[color].appearance.is_none(), self.markers[color].turn.1 > 5);
@@ -227,16 +259,17 @@ impl Engine {
             self.markers[color].appearance = Some(appearance);
         }
         let result = if known_turn {
-            self.measure(image, color, &quad, 3.5, edge_sigma, 0.02)
+            let (_, place) = quad.area_and_centroid();
+            self.measure(image, color, &quad, 3.5, edge_sigma, place_sigma, 0.012)
                 .and_then(|f| {
-                    let (_, place) = quad.area_and_centroid();
-                    self.measure(image, color, &quad.shifted(f.centroid - place), 3.0, edge_sigma, 0.02)
+                    let quad = quad.shifted(f.centroid - place);
+                    self.measure(image, color, &quad, 2.5, edge_sigma, place_sigma, 0.012)
                 })
                 .filter(|f| is_told(f, &self.config))
         } else {
-            self.measure(image, color, &quad, 4.5, 1.0, 0.08)
+            self.measure(image, color, &quad, COARSE, 1.0, 3.0, 0.08)
                 .filter(is_whole)
-                .and_then(|f| self.measure(image, color, &f.quad, 3.0, 0.5, 0.03))
+                .and_then(|f| self.measure(image, color, &f.quad, FINE, 0.5, 3.0, 0.03))
                 .filter(is_whole)
         };
         if unknown && result.is_none() {
@@ -264,8 +297,8 @@ impl Engine {
             .filter(|b| b.color == color && !b.cut && (0.8..1.2).contains(&b.fill()))
             .min_by(|a, b| (a.centroid - place).norm().total_cmp(&(b.centroid - place).norm()))?;
         let quad = quad.shifted(blob.centroid - place);
-        let first = self.measure(image, color, &quad, 4.5, 1.0, 0.06).filter(is_whole)?;
-        self.measure(image, color, &first.quad, 3.0, 0.5, 0.03).filter(is_whole)
+        let first = self.measure(image, color, &quad, COARSE, 1.0, 3.0, 0.06).filter(is_whole)?;
+        self.measure(image, color, &first.quad, FINE, 0.5, 3.0, 0.03).filter(is_whole)
     }
 
     /// Four centroids over-determine the pose by two, and each square has the area that the pose gives it: what does not
@@ -273,11 +306,12 @@ impl Engine {
     fn drop_contradictions(&mut self, camera: &CameraModel, pose: &Isometry3<f64>, whole: &mut [Option<QuadFit>; 4]) {
         let tolerance = if self.camera.is_some() { 0.6 } else { 3.0 };
         loop {
-            let mut sights = [Sight { color: MarkerColor::Red, pixel: Vector2::zeros(), sigma: 0.1 }; 4];
+            let mut sights =
+                [Sight { color: MarkerColor::Red, pixel: Vector2::zeros(), sigma: 0.1, outline: None }; 4];
             let mut n = 0;
             for color in MarkerColor::ALL {
                 if let Some(f) = whole[color.index()] {
-                    sights[n] = Sight { color, pixel: f.centroid, sigma: 0.1 };
+                    sights[n] = self.sight(color, &f);
                     n += 1;
                 }
             }
@@ -285,7 +319,7 @@ impl Engine {
                 return;
             }
             let sights = &sights[..n];
-            let prior = PosePrior { camera_from_volant: *pose, position_sigma: 0.3, rotation_sigma: 0.3 };
+            let prior = PosePrior { camera_from_volant: *pose, position_sigma: 0.1, rotation_sigma: 0.1 };
             let Some((now, rms)) = refine(&self.layout, camera, sights, pose, Some(&prior), 8) else { return };
             // Areas, against the common bias of all edges.
             let mut ratios = [0.0; 4];
@@ -342,38 +376,18 @@ impl Engine {
             if let Some(a) = &mut m.appearance {
                 a.follow(image, &f.quad, 0.1);
             }
-            if detected < 3 {
+            // Three leave the tilt too open to teach sizes from it, but the turn hardly depends on it.
+            if detected < 3 || (detected < 4 && m.turn.1 > 10) {
                 continue;
             }
             let turn = m.turn.0;
-            let (Some(here), Some(turned)) = (
-                project_square(&self.layout, color, turn, camera, pose),
-                project_square(&self.layout, color, turn + 0.01, camera, pose),
-            ) else {
-                continue;
-            };
-            let (mut gain, mut sum, mut bias) = (0.0, 0.0, 0.0);
-            let (_, here_centre) = here.area_and_centroid();
-            for i in 0..4 {
-                let side = |q: &Quad| q.0[(i + 1) % 4] - q.0[i];
-                let (a, b, measured) = (side(&here), side(&turned), side(&f.quad));
-                let turn_of = |v: &Vector2<f64>| (a.x * v.y - a.y * v.x).atan2(a.dot(v));
-                let g = turn_of(&b) / 0.01;
-                gain += g * g;
-                sum += g * turn_of(&measured);
-                // Distance of the measured edge's middle outside of the predicted one, about the same centre.
-                let normal = Vector2::new(a.y, -a.x) / a.norm();
-                let normal = if normal.dot(&((here.0[i] + here.0[(i + 1) % 4]) / 2.0 - here_centre)) < 0.0 {
-                    -normal
-                } else {
-                    normal
-                };
-                let half = |q: &Quad, c: Vector2<f64>| ((q.0[i] + q.0[(i + 1) % 4]) / 2.0 - c).dot(&normal);
-                bias += (half(&f.quad, f.centroid) - half(&here, here_centre)) / 4.0;
-            }
+            let Some((more, bias)) = compare_outline(&self.layout, color, turn, camera, pose, &f) else { continue };
             let rate = |n: u32| 1.0 / f64::from(n.min(30) + 1);
-            m.turn.0 = (turn + rate(m.turn.1) * sum / gain.max(1e-9)).clamp(-MAX_TURN, MAX_TURN);
+            m.turn.0 = (turn + rate(m.turn.1) * more).clamp(-MAX_TURN, MAX_TURN);
             m.turn.1 = m.turn.1.saturating_add(1);
+            if detected < 4 {
+                continue;
+            }
             m.edge_bias.0 += rate(m.edge_bias.1) * (bias - m.edge_bias.0).clamp(-1.0, 1.0);
             m.edge_bias.1 = m.edge_bias.1.saturating_add(1);
         }
@@ -455,6 +469,7 @@ impl Engine {
             count: 0,
             error: 0.0,
         };
+        let mut outlines = [None; 4];
         let mut shape_error = 0.0;
         let mut side = 0.0;
         for color in MarkerColor::ALL {
@@ -472,15 +487,21 @@ impl Engine {
             }
             self.markers[color].appearance = Some(appearance);
             let tolerance = if known_camera { 1.5 } else { 3.0 };
-            let Some(first) = self.measure(image, color, &quad, 6.0, tolerance, 0.12).filter(is_whole) else {
+            let Some(first) = self.measure(image, color, &quad, 6.0, tolerance, 6.0, 0.12).filter(is_whole) else {
                 continue;
             };
-            let Some(second) = self.measure(image, color, &first.quad, 3.5, 0.5, 0.05).filter(is_whole) else {
+            let Some(second) = self.measure(image, color, &first.quad, 3.0, 0.5, 3.0, 0.05).filter(is_whole) else {
                 continue;
             };
             appearance.follow(image, &second.quad, 1.0);
             v.appearances[color] = Some(appearance);
             v.centroids[color] = Some(second.centroid);
+            let more = compare_outline(&self.layout, color, turn, camera, &v.pose, &second)?.0;
+            if (turn + more).abs() > MAX_TURN {
+                continue;
+            }
+            v.turns[color] = Some(turn + more);
+            outlines[color.index()] = Some((second.quad, turn + more));
             v.count += 1;
             side += second.area.sqrt();
             let spread = second.area.sqrt() - quad.area_and_centroid().0.abs().sqrt();
@@ -495,7 +516,10 @@ impl Engine {
         }
         let sights: Vec<Sight> = MarkerColor::ALL
             .into_iter()
-            .filter_map(|color| Some(Sight { color, pixel: v.centroids[color]?, sigma: 0.1 }))
+            .filter_map(|color| {
+                let outline = outlines[color.index()];
+                outline.and(Some(Sight { color, pixel: v.centroids[color]?, sigma: 0.1, outline }))
+            })
             .collect();
         let (pose, rms) = refine(&self.layout, camera, &sights, &v.pose, None, 20)?;
         side /= v.count as f64;
@@ -515,8 +539,10 @@ impl Engine {
         &mut self,
         image: &ImageView<'_>,
         before: [Option<Vector2<f64>>; 4],
+        pose_before: Option<Isometry3<f64>>,
         ratio: f64,
     ) -> MarkerObservations {
+        let camera = self.camera_for(image);
         // Flows of the visible markers that were known in the previous image as well.
         let (mut mean, mut n) = (Vector2::zeros(), 0.0);
         let mut flows = [None; 4];
@@ -543,13 +569,21 @@ impl Engine {
             }
         }
         let max = self.config.max_predicted;
+        let pose_now = self.pose;
+        // The others' flow as a rigid motion carries the turn about them too, which their mean leaves out.
+        let rigid = |color: MarkerColor| {
+            let (camera, before, now) = (camera.as_ref()?, pose_before?, pose_now?);
+            let a = self.layout.projected_centroid(color, camera, &before)?.pixel;
+            Some(self.layout.projected_centroid(color, camera, &now)?.pixel - a)
+        };
+        let rigid = PerColor::from_fn(|c| rigid(c).filter(|_| n >= 2.0 && self.config.rigid_prediction));
         let markers = PerColor::from_fn(|color| {
             let m = &mut self.markers[color];
             if let Some(f) = m.fit {
                 m.flow = flows[color.index()].unwrap_or(mean);
                 m.centroid = Some(f.centroid);
                 m.occluded = Some(0);
-                m.sigma = 0.3;
+                m.sigma = 0.1;
                 return MarkerObservation {
                     state: MarkerState::Detected,
                     occluded_frames: 0,
@@ -558,13 +592,17 @@ impl Engine {
                     area: f.area as f32,
                 };
             }
-            m.flow = mean;
+            let (flow, spread) = match rigid[color] {
+                Some(flow) if (flow - mean).norm() < 4.0 * spread + 2.0 => (flow, if n >= 3.0 { 0.04 } else { 0.1 }),
+                _ => (mean, spread),
+            };
+            m.flow = flow;
             let Some(since) = m.occluded else { return MarkerObservation::lost(MarkerObservation::NEVER) };
             let since = since.saturating_add(1).min(MarkerObservation::NEVER - 1);
             m.occluded = Some(since);
             match m.centroid {
                 Some(c) if since <= max && self.pose.is_some() => {
-                    let place = c + mean;
+                    let place = c + flow;
                     m.sigma += spread;
                     m.centroid = Some(place);
                     MarkerObservation {
@@ -583,6 +621,37 @@ impl Engine {
         });
         MarkerObservations { stamp: image.stamp, markers }
     }
+}
+
+/// By how much an outline is turned further than `turn` (rad), and how far its edges lie outside of the geometry (px).
+fn compare_outline(
+    layout: &MarkerLayout,
+    color: MarkerColor,
+    turn: f64,
+    camera: &CameraModel,
+    pose: &Isometry3<f64>,
+    f: &QuadFit,
+) -> Option<(f64, f64)> {
+    let here = project_square(layout, color, turn, camera, pose)?;
+    let turned = project_square(layout, color, turn + 0.01, camera, pose)?;
+    let (mut gain, mut sum, mut bias) = (0.0, 0.0, 0.0);
+    let (_, here_centre) = here.area_and_centroid();
+    for i in 0..4 {
+        let side = |q: &Quad| q.0[(i + 1) % 4] - q.0[i];
+        let (a, b, measured) = (side(&here), side(&turned), side(&f.quad));
+        let turn_of = |v: &Vector2<f64>| (a.x * v.y - a.y * v.x).atan2(a.dot(v));
+        let g = turn_of(&b) / 0.01;
+        gain += g * g;
+        sum += g * turn_of(&measured);
+        // Distance of the measured edge's middle outside of the predicted one, about the same centre.
+        let normal = Vector2::new(a.y, -a.x) / a.norm();
+        let outward = (here.0[i] + here.0[(i + 1) % 4]) / 2.0 - here_centre;
+        let normal = if normal.dot(&outward) < 0.0 { -normal } else { normal };
+        let half = |q: &Quad, c: Vector2<f64>| ((q.0[i] + q.0[(i + 1) % 4]) / 2.0 - c).dot(&normal);
+        bias += (half(&f.quad, f.centroid) - half(&here, here_centre)) / 4.0;
+    }
+    let more = sum / gain;
+    (more.is_finite() && bias.is_finite()).then_some((more, bias))
 }
 
 struct Verified {
@@ -610,5 +679,5 @@ fn is_whole(f: &QuadFit) -> bool {
 fn is_told(f: &QuadFit, config: &TrackerConfig) -> bool {
     let seen = f.edges.iter().flatten().count();
     let limit = config.max_centroid_sigma;
-    seen >= 2 && f.filled > 0.5 && f.covariance.trace() < 2.0 * limit * limit
+    seen >= 2 && f.filled > 0.5 && f.unevenness < 0.3 && f.covariance.trace() < 2.0 * limit * limit
 }

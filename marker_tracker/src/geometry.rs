@@ -14,7 +14,13 @@ pub(crate) struct Sight {
     pub pixel: Vector2<f64>,
     /// Standard deviation that is granted to it, px.
     pub sigma: f64,
+    /// The measured outline and the square's turn in its plane (rad), where it was measured: the squares' size and shape
+    /// tell the tilt that three or fewer centroids leave open.
+    pub outline: Option<(Quad, f64)>,
 }
+
+/// Standard deviation that is granted to a corner of an outline, px. The centroids are to decide wherever they can.
+const CORNER_SIGMA: f64 = 0.5;
 
 /// What is known of a pose beforehand: where it is and how far off it may be.
 #[derive(Clone, Copy, Debug)]
@@ -26,6 +32,15 @@ pub(crate) struct PosePrior {
     pub rotation_sigma: f64,
 }
 
+/// Corners, in the volant frame (m), of a square that is turned by `turn` (rad) in its plane.
+fn square(layout: &MarkerLayout, color: MarkerColor, turn: f64) -> [Point3<f64>; 4] {
+    let h = layout.side / 2.0;
+    let (s, c) = turn.sin_cos();
+    let centre = layout.centres[color];
+    [(-h, -h), (h, -h), (h, h), (-h, h)]
+        .map(|(u, v)| Point3::new(centre.x + c * u - s * v, centre.y + s * u + c * v, centre.z))
+}
+
 /// Image of the outline of a square that is turned by `turn` (rad) in its plane.
 pub(crate) fn project_square(
     layout: &MarkerLayout,
@@ -34,13 +49,9 @@ pub(crate) fn project_square(
     camera: &CameraModel,
     camera_from_volant: &Isometry3<f64>,
 ) -> Option<Quad> {
-    let h = layout.side / 2.0;
-    let (s, c) = turn.sin_cos();
-    let centre = layout.centres[color];
     let mut corners = [Vector2::zeros(); 4];
-    for (corner, (u, v)) in corners.iter_mut().zip([(-h, -h), (h, -h), (h, h), (-h, h)]) {
-        let p = Point3::new(centre.x + c * u - s * v, centre.y + s * u + c * v, centre.z);
-        *corner = camera.project(&(camera_from_volant * p))?;
+    for (corner, point) in corners.iter_mut().zip(square(layout, color, turn)) {
+        *corner = camera.project(&(camera_from_volant * point))?;
     }
     Some(Quad(corners))
 }
@@ -122,6 +133,19 @@ fn evaluate(
         cost += w * residual.norm_squared();
         normal += j.transpose() * j * w;
         gradient += j.transpose() * residual * w;
+        if let Some((outline, turn)) = &s.outline {
+            let w = CORNER_SIGMA.powi(-2);
+            for (point, corner) in square(layout, s.color, *turn).iter().zip(&outline.0) {
+                let arm = pose.rotation * point.coords;
+                let (pixel, by_point) = camera.project_with_jacobian(&Point3::from(arm + pose.translation.vector))?;
+                j.fixed_columns_mut::<3>(0).copy_from(&by_point);
+                j.fixed_columns_mut::<3>(3).copy_from(&(by_point * (-arm.cross_matrix())));
+                let residual = corner - pixel;
+                cost += w * residual.norm_squared();
+                normal += j.transpose() * j * w;
+                gradient += j.transpose() * residual * w;
+            }
+        }
     }
     if let Some(p) = prior {
         let dt = p.camera_from_volant.translation.vector - pose.translation.vector;
@@ -294,7 +318,7 @@ mod tests {
         for truth in poses() {
             let pixels = PerColor::from_fn(|c| layout().projected_centroid(c, &camera(), &truth).unwrap().pixel);
             let start = pose_from_four(&layout(), &camera(), &pixels).unwrap();
-            let sights = MarkerColor::ALL.map(|color| Sight { color, pixel: pixels[color], sigma: 0.1 });
+            let sights = MarkerColor::ALL.map(|color| Sight { color, pixel: pixels[color], sigma: 0.1, outline: None });
             let (pose, rms) = refine(&layout(), &camera(), &sights, &start, None, 20).unwrap();
             assert!(rms < 1e-6, "{rms}");
             assert!((pose.translation.vector - truth.translation.vector).norm() < 1e-6);
@@ -322,6 +346,7 @@ mod tests {
                 color,
                 pixel: layout().projected_centroid(color, &camera(), &truth).unwrap().pixel,
                 sigma: 0.1,
+                outline: None,
             });
             let best = poses_from_three(&layout(), &camera(), &sights)
                 .unwrap()

@@ -86,6 +86,8 @@ pub(crate) struct QuadFit {
     pub area: f64,
     /// Per edge; `None` where it was not seen.
     pub edges: [Option<EdgeFit>; 4],
+    /// Change of the interior's level over the square, in units of the contrast.
+    pub unevenness: f64,
     /// Signal inside and outside at the square's middle.
     pub inside: f64,
     pub outside: f64,
@@ -102,6 +104,8 @@ pub(crate) struct ShapePrior {
     pub edge_bias: f64,
     /// Standard deviation of one edge's distance from the predicted shape, px.
     pub edge_sigma: f64,
+    /// Standard deviation of the predicted place, px; only to tell which of two contradicting edges is right.
+    pub place_sigma: f64,
     /// Standard deviation of one edge's direction, rad.
     pub slope_sigma: f64,
     /// Variance inflation of a mean of rows by their correlation.
@@ -383,6 +387,9 @@ fn fit_edge(
 }
 
 /// Robust straight line through the rows' offsets.
+///
+/// What covers an edge shows as rows whose crossing lies further in, never further out, so of several places that rows
+/// agree on the outermost is the edge. Rows beside ones that disagree are half covered and left out with them.
 fn line_through(rows: &[Row], possible: usize, length: f64, prior: &ShapePrior) -> Option<EdgeFit> {
     if rows.len() < 3 {
         return None;
@@ -393,14 +400,29 @@ fn line_through(rows: &[Row], possible: usize, length: f64, prior: &ShapePrior) 
     }
     let sorted = &mut sorted[..rows.len()];
     sorted.sort_unstable_by(f64::total_cmp);
-    let median = sorted[rows.len() / 2];
     let spread = (sorted[rows.len() * 3 / 4] - sorted[rows.len() / 4]) / 1.35;
-    let (mut offset, mut slope) = (median, 0.0);
-    let mut gate = (3.0 * spread).clamp(0.25, 0.8) + 2.0 * prior.slope_sigma * length / 2.0;
+    let lean = 2.0 * prior.slope_sigma * length / 2.0;
+    // The fullest place within ± reach, and the outermost that is half as full.
+    let reach = (2.0 * spread).clamp(0.2, 0.4) + lean;
+    let fullness = |at: usize| {
+        let from = sorted.partition_point(|&v| v < sorted[at] - reach);
+        let to = sorted.partition_point(|&v| v <= sorted[at] + reach);
+        (from, to)
+    };
+    let most = (0..rows.len()).map(|i| fullness(i)).map(|(a, b)| b - a).max()?;
+    let (from, to) = (0..rows.len()).rev().map(|i| fullness(i)).find(|(a, b)| 2 * (b - a) >= most.max(8))?;
+    let (mut offset, mut slope) = (sorted[(from + to) / 2], 0.0);
+    let mut gate = reach;
     let mut result = None;
-    for _ in 0..3 {
+    for round in 0..3 {
+        let agrees = |r: &Row| (r.across - offset - slope * r.along).abs() < gate;
+        let used = |i: usize| {
+            agrees(&rows[i])
+                && (round == 0
+                    || ((i == 0 || agrees(&rows[i - 1])) && (i + 1 == rows.len() || agrees(&rows[i + 1]))))
+        };
         let (mut n, mut st, mut stt, mut sa, mut sta) = (0.0, 0.0, 0.0, 0.0, 0.0);
-        for r in rows.iter().filter(|r| (r.across - offset - slope * r.along).abs() < gate) {
+        for (_, r) in rows.iter().enumerate().filter(|(i, _)| used(*i)) {
             n += 1.0;
             st += r.along;
             stt += r.along * r.along;
@@ -412,17 +434,15 @@ fn line_through(rows: &[Row], possible: usize, length: f64, prior: &ShapePrior) 
         }
         // The direction is known to slope_sigma beforehand; what the rows weigh against it is their usual noise.
         let pull = 0.01 / (prior.slope_sigma * prior.slope_sigma);
-        let normal = Matrix2::new(n, st, st, stt + pull);
-        let inverse = normal.try_inverse()?;
+        let inverse = Matrix2::new(n, st, st, stt + pull).try_inverse()?;
         let solution = inverse * Vector2::new(sa, sta);
-        (offset, slope) = (solution.x, solution.y);
-        let (mut square, mut lag, mut used) = (0.0, 0.0, 0usize);
+        let (mut square, mut lag, mut count) = (0.0, 0.0, 0usize);
         let mut last: Option<f64> = None;
-        for r in rows {
-            let residual = r.across - offset - slope * r.along;
-            if residual.abs() < gate {
+        for (i, r) in rows.iter().enumerate() {
+            if used(i) {
+                let residual = r.across - solution.x - solution.y * r.along;
                 square += residual * residual;
-                used += 1;
+                count += 1;
                 if let Some(previous) = last {
                     lag += previous * residual;
                 }
@@ -431,19 +451,20 @@ fn line_through(rows: &[Row], possible: usize, length: f64, prior: &ShapePrior) 
                 last = None;
             }
         }
+        (offset, slope) = (solution.x, solution.y);
         let variance = (square / (n - 2.0).max(1.0)).max(4e-4);
-        gate = (3.2 * variance.sqrt()).clamp(0.12, gate);
+        gate = (3.2 * variance.sqrt()).clamp(0.15, gate);
         result = Some(EdgeFit {
             offset,
             slope,
             covariance: inverse * variance * prior.inflation,
-            support: used as f64 / possible.max(1) as f64,
-            rows: used,
-            rms: (square / used.max(1) as f64).sqrt(),
+            support: count as f64 / possible.max(1) as f64,
+            rows: count,
+            rms: (square / count.max(1) as f64).sqrt(),
             lag: [lag, square],
         });
     }
-    result.filter(|e| e.support > 0.25)
+    result.filter(|e| e.support > 0.2)
 }
 
 /// Edges into an outline; where one is missing or contradicts the shape, the shape prior stands in.
@@ -464,39 +485,60 @@ fn combine(
         let normal = if normal.dot(&(middle - centre)) < 0.0 { -normal } else { normal };
         (middle, tangent, normal, length)
     });
-    // Drop the edge that contradicts the shape most, while there is one.
+    // While an edge contradicts the shape, leave out the one without which the rest agrees best.
     loop {
-        let seen: Vec4 = Vec4::of(&edges);
+        let seen = Seen::of(&edges);
         if seen.count < 2 || !seen.adjacent() {
             return None;
         }
         let estimate = solve(&geometry, &edges, prior)?;
-        let worst = (0..4)
-            .filter_map(|i| {
-                let e = edges[i]?;
-                let expected = geometry[i].2.dot(&estimate.shift) + prior.edge_bias;
-                let sigma = (prior.edge_sigma.powi(2) + e.covariance[(0, 0)]).sqrt();
-                let z = (e.offset - expected).abs() / sigma;
-                Some((i, z))
-            })
-            .max_by(|a, b| a.1.total_cmp(&b.1))?;
-        if worst.1 > 3.5 && seen.count > 2 {
-            edges[worst.0] = None;
-            continue;
+        let (worst, total) = contradiction(&geometry, &edges, &estimate, prior);
+        if worst < 3.5 {
+            return Some(finish(predicted, &geometry, edges, estimate, interior, outside_levels));
         }
-        if worst.1 > 5.0 {
-            return None;
+        let mut best: Option<(usize, f64)> = None;
+        for i in 0..4 {
+            let mut fewer = edges;
+            if fewer[i].take().is_none() || !Seen::of(&fewer).adjacent() {
+                continue;
+            }
+            let Some(estimate) = solve(&geometry, &fewer, prior) else { continue };
+            let (_, rest) = contradiction(&geometry, &fewer, &estimate, prior);
+            if best.is_none_or(|b| rest < b.1) {
+                best = Some((i, rest));
+            }
         }
-        return Some(finish(predicted, &geometry, edges, estimate, interior, outside_levels));
+        match best {
+            Some((i, rest)) if rest < total => edges[i] = None,
+            _ => return None,
+        }
     }
 }
 
-struct Vec4 {
+/// Largest deviation of an edge from the shape, in sigmas, and the sum of all squared ones with that of the place.
+fn contradiction(
+    geometry: &[Geometry; 4],
+    edges: &[Option<EdgeFit>; 4],
+    estimate: &Estimate,
+    prior: &ShapePrior,
+) -> (f64, f64) {
+    let (mut worst, mut total) = (0.0f64, estimate.shift.norm_squared() / prior.place_sigma.powi(2));
+    for (g, e) in geometry.iter().zip(edges) {
+        let Some(e) = e else { continue };
+        let expected = g.2.dot(&estimate.shift) + prior.edge_bias;
+        let z2 = (e.offset - expected).powi(2) / (prior.edge_sigma.powi(2) + e.covariance[(0, 0)]);
+        worst = worst.max(z2.sqrt());
+        total += z2;
+    }
+    (worst, total)
+}
+
+struct Seen {
     seen: [bool; 4],
     count: usize,
 }
 
-impl Vec4 {
+impl Seen {
     fn of(edges: &[Option<EdgeFit>; 4]) -> Self {
         let seen = edges.map(|e| e.is_some());
         Self { seen, count: seen.iter().filter(|s| **s).count() }
@@ -611,6 +653,7 @@ fn finish(
         inside: interior.level,
         outside,
         filled: interior.filled,
+        unevenness: interior.gradient.norm() * a.sqrt() / (interior.level - outside).abs().max(1e-3),
         noise: interior.sigma / (interior.level - outside).abs().max(1e-3),
     }
 }

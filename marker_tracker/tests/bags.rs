@@ -176,7 +176,11 @@ fn centroids_states_and_covariances_on_the_recorded_bags() {
         eprintln!("skipped: VOLANT_SHARED (the folder with the recorded bags) is not set");
         return;
     };
+    let only = std::env::var("BAG").unwrap_or_default();
     for bag in ["nominal", "occlude_two", "clutter", "fast_swing"] {
+        if !bag.contains(&only) {
+            continue;
+        }
         let folder = Path::new(&shared).join("bags").join(bag);
         let observations = track_bag(&folder, TrackerConfig::default());
         let scores = score(&folder, &observations, true);
