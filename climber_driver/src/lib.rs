@@ -5,6 +5,8 @@
 
 mod climber;
 mod config;
+#[cfg(feature = "node")]
+pub mod node;
 mod refusal;
 
 pub use climber::{Climber, Counts, JointReading, Output, Warning};

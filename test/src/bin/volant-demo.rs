@@ -1,0 +1,184 @@
+//! `volant demo`: the main job on a simulated rig: four separate nodes, live over DDS.
+
+use anyhow::{Context, Result};
+use clap::Parser;
+use indicatif::{ProgressBar, ProgressStyle};
+use node_kit::environment::Network;
+use rig_model::Stamp;
+use std::{path::PathBuf, process::ExitCode, sync::Arc};
+use volant_test::{
+    accuracy::{Errors, inertial_alone},
+    live::{Ended, Film, Run, Scenario, bag, quantile, scenario::IMAGE_RATE},
+    report::{Curve, colours, six_curves, table},
+};
+
+/// Runs the main job on a simulated rig: four separate nodes, live over DDS.
+///
+/// A rendered camera, an Xsens unit on a pseudo-terminal and encoders speak to marker_tracker, imu_driver, climber_driver
+/// and pose_fusion as hardware would. Ends with a table of errors against the truth, a bag and a picture of the run.
+#[derive(Parser)]
+#[command(name = "volant demo", bin_name = "volant demo", version)]
+struct Arguments {
+    /// Folder for bag, picture and logs; what an earlier run left there is replaced
+    #[arg(long, default_value = "demo_run")]
+    out: PathBuf,
+    /// Length of the swing, s
+    #[arg(long, default_value_t = 20.0, value_parser = seconds)]
+    seconds: f64,
+    /// Everything random follows from it
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Strew things of the markers' colours over the floor
+    #[arg(long)]
+    clutter: bool,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(s) if (4.0..=600.0).contains(&s) => Ok(s),
+        _ => Err("a number from 4 to 600".to_owned()),
+    }
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    match demo(&arguments) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("volant demo: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn bar(length: u64, what: &str) -> ProgressBar {
+    let bar = ProgressBar::new(length);
+    let style = ProgressStyle::with_template("{prefix:<26} [{bar:34}] {pos:>4}/{len} {msg}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
+    bar.set_prefix(what.to_owned());
+    bar
+}
+
+fn demo(arguments: &Arguments) -> Result<()> {
+    let mut scenario = Scenario::swing(arguments.seed, arguments.seconds)?;
+    scenario.scene.clutter = arguments.clutter;
+    let network = Network::from_environment()?;
+    clear(&arguments.out)?;
+
+    let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4));
+    let shooting = bar(0, "rendering the camera");
+    let film = Film::shoot(&scenario, threads, |done, of| {
+        shooting.set_length(of as u64);
+        shooting.set_position(done as u64);
+    })?;
+    shooting.finish();
+
+    let starting = ProgressBar::new_spinner();
+    starting.set_message("starting marker_tracker, imu_driver, climber_driver, pose_fusion");
+    starting.enable_steady_tick(std::time::Duration::from_millis(120));
+    let mut run = Run::start(&scenario, Arc::new(film), &network, &arguments.out)?;
+    run.wait_for_pose(20.0)?;
+    starting.finish_and_clear();
+    let ids: Vec<String> = run.nodes.iter().map(|n| format!("{} ({})", n.name, n.id())).collect();
+    println!("four nodes on DDS domain {}: {}", network.domain_id, ids.join(", "));
+
+    let epoch = run.begin();
+    let playing = bar((scenario.duration() * 10.0) as u64, "live [0.1 s]");
+    run.play_until(scenario.duration() + 0.3, |t, stand| {
+        playing.set_position((t.max(0.0) * 10.0) as u64);
+        let heard = stand.heard();
+        if let Some((_, last)) = heard.odometry.last() {
+            let p = &last.pose.pose.position;
+            let covered = scenario.covers.iter().find(|c| (c.seconds[0]..c.seconds[1]).contains(&t));
+            let covered = covered.map_or(String::new(), |c| format!("  {} covered", c.color));
+            playing.set_message(format!("x {:+.3} y {:+.3} z {:.3} m{covered}", p.x, p.y, p.z));
+        }
+    })?;
+    playing.finish_with_message("");
+    let ended = run.finish()?;
+    conclude(arguments, &scenario, epoch, &ended)
+}
+
+/// Removes what an earlier run left, and nothing else.
+fn clear(folder: &std::path::Path) -> Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
+    let bag = folder.join("bag");
+    if bag.join("metadata.yaml").is_file() {
+        std::fs::remove_dir_all(&bag).with_context(|| format!("{}", bag.display()))?;
+    }
+    for name in volant_test::live::NODES {
+        let log = folder.join(format!("{name}.log"));
+        if log.is_file() {
+            std::fs::remove_file(&log).with_context(|| format!("{}", log.display()))?;
+        }
+    }
+    Ok(())
+}
+
+fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &Ended) -> Result<()> {
+    let heard = &ended.heard;
+    let truth = |at: Stamp| scenario.motion.world_from_volant(at.seconds_since(epoch));
+    // The first second is the filter's to settle, as `volant evaluate` has it.
+    let (from, to) = (epoch.plus_seconds(1.0), epoch.plus_seconds(scenario.duration()));
+    let (camera, fused, samples) = (heard.visual(), heard.fused(), heard.inertial());
+    let first = fused
+        .iter()
+        .find(|(at, _)| *at >= epoch)
+        .context("no fused pose since the swing began; see the nodes' logs")?;
+    let inertial =
+        inertial_alone(&samples, &scenario.rig.imu.volant_from_imu, first, nalgebra::Vector3::zeros(), 1e-5);
+    let errors = |track| Errors::of(track, from, to, truth);
+    let (of_camera, of_inertial, of_fused) = (errors(&camera), errors(&inertial), errors(&fused));
+    let rows = [("camera alone", &of_camera), ("inertial alone", &of_inertial), ("fused", &of_fused)];
+    println!("\nerrors against the truth, {} s to {} s (the paper's Table II)\n", 1, scenario.duration());
+    println!("{}\n", table(&rows));
+
+    let expected = samples.iter().filter(|s| s.stamp >= from && s.stamp <= to).count();
+    let gap = fused
+        .windows(2)
+        .filter(|w| w[0].0 >= from && w[1].0 <= to)
+        .map(|w| w[1].0.seconds_since(w[0].0))
+        .fold(0.0, f64::max);
+    println!("odometry: {} of {expected} inertial samples, longest gap {:.0} ms", of_fused.count, gap * 1e3);
+    let nees = heard.nees(from, to, truth);
+    let mean = |k: usize| nees.iter().map(|n| n[k]).sum::<f64>() / nees.len() as f64;
+    println!("consistency: NEES of position {:.2}, of rotation {:.2} (ideal 3)", mean(0), mean(1));
+    let latencies = heard.latencies(from, to);
+    println!(
+        "image's stamp to the odometry that contains it, over DDS: median {:.1} ms, p99 {:.1} ms of {} images \
+         (one image period: {:.1} ms)",
+        quantile(&latencies, 0.5) * 1e3,
+        quantile(&latencies, 0.99) * 1e3,
+        latencies.len(),
+        1e3 / IMAGE_RATE
+    );
+    for (name, status) in &ended.ends {
+        if !status.success() {
+            println!("{name} ended with {status}");
+        }
+    }
+
+    let bag_path = arguments.out.join("bag");
+    bag::write(&bag_path, scenario, epoch, &ended.said, heard)?;
+    let picture = arguments.out.join("curves.svg");
+    let shaded: Vec<[f64; 2]> = scenario.covers.iter().map(|c| c.seconds).collect();
+    six_curves(
+        &picture,
+        "Pose of the platform: camera alone, inertial unit alone, fused (the paper's Fig. 13)",
+        epoch,
+        scenario.duration(),
+        |t| scenario.motion.world_from_volant(t),
+        &[
+            Curve { name: "camera alone", track: &camera, colour: colours::CAMERA, width: 0 },
+            Curve { name: "inertial alone", track: &inertial, colour: colours::INERTIAL, width: 2 },
+            Curve { name: "fused", track: &fused, colour: colours::FUSED, width: 3 },
+        ],
+        &shaded,
+    )
+    .map_err(anyhow::Error::msg)?;
+    println!("\nbag      {}", bag_path.display());
+    println!("rig file {}", arguments.out.join("rig.yaml").display());
+    println!("picture  {}", picture.display());
+    println!("logs     {}", arguments.out.join("*.log").display());
+    Ok(())
+}

@@ -1,0 +1,146 @@
+//! What the nodes said, each message with the instant of its receipt.
+
+use crate::accuracy::Track;
+use nalgebra::{Isometry3, Matrix3, Vector3};
+use node_kit::convert::{self, pose, stamp};
+use rig_model::{ImuSample, Stamp};
+use std::sync::Arc;
+use volant_msgs::{
+    diagnostic_msgs::msg::DiagnosticArray,
+    geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
+    msg::{MarkerObservations, MarkerUpdates},
+    nav_msgs::msg::Odometry,
+    sensor_msgs::msg::Imu,
+    tf2_msgs::msg::TFMessage,
+};
+
+/// Messages of one topic with their times of receipt.
+pub type Received<M> = Vec<(Stamp, Arc<M>)>;
+
+/// Everything that was heard, in order of receipt per topic.
+#[derive(Clone, Debug, Default)]
+pub struct Heard {
+    /// `volant/odometry`.
+    pub odometry: Received<Odometry>,
+    /// `volant/fused_pose`.
+    pub fused_pose: Received<PoseWithCovarianceStamped>,
+    /// `volant/visual_pose`.
+    pub visual_pose: Received<PoseWithCovarianceStamped>,
+    /// `volant/imu/data`.
+    pub imu: Received<Imu>,
+    /// `climber/markers`.
+    pub markers: Received<MarkerObservations>,
+    /// `volant/marker_updates`.
+    pub marker_updates: Received<MarkerUpdates>,
+    /// `climber/transform`.
+    pub climber: Received<TransformStamped>,
+    /// `/tf`.
+    pub tf: Received<TFMessage>,
+    /// `/tf_static`.
+    pub tf_static: Received<TFMessage>,
+    /// `/diagnostics`.
+    pub diagnostics: Received<DiagnosticArray>,
+}
+
+impl Heard {
+    /// The fused poses.
+    pub fn fused(&self) -> Track {
+        let one = |(_, m): &(Stamp, Arc<Odometry>)| {
+            Some((stamp(&m.header.stamp), pose(&m.pose.pose, "pose").ok()?))
+        };
+        self.odometry.iter().filter_map(one).collect()
+    }
+
+    /// The poses from one image each.
+    pub fn visual(&self) -> Track {
+        let one = |(_, m): &(Stamp, Arc<PoseWithCovarianceStamped>)| {
+            Some((stamp(&m.header.stamp), pose(&m.pose.pose, "pose").ok()?))
+        };
+        self.visual_pose.iter().filter_map(one).collect()
+    }
+
+    /// The inertial samples.
+    pub fn inertial(&self) -> Vec<ImuSample> {
+        self.imu.iter().map(|(_, m)| convert::imu_sample(m)).collect()
+    }
+
+    /// From the middle of an image's exposure to the receipt of the first odometry after the filter took that image in,
+    /// s, one per image stamped in `from ..= to`.
+    pub fn latencies(&self, from: Stamp, to: Stamp) -> Vec<f64> {
+        let mut odometry = self.odometry.iter().peekable();
+        let mut latencies = Vec::new();
+        for (taken_in, update) in &self.marker_updates {
+            let image = stamp(&update.header.stamp);
+            if image < from || image > to {
+                continue;
+            }
+            while odometry.next_if(|(received, _)| received < taken_in).is_some() {}
+            if let Some((received, _)) = odometry.peek() {
+                latencies.push(received.seconds_since(image));
+            }
+        }
+        latencies
+    }
+
+    /// The fused pose's error against the truth as NEES of position and of rotation (ideal mean: 3 each), of the poses
+    /// stamped in `from ..= to`; poses whose covariance is not positive definite count as infinite.
+    pub fn nees(&self, from: Stamp, to: Stamp, truth: impl Fn(Stamp) -> Isometry3<f64>) -> Vec<[f64; 2]> {
+        self.odometry
+            .iter()
+            .map(|(_, m)| (stamp(&m.header.stamp), m))
+            .filter(|(at, _)| *at >= from && *at <= to)
+            .filter_map(|(at, m)| {
+                let (estimate, truth) = (pose(&m.pose.pose, "pose").ok()?, truth(at));
+                let c = |i: usize| Matrix3::from_fn(|r, k| m.pose.covariance[(r + i) * 6 + k + i]);
+                let position = estimate.translation.vector - truth.translation.vector;
+                // About axes fixed in the world, as the covariance is.
+                let rotation = (estimate.rotation * truth.rotation.inverse()).scaled_axis();
+                let of = |error: Vector3<f64>, covariance: Matrix3<f64>| {
+                    covariance.cholesky().map_or(f64::INFINITY, |l| error.dot(&l.solve(&error)))
+                };
+                Some([of(position, c(0)), of(rotation, c(3))])
+            })
+            .collect()
+    }
+}
+
+/// The value below which the share `share` of the values lies; NaN of none.
+pub fn quantile(values: &[f64], share: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let index = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(index.saturating_sub(1).min(sorted.len().saturating_sub(1))).copied().unwrap_or(f64::NAN)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_latency_counts_from_the_image_to_the_first_odometry_after_it_was_taken_in() {
+        let at = |ms: i64| Stamp::from_nanos(1_000_000_000 + ms * 1_000_000);
+        let odometry = |ms| (at(ms), Arc::new(Odometry::default()));
+        let update = |image, taken_in| {
+            let m = MarkerUpdates { header: convert::header("", at(image)), ..MarkerUpdates::default() };
+            (at(taken_in), Arc::new(m))
+        };
+        let heard = Heard {
+            odometry: [2, 12, 22, 32, 42].map(odometry).to_vec(),
+            marker_updates: vec![update(0, 15), update(20, 32), update(40, 99)],
+            ..Heard::default()
+        };
+        let latencies = heard.latencies(at(0), at(100));
+        assert_eq!(latencies.len(), 2);
+        assert!((latencies[0] - 0.022).abs() < 1e-9 && (latencies[1] - 0.012).abs() < 1e-9, "{latencies:?}");
+    }
+
+    #[test]
+    fn quantiles_are_of_the_sorted_values() {
+        let values: Vec<f64> = (1..=100).rev().map(f64::from).collect();
+        assert_eq!(
+            (quantile(&values, 0.99), quantile(&values, 0.5), quantile(&values, 1.0)),
+            (99.0, 50.0, 100.0)
+        );
+        assert!(quantile(&[], 0.5).is_nan());
+    }
+}
