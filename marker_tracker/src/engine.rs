@@ -7,7 +7,7 @@ use crate::{
     geometry::{PosePrior, Sight, guessed_camera, project_square, refine},
     image::ImageView,
     model::Appearance,
-    quad::{Quad, QuadFit, ShapePrior, fit},
+    quad::{LAGS, Quad, QuadFit, ShapePrior, fit},
     signal::Window,
 };
 use nalgebra::{Isometry3, Matrix2, Vector2};
@@ -51,8 +51,10 @@ pub(crate) struct Engine {
     found: Vec<Hypothesis>,
     /// Images since two markers were detected at once.
     blind: u32,
-    /// Running Σ rᵢrᵢ₊₁ and Σ rᵢ² of the edges' rows: their correlation.
-    lag: [f64; 2],
+    /// Running sums of the correlation of the edges' rows, by lag.
+    lag: [f64; LAGS],
+    /// Running Σ χ² of the centroids about the pose and Σ of its degrees of freedom.
+    excess: [f64; 2],
 }
 
 /// Half-width that is integrated across an edge, px: while it is sought, and once it is known to a fraction of a pixel. The
@@ -77,7 +79,8 @@ impl Engine {
             scanner: Scanner::default(),
             found: Vec::with_capacity(64),
             blind: 0,
-            lag: [0.0; 2],
+            lag: [0.0; LAGS],
+            excess: [0.0; 2],
         }
     }
 
@@ -137,10 +140,23 @@ impl Engine {
         self.camera.as_ref().is_some_and(|c| c.size() == (image.width as u32, image.height as u32))
     }
 
-    fn inflation(&self) -> f64 {
-        // A mean of n rows whose neighbours correlate by ρ has (1 + ρ)/(1 − ρ) times the variance.
-        let rho = if self.lag[1] > 0.0 { (self.lag[0] / self.lag[1]).clamp(0.0, 0.8) } else { 0.4 };
+    /// Variance of a mean of rows over that of as many independent ones.
+    fn correlation(&self) -> f64 {
+        let rho = self.rho();
         (1.0 + rho) / (1.0 - rho)
+    }
+
+    fn rho(&self) -> f64 {
+        if self.lag[0] > 0.0 { (self.lag[1] / self.lag[0]).clamp(0.0, 0.7) } else { 0.4 }
+    }
+
+    fn inflation(&self) -> f64 {
+        // A mean of n rows whose neighbours correlate by ρ has (1 + ρ)/(1 − ρ) times the variance. Levels and slow
+        // correlation come on top; the centroids' residuals about the pose tell by how much, once there are some.
+        let expected = 1.0 + 1.4 * self.rho();
+        let weight = 60.0;
+        let excess = (self.excess[0] + expected * weight) / (self.excess[1] + weight);
+        self.correlation() * excess.clamp(0.6, 4.0)
     }
 
     fn measure(
@@ -220,6 +236,9 @@ impl Engine {
             }
         }
         self.learn(image, camera, &now);
+        if self.known_camera(image) {
+            self.learn_noise(camera, &now);
+        }
         self.pose = Some(now);
         detected
     }
@@ -363,14 +382,47 @@ impl Engine {
         }
     }
 
+    /// How much larger the centroids' squared residuals about the best pose are than their covariances say: four
+    /// centroids over-determine it by two. What the rows of an edge cannot tell (JPEG's blocks, demosaicing, paper that is
+    /// not flat) is learnt so.
+    fn learn_noise(&mut self, camera: &CameraModel, pose: &Isometry3<f64>) {
+        let mut sights = [Sight { color: MarkerColor::Red, pixel: Vector2::zeros(), sigma: 1.0, outline: None }; 4];
+        let mut covariances = [Matrix2::identity(); 4];
+        for color in MarkerColor::ALL {
+            let Some(f) = self.markers[color].fit.filter(is_whole) else { return };
+            let sigma = (f.covariance.trace() / 2.0).sqrt();
+            let inflation = f.inflation;
+            sights[color.index()] = Sight { color, pixel: f.centroid, sigma, outline: None };
+            // As they are without what is learnt here.
+            covariances[color.index()] = f.covariance * (self.correlation() / inflation);
+        }
+        let Some((best, _)) = refine(&self.layout, camera, &sights, pose, None, 4) else { return };
+        let mut chi2 = 0.0;
+        for (s, c) in sights.iter().zip(&covariances) {
+            let Some(p) = self.layout.projected_centroid(s.color, camera, &best) else { return };
+            let Some(inverse) = c.try_inverse() else { return };
+            let r = s.pixel - p.pixel;
+            chi2 += (r.transpose() * inverse * r)[0];
+        }
+        if chi2.is_finite() && chi2 < 200.0 {
+            // A frame in which something went wrong is not to teach the noise.
+            self.excess[0] += chi2.min(30.0);
+            self.excess[1] += 2.0;
+        }
+        if self.excess[1] > 400.0 {
+            self.excess = self.excess.map(|v| v * 0.5);
+        }
+    }
+
     /// Keeps what a clean look teaches: colours, turn, edge bias, correlation of the noise.
     fn learn(&mut self, image: &ImageView<'_>, camera: &CameraModel, pose: &Isometry3<f64>) {
         let detected = self.markers.0.iter().filter(|m| m.fit.is_some()).count();
         for color in MarkerColor::ALL {
             let Some(f) = self.markers[color].fit.filter(is_whole) else { continue };
             for e in f.edges.iter().flatten() {
-                self.lag[0] += e.lag[0];
-                self.lag[1] += e.lag[1];
+                for (sum, lag) in self.lag.iter_mut().zip(&e.lag) {
+                    *sum += lag;
+                }
             }
             let m = &mut self.markers[color];
             if let Some(a) = &mut m.appearance {
@@ -391,7 +443,7 @@ impl Engine {
             m.edge_bias.0 += rate(m.edge_bias.1) * (bias - m.edge_bias.0).clamp(-1.0, 1.0);
             m.edge_bias.1 = m.edge_bias.1.saturating_add(1);
         }
-        if self.lag[1] > 100.0 {
+        if self.lag[0] > 100.0 {
             self.lag = self.lag.map(|v| v * 0.5);
         }
     }

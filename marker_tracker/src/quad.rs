@@ -73,8 +73,8 @@ pub(crate) struct EdgeFit {
     pub rows: usize,
     /// RMS of their residuals, px.
     pub rms: f64,
-    /// Correlation of neighbouring residuals, summed up: Σ rᵢrᵢ₊₁ and Σ rᵢ².
-    pub lag: [f64; 2],
+    /// Correlation of the residuals of rows that are k apart, summed up: Σ rᵢ², Σ rᵢrᵢ₊₁ … Σ rᵢrᵢ₊ₖ.
+    pub lag: [f64; LAGS],
 }
 
 /// The outline, measured.
@@ -93,6 +93,8 @@ pub(crate) struct QuadFit {
     pub outside: f64,
     /// Share of the interior samples that have the marker's level.
     pub filled: f64,
+    /// The variance inflation that is in the covariance.
+    pub inflation: f64,
     /// Standard deviation of the interior signal, in units of the contrast.
     pub noise: f64,
 }
@@ -116,6 +118,10 @@ pub(crate) struct ShapePrior {
 
 /// Pixels along an edge that a corner's blur spoils.
 const CORNER: f64 = 2.0;
+/// Width of the band in which the level outside is measured, px.
+const OUTSIDE: f64 = 3.0;
+/// Over how many rows the residuals' correlation is measured, and the residuals themselves as lag 0.
+pub(crate) const LAGS: usize = 2;
 /// Most rows of one edge that are used; longer edges are sampled evenly.
 const MAX_ROWS: usize = 96;
 
@@ -264,7 +270,7 @@ fn fit_edge(
     let last = to.floor() as i32;
     let usable = ((last - first + 1).max(0)) as usize;
     let stride = usable.div_ceil(MAX_ROWS).max(1);
-    let outside_count = (2.0 / steep).ceil() as i32;
+    let outside_count = (OUTSIDE / steep).ceil() as i32;
     let mut rows = [Row::default(); MAX_ROWS];
     let (mut count, mut possible) = (0usize, 0usize);
     let step = sign as i32;
@@ -436,32 +442,35 @@ fn line_through(rows: &[Row], possible: usize, length: f64, prior: &ShapePrior) 
         let pull = 0.01 / (prior.slope_sigma * prior.slope_sigma);
         let inverse = Matrix2::new(n, st, st, stt + pull).try_inverse()?;
         let solution = inverse * Vector2::new(sa, sta);
-        let (mut square, mut lag, mut count) = (0.0, 0.0, 0usize);
-        let mut last: Option<f64> = None;
+        let (mut lag, mut count) = ([0.0; LAGS], 0usize);
+        let mut recent = [0.0; LAGS];
         for (i, r) in rows.iter().enumerate() {
+            recent.copy_within(..LAGS - 1, 1);
+            recent[0] = 0.0;
             if used(i) {
-                let residual = r.across - solution.x - solution.y * r.along;
-                square += residual * residual;
+                recent[0] = r.across - solution.x - solution.y * r.along;
                 count += 1;
-                if let Some(previous) = last {
-                    lag += previous * residual;
+                for (sum, earlier) in lag.iter_mut().zip(&recent) {
+                    *sum += recent[0] * earlier;
                 }
-                last = Some(residual);
-            } else {
-                last = None;
             }
         }
+        let square = lag[0];
         (offset, slope) = (solution.x, solution.y);
         let variance = (square / (n - 2.0).max(1.0)).max(4e-4);
         gate = (3.2 * variance.sqrt()).clamp(0.15, gate);
+        let support = count as f64 / possible.max(1) as f64;
+        let mut covariance = inverse * variance * prior.inflation;
+        // Rows that a cover's blur touches a little stay unnoticed: the more is covered the more there are.
+        covariance[(0, 0)] += (0.2 * (1.0 - support)).powi(2);
         result = Some(EdgeFit {
             offset,
             slope,
-            covariance: inverse * variance * prior.inflation,
-            support: count as f64 / possible.max(1) as f64,
+            covariance,
+            support,
             rows: count,
             rms: (square / count.max(1) as f64).sqrt(),
-            lag: [lag, square],
+            lag,
         });
     }
     result.filter(|e| e.support > 0.2)
@@ -494,7 +503,9 @@ fn combine(
         let estimate = solve(&geometry, &edges, prior)?;
         let (worst, total) = contradiction(&geometry, &edges, &estimate, prior);
         if worst < 3.5 {
-            return Some(finish(predicted, &geometry, edges, estimate, interior, outside_levels));
+            let mut fit = finish(predicted, &geometry, edges, estimate, interior, outside_levels);
+            fit.inflation = prior.inflation;
+            return Some(fit);
         }
         let mut best: Option<(usize, f64)> = None;
         for i in 0..4 {
@@ -653,6 +664,7 @@ fn finish(
         inside: interior.level,
         outside,
         filled: interior.filled,
+        inflation: 1.0,
         unevenness: interior.gradient.norm() * a.sqrt() / (interior.level - outside).abs().max(1e-3),
         noise: interior.sigma / (interior.level - outside).abs().max(1e-3),
     }

@@ -184,32 +184,65 @@ fn centroids_states_and_covariances_on_the_recorded_bags() {
         let folder = Path::new(&shared).join("bags").join(bag);
         let observations = track_bag(&folder, TrackerConfig::default());
         let scores = score(&folder, &observations, true);
-        let (mut whole, mut detected, mut square, mut nes) = (0, 0, Vector2::zeros(), 0.0);
+        let (mut all, mut square) = (Score::default(), Vector2::zeros());
         for (color, s) in scores.iter() {
             let n = s.whole_detected.max(1) as f64;
             let rms = (s.square / n).map(f64::sqrt);
             eprintln!(
-                "{bag:12} {color:6} whole {:3}/{:3} rms {:.4} {:.4} mean {:7.4} {:7.4} nes {:5.2} | part {:3}/{:3} rms {:.3} nes {:5.2} worst {:.2} | hidden {}/{} wrong {} | predicted {} rms {:.2} nes {:.2}",
-                s.whole_detected, s.whole, rms.x, rms.y, s.sum.x / n, s.sum.y / n, s.nes / n,
-                s.part_detected, s.part,
+                "{bag:12} {color:6} whole {:3}/{:3} rms {:.4} {:.4} mean {:7.4} {:7.4} nes {:5.2} | part {:3}/{:3} rms {:.3} \
+                 nes {:5.2} worst {:.2} | hidden {}/{} wrong {} | predicted {} rms {:.2} nes {:.2}",
+                s.whole_detected,
+                s.whole,
+                rms.x,
+                rms.y,
+                s.sum.x / n,
+                s.sum.y / n,
+                s.nes / n,
+                s.part_detected,
+                s.part,
                 (s.part_square / s.part_detected.max(1) as f64).sqrt(),
-                s.part_nes / s.part_detected.max(1) as f64, s.part_worst,
-                s.hidden_detected, s.hidden, s.wrong, s.predicted,
+                s.part_nes / s.part_detected.max(1) as f64,
+                s.part_worst,
+                s.hidden_detected,
+                s.hidden,
+                s.wrong,
+                s.predicted,
                 (s.predicted_square / s.predicted.max(1) as f64).sqrt(),
                 s.predicted_nes / s.predicted.max(1) as f64,
             );
-            whole += s.whole;
-            detected += s.whole_detected;
             square += s.square;
-            nes += s.nes;
+            all.whole += s.whole;
+            all.whole_detected += s.whole_detected;
+            all.nes += s.nes;
+            all.part_detected += s.part_detected;
+            all.part_nes += s.part_nes;
+            all.part_square += s.part_square;
+            all.part_worst = all.part_worst.max(s.part_worst);
+            all.hidden_detected += s.hidden_detected;
+            all.wrong += s.wrong;
         }
-        let rms = (square / f64::from(detected.max(1) as u32)).map(f64::sqrt);
+        let n = all.whole_detected.max(1) as f64;
+        let rms = (square / n).map(f64::sqrt);
+        let share = all.whole_detected as f64 / all.whole as f64;
+        let nes = all.nes / n;
+        let parts = all.part_detected.max(1) as f64;
         eprintln!(
-            "{bag:12} all    whole {detected}/{whole} = {:.2} %  rms {:.4} {:.4} px  nes {:.2}",
-            100.0 * detected as f64 / whole as f64,
+            "{bag:12} all    whole {}/{} = {:.2} %  rms {:.4} {:.4} px  nes {nes:.2} | part nes {:.2} rms {:.3}",
+            all.whole_detected,
+            all.whole,
+            100.0 * share,
             rms.x,
             rms.y,
-            nes / detected as f64
+            all.part_nes / parts,
+            (all.part_square / parts).sqrt(),
         );
+        assert!(observations.len() == 358, "{bag}: an observation per image");
+        assert!(share >= 0.999, "{bag}: whole markers detected {share}");
+        assert!(rms.x <= 0.06 && rms.y <= 0.06, "{bag}: centroid RMS {rms}");
+        assert!((1.6..=2.6).contains(&nes), "{bag}: normalised squared error {nes}");
+        assert!(all.part_nes / parts < 4.0, "{bag}: partly covered ones are not as good as they say");
+        assert!(all.part_worst < 1.0, "{bag}: a partly covered marker is {} px off", all.part_worst);
+        assert_eq!(all.hidden_detected, 0, "{bag}: hidden markers called detected");
+        assert_eq!(all.wrong, 0, "{bag}: detected more than 5 px off");
     }
 }
