@@ -26,11 +26,14 @@ pub struct ClockFitConfig {
     pub step: f64,
     /// s.
     pub patience: f64,
+    /// An arrival that is earlier than the fit by more than this means that the host's clock was set back; by less, that
+    /// all samples before came through late, s.
+    pub step_back: f64,
 }
 
 impl Default for ClockFitConfig {
     fn default() -> Self {
-        Self { window: 120.0, max_drift: 150e-6, slew: 0.1, step: 0.1, patience: 1.0 }
+        Self { window: 120.0, max_drift: 150e-6, slew: 0.1, step: 0.1, patience: 1.0, step_back: 1.0 }
     }
 }
 
@@ -134,7 +137,9 @@ impl ClockFit {
         let (offset, drift) = self.line;
         let elapsed = (device.saturating_sub(self.last_device)).max(0) as f64 * 1e-9;
         let target = offset + drift * point.x;
-        let limit = self.config.slew * elapsed;
+        // A fit that is far off (the first samples came through late) is left quickly, but never backwards.
+        let far = (target - self.applied).abs() > 5e-3;
+        let limit = if far { 0.5 } else { self.config.slew } * elapsed;
         self.applied = if self.last_device == device || self.points.len() == 1 && point.x == 0.0 {
             target
         } else {
@@ -161,8 +166,7 @@ impl ClockFit {
     /// How far a clock has jumped, once that is certain.
     fn clock_stepped(&mut self, point: Point) -> Option<f64> {
         let above = point.y - (self.line.0 + self.line.1 * point.x);
-        if above < -self.config.step {
-            // No sample arrives before it was measured.
+        if above < -self.config.step_back {
             return Some(above);
         }
         if above < self.config.step {

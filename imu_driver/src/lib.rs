@@ -9,3 +9,5 @@ pub mod fake_unit;
 pub mod orientation;
 
 pub mod clock_fit;
+pub mod device_time;
+pub mod driver;

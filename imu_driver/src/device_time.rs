@@ -1,0 +1,217 @@
+//! The unit's own clock, made to grow without wraps: from the sample counter or from SampleTimeFine.
+//!
+//! In flow counters as they come and the instant of arrival; out flow device time in ns and the number of messages that
+//! are missing before this one.
+
+use crate::protocol::Measurement;
+use rig_model::Stamp;
+
+/// SampleTimeFine of an MTi-10 or MTi-100 starts anew after one day of 0.1 ms ticks; others use all 32 bits.
+const TICKS_PER_DAY: i64 = 864_000_000;
+const NANOS_PER_TICK: i64 = 100_000;
+
+/// Where one message stands in the unit's time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Placed {
+    /// ns since the first message.
+    pub device: i64,
+    /// Messages missing before this one.
+    pub lost: u64,
+    /// The unit or its counter started anew: `device` counts from zero again.
+    pub restarted: bool,
+    /// The same message once more, or an older one: it is no new sample.
+    pub repeated: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    counter: Option<u16>,
+    fine: Option<u32>,
+    device: i64,
+    arrival: Stamp,
+}
+
+/// Unwraps the unit's clock.
+#[derive(Clone, Copy, Debug)]
+pub struct DeviceTime {
+    /// From one message to the next, ns, as a fraction: numerator and denominator are exact, so nothing adds up.
+    period: (i64, i64),
+    count: i64,
+    /// Messages without inertial data since the last one with them: they use up counters too.
+    others: i64,
+    last: Option<Last>,
+}
+
+/// A counter that claims more time than has passed, by more than this, started anew, s.
+const AHEAD: f64 = 1.0;
+/// One that claims less, by more than this, too: less than this is a host that slept and found all in its buffers, s.
+const BEHIND: f64 = 5.0;
+
+fn disagrees(claimed: f64, elapsed: f64) -> bool {
+    claimed - elapsed > AHEAD || elapsed - claimed > BEHIND.max(0.5 * elapsed)
+}
+
+impl DeviceTime {
+    /// A clock whose messages follow one another every `ticks` / `ticks_per_second` seconds.
+    pub fn new(ticks: u32, ticks_per_second: u32) -> Self {
+        let period = (i64::from(ticks.max(1)) * 1_000_000_000, i64::from(ticks_per_second.max(1)));
+        Self { period, count: 0, others: 0, last: None }
+    }
+
+    /// From one message to the next, s.
+    pub fn period(&self) -> f64 {
+        self.period.0 as f64 / self.period.1 as f64 * 1e-9
+    }
+
+    /// Begins anew.
+    pub fn restart(&mut self) {
+        self.count = 0;
+        self.others = 0;
+        self.last = None;
+    }
+
+    /// A message without inertial data passed: it uses up a counter, and its time is unrelated.
+    pub fn pass(&mut self, m: &Measurement) {
+        self.others += i64::from(m.counter.is_some());
+    }
+
+    /// Where a message stands.
+    pub fn place(&mut self, m: &Measurement, arrival: Stamp) -> Placed {
+        let Some(last) = self.last else {
+            return self.first(m, arrival, false);
+        };
+        let elapsed = arrival.seconds_since(last.arrival);
+        let by_counter = m.counter.zip(last.counter).map(|(now, before)| {
+            // After a long gap the counter may have wrapped more than once: the arrival tells how often.
+            let step = i64::from(now.wrapping_sub(before));
+            let wraps = ((elapsed / self.period() - step as f64) / 65_536.0).round().clamp(0.0, 1e9);
+            step + 65_536 * wraps as i64
+        });
+        if let Some((now, before)) = m.sample_time_fine.zip(last.fine) {
+            let ticks = fine_step(now, before, elapsed);
+            let advance = ticks.saturating_mul(NANOS_PER_TICK);
+            if by_counter == Some(0) || ticks == 0 && by_counter.is_none() {
+                return self.repeated(last);
+            }
+            if ticks < 0 || disagrees(advance as f64 * 1e-9, elapsed) {
+                return self.first(m, arrival, true);
+            }
+            let lost = by_counter.map_or(0, |step| step.saturating_sub(1 + self.others)).max(0) as u64;
+            return self.later(m, arrival, last.device.saturating_add(advance), lost);
+        }
+        let step = match by_counter {
+            Some(0) => return self.repeated(last),
+            Some(step) => step,
+            // Without any clock the message is the next one, unless it comes much too late.
+            None => ((elapsed / self.period()).round().clamp(0.0, 1e9) as i64 - 1).max(1),
+        };
+        if disagrees(step as f64 * self.period(), elapsed) {
+            return self.first(m, arrival, true);
+        }
+        self.count = self.count.saturating_add(step);
+        let device = (i128::from(self.count) * i128::from(self.period.0) / i128::from(self.period.1)) as i64;
+        self.later(m, arrival, device, (step - 1 - self.others).max(0) as u64)
+    }
+
+    fn first(&mut self, m: &Measurement, arrival: Stamp, restarted: bool) -> Placed {
+        self.count = 0;
+        self.remember(m, arrival, 0);
+        Placed { device: 0, lost: 0, restarted, repeated: false }
+    }
+
+    fn later(&mut self, m: &Measurement, arrival: Stamp, device: i64, lost: u64) -> Placed {
+        self.remember(m, arrival, device);
+        Placed { device, lost, restarted: false, repeated: false }
+    }
+
+    fn repeated(&self, last: Last) -> Placed {
+        Placed { device: last.device, lost: 0, restarted: false, repeated: true }
+    }
+
+    fn remember(&mut self, m: &Measurement, arrival: Stamp, device: i64) {
+        self.others = 0;
+        self.last = Some(Last { counter: m.counter, fine: m.sample_time_fine, device, arrival });
+    }
+}
+
+/// Ticks from one SampleTimeFine to the next, whichever way it wraps; negative for a clock that went back.
+fn fine_step(now: u32, before: u32, elapsed: f64) -> i64 {
+    let step = i64::from(now) - i64::from(before);
+    if step >= 0 {
+        return step;
+    }
+    let expected = elapsed * 1e4;
+    [step, step + TICKS_PER_DAY, step + (1 << 32)]
+        .into_iter()
+        .min_by(|a, b| (*a as f64 - expected).abs().total_cmp(&(*b as f64 - expected).abs()))
+        .unwrap_or(step)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn counted(counter: u16) -> Measurement {
+        Measurement { counter: Some(counter), ..Measurement::default() }
+    }
+
+    fn fine(fine: u32) -> Measurement {
+        Measurement { sample_time_fine: Some(fine), ..Measurement::default() }
+    }
+
+    fn at(seconds: f64) -> Stamp {
+        Stamp::from_nanos(1_760_001_000_000_000_000).plus_seconds(seconds)
+    }
+
+    #[test]
+    fn the_counter_wraps_and_nothing_is_lost() {
+        let mut time = DeviceTime::new(288, 115_200);
+        let mut counter = 65_000_u16;
+        for k in 0..1_440_000_i64 {
+            // One hour at 400 Hz: 22 wraps.
+            let placed = time.place(&counted(counter), at(k as f64 * 0.0025));
+            assert_eq!(placed, Placed { device: k * 2_500_000, lost: 0, restarted: false, repeated: false });
+            counter = counter.wrapping_add(1);
+        }
+    }
+
+    #[test]
+    fn gaps_are_counted_also_beyond_a_wrap() {
+        let mut time = DeviceTime::new(1152, 115_200);
+        time.place(&counted(10), at(0.0));
+        assert_eq!(time.place(&counted(15), at(0.05)).lost, 4);
+        let placed = time.place(&counted(16), at(0.05 + 655.37));
+        assert_eq!((placed.lost, placed.device), (65_536, (5 + 65_537) * 10_000_000));
+        assert!(time.place(&counted(16), at(655.43)).repeated);
+    }
+
+    #[test]
+    fn a_counter_that_starts_anew_is_a_restart_and_no_gap() {
+        let mut time = DeviceTime::new(1152, 115_200);
+        time.place(&counted(5000), at(0.0));
+        let placed = time.place(&counted(0), at(0.7));
+        assert_eq!((placed.restarted, placed.lost, placed.device), (true, 0, 0));
+    }
+
+    #[test]
+    fn sample_time_fine_wraps_after_a_day_or_after_all_its_bits() {
+        for (before, now) in [(863_999_950, 50), (4_294_967_246, 50)] {
+            let mut time = DeviceTime::new(1152, 115_200);
+            time.place(&fine(before), at(0.0));
+            let placed = time.place(&fine(now), at(0.012));
+            assert_eq!((placed.device, placed.restarted), (10_000_000, false), "{before}");
+        }
+        let mut time = DeviceTime::new(1152, 115_200);
+        time.place(&fine(500_000), at(0.0));
+        assert!(time.place(&fine(50), at(0.5)).restarted);
+    }
+
+    #[test]
+    fn without_any_clock_a_message_is_the_next_one() {
+        let mut time = DeviceTime::new(1152, 115_200);
+        let none = Measurement::default();
+        time.place(&none, at(0.0));
+        assert_eq!(time.place(&none, at(0.016)).device, 10_000_000);
+        assert_eq!(time.place(&none, at(0.017)).device, 20_000_000);
+    }
+}

@@ -1,0 +1,92 @@
+//! From a measurement to a sample as ROS means it (REP-145).
+
+use crate::{
+    orientation::enu_from_imu,
+    protocol::{Measurement, Status},
+};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use rig_model::{ImuSample, OrientationSample, Stamp};
+
+/// One message of the unit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sample {
+    /// When it was measured.
+    pub stamp: Stamp,
+    /// Specific force, rate of turn, attitude: where the message has all it takes.
+    pub imu: Option<ImuSample>,
+    /// Magnetic field in the unit's axes, in arbitrary units: the Earth's is about 1.
+    pub magnetic_field: Option<Vector3<f64>>,
+    /// °C.
+    pub temperature: Option<f64>,
+    /// Status bits.
+    pub status: Option<Status>,
+    /// The unit's counter.
+    pub counter: Option<u16>,
+}
+
+fn finite(v: [f64; 3]) -> Option<Vector3<f64>> {
+    v.iter().all(|x| x.is_finite()).then(|| Vector3::from(v))
+}
+
+/// Makes a sample; `period` (s) turns increments into rates where a unit sends only those. What is not finite is left
+/// out.
+pub fn sample_of(m: &Measurement, stamp: Stamp, period: f64) -> Sample {
+    let per_second = |v: [f64; 3]| v.map(|x| x / period);
+    let specific_force =
+        m.acceleration.or(m.acceleration_hr).or_else(|| m.delta_velocity.map(per_second)).and_then(finite);
+    let angular_velocity = m
+        .angular_velocity
+        .or(m.angular_velocity_hr)
+        .and_then(finite)
+        .or_else(|| m.delta_orientation.and_then(|q| rate_of(q, period)));
+    let orientation = m
+        .orientation
+        .as_ref()
+        .and_then(enu_from_imu)
+        .map(|enu_from_imu| OrientationSample { enu_from_imu, covariance: None });
+    let imu = specific_force.zip(angular_velocity).map(|(specific_force, angular_velocity)| ImuSample {
+        stamp,
+        specific_force,
+        angular_velocity,
+        orientation,
+    });
+    Sample {
+        stamp,
+        imu,
+        magnetic_field: m.magnetic_field.and_then(finite),
+        temperature: m.temperature.filter(|t| t.is_finite()),
+        status: m.status,
+        counter: m.counter,
+    }
+}
+
+/// The mean rate of turn over one period that turned by the quaternion w, x, y, z.
+fn rate_of([w, x, y, z]: [f64; 4], period: f64) -> Option<Vector3<f64>> {
+    let q = Quaternion::new(w, x, y, z);
+    let norm = q.norm();
+    if norm.is_nan() || (norm - 1.0).abs() > 0.05 || period <= 0.0 {
+        return None;
+    }
+    Some(UnitQuaternion::new_unchecked(q / norm).scaled_axis() / period)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn increments_become_rates_and_nan_nothing() {
+        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.001, -0.002, 0.003));
+        let m = Measurement {
+            delta_velocity: Some([0.0, 0.0, 0.0981]),
+            delta_orientation: Some([turn.w, turn.i, turn.j, turn.k]),
+            ..Measurement::default()
+        };
+        let imu = sample_of(&m, Stamp::default(), 0.01).imu.unwrap();
+        assert!((imu.specific_force.z - 9.81).abs() < 1e-12);
+        assert!((imu.angular_velocity - Vector3::new(0.1, -0.2, 0.3)).norm() < 1e-9);
+        let m = Measurement { delta_velocity: Some([f64::NAN; 3]), temperature: Some(f64::NAN), ..m };
+        let sample = sample_of(&m, Stamp::default(), 0.01);
+        assert_eq!((sample.imu, sample.temperature), (None, None));
+    }
+}

@@ -1,0 +1,176 @@
+//! While the unit measures: data messages to samples with stamps, and what is counted on the way.
+
+use super::{Driver, Event, Identity, Output, Phase, sample_of};
+use crate::{
+    clock_fit::{ClockFit, ClockFitConfig},
+    device_time::DeviceTime,
+    protocol::{Decoder, DeviceError, Frame, MessageId, OutputEntry, ParserCounts, Status},
+};
+use rig_model::Stamp;
+
+/// So many unreadable messages in a row, and the configuration is read anew.
+const UNREADABLE_LIMIT: u32 = 5;
+/// The unit is silent after this, s, or after five messages' time.
+const SILENCE: f64 = 0.5;
+
+/// What was counted since the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Statistics {
+    /// Samples given.
+    pub samples: u64,
+    /// Messages that the counter misses.
+    pub lost: u64,
+    /// Messages that came twice.
+    pub repeated: u64,
+    /// Whole frames that could not be decoded.
+    pub unreadable: u64,
+    /// Samples while a sensor clipped, as the status says.
+    pub clipped: u64,
+    /// How often the stream began.
+    pub connections: u64,
+    /// The parser's counts.
+    pub parser: ParserCounts,
+    /// The newest status bits.
+    pub status: Option<Status>,
+    /// The unit's clock against the host's, parts per million, once it is known.
+    pub drift_ppm: Option<f64>,
+    /// Messages per second as configured.
+    pub rate: f64,
+}
+
+#[derive(Debug)]
+pub(super) struct Stream {
+    decoder: Decoder,
+    time: DeviceTime,
+    clock: ClockFit,
+    last_data: f64,
+    unreadable_in_a_row: u32,
+    said_no_inertial: bool,
+    inertial_missing: u32,
+    statistics: Statistics,
+    /// What was asked of a newer unit and what it made of it: asking again would wear its flash for nothing.
+    settled: Option<(Vec<OutputEntry>, Vec<OutputEntry>)>,
+}
+
+impl Stream {
+    pub(super) fn new(clock: ClockFitConfig) -> Self {
+        Self {
+            decoder: Decoder::default(),
+            time: DeviceTime::new(1152, 115_200),
+            clock: ClockFit::new(clock),
+            last_data: 0.0,
+            unreadable_in_a_row: 0,
+            said_no_inertial: false,
+            inertial_missing: 0,
+            statistics: Statistics::default(),
+            settled: None,
+        }
+    }
+
+    pub(super) fn begin(&mut self, identity: &Identity, now: f64) {
+        self.time = match (&identity.outputs, &identity.configuration) {
+            (Some(outputs), _) => {
+                let rates = outputs.iter().filter(|o| o.rate != u16::MAX).map(|o| o.rate);
+                DeviceTime::new(1, u32::from(rates.max().unwrap_or(100).max(1)))
+            }
+            (None, Some(c)) => DeviceTime::new(c.ticks_per_message().unwrap_or(1152), 115_200),
+            (None, None) => DeviceTime::new(1152, 115_200),
+        };
+        self.decoder.format = identity.configuration.map(|c| c.format);
+        self.clock.restart();
+        self.last_data = now;
+        self.unreadable_in_a_row = 0;
+        self.inertial_missing = 0;
+        self.statistics.connections += 1;
+        self.statistics.rate = 1.0 / self.time.period();
+    }
+
+    pub(super) fn statistics(&self, parser: ParserCounts) -> Statistics {
+        Statistics { parser, drift_ppm: self.clock.drift().map(|d| d * 1e6), ..self.statistics }
+    }
+
+    /// How long no data came, where that is too long.
+    pub(super) fn silent_for(&self, now: f64) -> Option<f64> {
+        let silent = now - self.last_data;
+        (silent > SILENCE.max(5.0 * self.time.period())).then_some(silent)
+    }
+
+    pub(super) fn settled_outputs(&self, wanted: &[OutputEntry]) -> Option<&Vec<OutputEntry>> {
+        self.settled.as_ref().filter(|(asked, _)| asked == wanted).map(|(_, found)| found)
+    }
+
+    pub(super) fn settle_outputs(&mut self, wanted: Vec<OutputEntry>, found: Vec<OutputEntry>) {
+        self.settled = Some((wanted, found));
+    }
+}
+
+impl Driver {
+    pub(super) fn data(&mut self, frame: &Frame<'_>, arrival: Stamp) {
+        if frame.message == MessageId::ERROR {
+            let error = DeviceError(frame.data.first().copied().unwrap_or_default());
+            return self.event(Event::DeviceComplains { error });
+        }
+        let bits = if self.config.two_stop_bits { 11.0 } else { 10.0 };
+        let on_the_wire = frame.wire_length as f64 * bits / f64::from(self.baud());
+        let stream = &mut self.stream;
+        let m = match stream.decoder.decode(frame) {
+            Ok(Some(m)) => m,
+            // A late acknowledgement.
+            Ok(None) => return,
+            Err(error) => {
+                stream.statistics.unreadable += 1;
+                stream.unreadable_in_a_row += 1;
+                if stream.unreadable_in_a_row >= UNREADABLE_LIMIT {
+                    self.event(Event::Unreadable { reason: error.to_string() });
+                    self.call(0.0);
+                }
+                return;
+            }
+        };
+        stream.unreadable_in_a_row = 0;
+        stream.last_data = self.now;
+        if !m.is_inertial() {
+            return stream.time.pass(&m);
+        }
+        let delay = self.config.transmission_delay.unwrap_or(on_the_wire);
+        let placed = stream.time.place(&m, arrival);
+        if placed.repeated {
+            stream.statistics.repeated += 1;
+            return;
+        }
+        if placed.restarted {
+            stream.clock.restart();
+        }
+        let stamped = stream.clock.stamp(placed.device, arrival.plus_seconds(-delay));
+        let sample = sample_of(&m, stamped.stamp, stream.time.period());
+        let statistics = &mut stream.statistics;
+        statistics.lost += placed.lost;
+        statistics.status = sample.status.or(statistics.status);
+        statistics.clipped += u64::from(sample.status.is_some_and(Status::any_clipping));
+        let missing = if sample.imu.is_some() {
+            statistics.samples += 1;
+            stream.inertial_missing = 0;
+            stream.said_no_inertial = false;
+            false
+        } else {
+            stream.inertial_missing += 1;
+            let say = stream.inertial_missing >= 100 && !stream.said_no_inertial;
+            stream.said_no_inertial |= say;
+            say
+        };
+        if placed.restarted {
+            self.event(Event::UnitRestarted);
+        }
+        if placed.lost > 0 {
+            self.event(Event::Lost { count: placed.lost });
+        }
+        if let Some(seconds) = stamped.stepped {
+            self.event(Event::ClockStepped { seconds });
+        }
+        if missing {
+            self.event(Event::NoInertialData);
+        }
+        self.outputs.push_back(Output::Sample(sample));
+        debug_assert!(matches!(self.phase, Phase::Measuring));
+    }
+}
