@@ -4,6 +4,7 @@ use crate::{
     allocations,
     measure::{Record, mean_and_deviation, median},
     methods::{AprilTag, Aruco, Carrier, Method, Ours, Recipe, Sift},
+    progress::Progress,
     report::{Csv, Targets, number},
     scene::{Picture, Pinhole, PlateKind},
     sift_texture,
@@ -58,7 +59,7 @@ pub struct Outcome {
 }
 
 /// Runs the main sequence.
-pub fn run(pictures: usize, seed: u64) -> Result<Outcome> {
+pub fn run(pictures: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
     let camera = Pinhole::BENCH;
     let mut stage = Stage::new(camera, seed)?;
     let layout = layout(&stage)?;
@@ -73,6 +74,9 @@ pub fn run(pictures: usize, seed: u64) -> Result<Outcome> {
         rgb: vec![128; 3 * camera.width * camera.height],
     };
     for number in 0..pictures {
+        if number % 10 == 0 {
+            progress.tell(number as f64 / pictures as f64);
+        }
         let pose = trajectory::standard(&camera, number as f64 / 30.0);
         let shots = [Carrier::Markers, Carrier::Tag, Carrier::Texture].map(|c| stage.shoot(c, &pose, number));
         let truths = [Carrier::Markers, Carrier::Tag, Carrier::Texture].map(|c| stage.truth(c, &pose));

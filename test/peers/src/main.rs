@@ -7,9 +7,11 @@ mod bench;
 mod clock;
 mod measure;
 mod methods;
+mod progress;
 mod report;
 mod scene;
 mod stage;
+mod sweep;
 mod trajectory;
 mod trials;
 
@@ -18,6 +20,7 @@ mod sift_texture {
     pub use crate::methods::{CELLS, texture};
 }
 
+use crate::progress::Progress;
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
 use std::{
@@ -72,6 +75,9 @@ struct Arguments {
     /// The scenes' seed.
     #[arg(long, global = true, default_value_t = 1)]
     seed: u64,
+    /// Lines `progress SHARE` on standard error.
+    #[arg(long, global = true)]
+    progress: bool,
 }
 
 #[derive(Subcommand)]
@@ -80,6 +86,12 @@ enum Command {
     Bench {
         /// How many pictures.
         #[arg(long, default_value_t = 300)]
+        pictures: usize,
+    },
+    /// Success over viewing angle and distance; fig-11.csv.
+    Sweep {
+        /// Pictures per angle and distance.
+        #[arg(long, default_value_t = 12)]
         pictures: usize,
     },
     /// Scenes that are made to mislead the tracker; trials.csv.
@@ -100,12 +112,16 @@ fn work(arguments: &Arguments) -> Result<usize> {
     opencv::core::set_num_threads(1)?;
     std::fs::create_dir_all(&arguments.out)
         .with_context(|| format!("{} cannot be made; name a folder with --out", arguments.out.display()))?;
+    let progress = Progress(arguments.progress);
     match &arguments.command {
         Command::Bench { pictures } => {
-            let outcome = bench::run(*pictures, arguments.seed)?;
+            let outcome = bench::run(*pictures, arguments.seed, &progress)?;
             outcome.print();
             outcome.write(&arguments.out)?;
             Ok(outcome.targets().print())
+        }
+        Command::Sweep { pictures } => {
+            Ok(sweep::run(&arguments.out, *pictures, arguments.seed, &progress)?.print())
         }
         Command::Trials { pictures: true, .. } => {
             trials::pictures(&arguments.out, arguments.seed)?;

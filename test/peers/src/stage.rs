@@ -50,8 +50,8 @@ impl Stage {
         floor.strew(&things);
         let plates = [
             Plate::markers(VIVID, &mut rng),
-            Plate::cells(10, tag_picture()?),
-            Plate::cells(sift_texture::CELLS, sift_texture::texture(seed)),
+            Plate::cells(10, tag_picture()?, [225.0; 3]),
+            Plate::cells(sift_texture::CELLS, sift_texture::texture(seed), [118.0, 116.0, 112.0]),
         ];
         Ok(Self { canvas: Canvas::new(camera.width, camera.height), camera, floor, plates, seed })
     }

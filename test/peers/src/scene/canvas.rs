@@ -128,8 +128,8 @@ impl Canvas {
                 let noise = self.noise.four(rng);
                 let pixel = self.light[y * w + x];
                 for c in 0..3 {
-                    let value =
-                        f64::from(pixel[c]) * gain * light.white[c] + light.noise * f64::from(noise[c]);
+                    let value = curve(f64::from(pixel[c]) * gain * light.white[c])
+                        + light.noise * f64::from(noise[c]);
                     rgb[3 * (y * w + x) + c] = (value + 0.5).clamp(0.0, 255.0) as u8;
                 }
             }

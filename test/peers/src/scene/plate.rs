@@ -70,13 +70,10 @@ impl Plate {
         }
     }
 
-    /// Grey cells on the markers' footprint.
-    pub fn cells(side: usize, gray: Vec<u8>) -> Self {
-        Self {
-            edge: 0.42,
-            color: [118.0, 116.0, 112.0],
-            kind: PlateKind::Cells { side, gray, footprint: 0.376 },
-        }
+    /// Grey cells on the markers' footprint. A tag's plate is white, as ArUco drops a tag whose quiet zone ends in an
+    /// edge near its own.
+    pub fn cells(side: usize, gray: Vec<u8>, color: [f32; 3]) -> Self {
+        Self { edge: 0.42, color, kind: PlateKind::Cells { side, gray, footprint: 0.376 } }
     }
 
     /// Draws the plate at each of the poses of an exposure.

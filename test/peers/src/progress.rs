@@ -1,0 +1,13 @@
+//! How far the work is, for a caller that shows a bar.
+
+/// Tells or keeps quiet.
+pub struct Progress(pub bool);
+
+impl Progress {
+    /// A line `progress 0.25` on standard error.
+    pub fn tell(&self, share: f64) {
+        if self.0 {
+            eprintln!("progress {share:.3}");
+        }
+    }
+}
