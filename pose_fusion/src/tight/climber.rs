@@ -1,0 +1,170 @@
+//! The climber's encoders correct x, y and turn.
+//!
+//! A reading is `c + e`: `e` is what quantisation and noise make of it. While an encoder stands on one step its error
+//! stands as well, so `e` is a state: it is drawn anew (variance σ²) when the reading changes, and kept while it does not.
+//! A climber at rest is therefore never known better than its encoders' step, and one that drives is smoothed.
+
+use super::{
+    geometry::ClimberRest,
+    markers::scalar_update,
+    state::{CLIMBER, CLIMBER_CLOCK, ENCODER, N, State},
+};
+use nalgebra::Vector3;
+
+/// One encoder sample as the update needs it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reading {
+    /// x, y (m) and turn (rad; any multiple of a full turn).
+    pub values: Vector3<f64>,
+    /// Does it differ from the reading before?
+    pub changed: [bool; 3],
+    /// Variance of the encoders' error, m², m², rad².
+    pub variance: Vector3<f64>,
+    /// The climber clock offset that placed the reading on the inertial unit's time line, s.
+    pub clock: f64,
+    /// What the encoders do not measure.
+    pub rest: ClimberRest,
+}
+
+/// How much of an encoder's error is left after a reading that did not change.
+const KEPT: f64 = 0.98;
+
+/// Corrects `state` by a reading; returns the largest normalised innovation squared of the three.
+pub fn update(state: &mut State, reading: &Reading) -> f64 {
+    let late = state.climber_clock - reading.clock;
+    let mut worst: f64 = 0.0;
+    for axis in 0..3 {
+        let kept = if reading.changed[axis] { 0.0 } else { KEPT };
+        let index = ENCODER + axis;
+        state.encoder_error[axis] *= kept;
+        for i in 0..N {
+            state.covariance[(i, index)] *= kept;
+            state.covariance[(index, i)] *= kept;
+        }
+        state.covariance[(index, index)] += (1.0 - kept * kept) * reading.variance[axis];
+        let expected = state.climber[axis] + state.climber_rate[axis] * late + state.encoder_error[axis];
+        let mut residual = reading.values[axis] - expected;
+        if axis == 2 {
+            residual = wrapped(residual);
+        }
+        let h = [(CLIMBER + axis, 1.0), (index, 1.0), (CLIMBER_CLOCK, state.climber_rate[axis])];
+        // What the step does not explain: stamps, belts.
+        let rest = 0.01 * reading.variance[axis];
+        worst = worst.max(scalar_update(state, &h, residual, rest));
+    }
+    worst
+}
+
+/// The angle within ±π.
+pub fn wrapped(angle: f64) -> f64 {
+    let turns = (angle / std::f64::consts::TAU).round();
+    angle - turns * std::f64::consts::TAU
+}
+
+/// Tells an encoder's noise from its readings: third differences cancel any smooth motion, and white noise of
+/// variance σ² leaves 20 σ² in their square.
+#[derive(Clone, Debug)]
+pub struct ReadingNoise {
+    last: [Vector3<f64>; 4],
+    count: usize,
+    variance: Vector3<f64>,
+    weight: Vector3<f64>,
+    floor: Vector3<f64>,
+}
+
+impl ReadingNoise {
+    /// With the steps of the encoders (m, m, rad) as the floor: step²/12.
+    pub fn new(steps: Vector3<f64>) -> Self {
+        Self {
+            last: [Vector3::zeros(); 4],
+            count: 0,
+            variance: Vector3::zeros(),
+            weight: Vector3::zeros(),
+            floor: steps.map(|q| q * q / 12.0),
+        }
+    }
+
+    /// Takes a reading in; returns the variance to be assumed and which values changed.
+    pub fn take(&mut self, values: &Vector3<f64>) -> (Vector3<f64>, [bool; 3]) {
+        let before = self.last[3];
+        let mut values = *values;
+        if self.count > 0 {
+            values.z = before.z + wrapped(values.z - before.z);
+        }
+        self.last.rotate_left(1);
+        self.last[3] = values;
+        self.count = self.count.saturating_add(1);
+        let changed = std::array::from_fn(|i| self.count == 1 || values[i] != before[i]);
+        if self.count >= 4 {
+            let d = self.last[3] - self.last[2] * 3.0 + self.last[1] * 3.0 - self.last[0];
+            for axis in 0..3 {
+                let still = (0..3).all(|k| self.last[k][axis] == self.last[k + 1][axis]);
+                if !still {
+                    // The mean of the first readings, then a memory of a hundred; one jump counts ten times at most.
+                    self.weight[axis] = (self.weight[axis] + 1.0).min(100.0);
+                    let mut square = d[axis] * d[axis] / 20.0;
+                    if self.weight[axis] > 10.0 {
+                        square = square.min(10.0 * self.variance[axis].max(self.floor[axis]));
+                    }
+                    self.variance[axis] += (square - self.variance[axis]) / self.weight[axis];
+                }
+            }
+        }
+        (self.variance(), changed)
+    }
+
+    /// The variance to be assumed, m², m², rad².
+    pub fn variance(&self) -> Vector3<f64> {
+        Vector3::from_fn(|axis, _| {
+            let found = self.variance[axis];
+            // The estimate scatters; below half as much again it is the step's own.
+            if self.weight[axis] >= 15.0 && found > 1.5 * self.floor[axis] { found } else { self.floor[axis] }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn noise_is_told_from_motion_and_a_climber_at_rest_is_not_known_better_than_its_step() {
+        let steps = Vector3::new(0.001, 0.001, 0.00087);
+        let mut noise = ReadingNoise::new(steps);
+        let mut state = 1u64;
+        let mut normal = || {
+            let mut sum = 0.0;
+            for _ in 0..12 {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                sum += (state >> 11) as f64 * 2f64.powi(-53);
+            }
+            sum - 6.0
+        };
+        let mut found = Vector3::zeros();
+        for i in 0..200 {
+            let t = f64::from(i) * 0.02;
+            let x = 0.4 * t.sin() + 0.002 * normal();
+            (found, _) = noise.take(&Vector3::new(x, 0.3, 0.0));
+        }
+        assert!((found.x.sqrt() / 0.002 - 1.0).abs() < 0.25, "{}", found.x.sqrt());
+        assert!((found.y - 1e-6 / 12.0).abs() < 1e-12);
+        let mut s = State::zero();
+        s.set_variance(CLIMBER, &Vector3::repeat(0.1));
+        let (rest, values) = (
+            ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() },
+            Vector3::new(0.3, 0.2, 0.1),
+        );
+        for i in 0..100 {
+            let reading = Reading {
+                values,
+                changed: [i == 0; 3],
+                variance: steps.map(|q| q * q / 12.0),
+                clock: 0.0,
+                rest,
+            };
+            update(&mut s, &reading);
+        }
+        let sigma = s.covariance[(CLIMBER, CLIMBER)].sqrt();
+        assert!(sigma > 0.00015, "{sigma}");
+    }
+}

@@ -1,0 +1,67 @@
+//! From the state of the inertial unit to the odometry of the platform, with its covariances.
+//!
+//! With `t` the unit's place on the platform and `ω` its rate of turn (volant axes): `p_v = p − R_v t`,
+//! `δp_v = δp + [R_v t]× δθ`; the velocity in the volant frame is `R_vᵀ v − ω × t`, its error
+//! `R_vᵀ δv + R_vᵀ [v]× δθ + [t]× δω` with `δω = R_vi (n_g − δb_g)`.
+
+use super::{
+    geometry::Geometry,
+    propagate::Felt,
+    state::{ATTITUDE, GYROSCOPE, POSITION, State, VELOCITY},
+};
+use crate::output::Odometry;
+use nalgebra::{Isometry3, Matrix3, Matrix6, SMatrix};
+use rig_model::Stamp;
+
+/// Entries of the error that the odometry is made of: position, velocity, attitude, gyroscope bias.
+const USED: [usize; 4] = [POSITION, VELOCITY, ATTITUDE, GYROSCOPE];
+
+/// The odometry of a state; `rate_variance` is the gyroscope's white noise per sample, (rad/s)².
+pub fn odometry(
+    stamp: Stamp,
+    state: &State,
+    felt: &Felt,
+    geometry: &Geometry,
+    rate_variance: f64,
+) -> Odometry {
+    let world_from_imu = Isometry3::from_parts(state.position.into(), state.attitude);
+    let world_from_volant = world_from_imu * geometry.imu_from_volant;
+    let rv = world_from_volant.rotation.to_rotation_matrix();
+    let rv: &Matrix3<f64> = rv.matrix();
+    let lever = geometry.volant_from_imu.translation.vector;
+    let volant_from_imu = geometry.volant_from_imu.rotation.to_rotation_matrix();
+    let angular_velocity = volant_from_imu * (felt.rate - state.gyroscope_bias);
+    let linear_velocity = rv.transpose() * state.velocity - angular_velocity.cross(&lever);
+
+    let mut p = SMatrix::<f64, 12, 12>::zeros();
+    for (a, &i) in USED.iter().enumerate() {
+        for (b, &j) in USED.iter().enumerate() {
+            p.fixed_view_mut::<3, 3>(3 * a, 3 * b).copy_from(&state.covariance.fixed_view::<3, 3>(i, j));
+        }
+    }
+    let mut pose = SMatrix::<f64, 6, 12>::zeros();
+    pose.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
+    pose.fixed_view_mut::<3, 3>(0, 6).copy_from(&(rv * lever).cross_matrix());
+    pose.fixed_view_mut::<3, 3>(3, 6).copy_from(&Matrix3::identity());
+    let lever_cross = lever.cross_matrix();
+    let by_bias: Matrix3<f64> = -*volant_from_imu.matrix();
+    let mut twist = SMatrix::<f64, 6, 12>::zeros();
+    twist.fixed_view_mut::<3, 3>(0, 3).copy_from(&rv.transpose());
+    twist.fixed_view_mut::<3, 3>(0, 6).copy_from(&(rv.transpose() * state.velocity.cross_matrix()));
+    twist.fixed_view_mut::<3, 3>(0, 9).copy_from(&(lever_cross * by_bias));
+    twist.fixed_view_mut::<3, 3>(3, 9).copy_from(&by_bias);
+    let symmetric = |m: Matrix6<f64>| (m + m.transpose()) * 0.5;
+    let mut white = SMatrix::<f64, 6, 3>::zeros();
+    white.fixed_view_mut::<3, 3>(0, 0).copy_from(&lever_cross);
+    white.fixed_view_mut::<3, 3>(3, 0).copy_from(&Matrix3::identity());
+    Odometry {
+        stamp,
+        world_from_volant,
+        pose_covariance: symmetric(pose * p * pose.transpose()),
+        linear_velocity,
+        angular_velocity,
+        twist_covariance: symmetric(
+            twist * p * twist.transpose() + white * white.transpose() * rate_variance,
+        ),
+    }
+}

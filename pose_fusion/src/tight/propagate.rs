@@ -1,0 +1,201 @@
+//! From one instant to the next: the inertial samples carry the platform, the climber goes on as it went.
+//!
+//! Between two instants specific force and rate of turn are taken as linear, so that their mean moves the state:
+//! `a = R(f − b_a) + g`, `p += v dt + a dt²/2`, `v += a dt`, `R ← R Exp((ω − b_g) dt)`, with `R` in `a` that of the middle.
+//! Errors (attitude on the world's side): `δθ' = δθ − R δb_g dt`, `δv' = δv − [R f]× δθ dt − R δb_a dt`,
+//! `δp' = δp + δv dt + (δv' − δv) dt/2`. The climber's jerk is white noise.
+
+use super::state::{
+    ACCELEROMETER, ATTITUDE, CAMERA_CLOCK, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_CLOCK, CLIMBER_RATE,
+    Covariance, GYROSCOPE, N, POSITION, State, VELOCITY,
+};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+/// What the inertial unit feels at an instant, its own axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Felt {
+    /// Specific force, m/s².
+    pub force: Vector3<f64>,
+    /// Rate of turn, rad/s.
+    pub rate: Vector3<f64>,
+}
+
+impl Felt {
+    /// Linear between `self` (share 0) and `other` (share 1).
+    pub fn between(&self, other: &Felt, share: f64) -> Felt {
+        Felt {
+            force: self.force + (other.force - self.force) * share,
+            rate: self.rate + (other.rate - self.rate) * share,
+        }
+    }
+}
+
+/// Power densities of what drives the state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Process {
+    /// Gravity, m/s².
+    pub gravity: f64,
+    /// Of the specific force, (m/s²)²/Hz.
+    pub force: f64,
+    /// Of the rate of turn, (rad/s)²/Hz.
+    pub rate: f64,
+    /// Of the accelerometer's bias, (m/s²)²/s.
+    pub accelerometer_bias: f64,
+    /// Of the gyroscope's bias, (rad/s)²/s.
+    pub gyroscope_bias: f64,
+    /// Of the climber's jerk: x, y, turn.
+    pub jerk: Vector3<f64>,
+    /// Of the clocks, s²/s.
+    pub clock: f64,
+}
+
+/// Moves `state` by `dt` seconds with the mean of what is felt at both ends.
+pub fn propagate(state: &mut State, felt: &Felt, dt: f64, process: &Process) {
+    let half_turn = (felt.rate - state.gyroscope_bias) * (dt / 2.0);
+    let half = UnitQuaternion::from_scaled_axis(half_turn);
+    let middle = state.attitude * half;
+    let rotation = middle.to_rotation_matrix();
+    let rotation: &Matrix3<f64> = rotation.matrix();
+    let force = rotation * (felt.force - state.accelerometer_bias);
+    let acceleration = Vector3::new(force.x, force.y, force.z - process.gravity);
+    state.position += state.velocity * dt + acceleration * (dt * dt / 2.0);
+    state.velocity += acceleration * dt;
+    state.attitude = middle * half;
+    state.attitude.renormalize_fast();
+    state.climber += state.climber_rate * dt + state.climber_acceleration * (dt * dt / 2.0);
+    state.climber_rate += state.climber_acceleration * dt;
+    // F P Fᵀ as ((P Fᵀ)ᵀ Fᵀ): columns only, which lie together in memory; P is symmetric.
+    let by_attitude = -(force.cross_matrix() * dt);
+    let by_bias = -(rotation * dt);
+    times_transition(&mut state.covariance, &by_attitude, &by_bias, dt);
+    state.covariance.transpose_mut();
+    times_transition(&mut state.covariance, &by_attitude, &by_bias, dt);
+    add_noise(&mut state.covariance, dt, process);
+}
+
+/// `P ← P Fᵀ`, by columns.
+fn times_transition(p: &mut Covariance, by_attitude: &Matrix3<f64>, by_bias: &Matrix3<f64>, dt: f64) {
+    // One column at a time as plain arrays: the compiler vectorises these loops.
+    let columns = p.as_mut_slice();
+    let (body, climber) = columns.split_at_mut(CLIMBER * N);
+    let (position, rest) = body.split_at_mut(VELOCITY * N);
+    let (velocity, rest) = rest.split_at_mut((ATTITUDE - VELOCITY) * N);
+    let (attitude, biases) = rest.split_at_mut((ACCELEROMETER - ATTITUDE) * N);
+    let (accelerometer, gyroscope) = biases.split_at_mut((GYROSCOPE - ACCELEROMETER) * N);
+    for axis in 0..3 {
+        let at = axis * N..(axis + 1) * N;
+        let (pc, vc) = (&mut position[at.clone()], &mut velocity[at.clone()]);
+        let a = [by_attitude[(axis, 0)], by_attitude[(axis, 1)], by_attitude[(axis, 2)]];
+        let b = [by_bias[(axis, 0)], by_bias[(axis, 1)], by_bias[(axis, 2)]];
+        for i in 0..N {
+            let change = a[0] * attitude[i]
+                + a[1] * attitude[N + i]
+                + a[2] * attitude[2 * N + i]
+                + b[0] * accelerometer[i]
+                + b[1] * accelerometer[N + i]
+                + b[2] * accelerometer[2 * N + i];
+            pc[i] += dt * (vc[i] + 0.5 * change);
+            vc[i] += change;
+        }
+    }
+    for axis in 0..3 {
+        let ac = &mut attitude[axis * N..(axis + 1) * N];
+        let b = [by_bias[(axis, 0)], by_bias[(axis, 1)], by_bias[(axis, 2)]];
+        for i in 0..N {
+            ac[i] += b[0] * gyroscope[i] + b[1] * gyroscope[N + i] + b[2] * gyroscope[2 * N + i];
+        }
+    }
+    let (place, rest) = climber.split_at_mut((CLIMBER_RATE - CLIMBER) * N);
+    let (speed, rest) = rest.split_at_mut((CLIMBER_ACCELERATION - CLIMBER_RATE) * N);
+    for i in 0..3 * N {
+        let change = dt * rest[i];
+        place[i] += dt * (speed[i] + 0.5 * change);
+        speed[i] += change;
+    }
+}
+
+fn add_noise(p: &mut Covariance, dt: f64, process: &Process) {
+    let (dt2, dt3) = (dt * dt, dt * dt * dt);
+    for i in 0..3 {
+        p[(POSITION + i, POSITION + i)] += process.force * dt3 / 3.0;
+        p[(VELOCITY + i, VELOCITY + i)] += process.force * dt;
+        let cross = process.force * dt2 / 2.0;
+        p[(POSITION + i, VELOCITY + i)] += cross;
+        p[(VELOCITY + i, POSITION + i)] += cross;
+        p[(ATTITUDE + i, ATTITUDE + i)] += process.rate * dt;
+        p[(ACCELEROMETER + i, ACCELEROMETER + i)] += process.accelerometer_bias * dt;
+        p[(GYROSCOPE + i, GYROSCOPE + i)] += process.gyroscope_bias * dt;
+        let (c, r, a) = (CLIMBER + i, CLIMBER_RATE + i, CLIMBER_ACCELERATION + i);
+        let q = process.jerk[i];
+        let mut add = |i: usize, j: usize, x: f64| {
+            p[(i, j)] += x;
+            if i != j {
+                p[(j, i)] += x;
+            }
+        };
+        add(c, c, q * dt2 * dt3 / 20.0);
+        add(c, r, q * dt2 * dt2 / 8.0);
+        add(c, a, q * dt3 / 6.0);
+        add(r, r, q * dt3 / 3.0);
+        add(r, a, q * dt2 / 2.0);
+        add(a, a, q * dt);
+    }
+    p[(CAMERA_CLOCK, CAMERA_CLOCK)] += process.clock * dt;
+    p[(CLIMBER_CLOCK, CLIMBER_CLOCK)] += process.clock * dt;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::state::Error;
+    use super::*;
+
+    fn example() -> (State, Felt, Process) {
+        let mut s = State::zero();
+        s.attitude = UnitQuaternion::from_euler_angles(0.3, -0.2, 1.1);
+        s.velocity = Vector3::new(0.4, -0.2, 0.1);
+        s.accelerometer_bias = Vector3::new(0.02, -0.01, 0.03);
+        s.gyroscope_bias = Vector3::new(0.01, 0.02, -0.01);
+        s.climber_rate = Vector3::new(0.3, 0.1, -0.2);
+        s.climber_acceleration = Vector3::new(-0.1, 0.2, 0.05);
+        let felt = Felt { force: Vector3::new(0.5, -1.0, 9.6), rate: Vector3::new(1.0, -2.0, 0.5) };
+        let process = Process {
+            gravity: 9.81,
+            force: 0.0,
+            rate: 0.0,
+            accelerometer_bias: 0.0,
+            gyroscope_bias: 0.0,
+            jerk: Vector3::zeros(),
+            clock: 0.0,
+        };
+        (s, felt, process)
+    }
+
+    #[test]
+    fn the_covariance_moves_by_the_numerical_jacobian_of_the_motion() {
+        let (start, felt, process) = example();
+        let dt = 0.01;
+        let mut end = start.clone();
+        propagate(&mut end, &felt, dt, &process);
+        let h = 1e-6;
+        let mut jacobian = Covariance::zeros();
+        for i in 0..N {
+            let moved = |sign: f64| {
+                let mut s = start.clone();
+                let mut e = Error::zeros();
+                e[i] = sign * h;
+                s.add(&e);
+                propagate(&mut s, &felt, dt, &process);
+                s.minus(&end)
+            };
+            jacobian.set_column(i, &((moved(1.0) - moved(-1.0)) / (2.0 * h)));
+        }
+        let seed = Covariance::from_fn(|i, j| ((i * 7 + j * 13) % 11) as f64 / 11.0);
+        let p0 = seed * seed.transpose() + Covariance::identity();
+        let mut s = start.clone();
+        s.covariance = p0;
+        propagate(&mut s, &felt, dt, &process);
+        let expected = jacobian * p0 * jacobian.transpose();
+        // First order in dt: the terms that are left out are those of δb_g on δv (dt²).
+        assert!((s.covariance - expected).norm() / expected.norm() < 5e-4);
+    }
+}
