@@ -2,3 +2,6 @@
 //! its estimates against the truth.
 
 pub mod bag;
+pub mod evaluate;
+pub mod replay;
+mod stopwatch;

@@ -38,7 +38,7 @@ impl Default for WriteOptions {
 }
 
 /// A topic of a [`BagWriter`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicId(usize);
 
 /// A bag that is being written. Without [`BagWriter::finish`] it stays without its closing records: its messages can be

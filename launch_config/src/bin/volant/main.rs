@@ -1,0 +1,73 @@
+//! `volant`: one command for what is done with the nodes and their recordings.
+//!
+//! Exit status: 0 done; 1 the work failed, with one line on standard error; 2 the command line was wrong.
+#![allow(clippy::print_stdout)]
+
+mod bag;
+mod evaluate;
+mod replay;
+mod say;
+
+use clap::{Parser, Subcommand};
+use std::{
+    ffi::OsString,
+    path::PathBuf,
+    process::{Command, ExitCode},
+};
+
+/// Where a platform hanging from a ceiling crane is: replay, evaluate, record, play and run its nodes.
+#[derive(Parser)]
+#[command(version, arg_required_else_help = true)]
+struct Arguments {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Subcommand)]
+enum Action {
+    /// Runs the nodes' own code over a bag, deterministically and as fast as it can
+    Replay(replay::Arguments),
+    /// The error of every estimate in a bag against the truth
+    Evaluate(evaluate::Arguments),
+    /// What is in a bag, and how to mend one
+    #[command(subcommand)]
+    Bag(bag::Action),
+    #[command(external_subcommand)]
+    Other(Vec<OsString>),
+}
+
+fn main() -> ExitCode {
+    let result = match Arguments::parse().action {
+        Action::Replay(arguments) => replay::run(&arguments),
+        Action::Evaluate(arguments) => evaluate::run(&arguments),
+        Action::Bag(action) => bag::run(&action),
+        Action::Other(words) => return other(&words),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            say::line(&format!("volant: {error:#}"));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// `volant X` may be an executable `volant-X` beside this one, or on the path.
+fn other(words: &[OsString]) -> ExitCode {
+    let Some((name, rest)) = words.split_first() else {
+        return ExitCode::from(2);
+    };
+    let name = format!("volant-{}", name.to_string_lossy());
+    let beside: Option<PathBuf> =
+        std::env::current_exe().ok().and_then(|own| Some(own.parent()?.join(&name))).filter(|p| p.is_file());
+    match Command::new(beside.unwrap_or_else(|| PathBuf::from(&name))).args(rest).status() {
+        Ok(status) => ExitCode::from(status.code().and_then(|c| u8::try_from(c).ok()).unwrap_or(1)),
+        Err(_) => {
+            say::line(&format!(
+                "volant: there is no command `{}` (no {name} beside this program either); see volant --help",
+                words[0].to_string_lossy()
+            ));
+            ExitCode::from(2)
+        }
+    }
+}

@@ -1,0 +1,206 @@
+//! The bag that a replay leaves: each message logged at its stamp, in the order of the stamps.
+
+use super::topics::TopicNames;
+use crate::bag::{BagError, BagSummary, BagWriter, QosProfile, Topic, TopicId, WriteOptions};
+use pose_fusion::{MarkerOutcome, MarkerUpdateRecord, Odometry, PoseEstimate};
+use rig_model::{ClimberSample, Frames, MarkerObservations, Rig, Stamp};
+use std::{cmp::Reverse, collections::BinaryHeap, path::Path};
+use volant_msgs::{Message, cdr, geometry_msgs, msg, nav_msgs, tf2_msgs};
+
+/// Outputs come at most so much later than their stamp says (s); they wait here to be put in order.
+const PATIENCE: f64 = 2.0;
+
+/// Where the outputs go.
+#[derive(Debug)]
+pub struct OutputBag {
+    bag: BagWriter,
+    frames: Frames,
+    topics: Topics,
+    waiting: BinaryHeap<Reverse<(u64, u64, Entry)>>,
+    count: u64,
+    newest: u64,
+}
+
+#[derive(Debug)]
+struct Topics {
+    markers: TopicId,
+    transform: TopicId,
+    odometry: TopicId,
+    fused_pose: TopicId,
+    visual_pose: TopicId,
+    updates: TopicId,
+    tf: TopicId,
+    tf_static: TopicId,
+}
+
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Entry {
+    topic: TopicId,
+    data: Vec<u8>,
+}
+
+impl OutputBag {
+    /// Begins the bag. `first` is when the run began.
+    ///
+    /// # Errors
+    /// As [`BagWriter::create`].
+    pub fn create(
+        path: &Path,
+        options: WriteOptions,
+        names: &TopicNames,
+        rig: &Rig,
+        first: Stamp,
+    ) -> Result<Self, BagError> {
+        let mut bag = BagWriter::create(path, options)?;
+        let qos = QosProfile::RELIABLE;
+        let topics = Topics {
+            markers: bag
+                .add_topic(Topic::of::<msg::MarkerObservations>(&names.resolve("climber/markers"), &qos)),
+            transform: bag.add_topic(Topic::of::<geometry_msgs::msg::TransformStamped>(
+                &names.resolve("climber/transform"),
+                &qos,
+            )),
+            odometry: bag
+                .add_topic(Topic::of::<nav_msgs::msg::Odometry>(&names.resolve("volant/odometry"), &qos)),
+            fused_pose: bag.add_topic(Topic::of::<geometry_msgs::msg::PoseWithCovarianceStamped>(
+                &names.resolve("volant/fused_pose"),
+                &qos,
+            )),
+            visual_pose: bag.add_topic(Topic::of::<geometry_msgs::msg::PoseWithCovarianceStamped>(
+                &names.resolve("volant/visual_pose"),
+                &qos,
+            )),
+            updates: bag
+                .add_topic(Topic::of::<msg::MarkerUpdates>(&names.resolve("volant/marker_updates"), &qos)),
+            tf: bag.add_topic(Topic::of::<tf2_msgs::msg::TFMessage>(&names.resolve("/tf"), &qos)),
+            tf_static: bag.add_topic(Topic::of::<tf2_msgs::msg::TFMessage>(
+                &names.resolve("/tf_static"),
+                &QosProfile::LATCHED,
+            )),
+        };
+        let mut output =
+            Self { bag, frames: rig.frames.clone(), topics, waiting: BinaryHeap::new(), count: 0, newest: 0 };
+        output.put(output.topics.tf_static, first, &node_kit::convert::static_transforms(rig, first))?;
+        Ok(output)
+    }
+
+    /// `climber/markers`.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`]; so for all that follow.
+    pub fn markers(&mut self, observations: &MarkerObservations) -> Result<(), BagError> {
+        let message = node_kit::convert::markers_message(&self.frames.camera, observations);
+        self.put(self.topics.markers, observations.stamp, &message)
+    }
+
+    /// `climber/transform` and its `/tf`.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn climber(&mut self, sample: &ClimberSample) -> Result<(), BagError> {
+        let message = node_kit::convert::climber_message(sample, &self.frames);
+        self.put(self.topics.transform, sample.stamp, &message)?;
+        self.put(self.topics.tf, sample.stamp, &tf2_msgs::msg::TFMessage { transforms: vec![message] })
+    }
+
+    /// `volant/odometry`, `volant/fused_pose` and `/tf`.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn odometry(&mut self, o: &Odometry) -> Result<(), BagError> {
+        use node_kit::convert::{odometry_message, pose_with_covariance_message, transform_message};
+        let (world, volant) = (self.frames.world.clone(), self.frames.volant.clone());
+        let message = odometry_message(
+            &world,
+            &volant,
+            o.stamp,
+            &o.world_from_volant,
+            &o.pose_covariance,
+            &o.linear_velocity,
+            &o.angular_velocity,
+            &o.twist_covariance,
+        );
+        self.put(self.topics.odometry, o.stamp, &message)?;
+        let fused = o.fused_pose();
+        let message = pose_with_covariance_message(&volant, o.stamp, &fused.pose, &fused.covariance);
+        self.put(self.topics.fused_pose, o.stamp, &message)?;
+        let transform = transform_message(&world, &volant, o.stamp, &o.world_from_volant);
+        self.put(self.topics.tf, o.stamp, &tf2_msgs::msg::TFMessage { transforms: vec![transform] })
+    }
+
+    /// `volant/visual_pose`.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn visual_pose(&mut self, pose: &PoseEstimate) -> Result<(), BagError> {
+        let world = &self.frames.world;
+        let message =
+            node_kit::convert::pose_with_covariance_message(world, pose.stamp, &pose.pose, &pose.covariance);
+        self.put(self.topics.visual_pose, pose.stamp, &message)
+    }
+
+    /// `volant/marker_updates`: the records of one image.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn marker_updates(&mut self, records: &[MarkerUpdateRecord]) -> Result<(), BagError> {
+        let Some(first) = records.first() else {
+            return Ok(());
+        };
+        let message = msg::MarkerUpdates {
+            header: node_kit::convert::header(&self.frames.camera, first.stamp),
+            markers: records.iter().map(marker_update).collect(),
+        };
+        self.put(self.topics.updates, first.stamp, &message)
+    }
+
+    /// Ends the bag.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn finish(mut self) -> Result<BagSummary, BagError> {
+        self.write_until(u64::MAX)?;
+        self.bag.finish()
+    }
+
+    fn put<M: Message>(&mut self, topic: TopicId, at: Stamp, message: &M) -> Result<(), BagError> {
+        let time = u64::try_from(at.as_nanos()).unwrap_or(0);
+        let entry = Entry { topic, data: cdr::to_bytes(message) };
+        self.waiting.push(Reverse((time, self.count, entry)));
+        self.count += 1;
+        if time > self.newest {
+            self.newest = time;
+            self.write_until(time.saturating_sub((PATIENCE * 1e9) as u64))?;
+        }
+        Ok(())
+    }
+
+    fn write_until(&mut self, until: u64) -> Result<(), BagError> {
+        while self.waiting.peek().is_some_and(|Reverse((time, _, _))| *time <= until) {
+            if let Some(Reverse((time, _, entry))) = self.waiting.pop() {
+                self.bag.write(entry.topic, time, time, &entry.data)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn marker_update(record: &MarkerUpdateRecord) -> msg::MarkerUpdate {
+    use msg::MarkerUpdate as M;
+    M {
+        color: record.color.index() as u8,
+        outcome: match record.outcome {
+            MarkerOutcome::Used => M::USED,
+            MarkerOutcome::NotDetected => M::NOT_DETECTED,
+            MarkerOutcome::Gated => M::GATED,
+            MarkerOutcome::Inconsistent => M::INCONSISTENT,
+            MarkerOutcome::NotPredictable => M::NOT_PREDICTABLE,
+            MarkerOutcome::NotInitialised => M::NOT_INITIALISED,
+            MarkerOutcome::Refused => M::REFUSED,
+            MarkerOutcome::Frozen => M::FROZEN,
+        },
+        innovation: [record.innovation.x, record.innovation.y],
+        covariance: node_kit::convert::covariance2_message(&record.covariance),
+        nis: record.nis,
+    }
+}

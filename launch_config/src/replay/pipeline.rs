@@ -1,0 +1,296 @@
+//! The nodes' cores in one row: what the topics would carry, in the order in which the bag logged it.
+
+use super::output::OutputBag;
+use crate::{bag::BagError, stopwatch::Stopwatch};
+use marker_tracker::{OwnedImage, Tracker};
+use node_kit::convert;
+use pose_fusion::{Fusion, MarkerUpdateRecord};
+use rig_model::{CameraModel, MarkerObservations, MarkerState, Rig, Stamp};
+use std::{collections::BTreeMap, time::Duration};
+use volant_msgs::{
+    geometry_msgs::msg::TransformStamped, msg, sensor_msgs::msg as sensor, tf2_msgs::msg::TFMessage,
+};
+
+/// What went through, and what was said on the way.
+#[derive(Clone, Debug, Default)]
+pub struct Counts {
+    /// Images that could be read.
+    pub images: u64,
+    /// Markers that were measured in them (four at best in each).
+    pub detected: u64,
+    /// Sets of markers, from images or from the bag.
+    pub markers: u64,
+    /// Inertial samples.
+    pub imu: u64,
+    /// Climber transforms.
+    pub climber: u64,
+    /// Odometries.
+    pub odometry: u64,
+    /// Poses from one image alone.
+    pub visual: u64,
+    /// Markers that updated the filter.
+    pub used: u64,
+    /// What was said, by kind: how often, and the first of it.
+    pub said: BTreeMap<String, (u64, String)>,
+    /// Stamps of the first inertial sample and of the odometries, to tell how many samples have one.
+    pub first_imu: Option<Stamp>,
+    /// Inertial samples more than one second after the first.
+    pub imu_settled: u64,
+    /// Odometries more than one second after the first inertial sample.
+    pub odometry_settled: u64,
+    /// The last odometry.
+    pub last_odometry: Option<Stamp>,
+    /// Longest time between two odometries after the first second, s.
+    pub longest_gap: f64,
+}
+
+impl Counts {
+    /// Counts a sentence; only the first of a kind is kept.
+    pub fn say(&mut self, kind: &str, sentence: impl FnOnce() -> String) {
+        match self.said.get_mut(kind) {
+            Some((count, _)) => *count += 1,
+            None => {
+                self.said.insert(kind.to_owned(), (1, sentence()));
+            }
+        }
+    }
+}
+
+/// Time spent, apart from decoding.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Spent {
+    /// In the tracker.
+    pub tracker: Duration,
+    /// In the filter.
+    pub fusion: Duration,
+    /// In writing the output.
+    pub output: Duration,
+}
+
+/// The cores and what they are connected to.
+#[derive(Debug)]
+pub struct Pipeline {
+    rig: Rig,
+    tracker: Tracker,
+    fusion: Fusion,
+    camera: Option<CameraModel>,
+    output: OutputBag,
+    records: Vec<MarkerUpdateRecord>,
+    /// What happened so far.
+    pub counts: Counts,
+    /// What it took.
+    pub spent: Spent,
+}
+
+impl Pipeline {
+    /// Of cores that have not seen anything yet.
+    pub fn new(rig: Rig, tracker: Tracker, fusion: Fusion, output: OutputBag) -> Self {
+        Self {
+            rig,
+            tracker,
+            fusion,
+            camera: None,
+            output,
+            records: vec![],
+            counts: Counts::default(),
+            spent: Spent::default(),
+        }
+    }
+
+    /// An inertial sample arrives.
+    ///
+    /// # Errors
+    /// The output cannot be written; so for all that follow.
+    pub fn imu(&mut self, message: &sensor::Imu) -> Result<(), BagError> {
+        let sample = convert::imu_sample(message);
+        self.counts.imu += 1;
+        let first = *self.counts.first_imu.get_or_insert(sample.stamp);
+        self.counts.imu_settled += u64::from(sample.stamp.seconds_since(first) > 1.0);
+        self.fuse(pose_fusion::Input::Imu(sample))
+    }
+
+    /// A climber transform arrives.
+    ///
+    /// # Errors
+    /// The output cannot be written.
+    pub fn climber(&mut self, message: &TransformStamped) -> Result<(), BagError> {
+        match convert::climber_sample(message, &self.rig.frames) {
+            Ok(sample) => {
+                self.counts.climber += 1;
+                let output = &mut self.output;
+                Stopwatch::add_to(&mut self.spent.output, || output.climber(&sample))?;
+                self.fuse(pose_fusion::Input::Climber(sample))
+            }
+            Err(error) => {
+                self.counts.say("climber/transform", || format!("{error}; such transforms are left out"));
+                Ok(())
+            }
+        }
+    }
+
+    /// A camera info arrives.
+    ///
+    /// # Errors
+    /// The output cannot be written.
+    pub fn camera(&mut self, message: &sensor::CameraInfo) -> Result<(), BagError> {
+        match convert::camera_model(message) {
+            Ok(model) if self.camera.as_ref() == Some(&model) => Ok(()),
+            Ok(model) => {
+                self.camera = Some(model.clone());
+                self.tracker.handle(marker_tracker::Input::Camera(model.clone()));
+                self.fuse(pose_fusion::Input::Camera(model))
+            }
+            Err(error) => {
+                self.counts.say("camera_info", || error.to_string());
+                Ok(())
+            }
+        }
+    }
+
+    /// An image arrives.
+    ///
+    /// # Errors
+    /// The output cannot be written.
+    pub fn image(&mut self, stamp: Stamp, image: &OwnedImage) -> Result<(), BagError> {
+        let tracker = &mut self.tracker;
+        Stopwatch::add_to(&mut self.spent.tracker, || {
+            tracker.handle(marker_tracker::Input::Image(image.view(stamp)));
+        });
+        self.counts.images += 1;
+        while let Some(output) = self.tracker.poll() {
+            match output {
+                marker_tracker::Output::Observations(observations) => self.observations(observations)?,
+                marker_tracker::Output::Warning(warning) => {
+                    self.counts.say(&kind_of("tracker", &warning), || format!("tracker: {warning}"));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// An image cannot be used.
+    pub fn bad_image(&mut self, reason: &str) {
+        self.counts.say("image", || format!("an image is left out: {reason}"));
+    }
+
+    /// Markers that a live tracker found arrive.
+    ///
+    /// # Errors
+    /// The output cannot be written.
+    pub fn markers(&mut self, message: &msg::MarkerObservations) -> Result<(), BagError> {
+        match convert::marker_observations(message) {
+            Ok(observations) => self.observations(observations),
+            Err(error) => {
+                self.counts.say("climber/markers", || format!("{error}; such messages are left out"));
+                Ok(())
+            }
+        }
+    }
+
+    /// `/tf_static` arrives: the rig file counts, but a disagreement is said.
+    pub fn tf_static(&mut self, message: &TFMessage) {
+        for ours in convert::static_transforms(&self.rig, Stamp::default()).transforms {
+            let (parent, child) = (&ours.header.frame_id, &ours.child_frame_id);
+            let theirs = message
+                .transforms
+                .iter()
+                .find(|t| t.header.frame_id == *parent && t.child_frame_id == *child);
+            let (Some(theirs), Ok(ours)) = (theirs, convert::isometry(&ours.transform, "rig")) else {
+                continue;
+            };
+            let sentence = match convert::isometry(&theirs.transform, "/tf_static") {
+                Err(error) => error.to_string(),
+                Ok(theirs) => {
+                    let metres = (theirs.translation.vector - ours.translation.vector).norm();
+                    let degrees = theirs.rotation.angle_to(&ours.rotation).to_degrees();
+                    // What eight digits in a file leave.
+                    if metres <= 1e-4 && degrees <= 0.01 {
+                        continue;
+                    }
+                    format!(
+                        "/tf_static has {child} in {parent} {:.1} mm and {degrees:.2} deg from the rig file's; \
+                         the rig file counts",
+                        metres * 1e3
+                    )
+                }
+            };
+            self.counts.say(&format!("/tf_static {parent} {child}"), || sentence);
+        }
+    }
+
+    /// Ends the output.
+    ///
+    /// # Errors
+    /// The output cannot be written.
+    pub fn finish(self) -> Result<(Counts, Spent), BagError> {
+        let mut spent = self.spent;
+        Stopwatch::add_to(&mut spent.output, || self.output.finish())?;
+        Ok((self.counts, spent))
+    }
+
+    fn observations(&mut self, observations: MarkerObservations) -> Result<(), BagError> {
+        let detected = observations.markers.iter().filter(|(_, m)| m.state == MarkerState::Detected).count();
+        self.counts.markers += 1;
+        self.counts.detected += detected as u64;
+        let output = &mut self.output;
+        Stopwatch::add_to(&mut self.spent.output, || output.markers(&observations))?;
+        self.fuse(pose_fusion::Input::Markers(observations))
+    }
+
+    fn fuse(&mut self, input: pose_fusion::Input) -> Result<(), BagError> {
+        let fusion = &mut self.fusion;
+        Stopwatch::add_to(&mut self.spent.fusion, || fusion.handle(input));
+        let watch = Stopwatch::start();
+        while let Some(output) = self.fusion.poll() {
+            match output {
+                pose_fusion::Output::Odometry(odometry) => {
+                    self.count_odometry(odometry.stamp);
+                    self.output.odometry(&odometry)?;
+                }
+                pose_fusion::Output::VisualPose(pose) => {
+                    self.counts.visual += 1;
+                    self.output.visual_pose(&pose)?;
+                }
+                pose_fusion::Output::MarkerUpdate(record) => {
+                    self.counts.used += u64::from(record.outcome == pose_fusion::MarkerOutcome::Used);
+                    if self.records.first().is_some_and(|first| first.stamp != record.stamp) {
+                        self.write_records()?;
+                    }
+                    self.records.push(record);
+                }
+                pose_fusion::Output::Warning(warning) => {
+                    self.counts.say(&kind_of("filter", &warning), || format!("filter: {warning}"));
+                }
+            }
+        }
+        self.write_records()?;
+        self.spent.output += watch.elapsed();
+        Ok(())
+    }
+
+    fn write_records(&mut self) -> Result<(), BagError> {
+        self.output.marker_updates(&self.records)?;
+        self.records.clear();
+        Ok(())
+    }
+
+    fn count_odometry(&mut self, at: Stamp) {
+        let counts = &mut self.counts;
+        counts.odometry += 1;
+        let settled = counts.first_imu.is_some_and(|first| at.seconds_since(first) > 1.0);
+        if settled {
+            counts.odometry_settled += 1;
+            if let Some(last) = counts.last_odometry {
+                counts.longest_gap = counts.longest_gap.max(at.seconds_since(last));
+            }
+        }
+        counts.last_odometry = Some(at);
+    }
+}
+
+/// The name of a warning's variant.
+fn kind_of(who: &str, warning: &impl std::fmt::Debug) -> String {
+    let text = format!("{warning:?}");
+    let end = text.find(|c: char| !c.is_alphanumeric()).unwrap_or(text.len());
+    format!("{who} {}", &text[..end])
+}
