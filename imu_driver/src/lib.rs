@@ -11,3 +11,8 @@ pub mod orientation;
 pub mod clock_fit;
 pub mod device_time;
 pub mod driver;
+
+#[cfg(feature = "node")]
+pub mod node;
+#[cfg(feature = "serial")]
+pub mod serial;
