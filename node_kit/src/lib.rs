@@ -13,6 +13,7 @@ pub mod environment;
 #[cfg(feature = "dds")]
 mod inbox;
 pub mod level;
+pub mod lifecycle;
 pub mod names;
 #[cfg(feature = "dds")]
 pub mod node;
@@ -24,7 +25,7 @@ pub use level::Level;
 pub use names::NodeName;
 #[cfg(feature = "dds")]
 pub use node::{
-    Clock, DeviceSender, Health, Kit, Logger, NodeError, NodeShell, Process, Publisher, run_node,
+    Clock, DeviceSender, Health, Kit, Logger, NodeError, NodeShell, Process, Publisher, Responder, run_node,
     run_node_with,
 };
 pub use parameters::{ParameterError, ParameterSet};

@@ -8,6 +8,7 @@ use super::{
 };
 use crate::{
     inbox::{SourceCount, now},
+    lifecycle::LifecycleState,
     qos::Qos,
 };
 use std::{
@@ -46,6 +47,13 @@ pub(crate) struct Diagnostics {
     rates: HashMap<String, Rate>,
     /// Counts of the round before, to tell what is new.
     before: HashMap<String, (u64, u64, u64)>,
+}
+
+impl Diagnostics {
+    /// Forgets what the shell had to say.
+    pub(crate) fn forget_shell(&mut self) {
+        self.statuses.clear();
+    }
 }
 
 fn pair(key: impl Into<String>, value: impl ToString) -> KeyValue {
@@ -117,7 +125,10 @@ impl<I: Send + 'static> Kit<I> {
                 }
             }
         }
-        let (health, message) = if !missing.is_empty() {
+        let state = self.lifecycle.get();
+        let (health, message) = if state != LifecycleState::Active {
+            (Health::Ok, format!("the node is {}", state.label()))
+        } else if !missing.is_empty() {
             (Health::Warn, format!("nothing comes on {}", missing.join(", ")))
         } else if !trouble.is_empty() {
             (Health::Warn, trouble.join(", "))

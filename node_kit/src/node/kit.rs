@@ -3,6 +3,7 @@
 use super::{
     NodeError,
     clock::Clock,
+    control::{Control, SharedState},
     diagnostics::Diagnostics,
     domain::{Domain, dds_type_name},
     hub::SubscriberGuard,
@@ -15,8 +16,9 @@ use super::{
 use crate::{
     inbox::{Inbox, SourceId, now},
     level::Level,
+    lifecycle::LifecycleState,
     names::{NodeName, Remap, resolve},
-    parameters::{ParameterMap, ParameterStore},
+    parameters::{Change, ParameterMap, ParameterStore, ParameterValue},
     qos::{Endpoint, Qos, QosPreset},
 };
 use async_executor::Task;
@@ -29,7 +31,10 @@ use rustdds::{
 use std::{
     collections::HashMap,
     fmt::Display,
-    sync::{Arc, Mutex, MutexGuard, PoisonError, Weak, atomic::AtomicBool},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError, Weak,
+        atomic::{AtomicBool, Ordering},
+    },
     thread::JoinHandle,
     time::{Duration, Instant},
 };
@@ -39,6 +44,8 @@ use volant_msgs::Message;
 pub(crate) enum Event<I> {
     /// For the shell.
     Input(I),
+    /// For the node itself.
+    Control(Control),
     /// Time has moved: look at the timers.
     Wake,
 }
@@ -72,15 +79,21 @@ impl<I> Drop for SubscriptionHandle<I> {
 pub struct Kit<I: Send + 'static> {
     pub(crate) shell_subscriptions: Vec<SubscriptionOf<I>>,
     pub(crate) kit_subscriptions: Vec<SubscriptionOf<I>>,
+    pub(crate) shell_services: Vec<Task<()>>,
+    pub(crate) kit_services: Vec<Task<()>>,
     pub(crate) tf: Tf,
     pub(crate) diagnostics: Diagnostics,
     pub(crate) timers: Vec<Timer<I>>,
     pub(crate) publishers: Vec<Weak<dyn Publishing>>,
-    pub(crate) devices: Vec<JoinHandle<()>>,
+    devices: Vec<JoinHandle<()>>,
+    device_sources: Vec<SourceId>,
+    /// False when the devices of this start of the shell must end.
+    devices_open: Arc<AtomicBool>,
+    pub(crate) lifecycle: SharedState,
     pub(crate) ending: Option<Result<(), NodeError>>,
     pub(crate) inbox: Inbox<Event<I>>,
     pub(crate) store: Arc<Mutex<ParameterStore>>,
-    pub(crate) active: Arc<AtomicBool>,
+    active: Arc<AtomicBool>,
     always: Arc<AtomicBool>,
     pub(crate) name: NodeName,
     remaps: Vec<Remap>,
@@ -116,11 +129,12 @@ impl<I, E: Display> IntoInput<I> for Result<I, E> {
 pub struct DeviceSender<I> {
     inbox: Inbox<Event<I>>,
     source: SourceId,
+    open: Arc<AtomicBool>,
 }
 
 impl<I> Clone for DeviceSender<I> {
     fn clone(&self) -> Self {
-        Self { inbox: self.inbox.clone(), source: self.source }
+        Self { inbox: self.inbox.clone(), source: self.source, open: Arc::clone(&self.open) }
     }
 }
 
@@ -138,7 +152,7 @@ impl<I> DeviceSender<I> {
 
     /// Does the node still run? A device's thread looks at least every 0.2 s, or the node's end waits for it.
     pub fn is_open(&self) -> bool {
-        !self.inbox.is_closed()
+        self.open.load(Ordering::Acquire) && !self.inbox.is_closed()
     }
 }
 
@@ -174,11 +188,16 @@ impl<I: Send + 'static> Kit<I> {
         let mut kit = Self {
             shell_subscriptions: Vec::new(),
             kit_subscriptions: Vec::new(),
+            shell_services: Vec::new(),
+            kit_services: Vec::new(),
             tf: Tf::default(),
             diagnostics: Diagnostics::default(),
             timers: Vec::new(),
             publishers: Vec::new(),
             devices: Vec::new(),
+            device_sources: Vec::new(),
+            devices_open: Arc::new(AtomicBool::new(true)),
+            lifecycle: SharedState::new(LifecycleState::Unconfigured),
             ending: None,
             inbox,
             store: Arc::new(Mutex::new(store)),
@@ -396,7 +415,8 @@ impl<I: Send + 'static> Kit<I> {
     /// A place in the inbox for a device: at most `depth` of its events wait, the oldest is dropped for one more.
     pub fn device_sender(&mut self, name: &str, depth: usize) -> DeviceSender<I> {
         let source = self.inbox.add_source(name, depth, false);
-        DeviceSender { inbox: self.inbox.clone(), source }
+        self.device_sources.push(source);
+        DeviceSender { inbox: self.inbox.clone(), source, open: Arc::clone(&self.devices_open) }
     }
 
     /// Starts a named thread for a device. It must end soon after [`DeviceSender::is_open`] becomes false: the node's
@@ -477,6 +497,67 @@ impl<I: Send + 'static> Kit<I> {
     pub fn finish(&mut self) {
         self.ending.get_or_insert(Ok(()));
         self.inbox.close();
+    }
+
+    /// Opens or shuts the node's gates: what comes in is kept or let go, what is published goes out or not.
+    pub(crate) fn set_active(&mut self, active: bool) {
+        self.active.store(active, Ordering::Release);
+        self.inbox.set_accepting(active);
+        if active {
+            // Latched topics speak of what they were given meanwhile.
+            self.publishers.iter().filter_map(Weak::upgrade).for_each(|p| p.retry());
+            // Timers count from here.
+            let now = now();
+            for timer in &mut self.timers {
+                (timer.next, timer.next_simulated) = (now + timer.period, None);
+            }
+        }
+    }
+
+    /// Ends the threads of devices and waits for them.
+    pub(crate) fn end_devices(&mut self) {
+        self.devices_open.store(false, Ordering::Release);
+        for device in std::mem::take(&mut self.devices) {
+            let _ = device.join();
+        }
+        self.device_sources.drain(..).for_each(|source| self.inbox.retire(source));
+        self.devices_open = Arc::new(AtomicBool::new(true));
+    }
+
+    /// Forgets what the shell subscribed, offered and timed.
+    pub(crate) fn forget_shell(&mut self) {
+        self.shell_subscriptions.clear();
+        self.shell_services.clear();
+        self.timers.clear();
+        self.tf = Tf::default();
+        self.diagnostics.forget_shell();
+    }
+
+    /// Says on `/parameter_events` which parameters there are.
+    pub(crate) fn announce_parameters(&self) {
+        let all: Vec<Change> =
+            self.parameter_values().into_iter().map(|(name, value)| Change { name, value }).collect();
+        self.announce(&all);
+    }
+
+    /// Says changes on `/parameter_events`. ros2-client's own copy of the parameters serves for nothing else.
+    pub(crate) fn announce(&self, changes: &[Change]) {
+        use ros2_client::ParameterValue as R;
+        for Change { name, value } in changes {
+            let value = match value.clone() {
+                ParameterValue::Bool(x) => R::Boolean(x),
+                ParameterValue::Integer(x) => R::Integer(x),
+                ParameterValue::Double(x) => R::Double(x),
+                ParameterValue::String(x) => R::String(x),
+                ParameterValue::BoolArray(x) => R::BooleanArray(x),
+                ParameterValue::IntegerArray(x) => R::IntegerArray(x),
+                ParameterValue::DoubleArray(x) => R::DoubleArray(x),
+                ParameterValue::StringArray(x) => R::StringArray(x),
+            };
+            if let Err(reason) = self.node.set_parameter(name, value) {
+                self.log(Level::Debug, format!("no event for the parameter {name}: {reason}"));
+            }
+        }
     }
 
     /// Takes up `/clock` where `use_sim_time` says so, or lets it go.

@@ -2,16 +2,19 @@
 //! [`Process`] several nodes in one process.
 
 mod clock;
+mod control;
 mod diagnostics;
 mod domain;
 mod error;
 mod hub;
 mod kit;
+mod life;
 mod logger;
 mod process;
 mod publisher;
 mod reactor;
 mod run;
+mod service;
 mod tf;
 mod wire;
 
@@ -23,6 +26,7 @@ pub use logger::Logger;
 pub use process::{Process, Stopper};
 pub use publisher::Publisher;
 pub use run::{run_node, run_node_with};
+pub use service::Responder;
 
 use crate::parameters::ParameterSet;
 

@@ -4,13 +4,14 @@ use super::{
     NodeError, NodeShell,
     clock::Clock,
     domain::Domain,
-    kit::{Event, Kit, KitParts},
+    kit::{Event, KitParts},
+    life::live,
     logger::Logger,
 };
 use crate::{
     args::{Override, RosArguments},
     environment::Network,
-    inbox::{Inbox, Taken, now},
+    inbox::Inbox,
     level::Level,
     names::NodeName,
     parameters::{ParameterSet, ParameterStore, common_descriptors},
@@ -22,7 +23,6 @@ use std::{
         mpsc::{Receiver, SyncSender, sync_channel},
     },
     thread::JoinHandle,
-    time::Duration,
 };
 
 /// A process with nodes in it.
@@ -234,65 +234,4 @@ fn join(thread: JoinHandle<Result<(), NodeError>>, node: &str) -> Result<(), Nod
             .unwrap_or_default();
         Err(NodeError::Panicked { node: node.to_owned(), message })
     })
-}
-
-/// A node's whole life.
-fn live<S: NodeShell>(
-    domain: Arc<Domain>,
-    inbox: Inbox<Event<S::Input>>,
-    parts: KitParts,
-    started: &SyncSender<()>,
-) -> Result<(), NodeError> {
-    let parameters = S::Parameters::from_map(parts.store.values())?;
-    let mut kit = Kit::new(domain, inbox, parts)?;
-    let shell = match S::start(&mut kit, parameters) {
-        Ok(shell) => shell,
-        Err(error) => {
-            end(kit, None::<S>);
-            return Err(error);
-        }
-    };
-    for mistake in kit.parameter_store().left_over() {
-        kit.log(Level::Warn, mistake.to_string());
-    }
-    let _ = started.send(());
-    let (mut kit, mut shell) = (kit, shell);
-    run(&mut kit, &mut shell);
-    let ending = kit.ending.take();
-    end(kit, Some(shell));
-    ending.unwrap_or(Ok(()))
-}
-
-/// Once a second: the shell's tick, then the diagnostics.
-const TICK: Duration = Duration::from_secs(1);
-
-fn run<S: NodeShell>(kit: &mut Kit<S::Input>, shell: &mut S) {
-    let mut next_tick = now() + TICK;
-    loop {
-        let deadline = kit.next_timer().map_or(next_tick, |timer| timer.min(next_tick));
-        match kit.inbox.take(Some(deadline)) {
-            Taken::Entry(Event::Input(input)) => shell.handle(kit, input),
-            Taken::Entry(Event::Wake) | Taken::Deadline => {}
-            Taken::Closed => return,
-        }
-        while let Some(input) = kit.due_timer() {
-            shell.handle(kit, input);
-        }
-        if now() >= next_tick {
-            next_tick = now() + TICK;
-            shell.tick(kit);
-            kit.publish_diagnostics();
-        }
-    }
-}
-
-/// Ends a node in the order that leaves nothing behind: devices, shell with its publishers, then the kit, whose fields drop
-/// subscriptions, reader thread and DDS node in this order.
-fn end<S: NodeShell>(mut kit: Kit<S::Input>, shell: Option<S>) {
-    kit.inbox.close();
-    for device in std::mem::take(&mut kit.devices) {
-        let _ = device.join();
-    }
-    drop(shell);
-    drop(kit);
 }

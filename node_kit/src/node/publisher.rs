@@ -5,7 +5,7 @@ use crate::{inbox::now, qos::Qos};
 use ros2_client::{Gid, WriteError};
 use std::{
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
     time::Instant,
@@ -32,8 +32,13 @@ struct Inner<M: Message> {
     writer: ros2_client::Publisher<Shared<M>>,
     active: Arc<AtomicBool>,
     counts: Arc<PublisherCounts>,
-    /// Of a latched topic: what DDS has not taken yet.
-    pending: Mutex<Option<Arc<M>>>,
+    /// Of a latched topic: what was published while the node was inactive, or what DDS has not taken yet.
+    pending: Mutex<Option<Pending<M>>>,
+}
+
+enum Pending<M> {
+    Unpublished(Arc<M>),
+    Unwritten(Arc<M>),
 }
 
 /// How a publisher fares.
@@ -81,25 +86,13 @@ impl<M: Message> Publisher<M> {
     /// Publishes what others hold too, without a copy.
     pub fn publish_shared(&self, message: Arc<M>) {
         let inner = &*self.0;
-        if !inner.active.load(Ordering::Relaxed) {
+        if !inner.active.load(Ordering::Acquire) {
+            if inner.qos.transient_local {
+                *inner.pending() = Some(Pending::Unpublished(message));
+            }
             return;
         }
-        inner.counts.published.fetch_add(1, Ordering::Relaxed);
-        if inner.qos.transient_local {
-            inner.channel.deliver_latched(inner.id, &message, inner.qos.depth);
-        } else {
-            inner.channel.deliver(&message);
-            if inner.channel.state.remote_readers.load(Ordering::Relaxed) == 0 {
-                // Nobody outside would get it, and nobody will ask for it later.
-                return;
-            }
-        }
-        if let Err(message) = inner.write(message) {
-            inner.counts.refused.fetch_add(1, Ordering::Relaxed);
-            if inner.qos.transient_local {
-                *inner.pending.lock().unwrap_or_else(PoisonError::into_inner) = Some(message);
-            }
-        }
+        inner.publish(message);
     }
 
     /// Subscribers, in this process and outside.
@@ -124,6 +117,29 @@ impl<M: Message> Publisher<M> {
 }
 
 impl<M: Message> Inner<M> {
+    fn pending(&self) -> MutexGuard<'_, Option<Pending<M>>> {
+        self.pending.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn publish(&self, message: Arc<M>) {
+        self.counts.published.fetch_add(1, Ordering::Relaxed);
+        if self.qos.transient_local {
+            self.channel.deliver_latched(self.id, &message, self.qos.depth);
+        } else {
+            self.channel.deliver(&message);
+            if self.channel.state.remote_readers.load(Ordering::Relaxed) == 0 {
+                // Nobody outside would get it, and nobody will ask for it later.
+                return;
+            }
+        }
+        if let Err(message) = self.write(message) {
+            self.counts.refused.fetch_add(1, Ordering::Relaxed);
+            if self.qos.transient_local {
+                *self.pending() = Some(Pending::Unwritten(message));
+            }
+        }
+    }
+
     /// Gives it to DDS; what it refuses for want of room comes back.
     fn write(&self, message: Arc<M>) -> Result<(), Arc<M>> {
         match self.writer.publish(Shared(message)) {
@@ -152,11 +168,19 @@ impl<M: Message> Publishing for Inner<M> {
     }
 
     fn retry(&self) {
-        let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(message) = pending.take()
-            && let Err(message) = self.write(message)
-        {
-            *pending = Some(message);
+        let pending = self.pending().take();
+        match pending {
+            None => {}
+            Some(Pending::Unpublished(message)) if self.active.load(Ordering::Acquire) => {
+                self.publish(message)
+            }
+            Some(unpublished @ Pending::Unpublished(_)) => *self.pending() = Some(unpublished),
+            Some(Pending::Unwritten(message)) => {
+                if let Err(message) = self.write(message) {
+                    // Unless a younger one waits by now.
+                    self.pending().get_or_insert(Pending::Unwritten(message));
+                }
+            }
         }
     }
 }

@@ -2,6 +2,7 @@
 //! validation, the ROS descriptor, the line of the YAML file and the row of the documentation's table.
 
 mod macros;
+pub mod messages;
 mod set;
 mod store;
 mod tables;
