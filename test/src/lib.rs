@@ -5,6 +5,7 @@
 //! [`report`] shows it.
 
 pub mod accuracy;
+pub mod faults;
 pub mod live;
 pub mod report;
 pub mod rig;

@@ -1,0 +1,124 @@
+//! Faults on real processes: each row of the table breaks one thing of a live rig for some seconds and asserts on what
+//! the nodes published meanwhile and afterwards.
+//!
+//! [`table`] has the rows, [`Row::run`] runs one, [`markdown`] makes the documentation's table of what was seen.
+
+mod outcome;
+mod spoilers;
+mod table;
+
+pub use outcome::{Outcome, Verdict};
+pub use table::table;
+
+use crate::live::{Film, Run, RunError, Scenario};
+use node_kit::environment::Network;
+use rig_model::Stamp;
+use std::{fmt::Write, path::Path, sync::Arc};
+
+/// Seconds of the scenario at which a fault begins and ends.
+pub const WINDOW: [f64; 2] = [2.0, 5.0];
+/// Length of the scenario, s.
+pub const LENGTH: f64 = 9.0;
+
+/// A live rig, and what a fault needs of it.
+pub struct Bench<'a> {
+    /// Hardware and nodes.
+    pub run: &'a mut Run,
+    /// Stamp of the scenario's zero.
+    pub epoch: Stamp,
+    /// The scenario.
+    pub scenario: &'a Scenario,
+}
+
+type Action = Box<dyn Fn(&mut Bench<'_>) -> Result<(), RunError>>;
+
+/// What the odometry does while the fault lasts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Flow {
+    /// It comes with every inertial sample.
+    Unbroken,
+    /// It stops, because nothing can be said.
+    Stops,
+    /// It has gaps.
+    Gaps,
+}
+
+/// One row: a fault and what must hold.
+pub struct Row {
+    /// What is broken.
+    pub fault: &'static str,
+    begin: Action,
+    end: Action,
+    /// The odometry meanwhile.
+    pub flow: Flow,
+    /// The node whose diagnostics must say so at WARN or above, and words of which one must be in its line; `None`: the
+    /// fault is too small to be said.
+    pub diagnostics: Option<(&'static str, &'static [&'static str])>,
+    /// After its end the pose is back within so many seconds.
+    pub back_within: f64,
+    /// Ends of nodes by a signal that belong to the fault.
+    pub kills: Option<&'static str>,
+}
+
+impl Row {
+    /// Runs the row on the DDS domain of `network`, in `folder`.
+    ///
+    /// # Errors
+    /// The rig did not come up or a process hung: that is no verdict.
+    pub fn run(
+        &self,
+        scenario: &Scenario,
+        film: &Arc<Film>,
+        network: &Network,
+        folder: &Path,
+    ) -> Result<Outcome, RunError> {
+        let mut run = Run::start(scenario, Arc::clone(film), network, folder)?;
+        run.wait_for_pose(30.0)?;
+        let epoch = run.begin();
+        run.play_until(WINDOW[0], |_, _| {})?;
+        let mut bench = Bench { run: &mut run, epoch, scenario };
+        (self.begin)(&mut bench)?;
+        wait(&mut run, WINDOW[1], self.kills.is_some())?;
+        (self.end)(&mut Bench { run: &mut run, epoch, scenario })?;
+        wait(&mut run, LENGTH - 0.2, self.kills.is_some())?;
+        let logs = folder.to_owned();
+        let ended = run.finish()?;
+        Ok(outcome::judge(self, scenario, &ended, &logs))
+    }
+}
+
+/// Waits for a time of the scenario; a node that ended meanwhile is an error unless the fault is to kill one.
+fn wait(run: &mut Run, until: f64, may_end: bool) -> Result<(), RunError> {
+    if !may_end {
+        return run.play_until(until, |_, _| {});
+    }
+    while run.stand.seconds() < until {
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    Ok(())
+}
+
+/// The table as Markdown: fault, what the output did, what the diagnostics said, how long until it was back.
+pub fn markdown(outcomes: &[(&'static str, Outcome)]) -> String {
+    let mut text = String::from(
+        "| fault | odometry meanwhile | largest error meanwhile | diagnostics | back after | verdict |\n| --- | --- | --- | --- | --- | --- |\n",
+    );
+    for (fault, o) in outcomes {
+        let verdict = match &o.verdict {
+            Verdict::Holds => "holds".to_owned(),
+            Verdict::Fails(reasons) => format!("**fails**: {}", reasons.join("; ")),
+            Verdict::Skipped(reason) => format!("**skipped**: {reason}"),
+        };
+        let back = o.back_after.map_or("not".to_owned(), |s| format!("{s:.2} s"));
+        let _ = writeln!(
+            text,
+            "| {fault} | {:.0} % of the samples, longest gap {:.0} ms | {:.1} mm, {:.2}° | {} | {back} | {verdict} |",
+            o.rate * 100.0,
+            o.longest_gap * 1e3,
+            o.worst_position,
+            o.worst_rotation,
+            o.said.as_deref().unwrap_or("–"),
+        );
+    }
+    text
+}

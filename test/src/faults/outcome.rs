@@ -1,0 +1,241 @@
+//! What became of a row: figures from the published messages, and whether they are as they must be.
+
+use super::{Flow, LENGTH, Row, WINDOW};
+use crate::{
+    accuracy::Track,
+    live::{Ended, Heard, Scenario},
+};
+use nalgebra::Isometry3;
+use rig_model::Stamp;
+use std::path::Path;
+use volant_msgs::{diagnostic_msgs::msg::DiagnosticStatus, msg::MarkerObservation};
+
+/// Whether a row holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Everything is as it must be.
+    Holds,
+    /// What is not.
+    Fails(Vec<String>),
+    /// It could not be tried, and why.
+    Skipped(String),
+}
+
+/// What was seen.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Odometry per inertial sample that was due while the fault lasted.
+    pub rate: f64,
+    /// Longest time without odometry while it lasted, s.
+    pub longest_gap: f64,
+    /// Largest error while it lasted, mm.
+    pub worst_position: f64,
+    /// Largest error while it lasted, degrees.
+    pub worst_rotation: f64,
+    /// The line of the diagnostics that tells it.
+    pub said: Option<String>,
+    /// From the fault's end until the pose was back to stay, s.
+    pub back_after: Option<f64>,
+    /// The judgement.
+    pub verdict: Verdict,
+}
+
+impl Outcome {
+    /// A row that could not be tried.
+    pub fn skipped(reason: String) -> Self {
+        Self {
+            rate: f64::NAN,
+            longest_gap: f64::NAN,
+            worst_position: f64::NAN,
+            worst_rotation: f64::NAN,
+            said: None,
+            back_after: None,
+            verdict: Verdict::Skipped(reason),
+        }
+    }
+}
+
+/// Back is who is nearer than this, mm and degrees.
+const NEAR: [f64; 2] = [10.0, 1.0];
+/// Of 3 degrees of freedom, a NEES above this has a chance of 1e-4; a filter's errors are correlated, so a share is allowed.
+const NEES_LIMIT: f64 = 21.1;
+/// Share of the odometry that may lie above it.
+const NEES_SHARE: f64 = 0.02;
+
+/// Judges a run.
+pub fn judge(row: &Row, scenario: &Scenario, ended: &Ended, folder: &Path) -> Outcome {
+    let heard = &ended.heard;
+    let at = |t: f64| ended.epoch.plus_seconds(t);
+    let truth = |s: Stamp| scenario.motion.world_from_volant(s.seconds_since(ended.epoch));
+    let fused = heard.fused();
+    let (rate, longest_gap) = flow(&fused, at(WINDOW[0]), at(WINDOW[1]));
+    let (worst_position, worst_rotation) = worst(&fused, at(WINDOW[0]), at(WINDOW[1]), truth);
+    let back_after =
+        back(&fused, at(WINDOW[1]), at(LENGTH - 0.4), truth).map(|s| s.seconds_since(at(WINDOW[1])));
+    let said = row.diagnostics.and_then(|(node, words)| said(heard, node, words, at(WINDOW[0])));
+
+    let mut failures = Vec::new();
+    match row.flow {
+        Flow::Unbroken if rate < 0.97 || longest_gap > 0.06 => {
+            failures.push(format!(
+                "the odometry broke: {:.0} %, a gap of {:.0} ms",
+                rate * 1e2,
+                longest_gap * 1e3
+            ));
+        }
+        Flow::Stops if rate > 0.5 => {
+            failures.push("the odometry went on though nothing could be said".to_owned())
+        }
+        _ => {}
+    }
+    if let (Some((node, words)), None) = (row.diagnostics, &said) {
+        failures.push(format!("the diagnostics of {node} never said any of {words:?}"));
+    }
+    match back_after {
+        Some(s) if s <= row.back_within => {}
+        Some(s) => failures.push(format!("back after {s:.2} s instead of {}", row.back_within)),
+        None => failures.push("not back before the end".to_owned()),
+    }
+    failures.extend(not_a_number(heard));
+    failures.extend(contradicted(heard, at(0.5), at(LENGTH - 0.4), truth));
+    failures.extend(ends(ended, folder));
+    let verdict = if failures.is_empty() { Verdict::Holds } else { Verdict::Fails(failures) };
+    Outcome { rate, longest_gap, worst_position, worst_rotation, said, back_after, verdict }
+}
+
+/// Share of the 100 Hz that came, and the longest gap.
+fn flow(track: &Track, from: Stamp, to: Stamp) -> (f64, f64) {
+    let stamps: Vec<Stamp> = track.iter().map(|(s, _)| *s).filter(|s| *s >= from && *s <= to).collect();
+    let mut last = from;
+    let mut gap: f64 = 0.0;
+    for s in stamps.iter().chain([&to]) {
+        gap = gap.max(s.seconds_since(last));
+        last = *s;
+    }
+    (stamps.len() as f64 / (100.0 * to.seconds_since(from)), gap)
+}
+
+fn errors(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> [f64; 2] {
+    let position = (pose.translation.vector - truth.translation.vector).norm() * 1e3;
+    [position, pose.rotation.angle_to(&truth.rotation).to_degrees()]
+}
+
+fn worst(track: &Track, from: Stamp, to: Stamp, truth: impl Fn(Stamp) -> Isometry3<f64>) -> (f64, f64) {
+    track.iter().filter(|(s, _)| *s >= from && *s <= to).fold((0.0, 0.0), |(p, r), (s, pose)| {
+        let [position, rotation] = errors(pose, &truth(*s));
+        (f64::max(p, position), f64::max(r, rotation))
+    })
+}
+
+/// When the pose was back to stay: from then on it is near the truth and without gaps.
+fn back(track: &Track, from: Stamp, to: Stamp, truth: impl Fn(Stamp) -> Isometry3<f64>) -> Option<Stamp> {
+    let mut since: Option<Stamp> = None;
+    let mut last: Option<Stamp> = None;
+    for (s, pose) in track.iter().filter(|(s, _)| *s >= from && *s <= to) {
+        let [position, rotation] = errors(pose, &truth(*s));
+        let near = position <= NEAR[0] && rotation <= NEAR[1];
+        let gap = last.is_some_and(|l| s.seconds_since(l) > 0.06);
+        since = match (near, gap, since) {
+            (false, ..) => None,
+            (true, false, Some(since)) => Some(since),
+            (true, ..) => Some(*s),
+        };
+        last = Some(*s);
+    }
+    since.filter(|_| last.is_some_and(|l| to.seconds_since(l) < 0.2))
+}
+
+/// The first line at WARN or above that tells the fault.
+fn said(heard: &Heard, node: &str, words: &[&str], from: Stamp) -> Option<String> {
+    let lines =
+        heard.diagnostics.iter().filter(|(received, _)| *received >= from).flat_map(|(_, m)| &m.status);
+    lines
+        .filter(|s| s.level >= DiagnosticStatus::WARN && s.name.starts_with(node))
+        .map(|s| {
+            let values: Vec<String> = s.values.iter().map(|v| format!("{}={}", v.key, v.value)).collect();
+            (format!("{}: {}", s.name, s.message), values.join(" "))
+        })
+        .find(|(line, values)| {
+            words.is_empty() || words.iter().any(|w| line.contains(w) || values.contains(w))
+        })
+        .map(|(line, _)| line)
+}
+
+/// Every number that must be one is one.
+fn not_a_number(heard: &Heard) -> Option<String> {
+    let finite = |values: &[f64]| values.iter().all(|v| v.is_finite());
+    let pose = |p: &volant_msgs::geometry_msgs::msg::PoseWithCovariance| {
+        let (t, q) = (&p.pose.position, &p.pose.orientation);
+        finite(&[t.x, t.y, t.z, q.x, q.y, q.z, q.w]) && finite(&p.covariance)
+    };
+    let vector = |v: &volant_msgs::geometry_msgs::msg::Vector3| finite(&[v.x, v.y, v.z]);
+    let checks =
+        [
+            (
+                "odometry",
+                heard.odometry.iter().all(|(_, m)| {
+                    pose(&m.pose)
+                        && vector(&m.twist.twist.linear)
+                        && vector(&m.twist.twist.angular)
+                        && finite(&m.twist.covariance)
+                }),
+            ),
+            ("fused_pose", heard.fused_pose.iter().all(|(_, m)| pose(&m.pose))),
+            ("visual_pose", heard.visual_pose.iter().all(|(_, m)| pose(&m.pose))),
+            (
+                "imu/data",
+                heard.imu.iter().all(|(_, m)| vector(&m.linear_acceleration) && vector(&m.angular_velocity)),
+            ),
+            (
+                "climber/transform",
+                heard.climber.iter().all(|(_, m)| {
+                    let (t, q) = (&m.transform.translation, &m.transform.rotation);
+                    vector(t) && finite(&[q.x, q.y, q.z, q.w])
+                }),
+            ),
+            (
+                "climber/markers",
+                heard.markers.iter().flat_map(|(_, m)| &m.markers).all(|o| {
+                    o.state == MarkerObservation::LOST || finite(&[o.x, o.y]) && finite(&o.covariance)
+                }),
+            ),
+        ];
+    let bad: Vec<&str> = checks.iter().filter(|(_, fine)| !fine).map(|(name, _)| *name).collect();
+    (!bad.is_empty()).then(|| format!("a number that is none on {}", bad.join(", ")))
+}
+
+/// A covariance that the truth contradicts.
+fn contradicted(
+    heard: &Heard,
+    from: Stamp,
+    to: Stamp,
+    truth: impl Fn(Stamp) -> Isometry3<f64> + Copy,
+) -> Option<String> {
+    let nees = heard.nees(from, to, truth);
+    let beyond = nees.iter().filter(|n| n[0] > NEES_LIMIT || n[1] > NEES_LIMIT).count();
+    let share = beyond as f64 / nees.len().max(1) as f64;
+    (share > NEES_SHARE).then(|| {
+        let worst = nees.iter().flatten().fold(0.0_f64, |a, b| a.max(*b));
+        format!(
+            "the truth contradicts the covariance in {:.1} % of the odometry (NEES up to {worst:.0})",
+            share * 100.0
+        )
+    })
+}
+
+/// Every process ended as it was asked to, and none panicked.
+fn ends(ended: &Ended, folder: &Path) -> Vec<String> {
+    let mut failures: Vec<String> = ended
+        .ends
+        .iter()
+        .filter(|(_, status)| !status.success())
+        .map(|(name, status)| format!("{name} ended with {status}"))
+        .collect();
+    for (name, _) in &ended.ends {
+        let log = std::fs::read_to_string(folder.join(format!("{name}.log"))).unwrap_or_default();
+        if log.contains("panicked at") {
+            failures.push(format!("{name} panicked"));
+        }
+    }
+    failures
+}

@@ -1,0 +1,164 @@
+"""A DDS peer that is not ours: hears a rig's outputs by Cyclone DDS and prints each message as one JSON line.
+
+usage: listen.py DOMAIN_ID SECONDS
+
+Ends after SECONDS, or at a line on standard input. The types are written by hand from the ROS 2 definitions, so
+that nothing of the project's own serialisation is in here.
+"""
+
+import json
+import sys
+import threading
+import time
+from dataclasses import dataclass
+
+from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint16, uint32
+from cyclonedds.internal import InvalidSample
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+
+@dataclass
+class Time_(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
+    sec: int32
+    nanosec: uint32
+
+
+@dataclass
+class Header_(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
+    stamp: Time_
+    frame_id: str
+
+
+@dataclass
+class Point_(IdlStruct, typename="geometry_msgs::msg::dds_::Point_"):
+    x: float64
+    y: float64
+    z: float64
+
+
+@dataclass
+class Vector3_(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3_"):
+    x: float64
+    y: float64
+    z: float64
+
+
+@dataclass
+class Quaternion_(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
+    x: float64
+    y: float64
+    z: float64
+    w: float64
+
+
+@dataclass
+class Pose_(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):
+    position: Point_
+    orientation: Quaternion_
+
+
+@dataclass
+class PoseWithCovariance_(IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovariance_"):
+    pose: Pose_
+    covariance: array[float64, 36]
+
+
+@dataclass
+class PoseWithCovarianceStamped_(IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovarianceStamped_"):
+    header: Header_
+    pose: PoseWithCovariance_
+
+
+@dataclass
+class Twist_(IdlStruct, typename="geometry_msgs::msg::dds_::Twist_"):
+    linear: Vector3_
+    angular: Vector3_
+
+
+@dataclass
+class TwistWithCovariance_(IdlStruct, typename="geometry_msgs::msg::dds_::TwistWithCovariance_"):
+    twist: Twist_
+    covariance: array[float64, 36]
+
+
+@dataclass
+class Odometry_(IdlStruct, typename="nav_msgs::msg::dds_::Odometry_"):
+    header: Header_
+    child_frame_id: str
+    pose: PoseWithCovariance_
+    twist: TwistWithCovariance_
+
+
+@dataclass
+class MarkerObservation_(IdlStruct, typename="volant_msgs::msg::dds_::MarkerObservation_"):
+    color: uint8
+    state: uint8
+    occluded_frames: uint16
+    x: float64
+    y: float64
+    covariance: array[float64, 4]
+    area: float32
+
+
+@dataclass
+class MarkerObservations_(IdlStruct, typename="volant_msgs::msg::dds_::MarkerObservations_"):
+    header: Header_
+    markers: sequence[MarkerObservation_]
+
+
+def of_pose(message):
+    p, q = message.pose.pose.position, message.pose.pose.orientation
+    return [p.x, p.y, p.z, q.x, q.y, q.z, q.w, *message.pose.covariance]
+
+
+TOPICS = {
+    "volant/odometry": (Odometry_, lambda m: [*of_pose(m), m.twist.twist.linear.x, m.twist.twist.angular.z]),
+    "volant/fused_pose": (PoseWithCovarianceStamped_, of_pose),
+    "climber/markers": (
+        MarkerObservations_,
+        lambda m: [v for o in m.markers for v in (o.color, o.state, o.occluded_frames, o.x, o.y, o.covariance[0])],
+    ),
+}
+
+
+def main():
+    domain, seconds = int(sys.argv[1]), float(sys.argv[2])
+    qos = Qos(
+        Policy.Reliability.Reliable(duration(seconds=1)),
+        Policy.Durability.Volatile,
+        Policy.History.KeepLast(1000),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    )
+    participant = DomainParticipant(domain)
+    readers = []
+    for name, (kind, values) in TOPICS.items():
+        topic = Topic(participant, f"rt/{name}", kind, qos=qos)
+        readers.append((name, values, DataReader(participant, topic, qos=qos)))
+    print(json.dumps({"ready": True}), flush=True)
+    stop = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.readline(), stop.set()), daemon=True).start()
+    end = time.monotonic() + seconds
+    while time.monotonic() < end and not stop.is_set():
+        for name, values, reader in readers:
+            for message in reader.take(N=200):
+                if isinstance(message, InvalidSample):
+                    continue
+                stamp = message.header.stamp
+                line = {
+                    "topic": name,
+                    "stamp": stamp.sec * 10**9 + stamp.nanosec,
+                    "frame": message.header.frame_id,
+                    "values": values(message),
+                }
+                print(json.dumps(line))
+        time.sleep(0.01)
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
