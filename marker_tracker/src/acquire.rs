@@ -106,8 +106,18 @@ pub(crate) fn hypotheses(
                         let guess = ba.centroid + iu * s + iv * t;
                         for &(id, _) in list(d) {
                             let bd = &blobs[id];
-                            if (bd.centroid - guess).norm() < 0.35 * reach * side + 3.0 && like_areas(area, bd.area) {
-                                four(layout, camera, blobs, [ia, ib, ic, id], [a, b, c, d], strictness, found);
+                            if (bd.centroid - guess).norm() < 0.35 * reach * side + 3.0
+                                && like_areas(area, bd.area)
+                            {
+                                four(
+                                    layout,
+                                    camera,
+                                    blobs,
+                                    [ia, ib, ic, id],
+                                    [a, b, c, d],
+                                    strictness,
+                                    found,
+                                );
                             }
                         }
                     }
@@ -164,8 +174,12 @@ fn three(
         }
         chosen[c] = Some(i);
     }
-    let sights: [Sight; 3] =
-        std::array::from_fn(|k| Sight { color: colors[k], pixel: blobs[indices[k]].centroid, sigma: 1.0, outline: None });
+    let sights: [Sight; 3] = std::array::from_fn(|k| Sight {
+        color: colors[k],
+        pixel: blobs[indices[k]].centroid,
+        sigma: 1.0,
+        outline: None,
+    });
     let Some(starts) = poses_from_three(layout, camera, &sights) else { return };
     for start in &starts {
         // Three sights are explained by many poses, so they come after every four, and their areas must be right.

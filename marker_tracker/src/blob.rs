@@ -53,7 +53,11 @@ pub(crate) fn classify([r, g, b]: [u8; 3]) -> Option<(MarkerColor, i32, i32)> {
         (MarkerColor::Red, r - g.max(b))
     } else if g >= b {
         // Yellow-green (hue 75°) is where yellow meets green.
-        if 4 * (r - b) >= 3 * (g - b) { (MarkerColor::Yellow, r - b) } else { (MarkerColor::Green, g - r.max(b)) }
+        if 4 * (r - b) >= 3 * (g - b) {
+            (MarkerColor::Yellow, r - b)
+        } else {
+            (MarkerColor::Green, g - r.max(b))
+        }
     } else {
         (MarkerColor::Blue, b - g.max(r))
     };
@@ -131,11 +135,14 @@ impl Scanner {
         let saturation = (config.min_saturation * 256.0) as i32;
         for y in (y0..y1).step_by(stride) {
             self.here.clear();
-            let Some(row) = image.data.get(y * image.step + x0 * bytes..y * image.step + x1 * bytes) else { break };
+            let Some(row) = image.data.get(y * image.step + x0 * bytes..y * image.step + x1 * bytes) else {
+                break;
+            };
             let mut open: Option<Run> = None;
             for (i, pixel) in row.chunks_exact(bytes).step_by(stride).enumerate() {
                 let x = (x0 + i * stride) as u32;
-                let rgb = if blue_first { [pixel[2], pixel[1], pixel[0]] } else { [pixel[0], pixel[1], pixel[2]] };
+                let rgb =
+                    if blue_first { [pixel[2], pixel[1], pixel[0]] } else { [pixel[0], pixel[1], pixel[2]] };
                 // Most of a picture is grey: leave it by the cheapest test.
                 let max = rgb[0].max(rgb[1]).max(rgb[2]);
                 let min = rgb[0].min(rgb[1]).min(rgb[2]);

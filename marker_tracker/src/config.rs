@@ -18,6 +18,12 @@ pub struct TrackerConfig {
 
 impl Default for TrackerConfig {
     fn default() -> Self {
-        Self { use_flow: true, use_hue: true, max_predicted: 6, rigid_prediction: true, max_centroid_sigma: 0.5 }
+        Self {
+            use_flow: true,
+            use_hue: true,
+            max_predicted: 6,
+            rigid_prediction: true,
+            max_centroid_sigma: 0.5,
+        }
     }
 }

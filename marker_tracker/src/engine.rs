@@ -12,7 +12,8 @@ use crate::{
 };
 use nalgebra::{Isometry3, Matrix2, Vector2};
 use rig_model::{
-    CameraModel, MarkerColor, MarkerLayout, MarkerObservation, MarkerObservations, MarkerState, PerColor, Stamp,
+    CameraModel, MarkerColor, MarkerLayout, MarkerObservation, MarkerObservations, MarkerState, PerColor,
+    Stamp,
 };
 
 /// What is remembered of one marker.
@@ -34,6 +35,7 @@ pub(crate) struct Memory {
     window: Window,
     /// The measurement in this image.
     pub fit: Option<QuadFit>,
+    reason: &'static str,
 }
 
 #[derive(Debug)]
@@ -84,6 +86,15 @@ impl Engine {
         }
     }
 
+    pub fn set_config(&mut self, config: TrackerConfig) {
+        self.config = config;
+    }
+
+    /// What became of a marker in the last image.
+    pub fn reason(&self, color: MarkerColor) -> &'static str {
+        self.markers[color].reason
+    }
+
     pub fn set_camera(&mut self, camera: CameraModel) {
         if self.camera.as_ref() != Some(&camera) {
             self.camera = Some(camera);
@@ -103,6 +114,7 @@ impl Engine {
         let pose_before = self.pose;
         for m in &mut self.markers.0 {
             m.fit = None;
+            m.reason = "not found";
         }
         if let Some(camera) = self.camera_for(image) {
             let mut detected = 0;
@@ -192,7 +204,8 @@ impl Engine {
             if self.markers[color].appearance.is_none() {
                 continue;
             }
-            let Some(quad) = project_square(&self.layout, color, self.markers[color].turn.0, camera, &pose) else {
+            let Some(quad) = project_square(&self.layout, color, self.markers[color].turn.0, camera, &pose)
+            else {
                 continue;
             };
             let quad = quad.shifted(self.markers[color].flow * ratio);
@@ -225,14 +238,21 @@ impl Engine {
         for color in MarkerColor::ALL {
             if let Some(f) = whole[color.index()] {
                 self.markers[color].fit = Some(f);
+                self.markers[color].reason = "whole";
                 continue;
             }
             let Some((place_sigma, edge_sigma)) = trust else { continue };
-            let Some(fit) = self.measure_again(image, color, camera, &now, edge_sigma, place_sigma) else { continue };
+            self.markers[color].reason = "covered";
+            let Some(fit) = self.measure_again(image, color, camera, &now, edge_sigma, place_sigma) else {
+                continue;
+            };
             let expected = self.layout.projected_centroid(color, camera, &now).map(|p| p.pixel);
             if expected.is_some_and(|e| (e - fit.centroid).norm() < 3.0 * place_sigma) {
                 self.markers[color].fit = Some(fit);
+                self.markers[color].reason = "covered in part, told by its other edges";
                 detected += 1;
+            } else {
+                self.markers[color].reason = "not where the other markers say";
             }
         }
         self.learn(image, camera, &now);
@@ -249,12 +269,7 @@ impl Engine {
         // Paper cut too large or a blooming sensor widen the outline; that is not nearness.
         let scale = 1.0 - 2.0 * m.edge_bias.0 / f.area.sqrt().max(1.0);
         let outline = Quad(f.quad.0.map(|c| f.centroid + (c - f.centroid) * scale));
-        Sight {
-            color,
-            pixel: f.centroid,
-            sigma: 0.1,
-            outline: (m.turn.1 > 0).then_some((outline, m.turn.0)),
-        }
+        Sight { color, pixel: f.centroid, sigma: 0.1, outline: (m.turn.1 > 0).then_some((outline, m.turn.0)) }
     }
 
     /// A marker at the place that the others' pose gives, covered in part as it may be.
@@ -268,7 +283,8 @@ impl Engine {
         place_sigma: f64,
     ) -> Option<QuadFit> {
         let quad = project_square(&self.layout, color, self.markers[color].turn.0, camera, pose)?;
-        let (unknown, known_turn) = (self.markers[color].appearance.is_none(), self.markers[color].turn.1 > 5);
+        let (unknown, known_turn) =
+            (self.markers[color].appearance.is_none(), self.markers[color].turn.1 > 5);
         if unknown {
             let appearance = Appearance::learn(image, &quad)?;
             let rgb = appearance.marker.map(|v| v as u8);
@@ -322,7 +338,12 @@ impl Engine {
 
     /// Four centroids over-determine the pose by two, and each square has the area that the pose gives it: what does not
     /// fit is not a marker.
-    fn drop_contradictions(&mut self, camera: &CameraModel, pose: &Isometry3<f64>, whole: &mut [Option<QuadFit>; 4]) {
+    fn drop_contradictions(
+        &mut self,
+        camera: &CameraModel,
+        pose: &Isometry3<f64>,
+        whole: &mut [Option<QuadFit>; 4],
+    ) {
         let tolerance = if self.camera.is_some() { 0.6 } else { 3.0 };
         loop {
             let mut sights =
@@ -339,7 +360,9 @@ impl Engine {
             }
             let sights = &sights[..n];
             let prior = PosePrior { camera_from_volant: *pose, position_sigma: 0.1, rotation_sigma: 0.1 };
-            let Some((now, rms)) = refine(&self.layout, camera, sights, pose, Some(&prior), 8) else { return };
+            let Some((now, rms)) = refine(&self.layout, camera, sights, pose, Some(&prior), 8) else {
+                return;
+            };
             // Areas, against the common bias of all edges.
             let mut ratios = [0.0; 4];
             for (r, s) in ratios.iter_mut().zip(sights) {
@@ -370,13 +393,13 @@ impl Engine {
                     d.sort_by(f64::total_cmp);
                     d.get(d.len() / 2).copied().unwrap_or(0.0)
                 };
-                moved
-                    .iter()
-                    .max_by(|a, b| distance(&a.1).total_cmp(&distance(&b.1)))
-                    .map(|(i, _)| *i)
+                moved.iter().max_by(|a, b| distance(&a.1).total_cmp(&distance(&b.1))).map(|(i, _)| *i)
             };
             match odd {
-                Some(i) => whole[i] = None,
+                Some(i) => {
+                    whole[i] = None;
+                    self.markers.0[i].reason = "contradicts the other markers' geometry";
+                }
                 None => return,
             }
         }
@@ -386,7 +409,8 @@ impl Engine {
     /// centroids over-determine it by two. What the rows of an edge cannot tell (JPEG's blocks, demosaicing, paper that is
     /// not flat) is learnt so.
     fn learn_noise(&mut self, camera: &CameraModel, pose: &Isometry3<f64>) {
-        let mut sights = [Sight { color: MarkerColor::Red, pixel: Vector2::zeros(), sigma: 1.0, outline: None }; 4];
+        let mut sights =
+            [Sight { color: MarkerColor::Red, pixel: Vector2::zeros(), sigma: 1.0, outline: None }; 4];
         let mut covariances = [Matrix2::identity(); 4];
         for color in MarkerColor::ALL {
             let Some(f) = self.markers[color].fit.filter(is_whole) else { return };
@@ -433,7 +457,9 @@ impl Engine {
                 continue;
             }
             let turn = m.turn.0;
-            let Some((more, bias)) = compare_outline(&self.layout, color, turn, camera, pose, &f) else { continue };
+            let Some((more, bias)) = compare_outline(&self.layout, color, turn, camera, pose, &f) else {
+                continue;
+            };
             let rate = |n: u32| 1.0 / f64::from(n.min(30) + 1);
             m.turn.0 = (turn + rate(m.turn.1) * more).clamp(-MAX_TURN, MAX_TURN);
             m.turn.1 = m.turn.1.saturating_add(1);
@@ -539,10 +565,12 @@ impl Engine {
             }
             self.markers[color].appearance = Some(appearance);
             let tolerance = if known_camera { 1.5 } else { 3.0 };
-            let Some(first) = self.measure(image, color, &quad, 6.0, tolerance, 6.0, 0.12).filter(is_whole) else {
+            let Some(first) = self.measure(image, color, &quad, 6.0, tolerance, 6.0, 0.12).filter(is_whole)
+            else {
                 continue;
             };
-            let Some(second) = self.measure(image, color, &first.quad, 3.0, 0.5, 3.0, 0.05).filter(is_whole) else {
+            let Some(second) = self.measure(image, color, &first.quad, 3.0, 0.5, 3.0, 0.05).filter(is_whole)
+            else {
                 continue;
             };
             appearance.follow(image, &second.quad, 1.0);
@@ -645,7 +673,9 @@ impl Engine {
                 };
             }
             let (flow, spread) = match rigid[color] {
-                Some(flow) if (flow - mean).norm() < 4.0 * spread + 2.0 => (flow, if n >= 3.0 { 0.04 } else { 0.1 }),
+                Some(flow) if (flow - mean).norm() < 4.0 * spread + 2.0 => {
+                    (flow, if n >= 3.0 { 0.04 } else { 0.1 })
+                }
                 _ => (mean, spread),
             };
             m.flow = flow;

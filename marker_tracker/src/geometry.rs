@@ -3,7 +3,8 @@
 
 use crate::quad::Quad;
 use nalgebra::{
-    Isometry3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3, Vector6,
+    Isometry3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3,
+    Vector6,
 };
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, PerColor};
 
@@ -137,7 +138,8 @@ fn evaluate(
             let w = CORNER_SIGMA.powi(-2);
             for (point, corner) in square(layout, s.color, *turn).iter().zip(&outline.0) {
                 let arm = pose.rotation * point.coords;
-                let (pixel, by_point) = camera.project_with_jacobian(&Point3::from(arm + pose.translation.vector))?;
+                let (pixel, by_point) =
+                    camera.project_with_jacobian(&Point3::from(arm + pose.translation.vector))?;
                 j.fixed_columns_mut::<3>(0).copy_from(&by_point);
                 j.fixed_columns_mut::<3>(3).copy_from(&(by_point * (-arm.cross_matrix())));
                 let residual = corner - pixel;
@@ -175,7 +177,8 @@ pub(crate) fn pose_from_four(
     for (i, color) in MarkerColor::ALL.into_iter().enumerate() {
         let n = camera.undistort(&pixels[color])?;
         let (x, y) = (layout.centres[color].x, layout.centres[color].y);
-        let rows = [[x, y, 1.0, 0.0, 0.0, 0.0, -n.x * x, -n.x * y], [0.0, 0.0, 0.0, x, y, 1.0, -n.y * x, -n.y * y]];
+        let rows =
+            [[x, y, 1.0, 0.0, 0.0, 0.0, -n.x * x, -n.x * y], [0.0, 0.0, 0.0, x, y, 1.0, -n.y * x, -n.y * y]];
         for (r, row) in rows.iter().enumerate() {
             for (c, v) in row.iter().enumerate() {
                 a[(2 * i + r, c)] = *v;
@@ -300,25 +303,38 @@ mod tests {
     }
 
     fn camera() -> CameraModel {
-        CameraModel::new(640, 480, [590.0, 588.0, 319.0, 236.0], Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]))
-            .unwrap()
+        CameraModel::new(
+            640,
+            480,
+            [590.0, 588.0, 319.0, 236.0],
+            Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]),
+        )
+        .unwrap()
     }
 
     fn poses() -> impl Iterator<Item = Isometry3<f64>> {
-        [(0.02, 0.01, 0.3), (0.4, -0.2, 2.0), (-0.3, 0.5, -1.0), (0.9, 0.0, 3.0)].into_iter().map(|(a, b, c)| {
-            Isometry3::from_parts(
-                Translation3::new(0.05, -0.08, 1.4),
-                UnitQuaternion::from_euler_angles(std::f64::consts::PI + a, b, c),
-            )
-        })
+        [(0.02, 0.01, 0.3), (0.4, -0.2, 2.0), (-0.3, 0.5, -1.0), (0.9, 0.0, 3.0)].into_iter().map(
+            |(a, b, c)| {
+                Isometry3::from_parts(
+                    Translation3::new(0.05, -0.08, 1.4),
+                    UnitQuaternion::from_euler_angles(std::f64::consts::PI + a, b, c),
+                )
+            },
+        )
     }
 
     #[test]
     fn four_sights_give_the_pose_back() {
         for truth in poses() {
-            let pixels = PerColor::from_fn(|c| layout().projected_centroid(c, &camera(), &truth).unwrap().pixel);
+            let pixels =
+                PerColor::from_fn(|c| layout().projected_centroid(c, &camera(), &truth).unwrap().pixel);
             let start = pose_from_four(&layout(), &camera(), &pixels).unwrap();
-            let sights = MarkerColor::ALL.map(|color| Sight { color, pixel: pixels[color], sigma: 0.1, outline: None });
+            let sights = MarkerColor::ALL.map(|color| Sight {
+                color,
+                pixel: pixels[color],
+                sigma: 0.1,
+                outline: None,
+            });
             let (pose, rms) = refine(&layout(), &camera(), &sights, &start, None, 20).unwrap();
             assert!(rms < 1e-6, "{rms}");
             assert!((pose.translation.vector - truth.translation.vector).norm() < 1e-6);
@@ -329,7 +345,8 @@ mod tests {
     #[test]
     fn mirrored_markers_are_refused() {
         for truth in poses() {
-            let mut pixels = PerColor::from_fn(|c| layout().projected_centroid(c, &camera(), &truth).unwrap().pixel);
+            let mut pixels =
+                PerColor::from_fn(|c| layout().projected_centroid(c, &camera(), &truth).unwrap().pixel);
             pixels.0.swap(0, 2);
             pixels.0.swap(1, 3);
             // A half turn is a pose; a swap of two neighbours is none.

@@ -26,6 +26,8 @@ mod engine;
 mod geometry;
 mod image;
 mod model;
+#[cfg(feature = "node")]
+pub mod node;
 #[cfg(feature = "opencv")]
 mod opencv;
 mod quad;

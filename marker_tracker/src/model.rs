@@ -83,7 +83,10 @@ fn sample(image: &ImageView<'_>, quad: &Quad) -> Option<([f32; 3], [f32; 3], Hue
 }
 
 fn bilinear(quad: &Quad, u: f64, v: f64) -> Vector2<f64> {
-    quad.0[0] * (1.0 - u) * (1.0 - v) + quad.0[1] * u * (1.0 - v) + quad.0[2] * u * v + quad.0[3] * (1.0 - u) * v
+    quad.0[0] * (1.0 - u) * (1.0 - v)
+        + quad.0[1] * u * (1.0 - v)
+        + quad.0[2] * u * v
+        + quad.0[3] * (1.0 - u) * v
 }
 
 /// Per channel: the mean of the middle half.
@@ -135,7 +138,9 @@ impl HueHistogram {
     /// Bhattacharyya's coefficient of two normalised histograms, each smoothed over its neighbours: 1 for the same.
     pub fn likeness(&self, other: &Self) -> f32 {
         let n = Self::BINS;
-        let smooth = |h: &Self, i: usize| 0.25 * h.bins[(i + n - 1) % n] + 0.5 * h.bins[i] + 0.25 * h.bins[(i + 1) % n];
+        let smooth = |h: &Self, i: usize| {
+            0.25 * h.bins[(i + n - 1) % n] + 0.5 * h.bins[i] + 0.25 * h.bins[(i + 1) % n]
+        };
         (0..n).map(|i| (smooth(self, i) * smooth(other, i)).sqrt()).sum()
     }
 

@@ -217,7 +217,12 @@ impl Interior {
 /// seen is put where the shape prior has it relative to the others, and the covariance says so.
 ///
 /// `None` where fewer than two adjacent edges were seen or the contrast is gone.
-pub(crate) fn fit(window: &Window, predicted: &Quad, prior: &ShapePrior, min_contrast: f64) -> Option<QuadFit> {
+pub(crate) fn fit(
+    window: &Window,
+    predicted: &Quad,
+    prior: &ShapePrior,
+    min_contrast: f64,
+) -> Option<QuadFit> {
     let (signed_area, centre) = predicted.area_and_centroid();
     if signed_area.abs() < 9.0 {
         return None;
@@ -228,7 +233,9 @@ pub(crate) fn fit(window: &Window, predicted: &Quad, prior: &ShapePrior, min_con
     let mut outside_levels = [0.0; 4];
     for i in 0..4 {
         let (p, q) = (predicted.0[i], predicted.0[(i + 1) % 4]);
-        if let Some((edge, outside)) = fit_edge(window, &interior, p, q, centre, half_width, prior, min_contrast) {
+        if let Some((edge, outside)) =
+            fit_edge(window, &interior, p, q, centre, half_width, prior, min_contrast)
+        {
             edges[i] = Some(edge);
             outside_levels[i] = outside;
         }
@@ -342,10 +349,8 @@ fn fit_edge(
     }
     // A weak pull to a constant level: the outer rows must not lever it.
     let det = (stt + 2.0 * n * n) * n - st * st;
-    let (level, tilt) = (
-        outside_median + ((stt + 2.0 * n * n) * so - st * sto) / det,
-        (n * sto - st * so) / det,
-    );
+    let (level, tilt) =
+        (outside_median + ((stt + 2.0 * n * n) * so - st * sto) / det, (n * sto - st * so) / det);
     // Sum the scaled signal along each row.
     let mut kept = 0usize;
     for index in 0..count {

@@ -5,7 +5,7 @@ use crate::{
     engine::Engine,
     image::{ImageError, ImageView},
 };
-use rig_model::{CameraModel, MarkerLayout, MarkerObservations, Stamp};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Stamp};
 use std::collections::VecDeque;
 use thiserror::Error;
 
@@ -57,6 +57,17 @@ pub enum Warning {
     },
 }
 
+impl Warning {
+    /// A word for the kind, to count and throttle by.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Warning::Image(_) => "image",
+            Warning::StampFromThePast { .. } => "stamp",
+            Warning::CameraSize { .. } => "camera size",
+        }
+    }
+}
+
 /// Finds and follows the four markers.
 #[derive(Debug)]
 pub struct Tracker {
@@ -81,8 +92,10 @@ impl Tracker {
                     return;
                 }
                 if let Some(previous) = self.last_stamp.filter(|last| image.stamp <= *last) {
-                    self.outputs
-                        .push_back(Output::Warning(Warning::StampFromThePast { stamp: image.stamp, previous }));
+                    self.outputs.push_back(Output::Warning(Warning::StampFromThePast {
+                        stamp: image.stamp,
+                        previous,
+                    }));
                     return;
                 }
                 self.last_stamp = Some(image.stamp);
@@ -90,6 +103,16 @@ impl Tracker {
                 self.outputs.push_back(Output::Observations(observations));
             }
         }
+    }
+
+    /// Takes other settings; what is tracked stays tracked.
+    pub fn set_config(&mut self, config: TrackerConfig) {
+        self.engine.set_config(config);
+    }
+
+    /// Per marker, what became of it in the last image.
+    pub fn reasons(&self) -> [(MarkerColor, &'static str); 4] {
+        MarkerColor::ALL.map(|c| (c, self.engine.reason(c)))
     }
 
     /// The next output, oldest first.

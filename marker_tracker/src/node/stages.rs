@@ -1,0 +1,90 @@
+//! How long each stage of an image takes and how many images came, for the diagnostics.
+
+use std::time::{Duration, Instant};
+
+/// Sums since the last report.
+#[derive(Debug, Default)]
+pub(crate) struct Stages {
+    images: u32,
+    taken: u32,
+    refused: u32,
+    convert: Span,
+    track: Span,
+    /// Images with none, one … four markers detected.
+    detected: [u32; 5],
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Span {
+    sum: Duration,
+    longest: Duration,
+    count: u32,
+}
+
+impl Span {
+    fn add(&mut self, time: Duration) {
+        self.sum += time;
+        self.longest = self.longest.max(time);
+        self.count += 1;
+    }
+
+    fn text(&self) -> String {
+        let mean = self.sum.as_secs_f64() * 1e3 / f64::from(self.count.max(1));
+        format!("{mean:.3} (max {:.3})", self.longest.as_secs_f64() * 1e3)
+    }
+}
+
+/// One second.
+pub(crate) struct Report {
+    pub images: u32,
+    pub taken: u32,
+    /// Images with at least one marker, at least two, ….
+    pub detected: [u32; 4],
+    pub values: Vec<(&'static str, String)>,
+}
+
+impl Stages {
+    /// A stage begins.
+    #[allow(clippy::disallowed_methods)] // how long the work takes is what is measured; no data is stamped with it
+    pub fn start(&self) -> Instant {
+        Instant::now()
+    }
+
+    pub fn converted(&mut self, since: Instant) {
+        self.images += 1;
+        self.convert.add(since.elapsed());
+    }
+
+    pub fn tracked(&mut self, since: Instant) {
+        self.track.add(since.elapsed());
+    }
+
+    pub fn refused(&mut self) {
+        self.refused += 1;
+    }
+
+    pub fn finished(&mut self, detected: usize) {
+        self.taken += 1;
+        self.detected[detected.min(4)] += 1;
+    }
+
+    /// What the last second held; starts anew.
+    pub fn report(&mut self) -> Report {
+        let s = std::mem::take(self);
+        let at_least = [1, 2, 3, 4].map(|n| s.detected[n..].iter().sum());
+        Report {
+            images: s.images,
+            taken: s.taken,
+            detected: at_least,
+            values: vec![
+                ("images", s.images.to_string()),
+                ("refused", s.refused.to_string()),
+                ("all four detected", s.detected[4].to_string()),
+                ("three detected", s.detected[3].to_string()),
+                ("fewer detected", (s.detected[0] + s.detected[1] + s.detected[2]).to_string()),
+                ("decoding, ms", s.convert.text()),
+                ("tracking, ms", s.track.text()),
+            ],
+        }
+    }
+}
