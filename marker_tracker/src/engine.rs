@@ -181,7 +181,7 @@ impl Engine {
         place_sigma: f64,
         slope_sigma: f64,
     ) -> Option<QuadFit> {
-        let inflation = self.inflation();
+        let (correlation, inflation) = (self.correlation(), self.inflation());
         let memory = &mut self.markers[color];
         let appearance = memory.appearance.as_ref()?;
         memory.window.fill(image, quad.bounds(1.6 * half_width + 5.0), &appearance.discriminant);
@@ -190,6 +190,7 @@ impl Engine {
             edge_sigma,
             place_sigma,
             slope_sigma,
+            correlation,
             inflation,
             half_width,
         };

@@ -6,7 +6,7 @@
 //! first order.
 
 use crate::signal::Window;
-use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 /// Four corners in order around the square, px.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,9 +45,19 @@ impl Quad {
         ]
     }
 
-    /// Shortest side, px.
-    pub fn shortest_side(&self) -> f64 {
-        (0..4).map(|i| (self.0[(i + 1) % 4] - self.0[i]).norm()).fold(f64::INFINITY, f64::min)
+    /// Whole columns inside on a row, from (included) to (excluded); `None` where there is none.
+    fn span(&self, y: f64) -> Option<(i32, i32)> {
+        let (mut from, mut to) = (f64::INFINITY, f64::NEG_INFINITY);
+        for i in 0..4 {
+            let (p, q) = (self.0[i], self.0[(i + 1) % 4]);
+            if (p.y <= y) != (q.y <= y) {
+                let x = p.x + (y - p.y) * (q.x - p.x) / (q.y - p.y);
+                from = from.min(x);
+                to = to.max(x);
+            }
+        }
+        let (from, to) = (from.ceil(), to.floor() + 1.0);
+        (from < to).then_some((from as i32, to as i32))
     }
 
     /// Smallest distance between opposite sides' middles, px: what is there to measure a level in.
@@ -110,7 +120,9 @@ pub(crate) struct ShapePrior {
     pub place_sigma: f64,
     /// Standard deviation of one edge's direction, rad.
     pub slope_sigma: f64,
-    /// Variance inflation of a mean of rows by their correlation.
+    /// Variance of a mean of neighbouring pixels of a row over that of as many independent ones.
+    pub correlation: f64,
+    /// Variance inflation of an edge by all that its rows cannot tell.
     pub inflation: f64,
     /// Half-width across the edge that is integrated, px.
     pub half_width: f64,
@@ -139,6 +151,8 @@ struct Interior {
     gradient: Vector2<f64>,
     filled: f64,
     sigma: f64,
+    /// Variance, in units of a pixel's, of the gradient times half the side.
+    reach: f64,
 }
 
 impl Interior {
@@ -147,12 +161,12 @@ impl Interior {
     }
 
     fn measure(window: &Window, quad: &Quad, half_width: f64) -> Option<Self> {
-        const N: usize = 11;
+        const N: usize = 7;
         let (_, centre) = quad.area_and_centroid();
         // Samples on a grid that stays half_width away from the edges.
         let side = quad.thickness();
         let shrink = ((side - 2.0 * half_width) / side).clamp(0.25, 0.9);
-        let mut samples = [(0f32, 0f32, 0f32); N * N];
+        let mut samples = [0f32; N * N];
         let mut count = 0;
         for i in 0..N {
             for j in 0..N {
@@ -162,48 +176,76 @@ impl Interior {
                     + quad.0[2] * u * v
                     + quad.0[3] * (1.0 - u) * v;
                 let p = centre + (p - centre) * shrink;
-                let (x, y) = (p.x.round(), p.y.round());
-                if let Some(value) = window.at(x as i32, y as i32) {
-                    samples[count] = ((x - centre.x) as f32, (y - centre.y) as f32, value);
+                if let Some(value) = window.at(p.x.round() as i32, p.y.round() as i32) {
+                    samples[count] = value;
                     count += 1;
                 }
             }
         }
-        if count < N * N / 3 {
+        if count < N * N / 2 {
             return None;
         }
         let samples = &mut samples[..count];
-        samples.sort_unstable_by(|a, b| a.2.total_cmp(&b.2));
-        let median = samples[count / 2].2;
+        samples.sort_unstable_by(f32::total_cmp);
+        let median = samples[count / 2];
         // The middle half tells the noise, whatever crosses the square.
-        let spread = f64::from(samples[count * 3 / 4].2 - samples[count / 4].2) / 1.35;
+        let spread = f64::from(samples[count * 3 / 4] - samples[count / 4]) / 1.35;
         let gate = (4.0 * spread).clamp(0.08, 0.3) as f32;
-        let mut normal = nalgebra::Matrix3::<f64>::zeros();
-        let mut right = nalgebra::Vector3::<f64>::zeros();
-        let mut square = 0.0;
-        let mut n = 0usize;
-        for &(x, y, s) in samples.iter().filter(|s| (s.2 - median).abs() < gate) {
-            let (row, d) = (nalgebra::Vector3::new(1.0, f64::from(x), f64::from(y)), f64::from(s - median));
-            normal += row * row.transpose();
-            right += row * d;
-            square += d * d;
-            n += 1;
+
+        // The plane through every pixel of the shrunken square that agrees.
+        let shrunken = Quad(quad.0.map(|c| centre + (c - centre) * shrink));
+        let [_, top, _, bottom] = shrunken.bounds(0.0);
+        let (cx, cy) = (centre.x.round() as i32, centre.y.round() as i32);
+        let (mut n, mut all) = (0f64, 0f64);
+        let (mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0f64, 0f64, 0f64, 0f64, 0f64);
+        let (mut ss, mut sxs, mut sys, mut square) = (0f64, 0f64, 0f64, 0f64);
+        let rows = (bottom - top).max(1);
+        let stride = (rows / 40).max(1);
+        for y in (top..bottom).step_by(stride as usize) {
+            let Some((from, to)) = shrunken.span(f64::from(y)) else { continue };
+            let Some(row) = window.row(y, from, to) else { continue };
+            let (mut rn, mut rx, mut rxx, mut rs, mut rxs, mut rss) = (0f32, 0f32, 0f32, 0f32, 0f32, 0f32);
+            for (x, value) in (0i32..).zip(row) {
+                let x = (from - cx + x) as f32;
+                let d = value - median;
+                let m = if d.abs() < gate { 1.0 } else { 0.0 };
+                rn += m;
+                rx += m * x;
+                rxx += m * x * x;
+                rs += m * d;
+                rxs += m * x * d;
+                rss += m * d * d;
+            }
+            let dy = f64::from(y - cy);
+            all += row.len() as f64;
+            n += f64::from(rn);
+            sx += f64::from(rx);
+            sy += dy * f64::from(rn);
+            sxx += f64::from(rxx);
+            sxy += dy * f64::from(rx);
+            syy += dy * dy * f64::from(rn);
+            ss += f64::from(rs);
+            sxs += f64::from(rxs);
+            sys += dy * f64::from(rs);
+            square += f64::from(rss);
         }
-        if n < 12 {
+        if n < 8.0 {
             return None;
         }
         // A weak pull to a flat level keeps small squares stable.
-        let weak = n as f64 * 4.0;
-        normal[(1, 1)] += weak;
-        normal[(2, 2)] += weak;
+        let weak = 10.0 * n.min(20.0);
+        let normal = Matrix3::new(n, sx, sy, sx, sxx + weak, sxy, sy, sxy, syy + weak);
+        let right = Vector3::new(ss, sxs, sys);
         let solution = normal.cholesky()?.solve(&right);
-        let variance = ((square - solution.dot(&right)) / (n as f64 - 3.0)).max(1e-8);
+        let variance = ((square - solution.dot(&right)) / (n - 3.0)).max(1e-8);
         Some(Self {
-            centre,
+            centre: Vector2::new(f64::from(cx), f64::from(cy)),
             level: f64::from(median) + solution.x,
             gradient: Vector2::new(solution.y, solution.z),
-            filled: n as f64 / (N * N) as f64,
+            filled: n / all.max(1.0),
             sigma: variance.sqrt(),
+            // Of a level at an edge's middle that the gradient carries there, both ends alike.
+            reach: 3.0 / (n * shrink * shrink),
         })
     }
 }
@@ -336,7 +378,7 @@ fn fit_edge(
         return None;
     }
     let gate = (4.0 * interior.sigma).clamp(0.06, 0.2) * contrast.max(0.3);
-    let (mut n, mut st, mut stt, mut so, mut sto) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    let (mut n, mut st, mut stt, mut so, mut sto) = (0f64, 0.0, 0.0, 0.0, 0.0);
     for r in rows.iter().filter(|r| (r.outside - outside_median).abs() < gate) {
         n += 1.0;
         st += r.along;
@@ -373,8 +415,8 @@ fn fit_edge(
         let shading = interior.gradient[k] / interior.level.abs().max(0.3);
         let mut sum = 0.0;
         let mut complete = true;
-        let n = (end - start).abs();
-        for j in 0..=n {
+        let steps = (end - start).abs();
+        for j in 0..=steps {
             let i = start + step * j;
             let Some(v) = at(i, line) else {
                 complete = false;
@@ -394,7 +436,13 @@ fn fit_edge(
         }
     }
     let rows = &rows[..kept];
-    line_through(rows, possible, length, prior).map(|edge| (edge, level))
+    let mut edge = line_through(rows, possible, length, prior)?;
+    // What the outside level is uncertain by moves the whole edge: by the half-width's share of it.
+    let pixels = n * f64::from(outside_count);
+    let contrast = (interior.level - level).max(min_contrast);
+    edge.covariance[(0, 0)] +=
+        (half_width * interior.sigma / contrast).powi(2) * prior.correlation * prior.correlation / pixels;
+    Some((edge, level))
 }
 
 /// Robust straight line through the rows' offsets.
@@ -499,6 +547,19 @@ fn combine(
         let normal = if normal.dot(&(middle - centre)) < 0.0 { -normal } else { normal };
         (middle, tangent, normal, length)
     });
+    let done = |estimate: Estimate, edges: [Option<EdgeFit>; 4]| {
+        let mut fit = finish(predicted, &geometry, edges, estimate, interior, outside_levels);
+        let contrast = (fit.inside - fit.outside).abs().max(1e-3);
+        let lever = prior.half_width * interior.sigma / contrast * prior.correlation;
+        fit.covariance += Matrix2::identity() * (lever * lever * interior.reach * prior.inflation / prior.correlation);
+        fit.inflation = prior.inflation;
+        fit
+    };
+    if let Some(estimate) = measured(&geometry, &edges, prior)
+        && contradiction(&geometry, &edges, &estimate, prior).0 < 3.5
+    {
+        return Some(done(estimate, edges));
+    }
     // While an edge contradicts the shape, leave out the one without which the rest agrees best.
     loop {
         let seen = Seen::of(&edges);
@@ -508,9 +569,7 @@ fn combine(
         let estimate = solve(&geometry, &edges, prior)?;
         let (worst, total) = contradiction(&geometry, &edges, &estimate, prior);
         if worst < 3.5 {
-            let mut fit = finish(predicted, &geometry, edges, estimate, interior, outside_levels);
-            fit.inflation = prior.inflation;
-            return Some(fit);
+            return Some(done(estimate, edges));
         }
         let mut best: Option<(usize, f64)> = None;
         for i in 0..4 {
@@ -571,6 +630,31 @@ struct Estimate {
     slopes: [f64; 4],
     /// Of (offsets, slopes).
     covariance: SMatrix<f64, 8, 8>,
+}
+
+/// The estimate where all four edges were seen well: they speak for themselves. The covariance is block by block.
+fn measured(geometry: &[Geometry; 4], edges: &[Option<EdgeFit>; 4], prior: &ShapePrior) -> Option<Estimate> {
+    let mut estimate = Estimate {
+        shift: Vector2::zeros(),
+        offsets: [0.0; 4],
+        slopes: [0.0; 4],
+        covariance: SMatrix::zeros(),
+    };
+    let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
+    for i in 0..4 {
+        let e = edges[i].as_ref().filter(|e| e.support > 0.7)?;
+        let n = geometry[i].2;
+        normal += n * n.transpose();
+        right += n * (e.offset - prior.edge_bias);
+        estimate.offsets[i] = e.offset;
+        estimate.slopes[i] = e.slope;
+        estimate.covariance[(i, i)] = e.covariance[(0, 0)];
+        estimate.covariance[(i, 4 + i)] = e.covariance[(0, 1)];
+        estimate.covariance[(4 + i, i)] = e.covariance[(1, 0)];
+        estimate.covariance[(4 + i, 4 + i)] = e.covariance[(1, 1)];
+    }
+    estimate.shift = normal.try_inverse()? * right;
+    Some(estimate)
 }
 
 type Geometry = (Vector2<f64>, Vector2<f64>, Vector2<f64>, f64);

@@ -79,6 +79,17 @@ impl Window {
         self.values.get((v * self.width + u) as usize).copied()
     }
 
+    /// The values of a row from column `from` (included) to `to` (excluded); `None` where any is outside.
+    #[inline(always)]
+    pub fn row(&self, y: i32, from: i32, to: i32) -> Option<&[f32]> {
+        let (v, a, b) = (y - self.y0, from - self.x0, to - self.x0);
+        if v < 0 || v >= self.height || a < 0 || b > self.width || a >= b {
+            return None;
+        }
+        let start = (v * self.width) as usize;
+        self.values.get(start + a as usize..start + b as usize)
+    }
+
     /// Bilinear value at an image position; `None` where a neighbour is missing.
     #[inline(always)]
     pub fn bilinear(&self, x: f32, y: f32) -> Option<f32> {
