@@ -413,16 +413,16 @@ impl FileWriter {
         self.writer.flush().map_err(|e| mcap_error(&self.path, e))
     }
 
-    /// Ends the file, with rosbag2's metadata in it.
-    pub fn finish(mut self, rosbag2_metadata: &str) -> Result<(), BagError> {
-        let metadata = mcap::records::Metadata {
-            name: "rosbag2".to_owned(),
-            metadata: BTreeMap::from([("serialized_metadata".to_owned(), rosbag2_metadata.to_owned())]),
-        };
-        self.writer
-            .write_metadata(&metadata)
-            .and_then(|()| self.writer.finish())
-            .map_err(|e| mcap_error(&self.path, e))?;
+    /// Ends the file, with rosbag2's metadata in it where there is one.
+    pub fn finish(mut self, rosbag2_metadata: Option<&str>) -> Result<(), BagError> {
+        if let Some(text) = rosbag2_metadata {
+            let metadata = mcap::records::Metadata {
+                name: "rosbag2".to_owned(),
+                metadata: BTreeMap::from([("serialized_metadata".to_owned(), text.to_owned())]),
+            };
+            self.writer.write_metadata(&metadata).map_err(|e| mcap_error(&self.path, e))?;
+        }
+        self.writer.finish().map_err(|e| mcap_error(&self.path, e))?;
         let mut out = self.writer.into_inner();
         out.flush().map_err(|source| io_error(&self.path, source))
     }

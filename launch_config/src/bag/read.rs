@@ -19,7 +19,7 @@ pub struct BagSummary {
     pub bytes: u64,
     /// The files.
     pub files: Vec<PathBuf>,
-    /// Whether each file has its closing records.
+    /// Whether each file has its closing records; rosbag2 takes no other.
     pub complete: bool,
 }
 
@@ -127,7 +127,9 @@ impl BagReader {
                         }
                     }
                 }
-                summary.complete &= reader.losses().is_empty();
+                // Compressed as a whole, a file's end cannot be looked at alone.
+                let compressed = file.extension().is_some_and(|e| e != "mcap");
+                summary.complete &= compressed && reader.losses().is_empty();
             }
         }
         summary.files = files;

@@ -237,7 +237,10 @@ impl BagWriter {
             }
         }
         let topics = self.topics.iter().map(|(t, _)| t).zip(current.topics.iter().copied());
-        current.writer.finish(&metadata::to_yaml(std::slice::from_ref(file), topics))
+        // A lone file can be renamed, and two replays must have the same bytes: rosbag2's record, which names the file,
+        // belongs to a folder. Without it rosbag2 finds the same in the file's own closing records.
+        let metadata = self.folder.as_ref().map(|_| metadata::to_yaml(std::slice::from_ref(file), topics));
+        current.writer.finish(metadata.as_deref())
     }
 
     /// Written anew at each flush, so that a folder whose recorder was killed is a bag.

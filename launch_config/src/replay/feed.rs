@@ -1,7 +1,7 @@
 //! Reads ahead: one thread reads the bag, others decode its images, and everything is handed over in the bag's order.
 
 use crate::bag::{BagError, BagMessage, BagReader};
-use crate::stopwatch::Stopwatch;
+use crate::stopwatch::WorkWatch;
 use marker_tracker::{ImageError, OwnedImage, decode_compressed, from_encoding};
 use rig_model::Stamp;
 use std::{
@@ -126,7 +126,7 @@ impl Feed {
         }
     }
 
-    /// Time spent in decoding, summed over the threads.
+    /// Work spent in decoding, summed over the threads.
     pub fn decode_time(&self) -> Duration {
         Duration::from_nanos(self.shared.decode_nanos.load(Ordering::Relaxed))
     }
@@ -199,7 +199,7 @@ fn decode_all(jobs: &Mutex<Receiver<Job>>, shared: &Shared, compressed: bool) {
             Err(_) => return,
         };
         let Ok(job) = job else { return };
-        let watch = Stopwatch::start();
+        let watch = WorkWatch::start();
         let result = if compressed { compressed_image(&job.data) } else { raw_image(&job.data) };
         let nanos = watch.elapsed().as_nanos() as u64;
         shared.decode_nanos.fetch_add(nanos, Ordering::Relaxed);

@@ -55,9 +55,9 @@ pub struct ReplayOptions {
 pub struct ReplayReport {
     /// What went through.
     pub counts: Counts,
-    /// Time in the cores.
+    /// Work (of one core) in the cores and the output.
     pub spent: Spent,
-    /// Time in image decoding, over all its threads.
+    /// Work in image decoding, over all its threads.
     pub decoding: Duration,
     /// From start to end.
     pub wall: Duration,

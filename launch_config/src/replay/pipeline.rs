@@ -1,7 +1,7 @@
 //! The nodes' cores in one row: what the topics would carry, in the order in which the bag logged it.
 
 use super::output::OutputBag;
-use crate::{bag::BagError, stopwatch::Stopwatch};
+use crate::{bag::BagError, stopwatch::WorkWatch};
 use marker_tracker::{OwnedImage, Tracker};
 use node_kit::convert;
 use pose_fusion::{Fusion, MarkerUpdateRecord};
@@ -118,7 +118,7 @@ impl Pipeline {
             Ok(sample) => {
                 self.counts.climber += 1;
                 let output = &mut self.output;
-                Stopwatch::add_to(&mut self.spent.output, || output.climber(&sample))?;
+                WorkWatch::add_to(&mut self.spent.output, || output.climber(&sample))?;
                 self.fuse(pose_fusion::Input::Climber(sample))
             }
             Err(error) => {
@@ -153,7 +153,7 @@ impl Pipeline {
     /// The output cannot be written.
     pub fn image(&mut self, stamp: Stamp, image: &OwnedImage) -> Result<(), BagError> {
         let tracker = &mut self.tracker;
-        Stopwatch::add_to(&mut self.spent.tracker, || {
+        WorkWatch::add_to(&mut self.spent.tracker, || {
             tracker.handle(marker_tracker::Input::Image(image.view(stamp)));
         });
         self.counts.images += 1;
@@ -224,7 +224,7 @@ impl Pipeline {
     /// The output cannot be written.
     pub fn finish(self) -> Result<(Counts, Spent), BagError> {
         let mut spent = self.spent;
-        Stopwatch::add_to(&mut spent.output, || self.output.finish())?;
+        WorkWatch::add_to(&mut spent.output, || self.output.finish())?;
         Ok((self.counts, spent))
     }
 
@@ -233,14 +233,14 @@ impl Pipeline {
         self.counts.markers += 1;
         self.counts.detected += detected as u64;
         let output = &mut self.output;
-        Stopwatch::add_to(&mut self.spent.output, || output.markers(&observations))?;
+        WorkWatch::add_to(&mut self.spent.output, || output.markers(&observations))?;
         self.fuse(pose_fusion::Input::Markers(observations))
     }
 
     fn fuse(&mut self, input: pose_fusion::Input) -> Result<(), BagError> {
         let fusion = &mut self.fusion;
-        Stopwatch::add_to(&mut self.spent.fusion, || fusion.handle(input));
-        let watch = Stopwatch::start();
+        WorkWatch::add_to(&mut self.spent.fusion, || fusion.handle(input));
+        let watch = WorkWatch::start();
         while let Some(output) = self.fusion.poll() {
             match output {
                 pose_fusion::Output::Odometry(odometry) => {

@@ -123,7 +123,7 @@ fn summary(report: &ReplayReport, workers: usize) -> String {
         if workers == 1 { "" } else { "s" }
     );
     out += &format!(
-        "work      {work:.2} s: {:.1} % outside JPEG decoding (tracker {:.1} %, filter {:.1} %, output {:.1} %)\n",
+        "work      {work:.3} s of one core: {:.1} % outside JPEG decoding (tracker {:.1} %, filter {:.1} %, output {:.1} %)\n",
         100.0 - of_work(report.decoding),
         of_work(s.tracker),
         of_work(s.fusion),

@@ -1,0 +1,215 @@
+//! `volant` as it is called: exit status, one line on standard error, and what the line says.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
+use launch_config::bag::{BagReader, BagWriter, Compression, QosProfile, Topic, WriteOptions};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+use tempfile::TempDir;
+use volant_msgs::{
+    cdr,
+    geometry_msgs::msg::TransformStamped,
+    sensor_msgs::msg::{CameraInfo, CompressedImage, Imu},
+    std_msgs::msg::String as Text,
+};
+
+const RIG: &str = include_str!("../config/rig.yaml");
+
+fn volant(arguments: &[&Path]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_volant")).args(arguments).output().unwrap()
+}
+
+/// Exit status 1 and one line with these words.
+fn fails(arguments: &[&Path], words: &[&str]) {
+    let output = volant(arguments);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{arguments:?}: {said}");
+    assert_eq!(said.trim_end().lines().count(), 1, "{said}");
+    for word in words {
+        assert!(said.contains(word), "`{word}` is not in: {said}");
+    }
+    assert!(!said.contains("panicked"), "{said}");
+}
+
+struct Place(TempDir);
+
+impl Place {
+    fn new() -> Self {
+        let place = Self(TempDir::new().unwrap());
+        place.file("rig.yaml", RIG.as_bytes());
+        place
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn file(&self, name: &str, bytes: &[u8]) -> PathBuf {
+        fs::write(self.path(name), bytes).unwrap();
+        self.path(name)
+    }
+
+    fn replay_fails(&self, bag: &Path, words: &[&str]) {
+        let (rig, out) = (self.path("rig.yaml"), self.path("out.mcap"));
+        fails(&["replay".as_ref(), bag, "--rig".as_ref(), &rig, "--out".as_ref(), &out], words);
+    }
+}
+
+/// A bag with a message on each of the topics, but for those that are left out.
+fn bag(path: &Path, without: &str) {
+    let options = WriteOptions { compression: Compression::None, ..WriteOptions::default() };
+    let mut bag = BagWriter::create(path, options).unwrap();
+    let qos = QosProfile::RELIABLE;
+    let mut add = |topic: Topic, data: Vec<u8>| {
+        if !topic.name.ends_with(without) || without.is_empty() {
+            let id = bag.add_topic(topic);
+            bag.write(id, 1_000_000_000, 1_000_000_000, &data).unwrap();
+        }
+    };
+    add(
+        Topic::of::<CompressedImage>("/climber/camera/image_raw/compressed", &qos),
+        cdr::to_bytes(&CompressedImage { format: "jpeg".into(), data: vec![1, 2, 3], ..Default::default() }),
+    );
+    add(Topic::of::<CameraInfo>("/climber/camera/camera_info", &qos), cdr::to_bytes(&CameraInfo::default()));
+    add(Topic::of::<Imu>("/volant/imu/data", &qos), cdr::to_bytes(&Imu::default()));
+    add(
+        Topic::of::<TransformStamped>("/climber/transform", &qos),
+        cdr::to_bytes(&TransformStamped::default()),
+    );
+    bag.finish().unwrap();
+}
+
+#[test]
+fn a_wrong_command_line_is_2() {
+    for arguments in [
+        &[][..],
+        &["replay"],
+        &["replay", "in.mcap", "--rig", "r.yaml"],
+        &["fly"],
+        &["evaluate", "x", "--bad"],
+    ] {
+        let output = Command::new(env!("CARGO_BIN_EXE_volant")).args(arguments).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(!output.stderr.is_empty());
+    }
+    let help = Command::new(env!("CARGO_BIN_EXE_volant")).arg("--help").output().unwrap();
+    assert_eq!(help.status.code(), Some(0));
+}
+
+#[test]
+fn bags_that_cannot_be_replayed() {
+    let place = Place::new();
+    place.replay_fails(&place.path("gone.mcap"), &["gone.mcap", "no such file", "give an .mcap"]);
+    place.replay_fails(&place.file("empty.mcap", b""), &["empty.mcap", "empty"]);
+    place.replay_fails(&place.file("foreign.mcap", &[7; 4096]), &["foreign.mcap", "not an MCAP file"]);
+    fs::create_dir(place.path("folder")).unwrap();
+    place.replay_fails(&place.path("folder"), &["metadata.yaml", "missing"]);
+    for (topic, name) in [
+        ("compressed", "/climber/camera/image_raw/compressed (sensor_msgs/msg/CompressedImage)"),
+        ("camera_info", "/climber/camera/camera_info (sensor_msgs/msg/CameraInfo)"),
+        ("data", "/volant/imu/data (sensor_msgs/msg/Imu)"),
+        ("transform", "/climber/transform (geometry_msgs/msg/TransformStamped)"),
+    ] {
+        let path = place.path(&format!("without_{topic}.mcap"));
+        bag(&path, topic);
+        place.replay_fails(&path, &["no message on", name, "--remap"]);
+    }
+    // Everything is there, and nothing of it can be used.
+    let path = place.path("useless.mcap");
+    bag(&path, "");
+    place.replay_fails(
+        &path,
+        &["the filter never started", "an image is left out", "camera_info", "climber/transform"],
+    );
+    // A topic of another type.
+    let path = place.path("other.mcap");
+    let mut writer = BagWriter::create(&path, WriteOptions::default()).unwrap();
+    let topic = writer.add_topic(Topic::of::<Text>("/volant/imu/data", &QosProfile::RELIABLE));
+    writer.write_message(topic, 1, &Text::default()).unwrap();
+    let topic = writer
+        .add_topic(Topic::of::<CompressedImage>("/climber/camera/image_raw/compressed", &QosProfile::SENSOR));
+    writer.write_message(topic, 1, &CompressedImage::default()).unwrap();
+    writer.finish().unwrap();
+    place.replay_fails(&path, &["/volant/imu/data is std_msgs/msg/String", "expected sensor_msgs/msg/Imu"]);
+}
+
+#[test]
+fn a_rig_file_that_is_wrong_is_named_with_its_key() {
+    let place = Place::new();
+    let input = place.path("in.mcap");
+    bag(&input, "");
+    let out = place.path("out.mcap");
+    assert!(RIG.contains("size:"));
+    for (text, words) in [
+        (RIG.replace("size:", "sise:"), ["markers.sise", "markers.size"]),
+        (RIG.replace("size:", "size: [1, 2] #"), ["markers.size", "rig.yaml"]),
+        ("{".to_owned(), ["rig.yaml", "not a usable rig file"]),
+        (String::new(), ["rig.yaml", "not a usable rig file"]),
+    ] {
+        let rig = place.file("rig.yaml", text.as_bytes());
+        fails(&["replay".as_ref(), &input, "--rig".as_ref(), &rig, "--out".as_ref(), &out], &words);
+    }
+    let gone = place.path("gone.yaml");
+    fails(&["replay".as_ref(), &input, "--rig".as_ref(), &gone, "--out".as_ref(), &out], &["gone.yaml"]);
+}
+
+#[test]
+fn outputs_that_cannot_be_written() {
+    let place = Place::new();
+    let input = place.path("in.mcap");
+    bag(&input, "");
+    let rig = place.path("rig.yaml");
+    let replay = |out: &Path, words: &[&str]| {
+        fails(&["replay".as_ref(), &input, "--rig".as_ref(), &rig, "--out".as_ref(), out], words);
+    };
+    replay(&input, &["in.mcap", "the output is the input"]);
+    replay(&place.path("no/such/folder/out.mcap"), &["out.mcap"]);
+    fs::create_dir(place.path("there")).unwrap();
+    replay(&place.path("there"), &["there", "exists already"]);
+}
+
+#[test]
+fn evaluations_without_truth_or_estimates() {
+    let place = Place::new();
+    let input = place.path("in.mcap");
+    bag(&input, "");
+    fails(&["evaluate".as_ref(), &input, "--truth".as_ref(), &input], &["ground_truth/odometry", "--truth"]);
+    let gone = place.path("gone.mcap");
+    fails(&["evaluate".as_ref(), &input, "--truth".as_ref(), &gone], &["gone.mcap", "no such file"]);
+}
+
+#[test]
+fn a_damaged_bag_is_mended() {
+    let place = Place::new();
+    let (whole, cut, mended) = (place.path("in.mcap"), place.path("cut.mcap"), place.path("mended.mcap"));
+    bag(&whole, "");
+    let bytes = fs::read(&whole).unwrap();
+    // Without its closing records: all messages are there, but rosbag2 would not open it.
+    fs::write(&cut, &bytes[..bytes.len() - 100]).unwrap();
+    let info = volant(&["bag".as_ref(), "info".as_ref(), &cut]);
+    assert!(String::from_utf8_lossy(&info.stdout).contains("volant bag recover"));
+    let recover = |to: &Path| volant(&["bag".as_ref(), "recover".as_ref(), &cut, "--out".as_ref(), to]);
+    let output = recover(&mended);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let (before, after) = (BagReader::summary(&whole).unwrap(), BagReader::summary(&mended).unwrap());
+    assert_eq!(before.topics, after.topics);
+    assert!(after.complete);
+    // In the middle of its messages: what is lost is said.
+    fs::write(&cut, &bytes[..bytes.len() * 3 / 10]).unwrap();
+    let output = recover(&place.path("part.mcap"));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("cut.mcap: the file is cut off"));
+    // Too early for anything.
+    fs::write(&cut, &bytes[..40]).unwrap();
+    let output = recover(&place.path("nothing.mcap"));
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("nothing in it can be read"));
+    let output = volant(&["bag".as_ref(), "info".as_ref(), &mended]);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(
+        output.status.success() && said.contains("/volant/imu/data") && said.contains("messages  4"),
+        "{said}"
+    );
+}

@@ -1,0 +1,168 @@
+//! The recorded runs through the nodes' code: the same bytes each time, and figures that do not change unseen.
+//!
+//! The recordings are found through `VOLANT_SHARED`; without it these tests say that they are skipped.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
+use launch_config::{
+    evaluate::{EvaluateOptions, Quality, evaluate},
+    replay::TopicNames,
+};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+use tempfile::TempDir;
+
+const BAGS: [&str; 4] = ["nominal", "occlude_two", "fast_swing", "clutter"];
+const MODELS: [&str; 1] = ["tight"];
+/// Set to write the figures anew; the commit says why they changed.
+const UPDATE: &str = "VOLANT_UPDATE_FIGURES";
+
+fn bags() -> Option<PathBuf> {
+    let shared = std::env::var("VOLANT_SHARED").ok().map(|shared| Path::new(&shared).join("bags"));
+    if shared.is_none() {
+        eprintln!("skipped: VOLANT_SHARED (the folder with the recorded bags) is not set");
+    }
+    shared
+}
+
+fn replay(bag: &Path, rig: &Path, out: &Path, more: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_volant"))
+        .arg("replay")
+        .args([bag, "--rig".as_ref(), rig, "--out".as_ref(), out])
+        .args(more)
+        .output()
+        .unwrap()
+}
+
+fn replayed(bags: &Path, name: &str, out: &Path, more: &[&str]) {
+    let output = replay(&bags.join(name).join("in.mcap"), &bags.join(name).join("rig.yaml"), out, more);
+    assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn a_replay_gives_the_same_bytes_each_time_with_one_thread_or_many() {
+    let Some(bags) = bags() else { return };
+    let dir = TempDir::new().unwrap();
+    let outs = [("first", "1"), ("second", "1"), ("third", "5")].map(|(name, threads)| {
+        let out = dir.path().join(name).with_extension("mcap");
+        replayed(&bags, "occlude_two", &out, &["--threads", threads]);
+        fs::read(out).unwrap()
+    });
+    assert!(outs[0] == outs[1], "two replays differ");
+    assert!(outs[0] == outs[2], "the number of threads changes the result");
+}
+
+#[test]
+fn a_bag_that_is_cut_is_replayed_up_to_the_cut() {
+    let Some(bags) = bags() else { return };
+    let dir = TempDir::new().unwrap();
+    let bytes = fs::read(bags.join("nominal/in.mcap")).unwrap();
+    let cut = dir.path().join("cut.mcap");
+    fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
+    let out = dir.path().join("out.mcap");
+    let output = replay(&cut, &bags.join("nominal/rig.yaml"), &out, &[]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    assert!(said.lines().any(|l| l.contains("cut.mcap") && l.contains("cut off")), "{said}");
+    let options = EvaluateOptions {
+        estimates: out,
+        truth: bags.join("nominal/truth.mcap"),
+        skip: 1.0,
+        names: TopicNames::default(),
+    };
+    let last = evaluate(&options).unwrap().estimates[0].last_s;
+    assert!((5.0..7.0).contains(&last), "half of 12 s: {last}");
+}
+
+/// One row of the tracked table.
+fn row(bag: &str, model: &str, q: &Quality) -> String {
+    let nees = |x: Option<f64>| x.map_or(String::new(), |x| format!("{x:.3}"));
+    format!(
+        "{bag},{model},{},{},{:.4},{:.4},{:.5},{:.5},{},{}",
+        q.estimate,
+        q.count,
+        q.position_mm.rmse,
+        q.position_mm.max,
+        q.rotation_deg.rmse,
+        q.rotation_deg.max,
+        nees(q.nees_position),
+        nees(q.nees_rotation)
+    )
+}
+
+/// A numeric change never passes unseen: each figure is within 2 % (and the last digits) of the tracked one, each count
+/// the same. Another processor's rounding stays far below that.
+#[test]
+fn the_figures_are_those_of_the_tracked_table() {
+    let Some(bags) = bags() else { return };
+    let dir = TempDir::new().unwrap();
+    let mut lines = vec![
+        "bag,model,estimate,count,position_rmse_mm,position_max_mm,rotation_rmse_deg,rotation_max_deg,nees_position,nees_rotation"
+            .to_owned(),
+    ];
+    for model in MODELS {
+        for bag in BAGS {
+            let out = dir.path().join(format!("{bag}_{model}.mcap"));
+            replayed(&bags, bag, &out, &["--model", model]);
+            let options = EvaluateOptions {
+                estimates: out,
+                truth: bags.join(bag).join("truth.mcap"),
+                skip: 1.0,
+                names: TopicNames::default(),
+            };
+            for quality in evaluate(&options).unwrap().estimates {
+                // The fused pose is the odometry turned round: another test's matter.
+                if quality.estimate != "volant/fused_pose" {
+                    lines.push(row(bag, model, &quality));
+                }
+            }
+        }
+    }
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/replay_figures.csv");
+    let found = lines.join("\n") + "\n";
+    if std::env::var_os(UPDATE).is_some() {
+        fs::write(&path, found).unwrap();
+        return;
+    }
+    let tracked = fs::read_to_string(&path).unwrap();
+    let differences: Vec<String> = compare(&tracked, &found);
+    assert!(
+        differences.is_empty(),
+        "{}\nIf that is meant, run this test with {UPDATE}=1 and say in the commit why.\n{found}",
+        differences.join("\n")
+    );
+}
+
+fn compare(tracked: &str, found: &str) -> Vec<String> {
+    let mut differences = vec![];
+    let (old, new): (Vec<&str>, Vec<&str>) = (tracked.lines().collect(), found.lines().collect());
+    if old.len() != new.len() || old.first() != new.first() {
+        differences.push(format!("{} rows, tracked are {}", new.len(), old.len()));
+    }
+    let names: Vec<&str> = new[0].split(',').collect();
+    for (old, new) in old.iter().zip(&new).skip(1) {
+        for (i, (a, b)) in old.split(',').zip(new.split(',')).enumerate() {
+            let same = match (a.parse::<f64>(), b.parse::<f64>()) {
+                (Ok(a), Ok(b)) if i > 3 => (a - b).abs() <= 0.02 * a.abs() + 2e-3,
+                _ => a == b,
+            };
+            if !same {
+                let row: Vec<&str> = new.split(',').take(3).collect();
+                differences.push(format!("{}: {} is {b}, tracked is {a}", row.join(" "), names[i]));
+            }
+        }
+    }
+    differences
+}
+
+#[test]
+fn the_comparison_sees_what_it_should() {
+    let table = "bag,model,estimate,count,position_rmse_mm\nnominal,tight,volant/odometry,1100,0.5000\n";
+    assert_eq!(compare(table, table), [] as [String; 0]);
+    assert_eq!(compare(table, &table.replace("0.5000", "0.5050")), [] as [String; 0]);
+    assert_eq!(compare(table, &table.replace("0.5000", "0.5200")).len(), 1);
+    assert_eq!(compare(table, &table.replace("1100", "1099")).len(), 1);
+    assert_eq!(compare(table, table.lines().next().unwrap()).len(), 1);
+}
