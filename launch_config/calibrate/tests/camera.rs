@@ -1,0 +1,172 @@
+//! The camera's calibration on rendered boards with truth, and on real ones against OpenCV's published result.
+
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
+use opencv::{core, imgcodecs, prelude::*};
+use rig_model::{CameraModel, Distortion};
+use std::{path::Path, process::Command};
+
+const SQUARE: f64 = 0.03;
+
+/// Light of a board with 10×7 squares and a white rim, at a point of its plane (m, the first inner corner is the origin).
+fn board_light(x: f64, y: f64) -> f64 {
+    let (column, row) = ((x / SQUARE).floor() as i64 + 1, (y / SQUARE).floor() as i64 + 1);
+    if (0..10).contains(&column) && (0..7).contains(&row) {
+        if (column + row) % 2 == 0 { 35.0 } else { 215.0 }
+    } else if (-1..11).contains(&column) && (-1..8).contains(&row) {
+        215.0
+    } else {
+        120.0
+    }
+}
+
+/// Area-true picture: 4×4 rays per pixel through the lens.
+fn render(rays: &[Vector2<f64>], camera: &CameraModel, pose: &Isometry3<f64>, seed: u64) -> core::Mat {
+    let (width, height) = (camera.size().0 as usize, camera.size().1 as usize);
+    let board_from_camera = pose.inverse();
+    let origin = board_from_camera * Point3::origin();
+    let mut random = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    let mut noise = || {
+        // Sum of four uniforms: near enough to a normal deviate of 1.
+        (0..4)
+            .map(|_| {
+                random ^= random << 13;
+                random ^= random >> 7;
+                random ^= random << 17;
+                (random >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+            })
+            .sum::<f64>()
+            * 3f64.sqrt()
+    };
+    let mut data = vec![0u8; width * height];
+    for (pixel, chunk) in data.iter_mut().zip(rays.chunks(16)) {
+        let sum: f64 = chunk
+            .iter()
+            .map(|ray| {
+                let direction = board_from_camera.rotation * Vector3::new(ray.x, ray.y, 1.0);
+                let scale = -origin.z / direction.z;
+                board_light(origin.x + scale * direction.x, origin.y + scale * direction.y)
+            })
+            .sum();
+        *pixel = (sum / 16.0 + 2.0 * noise() + 0.5).clamp(0.0, 255.0) as u8;
+    }
+    let flat = core::Mat::from_slice(&data).unwrap();
+    flat.reshape(1, height as i32).unwrap().try_clone().unwrap()
+}
+
+fn calibrate(folder: &Path, arguments: &[&str]) -> (bool, String, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_volant-calibrate"))
+        .arg("camera")
+        .arg(folder)
+        .args(arguments)
+        .output()
+        .unwrap();
+    (
+        output.status.success(),
+        String::from_utf8_lossy(&output.stdout).into_owned(),
+        String::from_utf8_lossy(&output.stderr).into_owned(),
+    )
+}
+
+/// The number after `name` at the start of a line.
+fn value(text: &str, name: &str) -> f64 {
+    let line = text.lines().find(|l| l.starts_with(name)).unwrap_or_else(|| panic!("no {name} in {text}"));
+    line[name.len()..].split_whitespace().next().unwrap().parse().unwrap()
+}
+
+#[test]
+fn rendered_boards_give_the_camera_back() {
+    let truth = CameraModel::new(
+        640,
+        480,
+        [601.3, 598.2, 322.7, 236.4],
+        Distortion::PlumbBob([-0.21, 0.09, 8e-4, -5e-4, -0.01]),
+    )
+    .unwrap();
+    let rays: Vec<Vector2<f64>> = (0..480 * 640 * 16)
+        .map(|i| {
+            let (pixel, sub) = (i / 16, i % 16);
+            let at = |k: usize| (k as f64 + 0.5) / 4.0 - 0.5;
+            let (x, y) = ((pixel % 640) as f64 + at(sub % 4), (pixel / 640) as f64 + at(sub / 4));
+            truth.undistort(&Vector2::new(x, y)).unwrap()
+        })
+        .collect();
+    let folder = tempfile::tempdir().unwrap();
+    for i in 0..40 {
+        let angle = f64::from(i) * 2.399;
+        let tilt = [0.1, 0.35, 0.55, 0.7][i as usize % 4];
+        let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(angle.cos(), angle.sin(), 0.0) * tilt)
+            * UnitQuaternion::from_scaled_axis(Vector3::z() * (0.4 * (1.7 * f64::from(i)).sin()));
+        let middle = rotation * Vector3::new(4.0 * SQUARE, 2.5 * SQUARE, 0.0);
+        let range = 0.42 + 0.12 * f64::from(i % 5) / 4.0 + 0.06 * tilt;
+        let aside =
+            Vector3::new(0.16 * (1.1 * f64::from(i)).sin(), 0.1 * (1.9 * f64::from(i)).cos(), 0.0) * range;
+        let pose = Isometry3::from_parts(
+            Translation3::from(Vector3::new(0.0, 0.0, range) + aside - middle),
+            rotation,
+        );
+        let path = folder.path().join(format!("board{i:02}.png"));
+        imgcodecs::imwrite_def(&path, &render(&rays, &truth, &pose, i as u64 + 1)).unwrap();
+    }
+    let out = folder.path().join("camera.yaml");
+    let (ok, text, error) =
+        calibrate(folder.path(), &["--board", "9x6", "--square", "0.03", "--out", out.to_str().unwrap()]);
+    assert!(ok, "{error}");
+    println!("{text}");
+    // The paper's figure.
+    assert!(value(&text, "mean reprojection error:") <= 0.1741);
+    for (name, expected) in [("fx", 601.3), ("fy", 598.2), ("cx", 322.7), ("cy", 236.4)] {
+        assert!((value(&text, name) - expected).abs() < 0.6, "{name}: {} for {expected}", value(&text, name));
+    }
+    assert!(text.contains("40 of 40 pictures"));
+    let yaml = std::fs::read_to_string(out).unwrap();
+    assert!(yaml.contains("distortion_model: plumb_bob") && yaml.contains("image_width: 640"));
+
+    // Three pictures do not suffice, and the message says so.
+    let few = tempfile::tempdir().unwrap();
+    for i in 0..3 {
+        let name = format!("board{i:02}.png");
+        std::fs::copy(folder.path().join(&name), few.path().join(&name)).unwrap();
+    }
+    let (ok, text, error) = calibrate(few.path(), &["--out", few.path().join("c.yaml").to_str().unwrap()]);
+    assert!(!ok && error.lines().count() == 1 && error.contains("four are the least"), "{error}");
+    assert!(text.contains("missing: 37 more views"), "{text}");
+}
+
+#[test]
+fn real_boards_agree_with_opencv_s_published_result() {
+    let data = Path::new("/usr/share/doc/opencv-doc/examples/data");
+    if !data.join("left01.jpg").is_file() {
+        println!("skipped: Debian's opencv-doc is not installed");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    for number in (1..=14).filter(|n| *n != 10) {
+        let name = format!("left{number:02}.jpg");
+        std::fs::copy(data.join(&name), folder.path().join(&name)).unwrap();
+    }
+    let out = folder.path().join("camera.yaml");
+    let (ok, text, error) = calibrate(folder.path(), &["--out", out.to_str().unwrap()]);
+    assert!(ok, "{error}");
+    // left_intrinsics.yml of the same package.
+    let published = 535.915_733_961_632;
+    for name in ["fx", "fy"] {
+        assert!((value(&text, name) / published - 1.0).abs() < 1e-3, "{name}: {}", value(&text, name));
+    }
+    // OpenCV's own error is that of its second picture, which is named.
+    assert!(text.contains("doubtful: left02.jpg"), "{text}");
+}
+
+#[test]
+fn mistakes_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let (ok, _, error) = calibrate(&folder.path().join("nowhere"), &[]);
+    assert!(!ok && error.contains("nowhere") && error.lines().count() == 1, "{error}");
+    let (ok, _, error) = calibrate(folder.path(), &[]);
+    assert!(!ok && error.contains("no picture"), "{error}");
+    let status = Command::new(env!("CARGO_BIN_EXE_volant-calibrate"))
+        .args(["camera", "x", "--board", "9by6"])
+        .output()
+        .unwrap()
+        .status;
+    assert_eq!(status.code(), Some(2));
+}
