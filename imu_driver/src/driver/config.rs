@@ -30,6 +30,8 @@ pub struct DriverConfig {
     pub number_format: NumberFormat,
     /// Change nothing in the unit: take its configuration as it is.
     pub leave_settings: bool,
+    /// Set the unit to the baud rate of this code, and nothing else: it comes into force by a reset.
+    pub set_baud: Option<u8>,
     /// Send two stop bits: an MTx from before 2008 hears nothing else.
     pub two_stop_bits: bool,
     /// From a sample to the arrival of its last bit, s; `None`: the time that the bytes take at the baud rate.
@@ -51,6 +53,7 @@ impl Default for DriverConfig {
             status: false,
             number_format: NumberFormat::Float32,
             leave_settings: false,
+            set_baud: None,
             two_stop_bits: false,
             transmission_delay: None,
             longest_pause: 1.0,

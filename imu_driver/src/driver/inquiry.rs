@@ -160,6 +160,10 @@ impl Driver {
             _ => {}
         }
         if request.is_setting() {
+            if request.message == MessageId::BAUD_RATE {
+                // In force only after it.
+                self.write(MessageId::RESET, &[]);
+            }
             self.event(Event::Set { what: request.message });
             if let Phase::Asking(inquiry) = &mut self.phase {
                 inquiry.changed = true;
@@ -237,6 +241,9 @@ impl Driver {
 
     /// The settings that must be written: settings go to flash, so only those that differ.
     fn differences(&self) -> Vec<Request> {
+        if let Some(code) = self.config.set_baud {
+            return vec![Request { message: MessageId::BAUD_RATE, data: vec![code] }];
+        }
         if self.config.leave_settings {
             return Vec::new();
         }
