@@ -3,14 +3,16 @@
 peer.py echo TOPIC_IN TOPIC_OUT pose|imu N    publish N messages, print how many came back with every field equal
 peer.py hear TOPIC tf|imu|pose|diagnostics N SECONDS    print messages that came, one JSON a line
 peer.py graph SECONDS PREFIX                  print the endpoints whose topic begins so, again on each change
-peer.py call SERVICE TYPE FLAVOUR JSON        call a service, print the reply
+peer.py clock START N                         publish /clock from START (s) on, 0.1 s a step
+peer.py calls NODE                            call the node's services as rmw_cyclonedds does, print the replies
 """
 
 import json
-import struct
+import os
 import sys
 import time
 from dataclasses import dataclass
+from types import new_class
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
 from cyclonedds.core import InstanceState, Policy, Qos, ReadCondition, SampleState, ViewState
@@ -141,6 +143,158 @@ class Log(IdlStruct, typename="rcl_interfaces::msg::dds_::Log_"):
     line: types.uint32
 
 
+@dataclass
+class ParameterValue(IdlStruct, typename="rcl_interfaces::msg::dds_::ParameterValue_"):
+    type: types.uint8 = 0
+    bool_value: bool = False
+    integer_value: types.int64 = 0
+    double_value: types.float64 = 0.0
+    string_value: str = ""
+    byte_array_value: types.sequence[types.uint8] = ()
+    bool_array_value: types.sequence[bool] = ()
+    integer_array_value: types.sequence[types.int64] = ()
+    double_array_value: types.sequence[types.float64] = ()
+    string_array_value: types.sequence[str] = ()
+
+
+@dataclass
+class Parameter(IdlStruct, typename="rcl_interfaces::msg::dds_::Parameter_"):
+    name: str
+    value: ParameterValue
+
+
+@dataclass
+class SetParametersResult(IdlStruct, typename="rcl_interfaces::msg::dds_::SetParametersResult_"):
+    successful: bool
+    reason: str
+
+
+@dataclass
+class FloatingPointRange(IdlStruct, typename="rcl_interfaces::msg::dds_::FloatingPointRange_"):
+    from_value: types.float64
+    to_value: types.float64
+    step: types.float64
+
+
+@dataclass
+class IntegerRange(IdlStruct, typename="rcl_interfaces::msg::dds_::IntegerRange_"):
+    from_value: types.int64
+    to_value: types.int64
+    step: types.uint64
+
+
+@dataclass
+class ParameterDescriptor(IdlStruct, typename="rcl_interfaces::msg::dds_::ParameterDescriptor_"):
+    name: str
+    type: types.uint8
+    description: str
+    additional_constraints: str
+    read_only: bool
+    dynamic_typing: bool
+    floating_point_range: types.sequence[FloatingPointRange]
+    integer_range: types.sequence[IntegerRange]
+
+
+@dataclass
+class State(IdlStruct, typename="lifecycle_msgs::msg::dds_::State_"):
+    id: types.uint8
+    label: str
+
+
+def service(package, name, request, reply):
+    """Request and reply of a service with the header that rmw_cyclonedds puts before both."""
+    header = {"guid": types.uint64, "seq": types.int64}
+    return [
+        dataclass(
+            new_class(
+                f"{name}{end}",
+                (IdlStruct,),
+                {"typename": f"{package}::srv::dds_::{name}_{end}_"},
+                lambda space, fields=fields: space.update(
+                    {"__annotations__": {**header, **fields}, "__module__": __name__}
+                ),
+            )
+        )
+        for end, fields in (("Request", request), ("Response", reply))
+    ]
+
+
+SERVICES = {
+    "list_parameters": service(
+        "rcl_interfaces",
+        "ListParameters",
+        {"prefixes": types.sequence[str], "depth": types.uint64},
+        {"names": types.sequence[str], "prefixes": types.sequence[str]},
+    ),
+    "get_parameters": service(
+        "rcl_interfaces", "GetParameters", {"names": types.sequence[str]}, {"values": types.sequence[ParameterValue]}
+    ),
+    "describe_parameters": service(
+        "rcl_interfaces",
+        "DescribeParameters",
+        {"names": types.sequence[str]},
+        {"descriptors": types.sequence[ParameterDescriptor]},
+    ),
+    "set_parameters": service(
+        "rcl_interfaces",
+        "SetParameters",
+        {"parameters": types.sequence[Parameter]},
+        {"results": types.sequence[SetParametersResult]},
+    ),
+    "get_state": service("lifecycle_msgs", "GetState", {"nothing": types.uint8}, {"current_state": State}),
+    "change_state": service("lifecycle_msgs", "ChangeState", {"id": types.uint8, "label": str}, {"success": bool}),
+}
+
+
+class Client:
+    def __init__(self, participant, node, name):
+        request, reply = SERVICES[name]
+        q = qos(depth=10)
+        self.request = request
+        self.writer = DataWriter(participant, Topic(participant, f"rq{node}/{name}Request", request, qos=q), qos=q)
+        self.reader = DataReader(participant, Topic(participant, f"rr{node}/{name}Reply", reply, qos=q), qos=q)
+        self.seq = 0
+        end = time.monotonic() + 10
+        while time.monotonic() < end and not (
+            self.writer.get_matched_subscriptions() and self.reader.get_matched_publications()
+        ):
+            time.sleep(0.01)
+        time.sleep(0.3)
+
+    def call(self, *fields):
+        # The first request may come before the other side has matched; a client of ROS tries again too.
+        for _ in range(3):
+            self.seq += 1
+            self.writer.write(self.request(0x0123456789ABCDEF, self.seq, *fields))
+            for reply in samples(self.reader, 2, 1):
+                if reply.seq == self.seq and reply.guid == 0x0123456789ABCDEF:
+                    reply = plain(reply)
+                    return {k: v for k, v in reply.items() if k not in ("guid", "seq")}
+        return None
+
+
+def calls(participant, node):
+    client = {name: Client(participant, node, name) for name in SERVICES}
+
+    def say(what, reply):
+        print(json.dumps({what: reply}), flush=True)
+
+    say("list", client["list_parameters"].call([], 0))
+    say("get", client["get_parameters"].call(["beat", "no_such"]))
+    say("describe", client["describe_parameters"].call(["beat"]))
+    true = ParameterValue(type=1, bool_value=True)
+    say("set_live", client["set_parameters"].call([Parameter("talk", true)]))
+    say("set_fixed", client["set_parameters"].call([Parameter("beat", ParameterValue(type=3, double_value=5.0))]))
+    say("get_after", client["get_parameters"].call(["talk"]))
+    say("state", client["get_state"].call(0))
+    say("activate_again", client["change_state"].call(3, ""))
+    say("deactivate", client["change_state"].call(4, ""))
+    say("state_after", client["get_state"].call(0))
+    say("cleanup", client["change_state"].call(0, "cleanup"))
+    say("configure", client["change_state"].call(1, ""))
+    say("activate", client["change_state"].call(3, ""))
+
+
 KINDS = {
     "pose": PoseWithCovarianceStamped,
     "imu": Imu,
@@ -257,10 +411,8 @@ def graph(participant, seconds, prefix):
 
 
 def main():
-    import os
-
     participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
-    {"echo": echo, "hear": hear, "clock": clock, "graph": graph}[sys.argv[1]](participant, *sys.argv[2:])
+    {"echo": echo, "hear": hear, "clock": clock, "graph": graph, "calls": calls}[sys.argv[1]](participant, *sys.argv[2:])
 
 
 if __name__ == "__main__":

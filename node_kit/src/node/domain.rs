@@ -26,6 +26,7 @@ pub(crate) struct Domain {
     pub context: Context,
     pub hub: Arc<Hub>,
     pub network: Network,
+    buffers_checked: AtomicBool,
     stop: Arc<AtomicBool>,
     watcher: Option<JoinHandle<()>>,
 }
@@ -56,7 +57,39 @@ impl Domain {
                 move || watch(&context, &hub, &stop, &log)
             })
             .map_err(|source| NodeError::System { what: "a thread".into(), source })?;
-        Ok(Self { context, hub, network, stop, watcher: Some(watcher) })
+        Ok(Self {
+            context,
+            hub,
+            network,
+            buffers_checked: AtomicBool::new(false),
+            stop,
+            watcher: Some(watcher),
+        })
+    }
+
+    /// Says once, when the first image topic is made, that the kernel's socket buffers are too small for images.
+    pub fn check_socket_buffers(&self, log: &Logger) {
+        const ENOUGH: u64 = 4 * 1024 * 1024;
+        if self.buffers_checked.swap(true, Ordering::Relaxed) {
+            return;
+        }
+        let read = |name: &str| {
+            std::fs::read_to_string(format!("/proc/sys/net/core/{name}"))
+                .ok()
+                .and_then(|text| text.trim().parse::<u64>().ok())
+        };
+        // RustDDS asks for 8 MiB and gets at most rmem_max; Fast DDS takes rmem_default as it is.
+        if let (Some(default), Some(max)) = (read("rmem_default"), read("rmem_max"))
+            && default.min(max) < ENOUGH
+        {
+            log.log(
+                Level::Info,
+                format!(
+                    "net.core.rmem_default is {default} and rmem_max {max}: raw images can be lost on the way; \
+                     `sudo sysctl -w net.core.rmem_default={ENOUGH} net.core.rmem_max={ENOUGH}` helps"
+                ),
+            );
+        }
     }
 
     /// Has the other ends of the topics read again soon: a topic is new.

@@ -260,6 +260,9 @@ impl<I: Send + 'static> Kit<I> {
         expected: bool,
         make: impl Fn(Arc<M>) -> R + Send + Sync + 'static,
     ) -> Result<SubscriptionOf<I>, NodeError> {
+        if preset == QosPreset::Image {
+            self.domain.check_socket_buffers(&self.logger);
+        }
         let logger = self.logger.clone();
         let inbox = self.inbox.clone();
         self.raw_subscription(topic, preset.qos(Endpoint::Subscription), expected, move |source, name, m| {
@@ -397,7 +400,7 @@ impl<I: Send + 'static> Kit<I> {
         let mut store = self.parameter_store();
         for descriptor in qos.descriptors(topic, endpoint) {
             let name = descriptor.name.clone();
-            if let Some(value) = store.declare(descriptor)? {
+            if let Some(value) = store.declare_if_given(descriptor)? {
                 qos = qos.with(&name, &value);
             }
         }
@@ -630,7 +633,7 @@ pub(crate) fn lock_store(store: &Mutex<ParameterStore>) -> MutexGuard<'_, Parame
 /// rclcpp's, but for the bound.
 const ROSOUT: Qos = Qos { reliable: true, transient_local: true, depth: 100, max_samples: 100 };
 
-fn policies(qos: &Qos) -> QosPolicies {
+pub(crate) fn policies(qos: &Qos) -> QosPolicies {
     let count = |n: usize| i32::try_from(n).unwrap_or(i32::MAX);
     QosPolicyBuilder::new()
         .reliability(if qos.reliable {

@@ -62,19 +62,18 @@ impl ParameterStore {
         }
     }
 
-    /// Declares one more, with the value given for it at the start, if any.
+    /// Declares one more if a value was given for it at the start, and tells that value. What nobody overrides is not
+    /// listed: a node would have four such parameters for each of its topics.
     ///
     /// # Errors
     /// That value cannot be.
-    pub fn declare(&mut self, descriptor: Descriptor) -> Result<Option<ParameterValue>, ParameterError> {
-        if !self.declared.contains_key(&descriptor.name) {
-            let value = match self.pending.remove(&descriptor.name) {
-                Some(given) => Some(descriptor.accept(&given.value)?),
-                None => descriptor.default.clone(),
-            };
-            if let Some(value) = value {
-                self.values.insert(descriptor.name.clone(), value);
-            }
+    pub fn declare_if_given(
+        &mut self,
+        descriptor: Descriptor,
+    ) -> Result<Option<ParameterValue>, ParameterError> {
+        if let Some(given) = self.pending.remove(&descriptor.name) {
+            let value = descriptor.accept(&given.value)?;
+            self.values.insert(descriptor.name.clone(), value);
             self.declared.insert(descriptor.name.clone(), descriptor.clone());
         }
         Ok(self.values.get(&descriptor.name).cloned())
@@ -224,8 +223,18 @@ mod tests {
             Some(ParameterValue::Integer(10)),
             "",
         );
-        assert_eq!(store.declare(descriptor).unwrap(), Some(ParameterValue::Integer(3)));
+        assert_eq!(store.declare_if_given(descriptor).unwrap(), Some(ParameterValue::Integer(3)));
         assert_eq!(store.left_over().len(), 1);
+        assert_eq!(
+            store.declare_if_given(Descriptor::new(
+                "qos_overrides./c.publisher.depth",
+                ParameterKind::Integer,
+                None,
+                ""
+            )),
+            Ok(None)
+        );
+        assert_eq!(store.descriptors().count(), 1);
     }
 
     #[test]
