@@ -98,7 +98,7 @@ impl Default for TightConfig {
             climber_jerk: 0.05,
             climber_turn_jerk: 0.01,
             camera_clock: 0.05,
-            climber_clock: 0.03,
+            climber_clock: 0.0,
             clock_walk: 1e-5,
             inertial_noise_limit: 30.0,
             rest_velocity: 0.002,

@@ -59,6 +59,11 @@ impl Fusion {
         self.outputs.pop_front()
     }
 
+    /// The error-state filter, to look into it.
+    pub fn tight(&self) -> &Tight {
+        &self.tight
+    }
+
     /// Counters and insights for diagnostics.
     pub fn status(&self) -> Status {
         self.tight.status()

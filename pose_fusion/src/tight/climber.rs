@@ -1,13 +1,15 @@
 //! The climber's encoders correct x, y and turn.
 //!
-//! A reading is `c + e`: `e` is what quantisation and noise make of it. While an encoder stands on one step its error
-//! stands as well, so `e` is a state: it is drawn anew (variance σ²) when the reading changes, and kept while it does not.
-//! A climber at rest is therefore never known better than its encoders' step, and one that drives is smoothed.
+//! A reading of a climber that drives is off by the encoder's step as by white noise (variance step²/12). While the
+//! reading stands, its error stands or creeps, and the next one tells little that is new: its variance is multiplied by the
+//! number of equal readings so far, up to [`STANDING`]. A climber at rest is therefore never known much better than its
+//! encoders' step, and one that drives is smoothed by its own inertia (the jerk is white).
 
 use super::{
     geometry::ClimberRest,
     markers::scalar_update,
-    state::{CLIMBER, CLIMBER_CLOCK, ENCODER, N, State},
+    propagate::{Felt, retime},
+    state::{CLIMBER, CLIMBER_CLOCK, State},
 };
 use nalgebra::Vector3;
 
@@ -16,42 +18,35 @@ use nalgebra::Vector3;
 pub struct Reading {
     /// x, y (m) and turn (rad; any multiple of a full turn).
     pub values: Vector3<f64>,
-    /// Does it differ from the reading before?
-    pub changed: [bool; 3],
-    /// Variance of the encoders' error, m², m², rad².
+    /// Variance of each, m², m², rad².
     pub variance: Vector3<f64>,
-    /// The climber clock offset that placed the reading on the inertial unit's time line, s.
+    /// The clock offset (τ_c + d) that placed the reading on the inertial unit's time line, s.
     pub clock: f64,
+    /// What the unit felt then.
+    pub felt: Felt,
     /// What the encoders do not measure.
     pub rest: ClimberRest,
 }
 
-/// How much of an encoder's error is left after a reading that did not change.
-const KEPT: f64 = 0.98;
+/// Equal readings in a row count as one down to this share.
+pub const STANDING: f64 = 8.0;
 
 /// Corrects `state` by a reading; returns the largest normalised innovation squared of the three.
-pub fn update(state: &mut State, reading: &Reading) -> f64 {
-    let late = state.climber_clock - reading.clock;
+pub fn update(state: &mut State, reading: &Reading, gravity: f64) -> f64 {
+    let late = state.camera_clock + state.climber_clock - reading.clock;
+    let clock = state.camera_clock;
     let mut worst: f64 = 0.0;
     for axis in 0..3 {
-        let kept = if reading.changed[axis] { 0.0 } else { KEPT };
-        let index = ENCODER + axis;
-        state.encoder_error[axis] *= kept;
-        for i in 0..N {
-            state.covariance[(i, index)] *= kept;
-            state.covariance[(index, i)] *= kept;
-        }
-        state.covariance[(index, index)] += (1.0 - kept * kept) * reading.variance[axis];
-        let expected = state.climber[axis] + state.climber_rate[axis] * late + state.encoder_error[axis];
+        let expected = state.climber[axis] + state.climber_rate[axis] * late;
         let mut residual = reading.values[axis] - expected;
         if axis == 2 {
             residual = wrapped(residual);
         }
-        let h = [(CLIMBER + axis, 1.0), (index, 1.0), (CLIMBER_CLOCK, state.climber_rate[axis])];
-        // What the step does not explain: stamps, belts.
-        let rest = 0.01 * reading.variance[axis];
-        worst = worst.max(scalar_update(state, &h, residual, rest));
+        let h = [(CLIMBER + axis, 1.0), (CLIMBER_CLOCK, state.climber_rate[axis])];
+        worst = worst.max(scalar_update(state, &h, residual, reading.variance[axis]));
     }
+    let moved = state.camera_clock - clock;
+    retime(state, &reading.felt, moved, gravity);
     worst
 }
 
@@ -70,6 +65,7 @@ pub struct ReadingNoise {
     variance: Vector3<f64>,
     weight: Vector3<f64>,
     floor: Vector3<f64>,
+    equal: [f64; 3],
 }
 
 impl ReadingNoise {
@@ -81,11 +77,13 @@ impl ReadingNoise {
             variance: Vector3::zeros(),
             weight: Vector3::zeros(),
             floor: steps.map(|q| q * q / 12.0),
+            equal: [1.0; 3],
         }
     }
 
-    /// Takes a reading in; returns the variance to be assumed and which values changed.
-    pub fn take(&mut self, values: &Vector3<f64>) -> (Vector3<f64>, [bool; 3]) {
+    /// Takes a reading in; returns the variance to be assumed for a driving climber, and for each value the factor by
+    /// which standing still makes it count less.
+    pub fn take(&mut self, values: &Vector3<f64>) -> (Vector3<f64>, [f64; 3]) {
         let before = self.last[3];
         let mut values = *values;
         if self.count > 0 {
@@ -94,7 +92,10 @@ impl ReadingNoise {
         self.last.rotate_left(1);
         self.last[3] = values;
         self.count = self.count.saturating_add(1);
-        let changed = std::array::from_fn(|i| self.count == 1 || values[i] != before[i]);
+        for axis in 0..3 {
+            let equal = self.count > 1 && values[axis] == before[axis];
+            self.equal[axis] = if equal { (self.equal[axis] + 1.0).min(STANDING) } else { 1.0 };
+        }
         if self.count >= 4 {
             let d = self.last[3] - self.last[2] * 3.0 + self.last[1] * 3.0 - self.last[0];
             for axis in 0..3 {
@@ -110,7 +111,7 @@ impl ReadingNoise {
                 }
             }
         }
-        (self.variance(), changed)
+        (self.variance(), self.equal)
     }
 
     /// The variance to be assumed, m², m², rad².
@@ -154,17 +155,22 @@ mod tests {
             ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() },
             Vector3::new(0.3, 0.2, 0.1),
         );
-        for i in 0..100 {
+        let mut noise = ReadingNoise::new(steps);
+        for _ in 0..100 {
+            let (variance, share) = noise.take(&values);
             let reading = Reading {
                 values,
-                changed: [i == 0; 3],
-                variance: steps.map(|q| q * q / 12.0),
+                variance: variance.component_mul(&Vector3::from(share)),
                 clock: 0.0,
+                felt: Felt { force: Vector3::zeros(), rate: Vector3::zeros() },
                 rest,
             };
-            update(&mut s, &reading);
+            for axis in 0..3 {
+                s.covariance[(CLIMBER + axis, CLIMBER + axis)] += 1e-8;
+            }
+            update(&mut s, &reading, 9.81);
         }
         let sigma = s.covariance[(CLIMBER, CLIMBER)].sqrt();
-        assert!(sigma > 0.00015, "{sigma}");
+        assert!(sigma > 0.0001, "{sigma}");
     }
 }

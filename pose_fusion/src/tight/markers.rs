@@ -4,7 +4,7 @@
 //! `camera_from_volant = (world_from_climber · climber_from_camera)⁻¹ · world_from_imu · imu_from_volant` (eq. 5), at the
 //! time of the exposure. With `c` the square's centre and `R_wc` the camera's attitude,
 //! `δc = R_wcᵀ (δp − [R m]× δθ − e_xy δc_xy − (e_z × (X − X_climber)) δturn)`, and the square turns about its centre by
-//! `R_wcᵀ (δθ − e_z δturn)`. A clock offset moves platform and climber along their velocities.
+//! `R_wcᵀ (δθ − e_z δturn)`. The clock offset has no part in it (see [`super::state`]).
 //!
 //! All markers of an image are used together, by an iterated update (Bell and Cathey 1993) where the step is large enough for
 //! the projection to bend. Each marker must pass its own gate, and those that passed must agree with each other:
@@ -13,13 +13,14 @@
 
 use super::{
     geometry::{ClimberRest, Geometry},
-    state::{ATTITUDE, CAMERA_CLOCK, CLIMBER, Covariance, Error, N, POSITION, State},
+    propagate::{Felt, retime},
+    state::{ATTITUDE, CLIMBER, Covariance, Error, N, POSITION, State},
 };
 use nalgebra::{Cholesky, Const, Matrix2, Matrix2x3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 use rig_model::MarkerColor;
 
 /// The entries of the error that an image sees.
-const SEEN: [usize; 10] = [
+const SEEN: [usize; 9] = [
     POSITION,
     POSITION + 1,
     POSITION + 2,
@@ -29,10 +30,9 @@ const SEEN: [usize; 10] = [
     CLIMBER,
     CLIMBER + 1,
     CLIMBER + 2,
-    CAMERA_CLOCK,
 ];
 const M: usize = 8;
-type Jacobian = SMatrix<f64, M, 10>;
+type Jacobian = SMatrix<f64, M, 9>;
 type Residual = SVector<f64, M>;
 type Gain = SMatrix<f64, N, M>;
 type Innovation = SMatrix<f64, M, M>;
@@ -47,8 +47,8 @@ pub struct Sighting {
     pub pixels: [Option<(Vector2<f64>, Matrix2<f64>)>; 4],
     /// The camera clock offset that placed the image on the inertial unit's time line, s.
     pub clock: f64,
-    /// Rate of turn at that time with the gyroscope's bias in it, imu axes, rad/s.
-    pub rate: Vector3<f64>,
+    /// What the unit felt then.
+    pub felt: Felt,
     /// Height and tilt of the climber.
     pub rest: ClimberRest,
 }
@@ -97,6 +97,8 @@ pub struct Report {
 /// Limits of the update.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gates {
+    /// Gravity, m/s².
+    pub gravity: f64,
     /// Normalised innovation squared of one marker.
     pub marker: f64,
     /// Factor on the joint limit.
@@ -188,6 +190,8 @@ pub fn update(
     if !frozen {
         let before = state.clone();
         state.add(&solution.step);
+        let clock = state.camera_clock - before.camera_clock;
+        retime(state, &sighting.felt, clock, gates.gravity);
         subtract_square(&mut state.covariance, &solution.root);
         if !state.is_sound() {
             *state = before;
@@ -278,7 +282,7 @@ fn solve(
 /// has zero rows.
 fn linearise(state: &State, geometry: &Geometry, sighting: &Sighting) -> Linear {
     let late = state.camera_clock - sighting.clock;
-    let world_rate = state.attitude * (sighting.rate - state.gyroscope_bias);
+    let world_rate = state.attitude * (sighting.felt.rate - state.gyroscope_bias);
     let climber = state.climber + state.climber_rate * late;
     let position = state.position + state.velocity * late;
     let attitude = UnitQuaternion::from_scaled_axis(world_rate * late) * state.attitude;
@@ -308,15 +312,11 @@ fn linearise(state: &State, geometry: &Geometry, sighting: &Sighting) -> Linear 
         let about_climber = centre.coords - world_from_climber.translation.vector;
         let turning = Vector3::z().cross(&about_climber);
         let by_climber_turn = -(by_centre * turning) - by_turn.column(2);
-        let by_clock = by_centre * state.velocity + by_attitude * world_rate
-            - by_centre.fixed_columns::<2>(0) * state.climber_rate.xy()
-            + by_climber_turn * state.climber_rate.z;
         let mut rows = linear.jacobian.fixed_rows_mut::<2>(2 * i);
         rows.fixed_columns_mut::<3>(0).copy_from(&by_centre);
         rows.fixed_columns_mut::<3>(3).copy_from(&by_attitude);
         rows.fixed_columns_mut::<2>(6).copy_from(&-by_centre.fixed_columns::<2>(0));
         rows.fixed_columns_mut::<1>(8).copy_from(&by_climber_turn);
-        rows.fixed_columns_mut::<1>(9).copy_from(&by_clock);
     }
     linear
 }
@@ -338,7 +338,7 @@ fn covariance_times(p: &Covariance, h: &Jacobian) -> Gain {
 
 /// H (P Hᵀ).
 fn jacobian_times(h: &Jacobian, gain: &Gain) -> Innovation {
-    let mut rows = SMatrix::<f64, 10, M>::zeros();
+    let mut rows = SMatrix::<f64, 9, M>::zeros();
     for (k, &index) in SEEN.iter().enumerate() {
         rows.row_mut(k).copy_from(&gain.row(index));
     }
@@ -348,7 +348,7 @@ fn jacobian_times(h: &Jacobian, gain: &Gain) -> Innovation {
 
 /// H dx.
 fn times_seen(h: &Jacobian, step: &Error) -> Residual {
-    h * SVector::<f64, 10>::from_fn(|k, _| step[SEEN[k]])
+    h * SVector::<f64, 9>::from_fn(|k, _| step[SEEN[k]])
 }
 
 /// P − W Wᵀ.
@@ -389,7 +389,6 @@ pub fn scalar_update(state: &mut State, h: &[(usize, f64)], residual: f64, varia
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Isometry3;
     use rig_model::{CameraModel, Distortion, Rig};
 
     const RIG: &str = include_str!("../../../test/src/rig/rig.yaml");
@@ -410,7 +409,7 @@ mod tests {
         let mut sighting = Sighting {
             pixels: [Some((Vector2::zeros(), Matrix2::identity() * 0.01)); 4],
             clock: 0.001,
-            rate: Vector3::new(0.5, -0.8, 0.3),
+            felt: Felt { force: Vector3::new(0.0, 0.0, 9.8), rate: Vector3::new(0.5, -0.8, 0.3) },
             rest,
         };
         let linear = linearise(&state, &geometry, &sighting);
@@ -441,8 +440,6 @@ mod tests {
             let scale = numeric.amax();
             assert!(error < 0.006 * scale + 1e-3, "{k}: {error} of {scale}");
         }
-        // Nothing else moves a marker, but for the rates by which the image is late.
-        assert_eq!(Isometry3::<f64>::identity(), Isometry3::identity());
     }
 
     #[test]
@@ -459,7 +456,7 @@ mod tests {
         let k = p * h.transpose() * s.try_inverse().unwrap();
         let a = Covariance::identity() - k * h;
         let joseph = a * p * a.transpose() + k * r * k.transpose();
-        let report = update(&mut state, &geometry, &sighting, &Gates { marker: 16.0, joint: 1.0 }, false);
+        let report = update(&mut state, &geometry, &sighting, &Gates { marker: 16.0, joint: 1.0, gravity: 9.81 }, false);
         assert_eq!(report.used, 4);
         assert!((state.covariance - joseph).amax() < 1e-12);
         assert_eq!(state.covariance, state.covariance.transpose());
@@ -470,7 +467,7 @@ mod tests {
         let (mut state, geometry, mut sighting) = example();
         let truth = state.clone();
         state.covariance *= 100.0;
-        for i in 27..29 {
+        for i in 24..26 {
             state.set_variance_of(i, 0.0);
         }
         let mut off = Error::zeros();
@@ -480,7 +477,7 @@ mod tests {
         if let Some((pixel, _)) = &mut sighting.pixels[2] {
             pixel.x += 12.0;
         }
-        let report = update(&mut state, &geometry, &sighting, &Gates { marker: 16.0, joint: 1.0 }, false);
+        let report = update(&mut state, &geometry, &sighting, &Gates { marker: 16.0, joint: 1.0, gravity: 9.81 }, false);
         assert_eq!(report.markers[2].verdict, Verdict::Inconsistent, "{report:?}");
         assert_eq!(report.used, 3);
         // The climber is as uncertain: compare what the camera sees, the platform against the climber.

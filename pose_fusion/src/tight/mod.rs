@@ -47,6 +47,9 @@ const GAP: f64 = 0.05;
 /// So many image stamps are remembered to tell duplicates.
 const REMEMBERED: usize = 64;
 
+/// To be interpolated.
+const NOTHING: Felt = Felt { force: Vector3::new(0.0, 0.0, 0.0), rate: Vector3::new(0.0, 0.0, 0.0) };
+
 /// The error-state filter.
 #[derive(Debug)]
 pub struct Tight {
@@ -253,9 +256,8 @@ impl Tight {
             return;
         }
         let Some((_, _, rest)) = self.readings.back().copied() else { return };
-        let sighting = Sighting { pixels, clock, rate: Vector3::zeros(), rest };
-        let nothing = Felt { force: Vector3::zeros(), rate: Vector3::zeros() };
-        self.history.insert(at, Event::Markers { sighting, image: stamp, fresh: true }, nothing);
+        let sighting = Sighting { pixels, clock, felt: NOTHING, rest };
+        self.history.insert(at, Event::Markers { sighting, image: stamp, fresh: true }, NOTHING);
         self.run(out);
         self.watch(out);
     }
@@ -295,11 +297,11 @@ impl Tight {
                 return;
             }
         }
-        let (variance, changed) = if in_order {
+        let (variance, share) = if in_order {
             self.reading_noise.take(&values)
         } else {
             // Out of order: whether it changed cannot be told, so it brings nothing but its value.
-            (self.reading_noise.variance(), [true; 3])
+            (self.reading_noise.variance(), [1.0; 3])
         };
         if in_order {
             if self.readings.len() == REMEMBERED {
@@ -307,7 +309,7 @@ impl Tight {
             }
             self.readings.push_back((stamp, values, rest));
         }
-        let clock = self.state().map_or(0.0, |s| s.climber_clock);
+        let clock = self.state().map_or(0.0, |s| s.camera_clock + s.climber_clock);
         let at = stamp.plus_seconds(clock);
         if self.started && self.history.get(0).is_none_or(|first| at <= first.stamp) {
             self.status.refused_climber += 1;
@@ -315,9 +317,8 @@ impl Tight {
             out.push_back(Output::Warning(Warning::TooOld { source_name: "climber", stamp, age_s }));
             return;
         }
-        let reading = Reading { values, changed, variance, clock, rest };
-        let nothing = Felt { force: Vector3::zeros(), rate: Vector3::zeros() };
-        self.history.insert(at, Event::Climber(reading), nothing);
+        let reading = Reading { values, variance: variance.component_mul(&Vector3::from(share)), clock, felt: NOTHING, rest };
+        self.history.insert(at, Event::Climber(reading), NOTHING);
         if self.started {
             self.run(out);
         }
@@ -437,7 +438,11 @@ impl Tight {
     fn run(&mut self, out: &mut VecDeque<Output>) {
         let Some((newest, _)) = self.newest_imu else { return };
         let process = self.process();
-        let gates = Gates { marker: self.config.marker_gate, joint: self.config.joint_gate };
+        let gates = Gates {
+            marker: self.config.marker_gate,
+            joint: self.config.joint_gate,
+            gravity: self.config.gravity,
+        };
         let mut place = self.history.run().max(1);
         while place < self.history.len() {
             if self.history.get(place).is_none_or(|n| n.stamp > newest) {
@@ -455,7 +460,7 @@ impl Tight {
             }
             let dt = to.stamp.seconds_since(from.stamp);
             to.state.clone_from(&from.state);
-            propagate(&mut to.state, &from.felt.between(&to.felt, 0.5), dt, &process);
+            propagate(&mut to.state, &from.felt, &to.felt, dt, &process);
             let mut fresh_report = None;
             let felt = to.felt;
             match &mut to.event {
@@ -467,12 +472,15 @@ impl Tight {
                 }
                 Event::Gap { seconds } => widen_over_gap(&mut to.state, *seconds),
                 Event::Climber(reading) => {
-                    let nis = climber::update(&mut to.state, reading);
+                    let nis = {
+                        reading.felt = felt;
+                        climber::update(&mut to.state, reading, gates.gravity)
+                    };
                     self.jerk_scale =
                         (self.jerk_scale * (1.0 + 0.02 * (nis.min(20.0) / 3.0 - 1.0))).clamp(1.0, 100.0);
                 }
                 Event::Markers { sighting, image, fresh } => {
-                    sighting.rate = felt.rate;
+                    sighting.felt = felt;
                     let report = markers::update(&mut to.state, geometry, sighting, &gates, frozen);
                     if *fresh {
                         *fresh = false;
@@ -531,7 +539,7 @@ impl Tight {
             accelerometer_bias: c.accelerometer_bias_walk.powi(2),
             gyroscope_bias: c.gyroscope_bias_walk.powi(2),
             jerk: Vector3::new(c.climber_jerk, c.climber_jerk, c.climber_turn_jerk) * self.jerk_scale,
-            clock: if c.camera_clock > 0.0 { c.clock_walk.powi(2) } else { 0.0 },
+            clocks: [c.camera_clock, c.climber_clock].map(|s| if s > 0.0 { c.clock_walk.powi(2) } else { 0.0 }),
         }
     }
 
@@ -552,6 +560,7 @@ impl Tight {
             &node.felt,
             geometry,
             rate_variance,
+            self.config.gravity,
         )));
         self.status.odometry += 1;
     }
@@ -699,7 +708,7 @@ impl Tight {
         let Some(old) = self.state().cloned() else { return false };
         let Some((_, _, rest)) = self.readings.back().copied() else { return false };
         let at = image.plus_seconds(old.camera_clock);
-        let sighting = Sighting { pixels: *pixels, clock: old.camera_clock, rate: Vector3::zeros(), rest };
+        let sighting = Sighting { pixels: *pixels, clock: old.camera_clock, felt: NOTHING, rest };
         let sigma = |i: usize| old.covariance[(i, i)].max(0.0).sqrt();
         let climber = ClimberStart {
             values: old.climber,
@@ -714,7 +723,6 @@ impl Tight {
         state.accelerometer_bias = old.accelerometer_bias;
         state.gyroscope_bias = old.gyroscope_bias;
         state.climber_acceleration = old.climber_acceleration;
-        state.encoder_error = old.encoder_error;
         state.camera_clock = old.camera_clock;
         state.climber_clock = old.climber_clock;
         for first in [ACCELEROMETER, GYROSCOPE] {
@@ -769,7 +777,7 @@ impl Tight {
             self.refuse(stamp, pixels, MarkerOutcome::NotInitialised, out);
             return;
         };
-        let sighting = Sighting { pixels: *pixels, clock: 0.0, rate: Vector3::zeros(), rest };
+        let sighting = Sighting { pixels: *pixels, clock: 0.0, felt: NOTHING, rest };
         let found = start::hypotheses(geometry, &self.config, &sighting, up.as_ref(), &climber);
         let Some(best) = found.into_iter().next() else {
             self.refuse(stamp, pixels, MarkerOutcome::Inconsistent, out);

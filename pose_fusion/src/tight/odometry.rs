@@ -7,10 +7,10 @@
 use super::{
     geometry::Geometry,
     propagate::Felt,
-    state::{ATTITUDE, GYROSCOPE, POSITION, State, VELOCITY},
+    state::{ATTITUDE, CAMERA_CLOCK, GYROSCOPE, POSITION, State, VELOCITY},
 };
 use crate::output::Odometry;
-use nalgebra::{Isometry3, Matrix3, Matrix6, SMatrix};
+use nalgebra::{Isometry3, Matrix3, Matrix6, SMatrix, SVector, Vector3};
 use rig_model::Stamp;
 
 /// Entries of the error that the odometry is made of: position, velocity, attitude, gyroscope bias.
@@ -23,6 +23,7 @@ pub fn odometry(
     felt: &Felt,
     geometry: &Geometry,
     rate_variance: f64,
+    gravity: f64,
 ) -> Odometry {
     let world_from_imu = Isometry3::from_parts(state.position.into(), state.attitude);
     let world_from_volant = world_from_imu * geometry.imu_from_volant;
@@ -39,6 +40,24 @@ pub fn odometry(
             p.fixed_view_mut::<3, 3>(3 * a, 3 * b).copy_from(&state.covariance.fixed_view::<3, 3>(i, j));
         }
     }
+    // From the camera's time to the inertial unit's: δx − ẋ δτ.
+    let force = state.attitude * (felt.force - state.accelerometer_bias);
+    let acceleration = force - Vector3::new(0.0, 0.0, gravity);
+    let rate = state.attitude * (felt.rate - state.gyroscope_bias);
+    let mut motion = SVector::<f64, 12>::zeros();
+    motion.fixed_rows_mut::<3>(0).copy_from(&state.velocity);
+    motion.fixed_rows_mut::<3>(3).copy_from(&acceleration);
+    motion.fixed_rows_mut::<3>(6).copy_from(&rate);
+    let mut with_clock = SVector::<f64, 12>::zeros();
+    for (a, &i) in USED.iter().enumerate() {
+        with_clock
+            .fixed_rows_mut::<3>(3 * a)
+            .copy_from(&state.covariance.fixed_view::<3, 1>(i, CAMERA_CLOCK));
+    }
+    let clock = state.covariance[(CAMERA_CLOCK, CAMERA_CLOCK)];
+    p += motion * motion.transpose() * clock
+        - with_clock * motion.transpose()
+        - motion * with_clock.transpose();
     let mut pose = SMatrix::<f64, 6, 12>::zeros();
     pose.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
     pose.fixed_view_mut::<3, 3>(0, 6).copy_from(&(rv * lever).cross_matrix());

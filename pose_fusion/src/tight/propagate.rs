@@ -4,6 +4,11 @@
 //! `a = R(f − b_a) + g`, `p += v dt + a dt²/2`, `v += a dt`, `R ← R Exp((ω − b_g) dt)`, with `R` in `a` that of the middle.
 //! Errors (attitude on the world's side): `δθ' = δθ − R δb_g dt`, `δv' = δv − [R f]× δθ dt − R δb_a dt`,
 //! `δp' = δp + δv dt + (δv' − δv) dt/2`. The climber's jerk is white noise.
+//!
+//! The error is that **at the camera's time** (see [`super::state`]): an error of the clock offset means that other samples
+//! should have been integrated, `δv' += R (f_to − f_from) δτ` and `δθ' += R (ω_to − ω_from) δτ`. What an image tells does then
+//! not depend on the offset at all, and no product of two unknowns (speed and offset) has to be linearised.
+
 
 use super::state::{
     ACCELEROMETER, ATTITUDE, CAMERA_CLOCK, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_CLOCK, CLIMBER_RATE,
@@ -45,12 +50,13 @@ pub struct Process {
     pub gyroscope_bias: f64,
     /// Of the climber's jerk: x, y, turn.
     pub jerk: Vector3<f64>,
-    /// Of the clocks, s²/s.
-    pub clock: f64,
+    /// Of the clocks (camera, climber), s²/s.
+    pub clocks: [f64; 2],
 }
 
-/// Moves `state` by `dt` seconds with the mean of what is felt at both ends.
-pub fn propagate(state: &mut State, felt: &Felt, dt: f64, process: &Process) {
+/// Moves `state` by `dt` seconds with the mean of what is felt `from` one end `to` the other.
+pub fn propagate(state: &mut State, from: &Felt, to: &Felt, dt: f64, process: &Process) {
+    let felt = from.between(to, 0.5);
     let half_turn = (felt.rate - state.gyroscope_bias) * (dt / 2.0);
     let half = UnitQuaternion::from_scaled_axis(half_turn);
     let middle = state.attitude * half;
@@ -67,14 +73,28 @@ pub fn propagate(state: &mut State, felt: &Felt, dt: f64, process: &Process) {
     // F P Fᵀ as ((P Fᵀ)ᵀ Fᵀ): columns only, which lie together in memory; P is symmetric.
     let by_attitude = -(force.cross_matrix() * dt);
     let by_bias = -(rotation * dt);
-    times_transition(&mut state.covariance, &by_attitude, &by_bias, dt);
+    let by_clock = [rotation * (to.force - from.force), rotation * (to.rate - from.rate)];
+    times_transition(&mut state.covariance, &by_attitude, &by_bias, &by_clock, dt);
     state.covariance.transpose_mut();
-    times_transition(&mut state.covariance, &by_attitude, &by_bias, dt);
+    times_transition(&mut state.covariance, &by_attitude, &by_bias, &by_clock, dt);
     add_noise(&mut state.covariance, dt, process);
 }
 
+/// Moves the nominal state by `−seconds` along its own motion: the clock offset was corrected by `seconds`, so what was
+/// known at the camera's time belongs to an instant of the inertial unit's time that is later by as much.
+pub fn retime(state: &mut State, felt: &Felt, seconds: f64, gravity: f64) {
+    let force = state.attitude * (felt.force - state.accelerometer_bias);
+    let rate = state.attitude * (felt.rate - state.gyroscope_bias);
+    let acceleration = Vector3::new(force.x, force.y, force.z - gravity);
+    state.position -= state.velocity * seconds;
+    state.velocity -= acceleration * seconds;
+    state.attitude = UnitQuaternion::from_scaled_axis(rate * -seconds) * state.attitude;
+    state.climber -= state.climber_rate * seconds;
+    state.climber_rate -= state.climber_acceleration * seconds;
+}
+
 /// `P ← P Fᵀ`, by columns.
-fn times_transition(p: &mut Covariance, by_attitude: &Matrix3<f64>, by_bias: &Matrix3<f64>, dt: f64) {
+fn times_transition(p: &mut Covariance, by_attitude: &Matrix3<f64>, by_bias: &Matrix3<f64>, by_clock: &[Vector3<f64>; 2], dt: f64) {
     // One column at a time as plain arrays: the compiler vectorises these loops.
     let columns = p.as_mut_slice();
     let (body, climber) = columns.split_at_mut(CLIMBER * N);
@@ -82,6 +102,8 @@ fn times_transition(p: &mut Covariance, by_attitude: &Matrix3<f64>, by_bias: &Ma
     let (velocity, rest) = rest.split_at_mut((ATTITUDE - VELOCITY) * N);
     let (attitude, biases) = rest.split_at_mut((ACCELEROMETER - ATTITUDE) * N);
     let (accelerometer, gyroscope) = biases.split_at_mut((GYROSCOPE - ACCELEROMETER) * N);
+    let clock_column = (CAMERA_CLOCK - CLIMBER) * N;
+    let (climber, clock) = climber.split_at_mut(clock_column);
     for axis in 0..3 {
         let at = axis * N..(axis + 1) * N;
         let (pc, vc) = (&mut position[at.clone()], &mut velocity[at.clone()]);
@@ -93,7 +115,8 @@ fn times_transition(p: &mut Covariance, by_attitude: &Matrix3<f64>, by_bias: &Ma
                 + a[2] * attitude[2 * N + i]
                 + b[0] * accelerometer[i]
                 + b[1] * accelerometer[N + i]
-                + b[2] * accelerometer[2 * N + i];
+                + b[2] * accelerometer[2 * N + i]
+                + by_clock[0][axis] * clock[i];
             pc[i] += dt * (vc[i] + 0.5 * change);
             vc[i] += change;
         }
@@ -102,7 +125,10 @@ fn times_transition(p: &mut Covariance, by_attitude: &Matrix3<f64>, by_bias: &Ma
         let ac = &mut attitude[axis * N..(axis + 1) * N];
         let b = [by_bias[(axis, 0)], by_bias[(axis, 1)], by_bias[(axis, 2)]];
         for i in 0..N {
-            ac[i] += b[0] * gyroscope[i] + b[1] * gyroscope[N + i] + b[2] * gyroscope[2 * N + i];
+            ac[i] += b[0] * gyroscope[i]
+                + b[1] * gyroscope[N + i]
+                + b[2] * gyroscope[2 * N + i]
+                + by_clock[1][axis] * clock[i];
         }
     }
     let (place, rest) = climber.split_at_mut((CLIMBER_RATE - CLIMBER) * N);
@@ -140,8 +166,8 @@ fn add_noise(p: &mut Covariance, dt: f64, process: &Process) {
         add(r, a, q * dt2 / 2.0);
         add(a, a, q * dt);
     }
-    p[(CAMERA_CLOCK, CAMERA_CLOCK)] += process.clock * dt;
-    p[(CLIMBER_CLOCK, CLIMBER_CLOCK)] += process.clock * dt;
+    p[(CAMERA_CLOCK, CAMERA_CLOCK)] += process.clocks[0] * dt;
+    p[(CLIMBER_CLOCK, CLIMBER_CLOCK)] += process.clocks[1] * dt;
 }
 
 #[cfg(test)]
@@ -165,7 +191,7 @@ mod tests {
             accelerometer_bias: 0.0,
             gyroscope_bias: 0.0,
             jerk: Vector3::zeros(),
-            clock: 0.0,
+            clocks: [0.0; 2],
         };
         (s, felt, process)
     }
@@ -175,7 +201,7 @@ mod tests {
         let (start, felt, process) = example();
         let dt = 0.01;
         let mut end = start.clone();
-        propagate(&mut end, &felt, dt, &process);
+        propagate(&mut end, &felt, &felt, dt, &process);
         let h = 1e-6;
         let mut jacobian = Covariance::zeros();
         for i in 0..N {
@@ -184,7 +210,7 @@ mod tests {
                 let mut e = Error::zeros();
                 e[i] = sign * h;
                 s.add(&e);
-                propagate(&mut s, &felt, dt, &process);
+                propagate(&mut s, &felt, &felt, dt, &process);
                 s.minus(&end)
             };
             jacobian.set_column(i, &((moved(1.0) - moved(-1.0)) / (2.0 * h)));
@@ -193,7 +219,7 @@ mod tests {
         let p0 = seed * seed.transpose() + Covariance::identity();
         let mut s = start.clone();
         s.covariance = p0;
-        propagate(&mut s, &felt, dt, &process);
+        propagate(&mut s, &felt, &felt, dt, &process);
         let expected = jacobian * p0 * jacobian.transpose();
         // First order in dt: the terms that are left out are those of δb_g on δv (dt²).
         assert!((s.covariance - expected).norm() / expected.norm() < 5e-4);

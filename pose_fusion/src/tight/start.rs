@@ -9,7 +9,7 @@ use super::{
     markers::{Gates, Report, Sighting, scalar_update, update},
     state::{
         ACCELEROMETER, ATTITUDE, CAMERA_CLOCK, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_CLOCK, CLIMBER_RATE,
-        ENCODER, GYROSCOPE, POSITION, State, VELOCITY,
+        GYROSCOPE, POSITION, State, VELOCITY,
     },
 };
 use crate::config::TightConfig;
@@ -82,7 +82,6 @@ pub fn hypotheses(
         state.climber = climber.values;
         state.climber_rate = climber.rates;
         state.camera_clock = sighting.clock;
-        state.climber_clock = sighting.clock;
         // A prior so wide that the image decides, centred on its own solution so that nothing bends.
         state.set_variance(POSITION, &Vector3::repeat(2.0));
         state.set_variance(VELOCITY, &Vector3::repeat(config.initial_velocity));
@@ -92,7 +91,6 @@ pub fn hypotheses(
         state.set_variance(CLIMBER, &climber.sigma);
         state.set_variance(CLIMBER_RATE, &climber.rate_sigma);
         state.set_variance(CLIMBER_ACCELERATION, &Vector3::new(0.5, 0.5, 0.3));
-        state.set_variance(ENCODER, &Vector3::new(1e-3, 1e-3, 1e-3));
         set_clocks(&mut state, config);
         if let Some(up) = up {
             // up = R u: its x and y in the world are zero; ∂(R u)/∂δθ = −[R u]×.
@@ -105,7 +103,7 @@ pub fn hypotheses(
             state.attitude = world_from_imu.rotation;
             state.position = world_from_imu.translation.vector;
         }
-        let open = Gates { marker: f64::INFINITY, joint: f64::INFINITY };
+        let open = Gates { marker: f64::INFINITY, joint: f64::INFINITY, gravity: config.gravity };
         let report = update(&mut state, geometry, sighting, &open, false);
         // Prior and image together have their minimum at the candidate; the update above centred the prior there.
         state.attitude = world_from_imu.rotation;
@@ -115,14 +113,10 @@ pub fn hypotheses(
     starts
 }
 
-/// The clocks as unknown as the configuration says: camera and climber share most of it.
+/// The clocks as unknown as the configuration says.
 pub fn set_clocks(state: &mut State, config: &TightConfig) {
-    let camera = config.camera_clock * config.camera_clock;
-    let between = config.climber_clock * config.climber_clock;
-    state.set_variance_of(CAMERA_CLOCK, camera);
-    state.set_variance_of(CLIMBER_CLOCK, camera + between);
-    state.covariance[(CAMERA_CLOCK, CLIMBER_CLOCK)] = camera;
-    state.covariance[(CLIMBER_CLOCK, CAMERA_CLOCK)] = camera;
+    state.set_variance_of(CAMERA_CLOCK, config.camera_clock * config.camera_clock);
+    state.set_variance_of(CLIMBER_CLOCK, config.climber_clock * config.climber_clock);
 }
 
 /// The world's up from an attitude of the unit.

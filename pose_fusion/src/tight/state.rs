@@ -10,9 +10,14 @@
 //! | 15–17 | δc | m, m, rad | x, y and turn of the climber |
 //! | 18–20 | δċ | per s | their rates |
 //! | 21–23 | δc̈ | per s² | their accelerations |
-//! | 24–26 | δe | m, m, rad | what the encoders' last reading was off (quantisation and noise) |
-//! | 27 | δτ_c | s | camera clock: an image stamped t was taken at t + τ_c of the inertial unit's clock |
-//! | 28 | δτ_e | s | climber clock, likewise |
+//! | 24 | δτ_c | s | camera clock: an image stamped t was taken at t + τ_c of the inertial unit's clock |
+//! | 25 | δd | s | climber clock: a reading stamped t was taken at t + τ_c + d |
+//!
+//! **Which instant.** The nominal state lives on the inertial unit's clock, its error on the camera's: δp compares the truth and
+//! the estimate at the instant that a camera's stamp names, wherever that is on the inertial unit's clock. The clock
+//! offset then drops out of the images' equations and enters with the inertial samples, whose changes are measured; the other
+//! way round it is multiplied by the velocity, which nobody knows at the start, and an extended Kalman filter makes up
+//! information from that product. The error at the inertial unit's time, which is the one published, is `δx − ẋ δτ_c`.
 //!
 //! The attitude's error is on the world's side because that is what ROS' pose covariance means, and because the error
 //! dynamics are then free of the rate of turn (Solà, "Quaternion kinematics for the error-state Kalman filter",
@@ -21,7 +26,7 @@
 use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
 
 /// Dimension of the error.
-pub const N: usize = 29;
+pub const N: usize = 26;
 /// First index of the position.
 pub const POSITION: usize = 0;
 /// First index of the velocity.
@@ -38,12 +43,10 @@ pub const CLIMBER: usize = 15;
 pub const CLIMBER_RATE: usize = 18;
 /// First index of their accelerations.
 pub const CLIMBER_ACCELERATION: usize = 21;
-/// First index of the encoders' error.
-pub const ENCODER: usize = 24;
 /// Index of the camera's clock.
-pub const CAMERA_CLOCK: usize = 27;
+pub const CAMERA_CLOCK: usize = 24;
 /// Index of the climber's clock.
-pub const CLIMBER_CLOCK: usize = 28;
+pub const CLIMBER_CLOCK: usize = 25;
 
 /// Covariance of the error.
 pub type Covariance = SMatrix<f64, N, N>;
@@ -69,8 +72,6 @@ pub struct State {
     pub climber_rate: Vector3<f64>,
     /// Their accelerations.
     pub climber_acceleration: Vector3<f64>,
-    /// The encoders' last reading minus the climber.
-    pub encoder_error: Vector3<f64>,
     /// Camera clock offset τ_c, s.
     pub camera_clock: f64,
     /// Climber clock offset τ_e, s.
@@ -91,7 +92,6 @@ impl State {
             climber: Vector3::zeros(),
             climber_rate: Vector3::zeros(),
             climber_acceleration: Vector3::zeros(),
-            encoder_error: Vector3::zeros(),
             camera_clock: 0.0,
             climber_clock: 0.0,
             covariance: Covariance::zeros(),
@@ -110,7 +110,6 @@ impl State {
         self.climber += three(CLIMBER);
         self.climber_rate += three(CLIMBER_RATE);
         self.climber_acceleration += three(CLIMBER_ACCELERATION);
-        self.encoder_error += three(ENCODER);
         self.camera_clock += error[CAMERA_CLOCK];
         self.climber_clock += error[CLIMBER_CLOCK];
     }
@@ -127,7 +126,6 @@ impl State {
         put(CLIMBER, self.climber - other.climber);
         put(CLIMBER_RATE, self.climber_rate - other.climber_rate);
         put(CLIMBER_ACCELERATION, self.climber_acceleration - other.climber_acceleration);
-        put(ENCODER, self.encoder_error - other.encoder_error);
         e[CAMERA_CLOCK] = self.camera_clock - other.camera_clock;
         e[CLIMBER_CLOCK] = self.climber_clock - other.climber_clock;
         e

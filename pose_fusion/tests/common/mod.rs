@@ -7,3 +7,7 @@ pub mod rig {
     pub mod motion;
     pub mod random;
 }
+
+pub mod bags;
+pub mod scoring;
+pub mod simulated;

@@ -1,0 +1,51 @@
+//! The simulated rig as inputs of the filter, with its truth.
+
+use super::rig::{
+    inertial::{Message, SensorConfig, Sensors},
+    motion::{Motion, MotionConfig},
+};
+use super::scoring::Truth;
+use pose_fusion::Input;
+use rig_model::{CameraModel, Distortion, Rig, Stamp};
+
+pub fn rig() -> Rig {
+    Rig::from_yaml(include_str!("../../../test/src/rig/rig.yaml")).unwrap()
+}
+
+pub fn camera() -> CameraModel {
+    let lens = Distortion::PlumbBob([-0.229544, 0.08209, 0.00069, -0.000372, -0.006257]);
+    CameraModel::new(640, 480, [591.3, 589.7, 319.3, 235.2], lens).unwrap()
+}
+
+pub struct Run {
+    pub motion: Motion,
+    pub inputs: Vec<(Stamp, Input)>,
+    pub truth: Vec<Truth>,
+}
+
+pub fn run(motion: MotionConfig, sensors: &SensorConfig) -> Run {
+    let motion = Motion::new(motion);
+    let (rig, camera) = (rig(), camera());
+    let recording = Sensors::new(&motion, &rig, &camera, sensors).record();
+    let mut inputs = vec![(sensors.epoch, Input::Camera(camera))];
+    inputs.extend(recording.into_iter().map(|(at, message)| {
+        let input = match message {
+            Message::Imu(s) => Input::Imu(s),
+            Message::Markers(s) => Input::Markers(s),
+            Message::Climber(s) => Input::Climber(s),
+        };
+        (at, input)
+    }));
+    let count = (motion.duration() * 200.0) as i64;
+    let truth = (-10..count + 10)
+        .map(|i| {
+            let k = motion.kinematics(i as f64 * 0.005);
+            Truth {
+                stamp: sensors.epoch.plus_seconds(i as f64 * 0.005),
+                velocity: k.world_from_volant.rotation.inverse() * k.velocity,
+                pose: k.world_from_volant,
+            }
+        })
+        .collect();
+    Run { motion, inputs, truth }
+}
