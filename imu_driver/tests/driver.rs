@@ -330,7 +330,7 @@ fn a_newer_unit_is_set_up_by_its_output_configuration() {
     let driver = DriverConfig { temperature: true, status: true, ..DriverConfig::default() };
     let mut bench = Bench::new(driver.clone(), unit);
     bench.run(3.0);
-    assert_eq!(bench.unit.config().outputs, Some(driver.outputs()));
+    assert_eq!(bench.unit.config().outputs, Some(driver.outputs()), "{:?}", bench.events);
     assert!(bench.driver.is_measuring(), "{:?}", bench.events);
     assert!(bench.samples.last().unwrap().status.unwrap().self_test_passed());
     // SampleTimeFine has ticks of 0.1 ms.

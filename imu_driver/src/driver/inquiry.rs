@@ -15,7 +15,9 @@ use std::collections::VecDeque;
 
 const REPLY_TIMEOUT: f64 = 0.5;
 const ATTEMPTS: u32 = 6;
-const ATTEMPTS_IF_OPTIONAL: u32 = 2;
+const ATTEMPTS_IF_OPTIONAL: u32 = 3;
+/// A request that was not answered by now is not answered any more, s.
+const FORGOTTEN: f64 = 5.0;
 
 #[derive(Debug)]
 pub(super) struct Inquiry {
@@ -25,10 +27,49 @@ pub(super) struct Inquiry {
     /// Settings still to be written.
     to_set: VecDeque<Request>,
     read_back: bool,
-    /// Error replies that may still come, to attempts of a request that is over.
-    stray_errors: u32,
+    /// What was sent and not answered yet, oldest first: a unit answers in order. So a late reply, and above all an
+    /// error, which does not say what it is about, is told from the one that is waited for.
+    in_flight: VecDeque<InFlight>,
+    /// Number of the request.
+    number: u32,
     /// Wrote at least one setting.
     changed: bool,
+    /// The unit is the one from before: what cannot have changed is not asked again.
+    known: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct InFlight {
+    message: MessageId,
+    number: u32,
+    sent_at: f64,
+}
+
+impl Inquiry {
+    fn send(&mut self, now: f64) {
+        self.sent_at = now;
+        self.in_flight.retain(|r| now - r.sent_at < FORGOTTEN);
+        self.in_flight.push_back(InFlight {
+            message: self.request.message,
+            number: self.number,
+            sent_at: now,
+        });
+    }
+
+    /// Whether an acknowledgement answers the request that is waited for.
+    fn is_current(&mut self, ack: MessageId) -> bool {
+        let Some(position) = self.in_flight.iter().position(|r| r.message.ack() == ack) else {
+            return false;
+        };
+        // What was sent before it was swallowed.
+        self.in_flight.drain(..position);
+        self.in_flight.pop_front().is_some_and(|r| r.number == self.number)
+    }
+
+    /// Whether an error answers it.
+    fn is_current_error(&mut self) -> bool {
+        self.in_flight.pop_front().is_some_and(|r| r.number == self.number)
+    }
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -63,13 +104,15 @@ impl Driver {
         self.phase = Phase::Asking(Inquiry {
             request: request.clone(),
             sent_at: self.now,
-            attempts: 1,
+            attempts: 0,
             to_set: VecDeque::new(),
             read_back: false,
-            stray_errors: 0,
+            in_flight: VecDeque::new(),
+            number: 0,
             changed: false,
+            known: false,
         });
-        self.write(request.message, &request.data);
+        self.send_request(request);
     }
 
     pub(super) fn tick_inquiry(&mut self) {
@@ -84,7 +127,7 @@ impl Driver {
         let request = inquiry.request.clone();
         if inquiry.attempts < limit {
             inquiry.attempts += 1;
-            inquiry.sent_at = now;
+            inquiry.send(now);
             self.write(request.message, &request.data);
         } else if request.is_optional() {
             self.proceed(&request);
@@ -99,17 +142,16 @@ impl Driver {
             return;
         };
         let request = inquiry.request.clone();
-        if frame.message == request.message.ack() {
-            inquiry.stray_errors = 0;
-            self.accept(&request, frame.data);
-        } else if frame.message == MessageId::ERROR {
-            if inquiry.stray_errors > 0 {
-                inquiry.stray_errors -= 1;
-                return;
+        if frame.message == MessageId::ERROR {
+            if inquiry.is_current_error() {
+                let error = DeviceError(frame.data.first().copied().unwrap_or_default());
+                self.refused(&request, error);
             }
-            inquiry.stray_errors = inquiry.attempts - 1;
-            let error = DeviceError(frame.data.first().copied().unwrap_or_default());
-            self.refused(&request, error);
+        } else if inquiry.is_current(frame.message) {
+            self.accept(&request, frame.data);
+        } else if frame.message == MessageId::REQ_PRODUCT_CODE.ack() {
+            // Late, but as good as ever.
+            self.identity.product_code = text_from_data(frame.data);
         } else if frame.message.is_data() && request.message == MessageId::GO_TO_MEASUREMENT {
             // In the config state nothing streams: the acknowledgement was lost, the unit measures.
             self.begin_measuring();
@@ -142,6 +184,10 @@ impl Driver {
                     self.identity = Identity { device_id, ..Identity::default() };
                 }
                 self.identity.baud = self.baud();
+                let known = self.identity.configuration.is_some() || self.identity.outputs.is_some();
+                if let Phase::Asking(inquiry) = &mut self.phase {
+                    inquiry.known = known;
+                }
             }
             MessageId::REQ_PRODUCT_CODE => self.identity.product_code = text_from_data(data),
             MessageId::REQ_FIRMWARE => {
@@ -174,10 +220,10 @@ impl Driver {
 
     /// The request is done, one way or the other: the next one.
     fn proceed(&mut self, done: &Request) {
-        let known = !self.identity.product_code.is_empty();
         let Phase::Asking(inquiry) = &mut self.phase else {
             return;
         };
+        let known = inquiry.known;
         let next = if inquiry.read_back {
             match done.message {
                 MessageId::REQ_CONFIGURATION if self.identity.outputs.is_some() => {
@@ -233,8 +279,9 @@ impl Driver {
         let now = self.now;
         if let Phase::Asking(inquiry) = &mut self.phase {
             inquiry.request = request.clone();
-            inquiry.sent_at = now;
+            inquiry.number += 1;
             inquiry.attempts = 1;
+            inquiry.send(now);
             self.write(request.message, &request.data);
         }
     }
