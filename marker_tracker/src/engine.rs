@@ -59,10 +59,9 @@ pub(crate) struct Engine {
     excess: [f64; 2],
 }
 
-/// Half-width that is integrated across an edge, px: while it is sought, and once it is known to a fraction of a pixel. The
-/// narrower the less noise; blur that reaches beyond is the same on both sides.
+/// Half-width that is integrated across an edge while it is sought, px. Once it is known to a fraction of a pixel only its
+/// blur's width is: the narrower the less noise.
 const COARSE: f64 = 4.5;
-const FINE: f64 = 2.0;
 
 /// Largest turn of a square in its plane that counts as "a few degrees", rad.
 const MAX_TURN: f64 = 0.35;
@@ -212,29 +211,22 @@ impl Engine {
             let quad = quad.shifted(self.markers[color].flow * ratio);
             let first = self.measure(image, color, &quad, COARSE, 1.0, 3.0, 0.06).filter(is_whole);
             whole[color.index()] = match first {
-                Some(f) => self.measure(image, color, &f.quad, FINE, 0.5, 3.0, 0.03).filter(is_whole),
+                Some(f) => {
+                    let fine = half_width_for(&f);
+                    self.measure(image, color, &f.quad, fine, 0.5, 3.0, 0.03).filter(is_whole)
+                }
                 None => self.search(image, color, &quad),
             };
         }
-        self.drop_contradictions(camera, &pose, &mut whole);
-        let sights: Vec<Sight> = MarkerColor::ALL
-            .into_iter()
-            .filter_map(|color| whole[color.index()].map(|f| self.sight(color, &f)))
-            .collect();
-        let prior = PosePrior { camera_from_volant: pose, position_sigma: 0.1, rotation_sigma: 0.1 };
-        let mut now = pose;
-        if !sights.is_empty() {
-            if let Some((refined, _)) = refine(&self.layout, camera, &sights, &pose, Some(&prior), 8) {
-                now = refined;
-            }
-        }
+        let known = self.known_camera(image);
+        let now = self.agree(camera, &pose, known, &mut whole);
         // What is covered in part, or was not where it was sought: again, from the pose that the others tell.
-        let mut detected = sights.len();
-        let trust = match sights.len() {
+        let mut detected = whole.iter().flatten().count();
+        let trust = match detected {
             0 => None,
             1 => Some((3.0, 0.4)),
             2 => Some((2.0, 0.25)),
-            _ => Some((0.8, 0.15)),
+            _ => Some((0.8, 0.1)),
         };
         for color in MarkerColor::ALL {
             if let Some(f) = whole[color.index()] {
@@ -257,7 +249,7 @@ impl Engine {
             }
         }
         self.learn(image, camera, &now);
-        if self.known_camera(image) {
+        if known {
             self.learn_noise(camera, &now);
         }
         self.pose = Some(now);
@@ -305,7 +297,7 @@ impl Engine {
         } else {
             self.measure(image, color, &quad, COARSE, 1.0, 3.0, 0.08)
                 .filter(is_whole)
-                .and_then(|f| self.measure(image, color, &f.quad, FINE, 0.5, 3.0, 0.03))
+                .and_then(|f| self.measure(image, color, &f.quad, half_width_for(&f), 0.5, 3.0, 0.03))
                 .filter(is_whole)
         };
         if unknown && result.is_none() {
@@ -334,18 +326,20 @@ impl Engine {
             .min_by(|a, b| (a.centroid - place).norm().total_cmp(&(b.centroid - place).norm()))?;
         let quad = quad.shifted(blob.centroid - place);
         let first = self.measure(image, color, &quad, COARSE, 1.0, 3.0, 0.06).filter(is_whole)?;
-        self.measure(image, color, &first.quad, FINE, 0.5, 3.0, 0.03).filter(is_whole)
+        self.measure(image, color, &first.quad, half_width_for(&first), 0.5, 3.0, 0.03).filter(is_whole)
     }
 
-    /// Four centroids over-determine the pose by two, and each square has the area that the pose gives it: what does not
-    /// fit is not a marker.
-    fn drop_contradictions(
+    /// The pose that the whole outlines tell. Four centroids over-determine it by two, and each square has the widths that
+    /// the pose gives it: what does not fit is no marker, or a marker whose edge is hidden behind a straight thing.
+    fn agree(
         &mut self,
         camera: &CameraModel,
         pose: &Isometry3<f64>,
+        known_camera: bool,
         whole: &mut [Option<QuadFit>; 4],
-    ) {
-        let tolerance = if self.camera.is_some() { 0.6 } else { 3.0 };
+    ) -> Isometry3<f64> {
+        let tolerance = if known_camera { 0.6 } else { 3.0 };
+        let prior = PosePrior { camera_from_volant: *pose, position_sigma: 0.1, rotation_sigma: 0.1 };
         loop {
             let mut sights =
                 [Sight { color: MarkerColor::Red, pixel: Vector2::zeros(), sigma: 0.1, outline: None }; 4];
@@ -356,53 +350,68 @@ impl Engine {
                     n += 1;
                 }
             }
-            if n < 3 {
-                return;
-            }
             let sights = &sights[..n];
-            let prior = PosePrior { camera_from_volant: *pose, position_sigma: 0.1, rotation_sigma: 0.1 };
+            if n == 0 {
+                return *pose;
+            }
             let Some((now, rms)) = refine(&self.layout, camera, sights, pose, Some(&prior), 8) else {
-                return;
+                return *pose;
             };
-            // Areas, against the common bias of all edges.
-            let mut ratios = [0.0; 4];
-            for (r, s) in ratios.iter_mut().zip(sights) {
+            if n < 2 {
+                return now;
+            }
+            // The width that is most off, in units of what it may be off.
+            let (mut worst, mut culprit) = (0.0, None);
+            for s in sights {
+                let m = &self.markers[s.color];
                 let Some(f) = whole[s.color.index()] else { continue };
-                let Some(p) = self.layout.projected_centroid(s.color, camera, &now) else { continue };
-                *r = f.area.sqrt() - p.area.sqrt() - 2.0 * self.markers[s.color].edge_bias.0;
-            }
-            let worst_area = (0..n).max_by(|&a, &b| ratios[a].abs().total_cmp(&ratios[b].abs()));
-            let Some(worst_area) = worst_area else { return };
-            let side = whole[sights[worst_area].color.index()].map_or(1.0, |f| f.area.sqrt());
-            let area_off = ratios[worst_area].abs() > 1.0 + 0.05 * side;
-            if rms < tolerance && !area_off {
-                return;
-            }
-            // Whose displacement differs most from the others'.
-            let moved: Vec<(usize, Vector2<f64>)> = sights
-                .iter()
-                .filter_map(|s| {
-                    let m = &self.markers[s.color];
-                    Some((s.color.index(), s.pixel - m.centroid? - m.flow))
-                })
-                .collect();
-            let odd = if area_off {
-                Some(sights[worst_area].color.index())
-            } else {
-                let distance = |a: &Vector2<f64>| {
-                    let mut d: Vec<f64> = moved.iter().map(|(_, b)| (a - b).norm()).collect();
-                    d.sort_by(f64::total_cmp);
-                    d.get(d.len() / 2).copied().unwrap_or(0.0)
+                let Some(expected) = project_square(&self.layout, s.color, m.turn.0, camera, &now) else { continue };
+                let side = f.area.sqrt();
+                let allowed = match (known_camera, m.edge_bias.1 > 3, n) {
+                    (true, true, 4) => 0.35 + 0.005 * side,
+                    (true, true, 3) => 0.5 + 0.01 * side,
+                    (true, ..) => 1.0 + 0.05 * side,
+                    (false, ..) => 1.5 + 0.15 * side,
                 };
-                moved.iter().max_by(|a, b| distance(&a.1).total_cmp(&distance(&b.1))).map(|(i, _)| *i)
-            };
-            match odd {
-                Some(i) => {
-                    whole[i] = None;
-                    self.markers.0[i].reason = "contradicts the other markers' geometry";
+                for (measured, predicted) in f.quad.widths().iter().zip(expected.widths()) {
+                    let off = (measured - predicted - 2.0 * m.edge_bias.0).abs() / allowed;
+                    if off > worst {
+                        (worst, culprit) = (off, Some(s.color));
+                    }
                 }
-                None => return,
             }
+            let inconsistent = rms > tolerance && n > 2;
+            if worst < 1.0 && !inconsistent {
+                return now;
+            }
+            // Where widths are right, the one whose displacement differs most from the others'.
+            if worst < 1.0 {
+                let moved = |c: MarkerColor| {
+                    let m = &self.markers[c];
+                    whole[c.index()].and_then(|f| Some(f.centroid - m.centroid? - m.flow))
+                };
+                let strangeness = |c: MarkerColor| {
+                    let own = moved(c)?;
+                    let mut distances = [f64::INFINITY; 4];
+                    let mut k = 0;
+                    for other in MarkerColor::ALL.into_iter().filter(|o| *o != c) {
+                        if let Some(v) = moved(other) {
+                            distances[k] = (v - own).norm();
+                            k += 1;
+                        }
+                    }
+                    distances[..k].sort_unstable_by(f64::total_cmp);
+                    distances[..k].get(k / 2).copied()
+                };
+                culprit = sights
+                    .iter()
+                    .filter_map(|s| Some((s.color, strangeness(s.color)?)))
+                    .max_by(|a, b| a.1.total_cmp(&b.1))
+                    .map(|(c, _)| c);
+            }
+            let Some(culprit) = culprit else { return now };
+            whole[culprit.index()] = None;
+            self.markers[culprit].reason = "contradicts the other markers' geometry";
         }
     }
 
@@ -751,6 +760,12 @@ fn same_place(a: &PerColor<Option<Vector2<f64>>>, b: &PerColor<Option<Vector2<f6
         (Some(a), Some(b)) => (a - b).norm() < 3.0,
         _ => true,
     })
+}
+
+/// The half-width across the edges that holds their blur.
+fn half_width_for(f: &QuadFit) -> f64 {
+    let widest = f.edges.iter().flatten().map(|e| e.blur).fold(0.0, f64::max);
+    (0.8 + 2.5 * widest).clamp(1.5, COARSE)
 }
 
 /// All four edges were seen along most of their length.

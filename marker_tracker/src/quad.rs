@@ -45,6 +45,17 @@ impl Quad {
         ]
     }
 
+    /// Distances between the middles of opposite edges, across them, px.
+    pub fn widths(&self) -> [f64; 2] {
+        [0, 1].map(|i| {
+            let middle = |k: usize| (self.0[k % 4] + self.0[(k + 1) % 4]) / 2.0;
+            let (a, b) = (middle(i), middle(i + 2));
+            let edge = (self.0[(i + 1) % 4] - self.0[i]) - (self.0[(i + 3) % 4] - self.0[(i + 2) % 4]);
+            let length = edge.norm().max(1e-9);
+            ((b - a).x * edge.y - (b - a).y * edge.x).abs() / length
+        })
+    }
+
     /// Whole columns inside on a row, from (included) to (excluded); `None` where there is none.
     fn span(&self, y: f64) -> Option<(i32, i32)> {
         let (mut from, mut to) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -81,8 +92,8 @@ pub(crate) struct EdgeFit {
     pub support: f64,
     /// Number of rows that did.
     pub rows: usize,
-    /// RMS of their residuals, px.
-    pub rms: f64,
+    /// ∫ c·(1 − c) across the edge, px: a sixth of the width of a motion blur, 0.56 σ of a Gaussian one.
+    pub blur: f64,
     /// Correlation of the residuals of rows that are k apart, summed up: Σ rᵢ², Σ rᵢrᵢ₊₁ … Σ rᵢrᵢ₊ₖ.
     pub lag: [f64; LAGS],
 }
@@ -130,8 +141,8 @@ pub(crate) struct ShapePrior {
 
 /// Pixels along an edge that a corner's blur spoils.
 const CORNER: f64 = 2.0;
-/// Width of the band in which the level outside is measured, px.
-const OUTSIDE: f64 = 3.0;
+/// Width of the band in which the level outside is measured, in parts of the square's, from 1 to 3 px.
+const OUTSIDE: f64 = 0.1;
 /// Over how many rows the residuals' correlation is measured, and the residuals themselves as lag 0.
 pub(crate) const LAGS: usize = 2;
 /// Most rows of one edge that are used; longer edges are sampled evenly.
@@ -269,7 +280,7 @@ pub(crate) fn fit(
     if signed_area.abs() < 9.0 {
         return None;
     }
-    let half_width = prior.half_width.min(predicted.thickness() * 0.35);
+    let half_width = prior.half_width.min(predicted.thickness() * 0.25).max(1.0);
     let interior = Interior::measure(window, predicted, half_width)?;
     let mut edges: [Option<EdgeFit>; 4] = [None; 4];
     let mut outside_levels = [0.0; 4];
@@ -303,12 +314,16 @@ fn fit_edge(
     let tangent = (q - p) / length;
     let middle = (p + q) / 2.0;
     let mut normal = Vector2::new(tangent.y, -tangent.x);
+    let centre_distance = normal.dot(&(middle - centre)).abs();
     if normal.dot(&(middle - centre)) < 0.0 {
         normal = -normal;
     }
     // Along which axis the edge is crossed: k = 0 walks along x on rows, k = 1 along y on columns.
     let k = usize::from(normal.x.abs() < normal.y.abs());
     let (steep, sign) = (normal[k].abs(), normal[k].signum());
+    // What surrounds a marker ends where the platform does, and small squares have it close by.
+    let width = centre_distance * 2.0;
+    let half_width = half_width.min(0.2 * width).max(1.0);
     let half = half_width / steep;
     let (from, to) = (p[1 - k].min(q[1 - k]), p[1 - k].max(q[1 - k]));
     // Walking inward shifts the place along the edge, and must not run over the neighbouring edge.
@@ -319,7 +334,7 @@ fn fit_edge(
     let last = to.floor() as i32;
     let usable = ((last - first + 1).max(0)) as usize;
     let stride = usable.div_ceil(MAX_ROWS).max(1);
-    let outside_count = (OUTSIDE / steep).ceil() as i32;
+    let outside_count = ((OUTSIDE * width).clamp(1.0, 3.0) / steep).ceil() as i32;
     let mut rows = [Row::default(); MAX_ROWS];
     let (mut count, mut possible) = (0usize, 0usize);
     let step = sign as i32;
@@ -394,7 +409,7 @@ fn fit_edge(
     let (level, tilt) =
         (outside_median + ((stt + 2.0 * n * n) * so - st * sto) / det, (n * sto - st * so) / det);
     // Sum the scaled signal along each row.
-    let mut kept = 0usize;
+    let (mut kept, mut blur) = (0usize, 0.0);
     for index in 0..count {
         let r = rows[index];
         let outside_here = level + tilt * r.along;
@@ -413,7 +428,7 @@ fn fit_edge(
         }
         // Shading relative to the crossing; the outside shares it.
         let shading = interior.gradient[k] / interior.level.abs().max(0.3);
-        let mut sum = 0.0;
+        let (mut sum, mut mixed) = (0.0, 0.0);
         let mut complete = true;
         let steps = (end - start).abs();
         for j in 0..=steps {
@@ -423,7 +438,9 @@ fn fit_edge(
                 break;
             };
             let local = 1.0 + shading * (f64::from(i) - crossing);
-            sum += (f64::from(v) / local.max(0.5) - outside_here) / difference;
+            let c = (f64::from(v) / local.max(0.5) - outside_here) / difference;
+            sum += c;
+            mixed += c * (1.0 - c);
         }
         if !complete {
             continue;
@@ -433,10 +450,12 @@ fn fit_edge(
         if across.abs() < half_width {
             rows[kept] = Row { along: r.along, across, outside: r.outside };
             kept += 1;
+            blur += mixed * steep;
         }
     }
     let rows = &rows[..kept];
     let mut edge = line_through(rows, possible, length, prior)?;
+    edge.blur = (blur / rows.len().max(1) as f64).max(0.0);
     // What the outside level is uncertain by moves the whole edge: by the half-width's share of it.
     let pixels = n * f64::from(outside_count);
     let contrast = (interior.level - level).max(min_contrast);
@@ -522,7 +541,7 @@ fn line_through(rows: &[Row], possible: usize, length: f64, prior: &ShapePrior) 
             covariance,
             support,
             rows: count,
-            rms: (square / count.max(1) as f64).sqrt(),
+            blur: 0.0,
             lag,
         });
     }
