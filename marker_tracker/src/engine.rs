@@ -4,9 +4,10 @@ use crate::{
     acquire::{Hypothesis, Strictness, hypotheses},
     blob::{ScanConfig, Scanner, classify, mean_rgb},
     config::TrackerConfig,
+    flow::Outline,
     geometry::{PosePrior, Sight, guessed_camera, project_square, refine},
     image::ImageView,
-    model::Appearance,
+    model::{Appearance, HueHistogram},
     quad::{LAGS, Quad, QuadFit, ShapePrior, fit},
     signal::Window,
 };
@@ -33,6 +34,7 @@ pub(crate) struct Memory {
     /// Images since it was detected.
     occluded: Option<u16>,
     window: Window,
+    outline: Outline,
     /// The measurement in this image.
     pub fit: Option<QuadFit>,
     reason: &'static str,
@@ -62,6 +64,11 @@ pub(crate) struct Engine {
 /// Half-width that is integrated across an edge while it is sought, px. Once it is known to a fraction of a pixel only its
 /// blur's width is: the narrower the less noise.
 const COARSE: f64 = 4.5;
+
+/// Pixels around a predicted outline that are looked at.
+const MARGIN: f64 = 12.0;
+/// Likeness (0 to 1) of the hue histograms from which on a thing can be the marker.
+const MIN_LIKENESS: f32 = 0.6;
 
 /// Largest turn of a square in its plane that counts as "a few degrees", rad.
 const MAX_TURN: f64 = 0.35;
@@ -170,6 +177,38 @@ impl Engine {
         self.correlation() * excess.clamp(0.6, 4.0)
     }
 
+    /// Fills a marker's window with its colour signal around an outline.
+    fn look(&mut self, image: &ImageView<'_>, color: MarkerColor, quad: &Quad, margin: f64) -> bool {
+        let memory = &mut self.markers[color];
+        let Some(appearance) = memory.appearance.as_ref() else { return false };
+        memory.window.fill(image, quad.bounds(margin), &appearance.discriminant);
+        true
+    }
+
+    /// Fits the outline in the window that was filled last.
+    fn fit_in_window(
+        &self,
+        color: MarkerColor,
+        quad: &Quad,
+        half_width: f64,
+        edge_sigma: f64,
+        place_sigma: f64,
+        slope_sigma: f64,
+    ) -> Option<QuadFit> {
+        let memory = &self.markers[color];
+        let prior = ShapePrior {
+            edge_bias: memory.edge_bias.0,
+            edge_sigma,
+            place_sigma,
+            slope_sigma,
+            correlation: self.correlation(),
+            inflation: self.inflation(),
+            half_width,
+        };
+        fit(&memory.window, quad, &prior, 0.45)
+    }
+
+    #[allow(clippy::too_many_arguments)]
     fn measure(
         &mut self,
         image: &ImageView<'_>,
@@ -180,20 +219,19 @@ impl Engine {
         place_sigma: f64,
         slope_sigma: f64,
     ) -> Option<QuadFit> {
-        let (correlation, inflation) = (self.correlation(), self.inflation());
-        let memory = &mut self.markers[color];
-        let appearance = memory.appearance.as_ref()?;
-        memory.window.fill(image, quad.bounds(1.6 * half_width + 5.0), &appearance.discriminant);
-        let prior = ShapePrior {
-            edge_bias: memory.edge_bias.0,
-            edge_sigma,
-            place_sigma,
-            slope_sigma,
-            correlation,
-            inflation,
-            half_width,
-        };
-        fit(&memory.window, quad, &prior, 0.45)
+        if !self.look(image, color, quad, 1.6 * half_width + 5.0) {
+            return None;
+        }
+        self.fit_in_window(color, quad, half_width, edge_sigma, place_sigma, slope_sigma)
+    }
+
+    /// Whether what is inside has the marker's hues, where that is asked.
+    fn hue_agrees(&self, image: &ImageView<'_>, color: MarkerColor, quad: &Quad) -> bool {
+        if !self.config.use_hue {
+            return true;
+        }
+        let Some(appearance) = self.markers[color].appearance.as_ref() else { return false };
+        HueHistogram::of(image, quad).is_some_and(|h| h.likeness(&appearance.hue) > MIN_LIKENESS)
     }
 
     /// Looks for each marker near where it should be; the number of those detected.
@@ -208,14 +246,27 @@ impl Engine {
             else {
                 continue;
             };
-            let quad = quad.shifted(self.markers[color].flow * ratio);
-            let first = self.measure(image, color, &quad, COARSE, 1.0, 3.0, 0.06).filter(is_whole);
-            whole[color.index()] = match first {
-                Some(f) => {
-                    let fine = half_width_for(&f);
-                    self.measure(image, color, &f.quad, fine, 0.5, 3.0, 0.03).filter(is_whole)
+            let expected = self.markers[color].flow * ratio;
+            let start = if self.config.use_flow { expected } else { Vector2::zeros() };
+            self.look(image, color, &quad.shifted(start), MARGIN);
+            let flow = if self.config.use_flow {
+                let m = &self.markers[color];
+                m.outline.displacement(&m.window, start).unwrap_or(start)
+            } else {
+                start
+            };
+            let moved = quad.shifted(flow);
+            let first = self.fit_in_window(color, &moved, COARSE, 1.0, 3.0, 0.06).filter(is_whole);
+            let fine = first.and_then(|f| {
+                self.fit_in_window(color, &f.quad, half_width_for(&f), 0.5, 3.0, 0.03).filter(is_whole)
+            });
+            let fine = fine.or_else(|| self.search(image, color, &moved));
+            whole[color.index()] = match fine {
+                Some(f) if !self.hue_agrees(image, color, &f.quad) => {
+                    self.markers[color].reason = "of another hue";
+                    None
                 }
-                None => self.search(image, color, &quad),
+                other => other,
             };
         }
         let known = self.known_camera(image);
@@ -670,6 +721,7 @@ impl Engine {
         let markers = PerColor::from_fn(|color| {
             let m = &mut self.markers[color];
             if let Some(f) = m.fit {
+                m.outline.remember(&m.window, &f.quad);
                 m.flow = flows[color.index()].unwrap_or(mean);
                 m.centroid = Some(f.centroid);
                 m.occluded = Some(0);
@@ -682,7 +734,9 @@ impl Engine {
                     area: f.area as f32,
                 };
             }
+            m.outline.clear();
             let (flow, spread) = match rigid[color] {
+                _ if !self.config.use_flow => (Vector2::zeros(), 2.0),
                 Some(flow) if (flow - mean).norm() < 4.0 * spread + 2.0 => {
                     (flow, if n >= 3.0 { 0.04 } else { 0.1 })
                 }

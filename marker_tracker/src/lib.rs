@@ -23,6 +23,7 @@ mod blob;
 mod config;
 mod decode;
 mod engine;
+mod flow;
 mod geometry;
 mod image;
 mod model;

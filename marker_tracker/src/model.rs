@@ -146,7 +146,22 @@ impl HueHistogram {
 
     /// Of the inside of an outline.
     pub fn of(image: &ImageView<'_>, quad: &Quad) -> Option<Self> {
-        sample(image, quad).map(|s| s.2)
+        const N: usize = 6;
+        let (_, centre) = quad.area_and_centroid();
+        let mut hue = Self::default();
+        let mut n = 0;
+        for i in 0..N {
+            for j in 0..N {
+                let p = bilinear(quad, i as f64 / (N - 1) as f64, j as f64 / (N - 1) as f64);
+                let p = centre + (p - centre) * 0.7;
+                if let Some(rgb) = rgb_at(image, p.x.round() as i32, p.y.round() as i32) {
+                    hue.add(rgb);
+                    n += 1;
+                }
+            }
+        }
+        hue.normalise();
+        (n > N).then_some(hue)
     }
 }
 
