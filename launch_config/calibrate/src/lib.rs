@@ -5,3 +5,4 @@
 
 pub mod camera;
 pub mod pictures;
+pub mod rig;

@@ -2,7 +2,10 @@
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
-use volant_calibrate::camera::command::{self as camera, CameraArguments};
+use volant_calibrate::{
+    camera::command::{self as camera, CameraArguments},
+    rig::command::{self as rig, RigArguments},
+};
 
 /// What must be measured once: the camera, the markers' colours, the rig.
 #[derive(Parser)]
@@ -16,11 +19,14 @@ struct Arguments {
 enum Command {
     /// The camera from pictures of a chessboard.
     Camera(CameraArguments),
+    /// Mountings and marker places from a recording of free motion.
+    Rig(RigArguments),
 }
 
 fn main() -> ExitCode {
     let done = match Arguments::parse().command {
         Command::Camera(arguments) => camera::run(&arguments),
+        Command::Rig(arguments) => rig::run(&arguments),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
