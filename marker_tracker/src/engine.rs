@@ -10,6 +10,7 @@ use crate::{
     model::{Appearance, HueHistogram},
     quad::{LAGS, Quad, QuadFit, ShapePrior, fit},
     signal::Window,
+    tracker::Mark,
 };
 use nalgebra::{Isometry3, Matrix2, Vector2};
 use rig_model::{
@@ -99,6 +100,24 @@ impl Engine {
     /// What became of a marker in the last image.
     pub fn reason(&self, color: MarkerColor) -> &'static str {
         self.markers[color].reason
+    }
+
+    /// What a debug picture shows of a marker.
+    pub fn mark(&self, color: MarkerColor) -> Mark {
+        let m = &self.markers[color];
+        let w = &m.window;
+        let state = match (m.fit, m.centroid) {
+            (Some(_), _) => MarkerState::Detected,
+            (None, Some(_)) => MarkerState::Predicted,
+            (None, None) => MarkerState::Lost,
+        };
+        Mark {
+            window: [w.x0, w.y0, w.x0 + w.width, w.y0 + w.height],
+            outline: m.fit.map(|f| f.quad.0),
+            centroid: m.centroid.unwrap_or(Vector2::repeat(f64::NAN)),
+            flow: m.flow,
+            state,
+        }
     }
 
     pub fn set_camera(&mut self, camera: CameraModel) {
@@ -416,7 +435,9 @@ impl Engine {
             for s in sights {
                 let m = &self.markers[s.color];
                 let Some(f) = whole[s.color.index()] else { continue };
-                let Some(expected) = project_square(&self.layout, s.color, m.turn.0, camera, &now) else { continue };
+                let Some(expected) = project_square(&self.layout, s.color, m.turn.0, camera, &now) else {
+                    continue;
+                };
                 let side = f.area.sqrt();
                 let allowed = match (known_camera, m.edge_bias.1 > 3, n) {
                     (true, true, 4) => 0.35 + 0.005 * side,

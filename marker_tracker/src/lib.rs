@@ -38,4 +38,6 @@ mod tracker;
 pub use config::TrackerConfig;
 pub use decode::{decode_compressed, decode_compressed_into};
 pub use image::{ImageError, ImageView, OwnedImage, PixelFormat, from_encoding};
-pub use tracker::{Input, Output, Tracker, Warning};
+#[cfg(feature = "opencv")]
+pub use opencv::draw;
+pub use tracker::{Input, Mark, Output, Tracker, Warning};

@@ -535,15 +535,7 @@ fn line_through(rows: &[Row], possible: usize, length: f64, prior: &ShapePrior) 
         let mut covariance = inverse * variance * prior.inflation;
         // Rows that a cover's blur touches a little stay unnoticed: the more is covered the more there are.
         covariance[(0, 0)] += (0.2 * (1.0 - support)).powi(2);
-        result = Some(EdgeFit {
-            offset,
-            slope,
-            covariance,
-            support,
-            rows: count,
-            blur: 0.0,
-            lag,
-        });
+        result = Some(EdgeFit { offset, slope, covariance, support, rows: count, blur: 0.0, lag });
     }
     result.filter(|e| e.support > 0.2)
 }
@@ -570,7 +562,8 @@ fn combine(
         let mut fit = finish(predicted, &geometry, edges, estimate, interior, outside_levels);
         let contrast = (fit.inside - fit.outside).abs().max(1e-3);
         let lever = prior.half_width * interior.sigma / contrast * prior.correlation;
-        fit.covariance += Matrix2::identity() * (lever * lever * interior.reach * prior.inflation / prior.correlation);
+        fit.covariance +=
+            Matrix2::identity() * (lever * lever * interior.reach * prior.inflation / prior.correlation);
         fit.inflation = prior.inflation;
         fit
     };

@@ -5,7 +5,8 @@ use crate::{
     engine::Engine,
     image::{ImageError, ImageView},
 };
-use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Stamp};
+use nalgebra::Vector2;
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState, PerColor, Stamp};
 use std::collections::VecDeque;
 use thiserror::Error;
 
@@ -55,6 +56,21 @@ pub enum Warning {
         /// Of the image, px.
         height: usize,
     },
+}
+
+/// What a debug picture shows of one marker.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mark {
+    /// The window that was looked at: left, top, right, bottom (the last two excluded), px.
+    pub window: [i32; 4],
+    /// Corners of the measured outline, px.
+    pub outline: Option<[Vector2<f64>; 4]>,
+    /// Centroid, px; NaN where the marker is lost.
+    pub centroid: Vector2<f64>,
+    /// Displacement since the image before, px.
+    pub flow: Vector2<f64>,
+    /// Its state.
+    pub state: MarkerState,
 }
 
 impl Warning {
@@ -108,6 +124,11 @@ impl Tracker {
     /// Takes other settings; what is tracked stays tracked.
     pub fn set_config(&mut self, config: TrackerConfig) {
         self.engine.set_config(config);
+    }
+
+    /// What a picture of the last image's tracking shows.
+    pub fn marks(&self) -> PerColor<Mark> {
+        PerColor::from_fn(|c| self.engine.mark(c))
     }
 
     /// Per marker, what became of it in the last image.
