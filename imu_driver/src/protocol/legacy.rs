@@ -159,18 +159,30 @@ impl LegacyFormat {
     /// [`DecodeError::Length`] where the data are not as long as the format says: it is not the unit's format.
     #[inline]
     pub fn decode(&self, data: &[u8]) -> Result<Measurement, DecodeError> {
+        let mut m = Measurement::default();
+        self.decode_into(data, &mut m)?;
+        Ok(m)
+    }
+
+    /// [`LegacyFormat::decode`] into a measurement that is at hand: a measurement is large, and moving it costs more than
+    /// reading it.
+    ///
+    /// # Errors
+    /// As [`LegacyFormat::decode`].
+    #[inline]
+    pub fn decode_into(&self, data: &[u8], m: &mut Measurement) -> Result<(), DecodeError> {
+        *m = Measurement::default();
         let expected = self.data_length();
         if data.len() != expected {
             return Err(DecodeError::Length { found: data.len(), expected });
         }
         // The length was checked, so no field can be missing.
-        self.read(data).ok_or(DecodeError::Length { found: data.len(), expected })
+        self.read(data, m).ok_or(DecodeError::Length { found: data.len(), expected })
     }
 
-    fn read(&self, data: &[u8]) -> Option<Measurement> {
+    fn read(&self, data: &[u8], m: &mut Measurement) -> Option<()> {
         use OutputMode as M;
         use OutputSettings as S;
-        let mut m = Measurement::default();
         let r = &mut Reader::new(data);
         let format = self.settings.number_format();
         if self.mode.has(M::RAW_INERTIAL) {
@@ -235,7 +247,7 @@ impl LegacyFormat {
         if self.settings.has(S::UTC) {
             m.utc = Some(read_utc(r)?);
         }
-        Some(m)
+        Some(())
     }
 
     /// Appends the data of one MTData message: the inverse of [`LegacyFormat::decode`]. What the measurement does not

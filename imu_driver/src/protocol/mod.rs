@@ -75,17 +75,27 @@ impl Decoder {
     /// As [`LegacyFormat::decode`] and [`mtdata2::decode`], and [`DecodeError::NoConfiguration`].
     #[inline]
     pub fn decode(&mut self, frame: &Frame<'_>) -> Result<Option<Measurement>, DecodeError> {
+        let mut m = Measurement::default();
+        Ok(self.decode_into(frame, &mut m)?.then_some(m))
+    }
+
+    /// [`Decoder::decode`] into a measurement that is at hand; `Ok(false)` for a frame that is no data message.
+    ///
+    /// # Errors
+    /// As [`Decoder::decode`].
+    #[inline]
+    pub fn decode_into(&mut self, frame: &Frame<'_>, m: &mut Measurement) -> Result<bool, DecodeError> {
         match frame.message {
             MessageId::MT_DATA => match &self.format {
-                Some(format) => format.decode(frame.data).map(Some),
+                Some(format) => format.decode_into(frame.data, m).map(|()| true),
                 None => Err(DecodeError::NoConfiguration),
             },
-            MessageId::MT_DATA2 => mtdata2::decode(frame.data).map(Some),
+            MessageId::MT_DATA2 => mtdata2::decode_into(frame.data, m).map(|()| true),
             other => {
                 if other == MessageId::REQ_CONFIGURATION.ack() {
                     self.format = Some(Configuration::from_data(frame.data)?.format);
                 }
-                Ok(None)
+                Ok(false)
             }
         }
     }

@@ -70,6 +70,17 @@ pub mod xdi {
 #[inline]
 pub fn decode(data: &[u8]) -> Result<Measurement, DecodeError> {
     let mut m = Measurement::default();
+    decode_into(data, &mut m)?;
+    Ok(m)
+}
+
+/// [`decode`] into a measurement that is at hand.
+///
+/// # Errors
+/// As [`decode`]; what was read before the error stands in the measurement.
+#[inline]
+pub fn decode_into(data: &[u8], m: &mut Measurement) -> Result<(), DecodeError> {
+    *m = Measurement::default();
     let r = &mut Reader::new(data);
     while !r.rest().is_empty() {
         let offset = data.len() - r.rest().len();
@@ -81,11 +92,11 @@ pub fn decode(data: &[u8]) -> Result<Measurement, DecodeError> {
             return Err(overrun);
         };
         let mut item_reader = Reader::new(item);
-        if read_item(&mut m, id, &mut item_reader).is_none() || !item_reader.rest().is_empty() {
+        if read_item(m, id, &mut item_reader).is_none() || !item_reader.rest().is_empty() {
             return Err(DecodeError::ItemSize { id, size });
         }
     }
-    Ok(m)
+    Ok(())
 }
 
 fn read_item(m: &mut Measurement, id: u16, r: &mut Reader<'_>) -> Option<()> {

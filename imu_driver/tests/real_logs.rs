@@ -1,0 +1,201 @@
+//! Bytes of real units against values decoded by somebody else's program. They are found through `VOLANT_SHARED`.
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    clippy::print_stderr
+)]
+
+use imu_driver::{
+    log::{decode_to_csv, frames_of},
+    protocol::{Attitude, Decoder, GlobalFrame, Measurement, MessageId, frame},
+};
+use std::{collections::BTreeMap, path::PathBuf};
+
+fn recordings() -> Option<PathBuf> {
+    let Some(shared) = std::env::var_os("VOLANT_SHARED") else {
+        eprintln!("skipped: VOLANT_SHARED is not set, so there are no recordings");
+        return None;
+    };
+    Some(PathBuf::from(shared).join("data/xsens"))
+}
+
+/// One message of the reference: heading → lines below it.
+type Reference = BTreeMap<String, Vec<String>>;
+
+fn reference(text: &str) -> Vec<Reference> {
+    text.split("\n\n")
+        .filter(|block| !block.trim().is_empty())
+        .map(|block| {
+            let mut message = Reference::new();
+            let mut heading = String::new();
+            for line in block.lines().filter(|l| !l.is_empty()) {
+                match line.strip_prefix("  ") {
+                    Some(value) => message.get_mut(&heading).unwrap().push(value.to_owned()),
+                    None => {
+                        heading = line.trim_end_matches(':').to_owned();
+                        message.insert(heading.clone(), Vec::new());
+                    }
+                }
+            }
+            message
+        })
+        .collect()
+}
+
+fn numbers(lines: &[String]) -> Vec<f64> {
+    lines.iter().map(|l| l.rsplit(':').next().unwrap().parse().unwrap()).collect()
+}
+
+/// Compares one kind of data; how many messages of the reference had it.
+fn compare(reference: &Reference, name: &str, ours: Option<&[f64]>, tolerance: f64) -> usize {
+    let found = reference.iter().find(|(heading, _)| heading.split('(').next() == Some(name));
+    match (found, ours) {
+        (None, None) => 0,
+        (Some((heading, lines)), Some(ours)) => {
+            let theirs = numbers(lines);
+            assert_eq!(theirs.len(), ours.len(), "{heading}");
+            for (a, b) in theirs.iter().zip(ours) {
+                assert!((a - b).abs() <= tolerance * a.abs(), "{heading}: {theirs:?} {ours:?}");
+            }
+            1
+        }
+        (theirs, ours) => panic!("{name}: {theirs:?} {ours:?}"),
+    }
+}
+
+fn attitude(m: &Measurement, wanted: &str) -> Option<Vec<f64>> {
+    std::iter::once(&m.orientation).chain(&m.further_orientations).flatten().find_map(|o| {
+        assert_eq!(o.frame, GlobalFrame::EastNorthUp);
+        match (wanted, o.attitude) {
+            ("Quaternion", Attitude::Quaternion(q)) => Some(q.to_vec()),
+            ("EulerAngles", Attitude::Euler(e)) => Some(e.to_vec()),
+            ("RotationMatrix", Attitude::Matrix(c)) => Some(c.to_vec()),
+            _ => None,
+        }
+    })
+}
+
+#[test]
+fn five_recordings_equal_the_reference_in_every_value() {
+    let Some(folder) = recordings() else { return };
+    let mut compared = 0;
+    for log in 1..=5 {
+        let folder = folder.join(log.to_string());
+        let bytes = std::fs::read(folder.join("output.bin")).unwrap();
+        let theirs = reference(&std::fs::read_to_string(folder.join("output.golden")).unwrap());
+        let mut ours = Vec::new();
+        let mut decoder = Decoder::default();
+        let counts = frames_of(&bytes, |f| ours.push(decoder.decode(&f).unwrap().unwrap()));
+        assert_eq!((counts.frames, counts.bad_checksums, counts.skipped_bytes), (100, 0, 0));
+        assert_eq!((ours.len(), theirs.len()), (100, 100));
+        for (m, r) in ours.iter().zip(&theirs) {
+            let slice3 = |v: &Option<[f64; 3]>| v.map(|v| v.to_vec());
+            let whole = |v: Option<u32>| v.map(|x| vec![f64::from(x)]);
+            let exact = 0.0;
+            // The reference prints single precision ECEF positions with nine digits.
+            for (name, value, tolerance) in [
+                ("PacketCounter", whole(m.counter.map(u32::from)), exact),
+                ("SampleTimeFine", whole(m.sample_time_fine), exact),
+                ("SampleTimeCoarse", whole(m.sample_time_coarse), exact),
+                ("BaroPressure", whole(m.pressure), exact),
+                ("Temperature", m.temperature.map(|t| vec![t]), exact),
+                ("Acceleration", slice3(&m.acceleration), exact),
+                ("FreeAcceleration", slice3(&m.free_acceleration), exact),
+                ("DeltaV", slice3(&m.delta_velocity), exact),
+                ("RateOfTurn", slice3(&m.angular_velocity), exact),
+                ("DeltaQ", m.delta_orientation.map(|q| q.to_vec()), exact),
+                ("MagneticField", slice3(&m.magnetic_field), exact),
+                ("VelocityXYZ", slice3(&m.velocity), exact),
+                ("PositionECEF", slice3(&m.position_ecef), 1e-8),
+                ("LatLon", m.latitude_longitude.map(|v| v.to_vec()), exact),
+                ("AltitudeEllipsoid", m.altitude.map(|a| vec![a]), exact),
+                ("Quaternion", attitude(m, "Quaternion"), exact),
+                ("EulerAngles", attitude(m, "EulerAngles"), exact),
+                ("RotationMatrix", attitude(m, "RotationMatrix"), exact),
+            ] {
+                compared += compare(r, name, value.as_deref(), tolerance);
+            }
+            let bits = |text: &String| u32::from_str_radix(text, 2).unwrap();
+            let status = r.get("StatusWord").or(r.get("StatusByte")).map(|lines| bits(&lines[0]));
+            assert_eq!(m.status.map(|s| s.0), status);
+            if let Some(utc) = m.utc {
+                let text = &r["UTCTime"][0];
+                let date = format!(
+                    "{:04}-{:02}-{:02}T{:02}:{:02}:{:02}",
+                    utc.year, utc.month, utc.day, utc.hour, utc.minute, utc.second
+                );
+                assert!(text.starts_with(&date), "{text} {date}");
+                let rest = text[date.len()..].trim_end_matches('Z');
+                let fraction: f64 = if rest.is_empty() { 0.0 } else { rest.parse().unwrap() };
+                assert_eq!((fraction * 1e9).round() as u32, utc.nanosecond);
+            }
+            assert_eq!(m.has_gnss, r.contains_key("GNSSPVTData") || r.contains_key("GNSSSatInfo"));
+        }
+    }
+    println!("{compared} values or vectors of 500 messages are equal to the reference");
+    assert!(compared > 4000, "{compared}");
+}
+
+#[test]
+fn the_table_of_every_recording_has_a_row_per_message_and_its_values() {
+    let Some(folder) = recordings() else { return };
+    for log in 1..=5 {
+        let bytes = std::fs::read(folder.join(log.to_string()).join("output.bin")).unwrap();
+        let golden = std::fs::read_to_string(folder.join(log.to_string()).join("output.golden")).unwrap();
+        let mut table = Vec::new();
+        let counts = decode_to_csv(&bytes, None, &mut table).unwrap();
+        assert_eq!((counts.rows, counts.unreadable), (100, 0));
+        let table = String::from_utf8(table).unwrap();
+        for (row, r) in table.lines().skip(1).zip(reference(&golden)) {
+            let cells: Vec<&str> = row.split(',').collect();
+            assert_eq!(cells.len(), 12);
+            assert_eq!(cells[0], r["PacketCounter"][0]);
+            for (at, name, n) in [(2, "Acceleration", 3), (5, "RateOfTurn", 3), (8, "Quaternion", 4)] {
+                match r.iter().find(|(h, _)| h.split('(').next() == Some(name)) {
+                    Some((_, lines)) => {
+                        let cells: Vec<f64> = cells[at..at + n].iter().map(|c| c.parse().unwrap()).collect();
+                        assert_eq!(cells, numbers(lines));
+                    }
+                    None => assert!(cells[at..at + n].iter().all(|c| c.is_empty())),
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_real_legacy_unit_s_frames_are_read_with_its_configuration() {
+    let Some(folder) = recordings() else { return };
+    let text = std::fs::read_to_string(folder.join("legacy_frames.txt")).unwrap();
+    let frames: Vec<Vec<u8>> = text
+        .lines()
+        .filter(|l| !l.starts_with('#') && !l.trim().is_empty())
+        .map(|l| l.split_whitespace().map(|b| u8::from_str_radix(b, 16).unwrap()).collect())
+        .collect();
+    let stream = frames.concat();
+    let mut log = frame(MessageId::WAKE_UP, &[]);
+    log.extend(&stream);
+    let mut decoder = Decoder { format: imu_driver::log::configuration_in(&log) };
+    assert_eq!(decoder.format, Some(imu_driver::protocol::LegacyFormat::STANDARD));
+    let mut data = Vec::new();
+    let counts = frames_of(&log, |f| data.extend(decoder.decode(&f).unwrap()));
+    println!("{counts:?}");
+    assert_eq!((counts.frames, counts.bad_checksums, counts.skipped_bytes), (6, 0, 0));
+    assert_eq!(data.len(), 2);
+    assert_eq!(data[1].counter.unwrap(), data[0].counter.unwrap() + 1);
+    for m in &data {
+        let [x, y, z] = m.acceleration.unwrap();
+        // At rest on a table, a few degrees off the level; the Earth's field is about 1 where it was calibrated.
+        assert!(((x * x + y * y + z * z).sqrt() - 9.81).abs() < 0.1, "{:?}", m.acceleration);
+        let [w, i, j, k] = m.quaternion().unwrap();
+        assert!(((w * w + i * i + j * j + k * k).sqrt() - 1.0).abs() < 1e-5);
+        assert_eq!(m.orientation.unwrap().frame, GlobalFrame::NorthWestUp);
+        // Its own attitude turns its own specific force upright: the quaternion is global from sensor.
+        let q = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, i, j, k));
+        let up = q * nalgebra::Vector3::new(x, y, z);
+        assert!(up.z > 9.7 && up.xy().norm() < 0.3, "{up}");
+    }
+}
