@@ -173,3 +173,30 @@ fn the_same_seed_gives_the_same_bytes_and_noise_as_strong_as_it_says() {
     assert!((variance - 4.0 - 1.0 / 6.0).abs() < 0.15, "{variance}");
     assert!(noisy.to_jpeg(90).unwrap().starts_with(&[0xff, 0xd8]));
 }
+
+#[test]
+fn a_jpeg_keeps_the_centroids() {
+    let rig = Rig::from_yaml(RIG).unwrap();
+    let mut renderer = Renderer::new(camera(), &rig, plain());
+    for piece in &mut renderer.platform.pieces {
+        piece.grain = 0.0;
+    }
+    let at = instant(0.1, -0.2, 1.5, 0.1, 0.05, 0.3);
+    let image = renderer.render(&Exposure {
+        instants: vec![at],
+        covers: Covers::default(),
+        seconds: 0.0,
+        noise: None,
+    });
+    let decoded = marker_tracker::decode_compressed("jpeg", &image.to_jpeg(90).unwrap()).unwrap();
+    for (to, from) in renderer.canvas.iter_mut().zip(decoded.data.chunks_exact(3)) {
+        *to = [f32::from(from[0]), f32::from(from[1]), f32::from(from[2])];
+    }
+    let camera_from_volant =
+        (at.world_from_climber * rig.climber_from_camera).inverse() * at.world_from_volant;
+    for color in MarkerColor::ALL {
+        let truth = rig.markers.projected_centroid(color, renderer.camera(), &camera_from_volant).unwrap();
+        let off = (centroid(&renderer, color, truth.pixel, truth.area) - truth.pixel).norm();
+        assert!(off < 0.06, "{color}: {off} px off");
+    }
+}
