@@ -113,6 +113,10 @@ impl Default for TightConfig {
 pub struct PaperConfig {
     /// R/Q, the ratio of the measurement's to the process' covariance that the paper found accurate.
     pub ratio: f64,
+    /// Standard deviation of the visual position behind R, m: only its ratio to Q matters for the estimate.
+    pub position_sigma: f64,
+    /// Standard deviation of the visual rotation behind R, rad.
+    pub rotation_sigma: f64,
     /// Gravity, m/s².
     pub gravity: f64,
     /// Threshold control: velocity changes below it count as none, m/s.
@@ -123,6 +127,13 @@ pub struct PaperConfig {
 
 impl Default for PaperConfig {
     fn default() -> Self {
-        Self { ratio: 10.0, gravity: 9.80665, velocity_threshold: 1e-5, velocity_from_fused: false }
+        Self {
+            ratio: 10.0,
+            position_sigma: 0.005,
+            rotation_sigma: 0.01,
+            gravity: 9.80665,
+            velocity_threshold: 1e-5,
+            velocity_from_fused: false,
+        }
     }
 }

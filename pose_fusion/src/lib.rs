@@ -3,20 +3,27 @@
 //! The core is [`Fusion`]: [`Fusion::handle`] takes each input in the order in which it arrived, [`Fusion::poll`] gives
 //! what there is to say. Time comes with the data; nothing in here reads a clock, logs, sleeps or panics.
 //!
-//! [`tight`] is the error-state filter on the markers' pixels (the default).
+//! [`tight`] is the error-state filter on the markers' pixels (the default), [`paper`] the published filter, [`visual`] the pose
+//! from one image alone. The shell is in `node` (feature `node`).
 
 pub mod config;
+#[cfg(feature = "node")]
+pub mod node;
 pub mod output;
+pub mod paper;
 pub mod status;
 pub mod tight;
+pub mod visual;
 
 pub use config::{FusionConfig, Model, PaperConfig, TightConfig};
 pub use output::{MarkerOutcome, MarkerUpdateRecord, Odometry, Output, PoseEstimate, Warning};
 pub use status::Status;
 
+use paper::Paper;
 use rig_model::{CameraModel, ClimberSample, ImuSample, MarkerObservations, Rig};
 use std::collections::VecDeque;
 use tight::Tight;
+use visual::VisualPoses;
 
 /// One input, in the order of arrival.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,23 +41,58 @@ pub enum Input {
 /// The estimator: inputs in order of arrival in, estimates out.
 #[derive(Debug)]
 pub struct Fusion {
+    model: Model,
     tight: Tight,
+    paper: Paper,
+    visual: VisualPoses,
     outputs: VecDeque<Output>,
 }
 
 impl Fusion {
     /// A filter that knows nothing yet.
     pub fn new(rig: Rig, config: FusionConfig) -> Self {
-        Self { tight: Tight::new(rig, config.tight), outputs: VecDeque::with_capacity(256) }
+        let climber =
+            [config.tight.climber_quantum, config.tight.climber_turn_quantum].map(|q| q / 12f64.sqrt());
+        Self {
+            model: config.model,
+            visual: VisualPoses::new(rig.clone(), config.tight.pixel_floor, climber),
+            paper: Paper::new(&rig, config.paper),
+            tight: Tight::new(rig, config.tight),
+            outputs: VecDeque::with_capacity(256),
+        }
     }
 
     /// Takes one input.
     pub fn handle(&mut self, input: Input) {
         match input {
-            Input::Imu(sample) => self.tight.imu(&sample, &mut self.outputs),
-            Input::Markers(markers) => self.tight.markers(&markers, &mut self.outputs),
-            Input::Climber(sample) => self.tight.climber(&sample, &mut self.outputs),
-            Input::Camera(camera) => self.tight.camera(camera),
+            Input::Imu(sample) => {
+                self.visual.imu(&sample);
+                match self.model {
+                    Model::Tight => self.tight.imu(&sample, &mut self.outputs),
+                    Model::Paper => self.paper.imu(&sample),
+                }
+            }
+            Input::Markers(markers) => {
+                let visual = self.visual.estimate(&markers);
+                match self.model {
+                    Model::Tight => self.tight.markers(&markers, &mut self.outputs),
+                    Model::Paper => {
+                        let odometry = self.paper.image(markers.stamp, visual.as_ref());
+                        self.outputs.extend(odometry.map(Output::Odometry));
+                    }
+                }
+                self.outputs.extend(visual.map(Output::VisualPose));
+            }
+            Input::Climber(sample) => {
+                self.visual.climber(&sample);
+                if self.model == Model::Tight {
+                    self.tight.climber(&sample, &mut self.outputs);
+                }
+            }
+            Input::Camera(camera) => {
+                self.visual.camera(&camera);
+                self.tight.camera(camera);
+            }
         }
     }
 
@@ -64,7 +106,7 @@ impl Fusion {
         &self.tight
     }
 
-    /// Counters and insights for diagnostics.
+    /// Counters and insights for diagnostics (of the error-state filter).
     pub fn status(&self) -> Status {
         self.tight.status()
     }

@@ -215,3 +215,21 @@ pub enum Warning {
         stamp: Stamp,
     },
 }
+
+impl Warning {
+    /// A short name of the kind, to throttle and to count by.
+    pub const fn kind(&self) -> &'static str {
+        match self {
+            Self::NotFinite { .. } => "not_finite",
+            Self::TooOld { .. } => "too_old",
+            Self::Duplicate { .. } => "duplicate",
+            Self::Ahead { .. } => "ahead",
+            Self::TimeJump { .. } => "time_jump",
+            Self::InertialGap { .. } => "inertial_gap",
+            Self::Initialised { .. } => "initialised",
+            Self::LockOutRecovered { .. } => "lock_out_recovered",
+            Self::VisionLost { .. } => "vision_lost",
+            Self::Diverged { .. } => "diverged",
+        }
+    }
+}

@@ -13,11 +13,22 @@ fn dev() {
             let said = scoring::run(&mut fusion, bag.inputs.iter().map(|(_, i)| i.clone()));
             let score = scoring::score(&said.odometry, &bag.truth, 1.0);
             let s = fusion.status();
-            println!("{cam} {cl} {name:12} {score} clocks {:+.2}±{:.2} {:+.2}±{:.2} rej {} rec {}", s.camera_clock_offset*1e3, s.camera_clock_sigma*1e3, s.climber_clock_offset*1e3, s.climber_clock_sigma*1e3, s.rejected_markers, s.recoveries);
+            println!(
+                "{cam} {cl} {name:12} {score} clocks {:+.2}±{:.2} {:+.2}±{:.2} rej {} rec {}",
+                s.camera_clock_offset * 1e3,
+                s.camera_clock_sigma * 1e3,
+                s.climber_clock_offset * 1e3,
+                s.climber_clock_sigma * 1e3,
+                s.rejected_markers,
+                s.recoveries
+            );
         }
     }
 }
-use common::{simulated, rig::{inertial::SensorConfig, motion::MotionConfig}};
+use common::{
+    rig::{inertial::SensorConfig, motion::MotionConfig},
+    simulated,
+};
 #[test]
 fn sim() {
     let mut sc = SensorConfig::nominal(1);
@@ -37,17 +48,41 @@ fn sim() {
                 let k = run.motion.climber(t);
                 let tr = run.motion.kinematics(t).world_from_volant;
                 let e = scoring::error6(&o.world_from_volant, &tr);
-                println!("{t:.3} pos {:6.2} {:6.2} {:6.2} sig {:.2} {:.2} rot {:6.3} {:6.3} {:6.3} sig {:.3} {:.3} climber {:6.2} {:6.2} {:6.3} sig {:.2} rate {:.3} acc {:.2} sig {:.2} ba {:?}", e[0]*1e3,e[1]*1e3,e[2]*1e3, o.pose_covariance[(0,0)].sqrt()*1e3, o.pose_covariance[(2,2)].sqrt()*1e3,
-                  e[3].to_degrees(), e[4].to_degrees(), e[5].to_degrees(),o.pose_covariance[(3,3)].sqrt().to_degrees(),o.pose_covariance[(5,5)].sqrt().to_degrees(),
-                  (k[0]-s.climber[0])*1e3,(k[1]-s.climber[1])*1e3,(k[2]-s.climber[2]).to_degrees(), s.covariance[(15,15)].sqrt()*1e3, s.climber_rate[0], s.climber_acceleration[0], s.covariance[(21,21)].sqrt(), s.accelerometer_bias.as_slice());
+                println!(
+                    "{t:.3} pos {:6.2} {:6.2} {:6.2} sig {:.2} {:.2} rot {:6.3} {:6.3} {:6.3} sig {:.3} {:.3} climber {:6.2} {:6.2} {:6.3} sig {:.2} rate {:.3} acc {:.2} sig {:.2} ba {:?}",
+                    e[0] * 1e3,
+                    e[1] * 1e3,
+                    e[2] * 1e3,
+                    o.pose_covariance[(0, 0)].sqrt() * 1e3,
+                    o.pose_covariance[(2, 2)].sqrt() * 1e3,
+                    e[3].to_degrees(),
+                    e[4].to_degrees(),
+                    e[5].to_degrees(),
+                    o.pose_covariance[(3, 3)].sqrt().to_degrees(),
+                    o.pose_covariance[(5, 5)].sqrt().to_degrees(),
+                    (k[0] - s.climber[0]) * 1e3,
+                    (k[1] - s.climber[1]) * 1e3,
+                    (k[2] - s.climber[2]).to_degrees(),
+                    s.covariance[(15, 15)].sqrt() * 1e3,
+                    s.climber_rate[0],
+                    s.climber_acceleration[0],
+                    s.covariance[(21, 21)].sqrt(),
+                    s.accelerometer_bias.as_slice()
+                );
             }
         }
         said.odometry.extend(one.odometry);
         said.records.extend(one.records);
-        for w in one.warnings { println!("{w}"); }
+        for w in one.warnings {
+            println!("{w}");
+        }
     }
     println!("{}", scoring::score(&said.odometry, &run.truth, 1.0));
     let used: Vec<_> = said.records.iter().filter(|r| r.nis.is_finite()).collect();
-    println!("nis mean {} gated {}", used.iter().map(|r| r.nis).sum::<f64>() / used.len() as f64, said.records.iter().filter(|r| r.outcome == pose_fusion::MarkerOutcome::Gated).count());
+    println!(
+        "nis mean {} gated {}",
+        used.iter().map(|r| r.nis).sum::<f64>() / used.len() as f64,
+        said.records.iter().filter(|r| r.outcome == pose_fusion::MarkerOutcome::Gated).count()
+    );
     sc.seed = 2;
 }

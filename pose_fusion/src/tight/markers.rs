@@ -456,7 +456,13 @@ mod tests {
         let k = p * h.transpose() * s.try_inverse().unwrap();
         let a = Covariance::identity() - k * h;
         let joseph = a * p * a.transpose() + k * r * k.transpose();
-        let report = update(&mut state, &geometry, &sighting, &Gates { marker: 16.0, joint: 1.0, gravity: 9.81 }, false);
+        let report = update(
+            &mut state,
+            &geometry,
+            &sighting,
+            &Gates { marker: 16.0, joint: 1.0, gravity: 9.81 },
+            false,
+        );
         assert_eq!(report.used, 4);
         assert!((state.covariance - joseph).amax() < 1e-12);
         assert_eq!(state.covariance, state.covariance.transpose());
@@ -477,7 +483,13 @@ mod tests {
         if let Some((pixel, _)) = &mut sighting.pixels[2] {
             pixel.x += 12.0;
         }
-        let report = update(&mut state, &geometry, &sighting, &Gates { marker: 16.0, joint: 1.0, gravity: 9.81 }, false);
+        let report = update(
+            &mut state,
+            &geometry,
+            &sighting,
+            &Gates { marker: 16.0, joint: 1.0, gravity: 9.81 },
+            false,
+        );
         assert_eq!(report.markers[2].verdict, Verdict::Inconsistent, "{report:?}");
         assert_eq!(report.used, 3);
         // The climber is as uncertain: compare what the camera sees, the platform against the climber.

@@ -317,7 +317,13 @@ impl Tight {
             out.push_back(Output::Warning(Warning::TooOld { source_name: "climber", stamp, age_s }));
             return;
         }
-        let reading = Reading { values, variance: variance.component_mul(&Vector3::from(share)), clock, felt: NOTHING, rest };
+        let reading = Reading {
+            values,
+            variance: variance.component_mul(&Vector3::from(share)),
+            clock,
+            felt: NOTHING,
+            rest,
+        };
         self.history.insert(at, Event::Climber(reading), NOTHING);
         if self.started {
             self.run(out);
@@ -539,7 +545,8 @@ impl Tight {
             accelerometer_bias: c.accelerometer_bias_walk.powi(2),
             gyroscope_bias: c.gyroscope_bias_walk.powi(2),
             jerk: Vector3::new(c.climber_jerk, c.climber_jerk, c.climber_turn_jerk) * self.jerk_scale,
-            clocks: [c.camera_clock, c.climber_clock].map(|s| if s > 0.0 { c.clock_walk.powi(2) } else { 0.0 }),
+            clocks: [c.camera_clock, c.climber_clock]
+                .map(|s| if s > 0.0 { c.clock_walk.powi(2) } else { 0.0 }),
         }
     }
 

@@ -9,7 +9,6 @@
 //! should have been integrated, `δv' += R (f_to − f_from) δτ` and `δθ' += R (ω_to − ω_from) δτ`. What an image tells does then
 //! not depend on the offset at all, and no product of two unknowns (speed and offset) has to be linearised.
 
-
 use super::state::{
     ACCELEROMETER, ATTITUDE, CAMERA_CLOCK, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_CLOCK, CLIMBER_RATE,
     Covariance, GYROSCOPE, N, POSITION, State, VELOCITY,
@@ -94,7 +93,13 @@ pub fn retime(state: &mut State, felt: &Felt, seconds: f64, gravity: f64) {
 }
 
 /// `P ← P Fᵀ`, by columns.
-fn times_transition(p: &mut Covariance, by_attitude: &Matrix3<f64>, by_bias: &Matrix3<f64>, by_clock: &[Vector3<f64>; 2], dt: f64) {
+fn times_transition(
+    p: &mut Covariance,
+    by_attitude: &Matrix3<f64>,
+    by_bias: &Matrix3<f64>,
+    by_clock: &[Vector3<f64>; 2],
+    dt: f64,
+) {
     // One column at a time as plain arrays: the compiler vectorises these loops.
     let columns = p.as_mut_slice();
     let (body, climber) = columns.split_at_mut(CLIMBER * N);

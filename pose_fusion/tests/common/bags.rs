@@ -49,7 +49,8 @@ pub fn read(name: &str, sigma: f64, seed: u64) -> Option<Bag> {
             MarkerObservation {
                 state: MarkerState::Detected,
                 occluded_frames: 0,
-                centroid: Vector2::new(number(&format!("{color}_cx")), number(&format!("{color}_cy"))) + noise,
+                centroid: Vector2::new(number(&format!("{color}_cx")), number(&format!("{color}_cy")))
+                    + noise,
                 covariance: Matrix2::identity() * sigma * sigma,
                 area: 1000.0,
             }

@@ -33,7 +33,12 @@ pub struct Score {
 }
 
 impl Score {
-    pub fn add(&mut self, estimate: &Isometry3<f64>, covariance: &nalgebra::Matrix6<f64>, truth: &Isometry3<f64>) {
+    pub fn add(
+        &mut self,
+        estimate: &Isometry3<f64>,
+        covariance: &nalgebra::Matrix6<f64>,
+        truth: &Isometry3<f64>,
+    ) {
         let (p, r) = errors(estimate, truth);
         self.count += 1;
         self.position2 += p.norm_squared();

@@ -1,0 +1,387 @@
+//! The shell: markers, inertial samples and the climber's transform in; odometry, fused pose, visual pose, tf, marker records and
+//! diagnostics out.
+
+use crate::{
+    Fusion, FusionConfig, Input, MarkerUpdateRecord, Model, Odometry, Output, PaperConfig, PoseEstimate,
+    TightConfig, Warning,
+};
+use node_kit::{
+    Level, convert,
+    node::{Health, Kit, NodeError, NodeShell, Publisher},
+    qos::QosPreset,
+};
+use rig_model::{Frames, MarkerColor, Stamp};
+use std::sync::Arc;
+use volant_msgs::{
+    geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
+    msg::{MarkerObservations, MarkerUpdate, MarkerUpdates},
+    nav_msgs, sensor_msgs,
+};
+
+node_kit::parameters! {
+    /// Parameters of the fusion's node.
+    pub struct FusionParameters {
+        /// The estimator: tight (error-state filter on pixels) or paper (the published filter).
+        model: String = "tight", one_of(&["tight", "paper"]);
+        /// Gravity.
+        gravity: f64 = 9.80665, unit("m/s^2"), range(9.0..=10.5);
+        /// How far back late data may reach.
+        history: f64 = 0.6, unit("s"), range(0.1..=5.0);
+        /// Accelerometer bias at the start (1 sigma).
+        accelerometer_bias: f64 = 0.1, unit("m/s^2"), range(0.0..=10.0), name("imu_bias.accelerometer");
+        /// Its random walk.
+        accelerometer_bias_walk: f64 = 3e-4, unit("m/s^2/sqrt(s)"), range(0.0..=1.0), name("imu_bias.accelerometer_walk");
+        /// Gyroscope bias at the start (1 sigma).
+        gyroscope_bias: f64 = 0.04, unit("rad/s"), range(0.0..=1.0), name("imu_bias.gyroscope");
+        /// Its random walk.
+        gyroscope_bias_walk: f64 = 5e-5, unit("rad/s/sqrt(s)"), range(0.0..=1.0), name("imu_bias.gyroscope_walk");
+        /// What the lens and marker model are off by, beside the observation's covariance.
+        pixel_floor: f64 = 0.03, unit("px"), range(0.0..=10.0), name("markers.pixel_floor");
+        /// Largest normalised innovation squared (2 degrees of freedom) of a marker that is used.
+        marker_gate: f64 = 16.0, range(1.0..=1000.0), name("markers.gate");
+        /// So many images in a row that contradict the estimate, but not themselves, start it anew.
+        lock_out_images: u32 = 5, range(1..=1000), name("markers.lock_out_images");
+        /// Step of the climber's x and y encoders.
+        climber_quantum: f64 = 0.001, unit("m"), range(1e-6..=0.1), name("climber.quantum");
+        /// Step of the climber's turn encoder.
+        climber_turn_quantum: f64 = 0.000_872_66, unit("rad"), range(1e-7..=0.1), name("climber.turn_quantum");
+        /// Power density of the climber's jerk.
+        climber_jerk: f64 = 0.05, unit("m^2/s^5"), range(1e-9..=1e6), name("climber.jerk");
+        /// Power density of the jerk of the climber's turn.
+        climber_turn_jerk: f64 = 0.01, unit("rad^2/s^5"), range(1e-9..=1e6), name("climber.turn_jerk");
+        /// Camera clock against the inertial unit's at the start (1 sigma); 0 takes them as one.
+        camera_clock: f64 = 0.05, unit("s"), range(0.0..=1.0), name("clock.camera");
+        /// Climber clock against the camera's at the start (1 sigma); 0 takes them as one.
+        climber_clock: f64 = 0.0, unit("s"), range(0.0..=1.0), name("clock.climber");
+        /// Velocity of a platform at rest for the zero-motion update (1 sigma); 0 switches it off.
+        rest_velocity: f64 = 0.002, unit("m/s"), range(0.0..=1.0);
+        /// Position uncertainty (1 sigma) beyond which the estimate is called lost.
+        lost_position: f64 = 0.2, unit("m"), range(0.001..=100.0);
+        /// R/Q of the published filter.
+        paper_ratio: f64 = 10.0, range(1e-6..=1e6), name("paper.ratio");
+        /// Threshold control of the published filter.
+        paper_velocity_threshold: f64 = 1e-5, unit("m/s"), range(0.0..=1.0), name("paper.velocity_threshold");
+        /// Takes the published filter's inertial velocity from the fused poses.
+        paper_velocity_from_fused: bool = false, name("paper.velocity_from_fused");
+        /// Publish world -> volant on /tf.
+        publish_tf: bool = true;
+        /// Publish what became of each marker on volant/marker_updates.
+        publish_marker_updates: bool = true;
+        /// Without inertial samples or used images for so long the diagnostics say so.
+        silence_timeout: f64 = 0.5, unit("s"), range(0.01..=60.0);
+    }
+}
+
+impl FusionParameters {
+    /// As the core wants them.
+    pub fn config(&self) -> FusionConfig {
+        FusionConfig {
+            model: if self.model == "paper" { Model::Paper } else { Model::Tight },
+            tight: TightConfig {
+                gravity: self.gravity,
+                history: self.history,
+                accelerometer_bias: self.accelerometer_bias,
+                accelerometer_bias_walk: self.accelerometer_bias_walk,
+                gyroscope_bias: self.gyroscope_bias,
+                gyroscope_bias_walk: self.gyroscope_bias_walk,
+                pixel_floor: self.pixel_floor,
+                marker_gate: self.marker_gate,
+                lock_out_images: self.lock_out_images,
+                climber_quantum: self.climber_quantum,
+                climber_turn_quantum: self.climber_turn_quantum,
+                climber_jerk: self.climber_jerk,
+                climber_turn_jerk: self.climber_turn_jerk,
+                camera_clock: self.camera_clock,
+                climber_clock: self.climber_clock,
+                rest_velocity: self.rest_velocity,
+                lost_position: self.lost_position,
+                ..TightConfig::default()
+            },
+            paper: PaperConfig {
+                ratio: self.paper_ratio,
+                gravity: self.gravity,
+                velocity_threshold: self.paper_velocity_threshold,
+                velocity_from_fused: self.paper_velocity_from_fused,
+                ..PaperConfig::default()
+            },
+        }
+    }
+}
+
+/// Messages of the outputs: what the live node publishes and a replay writes.
+pub mod messages {
+    use super::{
+        Arc, Frames, MarkerColor, MarkerUpdate, MarkerUpdateRecord, MarkerUpdates, Odometry, PoseEstimate,
+        PoseWithCovarianceStamped, TransformStamped, convert, nav_msgs,
+    };
+    use crate::MarkerOutcome;
+
+    /// `volant/odometry`.
+    pub fn odometry(o: &Odometry, frames: &Frames) -> nav_msgs::msg::Odometry {
+        convert::odometry_message(
+            &frames.world,
+            &frames.volant,
+            o.stamp,
+            &o.world_from_volant,
+            &o.pose_covariance,
+            &o.linear_velocity,
+            &o.angular_velocity,
+            &o.twist_covariance,
+        )
+    }
+
+    /// `volant/fused_pose`: the same estimate stamped in the volant frame.
+    pub fn fused_pose(o: &Odometry, frames: &Frames) -> PoseWithCovarianceStamped {
+        let p = o.fused_pose();
+        convert::pose_with_covariance_message(&frames.volant, p.stamp, &p.pose, &p.covariance)
+    }
+
+    /// `volant/visual_pose`.
+    pub fn visual_pose(p: &PoseEstimate, frames: &Frames) -> PoseWithCovarianceStamped {
+        convert::pose_with_covariance_message(&frames.world, p.stamp, &p.pose, &p.covariance)
+    }
+
+    /// `/tf`: world → volant.
+    pub fn transform(o: &Odometry, frames: &Frames) -> TransformStamped {
+        convert::transform_message(&frames.world, &frames.volant, o.stamp, &o.world_from_volant)
+    }
+
+    /// `volant/marker_updates`: the records of one image.
+    pub fn marker_updates(records: &[MarkerUpdateRecord], frames: &Frames) -> Option<MarkerUpdates> {
+        let stamp = records.first()?.stamp;
+        Some(MarkerUpdates {
+            header: convert::header(&frames.camera, stamp),
+            markers: records.iter().map(marker_update).collect(),
+        })
+    }
+
+    fn marker_update(r: &MarkerUpdateRecord) -> MarkerUpdate {
+        MarkerUpdate {
+            color: r.color as u8,
+            outcome: match r.outcome {
+                MarkerOutcome::Used => MarkerUpdate::USED,
+                MarkerOutcome::NotDetected => MarkerUpdate::NOT_DETECTED,
+                MarkerOutcome::Gated => MarkerUpdate::GATED,
+                MarkerOutcome::Inconsistent => MarkerUpdate::INCONSISTENT,
+                MarkerOutcome::NotPredictable => MarkerUpdate::NOT_PREDICTABLE,
+                MarkerOutcome::NotInitialised => MarkerUpdate::NOT_INITIALISED,
+                MarkerOutcome::Refused => MarkerUpdate::REFUSED,
+                MarkerOutcome::Frozen => MarkerUpdate::FROZEN,
+            },
+            innovation: [r.innovation.x, r.innovation.y],
+            covariance: convert::covariance2_message(&r.covariance),
+            nis: r.nis,
+        }
+    }
+
+    /// Records come marker by marker: gathers those of one image.
+    #[derive(Debug, Default)]
+    pub struct Gathered(Vec<MarkerUpdateRecord>);
+
+    impl Gathered {
+        /// Adds a record; with the fourth the message is complete.
+        pub fn add(&mut self, record: MarkerUpdateRecord, frames: &Frames) -> Option<Arc<MarkerUpdates>> {
+            if self.0.first().is_some_and(|f| f.stamp != record.stamp) {
+                self.0.clear();
+            }
+            self.0.push(record);
+            if self.0.len() < MarkerColor::ALL.len() {
+                return None;
+            }
+            let message = marker_updates(&self.0, frames).map(Arc::new);
+            self.0.clear();
+            message
+        }
+    }
+}
+
+/// The node.
+pub struct FusionNode {
+    fusion: Fusion,
+    frames: Frames,
+    parameters: FusionParameters,
+    odometry: Publisher<nav_msgs::msg::Odometry>,
+    fused_pose: Publisher<PoseWithCovarianceStamped>,
+    visual_pose: Publisher<PoseWithCovarianceStamped>,
+    updates: Option<Publisher<MarkerUpdates>>,
+    gathered: messages::Gathered,
+    rejected_before: u64,
+    camera_refused: Option<String>,
+}
+
+/// What comes to the node.
+pub enum Event {
+    /// An input of the filter.
+    Input(Box<Input>),
+    /// A message that cannot be used, and why.
+    Refused(String),
+}
+
+fn input(input: Input) -> Option<Event> {
+    Some(Event::Input(Box::new(input)))
+}
+
+impl NodeShell for FusionNode {
+    const NAME: &'static str = "pose_fusion";
+    const ABOUT: &'static str =
+        "markers, inertial samples and the climber's transform in, the platform's pose out";
+    type Parameters = FusionParameters;
+    type Input = Event;
+
+    fn start(kit: &mut Kit<Event>, parameters: FusionParameters) -> Result<Self, NodeError> {
+        let rig = kit.rig()?;
+        let frames = rig.frames.clone();
+        let odometry = kit.advertise("volant/odometry", QosPreset::State)?;
+        let fused_pose = kit.advertise("volant/fused_pose", QosPreset::State)?;
+        let visual_pose = kit.advertise("volant/visual_pose", QosPreset::State)?;
+        let updates = if parameters.publish_marker_updates {
+            Some(kit.advertise("volant/marker_updates", QosPreset::State)?)
+        } else {
+            None
+        };
+        kit.subscribe("volant/imu/data", QosPreset::Sensor, |m: Arc<sensor_msgs::msg::Imu>| {
+            input(Input::Imu(convert::imu_sample(&m)))
+        })?;
+        kit.subscribe("climber/markers", QosPreset::State, |m: Arc<MarkerObservations>| {
+            match convert::marker_observations(&m) {
+                Ok(markers) => input(Input::Markers(markers)),
+                Err(error) => Some(Event::Refused(format!("climber/markers: {error}"))),
+            }
+        })?;
+        let names = frames.clone();
+        kit.subscribe("climber/transform", QosPreset::State, move |m: Arc<TransformStamped>| {
+            match convert::climber_sample(&m, &names) {
+                Ok(sample) => input(Input::Climber(sample)),
+                Err(error) => Some(Event::Refused(format!("climber/transform: {error}"))),
+            }
+        })?;
+        kit.subscribe(
+            "climber/camera/camera_info",
+            QosPreset::Sensor,
+            |m: Arc<sensor_msgs::msg::CameraInfo>| match convert::camera_model(&m) {
+                Ok(camera) => input(Input::Camera(camera)),
+                Err(error) => Some(Event::Refused(error.to_string())),
+            },
+        )?;
+        Ok(Self {
+            fusion: Fusion::new(rig, parameters.config()),
+            frames,
+            parameters,
+            odometry,
+            fused_pose,
+            visual_pose,
+            updates,
+            gathered: messages::Gathered::default(),
+            rejected_before: 0,
+            camera_refused: None,
+        })
+    }
+
+    fn handle(&mut self, kit: &mut Kit<Event>, event: Event) {
+        match event {
+            Event::Input(input) => {
+                if matches!(*input, Input::Camera(_)) {
+                    self.camera_refused = None;
+                }
+                self.fusion.handle(*input);
+            }
+            Event::Refused(why) => {
+                kit.log_throttled(Level::Warn, "refused", &why);
+                if why.starts_with("camera_info") {
+                    self.camera_refused = Some(why);
+                }
+            }
+        }
+        while let Some(output) = self.fusion.poll() {
+            match output {
+                Output::Odometry(o) => {
+                    if self.parameters.publish_tf
+                        && let Err(error) = kit.send_transform(messages::transform(&o, &self.frames))
+                    {
+                        kit.log_throttled(Level::Error, "tf", error.to_string());
+                    }
+                    self.odometry.publish(messages::odometry(&o, &self.frames));
+                    self.fused_pose.publish(messages::fused_pose(&o, &self.frames));
+                }
+                Output::VisualPose(p) => self.visual_pose.publish(messages::visual_pose(&p, &self.frames)),
+                Output::MarkerUpdate(record) => {
+                    if let (Some(updates), Some(message)) =
+                        (&self.updates, self.gathered.add(record, &self.frames))
+                    {
+                        updates.publish_shared(message);
+                    }
+                }
+                Output::Warning(warning) => {
+                    let level = match warning {
+                        Warning::Initialised { .. } => Level::Info,
+                        Warning::Diverged { .. } => Level::Error,
+                        _ => Level::Warn,
+                    };
+                    kit.log_throttled(level, warning.kind(), warning.to_string());
+                }
+            }
+        }
+    }
+
+    fn tick(&mut self, kit: &mut Kit<Event>) {
+        let s = self.fusion.status();
+        let now: Stamp = kit.now();
+        let age = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
+        let (imu_age, image_age) = (age(s.newest_imu), age(s.last_used_image));
+        let rejected = s.rejected_markers - self.rejected_before.min(s.rejected_markers);
+        self.rejected_before = s.rejected_markers;
+        let limit = self.parameters.silence_timeout;
+        let tight = self.parameters.model == "tight";
+        let (health, message) = if let Some(why) = &self.camera_refused {
+            (Health::Error, why.clone())
+        } else if !tight {
+            (Health::Ok, "the published filter runs".to_owned())
+        } else if !s.initialised {
+            (
+                Health::Warn,
+                "not initialised: needs three markers, inertial samples, the climber and camera_info"
+                    .to_owned(),
+            )
+        } else if imu_age > limit {
+            (Health::Error, format!("no inertial sample for {imu_age:.1} s"))
+        } else if s.lost {
+            (
+                Health::Error,
+                format!(
+                    "lost: no marker used for {image_age:.1} s, position within {:.2} m",
+                    s.position_sigma
+                ),
+            )
+        } else if image_age > limit {
+            (
+                Health::Warn,
+                format!("no marker used for {image_age:.1} s, position within {:.3} m", s.position_sigma),
+            )
+        } else if rejected > 0 {
+            (Health::Warn, format!("{rejected} markers rejected in the last second"))
+        } else {
+            (Health::Ok, "fusing".to_owned())
+        };
+        let values = [
+            ("position sigma (m)", format!("{:.5}", s.position_sigma)),
+            ("markers used", s.used_markers.to_string()),
+            ("markers rejected", s.rejected_markers.to_string()),
+            ("restarts from contradicting markers", s.recoveries.to_string()),
+            ("inertial samples refused", s.refused_imu.to_string()),
+            ("inertial samples late", s.late_imu.to_string()),
+            ("inertial gaps", s.gaps.to_string()),
+            ("images refused", s.refused_images.to_string()),
+            ("climber samples refused", s.refused_climber.to_string()),
+            ("duplicates", s.duplicates.to_string()),
+            ("jumps of time", s.time_jumps.to_string()),
+            (
+                "camera clock (ms)",
+                format!("{:.2} +- {:.2}", s.camera_clock_offset * 1e3, s.camera_clock_sigma * 1e3),
+            ),
+            ("accelerometer noise density", format!("{:.5}", s.accelerometer_noise_density)),
+            ("gyroscope noise density", format!("{:.6}", s.gyroscope_noise_density)),
+            ("pixel noise factor", format!("{:.2}", s.pixel_noise_factor)),
+        ];
+        kit.diagnose("filter", health, &message, &values);
+    }
+}
