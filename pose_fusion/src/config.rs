@@ -97,7 +97,7 @@ impl Default for TightConfig {
             climber_turn_quantum: 0.05_f64.to_radians(),
             climber_jerk: 0.05,
             climber_turn_jerk: 0.01,
-            camera_clock: 0.05,
+            camera_clock: 0.0,
             climber_clock: 0.0,
             clock_walk: 1e-5,
             inertial_noise_limit: 30.0,

@@ -50,7 +50,7 @@ node_kit::parameters! {
         /// Power density of the jerk of the climber's turn.
         climber_turn_jerk: f64 = 0.01, unit("rad^2/s^5"), range(1e-9..=1e6), name("climber.turn_jerk");
         /// Camera clock against the inertial unit's at the start (1 sigma); 0 takes them as one.
-        camera_clock: f64 = 0.05, unit("s"), range(0.0..=1.0), name("clock.camera");
+        camera_clock: f64 = 0.0, unit("s"), range(0.0..=1.0), name("clock.camera");
         /// Climber clock against the camera's at the start (1 sigma); 0 takes them as one.
         climber_clock: f64 = 0.0, unit("s"), range(0.0..=1.0), name("clock.climber");
         /// Velocity of a platform at rest for the zero-motion update (1 sigma); 0 switches it off.

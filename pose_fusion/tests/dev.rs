@@ -30,11 +30,29 @@ use common::{
     simulated,
 };
 #[test]
+fn starts() {
+    let mut c = FusionConfig::default();
+    c.tight.camera_clock = std::env::var("CAM").map_or(0.05, |s| s.parse().unwrap());
+    let off: f64 = std::env::var("OFF").map_or(0.0, |s| s.parse().unwrap());
+    for fast in [false, true] {
+        for seed in 0..10 {
+            let mut sc = SensorConfig::nominal(seed);
+            sc.camera_clock_ahead = off;
+            sc.climber_clock_ahead = off;
+            let run = simulated::run(if fast { MotionConfig::fast_swing(seed) } else { MotionConfig::nominal(seed) }, &sc);
+            let mut fusion = Fusion::new(simulated::rig(), c.clone());
+            let said = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+            let s = fusion.status();
+            println!("{fast} {seed} {} rej {} rec {} clock {:+.2}±{:.2}", scoring::score(&said.odometry, &run.truth, 1.0), s.rejected_markers, s.recoveries, s.camera_clock_offset*1e3, s.camera_clock_sigma*1e3);
+        }
+    }
+}
+#[test]
 fn sim() {
     let mut sc = SensorConfig::nominal(1);
     let run = simulated::run(MotionConfig::nominal(1), &sc);
     let mut c = FusionConfig::default();
-    c.tight.camera_clock = 0.0;
+    c.tight.camera_clock = std::env::var("CAM").map_or(0.05, |s| s.parse().unwrap());
     let mut fusion = Fusion::new(simulated::rig(), c);
     let mut n = 0;
     let mut said = scoring::Said::default();
