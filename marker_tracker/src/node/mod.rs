@@ -1,10 +1,15 @@
 //! The shell: images (from a topic, a camera device or a video file) and `climber/camera/camera_info` in,
 //! `climber/markers` out. Images of a device or a file are published on, with their camera_info.
 
+mod camera_info;
+mod device;
 mod parameters;
+mod source;
 mod stages;
+mod video;
 
 pub use parameters::MarkerTrackerParameters;
+pub use source::Frame;
 
 use crate::{
     ImageError, ImageView, Input, Output, OwnedImage, Tracker, Warning, decode_compressed_into, from_encoding,
@@ -26,6 +31,20 @@ pub enum Arrival {
     Compressed(Arc<CompressedImage>),
     /// The camera's model.
     Camera(CameraModel),
+    /// A frame of the device or the file.
+    Frame(Box<Frame>),
+    /// The file has ended, or why it cannot go on.
+    Ended(Result<(), String>),
+}
+
+/// Where a device's or a file's images go on to.
+struct Onward {
+    raw: Publisher<Image>,
+    compressed: Publisher<CompressedImage>,
+    info: Publisher<CameraInfo>,
+    /// The driver's last number, and how many it left out.
+    sequence: Option<u32>,
+    lost: u64,
 }
 
 /// The node.
@@ -36,6 +55,9 @@ pub struct MarkerTrackerNode {
     decoded: OwnedImage,
     stages: Stages,
     camera: Option<CameraModel>,
+    onward: Option<Onward>,
+    #[cfg(feature = "opencv")]
+    debug: Publisher<CompressedImage>,
 }
 
 impl NodeShell for MarkerTrackerNode {
@@ -48,26 +70,25 @@ impl NodeShell for MarkerTrackerNode {
         let rig = kit.rig()?;
         let tracker = Tracker::new(rig.markers.clone(), parameters.config());
         let markers = kit.advertise("climber/markers", QosPreset::State)?;
-        kit.subscribe("climber/camera/camera_info", QosPreset::Image, |message: Arc<CameraInfo>| {
-            convert::camera_model(&message).map(Arrival::Camera).map_err(|e: CameraModelError| e.to_string())
-        })?;
-        if parameters.image_transport == "compressed" {
-            kit.subscribe("climber/camera/image_raw/compressed", QosPreset::Image, |message| {
-                Some(Arrival::Compressed(message))
-            })?;
-        } else {
-            kit.subscribe("climber/camera/image_raw", QosPreset::Image, |message| {
-                Some(Arrival::Image(message))
-            })?;
-        }
-        Ok(Self {
+        #[cfg(feature = "opencv")]
+        let debug = kit.advertise("climber/markers/debug_image", QosPreset::Image)?;
+        let mut node = Self {
             tracker,
             frame: rig.frames.camera,
             markers,
             decoded: OwnedImage::default(),
             stages: Stages::default(),
             camera: None,
-        })
+            onward: None,
+            #[cfg(feature = "opencv")]
+            debug,
+        };
+        if parameters.source == "topic" {
+            node.subscribe(kit, &parameters)?;
+        } else {
+            node.open(kit, parameters)?;
+        }
+        Ok(node)
     }
 
     fn handle(&mut self, kit: &mut Kit<Arrival>, arrival: Arrival) {
@@ -78,34 +99,15 @@ impl NodeShell for MarkerTrackerNode {
                     self.tracker.handle(Input::Camera(camera));
                 }
             }
-            Arrival::Image(message) => {
-                let mut scratch = std::mem::take(&mut self.decoded);
-                let clock = self.stages.start();
-                let view = from_encoding(
-                    convert::stamp(&message.header.stamp),
-                    message.width as usize,
-                    message.height as usize,
-                    &message.encoding,
-                    message.is_bigendian != 0,
-                    message.step as usize,
-                    &message.data,
-                    &mut scratch,
-                );
-                self.stages.converted(clock);
-                self.take(kit, view);
-                self.decoded = scratch;
+            Arrival::Image(message) => self.raw(kit, &message),
+            Arrival::Compressed(message) => self.compressed(kit, &message),
+            Arrival::Frame(frame) => self.frame(kit, *frame),
+            Arrival::Ended(Ok(())) => {
+                kit.log(Level::Info, "the video file has ended");
+                kit.finish();
             }
-            Arrival::Compressed(message) => {
-                let mut scratch = std::mem::take(&mut self.decoded);
-                let clock = self.stages.start();
-                let decoded = decode_compressed_into(&message.format, &message.data, &mut scratch);
-                self.stages.converted(clock);
-                let stamp = convert::stamp(&message.header.stamp);
-                self.take(kit, decoded.map(|()| scratch.view(stamp)));
-                self.decoded = scratch;
-            }
+            Arrival::Ended(Err(reason)) => kit.fail(NodeError::shell(reason)),
         }
-        self.publish(kit);
     }
 
     fn tick(&mut self, kit: &mut Kit<Arrival>) {
@@ -139,12 +141,122 @@ impl NodeShell for MarkerTrackerNode {
 }
 
 impl MarkerTrackerNode {
+    fn subscribe(
+        &self,
+        kit: &mut Kit<Arrival>,
+        parameters: &MarkerTrackerParameters,
+    ) -> Result<(), NodeError> {
+        kit.subscribe("climber/camera/camera_info", QosPreset::Image, |message: Arc<CameraInfo>| {
+            convert::camera_model(&message).map(Arrival::Camera).map_err(|e: CameraModelError| e.to_string())
+        })?;
+        if parameters.image_transport == "compressed" {
+            kit.subscribe("climber/camera/image_raw/compressed", QosPreset::Image, |message| {
+                Some(Arrival::Compressed(message))
+            })
+        } else {
+            kit.subscribe("climber/camera/image_raw", QosPreset::Image, |message| {
+                Some(Arrival::Image(message))
+            })
+        }
+    }
+
+    fn open(&mut self, kit: &mut Kit<Arrival>, parameters: MarkerTrackerParameters) -> Result<(), NodeError> {
+        if !parameters.camera_info_url.is_empty() {
+            let camera = camera_info::read(&parameters.camera_info_url).map_err(NodeError::shell)?;
+            self.tracker.handle(Input::Camera(camera.clone()));
+            self.camera = Some(camera);
+        }
+        self.onward = Some(Onward {
+            raw: kit.advertise("climber/camera/image_raw", QosPreset::Image)?,
+            compressed: kit.advertise("climber/camera/image_raw/compressed", QosPreset::Image)?,
+            info: kit.advertise("climber/camera/camera_info", QosPreset::Image)?,
+            sequence: None,
+            lost: 0,
+        });
+        let sender = kit.device_sender(&parameters.source, 4);
+        let (clock, log) = (kit.clock(), kit.logger());
+        if parameters.source == "device" {
+            let found = device::check(&parameters).map_err(NodeError::shell)?;
+            kit.log(Level::Info, found);
+            kit.spawn("camera", move || device::run(&parameters, &sender, &clock, &log))
+        } else {
+            let video = video::probe(&parameters.file_path).map_err(NodeError::shell)?;
+            kit.spawn("video", move || video::run(&parameters, video, &sender, &clock))
+        }
+    }
+
+    fn frame(&mut self, kit: &mut Kit<Arrival>, frame: Frame) {
+        if let Some(onward) = &mut self.onward {
+            if let (Some(now), Some(before)) = (frame.sequence, onward.sequence) {
+                let skipped = now.wrapping_sub(before).wrapping_sub(1);
+                // A number that goes back is a camera that was opened anew.
+                if skipped > 0 && skipped < 1000 {
+                    onward.lost += u64::from(skipped);
+                    kit.log_throttled(
+                        Level::Warn,
+                        "lost",
+                        format!("the camera lost {skipped} images before number {now}"),
+                    );
+                }
+            }
+            onward.sequence = frame.sequence;
+            if let Some(camera) = &self.camera {
+                onward.info.publish(convert::camera_message(&self.frame, frame.stamp, camera));
+            }
+        }
+        match frame.into_message(&self.frame) {
+            source::Picture::Raw(message) => {
+                if let Some(onward) = &self.onward {
+                    onward.raw.publish_shared(Arc::clone(&message));
+                }
+                self.raw(kit, &message);
+            }
+            source::Picture::Compressed(message) => {
+                if let Some(onward) = &self.onward {
+                    onward.compressed.publish_shared(Arc::clone(&message));
+                }
+                self.compressed(kit, &message);
+            }
+        }
+    }
+
+    fn raw(&mut self, kit: &mut Kit<Arrival>, message: &Image) {
+        let mut scratch = std::mem::take(&mut self.decoded);
+        let clock = self.stages.start();
+        let view = from_encoding(
+            convert::stamp(&message.header.stamp),
+            message.width as usize,
+            message.height as usize,
+            &message.encoding,
+            message.is_bigendian != 0,
+            message.step as usize,
+            &message.data,
+            &mut scratch,
+        );
+        self.stages.converted(clock);
+        self.take(kit, view);
+        self.decoded = scratch;
+    }
+
+    fn compressed(&mut self, kit: &mut Kit<Arrival>, message: &CompressedImage) {
+        let mut scratch = std::mem::take(&mut self.decoded);
+        let clock = self.stages.start();
+        let decoded = decode_compressed_into(&message.format, &message.data, &mut scratch);
+        self.stages.converted(clock);
+        let stamp = convert::stamp(&message.header.stamp);
+        self.take(kit, decoded.map(|()| scratch.view(stamp)));
+        self.decoded = scratch;
+    }
+
     fn take(&mut self, kit: &mut Kit<Arrival>, view: Result<ImageView<'_>, ImageError>) {
         match view {
             Ok(view) => {
                 let clock = self.stages.start();
                 self.tracker.handle(Input::Image(view));
                 self.stages.tracked(clock);
+                self.publish(kit);
+                #[cfg(feature = "opencv")]
+                self.draw(kit, &view);
             }
             Err(error) => {
                 self.stages.refused();
@@ -169,6 +281,35 @@ impl MarkerTrackerNode {
                     kit.log_throttled(Level::Warn, warning.kind(), warning.to_string());
                 }
             }
+        }
+    }
+
+    /// The picture to look at, when somebody does.
+    #[cfg(feature = "opencv")]
+    fn draw(&mut self, kit: &mut Kit<Arrival>, view: &ImageView<'_>) {
+        if self.debug.subscribers() == 0 {
+            return;
+        }
+        let clock = self.stages.start();
+        let jpeg = crate::draw(view, &self.tracker.marks()).and_then(|picture| {
+            let mut data = Vec::new();
+            let (width, height) = (u16::try_from(picture.width), u16::try_from(picture.height));
+            let (Ok(width), Ok(height)) = (width, height) else {
+                return Err("the image is too large".to_owned());
+            };
+            jpeg_encoder::Encoder::new(&mut data, 80)
+                .encode(&picture.data, width, height, jpeg_encoder::ColorType::Rgb)
+                .map_err(|e| e.to_string())?;
+            Ok(data)
+        });
+        self.stages.drawn(clock);
+        match jpeg {
+            Ok(data) => self.debug.publish(CompressedImage {
+                header: convert::header(&self.frame, view.stamp),
+                format: "rgb8; jpeg compressed rgb8".to_owned(),
+                data,
+            }),
+            Err(reason) => kit.log_throttled(Level::Warn, "debug image", format!("no debug image: {reason}")),
         }
     }
 }

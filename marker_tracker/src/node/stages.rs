@@ -10,6 +10,7 @@ pub(crate) struct Stages {
     refused: u32,
     convert: Span,
     track: Span,
+    draw: Span,
     /// Images with none, one … four markers detected.
     detected: [u32; 5],
 }
@@ -59,6 +60,11 @@ impl Stages {
         self.track.add(since.elapsed());
     }
 
+    #[cfg(feature = "opencv")]
+    pub fn drawn(&mut self, since: Instant) {
+        self.draw.add(since.elapsed());
+    }
+
     pub fn refused(&mut self) {
         self.refused += 1;
     }
@@ -84,6 +90,7 @@ impl Stages {
                 ("fewer detected", (s.detected[0] + s.detected[1] + s.detected[2]).to_string()),
                 ("decoding, ms", s.convert.text()),
                 ("tracking, ms", s.track.text()),
+                ("drawing, ms", s.draw.text()),
             ],
         }
     }

@@ -1,0 +1,153 @@
+//! A camera by V4L2: the driver's own stamps and sequence numbers, its buffers mapped.
+
+use super::{Arrival, MarkerTrackerParameters, source::Frame};
+use node_kit::{Clock, DeviceSender, Level, Logger};
+use rig_model::Stamp;
+use std::{io, time::Duration};
+use v4l::{
+    Device, FourCC,
+    buffer::{Flags, Type},
+    io::{mmap::Stream, traits::CaptureStream},
+    video::{Capture, capture::Parameters},
+};
+
+/// Pixel formats that are taken, in order of preference, with ROS's name; `None` is a JPEG.
+const FORMATS: [(&[u8; 4], Option<&str>); 9] = [
+    (b"RGB3", Some("rgb8")),
+    (b"BGR3", Some("bgr8")),
+    (b"YUYV", Some("yuv422_yuy2")),
+    (b"UYVY", Some("yuv422")),
+    (b"RGGB", Some("bayer_rggb8")),
+    (b"BA81", Some("bayer_bggr8")),
+    (b"GBRG", Some("bayer_gbrg8")),
+    (b"GRBG", Some("bayer_grbg8")),
+    (b"MJPG", None),
+];
+
+/// What was agreed with the driver.
+struct Opened {
+    device: Device,
+    encoding: Option<&'static str>,
+    width: u32,
+    height: u32,
+    step: u32,
+}
+
+fn open(parameters: &MarkerTrackerParameters) -> Result<Opened, String> {
+    let path = &parameters.device_path;
+    let failed = |what: &str, e: io::Error| {
+        format!(
+            "camera {path}: {what}: {e}; see that it is plugged in, readable (group video) and not in use, or set device.path"
+        )
+    };
+    let device = Device::with_path(path).map_err(|e| failed("cannot be opened", e))?;
+    let wanted = parameters.device_format.as_bytes();
+    for (code, encoding) in FORMATS {
+        if !wanted.is_empty() && wanted != code {
+            continue;
+        }
+        let mut format = device.format().map_err(|e| failed("does not tell its format", e))?;
+        (format.width, format.height, format.fourcc) =
+            (parameters.device_width, parameters.device_height, FourCC::new(code));
+        let Ok(given) = device.set_format(&format) else { continue };
+        if given.fourcc != FourCC::new(code) {
+            continue;
+        }
+        let frames = parameters.device_rate.round().max(1.0) as u32;
+        // A camera with one fixed rate refuses to be told; its own is then taken.
+        let _ = device.set_params(&Parameters::with_fps(frames));
+        return Ok(Opened { device, encoding, width: given.width, height: given.height, step: given.stride });
+    }
+    let names: Vec<_> = FORMATS.iter().map(|(code, _)| String::from_utf8_lossy(*code).into_owned()).collect();
+    Err(format!(
+        "camera {path} gives none of the pixel formats {}; set device.format or use another camera",
+        names.join(", ")
+    ))
+}
+
+/// Whether the camera is there and gives a format that is taken; `Ok` says which.
+pub(crate) fn check(parameters: &MarkerTrackerParameters) -> Result<String, String> {
+    let o = open(parameters)?;
+    Ok(format!(
+        "camera {}: {}x{}, {}",
+        parameters.device_path,
+        o.width,
+        o.height,
+        o.encoding.unwrap_or("jpeg")
+    ))
+}
+
+/// The device's thread: frames until the node ends; a camera that fails is opened anew each second.
+pub(crate) fn run(
+    parameters: &MarkerTrackerParameters,
+    sender: &DeviceSender<Arrival>,
+    clock: &Clock,
+    log: &Logger,
+) {
+    while sender.is_open() {
+        if let Err(reason) = stream(parameters, sender, clock) {
+            log.log(Level::Error, format!("{reason}; trying again"));
+            for _ in 0..10 {
+                if !sender.is_open() {
+                    return;
+                }
+                std::thread::sleep(Duration::from_millis(100));
+            }
+        }
+    }
+}
+
+fn stream(
+    parameters: &MarkerTrackerParameters,
+    sender: &DeviceSender<Arrival>,
+    clock: &Clock,
+) -> Result<(), String> {
+    let opened = open(parameters)?;
+    let failed = |e: io::Error| format!("camera {}: {e}", parameters.device_path);
+    let mut stream = Stream::with_buffers(&opened.device, Type::VideoCapture, 4).map_err(failed)?;
+    stream.set_timeout(Duration::from_millis(200));
+    let mut silent = 0;
+    while sender.is_open() {
+        let (buffer, meta) = match stream.next() {
+            Ok(frame) => frame,
+            Err(e) if e.kind() == io::ErrorKind::TimedOut && silent < 25 => {
+                silent += 1;
+                continue;
+            }
+            Err(e) => return Err(failed(e)),
+        };
+        silent = 0;
+        if meta.flags.contains(Flags::ERROR) {
+            sender.refuse();
+            continue;
+        }
+        let used = (meta.bytesused as usize).min(buffer.len());
+        let stamp = driver_stamp(&meta, clock).plus_seconds(parameters.device_stamp_offset);
+        let frame = Frame {
+            stamp,
+            sequence: Some(meta.sequence),
+            encoding: opened.encoding,
+            width: opened.width,
+            height: opened.height,
+            step: opened.step,
+            data: buffer[..if used > 0 { used } else { buffer.len() }].to_vec(),
+        };
+        if !sender.send(Arrival::Frame(Box::new(frame))) {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// The driver's stamp on the node's clock. Drivers stamp on the monotonic clock (those that do not say so stamp late, and
+/// the arrival is as good).
+fn driver_stamp(meta: &v4l::buffer::Metadata, clock: &Clock) -> Stamp {
+    let now = clock.now();
+    if !meta.flags.contains(Flags::TIMESTAMP_MONOTONIC) {
+        return now;
+    }
+    let steady = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+    let age = (steady.tv_sec - meta.timestamp.sec) as f64 + steady.tv_nsec as f64 * 1e-9
+        - meta.timestamp.usec as f64 * 1e-6;
+    if (0.0..5.0).contains(&age) { now.plus_seconds(-age) } else { now }
+}
