@@ -44,7 +44,13 @@ impl Arrow {
     }
 
     /// Adds whitened residuals `r` of image `k`, with their derivatives by its state and by the parameters.
-    pub fn add_one(&mut self, k: usize, by_state: &DMatrix<f64>, by_parameters: &DMatrix<f64>, r: &DVector<f64>) {
+    pub fn add_one(
+        &mut self,
+        k: usize,
+        by_state: &DMatrix<f64>,
+        by_parameters: &DMatrix<f64>,
+        r: &DVector<f64>,
+    ) {
         self.diagonal[k] += (by_state.transpose() * by_state).fixed_view::<STATE, STATE>(0, 0);
         self.border[k] += by_state.transpose() * by_parameters;
         self.right[k] -= (by_state.transpose() * r).fixed_rows::<STATE>(0);

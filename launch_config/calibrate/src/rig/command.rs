@@ -25,14 +25,15 @@ pub struct RigArguments {
 /// What stands in the message, with the remedy.
 pub fn run(arguments: &RigArguments) -> Result<()> {
     let shown = arguments.rig.display();
-    let text = fs::read_to_string(&arguments.rig).with_context(|| format!("{shown} cannot be read; name a rig file"))?;
+    let text = fs::read_to_string(&arguments.rig)
+        .with_context(|| format!("{shown} cannot be read; name a rig file"))?;
     let rig = Rig::from_yaml(&text).map_err(|e| anyhow!("{shown}: {e}"))?;
     let recording = Recording::read(&arguments.bag, &rig)?;
-    let estimate =
-        refine_rig(&recording, &rig).with_context(|| format!("{}", arguments.bag.display()))?;
+    let estimate = refine_rig(&recording, &rig).with_context(|| format!("{}", arguments.bag.display()))?;
     print(&estimate);
-    fs::write(&arguments.out, yaml(&estimate))
-        .with_context(|| format!("{} cannot be written; name another file with --out", arguments.out.display()))?;
+    fs::write(&arguments.out, yaml(&estimate)).with_context(|| {
+        format!("{} cannot be written; name another file with --out", arguments.out.display())
+    })?;
     println!("written: {}", arguments.out.display());
     Ok(())
 }
@@ -48,7 +49,10 @@ fn print(estimate: &Estimate) {
         if row.determined {
             println!("{:<30} {:>10.3} {:>10.3}  {}", row.name, row.change, row.deviation, row.unit);
         } else {
-            println!("{:<30} {:>10} {:>10}  not determined by this motion: as in the rig file", row.name, "held", "");
+            println!(
+                "{:<30} {:>10} {:>10}  not determined by this motion: as in the rig file",
+                row.name, "held", ""
+            );
         }
     }
     println!("The markers' mean place, turn and size are those of the rig file: images cannot tell them.");
@@ -64,7 +68,11 @@ fn yaml(estimate: &Estimate) -> String {
     };
     let mut text = String::from("# Refined by `volant calibrate rig`. Standard deviations:\n");
     for row in estimate.rows.iter().take(24) {
-        let said = if row.determined { format!("{:.4} {}", row.deviation, row.unit) } else { "not determined".into() };
+        let said = if row.determined {
+            format!("{:.4} {}", row.deviation, row.unit)
+        } else {
+            "not determined".into()
+        };
         let _ = writeln!(text, "#   {}: {said}", row.name);
     }
     let _ = write!(

@@ -3,7 +3,9 @@
 
 use super::{
     arrow::{Arrow, STATE},
-    problem::{PARAMETERS, Parameters, State, camera_from_volant, layout_gauge, motion, pixel_whitener, pixels},
+    problem::{
+        PARAMETERS, Parameters, State, camera_from_volant, layout_gauge, motion, pixel_whitener, pixels,
+    },
     recording::Recording,
 };
 use anyhow::{Context, Result, ensure};
@@ -201,7 +203,7 @@ impl Adjustment<'_> {
     /// Levenberg–Marquardt; returns the parameters' covariance and the cost.
     fn solve(&mut self) -> Result<(DMatrix<f64>, f64)> {
         let failed = "the adjustment does not converge; check the rig file (axes, signs) and the stamps of the recording";
-        let mut damping = 1e-4;
+        let mut damping = 1e-6;
         let mut whiteners = self.whiteners().context(failed)?;
         let mut cost = self.cost(&whiteners, &self.parameters, &self.states);
         ensure!(cost.is_finite(), failed);
@@ -290,13 +292,16 @@ pub fn refine_rig(recording: &Recording, rig: &Rig) -> Result<Estimate> {
         "the motion determines neither the camera's nor the inertial unit's mounting; swing the platform about both \
          horizontal axes, turn it, and drive and turn the climber while recording"
     );
-    for i in 0..PARAMETERS {
-        if !determined[i] {
-            work.priors[i] = 1e-7;
+    // What is not determined is drawn back to the rig file little by little: all poses move along with it, and one stiff
+    // step would leave the valley of the cost.
+    let mut outcome = None;
+    for stiffness in [0.1, 0.01, 1e-3, 1e-4, 1e-5] {
+        for i in (0..PARAMETERS).filter(|i| !determined[*i]) {
+            work.priors[i] = traits[i].prior * stiffness;
         }
+        outcome = Some(work.solve()?);
     }
-    work.parameters = Parameters { rig: rig.clone(), ..work.parameters };
-    let (covariance, cost) = work.solve()?;
+    let (covariance, cost) = outcome.context("nothing was solved")?;
     let used = work.used.iter().filter(|u| **u).count();
     // Per image 8 pixels and 9 motion residuals against 9 unknowns.
     let freedom = (8 * used) as f64 - determined.iter().filter(|d| **d).count() as f64;
@@ -341,7 +346,9 @@ fn first_states(recording: &Recording, p: &Parameters) -> Result<Vec<State>> {
         let found = planar_pose::candidates(&p.rig.markers, &recording.camera, &measured, tilt.as_ref());
         let pose = match found.first() {
             Some(best) => world_from_camera * best.camera_from_volant,
-            None => *poses.last().context("no pose fits the first image; check the markers in the rig file")?,
+            None => {
+                *poses.last().context("no pose fits the first image; check the markers in the rig file")?
+            }
         };
         poses.push(pose);
     }
@@ -359,6 +366,9 @@ fn first_states(recording: &Recording, p: &Parameters) -> Result<Vec<State>> {
         let camera = camera_from_volant(recording, shot, p, s);
         camera.translation.vector.z > 0.0 && s.pose.rotation.angle_to(&UnitQuaternion::identity()) < 3.2
     });
-    ensure!(upright.count() * 2 > states.len(), "most poses lie behind the camera; check the camera's mounting in the rig file");
+    ensure!(
+        upright.count() * 2 > states.len(),
+        "most poses lie behind the camera; check the camera's mounting in the rig file"
+    );
     Ok(states)
 }

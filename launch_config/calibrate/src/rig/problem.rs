@@ -100,7 +100,12 @@ impl State {
 }
 
 /// `camera_from_volant` of an image.
-pub fn camera_from_volant(recording: &Recording, shot: &Shot, p: &Parameters, state: &State) -> Isometry3<f64> {
+pub fn camera_from_volant(
+    recording: &Recording,
+    shot: &Shot,
+    p: &Parameters,
+    state: &State,
+) -> Isometry3<f64> {
     let climber = recording.world_from_climber(shot.time + p.camera_clock - p.climber_clock);
     (climber * p.rig.climber_from_camera).inverse() * state.pose
 }
@@ -137,7 +142,8 @@ pub fn pixel_whitener(
         let (moved, noise, size) = if axis < 3 {
             let mut shift = Vector3::zeros();
             shift[axis] = 1e-4;
-            let pose = Isometry3::from_parts(Translation3::from(-shift), UnitQuaternion::identity()) * state.pose;
+            let pose =
+                Isometry3::from_parts(Translation3::from(-shift), UnitQuaternion::identity()) * state.pose;
             (State { pose, ..*state }, CLIMBER_NOISE.0, 1e-4)
         } else {
             let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -1e-4);

@@ -43,10 +43,9 @@ impl Recording {
     pub fn read(path: &Path, rig: &Rig) -> Result<Self> {
         let shown = path.display();
         let summary = BagReader::summary(path)?;
-        let has_images = summary
-            .topics
-            .iter()
-            .any(|(t, n)| *n > 0 && [msg::CompressedImage::TYPE_NAME, msg::Image::TYPE_NAME].contains(&t.type_name.as_str()));
+        let has_images = summary.topics.iter().any(|(t, n)| {
+            *n > 0 && [msg::CompressedImage::TYPE_NAME, msg::Image::TYPE_NAME].contains(&t.type_name.as_str())
+        });
         let mut bag = BagReader::open(path)?;
         let mut tracker = Tracker::new(rig.markers.clone(), TrackerConfig::default());
         let (mut camera, mut observed) = (None, Vec::<MarkerObservations>::new());
@@ -56,7 +55,8 @@ impl Recording {
             let what = || format!("{shown}: a message on {name}");
             let kind = message.topic.type_name.as_str();
             if kind == msg::CameraInfo::TYPE_NAME {
-                let model = convert::camera_model(&cdr::from_bytes(&message.data).with_context(what)?).with_context(what)?;
+                let model = convert::camera_model(&cdr::from_bytes(&message.data).with_context(what)?)
+                    .with_context(what)?;
                 tracker.handle(Input::Camera(model.clone()));
                 camera = Some(model);
             } else if kind == msg::CompressedImage::TYPE_NAME {
@@ -96,10 +96,14 @@ impl Recording {
                 }
             }
         }
-        let camera = camera
-            .with_context(|| format!("{shown}: no camera_info in it; record climber/camera/camera_info too"))?;
+        let camera = camera.with_context(|| {
+            format!("{shown}: no camera_info in it; record climber/camera/camera_info too")
+        })?;
         for (count, topic) in [(imu.len(), "volant/imu/data"), (climber.len(), "climber/transform")] {
-            ensure!(count >= 100, "{shown}: {count} messages of {topic}; record it too, for ten seconds at least");
+            ensure!(
+                count >= 100,
+                "{shown}: {count} messages of {topic}; record it too, for ten seconds at least"
+            );
         }
         let start = imu[0].stamp;
         Self::from_parts(camera, &observed, &imu, &climber_line(&climber, start), start)

@@ -41,13 +41,6 @@ pub struct Estimate {
     pub stages: Vec<Duration>,
 }
 
-impl Estimate {
-    /// The whole.
-    pub fn time(&self) -> Duration {
-        self.stages.iter().sum()
-    }
-}
-
 /// A way to a pose.
 pub trait Method {
     /// Its name in tables.
