@@ -15,7 +15,7 @@ use std::{
 use tempfile::TempDir;
 
 const BAGS: [&str; 4] = ["nominal", "occlude_two", "fast_swing", "clutter"];
-const MODELS: [&str; 1] = ["tight"];
+const MODELS: [&str; 2] = ["tight", "paper"];
 /// Set to write the figures anew; the commit says why they changed.
 const UPDATE: &str = "VOLANT_UPDATE_FIGURES";
 
