@@ -48,6 +48,8 @@ pub fn fresh(picture: &Picture) -> Picture {
 pub struct Outcome {
     /// Name of the method and its record, in the order of [`methods`].
     pub records: Vec<(&'static str, Record)>,
+    /// What the stages of each are called.
+    pub stages: Vec<&'static [&'static str]>,
     /// Whole-image acquisition of ours, median µs: a new tracker; one that had lost everything.
     pub acquisition_us: [f64; 2],
     /// Share of those pictures in which all four markers were told at once.
@@ -118,6 +120,7 @@ pub fn run(pictures: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
     allocated.sort_unstable();
     Ok(Outcome {
         records: methods.iter().map(|m| m.name()).zip(records).collect(),
+        stages: methods.iter().map(|m| m.stages()).collect(),
         acquisition_us: [median(first), median(again)],
         acquired: acquired as f64 / tried as f64,
         allocations: (
@@ -168,14 +171,14 @@ impl Outcome {
             ours.pixel_bias().x,
             ours.pixel_bias().y,
         );
-        let stages = self.of("recipe");
-        println!(
-            "recipe: flow {:.0}, tracking {:.0}, feature extraction {:.0}, extrinsics {:.0} us",
-            stages.stage_us(0),
-            stages.stage_us(1),
-            stages.stage_us(2),
-            stages.stage_us(3)
-        );
+        for ((name, record), stages) in self.records.iter().zip(&self.stages) {
+            let parts: Vec<String> = stages
+                .iter()
+                .enumerate()
+                .map(|(i, stage)| format!("{stage} {}", number(record.stage_us(i), 1)))
+                .collect();
+            println!("  {name}: {} us", parts.join(", "));
+        }
     }
 
     /// The rows of issue 3 that compare with a peer, each beside its target.

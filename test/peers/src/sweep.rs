@@ -37,7 +37,7 @@ fn conditions() -> Vec<Condition> {
 /// A short smooth motion in this condition, the whole footprint in the picture.
 fn motion(camera: &Pinhole, condition: &Condition, pictures: usize, rng: &mut Rng) -> Vec<Isometry3<f64>> {
     loop {
-        let (yaw, direction) = (rng.within(-0.7, 0.7), rng.within(0.0, 6.28));
+        let (yaw, direction) = (rng.within(-0.7, 0.7), rng.within(0.0, std::f64::consts::TAU));
         let offset = Vector2::new(rng.within(-150.0, 150.0), rng.within(-90.0, 90.0)) * rng.unit();
         let poses: Vec<_> = (0..pictures)
             .map(|i| {

@@ -77,7 +77,7 @@ impl Recipe {
     /// Lucas–Kanade from the previous binary image to this one, at each marker.
     fn flow(&self) -> Result<[Option<Point2f>; 4]> {
         let mut flows = [None; 4];
-        for i in 0..4 {
+        for (i, flow) in flows.iter_mut().enumerate() {
             let Some(centre) = self.centres[i] else { continue };
             let from: core::Vector<Point2f> = [centre].into_iter().collect();
             let mut to = core::Vector::<Point2f>::new();
@@ -95,7 +95,7 @@ impl Recipe {
                 0,
                 1e-4,
             )?;
-            flows[i] = (status.get(0)? == 1).then_some(to.get(0)? - centre);
+            *flow = (status.get(0)? == 1).then_some(to.get(0)? - centre);
         }
         Ok(flows)
     }

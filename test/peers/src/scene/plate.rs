@@ -48,8 +48,6 @@ pub struct Plate {
 pub struct MarkerTruth {
     /// Area centroid of the whole square's image, px (the mean over the exposure).
     pub centroid: Vector2<f64>,
-    /// Area of the whole square's image, px².
-    pub area: f64,
     /// Share that is in the picture and not covered.
     pub shown: f64,
 }
@@ -123,7 +121,7 @@ impl Plate {
     pub fn truth(&self, camera: &Pinhole, poses: &[Isometry3<f64>], covers: &[Thing]) -> [MarkerTruth; 4] {
         let middle = &poses[poses.len() / 2];
         let PlateKind::Markers { layout, .. } = &self.kind else {
-            return [MarkerTruth { centroid: Vector2::zeros(), area: 0.0, shown: 0.0 }; 4];
+            return [MarkerTruth { centroid: Vector2::zeros(), shown: 0.0 }; 4];
         };
         [0, 1, 2, 3].map(|i| {
             let z = layout.centres.0[i].z;
@@ -137,7 +135,7 @@ impl Plate {
                 let (x, y) = ((index % camera.width) as f64, (index / camera.width) as f64);
                 seen += share * (1.0 - cover_by(covers, x, y));
             });
-            MarkerTruth { centroid, area, shown: seen / area }
+            MarkerTruth { centroid, shown: seen / area }
         })
     }
 }
