@@ -226,6 +226,10 @@ impl Runner {
                 let told = match output {
                     Output::Sample(sample) => tell(Report::Sample(sample)),
                     Output::Event(event) => tell(Report::Event(event)),
+                    Output::Close => {
+                        port = None;
+                        true
+                    }
                     Output::Open { baud, two_stop_bits } => {
                         let opened = match self.opened.take() {
                             Some(port) => Ok(port),

@@ -78,6 +78,7 @@ impl Bench {
                     self.driver.handle(Input::Opened { at: now });
                 }
                 Output::Open { .. } => self.driver.handle(Input::OpenFailed { at: now, reason: "not there" }),
+                Output::Close => self.line = None,
                 Output::SetBaud(baud) => {
                     self.bauds.push(baud);
                     self.line = self.line.map(|line| Line { baud, ..line });

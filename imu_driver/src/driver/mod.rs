@@ -72,6 +72,8 @@ pub enum Output {
         /// With two stop bits.
         two_stop_bits: bool,
     },
+    /// Close the port.
+    Close,
     /// Set the open port to another rate and throw away what it has buffered.
     SetBaud(u32),
     /// Write these bytes.
@@ -229,7 +231,9 @@ impl Driver {
         self.said_missing = None;
         self.parser.reset();
         self.candidate_since = None;
-        self.event(Event::PortOpened { baud: self.baud() });
+        if !self.said_no_answer {
+            self.event(Event::PortOpened { baud: self.baud() });
+        }
         self.phase = Phase::Settling { until: self.now + SETTLING };
     }
 
@@ -384,21 +388,20 @@ impl Driver {
 
     fn not_here(&mut self, calling: Calling) {
         self.baud_index = (self.baud_index + 1) % self.bauds.len().max(1);
-        let mut delay = 0.0;
-        if self.baud_index == 0 {
-            delay = self.grow_pause();
-            if !self.said_no_answer {
-                self.said_no_answer = true;
-                let garbage = self.parser.counts().skipped_bytes > calling.skipped_before;
-                self.event(Event::NoAnswer { bauds: self.bauds.clone(), garbage });
-            }
-        }
-        if self.bauds.len() > 1 {
+        if self.baud_index > 0 {
             self.outputs.push_back(Output::SetBaud(self.baud()));
             self.parser.reset();
-            delay += 0.02;
+            return self.call(0.02);
         }
-        self.call(delay);
+        if !self.said_no_answer {
+            self.said_no_answer = true;
+            let garbage = self.parser.counts().skipped_bytes > calling.skipped_before;
+            self.event(Event::NoAnswer { bauds: self.bauds.clone(), garbage });
+        }
+        // Opened anew: the adapter may have been replaced by another one of the same name.
+        self.outputs.push_back(Output::Close);
+        let pause = self.grow_pause();
+        self.phase = Phase::Closed { retry_at: self.now + pause };
     }
 
     /// The unit has answered: later attempts start where it was found.

@@ -34,6 +34,8 @@ pub struct SentSample {
     pub measured: Stamp,
     /// When its last bit was on the line.
     pub sent: Stamp,
+    /// When it was really handed to the host, where somebody said so ([`FakeUnit::note_written`]).
+    pub written: Option<Stamp>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,7 +70,11 @@ pub struct FakeUnit {
     replies: VecDeque<(Stamp, Vec<u8>)>,
     /// The unit streams on until it has acknowledged GoToConfig.
     pub(super) config_at: Option<Stamp>,
-    outgoing: VecDeque<(Stamp, Vec<u8>)>,
+    /// When it arrives, what, and of which sample it is.
+    outgoing: VecDeque<(Stamp, Vec<u8>, Option<u64>)>,
+    /// Samples taken so far, and the one that was handed over last.
+    samples: u64,
+    handed_over: Option<u64>,
     next_burst: Option<Stamp>,
     dither: u64,
     sent: VecDeque<SentSample>,
@@ -102,6 +108,8 @@ impl FakeUnit {
             replies: VecDeque::new(),
             config_at: None,
             outgoing: VecDeque::new(),
+            samples: 0,
+            handed_over: None,
             next_burst: None,
             dither: 0x9E37_79B9_7F4A_7C15,
             sent: VecDeque::new(),
@@ -138,7 +146,8 @@ impl FakeUnit {
         if self.outgoing.front()?.0 > now {
             return None;
         }
-        let (_, mut bytes) = self.outgoing.pop_front()?;
+        let (_, mut bytes, sample) = self.outgoing.pop_front()?;
+        self.handed_over = sample;
         if self.mute {
             return Some(Vec::new());
         }
@@ -158,7 +167,7 @@ impl FakeUnit {
             State::Config => None,
             State::Measuring { since, next } => Some(self.sample_instant(since, next)),
         };
-        [by_state, by_reply, self.outgoing.front().map(|(at, _)| *at)].into_iter().flatten().min()
+        [by_state, by_reply, self.outgoing.front().map(|(at, ..)| *at)].into_iter().flatten().min()
     }
 
     /// Off and on again: what stands in flash is in force, the counter starts anew.
@@ -180,12 +189,24 @@ impl FakeUnit {
 
     /// Puts bytes on the line that no unit sends.
     pub fn inject(&mut self, bytes: &[u8], now: Stamp) {
-        self.transmit(bytes.to_vec(), now);
+        self.transmit(bytes.to_vec(), now, None);
     }
 
     /// Samples sent since the last call: counter and true instants.
     pub fn take_sent(&mut self) -> Vec<SentSample> {
         self.sent.drain(..).collect()
+    }
+
+    /// What [`FakeUnit::poll`] gave last was handed to the host at this instant.
+    pub fn note_written(&mut self, now: Stamp) {
+        let Some(number) = self.handed_over else {
+            return;
+        };
+        let first = self.samples - self.sent.len() as u64;
+        let index = number.checked_sub(first).and_then(|i| usize::try_from(i).ok());
+        if let Some(sample) = index.and_then(|i| self.sent.get_mut(i)) {
+            sample.written = Some(now);
+        }
     }
 
     /// How often a setting was written to flash.
@@ -215,7 +236,7 @@ impl FakeUnit {
             match self.replies.front() {
                 Some((at, _)) if *at <= now => {
                     if let Some((at, bytes)) = self.replies.pop_front() {
-                        self.transmit(bytes, at);
+                        self.transmit(bytes, at, None);
                     }
                 }
                 _ => return,
@@ -267,11 +288,12 @@ impl FakeUnit {
         };
         let mut bytes = Vec::with_capacity(data.len() + 7);
         write_frame(0xFF, message, &data, &mut bytes);
-        let sent = self.transmit(bytes, at.plus_seconds(self.config.processing));
+        let sent = self.transmit(bytes, at.plus_seconds(self.config.processing), Some(self.samples));
+        self.samples += 1;
         if self.sent.len() >= 1 << 20 {
             self.sent.pop_front();
         }
-        self.sent.push_back(SentSample { counter: self.counter, measured: at, sent });
+        self.sent.push_back(SentSample { counter: self.counter, measured: at, sent, written: None });
         self.counter = self.counter.wrapping_add(1);
     }
 
@@ -319,7 +341,7 @@ impl FakeUnit {
     pub(super) fn send(&mut self, bus_id: u8, message: MessageId, data: &[u8], at: Stamp) {
         let mut bytes = Vec::with_capacity(data.len() + 7);
         write_frame(bus_id, message, data, &mut bytes);
-        self.transmit(bytes, at);
+        self.transmit(bytes, at, None);
     }
 
     /// Sends a reply once it is due; replies keep their order.
@@ -331,7 +353,7 @@ impl FakeUnit {
     }
 
     /// Puts bytes on the line as soon as it is free after `at`; the instant of the last bit.
-    fn transmit(&mut self, bytes: Vec<u8>, at: Stamp) -> Stamp {
+    fn transmit(&mut self, bytes: Vec<u8>, at: Stamp, sample: Option<u64>) -> Stamp {
         let start = at.max(self.line_free);
         let sent = start.plus_seconds(bytes.len() as f64 * 10.0 / f64::from(self.baud));
         self.line_free = sent;
@@ -340,8 +362,8 @@ impl FakeUnit {
             _ => sent,
         };
         // An adapter keeps the order.
-        let arrival = self.outgoing.back().map_or(arrival, |(last, _)| arrival.max(*last));
-        self.outgoing.push_back((arrival, bytes));
+        let arrival = self.outgoing.back().map_or(arrival, |(last, ..)| arrival.max(*last));
+        self.outgoing.push_back((arrival, bytes, sample));
         sent
     }
 

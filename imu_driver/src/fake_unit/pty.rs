@@ -109,7 +109,8 @@ struct Port {
 
 impl Port {
     fn open(link: &Path) -> io::Result<Self> {
-        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
+        // Not inherited by a driver that is started from here: its copy would keep an unplugged port alive.
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
         grantpt(&master)?;
         unlockpt(&master)?;
         // Raw before anybody opens it, or it would echo the unit's own bytes back.
@@ -174,6 +175,7 @@ fn run(mut unit: FakeUnit, mut port: Option<Port>, link: &Path, commands: &Recei
             if heard && !bytes.is_empty() {
                 let _ = rustix::io::write(&open.master, &bytes);
             }
+            unit.note_written(now());
         }
         let wait = unit.next_deadline().map_or(0.01, |at| at.seconds_since(now())).clamp(0.0, 0.01);
         if heard {

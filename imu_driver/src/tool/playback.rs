@@ -148,7 +148,7 @@ pub(super) fn playback(arguments: &Playback) -> Result<(), Failure> {
                         ))?;
                     }
                 }
-                Output::SetBaud(_) => {}
+                Output::SetBaud(_) | Output::Close => {}
             }
         }
     }

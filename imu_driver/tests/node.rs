@@ -1,0 +1,321 @@
+//! The real node, a process of its own, between a pseudo-terminal and DDS.
+#![cfg(all(feature = "node", feature = "fake"))]
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
+
+use imu_driver::{
+    fake_unit::{FakeSample, FakeUnitConfig, SentSample, pty::PtyUnit, pty::now},
+    protocol::{MessageId, frame},
+};
+use nalgebra::{UnitQuaternion, Vector3};
+use node_kit::{
+    RosArguments, convert,
+    environment::Network,
+    node::{Kit, NodeError, NodeShell, Process},
+    qos::QosPreset,
+};
+use rig_model::Stamp;
+use std::{
+    io::Read,
+    path::PathBuf,
+    process::{Child, Command, Stdio},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+use volant_msgs::{
+    diagnostic_msgs::msg::DiagnosticArray,
+    sensor_msgs::msg::{Imu, MagneticField},
+    tf2_msgs::msg::TFMessage,
+};
+
+const RIG: &str = "/**:
+  ros__parameters:
+    camera: {position: [0.0, 0.0, -0.10], orientation: [0.70710678, 0.70710678, 0.0, 0.0]}
+    imu:
+      position: [0.01, 0.02, 0.03]
+      orientation: [0.0, 0.0, 0.0, 1.0]
+      accelerometer_noise_density: 0.002
+      gyroscope_noise_density: 0.00087
+    markers:
+      size: 0.076
+      red: [0.15, 0.15, 0.02]
+      green: [-0.15, 0.15, 0.02]
+      blue: [-0.15, -0.15, 0.02]
+      yellow: [0.15, -0.15, 0.02]
+";
+
+#[derive(Default)]
+struct Heard {
+    imu: Vec<(Stamp, Arc<Imu>)>,
+    field: Vec<Arc<MagneticField>>,
+    tf: Vec<Arc<TFMessage>>,
+    diagnostics: Vec<Arc<DiagnosticArray>>,
+}
+
+static HEARD: Mutex<Option<Heard>> = Mutex::new(None);
+/// One DDS domain, one test at a time.
+static TURN: Mutex<()> = Mutex::new(());
+
+fn with_heard<T>(f: impl FnOnce(&mut Heard) -> T) -> T {
+    let mut heard = HEARD.lock().unwrap_or_else(PoisonError::into_inner);
+    f(heard.get_or_insert_default())
+}
+
+struct Ear;
+
+impl NodeShell for Ear {
+    const NAME: &'static str = "ear";
+    type Parameters = ();
+    type Input = ();
+
+    fn start(kit: &mut Kit<()>, (): ()) -> Result<Self, NodeError> {
+        kit.subscribe("volant/imu/data", QosPreset::Sensor, |m: Arc<Imu>| -> Option<()> {
+            let at = now();
+            with_heard(|h| h.imu.push((at, m)));
+            None
+        })?;
+        kit.subscribe("imu/mag", QosPreset::Sensor, |m: Arc<MagneticField>| -> Option<()> {
+            with_heard(|h| h.field.push(m));
+            None
+        })?;
+        kit.subscribe("/tf_static", QosPreset::Latched, |m: Arc<TFMessage>| -> Option<()> {
+            with_heard(|h| h.tf.push(m));
+            None
+        })?;
+        kit.subscribe("/diagnostics", QosPreset::State, |m: Arc<DiagnosticArray>| -> Option<()> {
+            with_heard(|h| h.diagnostics.push(m));
+            None
+        })?;
+        Ok(Self)
+    }
+
+    fn handle(&mut self, _: &mut Kit<()>, (): ()) {}
+}
+
+fn sample(at: Stamp) -> FakeSample {
+    let t = (at.as_nanos() % 100_000_000_000) as f64 * 1e-9;
+    FakeSample {
+        specific_force: Vector3::new(t.sin(), t.cos(), 9.81),
+        angular_velocity: Vector3::new(0.1 * t.cos(), 0.2, -0.3),
+        enu_from_imu: UnitQuaternion::from_euler_angles(0.1, -0.2, 0.3 * t),
+        ..FakeSample::at_rest()
+    }
+}
+
+/// Unit, node and ear; all end when dropped.
+struct Stand {
+    unit: PtyUnit,
+    node: Child,
+    _ear: Process,
+    folder: PathBuf,
+    _turn: MutexGuard<'static, ()>,
+}
+
+impl Stand {
+    fn start(name: &str, domain: u16, unit: FakeUnitConfig, arguments: &[&str]) -> Self {
+        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        with_heard(|h| *h = Heard::default());
+        let folder = std::env::temp_dir().join(format!("volant-imu-node-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let rig = folder.join("rig.yaml");
+        std::fs::write(&rig, RIG).unwrap();
+        let port = folder.join("tty");
+        let unit = PtyUnit::start(unit, &port, Box::new(sample)).unwrap();
+        let network = Network { domain_id: domain, ..Network::default() };
+        let mut ear = Process::new(network).unwrap();
+        ear.start::<Ear>(&RosArguments::default()).unwrap();
+        let node = Command::new(env!("CARGO_BIN_EXE_imu_driver"))
+            .args(["--ros-args", "--params-file", rig.to_str().unwrap()])
+            .args(["-p", &format!("port:={}", port.display())])
+            .args(arguments)
+            .env("ROS_DOMAIN_ID", domain.to_string())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        Self { unit, node, _ear: ear, folder, _turn: turn }
+    }
+
+    /// Waits until so many samples have been heard.
+    fn hear(&self, samples: usize, seconds: f64) -> usize {
+        let end = now().plus_seconds(seconds);
+        loop {
+            let heard = with_heard(|h| h.imu.len());
+            if heard >= samples || now() > end {
+                return heard;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    fn wait(&self, seconds: f64, done: impl Fn(&Heard) -> bool) -> bool {
+        let end = now().plus_seconds(seconds);
+        while now() < end {
+            if with_heard(|h| done(h)) {
+                return true;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        false
+    }
+}
+
+impl Drop for Stand {
+    fn drop(&mut self) {
+        let _ = self.node.kill();
+        let _ = self.node.wait();
+        let mut said = String::new();
+        if let Some(stderr) = &mut self.node.stderr {
+            let _ = stderr.read_to_string(&mut said);
+        }
+        println!("{said}");
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+/// Every message equals what the unit measured at that time.
+fn check_truth(heard: &[(Stamp, Arc<Imu>)], tolerance: f64) {
+    for pair in heard.windows(2) {
+        assert!(convert::stamp(&pair[1].1.header.stamp) > convert::stamp(&pair[0].1.header.stamp));
+    }
+    for (_, message) in heard {
+        let imu = convert::imu_sample(message);
+        // The motion is slow: a stamp that is off by milliseconds would show.
+        let expected = sample(imu.stamp);
+        assert!((imu.specific_force - expected.specific_force).norm() < tolerance);
+        assert!((imu.angular_velocity - expected.angular_velocity).norm() < tolerance);
+        let orientation = imu.orientation.unwrap();
+        assert!(orientation.enu_from_imu.angle_to(&expected.enu_from_imu) < tolerance);
+    }
+}
+
+fn percentile(values: &mut [f64], share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[((values.len() - 1) as f64 * share).round() as usize]
+}
+
+#[test]
+fn bytes_become_messages_soon_and_with_the_right_stamps() {
+    let stand = Stand::start("latency", 71, FakeUnitConfig::default(), &[]);
+    assert!(stand.hear(1200, 30.0) >= 1200);
+    let sent: Vec<SentSample> = stand.unit.take_sent();
+    let heard = with_heard(|h| std::mem::take(&mut h.imu));
+    // The first ones came while DDS was still discovering.
+    let mut beyond_wire = Vec::new();
+    let mut beyond_write = Vec::new();
+    let mut stamp_errors = Vec::new();
+    for (at, message) in &heard[500..] {
+        let stamp = convert::stamp(&message.header.stamp);
+        let truth = sent.iter().min_by_key(|s| (s.measured.as_nanos() - stamp.as_nanos()).abs()).unwrap();
+        beyond_wire.push(at.seconds_since(truth.sent) * 1e3);
+        beyond_write.push(at.seconds_since(truth.written.unwrap()) * 1e3);
+        stamp_errors.push(stamp.seconds_since(truth.measured) * 1e3);
+    }
+    let rms = (stamp_errors.iter().map(|e| e * e).sum::<f64>() / stamp_errors.len() as f64).sqrt();
+    let p50 = percentile(&mut beyond_write, 0.5);
+    let p99 = percentile(&mut beyond_write, 0.99);
+    println!(
+        "last byte on the pty → message received over DDS, {} samples: p50 {p50:.3} ms, p99 {p99:.3} ms; from the nominal end \
+         of the wire time p99 {:.3} ms; stamps {rms:.3} ms RMS",
+        beyond_write.len(),
+        percentile(&mut beyond_wire, 0.99),
+    );
+    check_truth(&heard, 5e-3);
+    let message = &heard[600].1;
+    assert_eq!(message.header.frame_id, "imu");
+    // Variances, not standard deviations: 0.002² · 100 Hz.
+    assert!((message.linear_acceleration_covariance[0] - 4e-4).abs() < 1e-9);
+    assert!((message.orientation_covariance[8] - 0.087 * 0.087).abs() < 1e-9);
+    with_heard(|h| {
+        let field = &h.field[10].magnetic_field;
+        assert!((field.x - 0.4 * 5e-5).abs() < 1e-9 && (field.z + 0.9 * 5e-5).abs() < 1e-9);
+        let transform = &h.tf[0].transforms[0];
+        assert_eq!(
+            (transform.header.frame_id.as_str(), transform.child_frame_id.as_str()),
+            ("volant", "imu")
+        );
+        assert!((transform.transform.translation.z - 0.03).abs() < 1e-12);
+    });
+    // 100 Hz without a hole, as DDS delivered them.
+    let intervals = heard[500..]
+        .windows(2)
+        .map(|w| convert::stamp(&w[1].1.header.stamp).seconds_since(convert::stamp(&w[0].1.header.stamp)));
+    assert!(intervals.clone().all(|i| (i - 0.01).abs() < 1e-3), "{:?}", intervals.fold(0.0, f64::max));
+    // A machine that compiles beside this test is given ten times the figure.
+    assert!(p99 < 20.0, "{p99}");
+    assert!(rms < 1.0, "{rms}");
+}
+
+#[test]
+fn unplugged_replugged_slow_and_garbled_it_comes_back_by_itself() {
+    let config = FakeUnitConfig { ack_delay: 0.02, ..FakeUnitConfig::default() };
+    let stand = Stand::start("replug", 72, config, &[]);
+    assert!(stand.hear(100, 20.0) >= 100);
+    for outage in [0.3, 2.0] {
+        stand.unit.unplug();
+        std::thread::sleep(Duration::from_secs_f64(outage));
+        let before = with_heard(|h| h.imu.len());
+        stand.unit.replug();
+        let plugged = now();
+        assert!(stand.hear(before + 1, 10.0) > before);
+        let back = with_heard(|h| h.imu[before].0).seconds_since(plugged);
+        println!("plugged in again after {outage} s: first sample after {back:.2} s");
+        // Up to one pause (1 s) until the port is tried, 0.1 s to settle, then within a second.
+        assert!(back < 3.0, "{back}");
+        assert!(stand.hear(before + 100, 10.0) >= before + 100);
+    }
+    stand.unit.with(|unit, at| {
+        for k in 0..200_u8 {
+            unit.inject(&[0xFA, 0xFF, 0x32, k, 0xFA, k.wrapping_mul(37)], at);
+        }
+        unit.inject(&frame(MessageId::GO_TO_CONFIG.ack(), &[]), at);
+        unit.inject(&frame(MessageId::MT_DATA, &[0; 54])[..40], at);
+    });
+    let before = with_heard(|h| h.imu.len());
+    assert!(stand.hear(before + 200, 10.0) >= before + 200);
+    stand.unit.with(|unit, at| unit.power_cycle(at));
+    let before = with_heard(|h| h.imu.len());
+    assert!(stand.hear(before + 200, 10.0) >= before + 200);
+    let heard = with_heard(|h| h.imu.clone());
+    check_truth(&heard, 30e-3);
+    // Only the factory's missing counter was ever written.
+    assert_eq!(stand.unit.with(|unit, _| unit.flash_writes()), Some(1));
+    assert!(stand.wait(5.0, |h| {
+        h.diagnostics.iter().flat_map(|d| &d.status).any(|s| {
+            s.name == "imu_driver: unit" && s.values.iter().any(|v| v.key == "connections" && v.value == "4")
+        })
+    }));
+}
+
+#[test]
+fn a_port_that_is_not_there_ends_the_node_with_one_line_or_is_waited_for() {
+    let folder = std::env::temp_dir().join(format!("volant-imu-node-missing-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let rig = folder.join("rig.yaml");
+    std::fs::write(&rig, RIG).unwrap();
+    let node = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_imu_driver"));
+        command.args(["--ros-args", "--params-file", rig.to_str().unwrap()]).args(arguments);
+        command.env("ROS_DOMAIN_ID", "73").stderr(Stdio::piped());
+        command
+    };
+    for (arguments, code, expected) in [
+        (["-p", "port:=/nowhere/tty0"], 1, "/nowhere/tty0"),
+        (["-p", "port:=/dev/null"], 1, "/dev/null"),
+        (["-p", "baud:=12345"], 1, "12345"),
+        (["-p", "rate:=400.0"], 1, "baud"),
+    ] {
+        let done = node(&arguments).output().unwrap();
+        let text = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert_eq!(done.status.code(), Some(code), "{text}");
+        assert_eq!(text.lines().count(), 1, "{text}");
+        assert!(text.contains(expected), "{text}");
+    }
+    let mut waiting =
+        node(&["-p", &format!("port:={}", folder.join("tty").display()), "-p", "wait_for_device:=true"])
+            .spawn()
+            .unwrap();
+    std::thread::sleep(Duration::from_secs(1));
+    assert!(waiting.try_wait().unwrap().is_none());
+    waiting.kill().unwrap();
+    waiting.wait().unwrap();
+    let _ = std::fs::remove_dir_all(folder);
+}
