@@ -63,6 +63,8 @@ pub struct TightConfig {
     pub climber_turn_jerk: f64,
     /// Uncertainty of the camera's clock against the inertial unit's at the start, s; 0 switches the estimation off.
     pub camera_clock: f64,
+    /// The camera clock's offset at the start, s: an image stamped t was taken at t plus this on the inertial unit's clock.
+    pub camera_clock_offset: f64,
     /// Uncertainty of the climber's clock against the camera's at the start, s; 0: they are the same.
     pub climber_clock: f64,
     /// How the clock offsets wander, s/√s.
@@ -97,7 +99,8 @@ impl Default for TightConfig {
             climber_turn_quantum: 0.05_f64.to_radians(),
             climber_jerk: 0.05,
             climber_turn_jerk: 0.01,
-            camera_clock: 0.0,
+            camera_clock: 0.05,
+            camera_clock_offset: 0.0,
             climber_clock: 0.0,
             clock_walk: 1e-5,
             inertial_noise_limit: 30.0,

@@ -22,7 +22,7 @@ pub use status::Status;
 use paper::Paper;
 use rig_model::{CameraModel, ClimberSample, ImuSample, MarkerObservations, Rig};
 use std::collections::VecDeque;
-use tight::Tight;
+use tight::{Tight, bank::Bank};
 use visual::VisualPoses;
 
 /// One input, in the order of arrival.
@@ -42,7 +42,7 @@ pub enum Input {
 #[derive(Debug)]
 pub struct Fusion {
     model: Model,
-    tight: Tight,
+    tight: Bank,
     paper: Paper,
     visual: VisualPoses,
     outputs: VecDeque<Output>,
@@ -57,7 +57,7 @@ impl Fusion {
             model: config.model,
             visual: VisualPoses::new(rig.clone(), config.tight.pixel_floor, climber),
             paper: Paper::new(&rig, config.paper),
-            tight: Tight::new(rig, config.tight),
+            tight: Bank::new(rig, config.tight),
             outputs: VecDeque::with_capacity(256),
         }
     }
@@ -91,7 +91,7 @@ impl Fusion {
             }
             Input::Camera(camera) => {
                 self.visual.camera(&camera);
-                self.tight.camera(camera);
+                self.tight.camera(&camera);
             }
         }
     }
@@ -103,7 +103,7 @@ impl Fusion {
 
     /// The error-state filter, to look into it.
     pub fn tight(&self) -> &Tight {
-        &self.tight
+        self.tight.speaker()
     }
 
     /// Counters and insights for diagnostics (of the error-state filter).

@@ -50,7 +50,9 @@ node_kit::parameters! {
         /// Power density of the jerk of the climber's turn.
         climber_turn_jerk: f64 = 0.01, unit("rad^2/s^5"), range(1e-9..=1e6), name("climber.turn_jerk");
         /// Camera clock against the inertial unit's at the start (1 sigma); 0 takes them as one.
-        camera_clock: f64 = 0.0, unit("s"), range(0.0..=1.0), name("clock.camera");
+        camera_clock: f64 = 0.05, unit("s"), range(0.0..=0.2), name("clock.camera");
+        /// Camera clock's offset at the start: an image stamped t was taken at t plus this on the inertial unit's clock.
+        camera_clock_offset: f64 = 0.0, unit("s"), range(-1.0..=1.0), name("clock.camera_offset");
         /// Climber clock against the camera's at the start (1 sigma); 0 takes them as one.
         climber_clock: f64 = 0.0, unit("s"), range(0.0..=1.0), name("clock.climber");
         /// Velocity of a platform at rest for the zero-motion update (1 sigma); 0 switches it off.
@@ -92,6 +94,7 @@ impl FusionParameters {
                 climber_jerk: self.climber_jerk,
                 climber_turn_jerk: self.climber_turn_jerk,
                 camera_clock: self.camera_clock,
+                camera_clock_offset: self.camera_clock_offset,
                 climber_clock: self.climber_clock,
                 rest_velocity: self.rest_velocity,
                 lost_position: self.lost_position,

@@ -52,6 +52,8 @@ pub struct Status {
     pub camera_clock_offset: f64,
     /// Its standard deviation, s.
     pub camera_clock_sigma: f64,
+    /// Hypotheses of the clock offset that are still open.
+    pub clock_hypotheses: usize,
     /// Climber clock offset, s.
     pub climber_clock_offset: f64,
     /// Its standard deviation, s.

@@ -39,18 +39,28 @@ fn starts() {
             let mut sc = SensorConfig::nominal(seed);
             sc.camera_clock_ahead = off;
             sc.climber_clock_ahead = off;
-            let run = simulated::run(if fast { MotionConfig::fast_swing(seed) } else { MotionConfig::nominal(seed) }, &sc);
+            let run = simulated::run(
+                if fast { MotionConfig::fast_swing(seed) } else { MotionConfig::nominal(seed) },
+                &sc,
+            );
             let mut fusion = Fusion::new(simulated::rig(), c.clone());
             let said = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
             let s = fusion.status();
-            println!("{fast} {seed} {} rej {} rec {} clock {:+.2}±{:.2}", scoring::score(&said.odometry, &run.truth, 1.0), s.rejected_markers, s.recoveries, s.camera_clock_offset*1e3, s.camera_clock_sigma*1e3);
+            println!(
+                "{fast} {seed} {} rej {} rec {} clock {:+.2}±{:.2}",
+                scoring::score(&said.odometry, &run.truth, 1.0),
+                s.rejected_markers,
+                s.recoveries,
+                s.camera_clock_offset * 1e3,
+                s.camera_clock_sigma * 1e3
+            );
         }
     }
 }
 #[test]
 fn sim() {
-    let mut sc = SensorConfig::nominal(1);
-    let run = simulated::run(MotionConfig::nominal(1), &sc);
+    let mut sc = SensorConfig::nominal(2);
+    let run = simulated::run(MotionConfig::nominal(2), &sc);
     let mut c = FusionConfig::default();
     c.tight.camera_clock = std::env::var("CAM").map_or(0.05, |s| s.parse().unwrap());
     let mut fusion = Fusion::new(simulated::rig(), c);
@@ -61,13 +71,13 @@ fn sim() {
         if let Some(o) = one.odometry.first() {
             n += 1;
             let t = o.stamp.seconds_since(sc.epoch);
-            if n % 25 == 0 || n < 10 {
+            if n % 25 == 0 || n < 60 {
                 let s = fusion.tight().state().unwrap();
                 let k = run.motion.climber(t);
                 let tr = run.motion.kinematics(t).world_from_volant;
                 let e = scoring::error6(&o.world_from_volant, &tr);
                 println!(
-                    "{t:.3} pos {:6.2} {:6.2} {:6.2} sig {:.2} {:.2} rot {:6.3} {:6.3} {:6.3} sig {:.3} {:.3} climber {:6.2} {:6.2} {:6.3} sig {:.2} rate {:.3} acc {:.2} sig {:.2} ba {:?}",
+                    "{t:.3} pos {:6.2} {:6.2} {:6.2} sig {:.2} {:.2} rot {:6.3} {:6.3} {:6.3} sig {:.3} {:.3} CLK {:.2}±{:.2} v {:?} climber {:6.2} {:6.2} {:6.3} sig {:.2} rate {:.3} acc {:.2} sig {:.2} ba {:?}",
                     e[0] * 1e3,
                     e[1] * 1e3,
                     e[2] * 1e3,
@@ -78,6 +88,9 @@ fn sim() {
                     e[5].to_degrees(),
                     o.pose_covariance[(3, 3)].sqrt().to_degrees(),
                     o.pose_covariance[(5, 5)].sqrt().to_degrees(),
+                    s.camera_clock * 1e3,
+                    s.covariance[(24, 24)].sqrt() * 1e3,
+                    (s.velocity - run.motion.kinematics(t).velocity).as_slice(),
                     (k[0] - s.climber[0]) * 1e3,
                     (k[1] - s.climber[1]) * 1e3,
                     (k[2] - s.climber[2]).to_degrees(),

@@ -1,7 +1,7 @@
 //! What was measured, in the order of its own time, with the state after each of it.
 //!
 //! A late measurement goes to its place, and everything behind is run again from there. The memory is bounded: at most
-//! [`CAPACITY`] entries of about 7.5 kB (4 MB), allocated once; the configured length of the history is shorter at usual rates.
+//! [`CAPACITY`] entries of about 6 kB (1.6 MB), allocated once; the configured length of the history is shorter at usual rates.
 
 use super::{climber::Reading, markers::Sighting, propagate::Felt, state::State};
 use nalgebra::Vector3;
@@ -9,7 +9,7 @@ use rig_model::Stamp;
 use std::collections::VecDeque;
 
 /// Largest number of entries.
-pub const CAPACITY: usize = 512;
+pub const CAPACITY: usize = 256;
 
 /// What happened at an instant.
 #[derive(Clone, Debug, PartialEq)]

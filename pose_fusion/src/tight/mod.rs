@@ -4,6 +4,7 @@
 //! marker of every image. See [`state`] for the state, [`propagate`] for its motion, [`markers`] and [`climber`] for what
 //! corrects it, [`history`] for late data, [`start`] for the beginning.
 
+pub mod bank;
 pub mod climber;
 pub mod geometry;
 pub mod history;
@@ -44,6 +45,8 @@ const JUMP: f64 = 1.0;
 const CONFIRM: u32 = 3;
 /// A longer pause between inertial samples is a gap, s.
 const GAP: f64 = 0.05;
+/// What a rejected marker costs a hypothesis: as much as the gate, and a usual ln |S| on top.
+const REFUSED_PRICE: f64 = 20.0;
 /// So many image stamps are remembered to tell duplicates.
 const REMEMBERED: usize = 64;
 
@@ -74,6 +77,8 @@ pub struct Tight {
     contradicted_since: Option<Stamp>,
     last_used: Option<Stamp>,
     lost: bool,
+    evidence: f64,
+    weighed: u64,
     status: Status,
 }
 
@@ -102,6 +107,8 @@ impl Tight {
             contradicted_since: None,
             last_used: None,
             lost: false,
+            evidence: 0.0,
+            weighed: 0,
             status: Status::default(),
             config,
         }
@@ -140,6 +147,21 @@ impl Tight {
         self.history.get(self.history.run().checked_sub(1)?).map(|n| &n.state)
     }
 
+    /// How unlikely all images were together (minus twice the logarithm of their likelihood, up to a constant).
+    pub fn evidence(&self) -> f64 {
+        self.evidence
+    }
+
+    /// How many images that is.
+    pub fn weighed(&self) -> u64 {
+        self.weighed
+    }
+
+    /// Adds what else speaks against this filter.
+    pub fn add_evidence(&mut self, surprise: f64) {
+        self.evidence += surprise;
+    }
+
     /// Stops or resumes using markers; what is not used is still compared and recorded.
     pub fn freeze(&mut self, frozen: bool) {
         self.frozen = frozen;
@@ -149,17 +171,19 @@ impl Tight {
     pub fn reset(&mut self) {
         let (status, frozen) = (self.status.clone(), self.frozen);
         let geometry = self.geometry.take();
+        let (evidence, weighed) = (self.evidence, self.weighed);
         let mut fresh = Self::new(self.rig.clone(), self.config.clone());
         fresh.geometry = geometry;
         fresh.status = status;
         fresh.frozen = frozen;
+        (fresh.evidence, fresh.weighed) = (evidence, weighed);
         *self = fresh;
     }
 
     /// The camera's calibration; a changed one counts from the next image on.
-    pub fn camera(&mut self, camera: CameraModel) {
-        if self.geometry.as_ref().is_none_or(|g| g.camera != camera) {
-            self.geometry = Some(Geometry::new(&self.rig, camera));
+    pub fn camera(&mut self, camera: &CameraModel) {
+        if self.geometry.as_ref().is_none_or(|g| g.camera != *camera) {
+            self.geometry = Some(Geometry::new(&self.rig, camera.clone()));
         }
     }
 
@@ -247,7 +271,7 @@ impl Tight {
             self.try_start(&geometry, stamp, &pixels, out);
             return;
         }
-        let clock = self.state().map_or(0.0, |s| s.camera_clock);
+        let clock = self.state().map_or(self.config.camera_clock_offset, |s| s.camera_clock);
         let at = stamp.plus_seconds(clock);
         if self.history.get(0).is_none_or(|first| at <= first.stamp) {
             self.status.refused_images += 1;
@@ -309,7 +333,8 @@ impl Tight {
             }
             self.readings.push_back((stamp, values, rest));
         }
-        let clock = self.state().map_or(0.0, |s| s.camera_clock + s.climber_clock);
+        let clock =
+            self.state().map_or(self.config.camera_clock_offset, |s| s.camera_clock + s.climber_clock);
         let at = stamp.plus_seconds(clock);
         if self.started && self.history.get(0).is_none_or(|first| at <= first.stamp) {
             self.status.refused_climber += 1;
@@ -677,6 +702,9 @@ impl Tight {
         out: &mut VecDeque<Output>,
     ) -> bool {
         let seen = pixels.iter().flatten().count() as u32;
+        self.weighed += 1;
+        let refused = f64::from(seen.saturating_sub(report.used));
+        self.evidence += report.surprise + REFUSED_PRICE * refused;
         if report.used > 0 && !self.frozen {
             self.last_used = Some(image);
             let ratio = (report.nis / (2.0 * f64::from(report.used))).clamp(0.0, 6.0);
@@ -741,6 +769,7 @@ impl Tight {
         self.contradictions = 0;
         self.contradicted_since = None;
         self.status.recoveries += 1;
+        self.evidence += 100.0;
         out.push_back(Output::Warning(Warning::LockOutRecovered { since, stamp: image }));
         true
     }
@@ -774,25 +803,28 @@ impl Tight {
         out: &mut VecDeque<Output>,
     ) {
         let seen = pixels.iter().flatten().count();
+        let clock = self.config.camera_clock_offset;
+        let image = stamp;
+        let stamp = image.plus_seconds(clock);
         let up = self.up_at(stamp);
         let felt_before = (0..self.history.len())
             .filter_map(|p| self.history.get(p))
             .any(|n| matches!(n.event, Event::Imu { .. }) && n.stamp <= stamp);
-        let climber = self.climber_at(stamp);
+        let climber = self.climber_at(image);
         let (Some((climber, rest)), true, true, false) = (climber, seen >= 3, felt_before, self.frozen)
         else {
-            self.refuse(stamp, pixels, MarkerOutcome::NotInitialised, out);
+            self.refuse(image, pixels, MarkerOutcome::NotInitialised, out);
             return;
         };
-        let sighting = Sighting { pixels: *pixels, clock: 0.0, felt: NOTHING, rest };
+        let sighting = Sighting { pixels: *pixels, clock, felt: NOTHING, rest };
         let found = start::hypotheses(geometry, &self.config, &sighting, up.as_ref(), &climber);
         let Some(best) = found.into_iter().next() else {
-            self.refuse(stamp, pixels, MarkerOutcome::Inconsistent, out);
+            self.refuse(image, pixels, MarkerOutcome::Inconsistent, out);
             return;
         };
-        self.record(stamp, &best.report, out);
-        self.last_used = Some(stamp);
-        out.push_back(Output::Warning(Warning::Initialised { stamp }));
+        self.record(image, &best.report, out);
+        self.last_used = Some(image);
+        out.push_back(Output::Warning(Warning::Initialised { stamp: image }));
         self.started = true;
         self.begin(stamp, best.state, out);
     }

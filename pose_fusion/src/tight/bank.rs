@@ -1,0 +1,182 @@
+//! The clock offset is found by filters that start from different offsets side by side.
+//!
+//! An error-state filter corrects its clock offset well while it is off by a few milliseconds, and loses its way where it is off
+//! by more than an image period: it then integrates the wrong inertial samples. So the offset is first a choice among
+//! hypotheses [`STEP`] apart, each a filter of its own. Every image weighs them by what it surprises them
+//! (`νᵀ S⁻¹ ν + ln |S|`, and a fixed price for a marker that is gated), those that fall far behind the best are dropped, and the
+//! last one goes on alone and tunes its offset as a state. Without motion no hypothesis falls behind: the one of the configured
+//! offset speaks until another is clearly better, and the offset stays open.
+
+use super::Tight;
+use crate::{config::TightConfig, output::Output, status::Status};
+use rig_model::{CameraModel, ClimberSample, ImuSample, MarkerObservations, Rig};
+use std::collections::VecDeque;
+
+/// Distance between the hypotheses, s.
+pub const STEP: f64 = 0.010;
+/// Uncertainty of the offset within one, s.
+pub const WITHIN: f64 = 0.006;
+/// How far they reach, in sigmas of the offset.
+const REACH: f64 = 2.2;
+/// A hypothesis that is so much less likely than the best (minus twice the logarithm) is dropped.
+const DROP: f64 = 40.0;
+/// Another one speaks when it is so much more likely than the speaker.
+const CHANGE: f64 = 12.0;
+
+/// Filters side by side, of which one speaks.
+#[derive(Debug)]
+pub struct Bank {
+    rig: Rig,
+    config: TightConfig,
+    members: Vec<Tight>,
+    speaker: usize,
+    silent: VecDeque<Output>,
+}
+
+impl Bank {
+    /// One filter where the offset is known to [`STEP`] or so, else as many as its uncertainty asks for.
+    pub fn new(rig: Rig, config: TightConfig) -> Self {
+        let mut bank =
+            Self { rig, config, members: Vec::new(), speaker: 0, silent: VecDeque::with_capacity(256) };
+        bank.fill();
+        bank
+    }
+
+    fn fill(&mut self) {
+        self.members.clear();
+        self.speaker = 0;
+        let reach = if self.config.camera_clock > WITHIN {
+            (REACH * self.config.camera_clock / STEP).round() as i32
+        } else {
+            0
+        };
+        // The configured offset first: it speaks until it is refuted.
+        for i in 0..=2 * reach {
+            let step = if i % 2 == 0 { i / 2 } else { -(i + 1) / 2 };
+            let away = f64::from(step) * STEP;
+            let config = TightConfig {
+                camera_clock_offset: self.config.camera_clock_offset + away,
+                camera_clock: self.config.camera_clock.min(WITHIN),
+                ..self.config.clone()
+            };
+            let mut member = Tight::new(self.rig.clone(), config);
+            if reach > 0 {
+                member.add_evidence((away / self.config.camera_clock).powi(2));
+            }
+            self.members.push(member);
+        }
+    }
+
+    /// The filter that speaks.
+    pub fn speaker(&self) -> &Tight {
+        &self.members[self.speaker]
+    }
+
+    /// The filter that speaks, to be changed.
+    pub fn speaker_mut(&mut self) -> &mut Tight {
+        &mut self.members[self.speaker]
+    }
+
+    /// How many hypotheses are left.
+    pub fn hypotheses(&self) -> usize {
+        self.members.len()
+    }
+
+    /// Counters and insights of the one that speaks.
+    pub fn status(&self) -> Status {
+        let mut status = self.speaker().status();
+        status.clock_hypotheses = self.members.len();
+        if self.members.len() > 1 {
+            // As far as they lie apart, the offset is not known better.
+            let offsets = self.members.iter().map(|m| m.status().camera_clock_offset);
+            let (low, high) =
+                offsets.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
+            status.camera_clock_sigma = status.camera_clock_sigma.max((high - low) / 2.0);
+        }
+        status
+    }
+
+    /// Forgets everything.
+    pub fn reset(&mut self) {
+        self.fill();
+    }
+
+    /// Stops or resumes using markers.
+    pub fn freeze(&mut self, frozen: bool) {
+        self.members.iter_mut().for_each(|m| m.freeze(frozen));
+    }
+
+    /// The camera's calibration.
+    pub fn camera(&mut self, camera: &CameraModel) {
+        self.members.iter_mut().for_each(|m| m.camera(camera));
+    }
+
+    /// An inertial sample.
+    pub fn imu(&mut self, sample: &ImuSample, out: &mut VecDeque<Output>) {
+        self.each(out, |member, out| member.imu(sample, out));
+        self.weigh();
+    }
+
+    /// The markers of an image.
+    pub fn markers(&mut self, observations: &MarkerObservations, out: &mut VecDeque<Output>) {
+        self.each(out, |member, out| member.markers(observations, out));
+        self.weigh();
+    }
+
+    /// The climber's encoders.
+    pub fn climber(&mut self, sample: &ClimberSample, out: &mut VecDeque<Output>) {
+        self.each(out, |member, out| member.climber(sample, out));
+    }
+
+    fn each(&mut self, out: &mut VecDeque<Output>, mut work: impl FnMut(&mut Tight, &mut VecDeque<Output>)) {
+        for (i, member) in self.members.iter_mut().enumerate() {
+            if i == self.speaker {
+                work(member, out);
+            } else {
+                work(member, &mut self.silent);
+                self.silent.clear();
+            }
+        }
+    }
+
+    fn weigh(&mut self) {
+        if self.members.len() == 1 {
+            return;
+        }
+        // Images reach the hypotheses at different moments of the inertial clock: compare after equally many.
+        let images = self.members.iter().map(Tight::weighed).max().unwrap_or(0);
+        if self.members.iter().any(|m| m.weighed() + 3 < images) {
+            // One that cannot start is no hypothesis.
+            let speaker = self.speaker;
+            let mut index = 0;
+            let mut shift = 0;
+            self.members.retain(|m| {
+                let keep = m.weighed() + 12 >= images || index == speaker;
+                shift += usize::from(!keep && index < speaker);
+                index += 1;
+                keep
+            });
+            self.speaker -= shift;
+        }
+        if images == 0 {
+            return;
+        }
+        let rate = |m: &Tight| m.evidence();
+        let Some((best, least)) =
+            self.members.iter().map(rate).enumerate().min_by(|a, b| a.1.total_cmp(&b.1))
+        else {
+            return;
+        };
+        if rate(&self.members[self.speaker]) > least + CHANGE {
+            self.speaker = best;
+        }
+        let (speaker, mut index, mut shift) = (self.speaker, 0, 0);
+        self.members.retain(|m| {
+            let keep = rate(m) <= least + DROP || index == speaker;
+            shift += usize::from(!keep && index < speaker);
+            index += 1;
+            keep
+        });
+        self.speaker -= shift;
+    }
+}
