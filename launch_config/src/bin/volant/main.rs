@@ -5,8 +5,16 @@
 
 mod bag;
 mod evaluate;
+#[cfg(feature = "nodes")]
+mod play;
+#[cfg(feature = "nodes")]
+mod record;
 mod replay;
 mod say;
+#[cfg(feature = "nodes")]
+mod signals;
+#[cfg(feature = "nodes")]
+mod up;
 
 use clap::{Parser, Subcommand};
 use std::{
@@ -32,6 +40,20 @@ enum Action {
     /// What is in a bag, and how to mend one
     #[command(subcommand)]
     Bag(bag::Action),
+    /// Runs any set of the nodes in one process
+    #[cfg(feature = "nodes")]
+    #[command(disable_help_flag = true)]
+    Up {
+        /// Nodes, --rig FILE, --ros-args …
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        words: Vec<OsString>,
+    },
+    /// Live topics into a bag
+    #[cfg(feature = "nodes")]
+    Record(record::Arguments),
+    /// A bag onto live topics
+    #[cfg(feature = "nodes")]
+    Play(play::Arguments),
     #[command(external_subcommand)]
     Other(Vec<OsString>),
 }
@@ -41,6 +63,12 @@ fn main() -> ExitCode {
         Action::Replay(arguments) => replay::run(&arguments),
         Action::Evaluate(arguments) => evaluate::run(&arguments),
         Action::Bag(action) => bag::run(&action),
+        #[cfg(feature = "nodes")]
+        Action::Up { words } => return up::run(&words),
+        #[cfg(feature = "nodes")]
+        Action::Record(arguments) => record::run(&arguments),
+        #[cfg(feature = "nodes")]
+        Action::Play(arguments) => play::run(&arguments),
         Action::Other(words) => return other(&words),
     };
     match result {

@@ -34,3 +34,11 @@ pub fn mebibytes(bytes: u64) -> String {
 pub fn name(path: &Path) -> String {
     path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned())
 }
+
+/// A line that changes while something goes on; drawn on a terminal only.
+#[cfg(feature = "nodes")]
+pub fn spinner() -> ProgressBar {
+    let bar = ProgressBar::new_spinner();
+    bar.enable_steady_tick(std::time::Duration::from_millis(200));
+    bar
+}

@@ -1,0 +1,83 @@
+//! `volant up`: any set of nodes in one process, with hand-over inside of it.
+
+use crate::say;
+use climber_driver::node::ClimberNode;
+use imu_driver::node::ImuNode;
+use marker_tracker::node::MarkerTrackerNode;
+use node_kit::{
+    RosArguments,
+    node::{NodeError, NodeShell, Process},
+};
+use pose_fusion::node::FusionNode;
+use std::{ffi::OsString, process::ExitCode};
+
+const HELP: &str =
+    "volant up: nodes in one process; images and samples pass without a copy, topics stay there for others
+
+usage: volant up [NODE…] [--rig rig.yaml] [--params-file file.yaml] [--ros-args …]
+
+nodes (all four without a name): marker_tracker, imu_driver, climber_driver, pose_fusion
+
+--ros-args takes what ROS 2 gives every node; -p NODE:parameter:=value and -r NODE:from:=to mean one of them.
+";
+
+type Start = fn(&mut Process, &RosArguments) -> Result<(), NodeError>;
+
+fn start<S: NodeShell>() -> (&'static str, Start) {
+    (S::NAME, |process, ros| process.start::<S>(ros))
+}
+
+pub fn run(words: &[OsString]) -> ExitCode {
+    let known =
+        [start::<MarkerTrackerNode>(), start::<ImuNode>(), start::<ClimberNode>(), start::<FusionNode>()];
+    let wrong = |text: String| {
+        say::line(&format!("volant up: {text} (`volant up --help` lists what it takes)"));
+        ExitCode::from(2)
+    };
+    let words = words.iter().map(|w| w.to_string_lossy().into_owned());
+    let (mut ros, rest) = match RosArguments::parse(words) {
+        Ok(parsed) => parsed,
+        Err(error) => return wrong(error.to_string()),
+    };
+    let mut chosen: Vec<(&str, Start)> = vec![];
+    let mut rest = rest.into_iter();
+    while let Some(word) = rest.next() {
+        match word.as_str() {
+            "--help" | "-h" => {
+                print!("{HELP}");
+                return ExitCode::SUCCESS;
+            }
+            "--rig" | "--params-file" => {
+                let Some(path) = rest.next() else { return wrong(format!("{word} takes a file")) };
+                if let Err(error) = ros.add_file(path.into()) {
+                    say::line(&format!("volant up: {error}"));
+                    return if error.is_usage() { ExitCode::from(2) } else { ExitCode::FAILURE };
+                }
+            }
+            name => match known.iter().find(|(n, _)| *n == name) {
+                Some(node) if !chosen.iter().any(|(n, _)| n == &node.0) => chosen.push(*node),
+                Some(_) => return wrong(format!("`{name}` is there twice")),
+                None => return wrong(format!("`{name}` is no node of this program")),
+            },
+        }
+    }
+    if chosen.is_empty() {
+        chosen = known.to_vec();
+    }
+    match up(&chosen, &ros) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            say::line(&format!("volant up: {error}"));
+            if error.is_usage() { ExitCode::from(2) } else { ExitCode::FAILURE }
+        }
+    }
+}
+
+fn up(nodes: &[(&str, Start)], ros: &RosArguments) -> Result<(), NodeError> {
+    let mut process = Process::from_environment()?;
+    process.stop_on_signals()?;
+    for (_, start) in nodes {
+        start(&mut process, ros)?;
+    }
+    process.wait()
+}
