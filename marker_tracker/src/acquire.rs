@@ -69,7 +69,7 @@ pub(crate) fn hypotheses(
         [MarkerColor::Blue, MarkerColor::Yellow, MarkerColor::Red, MarkerColor::Green],
         [MarkerColor::Yellow, MarkerColor::Red, MarkerColor::Green, MarkerColor::Blue],
     ];
-    for (round, [a, b, c, d]) in seeds.into_iter().enumerate() {
+    for (round, [a, b, c, d]) in seeds.into_iter().enumerate().take(if allow_three { 4 } else { 1 }) {
         let (pa, pb, pc, pd) = (layout.centres[a], layout.centres[b], layout.centres[c], layout.centres[d]);
         let (u, v) = ((pb - pa).xy(), (pc - pa).xy());
         let twist = u.x * v.y - u.y * v.x;

@@ -54,6 +54,8 @@ pub(crate) struct Engine {
     pub markers: PerColor<Memory>,
     scanner: Scanner,
     found: Vec<Hypothesis>,
+    /// Images so far.
+    images: u32,
     /// Images since two markers were detected at once.
     blind: u32,
     /// Running sums of the correlation of the edges' rows, by lag.
@@ -67,7 +69,7 @@ pub(crate) struct Engine {
 const COARSE: f64 = 4.5;
 
 /// Pixels around a predicted outline that are looked at.
-const MARGIN: f64 = 12.0;
+const MARGIN: f64 = 9.0;
 /// Likeness (0 to 1) of the hue histograms from which on a thing can be the marker.
 const MIN_LIKENESS: f32 = 0.6;
 
@@ -87,6 +89,7 @@ impl Engine {
             markers: PerColor::default(),
             scanner: Scanner::default(),
             found: Vec::with_capacity(64),
+            images: 0,
             blind: 0,
             lag: [0.0; LAGS],
             excess: [0.0; 2],
@@ -137,6 +140,7 @@ impl Engine {
         self.last_stamp = Some(image.stamp);
         let before: [Option<Vector2<f64>>; 4] = std::array::from_fn(|i| self.markers.0[i].centroid);
         let pose_before = self.pose;
+        self.images = self.images.wrapping_add(1);
         for m in &mut self.markers.0 {
             m.fit = None;
             m.reason = "not found";
@@ -200,7 +204,7 @@ impl Engine {
     fn look(&mut self, image: &ImageView<'_>, color: MarkerColor, quad: &Quad, margin: f64) -> bool {
         let memory = &mut self.markers[color];
         let Some(appearance) = memory.appearance.as_ref() else { return false };
-        memory.window.fill(image, quad.bounds(margin), &appearance.discriminant);
+        memory.window.fill(image, quad, margin, &appearance.discriminant);
         true
     }
 
@@ -223,6 +227,7 @@ impl Engine {
             correlation: self.correlation(),
             inflation: self.inflation(),
             half_width,
+            rows: if half_width == COARSE { 16 } else { 96 },
         };
         fit(&memory.window, quad, &prior, 0.45)
     }
@@ -531,8 +536,11 @@ impl Engine {
                 }
             }
             let m = &mut self.markers[color];
-            if let Some(a) = &mut m.appearance {
-                a.follow(image, &f.quad, 0.1);
+            // Light drifts slowly: one marker's colours per image.
+            if self.images % 4 == color.index() as u32
+                && let Some(a) = &mut m.appearance
+            {
+                a.follow(image, &f.quad, 0.3);
             }
             // Three leave the tilt too open to teach sizes from it, but the turn hardly depends on it.
             if detected < 3 || (detected < 4 && m.turn.1 > 10) {
@@ -573,30 +581,18 @@ impl Engine {
         } else {
             Strictness { reprojection: 0.3, area: 2.2 }
         };
+        // All four first; three only where no four are confirmed.
         let mut found = std::mem::take(&mut self.found);
-        hypotheses(&self.layout, camera, &self.scanner.blobs, strictness, true, &mut found);
-        let mut best: Option<(usize, f64, Verified)> = None;
-        let mut rivals = 0;
-        for h in &found {
-            let Some(v) = self.verify(image, camera, h, known) else { continue };
-            let (count, error) = (v.count, v.error);
-            match &best {
-                Some((n, e, b)) if (*n, -*e) >= (count, -error) => {
-                    rivals += u32::from(*n == count && !same_place(&b.centroids, &v.centroids));
-                }
-                Some((n, _, b)) => {
-                    rivals = u32::from(*n == count && !same_place(&b.centroids, &v.centroids));
-                    best = Some((count, error, v));
-                }
-                None => best = Some((count, error, v)),
+        let mut best = None;
+        for allow_three in [false, true] {
+            hypotheses(&self.layout, camera, &self.scanner.blobs, strictness, allow_three, &mut found);
+            best = self.best_of(image, camera, &found, known);
+            if best.is_some() {
+                break;
             }
         }
         self.found = found;
-        let Some((count, _, v)) = best else { return false };
-        // Three that could be several places tell nothing.
-        if count < 4 && rivals > 0 {
-            return false;
-        }
+        let Some(v) = best else { return false };
         self.pose = Some(v.pose);
         for color in MarkerColor::ALL {
             let m = &mut self.markers[color];
@@ -610,6 +606,36 @@ impl Engine {
             }
         }
         true
+    }
+
+    /// The hypothesis that its outlines confirm best; none where three markers could be in several places.
+    fn best_of(
+        &mut self,
+        image: &ImageView<'_>,
+        camera: &CameraModel,
+        found: &[Hypothesis],
+        known_camera: bool,
+    ) -> Option<Verified> {
+        let mut best: Option<Verified> = None;
+        let mut rivals = 0;
+        for h in found {
+            let Some(v) = self.verify(image, camera, h, known_camera) else { continue };
+            let better = best.as_ref().is_none_or(|b| (v.count, -v.error) > (b.count, -b.error));
+            if let Some(b) = &best
+                && b.count == v.count
+                && !same_place(&b.centroids, &v.centroids)
+            {
+                rivals += 1;
+            }
+            if better {
+                best = Some(v);
+            }
+            // Four outlines that stand as the layout has them to a fraction of a pixel are no chance.
+            if best.as_ref().is_some_and(|b| b.count == 4 && b.error < 0.6) {
+                return best;
+            }
+        }
+        best.filter(|b| b.count == 4 || rivals == 0)
     }
 
     /// Looks at the outlines that a hypothesis claims.
@@ -840,7 +866,7 @@ fn same_place(a: &PerColor<Option<Vector2<f64>>>, b: &PerColor<Option<Vector2<f6
 /// The half-width across the edges that holds their blur.
 fn half_width_for(f: &QuadFit) -> f64 {
     let widest = f.edges.iter().flatten().map(|e| e.blur).fold(0.0, f64::max);
-    (0.8 + 2.5 * widest).clamp(1.5, COARSE)
+    (0.8 + 2.5 * widest).clamp(1.5, COARSE - 0.1)
 }
 
 /// All four edges were seen along most of their length.

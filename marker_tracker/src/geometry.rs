@@ -68,22 +68,24 @@ pub(crate) fn refine(
     iterations: usize,
 ) -> Option<(Isometry3<f64>, f64)> {
     let mut pose = *start;
-    let mut cost = evaluate(layout, camera, sights, &pose, prior)?.0;
+    let (mut cost, mut normal, mut gradient) = evaluate(layout, camera, sights, &pose, prior)?;
     let mut damping = 1e-6;
     for _ in 0..iterations {
-        let (_, normal, gradient) = evaluate(layout, camera, sights, &pose, prior)?;
         let mut damped = normal;
         for i in 0..6 {
             damped[(i, i)] *= 1.0 + damping;
             damped[(i, i)] += 1e-9;
         }
         let step = damped.cholesky()?.solve(&gradient);
+        // Below a micrometre and a microradian nothing is gained.
+        if step.norm() < 1e-6 {
+            break;
+        }
         let candidate = moved(&pose, &step);
         match evaluate(layout, camera, sights, &candidate, prior) {
-            Some((new_cost, _, _)) if new_cost <= cost * (1.0 + 1e-9) => {
-                let done = cost - new_cost < 1e-6 * (1.0 + cost);
-                pose = candidate;
-                cost = new_cost;
+            Some((new_cost, n, g)) if new_cost <= cost * (1.0 + 1e-9) => {
+                let done = cost - new_cost < 1e-4 * cost.min(1.0);
+                (pose, cost, normal, gradient) = (candidate, new_cost, n, g);
                 damping = (damping * 0.1).max(1e-9);
                 if done {
                     break;

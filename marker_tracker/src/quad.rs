@@ -33,6 +33,13 @@ impl Quad {
         (area / 2.0, origin + moment / (3.0 * area))
     }
 
+    /// Larger on all sides, by `margin` px about.
+    pub fn grown(&self, margin: f64) -> Self {
+        let (_, centre) = self.area_and_centroid();
+        let scale = 1.0 + 2.0 * margin / self.thickness().max(4.0);
+        Self(self.0.map(|c| centre + (c - centre) * scale))
+    }
+
     /// x0, y0, x1, y1 with a margin, whole pixels, the upper ones excluded.
     pub fn bounds(&self, margin: f64) -> [i32; 4] {
         let min = self.0.iter().fold(Vector2::repeat(f64::INFINITY), |m, c| m.inf(c));
@@ -57,7 +64,7 @@ impl Quad {
     }
 
     /// Whole columns inside on a row, from (included) to (excluded); `None` where there is none.
-    fn span(&self, y: f64) -> Option<(i32, i32)> {
+    pub fn span(&self, y: f64) -> Option<(i32, i32)> {
         let (mut from, mut to) = (f64::INFINITY, f64::NEG_INFINITY);
         for i in 0..4 {
             let (p, q) = (self.0[i], self.0[(i + 1) % 4]);
@@ -137,6 +144,8 @@ pub(crate) struct ShapePrior {
     pub inflation: f64,
     /// Half-width across the edge that is integrated, px.
     pub half_width: f64,
+    /// Most rows of an edge that are used.
+    pub rows: usize,
 }
 
 /// Pixels along an edge that a corner's blur spoils.
@@ -171,7 +180,7 @@ impl Interior {
         self.level + self.gradient.x * (x - self.centre.x) + self.gradient.y * (y - self.centre.y)
     }
 
-    fn measure(window: &Window, quad: &Quad, half_width: f64) -> Option<Self> {
+    fn measure(window: &Window, quad: &Quad, half_width: f64, lines: usize) -> Option<Self> {
         const N: usize = 7;
         let (_, centre) = quad.area_and_centroid();
         // Samples on a grid that stays half_width away from the edges.
@@ -211,7 +220,7 @@ impl Interior {
         let (mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0f64, 0f64, 0f64, 0f64, 0f64);
         let (mut ss, mut sxs, mut sys, mut square) = (0f64, 0f64, 0f64, 0f64);
         let rows = (bottom - top).max(1);
-        let stride = (rows / 40).max(1);
+        let stride = (rows / lines.min(48) as i32).max(1);
         for y in (top..bottom).step_by(stride as usize) {
             let Some((from, to)) = shrunken.span(f64::from(y)) else { continue };
             let Some(row) = window.row(y, from, to) else { continue };
@@ -281,7 +290,7 @@ pub(crate) fn fit(
         return None;
     }
     let half_width = prior.half_width.min(predicted.thickness() * 0.25).max(1.0);
-    let interior = Interior::measure(window, predicted, half_width)?;
+    let interior = Interior::measure(window, predicted, half_width, prior.rows)?;
     let mut edges: [Option<EdgeFit>; 4] = [None; 4];
     let mut outside_levels = [0.0; 4];
     for i in 0..4 {
@@ -333,7 +342,7 @@ fn fit_edge(
     let first = from.ceil() as i32;
     let last = to.floor() as i32;
     let usable = ((last - first + 1).max(0)) as usize;
-    let stride = usable.div_ceil(MAX_ROWS).max(1);
+    let stride = usable.div_ceil(prior.rows.clamp(8, MAX_ROWS)).max(1);
     let outside_count = ((OUTSIDE * width).clamp(1.0, 3.0) / steep).ceil() as i32;
     let mut rows = [Row::default(); MAX_ROWS];
     let (mut count, mut possible) = (0usize, 0usize);
@@ -380,14 +389,18 @@ fn fit_edge(
         return None;
     }
     let rows = &mut rows[..count];
-    // Outside level along the edge: median, then a line through what agrees.
-    let mut levels = [0f64; MAX_ROWS];
-    for (l, r) in levels.iter_mut().zip(rows.iter()) {
-        *l = r.outside;
-    }
-    let levels = &mut levels[..count];
-    levels.sort_unstable_by(f64::total_cmp);
-    let outside_median = levels[count / 2];
+    // Outside level along the edge: median, then a line through what agrees. Where all agree the mean is as good.
+    let mean = rows.iter().map(|r| r.outside).sum::<f64>() / count as f64;
+    let outside_median = if rows.iter().all(|r| (r.outside - mean).abs() < 0.05) {
+        mean
+    } else {
+        let mut levels = [0f64; MAX_ROWS];
+        for (l, r) in levels.iter_mut().zip(rows.iter()) {
+            *l = r.outside;
+        }
+        levels[..count].sort_unstable_by(f64::total_cmp);
+        levels[count / 2]
+    };
     let contrast = interior.level - outside_median;
     if !(contrast > min_contrast) {
         return None;
@@ -428,22 +441,19 @@ fn fit_edge(
         }
         // Shading relative to the crossing; the outside shares it.
         let shading = interior.gradient[k] / interior.level.abs().max(0.3);
+        let (low_end, high_end) = (start.min(end), start.max(end));
+        let (first_at, last_at) =
+            if k == 0 { ((low_end, line), (high_end, line)) } else { ((line, low_end), (line, high_end)) };
+        let Some((values, stride)) = window.between(first_at, last_at) else { continue };
+        let scale = 1.0 / difference;
+        // 1/(1 + shading·distance), to first order.
+        let mut local = 1.0 - shading * (f64::from(low_end) - crossing);
         let (mut sum, mut mixed) = (0.0, 0.0);
-        let mut complete = true;
-        let steps = (end - start).abs();
-        for j in 0..=steps {
-            let i = start + step * j;
-            let Some(v) = at(i, line) else {
-                complete = false;
-                break;
-            };
-            let local = 1.0 + shading * (f64::from(i) - crossing);
-            let c = (f64::from(v) / local.max(0.5) - outside_here) / difference;
+        for v in values.iter().step_by(stride) {
+            let c = (f64::from(*v) * local - outside_here) * scale;
+            local -= shading;
             sum += c;
             mixed += c * (1.0 - c);
-        }
-        if !complete {
-            continue;
         }
         let edge = f64::from(start) - 0.5 * sign + sign * sum;
         let across = (edge - crossing) * sign * steep;
@@ -472,31 +482,41 @@ fn line_through(rows: &[Row], possible: usize, length: f64, prior: &ShapePrior) 
     if rows.len() < 3 {
         return None;
     }
-    let mut sorted = [0f64; MAX_ROWS];
-    for (s, r) in sorted.iter_mut().zip(rows.iter()) {
-        *s = r.across;
-    }
-    let sorted = &mut sorted[..rows.len()];
-    sorted.sort_unstable_by(f64::total_cmp);
-    let spread = (sorted[rows.len() * 3 / 4] - sorted[rows.len() / 4]) / 1.35;
     let lean = 2.0 * prior.slope_sigma * length / 2.0;
-    // The fullest place within ± reach, and the outermost that is half as full.
-    let reach = (2.0 * spread).clamp(0.2, 0.4) + lean;
-    let fullness = |at: usize| {
-        let from = sorted.partition_point(|&v| v < sorted[at] - reach);
-        let to = sorted.partition_point(|&v| v <= sorted[at] + reach);
-        (from, to)
-    };
-    let most = (0..rows.len()).map(|i| fullness(i)).map(|(a, b)| b - a).max()?;
-    let (from, to) = (0..rows.len()).rev().map(|i| fullness(i)).find(|(a, b)| 2 * (b - a) >= most.max(8))?;
-    let (mut offset, mut slope) = (sorted[(from + to) / 2], 0.0);
+    let mean = rows.iter().map(|r| r.across).sum::<f64>() / rows.len() as f64;
+    let (mut offset, mut slope, reach);
+    if rows.iter().all(|r| (r.across - mean).abs() < 0.3) {
+        // Nothing disagrees.
+        (offset, slope, reach) = (mean, 0.0, 0.3 + lean);
+    } else {
+        let mut sorted = [0f64; MAX_ROWS];
+        for (s, r) in sorted.iter_mut().zip(rows.iter()) {
+            *s = r.across;
+        }
+        let sorted = &mut sorted[..rows.len()];
+        sorted.sort_unstable_by(f64::total_cmp);
+        let spread = (sorted[rows.len() * 3 / 4] - sorted[rows.len() / 4]) / 1.35;
+        // The fullest place within ± reach, and the outermost that is half as full.
+        reach = (2.0 * spread).clamp(0.2, 0.4) + lean;
+        let fullness = |at: usize| {
+            let from = sorted.partition_point(|&v| v < sorted[at] - reach);
+            let to = sorted.partition_point(|&v| v <= sorted[at] + reach);
+            (from, to)
+        };
+        let most = (0..rows.len()).map(&fullness).map(|(a, b)| b - a).max()?;
+        let enough = most.max(8.min(rows.len()));
+        let (from, to) = (0..rows.len()).rev().map(&fullness).find(|(a, b)| 2 * (b - a) >= enough)?;
+        (offset, slope) = (sorted[(from + to) / 2], 0.0);
+    }
     let mut gate = reach;
     let mut result = None;
     for round in 0..3 {
         let agrees = |r: &Row| (r.across - offset - slope * r.along).abs() < gate;
+        // Rows far apart are no neighbours.
         let used = |i: usize| {
             agrees(&rows[i])
                 && (round == 0
+                    || prior.rows < 48
                     || ((i == 0 || agrees(&rows[i - 1])) && (i + 1 == rows.len() || agrees(&rows[i + 1]))))
         };
         let (mut n, mut st, mut stt, mut sa, mut sta) = (0.0, 0.0, 0.0, 0.0, 0.0);

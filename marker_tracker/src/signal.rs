@@ -1,6 +1,9 @@
 //! From pixels to a colour signal: the projection of each pixel onto one direction of RGB space, over a window.
 
-use crate::image::{ImageView, PixelFormat};
+use crate::{
+    image::{ImageView, PixelFormat},
+    quad::Quad,
+};
 
 /// A direction in RGB space along which a marker differs most from its surroundings.
 ///
@@ -44,13 +47,19 @@ pub(crate) struct Window {
 }
 
 impl Window {
-    /// Fills it from the part of the rectangle `[x0, x1) × [y0, y1)` that lies in the image.
-    pub fn fill(&mut self, image: &ImageView<'_>, [x0, y0, x1, y1]: [i32; 4], discriminant: &Discriminant) {
+    /// Fills it from the part of the image in and around `quad`, to `margin` px beyond its edges; NaN elsewhere in the
+    /// rectangle.
+    pub fn fill(&mut self, image: &ImageView<'_>, quad: &Quad, margin: f64, discriminant: &Discriminant) {
+        let grown = quad.grown(margin);
+        // Where the quad is long and thin, growing it in proportion would look far along its length.
+        let ([a, b, c, d], [e, f, g, h]) = (grown.bounds(0.0), quad.bounds(2.0 * margin));
+        let [x0, y0, x1, y1] = [a.max(e), b.max(f), c.min(g), d.min(h)];
         let (x0, y0) = (x0.clamp(0, image.width as i32), y0.clamp(0, image.height as i32));
         let (x1, y1) = (x1.clamp(x0, image.width as i32), y1.clamp(y0, image.height as i32));
         (self.x0, self.y0, self.width, self.height) = (x0, y0, x1 - x0, y1 - y0);
         let (w, h) = (self.width as usize, self.height as usize);
-        self.values.resize(w * h, 0.0);
+        self.values.clear();
+        self.values.resize(w * h, f32::NAN);
         if w == 0 || h == 0 {
             return;
         }
@@ -59,14 +68,32 @@ impl Window {
             weights.swap(0, 2);
         }
         let bytes = image.format.bytes_per_pixel();
-        for (row, out) in self.values.chunks_exact_mut(w).enumerate() {
-            let start = (y0 as usize + row) * image.step + x0 as usize * bytes;
-            let Some(source) = image.data.get(start..start + w * bytes) else { return };
+        for (y, out) in (y0..).zip(self.values.chunks_exact_mut(w)) {
+            let Some((from, to)) = grown.span(f64::from(y)) else { continue };
+            let (from, to) = (from.clamp(x0, x1), to.clamp(x0, x1));
+            let start = y as usize * image.step + from as usize * bytes;
+            let (Some(source), Some(out)) = (
+                image.data.get(start..start + (to - from) as usize * bytes),
+                out.get_mut((from - x0) as usize..(to - x0) as usize),
+            ) else {
+                continue;
+            };
             match image.format {
                 PixelFormat::Rgb8 | PixelFormat::Bgr8 => project::<3>(source, out, weights),
                 PixelFormat::Rgba8 | PixelFormat::Bgra8 => project::<4>(source, out, weights),
             }
         }
+    }
+
+    /// The values from one place to another on the same row or column, with the step from one to the next.
+    #[inline(always)]
+    pub fn between(&self, from: (i32, i32), to: (i32, i32)) -> Option<(&[f32], usize)> {
+        let inside = |(x, y): (i32, i32)| {
+            let (u, v) = (x - self.x0, y - self.y0);
+            (u >= 0 && v >= 0 && u < self.width && v < self.height).then_some((v * self.width + u) as usize)
+        };
+        let (a, b) = (inside(from)?, inside(to)?);
+        Some((self.values.get(a..=b)?, if from.1 == to.1 { 1 } else { self.width as usize }))
     }
 
     /// Value at an image position; `None` outside.
