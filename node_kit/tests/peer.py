@@ -4,6 +4,7 @@ peer.py echo TOPIC_IN TOPIC_OUT pose|imu N    publish N messages, print how many
 peer.py hear TOPIC tf|imu|pose|diagnostics N SECONDS    print messages that came, one JSON a line
 peer.py graph SECONDS PREFIX                  print the endpoints whose topic begins so, again on each change
 peer.py clock START N                         publish /clock from START (s) on, 0.1 s a step
+peer.py watch TOPIC KIND reliable|best_effort read for ever
 peer.py calls NODE                            call the node's services as rmw_cyclonedds does, print the replies
 """
 
@@ -125,6 +126,17 @@ class DiagnosticStatus(IdlStruct, typename="diagnostic_msgs::msg::dds_::Diagnost
 class DiagnosticArray(IdlStruct, typename="diagnostic_msgs::msg::dds_::DiagnosticArray_"):
     header: Header
     status: types.sequence[DiagnosticStatus]
+
+
+@dataclass
+class Image(IdlStruct, typename="sensor_msgs::msg::dds_::Image_"):
+    header: Header
+    height: types.uint32
+    width: types.uint32
+    encoding: str
+    is_bigendian: types.uint8
+    step: types.uint32
+    data: types.sequence[types.uint8]
 
 
 @dataclass
@@ -302,6 +314,7 @@ KINDS = {
     "diagnostics": DiagnosticArray,
     "clock": Clock,
     "log": Log,
+    "image": Image,
 }
 
 
@@ -378,6 +391,17 @@ def hear(participant, topic, kind, count, seconds):
         print(json.dumps(plain(sample)), flush=True)
 
 
+def watch(participant, topic, kind, reliable):
+    """Reads for ever, without decoding more than need be; prints a line when the first message is there."""
+    r = reader(participant, topic, kind, reliable=reliable == "reliable", depth=4)
+    first = True
+    while True:
+        if r.take(N=10) and first:
+            print("first", flush=True)
+            first = False
+        time.sleep(0.005)
+
+
 def clock(participant, start, count):
     w = writer(participant, "/clock", "clock", reliable=False)
     time.sleep(1.0)
@@ -412,7 +436,7 @@ def graph(participant, seconds, prefix):
 
 def main():
     participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
-    {"echo": echo, "hear": hear, "clock": clock, "graph": graph, "calls": calls}[sys.argv[1]](participant, *sys.argv[2:])
+    {"echo": echo, "hear": hear, "clock": clock, "graph": graph, "calls": calls, "watch": watch}[sys.argv[1]](participant, *sys.argv[2:])
 
 
 if __name__ == "__main__":

@@ -63,6 +63,15 @@ enum Ended {
     Stop,
 }
 
+/// Tells of the end of a node's thread, also when it panicked.
+struct TellEnd(SyncSender<Ended>);
+
+impl Drop for TellEnd {
+    fn drop(&mut self) {
+        let _ = self.0.try_send(Ended::Node);
+    }
+}
+
 /// Asks a [`Process`] to stop, from any thread.
 #[derive(Clone)]
 pub struct Stopper(SyncSender<Ended>);
@@ -142,9 +151,8 @@ impl Process {
         let thread = std::thread::Builder::new()
             .name(name.base().chars().take(15).collect())
             .spawn(move || {
-                let result = live::<S>(domain, inbox, parts, &started_sender);
-                let _ = ended.try_send(Ended::Node);
-                result
+                let _tells = TellEnd(ended);
+                live::<S>(domain, inbox, parts, &started_sender)
             })
             .map_err(|source| NodeError::System { what: format!("a thread for {}", name.base()), source })?;
         // The sender drops without a word when the node could not start; its thread says why.

@@ -1,0 +1,148 @@
+//! A node of this kit against a DDS peer that is not ours (PyPI `cyclonedds`), in processes of their own.
+
+mod common;
+
+use common::{Running, example, python};
+use std::{process::Command, time::Duration};
+
+const LONG: Duration = Duration::from_secs(20);
+
+fn minimal(domain: u16, arguments: &[&str], environment: &[(&str, &str)]) -> Running {
+    Running::start(domain, &example("minimal_node"), arguments, environment)
+}
+
+#[test]
+fn messages_cross_both_ways_unchanged() {
+    let Some(python) = python() else { return };
+    let _node = minimal(101, &[], &[]);
+    for (from, to, kind) in [("/pose", "/echo", "pose"), ("/imu", "/imu_echo", "imu")] {
+        let (_, lines) = Running::peer(101, &python, &["echo", from, to, kind, "20"]).finish(LONG);
+        assert_eq!(lines, ["20"], "{kind}");
+    }
+}
+
+#[test]
+fn a_late_joiner_gets_the_static_transform_once() {
+    let Some(python) = python() else { return };
+    let _node = minimal(102, &[], &[]);
+    std::thread::sleep(Duration::from_millis(500));
+    let (_, lines) = Running::peer(102, &python, &["hear", "/tf_static", "tf", "5", "1.5"]).finish(LONG);
+    assert_eq!(lines.len(), 1, "{lines:?}");
+    assert!(lines[0].contains(r#""child_frame_id": "minimal""#), "{lines:?}");
+}
+
+#[test]
+fn sigterm_and_sigint_end_a_node_at_once_and_leave_no_ghost() {
+    let Some(python) = python() else { return };
+    for (domain, signal) in [(103, "TERM"), (104, "INT")] {
+        let graph = Running::peer(domain, &python, &["graph", "30", "rt/"]);
+        let mut node =
+            minimal(domain, &["--ros-args", "-r", "__ns:=/rig1", "-r", "pose:=/elsewhere/pose"], &[]);
+        let seen = graph.line_with("rt/rig1/minimal/beats", LONG);
+        for topic in ["rt/elsewhere/pose", "rt/rig1/imu", "rt/rig1/echo", "rt/tf_static", "rt/rosout"] {
+            assert!(seen.contains(&format!("\"{topic}\"")), "{topic} in {seen}");
+        }
+        assert!(!seen.contains("rt/clock") && !seen.contains("rt//"), "{seen}");
+        node.signal(signal);
+        assert!(node.wait(Duration::from_secs(1)).success());
+        // The lease of a ghost is 50 s.
+        graph.line_with(r#""pub": [], "sub": []"#, Duration::from_secs(1));
+    }
+}
+
+#[test]
+fn diagnostics_name_the_topic_that_is_missing() {
+    let Some(python) = python() else { return };
+    let _node = minimal(105, &[], &[]);
+    let (_, lines) =
+        Running::peer(105, &python, &["hear", "/diagnostics", "diagnostics", "1", "5"]).finish(LONG);
+    assert!(
+        lines[0].contains("nothing comes on /pose") && !lines[0].contains("nothing comes on /imu"),
+        "{lines:?}"
+    );
+}
+
+#[test]
+fn parameters_and_lifecycle_are_served() {
+    let Some(python) = python() else { return };
+    let node = minimal(106, &[], &[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]);
+    let peer = Running::peer(106, &python, &["calls", "/minimal"]);
+    for (what, needles) in [
+        ("list", vec![r#""beat""#, r#""use_sim_time""#, r#""markers.size""#, r#""markers""#]),
+        ("get", vec![r#""type": 3"#, r#""double_value": 10.0"#, r#""type": 0"#]),
+        ("describe", vec!["Beats per second. [Hz]", r#""read_only": true"#, r#""to_value": 1000.0"#]),
+        ("set_live", vec![r#""successful": true"#]),
+        ("set_fixed", vec![r#""successful": false"#, "`beat` cannot change"]),
+        ("get_after", vec![r#""bool_value": true"#]),
+        ("state", vec![r#""active""#]),
+        ("activate_again", vec![r#""success": false"#]),
+        ("deactivate", vec![r#""success": true"#]),
+        ("state_after", vec![r#""inactive""#]),
+        ("cleanup", vec![r#""success": true"#]),
+        ("configure", vec![r#""success": true"#]),
+        ("activate", vec![r#""success": true"#]),
+    ] {
+        let line = peer.line_with(&format!("\"{what}\": "), LONG);
+        for needle in needles {
+            assert!(line.contains(needle), "{what}: {needle} in {line}");
+        }
+    }
+    // The topics are there again after the round.
+    let (_, lines) = Running::peer(106, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
+    assert_eq!(lines, ["5"]);
+    drop(node);
+}
+
+#[test]
+fn a_node_that_does_not_start_itself_waits_without_topics() {
+    let Some(python) = python() else { return };
+    let _node = minimal(107, &["--ros-args", "-p", "autostart:=false"], &[]);
+    let graph = Running::peer(107, &python, &["graph", "2", "rt/"]);
+    let (_, lines) = graph.finish(LONG);
+    let last = lines.last().unwrap();
+    assert!(last.contains("rt/rosout") && !last.contains("rt/pose") && !last.contains("rt/echo"), "{last}");
+}
+
+#[test]
+fn simulated_time_drives_stamps_and_timers() {
+    let Some(python) = python() else { return };
+    let _node = minimal(108, &["--ros-args", "-p", "use_sim_time:=true", "-p", "beat:=2.0"], &[]);
+    let beats = Running::peer(108, &python, &["hear", "/minimal/beats", "pose", "3", "15"]);
+    std::thread::sleep(Duration::from_millis(500));
+    // 6 s of simulated time in 1.2 s.
+    Running::peer(108, &python, &["clock", "1000", "60"]).finish(LONG);
+    let (_, lines) = beats.finish(LONG);
+    assert_eq!(lines.len(), 3, "{lines:?}");
+    for line in lines {
+        let sec: i64 = line.split(r#""sec": "#).nth(1).unwrap().split(',').next().unwrap().parse().unwrap();
+        assert!((1000..=1006).contains(&sec), "{line}");
+    }
+}
+
+#[test]
+fn wrong_command_lines_say_what_is_wrong_and_how_it_is_right() {
+    for (arguments, code, needle) in [
+        (vec!["--bet", "3"], 2, "did you mean `beat`"),
+        (vec!["stray"], 2, "stray"),
+        (vec!["--ros-args", "-p", "bet:=1"], 2, "did you mean `beat`"),
+        (vec!["--ros-args", "--bogus"], 2, "--bogus"),
+        (vec!["--ros-args", "-r", "__node:=a b"], 2, "a b"),
+        (vec!["--ros-args", "-p", "beat:=fast"], 1, "`beat` is a double"),
+        (vec!["--beat", "5000"], 1, "between 0.1 and 1000 Hz"),
+        (vec!["--rig", "/no/such/rig.yaml"], 1, "/no/such/rig.yaml"),
+        (vec!["--help"], 0, "Beats per second."),
+    ] {
+        let output = Command::new(example("minimal_node"))
+            .args(&arguments)
+            .env("ROS_DOMAIN_ID", "109")
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+        assert!(said.contains(needle), "{arguments:?}: {said}");
+        assert!(code == 0 || said.trim().lines().count() == 1, "{arguments:?}: {said}");
+    }
+    let output = Command::new(example("minimal_node")).env("ROS_DOMAIN_ID", "300").output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("ROS_DOMAIN_ID=300"));
+}

@@ -1,0 +1,49 @@
+//! What a node costs, and what a subscriber that dies costs it.
+
+mod common;
+
+use common::{Running, example, python};
+use std::time::Duration;
+
+const LONG: Duration = Duration::from_secs(20);
+
+#[test]
+fn an_idle_node_needs_little() {
+    let node = Running::start(111, &example("minimal_node"), &["--beat", "0.1"], &[]);
+    std::thread::sleep(Duration::from_secs(2));
+    let before = node.processor_time();
+    std::thread::sleep(Duration::from_secs(4));
+    let used = node.processor_time() - before;
+    let memory = node.memory();
+    eprintln!("idle: {:.2} % of a core, {} MB", used.as_secs_f64() / 4.0 * 100.0, memory / 1024);
+    assert!(used <= Duration::from_millis(40), "{used:?} in 4 s");
+    assert!(memory < 40 * 1024, "{memory} kB");
+}
+
+#[test]
+fn a_subscriber_killed_while_images_flow_costs_neither_memory_nor_time() {
+    let Some(python) = python() else { return };
+    for (domain, reliability) in [(112, "best_effort"), (113, "reliable")] {
+        let setting = format!("qos_overrides./image.publisher.reliability:={reliability}");
+        let source = Running::start(domain, &example("image_source"), &["--ros-args", "-p", &setting], &[]);
+        let watcher = Running::peer(domain, &python, &["watch", "/image", "image", reliability]);
+        watcher.line_with("first", LONG);
+        source.line_with("subscribers=1", LONG);
+        std::thread::sleep(Duration::from_millis(500));
+        let before = source.memory();
+        // Kills with SIGKILL.
+        drop(watcher);
+        std::thread::sleep(Duration::from_secs(4));
+        let after = source.memory();
+        let longest = source
+            .lines_so_far()
+            .iter()
+            .filter_map(|l| l.split("longest_us=").nth(1)?.split(' ').next()?.parse::<u64>().ok())
+            .max()
+            .unwrap();
+        eprintln!("{reliability}: {before} kB before, {after} kB after, longest publication {longest} us");
+        assert!(after < before + 50 * 1024, "{reliability}: {before} -> {after} kB");
+        // The bound is 1 ms on a machine of its own; a test machine may take the processor away meanwhile.
+        assert!(longest < 20_000, "{reliability}: {longest} us");
+    }
+}
