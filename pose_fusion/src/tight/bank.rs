@@ -19,9 +19,9 @@ pub const WITHIN: f64 = 0.006;
 /// How far they reach, in sigmas of the offset.
 const REACH: f64 = 2.2;
 /// A hypothesis that is so much less likely than the best (minus twice the logarithm) is dropped.
-const DROP: f64 = 40.0;
+const DROP: f64 = 100.0;
 /// Another one speaks when it is so much more likely than the speaker.
-const CHANGE: f64 = 12.0;
+const CHANGE: f64 = 40.0;
 
 /// Filters side by side, of which one speaks.
 #[derive(Debug)]

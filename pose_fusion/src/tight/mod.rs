@@ -47,11 +47,18 @@ const CONFIRM: u32 = 3;
 const GAP: f64 = 0.05;
 /// What a rejected marker costs a hypothesis: as much as the gate, and a usual ln |S| on top.
 const REFUSED_PRICE: f64 = 20.0;
+/// So many images are no evidence yet: the noise of the other sensors is still being found.
+const SETTLING: u64 = 15;
+/// A reading that is so much (squared, in sigmas) off means that the climber jerks more than assumed.
+const SURPRISE: f64 = 10.0;
 /// So many image stamps are remembered to tell duplicates.
 const REMEMBERED: usize = 64;
 
 /// To be interpolated.
 const NOTHING: Felt = Felt { force: Vector3::new(0.0, 0.0, 0.0), rate: Vector3::new(0.0, 0.0, 0.0) };
+
+/// Centroid and covariance of each detected marker.
+type Pixels = [Option<(Vector2<f64>, Matrix2<f64>)>; 4];
 
 /// The error-state filter.
 #[derive(Debug)]
@@ -77,6 +84,8 @@ pub struct Tight {
     contradicted_since: Option<Stamp>,
     last_used: Option<Stamp>,
     lost: bool,
+    /// The image to start from, while the inertial samples have not come so far.
+    awaited: Option<(Stamp, Pixels)>,
     evidence: f64,
     weighed: u64,
     status: Status,
@@ -107,6 +116,7 @@ impl Tight {
             contradicted_since: None,
             last_used: None,
             lost: false,
+            awaited: None,
             evidence: 0.0,
             weighed: 0,
             status: Status::default(),
@@ -234,6 +244,13 @@ impl Tight {
         }
         self.take_imu(sample, felt, Some(ahead));
         if !self.started {
+            let at = self.awaited.map(|(image, _)| image.plus_seconds(self.config.camera_clock_offset));
+            if at.is_none_or(|at| at > sample.stamp) {
+                return;
+            }
+            if let (Some((image, pixels)), Some(geometry)) = (self.awaited.take(), self.geometry.clone()) {
+                self.try_start(&geometry, image, &pixels, out);
+            }
             return;
         }
         self.run(out);
@@ -268,7 +285,7 @@ impl Tight {
         self.images.push_back(stamp);
         if !self.started {
             let geometry = geometry.clone();
-            self.try_start(&geometry, stamp, &pixels, out);
+            self.start_or_wait(&geometry, stamp, pixels, out);
             return;
         }
         let clock = self.state().map_or(self.config.camera_clock_offset, |s| s.camera_clock);
@@ -507,8 +524,8 @@ impl Tight {
                         reading.felt = felt;
                         climber::update(&mut to.state, reading, gates.gravity)
                     };
-                    self.jerk_scale =
-                        (self.jerk_scale * (1.0 + 0.02 * (nis.min(20.0) / 3.0 - 1.0))).clamp(1.0, 100.0);
+                    let more = if nis > SURPRISE { 1.6 } else { 0.98 };
+                    self.jerk_scale = (self.jerk_scale * more).clamp(1.0, 1000.0);
                 }
                 Event::Markers { sighting, image, fresh } => {
                     sighting.felt = felt;
@@ -613,11 +630,7 @@ impl Tight {
         self.lost = lost;
     }
 
-    fn usable_pixels(
-        &mut self,
-        observations: &MarkerObservations,
-        out: &mut VecDeque<Output>,
-    ) -> [Option<(Vector2<f64>, Matrix2<f64>)>; 4] {
+    fn usable_pixels(&mut self, observations: &MarkerObservations, out: &mut VecDeque<Output>) -> Pixels {
         let floor = Matrix2::identity() * self.config.pixel_floor.powi(2);
         let minimum = self.config.pixel_minimum.powi(2);
         let mut pixels = [None; 4];
@@ -646,13 +659,7 @@ impl Tight {
         pixels
     }
 
-    fn refuse(
-        &mut self,
-        stamp: Stamp,
-        pixels: &[Option<(Vector2<f64>, Matrix2<f64>)>; 4],
-        outcome: MarkerOutcome,
-        out: &mut VecDeque<Output>,
-    ) {
+    fn refuse(&mut self, stamp: Stamp, pixels: &Pixels, outcome: MarkerOutcome, out: &mut VecDeque<Output>) {
         for color in MarkerColor::ALL {
             let outcome = if pixels[color.index()].is_some() { outcome } else { MarkerOutcome::NotDetected };
             out.push_back(Output::MarkerUpdate(MarkerUpdateRecord {
@@ -694,17 +701,13 @@ impl Tight {
     }
 
     /// Learns from what became of an image: pixel noise, lock-out. True where the filter was started anew.
-    fn learn(
-        &mut self,
-        image: Stamp,
-        pixels: &[Option<(Vector2<f64>, Matrix2<f64>)>; 4],
-        report: &Report,
-        out: &mut VecDeque<Output>,
-    ) -> bool {
+    fn learn(&mut self, image: Stamp, pixels: &Pixels, report: &Report, out: &mut VecDeque<Output>) -> bool {
         let seen = pixels.iter().flatten().count() as u32;
         self.weighed += 1;
         let refused = f64::from(seen.saturating_sub(report.used));
-        self.evidence += report.surprise + REFUSED_PRICE * refused;
+        if self.weighed > SETTLING {
+            self.evidence += report.surprise + REFUSED_PRICE * refused;
+        }
         if report.used > 0 && !self.frozen {
             self.last_used = Some(image);
             let ratio = (report.nis / (2.0 * f64::from(report.used))).clamp(0.0, 6.0);
@@ -732,13 +735,7 @@ impl Tight {
     }
 
     /// The markers have contradicted the estimate for several images: where they agree with each other, they are right.
-    fn recover(
-        &mut self,
-        image: Stamp,
-        since: Stamp,
-        pixels: &[Option<(Vector2<f64>, Matrix2<f64>)>; 4],
-        out: &mut VecDeque<Output>,
-    ) -> bool {
+    fn recover(&mut self, image: Stamp, since: Stamp, pixels: &Pixels, out: &mut VecDeque<Output>) -> bool {
         let Some(geometry) = self.geometry.clone() else { return false };
         let Some(old) = self.state().cloned() else { return false };
         let Some((_, _, rest)) = self.readings.back().copied() else { return false };
@@ -795,13 +792,29 @@ impl Tight {
         sum.try_normalize(1e-3).map(|in_imu| Up { in_imu, sigma: start::SWING_TILT })
     }
 
-    fn try_start(
+    /// Starts from an image, or keeps it until the inertial samples have come to its time.
+    fn start_or_wait(
         &mut self,
         geometry: &Geometry,
-        stamp: Stamp,
-        pixels: &[Option<(Vector2<f64>, Matrix2<f64>)>; 4],
+        image: Stamp,
+        pixels: Pixels,
         out: &mut VecDeque<Output>,
     ) {
+        let at = image.plus_seconds(self.config.camera_clock_offset);
+        if self.newest_imu.is_some_and(|(newest, _)| at <= newest) {
+            self.try_start(geometry, image, &pixels, out);
+            return;
+        }
+        // The first one is kept: were it replaced by each that follows, none would ever be reached.
+        let stale = self.awaited.is_none_or(|(kept, _)| image.seconds_since(kept).abs() > AHEAD);
+        if stale && pixels.iter().flatten().count() >= 3 {
+            self.awaited = Some((image, pixels));
+        } else {
+            self.refuse(image, &pixels, MarkerOutcome::NotInitialised, out);
+        }
+    }
+
+    fn try_start(&mut self, geometry: &Geometry, stamp: Stamp, pixels: &Pixels, out: &mut VecDeque<Output>) {
         let seen = pixels.iter().flatten().count();
         let clock = self.config.camera_clock_offset;
         let image = stamp;

@@ -18,6 +18,8 @@ pub struct SensorConfig {
     pub epoch: Stamp,
     /// Inertial samples per second.
     pub imu_rate: f64,
+    /// From sample to arrival, s: shortest and longest.
+    pub imu_delay: [f64; 2],
     /// Factor on the rig file's noise densities.
     pub imu_noise_factor: f64,
     /// Bias of the accelerometer, imu axes, m/s².
@@ -61,6 +63,7 @@ impl SensorConfig {
             seed,
             epoch: Stamp::from_nanos(1_700_000_000_000_000_000),
             imu_rate: 100.0,
+            imu_delay: [0.001, 0.003],
             imu_noise_factor: 1.0,
             accelerometer_bias: bias(0.03),
             gyroscope_bias: bias(0.008),
@@ -185,7 +188,10 @@ impl<'a> Sensors<'a> {
                     ))),
                 }),
             };
-            samples.push((c.epoch.plus_seconds(t + r.within(0.001, 0.003)), Message::Imu(sample)));
+            samples.push((
+                c.epoch.plus_seconds(t + r.within(c.imu_delay[0], c.imu_delay[1])),
+                Message::Imu(sample),
+            ));
         }
         samples
     }
