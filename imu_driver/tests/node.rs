@@ -209,6 +209,11 @@ fn bytes_become_messages_soon_and_with_the_right_stamps() {
         beyond_write.push(at.seconds_since(truth.written.unwrap()) * 1e3);
         stamp_errors.push(stamp.seconds_since(truth.measured) * 1e3);
     }
+    if std::env::var_os("VOLANT_VERBOSE").is_some() {
+        for (k, latency) in beyond_write.iter().enumerate().filter(|(_, l)| **l > 1.0) {
+            println!("  sample {k}: {latency:.2} ms");
+        }
+    }
     let rms = (stamp_errors.iter().map(|e| e * e).sum::<f64>() / stamp_errors.len() as f64).sqrt();
     let p50 = percentile(&mut beyond_write, 0.5);
     let p99 = percentile(&mut beyond_write, 0.99);
@@ -318,4 +323,55 @@ fn a_port_that_is_not_there_ends_the_node_with_one_line_or_is_waited_for() {
     waiting.kill().unwrap();
     waiting.wait().unwrap();
     let _ = std::fs::remove_dir_all(folder);
+}
+
+/// Resident memory of a process, KiB.
+fn resident(pid: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
+    let line = status.lines().find(|l| l.starts_with("VmRSS")).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse().unwrap()
+}
+
+#[test]
+#[ignore = "ten minutes: cargo test --release -p imu_driver --features fake --test node -- --ignored --nocapture"]
+fn ten_minutes_at_400_hz_lose_nothing_and_the_memory_stays_flat() {
+    let config = FakeUnitConfig { baud: 460_800, first_counter: 50_000, ..FakeUnitConfig::default() };
+    let stand = Stand::start("soak", 74, config, &["-p", "baud:=460800", "-p", "rate:=400.0"]);
+    let seconds = std::env::var("VOLANT_SOAK").ok().and_then(|s| s.parse().ok()).unwrap_or(600.0);
+    assert!(stand.hear(400, 20.0) >= 400);
+    stand.unit.take_sent();
+    with_heard(|h| *h = Heard::default());
+    let start = now();
+    let mut memory = Vec::new();
+    let (mut sent, mut heard, mut gaps) = (0, 0, 0);
+    let mut last: Option<Stamp> = None;
+    while now().seconds_since(start) < seconds {
+        std::thread::sleep(Duration::from_secs(1));
+        memory.push(resident(stand.node.id()));
+        sent += stand.unit.take_sent().len();
+        let messages = with_heard(|h| std::mem::take(&mut h.imu));
+        heard += messages.len();
+        for (_, message) in messages {
+            let stamp = convert::stamp(&message.header.stamp);
+            gaps += usize::from(last.is_some_and(|l| stamp.seconds_since(l) > 0.004));
+            last = Some(stamp);
+        }
+    }
+    std::thread::sleep(Duration::from_secs(2));
+    let value = |h: &Heard, key: &str| {
+        let unit =
+            h.diagnostics.iter().flat_map(|d| &d.status).rfind(|s| s.name == "imu_driver: unit").unwrap();
+        unit.values.iter().find(|v| v.key == key).unwrap().value.clone()
+    };
+    let [lost, checksums, connections, samples] = with_heard(|h| {
+        ["lost samples", "checksum errors", "connections", "samples"].map(|key| value(h, key))
+    });
+    let settled = memory.len() / 5;
+    let (early, late) = (memory[settled], memory[memory.len() - 1]);
+    println!(
+        "{seconds:.0} s at 400 Hz: {sent} samples sent, {samples} taken in all, {lost} lost by the counter, {checksums} checksum \
+         errors, {heard} heard over DDS (best effort) with {gaps} gaps; resident {early} KiB after {settled} s, {late} KiB at the end"
+    );
+    assert_eq!((lost.as_str(), checksums.as_str(), connections.as_str()), ("0", "0", "1"));
+    assert!(late < early + 2048, "{early} {late}");
 }
