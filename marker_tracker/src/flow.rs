@@ -3,7 +3,10 @@
 //! The colour signal is the binary image of the paper, only not yet rounded: 1 on the marker, 0 beside it. All that its flow
 //! can be told from lies on the outline, so some 150 pixels there stand for the window (eq. 1).
 
-use crate::{quad::Quad, signal::Window};
+use crate::{
+    quad::Quad,
+    signal::{Window, nearest},
+};
 use nalgebra::{Matrix2, Vector2};
 
 /// Pixels that are kept.
@@ -42,12 +45,13 @@ impl Outline {
             let d = q - p;
             // Along the axis on which the edge advances faster, a pixel on each side of the line.
             let k = usize::from(d.y.abs() > d.x.abs());
-            let (from, to) = (p[k].min(q[k]).ceil() as i32, p[k].max(q[k]).floor() as i32);
+            let (from, to) = (nearest(p[k].min(q[k]) + 0.5), nearest(p[k].max(q[k]) - 0.5));
             let room = MAX_POINTS / 8;
             let stride = ((to - from + 1).max(1) as usize).div_ceil(room).max(1);
             for a in (from..=to).step_by(stride) {
                 let b = p[1 - k] + (f64::from(a) - p[k]) * d[1 - k] / d[k];
-                for b in [b.floor() as i32, b.floor() as i32 + 1] {
+                let below = nearest(b - 0.5);
+                for b in [below, below + 1] {
                     let (x, y) = if k == 0 { (a, b) } else { (b, a) };
                     let (Some(value), Some(l), Some(r), Some(u), Some(v)) = (
                         window.at(x, y),

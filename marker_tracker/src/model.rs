@@ -4,7 +4,7 @@
 use crate::{
     image::ImageView,
     quad::Quad,
-    signal::{Discriminant, rgb_at},
+    signal::{Discriminant, nearest, rgb_at},
 };
 use nalgebra::Vector2;
 
@@ -57,7 +57,7 @@ fn sample(image: &ImageView<'_>, quad: &Quad) -> Option<([f32; 3], [f32; 3], Hue
             let (u, v) = (i as f64 / (N - 1) as f64, j as f64 / (N - 1) as f64);
             let p = bilinear(quad, u, v);
             let p = centre + (p - centre) * inner;
-            if let Some(rgb) = rgb_at(image, p.x.round() as i32, p.y.round() as i32) {
+            if let Some(rgb) = rgb_at(image, nearest(p.x), nearest(p.y)) {
                 inside[n] = rgb;
                 hue.add(rgb);
                 n += 1;
@@ -70,7 +70,7 @@ fn sample(image: &ImageView<'_>, quad: &Quad) -> Option<([f32; 3], [f32; 3], Hue
         let (edge, along) = (i / 6, (f64::from(i % 6) + 0.5) / 6.0);
         let (p, q) = (quad.0[edge as usize], quad.0[(edge as usize + 1) % 4]);
         let p = centre + (p + (q - p) * along - centre) * outer;
-        if let Some(rgb) = rgb_at(image, p.x.round() as i32, p.y.round() as i32) {
+        if let Some(rgb) = rgb_at(image, nearest(p.x), nearest(p.y)) {
             outside[m] = rgb;
             m += 1;
         }
@@ -112,9 +112,10 @@ impl HueHistogram {
         if let Some((hue, saturation)) = hue(rgb) {
             // Shared between the two nearest bins, so that a drift of a degree does not jump.
             let place = hue * (Self::BINS as f32 / 360.0) - 0.5;
-            let low = place.floor();
-            let part = place - low;
-            let i = (low as i32).rem_euclid(Self::BINS as i32) as usize;
+            // `place` is above −1.
+            let low = (place + 1.0) as i32 - 1;
+            let part = place - low as f32;
+            let i = low.rem_euclid(Self::BINS as i32) as usize;
             self.bins[i] += saturation * (1.0 - part);
             self.bins[(i + 1) % Self::BINS] += saturation * part;
         }
@@ -154,7 +155,7 @@ impl HueHistogram {
             for j in 0..N {
                 let p = bilinear(quad, i as f64 / (N - 1) as f64, j as f64 / (N - 1) as f64);
                 let p = centre + (p - centre) * 0.7;
-                if let Some(rgb) = rgb_at(image, p.x.round() as i32, p.y.round() as i32) {
+                if let Some(rgb) = rgb_at(image, nearest(p.x), nearest(p.y)) {
                     hue.add(rgb);
                     n += 1;
                 }
@@ -180,5 +181,6 @@ fn hue([r, g, b]: [u8; 3]) -> Option<(f32, f32)> {
     } else {
         4.0 + (r - g) / delta
     };
-    Some(((sextant * 60.0).rem_euclid(360.0), delta / max))
+    let degrees = sextant * 60.0;
+    Some((if degrees < 0.0 { degrees + 360.0 } else { degrees }, delta / max))
 }

@@ -5,7 +5,7 @@
 //! hundredths of a pixel; the straight line fitted by least squares encloses the same area, and so the same centroid to
 //! first order.
 
-use crate::signal::Window;
+use crate::signal::{Window, nearest};
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 /// Four corners in order around the square, px.
@@ -74,8 +74,8 @@ impl Quad {
                 to = to.max(x);
             }
         }
-        let (from, to) = (from.ceil(), to.floor() + 1.0);
-        (from < to).then_some((from as i32, to as i32))
+        let (from, to) = (nearest(from + 0.5), nearest(to - 0.5) + 1);
+        (from < to && from > -(1 << 19) && to < 1 << 19).then_some((from, to))
     }
 
     /// Smallest distance between opposite sides' middles, px: what is there to measure a level in.
@@ -196,7 +196,7 @@ impl Interior {
                     + quad.0[2] * u * v
                     + quad.0[3] * (1.0 - u) * v;
                 let p = centre + (p - centre) * shrink;
-                if let Some(value) = window.at(p.x.round() as i32, p.y.round() as i32) {
+                if let Some(value) = window.at(nearest(p.x), nearest(p.y)) {
                     samples[count] = value;
                     count += 1;
                 }
@@ -215,7 +215,7 @@ impl Interior {
         // The plane through every pixel of the shrunken square that agrees.
         let shrunken = Quad(quad.0.map(|c| centre + (c - centre) * shrink));
         let [_, top, _, bottom] = shrunken.bounds(0.0);
-        let (cx, cy) = (centre.x.round() as i32, centre.y.round() as i32);
+        let (cx, cy) = (nearest(centre.x), nearest(centre.y));
         let (mut n, mut all) = (0f64, 0f64);
         let (mut sx, mut sy, mut sxx, mut sxy, mut syy) = (0f64, 0f64, 0f64, 0f64, 0f64);
         let (mut ss, mut sxs, mut sys, mut square) = (0f64, 0f64, 0f64, 0f64);
@@ -224,18 +224,7 @@ impl Interior {
         for y in (top..bottom).step_by(stride as usize) {
             let Some((from, to)) = shrunken.span(f64::from(y)) else { continue };
             let Some(row) = window.row(y, from, to) else { continue };
-            let (mut rn, mut rx, mut rxx, mut rs, mut rxs, mut rss) = (0f32, 0f32, 0f32, 0f32, 0f32, 0f32);
-            for (x, value) in (0i32..).zip(row) {
-                let x = (from - cx + x) as f32;
-                let d = value - median;
-                let m = if d.abs() < gate { 1.0 } else { 0.0 };
-                rn += m;
-                rx += m * x;
-                rxx += m * x * x;
-                rs += m * d;
-                rxs += m * x * d;
-                rss += m * d * d;
-            }
+            let [rn, rx, rxx, rs, rxs, rss] = row_sums(row, (from - cx) as f32, median, gate);
             let dy = f64::from(y - cy);
             all += row.len() as f64;
             n += f64::from(rn);
@@ -268,6 +257,43 @@ impl Interior {
             reach: 3.0 / (n * shrink * shrink),
         })
     }
+}
+
+/// Σ m, Σ m·x, Σ m·x², Σ m·d, Σ m·x·d, Σ m·d² of a row's pixels, where d is the value less `middle`, m is 1 where |d| is below
+/// `gate` and 0 elsewhere, and x counts from `x`. Eight pixels at a time.
+fn row_sums(row: &[f32], x: f32, middle: f32, gate: f32) -> [f32; 6] {
+    const LANES: usize = 8;
+    let mut sums = [[0f32; LANES]; 6];
+    let mut places: [f32; LANES] = std::array::from_fn(|i| x + i as f32);
+    let mut add = |values: &[f32; LANES], places: &[f32; LANES]| {
+        for i in 0..LANES {
+            let d = values[i] - middle;
+            // A NaN (not looked at) is no member.
+            let m = if d.abs() < gate { 1.0f32 } else { 0.0 };
+            let d = if d.abs() < gate { d } else { 0.0 };
+            let mx = m * places[i];
+            sums[0][i] += m;
+            sums[1][i] += mx;
+            sums[2][i] += mx * places[i];
+            sums[3][i] += d;
+            sums[4][i] += d * places[i];
+            sums[5][i] += d * d;
+        }
+    };
+    let chunks = row.chunks_exact(LANES);
+    let rest = chunks.remainder();
+    for chunk in chunks {
+        let mut values = [0f32; LANES];
+        values.copy_from_slice(chunk);
+        add(&values, &places);
+        for p in &mut places {
+            *p += LANES as f32;
+        }
+    }
+    let mut values = [f32::NAN; LANES];
+    values[..rest.len()].copy_from_slice(rest);
+    add(&values, &places);
+    sums.map(|lane| lane.iter().sum())
 }
 
 /// Measures the outline near `predicted`.
@@ -339,8 +365,8 @@ fn fit_edge(
     let inward = -sign * half * tangent[k];
     let corner = CORNER.min(0.15 * length + 0.5);
     let (low, high) = (-length / 2.0 + corner + (-inward).max(0.0), length / 2.0 - corner - inward.max(0.0));
-    let first = from.ceil() as i32;
-    let last = to.floor() as i32;
+    let first = nearest(from + 0.5);
+    let last = nearest(to - 0.5);
     let usable = ((last - first + 1).max(0)) as usize;
     let stride = usable.div_ceil(prior.rows.clamp(8, MAX_ROWS)).max(1);
     let outside_count = ((OUTSIDE * width).clamp(1.0, 3.0) / steep).ceil() as i32;
@@ -363,8 +389,8 @@ fn fit_edge(
             continue;
         }
         possible += 1;
-        let start = (crossing - sign * half).round() as i32;
-        let end = (crossing + sign * half).round() as i32;
+        let start = nearest(crossing - sign * half);
+        let end = nearest(crossing + sign * half);
         // Outside level first.
         let mut outside = 0.0;
         let mut seen = 0;
@@ -431,8 +457,8 @@ fn fit_edge(
         }
         let line = r.across as i32;
         let crossing = p[k] + (r.across - p[1 - k]) * slope_axis;
-        let start = (crossing - sign * half).round() as i32;
-        let end = (crossing + sign * half).round() as i32;
+        let start = nearest(crossing - sign * half);
+        let end = nearest(crossing + sign * half);
         let (x, y) = if k == 0 { (crossing, r.across) } else { (r.across, crossing) };
         let inside_here = interior.at(x, y);
         let difference = inside_here - outside_here;

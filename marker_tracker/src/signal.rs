@@ -120,24 +120,81 @@ impl Window {
     /// Bilinear value at an image position; `None` where a neighbour is missing.
     #[inline(always)]
     pub fn bilinear(&self, x: f32, y: f32) -> Option<f32> {
-        let (xf, yf) = (x.floor(), y.floor());
-        let (u, v) = (xf as i32 - self.x0, yf as i32 - self.y0);
-        if u < 0 || v < 0 || u + 1 >= self.width || v + 1 >= self.height {
+        // Where it can be looked up nothing is negative, and truncation is the floor.
+        let (x, y) = (x - self.x0 as f32, y - self.y0 as f32);
+        if !(x >= 0.0 && y >= 0.0) {
+            return None;
+        }
+        let (u, v) = (x as i32, y as i32);
+        if u + 1 >= self.width || v + 1 >= self.height {
             return None;
         }
         let i = (v * self.width + u) as usize;
         let j = i + self.width as usize;
         let (a, b) = (self.values.get(i..i + 2)?, self.values.get(j..j + 2)?);
-        let (fx, fy) = (x - xf, y - yf);
+        let (fx, fy) = (x - u as f32, y - v as f32);
         Some((a[0] * (1.0 - fx) + a[1] * fx) * (1.0 - fy) + (b[0] * (1.0 - fx) + b[1] * fx) * fy)
     }
 }
 
+fn project<const N: usize>(source: &[u8], out: &mut [f32], weights: [f32; 3]) {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("ssse3") {
+        // SAFETY: the processor has SSSE3, as was just asked; the function itself is made of bounds-checked parts.
+        #[allow(unsafe_code)]
+        unsafe {
+            project_ssse3::<N>(source, out, weights);
+        }
+        return;
+    }
+    project_plain::<N>(source, out, weights);
+}
+
 #[inline(always)]
-fn project<const N: usize>(source: &[u8], out: &mut [f32], [a, b, c]: [f32; 3]) {
+fn project_plain<const N: usize>(source: &[u8], out: &mut [f32], [a, b, c]: [f32; 3]) {
     for (pixel, value) in source.chunks_exact(N).zip(out.iter_mut()) {
         *value = a * f32::from(pixel[0]) + b * f32::from(pixel[1]) + c * f32::from(pixel[2]);
     }
+}
+
+/// Four pixels at a time: each channel's bytes are shuffled into 32-bit lanes of their own.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "ssse3")]
+#[allow(unsafe_code)]
+fn project_ssse3<const N: usize>(source: &[u8], out: &mut [f32], weights: [f32; 3]) {
+    use std::arch::x86_64::{
+        __m128i, _mm_add_ps, _mm_cvtepi32_ps, _mm_loadu_si128, _mm_mul_ps, _mm_set1_ps, _mm_setr_epi8,
+        _mm_shuffle_epi8, _mm_storeu_ps,
+    };
+    let n = N as i8;
+    let mask = |c: i8| {
+        let z = -1;
+        _mm_setr_epi8(c, z, z, z, c + n, z, z, z, c + 2 * n, z, z, z, c + 3 * n, z, z, z)
+    };
+    let masks = [mask(0), mask(1), mask(2)];
+    let w = weights.map(|w| _mm_set1_ps(w));
+    let mut done = 0;
+    for chunk in out.chunks_exact_mut(4) {
+        let Some(bytes) = source.get(done * N..done * N + 16) else { break };
+        // SAFETY: `bytes` has 16 bytes and `chunk` four floats; neither load nor store needs alignment.
+        unsafe {
+            let pixels = _mm_loadu_si128(bytes.as_ptr().cast::<__m128i>());
+            let channel = |i: usize| _mm_mul_ps(w[i], _mm_cvtepi32_ps(_mm_shuffle_epi8(pixels, masks[i])));
+            let value = _mm_add_ps(_mm_add_ps(channel(0), channel(1)), channel(2));
+            _mm_storeu_ps(chunk.as_mut_ptr(), value);
+        }
+        done += 4;
+    }
+    if let (Some(source), Some(out)) = (source.get(done * N..), out.get_mut(done..)) {
+        project_plain::<N>(source, out, weights);
+    }
+}
+
+/// The nearest whole number, for places within ± half a million (without SSE4.1, `round` is a call).
+#[inline(always)]
+pub(crate) fn nearest(x: f64) -> i32 {
+    const BASE: f64 = (1 << 20) as f64;
+    (x + (BASE + 0.5)) as i32 - (1 << 20)
 }
 
 /// One pixel as r, g, b; `None` outside of the image.
@@ -149,4 +206,33 @@ pub(crate) fn rgb_at(image: &ImageView<'_>, x: i32, y: i32) -> Option<[u8; 3]> {
     let start = y as usize * image.step + x as usize * image.format.bytes_per_pixel();
     let p = image.data.get(start..start + 3)?;
     Some(if image.format.blue_first() { [p[2], p[1], p[0]] } else { [p[0], p[1], p[2]] })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn four_pixels_at_a_time_are_what_one_at_a_time_are() {
+        let source: Vec<u8> = (0..4 * 61u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        let weights = [0.31, -0.72, 0.05];
+        for count in 0..61 {
+            let (mut fast, mut plain) = (vec![0.0; count], vec![0.0; count]);
+            project::<3>(&source[..3 * count], &mut fast, weights);
+            project_plain::<3>(&source[..3 * count], &mut plain, weights);
+            assert!(fast.iter().zip(&plain).all(|(a, b)| (a - b).abs() < 1e-4), "{count} of three");
+            project::<4>(&source[..4 * count], &mut fast, weights);
+            project_plain::<4>(&source[..4 * count], &mut plain, weights);
+            assert!(fast.iter().zip(&plain).all(|(a, b)| (a - b).abs() < 1e-4), "{count} of four");
+        }
+    }
+
+    #[test]
+    fn the_nearest_whole_number_is_found_on_both_sides_of_zero() {
+        for (x, wanted) in
+            [(0.4, 0), (0.6, 1), (-0.4, 0), (-0.6, -1), (-7.2, -7), (639.49, 639), (-1000.7, -1001)]
+        {
+            assert_eq!(nearest(x), wanted);
+        }
+    }
 }
