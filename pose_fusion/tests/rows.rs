@@ -1,0 +1,215 @@
+//! The filter on the simulated rig, where the truth is known: each test is a row of what it must reach.
+mod common;
+
+use common::{
+    rig::{inertial::SensorConfig, motion::MotionConfig},
+    scoring::{self, Said, Score},
+    simulated,
+};
+use nalgebra::Vector3;
+use pose_fusion::{Fusion, FusionConfig, MarkerOutcome, Model, Status};
+use rig_model::MarkerColor;
+
+struct Outcome {
+    score: Score,
+    said: Said,
+    status: Status,
+}
+
+fn follow_from(motion: MotionConfig, sensors: &SensorConfig, config: FusionConfig, from: f64) -> Outcome {
+    let run = simulated::run(motion, sensors);
+    let mut fusion = Fusion::new(simulated::rig(), config);
+    let said = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    Outcome { score: scoring::score(&said.odometry, &run.truth, from), status: fusion.status(), said }
+}
+
+fn follow(motion: MotionConfig, sensors: &SensorConfig) -> Outcome {
+    follow_from(motion, sensors, FusionConfig::default(), 1.0)
+}
+
+fn consistent(score: &Score, low: f64, high: f64) -> bool {
+    let (p, r) = score.nees();
+    (low..high).contains(&p) && (low..high).contains(&r)
+}
+
+#[test]
+fn a_tenth_of_a_pixel_gives_a_millimetre_and_the_covariance_knows() {
+    for seed in 0..5 {
+        for motion in [MotionConfig::nominal(seed), MotionConfig::fast_swing(seed)] {
+            let o = follow(motion, &SensorConfig::nominal(seed));
+            println!("seed {seed}: {}", o.score);
+            assert!(o.score.position_rmse() < 1.0 && o.score.rotation_rmse() < 0.15, "{}", o.score);
+            assert!(consistent(&o.score, 1.0, 6.0), "{}", o.score);
+            assert_eq!(o.status.recoveries, 0);
+            // One odometry with every inertial sample once it runs, in order.
+            assert!(o.said.odometry.windows(2).all(|w| {
+                let gap = w[1].stamp.seconds_since(w[0].stamp);
+                gap > 0.0 && gap < 0.03
+            }));
+        }
+    }
+}
+
+#[test]
+fn a_clock_that_is_off_by_a_tenth_of_a_second_is_found_to_a_millisecond() {
+    for (seed, ahead) in [(1, 0.1), (2, -0.1), (4, 0.04), (5, -0.02)] {
+        let sensors = SensorConfig {
+            camera_clock_ahead: ahead,
+            climber_clock_ahead: ahead,
+            ..SensorConfig::nominal(seed)
+        };
+        let o = follow_from(MotionConfig::nominal(seed), &sensors, FusionConfig::default(), 3.0);
+        println!(
+            "{ahead:+.3} s: found {:+.5} ± {:.5}  {}",
+            o.status.camera_clock_offset, o.status.camera_clock_sigma, o.score
+        );
+        assert!((o.status.camera_clock_offset + ahead).abs() < 1e-3);
+        assert!(o.status.camera_clock_sigma < 1e-3 && o.status.clock_hypotheses == 1);
+        assert!(o.score.position_rmse() < 1.5, "{}", o.score);
+    }
+    let still = follow(MotionConfig::rest(1), &SensorConfig::nominal(1));
+    println!("at rest: {:+.4} ± {:.4} s", still.status.camera_clock_offset, still.status.camera_clock_sigma);
+    assert!(still.status.camera_clock_sigma > 0.01, "without motion the offset is not known");
+}
+
+#[test]
+fn late_and_early_images_cost_little() {
+    for seed in [1, 2] {
+        let all = follow(MotionConfig::nominal(seed), &SensorConfig::nominal(seed));
+        let late = SensorConfig { image_delay: [0.0, 0.3], ..SensorConfig::nominal(seed) };
+        let early = SensorConfig {
+            image_delay: [0.003, 0.006],
+            climber_delay: [0.001, 0.002],
+            imu_delay: [0.006, 0.009],
+            ..SensorConfig::nominal(seed)
+        };
+        for (name, sensors) in [("0-300 ms, out of order", late), ("ahead of the inertial samples", early)] {
+            let o = follow(MotionConfig::nominal(seed), &sensors);
+            println!("{name}: {}", o.score);
+            assert!(o.score.position_rmse() < 1.7 * all.score.position_rmse(), "{}", o.score);
+            assert!(consistent(&o.score, 1.0, 6.0), "{}", o.score);
+            assert_eq!(o.status.refused_images + o.status.refused_climber, 0);
+        }
+    }
+}
+
+#[test]
+fn hidden_markers_cost_what_the_issue_allows() {
+    let n = || MotionConfig { duration: 20.0, ..MotionConfig::nominal(3) };
+    let hide = |colors: &[MarkerColor], from: f64, to: f64| SensorConfig {
+        hidden: colors.iter().map(|c| (*c, from, to)).collect(),
+        ..SensorConfig::nominal(3)
+    };
+    use MarkerColor::{Blue, Red};
+    let all = follow(n(), &SensorConfig::nominal(3)).score;
+    let one = follow(n(), &hide(&[Red], 3.0, 20.0)).score;
+    let two = follow(n(), &hide(&[Red, Blue], 5.0, 15.0)).score;
+    println!("all  {all}\none  {one}\ntwo  {two}");
+    assert!(
+        one.position_rmse() < 1.5 * all.position_rmse() && one.rotation_rmse() < 1.5 * all.rotation_rmse()
+    );
+    assert!(
+        two.position_rmse() < 2.0 * all.position_rmse() && two.rotation_rmse() < 2.0 * all.rotation_rmse()
+    );
+    for (gap, limit) in [(0.5, 15e-3), (1.0, 50e-3)] {
+        let none = follow(n(), &hide(&MarkerColor::ALL, 8.0, 8.0 + gap));
+        println!("none for {gap} s  {}", none.score);
+        assert!(none.score.position_max < limit && consistent(&none.score, 1.0, 6.0), "{}", none.score);
+    }
+}
+
+#[test]
+fn ten_times_the_noise_and_large_biases_are_found() {
+    for seed in [0, 1] {
+        let sensors = SensorConfig {
+            imu_noise_factor: 10.0,
+            accelerometer_bias: Vector3::new(0.2, -0.2, 0.2),
+            gyroscope_bias: Vector3::new(0.087, -0.087, 0.05),
+            ..SensorConfig::nominal(seed)
+        };
+        let motion = MotionConfig { duration: 30.0, ..MotionConfig::nominal(seed) };
+        let o = follow_from(motion, &sensors, FusionConfig::default(), 10.0);
+        println!(
+            "{}  densities {:.4} {:.5}",
+            o.score, o.status.accelerometer_noise_density, o.status.gyroscope_noise_density
+        );
+        assert!(consistent(&o.score, 1.2, 5.0), "{}", o.score);
+        assert!((o.status.accelerometer_noise_density / 0.02 - 1.0).abs() < 0.25);
+    }
+}
+
+#[test]
+fn false_markers_are_left_out_and_every_rejection_is_explained() {
+    for seed in [1, 2] {
+        let clean = follow(MotionConfig::nominal(seed), &SensorConfig::nominal(seed)).score;
+        let sensors = SensorConfig { false_markers: 0.2, ..SensorConfig::nominal(seed) };
+        let o = follow(MotionConfig::nominal(seed), &sensors);
+        println!("clean {clean}\nfalse {}  rejected {}", o.score, o.status.rejected_markers);
+        assert!(o.score.position_rmse() < 1.25 * clean.position_rmse(), "{}", o.score);
+        assert_eq!(o.status.recoveries, 0);
+        let rejected = o.said.records.iter().filter(|r| {
+            matches!(r.outcome, MarkerOutcome::Gated | MarkerOutcome::Inconsistent) && r.nis.is_finite()
+        });
+        assert_eq!(rejected.count() as u64, o.status.rejected_markers);
+        assert!(o.said.records.len() as u64 >= 4 * (o.status.images - o.status.duplicates) - 8);
+    }
+}
+
+#[test]
+fn a_noisy_late_climber_is_smoothed() {
+    for seed in [1, 2] {
+        let sensors = SensorConfig {
+            climber_noise: [0.002, 0.2_f64.to_radians()],
+            climber_delay: [0.05, 0.055],
+            ..SensorConfig::nominal(seed)
+        };
+        let motion = MotionConfig { climber_speed: 0.5, duration: 20.0, ..MotionConfig::nominal(seed) };
+        let o = follow_from(motion, &sensors, FusionConfig::default(), 5.0);
+        println!("{}", o.score);
+        assert!(o.score.position_rmse() < 2.0 && consistent(&o.score, 1.0, 6.0), "{}", o.score);
+    }
+}
+
+#[test]
+fn at_rest_and_setting_off_it_is_followed() {
+    for seed in [0, 1] {
+        let rest = follow(MotionConfig::rest(seed), &SensorConfig::nominal(seed));
+        let off = follow(
+            MotionConfig { still_until: 5.0, ..MotionConfig::nominal(seed) },
+            &SensorConfig::nominal(seed),
+        );
+        println!("rest {}\noff  {}", rest.score, off.score);
+        assert!(rest.score.position_rmse() < 1.0 && off.score.position_rmse() < 1.5);
+        assert_eq!(off.status.recoveries, 0);
+    }
+}
+
+#[test]
+fn the_tight_filter_beats_the_published_one_and_vision_alone() {
+    let o = follow(MotionConfig::nominal(1), &SensorConfig::nominal(1));
+    let run = simulated::run(MotionConfig::nominal(1), &SensorConfig::nominal(1));
+    let mut visual = Score::default();
+    for p in &o.said.visual {
+        if let Some(truth) = scoring::pose_at(&run.truth, p.stamp) {
+            visual.add(&p.pose, &p.covariance, &truth);
+        }
+    }
+    let paper = |velocity_from_fused| {
+        let mut config = FusionConfig { model: Model::Paper, ..FusionConfig::default() };
+        config.paper.velocity_from_fused = velocity_from_fused;
+        follow_from(MotionConfig::nominal(1), &SensorConfig::nominal(1), config, 1.0).score
+    };
+    let (published, aided) = (paper(false), paper(true));
+    println!(
+        "tight          {}\nvisual alone   {visual}\npaper          {published}\npaper, v fused {aided}",
+        o.score
+    );
+    assert!(
+        o.score.position_rmse() < visual.position_rmse()
+            && visual.position_rmse() < published.position_rmse()
+    );
+    assert!(
+        o.score.rotation_rmse() < visual.rotation_rmse() && aided.rotation_rmse() < visual.rotation_rmse()
+    );
+    assert!((1.0..6.0).contains(&visual.nees().0), "{visual}");
+}
