@@ -161,3 +161,46 @@ fn a_stopper_ends_all_nodes() {
     process.wait().unwrap();
     stopping.join().unwrap();
 }
+
+/// ros2-client's own client speaks as Fast DDS's does: the identity of a request travels beside it.
+#[test]
+fn services_answer_clients_of_fast_dds_too() {
+    use ros2_client::{
+        Context, Name, NodeName, NodeOptions, QosProfile, ServiceMapping, ServiceTypeName,
+        qos::WhenFull,
+        rcl_interfaces::{GetParametersRequest, GetParametersResponse},
+    };
+    let _serial = SERIAL.lock().unwrap_or_else(|e| e.into_inner());
+    let mut process = Process::new(network(125)).unwrap();
+    process.start::<Source>(&RosArguments::default()).unwrap();
+
+    let participant = rustdds::DomainParticipantBuilder::new(125).build().unwrap();
+    let context = Context::from_domain_participant(participant).unwrap();
+    let mut node = context
+        .new_node(NodeName::new("/", "client").unwrap(), NodeOptions::new().enable_rosout(false))
+        .unwrap();
+    let qos = QosProfile::publisher_default().reliability_reliable(WhenFull::Fail);
+    let client = node
+        .create_client::<GetParametersRequest, GetParametersResponse>(
+            ServiceMapping::Enhanced,
+            &Name::parse("/source/get_parameters").unwrap(),
+            &ServiceTypeName::new("rcl_interfaces", "GetParameters"),
+            qos.clone(),
+            qos,
+        )
+        .unwrap();
+    let names = vec!["autostart".to_owned(), "frames.world".to_owned(), "no_such".to_owned()];
+    let answer = (0..100).find_map(|round| {
+        // Until both sides have found each other, requests go nowhere.
+        if round % 10 == 0 {
+            client.send_request(GetParametersRequest { names: names.clone() }).unwrap();
+        }
+        std::thread::sleep(Duration::from_millis(50));
+        client.receive_response().unwrap()
+    });
+    let (_, answer) = answer.expect("an answer within 5 s");
+    assert_eq!(answer.values.len(), 3);
+    assert!(answer.values[0].boolean_value);
+    assert_eq!(answer.values[1].string_value, "world");
+    assert_eq!(answer.values[2].ptype, 0);
+}

@@ -28,7 +28,8 @@ pub(crate) struct TopicState {
     pub remote_writers: AtomicUsize,
 }
 
-type Deliver<M> = Arc<dyn Fn(&Arc<M>) + Send + Sync>;
+/// What takes a message for one subscriber; it must be quick and never wait.
+pub(crate) type Deliver<M> = Arc<dyn Fn(&Arc<M>) + Send + Sync>;
 
 /// One topic with its type.
 pub(crate) struct Channel<M> {

@@ -6,7 +6,7 @@ use super::{
     control::{Control, SharedState},
     diagnostics::Diagnostics,
     domain::{Domain, dds_type_name},
-    hub::SubscriberGuard,
+    hub::{Deliver, SubscriberGuard},
     logger::Logger,
     publisher::{Publisher, Publishing},
     reactor::Reactor,
@@ -300,7 +300,7 @@ impl<I: Send + 'static> Kit<I> {
         let source = self.inbox.add_source(&name, qos.depth, expected);
         let state = Arc::clone(&channel.state);
         let inbox = self.inbox.clone();
-        let deliver: Arc<dyn Fn(&Arc<M>) + Send + Sync> = {
+        let deliver: Deliver<M> = {
             let name = name.clone();
             Arc::new(move |message| take(source, &name, message))
         };

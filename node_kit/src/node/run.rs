@@ -3,7 +3,7 @@
 use super::{NodeError, NodeShell, Process};
 use crate::{
     args::{ArgumentError, RosArguments},
-    parameters::{Descriptor, ParameterSet, common_descriptors, help_table},
+    parameters::{Descriptor, ParameterSet, common_descriptors, help_table, markdown_table, yaml_file},
 };
 use rig_model::{parameters::parse_value, rig::did_you_mean};
 use std::{io::Write, process::ExitCode};
@@ -25,6 +25,16 @@ pub fn run_node_with<S: NodeShell>(arguments: impl IntoIterator<Item = String>) 
     };
     if rest.iter().any(|a| a == "--help" || a == "-h") {
         let _ = write!(std::io::stdout(), "{}", help::<S>(&own));
+        return ExitCode::SUCCESS;
+    }
+    if let Some(form) = rest.iter().find_map(|a| a.strip_prefix("--print-parameters=")) {
+        let mut all = own;
+        all.extend(common_descriptors());
+        let text = match form {
+            "yaml" => yaml_file("/**", &all),
+            _ => markdown_table(&all),
+        };
+        let _ = write!(std::io::stdout(), "{text}");
         return ExitCode::SUCCESS;
     }
     match own_arguments(ros, rest, &own).map_err(NodeError::from).and_then(|ros| run::<S>(&ros)) {
@@ -83,7 +93,8 @@ fn help<S: NodeShell>(own: &[Descriptor]) -> String {
     let own = help_table(own);
     let name = S::NAME;
     format!(
-        "{name}: {about}\n\nusage: {name} [--rig rig.yaml] [--PARAMETER VALUE]… [--ros-args …]\n\n\
+        "{name}: {about}\n\nusage: {name} [--rig rig.yaml] [--PARAMETER VALUE]… [--ros-args …]\n       \
+         {name} --print-parameters=yaml|markdown\n\n\
          --ros-args takes what ROS 2 gives every node: -r from:=to, -r __node:=name, -r __ns:=/namespace,\n\
          -p parameter:=value, --params-file file.yaml, --log-level debug|info|warn|error|fatal.\n\n\
          parameters:\n{own}\nparameters of every node:\n{common}",
