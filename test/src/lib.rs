@@ -7,5 +7,6 @@
 pub mod accuracy;
 pub mod faults;
 pub mod live;
+pub mod paper;
 pub mod report;
 pub mod rig;

@@ -4,7 +4,7 @@ use super::{
     heard::{Heard, Received},
     messages::truth,
     scenario::Scenario,
-    stand::Said,
+    stand::{LEAD, Said},
 };
 use launch_config::bag::{BagError, BagWriter, Compression, QosProfile, Topic, WriteOptions};
 use rig_model::Stamp;
@@ -14,7 +14,7 @@ use volant_msgs::{Message, cdr};
 /// Poses of the truth per second.
 const TRUTH_RATE: f64 = 200.0;
 
-/// Writes the run, from `epoch` (the scenario's zero) on, as a rosbag2 folder.
+/// Writes the run, from half a second before `epoch` (the scenario's zero) on, as a rosbag2 folder.
 ///
 /// # Errors
 /// A place that cannot be written to or is taken.
@@ -25,6 +25,7 @@ pub fn write(
     said: &Said,
     heard: &Heard,
 ) -> Result<(), BagError> {
+    let begin = epoch.plus_seconds(-LEAD);
     let options = WriteOptions { compression: Compression::None, ..WriteOptions::default() };
     let mut bag = BagWriter::create(path, options)?;
     let mut entries = Vec::new();
@@ -32,22 +33,22 @@ pub fn write(
     put(&mut bag, e, "/climber/camera/image_raw/compressed", &QosProfile::SENSOR, &said.images);
     put(&mut bag, e, "/climber/camera/camera_info", &QosProfile::SENSOR, &said.camera_info);
     put(&mut bag, e, "/climber/joint_states", &QosProfile::RELIABLE, &said.joints);
-    put_heard(&mut bag, e, "/volant/imu/data", &QosProfile::SENSOR, epoch, &heard.imu);
-    put_heard(&mut bag, e, "/climber/transform", &QosProfile::RELIABLE, epoch, &heard.climber);
-    put_heard(&mut bag, e, "/climber/markers", &QosProfile::RELIABLE, epoch, &heard.markers);
-    put_heard(&mut bag, e, "/volant/odometry", &QosProfile::RELIABLE, epoch, &heard.odometry);
-    put_heard(&mut bag, e, "/volant/fused_pose", &QosProfile::RELIABLE, epoch, &heard.fused_pose);
-    put_heard(&mut bag, e, "/volant/visual_pose", &QosProfile::RELIABLE, epoch, &heard.visual_pose);
-    put_heard(&mut bag, e, "/volant/marker_updates", &QosProfile::RELIABLE, epoch, &heard.marker_updates);
-    put_heard(&mut bag, e, "/tf", &QosProfile::RELIABLE, epoch, &heard.tf);
-    put_heard(&mut bag, e, "/diagnostics", &QosProfile::RELIABLE, epoch, &heard.diagnostics);
+    put_heard(&mut bag, e, "/volant/imu/data", &QosProfile::SENSOR, begin, &heard.imu);
+    put_heard(&mut bag, e, "/climber/transform", &QosProfile::RELIABLE, begin, &heard.climber);
+    put_heard(&mut bag, e, "/climber/markers", &QosProfile::RELIABLE, begin, &heard.markers);
+    put_heard(&mut bag, e, "/volant/odometry", &QosProfile::RELIABLE, begin, &heard.odometry);
+    put_heard(&mut bag, e, "/volant/fused_pose", &QosProfile::RELIABLE, begin, &heard.fused_pose);
+    put_heard(&mut bag, e, "/volant/visual_pose", &QosProfile::RELIABLE, begin, &heard.visual_pose);
+    put_heard(&mut bag, e, "/volant/marker_updates", &QosProfile::RELIABLE, begin, &heard.marker_updates);
+    put_heard(&mut bag, e, "/tf", &QosProfile::RELIABLE, begin, &heard.tf);
+    put_heard(&mut bag, e, "/diagnostics", &QosProfile::RELIABLE, begin, &heard.diagnostics);
     // Latched: heard before the run, belonging into it.
     let fixed: Vec<_> =
-        heard.tf_static.iter().map(|(at, m)| ((*at).max(epoch), m.as_ref().clone())).collect();
+        heard.tf_static.iter().map(|(at, m)| ((*at).max(begin), m.as_ref().clone())).collect();
     put(&mut bag, e, "/tf_static", &QosProfile::LATCHED, &fixed);
-    let poses: Vec<_> = (0..=(scenario.duration() * TRUTH_RATE) as usize)
+    let poses: Vec<_> = (0..=((scenario.duration() + LEAD) * TRUTH_RATE) as usize)
         .map(|i| {
-            let t = i as f64 / TRUTH_RATE;
+            let t = i as f64 / TRUTH_RATE - LEAD;
             let stamp = epoch.plus_seconds(t);
             (stamp, truth(scenario, t, stamp))
         })

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use volant_msgs::{
     diagnostic_msgs::msg::DiagnosticArray,
     geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
-    msg::{MarkerObservations, MarkerUpdates},
+    msg::{MarkerObservations, MarkerUpdate, MarkerUpdates},
     nav_msgs::msg::Odometry,
     sensor_msgs::msg::Imu,
     tf2_msgs::msg::TFMessage,
@@ -71,7 +71,9 @@ impl Heard {
         let mut latencies = Vec::new();
         for (taken_in, update) in &self.marker_updates {
             let image = stamp(&update.header.stamp);
-            if image < from || image > to {
+            // An image of which nothing was used is not contained in anything.
+            let used = update.markers.iter().any(|m| m.outcome == MarkerUpdate::USED);
+            if !used || image < from || image > to {
                 continue;
             }
             while odometry.next_if(|(received, _)| received < taken_in).is_some() {}
@@ -121,7 +123,8 @@ mod tests {
         let at = |ms: i64| Stamp::from_nanos(1_000_000_000 + ms * 1_000_000);
         let odometry = |ms| (at(ms), Arc::new(Odometry::default()));
         let update = |image, taken_in| {
-            let m = MarkerUpdates { header: convert::header("", at(image)), ..MarkerUpdates::default() };
+            let markers = vec![MarkerUpdate { outcome: MarkerUpdate::USED, ..MarkerUpdate::default() }];
+            let m = MarkerUpdates { header: convert::header("", at(image)), markers };
             (at(taken_in), Arc::new(m))
         };
         let heard = Heard {

@@ -97,6 +97,7 @@ impl Run {
             let own = match name {
                 "climber_driver" => Some(format!("height:={}", scenario.motion.config().climber_height)),
                 "imu_driver" => Some(format!("port:={}", port.display())),
+                "marker_tracker" => Some("image_transport:=compressed".to_owned()),
                 _ => None,
             };
             if let Some(own) = own {
@@ -144,9 +145,9 @@ impl Run {
         }
     }
 
-    /// Lets the scenario begin half a second from now.
+    /// Lets the scenario begin a second from now.
     pub fn begin(&mut self) -> Stamp {
-        *self.epoch.insert(self.stand.begin_in(0.5))
+        *self.epoch.insert(self.stand.begin_in(1.0))
     }
 
     /// Waits until `seconds` of the scenario are over; `progress` is called with its time about ten times a second.

@@ -46,6 +46,9 @@ pub enum Saying {
 /// What a fault makes of a saying: what is said instead, each after a delay.
 pub type Spoiler = Box<dyn FnMut(Saying) -> Vec<(Duration, Saying)> + Send>;
 
+/// A run's record begins so long before the scenario's zero, s: a filter may start at rest.
+pub(super) const LEAD: f64 = 0.5;
+
 /// What was said, with the instant at which it was.
 #[derive(Clone, Debug, Default)]
 pub struct Said {
@@ -297,7 +300,7 @@ fn say(shared: &Shared, outlets: &Outlets, saying: Saying) {
 
 fn publish(shared: &Shared, outlets: &Outlets, saying: Saying) {
     let now = imu_driver::fake_unit::pty::now();
-    let keep = shared.seconds(now) >= 0.0;
+    let keep = shared.seconds(now) >= -LEAD;
     let mut said = lock(&shared.said);
     match saying {
         Saying::Image(m) => {

@@ -1,0 +1,107 @@
+//! The nodes' cores over a scenario, without middleware and clock: pictures through the tracker, its observations, the
+//! inertial samples and the encoders through the filter, in order of arrival.
+
+use super::PaperError;
+use crate::{
+    accuracy::Track,
+    live::{Film, Scenario},
+    rig::{
+        inertial::{Message, Sensors},
+        random::Random,
+    },
+};
+use marker_tracker::{Tracker, TrackerConfig};
+use pose_fusion::{Fusion, FusionConfig, Model, Output};
+use rig_model::{ImuSample, MarkerObservations, Stamp};
+
+/// What the filter is fed with.
+pub struct Recording {
+    /// Arrival and message, in order of arrival.
+    pub messages: Vec<(Stamp, Message)>,
+    /// The inertial samples alone.
+    pub samples: Vec<ImuSample>,
+}
+
+/// Tracks the film's markers.
+///
+/// # Errors
+/// A picture that cannot be read.
+pub fn track(scenario: &Scenario, film: &Film) -> Result<Vec<MarkerObservations>, PaperError> {
+    let mut tracker = Tracker::new(scenario.rig.markers.clone(), TrackerConfig::default());
+    tracker.handle(marker_tracker::Input::Camera(scenario.camera.clone()));
+    let mut observations = Vec::with_capacity(film.frames.len());
+    for frame in &film.frames {
+        let image = marker_tracker::decode_compressed("jpeg", &frame.jpeg)
+            .map_err(|e| PaperError::Picture(e.to_string()))?;
+        tracker.handle(marker_tracker::Input::Image(
+            image.view(scenario.sensors.epoch.plus_seconds(frame.seconds)),
+        ));
+        while let Some(output) = tracker.poll() {
+            if let marker_tracker::Output::Observations(o) = output {
+                observations.push(o);
+            }
+        }
+    }
+    Ok(observations)
+}
+
+/// All that arrives at the filter during a scenario.
+///
+/// # Errors
+/// A picture that cannot be read.
+pub fn record(scenario: &Scenario, film: &Film) -> Result<Recording, PaperError> {
+    let sensors = Sensors::new(&scenario.motion, &scenario.rig, &scenario.camera, &scenario.sensors);
+    let mut messages = sensors.imu();
+    let samples = messages
+        .iter()
+        .filter_map(|(_, m)| if let Message::Imu(s) = m { Some(s.clone()) } else { None })
+        .collect();
+    messages.extend(sensors.climber());
+    let mut random = Random::fork(scenario.sensors.seed, "image delay");
+    let [shortest, longest] = scenario.sensors.image_delay;
+    for observations in track(scenario, film)? {
+        let arrival = observations.stamp.plus_seconds(random.within(shortest, longest));
+        messages.push((arrival, Message::Markers(observations)));
+    }
+    messages.sort_by_key(|(arrival, _)| *arrival);
+    Ok(Recording { messages, samples })
+}
+
+/// The filter's poses, and those from one image each.
+pub struct Poses {
+    /// Fused.
+    pub fused: Track,
+    /// Visual.
+    pub visual: Track,
+}
+
+/// Runs the filter of `model` over a recording.
+///
+/// # Errors
+/// It gave no pose.
+pub fn fuse(scenario: &Scenario, recording: &Recording, model: Model) -> Result<Poses, PaperError> {
+    let mut fusion = Fusion::new(scenario.rig.clone(), FusionConfig { model, ..FusionConfig::default() });
+    fusion.handle(pose_fusion::Input::Camera(scenario.camera.clone()));
+    let mut poses = Poses { fused: Track::new(), visual: Track::new() };
+    let mut warnings = Vec::new();
+    for (_, message) in &recording.messages {
+        fusion.handle(match message {
+            Message::Imu(s) => pose_fusion::Input::Imu(s.clone()),
+            Message::Markers(m) => pose_fusion::Input::Markers(m.clone()),
+            Message::Climber(c) => pose_fusion::Input::Climber(c.clone()),
+        });
+        while let Some(output) = fusion.poll() {
+            match output {
+                Output::Odometry(o) => poses.fused.push((o.stamp, o.world_from_volant)),
+                Output::VisualPose(p) => poses.visual.push((p.stamp, p.pose)),
+                Output::Warning(w) if warnings.len() < 3 => warnings.push(w.to_string()),
+                _ => {}
+            }
+        }
+    }
+    if poses.fused.is_empty() {
+        let model = if model == Model::Paper { "paper" } else { "tight" };
+        return Err(PaperError::NoPose { model, warnings: warnings.join("; ") });
+    }
+    Ok(poses)
+}
