@@ -1,0 +1,192 @@
+//! `volant play` and `volant record` against each other, over DDS: what is played is recorded, byte for byte.
+#![cfg(feature = "nodes")]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::disallowed_methods)]
+
+use launch_config::bag::{BagMessage, BagReader, BagWriter, QosProfile, Topic, WriteOptions};
+use std::{
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    time::{Duration, Instant},
+};
+use tempfile::TempDir;
+use volant_msgs::{
+    cdr,
+    sensor_msgs::msg::{CompressedImage, Imu},
+    std_msgs::msg::String as Text,
+    tf2_msgs::msg::TFMessage,
+};
+
+const START: u64 = 1_760_000_000_000_000_000;
+
+/// Two seconds of images at 30 Hz and inertial samples at 400 Hz, something latched at the beginning, and a type that
+/// nobody knows.
+fn bag(path: &Path) {
+    let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
+    let latched = bag.add_topic(Topic::of::<TFMessage>("/tf_static", &QosProfile::LATCHED));
+    bag.write_message(latched, START, &TFMessage::default()).unwrap();
+    let imu = bag.add_topic(Topic::of::<Imu>("/volant/imu/data", &QosProfile::RELIABLE));
+    let image = bag.add_topic(Topic::of::<CompressedImage>("/image/compressed", &QosProfile::RELIABLE));
+    let strange = bag.add_topic(Topic {
+        type_name: "strange_msgs/msg/Thing".into(),
+        definition: String::new(),
+        type_hash: String::new(),
+        ..Topic::of::<Text>("/strange", &QosProfile::RELIABLE)
+    });
+    for i in 0..800u64 {
+        let time = START + i * 2_500_000;
+        let mut sample = Imu::default();
+        sample.linear_acceleration.z = i as f64;
+        bag.write_message(imu, time, &sample).unwrap();
+        if i % 13 == 0 {
+            let picture =
+                CompressedImage { data: vec![(i % 251) as u8; 60_000], ..CompressedImage::default() };
+            bag.write_message(image, time, &picture).unwrap();
+        }
+        if i % 100 == 0 {
+            bag.write_message(strange, time, &Text { data: format!("thing {i}") }).unwrap();
+        }
+    }
+    bag.finish().unwrap();
+}
+
+fn volant(domain: u8, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_volant"));
+    command
+        .args(arguments)
+        .env("ROS_DOMAIN_ID", domain.to_string())
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    command
+}
+
+fn interrupt(child: &Child) {
+    let status = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(status.success());
+}
+
+fn finish(child: Child, what: &str) -> String {
+    let output = child.wait_with_output().unwrap();
+    let said =
+        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{what}: {said}");
+    said
+}
+
+fn read(path: &Path, topic: &str) -> Vec<BagMessage> {
+    let mut bag = BagReader::open(path).unwrap();
+    let mut messages = vec![];
+    while let Some(message) = bag.next_message().unwrap() {
+        if message.topic.name == topic {
+            messages.push(message);
+        }
+    }
+    messages
+}
+
+struct Recorded {
+    dir: TempDir,
+    original: PathBuf,
+    copy: PathBuf,
+}
+
+/// Records what is played; `during` may do something to the recorder before the end.
+fn copied(domain: u8, play: &[&str], record: &[&str], end: impl FnOnce(Child)) -> Recorded {
+    let dir = TempDir::new().unwrap();
+    let (original, copy) = (dir.path().join("original.mcap"), dir.path().join("copy"));
+    bag(&original);
+    let recorder =
+        volant(domain, &[&["record", "-o", copy.to_str().unwrap()], record].concat()).spawn().unwrap();
+    let player = volant(domain, &[&["play", original.to_str().unwrap(), "--delay", "3"], play].concat())
+        .spawn()
+        .unwrap();
+    let said = finish(player, "play");
+    assert!(said.contains("messages of"), "{said}");
+    std::thread::sleep(Duration::from_millis(500));
+    end(recorder);
+    Recorded { dir, original, copy }
+}
+
+#[test]
+fn what_is_played_is_recorded_byte_for_byte_and_at_its_pace() {
+    let end = |recorder: Child| {
+        interrupt(&recorder);
+        let started = Instant::now();
+        finish(recorder, "record");
+        assert!(started.elapsed() < Duration::from_secs(2), "the end took {:?}", started.elapsed());
+    };
+    let recorded = copied(171, &["--clock"], &["--split-duration", "1", "--compression", "lz4"], end);
+    let summary = BagReader::summary(&recorded.copy).unwrap();
+    assert!(summary.complete && summary.files.len() >= 2, "{summary:?}");
+    for topic in ["/tf_static", "/volant/imu/data", "/image/compressed", "/strange"] {
+        let (before, after) = (read(&recorded.original, topic), read(&recorded.copy, topic));
+        assert_eq!(before.len(), after.len(), "{topic}");
+        for (before, after) in before.iter().zip(&after) {
+            // RTPS fills up to a multiple of four bytes.
+            let (same, padding) = after.data.split_at(before.data.len());
+            assert!(same == before.data && padding.len() < 4 && padding.iter().all(|b| *b == 0), "{topic}");
+        }
+        assert_eq!(before[0].topic.type_name, after[0].topic.type_name);
+        assert_eq!(before[0].topic.type_hash, after[0].topic.type_hash);
+        assert_eq!(
+            QosProfile::from_yaml(&before[0].topic.offered_qos_profiles),
+            QosProfile::from_yaml(&after[0].topic.offered_qos_profiles),
+            "{topic}"
+        );
+    }
+    // The pace, to a tenth: 800 samples in 2 s. (Other programs may hold a machine up; only the whole is looked at.)
+    let samples = read(&recorded.copy, "/volant/imu/data");
+    let took = (samples[799].log_time - samples[0].log_time) as f64 * 1e-9;
+    assert!((1.9..3.0).contains(&took), "{took}");
+    assert!(samples.iter().all(|m| m.publish_time <= m.log_time + 1_000_000));
+    assert!(summary.count("/clock") >= 40, "{}", summary.count("/clock"));
+    drop(recorded.dir);
+}
+
+#[test]
+fn a_recorder_that_is_killed_leaves_a_bag_and_topics_can_be_chosen() {
+    let end = |mut recorder: Child| {
+        // A second after the last sample everything is on the disk.
+        std::thread::sleep(Duration::from_millis(1500));
+        recorder.kill().unwrap();
+        recorder.wait().unwrap();
+    };
+    let play = ["--rate", "2", "--remap", "volant/imu/data:=/imu", "--start-offset", "1"];
+    let recorded = copied(172, &play, &["/imu", "/nobody"], end);
+    let samples = read(&recorded.copy, "/imu");
+    let first: Imu = cdr::from_bytes(&samples[0].data).unwrap();
+    assert_eq!(first.linear_acceleration.z, 400.0, "the second half");
+    assert_eq!(samples.len(), 400);
+    assert_eq!(read(&recorded.copy, "/image/compressed"), []);
+    // Mended, it has its closing records.
+    let mended = recorded.dir.path().join("mended.mcap");
+    let recover =
+        volant(172, &["bag", "recover", recorded.copy.to_str().unwrap(), "--out", mended.to_str().unwrap()]);
+    finish({ recover }.spawn().unwrap(), "recover");
+    assert_eq!(BagReader::summary(&mended).unwrap().count("/imu"), 400);
+}
+
+#[test]
+fn refusals_of_play_and_record() {
+    let dir = TempDir::new().unwrap();
+    let original = dir.path().join("original.mcap");
+    bag(&original);
+    let (bag, there) = (original.to_str().unwrap(), dir.path().to_str().unwrap());
+    for (arguments, code, words) in [
+        (vec!["play", bag, "--topics", "/none"], 1, "it holds"),
+        (vec!["play", bag, "--start-offset", "60"], 1, "1.998 s long"),
+        (vec!["play", bag, "--rate", "0"], 2, "above 0"),
+        (vec!["play", "gone.mcap"], 1, "no such file"),
+        (vec!["record", "-o", there], 1, "exists already"),
+        (vec!["up", "warp_drive"], 2, "no node"),
+        (vec!["up", "--rig", "gone.yaml"], 1, "gone.yaml"),
+    ] {
+        let output = volant(173, &arguments).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+        assert!(said.contains(words), "{arguments:?}: {said}");
+    }
+    let output = volant(173, &["up", "--help"]).output().unwrap();
+    assert!(output.status.success() && String::from_utf8_lossy(&output.stdout).contains("marker_tracker"));
+}
