@@ -109,8 +109,8 @@ pub struct ImuNode {
     /// From the rig, (m/s²)² and (rad/s)².
     variances: (f64, f64),
     data: Publisher<Imu>,
-    magnetic_field: Option<Publisher<MagneticField>>,
-    temperature: Option<Publisher<Temperature>>,
+    magnetic_field: Publisher<MagneticField>,
+    temperature: Publisher<Temperature>,
     status: Option<DriverStatus>,
     before: Statistics,
     clipped: u64,
@@ -129,14 +129,8 @@ impl NodeShell for ImuNode {
         let config = parameters.config().map_err(NodeError::shell)?;
         let driver = Driver::new(config).map_err(|e| NodeError::shell(e.to_string()))?;
         let data = kit.advertise("volant/imu/data", QosPreset::Sensor)?;
-        let magnetic_field = match parameters.magnetic_field {
-            true => Some(kit.advertise("imu/mag", QosPreset::Sensor)?),
-            false => None,
-        };
-        let temperature = match parameters.temperature {
-            true => Some(kit.advertise("imu/temperature", QosPreset::Sensor)?),
-            false => None,
-        };
+        let magnetic_field = kit.advertise("imu/mag", QosPreset::Sensor)?;
+        let temperature = kit.advertise("imu/temperature", QosPreset::Sensor)?;
         let first_baud = if parameters.baud == 0 { 115_200 } else { parameters.baud };
         let opened = match Port::open(&parameters.port, first_baud, parameters.two_stop_bits) {
             Ok(port) => Some(port),
@@ -286,17 +280,17 @@ impl ImuNode {
             ));
         }
         let header = || convert::header(&self.frames.imu, sample.stamp);
-        if let (Some(publisher), Some(field)) = (&self.magnetic_field, sample.magnetic_field) {
+        if let Some(field) = sample.magnetic_field {
             let tesla = field * p.magnetic_field_scale;
             let v = (p.magnetic_field_stddev * p.magnetic_field_scale).powi(2);
-            publisher.publish(MagneticField {
+            self.magnetic_field.publish(MagneticField {
                 header: header(),
                 magnetic_field: Vector3 { x: tesla.x, y: tesla.y, z: tesla.z },
                 magnetic_field_covariance: [v, 0.0, 0.0, 0.0, v, 0.0, 0.0, 0.0, v],
             });
         }
-        if let (Some(publisher), Some(temperature)) = (&self.temperature, sample.temperature) {
-            publisher.publish(Temperature { header: header(), temperature, variance: 0.0 });
+        if let Some(temperature) = sample.temperature {
+            self.temperature.publish(Temperature { header: header(), temperature, variance: 0.0 });
         }
     }
 

@@ -92,7 +92,10 @@ impl Request {
         !self.is_setting()
             && matches!(
                 self.message,
-                MessageId::REQ_PRODUCT_CODE | MessageId::REQ_FIRMWARE | MessageId::OUTPUT_CONFIGURATION
+                MessageId::REQ_DEVICE_ID
+                    | MessageId::REQ_PRODUCT_CODE
+                    | MessageId::REQ_FIRMWARE
+                    | MessageId::OUTPUT_CONFIGURATION
             )
     }
 }
@@ -100,6 +103,7 @@ impl Request {
 impl Driver {
     pub(super) fn begin_inquiry(&mut self) {
         self.found();
+        self.identity.baud = self.baud();
         let request = Request::ask(MessageId::REQ_DEVICE_ID);
         self.phase = Phase::Asking(Inquiry {
             request: request.clone(),
