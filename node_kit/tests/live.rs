@@ -1,4 +1,5 @@
 //! A node of this kit against a DDS peer that is not ours (PyPI `cyclonedds`), in processes of their own.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod common;
 

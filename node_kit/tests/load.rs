@@ -1,4 +1,5 @@
 //! What a node costs, and what a subscriber that dies costs it.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod common;
 

@@ -1,4 +1,5 @@
 //! Several nodes in one process: the same `Arc` for subscribers inside, DDS for those outside, each message once.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use node_kit::{
     Kit, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments, environment::Network,
@@ -9,8 +10,11 @@ use std::{
 };
 use volant_msgs::{sensor_msgs::msg::Image, std_msgs::msg::Header};
 
+/// Who, and what it had in its hands.
+type Report = (&'static str, Arc<Image>);
+
 /// Serial: the tests share what the shells report to.
-static REPORTS: Mutex<Option<mpsc::SyncSender<(&'static str, Arc<Image>)>>> = Mutex::new(None);
+static REPORTS: Mutex<Option<mpsc::SyncSender<Report>>> = Mutex::new(None);
 static SERIAL: Mutex<()> = Mutex::new(());
 
 fn report(who: &'static str, image: Arc<Image>) {

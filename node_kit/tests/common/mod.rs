@@ -1,5 +1,6 @@
 //! Starting nodes and peers, and ending them whatever happens.
-#![allow(dead_code)] // each test takes its part
+#![allow(dead_code, reason = "each test takes its part")]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::disallowed_methods, reason = "tests")]
 
 use std::{
     io::{BufRead, BufReader, Read},
@@ -32,7 +33,6 @@ pub struct Running {
 
 impl Running {
     /// Runs a command in a DDS domain of its own; what it says on both outputs can be read line by line.
-    #[allow(clippy::disallowed_methods)] // the readers end with the process
     pub fn start(domain: u16, program: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
         let mut child = Command::new(program)
             .args(arguments)
