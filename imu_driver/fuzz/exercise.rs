@@ -3,7 +3,7 @@
 use imu_driver::{
     driver::{Driver, DriverConfig, Input, Output},
     log::{decode_to_csv, saved_configuration},
-    protocol::{Decoder, FrameParser, LegacyFormat, OutputMode, OutputSettings},
+    protocol::{Decoder, FrameParser, LegacyFormat, OutputMode, OutputSettings, Reply},
 };
 use rig_model::Stamp;
 
@@ -23,6 +23,7 @@ pub fn stream(data: &[u8]) {
         parser.parse(bytes, |frame| {
             frames += 1;
             let _ = decoder.decode(&frame);
+            let _ = Reply::from_frame(&frame);
         });
     }
     while let Some(frame) = parser.next_frame_at_end() {

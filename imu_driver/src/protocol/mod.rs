@@ -6,6 +6,7 @@
 //!
 //! Source: the vendor's low-level protocol manuals, checked against real recordings.
 
+pub mod command;
 pub mod configuration;
 pub mod frame;
 pub mod legacy;
@@ -14,6 +15,7 @@ pub mod message;
 pub mod mtdata2;
 pub mod number;
 
+pub use command::{Command, Reply};
 pub use configuration::{Configuration, DeviceId, OutputEntry};
 pub use frame::{Frame, FrameParser, ParserCounts, frame, write_frame};
 pub use legacy::{LegacyFormat, OrientationForm, OutputMode, OutputSettings};

@@ -17,7 +17,7 @@ use std::{
 
 /// Finds, shows, sets, logs and decodes Xsens inertial units.
 #[derive(Debug, Parser)]
-#[command(name = "volant imu", version, about)]
+#[command(name = "volant imu", bin_name = "volant imu", version)]
 pub struct Arguments {
     #[command(subcommand)]
     command: Command,
