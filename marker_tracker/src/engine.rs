@@ -314,6 +314,10 @@ impl Engine {
             let Some(fit) = self.measure_again(image, color, camera, &now, edge_sigma, place_sigma) else {
                 continue;
             };
+            if !self.hue_agrees(image, color, &fit.quad) {
+                self.markers[color].reason = "of another hue";
+                continue;
+            }
             let expected = self.layout.projected_centroid(color, camera, &now).map(|p| p.pixel);
             if expected.is_some_and(|e| (e - fit.centroid).norm() < 3.0 * place_sigma) {
                 self.markers[color].fit = Some(fit);

@@ -338,9 +338,9 @@ mod tests {
                 outline: None,
             });
             let (pose, rms) = refine(&layout(), &camera(), &sights, &start, None, 20).unwrap();
-            assert!(rms < 1e-6, "{rms}");
-            assert!((pose.translation.vector - truth.translation.vector).norm() < 1e-6);
-            assert!(pose.rotation.angle_to(&truth.rotation) < 1e-6);
+            assert!(rms < 1e-4, "{rms}");
+            assert!((pose.translation.vector - truth.translation.vector).norm() < 1e-5);
+            assert!(pose.rotation.angle_to(&truth.rotation) < 1e-5);
         }
     }
 

@@ -97,8 +97,6 @@ pub(crate) struct EdgeFit {
     pub covariance: Matrix2<f64>,
     /// Share of the edge's usable rows that agreed with the line.
     pub support: f64,
-    /// Number of rows that did.
-    pub rows: usize,
     /// ∫ c·(1 − c) across the edge, px: a sixth of the width of a motion blur, 0.56 σ of a Gaussian one.
     pub blur: f64,
     /// Correlation of the residuals of rows that are k apart, summed up: Σ rᵢ², Σ rᵢrᵢ₊₁ … Σ rᵢrᵢ₊ₖ.
@@ -123,8 +121,6 @@ pub(crate) struct QuadFit {
     pub filled: f64,
     /// The variance inflation that is in the covariance.
     pub inflation: f64,
-    /// Standard deviation of the interior signal, in units of the contrast.
-    pub noise: f64,
 }
 
 /// What is known of the outline beforehand, beside its predicted place.
@@ -389,7 +385,6 @@ fn fit_edge(
             continue;
         }
         possible += 1;
-        let start = nearest(crossing - sign * half);
         let end = nearest(crossing + sign * half);
         // Outside level first.
         let mut outside = 0.0;
@@ -409,7 +404,6 @@ fn fit_edge(
             rows[count] = Row { along, across: f64::from(line), outside };
             count += 1;
         }
-        let _ = start;
     }
     if count < 3 || count * 4 < possible {
         return None;
@@ -581,7 +575,7 @@ fn line_through(rows: &[Row], possible: usize, length: f64, prior: &ShapePrior) 
         let mut covariance = inverse * variance * prior.inflation;
         // Rows that a cover's blur touches a little stay unnoticed: the more is covered the more there are.
         covariance[(0, 0)] += (0.2 * (1.0 - support)).powi(2);
-        result = Some(EdgeFit { offset, slope, covariance, support, rows: count, blur: 0.0, lag });
+        result = Some(EdgeFit { offset, slope, covariance, support, blur: 0.0, lag });
     }
     result.filter(|e| e.support > 0.2)
 }
@@ -813,6 +807,5 @@ fn finish(
         filled: interior.filled,
         inflation: 1.0,
         unevenness: interior.gradient.norm() * a.sqrt() / (interior.level - outside).abs().max(1e-3),
-        noise: interior.sigma / (interior.level - outside).abs().max(1e-3),
     }
 }

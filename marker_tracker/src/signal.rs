@@ -28,10 +28,6 @@ impl Discriminant {
         let gain = w[0] * d[0] + w[1] * d[1] + w[2] * d[2];
         (gain.is_finite() && gain > 25.0).then(|| Self { weights: w.map(|x| x / gain) })
     }
-
-    pub fn of(&self, rgb: [f32; 3]) -> f32 {
-        self.weights[0] * rgb[0] + self.weights[1] * rgb[1] + self.weights[2] * rgb[2]
-    }
 }
 
 /// The signal over a rectangle of the image.
