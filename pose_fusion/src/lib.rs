@@ -101,6 +101,18 @@ impl Fusion {
         self.outputs.pop_front()
     }
 
+    /// Forgets the estimate and starts from the next image.
+    pub fn reset(&mut self) {
+        self.tight.reset();
+        self.visual.reset();
+        self.paper.reset();
+    }
+
+    /// Stops or resumes using markers (error-state filter): what is not used is still compared and recorded.
+    pub fn freeze(&mut self, frozen: bool) {
+        self.tight.freeze(frozen);
+    }
+
     /// The error-state filter, to look into it.
     pub fn tight(&self) -> &Tight {
         self.tight.speaker()

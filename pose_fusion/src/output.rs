@@ -7,6 +7,7 @@ use thiserror::Error;
 
 /// One thing that the filter says.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant)] // odometry is what nearly always comes, and a box would be an allocation each
 pub enum Output {
     /// The fused estimate; with `tight` one for each inertial sample and with its stamp, with `paper` one for each image.
     Odometry(Odometry),

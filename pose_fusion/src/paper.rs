@@ -61,6 +61,16 @@ impl Paper {
         }
     }
 
+    /// Forgets everything.
+    pub fn reset(&mut self) {
+        self.waiting.clear();
+        self.last_sample = None;
+        self.heading = None;
+        self.velocity = Vector3::zeros();
+        self.moved = Vector3::zeros();
+        self.state = None;
+    }
+
     /// An inertial sample: waits for the next image. One without the unit's attitude is of no use to this filter.
     pub fn imu(&mut self, sample: &ImuSample) {
         let finite =
@@ -72,17 +82,7 @@ impl Paper {
         }
         let newest = self.waiting.back().or(self.last_sample.as_ref()).map(|s| s.stamp);
         if newest.is_some_and(|n| n.seconds_since(sample.stamp) > 1.0) {
-            let (config, mounting) = (self.config.clone(), self.volant_from_imu);
-            *self = Self {
-                config,
-                volant_from_imu: mounting,
-                waiting: VecDeque::with_capacity(WAITING),
-                last_sample: None,
-                heading: None,
-                velocity: Vector3::zeros(),
-                moved: Vector3::zeros(),
-                state: None,
-            };
+            self.reset();
         } else if newest.is_some_and(|n| n >= sample.stamp) {
             return;
         }

@@ -114,7 +114,10 @@ impl Bank {
 
     /// Forgets everything.
     pub fn reset(&mut self) {
+        let cameras: Vec<CameraModel> =
+            self.members.iter().take(1).filter_map(|m| m.camera_model().cloned()).collect();
         self.fill();
+        cameras.iter().for_each(|camera| self.camera(camera));
     }
 
     /// Stops or resumes using markers.

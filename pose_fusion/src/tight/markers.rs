@@ -227,8 +227,8 @@ fn solve(
     }
     let masked = |linear: &Linear| {
         let (mut r, mut h) = (linear.residual, linear.jacobian);
-        for i in 0..4 {
-            if !mask[i] {
+        for (i, kept) in mask.iter().enumerate() {
+            if !kept {
                 r.fixed_rows_mut::<2>(2 * i).fill(0.0);
                 h.fixed_rows_mut::<2>(2 * i).fill(0.0);
             }

@@ -197,6 +197,11 @@ impl Tight {
         }
     }
 
+    /// The camera's calibration, once known.
+    pub fn camera_model(&self) -> Option<&CameraModel> {
+        self.geometry.as_ref().map(|g| &g.camera)
+    }
+
     /// An inertial sample: moves the estimate to its stamp and says it.
     pub fn imu(&mut self, sample: &ImuSample, out: &mut VecDeque<Output>) {
         let felt = Felt { force: sample.specific_force, rate: sample.angular_velocity };
@@ -318,12 +323,10 @@ impl Tight {
             return;
         }
         let (values, rest) = ClimberRest::split(pose);
-        if let Some((last, _, _)) = self.readings.back() {
-            if *last == stamp {
-                self.status.duplicates += 1;
-                out.push_back(Output::Warning(Warning::Duplicate { source_name: "climber", stamp }));
-                return;
-            }
+        if self.readings.back().is_some_and(|(last, _, _)| *last == stamp) {
+            self.status.duplicates += 1;
+            out.push_back(Output::Warning(Warning::Duplicate { source_name: "climber", stamp }));
+            return;
         }
         let in_order = self.readings.back().is_none_or(|(last, _, _)| *last < stamp);
         if let Some((newest, _)) = self.newest_imu {
@@ -622,10 +625,8 @@ impl Tight {
     fn watch(&mut self, out: &mut VecDeque<Output>) {
         let Some(sigma) = self.state().map(|s| self.position_sigma(s)) else { return };
         let lost = sigma > self.config.lost_position;
-        if lost && !self.lost {
-            if let Some(since) = self.last_used {
-                out.push_back(Output::Warning(Warning::VisionLost { since, position_sigma_m: sigma }));
-            }
+        if let (true, false, Some(since)) = (lost, self.lost, self.last_used) {
+            out.push_back(Output::Warning(Warning::VisionLost { since, position_sigma_m: sigma }));
         }
         self.lost = lost;
     }
@@ -783,10 +784,11 @@ impl Tight {
         }
         let mut sum = Vector3::zeros();
         for place in 0..self.history.len() {
-            if let Some(node) = self.history.get(place) {
-                if matches!(node.event, Event::Imu { .. }) && node.stamp.seconds_since(stamp).abs() < 0.3 {
-                    sum += node.felt.force;
-                }
+            if let Some(node) = self.history.get(place)
+                && matches!(node.event, Event::Imu { .. })
+                && node.stamp.seconds_since(stamp).abs() < 0.3
+            {
+                sum += node.felt.force;
             }
         }
         sum.try_normalize(1e-3).map(|in_imu| Up { in_imu, sigma: start::SWING_TILT })
@@ -885,7 +887,7 @@ impl Tight {
         );
         let any = Vector3::new(0.5, 0.5, 0.4);
         let (mut rates, mut rate_sigma) = (Vector3::zeros(), any);
-        if let (Some(first), Some(last)) = (recent().next(), recent().last()) {
+        if let (Some(first), Some(last)) = (recent().next(), recent().next_back()) {
             let span = last.0.seconds_since(first.0);
             if span > 0.03 {
                 rates = last.1 - first.1;

@@ -140,7 +140,7 @@ mod tests {
         };
         for i in 0..100 {
             let t = f64::from(i) * 0.01;
-            let swing = (6.28 * t).sin();
+            let swing = (std::f64::consts::TAU * t).sin();
             let mut white = |s: f64| Vector3::new(normal(), normal(), normal()) * s;
             let felt = Felt {
                 force: Vector3::new(3.0 * swing, 1.0, 9.8) + white(0.2),

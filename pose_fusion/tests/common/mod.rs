@@ -1,5 +1,6 @@
 //! What the tests share: the simulated rig (the very files of the test package, without its weight).
-#![allow(dead_code, missing_docs)]
+#![allow(dead_code, missing_docs, unused_imports)] // each test uses its share
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)] // test code, outside of #[test]
 
 #[path = "../../../test/src/rig"]
 pub mod rig {
