@@ -108,7 +108,7 @@ mod tests {
             let error =
                 found.world_from_volant.translation.vector - expected.world_from_volant.translation.vector;
             // At the ends it is a line: x'' h²/8.
-            let bound = if t < 0.005 || t > 1.99 { 36.0 * 0.005 * 0.005 / 8.0 } else { 1e-6 };
+            let bound = if !(0.005..=1.99).contains(&t) { 36.0 * 0.005 * 0.005 / 8.0 } else { 1e-6 };
             assert!(error.norm() <= bound, "{t}: {}", error.norm());
             let angle = found.world_from_volant.rotation.angle_to(&expected.world_from_volant.rotation);
             assert!(angle < 0.5 * 9.0 * 0.005 * 0.005 / 8.0 + 1e-9, "{t}: {angle}");

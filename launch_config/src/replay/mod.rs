@@ -189,19 +189,18 @@ impl Plan {
     fn new(path: &Path, bag: &BagSummary, names: &TopicNames) -> Result<Self, ReplayError> {
         let find = |name: &'static str, type_name: &'static str| -> Result<Option<String>, ReplayError> {
             let topic = names.resolve(name);
-            let found = bag.topics.iter().filter(|(t, count)| t.name == topic && *count > 0);
-            for (found, _) in found {
-                if found.type_name != type_name && !found.type_name.is_empty() {
-                    return Err(ReplayError::WrongType {
-                        path: path.to_owned(),
-                        topic,
-                        found: found.type_name.clone(),
-                        expected: type_name.to_owned(),
-                    });
-                }
-                return Ok(Some(topic));
+            let Some((found, _)) = bag.topics.iter().find(|(t, count)| t.name == topic && *count > 0) else {
+                return Ok(None);
+            };
+            if found.type_name != type_name && !found.type_name.is_empty() {
+                return Err(ReplayError::WrongType {
+                    path: path.to_owned(),
+                    topic,
+                    found: found.type_name.clone(),
+                    expected: type_name.to_owned(),
+                });
             }
-            Ok(None)
+            Ok(Some(topic))
         };
         let missing = |name: &'static str, type_name: &'static str| {
             let others: Vec<&str> = bag

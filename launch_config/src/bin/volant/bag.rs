@@ -2,7 +2,11 @@
 
 use crate::say;
 use launch_config::bag::{BagReader, BagWriter, Compression, WriteOptions};
-use std::{collections::HashMap, path::PathBuf, sync::Arc};
+use std::{
+    collections::HashMap,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 #[derive(clap::Subcommand)]
 pub enum Action {
@@ -32,7 +36,7 @@ pub fn run(action: &Action) -> anyhow::Result<()> {
     }
 }
 
-fn info(path: &PathBuf) -> anyhow::Result<()> {
+fn info(path: &Path) -> anyhow::Result<()> {
     let bag = BagReader::summary(path)?;
     for file in &bag.files {
         println!("file      {}", file.display());
@@ -62,7 +66,7 @@ fn info(path: &PathBuf) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn recover(paths: &[PathBuf], out: &PathBuf, compression: Compression) -> anyhow::Result<()> {
+fn recover(paths: &[PathBuf], out: &Path, compression: Compression) -> anyhow::Result<()> {
     let mut files = vec![];
     for path in paths {
         if path.is_dir() && !path.join("metadata.yaml").exists() {
@@ -115,7 +119,7 @@ fn recover(paths: &[PathBuf], out: &PathBuf, compression: Compression) -> anyhow
 }
 
 /// `name_12.mcap` → 12, so that 10 comes after 9.
-fn number_of(path: &std::path::Path) -> (u64, PathBuf) {
+fn number_of(path: &Path) -> (u64, PathBuf) {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let digits: String = stem.chars().rev().take_while(char::is_ascii_digit).collect();
     let number = digits.chars().rev().collect::<String>().parse().unwrap_or(0);

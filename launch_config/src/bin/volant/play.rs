@@ -108,7 +108,7 @@ impl Keys {
         let control = control.clone();
         // Ends with the program: a read cannot be called off.
         std::thread::spawn(move || {
-            for key in std::io::stdin().bytes().map_while(Result::ok) {
+            for key in std::io::stdin().lock().bytes().map_while(Result::ok) {
                 if key == b' ' {
                     control.paused.fetch_xor(true, Ordering::AcqRel);
                 }
