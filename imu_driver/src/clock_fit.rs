@@ -76,6 +76,7 @@ pub struct ClockFit {
     applied: f64,
     last_device: i64,
     last_stamp: Option<Stamp>,
+    last_arrival: Option<Stamp>,
     /// Since when (device time, s) the arrivals have been far off the line, and the smallest distance since.
     suspicious: Option<(f64, f64)>,
 }
@@ -93,6 +94,7 @@ impl ClockFit {
             applied: 0.0,
             last_device: 0,
             last_stamp: None,
+            last_arrival: None,
             suspicious: None,
         }
     }
@@ -124,8 +126,11 @@ impl ClockFit {
         if let Some(jump) = self.clock_stepped(point) {
             stepped = Some(jump);
             self.restart();
-            // The host's clock was set back: waiting until it catches up would hold all stamps for as long.
-            if jump < 0.0 {
+            // Where the host's clock was set back, waiting until it catches up would hold all stamps for as long. (The unit's
+            // may have jumped ahead instead: then stamps go on.)
+            let earlier =
+                self.last_arrival.is_some_and(|last| arrival.seconds_since(last) < -self.config.step);
+            if jump < 0.0 && earlier {
                 self.last_stamp = None;
             }
             origin = self.begin(device, arrival);
@@ -146,6 +151,7 @@ impl ClockFit {
             self.applied + (target - self.applied).clamp(-limit, limit)
         };
         self.last_device = device;
+        self.last_arrival = Some(arrival);
         let unconstrained = origin.host.plus_seconds(point.x + self.applied);
         let stamp = match self.last_stamp {
             // Strictly later, if only by a microsecond.

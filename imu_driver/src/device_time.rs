@@ -42,8 +42,9 @@ pub struct DeviceTime {
     last: Option<Last>,
 }
 
-/// A counter that claims more time than has passed, by more than this, started anew, s.
-const AHEAD: f64 = 1.0;
+/// A counter that claims more time than has passed, by more than this, started anew, s; less than this is a host that
+/// slept, lost what its buffers could not hold, and found the rest all at once.
+const AHEAD: f64 = 5.0;
 /// One that claims less, by more than this, too: less than this is a host that slept and found all in its buffers, s.
 const BEHIND: f64 = 5.0;
 

@@ -137,8 +137,22 @@ impl Port {
     }
 }
 
+/// What the kernel's buffers of a serial port hold while the host sleeps; a pseudo-terminal's hold 4 KiB only. What is
+/// beyond is lost, as on a wire without flow control.
+const BACKLOG: usize = 64 << 10;
+
+fn write_out(port: &Port, backlog: &mut Vec<u8>) {
+    while !backlog.is_empty() {
+        match rustix::io::write(&port.master, backlog) {
+            Ok(n) if n > 0 => drop(backlog.drain(..n.min(backlog.len()))),
+            _ => return,
+        }
+    }
+}
+
 fn run(mut unit: FakeUnit, mut port: Option<Port>, link: &Path, commands: &Receiver<Command>) {
     let mut buffer = [0_u8; 4096];
+    let mut backlog = Vec::new();
     loop {
         while let Ok(command) = commands.try_recv() {
             match command {
@@ -152,6 +166,7 @@ fn run(mut unit: FakeUnit, mut port: Option<Port>, link: &Path, commands: &Recei
             }
         }
         let Some(open) = &port else {
+            backlog.clear();
             let unheard = Line { baud: 0, two_stop_bits: false };
             while unit.poll(unheard, now()).is_some() {}
             std::thread::sleep(Duration::from_millis(2));
@@ -171,11 +186,16 @@ fn run(mut unit: FakeUnit, mut port: Option<Port>, link: &Path, commands: &Recei
             }
         }
         while let Some(bytes) = unit.poll(line, now()) {
-            // What a full line cannot take is lost, as on a wire without flow control.
-            if heard && !bytes.is_empty() {
-                let _ = rustix::io::write(&open.master, &bytes);
+            if heard && backlog.len() < BACKLOG {
+                backlog.extend_from_slice(&bytes);
             }
+            write_out(open, &mut backlog);
             unit.note_written(now());
+        }
+        if heard {
+            write_out(open, &mut backlog);
+        } else {
+            backlog.clear();
         }
         let wait = unit.next_deadline().map_or(0.01, |at| at.seconds_since(now())).clamp(0.0, 0.01);
         if heard {
