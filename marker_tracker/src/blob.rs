@@ -158,8 +158,8 @@ impl Scanner {
                 match (class, &mut open) {
                     (Some((color, ..)), Some(run)) if run.color == color && alike(run, rgb) => {
                         run.end = x;
-                        for c in 0..3 {
-                            run.sum[c] += rgb[c];
+                        for (sum, value) in run.sum.iter_mut().zip(rgb) {
+                            *sum += value;
                         }
                     }
                     (class, open) => {

@@ -374,7 +374,7 @@ impl Engine {
                 })
                 .filter(|f| is_told(f, &self.config))
         } else {
-            self.measure(image, color, &quad, COARSE, 1.0, 3.0, 0.08)
+            self.measure(image, color, &quad, 5.0, 1.0, 3.0, 0.1)
                 .filter(is_whole)
                 .and_then(|f| self.measure(image, color, &f.quad, half_width_for(&f), 0.5, 3.0, 0.03))
                 .filter(is_whole)
@@ -603,10 +603,8 @@ impl Engine {
             if v.appearances[color].is_some() {
                 m.appearance = v.appearances[color];
             }
-            if let Some(t) = v.turns[color] {
-                if m.turn.1 == 0 {
-                    m.turn = (t, 1);
-                }
+            if let Some(t) = v.turns[color].filter(|_| m.turn.1 == 0) {
+                m.turn = (t, 1);
             }
         }
         true
@@ -670,10 +668,8 @@ impl Engine {
             let (_, place) = quad.area_and_centroid();
             let quad = quad.shifted(blob.centroid - place);
             let Some(mut appearance) = Appearance::learn(image, &quad) else { continue };
-            if let Some(rgb) = mean_rgb(image, blob.centroid, 1) {
-                if classify(rgb.map(|c| c as u8)).is_none() {
-                    continue;
-                }
+            if mean_rgb(image, blob.centroid, 1).is_some_and(|rgb| classify(rgb.map(|c| c as u8)).is_none()) {
+                continue;
             }
             self.markers[color].appearance = Some(appearance);
             let tolerance = if known_camera { 1.5 } else { 3.0 };
@@ -697,13 +693,12 @@ impl Engine {
             v.count += 1;
             side += second.area.sqrt();
             let spread = second.area.sqrt() - quad.area_and_centroid().0.abs().sqrt();
-            shape_error += (spread - 0.0).powi(2);
+            shape_error += spread.powi(2);
         }
         for color in MarkerColor::ALL {
             self.markers[color].appearance = kept[color];
         }
-        let claimed = hypothesis.blobs.0.iter().flatten().count();
-        if v.count < 3 || (claimed == 3 && v.count < 3) {
+        if v.count < 3 {
             return None;
         }
         let sights: Vec<Sight> = MarkerColor::ALL

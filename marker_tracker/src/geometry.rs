@@ -249,7 +249,7 @@ pub(crate) fn poses_from_three(
     let d_abs = (s2 - bb).max(0.0).sqrt();
     let d = if ab > 0.0 { -d_abs } else { d_abs };
     let s = s2.sqrt();
-    if !(s > 1e-9) {
+    if s.is_nan() || s <= 1e-9 {
         return None;
     }
     let make = |sign: f64| {

@@ -422,7 +422,7 @@ fn fit_edge(
         levels[count / 2]
     };
     let contrast = interior.level - outside_median;
-    if !(contrast > min_contrast) {
+    if contrast.is_nan() || contrast <= min_contrast {
         return None;
     }
     let gate = (4.0 * interior.sigma).clamp(0.06, 0.2) * contrast.max(0.3);
@@ -589,7 +589,7 @@ fn combine(
     outside_levels: [f64; 4],
 ) -> Option<QuadFit> {
     let (_, centre) = predicted.area_and_centroid();
-    let geometry: [(Vector2<f64>, Vector2<f64>, Vector2<f64>, f64); 4] = std::array::from_fn(|i| {
+    let geometry: [Geometry; 4] = std::array::from_fn(|i| {
         let (p, q) = (predicted.0[i], predicted.0[(i + 1) % 4]);
         let length = (q - p).norm();
         let tangent = (q - p) / length;
@@ -709,6 +709,7 @@ fn measured(geometry: &[Geometry; 4], edges: &[Option<EdgeFit>; 4], prior: &Shap
     Some(estimate)
 }
 
+/// Middle, direction, outward normal and length of an edge.
 type Geometry = (Vector2<f64>, Vector2<f64>, Vector2<f64>, f64);
 
 /// Least squares over the common shift (2), the edges' offsets (4) and slopes (4): offsets are the shift's normal part

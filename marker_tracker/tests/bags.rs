@@ -1,5 +1,7 @@
 //! The tracker over the recorded bags, against their truth, marker by marker.
 
+#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are outside of what clippy takes for a test
+
 use marker_tracker::{Input, Output, Tracker, TrackerConfig, decode_compressed};
 use nalgebra::Vector2;
 use rig_model::{CameraModel, MarkerColor, MarkerObservations, MarkerState, PerColor, Rig, Stamp};

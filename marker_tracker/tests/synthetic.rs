@@ -1,5 +1,7 @@
 //! The tracker on drawn scenes with exact edges: precision, both criteria, loss and return, what is refused.
 
+#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are outside of what clippy takes for a test
+
 use marker_tracker::{ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig, Warning};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rig_model::{

@@ -122,7 +122,7 @@ fn stream(
             continue;
         }
         let used = (meta.bytesused as usize).min(buffer.len());
-        let stamp = driver_stamp(&meta, clock).plus_seconds(parameters.device_stamp_offset);
+        let stamp = driver_stamp(meta, clock).plus_seconds(parameters.device_stamp_offset);
         let frame = Frame {
             stamp,
             sequence: Some(meta.sequence),
