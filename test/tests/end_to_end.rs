@@ -61,11 +61,11 @@ impl Peer {
         let lines = self.reader.join().unwrap();
         assert!(self.process.wait().unwrap().success());
         let parse = |line: &String| {
-            let value: serde_json::Value = serde_json::from_str(&line.replace("NaN", "null")).unwrap();
+            let value: serde_json::Value = serde_json::from_str(line).unwrap();
             let values = value["values"].as_array().unwrap();
             let key = (value["topic"].as_str().unwrap().to_owned(), value["stamp"].as_i64().unwrap());
             let frame = value["frame"].as_str().unwrap().to_owned();
-            (key, (frame, values.iter().map(|v| v.as_f64().unwrap_or(f64::NAN)).collect()))
+            (key, (frame, values.iter().map(|v| v.as_str().unwrap().parse().unwrap()).collect()))
         };
         lines.iter().map(parse).collect()
     }

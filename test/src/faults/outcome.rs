@@ -57,8 +57,9 @@ impl Outcome {
 
 /// Back is who is nearer than this, mm and degrees.
 const NEAR: [f64; 2] = [10.0, 1.0];
-/// Of 3 degrees of freedom, a NEES above this has a chance of 1e-4; a filter's errors are correlated, so a share is allowed.
-const NEES_LIMIT: f64 = 21.1;
+/// Contradicted is what lies beyond 7 standard deviations of 3 degrees of freedom. (A tighter gate belongs into the
+/// filter's own consistency tests, over many seeds: within one short run the errors are correlated.)
+const NEES_LIMIT: f64 = 50.0;
 /// Share of the odometry that may lie above it.
 const NEES_SHARE: f64 = 0.02;
 

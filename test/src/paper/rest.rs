@@ -72,8 +72,8 @@ pub fn figure_9(seed: u64, folder: &Path) -> Result<Made, PaperError> {
         .map_err(|e| PaperError::Drawing(format!("{}: {e}", svg.display())))?;
     let words = format!(
         "The unit lies still for {SECONDS:.0} s. Without threshold control its doubly integrated accelerations drift \
-         {:.2} m off. The literal threshold of 1e-5 m/s leaves {:.2} m: a sample's velocity change by noise and bias alone is \
-         tens of times larger, so it hardly ever fires. The smallest threshold that holds the position (to {HELD:.0} mm) is \
+         {:.2} m off. The literal threshold of 1e-5 m/s leaves {:.2} m: a sample's velocity change by noise, bias and the attitude's error \
+         alone is tens of times larger, so it hardly ever fires. The smallest threshold that holds the position (to {HELD:.0} mm) is \
          {smallest:.1e} m/s a sample, i.e. {:.2} m/s², which hides slow motion as well. Published: the control removes \
          most of the drift; with raw samples that needs the larger threshold.",
         furthest(&without) / 1e3,

@@ -153,7 +153,8 @@ def main():
                     "topic": name,
                     "stamp": stamp.sec * 10**9 + stamp.nanosec,
                     "frame": message.header.frame_id,
-                    "values": values(message),
+                    # As text: exact, and NaN has one.
+                    "values": [repr(float(v)) for v in values(message)],
                 }
                 print(json.dumps(line))
         time.sleep(0.01)
