@@ -5,6 +5,8 @@
 //! makes them; `make test` does that first), or from `VOLANT_BIN`. The peer needs `VOLANT_PYTHON`, a Python with
 //! `test/requirements.txt`; without it that part is skipped, and said.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "a test")]
+
 use node_kit::{
     convert::{pose, stamp},
     environment::Network,

@@ -1,5 +1,7 @@
 //! `volant demo`: the main job on a simulated rig: four separate nodes, live over DDS.
 
+#![allow(clippy::print_stdout, reason = "what it prints is its work")]
+
 use anyhow::{Context, Result};
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};

@@ -1,6 +1,8 @@
 //! `make faults`: every fault of the table on real processes. Exit status 0 when each row holds; 1 when one fails or is
 //! skipped.
 
+#![allow(clippy::print_stdout, reason = "what it prints is its work")]
+
 use anyhow::{Context, Result};
 use clap::Parser;
 use node_kit::environment::Network;

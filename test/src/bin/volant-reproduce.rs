@@ -1,5 +1,7 @@
 //! `volant reproduce`: the paper's tables and figures, made anew.
 
+#![allow(clippy::print_stdout, reason = "what it prints is its work")]
+
 use anyhow::{Context, Result, bail};
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};

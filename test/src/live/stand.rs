@@ -34,6 +34,7 @@ use volant_msgs::{
 
 /// Something that the hardware is about to say, for a fault to spoil.
 #[derive(Clone, Debug)]
+#[allow(clippy::large_enum_variant, reason = "each one is handed on at once")]
 pub enum Saying {
     /// A picture; its camera info follows it.
     Image(CompressedImage),
@@ -104,7 +105,9 @@ struct Outlets {
 }
 
 /// A shell is started by its type alone, so what it works with waits here for it.
-static HAND_OVER: Mutex<Option<(SyncSender<Outlets>, Arc<Mutex<Heard>>)>> = Mutex::new(None);
+static HAND_OVER: Mutex<Option<HandOver>> = Mutex::new(None);
+
+type HandOver = (SyncSender<Outlets>, Arc<Mutex<Heard>>);
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
@@ -145,13 +148,16 @@ impl NodeShell for Ear {
     fn handle(&mut self, _: &mut Kit<()>, (): ()) {}
 }
 
+/// Where the messages of a topic are kept.
+type ListOf<M> = fn(&mut Heard) -> &mut Vec<(Stamp, Arc<M>)>;
+
 /// Keeps every message of a topic with the instant of its receipt, taken on the thread that brought it.
 fn hear<M: Message>(
     kit: &mut Kit<()>,
     topic: &str,
     preset: QosPreset,
     heard: &Arc<Mutex<Heard>>,
-    list: fn(&mut Heard) -> &mut Vec<(Stamp, Arc<M>)>,
+    list: ListOf<M>,
 ) -> Result<(), NodeError> {
     let heard = Arc::clone(heard);
     kit.subscribe_optional(topic, preset, move |message: Arc<M>| {
