@@ -284,6 +284,10 @@ fn set_baud(line: &Line, baud: u32) -> Result<(), Failure> {
         if let Told::Event(event) = told {
             eprintln!("{event}");
             set |= *event == Event::Set { what: MessageId::BAUD_RATE };
+            if set {
+                // The Reset that brings the rate into force is on the wire: the port stays open until the unit has it.
+                std::thread::sleep(Duration::from_millis(100));
+            }
             return !set;
         }
         true
