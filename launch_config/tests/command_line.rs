@@ -99,6 +99,24 @@ fn a_wrong_command_line_is_2() {
 }
 
 #[test]
+fn no_letter_stands_for_two_options() {
+    for command in ["replay", "evaluate", "record", "play"] {
+        let output = volant(&[Path::new(command), Path::new("--help")]);
+        let help = String::from_utf8_lossy(&output.stdout).into_owned();
+        let mut letters: Vec<char> = help
+            .lines()
+            .filter_map(|line| line.trim_start().strip_prefix('-')?.chars().next())
+            .filter(char::is_ascii_alphabetic)
+            .collect();
+        assert!(letters.contains(&'h'), "{command}: {help}");
+        letters.sort_unstable();
+        let all = letters.len();
+        letters.dedup();
+        assert_eq!(letters.len(), all, "{command}: {help}");
+    }
+}
+
+#[test]
 fn bags_that_cannot_be_replayed() {
     let place = Place::new();
     place.replay_fails(&place.path("gone.mcap"), &["gone.mcap", "no such file", "give an .mcap"]);

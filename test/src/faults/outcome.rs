@@ -57,9 +57,8 @@ impl Outcome {
 
 /// Back is who is nearer than this, mm and degrees.
 const NEAR: [f64; 2] = [10.0, 1.0];
-/// Contradicted is what lies beyond 7 standard deviations of 3 degrees of freedom. (A tighter gate belongs into the
-/// filter's own consistency tests, over many seeds: within one short run the errors are correlated.)
-const NEES_LIMIT: f64 = 50.0;
+/// Contradicted is what lies beyond the 0.9999 quantile of χ² with 3 degrees of freedom.
+const NEES_LIMIT: f64 = 21.1;
 /// Share of the odometry that may lie above it.
 const NEES_SHARE: f64 = 0.02;
 

@@ -20,7 +20,7 @@ pub struct Arguments {
     #[arg(short, long, default_value_t = 1.0, value_parser = positive)]
     rate: f64,
     /// Again from its beginning at its end
-    #[arg(short, long = "loop")]
+    #[arg(short = 'l', long = "loop")]
     repeat: bool,
     /// Seconds to leave out of the beginning
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
