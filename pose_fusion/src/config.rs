@@ -73,8 +73,6 @@ pub struct TightConfig {
     pub inertial_noise_limit: f64,
     /// Velocity of a platform at rest (the zero-motion update's sigma), m/s; 0 switches it off.
     pub rest_velocity: f64,
-    /// Length of the rope for the pendulum prior, m; 0 switches it off.
-    pub rope_length: f64,
     /// Position uncertainty above which the estimate is called lost, m.
     pub lost_position: f64,
 }
@@ -105,7 +103,6 @@ impl Default for TightConfig {
             clock_walk: 1e-5,
             inertial_noise_limit: 30.0,
             rest_velocity: 0.002,
-            rope_length: 0.0,
             lost_position: 0.2,
         }
     }
