@@ -10,7 +10,7 @@ use crate::{
     model::{Appearance, HueHistogram},
     quad::{LAGS, Quad, QuadFit, ShapePrior, fit},
     signal::Window,
-    tracker::Mark,
+    tracker::{Mark, Seen},
 };
 use nalgebra::{Isometry3, Matrix2, Vector2};
 use rig_model::{
@@ -121,6 +121,18 @@ impl Engine {
             flow: m.flow,
             state,
         }
+    }
+
+    /// What was seen of a marker, copied out.
+    pub fn seen(&self, color: MarkerColor) -> Option<Seen> {
+        let m = &self.markers[color];
+        let a = m.appearance.as_ref()?;
+        let w = &m.window;
+        let width = usize::try_from(w.width).ok()?;
+        // The window holds the projection itself, which is not nought beside the marker.
+        let beside: f32 = a.discriminant.weights.iter().zip(&a.surroundings).map(|(w, s)| w * s).sum();
+        let signal = w.values.iter().map(|v| v - beside).collect();
+        Some(Seen { origin: [w.x0, w.y0], width, signal, hue: a.hue.bins().to_vec() })
     }
 
     pub fn set_camera(&mut self, camera: CameraModel) {

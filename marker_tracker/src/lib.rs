@@ -40,4 +40,4 @@ pub use decode::{decode_compressed, decode_compressed_into};
 pub use image::{ImageError, ImageView, OwnedImage, PixelFormat, from_encoding};
 #[cfg(feature = "opencv")]
 pub use opencv::draw;
-pub use tracker::{Input, Mark, Output, Tracker, Warning};
+pub use tracker::{Input, Mark, Output, Seen, Tracker, Warning};

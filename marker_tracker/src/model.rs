@@ -121,6 +121,11 @@ impl HueHistogram {
         }
     }
 
+    /// The bins, the first from 0°.
+    pub fn bins(&self) -> &[f32] {
+        &self.bins
+    }
+
     pub fn normalise(&mut self) {
         let sum: f32 = self.bins.iter().sum();
         if sum > 0.0 {

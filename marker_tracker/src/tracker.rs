@@ -73,6 +73,20 @@ pub struct Mark {
     pub state: MarkerState,
 }
 
+/// What the tracker itself saw of one marker in the last image, for pictures of its stages.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Seen {
+    /// Column and row of the window's first pixel, px.
+    pub origin: [i32; 2],
+    /// Columns of the window.
+    pub width: usize,
+    /// The window's colour signal, row by row: 1 on the marker, 0 beside it, NaN where it was not looked at. It is the paper's
+    /// binary image before it is rounded, and what the flow is told from.
+    pub signal: Vec<f32>,
+    /// The marker's hue histogram as it was learnt: equal bins over the circle from 0°, weighted by saturation, sum 1.
+    pub hue: Vec<f32>,
+}
+
 impl Warning {
     /// A word for the kind, to count and throttle by.
     pub fn kind(&self) -> &'static str {
@@ -129,6 +143,11 @@ impl Tracker {
     /// What a picture of the last image's tracking shows.
     pub fn marks(&self) -> PerColor<Mark> {
         PerColor::from_fn(|c| self.engine.mark(c))
+    }
+
+    /// What was seen of a marker in the last image; `None` as long as its colour is unknown.
+    pub fn seen(&self, color: MarkerColor) -> Option<Seen> {
+        self.engine.seen(color)
     }
 
     /// Per marker, what became of it in the last image.

@@ -207,6 +207,30 @@ fn either_criterion_switched_off_changes_the_result() {
 }
 
 #[test]
+fn what_was_seen_is_one_on_the_marker_and_nought_beside_it_and_bears_its_hue() {
+    let mut tracker = new_tracker(TrackerConfig::default());
+    assert!(tracker.seen(MarkerColor::Red).is_none());
+    let pose = pose(0.0);
+    observe(&mut tracker, 0, &draw(&pose, ALL, &mut Noise(5)));
+    for (color, degrees) in MarkerColor::ALL.into_iter().zip([359.0, 119.0, 210.0, 47.0]) {
+        let seen = tracker.seen(color).unwrap();
+        let pixel = truth(color, &pose);
+        let at = |p: Vector2<f64>| {
+            let (x, y) = (p.x.round() as i32 - seen.origin[0], p.y.round() as i32 - seen.origin[1]);
+            seen.signal[y as usize * seen.width + x as usize]
+        };
+        assert!((at(pixel) - 1.0).abs() < 0.3, "{color}: {}", at(pixel));
+        let edge = seen.signal.iter().filter(|v| v.is_finite() && v.abs() < 0.3).count();
+        assert!(edge > 50, "{color}: only {edge} pixels beside it");
+        assert!((seen.hue.iter().sum::<f32>() - 1.0).abs() < 1e-3);
+        let peak = (0..seen.hue.len()).max_by(|a, b| seen.hue[*a].total_cmp(&seen.hue[*b])).unwrap();
+        let middle = (peak as f64 + 0.5) * 360.0 / seen.hue.len() as f64;
+        let off = (middle - degrees + 180.0).rem_euclid(360.0) - 180.0;
+        assert!(off.abs() < 12.0, "{color}: {middle} deg for {degrees}");
+    }
+}
+
+#[test]
 fn every_order_of_channels_gives_the_same() {
     let rgb = draw(&pose(0.0), ALL, &mut Noise(5));
     let reference = observe(&mut new_tracker(TrackerConfig::default()), 0, &rgb);
