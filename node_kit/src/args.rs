@@ -190,7 +190,7 @@ impl RosArguments {
     /// # Errors
     /// The file cannot be read or is no parameter file.
     pub fn add_file(&mut self, path: PathBuf) -> Result<(), ArgumentError> {
-        let text = std::fs::read_to_string(&path)
+        let text = crate::files::read_text(&path)
             .map_err(|source| ArgumentError::Unreadable { path: path.clone(), source })?;
         let file = ParameterFile::parse(&text)
             .map_err(|source| ArgumentError::ParameterFile { path: path.clone(), source })?;

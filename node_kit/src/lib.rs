@@ -10,6 +10,7 @@
 pub mod args;
 pub mod convert;
 pub mod environment;
+pub mod files;
 #[cfg(feature = "dds")]
 mod inbox;
 pub mod level;

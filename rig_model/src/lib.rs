@@ -8,6 +8,7 @@
 //! Conventions: metres, radians, seconds, pixels; right-handed frames (REP-103). `a_from_b` maps a point's
 //! coordinates in `b` to its coordinates in `a` (the paper's `aTb`). The centre of the top left pixel is (0, 0).
 
+pub mod calibration_file;
 pub mod camera;
 pub mod marker;
 pub mod parameters;
@@ -15,7 +16,9 @@ pub mod planar_pose;
 pub mod rig;
 pub mod samples;
 pub mod stamp;
+pub mod yaml;
 
+pub use calibration_file::CalibrationFileError;
 pub use camera::{CameraModel, CameraModelError, Distortion};
 pub use marker::{MarkerColor, MarkerLayout, PerColor};
 pub use rig::{Frames, ImuMounting, Rig, RigError};

@@ -3,6 +3,7 @@
 //! The form is rcl's: node selectors (`/**`, `/ns/*`, `node`, `/ns/node`), below each `ros__parameters`, nested maps
 //! flattened with dots. Later files and later, more specific blocks override earlier ones.
 
+use crate::yaml;
 use serde_yaml_ng::Value;
 use std::{collections::BTreeMap, fmt};
 use thiserror::Error;
@@ -121,7 +122,7 @@ impl ParameterFile {
     /// # Errors
     /// Text that is no YAML, a missing `ros__parameters`, or a value that no parameter can hold.
     pub fn parse(text: &str) -> Result<Self, ParameterFileError> {
-        let root: Value = serde_yaml_ng::from_str(text)?;
+        let root = yaml::parse(text)?;
         let Value::Mapping(root) = root else { return Err(ParameterFileError::NotAParameterFile) };
         let mut blocks = Vec::new();
         for (key, value) in &root {
@@ -200,8 +201,7 @@ fn flatten(prefix: &str, value: &Value, map: &mut ParameterMap) -> Result<(), Pa
 /// # Errors
 /// Text that is not YAML, or YAML that no parameter can hold.
 pub fn parse_value(name: &str, text: &str) -> Result<ParameterValue, ParameterFileError> {
-    let value: Value = serde_yaml_ng::from_str(text)?;
-    match value {
+    match yaml::parse(text)? {
         Value::Null => Ok(ParameterValue::String(text.to_owned())),
         value => scalar_or_array(name, &value),
     }
@@ -263,24 +263,26 @@ fn array(items: Vec<ParameterValue>) -> Option<ParameterValue> {
 
 /// Does `selector` (`/**`, `/*`, `/ns/**`, `node`, `/ns/node`) name this node?
 fn selector_matches(selector: &str, fully_qualified_name: &str) -> bool {
-    fn segments_match(selector: &[&str], name: &[&str]) -> bool {
-        match (selector.split_first(), name.split_first()) {
-            (None, None) => true,
-            (Some((&"**", rest)), _) => {
-                segments_match(rest, name)
-                    || name.split_first().is_some_and(|(_, tail)| segments_match(selector, tail))
+    let name: Vec<&str> = fully_qualified_name.trim_matches('/').split('/').collect();
+    // matched[n]: the selector so far matches the name's first n segments. Linear in the selector, however many wildcards
+    // it has.
+    let mut matched = vec![false; name.len() + 1];
+    matched[0] = true;
+    for segment in selector.trim_matches('/').split('/') {
+        if segment == "**" {
+            let mut any = false;
+            for m in &mut matched {
+                any |= *m;
+                *m = any;
             }
-            (Some((&"*", rest)), Some((_, tail))) => segments_match(rest, tail),
-            (Some((s, rest)), Some((n, tail))) => s == n && segments_match(rest, tail),
-            _ => false,
+        } else {
+            for n in (1..matched.len()).rev() {
+                matched[n] = matched[n - 1] && (segment == "*" || segment == name[n - 1]);
+            }
+            matched[0] = false;
         }
     }
-    let split = |s: &str| s.trim_matches('/').split('/').map(str::to_owned).collect::<Vec<_>>();
-    let (selector, name) = (split(selector), split(fully_qualified_name));
-    segments_match(
-        &selector.iter().map(String::as_str).collect::<Vec<_>>(),
-        &name.iter().map(String::as_str).collect::<Vec<_>>(),
-    )
+    matched[name.len()]
 }
 
 #[cfg(test)]
@@ -302,6 +304,12 @@ mod tests {
         ] {
             assert_eq!(selector_matches(selector, name), matches, "{selector} {name}");
         }
+    }
+
+    #[test]
+    fn a_selector_of_a_hundred_thousand_wildcards_is_only_slow_to_type() {
+        assert!(selector_matches(&"/**".repeat(100_000), "/rig1/a/pose_fusion"));
+        assert!(!selector_matches(&format!("{}/x", "/**".repeat(100_000)), "/rig1/a/pose_fusion"));
     }
 
     #[test]

@@ -37,8 +37,9 @@ struct Information {
 impl Folder {
     /// From the file's text; the error says what is wrong with it.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let document: Document =
-            serde_yaml_ng::from_str(text).map_err(|e| format!("cannot be read ({e})"))?;
+        let document: Document = rig_model::yaml::parse(text)
+            .and_then(serde_yaml_ng::from_value)
+            .map_err(|e| format!("cannot be read ({e})"))?;
         let information = document.rosbag2_bagfile_information;
         let mode = information.compression_mode.unwrap_or_default().to_lowercase();
         Ok(Self {

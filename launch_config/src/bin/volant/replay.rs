@@ -47,7 +47,7 @@ enum ModelName {
 }
 
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let rig = fs::read_to_string(&arguments.rig)
+    let rig = node_kit::files::read_text(&arguments.rig)
         .map_err(anyhow::Error::from)
         .and_then(|text| Ok(Rig::from_yaml(&text)?))
         .with_context(|| format!("{}: not a usable rig file", arguments.rig.display()))?;
