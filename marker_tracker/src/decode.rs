@@ -31,18 +31,44 @@ pub fn decode_compressed_into(format: &str, data: &[u8], image: &mut OwnedImage)
     }
 }
 
+/// Pixels per byte of a JPEG at most. Its emptiest block of 64 (or, with chroma halved, 170 per block) takes two bits.
+const JPEG_PIXELS_PER_BYTE: usize = 2048;
+/// DEFLATE makes at most 1032 bytes of one.
+const PNG_BYTES_PER_BYTE: usize = 1040;
+/// What is allowed beside, so that a small image need not be a full one.
+const SMALL: usize = 1 << 16;
+
+/// Refuses what a few bytes claim to be, before memory is taken for it. `needed` is what `most` of it must hold.
+fn check_claim(
+    width: usize,
+    height: usize,
+    needed: usize,
+    most: usize,
+    length: usize,
+) -> Result<(), ImageError> {
+    let small_side = width <= ImageView::MAX_SIDE && height <= ImageView::MAX_SIDE;
+    // With both sides below 2^14 nothing overflows.
+    if small_side && width * height <= ImageView::MAX_PIXELS && needed <= most.saturating_add(SMALL) {
+        Ok(())
+    } else {
+        Err(ImageError::TooLarge { width, height, length })
+    }
+}
+
 fn decode_jpeg(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
     let failed = |reason: String| ImageError::Decode { format: "jpeg", reason };
     let options = DecoderOptions::default()
         .jpeg_set_out_colorspace(ColorSpace::RGB)
-        .set_max_width(ImageView::MAX_SIDE)
-        .set_max_height(ImageView::MAX_SIDE);
+        .set_max_width(usize::from(u16::MAX))
+        .set_max_height(usize::from(u16::MAX));
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(data), options);
     decoder.decode_headers().map_err(|e| failed(format!("{e:?}")))?;
     if decoder.input_colorspace() == Some(ColorSpace::Luma) {
         return Err(ImageError::NoColor { encoding: "grey jpeg".to_owned() });
     }
     let (width, height) = decoder.dimensions().ok_or_else(|| failed("it has no size".to_owned()))?;
+    let most = data.len().saturating_mul(JPEG_PIXELS_PER_BYTE);
+    check_claim(width, height, width * height, most, data.len())?;
     image.data.resize(width * height * 3, 0);
     decoder.decode_into(&mut image.data).map_err(|e| failed(format!("{e:?}")))?;
     (image.width, image.height, image.step, image.format) = (width, height, width * 3, PixelFormat::Rgb8);
@@ -51,14 +77,20 @@ fn decode_jpeg(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
 
 fn decode_png(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
     let failed = |reason: String| ImageError::Decode { format: "png", reason };
-    let mut decoder = png::Decoder::new(Cursor::new(data));
+    // What comes before the pixels (a profile, texts) is bounded too.
+    let limits = png::Limits { bytes: 1 << 22 };
+    let mut decoder = png::Decoder::new_with_limits(Cursor::new(data), limits);
     decoder.set_transformations(png::Transformations::EXPAND | png::Transformations::STRIP_16);
+    // The size first: what the decoder takes for itself grows with it.
+    let (width, height) = {
+        let header = decoder.read_header_info().map_err(|e| failed(e.to_string()))?;
+        (header.width as usize, header.height as usize)
+    };
+    check_claim(width, height, 0, 0, data.len())?;
     let mut reader = decoder.read_info().map_err(|e| failed(e.to_string()))?;
     let (color, _) = reader.output_color_type();
-    let (width, height) = (reader.info().width as usize, reader.info().height as usize);
-    if width > ImageView::MAX_SIDE || height > ImageView::MAX_SIDE {
-        return Err(ImageError::Size { width, height, step: 0, length: data.len() });
-    }
+    let needed = reader.info().raw_bytes();
+    check_claim(width, height, needed, data.len().saturating_mul(PNG_BYTES_PER_BYTE), data.len())?;
     let format = match color {
         png::ColorType::Rgb => PixelFormat::Rgb8,
         png::ColorType::Rgba => PixelFormat::Rgba8,

@@ -90,6 +90,18 @@ pub enum ImageError {
         /// The decoder's words.
         reason: String,
     },
+    /// Compressed data that claim more pixels than are taken, or than so few bytes can hold.
+    #[error(
+        "compressed image of {width}x{height} in {length} bytes is refused: a side has at most 16384 px, an image 2^25 px (8K) and no more than its bytes can hold"
+    )]
+    TooLarge {
+        /// Width, px.
+        width: usize,
+        /// Height, px.
+        height: usize,
+        /// Bytes that there were.
+        length: usize,
+    },
     /// Neither jpeg nor png.
     #[error("compressed image of format `{format}` is neither jpeg nor png")]
     UnknownCompression {
@@ -118,6 +130,8 @@ pub struct ImageView<'a> {
 impl ImageView<'_> {
     /// Largest width and height that are taken, px.
     pub const MAX_SIDE: usize = 16_384;
+    /// Most pixels that a compressed image may have: 7680 × 4320 is less. A raw one brings its bytes along.
+    pub const MAX_PIXELS: usize = 1 << 25;
 
     /// Whether size, step and data agree.
     ///
