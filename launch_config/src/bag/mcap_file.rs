@@ -3,13 +3,13 @@
 //! Records are walked here, so that a file that is cut or damaged gives all that stands before, and after, the damage;
 //! what is inside a chunk is read by the crate.
 
-use super::{BagError, BagMessage, Topic};
+use super::{
+    BagError, BagMessage, Topic,
+    records::{self, Channel, Message, Schema, Statistics},
+};
 use mcap::{
-    records::{MessageHeader, Record, op},
-    sans_io::{
-        linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
-        summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions},
-    },
+    records::{MessageHeader, op},
+    sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
 use std::{
     collections::{BTreeMap, HashMap},
@@ -19,8 +19,9 @@ use std::{
     sync::Arc,
 };
 
-/// Larger records and chunks are taken for damage: nothing on a robot is that large.
-const LARGEST_RECORD: usize = 1 << 30;
+/// Larger records and chunks (decompressed) are taken for damage: an uncompressed 8K image has 100 MB, and a chunk of a
+/// few hundred kilobytes can claim, and decompress into, any amount.
+const LARGEST_RECORD: usize = 256 << 20;
 /// Messages outside of chunks are handed on in groups of about this many bytes.
 const GROUP: usize = 1 << 20;
 
@@ -70,11 +71,17 @@ impl FileReader {
         if length == 0 {
             return Err(BagError::Empty { path: path.to_owned() });
         }
-        let mut input: Box<dyn Read + Send> = if path.extension().is_some_and(|e| e == "zstd" || e == "zst") {
+        let input: Box<dyn Read + Send> = if path.extension().is_some_and(|e| e == "zstd" || e == "zst") {
             Box::new(zstd::Decoder::new(file).map_err(error)?)
         } else {
             Box::new(BufReader::with_capacity(1 << 16, file))
         };
+        Self::of(path, input)
+    }
+
+    /// Looks at the first bytes of an input; `path` is what errors name.
+    pub fn of(path: &Path, mut input: Box<dyn Read + Send>) -> Result<Self, BagError> {
+        let error = |source| io_error(path, source);
         let mut magic = Vec::new();
         input.by_ref().take(mcap::MAGIC.len() as u64).read_to_end(&mut magic).map_err(error)?;
         if magic != mcap::MAGIC {
@@ -229,47 +236,57 @@ impl FileReader {
 
 impl Channels {
     fn record(&mut self, opcode: u8, data: &[u8], group: &mut Vec<BagMessage>) -> Result<(), String> {
-        match mcap::parse_record(opcode, data).map_err(|e| e.to_string())? {
-            Record::Schema { header, data } => {
-                let text = if header.encoding == "ros2msg" {
-                    String::from_utf8_lossy(&data).into_owned()
-                } else {
-                    String::new()
-                };
-                self.schemas.insert(header.id, (header.name, text));
+        let damaged = || "a length in it is wrong, or a text is not UTF-8".to_owned();
+        match opcode {
+            op::SCHEMA => {
+                let schema = Schema::parse(data).ok_or_else(damaged)?;
+                self.schemas.insert(schema.id, (schema.name.to_owned(), definition_of(&schema)));
             }
-            Record::Channel(channel) => {
-                let (type_name, definition) =
-                    self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
-                let entry = |key: &str| channel.metadata.get(key).cloned().unwrap_or_default();
-                let topic = Topic {
-                    type_name,
-                    definition,
-                    type_hash: entry("topic_type_hash"),
-                    offered_qos_profiles: entry("offered_qos_profiles"),
-                    name: channel.topic,
-                    message_encoding: channel.message_encoding,
-                };
+            op::CHANNEL => {
+                let channel = Channel::parse(data).ok_or_else(damaged)?;
+                let topic = self.topic_of(&channel);
                 // The same channel is repeated in each chunk.
                 if self.topics.get(&channel.id).is_none_or(|known| **known != topic) {
                     self.topics.insert(channel.id, Arc::new(topic));
                 }
             }
-            Record::Message { header, data } => {
+            op::MESSAGE => {
+                let message = Message::parse(data).ok_or_else(damaged)?;
                 let topic = self
                     .topics
-                    .get(&header.channel_id)
-                    .ok_or_else(|| format!("a message of the unknown channel {}", header.channel_id))?;
+                    .get(&message.channel)
+                    .ok_or_else(|| format!("a message of the unknown channel {}", message.channel))?;
                 group.push(BagMessage {
                     topic: topic.clone(),
-                    log_time: header.log_time,
-                    publish_time: header.publish_time,
-                    data: data.into_owned(),
+                    log_time: message.log_time,
+                    publish_time: message.publish_time,
+                    data: message.data.to_vec(),
                 });
             }
             _ => {}
         }
         Ok(())
+    }
+
+    fn topic_of(&self, channel: &Channel<'_>) -> Topic {
+        let (type_name, definition) = self.schemas.get(&channel.schema).cloned().unwrap_or_default();
+        Topic {
+            type_name,
+            definition,
+            type_hash: channel.entry("topic_type_hash"),
+            offered_qos_profiles: channel.entry("offered_qos_profiles"),
+            name: channel.topic.to_owned(),
+            message_encoding: channel.message_encoding.to_owned(),
+        }
+    }
+}
+
+/// The `.msg` text, where it is one.
+fn definition_of(schema: &Schema<'_>) -> String {
+    if schema.encoding == "ros2msg" {
+        String::from_utf8_lossy(schema.data).into_owned()
+    } else {
+        String::new()
     }
 }
 
@@ -281,46 +298,54 @@ pub(super) struct Summary {
     pub span: Option<(u64, u64)>,
 }
 
-/// Reads the summary; `None` where there is none, or where it is damaged (then the file must be read through).
+/// Reads the summary of a file; `None` where there is none, or where it is damaged (then the file must be read through).
 pub(super) fn read_summary(path: &Path) -> Option<Summary> {
     let mut file = File::open(path).ok()?;
     let size = file.metadata().ok()?.len();
-    let options =
-        SummaryReaderOptions::default().with_file_size(size).with_record_length_limit(LARGEST_RECORD);
-    let mut reader = SummaryReader::new_with_options(options);
-    while let Some(event) = reader.next_event() {
-        match event.ok()? {
-            SummaryReadEvent::ReadRequest(need) => {
-                let read = file.read(reader.insert(need)).ok()?;
-                reader.notify_read(read);
+    summary_of(&mut file, size)
+}
+
+/// [`read_summary`] of anything that has `size` bytes.
+pub(super) fn summary_of(file: &mut (impl Read + Seek), size: u64) -> Option<Summary> {
+    /// Footer record (head, two positions, checksum) and the magic after it.
+    const CLOSING: u64 = 9 + 20 + 8;
+    let footer_at = size.checked_sub(CLOSING)?;
+    let closing = read_at(file, footer_at, CLOSING)?;
+    let footer = closing
+        .strip_prefix(&[op::FOOTER])?
+        .strip_suffix(mcap::MAGIC)?
+        .strip_prefix(&20_u64.to_le_bytes())?;
+    let start = records::summary_start(footer).filter(|start| (1..=footer_at).contains(start))?;
+    let section = read_at(file, start, (footer_at - start).min(LARGEST_RECORD as u64))?;
+    let mut rest = section.as_slice();
+    let (mut channels, mut listed, mut statistics) = (Channels::default(), BTreeMap::new(), None);
+    while let Some((head, after)) = rest.split_first_chunk::<9>() {
+        let [opcode, length @ ..] = *head;
+        let (record, next) = after.split_at_checked(usize::try_from(u64::from_le_bytes(length)).ok()?)?;
+        match opcode {
+            op::SCHEMA => channels.record(opcode, record, &mut vec![]).ok()?,
+            op::CHANNEL => {
+                let channel = Channel::parse(record)?;
+                listed.insert(channel.id, channel);
             }
-            SummaryReadEvent::SeekRequest(to) => {
-                let position = file.seek(to).ok()?;
-                reader.notify_seeked(position);
-            }
+            op::STATISTICS => statistics = Some(Statistics::parse(record)?),
+            _ => {}
         }
+        rest = next;
     }
-    let summary = reader.finish()?;
-    let statistics = summary.stats?;
-    let mut channels: Vec<_> = summary.channels.into_iter().collect();
-    channels.sort_by_key(|(id, _)| *id);
-    let mut topics = vec![];
-    for (id, channel) in channels {
-        let schema = channel.schema.as_ref();
-        let entry = |key: &str| channel.metadata.get(key).cloned().unwrap_or_default();
-        let topic = Topic {
-            name: channel.topic.clone(),
-            type_name: schema.map(|s| s.name.clone()).unwrap_or_default(),
-            definition: schema.map(|s| String::from_utf8_lossy(&s.data).into_owned()).unwrap_or_default(),
-            message_encoding: channel.message_encoding.clone(),
-            type_hash: entry("topic_type_hash"),
-            offered_qos_profiles: entry("offered_qos_profiles"),
-        };
-        topics.push((topic, statistics.channel_message_counts.get(&id).copied().unwrap_or(0)));
-    }
-    let span = (statistics.message_count > 0)
-        .then_some((statistics.message_start_time, statistics.message_end_time));
-    Some(Summary { topics, span })
+    let Statistics { messages, start, end, counts } = statistics?;
+    // A file whose end is before its start does not know what it holds.
+    (start <= end).then_some(())?;
+    let count = |id: u16| counts.get(&id).copied().unwrap_or(0);
+    let topics = listed.values().map(|channel| (channels.topic_of(channel), count(channel.id))).collect();
+    Some(Summary { topics, span: (messages > 0).then_some((start, end)) })
+}
+
+fn read_at(file: &mut (impl Read + Seek), at: u64, length: u64) -> Option<Vec<u8>> {
+    file.seek(SeekFrom::Start(at)).ok()?;
+    let mut bytes = vec![];
+    file.take(length).read_to_end(&mut bytes).ok()?;
+    (bytes.len() as u64 == length).then_some(bytes)
 }
 
 /// Writes a file.

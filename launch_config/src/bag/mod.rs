@@ -8,11 +8,12 @@ mod mcap_file;
 mod metadata;
 mod qos;
 mod read;
+mod records;
 mod write;
 
 pub use mcap_file::Compression;
 pub use qos::{Durability, QosProfile, Reliability};
-pub use read::{BagReader, BagSummary};
+pub use read::{BagReader, BagSummary, files_named_by};
 pub use write::{BagWriter, TopicId, WriteOptions};
 
 use std::{path::PathBuf, sync::Arc};

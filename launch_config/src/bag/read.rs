@@ -5,7 +5,8 @@ use std::{
     cmp::Reverse,
     collections::{BTreeMap, BinaryHeap, VecDeque},
     fs,
-    path::{Path, PathBuf},
+    io::{Read, Seek},
+    path::{Component, Path, PathBuf},
 };
 
 /// What is in a bag.
@@ -26,12 +27,13 @@ pub struct BagSummary {
 impl BagSummary {
     /// Messages on a topic.
     pub fn count(&self, topic: &str) -> u64 {
-        self.topics.iter().filter(|(t, _)| t.name == topic).map(|(_, n)| n).sum()
+        let on_it = self.topics.iter().filter(|(t, _)| t.name == topic);
+        on_it.fold(0, |sum, (_, n)| sum.saturating_add(*n))
     }
 
     /// All messages.
     pub fn messages(&self) -> u64 {
-        self.topics.iter().map(|(_, n)| n).sum()
+        self.topics.iter().fold(0, |sum, (_, n)| sum.saturating_add(*n))
     }
 }
 
@@ -43,6 +45,9 @@ pub struct BagReader {
     bytes_before: u64,
     /// Messages that are read and not yet handed on, by log time and then by their order in the bag.
     pending: BinaryHeap<Reverse<Pending>>,
+    /// Bytes in `pending`, and how many there may be.
+    pending_bytes: usize,
+    largest_pending: usize,
     /// Earliest log time of the group that was read last: what is logged before it can be handed on.
     horizon: Option<u64>,
     read: u64,
@@ -72,6 +77,12 @@ impl Ord for Pending {
     }
 }
 
+/// Messages that wait for their place are handed on, in order or not, beyond so many bytes: a bag in which one early
+/// message follows upon each late one would otherwise be held in memory as a whole.
+const LARGEST_PENDING: usize = 512 << 20;
+/// What a message costs beside its data, bytes.
+const PER_MESSAGE: usize = 128;
+
 impl BagReader {
     /// Opens a lone `.mcap` file or a rosbag2 folder.
     ///
@@ -86,14 +97,40 @@ impl BagReader {
             first.get_or_insert(reader);
         }
         files.pop_front();
-        Ok(Self {
-            waiting: files,
-            current: first,
+        Ok(Self::over(first, files))
+    }
+
+    /// Reads an MCAP file from anything that gives its bytes; `name` is what errors and losses call it.
+    ///
+    /// # Errors
+    /// First bytes that are not MCAP's.
+    pub fn from_reader(name: &Path, input: impl Read + Send + 'static) -> Result<Self, BagError> {
+        Ok(Self::over(Some(FileReader::of(name, Box::new(input))?), VecDeque::new()))
+    }
+
+    fn over(current: Option<FileReader>, waiting: VecDeque<PathBuf>) -> Self {
+        Self {
+            waiting,
+            current,
             bytes_before: 0,
             pending: BinaryHeap::new(),
+            pending_bytes: 0,
+            largest_pending: LARGEST_PENDING,
             horizon: None,
             read: 0,
             losses: vec![],
+        }
+    }
+
+    /// What an MCAP file of `size` bytes says of itself in its closing records; `None` where it has none, or damaged ones.
+    pub fn closing_records(file: &mut (impl Read + Seek), size: u64) -> Option<BagSummary> {
+        let found = mcap_file::summary_of(file, size)?;
+        Some(BagSummary {
+            topics: found.topics,
+            span: found.span,
+            bytes: size,
+            files: vec![],
+            complete: true,
         })
     }
 
@@ -112,7 +149,8 @@ impl BagReader {
             summary.bytes += bytes;
             if let Some(found) = mcap_file::read_summary(file) {
                 for (topic, count) in found.topics {
-                    *topics.entry(topic).or_default() += count;
+                    let sum = topics.entry(topic).or_default();
+                    *sum = sum.saturating_add(count);
                 }
                 summary.span = found.span.map(|s| join(summary.span, s)).or(summary.span);
             } else {
@@ -150,8 +188,11 @@ impl BagReader {
                 (None, _) if self.at_end() => return Ok(None),
                 (None, _) => false,
             };
-            if ready {
-                return Ok(self.pending.pop().map(|Reverse(p)| p.message));
+            if ready || self.pending_bytes > self.largest_pending {
+                let message = self.pending.pop().map(|Reverse(p)| p.message);
+                let size = message.as_ref().map_or(0, |m| m.data.len() + PER_MESSAGE);
+                self.pending_bytes = self.pending_bytes.saturating_sub(size);
+                return Ok(message);
             }
             self.read_group()?;
         }
@@ -182,6 +223,7 @@ impl BagReader {
                 self.horizon = Some(earliest);
             }
             for message in group {
+                self.pending_bytes += message.data.len() + PER_MESSAGE;
                 self.pending.push(Reverse(Pending { key: (message.log_time, self.read), message }));
                 self.read += 1;
             }
@@ -200,6 +242,49 @@ impl BagReader {
     }
 }
 
+/// The files that the text of a rosbag2 folder's `metadata.yaml` names, in their order.
+///
+/// # Errors
+/// What is wrong with it: no such YAML, another storage or compression, no file, or one that is not in the folder.
+pub fn files_named_by(metadata: &str) -> Result<Vec<String>, String> {
+    let folder = Folder::parse(metadata)?;
+    match not_ours(&folder) {
+        Some((what, remedy)) => Err(format!("{what}; {remedy}")),
+        None => own_files(folder),
+    }
+}
+
+/// Why a folder's files are not for us, and what to do.
+fn not_ours(folder: &Folder) -> Option<(String, &'static str)> {
+    if folder.storage != "mcap" {
+        let what = format!("its storage is `{}`", folder.storage);
+        return Some((what, "convert it with `ros2 bag convert`, or record with `-s mcap`"));
+    }
+    if folder.compression_mode == "message" || !matches!(&*folder.compression_format, "" | "zstd") {
+        let what = format!(
+            "its messages are compressed one by one, mode `{}`, format `{}`",
+            folder.compression_mode, folder.compression_format
+        );
+        return Some((what, "convert it with `ros2 bag convert` without compression"));
+    }
+    None
+}
+
+/// A bag comes from elsewhere: what it names must lie in it.
+fn own_files(folder: Folder) -> Result<Vec<String>, String> {
+    let inside = |name: &String| {
+        !name.is_empty()
+            && Path::new(name).components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir))
+    };
+    if folder.files.is_empty() {
+        return Err("names no file".into());
+    }
+    match folder.files.iter().find(|name| !inside(name)) {
+        Some(foreign) => Err(format!("names {foreign:?}, which is not a file of this folder")),
+        None => Ok(folder.files),
+    }
+}
+
 /// The `.mcap` files of a bag in their order.
 fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     let io = |source: std::io::Error| {
@@ -214,7 +299,7 @@ fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     }
     let yaml = path.join("metadata.yaml");
     let broken = |reason: String| BagError::Metadata { path: yaml.clone(), reason };
-    let text = match fs::read_to_string(&yaml) {
+    let text = match node_kit::files::read_text(&yaml) {
         Ok(text) => text,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
             return Err(broken("is missing, so this folder is not a rosbag2 bag".into()));
@@ -222,29 +307,67 @@ fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
         Err(source) => return Err(BagError::Io { path: yaml.clone(), source }),
     };
     let folder = Folder::parse(&text).map_err(&broken)?;
-    if folder.storage != "mcap" {
-        return Err(BagError::Foreign {
-            path: path.to_owned(),
-            what: format!("its storage is `{}`", folder.storage),
-            remedy: "convert it with `ros2 bag convert`, or record with `-s mcap`",
-        });
+    if let Some((what, remedy)) = not_ours(&folder) {
+        return Err(BagError::Foreign { path: path.to_owned(), what, remedy });
     }
-    if folder.compression_mode == "message" || !matches!(&*folder.compression_format, "" | "zstd") {
-        return Err(BagError::Foreign {
-            path: path.to_owned(),
-            what: format!(
-                "its messages are compressed one by one, mode `{}`, format `{}`",
-                folder.compression_mode, folder.compression_format
-            ),
-            remedy: "convert it with `ros2 bag convert` without compression",
-        });
-    }
-    if folder.files.is_empty() {
-        return Err(broken("names no file".into()));
-    }
-    let files: Vec<PathBuf> = folder.files.iter().map(|name| path.join(name)).collect();
+    let names = own_files(folder).map_err(&broken)?;
+    let files: Vec<PathBuf> = names.iter().map(|name| path.join(name)).collect();
     if let Some(missing) = files.iter().find(|f| !f.exists()) {
         return Err(broken(format!("names {}, which is not there", missing.display())));
     }
     Ok(files)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bag::{BagWriter, QosProfile, WriteOptions};
+    use volant_msgs::std_msgs::msg::String as Text;
+
+    /// A bag in which an early message follows upon each late one, so that nothing is ever certain to be next.
+    fn without_order(path: &Path) -> u64 {
+        let options = WriteOptions { chunk_bytes: 1000, ..WriteOptions::default() };
+        let mut bag = BagWriter::create(path, options).unwrap();
+        let topic = bag.add_topic(Topic::of::<Text>("/text", &QosProfile::RELIABLE));
+        for k in 0..500_u64 {
+            bag.write(topic, 1_000_000 - k, 0, &[0; 200]).unwrap();
+        }
+        bag.finish().unwrap();
+        500
+    }
+
+    #[test]
+    fn a_bag_without_order_is_read_in_bounded_memory() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.mcap");
+        let written = without_order(&path);
+        for (bound, ordered) in [(LARGEST_PENDING, true), (10_000, false)] {
+            let mut bag = BagReader::open(&path).unwrap();
+            bag.largest_pending = bound;
+            let (mut times, mut most) = (vec![], 0);
+            while let Some(message) = bag.next_message().unwrap() {
+                times.push(message.log_time);
+                most = most.max(bag.pending_bytes);
+            }
+            assert_eq!(times.len() as u64, written);
+            assert_eq!(times.is_sorted(), ordered);
+            // One chunk's messages more than the bound.
+            assert!(most < bound.saturating_add(5_000), "{most}");
+            assert_eq!(bag.pending_bytes, 0);
+        }
+    }
+
+    #[test]
+    fn a_folder_names_its_own_files_only() {
+        let named = |name: &str| {
+            files_named_by(&format!(
+                "rosbag2_bagfile_information: {{storage_identifier: mcap, relative_file_paths: [{name}]}}"
+            ))
+        };
+        assert_eq!(named("run_0.mcap").unwrap(), ["run_0.mcap"]);
+        assert_eq!(named("./a/run_0.mcap").unwrap(), ["./a/run_0.mcap"]);
+        for foreign in ["/etc/passwd", "../other/run_0.mcap", "a/../../x", "''"] {
+            assert!(named(foreign).unwrap_err().contains("not a file of this folder"), "{foreign}");
+        }
+    }
 }

@@ -1,0 +1,149 @@
+//! The MCAP records that a bag is made of, from their bytes. (The `mcap` crate's own reading of them reserves whatever length a
+//! string claims: four gigabytes for a record of a few bytes.) Layouts: the MCAP specification, "Records".
+
+use std::collections::HashMap;
+
+/// Walks through a record. `None` from any step: the record is damaged.
+struct Fields<'a>(&'a [u8]);
+
+impl<'a> Fields<'a> {
+    fn take(&mut self, count: usize) -> Option<&'a [u8]> {
+        let (taken, rest) = self.0.split_at_checked(count)?;
+        self.0 = rest;
+        Some(taken)
+    }
+
+    fn u16(&mut self) -> Option<u16> {
+        Some(u16::from_le_bytes(self.take(2)?.try_into().ok()?))
+    }
+
+    fn u32(&mut self) -> Option<u32> {
+        Some(u32::from_le_bytes(self.take(4)?.try_into().ok()?))
+    }
+
+    fn u64(&mut self) -> Option<u64> {
+        Some(u64::from_le_bytes(self.take(8)?.try_into().ok()?))
+    }
+
+    /// Bytes that their length precedes.
+    fn bytes(&mut self) -> Option<&'a [u8]> {
+        let length = self.u32()? as usize;
+        self.take(length)
+    }
+
+    fn text(&mut self) -> Option<&'a str> {
+        std::str::from_utf8(self.bytes()?).ok()
+    }
+}
+
+/// What a topic's messages look like.
+pub(super) struct Schema<'a> {
+    pub id: u16,
+    pub name: &'a str,
+    pub encoding: &'a str,
+    pub data: &'a [u8],
+}
+
+impl<'a> Schema<'a> {
+    pub fn parse(record: &'a [u8]) -> Option<Self> {
+        let mut f = Fields(record);
+        Some(Self { id: f.u16()?, name: f.text()?, encoding: f.text()?, data: f.bytes()? })
+    }
+}
+
+/// A topic.
+pub(super) struct Channel<'a> {
+    pub id: u16,
+    pub schema: u16,
+    pub topic: &'a str,
+    pub message_encoding: &'a str,
+    pub metadata: HashMap<&'a str, &'a str>,
+}
+
+impl<'a> Channel<'a> {
+    pub fn parse(record: &'a [u8]) -> Option<Self> {
+        let mut f = Fields(record);
+        let (id, schema, topic, message_encoding) = (f.u16()?, f.u16()?, f.text()?, f.text()?);
+        let mut entries = Fields(f.bytes()?);
+        let mut metadata = HashMap::new();
+        while !entries.0.is_empty() {
+            metadata.insert(entries.text()?, entries.text()?);
+        }
+        Some(Self { id, schema, topic, message_encoding, metadata })
+    }
+
+    /// An entry of its metadata, or nothing.
+    pub fn entry(&self, key: &str) -> String {
+        self.metadata.get(key).copied().unwrap_or_default().to_owned()
+    }
+}
+
+/// A message.
+pub(super) struct Message<'a> {
+    pub channel: u16,
+    pub log_time: u64,
+    pub publish_time: u64,
+    pub data: &'a [u8],
+}
+
+impl<'a> Message<'a> {
+    pub fn parse(record: &'a [u8]) -> Option<Self> {
+        let mut f = Fields(record);
+        let (channel, _sequence) = (f.u16()?, f.u32()?);
+        Some(Self { channel, log_time: f.u64()?, publish_time: f.u64()?, data: f.0 })
+    }
+}
+
+/// What a file says of its messages.
+pub(super) struct Statistics {
+    pub messages: u64,
+    pub start: u64,
+    pub end: u64,
+    /// By channel.
+    pub counts: HashMap<u16, u64>,
+}
+
+impl Statistics {
+    pub fn parse(record: &[u8]) -> Option<Self> {
+        let mut f = Fields(record);
+        let messages = f.u64()?;
+        // Schemas, channels, attachments, metadata, chunks.
+        f.take(2 + 4 * 4)?;
+        let (start, end) = (f.u64()?, f.u64()?);
+        let mut entries = Fields(f.bytes()?);
+        let mut counts = HashMap::new();
+        while !entries.0.is_empty() {
+            counts.insert(entries.u16()?, entries.u64()?);
+        }
+        Some(Self { messages, start, end, counts })
+    }
+}
+
+/// Where the closing records begin.
+pub(super) fn summary_start(footer: &[u8]) -> Option<u64> {
+    Fields(footer).u64()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_length_beyond_the_record_is_damage() {
+        let mut schema = vec![1, 0];
+        for text in ["name", "ros2msg", "string data"] {
+            schema.extend((text.len() as u32).to_le_bytes());
+            schema.extend(text.as_bytes());
+        }
+        let read = Schema::parse(&schema).unwrap();
+        assert_eq!(
+            (read.id, read.name, read.encoding, read.data),
+            (1, "name", "ros2msg", &b"string data"[..])
+        );
+        for cut in 0..schema.len() {
+            assert!(Schema::parse(&schema[..cut]).is_none());
+        }
+        schema[2..6].fill(0xFF);
+        assert!(Schema::parse(&schema).is_none());
+    }
+}
