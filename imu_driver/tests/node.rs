@@ -192,37 +192,77 @@ fn percentile(values: &mut [f64], share: f64) -> f64 {
     values[((values.len() - 1) as f64 * share).round() as usize]
 }
 
+/// From the unit to a subscriber, ms.
+struct Latencies {
+    /// From the instant at which the last byte was really on the pseudo-terminal, in the order of the samples.
+    beyond_write: Vec<f64>,
+    /// From the nominal end of the wire time: the fake unit's own lateness is in it.
+    beyond_wire: Vec<f64>,
+    stamps_rms: f64,
+}
+
+impl Latencies {
+    fn of(heard: &[(Stamp, Arc<Imu>)], sent: &[SentSample]) -> Self {
+        let (mut beyond_write, mut beyond_wire, mut squares) = (Vec::new(), Vec::new(), 0.0);
+        for (at, message) in heard {
+            let stamp = convert::stamp(&message.header.stamp);
+            let truth = sent.iter().min_by_key(|s| (s.measured.as_nanos() - stamp.as_nanos()).abs()).unwrap();
+            beyond_wire.push(at.seconds_since(truth.sent) * 1e3);
+            beyond_write.push(at.seconds_since(truth.written.unwrap()) * 1e3);
+            squares += (stamp.seconds_since(truth.measured) * 1e3).powi(2);
+        }
+        let stamps_rms = (squares / heard.len() as f64).sqrt();
+        Self { beyond_write, beyond_wire, stamps_rms }
+    }
+
+    /// p50 and p99 from the write, p99 from the end of the wire time.
+    fn print(&self) -> [f64; 3] {
+        let [write, wire] = [&self.beyond_write, &self.beyond_wire].map(|v| {
+            let mut v = v.clone();
+            [0.5, 0.99].map(|share| percentile(&mut v, share))
+        });
+        println!(
+            "last byte on the pty → message received over DDS, {} samples: p50 {:.3} ms, p99 {:.3} ms; from the nominal end of \
+             the wire time p99 {:.3} ms; stamps {:.3} ms RMS",
+            self.beyond_write.len(),
+            write[0],
+            write[1],
+            wire[1],
+            self.stamps_rms
+        );
+        [write[0], write[1], wire[1]]
+    }
+
+    /// The worst sample of the calmest half second: what the machine's other work did not delay.
+    fn calmest(&self) -> f64 {
+        self.beyond_write
+            .chunks_exact(50)
+            .map(|w| w.iter().copied().fold(0.0, f64::max))
+            .fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// The figure: p99 <= 2 ms beyond the wire time. It needs a quiet machine.
+#[test]
+#[ignore = "quiet machine: cargo test --release -p imu_driver --features fake --test node p99 -- --ignored --nocapture"]
+fn p99_from_the_last_byte_to_the_message_is_two_milliseconds() {
+    let stand = Stand::start("p99", 75, FakeUnitConfig::default(), &[]);
+    assert!(stand.hear(3200, 60.0) >= 3200);
+    let sent = stand.unit.take_sent();
+    let heard = with_heard(|h| std::mem::take(&mut h.imu));
+    let [_, p99, beyond_wire] = Latencies::of(&heard[200..], &sent).print();
+    assert!(p99 <= 2.0 && beyond_wire <= 2.0, "{p99} {beyond_wire}");
+}
+
 #[test]
 fn bytes_become_messages_soon_and_with_the_right_stamps() {
     let stand = Stand::start("latency", 71, FakeUnitConfig::default(), &[]);
-    assert!(stand.hear(700, 30.0) >= 700);
+    assert!(stand.hear(900, 30.0) >= 900);
     let sent: Vec<SentSample> = stand.unit.take_sent();
     let heard = with_heard(|h| std::mem::take(&mut h.imu));
     // The first ones came while DDS was still discovering.
-    let mut beyond_wire = Vec::new();
-    let mut beyond_write = Vec::new();
-    let mut stamp_errors = Vec::new();
-    for (at, message) in &heard[200..] {
-        let stamp = convert::stamp(&message.header.stamp);
-        let truth = sent.iter().min_by_key(|s| (s.measured.as_nanos() - stamp.as_nanos()).abs()).unwrap();
-        beyond_wire.push(at.seconds_since(truth.sent) * 1e3);
-        beyond_write.push(at.seconds_since(truth.written.unwrap()) * 1e3);
-        stamp_errors.push(stamp.seconds_since(truth.measured) * 1e3);
-    }
-    if std::env::var_os("VOLANT_VERBOSE").is_some() {
-        for (k, latency) in beyond_write.iter().enumerate().filter(|(_, l)| **l > 1.0) {
-            println!("  sample {k}: {latency:.2} ms");
-        }
-    }
-    let rms = (stamp_errors.iter().map(|e| e * e).sum::<f64>() / stamp_errors.len() as f64).sqrt();
-    let p50 = percentile(&mut beyond_write, 0.5);
-    let p99 = percentile(&mut beyond_write, 0.99);
-    println!(
-        "last byte on the pty → message received over DDS, {} samples: p50 {p50:.3} ms, p99 {p99:.3} ms; from the nominal end \
-         of the wire time p99 {:.3} ms; stamps {rms:.3} ms RMS",
-        beyond_write.len(),
-        percentile(&mut beyond_wire, 0.99),
-    );
+    let latencies = Latencies::of(&heard[200..], &sent);
+    let [p50, ..] = latencies.print();
     check_truth(&heard, 5e-3);
     let message = &heard[250].1;
     assert_eq!(message.header.frame_id, "imu");
@@ -246,9 +286,11 @@ fn bytes_become_messages_soon_and_with_the_right_stamps() {
     let holes = intervals.clone().filter(|i| *i > 0.015).count();
     assert!(holes <= 5, "{holes}");
     assert!(intervals.clone().all(|i| (i / 0.01 - (i / 0.01).round()).abs() < 0.1));
-    // The figure is p99 <= 2 ms on a quiet machine; beside a compiler only the median says anything.
-    assert!(p50 < 20.0, "{p50}");
-    assert!(rms < 1.0, "{rms}");
+    // Beside a compiler whole stretches are late by a time slice: then the median and the calmest half second still tell
+    // whether something in the node waits. p99 over all has its own test, which wants a quiet machine.
+    assert!(latencies.calmest() <= 2.0, "{:?}", latencies.beyond_write);
+    assert!(p50 <= 2.0, "{p50}");
+    assert!(latencies.stamps_rms < 1.0, "{}", latencies.stamps_rms);
 }
 
 #[test]

@@ -137,6 +137,17 @@ fn a_unit_on_a_port_is_found_set_logged_and_its_log_decoded() {
     let info = volant_imu(&["info", "--port", &tty, "--baud", "115200"]);
     let text = String::from_utf8_lossy(&info.stdout).into_owned();
     assert!(text.contains("mode 0006, settings 00000001"), "{text}");
+    // Other outputs, and the standard ones again.
+    let line = ["--port", &tty, "--baud", "115200"];
+    let outputs = ["--rate", "100", "--temperature", "--status", "--no-magnetic-field", "--no-orientation"];
+    let set = volant_imu(&[&["configure"], &line[..], &outputs].concat());
+    let text = String::from_utf8_lossy(&set.stdout).into_owned();
+    assert!(set.status.success() && text.contains("mode 0803, settings 00000041"), "{text} {set:?}");
+    let written = unit.with(|u, _| u.flash_writes());
+    let again = volant_imu(&[&["configure"], &line[..], &outputs].concat());
+    assert!(again.status.success() && unit.with(|u, _| u.flash_writes()) == written, "{again:?}");
+    let set = volant_imu(&[&["configure"], &line[..], &["--rate", "50"]].concat());
+    assert!(set.status.success(), "{set:?}");
     let log = volant_imu(&[
         "log",
         "--port",
@@ -154,6 +165,9 @@ fn a_unit_on_a_port_is_found_set_logged_and_its_log_decoded() {
     let rows = std::fs::read_to_string(path("log.csv")).unwrap().lines().count();
     // The stream that was under way is in it too.
     assert!((50..90).contains(&rows), "{rows}");
+    let played = volant_imu(&["playback", &path("log.bin"), "--csv", &path("played.csv")]);
+    assert!(played.status.success(), "{played:?}");
+    assert!(last_line(&played).contains("0 lost, 0 unreadable"), "{played:?}");
     drop(unit);
     std::fs::remove_dir_all(folder).unwrap();
 }

@@ -3,5 +3,7 @@
 #[path = "../exercise.rs"]
 #[allow(dead_code)]
 mod exercise;
+#[path = "../seeds.rs"]
+mod seeds;
 
-libfuzzer_sys::fuzz_target!(|data: &[u8]| exercise::driver(data));
+libfuzzer_sys::fuzz_target!(init: seeds::write("driver"), |data: &[u8]| exercise::driver(data));

@@ -9,6 +9,7 @@
 //! Time enters with the inputs. Timers run on the sum of small steps of it, so that a host clock that is set neither
 //! hangs nor hurries the driver.
 
+mod arrivals;
 pub mod config;
 pub mod event;
 mod inquiry;
@@ -21,6 +22,7 @@ pub use sample::{Sample, sample_of};
 pub use stream::Statistics;
 
 use crate::protocol::{FrameParser, MessageId, frame::frame};
+use arrivals::Arrivals;
 use inquiry::Inquiry;
 use rig_model::Stamp;
 use std::collections::VecDeque;
@@ -132,6 +134,7 @@ pub struct Driver {
     said_missing: Option<String>,
     said_no_answer: bool,
     parser: FrameParser,
+    arrivals: Arrivals,
     candidate_since: Option<f64>,
     identity: Identity,
     stream: Stream,
@@ -155,6 +158,7 @@ impl Driver {
             said_missing: None,
             said_no_answer: false,
             parser: FrameParser::new(),
+            arrivals: Arrivals::new(),
             candidate_since: None,
             identity: Identity::default(),
             stream: Stream::new(config.clock),
@@ -230,6 +234,7 @@ impl Driver {
     fn opened(&mut self) {
         self.said_missing = None;
         self.parser.reset();
+        self.arrivals.clear();
         self.candidate_since = None;
         if !self.said_no_answer {
             self.event(Event::PortOpened { baud: self.baud() });
@@ -278,6 +283,7 @@ impl Driver {
         }
         // The parser is taken out so that its frames can be handled while they borrow it.
         let mut parser = std::mem::take(&mut self.parser);
+        self.arrivals.came(parser.pushed() + bytes.len() as u64, arrival);
         let mut rest = bytes;
         let mut any = false;
         while !rest.is_empty() {

@@ -110,8 +110,10 @@ impl Driver {
             let error = DeviceError(frame.data.first().copied().unwrap_or_default());
             return self.event(Event::DeviceComplains { error });
         }
-        let bits = if self.config.two_stop_bits { 11.0 } else { 10.0 };
-        let on_the_wire = frame.wire_length as f64 * bits / f64::from(self.baud());
+        // The unit sends one stop bit, also where it wants to hear two.
+        let byte_time = 10.0 / f64::from(self.baud());
+        let on_the_wire = frame.wire_length as f64 * byte_time;
+        let begun = self.arrivals.begun(frame.offset, frame.wire_length, byte_time);
         let stream = &mut self.stream;
         let m = match stream.decoder.decode(frame) {
             Ok(Some(m)) => m,
@@ -132,7 +134,12 @@ impl Driver {
         if !m.is_inertial() {
             return stream.time.pass(&m);
         }
+        // Where the bytes take less than a wire would need, they say nothing one by one.
         let delay = self.config.transmission_delay.unwrap_or(on_the_wire);
+        let ready = match begun {
+            Some(begun) if delay >= on_the_wire => begun.plus_seconds(on_the_wire - delay),
+            _ => arrival.plus_seconds(-delay),
+        };
         let placed = stream.time.place(&m, arrival);
         if placed.repeated {
             stream.statistics.repeated += 1;
@@ -141,7 +148,7 @@ impl Driver {
         if placed.restarted {
             stream.clock.restart();
         }
-        let stamped = stream.clock.stamp(placed.device, arrival.plus_seconds(-delay));
+        let stamped = stream.clock.stamp(placed.device, ready);
         let sample = sample_of(&m, stamped.stamp, stream.time.period());
         let statistics = &mut stream.statistics;
         statistics.lost += placed.lost;

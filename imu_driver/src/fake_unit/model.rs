@@ -81,6 +81,7 @@ pub struct FakeUnit {
     pub(super) flash_writes: u32,
     pub(super) deaf_to: u32,
     mute: bool,
+    just_opened: bool,
 }
 
 impl std::fmt::Debug for FakeUnit {
@@ -115,6 +116,7 @@ impl FakeUnit {
             sent: VecDeque::new(),
             flash_writes: 0,
             mute: false,
+            just_opened: false,
             config,
         }
     }
@@ -148,6 +150,9 @@ impl FakeUnit {
         }
         let (_, mut bytes, sample) = self.outgoing.pop_front()?;
         self.handed_over = sample;
+        if std::mem::take(&mut self.just_opened) {
+            bytes.drain(..bytes.len() * 2 / 3);
+        }
         if self.mute {
             return Some(Vec::new());
         }
@@ -180,6 +185,12 @@ impl FakeUnit {
         self.counter = self.config.first_counter;
         self.line_free = now;
         self.state = State::Booting { until: now.plus_seconds(self.config.boot) };
+    }
+
+    /// The host has opened its port: of the message that is on the wire it gets the end only.
+    pub fn opened(&mut self, now: Stamp) {
+        self.advance(now);
+        self.just_opened = self.line_free > now && !self.outgoing.is_empty();
     }
 
     /// Says nothing any more (a broken wire), or again.
@@ -357,14 +368,32 @@ impl FakeUnit {
         let start = at.max(self.line_free);
         let sent = start.plus_seconds(bytes.len() as f64 * 10.0 / f64::from(self.baud));
         self.line_free = sent;
-        let arrival = match self.config.burst {
-            Some(period) if period > 0.0 => self.burst_after(sent, period),
-            _ => sent,
-        };
-        // An adapter keeps the order.
+        match self.config.burst {
+            Some(period) if period > 0.0 => self.collect(bytes, start, period, sample),
+            _ => self.hand_over(sent, bytes, sample),
+        }
+        sent
+    }
+
+    /// An adapter keeps the order.
+    fn hand_over(&mut self, arrival: Stamp, bytes: Vec<u8>, sample: Option<u64>) {
         let arrival = self.outgoing.back().map_or(arrival, |(last, ..)| arrival.max(*last));
         self.outgoing.push_back((arrival, bytes, sample));
-        sent
+    }
+
+    /// The adapter hands over what bytes it has at the end of each of its periods, be they half a message.
+    fn collect(&mut self, mut bytes: Vec<u8>, start: Stamp, period: f64, sample: Option<u64>) {
+        let byte_time = 10.0 / f64::from(self.baud);
+        let mut before = 0;
+        while !bytes.is_empty() {
+            let burst = self.burst_after(start.plus_seconds((before + 1) as f64 * byte_time), period);
+            let there = (burst.seconds_since(start) / byte_time + 1e-6) as usize;
+            let count = there.saturating_sub(before).clamp(1, bytes.len());
+            let rest = bytes.split_off(count);
+            before += count;
+            self.hand_over(burst, bytes, sample.filter(|_| rest.is_empty()));
+            bytes = rest;
+        }
     }
 
     fn burst_after(&mut self, sent: Stamp, period: f64) -> Stamp {

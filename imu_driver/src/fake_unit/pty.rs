@@ -153,6 +153,7 @@ fn write_out(port: &Port, backlog: &mut Vec<u8>) {
 fn run(mut unit: FakeUnit, mut port: Option<Port>, link: &Path, commands: &Receiver<Command>) {
     let mut buffer = [0_u8; 4096];
     let mut backlog = Vec::new();
+    let mut heard_before = false;
     loop {
         while let Ok(command) = commands.try_recv() {
             match command {
@@ -185,6 +186,10 @@ fn run(mut unit: FakeUnit, mut port: Option<Port>, link: &Path, commands: &Recei
                 _ => break,
             }
         }
+        if heard && !heard_before {
+            unit.opened(now());
+        }
+        heard_before = heard;
         while let Some(bytes) = unit.poll(line, now()) {
             if heard && backlog.len() < BACKLOG {
                 backlog.extend_from_slice(&bytes);

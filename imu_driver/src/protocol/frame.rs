@@ -31,6 +31,8 @@ pub struct Frame<'a> {
     pub data: &'a [u8],
     /// All its bytes on the wire, from the preamble to the checksum.
     pub wire_length: usize,
+    /// Bytes of the stream before its preamble, counted since the parser was made.
+    pub offset: u64,
 }
 
 /// What passed through a [`FrameParser`]. `frame_bytes + skipped_bytes` is all that was parsed.
@@ -138,6 +140,11 @@ impl FrameParser {
         self.end - self.start
     }
 
+    /// Bytes that were pushed since the parser was made.
+    pub fn pushed(&self) -> u64 {
+        self.counts.frame_bytes + self.counts.skipped_bytes + self.pending() as u64
+    }
+
     /// What passed so far.
     pub fn counts(&self) -> ParserCounts {
         self.counts
@@ -162,11 +169,13 @@ impl FrameParser {
             match examine(waiting) {
                 Step::Frame { bus_id, message, data: (from, to), length } => {
                     let base = self.start;
+                    let offset = self.counts.frame_bytes + self.counts.skipped_bytes;
                     self.start += length;
                     self.counts.frames += 1;
                     self.counts.frame_bytes += length as u64;
                     let data = self.buffer.get(base + from..base + to)?;
-                    return Some(Frame { bus_id, message: MessageId(message), data, wire_length: length });
+                    let message = MessageId(message);
+                    return Some(Frame { bus_id, message, data, wire_length: length, offset });
                 }
                 Step::NotHere { bad_checksum } => {
                     self.counts.bad_checksums += u64::from(bad_checksum);

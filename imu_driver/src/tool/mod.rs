@@ -4,13 +4,13 @@ mod live;
 mod playback;
 
 use crate::{
-    log::{LogCounts, decode_to_csv, saved_configuration},
+    log::{LogCounts, LogError, decode_to_csv, saved_configuration},
     protocol::LegacyFormat,
 };
 use clap::{Parser, Subcommand};
 use std::{
     fs::File,
-    io::{BufWriter, Write},
+    io::{BufWriter, Read, Write},
     path::{Path, PathBuf},
     process::ExitCode,
 };
@@ -73,9 +73,24 @@ pub fn run(arguments: Arguments) -> ExitCode {
     }
 }
 
+/// Longest log that is read at once: a day at 400 Hz has 2 GB.
+const LONGEST_LOG: u64 = 4 << 30;
+
 pub(crate) fn read_log(path: &Path) -> Result<Vec<u8>, Failure> {
-    std::fs::read(path)
-        .map_err(|e| format!("{} cannot be read: {e}; give a file of raw bytes", path.display()))
+    let cannot =
+        |e: std::io::Error| format!("{} cannot be read: {e}; give a file of raw bytes", path.display());
+    let file = File::open(path).map_err(cannot)?;
+    let length = file.metadata().map_err(cannot)?.len();
+    let mut log = Vec::with_capacity(length.min(LONGEST_LOG) as usize);
+    file.take(LONGEST_LOG + 1).read_to_end(&mut log).map_err(cannot)?;
+    if log.len() as u64 > LONGEST_LOG {
+        let gibibytes = LONGEST_LOG >> 30;
+        return Err(format!(
+            "{} is longer than {gibibytes} GiB; split it (any split will do)",
+            path.display()
+        ));
+    }
+    Ok(log)
 }
 
 pub(crate) fn read_configuration(path: Option<&Path>) -> Result<Option<LegacyFormat>, Failure> {
@@ -90,12 +105,15 @@ fn run_decode(arguments: &Decode) -> Result<(), Failure> {
     let format = read_configuration(arguments.config.as_deref())?;
     let csv = &arguments.csv;
     let cannot = |e: std::io::Error| format!("{} cannot be written: {e}; give another --csv", csv.display());
-    // Decoded first: a log that is none leaves no empty table behind.
-    let mut table = Vec::new();
-    let counts =
-        decode_to_csv(&log, format, &mut table).map_err(|e| format!("{}: {e}", arguments.log.display()))?;
+    // Decoded twice: a log that is none leaves no empty table behind, and a table is some times as long as its log.
+    let of_log = |e| match e {
+        LogError::Write { source } => cannot(source),
+        e => format!("{}: {e}", arguments.log.display()),
+    };
+    decode_to_csv(&log, format, &mut std::io::sink()).map_err(of_log)?;
     let mut file = BufWriter::new(File::create(csv).map_err(cannot)?);
-    file.write_all(&table).and_then(|()| file.flush()).map_err(cannot)?;
+    let counts = decode_to_csv(&log, format, &mut file).map_err(of_log)?;
+    file.flush().map_err(cannot)?;
     say_counts(&counts);
     Ok(())
 }
