@@ -2,10 +2,11 @@
 # make test    sets up what is missing, passes the tests
 # make lint    what CI lints: format, clippy, cores without middleware
 # make bench   the figures against the peers;  make faults: every fault on real processes
+# make fuzz    hostile bytes into every parser (FUZZ="-s SECONDS -r RUNS TARGET…"); make audit: advisories and licences
 
 SHELL := /bin/bash
 .DEFAULT_GOAL := build
-.PHONY: setup build demo test lint bench faults calibrate clean-setup
+.PHONY: setup build demo test lint bench faults fuzz audit calibrate clean-setup
 
 ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 export OPENCV_LINK_PATHS := /usr/lib/$(ARCH_LIB)
@@ -64,6 +65,12 @@ calibrate: build .setup/debian-large
 
 faults: setup build
 	$(CARGO) run --release -p volant_test --bin volant-faults
+
+fuzz: .setup/debian
+	@test/fuzz/run $(FUZZ)
+
+audit:
+	@launch_config/setup/audit
 
 clean-setup:
 	rm -rf .setup $(VENV)

@@ -1,0 +1,252 @@
+//! Messages: CDR of each type that a node or a tool subscribes to or reads from a bag, by our own reader (bags) and by the
+//! middleware's (the wire), and what the nodes make of them before a core sees them.
+
+use climber_driver::{Climber, ClimberConfig, JointReading};
+use node_kit::{convert, parameters::messages};
+use rig_model::Frames;
+use std::{any::Any, cell::RefCell};
+use volant_msgs::{
+    Message, cdr,
+    diagnostic_msgs::msg::DiagnosticArray,
+    geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
+    lifecycle_msgs::srv::ChangeStateRequest,
+    msg::{MarkerObservation, MarkerObservations, MarkerUpdates},
+    nav_msgs::msg::Odometry,
+    rcl_interfaces::{
+        msg::{Parameter, ParameterEvent},
+        srv::{
+            DescribeParametersRequest, GetParametersRequest, ListParametersRequest,
+            SetParametersAtomicallyRequest, SetParametersRequest,
+        },
+    },
+    rosgraph_msgs::msg::Clock,
+    sensor_msgs::msg::{CameraInfo, CompressedImage, Image, Imu, JointState, MagneticField, Temperature},
+    tf2_msgs::msg::TFMessage,
+};
+
+pub const WORDS: &[&[u8]] = &[
+    b"\x00\x01\x00\x00",
+    b"\x00\x00\x00\x00",
+    b"\x00\x03\x00\x00",
+    b"plumb_bob\0",
+    b"equidistant\0",
+    b"rgb8\0",
+    b"jpeg\0",
+    b"rail_x\0",
+    b"world\0",
+    b"climber\0",
+    b"\x00\x00\x00\x00\x00\x00\xF8\x7F",
+    b"\x00\x00\x00\x00\x00\x00\xF0\x7F",
+];
+
+thread_local! {
+    static CLIMBER: RefCell<Option<Climber>> = const { RefCell::new(None) };
+}
+
+type Run = fn(&[u8]);
+
+macro_rules! types {
+    ($($t:ty),* $(,)?) => {
+        /// One entry per type; the first byte of an input chooses.
+        const TYPES: &[Run] = &[$(read::<$t>),*];
+
+        /// A message of each type with nothing in it, preceded by its number.
+        fn empty() -> Vec<Vec<u8>> {
+            let mut seeds = vec![];
+            $(seeds.push(seed(seeds.len(), &<$t>::default()));)*
+            seeds
+        }
+
+        fn number<M: Message>() -> usize {
+            [$(std::any::TypeId::of::<$t>()),*].iter().position(|t| *t == std::any::TypeId::of::<M>()).unwrap_or(0)
+        }
+    };
+}
+
+types!(
+    Image,
+    CompressedImage,
+    CameraInfo,
+    JointState,
+    MarkerObservations,
+    MarkerUpdates,
+    Imu,
+    MagneticField,
+    Temperature,
+    TransformStamped,
+    TFMessage,
+    Odometry,
+    PoseWithCovarianceStamped,
+    Clock,
+    DiagnosticArray,
+    ParameterEvent,
+    GetParametersRequest,
+    SetParametersRequest,
+    SetParametersAtomicallyRequest,
+    DescribeParametersRequest,
+    ListParametersRequest,
+    ChangeStateRequest,
+);
+
+fn seed<M: Message>(number: usize, message: &M) -> Vec<u8> {
+    let mut seed = vec![number as u8];
+    seed.extend(cdr::to_bytes(message));
+    seed
+}
+
+pub fn run(data: &[u8]) {
+    let Some((which, bytes)) = data.split_first() else { return };
+    TYPES[usize::from(*which) % TYPES.len()](bytes);
+}
+
+fn read<M: Message>(bytes: &[u8]) {
+    let own = cdr::from_bytes::<M>(bytes);
+    if let Ok(message) = &own {
+        // What was read is written and read as the same: compared as bytes, since NaN is not itself.
+        let written = cdr::to_bytes(message);
+        let again = cdr::from_bytes::<M>(&written).expect("what was written is read");
+        assert_eq!(cdr::to_bytes(&again), written);
+        consume(message);
+    }
+    let wire: Option<M> = match bytes {
+        [0, 0, _, _, body @ ..] => {
+            cdr_encoding::from_bytes::<M, byteorder::BigEndian>(body).ok().map(|(m, _)| m)
+        }
+        [0, 1, _, _, body @ ..] => {
+            cdr_encoding::from_bytes::<M, byteorder::LittleEndian>(body).ok().map(|(m, _)| m)
+        }
+        _ => None,
+    };
+    if let (Ok(own), Some(wire)) = (&own, &wire) {
+        assert_eq!(cdr::to_bytes(own), cdr::to_bytes(wire), "the wire's reader and the bag's agree");
+    }
+    if let Some(message) = &wire {
+        consume(message);
+    }
+}
+
+/// What a node does with a message before its core sees it.
+fn consume(message: &dyn Any) {
+    if let Some(m) = message.downcast_ref::<Imu>() {
+        let sample = convert::imu_sample(m);
+        assert!(sample.orientation.as_ref().is_none_or(|o| (o.enu_from_imu.norm() - 1.0).abs() < 1e-6));
+    } else if let Some(m) = message.downcast_ref::<MarkerObservations>() {
+        let _ = convert::marker_observations(m);
+    } else if let Some(m) = message.downcast_ref::<TransformStamped>() {
+        if let Ok(sample) = convert::climber_sample(m, &Frames::default()) {
+            assert!((sample.world_from_climber.rotation.norm() - 1.0).abs() < 1e-6);
+        }
+    } else if let Some(m) = message.downcast_ref::<TFMessage>() {
+        for transform in &m.transforms {
+            let _ = convert::isometry(&transform.transform, "fuzzed");
+        }
+    } else if let Some(m) = message.downcast_ref::<CameraInfo>() {
+        if let Ok(camera) = convert::camera_model(m) {
+            super::yaml::use_camera(&camera);
+        }
+    } else if let Some(m) = message.downcast_ref::<Odometry>() {
+        let _ = convert::pose(&m.pose.pose, "fuzzed");
+        let _ = convert::covariance6(&m.pose.covariance);
+    } else if let Some(m) = message.downcast_ref::<PoseWithCovarianceStamped>() {
+        let _ = convert::pose(&m.pose.pose, "fuzzed");
+    } else if let Some(m) = message.downcast_ref::<Image>() {
+        let mut scratch = marker_tracker::OwnedImage::default();
+        let at = convert::stamp(&m.header.stamp);
+        let (width, height, step) = (m.width as usize, m.height as usize, m.step as usize);
+        let big = m.is_bigendian != 0;
+        if let Ok(view) =
+            marker_tracker::from_encoding(at, width, height, &m.encoding, big, step, &m.data, &mut scratch)
+        {
+            view.check().expect("an image agrees with its size");
+        }
+    } else if let Some(m) = message.downcast_ref::<CompressedImage>() {
+        let _ = marker_tracker::decode_compressed(&m.format, &m.data);
+    } else if let Some(m) = message.downcast_ref::<JointState>() {
+        joints(m);
+    } else if let Some(m) = message.downcast_ref::<SetParametersRequest>() {
+        m.parameters.iter().for_each(parameter);
+    } else if let Some(m) = message.downcast_ref::<SetParametersAtomicallyRequest>() {
+        m.parameters.iter().for_each(parameter);
+    }
+}
+
+fn parameter(parameter: &Parameter) {
+    if let Some(value) = messages::value(&parameter.value) {
+        let _ = value.to_string();
+    }
+}
+
+/// One reading after the other into one climber, each at the time that it bears.
+fn joints(m: &JointState) {
+    CLIMBER.with_borrow_mut(|climber| {
+        let climber = climber
+            .get_or_insert_with(|| Climber::new(ClimberConfig::default()).expect("its defaults are right"));
+        let stamp = convert::stamp(&m.header.stamp);
+        let reading = JointReading { stamp, names: m.name.clone(), positions: m.position.clone() };
+        climber.handle(&reading, stamp);
+        while let Some(output) = climber.poll() {
+            if let climber_driver::Output::Sample(sample) = output {
+                assert!(sample.world_from_climber.translation.vector.iter().all(|x| x.is_finite()));
+            }
+        }
+    });
+}
+
+pub fn seeds() -> Vec<Vec<u8>> {
+    let mut seeds = empty();
+    let mut add = |number: usize, bytes: Vec<u8>| {
+        let mut seed = vec![number as u8];
+        seed.extend(bytes);
+        seeds.push(seed);
+    };
+    let header = volant_msgs::std_msgs::msg::Header { frame_id: "world".into(), ..Default::default() };
+    let joint_state = JointState {
+        header: header.clone(),
+        name: ["rail_x", "rail_y", "turn"].map(str::to_owned).to_vec(),
+        position: vec![1.0, 2.0, 0.1],
+        ..JointState::default()
+    };
+    add(number::<JointState>(), cdr::to_bytes(&joint_state));
+    let markers = MarkerObservations {
+        header: header.clone(),
+        markers: (0..4)
+            .map(|color| MarkerObservation { color, x: 3.5, y: 4.5, area: 9.0, ..Default::default() })
+            .collect(),
+    };
+    add(number::<MarkerObservations>(), cdr::to_bytes(&markers));
+    let camera = CameraInfo {
+        width: 640,
+        height: 480,
+        distortion_model: "plumb_bob".into(),
+        d: vec![-0.2, 0.1, 0.0, 0.0, 0.0],
+        k: [600.0, 0.0, 320.0, 0.0, 600.0, 240.0, 0.0, 0.0, 1.0],
+        ..CameraInfo::default()
+    };
+    add(number::<CameraInfo>(), cdr::to_bytes(&camera));
+    let image = Image {
+        width: 4,
+        height: 2,
+        step: 12,
+        encoding: "rgb8".into(),
+        data: vec![7; 24],
+        ..Image::default()
+    };
+    add(number::<Image>(), cdr::to_bytes(&image));
+    let picture = CompressedImage {
+        format: "png".into(),
+        data: super::image::png(3, 2, 2, 8, 99),
+        ..Default::default()
+    };
+    add(number::<CompressedImage>(), cdr::to_bytes(&picture));
+    let transform =
+        TransformStamped { header: header.clone(), child_frame_id: "climber".into(), ..Default::default() };
+    add(number::<TransformStamped>(), cdr::to_bytes(&transform));
+    add(number::<TFMessage>(), cdr::to_bytes(&TFMessage { transforms: vec![transform.clone(), transform] }));
+    let mut set = Parameter { name: "rate".into(), ..Parameter::default() };
+    set.value.r#type = 3;
+    set.value.double_value = 100.0;
+    set.value.string_array_value = vec!["a".into(), String::new()];
+    let request = SetParametersRequest { parameters: vec![set.clone(), set] };
+    add(number::<SetParametersRequest>(), cdr::to_bytes(&request));
+    seeds
+}

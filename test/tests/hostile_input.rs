@@ -1,0 +1,223 @@
+//! Bytes from outside, made wrong at random, through every parser that meets such: a few seconds of what `make fuzz` does
+//! for as long as one likes. And what a small input may cost: its claims are refused before memory is taken for them.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
+#![allow(unsafe_code, reason = "a counting allocator; it hands on to the system's")]
+#![allow(clippy::disallowed_methods, reason = "a test that measures time")]
+
+#[path = "../fuzz/exercise/mod.rs"]
+mod exercise;
+
+use exercise::{
+    TARGETS, image,
+    mutate::{Random, mutate},
+};
+use marker_tracker::{ImageError, decode_compressed};
+use std::{
+    alloc::{GlobalAlloc, Layout, System},
+    cell::Cell,
+    time::Instant,
+};
+
+/// Largest single piece of memory that this thread asked for.
+struct Counting;
+
+thread_local! {
+    static LARGEST: Cell<usize> = const { Cell::new(0) };
+}
+
+// SAFETY: every call is handed on to the system's allocator as it is.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        note(layout.size());
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        // SAFETY: as the caller promises.
+        unsafe { System.dealloc(at, layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        note(layout.size());
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        note(size);
+        // SAFETY: as the caller promises.
+        unsafe { System.realloc(at, layout, size) }
+    }
+}
+
+fn note(size: usize) {
+    // A thread that ends has no such variable any more.
+    let _ = LARGEST.try_with(|largest| largest.set(largest.get().max(size)));
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn largest_piece<T>(f: impl FnOnce() -> T) -> (T, usize) {
+    LARGEST.set(0);
+    let result = f();
+    (result, LARGEST.get())
+}
+
+/// Seconds per target.
+fn seconds() -> f64 {
+    std::env::var("VOLANT_HOSTILE_SECONDS").ok().and_then(|s| s.parse().ok()).unwrap_or(2.0)
+}
+
+fn run(name: &str) {
+    let target = TARGETS.iter().find(|t| t.name == name).unwrap();
+    let seeds = (target.seeds)();
+    for seed in &seeds {
+        (target.run)(seed);
+    }
+    let mut random = Random(0x9E37_79B9_7F4A_7C15);
+    let mut input = Vec::new();
+    let start = Instant::now();
+    let mut count = 0_u64;
+    let mut largest = 0;
+    while count < 1000 || start.elapsed().as_secs_f64() < seconds() {
+        for _ in 0..100 {
+            mutate(&seeds, target.words, &mut random, &mut input);
+            let (_, piece) = largest_piece(|| (target.run)(&input));
+            largest = largest.max(piece);
+            count += 1;
+        }
+    }
+    // A picture's pixels and a chunk decompressed are the largest there are; lengths that are claimed are none.
+    assert!(largest < 64 << 20, "{name}: {largest}");
+    println!("{name}: {count} inputs, largest piece of memory {} KiB", largest >> 10);
+}
+
+#[test]
+fn messages() {
+    run("cdr");
+}
+
+#[test]
+fn parameter_files_and_the_rig() {
+    run("parameters");
+}
+
+#[test]
+fn calibration_files() {
+    run("calibration");
+}
+
+#[test]
+fn bag_metadata() {
+    run("metadata");
+}
+
+#[test]
+fn images() {
+    run("image");
+}
+
+#[test]
+fn bags() {
+    run("bag");
+}
+
+#[test]
+fn the_seeds_are_right_inputs() {
+    // Without this the runs above could be shut out at the first check.
+    for seed in exercise::yaml::parameter_seeds() {
+        rig_model::parameters::ParameterFile::parse(std::str::from_utf8(&seed).unwrap()).unwrap();
+    }
+    for seed in exercise::yaml::calibration_seeds() {
+        rig_model::CameraModel::from_calibration_file(std::str::from_utf8(&seed).unwrap()).unwrap();
+    }
+    for seed in &exercise::yaml::metadata_seeds()[..2] {
+        launch_config::bag::files_named_by(std::str::from_utf8(seed).unwrap()).unwrap();
+    }
+    let decoded = image::seeds().iter().filter(|s| decode_compressed("", s).is_ok()).count();
+    // Three JPEGs, one of nothing but headers, and the PNGs that have colours.
+    assert_eq!(decoded, 3 + 1 + 4);
+    for seed in exercise::bag::seeds() {
+        let mut bag = launch_config::bag::BagReader::from_reader(
+            std::path::Path::new("seed"),
+            std::io::Cursor::new(seed.clone()),
+        )
+        .unwrap();
+        let mut messages = 0;
+        while bag.next_message().unwrap().is_some() {
+            messages += 1;
+        }
+        assert!(messages == 6 || messages == 1, "{messages}");
+        assert!(bag.losses().is_empty(), "{:?}", bag.losses());
+    }
+}
+
+#[test]
+fn a_small_picture_that_claims_to_be_huge_is_refused_before_memory_is_taken() {
+    let huge = u32::from(u16::MAX);
+    let mut claims = vec![
+        ("jpeg 65535", image::jpeg_headers(65_535, 65_535, false)),
+        ("jpeg 65535 progressive", image::jpeg_headers(65_535, 65_535, true)),
+        // Within the largest side, and far beyond what its bytes can hold.
+        ("jpeg 8000x4000", image::jpeg_headers(8000, 4000, false)),
+        ("jpeg 16384 x 16384", image::jpeg_headers(16_384, 16_384, true)),
+        ("jpeg 65535 x 1", image::jpeg_headers(65_535, 1, false)),
+    ];
+    for (color, depth) in [(2, 8), (6, 16), (3, 1)] {
+        claims.push(("png 65535", image::png(huge, huge, color, depth, 100)));
+        claims.push(("png 8000x4000", image::png(8000, 4000, color, depth, 100)));
+        claims.push(("png of 2^31 px", image::png(i32::MAX as u32, i32::MAX as u32, color, depth, 100)));
+        claims.push(("png of 2^31 columns", image::png(i32::MAX as u32, 1, color, depth, 100)));
+    }
+    for (what, data) in claims {
+        let (result, largest) = largest_piece(|| decode_compressed("", &data));
+        let error = result.unwrap_err();
+        assert!(matches!(error, ImageError::TooLarge { .. } | ImageError::Decode { .. }), "{what}: {error}");
+        assert!(largest < 1 << 20, "{what}: {largest} bytes for {}", data.len());
+    }
+}
+
+#[test]
+fn lengths_beyond_the_bytes_at_hand_take_no_memory() {
+    use volant_msgs::{cdr, sensor_msgs::msg::Image, tf2_msgs::msg::TFMessage};
+    let mut bytes = vec![0, 1, 0, 0];
+    bytes.extend(u32::MAX.to_le_bytes());
+    bytes.extend([0; 100]);
+    let (result, largest) = largest_piece(|| cdr::from_bytes::<TFMessage>(&bytes));
+    assert!(result.is_err() && largest < 1 << 16, "{largest}");
+    let mut image = cdr::to_bytes(&Image { data: vec![0; 8], ..Image::default() });
+    let at = image.len() - 12;
+    image[at..at + 4].copy_from_slice(&0x7FFF_FFFF_u32.to_le_bytes());
+    let (result, largest) = largest_piece(|| cdr::from_bytes::<Image>(&image));
+    assert!(result.is_err() && largest < 1 << 16, "{largest}");
+}
+
+#[test]
+fn a_chunk_that_decompresses_without_end_is_refused() {
+    use launch_config::bag::BagReader;
+    // A chunk that claims 2 GiB, in all three forms of compression, and with and without a checksum.
+    for compression in ["", "lz4", "zstd"] {
+        for crc in [0_u32, 7] {
+            let mut body = vec![0; 16];
+            body.extend((2_u64 << 30).to_le_bytes());
+            body.extend(crc.to_le_bytes());
+            body.extend((compression.len() as u32).to_le_bytes());
+            body.extend(compression.as_bytes());
+            body.extend(16_u64.to_le_bytes());
+            body.extend([0; 16]);
+            let mut file = b"\x89MCAP0\r\n\x06".to_vec();
+            file.extend((body.len() as u64).to_le_bytes());
+            file.extend(body);
+            let (losses, largest) = largest_piece(|| {
+                let input = std::io::Cursor::new(file.clone());
+                let mut bag = BagReader::from_reader(std::path::Path::new("bomb.mcap"), input).unwrap();
+                while bag.next_message().unwrap().is_some() {}
+                bag.losses().to_vec()
+            });
+            assert!(!losses.is_empty());
+            assert!(largest < 8 << 20, "{compression} {crc}: {largest}");
+        }
+    }
+}
