@@ -36,7 +36,9 @@ build: .setup/debian
 demo: build
 	target/release/volant demo
 
-test: setup build
+# One build of everything: programs built apart from the tests would be compiled twice, because test features differ.
+test: setup
+	$(CARGO) build --release --workspace --all-targets
 	$(CARGO) test --release --workspace
 
 # A core knows no middleware, device or OpenCV: it must build without its default features.
