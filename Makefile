@@ -2,11 +2,13 @@
 # make test    sets up what is missing, passes the tests
 # make lint    what CI lints: format, clippy, cores without middleware
 # make bench   the figures against the peers;  make faults: every fault on real processes
+# make reproduce   the paper's figures and tables, the rivals beside them, and the report: OUT=folder
 # make fuzz    hostile bytes into every parser (FUZZ="-s SECONDS -r RUNS TARGET…"); make audit: advisories and licences
+# make calibrate, make calibrate-test   volant calibrate, and its tests;  make browser: a browser for the report's test
 
 SHELL := /bin/bash
 .DEFAULT_GOAL := build
-.PHONY: setup build demo test lint bench faults fuzz audit calibrate clean-setup
+.PHONY: setup build demo test lint bench peers reproduce faults fuzz audit calibrate calibrate-test browser clean-setup
 
 ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 export OPENCV_LINK_PATHS := /usr/lib/$(ARCH_LIB)
@@ -54,16 +56,35 @@ lint: .setup/debian
 	done
 	$(CARGO) clippy --release --workspace --all-targets -- -D warnings
 
-# The rivals and the calibration need the large OpenCV, so they are workspaces of their own that `make test` never builds.
+# The rivals and the calibration need the large OpenCV, so they are workspaces of their own that `make test` never builds. They
+# share a folder, because both build the same bindings, and their executables go beside `volant`, which finds them there.
 .setup/debian-large: launch_config/setup/debian-packages-large.txt launch_config/setup/install-debian-packages .setup/debian
 	@launch_config/setup/install-debian-packages $<
 	@touch $@
 
-bench: build .setup/debian-large
-	cd test/peers && $(CARGO) run --release -- bench
+LARGE := $(CURDIR)/target/large
+
+peers: build .setup/debian-large
+	cd test/peers && $(CARGO) build --release --target-dir $(LARGE)
+	cp $(LARGE)/release/volant-peers target/release/
+
+bench: peers
+	target/release/volant-peers bench
+
+OUT ?= reproduced
+reproduce: peers
+	target/release/volant reproduce all --out $(OUT)
 
 calibrate: build .setup/debian-large
-	cd launch_config/calibrate && $(CARGO) build --release
+	cd launch_config/calibrate && $(CARGO) build --release --target-dir $(LARGE)
+	cp $(LARGE)/release/volant-calibrate target/release/
+
+calibrate-test: .setup/debian-large
+	cd launch_config/calibrate && $(CARGO) test --release --target-dir $(LARGE)
+
+# Only the test that opens the report needs it; without it that test says that it is skipped.
+browser: .setup/debian
+	@launch_config/setup/install-debian-packages launch_config/setup/debian-packages-browser.txt
 
 faults: setup build
 	$(CARGO) run --release -p volant_test --bin volant-faults

@@ -6,4 +6,5 @@ pub mod evaluate;
 #[cfg(feature = "nodes")]
 pub mod live;
 pub mod replay;
+pub mod report;
 mod stopwatch;

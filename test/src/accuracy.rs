@@ -3,20 +3,7 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rig_model::{ImuSample, Stamp};
 
-/// Poses with their stamps, in order: `world_from_volant`.
-pub type Track = Vec<(Stamp, Isometry3<f64>)>;
-
-/// The six axes in the order of the arrays here.
-pub const AXES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
-/// Their units.
-pub const UNITS: [&str; 6] = ["mm", "mm", "mm", "deg", "deg", "deg"];
-
-/// Position in mm and roll, pitch, yaw in degrees (rotations about the fixed axes x, y, z in this order).
-pub fn six(pose: &Isometry3<f64>) -> [f64; 6] {
-    let p = pose.translation.vector * 1e3;
-    let (roll, pitch, yaw) = pose.rotation.euler_angles();
-    [p.x, p.y, p.z, roll.to_degrees(), pitch.to_degrees(), yaw.to_degrees()]
-}
+pub use launch_config::report::{AXES, Track, UNITS, six};
 
 /// Errors of a track, per axis and as a whole.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -3,10 +3,14 @@
 //! The truth is taken at each estimate's own stamp. The first second is left out, counted from where both bags have
 //! begun. `volant/fused_pose` is turned round first, so that all errors are those of the platform in the room.
 
+mod many;
+mod page;
 mod report;
 mod statistics;
 mod truth;
 
+pub use many::{RunFiles, RunResult, csv_of_many, evaluate_many, pairs, table_of_many};
+pub use page::{page, page_of_many};
 pub use report::{csv, table};
 pub use statistics::{Nees, PoseError, Spread, inverse};
 pub use truth::{Truth, TruthSample};
@@ -14,6 +18,7 @@ pub use truth::{Truth, TruthSample};
 use crate::{
     bag::{BagError, BagReader},
     replay::TopicNames,
+    report::Track,
 };
 use nalgebra::{Isometry3, Matrix6, Vector3};
 use node_kit::convert;
@@ -93,6 +98,20 @@ pub struct Evaluation {
     pub estimates: Vec<Quality>,
     /// What the bags lost, one sentence each.
     pub losses: Vec<String>,
+    /// The poses themselves, for pictures.
+    #[serde(skip)]
+    pub tracks: Tracks,
+}
+
+/// The poses that were compared.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Tracks {
+    /// Where both bags have begun.
+    pub began: Stamp,
+    /// Topic and poses, `world_from_volant`, as in [`Evaluation::estimates`].
+    pub estimates: Vec<(String, Track)>,
+    /// The truth.
+    pub truth: Truth,
 }
 
 /// Why nothing can be said.
@@ -116,6 +135,14 @@ pub enum EvaluateError {
         path: PathBuf,
         /// The topics.
         topics: Vec<String>,
+    },
+    /// A folder of runs.
+    #[error("{}: {reason}", path.display())]
+    Folder {
+        /// Which.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
     },
     /// Estimates and truth of different times.
     #[error("{}: none of its estimates lies within the truth's time ({from} to {to}, without the first {skip} s); check that both bags are of one run", path.display())]
@@ -176,6 +203,7 @@ pub fn evaluate(options: &EvaluateOptions) -> Result<Evaluation, EvaluateError> 
         return Err(EvaluateError::NoEstimate { path: options.estimates.clone(), topics });
     }
     let began = began.unwrap_or(from).max(from);
+    let mut tracks = Tracks { began, estimates: Vec::new(), truth: truth.clone() };
     let estimates: Vec<Quality> = ESTIMATES
         .iter()
         .zip(&mut collected)
@@ -184,6 +212,9 @@ pub fn evaluate(options: &EvaluateOptions) -> Result<Evaluation, EvaluateError> 
             estimates.sort_by_key(|e| e.stamp);
             let mut quality = quality(name, estimates, &truth, began, options.skip);
             quality.unusable = *unusable;
+            tracks
+                .estimates
+                .push(((*name).to_owned(), estimates.iter().map(|e| (e.stamp, e.pose)).collect()));
             quality
         })
         .collect();
@@ -191,7 +222,7 @@ pub fn evaluate(options: &EvaluateOptions) -> Result<Evaluation, EvaluateError> 
         let path = options.estimates.clone();
         return Err(EvaluateError::Apart { path, from, to, skip: options.skip });
     }
-    Ok(Evaluation { estimates, losses })
+    Ok(Evaluation { estimates, losses, tracks })
 }
 
 fn quality(name: &str, estimates: &[Estimate], truth: &Truth, began: Stamp, skip: f64) -> Quality {

@@ -1,9 +1,10 @@
 //! `volant-peers`: the project's marker tracker beside its rivals, in one run, on scenes made from a seed with truth.
 //!
 //! `bench` prints the main table (time, accuracy, success) and the targets of the tracker; `sweep` the success over viewing
-//! angle and distance; `trials` what the tracker does in scenes that are made to mislead it.
+//! angle and distance; `boards` compares markers with chessboards; `trials` what the tracker does in scenes that are made to mislead it.
 
 mod bench;
+mod boards;
 mod clock;
 mod measure;
 mod methods;
@@ -94,6 +95,12 @@ enum Command {
         #[arg(long, default_value_t = 12)]
         pictures: usize,
     },
+    /// Pose from a chessboard's corners, from four of them and from markers, over the viewing angle; fig-2.csv, fig-7.csv.
+    Boards {
+        /// Pictures per angle.
+        #[arg(long, default_value_t = 16)]
+        pictures: usize,
+    },
     /// Scenes that are made to mislead the tracker; trials.csv.
     Trials {
         /// Only scenes whose name contains this.
@@ -122,6 +129,10 @@ fn work(arguments: &Arguments) -> Result<usize> {
         }
         Command::Sweep { pictures } => {
             Ok(sweep::run(&arguments.out, *pictures, arguments.seed, &progress)?.print())
+        }
+        Command::Boards { pictures } => {
+            boards::run(&arguments.out, *pictures, arguments.seed, &progress)?;
+            Ok(0)
         }
         Command::Trials { pictures: true, .. } => {
             trials::pictures(&arguments.out, arguments.seed)?;

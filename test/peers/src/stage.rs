@@ -1,6 +1,7 @@
 //! The bench's standard pictures: one pose, three carriers of one footprint, the same light, floor and noise.
 
 use crate::{
+    boards,
     methods::{Carrier, tag_picture},
     scene::{Canvas, Floor, Light, MarkerTruth, Picture, Pinhole, Plate, Rng, Thing},
     sift_texture,
@@ -26,7 +27,7 @@ pub struct Stage {
     pub camera: Pinhole,
     canvas: Canvas,
     floor: Floor,
-    plates: [Plate; 3],
+    plates: [Plate; 4],
     seed: u64,
 }
 
@@ -52,6 +53,7 @@ impl Stage {
             Plate::markers(VIVID, &mut rng),
             Plate::cells(10, tag_picture()?, [225.0; 3]),
             Plate::cells(sift_texture::CELLS, sift_texture::texture(seed), [118.0, 116.0, 112.0]),
+            Plate::cells(boards::CELLS, boards::board(), [225.0; 3]),
         ];
         Ok(Self { canvas: Canvas::new(camera.width, camera.height), camera, floor, plates, seed })
     }
@@ -88,7 +90,7 @@ impl Stage {
                 let h = 0.4 * FOOTPRINT;
                 self.camera.polygon(pose, &[[-h, h], [h, h], [h, -h], [-h, -h]], 0.0)
             }
-            Carrier::Texture => Vec::new(),
+            Carrier::Texture | Carrier::Board => Vec::new(),
         }
     }
 }

@@ -15,11 +15,15 @@ use nalgebra::{Isometry3, Vector2};
 use std::path::Path;
 
 /// One condition of a sweep.
-struct Condition {
-    sweep: &'static str,
-    value: f64,
-    range: f64,
-    tilt_deg: f64,
+pub struct Condition {
+    /// Which sweep it belongs to.
+    pub sweep: &'static str,
+    /// The value that is swept.
+    pub value: f64,
+    /// m.
+    pub range: f64,
+    /// Viewing angle, degrees.
+    pub tilt_deg: f64,
 }
 
 fn conditions() -> Vec<Condition> {
@@ -34,8 +38,13 @@ fn conditions() -> Vec<Condition> {
     angles.chain(distances).collect()
 }
 
-/// A short smooth motion in this condition, the whole footprint in the picture.
-fn motion(camera: &Pinhole, condition: &Condition, pictures: usize, rng: &mut Rng) -> Vec<Isometry3<f64>> {
+/// A short smooth motion in this condition, the whole footprint in the picture, each pose on a step of the bench.
+pub fn motion(
+    camera: &Pinhole,
+    condition: &Condition,
+    pictures: usize,
+    rng: &mut Rng,
+) -> Vec<Isometry3<f64>> {
     loop {
         let (yaw, direction) = (rng.within(-0.7, 0.7), rng.within(0.0, std::f64::consts::TAU));
         let offset = Vector2::new(rng.within(-150.0, 150.0), rng.within(-90.0, 90.0)) * rng.unit();
@@ -44,7 +53,7 @@ fn motion(camera: &Pinhole, condition: &Condition, pictures: usize, rng: &mut Rn
                 let t = i as f64 / pictures as f64;
                 let pixel = camera.centre() + offset + Vector2::new(6.0, -4.0) * t;
                 let tilt = condition.tilt_deg.to_radians();
-                trajectory::pose(camera, pixel, condition.range, tilt, direction + 0.3 * t, yaw + 0.1 * t)
+                trajectory::on_bench(camera, pixel, condition.range, tilt, direction + 0.3 * t, yaw + 0.1 * t)
             })
             .collect();
         // The plate's rim may leave the picture at 0.5 m, what it carries may not.

@@ -22,6 +22,22 @@ pub fn pose(
     Isometry3::from_parts(Translation3::new(offset.x, offset.y, range), rotation)
 }
 
+/// The pose of [`pose`] that is nearest to it on the paper's bench: a pan-tilt unit with steps of 0.01°, and a laser, here with
+/// steps of 0.1 mm. So the truth is what those instruments would show, without an error of their own.
+pub fn on_bench(
+    camera: &Pinhole,
+    pixel: Vector2<f64>,
+    range: f64,
+    tilt: f64,
+    direction: f64,
+    yaw: f64,
+) -> Isometry3<f64> {
+    let step = |v: f64| (v.to_degrees() * 100.0).round().to_radians() / 100.0;
+    let mut pose = pose(camera, pixel, range, step(tilt), step(direction), step(yaw));
+    pose.translation.vector.apply(|v| *v = (*v * 1e4).round() / 1e4);
+    pose
+}
+
 /// True where the square of edge `footprint` m is in the picture with `margin` px to spare.
 pub fn is_inside(camera: &Pinhole, pose: &Isometry3<f64>, footprint: f64, margin: f64) -> bool {
     let h = footprint / 2.0;

@@ -5,13 +5,14 @@
 use anyhow::{Context, Result};
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
+use launch_config::report::{Block, Curve, Page, Run as Drawn, Section, Table, colours, six_curves};
 use node_kit::environment::Network;
 use rig_model::Stamp;
 use std::{path::PathBuf, process::ExitCode, sync::Arc};
 use volant_test::{
-    accuracy::{Errors, inertial_alone},
+    accuracy::{AXES, Errors, UNITS, inertial_alone},
     live::{Ended, Film, Run, Scenario, bag, quantile, scenario::IMAGE_RATE},
-    report::{Curve, colours, six_curves, table},
+    report::table,
 };
 
 /// Runs the main job on a simulated rig: four separate nodes, live over DDS.
@@ -164,23 +165,100 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
     bag::write(&bag_path, scenario, epoch, &ended.said, heard)?;
     let picture = arguments.out.join("curves.svg");
     let shaded: Vec<[f64; 2]> = scenario.covers.iter().map(|c| c.seconds).collect();
-    six_curves(
-        &picture,
-        "Pose of the platform: camera alone, inertial unit alone, fused (the paper's Fig. 13)",
-        epoch,
-        scenario.duration(),
-        |t| scenario.motion.world_from_volant(t),
+    let svg = six_curves(
+        &Drawn {
+            title: "Pose of the platform: camera alone, inertial unit alone, fused (the paper's Fig. 13)",
+            epoch,
+            seconds: scenario.duration(),
+            truth: &|t| Some(scenario.motion.world_from_volant(t)),
+            shaded: &shaded,
+        },
         &[
             Curve { name: "camera alone", track: &camera, colour: colours::CAMERA, width: 0 },
             Curve { name: "inertial alone", track: &inertial, colour: colours::INERTIAL, width: 2 },
             Curve { name: "fused", track: &fused, colour: colours::FUSED, width: 3 },
         ],
-        &shaded,
-    )
-    .map_err(anyhow::Error::msg)?;
+    )?;
+    let page = arguments.out.join("report.html");
+    let numbers = [
+        (
+            "odometry".to_owned(),
+            format!("{} of {expected} inertial samples, longest gap {:.0} ms", of_fused.count, gap * 1e3),
+        ),
+        (
+            "consistency".to_owned(),
+            format!("NEES of position {:.2}, of rotation {:.2} (ideal 3)", mean(0), mean(1)),
+        ),
+        (
+            "latency".to_owned(),
+            format!(
+                "from an image's stamp to the odometry that contains it: median {:.1} ms, p99 {:.1} ms",
+                quantile(&latencies, 0.5) * 1e3,
+                quantile(&latencies, 0.99) * 1e3
+            ),
+        ),
+    ];
+    write(&picture, &svg)?;
+    write(&page, &demo_page(arguments, &rows, &numbers, svg).render())?;
     println!("\nbag      {}", bag_path.display());
     println!("rig file {}", arguments.out.join("rig.yaml").display());
     println!("picture  {}", picture.display());
+    println!("report   {}", page.display());
     println!("logs     {}", arguments.out.join("*.log").display());
     Ok(())
+}
+
+fn write(path: &std::path::Path, text: &str) -> Result<()> {
+    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+}
+
+/// The run as a page.
+fn demo_page(
+    arguments: &Arguments,
+    rows: &[(&str, &Errors); 3],
+    numbers: &[(String, String)],
+    svg: String,
+) -> Page {
+    let mut errors = Table { head: vec!["RMSE".into()], rows: Vec::new() };
+    errors.head.extend(rows.iter().map(|(name, _)| (*name).to_owned()));
+    let mut row = |name: String, value: &dyn Fn(&Errors) -> f64| {
+        let values: Vec<f64> = rows.iter().map(|(_, e)| value(e)).collect();
+        let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let mut cells = vec![(name, false)];
+        cells.extend(values.iter().map(|v| (format!("{v:.3}"), *v == least)));
+        errors.rows.push(cells);
+    };
+    for (i, (axis, unit)) in AXES.iter().zip(UNITS).enumerate() {
+        row(format!("{axis} [{unit}]"), &|e| e.rmse[i]);
+    }
+    row("3-D [mm]".into(), &|e| e.position_rmse);
+    row("angle [deg]".into(), &|e| e.rotation_rmse);
+    let mut facts = vec![
+        ("Made by".to_owned(), format!("volant {}", env!("CARGO_PKG_VERSION"))),
+        (
+            "Command".to_owned(),
+            format!("`volant demo --seed {} --seconds {}`", arguments.seed, arguments.seconds),
+        ),
+    ];
+    facts.extend(numbers.iter().cloned());
+    let words = "Position in millimetres and rotation in degrees, against the truth (thin line). What leaves a panel has left the \
+                 range of the truth: the inertial unit's doubly integrated acceleration drifts. The camera alone is shown \
+                 where one image told a pose.";
+    Page {
+        over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
+        title: "A live run on the simulated rig".into(),
+        lead: "Four nodes as processes of their own, live over DDS: marker_tracker, imu_driver, climber_driver and pose_fusion. \
+               They were fed by a rendered camera, an Xsens unit's protocol on a pseudo-terminal and encoder readings, which they \
+               know only as hardware."
+            .into(),
+        facts,
+        sections: vec![
+            Section {
+                id: "errors".into(),
+                title: "Errors against the truth, without the first second".into(),
+                blocks: vec![Block::Table(errors)],
+            },
+            Section { id: "curves".into(), title: "The six curves".into(), blocks: vec![Block::text(words), Block::Figure(svg)] },
+        ],
+    }
 }

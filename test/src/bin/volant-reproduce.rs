@@ -7,21 +7,25 @@ use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::{
     path::{Path, PathBuf},
-    process::{Command, ExitCode, Stdio},
+    process::ExitCode,
+    sync::Mutex,
 };
 use volant_test::{
     live::{Film, Scenario, processes::executables},
-    paper::{Made, curves::Curves, report::write_report, rest::figure_9},
+    paper::{
+        Made, NAMES, PaperError, curves::Curves, occlusion::figure_6, report::write_report, rest::figure_9,
+        rivals, stages::Stages,
+    },
 };
 
-/// What can be made, in the order of the paper.
-const NAMES: [&str; 6] = ["table-1", "table-2", "fig-9", "fig-11", "fig-12", "fig-13"];
-
 /// Makes the paper's tables and figures anew, from the program's own nodes on a simulated bench.
+///
+/// fig-2, fig-7, fig-11, fig-12 and table-1 compare with rivals, which need the large OpenCV: `make reproduce` builds all of it
+/// and makes everything. Without it, the rest is made, and what is missing is said.
 #[derive(Parser)]
 #[command(name = "volant reproduce", bin_name = "volant reproduce", version)]
 struct Arguments {
-    /// What to make (all without a name, or `all`): table-1, table-2, fig-9, fig-11, fig-12, fig-13
+    /// What to make (all without a name, or `all`): fig-2, fig-4, fig-5, fig-6, fig-7, fig-9, fig-11, fig-12, fig-13, table-1, table-2
     #[arg(value_parser = name)]
     names: Vec<String>,
     /// Folder for NAME.csv, NAME.svg and report.html
@@ -30,8 +34,8 @@ struct Arguments {
     /// Everything random follows from it
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Length of the swing, s
-    #[arg(long, default_value_t = 20.0)]
+    /// Length of the swing of fig-13 and table-2, s
+    #[arg(long, default_value_t = 20.0, value_parser = seconds)]
     seconds: f64,
 }
 
@@ -40,6 +44,13 @@ fn name(text: &str) -> Result<String, String> {
         Ok(text.to_owned())
     } else {
         Err(format!("known are all, {}", NAMES.join(", ")))
+    }
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(s) if (4.0..=120.0).contains(&s) => Ok(s),
+        _ => Err("a number from 4 to 120".to_owned()),
     }
 }
 
@@ -53,99 +64,219 @@ fn main() -> ExitCode {
     }
 }
 
-fn reproduce(arguments: &Arguments) -> Result<()> {
-    std::fs::create_dir_all(&arguments.out).with_context(|| format!("{}", arguments.out.display()))?;
-    let all = arguments.names.is_empty() || arguments.names.iter().any(|n| n == "all");
-    let wanted = |name: &str| all || arguments.names.iter().any(|n| n == name);
-    let bar = ProgressBar::new(100);
-    let style = ProgressStyle::with_template("{msg:<34} [{bar:34}] {percent:>3} %");
-    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
-    let mut made = Vec::new();
-    let mut missing: Vec<(&str, String)> = Vec::new();
-
-    for (name, command, title) in [
-        ("table-1", "bench", "Table I: the stages' times"),
-        ("fig-11", "sweep", "Fig. 11: success over viewing angle and distance"),
-        ("fig-12", "bench", "Fig. 12: mean error and deviation beside the rivals"),
-    ] {
-        if wanted(name) {
-            bar.set_message(name);
-            match rivals(arguments, name, command, title) {
-                Ok(m) => made.push(m),
-                Err(error) => missing.push((name, format!("{error:#}"))),
-            }
-        }
-    }
-    if wanted("table-2") || wanted("fig-13") {
-        let scenario = Scenario::swing(arguments.seed, arguments.seconds)?;
-        bar.set_message("rendering the camera");
-        let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4));
-        let film = Film::shoot(&scenario, threads, |done, of| {
-            bar.set_position((90 * done / of.max(1)) as u64);
-        })?;
-        bar.set_message("four estimators");
-        let curves = Curves::of(&scenario, &film)?;
-        if wanted("table-2") {
-            made.push(curves.table_2(&scenario, &arguments.out)?);
-        }
-        if wanted("fig-13") {
-            made.push(curves.figure_13(&scenario, &arguments.out)?);
-        }
-    }
-    if wanted("fig-9") {
-        bar.set_message("fig-9");
-        made.push(figure_9(arguments.seed, &arguments.out)?);
-    }
-    bar.finish_and_clear();
-    let command: Vec<String> = std::env::args().skip(1).collect();
-    write_report(
-        &arguments.out,
-        &format!("volant reproduce {}", command.join(" ")),
-        &machine(),
-        &made,
-        &missing,
-    )?;
-    for m in &made {
-        println!("{}: {}", m.name, m.csv.display());
-        println!("    {}", m.words);
-    }
-    println!("report: {}", arguments.out.join("report.html").display());
-    if !missing.is_empty() {
-        let names: Vec<String> = missing.iter().map(|(n, reason)| format!("{n} ({reason})")).collect();
-        bail!("not made: {}", names.join("; "));
-    }
-    Ok(())
+/// The work, with about how long it takes (s on two cores): only the bar's evenness rests on it.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Job {
+    Bench,
+    Sweep,
+    Boards,
+    Swing,
+    Occlusion,
+    Stages,
+    Rest,
 }
 
-/// What needs the rivals (all of OpenCV, ArUco, AprilTag) is made by an executable of its own beside this one.
-fn rivals(arguments: &Arguments, name: &'static str, command: &str, title: &'static str) -> Result<Made> {
-    let program = executables().join("volant-peers");
-    if !program.is_file() {
-        bail!("needs volant-peers beside this executable; `make bench` builds it");
+const JOBS: [(Job, f64, &[&str]); 7] = [
+    (Job::Bench, 70.0, &["table-1", "fig-12"]),
+    (Job::Sweep, 70.0, &["fig-11"]),
+    (Job::Boards, 30.0, &["fig-2", "fig-7"]),
+    (Job::Swing, 45.0, &["fig-13", "table-2"]),
+    (Job::Occlusion, 18.0, &["fig-6"]),
+    (Job::Stages, 5.0, &["fig-4", "fig-5"]),
+    (Job::Rest, 2.0, &["fig-9"]),
+];
+
+/// One bar for all jobs, some of which run at the same time.
+struct Bar {
+    bar: ProgressBar,
+    shares: Mutex<Vec<(Job, f64, f64)>>,
+}
+
+impl Bar {
+    fn new(jobs: &[(Job, f64, &[&str])]) -> Self {
+        let bar = ProgressBar::new(1000);
+        let style = ProgressStyle::with_template("{msg:<40} [{bar:34}] {percent:>3} % {elapsed}");
+        bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
+        bar.enable_steady_tick(std::time::Duration::from_millis(250));
+        Self { bar, shares: Mutex::new(jobs.iter().map(|(job, weight, _)| (*job, *weight, 0.0)).collect()) }
     }
-    let csv = arguments.out.join(format!("{name}.csv"));
-    let status = Command::new(&program)
-        .arg(command)
-        .arg("--out")
-        .arg(&arguments.out)
-        .args(["--seed", &arguments.seed.to_string()])
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .status()
-        .with_context(|| format!("{}", program.display()))?;
-    // A bench whose targets are missed still made its numbers.
-    if !csv.is_file() {
-        bail!("volant-peers {command} ended with {status} and made no {}", csv.display());
+
+    fn tell(&self, job: Job, share: f64, what: &'static str) {
+        let Ok(mut shares) = self.shares.lock() else { return };
+        for s in shares.iter_mut().filter(|s| s.0 == job) {
+            s.2 = share.clamp(0.0, 1.0);
+        }
+        let (done, all) = shares.iter().fold((0.0, 0.0), |(d, a), s| (d + s.1 * s.2, a + s.1));
+        self.bar.set_position((1000.0 * done / all) as u64);
+        self.bar.set_message(what);
     }
-    Ok(Made {
-        name,
-        title,
-        csv,
-        svg: None,
-        words:
-            "Measured in this run by volant-peers, on scenes with truth; where a rival wins, it stands here."
-                .to_owned(),
-    })
+}
+
+/// What came of all jobs.
+#[derive(Default)]
+struct Results {
+    made: Vec<Made>,
+    missing: Vec<(&'static str, String)>,
+}
+
+impl Results {
+    fn take(&mut self, name: &'static str, result: Result<Made, PaperError>) {
+        match result {
+            Ok(made) => self.made.push(made),
+            Err(error) => self.missing.push((name, error.to_string())),
+        }
+    }
+}
+
+fn reproduce(arguments: &Arguments) -> Result<()> {
+    let out = &arguments.out;
+    std::fs::create_dir_all(out)
+        .with_context(|| format!("{} cannot be made; name another folder with --out", out.display()))?;
+    let all = arguments.names.is_empty() || arguments.names.iter().any(|n| n == "all");
+    let wanted = |name: &str| all || arguments.names.iter().any(|n| n == name);
+    let jobs: Vec<_> = JOBS.into_iter().filter(|(_, _, names)| names.iter().any(|n| wanted(n))).collect();
+    let has = |job: Job| jobs.iter().any(|j| j.0 == job);
+    let bar = Bar::new(&jobs);
+    let peers = rivals::find_peers(&executables());
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let run_rival = |results: &mut Results, job: Job, command: &str, what: &'static str| -> bool {
+        let Some((_, _, names)) = jobs.iter().find(|j| j.0 == job) else { return false };
+        bar.tell(job, 0.0, what);
+        let done = match &peers {
+            None => Err(format!(
+                "it compares with rivals and needs {}, which is not built; `make reproduce` builds it and makes everything",
+                rivals::PEERS
+            )),
+            Some(program) => {
+                rivals::run(program, command, out, arguments.seed, |share| bar.tell(job, share, what))
+            }
+        };
+        bar.tell(job, 1.0, what);
+        match done {
+            Ok(()) => true,
+            Err(why) => {
+                let wanted: Vec<_> = names.iter().copied().filter(|n| wanted(n)).collect();
+                results.missing.extend(wanted.into_iter().map(|n| (n, why.clone())));
+                false
+            }
+        }
+    };
+
+    let mut results = Results::default();
+    // Times are measured first, with nothing beside it.
+    if run_rival(&mut results, Job::Bench, "bench", "the tracker beside its rivals") {
+        if wanted("table-1") {
+            results.take("table-1", rivals::table_1(out));
+        }
+        if wanted("fig-12") {
+            results.take("fig-12", rivals::figure_12(out));
+        }
+    }
+    let (own, others) = std::thread::scope(|scope| {
+        let others = scope.spawn(|| {
+            let mut results = Results::default();
+            if run_rival(&mut results, Job::Sweep, "sweep", "viewing angle and distance") {
+                results.take("fig-11", rivals::figure_11(out));
+            }
+            if run_rival(&mut results, Job::Boards, "boards", "chessboards") {
+                for name in ["fig-2", "fig-7"].into_iter().filter(|n| wanted(n)) {
+                    results.take(name, rivals::boards(name, out));
+                }
+            }
+            results
+        });
+        let beside = peers.is_some() && (has(Job::Sweep) || has(Job::Boards));
+        let threads = if beside { cores.saturating_sub(1).max(1) } else { cores.min(4) };
+        let own = simulate(arguments, &wanted, &has, &bar, threads);
+        (own, others.join())
+    });
+    for part in [own?, others.unwrap_or_default()] {
+        results.made.extend(part.made);
+        results.missing.extend(part.missing);
+    }
+    bar.bar.finish_and_clear();
+    conclude(arguments, results)
+}
+
+/// What needs the simulated rig alone.
+fn simulate(
+    arguments: &Arguments,
+    wanted: &dyn Fn(&str) -> bool,
+    has: &dyn Fn(Job) -> bool,
+    bar: &Bar,
+    threads: usize,
+) -> Result<Results> {
+    let (out, seed) = (&arguments.out, arguments.seed);
+    let mut results = Results::default();
+    if has(Job::Rest) {
+        bar.tell(Job::Rest, 0.1, "a unit at rest");
+        results.take("fig-9", figure_9(seed, out));
+        bar.tell(Job::Rest, 1.0, "a unit at rest");
+    }
+    if has(Job::Stages) {
+        bar.tell(Job::Stages, 0.1, "the tracker's stages");
+        let stages = Stages::of(seed, threads)?;
+        if wanted("fig-4") {
+            results.take("fig-4", stages.figure_4(out));
+        }
+        if wanted("fig-5") {
+            results.take("fig-5", stages.figure_5(out));
+        }
+        bar.tell(Job::Stages, 1.0, "the tracker's stages");
+    }
+    if has(Job::Occlusion) {
+        let what = "an occluded marker";
+        results.take("fig-6", figure_6(seed, out, threads, |s| bar.tell(Job::Occlusion, 0.9 * s, what)));
+        bar.tell(Job::Occlusion, 1.0, what);
+    }
+    if has(Job::Swing) {
+        let scenario = Scenario::swing(seed, arguments.seconds)?;
+        let film = Film::shoot(&scenario, threads, |done, of| {
+            bar.tell(Job::Swing, 0.9 * done as f64 / of.max(1) as f64, "rendering the camera");
+        })?;
+        bar.tell(Job::Swing, 0.9, "four estimators");
+        let curves = Curves::of(&scenario, &film)?;
+        if wanted("table-2") {
+            results.take("table-2", curves.table_2(&scenario, out));
+        }
+        if wanted("fig-13") {
+            results.take("fig-13", curves.figure_13(&scenario, out));
+        }
+        bar.tell(Job::Swing, 1.0, "four estimators");
+    }
+    Ok(results)
+}
+
+fn conclude(arguments: &Arguments, mut results: Results) -> Result<()> {
+    let place = |name: &str| NAMES.iter().position(|n| *n == name);
+    results.made.sort_by_key(|m| place(m.name));
+    results.missing.sort_by_key(|m| place(m.0));
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let facts = [
+        ("Made by", format!("volant {}", env!("CARGO_PKG_VERSION"))),
+        ("Command", format!("`volant reproduce {}`", words.join(" "))),
+        ("Seed", arguments.seed.to_string()),
+        ("Machine", machine()),
+    ]
+    .map(|(name, value)| (name.to_owned(), value));
+    write_report(&arguments.out, &facts, &results.made, &results.missing)?;
+    for m in &results.made {
+        println!("{}: {}\n    {}", m.name, m.csv.display(), m.shows);
+    }
+    println!("report: {}", arguments.out.join("report.html").display());
+    if !results.missing.is_empty() {
+        let mut reasons: Vec<(String, Vec<&str>)> = Vec::new();
+        for (name, why) in &results.missing {
+            match reasons.iter_mut().find(|r| r.0 == *why) {
+                Some(r) => r.1.push(name),
+                None => reasons.push((why.clone(), vec![name])),
+            }
+        }
+        let parts: Vec<String> =
+            reasons.iter().map(|(why, names)| format!("{}: {why}", names.join(", "))).collect();
+        bail!("not made: {}", parts.join("; "));
+    }
+    Ok(())
 }
 
 fn machine() -> String {
@@ -155,5 +286,5 @@ fn machine() -> String {
         .find_map(|l| l.strip_prefix("model name"))
         .map_or("a computer", |l| l.trim_start_matches([' ', '\t', ':']));
     let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    format!("{model}, {threads} threads")
+    format!("{model}, {threads} hardware threads")
 }

@@ -8,8 +8,8 @@ use super::{
 use crate::{
     accuracy::{AXES, Errors, Track, UNITS, inertial_alone, six},
     live::{Film, Scenario},
-    report::{Curve, colours, six_curves},
 };
+use launch_config::report::{Anchor, Colour, Curve, Drawing, Ink, Run, Table, colours, six_curves};
 use nalgebra::Vector3;
 use pose_fusion::Model;
 use rig_model::Stamp;
@@ -73,26 +73,44 @@ impl Curves {
         }
         let path = folder.join("table-2.csv");
         write(&path, &csv)?;
+        let svg = folder.join("table-2.svg");
+        write(&svg, &draw_errors(&errors))?;
         let [camera, inertial, paper, tight] = &errors;
-        let nearest = (0..6).filter(|&i| tight.1.rmse[i] < camera.1.rmse[i].min(inertial.1.rmse[i])).count();
-        let paper_nearest =
-            (0..6).filter(|&i| paper.1.rmse[i] < camera.1.rmse[i].min(inertial.1.rmse[i])).count();
+        let nearest = |mine: &Errors| {
+            let names: Vec<&str> = (0..6)
+                .filter(|&i| mine.rmse[i] < camera.1.rmse[i].min(inertial.1.rmse[i]))
+                .map(|i| AXES[i])
+                .collect();
+            if names.is_empty() {
+                "none of 6 axes".to_owned()
+            } else {
+                format!("{} of 6 ({})", names.len(), names.join(", "))
+            }
+        };
         let unit_turns_better = (3..6).filter(|&i| inertial.1.rmse[i] < camera.1.rmse[i]).count();
-        let words = format!(
-            "RMSE per axis (degrees, millimetres) over {:.0} s of swing with one marker covered for a while. The default filter \
-             (tight) is nearer to the truth than camera and inertial unit in {nearest} of 6 axes, the published filter in \
-             {paper_nearest} of 6. Published: the EKF is nearest in all six, and the inertial unit has less rotation error than \
-             the camera; here it has less in {unit_turns_better} of 3, because the tracker fits the squares' edges and \
-             predicts centroids, which makes the camera's rotations better than a 0.55° attitude unit. The published \
-             filter takes poses, and adds the unit's doubly integrated translation, whose velocity nothing corrects.",
-            scenario.duration()
-        );
         Ok(Made {
             name: "table-2",
             title: "Table II: errors of camera, inertial unit, EKF and the default filter",
+            table: Some(Table::from_csv(&csv, 3, true)),
             csv: path,
-            svg: None,
-            words,
+            svg,
+            shows: format!(
+                "RMSE of each axis (degrees, millimetres) over {:.0} s of swing with one marker covered for a while, without the \
+                 first second. The default filter (`tight`) is nearer to the truth than camera and inertial unit in {}, the \
+                 filter as published (`paper`) in {}.",
+                scenario.duration(),
+                nearest(&tight.1),
+                nearest(&paper.1)
+            ),
+            published: format!(
+                "Published: the EKF is nearest to the truth in all six, and the inertial unit turns better than the camera. Here the \
+                 unit turns better in {unit_turns_better} of 3 axes: the tracker predicts the centroid of each projected square and fits its \
+                 edges, which makes the camera's own rotations better than an attitude unit that is off by half a degree. The \
+                 published filter fuses finished poses, and its prediction adds the unit's doubly integrated translation, whose \
+                 velocity nothing corrects; so its translation drifts away from the camera's (the parameter \
+                 `paper.velocity_from_fused` corrects it). The default takes every visible marker's pixels and estimates velocity, biases \
+                 and clock offsets too.",
+            ),
         })
     }
 
@@ -127,31 +145,117 @@ impl Curves {
         let svg = folder.join("fig-13.svg");
         let shaded: Vec<[f64; 2]> = scenario.covers.iter().map(|c| c.seconds).collect();
         let curve = |name, track, colour, width| Curve { name, track, colour, width };
-        six_curves(
-            &svg,
-            "Fig. 13: pose by camera, inertial unit, the published EKF and the default filter",
-            self.epoch,
-            scenario.duration(),
-            |t| scenario.motion.world_from_volant(t),
+        let drawn = six_curves(
+            &Run {
+                title: "Fig. 13: pose by camera, inertial unit, the published EKF and the default filter",
+                epoch: self.epoch,
+                seconds: scenario.duration(),
+                truth: &|t| Some(scenario.motion.world_from_volant(t)),
+                shaded: &shaded,
+            },
             &[
                 curve("camera alone", &self.camera, colours::CAMERA, 0),
                 curve("inertial alone", &self.inertial, colours::INERTIAL, 2),
                 curve("EKF as published", &self.paper, colours::PAPER, 2),
                 curve("default filter", &self.tight, colours::FUSED, 3),
             ],
-            &shaded,
-        )
-        .map_err(PaperError::Drawing)?;
-        let words = "Six curves over one run. As published, the inertial unit's translation drifts out of the picture within \
-                     seconds and its rotations stay near; the camera follows the truth with some noise, more of it while a \
-                     marker is covered."
-            .to_owned();
+        )?;
+        write(&svg, &drawn)?;
+        let left = |track: &Track| {
+            let off = |p: &&(Stamp, nalgebra::Isometry3<f64>)| {
+                let truth = scenario.motion.world_from_volant(p.0.seconds_since(self.epoch));
+                (p.1.translation.vector - truth.translation.vector).norm() > 0.1
+            };
+            track
+                .iter()
+                .find(off)
+                .map_or("never".to_owned(), |p| format!("after {:.1} s", p.0.seconds_since(self.epoch)))
+        };
         Ok(Made {
             name: "fig-13",
             title: "Fig. 13: x, y, z, roll, pitch, yaw against the truth",
             csv: path,
-            svg: Some(svg),
-            words,
+            svg,
+            table: None,
+            shows: format!(
+                "One run of {:.0} s. The inertial unit alone is 100 mm off {}; the EKF as published {}; the default filter {}. \
+                 Camera and default filter lie on the truth at this scale. A curve that leaves a panel has \
+                 left the range of the truth.",
+                scenario.duration(),
+                left(&self.inertial),
+                left(&self.paper),
+                left(&self.tight)
+            ),
+            published: "Published: the unit's translation drifts and its rotations stay near, the camera is noisy, the EKF follows \
+                        the truth. The first is so here; the camera's noise is too small to be seen at \
+                        this scale (Table II has it). The filter as published follows the rotations; its translation is \
+                        pulled along by the uncorrected velocity, the more the longer the run."
+                .to_owned(),
         })
     }
+}
+
+/// The six errors as bars on a logarithmic scale.
+fn draw_errors(errors: &[(&'static str, Errors); 4]) -> String {
+    let title = "Table II: RMSE of each axis";
+    let mut d = Drawing::new(1120.0);
+    d.text(24.0, 34.0, 20.0, colours::INK, Anchor::Start, title);
+    let looks: [(&str, Colour); 4] = [
+        ("camera alone", colours::CAMERA),
+        ("inertial alone", colours::INERTIAL),
+        ("EKF as published", colours::PAPER),
+        ("default filter", colours::FUSED),
+    ];
+    for (i, (name, colour)) in looks.iter().enumerate() {
+        let x = 28.0 + 190.0 * i as f64;
+        d.bar(x, 50.0, 20.0, 14.0, *colour);
+        d.text(x + 28.0, 63.0, 15.0, colours::INK, Anchor::Start, name);
+    }
+    let halves: [([usize; 3], &str, [f64; 2]); 2] =
+        [([3, 4, 5], "deg", decades(errors, [3, 4, 5])), ([0, 1, 2], "mm", decades(errors, [0, 1, 2]))];
+    let (high, top) = (300.0, 104.0);
+    let base = top + high;
+    for (half, (axes, unit, [low, up])) in halves.into_iter().enumerate() {
+        let (x0, wide) = (84.0 + 552.0 * half as f64, 450.0);
+        let y = |v: f64| base - high * ((v.max(low).log10() - low.log10()) / (up.log10() - low.log10()));
+        d.text(x0, top - 14.0, 15.0, colours::INK, Anchor::Start, &format!("RMSE [{unit}], logarithmic"));
+        let mut tick = low;
+        while tick <= up * 1.001 {
+            d.line([x0, y(tick)], [x0 + wide, y(tick)], Ink(colours::GRID, 1.0));
+            let digits = (-tick.log10().floor()).max(0.0) as usize;
+            d.text(x0 - 8.0, y(tick) + 4.5, 13.0, colours::SOFT, Anchor::End, &format!("{tick:.digits$}"));
+            tick *= 10.0;
+        }
+        d.line([x0, base], [x0 + wide, base], Ink(colours::AXIS, 1.0));
+        for (k, axis) in axes.into_iter().enumerate() {
+            let group = x0 + 14.0 + 150.0 * k as f64;
+            for (j, ((_, e), (_, colour))) in errors.iter().zip(&looks).enumerate() {
+                let (v, x) = (e.rmse[axis], group + 32.0 * j as f64);
+                d.bar(x, y(v), 24.0, base - y(v), *colour);
+                let digits = if v >= 100.0 {
+                    0
+                } else if v >= 10.0 {
+                    1
+                } else if v >= 0.1 {
+                    2
+                } else {
+                    3
+                };
+                d.text(x + 12.0, y(v) - 6.0, 13.0, colours::SOFT, Anchor::Middle, &format!("{v:.digits$}"));
+            }
+            d.text(group + 60.0, base + 24.0, 15.0, colours::INK, Anchor::Middle, AXES[axis]);
+        }
+    }
+    d.finish(base + 44.0, title)
+}
+
+/// Powers of ten around the errors of these axes, the lower one with room for a bar.
+fn decades(errors: &[(&'static str, Errors); 4], axes: [usize; 3]) -> [f64; 2] {
+    let values =
+        || errors.iter().flat_map(|(_, e)| axes.map(|a| e.rmse[a])).filter(|v| *v > 0.0 && v.is_finite());
+    let (low, high) = (values().fold(f64::INFINITY, f64::min), values().fold(0.0, f64::max));
+    if low > high {
+        return [0.1, 10.0];
+    }
+    [10f64.powf((low * 0.5).log10().floor()), 10f64.powf(high.log10().ceil())]
 }

@@ -1,14 +1,24 @@
 //! The paper's experiments on the simulated bench, by the nodes' own cores.
 //!
 //! [`offline`] runs the cores over a scenario's film and samples, in order of arrival; [`curves`] makes Fig. 13 and
-//! Table II, [`rest`] Fig. 9, [`report`] the page that shows them.
+//! Table II, [`rest`] Fig. 9, [`stages`] the pictures of Figs. 4 and 5, [`occlusion`] those of Fig. 6; [`rivals`] draws what
+//! `volant-peers` measured beside the rivals: Figs. 2, 7, 11, 12 and Table I. [`report`] makes the page that shows them.
 
 pub mod curves;
+pub mod occlusion;
 pub mod offline;
 pub mod report;
 pub mod rest;
+pub mod rivals;
+pub mod stages;
 
+use launch_config::report::{ChartError, Table};
 use std::path::PathBuf;
+
+/// What can be made, in the order of the paper's figures and tables.
+pub const NAMES: [&str; 11] = [
+    "fig-2", "fig-4", "fig-5", "fig-6", "fig-7", "fig-9", "table-1", "fig-11", "fig-12", "fig-13", "table-2",
+];
 
 /// A table or figure that was made.
 #[derive(Clone, Debug)]
@@ -19,10 +29,14 @@ pub struct Made {
     pub title: &'static str,
     /// The numbers.
     pub csv: PathBuf,
-    /// The picture; tables have none.
-    pub svg: Option<PathBuf>,
-    /// What it shows, and where it differs from the published one and why.
-    pub words: String,
+    /// The picture.
+    pub svg: PathBuf,
+    /// Numbers that stand in the report below the picture.
+    pub table: Option<Table>,
+    /// What it shows.
+    pub shows: String,
+    /// What was published, where this differs from it, and why.
+    pub published: String,
 }
 
 /// Why an experiment could not be made.
@@ -43,8 +57,16 @@ pub enum PaperError {
     #[error("a picture: {0}")]
     Picture(String),
     /// The drawing.
-    #[error("{0}")]
-    Drawing(String),
+    #[error("a drawing: {0}")]
+    Drawing(#[from] ChartError),
+    /// A table of `volant-peers` that is not as it should be.
+    #[error("{}: {what}; build volant-peers of the same version anew with `make reproduce`", path.display())]
+    Table {
+        /// Which.
+        path: PathBuf,
+        /// What is wrong with it.
+        what: String,
+    },
     /// A filter said nothing.
     #[error("the model {model} gave no pose; its warnings: {warnings}")]
     NoPose {
@@ -61,4 +83,12 @@ pub enum PaperError {
 /// What the system says.
 pub(crate) fn write(path: &std::path::Path, text: &str) -> Result<(), PaperError> {
     std::fs::write(path, text).map_err(|source| PaperError::Io { path: path.to_owned(), source })
+}
+
+/// Reads a file, and names it where that fails.
+///
+/// # Errors
+/// What the system says.
+pub(crate) fn read(path: &std::path::Path) -> Result<String, PaperError> {
+    std::fs::read_to_string(path).map_err(|source| PaperError::Io { path: path.to_owned(), source })
 }

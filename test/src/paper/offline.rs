@@ -22,12 +22,24 @@ pub struct Recording {
     pub samples: Vec<ImuSample>,
 }
 
-/// Tracks the film's markers.
+/// Tracks the film's markers with the tracker's defaults.
 ///
 /// # Errors
 /// A picture that cannot be read.
 pub fn track(scenario: &Scenario, film: &Film) -> Result<Vec<MarkerObservations>, PaperError> {
-    let mut tracker = Tracker::new(scenario.rig.markers.clone(), TrackerConfig::default());
+    track_with(scenario, film, TrackerConfig::default())
+}
+
+/// Tracks the film's markers.
+///
+/// # Errors
+/// A picture that cannot be read.
+pub fn track_with(
+    scenario: &Scenario,
+    film: &Film,
+    config: TrackerConfig,
+) -> Result<Vec<MarkerObservations>, PaperError> {
+    let mut tracker = Tracker::new(scenario.rig.markers.clone(), config);
     tracker.handle(marker_tracker::Input::Camera(scenario.camera.clone()));
     let mut observations = Vec::with_capacity(film.frames.len());
     for frame in &film.frames {
@@ -50,6 +62,11 @@ pub fn track(scenario: &Scenario, film: &Film) -> Result<Vec<MarkerObservations>
 /// # Errors
 /// A picture that cannot be read.
 pub fn record(scenario: &Scenario, film: &Film) -> Result<Recording, PaperError> {
+    Ok(record_observed(scenario, track(scenario, film)?))
+}
+
+/// The same with markers that were tracked already.
+pub fn record_observed(scenario: &Scenario, observed: Vec<MarkerObservations>) -> Recording {
     let sensors = Sensors::new(&scenario.motion, &scenario.rig, &scenario.camera, &scenario.sensors);
     let mut messages = sensors.imu();
     let samples = messages
@@ -59,12 +76,12 @@ pub fn record(scenario: &Scenario, film: &Film) -> Result<Recording, PaperError>
     messages.extend(sensors.climber());
     let mut random = Random::fork(scenario.sensors.seed, "image delay");
     let [shortest, longest] = scenario.sensors.image_delay;
-    for observations in track(scenario, film)? {
+    for observations in observed {
         let arrival = observations.stamp.plus_seconds(random.within(shortest, longest));
         messages.push((arrival, Message::Markers(observations)));
     }
     messages.sort_by_key(|(arrival, _)| *arrival);
-    Ok(Recording { messages, samples })
+    Recording { messages, samples }
 }
 
 /// The filter's poses, and those from one image each.

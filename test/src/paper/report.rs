@@ -1,20 +1,8 @@
-//! One page that shows what was made: self-contained, light and dark, no network.
+//! The page that shows what was made.
 
-use super::{Made, PaperError, write};
-use std::{fmt::Write, path::Path};
-
-const STYLE: &str = "
-:root { color-scheme: light dark; --ink: #1c1d1f; --paper: #fbfaf7; --line: #d9d6ce; --soft: #6a675f; }
-@media (prefers-color-scheme: dark) { :root { --ink: #e9e7e2; --paper: #17181a; --line: #3a3b3e; --soft: #a5a29a; } }
-body { margin: 0 auto; max-width: 72rem; padding: 2.5rem 1.5rem 5rem; background: var(--paper); color: var(--ink);
-  font: 17px/1.55 system-ui, sans-serif; }
-h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 .4rem; } h2 { font-size: 1.25rem; margin: 3rem 0 .6rem; }
-p { max-width: 46rem; } .soft { color: var(--soft); font-size: .92rem; }
-figure { margin: 1rem 0; background: #fff; border: 1px solid var(--line); border-radius: 6px; padding: .5rem; overflow-x: auto; }
-figure svg { width: 100%; height: auto; display: block; min-width: 36rem; }
-table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; }
-th, td { padding: .3rem .9rem; text-align: right; border-bottom: 1px solid var(--line); } th:first-child, td:first-child { text-align: left; }
-code { font-size: .9em; } nav a { margin-right: 1rem; color: inherit; }";
+use super::{Made, PaperError, read, write};
+use launch_config::report::{Block, Page, Section};
+use std::path::Path;
 
 /// Writes `report.html` with every figure and table in it.
 ///
@@ -22,106 +10,39 @@ code { font-size: .9em; } nav a { margin-right: 1rem; color: inherit; }";
 /// A figure that cannot be read, or a place that cannot be written to.
 pub fn write_report(
     folder: &Path,
-    command: &str,
-    machine: &str,
+    facts: &[(String, String)],
     made: &[Made],
     missing: &[(&str, String)],
 ) -> Result<(), PaperError> {
-    let mut page = format!(
-        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>Volant: the paper's experiments, made anew</title><style>{STYLE}</style></head><body>\n\
-         <h1>The paper's experiments, made anew</h1>\n<p class=\"soft\">Kyriakoulis and Gasteratos, “Color-Based Monocular \
-         Visuoinertial 3-D Pose Estimation of a Volant Robot”, 2010, on a simulated bench by this program's own nodes. \
-         Command: <code>{}</code>. Machine: {}.</p>\n<nav>",
-        escape(command),
-        escape(machine)
-    );
+    let mut sections = Vec::new();
     for m in made {
-        let _ = write!(page, "<a href=\"#{0}\">{0}</a>", m.name);
-    }
-    page.push_str("</nav>\n");
-    for m in made {
-        let _ = write!(page, "<h2 id=\"{}\">{}</h2>\n<p>{}</p>\n", m.name, escape(m.title), escape(&m.words));
-        match &m.svg {
-            Some(path) => {
-                let svg = read(path)?;
-                let start = svg.find("<svg").unwrap_or(0);
-                let sized = with_view_box(&svg[start..]);
-                let _ = writeln!(page, "<figure>{sized}</figure>");
-            }
-            None => page.push_str(&table(&read(&m.csv)?)),
-        }
-        let file = m.csv.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
-        let _ = writeln!(page, "<p class=\"soft\">Numbers: <code>{}</code></p>", escape(&file));
+        let mut blocks = vec![Block::labelled("What it shows.", &m.shows), Block::Figure(read(&m.svg)?)];
+        blocks.extend(m.table.clone().map(Block::Table));
+        blocks.push(Block::labelled("Against the published one.", &m.published));
+        let name = |p: &Path| p.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
+        blocks.push(Block::Note(format!(
+            "Numbers: `{}`. Picture: `{}`. Alone: `volant reproduce {} --out DIR`.",
+            name(&m.csv),
+            name(&m.svg),
+            m.name
+        )));
+        sections.push(Section { id: m.name.to_owned(), title: m.title.to_owned(), blocks });
     }
     if !missing.is_empty() {
-        page.push_str("<h2>Not made in this run</h2>\n<ul>");
-        for (name, reason) in missing {
-            let _ = write!(page, "<li><code>{}</code>: {}</li>", escape(name), escape(reason));
-        }
-        page.push_str("</ul>\n");
+        let blocks =
+            missing.iter().map(|(name, why)| Block::labelled(&format!("{name}:"), why.as_str())).collect();
+        sections.push(Section { id: "missing".into(), title: "Not made in this run".into(), blocks });
     }
-    page.push_str("</body></html>\n");
-    write(&folder.join("report.html"), &page)
-}
-
-/// A picture that scales needs a view box where it has only a size.
-fn with_view_box(svg: &str) -> String {
-    let attribute = |name: &str| {
-        let start = svg.find(&format!("{name}=\""))? + name.len() + 2;
-        svg[start..].split('"').next()?.parse::<f64>().ok()
+    let page = Page {
+        over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
+        title: "The paper's experiments, made anew".into(),
+        lead: "N. Kyriakoulis and A. Gasteratos, “Color-Based Monocular Visuoinertial 3-D Pose Estimation of a Volant Robot”, \
+               IEEE Transactions on Instrumentation and Measurement 59(10), 2010. Each figure and table below was made in one run by \
+               this program's own nodes on a simulated bench with exact truth, the rivals beside it on the same footprint and \
+               under the same light. Where a rival wins, it stands here as well."
+            .into(),
+        facts: facts.to_vec(),
+        sections,
     };
-    let head_end = svg.find('>').unwrap_or(0);
-    if svg[..head_end].contains("viewBox") {
-        return svg.to_owned();
-    }
-    match (attribute("width"), attribute("height")) {
-        (Some(w), Some(h)) => svg.replacen("<svg", &format!("<svg viewBox=\"0 0 {w} {h}\""), 1),
-        _ => svg.to_owned(),
-    }
-}
-
-fn read(path: &Path) -> Result<String, PaperError> {
-    std::fs::read_to_string(path).map_err(|source| PaperError::Io { path: path.to_owned(), source })
-}
-
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
-/// A small CSV as a table, numbers to three digits.
-fn table(csv: &str) -> String {
-    let mut text = String::from("<table>");
-    for (i, line) in csv.lines().enumerate() {
-        let tag = if i == 0 { "th" } else { "td" };
-        text.push_str("<tr>");
-        for cell in line.split(',') {
-            let shown = match (i, cell.parse::<f64>()) {
-                (1.., Ok(v)) => format!("{v:.3}"),
-                _ => cell.to_owned(),
-            };
-            let _ = write!(text, "<{tag}>{}</{tag}>", escape(&shown));
-        }
-        text.push_str("</tr>");
-    }
-    text.push_str("</table>\n");
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_is_written_is_escaped_sized_and_without_a_network() {
-        assert_eq!(escape("a<b & \"c\""), "a&lt;b &amp; &quot;c&quot;");
-        assert!(
-            with_view_box("<svg width=\"90\" height=\"40\" xmlns=\"x\">").contains("viewBox=\"0 0 90 40\"")
-        );
-        assert_eq!(
-            table("axis,a\nx,0.12345\n"),
-            "<table><tr><th>axis</th><th>a</th></tr><tr><td>x</td><td>0.123</td></tr></table>\n"
-        );
-        assert!(!STYLE.contains("http") && !STYLE.contains("@import"));
-    }
+    write(&folder.join("report.html"), &page.render())
 }

@@ -4,14 +4,13 @@ use super::{Made, PaperError, write};
 use crate::{
     accuracy::{Track, inertial_alone},
     live::Scenario,
-    report::colours,
     rig::{
         inertial::{Message, Sensors},
         motion::MotionConfig,
     },
 };
+use launch_config::report::{Axis, Panel, Series, Shape, Sheet, Table, colours, panels};
 use nalgebra::Vector3;
-use plotters::prelude::*;
 use rig_model::ImuSample;
 use std::{fmt::Write, path::Path};
 
@@ -68,68 +67,65 @@ pub fn figure_9(seed: u64, folder: &Path) -> Result<Made, PaperError> {
     let path = folder.join("fig-9.csv");
     write(&path, &csv)?;
     let svg = folder.join("fig-9.svg");
-    draw(&svg, &without, &literal, &held, smallest)
-        .map_err(|e| PaperError::Drawing(format!("{}: {e}", svg.display())))?;
-    let words = format!(
-        "The unit lies still for {SECONDS:.0} s. Without threshold control its doubly integrated accelerations drift \
-         {:.2} m off. The literal threshold of 1e-5 m/s leaves {:.2} m: a sample's velocity change by noise, bias and the attitude's error \
-         alone is tens of times larger, so it hardly ever fires. The smallest threshold that holds the position (to {HELD:.0} mm) is \
-         {smallest:.1e} m/s a sample, i.e. {:.2} m/s², which hides slow motion as well. Published: the control removes \
-         most of the drift; with raw samples that needs the larger threshold.",
-        furthest(&without) / 1e3,
-        furthest(&literal) / 1e3,
-        smallest * scenario.sensors.imu_rate,
-    );
+    write(&svg, &draw(&without, &literal, &held, smallest)?)?;
+    let row = |threshold: &str, curve: &[(f64, f64)]| {
+        vec![(threshold.to_owned(), false), (format!("{:.1}", furthest(curve)), false)]
+    };
     Ok(Made {
         name: "fig-9",
         title: "Fig. 9: translation at rest, with and without threshold control",
         csv: path,
-        svg: Some(svg),
-        words,
+        svg,
+        table: Some(Table {
+            head: vec!["threshold".into(), format!("furthest within {SECONDS:.0} s [mm]")],
+            rows: vec![
+                row("none", &without),
+                row("1e-5 m/s, as published", &literal),
+                row(&format!("{smallest:.1e} m/s, the smallest that holds"), &held),
+            ],
+        }),
+        shows: format!(
+            "The unit lies still for {SECONDS:.0} s. Without threshold control its doubly integrated accelerations drift \
+             {:.2} m off. The literal threshold of 1e-5 m/s leaves {:.2} m. The smallest threshold that holds the position (to \
+             {HELD:.0} mm) is {smallest:.1e} m/s a sample.",
+            furthest(&without) / 1e3,
+            furthest(&literal) / 1e3,
+        ),
+        published: format!(
+            "Published: the control removes most of the drift. On raw samples at {:.0} Hz it cannot: 1e-5 m/s a sample is {:.3} m/s², \
+             and a sample's noise, bias and the attitude's error alone are tens of times larger, so it hardly ever fires. The \
+             smallest threshold that holds corresponds to {:.2} m/s² and hides slow motion as well.",
+            scenario.sensors.imu_rate,
+            LITERAL * scenario.sensors.imu_rate,
+            smallest * scenario.sensors.imu_rate,
+        ),
     })
 }
 
 fn draw(
-    path: &Path,
     without: &[(f64, f64)],
     literal: &[(f64, f64)],
     held: &[(f64, f64)],
     smallest: f64,
-) -> Result<(), Box<dyn std::error::Error>> {
-    let root = SVGBackend::new(path, (900, 460)).into_drawing_area();
-    root.fill(&WHITE)?;
-    // A logarithmic scale: the curves are orders of magnitude apart.
-    let mut chart = ChartBuilder::on(&root)
-        .margin(14)
-        .x_label_area_size(40)
-        .y_label_area_size(70)
-        .caption("Fig. 9: translation of a unit at rest", ("sans-serif", 20))
-        .build_cartesian_2d(0.0..SECONDS, (0.01..30_000.0).log_scale())?;
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
-        .bold_line_style(RGBColor(225, 225, 225))
-        .x_desc("time [s]")
-        .y_desc("distance from the start [mm]")
-        .x_label_formatter(&|t| format!("{t:.0}"))
-        .draw()?;
-    for (curve, name, colour, width) in [
-        (without, "without threshold".to_owned(), colours::CAMERA, 4),
-        (literal, "1e-5 m/s, as published".to_owned(), colours::INERTIAL, 2),
-        (held, format!("{smallest:.1e} m/s, the smallest that holds"), colours::FUSED, 2),
-    ] {
-        let points = curve.iter().step_by(5).map(|(t, d)| (*t, d.max(0.01)));
-        chart
-            .draw_series(LineSeries::new(points, colour.stroke_width(width)))?
-            .label(name)
-            .legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 22, y)], colour.stroke_width(width)));
-    }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperLeft)
-        .background_style(WHITE.mix(0.85))
-        .label_font(("sans-serif", 14))
-        .draw()?;
-    root.present()?;
-    Ok(())
+) -> Result<String, PaperError> {
+    let line = |name: String, colour, width, curve: &[(f64, f64)]| Series {
+        name,
+        colour,
+        shape: Shape::Line(width),
+        // The scale is logarithmic: the curves are orders of magnitude apart.
+        points: curve.iter().step_by(5).map(|(t, d)| (*t, d.max(0.01))).collect(),
+        spread: Vec::new(),
+    };
+    let panel = Panel {
+        title: String::new(),
+        x: Axis { name: "time [s]".into(), range: [0.0, SECONDS], log: false },
+        y: Axis { name: "distance from the start [mm]".into(), range: [0.01, 30_000.0], log: true },
+        series: vec![
+            line("without threshold".into(), colours::CAMERA, 5, without),
+            line("1e-5 m/s, as published".into(), colours::INERTIAL, 2, literal),
+            line(format!("{smallest:.1e} m/s, the smallest that holds"), colours::FUSED, 2, held),
+        ],
+    };
+    let title = "Fig. 9: translation of a unit at rest, doubly integrated";
+    Ok(panels(Sheet { title, size: (1120, 520), grid: (1, 1) }, &[panel])?)
 }

@@ -10,7 +10,7 @@ mod sift;
 pub use april::{AprilTag, tag_picture};
 pub use aruco::Aruco;
 pub use ours::Ours;
-pub use pose::{gauss_newton, pose_from_centroids};
+pub use pose::{camera_matrix, gauss_newton, point2, point3, pose_from_centroids, solve_pnp};
 pub use recipe::Recipe;
 pub use sift::{CELLS, Sift, texture};
 
@@ -28,6 +28,8 @@ pub enum Carrier {
     Tag,
     /// A texture.
     Texture,
+    /// A chessboard.
+    Board,
 }
 
 /// What a method made of one picture.

@@ -1,0 +1,147 @@
+//! The report: every figure is in it, and a real browser draws it without fault, in the light and in the dark.
+//!
+//! Another page is looked at with `VOLANT_PAGE=page.html`; pictures of each figure are left in `VOLANT_SCREENSHOTS` where that
+//! names a folder.
+
+#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are outside of what clippy takes for a test
+
+mod browser;
+
+use browser::{Browser, installed};
+use std::path::{Path, PathBuf};
+use volant_test::{
+    live::{Film, Scenario},
+    paper::{
+        Made, NAMES, curves::Curves, occlusion::figure_6, report::write_report, rest::figure_9, rivals,
+        stages::Stages,
+    },
+};
+
+/// What `volant-peers` wrote in a run of its own, so that its figures are drawn here without the large OpenCV.
+const PEERS: [(&str, &str); 6] = [
+    ("fig-2.csv", include_str!("data/fig-2.csv")),
+    ("fig-7.csv", include_str!("data/fig-7.csv")),
+    ("fig-11.csv", include_str!("data/fig-11.csv")),
+    ("fig-12.csv", include_str!("data/fig-12.csv")),
+    ("table-1.csv", include_str!("data/table-1.csv")),
+    ("bench.csv", include_str!("data/bench.csv")),
+];
+
+/// Every figure, from runs that are as short as they may be.
+fn make(folder: &Path) -> Vec<Made> {
+    for (name, text) in PEERS {
+        std::fs::write(folder.join(name), text).unwrap();
+    }
+    let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let stages = Stages::of(1, threads).unwrap();
+    let scenario = Scenario::swing(1, 4.0).unwrap();
+    let film = Film::shoot(&scenario, threads, |_, _| {}).unwrap();
+    let curves = Curves::of(&scenario, &film).unwrap();
+    let made = vec![
+        rivals::boards("fig-2", folder).unwrap(),
+        stages.figure_4(folder).unwrap(),
+        stages.figure_5(folder).unwrap(),
+        figure_6(1, folder, threads, |_| {}).unwrap(),
+        rivals::boards("fig-7", folder).unwrap(),
+        figure_9(1, folder).unwrap(),
+        rivals::table_1(folder).unwrap(),
+        rivals::figure_11(folder).unwrap(),
+        rivals::figure_12(folder).unwrap(),
+        curves.figure_13(&scenario, folder).unwrap(),
+        curves.table_2(&scenario, folder).unwrap(),
+    ];
+    let facts = [("Command".to_owned(), "`cargo test -p volant_test --test report`".to_owned())];
+    write_report(folder, &facts, &made, &[("nothing", "a reason why".to_owned())]).unwrap();
+    made
+}
+
+#[test]
+fn the_report_holds_every_figure_and_a_browser_draws_it_in_light_and_dark() {
+    let folder = tempfile();
+    let page = match std::env::var_os("VOLANT_PAGE") {
+        Some(page) => std::fs::canonicalize(page).unwrap(),
+        None => {
+            let made = make(&folder);
+            assert_eq!(made.iter().map(|m| m.name).collect::<Vec<_>>(), NAMES);
+            for m in &made {
+                assert!(m.csv.is_file() && m.svg.is_file(), "{}", m.name);
+                assert!(
+                    !m.shows.contains("NaN") && !m.published.contains("NaN"),
+                    "{}: {} {}",
+                    m.name,
+                    m.shows,
+                    m.published
+                );
+            }
+            let html = std::fs::read_to_string(folder.join("report.html")).unwrap();
+            for name in NAMES {
+                assert!(html.contains(&format!("<section id=\"{name}\">")), "{name}");
+            }
+            assert_eq!(html.matches("<figure>").count(), NAMES.len());
+            folder.join("report.html")
+        }
+    };
+    match installed() {
+        Some(program) => look(&program, &page),
+        None => eprintln!(
+            "skipped: no browser to open the report in; `make browser` installs one, VOLANT_BROWSER names one"
+        ),
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+fn look(program: &Path, page: &Path) {
+    let mut browser = Browser::start(program, 1280, 900);
+    let mut grounds = Vec::new();
+    for (scheme, width) in [("light", 1280), ("dark", 1280), ("light", 700)] {
+        let device =
+            serde_json::json!({"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": false});
+        browser.call("Emulation.setDeviceMetricsOverride", device);
+        browser.open(page, scheme);
+        let seen = browser.evaluate(include_str!("browser/look.js"));
+        let problems: Vec<&str> =
+            seen["problems"].as_array().unwrap().iter().map(|p| p.as_str().unwrap()).collect();
+        if let Some(out) = std::env::var_os("VOLANT_SCREENSHOTS") {
+            let out = PathBuf::from(out);
+            std::fs::create_dir_all(&out).unwrap();
+            let height = seen["height"].as_f64().unwrap();
+            let top = browser.picture([0.0, 0.0, f64::from(width), height.min(1100.0)]);
+            std::fs::write(out.join(format!("{scheme}-{width}-top.png")), top).unwrap();
+            for (i, figure) in seen["figures"].as_array().unwrap().iter().enumerate() {
+                let at = |name: &str| figure[name].as_f64().unwrap();
+                let picture = browser.picture([0.0, at("y") - 170.0, f64::from(width), at("height") + 420.0]);
+                std::fs::write(out.join(format!("{scheme}-{width}-{i:02}.png")), picture).unwrap();
+            }
+        }
+        assert!(problems.is_empty(), "{scheme}, {width} px wide:\n{}", problems.join("\n"));
+        let figures = seen["figures"].as_array().unwrap().len();
+        let texts = seen["texts"].as_u64().unwrap();
+        assert!(figures > 0 && texts > 20, "{scheme}: {figures} figures, {texts} texts");
+        grounds.push(seen["ground"].as_str().unwrap().to_owned());
+        let address = format!("file://{}", page.display());
+        for event in &browser.events {
+            let (method, p) = (event["method"].as_str().unwrap_or(""), &event["params"]);
+            match method {
+                "Network.requestWillBeSent" => {
+                    let url = p["request"]["url"].as_str().unwrap();
+                    assert!(url == address || url.starts_with("data:"), "{scheme}: the page asks for {url}");
+                }
+                "Runtime.exceptionThrown" => panic!("{scheme}: {p}"),
+                "Runtime.consoleAPICalled" => {
+                    let kind = p["type"].as_str().unwrap();
+                    assert!(kind != "error" && kind != "warning", "{scheme}: {p}");
+                }
+                "Log.entryAdded" => panic!("{scheme}: {}", p["entry"]["text"]),
+                _ => {}
+            }
+        }
+        eprintln!("{scheme}, {width} px: {figures} figures, {texts} texts, no fault");
+    }
+    assert_ne!(grounds[0], grounds[1], "the dark is dark");
+}
+
+fn tempfile() -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("volant-report-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
+}
