@@ -9,7 +9,7 @@ use launch_config::{
 use marker_tracker::TrackerConfig;
 use pose_fusion::{FusionConfig, Model};
 use rig_model::Rig;
-use std::{fs, path::PathBuf, time::Duration};
+use std::{path::PathBuf, time::Duration};
 
 #[derive(clap::Args)]
 pub struct Arguments {
