@@ -194,6 +194,28 @@ fn lengths_beyond_the_bytes_at_hand_take_no_memory() {
     assert!(result.is_err() && largest < 1 << 16, "{largest}");
 }
 
+/// Found by the fuzzer: arithmetic below zero in the `mcap` crate.
+#[test]
+fn a_record_that_is_longer_than_its_chunk_is_damage() {
+    use launch_config::bag::BagReader;
+    let mut records = vec![3];
+    records.extend(200_u64.to_le_bytes());
+    records.extend([0; 40]);
+    let mut body = vec![0; 16];
+    body.extend((records.len() as u64).to_le_bytes());
+    body.extend([0; 8]);
+    body.extend((records.len() as u64).to_le_bytes());
+    body.extend(&records);
+    // What follows the chunk's records would do for the rest.
+    body.extend([0; 300]);
+    let mut file = b"\x89MCAP0\r\n\x06".to_vec();
+    file.extend((body.len() as u64).to_le_bytes());
+    file.extend(body);
+    let mut bag = BagReader::from_reader(std::path::Path::new("x.mcap"), std::io::Cursor::new(file)).unwrap();
+    assert!(bag.next_message().unwrap().is_none());
+    assert!(bag.losses()[0].contains("longer than the chunk"), "{:?}", bag.losses());
+}
+
 #[test]
 fn a_chunk_that_decompresses_without_end_is_refused() {
     use launch_config::bag::BagReader;

@@ -5,7 +5,7 @@
 
 use super::{
     BagError, BagMessage, Topic,
-    records::{self, Channel, Message, Schema, Statistics},
+    records::{self, Channel, Chunk, Message, Schema, Statistics},
 };
 use mcap::{
     records::{MessageHeader, op},
@@ -198,6 +198,51 @@ impl FileReader {
     /// Reads what is in a chunk, or in the beginning of one that is cut: `length` is what the record was meant to have.
     fn chunk(&mut self, body: &[u8], length: u64, at: u64, group: &mut Vec<BagMessage>) {
         let cut = (body.len() as u64) < length;
+        let before = group.len();
+        let result = match Chunk::parse(body) {
+            Some(chunk) if chunk.compression.is_empty() => self.plain_chunk(&chunk, cut, group),
+            _ => self.compressed_chunk(body, length, cut, group),
+        };
+        if let (Err(reason), false) = (result, cut) {
+            let kept = group.len() - before;
+            self.lose(format!(
+                "the chunk at byte {at} is damaged ({reason}); {kept} of its messages are used, the others are lost"
+            ));
+        }
+    }
+
+    /// The `mcap` crate counts on the records of such a chunk to end where it ends.
+    fn plain_chunk(
+        &mut self,
+        chunk: &Chunk<'_>,
+        cut: bool,
+        group: &mut Vec<BagMessage>,
+    ) -> Result<(), String> {
+        if !cut && chunk.checksum != 0 && crc32fast::hash(chunk.records) != chunk.checksum {
+            return Err("its checksum is wrong".to_owned());
+        }
+        let mut rest = chunk.records;
+        while !rest.is_empty() {
+            let record = rest.split_first_chunk::<9>().and_then(|([opcode, length @ ..], after)| {
+                let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+                Some((*opcode, after.split_at_checked(length)?))
+            });
+            let Some((opcode, (record, next))) = record else {
+                return Err("a record in it is longer than the chunk".to_owned());
+            };
+            self.channels.record(opcode, record, group)?;
+            rest = next;
+        }
+        Ok(())
+    }
+
+    fn compressed_chunk(
+        &mut self,
+        body: &[u8],
+        length: u64,
+        cut: bool,
+        group: &mut Vec<BagMessage>,
+    ) -> Result<(), String> {
         // The check sum stands for the whole chunk, which a cut one has not.
         let options = LinearReaderOptions::default()
             .with_skip_start_magic(true)
@@ -208,28 +253,19 @@ impl FileReader {
         let mut head = vec![op::CHUNK];
         head.extend_from_slice(&length.to_le_bytes());
         let mut input = head.chain(body);
-        let before = group.len();
-        let reason = loop {
+        loop {
             match reader.next_event() {
-                None => break None,
-                Some(Err(e)) => break Some(e.to_string()),
+                None => return Ok(()),
+                Some(Err(e)) => return Err(e.to_string()),
                 Some(Ok(LinearReadEvent::ReadRequest(need))) => {
                     // Never fails: both parts are in memory.
                     let read = input.read(reader.insert(need.min(GROUP))).unwrap_or(0);
                     reader.notify_read(read);
                 }
                 Some(Ok(LinearReadEvent::Record { opcode, data })) => {
-                    if let Err(reason) = self.channels.record(opcode, data, group) {
-                        break Some(reason);
-                    }
+                    self.channels.record(opcode, data, group)?;
                 }
             }
-        };
-        if let (Some(reason), false) = (reason, cut) {
-            let kept = group.len() - before;
-            self.lose(format!(
-                "the chunk at byte {at} is damaged ({reason}); {kept} of its messages are used, the others are lost"
-            ));
         }
     }
 }

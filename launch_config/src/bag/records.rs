@@ -94,6 +94,27 @@ impl<'a> Message<'a> {
     }
 }
 
+/// Records that belong together, compressed or not.
+pub(super) struct Chunk<'a> {
+    /// Of its records, decompressed; 0: none.
+    pub checksum: u32,
+    /// Empty: none.
+    pub compression: &'a str,
+    /// As many as there are, where the file is cut off.
+    pub records: &'a [u8],
+}
+
+impl<'a> Chunk<'a> {
+    pub fn parse(record: &'a [u8]) -> Option<Self> {
+        let mut f = Fields(record);
+        // Earliest and latest time, decompressed size.
+        f.take(3 * 8)?;
+        let (checksum, compression, length) = (f.u32()?, f.text()?, f.u64()?);
+        let length = usize::try_from(length).unwrap_or(usize::MAX);
+        Some(Self { checksum, compression, records: f.0.get(..length).unwrap_or(f.0) })
+    }
+}
+
 /// What a file says of its messages.
 pub(super) struct Statistics {
     pub messages: u64,

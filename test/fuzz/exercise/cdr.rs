@@ -52,9 +52,8 @@ macro_rules! types {
 
         /// A message of each type with nothing in it, preceded by its number.
         fn empty() -> Vec<Vec<u8>> {
-            let mut seeds = vec![];
-            $(seeds.push(seed(seeds.len(), &<$t>::default()));)*
-            seeds
+            let makers: &[fn(usize) -> Vec<u8>] = &[$(|number| seed(number, &<$t>::default())),*];
+            makers.iter().enumerate().map(|(number, make)| make(number)).collect()
         }
 
         fn number<M: Message>() -> usize {
