@@ -28,13 +28,16 @@ pub enum Output {
     Warning(Warning),
 }
 
+/// A stamp that is so much older than the one before is no late image: the camera's time was set back, s.
+const JUMP_BACK: f64 = 1.0;
+
 /// What was refused, and why.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum Warning {
     /// The image cannot be read.
     #[error("{0}")]
     Image(ImageError),
-    /// The image is not younger than the one before.
+    /// The image is not younger than the one before (and not so much older that time was set back).
     #[error("image stamped {stamp} is not younger than the one before ({previous}); it is left out")]
     StampFromThePast {
         /// Its stamp.
@@ -121,7 +124,9 @@ impl Tracker {
                     self.outputs.push_back(Output::Warning(Warning::Image(error)));
                     return;
                 }
-                if let Some(previous) = self.last_stamp.filter(|last| image.stamp <= *last) {
+                // A camera whose clock was put right, or a bag that is looped, goes on.
+                let late = |last: &Stamp| (0.0..JUMP_BACK).contains(&last.seconds_since(image.stamp));
+                if let Some(previous) = self.last_stamp.filter(late) {
                     self.outputs.push_back(Output::Warning(Warning::StampFromThePast {
                         stamp: image.stamp,
                         previous,

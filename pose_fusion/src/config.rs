@@ -65,8 +65,10 @@ pub struct TightConfig {
     pub camera_clock: f64,
     /// The camera clock's offset at the start, s: an image stamped t was taken at t plus this on the inertial unit's clock.
     pub camera_clock_offset: f64,
-    /// Uncertainty of the climber's clock against the camera's at the start, s; 0: they are the same.
+    /// Uncertainty of the climber's clock against the camera's where they are not one, s; 0: they are one.
     pub climber_clock: f64,
+    /// Probability, before the first datum, that the climber's and the camera's stamps come from one clock.
+    pub climber_clock_tied: f64,
     /// How the clock offsets wander, s/√s.
     pub clock_walk: f64,
     /// Largest factor by which the inertial noise may be found above the rig file's.
@@ -99,7 +101,8 @@ impl Default for TightConfig {
             climber_turn_jerk: 0.01,
             camera_clock: 0.05,
             camera_clock_offset: 0.0,
-            climber_clock: 0.0,
+            climber_clock: 0.05,
+            climber_clock_tied: 0.92,
             clock_walk: 1e-5,
             inertial_noise_limit: 30.0,
             rest_velocity: 0.002,

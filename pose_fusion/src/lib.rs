@@ -11,6 +11,8 @@ pub mod config;
 pub mod node;
 pub mod output;
 pub mod paper;
+#[cfg(feature = "node")]
+pub mod services;
 pub mod status;
 pub mod tight;
 pub mod visual;
@@ -18,6 +20,7 @@ pub mod visual;
 pub use config::{FusionConfig, Model, PaperConfig, TightConfig};
 pub use output::{MarkerOutcome, MarkerUpdateRecord, Odometry, Output, PoseEstimate, Warning};
 pub use status::Status;
+pub use tight::operator::{Checkpoint, Refusal};
 
 use paper::Paper;
 use rig_model::{CameraModel, ClimberSample, ImuSample, MarkerObservations, Rig};
@@ -106,6 +109,42 @@ impl Fusion {
         self.tight.reset();
         self.visual.reset();
         self.paper.reset();
+    }
+
+    /// Puts the platform at a pose (error-state filter): `world_from_volant` with its covariance, at a stamp of the newest
+    /// 0.6 s ([`TightConfig::history`]).
+    ///
+    /// # Errors
+    /// See [`Refusal`]; nothing is changed then.
+    pub fn set_pose(&mut self, pose: &PoseEstimate) -> Result<(), Refusal> {
+        self.tight.set_pose(pose, &mut self.outputs)
+    }
+
+    /// Everything that the error-state filter knows now.
+    ///
+    /// # Errors
+    /// There is no estimate.
+    pub fn checkpoint(&self) -> Result<Checkpoint, Refusal> {
+        self.tight.checkpoint()
+    }
+
+    /// Takes up what was known: all of it where the next inertial sample follows within 0.4 s, else clocks and biases, and
+    /// the next image gives the pose.
+    ///
+    /// # Errors
+    /// The checkpoint cannot be; nothing is changed then.
+    pub fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), Refusal> {
+        self.tight.restore(checkpoint)
+    }
+
+    /// Keeps from now on what [`Fusion::smoothed`] needs.
+    pub fn keep_for_smoothing(&mut self) {
+        self.tight.keep_archive();
+    }
+
+    /// The estimates that later data have smoothed and no more will change (error-state filter); at the `end` of the run all.
+    pub fn smoothed(&mut self, end: bool) -> Vec<Odometry> {
+        self.tight.smoothed(end)
     }
 
     /// Stops or resumes using markers (error-state filter): what is not used is still compared and recorded.

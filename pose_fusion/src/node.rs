@@ -4,6 +4,7 @@
 use crate::{
     Fusion, FusionConfig, Input, MarkerUpdateRecord, Model, Odometry, Output, PaperConfig, PoseEstimate,
     TightConfig, Warning,
+    services::{self, Request},
 };
 use node_kit::{
     Level, convert,
@@ -53,8 +54,10 @@ node_kit::parameters! {
         camera_clock: f64 = 0.05, unit("s"), range(0.0..=0.2), name("clock.camera");
         /// Camera clock's offset at the start: an image stamped t was taken at t plus this on the inertial unit's clock.
         camera_clock_offset: f64 = 0.0, unit("s"), range(-1.0..=1.0), name("clock.camera_offset");
-        /// Climber clock against the camera's at the start (1 sigma); 0 takes them as one.
-        climber_clock: f64 = 0.0, unit("s"), range(0.0..=1.0), name("clock.climber");
+        /// Climber clock against the camera's where they are not one (1 sigma); 0 takes them as one for certain.
+        climber_clock: f64 = 0.05, unit("s"), range(0.0..=0.2), name("clock.climber");
+        /// Probability at the start that climber and camera have one clock.
+        climber_clock_tied: f64 = 0.92, range(0.0..=1.0), name("clock.climber_tied");
         /// Velocity of a platform at rest for the zero-motion update (1 sigma); 0 switches it off.
         rest_velocity: f64 = 0.002, unit("m/s"), range(0.0..=1.0);
         /// Position uncertainty (1 sigma) beyond which the estimate is called lost.
@@ -65,6 +68,8 @@ node_kit::parameters! {
         paper_velocity_threshold: f64 = 1e-5, unit("m/s"), range(0.0..=1.0), name("paper.velocity_threshold");
         /// Takes the published filter's inertial velocity from the fused poses.
         paper_velocity_from_fused: bool = false, name("paper.velocity_from_fused");
+        /// Where ~/save_checkpoint writes what the filter knows and ~/load_checkpoint reads it; empty: nowhere.
+        checkpoint_file: String = "";
         /// Publish world -> volant on /tf.
         publish_tf: bool = true;
         /// Publish what became of each marker on volant/marker_updates.
@@ -96,6 +101,7 @@ impl FusionParameters {
                 camera_clock: self.camera_clock,
                 camera_clock_offset: self.camera_clock_offset,
                 climber_clock: self.climber_clock,
+                climber_clock_tied: self.climber_clock_tied,
                 rest_velocity: self.rest_velocity,
                 lost_position: self.lost_position,
                 ..TightConfig::default()
@@ -216,6 +222,8 @@ pub struct FusionNode {
 pub enum Event {
     /// An input of the filter.
     Input(Box<Input>),
+    /// Something that an operator asks.
+    Request(Request),
     /// A message that cannot be used, and why.
     Refused(String),
 }
@@ -266,6 +274,7 @@ impl NodeShell for FusionNode {
                 Err(error) => Some(Event::Refused(error.to_string())),
             },
         )?;
+        services::offer(kit, &frames)?;
         Ok(Self {
             fusion: Fusion::new(rig, parameters.config()),
             frames,
@@ -287,6 +296,12 @@ impl NodeShell for FusionNode {
                     self.camera_refused = None;
                 }
                 self.fusion.handle(*input);
+            }
+            Event::Request(request) => {
+                let done = services::answer(&mut self.fusion, request, &self.parameters.checkpoint_file);
+                if let Err(why) = done {
+                    kit.log_throttled(Level::Warn, "refused", &why);
+                }
             }
             Event::Refused(why) => {
                 kit.log_throttled(Level::Warn, "refused", &why);
@@ -381,6 +396,11 @@ impl NodeShell for FusionNode {
                 "camera clock (ms)",
                 format!("{:.2} +- {:.2}", s.camera_clock_offset * 1e3, s.camera_clock_sigma * 1e3),
             ),
+            (
+                "climber clock against the camera's (ms)",
+                format!("{:.2} +- {:.2}", s.climber_clock_offset * 1e3, s.climber_clock_sigma * 1e3),
+            ),
+            ("one clock for camera and climber (probability)", format!("{:.3}", s.climber_clock_tied)),
             ("accelerometer noise density", format!("{:.5}", s.accelerometer_noise_density)),
             ("gyroscope noise density", format!("{:.6}", s.gyroscope_noise_density)),
             ("pixel noise factor", format!("{:.2}", s.pixel_noise_factor)),

@@ -54,10 +54,12 @@ pub struct Status {
     pub camera_clock_sigma: f64,
     /// Hypotheses of the clock offset that are still open.
     pub clock_hypotheses: usize,
-    /// Climber clock offset, s.
+    /// Climber clock offset d, s: a reading stamped t was taken at t plus the camera clock's offset plus d.
     pub climber_clock_offset: f64,
     /// Its standard deviation, s.
     pub climber_clock_sigma: f64,
+    /// Probability that climber and camera have one clock (d = 0).
+    pub climber_clock_tied: f64,
     /// Accelerometer bias, imu axes, m/s².
     pub accelerometer_bias: Vector3<f64>,
     /// Gyroscope bias, imu axes, rad/s.

@@ -31,8 +31,9 @@ use volant_msgs::{Message, cdr, geometry_msgs::msg::PoseWithCovarianceStamped, n
 
 /// A gap longer than this counts (s).
 const GAP: f64 = 0.030;
-/// The three estimates, by their relative topic.
-pub const ESTIMATES: [&str; 3] = ["volant/odometry", "volant/fused_pose", "volant/visual_pose"];
+/// The estimates, by their relative topic; the last one is what `replay --smooth` adds.
+pub const ESTIMATES: [&str; 4] =
+    ["volant/odometry", "volant/fused_pose", "volant/visual_pose", "volant/smoothed_odometry"];
 const TRUTH: &str = "ground_truth/odometry";
 
 /// What is compared, and how.
@@ -186,7 +187,7 @@ pub fn evaluate(options: &EvaluateOptions) -> Result<Evaluation, EvaluateError> 
         began.get_or_insert(Stamp::from_nanos(i64::try_from(message.log_time).unwrap_or(0)));
         let Some(which) = topics.iter().position(|t| *t == message.topic.name) else { continue };
         let estimate = match which {
-            0 => read_odometry(&message.data),
+            0 | 3 => read_odometry(&message.data),
             1 => read_pose(&message.data).map(|mut e| {
                 (e.pose, e.covariance) = inverse(&e.pose, &e.covariance);
                 e

@@ -48,6 +48,8 @@ pub struct ReplayOptions {
     pub compression: Compression,
     /// Threads that decode images.
     pub workers: usize,
+    /// Adds `volant/smoothed_odometry`: every estimate with the knowledge of what came after it.
+    pub smooth: bool,
 }
 
 /// What a replay did.
@@ -134,10 +136,13 @@ pub fn replay(
     let (start, end) = summary.span.unwrap_or_default();
     let first = Stamp::from_nanos(i64::try_from(start).unwrap_or(0));
     let write = WriteOptions { compression: options.compression, replace: true, ..WriteOptions::default() };
-    let out = OutputBag::create(output, write, &options.names, &options.rig, first)?;
+    let out = OutputBag::create(output, write, &options.names, &options.rig, first, options.smooth)?;
     let tracker = Tracker::new(options.rig.markers.clone(), options.tracker.clone());
-    let fusion = Fusion::new(options.rig.clone(), options.fusion.clone());
-    let mut pipeline = Pipeline::new(options.rig.clone(), tracker, fusion, out);
+    let mut fusion = Fusion::new(options.rig.clone(), options.fusion.clone());
+    if options.smooth {
+        fusion.keep_for_smoothing();
+    }
+    let mut pipeline = Pipeline::new(options.rig.clone(), tracker, fusion, out, options.smooth);
     let mut feed = Feed::start(input, plan.images.clone(), plan.wanted(), options.workers)?;
     while let Some(fed) = feed.next()? {
         match fed {

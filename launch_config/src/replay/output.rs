@@ -9,6 +9,8 @@ use volant_msgs::{Message, cdr, geometry_msgs, msg, nav_msgs, tf2_msgs};
 
 /// Outputs come at most so much later than their stamp says (s); they wait here to be put in order.
 const PATIENCE: f64 = 2.0;
+/// Smoothed ones come later: a minute is smoothed at a time, with the knowledge of twenty seconds more.
+const PATIENCE_SMOOTHED: f64 = 90.0;
 
 /// Where the outputs go.
 #[derive(Debug)]
@@ -19,6 +21,7 @@ pub struct OutputBag {
     waiting: BinaryHeap<Reverse<(u64, u64, Entry)>>,
     count: u64,
     newest: u64,
+    patience: f64,
 }
 
 #[derive(Debug)]
@@ -31,6 +34,8 @@ struct Topics {
     updates: TopicId,
     tf: TopicId,
     tf_static: TopicId,
+    /// Only where it was asked for.
+    smoothed: Option<TopicId>,
 }
 
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -40,7 +45,7 @@ struct Entry {
 }
 
 impl OutputBag {
-    /// Begins the bag. `first` is when the run began.
+    /// Begins the bag. `first` is when the run began; `smooth`: there will be smoothed odometry.
     ///
     /// # Errors
     /// As [`BagWriter::create`].
@@ -50,6 +55,7 @@ impl OutputBag {
         names: &TopicNames,
         rig: &Rig,
         first: Stamp,
+        smooth: bool,
     ) -> Result<Self, BagError> {
         let mut bag = BagWriter::create(path, options)?;
         let qos = QosProfile::RELIABLE;
@@ -77,9 +83,23 @@ impl OutputBag {
                 &names.resolve("/tf_static"),
                 &QosProfile::LATCHED,
             )),
+            smoothed: smooth.then(|| {
+                bag.add_topic(Topic::of::<nav_msgs::msg::Odometry>(
+                    &names.resolve("volant/smoothed_odometry"),
+                    &qos,
+                ))
+            }),
         };
-        let mut output =
-            Self { bag, frames: rig.frames.clone(), topics, waiting: BinaryHeap::new(), count: 0, newest: 0 };
+        let patience = if smooth { PATIENCE_SMOOTHED } else { PATIENCE };
+        let mut output = Self {
+            bag,
+            frames: rig.frames.clone(),
+            topics,
+            waiting: BinaryHeap::new(),
+            count: 0,
+            newest: 0,
+            patience,
+        };
         output.put(output.topics.tf_static, first, &node_kit::convert::static_transforms(rig, first))?;
         Ok(output)
     }
@@ -108,24 +128,25 @@ impl OutputBag {
     /// # Errors
     /// As [`BagWriter::write`].
     pub fn odometry(&mut self, o: &Odometry) -> Result<(), BagError> {
-        use node_kit::convert::{odometry_message, pose_with_covariance_message, transform_message};
+        use node_kit::convert::{pose_with_covariance_message, transform_message};
         let (world, volant) = (self.frames.world.clone(), self.frames.volant.clone());
-        let message = odometry_message(
-            &world,
-            &volant,
-            o.stamp,
-            &o.world_from_volant,
-            &o.pose_covariance,
-            &o.linear_velocity,
-            &o.angular_velocity,
-            &o.twist_covariance,
-        );
+        let message = odometry_message(o, &self.frames);
         self.put(self.topics.odometry, o.stamp, &message)?;
         let fused = o.fused_pose();
         let message = pose_with_covariance_message(&volant, o.stamp, &fused.pose, &fused.covariance);
         self.put(self.topics.fused_pose, o.stamp, &message)?;
         let transform = transform_message(&world, &volant, o.stamp, &o.world_from_volant);
         self.put(self.topics.tf, o.stamp, &tf2_msgs::msg::TFMessage { transforms: vec![transform] })
+    }
+
+    /// `volant/smoothed_odometry`.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn smoothed(&mut self, o: &Odometry) -> Result<(), BagError> {
+        let Some(topic) = self.topics.smoothed else { return Ok(()) };
+        let message = odometry_message(o, &self.frames);
+        self.put(topic, o.stamp, &message)
     }
 
     /// `volant/visual_pose`.
@@ -170,7 +191,7 @@ impl OutputBag {
         self.count += 1;
         if time > self.newest {
             self.newest = time;
-            self.write_until(time.saturating_sub((PATIENCE * 1e9) as u64))?;
+            self.write_until(time.saturating_sub((self.patience * 1e9) as u64))?;
         }
         Ok(())
     }
@@ -183,6 +204,19 @@ impl OutputBag {
         }
         Ok(())
     }
+}
+
+fn odometry_message(o: &Odometry, frames: &Frames) -> nav_msgs::msg::Odometry {
+    node_kit::convert::odometry_message(
+        &frames.world,
+        &frames.volant,
+        o.stamp,
+        &o.world_from_volant,
+        &o.pose_covariance,
+        &o.linear_velocity,
+        &o.angular_velocity,
+        &o.twist_covariance,
+    )
 }
 
 fn marker_update(record: &MarkerUpdateRecord) -> msg::MarkerUpdate {

@@ -28,6 +28,8 @@ pub struct Counts {
     pub odometry: u64,
     /// Poses from one image alone.
     pub visual: u64,
+    /// Smoothed odometries.
+    pub smoothed: u64,
     /// Markers that updated the filter.
     pub used: u64,
     /// What was said, by kind: how often, and the first of it.
@@ -75,6 +77,7 @@ pub struct Pipeline {
     fusion: Fusion,
     camera: Option<CameraModel>,
     output: OutputBag,
+    smooth: bool,
     records: Vec<MarkerUpdateRecord>,
     /// What happened so far.
     pub counts: Counts,
@@ -84,13 +87,14 @@ pub struct Pipeline {
 
 impl Pipeline {
     /// Of cores that have not seen anything yet.
-    pub fn new(rig: Rig, tracker: Tracker, fusion: Fusion, output: OutputBag) -> Self {
+    pub fn new(rig: Rig, tracker: Tracker, fusion: Fusion, output: OutputBag, smooth: bool) -> Self {
         Self {
             rig,
             tracker,
             fusion,
             camera: None,
             output,
+            smooth,
             records: vec![],
             counts: Counts::default(),
             spent: Spent::default(),
@@ -222,10 +226,23 @@ impl Pipeline {
     ///
     /// # Errors
     /// The output cannot be written.
-    pub fn finish(self) -> Result<(Counts, Spent), BagError> {
+    pub fn finish(mut self) -> Result<(Counts, Spent), BagError> {
+        self.write_smoothed(true)?;
         let mut spent = self.spent;
         WorkWatch::add_to(&mut spent.output, || self.output.finish())?;
         Ok((self.counts, spent))
+    }
+
+    fn write_smoothed(&mut self, end: bool) -> Result<(), BagError> {
+        if self.smooth {
+            let fusion = &mut self.fusion;
+            let smoothed = WorkWatch::add_to(&mut self.spent.fusion, || fusion.smoothed(end));
+            for odometry in &smoothed {
+                self.counts.smoothed += 1;
+                self.output.smoothed(odometry)?;
+            }
+        }
+        Ok(())
     }
 
     fn observations(&mut self, observations: MarkerObservations) -> Result<(), BagError> {
@@ -234,7 +251,8 @@ impl Pipeline {
         self.counts.detected += detected as u64;
         let output = &mut self.output;
         WorkWatch::add_to(&mut self.spent.output, || output.markers(&observations))?;
-        self.fuse(pose_fusion::Input::Markers(observations))
+        self.fuse(pose_fusion::Input::Markers(observations))?;
+        self.write_smoothed(false)
     }
 
     fn fuse(&mut self, input: pose_fusion::Input) -> Result<(), BagError> {

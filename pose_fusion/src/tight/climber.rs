@@ -9,7 +9,7 @@ use super::{
     geometry::ClimberRest,
     markers::scalar_update,
     propagate::{Felt, retime},
-    state::{CLIMBER, CLIMBER_CLOCK, State},
+    state::{CLIMBER, CLIMBER_RATE, State},
 };
 use nalgebra::Vector3;
 
@@ -31,18 +31,20 @@ pub struct Reading {
 /// Equal readings in a row count as one down to this share.
 pub const STANDING: f64 = 8.0;
 
-/// Corrects `state` by a reading; returns the largest normalised innovation squared of the three.
-pub fn update(state: &mut State, reading: &Reading, gravity: f64) -> f64 {
-    let late = state.camera_clock + state.climber_clock - reading.clock;
+/// Corrects `state` by a reading of a clock that is `offset` seconds off the camera's; returns the largest normalised innovation squared of the three.
+pub fn update(state: &mut State, reading: &Reading, offset: f64, gravity: f64) -> f64 {
+    let late = state.camera_clock + offset - reading.clock;
     let clock = state.camera_clock;
     let mut worst: f64 = 0.0;
     for axis in 0..3 {
-        let expected = state.climber[axis] + state.climber_rate[axis] * late;
+        // The reading's own instant is `late` after the place that it was given.
+        let (rate, more) = (state.climber_rate[axis], state.climber_acceleration[axis]);
+        let expected = state.climber[axis] + (rate + more * (late / 2.0)) * late;
         let mut residual = reading.values[axis] - expected;
         if axis == 2 {
             residual = wrapped(residual);
         }
-        let h = [(CLIMBER + axis, 1.0), (CLIMBER_CLOCK, state.climber_rate[axis])];
+        let h = [(CLIMBER + axis, 1.0), (CLIMBER_RATE + axis, late)];
         worst = worst.max(scalar_update(state, &h, residual, reading.variance[axis]));
     }
     let moved = state.camera_clock - clock;
@@ -168,7 +170,7 @@ mod tests {
             for axis in 0..3 {
                 s.covariance[(CLIMBER + axis, CLIMBER + axis)] += 1e-8;
             }
-            update(&mut s, &reading, 9.81);
+            update(&mut s, &reading, 0.0, 9.81);
         }
         let sigma = s.covariance[(CLIMBER, CLIMBER)].sqrt();
         assert!(sigma > 0.0001, "{sigma}");

@@ -473,9 +473,7 @@ mod tests {
         let (mut state, geometry, mut sighting) = example();
         let truth = state.clone();
         state.covariance *= 100.0;
-        for i in 24..26 {
-            state.set_variance_of(i, 0.0);
-        }
+        state.set_variance_of(24, 0.0);
         let mut off = Error::zeros();
         off[0] = 0.05;
         off[7] = 0.05;

@@ -10,8 +10,8 @@
 //! not depend on the offset at all, and no product of two unknowns (speed and offset) has to be linearised.
 
 use super::state::{
-    ACCELEROMETER, ATTITUDE, CAMERA_CLOCK, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_CLOCK, CLIMBER_RATE,
-    Covariance, GYROSCOPE, N, POSITION, State, VELOCITY,
+    ACCELEROMETER, ATTITUDE, CAMERA_CLOCK, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_RATE, Covariance,
+    GYROSCOPE, N, POSITION, State, VELOCITY,
 };
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
@@ -35,7 +35,7 @@ impl Felt {
 }
 
 /// Power densities of what drives the state.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Process {
     /// Gravity, m/s².
     pub gravity: f64,
@@ -49,8 +49,8 @@ pub struct Process {
     pub gyroscope_bias: f64,
     /// Of the climber's jerk: x, y, turn.
     pub jerk: Vector3<f64>,
-    /// Of the clocks (camera, climber), s²/s.
-    pub clocks: [f64; 2],
+    /// Of the camera's clock, s²/s.
+    pub clock: f64,
 }
 
 /// Moves `state` by `dt` seconds with the mean of what is felt `from` one end `to` the other.
@@ -70,13 +70,40 @@ pub fn propagate(state: &mut State, from: &Felt, to: &Felt, dt: f64, process: &P
     state.climber += state.climber_rate * dt + state.climber_acceleration * (dt * dt / 2.0);
     state.climber_rate += state.climber_acceleration * dt;
     // F P Fᵀ as ((P Fᵀ)ᵀ Fᵀ): columns only, which lie together in memory; P is symmetric.
-    let by_attitude = -(force.cross_matrix() * dt);
-    let by_bias = -(rotation * dt);
-    let by_clock = [rotation * (to.force - from.force), rotation * (to.rate - from.rate)];
-    times_transition(&mut state.covariance, &by_attitude, &by_bias, &by_clock, dt);
+    let blocks = Blocks::new(rotation, &force, from, to, dt);
+    times_transition(&mut state.covariance, &blocks, dt);
     state.covariance.transpose_mut();
-    times_transition(&mut state.covariance, &by_attitude, &by_bias, &by_clock, dt);
+    times_transition(&mut state.covariance, &blocks, dt);
     add_noise(&mut state.covariance, dt, process);
+}
+
+/// The transition `F` of the error over that step, as a whole matrix.
+pub fn transition(state: &State, from: &Felt, to: &Felt, dt: f64) -> Covariance {
+    let felt = from.between(to, 0.5);
+    let half = UnitQuaternion::from_scaled_axis((felt.rate - state.gyroscope_bias) * (dt / 2.0));
+    let rotation = (state.attitude * half).to_rotation_matrix();
+    let rotation: &Matrix3<f64> = rotation.matrix();
+    let force = rotation * (felt.force - state.accelerometer_bias);
+    let mut f = Covariance::identity();
+    times_transition(&mut f, &Blocks::new(rotation, &force, from, to, dt), dt);
+    f.transpose()
+}
+
+/// The blocks of the transition that are neither zero, one nor the step itself.
+struct Blocks {
+    by_attitude: Matrix3<f64>,
+    by_bias: Matrix3<f64>,
+    by_clock: [Vector3<f64>; 2],
+}
+
+impl Blocks {
+    fn new(rotation: &Matrix3<f64>, force: &Vector3<f64>, from: &Felt, to: &Felt, dt: f64) -> Self {
+        Self {
+            by_attitude: -(force.cross_matrix() * dt),
+            by_bias: -(rotation * dt),
+            by_clock: [rotation * (to.force - from.force), rotation * (to.rate - from.rate)],
+        }
+    }
 }
 
 /// Moves the nominal state by `−seconds` along its own motion: the clock offset was corrected by `seconds`, so what was
@@ -93,13 +120,8 @@ pub fn retime(state: &mut State, felt: &Felt, seconds: f64, gravity: f64) {
 }
 
 /// `P ← P Fᵀ`, by columns.
-fn times_transition(
-    p: &mut Covariance,
-    by_attitude: &Matrix3<f64>,
-    by_bias: &Matrix3<f64>,
-    by_clock: &[Vector3<f64>; 2],
-    dt: f64,
-) {
+fn times_transition(p: &mut Covariance, blocks: &Blocks, dt: f64) {
+    let Blocks { by_attitude, by_bias, by_clock } = blocks;
     // One column at a time as plain arrays: the compiler vectorises these loops.
     let columns = p.as_mut_slice();
     let (body, climber) = columns.split_at_mut(CLIMBER * N);
@@ -171,8 +193,7 @@ fn add_noise(p: &mut Covariance, dt: f64, process: &Process) {
         add(r, a, q * dt2 / 2.0);
         add(a, a, q * dt);
     }
-    p[(CAMERA_CLOCK, CAMERA_CLOCK)] += process.clocks[0] * dt;
-    p[(CLIMBER_CLOCK, CLIMBER_CLOCK)] += process.clocks[1] * dt;
+    p[(CAMERA_CLOCK, CAMERA_CLOCK)] += process.clock * dt;
 }
 
 #[cfg(test)]
@@ -196,7 +217,7 @@ mod tests {
             accelerometer_bias: 0.0,
             gyroscope_bias: 0.0,
             jerk: Vector3::zeros(),
-            clocks: [0.0; 2],
+            clock: 0.0,
         };
         (s, felt, process)
     }

@@ -8,8 +8,8 @@ use super::{
     geometry::{ClimberRest, Geometry},
     markers::{Gates, Report, Sighting, scalar_update, update},
     state::{
-        ACCELEROMETER, ATTITUDE, CAMERA_CLOCK, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_CLOCK, CLIMBER_RATE,
-        GYROSCOPE, POSITION, State, VELOCITY,
+        ACCELEROMETER, ATTITUDE, CAMERA_CLOCK, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_RATE, GYROSCOPE,
+        POSITION, State, VELOCITY,
     },
 };
 use crate::config::TightConfig;
@@ -79,19 +79,12 @@ pub fn hypotheses(
         let mut state = State::zero();
         state.position = world_from_imu.translation.vector;
         state.attitude = world_from_imu.rotation;
-        state.climber = climber.values;
-        state.climber_rate = climber.rates;
         state.camera_clock = sighting.clock;
         // A prior so wide that the image decides, centred on its own solution so that nothing bends.
         state.set_variance(POSITION, &Vector3::repeat(2.0));
         state.set_variance(VELOCITY, &Vector3::repeat(config.initial_velocity));
         state.set_variance(ATTITUDE, &Vector3::repeat(1.0));
-        state.set_variance(ACCELEROMETER, &Vector3::repeat(config.accelerometer_bias));
-        state.set_variance(GYROSCOPE, &Vector3::repeat(config.gyroscope_bias));
-        state.set_variance(CLIMBER, &climber.sigma);
-        state.set_variance(CLIMBER_RATE, &climber.rate_sigma);
-        state.set_variance(CLIMBER_ACCELERATION, &Vector3::new(0.5, 0.5, 0.3));
-        set_clocks(&mut state, config);
+        unknown(&mut state, config, climber);
         if let Some(up) = up {
             // up = R u: its x and y in the world are zero; ∂(R u)/∂δθ = −[R u]×.
             let v = state.attitude * up.in_imu;
@@ -113,10 +106,16 @@ pub fn hypotheses(
     starts
 }
 
-/// The clocks as unknown as the configuration says.
-pub fn set_clocks(state: &mut State, config: &TightConfig) {
+/// The climber as its encoders have it, biases and clock as unknown as the configuration says.
+pub fn unknown(state: &mut State, config: &TightConfig, climber: &ClimberStart) {
+    state.climber = climber.values;
+    state.climber_rate = climber.rates;
+    state.set_variance(ACCELEROMETER, &Vector3::repeat(config.accelerometer_bias));
+    state.set_variance(GYROSCOPE, &Vector3::repeat(config.gyroscope_bias));
+    state.set_variance(CLIMBER, &climber.sigma);
+    state.set_variance(CLIMBER_RATE, &climber.rate_sigma);
+    state.set_variance(CLIMBER_ACCELERATION, &Vector3::new(0.5, 0.5, 0.3));
     state.set_variance_of(CAMERA_CLOCK, config.camera_clock * config.camera_clock);
-    state.set_variance_of(CLIMBER_CLOCK, config.climber_clock * config.climber_clock);
 }
 
 /// The world's up from an attitude of the unit.

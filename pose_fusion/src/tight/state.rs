@@ -11,7 +11,10 @@
 //! | 18–20 | δċ | per s | their rates |
 //! | 21–23 | δc̈ | per s² | their accelerations |
 //! | 24 | δτ_c | s | camera clock: an image stamped t was taken at t + τ_c of the inertial unit's clock |
-//! | 25 | δd | s | climber clock: a reading stamped t was taken at t + τ_c + d |
+//!
+//! A reading of the climber stamped t was taken at t + τ_c + d. The offset d is no part of the state: each filter takes it as
+//! given, and filters side by side tell it (see [`super::tie`]). As a state it is multiplied by the climber's speed, and a
+//! filter that estimates both made up information from that product: ten seconds of rest "showed" it to 2 ms.
 //!
 //! **Which instant.** The nominal state lives on the inertial unit's clock, its error on the camera's: δp compares the truth and
 //! the estimate at the instant that a camera's stamp names, wherever that is on the inertial unit's clock. The clock
@@ -26,7 +29,7 @@
 use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
 
 /// Dimension of the error.
-pub const N: usize = 26;
+pub const N: usize = 25;
 /// First index of the position.
 pub const POSITION: usize = 0;
 /// First index of the velocity.
@@ -45,8 +48,6 @@ pub const CLIMBER_RATE: usize = 18;
 pub const CLIMBER_ACCELERATION: usize = 21;
 /// Index of the camera's clock.
 pub const CAMERA_CLOCK: usize = 24;
-/// Index of the climber's clock.
-pub const CLIMBER_CLOCK: usize = 25;
 
 /// Covariance of the error.
 pub type Covariance = SMatrix<f64, N, N>;
@@ -74,8 +75,6 @@ pub struct State {
     pub climber_acceleration: Vector3<f64>,
     /// Camera clock offset τ_c, s.
     pub camera_clock: f64,
-    /// Climber clock offset τ_e, s.
-    pub climber_clock: f64,
     /// Covariance of the error.
     pub covariance: Covariance,
 }
@@ -93,7 +92,6 @@ impl State {
             climber_rate: Vector3::zeros(),
             climber_acceleration: Vector3::zeros(),
             camera_clock: 0.0,
-            climber_clock: 0.0,
             covariance: Covariance::zeros(),
         }
     }
@@ -111,7 +109,6 @@ impl State {
         self.climber_rate += three(CLIMBER_RATE);
         self.climber_acceleration += three(CLIMBER_ACCELERATION);
         self.camera_clock += error[CAMERA_CLOCK];
-        self.climber_clock += error[CLIMBER_CLOCK];
     }
 
     /// `self ⊟ other`: the error that leads from `other` to `self`.
@@ -127,7 +124,6 @@ impl State {
         put(CLIMBER_RATE, self.climber_rate - other.climber_rate);
         put(CLIMBER_ACCELERATION, self.climber_acceleration - other.climber_acceleration);
         e[CAMERA_CLOCK] = self.camera_clock - other.camera_clock;
-        e[CLIMBER_CLOCK] = self.climber_clock - other.climber_clock;
         e
     }
 

@@ -10,5 +10,6 @@ pub mod rig {
 }
 
 pub mod bags;
+pub mod bound;
 pub mod scoring;
 pub mod simulated;

@@ -33,6 +33,10 @@ pub struct Arguments {
     /// How the output is compressed
     #[arg(long, value_enum, default_value = "zstd")]
     compression: Compression,
+    /// Adds volant/smoothed_odometry: forwards and backwards over the bag, every estimate with the knowledge of what came
+    /// after it
+    #[arg(long)]
+    smooth: bool,
     /// Threads that decode images; as many as there are cores without it
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
@@ -70,7 +74,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         names: TopicNames::new(&arguments.namespace, &arguments.remap)?,
         compression: arguments.compression,
         workers,
+        smooth: arguments.smooth,
     };
+    anyhow::ensure!(
+        !arguments.smooth || matches!(arguments.model, ModelName::Tight),
+        "--smooth needs the error-state filter: leave --model paper out"
+    );
     let bytes = BagReader::summary(&arguments.input)?.bytes;
     let bar = say::progress("replay", bytes);
     let result = replay(&options, |read, _| bar.set_position(read));
@@ -115,6 +124,9 @@ fn summary(report: &ReplayReport, workers: usize) -> String {
         share(c.odometry_settled, c.imu_settled),
         c.longest_gap * 1e3
     );
+    if c.smoothed > 0 {
+        out += &format!("smoothed  {} odometries\n", c.smoothed);
+    }
     out += &format!(
         "time      {:.2} s for {:.2} s: {:.1} x real time, {workers} decoding thread{}\n",
         wall,

@@ -1,0 +1,54 @@
+//! Forwards and backwards over the recorded runs: better than what could be said at the time, and the covariance knows.
+//!
+//! The recordings are found through `VOLANT_SHARED`; without it this test says that it is skipped.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::print_stdout)]
+
+use launch_config::{
+    evaluate::{EvaluateOptions, evaluate},
+    replay::TopicNames,
+};
+use std::{path::Path, process::Command};
+use tempfile::TempDir;
+
+#[test]
+fn smoothed_odometry_is_nearer_and_knows_how_near() {
+    let Ok(shared) = std::env::var("VOLANT_SHARED") else {
+        eprintln!("skipped: VOLANT_SHARED (the folder with the recorded bags) is not set");
+        return;
+    };
+    let dir = TempDir::new().unwrap();
+    for name in ["nominal", "occlude_two", "fast_swing", "clutter"] {
+        let bag = Path::new(&shared).join("bags").join(name);
+        let out = dir.path().join(name).with_extension("mcap");
+        let output = Command::new(env!("CARGO_BIN_EXE_volant"))
+            .args(["replay".as_ref(), bag.join("in.mcap").as_os_str(), "--rig".as_ref()])
+            .args([bag.join("rig.yaml").as_os_str(), "--out".as_ref(), out.as_os_str(), "--smooth".as_ref()])
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+        let options = EvaluateOptions {
+            estimates: out,
+            truth: bag.join("truth.mcap"),
+            skip: 1.0,
+            names: TopicNames::default(),
+        };
+        let found = evaluate(&options).unwrap().estimates;
+        let of = |topic: &str| found.iter().find(|q| q.estimate == topic).unwrap();
+        let (live, smooth) = (of("volant/odometry"), of("volant/smoothed_odometry"));
+        println!(
+            "{name:12} live {:.3} mm {:.4} deg; smoothed {:.3} mm {:.4} deg, max {:.2} mm, NEES {:.2} {:.2}",
+            live.position_mm.rmse,
+            live.rotation_deg.rmse,
+            smooth.position_mm.rmse,
+            smooth.rotation_deg.rmse,
+            smooth.position_mm.max,
+            smooth.nees_position.unwrap(),
+            smooth.nees_rotation.unwrap()
+        );
+        assert!(smooth.count + 3 >= live.count, "{} of {}", smooth.count, live.count);
+        assert!(smooth.position_mm.rmse < live.position_mm.rmse, "{name}");
+        assert!(smooth.rotation_deg.rmse < live.rotation_deg.rmse, "{name}");
+        let consistent = |nees: Option<f64>| (0.5..6.0).contains(&nees.unwrap());
+        assert!(consistent(smooth.nees_position) && consistent(smooth.nees_rotation), "{name}");
+    }
+}

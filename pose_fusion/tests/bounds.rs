@@ -1,0 +1,224 @@
+//! The filter against the best that any causal filter can do, and its covariance over many runs.
+//!
+//! The bound is a Riccati recursion of its own, linearised at the truth (`common/bound.rs`).
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)] // test code, outside of #[test]
+mod common;
+
+use common::{
+    bound::{self, Scene},
+    rig::{
+        inertial::{Message, SensorConfig, Sensors},
+        motion::{Motion, MotionConfig},
+    },
+    scoring, simulated,
+};
+use nalgebra::{Matrix3, Vector3};
+use pose_fusion::{Fusion, FusionConfig, Input, Odometry};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Squared errors of the filter and what the bound has for them, over a run.
+#[derive(Clone, Copy, Debug, Default)]
+struct Against {
+    position: [f64; 2],
+    rotation: [f64; 2],
+    /// Largest time from an inertial sample's arrival to the newest odometry's stamp, in inertial periods.
+    age: f64,
+}
+
+impl Against {
+    fn add(&mut self, other: &Against) {
+        for k in 0..2 {
+            self.position[k] += other.position[k];
+            self.rotation[k] += other.rotation[k];
+        }
+        self.age = self.age.max(other.age);
+    }
+
+    /// RMSE over the bound's: position, rotation.
+    fn ratios(&self) -> (f64, f64) {
+        let ratio = |x: [f64; 2]| (x[0] / x[1]).sqrt();
+        (ratio(self.position), ratio(self.rotation))
+    }
+}
+
+fn in_parallel<T: Send>(seeds: std::ops::Range<u64>, work: impl Fn(u64) -> T + Sync) -> Vec<T> {
+    let next = AtomicUsize::new(seeds.start as usize);
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads)
+            .map(|_| {
+                scope.spawn(|| {
+                    let mut found = Vec::new();
+                    loop {
+                        let seed = next.fetch_add(1, Ordering::Relaxed) as u64;
+                        if seed >= seeds.end {
+                            return found;
+                        }
+                        found.push((seed, work(seed)));
+                    }
+                })
+            })
+            .collect();
+        let mut found: Vec<(u64, T)> = workers.into_iter().flat_map(|w| w.join().unwrap()).collect();
+        found.sort_by_key(|(seed, _)| *seed);
+        found.into_iter().map(|(_, t)| t).collect()
+    })
+}
+
+/// One run against its bound, from `from` seconds on.
+fn against(motion: MotionConfig, sensors: &SensorConfig, config: &FusionConfig, from: f64) -> Against {
+    let motion = Motion::new(motion);
+    let (rig, camera) = (simulated::rig(), simulated::camera());
+    let recording = Sensors::new(&motion, &rig, &camera, sensors).record();
+    let mut fusion = Fusion::new(rig.clone(), config.clone());
+    fusion.handle(Input::Camera(camera.clone()));
+    let mut odometry: Vec<Odometry> = Vec::new();
+    let mut against = Against::default();
+    for (_, message) in &recording {
+        let input = match message.clone() {
+            Message::Imu(s) => Input::Imu(s),
+            Message::Markers(s) => Input::Markers(s),
+            Message::Climber(s) => Input::Climber(s),
+        };
+        let newest = odometry.last().map(|o| o.stamp);
+        let said = scoring::run(&mut fusion, [input]);
+        if let (Message::Imu(s), true) = (message, newest.is_some()) {
+            let last = said.odometry.last().map_or(newest.unwrap(), |o| o.stamp);
+            against.age = against.age.max(s.stamp.seconds_since(last) * sensors.imu_rate);
+        }
+        odometry.extend(said.odometry);
+    }
+    let scene = Scene { motion: &motion, rig: &rig, camera: &camera, sensors };
+    for best in bound::bound(&scene, &recording, &config.tight, 10) {
+        if best.time < from {
+            continue;
+        }
+        let stamp = sensors.epoch.plus_seconds(best.time);
+        let Some(o) = odometry.iter().find(|o| o.stamp.seconds_since(stamp).abs() < 1e-5) else {
+            panic!("nothing was said at {}", best.time)
+        };
+        let truth = motion.world_from_volant(o.stamp.seconds_since(sensors.epoch));
+        let (p, r) = scoring::errors(&o.world_from_volant, &truth);
+        against.position[0] += p.norm_squared();
+        against.position[1] += best.position.trace();
+        against.rotation[0] += r.norm_squared();
+        against.rotation[1] += best.rotation.trace();
+    }
+    against
+}
+
+fn row(
+    name: &str,
+    limit: f64,
+    seeds: u64,
+    motion: impl Fn(u64) -> MotionConfig + Sync,
+    sensors: impl Fn(u64) -> SensorConfig + Sync,
+) {
+    let runs =
+        in_parallel(0..seeds, |seed| against(motion(seed), &sensors(seed), &FusionConfig::default(), 6.0));
+    let mut all = Against::default();
+    let mut spread = (f64::INFINITY, 0.0f64);
+    for run in &runs {
+        all.add(run);
+        spread = (spread.0.min(run.ratios().0), spread.1.max(run.ratios().0));
+    }
+    let (position, rotation) = all.ratios();
+    println!(
+        "{name}: {seeds} runs, RMSE over the bound: position {position:.3} ({:.2} to {:.2}), rotation {rotation:.3}; \
+         output older than the newest sample by {:.2} periods at most",
+        spread.0, spread.1, all.age
+    );
+    assert!(position <= limit && rotation <= limit, "{name}: {position:.3} {rotation:.3}");
+    assert!(all.age <= 1.0, "{name}: {}", all.age);
+}
+
+fn runs() -> u64 {
+    // More where there is time: VOLANT_RUNS=200.
+    std::env::var("VOLANT_RUNS").ok().and_then(|n| n.parse().ok()).unwrap_or(24)
+}
+
+#[test]
+fn with_the_true_centroids_and_a_tenth_of_a_pixel_it_is_as_good_as_can_be() {
+    let motion = |seed| MotionConfig { duration: 16.0, ..MotionConfig::nominal(seed) };
+    row("0.1 px", 1.05, runs(), motion, SensorConfig::nominal);
+}
+
+#[test]
+fn delays_jitter_and_reordering_cost_no_more_than_they_must() {
+    row(
+        "images 0 to 300 ms late, out of order",
+        1.1,
+        runs(),
+        |seed| MotionConfig { duration: 16.0, ..MotionConfig::nominal(seed) },
+        |seed| SensorConfig {
+            image_delay: [0.0, 0.3],
+            climber_delay: [0.0, 0.06],
+            ..SensorConfig::nominal(seed)
+        },
+    );
+}
+
+#[test]
+fn a_noisy_late_climber_is_smoothed_as_well_as_can_be() {
+    row(
+        "climber 0.5 m/s, 50 ms late, 2 mm and 0.2 deg noise",
+        1.2,
+        runs(),
+        |seed| MotionConfig { climber_speed: 0.5, duration: 16.0, ..MotionConfig::nominal(seed) },
+        |seed| SensorConfig {
+            climber_noise: [0.002, 0.2_f64.to_radians()],
+            climber_delay: [0.05, 0.055],
+            ..SensorConfig::nominal(seed)
+        },
+    );
+}
+
+/// Normalised squared errors of position, velocity and attitude every tenth of a second.
+fn nees(seed: u64) -> Vec<[f64; 3]> {
+    let sensors = SensorConfig::nominal(seed);
+    let run = simulated::run(MotionConfig::nominal(seed), &sensors);
+    let mut config = FusionConfig::default();
+    // The biases are drawn from these.
+    config.tight.accelerometer_bias = 0.03;
+    config.tight.gyroscope_bias = 0.008;
+    let mut fusion = Fusion::new(simulated::rig(), config);
+    let said = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    let mut found = Vec::new();
+    for tenth in 20..118 {
+        let at = sensors.epoch.plus_seconds(f64::from(tenth) / 10.0);
+        let o = said.odometry.iter().find(|o| o.stamp >= at).unwrap();
+        let k = run.motion.kinematics(o.stamp.seconds_since(sensors.epoch));
+        let (p, r) = scoring::errors(&o.world_from_volant, &k.world_from_volant);
+        let v = k.world_from_volant.rotation.inverse() * k.velocity - o.linear_velocity;
+        let square = |e: Vector3<f64>, c: Matrix3<f64>| e.dot(&c.cholesky().unwrap().solve(&e));
+        found.push([
+            square(p, o.pose_covariance.fixed_view::<3, 3>(0, 0).into_owned()),
+            square(v, o.twist_covariance.fixed_view::<3, 3>(0, 0).into_owned()),
+            square(r, o.pose_covariance.fixed_view::<3, 3>(3, 3).into_owned()),
+        ]);
+    }
+    found
+}
+
+#[test]
+fn over_fifty_runs_the_covariance_is_that_of_the_errors() {
+    let runs = in_parallel(100..150, nees);
+    // χ² with 150 degrees of freedom, 2.5 % and 97.5 %, over 50.
+    let (low, high) = (117.985 / 50.0, 185.800 / 50.0);
+    let times = runs[0].len();
+    for (k, name) in ["position", "velocity", "attitude"].into_iter().enumerate() {
+        let averages: Vec<f64> =
+            (0..times).map(|t| runs.iter().map(|r| r[t][k]).sum::<f64>() / 50.0).collect();
+        let share =
+            |f: &dyn Fn(f64) -> bool| averages.iter().filter(|a| f(**a)).count() as f64 / times as f64;
+        let (below, above) = (share(&|a| a < low), share(&|a| a > high));
+        let mean = averages.iter().sum::<f64>() / times as f64;
+        println!(
+            "{name}: ANEES {mean:.2} (3 at best), inside [{low:.2}, {high:.2}] {:.0} % of the time, {:.0} % below, {:.0} % above",
+            100.0 * (1.0 - below - above),
+            100.0 * below,
+            100.0 * above
+        );
+        assert!(above <= 0.1, "{name} is worse than it says: {above}");
+    }
+}

@@ -1,0 +1,127 @@
+//! Three clocks that nobody ties together: the camera's and the climber's against the inertial unit's, each for itself.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)] // test code, outside of #[test]
+mod common;
+
+use common::{
+    bags,
+    rig::{inertial::SensorConfig, motion::MotionConfig},
+    scoring::{self, Score},
+    simulated,
+};
+use pose_fusion::{Fusion, FusionConfig, Input, Status};
+use rig_model::Stamp;
+
+/// The score of the whole run after the first second, that after ten, and what the filter knows at the end.
+fn follow(motion: MotionConfig, sensors: &SensorConfig, config: FusionConfig) -> (Score, Score, Status) {
+    let run = simulated::run(motion, sensors);
+    let mut fusion = Fusion::new(simulated::rig(), config);
+    let said = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    (
+        scoring::score(&said.odometry, &run.truth, 1.0),
+        scoring::score(&said.odometry, &run.truth, 10.0),
+        fusion.status(),
+    )
+}
+
+fn tied() -> FusionConfig {
+    let mut config = FusionConfig::default();
+    config.tight.climber_clock = 0.0;
+    config
+}
+
+fn print(name: &str, score: &Score, s: &Status) {
+    println!(
+        "{name:34} {score}  camera {:+6.2} ± {:5.2} ms, climber {:+6.2} ± {:5.2} ms, one clock {:.3}",
+        s.camera_clock_offset * 1e3,
+        s.camera_clock_sigma * 1e3,
+        s.climber_clock_offset * 1e3,
+        s.climber_clock_sigma * 1e3,
+        s.climber_clock_tied,
+    );
+}
+
+/// Camera and climber ahead of the inertial unit, s.
+const AHEAD: [(f64, f64); 6] =
+    [(0.04, 0.0), (0.0, -0.03), (-0.05, 0.0), (0.0, 0.06), (0.06, -0.04), (-0.1, -0.02)];
+
+#[test]
+fn whichever_clock_is_off_the_covariance_knows_after_ten_seconds_of_motion() {
+    for (camera, climber) in AHEAD {
+        let (mut position, mut rotation, seeds) = (0.0, 0.0, 4);
+        for seed in 1..=seeds {
+            let sensors = SensorConfig {
+                camera_clock_ahead: camera,
+                climber_clock_ahead: climber,
+                ..SensorConfig::nominal(seed)
+            };
+            let motion = MotionConfig { duration: 25.0, ..MotionConfig::nominal(seed) };
+            let (_, late, status) = follow(motion, &sensors, FusionConfig::default());
+            print(&format!("camera {camera:+.2}, climber {climber:+.2}"), &late, &status);
+            let (p, r) = late.nees();
+            // One run's offset is one draw: alone it may be three sigmas off, on the average of the seeds not.
+            assert!(p < 12.0 && r < 12.0, "{late}");
+            position += p / seeds as f64;
+            rotation += r / seeds as f64;
+            assert!(late.position_rmse() < 5.0, "{late}");
+            assert!((status.camera_clock_offset + camera).abs() < 1e-3, "{status:?}");
+            let off = (status.climber_clock_offset - (camera - climber)).abs();
+            assert!(off < 4.0 * status.climber_clock_sigma + 1e-3, "{status:?}");
+        }
+        println!("    NEES over the seeds {position:.2} {rotation:.2}");
+        assert!(position < 6.0 && rotation < 6.0, "{position} {rotation}");
+    }
+}
+
+#[test]
+fn where_the_clocks_agree_their_estimation_costs_two_percent_at_most() {
+    for seed in 1..=4 {
+        let both = || (MotionConfig::nominal(seed), SensorConfig::nominal(seed));
+        let (motion, sensors) = both();
+        let (free, _, status) = follow(motion, &sensors, FusionConfig::default());
+        let (motion, sensors) = both();
+        let (tied, _, _) = follow(motion, &sensors, tied());
+        print("together, found", &free, &status);
+        println!("{:34} {tied}", "together, told");
+        assert!(free.position_rmse() < 1.02 * tied.position_rmse() + 0.005, "{free}");
+        assert!(free.rotation_rmse() < 1.02 * tied.rotation_rmse() + 1e-3, "{free}");
+        assert!(free.nees().0 > 0.8 && free.nees().1 > 0.8, "{free}");
+    }
+}
+
+#[test]
+fn without_motion_neither_offset_is_known() {
+    let sensors = SensorConfig { climber_clock_ahead: 0.04, ..SensorConfig::nominal(1) };
+    let (score, _, status) = follow(MotionConfig::rest(1), &sensors, FusionConfig::default());
+    print("at rest", &score, &status);
+    assert!(status.camera_clock_sigma > 0.01 && status.climber_clock_sigma > 0.01);
+    assert!(score.position_rmse() < 1.0);
+}
+
+/// A recorded run with the stamps of the camera and the climber moved.
+fn moved(name: &str, camera: f64, climber: f64) -> Option<(Score, Score, Status)> {
+    let mut bag = bags::read(name, 0.1, 1)?;
+    for (_, input) in &mut bag.inputs {
+        let shift = |stamp: &mut Stamp, by: f64| *stamp = stamp.plus_seconds(by);
+        match input {
+            Input::Markers(m) => shift(&mut m.stamp, camera),
+            Input::Climber(c) => shift(&mut c.stamp, climber),
+            _ => {}
+        }
+    }
+    let mut fusion = Fusion::new(bag.rig.clone(), FusionConfig::default());
+    let said = scoring::run(&mut fusion, bag.inputs.iter().map(|(_, i)| i.clone()));
+    let from = |t| scoring::score(&said.odometry, &bag.truth, t);
+    Some((from(1.0), from(10.0), fusion.status()))
+}
+
+#[test]
+fn a_recorded_run_with_one_clock_moved_is_no_confident_lie() {
+    for name in ["nominal", "occlude_two", "clutter", "fast_swing"] {
+        for (camera, climber) in [(0.0, 0.0), (0.04, 0.0), (0.0, -0.03)] {
+            let Some((all, late, status)) = moved(name, camera, climber) else { return };
+            print(&format!("{name} {camera:+.2} {climber:+.2}"), &late, &status);
+            println!("{:34} {all}", "   from 1 s on");
+            assert!(late.nees().0 < 6.0 && late.nees().1 < 6.0, "{late}");
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! What a step costs, in units of a dense 15×15 product in the same run, and that it allocates nothing.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)] // test code, outside of #[test]
+#![allow(unsafe_code)] // a counting allocator is an unsafe trait
+#![allow(clippy::disallowed_methods)] // this is a stopwatch
+mod common;
+
+use common::{
+    rig::{inertial::SensorConfig, motion::MotionConfig},
+    simulated,
+};
+use nalgebra::SMatrix;
+use pose_fusion::{
+    FusionConfig, Input, Output,
+    tight::{
+        bank::Bank,
+        geometry::{ClimberRest, Geometry},
+        markers::{self, Gates, Sighting},
+        propagate::{Felt, Process, propagate},
+        state::State,
+    },
+};
+use std::{
+    alloc::{GlobalAlloc, Layout, System},
+    cell::Cell,
+    collections::VecDeque,
+    hint::black_box,
+    time::Instant,
+};
+
+thread_local! {
+    static COUNT: Cell<u64> = const { Cell::new(0) };
+}
+
+struct Counting;
+
+// SAFETY: everything is handed to the system's allocator as it came.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let _ = COUNT.try_with(|c| c.set(c.get() + 1));
+        // SAFETY: the caller keeps the allocator's contract.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller keeps the allocator's contract.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn allocations(work: impl FnOnce()) -> u64 {
+    let before = COUNT.with(Cell::get);
+    work();
+    COUNT.with(Cell::get) - before
+}
+
+fn process() -> Process {
+    Process {
+        gravity: 9.81,
+        force: 4e-6,
+        rate: 7.6e-7,
+        accelerometer_bias: 9e-8,
+        gyroscope_bias: 2.5e-9,
+        jerk: nalgebra::Vector3::new(0.05, 0.05, 0.01),
+        clock: 1e-10,
+    }
+}
+
+/// A state as it is in the middle of a run, and an image of four markers two pixels off (so that it is iterated).
+fn example() -> (State, Geometry, Sighting) {
+    let mut state = State::zero();
+    state.position = nalgebra::Vector3::new(0.1, 0.05, 1.4);
+    state.velocity = nalgebra::Vector3::new(0.4, -0.3, 0.1);
+    state.attitude = nalgebra::UnitQuaternion::from_euler_angles(0.2, -0.1, 0.5);
+    for i in 0..pose_fusion::tight::state::N {
+        state.covariance[(i, i)] = 1e-6;
+    }
+    for _ in 0..50 {
+        propagate(&mut state, &felt(0.0), &felt(0.1), 0.01, &process());
+    }
+    let geometry = Geometry::new(&simulated::rig(), simulated::camera());
+    let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+    let camera = rest.join(&state.climber) * geometry.climber_from_camera;
+    let volant =
+        nalgebra::Isometry3::from_parts(state.position.into(), state.attitude) * geometry.imu_from_volant;
+    let mut sighting = Sighting { pixels: [None; 4], clock: 0.0, felt: felt(0.0), rest };
+    for color in rig_model::MarkerColor::ALL {
+        let seen = geometry
+            .markers
+            .projected_centroid(color, &geometry.camera, &(camera.inverse() * volant))
+            .unwrap();
+        let off = nalgebra::Vector2::new(0.3, -0.2);
+        sighting.pixels[color.index()] = Some((seen.pixel + off, nalgebra::Matrix2::identity() * 0.0109));
+    }
+    (state, geometry, sighting)
+}
+
+fn felt(change: f64) -> Felt {
+    Felt {
+        force: nalgebra::Vector3::new(0.5 + change, -1.0, 9.6),
+        rate: nalgebra::Vector3::new(1.0, -2.0 + change, 0.5),
+    }
+}
+
+/// Median time of `work` on a fresh copy of `on`, s; the copy is not counted.
+fn median<T: Clone>(on: &T, mut work: impl FnMut(&mut T)) -> f64 {
+    let rounds = 40;
+    let mut times: Vec<f64> = (0..301)
+        .map(|_| {
+            let mut copies = vec![on.clone(); rounds];
+            let start = Instant::now();
+            copies.iter_mut().for_each(&mut work);
+            let spent = start.elapsed().as_secs_f64() / rounds as f64;
+            black_box(&copies);
+            spent
+        })
+        .collect();
+    times.sort_by(f64::total_cmp);
+    times[times.len() / 2]
+}
+
+#[test]
+fn a_step_and_an_update_cost_a_few_dense_products_and_no_allocation() {
+    let (state, geometry, sighting) = example();
+    let gates = Gates { gravity: 9.81, marker: 16.0, joint: 1.0 };
+    let process = process();
+    let (from, to) = (felt(0.0), felt(0.1));
+    let dense = SMatrix::<f64, 15, 15>::from_fn(|i, j| ((i * 7 + j * 13) % 11) as f64 / 11.0);
+    let mut step_state = state.clone();
+    let step_allocations = allocations(|| propagate(black_box(&mut step_state), &from, &to, 0.01, &process));
+    let mut update_state = state.clone();
+    let mut used = 0;
+    let update_allocations = allocations(|| {
+        used = markers::update(black_box(&mut update_state), &geometry, &sighting, &gates, false).used;
+    });
+    assert_eq!((used, step_allocations, update_allocations), (4, 0, 0));
+    // The best of some tries: what another process takes away is no cost of ours.
+    let mut least = [f64::INFINITY; 3];
+    for _ in 0..5 {
+        let unit = median(&(dense, dense), |(a, b)| *a = black_box(&*a) * black_box(&*b));
+        let step = median(&state, |s| propagate(black_box(s), &from, &to, 0.01, &process));
+        let update = median(&state, |s| {
+            black_box(markers::update(black_box(s), &geometry, &sighting, &gates, false));
+        });
+        for (least, now) in least.iter_mut().zip([unit, step, update]) {
+            *least = least.min(now);
+        }
+    }
+    let [unit, step, update] = least;
+    println!(
+        "dense 15x15 product {:.2} us; inertial step {:.2} us = {:.2} units; four-marker update {:.2} us = {:.2} units",
+        unit * 1e6,
+        step * 1e6,
+        step / unit,
+        update * 1e6,
+        update / unit
+    );
+    assert!(step / unit <= 4.0, "inertial step: {:.2} units", step / unit);
+    assert!(update / unit <= 20.0, "four-marker update: {:.2} units", update / unit);
+}
+
+#[test]
+fn in_a_run_nothing_is_allocated_once_all_is_found() {
+    let sensors = SensorConfig::nominal(1);
+    let run = simulated::run(MotionConfig::nominal(1), &sensors);
+    let mut bank = Bank::new(simulated::rig(), FusionConfig::default().tight);
+    let mut out: VecDeque<Output> = VecDeque::with_capacity(4096);
+    let mut worst = [0; 3];
+    for (at, input) in &run.inputs {
+        let settled = at.seconds_since(sensors.epoch) > 9.0 && bank.hypotheses() == 1;
+        let count = allocations(|| match input {
+            Input::Imu(s) => bank.imu(s, &mut out),
+            Input::Markers(s) => bank.markers(s, &mut out),
+            Input::Climber(s) => bank.climber(s, &mut out),
+            Input::Camera(c) => bank.camera(c),
+        });
+        out.clear();
+        let kind = match input {
+            Input::Imu(_) => 0,
+            Input::Markers(_) => 1,
+            _ => 2,
+        };
+        if settled {
+            worst[kind] = worst[kind].max(count);
+        }
+    }
+    println!("most allocations of an inertial sample, an image, a reading: {worst:?}");
+    assert_eq!(worst, [0; 3]);
+}

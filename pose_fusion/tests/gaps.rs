@@ -1,0 +1,185 @@
+//! Data that stop for a while: what is said at their return is covered by its covariance, and soon as good as before.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)] // test code, outside of #[test]
+mod common;
+
+use common::{
+    rig::{inertial::SensorConfig, motion::MotionConfig},
+    scoring::{self, Said},
+    simulated,
+};
+use pose_fusion::{Fusion, FusionConfig, Input, MarkerOutcome, Warning};
+
+/// 0.9999 quantile of χ² with 3 degrees of freedom.
+const BEYOND: f64 = 21.1;
+
+/// Share of the odometry from `from` to `to` beyond the gate (position, rotation), and the errors at the end (m, rad).
+fn judge(said: &Said, run: &simulated::Run, from: f64, to: f64) -> (f64, f64, f64, f64) {
+    let epoch = SensorConfig::nominal(0).epoch;
+    let (mut count, mut beyond, mut last) = (0.0, [0.0; 2], (0.0, 0.0));
+    for o in &said.odometry {
+        let t = o.stamp.seconds_since(epoch);
+        if !(from..to).contains(&t) {
+            continue;
+        }
+        let (p, r) = scoring::errors(&o.world_from_volant, &scoring::pose_at(&run.truth, o.stamp).unwrap());
+        count += 1.0;
+        for (k, e) in [p, r].into_iter().enumerate() {
+            let c = o.pose_covariance.fixed_view::<3, 3>(3 * k, 3 * k).into_owned();
+            let nees = c.cholesky().map_or(f64::INFINITY, |c| e.dot(&c.solve(&e)));
+            beyond[k] += f64::from(u8::from(nees > BEYOND));
+        }
+        last = (p.norm(), r.norm());
+    }
+    assert!(count > 0.0, "nothing was said");
+    (beyond[0] / count, beyond[1] / count, last.0, last.1)
+}
+
+fn motions() -> Vec<(u64, MotionConfig)> {
+    let n = |seed| MotionConfig { duration: 14.0, ..MotionConfig::nominal(seed) };
+    let f = |seed| MotionConfig { duration: 14.0, ..MotionConfig::fast_swing(seed) };
+    (1..=3).flat_map(|seed| [(seed, n(seed)), (seed + 10, f(seed))]).collect()
+}
+
+/// The inputs go through `change` with their times of arrival (s); checks the second after `end`, and the state after two.
+fn row(
+    name: &str,
+    end: f64,
+    change: impl Fn(Vec<(f64, Input)>) -> Vec<(f64, Input)>,
+    also: impl Fn(&Said, &Fusion),
+) {
+    let mut shares = [0.0; 2];
+    let motions = motions();
+    for (seed, motion) in &motions {
+        let sensors = SensorConfig::nominal(*seed);
+        let run = simulated::run(motion.clone(), &sensors);
+        let inputs = run.inputs.iter().map(|(at, i)| (at.seconds_since(sensors.epoch), i.clone())).collect();
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        let said = scoring::run(&mut fusion, change(inputs).into_iter().map(|(_, i)| i));
+        let (p, r, _, _) = judge(&said, &run, end, end + 1.0);
+        let (_, _, position, rotation) = judge(&said, &run, end + 1.0, end + 2.0);
+        println!(
+            "{name} seed {seed}: beyond {:.1} % {:.1} %, two seconds later {:.2} mm {:.3}°",
+            100.0 * p,
+            100.0 * r,
+            position * 1e3,
+            rotation.to_degrees()
+        );
+        assert!(position < 0.01 && rotation < 1.0_f64.to_radians(), "{name} seed {seed}: not back");
+        shares[0] += p / motions.len() as f64;
+        shares[1] += r / motions.len() as f64;
+        also(&said, &fusion);
+    }
+    assert!(shares[0] < 0.02 && shares[1] < 0.02, "{name}: beyond the gate {shares:?}");
+}
+
+#[test]
+fn after_an_inertial_outage_the_odometry_is_covered() {
+    for gap in [0.1, 0.3, 0.6, 0.9, 1.5, 3.0] {
+        row(
+            &format!("no inertial sample for {gap} s"),
+            6.0 + gap,
+            |inputs| {
+                let silent =
+                    |at: f64, i: &Input| matches!(i, Input::Imu(_)) && (6.0..6.0 + gap).contains(&at);
+                inputs.into_iter().filter(|(at, i)| !silent(*at, i)).collect()
+            },
+            |said, fusion| {
+                assert_eq!(fusion.status().gaps, 1);
+                assert!(said.warnings.iter().any(|w| matches!(w, Warning::InertialGap { .. })));
+            },
+        );
+    }
+}
+
+#[test]
+fn after_a_stall_of_the_process_the_odometry_is_covered() {
+    for (gap, depth) in [(0.4, 10), (3.0, 10), (3.0, 100)] {
+        row(
+            &format!("stalled for {gap} s, queues of {depth}"),
+            6.0 + gap,
+            |inputs| {
+                // What waits in the queues comes at once, topic by topic, the newest of each.
+                let (end, kinds) = (
+                    6.0 + gap,
+                    [
+                        |i: &Input| matches!(i, Input::Climber(_)),
+                        |i: &Input| matches!(i, Input::Markers(_)),
+                        |i: &Input| matches!(i, Input::Imu(_)),
+                    ],
+                );
+                let mut all: Vec<_> = inputs.iter().filter(|(at, _)| *at < 6.0).cloned().collect();
+                for kind in kinds {
+                    let waiting: Vec<_> =
+                        inputs.iter().filter(|(at, i)| (6.0..end).contains(at) && kind(i)).cloned().collect();
+                    all.extend(waiting.into_iter().rev().take(depth).rev());
+                }
+                all.extend(inputs.into_iter().filter(|(at, _)| *at >= end));
+                all
+            },
+            |_, _| {},
+        );
+    }
+}
+
+#[test]
+fn two_pictures_of_three_are_no_loss_that_the_covariance_does_not_know() {
+    row(
+        "two pictures of three dropped",
+        4.0,
+        |inputs| {
+            let mut count = 0;
+            let mut kept = |at: f64, i: &Input| {
+                let image = matches!(i, Input::Markers(_)) && at > 3.0;
+                count += usize::from(image);
+                !image || count % 3 == 0
+            };
+            inputs.into_iter().filter(|(at, i)| kept(*at, i)).collect()
+        },
+        |_, fusion| assert_eq!(fusion.status().recoveries, 0),
+    );
+}
+
+#[test]
+fn three_seconds_without_encoders_are_covered() {
+    for end in [4.5, 6.0, 7.0] {
+        row(
+            "encoders silent from 3 s to 6 s",
+            end,
+            |inputs| {
+                let silent = |at: f64, i: &Input| matches!(i, Input::Climber(_)) && (3.0..6.0).contains(&at);
+                inputs.into_iter().filter(|(at, i)| !silent(*at, i)).collect()
+            },
+            |_, _| {},
+        );
+    }
+}
+
+#[test]
+fn pictures_from_the_future_are_refused_with_a_reason_and_the_rest_goes_on() {
+    row(
+        "pictures stamped 10 s ahead",
+        6.0,
+        |inputs| {
+            let ahead = |at: f64, mut i: Input| {
+                if let Input::Markers(m) = &mut i
+                    && (3.0..6.0).contains(&at)
+                {
+                    m.stamp = m.stamp.plus_seconds(10.0);
+                }
+                (at, i)
+            };
+            inputs.into_iter().map(|(at, i)| ahead(at, i)).collect()
+        },
+        |said, fusion| {
+            let status = fusion.status();
+            assert!((85..95).contains(&status.refused_images), "{status:?}");
+            let refused = said.records.iter().filter(|r| r.outcome == MarkerOutcome::Refused).count();
+            assert!(refused as u64 >= status.refused_images);
+            let told = |w: &Warning| matches!(w, Warning::Ahead { source_name: "image", ahead_s, .. } if *ahead_s > 9.0);
+            assert!(said.warnings.iter().any(told));
+            // One odometry with every inertial sample all the time.
+            let gap = |w: &[pose_fusion::Odometry]| w[1].stamp.seconds_since(w[0].stamp) < 0.03;
+            assert!(said.odometry.windows(2).all(gap));
+        },
+    );
+}

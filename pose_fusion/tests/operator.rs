@@ -1,0 +1,153 @@
+//! What an operator does: set the pose, freeze, reset, keep what is known and take it up again.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)] // test code, outside of #[test]
+mod common;
+
+use common::{
+    rig::{inertial::SensorConfig, motion::MotionConfig},
+    scoring, simulated,
+};
+use nalgebra::Matrix6;
+use pose_fusion::{Fusion, FusionConfig, Input, PoseEstimate, Refusal};
+use rig_model::MarkerColor;
+
+fn fusion() -> Fusion {
+    Fusion::new(simulated::rig(), FusionConfig::default())
+}
+
+/// The run, cut at `cut` seconds of arrival.
+fn cut(run: &simulated::Run, sensors: &SensorConfig, cut: f64) -> (Vec<Input>, Vec<Input>) {
+    let (before, after): (Vec<_>, Vec<_>) =
+        run.inputs.iter().cloned().partition(|(at, _)| at.seconds_since(sensors.epoch) < cut);
+    (before.into_iter().map(|(_, i)| i).collect(), after.into_iter().map(|(_, i)| i).collect())
+}
+
+#[test]
+fn a_checkpoint_goes_on_where_it_was_taken() {
+    let sensors = SensorConfig::nominal(1);
+    let run = simulated::run(MotionConfig::nominal(1), &sensors);
+    let (before, after) = cut(&run, &sensors, 8.0);
+    let mut first = fusion();
+    assert_eq!(first.checkpoint(), Err(Refusal::NotStarted));
+    scoring::run(&mut first, before);
+    let checkpoint = first.checkpoint().unwrap();
+    let mut second = fusion();
+    second.handle(Input::Camera(simulated::camera()));
+    second.restore(&checkpoint).unwrap();
+    let said = scoring::run(&mut second, after.clone());
+    let expected = scoring::run(&mut first, after);
+    // From the very next sample on, and within what the first image of a fresh start would not know.
+    assert!(said.odometry[0].stamp.seconds_since(expected.odometry[0].stamp).abs() < 0.02);
+    let score = scoring::score(&said.odometry, &run.truth, 0.0);
+    let reference = scoring::score(&expected.odometry, &run.truth, 8.0);
+    println!("restored {score}\nwent on  {reference}");
+    assert!(score.position_rmse() < 1.1 * reference.position_rmse() + 0.05, "{score}");
+    assert_eq!(second.status().clock_hypotheses, 1);
+    assert!((second.status().accelerometer_bias - first.status().accelerometer_bias).norm() < 0.01);
+}
+
+#[test]
+fn an_old_checkpoint_gives_clocks_and_biases() {
+    let sensors =
+        SensorConfig { camera_clock_ahead: 0.06, climber_clock_ahead: 0.06, ..SensorConfig::nominal(2) };
+    let run = simulated::run(MotionConfig::nominal(2), &sensors);
+    let all: Vec<Input> = run.inputs.iter().map(|(_, i)| i.clone()).collect();
+    let mut first = fusion();
+    scoring::run(&mut first, all.clone());
+    let checkpoint = first.checkpoint().unwrap();
+    let mut second = fusion();
+    second.restore(&checkpoint).unwrap();
+    let said = scoring::run(&mut second, all);
+    // Without it the first seconds search for the clock.
+    let early = |o: &[pose_fusion::Odometry]| {
+        let until = sensors.epoch.plus_seconds(3.0);
+        let first: Vec<_> = o.iter().filter(|o| o.stamp < until).cloned().collect();
+        scoring::score(&first, &run.truth, 0.3)
+    };
+    let score = early(&said.odometry);
+    println!("{score}");
+    assert!(score.position_rmse() < 1.5, "{score}");
+    assert!((second.status().camera_clock_offset + 0.06).abs() < 1e-3);
+}
+
+#[test]
+fn a_checkpoint_that_cannot_be_is_refused() {
+    let sensors = SensorConfig::nominal(1);
+    let run = simulated::run(MotionConfig { duration: 3.0, ..MotionConfig::nominal(1) }, &sensors);
+    let mut first = fusion();
+    scoring::run(&mut first, run.inputs.iter().map(|(_, i)| i.clone()));
+    let good = first.checkpoint().unwrap();
+    assert!(first.restore(&good).is_ok());
+    type Spoil = fn(&mut pose_fusion::Checkpoint);
+    let spoils: [Spoil; 6] = [
+        |c| c.version = 2,
+        |c| c.position[1] = f64::NAN,
+        |c| c.attitude = [0.0; 4],
+        |c| c.covariance.truncate(100),
+        |c| c.covariance[1] += 1.0,
+        |c| c.covariance[0] = -1.0,
+    ];
+    for spoil in spoils {
+        let mut bad = good.clone();
+        spoil(&mut bad);
+        let refusal = first.restore(&bad).unwrap_err();
+        println!("{refusal}");
+        assert!(matches!(refusal, Refusal::NotUsable { .. }));
+    }
+}
+
+#[test]
+fn a_pose_that_is_set_is_taken_and_one_that_cannot_be_is_refused() {
+    let sensors = SensorConfig {
+        hidden: MarkerColor::ALL.map(|m| (m, 4.0, 20.0)).to_vec(),
+        ..SensorConfig::nominal(3)
+    };
+    let run = simulated::run(MotionConfig::nominal(3), &sensors);
+    let (before, after) = cut(&run, &sensors, 9.0);
+    let mut fusion = fusion();
+    let stamp = sensors.epoch.plus_seconds(8.9);
+    let truth = scoring::pose_at(&run.truth, stamp).unwrap();
+    let covariance = Matrix6::from_diagonal(&nalgebra::Vector6::new(1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6));
+    let pose = PoseEstimate { stamp, pose: truth, covariance };
+    assert!(matches!(fusion.set_pose(&pose), Err(Refusal::Missing { .. })));
+    scoring::run(&mut fusion, before);
+    let late = PoseEstimate { stamp: stamp.plus_seconds(-5.0), ..pose.clone() };
+    assert!(matches!(fusion.set_pose(&late), Err(Refusal::OutOfReach { .. })));
+    let vague = PoseEstimate { covariance: Matrix6::zeros(), ..pose.clone() };
+    assert!(matches!(fusion.set_pose(&vague), Err(Refusal::NotUsable { .. })));
+    fusion.set_pose(&pose).unwrap();
+    let said = scoring::run(&mut fusion, after);
+    let next = &said.odometry[0];
+    let age = next.stamp.seconds_since(stamp);
+    let (p, r) = scoring::errors(&next.world_from_volant, &scoring::pose_at(&run.truth, next.stamp).unwrap());
+    println!("{age:.3} s after it was set: {:.1} mm {:.2} deg", p.norm() * 1e3, r.norm().to_degrees());
+    // The velocity is not known: within its three sigmas.
+    assert!(p.norm() < 3.0 * 1.5 * age + 5e-3 && r.norm() < 0.02);
+    let c = next.pose_covariance;
+    assert!(
+        (0..3).all(|i| p[i].abs() < 5.0 * c[(i, i)].sqrt() && r[i].abs() < 5.0 * c[(i + 3, i + 3)].sqrt())
+    );
+}
+
+#[test]
+fn frozen_it_compares_and_does_not_use_and_reset_it_starts_anew() {
+    let sensors = SensorConfig::nominal(1);
+    let run = simulated::run(MotionConfig { duration: 8.0, ..MotionConfig::nominal(1) }, &sensors);
+    let (before, after) = cut(&run, &sensors, 5.0);
+    let mut fusion = fusion();
+    scoring::run(&mut fusion, before);
+    fusion.freeze(true);
+    let used = fusion.status().used_markers;
+    let (while_frozen, rest) = after.split_at(after.len() / 3);
+    let said = scoring::run(&mut fusion, while_frozen.to_vec());
+    assert_eq!(fusion.status().used_markers, used);
+    assert!(
+        said.records.iter().any(|r| r.outcome == pose_fusion::MarkerOutcome::Frozen && r.nis.is_finite())
+    );
+    fusion.freeze(false);
+    fusion.reset();
+    assert!(!fusion.status().initialised);
+    let said = scoring::run(&mut fusion, rest.to_vec());
+    let score = scoring::score(&said.odometry, &run.truth, 0.0);
+    println!("{score}");
+    assert!(fusion.status().initialised && score.position_max < 0.05, "{score}");
+}
