@@ -180,7 +180,7 @@ pub fn evaluate(options: &EvaluateOptions) -> Result<Evaluation, EvaluateError> 
         });
     };
     let topics: Vec<String> = ESTIMATES.iter().map(|name| options.names.resolve(name)).collect();
-    let mut collected: [(Vec<Estimate>, u64); 3] = Default::default();
+    let mut collected: [(Vec<Estimate>, u64); ESTIMATES.len()] = Default::default();
     let mut began: Option<Stamp> = None;
     let mut bag = BagReader::open(&options.estimates)?;
     while let Some(message) = bag.next_message()? {
