@@ -26,21 +26,40 @@ pub(crate) struct Strictness {
     pub area: f64,
 }
 
+/// How far a search goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Extent {
+    /// Fours, until one is good.
+    Quick,
+    /// All fours.
+    Fours,
+    /// Threes, for where a marker is hidden.
+    Threes,
+}
+
 /// Most hypotheses that are kept.
 const KEEP: usize = 8;
-/// Most patches of one colour that are looked at.
-const PER_COLOR: usize = 40;
+/// Most patches of one colour that are looked at, most fours that are kept to be looked at, and most sets of patches that a
+/// pose is sought for, by fours and by each three: they bound what a search costs, whatever lies about.
+const PER_COLOR: usize = 24;
+const KEPT_FOURS: usize = 64;
+const FOURS: usize = 32;
+const THREES: usize = 32;
+/// Fours that a pose is sought for before it is asked whether one was good, and the score of a good one.
+const BATCH: usize = 4;
+const GOOD: f64 = 0.12;
 
-/// All hypotheses worth a closer look, best first, into `found` (cleared before).
+/// All hypotheses of four patches (or of three, each three in turn) worth a closer look, best first, into `found` (cleared before).
 pub(crate) fn hypotheses(
     layout: &MarkerLayout,
     camera: &CameraModel,
     blobs: &[Blob],
     strictness: Strictness,
-    allow_three: bool,
+    extent: Extent,
     found: &mut Vec<Hypothesis>,
 ) {
     found.clear();
+    let by_threes = extent == Extent::Threes;
     // The most colourful and most square patches first; of wood and cardboard there may be hundreds.
     let mut of: PerColor<([(usize, f64); PER_COLOR], usize)> = PerColor([([(0, 0.0); PER_COLOR], 0); 4]);
     for (i, blob) in blobs.iter().enumerate() {
@@ -69,7 +88,10 @@ pub(crate) fn hypotheses(
         [MarkerColor::Blue, MarkerColor::Yellow, MarkerColor::Red, MarkerColor::Green],
         [MarkerColor::Yellow, MarkerColor::Red, MarkerColor::Green, MarkerColor::Blue],
     ];
-    for (round, [a, b, c, d]) in seeds.into_iter().enumerate().take(if allow_three { 4 } else { 1 }) {
+    let mut fours = [(0.0, [0usize; 4]); KEPT_FOURS];
+    let mut kept = 0;
+    for [a, b, c, d] in seeds.into_iter().take(if by_threes { 4 } else { 1 }) {
+        let mut threes = THREES;
         let (pa, pb, pc, pd) = (layout.centres[a], layout.centres[b], layout.centres[c], layout.centres[d]);
         let (u, v) = ((pb - pa).xy(), (pc - pa).xy());
         let twist = u.x * v.y - u.y * v.x;
@@ -102,33 +124,52 @@ pub(crate) fn hypotheses(
                     if !(0.55..2.2).contains(&ratio) {
                         continue;
                     }
-                    if round == 0 {
+                    if !by_threes {
                         let guess = ba.centroid + iu * s + iv * t;
                         for &(id, _) in list(d) {
                             let bd = &blobs[id];
-                            if (bd.centroid - guess).norm() < 0.35 * reach * side + 3.0
-                                && like_areas(area, bd.area)
-                            {
-                                four(
-                                    layout,
-                                    camera,
-                                    blobs,
-                                    [ia, ib, ic, id],
-                                    [a, b, c, d],
-                                    strictness,
-                                    found,
-                                );
+                            let off = (bd.centroid - guess).norm();
+                            if off >= 0.35 * reach * side + 3.0 || !like_areas(area, bd.area) {
+                                continue;
                             }
+                            // What stands like a parallelogram, is of one size and colourful comes first.
+                            let uneven: f64 =
+                                [ba, bb, bc, bd].iter().map(|b| (b.area / area).ln().abs()).sum();
+                            let colorful: f64 =
+                                [ba, bb, bc, bd].iter().map(|b| f64::from(b.saturation())).sum();
+                            let rank = off / (reach * side) + 0.2 * uneven - 0.2 * colorful;
+                            let mut k = if kept < KEPT_FOURS {
+                                kept += 1;
+                                kept - 1
+                            } else if fours[KEPT_FOURS - 1].0 <= rank {
+                                continue;
+                            } else {
+                                KEPT_FOURS - 1
+                            };
+                            while k > 0 && fours[k - 1].0 > rank {
+                                fours[k] = fours[k - 1];
+                                k -= 1;
+                            }
+                            fours[k] = (rank, [ia, ib, ic, id]);
                         }
                     }
-                    if allow_three {
+                    if by_threes && threes > 0 {
+                        threes -= 1;
                         three(layout, camera, blobs, [ia, ib, ic], [a, b, c], strictness, found);
                     }
                 }
             }
         }
     }
-    found.sort_by(|a, b| a.score.total_cmp(&b.score));
+    for batch in fours[..kept.min(FOURS)].chunks(BATCH) {
+        for (_, indices) in batch {
+            four(layout, camera, blobs, *indices, seeds[0], strictness, found);
+        }
+        if extent == Extent::Quick && found.iter().any(|h| h.score < GOOD) {
+            break;
+        }
+    }
+    found.sort_unstable_by(|a, b| a.score.total_cmp(&b.score));
     found.truncate(KEEP * 2);
 }
 
@@ -227,7 +268,7 @@ fn score(
     }
     let score = handicap + rms / side + 0.1 * disagreement;
     if found.len() >= 4 * KEEP {
-        found.sort_by(|a, b| a.score.total_cmp(&b.score));
+        found.sort_unstable_by(|a, b| a.score.total_cmp(&b.score));
         found.truncate(2 * KEEP);
     }
     found.push(Hypothesis { camera_from_volant: pose, blobs: chosen, score });

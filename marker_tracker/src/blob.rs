@@ -2,7 +2,7 @@
 
 use crate::{image::ImageView, signal::rgb_at};
 use nalgebra::{Matrix2, Vector2};
-use rig_model::MarkerColor;
+use rig_model::{MarkerColor, PerColor};
 
 /// A patch of one colour.
 #[derive(Clone, Copy, Debug)]
@@ -43,7 +43,7 @@ impl Blob {
 /// Which marker's hue a pixel has, with how much of its brightness is colour (0 to 1). The four measures are the paper's
 /// layer differences, each taken against the stronger of the layers that it has to be free of.
 #[inline(always)]
-pub(crate) fn classify([r, g, b]: [u8; 3]) -> Option<(MarkerColor, i32, i32)> {
+fn classify([r, g, b]: [u8; 3]) -> Option<(MarkerColor, i32, i32)> {
     let (r, g, b) = (i32::from(r), i32::from(g), i32::from(b));
     let max = r.max(g).max(b);
     let (color, layer) = if r >= g && g >= b {
@@ -62,6 +62,60 @@ pub(crate) fn classify([r, g, b]: [u8; 3]) -> Option<(MarkerColor, i32, i32)> {
         (MarkerColor::Blue, b - g.max(r))
     };
     (layer > 0).then_some((color, layer, max))
+}
+
+/// How a pixel's colour names a marker: by the hues that the markers' names say, or by those of calibrated paper.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Palette {
+    /// Unit vectors of the markers' hues.
+    hues: Option<[[f32; 2]; 4]>,
+}
+
+impl Palette {
+    /// cos 40°: further off than that it is none of them.
+    const FURTHEST: f32 = 0.766;
+    /// Ordinary paper, for a marker that was not calibrated beside others that were.
+    const ORDINARY: [[f64; 3]; 4] =
+        [[200.0, 40.0, 40.0], [50.0, 170.0, 70.0], [40.0, 90.0, 190.0], [210.0, 190.0, 50.0]];
+
+    /// Of calibrated mean colours, r, g, b of 0–255.
+    pub fn new(colors: &PerColor<Option<[f64; 3]>>) -> Self {
+        let any = colors.0.iter().any(Option::is_some);
+        Self {
+            hues: any.then(|| {
+                std::array::from_fn(|i| {
+                    let [a, b] = chroma(colors.0[i].unwrap_or(Self::ORDINARY[i]).map(|v| v as f32));
+                    let length = a.hypot(b).max(1e-6);
+                    [a / length, b / length]
+                })
+            }),
+        }
+    }
+
+    /// As [`classify`].
+    #[inline(always)]
+    pub fn classify(&self, rgb: [u8; 3]) -> Option<(MarkerColor, i32, i32)> {
+        let Some(hues) = &self.hues else { return classify(rgb) };
+        let [a, b] = chroma(rgb.map(f32::from));
+        let along = hues.map(|h| h[0] * a + h[1] * b);
+        let mut best = 0;
+        for i in 1..4 {
+            if along[i] > along[best] {
+                best = i;
+            }
+        }
+        if along[best] <= 0.0 || along[best].powi(2) < Self::FURTHEST.powi(2) * (a * a + b * b) {
+            return None;
+        }
+        let (max, min) = (rgb[0].max(rgb[1]).max(rgb[2]), rgb[0].min(rgb[1]).min(rgb[2]));
+        Some((MarkerColor::ALL[best], i32::from(max - min), i32::from(max)))
+    }
+}
+
+/// A colour's part across the grey axis: its direction is the hue.
+#[inline(always)]
+fn chroma([r, g, b]: [f32; 3]) -> [f32; 2] {
+    [2.0 * r - g - b, 1.732_050_8 * (g - b)]
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -85,6 +139,36 @@ struct Sums {
     cut: bool,
 }
 
+/// Distance of the coarse grid's places, and side of the cells that it marks, px.
+const GRID: usize = 4;
+const CELL: usize = 8;
+
+/// What counts as coloured, in whole numbers.
+#[derive(Clone, Copy)]
+struct Tint {
+    layer: i32,
+    /// Of 256.
+    saturation: i32,
+}
+
+impl Tint {
+    fn new(config: &ScanConfig) -> Self {
+        Self { layer: config.min_layer, saturation: (config.min_saturation * 256.0) as i32 }
+    }
+
+    /// Whether a pixel's channels differ enough; most of a picture is left by this test.
+    #[inline(always)]
+    fn is_colored(&self, [a, b, c]: [u8; 3]) -> bool {
+        let (max, min) = (a.max(b).max(c), a.min(b).min(c));
+        self.is_layer(i32::from(max - min), i32::from(max))
+    }
+
+    #[inline(always)]
+    fn is_layer(&self, layer: i32, max: i32) -> bool {
+        (layer >= self.layer) & (layer * 256 >= self.saturation * max)
+    }
+}
+
 /// Memory of the scan, kept from one image to the next.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Scanner {
@@ -92,6 +176,9 @@ pub(crate) struct Scanner {
     here: Vec<Run>,
     parent: Vec<u32>,
     sums: Vec<(MarkerColor, Sums)>,
+    seeds: Vec<bool>,
+    cells: Vec<bool>,
+    pub palette: Palette,
     pub blobs: Vec<Blob>,
 }
 
@@ -109,6 +196,11 @@ pub(crate) struct ScanConfig {
 }
 
 impl Scanner {
+    /// That tells colours by this palette.
+    pub fn new(palette: Palette) -> Self {
+        Self { palette, ..Self::default() }
+    }
+
     fn root(&mut self, mut label: u32) -> u32 {
         while self.parent[label as usize] != label {
             let up = self.parent[self.parent[label as usize] as usize];
@@ -130,52 +222,107 @@ impl Scanner {
         if x1 <= x0 || y1 <= y0 {
             return;
         }
+        self.mark_cells(image, [x0, y0, x1, y1], config);
         let bytes = image.format.bytes_per_pixel();
         let blue_first = image.format.blue_first();
-        let saturation = (config.min_saturation * 256.0) as i32;
+        let tint = Tint::new(config);
+        let palette = self.palette;
         for y in (y0..y1).step_by(stride) {
             self.here.clear();
             let Some(row) = image.data.get(y * image.step + x0 * bytes..y * image.step + x1 * bytes) else {
                 break;
             };
-            let mut open: Option<Run> = None;
-            for (i, pixel) in row.chunks_exact(bytes).step_by(stride).enumerate() {
-                let x = (x0 + i * stride) as u32;
-                let rgb =
-                    if blue_first { [pixel[2], pixel[1], pixel[0]] } else { [pixel[0], pixel[1], pixel[2]] };
-                // Most of a picture is grey: leave it by the cheapest test.
-                let max = rgb[0].max(rgb[1]).max(rgb[2]);
-                let min = rgb[0].min(rgb[1]).min(rgb[2]);
-                let chroma = i32::from(max - min);
-                let class = if chroma >= config.min_layer && chroma * 256 >= saturation * i32::from(max) {
-                    classify(rgb).filter(|&(_, layer, max)| {
-                        layer >= config.min_layer && layer * 256 >= saturation * max
-                    })
-                } else {
-                    None
-                };
-                let rgb = rgb.map(f32::from);
-                match (class, &mut open) {
-                    (Some((color, ..)), Some(run)) if run.color == color && alike(run, rgb) => {
-                        run.end = x;
-                        for (sum, value) in run.sum.iter_mut().zip(rgb) {
-                            *sum += value;
+            let columns = (x1 - x0).div_ceil(CELL);
+            let cells = (y - y0) / CELL * columns;
+            let mut column = 0;
+            while let Some(from) = self.cells[cells..cells + columns].iter().skip(column).position(|c| *c) {
+                let from = column + from;
+                let length = self.cells[cells + from..cells + columns]
+                    .iter()
+                    .position(|c| !*c)
+                    .unwrap_or(columns - from);
+                column = from + length;
+                // The first of the grid's places in these cells.
+                let (start, end) = ((from * CELL).next_multiple_of(stride), (column * CELL).min(x1 - x0));
+                if start >= end {
+                    continue;
+                }
+                let mut open: Option<Run> = None;
+                for (i, pixel) in row[start * bytes..end * bytes].chunks(bytes * stride).enumerate() {
+                    let &[a, b, c, ..] = pixel else { break };
+                    let x = (x0 + start + i * stride) as u32;
+                    let rgb = if blue_first { [c, b, a] } else { [a, b, c] };
+                    let class = if tint.is_colored(rgb) {
+                        palette
+                            .classify(rgb)
+                            .filter(|&(_, layer, max)| tint.is_layer(layer, max))
+                            .map(|(color, ..)| color)
+                    } else {
+                        None
+                    };
+                    match (class, &mut open) {
+                        (None, None) => {}
+                        (Some(color), Some(run)) if run.color == color && alike(run, rgb.map(f32::from)) => {
+                            run.end = x;
+                            for (sum, value) in run.sum.iter_mut().zip(rgb) {
+                                *sum += f32::from(value);
+                            }
                         }
-                    }
-                    (class, open) => {
-                        if let Some(run) = open.take() {
-                            self.here.push(run);
+                        (class, open) => {
+                            if let Some(run) = open.take() {
+                                self.here.push(run);
+                            }
+                            *open = class.map(|color| Run {
+                                color,
+                                start: x,
+                                end: x,
+                                label: 0,
+                                sum: rgb.map(f32::from),
+                            });
                         }
-                        *open = class.map(|(color, ..)| Run { color, start: x, end: x, label: 0, sum: rgb });
                     }
                 }
-            }
-            if let Some(run) = open {
-                self.here.push(run);
+                if let Some(run) = open {
+                    self.here.push(run);
+                }
             }
             self.link(y, stride, x0, x1, y0, y1);
         }
         self.collect(stride, config);
+    }
+
+    /// Which cells are worth a closer look: those with a coloured pixel on a coarse grid, and their neighbours. Most of a
+    /// picture is grey, and a patch that slips through the grid is smaller than any marker that can be measured.
+    fn mark_cells(&mut self, image: &ImageView<'_>, [x0, y0, x1, y1]: [usize; 4], config: &ScanConfig) {
+        let (columns, rows) = ((x1 - x0).div_ceil(CELL), (y1 - y0).div_ceil(CELL));
+        self.seeds.clear();
+        self.seeds.resize(columns * rows, false);
+        let bytes = image.format.bytes_per_pixel();
+        let tint = Tint::new(config);
+        let grid = config.stride.clamp(GRID, CELL);
+        for y in (y0 + grid / 2..y1).step_by(grid) {
+            let start = y * image.step + x0 * bytes;
+            let Some(row) = image.data.get(start..start + (x1 - x0) * bytes) else { break };
+            let first = (y - y0) / CELL * columns;
+            let seeds = &mut self.seeds[first..first + columns];
+            for (cell, seed) in row.chunks(CELL * bytes).zip(seeds) {
+                for pixel in cell.chunks(grid * bytes) {
+                    // Which of the three is the red one makes no difference here.
+                    if let [a, b, c, ..] = *pixel {
+                        *seed |= tint.is_colored([a, b, c]);
+                    }
+                }
+            }
+        }
+        self.cells.clear();
+        self.cells.resize(columns * rows, false);
+        for (i, _) in self.seeds.iter().enumerate().filter(|(_, seed)| **seed) {
+            let (row, column) = (i / columns, i % columns);
+            for r in row.saturating_sub(1)..(row + 2).min(rows) {
+                let from = r * columns + column.saturating_sub(1);
+                self.cells[from..(r * columns + (column + 2).min(columns))].fill(true);
+            }
+        }
     }
 
     fn link(&mut self, y: usize, stride: usize, x0: usize, x1: usize, y0: usize, y1: usize) {
@@ -283,12 +430,11 @@ impl Scanner {
 /// Whether a colour continues a run: by less than a quarter of the brightness in each channel.
 #[inline(always)]
 fn alike(run: &Run, rgb: [f32; 3]) -> bool {
-    // The run's first pixel is a blurred one, so compare with the brightest channel's scale.
-    let n = run.sum[0].max(run.sum[1]).max(run.sum[2]);
+    // The run's first pixel is a blurred one, so compare with the brightest channel's scale; without a division.
+    let n = run.sum[0].max(run.sum[1]).max(run.sum[2]).max(1.0);
     let m = rgb[0].max(rgb[1]).max(rgb[2]);
-    let scale = m / n.max(1.0);
-    let limit = (0.25 * m).max(20.0);
-    (0..3).all(|c| (run.sum[c] * scale - rgb[c]).abs() < limit)
+    let limit = (0.25 * m).max(20.0) * n;
+    (0..3).all(|c| (run.sum[c] * m - rgb[c] * n).abs() < limit)
 }
 
 /// Mean colour over a few pixels about a place, or `None` outside.
@@ -307,4 +453,27 @@ pub(crate) fn mean_rgb(image: &ImageView<'_>, at: Vector2<f64>, radius: i32) -> 
         }
     }
     (n > 0.0).then(|| sum.map(|s| s / n))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_calibrated_palette_tells_hues_that_the_names_do_not() {
+        let ordinary = Palette::default();
+        let name = |p: &Palette, rgb| p.classify(rgb).map(|c| c.0);
+        for (i, rgb) in Palette::ORDINARY.iter().enumerate() {
+            assert_eq!(name(&ordinary, rgb.map(|v| v as u8)), Some(MarkerColor::ALL[i]));
+        }
+        // Turquoise paper for blue, orange for red.
+        let (turquoise, orange) = ([40.0, 170.0, 160.0], [220.0, 120.0, 40.0]);
+        let colors = PerColor([Some(orange), None, Some(turquoise), None]);
+        let calibrated = Palette::new(&colors);
+        assert_eq!(name(&ordinary, [40, 170, 160]), Some(MarkerColor::Green));
+        assert_eq!(name(&calibrated, [40, 170, 160]), Some(MarkerColor::Blue));
+        assert_eq!(name(&ordinary, [220, 120, 40]), Some(MarkerColor::Red));
+        assert_eq!(name(&calibrated, [220, 120, 40]), Some(MarkerColor::Red));
+        assert_eq!(name(&calibrated, [200, 30, 160]), None);
+    }
 }

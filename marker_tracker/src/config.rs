@@ -1,5 +1,7 @@
 //! What can be set.
 
+use rig_model::PerColor;
+
 /// Settings of the tracker. Every default works for any camera and light that the markers can be told in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackerConfig {
@@ -14,6 +16,9 @@ pub struct TrackerConfig {
     pub rigid_prediction: bool,
     /// Largest standard deviation of a centroid, px, that still counts as measured.
     pub max_centroid_sigma: f64,
+    /// What each marker's paper looks like, mean r, g, b of 0–255, where it was calibrated (the rig file's `markers.colors`);
+    /// else it is told by the hue that its name says.
+    pub start_colors: PerColor<Option<[f64; 3]>>,
 }
 
 impl Default for TrackerConfig {
@@ -24,6 +29,7 @@ impl Default for TrackerConfig {
             max_predicted: 6,
             rigid_prediction: true,
             max_centroid_sigma: 0.5,
+            start_colors: PerColor([None; 4]),
         }
     }
 }

@@ -34,7 +34,7 @@ pub(crate) struct PosePrior {
 }
 
 /// Corners, in the volant frame (m), of a square that is turned by `turn` (rad) in its plane.
-fn square(layout: &MarkerLayout, color: MarkerColor, turn: f64) -> [Point3<f64>; 4] {
+fn corners_of(layout: &MarkerLayout, color: MarkerColor, turn: f64) -> [Point3<f64>; 4] {
     let h = layout.side / 2.0;
     let (s, c) = turn.sin_cos();
     let centre = layout.centres[color];
@@ -51,7 +51,7 @@ pub(crate) fn project_square(
     camera_from_volant: &Isometry3<f64>,
 ) -> Option<Quad> {
     let mut corners = [Vector2::zeros(); 4];
-    for (corner, point) in corners.iter_mut().zip(square(layout, color, turn)) {
+    for (corner, point) in corners.iter_mut().zip(corners_of(layout, color, turn)) {
         *corner = camera.project(&(camera_from_volant * point))?;
     }
     Some(Quad(corners))
@@ -68,28 +68,25 @@ pub(crate) fn refine(
     iterations: usize,
 ) -> Option<(Isometry3<f64>, f64)> {
     let mut pose = *start;
-    let (mut cost, mut normal, mut gradient) = evaluate(layout, camera, sights, &pose, prior)?;
+    let mut now = evaluate(layout, camera, sights, &pose, prior)?;
     let mut damping = 1e-6;
     for _ in 0..iterations {
-        let mut damped = normal;
+        let mut damped = now.normal;
         for i in 0..6 {
             damped[(i, i)] *= 1.0 + damping;
             damped[(i, i)] += 1e-9;
         }
-        let step = damped.cholesky()?.solve(&gradient);
-        // Below a micrometre and a microradian nothing is gained.
-        if step.norm() < 1e-6 {
+        let step = damped.cholesky()?.solve(&now.gradient);
+        // What is left to gain.
+        let gain = step.dot(&now.gradient);
+        if gain < 1e-4 * now.cost.min(1.0) {
             break;
         }
         let candidate = moved(&pose, &step);
         match evaluate(layout, camera, sights, &candidate, prior) {
-            Some((new_cost, n, g)) if new_cost <= cost * (1.0 + 1e-9) => {
-                let done = cost - new_cost < 1e-4 * cost.min(1.0);
-                (pose, cost, normal, gradient) = (candidate, new_cost, n, g);
+            Some(new) if new.cost <= now.cost * (1.0 + 1e-9) => {
+                (pose, now) = (candidate, new);
                 damping = (damping * 0.1).max(1e-9);
-                if done {
-                    break;
-                }
             }
             _ => {
                 damping = (damping * 100.0).max(1e-4);
@@ -99,11 +96,7 @@ pub(crate) fn refine(
             }
         }
     }
-    let mut square = 0.0;
-    for s in sights {
-        square += (layout.projected_centroid(s.color, camera, &pose)?.pixel - s.pixel).norm_squared();
-    }
-    Some((pose, (square / (sights.len().max(1) as f64)).sqrt()))
+    Some((pose, (now.square / (sights.len().max(1) as f64)).sqrt()))
 }
 
 /// Translation and a rotation about the camera's axes, applied at the platform's origin.
@@ -113,7 +106,13 @@ fn moved(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(pose.translation.vector + t), r * pose.rotation)
 }
 
-type Normal = (f64, Matrix6<f64>, Vector6<f64>);
+/// Weighted cost, its normal equations, and the plain sum of the centroids' squared residuals, px².
+struct Normal {
+    cost: f64,
+    normal: Matrix6<f64>,
+    gradient: Vector6<f64>,
+    square: f64,
+}
 
 fn evaluate(
     layout: &MarkerLayout,
@@ -122,7 +121,7 @@ fn evaluate(
     pose: &Isometry3<f64>,
     prior: Option<&PosePrior>,
 ) -> Option<Normal> {
-    let (mut cost, mut normal, mut gradient) = (0.0, Matrix6::zeros(), Vector6::zeros());
+    let (mut cost, mut normal, mut gradient, mut square) = (0.0, Matrix6::zeros(), Vector6::zeros(), 0.0);
     for s in sights {
         let predicted = layout.projected_centroid(s.color, camera, pose)?;
         let arm = pose.rotation * layout.centres[s.color].coords;
@@ -133,12 +132,13 @@ fn evaluate(
         j.fixed_columns_mut::<3>(3).copy_from(&by_rotation);
         let w = s.sigma.powi(-2);
         let residual = s.pixel - predicted.pixel;
+        square += residual.norm_squared();
         cost += w * residual.norm_squared();
         normal += j.transpose() * j * w;
         gradient += j.transpose() * residual * w;
         if let Some((outline, turn)) = &s.outline {
             let w = CORNER_SIGMA.powi(-2);
-            for (point, corner) in square(layout, s.color, *turn).iter().zip(&outline.0) {
+            for (point, corner) in corners_of(layout, s.color, *turn).iter().zip(&outline.0) {
                 let arm = pose.rotation * point.coords;
                 let (pixel, by_point) =
                     camera.project_with_jacobian(&Point3::from(arm + pose.translation.vector))?;
@@ -163,7 +163,7 @@ fn evaluate(
             gradient[3 + i] += wr * dr[i];
         }
     }
-    cost.is_finite().then_some((cost, normal, gradient))
+    cost.is_finite().then_some(Normal { cost, normal, gradient, square })
 }
 
 /// The pose of the platform from the homography between its marker plane and the undistorted image, for four sights.

@@ -20,24 +20,31 @@
 
 mod acquire;
 mod blob;
+mod colors;
 mod config;
 mod decode;
+mod edge;
 mod engine;
 mod flow;
 mod geometry;
 mod image;
+mod interior;
 mod model;
 #[cfg(feature = "node")]
 pub mod node;
 #[cfg(feature = "opencv")]
 mod opencv;
+mod outline;
+mod patches;
 mod quad;
 mod signal;
 mod tracker;
 
+pub use colors::{CalibratedColor, ColorCalibration};
 pub use config::TrackerConfig;
 pub use decode::{decode_compressed, decode_compressed_into};
 pub use image::{ImageError, ImageView, OwnedImage, PixelFormat, from_encoding};
 #[cfg(feature = "opencv")]
 pub use opencv::draw;
+pub use patches::{Patch, PatchTracker, find_patches};
 pub use tracker::{Input, Mark, Output, Seen, Tracker, Warning};

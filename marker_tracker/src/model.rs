@@ -45,12 +45,11 @@ impl Appearance {
 /// Median colour inside, median colour in a band around, and the hues inside.
 fn sample(image: &ImageView<'_>, quad: &Quad) -> Option<([f32; 3], [f32; 3], HueHistogram)> {
     const N: usize = 5;
-    let (_, centre) = quad.area_and_centroid();
-    let thickness = quad.thickness();
+    let (area, centre) = quad.area_and_centroid();
+    let thickness = quad.thickness_of(area);
     let inner = ((thickness - 5.0) / thickness).clamp(0.3, 0.8);
     let outer = (thickness + 9.0) / thickness;
-    let mut inside = [[0u8; 3]; N * N];
-    let mut n = 0;
+    let (mut inside, mut outside) = (Samples::default(), Samples::default());
     let mut hue = HueHistogram::default();
     for i in 0..N {
         for j in 0..N {
@@ -58,28 +57,52 @@ fn sample(image: &ImageView<'_>, quad: &Quad) -> Option<([f32; 3], [f32; 3], Hue
             let p = bilinear(quad, u, v);
             let p = centre + (p - centre) * inner;
             if let Some(rgb) = rgb_at(image, nearest(p.x), nearest(p.y)) {
-                inside[n] = rgb;
+                inside.add(rgb);
                 hue.add(rgb);
-                n += 1;
             }
         }
     }
-    let mut outside = [[0u8; 3]; 24];
-    let mut m = 0;
     for i in 0..24 {
         let (edge, along) = (i / 6, (f64::from(i % 6) + 0.5) / 6.0);
         let (p, q) = (quad.0[edge as usize], quad.0[(edge as usize + 1) % 4]);
         let p = centre + (p + (q - p) * along - centre) * outer;
         if let Some(rgb) = rgb_at(image, nearest(p.x), nearest(p.y)) {
-            outside[m] = rgb;
-            m += 1;
+            outside.add(rgb);
         }
     }
-    if n < 8 || m < 8 {
-        return None;
-    }
     hue.normalise();
-    Some((median(&mut inside[..n]), median(&mut outside[..m]), hue))
+    Some((inside.middle()?, outside.middle()?, hue))
+}
+
+/// Up to 25 pixels, channel by channel.
+#[derive(Default)]
+struct Samples {
+    channels: [[u8; 25]; 3],
+    count: usize,
+}
+
+impl Samples {
+    fn add(&mut self, rgb: [u8; 3]) {
+        if self.count < 25 {
+            for (channel, value) in self.channels.iter_mut().zip(rgb) {
+                channel[self.count] = value;
+            }
+            self.count += 1;
+        }
+    }
+
+    /// Per channel the mean of the middle half; `None` of less than eight.
+    fn middle(&mut self) -> Option<[f32; 3]> {
+        let n = self.count;
+        (n >= 8).then(|| {
+            self.channels.each_mut().map(|channel| {
+                let channel = &mut channel[..n];
+                channel.sort_unstable();
+                let middle = &channel[n / 4..n - n / 4];
+                middle.iter().map(|v| f32::from(*v)).sum::<f32>() / middle.len() as f32
+            })
+        })
+    }
 }
 
 fn bilinear(quad: &Quad, u: f64, v: f64) -> Vector2<f64> {
@@ -87,16 +110,6 @@ fn bilinear(quad: &Quad, u: f64, v: f64) -> Vector2<f64> {
         + quad.0[1] * u * (1.0 - v)
         + quad.0[2] * u * v
         + quad.0[3] * (1.0 - u) * v
-}
-
-/// Per channel: the mean of the middle half.
-fn median(samples: &mut [[u8; 3]]) -> [f32; 3] {
-    let n = samples.len();
-    [0, 1, 2].map(|c| {
-        samples.sort_unstable_by_key(|s| s[c]);
-        let middle = &samples[n / 4..n - n / 4];
-        middle.iter().map(|s| f32::from(s[c])).sum::<f32>() / middle.len() as f32
-    })
 }
 
 /// Histogram of the hue (H of HSV), 32 bins over the circle, weighted by saturation.
@@ -152,7 +165,7 @@ impl HueHistogram {
 
     /// Of the inside of an outline.
     pub fn of(image: &ImageView<'_>, quad: &Quad) -> Option<Self> {
-        const N: usize = 6;
+        const N: usize = 5;
         let (_, centre) = quad.area_and_centroid();
         let mut hue = Self::default();
         let mut n = 0;

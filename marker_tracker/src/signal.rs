@@ -1,9 +1,6 @@
-//! From pixels to a colour signal: the projection of each pixel onto one direction of RGB space, over a window.
+//! From pixels to a colour signal: the projection of a pixel onto one direction of RGB space.
 
-use crate::{
-    image::{ImageView, PixelFormat},
-    quad::Quad,
-};
+use crate::image::ImageView;
 
 /// A direction in RGB space along which a marker differs most from its surroundings.
 ///
@@ -30,94 +27,77 @@ impl Discriminant {
     }
 }
 
-/// The signal over a rectangle of the image.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Window {
-    /// Left column in the image.
-    pub x0: i32,
-    /// Top row in the image.
-    pub y0: i32,
+/// An image seen through one marker's discriminant: the colour signal of any pixel, computed where it is asked for.
+///
+/// Nothing is copied: a marker's outline needs some thousand of its pixels, most of them once.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sampler<'a> {
+    data: &'a [u8],
+    step: usize,
+    bytes: usize,
+    /// Of the image, px.
     pub width: i32,
     pub height: i32,
-    pub values: Vec<f32>,
+    /// In the order of the channels in memory, whole numbers: a signal is exact however its weights were rounded.
+    weights: [i32; 3],
+    /// Signal per unit of the weighted sum.
+    pub scale: f32,
 }
 
-impl Window {
-    /// Fills it from the part of the image in and around `quad`, to `margin` px beyond its edges; NaN elsewhere in the
-    /// rectangle.
-    pub fn fill(&mut self, image: &ImageView<'_>, quad: &Quad, margin: f64, discriminant: &Discriminant) {
-        let grown = quad.grown(margin);
-        // Where the quad is long and thin, growing it in proportion would look far along its length.
-        let ([a, b, c, d], [e, f, g, h]) = (grown.bounds(0.0), quad.bounds(2.0 * margin));
-        let [x0, y0, x1, y1] = [a.max(e), b.max(f), c.min(g), d.min(h)];
-        let (x0, y0) = (x0.clamp(0, image.width as i32), y0.clamp(0, image.height as i32));
-        let (x1, y1) = (x1.clamp(x0, image.width as i32), y1.clamp(y0, image.height as i32));
-        (self.x0, self.y0, self.width, self.height) = (x0, y0, x1 - x0, y1 - y0);
-        let (w, h) = (self.width as usize, self.height as usize);
-        self.values.clear();
-        self.values.resize(w * h, f32::NAN);
-        if w == 0 || h == 0 {
-            return;
-        }
+/// Sums of the weighted sums along a line of pixels.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct LineSums {
+    /// Σ s and Σ s·j, where j counts the pixels from 0.
+    pub s: i32,
+    pub sj: i32,
+}
+
+impl<'a> Sampler<'a> {
+    /// Largest weight: a sum of three channels stays below 2²⁰, and its moments within 64 bits.
+    const WEIGHT: f32 = 1024.0;
+
+    pub fn new(image: &ImageView<'a>, discriminant: &Discriminant) -> Self {
         let mut weights = discriminant.weights;
         if image.format.blue_first() {
             weights.swap(0, 2);
         }
-        let bytes = image.format.bytes_per_pixel();
-        for (y, out) in (y0..).zip(self.values.chunks_exact_mut(w)) {
-            let Some((from, to)) = grown.span(f64::from(y)) else { continue };
-            let (from, to) = (from.clamp(x0, x1), to.clamp(x0, x1));
-            let start = y as usize * image.step + from as usize * bytes;
-            let (Some(source), Some(out)) = (
-                image.data.get(start..start + (to - from) as usize * bytes),
-                out.get_mut((from - x0) as usize..(to - x0) as usize),
-            ) else {
-                continue;
-            };
-            match image.format {
-                PixelFormat::Rgb8 | PixelFormat::Bgr8 => project::<3>(source, out, weights),
-                PixelFormat::Rgba8 | PixelFormat::Bgra8 => project::<4>(source, out, weights),
-            }
+        let largest = weights.iter().fold(1e-12f32, |m, w| m.max(w.abs()));
+        Self {
+            data: image.data,
+            step: image.step,
+            bytes: image.format.bytes_per_pixel(),
+            width: image.width as i32,
+            height: image.height as i32,
+            weights: weights.map(|w| (w * (Self::WEIGHT / largest)).round() as i32),
+            scale: largest / Self::WEIGHT,
         }
     }
 
-    /// The values from one place to another on the same row or column, with the step from one to the next.
     #[inline(always)]
-    pub fn between(&self, from: (i32, i32), to: (i32, i32)) -> Option<(&[f32], usize)> {
-        let inside = |(x, y): (i32, i32)| {
-            let (u, v) = (x - self.x0, y - self.y0);
-            (u >= 0 && v >= 0 && u < self.width && v < self.height).then_some((v * self.width + u) as usize)
-        };
-        let (a, b) = (inside(from)?, inside(to)?);
-        Some((self.values.get(a..=b)?, if from.1 == to.1 { 1 } else { self.width as usize }))
+    fn weighted(&self, a: u8, b: u8, c: u8) -> i32 {
+        let w = self.weights;
+        w[0] * i32::from(a) + w[1] * i32::from(b) + w[2] * i32::from(c)
     }
 
-    /// Value at an image position; `None` outside.
+    #[inline(always)]
+    fn sum(&self, pixel: &[u8]) -> i32 {
+        self.weighted(pixel[0], pixel[1], pixel[2])
+    }
+
+    /// Signal at a pixel; `None` outside of the image.
     #[inline(always)]
     pub fn at(&self, x: i32, y: i32) -> Option<f32> {
-        let (u, v) = (x - self.x0, y - self.y0);
-        if u < 0 || v < 0 || u >= self.width || v >= self.height {
+        if x < 0 || y < 0 || x >= self.width || y >= self.height {
             return None;
         }
-        self.values.get((v * self.width + u) as usize).copied()
+        let start = y as usize * self.step + x as usize * self.bytes;
+        Some(self.sum(self.data.get(start..start + 3)?) as f32 * self.scale)
     }
 
-    /// The values of a row from column `from` (included) to `to` (excluded); `None` where any is outside.
-    #[inline(always)]
-    pub fn row(&self, y: i32, from: i32, to: i32) -> Option<&[f32]> {
-        let (v, a, b) = (y - self.y0, from - self.x0, to - self.x0);
-        if v < 0 || v >= self.height || a < 0 || b > self.width || a >= b {
-            return None;
-        }
-        let start = (v * self.width) as usize;
-        self.values.get(start + a as usize..start + b as usize)
-    }
-
-    /// Bilinear value at an image position; `None` where a neighbour is missing.
+    /// Bilinear signal between pixels; `None` where a neighbour is missing.
     #[inline(always)]
     pub fn bilinear(&self, x: f32, y: f32) -> Option<f32> {
-        // Where it can be looked up nothing is negative, and truncation is the floor.
-        let (x, y) = (x - self.x0 as f32, y - self.y0 as f32);
+        // Inside nothing is negative, and truncation is the floor.
         if !(x >= 0.0 && y >= 0.0) {
             return None;
         }
@@ -125,72 +105,86 @@ impl Window {
         if u + 1 >= self.width || v + 1 >= self.height {
             return None;
         }
-        let i = (v * self.width + u) as usize;
-        let j = i + self.width as usize;
-        let (a, b) = (self.values.get(i..i + 2)?, self.values.get(j..j + 2)?);
+        let start = v as usize * self.step + u as usize * self.bytes;
+        let above = self.data.get(start..start + self.bytes + 3)?;
+        let below = self.data.get(start + self.step..start + self.step + self.bytes + 3)?;
         let (fx, fy) = (x - u as f32, y - v as f32);
-        Some((a[0] * (1.0 - fx) + a[1] * fx) * (1.0 - fy) + (b[0] * (1.0 - fx) + b[1] * fx) * fy)
+        let mix = |row: &[u8]| {
+            let (a, b) = (self.sum(row) as f32, self.sum(&row[self.bytes..]) as f32);
+            a + fx * (b - a)
+        };
+        let (a, b) = (mix(above), mix(below));
+        Some((a + fy * (b - a)) * self.scale)
     }
-}
 
-fn project<const N: usize>(source: &[u8], out: &mut [f32], weights: [f32; 3]) {
-    #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("ssse3") {
-        // SAFETY: the processor has SSSE3, as was just asked; the function itself is made of bounds-checked parts.
-        #[allow(unsafe_code)]
-        unsafe {
-            project_ssse3::<N>(source, out, weights);
+    /// A line of pixels from (`x`, `y`) on, every `stride`-th along x (`axis` 0) or y (`axis` 1), as bytes with the distance
+    /// from one to the next; `None` where one is outside of the image.
+    #[inline(always)]
+    pub fn line(&self, x: i32, y: i32, axis: usize, count: i32, stride: i32) -> Option<(&'a [u8], usize)> {
+        if count < 1 || x < 0 || y < 0 {
+            return None;
         }
-        return;
-    }
-    project_plain::<N>(source, out, weights);
-}
-
-#[inline(always)]
-fn project_plain<const N: usize>(source: &[u8], out: &mut [f32], [a, b, c]: [f32; 3]) {
-    for (pixel, value) in source.chunks_exact(N).zip(out.iter_mut()) {
-        *value = a * f32::from(pixel[0]) + b * f32::from(pixel[1]) + c * f32::from(pixel[2]);
-    }
-}
-
-/// Four pixels at a time: each channel's bytes are shuffled into 32-bit lanes of their own.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "ssse3")]
-#[allow(unsafe_code)]
-fn project_ssse3<const N: usize>(source: &[u8], out: &mut [f32], weights: [f32; 3]) {
-    use std::arch::x86_64::{
-        __m128i, _mm_add_ps, _mm_cvtepi32_ps, _mm_loadu_si128, _mm_mul_ps, _mm_set1_ps, _mm_setr_epi8,
-        _mm_shuffle_epi8, _mm_storeu_ps,
-    };
-    let n = N as i8;
-    let mask = |c: i8| {
-        let z = -1;
-        _mm_setr_epi8(c, z, z, z, c + n, z, z, z, c + 2 * n, z, z, z, c + 3 * n, z, z, z)
-    };
-    let masks = [mask(0), mask(1), mask(2)];
-    let w = weights.map(|w| _mm_set1_ps(w));
-    let mut done = 0;
-    for chunk in out.chunks_exact_mut(4) {
-        let Some(bytes) = source.get(done * N..done * N + 16) else { break };
-        // SAFETY: `bytes` has 16 bytes and `chunk` four floats; neither load nor store needs alignment.
-        unsafe {
-            let pixels = _mm_loadu_si128(bytes.as_ptr().cast::<__m128i>());
-            let channel = |i: usize| _mm_mul_ps(w[i], _mm_cvtepi32_ps(_mm_shuffle_epi8(pixels, masks[i])));
-            let value = _mm_add_ps(_mm_add_ps(channel(0), channel(1)), channel(2));
-            _mm_storeu_ps(chunk.as_mut_ptr(), value);
+        let reach = (count - 1) * stride;
+        let (x1, y1) = if axis == 0 { (x + reach, y) } else { (x, y + reach) };
+        if x1 >= self.width || y1 >= self.height {
+            return None;
         }
-        done += 4;
+        let start = y as usize * self.step + x as usize * self.bytes;
+        let hop = if axis == 0 { self.bytes } else { self.step } * stride as usize;
+        Some((self.data.get(start..start + (count as usize - 1) * hop + 3)?, hop))
     }
-    if let (Some(source), Some(out)) = (source.get(done * N..), out.get_mut(done..)) {
-        project_plain::<N>(source, out, weights);
+
+    /// Sums of a line, of at most 40 pixels, in units of the weighted sum.
+    #[inline(never)]
+    pub fn line_sums(&self, bytes: &[u8], hop: usize) -> LineSums {
+        // Σ s·j from the running sums P: Σ P = Σ (n − j)·s.
+        let (mut s, mut prefix, mut n) = (0i32, 0i32, 0i32);
+        for pixel in bytes.chunks(hop) {
+            if let [a, b, c, ..] = *pixel {
+                s += self.weighted(a, b, c);
+                prefix += s;
+                n += 1;
+            }
+        }
+        LineSums { s, sj: n * s - prefix }
+    }
+
+    /// Sum of a line alone, of at most 1000 pixels.
+    #[inline(never)]
+    pub fn line_sum(&self, bytes: &[u8], hop: usize) -> i32 {
+        let mut s = 0i32;
+        for pixel in bytes.chunks(hop) {
+            if let [a, b, c, ..] = *pixel {
+                s += self.weighted(a, b, c);
+            }
+        }
+        s
+    }
+
+    /// Sum of the squares of a line.
+    #[inline(never)]
+    pub fn line_squares(&self, bytes: &[u8], hop: usize) -> f32 {
+        let mut ss = 0f32;
+        self.each(bytes, hop, |_, value| ss += (value as f32) * (value as f32));
+        ss
+    }
+
+    /// Calls `f` with the number and the weighted sum of each pixel of a line.
+    #[inline(always)]
+    pub fn each(&self, bytes: &[u8], hop: usize, mut f: impl FnMut(i32, i32)) {
+        for (j, pixel) in bytes.chunks(hop).enumerate() {
+            f(j as i32, self.sum(pixel));
+        }
     }
 }
 
-/// The nearest whole number, for places within ± half a million (without SSE4.1, `round` is a call).
+/// The nearest whole number, for places within ± 2³¹ (others, and NaN, give some number).
+///
+/// By the mantissa's low bits: a sum with 1.5·2⁵² has the whole number there, rounded.
 #[inline(always)]
 pub(crate) fn nearest(x: f64) -> i32 {
-    const BASE: f64 = (1 << 20) as f64;
-    (x + (BASE + 0.5)) as i32 - (1 << 20)
+    const SHIFT: f64 = 6_755_399_441_055_744.0;
+    (x + SHIFT).to_bits() as i32
 }
 
 /// One pixel as r, g, b; `None` outside of the image.
@@ -207,19 +201,40 @@ pub(crate) fn rgb_at(image: &ImageView<'_>, x: i32, y: i32) -> Option<[u8; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::image::PixelFormat;
+    use rig_model::Stamp;
 
     #[test]
-    fn four_pixels_at_a_time_are_what_one_at_a_time_are() {
-        let source: Vec<u8> = (0..4 * 61u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
-        let weights = [0.31, -0.72, 0.05];
-        for count in 0..61 {
-            let (mut fast, mut plain) = (vec![0.0; count], vec![0.0; count]);
-            project::<3>(&source[..3 * count], &mut fast, weights);
-            project_plain::<3>(&source[..3 * count], &mut plain, weights);
-            assert!(fast.iter().zip(&plain).all(|(a, b)| (a - b).abs() < 1e-4), "{count} of three");
-            project::<4>(&source[..4 * count], &mut fast, weights);
-            project_plain::<4>(&source[..4 * count], &mut plain, weights);
-            assert!(fast.iter().zip(&plain).all(|(a, b)| (a - b).abs() < 1e-4), "{count} of four");
+    fn lines_and_single_pixels_tell_the_same_in_every_order_of_the_channels() {
+        let data: Vec<u8> = (0..20 * 60u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        let discriminant = Discriminant { weights: [0.31, -0.72, 0.05] };
+        for format in [PixelFormat::Rgb8, PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8] {
+            let stamp = Stamp::from_nanos(0);
+            let view = ImageView { stamp, width: 14, height: 20, step: 60, format, data: &data };
+            let sampler = Sampler::new(&view, &discriminant);
+            for (x, y) in [(0, 0), (5, 7), (13, 19)] {
+                let rgb = rgb_at(&view, x, y).unwrap().map(f32::from);
+                let wanted: f32 = rgb.iter().zip(discriminant.weights).map(|(p, w)| p * w).sum();
+                let tolerance = 255.0 * 3.0 * 0.72 / 2048.0;
+                assert!((sampler.at(x, y).unwrap() - wanted).abs() < tolerance);
+            }
+            for (axis, step) in [(0, (1, 0)), (1, (0, 1))] {
+                let (bytes, hop) = sampler.line(3, 4, axis, 9, 1).unwrap();
+                let sums = sampler.line_sums(bytes, hop);
+                let (mut s, mut sj, mut ss) = (0.0, 0.0, 0.0);
+                for j in 0..9 {
+                    let v = f64::from(sampler.at(3 + step.0 * j, 4 + step.1 * j).unwrap() / sampler.scale);
+                    (s, sj, ss) = (s + v, sj + v * f64::from(j), ss + v * v);
+                }
+                assert_eq!(sampler.line_sum(bytes, hop), sums.s);
+                let squares = f64::from(sampler.line_squares(bytes, hop));
+                for (a, b) in [(f64::from(sums.s), s), (f64::from(sums.sj), sj), (squares, ss)] {
+                    assert!((a - b).abs() < 1e-5 * b.abs().max(1e4), "{a} {b}");
+                }
+            }
+            assert!(sampler.at(14, 0).is_none() && sampler.at(0, -1).is_none());
+            assert!(sampler.line(10, 0, 0, 5, 1).is_none() && sampler.line(10, 0, 0, 4, 1).is_some());
+            assert!(sampler.bilinear(13.0, 3.0).is_none() && sampler.bilinear(12.5, 18.5).is_some());
         }
     }
 

@@ -59,6 +59,16 @@ pub enum Warning {
         /// Of the image, px.
         height: usize,
     },
+    /// The image is the one before it, byte for byte, with another stamp.
+    #[error(
+        "image stamped {stamp} is byte for byte the one before, the {images}. in a row: the camera or its driver stands still; nothing is measured in it"
+    )]
+    Repeated {
+        /// Its stamp.
+        stamp: Stamp,
+        /// How many of them came in a row.
+        images: u32,
+    },
 }
 
 /// What a debug picture shows of one marker.
@@ -83,7 +93,7 @@ pub struct Seen {
     pub origin: [i32; 2],
     /// Columns of the window.
     pub width: usize,
-    /// The window's colour signal, row by row: 1 on the marker, 0 beside it, NaN where it was not looked at. It is the paper's
+    /// The window's colour signal, row by row: 1 on the marker, 0 beside it, NaN outside of the image. It is the paper's
     /// binary image before it is rounded, and what the flow is told from.
     pub signal: Vec<f32>,
     /// The marker's hue histogram as it was learnt: equal bins over the circle from 0°, weighted by saturation, sum 1.
@@ -97,6 +107,7 @@ impl Warning {
             Warning::Image(_) => "image",
             Warning::StampFromThePast { .. } => "stamp",
             Warning::CameraSize { .. } => "camera size",
+            Warning::Repeated { .. } => "repeated image",
         }
     }
 }
@@ -106,19 +117,29 @@ impl Warning {
 pub struct Tracker {
     engine: Engine,
     last_stamp: Option<Stamp>,
+    /// The image size that does not fit the camera's model and was told of.
+    warned_of: Option<(usize, usize)>,
     outputs: VecDeque<Output>,
 }
 
 impl Tracker {
     /// For markers at these places of the platform.
     pub fn new(layout: MarkerLayout, config: TrackerConfig) -> Self {
-        Self { engine: Engine::new(layout, config), last_stamp: None, outputs: VecDeque::with_capacity(8) }
+        Self {
+            engine: Engine::new(layout, config),
+            last_stamp: None,
+            warned_of: None,
+            outputs: VecDeque::with_capacity(8),
+        }
     }
 
     /// Takes the next input; what follows from it waits in [`Tracker::poll`].
     pub fn handle(&mut self, input: Input<'_>) {
         match input {
-            Input::Camera(camera) => self.engine.set_camera(camera),
+            Input::Camera(camera) => {
+                self.warned_of = None;
+                self.engine.set_camera(camera);
+            }
             Input::Image(image) => {
                 if let Err(error) = image.check() {
                     self.outputs.push_back(Output::Warning(Warning::Image(error)));
@@ -136,6 +157,21 @@ impl Tracker {
                 self.last_stamp = Some(image.stamp);
                 let observations = self.engine.process(&image);
                 self.outputs.push_back(Output::Observations(observations));
+                if let Some((camera_width, camera_height)) = self.engine.other_size(&image)
+                    && self.warned_of != Some((image.width, image.height))
+                {
+                    self.warned_of = Some((image.width, image.height));
+                    self.outputs.push_back(Output::Warning(Warning::CameraSize {
+                        camera_width,
+                        camera_height,
+                        width: image.width,
+                        height: image.height,
+                    }));
+                }
+                let images = self.engine.repeated();
+                if images > 0 {
+                    self.outputs.push_back(Output::Warning(Warning::Repeated { stamp: image.stamp, images }));
+                }
             }
         }
     }
@@ -150,9 +186,14 @@ impl Tracker {
         PerColor::from_fn(|c| self.engine.mark(c))
     }
 
-    /// What was seen of a marker in the last image; `None` as long as its colour is unknown.
-    pub fn seen(&self, color: MarkerColor) -> Option<Seen> {
-        self.engine.seen(color)
+    /// What was seen of a marker in `image`, the last one that was handed in; `None` as long as its colour is unknown.
+    pub fn seen(&self, color: MarkerColor, image: &ImageView<'_>) -> Option<Seen> {
+        self.engine.seen(color, image)
+    }
+
+    /// A marker's colour as it was learnt, r, g, b of 0–255; `None` as long as it is unknown.
+    pub fn color(&self, color: MarkerColor) -> Option<[f32; 3]> {
+        self.engine.markers[color].appearance.as_ref().map(|a| a.marker)
     }
 
     /// Per marker, what became of it in the last image.

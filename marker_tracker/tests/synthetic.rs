@@ -2,125 +2,12 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are outside of what clippy takes for a test
 
+mod common;
+
+use common::{ALL, HEIGHT, Noise, WIDTH, camera, draw, layout, new_tracker, observe, pose, truth};
 use marker_tracker::{ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig, Warning};
-use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
-use rig_model::{
-    CameraModel, Distortion, MarkerColor, MarkerLayout, MarkerObservations, MarkerState, PerColor, Stamp,
-};
-
-const WIDTH: usize = 640;
-const HEIGHT: usize = 480;
-const PAINT: [[f64; 3]; 4] =
-    [[168.0, 47.0, 49.0], [77.0, 132.0, 76.0], [40.0, 93.0, 146.0], [194.0, 166.0, 67.0]];
-
-fn layout() -> MarkerLayout {
-    MarkerLayout {
-        side: 0.076,
-        centres: PerColor([
-            Point3::new(0.157, 0.145, 0.022),
-            Point3::new(-0.154, 0.151, 0.022),
-            Point3::new(-0.145, -0.142, 0.022),
-            Point3::new(0.147, -0.152, 0.022),
-        ]),
-    }
-}
-
-fn camera() -> CameraModel {
-    CameraModel::new(640, 480, [600.0, 600.0, 319.5, 239.5], Distortion::PlumbBob([0.0; 5])).unwrap()
-}
-
-fn pose(t: f64) -> Isometry3<f64> {
-    Isometry3::from_parts(
-        Translation3::new(0.03 * (1.3 * t).sin(), 0.05 * (0.9 * t).cos(), 1.25),
-        UnitQuaternion::from_euler_angles(
-            std::f64::consts::PI + 0.15 * t.sin(),
-            0.1 * t.cos(),
-            0.4 + 0.1 * t,
-        ),
-    )
-}
-
-/// A small generator, so that the noise is the same in every run.
-struct Noise(u64);
-
-impl Noise {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
-    }
-    fn normal(&mut self) -> f64 {
-        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
-    }
-}
-
-/// A grey platform on a darker floor, with those markers on it that have a paint.
-fn draw(pose: &Isometry3<f64>, paint: [Option<[f64; 3]>; 4], noise: &mut Noise) -> Vec<u8> {
-    let inverse = pose.inverse();
-    let layout = layout();
-    let color_at = |u: f64, v: f64| {
-        let ray = inverse.rotation * Vector3::new((u - 319.5) / 600.0, (v - 239.5) / 600.0, 1.0);
-        let eye = inverse.translation.vector;
-        let p = eye + ray * ((0.022 - eye.z) / ray.z);
-        for (color, centre) in layout.centres.iter() {
-            let turn = 0.03 * (color.index() as f64 - 1.5);
-            let (s, c) = turn.sin_cos();
-            let (dx, dy) = (p.x - centre.x, p.y - centre.y);
-            let (a, b) = (c * dx + s * dy, -s * dx + c * dy);
-            if a.abs() < 0.038 && b.abs() < 0.038 {
-                return paint[color.index()].unwrap_or([125.0; 3]);
-            }
-        }
-        if p.x.abs() < 0.23 && p.y.abs() < 0.23 { [125.0; 3] } else { [80.0, 82.0, 84.0] }
-    };
-    let mut data = Vec::with_capacity(WIDTH * HEIGHT * 3);
-    for y in 0..HEIGHT {
-        for x in 0..WIDTH {
-            let corner = |i: f64, j: f64| color_at(x as f64 + i, y as f64 + j);
-            let first = corner(-0.5, -0.5);
-            let plain = [(0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)].iter().all(|&(i, j)| corner(i, j) == first);
-            let mut sum = [0.0; 3];
-            let n = if plain { 1 } else { 8 };
-            for i in 0..n {
-                for j in 0..n {
-                    let at = |k: i32| (f64::from(k) + 0.5) / f64::from(n) - 0.5;
-                    let c = corner(at(i), at(j));
-                    (0..3).for_each(|k| sum[k] += c[k]);
-                }
-            }
-            for s in sum {
-                data.push((s / f64::from(n * n) + 2.0 * noise.normal()).round().clamp(0.0, 255.0) as u8);
-            }
-        }
-    }
-    data
-}
-
-const ALL: [Option<[f64; 3]>; 4] = [Some(PAINT[0]), Some(PAINT[1]), Some(PAINT[2]), Some(PAINT[3])];
-
-fn observe(tracker: &mut Tracker, k: i64, data: &[u8]) -> MarkerObservations {
-    tracker.handle(Input::Image(ImageView {
-        stamp: Stamp::from_nanos(k * 33_333_333),
-        width: WIDTH,
-        height: HEIGHT,
-        step: 3 * WIDTH,
-        format: PixelFormat::Rgb8,
-        data,
-    }));
-    match tracker.poll() {
-        Some(Output::Observations(o)) => o,
-        other => panic!("{other:?}"),
-    }
-}
-
-fn new_tracker(config: TrackerConfig) -> Tracker {
-    let mut tracker = Tracker::new(layout(), config);
-    tracker.handle(Input::Camera(camera()));
-    tracker
-}
-
-fn truth(color: MarkerColor, pose: &Isometry3<f64>) -> Vector2<f64> {
-    layout().projected_centroid(color, &camera(), pose).unwrap().pixel
-}
+use nalgebra::Vector2;
+use rig_model::{MarkerColor, MarkerState, Stamp};
 
 #[test]
 fn clean_scenes_are_told_to_a_hundredth_of_a_pixel_from_the_first_image_on() {
@@ -209,11 +96,15 @@ fn either_criterion_switched_off_changes_the_result() {
 #[test]
 fn what_was_seen_is_one_on_the_marker_and_nought_beside_it_and_bears_its_hue() {
     let mut tracker = new_tracker(TrackerConfig::default());
-    assert!(tracker.seen(MarkerColor::Red).is_none());
     let pose = pose(0.0);
-    observe(&mut tracker, 0, &draw(&pose, ALL, &mut Noise(5)));
+    let data = draw(&pose, ALL, &mut Noise(5));
+    let stamp = Stamp::from_nanos(0);
+    let format = PixelFormat::Rgb8;
+    let image = ImageView { stamp, width: WIDTH, height: HEIGHT, step: 3 * WIDTH, format, data: &data };
+    assert!(tracker.seen(MarkerColor::Red, &image).is_none());
+    tracker.handle(Input::Image(image));
     for (color, degrees) in MarkerColor::ALL.into_iter().zip([359.0, 119.0, 210.0, 47.0]) {
-        let seen = tracker.seen(color).unwrap();
+        let seen = tracker.seen(color, &image).unwrap();
         let pixel = truth(color, &pose);
         let at = |p: Vector2<f64>| {
             let (x, y) = (p.x.round() as i32 - seen.origin[0], p.y.round() as i32 - seen.origin[1]);
@@ -227,6 +118,68 @@ fn what_was_seen_is_one_on_the_marker_and_nought_beside_it_and_bears_its_hue() {
         let middle = (peak as f64 + 0.5) * 360.0 / seen.hue.len() as f64;
         let off = (middle - degrees + 180.0).rem_euclid(360.0) - 180.0;
         assert!(off.abs() < 12.0, "{color}: {middle} deg for {degrees}");
+    }
+}
+
+#[test]
+fn an_image_that_is_sent_again_is_no_measurement_and_said_so() {
+    let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(6));
+    let frozen = draw(&pose(0.0), ALL, &mut noise);
+    for k in 0..12 {
+        let o = observe(&mut tracker, k, &frozen);
+        let warning = tracker.poll();
+        for (color, m) in o.markers.iter() {
+            let wanted = match k {
+                0 => MarkerState::Detected,
+                1..7 => MarkerState::Predicted,
+                _ => MarkerState::Lost,
+            };
+            assert_eq!((m.state, m.occluded_frames), (wanted, k as u16), "{color} in image {k}");
+        }
+        match warning {
+            None => assert_eq!(k, 0),
+            Some(Output::Warning(Warning::Repeated { images, .. })) => assert_eq!(i64::from(images), k),
+            other => panic!("{other:?}"),
+        }
+    }
+    assert!(tracker.reasons().iter().all(|(_, reason)| reason.contains("byte for byte")));
+    // It goes on, somewhere else: back at once.
+    let o = observe(&mut tracker, 12, &draw(&pose(0.8), ALL, &mut noise));
+    assert!(o.markers.0.iter().all(|m| m.state == MarkerState::Detected));
+    // The same scene at rest, with the sensor's noise, is measured.
+    let o = observe(&mut tracker, 13, &draw(&pose(0.8), ALL, &mut noise));
+    assert!(o.markers.0.iter().all(|m| m.state == MarkerState::Detected));
+    assert!(tracker.poll().is_none());
+}
+
+#[test]
+fn a_camera_info_of_another_size_is_scaled_and_told_of_once() {
+    let mut tracker = Tracker::new(layout(), TrackerConfig::default());
+    tracker.handle(Input::Camera(camera().resized(1280, 960).unwrap()));
+    let mut noise = Noise(7);
+    for k in 0..2 {
+        let data = draw(&pose(0.03 * k as f64), ALL, &mut noise);
+        tracker.handle(Input::Image(ImageView {
+            stamp: Stamp::from_nanos(k * 33_333_333),
+            width: WIDTH,
+            height: HEIGHT,
+            step: 3 * WIDTH,
+            format: PixelFormat::Rgb8,
+            data: &data,
+        }));
+        let Some(Output::Observations(o)) = tracker.poll() else { panic!("image {k}") };
+        assert!(o.markers.0.iter().all(|m| m.state == MarkerState::Detected));
+        if k == 0 {
+            let warned = tracker.poll();
+            assert!(
+                matches!(
+                    warned,
+                    Some(Output::Warning(Warning::CameraSize { camera_width: 1280, width: 640, .. }))
+                ),
+                "{warned:?}"
+            );
+        }
+        assert!(tracker.poll().is_none());
     }
 }
 
@@ -287,6 +240,7 @@ fn images_that_cannot_be_and_stamps_from_the_past_are_refused() {
     };
     tracker.handle(Input::Image(tiny(10)));
     assert!(matches!(tracker.poll(), Some(Output::Observations(_))));
+    assert!(matches!(tracker.poll(), Some(Output::Warning(Warning::CameraSize { .. }))));
     tracker.handle(Input::Image(tiny(10)));
     assert!(matches!(tracker.poll(), Some(Output::Warning(Warning::StampFromThePast { .. }))));
 }

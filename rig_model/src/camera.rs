@@ -149,6 +149,28 @@ impl CameraModel {
         Self::new(width, height, [k[0], k[4], k[2], k[5]], distortion)
     }
 
+    /// The same lens for images of another size, scaled as a whole; `None` where the sides' ratio differs by more than 1 %
+    /// (then something was cropped, and nobody knows what).
+    pub fn resized(&self, width: u32, height: u32) -> Option<Self> {
+        if (width, height) == (self.width, self.height) {
+            return Some(self.clone());
+        }
+        let (x, y) = (f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
+        if !(0.99..=1.01).contains(&(x / y)) {
+            return None;
+        }
+        // The centre of the top left pixel is (0, 0), its corner (−½, −½).
+        Some(Self {
+            width,
+            height,
+            fx: self.fx * x,
+            fy: self.fy * y,
+            cx: (self.cx + 0.5) * x - 0.5,
+            cy: (self.cy + 0.5) * y - 0.5,
+            ..self.clone()
+        })
+    }
+
     /// Image size (width, height), px.
     pub fn size(&self) -> (u32, u32) {
         (self.width, self.height)
@@ -172,12 +194,21 @@ impl CameraModel {
     /// Raw pixel of a point in the camera frame (m). `None` where the point is not in front of the camera or beyond
     /// the angle up to which the lens model is one to one.
     pub fn project(&self, point: &Point3<f64>) -> Option<Vector2<f64>> {
-        self.project_with_jacobian(point).map(|(pixel, _)| pixel)
+        if !self.is_in_front(point) {
+            return None;
+        }
+        let z_inverse = 1.0 / point.z;
+        let d = self.distort(&Vector2::new(point.x * z_inverse, point.y * z_inverse))?;
+        Some(Vector2::new(self.fx * d.x + self.cx, self.fy * d.y + self.cy))
+    }
+
+    fn is_in_front(&self, point: &Point3<f64>) -> bool {
+        point.z > 1e-6 && point.x.is_finite() && point.y.is_finite()
     }
 
     /// [`CameraModel::project`] with ∂pixel/∂point, px/m.
     pub fn project_with_jacobian(&self, point: &Point3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
-        if point.z.is_nan() || point.z <= 1e-6 || !point.x.is_finite() || !point.y.is_finite() {
+        if !self.is_in_front(point) {
             return None;
         }
         let z_inverse = 1.0 / point.z;
@@ -233,6 +264,24 @@ impl CameraModel {
         }
         let (d, _) = self.distort_with_jacobian(&n)?;
         ((target - d).norm() < 1e-9).then_some(n)
+    }
+
+    fn distort(&self, n: &Vector2<f64>) -> Option<Vector2<f64>> {
+        let r2 = n.norm_squared();
+        let (radial, p1, p2) = match &self.distortion {
+            Distortion::PlumbBob([k1, k2, p1, p2, k3]) => (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), p1, p2),
+            Distortion::RationalPolynomial([k1, k2, p1, p2, k3, k4, k5, k6]) => {
+                let top = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+                (top / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))), p1, p2)
+            }
+            Distortion::Equidistant(_) => return self.distort_with_jacobian(n).map(|(d, _)| d),
+        };
+        (r2 <= self.max_radius * self.max_radius).then(|| {
+            Vector2::new(
+                n.x * radial + 2.0 * p1 * n.x * n.y + p2 * (r2 + 2.0 * n.x * n.x),
+                n.y * radial + p1 * (r2 + 2.0 * n.y * n.y) + 2.0 * p2 * n.x * n.y,
+            )
+        })
     }
 
     fn distort_with_jacobian(&self, n: &Vector2<f64>) -> Option<(Vector2<f64>, Matrix2<f64>)> {
@@ -376,7 +425,8 @@ mod tests {
         fn the_jacobian_is_the_numerical_one(x in -0.5..0.5, y in -0.4..0.4, z in 0.8..3.0) {
             for camera in cameras() {
                 let p = Point3::new(x, y, z);
-                let (_, jacobian) = camera.project_with_jacobian(&p).unwrap();
+                let (pixel, jacobian) = camera.project_with_jacobian(&p).unwrap();
+                prop_assert!((camera.project(&p).unwrap() - pixel).norm() < 1e-10);
                 for axis in 0..3 {
                     let mut step = Vector3::zeros();
                     step[axis] = 1e-6;
@@ -402,6 +452,17 @@ mod tests {
         assert!(strong.project(&Point3::new(1.0, 0.0, 1.0)).is_some());
         assert_eq!(strong.project(&Point3::new(1.2, 0.0, 1.0)), None);
         assert_eq!(strong.project(&Point3::new(f64::NAN, 0.0, 1.0)), None);
+    }
+
+    #[test]
+    fn a_scaled_camera_sees_a_scaled_image() {
+        for camera in cameras() {
+            let half = camera.resized(320, 240).unwrap();
+            let p = Point3::new(0.21, -0.13, 1.1);
+            let (whole, half) = (camera.project(&p).unwrap(), half.project(&p).unwrap());
+            assert!(((whole + Vector2::repeat(0.5)) / 2.0 - (half + Vector2::repeat(0.5))).norm() < 1e-9);
+            assert!(camera.resized(640, 360).is_none());
+        }
     }
 
     #[test]

@@ -113,6 +113,7 @@ impl MarkerLayout {
     /// turned in its plane. Lens distortion is included, point by point.
     ///
     /// `None` where any of the four points is behind the camera or outside the lens model's range.
+    #[inline]
     pub fn projected_centroid(
         &self,
         color: MarkerColor,

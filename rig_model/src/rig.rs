@@ -8,7 +8,7 @@ use crate::{
     marker::{MarkerColor, MarkerLayout, PerColor},
     parameters::{ParameterFile, ParameterFileError, ParameterMap, ParameterValue},
 };
-use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector2};
 use thiserror::Error;
 
 /// Names of the frames.
@@ -60,6 +60,9 @@ pub struct Rig {
     pub imu: ImuMounting,
     /// The markers on the platform.
     pub markers: MarkerLayout,
+    /// What each marker's paper looks like to the camera: mean r, g, b of 0–255, where it was calibrated. Else a marker is told
+    /// by the hue that its name says.
+    pub colors: PerColor<Option<[f64; 3]>>,
 }
 
 /// What is wrong with a rig file.
@@ -149,6 +152,14 @@ pub fn rig_keys() -> Vec<RigKey> {
         key("markers.green", "centre of the green square in the volant frame: x, y, z [m]", None),
         key("markers.blue", "centre of the blue square in the volant frame: x, y, z [m]", None),
         key("markers.yellow", "centre of the yellow square in the volant frame: x, y, z [m]", None),
+        key(
+            "markers.colors.red",
+            "the red paper as the camera sees it: r, g, b of 0 to 255; empty: not calibrated",
+            numbers(&[]),
+        ),
+        key("markers.colors.green", "the same of the green paper", numbers(&[])),
+        key("markers.colors.blue", "the same of the blue paper", numbers(&[])),
+        key("markers.colors.yellow", "the same of the yellow paper", numbers(&[])),
     ]
 }
 
@@ -201,8 +212,15 @@ impl Rig {
                     centre("markers.yellow")?,
                 ]),
             },
+            colors: PerColor([
+                r.color("markers.colors.red")?,
+                r.color("markers.colors.green")?,
+                r.color("markers.colors.blue")?,
+                r.color("markers.colors.yellow")?,
+            ]),
         };
         rig.check_markers()?;
+        rig.check_colors()?;
         rig.check_frames()?;
         Ok(rig)
     }
@@ -232,6 +250,38 @@ impl Rig {
                 value: "four centres on one line".into(),
                 requirement: "the markers must span a plane, or the pose cannot be told",
             });
+        }
+        Ok(())
+    }
+
+    fn check_colors(&self) -> Result<(), RigError> {
+        // The hue's direction in the plane across the grey axis, as a fraction of the brightness.
+        let chroma = |[r, g, b]: [f64; 3]| {
+            let v = Vector2::new(2.0 * r - g - b, 3f64.sqrt() * (g - b));
+            v / (2.0 * r.max(g).max(b).max(1.0))
+        };
+        for (i, a) in MarkerColor::ALL.into_iter().enumerate() {
+            let Some(rgb) = self.colors[a] else { continue };
+            let key = || format!("markers.colors.{a}");
+            let value = || format!("{rgb:?}");
+            let own = chroma(rgb);
+            if own.norm() < 0.15 {
+                return Err(RigError::Value {
+                    key: key(),
+                    value: value(),
+                    requirement: "a marker is told by its colour: it cannot be grey",
+                });
+            }
+            for b in &MarkerColor::ALL[..i] {
+                let Some(other) = self.colors[*b].map(chroma) else { continue };
+                if own.angle(&other) < 15f64.to_radians() {
+                    return Err(RigError::Value {
+                        key: key(),
+                        value: format!("{} (nearly the hue of markers.colors.{b})", value()),
+                        requirement: "the four hues must differ by 15 degrees at least",
+                    });
+                }
+            }
         }
         Ok(())
     }
@@ -301,6 +351,26 @@ impl Reader<'_> {
                 value: x.to_string(),
                 requirement: "it must be greater than zero",
             })
+        }
+    }
+
+    /// Three numbers of 0–255, or none at all.
+    fn color(&self, key: &str) -> Result<Option<[f64; 3]>, RigError> {
+        const COLOR: &str = "three numbers r, g, b of 0 to 255";
+        let value = self.value(key, COLOR)?;
+        let list = value.as_f64_array().ok_or(RigError::Type {
+            key: key.to_owned(),
+            found: value.type_name(),
+            expected: COLOR,
+        })?;
+        match <[f64; 3]>::try_from(list.as_slice()) {
+            _ if list.is_empty() => Ok(None),
+            Ok(rgb) if rgb.iter().all(|v| (0.0..=255.0).contains(v)) => Ok(Some(rgb)),
+            _ => Err(RigError::Value {
+                key: key.to_owned(),
+                value: format!("{list:?}"),
+                requirement: "it takes three numbers r, g, b of 0 to 255",
+            }),
         }
     }
 
@@ -415,6 +485,17 @@ mod tests {
         let eq6 = nalgebra::Matrix3::new(0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0);
         assert!((r.matrix() - eq6).norm() < 1e-7);
         assert_eq!(rig.markers.centres[MarkerColor::Yellow], Point3::new(0.15, -0.15, 0.02));
+        assert_eq!(rig.colors, PerColor([None; 4]));
+    }
+
+    #[test]
+    fn calibrated_colours_are_read() {
+        let text = RIG.replace(
+            "size: 0.076",
+            "size: 0.076\n      colors: {green: [30, 180, 60], blue: [20.5, 60, 190]}",
+        );
+        let colors = Rig::from_yaml(&text).unwrap().colors;
+        assert_eq!(colors, PerColor([None, Some([30.0, 180.0, 60.0]), Some([20.5, 60.0, 190.0]), None]));
     }
 
     #[test]
@@ -431,6 +512,14 @@ mod tests {
             ("red: [0.15, 0.15, 0.02]", "pink: [0.15, 0.15, 0.02]", "markers.pink"),
             ("[0.70710678, 0.70710678, 0.0, 0.0]", "[0.7, 0.7, 0.7, 0.0]", "camera.orientation"),
             ("[0.0, 0.0, 0.0, 1.0]", "[0.0, 0.0, 0.0]", "imu.orientation"),
+            ("size: 0.076", "size: 0.076\n      colors: {red: [200, 40]}", "markers.colors.red"),
+            ("size: 0.076", "size: 0.076\n      colors: {red: [90, 90, 95]}", "cannot be grey"),
+            ("size: 0.076", "size: 0.076\n      colors: {red: [200, 40, 300]}", "0 to 255"),
+            (
+                "size: 0.076",
+                "size: 0.076\n      colors: {red: [200, 40, 40], blue: [190, 45, 40]}",
+                "nearly the hue of markers.colors.red",
+            ),
             ("imu: imu", "imu: world", "frames.imu"),
             ("imu: imu", "imu: 3", "frames.imu"),
         ] {

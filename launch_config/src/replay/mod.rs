@@ -9,6 +9,7 @@ mod output;
 mod pipeline;
 mod topics;
 
+pub use feed::{Fed, Feed, ImageTopic};
 pub use pipeline::{Counts, Spent};
 pub use topics::{TopicNameError, TopicNames};
 
@@ -16,7 +17,6 @@ use crate::{
     bag::{BagError, BagMessage, BagReader, BagSummary, Compression, WriteOptions},
     stopwatch::Stopwatch,
 };
-use feed::{Fed, Feed, ImageTopic};
 use marker_tracker::{Tracker, TrackerConfig};
 use output::OutputBag;
 use pipeline::Pipeline;

@@ -15,7 +15,7 @@ use crate::{
     ImageError, ImageView, Input, Output, OwnedImage, Tracker, Warning, decode_compressed_into, from_encoding,
 };
 use node_kit::{Health, Kit, Level, NodeError, NodeShell, Publisher, QosPreset, convert};
-use rig_model::{CameraModel, CameraModelError, MarkerState};
+use rig_model::{CameraModel, CameraModelError, MarkerState, Rig};
 use stages::Stages;
 use std::sync::Arc;
 use volant_msgs::{
@@ -50,6 +50,7 @@ struct Onward {
 /// The node.
 pub struct MarkerTrackerNode {
     tracker: Tracker,
+    rig: Rig,
     frame: String,
     markers: Publisher<MarkerObservations>,
     decoded: OwnedImage,
@@ -68,13 +69,14 @@ impl NodeShell for MarkerTrackerNode {
 
     fn start(kit: &mut Kit<Arrival>, parameters: MarkerTrackerParameters) -> Result<Self, NodeError> {
         let rig = kit.rig()?;
-        let tracker = Tracker::new(rig.markers.clone(), parameters.config());
+        let tracker = Tracker::new(rig.markers.clone(), parameters.config(&rig));
         let markers = kit.advertise("climber/markers", QosPreset::State)?;
         #[cfg(feature = "opencv")]
         let debug = kit.advertise("climber/markers/debug_image", QosPreset::Image)?;
         let mut node = Self {
             tracker,
-            frame: rig.frames.camera,
+            frame: rig.frames.camera.clone(),
+            rig,
             markers,
             decoded: OwnedImage::default(),
             stages: Stages::default(),
@@ -116,6 +118,9 @@ impl NodeShell for MarkerTrackerNode {
             (Health::Error, "no image came in the last second".to_owned())
         } else if report.taken == 0 {
             (Health::Error, "every image of the last second was refused; the log says why".to_owned())
+        } else if report.repeated == report.taken {
+            let message = "every image of the last second is byte for byte the one before: the camera or its driver stands still";
+            (Health::Error, message.to_owned())
         } else if self.camera.is_none() {
             (Health::Warn, "no camera_info yet: geometry is checked coarsely only".to_owned())
         } else if report.detected[0] == 0 {
@@ -135,7 +140,7 @@ impl NodeShell for MarkerTrackerNode {
         _kit: &mut Kit<Arrival>,
         parameters: &MarkerTrackerParameters,
     ) -> Result<(), String> {
-        self.tracker.set_config(parameters.config());
+        self.tracker.set_config(parameters.config(&self.rig));
         Ok(())
     }
 }
@@ -275,8 +280,10 @@ impl MarkerTrackerNode {
                     self.stages.finished(detected);
                 }
                 Output::Warning(warning) => {
-                    if matches!(warning, Warning::Image(_) | Warning::StampFromThePast { .. }) {
-                        self.stages.refused();
+                    match warning {
+                        Warning::Image(_) | Warning::StampFromThePast { .. } => self.stages.refused(),
+                        Warning::Repeated { .. } => self.stages.repeated(),
+                        Warning::CameraSize { .. } => {}
                     }
                     kit.log_throttled(Level::Warn, warning.kind(), warning.to_string());
                 }

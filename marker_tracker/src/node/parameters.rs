@@ -1,6 +1,7 @@
 //! The node's parameters, declared once.
 
 use crate::TrackerConfig;
+use rig_model::Rig;
 
 node_kit::parameters! {
     /// Parameters of the marker tracker.
@@ -40,14 +41,15 @@ node_kit::parameters! {
 }
 
 impl MarkerTrackerParameters {
-    /// As the core wants them.
-    pub fn config(&self) -> TrackerConfig {
+    /// As the core wants them, with the colours of the rig file.
+    pub fn config(&self, rig: &Rig) -> TrackerConfig {
         TrackerConfig {
             use_flow: self.use_flow,
             use_hue: self.use_hue,
             max_predicted: self.max_predicted,
             rigid_prediction: self.rigid_prediction,
             max_centroid_sigma: self.max_centroid_sigma,
+            start_colors: rig.colors,
         }
     }
 }

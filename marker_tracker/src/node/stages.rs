@@ -8,6 +8,7 @@ pub(crate) struct Stages {
     images: u32,
     taken: u32,
     refused: u32,
+    repeated: u32,
     convert: Span,
     track: Span,
     draw: Span,
@@ -39,6 +40,8 @@ impl Span {
 pub(crate) struct Report {
     pub images: u32,
     pub taken: u32,
+    /// Images that were the one before, byte for byte.
+    pub repeated: u32,
     /// Images with at least one marker, at least two, ….
     pub detected: [u32; 4],
     pub values: Vec<(&'static str, String)>,
@@ -69,6 +72,10 @@ impl Stages {
         self.refused += 1;
     }
 
+    pub fn repeated(&mut self) {
+        self.repeated += 1;
+    }
+
     pub fn finished(&mut self, detected: usize) {
         self.taken += 1;
         self.detected[detected.min(4)] += 1;
@@ -81,10 +88,12 @@ impl Stages {
         Report {
             images: s.images,
             taken: s.taken,
+            repeated: s.repeated,
             detected: at_least,
             values: vec![
                 ("images", s.images.to_string()),
                 ("refused", s.refused.to_string()),
+                ("repeated", s.repeated.to_string()),
                 ("all four detected", s.detected[4].to_string()),
                 ("three detected", s.detected[3].to_string()),
                 ("fewer detected", (s.detected[0] + s.detected[1] + s.detected[2]).to_string()),

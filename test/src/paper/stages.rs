@@ -91,11 +91,15 @@ impl Stages {
             let pose = camera.inverse() * scenario.motion.world_from_volant(t);
             Some(scenario.rig.markers.projected_centroid(color, &scenario.camera, &pose)?.pixel)
         };
+        let seen = {
+            let view = image.view(scenario.sensors.epoch.plus_seconds(seconds));
+            PerColor::from_fn(|c| tracker.seen(c, &view))
+        };
         Ok(Self {
             rgb: rgb_of(&image),
             image,
             marks: tracker.marks(),
-            seen: PerColor::from_fn(|c| tracker.seen(c)),
+            seen,
             true_flow: PerColor::from_fn(|c| Some(place(c, seconds)? - place(c, before)?)),
         })
     }

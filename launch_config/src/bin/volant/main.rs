@@ -4,6 +4,7 @@
 #![allow(clippy::print_stdout)]
 
 mod bag;
+mod colors;
 mod evaluate;
 #[cfg(feature = "nodes")]
 mod play;
@@ -69,6 +70,8 @@ fn main() -> ExitCode {
         Action::Record(arguments) => record::run(&arguments),
         #[cfg(feature = "nodes")]
         Action::Play(arguments) => play::run(&arguments),
+        // The rest of `calibrate` is an executable of its own, which needs all of OpenCV.
+        Action::Other(words) if is_colors(&words) => colors::run(&colors::Arguments::parse_from(&words[1..])),
         Action::Other(words) => return other(&words),
     };
     match result {
@@ -78,6 +81,10 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+fn is_colors(words: &[OsString]) -> bool {
+    words.len() >= 2 && words[0] == "calibrate" && words[1] == "colors"
 }
 
 /// `volant X` may be an executable `volant-X` beside this one, or on the path.

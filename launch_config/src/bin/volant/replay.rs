@@ -61,9 +61,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         .clamp(1, 64);
     let options = ReplayOptions {
         input: arguments.input.clone(),
+        tracker: TrackerConfig { start_colors: rig.colors, ..TrackerConfig::default() },
         rig,
         output: arguments.out.clone(),
-        tracker: TrackerConfig::default(),
         fusion: FusionConfig {
             model: match arguments.model {
                 ModelName::Tight => Model::Tight,

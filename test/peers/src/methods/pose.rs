@@ -91,7 +91,8 @@ pub fn gauss_newton(
         pose.translation.vector += step.fixed_rows::<3>(0);
         pose.rotation =
             UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(3).into_owned()) * pose.rotation;
-        if step.norm() < 1e-7 || (last - cost).abs() < 1e-9 * (1.0 + cost) {
+        // In units of the weighted squares; the next step would gain far less than this one did.
+        if step.dot(&right) < 1e-4 {
             return (pose.translation.vector.z > 0.05).then_some((pose, cost));
         }
         last = cost;

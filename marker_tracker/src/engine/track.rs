@@ -1,0 +1,383 @@
+//! Tracking: each marker is sought near where it should be, by its flow and its hue, and the four must agree.
+
+use super::{COARSE, COARSE_ROWS, Engine, ROWS, half_width_for, is_told, is_whole};
+use crate::{
+    blob::ScanConfig,
+    edge::{EdgeFit, MAX_ROWS},
+    geometry::{PosePrior, Sight, project_square, refine},
+    image::ImageView,
+    model::{Appearance, HueHistogram},
+    outline::{QuadFit, ShapePrior, fit},
+    quad::Quad,
+    signal::Sampler,
+};
+use nalgebra::{Isometry3, Vector2};
+use rig_model::{CameraModel, MarkerColor};
+
+/// Likeness (0 to 1) of the hue histograms from which on a thing can be the marker.
+const MIN_LIKENESS: f32 = 0.6;
+/// Pixels around the sought outline that a window shows.
+const MARGIN: f64 = 9.0;
+
+/// The part of the image around an outline.
+fn window_of(image: &ImageView<'_>, quad: &Quad) -> [i32; 4] {
+    let (w, h) = (image.width as i32, image.height as i32);
+    let [x0, y0, x1, y1] = quad.bounds(MARGIN);
+    let (x0, y0) = (x0.clamp(0, w), y0.clamp(0, h));
+    [x0, y0, x1.clamp(x0, w), y1.clamp(y0, h)]
+}
+
+/// How much is known beforehand of an outline's edges.
+#[derive(Clone, Copy)]
+pub(super) struct Slack {
+    /// Half-width across the edges that is read, px.
+    pub half_width: f64,
+    /// Standard deviations as in [`ShapePrior`]: px, px, rad.
+    pub edge: f64,
+    pub place: f64,
+    pub slope: f64,
+    /// As in [`ShapePrior`].
+    pub gradient: Option<Vector2<f64>>,
+}
+
+/// Standard deviation of a centroid up to which one look is enough, px: where noise or compression leave more, a second look
+/// about the place that was found gains a quarter.
+const CERTAIN: f64 = 0.025;
+/// While an outline is sought, and once it is known.
+const SOUGHT: Slack = Slack { half_width: COARSE, edge: 1.0, place: 3.0, slope: 0.06, gradient: None };
+const KNOWN: Slack = Slack { half_width: 2.0, edge: 0.5, place: 3.0, slope: 0.03, gradient: None };
+
+impl Engine {
+    /// The image as it shows a marker.
+    pub(super) fn sampler<'a>(&self, image: &ImageView<'a>, color: MarkerColor) -> Option<Sampler<'a>> {
+        self.markers[color].appearance.as_ref().map(|a| Sampler::new(image, &a.discriminant))
+    }
+
+    /// Fits the outline near `quad`.
+    pub(super) fn measure(
+        &self,
+        sampler: &Sampler<'_>,
+        color: MarkerColor,
+        quad: &Quad,
+        slack: Slack,
+    ) -> Option<QuadFit> {
+        let prior = ShapePrior {
+            edge_bias: self.markers[color].edge_bias.0,
+            edge_sigma: slack.edge,
+            place_sigma: slack.place,
+            slope_sigma: slack.slope,
+            correlation: self.correlation(),
+            inflation: self.inflation(),
+            half_width: slack.half_width,
+            rows: match slack.gradient {
+                _ if slack.half_width == COARSE => COARSE_ROWS,
+                Some(_) => ROWS,
+                None => MAX_ROWS,
+            },
+            gradient: slack.gradient,
+        };
+        fit(sampler, quad, &prior, 0.45)
+    }
+
+    /// Whether what is inside has the marker's hues, where that is asked.
+    fn hue_agrees(&self, image: &ImageView<'_>, color: MarkerColor, quad: &Quad) -> bool {
+        if !self.config.use_hue {
+            return true;
+        }
+        let Some(appearance) = self.markers[color].appearance.as_ref() else { return false };
+        HueHistogram::of(image, quad).is_some_and(|h| h.likeness(&appearance.hue) > MIN_LIKENESS)
+    }
+
+    /// A whole outline where it should be. One look is enough where the last images told how wide the edges are and how
+    /// well they are foretold, and the outline is found within that; else a wide look comes first.
+    fn follow(&mut self, sampler: &Sampler<'_>, color: MarkerColor, quad: &Quad) -> Option<QuadFit> {
+        let m = &self.markers[color];
+        let mut found = None;
+        if m.blur > 0.0 {
+            let half_width = (m.blur + (1.3 * m.miss - 0.3).max(0.0)).min(COARSE - 0.1);
+            let slack = Slack { half_width, gradient: m.gradient, ..KNOWN };
+            let f = self.measure(sampler, color, quad, slack).filter(is_whole);
+            found = f.filter(|f| {
+                let certain = f.covariance.trace() < 2.0 * CERTAIN * CERTAIN;
+                certain && half_width_for(f) + f.miss - 0.4 <= half_width
+            });
+        }
+        let found = found.or_else(|| {
+            let first = self.measure(sampler, color, quad, SOUGHT).filter(is_whole)?;
+            let slack = Slack { half_width: half_width_for(&first), ..KNOWN };
+            let mut second = self.measure(sampler, color, &first.quad, slack).filter(is_whole)?;
+            // The miss is that of the place where it was sought.
+            second.miss += first.miss;
+            Some(second)
+        });
+        let m = &mut self.markers[color];
+        match &found {
+            Some(f) => {
+                m.blur = half_width_for(f);
+                m.gradient = Some(f.gradient);
+                m.miss = f.miss.max(0.85 * m.miss).clamp(0.1, 1.5);
+            }
+            None => (m.blur, m.gradient) = (0.0, None),
+        }
+        found
+    }
+
+    /// Looks for each marker near where it should be; the number of those detected.
+    pub(super) fn track(&mut self, image: &ImageView<'_>, camera: &CameraModel, ratio: f64) -> usize {
+        let Some(pose) = self.pose else { return 0 };
+        let mut whole: [Option<QuadFit>; 4] = [None; 4];
+        let start = self.predicted(&pose, ratio);
+        for color in MarkerColor::ALL {
+            let Some(sampler) = self.sampler(image, color) else { continue };
+            let Some(quad) = project_square(&self.layout, color, self.markers[color].turn.0, camera, &start)
+            else {
+                continue;
+            };
+            let quad = if self.config.use_flow { self.moved_by_flow(&sampler, color, &quad) } else { quad };
+            self.markers[color].window = window_of(image, &quad);
+            let found = self.follow(&sampler, color, &quad).or_else(|| self.search(image, color, &quad));
+            whole[color.index()] = match found {
+                Some(f) if !self.hue_agrees(image, color, &f.quad) => {
+                    self.markers[color].reason = "of another hue";
+                    None
+                }
+                other => other,
+            };
+        }
+        let known = self.known_camera();
+        let now = self.agree(camera, &start, known, &mut whole);
+        // What is covered in part, or was not where it was sought: again, from the pose that the others tell.
+        let mut detected = whole.iter().flatten().count();
+        let trust = match detected {
+            0 => None,
+            1 => Some((3.0, 0.4)),
+            2 => Some((2.0, 0.25)),
+            _ => Some((0.8, 0.1)),
+        };
+        for color in MarkerColor::ALL {
+            if let Some(f) = whole[color.index()] {
+                self.markers[color].fit = Some(f);
+                self.markers[color].reason = "whole";
+                continue;
+            }
+            let Some((place_sigma, edge_sigma)) = trust else { continue };
+            self.markers[color].reason = "covered";
+            let Some(fit) = self.measure_again(image, color, camera, &now, edge_sigma, place_sigma) else {
+                continue;
+            };
+            if !self.hue_agrees(image, color, &fit.quad) {
+                self.markers[color].reason = "of another hue";
+                continue;
+            }
+            let expected = self.layout.projected_centroid(color, camera, &now).map(|p| p.pixel);
+            if expected.is_some_and(|e| (e - fit.centroid).norm() < 3.0 * place_sigma) {
+                self.markers[color].fit = Some(fit);
+                self.markers[color].reason = "covered in part, told by its other edges";
+                detected += 1;
+            } else {
+                self.markers[color].reason = "not where the other markers say";
+            }
+        }
+        self.learn(image, camera, &now);
+        if known && self.images % 4 == 1 {
+            self.learn_noise(camera, &now);
+        }
+        self.pose = Some(now);
+        detected
+    }
+
+    /// The predicted outline, moved to where the optical flow has it.
+    fn moved_by_flow(&self, sampler: &Sampler<'_>, color: MarkerColor, quad: &Quad) -> Quad {
+        let m = &self.markers[color];
+        let Some(before) = m.centroid else { return *quad };
+        let (_, place) = quad.area_and_centroid();
+        let foretold = place - before;
+        match m.outline.displacement(sampler, foretold) {
+            Some(flow) => quad.shifted(flow - foretold),
+            None => *quad,
+        }
+    }
+
+    /// What a whole outline tells of the pose. Its corners are asked only where the centroids leave the tilt open.
+    fn sight(&self, color: MarkerColor, f: &QuadFit, with_outline: bool) -> Sight {
+        let m = &self.markers[color];
+        // Paper cut too large or a blooming sensor widen the outline; that is not nearness.
+        let scale = 1.0 - 2.0 * m.edge_bias.0 / f.area.sqrt().max(1.0);
+        let outline = Quad(f.quad.0.map(|c| f.centroid + (c - f.centroid) * scale));
+        Sight {
+            color,
+            pixel: f.centroid,
+            sigma: 0.1,
+            outline: (with_outline && m.turn.1 > 0).then_some((outline, m.turn.0)),
+        }
+    }
+
+    /// A marker at the place that the others' pose gives, covered in part as it may be.
+    fn measure_again(
+        &mut self,
+        image: &ImageView<'_>,
+        color: MarkerColor,
+        camera: &CameraModel,
+        pose: &Isometry3<f64>,
+        edge_sigma: f64,
+        place_sigma: f64,
+    ) -> Option<QuadFit> {
+        let quad = project_square(&self.layout, color, self.markers[color].turn.0, camera, pose)?;
+        let (unknown, known_turn) =
+            (self.markers[color].appearance.is_none(), self.markers[color].turn.1 > 5);
+        if unknown {
+            let appearance = Appearance::learn(image, &quad)?;
+            let rgb = appearance.marker.map(|v| v as u8);
+            if self.scanner.palette.classify(rgb).is_none_or(|(c, _, _)| c != color) {
+                return None;
+            }
+            self.markers[color].appearance = Some(appearance);
+        }
+        let sampler = self.sampler(image, color)?;
+        let result = if known_turn {
+            let (_, place) = quad.area_and_centroid();
+            let slack =
+                Slack { half_width: 3.5, edge: edge_sigma, place: place_sigma, slope: 0.012, gradient: None };
+            self.measure(&sampler, color, &quad, slack)
+                .and_then(|f| {
+                    let quad = quad.shifted(f.centroid - place);
+                    self.measure(&sampler, color, &quad, Slack { half_width: 2.5, ..slack })
+                })
+                .filter(|f| is_told(f, &self.config))
+        } else {
+            self.measure(
+                &sampler,
+                color,
+                &quad,
+                Slack { half_width: 5.0, edge: 1.0, place: 3.0, slope: 0.1, gradient: None },
+            )
+            .filter(is_whole)
+            .and_then(|f| {
+                let slack = Slack { half_width: half_width_for(&f), ..KNOWN };
+                self.measure(&sampler, color, &f.quad, slack)
+            })
+            .filter(is_whole)
+        };
+        if unknown && result.is_none() {
+            self.markers[color].appearance = None;
+        }
+        result
+    }
+
+    /// A marker that is further off than an edge can be followed: by its patch of colour.
+    fn search(&mut self, image: &ImageView<'_>, color: MarkerColor, quad: &Quad) -> Option<QuadFit> {
+        let (area, place) = quad.area_and_centroid();
+        let margin = 25.0 + self.markers[color].flow.norm();
+        let config = ScanConfig {
+            stride: 1,
+            min_saturation: 0.15,
+            min_layer: 10,
+            min_area: 0.5 * area.abs(),
+            max_area: 1.5 * area.abs(),
+        };
+        self.scanner.scan(image, quad.bounds(margin), &config);
+        let blob = self
+            .scanner
+            .blobs
+            .iter()
+            .filter(|b| b.color == color && !b.cut && (0.8..1.2).contains(&b.fill()))
+            .min_by(|a, b| (a.centroid - place).norm().total_cmp(&(b.centroid - place).norm()))?;
+        let quad = quad.shifted(blob.centroid - place);
+        let sampler = self.sampler(image, color)?;
+        let first = self.measure(&sampler, color, &quad, SOUGHT).filter(is_whole)?;
+        let slack = Slack { half_width: half_width_for(&first), ..KNOWN };
+        self.measure(&sampler, color, &first.quad, slack).filter(is_whole)
+    }
+
+    /// The pose that the whole outlines tell. Four centroids over-determine it by two, and each square has the widths that
+    /// the pose gives it: what does not fit is no marker, or a marker whose edge is hidden behind a straight thing.
+    fn agree(
+        &mut self,
+        camera: &CameraModel,
+        start: &Isometry3<f64>,
+        known_camera: bool,
+        whole: &mut [Option<QuadFit>; 4],
+    ) -> Isometry3<f64> {
+        let tolerance = if known_camera { 0.6 } else { 3.0 };
+        let prior = PosePrior { camera_from_volant: *start, position_sigma: 0.1, rotation_sigma: 0.1 };
+        loop {
+            let mut sights =
+                [Sight { color: MarkerColor::Red, pixel: Vector2::zeros(), sigma: 0.1, outline: None }; 4];
+            let count = whole.iter().flatten().count();
+            let mut n = 0;
+            for color in MarkerColor::ALL {
+                if let Some(f) = whole[color.index()] {
+                    sights[n] = self.sight(color, &f, count < 4);
+                    n += 1;
+                }
+            }
+            let sights = &sights[..n];
+            if n == 0 {
+                return *start;
+            }
+            let Some((now, rms)) = refine(&self.layout, camera, sights, start, Some(&prior), 8) else {
+                return *start;
+            };
+            if n < 2 {
+                return now;
+            }
+            // The width that is most off, in units of what it may be off.
+            let (mut worst, mut culprit) = (0.0, None);
+            for s in sights {
+                let m = &self.markers[s.color];
+                let Some(f) = whole[s.color.index()] else { continue };
+                let Some(expected) = project_square(&self.layout, s.color, m.turn.0, camera, &now) else {
+                    continue;
+                };
+                let side = f.area.sqrt();
+                for (k, (measured, predicted)) in f.quad.widths().iter().zip(expected.widths()).enumerate() {
+                    // `widths` tells the distance between the edges k and k + 2.
+                    let variance = |e: Option<EdgeFit>| e.map_or(0.01, |e| e.covariance[(0, 0)]);
+                    let sigma = (variance(f.edges[k]) + variance(f.edges[k + 2])).sqrt();
+                    let allowed = match (known_camera, m.edge_bias.1 > 3, count) {
+                        (true, true, 4) => 0.12 + 0.005 * side + 4.0 * sigma,
+                        (true, true, 3) => 0.25 + 0.01 * side + 4.0 * sigma,
+                        (true, ..) => 1.0 + 0.05 * side,
+                        (false, ..) => 1.5 + 0.15 * side,
+                    };
+                    let off = (measured - predicted - 2.0 * m.edge_bias.0).abs() / allowed;
+                    if off > worst {
+                        (worst, culprit) = (off, Some(s.color));
+                    }
+                }
+            }
+            let inconsistent = rms > tolerance && n > 2;
+            if worst < 1.0 && !inconsistent {
+                return now;
+            }
+            // Where widths are right, the one whose displacement differs most from the others'.
+            if worst < 1.0 {
+                let moved = |c: MarkerColor| {
+                    let m = &self.markers[c];
+                    whole[c.index()].and_then(|f| Some(f.centroid - m.centroid? - m.flow))
+                };
+                let strangeness = |c: MarkerColor| {
+                    let own = moved(c)?;
+                    let mut distances = [f64::INFINITY; 4];
+                    let mut k = 0;
+                    for other in MarkerColor::ALL.into_iter().filter(|o| *o != c) {
+                        if let Some(v) = moved(other) {
+                            distances[k] = (v - own).norm();
+                            k += 1;
+                        }
+                    }
+                    distances[..k].sort_unstable_by(f64::total_cmp);
+                    distances[..k].get(k / 2).copied()
+                };
+                culprit = sights
+                    .iter()
+                    .filter_map(|s| Some((s.color, strangeness(s.color)?)))
+                    .max_by(|a, b| a.1.total_cmp(&b.1))
+                    .map(|(c, _)| c);
+            }
+            let Some(culprit) = culprit else { return now };
+            whole[culprit.index()] = None;
+            self.markers[culprit].reason = "contradicts the other markers' geometry";
+        }
+    }
+}

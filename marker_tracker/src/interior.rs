@@ -1,0 +1,229 @@
+//! The signal's level inside of a square: a plane, whatever crosses the square.
+
+use crate::{
+    quad::Quad,
+    signal::{Sampler, nearest},
+};
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+/// Most lines that are read, and most pixels of each: in a thorough look, and in a quick one, which leans on the gradient of
+/// the images before.
+const LINES: i32 = 40;
+const PER_LINE: i32 = 48;
+const QUICK: (i32, i32) = (12, 16);
+/// How much more the gradient of the images before weighs than this image's pixels do: shading drifts slowly, and a pixel's
+/// noise in the gradient shifts opposite edges the same way.
+const PATIENCE: f64 = 3.0;
+/// Within these bounds a pixel may be off the level and still belong to it, in units of the contrast.
+const GATE: (f64, f64) = (0.08, 0.3);
+
+/// Signal level of the interior.
+pub(crate) struct Interior {
+    pub centre: Vector2<f64>,
+    pub level: f64,
+    pub gradient: Vector2<f64>,
+    /// Share of the pixels that have the level.
+    pub filled: f64,
+    /// Standard deviation of a pixel about the plane.
+    pub sigma: f64,
+    /// Variance, in units of a pixel's, of the gradient times half the side.
+    pub reach: f64,
+}
+
+/// Sums of a plane's normal equations, about (`cx`, `cy`) and a middle level.
+#[derive(Default)]
+struct Sums {
+    n: f64,
+    x: f64,
+    y: f64,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+    s: f64,
+    xs: f64,
+    ys: f64,
+    ss: f64,
+}
+
+/// One line of the interior: where it begins, how many pixels of which distance.
+type Line = (i32, i32, i32, i32);
+
+impl Interior {
+    pub fn at(&self, x: f64, y: f64) -> f64 {
+        self.level + self.gradient.x * (x - self.centre.x) + self.gradient.y * (y - self.centre.y)
+    }
+
+    /// From the pixels that stay `half_width` px away from the edges, and the gradient that was measured before, if it was.
+    pub fn measure(
+        sampler: &Sampler<'_>,
+        quad: &Quad,
+        half_width: f64,
+        before: Option<Vector2<f64>>,
+    ) -> Option<Self> {
+        let (area, centre) = quad.area_and_centroid();
+        let side = quad.thickness_of(area);
+        let shrink = ((side - 2.0 * half_width - 1.0) / side).clamp(0.25, 0.9);
+        let shrunken = Quad(quad.0.map(|c| centre + (c - centre) * shrink));
+        let [_, top, _, bottom] = shrunken.bounds(0.0);
+        let (most, per_line) = if before.is_some() { QUICK } else { (LINES, PER_LINE) };
+        let stride = ((bottom - top + most - 1) / most).max(1);
+        let spans = shrunken.spans();
+        let mut lines = [(0, 0, 0, 0); LINES as usize + 1];
+        let mut count = 0;
+        let mut y = top + stride / 2;
+        while y < bottom && count < lines.len() {
+            if let Some((from, to)) = spans.at(f64::from(y)) {
+                let (from, to) = (from.max(0), to.min(sampler.width));
+                let hop = ((to - from + per_line - 1) / per_line).max(1);
+                let n = (to - from + hop - 1) / hop;
+                if n > 0 && y >= 0 && y < sampler.height {
+                    lines[count] = (from, y, n, hop);
+                    count += 1;
+                }
+            }
+            y += stride;
+        }
+        let lines = &lines[..count];
+        let middle = (nearest(centre.x), nearest(centre.y));
+        let (sums, low, high) = plain(sampler, lines, middle);
+        let mut sums = sums;
+        let mut offset = 0.0;
+        let all = sums.n;
+        if all < 8.0 {
+            return None;
+        }
+        let mean = sums.s / all;
+        let spread = (sums.ss / all - mean * mean).max(0.0).sqrt();
+        let gate = (4.5 * spread).clamp(GATE.0, GATE.1);
+        if high - mean > gate || mean - low > gate {
+            // Something crosses it.
+            let (median, spread) = middle_half(sampler, lines)?;
+            sums = gated(sampler, lines, middle, median, (4.0 * spread).clamp(GATE.0, GATE.1));
+            offset = median;
+        }
+        if sums.n < 8.0 {
+            return None;
+        }
+        let n = sums.n;
+        // A weak pull to a flat level keeps small squares stable; what was measured before pulls harder.
+        let (pull, target) = match before {
+            Some(gradient) => (PATIENCE, gradient),
+            None => (0.0, Vector2::zeros()),
+        };
+        let weak = if before.is_some() { 0.0 } else { 10.0 * n.min(20.0) };
+        let spread = (sums.xx - sums.x * sums.x / n, sums.yy - sums.y * sums.y / n);
+        let extra = (weak + pull * spread.0, weak + pull * spread.1);
+        let normal = Matrix3::new(
+            n,
+            sums.x,
+            sums.y,
+            sums.x,
+            sums.xx + extra.0,
+            sums.xy,
+            sums.y,
+            sums.xy,
+            sums.yy + extra.1,
+        );
+        let plain = Vector3::new(sums.s, sums.xs, sums.ys);
+        let right = plain + Vector3::new(0.0, extra.0 * target.x, extra.1 * target.y);
+        let solution = normal.cholesky()?.solve(&right);
+        // Σ (s − plane)², the pulls left out.
+        let square = sums.ss - 2.0 * solution.dot(&plain) + solution.dot(&(normal * solution))
+            - extra.0 * solution.y * solution.y
+            - extra.1 * solution.z * solution.z;
+        let variance = (square / (n - 3.0)).max(1e-8);
+        Some(Self {
+            centre: Vector2::new(f64::from(middle.0), f64::from(middle.1)),
+            level: offset + solution.x,
+            gradient: Vector2::new(solution.y, solution.z),
+            filled: n / all,
+            sigma: variance.sqrt(),
+            // Of a level at an edge's middle that the gradient carries there, both ends alike.
+            // Averaged over time with the gain 1/(1 + patience), where there was one before.
+            reach: 3.0 / (n * shrink * shrink) / if before.is_some() { 2.0 * PATIENCE + 1.0 } else { 1.0 },
+        })
+    }
+}
+
+/// The sums over every pixel, with the lowest and the highest value.
+fn plain(sampler: &Sampler<'_>, lines: &[Line], (cx, cy): (i32, i32)) -> (Sums, f64, f64) {
+    let mut sums = Sums::default();
+    let scale = f64::from(sampler.scale);
+    let (mut low, mut high) = (i32::MAX, i32::MIN);
+    for &(x, y, count, hop) in lines {
+        let Some((bytes, step)) = sampler.line(x, y, 0, count, hop) else { continue };
+        let (mut s, mut sj, mut ss) = (0i32, 0i64, 0i64);
+        sampler.each(bytes, step, |j, value| {
+            s += value;
+            sj += i64::from(value) * i64::from(j);
+            ss += i64::from(value) * i64::from(value);
+            low = low.min(value);
+            high = high.max(value);
+        });
+        let (n, h) = (f64::from(count), f64::from(hop));
+        let (x, y) = (f64::from(x - cx), f64::from(y - cy));
+        let (s, sj, ss) = (f64::from(s) * scale, sj as f64 * scale, ss as f64 * scale * scale);
+        // Σx and Σx² of the n places x, x + h, …
+        let last = n - 1.0;
+        let sum_x = n * x + h * n * last / 2.0;
+        sums.n += n;
+        sums.x += sum_x;
+        sums.y += n * y;
+        sums.xx += n * x * x + x * h * n * last + h * h * n * last * (2.0 * n - 1.0) / 6.0;
+        sums.xy += sum_x * y;
+        sums.yy += n * y * y;
+        sums.s += s;
+        sums.xs += x * s + h * sj;
+        sums.ys += y * s;
+        sums.ss += ss;
+    }
+    (sums, f64::from(low) * scale, f64::from(high) * scale)
+}
+
+/// The sums over the pixels that are less than `gate` off `median`, of their difference to it.
+fn gated(sampler: &Sampler<'_>, lines: &[Line], (cx, cy): (i32, i32), median: f64, gate: f64) -> Sums {
+    let mut sums = Sums::default();
+    for &(x, y, count, hop) in lines {
+        let Some((bytes, step)) = sampler.line(x, y, 0, count, hop) else { continue };
+        let y = f64::from(y - cy);
+        sampler.each(bytes, step, |j, value| {
+            let d = f64::from(value) * f64::from(sampler.scale) - median;
+            if d.abs() < gate {
+                let x = f64::from(x + j * hop - cx);
+                sums.n += 1.0;
+                sums.x += x;
+                sums.y += y;
+                sums.xx += x * x;
+                sums.xy += x * y;
+                sums.yy += y * y;
+                sums.s += d;
+                sums.xs += x * d;
+                sums.ys += y * d;
+                sums.ss += d * d;
+            }
+        });
+    }
+    sums
+}
+
+/// The median, and the standard deviation that the middle half of the values tells.
+fn middle_half(sampler: &Sampler<'_>, lines: &[Line]) -> Option<(f64, f64)> {
+    let mut values = [0i32; 256];
+    let mut count = 0;
+    for &(x, y, n, hop) in lines {
+        let Some((bytes, step)) = sampler.line(x, y, 0, n, hop) else { continue };
+        sampler.each(bytes, step, |j, value| {
+            if (j + y) % 4 == 0
+                && let Some(slot) = values.get_mut(count)
+            {
+                *slot = value;
+                count += 1;
+            }
+        });
+    }
+    let values = values.get_mut(..count).filter(|v| v.len() >= 8)?;
+    values.sort_unstable();
+    let scale = f64::from(sampler.scale);
+    let at = |i: usize| f64::from(values[i]) * scale;
+    Some((at(count / 2), (at(count * 3 / 4) - at(count / 4)) / 1.35))
+}

@@ -1,0 +1,131 @@
+//! Drawn scenes with exact edges.
+
+#![allow(dead_code, clippy::unwrap_used, clippy::panic)] // each test takes what it needs
+
+use marker_tracker::{ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
+use rig_model::{CameraModel, Distortion, MarkerColor, MarkerLayout, MarkerObservations, PerColor, Stamp};
+
+/// Of every image, px.
+pub const WIDTH: usize = 640;
+/// Of every image, px.
+pub const HEIGHT: usize = 480;
+/// Colours of the four.
+pub const PAINT: [[f64; 3]; 4] =
+    [[168.0, 47.0, 49.0], [77.0, 132.0, 76.0], [40.0, 93.0, 146.0], [194.0, 166.0, 67.0]];
+
+/// Where they are.
+pub fn layout() -> MarkerLayout {
+    MarkerLayout {
+        side: 0.076,
+        centres: PerColor([
+            Point3::new(0.157, 0.145, 0.022),
+            Point3::new(-0.154, 0.151, 0.022),
+            Point3::new(-0.145, -0.142, 0.022),
+            Point3::new(0.147, -0.152, 0.022),
+        ]),
+    }
+}
+
+/// The camera of every image.
+pub fn camera() -> CameraModel {
+    CameraModel::new(640, 480, [600.0, 600.0, 319.5, 239.5], Distortion::PlumbBob([0.0; 5])).unwrap()
+}
+
+/// The platform at `t` s.
+pub fn pose(t: f64) -> Isometry3<f64> {
+    Isometry3::from_parts(
+        Translation3::new(0.03 * (1.3 * t).sin(), 0.05 * (0.9 * t).cos(), 1.25),
+        UnitQuaternion::from_euler_angles(
+            std::f64::consts::PI + 0.15 * t.sin(),
+            0.1 * t.cos(),
+            0.4 + 0.1 * t,
+        ),
+    )
+}
+
+/// A small generator, so that the noise is the same in every run.
+pub struct Noise(pub u64);
+
+impl Noise {
+    fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+    fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
+    }
+}
+
+/// A grey platform on a darker floor, with those markers on it that have a paint.
+pub fn draw(pose: &Isometry3<f64>, paint: [Option<[f64; 3]>; 4], noise: &mut Noise) -> Vec<u8> {
+    let inverse = pose.inverse();
+    let layout = layout();
+    let color_at = |u: f64, v: f64| {
+        let ray = inverse.rotation * Vector3::new((u - 319.5) / 600.0, (v - 239.5) / 600.0, 1.0);
+        let eye = inverse.translation.vector;
+        let p = eye + ray * ((0.022 - eye.z) / ray.z);
+        for (color, centre) in layout.centres.iter() {
+            let turn = 0.03 * (color.index() as f64 - 1.5);
+            let (s, c) = turn.sin_cos();
+            let (dx, dy) = (p.x - centre.x, p.y - centre.y);
+            let (a, b) = (c * dx + s * dy, -s * dx + c * dy);
+            if a.abs() < 0.038 && b.abs() < 0.038 {
+                return paint[color.index()].unwrap_or([125.0; 3]);
+            }
+        }
+        if p.x.abs() < 0.23 && p.y.abs() < 0.23 { [125.0; 3] } else { [80.0, 82.0, 84.0] }
+    };
+    let mut data = Vec::with_capacity(WIDTH * HEIGHT * 3);
+    for y in 0..HEIGHT {
+        for x in 0..WIDTH {
+            let corner = |i: f64, j: f64| color_at(x as f64 + i, y as f64 + j);
+            let first = corner(-0.5, -0.5);
+            let plain = [(0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)].iter().all(|&(i, j)| corner(i, j) == first);
+            let mut sum = [0.0; 3];
+            let n = if plain { 1 } else { 8 };
+            for i in 0..n {
+                for j in 0..n {
+                    let at = |k: i32| (f64::from(k) + 0.5) / f64::from(n) - 0.5;
+                    let c = corner(at(i), at(j));
+                    (0..3).for_each(|k| sum[k] += c[k]);
+                }
+            }
+            for s in sum {
+                data.push((s / f64::from(n * n) + 2.0 * noise.normal()).round().clamp(0.0, 255.0) as u8);
+            }
+        }
+    }
+    data
+}
+
+/// All four on the platform.
+pub const ALL: [Option<[f64; 3]>; 4] = [Some(PAINT[0]), Some(PAINT[1]), Some(PAINT[2]), Some(PAINT[3])];
+
+/// The observations of the image number `k`.
+pub fn observe(tracker: &mut Tracker, k: i64, data: &[u8]) -> MarkerObservations {
+    tracker.handle(Input::Image(ImageView {
+        stamp: Stamp::from_nanos(k * 33_333_333),
+        width: WIDTH,
+        height: HEIGHT,
+        step: 3 * WIDTH,
+        format: PixelFormat::Rgb8,
+        data,
+    }));
+    match tracker.poll() {
+        Some(Output::Observations(o)) => o,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// A tracker that knows the camera.
+pub fn new_tracker(config: TrackerConfig) -> Tracker {
+    let mut tracker = Tracker::new(layout(), config);
+    tracker.handle(Input::Camera(camera()));
+    tracker
+}
+
+/// Where a marker's centroid is.
+pub fn truth(color: MarkerColor, pose: &Isometry3<f64>) -> Vector2<f64> {
+    layout().projected_centroid(color, &camera(), pose).unwrap().pixel
+}
