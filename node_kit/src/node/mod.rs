@@ -8,6 +8,7 @@ mod domain;
 mod error;
 mod hub;
 mod kit;
+mod large_reply;
 mod life;
 mod logger;
 mod process;

@@ -3,19 +3,17 @@
 use super::{
     NodeError,
     kit::{Event, Kit, policies},
+    large_reply::{self, LargeReply},
     logger::Logger,
     wire::Half,
 };
 use crate::{environment::ServiceFlavour, inbox::now, level::Level, qos::Qos};
 use async_executor::Task;
 use futures_lite::StreamExt;
-use ros2_client::{
-    Name, QosProfile, ServiceMapping, ServiceTypeName,
-    qos::{History, WhenFull},
-};
-use rustdds::TopicKind;
+use ros2_client::{MessageInfo, RmwRequestId, ServiceTypeName};
+use rustdds::{SampleIdentity, SequenceNumber, Topic, TopicKind, WriteOptionsBuilder};
 use serde::{Deserialize, Serialize};
-use std::{fmt::Display, future::Future, time::Duration};
+use std::{fmt::Display, future::Future, sync::Arc, time::Duration};
 use volant_msgs::Service;
 
 /// Answers one request of a service. Dropped without an answer, the client gets none.
@@ -74,38 +72,51 @@ impl<I: Send + 'static> Kit<I> {
         type_name: &ServiceTypeName,
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
     ) -> Result<Task<()>, NodeError> {
-        // rmw's default for services.
-        let qos = QosProfile::publisher_default()
-            .reliability_reliable(WhenFull::Fail)
-            .history(History::KeepLast { depth: 10 });
-        let parsed = Name::parse(&name).map_err(|e| failed(&name, e))?;
-        let server = self
-            .node
-            .create_server::<Half<S::Request>, Half<S::Response>>(
-                ServiceMapping::Enhanced,
-                &parsed,
-                type_name,
-                qos.clone(),
-                qos,
-            )
+        let (requests, replies) = self.service_topics(&name, type_name)?;
+        let requests =
+            self.node.create_subscription::<S::Request>(&requests, None).map_err(|e| failed(&name, e))?;
+        let participant = self.domain.context.domain_participant();
+        // Not ros2-client's Publisher, which has no way to write what a reply answers.
+        let writer = participant
+            .create_publisher(&policies(&SERVICE))
+            .and_then(|p| p.create_datawriter_no_key_cdr::<Half<S::Response>>(&replies, Some(policies(&SERVICE))))
             .map_err(|e| failed(&name, e))?;
-        let log = ServiceLog { logger: self.logger(), name };
+        let writer = Arc::new(writer);
+        let log = ServiceLog { logger: self.logger(), name: name.clone() };
         Ok(self.reactor.spawn(async move {
-            let mut requests = std::pin::pin!(server.receive_request_stream());
-            while let Some(request) = requests.next().await {
-                let (id, request) = match request {
+            let mut stream = std::pin::pin!(requests.async_stream());
+            while let Some(request) = stream.next().await {
+                let (request, info) = match request {
                     Ok(request) => request,
                     Err(error) => {
                         log.unreadable(error);
                         continue;
                     }
                 };
-                let Some(response) = answer(request.0).await else { continue };
-                let bytes = volant_msgs::cdr::to_bytes(&response).len();
-                if bytes > LONGEST_ENHANCED_REPLY {
-                    log.too_long(bytes);
-                } else if let Err(error) = server.send_response(id, Half(response)) {
-                    log.unsent(error);
+                let identity = identity_of(&info);
+                let Some(response) = answer(request).await else { continue };
+                let payload = volant_msgs::cdr::to_bytes(&response);
+                if payload.len() > large_reply::LONGEST {
+                    log.too_long(payload.len());
+                    continue;
+                }
+                let options = WriteOptionsBuilder::new()
+                    .source_timestamp(rustdds::Timestamp::now())
+                    .related_sample_identity(identity)
+                    .build();
+                let sample = match writer.write_with_options(Half(response), options) {
+                    Ok(sample) => sample,
+                    Err(error) => {
+                        log.unsent(error.forget_data());
+                        continue;
+                    }
+                };
+                if payload.len() > large_reply::FITS {
+                    let topic = format!("rr{name}Reply");
+                    match LargeReply::new(&participant, &topic, &sample, &identity, &payload) {
+                        Ok(reply) => send_until_acknowledged(reply, Arc::clone(&writer)),
+                        Err(error) => log.unsent(error),
+                    }
                 }
             }
         }))
@@ -118,18 +129,7 @@ impl<I: Send + 'static> Kit<I> {
         type_name: &ServiceTypeName,
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
     ) -> Result<Task<()>, NodeError> {
-        let topic = |dds_name: String, half: &str| {
-            let dds_type =
-                format!("{}::srv::dds_::{}_{half}_", type_name.package_name(), type_name.type_name());
-            let qos = Qos { reliable: true, transient_local: false, depth: 10, max_samples: 1000 };
-            self.domain
-                .context
-                .domain_participant()
-                .create_topic(dds_name, dds_type, &policies(&qos), TopicKind::NoKey)
-                .map_err(|e| failed(&name, e))
-        };
-        let requests = topic(format!("rq{name}Request"), "Request")?;
-        let replies = topic(format!("rr{name}Reply"), "Response")?;
+        let (requests, replies) = self.service_topics(&name, type_name)?;
         let requests = self
             .node
             .create_subscription::<WithIdentity<S::Request>>(&requests, None)
@@ -157,11 +157,52 @@ impl<I: Send + 'static> Kit<I> {
             }
         }))
     }
+
+    /// The DDS topics of requests and replies.
+    fn service_topics(&self, name: &str, type_name: &ServiceTypeName) -> Result<(Topic, Topic), NodeError> {
+        let topic = |dds_name: String, half: &str| {
+            let dds_type =
+                format!("{}::srv::dds_::{}_{half}_", type_name.package_name(), type_name.type_name());
+            self.domain
+                .context
+                .domain_participant()
+                .create_topic(dds_name, dds_type, &policies(&SERVICE), TopicKind::NoKey)
+                .map_err(|e| failed(name, e))
+        };
+        Ok((topic(format!("rq{name}Request"), "Request")?, topic(format!("rr{name}Reply"), "Response")?))
+    }
 }
 
-/// RustDDS 0.15.1 sends a fragmented sample with inline QoS (a reply with the identity of its request) malformed, and again and
-/// again, because nobody can acknowledge it. This fits into a datagram of 1500 bytes with all headers.
-const LONGEST_ENHANCED_REPLY: usize = 1300;
+/// rmw's default for services, but for the bound.
+const SERVICE: Qos = Qos { reliable: true, transient_local: false, depth: 10, max_samples: 1000 };
+
+/// What a reply must bear so that the client knows it for its own.
+fn identity_of(info: &MessageInfo) -> SampleIdentity {
+    let own =
+        RmwRequestId { writer_gid: info.publisher_gid(), sequence_number: info.sequence_number() };
+    let mut id = info.related_request_id().unwrap_or(own);
+    // Fast DDS names the reader that waits for the reply, and leaves the number to the request's own.
+    if id.sequence_number == i64::from(SequenceNumber::UNKNOWN) {
+        id.sequence_number = own.sequence_number;
+    }
+    SampleIdentity::from(id)
+}
+
+/// Sends from a thread of its own, because the acknowledgment is waited for; again if there is none.
+fn send_until_acknowledged<M: Serialize + Send + Sync + 'static>(reply: LargeReply, writer: Arc<ReplyWriter<M>>) {
+    reply.send();
+    // Without a thread it was sent once.
+    let _ = std::thread::Builder::new().name("large_reply".into()).spawn(move || {
+        for _ in 0..4 {
+            if let Ok(true) = writer.wait_for_acknowledgments(Duration::from_millis(50)) {
+                return;
+            }
+            reply.send();
+        }
+    });
+}
+
+type ReplyWriter<M> = rustdds::no_key::DataWriter<Half<M>, rustdds::CDRSerializerAdapter<Half<M>>>;
 
 /// A request or reply with the header that rmw_cyclonedds puts before it.
 #[derive(Serialize, Deserialize)]
@@ -205,8 +246,8 @@ impl ServiceLog {
         self.warn(
             5,
             format!(
-                "an answer of {name} has {bytes} bytes, more than RustDDS can send beside its identity; ask for less at \
-                 a time, or use RMW_IMPLEMENTATION=rmw_cyclonedds_cpp"
+                "an answer of {name} has {bytes} bytes, more than a datagram holds; ask for less at a time, or use \
+                 RMW_IMPLEMENTATION=rmw_cyclonedds_cpp"
             ),
         );
     }
