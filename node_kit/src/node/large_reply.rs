@@ -134,7 +134,8 @@ mod tests {
             writer_guid: GUID::from_bytes(std::array::from_fn(|i| first + i as u8)),
             sequence_number: SequenceNumber::from(number),
         };
-        let bytes = datagram(&identity(0x10, 7), &identity(0x40, (2 << 32) | 3), &[0, 1, 0, 0, 9], 5 << 32 | 6);
+        let bytes =
+            datagram(&identity(0x10, 7), &identity(0x40, (2 << 32) | 3), &[0, 1, 0, 0, 9], 5 << 32 | 6);
         assert_eq!(bytes[..8], *b"RTPS\x02\x04\x01\x12");
         assert_eq!(bytes[8..20], std::array::from_fn::<u8, 12, _>(|i| 0x10 + i as u8));
         assert_eq!(bytes[20..32], [9, 1, 8, 0, 5, 0, 0, 0, 6, 0, 0, 0]);

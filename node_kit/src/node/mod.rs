@@ -17,17 +17,20 @@ mod reactor;
 mod run;
 mod service;
 mod tf;
+mod timers;
+mod topics;
 mod wire;
 
 pub use clock::Clock;
 pub use diagnostics::Health;
 pub use error::NodeError;
-pub use kit::{DeviceSender, IntoInput, Kit};
+pub use kit::{DeviceSender, Kit};
 pub use logger::Logger;
 pub use process::{Process, Stopper};
 pub use publisher::Publisher;
 pub use run::{run_node, run_node_with};
 pub use service::Responder;
+pub use topics::IntoInput;
 
 use crate::parameters::ParameterSet;
 

@@ -2,9 +2,10 @@
 
 use super::{
     NodeError,
-    kit::{Event, Kit, policies},
+    kit::{Event, Kit},
     large_reply::{self, LargeReply},
     logger::Logger,
+    topics::policies,
     wire::Half,
 };
 use crate::{environment::ServiceFlavour, inbox::now, level::Level, qos::Qos};
@@ -79,7 +80,9 @@ impl<I: Send + 'static> Kit<I> {
         // Not ros2-client's Publisher, which has no way to write what a reply answers.
         let writer = participant
             .create_publisher(&policies(&SERVICE))
-            .and_then(|p| p.create_datawriter_no_key_cdr::<Half<S::Response>>(&replies, Some(policies(&SERVICE))))
+            .and_then(|p| {
+                p.create_datawriter_no_key_cdr::<Half<S::Response>>(&replies, Some(policies(&SERVICE)))
+            })
             .map_err(|e| failed(&name, e))?;
         let writer = Arc::new(writer);
         let log = ServiceLog { logger: self.logger(), name: name.clone() };
@@ -178,8 +181,7 @@ const SERVICE: Qos = Qos { reliable: true, transient_local: false, depth: 10, ma
 
 /// What a reply must bear so that the client knows it for its own.
 fn identity_of(info: &MessageInfo) -> SampleIdentity {
-    let own =
-        RmwRequestId { writer_gid: info.publisher_gid(), sequence_number: info.sequence_number() };
+    let own = RmwRequestId { writer_gid: info.publisher_gid(), sequence_number: info.sequence_number() };
     let mut id = info.related_request_id().unwrap_or(own);
     // Fast DDS names the reader that waits for the reply, and leaves the number to the request's own.
     if id.sequence_number == i64::from(SequenceNumber::UNKNOWN) {
@@ -189,7 +191,10 @@ fn identity_of(info: &MessageInfo) -> SampleIdentity {
 }
 
 /// Sends from a thread of its own, because the acknowledgment is waited for; again if there is none.
-fn send_until_acknowledged<M: Serialize + Send + Sync + 'static>(reply: LargeReply, writer: Arc<ReplyWriter<M>>) {
+fn send_until_acknowledged<M: Serialize + Send + Sync + 'static>(
+    reply: LargeReply,
+    writer: Arc<ReplyWriter<M>>,
+) {
     reply.send();
     // Without a thread it was sent once.
     let _ = std::thread::Builder::new().name("large_reply".into()).spawn(move || {
