@@ -7,7 +7,7 @@ use crate::{
     names::{NameError, NodeName, Remap},
 };
 use rig_model::parameters::{ParameterFile, ParameterFileError, ParameterMap, ParameterValue, parse_value};
-use std::path::PathBuf;
+use std::{collections::BTreeSet, path::PathBuf};
 use thiserror::Error;
 
 /// Why a command line cannot be used. All of them are the caller's mistake: exit status 2, but for a parameter file
@@ -96,6 +96,7 @@ pub struct RosArguments {
     sources: Vec<ParameterSource>,
     levels: Vec<(Option<String>, Level)>,
     rosout: Option<bool>,
+    of_others: BTreeSet<String>,
 }
 
 /// A parameter's value and where it came from.
@@ -201,6 +202,17 @@ impl RosArguments {
     /// Sets a parameter for every node, as `-p` does.
     pub fn set(&mut self, name: &str, value: ParameterValue) {
         self.sources.push(ParameterSource::Value { node: None, name: name.to_owned(), value });
+    }
+
+    /// Names the parameters of other nodes of this process, so that one that is given for all nodes is no typing mistake to
+    /// those that do not have it.
+    pub fn allow_of_others(&mut self, names: impl IntoIterator<Item = String>) {
+        self.of_others.extend(names);
+    }
+
+    /// Is this a parameter of another node of this process?
+    pub fn is_of_others(&self, name: &str) -> bool {
+        self.of_others.contains(name)
     }
 
     /// Adds a remap for every node, as `-r` does; `__ns` and `__node` are names too.

@@ -11,7 +11,7 @@ use super::{
 use crate::{
     args::{Override, RosArguments},
     environment::Network,
-    inbox::Inbox,
+    inbox::{Inbox, now},
     level::Level,
     names::NodeName,
     parameters::{ParameterSet, ParameterStore, common_descriptors},
@@ -23,6 +23,7 @@ use std::{
         mpsc::{Receiver, SyncSender, sync_channel},
     },
     thread::JoinHandle,
+    time::Duration,
 };
 
 /// A process with nodes in it.
@@ -56,6 +57,9 @@ struct Running {
     close: Box<dyn Fn() + Send>,
     thread: JoinHandle<Result<(), NodeError>>,
 }
+
+/// How long the end in order may take before a further signal ends the process at once.
+const PATIENCE: Duration = Duration::from_secs(3);
 
 /// What wakes [`Process::wait`].
 enum Ended {
@@ -122,10 +126,12 @@ impl Process {
         &mut self,
         name: NodeName,
         arguments: &RosArguments,
-        overrides: BTreeMap<String, Override>,
+        mut overrides: BTreeMap<String, Override>,
     ) -> Result<(), NodeError> {
         let mut descriptors = S::Parameters::descriptors();
         descriptors.extend(common_descriptors());
+        overrides
+            .retain(|name, _| !arguments.is_of_others(name) || descriptors.iter().any(|d| d.name == *name));
         let store = ParameterStore::new(descriptors, overrides)?;
         let clock = Clock::default();
         let logger = Logger::new(
@@ -171,7 +177,8 @@ impl Process {
         Stopper(self.ended_sender.clone())
     }
 
-    /// Has SIGINT and SIGTERM stop the process in order. A second one ends it at once.
+    /// Has SIGINT and SIGTERM stop the process in order. One that comes 3 s after the first or later ends it at once: Ctrl-C in
+    /// a terminal gives a launched node two in a row, one of the terminal's and one of `ros2 launch`'s.
     ///
     /// # Errors
     /// The system refuses the handler.
@@ -187,9 +194,10 @@ impl Process {
         std::thread::Builder::new()
             .name("signals".into())
             .spawn(move || {
-                for (count, signal) in signals.forever().enumerate() {
+                let mut first = None;
+                for signal in signals.forever() {
                     stopper.stop();
-                    if count > 0 {
+                    if now().duration_since(*first.get_or_insert_with(now)) >= PATIENCE {
                         let _ = emulate_default_handler(signal);
                     }
                 }

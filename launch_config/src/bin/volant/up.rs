@@ -5,7 +5,7 @@ use climber_driver::node::ClimberNode;
 use imu_driver::node::ImuNode;
 use marker_tracker::node::MarkerTrackerNode;
 use node_kit::{
-    RosArguments,
+    ParameterSet, RosArguments,
     node::{NodeError, NodeShell, Process},
 };
 use pose_fusion::node::FusionNode;
@@ -14,22 +14,33 @@ use std::{ffi::OsString, process::ExitCode};
 const HELP: &str =
     "volant up: nodes in one process; images and samples pass without a copy, topics stay there for others
 
-usage: volant up [NODE…] [--rig rig.yaml] [--params-file file.yaml] [--ros-args …]
+usage: volant up [NODE…] [--rig rig.yaml] [--params-file file.yaml] [--foxglove[=ADDRESS:PORT]] [--ros-args …]
 
 nodes (all four without a name): marker_tracker, imu_driver, climber_driver, pose_fusion
 
---ros-args takes what ROS 2 gives every node; -p NODE:parameter:=value and -r NODE:from:=to mean one of them.
+--foxglove serves all live topics to Foxglove (port 8765; see `volant foxglove --help`).
+
+--ros-args takes what ROS 2 gives every node; -p NODE:parameter:=value and -r NODE:from:=to mean one of them, and
+-p parameter:=value all that have it.
 ";
 
-type Start = fn(&mut Process, &RosArguments) -> Result<(), NodeError>;
+#[derive(Clone, Copy)]
+struct Node {
+    name: &'static str,
+    start: fn(&mut Process, &RosArguments) -> Result<(), NodeError>,
+    parameters: fn() -> Vec<String>,
+}
 
-fn start<S: NodeShell>() -> (&'static str, Start) {
-    (S::NAME, |process, ros| process.start::<S>(ros))
+fn node<S: NodeShell>() -> Node {
+    Node {
+        name: S::NAME,
+        start: |process, ros| process.start::<S>(ros),
+        parameters: || S::Parameters::descriptors().into_iter().map(|d| d.name).collect(),
+    }
 }
 
 pub fn run(words: &[OsString]) -> ExitCode {
-    let known =
-        [start::<MarkerTrackerNode>(), start::<ImuNode>(), start::<ClimberNode>(), start::<FusionNode>()];
+    let known = [node::<MarkerTrackerNode>(), node::<ImuNode>(), node::<ClimberNode>(), node::<FusionNode>()];
     let wrong = |text: String| {
         say::line(&format!("volant up: {text} (`volant up --help` lists what it takes)"));
         ExitCode::from(2)
@@ -39,7 +50,8 @@ pub fn run(words: &[OsString]) -> ExitCode {
         Ok(parsed) => parsed,
         Err(error) => return wrong(error.to_string()),
     };
-    let mut chosen: Vec<(&str, Start)> = vec![];
+    let mut chosen: Vec<Node> = vec![];
+    let mut foxglove: Option<String> = None;
     let mut rest = rest.into_iter();
     while let Some(word) = rest.next() {
         match word.as_str() {
@@ -54,8 +66,12 @@ pub fn run(words: &[OsString]) -> ExitCode {
                     return if error.is_usage() { ExitCode::from(2) } else { ExitCode::FAILURE };
                 }
             }
-            name => match known.iter().find(|(n, _)| *n == name) {
-                Some(node) if !chosen.iter().any(|(n, _)| n == &node.0) => chosen.push(*node),
+            "--foxglove" => foxglove = Some(String::new()),
+            word if word.starts_with("--foxglove=") => {
+                foxglove = word.split_once('=').map(|(_, address)| address.to_owned());
+            }
+            name => match known.iter().find(|n| n.name == name) {
+                Some(node) if !chosen.iter().any(|n| n.name == node.name) => chosen.push(*node),
                 Some(_) => return wrong(format!("`{name}` is there twice")),
                 None => return wrong(format!("`{name}` is no node of this program")),
             },
@@ -64,6 +80,15 @@ pub fn run(words: &[OsString]) -> ExitCode {
     if chosen.is_empty() {
         chosen = known.to_vec();
     }
+    ros.allow_of_others(chosen.iter().flat_map(|n| (n.parameters)()));
+    // Kept until the nodes have ended.
+    let _foxglove = match foxglove.map(|address| crate::foxglove::start(Some(&address))).transpose() {
+        Ok(server) => server,
+        Err(error) => {
+            say::line(&format!("volant up: {error:#}"));
+            return ExitCode::FAILURE;
+        }
+    };
     match up(&chosen, &ros) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
@@ -73,11 +98,11 @@ pub fn run(words: &[OsString]) -> ExitCode {
     }
 }
 
-fn up(nodes: &[(&str, Start)], ros: &RosArguments) -> Result<(), NodeError> {
+fn up(nodes: &[Node], ros: &RosArguments) -> Result<(), NodeError> {
     let mut process = Process::from_environment()?;
     process.stop_on_signals()?;
-    for (_, start) in nodes {
-        start(&mut process, ros)?;
+    for node in nodes {
+        (node.start)(&mut process, ros)?;
     }
     process.wait()
 }
