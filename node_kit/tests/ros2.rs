@@ -1,0 +1,112 @@
+//! A node of this kit before ROS 2 itself: rclpy on Fast DDS, which is what the `ros2` command line is made of.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+mod common;
+
+use common::{Running, example, python};
+use std::{
+    path::{Path, PathBuf},
+    process::Command,
+    time::Duration,
+};
+
+const LONG: Duration = Duration::from_secs(40);
+
+/// The Python of the tests, if rclpy is in it.
+fn rclpy() -> Option<PathBuf> {
+    let python = python()?;
+    let there = Command::new(&python).args(["-c", "import rclpy"]).output().is_ok_and(|o| o.status.success());
+    if !there {
+        eprintln!("skipped: {} has no rclpy", python.display());
+    }
+    there.then_some(python)
+}
+
+fn peer(domain: u16, python: &Path, arguments: &[&str]) -> Running {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/ros2_peer.py");
+    let mut all = vec![script.to_str().unwrap()];
+    all.extend(arguments);
+    // Shared memory of Fast DDS would pass between two of its own only.
+    Running::start(domain, python, &all, &[])
+}
+
+/// The line that the peer says.
+fn said(domain: u16, python: &Path, arguments: &[&str]) -> String {
+    let (status, lines) = peer(domain, python, arguments).finish(LONG);
+    assert!(status.success(), "{arguments:?}: {lines:?}");
+    lines.into_iter().find(|l| l.starts_with('{')).unwrap()
+}
+
+#[test]
+fn the_graph_is_that_of_any_node() {
+    let Some(python) = rclpy() else { return };
+    let _node = Running::start(141, &example("minimal_node"), &["--ros-args", "-r", "__ns:=/rig1"], &[]);
+    let line = said(141, &python, &["look", "/rig1/minimal"]);
+    for needle in [
+        r#""/rig1/echo": ["geometry_msgs/msg/PoseWithCovarianceStamped"]"#,
+        r#""/rig1/pose": ["geometry_msgs/msg/PoseWithCovarianceStamped"]"#,
+        r#""/rig1/imu": ["sensor_msgs/msg/Imu"]"#,
+        r#""/tf_static": ["tf2_msgs/msg/TFMessage"]"#,
+        r#""/rosout": ["rcl_interfaces/msg/Log"]"#,
+        r#""/diagnostics": ["diagnostic_msgs/msg/DiagnosticArray"]"#,
+        r#""/rig1/minimal/get_parameters": ["rcl_interfaces/srv/GetParameters"]"#,
+        r#""/rig1/minimal/change_state": ["lifecycle_msgs/srv/ChangeState"]"#,
+    ] {
+        assert!(line.contains(needle), "{needle} in {line}");
+    }
+}
+
+/// `ros2 param list`, `describe`, `get`, `dump` and `set`; the replies have up to 100 kB.
+#[test]
+fn parameters_are_listed_described_dumped_and_set() {
+    let Some(python) = rclpy() else { return };
+    let node = Running::start(142, &example("minimal_node"), &[], &[]);
+    for times in ["1", "20"] {
+        let line = said(142, &python, &["parameters", "/minimal", times]);
+        assert!(line.contains(r#""described": true"#), "{line}");
+        let number = |key: &str| -> f64 {
+            let rest = line.split(&format!("\"{key}\": ")).nth(1).unwrap();
+            rest.split([',', '}']).next().unwrap().parse().unwrap()
+        };
+        eprintln!("{} parameters in one request: {:.1} ms", number("asked"), number("seconds") * 1e3);
+        assert_eq!(number("asked"), number("values"));
+        assert!(number("asked") >= 20.0 * times.parse::<f64>().unwrap());
+        assert!(line.contains(r#""beat": 10.0"#) && line.contains("Beats per second. [Hz]"), "{line}");
+    }
+    // More than a datagram holds is refused with a word, and the node goes on.
+    let (status, _) = peer(142, &python, &["parameters", "/minimal", "100"]).finish(LONG);
+    assert!(!status.success());
+    node.line_with("more than a datagram holds", LONG);
+
+    let line = said(142, &python, &["set", "/minimal", "talk", "true"]);
+    assert!(line.contains(r#""successful": true"#), "{line}");
+    let line = said(142, &python, &["set", "/minimal", "autostart", "false"]);
+    assert!(line.contains(r#""successful": false"#) && line.contains("cannot change"), "{line}");
+}
+
+#[test]
+fn the_lifecycle_is_steered() {
+    let Some(python) = rclpy() else { return };
+    let _node = Running::start(143, &example("minimal_node"), &[], &[]);
+    assert_eq!(
+        said(143, &python, &["lifecycle", "/minimal"]),
+        r#"{"state": "active", "transitions": ["deactivate", "shutdown"], "deactivated": true, "then": "inactive", "activated": true, "at_last": "active"}"#
+    );
+}
+
+#[test]
+fn messages_are_heard_at_their_rate_and_the_end_is_seen_at_once() {
+    let Some(python) = rclpy() else { return };
+    let node = Running::start(144, &example("minimal_node"), &["--beat", "50"], &[]);
+    let line =
+        said(144, &python, &["hear", "/minimal/beats", "geometry_msgs/PoseWithCovarianceStamped", "100"]);
+    let rate: f64 = line.split(r#""rate": "#).nth(1).unwrap().split(',').next().unwrap().parse().unwrap();
+    assert!((45.0..55.0).contains(&rate), "{line}");
+    let watcher = peer(144, &python, &["gone", "/minimal", "20"]);
+    watcher.line_with("there", LONG);
+    node.signal("TERM");
+    let line = watcher.line_with("gone", LONG);
+    let seconds: f64 = line.split(r#""seconds": "#).nth(1).unwrap().trim_end_matches('}').parse().unwrap();
+    eprintln!("gone from the graph of Fast DDS after {seconds:.3} s");
+    assert!(line.contains(r#""gone": true"#) && seconds < 1.0, "{line}");
+}
