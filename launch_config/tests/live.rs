@@ -181,6 +181,10 @@ fn refusals_of_play_and_record() {
         (vec!["record", "-o", there], 1, "exists already"),
         (vec!["up", "warp_drive"], 2, "no node"),
         (vec!["up", "--rig", "gone.yaml"], 1, "gone.yaml"),
+        (vec!["up", "climber_driver", "--foxglove=here"], 1, "ADDRESS:PORT"),
+        // Known to a node that is not started.
+        (vec!["up", "climber_driver", "--ros-args", "-p", "image_transport:=raw"], 2, "image_transport"),
+        (vec!["monitor", "--interval", "0"], 2, "from 0.1"),
     ] {
         let output = volant(173, &arguments).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);

@@ -1,10 +1,13 @@
-//! Bags and live topics: [`record`] and [`play`].
+//! Bags and live topics: [`record`] and [`play`]; live topics to look at: [`monitor`] and [`foxglove`].
 //!
 //! Messages pass as the bytes that they are on the wire ([`raw`]), so that any type is recorded and played, known or not.
 
+pub mod foxglove;
+pub mod monitor;
 pub mod play;
 pub mod raw;
 pub mod record;
+pub mod tap;
 
 use crate::bag::BagError;
 use node_kit::environment::{EnvironmentError, Network};
@@ -33,6 +36,20 @@ pub enum LiveError {
     Thread {
         /// Which.
         what: &'static str,
+    },
+    /// An address that cannot be served at.
+    #[error("{address}: {source}; is another server there? Give another address or port")]
+    Address {
+        /// Which.
+        address: std::net::SocketAddr,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The terminal.
+    #[error("the terminal: {source}; `--once` or a pipe writes plain text")]
+    Terminal {
+        /// The system's reason.
+        source: std::io::Error,
     },
     /// A bag without messages to play.
     #[error("{path}: there is nothing to play{why}")]

@@ -4,19 +4,15 @@
 //! topics. A bounded queue lies between the first two; what it cannot take is counted, never silently lost.
 
 use super::{
-    LiveError, join,
-    raw::{Raw, RawAdapter, policies, ros_type_name},
-    system_nanos,
+    LiveError,
+    tap::{Offer, Sample, Subscription, Tap},
 };
 use crate::{
-    bag::{BagError, BagSummary, BagWriter, Durability, QosProfile, Reliability, Topic, WriteOptions},
+    bag::{BagError, BagSummary, BagWriter, Topic, WriteOptions},
     stopwatch::Stopwatch,
 };
-use async_executor::Executor;
-use futures_lite::{StreamExt, future::block_on};
-use rustdds::{DomainParticipant, Subscriber, TopicKind, no_key::DataReader};
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::BTreeMap,
     path::PathBuf,
     sync::{
         Arc,
@@ -25,9 +21,8 @@ use std::{
     },
     time::Duration,
 };
-use volant_msgs::MessageInfo;
 
-/// Messages that may wait for the disk.
+/// Messages that may wait for the disk. (At 30 raw images/s and 400 Hz a disk may stand still for 4 s.)
 const QUEUE: usize = 2048;
 /// A recorder that is killed loses at most this much.
 const FLUSH: Duration = Duration::from_secs(1);
@@ -58,6 +53,8 @@ pub struct RecordStatus {
     pub bytes: AtomicU64,
     /// Messages that the queue could not take.
     pub dropped: AtomicU64,
+    /// Messages that were lost on the way, by the gaps in their publishers' numbering.
+    pub lost: AtomicU64,
     /// Topics found.
     pub topics: AtomicU64,
 }
@@ -69,6 +66,8 @@ pub struct RecordReport {
     pub bag: BagSummary,
     /// Messages that the queue could not take.
     pub dropped: u64,
+    /// Messages that were lost on the way, by the gaps in their publishers' numbering.
+    pub lost: u64,
     /// Topics that were asked for and never seen.
     pub unseen: Vec<String>,
 }
@@ -94,7 +93,7 @@ pub fn record(
     mut progress: impl FnMut(&RecordStatus),
 ) -> Result<RecordReport, LiveError> {
     let bag = BagWriter::create(&options.output, options.write)?;
-    let participant = join()?;
+    let tap = Tap::join()?;
     let status = Arc::new(RecordStatus::default());
     let (items, queue) = sync_channel(QUEUE);
     let failed = Arc::new(AtomicBool::new(false));
@@ -106,50 +105,31 @@ pub fn record(
             result
         }
     });
-    let executor = Arc::new(Executor::new());
-    let (end, ended) = async_channel::bounded::<()>(1);
-    let taker = std::thread::spawn({
-        let executor = executor.clone();
-        move || {
-            // An error means that the sender is gone: the recording is over.
-            let _ = block_on(executor.run(ended.recv()));
-        }
-    });
     let watch = Stopwatch::start();
-    let mut takers = Takers {
-        participant: &participant,
-        executor: &executor,
-        items: &items,
-        status: &status,
-        known: BTreeMap::new(),
-        subscriber: None,
-    };
-    let mut seen = BTreeSet::new();
+    let mut takers = Takers { known: BTreeMap::new(), tap, items, status: &status };
     while !stop.load(Ordering::Acquire) && !failed.load(Ordering::Acquire) {
         if options.duration.is_some_and(|d| watch.elapsed() >= d) {
             break;
         }
-        for (topic, qos) in offered(&participant) {
-            let asked = options.topics.is_empty() || options.topics.contains(&topic.name);
-            if asked && !options.exclude.contains(&topic.name) {
-                seen.insert(topic.name.clone());
-                takers.add(topic, &qos)?;
+        for offer in takers.tap.offers() {
+            let name = &offer.topic.name;
+            let asked = options.topics.is_empty() || options.topics.contains(name);
+            if asked && !options.exclude.contains(name) {
+                takers.add(offer)?;
             }
         }
         progress(&status);
         std::thread::sleep(LOOK);
     }
+    let unseen = options.topics.iter().filter(|t| !takers.known.contains_key(*t)).cloned().collect();
+    // With the subscriptions and the tap the last ends of the queue drop, and the writer closes the bag.
     drop(takers);
-    // The samples' tasks end with their executor; then nobody holds the queue's end.
-    drop(end);
-    let _ = taker.join();
-    drop(executor);
-    drop(items);
     let bag = writer.join().map_err(|_| LiveError::Thread { what: "the bag's writer" })??;
     Ok(RecordReport {
         bag,
         dropped: status.dropped.load(Ordering::Relaxed),
-        unseen: options.topics.iter().filter(|t| !seen.contains(*t)).cloned().collect(),
+        lost: status.lost.load(Ordering::Relaxed),
+        unseen,
     })
 }
 
@@ -174,123 +154,41 @@ fn write_all(mut bag: BagWriter, queue: &Receiver<Item>) -> Result<BagSummary, B
     }
 }
 
-/// Topics with a publisher, and the QoS of a subscription that matches all of its publishers.
-fn offered(participant: &DomainParticipant) -> Vec<(Topic, QosProfile)> {
-    let mut topics: BTreeMap<String, (String, QosProfile)> = BTreeMap::new();
-    for writer in participant.discovered_writers() {
-        let data = &writer.publication_topic_data;
-        let (Some(name), Some(type_name)) =
-            (data.topic_name.strip_prefix("rt"), ros_type_name(&data.type_name))
-        else {
-            continue;
-        };
-        let reliable = matches!(data.reliability, Some(rustdds::policy::Reliability::Reliable { .. }));
-        let latched = matches!(data.durability, Some(rustdds::policy::Durability::TransientLocal));
-        let (_, qos) = topics.entry(name.to_owned()).or_insert((type_name, QosProfile::LATCHED));
-        if !reliable {
-            qos.reliability = Reliability::BestEffort;
-        }
-        if !latched {
-            qos.durability = Durability::Volatile;
-        }
-    }
-    topics
-        .into_iter()
-        .map(|(name, (type_name, qos))| {
-            // The bag keeps what was offered; what it does not say (the depth) is a guess that suits players.
-            let offered = QosProfile {
-                depth: if qos.durability == Durability::TransientLocal { 1 } else { 10 },
-                ..qos
-            };
-            let info = MessageInfo::by_name(&type_name);
-            let topic = Topic {
-                name,
-                definition: info.map(|i| i.definition.to_owned()).unwrap_or_default(),
-                type_hash: info.map(|i| i.rihs01_hash.to_owned()).unwrap_or_default(),
-                type_name,
-                message_encoding: "cdr".to_owned(),
-                offered_qos_profiles: offered.to_yaml(),
-            };
-            (topic, qos)
-        })
-        .collect()
-}
-
 struct Takers<'a> {
-    participant: &'a DomainParticipant,
-    executor: &'a Arc<Executor<'static>>,
-    items: &'a SyncSender<Item>,
+    known: BTreeMap<String, Subscription>,
+    tap: Tap,
+    items: SyncSender<Item>,
     status: &'a Arc<RecordStatus>,
-    known: BTreeMap<String, usize>,
-    subscriber: Option<Subscriber>,
 }
 
 impl Takers<'_> {
-    fn add(&mut self, topic: Topic, qos: &QosProfile) -> Result<(), LiveError> {
-        if self.known.contains_key(&topic.name) {
+    fn add(&mut self, offer: Offer) -> Result<(), LiveError> {
+        if self.known.contains_key(&offer.topic.name) {
             return Ok(());
         }
-        let failed = |reason: String| LiveError::Middleware {
-            what: format!("the subscription of {}", topic.name),
-            reason,
-        };
-        // Samples are taken as they come, so few wait; for pictures each counts a megabyte.
-        let large = ["Image", "PointCloud2"].iter().any(|t| topic.type_name.ends_with(t));
-        let qos = QosProfile { depth: if large { 16 } else { 256 }, ..*qos };
-        let qos = policies(&qos, rustdds::Duration::ZERO);
-        let subscriber = match &self.subscriber {
-            Some(subscriber) => subscriber.clone(),
-            None => {
-                let made = self.participant.create_subscriber(&qos).map_err(|e| failed(e.to_string()))?;
-                self.subscriber.insert(made).clone()
-            }
-        };
-        let dds_topic = self
-            .participant
-            .create_topic(
-                format!("rt{}", topic.name),
-                super::raw::dds_type_name(&topic.type_name),
-                &qos,
-                TopicKind::NoKey,
-            )
-            .map_err(|e| failed(e.to_string()))?;
-        let reader: DataReader<Raw, RawAdapter> =
-            subscriber.create_datareader_no_key(&dds_topic, Some(qos)).map_err(|e| failed(e.to_string()))?;
         let index = self.known.len();
-        self.known.insert(topic.name.clone(), index);
-        self.status.topics.store(self.known.len() as u64, Ordering::Relaxed);
-        if self.items.send(Item::Topic(topic)).is_err() {
+        if self.items.send(Item::Topic(offer.topic.clone())).is_err() {
             // The writer failed; the caller's loop sees that.
             return Ok(());
         }
-        let (items, status) = (self.items.clone(), self.status.clone());
-        let task = async move {
-            let mut samples = std::pin::pin!(reader.async_sample_stream());
-            while let Some(sample) = samples.next().await {
-                let Ok(sample) = sample else { continue };
-                let log_time = system_nanos();
-                let publish_time = sample.sample_info().source_timestamp().map_or(log_time, nanos);
-                let Raw(data) = sample.into_value();
-                let bytes = data.len() as u64;
-                match items.try_send(Item::Message { topic: index, log_time, publish_time, data }) {
-                    Ok(()) => {
-                        status.messages.fetch_add(1, Ordering::Relaxed);
-                        status.bytes.fetch_add(bytes, Ordering::Relaxed);
-                    }
-                    Err(TrySendError::Full(_)) => {
-                        status.dropped.fetch_add(1, Ordering::Relaxed);
-                    }
-                    Err(TrySendError::Disconnected(_)) => return,
+        let (items, status) = (self.items.clone(), Arc::clone(self.status));
+        let subscription = self.tap.subscribe(&offer, move |sample| {
+            let Sample { log_time, publish_time, lost, data, .. } = sample;
+            let bytes = data.len() as u64;
+            status.lost.fetch_add(lost, Ordering::Relaxed);
+            match items.try_send(Item::Message { topic: index, log_time, publish_time, data }) {
+                Ok(()) => {
+                    status.messages.fetch_add(1, Ordering::Relaxed);
+                    status.bytes.fetch_add(bytes, Ordering::Relaxed);
+                }
+                // Disconnected: the writer failed, and the recording ends with its reason.
+                Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => {
+                    status.dropped.fetch_add(1, Ordering::Relaxed);
                 }
             }
-        };
-        self.executor.spawn(task).detach();
+        })?;
+        self.known.insert(offer.topic.name, subscription);
+        self.status.topics.store(self.known.len() as u64, Ordering::Relaxed);
         Ok(())
     }
-}
-
-/// DDS counts 2⁻³² s.
-fn nanos(time: rustdds::Timestamp) -> u64 {
-    let ticks = time.to_ticks();
-    (ticks >> 32) * 1_000_000_000 + (((ticks & 0xffff_ffff) * 1_000_000_000) >> 32)
 }

@@ -7,6 +7,10 @@ mod bag;
 mod colors;
 mod evaluate;
 #[cfg(feature = "nodes")]
+mod foxglove;
+#[cfg(feature = "nodes")]
+mod monitor;
+#[cfg(feature = "nodes")]
 mod play;
 #[cfg(feature = "nodes")]
 mod record;
@@ -55,6 +59,12 @@ enum Action {
     /// A bag onto live topics
     #[cfg(feature = "nodes")]
     Play(play::Arguments),
+    /// Live topics on a terminal: poses, markers, rates, delays, losses, diagnostics
+    #[cfg(feature = "nodes")]
+    Monitor(monitor::Arguments),
+    /// Live topics for Foxglove, without ROS: a server of its WebSocket protocol
+    #[cfg(feature = "nodes")]
+    Foxglove(foxglove::Arguments),
     #[command(external_subcommand)]
     Other(Vec<OsString>),
 }
@@ -72,6 +82,10 @@ fn main() -> ExitCode {
         Action::Play(arguments) => play::run(&arguments),
         // The rest of `calibrate` is an executable of its own, which needs all of OpenCV.
         Action::Other(words) if is_colors(&words) => colors::run(&colors::Arguments::parse_from(&words[1..])),
+        #[cfg(feature = "nodes")]
+        Action::Monitor(arguments) => monitor::run(&arguments),
+        #[cfg(feature = "nodes")]
+        Action::Foxglove(arguments) => foxglove::run(&arguments),
         Action::Other(words) => return other(&words),
     };
     match result {

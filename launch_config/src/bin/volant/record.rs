@@ -76,6 +76,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             report.dropped
         ));
     }
+    if report.lost > 0 {
+        say::line(&format!(
+            "volant: {} messages were lost on the way here; `sysctl net.core.rmem_max` of 4 MB or more helps",
+            report.lost
+        ));
+    }
     let bag = report.bag;
     println!("{} messages, {}, in {}", bag.messages(), say::mebibytes(bag.bytes), arguments.out.display());
     Ok(())

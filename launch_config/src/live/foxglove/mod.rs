@@ -1,0 +1,273 @@
+//! Live topics for Foxglove, without ROS: a server of its WebSocket protocol.
+//!
+//! In flow live topics ([`Tap`]), out flow the same bytes with their `.msg` text as schema, so Foxglove shows images, poses,
+//! transforms, markers and diagnostics as it does from a bag. A topic is taken from DDS only while a client looks at it.
+//! Nobody can publish, call or set anything through here.
+
+mod client;
+mod protocol;
+
+use super::{
+    LiveError,
+    tap::{Offer, Sample, Subscription, Tap},
+};
+use crate::bag::Durability;
+use client::Client;
+use protocol::{Channel, FromClient, advertise, message_data, server_info, unadvertise, warning};
+use std::{
+    collections::{BTreeMap, HashMap},
+    io::ErrorKind,
+    net::{SocketAddr, TcpListener},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::JoinHandle,
+    time::Duration,
+};
+use tungstenite::Message;
+
+/// Where Foxglove looks by itself.
+pub const PORT: u16 = 8765;
+/// How often new topics and new clients are looked for.
+const LOOK: Duration = Duration::from_millis(50);
+/// A topic without a publisher stays for this long, because publishers come back.
+const LEAVE_AFTER: u32 = 100;
+/// More clients at a time are refused.
+const MOST_CLIENTS: usize = 32;
+
+/// A server; it ends when it drops.
+pub struct Foxglove {
+    address: SocketAddr,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Foxglove {
+    /// Serves at an address (port 0: any that is free).
+    ///
+    /// # Errors
+    /// The address cannot be had, or DDS refuses.
+    pub fn start(address: SocketAddr) -> Result<Self, LiveError> {
+        let refused = |source| LiveError::Address { address, source };
+        let listener = TcpListener::bind(address).map_err(refused)?;
+        listener.set_nonblocking(true).map_err(refused)?;
+        let address = listener.local_addr().map_err(refused)?;
+        let tap = Tap::join()?;
+        let stop = Arc::<AtomicBool>::default();
+        let thread = std::thread::Builder::new()
+            .name("foxglove".into())
+            .spawn({
+                let stop = Arc::clone(&stop);
+                move || run(&listener, tap, &stop)
+            })
+            .map_err(|_| LiveError::Thread { what: "the thread of the Foxglove server" })?;
+        Ok(Self { address, stop, thread: Some(thread) })
+    }
+
+    /// Where it serves.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+}
+
+impl Drop for Foxglove {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What the clients' threads, the tap's and the server's share.
+#[derive(Default)]
+struct Shared {
+    clients: Mutex<Vec<Arc<Client>>>,
+    latched: Mutex<Latched>,
+}
+
+/// By channel and publisher: the last message of latched topics, for clients that come later.
+type Latched = HashMap<(u32, [u8; 16]), Arc<Sample>>;
+
+struct Topic {
+    offer: Offer,
+    channel: Channel,
+    subscription: Option<Subscription>,
+    /// Rounds without a publisher.
+    missing: u32,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn run(listener: &TcpListener, mut tap: Tap, stop: &AtomicBool) {
+    let shared = Arc::<Shared>::default();
+    let mut topics: BTreeMap<String, Topic> = BTreeMap::new();
+    let mut next_id = 1;
+    let mut threads: Vec<JoinHandle<()>> = vec![];
+    let session = super::system_nanos().to_string();
+    while !stop.load(Ordering::Acquire) {
+        look_for_topics(&tap, &shared, &mut topics, &mut next_id);
+        lock(&shared.clients).retain(|c| !c.is_closed());
+        threads.retain(|t| !t.is_finished());
+        loop {
+            match listener.accept() {
+                Ok((stream, _)) if threads.len() < MOST_CLIENTS => {
+                    let hello = vec![
+                        server_info("volant", &session),
+                        advertise(&topics.values().map(|t| t.channel.clone()).collect::<Vec<_>>()),
+                    ];
+                    threads.extend(welcome(stream, hello, &shared));
+                }
+                // Dropped, which closes it.
+                Ok(_) => {}
+                Err(e) if e.kind() == ErrorKind::WouldBlock => break,
+                // A client that went before it was accepted.
+                Err(_) => break,
+            }
+        }
+        follow(&mut tap, &shared, &mut topics);
+        std::thread::sleep(LOOK);
+    }
+    lock(&shared.clients).iter().for_each(|c| c.close());
+    drop(topics);
+    for thread in threads {
+        let _ = thread.join();
+    }
+}
+
+/// Announces topics that are new, and those that are gone.
+fn look_for_topics(tap: &Tap, shared: &Shared, topics: &mut BTreeMap<String, Topic>, next_id: &mut u32) {
+    let mut new = vec![];
+    for topic in topics.values_mut() {
+        topic.missing += 1;
+    }
+    for offer in tap.offers() {
+        let known = topics.get_mut(&offer.topic.name);
+        if let Some(topic) = known.filter(|t| t.offer.topic.type_name == offer.topic.type_name) {
+            topic.missing = 0;
+            topic.offer = offer;
+            continue;
+        }
+        // Foxglove can only show what it has a schema for.
+        if offer.topic.definition.is_empty() {
+            continue;
+        }
+        let channel = Channel {
+            id: *next_id,
+            topic: offer.topic.name.clone(),
+            encoding: "cdr",
+            schema_name: offer.topic.type_name.clone(),
+            schema: offer.topic.definition.clone(),
+            schema_encoding: "ros2msg",
+        };
+        *next_id += 1;
+        new.push(channel.clone());
+        let topic = Topic { offer, channel, subscription: None, missing: 0 };
+        if let Some(before) = topics.insert(topic.channel.topic.clone(), topic) {
+            leave(shared, before.channel.id);
+        }
+    }
+    topics.retain(|_, topic| {
+        let stays = topic.missing < LEAVE_AFTER;
+        if !stays {
+            leave(shared, topic.channel.id);
+        }
+        stays
+    });
+    if !new.is_empty() {
+        let text = advertise(&new);
+        lock(&shared.clients).iter().for_each(|c| c.send(Message::text(text.clone())));
+    }
+}
+
+fn leave(shared: &Shared, channel: u32) {
+    lock(&shared.latched).retain(|(id, _), _| *id != channel);
+    for client in lock(&shared.clients).iter() {
+        lock(&client.subscriptions).remove(&channel);
+        client.send(Message::text(unadvertise(&[channel])));
+    }
+}
+
+fn welcome(stream: std::net::TcpStream, hello: Vec<String>, shared: &Arc<Shared>) -> Option<JoinHandle<()>> {
+    // An accepted socket may take the listener's mode with it.
+    stream.set_nonblocking(false).ok()?;
+    let (client, outgoing) = Client::new();
+    lock(&shared.clients).push(Arc::clone(&client));
+    let shared = Arc::clone(shared);
+    std::thread::Builder::new()
+        .name("foxglove_client".into())
+        .spawn(move || {
+            // A client that breaks off is no concern of anybody else's.
+            let _ =
+                client::serve(stream, &client, &outgoing, hello, |request| asked(&shared, &client, request));
+            client.close();
+        })
+        .ok()
+}
+
+fn asked(shared: &Shared, client: &Client, request: FromClient) {
+    match request {
+        FromClient::Subscribe { subscriptions } => {
+            for subscribe in subscriptions {
+                let mut latest: Vec<Arc<Sample>> = vec![];
+                {
+                    // Held over both, so that a latched message comes once.
+                    let latched = lock(&shared.latched);
+                    lock(&client.subscriptions).insert(subscribe.channel_id, subscribe.id);
+                    latest.extend(
+                        latched
+                            .iter()
+                            .filter(|((id, _), _)| *id == subscribe.channel_id)
+                            .map(|(_, s)| Arc::clone(s)),
+                    );
+                }
+                for sample in latest {
+                    client.send(Message::binary(message_data(subscribe.id, sample.log_time, &sample.data)));
+                }
+            }
+        }
+        FromClient::Unsubscribe { subscription_ids } => {
+            lock(&client.subscriptions).retain(|_, id| !subscription_ids.contains(id));
+        }
+        FromClient::Other => {
+            client.send(Message::text(warning("this server only shows; it offers nothing else")));
+        }
+    }
+}
+
+/// Takes from DDS what a client looks at, and nothing else.
+fn follow(tap: &mut Tap, shared: &Arc<Shared>, topics: &mut BTreeMap<String, Topic>) {
+    for topic in topics.values_mut() {
+        let id = topic.channel.id;
+        let wanted = lock(&shared.clients).iter().any(|c| !c.is_closed() && c.subscription(id).is_some());
+        if !wanted {
+            if topic.subscription.take().is_some() {
+                lock(&shared.latched).retain(|(channel, _), _| *channel != id);
+            }
+        } else if topic.subscription.is_none() {
+            let latched = topic.offer.qos.durability == Durability::TransientLocal;
+            let shared = Arc::clone(shared);
+            // It is tried again in the next round.
+            topic.subscription =
+                tap.subscribe(&topic.offer, move |sample| give(&shared, id, latched, sample)).ok();
+        }
+    }
+}
+
+fn give(shared: &Shared, channel: u32, latched: bool, sample: Sample) {
+    let sample = Arc::new(sample);
+    let mut kept = latched.then(|| lock(&shared.latched));
+    if let Some(kept) = &mut kept
+        && (kept.len() < 1024 || kept.contains_key(&(channel, sample.writer)))
+    {
+        kept.insert((channel, sample.writer), Arc::clone(&sample));
+    }
+    for client in lock(&shared.clients).iter() {
+        if let Some(subscription) = client.subscription(channel) {
+            client.send(Message::binary(message_data(subscription, sample.log_time, &sample.data)));
+        }
+    }
+}

@@ -1,0 +1,275 @@
+//! What is seen of live nodes: `volant monitor`, and Foxglove's protocol with a client that is not ours.
+#![cfg(feature = "nodes")]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::disallowed_methods)]
+
+use launch_config::bag::{BagReader, BagWriter, QosProfile, Topic, WriteOptions};
+use std::{
+    io::{BufRead, BufReader},
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    time::{Duration, Instant},
+};
+use tempfile::TempDir;
+use volant_msgs::{
+    builtin_interfaces::msg::Time,
+    cdr,
+    geometry_msgs::msg::TransformStamped,
+    msg::{MarkerObservation, MarkerObservations},
+    nav_msgs::msg::Odometry,
+    sensor_msgs::msg::{Image, JointState},
+};
+
+const START: u64 = 1_760_000_000_000_000_000;
+
+fn stamp(nanos: u64) -> Time {
+    Time { sec: (nanos / 1_000_000_000) as i32, nanosec: (nanos % 1_000_000_000) as u32 }
+}
+
+/// Three seconds of a rig: raw images, markers, encoders with `rail_x`, odometry at 100 Hz.
+fn bag(path: &Path, rail_x: f64) {
+    let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
+    let odometry = bag.add_topic(Topic::of::<Odometry>("/volant/odometry", &QosProfile::RELIABLE));
+    let image = bag.add_topic(Topic::of::<Image>("/climber/camera/image_raw", &QosProfile::SENSOR));
+    let markers = bag.add_topic(Topic::of::<MarkerObservations>("/climber/markers", &QosProfile::RELIABLE));
+    let joints = bag.add_topic(Topic::of::<JointState>("/climber/joint_states", &QosProfile::RELIABLE));
+    for i in 0..300u64 {
+        let time = START + i * 10_000_000;
+        let mut pose = Odometry::default();
+        pose.pose.pose.position.z = -1.25;
+        pose.pose.pose.orientation.w = 1.0;
+        pose.pose.covariance[14] = 1e-6;
+        bag.write_message(odometry, time, &pose).unwrap();
+        let mut encoders = JointState {
+            name: ["rail_x", "rail_y", "turn"].map(str::to_owned).to_vec(),
+            position: vec![rail_x, 0.5, 0.1],
+            ..JointState::default()
+        };
+        encoders.header.stamp = stamp(time);
+        bag.write_message(joints, time, &encoders).unwrap();
+        if i % 10 == 0 {
+            let picture = Image {
+                width: 64,
+                height: 48,
+                step: 192,
+                encoding: "rgb8".into(),
+                data: vec![(i / 10) as u8; 64 * 48 * 3],
+                ..Image::default()
+            };
+            bag.write_message(image, time, &picture).unwrap();
+            let marker = |color, state| MarkerObservation {
+                color,
+                state,
+                x: 100.0 + 50.0 * f64::from(color),
+                y: 200.0,
+                ..MarkerObservation::default()
+            };
+            let seen = (0..4).map(|c| marker(c, if c == 3 { 1 } else { 0 })).collect();
+            bag.write_message(markers, time, &MarkerObservations { markers: seen, ..Default::default() })
+                .unwrap();
+        }
+    }
+    bag.finish().unwrap();
+}
+
+/// A `volant` that is ended with its owner.
+struct Volant(Child);
+
+impl Drop for Volant {
+    fn drop(&mut self) {
+        let _ = Command::new("kill").args(["-TERM", &self.0.id().to_string()]).status();
+        let end = Instant::now() + Duration::from_secs(3);
+        while Instant::now() < end && self.0.try_wait().unwrap().is_none() {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn command(domain: u8, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_volant"));
+    command
+        .args(arguments)
+        .env("ROS_DOMAIN_ID", domain.to_string())
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .env_remove("RMW_IMPLEMENTATION")
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    command
+}
+
+fn start(domain: u8, arguments: &[&str]) -> Volant {
+    // Nobody reads what it says.
+    Volant(command(domain, arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
+}
+
+fn rig_file() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.yaml")
+}
+
+#[test]
+fn the_monitor_tells_poses_markers_rates_losses_and_what_is_missing() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("run.mcap");
+    bag(&path, 1.0);
+    // A parameter of one of the nodes may be given for all.
+    let rig = rig_file();
+    let nodes = [
+        "up",
+        "pose_fusion",
+        "climber_driver",
+        "--rig",
+        rig.to_str().unwrap(),
+        "--ros-args",
+        "-p",
+        "model:=tight",
+    ];
+    let _nodes = start(181, &nodes);
+    let _player = start(181, &["play", "--loop", path.to_str().unwrap()]);
+    let output = command(181, &["monitor", "--once", "--interval", "6"]).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    for needle in [
+        "rig /\n",
+        "z  -1.2500 ±1.00 mm",
+        "red     DETECTED  ( 100.00,  200.00) px",
+        "yellow  PREDICTED ( 250.00,  200.00) px",
+        "camera  nothing yet",
+        "not taken here",
+        "WARN  /pose_fusion: inputs: nothing comes on ",
+        "/pose_fusion ← /climber/markers",
+    ] {
+        assert!(said.contains(needle), "{needle} in\n{said}");
+    }
+    let odometry = said.lines().find(|l| l.trim_start().starts_with("/volant/odometry")).unwrap();
+    let rate: f64 = odometry.split_whitespace().nth(1).unwrap().parse().unwrap();
+    assert!((70.0..115.0).contains(&rate) && odometry.contains("0 lost"), "{odometry}");
+
+    // In another namespace there is nothing of it.
+    let output = command(181, &["monitor", "--once", "--interval", "3", "-n", "/other"]).output().unwrap();
+    assert!(!String::from_utf8_lossy(&output.stdout).contains("odometry"));
+    // And in another domain nothing at all, which it says.
+    let output = command(182, &["monitor", "--once", "--interval", "1"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("ROS_DOMAIN_ID"));
+}
+
+#[test]
+fn foxglove_s_client_gets_images_poses_transforms_and_diagnostics_with_their_schemas() {
+    let Some(python) = std::env::var_os("VOLANT_PYTHON").filter(|v| !v.is_empty()) else {
+        eprintln!("skipped: VOLANT_PYTHON names no Python with websockets");
+        return;
+    };
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("run.mcap");
+    bag(&path, 1.0);
+    let rig = rig_file();
+    let arguments = ["up", "climber_driver", "--rig", rig.to_str().unwrap(), "--foxglove=127.0.0.1:0"];
+    let mut nodes = Volant(command(183, &arguments).stdout(Stdio::null()).spawn().unwrap());
+    let mut lines = BufReader::new(nodes.0.stderr.take().unwrap()).lines();
+    let url = lines
+        .by_ref()
+        .map_while(Result::ok)
+        .find_map(|l| Some(format!("ws://{}", l.split_once("ws://")?.1)))
+        .unwrap();
+    // What it says later must be read, or it would wait for that.
+    std::thread::spawn(move || lines.for_each(drop));
+    let _player = start(183, &["play", "--loop", path.to_str().unwrap()]);
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/foxglove_client.py");
+    let client = |protocol: &str, topics: &[&str]| {
+        let output =
+            Command::new(&python).arg(&script).args([&url, protocol, "7"]).args(topics).output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_str::<serde_json::Value>(&text).unwrap()
+    };
+    let all = ["/climber/camera/image_raw", "/volant/odometry", "/tf_static", "/diagnostics"];
+    let got = client("foxglove.websocket.v1", &all);
+    assert_eq!(got["op"], "serverInfo");
+    assert_eq!(got["protocol"], "foxglove.websocket.v1");
+    assert!(got["warnings"][0].as_str().unwrap().contains("not understood"), "{got}");
+    for (topic, schema) in [
+        ("/volant/odometry", "nav_msgs/msg/Odometry"),
+        ("/climber/markers", "volant_msgs/msg/MarkerObservations"),
+        ("/climber/camera/image_raw", "sensor_msgs/msg/Image"),
+        ("/tf_static", "tf2_msgs/msg/TFMessage"),
+    ] {
+        assert_eq!(got["advertised"][topic], schema, "{got}");
+    }
+    let count = |topic: &str| got["counts"][topic].as_u64().unwrap_or(0);
+    assert!(count("/volant/odometry") > 200 && count("/climber/camera/image_raw") > 20, "{got}");
+    assert_eq!(got["image"][0], 64);
+    assert_eq!(got["image"][2], "rgb8");
+    assert_eq!(got["image"][3], 64 * 48 * 3);
+    assert_eq!(got["z"], -1.25);
+    assert_eq!(got["tf_static"][0][0], "climber");
+    assert!(got["diagnostics"].as_str().unwrap().starts_with("climber_driver"));
+    assert!(got["counts"].get("/climber/markers").is_none(), "nobody asked for them: {got}");
+    // A client that comes later gets what is latched too.
+    let late = client("foxglove.sdk.v1", &["/tf_static"]);
+    assert_eq!((&late["protocol"], &late["counts"]["/tf_static"]), (&"foxglove.sdk.v1".into(), &1.into()));
+    // Who asks for no protocol of ours is refused with a word.
+    let output = Command::new(&python).arg(&script).args([&url, "something.else", "1"]).output().unwrap();
+    assert!(!output.status.success());
+}
+
+#[test]
+fn two_rigs_side_by_side_keep_to_themselves() {
+    let dir = TempDir::new().unwrap();
+    let mut running = vec![];
+    for (rig, rail_x) in [("rig1", 1.0), ("rig2", 2.0)] {
+        let path = dir.path().join(format!("{rig}.mcap"));
+        bag(&path, rail_x);
+        let namespace = format!("__ns:=/{rig}");
+        running.push(start(
+            184,
+            &[
+                "up",
+                "climber_driver",
+                "--rig",
+                rig_file().to_str().unwrap(),
+                "--ros-args",
+                "-r",
+                &namespace,
+                "-r",
+                "/tf:=tf",
+                "-r",
+                "/tf_static:=tf_static",
+            ],
+        ));
+        let remap = format!("climber/joint_states:=/{rig}/climber/joint_states");
+        running.push(start(
+            184,
+            &[
+                "play",
+                "--loop",
+                path.to_str().unwrap(),
+                "--topics",
+                "/climber/joint_states",
+                "--remap",
+                &remap,
+            ],
+        ));
+    }
+    let copy = dir.path().join("copy.mcap");
+    let record = ["record", "--duration", "6", "-o", copy.to_str().unwrap()];
+    let output = command(184, &record).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let mut bag = BagReader::open(&copy).unwrap();
+    let mut counts = [0; 2];
+    let mut frames = [0; 2];
+    while let Some(message) = bag.next_message().unwrap() {
+        let name = &*message.topic.name;
+        assert!(name != "/tf" && name != "/tf_static" && name != "/climber/transform", "{name}");
+        for (i, x) in [1.0, 2.0].into_iter().enumerate() {
+            if name == format!("/rig{}/climber/transform", i + 1) {
+                let transform: TransformStamped = cdr::from_bytes(&message.data).unwrap();
+                assert_eq!(transform.transform.translation.x, x, "{name}");
+                counts[i] += 1;
+            }
+            frames[i] += u32::from(name == format!("/rig{}/tf", i + 1));
+        }
+    }
+    assert!(counts.iter().all(|n| *n > 100) && frames.iter().all(|n| *n > 100), "{counts:?} {frames:?}");
+}
