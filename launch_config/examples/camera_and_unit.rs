@@ -1,0 +1,83 @@
+//! What a recorder has to take: images at 30 Hz (`raw`: 640×480 rgb8, 0.92 MB; else as JPEG, 60 kB) and inertial samples at
+//! 400 Hz, each numbered in its frame id.
+//!
+//! `cargo run --release -p launch_config --example camera_and_unit -- --raw true`
+
+use node_kit::{Kit, Level, NodeError, NodeShell, Publisher, QosPreset, convert, parameters, run_node};
+use std::{process::ExitCode, time::Duration};
+use volant_msgs::sensor_msgs::msg::{CompressedImage, Image, Imu};
+
+parameters! {
+    /// Parameters of the example.
+    pub struct Parameters {
+        /// Raw images instead of JPEG.
+        raw: bool = false;
+    }
+}
+
+enum Input {
+    Image,
+    Sample,
+}
+
+struct Source {
+    raw: Option<Publisher<Image>>,
+    jpeg: Publisher<CompressedImage>,
+    samples: Publisher<Imu>,
+    counts: [u64; 2],
+}
+
+impl NodeShell for Source {
+    const NAME: &'static str = "camera_and_unit";
+    const ABOUT: &'static str = "publishes images at 30 Hz and inertial samples at 400 Hz";
+    type Parameters = Parameters;
+    type Input = Input;
+
+    fn start(kit: &mut Kit<Input>, parameters: Parameters) -> Result<Self, NodeError> {
+        kit.timer(Duration::from_secs(1) / 30, || Input::Image);
+        kit.timer(Duration::from_micros(2500), || Input::Sample);
+        let raw = parameters.raw.then(|| kit.advertise("image_raw", QosPreset::Image)).transpose()?;
+        let jpeg = kit.advertise("image_raw/compressed", QosPreset::Image)?;
+        Ok(Self { raw, jpeg, samples: kit.advertise("imu", QosPreset::Sensor)?, counts: [0; 2] })
+    }
+
+    fn handle(&mut self, kit: &mut Kit<Input>, input: Input) {
+        let [images, samples] = &mut self.counts;
+        match input {
+            Input::Image => {
+                let header = convert::header(&images.to_string(), kit.now());
+                if let Some(publisher) = &self.raw {
+                    publisher.publish(Image {
+                        header,
+                        height: 480,
+                        width: 640,
+                        step: 1920,
+                        encoding: "rgb8".into(),
+                        data: vec![128; 480 * 1920],
+                        ..Image::default()
+                    });
+                } else {
+                    self.jpeg.publish(CompressedImage {
+                        header,
+                        format: "jpeg".into(),
+                        data: vec![7; 60_000],
+                    });
+                }
+                *images += 1;
+            }
+            Input::Sample => {
+                let header = convert::header(&samples.to_string(), kit.now());
+                self.samples.publish(Imu { header, ..Imu::default() });
+                *samples += 1;
+            }
+        }
+    }
+
+    fn tick(&mut self, kit: &mut Kit<Input>) {
+        kit.log(Level::Debug, format!("{:?} images and samples", self.counts));
+    }
+}
+
+fn main() -> ExitCode {
+    run_node::<Source>()
+}
