@@ -236,24 +236,35 @@ fn two_rigs_side_by_side_keep_to_themselves() {
                 "/tf:=tf",
                 "-r",
                 "/tf_static:=tf_static",
+                // The bag's stamps are of another day, so each rig has a clock of its own.
+                "-r",
+                "/clock:=clock",
+                "-p",
+                "use_sim_time:=true",
             ],
         ));
         let remap = format!("climber/joint_states:=/{rig}/climber/joint_states");
+        let clock = format!("/clock:=/{rig}/clock");
         running.push(start(
             184,
             &[
                 "play",
-                "--loop",
+                "--delay",
+                "3",
+                "--clock",
+                "100",
                 path.to_str().unwrap(),
                 "--topics",
                 "/climber/joint_states",
                 "--remap",
                 &remap,
+                "--remap",
+                &clock,
             ],
         ));
     }
     let copy = dir.path().join("copy.mcap");
-    let record = ["record", "--duration", "6", "-o", copy.to_str().unwrap()];
+    let record = ["record", "--duration", "7", "-o", copy.to_str().unwrap()];
     let output = command(184, &record).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let mut bag = BagReader::open(&copy).unwrap();
