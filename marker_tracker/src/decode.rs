@@ -57,6 +57,10 @@ fn check_claim(
 
 fn decode_jpeg(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
     let failed = |reason: String| ImageError::Decode { format: "jpeg", reason };
+    // The decoder fills what is missing with grey: markers would be cut off where the picture is.
+    if is_cut_off(data) {
+        return Err(failed("it is cut off".to_owned()));
+    }
     let options = DecoderOptions::default()
         .jpeg_set_out_colorspace(ColorSpace::RGB)
         .set_max_width(usize::from(u16::MAX))
@@ -73,6 +77,14 @@ fn decode_jpeg(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
     decoder.decode_into(&mut image.data).map_err(|e| failed(format!("{e:?}")))?;
     (image.width, image.height, image.step, image.format) = (width, height, width * 3, PixelFormat::Rgb8);
     Ok(())
+}
+
+/// Within a scan, 0xff is followed by 0 or a restart marker only, so an end of image after the last start of a scan is the
+/// picture's own (a thumbnail in the header has one too). Cameras pad what follows it.
+fn is_cut_off(jpeg: &[u8]) -> bool {
+    const END: [u8; 2] = [0xff, 0xd9];
+    const SCAN: [u8; 2] = [0xff, 0xda];
+    jpeg.windows(2).rev().find(|pair| *pair == END || *pair == SCAN) != Some(&END)
 }
 
 fn decode_png(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
@@ -102,4 +114,19 @@ fn decode_png(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
     (image.width, image.height, image.step, image.format) =
         (width, height, width * format.bytes_per_pixel(), format);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_that_is_cut_off_is_told_from_one_that_is_padded() {
+        let head = [0xff, 0xd8, 0xff, 0xe1, 0xff, 0xd9, 0xff, 0xda, 1, 0xff, 0, 2, 0xff, 0xd0, 3];
+        assert!(is_cut_off(&head) && is_cut_off(&[]) && is_cut_off(&[0xff]));
+        let whole = [&head[..], &[0xff, 0xd9]].concat();
+        assert!(!is_cut_off(&whole) && !is_cut_off(&[&whole[..], &[0; 9]].concat()));
+        let cut = decode_compressed("jpeg", &head).unwrap_err().to_string();
+        assert!(cut.contains("cut off"), "{cut}");
+    }
 }

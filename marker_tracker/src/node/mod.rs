@@ -121,6 +121,11 @@ impl NodeShell for MarkerTrackerNode {
         } else if report.repeated == report.taken {
             let message = "every image of the last second is byte for byte the one before: the camera or its driver stands still";
             (Health::Error, message.to_owned())
+        } else if report.refused > 0 {
+            (
+                Health::Warn,
+                format!("{} images of the last second were refused; the log says why", report.refused),
+            )
         } else if self.camera.is_none() {
             (Health::Warn, "no camera_info yet: geometry is checked coarsely only".to_owned())
         } else if report.detected[0] == 0 {

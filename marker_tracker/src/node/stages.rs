@@ -42,6 +42,7 @@ pub(crate) struct Report {
     pub taken: u32,
     /// Images that were the one before, byte for byte.
     pub repeated: u32,
+    pub refused: u32,
     /// Images with at least one marker, at least two, ….
     pub detected: [u32; 4],
     pub values: Vec<(&'static str, String)>,
@@ -89,6 +90,7 @@ impl Stages {
             images: s.images,
             taken: s.taken,
             repeated: s.repeated,
+            refused: s.refused,
             detected: at_least,
             values: vec![
                 ("images", s.images.to_string()),
