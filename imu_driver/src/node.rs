@@ -193,6 +193,7 @@ impl NodeShell for ImuNode {
         let before = std::mem::replace(&mut self.before, now);
         let lost = now.lost - before.lost;
         let checksums = now.parser.bad_checksums - before.parser.bad_checksums;
+        let skipped = now.parser.skipped_bytes - before.parser.skipped_bytes;
         let clipped = self.clipped - std::mem::replace(&mut self.clipped_before, self.clipped);
         let self_test = now.status.map(Status::self_test_passed);
         let (health, message) = if !status.measuring {
@@ -201,10 +202,20 @@ impl NodeShell for ImuNode {
             (Health::Error, "the unit's self-test failed: send it in for repair".to_owned())
         } else if now.samples == before.samples {
             (Health::Error, "no samples in the last second".to_owned())
+        } else if before.connections > 0 && now.connections > before.connections {
+            (
+                Health::Warn,
+                "the unit fell silent or started anew in the last second, and was set up again".to_owned(),
+            )
         } else if lost > 0 {
             (Health::Warn, format!("{lost} samples lost in the last second"))
         } else if checksums > 0 {
             (Health::Warn, format!("{checksums} checksum errors in the last second: look at the cable"))
+        } else if skipped > 0 {
+            (
+                Health::Warn,
+                format!("{skipped} bytes in the last second belonged to no message: look at the cable"),
+            )
         } else if clipped > 0 {
             (Health::Warn, format!("{clipped} samples clipped in the last second"))
         } else {
