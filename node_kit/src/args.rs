@@ -97,6 +97,7 @@ pub struct RosArguments {
     levels: Vec<(Option<String>, Level)>,
     rosout: Option<bool>,
     of_others: BTreeSet<String>,
+    enclave: Option<String>,
 }
 
 /// A parameter's value and where it came from.
@@ -148,13 +149,19 @@ impl RosArguments {
                 | "--disable-stdout-logs"
                 | "--enable-external-lib-logs"
                 | "--disable-external-lib-logs" => {}
-                "-e" | "--enclave" | "--log-config-file" | "--log-file-name" => {
+                "-e" | "--enclave" => ros.enclave = Some(value("the name of an enclave")?),
+                "--log-config-file" | "--log-file-name" => {
                     value("a value")?;
                 }
                 _ => return Err(ArgumentError::UnknownOption { option: argument }),
             }
         }
         Ok((ros, rest))
+    }
+
+    /// The enclave that the process is in, where it was named.
+    pub fn enclave(&self) -> Option<&str> {
+        self.enclave.as_deref()
     }
 
     fn add_remap(&mut self, option: &str, text: &str) -> Result<(), ArgumentError> {

@@ -1,6 +1,9 @@
 //! What ROS 2's environment variables say about the network.
 
-use std::net::{IpAddr, Ipv4Addr};
+use std::{
+    net::{IpAddr, Ipv4Addr},
+    path::PathBuf,
+};
 use thiserror::Error;
 
 /// An environment variable that cannot be.
@@ -45,6 +48,35 @@ pub struct Network {
     pub range: DiscoveryRange,
     /// From `RMW_IMPLEMENTATION`.
     pub services: ServiceFlavour,
+    /// `ROS_SECURITY_ENABLE` and what belongs to it.
+    pub security: Option<Security>,
+}
+
+/// How a process proves who it is, and asks that of others: an enclave of an SROS 2 keystore.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Security {
+    /// `ROS_SECURITY_KEYSTORE`.
+    pub keystore: PathBuf,
+    /// The enclave's absolute name: `ROS_SECURITY_ENCLAVE_OVERRIDE`, else what `--enclave` says, else `/`.
+    pub enclave: String,
+    /// From `ROS_SECURITY_ENCLAVE_OVERRIDE`: `--enclave` does not count.
+    overridden: bool,
+    /// `ROS_SECURITY_STRATEGY=Enforce`: without its keys the process does not start. Otherwise it starts unprotected, with
+    /// a warning, as in rcl.
+    pub enforce: bool,
+}
+
+impl Security {
+    /// This enclave of this keystore, or no start at all.
+    pub fn enforced(keystore: impl Into<PathBuf>, enclave: impl Into<String>) -> Self {
+        Self { keystore: keystore.into(), enclave: enclave.into(), overridden: false, enforce: true }
+    }
+
+    /// Folder of the enclave: `cert.pem`, `key.pem`, `identity_ca.cert.pem`, `permissions_ca.cert.pem`, `governance.p7s`,
+    /// `permissions.p7s`.
+    pub fn folder(&self) -> PathBuf {
+        self.keystore.join("enclaves").join(self.enclave.trim_start_matches('/'))
+    }
 }
 
 impl Network {
@@ -88,7 +120,35 @@ impl Network {
             Some("rmw_cyclonedds_cpp") => ServiceFlavour::Cyclone,
             _ => ServiceFlavour::Enhanced,
         };
-        Ok(Self { domain_id, range, services })
+        // rcl knows this one value.
+        let security = match get("ROS_SECURITY_ENABLE").as_deref() {
+            Some("true") => {
+                let keystore = get("ROS_SECURITY_KEYSTORE").ok_or_else(|| {
+                    let expected = "the keystore's folder, because ROS_SECURITY_ENABLE is true";
+                    wrong("ROS_SECURITY_KEYSTORE", String::new(), expected)
+                })?;
+                let enclave = get("ROS_SECURITY_ENCLAVE_OVERRIDE");
+                Some(Security {
+                    keystore: keystore.into(),
+                    overridden: enclave.is_some(),
+                    enclave: enclave.unwrap_or_else(|| "/".to_owned()),
+                    enforce: get("ROS_SECURITY_STRATEGY").as_deref() == Some("Enforce"),
+                })
+            }
+            _ => None,
+        };
+        Ok(Self { domain_id, range, services, security })
+    }
+
+    /// With the enclave that the command line names (`--ros-args --enclave /rig/climber`).
+    #[must_use]
+    pub fn with_enclave(mut self, enclave: Option<&str>) -> Self {
+        if let (Some(security), Some(enclave)) = (&mut self.security, enclave)
+            && !security.overridden
+        {
+            enclave.clone_into(&mut security.enclave);
+        }
+        self
     }
 
     /// The addresses that discovery is limited to; `None` for all of the host's.
@@ -125,6 +185,23 @@ mod tests {
         }
         let cyclone = network(&[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]).unwrap();
         assert_eq!(cyclone.services, ServiceFlavour::Cyclone);
+    }
+
+    #[test]
+    fn security_is_sros_2_s() {
+        assert_eq!(network(&[("ROS_SECURITY_ENABLE", "yes")]).unwrap().security, None);
+        let missing = network(&[("ROS_SECURITY_ENABLE", "true")]).unwrap_err().to_string();
+        assert!(missing.contains("ROS_SECURITY_KEYSTORE"), "{missing}");
+        let enabled = [("ROS_SECURITY_ENABLE", "true"), ("ROS_SECURITY_KEYSTORE", "/keys")];
+        let network_ = network(&enabled).unwrap();
+        let security = network_.clone().security.unwrap();
+        assert!(!security.enforce && security.folder() == PathBuf::from("/keys/enclaves"));
+        let named = network_.with_enclave(Some("/rig/climber")).security.unwrap();
+        assert_eq!(named.folder(), PathBuf::from("/keys/enclaves/rig/climber"));
+        let mut more = enabled.to_vec();
+        more.extend([("ROS_SECURITY_ENCLAVE_OVERRIDE", "/b"), ("ROS_SECURITY_STRATEGY", "Enforce")]);
+        let overridden = network(&more).unwrap().with_enclave(Some("/a")).security.unwrap();
+        assert!(overridden.enforce && overridden.folder() == PathBuf::from("/keys/enclaves/b"));
     }
 
     #[test]

@@ -53,6 +53,20 @@ fn sigterm_and_sigint_end_a_node_at_once_and_leave_no_ghost() {
     }
 }
 
+/// RustDDS's threads end when the process was stopped and continued; the node joins anew.
+#[test]
+fn a_node_that_was_stopped_and_continued_speaks_again() {
+    let Some(python) = python() else { return };
+    let node = minimal(139, &[], &[]);
+    let _ = Running::peer(139, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
+    node.signal("STOP");
+    std::thread::sleep(Duration::from_millis(300));
+    node.signal("CONT");
+    node.line_with("joining the DDS domain anew", Duration::from_secs(5));
+    let (_, lines) = Running::peer(139, &python, &["echo", "/pose", "/echo", "pose", "20"]).finish(LONG);
+    assert_eq!(lines, ["20"]);
+}
+
 #[test]
 fn diagnostics_name_the_topic_that_is_missing() {
     let Some(python) = python() else { return };

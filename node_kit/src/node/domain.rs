@@ -5,20 +5,26 @@
 //! participant take each other's events. What it would tell is read from discovery here.
 
 use super::{NodeError, hub::Hub};
-use crate::{environment::Network, inbox::now, level::Level, node::logger::Logger};
+use crate::{
+    environment::{Network, Security},
+    inbox::now,
+    level::Level,
+    node::logger::Logger,
+};
 use futures_lite::{Stream, StreamExt};
 use ros2_client::{Context, Gid};
 use rustdds::{DomainParticipantBuilder, DomainParticipantStatusEvent, GUID, StatusEvented};
 use std::{
     collections::HashSet,
+    path::PathBuf,
     pin::pin,
     sync::{
-        Arc, PoisonError,
+        Arc, Mutex, PoisonError,
         atomic::{AtomicBool, Ordering},
     },
     task::{Context as TaskContext, Poll, Wake, Waker},
     thread::{JoinHandle, Thread},
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 /// The participant, the hub of its nodes, and the thread that watches discovery.
@@ -27,17 +33,26 @@ pub(crate) struct Domain {
     pub hub: Arc<Hub>,
     pub network: Network,
     buffers_checked: AtomicBool,
+    /// The middleware has ended without being asked to.
+    pub ended: Arc<AtomicBool>,
     stop: Arc<AtomicBool>,
     watcher: Option<JoinHandle<()>>,
 }
 
 /// Events can be lost when many come at once (RustDDS keeps 2048), so the state is read again this often without one.
 const BACKSTOP: Duration = Duration::from_secs(2);
+/// The middleware's threads are looked at this often.
+const HEARTBEAT: Duration = Duration::from_millis(250);
 /// Events come in bursts; the state is read once for each burst.
 const SETTLE: Duration = Duration::from_millis(5);
 
 impl Domain {
-    pub fn join(network: Network, log: Logger) -> Result<Self, NodeError> {
+    /// Joins. `lost` is called once, from the watching thread, when the middleware has ended without being asked to.
+    pub fn join(
+        network: Network,
+        log: Logger,
+        lost: impl FnOnce() + Send + 'static,
+    ) -> Result<Self, NodeError> {
         let failed = |reason: String| NodeError::Middleware {
             what: format!("the participant in domain {}", network.domain_id),
             reason,
@@ -46,15 +61,27 @@ impl Domain {
         if let Some(addresses) = network.only_addresses() {
             builder = builder.with_only_networks(addresses);
         }
-        let participant = builder.build().map_err(|e| failed(e.to_string()))?;
+        if let Some(security) = &network.security {
+            builder = secure(builder, security, &log)?;
+        }
+        let (participant, threads) = MiddlewareThreads::of(|| builder.build());
+        let participant = participant.map_err(|e| failed(e.to_string()))?;
         let context = Context::from_domain_participant(participant).map_err(|e| failed(e.to_string()))?;
         let hub = Arc::<Hub>::default();
         let stop = Arc::<AtomicBool>::default();
+        let ended = Arc::<AtomicBool>::default();
+        let lost = {
+            let ended = Arc::clone(&ended);
+            move || {
+                ended.store(true, Ordering::Release);
+                lost();
+            }
+        };
         let watcher = std::thread::Builder::new()
             .name("dds_graph".into())
             .spawn({
                 let (context, hub, stop) = (context.clone(), Arc::clone(&hub), Arc::clone(&stop));
-                move || watch(&context, &hub, &stop, &log)
+                move || watch(&context, &hub, &stop, &log, threads, lost)
             })
             .map_err(|source| NodeError::System { what: "a thread".into(), source })?;
         Ok(Self {
@@ -62,6 +89,7 @@ impl Domain {
             hub,
             network,
             buffers_checked: AtomicBool::new(false),
+            ended,
             stop,
             watcher: Some(watcher),
         })
@@ -100,6 +128,56 @@ impl Domain {
     }
 }
 
+/// The builder of a participant that is in a security enclave.
+fn secure(
+    builder: DomainParticipantBuilder,
+    security: &Security,
+    log: &Logger,
+) -> Result<DomainParticipantBuilder, NodeError> {
+    let folder = security.folder();
+    let missing = ENCLAVE.into_iter().map(|name| folder.join(name)).find(|file| !file.is_file());
+    let reason = if cfg!(not(feature = "security")) {
+        "this program was built without it; build it with `--features node_kit/security`".to_owned()
+    } else if let Some(file) = missing {
+        format!("{} is missing; make a keystore or name another enclave", file.display())
+    } else {
+        log.log(Level::Info, format!("DDS security: {}", folder.display()));
+        return Ok(with_keys(builder, folder));
+    };
+    if security.enforce {
+        let what = format!("a secure participant in the enclave {}", security.enclave);
+        return Err(NodeError::Middleware { what, reason });
+    }
+    let line = format!(
+        "ROS_SECURITY_ENABLE is set, but this process runs UNPROTECTED: {reason} (ROS_SECURITY_STRATEGY=Enforce forbids that)"
+    );
+    log.log(Level::Warn, line);
+    Ok(builder)
+}
+
+#[cfg(feature = "security")]
+fn with_keys(builder: DomainParticipantBuilder, folder: PathBuf) -> DomainParticipantBuilder {
+    builder.builtin_security(rustdds::DomainParticipantSecurityConfigFiles::with_ros_default_names(
+        folder,
+        String::new(),
+    ))
+}
+
+#[cfg(not(feature = "security"))]
+fn with_keys(builder: DomainParticipantBuilder, _: PathBuf) -> DomainParticipantBuilder {
+    builder
+}
+
+/// What an enclave holds.
+const ENCLAVE: [&str; 6] = [
+    "cert.pem",
+    "key.pem",
+    "identity_ca.cert.pem",
+    "permissions_ca.cert.pem",
+    "governance.p7s",
+    "permissions.p7s",
+];
+
 impl Drop for Domain {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Release);
@@ -119,17 +197,71 @@ impl Wake for Unpark {
     }
 }
 
-fn watch(context: &Context, hub: &Hub, stop: &AtomicBool, log: &Logger) {
+/// RustDDS 0.15.1 ends its threads, without a word, when a system call of theirs is interrupted: after the process was stopped
+/// and continued (a shell's ^Z, a debugger, `docker pause`), or when the computer wakes up from sleep. The participant then
+/// is deaf and mute for good, so the threads are watched.
+struct MiddlewareThreads(Vec<u32>);
+
+impl MiddlewareThreads {
+    /// Builds a participant, and finds the threads that it started.
+    fn of<T>(build: impl FnOnce() -> T) -> (T, Self) {
+        // Participants are built one after the other, so that each finds its own.
+        static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+        let _one = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = Self::all();
+        let built = build();
+        let new = Self::all().into_iter().filter(|id| !before.contains(id)).collect();
+        (built, Self(new))
+    }
+
+    /// Is one of them gone? Where the system does not tell of threads, none ever is.
+    fn ended(&self) -> bool {
+        self.0.iter().any(|id| !Self::is_one(*id))
+    }
+
+    fn all() -> Vec<u32> {
+        let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return Vec::new() };
+        let ids = tasks.filter_map(|t| t.ok()?.file_name().to_str()?.parse().ok());
+        ids.filter(|id| Self::is_one(*id)).collect()
+    }
+
+    fn is_one(id: u32) -> bool {
+        std::fs::read_to_string(format!("/proc/self/task/{id}/comm"))
+            .is_ok_and(|name| name.starts_with("RustDDS"))
+    }
+}
+
+fn watch(
+    context: &Context,
+    hub: &Hub,
+    stop: &AtomicBool,
+    log: &Logger,
+    threads: MiddlewareThreads,
+    lost: impl FnOnce(),
+) {
+    let mut lost = Some(lost);
     let participant = context.domain_participant();
     let listener = participant.status_listener();
     let mut events = pin!(listener.as_async_status_stream());
     let waker = Waker::from(Arc::new(Unpark(std::thread::current())));
     let mut said = HashSet::new();
+    let mut read_again = now();
     while !stop.load(Ordering::Acquire) {
-        read_endpoints(&participant, hub, log, &mut said);
-        let deadline = now() + BACKSTOP;
-        wait(&waker, deadline);
+        if now() >= read_again {
+            read_endpoints(&participant, hub, log, &mut said);
+            read_again = now() + BACKSTOP;
+        }
+        if lost.is_some() && threads.ended() {
+            log.log(Level::Error, "the DDS middleware has ended: it was interrupted, or the computer slept");
+            if let Some(lost) = lost.take() {
+                lost();
+            }
+        }
+        let woken = wait(HEARTBEAT);
         let mut any = drain(&mut events, &waker, log, &mut said);
+        if any || woken {
+            read_again = now();
+        }
         while any && !stop.load(Ordering::Acquire) {
             std::thread::sleep(SETTLE);
             any = drain(&mut events, &waker, log, &mut said);
@@ -137,8 +269,11 @@ fn watch(context: &Context, hub: &Hub, stop: &AtomicBool, log: &Logger) {
     }
 }
 
-fn wait(_: &Waker, deadline: Instant) {
-    std::thread::park_timeout(deadline.saturating_duration_since(now()));
+/// Waits for an event; true if something may have happened before the time was over.
+fn wait(time: Duration) -> bool {
+    let began = now();
+    std::thread::park_timeout(time);
+    now() < began + time
 }
 
 /// Reads all events that are there; with none left, the waker is registered for the next.

@@ -41,6 +41,11 @@ pub enum NodeError {
         /// What it said.
         reason: String,
     },
+    /// The middleware's threads are gone.
+    #[error(
+        "the DDS middleware ended: it was interrupted (the process was stopped and continued) or the computer slept; start again"
+    )]
+    MiddlewareEnded,
     /// An environment variable that cannot be.
     #[error("the environment variable {name}={value} is not understood; expected {expected}")]
     Environment {

@@ -37,11 +37,12 @@ use std::{
 /// #     fn start(_: &mut Kit<()>, _: ()) -> Result<Self, NodeError> { Ok(Self) } fn handle(&mut self, _: &mut Kit<()>, _: ()) {} }
 /// # fn main() -> Result<(), NodeError> {
 /// let (ros, _) = node_kit::RosArguments::parse(std::env::args().skip(1))?;
-/// let mut process = Process::from_environment()?;
-/// process.start::<Camera>(&ros)?;
-/// process.start::<Tracker>(&ros)?;
+/// let process = Process::from_environment()?;
 /// process.stop_on_signals()?;
-/// process.wait()
+/// process.run(|process| {
+///     process.start::<Camera>(&ros)?;
+///     process.start::<Tracker>(&ros)
+/// })
 /// # }
 /// ```
 pub struct Process {
@@ -62,9 +63,11 @@ struct Running {
 const PATIENCE: Duration = Duration::from_secs(3);
 
 /// What wakes [`Process::wait`].
+#[derive(Clone, Copy, PartialEq)]
 enum Ended {
     Node,
     Stop,
+    Middleware,
 }
 
 /// Tells of the end of a node's thread, also when it panicked.
@@ -93,12 +96,20 @@ impl Process {
     /// # Errors
     /// A variable that cannot be, or DDS's refusal.
     pub fn from_environment() -> Result<Self, NodeError> {
+        Self::from_arguments(&RosArguments::default())
+    }
+
+    /// Joins the DDS domain that the environment names, in the security enclave that the command line names.
+    ///
+    /// # Errors
+    /// A variable that cannot be, keys that are not there, or DDS's refusal.
+    pub fn from_arguments(arguments: &RosArguments) -> Result<Self, NodeError> {
         let network = Network::from_environment().map_err(|e| NodeError::Environment {
             name: e.name,
             value: e.value,
             expected: e.expected,
         })?;
-        Self::new(network)
+        Self::new(network.with_enclave(arguments.enclave()))
     }
 
     /// Joins a DDS domain.
@@ -107,8 +118,8 @@ impl Process {
     /// DDS's refusal.
     pub fn new(network: Network) -> Result<Self, NodeError> {
         let log = Logger::new("volant".to_owned(), Level::Info, Clock::default());
-        let domain = Arc::new(Domain::join(network, log.clone())?);
         let (ended_sender, ended) = sync_channel(64);
+        let domain = join_domain(network, &log, &ended_sender)?;
         Ok(Self { nodes: Vec::new(), ended, ended_sender, log, domain })
     }
 
@@ -172,6 +183,11 @@ impl Process {
         reason
     }
 
+    /// Has the middleware ended without being asked to? Then nothing is heard or said any more; [`Process::run`] mends that.
+    pub fn middleware_ended(&self) -> bool {
+        self.domain.ended.load(std::sync::atomic::Ordering::Acquire)
+    }
+
     /// Something that stops the process from another thread.
     pub fn stopper(&self) -> Stopper {
         Stopper(self.ended_sender.clone())
@@ -209,10 +225,29 @@ impl Process {
     /// Waits until it is asked to stop, or a node ends; then stops all nodes and leaves the domain.
     ///
     /// # Errors
-    /// Why the first node that failed did.
+    /// Why the first node that failed did, or that the middleware ended.
     pub fn wait(mut self) -> Result<(), NodeError> {
-        if !self.nodes.is_empty() {
-            let _ = self.ended.recv();
+        let lost = !self.nodes.is_empty() && self.ended.recv() == Ok(Ended::Middleware);
+        let outcome = self.shut_down();
+        if lost { Err(NodeError::MiddlewareEnded) } else { outcome }
+    }
+
+    /// Starts nodes by `start`, and waits as [`Process::wait`] does; when the middleware ends, joins the domain anew and starts them
+    /// again. What they knew is gone then, as after a start of the process.
+    ///
+    /// # Errors
+    /// As [`Process::start`] and [`Process::wait`].
+    pub fn run(mut self, start: impl Fn(&mut Self) -> Result<(), NodeError>) -> Result<(), NodeError> {
+        start(&mut self)?;
+        while !self.nodes.is_empty() && self.ended.recv() == Ok(Ended::Middleware) {
+            let _ = self.shut_down();
+            // The ends of the nodes are no news; that the process is to stop is.
+            if self.ended.try_iter().any(|ended| ended == Ended::Stop) {
+                return Ok(());
+            }
+            self.log.log(Level::Warn, "joining the DDS domain anew and starting the nodes again");
+            self.domain = join_domain(self.domain.network.clone(), &self.log, &self.ended_sender)?;
+            start(&mut self)?;
         }
         self.shut_down()
     }
@@ -233,6 +268,14 @@ impl Process {
         }
         first
     }
+}
+
+fn join_domain(network: Network, log: &Logger, ended: &SyncSender<Ended>) -> Result<Arc<Domain>, NodeError> {
+    let ended = ended.clone();
+    let lost = move || {
+        let _ = ended.try_send(Ended::Middleware);
+    };
+    Ok(Arc::new(Domain::join(network, log.clone(), lost)?))
 }
 
 impl Drop for Process {

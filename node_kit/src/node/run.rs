@@ -44,10 +44,9 @@ pub fn run_node_with<S: NodeShell>(arguments: impl IntoIterator<Item = String>) 
 }
 
 fn run<S: NodeShell>(ros: &RosArguments) -> Result<(), NodeError> {
-    let mut process = Process::from_environment()?;
+    let process = Process::from_arguments(ros)?;
     process.stop_on_signals()?;
-    process.start::<S>(ros)?;
-    process.wait()
+    process.run(|process| process.start::<S>(ros))
 }
 
 /// `--name value`, `--name=value` and `--rig file` as if they stood in `--ros-args`.

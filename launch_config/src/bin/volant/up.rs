@@ -99,10 +99,7 @@ pub fn run(words: &[OsString]) -> ExitCode {
 }
 
 fn up(nodes: &[Node], ros: &RosArguments) -> Result<(), NodeError> {
-    let mut process = Process::from_environment()?;
+    let process = Process::from_arguments(ros)?;
     process.stop_on_signals()?;
-    for node in nodes {
-        (node.start)(&mut process, ros)?;
-    }
-    process.wait()
+    process.run(|process| nodes.iter().try_for_each(|node| (node.start)(process, ros)))
 }
