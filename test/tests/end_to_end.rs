@@ -23,7 +23,7 @@ use std::{
 use volant_msgs::msg::MarkerObservation;
 use volant_test::{
     accuracy::Errors,
-    live::{Film, Heard, Run, Scenario, quantile},
+    live::{Film, Heard, Run, Scenario, Site, quantile},
 };
 
 const DOMAIN: u16 = 87;
@@ -85,7 +85,7 @@ fn four_processes_turn_frames_bytes_and_encoders_into_the_pose() {
     let folder = std::env::temp_dir().join(format!("volant-end-to-end-{}", std::process::id()));
     let network = Network { domain_id: DOMAIN, ..Network::default() };
     let peer = Peer::start();
-    let mut run = Run::start(&scenario, film, &network, &folder).unwrap();
+    let mut run = Run::start(&scenario, film, &Site::here(&network), &folder).unwrap();
     run.wait_for_pose(30.0).unwrap();
     let epoch = run.begin();
     run.play_until(SECONDS + 0.3, |_, _| {}).unwrap();

@@ -11,7 +11,7 @@ use rig_model::Stamp;
 use std::{path::PathBuf, process::ExitCode, sync::Arc};
 use volant_test::{
     accuracy::{AXES, Errors, UNITS, inertial_alone},
-    live::{Ended, Film, Run, Scenario, bag, quantile, scenario::IMAGE_RATE},
+    live::{Ended, Film, Run, Scenario, Site, bag, quantile, scenario::IMAGE_RATE},
     report::table,
 };
 
@@ -79,7 +79,7 @@ fn demo(arguments: &Arguments) -> Result<()> {
     let starting = ProgressBar::new_spinner();
     starting.set_message("starting marker_tracker, imu_driver, climber_driver, pose_fusion");
     starting.enable_steady_tick(std::time::Duration::from_millis(120));
-    let mut run = Run::start(&scenario, Arc::new(film), &network, &arguments.out)?;
+    let mut run = Run::start(&scenario, Arc::new(film), &Site::here(&network), &arguments.out)?;
     run.wait_for_pose(20.0)?;
     starting.finish_and_clear();
     let ids: Vec<String> = run.nodes.iter().map(|n| format!("{} ({})", n.name, n.id())).collect();

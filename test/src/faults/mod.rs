@@ -3,14 +3,15 @@
 //!
 //! [`table`] has the rows, [`Row::run`] runs one, [`markdown`] makes the documentation's table of what was seen.
 
-mod outcome;
+pub(crate) mod outcome;
+mod recording;
 mod spoilers;
 mod table;
 
 pub use outcome::{Outcome, Verdict};
 pub use table::table;
 
-use crate::live::{Film, Run, RunError, Scenario};
+use crate::live::{Film, Run, RunError, Scenario, Site, bag};
 use node_kit::environment::Network;
 use rig_model::Stamp;
 use std::{fmt::Write, path::Path, sync::Arc};
@@ -28,6 +29,17 @@ pub struct Bench<'a> {
     pub epoch: Stamp,
     /// The scenario.
     pub scenario: &'a Scenario,
+    /// What the row itself found.
+    pub notes: &'a mut Notes,
+}
+
+/// What a row finds beside the rig's own messages.
+#[derive(Clone, Debug, Default)]
+pub struct Notes {
+    /// What was said of the fault by somebody who has no diagnostics.
+    pub said: Option<String>,
+    /// What is not as it must be.
+    pub failures: Vec<String>,
 }
 
 type Action = Box<dyn Fn(&mut Bench<'_>) -> Result<(), RunError>>;
@@ -61,7 +73,29 @@ pub struct Row {
 }
 
 impl Row {
-    /// Runs the row on the DDS domain of `network`, in `folder`.
+    /// Begins the fault.
+    ///
+    /// # Errors
+    /// What it needs is not there.
+    pub fn start(&self, bench: &mut Bench<'_>) -> Result<(), RunError> {
+        (self.begin)(bench)
+    }
+
+    /// Ends it.
+    ///
+    /// # Errors
+    /// A node that cannot be started again.
+    pub fn stop(&self, bench: &mut Bench<'_>) -> Result<(), RunError> {
+        (self.end)(bench)
+    }
+
+    /// May it come again and again in a long run?
+    pub fn soaks(&self) -> bool {
+        !self.fault.starts_with("disk full")
+    }
+
+    /// Runs the row on the DDS domain of `network`, in `folder`, and writes its bag where one is
+    /// asked for.
     ///
     /// # Errors
     /// The rig did not come up or a process hung: that is no verdict.
@@ -71,19 +105,24 @@ impl Row {
         film: &Arc<Film>,
         network: &Network,
         folder: &Path,
+        bag: Option<&Path>,
     ) -> Result<Outcome, RunError> {
-        let mut run = Run::start(scenario, Arc::clone(film), network, folder)?;
+        let mut run = Run::start(scenario, Arc::clone(film), &Site::here(network), folder)?;
         run.wait_for_pose(30.0)?;
         let epoch = run.begin();
         run.play_until(WINDOW[0], |_, _| {})?;
-        let mut bench = Bench { run: &mut run, epoch, scenario };
-        (self.begin)(&mut bench)?;
+        let mut notes = Notes::default();
+        (self.begin)(&mut Bench { run: &mut run, epoch, scenario, notes: &mut notes })?;
         wait(&mut run, WINDOW[1], self.kills.is_some())?;
-        (self.end)(&mut Bench { run: &mut run, epoch, scenario })?;
+        (self.end)(&mut Bench { run: &mut run, epoch, scenario, notes: &mut notes })?;
         wait(&mut run, LENGTH - 0.2, self.kills.is_some())?;
         let logs = folder.to_owned();
         let ended = run.finish()?;
-        Ok(outcome::judge(self, scenario, &ended, &logs))
+        if let Some(bag) = bag {
+            bag::write(bag, scenario, epoch, &ended.said, &ended.heard)
+                .map_err(|e| RunError::NotPossible { what: "the run's bag", reason: e.to_string() })?;
+        }
+        Ok(outcome::judge(self, scenario, &ended, &logs, notes))
     }
 }
 

@@ -1,6 +1,6 @@
 //! What became of a row: figures from the published messages, and whether they are as they must be.
 
-use super::{Flow, LENGTH, Row, WINDOW};
+use super::{Flow, LENGTH, Notes, Row, WINDOW};
 use crate::{
     accuracy::Track,
     live::{Ended, Heard, Scenario},
@@ -57,13 +57,14 @@ impl Outcome {
 
 /// Back is who is nearer than this, mm and degrees.
 const NEAR: [f64; 2] = [10.0, 1.0];
-/// Contradicted is what lies beyond the 0.9999 quantile of χ² with 3 degrees of freedom.
+/// Contradicted is what lies beyond the 0.9999 quantile of χ² with 3 degrees of freedom, in a larger share of the odometry than
+/// this.
+pub(crate) const GATE: [f64; 2] = [NEES_LIMIT, NEES_SHARE];
 const NEES_LIMIT: f64 = 21.1;
-/// Share of the odometry that may lie above it.
 const NEES_SHARE: f64 = 0.02;
 
 /// Judges a run.
-pub fn judge(row: &Row, scenario: &Scenario, ended: &Ended, folder: &Path) -> Outcome {
+pub fn judge(row: &Row, scenario: &Scenario, ended: &Ended, folder: &Path, notes: Notes) -> Outcome {
     let heard = &ended.heard;
     let at = |t: f64| ended.epoch.plus_seconds(t);
     let truth = |s: Stamp| scenario.motion.world_from_volant(s.seconds_since(ended.epoch));
@@ -74,7 +75,9 @@ pub fn judge(row: &Row, scenario: &Scenario, ended: &Ended, folder: &Path) -> Ou
         back(&fused, at(WINDOW[1]), at(LENGTH - 0.4), truth).map(|s| s.seconds_since(at(WINDOW[1])));
     let said = row.diagnostics.and_then(|(node, words)| said(heard, node, words, at(WINDOW[0])));
 
-    let mut failures = Vec::new();
+    let said = said.or(notes.said);
+
+    let mut failures = notes.failures;
     match row.flow {
         Flow::Unbroken if rate < 0.97 || longest_gap > 0.06 => {
             failures.push(format!(
@@ -104,7 +107,7 @@ pub fn judge(row: &Row, scenario: &Scenario, ended: &Ended, folder: &Path) -> Ou
 }
 
 /// Share of the 100 Hz that came, and the longest gap.
-fn flow(track: &Track, from: Stamp, to: Stamp) -> (f64, f64) {
+pub(crate) fn flow(track: &Track, from: Stamp, to: Stamp) -> (f64, f64) {
     let stamps: Vec<Stamp> = track.iter().map(|(s, _)| *s).filter(|s| *s >= from && *s <= to).collect();
     let mut last = from;
     let mut gap: f64 = 0.0;
@@ -120,7 +123,12 @@ fn errors(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> [f64; 2] {
     [position, pose.rotation.angle_to(&truth.rotation).to_degrees()]
 }
 
-fn worst(track: &Track, from: Stamp, to: Stamp, truth: impl Fn(Stamp) -> Isometry3<f64>) -> (f64, f64) {
+pub(crate) fn worst(
+    track: &Track,
+    from: Stamp,
+    to: Stamp,
+    truth: impl Fn(Stamp) -> Isometry3<f64>,
+) -> (f64, f64) {
     track.iter().filter(|(s, _)| *s >= from && *s <= to).fold((0.0, 0.0), |(p, r), (s, pose)| {
         let [position, rotation] = errors(pose, &truth(*s));
         (f64::max(p, position), f64::max(r, rotation))
@@ -128,7 +136,12 @@ fn worst(track: &Track, from: Stamp, to: Stamp, truth: impl Fn(Stamp) -> Isometr
 }
 
 /// When the pose was back to stay: from then on it is near the truth and without gaps.
-fn back(track: &Track, from: Stamp, to: Stamp, truth: impl Fn(Stamp) -> Isometry3<f64>) -> Option<Stamp> {
+pub(crate) fn back(
+    track: &Track,
+    from: Stamp,
+    to: Stamp,
+    truth: impl Fn(Stamp) -> Isometry3<f64>,
+) -> Option<Stamp> {
     let mut since: Option<Stamp> = None;
     let mut last: Option<Stamp> = None;
     for (s, pose) in track.iter().filter(|(s, _)| *s >= from && *s <= to) {
@@ -162,7 +175,7 @@ fn said(heard: &Heard, node: &str, words: &[&str], from: Stamp) -> Option<String
 }
 
 /// Every number that must be one is one.
-fn not_a_number(heard: &Heard) -> Option<String> {
+pub(crate) fn not_a_number(heard: &Heard) -> Option<String> {
     let finite = |values: &[f64]| values.iter().all(|v| v.is_finite());
     let pose = |p: &volant_msgs::geometry_msgs::msg::PoseWithCovariance| {
         let (t, q) = (&p.pose.position, &p.pose.orientation);
@@ -205,7 +218,7 @@ fn not_a_number(heard: &Heard) -> Option<String> {
 }
 
 /// A covariance that the truth contradicts.
-fn contradicted(
+pub(crate) fn contradicted(
     heard: &Heard,
     from: Stamp,
     to: Stamp,
@@ -224,7 +237,7 @@ fn contradicted(
 }
 
 /// Every process ended as it was asked to, and none panicked.
-fn ends(ended: &Ended, folder: &Path) -> Vec<String> {
+pub(crate) fn ends(ended: &Ended, folder: &Path) -> Vec<String> {
     let mut failures: Vec<String> = ended
         .ends
         .iter()

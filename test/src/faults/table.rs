@@ -1,15 +1,15 @@
 //! The rows. A window of 3 s: long enough that the diagnostics, once a second, name what is missing for 2 s.
 
 use super::{
-    Action, Bench, Flow, Row,
+    Action, Bench, Flow, Row, recording,
     spoilers::{even_picture, images, joints, one, shift},
 };
-use crate::live::{ProcessError, RunError, Spoiler};
+use crate::live::{ProcessError, RunError, Spoiler, processes::Signal};
 use std::time::Duration;
 
 type Words = &'static [&'static str];
 
-fn action(f: impl Fn(&mut Bench<'_>) -> Result<(), RunError> + 'static) -> Action {
+pub(super) fn action(f: impl Fn(&mut Bench<'_>) -> Result<(), RunError> + 'static) -> Action {
     Box::new(f)
 }
 
@@ -73,8 +73,8 @@ fn killed(fault: &'static str, name: &'static str) -> Row {
 fn stalled(fault: &'static str, name: &'static str) -> Row {
     let missing = move || RunError::Process(ProcessError::NotBuilt { name: name.into(), path: name.into() });
     Row {
-        begin: action(move |b| Ok(b.run.nodes.get(name).ok_or_else(missing)?.signal("STOP")?)),
-        end: action(move |b| Ok(b.run.nodes.get(name).ok_or_else(missing)?.signal("CONT")?)),
+        begin: action(move |b| Ok(b.run.nodes.get(name).ok_or_else(missing)?.signal(Signal::STOP)?)),
+        end: action(move |b| Ok(b.run.nodes.get(name).ok_or_else(missing)?.signal(Signal::CONT)?)),
         ..killed(fault, name)
     }
 }
@@ -217,6 +217,22 @@ pub fn table() -> Vec<Row> {
                 })
             })
         },
+        Row {
+            diagnostics: climber(&["encoders"]),
+            ..spoiled("encoders from the future: stamped 2 s ahead", || {
+                joints(|mut m| {
+                    shift(&mut m.header, 2.0);
+                    one(m)
+                })
+            })
+        },
+        spoiled("encoder readings out of order", || {
+            let mut late = false;
+            joints(move |m| {
+                late = !late;
+                vec![(Duration::from_millis(if late { 40 } else { 0 }), m)]
+            })
+        }),
         spoiled("encoder readings doubled and late by 60 ms", || {
             joints(|m| vec![(Duration::from_millis(60), m.clone()), (Duration::from_millis(60), m)])
         }),
@@ -277,6 +293,7 @@ pub fn table() -> Vec<Row> {
             ..stalled("marker_tracker stalled for 3 s", "marker_tracker")
         },
         Row { flow: Flow::Gaps, ..stalled("pose_fusion stalled for 3 s", "pose_fusion") },
+        recording::disk_full(),
     ]);
     // Off and on again takes the unit a fraction of the window: it is back before the window ends.
     for row in &mut rows {

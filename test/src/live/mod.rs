@@ -11,6 +11,7 @@ pub mod messages;
 pub mod processes;
 mod run;
 pub mod scenario;
+pub mod site;
 mod stand;
 
 pub use film::{Film, Frame};
@@ -18,4 +19,5 @@ pub use heard::{Heard, Received, quantile};
 pub use processes::{Node, Nodes, ProcessError};
 pub use run::{Ended, NODES, Run, RunError};
 pub use scenario::{Cover, Scenario};
+pub use site::{ClockError, Ears, Host, Namespaces, Site};
 pub use stand::{Said, Saying, Spoiler, Stand, StandError};

@@ -1,5 +1,7 @@
 //! The four nodes as processes of their own, started as a person would and ended as a person would: by SIGINT.
 
+pub use rustix::process::Signal;
+use rustix::process::{Pid, kill_process};
 use std::{
     fs::File,
     io,
@@ -75,6 +77,7 @@ pub struct Node {
     child: Child,
     arguments: Vec<String>,
     environment: Vec<(String, String)>,
+    place: Option<String>,
     status: Option<ExitStatus>,
 }
 
@@ -89,6 +92,20 @@ impl Node {
         environment: &[(String, String)],
         folder: &Path,
     ) -> Result<Self, ProcessError> {
+        Self::start_in(None, name, arguments, environment, folder)
+    }
+
+    /// [`Node::start`] in the network namespace `place`.
+    ///
+    /// # Errors
+    /// As [`Node::start`].
+    pub fn start_in(
+        place: Option<&str>,
+        name: &str,
+        arguments: &[String],
+        environment: &[(String, String)],
+        folder: &Path,
+    ) -> Result<Self, ProcessError> {
         let path = executables().join(name);
         if !path.is_file() {
             return Err(ProcessError::NotBuilt { name: name.into(), path });
@@ -96,7 +113,16 @@ impl Node {
         let io = |error| ProcessError::Io { name: name.into(), error };
         let log = folder.join(format!("{name}.log"));
         let out = File::options().create(true).append(true).open(&log).map_err(io)?;
-        let child = Command::new(path)
+        // `ip netns exec` becomes the node: the process id is the node's.
+        let mut command = match place {
+            None => Command::new(path),
+            Some(place) => {
+                let mut command = Command::new("ip");
+                command.args(["netns", "exec", place]).arg(path);
+                command
+            }
+        };
+        let child = command
             .args(arguments)
             .envs(environment.iter().map(|(k, v)| (k, v)))
             .stdin(Stdio::null())
@@ -110,6 +136,7 @@ impl Node {
             child,
             arguments: arguments.to_vec(),
             environment: environment.to_vec(),
+            place: place.map(str::to_owned),
             status: None,
         })
     }
@@ -119,17 +146,15 @@ impl Node {
         self.child.id()
     }
 
-    /// Sends a signal by its name (INT, TERM, KILL, STOP, CONT).
+    /// Sends a signal. By a system call and not by a `kill` process: a signal that comes while a process is spawned (that a child
+    /// has stopped, say) can interrupt RustDDS's threads in this process, and that ends them.
     ///
     /// # Errors
     /// What the system says.
-    pub fn signal(&self, signal: &str) -> Result<(), ProcessError> {
+    pub fn signal(&self, signal: Signal) -> Result<(), ProcessError> {
         let io = |error| ProcessError::Io { name: self.name.clone(), error };
-        Command::new("kill")
-            .args([format!("-{signal}"), self.id().to_string()])
-            .status()
-            .map_err(io)
-            .map(|_| ())
+        let id = i32::try_from(self.id()).ok().and_then(Pid::from_raw);
+        id.map_or(Ok(()), |id| kill_process(id, signal)).map_err(|e| io(e.into()))
     }
 
     /// How it ended, if it did.
@@ -169,7 +194,9 @@ impl Node {
     /// As [`Node::start`].
     pub fn restart(&mut self) -> Result<(), ProcessError> {
         let folder = self.log.parent().unwrap_or(Path::new(".")).to_owned();
-        *self = Self::start(&self.name.clone(), &self.arguments.clone(), &self.environment.clone(), &folder)?;
+        let next =
+            Self::start_in(self.place.as_deref(), &self.name, &self.arguments, &self.environment, &folder)?;
+        *self = next;
         Ok(())
     }
 
@@ -178,6 +205,11 @@ impl Node {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.id())).unwrap_or_default();
         let line = status.lines().find(|l| l.starts_with("VmRSS:")).unwrap_or_default();
         line.split_whitespace().nth(1).and_then(|kb| kb.parse::<u64>().ok()).unwrap_or(0) * 1024
+    }
+
+    /// Threads now; 0 where the system does not tell.
+    pub fn threads(&self) -> usize {
+        std::fs::read_dir(format!("/proc/{}/task", self.id())).map_or(0, Iterator::count)
     }
 
     /// Processor time used so far, s; 0 where the system does not tell.
@@ -252,7 +284,7 @@ impl Nodes {
     #[allow(clippy::disallowed_methods)] // a shell: it waits for processes
     pub fn stop(mut self) -> Result<Vec<(String, ExitStatus)>, ProcessError> {
         for node in &self.0 {
-            node.signal("INT")?;
+            node.signal(Signal::INT)?;
         }
         let deadline = Instant::now() + Duration::from_secs(GRACE);
         let mut ends = Vec::new();

@@ -1,7 +1,7 @@
 //! A run from start to clean end: hardware up, four nodes up, wait for the first fused pose, play, end all.
 
-use super::{Film, Heard, Node, Nodes, ProcessError, Said, Scenario, Stand, StandError};
-use node_kit::{convert::stamp, environment::Network};
+use super::{Film, Heard, Host, Node, Nodes, ProcessError, Said, Scenario, Site, Stand, StandError};
+use node_kit::convert::stamp;
 use rig_model::Stamp;
 use std::{
     io,
@@ -28,6 +28,17 @@ pub enum RunError {
         /// What the system said.
         error: io::Error,
     },
+    /// What is to be tried cannot be had here.
+    #[error("{what}: {reason}")]
+    NotPossible {
+        /// What is needed.
+        what: &'static str,
+        /// Why it is not there.
+        reason: String,
+    },
+    /// The stand heard nothing any more.
+    #[error("the test's own DDS participant was interrupted and ended (RustDDS does that); run it again")]
+    Deaf,
     /// Nothing came.
     #[error(
         "no fused pose within {seconds:.0} s (heard: {heard}); the nodes' own words are in {}",
@@ -54,6 +65,7 @@ pub struct Run {
     pub nodes: Nodes,
     /// Where logs, rig file and port are.
     pub folder: PathBuf,
+    domain: u16,
     epoch: Option<Stamp>,
 }
 
@@ -71,16 +83,11 @@ pub struct Ended {
 }
 
 impl Run {
-    /// Brings up hardware and nodes in `folder` (made where it is not there), on the DDS domain `domain_id`.
+    /// Brings up hardware and nodes at `site`, with logs, rig file and port in `folder` (made where it is not there).
     ///
     /// # Errors
     /// What is missing, by name.
-    pub fn start(
-        scenario: &Scenario,
-        film: Arc<Film>,
-        network: &Network,
-        folder: &Path,
-    ) -> Result<Self, RunError> {
+    pub fn start(scenario: &Scenario, film: Arc<Film>, site: &Site, folder: &Path) -> Result<Self, RunError> {
         let io = |path: &Path| {
             let path = path.to_owned();
             move |error| RunError::Io { path, error }
@@ -89,7 +96,7 @@ impl Run {
         let rig_file = folder.join("rig.yaml");
         std::fs::write(&rig_file, &scenario.rig_yaml).map_err(io(&rig_file))?;
         let port = folder.join("mtx");
-        let stand = Stand::start(scenario, film, network.clone(), &port)?;
+        let stand = Stand::start(scenario, film, site, &port)?;
         let mut nodes = Nodes::default();
         for name in NODES {
             let mut arguments =
@@ -103,10 +110,19 @@ impl Run {
             if let Some(own) = own {
                 arguments.extend(["-p".into(), own]);
             }
-            let environment = [("ROS_DOMAIN_ID".to_owned(), network.domain_id.to_string())];
-            nodes.push(Node::start(name, &arguments, &environment, folder)?);
+            if !site.namespace.is_empty() {
+                arguments.extend(["-r".into(), format!("__ns:={}", site.namespace)]);
+            }
+            let environment = [("ROS_DOMAIN_ID".to_owned(), site.network.domain_id.to_string())];
+            let place = site.namespace_of(Host::of(name));
+            nodes.push(Node::start_in(place, name, &arguments, &environment, folder)?);
         }
-        Ok(Self { stand, nodes, folder: folder.to_owned(), epoch: None })
+        Ok(Self { stand, nodes, folder: folder.to_owned(), domain: site.network.domain_id, epoch: None })
+    }
+
+    /// The DDS domain that it is in.
+    pub fn domain(&self) -> u16 {
+        self.domain
     }
 
     /// Waits until fused poses come, at most `seconds`.
@@ -175,6 +191,9 @@ impl Run {
     /// # Errors
     /// A node that hangs.
     pub fn finish(self) -> Result<Ended, RunError> {
+        if self.stand.is_deaf() {
+            return Err(RunError::Deaf);
+        }
         let ends = self.nodes.stop()?;
         let heard = self.stand.heard().clone();
         let said = self.stand.said();

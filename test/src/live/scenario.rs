@@ -56,6 +56,16 @@ impl Scenario {
         Self::new(MotionConfig { duration, still_until: 0.0, ..MotionConfig::nominal(seed) })
     }
 
+    /// A swing of `duration` seconds that ends at rest where it began, to be run lap by lap.
+    ///
+    /// # Errors
+    /// None but those of a rig file or lens that were edited wrongly.
+    pub fn lap(seed: u64, duration: f64) -> Result<Self, ScenarioError> {
+        let motion =
+            MotionConfig { duration, still_until: 0.0, still_from: duration, ..MotionConfig::nominal(seed) };
+        Ok(Self { covers: Vec::new(), ..Self::new(motion)? })
+    }
+
     /// The run of this motion, with the usual rig, lens and sensors.
     ///
     /// # Errors

@@ -6,13 +6,13 @@ use super::{
     heard::Heard,
     messages::{compressed_image, joint_state},
     scenario::{EXPOSURE, IMAGE_RATE, Scenario},
+    site::{ClockError, Ears, Host, Site},
 };
 use crate::rig::{inertial::Sensors, random::Random};
 use imu_driver::fake_unit::{FakeSample, FakeUnitConfig, pty::PtyUnit};
 use nalgebra::{UnitQuaternion, Vector3};
 use node_kit::{
     RosArguments, convert,
-    environment::Network,
     node::{Kit, NodeError, NodeShell, Process, Publisher},
     qos::QosPreset,
 };
@@ -65,6 +65,11 @@ struct Shared {
     scenario: Scenario,
     /// Stamp of the scenario's zero, ns; `i64::MAX` while the rig is at rest and waits.
     epoch: AtomicI64,
+    began: Stamp,
+    /// How the clock of the climber's computer is off.
+    clock: ClockError,
+    /// The scenario begins anew when it is over, and what the hardware said is not kept.
+    endless: bool,
     stop: AtomicBool,
     spoiler: Mutex<Option<Spoiler>>,
     said: Mutex<Said>,
@@ -76,8 +81,18 @@ impl Shared {
     fn seconds(&self, at: Stamp) -> f64 {
         match self.epoch.load(Ordering::Relaxed) {
             i64::MAX => -100.0,
-            epoch => at.seconds_since(Stamp::from_nanos(epoch)),
+            epoch => self.lap(at.seconds_since(Stamp::from_nanos(epoch))),
         }
+    }
+
+    /// In an endless run, the time of the lap.
+    fn lap(&self, seconds: f64) -> f64 {
+        if self.endless && seconds > 0.0 { seconds % self.scenario.duration() } else { seconds }
+    }
+
+    /// What the climber's clock shows at an instant.
+    fn climber_clock(&self, at: Stamp) -> Stamp {
+        at.plus_seconds(self.clock.offset + self.clock.ppm * 1e-6 * at.seconds_since(self.began))
     }
 
     fn stopped(&self) -> bool {
@@ -105,24 +120,26 @@ struct Outlets {
 }
 
 /// A shell is started by its type alone, so what it works with waits here for it.
-static HAND_OVER: Mutex<Option<HandOver>> = Mutex::new(None);
-
-type HandOver = (SyncSender<Outlets>, Arc<Mutex<Heard>>);
+static OUTLETS_WANTED: Mutex<Option<SyncSender<Outlets>>> = Mutex::new(None);
+static EARS_WANTED: Mutex<Option<(Ears, Arc<Mutex<Heard>>)>> = Mutex::new(None);
+/// Stands are made one after the other, because of the two above.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-struct Ear;
+/// The climber's computer: camera and encoders.
+struct Mouth;
 
-impl NodeShell for Ear {
+impl NodeShell for Mouth {
     const NAME: &'static str = "rig_simulator";
-    const ABOUT: &'static str = "the simulated rig's hardware";
+    const ABOUT: &'static str = "the simulated rig's camera and encoders";
     type Parameters = ();
     type Input = ();
 
     fn start(kit: &mut Kit<()>, (): ()) -> Result<Self, NodeError> {
-        let Some((sender, heard)) = lock(&HAND_OVER).take() else {
+        let Some(sender) = lock(&OUTLETS_WANTED).take() else {
             return Err(NodeError::shell("the simulated rig is started by its stand alone"));
         };
         let outlets = Outlets {
@@ -130,18 +147,40 @@ impl NodeShell for Ear {
             camera_info: kit.advertise("climber/camera/camera_info", QosPreset::Image)?,
             joints: kit.advertise("climber/joint_states", QosPreset::State)?,
         };
+        // The receiver waits as long as this start takes, and longer.
+        let _ = sender.send(outlets);
+        Ok(Self)
+    }
+
+    fn handle(&mut self, _: &mut Kit<()>, (): ()) {}
+}
+
+/// Somebody on the platform's computer who listens.
+struct Ear;
+
+impl NodeShell for Ear {
+    const NAME: &'static str = "rig_listener";
+    const ABOUT: &'static str = "hears what the simulated rig's nodes say";
+    type Parameters = ();
+    type Input = ();
+
+    fn start(kit: &mut Kit<()>, (): ()) -> Result<Self, NodeError> {
+        let Some((ears, heard)) = lock(&EARS_WANTED).take() else {
+            return Err(NodeError::shell("the simulated rig is started by its stand alone"));
+        };
         hear(kit, "volant/odometry", QosPreset::State, &heard, |h| &mut h.odometry)?;
-        hear(kit, "volant/fused_pose", QosPreset::State, &heard, |h| &mut h.fused_pose)?;
         hear(kit, "volant/visual_pose", QosPreset::State, &heard, |h| &mut h.visual_pose)?;
+        hear(kit, "volant/marker_updates", QosPreset::State, &heard, |h| &mut h.marker_updates)?;
+        hear(kit, "/diagnostics", QosPreset::State, &heard, |h| &mut h.diagnostics)?;
+        if ears == Ears::Few {
+            return Ok(Self);
+        }
+        hear(kit, "volant/fused_pose", QosPreset::State, &heard, |h| &mut h.fused_pose)?;
         hear(kit, "volant/imu/data", QosPreset::Sensor, &heard, |h| &mut h.imu)?;
         hear(kit, "climber/markers", QosPreset::State, &heard, |h| &mut h.markers)?;
-        hear(kit, "volant/marker_updates", QosPreset::State, &heard, |h| &mut h.marker_updates)?;
         hear(kit, "climber/transform", QosPreset::State, &heard, |h| &mut h.climber)?;
         hear(kit, "/tf", QosPreset::State, &heard, |h| &mut h.tf)?;
         hear(kit, "/tf_static", QosPreset::Latched, &heard, |h| &mut h.tf_static)?;
-        hear(kit, "/diagnostics", QosPreset::State, &heard, |h| &mut h.diagnostics)?;
-        // The receiver waits as long as this start takes, and longer.
-        let _ = sender.send(outlets);
         Ok(Self)
     }
 
@@ -173,7 +212,7 @@ pub struct Stand {
     outlets: Outlets,
     unit: PtyUnit,
     threads: Vec<JoinHandle<()>>,
-    _process: Process,
+    processes: Vec<Process>,
 }
 
 /// Why the stand cannot be.
@@ -191,25 +230,34 @@ pub enum StandError {
 }
 
 impl Stand {
-    /// Brings the hardware up in a DDS domain: at rest, cameras and encoders running, the unit's port at `port`.
+    /// Brings the hardware up: at rest, camera and encoders running, the unit's port at `port`.
     ///
     /// # Errors
-    /// No DDS, no pty, no thread.
-    pub fn start(
-        scenario: &Scenario,
-        film: Arc<Film>,
-        network: Network,
-        port: &Path,
-    ) -> Result<Self, StandError> {
+    /// No DDS, no pty, no thread, a network namespace that is not there.
+    pub fn start(scenario: &Scenario, film: Arc<Film>, site: &Site, port: &Path) -> Result<Self, StandError> {
         let heard = Arc::new(Mutex::new(Heard::default()));
-        let mut process = Process::new(network)?;
+        let names = RosArguments::parse(site.ros_arguments()).map_err(NodeError::from)?.0;
+        let one = lock(&ONE_AT_A_TIME);
         let (sender, receiver) = sync_channel(1);
-        *lock(&HAND_OVER) = Some((sender, Arc::clone(&heard)));
-        process.start::<Ear>(&RosArguments::default())?;
+        *lock(&OUTLETS_WANTED) = Some(sender);
+        *lock(&EARS_WANTED) = Some((site.ears, Arc::clone(&heard)));
+        let mut climber = site.join(Host::Climber)?;
+        climber.start::<Mouth>(&names)?;
+        let mut processes = vec![climber];
+        if site.hosts.is_some() {
+            processes.push(site.join(Host::Platform)?);
+        }
+        if let Some(platform) = processes.last_mut() {
+            platform.start::<Ear>(&names)?;
+        }
         let outlets = receiver.recv().map_err(|_| StandError::NotStarted)?;
+        drop(one);
         let shared = Arc::new(Shared {
             scenario: scenario.clone(),
             epoch: AtomicI64::new(i64::MAX),
+            began: imu_driver::fake_unit::pty::now(),
+            clock: site.climber_clock,
+            endless: site.endless,
             stop: AtomicBool::new(false),
             spoiler: Mutex::new(None),
             said: Mutex::default(),
@@ -229,7 +277,7 @@ impl Stand {
                 Box::new(move || encoders(&shared, &outlets))
             })?,
         ];
-        Ok(Self { shared, outlets, unit, threads, _process: process })
+        Ok(Self { shared, outlets, unit, threads, processes })
     }
 
     /// Lets the scenario begin `seconds` from now; gives the stamp of its zero.
@@ -239,9 +287,17 @@ impl Stand {
         epoch
     }
 
-    /// Seconds of the scenario now.
+    /// Seconds of the scenario now (of all its laps, where it is endless).
     pub fn seconds(&self) -> f64 {
-        self.shared.seconds(imu_driver::fake_unit::pty::now())
+        match self.shared.epoch.load(Ordering::Relaxed) {
+            i64::MAX => -100.0,
+            epoch => imu_driver::fake_unit::pty::now().seconds_since(Stamp::from_nanos(epoch)),
+        }
+    }
+
+    /// What was heard since the last call; it is forgotten here.
+    pub fn take_heard(&self) -> Heard {
+        std::mem::take(&mut *lock(&self.shared.heard))
     }
 
     /// What was heard so far; hold it briefly, the ear waits meanwhile.
@@ -262,6 +318,11 @@ impl Stand {
     /// The inertial unit, to unplug it.
     pub fn unit(&self) -> &PtyUnit {
         &self.unit
+    }
+
+    /// Has the stand's own middleware ended? Then what is heard tells nothing of the nodes.
+    pub fn is_deaf(&self) -> bool {
+        self.processes.iter().any(Process::middleware_ended)
     }
 
     /// How many nodes listen to camera, and encoders.
@@ -306,7 +367,7 @@ fn say(shared: &Shared, outlets: &Outlets, saying: Saying) {
 
 fn publish(shared: &Shared, outlets: &Outlets, saying: Saying) {
     let now = imu_driver::fake_unit::pty::now();
-    let keep = shared.seconds(now) >= -LEAD;
+    let keep = !shared.endless && shared.seconds(now) >= -LEAD;
     let mut said = lock(&shared.said);
     match saying {
         Saying::Image(m) => {
@@ -339,11 +400,12 @@ fn camera(shared: &Shared, outlets: &Outlets, film: &Film) {
         if shared.stopped() {
             return;
         }
-        say(shared, outlets, Saying::Image(compressed_image(stamp, frame_id, jpeg.to_vec())));
+        let shown = shared.climber_clock(stamp);
+        say(shared, outlets, Saying::Image(compressed_image(shown, frame_id, jpeg.to_vec())));
         say(
             shared,
             outlets,
-            Saying::CameraInfo(convert::camera_message(frame_id, stamp, &shared.scenario.camera)),
+            Saying::CameraInfo(convert::camera_message(frame_id, shown, &shared.scenario.camera)),
         );
     };
     let mut stamp = imu_driver::fake_unit::pty::now();
@@ -366,12 +428,18 @@ fn camera(shared: &Shared, outlets: &Outlets, film: &Film) {
             }
         }
     }
-    let epoch = Stamp::from_nanos(shared.epoch.load(Ordering::Relaxed));
-    for frame in &film.frames {
-        if shared.stopped() {
+    let mut epoch = Stamp::from_nanos(shared.epoch.load(Ordering::Relaxed));
+    loop {
+        for frame in &film.frames {
+            if shared.stopped() {
+                return;
+            }
+            show(epoch.plus_seconds(frame.seconds), &frame.jpeg);
+        }
+        if !shared.endless || film.frames.is_empty() {
             return;
         }
-        show(epoch.plus_seconds(frame.seconds), &frame.jpeg);
+        epoch = epoch.plus_seconds(shared.scenario.duration());
     }
 }
 
@@ -382,7 +450,8 @@ fn encoders(shared: &Shared, outlets: &Outlets) {
     while !shared.stopped() {
         stamp = stamp.plus_seconds(1.0 / shared.scenario.sensors.climber_rate);
         shared.sleep_until(stamp);
-        let joints = joint_state(&shared.scenario, &mut random, shared.seconds(stamp), stamp);
+        let shown = shared.climber_clock(stamp);
+        let joints = joint_state(&shared.scenario, &mut random, shared.seconds(stamp), shown);
         say(shared, outlets, Saying::Joints(joints));
     }
 }

@@ -18,6 +18,8 @@ pub struct MotionConfig {
     pub duration: f64,
     /// All is at rest until then, s; the motion sets in smoothly within a second.
     pub still_until: f64,
+    /// All is at rest again from then on, s, and where it was at first; the motion dies away smoothly in the second before.
+    pub still_from: f64,
     /// Largest tilt by the swing, rad.
     pub swing: f64,
     /// How often it swings, Hz; the rope that belongs to it has the length g/(2πf)².
@@ -43,6 +45,7 @@ impl MotionConfig {
             seed,
             duration: 12.0,
             still_until: -10.0,
+            still_from: f64::INFINITY,
             swing: 0.14,
             frequency: 0.45,
             wobble: 0.06,
@@ -167,9 +170,9 @@ impl Motion {
         self.rope
     }
 
-    /// 0 while all stands still, then smoothly to 1.
+    /// 0 while all stands still, smoothly to 1, and back.
     fn envelope(&self, t: f64) -> f64 {
-        let s = (t - self.config.still_until).clamp(0.0, 1.0);
+        let s = (t - self.config.still_until).min(self.config.still_from - t).clamp(0.0, 1.0);
         s * s * s * s * (35.0 + s * (-84.0 + s * (70.0 - 20.0 * s)))
     }
 
@@ -278,6 +281,20 @@ mod tests {
                 assert!(offset.xy().norm() < 0.5 && below.norm() > 0.0, "{offset:?}");
             }
         }
+    }
+
+    #[test]
+    fn a_lap_ends_where_it_began() {
+        let motion = Motion::new(MotionConfig {
+            still_until: 0.0,
+            still_from: 20.0,
+            duration: 20.0,
+            ..MotionConfig::nominal(4)
+        });
+        let (start, end) = (motion.kinematics(0.0), motion.kinematics(20.0));
+        assert!((start.world_from_volant.inverse() * end.world_from_volant).translation.vector.norm() < 1e-9);
+        assert!(end.velocity.norm() < 1e-6 && end.acceleration.norm() < 1e-3);
+        assert!(motion.kinematics(10.0).velocity.norm() > 1e-3);
     }
 
     #[test]

@@ -1,0 +1,100 @@
+//! `volant soak`: the long run. Exit status 0 when all of it held.
+
+#![allow(clippy::print_stdout, reason = "what it prints is its work")]
+
+use anyhow::{Context, Result};
+use clap::Parser;
+use node_kit::environment::Network;
+use std::{path::PathBuf, process::ExitCode, sync::Arc};
+use volant_test::{
+    live::{Film, Scenario},
+    soak::live::{Seen, SoakConfig, run},
+};
+
+/// Runs the live rig lap by lap with faults at random, and watches memory, threads, numbers and covariances.
+#[derive(Parser)]
+#[command(name = "volant soak", version)]
+struct Arguments {
+    /// For how long
+    #[arg(long, default_value_t = 60.0)]
+    minutes: f64,
+    /// Nodes are killed in the first part of the run only, so that memory can be watched for long in the rest
+    #[arg(long, default_value_t = 0.3)]
+    kills: f64,
+    /// Folder for the nodes' logs
+    #[arg(long, default_value = "target/soak")]
+    out: PathBuf,
+    /// DDS domain to run on, so that a rig on the usual one is not disturbed
+    #[arg(long, default_value_t = 93)]
+    domain: u16,
+    /// Everything random follows from it
+    #[arg(long, default_value_t = 5)]
+    seed: u64,
+}
+
+fn main() -> ExitCode {
+    match soak(&Arguments::parse()) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("volant soak: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn soak(arguments: &Arguments) -> Result<bool> {
+    let scenario = Scenario::lap(arguments.seed, 20.0)?;
+    let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4));
+    eprintln!("rendering the camera's film of {} s", scenario.duration());
+    let film = Arc::new(Film::shoot(&scenario, threads, |_, _| {})?);
+    if arguments.out.is_dir() {
+        std::fs::remove_dir_all(&arguments.out).with_context(|| format!("{}", arguments.out.display()))?;
+    }
+    let network = Network { domain_id: arguments.domain, ..Network::from_environment()? };
+    let seconds = arguments.minutes * 60.0;
+    let config = SoakConfig { seconds, seed: arguments.seed, kills_until: seconds * arguments.kills };
+    let mut minute = 0.0;
+    let seen = run(&scenario, film, &config, &network, &arguments.out, |now, seen| {
+        if now >= minute {
+            eprintln!("{:4.0} min: {}", now / 60.0, line(seen));
+            minute += 60.0;
+        }
+    })?;
+    println!("{} faults; {}", seen.faults.len(), line(&seen));
+    println!(
+        "\n| node | process | minutes | MB after the first minute | MB at the end | growth, MB | threads |"
+    );
+    println!("| --- | --- | --- | --- | --- | --- | --- |");
+    for life in seen.lives.iter() {
+        let settled = life.settled.map_or("–".to_owned(), |b| format!("{:.2}", b as f64 / 1e6));
+        let growth = life.growth().map_or("–".to_owned(), |b| format!("{:+.2}", b as f64 / 1e6));
+        println!(
+            "| {} | {} | {:.1} | {settled} | {:.2} | {growth} | {} |",
+            life.node,
+            life.id,
+            (life.until - life.since) / 60.0,
+            life.last as f64 / 1e6,
+            life.threads[1]
+        );
+    }
+    println!();
+    for failure in &seen.failures {
+        println!("FAILS: {failure}");
+    }
+    println!("{}", if seen.failures.is_empty() { "all of it held" } else { "it did not hold" });
+    Ok(seen.failures.is_empty())
+}
+
+fn line(seen: &Seen) -> String {
+    let share = 100.0 * seen.contradicted as f64 / seen.odometry.max(1) as f64;
+    let growth = seen
+        .lives
+        .worst()
+        .map_or("–".to_owned(), |(life, bytes)| format!("{:+.2} MB ({})", bytes as f64 / 1e6, life.node));
+    format!(
+        "{} odometry, {share:.2} % contradicted, {} late returns, largest growth {growth}",
+        seen.odometry,
+        seen.late.len()
+    )
+}

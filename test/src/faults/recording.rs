@@ -1,0 +1,139 @@
+//! A disk that fills up while the run is recorded: a file system of a few MiB, on which `volant record` writes.
+
+use super::{Action, Bench, Flow, Row, table::action};
+use crate::live::{RunError, processes::executables};
+use launch_config::bag::{BagError, BagReader};
+use std::{
+    cell::RefCell,
+    io::Read,
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    rc::Rc,
+    time::Duration,
+};
+
+/// Room on the disk; the rig's topics fill it within two seconds.
+const ROOM: &str = "size=2m";
+
+/// What stands while the row runs.
+struct Recorder {
+    child: Child,
+    disk: Disk,
+}
+
+/// A small file system, unmounted when it drops.
+struct Disk(PathBuf);
+
+impl Disk {
+    fn mount(at: &Path) -> Result<Self, RunError> {
+        let impossible = |reason: String| RunError::NotPossible {
+            what: "a small file system (`mount -t tmpfs`, as root)",
+            reason,
+        };
+        std::fs::create_dir_all(at).map_err(|e| impossible(e.to_string()))?;
+        let output = Command::new("mount")
+            .args(["-t", "tmpfs", "-o", ROOM, "tmpfs"])
+            .arg(at)
+            .output()
+            .map_err(|e| impossible(e.to_string()))?;
+        if !output.status.success() {
+            return Err(impossible(String::from_utf8_lossy(&output.stderr).trim().to_owned()));
+        }
+        Ok(Self(at.to_owned()))
+    }
+}
+
+impl Drop for Disk {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg(&self.0).status();
+    }
+}
+
+/// The row.
+pub(super) fn disk_full() -> Row {
+    let recorder = Rc::new(RefCell::new(None));
+    let begin: Action = {
+        let recorder = Rc::clone(&recorder);
+        action(move |b| {
+            *recorder.borrow_mut() = Some(start(b)?);
+            Ok(())
+        })
+    };
+    let end = action(move |b| {
+        if let Some(recorder) = recorder.borrow_mut().take() {
+            finish(recorder, b);
+        }
+        Ok(())
+    });
+    Row {
+        fault: "disk full while `volant record` writes",
+        begin,
+        end,
+        flow: Flow::Unbroken,
+        diagnostics: None,
+        back_within: 0.2,
+        kills: None,
+    }
+}
+
+fn start(b: &mut Bench<'_>) -> Result<Recorder, RunError> {
+    let folder = b.run.folder.join("full");
+    let disk = Disk::mount(&folder)?;
+    let path = executables().join("volant");
+    let child = Command::new(&path)
+        .args(["record", "--all", "--out"])
+        .arg(folder.join("run.mcap"))
+        .env("ROS_DOMAIN_ID", b.run.domain().to_string())
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .map_err(|error| RunError::Io { path, error })?;
+    Ok(Recorder { child, disk })
+}
+
+/// It must have ended by itself with status 1 and one line that names the file, and what it wrote must be readable.
+fn finish(mut recorder: Recorder, b: &mut Bench<'_>) {
+    for _ in 0..100 {
+        if matches!(recorder.child.try_wait(), Ok(Some(_))) {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let status = match recorder.child.try_wait() {
+        Ok(Some(status)) => status,
+        _ => {
+            let _ = recorder.child.kill();
+            let _ = recorder.child.wait();
+            b.notes.failures.push("the recorder went on though the disk was full".to_owned());
+            return;
+        }
+    };
+    let mut words = String::new();
+    if let Some(mut stderr) = recorder.child.stderr.take() {
+        let _ = stderr.read_to_string(&mut words);
+    }
+    let last = words.lines().last().unwrap_or_default().to_owned();
+    if status.code() != Some(1) || !last.contains("run.mcap") {
+        b.notes.failures.push(format!("the recorder ended with {status} and said `{last}`"));
+    }
+    b.notes.said = Some(last.replace(&format!("{}/", recorder.disk.0.display()), ""));
+    let bag = recorder.disk.0.join("run.mcap");
+    match readable(&bag) {
+        Ok(count) if count < 100 => {
+            b.notes.failures.push(format!("only {count} messages of the full disk's bag can be read"));
+        }
+        Ok(_) => {}
+        Err(error) => b.notes.failures.push(format!("the full disk's bag cannot be read: {error}")),
+    }
+}
+
+/// Messages that a bag gives, up to where it was cut off.
+fn readable(bag: &Path) -> Result<usize, BagError> {
+    let mut reader = BagReader::open(bag)?;
+    let mut count = 0;
+    while reader.next_message()?.is_some() {
+        count += 1;
+    }
+    Ok(count)
+}

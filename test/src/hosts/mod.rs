@@ -1,0 +1,139 @@
+//! The rig's two computers on one machine: two network namespaces and a cable between them that can be made bad.
+//!
+//! [`Hosts`] makes them and takes them away; [`weather`] is what the cable does to a frame, [`cable`] does it; [`trial`] runs
+//! the live rig over it.
+
+pub mod cable;
+pub mod trial;
+pub mod weather;
+
+pub use cable::Cable;
+pub use weather::Weather;
+
+use crate::live::Namespaces;
+use std::process::Command;
+use thiserror::Error;
+
+/// The two computers cannot be made here.
+#[derive(Debug, Error)]
+#[error(
+    "two hosts need network namespaces and a tap device, that is root (or CAP_NET_ADMIN and CAP_SYS_ADMIN), iproute2 and \
+     /dev/net/tun: {reason}"
+)]
+pub struct NotPermitted {
+    reason: String,
+}
+
+/// Two computers with a cable between them. All of it is gone when this drops.
+pub struct Hosts {
+    /// The cable.
+    pub cable: Cable,
+    /// Their names.
+    pub namespaces: Namespaces,
+}
+
+impl Hosts {
+    /// Makes them. Their names bear the process's id, so that several can stand side by side.
+    ///
+    /// # Errors
+    /// What is missing.
+    pub fn new(seed: u64) -> Result<Self, NotPermitted> {
+        remove_left_over();
+        let id = std::process::id();
+        let namespaces = Namespaces { climber: format!("volant-c-{id}"), platform: format!("volant-p-{id}") };
+        let made = Made(&namespaces);
+        let names = [format!("vc{id}"), format!("vp{id}")];
+        for name in [&namespaces.climber, &namespaces.platform] {
+            ip(&["netns", "add", name])?;
+        }
+        let cable = Cable::new([&names[0], &names[1]], seed)
+            .map_err(|e| NotPermitted { reason: format!("a tap device: {e}") })?;
+        for (i, place) in [&namespaces.climber, &namespaces.platform].into_iter().enumerate() {
+            let end = names[i].as_str();
+            ip(&["link", "set", end, "netns", place])?;
+            ip(&["-n", place, "address", "add", &format!("10.77.0.{}/24", i + 1), "dev", end])?;
+            ip(&["-n", place, "link", "set", "lo", "up"])?;
+            ip(&["-n", place, "link", "set", end, "up"])?;
+            ip(&["-n", place, "route", "add", "224.0.0.0/4", "dev", end])?;
+        }
+        std::mem::forget(made);
+        Ok(Self { cable, namespaces })
+    }
+}
+
+/// A computer of its own for the calling thread, and for what it starts from then on.
+pub struct Island(String);
+
+impl Island {
+    /// Moves the calling thread into a network namespace with nothing but a loopback and an interface of its own.
+    ///
+    /// # Errors
+    /// What is missing.
+    pub fn enter() -> Result<Self, NotPermitted> {
+        remove_left_over();
+        let name = format!("volant-i-{}", std::process::id());
+        ip(&["netns", "add", &name])?;
+        let island = Self(name);
+        let at = ["-n", &island.0];
+        let [near, far] = ["vi0", "vi1"];
+        for command in [
+            &["link", "set", "lo", "up"][..],
+            &["link", "add", near, "type", "veth", "peer", "name", far],
+            &["address", "add", "10.78.0.1/24", "dev", near],
+            &["link", "set", near, "up"],
+            &["link", "set", far, "up"],
+            &["route", "add", "224.0.0.0/4", "dev", near],
+        ] {
+            ip(&[&at, command].concat())?;
+        }
+        crate::live::site::enter(&island.0).map_err(|e| NotPermitted { reason: e.to_string() })?;
+        Ok(island)
+    }
+}
+
+impl Drop for Island {
+    fn drop(&mut self) {
+        let _ = ip(&["netns", "delete", &self.0]);
+    }
+}
+
+/// Takes away what a process that was killed has left.
+fn remove_left_over() {
+    let Ok(folder) = std::fs::read_dir("/run/netns") else { return };
+    for name in folder.filter_map(Result::ok).filter_map(|entry| entry.file_name().into_string().ok()) {
+        let id = ["c", "p", "i"].iter().find_map(|kind| name.strip_prefix(&format!("volant-{kind}-")));
+        if id.is_some_and(|id| !std::path::Path::new("/proc").join(id).exists()) {
+            let _ = ip(&["netns", "delete", &name]);
+        }
+    }
+}
+
+/// Takes away what was made when the rest cannot be.
+struct Made<'a>(&'a Namespaces);
+
+impl Drop for Made<'_> {
+    fn drop(&mut self) {
+        for name in [&self.0.climber, &self.0.platform] {
+            let _ = ip(&["netns", "delete", name]);
+        }
+    }
+}
+
+impl Drop for Hosts {
+    fn drop(&mut self) {
+        drop(Made(&self.namespaces));
+    }
+}
+
+fn ip(arguments: &[&str]) -> Result<(), NotPermitted> {
+    let line = || format!("`ip {}`", arguments.join(" "));
+    let output = Command::new("ip")
+        .args(arguments)
+        .output()
+        .map_err(|e| NotPermitted { reason: format!("{}: {e}", line()) })?;
+    if output.status.success() {
+        return Ok(());
+    }
+    let said = String::from_utf8_lossy(&output.stderr);
+    Err(NotPermitted { reason: format!("{}: {}", line(), said.trim()) })
+}

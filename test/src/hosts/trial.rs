@@ -1,0 +1,278 @@
+//! Runs of the live rig over two computers: what the link or one side does, and what became of the pose.
+
+use super::{Hosts, Weather};
+use crate::{
+    accuracy::Errors,
+    faults::outcome,
+    live::{ClockError, Film, Host, NODES, Run, RunError, Scenario, Site},
+};
+use node_kit::environment::Network;
+use rig_model::Stamp;
+use std::{fmt::Write, path::Path, sync::Arc, time::Duration};
+
+/// Length of a run, s.
+pub const LENGTH: f64 = 13.0;
+/// When a cut or the restart of a side begins, and the longest that it lasts, s.
+const WINDOW: [f64; 2] = [3.0, 8.0];
+/// How long a side that is restarted is gone, s.
+const GONE: f64 = 1.0;
+
+/// What happens to the link or to a side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Trouble {
+    /// The link is so from the start on.
+    Link(Weather),
+    /// The link is cut for 5 s.
+    Cut,
+    /// The nodes of one computer are killed as by `kill -9`, and started again 1 s later.
+    Restart(Host),
+    /// The clock of the climber's computer is off.
+    Clock(ClockError),
+}
+
+/// One run.
+#[derive(Clone, Debug)]
+pub struct Trial {
+    /// What happens.
+    pub name: &'static str,
+    /// The same.
+    pub trouble: Trouble,
+    /// The odometry must come with every inertial sample, all the time.
+    pub unbroken: bool,
+    /// Position RMSE at most so many times that of the clean link.
+    pub at_most: Option<f64>,
+    /// After the trouble is over, fused again within so many seconds.
+    pub back_within: Option<f64>,
+}
+
+/// Every trial; the first one is the clean link that others are compared with.
+pub fn trials() -> Vec<Trial> {
+    let link = |name, weather| Trial {
+        name,
+        trouble: Trouble::Link(weather),
+        unbroken: true,
+        at_most: None,
+        back_within: None,
+    };
+    let clean = Weather::default();
+    let lossy = |loss| Weather { loss, ..clean };
+    let far = Weather { delay: 0.05, spread: 0.02, ..clean };
+    vec![
+        link("clean", clean),
+        link("1 % lost", lossy(0.01)),
+        link("5 % lost", lossy(0.05)),
+        link("20 % lost", lossy(0.2)),
+        link("50 ± 20 ms delay", far),
+        link("3 of 10 frames overtaken", Weather { reordered: 0.3, ..clean }),
+        Trial { at_most: Some(1.3), ..link("5 % lost and 50 ± 20 ms delay", Weather { loss: 0.05, ..far }) },
+        Trial {
+            name: "cut for 5 s",
+            trouble: Trouble::Cut,
+            unbroken: true,
+            at_most: None,
+            back_within: Some(2.0),
+        },
+        Trial {
+            name: "climber's side killed, started 1 s later",
+            trouble: Trouble::Restart(Host::Climber),
+            unbroken: true,
+            at_most: None,
+            back_within: Some(2.0),
+        },
+        Trial {
+            name: "platform's side killed, started 1 s later",
+            trouble: Trouble::Restart(Host::Platform),
+            unbroken: false,
+            at_most: None,
+            back_within: Some(2.0),
+        },
+        Trial {
+            name: "climber's clock 20 ms ahead and 50 ppm fast",
+            trouble: Trouble::Clock(ClockError { offset: 0.02, ppm: 50.0 }),
+            unbroken: true,
+            at_most: None,
+            back_within: None,
+        },
+    ]
+}
+
+/// What was seen.
+#[derive(Clone, Debug)]
+pub struct Seen {
+    /// From the start of the nodes to the first pose, s.
+    pub first_pose: f64,
+    /// Position error, mm (root of the mean square, after the first second).
+    pub position: f64,
+    /// Rotation error, degrees (the same).
+    pub rotation: f64,
+    /// Odometry per inertial sample that was due.
+    pub rate: f64,
+    /// Longest time without odometry, s.
+    pub longest_gap: f64,
+    /// From the trouble's end until the pose was back to stay, s.
+    pub back_after: Option<f64>,
+    /// Frames and share of them that the cable lost.
+    pub frames: [f64; 2],
+    /// What is not as it must be.
+    pub failures: Vec<String>,
+}
+
+impl Trial {
+    /// Runs it. `clean` is the position error over the clean link, mm.
+    ///
+    /// # Errors
+    /// The rig did not come up, or a process hung; the reason why no two hosts can be is told by [`Hosts::new`].
+    #[allow(clippy::disallowed_methods, reason = "it measures how long a start takes")]
+    pub fn run(
+        &self,
+        scenario: &Scenario,
+        film: &Arc<Film>,
+        hosts: &Hosts,
+        network: &Network,
+        folder: &Path,
+        clean: Option<f64>,
+    ) -> Result<Seen, RunError> {
+        use std::sync::atomic::Ordering::Relaxed;
+        let mut site = Site { hosts: Some(hosts.namespaces.clone()), ..Site::here(network) };
+        hosts.cable.set(Weather::default());
+        match self.trouble {
+            Trouble::Link(weather) => hosts.cable.set(weather),
+            Trouble::Clock(error) => site.climber_clock = error,
+            Trouble::Cut | Trouble::Restart(_) => {}
+        }
+        let traffic = hosts.cable.traffic();
+        let before = [traffic.frames.load(Relaxed), traffic.lost.load(Relaxed)];
+        let started = std::time::Instant::now();
+        let mut run = Run::start(scenario, Arc::clone(film), &site, folder)?;
+        run.wait_for_pose(30.0)?;
+        let first_pose = started.elapsed().as_secs_f64();
+        let epoch = run.begin();
+        let over = self.play(&mut run, hosts, LENGTH - 0.2)?;
+        let ended = run.finish()?;
+        hosts.cable.set(Weather::default());
+
+        let at = |t: f64| epoch.plus_seconds(t);
+        let truth = |s: Stamp| scenario.motion.world_from_volant(s.seconds_since(epoch));
+        let heard = &ended.heard;
+        let fused = heard.fused();
+        let end = at(LENGTH - 0.4);
+        let errors = Errors::of(&fused, at(1.0), end, truth);
+        let (rate, longest_gap) = outcome::flow(&fused, at(1.0), end);
+        let back_after = over.map(|over| {
+            outcome::back(&fused, at(over), end, truth).map_or(f64::INFINITY, |s| s.seconds_since(at(over)))
+        });
+        let mut failures = Vec::new();
+        if self.unbroken && (rate < 0.97 || longest_gap > 0.06) {
+            failures.push(format!(
+                "the odometry broke: {:.1} %, a gap of {:.0} ms",
+                rate * 1e2,
+                longest_gap * 1e3
+            ));
+        }
+        if let (Some(most), Some(clean)) = (self.at_most, clean)
+            && errors.position_rmse > most * clean
+        {
+            failures.push(format!("{:.2} times the clean link's error", errors.position_rmse / clean));
+        }
+        if let (Some(within), Some(back)) = (self.back_within, back_after)
+            && back > within
+        {
+            failures.push(format!("back after {back:.2} s instead of {within}"));
+        }
+        failures.extend(outcome::not_a_number(heard));
+        failures.extend(outcome::contradicted(heard, at(0.5), end, truth));
+        let killed = match self.trouble {
+            Trouble::Restart(host) => Some(host),
+            _ => None,
+        };
+        let ends = outcome::ends(&ended, folder);
+        failures.extend(ends.into_iter().filter(|line| killed.is_none() || line.contains("panicked")));
+        let count = |i: usize, now: u64| (now - before[i]) as f64;
+        let frames = count(0, traffic.frames.load(Relaxed));
+        let lost = count(1, traffic.lost.load(Relaxed));
+        Ok(Seen {
+            first_pose,
+            position: errors.position_rmse,
+            rotation: errors.rotation_rmse,
+            rate,
+            longest_gap,
+            back_after,
+            frames: [frames, lost / frames.max(1.0)],
+            failures,
+        })
+    }
+
+    /// Plays until `end`; when the trouble is over, s, where it has an end.
+    fn play(&self, run: &mut Run, hosts: &Hosts, end: f64) -> Result<Option<f64>, RunError> {
+        let wait = |run: &Run, until: f64| {
+            while run.stand.seconds() < until {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        };
+        let over = match self.trouble {
+            Trouble::Link(_) | Trouble::Clock(_) => None,
+            Trouble::Cut => {
+                run.play_until(WINDOW[0], |_, _| {})?;
+                hosts.cable.set(Weather { cut: true, ..Weather::default() });
+                run.play_until(WINDOW[1], |_, _| {})?;
+                hosts.cable.set(Weather::default());
+                Some(run.stand.seconds())
+            }
+            Trouble::Restart(host) => {
+                run.play_until(WINDOW[0], |_, _| {})?;
+                let names = NODES.into_iter().filter(|n| Host::of(n) == host);
+                for name in names.clone() {
+                    if let Some(node) = run.nodes.get(name) {
+                        node.kill()?;
+                    }
+                }
+                wait(run, WINDOW[0] + GONE);
+                for name in names {
+                    if let Some(node) = run.nodes.get(name) {
+                        node.restart()?;
+                    }
+                }
+                Some(run.stand.seconds())
+            }
+        };
+        run.play_until(end, |_, _| {})?;
+        Ok(over)
+    }
+}
+
+/// The table as Markdown.
+pub fn markdown(rows: &[(&'static str, Result<Seen, String>)]) -> String {
+    let mut text = String::from(
+        "| between the hosts | first pose after | position, rotation RMSE | odometry | back after | frames, lost | verdict |\n\
+         | --- | --- | --- | --- | --- | --- | --- |\n",
+    );
+    for (name, seen) in rows {
+        let _ = match seen {
+            Err(reason) => writeln!(text, "| {name} | – | – | – | – | – | **skipped**: {reason} |"),
+            Ok(s) => {
+                let verdict = if s.failures.is_empty() {
+                    "holds".to_owned()
+                } else {
+                    format!("**fails**: {}", s.failures.join("; "))
+                };
+                let back = match s.back_after {
+                    None => "–".to_owned(),
+                    Some(t) if t.is_finite() => format!("{t:.2} s"),
+                    Some(_) => "not".to_owned(),
+                };
+                writeln!(
+                    text,
+                    "| {name} | {:.2} s | {:.2} mm, {:.3}° | {:.1} %, longest gap {:.0} ms | {back} | {:.0}, {:.1} % | {verdict} |",
+                    s.first_pose,
+                    s.position,
+                    s.rotation,
+                    s.rate * 100.0,
+                    s.longest_gap * 1e3,
+                    s.frames[0],
+                    s.frames[1] * 100.0,
+                )
+            }
+        };
+    }
+    text
+}

@@ -1,0 +1,113 @@
+//! Where a simulated rig lives: on which computers, in which DDS domain, under which name.
+
+use node_kit::{
+    environment::Network,
+    node::{NodeError, Process},
+};
+use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
+use std::{fs::File, io, os::fd::AsFd};
+
+/// One of the rig's two computers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Host {
+    /// With camera and encoders.
+    Climber,
+    /// With the inertial unit.
+    Platform,
+}
+
+impl Host {
+    /// Where a node runs: what the climber's hardware feeds on the climber, the rest on the platform.
+    pub fn of(node: &str) -> Self {
+        if matches!(node, "marker_tracker" | "climber_driver") { Self::Climber } else { Self::Platform }
+    }
+}
+
+/// Network namespaces that stand for the two computers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Namespaces {
+    /// The climber's.
+    pub climber: String,
+    /// The platform's.
+    pub platform: String,
+}
+
+/// How a computer's clock is off.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ClockError {
+    /// Ahead by so much at the start, s.
+    pub offset: f64,
+    /// Faster by so much, 1e-6.
+    pub ppm: f64,
+}
+
+/// What is listened to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Ears {
+    /// Everything that the nodes say.
+    #[default]
+    All,
+    /// The poses, what became of the markers, and the diagnostics.
+    Few,
+}
+
+/// Where a rig lives.
+#[derive(Clone, Debug, Default)]
+pub struct Site {
+    /// The DDS domain.
+    pub network: Network,
+    /// ROS namespace of all of its nodes, such as `/rig3`; empty for none.
+    pub namespace: String,
+    /// Its two computers; `None`: this one.
+    pub hosts: Option<Namespaces>,
+    /// How the climber's clock is off: that of camera and encoders.
+    pub climber_clock: ClockError,
+    /// What is listened to.
+    pub ears: Ears,
+    /// The scenario begins anew when it is over, and what the hardware said is not kept.
+    pub endless: bool,
+}
+
+impl Site {
+    /// On this computer.
+    pub fn here(network: &Network) -> Self {
+        Self { network: network.clone(), ..Self::default() }
+    }
+
+    /// The network namespace of a computer.
+    pub fn namespace_of(&self, host: Host) -> Option<&str> {
+        self.hosts.as_ref().map(|n| match host {
+            Host::Climber => n.climber.as_str(),
+            Host::Platform => n.platform.as_str(),
+        })
+    }
+
+    /// What every node is told.
+    pub fn ros_arguments(&self) -> Vec<String> {
+        if self.namespace.is_empty() {
+            return Vec::new();
+        }
+        ["--ros-args".to_owned(), "-r".to_owned(), format!("__ns:={}", self.namespace)].to_vec()
+    }
+
+    /// Joins the DDS domain on a computer. The sockets belong to the network namespace of the thread that makes them, so
+    /// a thread of its own goes there.
+    pub(super) fn join(&self, host: Host) -> Result<Process, NodeError> {
+        let network = self.network.clone();
+        let Some(name) = self.namespace_of(host) else { return Process::new(network) };
+        let failed = |source| NodeError::System { what: format!("the network namespace {name}"), source };
+        std::thread::scope(|scope| {
+            let there = scope.spawn(|| {
+                enter(name).map_err(failed)?;
+                Process::new(network)
+            });
+            there.join().unwrap_or_else(|_| Err(NodeError::shell("joining the DDS domain panicked")))
+        })
+    }
+}
+
+/// Moves the calling thread into a network namespace that `ip netns` made.
+pub(crate) fn enter(name: &str) -> io::Result<()> {
+    let file = File::open(format!("/run/netns/{name}"))?;
+    Ok(move_into_link_name_space(file.as_fd(), Some(LinkNameSpaceType::Network))?)
+}

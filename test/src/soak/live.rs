@@ -1,0 +1,149 @@
+//! The long run in real time: four processes, a looped film, rows of the fault table at random.
+
+use super::{Lives, Plan};
+use crate::{
+    faults::{Bench, Notes, Row, outcome, table},
+    live::{Film, Heard, Run, RunError, Scenario, Site},
+};
+use node_kit::environment::Network;
+use rig_model::Stamp;
+use std::{path::Path, sync::Arc};
+
+/// How long, and what.
+#[derive(Clone, Copy, Debug)]
+pub struct SoakConfig {
+    /// Rig time, s.
+    pub seconds: f64,
+    /// The faults follow from it.
+    pub seed: u64,
+    /// Nodes are killed only before this time, so that the others' memory can be watched for long, s.
+    pub kills_until: f64,
+}
+
+/// What was seen.
+#[derive(Debug, Default)]
+pub struct Seen {
+    /// Faults so far, and what they were.
+    pub faults: Vec<(f64, &'static str)>,
+    /// Odometry heard.
+    pub odometry: u64,
+    /// Odometry whose covariance the truth contradicts.
+    pub contradicted: u64,
+    /// Faults after which the pose was not back in time: when, which, after how long.
+    pub late: Vec<(f64, &'static str, f64)>,
+    /// What is not as it must be.
+    pub failures: Vec<String>,
+    /// Memory and threads.
+    pub lives: Lives,
+}
+
+/// Memory may grow by so much after the first minute, bytes.
+pub const GROWTH: i64 = 5 << 20;
+
+/// Runs it.
+///
+/// # Errors
+/// The rig did not come up, or a process hung.
+pub fn run(
+    scenario: &Scenario,
+    film: Arc<Film>,
+    config: &SoakConfig,
+    network: &Network,
+    folder: &Path,
+    mut progress: impl FnMut(f64, &Seen),
+) -> Result<Seen, RunError> {
+    let site = Site { endless: true, ..Site::here(network) };
+    let mut run = Run::start(scenario, film, &site, folder)?;
+    run.wait_for_pose(30.0)?;
+    let epoch = run.begin();
+    run.play_until(0.5, |_, _| {})?;
+    drop(run.stand.take_heard());
+    let rows: Vec<Row> = table().into_iter().filter(|row| row.soaks()).collect();
+    let mut seen = Seen::default();
+    let mut plan = Plan::new(config.seed, rows.len());
+    while run.stand.seconds() < config.seconds {
+        let Some(next) = plan.next() else { break };
+        let Some(row) = rows.get(next.which) else { continue };
+        let now = run.stand.seconds();
+        if row.kills.is_some() && now > config.kills_until {
+            continue;
+        }
+        let mut notes = Notes::default();
+        seen.faults.push((now, row.fault));
+        row.start(&mut Bench { run: &mut run, epoch, scenario, notes: &mut notes })?;
+        watch(&mut run, now + next.lasts, &mut seen, &mut progress);
+        row.stop(&mut Bench { run: &mut run, epoch, scenario, notes: &mut notes })?;
+        let over = run.stand.seconds();
+        watch(&mut run, over + next.calm, &mut seen, &mut progress);
+        seen.failures.extend(notes.failures);
+        let heard = run.stand.take_heard();
+        judge(&heard, scenario, epoch, over, row, &mut seen);
+        run.nodes.check()?;
+    }
+    // Panics, and how they end, are seen at the end.
+    let folder = folder.to_owned();
+    let ended = run.finish()?;
+    seen.failures.extend(outcome::ends(&ended, &folder));
+    conclude(&mut seen);
+    Ok(seen)
+}
+
+fn watch(run: &mut Run, until: f64, seen: &mut Seen, progress: &mut impl FnMut(f64, &Seen)) {
+    loop {
+        let now = run.stand.seconds();
+        seen.lives.look(&run.nodes, now);
+        progress(now, seen);
+        if now >= until {
+            return;
+        }
+        std::thread::sleep(std::time::Duration::from_secs_f64((until - now).clamp(0.001, 1.0)));
+    }
+}
+
+fn judge(heard: &Heard, scenario: &Scenario, epoch: Stamp, over: f64, row: &Row, seen: &mut Seen) {
+    let lap = scenario.duration();
+    let truth = |s: Stamp| scenario.motion.world_from_volant(s.seconds_since(epoch).max(0.0).rem_euclid(lap));
+    let fused = heard.fused();
+    let end = fused.last().map_or(epoch, |(stamp, _)| *stamp);
+    let [gate, _] = outcome::GATE;
+    let nees = heard.nees(Stamp::default(), end, truth);
+    seen.odometry += nees.len() as u64;
+    seen.contradicted += nees.iter().filter(|n| n[0] > gate || n[1] > gate).count() as u64;
+    seen.failures
+        .extend(outcome::not_a_number(heard).map(|why| format!("{over:.0} s, {}: {why}", row.fault)));
+    let back = outcome::back(&fused, epoch.plus_seconds(over), end, truth);
+    let after = back.map_or(f64::INFINITY, |s| s.seconds_since(epoch.plus_seconds(over)));
+    if after > super::BACK_WITHIN {
+        seen.late.push((over, row.fault, after));
+    }
+}
+
+fn conclude(seen: &mut Seen) {
+    let share = seen.contradicted as f64 / (seen.odometry.max(1)) as f64;
+    if seen.odometry == 0 {
+        seen.failures.push("no odometry was heard".to_owned());
+    }
+    if share > outcome::GATE[1] {
+        seen.failures
+            .push(format!("the truth contradicts the covariance in {:.1} % of the odometry", share * 100.0));
+    }
+    if let Some((life, growth)) = seen.lives.worst()
+        && growth >= GROWTH
+    {
+        seen.failures.push(format!(
+            "{} ({}) grew by {:.1} MB after its first minute",
+            life.node,
+            life.id,
+            growth as f64 / 1e6
+        ));
+    }
+    for life in seen.lives.iter() {
+        let [most, last] = life.threads;
+        if life.growth().is_some() && last > most {
+            seen.failures.push(format!("{} ({}) ended with {last} threads", life.node, life.id));
+        }
+    }
+    for (when, fault, after) in &seen.late {
+        seen.failures.push(format!("at {when:.0} s, {fault}: back after {after:.1} s"));
+    }
+}
