@@ -104,7 +104,7 @@ impl Curves {
             ),
             published: format!(
                 "Published: the EKF is nearest to the truth in all six, and the inertial unit turns better than the camera. Here the \
-                 unit turns better in {unit_turns_better} of 3 axes: the tracker predicts the centroid of each projected square and fits its \
+                 unit turns better in {unit_turns_better} of 3 axes; where it does not, it is because the tracker predicts the centroid of each projected square and fits its \
                  edges, which makes the camera's own rotations better than an attitude unit that is off by half a degree. The \
                  published filter fuses finished poses, and its prediction adds the unit's doubly integrated translation, whose \
                  velocity nothing corrects; so its translation drifts away from the camera's (the parameter \
