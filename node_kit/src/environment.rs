@@ -195,13 +195,13 @@ mod tests {
         let enabled = [("ROS_SECURITY_ENABLE", "true"), ("ROS_SECURITY_KEYSTORE", "/keys")];
         let network_ = network(&enabled).unwrap();
         let security = network_.clone().security.unwrap();
-        assert!(!security.enforce && security.folder() == PathBuf::from("/keys/enclaves"));
+        assert!(!security.enforce && security.folder() == std::path::Path::new("/keys/enclaves"));
         let named = network_.with_enclave(Some("/rig/climber")).security.unwrap();
         assert_eq!(named.folder(), PathBuf::from("/keys/enclaves/rig/climber"));
         let mut more = enabled.to_vec();
         more.extend([("ROS_SECURITY_ENCLAVE_OVERRIDE", "/b"), ("ROS_SECURITY_STRATEGY", "Enforce")]);
         let overridden = network(&more).unwrap().with_enclave(Some("/a")).security.unwrap();
-        assert!(overridden.enforce && overridden.folder() == PathBuf::from("/keys/enclaves/b"));
+        assert!(overridden.enforce && overridden.folder() == std::path::Path::new("/keys/enclaves/b"));
     }
 
     #[test]

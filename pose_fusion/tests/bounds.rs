@@ -129,7 +129,8 @@ fn row(
         spread.0, spread.1, all.age
     );
     assert!(position <= limit && rotation <= limit, "{name}: {position:.3} {rotation:.3}");
-    assert!(all.age <= 1.0, "{name}: {}", all.age);
+    // One period of the samples' own stamps, which jitter.
+    assert!(all.age <= 1.05, "{name}: {}", all.age);
 }
 
 fn runs() -> u64 {

@@ -160,7 +160,7 @@ impl Crowd {
         let busy = format!("{:.0} % of the processor's time is used", self.busy * 100.0);
         if self.rate < 0.97 {
             Some(format!("{:.0} % of the odometry came; {busy}", self.rate * 100.0))
-        } else if !(self.latency[1] <= LATENCY * 1e3) {
+        } else if self.latency[1].is_nan() || self.latency[1] > LATENCY * 1e3 {
             Some(format!("p99 of the latency is {:.0} ms; {busy}", self.latency[1]))
         } else {
             None

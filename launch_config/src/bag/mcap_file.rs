@@ -22,6 +22,8 @@ use std::{
 /// Larger records and chunks (decompressed) are taken for damage: an uncompressed 8K image has 100 MB, and a chunk of a
 /// few hundred kilobytes can claim, and decompress into, any amount.
 const LARGEST_RECORD: usize = 256 << 20;
+/// A record in a compressed chunk may have this many bytes however few the chunk has.
+const LARGEST_EXPANDED: usize = 32 << 20;
 /// Messages outside of chunks are handed on in groups of about this many bytes.
 const GROUP: usize = 1 << 20;
 
@@ -243,11 +245,14 @@ impl FileReader {
         cut: bool,
         group: &mut Vec<BagMessage>,
     ) -> Result<(), String> {
+        // Memory is taken for the length that a record claims, so few compressed bytes may not claim much; 1024 is more than
+        // zstd makes of any real picture.
+        let largest = body.len().saturating_mul(1024).clamp(LARGEST_EXPANDED, LARGEST_RECORD);
         // The check sum stands for the whole chunk, which a cut one has not.
         let options = LinearReaderOptions::default()
             .with_skip_start_magic(true)
             .with_skip_end_magic(true)
-            .with_record_length_limit(LARGEST_RECORD)
+            .with_record_length_limit(largest)
             .with_prevalidate_chunk_crcs(!cut);
         let mut reader = LinearReader::new_with_options(options);
         let mut head = vec![op::CHUNK];

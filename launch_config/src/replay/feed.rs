@@ -112,7 +112,7 @@ impl Feed {
     ///
     /// # Errors
     /// The operating system does not give the bag's bytes.
-    pub fn next(&mut self) -> Result<Option<Fed>, BagError> {
+    pub fn take(&mut self) -> Result<Option<Fed>, BagError> {
         let Some(slot) = self.slots.as_ref().and_then(|slots| slots.recv().ok()) else {
             return Ok(None);
         };

@@ -144,7 +144,7 @@ pub fn replay(
     }
     let mut pipeline = Pipeline::new(options.rig.clone(), tracker, fusion, out, options.smooth);
     let mut feed = Feed::start(input, plan.images.clone(), plan.wanted(), options.workers)?;
-    while let Some(fed) = feed.next()? {
+    while let Some(fed) = feed.take()? {
         match fed {
             Fed::Message(message) => plan.hand_over(&message, &mut pipeline)?,
             Fed::Image(Ok((stamp, image))) => {

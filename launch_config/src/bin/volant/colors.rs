@@ -155,7 +155,7 @@ fn bag(path: &Path, topic: Option<&str>, calibration: &mut ColorCalibration) -> 
     let mut feed = Feed::start(path, Some(source), cameras, 1)?;
     let mut count = 0;
     let mut refused = None;
-    while let Some(fed) = feed.next()? {
+    while let Some(fed) = feed.take()? {
         match fed {
             Fed::Message(message) => {
                 if let Ok(info) = cdr::from_bytes::<CameraInfo>(&message.data)
