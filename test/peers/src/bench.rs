@@ -194,7 +194,7 @@ impl Outcome {
         }
     }
 
-    /// The rows of issue 3 that compare with a peer, each beside its target.
+    /// The rows that compare with a peer, each beside its target.
     pub fn targets(&self) -> Targets {
         let ours = &self.records[0].1;
         let (recipe, aruco, april) = (self.of("recipe"), self.of("ArUco"), self.of("decimate 2"));
