@@ -1,9 +1,14 @@
-//! Pictures from a folder or from a bag, one after the other.
+//! Pictures from a folder, a bag, a video file or a camera, one after the other.
 
 use anyhow::{Context, Result, bail, ensure};
 use launch_config::bag::BagReader;
 use opencv::{core, imgcodecs, imgproc, prelude::*};
-use std::path::{Path, PathBuf};
+use std::{
+    io::{self, BufRead, BufReader, Read},
+    os::unix::fs::FileTypeExt,
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+};
 use volant_msgs::{Message, cdr, sensor_msgs::msg};
 
 /// A picture in OpenCV's order (blue, green, red).
@@ -12,6 +17,34 @@ pub struct Picture {
     pub name: String,
     /// Three channels of 8 bits.
     pub bgr: core::Mat,
+}
+
+/// Where pictures come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A folder of pictures, or one picture: chosen by hand.
+    Files,
+    /// A bag.
+    Bag,
+    /// A video file.
+    Video,
+    /// A camera that is a device of this computer: it goes on until it is enough.
+    Device,
+}
+
+impl Kind {
+    /// What a path is.
+    pub fn of(source: &Path) -> Self {
+        let ending = source.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+        let special = source.metadata().is_ok_and(|m| m.file_type().is_char_device());
+        match ending.as_str() {
+            _ if special => Self::Device,
+            "mcap" | "zstd" => Self::Bag,
+            _ if source.join("metadata.yaml").is_file() => Self::Bag,
+            "mp4" | "avi" | "mkv" | "mov" | "webm" | "m4v" | "mpg" | "mpeg" | "ogv" => Self::Video,
+            _ => Self::Files,
+        }
+    }
 }
 
 /// Calls `take` with each picture; it answers whether it wants more. Returns how many there were.
@@ -24,13 +57,19 @@ pub fn each(
     mut take: impl FnMut(Picture) -> Result<bool>,
 ) -> Result<usize> {
     let shown = source.display();
-    ensure!(source.exists(), "{shown}: there is nothing; name a folder with pictures, a picture or a bag");
-    let is_bag = source.extension().is_some_and(|e| e == "mcap" || e == "zstd")
-        || source.join("metadata.yaml").is_file();
-    let count = if is_bag { from_bag(source, topic, &mut take)? } else { from_files(source, &mut take)? };
+    ensure!(
+        source.exists(),
+        "{shown}: there is nothing; name a folder with pictures, a picture, a bag, a video file or a device such as /dev/video0"
+    );
+    let kind = Kind::of(source);
+    let count = match kind {
+        Kind::Files => from_files(source, &mut take)?,
+        Kind::Bag => from_bag(source, topic, &mut take)?,
+        Kind::Video | Kind::Device => from_ffmpeg(source, kind == Kind::Device, &mut take)?,
+    };
     ensure!(
         count > 0,
-        "{shown}: no picture in it (jpg, png, bmp, tif, or a bag with images); name another source"
+        "{shown}: no picture in it (jpg, png, bmp, tif, a video, or a bag with images); name another source"
     );
     Ok(count)
 }
@@ -64,6 +103,96 @@ fn from_files(source: &Path, take: &mut impl FnMut(Picture) -> Result<bool>) -> 
         }
     }
     Ok(files.len())
+}
+
+/// Ends the process when it is no longer read.
+struct Killed(Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A video file or a V4L2 device, decoded by an `ffmpeg` process.
+fn from_ffmpeg(source: &Path, device: bool, take: &mut impl FnMut(Picture) -> Result<bool>) -> Result<usize> {
+    let shown = source.display();
+    let mut command = Command::new("ffmpeg");
+    command.args(["-v", "error", "-nostdin"]);
+    if device {
+        command.args(["-f", "v4l2"]);
+    }
+    command.arg("-i").arg(source).args(["-f", "image2pipe", "-c:v", "ppm", "pipe:1"]);
+    let child =
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().map_err(|e| {
+            anyhow::anyhow!(
+                "ffmpeg cannot be started ({e}); videos and cameras need it: apt-get install ffmpeg"
+            )
+        })?;
+    let mut child = Killed(child);
+    let Some(pipe) = child.0.stdout.take() else { bail!("ffmpeg has no output") };
+    let mut pipe = BufReader::new(pipe);
+    let mut count = 0;
+    let name = source.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    while let Some((width, height, rgb)) =
+        next_ppm(&mut pipe).with_context(|| format!("{shown}: what ffmpeg made of it cannot be read"))?
+    {
+        count += 1;
+        let flat = core::Mat::from_slice(&rgb)?;
+        let shaped = flat.reshape(3, height)?;
+        ensure!(shaped.cols() == width, "{shown}: width and data contradict each other");
+        let mut bgr = core::Mat::default();
+        imgproc::cvt_color_def(&shaped, &mut bgr, imgproc::COLOR_RGB2BGR)?;
+        if !take(Picture { name: format!("{name} #{count}"), bgr })? {
+            return Ok(count);
+        }
+    }
+    if count == 0 {
+        let mut words = String::new();
+        if let Some(mut said) = child.0.stderr.take() {
+            let _ = said.read_to_string(&mut words);
+        }
+        let why = words.lines().last().unwrap_or("it gave no picture").trim().to_owned();
+        bail!("{shown}: {why}; see that it is a video, or a camera that is plugged in and not in use");
+    }
+    Ok(count)
+}
+
+/// The next binary PPM: width, height, pixels; `None` at the end.
+fn next_ppm(pipe: &mut impl BufRead) -> io::Result<Option<(i32, i32, Vec<u8>)>> {
+    let wrong = || io::Error::new(io::ErrorKind::InvalidData, "not a PPM picture");
+    let mut numbers = [0i32; 3];
+    let mut line = Vec::new();
+    if pipe.read_until(b'\n', &mut line)? == 0 {
+        return Ok(None);
+    }
+    if line.trim_ascii() != b"P6" {
+        return Err(wrong());
+    }
+    let mut found = 0;
+    while found < 3 {
+        line.clear();
+        if pipe.read_until(b'\n', &mut line)? == 0 {
+            return Err(wrong());
+        }
+        for word in String::from_utf8_lossy(&line).split_ascii_whitespace() {
+            let slot = numbers.get_mut(found).ok_or_else(wrong)?;
+            *slot = word.parse().map_err(|_| wrong())?;
+            found += 1;
+        }
+    }
+    let [width, height, most] = numbers;
+    if !(1..=20_000).contains(&width) || !(1..=20_000).contains(&height) || most != 255 {
+        return Err(wrong());
+    }
+    let mut rgb = vec![0; 3 * width as usize * height as usize];
+    match pipe.read_exact(&mut rgb) {
+        Ok(()) => Ok(Some((width, height, rgb))),
+        // A stream that is cut off, such as by Ctrl-C, ends with the last whole picture.
+        Err(e) if e.kind() == io::ErrorKind::UnexpectedEof => Ok(None),
+        Err(e) => Err(e),
+    }
 }
 
 fn from_bag(
@@ -138,4 +267,29 @@ fn from_message(image: &msg::Image) -> Result<core::Mat> {
         None => shaped.copy_to(&mut bgr)?,
     }
     Ok(bgr)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_of_a_stream_are_told_apart_and_nonsense_is_refused() {
+        let mut stream = b"P6\n2 1\n255\nabcdefP6\n1 1\n255\nxyzP6\n9 9\n255\ncut".as_slice();
+        assert_eq!(next_ppm(&mut stream).unwrap(), Some((2, 1, b"abcdef".to_vec())));
+        assert_eq!(next_ppm(&mut stream).unwrap(), Some((1, 1, b"xyz".to_vec())));
+        assert_eq!(next_ppm(&mut stream).unwrap(), None, "cut off");
+        for nonsense in ["P5\n1 1\n255\n", "P6\n-1 1\n255\n", "P6\n1 1\n65535\n", "P6\n1", "P6\n1 1 255 4\n"]
+        {
+            assert!(next_ppm(&mut nonsense.as_bytes()).is_err(), "{nonsense:?}");
+        }
+    }
+
+    #[test]
+    fn a_source_is_known_by_what_it_is() {
+        assert_eq!(Kind::of(Path::new("/dev/null")), Kind::Device);
+        assert_eq!(Kind::of(Path::new("a/run.mcap")), Kind::Bag);
+        assert_eq!(Kind::of(Path::new("boards.MP4")), Kind::Video);
+        assert_eq!(Kind::of(Path::new("boards")), Kind::Files);
+    }
 }

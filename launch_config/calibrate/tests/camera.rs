@@ -1,9 +1,11 @@
 //! The camera's calibration on rendered boards with truth, and on real ones against OpenCV's published result.
 
+use launch_config::bag::{BagWriter, QosProfile, Topic, WriteOptions};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use opencv::{core, imgcodecs, prelude::*};
 use rig_model::{CameraModel, Distortion};
 use std::{path::Path, process::Command};
+use volant_msgs::sensor_msgs::msg::CompressedImage;
 
 const SQUARE: f64 = 0.03;
 
@@ -67,6 +69,20 @@ fn calibrate(folder: &Path, arguments: &[&str]) -> (bool, String, String) {
     )
 }
 
+/// The pictures of a folder as messages of a topic.
+fn write_bag(path: &Path, folder: &Path) {
+    let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
+    let topic = |name: &str| Topic::of::<CompressedImage>(name, &QosProfile::SENSOR);
+    let boards = bag.add_topic(topic("/camera/image_raw/compressed"));
+    for i in 0..40u64 {
+        let data = std::fs::read(folder.join(format!("board{i:02}.png"))).unwrap();
+        let image = CompressedImage { format: "png".into(), data: data.into(), ..CompressedImage::default() };
+        let time = (i + 1) * 100_000_000;
+        bag.write_message(boards, time, &image).unwrap();
+    }
+    bag.finish().unwrap();
+}
+
 /// The number after `name` at the start of a line.
 fn value(text: &str, name: &str) -> f64 {
     let line = text.lines().find(|l| l.starts_with(name)).unwrap_or_else(|| panic!("no {name} in {text}"));
@@ -118,8 +134,41 @@ fn rendered_boards_give_the_camera_back() {
         assert!((value(&text, name) - expected).abs() < 0.6, "{name}: {} for {expected}", value(&text, name));
     }
     assert!(text.contains("40 of 40 pictures"));
-    let yaml = std::fs::read_to_string(out).unwrap();
+    let yaml = std::fs::read_to_string(&out).unwrap();
     assert!(yaml.contains("distortion_model: plumb_bob") && yaml.contains("image_width: 640"));
+
+    // The same pictures out of a bag, and as a video: only what shows something new is taken, and it is the same camera.
+    let near = |text: &str, source: &str| {
+        for (name, expected) in [("fx", 601.3), ("fy", 598.2), ("cx", 322.7), ("cy", 236.4)] {
+            let found = value(text, name);
+            assert!((found - expected).abs() < 1.0, "{source}: {name}: {found} for {expected}");
+        }
+        assert!(value(text, "mean reprojection error:") <= 0.1741, "{source}");
+    };
+    let options = ["--board", "9x6", "--square", "0.03", "--out", out.to_str().unwrap()];
+    let bag = folder.path().join("boards.mcap");
+    write_bag(&bag, folder.path());
+    let (ok, text, error) = calibrate(&bag, &options);
+    assert!(ok, "{error}");
+    near(&text, "bag");
+    let (ok, _, error) = calibrate(&bag, &[&options[..], &["--topic", "/nobody"]].concat());
+    assert!(!ok && error.contains("/nobody"), "{error}");
+    let video = folder.path().join("boards.mkv");
+    match Command::new("ffmpeg")
+        .args(["-v", "error", "-framerate", "5", "-i"])
+        .arg(folder.path().join("board%02d.png"))
+        .args(["-c:v", "ffv1"])
+        .arg(&video)
+        .status()
+    {
+        Ok(status) => {
+            assert!(status.success());
+            let (ok, text, error) = calibrate(&video, &options);
+            assert!(ok, "{error}");
+            near(&text, "video");
+        }
+        Err(_) => println!("the video is skipped: ffmpeg is not installed"),
+    }
 
     // Three pictures do not suffice, and the message says so.
     let few = tempfile::tempdir().unwrap();
@@ -163,6 +212,16 @@ fn mistakes_are_named() {
     assert!(!ok && error.contains("nowhere") && error.lines().count() == 1, "{error}");
     let (ok, _, error) = calibrate(folder.path(), &[]);
     assert!(!ok && error.contains("no picture"), "{error}");
+    // What is no video, and what is no camera: either ffmpeg's word about it, or that it is missing.
+    let text = folder.path().join("text.mp4");
+    std::fs::write(&text, "no video").unwrap();
+    for source in [&text, Path::new("/dev/null")] {
+        let (ok, _, error) = calibrate(source, &[]);
+        assert!(
+            !ok && error.lines().count() == 1 && error.contains("ffmpeg") | error.contains("see that it is"),
+            "{error}"
+        );
+    }
     let status = Command::new(env!("CARGO_BIN_EXE_volant-calibrate"))
         .args(["camera", "x", "--board", "9by6"])
         .output()

@@ -3,11 +3,19 @@
 use super::{
     Board, Calibration, Coverage, LensModel, Options, View, board::Corners, calibrate, camera_info_yaml, find,
 };
-use crate::pictures;
+use crate::pictures::{self, Kind};
 use anyhow::{Context, Result, ensure};
 use clap::{Args, ValueEnum};
+use indicatif::ProgressBar;
 use rig_model::Distortion;
-use std::{fs, path::PathBuf};
+use std::{
+    fs,
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
 
 /// The lens models by their names in camera_info.
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -21,7 +29,8 @@ enum Lens {
 /// The camera from pictures of a chessboard; writes a standard camera_info file.
 #[derive(Args, Debug)]
 pub struct CameraArguments {
-    /// A folder of pictures, a bag (.mcap or rosbag2 folder) with images, or one picture.
+    /// A folder of pictures, a bag (.mcap or rosbag2 folder) with images, a video file, or a camera such as /dev/video0 (which goes
+    /// on until enough is seen, or until Ctrl-C). For a live topic: `volant record` it, and give the bag.
     source: PathBuf,
     /// Inner corners of the chessboard, COLUMNSxROWS.
     #[arg(long, default_value = "9x6")]
@@ -50,7 +59,7 @@ pub struct CameraArguments {
     /// Leave out views that are worse than this many times the median; without it all are used.
     #[arg(long)]
     reject: Option<f64>,
-    /// At most this many views of a bag, those that differ most from each other.
+    /// At most this many views of a bag, video or camera, each of which differs from those before it.
     #[arg(long, default_value_t = 80)]
     views: usize,
     /// One line per view.
@@ -72,19 +81,24 @@ pub fn run(arguments: &CameraArguments) -> Result<()> {
     let board = Board { columns, rows, square: arguments.square };
     let (mut views, mut coverage, mut without) = (Vec::<View>::new(), Coverage::default(), Vec::new());
     let shown = arguments.source.display();
-    let from_files = arguments.source.is_dir() && !arguments.source.join("metadata.yaml").is_file();
+    let kind = Kind::of(&arguments.source);
+    let from_files = kind == Kind::Files;
+    let guide = Guide::new(kind)?;
     let count = pictures::each(&arguments.source, arguments.topic.as_deref(), |picture| {
         match find(&picture.bgr, &picture.name, &board, arguments.window)? {
             // Out of a recording only what shows something new; pictures were chosen by hand.
             Some(view) if from_files || coverage.adds(&view, &board) => {
                 coverage.add(&view, &board);
                 views.push(view);
+                guide.say(&coverage, views.len());
             }
             Some(_) => {}
             None => without.push(picture.name),
         }
-        Ok(from_files || views.len() < arguments.views)
+        let enough = kind == Kind::Device && coverage.missing().is_empty();
+        Ok(from_files || (views.len() < arguments.views && !enough && !guide.interrupted()))
     })?;
+    guide.end();
     ensure!(
         !views.is_empty(),
         "{shown}: none of {count} pictures shows the whole board of {columns}x{rows} inner corners; count its inner corners \
@@ -114,6 +128,47 @@ pub fn run(arguments: &CameraArguments) -> Result<()> {
     })?;
     println!("written: {}", arguments.out.display());
     Ok(())
+}
+
+/// What a person before a live camera is told: how many views there are and what is missing, one line that changes.
+struct Guide {
+    bar: Option<ProgressBar>,
+    interrupted: Arc<AtomicBool>,
+}
+
+impl Guide {
+    fn new(kind: Kind) -> Result<Self> {
+        let interrupted = Arc::new(AtomicBool::new(false));
+        let bar = (kind != Kind::Files).then(|| {
+            let bar = ProgressBar::new_spinner();
+            bar.enable_steady_tick(std::time::Duration::from_millis(120));
+            bar.set_message("looking for the board");
+            bar
+        });
+        if kind == Kind::Device {
+            // Ctrl-C ends the looking, not the program: what was seen so far is used.
+            signal_hook::flag::register(signal_hook::consts::SIGINT, interrupted.clone())
+                .context("Ctrl-C cannot be caught")?;
+        }
+        Ok(Self { bar, interrupted })
+    }
+
+    fn say(&self, coverage: &Coverage, views: usize) {
+        if let Some(bar) = &self.bar {
+            let next = coverage.missing().into_iter().next().unwrap_or_else(|| "nothing is missing".into());
+            bar.set_message(format!("{views} views; next: {next}"));
+        }
+    }
+
+    fn interrupted(&self) -> bool {
+        self.interrupted.load(Ordering::Relaxed)
+    }
+
+    fn end(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
 }
 
 fn print(calibration: &Calibration, arguments: &CameraArguments) {
