@@ -35,7 +35,7 @@ pub(crate) fn offer(kit: &mut Kit<Event>, frames: &Frames) -> Result<(), NodeErr
     kit.serve::<Trigger>("~/save_checkpoint", |_, answer| Event::Request(Request::Save(answer)))?;
     kit.serve::<Trigger>("~/load_checkpoint", |_, answer| Event::Request(Request::Load(answer)))?;
     let world = frames.world.clone();
-    kit.subscribe("volant/set_pose", QosPreset::State, move |m: Arc<PoseWithCovarianceStamped>| {
+    kit.subscribe_optional("volant/set_pose", QosPreset::State, move |m: Arc<PoseWithCovarianceStamped>| {
         Some(match pose_estimate(&m, &world) {
             Ok(pose) => Event::Request(Request::SetPose(Box::new(pose))),
             Err(why) => Event::Refused(format!("volant/set_pose: {why}")),
