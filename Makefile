@@ -87,7 +87,7 @@ browser: .setup/debian
 	@launch_config/setup/install-debian-packages launch_config/setup/debian-packages-browser.txt
 
 faults: setup build
-	$(CARGO) run --release -p volant_test --bin volant-faults
+	target/release/volant faults
 
 fuzz: .setup/debian
 	@test/fuzz/run $(FUZZ)

@@ -101,12 +101,18 @@ fn is_colors(words: &[OsString]) -> bool {
     words.len() >= 2 && words[0] == "calibrate" && words[1] == "colors"
 }
 
-/// `volant X` may be an executable `volant-X` beside this one, or on the path.
+/// What `volant-rig` does, on the simulated rig and with the real nodes: it comes with the whole project, not with this package.
+const SIMULATED: [&str; 6] = ["demo", "faults", "hosts", "reproduce", "rigs", "soak"];
+
+/// `volant X` may be an executable `volant-X` beside this one, or on the path; some are one executable, `volant-rig`.
 fn other(words: &[OsString]) -> ExitCode {
     let Some((name, rest)) = words.split_first() else {
         return ExitCode::from(2);
     };
-    let name = format!("volant-{}", name.to_string_lossy());
+    let (name, rest) = match name.to_str() {
+        Some(n) if SIMULATED.contains(&n) => ("volant-rig".to_owned(), words),
+        _ => (format!("volant-{}", name.to_string_lossy()), rest),
+    };
     let beside: Option<PathBuf> =
         std::env::current_exe().ok().and_then(|own| Some(own.parent()?.join(&name))).filter(|p| p.is_file());
     match Command::new(beside.unwrap_or_else(|| PathBuf::from(&name))).args(rest).status() {

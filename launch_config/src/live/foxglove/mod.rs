@@ -17,7 +17,7 @@ use protocol::{Channel, FromClient, advertise, message_data, server_info, unadve
 use std::{
     collections::{BTreeMap, HashMap},
     io::ErrorKind,
-    net::{SocketAddr, TcpListener},
+    net::{IpAddr, SocketAddr, TcpListener},
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, Ordering},
@@ -35,6 +35,21 @@ const LOOK: Duration = Duration::from_millis(50);
 const LEAVE_AFTER: u32 = 100;
 /// More clients at a time are refused.
 const MOST_CLIENTS: usize = 32;
+
+/// The address that a text means: ADDRESS, PORT or ADDRESS:PORT; what is not said is `host` and [`PORT`].
+#[must_use]
+pub fn serve_at(text: &str, host: IpAddr) -> Option<SocketAddr> {
+    if text.is_empty() {
+        return Some(SocketAddr::new(host, PORT));
+    }
+    if let Ok(port) = text.parse::<u16>() {
+        return Some(SocketAddr::new(host, port));
+    }
+    if let Ok(address) = text.parse::<IpAddr>() {
+        return Some(SocketAddr::new(address, PORT));
+    }
+    text.parse().ok()
+}
 
 /// A server; it ends when it drops.
 pub struct Foxglove {
@@ -269,5 +284,24 @@ fn give(shared: &Shared, channel: u32, latched: bool, sample: Sample) {
         if let Some(subscription) = client.subscription(channel) {
             client.send(Message::binary(message_data(subscription, sample.log_time, &sample.data)));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::Ipv4Addr;
+
+    #[test]
+    fn an_address_a_port_or_both() {
+        let host = IpAddr::V4(Ipv4Addr::LOCALHOST);
+        let show = |text| serve_at(text, host).map(|a| a.to_string());
+        assert_eq!(show("").as_deref(), Some("127.0.0.1:8765"));
+        assert_eq!(show("9000").as_deref(), Some("127.0.0.1:9000"));
+        assert_eq!(show("10.0.0.1").as_deref(), Some("10.0.0.1:8765"));
+        assert_eq!(show("10.0.0.1:1").as_deref(), Some("10.0.0.1:1"));
+        assert_eq!(show("::1").as_deref(), Some("[::1]:8765"));
+        assert_eq!(show("70000"), None);
+        assert_eq!(show("here"), None);
     }
 }

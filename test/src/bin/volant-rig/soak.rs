@@ -1,20 +1,17 @@
 //! `volant soak`: the long run. Exit status 0 when all of it held.
 
-#![allow(clippy::print_stdout, reason = "what it prints is its work")]
-
 use anyhow::{Context, Result};
-use clap::Parser;
+use clap::Args;
 use node_kit::environment::Network;
-use std::{path::PathBuf, process::ExitCode, sync::Arc};
+use std::{path::PathBuf, sync::Arc};
 use volant_test::{
     live::{Film, Scenario},
     soak::live::{Seen, SoakConfig, run},
 };
 
 /// Runs the live rig lap by lap with faults at random, and watches memory, threads, numbers and covariances.
-#[derive(Parser)]
-#[command(name = "volant soak", version)]
-struct Arguments {
+#[derive(Args)]
+pub(crate) struct Arguments {
     /// For how long
     #[arg(long, default_value_t = 60.0)]
     minutes: f64,
@@ -32,18 +29,7 @@ struct Arguments {
     seed: u64,
 }
 
-fn main() -> ExitCode {
-    match soak(&Arguments::parse()) {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::FAILURE,
-        Err(error) => {
-            eprintln!("volant soak: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-fn soak(arguments: &Arguments) -> Result<bool> {
+pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     let scenario = Scenario::lap(arguments.seed, 20.0)?;
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4));
     eprintln!("rendering the camera's film of {} s", scenario.duration());

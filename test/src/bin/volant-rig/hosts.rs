@@ -1,11 +1,9 @@
 //! `volant hosts`: the live rig on two computers with a bad link. Exit status 0 when each row holds; 1 when one fails or is skipped.
 
-#![allow(clippy::print_stdout, reason = "what it prints is its work")]
-
 use anyhow::{Context, Result};
-use clap::Parser;
+use clap::Args;
 use node_kit::environment::Network;
-use std::{path::PathBuf, process::ExitCode, sync::Arc};
+use std::{path::PathBuf, sync::Arc};
 use volant_test::{
     hosts::{
         Hosts,
@@ -16,9 +14,8 @@ use volant_test::{
 
 /// Runs the climber's and the platform's nodes in two network namespaces (as root), with loss, delay, reordering, a cut and
 /// restarts between them, and asserts on what the nodes publish.
-#[derive(Parser)]
-#[command(name = "volant hosts", version)]
-struct Arguments {
+#[derive(Args)]
+pub(crate) struct Arguments {
     /// Only rows whose name contains this text; the clean link is run in any case, to compare with
     #[arg(long)]
     only: Option<String>,
@@ -41,18 +38,7 @@ const HEAD: &str = "# Two computers\n\n\
     than 10 mm and 1° to the truth, to stay. Every row fails too where a message holds a number that is none, a node panics, or the \
     truth contradicts the covariance in more than 2 % of the odometry.\n\n";
 
-fn main() -> ExitCode {
-    match hosts(&Arguments::parse()) {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::FAILURE,
-        Err(error) => {
-            eprintln!("volant hosts: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-fn hosts(arguments: &Arguments) -> Result<bool> {
+pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     let mut scenario = Scenario::swing(arguments.seed, LENGTH)?;
     scenario.covers.clear();
     let hosts = Hosts::new(arguments.seed)?;

@@ -1,14 +1,12 @@
 //! `volant demo`: the main job on a simulated rig: four separate nodes, live over DDS.
 
-#![allow(clippy::print_stdout, reason = "what it prints is its work")]
-
 use anyhow::{Context, Result};
-use clap::Parser;
+use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use launch_config::report::{Block, Curve, Page, Run as Drawn, Section, Table, colours, six_curves};
 use node_kit::environment::Network;
 use rig_model::Stamp;
-use std::{path::PathBuf, process::ExitCode, sync::Arc};
+use std::{path::PathBuf, sync::Arc};
 use volant_test::{
     accuracy::{AXES, Errors, UNITS, inertial_alone},
     live::{Ended, Film, Run, Scenario, Site, bag, quantile, scenario::IMAGE_RATE},
@@ -19,9 +17,8 @@ use volant_test::{
 ///
 /// A rendered camera, an Xsens unit on a pseudo-terminal and encoders speak to marker_tracker, imu_driver, climber_driver
 /// and pose_fusion as hardware would. Ends with a table of errors against the truth, a bag and a picture of the run.
-#[derive(Parser)]
-#[command(name = "volant demo", bin_name = "volant demo", version)]
-struct Arguments {
+#[derive(Args)]
+pub(crate) struct Arguments {
     /// Folder for bag, picture and logs; what an earlier run left there is replaced
     #[arg(long, default_value = "demo_run")]
     out: PathBuf,
@@ -43,17 +40,6 @@ fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-fn main() -> ExitCode {
-    let arguments = Arguments::parse();
-    match demo(&arguments) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("volant demo: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
 fn bar(length: u64, what: &str) -> ProgressBar {
     let bar = ProgressBar::new(length);
     let style = ProgressStyle::with_template("{prefix:<26} [{bar:34}] {pos:>4}/{len} {msg}");
@@ -62,7 +48,7 @@ fn bar(length: u64, what: &str) -> ProgressBar {
     bar
 }
 
-fn demo(arguments: &Arguments) -> Result<()> {
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let mut scenario = Scenario::swing(arguments.seed, arguments.seconds)?;
     scenario.scene.clutter = arguments.clutter;
     let network = Network::from_environment()?;

@@ -1,13 +1,10 @@
 //! `volant reproduce`: the paper's tables and figures, made anew.
 
-#![allow(clippy::print_stdout, reason = "what it prints is its work")]
-
 use anyhow::{Context, Result, bail};
-use clap::Parser;
+use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::{
     path::{Path, PathBuf},
-    process::ExitCode,
     sync::Mutex,
 };
 use volant_test::{
@@ -22,9 +19,8 @@ use volant_test::{
 ///
 /// fig-2, fig-7, fig-11, fig-12 and table-1 compare with rivals, which need the large OpenCV: `make reproduce` builds all of it
 /// and makes everything. Without it, the rest is made, and what is missing is said.
-#[derive(Parser)]
-#[command(name = "volant reproduce", bin_name = "volant reproduce", version)]
-struct Arguments {
+#[derive(Args)]
+pub(crate) struct Arguments {
     /// What to make (all without a name, or `all`): fig-2, fig-4, fig-5, fig-6, fig-7, fig-9, fig-11, fig-12, fig-13, table-1, table-2
     #[arg(value_parser = name)]
     names: Vec<String>,
@@ -51,16 +47,6 @@ fn seconds(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(s) if (4.0..=120.0).contains(&s) => Ok(s),
         _ => Err("a number from 4 to 120".to_owned()),
-    }
-}
-
-fn main() -> ExitCode {
-    match reproduce(&Arguments::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("volant reproduce: {error:#}");
-            ExitCode::FAILURE
-        }
     }
 }
 
@@ -128,7 +114,7 @@ impl Results {
     }
 }
 
-fn reproduce(arguments: &Arguments) -> Result<()> {
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let out = &arguments.out;
     std::fs::create_dir_all(out)
         .with_context(|| format!("{} cannot be made; name another folder with --out", out.display()))?;

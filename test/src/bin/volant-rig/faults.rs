@@ -1,21 +1,18 @@
 //! `make faults`: every fault of the table on real processes. Exit status 0 when each row holds; 1 when one fails or is
 //! skipped.
 
-#![allow(clippy::print_stdout, reason = "what it prints is its work")]
-
 use anyhow::{Context, Result};
-use clap::Parser;
+use clap::Args;
 use node_kit::environment::Network;
-use std::{path::PathBuf, process::ExitCode, sync::Arc};
+use std::{path::PathBuf, sync::Arc};
 use volant_test::{
     faults::{LENGTH, Outcome, Verdict, markdown, table},
     live::{Film, Scenario},
 };
 
 /// Breaks a live simulated rig in every way of the table and asserts on what the nodes publish.
-#[derive(Parser)]
-#[command(name = "volant faults", version)]
-struct Arguments {
+#[derive(Args)]
+pub(crate) struct Arguments {
     /// Only rows whose fault contains this text
     #[arg(long)]
     only: Option<String>,
@@ -43,18 +40,7 @@ const HEAD: &str = "# Faults, and what becomes of the pose\n\n\
     number that is none, a node panics or ends wrongly, or the truth contradicts the covariance (NEES of position or rotation beyond \
     the 0.9999 quantile of χ² with 3 degrees of freedom) in more than 2 % of the odometry.\n\n";
 
-fn main() -> ExitCode {
-    match faults(&Arguments::parse()) {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::FAILURE,
-        Err(error) => {
-            eprintln!("volant faults: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-fn faults(arguments: &Arguments) -> Result<bool> {
+pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     let mut scenario = Scenario::swing(arguments.seed, LENGTH)?;
     scenario.covers.clear();
     let rows: Vec<_> = table()

@@ -1,11 +1,9 @@
 //! `volant rigs`: 1, 2, 4, 8 … rigs on this machine until it is full.
 
-#![allow(clippy::print_stdout, reason = "what it prints is its work")]
-
 use anyhow::{Context, Result, bail};
-use clap::Parser;
+use clap::Args;
 use node_kit::environment::Network;
-use std::{path::PathBuf, process::ExitCode, sync::Arc};
+use std::{path::PathBuf, sync::Arc};
 use volant_test::{
     crowd::{Crowd, CrowdConfig, markdown},
     hosts::Island,
@@ -13,9 +11,8 @@ use volant_test::{
 };
 
 /// Runs more and more simulated rigs, each with its four nodes, until the machine is full, and tells what one costs.
-#[derive(Parser)]
-#[command(name = "volant rigs", version)]
-struct Arguments {
+#[derive(Args)]
+pub(crate) struct Arguments {
     /// How many, one crowd after the other
     #[arg(long, value_delimiter = ',', default_values_t = [1, 2, 4, 8, 16, 32])]
     rigs: Vec<usize>,
@@ -44,17 +41,7 @@ const HEAD: &str = "# Many rigs on one machine\n\n\
     camera of 640 × 480 JPEG at 30 Hz, an inertial unit at 100 Hz and encoders at 50 Hz; the simulated hardware runs on the same machine. \
     Full is where less than 97 % of the odometry comes, or the p99 from an image to the odometry that contains it is beyond 33 ms.\n\n";
 
-fn main() -> ExitCode {
-    match rigs(&Arguments::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("volant rigs: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-fn rigs(arguments: &Arguments) -> Result<()> {
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let scenario = Scenario::lap(arguments.seed, 10.0)?;
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4));
     eprintln!("rendering the camera's film of {} s", scenario.duration());
