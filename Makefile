@@ -1,5 +1,6 @@
 # make demo    sets up what is missing, builds, runs the main job on a simulated rig: separate nodes, live over DDS
 # make test    sets up what is missing, passes the tests
+# make long    what takes minutes: ten minutes at 400 Hz, the latency of a quiet machine, a minute's recording …
 # make lint    what CI lints: format, clippy, cores without middleware
 # make bench   the figures against the peers;  make faults: every fault on real processes
 # make reproduce   the paper's figures and tables, the rivals beside them, and the report: OUT=folder
@@ -8,7 +9,7 @@
 
 SHELL := /bin/bash
 .DEFAULT_GOAL := build
-.PHONY: setup build demo test lint bench peers reproduce faults fuzz audit calibrate calibrate-test browser clean-setup
+.PHONY: setup build demo test long lint bench peers reproduce faults fuzz audit calibrate calibrate-test browser clean-setup
 
 ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 export OPENCV_LINK_PATHS := /usr/lib/$(ARCH_LIB)
@@ -42,6 +43,10 @@ demo: build
 test: setup
 	$(CARGO) build --release --workspace --all-targets
 	$(CARGO) test --release --workspace
+
+# The tests that are too long, or need too quiet a machine, for every run; one at a time, so that they do not disturb each other.
+long: setup
+	$(CARGO) test --release --workspace --tests -- --ignored --nocapture --test-threads=1
 
 # A core knows no middleware, device or OpenCV: it must build without its default features.
 CORES := rig_model node_kit marker_tracker imu_driver climber_driver pose_fusion

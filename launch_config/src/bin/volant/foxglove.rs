@@ -4,11 +4,7 @@ use crate::{say, signals};
 use anyhow::Context;
 use launch_config::live::foxglove::{Foxglove, serve_at};
 use node_kit::environment::{DiscoveryRange, Network};
-use std::{
-    net::Ipv4Addr,
-    sync::atomic::Ordering,
-    time::Duration,
-};
+use std::{net::Ipv4Addr, sync::atomic::Ordering, time::Duration};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -36,7 +32,9 @@ pub fn start(address: Option<&str>) -> anyhow::Result<Foxglove> {
     };
     let address = serve_at(address.unwrap_or_default(), host.into()).with_context(|| {
         let given = address.unwrap_or_default();
-        format!("`{given}` is no address to serve at: give ADDRESS, PORT or ADDRESS:PORT, such as 127.0.0.1:8765")
+        format!(
+            "`{given}` is no address to serve at: give ADDRESS, PORT or ADDRESS:PORT, such as 127.0.0.1:8765"
+        )
     })?;
     let server = Foxglove::start(address)?;
     say::line(&format!("volant: Foxglove can be connected to ws://{}", server.address()));
