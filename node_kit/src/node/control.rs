@@ -2,10 +2,9 @@
 
 use super::{
     NodeError,
-    kit::{Event, Kit, lock_store},
+    handle::{NodeHandle, lock_store},
 };
 use crate::{
-    inbox::now,
     lifecycle::{LifecycleState, Transition},
     parameters::{
         ParameterKind, ParameterStore, ParameterValue,
@@ -64,7 +63,7 @@ pub(crate) fn transition_description(transition: Transition) -> TransitionDescri
     }
 }
 
-impl<I: Send + 'static> Kit<I> {
+impl NodeHandle {
     /// Offers the services that every node has.
     pub(crate) fn offer_control(&mut self) -> Result<(), NodeError> {
         self.offer_parameters()?;
@@ -99,9 +98,9 @@ impl<I: Send + 'static> Kit<I> {
             let result = msg::ListParametersResult { names, prefixes };
             std::future::ready(Some(srv::ListParametersResponse { result }))
         };
-        let (inbox, source) = (self.inbox.clone(), self.inbox.add_control("parameters", 64));
+        let (inbox, source) = (Arc::clone(&self.sources), self.sources.add_control("parameters", 64));
         let ask = move |parameters: Vec<msg::Parameter>| {
-            let inbox = inbox.clone();
+            let inbox = Arc::clone(&inbox);
             async move {
                 let changes: Result<Vec<_>, _> = parameters
                     .into_iter()
@@ -111,7 +110,7 @@ impl<I: Send + 'static> Kit<I> {
                     Err(name) => Err(format!("the parameter `{name}` cannot be unset or hold bytes")),
                     Ok(changes) => {
                         let (reply, answer) = async_channel::bounded(1);
-                        inbox.put(source, Event::Control(Control::Set { changes, reply }), now());
+                        inbox.put_control(source, Control::Set { changes, reply });
                         answer.recv().await.unwrap_or_else(|_| Err("the node did not come to it".to_owned()))
                     }
                 };
@@ -175,11 +174,11 @@ impl<I: Send + 'static> Kit<I> {
             let available_transitions = Transition::ALL.into_iter().map(transition_description).collect();
             std::future::ready(Some(lifecycle::GetAvailableTransitionsResponse { available_transitions }))
         };
-        let (inbox, source) = (self.inbox.clone(), self.inbox.add_control("lifecycle", 8));
+        let (inbox, source) = (Arc::clone(&self.sources), self.sources.add_control("lifecycle", 8));
         let change = move |request: lifecycle::ChangeStateRequest| {
             let (reply, answer) = async_channel::bounded(1);
             let TransitionMessage { id, label } = request.transition;
-            inbox.put(source, Event::Control(Control::Transition { id, label, reply }), now());
+            inbox.put_control(source, Control::Transition { id, label, reply });
             async move { Some(lifecycle::ChangeStateResponse { success: answer.recv().await.unwrap_or(false) }) }
         };
         let tasks = [

@@ -3,7 +3,7 @@
 
 use super::{
     NodeError,
-    kit::Kit,
+    handle::NodeHandle,
     publisher::{Publisher, Rate},
 };
 use crate::{
@@ -60,7 +60,7 @@ fn pair(key: impl Into<String>, value: impl ToString) -> KeyValue {
     KeyValue { key: key.into(), value: value.to_string() }
 }
 
-impl<I: Send + 'static> Kit<I> {
+impl NodeHandle {
     /// Sets one of the node's own lines in `/diagnostics`; it stays until it is set again. It appears as
     /// `<node>: <name>`.
     pub fn diagnose(&mut self, name: &str, health: Health, message: &str, values: &[(&str, String)]) {
@@ -96,7 +96,7 @@ impl<I: Send + 'static> Kit<I> {
     /// Topics that the node waits for and on which nothing comes.
     pub fn missing_topics(&self) -> Vec<String> {
         let now = now();
-        self.inbox
+        self.sources
             .counts()
             .into_iter()
             .filter(|s| s.expected && s.latest.is_none_or(|at| now.duration_since(at) > MISSING_AFTER))
@@ -108,7 +108,7 @@ impl<I: Send + 'static> Kit<I> {
         let missing = self.missing_topics();
         let mut values = Vec::new();
         let mut trouble = Vec::new();
-        for SourceCount { name, received, dropped, refused, lost, .. } in self.inbox.counts() {
+        for SourceCount { name, received, dropped, refused, lost, .. } in self.sources.counts() {
             let rate = self.diagnostics.rates.entry(name.clone()).or_insert_with(Rate::new).update(received);
             values.push(pair(format!("{name} rate [Hz]"), format!("{rate:.1}")));
             values.push(pair(format!("{name} received"), received));

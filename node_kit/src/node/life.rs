@@ -4,7 +4,8 @@ use super::{
     NodeError, NodeShell,
     control::{Control, SharedState, transition_description},
     domain::Domain,
-    kit::{Event, Kit, KitParts},
+    handle::KitParts,
+    kit::{Event, Kit},
     publisher::Publisher,
 };
 use crate::{

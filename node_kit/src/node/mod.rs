@@ -1,4 +1,4 @@
-//! Nodes on DDS: [`NodeShell`] is what a node is, [`Kit`] what it has, [`run_node`] a binary's whole `main`, and
+//! Nodes on DDS: [`NodeShell`] is what a node is, [`Kit`] what it has (most of it a [`NodeHandle`]), [`run_node`] a binary's whole `main`, and
 //! [`Process`] several nodes in one process.
 
 mod clock;
@@ -6,6 +6,7 @@ mod control;
 mod diagnostics;
 mod domain;
 mod error;
+mod handle;
 mod hub;
 mod kit;
 mod large_reply;
@@ -24,6 +25,7 @@ mod wire;
 pub use clock::Clock;
 pub use diagnostics::Health;
 pub use error::NodeError;
+pub use handle::NodeHandle;
 pub use kit::{DeviceSender, Kit};
 pub use logger::Logger;
 pub use process::{Process, Stopper};

@@ -1,11 +1,7 @@
 //! Several nodes in one process: each on its own thread, one DDS participant for all, messages handed over as `Arc`s.
 
 use super::{
-    NodeError, NodeShell,
-    clock::Clock,
-    domain::Domain,
-    kit::{Event, KitParts},
-    life::live,
+    NodeError, NodeShell, clock::Clock, domain::Domain, handle::KitParts, kit::Event, life::live,
     logger::Logger,
 };
 use crate::{

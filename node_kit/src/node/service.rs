@@ -2,6 +2,7 @@
 
 use super::{
     NodeError,
+    handle::NodeHandle,
     kit::{Event, Kit},
     large_reply::{self, LargeReply},
     logger::Logger,
@@ -47,7 +48,9 @@ impl<I: Send + 'static> Kit<I> {
         self.shell_services.push(task);
         Ok(())
     }
+}
 
+impl NodeHandle {
     /// Offers a service that the kit itself answers.
     pub(crate) fn serve_with<S: Service, F: Future<Output = Option<S::Response>> + Send>(
         &mut self,

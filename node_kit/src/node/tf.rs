@@ -1,6 +1,6 @@
 //! Transforms: `/tf`, and `/tf_static` for late joiners.
 
-use super::{NodeError, kit::Kit, publisher::Publisher};
+use super::{NodeError, handle::NodeHandle, publisher::Publisher};
 use crate::qos::QosPreset;
 use volant_msgs::{geometry_msgs::msg::TransformStamped, tf2_msgs::msg::TFMessage};
 
@@ -12,7 +12,7 @@ pub(crate) struct Tf {
     fixed_transforms: Vec<TransformStamped>,
 }
 
-impl<I: Send + 'static> Kit<I> {
+impl NodeHandle {
     /// Publishes a transform on `/tf`.
     ///
     /// # Errors

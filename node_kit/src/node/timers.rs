@@ -1,9 +1,6 @@
 //! A node's timers, and the `/clock` that may drive them.
 
-use super::{
-    NodeError,
-    kit::{Event, Kit},
-};
+use super::{NodeError, handle::NodeHandle, kit::Kit};
 use crate::{inbox::now, qos::Qos};
 use rig_model::Stamp;
 use std::{
@@ -27,29 +24,6 @@ impl<I: Send + 'static> Kit<I> {
     pub fn timer(&mut self, period: Duration, make: impl FnMut() -> I + Send + 'static) {
         let period = period.max(Duration::from_micros(100));
         self.timers.push(Timer { period, make: Box::new(make), next: now() + period, next_simulated: None });
-    }
-
-    /// Takes up `/clock` where `use_sim_time` says so, or lets it go.
-    pub(crate) fn follow_use_sim_time(&mut self) -> Result<(), NodeError> {
-        use rig_model::parameters::ParameterValue::Bool;
-        use volant_msgs::rosgraph_msgs::msg::Clock as ClockMessage;
-        let simulated = matches!(self.parameter_store().get("use_sim_time"), Some(Bool(true)));
-        self.clock.set_simulated(simulated);
-        if !simulated {
-            self.kit_subscriptions.clear();
-        } else if self.kit_subscriptions.is_empty() {
-            let (clock, inbox) = (self.clock.clone(), self.inbox.clone());
-            let wake = inbox.add_control("clock", 1);
-            let qos = Qos { reliable: false, transient_local: false, depth: 1, max_samples: 1 };
-            let subscription =
-                self.raw_subscription("/clock", qos, true, move |source, _, m: &Arc<ClockMessage>| {
-                    clock.set(Stamp::from_sec_nanosec(m.clock.sec, m.clock.nanosec));
-                    inbox.touch(source, now());
-                    inbox.put(wake, Event::Wake, now());
-                })?;
-            self.kit_subscriptions.push(subscription);
-        }
-        Ok(())
     }
 
     /// When the loop must look at the timers next.
@@ -89,5 +63,30 @@ impl<I: Send + 'static> Kit<I> {
             };
             due.then(|| (timer.make)())
         })
+    }
+}
+
+impl NodeHandle {
+    /// Takes up `/clock` where `use_sim_time` says so, or lets it go.
+    pub(crate) fn follow_use_sim_time(&mut self) -> Result<(), NodeError> {
+        use rig_model::parameters::ParameterValue::Bool;
+        use volant_msgs::rosgraph_msgs::msg::Clock as ClockMessage;
+        let simulated = matches!(self.parameter_store().get("use_sim_time"), Some(Bool(true)));
+        self.clock.set_simulated(simulated);
+        if !simulated {
+            self.kit_subscriptions.clear();
+        } else if self.kit_subscriptions.is_empty() {
+            let (clock, sources) = (self.clock.clone(), Arc::clone(&self.sources));
+            let wake = sources.add_control("clock", 1);
+            let qos = Qos { reliable: false, transient_local: false, depth: 1, max_samples: 1 };
+            let subscription =
+                self.raw_subscription("/clock", qos, true, move |source, _, m: &Arc<ClockMessage>| {
+                    clock.set(Stamp::from_sec_nanosec(m.clock.sec, m.clock.nanosec));
+                    sources.touch(source);
+                    sources.wake(wake);
+                })?;
+            self.kit_subscriptions.push(subscription);
+        }
+        Ok(())
     }
 }

@@ -3,13 +3,14 @@
 use super::{
     NodeError,
     domain::dds_type_name,
+    handle::{NodeHandle, Sources},
     hub::{Deliver, SubscriberGuard},
     kit::{Event, Kit},
     publisher::Publisher,
     wire::Shared,
 };
 use crate::{
-    inbox::{Inbox, SourceId, now},
+    inbox::{SourceId, now},
     level::Level,
     qos::{Endpoint, Qos, QosPreset},
 };
@@ -27,22 +28,20 @@ use std::{
 };
 use volant_msgs::Message;
 
-struct SubscriptionHandle<I> {
-    inbox: Inbox<Event<I>>,
+/// A subscription that the kit holds for the node; it ends when it drops.
+pub(crate) struct Subscription {
+    sources: Arc<dyn Sources>,
     source: SourceId,
     // Dropped before the source is retired, so that nothing is put in any more.
     parts: Option<(SubscriberGuard, Task<()>)>,
 }
 
-impl<I> Drop for SubscriptionHandle<I> {
+impl Drop for Subscription {
     fn drop(&mut self) {
         self.parts = None;
-        self.inbox.retire(self.source);
+        self.sources.retire(self.source);
     }
 }
-
-/// A subscription that the kit holds for the node.
-pub(crate) struct SubscriptionOf<I>(#[allow(dead_code, reason = "held for its drop")] SubscriptionHandle<I>);
 
 /// What a subscription's closure may return.
 pub trait IntoInput<I> {
@@ -102,7 +101,7 @@ impl<I: Send + 'static> Kit<I> {
         preset: QosPreset,
         expected: bool,
         make: impl Fn(Arc<M>) -> R + Send + Sync + 'static,
-    ) -> Result<SubscriptionOf<I>, NodeError> {
+    ) -> Result<Subscription, NodeError> {
         if preset == QosPreset::Image {
             self.domain.check_socket_buffers(&self.logger);
         }
@@ -125,14 +124,16 @@ impl<I: Send + 'static> Kit<I> {
             }
         })
     }
+}
 
+impl NodeHandle {
     pub(super) fn raw_subscription<M: Message>(
         &mut self,
         topic: &str,
         qos: Qos,
         expected: bool,
         take: impl Fn(SourceId, &str, &Arc<M>) + Send + Sync + 'static,
-    ) -> Result<SubscriptionOf<I>, NodeError> {
+    ) -> Result<Subscription, NodeError> {
         let name = self.resolve(topic)?;
         let qos = self.overridden(&name, qos, Endpoint::Subscription)?;
         let channel = self.domain.hub.channel::<M>(&name)?;
@@ -140,9 +141,9 @@ impl<I: Send + 'static> Kit<I> {
         let subscription = self.node.create_subscription::<M>(&dds_topic, None).map_err(|e| {
             NodeError::Middleware { what: format!("the subscription of {name}"), reason: e.to_string() }
         })?;
-        let source = self.inbox.add_source(&name, qos.depth, expected);
+        let source = self.sources.add_source(&name, qos.depth, expected);
         let state = Arc::clone(&channel.state);
-        let inbox = self.inbox.clone();
+        let sources = Arc::clone(&self.sources);
         let deliver: Deliver<M> = {
             let name = name.clone();
             Arc::new(move |message| take(source, &name, message))
@@ -154,7 +155,7 @@ impl<I: Send + 'static> Kit<I> {
                 let mut latest: HashMap<ros2_client::Gid, i64> = HashMap::new();
                 while let Some(received) = stream.next().await {
                     let Ok((message, info)) = received else {
-                        inbox.refuse(source);
+                        sources.refuse(source);
                         continue;
                     };
                     let writer = info.publisher_gid();
@@ -163,7 +164,7 @@ impl<I: Send + 'static> Kit<I> {
                     }
                     if state.foreign_writers.read().unwrap_or_else(PoisonError::into_inner).contains(&writer)
                     {
-                        inbox.refuse(source);
+                        sources.refuse(source);
                         continue;
                     }
                     if latest.len() > 64 {
@@ -173,7 +174,7 @@ impl<I: Send + 'static> Kit<I> {
                     if let Some(before) = latest.insert(writer, number)
                         && number > before + 1
                     {
-                        inbox.lose(source, u64::try_from(number - before - 1).unwrap_or(0));
+                        sources.lose(source, u64::try_from(number - before - 1).unwrap_or(0));
                     }
                     deliver(&Arc::new(message));
                 }
@@ -181,11 +182,7 @@ impl<I: Send + 'static> Kit<I> {
         });
         let guard = channel.subscribe(deliver, qos.transient_local);
         self.domain.refresh();
-        Ok(SubscriptionOf(SubscriptionHandle {
-            inbox: self.inbox.clone(),
-            source,
-            parts: Some((guard, task)),
-        }))
+        Ok(Subscription { sources: Arc::clone(&self.sources), source, parts: Some((guard, task)) })
     }
 
     /// Advertises. The publisher is the shell's to keep; it ends when it drops.
