@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Matrix2, Translation3, UnitQuaternion, Vector3};
 use rig_model::{CameraModel, Distortion, MarkerColor, Rig};
 use std::{fs, path::PathBuf};
-use volant_calibrate::rig::{Recording, Shot, refine_rig};
+use volant_calibrate::rig::{Recording, Shot, refine_from_bag, refine_rig};
 
 use MarkerColor::{Blue, Green, Red, Yellow};
 
@@ -42,8 +42,7 @@ fn a_rig_that_was_measured_wrongly_is_put_right() {
         {
             wrong.markers.centres[color] += Vector3::new(x, y, 0.0);
         }
-        let recording = Recording::read(&folder.join("in.mcap"), &wrong).unwrap();
-        let estimate = refine_rig(&recording, &wrong).unwrap();
+        let estimate = refine_from_bag(&folder.join("in.mcap"), &wrong).unwrap();
         println!("{bag}: {:?}", estimate.pixel_rms);
         let found = &estimate.rig;
         let deviation = |name: &str| {
@@ -77,7 +76,9 @@ fn a_rig_that_was_measured_wrongly_is_put_right() {
         let side = |r: &Rig, a, b| (r.markers.centres[a] - r.markers.centres[b]).norm();
         for (a, b, c, d) in [(Red, Blue, Green, Yellow), (Red, Green, Blue, Yellow)] {
             let ratio = |r: &Rig| side(r, a, b) / side(r, c, d);
-            assert!((ratio(found) / ratio(&truth) - 1.0).abs() < 1e-3, "{bag}: {a} {b}");
+            let off = ratio(found) / ratio(&truth) - 1.0;
+            println!("{bag}: {a} to {b} over {c} to {d}: off by {off:.1e}");
+            assert!(off.abs() < 1e-3, "{bag}: {a} to {b} is off by {off}");
         }
     }
 }

@@ -1,6 +1,6 @@
 //! `volant calibrate rig`.
 
-use super::{Estimate, Recording, refine_rig};
+use super::{Estimate, refine_from_bag};
 use anyhow::{Context, Result, anyhow};
 use clap::Args;
 use rig_model::Rig;
@@ -28,8 +28,7 @@ pub fn run(arguments: &RigArguments) -> Result<()> {
     let text = fs::read_to_string(&arguments.rig)
         .with_context(|| format!("{shown} cannot be read; name a rig file"))?;
     let rig = Rig::from_yaml(&text).map_err(|e| anyhow!("{shown}: {e}"))?;
-    let recording = Recording::read(&arguments.bag, &rig)?;
-    let estimate = refine_rig(&recording, &rig).with_context(|| format!("{}", arguments.bag.display()))?;
+    let estimate = refine_from_bag(&arguments.bag, &rig)?;
     print(&estimate);
     fs::write(&arguments.out, yaml(&estimate)).with_context(|| {
         format!("{} cannot be written; name another file with --out", arguments.out.display())
