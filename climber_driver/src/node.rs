@@ -101,6 +101,8 @@ pub struct ClimberNode {
     transform: Publisher<TransformStamped>,
     /// Refusals at the last tick, to tell what is new.
     refused_before: u64,
+    /// Why the newest of them was refused.
+    last_refusal: String,
 }
 
 impl NodeShell for ClimberNode {
@@ -142,6 +144,7 @@ impl NodeShell for ClimberNode {
             publish_tf: parameters.publish_tf,
             transform,
             refused_before: 0,
+            last_refusal: String::new(),
         })
     }
 
@@ -158,7 +161,12 @@ impl NodeShell for ClimberNode {
                     }
                     self.transform.publish(message);
                 }
-                Output::Warning(warning) => say(kit, &warning),
+                Output::Warning(warning) => {
+                    if let Warning::Refused(refusal) = &warning {
+                        self.last_refusal = refusal.to_string();
+                    }
+                    say(kit, &warning);
+                }
             }
         }
     }
@@ -168,15 +176,18 @@ impl NodeShell for ClimberNode {
         let refused: u64 = counts.refused.values().sum();
         let mut values = vec![("accepted", counts.accepted.to_string())];
         values.extend(counts.refused.iter().map(|(kind, n)| (*kind, n.to_string())));
+        let new = refused - self.refused_before;
+        let why = if new == 0 {
+            String::new()
+        } else {
+            format!("; {new} readings refused in the last second, at last: {}", self.last_refusal)
+        };
         let (health, message) = match self.climber.silent_for(kit.now()) {
             Some(seconds) if seconds.is_finite() => {
-                (Health::Error, format!("no reading was accepted for {seconds:.1} s"))
+                (Health::Error, format!("no reading was accepted for {seconds:.1} s{why}"))
             }
-            Some(_) => (Health::Error, "no reading was accepted yet".to_owned()),
-            None if refused > self.refused_before => (
-                Health::Warn,
-                format!("{} readings refused in the last second", refused - self.refused_before),
-            ),
+            Some(_) => (Health::Error, format!("no reading was accepted yet{why}")),
+            None if new > 0 => (Health::Warn, format!("readings flow{why}")),
             None => (Health::Ok, "readings flow".to_owned()),
         };
         self.refused_before = refused;

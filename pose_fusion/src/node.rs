@@ -216,6 +216,33 @@ pub struct FusionNode {
     gathered: messages::Gathered,
     rejected_before: u64,
     camera_refused: Option<String>,
+    refusals: Refusals,
+}
+
+/// Inputs that the filter refused since the last tick, and why the newest was.
+#[derive(Debug, Default)]
+struct Refusals {
+    count: u64,
+    newest: String,
+}
+
+impl Refusals {
+    fn note(&mut self, warning: &Warning) {
+        if matches!(warning, Warning::Ahead { .. } | Warning::TooOld { .. } | Warning::NotFinite { .. }) {
+            self.count += 1;
+            self.newest = warning.to_string();
+        }
+    }
+
+    /// Adds them to what the last second was.
+    fn tell(&mut self, health: Health, message: String) -> (Health, String) {
+        let Self { count, newest } = std::mem::take(self);
+        if count == 0 {
+            return (health, message);
+        }
+        let told = format!("{message}; {count} inputs of the last second were refused, at last: {newest}");
+        (health.max(Health::Warn), told)
+    }
 }
 
 /// What comes to the node.
@@ -286,6 +313,7 @@ impl NodeShell for FusionNode {
             gathered: messages::Gathered::default(),
             rejected_before: 0,
             camera_refused: None,
+            refusals: Refusals::default(),
         })
     }
 
@@ -330,6 +358,7 @@ impl NodeShell for FusionNode {
                     }
                 }
                 Output::Warning(warning) => {
+                    self.refusals.note(&warning);
                     let level = match warning {
                         Warning::Initialised { .. } => Level::Info,
                         Warning::Diverged { .. } => Level::Error,
@@ -380,6 +409,11 @@ impl NodeShell for FusionNode {
         } else {
             (Health::Ok, "fusing".to_owned())
         };
+        // Without inertial samples everything else is ahead of them, and that is no fault of the clocks.
+        if imu_age > limit {
+            self.refusals = Refusals::default();
+        }
+        let (health, message) = self.refusals.tell(health, message);
         let values = [
             ("position sigma (m)", format!("{:.5}", s.position_sigma)),
             ("markers used", s.used_markers.to_string()),

@@ -1,16 +1,13 @@
 //! One MCAP file, read record by record and written: the only place that knows the `mcap` crate.
 //!
-//! Records are walked here, so that a file that is cut or damaged gives all that stands before, and after, the damage;
-//! what is inside a chunk is read by the crate.
+//! Records are walked here, in chunks too, so that a file that is cut or damaged gives all that stands before, and after, the damage;
+//! the crate writes.
 
 use super::{
     BagError, BagMessage, Topic,
     records::{self, Channel, Chunk, Message, Schema, Statistics},
 };
-use mcap::{
-    records::{MessageHeader, op},
-    sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
-};
+use mcap::records::{MessageHeader, op};
 use std::{
     collections::{BTreeMap, HashMap},
     fs::File,
@@ -22,7 +19,7 @@ use std::{
 /// Larger records and chunks (decompressed) are taken for damage: an uncompressed 8K image has 100 MB, and a chunk of a
 /// few hundred kilobytes can claim, and decompress into, any amount.
 const LARGEST_RECORD: usize = 256 << 20;
-/// A record in a compressed chunk may have this many bytes however few the chunk has.
+/// A compressed chunk may become this many bytes however few it has.
 const LARGEST_EXPANDED: usize = 32 << 20;
 /// Messages outside of chunks are handed on in groups of about this many bytes.
 const GROUP: usize = 1 << 20;
@@ -202,8 +199,8 @@ impl FileReader {
         let cut = (body.len() as u64) < length;
         let before = group.len();
         let result = match Chunk::parse(body) {
-            Some(chunk) if chunk.compression.is_empty() => self.plain_chunk(&chunk, cut, group),
-            _ => self.compressed_chunk(body, length, cut, group),
+            Some(chunk) => self.records_of(&chunk, cut, group),
+            None => Err("its head is cut off".to_owned()),
         };
         if let (Err(reason), false) = (result, cut) {
             let kept = group.len() - before;
@@ -213,17 +210,28 @@ impl FileReader {
         }
     }
 
-    /// The `mcap` crate counts on the records of such a chunk to end where it ends.
-    fn plain_chunk(
+    fn records_of(
         &mut self,
         chunk: &Chunk<'_>,
         cut: bool,
         group: &mut Vec<BagMessage>,
     ) -> Result<(), String> {
-        if !cut && chunk.checksum != 0 && crc32fast::hash(chunk.records) != chunk.checksum {
-            return Err("its checksum is wrong".to_owned());
+        let (expanded, outcome): (_, Result<(), String>);
+        let records = if chunk.compression.is_empty() {
+            outcome = Ok(());
+            chunk.records
+        } else {
+            (expanded, outcome) = expand(chunk);
+            &expanded
+        };
+        // The checksum stands for the whole chunk, which a cut one has not.
+        if !cut && chunk.checksum != 0 {
+            outcome.clone()?;
+            if crc32fast::hash(records) != chunk.checksum {
+                return Err("its checksum is wrong".to_owned());
+            }
         }
-        let mut rest = chunk.records;
+        let mut rest = records;
         while !rest.is_empty() {
             let record = rest.split_first_chunk::<9>().and_then(|([opcode, length @ ..], after)| {
                 let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
@@ -235,44 +243,36 @@ impl FileReader {
             self.channels.record(opcode, record, group)?;
             rest = next;
         }
-        Ok(())
+        outcome
     }
+}
 
-    fn compressed_chunk(
-        &mut self,
-        body: &[u8],
-        length: u64,
-        cut: bool,
-        group: &mut Vec<BagMessage>,
-    ) -> Result<(), String> {
-        // Memory is taken for the length that a record claims, so few compressed bytes may not claim much; 1024 is more than
-        // zstd makes of any real picture.
-        let largest = body.len().saturating_mul(1024).clamp(LARGEST_EXPANDED, LARGEST_RECORD);
-        // The check sum stands for the whole chunk, which a cut one has not.
-        let options = LinearReaderOptions::default()
-            .with_skip_start_magic(true)
-            .with_skip_end_magic(true)
-            .with_record_length_limit(largest)
-            .with_prevalidate_chunk_crcs(!cut);
-        let mut reader = LinearReader::new_with_options(options);
-        let mut head = vec![op::CHUNK];
-        head.extend_from_slice(&length.to_le_bytes());
-        let mut input = head.chain(body);
-        loop {
-            match reader.next_event() {
-                None => return Ok(()),
-                Some(Err(e)) => return Err(e.to_string()),
-                Some(Ok(LinearReadEvent::ReadRequest(need))) => {
-                    // Never fails: both parts are in memory.
-                    let read = input.read(reader.insert(need.min(GROUP))).unwrap_or(0);
-                    reader.notify_read(read);
-                }
-                Some(Ok(LinearReadEvent::Record { opcode, data })) => {
-                    self.channels.record(opcode, data, group)?;
-                }
-            }
-        }
+/// The records of a compressed chunk as far as they can be had, and what is wrong with it. (The `mcap` crate's reader takes memory
+/// for the length that a record claims, and counts below zero where a record is longer than its chunk.)
+fn expand(chunk: &Chunk<'_>) -> (Vec<u8>, Result<(), String>) {
+    let mut records = Vec::new();
+    let claimed = usize::try_from(chunk.expanded_length).unwrap_or(usize::MAX);
+    // Few bytes may not become any amount; 1024 is more than zstd makes of any real picture.
+    if claimed > chunk.records.len().saturating_mul(1024).clamp(LARGEST_EXPANDED, LARGEST_RECORD) {
+        return (records, Err(format!("it claims to hold {claimed} bytes, which cannot be")));
     }
+    // One byte more than there may be tells what holds more than it says.
+    let most = claimed as u64 + 1;
+    let read = match chunk.compression {
+        "zstd" => {
+            zstd::Decoder::with_buffer(chunk.records).and_then(|d| d.take(most).read_to_end(&mut records))
+        }
+        "lz4" => lz4::Decoder::new(chunk.records).and_then(|d| d.take(most).read_to_end(&mut records)),
+        other => return (records, Err(format!("its compression `{other}` is unknown"))),
+    };
+    let outcome = match read {
+        Err(error) => Err(error.to_string()),
+        Ok(_) if records.len() != claimed => {
+            Err(format!("it does not hold the {claimed} bytes that it claims"))
+        }
+        Ok(_) => Ok(()),
+    };
+    (records, outcome)
 }
 
 impl Channels {

@@ -96,6 +96,8 @@ impl<'a> Message<'a> {
 
 /// Records that belong together, compressed or not.
 pub(super) struct Chunk<'a> {
+    /// Bytes of its records, decompressed.
+    pub expanded_length: u64,
     /// Of its records, decompressed; 0: none.
     pub checksum: u32,
     /// Empty: none.
@@ -107,11 +109,13 @@ pub(super) struct Chunk<'a> {
 impl<'a> Chunk<'a> {
     pub fn parse(record: &'a [u8]) -> Option<Self> {
         let mut f = Fields(record);
-        // Earliest and latest time, decompressed size.
-        f.take(3 * 8)?;
+        // Earliest and latest time.
+        f.take(2 * 8)?;
+        let expanded_length = f.u64()?;
         let (checksum, compression, length) = (f.u32()?, f.text()?, f.u64()?);
         let length = usize::try_from(length).unwrap_or(usize::MAX);
-        Some(Self { checksum, compression, records: f.0.get(..length).unwrap_or(f.0) })
+        let records = f.0.get(..length).unwrap_or(f.0);
+        Some(Self { expanded_length, checksum, compression, records })
     }
 }
 

@@ -16,7 +16,7 @@ use crate::{
 };
 use node_kit::{Health, Kit, Level, NodeError, NodeShell, Publisher, QosPreset, convert};
 use rig_model::{CameraModel, CameraModelError, MarkerState, Rig};
-use stages::Stages;
+use stages::{Report, Stages};
 use std::sync::Arc;
 use volant_msgs::{
     msg::MarkerObservations,
@@ -36,6 +36,10 @@ pub enum Arrival {
     /// The file has ended, or why it cannot go on.
     Ended(Result<(), String>),
 }
+
+/// Images of a mean value below show nothing, nor do those above.
+const NEARLY_BLACK: f64 = 12.0;
+const NEARLY_WHITE: f64 = 243.0;
 
 /// Where a device's or a file's images go on to.
 struct Onward {
@@ -129,7 +133,7 @@ impl NodeShell for MarkerTrackerNode {
         } else if self.camera.is_none() {
             (Health::Warn, "no camera_info yet: geometry is checked coarsely only".to_owned())
         } else if report.detected[0] == 0 {
-            (Health::Warn, "no marker in view".to_owned())
+            (Health::Warn, self.why_none(&report))
         } else {
             (Health::Ok, "markers flow".to_owned())
         };
@@ -151,6 +155,27 @@ impl NodeShell for MarkerTrackerNode {
 }
 
 impl MarkerTrackerNode {
+    /// No marker was seen for a second: what the images are like that may explain it.
+    fn why_none(&self, report: &Report) -> String {
+        let mean = report.brightness;
+        let (width, height) = report.size;
+        let other_size = self
+            .camera
+            .as_ref()
+            .map(CameraModel::size)
+            .filter(|size| (usize::try_from(size.0), usize::try_from(size.1)) != (Ok(width), Ok(height)));
+        if let Some((w, h)) = other_size {
+            format!("no marker in view: the images are {width}x{height}, camera_info is for {w}x{h}")
+        } else if mean < NEARLY_BLACK {
+            let why = "look at the light, the lens cap and the exposure";
+            format!("no marker in view: the images are nearly black (mean {mean:.0} of 255); {why}")
+        } else if mean > NEARLY_WHITE {
+            format!("no marker in view: the images are nearly white (mean {mean:.0} of 255); expose less")
+        } else {
+            "no marker in view".to_owned()
+        }
+    }
+
     fn subscribe(
         &self,
         kit: &mut Kit<Arrival>,
@@ -264,7 +289,9 @@ impl MarkerTrackerNode {
                 let clock = self.stages.start();
                 self.tracker.handle(Input::Image(view));
                 self.stages.tracked(clock);
+                let unseen = self.stages.unseen();
                 self.publish(kit);
+                self.stages.looked_at(&view, unseen);
                 #[cfg(feature = "opencv")]
                 self.draw(kit, &view);
             }

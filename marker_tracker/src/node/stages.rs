@@ -1,5 +1,6 @@
 //! How long each stage of an image takes and how many images came, for the diagnostics.
 
+use crate::ImageView;
 use std::time::{Duration, Instant};
 
 /// Sums since the last report.
@@ -14,6 +15,10 @@ pub(crate) struct Stages {
     draw: Span,
     /// Images with none, one … four markers detected.
     detected: [u32; 5],
+    /// Mean values of the images with none, summed.
+    brightness: f64,
+    /// Size of the newest image, px.
+    size: (usize, usize),
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -45,7 +50,23 @@ pub(crate) struct Report {
     pub refused: u32,
     /// Images with at least one marker, at least two, ….
     pub detected: [u32; 4],
+    /// Mean of the values of the images without a marker, 0 to 255.
+    pub brightness: f64,
+    /// Size of the newest image, px.
+    pub size: (usize, usize),
     pub values: Vec<(&'static str, String)>,
+}
+
+/// Mean value of an image, from a few of its rows.
+fn brightness(image: &ImageView<'_>) -> f64 {
+    const ROWS: usize = 8;
+    let row = image.width * image.format.bytes_per_pixel();
+    let bytes = (0..ROWS).flat_map(|i| {
+        let start = (2 * i + 1) * image.height / (2 * ROWS) * image.step;
+        image.data.get(start..start + row).unwrap_or(&[])
+    });
+    let (sum, count) = bytes.fold((0_u64, 0_u64), |(sum, count), byte| (sum + u64::from(*byte), count + 1));
+    sum as f64 / count.max(1) as f64
 }
 
 impl Stages {
@@ -67,6 +88,19 @@ impl Stages {
     #[cfg(feature = "opencv")]
     pub fn drawn(&mut self, since: Instant) {
         self.draw.add(since.elapsed());
+    }
+
+    /// What the image was like, of which `finished` told last.
+    pub fn looked_at(&mut self, image: &ImageView<'_>, unseen_before: u32) {
+        self.size = (image.width, image.height);
+        if self.detected[0] > unseen_before {
+            self.brightness += brightness(image);
+        }
+    }
+
+    /// Images without a marker.
+    pub fn unseen(&self) -> u32 {
+        self.detected[0]
     }
 
     pub fn refused(&mut self) {
@@ -92,6 +126,8 @@ impl Stages {
             repeated: s.repeated,
             refused: s.refused,
             detected: at_least,
+            brightness: s.brightness / f64::from(s.detected[0].max(1)),
+            size: s.size,
             values: vec![
                 ("images", s.images.to_string()),
                 ("refused", s.refused.to_string()),

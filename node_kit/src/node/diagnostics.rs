@@ -24,6 +24,8 @@ use volant_msgs::{
 
 /// A topic on which nothing came for this long is missing.
 const MISSING_AFTER: Duration = Duration::from_secs(2);
+/// A round that is later than this was held up.
+const HELD_UP_AFTER: Duration = Duration::from_secs(1);
 const DIAGNOSTICS: Qos = Qos { reliable: true, transient_local: false, depth: 10, max_samples: 100 };
 
 /// How well something is, with the numbers of `diagnostic_msgs/DiagnosticStatus`.
@@ -47,6 +49,8 @@ pub(crate) struct Diagnostics {
     rates: HashMap<String, Rate>,
     /// Counts of the round before, to tell what is new.
     before: HashMap<String, (u64, u64, u64)>,
+    /// How long the node did nothing before this round, where that was long.
+    held_up: Option<Duration>,
 }
 
 impl Diagnostics {
@@ -93,6 +97,11 @@ impl NodeHandle {
         }
     }
 
+    /// Notes that the round of once a second is so late.
+    pub(crate) fn stood_still(&mut self, late: Duration) {
+        self.diagnostics.held_up = (late > HELD_UP_AFTER).then_some(late);
+    }
+
     /// Topics that the node waits for and on which nothing comes.
     pub fn missing_topics(&self) -> Vec<String> {
         let now = now();
@@ -126,7 +135,11 @@ impl NodeHandle {
             }
         }
         let state = self.lifecycle.get();
-        let (health, message) = if state != LifecycleState::Active {
+        let (health, message) = if let Some(time) = self.diagnostics.held_up {
+            let seconds = time.as_secs_f64();
+            let why = "its process was stopped or is slow, or the computer is overloaded";
+            (Health::Warn, format!("the node stood still for {seconds:.1} s: {why}"))
+        } else if state != LifecycleState::Active {
             (Health::Ok, format!("the node is {}", state.label()))
         } else if !missing.is_empty() {
             (Health::Warn, format!("nothing comes on {}", missing.join(", ")))

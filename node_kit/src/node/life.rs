@@ -84,7 +84,9 @@ impl<S: NodeShell> Life<S> {
                     shell.handle(&mut self.kit, input);
                 }
             }
+            let late = now().saturating_duration_since(next_tick);
             if now() >= next_tick {
+                self.kit.stood_still(late);
                 next_tick = now() + TICK;
                 if self.state.get() == LifecycleState::Active
                     && let Some(shell) = &mut self.shell

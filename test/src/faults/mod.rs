@@ -63,8 +63,8 @@ pub struct Row {
     end: Action,
     /// The odometry meanwhile.
     pub flow: Flow,
-    /// The node whose diagnostics must say so at WARN or above, and words of which one must be in its line; `None`: the
-    /// fault is too small to be said.
+    /// The node whose diagnostics must say so at WARN or above, and words of which one must be in its line: they name the
+    /// fault itself, so that no other trouble passes for it. `None`: too small to be said, or nobody is left to say it.
     pub diagnostics: Option<(&'static str, &'static [&'static str])>,
     /// After its end the pose is back within so many seconds.
     pub back_within: f64,
@@ -149,13 +149,16 @@ pub fn markdown(outcomes: &[(&'static str, Outcome)]) -> String {
             Verdict::Skipped(reason) => format!("**skipped**: {reason}"),
         };
         let back = o.back_after.map_or("not".to_owned(), |s| format!("{s:.2} s"));
+        let error = if o.rate > 0.0 {
+            format!("{:.1} mm, {:.2}°", o.worst_position, o.worst_rotation)
+        } else {
+            "–".to_owned()
+        };
         let _ = writeln!(
             text,
-            "| {fault} | {:.0} % of the samples, longest gap {:.0} ms | {:.1} mm, {:.2}° | {} | {back} | {verdict} |",
+            "| {fault} | {:.0} % of the samples, longest gap {:.0} ms | {error} | {} | {back} | {verdict} |",
             o.rate * 100.0,
             o.longest_gap * 1e3,
-            o.worst_position,
-            o.worst_rotation,
             o.said.as_deref().unwrap_or("–"),
         );
     }

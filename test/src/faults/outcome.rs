@@ -75,7 +75,8 @@ pub fn judge(row: &Row, scenario: &Scenario, ended: &Ended, folder: &Path, notes
         back(&fused, at(WINDOW[1]), at(LENGTH - 0.4), truth).map(|s| s.seconds_since(at(WINDOW[1])));
     let said = row.diagnostics.and_then(|(node, words)| said(heard, node, words, at(WINDOW[0])));
 
-    let said = said.or(notes.said);
+    // The folder of the logs is this machine's own.
+    let said = said.or(notes.said).map(|line| line.replace(&format!("{}/", folder.display()), ""));
 
     let mut failures = notes.failures;
     match row.flow {
@@ -158,20 +159,14 @@ pub(crate) fn back(
     since.filter(|_| last.is_some_and(|l| to.seconds_since(l) < 0.2))
 }
 
-/// The first line at WARN or above that tells the fault.
+/// The first line at WARN or above with one of the words: what a person reads, not the numbers beside it.
 fn said(heard: &Heard, node: &str, words: &[&str], from: Stamp) -> Option<String> {
     let lines =
         heard.diagnostics.iter().filter(|(received, _)| *received >= from).flat_map(|(_, m)| &m.status);
     lines
         .filter(|s| s.level >= DiagnosticStatus::WARN && s.name.starts_with(node))
-        .map(|s| {
-            let values: Vec<String> = s.values.iter().map(|v| format!("{}={}", v.key, v.value)).collect();
-            (format!("{}: {}", s.name, s.message), values.join(" "))
-        })
-        .find(|(line, values)| {
-            words.is_empty() || words.iter().any(|w| line.contains(w) || values.contains(w))
-        })
-        .map(|(line, _)| line)
+        .map(|s| format!("{}: {}", s.name, s.message))
+        .find(|line| words.iter().any(|word| line.contains(word)))
 }
 
 /// Every number that must be one is one.
@@ -224,14 +219,17 @@ pub(crate) fn contradicted(
     to: Stamp,
     truth: impl Fn(Stamp) -> Isometry3<f64> + Copy,
 ) -> Option<String> {
-    let nees = heard.nees(from, to, truth);
-    let beyond = nees.iter().filter(|n| n[0] > NEES_LIMIT || n[1] > NEES_LIMIT).count();
-    let share = beyond as f64 / nees.len().max(1) as f64;
+    let nees = heard.nees_by_stamp(from, to, truth);
+    let beyond: Vec<_> = nees.iter().filter(|(_, n)| n[0] > NEES_LIMIT || n[1] > NEES_LIMIT).collect();
+    let share = beyond.len() as f64 / nees.len().max(1) as f64;
+    let [(first, _), .., (last, _)] = beyond[..] else { return None };
     (share > NEES_SHARE).then(|| {
-        let worst = nees.iter().flatten().fold(0.0_f64, |a, b| a.max(*b));
+        let worst = beyond.iter().flat_map(|(_, n)| n).fold(0.0_f64, |a, b| a.max(*b));
         format!(
-            "the truth contradicts the covariance in {:.1} % of the odometry (NEES up to {worst:.0})",
-            share * 100.0
+            "the truth contradicts the covariance in {:.1} % of the odometry (NEES up to {worst:.0}, between {:.1} and {:.1} s)",
+            share * 100.0,
+            first.seconds_since(from),
+            last.seconds_since(from)
         )
     })
 }

@@ -2,7 +2,7 @@
 
 use crate::{
     live::{Saying, Spoiler},
-    rig::RgbImage,
+    rig::{RgbImage, random::Random},
 };
 use node_kit::convert;
 use std::time::Duration;
@@ -35,10 +35,18 @@ pub fn one<M>(message: M) -> Vec<(Duration, M)> {
     vec![(Duration::ZERO, message)]
 }
 
-/// An even picture of this size and brightness.
-pub fn even_picture(width: u32, height: u32, value: u8) -> Vec<u8> {
-    let image = RgbImage { width, height, data: vec![value; (width * height * 3) as usize] };
-    image.to_jpeg(90).unwrap_or_default()
+/// Every picture is an even one of this size and brightness, with the little noise that no sensor is without.
+pub fn even_pictures(width: u32, height: u32, value: u8) -> Spoiler {
+    let mut random = Random::fork(1, "even pictures");
+    let pictures = [(); 4].map(|()| {
+        let data = (0..width * height * 3).map(|_| value.saturating_add(random.within(0.0, 6.0) as u8));
+        RgbImage { width, height, data: data.collect() }.to_jpeg(90).unwrap_or_default()
+    });
+    let mut count = 0;
+    images(move |m| {
+        count += 1;
+        one(CompressedImage { data: pictures[count % pictures.len()].clone(), ..m })
+    })
 }
 
 /// Moves a header's stamp by `seconds`.

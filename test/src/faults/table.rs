@@ -2,7 +2,7 @@
 
 use super::{
     Action, Bench, Flow, Row, recording,
-    spoilers::{even_picture, images, joints, one, shift},
+    spoilers::{even_pictures, images, joints, one, shift},
 };
 use crate::live::{ProcessError, RunError, Spoiler, processes::Signal};
 use std::time::Duration;
@@ -35,6 +35,7 @@ fn spoiled(fault: &'static str, make: impl Fn() -> Spoiler + 'static) -> Row {
 /// A row in which the inertial unit is treated with `begin`, and with `end` when the window ends.
 fn unit(
     fault: &'static str,
+    said: Words,
     begin: impl Fn(&mut Bench<'_>) + 'static,
     end: impl Fn(&mut Bench<'_>) + 'static,
 ) -> Row {
@@ -49,7 +50,7 @@ fn unit(
             Ok(())
         }),
         flow: Flow::Stops,
-        diagnostics: Some(("imu_driver", &[])),
+        diagnostics: Some(("imu_driver", said)),
         back_within: 2.0,
         kills: None,
     }
@@ -92,7 +93,7 @@ pub fn table() -> Vec<Row> {
             ..spoiled("nothing (to compare with)", || images(one))
         },
         Row {
-            diagnostics: fusion(&[]),
+            diagnostics: tracker(&["byte for byte"]),
             ..spoiled("camera frozen: the same picture with new stamps", || {
                 let mut first: Option<Vec<u8>> = None;
                 images(move |mut m| {
@@ -102,22 +103,12 @@ pub fn table() -> Vec<Row> {
             })
         },
         Row {
-            diagnostics: tracker(&[]),
-            ..spoiled("camera dark", || {
-                let black = even_picture(640, 480, 0);
-                images(move |m| {
-                    one(volant_msgs::sensor_msgs::msg::CompressedImage { data: black.clone(), ..m })
-                })
-            })
+            diagnostics: tracker(&["nearly black"]),
+            ..spoiled("camera dark", || even_pictures(640, 480, 0))
         },
         Row {
-            diagnostics: tracker(&[]),
-            ..spoiled("camera over-exposed", || {
-                let white = even_picture(640, 480, 255);
-                images(move |m| {
-                    one(volant_msgs::sensor_msgs::msg::CompressedImage { data: white.clone(), ..m })
-                })
-            })
+            diagnostics: tracker(&["nearly white"]),
+            ..spoiled("camera over-exposed", || even_pictures(640, 480, 250))
         },
         spoiled("camera drops two pictures of three", || {
             let mut count = 0;
@@ -126,18 +117,16 @@ pub fn table() -> Vec<Row> {
                 if count % 3 == 0 { one(m) } else { Vec::new() }
             })
         }),
-        Row { diagnostics: tracker(&["image"]), ..spoiled("camera silent", || images(|_| Vec::new())) },
         Row {
-            diagnostics: tracker(&[]),
-            ..spoiled("camera sends another size", || {
-                let small = even_picture(320, 240, 90);
-                images(move |m| {
-                    one(volant_msgs::sensor_msgs::msg::CompressedImage { data: small.clone(), ..m })
-                })
-            })
+            diagnostics: tracker(&["no image came"]),
+            ..spoiled("camera silent", || images(|_| Vec::new()))
         },
         Row {
-            diagnostics: tracker(&[]),
+            diagnostics: tracker(&["the images are 320x240, camera_info is for 640x480"]),
+            ..spoiled("camera sends another size", || even_pictures(320, 240, 90))
+        },
+        Row {
+            diagnostics: tracker(&["refused"]),
             ..spoiled("pictures cut off in their middle", || {
                 images(|mut m| {
                     m.data.truncate(m.data.len() / 2);
@@ -155,7 +144,7 @@ pub fn table() -> Vec<Row> {
             })
         }),
         Row {
-            diagnostics: fusion(&[]),
+            diagnostics: fusion(&["ahead of the inertial samples"]),
             ..spoiled("pictures stamped 10 s ahead", || {
                 images(|mut m| {
                     shift(&mut m.header, 10.0);
@@ -164,7 +153,7 @@ pub fn table() -> Vec<Row> {
             })
         },
         Row {
-            diagnostics: fusion(&[]),
+            diagnostics: fusion(&["older than the newest inertial sample"]),
             ..spoiled("pictures stamped 10 s in the past", || {
                 images(|mut m| {
                     shift(&mut m.header, -10.0);
@@ -173,7 +162,7 @@ pub fn table() -> Vec<Row> {
             })
         },
         Row {
-            diagnostics: climber(&["encoders"]),
+            diagnostics: climber(&["jumped by"]),
             ..spoiled("encoder: every second reading off by 0.5 m", || {
                 let mut count = 0;
                 joints(move |mut m| {
@@ -186,7 +175,7 @@ pub fn table() -> Vec<Row> {
             })
         },
         Row {
-            diagnostics: climber(&["encoders"]),
+            diagnostics: climber(&["is NaN"]),
             ..spoiled("encoder: NaN", || {
                 joints(|mut m| {
                     m.position[1] = f64::NAN;
@@ -195,7 +184,7 @@ pub fn table() -> Vec<Row> {
             })
         },
         Row {
-            diagnostics: climber(&["encoders"]),
+            diagnostics: climber(&["old on arrival"]),
             ..spoiled("encoders stale: stamped 2 s ago", || {
                 joints(|mut m| {
                     shift(&mut m.header, -2.0);
@@ -204,11 +193,11 @@ pub fn table() -> Vec<Row> {
             })
         },
         Row {
-            diagnostics: climber(&["joint_states"]),
+            diagnostics: climber(&["no reading was accepted"]),
             ..spoiled("encoders silent", || joints(|_| Vec::new()))
         },
         Row {
-            diagnostics: climber(&["encoders"]),
+            diagnostics: climber(&["is missing"]),
             ..spoiled("encoder: a joint is missing", || {
                 joints(|mut m| {
                     m.name.pop();
@@ -218,7 +207,7 @@ pub fn table() -> Vec<Row> {
             })
         },
         Row {
-            diagnostics: climber(&["encoders"]),
+            diagnostics: climber(&["after its receipt"]),
             ..spoiled("encoders from the future: stamped 2 s ahead", || {
                 joints(|mut m| {
                     shift(&mut m.header, 2.0);
@@ -242,6 +231,7 @@ pub fn table() -> Vec<Row> {
             flow: Flow::Gaps,
             ..unit(
                 "serial garbage: 400 bytes, ten times",
+                &["belonged to no message"],
                 |b| {
                     for i in 0..10_u8 {
                         let garbage: Vec<u8> =
@@ -255,6 +245,7 @@ pub fn table() -> Vec<Row> {
         },
         unit(
             "serial silence (a broken wire)",
+            &["no message for"],
             |b| {
                 let _ = b.run.stand.unit().with(|unit, _| unit.set_mute(true));
             },
@@ -262,9 +253,15 @@ pub fn table() -> Vec<Row> {
                 let _ = b.run.stand.unit().with(|unit, _| unit.set_mute(false));
             },
         ),
-        unit("serial adapter unplugged", |b| b.run.stand.unit().unplug(), |b| b.run.stand.unit().replug()),
+        unit(
+            "serial adapter unplugged",
+            &["the serial port"],
+            |b| b.run.stand.unit().unplug(),
+            |b| b.run.stand.unit().replug(),
+        ),
         unit(
             "inertial unit off and on again",
+            &["was set up again"],
             |b| {
                 let _ = b.run.stand.unit().with(|unit, now| unit.power_cycle(now));
             },
@@ -276,23 +273,36 @@ pub fn table() -> Vec<Row> {
             ..killed("kill -9 pose_fusion, started 3 s later", "pose_fusion")
         },
         Row {
-            diagnostics: fusion(&["markers"]),
+            diagnostics: fusion(&["nothing comes on /climber/markers"]),
             ..killed("kill -9 marker_tracker, started 3 s later", "marker_tracker")
         },
         Row {
             flow: Flow::Stops,
-            diagnostics: fusion(&["imu"]),
+            diagnostics: fusion(&["no inertial sample for"]),
             ..killed("kill -9 imu_driver, started 3 s later", "imu_driver")
         },
         Row {
-            diagnostics: fusion(&["climber"]),
+            diagnostics: fusion(&["nothing comes on /climber/transform"]),
             ..killed("kill -9 climber_driver, started 3 s later", "climber_driver")
         },
         Row {
-            diagnostics: fusion(&["markers"]),
+            diagnostics: fusion(&["nothing comes on /climber/markers"]),
             ..stalled("marker_tracker stalled for 3 s", "marker_tracker")
         },
-        Row { flow: Flow::Gaps, ..stalled("pose_fusion stalled for 3 s", "pose_fusion") },
+        Row {
+            flow: Flow::Gaps,
+            diagnostics: fusion(&["stood still for"]),
+            ..stalled("pose_fusion stalled for 3 s", "pose_fusion")
+        },
+        Row {
+            flow: Flow::Stops,
+            diagnostics: fusion(&["no inertial sample for"]),
+            ..stalled("imu_driver stalled for 3 s", "imu_driver")
+        },
+        Row {
+            diagnostics: fusion(&["nothing comes on /climber/transform"]),
+            ..stalled("climber_driver stalled for 3 s", "climber_driver")
+        },
         recording::disk_full(),
     ]);
     // Off and on again takes the unit a fraction of the window: it is back before the window ends.

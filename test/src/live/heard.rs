@@ -87,6 +87,16 @@ impl Heard {
     /// The fused pose's error against the truth as NEES of position and of rotation (ideal mean: 3 each), of the poses
     /// stamped in `from ..= to`; poses whose covariance is not positive definite count as infinite.
     pub fn nees(&self, from: Stamp, to: Stamp, truth: impl Fn(Stamp) -> Isometry3<f64>) -> Vec<[f64; 2]> {
+        self.nees_by_stamp(from, to, truth).into_iter().map(|(_, nees)| nees).collect()
+    }
+
+    /// [`Heard::nees`] with the stamps.
+    pub fn nees_by_stamp(
+        &self,
+        from: Stamp,
+        to: Stamp,
+        truth: impl Fn(Stamp) -> Isometry3<f64>,
+    ) -> Vec<(Stamp, [f64; 2])> {
         self.odometry
             .iter()
             .map(|(_, m)| (stamp(&m.header.stamp), m))
@@ -100,7 +110,7 @@ impl Heard {
                 let of = |error: Vector3<f64>, covariance: Matrix3<f64>| {
                     covariance.cholesky().map_or(f64::INFINITY, |l| error.dot(&l.solve(&error)))
                 };
-                Some([of(position, c(0)), of(rotation, c(3))])
+                Some((at, [of(position, c(0)), of(rotation, c(3))]))
             })
             .collect()
     }

@@ -61,8 +61,14 @@ impl Scenario {
     /// # Errors
     /// None but those of a rig file or lens that were edited wrongly.
     pub fn lap(seed: u64, duration: f64) -> Result<Self, ScenarioError> {
-        let motion =
-            MotionConfig { duration, still_until: 0.0, still_from: duration, ..MotionConfig::nominal(seed) };
+        // Each lap's end must not be a dash that no crane can drive.
+        let motion = MotionConfig {
+            duration,
+            still_until: 0.0,
+            still_from: duration,
+            ramp: duration / 4.0,
+            ..MotionConfig::nominal(seed)
+        };
         Ok(Self { covers: Vec::new(), ..Self::new(motion)? })
     }
 

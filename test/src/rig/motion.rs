@@ -16,10 +16,12 @@ pub struct MotionConfig {
     pub seed: u64,
     /// How long the run is, s.
     pub duration: f64,
-    /// All is at rest until then, s; the motion sets in smoothly within a second.
+    /// All is at rest until then, s; the motion sets in smoothly.
     pub still_until: f64,
-    /// All is at rest again from then on, s, and where it was at first; the motion dies away smoothly in the second before.
+    /// All is at rest again from then on, s, and where it was at first; the motion dies away smoothly before.
     pub still_from: f64,
+    /// How long the motion takes to set in and to die away, s. In a short one the climber dashes out from where it rests and back.
+    pub ramp: f64,
     /// Largest tilt by the swing, rad.
     pub swing: f64,
     /// How often it swings, Hz; the rope that belongs to it has the length g/(2πf)².
@@ -46,6 +48,7 @@ impl MotionConfig {
             duration: 12.0,
             still_until: -10.0,
             still_from: f64::INFINITY,
+            ramp: 1.0,
             swing: 0.14,
             frequency: 0.45,
             wobble: 0.06,
@@ -172,7 +175,8 @@ impl Motion {
 
     /// 0 while all stands still, smoothly to 1, and back.
     fn envelope(&self, t: f64) -> f64 {
-        let s = (t - self.config.still_until).min(self.config.still_from - t).clamp(0.0, 1.0);
+        let since = (t - self.config.still_until).min(self.config.still_from - t);
+        let s = (since / self.config.ramp).clamp(0.0, 1.0);
         s * s * s * s * (35.0 + s * (-84.0 + s * (70.0 - 20.0 * s)))
     }
 
@@ -289,8 +293,19 @@ mod tests {
             still_until: 0.0,
             still_from: 20.0,
             duration: 20.0,
+            ramp: 5.0,
             ..MotionConfig::nominal(4)
         });
+        let fastest = (0..2000)
+            .map(|i| f64::from(i) * 0.01)
+            .map(|t| {
+                (motion.world_from_climber(t + 1e-3).translation.vector
+                    - motion.world_from_climber(t).translation.vector)
+                    .norm()
+                    * 1e3
+            })
+            .fold(0.0, f64::max);
+        assert!(fastest < 2.0 * motion.config().climber_speed, "{fastest} m/s");
         let (start, end) = (motion.kinematics(0.0), motion.kinematics(20.0));
         assert!((start.world_from_volant.inverse() * end.world_from_volant).translation.vector.norm() < 1e-9);
         assert!(end.velocity.norm() < 1e-6 && end.acceleration.norm() < 1e-3);

@@ -29,12 +29,27 @@ pub struct Seen {
     pub odometry: u64,
     /// Odometry whose covariance the truth contradicts.
     pub contradicted: u64,
+    /// When that was.
+    pub contradictions: Vec<Contradiction>,
     /// Faults after which the pose was not back in time: when, which, after how long.
     pub late: Vec<(f64, &'static str, f64)>,
     /// What is not as it must be.
     pub failures: Vec<String>,
     /// Memory and threads.
     pub lives: Lives,
+}
+
+/// Odometry around a fault whose covariance the truth contradicts.
+#[derive(Clone, Debug)]
+pub struct Contradiction {
+    /// The fault.
+    pub fault: &'static str,
+    /// How much of the odometry.
+    pub poses: usize,
+    /// First and last time, s of the run.
+    pub seconds: [f64; 2],
+    /// Largest NEES of position and rotation.
+    pub largest: [f64; 2],
 }
 
 /// Memory may grow by so much after the first minute, bytes.
@@ -106,9 +121,20 @@ fn judge(heard: &Heard, scenario: &Scenario, epoch: Stamp, over: f64, row: &Row,
     let fused = heard.fused();
     let end = fused.last().map_or(epoch, |(stamp, _)| *stamp);
     let [gate, _] = outcome::GATE;
-    let nees = heard.nees(Stamp::default(), end, truth);
+    let nees = heard.nees_by_stamp(Stamp::default(), end, truth);
     seen.odometry += nees.len() as u64;
-    seen.contradicted += nees.iter().filter(|n| n[0] > gate || n[1] > gate).count() as u64;
+    let beyond: Vec<_> = nees.iter().filter(|(_, n)| n[0] > gate || n[1] > gate).collect();
+    if let (Some((first, _)), Some((last, _))) = (beyond.first(), beyond.last()) {
+        let since = |at: &Stamp| at.seconds_since(epoch);
+        let largest = |i: usize| beyond.iter().map(|(_, n)| n[i]).fold(0.0, f64::max);
+        seen.contradicted += beyond.len() as u64;
+        seen.contradictions.push(Contradiction {
+            fault: row.fault,
+            poses: beyond.len(),
+            seconds: [since(first), since(last)],
+            largest: [largest(0), largest(1)],
+        });
+    }
     seen.failures
         .extend(outcome::not_a_number(heard).map(|why| format!("{over:.0} s, {}: {why}", row.fault)));
     let back = outcome::back(&fused, epoch.plus_seconds(over), end, truth);
@@ -138,9 +164,14 @@ fn conclude(seen: &mut Seen) {
         ));
     }
     for life in seen.lives.iter() {
-        let [most, last] = life.threads;
-        if life.growth().is_some() && last > most {
-            seen.failures.push(format!("{} ({}) ended with {last} threads", life.node, life.id));
+        if life.growth().is_some()
+            && let [first, last] = life.threads
+            && last > first
+        {
+            let (node, id) = (&life.node, life.id);
+            seen.failures.push(format!(
+                "{node} ({id}) had {first} threads in its first minute and {last} in its last"
+            ));
         }
     }
     for (when, fault, after) in &seen.late {

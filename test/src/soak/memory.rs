@@ -1,7 +1,7 @@
 //! How memory and threads of processes go, life by life: a process that was killed and started again begins a new one.
 
 use crate::live::Nodes;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 /// One process from its start to its end.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,8 +18,10 @@ pub struct Life {
     pub settled: Option<u64>,
     /// Resident memory at last, bytes.
     pub last: u64,
-    /// Most threads after the first minute, and at its end.
+    /// Most threads in the first minute, and most in the last one.
     pub threads: [usize; 2],
+    /// Threads as they were counted since a minute ago at least: when, and how many.
+    recent: VecDeque<(f64, usize)>,
 }
 
 /// What counts as the first minute, s.
@@ -59,11 +61,18 @@ impl Lives {
             settled: None,
             last: bytes,
             threads: [0, threads],
+            recent: VecDeque::new(),
         });
-        (life.until, life.last, life.threads[1]) = (now, bytes, threads);
-        if now - life.since >= FIRST_MINUTE {
-            life.settled.get_or_insert(bytes);
+        (life.until, life.last) = (now, bytes);
+        life.recent.push_back((now, threads));
+        while life.recent.front().is_some_and(|(at, _)| now - at > FIRST_MINUTE) {
+            life.recent.pop_front();
+        }
+        life.threads[1] = life.recent.iter().map(|(_, count)| *count).max().unwrap_or(0);
+        if now - life.since < FIRST_MINUTE {
             life.threads[0] = life.threads[0].max(threads);
+        } else {
+            life.settled.get_or_insert(bytes);
         }
     }
 

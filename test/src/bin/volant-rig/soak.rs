@@ -6,7 +6,7 @@ use node_kit::environment::Network;
 use std::{path::PathBuf, sync::Arc};
 use volant_test::{
     live::{Film, Scenario},
-    soak::live::{Seen, SoakConfig, run},
+    soak::live::{self, Seen, SoakConfig},
 };
 
 /// Runs the live rig lap by lap with faults at random, and watches memory, threads, numbers and covariances.
@@ -41,7 +41,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     let seconds = arguments.minutes * 60.0;
     let config = SoakConfig { seconds, seed: arguments.seed, kills_until: seconds * arguments.kills };
     let mut minute = 0.0;
-    let seen = run(&scenario, film, &config, &network, &arguments.out, |now, seen| {
+    let seen = live::run(&scenario, film, &config, &network, &arguments.out, |now, seen| {
         if now >= minute {
             eprintln!("{:4.0} min: {}", now / 60.0, line(seen));
             minute += 60.0;
@@ -65,6 +65,19 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         );
     }
     println!();
+    let lap = scenario.duration();
+    for c in &seen.contradictions {
+        let [from, to] = c.seconds;
+        println!(
+            "contradicted: {} poses between {from:.1} and {to:.1} s ({:.1} to {:.1} s of the lap), NEES up to {:.0} and {:.0}: {}",
+            c.poses,
+            from % lap,
+            to % lap,
+            c.largest[0],
+            c.largest[1],
+            c.fault
+        );
+    }
     for failure in &seen.failures {
         println!("FAILS: {failure}");
     }
