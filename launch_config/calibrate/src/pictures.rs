@@ -1,13 +1,15 @@
-//! Pictures from a folder, a bag, a video file or a camera, one after the other.
+//! Pictures from a folder, a bag, a video file, a camera or a live topic, one after the other.
 
 use anyhow::{Context, Result, bail, ensure};
-use launch_config::bag::BagReader;
+use launch_config::{bag::BagReader, live::tap::Tap};
 use opencv::{core, imgcodecs, imgproc, prelude::*};
 use std::{
     io::{self, BufRead, BufReader, Read},
     os::unix::fs::FileTypeExt,
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
+    sync::mpsc::{RecvTimeoutError, sync_channel},
+    time::Duration,
 };
 use volant_msgs::{Message, cdr, sensor_msgs::msg};
 
@@ -30,15 +32,25 @@ pub enum Kind {
     Video,
     /// A camera that is a device of this computer: it goes on until it is enough.
     Device,
+    /// A live image topic: as a camera.
+    Topic,
 }
 
 impl Kind {
-    /// What a path is.
+    /// Does it go on until it is told that it is enough?
+    pub fn is_live(self) -> bool {
+        matches!(self, Self::Device | Self::Topic)
+    }
+
+    /// What a path is, or the name of a topic where there is no such file.
     pub fn of(source: &Path) -> Self {
         let ending = source.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
         let special = source.metadata().is_ok_and(|m| m.file_type().is_char_device());
+        let name = source.to_string_lossy();
+        let could_be_topic = name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '/');
         match ending.as_str() {
             _ if special => Self::Device,
+            _ if could_be_topic && !source.exists() => Self::Topic,
             "mcap" | "zstd" => Self::Bag,
             _ if source.join("metadata.yaml").is_file() => Self::Bag,
             "mp4" | "avi" | "mkv" | "mov" | "webm" | "m4v" | "mpg" | "mpeg" | "ogv" => Self::Video,
@@ -57,14 +69,16 @@ pub fn each(
     mut take: impl FnMut(Picture) -> Result<bool>,
 ) -> Result<usize> {
     let shown = source.display();
-    ensure!(
-        source.exists(),
-        "{shown}: there is nothing; name a folder with pictures, a picture, a bag, a video file or a device such as /dev/video0"
-    );
     let kind = Kind::of(source);
+    ensure!(
+        kind == Kind::Topic || source.exists(),
+        "{shown}: there is nothing; name a folder with pictures, a picture, a bag, a video file, a device such as /dev/video0, or a \
+         live topic"
+    );
     let count = match kind {
         Kind::Files => from_files(source, &mut take)?,
         Kind::Bag => from_bag(source, topic, &mut take)?,
+        Kind::Topic => from_topic(&shown.to_string(), &mut take)?,
         Kind::Video | Kind::Device => from_ffmpeg(source, kind == Kind::Device, &mut take)?,
     };
     ensure!(
@@ -205,8 +219,7 @@ fn from_bag(
     let mut count = 0;
     while let Some(message) = bag.next_message()? {
         let kind = message.topic.type_name.as_str();
-        let compressed = kind == msg::CompressedImage::TYPE_NAME;
-        if !compressed && kind != msg::Image::TYPE_NAME {
+        if !IMAGES.contains(&kind) {
             continue;
         }
         let wanted = chosen.get_or_insert_with(|| message.topic.name.clone());
@@ -216,15 +229,7 @@ fn from_bag(
         count += 1;
         let name = format!("{} #{count}", message.topic.name);
         let what = || format!("{}: {name}", source.display());
-        let bgr = if compressed {
-            let image: msg::CompressedImage = cdr::from_bytes(&message.data).with_context(what)?;
-            let data = core::Vector::<u8>::from_slice(&image.data);
-            let bgr = imgcodecs::imdecode(&data, imgcodecs::IMREAD_COLOR)?;
-            ensure!(!bgr.empty(), "{}: a {} picture that cannot be decoded", what(), image.format);
-            bgr
-        } else {
-            from_message(&cdr::from_bytes(&message.data).with_context(what)?).with_context(what)?
-        };
+        let bgr = decoded(kind, &message.data).with_context(what)?;
         if !take(Picture { name, bgr })? {
             break;
         }
@@ -235,6 +240,78 @@ fn from_bag(
         bail!("{}: no image on the topic {topic}; `volant bag info` lists the topics", source.display());
     }
     Ok(count)
+}
+
+/// How long a topic may be silent, s: also the time in which its publisher must be found.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// A live topic. While a picture is looked at, at most one waits: the next is always a recent one.
+fn from_topic(name: &str, take: &mut impl FnMut(Picture) -> Result<bool>) -> Result<usize> {
+    let name = if name.starts_with('/') { name.to_owned() } else { format!("/{name}") };
+    let mut tap = Tap::join().with_context(|| format!("{name} cannot be listened to"))?;
+    let mut found = None;
+    for _ in 0..50 {
+        let offers = tap.offers();
+        found = offers.into_iter().find(|o| o.topic.name == name);
+        if found.is_some() {
+            break;
+        }
+        std::thread::sleep(PATIENCE / 50);
+    }
+    let Some(offer) = found else {
+        let mut images: Vec<String> =
+            tap.offers().into_iter().map(|o| o.topic).filter(is_image).map(|t| t.name).collect();
+        images.sort();
+        let known = if images.is_empty() {
+            "no images are published".to_owned()
+        } else {
+            format!("images are on {}", images.join(", "))
+        };
+        bail!(
+            "{name}: nobody publishes it, nor is there a file of that name ({known}); is the camera's driver running?"
+        );
+    };
+    ensure!(is_image(&offer.topic), "{name}: it carries {}, no images", offer.topic.type_name);
+    let (sender, samples) = sync_channel(1);
+    let _subscription = tap.subscribe(&offer, move |sample| {
+        // Full: the one before is still looked at.
+        let _ = sender.try_send(sample);
+    })?;
+    let mut count = 0;
+    loop {
+        let sample = match samples.recv_timeout(PATIENCE) {
+            Ok(sample) => sample,
+            Err(RecvTimeoutError::Timeout) if count == 0 => {
+                bail!("{name}: it has a publisher, but nothing came within {} s", PATIENCE.as_secs())
+            }
+            // The camera was switched off: what was seen so far is used.
+            Err(_) => return Ok(count),
+        };
+        count += 1;
+        let bgr =
+            decoded(&offer.topic.type_name, &sample.data).with_context(|| format!("{name}: an image"))?;
+        if !take(Picture { name: format!("{name} #{count}"), bgr })? {
+            return Ok(count);
+        }
+    }
+}
+
+const IMAGES: [&str; 2] = [msg::CompressedImage::TYPE_NAME, msg::Image::TYPE_NAME];
+
+fn is_image(topic: &launch_config::bag::Topic) -> bool {
+    IMAGES.contains(&topic.type_name.as_str())
+}
+
+/// A message of one of [`IMAGES`].
+fn decoded(type_name: &str, data: &[u8]) -> Result<core::Mat> {
+    if type_name != msg::CompressedImage::TYPE_NAME {
+        return from_message(&cdr::from_bytes(data)?);
+    }
+    let image: msg::CompressedImage = cdr::from_bytes(data)?;
+    let data = core::Vector::<u8>::from_slice(&image.data);
+    let bgr = imgcodecs::imdecode(&data, imgcodecs::IMREAD_COLOR)?;
+    ensure!(!bgr.empty(), "a {} picture that cannot be decoded", image.format);
+    Ok(bgr)
 }
 
 fn from_message(image: &msg::Image) -> Result<core::Mat> {
@@ -290,6 +367,7 @@ mod tests {
         assert_eq!(Kind::of(Path::new("/dev/null")), Kind::Device);
         assert_eq!(Kind::of(Path::new("a/run.mcap")), Kind::Bag);
         assert_eq!(Kind::of(Path::new("boards.MP4")), Kind::Video);
-        assert_eq!(Kind::of(Path::new("boards")), Kind::Files);
+        assert_eq!(Kind::of(Path::new("src")), Kind::Files);
+        assert_eq!(Kind::of(Path::new("/climber/camera/image_raw")), Kind::Topic);
     }
 }

@@ -2,9 +2,17 @@
 
 use launch_config::bag::{BagWriter, QosProfile, Topic, WriteOptions};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
+use node_kit::{
+    Kit, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments, environment::Network,
+};
 use opencv::{core, imgcodecs, prelude::*};
 use rig_model::{CameraModel, Distortion};
-use std::{path::Path, process::Command};
+use std::{
+    path::{Path, PathBuf},
+    process::Command,
+    sync::OnceLock,
+    time::Duration,
+};
 use volant_msgs::sensor_msgs::msg::CompressedImage;
 
 const SQUARE: f64 = 0.03;
@@ -60,6 +68,7 @@ fn calibrate(folder: &Path, arguments: &[&str]) -> (bool, String, String) {
         .arg("camera")
         .arg(folder)
         .args(arguments)
+        .env("ROS_DOMAIN_ID", DOMAIN.to_string())
         .output()
         .unwrap();
     (
@@ -81,6 +90,41 @@ fn write_bag(path: &Path, folder: &Path) {
         bag.write_message(boards, time, &image).unwrap();
     }
     bag.finish().unwrap();
+}
+
+/// Where the pictures of the live camera are.
+static BOARDS: OnceLock<PathBuf> = OnceLock::new();
+/// Nobody else's DDS domain.
+const DOMAIN: u16 = 97;
+
+/// A camera driver: the pictures of [`BOARDS`], again and again, on `camera/image_raw/compressed`.
+struct Camera {
+    images: Publisher<CompressedImage>,
+    pictures: Vec<Vec<u8>>,
+    next: usize,
+}
+
+impl NodeShell for Camera {
+    const NAME: &'static str = "camera";
+    type Parameters = ();
+    type Input = ();
+
+    fn start(kit: &mut Kit<()>, (): ()) -> Result<Self, NodeError> {
+        kit.timer(Duration::from_millis(100), || ());
+        let images = kit.advertise("camera/image_raw/compressed", QosPreset::Image)?;
+        let read = |i| std::fs::read(BOARDS.get().unwrap().join(format!("board{i:02}.png"))).unwrap();
+        Ok(Self { images, pictures: (0..40).map(read).collect(), next: 0 })
+    }
+
+    fn handle(&mut self, _: &mut Kit<()>, (): ()) {
+        let data = self.pictures[self.next % 40].clone();
+        self.next += 1;
+        self.images.publish(CompressedImage {
+            format: "png".into(),
+            data: data.into(),
+            ..CompressedImage::default()
+        });
+    }
 }
 
 /// The number after `name` at the start of a line.
@@ -169,6 +213,19 @@ fn rendered_boards_give_the_camera_back() {
         }
         Err(_) => println!("the video is skipped: ffmpeg is not installed"),
     }
+
+    // And live: it ends by itself where nothing is missing, and otherwise with as many views as it was told.
+    BOARDS.set(folder.path().to_owned()).unwrap();
+    let network = Network { domain_id: DOMAIN, ..Network::from_environment().unwrap() };
+    let mut process = Process::new(network).unwrap();
+    process.start::<Camera>(&RosArguments::default()).unwrap();
+    let (ok, text, error) =
+        calibrate(Path::new("/camera/image_raw/compressed"), &[&options[..], &["--views", "40"]].concat());
+    assert!(ok, "{error}");
+    near(&text, "topic");
+    let (ok, _, error) = calibrate(Path::new("/camera/nobody"), &options);
+    assert!(!ok && error.contains("images are on /camera/image_raw/compressed"), "{error}");
+    drop(process);
 
     // Three pictures do not suffice, and the message says so.
     let few = tempfile::tempdir().unwrap();

@@ -29,8 +29,8 @@ enum Lens {
 /// The camera from pictures of a chessboard; writes a standard camera_info file.
 #[derive(Args, Debug)]
 pub struct CameraArguments {
-    /// A folder of pictures, a bag (.mcap or rosbag2 folder) with images, a video file, or a camera such as /dev/video0 (which goes
-    /// on until enough is seen, or until Ctrl-C). For a live topic: `volant record` it, and give the bag.
+    /// A folder of pictures, a bag (.mcap or rosbag2 folder) with images, a video file, or live: a camera such as /dev/video0, or an
+    /// image topic (both go on until enough is seen, or until Ctrl-C).
     source: PathBuf,
     /// Inner corners of the chessboard, COLUMNSxROWS.
     #[arg(long, default_value = "9x6")]
@@ -95,7 +95,7 @@ pub fn run(arguments: &CameraArguments) -> Result<()> {
             Some(_) => {}
             None => without.push(picture.name),
         }
-        let enough = kind == Kind::Device && coverage.missing().is_empty();
+        let enough = kind.is_live() && coverage.missing().is_empty();
         Ok(from_files || (views.len() < arguments.views && !enough && !guide.interrupted()))
     })?;
     guide.end();
@@ -145,7 +145,7 @@ impl Guide {
             bar.set_message("looking for the board");
             bar
         });
-        if kind == Kind::Device {
+        if kind.is_live() {
             // Ctrl-C ends the looking, not the program: what was seen so far is used.
             signal_hook::flag::register(signal_hook::consts::SIGINT, interrupted.clone())
                 .context("Ctrl-C cannot be caught")?;
