@@ -5,11 +5,12 @@
 # make bench   the figures against the peers;  make faults: every fault on real processes
 # make reproduce   the paper's figures and tables, the rivals beside them, and the report: OUT=folder
 # make fuzz    hostile bytes into every parser (FUZZ="-s SECONDS -r RUNS TARGET…"); make audit: advisories and licences
+# make security  who is not in the keystore reads and injects nothing (the middleware built anew, with DDS security)
 # make calibrate, make calibrate-test   volant calibrate, and its tests;  make browser: a browser for the report's test
 
 SHELL := /bin/bash
 .DEFAULT_GOAL := build
-.PHONY: setup build demo test long lint bench peers reproduce faults fuzz audit calibrate calibrate-test browser clean-setup
+.PHONY: setup build demo test long lint bench peers reproduce faults fuzz audit security calibrate calibrate-test browser clean-setup
 
 ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 export OPENCV_LINK_PATHS := /usr/lib/$(ARCH_LIB)
@@ -99,6 +100,11 @@ fuzz: .setup/debian
 
 audit:
 	@launch_config/setup/audit
+
+# In a folder of its own: with the feature the middleware is another one.
+security: .setup/debian
+	@launch_config/setup/install-debian-packages launch_config/setup/debian-packages-security.txt
+	$(CARGO) test --release -p node_kit --features security --test security --target-dir target/security -- --nocapture
 
 clean-setup:
 	rm -rf .setup $(VENV)

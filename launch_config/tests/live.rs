@@ -4,6 +4,7 @@
 
 use launch_config::bag::{BagMessage, BagReader, BagWriter, QosProfile, Topic, WriteOptions};
 use std::{
+    io::{BufRead, BufReader, Write},
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
     time::{Duration, Instant},
@@ -193,4 +194,81 @@ fn refusals_of_play_and_record() {
     }
     let output = volant(173, &["up", "--help"]).output().unwrap();
     assert!(output.status.success() && String::from_utf8_lossy(&output.stdout).contains("marker_tracker"));
+}
+
+/// A player's services, called by a client that is not ours, a line a call.
+struct Caller(Child, std::io::Lines<BufReader<std::process::ChildStdout>>);
+
+impl Caller {
+    fn start(python: &std::ffi::OsStr, domain: u8) -> Self {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/player_peer.py");
+        let mut child = Command::new(python)
+            .arg(script)
+            .env("ROS_DOMAIN_ID", domain.to_string())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        assert_eq!(lines.next().unwrap().unwrap(), r#"{"ready": true}"#);
+        Self(child, lines)
+    }
+
+    fn call(&mut self, line: &str) -> serde_json::Value {
+        writeln!(self.0.stdin.as_mut().unwrap(), "{line}").unwrap();
+        serde_json::from_str(&self.1.next().unwrap().unwrap()).unwrap()
+    }
+}
+
+impl Drop for Caller {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn rosbag2_s_services_steer_the_player() {
+    let Some(python) = std::env::var_os("VOLANT_PYTHON").filter(|v| !v.is_empty()) else {
+        eprintln!("skipped: VOLANT_PYTHON names no Python with cyclonedds");
+        return;
+    };
+    let dir = TempDir::new().unwrap();
+    let (original, copy) = (dir.path().join("original.mcap"), dir.path().join("copy.mcap"));
+    bag(&original);
+    // The client is not on the loopback alone.
+    let on_all = |arguments: &[&str]| {
+        let mut command = volant(174, arguments);
+        command.env_remove("ROS_AUTOMATIC_DISCOVERY_RANGE").env("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp");
+        command.spawn().unwrap()
+    };
+    let recorder = on_all(&["record", "/volant/imu/data", "-o", copy.to_str().unwrap()]);
+    let player = on_all(&["play", original.to_str().unwrap(), "--paused", "--delay", "3"]);
+    let mut caller = Caller::start(&python, 174);
+    std::thread::sleep(Duration::from_secs(3));
+    assert_eq!(caller.call("is_paused")["paused"], true);
+    assert_eq!(caller.call("play_next")["success"], true);
+    assert_eq!(caller.call("burst 20")["actually_burst"], 20);
+    assert_eq!(caller.call("get_rate")["rate"], 1.0);
+    assert_eq!(caller.call("set_rate 0")["success"], false);
+    assert_eq!(caller.call("set_rate 4")["success"], true);
+    assert_eq!(caller.call("get_rate")["rate"], 4.0);
+    let second = |s: u64| START / 1_000_000_000 + s;
+    assert_eq!(caller.call(&format!("seek {} 0", second(60)))["success"], false);
+    assert_eq!(caller.call(&format!("seek {} 0", second(1)))["success"], true);
+    caller.call("toggle_paused");
+    assert!(finish(player, "play").contains("messages of"));
+    std::thread::sleep(Duration::from_millis(500));
+    interrupt(&recorder);
+    finish(recorder, "record");
+    let samples = read(&copy, "/volant/imu/data");
+    let numbers: Vec<f64> =
+        samples.iter().map(|m| cdr::from_bytes::<Imu>(&m.data).unwrap().linear_acceleration.z).collect();
+    // 21 messages of all topics at the beginning, then the second half, four times as fast.
+    let leap = numbers.iter().position(|n| *n == 400.0).unwrap();
+    assert!((15..21).contains(&leap), "{leap}");
+    assert!(numbers[..leap].iter().enumerate().all(|(i, n)| *n == i as f64));
+    assert_eq!(numbers.len() - leap, 400);
+    let took = (samples[samples.len() - 1].log_time - samples[leap].log_time) as f64 * 1e-9;
+    assert!((0.2..0.9).contains(&took), "{took}");
 }

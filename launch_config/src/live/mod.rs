@@ -5,6 +5,7 @@
 pub mod foxglove;
 pub mod monitor;
 pub mod play;
+mod player;
 pub mod raw;
 pub mod record;
 pub mod tap;

@@ -1,5 +1,6 @@
 //! A bag onto live topics, at the pace of its log times.
 
+pub use super::player::{PlayControl, serve};
 use super::{
     LiveError, join,
     raw::{Raw, RawAdapter, dds_type_name, policies},
@@ -10,12 +11,7 @@ use crate::{
     stopwatch::Stopwatch,
 };
 use rustdds::{Publisher, TopicKind, no_key::DataWriter};
-use std::{
-    collections::BTreeMap,
-    path::PathBuf,
-    sync::atomic::{AtomicBool, Ordering},
-    time::Duration,
-};
+use std::{collections::BTreeMap, path::PathBuf, time::Duration};
 use volant_msgs::{Message, builtin_interfaces::msg::Time, cdr, rosgraph_msgs::msg::Clock};
 
 /// The longest that anything is slept without a look at the keys.
@@ -26,8 +22,6 @@ const SLICE: Duration = Duration::from_millis(20);
 pub struct PlayOptions {
     /// The bag.
     pub input: PathBuf,
-    /// 2: twice as fast as it was recorded.
-    pub rate: f64,
     /// From its beginning again at its end.
     pub repeat: bool,
     /// What is left out of the beginning.
@@ -40,15 +34,6 @@ pub struct PlayOptions {
     pub topics: Vec<String>,
     /// Remaps of names in the bag.
     pub names: TopicNames,
-}
-
-/// Asked from outside while it plays.
-#[derive(Debug, Default)]
-pub struct PlayControl {
-    /// Ends it.
-    pub stop: AtomicBool,
-    /// Holds it while set.
-    pub paused: AtomicBool,
 }
 
 /// What was played.
@@ -73,6 +58,17 @@ struct Writer {
 /// # Errors
 /// The bag cannot be read or holds nothing to play, or DDS refuses.
 pub fn play(
+    options: &PlayOptions,
+    control: &PlayControl,
+    progress: impl FnMut(u64, (u64, u64)),
+) -> Result<PlayReport, LiveError> {
+    let result = play_all(options, control, progress);
+    // Who waits for a burst waits no more.
+    control.end();
+    result
+}
+
+fn play_all(
     options: &PlayOptions,
     control: &PlayControl,
     mut progress: impl FnMut(u64, (u64, u64)),
@@ -116,24 +112,41 @@ pub fn play(
         }
         None => None,
     };
+    control.begin((first, last));
     let mut report = PlayReport::default();
-    let mut pace = Pace { clock, clock_due: 0.0, watch: Stopwatch::start(), control };
+    let mut pace = Pace {
+        clock,
+        clock_due: 0.0,
+        watch: Stopwatch::start(),
+        control,
+        origin: first,
+        position: 0.0,
+        seen: 0.0,
+    };
     pace.hold(options.delay);
-    loop {
+    let mut begin = start;
+    // What is latched counts from the beginning, however late one starts, but not again after each leap.
+    let mut with_latched = true;
+    'bag: loop {
         let mut bag = BagReader::open(&options.input)?;
-        let mut played = Position { bag: start, wall: pace.now() };
+        pace.leap(begin);
         while let Some(message) = bag.next_message()? {
-            if control.stop.load(Ordering::Acquire) {
-                break;
-            }
             let Some(writer) = writers.get(&message.topic.name) else { continue };
-            // What is latched counts from the beginning, however late one starts.
-            let early = message.log_time < start;
-            if early && !writer.latched {
+            let early = message.log_time < begin;
+            if early && !(writer.latched && with_latched) {
                 continue;
             }
+            let turn = if early { Turn::Play } else { pace.until(message.log_time) };
+            match turn {
+                Turn::Stop => break 'bag,
+                Turn::Elsewhere => {
+                    begin = control.take_seek().unwrap_or(begin);
+                    with_latched = false;
+                    continue 'bag;
+                }
+                Turn::Play | Turn::One => {}
+            }
             if !early {
-                pace.until(&mut played, message.log_time, options.rate);
                 progress(message.log_time, (first, last));
             }
             let little_endian = message.data.get(..2) == Some(&[0, 1]);
@@ -142,11 +155,15 @@ pub fn play(
             } else {
                 report.refused += 1;
             }
+            if turn == Turn::One {
+                control.one_is_out();
+            }
         }
         report.losses = bag.losses().to_vec();
-        if !options.repeat || control.stop.load(Ordering::Acquire) {
+        if !options.repeat || control.is_stopped() {
             break;
         }
+        (begin, with_latched) = (start, true);
     }
     // What a reliable subscriber still misses is sent again while this waits.
     for writer in writers.values() {
@@ -174,12 +191,14 @@ fn writer(
     Ok(Writer { writer, latched })
 }
 
-/// A moment of the bag and when it was played.
-struct Position {
-    /// ns.
-    bag: u64,
-    /// s since the start.
-    wall: f64,
+/// What is to be done with the next message.
+#[derive(Clone, Copy, PartialEq)]
+enum Turn {
+    Play,
+    /// Though it is paused.
+    One,
+    Stop,
+    Elsewhere,
 }
 
 struct Pace<'a> {
@@ -187,6 +206,11 @@ struct Pace<'a> {
     clock_due: f64,
     watch: Stopwatch,
     control: &'a PlayControl,
+    /// ns of the bag.
+    origin: u64,
+    /// Where the bag is, s since the origin, and when that was looked at, s of the watch.
+    position: f64,
+    seen: f64,
 }
 
 impl Pace<'_> {
@@ -194,33 +218,45 @@ impl Pace<'_> {
         self.watch.elapsed().as_secs_f64()
     }
 
-    fn stopped(&self) -> bool {
-        self.control.stop.load(Ordering::Acquire)
-    }
-
     fn hold(&self, time: Duration) {
         let end = self.now() + time.as_secs_f64();
-        while !self.stopped() && self.now() < end {
+        while !self.control.is_stopped() && self.now() < end {
             std::thread::sleep(SLICE.min(Duration::from_secs_f64((end - self.now()).max(0.0))));
         }
     }
 
-    /// Waits until the bag's time has come, publishing the clock meanwhile; a pause shifts what comes after it.
-    fn until(&mut self, played: &mut Position, log_time: u64, rate: f64) {
+    fn since_origin(&self, time: u64) -> f64 {
+        (i128::from(time) - i128::from(self.origin)) as f64 * 1e-9
+    }
+
+    /// Goes on at a time of the bag, ns.
+    fn leap(&mut self, time: u64) {
+        (self.position, self.seen) = (self.since_origin(time), self.now());
+    }
+
+    /// Waits until the bag's time has come, publishing the clock meanwhile. While it is paused no time passes.
+    fn until(&mut self, log_time: u64) -> Turn {
+        let due = self.since_origin(log_time);
         loop {
-            let now = self.now();
-            if self.stopped() {
-                return;
+            let (wish, now) = (self.control.wish(), self.now());
+            if wish.stop {
+                return Turn::Stop;
             }
-            if self.control.paused.load(Ordering::Acquire) {
-                std::thread::sleep(SLICE);
-                played.wall += self.now() - now;
-                continue;
+            if wish.elsewhere {
+                return Turn::Elsewhere;
             }
-            let left = (log_time.saturating_sub(played.bag)) as f64 * 1e-9 / rate - (now - played.wall);
-            let clock_left = self.tick(played, now, rate);
+            if !wish.paused {
+                self.position += (now - self.seen) * wish.rate;
+            }
+            self.seen = now;
+            let clock_left = self.tick(now);
+            if wish.paused && wish.one {
+                self.position = self.position.max(due);
+                return Turn::One;
+            }
+            let left = if wish.paused { f64::INFINITY } else { (due - self.position) / wish.rate };
             if left <= 0.0 {
-                return;
+                return Turn::Play;
             }
             let slice = left.min(clock_left).min(SLICE.as_secs_f64());
             std::thread::sleep(Duration::from_secs_f64(slice.max(0.0)));
@@ -228,12 +264,12 @@ impl Pace<'_> {
     }
 
     /// Publishes the clock where it is due; how long until it is again, s.
-    fn tick(&mut self, played: &Position, now: f64, rate: f64) -> f64 {
+    fn tick(&mut self, now: f64) -> f64 {
         let Some((writer, period)) = &self.clock else {
             return f64::INFINITY;
         };
         if now >= self.clock_due {
-            let bag = played.bag + ((now - played.wall).max(0.0) * rate * 1e9) as u64;
+            let bag = self.origin.saturating_add_signed((self.position * 1e9) as i64);
             let clock = Clock {
                 clock: Time {
                     sec: i32::try_from(bag / 1_000_000_000).unwrap_or(i32::MAX),

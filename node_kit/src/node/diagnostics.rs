@@ -26,6 +26,8 @@ use volant_msgs::{
 const MISSING_AFTER: Duration = Duration::from_secs(2);
 /// A round that is later than this was held up.
 const HELD_UP_AFTER: Duration = Duration::from_secs(1);
+/// That the node started anew is told for so long.
+const TOLD_FOR: Duration = Duration::from_secs(5);
 const DIAGNOSTICS: Qos = Qos { reliable: true, transient_local: false, depth: 10, max_samples: 100 };
 
 /// How well something is, with the numbers of `diagnostic_msgs/DiagnosticStatus`.
@@ -135,7 +137,15 @@ impl NodeHandle {
             }
         }
         let state = self.lifecycle.get();
-        let (health, message) = if let Some(time) = self.diagnostics.held_up {
+        let anew = self.domain.took_over.map(|at| now().duration_since(at)).filter(|since| *since < TOLD_FOR);
+        let (health, message) = if let Some(since) = anew {
+            let seconds = since.as_secs_f64();
+            let why = "its process was stopped, or the computer slept";
+            (
+                Health::Warn,
+                format!("the DDS middleware had ended, the node started anew {seconds:.0} s ago: {why}"),
+            )
+        } else if let Some(time) = self.diagnostics.held_up {
             let seconds = time.as_secs_f64();
             let why = "its process was stopped or is slow, or the computer is overloaded";
             (Health::Warn, format!("the node stood still for {seconds:.1} s: {why}"))

@@ -24,7 +24,7 @@ use std::{
     },
     task::{Context as TaskContext, Poll, Wake, Waker},
     thread::{JoinHandle, Thread},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 /// The participant, the hub of its nodes, and the thread that watches discovery.
@@ -35,6 +35,8 @@ pub(crate) struct Domain {
     buffers_checked: AtomicBool,
     /// The middleware has ended without being asked to.
     pub ended: Arc<AtomicBool>,
+    /// When this one took the place of one that had ended.
+    pub took_over: Option<Instant>,
     stop: Arc<AtomicBool>,
     watcher: Option<JoinHandle<()>>,
 }
@@ -90,6 +92,7 @@ impl Domain {
             network,
             buffers_checked: AtomicBool::new(false),
             ended,
+            took_over: None,
             stop,
             watcher: Some(watcher),
         })

@@ -115,7 +115,7 @@ impl Process {
     pub fn new(network: Network) -> Result<Self, NodeError> {
         let log = Logger::new("volant".to_owned(), Level::Info, Clock::default());
         let (ended_sender, ended) = sync_channel(64);
-        let domain = join_domain(network, &log, &ended_sender)?;
+        let domain = Arc::new(join_domain(network, &log, &ended_sender)?);
         Ok(Self { nodes: Vec::new(), ended, ended_sender, log, domain })
     }
 
@@ -242,7 +242,9 @@ impl Process {
                 return Ok(());
             }
             self.log.log(Level::Warn, "joining the DDS domain anew and starting the nodes again");
-            self.domain = join_domain(self.domain.network.clone(), &self.log, &self.ended_sender)?;
+            let mut domain = join_domain(self.domain.network.clone(), &self.log, &self.ended_sender)?;
+            domain.took_over = Some(now());
+            self.domain = Arc::new(domain);
             start(&mut self)?;
         }
         self.shut_down()
@@ -266,12 +268,12 @@ impl Process {
     }
 }
 
-fn join_domain(network: Network, log: &Logger, ended: &SyncSender<Ended>) -> Result<Arc<Domain>, NodeError> {
+fn join_domain(network: Network, log: &Logger, ended: &SyncSender<Ended>) -> Result<Domain, NodeError> {
     let ended = ended.clone();
     let lost = move || {
         let _ = ended.try_send(Ended::Middleware);
     };
-    Ok(Arc::new(Domain::join(network, log.clone(), lost)?))
+    Domain::join(network, log.clone(), lost)
 }
 
 impl Drop for Process {

@@ -47,9 +47,14 @@ fn texts(data: &[u8]) -> Option<&str> {
 /// A parameter file, as each node takes it, as the rig, and its lines as values of `-p name:=value`.
 pub fn parameters(data: &[u8]) {
     let Some(text) = texts(data) else { return };
-    if let Ok(value) = yaml::parse(text) {
-        assert!(size_of_tree(&value) <= 2 * text.len() + 64);
+    for line in text.lines().take(4) {
+        if let Ok(ParameterValue::Double(x)) = parse_value("name", line) {
+            let _ = x.to_string();
+        }
     }
+    // All readers go through this one.
+    let Ok(value) = yaml::parse(text) else { return };
+    assert!(size_of_tree(&value) <= 2 * text.len() + 64);
     if let Ok(file) = ParameterFile::parse(text) {
         for node in ["/pose_fusion", "/rig1/a/imu_driver"] {
             for (name, value) in file.for_node(node) {
@@ -70,11 +75,6 @@ pub fn parameters(data: &[u8]) {
                 .flat_map(|c| c.coords.iter().copied().collect::<Vec<_>>())
                 .all(f64::is_finite)
         );
-    }
-    for line in text.lines().take(4) {
-        if let Ok(ParameterValue::Double(x)) = parse_value("name", line) {
-            let _ = x.to_string();
-        }
     }
 }
 

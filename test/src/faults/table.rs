@@ -291,7 +291,8 @@ pub fn table() -> Vec<Row> {
         },
         Row {
             flow: Flow::Gaps,
-            diagnostics: fusion(&["stood still for"]),
+            // An interrupted middleware is joined anew, which takes the place of having stood still.
+            diagnostics: fusion(&["stood still for", "started anew"]),
             ..stalled("pose_fusion stalled for 3 s", "pose_fusion")
         },
         Row {

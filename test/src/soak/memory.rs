@@ -16,6 +16,10 @@ pub struct Life {
     pub until: f64,
     /// Resident memory at the end of its first minute, bytes.
     pub settled: Option<u64>,
+    /// Resident memory a minute after the start or after another node was killed, whichever came later, bytes; and when that was,
+    /// s of the run. A reliable publisher keeps its samples for a killed reader until that one's lease is over, and the memory for
+    /// them from then on.
+    pub undisturbed: Option<(f64, u64)>,
     /// Resident memory at last, bytes.
     pub last: u64,
     /// Most threads in the first minute, and most in the last one.
@@ -34,11 +38,20 @@ impl Life {
             .then(|| self.settled.map(|settled| self.last as i64 - settled as i64))
             .flatten()
     }
+
+    /// Growth of the memory since a minute after the last kill, bytes; `None` where less than a minute was left.
+    pub fn undisturbed_growth(&self) -> Option<i64> {
+        let (at, bytes) = self.undisturbed?;
+        (self.until - at >= FIRST_MINUTE).then(|| self.last as i64 - bytes as i64)
+    }
 }
 
 /// All lives of a run.
 #[derive(Clone, Debug, Default)]
-pub struct Lives(BTreeMap<u32, Life>);
+pub struct Lives {
+    lives: BTreeMap<u32, Life>,
+    last_kill: f64,
+}
 
 impl Lives {
     /// Looks at every process.
@@ -53,12 +66,13 @@ impl Lives {
         if bytes == 0 {
             return;
         }
-        let life = self.0.entry(id).or_insert_with(|| Life {
+        let life = self.lives.entry(id).or_insert_with(|| Life {
             node: node.to_owned(),
             id,
             since: now,
             until: now,
             settled: None,
+            undisturbed: None,
             last: bytes,
             threads: [0, threads],
             recent: VecDeque::new(),
@@ -74,16 +88,34 @@ impl Lives {
         } else {
             life.settled.get_or_insert(bytes);
         }
+        if now - life.since.max(self.last_kill) >= FIRST_MINUTE {
+            life.undisturbed.get_or_insert((now, bytes));
+        }
+    }
+
+    /// A node was killed.
+    pub fn killed(&mut self, now: f64) {
+        self.last_kill = now;
+        self.lives.values_mut().for_each(|life| life.undisturbed = None);
     }
 
     /// Each life.
     pub fn iter(&self) -> impl Iterator<Item = &Life> {
-        self.0.values()
+        self.lives.values()
     }
 
     /// The life whose memory grew most after its first minute, and by how much, bytes.
     pub fn worst(&self) -> Option<(&Life, i64)> {
-        self.iter().filter_map(|l| Some((l, l.growth()?))).max_by_key(|(_, growth)| *growth)
+        self.most(Life::growth)
+    }
+
+    /// The life whose memory grew most while no node was killed, and by how much, bytes.
+    pub fn worst_undisturbed(&self) -> Option<(&Life, i64)> {
+        self.most(Life::undisturbed_growth)
+    }
+
+    fn most(&self, growth: impl Fn(&Life) -> Option<i64>) -> Option<(&Life, i64)> {
+        self.iter().filter_map(|l| Some((l, growth(l)?))).max_by_key(|(_, growth)| *growth)
     }
 }
 
@@ -103,5 +135,18 @@ mod tests {
         let (life, growth) = lives.worst().unwrap();
         assert_eq!((life.node.as_str(), growth), ("a", 239 * 10));
         assert!(lives.iter().filter(|l| l.node == "b").all(|l| l.growth().is_none()));
+    }
+
+    #[test]
+    fn what_a_killed_reader_holds_back_is_told_from_a_leak() {
+        let mut lives = Lives::default();
+        for t in 0..400_u64 {
+            if t == 150 {
+                lives.killed(150.0);
+            }
+            lives.note("a", 1, 1000 + if t < 150 { 0 } else { 500 }, 9, t as f64);
+        }
+        assert_eq!(lives.worst().unwrap().1, 500);
+        assert_eq!(lives.worst_undisturbed().unwrap().1, 0);
     }
 }

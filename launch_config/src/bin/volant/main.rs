@@ -91,10 +91,19 @@ fn main() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            say::line(&format!("volant: {error:#}"));
+            say::line(&format!("volant: {}", told(&error)));
             ExitCode::FAILURE
         }
     }
+}
+
+/// What went wrong, and why; what an error said of its cause is not said again.
+fn told(error: &anyhow::Error) -> String {
+    error.chain().fold(String::new(), |text, cause| match (cause.to_string(), text.is_empty()) {
+        (cause, true) => cause,
+        (cause, false) if text.contains(&cause) => text,
+        (cause, false) => format!("{text}: {cause}"),
+    })
 }
 
 fn is_colors(words: &[OsString]) -> bool {

@@ -2,15 +2,10 @@
 
 use crate::{say, signals};
 use launch_config::{
-    live::play::{PlayControl, PlayOptions, play},
+    live::play::{PlayControl, PlayOptions, play, serve},
     replay::TopicNames,
 };
-use std::{
-    io::Read,
-    path::PathBuf,
-    sync::{Arc, atomic::Ordering},
-    time::Duration,
-};
+use std::{io::Read, path::PathBuf, sync::Arc, time::Duration};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -28,7 +23,7 @@ pub struct Arguments {
     /// Seconds to wait at first, for subscribers to find the topics
     #[arg(short, long, value_name = "SECONDS", default_value_t = 0.5)]
     delay: f64,
-    /// Starts paused; the space bar goes on and pauses again, and so does SIGUSR1
+    /// Starts paused; the space bar goes on and pauses again, and so do SIGUSR1 and rosbag2's services on /rosbag2_player
     #[arg(short, long)]
     paused: bool,
     /// Publishes /clock, so many times a second
@@ -51,7 +46,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let absolute = |name: &String| if name.starts_with('/') { name.clone() } else { format!("/{name}") };
     let options = PlayOptions {
         input: arguments.input.clone(),
-        rate: arguments.rate,
         repeat: arguments.repeat,
         start_offset: seconds(arguments.start_offset),
         delay: seconds(arguments.delay),
@@ -59,17 +53,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         topics: arguments.topics.iter().map(absolute).collect(),
         names: TopicNames::new("", &arguments.remap)?,
     };
-    let control = Arc::new(PlayControl::default());
-    control.paused.store(arguments.paused, Ordering::Release);
+    let control = Arc::new(PlayControl::new(arguments.rate, arguments.paused));
+    let services = serve(&control)?;
     signals::on_stop({
         let control = control.clone();
-        move || control.stop.store(true, Ordering::Release)
+        move || control.stop()
     })?;
     signals::on_usr1({
         let control = control.clone();
-        move || {
-            control.paused.fetch_xor(true, Ordering::AcqRel);
-        }
+        move || control.toggle_paused()
     })?;
     let keys = Keys::listen(&control);
     let bar = say::spinner();
@@ -79,7 +71,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         bar.set_message(format!("playing {:.1} of {:.1} s{hint}", at(time), at(last)));
     });
     bar.finish_and_clear();
-    drop(keys);
+    drop((keys, services));
     let report = result?;
     for loss in &report.losses {
         say::line(&format!("volant: {loss}"));
@@ -110,7 +102,7 @@ impl Keys {
         std::thread::spawn(move || {
             for key in std::io::stdin().lock().bytes().map_while(Result::ok) {
                 if key == b' ' {
-                    control.paused.fetch_xor(true, Ordering::AcqRel);
+                    control.toggle_paused();
                 }
             }
         });

@@ -49,14 +49,16 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     })?;
     println!("{} faults; {}", seen.faults.len(), line(&seen));
     println!(
-        "\n| node | process | minutes | MB after the first minute | MB at the end | growth, MB | threads |"
+        "\n| node | process | minutes | MB after the first minute | MB at the end | growth, MB | since a minute after the last kill | threads |"
     );
-    println!("| --- | --- | --- | --- | --- | --- | --- |");
+    println!("| --- | --- | --- | --- | --- | --- | --- | --- |");
     for life in seen.lives.iter() {
         let settled = life.settled.map_or("–".to_owned(), |b| format!("{:.2}", b as f64 / 1e6));
-        let growth = life.growth().map_or("–".to_owned(), |b| format!("{:+.2}", b as f64 / 1e6));
+        let change =
+            |bytes: Option<i64>| bytes.map_or("–".to_owned(), |b| format!("{:+.2}", b as f64 / 1e6));
+        let (growth, undisturbed) = (change(life.growth()), change(life.undisturbed_growth()));
         println!(
-            "| {} | {} | {:.1} | {settled} | {:.2} | {growth} | {} |",
+            "| {} | {} | {:.1} | {settled} | {:.2} | {growth} | {undisturbed} | {} |",
             life.node,
             life.id,
             (life.until - life.since) / 60.0,
