@@ -102,7 +102,7 @@ impl Default for TightConfig {
             camera_clock: 0.05,
             camera_clock_offset: 0.0,
             climber_clock: 0.05,
-            climber_clock_tied: 0.92,
+            climber_clock_tied: 0.9999,
             clock_walk: 1e-5,
             inertial_noise_limit: 30.0,
             rest_velocity: 0.002,

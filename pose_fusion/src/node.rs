@@ -57,7 +57,7 @@ node_kit::parameters! {
         /// Climber clock against the camera's where they are not one (1 sigma); 0 takes them as one for certain.
         climber_clock: f64 = 0.05, unit("s"), range(0.0..=0.2), name("clock.climber");
         /// Probability at the start that climber and camera have one clock.
-        climber_clock_tied: f64 = 0.92, range(0.0..=1.0), name("clock.climber_tied");
+        climber_clock_tied: f64 = 0.9999, range(0.0..=1.0), name("clock.climber_tied");
         /// Velocity of a platform at rest for the zero-motion update (1 sigma); 0 switches it off.
         rest_velocity: f64 = 0.002, unit("m/s"), range(0.0..=1.0);
         /// Position uncertainty (1 sigma) beyond which the estimate is called lost.

@@ -11,7 +11,7 @@ use super::{
     Tight,
     operator::{Checkpoint, Refusal},
     state::CAMERA_CLOCK,
-    tie::{BESIDE, Belief, Prior},
+    tie::Prior,
 };
 use crate::{
     config::TightConfig,
@@ -48,20 +48,6 @@ const LAG: f64 = 20.0;
 /// After so many images two hypotheses may have become one.
 const SETTLED: u64 = 60;
 
-/// The offset of the climber's clock is looked for anew around the best one where it is known so well, s.
-const RECENTRE: f64 = 0.008;
-
-/// The two filters that take the climber's clock to be off either way of the speaker's.
-#[derive(Debug)]
-struct Beside {
-    /// `centre − BESIDE` and `centre + BESIDE`.
-    filters: [Tight; 2],
-    prior: Prior,
-    belief: Belief,
-    /// What they said of the newest sample.
-    said: [Option<Odometry>; 2],
-}
-
 /// Filters side by side, of which one speaks.
 #[derive(Debug)]
 pub struct Bank {
@@ -71,9 +57,7 @@ pub struct Bank {
     told: TightConfig,
     members: Vec<Tight>,
     speaker: usize,
-    beside: Option<Box<Beside>>,
     smoothing: bool,
-    restored: Option<Prior>,
     silent: VecDeque<Output>,
 }
 
@@ -86,9 +70,7 @@ impl Bank {
             config,
             members: Vec::new(),
             speaker: 0,
-            beside: None,
             smoothing: false,
-            restored: None,
             silent: VecDeque::with_capacity(256),
         };
         bank.fill();
@@ -97,7 +79,6 @@ impl Bank {
 
     fn fill(&mut self) {
         self.members.clear();
-        self.beside = None;
         self.speaker = 0;
         let reach = if self.config.camera_clock > WITHIN {
             (REACH * self.config.camera_clock / STEP).round() as i32
@@ -118,6 +99,7 @@ impl Bank {
                 member.keep_archive();
             }
             if reach > 0 {
+                member.let_be(true);
                 member.add_evidence((away / self.config.camera_clock).powi(2));
             }
             self.members.push(member);
@@ -134,34 +116,12 @@ impl Bank {
         &mut self.members[self.speaker]
     }
 
-    /// What is thought of the climber's clock.
-    fn belief(&self) -> Belief {
-        match &self.beside {
-            Some(beside) => beside.belief,
-            None => self.prior().belief(),
-        }
-    }
-
-    fn prior(&self) -> Prior {
-        if let Some(prior) = self.restored {
-            return prior;
-        }
-        let c = &self.config;
-        let known = c.climber_clock <= 0.0;
-        Prior { tied: if known { 1.0 } else { c.climber_clock_tied }, mean: 0.0, sigma: c.climber_clock }
-    }
-
     /// What is known now.
     ///
     /// # Errors
     /// There is no estimate.
     pub fn checkpoint(&self) -> Result<Checkpoint, Refusal> {
-        let belief = self.belief();
-        let mut checkpoint = self.speaker().checkpoint()?;
-        checkpoint.climber_clock = belief.mean;
-        checkpoint.climber_clock_sigma = belief.variance.sqrt();
-        checkpoint.climber_clock_tied = belief.tied;
-        Ok(checkpoint)
+        self.speaker().checkpoint()
     }
 
     /// Takes up what was known (see [`Tight::restore`]).
@@ -176,16 +136,16 @@ impl Bank {
             self.config.camera_clock_offset = checkpoint.camera_clock;
             self.config.camera_clock = sigma.clamp(1e-6, WITHIN);
         }
-        self.restored = Some(Prior {
+        let prior = Prior {
             tied: checkpoint.climber_clock_tied,
             mean: checkpoint.climber_clock,
             sigma: checkpoint.climber_clock_sigma.max(1e-4),
-        });
+        };
         let camera = self.speaker().camera_model().cloned();
         self.fill();
         camera.iter().for_each(|camera| self.camera(camera));
         let stamp = Stamp::from_nanos(checkpoint.stamp_ns);
-        self.members.iter_mut().for_each(|m| m.restore(state.clone(), stamp));
+        self.members.iter_mut().for_each(|m| m.restore(state.clone(), stamp, prior));
         Ok(())
     }
 
@@ -216,17 +176,11 @@ impl Bank {
         if !(end || ready) {
             return Vec::new();
         }
-        let (belief, motion) = (self.belief(), self.speaker().carried());
-        let centre = self.speaker().climber_clock();
         let speaker = self.speaker_mut();
         if end {
             speaker.archive_all();
         }
-        let mut said = speaker.smoothed(if end { 0.0 } else { LAG });
-        for odometry in &mut said {
-            belief.about(centre).widen(odometry, &motion);
-        }
-        said
+        speaker.smoothed(if end { 0.0 } else { LAG })
     }
 
     /// How many hypotheses are left.
@@ -238,9 +192,6 @@ impl Bank {
     pub fn status(&self) -> Status {
         let mut status = self.speaker().status();
         status.clock_hypotheses = self.members.len();
-        let belief = self.belief();
-        (status.climber_clock_offset, status.climber_clock_sigma) = belief.moments();
-        status.climber_clock_tied = belief.tied;
         if self.members.len() > 1 {
             // As far as they lie apart, the offset is not known better.
             let offsets = self.members.iter().map(|m| m.status().camera_clock_offset);
@@ -254,7 +205,6 @@ impl Bank {
     /// Forgets everything.
     pub fn reset(&mut self) {
         self.config = self.told.clone();
-        self.restored = None;
         let cameras: Vec<CameraModel> =
             self.members.iter().take(1).filter_map(|m| m.camera_model().cloned()).collect();
         self.fill();
@@ -263,17 +213,12 @@ impl Bank {
 
     /// Stops or resumes using markers.
     pub fn freeze(&mut self, frozen: bool) {
-        self.everyone().for_each(|m| m.freeze(frozen));
+        self.members.iter_mut().for_each(|m| m.freeze(frozen));
     }
 
     /// The camera's calibration.
     pub fn camera(&mut self, camera: &CameraModel) {
-        self.everyone().for_each(|m| m.camera(camera));
-    }
-
-    fn everyone(&mut self) -> impl Iterator<Item = &mut Tight> {
-        let beside = self.beside.iter_mut().flat_map(|b| b.filters.iter_mut());
-        self.members.iter_mut().chain(beside)
+        self.members.iter_mut().for_each(|m| m.camera(camera));
     }
 
     /// An inertial sample.
@@ -288,71 +233,7 @@ impl Bank {
                 }
             }
         }
-        self.tell_climber_clock(said, out);
         self.weigh();
-        self.look_beside();
-    }
-
-    /// Puts what is thought of the climber's clock into what was said since.
-    fn tell_climber_clock(&mut self, said: usize, out: &mut VecDeque<Output>) {
-        if self.config.climber_clock <= 0.0 {
-            return;
-        }
-        let belief = self.belief();
-        let motion = self.speaker().carried();
-        let centre = self.speaker().climber_clock();
-        for output in out.iter_mut().skip(said) {
-            let Output::Odometry(odometry) = output else { continue };
-            match self.beside.as_ref().map(|b| &b.said) {
-                Some([Some(low), Some(high)])
-                    if low.stamp == odometry.stamp && high.stamp == odometry.stamp =>
-                {
-                    *odometry = belief.mix(centre, [low, &*odometry, high]);
-                }
-                _ => belief.widen(odometry, &motion),
-            }
-        }
-    }
-
-    /// Once the camera's clock is known the climber's is asked; once that is known well it is asked around there.
-    fn look_beside(&mut self) {
-        if self.members.len() > 1 || self.config.climber_clock <= 0.0 || self.speaker().state().is_none() {
-            return;
-        }
-        let (centre, next) = match &self.beside {
-            None => (self.speaker().climber_clock(), self.prior()),
-            Some(beside) => {
-                let b = &beside.belief;
-                let far = (b.mean - self.speaker().climber_clock()).abs() > BESIDE / 2.0;
-                if b.tied > 0.01 || !far || b.variance > RECENTRE * RECENTRE {
-                    return;
-                }
-                // What was found is the new prior, a little wider: the filters begin a little off.
-                (b.mean, Prior { tied: 0.0, mean: b.mean, sigma: 1.5 * b.variance.sqrt() })
-            }
-        };
-        let nearest = match &self.beside {
-            Some(beside) if centre < self.speaker().climber_clock() => &beside.filters[0],
-            Some(beside) => &beside.filters[1],
-            None => self.speaker(),
-        };
-        let mut filters = [-BESIDE, 0.0, BESIDE].map(|away| nearest.with_climber_clock(centre + away));
-        filters.iter_mut().for_each(|f| f.forget_evidence(SETTLED));
-        let [low, middle, high] = filters;
-        let counted = self.speaker().status();
-        let speaker = self.speaker;
-        if let (true, Some(member)) = (self.beside.is_some(), self.members.get_mut(speaker)) {
-            *member = middle;
-            member.count_on(counted);
-        } else if let Some(member) = self.members.get_mut(speaker) {
-            member.forget_evidence(SETTLED);
-        }
-        self.beside = Some(Box::new(Beside {
-            filters: [low, high],
-            prior: next,
-            belief: next.belief(),
-            said: [None, None],
-        }));
     }
 
     /// How far the offsets of the hypotheses that are still likely lie from the speaker's, s² (mean square).
@@ -374,14 +255,6 @@ impl Bank {
     pub fn markers(&mut self, observations: &MarkerObservations, out: &mut VecDeque<Output>) {
         self.each(out, |member, out| member.markers(observations, out));
         self.weigh();
-        let speaker = self.members.get(self.speaker);
-        if let (Some(beside), Some(middle)) = (&mut self.beside, speaker) {
-            let [low, high] = &beside.filters;
-            if low.weighed() == middle.weighed() && high.weighed() == middle.weighed() {
-                let evidence = [low.evidence(), middle.evidence(), high.evidence()];
-                beside.belief = beside.prior.after(middle.climber_clock(), evidence);
-            }
-        }
     }
 
     /// The climber's encoders.
@@ -396,16 +269,6 @@ impl Bank {
             } else {
                 work(member, &mut self.silent);
                 self.silent.clear();
-            }
-        }
-        if let Some(beside) = &mut self.beside {
-            for (filter, said) in beside.filters.iter_mut().zip(&mut beside.said) {
-                work(filter, &mut self.silent);
-                for output in self.silent.drain(..) {
-                    if let Output::Odometry(odometry) = output {
-                        *said = Some(odometry);
-                    }
-                }
             }
         }
     }
@@ -456,5 +319,8 @@ impl Bank {
             keep
         });
         self.speaker -= shift;
+        if let [last] = self.members.as_mut_slice() {
+            last.let_be(false);
+        }
     }
 }

@@ -5,8 +5,10 @@ use super::{
     geometry::{ClimberRest, Geometry},
     history::Event,
     markers::Sighting,
+    rigid,
     start::{self, ClimberStart, Up},
     state::{ACCELEROMETER, CAMERA_CLOCK, GYROSCOPE, State},
+    tie::{self, Tie},
 };
 use crate::output::{MarkerOutcome, Output, Warning};
 use nalgebra::Vector3;
@@ -18,6 +20,14 @@ impl Tight {
     pub(super) fn clock_guess(&self) -> f64 {
         let known = self.state().or(self.kept.as_deref());
         known.map_or(self.config.camera_clock_offset, |s| s.camera_clock)
+    }
+
+    /// What is known of the climber's clock at the start from an image: nothing, and all moves rigidly with the climber.
+    pub(super) fn rigid_tie(&self, state: &State, image: Stamp) -> Tie {
+        match tie::speed(&self.readings, image, &self.reading_noise.variance()) {
+            Some(speed) => Tie { by_offset: rigid(state, &speed), known: true, ..Tie::none() },
+            None => Tie::none(),
+        }
     }
 
     /// Drops the pose and what led to it, and keeps what was learnt of clocks, biases and noise: the next image starts it.
@@ -42,6 +52,7 @@ impl Tight {
         state.accelerometer_bias = kept.accelerometer_bias;
         state.gyroscope_bias = kept.gyroscope_bias;
         state.camera_clock = kept.camera_clock;
+        state.tie = Tie { information: kept.tie.information, pull: kept.tie.pull, ..state.tie.clone() };
         state.set_variance_of(CAMERA_CLOCK, kept.covariance[(CAMERA_CLOCK, CAMERA_CLOCK)]);
         for first in [ACCELEROMETER, GYROSCOPE] {
             let sigmas = Vector3::from_fn(|i, _| {
@@ -128,6 +139,7 @@ impl Tight {
         out.push_back(Output::Warning(Warning::Initialised { stamp: image }));
         self.started = true;
         let mut state = best.state;
+        state.tie = self.rigid_tie(&state, image);
         self.remember(&mut state);
         self.begin(stamp, state, out);
     }

@@ -7,8 +7,9 @@
 
 use super::{
     geometry::ClimberRest,
-    markers::scalar_update,
+    markers::biased_update,
     propagate::{Felt, retime},
+    rigid,
     state::{CLIMBER, CLIMBER_RATE, State},
 };
 use nalgebra::Vector3;
@@ -26,6 +27,8 @@ pub struct Reading {
     pub felt: Felt,
     /// What the encoders do not measure.
     pub rest: ClimberRest,
+    /// How fast the climber drove shortly before, per s (see [`super::tie`]).
+    pub speed: Option<Vector3<f64>>,
 }
 
 /// Equal readings in a row count as one down to this share.
@@ -36,6 +39,10 @@ pub fn update(state: &mut State, reading: &Reading, offset: f64, gravity: f64) -
     let late = state.camera_clock + offset - reading.clock;
     let clock = state.camera_clock;
     let mut worst: f64 = 0.0;
+    if let (false, Some(speed)) = (state.tie.known, &reading.speed) {
+        state.tie.by_offset = rigid(state, speed);
+        state.tie.known = true;
+    }
     for axis in 0..3 {
         // The reading's own instant is `late` after the place that it was given.
         let (rate, more) = (state.climber_rate[axis], state.climber_acceleration[axis]);
@@ -45,7 +52,13 @@ pub fn update(state: &mut State, reading: &Reading, offset: f64, gravity: f64) -
             residual = wrapped(residual);
         }
         let h = [(CLIMBER + axis, 1.0), (CLIMBER_RATE + axis, late)];
-        worst = worst.max(scalar_update(state, &h, residual, reading.variance[axis]));
+        worst = worst.max(biased_update(
+            state,
+            &h,
+            reading.speed.map_or(0.0, |s| s[axis]),
+            residual,
+            reading.variance[axis],
+        ));
     }
     let moved = state.camera_clock - clock;
     retime(state, &reading.felt, moved, gravity);
@@ -166,6 +179,7 @@ mod tests {
                 clock: 0.0,
                 felt: Felt { force: Vector3::zeros(), rate: Vector3::zeros() },
                 rest,
+                speed: None,
             };
             for axis in 0..3 {
                 s.covariance[(CLIMBER + axis, CLIMBER + axis)] += 1e-8;

@@ -3,7 +3,7 @@
 //! A late measurement goes to its place, and everything behind is run again from there. The memory is bounded: at most
 //! [`CAPACITY`] entries of about 5.6 kB (1.4 MB) for each filter, in a store that grows to what the configured length asks for
 //! (0.6 s at 100 Hz, 50 Hz and 30 Hz: 108 entries, 0.6 MB) and is never given back. Besides it a filter remembers 64 stamps,
-//! readings and attitudes. As many as 23 filters run side by side until the camera's clock is known, three afterwards.
+//! readings and attitudes. As many as 23 filters run side by side until the camera's clock is known, one afterwards.
 
 use super::{
     climber::Reading,
@@ -74,11 +74,11 @@ impl Default for History {
 }
 
 impl History {
-    /// Every state that was run goes through `change`.
-    pub fn each_state(&mut self, mut change: impl FnMut(&mut State)) {
+    /// Every entry that was run goes through `change`.
+    pub fn each_node(&mut self, mut change: impl FnMut(&mut Node)) {
         for &slot in self.order.iter().take(self.run) {
             if let Some(node) = self.store.get_mut(slot) {
-                change(&mut node.state);
+                change(node);
             }
         }
     }

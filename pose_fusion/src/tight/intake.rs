@@ -1,13 +1,14 @@
 //! What arrives: each message is checked, put in its place in the history, and what follows from it is run.
 
 use super::{
-    AHEAD, BRIDGED, CONFIRM, GAP, JUMP, NOTHING, Pixels, REMEMBERED, Tight,
+    AHEAD, BRIDGED, CONFIRM, GAP, JUMP, NOTHING, Pixels, READINGS, REMEMBERED, Tight,
     climber::Reading,
     geometry::ClimberRest,
     history::Event,
     markers::Sighting,
     propagate::Felt,
     start::{self, Up},
+    tie,
 };
 use crate::output::{MarkerOutcome, Output, Warning};
 use nalgebra::{Matrix2, Vector3};
@@ -172,7 +173,7 @@ impl Tight {
             (self.reading_noise.variance(), [1.0; 3])
         };
         if in_order {
-            if self.readings.len() == REMEMBERED {
+            if self.readings.len() == READINGS {
                 self.readings.pop_front();
             }
             self.readings.push_back((stamp, values, rest));
@@ -191,6 +192,7 @@ impl Tight {
             clock,
             felt: NOTHING,
             rest,
+            speed: tie::speed(&self.readings, stamp, &variance),
         };
         self.history.insert(at, Event::Climber(reading), NOTHING);
         if self.started {

@@ -1,10 +1,11 @@
 //! What the images teach beside the state: how noisy the pixels are, and when the estimate itself is wrong.
 
 use super::{
-    NOTHING, Pixels, REFUSED_PRICE, Tight,
+    NOTHING, Pixels, REFUSED_PRICE, SETTLING, Tight,
     markers::{Report, Sighting, Verdict},
     start::{self, ClimberStart},
     state::{ACCELEROMETER, CAMERA_CLOCK, CLIMBER, CLIMBER_RATE, GYROSCOPE},
+    tie::Tie,
 };
 use crate::output::{MarkerOutcome, MarkerUpdateRecord, Output, Warning};
 use nalgebra::{Matrix2, Vector2, Vector3};
@@ -70,8 +71,13 @@ impl Tight {
         let seen = pixels.iter().flatten().count() as u32;
         self.weighed += 1;
         let refused = f64::from(seen.saturating_sub(report.used));
-        if self.weighed > self.settling {
+        if self.weighed > SETTLING {
             self.evidence += report.surprise + REFUSED_PRICE * refused;
+        }
+        if self.weighed <= self.ask_after {
+            self.history.each_node(|node| node.state.tie.forget());
+        } else {
+            self.recentre();
         }
         if report.used > 0 && !self.frozen {
             self.last_used = Some(image);
@@ -126,6 +132,8 @@ impl Tight {
         state.accelerometer_bias = old.accelerometer_bias;
         state.gyroscope_bias = old.gyroscope_bias;
         state.climber_acceleration = old.climber_acceleration;
+        state.tie =
+            Tie { information: old.tie.information, pull: old.tie.pull, ..self.rigid_tie(&state, image) };
         state.camera_clock = old.camera_clock;
         state.set_variance_of(CAMERA_CLOCK, sigma(CAMERA_CLOCK).powi(2));
         for first in [ACCELEROMETER, GYROSCOPE] {

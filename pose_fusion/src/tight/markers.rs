@@ -190,6 +190,9 @@ pub fn update(
     if !frozen {
         let before = state.clone();
         state.add(&solution.step);
+        let (tied, white) = (solution.by_offset, solution.white);
+        state.tie.by_offset -= solution.root * tied;
+        state.tie.learn(tied.norm_squared(), tied.dot(&white));
         let clock = state.camera_clock - before.camera_clock;
         retime(state, &sighting.felt, clock, gates.gravity);
         subtract_square(&mut state.covariance, &solution.root);
@@ -210,6 +213,9 @@ struct Solution {
     /// Normalised innovation squared at the prior.
     nis: f64,
     log_determinant: f64,
+    /// L⁻¹ ν, and by how much it would differ per second of the climber's clock: L⁻¹ H V.
+    white: Residual,
+    by_offset: Residual,
 }
 
 fn solve(
@@ -273,7 +279,17 @@ fn solve(
         let root = l.solve_lower_triangular(&gain.transpose())?.transpose();
         let log_determinant = (0..M).map(|i| 2.0 * l[(i, i)].ln()).sum();
         let cost = prior_cost + pixel_cost;
-        return cost.is_finite().then_some(Solution { step, root, cost, nis, log_determinant });
+        let white = l.solve_lower_triangular(&target)?;
+        let by_offset = l.solve_lower_triangular(&times_seen(&jacobian, &prior.tie.by_offset))?;
+        return cost.is_finite().then_some(Solution {
+            step,
+            root,
+            cost,
+            nis,
+            log_determinant,
+            white,
+            by_offset,
+        });
     }
     None
 }
@@ -366,6 +382,11 @@ fn subtract_square(p: &mut Covariance, root: &Gain) {
 
 /// Corrects `state` by one number: `residual = Σ h_i δ_i + noise`. Returns the normalised innovation squared.
 pub fn scalar_update(state: &mut State, h: &[(usize, f64)], residual: f64, variance: f64) -> f64 {
+    biased_update(state, h, 0.0, residual, variance)
+}
+
+/// The same by a number that the climber's clock biases: by `bias` per second of its offset.
+pub fn biased_update(state: &mut State, h: &[(usize, f64)], bias: f64, residual: f64, variance: f64) -> f64 {
     let mut gain = Error::zeros();
     for &(i, weight) in h {
         gain.axpy(weight, &state.covariance.column(i), 1.0);
@@ -383,6 +404,8 @@ pub fn scalar_update(state: &mut State, h: &[(usize, f64)], residual: f64, varia
         }
     }
     state.add(&(gain * (residual / innovation)));
+    let tied = bias + h.iter().map(|&(i, weight)| weight * state.tie.by_offset[i]).sum::<f64>();
+    state.tie.by_offset.axpy(-tied / innovation, &gain, 1.0);
     residual * residual / innovation
 }
 

@@ -25,15 +25,17 @@ pub mod tie;
 
 use crate::{config::TightConfig, output::Odometry, status::Status};
 use climber::ReadingNoise;
-use geometry::{ClimberRest, Geometry};
+use geometry::Geometry;
 use history::{History, Node};
-use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix2, Vector2, Vector3};
 use noise::{InertialNoise, Stillness};
+use odometry::Along;
 use propagate::Felt;
 use rig_model::{CameraModel, Rig, Stamp};
 use start::Up;
-use state::{CAMERA_CLOCK, POSITION, State, VELOCITY};
+use state::{ATTITUDE, CAMERA_CLOCK, CLIMBER, Error, POSITION, State};
 use std::collections::VecDeque;
+use tie::{Belief, Prior, Readings};
 
 /// Further ahead of the inertial samples than this, a message is not believed, s.
 const AHEAD: f64 = 0.5;
@@ -49,10 +51,18 @@ const BRIDGED: f64 = 0.4;
 const REFUSED_PRICE: f64 = 20.0;
 /// So many images are no evidence yet: the noise of the other sensors is still being found.
 const SETTLING: u64 = 15;
+/// So many images say nothing of the climber's clock: biases are still being found.
+const ASKING: u64 = 60;
+/// One answer about the climber's clock that is so probable is taken as given.
+const SURE: f64 = 0.99;
+/// A smaller change of the climber's clock needs no other linearisation, s.
+const MOVE: f64 = 2e-3;
 /// A reading that is so much (squared, in sigmas) off means that the climber jerks more than assumed.
 const SURPRISE: f64 = 10.0;
 /// So many image stamps are remembered to tell duplicates.
 const REMEMBERED: usize = 64;
+/// And so many readings of the climber: [`tie::SPAN`] at 100 Hz, and as much again for those that come late.
+const READINGS: usize = 200;
 
 /// To be interpolated.
 const NOTHING: Felt = Felt { force: Vector3::new(0.0, 0.0, 0.0), rate: Vector3::new(0.0, 0.0, 0.0) };
@@ -65,6 +75,8 @@ type Pixels = [Option<(Vector2<f64>, Matrix2<f64>)>; 4];
 pub struct Tight {
     rig: Rig,
     config: TightConfig,
+    /// What is thought of the climber's clock before the data, and what is taken as given.
+    prior: Prior,
     climber_clock: f64,
     geometry: Option<Geometry>,
     history: History,
@@ -73,7 +85,7 @@ pub struct Tight {
     newest_imu: Option<(Stamp, Felt)>,
     jump: Option<(Stamp, u32)>,
     attitudes: VecDeque<(Stamp, Up)>,
-    readings: VecDeque<(Stamp, Vector3<f64>, ClimberRest)>,
+    readings: Readings,
     images: VecDeque<Stamp>,
     inertial_noise: InertialNoise,
     stillness: Stillness,
@@ -95,7 +107,10 @@ pub struct Tight {
     archive: Option<Vec<Node>>,
     evidence: f64,
     weighed: u64,
-    settling: u64,
+    /// From so many images on the climber's clock is asked.
+    ask_after: u64,
+    /// Other filters take the camera's clock for another.
+    camera_clock_open: bool,
     /// In the newest image.
     markers_seen: usize,
     status: Status,
@@ -107,6 +122,11 @@ impl Tight {
         let steps = Vector3::new(config.climber_quantum, config.climber_quantum, config.climber_turn_quantum);
         Self {
             rig,
+            prior: Prior {
+                tied: if config.climber_clock > 0.0 { config.climber_clock_tied } else { 1.0 },
+                mean: 0.0,
+                sigma: config.climber_clock.max(1e-6),
+            },
             climber_clock: 0.0,
             geometry: None,
             history: History::default(),
@@ -115,7 +135,7 @@ impl Tight {
             newest_imu: None,
             jump: None,
             attitudes: VecDeque::with_capacity(REMEMBERED),
-            readings: VecDeque::with_capacity(REMEMBERED),
+            readings: VecDeque::with_capacity(READINGS),
             images: VecDeque::with_capacity(REMEMBERED),
             inertial_noise: InertialNoise::default(),
             stillness: Stillness::default(),
@@ -133,7 +153,8 @@ impl Tight {
             archive: None,
             evidence: 0.0,
             weighed: 0,
-            settling: SETTLING,
+            ask_after: ASKING,
+            camera_clock_open: false,
             markers_seen: 0,
             status: Status::default(),
             config,
@@ -151,11 +172,17 @@ impl Tight {
         let (force, rate) = self.densities();
         status.accelerometer_noise_density = force.sqrt();
         status.gyroscope_noise_density = rate.sqrt();
-        status.climber_clock_offset = self.climber_clock;
+        let belief = self.belief();
+        let (mean, variance) = belief.moments();
+        status.climber_clock_offset = mean;
+        status.climber_clock_sigma = variance.sqrt();
+        status.climber_clock_tied = belief.tied;
         if let Some(state) = self.state() {
             let p = &state.covariance;
-            status.camera_clock_offset = state.camera_clock;
-            status.camera_clock_sigma = p[(CAMERA_CLOCK, CAMERA_CLOCK)].max(0.0).sqrt();
+            let by_offset = state.tie.by_offset[CAMERA_CLOCK];
+            status.camera_clock_offset = state.camera_clock + by_offset * (mean - self.climber_clock);
+            status.camera_clock_sigma =
+                (p[(CAMERA_CLOCK, CAMERA_CLOCK)].max(0.0) + by_offset * by_offset * variance).sqrt();
             status.accelerometer_bias = state.accelerometer_bias;
             status.gyroscope_bias = state.gyroscope_bias;
             status.position_sigma = self.position_sigma(state);
@@ -177,45 +204,46 @@ impl Tight {
         self.evidence
     }
 
-    /// Velocity and rate of turn (world) with which the platform is carried by the climber.
-    pub fn carried(&self) -> Vector6<f64> {
-        let Some(state) = self.state() else { return Vector6::zeros() };
-        let (rate, z) = (state.climber_rate, Vector3::z());
-        let arm = state.position - Vector3::new(state.climber.x, state.climber.y, state.position.z);
-        let v = Vector3::new(rate.x, rate.y, 0.0) + z.cross(&arm) * rate.z;
-        Vector6::new(v.x, v.y, v.z, 0.0, 0.0, rate.z)
+    /// What is thought of the climber's clock.
+    pub fn belief(&self) -> Belief {
+        match self.state() {
+            Some(state) if !self.camera_clock_open => self.prior.after(self.climber_clock, &state.tie),
+            _ => self.prior.belief(),
+        }
     }
 
-    /// Goes on counting from there.
-    pub fn count_on(&mut self, status: Status) {
-        self.status = status;
-    }
-
-    /// Counts the evidence anew, after so many images more.
-    pub fn forget_evidence(&mut self, settling: u64) {
-        (self.evidence, self.weighed, self.settling) = (0.0, 0, settling);
-    }
-
-    /// The climber's clock offset d that is taken as given, s.
+    /// The climber's clock offset that is taken as given, s.
     pub fn climber_clock(&self) -> f64 {
         self.climber_clock
     }
 
-    /// A copy that takes the climber's clock to be off by `offset`. Everything that is known moves rigidly with the climber along
-    /// the climber's own way; how well that way is bent is known to [`BEND`], so much less is known of the velocity.
-    #[must_use]
-    pub fn with_climber_clock(&self, offset: f64) -> Self {
-        let mut other = self.clone();
-        let later = offset - self.climber_clock;
-        other.climber_clock = offset;
-        other.history.each_state(|state| move_climber(state, later));
-        for node in other.archive.iter_mut().flatten() {
-            move_climber(&mut node.state, later);
+    /// Lets the climber's clock be: as long as the camera's is open, what is found of it is not used.
+    pub fn let_be(&mut self, open: bool) {
+        self.camera_clock_open = open;
+    }
+
+    /// Where the offset that is taken as given is another than the one that is believed, all moves to that.
+    pub(super) fn recentre(&mut self) {
+        let belief = self.belief();
+        let by = if belief.tied > SURE {
+            -self.climber_clock
+        } else if belief.tied < 1.0 - SURE {
+            belief.mean - self.climber_clock
+        } else {
+            0.0
+        };
+        if by.abs() < MOVE.max(belief.variance.sqrt()) && !(belief.tied > SURE && by != 0.0) {
+            return;
         }
-        if let Some(kept) = &mut other.kept {
-            move_climber(kept, later);
+        let gravity = self.config.gravity;
+        self.history.each_node(|node| node.state.recentre(by, &node.felt, gravity));
+        for node in self.archive.iter_mut().flatten() {
+            node.state.recentre(by, &node.felt, gravity);
         }
-        other
+        if let Some(kept) = &mut self.kept {
+            kept.recentre(by, &NOTHING, gravity);
+        }
+        self.climber_clock += by;
     }
 
     /// How many images that is.
@@ -251,14 +279,20 @@ impl Tight {
         let end = nodes.last().map_or(Stamp::default(), |n| n.stamp).plus_seconds(-lag);
         let ready = nodes.iter().take_while(|n| n.stamp <= end).count();
         let period = self.inertial_noise.period().max(1e-4);
+        let (mean, variance) = self.belief().moments();
+        let climber_clock = (mean - self.climber_clock, variance);
         let said = nodes
             .iter()
             .zip(&states)
             .take(ready)
             .filter(|(node, _)| matches!(node.event, history::Event::Imu { .. }))
             .map(|(node, state)| {
-                let white = node.process.rate / period;
-                odometry::odometry(node.stamp, state, &node.felt, geometry, white, self.config.gravity)
+                let along = Along {
+                    rate_variance: node.process.rate / period,
+                    gravity: self.config.gravity,
+                    climber_clock,
+                };
+                odometry::odometry(node.stamp, state, &node.felt, geometry, &along)
             })
             .collect();
         self.archive = Some(nodes.into_iter().skip(ready).collect());
@@ -282,14 +316,15 @@ impl Tight {
     pub fn reset(&mut self) {
         let (status, frozen) = (self.status.clone(), self.frozen);
         let geometry = self.geometry.take();
-        let (evidence, weighed) = (self.evidence, self.weighed);
+        let (evidence, weighed, prior) = (self.evidence, self.weighed, self.prior);
         self.archive_all();
         let mut fresh = Self::new(self.rig.clone(), self.config.clone());
         fresh.geometry = geometry;
         fresh.status = status;
         fresh.frozen = frozen;
-        (fresh.evidence, fresh.weighed, fresh.settling) = (evidence, weighed, self.settling);
-        fresh.climber_clock = self.climber_clock;
+        (fresh.evidence, fresh.weighed, fresh.prior) = (evidence, weighed, prior);
+        fresh.ask_after = weighed + ASKING;
+        fresh.camera_clock_open = self.camera_clock_open;
         fresh.archive = self.archive.take();
         *self = fresh;
     }
@@ -311,54 +346,14 @@ impl Tight {
     }
 }
 
-/// Acceleration of the climber that its readings may leave unseen, m/s² (1 sigma).
-const BEND: f64 = 0.2;
-
-/// The climber was `later` seconds less far on its way, and the platform with it.
-fn move_climber(state: &mut State, later: f64) {
-    let z = Vector3::z();
-    let flat = |v: &Vector3<f64>| Vector3::new(v.x, v.y, 0.0);
-    let (place, rate) = (flat(&state.climber), state.climber_rate);
-    let back = state.climber_rate * later - state.climber_acceleration * (later * later / 2.0);
-    state.climber -= back;
-    state.climber_rate -= state.climber_acceleration * later;
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -back.z);
-    let arm = state.position - place;
-    let against = state.velocity - flat(&rate) - z.cross(&arm) * rate.z;
-    let arm = turn * arm;
-    state.position = flat(&state.climber) + arm;
-    state.velocity = turn * against + flat(&state.climber_rate) + z.cross(&arm) * state.climber_rate.z;
-    state.attitude = turn * state.attitude;
-    for i in 0..2 {
-        state.covariance[(VELOCITY + i, VELOCITY + i)] += (BEND * later).powi(2);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn moved_with_the_climber_the_camera_sees_the_same() {
-        let mut s = State::zero();
-        s.position = Vector3::new(0.4, 0.2, 1.3);
-        s.velocity = Vector3::new(0.3, -0.2, 0.1);
-        s.attitude = UnitQuaternion::from_euler_angles(0.1, 0.2, 0.5);
-        s.climber = Vector3::new(0.1, -0.1, 0.4);
-        s.climber_rate = Vector3::new(0.3, 0.2, -0.15);
-        s.climber_acceleration = Vector3::new(-0.2, 0.1, 0.05);
-        let climber = |s: &State| {
-            let rest = ClimberRest { height: 2.8, tilt: UnitQuaternion::identity() };
-            rest.join(&s.climber).inverse() * nalgebra::Isometry3::from_parts(s.position.into(), s.attitude)
-        };
-        let before = s.clone();
-        move_climber(&mut s, 0.03);
-        let (a, b) = (climber(&before), climber(&s));
-        assert!((a.translation.vector - b.translation.vector).norm() < 1e-12);
-        assert!(a.rotation.angle_to(&b.rotation) < 1e-7);
-        // Back by 30 ms on a way at 0.3 m/s.
-        assert!((before.climber.x - s.climber.x - (0.3 * 0.03 + 0.2 * 0.00045)).abs() < 1e-12);
-        move_climber(&mut s, -0.03);
-        assert!((s.position - before.position).norm() < 1e-3 && (s.velocity - before.velocity).norm() < 1e-3);
-    }
+/// By how much everything differs, per second of the climber's clock, where nothing is known of the platform but what the
+/// camera sees of it: it moves rigidly with the climber, which was `speed` less far.
+fn rigid(state: &State, speed: &Vector3<f64>) -> Error {
+    let mut by_offset = Error::zeros();
+    let arm = state.position - Vector3::new(state.climber.x, state.climber.y, state.position.z);
+    let carried = Vector3::new(speed.x, speed.y, 0.0) + Vector3::z().cross(&arm) * speed.z;
+    by_offset.fixed_rows_mut::<3>(POSITION).copy_from(&-carried);
+    by_offset[ATTITUDE + 2] = -speed.z;
+    by_offset.fixed_rows_mut::<3>(CLIMBER).copy_from(&-speed);
+    by_offset
 }

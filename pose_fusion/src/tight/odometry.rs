@@ -10,21 +10,26 @@ use super::{
     state::{ATTITUDE, CAMERA_CLOCK, GYROSCOPE, POSITION, State, VELOCITY},
 };
 use crate::output::Odometry;
-use nalgebra::{Isometry3, Matrix3, Matrix6, SMatrix, SVector, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix6, SMatrix, SVector, Translation3, UnitQuaternion, Vector3};
 use rig_model::Stamp;
 
 /// Entries of the error that the odometry is made of: position, velocity, attitude, gyroscope bias.
 const USED: [usize; 4] = [POSITION, VELOCITY, ATTITUDE, GYROSCOPE];
 
-/// The odometry of a state; `rate_variance` is the gyroscope's white noise per sample, (rad/s)².
-pub fn odometry(
-    stamp: Stamp,
-    state: &State,
-    felt: &Felt,
-    geometry: &Geometry,
-    rate_variance: f64,
-    gravity: f64,
-) -> Odometry {
+/// What the odometry is made with beside the state.
+#[derive(Clone, Copy, Debug)]
+pub struct Along {
+    /// The gyroscope's white noise per sample, (rad/s)².
+    pub rate_variance: f64,
+    /// m/s².
+    pub gravity: f64,
+    /// What is thought of the climber's clock beyond what the state takes as given: mean, s, and variance, s².
+    pub climber_clock: (f64, f64),
+}
+
+/// The odometry of a state.
+pub fn odometry(stamp: Stamp, state: &State, felt: &Felt, geometry: &Geometry, along: &Along) -> Odometry {
+    let Along { rate_variance, gravity, climber_clock: (offset, doubt) } = *along;
     let world_from_imu = Isometry3::from_parts(state.position.into(), state.attitude);
     let world_from_volant = world_from_imu * geometry.imu_from_volant;
     let rv = world_from_volant.rotation.to_rotation_matrix();
@@ -69,16 +74,28 @@ pub fn odometry(
     twist.fixed_view_mut::<3, 3>(0, 6).copy_from(&(rv.transpose() * state.velocity.cross_matrix()));
     twist.fixed_view_mut::<3, 3>(0, 9).copy_from(&(lever_cross * by_bias));
     twist.fixed_view_mut::<3, 3>(3, 9).copy_from(&by_bias);
+    // By how much it would differ, per second of the climber's clock: δx − ẋ δτ as well.
+    let mut by_offset = motion * -state.tie.by_offset[CAMERA_CLOCK];
+    for (a, &i) in USED.iter().enumerate() {
+        let mut rows = by_offset.fixed_rows_mut::<3>(3 * a);
+        rows += state.tie.by_offset.fixed_rows::<3>(i);
+    }
+    p += by_offset * by_offset.transpose() * doubt;
+    let (moved, driven) = (pose * by_offset * offset, twist * by_offset * offset);
     let symmetric = |m: Matrix6<f64>| (m + m.transpose()) * 0.5;
     let mut white = SMatrix::<f64, 6, 3>::zeros();
     white.fixed_view_mut::<3, 3>(0, 0).copy_from(&lever_cross);
     white.fixed_view_mut::<3, 3>(3, 0).copy_from(&Matrix3::identity());
     Odometry {
         stamp,
-        world_from_volant,
+        world_from_volant: Isometry3::from_parts(
+            Translation3::from(world_from_volant.translation.vector + moved.fixed_rows::<3>(0)),
+            UnitQuaternion::from_scaled_axis(moved.fixed_rows::<3>(3).into_owned())
+                * world_from_volant.rotation,
+        ),
         pose_covariance: symmetric(pose * p * pose.transpose()),
-        linear_velocity,
-        angular_velocity,
+        linear_velocity: linear_velocity + driven.fixed_rows::<3>(0),
+        angular_velocity: angular_velocity + driven.fixed_rows::<3>(3),
         twist_covariance: symmetric(
             twist * p * twist.transpose() + white * white.transpose() * rate_variance,
         ),

@@ -3,6 +3,7 @@
 use super::{
     AHEAD, BRIDGED, Tight, start,
     state::{ATTITUDE, Covariance, N, POSITION, State, VELOCITY},
+    tie::Prior,
 };
 use crate::output::{Output, PoseEstimate};
 use nalgebra::{Cholesky, Const, Matrix6, Quaternion, UnitQuaternion, Vector3};
@@ -165,15 +166,27 @@ impl Tight {
     pub fn checkpoint(&self) -> Result<Checkpoint, Refusal> {
         let node = self.history.run().checked_sub(1).and_then(|p| self.history.get(p));
         match node {
-            Some(node) if self.started => Ok(Checkpoint::of(&node.state, node.stamp)),
+            Some(node) if self.started => {
+                let belief = self.belief();
+                let (mean, _) = belief.moments();
+                let mut state = node.state.clone();
+                state.recentre(mean - self.climber_clock, &node.felt, self.config.gravity);
+                let mut checkpoint = Checkpoint::of(&state, node.stamp);
+                checkpoint.climber_clock = belief.mean;
+                checkpoint.climber_clock_sigma = belief.variance.sqrt();
+                checkpoint.climber_clock_tied = belief.tied;
+                Ok(checkpoint)
+            }
             _ => Err(Refusal::NotStarted),
         }
     }
 
     /// Takes up what was known at `stamp`: all of it where the next inertial sample is near, else clocks and biases, and
     /// the next image gives the pose.
-    pub fn restore(&mut self, state: State, stamp: Stamp) {
+    pub fn restore(&mut self, state: State, stamp: Stamp, prior: Prior) {
         self.restart();
+        self.prior = prior;
+        self.climber_clock = prior.belief().moments().0;
         self.kept = Some(Box::new(state));
         self.kept_at = Some(stamp);
     }
@@ -239,6 +252,10 @@ impl Tight {
             state.set_variance(first, &Vector3::repeat(self.config.initial_velocity));
         }
         state.velocity = Vector3::new(state.climber_rate.x, state.climber_rate.y, 0.0);
+        // Where it is now was said in the world, whatever the climber's clock is.
+        for first in [POSITION, VELOCITY, ATTITUDE] {
+            state.tie.by_offset.fixed_rows_mut::<3>(first).fill(0.0);
+        }
         // δp_imu = δp − [R t]× δθ.
         let lever = p.rotation * geometry.volant_from_imu.translation.vector;
         let mut by = Matrix6::identity();

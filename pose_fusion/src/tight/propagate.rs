@@ -10,7 +10,7 @@
 //! not depend on the offset at all, and no product of two unknowns (speed and offset) has to be linearised.
 
 use super::state::{
-    ACCELEROMETER, ATTITUDE, CAMERA_CLOCK, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_RATE, Covariance,
+    ACCELEROMETER, ATTITUDE, CAMERA_CLOCK, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_RATE, Covariance, Error,
     GYROSCOPE, N, POSITION, State, VELOCITY,
 };
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
@@ -75,6 +75,7 @@ pub fn propagate(state: &mut State, from: &Felt, to: &Felt, dt: f64, process: &P
     state.covariance.transpose_mut();
     times_transition(&mut state.covariance, &blocks, dt);
     add_noise(&mut state.covariance, dt, process);
+    carry(&mut state.tie.by_offset, &blocks, dt);
 }
 
 /// The transition `F` of the error over that step, as a whole matrix.
@@ -167,6 +168,25 @@ fn times_transition(p: &mut Covariance, blocks: &Blocks, dt: f64) {
     }
 }
 
+/// `e ← F e`.
+fn carry(e: &mut Error, blocks: &Blocks, dt: f64) {
+    let three = |e: &Error, i: usize| Vector3::new(e[i], e[i + 1], e[i + 2]);
+    let clock = e[CAMERA_CLOCK];
+    let (velocity, attitude) = (three(e, VELOCITY), three(e, ATTITUDE));
+    let change =
+        blocks.by_attitude * attitude + blocks.by_bias * three(e, ACCELEROMETER) + blocks.by_clock[0] * clock;
+    let turn = blocks.by_bias * three(e, GYROSCOPE) + blocks.by_clock[1] * clock;
+    let more = three(e, CLIMBER_ACCELERATION) * dt;
+    let rate = three(e, CLIMBER_RATE);
+    for i in 0..3 {
+        e[POSITION + i] += dt * (velocity[i] + 0.5 * change[i]);
+        e[VELOCITY + i] += change[i];
+        e[ATTITUDE + i] += turn[i];
+        e[CLIMBER + i] += dt * (rate[i] + 0.5 * more[i]);
+        e[CLIMBER_RATE + i] += more[i];
+    }
+}
+
 fn add_noise(p: &mut Covariance, dt: f64, process: &Process) {
     let (dt2, dt3) = (dt * dt, dt * dt * dt);
     for i in 0..3 {
@@ -198,7 +218,6 @@ fn add_noise(p: &mut Covariance, dt: f64, process: &Process) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::state::Error;
     use super::*;
 
     fn example() -> (State, Felt, Process) {
@@ -245,7 +264,10 @@ mod tests {
         let p0 = seed * seed.transpose() + Covariance::identity();
         let mut s = start.clone();
         s.covariance = p0;
+        s.tie.by_offset = Error::from_fn(|i, _| 0.1 * (i as f64).sin());
+        let carried = transition(&s, &felt, &felt, dt) * s.tie.by_offset;
         propagate(&mut s, &felt, &felt, dt, &process);
+        assert!((s.tie.by_offset - carried).amax() < 1e-12);
         let expected = jacobian * p0 * jacobian.transpose();
         // First order in dt: the terms that are left out are those of δb_g on δv (dt²).
         assert!((s.covariance - expected).norm() / expected.norm() < 5e-4);

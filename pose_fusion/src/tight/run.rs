@@ -4,7 +4,7 @@ use super::{
     GAP, SURPRISE, Tight, climber, gap,
     history::{Event, Node},
     markers::{self, Gates},
-    odometry,
+    odometry::{self, Along},
     propagate::{Felt, Process, propagate},
     state::{CLIMBER_RATE, GYROSCOPE, State, VELOCITY},
 };
@@ -154,13 +154,18 @@ impl Tight {
             return;
         }
         let rate_variance = self.densities().1 / self.inertial_noise.period().max(1e-4);
+        let (mean, variance) = self.belief().moments();
+        let along = Along {
+            rate_variance,
+            gravity: self.config.gravity,
+            climber_clock: (mean - self.climber_clock, variance),
+        };
         out.push_back(Output::Odometry(odometry::odometry(
             newest,
             &node.state,
             &node.felt,
             geometry,
-            rate_variance,
-            self.config.gravity,
+            &along,
         )));
         self.status.odometry += 1;
     }

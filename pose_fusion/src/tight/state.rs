@@ -12,9 +12,8 @@
 //! | 21–23 | δc̈ | per s² | their accelerations |
 //! | 24 | δτ_c | s | camera clock: an image stamped t was taken at t + τ_c of the inertial unit's clock |
 //!
-//! A reading of the climber stamped t was taken at t + τ_c + d. The offset d is no part of the state: each filter takes it as
-//! given, and filters side by side tell it (see [`super::tie`]). As a state it is multiplied by the climber's speed, and a
-//! filter that estimates both made up information from that product: ten seconds of rest "showed" it to 2 ms.
+//! A reading of the climber stamped t was taken at t + τ_c + d. The offset d is no part of the state: a filter takes it as
+//! given, and beside it finds how much another one would change (see [`super::tie`]).
 //!
 //! **Which instant.** The nominal state lives on the inertial unit's clock, its error on the camera's: δp compares the truth and
 //! the estimate at the instant that a camera's stamp names, wherever that is on the inertial unit's clock. The clock
@@ -26,6 +25,10 @@
 //! dynamics are then free of the rate of turn (Solà, "Quaternion kinematics for the error-state Kalman filter",
 //! section 7, global angular error).
 
+use super::{
+    propagate::{Felt, retime},
+    tie::Tie,
+};
 use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
 
 /// Dimension of the error.
@@ -77,6 +80,8 @@ pub struct State {
     pub camera_clock: f64,
     /// Covariance of the error.
     pub covariance: Covariance,
+    /// What is found of the climber's clock.
+    pub tie: Tie,
 }
 
 impl State {
@@ -93,6 +98,7 @@ impl State {
             climber_acceleration: Vector3::zeros(),
             camera_clock: 0.0,
             covariance: Covariance::zeros(),
+            tie: Tie::none(),
         }
     }
 
@@ -109,6 +115,14 @@ impl State {
         self.climber_rate += three(CLIMBER_RATE);
         self.climber_acceleration += three(CLIMBER_ACCELERATION);
         self.camera_clock += error[CAMERA_CLOCK];
+    }
+
+    /// What it would be with the climber's clock further off by `seconds`; `felt` is what the unit felt then.
+    pub fn recentre(&mut self, seconds: f64, felt: &Felt, gravity: f64) {
+        let by_offset = self.tie.by_offset;
+        self.add(&(by_offset * seconds));
+        retime(self, felt, by_offset[CAMERA_CLOCK] * seconds, gravity);
+        self.tie.recentre(seconds);
     }
 
     /// `self ⊟ other`: the error that leads from `other` to `self`.

@@ -1,31 +1,93 @@
-//! Is the climber's clock the camera's? Filters side by side tell, and until they do both answers are in the covariance.
+//! Is the climber's clock the camera's? One filter tells, and until it does both answers are in the covariance.
 //!
-//! Mostly one computer stamps images and encoders: then `d = 0` exactly (see [`super::state`]). Where it is not so, `d` may be
-//! anything within some [`Prior::sigma`]. Three filters take `d` as `c − h`, `c` and `c + h`. For a constant that is off, a
-//! linear filter's estimate is linear in it and minus twice the logarithm of its likelihood is a parabola: so the three give
-//! the likelihood of every `d` (the parabola through the three), and the estimate that a filter with any `d` would have made
-//! (Lagrange's interpolation, which takes the climber's acceleration with it).
+//! Camera and climber are mostly read by one computer: then their offset `d` is 0 exactly. Where somebody has put a second
+//! computer in between, `d` may be anything within some [`Prior::sigma`]. So there are two hypotheses, "tied" (`d = 0`) and
+//! "free" (`d` normal), and what is said is the mean of both, each with its probability, with the second moments of both.
 //!
-//! How likely `d = 0` is after all data is told by the same parabola (Dickey 1971, "The weighted likelihood ratio"): the
-//! Bayes factor is the free posterior's density at 0 over the prior's. What is said is then the estimate with `d = 0` while
-//! that is likely, the one with the best `d` once it is not, and always with the second moments of both answers.
+//! `d` is an unknown constant that biases the encoders: a reading stamped t tells where the climber was `d` later. For
+//! such a constant the filter falls into two (Friedland 1969, "Treatment of bias in recursive filtering"): one that knows nothing
+//! of it, and beside it how much its estimate and each innovation would differ, per second of `d`:
 //!
-//! A free `d` alone would cost accuracy where nothing is wrong (the climber's clock shows itself only where the climber
-//! accelerates: to some ms within ten seconds, 1 mm at 0.3 m/s), and `d = 0` alone would lie where the clocks differ.
+//! `S = H V + D`, `V ← V − K S` at a measurement, `V ← F V` between two; and with an image's innovation ν of covariance Σ
+//! `J += Sᵀ Σ⁻¹ S`, `b += Sᵀ Σ⁻¹ ν`.
+//!
+//! `J` is the information on `d` and `b / J` the estimate that the data alone give. `x + V d` is the estimate of a filter
+//! that was told `d`. All this costs one column beside the covariance's 25.
+//!
+//! `D` is the climber's speed, and here lies a trap: `d` times a speed is a product of two unknowns, and a filter that takes the
+//! speed from its own state (whose noise is some mm/s) makes up information from its own corrections: ten seconds of rest
+//! "showed" it to 2 ms. So `D` comes from the readings *before* this one ([`speed`]), seven times calmer, and is 0 where they do
+//! not say for certain that the climber moves. Known before the innovation, it makes `b` a martingale of variance `J` where
+//! `d = 0`: nothing is found where nothing is. The innovations of the readings themselves are left out: what rounding adds to
+//! them is no white noise but hangs on the way that was driven, as `D` does.
+//!
+//! What the data tell: the climber's turns, since the gyroscope feels them, and hardly its way, since the platform's tilt takes
+//! up its acceleration. 0.15 rad/s to and fro in ten seconds show `d` to 6 ms.
+//!
+//! How likely `d = 0` is after all data is the ratio of the free posterior's density at 0 to the prior's (Dickey 1971, "The
+//! weighted likelihood ratio"), times the odds before.
 
-use crate::output::Odometry;
-use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
+use super::{climber::wrapped, geometry::ClimberRest, state::Error};
+use nalgebra::{Matrix3, Vector3};
+use rig_model::Stamp;
+use std::collections::VecDeque;
 
-/// Distance between the three offsets, s.
-pub const BESIDE: f64 = 0.025;
-/// So much of the evidence counts: quantised readings are not as white as the filters take them. (With half of it one
-/// simulated run of five left d = 0 for seconds though it was right, with a quarter none of ten.)
-const SHARPNESS: f64 = 0.25;
+/// The climber's speed is found from the readings of so long, s.
+pub const SPAN: f64 = 1.0;
+/// A speed below so many of its sigmas is none.
+const CERTAIN: f64 = 4.0;
+/// No more is claimed to be known of a constant than this, s (1 sigma): what is known fades as more comes in, so that
+/// clocks which come apart in the middle of a run are noticed.
+const FLOOR: f64 = 1e-3;
+/// Moved to another offset, what was found at the old one is off by this share of the way.
+const BENT: f64 = 0.1;
 
-/// An offset that is known worse than this (1 sigma, s) is in the covariance and moves no estimate.
-const KNOWN: f64 = 0.012;
+/// What one filter finds of the offset, about the one that it takes as given.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tie {
+    /// V: by how much the estimate would differ, per second of the offset.
+    pub by_offset: Error,
+    /// The climber's speed was known once: before, V is zero.
+    pub known: bool,
+    /// J, 1/s².
+    pub information: f64,
+    /// b, 1/s.
+    pub pull: f64,
+}
 
-/// What is thought before the three filters' first datum.
+impl Tie {
+    /// Nothing is known and nothing would differ.
+    pub fn none() -> Self {
+        Self { by_offset: Error::zeros(), known: false, information: 0.0, pull: 0.0 }
+    }
+
+    /// Takes in a measurement that says so much.
+    pub fn learn(&mut self, information: f64, pull: f64) {
+        if !(information.is_finite() && pull.is_finite()) {
+            return;
+        }
+        let fade = 1.0 - (information * FLOOR * FLOOR).min(1.0);
+        self.information = self.information * fade + information;
+        self.pull = self.pull * fade + pull;
+    }
+
+    /// What was found so far counts no more; what would differ stays.
+    pub fn forget(&mut self) {
+        (self.information, self.pull) = (0.0, 0.0);
+    }
+
+    /// The same seen from an offset that is `by` seconds further.
+    pub fn recentre(&mut self, by: f64) {
+        if self.information <= 0.0 {
+            return;
+        }
+        let mean = self.pull / self.information - by;
+        self.information = 1.0 / (1.0 / self.information + (BENT * by).powi(2));
+        self.pull = mean * self.information;
+    }
+}
+
+/// What is thought before the first datum.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior {
     /// Probability that climber and camera have one clock.
@@ -48,207 +110,180 @@ pub struct Belief {
 }
 
 impl Prior {
-    /// After evidence (minus twice the logarithm of the likelihood) of `centre − BESIDE`, `centre`, `centre + BESIDE`.
-    pub fn after(&self, centre: f64, evidence: [f64; 3]) -> Belief {
-        let [low, middle, high] = evidence;
-        let bend = SHARPNESS * (high + low - 2.0 * middle) / (2.0 * BESIDE * BESIDE);
-        let slope = SHARPNESS * (high - low) / (2.0 * BESIDE);
-        let before = self.sigma.powi(-2);
-        // Without a bend there is nothing but noise in the slope.
-        let (precision, pull) = if bend > 0.0 && bend.is_finite() {
-            (before + bend, self.mean * before + centre * bend - slope / 2.0)
-        } else {
-            (before, self.mean * before)
-        };
-        let (mean, variance) = (pull / precision, 1.0 / precision);
-        let density = |mean: f64, variance: f64| (-mean * mean / (2.0 * variance)).exp() / variance.sqrt();
-        let tied = self.tied * density(mean, variance.max(1e-8));
-        let free = (1.0 - self.tied) * density(self.mean, self.sigma * self.sigma);
-        let sum = tied + free;
-        Belief { tied: if sum > 0.0 { tied / sum } else { 0.0 }, mean, variance }
-    }
-
-    /// Without any evidence.
+    /// Without any data.
     pub fn belief(&self) -> Belief {
         Belief { tied: self.tied, mean: self.mean, variance: self.sigma * self.sigma }
+    }
+
+    /// After what a filter found that takes the offset to be `centre`.
+    pub fn after(&self, centre: f64, tie: &Tie) -> Belief {
+        let before = self.sigma.powi(-2);
+        let precision = before + tie.information;
+        let mean = (self.mean * before + centre * tie.information + tie.pull) / precision;
+        let variance = 1.0 / precision;
+        let log_density = |mean: f64, variance: f64| -0.5 * (mean * mean / variance + variance.ln());
+        let odds = log_density(mean, variance) - log_density(self.mean, self.sigma * self.sigma);
+        let free = (1.0 - self.tied) * (-odds).exp();
+        let tied = if self.tied >= 1.0 { 1.0 } else { self.tied / (self.tied + free) };
+        Belief { tied, mean, variance }
     }
 }
 
 impl Belief {
-    /// Share of `d = 0` in what is said: all of it until it is refuted and the other offset is known to some ms.
-    fn share(&self) -> f64 {
-        let refuted = 1.0 - ((self.tied - 0.001) / 0.02).clamp(0.0, 1.0);
-        let known = ((KNOWN - self.variance.sqrt()) / (0.5 * KNOWN)).clamp(0.0, 1.0);
-        1.0 - refuted * known
-    }
-
-    /// Mean and standard deviation of both answers together, s.
+    /// Mean and variance of both answers together: s, s².
     pub fn moments(&self) -> (f64, f64) {
-        let mean = (1.0 - self.share()) * self.mean;
-        let free = self.variance + (self.mean - mean).powi(2);
-        (mean, (self.tied * mean * mean + (1.0 - self.tied) * free).sqrt())
-    }
-
-    /// As seen from a filter that takes the offset to be `centre`.
-    #[must_use]
-    pub fn about(&self, centre: f64) -> Belief {
-        Belief { mean: self.mean - centre, ..*self }
-    }
-
-    /// Widens an estimate made with `d = 0`, where nothing but the way the platform goes with the climber is known: `motion`
-    /// is that velocity and rate of turn (world).
-    pub fn widen(&self, odometry: &mut Odometry, motion: &Vector6<f64>) {
-        let variance = (1.0 - self.tied) * (self.variance + self.mean * self.mean);
-        odometry.pose_covariance += motion * motion.transpose() * variance;
-    }
-
-    /// The estimate of both answers, from those of the three filters at one instant.
-    pub fn mix(&self, centre: f64, [low, middle, high]: [&Odometry; 3]) -> Odometry {
-        let curve = Curve::new(low, middle, high);
-        let x = |offset: f64| (offset - centre).clamp(-3.0 * BESIDE, 3.0 * BESIDE);
-        let (tied, free) = (curve.at(x(0.0)), curve.at(x(self.mean)));
-        let share = self.share();
-        let mean = Both {
-            pose: tied.pose * share + free.pose * (1.0 - share),
-            twist: tied.twist * share + free.twist * (1.0 - share),
-        };
-        let slope = curve.slope(x(self.mean));
-        let square = |of: fn(&Both) -> Vector6<f64>| -> Matrix6<f64> {
-            let (t, f, s) = (of(&tied) - of(&mean), of(&free) - of(&mean), of(&slope));
-            t * t.transpose() * self.tied
-                + (f * f.transpose() + s * s.transpose() * self.variance) * (1.0 - self.tied)
-        };
-        let mut said = middle.clone();
-        let pose = &middle.world_from_volant;
-        said.world_from_volant = Isometry3::from_parts(
-            Translation3::from(pose.translation.vector + mean.pose.fixed_rows::<3>(0)),
-            UnitQuaternion::from_scaled_axis(mean.pose.fixed_rows::<3>(3).into_owned()) * pose.rotation,
-        );
-        said.linear_velocity += mean.twist.fixed_rows::<3>(0);
-        said.angular_velocity += mean.twist.fixed_rows::<3>(3);
-        said.pose_covariance += square(|b| b.pose);
-        said.twist_covariance += square(|b| b.twist);
-        said
+        let free = 1.0 - self.tied;
+        let mean = free * self.mean;
+        (mean, self.tied * mean * mean + free * (self.variance + (self.mean - mean).powi(2)))
     }
 }
 
-/// By how much pose (world axes) and twist differ from the middle filter's.
-#[derive(Clone, Copy)]
-struct Both {
-    pose: Vector6<f64>,
-    twist: Vector6<f64>,
-}
+/// The newest readings: stamp; x, y, turn; the rest.
+pub type Readings = VecDeque<(Stamp, Vector3<f64>, ClimberRest)>;
 
-/// The parabola through the three estimates, by the offset's distance from the middle one.
-struct Curve {
-    first: Both,
-    second: Both,
-}
-
-impl Curve {
-    fn new(low: &Odometry, middle: &Odometry, high: &Odometry) -> Self {
-        let away = |o: &Odometry| {
-            let (a, b) = (&o.world_from_volant, &middle.world_from_volant);
-            let six = |u: Vector3<f64>, v: Vector3<f64>| Vector6::new(u.x, u.y, u.z, v.x, v.y, v.z);
-            Both {
-                pose: six(
-                    a.translation.vector - b.translation.vector,
-                    (a.rotation * b.rotation.inverse()).scaled_axis(),
-                ),
-                twist: six(
-                    o.linear_velocity - middle.linear_velocity,
-                    o.angular_velocity - middle.angular_velocity,
-                ),
-            }
-        };
-        let (low, high) = (away(low), away(high));
-        let first = |l: Vector6<f64>, h: Vector6<f64>| (h - l) / (2.0 * BESIDE);
-        let second = |l: Vector6<f64>, h: Vector6<f64>| (h + l) / (2.0 * BESIDE * BESIDE);
-        Self {
-            first: Both { pose: first(low.pose, high.pose), twist: first(low.twist, high.twist) },
-            second: Both { pose: second(low.pose, high.pose), twist: second(low.twist, high.twist) },
+/// The speed of the climber at `stamp`, by the parabola through its readings of [`SPAN`] seconds before; 0 on an axis where it is
+/// not certain, given the readings' variance; `None` while there are too few of them.
+pub fn speed(readings: &Readings, stamp: Stamp, variance: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let mut normal = Matrix3::zeros();
+    let mut right = Matrix3::zeros();
+    let mut newest: Option<Vector3<f64>> = None;
+    let mut oldest = 0.0;
+    for (at, value, _) in readings.iter().rev() {
+        let t = at.seconds_since(stamp);
+        if t >= 0.0 {
+            continue;
         }
-    }
-
-    fn at(&self, x: f64) -> Both {
-        Both {
-            pose: self.first.pose * x + self.second.pose * (x * x),
-            twist: self.first.twist * x + self.second.twist * (x * x),
+        if t < -SPAN {
+            break;
         }
+        oldest = t;
+        let reference = *newest.get_or_insert(*value);
+        let mut away = value - reference;
+        away.z = wrapped(away.z);
+        let row = Vector3::new(1.0, t, t * t);
+        normal += row * row.transpose();
+        right += row * away.transpose();
     }
-
-    fn slope(&self, x: f64) -> Both {
-        Both {
-            pose: self.first.pose + self.second.pose * (2.0 * x),
-            twist: self.first.twist + self.second.twist * (2.0 * x),
-        }
+    if -oldest < SPAN / 3.0 {
+        return None;
     }
+    let inverse = normal.try_inverse()?;
+    let slope = inverse.row(1) * right;
+    Some(Vector3::from_fn(|i, _| {
+        let sigma = (variance[i] * inverse[(1, 1)]).sqrt();
+        if slope[i].abs() > CERTAIN * sigma { slope[i] } else { 0.0 }
+    }))
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::{
+        markers::{biased_update, scalar_update},
+        propagate::{Felt, Process, propagate},
+        state::{CLIMBER, POSITION, State, VELOCITY},
+    };
     use super::*;
-    use rig_model::Stamp;
+    use nalgebra::UnitQuaternion;
 
-    const PRIOR: Prior = Prior { tied: 0.95, mean: 0.0, sigma: 0.05 };
+    const PRIOR: Prior = Prior { tied: 0.999, mean: 0.0, sigma: 0.05 };
 
-    /// A platform that is carried along a bent way, seen with the climber's clock off by `offset`.
-    fn seen(offset: f64) -> Odometry {
-        let (speed, bend, turn) = (0.3, 0.2, 0.1);
-        Odometry {
-            stamp: Stamp::from_nanos(0),
-            world_from_volant: Isometry3::from_parts(
-                Translation3::new(1.0 - speed * offset + bend * offset * offset / 2.0, 0.5, 1.0),
-                UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, 0.4 - turn * offset)),
-            ),
-            pose_covariance: Matrix6::identity() * 1e-8,
-            linear_velocity: Vector3::new(0.3 - bend * offset, 0.0, 0.0),
-            angular_velocity: Vector3::zeros(),
-            twist_covariance: Matrix6::identity() * 1e-8,
-        }
-    }
-
-    fn mixed(belief: &Belief) -> Odometry {
-        let three = [-BESIDE, 0.0, BESIDE].map(seen);
-        belief.mix(0.0, [&three[0], &three[1], &three[2]])
-    }
-
-    fn parabola(best: f64, sigma: f64) -> [f64; 3] {
-        [-BESIDE, 0.0, BESIDE].map(|d| 7.0 + ((d - best) / sigma).powi(2) / SHARPNESS)
+    fn found(mean: f64, sigma: f64) -> Tie {
+        let information = sigma.powi(-2);
+        Tie { information, pull: mean * information, ..Tie::none() }
     }
 
     #[test]
     fn the_data_decide_and_without_data_nothing_is_decided() {
-        assert_eq!(PRIOR.after(0.0, [3.0; 3]), PRIOR.belief());
-        let agree = PRIOR.after(0.0, parabola(0.001, 0.004));
-        assert!(agree.tied > 0.99 && (agree.variance.sqrt() - 0.004).abs() < 1e-4, "{agree:?}");
-        let differ = PRIOR.after(0.0, parabola(0.04, 0.004));
+        assert_eq!(PRIOR.after(0.0, &Tie::none()), PRIOR.belief());
+        let agree = PRIOR.after(0.0, &found(0.001, 0.004));
+        assert!(agree.tied > 0.9999 && (agree.variance.sqrt() - 0.004).abs() < 1e-4, "{agree:?}");
+        let differ = PRIOR.after(0.0, &found(0.04, 0.004));
         assert!(differ.tied < 1e-6 && (differ.mean - 0.04).abs() < 5e-4, "{differ:?}");
-        let open = PRIOR.after(0.0, parabola(0.03, 0.025));
-        assert!((0.5..0.99).contains(&open.tied), "{open:?}");
+        // The same found about another centre.
+        let about = PRIOR.after(0.03, &found(0.01, 0.004));
+        assert!((about.mean - differ.mean).abs() < 1e-12 && about.tied < 1e-6);
+        let (mean, variance) = PRIOR.after(0.0, &found(0.02, 0.005)).moments();
+        assert!(mean > 0.0 && mean < 0.02 && variance.sqrt() > 0.005, "both answers are in it");
+        let certain = Prior { tied: 1.0, ..PRIOR };
+        assert_eq!(certain.after(0.0, &found(0.04, 0.001)).tied, 1.0);
     }
 
     #[test]
-    fn the_estimate_is_that_of_a_filter_with_the_offset_that_is_believed() {
-        let alone = seen(0.0);
-        let same = mixed(&Belief { tied: 1.0, mean: 0.01, variance: 1e-4 });
-        assert_eq!(same, alone);
-        let other = mixed(&Belief { tied: 0.0, mean: 0.06, variance: 1e-10 });
-        let wanted = seen(0.06);
-        let (a, b) = (other.world_from_volant, wanted.world_from_volant);
-        assert!((a.translation.vector - b.translation.vector).norm() < 1e-9);
-        assert!(a.rotation.angle_to(&b.rotation) < 1e-9);
-        assert!((other.linear_velocity - wanted.linear_velocity).norm() < 1e-9);
+    fn a_clock_that_comes_apart_after_an_hour_is_noticed() {
+        let mut tie = Tie::none();
+        for _ in 0..3600 {
+            tie.learn(2e3, 0.0);
+        }
+        assert!((tie.information.powf(-0.5) / FLOOR - 1.0).abs() < 0.01);
+        let mut seconds = 0;
+        while PRIOR.after(0.0, &tie).tied > 0.01 {
+            tie.learn(2e3, 2e3 * 0.03);
+            seconds += 1;
+        }
+        assert!(seconds < 120, "{seconds}");
     }
 
     #[test]
-    fn the_covariance_holds_both_answers() {
-        let belief = Belief { tied: 0.95, mean: 0.0, variance: 0.0025 };
-        let said = mixed(&belief);
-        let expected = 1e-8 + 0.05 * (0.3f64 * 0.05).powi(2);
-        assert!((said.pose_covariance[(0, 0)] / expected - 1.0).abs() < 1e-6);
-        let mut alone = seen(0.0);
-        belief.widen(&mut alone, &Vector6::new(0.3, 0.0, 0.0, 0.0, 0.0, 0.1));
-        assert!((alone.pose_covariance - said.pose_covariance).amax() < 1e-9);
+    fn seen_from_another_offset_it_is_the_same_a_little_wider() {
+        let mut tie = found(0.03, 0.004);
+        tie.recentre(0.03);
+        let after = PRIOR.after(0.03, &tie);
+        assert!((after.mean - 0.03).abs() < 5e-4);
+        assert!((after.variance.sqrt() - 0.005).abs() < 1e-4, "{after:?}");
+    }
+
+    #[test]
+    fn beside_the_filter_runs_the_one_that_was_told_the_offset() {
+        let process = Process {
+            gravity: 9.81,
+            force: 1e-4,
+            rate: 0.0,
+            accelerometer_bias: 0.0,
+            gyroscope_bias: 0.0,
+            jerk: Vector3::repeat(0.05),
+            clock: 0.0,
+        };
+        let felt = Felt { force: Vector3::new(0.0, 0.0, 9.81), rate: Vector3::zeros() };
+        let mut knows_nothing = State::zero();
+        knows_nothing.attitude = UnitQuaternion::identity();
+        // Nothing that turns: then the filter is linear, and what is claimed is exact.
+        for i in (POSITION..POSITION + 6).chain(CLIMBER..CLIMBER + 9) {
+            knows_nothing.covariance[(i, i)] = 1e-2;
+        }
+        let mut told = knows_nothing.clone();
+        let offset = 0.02;
+        for step in 0..300 {
+            let t = f64::from(step) * 0.01;
+            let speed = 0.3 * (2.0 * t).cos();
+            for (state, offset) in [(&mut knows_nothing, 0.0), (&mut told, offset)] {
+                propagate(state, &felt, &felt, 0.01, &process);
+                let reading = 0.15 * (2.0 * t).sin() - state.climber.x - speed * offset;
+                biased_update(state, &[(CLIMBER, 1.0)], speed, reading, 1e-7);
+                let seen = 0.01 * (3.0 * t).cos() - (state.position.x - state.climber.x);
+                scalar_update(state, &[(POSITION, 1.0), (CLIMBER, -1.0)], seen, 1e-7);
+            }
+        }
+        let error = told.minus(&knows_nothing) - knows_nothing.tie.by_offset * offset;
+        assert!(error.amax() < 1e-6, "{error}");
+        let moved = told.minus(&knows_nothing);
+        assert!(moved[POSITION].abs() > 1e-3 && moved[VELOCITY].abs() > 1e-4, "{moved}");
+    }
+
+    #[test]
+    fn the_speed_is_that_of_rounded_readings_and_none_where_they_stand() {
+        let rest = ClimberRest { height: 2.8, tilt: UnitQuaternion::identity() };
+        let variance = Vector3::new(1e-6, 1e-6, 7.6e-7) / 12.0;
+        let start = Stamp::from_nanos(1_000_000_000);
+        let mut readings = Readings::new();
+        assert_eq!(speed(&readings, start, &variance), None);
+        for i in 0..100 {
+            let t = f64::from(i) * 0.02;
+            let x = ((0.3 * t - 0.1 * t * t) * 1e3).round() * 1e-3;
+            readings.push_back((start.plus_seconds(t), Vector3::new(x, 0.4, wrapped(3.0 + 0.15 * t)), rest));
+        }
+        let found = speed(&readings, start.plus_seconds(2.0), &variance).unwrap();
+        assert!((found.x - (0.3 - 0.2 * 2.0)).abs() < 3e-3, "{found}");
+        assert!(found.y == 0.0 && (found.z - 0.15).abs() < 1e-6, "{found}");
+        assert_eq!(speed(&readings, start.plus_seconds(0.2), &variance), None, "too few readings before it");
     }
 }
