@@ -100,6 +100,10 @@ fn decode_png(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
     };
     check_claim(width, height, 0, 0, data.len())?;
     let mut reader = decoder.read_info().map_err(|e| failed(e.to_string()))?;
+    // The decoder goes through a palette by its length, and panics beyond the 256 colours that there can be.
+    if reader.info().palette.as_ref().is_some_and(|p| p.len() > 3 * 256 || p.len() % 3 != 0) {
+        return Err(failed("its palette has no 256 colours of three bytes at the most".to_owned()));
+    }
     let (color, _) = reader.output_color_type();
     let needed = reader.info().raw_bytes();
     check_claim(width, height, needed, data.len().saturating_mul(PNG_BYTES_PER_BYTE), data.len())?;
@@ -128,5 +132,23 @@ mod tests {
         assert!(!is_cut_off(&whole) && !is_cut_off(&[&whole[..], &[0; 9]].concat()));
         let cut = decode_compressed("jpeg", &head).unwrap_err().to_string();
         assert!(cut.contains("cut off"), "{cut}");
+    }
+    #[test]
+    fn a_palette_that_cannot_be_is_refused() {
+        let with = |palette: Vec<u8>| {
+            let mut bytes = Vec::new();
+            let mut encoder = png::Encoder::new(&mut bytes, 4, 4);
+            encoder.set_color(png::ColorType::Indexed);
+            encoder.set_palette(palette);
+            let mut writer = encoder.write_header().unwrap();
+            writer.write_image_data(&[1; 16]).unwrap();
+            writer.finish().unwrap();
+            decode_compressed("png", &bytes)
+        };
+        let whole = with([9, 90, 200].repeat(256)).unwrap();
+        assert_eq!(whole.data[..3], [9, 90, 200]);
+        for palette in [[9, 90, 200].repeat(300), [9, 90, 200, 5].repeat(2)] {
+            assert!(with(palette).unwrap_err().to_string().contains("palette"));
+        }
     }
 }
