@@ -7,6 +7,7 @@ use crate::{
     signal::{Sampler, nearest},
 };
 use nalgebra::{Matrix2, Vector2};
+use wide::f32x8;
 
 /// How an edge was measured.
 #[derive(Clone, Copy, Debug)]
@@ -65,29 +66,96 @@ impl Side {
     }
 }
 
-/// What was read along the rows, quantity by quantity: the sums over the band across the edge, and the level beyond it.
+/// One quantity of all rows.
+type Column = [f32; MAX_ROWS];
+
+/// What was read along the rows: the sums over the band across the edge, and the level beyond it.
 struct Rows {
     count: usize,
+    /// Where the strip begins in the image's bytes.
+    begin: [usize; MAX_ROWS],
     /// Place along the edge, px from its middle.
-    along: [f32; MAX_ROWS],
+    along: Column,
     /// Where the predicted edge crosses the row, and where the band's inner end is seen from there, px.
-    crossing: [f32; MAX_ROWS],
-    inner: [f32; MAX_ROWS],
-    /// Pixels of the band, Σ s, Σ s·j, and Σ s² where it was taken, else 0.
-    pixels: [f32; MAX_ROWS],
-    s: [f32; MAX_ROWS],
-    sj: [f32; MAX_ROWS],
-    ss: [f32; MAX_ROWS],
-    outside: [f32; MAX_ROWS],
+    crossing: Column,
+    inner: Column,
+    /// Pixels of the band, Σ s, Σ s·j and Σ s².
+    pixels: Column,
+    s: Column,
+    sj: Column,
+    ss: Column,
+    outside: Column,
     /// How far outside of the prediction the band reaches, across the edge, px.
-    room: [f32; MAX_ROWS],
+    room: Column,
 }
 
-/// Where an edge lies on a row: how far along, and how far outside of the prediction, px.
-#[derive(Clone, Copy, Default)]
-struct Place {
-    along: f32,
-    across: f32,
+/// How the strip across an edge lies: band and what is beyond it, px, and the bytes from one pixel to the next.
+struct Strip {
+    band: i32,
+    beyond: i32,
+    hop: usize,
+    /// The outside comes last.
+    outward: bool,
+}
+
+impl Rows {
+    /// Reads eight rows side by side.
+    #[inline(always)]
+    fn read(&mut self, sampler: &Sampler<'_>, strip: &Strip) {
+        let Strip { band, beyond, hop, outward } = *strip;
+        let (before, after) = if outward { (0, beyond) } else { (beyond, 0) };
+        let (scale, share) = (sampler.scale, sampler.scale / beyond as f32);
+        for group in (0..self.count).step_by(8) {
+            let mut begin = [0; 8];
+            begin.copy_from_slice(&self.begin[group..group + 8]);
+            let (mut s, mut sj, mut ss, mut outside) = (f32x8::ZERO, f32x8::ZERO, f32x8::ZERO, f32x8::ZERO);
+            for _ in 0..before {
+                outside += next(sampler, &mut begin, hop);
+            }
+            let mut j = f32x8::ZERO;
+            for _ in 0..band {
+                let signals = next(sampler, &mut begin, hop);
+                s += signals;
+                sj += signals * j;
+                ss += signals * signals;
+                j += f32x8::ONE;
+            }
+            for _ in 0..after {
+                outside += next(sampler, &mut begin, hop);
+            }
+            let put = |column: &mut Column, values: f32x8, scale: f32| {
+                column[group..group + 8].copy_from_slice((values * f32x8::splat(scale)).as_array());
+            };
+            put(&mut self.s, s, scale);
+            put(&mut self.sj, sj, scale);
+            put(&mut self.ss, ss, scale * scale);
+            put(&mut self.outside, outside, share);
+        }
+    }
+}
+
+/// The signals of eight rows, each a pixel further than the last time.
+#[inline(always)]
+fn next(sampler: &Sampler<'_>, begin: &mut [usize; 8], hop: usize) -> f32x8 {
+    let signals = sampler.eight(begin);
+    for b in begin {
+        *b += hop;
+    }
+    signals
+}
+
+/// Eight rows of a quantity, and a mask of those that there are.
+#[inline(always)]
+fn eight(column: &Column, group: usize) -> f32x8 {
+    let mut values = [0.0; 8];
+    values.copy_from_slice(&column[group..group + 8]);
+    f32x8::from(values)
+}
+
+#[inline(always)]
+fn present(group: usize, count: usize) -> f32x8 {
+    let numbers = f32x8::from([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]) + f32x8::splat(group as f32);
+    numbers.simd_lt(f32x8::splat(count as f32))
 }
 
 /// Measures one edge; its offset and slope are told from the predicted side, and the level outside at its middle.
@@ -131,128 +199,185 @@ pub(crate) fn fit_edge(
     }
     let possible = usable.min(prior.rows.clamp(8, MAX_ROWS) as i32);
     let beyond = if width < 20.0 { 1 } else { ((OUTSIDE * width).clamp(1.0, 3.0) / steep).ceil() as i32 };
+    // As many pixels in every row.
+    let band = (2.0 * half + 0.5).ceil() as i32;
+    if band > MAX_BAND {
+        return None;
+    }
+    let outward = sign > 0.0;
+    let strip = Strip { band, beyond, hop: sampler.hop(k), outward };
     let slope_axis = tangent[k] * per_row;
-    // The image's last column or row.
-    let end = if k == 0 { sampler.width } else { sampler.height } - 1;
+    // The image's columns and rows, along the row and across it.
+    let (columns, lines) =
+        if k == 0 { (sampler.width, sampler.height) } else { (sampler.height, sampler.width) };
     // While it is sought a place that is a little off will do; once it is known the whole band must be in the image.
-    let (least_room, least_beyond) =
-        if prior.edge_sigma >= 1.0 { (half.min(1.0), 1) } else { (f64::INFINITY, beyond) };
-    let zero = [0f32; MAX_ROWS];
+    let sought = prior.edge_sigma >= 1.0;
+    let zero: Column = [0.0; MAX_ROWS];
     let mut rows = Rows {
         count: 0,
+        begin: [0; MAX_ROWS],
         along: zero,
         crossing: zero,
         inner: zero,
-        pixels: zero,
+        pixels: [band as f32; MAX_ROWS],
         s: zero,
         sj: zero,
         ss: zero,
         outside: zero,
-        room: zero,
+        room: [f32::INFINITY; MAX_ROWS],
     };
+    let mut cut = false;
     for i in 0..possible {
         let line = first + if possible == usable { i } else { (i * usable + usable / 2) / possible };
         let off = f64::from(line) - middle[1 - k];
         let crossing = middle[k] + off * slope_axis;
-        let (mut from, mut to) = (nearest(crossing - half), nearest(crossing + half));
-        // At the image's edge as much as there is, as long as the marker's own edge is in it.
-        let mut room = f64::INFINITY;
-        let beyond = if sign > 0.0 {
-            if to > end - 1 {
-                to = end - 1;
-                room = f64::from(to) - crossing;
-            }
-            beyond.min(end - to)
-        } else {
-            if from < 1 {
-                from = 1;
-                room = crossing - f64::from(from);
-            }
-            beyond.min(from)
-        };
-        let band = to - from + 1;
-        if !(2..=MAX_BAND).contains(&band) || room < least_room || beyond < least_beyond {
+        let from = nearest(crossing - f64::from(band - 1) / 2.0);
+        let start = if outward { from } else { from - beyond };
+        let inside = start >= 0 && start + band + beyond <= columns && (0..lines).contains(&line);
+        if !inside {
+            cut = true;
             continue;
         }
-        let start = if sign > 0.0 { from } else { from - beyond };
-        let (x, y) = if k == 0 { (start, line) } else { (line, start) };
-        let Some((bytes, hop)) = sampler.line(x, y, k, band + beyond, 1) else { continue };
-        let (inner, outer) = if sign > 0.0 {
-            bytes.split_at(band as usize * hop)
-        } else {
-            let (outer, inner) = bytes.split_at(beyond as usize * hop);
-            (inner, outer)
-        };
-        let sums = sampler.line_sums(inner, hop);
-        let outside = sampler.line_sum(outer, hop);
         let n = rows.count;
+        let (x, y) = if k == 0 { (start, line) } else { (line, start) };
+        rows.begin[n] = sampler.begin(x, y);
         rows.along[n] = (off * per_row) as f32;
         let crossing = (crossing - f64::from(from)) as f32;
         rows.crossing[n] = crossing;
-        rows.inner[n] = if sign > 0.0 { crossing + 0.5 } else { band as f32 - crossing - 0.5 };
-        rows.pixels[n] = band as f32;
-        rows.s[n] = sums.s as f32 * sampler.scale;
-        rows.sj[n] = sums.sj as f32 * sampler.scale;
-        // The blur is the same all along.
-        if n % 3 == 1 {
-            rows.ss[n] = sampler.line_squares(inner, hop) * (sampler.scale * sampler.scale);
-        }
-        rows.outside[n] = outside as f32 * (sampler.scale / beyond as f32);
-        rows.room[n] = room as f32 * steep as f32;
+        rows.inner[n] = if outward { crossing + 0.5 } else { band as f32 - crossing - 0.5 };
         rows.count = n + 1;
+    }
+    rows.read(sampler, &strip);
+    if cut && sought {
+        // At the image's edge as much as there is, as long as the marker's own edge is in it.
+        for i in 0..possible {
+            let line = first + if possible == usable { i } else { (i * usable + usable / 2) / possible };
+            rows.add_cut(sampler, &strip, k, line, (middle, slope_axis, per_row, half, steep));
+        }
     }
     let count = rows.count;
     if count < 3 || count * 4 < possible as usize {
         return None;
     }
-    let outside = Outside::measure(&rows.along[..count], &rows.outside[..count], interior, min_contrast)?;
-    let (level, tilt) = (outside.level as f32, outside.tilt as f32);
+    let outside = Outside::measure(&rows.along, &rows.outside, count, interior, min_contrast)?;
+    let (level, tilt) = (f32x8::splat(outside.level as f32), f32x8::splat(outside.tilt as f32));
     // Inside, and the shading relative to the crossing, which the outside shares.
-    let at_middle = interior.at(middle.x, middle.y) as f32;
-    let inside_tilt = interior.gradient.dot(&tangent) as f32;
-    let shading = (interior.gradient[k] / interior.level.abs().max(0.3)) as f32;
-    let steep = steep as f32;
-    // Σ c with c = (s·(1 − shading·(j − crossing)) − outside)/difference, all rows alike.
-    let (mut across, mut difference) = ([0f32; MAX_ROWS], [0f32; MAX_ROWS]);
-    for i in 0..count.next_multiple_of(8).min(MAX_ROWS) {
-        let outside_here = level + tilt * rows.along[i];
-        difference[i] = at_middle + inside_tilt * rows.along[i] - outside_here;
-        let sum = rows.s[i] * (1.0 + shading * rows.crossing[i])
-            - shading * rows.sj[i]
-            - rows.pixels[i] * outside_here;
-        across[i] = (sum / difference[i] - rows.inner[i]) * steep;
+    let at_middle = f32x8::splat(interior.at(middle.x, middle.y) as f32);
+    let inside_tilt = f32x8::splat(interior.gradient.dot(&tangent) as f32);
+    let shading = f32x8::splat((interior.gradient[k] / interior.level.abs().max(0.3)) as f32);
+    let steep = f32x8::splat(steep as f32);
+    let (limit, least) = (f32x8::splat(half_width as f32), f32x8::splat(min_contrast as f32));
+    let gate = f32x8::splat(outside.gate);
+    let mut places = Places { count, along: rows.along, across: zero };
+    let (mut good, mut blur) = ([0.0f32; MAX_ROWS], f32x8::ZERO);
+    let mut all = f32x8::ZERO;
+    for group in (0..count).step_by(8) {
+        let of = |column: &Column| eight(column, group);
+        let (along, pixels, s) = (of(&rows.along), of(&rows.pixels), of(&rows.s));
+        // Σ c with c = (s·(1 − shading·(j − crossing)) − outside)/difference, all rows alike.
+        let outside_here = level + tilt * along;
+        let difference = at_middle + inside_tilt * along - outside_here;
+        let sum = s * (f32x8::ONE + shading * of(&rows.crossing))
+            - shading * of(&rows.sj)
+            - pixels * outside_here;
+        let covered = sum / difference;
+        let across = (covered - of(&rows.inner)) * steep;
+        let is_good = (of(&rows.outside) - outside_here).abs().simd_le(gate)
+            & difference.simd_ge(least)
+            & across.abs().simd_lt(limit)
+            & across.simd_lt(of(&rows.room) - f32x8::splat(0.3))
+            & present(group, count);
+        let one = is_good & f32x8::ONE;
+        all += one;
+        good[group..group + 8].copy_from_slice(one.as_array());
+        // A row without contrast may have any number there.
+        places.across[group..group + 8].copy_from_slice((is_good & across).as_array());
+        // Σ c − Σ c², without the shading.
+        let square = of(&rows.ss) - outside_here * (s + s - pixels * outside_here);
+        let spread = (covered - square / (difference * difference)) * steep;
+        blur += is_good & spread;
     }
-    let mut places = [Place::default(); MAX_ROWS];
-    let (mut kept, mut blur, mut blurred) = (0usize, 0f32, 0u32);
-    let (limit, least) = (half_width as f32, min_contrast as f32);
-    for i in 0..count {
-        let outside_here = level + tilt * rows.along[i];
-        let good = (rows.outside[i] - outside_here).abs() <= outside.gate
-            && difference[i] >= least
-            && across[i].abs() < limit
-            && across[i] < rows.room[i] - 0.3;
-        if !good {
-            continue;
-        }
-        places[kept] = Place { along: rows.along[i], across: across[i] };
-        kept += 1;
-        if rows.ss[i] > 0.0 {
-            // Σ c − Σ c², without the shading.
-            let scale = 1.0 / difference[i];
-            let sum = across[i] / steep + rows.inner[i];
-            let square = rows.ss[i] - outside_here * (2.0 * rows.s[i] - rows.pixels[i] * outside_here);
-            blur += (sum - scale * scale * square) * steep;
-            blurred += 1;
-        }
+    let kept = all.reduce_add();
+    let blur = f64::from(blur.reduce_add() / kept.max(1.0)).max(0.0);
+    if kept < count as f32 {
+        places.keep(&good);
     }
-    let mut edge = line_through(&places[..kept], possible as usize, length, prior)?;
-    edge.blur = f64::from(blur / blurred.max(1) as f32).max(0.0);
+    let mut edge = places.line(possible as usize, length, prior)?;
+    edge.blur = blur;
     // What the outside level is uncertain by moves the whole edge: by the half-width's share of it.
     let pixels = outside.rows * f64::from(beyond);
     let contrast = (interior.level - outside.level).max(min_contrast);
     edge.covariance[(0, 0)] +=
         (half_width * interior.sigma / contrast).powi(2) * prior.correlation * prior.correlation / pixels;
     Some((edge, outside.level))
+}
+
+impl Rows {
+    /// Reads a row whose strip leaves the image, as far as it is in it.
+    #[cold]
+    fn add_cut(
+        &mut self,
+        sampler: &Sampler<'_>,
+        strip: &Strip,
+        k: usize,
+        line: i32,
+        (middle, slope_axis, per_row, half, steep): (Vector2<f64>, f64, f64, f64, f64),
+    ) {
+        let end = if k == 0 { sampler.width } else { sampler.height } - 1;
+        let off = f64::from(line) - middle[1 - k];
+        let crossing = middle[k] + off * slope_axis;
+        let from = nearest(crossing - f64::from(strip.band - 1) / 2.0);
+        let start = if strip.outward { from } else { from - strip.beyond };
+        if start >= 0 && start + strip.band + strip.beyond <= end + 1 {
+            return;
+        }
+        let (mut from, mut to) = (nearest(crossing - half), nearest(crossing + half));
+        let mut room = f64::INFINITY;
+        let beyond = if strip.outward {
+            if to > end - 1 {
+                to = end - 1;
+                room = f64::from(to) - crossing;
+            }
+            strip.beyond.min(end - to)
+        } else {
+            if from < 1 {
+                from = 1;
+                room = crossing - f64::from(from);
+            }
+            strip.beyond.min(from)
+        };
+        let band = to - from + 1;
+        if !(2..=MAX_BAND).contains(&band) || room < half.min(1.0) || beyond < 1 || self.count >= MAX_ROWS {
+            return;
+        }
+        let start = if strip.outward { from } else { from - beyond };
+        let (x, y) = if k == 0 { (start, line) } else { (line, start) };
+        let Some((bytes, hop)) = sampler.line(x, y, k, band + beyond, 1) else { return };
+        let (inner, outer) = if strip.outward {
+            bytes.split_at(band as usize * hop)
+        } else {
+            let (outer, inner) = bytes.split_at(beyond as usize * hop);
+            (inner, outer)
+        };
+        let (mut s, mut sj, mut ss, mut outside) = (0f32, 0f32, 0f32, 0f32);
+        sampler.each(inner, hop, |j, value| {
+            let value = value as f32 * sampler.scale;
+            s += value;
+            sj += value * j as f32;
+            ss += value * value;
+        });
+        sampler.each(outer, hop, |_, value| outside += value as f32 * sampler.scale);
+        let n = self.count;
+        self.along[n] = (off * per_row) as f32;
+        let crossing = (crossing - f64::from(from)) as f32;
+        self.crossing[n] = crossing;
+        self.inner[n] = if strip.outward { crossing + 0.5 } else { band as f32 - crossing - 0.5 };
+        self.pixels[n] = band as f32;
+        (self.s[n], self.sj[n], self.ss[n]) = (s, sj, ss);
+        self.outside[n] = outside / beyond as f32;
+        self.room[n] = (room * steep) as f32;
+        self.count = n + 1;
+    }
 }
 
 /// Level outside along the edge: a line through the rows that agree.
@@ -265,38 +390,44 @@ struct Outside {
 }
 
 impl Outside {
-    fn measure(along: &[f32], outside: &[f32], interior: &Interior, min_contrast: f64) -> Option<Self> {
+    fn measure(
+        along: &Column,
+        outside: &Column,
+        count: usize,
+        interior: &Interior,
+        min_contrast: f64,
+    ) -> Option<Self> {
         // The median; where all agree the mean is as good.
-        let mean = outside.iter().sum::<f32>() / outside.len() as f32;
-        let median = if outside.iter().all(|o| (o - mean).abs() < 0.05) {
+        let mean = outside[..count].iter().sum::<f32>() / count as f32;
+        let median = if outside[..count].iter().all(|o| (o - mean).abs() < 0.05) {
             mean
         } else {
-            let mut levels = [0f32; MAX_ROWS];
-            let levels = &mut levels[..outside.len()];
-            levels.copy_from_slice(outside);
+            let mut levels = *outside;
+            let levels = &mut levels[..count];
             levels.sort_unstable_by(f32::total_cmp);
-            levels[outside.len() / 2]
+            levels[count / 2]
         };
         let contrast = interior.level - f64::from(median);
         if contrast.is_nan() || contrast <= min_contrast {
             return None;
         }
         let gate = ((4.0 * interior.sigma).clamp(0.06, 0.2) * contrast.max(0.3)) as f32;
-        let (mut n, mut st, mut stt, mut so, mut sto) = (0f32, 0f32, 0f32, 0f32, 0f32);
-        for (&along, &outside) in along.iter().zip(outside) {
-            let off = outside - median;
-            let member = if off.abs() < gate { 1.0 } else { 0.0 };
-            let (off, along) = (off * member, along * member);
+        let zero = f32x8::ZERO;
+        let (mut n, mut st, mut stt, mut so, mut sto) = (zero, zero, zero, zero, zero);
+        for group in (0..count).step_by(8) {
+            let off = eight(outside, group) - f32x8::splat(median);
+            let member = off.abs().simd_lt(f32x8::splat(gate)) & present(group, count) & f32x8::ONE;
+            let (off, along) = (off * member, eight(along, group) * member);
             n += member;
             st += along;
             stt += along * along;
             so += off;
             sto += along * off;
         }
+        let [n, st, stt, so, sto] = [n, st, stt, so, sto].map(|v| f64::from(v.reduce_add()));
         if n < 3.0 {
             return None;
         }
-        let [n, st, stt, so, sto] = [n, st, stt, so, sto].map(f64::from);
         // A weak pull to a constant level: the outer rows must not lever it.
         let stt = stt + 2.0 * n * n;
         let det = stt * n - st * st;
@@ -309,105 +440,203 @@ impl Outside {
     }
 }
 
-/// Robust straight line through the rows' offsets.
-///
-/// What covers an edge shows as rows whose crossing lies further in, never further out, so of several places that rows
-/// agree on the outermost is the edge. Rows beside ones that disagree are half covered and left out with them.
-fn line_through(rows: &[Place], possible: usize, length: f64, prior: &ShapePrior) -> Option<EdgeFit> {
-    if rows.len() < 3 {
-        return None;
-    }
-    let lean = 2.0 * prior.slope_sigma * length / 2.0;
-    let mean = rows.iter().map(|r| r.across).sum::<f32>() / rows.len() as f32;
-    let (mut offset, mut slope, reach);
-    if rows.iter().all(|r| (r.across - mean).abs() < 0.3) {
-        // Nothing disagrees.
-        (offset, slope, reach) = (mean, 0f32, 0.3 + lean);
-    } else {
-        let mut sorted = [0f32; MAX_ROWS];
-        for (s, r) in sorted.iter_mut().zip(rows.iter()) {
-            *s = r.across;
+/// Where the edge lies on its rows: how far along, and how far outside of the prediction, px.
+struct Places {
+    count: usize,
+    along: Column,
+    across: Column,
+}
+
+/// Sums of a straight line's normal equations.
+struct LineSums {
+    n: f64,
+    st: f64,
+    stt: f64,
+    sa: f64,
+    sta: f64,
+}
+
+impl Places {
+    /// Leaves out the rows that are not good (those that are have 1).
+    fn keep(&mut self, good: &Column) {
+        let mut kept = 0;
+        for i in 0..self.count {
+            if good[i] > 0.0 {
+                (self.along[kept], self.across[kept]) = (self.along[i], self.across[i]);
+                kept += 1;
+            }
         }
-        let sorted = &mut sorted[..rows.len()];
-        sorted.sort_unstable_by(f32::total_cmp);
-        let spread = f64::from(sorted[rows.len() * 3 / 4] - sorted[rows.len() / 4]) / 1.35;
-        // The fullest place within ± reach, and the outermost that is half as full.
-        reach = (2.0 * spread).clamp(0.2, 0.4) + lean;
-        let near = reach as f32;
-        let fullness = |at: usize| {
-            let from = sorted.partition_point(|&v| v < sorted[at] - near);
-            let to = sorted.partition_point(|&v| v <= sorted[at] + near);
-            (from, to)
-        };
-        let most = (0..rows.len()).map(&fullness).map(|(a, b)| b - a).max()?;
-        let enough = most.max(8.min(rows.len()));
-        let (from, to) = (0..rows.len()).rev().map(&fullness).find(|(a, b)| 2 * (b - a) >= enough)?;
-        (offset, slope) = (sorted[(from + to) / 2], 0.0);
+        self.count = kept;
     }
-    let mut gate = reach as f32;
-    let mut used = [false; MAX_ROWS];
-    // Rows far apart are no neighbours.
-    let neighbours = possible < prior.rows;
-    let mut before = usize::MAX;
-    let mut result = None;
-    for round in 0..3 {
-        let agrees = |r: &Place| (r.across - offset - slope * r.along).abs() < gate;
-        let mut count = 0usize;
-        for i in 0..rows.len() {
-            let member = agrees(&rows[i])
-                && (round == 0
-                    || !neighbours
-                    || ((i == 0 || agrees(&rows[i - 1])) && (i + 1 == rows.len() || agrees(&rows[i + 1]))));
-            used[i] = member;
-            count += usize::from(member);
-        }
+
+    /// Robust straight line through the rows' places.
+    ///
+    /// What covers an edge shows as rows whose crossing lies further in, never further out, so of several places that rows
+    /// agree on the outermost is the edge. Rows beside ones that disagree are half covered and left out with them.
+    fn line(&self, possible: usize, length: f64, prior: &ShapePrior) -> Option<EdgeFit> {
+        let count = self.count;
         if count < 3 {
             return None;
         }
-        if count == rows.len() && count == before {
-            // Every row again: nothing changes any more.
-            break;
+        let lean = 2.0 * prior.slope_sigma * length / 2.0;
+        // Where nothing disagrees all rows are taken, and one look is enough.
+        let zero = f32x8::ZERO;
+        let (mut st, mut stt, mut sa, mut sta) = (zero, zero, zero, zero);
+        for group in (0..count).step_by(8) {
+            let there = present(group, count);
+            let (along, across) = (eight(&self.along, group) & there, eight(&self.across, group) & there);
+            st += along;
+            stt += along * along;
+            sa += across;
+            sta += along * across;
         }
-        before = count;
-        let (mut st, mut stt, mut sa, mut sta) = (0f32, 0f32, 0f32, 0f32);
-        for (r, _) in rows.iter().zip(&used).filter(|(_, used)| **used) {
-            st += r.along;
-            stt += r.along * r.along;
-            sa += r.across;
-            sta += r.along * r.across;
+        let [st, stt, sa, sta] = [st, stt, sa, sta].map(|v| f64::from(v.reduce_add()));
+        let sums = LineSums { n: count as f64, st, stt, sa, sta };
+        let mean = f32x8::splat((sa / count as f64) as f32);
+        let mut furthest = zero;
+        for group in (0..count).step_by(8) {
+            let off = (eight(&self.across, group) - mean).abs() & present(group, count);
+            furthest = furthest.fast_max(off);
         }
-        let [st, stt, sa, sta] = [st, stt, sa, sta].map(f64::from);
-        let n = count as f64;
-        // The direction is known to slope_sigma beforehand; what the rows weigh against it is their usual noise.
-        let stt = stt + 0.01 / (prior.slope_sigma * prior.slope_sigma);
-        let det = n * stt - st * st;
-        if det.is_nan() || det <= 0.0 {
-            return None;
+        if !largest(furthest).is_nan() && largest(furthest) < 0.3 {
+            let fit = sums.solve(prior)?;
+            let (offset, slope) = (f32x8::splat(fit.0 as f32), f32x8::splat(fit.1 as f32));
+            let mut residuals: Column = [0.0; MAX_ROWS];
+            let (mut square, mut furthest) = (zero, zero);
+            for group in (0..count).step_by(8) {
+                let residual = (eight(&self.across, group) - offset - slope * eight(&self.along, group))
+                    & present(group, count);
+                square += residual * residual;
+                furthest = furthest.fast_max(residual.abs());
+                residuals[group..group + 8].copy_from_slice(residual.as_array());
+            }
+            let product: f32 = residuals[..count].windows(2).map(|r| r[0] * r[1]).sum();
+            let (edge, gate) =
+                sums.edge(fit, square.reduce_add(), product, (0.3 + lean) as f32, possible, prior);
+            if largest(furthest) < gate {
+                return (edge.support > 0.2).then_some(edge);
+            }
         }
-        let inverse = Matrix2::new(stt, -st, -st, n) / det;
-        let solution = inverse * Vector2::new(sa, sta);
-        (offset, slope) = (solution.x as f32, solution.y as f32);
-        let (mut square, mut product, mut last) = (0f32, 0f32, 0f32);
-        for (r, used) in rows.iter().zip(&used) {
-            let residual = if *used { r.across - offset - slope * r.along } else { 0.0 };
-            square += residual * residual;
-            product += residual * last;
-            last = residual;
+        self.robust_line(possible, lean, prior)
+    }
+
+    fn robust_line(&self, possible: usize, lean: f64, prior: &ShapePrior) -> Option<EdgeFit> {
+        let count = self.count;
+        let (along, across) = (&self.along[..count], &self.across[..count]);
+        let mean = across.iter().sum::<f32>() / count as f32;
+        let (mut offset, mut slope, reach);
+        if across.iter().all(|a| (a - mean).abs() < 0.3) {
+            (offset, slope, reach) = (mean, 0f32, 0.3 + lean);
+        } else {
+            let mut sorted = self.across;
+            let sorted = &mut sorted[..count];
+            sorted.sort_unstable_by(f32::total_cmp);
+            let spread = f64::from(sorted[count * 3 / 4] - sorted[count / 4]) / 1.35;
+            // The fullest place within ± reach, and the outermost that is half as full.
+            reach = (2.0 * spread).clamp(0.2, 0.4) + lean;
+            let near = reach as f32;
+            let fullness = |at: usize| {
+                let from = sorted.partition_point(|&v| v < sorted[at] - near);
+                let to = sorted.partition_point(|&v| v <= sorted[at] + near);
+                (from, to)
+            };
+            let most = (0..count).map(&fullness).map(|(a, b)| b - a).max()?;
+            let enough = most.max(8.min(count));
+            let (from, to) = (0..count).rev().map(&fullness).find(|(a, b)| 2 * (b - a) >= enough)?;
+            (offset, slope) = (sorted[(from + to) / 2], 0.0);
         }
-        let variance = (f64::from(square) / (n - 2.0).max(1.0)).max(4e-4);
-        gate = ((3.2 * variance.sqrt()) as f32).clamp(0.15, gate);
-        let support = n / possible.max(1) as f64;
-        let mut covariance = inverse * (variance * prior.inflation);
+        let mut gate = reach as f32;
+        let mut used = [false; MAX_ROWS];
+        // Rows far apart are no neighbours.
+        let neighbours = possible < prior.rows;
+        let mut before = usize::MAX;
+        let mut result = None;
+        for round in 0..3 {
+            let agrees = |i: usize| (across[i] - offset - slope * along[i]).abs() < gate;
+            let mut members = 0usize;
+            for (i, used) in used[..count].iter_mut().enumerate() {
+                let member = agrees(i)
+                    && (round == 0
+                        || !neighbours
+                        || ((i == 0 || agrees(i - 1)) && (i + 1 == count || agrees(i + 1))));
+                *used = member;
+                members += usize::from(member);
+            }
+            if members < 3 {
+                return None;
+            }
+            if members == count && members == before {
+                // Every row again: nothing changes any more.
+                break;
+            }
+            before = members;
+            let (mut st, mut stt, mut sa, mut sta) = (0f32, 0f32, 0f32, 0f32);
+            for i in (0..count).filter(|i| used[*i]) {
+                st += along[i];
+                stt += along[i] * along[i];
+                sa += across[i];
+                sta += along[i] * across[i];
+            }
+            let [st, stt, sa, sta] = [st, stt, sa, sta].map(f64::from);
+            let sums = LineSums { n: members as f64, st, stt, sa, sta };
+            let fit = sums.solve(prior)?;
+            (offset, slope) = (fit.0 as f32, fit.1 as f32);
+            let (mut square, mut product, mut last) = (0f32, 0f32, 0f32);
+            for i in 0..count {
+                let residual = if used[i] { across[i] - offset - slope * along[i] } else { 0.0 };
+                square += residual * residual;
+                product += residual * last;
+                last = residual;
+            }
+            let edge;
+            (edge, gate) = sums.edge(fit, square, product, gate, possible, prior);
+            result = Some(edge);
+        }
+        result.filter(|e| e.support > 0.2)
+    }
+}
+
+fn largest(of: f32x8) -> f32 {
+    of.as_array().iter().fold(0.0, |m, v| m.max(*v))
+}
+
+impl LineSums {
+    /// Σ along², with what is known of the direction: to `slope_sigma` beforehand; what the rows weigh against it is their
+    /// usual noise.
+    fn stt(&self, prior: &ShapePrior) -> f64 {
+        self.stt + 0.01 / (prior.slope_sigma * prior.slope_sigma)
+    }
+
+    /// Offset and slope.
+    fn solve(&self, prior: &ShapePrior) -> Option<(f64, f64)> {
+        let stt = self.stt(prior);
+        let det = self.n * stt - self.st * self.st;
+        (det > 0.0).then(|| {
+            ((stt * self.sa - self.st * self.sta) / det, (self.n * self.sta - self.st * self.sa) / det)
+        })
+    }
+
+    /// The edge that was fitted so, from its residuals' sum of squares and of products of neighbours, and the gate (at most
+    /// `gate`, px) for its rows.
+    fn edge(
+        &self,
+        (offset, slope): (f64, f64),
+        square: f32,
+        product: f32,
+        gate: f32,
+        possible: usize,
+        prior: &ShapePrior,
+    ) -> (EdgeFit, f32) {
+        let stt = self.stt(prior);
+        let det = self.n * stt - self.st * self.st;
+        let variance = (f64::from(square) / (self.n - 2.0).max(1.0)).max(4e-4);
+        let support = self.n / possible.max(1) as f64;
+        let mut covariance =
+            Matrix2::new(stt, -self.st, -self.st, self.n) * (variance * prior.inflation / det);
         // Rows that a cover's blur touches a little stay unnoticed: the more is covered the more there are.
         covariance[(0, 0)] += (0.2 * (1.0 - support)).powi(2);
-        result = Some(EdgeFit {
-            offset: solution.x,
-            slope: solution.y,
-            covariance,
-            support,
-            blur: 0.0,
-            lag: [f64::from(square), f64::from(product)],
-        });
+        let lag = [f64::from(square), f64::from(product)];
+        let gate = ((3.2 * variance.sqrt()) as f32).clamp(0.15, gate);
+        (EdgeFit { offset, slope, covariance, support, blur: 0.0, lag }, gate)
     }
-    result.filter(|e| e.support > 0.2)
 }

@@ -1,33 +1,28 @@
 //! Optical flow after Lucas and Kanade on a marker's soft binary image, from its gradient pixels alone.
 //!
 //! The colour signal is the binary image of the paper, only not yet rounded: 1 on the marker, 0 beside it. All that its flow
-//! can be told from lies on the outline, so some 40 pixels there stand for the window (eq. 1).
+//! can be told from lies on the outline, so some 32 pixels there stand for the window (eq. 1).
 
 use crate::{
     quad::Quad,
     signal::{Sampler, nearest},
 };
 use nalgebra::Vector2;
+use wide::f32x8;
 
 /// Pixels that are kept.
 const MAX_POINTS: usize = 64;
 /// Iterations; each is one step of Gauss and Newton.
 const ITERATIONS: usize = 5;
 
-/// A pixel on the outline, its signal and the signal's gradient.
-#[derive(Clone, Copy, Debug, Default)]
-struct Point {
-    x: i32,
-    y: i32,
-    value: f32,
-    gx: f32,
-    gy: f32,
-}
-
-/// What a marker's outline looked like in the previous image.
+/// What a marker's outline looked like in the previous image: pixels on it, their signal and its gradient.
 #[derive(Clone, Debug)]
 pub(crate) struct Outline {
-    points: [Point; MAX_POINTS],
+    x: [i32; MAX_POINTS],
+    y: [i32; MAX_POINTS],
+    value: [f32; MAX_POINTS],
+    gx: [f32; MAX_POINTS],
+    gy: [f32; MAX_POINTS],
     count: usize,
     /// Σ g·gᵀ: xx, xy, yy.
     normal: [f32; 3],
@@ -35,16 +30,35 @@ pub(crate) struct Outline {
 
 impl Default for Outline {
     fn default() -> Self {
-        Self { points: [Point::default(); MAX_POINTS], count: 0, normal: [0.0; 3] }
+        let zero = [0.0; MAX_POINTS];
+        Self {
+            x: [0; MAX_POINTS],
+            y: [0; MAX_POINTS],
+            value: zero,
+            gx: zero,
+            gy: zero,
+            count: 0,
+            normal: [0.0; 3],
+        }
     }
 }
 
 impl Outline {
+    fn add(&mut self, (x, y): (i32, i32), value: f32, gx: f32, gy: f32) {
+        let i = self.count;
+        (self.x[i], self.y[i]) = (x, y);
+        (self.value[i], self.gx[i], self.gy[i]) = (value, gx, gy);
+        self.count += 1;
+        self.normal[0] += gx * gx;
+        self.normal[1] += gx * gy;
+        self.normal[2] += gy * gy;
+    }
+
     /// Remembers pixels on each edge.
     pub fn remember(&mut self, sampler: &Sampler<'_>, quad: &Quad) {
         self.count = 0;
         self.normal = [0.0; 3];
-        const PER_EDGE: i32 = 10;
+        const PER_EDGE: i32 = 8;
         for i in 0..4 {
             let (p, q) = (quad.0[i], quad.0[(i + 1) % 4]);
             let d = q - p;
@@ -63,11 +77,7 @@ impl Outline {
                 };
                 let half = (after - before) / 2.0;
                 let (gx, gy) = (half * gx as f32, half * gy as f32);
-                self.points[self.count] = Point { x, y, value, gx, gy };
-                self.count += 1;
-                self.normal[0] += gx * gx;
-                self.normal[1] += gx * gy;
-                self.normal[2] += gy * gy;
+                self.add((x, y), value, gx, gy);
             }
         }
     }
@@ -91,18 +101,14 @@ impl Outline {
             };
             let (gx, gy) = ((r - l) / 2.0, (v - u) / 2.0);
             if gx * gx + gy * gy > 0.02 && self.count < MAX_POINTS {
-                self.points[self.count] = Point { x, y, value, gx, gy };
-                self.count += 1;
-                self.normal[0] += gx * gx;
-                self.normal[1] += gx * gy;
-                self.normal[2] += gy * gy;
+                self.add((x, y), value, gx, gy);
             }
         }
     }
 
     /// Whether every remembered pixel has its very signal still.
     pub fn is_unchanged(&self, sampler: &Sampler<'_>) -> bool {
-        self.points[..self.count].iter().all(|p| sampler.at(p.x, p.y) == Some(p.value))
+        (0..self.count).all(|i| sampler.at(self.x[i], self.y[i]) == Some(self.value[i]))
     }
 
     /// Forgets.
@@ -112,35 +118,21 @@ impl Outline {
 
     /// Displacement (px) from the remembered image to the one in `sampler`, sought from `start`; `None` where it cannot be
     /// told: too few pixels in the image, flow along one direction only, or no convergence.
+    ///
+    /// The difference of the images is taken at whole pixels: an edge's blur is wider than the half pixel by which that is off,
+    /// so no interpolation is needed, and a round that comes back to the same place has nothing to add.
     pub fn displacement(&self, sampler: &Sampler<'_>, start: Vector2<f64>) -> Option<Vector2<f64>> {
-        let points = &self.points[..self.count];
+        let [xx, xy, yy] = self.normal;
+        let det = xx * yy - xy * xy;
+        if det.is_nan() || det <= 1e-3 * (xx + yy) * (xx + yy) {
+            return None;
+        }
         let mut d = start;
+        let mut places = [None; ITERATIONS];
         for round in 0..ITERATIONS {
-            // By whole pixels while it is far off: no interpolation is needed to come near.
             let (u, v) = (nearest(d.x), nearest(d.y));
-            let whole = round == 0 && ((d.x - f64::from(u)).abs() < 0.1 && (d.y - f64::from(v)).abs() < 0.1);
-            let at = if whole { Vector2::new(f64::from(u), f64::from(v)) } else { d };
-            let (dx, dy) = (at.x as f32, at.y as f32);
-            let (mut bx, mut by, mut seen, mut square) = (0f32, 0f32, 0usize, 0f32);
-            for p in points {
-                let now = if whole {
-                    sampler.at(p.x + u, p.y + v)
-                } else {
-                    sampler.bilinear(p.x as f32 + dx, p.y as f32 + dy)
-                };
-                let Some(now) = now else { continue };
-                let difference = now - p.value;
-                seen += 1;
-                square += difference * difference;
-                bx += p.gx * difference;
-                by += p.gy * difference;
-            }
+            let (bx, by, square, seen) = self.differences(sampler, u, v);
             if seen < 12 || seen * 4 < self.count * 3 {
-                return None;
-            }
-            let [xx, xy, yy] = self.normal;
-            let det = xx * yy - xy * xy;
-            if det.is_nan() || det <= 1e-3 * (xx + yy) * (xx + yy) {
                 return None;
             }
             let step =
@@ -148,15 +140,44 @@ impl Outline {
             // A step is believed as far as the gradient reaches.
             let length = step.norm();
             let step = if length > 2.0 { step * (2.0 / length) } else { step };
-            d = at - step;
+            d = Vector2::new(f64::from(u), f64::from(v)) - step;
             if !d.x.is_finite() || !d.y.is_finite() || (d - start).norm() > 12.0 {
                 return None;
             }
-            if length < 0.2 || round + 1 == ITERATIONS {
+            places[round] = Some((u, v));
+            if length < 0.6 || places[..=round].contains(&Some((nearest(d.x), nearest(d.y)))) {
                 // What is left must be less than an edge that is off by a pixel and a half.
-                return (length < 0.5 && square < 2.3 * (xx + yy)).then_some(d);
+                return (length < 1.2 && square < 2.3 * (xx + yy)).then_some(d);
             }
         }
         None
+    }
+
+    /// Σ g·difference along x and y, Σ difference², and the number of pixels that are in the image, for a displacement by whole
+    /// pixels.
+    fn differences(&self, sampler: &Sampler<'_>, u: i32, v: i32) -> (f32, f32, f32, usize) {
+        let (mut bx, mut by, mut square) = (f32x8::ZERO, f32x8::ZERO, f32x8::ZERO);
+        let mut seen = 0;
+        let scale = f32x8::splat(sampler.scale);
+        for group in (0..self.count).step_by(8) {
+            let (mut begin, mut there) = ([0; 8], [0.0; 8]);
+            for (k, i) in (group..self.count.min(group + 8)).enumerate() {
+                let (x, y) = (self.x[i].wrapping_add(u), self.y[i].wrapping_add(v));
+                if x >= 0 && y >= 0 && x < sampler.width && y < sampler.height {
+                    (begin[k], there[k]) = (sampler.begin(x, y), 1.0);
+                    seen += 1;
+                }
+            }
+            let of = |column: &[f32; MAX_POINTS]| {
+                let mut values = [0.0; 8];
+                values.copy_from_slice(&column[group..group + 8]);
+                f32x8::from(values)
+            };
+            let difference = (sampler.eight(&begin) * scale - of(&self.value)) * f32x8::from(there);
+            square += difference * difference;
+            bx += of(&self.gx) * difference;
+            by += of(&self.gy) * difference;
+        }
+        (bx.reduce_add(), by.reduce_add(), square.reduce_add(), seen)
     }
 }

@@ -83,9 +83,14 @@ pub(crate) fn refine(
             break;
         }
         let candidate = moved(&pose, &step);
+        // A step this short ends where its quadratic has its bottom: what is left there need not be looked at.
+        let last = gain < 1e-2;
         match evaluate(layout, camera, sights, &candidate, prior) {
             Some(new) if new.cost <= now.cost * (1.0 + 1e-9) => {
                 (pose, now) = (candidate, new);
+                if last {
+                    break;
+                }
                 damping = (damping * 0.1).max(1e-9);
             }
             _ => {

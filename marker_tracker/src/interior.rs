@@ -5,6 +5,7 @@ use crate::{
     signal::{Sampler, nearest},
 };
 use nalgebra::{Matrix3, Vector2, Vector3};
+use wide::f32x8;
 
 /// Most lines that are read, and most pixels of each: in a thorough look, and in a quick one, which leans on the gradient of
 /// the images before.
@@ -85,9 +86,11 @@ impl Interior {
         }
         let lines = &lines[..count];
         let middle = (nearest(centre.x), nearest(centre.y));
-        let (sums, low, high) = plain(sampler, lines, middle);
-        let mut sums = sums;
-        let mut offset = 0.0;
+        // Differences to any pixel of it are small numbers.
+        let &(x, y, ..) = lines.get(lines.len() / 2)?;
+        let reference = sampler.at(x, y)?;
+        let (mut sums, low, high) = plain(sampler, lines, middle, reference);
+        let mut offset = f64::from(reference);
         let all = sums.n;
         if all < 8.0 {
             return None;
@@ -145,39 +148,50 @@ impl Interior {
     }
 }
 
-/// The sums over every pixel, with the lowest and the highest value.
-fn plain(sampler: &Sampler<'_>, lines: &[Line], (cx, cy): (i32, i32)) -> (Sums, f64, f64) {
-    let mut sums = Sums::default();
-    let scale = f64::from(sampler.scale);
-    let (mut low, mut high) = (i32::MAX, i32::MIN);
+/// The sums over every pixel of their difference to `reference`, with the lowest and the highest difference.
+fn plain(sampler: &Sampler<'_>, lines: &[Line], (cx, cy): (i32, i32), reference: f32) -> (Sums, f64, f64) {
+    let numbers = f32x8::from([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+    let (scale, reference) = (f32x8::splat(sampler.scale), f32x8::splat(reference));
+    let zero = f32x8::ZERO;
+    let (mut n, mut sx, mut sy, mut xx, mut xy, mut yy) = (zero, zero, zero, zero, zero, zero);
+    let (mut s, mut xs, mut ys, mut ss) = (zero, zero, zero, zero);
+    let (mut low, mut high) = (f32x8::splat(f32::INFINITY), f32x8::splat(f32::NEG_INFINITY));
     for &(x, y, count, hop) in lines {
-        let Some((bytes, step)) = sampler.line(x, y, 0, count, hop) else { continue };
-        let (mut s, mut sj, mut ss) = (0i32, 0i64, 0i64);
-        sampler.each(bytes, step, |j, value| {
+        let far = sampler.hop(0) * hop as usize;
+        let begin = sampler.begin(x, y);
+        let y = f32x8::splat((y - cy) as f32);
+        let mut group = 0;
+        while group < count {
+            let at = |i: i32| begin + (group + i).min(count - 1) as usize * far;
+            let signal = sampler.eight(&[at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7)]);
+            let number = numbers + f32x8::splat(group as f32);
+            let there = number.simd_lt(f32x8::splat(count as f32));
+            let one = there & f32x8::ONE;
+            let x = (number * f32x8::splat(hop as f32) + f32x8::splat((x - cx) as f32)) * one;
+            let y = y * one;
+            // The last pixel stands for those that are not there, so that no extreme is made up.
+            let all = signal * scale - reference;
+            (low, high) = (low.fast_min(all), high.fast_max(all));
+            let value = all & there;
+            n += one;
+            sx += x;
+            sy += y;
+            xx += x * x;
+            xy += x * y;
+            yy += y * y;
             s += value;
-            sj += i64::from(value) * i64::from(j);
-            ss += i64::from(value) * i64::from(value);
-            low = low.min(value);
-            high = high.max(value);
-        });
-        let (n, h) = (f64::from(count), f64::from(hop));
-        let (x, y) = (f64::from(x - cx), f64::from(y - cy));
-        let (s, sj, ss) = (f64::from(s) * scale, sj as f64 * scale, ss as f64 * scale * scale);
-        // Σx and Σx² of the n places x, x + h, …
-        let last = n - 1.0;
-        let sum_x = n * x + h * n * last / 2.0;
-        sums.n += n;
-        sums.x += sum_x;
-        sums.y += n * y;
-        sums.xx += n * x * x + x * h * n * last + h * h * n * last * (2.0 * n - 1.0) / 6.0;
-        sums.xy += sum_x * y;
-        sums.yy += n * y * y;
-        sums.s += s;
-        sums.xs += x * s + h * sj;
-        sums.ys += y * s;
-        sums.ss += ss;
+            xs += x * value;
+            ys += y * value;
+            ss += value * value;
+            group += 8;
+        }
     }
-    (sums, f64::from(low) * scale, f64::from(high) * scale)
+    let [n, x, y, xx, xy, yy] = [n, sx, sy, xx, xy, yy].map(|v| f64::from(v.reduce_add()));
+    let [s, xs, ys, ss] = [s, xs, ys, ss].map(|v| f64::from(v.reduce_add()));
+    let (low, high) = (low.to_array(), high.to_array());
+    let low = low.iter().fold(f32::INFINITY, |m, v| m.min(*v));
+    let high = high.iter().fold(f32::NEG_INFINITY, |m, v| m.max(*v));
+    (Sums { n, x, y, xx, xy, yy, s, xs, ys, ss }, f64::from(low), f64::from(high))
 }
 
 /// The sums over the pixels that are less than `gate` off `median`, of their difference to it.

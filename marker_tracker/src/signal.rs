@@ -1,6 +1,7 @@
 //! From pixels to a colour signal: the projection of a pixel onto one direction of RGB space.
 
 use crate::image::ImageView;
+use wide::{f32x8, i16x16, u32x8};
 
 /// A direction in RGB space along which a marker differs most from its surroundings.
 ///
@@ -40,16 +41,11 @@ pub(crate) struct Sampler<'a> {
     pub height: i32,
     /// In the order of the channels in memory, whole numbers: a signal is exact however its weights were rounded.
     weights: [i32; 3],
+    /// The same in pairs of 16 bits: the first and the third channel, and the second alone.
+    outer: i16x16,
+    middle: i16x16,
     /// Signal per unit of the weighted sum.
     pub scale: f32,
-}
-
-/// Sums of the weighted sums along a line of pixels.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct LineSums {
-    /// Σ s and Σ s·j, where j counts the pixels from 0.
-    pub s: i32,
-    pub sj: i32,
 }
 
 impl<'a> Sampler<'a> {
@@ -62,13 +58,19 @@ impl<'a> Sampler<'a> {
             weights.swap(0, 2);
         }
         let largest = weights.iter().fold(1e-12f32, |m, w| m.max(w.abs()));
+        let weights = weights.map(|w| (w * (Self::WEIGHT / largest)).round() as i32);
+        let pairs = |low: i32, high: i32| {
+            i16x16::new(std::array::from_fn(|i| if i % 2 == 0 { low } else { high } as i16))
+        };
         Self {
             data: image.data,
             step: image.step,
             bytes: image.format.bytes_per_pixel(),
             width: image.width as i32,
             height: image.height as i32,
-            weights: weights.map(|w| (w * (Self::WEIGHT / largest)).round() as i32),
+            weights,
+            outer: pairs(weights[0], weights[2]),
+            middle: pairs(weights[1], 0),
             scale: largest / Self::WEIGHT,
         }
     }
@@ -94,27 +96,53 @@ impl<'a> Sampler<'a> {
         Some(self.sum(self.data.get(start..start + 3)?) as f32 * self.scale)
     }
 
-    /// Bilinear signal between pixels; `None` where a neighbour is missing.
+    /// Where a pixel of the image begins in its bytes.
     #[inline(always)]
-    pub fn bilinear(&self, x: f32, y: f32) -> Option<f32> {
-        // Inside nothing is negative, and truncation is the floor.
-        if !(x >= 0.0 && y >= 0.0) {
-            return None;
+    pub fn begin(&self, x: i32, y: i32) -> usize {
+        y as usize * self.step + x as usize * self.bytes
+    }
+
+    /// Bytes from a pixel to the next along x (`axis` 0) or y (`axis` 1).
+    #[inline(always)]
+    pub fn hop(&self, axis: usize) -> usize {
+        if axis == 0 { self.bytes } else { self.step }
+    }
+
+    /// Four bytes from a pixel's first on, of which the last is another's; the image's very last pixel has no fourth.
+    #[inline(always)]
+    fn word(&self, begin: usize) -> u32 {
+        match self.data.get(begin..begin.wrapping_add(4)) {
+            Some(&[a, b, c, d]) => u32::from_le_bytes([a, b, c, d]),
+            _ => self.last_word(begin),
         }
-        let (u, v) = (x as i32, y as i32);
-        if u + 1 >= self.width || v + 1 >= self.height {
-            return None;
+    }
+
+    #[cold]
+    fn last_word(&self, begin: usize) -> u32 {
+        match self.data.get(begin..begin.wrapping_add(3)) {
+            Some(&[a, b, c]) => u32::from_le_bytes([a, b, c, 0]),
+            _ => 0,
         }
-        let start = v as usize * self.step + u as usize * self.bytes;
-        let above = self.data.get(start..start + self.bytes + 3)?;
-        let below = self.data.get(start + self.step..start + self.step + self.bytes + 3)?;
-        let (fx, fy) = (x - u as f32, y - v as f32);
-        let mix = |row: &[u8]| {
-            let (a, b) = (self.sum(row) as f32, self.sum(&row[self.bytes..]) as f32);
-            a + fx * (b - a)
-        };
-        let (a, b) = (mix(above), mix(below));
-        Some((a + fy * (b - a)) * self.scale)
+    }
+
+    /// Weighted sums of eight pixels at once, from where each begins.
+    #[inline(always)]
+    pub fn eight(&self, begin: &[usize; 8]) -> f32x8 {
+        // Written out: a map over the array would be a call per pixel.
+        let [a, b, c, d, e, f, g, h] = *begin;
+        let words = u32x8::new([
+            self.word(a),
+            self.word(b),
+            self.word(c),
+            self.word(d),
+            self.word(e),
+            self.word(f),
+            self.word(g),
+            self.word(h),
+        ]);
+        let outer: i16x16 = bytemuck::cast(words & u32x8::splat(0x00ff_00ff));
+        let middle: i16x16 = bytemuck::cast((words >> 8) & u32x8::splat(0xff));
+        (outer.dot(self.outer) + middle.dot(self.middle)).round_float()
     }
 
     /// A line of pixels from (`x`, `y`) on, every `stride`-th along x (`axis` 0) or y (`axis` 1), as bytes with the distance
@@ -132,41 +160,6 @@ impl<'a> Sampler<'a> {
         let start = y as usize * self.step + x as usize * self.bytes;
         let hop = if axis == 0 { self.bytes } else { self.step } * stride as usize;
         Some((self.data.get(start..start + (count as usize - 1) * hop + 3)?, hop))
-    }
-
-    /// Sums of a line, of at most 40 pixels, in units of the weighted sum.
-    #[inline(never)]
-    pub fn line_sums(&self, bytes: &[u8], hop: usize) -> LineSums {
-        // Σ s·j from the running sums P: Σ P = Σ (n − j)·s.
-        let (mut s, mut prefix, mut n) = (0i32, 0i32, 0i32);
-        for pixel in bytes.chunks(hop) {
-            if let [a, b, c, ..] = *pixel {
-                s += self.weighted(a, b, c);
-                prefix += s;
-                n += 1;
-            }
-        }
-        LineSums { s, sj: n * s - prefix }
-    }
-
-    /// Sum of a line alone, of at most 1000 pixels.
-    #[inline(never)]
-    pub fn line_sum(&self, bytes: &[u8], hop: usize) -> i32 {
-        let mut s = 0i32;
-        for pixel in bytes.chunks(hop) {
-            if let [a, b, c, ..] = *pixel {
-                s += self.weighted(a, b, c);
-            }
-        }
-        s
-    }
-
-    /// Sum of the squares of a line.
-    #[inline(never)]
-    pub fn line_squares(&self, bytes: &[u8], hop: usize) -> f32 {
-        let mut ss = 0f32;
-        self.each(bytes, hop, |_, value| ss += (value as f32) * (value as f32));
-        ss
     }
 
     /// Calls `f` with the number and the weighted sum of each pixel of a line.
@@ -219,22 +212,21 @@ mod tests {
                 assert!((sampler.at(x, y).unwrap() - wanted).abs() < tolerance);
             }
             for (axis, step) in [(0, (1, 0)), (1, (0, 1))] {
-                let (bytes, hop) = sampler.line(3, 4, axis, 9, 1).unwrap();
-                let sums = sampler.line_sums(bytes, hop);
-                let (mut s, mut sj, mut ss) = (0.0, 0.0, 0.0);
-                for j in 0..9 {
-                    let v = f64::from(sampler.at(3 + step.0 * j, 4 + step.1 * j).unwrap() / sampler.scale);
-                    (s, sj, ss) = (s + v, sj + v * f64::from(j), ss + v * v);
-                }
-                assert_eq!(sampler.line_sum(bytes, hop), sums.s);
-                let squares = f64::from(sampler.line_squares(bytes, hop));
-                for (a, b) in [(f64::from(sums.s), s), (f64::from(sums.sj), sj), (squares, ss)] {
-                    assert!((a - b).abs() < 1e-5 * b.abs().max(1e4), "{a} {b}");
-                }
+                let (bytes, hop) = sampler.line(3, 4, axis, 8, 1).unwrap();
+                assert_eq!(hop, sampler.hop(axis));
+                let begin = std::array::from_fn(|j| sampler.begin(3, 4) + j * hop);
+                let eight = sampler.eight(&begin).to_array();
+                sampler.each(bytes, hop, |j, value| {
+                    assert_eq!(value as f32, eight[j as usize]);
+                    let at = sampler.at(3 + step.0 * j, 4 + step.1 * j).unwrap();
+                    assert_eq!(value as f32 * sampler.scale, at);
+                });
             }
+            // The very last pixel has no byte after it.
+            let last = sampler.eight(&[sampler.begin(13, 19); 8]).to_array();
+            assert_eq!(last[7] * sampler.scale, sampler.at(13, 19).unwrap());
             assert!(sampler.at(14, 0).is_none() && sampler.at(0, -1).is_none());
             assert!(sampler.line(10, 0, 0, 5, 1).is_none() && sampler.line(10, 0, 0, 4, 1).is_some());
-            assert!(sampler.bilinear(13.0, 3.0).is_none() && sampler.bilinear(12.5, 18.5).is_some());
         }
     }
 

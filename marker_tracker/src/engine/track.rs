@@ -12,19 +12,37 @@ use crate::{
     signal::Sampler,
 };
 use nalgebra::{Isometry3, Vector2};
-use rig_model::{CameraModel, MarkerColor};
+use rig_model::{CameraModel, MarkerColor, PerColor};
 
 /// Likeness (0 to 1) of the hue histograms from which on a thing can be the marker.
 const MIN_LIKENESS: f32 = 0.6;
 /// Pixels around the sought outline that a window shows.
 const MARGIN: f64 = 9.0;
+/// Pixels around it that are read in a quick look.
+const STRIP: f64 = 5.0;
 
 /// The part of the image around an outline.
-fn window_of(image: &ImageView<'_>, quad: &Quad) -> [i32; 4] {
+fn window_of(image: &ImageView<'_>, quad: &Quad, margin: f64) -> [i32; 4] {
     let (w, h) = (image.width as i32, image.height as i32);
-    let [x0, y0, x1, y1] = quad.bounds(MARGIN);
+    let [x0, y0, x1, y1] = quad.bounds(margin);
     let (x0, y0) = (x0.clamp(0, w), y0.clamp(0, h));
     [x0, y0, x1.clamp(x0, w), y1.clamp(y0, h)]
+}
+
+/// Asks for a window's pixels, all at once: a fresh image is far from the core, and the rows that are read later would each
+/// wait for their own.
+fn fetch(image: &ImageView<'_>, [x0, y0, x1, y1]: [i32; 4]) {
+    const LINE: usize = 64;
+    let bytes = image.format.bytes_per_pixel();
+    let mut sum = 0u8;
+    for y in y0..y1 {
+        let start = y as usize * image.step;
+        let row = image.data.get(start + x0 as usize * bytes..start + x1 as usize * bytes).unwrap_or(&[]);
+        for line in row.chunks(LINE) {
+            sum ^= line[0];
+        }
+    }
+    std::hint::black_box(sum);
 }
 
 /// How much is known beforehand of an outline's edges.
@@ -127,14 +145,16 @@ impl Engine {
         let Some(pose) = self.pose else { return 0 };
         let mut whole: [Option<QuadFit>; 4] = [None; 4];
         let start = self.predicted(&pose, ratio);
+        let quads = PerColor::from_fn(|color| {
+            let quad = project_square(&self.layout, color, self.markers[color].turn.0, camera, &start)?;
+            fetch(image, window_of(image, &quad, STRIP));
+            Some(quad)
+        });
         for color in MarkerColor::ALL {
             let Some(sampler) = self.sampler(image, color) else { continue };
-            let Some(quad) = project_square(&self.layout, color, self.markers[color].turn.0, camera, &start)
-            else {
-                continue;
-            };
+            let Some(quad) = quads[color] else { continue };
             let quad = if self.config.use_flow { self.moved_by_flow(&sampler, color, &quad) } else { quad };
-            self.markers[color].window = window_of(image, &quad);
+            self.markers[color].window = window_of(image, &quad, MARGIN);
             let found = self.follow(&sampler, color, &quad).or_else(|| self.search(image, color, &quad));
             whole[color.index()] = match found {
                 Some(f) if !self.hue_agrees(image, color, &f.quad) => {

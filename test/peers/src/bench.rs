@@ -76,11 +76,14 @@ pub fn run(pictures: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
     let mut by_criteria = [TrackerConfig::default(), without_flow, without_both]
         .map(|config| (Ours::new(&camera, layout.clone(), config), Vec::with_capacity(pictures)));
     let (mut first, mut again, mut acquired, mut tried) = (Vec::new(), Vec::new(), 0usize, 0usize);
-    let blank = Picture {
-        width: camera.width,
-        height: camera.height,
-        rgb: vec![128; 3 * camera.width * camera.height],
-    };
+    // Nine grey ones, each another: the same image again would be a camera that stands still.
+    let blanks: Vec<Picture> = (0..9)
+        .map(|i| Picture {
+            width: camera.width,
+            height: camera.height,
+            rgb: vec![124 + i; 3 * camera.width * camera.height],
+        })
+        .collect();
     for number in 0..pictures {
         if number % 10 == 0 {
             progress.tell(number as f64 / pictures as f64);
@@ -121,8 +124,8 @@ pub fn run(pictures: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
             let image = fresh(&shots[0]);
             first.push(fresh_tracker.track(&image).as_secs_f64() * 1e6);
             acquired += usize::from(all_told(&fresh_tracker));
-            for _ in 0..9 {
-                fresh_tracker.track(&blank);
+            for blank in &blanks {
+                fresh_tracker.track(blank);
             }
             let image = fresh(&shots[0]);
             again.push(fresh_tracker.track(&image).as_secs_f64() * 1e6);
