@@ -3,6 +3,7 @@
 use crate::{image::ImageView, signal::rgb_at};
 use nalgebra::{Matrix2, Vector2};
 use rig_model::{MarkerColor, PerColor};
+use wide::{f32x4, i32x4, u8x16, u32x4};
 
 /// A patch of one colour.
 #[derive(Clone, Copy, Debug)]
@@ -141,7 +142,7 @@ struct Sums {
 
 /// Distance of the coarse grid's places, and side of the cells that it marks, px.
 const GRID: usize = 4;
-const CELL: usize = 8;
+pub(crate) const CELL: usize = 8;
 
 /// What counts as coloured, in whole numbers.
 #[derive(Clone, Copy)]
@@ -161,6 +162,22 @@ impl Tint {
     fn is_colored(&self, [a, b, c]: [u8; 3]) -> bool {
         let (max, min) = (a.max(b).max(c), a.min(b).min(c));
         self.is_layer(i32::from(max - min), i32::from(max))
+    }
+
+    /// Which of four pixels are coloured, a bit for each; their fourth bytes are not looked at.
+    #[inline(always)]
+    fn are_colored(&self, pixels: [u32; 4]) -> u32 {
+        let a = u32x4::new(pixels);
+        // Each word's lowest byte is compared with the two above it.
+        let [a, b, c]: [u8x16; 3] = [bytemuck::cast(a), bytemuck::cast(a >> 8), bytemuck::cast(a >> 16)];
+        let number = |bytes: u8x16| {
+            let lowest: i32x4 = bytemuck::cast(bytemuck::cast::<u8x16, u32x4>(bytes) & u32x4::splat(0xff));
+            lowest.round_float()
+        };
+        let (max, min) = (number(a.max(b).max(c)), number(a.min(b).min(c)));
+        let layer = max - min;
+        let saturated = (layer * f32x4::splat(256.0)).simd_ge(max * f32x4::splat(self.saturation as f32));
+        (layer.simd_ge(f32x4::splat(self.layer as f32)) & saturated).to_bitmask()
     }
 
     #[inline(always)]
@@ -186,6 +203,8 @@ pub(crate) struct Scanner {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ScanConfig {
     pub stride: usize,
+    /// Distance along a row of the places that are asked first whether anything is coloured there, px.
+    pub grid: usize,
     /// Least share of the brightness that is colour.
     pub min_saturation: f32,
     /// Least layer difference of 255.
@@ -299,17 +318,30 @@ impl Scanner {
         self.seeds.resize(columns * rows, false);
         let bytes = image.format.bytes_per_pixel();
         let tint = Tint::new(config);
-        let grid = config.stride.clamp(GRID, CELL);
+        let (grid, along) = (config.stride.clamp(GRID, CELL), config.grid.clamp(1, CELL));
+        let skipped = if along == CELL { CELL / 2 } else { 0 };
         for y in (y0 + grid / 2..y1).step_by(grid) {
             let start = y * image.step + x0 * bytes;
             let Some(row) = image.data.get(start..start + (x1 - x0) * bytes) else { break };
             let first = (y - y0) / CELL * columns;
             let seeds = &mut self.seeds[first..first + columns];
-            for (cell, seed) in row.chunks(CELL * bytes).zip(seeds) {
-                for pixel in cell.chunks(grid * bytes) {
+            let word = |cell: usize, x: usize| {
+                let at = (cell * CELL + x) * bytes;
+                match *row.get(at..at + 4).or_else(|| row.get(at..at + 3)).unwrap_or(&[]) {
                     // Which of the three is the red one makes no difference here.
-                    if let [a, b, c, ..] = *pixel {
-                        *seed |= tint.is_colored([a, b, c]);
+                    [a, b, c, ..] => u32::from_le_bytes([a, b, c, 0]),
+                    _ => 0,
+                }
+            };
+            for (cell, seeds) in (0..).step_by(4).zip(seeds.chunks_mut(4)) {
+                for x in (skipped..CELL).step_by(along) {
+                    let [p, q, r, s] =
+                        [word(cell, x), word(cell + 1, x), word(cell + 2, x), word(cell + 3, x)];
+                    let colored = tint.are_colored([p, q, r, s]);
+                    if colored != 0 {
+                        for (i, seed) in seeds.iter_mut().enumerate() {
+                            *seed |= colored >> i & 1 != 0;
+                        }
                     }
                 }
             }

@@ -277,9 +277,8 @@ pub(crate) fn fit_edge(
         // Σ c with c = (s·(1 − shading·(j − crossing)) − outside)/difference, all rows alike.
         let outside_here = level + tilt * along;
         let difference = at_middle + inside_tilt * along - outside_here;
-        let sum = s * (f32x8::ONE + shading * of(&rows.crossing))
-            - shading * of(&rows.sj)
-            - pixels * outside_here;
+        let sum =
+            s * (f32x8::ONE + shading * of(&rows.crossing)) - shading * of(&rows.sj) - pixels * outside_here;
         let covered = sum / difference;
         let across = (covered - of(&rows.inner)) * steep;
         let is_good = (of(&rows.outside) - outside_here).abs().simd_le(gate)

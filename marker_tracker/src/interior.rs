@@ -54,11 +54,13 @@ impl Interior {
         self.level + self.gradient.x * (x - self.centre.x) + self.gradient.y * (y - self.centre.y)
     }
 
-    /// From the pixels that stay `half_width` px away from the edges, and the gradient that was measured before, if it was.
+    /// From the pixels that stay `half_width` px away from the edges (fewer of them for a quick look), and the gradient that was
+    /// measured before, if it was.
     pub fn measure(
         sampler: &Sampler<'_>,
         quad: &Quad,
         half_width: f64,
+        quick: bool,
         before: Option<Vector2<f64>>,
     ) -> Option<Self> {
         let (area, centre) = quad.area_and_centroid();
@@ -66,7 +68,7 @@ impl Interior {
         let shrink = ((side - 2.0 * half_width - 1.0) / side).clamp(0.25, 0.9);
         let shrunken = Quad(quad.0.map(|c| centre + (c - centre) * shrink));
         let [_, top, _, bottom] = shrunken.bounds(0.0);
-        let (most, per_line) = if before.is_some() { QUICK } else { (LINES, PER_LINE) };
+        let (most, per_line) = if quick { QUICK } else { (LINES, PER_LINE) };
         let stride = ((bottom - top + most - 1) / most).max(1);
         let spans = shrunken.spans();
         let mut lines = [(0, 0, 0, 0); LINES as usize + 1];

@@ -165,7 +165,7 @@ impl HueHistogram {
 
     /// Of the inside of an outline.
     pub fn of(image: &ImageView<'_>, quad: &Quad) -> Option<Self> {
-        const N: usize = 5;
+        const N: usize = 4;
         let (_, centre) = quad.area_and_centroid();
         let mut hue = Self::default();
         let mut n = 0;

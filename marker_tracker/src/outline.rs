@@ -6,7 +6,7 @@
 //! centroid to first order.
 
 use crate::{
-    edge::{EdgeFit, Side, fit_edge},
+    edge::{EdgeFit, MAX_ROWS, Side, fit_edge},
     interior::Interior,
     quad::Quad,
     signal::Sampler,
@@ -82,7 +82,7 @@ pub(crate) fn fit(
         return None;
     }
     let half_width = prior.half_width.min(predicted.thickness_of(signed_area) * 0.25).max(1.0);
-    let interior = Interior::measure(sampler, predicted, half_width, prior.gradient)?;
+    let interior = Interior::measure(sampler, predicted, half_width, prior.rows < MAX_ROWS, prior.gradient)?;
     let sides = Side::of(predicted, centre);
     let mut edges: [Option<EdgeFit>; 4] = [None; 4];
     let mut outside_levels = [0.0; 4];

@@ -49,7 +49,7 @@ fn is_square(blob: &Blob) -> bool {
 }
 
 fn scan_config(stride: usize, min_area: f64, max_area: f64) -> ScanConfig {
-    ScanConfig { stride, min_saturation: 0.15, min_layer: 16, min_area, max_area }
+    ScanConfig { stride, grid: stride.clamp(4, 8), min_saturation: 0.15, min_layer: 16, min_area, max_area }
 }
 
 /// The square-like patches of the markers' colours in an image, the largest first.

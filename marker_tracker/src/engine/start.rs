@@ -1,9 +1,11 @@
 //! Acquisition: the markers in the whole image, wherever they are.
 
-use super::{Engine, MAX_TURN, half_width_for, is_whole, learn::compare_outline, track::Slack};
+use super::{
+    COARSE_ROWS, Engine, MAX_TURN, ROWS, half_width_for, is_whole, learn::compare_outline, track::Slack,
+};
 use crate::{
     acquire::{Extent, Hypothesis, Strictness, hypotheses},
-    blob::{ScanConfig, mean_rgb},
+    blob::{CELL, ScanConfig, mean_rgb},
     geometry::{Sight, project_square, refine},
     image::ImageView,
     model::Appearance,
@@ -16,26 +18,46 @@ impl Engine {
     /// The markers in the whole image, wherever they are. True where they were found; pose and colours are then set.
     pub(super) fn acquire(&mut self, image: &ImageView<'_>, camera: &CameraModel) -> bool {
         let size = (image.width * image.height) as f64;
-        let config = ScanConfig {
-            stride: (image.width.max(image.height) / 320).clamp(1, 8),
-            min_saturation: 0.15,
-            min_layer: 12,
-            min_area: 40.0,
-            max_area: size / 6.0,
-        };
-        self.scanner.scan(image, [0, 0, image.width as i32, image.height as i32], &config);
         let known = self.known_camera();
         let strictness = if known {
             Strictness { reprojection: 0.08, area: 1.8 }
         } else {
             Strictness { reprojection: 0.3, area: 2.2 }
         };
-        // The best fours first; three only where no four are confirmed.
+        let stride = (image.width.max(image.height) / 320).clamp(1, 8);
+        let full = [0, 0, image.width as i32, image.height as i32];
+        // Paper is more colourful than floors are: a coarse look for that. What is small or pale is left to a close one.
+        let coarse = ScanConfig {
+            stride: 2 * stride,
+            grid: CELL,
+            min_saturation: 0.28,
+            min_layer: 20,
+            min_area: 100.0,
+            max_area: size / 6.0,
+        };
+        let close = ScanConfig {
+            stride,
+            grid: stride.clamp(4, 8),
+            min_saturation: 0.15,
+            min_layer: 12,
+            min_area: 40.0,
+            ..coarse
+        };
         let mut found = std::mem::take(&mut self.found);
         let mut best = None;
-        for extent in [Extent::Quick, Extent::Fours, Extent::Threes] {
-            hypotheses(&self.layout, camera, &self.scanner.blobs, strictness, extent, &mut found);
-            best = self.best_of(image, camera, &found, known);
+        // The best fours first; three only where no four are confirmed.
+        for (config, extents) in [
+            (coarse, &[Extent::Quick] as &[Extent]),
+            (close, &[Extent::Quick, Extent::Fours, Extent::Threes]),
+        ] {
+            self.scanner.scan(image, full, &config);
+            for extent in extents {
+                hypotheses(&self.layout, camera, &self.scanner.blobs, strictness, *extent, &mut found);
+                best = self.best_of(image, camera, &found, known);
+                if best.is_some() {
+                    break;
+                }
+            }
             if best.is_some() {
                 break;
             }
@@ -121,9 +143,17 @@ impl Engine {
             }
             let tolerance = if known_camera { 1.5 } else { 3.0 };
             let sampler = Sampler::new(image, &appearance.discriminant);
-            let slack = Slack { half_width: 6.0, edge: tolerance, place: 6.0, slope: 0.12, gradient: None };
+            let slack = Slack {
+                half_width: 6.0,
+                edge: tolerance,
+                place: 6.0,
+                slope: 0.12,
+                gradient: None,
+                rows: COARSE_ROWS,
+            };
             let Some(first) = self.measure(&sampler, color, &quad, slack).filter(is_whole) else { continue };
-            let slack = Slack { half_width: 3.0, edge: 0.5, place: 3.0, slope: 0.05, gradient: None };
+            let slack =
+                Slack { half_width: 3.0, edge: 0.5, place: 3.0, slope: 0.05, gradient: None, rows: ROWS };
             let Some(second) = self.measure(&sampler, color, &first.quad, slack).filter(is_whole) else {
                 continue;
             };

@@ -56,14 +56,18 @@ pub(super) struct Slack {
     pub slope: f64,
     /// As in [`ShapePrior`].
     pub gradient: Option<Vector2<f64>>,
+    /// Most rows of an edge that are read.
+    pub rows: usize,
 }
 
 /// Standard deviation of a centroid up to which one look is enough, px: where noise or compression leave more, a second look
 /// about the place that was found gains a quarter.
 const CERTAIN: f64 = 0.025;
 /// While an outline is sought, and once it is known.
-const SOUGHT: Slack = Slack { half_width: COARSE, edge: 1.0, place: 3.0, slope: 0.06, gradient: None };
-const KNOWN: Slack = Slack { half_width: 2.0, edge: 0.5, place: 3.0, slope: 0.03, gradient: None };
+const SOUGHT: Slack =
+    Slack { half_width: COARSE, edge: 1.0, place: 3.0, slope: 0.06, gradient: None, rows: COARSE_ROWS };
+const KNOWN: Slack =
+    Slack { half_width: 2.0, edge: 0.5, place: 3.0, slope: 0.03, gradient: None, rows: MAX_ROWS };
 
 impl Engine {
     /// The image as it shows a marker.
@@ -87,11 +91,7 @@ impl Engine {
             correlation: self.correlation(),
             inflation: self.inflation(),
             half_width: slack.half_width,
-            rows: match slack.gradient {
-                _ if slack.half_width == COARSE => COARSE_ROWS,
-                Some(_) => ROWS,
-                None => MAX_ROWS,
-            },
+            rows: slack.rows,
             gradient: slack.gradient,
         };
         fit(sampler, quad, &prior, 0.45)
@@ -113,7 +113,8 @@ impl Engine {
         let mut found = None;
         if m.blur > 0.0 {
             let half_width = (m.blur + (1.3 * m.miss - 0.3).max(0.0)).min(COARSE - 0.1);
-            let slack = Slack { half_width, gradient: m.gradient, ..KNOWN };
+            let rows = if m.gradient.is_some() { ROWS } else { MAX_ROWS };
+            let slack = Slack { half_width, gradient: m.gradient, rows, ..KNOWN };
             let f = self.measure(sampler, color, quad, slack).filter(is_whole);
             found = f.filter(|f| {
                 let certain = f.covariance.trace() < 2.0 * CERTAIN * CERTAIN;
@@ -257,7 +258,7 @@ impl Engine {
         let result = if known_turn {
             let (_, place) = quad.area_and_centroid();
             let slack =
-                Slack { half_width: 3.5, edge: edge_sigma, place: place_sigma, slope: 0.012, gradient: None };
+                Slack { half_width: 3.5, edge: edge_sigma, place: place_sigma, slope: 0.012, ..KNOWN };
             self.measure(&sampler, color, &quad, slack)
                 .and_then(|f| {
                     let quad = quad.shifted(f.centroid - place);
@@ -269,7 +270,7 @@ impl Engine {
                 &sampler,
                 color,
                 &quad,
-                Slack { half_width: 5.0, edge: 1.0, place: 3.0, slope: 0.1, gradient: None },
+                Slack { half_width: 5.0, slope: 0.1, rows: MAX_ROWS, ..SOUGHT },
             )
             .filter(is_whole)
             .and_then(|f| {
@@ -290,6 +291,7 @@ impl Engine {
         let margin = 25.0 + self.markers[color].flow.norm();
         let config = ScanConfig {
             stride: 1,
+            grid: 4,
             min_saturation: 0.15,
             min_layer: 10,
             min_area: 0.5 * area.abs(),
