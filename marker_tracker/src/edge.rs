@@ -459,8 +459,8 @@ impl Places {
     /// Leaves out the rows that are not good (those that are have 1).
     fn keep(&mut self, good: &Column) {
         let mut kept = 0;
-        for i in 0..self.count {
-            if good[i] > 0.0 {
+        for (i, good) in good.iter().enumerate().take(self.count) {
+            if *good > 0.0 {
                 (self.along[kept], self.across[kept]) = (self.along[i], self.across[i]);
                 kept += 1;
             }
