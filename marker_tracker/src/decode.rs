@@ -100,9 +100,9 @@ fn decode_png(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
     };
     check_claim(width, height, 0, 0, data.len())?;
     let mut reader = decoder.read_info().map_err(|e| failed(e.to_string()))?;
-    // The decoder goes through a palette by its length, and panics beyond the 256 colours that there can be.
-    if reader.info().palette.as_ref().is_some_and(|p| p.len() > 3 * 256 || p.len() % 3 != 0) {
-        return Err(failed("its palette has no 256 colours of three bytes at the most".to_owned()));
+    // The decoder goes through a palette in threes, and panics where a colour is cut off.
+    if reader.info().palette.as_ref().is_some_and(|p| p.len() % 3 != 0) {
+        return Err(failed("its palette ends within a colour".to_owned()));
     }
     let (color, _) = reader.output_color_type();
     let needed = reader.info().raw_bytes();
@@ -147,8 +147,10 @@ mod tests {
         };
         let whole = with([9, 90, 200].repeat(256)).unwrap();
         assert_eq!(whole.data[..3], [9, 90, 200]);
-        for palette in [[9, 90, 200].repeat(300), [9, 90, 200, 5].repeat(2)] {
-            assert!(with(palette).unwrap_err().to_string().contains("palette"));
+        for length in [4, 8, 766, 767] {
+            let error = with(vec![9; length]).unwrap_err().to_string();
+            assert!(error.contains("palette"), "{error}");
         }
+        assert!(with(vec![9; 900]).is_err());
     }
 }
