@@ -240,7 +240,7 @@ fn conclude(arguments: &Arguments, mut results: Results) -> Result<()> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let facts = [
         ("Made by", format!("volant {}", env!("CARGO_PKG_VERSION"))),
-        ("Command", format!("`volant reproduce {}`", words.join(" "))),
+        ("Command", format!("`volant {}`", words.join(" "))),
         ("Seed", arguments.seed.to_string()),
         ("Machine", machine()),
     ]
