@@ -41,8 +41,8 @@ fn print(name: &str, score: &Score, s: &Status) {
     );
 }
 
-/// NEES after 10 of 12 s with one clock moved.
-const BAG_LIMIT: f64 = 40.0;
+/// NEES of the nominal run after 10 of 12 s with one clock moved. Should be 6, as on the others.
+const NOMINAL_LIMIT: f64 = 15.0;
 
 /// Camera and climber ahead of the inertial unit, s.
 const AHEAD: [(f64, f64); 6] =
@@ -76,6 +76,8 @@ fn whichever_clock_is_off_it_is_found_and_the_covariance_knows() {
         println!("    NEES over the seeds: {:.2?} from 10 s, {:.2?} from 35 s", nees[0], nees[1]);
         let surely = nees[usize::from(offset.abs() < 0.045)];
         assert!(surely[0] < 6.0 && surely[1] < 6.0, "{camera} {climber} {nees:?}");
+        // While it is open: should be 6 as well.
+        assert!(nees[0][0] < 30.0 && nees[0][1] < 30.0, "{camera} {climber} {nees:?}");
     }
 }
 
@@ -124,7 +126,7 @@ fn moved(name: &str, camera: f64, climber: f64) -> Option<(Score, Score, Status)
 }
 
 #[test]
-fn a_recorded_run_with_one_clock_moved_is_no_confident_lie() {
+fn a_recorded_run_with_one_clock_moved_is_no_confident_lie_but_where_the_climber_hardly_turns() {
     for name in ["nominal", "occlude_two", "clutter", "fast_swing"] {
         for (camera, climber) in [(0.0, 0.0), (0.04, 0.0), (0.0, -0.03)] {
             let Some((all, late, status)) = moved(name, camera, climber) else { return };
@@ -136,8 +138,9 @@ fn a_recorded_run_with_one_clock_moved_is_no_confident_lie() {
                 assert!((status.camera_clock_offset + camera).abs() < 1.5e-3, "{status:?}");
                 continue;
             }
-            // Twelve seconds are not always enough to be sure of 30 ms; where the clocks agree there is no doubt.
-            let limit = if (camera, climber) == (0.0, 0.0) { 6.0 } else { BAG_LIMIT };
+            // Twelve seconds of nominal's motion are not always enough to be sure of 30 ms.
+            let limit =
+                if name == "nominal" && (camera, climber) != (0.0, 0.0) { NOMINAL_LIMIT } else { 6.0 };
             assert!(late.nees().0 < limit && late.nees().1 < limit, "{late}");
         }
     }
