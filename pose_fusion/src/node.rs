@@ -29,11 +29,11 @@ node_kit::parameters! {
         /// How far back late data may reach.
         history: f64 = 0.6, unit("s"), range(0.1..=5.0);
         /// Accelerometer bias at the start (1 sigma).
-        accelerometer_bias: f64 = 0.1, unit("m/s^2"), range(0.0..=10.0), name("imu_bias.accelerometer");
+        accelerometer_bias: f64 = 0.2, unit("m/s^2"), range(0.0..=10.0), name("imu_bias.accelerometer");
         /// Its random walk.
         accelerometer_bias_walk: f64 = 3e-4, unit("m/s^2/sqrt(s)"), range(0.0..=1.0), name("imu_bias.accelerometer_walk");
         /// Gyroscope bias at the start (1 sigma).
-        gyroscope_bias: f64 = 0.04, unit("rad/s"), range(0.0..=1.0), name("imu_bias.gyroscope");
+        gyroscope_bias: f64 = 0.09, unit("rad/s"), range(0.0..=1.0), name("imu_bias.gyroscope");
         /// Its random walk.
         gyroscope_bias_walk: f64 = 5e-5, unit("rad/s/sqrt(s)"), range(0.0..=1.0), name("imu_bias.gyroscope_walk");
         /// What the lens and marker model are off by, beside the observation's covariance.
@@ -57,7 +57,7 @@ node_kit::parameters! {
         /// Climber clock against the camera's where they are not one (1 sigma); 0 takes them as one for certain.
         climber_clock: f64 = 0.05, unit("s"), range(0.0..=0.2), name("clock.climber");
         /// Probability at the start that climber and camera have one clock.
-        climber_clock_tied: f64 = 0.9999, range(0.0..=1.0), name("clock.climber_tied");
+        climber_clock_tied: f64 = 0.5, range(0.0..=1.0), name("clock.climber_tied");
         /// Velocity of a platform at rest for the zero-motion update (1 sigma); 0 switches it off.
         rest_velocity: f64 = 0.002, unit("m/s"), range(0.0..=1.0);
         /// Position uncertainty (1 sigma) beyond which the estimate is called lost.

@@ -41,16 +41,16 @@ fn print(name: &str, score: &Score, s: &Status) {
     );
 }
 
-/// NEES of the nominal run after 10 of 12 s with one clock moved. Should be 6, as on the others.
-const NOMINAL_LIMIT: f64 = 15.0;
+/// NEES of fast_swing with one clock moved: its climber hardly turns, so ten seconds tell the offset to 8 ms and this run's noise, of all, by two
+/// sigmas wrongly. The covariance is then that of a two-sigma error (6.2 and 7.9), where on average it would be 3.
+const HARDLY_TURNS: f64 = 10.0;
 
 /// Camera and climber ahead of the inertial unit, s.
 const AHEAD: [(f64, f64); 6] =
     [(0.04, 0.0), (0.0, -0.03), (-0.05, 0.0), (0.0, 0.06), (0.06, -0.04), (-0.1, -0.02)];
 
-/// The data show the offset to 6 ms within ten seconds of this motion and to 4 ms within twenty, and one clock for both was thought
-/// ten thousand times likelier. So an offset of 50 ms is sure within ten seconds, one of 30 ms takes half a minute;
-/// in between the covariance holds both answers.
+/// The data show the offset to 6 ms within ten seconds of this motion and to 4 ms within twenty; until they do the covariance
+/// holds both answers.
 #[test]
 fn whichever_clock_is_off_it_is_found_and_the_covariance_knows() {
     for (camera, climber) in AHEAD {
@@ -74,10 +74,7 @@ fn whichever_clock_is_off_it_is_found_and_the_covariance_knows() {
             }
         }
         println!("    NEES over the seeds: {:.2?} from 10 s, {:.2?} from 35 s", nees[0], nees[1]);
-        let surely = nees[usize::from(offset.abs() < 0.045)];
-        assert!(surely[0] < 6.0 && surely[1] < 6.0, "{camera} {climber} {nees:?}");
-        // While it is open: should be 6 as well.
-        assert!(nees[0][0] < 30.0 && nees[0][1] < 30.0, "{camera} {climber} {nees:?}");
+        assert!(nees.iter().flatten().all(|n| *n < 6.0), "{camera} {climber} {nees:?}");
     }
 }
 
@@ -126,22 +123,18 @@ fn moved(name: &str, camera: f64, climber: f64) -> Option<(Score, Score, Status)
 }
 
 #[test]
-fn a_recorded_run_with_one_clock_moved_is_no_confident_lie_but_where_the_climber_hardly_turns() {
+fn a_recorded_run_with_one_clock_moved_is_no_confident_lie() {
     for name in ["nominal", "occlude_two", "clutter", "fast_swing"] {
         for (camera, climber) in [(0.0, 0.0), (0.04, 0.0), (0.0, -0.03)] {
             let Some((all, late, status)) = moved(name, camera, climber) else { return };
             print(&format!("{name} {camera:+.2} {climber:+.2}"), &late, &status);
             println!("{:34} {all}", "   from 1 s on");
-            if name == "fast_swing" && (camera, climber) != (0.0, 0.0) {
-                // This climber hardly turns: after twelve seconds the clocks still count as one, and the output is too sure by far
-                // (NEES 700 and 1700). What holds is the camera's own offset.
-                assert!((status.camera_clock_offset + camera).abs() < 1.5e-3, "{status:?}");
-                continue;
-            }
-            // Twelve seconds of nominal's motion are not always enough to be sure of 30 ms.
-            let limit =
-                if name == "nominal" && (camera, climber) != (0.0, 0.0) { NOMINAL_LIMIT } else { 6.0 };
+            assert!((status.camera_clock_offset + camera).abs() < 1.5e-3, "{status:?}");
+            let apart = (camera, climber) != (0.0, 0.0);
+            let limit = if name == "fast_swing" && apart { HARDLY_TURNS } else { 6.0 };
             assert!(late.nees().0 < limit && late.nees().1 < limit, "{late}");
+            // From the first second on, too, while hardly anything is known of the clocks.
+            assert!(all.nees().0 < 10.0 && all.nees().1 < 10.0, "{all}");
         }
     }
 }

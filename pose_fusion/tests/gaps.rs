@@ -3,6 +3,7 @@
 mod common;
 
 use common::{
+    laps::Laps,
     rig::{inertial::SensorConfig, motion::MotionConfig},
     scoring::{self, Said},
     simulated,
@@ -182,4 +183,64 @@ fn pictures_from_the_future_are_refused_with_a_reason_and_the_rest_goes_on() {
             assert!(said.odometry.windows(2).all(gap));
         },
     );
+}
+
+fn lap_row(name: &str, laps: &Laps) -> common::laps::Found {
+    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+    let found = laps.follow(&mut fusion);
+    println!(
+        "{name}: {:.2} h, NEES {:.2} {:.2}, beyond the gate {:.2} % {:.2} %, {} encoder faults; one clock doubted {:.1} % of the second \
+         half, at most {:.2} ms said, at the end {:.4} for one clock",
+        found.hours,
+        found.mean_nees[0],
+        found.mean_nees[1],
+        100.0 * found.beyond[0],
+        100.0 * found.beyond[1],
+        found.encoder_faults,
+        100.0 * found.doubted,
+        found.said * 1e3,
+        found.status.climber_clock_tied,
+    );
+    found
+}
+
+/// Fifteen seconds from rest to full motion: at first every turn and every speed hides in the noise.
+#[test]
+fn a_platform_that_sets_out_slowly_is_followed_and_the_covariance_knows() {
+    for seed in 1..=4 {
+        let found = lap_row(&format!("slow laps, seed {seed}"), &Laps::minutes(seed, 3));
+        assert!(found.beyond.iter().all(|b| *b < 0.002), "{found:?}");
+        assert!(found.mean_nees.iter().all(|n| *n < 6.0), "{found:?}");
+    }
+}
+
+fn broken_encoders(seed: u64, laps: u32) {
+    let laps = Laps { broken_encoders: true, ..Laps::minutes(seed, laps) };
+    let found = lap_row(&format!("encoders with faults, seed {seed}"), &laps);
+    assert!(found.status.divergences == 0 && found.status.recoveries == 0, "{found:?}");
+    assert!(found.doubted < 0.02 && found.said < 2e-3, "{found:?}");
+    assert!(found.beyond.iter().all(|b| *b < 0.02), "{found:?}");
+}
+
+/// Rounding must not pile up: without symmetric covariances a variance was negative after an hour.
+#[test]
+#[ignore = "three hours of rig time: two minutes"]
+fn hours_leave_the_covariance_as_it_was() {
+    let found = lap_row("three hours, nothing broken", &Laps::minutes(5, 180));
+    assert!(found.status.divergences == 0 && found.status.recoveries == 0, "{found:?}");
+    assert!(found.doubted < 0.02 && found.said < 2e-3, "{found:?}");
+    assert!(found.beyond.iter().all(|b| *b < 0.002), "{found:?}");
+}
+
+#[test]
+fn broken_encoders_do_not_make_two_clocks_of_one() {
+    broken_encoders(1, 15);
+}
+
+#[test]
+#[ignore = "three hours of rig time for each of two seeds: some minutes"]
+fn nor_do_they_in_three_hours() {
+    for seed in 2..=3 {
+        broken_encoders(seed, 180);
+    }
 }

@@ -121,7 +121,7 @@ fn hidden_markers_cost_what_the_issue_allows() {
 #[test]
 fn ten_times_the_noise_and_large_biases_are_found() {
     let mut outside = Vec::new();
-    for seed in 0..6 {
+    for seed in 0..10 {
         let sensors = SensorConfig {
             imu_noise_factor: 10.0,
             accelerometer_bias: Vector3::new(0.2, -0.2, 0.2),
@@ -158,9 +158,7 @@ fn ten_times_the_noise_and_large_biases_are_found() {
             outside.push(seed);
         }
     }
-    // Should be none: biases of twice what the filter starts from can lead it to an offset of the clock that is not there.
-    println!("outside: {outside:?} of 6");
-    assert!(outside.iter().all(|seed| *seed == 2), "{outside:?}");
+    assert!(outside.is_empty(), "outside: {outside:?}");
 }
 
 /// So slow that the unit's noise hides it.

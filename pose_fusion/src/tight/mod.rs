@@ -342,7 +342,9 @@ impl Tight {
     }
 
     fn position_sigma(&self, state: &State) -> f64 {
-        (0..3).map(|i| state.covariance[(POSITION + i, POSITION + i)]).fold(0.0, f64::max).sqrt()
+        let (_, doubt) = self.belief().moments();
+        let variance = |i: usize| state.covariance[(i, i)] + state.tie.by_offset[i].powi(2) * doubt;
+        (POSITION..POSITION + 3).map(variance).fold(0.0, f64::max).sqrt()
     }
 }
 

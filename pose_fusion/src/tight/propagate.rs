@@ -2,6 +2,9 @@
 //!
 //! Between two instants specific force and rate of turn are taken as linear, so that their mean moves the state:
 //! `a = R(f − b_a) + g`, `p += v dt + a dt²/2`, `v += a dt`, `R ← R Exp((ω − b_g) dt)`, with `R` in `a` that of the middle.
+//! What turns while it is integrated is not its mean, so two terms come on top (Savage 1998, "Strapdown inertial navigation integration
+//! algorithm design"): coning `dt²/12 ω₀ × ω₁` on the turn, sculling `dt/12 (ω × Δf − Δω × f) + dt²/24 ω × (ω × f)` on the mean force.
+//! In a 1 Hz swing of 35° at 100 Hz the one is 0.04°/s, the other 5 mm/s².
 //! Errors (attitude on the world's side): `δθ' = δθ − R δb_g dt`, `δv' = δv − [R f]× δθ dt − R δb_a dt`,
 //! `δp' = δp + δv dt + (δv' − δv) dt/2`. The climber's jerk is white noise.
 //!
@@ -56,16 +59,23 @@ pub struct Process {
 /// Moves `state` by `dt` seconds with the mean of what is felt `from` one end `to` the other.
 pub fn propagate(state: &mut State, from: &Felt, to: &Felt, dt: f64, process: &Process) {
     let felt = from.between(to, 0.5);
-    let half_turn = (felt.rate - state.gyroscope_bias) * (dt / 2.0);
-    let half = UnitQuaternion::from_scaled_axis(half_turn);
+    let rate = felt.rate - state.gyroscope_bias;
+    let half = UnitQuaternion::from_scaled_axis(rate * (dt / 2.0));
     let middle = state.attitude * half;
     let rotation = middle.to_rotation_matrix();
     let rotation: &Matrix3<f64> = rotation.matrix();
-    let force = rotation * (felt.force - state.accelerometer_bias);
-    let acceleration = Vector3::new(force.x, force.y, force.z - process.gravity);
+    let force = felt.force - state.accelerometer_bias;
+    let (faster, stronger) = (to.rate - from.rate, to.force - from.force);
+    let sculling = (rate.cross(&stronger) - faster.cross(&force)) * (dt / 12.0)
+        + rate.cross(&rate.cross(&force)) * (dt * dt / 24.0);
+    // ω₀ × ω₁ = ω × Δω.
+    let coning = UnitQuaternion::from_scaled_axis(rate.cross(&faster) * (dt * dt / 12.0));
+    let moved = rotation * (force + sculling);
+    let acceleration = Vector3::new(moved.x, moved.y, moved.z - process.gravity);
+    let force = rotation * force;
     state.position += state.velocity * dt + acceleration * (dt * dt / 2.0);
     state.velocity += acceleration * dt;
-    state.attitude = middle * half;
+    state.attitude = middle * half * coning;
     state.attitude.renormalize_fast();
     state.climber += state.climber_rate * dt + state.climber_acceleration * (dt * dt / 2.0);
     state.climber_rate += state.climber_acceleration * dt;
@@ -74,6 +84,7 @@ pub fn propagate(state: &mut State, from: &Felt, to: &Felt, dt: f64, process: &P
     times_transition(&mut state.covariance, &blocks, dt);
     state.covariance.transpose_mut();
     times_transition(&mut state.covariance, &blocks, dt);
+    symmetrise(&mut state.covariance);
     add_noise(&mut state.covariance, dt, process);
     carry(&mut state.tie.by_offset, &blocks, dt);
 }
@@ -168,6 +179,18 @@ fn times_transition(p: &mut Covariance, blocks: &Blocks, dt: f64) {
     }
 }
 
+/// What rounding leaves between a covariance and its transpose is carried on by every step and corrected by no measurement: it grows with a
+/// power of the time, and after an hour a variance is negative.
+fn symmetrise(p: &mut Covariance) {
+    for j in 0..N {
+        for i in j + 1..N {
+            let mean = 0.5 * (p[(i, j)] + p[(j, i)]);
+            p[(i, j)] = mean;
+            p[(j, i)] = mean;
+        }
+    }
+}
+
 /// `e ← F e`.
 fn carry(e: &mut Error, blocks: &Blocks, dt: f64) {
     let three = |e: &Error, i: usize| Vector3::new(e[i], e[i + 1], e[i + 2]);
@@ -239,6 +262,32 @@ mod tests {
             clock: 0.0,
         };
         (s, felt, process)
+    }
+
+    #[test]
+    fn what_turns_while_it_is_integrated_is_integrated_as_if_in_a_thousand_steps() {
+        let (start, _, process) = example();
+        // Half a second of an elliptic swing at 1 Hz, 100 samples a second.
+        let felt_at = |t: f64| {
+            let angle = std::f64::consts::TAU * t;
+            Felt {
+                rate: Vector3::new(3.5 * angle.cos(), 2.5 * angle.sin(), 0.3),
+                force: Vector3::new(2.0 * angle.sin(), -3.0 * angle.cos(), 11.0 + 3.0 * (2.0 * angle).cos()),
+            }
+        };
+        let (mut coarse, mut fine) = (start.clone(), start);
+        for k in 0..50 {
+            let (from, to) = (felt_at(f64::from(k) * 0.01), felt_at(f64::from(k + 1) * 0.01));
+            propagate(&mut coarse, &from, &to, 0.01, &process);
+            for j in 0..20 {
+                let (a, b) = (f64::from(j) / 20.0, f64::from(j + 1) / 20.0);
+                propagate(&mut fine, &from.between(&to, a), &from.between(&to, b), 0.0005, &process);
+            }
+        }
+        let error = coarse.minus(&fine);
+        // Without the two terms: 5e-4 rad and 2e-3 m/s.
+        let of = |i: usize| error.fixed_rows::<3>(i).norm();
+        assert!(of(ATTITUDE) < 2e-5 && of(VELOCITY) < 2e-4, "{} {}", of(ATTITUDE), of(VELOCITY));
     }
 
     #[test]

@@ -11,5 +11,6 @@ pub mod rig {
 
 pub mod bags;
 pub mod bound;
+pub mod laps;
 pub mod scoring;
 pub mod simulated;

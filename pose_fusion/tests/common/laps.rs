@@ -1,0 +1,150 @@
+//! A long run: lap after lap of one motion that begins and ends at rest at one place, with what goes wrong on a rig.
+
+use super::rig::{inertial::SensorConfig, motion::MotionConfig, random::Random};
+use super::{scoring, simulated};
+use nalgebra::Vector3;
+use pose_fusion::{Fusion, Input, Output, Status};
+
+/// 0.9999 quantile of χ² with 3 degrees of freedom.
+pub const BEYOND: f64 = 21.1;
+
+/// The run.
+#[derive(Clone, Debug)]
+pub struct Laps {
+    pub motion: MotionConfig,
+    pub sensors: SensorConfig,
+    /// How often.
+    pub count: u32,
+    /// Encoders that fall silent for up to 3 s, say a reading twice, stand still while they drive, or come late.
+    pub broken_encoders: bool,
+}
+
+/// What came of it. A pair is position, rotation.
+#[derive(Debug, Default)]
+pub struct Found {
+    pub hours: f64,
+    pub mean_nees: [f64; 2],
+    /// Share of the odometry beyond [`BEYOND`].
+    pub beyond: [f64; 2],
+    /// Share of the second half's odometry during which "one clock" was the less likely answer.
+    pub doubted: f64,
+    /// Largest offset of the climber's clock that was said in the second half, s.
+    pub said: f64,
+    pub encoder_faults: u32,
+    pub status: Status,
+}
+
+impl Laps {
+    /// Of `count` laps of a minute: 15 s from rest to full motion, and as long back.
+    pub fn minutes(seed: u64, count: u32) -> Self {
+        let lap = 60.0;
+        let motion = MotionConfig {
+            duration: lap,
+            still_until: 0.0,
+            still_from: lap,
+            ramp: lap / 4.0,
+            ..MotionConfig::nominal(seed)
+        };
+        Self { motion, sensors: SensorConfig::nominal(seed), count, broken_encoders: false }
+    }
+
+    /// Through a filter that goes on from lap to lap.
+    pub fn follow(&self, fusion: &mut Fusion) -> Found {
+        let mut random = Random::fork(self.sensors.seed, "encoder faults");
+        let mut found = Found::default();
+        let (mut count, mut late, mut doubted) = (0.0, 0.0, 0.0);
+        for lap in 0..self.count {
+            let begin = f64::from(lap) * self.motion.duration;
+            // Other noise in each lap, and the same unit.
+            let sensors = SensorConfig {
+                seed: self.sensors.seed + 1000 * u64::from(lap),
+                epoch: self.sensors.epoch.plus_seconds(begin),
+                ..self.sensors.clone()
+            };
+            let run = simulated::run(self.motion.clone(), &sensors);
+            let mut inputs: Vec<(f64, Input)> =
+                run.inputs.into_iter().map(|(at, i)| (at.seconds_since(sensors.epoch), i)).collect();
+            if self.broken_encoders {
+                found.encoder_faults += spoil(&mut inputs, self.motion.duration, &mut random);
+            }
+            for (_, input) in inputs {
+                fusion.handle(input);
+                while let Some(output) = fusion.poll() {
+                    let Output::Odometry(o) = output else { continue };
+                    let seconds = o.stamp.seconds_since(self.sensors.epoch);
+                    let Some(pose) = scoring::pose_at(&run.truth, o.stamp).filter(|_| seconds > 10.0) else {
+                        continue;
+                    };
+                    count += 1.0;
+                    let (p, r) = scoring::errors(&o.world_from_volant, &pose);
+                    let square = |e: Vector3<f64>, first: usize| {
+                        let c = o.pose_covariance.fixed_view::<3, 3>(first, first).into_owned();
+                        c.cholesky().map_or(f64::INFINITY, |c| e.dot(&c.solve(&e)))
+                    };
+                    for (k, nees) in [square(p, 0), square(r, 3)].into_iter().enumerate() {
+                        found.mean_nees[k] += nees;
+                        found.beyond[k] += f64::from(u8::from(nees > BEYOND));
+                    }
+                    if 2 * lap >= self.count && count % 10.0 == 0.0 {
+                        let status = fusion.status();
+                        late += 1.0;
+                        doubted += f64::from(u8::from(status.climber_clock_tied < 0.5));
+                        found.said = found.said.max(status.climber_clock_offset.abs());
+                    }
+                }
+            }
+        }
+        for k in 0..2 {
+            found.mean_nees[k] /= count;
+            found.beyond[k] /= count;
+        }
+        found.doubted = doubted / late;
+        found.hours = f64::from(self.count) * self.motion.duration / 3600.0;
+        found.status = fusion.status();
+        found
+    }
+}
+
+/// What the encoders of a lap say while they are broken now and then; how often they were.
+fn spoil(inputs: &mut Vec<(f64, Input)>, duration: f64, random: &mut Random) -> u32 {
+    let mut faults = 0;
+    let mut at = random.within(2.0, 12.0);
+    while at < duration - 4.0 {
+        let (kind, end) = (random.index(4), at + random.within(0.3, 3.0));
+        faults += 1;
+        let mut standing = None;
+        let mut changed = Vec::with_capacity(inputs.len());
+        for (arrival, input) in inputs.drain(..) {
+            let Input::Climber(sample) = &input else {
+                changed.push((arrival, input));
+                continue;
+            };
+            if !(at..end).contains(&arrival) {
+                changed.push((arrival, input));
+                continue;
+            }
+            match kind {
+                0 => {}
+                1 => {
+                    changed.push((arrival, input.clone()));
+                    changed.push((arrival, input));
+                }
+                2 => {
+                    // Every other reading repeats the one before, under its own stamp.
+                    let repeated = standing.take();
+                    let mut said = sample.clone();
+                    match repeated {
+                        Some(pose) => said.world_from_climber = pose,
+                        None => standing = Some(sample.world_from_climber),
+                    }
+                    changed.push((arrival, Input::Climber(said)));
+                }
+                _ => changed.push((arrival + random.within(0.0, 0.3), input)),
+            }
+        }
+        changed.sort_by(|a, b| a.0.total_cmp(&b.0));
+        *inputs = changed;
+        at = end + random.within(3.0, 15.0);
+    }
+    faults
+}
