@@ -2,6 +2,16 @@
 
 use std::process::ExitCode;
 
+#[cfg(feature = "node")]
 fn main() -> ExitCode {
     node_kit::node::run_node::<imu_driver::node::ImuNode>()
+}
+
+// Instead of `required-features`: colcon installs no executable that has them.
+#[cfg(not(feature = "node"))]
+fn main() -> ExitCode {
+    eprintln!(
+        "imu_driver: built without its feature `node`, it can do nothing; build it with the default features"
+    );
+    ExitCode::FAILURE
 }

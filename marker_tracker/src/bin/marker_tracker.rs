@@ -2,6 +2,16 @@
 
 use std::process::ExitCode;
 
+#[cfg(feature = "node")]
 fn main() -> ExitCode {
     node_kit::run_node::<marker_tracker::node::MarkerTrackerNode>()
+}
+
+// Instead of `required-features`: colcon installs no executable that has them.
+#[cfg(not(feature = "node"))]
+fn main() -> ExitCode {
+    eprintln!(
+        "marker_tracker: built without its feature `node`, it can do nothing; build it with the default features"
+    );
+    ExitCode::FAILURE
 }

@@ -2,6 +2,16 @@
 
 use std::process::ExitCode;
 
+#[cfg(feature = "node")]
 fn main() -> ExitCode {
     node_kit::node::run_node::<pose_fusion::node::FusionNode>()
+}
+
+// Instead of `required-features`: colcon installs no executable that has them.
+#[cfg(not(feature = "node"))]
+fn main() -> ExitCode {
+    eprintln!(
+        "pose_fusion: built without its feature `node`, it can do nothing; build it with the default features"
+    );
+    ExitCode::FAILURE
 }
