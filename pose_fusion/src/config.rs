@@ -45,6 +45,8 @@ pub struct TightConfig {
     pub attitude_floor: f64,
     /// The model's own pixel error (what neither the observation's covariance nor the lens tells), px.
     pub pixel_floor: f64,
+    /// What a marker's centroid is off by in all images alike, each axis, px (1 sigma). It widens what is said, not what is done.
+    pub pixel_systematic: f64,
     /// Smallest pixel sigma that is believed of an observation, px.
     pub pixel_minimum: f64,
     /// Largest normalised innovation squared of one marker (2 degrees of freedom) that is used.
@@ -91,6 +93,7 @@ impl Default for TightConfig {
             initial_velocity: 1.5,
             attitude_floor: 0.01,
             pixel_floor: 0.03,
+            pixel_systematic: 0.015,
             pixel_minimum: 0.01,
             marker_gate: 16.0,
             joint_gate: 1.0,

@@ -38,6 +38,8 @@ node_kit::parameters! {
         gyroscope_bias_walk: f64 = 5e-5, unit("rad/s/sqrt(s)"), range(0.0..=1.0), name("imu_bias.gyroscope_walk");
         /// What the lens and marker model are off by, beside the observation's covariance.
         pixel_floor: f64 = 0.03, unit("px"), range(0.0..=10.0), name("markers.pixel_floor");
+        /// What a marker's centroid is off by in all images alike, each axis (1 sigma).
+        pixel_systematic: f64 = 0.015, unit("px"), range(0.0..=10.0), name("markers.pixel_systematic");
         /// Largest normalised innovation squared (2 degrees of freedom) of a marker that is used.
         marker_gate: f64 = 16.0, range(1.0..=1000.0), name("markers.gate");
         /// So many images in a row that contradict the estimate, but not themselves, start it anew.
@@ -92,6 +94,7 @@ impl FusionParameters {
                 gyroscope_bias: self.gyroscope_bias,
                 gyroscope_bias_walk: self.gyroscope_bias_walk,
                 pixel_floor: self.pixel_floor,
+                pixel_systematic: self.pixel_systematic,
                 marker_gate: self.marker_gate,
                 lock_out_images: self.lock_out_images,
                 climber_quantum: self.climber_quantum,

@@ -7,7 +7,7 @@ use common::{
     simulated,
 };
 use nalgebra::Vector3;
-use pose_fusion::{Fusion, FusionConfig, MarkerOutcome, Model, Status};
+use pose_fusion::{Fusion, FusionConfig, Input, MarkerOutcome, Model, Status};
 use rig_model::MarkerColor;
 
 struct Outcome {
@@ -159,6 +159,57 @@ fn ten_times_the_noise_and_large_biases_are_found() {
         }
     }
     assert!(outside.is_empty(), "outside: {outside:?}");
+}
+
+/// A drive that is switched on, or an end stop that is hit: up to 36 m/s² for a tenth of a second.
+#[test]
+fn a_climber_that_starts_with_a_jerk_is_followed_and_moves_no_clock() {
+    for ramp in [0.3, 1.0] {
+        for seed in 0..6 {
+            let motion = MotionConfig { still_until: 1.5, ramp, ..MotionConfig::nominal(seed) };
+            let o = follow(motion, &SensorConfig::nominal(seed));
+            println!("ramp {ramp} s, seed {seed}: {}", o.score);
+            assert!(consistent(&o.score, 0.5, 6.0), "{}", o.score);
+            assert!(o.score.position_rmse() < 1.0 && o.score.position_max < 5.0, "{}", o.score);
+            assert!(o.status.recoveries == 0 && o.status.camera_clock_offset.abs() < 2e-3, "{:?}", o.status);
+        }
+    }
+}
+
+#[test]
+fn offsets_that_stay_are_in_the_covariance_though_they_cannot_be_found() {
+    let systematic = 0.03;
+    let mut nees = [[0.0; 2]; 2];
+    let runs = 8;
+    for seed in 0..runs {
+        let run = simulated::run(MotionConfig::nominal(seed), &SensorConfig::nominal(seed));
+        let mut random = common::rig::random::Random::fork(seed, "offsets");
+        let offsets: [[f64; 2]; 4] =
+            std::array::from_fn(|_| std::array::from_fn(|_| random.normal() * systematic));
+        for (told, nees) in [0.0, systematic].into_iter().zip(&mut nees) {
+            let mut config = FusionConfig::default();
+            config.tight.pixel_floor = 0.0;
+            config.tight.pixel_systematic = told;
+            let mut fusion = Fusion::new(simulated::rig(), config);
+            let inputs = run.inputs.iter().map(|(_, i)| {
+                let mut input = i.clone();
+                if let Input::Markers(image) = &mut input {
+                    for (color, offset) in MarkerColor::ALL.into_iter().zip(&offsets) {
+                        let marker = &mut image.markers[color];
+                        marker.centroid += nalgebra::Vector2::from(*offset);
+                    }
+                }
+                input
+            });
+            let said = scoring::run(&mut fusion, inputs);
+            let score = scoring::score(&said.odometry, &run.truth, 5.0);
+            nees[0] += score.nees().0 / runs as f64;
+            nees[1] += score.nees().1 / runs as f64;
+        }
+    }
+    println!("NEES with offsets of {systematic} px: {:.1?} not told, {:.1?} told", nees[0], nees[1]);
+    assert!(nees[0][1] > 8.0, "an offset that is taken for noise makes it too sure: {nees:?}");
+    assert!(nees[1].iter().all(|n| (1.2..5.0).contains(n)), "{nees:?}");
 }
 
 /// So slow that the unit's noise hides it.

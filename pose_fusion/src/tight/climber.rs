@@ -7,6 +7,7 @@
 
 use super::{
     geometry::ClimberRest,
+    jolt::Innovation,
     markers::biased_update,
     propagate::{Felt, retime},
     rigid,
@@ -34,11 +35,11 @@ pub struct Reading {
 /// Equal readings in a row count as one down to this share.
 pub const STANDING: f64 = 8.0;
 
-/// Corrects `state` by a reading of a clock that is `offset` seconds off the camera's; returns the largest normalised innovation squared of the three.
-pub fn update(state: &mut State, reading: &Reading, offset: f64, gravity: f64) -> f64 {
+/// Corrects `state` by a reading of a clock that is `offset` seconds off the camera's; returns what it said beyond the expected.
+pub fn update(state: &mut State, reading: &Reading, offset: f64, gravity: f64) -> Innovation {
     let late = state.camera_clock + offset - reading.clock;
     let clock = state.camera_clock;
-    let mut worst: f64 = 0.0;
+    let mut innovation = Innovation { residual: Vector3::zeros(), nis: Vector3::zeros() };
     if let (false, Some(speed)) = (state.tie.known, &reading.speed) {
         state.tie.by_offset = rigid(state, speed);
         state.tie.known = true;
@@ -52,17 +53,18 @@ pub fn update(state: &mut State, reading: &Reading, offset: f64, gravity: f64) -
             residual = wrapped(residual);
         }
         let h = [(CLIMBER + axis, 1.0), (CLIMBER_RATE + axis, late)];
-        worst = worst.max(biased_update(
+        innovation.residual[axis] = residual;
+        innovation.nis[axis] = biased_update(
             state,
             &h,
             reading.speed.map_or(0.0, |s| s[axis]),
             residual,
             reading.variance[axis],
-        ));
+        );
     }
     let moved = state.camera_clock - clock;
     retime(state, &reading.felt, moved, gravity);
-    worst
+    innovation
 }
 
 /// The angle within ±π.

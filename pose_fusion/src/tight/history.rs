@@ -174,6 +174,17 @@ impl History {
         Some((from, to))
     }
 
+    /// Place and stamp of the reading of the climber that is the `count`-th before a place; of the oldest where there are fewer.
+    pub fn reading_before(&self, place: usize, count: usize) -> Option<(usize, Stamp)> {
+        (0..place)
+            .rev()
+            .filter_map(|p| self.get(p).map(|node| (p, node)))
+            .filter(|(_, node)| matches!(node.event, Event::Climber(_)))
+            .take(count)
+            .last()
+            .map(|(p, node)| (p, node.stamp))
+    }
+
     /// The next inertial sample at or behind a place.
     pub fn next_imu(&self, place: usize) -> Option<&Node> {
         (place..self.order.len()).filter_map(|i| self.get(i)).find(|n| matches!(n.event, Event::Imu { .. }))

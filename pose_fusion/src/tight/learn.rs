@@ -71,8 +71,10 @@ impl Tight {
         let seen = pixels.iter().flatten().count() as u32;
         self.weighed += 1;
         let refused = f64::from(seen.saturating_sub(report.used));
+        let at = self.state().map_or(image, |state| image.plus_seconds(state.camera_clock));
+        let shaken = self.jolts.shaken(at);
         if self.weighed > SETTLING {
-            self.evidence += report.surprise + REFUSED_PRICE * refused;
+            self.evidence.take(at, report.surprise + REFUSED_PRICE * refused, shaken);
         }
         if self.weighed <= self.ask_after {
             self.history.each_node(|node| node.state.tie.forget());
@@ -97,7 +99,8 @@ impl Tight {
             }
             return false;
         }
-        self.contradictions += 1;
+        // A climber that is jolted contradicts, and the estimate is not to blame.
+        self.contradictions += u32::from(!shaken);
         let since = *self.contradicted_since.get_or_insert(image);
         if self.contradictions < self.config.lock_out_images {
             return false;
@@ -145,7 +148,7 @@ impl Tight {
         self.contradictions = 0;
         self.contradicted_since = None;
         self.status.recoveries += 1;
-        self.evidence += 100.0;
+        self.evidence.sum += 100.0;
         out.push_back(Output::Warning(Warning::LockOutRecovered { since, stamp: image }));
         true
     }

@@ -11,6 +11,7 @@ pub mod gap;
 pub mod geometry;
 pub mod history;
 mod intake;
+mod jolt;
 mod learn;
 pub mod markers;
 pub mod noise;
@@ -21,12 +22,14 @@ mod run;
 pub mod smoother;
 pub mod start;
 pub mod state;
+pub mod systematic;
 pub mod tie;
 
 use crate::{config::TightConfig, output::Odometry, status::Status};
 use climber::ReadingNoise;
 use geometry::Geometry;
 use history::{History, Node};
+use jolt::{Evidence, Jolts};
 use nalgebra::{Matrix2, Vector2, Vector3};
 use noise::{InertialNoise, Stillness};
 use odometry::Along;
@@ -91,6 +94,7 @@ pub struct Tight {
     stillness: Stillness,
     reading_noise: ReadingNoise,
     jerk_scale: f64,
+    jolts: Jolts,
     pixel_scale: f64,
     pixel_ratio: f64,
     contradictions: u32,
@@ -105,7 +109,7 @@ pub struct Tight {
     kept_at: Option<Stamp>,
     /// What nothing can change any more, for the smoother; `None` where it is not wanted.
     archive: Option<Vec<Node>>,
-    evidence: f64,
+    evidence: Evidence,
     weighed: u64,
     /// From so many images on the climber's clock is asked.
     ask_after: u64,
@@ -141,6 +145,7 @@ impl Tight {
             stillness: Stillness::default(),
             reading_noise: ReadingNoise::new(steps),
             jerk_scale: 1.0,
+            jolts: Jolts::default(),
             pixel_scale: 1.0,
             pixel_ratio: 1.0,
             contradictions: 0,
@@ -151,7 +156,7 @@ impl Tight {
             kept: None,
             kept_at: None,
             archive: None,
-            evidence: 0.0,
+            evidence: Evidence::default(),
             weighed: 0,
             ask_after: ASKING,
             camera_clock_open: false,
@@ -201,7 +206,7 @@ impl Tight {
 
     /// How unlikely all images were together (minus twice the logarithm of their likelihood, up to a constant).
     pub fn evidence(&self) -> f64 {
-        self.evidence
+        self.evidence.sum
     }
 
     /// What is thought of the climber's clock.
@@ -253,7 +258,7 @@ impl Tight {
 
     /// Adds what else speaks against this filter.
     pub fn add_evidence(&mut self, surprise: f64) {
-        self.evidence += surprise;
+        self.evidence.sum += surprise;
     }
 
     /// Stops or resumes using markers; what is not used is still compared and recorded.
@@ -291,6 +296,7 @@ impl Tight {
                     rate_variance: node.process.rate / period,
                     gravity: self.config.gravity,
                     climber_clock,
+                    systematic: self.config.pixel_systematic,
                 };
                 odometry::odometry(node.stamp, state, &node.felt, geometry, &along)
             })
@@ -316,7 +322,7 @@ impl Tight {
     pub fn reset(&mut self) {
         let (status, frozen) = (self.status.clone(), self.frozen);
         let geometry = self.geometry.take();
-        let (evidence, weighed, prior) = (self.evidence, self.weighed, self.prior);
+        let (evidence, weighed, prior) = (self.evidence.clone(), self.weighed, self.prior);
         self.archive_all();
         let mut fresh = Self::new(self.rig.clone(), self.config.clone());
         fresh.geometry = geometry;

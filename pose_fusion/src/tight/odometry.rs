@@ -25,11 +25,13 @@ pub struct Along {
     pub gravity: f64,
     /// What is thought of the climber's clock beyond what the state takes as given: mean, s, and variance, s².
     pub climber_clock: (f64, f64),
+    /// Constant offset of the markers' centroids, each axis, px (1 sigma).
+    pub systematic: f64,
 }
 
 /// The odometry of a state.
 pub fn odometry(stamp: Stamp, state: &State, felt: &Felt, geometry: &Geometry, along: &Along) -> Odometry {
-    let Along { rate_variance, gravity, climber_clock: (offset, doubt) } = *along;
+    let Along { rate_variance, gravity, climber_clock: (offset, doubt), systematic } = *along;
     let world_from_imu = Isometry3::from_parts(state.position.into(), state.attitude);
     let world_from_volant = world_from_imu * geometry.imu_from_volant;
     let rv = world_from_volant.rotation.to_rotation_matrix();
@@ -81,6 +83,13 @@ pub fn odometry(stamp: Stamp, state: &State, felt: &Felt, geometry: &Geometry, a
         rows += state.tie.by_offset.fixed_rows::<3>(i);
     }
     p += by_offset * by_offset.transpose() * doubt;
+    // And per pixel of the markers' constant offsets.
+    let mut by_pixel = motion * -state.by_pixel.row(CAMERA_CLOCK);
+    for (a, &i) in USED.iter().enumerate() {
+        let mut rows = by_pixel.fixed_rows_mut::<3>(3 * a);
+        rows += state.by_pixel.fixed_rows::<3>(i);
+    }
+    p += by_pixel * by_pixel.transpose() * systematic.powi(2);
     let (moved, driven) = (pose * by_offset * offset, twist * by_offset * offset);
     let symmetric = |m: Matrix6<f64>| (m + m.transpose()) * 0.5;
     let mut white = SMatrix::<f64, 6, 3>::zeros();

@@ -255,6 +255,7 @@ impl Tight {
         // Where it is now was said in the world, whatever the climber's clock is.
         for first in [POSITION, VELOCITY, ATTITUDE] {
             state.tie.by_offset.fixed_rows_mut::<3>(first).fill(0.0);
+            state.by_pixel.fixed_rows_mut::<3>(first).fill(0.0);
         }
         // δp_imu = δp − [R t]× δθ.
         let lever = p.rotation * geometry.volant_from_imu.translation.vector;

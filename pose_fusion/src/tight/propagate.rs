@@ -13,7 +13,7 @@
 //! not depend on the offset at all, and no product of two unknowns (speed and offset) has to be linearised.
 
 use super::state::{
-    ACCELEROMETER, ATTITUDE, CAMERA_CLOCK, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_RATE, Covariance, Error,
+    ACCELEROMETER, ATTITUDE, CAMERA_CLOCK, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_RATE, Covariance,
     GYROSCOPE, N, POSITION, State, VELOCITY,
 };
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
@@ -86,7 +86,8 @@ pub fn propagate(state: &mut State, from: &Felt, to: &Felt, dt: f64, process: &P
     times_transition(&mut state.covariance, &blocks, dt);
     symmetrise(&mut state.covariance);
     add_noise(&mut state.covariance, dt, process);
-    carry(&mut state.tie.by_offset, &blocks, dt);
+    carry(state.tie.by_offset.as_mut_slice(), &blocks, dt);
+    state.by_pixel.as_mut_slice().chunks_exact_mut(N).for_each(|column| carry(column, &blocks, dt));
 }
 
 /// The transition `F` of the error over that step, as a whole matrix.
@@ -192,8 +193,8 @@ fn symmetrise(p: &mut Covariance) {
 }
 
 /// `e ← F e`.
-fn carry(e: &mut Error, blocks: &Blocks, dt: f64) {
-    let three = |e: &Error, i: usize| Vector3::new(e[i], e[i + 1], e[i + 2]);
+fn carry(e: &mut [f64], blocks: &Blocks, dt: f64) {
+    let three = |e: &[f64], i: usize| Vector3::new(e[i], e[i + 1], e[i + 2]);
     let clock = e[CAMERA_CLOCK];
     let (velocity, attitude) = (three(e, VELOCITY), three(e, ATTITUDE));
     let change =
@@ -241,7 +242,10 @@ fn add_noise(p: &mut Covariance, dt: f64, process: &Process) {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{
+        super::{state::Error, systematic::ByPixel},
+        *,
+    };
 
     fn example() -> (State, Felt, Process) {
         let mut s = State::zero();
@@ -314,9 +318,12 @@ mod tests {
         let mut s = start.clone();
         s.covariance = p0;
         s.tie.by_offset = Error::from_fn(|i, _| 0.1 * (i as f64).sin());
-        let carried = transition(&s, &felt, &felt, dt) * s.tie.by_offset;
+        s.by_pixel = ByPixel::from_fn(|i, j| 0.1 * ((i + 7 * j) as f64).cos());
+        let f = transition(&s, &felt, &felt, dt);
+        let (carried, by_pixel) = (f * s.tie.by_offset, f * s.by_pixel);
         propagate(&mut s, &felt, &felt, dt, &process);
         assert!((s.tie.by_offset - carried).amax() < 1e-12);
+        assert!((s.by_pixel - by_pixel).amax() < 1e-12);
         let expected = jacobian * p0 * jacobian.transpose();
         // First order in dt: the terms that are left out are those of δb_g on δv (dt²).
         assert!((s.covariance - expected).norm() / expected.norm() < 5e-4);

@@ -13,6 +13,9 @@ use nalgebra::Vector3;
 use rig_model::Stamp;
 use std::collections::VecDeque;
 
+/// A jolt began at most so many readings before the one that tells it.
+const JOLTED: usize = 2;
+
 impl Tight {
     /// Runs every event that is not run yet and not later than the newest inertial sample.
     pub(super) fn run(&mut self, out: &mut VecDeque<Output>) {
@@ -46,11 +49,12 @@ impl Tight {
                 Some(seconds) => gap::process(&process, seconds),
                 None => process,
             };
+            to.process.jerk += self.jolts.density(to.stamp);
             propagate(&mut to.state, &from.felt, &to.felt, dt, &to.process);
             if matches!(to.event, Event::Imu { .. } | Event::Set) {
                 anchor = Some(to.stamp);
             }
-            let mut fresh_report = None;
+            let (mut fresh_report, mut innovation) = (None, None);
             let felt = to.felt;
             match &mut to.event {
                 Event::Set => {}
@@ -60,12 +64,8 @@ impl Tight {
                     }
                 }
                 Event::Climber(reading) => {
-                    let nis = {
-                        reading.felt = felt;
-                        climber::update(&mut to.state, reading, climber_clock, gates.gravity)
-                    };
-                    let more = if nis > SURPRISE { 1.6 } else { 0.98 };
-                    self.jerk_scale = (self.jerk_scale * more).clamp(1.0, 1000.0);
+                    reading.felt = felt;
+                    innovation = Some(climber::update(&mut to.state, reading, climber_clock, gates.gravity));
                 }
                 Event::Markers { sighting, image, fresh } => {
                     sighting.felt = felt;
@@ -78,6 +78,21 @@ impl Tight {
             }
             let sound = to.state.is_sound();
             let stamp = to.stamp;
+            if let Some(innovation) = innovation {
+                if let Some((since, at)) = self.history.reading_before(place, JOLTED)
+                    && self.jolts.note(at, stamp, &innovation)
+                {
+                    self.evidence.take_back(at);
+                    self.contradictions = 0;
+                    self.contradicted_since = None;
+                    place = since + 1;
+                    self.history.set_run(place);
+                    anchor = self.anchor_before(place);
+                    continue;
+                }
+                let more = if innovation.nis.max() > SURPRISE { 1.6 } else { 0.98 };
+                self.jerk_scale = (self.jerk_scale * more).clamp(1.0, 1000.0);
+            }
             self.history.set_run(place + 1);
             if !sound {
                 out.push_back(Output::Warning(Warning::Diverged { stamp }));
@@ -159,6 +174,7 @@ impl Tight {
             rate_variance,
             gravity: self.config.gravity,
             climber_clock: (mean - self.climber_clock, variance),
+            systematic: self.config.pixel_systematic,
         };
         out.push_back(Output::Odometry(odometry::odometry(
             newest,

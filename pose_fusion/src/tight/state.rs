@@ -27,6 +27,7 @@
 
 use super::{
     propagate::{Felt, retime},
+    systematic::ByPixel,
     tie::Tie,
 };
 use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
@@ -82,6 +83,8 @@ pub struct State {
     pub covariance: Covariance,
     /// What is found of the climber's clock.
     pub tie: Tie,
+    /// By how much it would differ, per pixel of the constant offsets of the markers' centroids.
+    pub by_pixel: ByPixel,
 }
 
 impl State {
@@ -99,6 +102,7 @@ impl State {
             camera_clock: 0.0,
             covariance: Covariance::zeros(),
             tie: Tie::none(),
+            by_pixel: ByPixel::zeros(),
         }
     }
 
