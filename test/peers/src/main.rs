@@ -106,7 +106,7 @@ enum Command {
         /// Only scenes whose name contains this.
         #[arg(long, default_value = "")]
         only: String,
-        /// Every mistake in a line of its own.
+        /// Every mistake in a line of its own, and what was around it enlarged as PNG.
         #[arg(long)]
         verbose: bool,
         /// One picture of each scene instead, as PNG.

@@ -4,11 +4,12 @@ mod scenes;
 
 use crate::{
     methods::Ours,
-    report::{Csv, number},
-    scene::{Canvas, MarkerTruth, Pinhole, PlateKind, Rng},
+    report::{self, Csv, number},
+    scene::{Canvas, MarkerTruth, Picture, Pinhole, PlateKind, Rng},
 };
 use anyhow::{Result, bail};
 use marker_tracker::TrackerConfig;
+use nalgebra::Vector2;
 use rig_model::{MarkerColor, MarkerState};
 use scenes::Scene;
 use std::path::Path;
@@ -18,6 +19,12 @@ const WHOLE: f64 = 0.995;
 const HIDDEN: f64 = 0.02;
 /// A detection further off than this is of something else, px.
 const WRONG: f64 = 5.0;
+/// A normalised squared error from which on a picture is worth a look (1 of 20 000 is larger, where the covariance is right).
+const SURPRISING: f64 = 20.0;
+/// Most pictures of mistakes that are left per scene, the pixels around the marker that they show, and by how much they are enlarged.
+const LOOKS: usize = 24;
+const REACH: i32 = 36;
+const ENLARGED: usize = 10;
 
 /// What came out of one scene.
 #[derive(Clone, Debug, Default)]
@@ -35,6 +42,7 @@ struct Tally {
     /// Longest run of pictures with a wrong association.
     longest_wrong: usize,
     squared: f64,
+    sum: Vector2<f64>,
     nees: f64,
     /// Times that all four came back after all had been lost, and the pictures that it took beyond the first.
     returns: usize,
@@ -45,7 +53,12 @@ struct Tally {
 }
 
 impl Tally {
-    fn add(&mut self, ours: &Ours, truth: &[MarkerTruth; 4], tell: &mut impl FnMut(String)) {
+    fn add(
+        &mut self,
+        ours: &Ours,
+        truth: &[MarkerTruth; 4],
+        tell: &mut impl FnMut(String, MarkerColor, &MarkerTruth),
+    ) {
         self.pictures += 1;
         let mut any_wrong = false;
         for (truth, color) in truth.iter().zip(MarkerColor::ALL) {
@@ -64,9 +77,16 @@ impl Tally {
                 self.whole_detected += usize::from(detected.is_some());
                 if let (Some(e), false) = (error, off) {
                     self.squared += e.norm_squared();
+                    self.sum += e;
                     self.nees += surprise.unwrap_or(f64::INFINITY).min(1e6);
                 }
-                if detected.is_none() { "whole, not detected" } else { "" }
+                if detected.is_none() {
+                    "whole, not detected"
+                } else if surprise.is_none_or(|s| s > SURPRISING) {
+                    "whole, but off by more than it says"
+                } else {
+                    ""
+                }
             } else if truth.shown > HIDDEN {
                 self.cut += 1;
                 self.cut_detected += usize::from(detected.is_some());
@@ -80,15 +100,21 @@ impl Tally {
             };
             let note = if off { "wrong association" } else { note };
             if !note.is_empty() {
-                tell(format!(
-                    "picture {}: {color} {note}; shown {:.3}, truth ({:.1}, {:.1}), error {:?}, state {:?}",
+                let e = error.unwrap_or(Vector2::repeat(f64::NAN));
+                let sigma = marker.map_or(f64::NAN, |m| (m.covariance.trace() / 2.0).sqrt());
+                let line = format!(
+                    "picture {}: {color} {note}; shown {:.3}, truth ({:.1}, {:.1}), error ({:.2}, {:.2}), sigma {sigma:.3}, \
+                     squared {:.0}, {}",
                     self.pictures - 1,
                     truth.shown,
                     truth.centroid.x,
                     truth.centroid.y,
-                    error.map(|e| (e.x, e.y)),
-                    marker.map(|m| m.state),
-                ));
+                    e.x,
+                    e.y,
+                    surprise.unwrap_or(f64::NAN),
+                    ours.account(color).0,
+                );
+                tell(line, color, truth);
             }
         }
         self.running_wrong = if any_wrong { self.running_wrong + 1 } else { 0 };
@@ -118,13 +144,14 @@ impl Tally {
     }
 }
 
-fn run_scene(scene: &Scene, seed: u64, verbose: bool) -> Result<Tally> {
+fn run_scene(scene: &Scene, seed: u64, looks: Option<&Path>) -> Result<Tally> {
     let camera = Pinhole::BENCH;
     let PlateKind::Markers { layout, .. } = &scene.plate.kind else { bail!("a trial's plate bears markers") };
     let mut ours = Ours::new(&camera, layout.clone(), TrackerConfig::default());
     let mut canvas = Canvas::new(camera.width, camera.height);
     let mut rng = Rng::new(seed ^ 0x7717);
     let mut tally = Tally::default();
+    let mut shown = 0;
     for number in 0..scene.pictures {
         let moment = (scene.at)(number as f64 / 30.0);
         scene.floor.copy_to(&mut canvas, moment.floor_shift);
@@ -141,18 +168,61 @@ fn run_scene(scene: &Scene, seed: u64, verbose: bool) -> Result<Tally> {
         let picture = canvas.expose(&moment.light, &mut rng);
         let time = ours.track(&picture);
         tally.slowest_us = tally.slowest_us.max(time.as_secs_f64() * 1e6);
-        tally.add(&ours, &truth, &mut |line| {
-            if verbose {
-                println!("  {}: {line}", scene.name);
+        let mut failed = Ok(());
+        tally.add(&ours, &truth, &mut |line, color, truth| {
+            let Some(folder) = looks else { return };
+            println!("  {}: {line}", scene.name);
+            if shown < LOOKS {
+                shown += 1;
+                let name = format!("{}-{number}-{color}.png", scene.name.replace(' ', "-"));
+                failed = report::write_png(
+                    &closeup(&picture, truth.centroid, ours.account(color).1.as_ref()),
+                    &folder.join(name),
+                );
             }
         });
-        if verbose {
+        failed?;
+        if looks.is_some() {
             for warning in ours.warnings.drain(..) {
                 println!("  {}: picture {number}: {warning}", scene.name);
             }
         }
     }
     Ok(tally)
+}
+
+/// What is around a place, enlarged: the true centroid as a black cross, the measured outline in white.
+fn closeup(picture: &Picture, at: Vector2<f64>, outline: Option<&[Vector2<f64>; 4]>) -> Picture {
+    let side = (2 * REACH + 1) as usize * ENLARGED;
+    let origin = at.map(|v| v.round() as i32 - REACH);
+    let mut rgb = vec![0; 3 * side * side];
+    for (i, pixel) in rgb.chunks_exact_mut(3).enumerate() {
+        let (x, y) = (origin.x + (i % side / ENLARGED) as i32, origin.y + (i / side / ENLARGED) as i32);
+        if (0..picture.width as i32).contains(&x) && (0..picture.height as i32).contains(&y) {
+            let from = 3 * (y as usize * picture.width + x as usize);
+            pixel.copy_from_slice(&picture.rgb[from..from + 3]);
+        }
+    }
+    let mut line = |from: Vector2<f64>, to: Vector2<f64>, value: u8| {
+        let steps = 4 * side;
+        for i in 0..=steps {
+            let p = from + (to - from) * (i as f64 / steps as f64);
+            let q = (p - origin.map(f64::from)).map(|v| ((v + 0.5) * ENLARGED as f64).floor());
+            if q.x >= 0.0 && q.y >= 0.0 && q.x < side as f64 && q.y < side as f64 {
+                let i = 3 * (q.y as usize * side + q.x as usize);
+                rgb[i..i + 3].fill(value);
+            }
+        }
+    };
+    let (across, down) = (Vector2::new(1.0, 0.0), Vector2::new(0.0, 1.0));
+    line(at - across, at + across, 0);
+    line(at - down, at + down, 0);
+    if let Some(corners) = outline {
+        for i in 0..4 {
+            line(corners[i], corners[(i + 1) % 4], 255);
+        }
+    }
+    Picture { width: side, height: side, rgb }
 }
 
 /// One picture of each scene as PNG, to look at.
@@ -172,7 +242,7 @@ pub fn pictures(folder: &Path, seed: u64) -> Result<()> {
             canvas.flatten();
         }
         let picture = canvas.expose(&moment.light, &mut Rng::new(seed));
-        crate::report::write_png(&picture, &folder.join(format!("{}.png", scene.name.replace(' ', "-"))))?;
+        report::write_png(&picture, &folder.join(format!("{}.png", scene.name.replace(' ', "-"))))?;
     }
     Ok(())
 }
@@ -199,8 +269,11 @@ pub fn run(folder: &Path, seed: u64, only: &str, verbose: bool) -> Result<usize>
     );
     let mut short = 0;
     for scene in scenes::all(seed).into_iter().filter(|s| s.name.contains(only)) {
-        let t = run_scene(&scene, seed, verbose)?;
+        let t = run_scene(&scene, seed, verbose.then_some(folder))?;
         let n = t.whole_detected as f64;
+        if verbose {
+            println!("  {}: mean error ({:.4}, {:.4}) px", scene.name, t.sum.x / n, t.sum.y / n);
+        }
         let (rms, nees) = ((t.squared / (2.0 * n)).sqrt(), t.nees / n);
         let share = if t.whole == 0 { 1.0 } else { n / t.whole as f64 };
         let late = t.return_delay + t.delay.unwrap_or(0);

@@ -5,8 +5,8 @@ use crate::clock::Clock;
 use crate::scene::{Picture, Pinhole};
 use anyhow::Result;
 use marker_tracker::{ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig};
-use nalgebra::Isometry3;
-use rig_model::{CameraModel, MarkerLayout, MarkerObservations, MarkerState, Stamp};
+use nalgebra::{Isometry3, Vector2};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState, Stamp};
 use std::time::Duration;
 
 /// Tracker and pose.
@@ -38,6 +38,11 @@ impl Ours {
         };
         ours.forget();
         ours
+    }
+
+    /// What became of a marker in the last picture, and the outline that was measured.
+    pub fn account(&self, color: MarkerColor) -> (&'static str, Option<[Vector2<f64>; 4]>) {
+        (self.tracker.reasons()[color.index()].1, self.tracker.marks()[color].outline)
     }
 
     /// The tracker alone: time from pixels to the finished observations, 30 pictures a second.
