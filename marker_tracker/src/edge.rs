@@ -1,12 +1,19 @@
 //! One straight edge of a square, fitted below the pixel.
 
+mod line;
+mod outside;
+mod rows;
+
 use crate::{
     interior::Interior,
     outline::ShapePrior,
     quad::Quad,
     signal::{Sampler, nearest},
 };
+use line::Places;
 use nalgebra::{Matrix2, Vector2};
+use outside::Outside;
+use rows::{Rows, Strip};
 use wide::f32x8;
 
 /// How an edge was measured.
@@ -20,6 +27,11 @@ pub(crate) struct EdgeFit {
     pub covariance: Matrix2<f64>,
     /// Share of the edge's usable rows that agreed with the line.
     pub support: f64,
+    /// Level outside, at the edge's middle.
+    pub outside: f64,
+    /// Whether the level outside is another than it was of late: something lies beside the marker, over its edge or just short of
+    /// it, and this may be that thing's edge.
+    pub foreign: bool,
     /// ∫ c·(1 − c) across the edge, px: a sixth of the width of a motion blur, 0.56 σ of a Gaussian one.
     pub blur: f64,
     /// Correlation of the residuals of rows that are k apart, summed up: Σ rᵢ², Σ rᵢrᵢ₊₁ … Σ rᵢrᵢ₊ₖ.
@@ -35,6 +47,20 @@ const CORNER: f64 = 2.0;
 /// Width of the band in which the level outside is measured, in parts of the square's, from 1 to 3 px; what surrounds a
 /// square of less than 20 px may end 4 px beside it, and one pixel is all that is taken.
 const OUTSIDE: f64 = 0.1;
+/// How much further than its band an edge's surroundings are read, in parts of the square's width.
+const REACH: f64 = 0.22;
+/// Largest difference of the level beyond the band from that at its rim, in units of the contrast. Beside a step there is one level;
+/// where there is another further out, something else is there, and only a closer look tells the edge.
+const STEP: f64 = 0.1;
+/// Half-width of the closest look, px, by what share each look is closer than the one before, and the difference of the levels
+/// from which on not even the closest tells the edge.
+const CLOSEST: f64 = 1.3;
+const CLOSER: f64 = 0.65;
+const LARGEST_STEP: f64 = 0.25;
+/// What an edge's own blur leaves at the band's rim at most, in units of the contrast.
+const TAIL: f64 = 0.03;
+/// Standard deviation of an edge's place in a channel that is full, in parts of its blur.
+const CUT_OFF: f64 = 0.15;
 /// Longest band that is read, px.
 const MAX_BAND: i32 = 40;
 
@@ -69,81 +95,6 @@ impl Side {
 /// One quantity of all rows.
 type Column = [f32; MAX_ROWS];
 
-/// What was read along the rows: the sums over the band across the edge, and the level beyond it.
-struct Rows {
-    count: usize,
-    /// Where the strip begins in the image's bytes.
-    begin: [usize; MAX_ROWS],
-    /// Place along the edge, px from its middle.
-    along: Column,
-    /// Where the predicted edge crosses the row, and where the band's inner end is seen from there, px.
-    crossing: Column,
-    inner: Column,
-    /// Pixels of the band, Σ s, Σ s·j and Σ s².
-    pixels: Column,
-    s: Column,
-    sj: Column,
-    ss: Column,
-    outside: Column,
-    /// How far outside of the prediction the band reaches, across the edge, px.
-    room: Column,
-}
-
-/// How the strip across an edge lies: band and what is beyond it, px, and the bytes from one pixel to the next.
-struct Strip {
-    band: i32,
-    beyond: i32,
-    hop: usize,
-    /// The outside comes last.
-    outward: bool,
-}
-
-impl Rows {
-    /// Reads eight rows side by side.
-    #[inline(always)]
-    fn read(&mut self, sampler: &Sampler<'_>, strip: &Strip) {
-        let Strip { band, beyond, hop, outward } = *strip;
-        let (before, after) = if outward { (0, beyond) } else { (beyond, 0) };
-        let (scale, share) = (sampler.scale, sampler.scale / beyond as f32);
-        for group in (0..self.count).step_by(8) {
-            let mut begin = [0; 8];
-            begin.copy_from_slice(&self.begin[group..group + 8]);
-            let (mut s, mut sj, mut ss, mut outside) = (f32x8::ZERO, f32x8::ZERO, f32x8::ZERO, f32x8::ZERO);
-            for _ in 0..before {
-                outside += next(sampler, &mut begin, hop);
-            }
-            let mut j = f32x8::ZERO;
-            for _ in 0..band {
-                let signals = next(sampler, &mut begin, hop);
-                s += signals;
-                sj += signals * j;
-                ss += signals * signals;
-                j += f32x8::ONE;
-            }
-            for _ in 0..after {
-                outside += next(sampler, &mut begin, hop);
-            }
-            let put = |column: &mut Column, values: f32x8, scale: f32| {
-                column[group..group + 8].copy_from_slice((values * f32x8::splat(scale)).as_array());
-            };
-            put(&mut self.s, s, scale);
-            put(&mut self.sj, sj, scale);
-            put(&mut self.ss, ss, scale * scale);
-            put(&mut self.outside, outside, share);
-        }
-    }
-}
-
-/// The signals of eight rows, each a pixel further than the last time.
-#[inline(always)]
-fn next(sampler: &Sampler<'_>, begin: &mut [usize; 8], hop: usize) -> f32x8 {
-    let signals = sampler.eight(begin);
-    for b in begin {
-        *b += hop;
-    }
-    signals
-}
-
 /// Eight rows of a quantity, and a mask of those that there are.
 #[inline(always)]
 fn eight(column: &Column, group: usize) -> f32x8 {
@@ -162,7 +113,7 @@ fn present(group: usize, count: usize) -> f32x8 {
 ///
 /// The edge is crossed by the rows (or columns, whichever crosses it more steeply) of the image. Along a row the signal,
 /// scaled to 0 outside and 1 inside, is summed up: that is the place of the edge, exactly, for any symmetric blur and
-/// without interpolation.
+/// without interpolation. Where a thing of another level lies within reach, the look is repeated closer to the edge.
 pub(crate) fn fit_edge(
     sampler: &Sampler<'_>,
     interior: &Interior,
@@ -170,7 +121,30 @@ pub(crate) fn fit_edge(
     half_width: f64,
     prior: &ShapePrior,
     min_contrast: f64,
-) -> Option<(EdgeFit, f64)> {
+) -> Option<EdgeFit> {
+    let (mut half_width, mut beyond) = (half_width, f64::INFINITY);
+    loop {
+        let (edge, step) = look(sampler, interior, side, (half_width, beyond), prior, min_contrast)?;
+        if step < STEP {
+            return edge;
+        }
+        if half_width <= CLOSEST {
+            return edge.filter(|_| step < LARGEST_STEP);
+        }
+        (half_width, beyond) = ((half_width * CLOSER).max(CLOSEST), 1.0);
+    }
+}
+
+/// One look at an edge within `half_width` px of its predicted place and no more than `beyond` px further out: the edge, if enough
+/// rows tell it, and by how much the level at the band's rim differs from it, in units of the contrast.
+fn look(
+    sampler: &Sampler<'_>,
+    interior: &Interior,
+    side: &Side,
+    (half_width, beyond): (f64, f64),
+    prior: &ShapePrior,
+    min_contrast: f64,
+) -> Option<(Option<EdgeFit>, f64)> {
     let Side { middle, tangent, normal, length, .. } = *side;
     if length.is_nan() || length < 4.0 {
         return None;
@@ -198,7 +172,8 @@ pub(crate) fn fit_edge(
         return None;
     }
     let possible = usable.min(prior.rows.clamp(8, MAX_ROWS) as i32);
-    let beyond = if width < 20.0 { 1 } else { ((OUTSIDE * width).clamp(1.0, 3.0) / steep).ceil() as i32 };
+    let beyond = beyond.min((OUTSIDE * width).clamp(1.0, 3.0)).min(REACH * width - half_width).max(1.0);
+    let beyond = if width < 20.0 { 1 } else { (beyond / steep).ceil() as i32 };
     // As many pixels in every row.
     let band = (2.0 * half + 0.5).ceil() as i32;
     if band > MAX_BAND {
@@ -224,6 +199,7 @@ pub(crate) fn fit_edge(
         sj: zero,
         ss: zero,
         outside: zero,
+        rim: zero,
         room: [f32::INFINITY; MAX_ROWS],
     };
     let mut cut = false;
@@ -260,14 +236,19 @@ pub(crate) fn fit_edge(
         return None;
     }
     let outside = Outside::measure(&rows.along, &rows.outside, count, interior, min_contrast)?;
-    let (level, tilt) = (f32x8::splat(outside.level as f32), f32x8::splat(outside.tilt as f32));
     // Inside, and the shading relative to the crossing, which the outside shares.
     let at_middle = f32x8::splat(interior.at(middle.x, middle.y) as f32);
     let inside_tilt = f32x8::splat(interior.gradient.dot(&tangent) as f32);
-    let shading = f32x8::splat((interior.gradient[k] / interior.level.abs().max(0.3)) as f32);
+    // (Light that multiplies everything multiplies a signal of either sign.)
+    let level_here = interior.level.abs().max(0.3).copysign(interior.level);
+    let shading = interior.gradient[k] / level_here;
+    let (level, tilt) = (f32x8::splat(outside.level as f32), f32x8::splat(outside.tilt as f32));
+    let shading = f32x8::splat(shading as f32);
     let steep = f32x8::splat(steep as f32);
     let (limit, least) = (f32x8::splat(half_width as f32), f32x8::splat(min_contrast as f32));
     let gate = f32x8::splat(outside.gate);
+    let rim_gate = f32x8::splat(outside.rim_gate);
+    let (mut step, mut believed) = (f32x8::ZERO, f32x8::ZERO);
     let mut places = Places { count, along: rows.along, across: zero };
     let (mut good, mut blur) = ([0.0f32; MAX_ROWS], f32x8::ZERO);
     let mut all = f32x8::ZERO;
@@ -281,11 +262,15 @@ pub(crate) fn fit_edge(
             s * (f32x8::ONE + shading * of(&rows.crossing)) - shading * of(&rows.sj) - pixels * outside_here;
         let covered = sum / difference;
         let across = (covered - of(&rows.inner)) * steep;
+        let rim = of(&rows.rim) - outside_here;
         let is_good = (of(&rows.outside) - outside_here).abs().simd_le(gate)
             & difference.simd_ge(least)
             & across.abs().simd_lt(limit)
             & across.simd_lt(of(&rows.room) - f32x8::splat(0.3))
             & present(group, count);
+        step += is_good & (rim / difference);
+        believed += is_good & f32x8::ONE;
+        let is_good = is_good & rim.abs().simd_le(rim_gate);
         let one = is_good & f32x8::ONE;
         all += one;
         good[group..group + 8].copy_from_slice(one.as_array());
@@ -296,346 +281,26 @@ pub(crate) fn fit_edge(
         let spread = (covered - square / (difference * difference)) * steep;
         blur += is_good & spread;
     }
+    let step = f64::from((step.reduce_add() / believed.reduce_add().max(1.0)).abs());
     let kept = all.reduce_add();
     let blur = f64::from(blur.reduce_add() / kept.max(1.0)).max(0.0);
     if kept < count as f32 {
         places.keep(&good);
     }
-    let mut edge = places.line(possible as usize, length, prior)?;
-    edge.blur = blur;
+    let Some(mut edge) = places.line(possible as usize, length, prior) else {
+        // A closer look may tell more of them.
+        return Some((None, step));
+    };
+    (edge.blur, edge.outside) = (blur, outside.level);
     // What the outside level is uncertain by moves the whole edge: by the half-width's share of it.
     let pixels = outside.rows * f64::from(beyond);
     let contrast = (interior.level - outside.level).max(min_contrast);
     edge.covariance[(0, 0)] +=
         (half_width * interior.sigma / contrast).powi(2) * prior.correlation * prior.correlation / pixels;
-    Some((edge, outside.level))
-}
-
-impl Rows {
-    /// Reads a row whose strip leaves the image, as far as it is in it.
-    #[cold]
-    fn add_cut(
-        &mut self,
-        sampler: &Sampler<'_>,
-        strip: &Strip,
-        k: usize,
-        line: i32,
-        (middle, slope_axis, per_row, half, steep): (Vector2<f64>, f64, f64, f64, f64),
-    ) {
-        let end = if k == 0 { sampler.width } else { sampler.height } - 1;
-        let off = f64::from(line) - middle[1 - k];
-        let crossing = middle[k] + off * slope_axis;
-        let from = nearest(crossing - f64::from(strip.band - 1) / 2.0);
-        let start = if strip.outward { from } else { from - strip.beyond };
-        if start >= 0 && start + strip.band + strip.beyond <= end + 1 {
-            return;
-        }
-        let (mut from, mut to) = (nearest(crossing - half), nearest(crossing + half));
-        let mut room = f64::INFINITY;
-        let beyond = if strip.outward {
-            if to > end - 1 {
-                to = end - 1;
-                room = f64::from(to) - crossing;
-            }
-            strip.beyond.min(end - to)
-        } else {
-            if from < 1 {
-                from = 1;
-                room = crossing - f64::from(from);
-            }
-            strip.beyond.min(from)
-        };
-        let band = to - from + 1;
-        if !(2..=MAX_BAND).contains(&band) || room < half.min(1.0) || beyond < 1 || self.count >= MAX_ROWS {
-            return;
-        }
-        let start = if strip.outward { from } else { from - beyond };
-        let (x, y) = if k == 0 { (start, line) } else { (line, start) };
-        let Some((bytes, hop)) = sampler.line(x, y, k, band + beyond, 1) else { return };
-        let (inner, outer) = if strip.outward {
-            bytes.split_at(band as usize * hop)
-        } else {
-            let (outer, inner) = bytes.split_at(beyond as usize * hop);
-            (inner, outer)
-        };
-        let (mut s, mut sj, mut ss, mut outside) = (0f32, 0f32, 0f32, 0f32);
-        sampler.each(inner, hop, |j, value| {
-            let value = value as f32 * sampler.scale;
-            s += value;
-            sj += value * j as f32;
-            ss += value * value;
-        });
-        sampler.each(outer, hop, |_, value| outside += value as f32 * sampler.scale);
-        let n = self.count;
-        self.along[n] = (off * per_row) as f32;
-        let crossing = (crossing - f64::from(from)) as f32;
-        self.crossing[n] = crossing;
-        self.inner[n] = if strip.outward { crossing + 0.5 } else { band as f32 - crossing - 0.5 };
-        self.pixels[n] = band as f32;
-        (self.s[n], self.sj[n], self.ss[n]) = (s, sj, ss);
-        self.outside[n] = outside / beyond as f32;
-        self.room[n] = (room * steep) as f32;
-        self.count = n + 1;
+    // What comes near the strip's end, and blur that is cut off in a full channel.
+    edge.covariance[(0, 0)] += (half_width * (step - TAIL).max(0.0)).powi(2);
+    if sampler.full {
+        edge.covariance[(0, 0)] += (CUT_OFF * blur).powi(2);
     }
-}
-
-/// Level outside along the edge: a line through the rows that agree.
-struct Outside {
-    level: f64,
-    /// Per pixel along the edge.
-    tilt: f64,
-    gate: f32,
-    rows: f64,
-}
-
-impl Outside {
-    fn measure(
-        along: &Column,
-        outside: &Column,
-        count: usize,
-        interior: &Interior,
-        min_contrast: f64,
-    ) -> Option<Self> {
-        // The median; where all agree the mean is as good.
-        let mean = outside[..count].iter().sum::<f32>() / count as f32;
-        let median = if outside[..count].iter().all(|o| (o - mean).abs() < 0.05) {
-            mean
-        } else {
-            let mut levels = *outside;
-            let levels = &mut levels[..count];
-            levels.sort_unstable_by(f32::total_cmp);
-            levels[count / 2]
-        };
-        let contrast = interior.level - f64::from(median);
-        if contrast.is_nan() || contrast <= min_contrast {
-            return None;
-        }
-        let gate = ((4.0 * interior.sigma).clamp(0.06, 0.2) * contrast.max(0.3)) as f32;
-        let zero = f32x8::ZERO;
-        let (mut n, mut st, mut stt, mut so, mut sto) = (zero, zero, zero, zero, zero);
-        for group in (0..count).step_by(8) {
-            let off = eight(outside, group) - f32x8::splat(median);
-            let member = off.abs().simd_lt(f32x8::splat(gate)) & present(group, count) & f32x8::ONE;
-            let (off, along) = (off * member, eight(along, group) * member);
-            n += member;
-            st += along;
-            stt += along * along;
-            so += off;
-            sto += along * off;
-        }
-        let [n, st, stt, so, sto] = [n, st, stt, so, sto].map(|v| f64::from(v.reduce_add()));
-        if n < 3.0 {
-            return None;
-        }
-        // A weak pull to a constant level: the outer rows must not lever it.
-        let stt = stt + 2.0 * n * n;
-        let det = stt * n - st * st;
-        Some(Self {
-            level: f64::from(median) + (stt * so - st * sto) / det,
-            tilt: (n * sto - st * so) / det,
-            gate,
-            rows: n,
-        })
-    }
-}
-
-/// Where the edge lies on its rows: how far along, and how far outside of the prediction, px.
-struct Places {
-    count: usize,
-    along: Column,
-    across: Column,
-}
-
-/// Sums of a straight line's normal equations.
-struct LineSums {
-    n: f64,
-    st: f64,
-    stt: f64,
-    sa: f64,
-    sta: f64,
-}
-
-impl Places {
-    /// Leaves out the rows that are not good (those that are have 1).
-    fn keep(&mut self, good: &Column) {
-        let mut kept = 0;
-        for (i, good) in good.iter().enumerate().take(self.count) {
-            if *good > 0.0 {
-                (self.along[kept], self.across[kept]) = (self.along[i], self.across[i]);
-                kept += 1;
-            }
-        }
-        self.count = kept;
-    }
-
-    /// Robust straight line through the rows' places.
-    ///
-    /// What covers an edge shows as rows whose crossing lies further in, never further out, so of several places that rows
-    /// agree on the outermost is the edge. Rows beside ones that disagree are half covered and left out with them.
-    fn line(&self, possible: usize, length: f64, prior: &ShapePrior) -> Option<EdgeFit> {
-        let count = self.count;
-        if count < 3 {
-            return None;
-        }
-        let lean = 2.0 * prior.slope_sigma * length / 2.0;
-        // Where nothing disagrees all rows are taken, and one look is enough.
-        let zero = f32x8::ZERO;
-        let (mut st, mut stt, mut sa, mut sta) = (zero, zero, zero, zero);
-        for group in (0..count).step_by(8) {
-            let there = present(group, count);
-            let (along, across) = (eight(&self.along, group) & there, eight(&self.across, group) & there);
-            st += along;
-            stt += along * along;
-            sa += across;
-            sta += along * across;
-        }
-        let [st, stt, sa, sta] = [st, stt, sa, sta].map(|v| f64::from(v.reduce_add()));
-        let sums = LineSums { n: count as f64, st, stt, sa, sta };
-        let mean = f32x8::splat((sa / count as f64) as f32);
-        let mut furthest = zero;
-        for group in (0..count).step_by(8) {
-            let off = (eight(&self.across, group) - mean).abs() & present(group, count);
-            furthest = furthest.fast_max(off);
-        }
-        if !largest(furthest).is_nan() && largest(furthest) < 0.3 {
-            let fit = sums.solve(prior)?;
-            let (offset, slope) = (f32x8::splat(fit.0 as f32), f32x8::splat(fit.1 as f32));
-            let mut residuals: Column = [0.0; MAX_ROWS];
-            let (mut square, mut furthest) = (zero, zero);
-            for group in (0..count).step_by(8) {
-                let residual = (eight(&self.across, group) - offset - slope * eight(&self.along, group))
-                    & present(group, count);
-                square += residual * residual;
-                furthest = furthest.fast_max(residual.abs());
-                residuals[group..group + 8].copy_from_slice(residual.as_array());
-            }
-            let product: f32 = residuals[..count].windows(2).map(|r| r[0] * r[1]).sum();
-            let (edge, gate) =
-                sums.edge(fit, square.reduce_add(), product, (0.3 + lean) as f32, possible, prior);
-            if largest(furthest) < gate {
-                return (edge.support > 0.2).then_some(edge);
-            }
-        }
-        self.robust_line(possible, lean, prior)
-    }
-
-    fn robust_line(&self, possible: usize, lean: f64, prior: &ShapePrior) -> Option<EdgeFit> {
-        let count = self.count;
-        let (along, across) = (&self.along[..count], &self.across[..count]);
-        let mean = across.iter().sum::<f32>() / count as f32;
-        let (mut offset, mut slope, reach);
-        if across.iter().all(|a| (a - mean).abs() < 0.3) {
-            (offset, slope, reach) = (mean, 0f32, 0.3 + lean);
-        } else {
-            let mut sorted = self.across;
-            let sorted = &mut sorted[..count];
-            sorted.sort_unstable_by(f32::total_cmp);
-            let spread = f64::from(sorted[count * 3 / 4] - sorted[count / 4]) / 1.35;
-            // The fullest place within ± reach, and the outermost that is half as full.
-            reach = (2.0 * spread).clamp(0.2, 0.4) + lean;
-            let near = reach as f32;
-            let fullness = |at: usize| {
-                let from = sorted.partition_point(|&v| v < sorted[at] - near);
-                let to = sorted.partition_point(|&v| v <= sorted[at] + near);
-                (from, to)
-            };
-            let most = (0..count).map(&fullness).map(|(a, b)| b - a).max()?;
-            let enough = most.max(8.min(count));
-            let (from, to) = (0..count).rev().map(&fullness).find(|(a, b)| 2 * (b - a) >= enough)?;
-            (offset, slope) = (sorted[(from + to) / 2], 0.0);
-        }
-        let mut gate = reach as f32;
-        let mut used = [false; MAX_ROWS];
-        // Rows far apart are no neighbours.
-        let neighbours = possible < prior.rows;
-        let mut before = usize::MAX;
-        let mut result = None;
-        for round in 0..3 {
-            let agrees = |i: usize| (across[i] - offset - slope * along[i]).abs() < gate;
-            let mut members = 0usize;
-            for (i, used) in used[..count].iter_mut().enumerate() {
-                let member = agrees(i)
-                    && (round == 0
-                        || !neighbours
-                        || ((i == 0 || agrees(i - 1)) && (i + 1 == count || agrees(i + 1))));
-                *used = member;
-                members += usize::from(member);
-            }
-            if members < 3 {
-                return None;
-            }
-            if members == count && members == before {
-                // Every row again: nothing changes any more.
-                break;
-            }
-            before = members;
-            let (mut st, mut stt, mut sa, mut sta) = (0f32, 0f32, 0f32, 0f32);
-            for i in (0..count).filter(|i| used[*i]) {
-                st += along[i];
-                stt += along[i] * along[i];
-                sa += across[i];
-                sta += along[i] * across[i];
-            }
-            let [st, stt, sa, sta] = [st, stt, sa, sta].map(f64::from);
-            let sums = LineSums { n: members as f64, st, stt, sa, sta };
-            let fit = sums.solve(prior)?;
-            (offset, slope) = (fit.0 as f32, fit.1 as f32);
-            let (mut square, mut product, mut last) = (0f32, 0f32, 0f32);
-            for i in 0..count {
-                let residual = if used[i] { across[i] - offset - slope * along[i] } else { 0.0 };
-                square += residual * residual;
-                product += residual * last;
-                last = residual;
-            }
-            let edge;
-            (edge, gate) = sums.edge(fit, square, product, gate, possible, prior);
-            result = Some(edge);
-        }
-        result.filter(|e| e.support > 0.2)
-    }
-}
-
-fn largest(of: f32x8) -> f32 {
-    of.as_array().iter().fold(0.0, |m, v| m.max(*v))
-}
-
-impl LineSums {
-    /// Σ along², with what is known of the direction: to `slope_sigma` beforehand; what the rows weigh against it is their
-    /// usual noise.
-    fn stt(&self, prior: &ShapePrior) -> f64 {
-        self.stt + 0.01 / (prior.slope_sigma * prior.slope_sigma)
-    }
-
-    /// Offset and slope.
-    fn solve(&self, prior: &ShapePrior) -> Option<(f64, f64)> {
-        let stt = self.stt(prior);
-        let det = self.n * stt - self.st * self.st;
-        (det > 0.0).then(|| {
-            ((stt * self.sa - self.st * self.sta) / det, (self.n * self.sta - self.st * self.sa) / det)
-        })
-    }
-
-    /// The edge that was fitted so, from its residuals' sum of squares and of products of neighbours, and the gate (at most
-    /// `gate`, px) for its rows.
-    fn edge(
-        &self,
-        (offset, slope): (f64, f64),
-        square: f32,
-        product: f32,
-        gate: f32,
-        possible: usize,
-        prior: &ShapePrior,
-    ) -> (EdgeFit, f32) {
-        let stt = self.stt(prior);
-        let det = self.n * stt - self.st * self.st;
-        let variance = (f64::from(square) / (self.n - 2.0).max(1.0)).max(4e-4);
-        let support = self.n / possible.max(1) as f64;
-        let mut covariance =
-            Matrix2::new(stt, -self.st, -self.st, self.n) * (variance * prior.inflation / det);
-        // Rows that a cover's blur touches a little stay unnoticed: the more is covered the more there are.
-        covariance[(0, 0)] += (0.2 * (1.0 - support)).powi(2);
-        let lag = [f64::from(square), f64::from(product)];
-        let gate = ((3.2 * variance.sqrt()) as f32).clamp(0.15, gate);
-        (EdgeFit { offset, slope, covariance, support, blur: 0.0, lag }, gate)
-    }
+    Some((Some(edge), step))
 }

@@ -17,14 +17,11 @@ pub(crate) struct Appearance {
     pub hue: HueHistogram,
 }
 
-/// How much more the brightness varies than the sensor's noise does, as a share of the common mode.
-const LUMA_PENALTY: f32 = 0.0;
-
 impl Appearance {
     /// Learnt from the inside of an outline and from a band around it.
     pub fn learn(image: &ImageView<'_>, quad: &Quad) -> Option<Self> {
         let (marker, surroundings, hue) = sample(image, quad)?;
-        let discriminant = Discriminant::between(marker, surroundings, LUMA_PENALTY)?;
+        let discriminant = Discriminant::between(marker, surroundings)?;
         Some(Self { marker, surroundings, discriminant, hue })
     }
 
@@ -36,7 +33,7 @@ impl Appearance {
             self.surroundings[c] += gain * (surroundings[c] - self.surroundings[c]);
         }
         self.hue.follow(&hue, gain);
-        if let Some(d) = Discriminant::between(self.marker, self.surroundings, LUMA_PENALTY) {
+        if let Some(d) = Discriminant::between(self.marker, self.surroundings) {
             self.discriminant = d;
         }
     }

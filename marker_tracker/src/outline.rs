@@ -40,8 +40,9 @@ pub(crate) struct QuadFit {
 /// What is known of the outline beforehand, beside its predicted place.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ShapePrior {
-    /// By how much the marker's edges lie further out than the geometry says, px (paper cut too large, blooming).
-    pub edge_bias: f64,
+    /// By how much the marker's edges lie further out than the geometry says, px (paper cut too large, blooming): the first and the
+    /// third, the second and the fourth.
+    pub edge_bias: [f64; 2],
     /// Standard deviation of one edge's distance from the predicted shape, px.
     pub edge_sigma: f64,
     /// Standard deviation of the predicted place, px; only to tell which of two contradicting edges is right.
@@ -58,6 +59,68 @@ pub(crate) struct ShapePrior {
     pub rows: usize,
     /// Gradient of the level inside as it was of late, per px.
     pub gradient: Option<Vector2<f64>>,
+    /// The levels as they were of late.
+    pub levels: Option<Levels>,
+}
+
+/// Levels of the signal inside of a whole square and beside each of its edges.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Levels {
+    inside: f64,
+    beside: [f64; 4],
+}
+
+/// Change of the level beside an edge, in units of the contrast, from which on something else lies there.
+const FOREIGN: f64 = 0.15;
+/// Standard deviation, px, that the place of such an edge has beside its rows': it may be that thing's, or a gap too narrow to be seen.
+const FOREIGN_SIGMA: f64 = 0.3;
+
+impl Levels {
+    /// Of a whole outline; `None` where an edge was not seen.
+    pub fn of(f: &QuadFit) -> Option<Self> {
+        let mut beside = [0.0; 4];
+        for (level, edge) in beside.iter_mut().zip(&f.edges) {
+            *level = edge.as_ref()?.outside;
+        }
+        Some(Self { inside: f.inside, beside })
+    }
+
+    /// Goes over to other levels by a share `gain`.
+    pub fn follow(&mut self, other: &Self, gain: f64) {
+        self.inside += gain * (other.inside - self.inside);
+        for (level, now) in self.beside.iter_mut().zip(other.beside) {
+            *level += gain * (now - *level);
+        }
+    }
+
+    /// Marks the edges beside which something else lies now. Where it is at most of them, or the level inside is another one, the
+    /// light has changed instead.
+    fn mark(&self, edges: &mut [Option<EdgeFit>; 4], inside: f64) {
+        // Light changes both alike.
+        let light = if self.inside.abs() > 0.3 { inside / self.inside } else { 1.0 };
+        if !(0.8..1.25).contains(&light) {
+            return;
+        }
+        // In units of the contrast; nought where an edge was not seen.
+        let change: [f64; 4] = std::array::from_fn(|i| {
+            let beside = self.beside[i] * light;
+            edges[i].map_or(0.0, |e| (e.outside - beside) / (self.inside * light - beside).abs())
+        });
+        // What changes beside all edges is the light's colour; a thing changes some.
+        let mut sorted = change;
+        sorted.sort_unstable_by(f64::total_cmp);
+        let common = (sorted[1] + sorted[2]) / 2.0;
+        let foreign = change.map(|c| c.abs() > FOREIGN && (c - common).abs() > FOREIGN / 2.0);
+        if foreign.iter().filter(|f| **f).count() > 2 {
+            return;
+        }
+        for (edge, _) in edges.iter_mut().zip(foreign).filter(|(_, f)| *f) {
+            if let Some(e) = edge {
+                e.foreign = true;
+                e.covariance[(0, 0)] += FOREIGN_SIGMA * FOREIGN_SIGMA;
+            }
+        }
+    }
 }
 
 /// Measures the outline near `predicted`.
@@ -85,16 +148,15 @@ pub(crate) fn fit(
     let interior = Interior::measure(sampler, predicted, half_width, prior.rows < MAX_ROWS, prior.gradient)?;
     let sides = Side::of(predicted, centre);
     let mut edges: [Option<EdgeFit>; 4] = [None; 4];
-    let mut outside_levels = [0.0; 4];
     for i in 0..4 {
-        if let Some((edge, outside)) =
-            fit_edge(sampler, &interior, &sides[i], half_width, prior, min_contrast)
-        {
-            edges[i] = Some(edge);
-            outside_levels[i] = outside;
-        }
+        edges[i] = fit_edge(sampler, &interior, &sides[i], half_width, prior, min_contrast);
     }
-    combine(predicted, centre, &sides, edges, prior, &interior, outside_levels)
+    if let Some(levels) = &prior.levels
+        && !sampler.full
+    {
+        levels.mark(&mut edges, interior.level);
+    }
+    combine(predicted, centre, &sides, edges, prior, &interior)
 }
 
 /// Edges into an outline; where one is missing or contradicts the shape, the shape prior stands in.
@@ -105,10 +167,9 @@ fn combine(
     mut edges: [Option<EdgeFit>; 4],
     prior: &ShapePrior,
     interior: &Interior,
-    outside_levels: [f64; 4],
 ) -> Option<QuadFit> {
     let done = |estimate: &Estimate, edges: [Option<EdgeFit>; 4]| {
-        let mut fit = finish(predicted, centre, sides, edges, estimate, interior, outside_levels);
+        let mut fit = finish(predicted, centre, sides, edges, estimate, interior);
         let contrast = (fit.inside - fit.outside).abs().max(1e-3);
         let lever = prior.half_width * interior.sigma / contrast * prior.correlation;
         fit.covariance +=
@@ -159,9 +220,9 @@ fn contradiction(
     prior: &ShapePrior,
 ) -> (f64, f64) {
     let (mut worst, mut total) = (0.0f64, estimate.shift.norm_squared() / prior.place_sigma.powi(2));
-    for (g, e) in sides.iter().zip(edges) {
+    for (i, (g, e)) in sides.iter().zip(edges).enumerate() {
         let Some(e) = e else { continue };
-        let expected = g.normal.dot(&estimate.shift) + prior.edge_bias;
+        let expected = g.normal.dot(&estimate.shift) + prior.edge_bias[i % 2];
         let z2 = (e.offset - expected).powi(2) / (prior.edge_sigma.powi(2) + e.covariance[(0, 0)]);
         worst = worst.max(z2.sqrt());
         total += z2;
@@ -198,10 +259,10 @@ fn measured(sides: &[Side; 4], edges: &[Option<EdgeFit>; 4], prior: &ShapePrior)
     let (mut offsets, mut slopes) = ([0.0; 4], [0.0; 4]);
     let (mut normal, mut right) = (Matrix2::zeros(), Vector2::zeros());
     for i in 0..4 {
-        let e = edges[i].as_ref().filter(|e| e.support > 0.7)?;
+        let e = edges[i].as_ref().filter(|e| e.support > 0.7 && !e.foreign)?;
         let n = sides[i].normal;
         normal += n * n.transpose();
-        right += n * (e.offset - prior.edge_bias);
+        right += n * (e.offset - prior.edge_bias[i % 2]);
         (offsets[i], slopes[i]) = (e.offset, e.slope);
     }
     let shift = normal.try_inverse()? * right;
@@ -225,10 +286,10 @@ fn solve(sides: &[Side; 4], edges: &[Option<EdgeFit>; 4], prior: &ShapePrior) ->
             }
             information[(r, a)] -= we * n[r];
             information[(a, r)] -= we * n[r];
-            right[r] -= we * n[r] * prior.edge_bias;
+            right[r] -= we * n[r] * prior.edge_bias[i % 2];
         }
         information[(a, a)] += we;
-        right[a] += we * prior.edge_bias;
+        right[a] += we * prior.edge_bias[i % 2];
         let b = 6 + i;
         information[(b, b)] += ws;
         if let Some(e) = &edges[i] {
@@ -260,7 +321,6 @@ fn finish(
     edges: [Option<EdgeFit>; 4],
     estimate: &Estimate,
     interior: &Interior,
-    outside_levels: [f64; 4],
 ) -> QuadFit {
     // Each edge as point and direction, then neighbours intersected.
     let line: [(Vector2<f64>, Vector2<f64>); 4] = std::array::from_fn(|i| {
@@ -306,9 +366,8 @@ fn finish(
     let miss = (0..4)
         .map(|i| estimate.offsets[i].abs() + estimate.slopes[i].abs() * sides[i].length / 2.0)
         .fold(0.0, f64::max);
-    let seen: f64 = edges.iter().flatten().count() as f64;
-    let outside =
-        (0..4).filter(|&i| edges[i].is_some()).map(|i| outside_levels[i]).sum::<f64>() / seen.max(1.0);
+    let seen = edges.iter().flatten().count() as f64;
+    let outside = edges.iter().flatten().map(|e| e.outside).sum::<f64>() / seen.max(1.0);
     QuadFit {
         quad,
         centroid,

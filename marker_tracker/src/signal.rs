@@ -11,20 +11,22 @@ use wide::{f32x8, i16x16, u32x8};
 pub(crate) struct Discriminant {
     /// Per channel r, g, b; `weights · (marker − surroundings) = 1` at the light in which it was learnt.
     pub weights: [f32; 3],
+    /// Whether a channel that tells the two apart is full: it no longer says how much light there is, and an edge's blur is cut off
+    /// in it.
+    pub full: bool,
 }
 
 impl Discriminant {
-    /// Between the mean colours of a marker and of what surrounds it; `None` where they are the same.
-    ///
-    /// The pixel noise is taken as equal in the channels. `luma_penalty` ≥ 0 adds a common-mode noise, in units of the
-    /// channel noise's variance: shadows and dirt change brightness more than hue.
-    pub fn between(marker: [f32; 3], surroundings: [f32; 3], luma_penalty: f32) -> Option<Self> {
+    /// Level from which on a channel may be full: colours are followed with a delay of some images.
+    const FULL: f32 = 228.0;
+
+    /// Between the mean colours of a marker and of what surrounds it, the pixel noise taken as equal in the channels; `None` where
+    /// they are the same.
+    pub fn between(marker: [f32; 3], surroundings: [f32; 3]) -> Option<Self> {
         let d = [0, 1, 2].map(|i| marker[i] - surroundings[i]);
-        // (I + λ·11ᵀ)⁻¹ d by Sherman–Morrison.
-        let common = luma_penalty * (d[0] + d[1] + d[2]) / (1.0 + 3.0 * luma_penalty);
-        let w = d.map(|x| x - common);
-        let gain = w[0] * d[0] + w[1] * d[1] + w[2] * d[2];
-        (gain.is_finite() && gain > 25.0).then(|| Self { weights: w.map(|x| x / gain) })
+        let gain = d.iter().map(|d| d * d).sum::<f32>();
+        let full = (0..3).any(|i| d[i] * d[i] > 0.05 * gain && marker[i].max(surroundings[i]) > Self::FULL);
+        (gain.is_finite() && gain > 25.0).then(|| Self { weights: d.map(|d| d / gain), full })
     }
 }
 
@@ -46,6 +48,8 @@ pub(crate) struct Sampler<'a> {
     middle: i16x16,
     /// Signal per unit of the weighted sum.
     pub scale: f32,
+    /// As in [`Discriminant`].
+    pub full: bool,
 }
 
 impl<'a> Sampler<'a> {
@@ -72,6 +76,7 @@ impl<'a> Sampler<'a> {
             outer: pairs(weights[0], weights[2]),
             middle: pairs(weights[1], 0),
             scale: largest / Self::WEIGHT,
+            full: discriminant.full,
         }
     }
 
@@ -200,7 +205,7 @@ mod tests {
     #[test]
     fn lines_and_single_pixels_tell_the_same_in_every_order_of_the_channels() {
         let data: Vec<u8> = (0..20 * 60u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
-        let discriminant = Discriminant { weights: [0.31, -0.72, 0.05] };
+        let discriminant = Discriminant { weights: [0.31, -0.72, 0.05], full: false };
         for format in [PixelFormat::Rgb8, PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8] {
             let stamp = Stamp::from_nanos(0);
             let view = ImageView { stamp, width: 14, height: 20, step: 60, format, data: &data };

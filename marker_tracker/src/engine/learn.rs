@@ -4,7 +4,7 @@ use super::{Engine, MAX_TURN, is_whole};
 use crate::{
     geometry::{Sight, project_square, refine},
     image::ImageView,
-    outline::QuadFit,
+    outline::{Levels, QuadFit},
     quad::Quad,
 };
 use nalgebra::{Isometry3, Matrix2, Vector2};
@@ -61,6 +61,12 @@ impl Engine {
             {
                 a.follow(image, &f.quad, 0.3);
             }
+            if let Some(now) = Levels::of(&f) {
+                match &mut m.levels {
+                    Some(levels) => levels.follow(&now, 0.2),
+                    None => m.levels = Some(now),
+                }
+            }
             // What is known well changes no more: one marker per image.
             if m.turn.1 > 30 && m.edge_bias.1 > 30 && self.images % 4 != color.index() as u32 {
                 continue;
@@ -73,17 +79,48 @@ impl Engine {
             let Some((more, bias)) = compare_outline(&self.layout, color, turn, camera, pose, &f) else {
                 continue;
             };
-            let rate = |n: u32| 1.0 / f64::from(n.min(30) + 1);
+            let rate = |n: u32| 1.0 / f64::from(n.min(12) + 1);
             m.turn.0 = (turn + rate(m.turn.1) * more).clamp(-MAX_TURN, MAX_TURN);
             m.turn.1 = m.turn.1.saturating_add(1);
             if detected < 4 {
                 continue;
             }
-            m.edge_bias.0 += rate(m.edge_bias.1) * (bias - m.edge_bias.0).clamp(-1.0, 1.0);
+            let gain = rate(m.edge_bias.1);
+            for (known, now) in m.edge_bias.0.iter_mut().zip(bias) {
+                *known += gain * (now - *known).clamp(-1.0, 1.0);
+            }
             m.edge_bias.1 = m.edge_bias.1.saturating_add(1);
+            self.place(camera, pose, color, &f);
         }
         if self.lag[0] > 100.0 {
             self.lag = self.lag.map(|v| v * 0.5);
+        }
+    }
+}
+
+/// A marker is sought as far as this from where the rig file has it, in parts of its side.
+const MISPLACED: f64 = 0.15;
+
+impl Engine {
+    /// Moves a marker on the platform towards where it is seen. The four centroids over-determine the pose by two; what they leave
+    /// of it, pose after pose, is how the layout was measured.
+    fn place(&mut self, camera: &CameraModel, pose: &Isometry3<f64>, color: MarkerColor, f: &QuadFit) {
+        let Some(p) = self.layout.projected_centroid(color, camera, pose) else { return };
+        let plane = pose.rotation.to_rotation_matrix().matrix().fixed_columns::<2>(0).into_owned();
+        let Some(inverse) = (p.jacobian_by_centre * plane).try_inverse() else { return };
+        let off = f.centroid - p.pixel;
+        let m = &mut self.markers[color];
+        // What is known is not to be moved by an outline that something touches.
+        if m.placed > 5 && off.norm() > 0.3 + 3.0 * m.misplaced {
+            return;
+        }
+        m.misplaced += 0.2 * (off.norm() - m.misplaced);
+        let by = inverse * off / f64::from(m.placed.min(12) + 1);
+        m.placed = m.placed.saturating_add(1);
+        let limit = MISPLACED * self.layout.side;
+        let (given, place) = (self.given.centres[color], &mut self.layout.centres[color]);
+        for i in 0..2 {
+            place[i] = (place[i] + by[i]).clamp(given[i] - limit, given[i] + limit);
         }
     }
 }
@@ -96,10 +133,10 @@ pub(super) fn compare_outline(
     camera: &CameraModel,
     pose: &Isometry3<f64>,
     f: &QuadFit,
-) -> Option<(f64, f64)> {
+) -> Option<(f64, [f64; 2])> {
     let here = project_square(layout, color, turn, camera, pose)?;
     let turned = project_square(layout, color, turn + 0.01, camera, pose)?;
-    let (mut gain, mut sum, mut bias) = (0.0, 0.0, 0.0);
+    let (mut gain, mut sum, mut bias) = (0.0, 0.0, [0.0; 2]);
     let (_, here_centre) = here.area_and_centroid();
     for i in 0..4 {
         let side = |q: &Quad| q.0[(i + 1) % 4] - q.0[i];
@@ -113,8 +150,8 @@ pub(super) fn compare_outline(
         let outward = (here.0[i] + here.0[(i + 1) % 4]) / 2.0 - here_centre;
         let normal = if normal.dot(&outward) < 0.0 { -normal } else { normal };
         let half = |q: &Quad, c: Vector2<f64>| ((q.0[i] + q.0[(i + 1) % 4]) / 2.0 - c).dot(&normal);
-        bias += (half(&f.quad, f.centroid) - half(&here, here_centre)) / 4.0;
+        bias[i % 2] += (half(&f.quad, f.centroid) - half(&here, here_centre)) / 2.0;
     }
     let more = sum / gain;
-    (more.is_finite() && bias.is_finite()).then_some((more, bias))
+    (more.is_finite() && bias.iter().all(|b| b.is_finite())).then_some((more, bias))
 }

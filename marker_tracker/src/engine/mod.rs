@@ -15,7 +15,7 @@ use crate::{
     geometry::guessed_camera,
     image::ImageView,
     model::Appearance,
-    outline::QuadFit,
+    outline::{Levels, QuadFit},
     signal::Sampler,
     tracker::{Mark, Seen},
 };
@@ -28,8 +28,12 @@ pub(crate) struct Memory {
     pub appearance: Option<Appearance>,
     /// Turn in its plane, rad, and from how many images it was learnt.
     turn: (f64, u32),
-    /// Edges' distance outside of the geometry, px, and from how many images it was learnt.
-    edge_bias: (f64, u32),
+    /// Distance outside of the geometry, px, of the first and third edge and of the others, and from how many images it was learnt.
+    edge_bias: ([f64; 2], u32),
+    /// From how many images its place on the platform was learnt.
+    placed: u32,
+    /// How far it lay off that place of late, px.
+    misplaced: f64,
     /// Where it was last measured or predicted.
     pub centroid: Option<Vector2<f64>>,
     /// Displacement over the last image interval, px.
@@ -45,6 +49,8 @@ pub(crate) struct Memory {
     blur: f64,
     /// How far the edges lay off the place where they were sought, px, as the largest of late.
     miss: f64,
+    /// Levels inside and beside each edge, while it was whole of late.
+    levels: Option<Levels>,
     /// Gradient of the signal inside, per px, over the last images.
     gradient: Option<Vector2<f64>>,
     /// The measurement in this image.
@@ -57,6 +63,9 @@ type Motion = (Vector3<f64>, Vector3<f64>);
 
 #[derive(Debug)]
 pub(crate) struct Engine {
+    /// As the rig file has it.
+    given: MarkerLayout,
+    /// As the images have it: what is measured must not lean on what was measured by hand.
     layout: MarkerLayout,
     config: TrackerConfig,
     camera: Option<CameraModel>,
@@ -99,6 +108,7 @@ impl Engine {
     pub fn new(layout: MarkerLayout, config: TrackerConfig) -> Self {
         let palette = Palette::new(&config.start_colors);
         Self {
+            given: layout.clone(),
             layout,
             config,
             camera: None,
@@ -293,7 +303,7 @@ fn half_width_for(f: &QuadFit) -> f64 {
 
 /// All four edges were seen along most of their length.
 fn is_whole(f: &QuadFit) -> bool {
-    f.filled > 0.8 && f.edges.iter().all(|e| e.is_some_and(|e| e.support > 0.7))
+    f.filled > 0.8 && f.edges.iter().all(|e| e.is_some_and(|e| e.support > 0.7 && !e.foreign))
 }
 
 /// Whether the centroid of the whole square is told, covered in part as it may be.

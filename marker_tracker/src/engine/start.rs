@@ -184,7 +184,7 @@ impl Engine {
             .collect();
         let (pose, rms) = refine(&self.layout, camera, &sights, &v.pose, None, 20)?;
         side /= v.count as f64;
-        let limit = if known_camera { 0.35 + 0.01 * side } else { 2.0 + 0.1 * side };
+        let limit = if known_camera { 0.35 + 0.02 * side } else { 2.0 + 0.1 * side };
         let shape = (shape_error / v.count as f64).sqrt();
         let shape_limit = if known_camera { 1.0 + 0.05 * side } else { 2.0 + 0.15 * side };
         if rms > limit || shape > shape_limit {

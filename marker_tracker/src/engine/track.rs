@@ -3,7 +3,7 @@
 use super::{COARSE, COARSE_ROWS, Engine, ROWS, half_width_for, is_told, is_whole};
 use crate::{
     blob::ScanConfig,
-    edge::{EdgeFit, MAX_ROWS},
+    edge::MAX_ROWS,
     geometry::{PosePrior, Sight, project_square, refine},
     image::ImageView,
     model::{Appearance, HueHistogram},
@@ -60,6 +60,8 @@ pub(super) struct Slack {
     pub rows: usize,
 }
 
+/// Least contrast of an edge, in units of that in which the marker's colours were learnt: light may drop to 0.45 of what it was.
+const MIN_CONTRAST: f64 = 0.35;
 /// Standard deviation of a centroid up to which one look is enough, px: where noise or compression leave more, a second look
 /// about the place that was found gains a quarter.
 const CERTAIN: f64 = 0.025;
@@ -93,8 +95,10 @@ impl Engine {
             half_width: slack.half_width,
             rows: slack.rows,
             gradient: slack.gradient,
+            // As long as its shape is not known all edges are needed, whatever is beside them.
+            levels: self.markers[color].levels.filter(|_| self.markers[color].edge_bias.1 > 3),
         };
-        fit(sampler, quad, &prior, 0.45)
+        fit(sampler, quad, &prior, MIN_CONTRAST)
     }
 
     /// Whether what is inside has the marker's hues, where that is asked.
@@ -191,7 +195,22 @@ impl Engine {
                 continue;
             }
             let expected = self.layout.projected_centroid(color, camera, &now).map(|p| p.pixel);
-            if expected.is_some_and(|e| (e - fit.centroid).norm() < 3.0 * place_sigma) {
+            let known_shape = self.markers[color].edge_bias.1 > 3 && self.markers[color].placed > 3;
+            let sigma_of = |f: &QuadFit| (f.covariance.trace() / 2.0).sqrt();
+            let sigma = sigma_of(&fit) + whole.iter().flatten().map(sigma_of).fold(0.0, f64::max);
+            // What two markers tell of the pose does not suffice to tell a cover's edge from the marker's.
+            let (room, edges, support) = match (known && known_shape, whole.iter().flatten().count()) {
+                (true, 3) => (0.15 + 3.0 * sigma + 2.0 * self.markers[color].misplaced, 2, 0.4),
+                _ => (3.0 * place_sigma, 3, 0.92),
+            };
+            if fit.edges.iter().flatten().filter(|e| !e.foreign && e.support > support).count() < edges {
+                continue;
+            }
+            if self.misfit(color, &fit, camera, &now, detected.min(3), known) > 1.0 {
+                self.markers[color].reason = "covered in part, and of another shape";
+                continue;
+            }
+            if expected.is_some_and(|e| (e - fit.centroid).norm() < room) {
                 self.markers[color].fit = Some(fit);
                 self.markers[color].reason = "covered in part, told by its other edges";
                 detected += 1;
@@ -223,7 +242,7 @@ impl Engine {
     fn sight(&self, color: MarkerColor, f: &QuadFit, with_outline: bool) -> Sight {
         let m = &self.markers[color];
         // Paper cut too large or a blooming sensor widen the outline; that is not nearness.
-        let scale = 1.0 - 2.0 * m.edge_bias.0 / f.area.sqrt().max(1.0);
+        let scale = 1.0 - (m.edge_bias.0[0] + m.edge_bias.0[1]) / f.area.sqrt().max(1.0);
         let outline = Quad(f.quad.0.map(|c| f.centroid + (c - f.centroid) * scale));
         Sight {
             color,
@@ -320,7 +339,6 @@ impl Engine {
         known_camera: bool,
         whole: &mut [Option<QuadFit>; 4],
     ) -> Isometry3<f64> {
-        let tolerance = if known_camera { 0.6 } else { 3.0 };
         let prior = PosePrior { camera_from_volant: *start, position_sigma: 0.1, rotation_sigma: 0.1 };
         loop {
             let mut sights =
@@ -343,31 +361,25 @@ impl Engine {
             if n < 2 {
                 return now;
             }
-            // The width that is most off, in units of what it may be off.
+            // The outline that is most off the shape that the pose gives it.
             let (mut worst, mut culprit) = (0.0, None);
             for s in sights {
-                let m = &self.markers[s.color];
-                let Some(f) = whole[s.color.index()] else { continue };
-                let Some(expected) = project_square(&self.layout, s.color, m.turn.0, camera, &now) else {
-                    continue;
-                };
-                let side = f.area.sqrt();
-                for (k, (measured, predicted)) in f.quad.widths().iter().zip(expected.widths()).enumerate() {
-                    // `widths` tells the distance between the edges k and k + 2.
-                    let variance = |e: Option<EdgeFit>| e.map_or(0.01, |e| e.covariance[(0, 0)]);
-                    let sigma = (variance(f.edges[k]) + variance(f.edges[k + 2])).sqrt();
-                    let allowed = match (known_camera, m.edge_bias.1 > 3, count) {
-                        (true, true, 4) => 0.12 + 0.005 * side + 4.0 * sigma,
-                        (true, true, 3) => 0.25 + 0.01 * side + 4.0 * sigma,
-                        (true, ..) => 1.0 + 0.05 * side,
-                        (false, ..) => 1.5 + 0.15 * side,
-                    };
-                    let off = (measured - predicted - 2.0 * m.edge_bias.0).abs() / allowed;
-                    if off > worst {
-                        (worst, culprit) = (off, Some(s.color));
-                    }
+                let Some(f) = &whole[s.color.index()] else { continue };
+                let off = self.misfit(s.color, f, camera, &now, count, known_camera);
+                if off > worst {
+                    (worst, culprit) = (off, Some(s.color));
                 }
             }
+            // What the layout may be wrong by, until it was learnt; what the measurements may be, then.
+            let placed = self.markers.0.iter().all(|m| m.placed > 5);
+            let side = whole.iter().flatten().map(|f| f.area.sqrt()).fold(0.0, f64::max);
+            let sigma = whole.iter().flatten().map(|f| f.covariance.trace() / 2.0).fold(0.0, f64::max).sqrt();
+            let misplaced = self.markers.0.iter().map(|m| m.misplaced).fold(0.0, f64::max);
+            let tolerance = match (known_camera, placed) {
+                (true, true) => 0.08 + 2.5 * sigma + 2.0 * misplaced,
+                (true, false) => 0.5 + 0.02 * side,
+                (false, _) => 3.0,
+            };
             let inconsistent = rms > tolerance && n > 2;
             if worst < 1.0 && !inconsistent {
                 return now;
@@ -401,5 +413,58 @@ impl Engine {
             whole[culprit.index()] = None;
             self.markers[culprit].reason = "contradicts the other markers' geometry";
         }
+    }
+
+    /// How far an outline is off the shape that a pose, told by `count` markers, gives it, in units of what it may be off: the widths
+    /// between opposite edges and the directions of the edges that were seen. What hides an edge, or goes on in its colour, shows
+    /// in them.
+    fn misfit(
+        &self,
+        color: MarkerColor,
+        f: &QuadFit,
+        camera: &CameraModel,
+        pose: &Isometry3<f64>,
+        count: usize,
+        known_camera: bool,
+    ) -> f64 {
+        let m = &self.markers[color];
+        let Some(expected) = project_square(&self.layout, color, m.turn.0, camera, pose) else {
+            return f64::INFINITY;
+        };
+        let side = f.area.sqrt();
+        // How well the shape is known: of the paper itself, and of the pose that it is seen from.
+        let (width, slope) = match (known_camera, m.edge_bias.1 > 3, count) {
+            (true, true, 4) => (0.1 + 0.004 * side, 0.01),
+            (true, true, 3) => (0.2 + 0.008 * side, 0.015),
+            (true, true, _) => (0.5 + 0.03 * side, 0.06),
+            (true, false, _) => (1.0 + 0.05 * side, 0.08),
+            (false, ..) => (1.5 + 0.15 * side, 0.15),
+        };
+        // Where the layout is still being learnt, so is the shape.
+        let misplaced = self.markers.0.iter().map(|m| m.misplaced).fold(0.0, f64::max);
+        let (width, slope) = (width + 1.5 * misplaced, slope + 1.5 * misplaced / side.max(10.0));
+        let mut worst = 0.0f64;
+        for (k, (measured, predicted)) in f.quad.widths().iter().zip(expected.widths()).enumerate() {
+            // `widths` tells the distance between the edges k and k + 2.
+            let (Some(a), Some(b)) = (f.edges[k], f.edges[k + 2]) else { continue };
+            let sigma = (a.covariance[(0, 0)] + b.covariance[(0, 0)]).sqrt();
+            let off = (measured - predicted - 2.0 * m.edge_bias.0[k]).abs();
+            worst = worst.max(off / (width + 4.0 * sigma));
+        }
+        let (mut turns, mut mean, mut seen) = ([0.0; 4], 0.0, 0.0);
+        for (i, turn) in turns.iter_mut().enumerate() {
+            let side = |q: &Quad| q.0[(i + 1) % 4] - q.0[i];
+            let (a, b) = (side(&expected), side(&f.quad));
+            *turn = (a.x * b.y - a.y * b.x).atan2(a.dot(&b));
+            if f.edges[i].is_some() {
+                (mean, seen) = (mean + *turn, seen + 1.0);
+            }
+        }
+        mean /= f64::max(seen, 1.0);
+        for (turn, edge) in turns.iter().zip(&f.edges) {
+            let Some(e) = edge else { continue };
+            worst = worst.max((turn - mean).abs() / (slope + 4.0 * e.covariance[(1, 1)].sqrt()));
+        }
+        worst
     }
 }

@@ -1,0 +1,207 @@
+//! The straight line through the places of an edge on its rows.
+
+use super::{Column, EdgeFit, MAX_ROWS, eight, present};
+use crate::outline::ShapePrior;
+use nalgebra::Matrix2;
+use wide::f32x8;
+
+/// Where the edge lies on its rows: how far along, and how far outside of the prediction, px.
+pub(super) struct Places {
+    pub count: usize,
+    pub along: Column,
+    pub across: Column,
+}
+
+/// Sums of a straight line's normal equations.
+struct LineSums {
+    n: f64,
+    st: f64,
+    stt: f64,
+    sa: f64,
+    sta: f64,
+}
+
+impl Places {
+    /// Leaves out the rows that are not good (those that are have 1).
+    pub fn keep(&mut self, good: &Column) {
+        let mut kept = 0;
+        for (i, good) in good.iter().enumerate().take(self.count) {
+            if *good > 0.0 {
+                (self.along[kept], self.across[kept]) = (self.along[i], self.across[i]);
+                kept += 1;
+            }
+        }
+        self.count = kept;
+    }
+
+    /// Robust straight line through the rows' places.
+    ///
+    /// What covers an edge shows as rows whose crossing lies further in, never further out, so of several places that rows
+    /// agree on the outermost is the edge. Rows beside ones that disagree are half covered and left out with them.
+    pub fn line(&self, possible: usize, length: f64, prior: &ShapePrior) -> Option<EdgeFit> {
+        let count = self.count;
+        if count < 3 {
+            return None;
+        }
+        let lean = 2.0 * prior.slope_sigma * length / 2.0;
+        // Where nothing disagrees all rows are taken, and one look is enough.
+        let zero = f32x8::ZERO;
+        let (mut st, mut stt, mut sa, mut sta) = (zero, zero, zero, zero);
+        for group in (0..count).step_by(8) {
+            let there = present(group, count);
+            let (along, across) = (eight(&self.along, group) & there, eight(&self.across, group) & there);
+            st += along;
+            stt += along * along;
+            sa += across;
+            sta += along * across;
+        }
+        let [st, stt, sa, sta] = [st, stt, sa, sta].map(|v| f64::from(v.reduce_add()));
+        let sums = LineSums { n: count as f64, st, stt, sa, sta };
+        let mean = f32x8::splat((sa / count as f64) as f32);
+        let mut furthest = zero;
+        for group in (0..count).step_by(8) {
+            let off = (eight(&self.across, group) - mean).abs() & present(group, count);
+            furthest = furthest.fast_max(off);
+        }
+        if !largest(furthest).is_nan() && largest(furthest) < 0.3 {
+            let fit = sums.solve(prior)?;
+            let (offset, slope) = (f32x8::splat(fit.0 as f32), f32x8::splat(fit.1 as f32));
+            let mut residuals: Column = [0.0; MAX_ROWS];
+            let (mut square, mut furthest) = (zero, zero);
+            for group in (0..count).step_by(8) {
+                let residual = (eight(&self.across, group) - offset - slope * eight(&self.along, group))
+                    & present(group, count);
+                square += residual * residual;
+                furthest = furthest.fast_max(residual.abs());
+                residuals[group..group + 8].copy_from_slice(residual.as_array());
+            }
+            let product: f32 = residuals[..count].windows(2).map(|r| r[0] * r[1]).sum();
+            let (edge, gate) =
+                sums.edge(fit, square.reduce_add(), product, (0.3 + lean) as f32, possible, prior);
+            if largest(furthest) < gate {
+                return (edge.support > 0.2).then_some(edge);
+            }
+        }
+        self.robust_line(possible, lean, prior)
+    }
+
+    fn robust_line(&self, possible: usize, lean: f64, prior: &ShapePrior) -> Option<EdgeFit> {
+        let count = self.count;
+        let (along, across) = (&self.along[..count], &self.across[..count]);
+        let mean = across.iter().sum::<f32>() / count as f32;
+        let (mut offset, mut slope, reach);
+        if across.iter().all(|a| (a - mean).abs() < 0.3) {
+            (offset, slope, reach) = (mean, 0f32, 0.3 + lean);
+        } else {
+            let mut sorted = self.across;
+            let sorted = &mut sorted[..count];
+            sorted.sort_unstable_by(f32::total_cmp);
+            let spread = f64::from(sorted[count * 3 / 4] - sorted[count / 4]) / 1.35;
+            // The fullest place within ± reach, and the outermost that is half as full.
+            reach = (2.0 * spread).clamp(0.2, 0.4) + lean;
+            let near = reach as f32;
+            let fullness = |at: usize| {
+                let from = sorted.partition_point(|&v| v < sorted[at] - near);
+                let to = sorted.partition_point(|&v| v <= sorted[at] + near);
+                (from, to)
+            };
+            let most = (0..count).map(&fullness).map(|(a, b)| b - a).max()?;
+            let enough = most.max(8.min(count));
+            let (from, to) = (0..count).rev().map(&fullness).find(|(a, b)| 2 * (b - a) >= enough)?;
+            (offset, slope) = (sorted[(from + to) / 2], 0.0);
+        }
+        let mut gate = reach as f32;
+        let mut used = [false; MAX_ROWS];
+        // Rows far apart are no neighbours.
+        let neighbours = possible < prior.rows;
+        let mut before = usize::MAX;
+        let mut result = None;
+        for round in 0..3 {
+            let agrees = |i: usize| (across[i] - offset - slope * along[i]).abs() < gate;
+            let mut members = 0usize;
+            for (i, used) in used[..count].iter_mut().enumerate() {
+                let member = agrees(i)
+                    && (round == 0
+                        || !neighbours
+                        || ((i == 0 || agrees(i - 1)) && (i + 1 == count || agrees(i + 1))));
+                *used = member;
+                members += usize::from(member);
+            }
+            if members < 3 {
+                return None;
+            }
+            if members == count && members == before {
+                // Every row again: nothing changes any more.
+                break;
+            }
+            before = members;
+            let (mut st, mut stt, mut sa, mut sta) = (0f32, 0f32, 0f32, 0f32);
+            for i in (0..count).filter(|i| used[*i]) {
+                st += along[i];
+                stt += along[i] * along[i];
+                sa += across[i];
+                sta += along[i] * across[i];
+            }
+            let [st, stt, sa, sta] = [st, stt, sa, sta].map(f64::from);
+            let sums = LineSums { n: members as f64, st, stt, sa, sta };
+            let fit = sums.solve(prior)?;
+            (offset, slope) = (fit.0 as f32, fit.1 as f32);
+            let (mut square, mut product, mut last) = (0f32, 0f32, 0f32);
+            for i in 0..count {
+                let residual = if used[i] { across[i] - offset - slope * along[i] } else { 0.0 };
+                square += residual * residual;
+                product += residual * last;
+                last = residual;
+            }
+            let edge;
+            (edge, gate) = sums.edge(fit, square, product, gate, possible, prior);
+            result = Some(edge);
+        }
+        result.filter(|e| e.support > 0.2)
+    }
+}
+
+fn largest(of: f32x8) -> f32 {
+    of.as_array().iter().fold(0.0, |m, v| m.max(*v))
+}
+
+impl LineSums {
+    /// Σ along², with what is known of the direction: to `slope_sigma` beforehand; what the rows weigh against it is their
+    /// usual noise.
+    fn stt(&self, prior: &ShapePrior) -> f64 {
+        self.stt + 0.01 / (prior.slope_sigma * prior.slope_sigma)
+    }
+
+    /// Offset and slope.
+    fn solve(&self, prior: &ShapePrior) -> Option<(f64, f64)> {
+        let stt = self.stt(prior);
+        let det = self.n * stt - self.st * self.st;
+        (det > 0.0).then(|| {
+            ((stt * self.sa - self.st * self.sta) / det, (self.n * self.sta - self.st * self.sa) / det)
+        })
+    }
+
+    /// The edge that was fitted so, from its residuals' sum of squares and of products of neighbours, and the gate (at most
+    /// `gate`, px) for its rows.
+    fn edge(
+        &self,
+        (offset, slope): (f64, f64),
+        square: f32,
+        product: f32,
+        gate: f32,
+        possible: usize,
+        prior: &ShapePrior,
+    ) -> (EdgeFit, f32) {
+        let stt = self.stt(prior);
+        let det = self.n * stt - self.st * self.st;
+        let variance = (f64::from(square) / (self.n - 2.0).max(1.0)).max(4e-4);
+        let support = self.n / possible.max(1) as f64;
+        let mut covariance =
+            Matrix2::new(stt, -self.st, -self.st, self.n) * (variance * prior.inflation / det);
+        // Rows that a cover's blur touches a little stay unnoticed: the more is covered the more there are.
+        covariance[(0, 0)] += (0.2 * (1.0 - support)).powi(2);
+        let lag = [f64::from(square), f64::from(product)];
+        let gate = ((3.2 * variance.sqrt()) as f32).clamp(0.15, gate);
+        (EdgeFit { offset, slope, covariance, support, outside: 0.0, foreign: false, blur: 0.0, lag }, gate)
+    }
+}

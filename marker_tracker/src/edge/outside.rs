@@ -1,0 +1,69 @@
+//! The level beside an edge.
+
+use super::{Column, eight, present};
+use crate::interior::Interior;
+use wide::f32x8;
+
+/// Level outside along the edge: a line through the rows that agree.
+pub(super) struct Outside {
+    pub level: f64,
+    /// Per pixel along the edge.
+    pub tilt: f64,
+    pub gate: f32,
+    /// The same for the single pixel at the band's rim, which the edge's blur may reach.
+    pub rim_gate: f32,
+    pub rows: f64,
+}
+
+impl Outside {
+    pub fn measure(
+        along: &Column,
+        outside: &Column,
+        count: usize,
+        interior: &Interior,
+        min_contrast: f64,
+    ) -> Option<Self> {
+        // The median; where all agree the mean is as good.
+        let mean = outside[..count].iter().sum::<f32>() / count as f32;
+        let median = if outside[..count].iter().all(|o| (o - mean).abs() < 0.05) {
+            mean
+        } else {
+            let mut levels = *outside;
+            let levels = &mut levels[..count];
+            levels.sort_unstable_by(f32::total_cmp);
+            levels[count / 2]
+        };
+        let contrast = interior.level - f64::from(median);
+        if contrast.is_nan() || contrast <= min_contrast {
+            return None;
+        }
+        let gate = ((4.0 * interior.sigma).clamp(0.06, 0.2) * contrast.max(0.3)) as f32;
+        let rim_gate = ((6.0 * interior.sigma).clamp(0.25, 0.5) * contrast.max(0.3)) as f32;
+        let zero = f32x8::ZERO;
+        let (mut n, mut st, mut stt, mut so, mut sto) = (zero, zero, zero, zero, zero);
+        for group in (0..count).step_by(8) {
+            let off = eight(outside, group) - f32x8::splat(median);
+            let member = off.abs().simd_lt(f32x8::splat(gate)) & present(group, count) & f32x8::ONE;
+            let (off, along) = (off * member, eight(along, group) * member);
+            n += member;
+            st += along;
+            stt += along * along;
+            so += off;
+            sto += along * off;
+        }
+        let [n, st, stt, so, sto] = [n, st, stt, so, sto].map(|v| f64::from(v.reduce_add()));
+        if n < 3.0 {
+            return None;
+        }
+        // A weak pull to a constant level: the outer rows must not lever it.
+        let stt = stt + 2.0 * n * n;
+        let det = stt * n - st * st;
+        Some(Self {
+            level: f64::from(median) + (stt * so - st * sto) / det,
+            tilt: (n * sto - st * so) / det,
+            gate,
+            rim_gate,
+            rows: n,
+        })
+    }
+}
