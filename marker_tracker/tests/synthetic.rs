@@ -94,6 +94,42 @@ fn either_criterion_switched_off_changes_the_result() {
 }
 
 #[test]
+fn where_the_rig_file_has_the_markers_does_not_move_their_measured_centroids() {
+    // Two millimetres are 0.96 px here.
+    let mut wrong = layout();
+    let shift = [[2.0, 0.0], [-1.0, 1.7], [-1.4, -1.4], [0.3, 2.0]];
+    for (centre, by) in wrong.centres.0.iter_mut().zip(shift) {
+        centre.x += 1e-3 * by[0];
+        centre.y += 1e-3 * by[1];
+    }
+    let mut other = Tracker::new(wrong, TrackerConfig::default());
+    other.handle(Input::Camera(camera()));
+    let (mut exact, mut noise) = (new_tracker(TrackerConfig::default()), Noise(8));
+    let (mut square, mut largest, mut nes, mut n) = (0.0, 0.0f64, 0.0, 0.0);
+    for k in 0..60 {
+        let pose = pose(0.033 * k as f64 * 4.0);
+        let data = draw(&pose, ALL, &mut noise);
+        let (a, b) = (observe(&mut exact, k, &data), observe(&mut other, k, &data));
+        for color in MarkerColor::ALL {
+            let m = &b.markers[color];
+            assert_eq!(m.state, MarkerState::Detected, "{color} in image {k}: {:?}", other.reasons());
+            let apart = m.centroid - a.markers[color].centroid;
+            square += apart.norm_squared() / 2.0;
+            largest = largest.max(apart.norm());
+            let e = m.centroid - truth(color, &pose);
+            nes += (e.transpose() * m.covariance.try_inverse().unwrap() * e)[0];
+            n += 1.0;
+        }
+    }
+    let (rms, nes) = ((square / n).sqrt(), nes / n);
+    eprintln!(
+        "layout 2 mm off: centroids {rms:.4} px apart, at most {largest:.3}, normalised squared error {nes:.2}"
+    );
+    assert!(rms < 0.01 && largest < 0.04, "{rms}, {largest}");
+    assert!((1.2..=3.2).contains(&nes), "{nes}");
+}
+
+#[test]
 fn what_was_seen_is_one_on_the_marker_and_nought_beside_it_and_bears_its_hue() {
     let mut tracker = new_tracker(TrackerConfig::default());
     let pose = pose(0.0);
