@@ -1,5 +1,6 @@
 //! How the filter is set: every number that is not on the rig file, with its unit.
 
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 /// Which estimator.
@@ -79,6 +80,35 @@ pub struct TightConfig {
     pub rest_velocity: f64,
     /// Position uncertainty above which the estimate is called lost, m.
     pub lost_position: f64,
+    /// The rope that the platform hangs on.
+    pub pendulum: PendulumConfig,
+}
+
+/// What is known of the rope; it counts while no marker is seen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PendulumConfig {
+    /// From the climber's attachment to the platform's, m; 0: nothing is assumed.
+    pub rope_length: f64,
+    /// Uncertainty of it, m, until the images have told it.
+    pub rope_sigma: f64,
+    /// What pushes the platform across the rope at least, each axis, m/s² (1 sigma).
+    pub side_force: f64,
+    /// Upper end in the climber's frame, m.
+    pub climber_attachment: Vector3<f64>,
+    /// Lower end in the volant frame, m.
+    pub platform_attachment: Vector3<f64>,
+}
+
+impl Default for PendulumConfig {
+    fn default() -> Self {
+        Self {
+            rope_length: 0.0,
+            rope_sigma: 0.02,
+            side_force: 0.1,
+            climber_attachment: Vector3::zeros(),
+            platform_attachment: Vector3::zeros(),
+        }
+    }
 }
 
 impl Default for TightConfig {
@@ -110,6 +140,7 @@ impl Default for TightConfig {
             inertial_noise_limit: 30.0,
             rest_velocity: 0.002,
             lost_position: 0.2,
+            pendulum: PendulumConfig::default(),
         }
     }
 }

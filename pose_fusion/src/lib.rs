@@ -7,6 +7,8 @@
 //! from one image alone. The shell is in `node` (feature `node`).
 
 pub mod config;
+#[cfg(feature = "messages")]
+pub mod messages;
 #[cfg(feature = "node")]
 pub mod node;
 pub mod output;
@@ -17,7 +19,7 @@ pub mod status;
 pub mod tight;
 pub mod visual;
 
-pub use config::{FusionConfig, Model, PaperConfig, TightConfig};
+pub use config::{FusionConfig, Model, PaperConfig, PendulumConfig, TightConfig};
 pub use output::{MarkerOutcome, MarkerUpdateRecord, Odometry, Output, PoseEstimate, Warning};
 pub use status::Status;
 pub use tight::operator::{Checkpoint, Refusal};

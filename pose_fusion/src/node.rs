@@ -2,20 +2,20 @@
 //! diagnostics out.
 
 use crate::{
-    Fusion, FusionConfig, Input, MarkerUpdateRecord, Model, Odometry, Output, PaperConfig, PoseEstimate,
-    TightConfig, Warning,
+    Fusion, FusionConfig, Input, Model, Output, PaperConfig, PendulumConfig, TightConfig, Warning, messages,
     services::{self, Request},
 };
+use nalgebra::Vector3;
 use node_kit::{
     Level, convert,
     node::{Health, Kit, NodeError, NodeShell, Publisher},
     qos::QosPreset,
 };
-use rig_model::{Frames, MarkerColor, Stamp};
+use rig_model::{Frames, Stamp};
 use std::sync::Arc;
 use volant_msgs::{
     geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
-    msg::{MarkerObservations, MarkerUpdate, MarkerUpdates},
+    msg::{MarkerObservations, MarkerUpdates},
     nav_msgs, sensor_msgs,
 };
 
@@ -64,6 +64,16 @@ node_kit::parameters! {
         rest_velocity: f64 = 0.002, unit("m/s"), range(0.0..=1.0);
         /// Position uncertainty (1 sigma) beyond which the estimate is called lost.
         lost_position: f64 = 0.2, unit("m"), range(0.001..=100.0);
+        /// Rope from the climber's attachment to the platform's, which counts while no marker is seen; 0: nothing is assumed.
+        rope_length: f64 = 0.0, unit("m"), range(0.0..=100.0), name("pendulum.rope_length");
+        /// Uncertainty of it (1 sigma) until the images have told it.
+        rope_sigma: f64 = 0.02, unit("m"), range(1e-4..=10.0), name("pendulum.rope_sigma");
+        /// What pushes the platform across the rope at least, each axis (1 sigma).
+        side_force: f64 = 0.1, unit("m/s^2"), range(1e-3..=10.0), name("pendulum.side_force");
+        /// Upper end of the rope in the climber's frame: x, y, z.
+        climber_attachment: Vec<f64> = &[0.0, 0.0, 0.0], unit("m"), range(-100.0..=100.0), name("pendulum.climber_attachment");
+        /// Lower end of the rope in the volant frame: x, y, z.
+        platform_attachment: Vec<f64> = &[0.0, 0.0, 0.0], unit("m"), range(-100.0..=100.0), name("pendulum.platform_attachment");
         /// R/Q of the published filter.
         paper_ratio: f64 = 10.0, range(1e-6..=1e6), name("paper.ratio");
         /// Threshold control of the published filter.
@@ -79,12 +89,20 @@ node_kit::parameters! {
         /// Without inertial samples or used images for so long the diagnostics say so.
         silence_timeout: f64 = 0.5, unit("s"), range(0.01..=60.0);
     }
+    check(p) { p.config().map(|_| ()) }
 }
 
 impl FusionParameters {
     /// As the core wants them.
-    pub fn config(&self) -> FusionConfig {
-        FusionConfig {
+    ///
+    /// # Errors
+    /// A place that is not three numbers.
+    pub fn config(&self) -> Result<FusionConfig, String> {
+        let place = |name: &str, numbers: &[f64]| match *numbers {
+            [x, y, z] => Ok(Vector3::new(x, y, z)),
+            _ => Err(format!("{name} has {} numbers, not three: x, y, z", numbers.len())),
+        };
+        Ok(FusionConfig {
             model: if self.model == "paper" { Model::Paper } else { Model::Tight },
             tight: TightConfig {
                 gravity: self.gravity,
@@ -107,6 +125,13 @@ impl FusionParameters {
                 climber_clock_tied: self.climber_clock_tied,
                 rest_velocity: self.rest_velocity,
                 lost_position: self.lost_position,
+                pendulum: PendulumConfig {
+                    rope_length: self.rope_length,
+                    rope_sigma: self.rope_sigma,
+                    side_force: self.side_force,
+                    climber_attachment: place("pendulum.climber_attachment", &self.climber_attachment)?,
+                    platform_attachment: place("pendulum.platform_attachment", &self.platform_attachment)?,
+                },
                 ..TightConfig::default()
             },
             paper: PaperConfig {
@@ -116,94 +141,7 @@ impl FusionParameters {
                 velocity_from_fused: self.paper_velocity_from_fused,
                 ..PaperConfig::default()
             },
-        }
-    }
-}
-
-/// Messages of the outputs: what the live node publishes and a replay writes.
-pub mod messages {
-    use super::{
-        Arc, Frames, MarkerColor, MarkerUpdate, MarkerUpdateRecord, MarkerUpdates, Odometry, PoseEstimate,
-        PoseWithCovarianceStamped, TransformStamped, convert, nav_msgs,
-    };
-    use crate::MarkerOutcome;
-
-    /// `volant/odometry`.
-    pub fn odometry(o: &Odometry, frames: &Frames) -> nav_msgs::msg::Odometry {
-        convert::odometry_message(
-            &frames.world,
-            &frames.volant,
-            o.stamp,
-            &o.world_from_volant,
-            &o.pose_covariance,
-            &o.linear_velocity,
-            &o.angular_velocity,
-            &o.twist_covariance,
-        )
-    }
-
-    /// `volant/fused_pose`: the same estimate stamped in the volant frame.
-    pub fn fused_pose(o: &Odometry, frames: &Frames) -> PoseWithCovarianceStamped {
-        let p = o.fused_pose();
-        convert::pose_with_covariance_message(&frames.volant, p.stamp, &p.pose, &p.covariance)
-    }
-
-    /// `volant/visual_pose`.
-    pub fn visual_pose(p: &PoseEstimate, frames: &Frames) -> PoseWithCovarianceStamped {
-        convert::pose_with_covariance_message(&frames.world, p.stamp, &p.pose, &p.covariance)
-    }
-
-    /// `/tf`: world → volant.
-    pub fn transform(o: &Odometry, frames: &Frames) -> TransformStamped {
-        convert::transform_message(&frames.world, &frames.volant, o.stamp, &o.world_from_volant)
-    }
-
-    /// `volant/marker_updates`: the records of one image.
-    pub fn marker_updates(records: &[MarkerUpdateRecord], frames: &Frames) -> Option<MarkerUpdates> {
-        let stamp = records.first()?.stamp;
-        Some(MarkerUpdates {
-            header: convert::header(&frames.camera, stamp),
-            markers: records.iter().map(marker_update).collect(),
         })
-    }
-
-    fn marker_update(r: &MarkerUpdateRecord) -> MarkerUpdate {
-        MarkerUpdate {
-            color: r.color as u8,
-            outcome: match r.outcome {
-                MarkerOutcome::Used => MarkerUpdate::USED,
-                MarkerOutcome::NotDetected => MarkerUpdate::NOT_DETECTED,
-                MarkerOutcome::Gated => MarkerUpdate::GATED,
-                MarkerOutcome::Inconsistent => MarkerUpdate::INCONSISTENT,
-                MarkerOutcome::NotPredictable => MarkerUpdate::NOT_PREDICTABLE,
-                MarkerOutcome::NotInitialised => MarkerUpdate::NOT_INITIALISED,
-                MarkerOutcome::Refused => MarkerUpdate::REFUSED,
-                MarkerOutcome::Frozen => MarkerUpdate::FROZEN,
-            },
-            innovation: [r.innovation.x, r.innovation.y],
-            covariance: convert::covariance2_message(&r.covariance),
-            nis: r.nis,
-        }
-    }
-
-    /// Records come marker by marker: gathers those of one image.
-    #[derive(Debug, Default)]
-    pub struct Gathered(Vec<MarkerUpdateRecord>);
-
-    impl Gathered {
-        /// Adds a record; with the fourth the message is complete.
-        pub fn add(&mut self, record: MarkerUpdateRecord, frames: &Frames) -> Option<Arc<MarkerUpdates>> {
-            if self.0.first().is_some_and(|f| f.stamp != record.stamp) {
-                self.0.clear();
-            }
-            self.0.push(record);
-            if self.0.len() < MarkerColor::ALL.len() {
-                return None;
-            }
-            let message = marker_updates(&self.0, frames).map(Arc::new);
-            self.0.clear();
-            message
-        }
     }
 }
 
@@ -306,7 +244,7 @@ impl NodeShell for FusionNode {
         )?;
         services::offer(kit, &frames)?;
         Ok(Self {
-            fusion: Fusion::new(rig, parameters.config()),
+            fusion: Fusion::new(rig, parameters.config().map_err(NodeError::shell)?),
             frames,
             parameters,
             odometry,
@@ -441,6 +379,16 @@ impl NodeShell for FusionNode {
             ("accelerometer noise density", format!("{:.5}", s.accelerometer_noise_density)),
             ("gyroscope noise density", format!("{:.6}", s.gyroscope_noise_density)),
             ("pixel noise factor", format!("{:.2}", s.pixel_noise_factor)),
+            (
+                "rope (m)",
+                s.rope.map_or("none".to_owned(), |r| {
+                    format!("{:.4} +- {:.4}", r.length, (r.length_variance + r.stretch_variance).sqrt())
+                }),
+            ),
+            (
+                "force across the rope (m/s^2)",
+                s.rope.map_or("none".to_owned(), |r| format!("{:.3}", r.side_variance.sqrt())),
+            ),
         ];
         kit.diagnose("filter", health, &message, &values);
     }

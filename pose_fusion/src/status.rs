@@ -1,5 +1,6 @@
 //! What the filter knows about itself: for diagnostics.
 
+use crate::tight::pendulum::Rope;
 use nalgebra::Vector3;
 use rig_model::Stamp;
 
@@ -70,4 +71,6 @@ pub struct Status {
     pub gyroscope_noise_density: f64,
     /// Factor on the markers' claimed sigma that their innovations ask for.
     pub pixel_noise_factor: f64,
+    /// The rope as it was found, where one is configured.
+    pub rope: Option<Rope>,
 }

@@ -13,6 +13,7 @@ use pose_fusion::{
     tight::{
         bank::Bank,
         geometry::{ClimberRest, Geometry},
+        history::{CAPACITY, Node},
         markers::{self, Gates, Sighting},
         propagate::{Felt, Process, propagate},
         state::State,
@@ -156,4 +157,12 @@ fn in_a_run_nothing_is_allocated_once_all_is_found() {
     }
     println!("most allocations of an inertial sample, an image, a reading: {worst:?}");
     assert_eq!(worst, [0; 3]);
+}
+
+/// A change of the state changes what the README says of the memory.
+#[test]
+fn the_memory_is_as_the_readme_says() {
+    let entry = size_of::<Node>();
+    println!("an entry {entry} B, all {} B", entry * CAPACITY);
+    assert!((7_000..7_600).contains(&entry), "{entry}");
 }

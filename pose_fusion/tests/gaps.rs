@@ -5,10 +5,11 @@ mod common;
 use common::{
     laps::Laps,
     rig::{inertial::SensorConfig, motion::MotionConfig},
-    scoring::{self, Said},
+    scoring::{self, Said, Score},
     simulated,
 };
-use pose_fusion::{Fusion, FusionConfig, Input, MarkerOutcome, Warning};
+use pose_fusion::{Fusion, FusionConfig, Input, MarkerOutcome, PendulumConfig, Warning};
+use rig_model::MarkerColor;
 
 /// 0.9999 quantile of χ² with 3 degrees of freedom.
 const BEYOND: f64 = 21.1;
@@ -242,5 +243,69 @@ fn broken_encoders_do_not_make_two_clocks_of_one() {
 fn nor_do_they_in_three_hours() {
     for seed in 2..=3 {
         broken_encoders(seed, 180);
+    }
+}
+
+type Rope = fn(&mut PendulumConfig, f64);
+type Swing = fn(u64) -> MotionConfig;
+
+/// What is said while no marker is seen, from 12 s on, over four seeds: a score for each rope.
+fn blind_for(seconds: f64, motion: Swing, ropes: &[(&str, Rope)]) -> Vec<Score> {
+    let mut scores: Vec<Score> = ropes.iter().map(|_| Score::default()).collect();
+    for seed in 1..=4 {
+        let hidden = MarkerColor::ALL.map(|c| (c, 12.0, 12.0 + seconds)).to_vec();
+        let sensors = SensorConfig { hidden, ..SensorConfig::nominal(seed) };
+        let run = simulated::run(MotionConfig { duration: 12.0 + seconds, ..motion(seed) }, &sensors);
+        let (rope, heights) = (run.motion.rope_length(), run.motion.config());
+        for ((_, set), score) in ropes.iter().zip(&mut scores) {
+            let mut config = FusionConfig::default();
+            let pendulum = &mut config.tight.pendulum;
+            set(pendulum, rope);
+            pendulum.climber_attachment.z = heights.platform_height + rope - heights.climber_height;
+            let mut fusion = Fusion::new(simulated::rig(), config);
+            let said = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+            for o in said.odometry.iter().filter(|o| o.stamp.seconds_since(sensors.epoch) > 12.0) {
+                let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
+                score.add(&o.world_from_volant, &o.pose_covariance, &truth);
+            }
+        }
+    }
+    scores
+}
+
+/// The simulated rope's upper end goes 10 mm up and down, as one that stretches; the climber drives.
+#[test]
+fn a_rope_of_known_length_holds_what_would_drift_away_without_vision() {
+    let ropes: [(&str, Rope); 4] = [
+        ("none", |_, _| {}),
+        ("known", |p, length| p.rope_length = length),
+        ("2 % wrong", |p, length| p.rope_length = 1.02 * length),
+        ("2 % wrong, said to be known to 1 mm", |p, length| {
+            (p.rope_length, p.rope_sigma) = (1.02 * length, 1e-3);
+        }),
+    ];
+    let free: Swing = |seed| MotionConfig { free: true, ..MotionConfig::nominal(seed) };
+    // Swinging as told, the platform is pushed aside by up to 0.4 m/s²: no pendulum moves so.
+    let motions: [(&str, Swing); 2] = [("free", free), ("as told", MotionConfig::nominal)];
+    println!("| swing | no vision for | rope | position, mm | rotation, ° | NEES |");
+    for (name, motion) in motions {
+        // At most these shares of the error without a rope.
+        for (seconds, shares) in
+            [(1.0, [1.1, 1.1]), (2.0, [0.9, 1.1]), (5.0, [0.25, 0.5]), (10.0, [0.06, 0.15])]
+        {
+            let scores = blind_for(seconds, motion, &ropes);
+            let share = shares[usize::from(name != "free")];
+            for ((rope, _), score) in ropes.iter().zip(&scores) {
+                let (p, r) = score.nees();
+                println!(
+                    "| {name} | {seconds} s | {rope} | {:.1} | {:.3} | {p:.1} / {r:.1} |",
+                    score.position_rmse(),
+                    score.rotation_rmse(),
+                );
+                let gained = score.position_rmse() / scores[0].position_rmse();
+                assert!(*rope == "none" || gained < share, "{name} {seconds} s {rope}: {gained}");
+                assert!(p < 6.0 && r < 6.0, "{name} {seconds} s {rope}: {score}");
+            }
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::topics::TopicNames;
 use crate::bag::{BagError, BagSummary, BagWriter, QosProfile, Topic, TopicId, WriteOptions};
-use pose_fusion::{MarkerOutcome, MarkerUpdateRecord, Odometry, PoseEstimate};
+use pose_fusion::{MarkerUpdateRecord, Odometry, PoseEstimate, messages};
 use rig_model::{ClimberSample, Frames, MarkerObservations, Rig, Stamp};
 use std::{cmp::Reverse, collections::BinaryHeap, path::Path};
 use volant_msgs::{Message, cdr, geometry_msgs, msg, nav_msgs, tf2_msgs};
@@ -128,15 +128,10 @@ impl OutputBag {
     /// # Errors
     /// As [`BagWriter::write`].
     pub fn odometry(&mut self, o: &Odometry) -> Result<(), BagError> {
-        use node_kit::convert::{pose_with_covariance_message, transform_message};
-        let (world, volant) = (self.frames.world.clone(), self.frames.volant.clone());
-        let message = odometry_message(o, &self.frames);
-        self.put(self.topics.odometry, o.stamp, &message)?;
-        let fused = o.fused_pose();
-        let message = pose_with_covariance_message(&volant, o.stamp, &fused.pose, &fused.covariance);
-        self.put(self.topics.fused_pose, o.stamp, &message)?;
-        let transform = transform_message(&world, &volant, o.stamp, &o.world_from_volant);
-        self.put(self.topics.tf, o.stamp, &tf2_msgs::msg::TFMessage { transforms: vec![transform] })
+        self.put(self.topics.odometry, o.stamp, &messages::odometry(o, &self.frames))?;
+        self.put(self.topics.fused_pose, o.stamp, &messages::fused_pose(o, &self.frames))?;
+        let transforms = vec![messages::transform(o, &self.frames)];
+        self.put(self.topics.tf, o.stamp, &tf2_msgs::msg::TFMessage { transforms })
     }
 
     /// `volant/smoothed_odometry`.
@@ -145,7 +140,7 @@ impl OutputBag {
     /// As [`BagWriter::write`].
     pub fn smoothed(&mut self, o: &Odometry) -> Result<(), BagError> {
         let Some(topic) = self.topics.smoothed else { return Ok(()) };
-        let message = odometry_message(o, &self.frames);
+        let message = messages::odometry(o, &self.frames);
         self.put(topic, o.stamp, &message)
     }
 
@@ -154,10 +149,7 @@ impl OutputBag {
     /// # Errors
     /// As [`BagWriter::write`].
     pub fn visual_pose(&mut self, pose: &PoseEstimate) -> Result<(), BagError> {
-        let world = &self.frames.world;
-        let message =
-            node_kit::convert::pose_with_covariance_message(world, pose.stamp, &pose.pose, &pose.covariance);
-        self.put(self.topics.visual_pose, pose.stamp, &message)
+        self.put(self.topics.visual_pose, pose.stamp, &messages::visual_pose(pose, &self.frames))
     }
 
     /// `volant/marker_updates`: the records of one image.
@@ -165,12 +157,9 @@ impl OutputBag {
     /// # Errors
     /// As [`BagWriter::write`].
     pub fn marker_updates(&mut self, records: &[MarkerUpdateRecord]) -> Result<(), BagError> {
-        let Some(first) = records.first() else {
+        let (Some(first), Some(message)) = (records.first(), messages::marker_updates(records, &self.frames))
+        else {
             return Ok(());
-        };
-        let message = msg::MarkerUpdates {
-            header: node_kit::convert::header(&self.frames.camera, first.stamp),
-            markers: records.iter().map(marker_update).collect(),
         };
         self.put(self.topics.updates, first.stamp, &message)
     }
@@ -203,38 +192,5 @@ impl OutputBag {
             }
         }
         Ok(())
-    }
-}
-
-fn odometry_message(o: &Odometry, frames: &Frames) -> nav_msgs::msg::Odometry {
-    node_kit::convert::odometry_message(
-        &frames.world,
-        &frames.volant,
-        o.stamp,
-        &o.world_from_volant,
-        &o.pose_covariance,
-        &o.linear_velocity,
-        &o.angular_velocity,
-        &o.twist_covariance,
-    )
-}
-
-fn marker_update(record: &MarkerUpdateRecord) -> msg::MarkerUpdate {
-    use msg::MarkerUpdate as M;
-    M {
-        color: record.color.index() as u8,
-        outcome: match record.outcome {
-            MarkerOutcome::Used => M::USED,
-            MarkerOutcome::NotDetected => M::NOT_DETECTED,
-            MarkerOutcome::Gated => M::GATED,
-            MarkerOutcome::Inconsistent => M::INCONSISTENT,
-            MarkerOutcome::NotPredictable => M::NOT_PREDICTABLE,
-            MarkerOutcome::NotInitialised => M::NOT_INITIALISED,
-            MarkerOutcome::Refused => M::REFUSED,
-            MarkerOutcome::Frozen => M::FROZEN,
-        },
-        innovation: [record.innovation.x, record.innovation.y],
-        covariance: node_kit::convert::covariance2_message(&record.covariance),
-        nis: record.nis,
     }
 }

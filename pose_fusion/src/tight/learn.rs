@@ -92,6 +92,9 @@ impl Tight {
                 self.pixel_scale = (self.pixel_scale * 0.99).max(1.0);
             }
         }
+        if report.used >= 3 && !self.frozen && !shaken && self.weighed > self.ask_after {
+            self.compare_rope();
+        }
         if seen < 2 || report.used * 2 > seen || self.frozen {
             if seen >= 1 && report.used > 0 {
                 self.contradictions = 0;

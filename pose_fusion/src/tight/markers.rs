@@ -200,6 +200,8 @@ pub fn update(
         if !state.is_sound() {
             *state = before;
             report.used = 0;
+        } else {
+            state.unseen = 0.0;
         }
     }
     report

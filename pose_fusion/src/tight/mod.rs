@@ -17,6 +17,7 @@ pub mod markers;
 pub mod noise;
 pub mod odometry;
 pub mod operator;
+pub mod pendulum;
 pub mod propagate;
 mod run;
 pub mod smoother;
@@ -33,6 +34,7 @@ use jolt::{Evidence, Jolts};
 use nalgebra::{Matrix2, Vector2, Vector3};
 use noise::{InertialNoise, Stillness};
 use odometry::Along;
+use pendulum::Comparison;
 use propagate::Felt;
 use rig_model::{CameraModel, Rig, Stamp};
 use start::Up;
@@ -95,6 +97,7 @@ pub struct Tight {
     reading_noise: ReadingNoise,
     jerk_scale: f64,
     jolts: Jolts,
+    comparison: Comparison,
     pixel_scale: f64,
     pixel_ratio: f64,
     contradictions: u32,
@@ -146,6 +149,7 @@ impl Tight {
             reading_noise: ReadingNoise::new(steps),
             jerk_scale: 1.0,
             jolts: Jolts::default(),
+            comparison: Comparison::default(),
             pixel_scale: 1.0,
             pixel_ratio: 1.0,
             contradictions: 0,
@@ -182,6 +186,7 @@ impl Tight {
         status.climber_clock_offset = mean;
         status.climber_clock_sigma = variance.sqrt();
         status.climber_clock_tied = belief.tied;
+        status.rope = self.rope();
         if let Some(state) = self.state() {
             let p = &state.covariance;
             let by_offset = state.tie.by_offset[CAMERA_CLOCK];

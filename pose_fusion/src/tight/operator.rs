@@ -268,6 +268,7 @@ impl Tight {
                 state.covariance.fixed_view_mut::<3, 3>(i, j).copy_from(&block);
             }
         }
+        state.unseen = 0.0;
         self.started = true;
         self.begin(at, state, out);
         Ok(())

@@ -79,6 +79,7 @@ pub fn propagate(state: &mut State, from: &Felt, to: &Felt, dt: f64, process: &P
     state.attitude.renormalize_fast();
     state.climber += state.climber_rate * dt + state.climber_acceleration * (dt * dt / 2.0);
     state.climber_rate += state.climber_acceleration * dt;
+    state.unseen += dt;
     // F P Fᵀ as ((P Fᵀ)ᵀ Fᵀ): columns only, which lie together in memory; P is symmetric.
     let blocks = Blocks::new(rotation, &force, from, to, dt);
     times_transition(&mut state.covariance, &blocks, dt);

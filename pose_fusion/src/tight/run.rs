@@ -5,6 +5,7 @@ use super::{
     history::{Event, Node},
     markers::{self, Gates},
     odometry::{self, Along},
+    pendulum,
     propagate::{Felt, Process, propagate},
     state::{CLIMBER_RATE, GYROSCOPE, State, VELOCITY},
 };
@@ -27,6 +28,8 @@ impl Tight {
             joint: self.config.joint_gate,
             gravity: self.config.gravity,
         };
+        let rope = self.rope().zip(self.readings.back().map(|(_, _, rest)| *rest));
+        let period = self.inertial_noise.period().max(1e-4);
         let mut place = self.history.run().max(1);
         while place < self.history.len() {
             if self.history.get(place).is_none_or(|n| n.stamp > newest) {
@@ -37,6 +40,7 @@ impl Tight {
             let (frozen, climber_clock) = (self.frozen, self.climber_clock);
             let rest_sigma = self.config.rest_velocity;
             let rate_density = process.rate;
+            let rope = rope.filter(|_| silent.is_none());
             let (Some(geometry), Some((from, to))) = (&self.geometry, self.history.step(place)) else {
                 break;
             };
@@ -61,6 +65,11 @@ impl Tight {
                 Event::Imu { still } => {
                     if let (Some(rate), true) = (still, rest_sigma > 0.0) {
                         at_rest(&mut to.state, rate, rest_sigma, rate_density);
+                    }
+                    if let Some((rope, rest)) = rope
+                        && pendulum::asked(from.state.unseen, to.state.unseen)
+                    {
+                        rope.update(&mut to.state, &felt, &rest, process.force / period, gates.gravity);
                     }
                 }
                 Event::Climber(reading) => {

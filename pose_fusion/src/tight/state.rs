@@ -85,6 +85,8 @@ pub struct State {
     pub tie: Tie,
     /// By how much it would differ, per pixel of the constant offsets of the markers' centroids.
     pub by_pixel: ByPixel,
+    /// For how long no marker has corrected it, s.
+    pub unseen: f64,
 }
 
 impl State {
@@ -103,6 +105,7 @@ impl State {
             covariance: Covariance::zeros(),
             tie: Tie::none(),
             by_pixel: ByPixel::zeros(),
+            unseen: 0.0,
         }
     }
 

@@ -2,7 +2,8 @@
 //!
 //! In flows a [`MotionConfig`]; out flow poses and their derivatives at any instant. The platform hangs as a
 //! pendulum below the climber's centre: it tilts along the rope (its accelerometer feels hardly any tilt), turns
-//! about the rope and wobbles a little. Nothing reacts back on anything: the climber drives as told.
+//! about the rope and wobbles a little. Nothing reacts back on anything: the climber drives as told, and how the platform swings is told as
+//! well, unless it is let go: then it swings as a rope that is pulled along by its upper end lets it.
 
 use super::random::Random;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -38,6 +39,8 @@ pub struct MotionConfig {
     pub climber_height: f64,
     /// Height of the platform at rest, m.
     pub platform_height: f64,
+    /// The swing is a free spherical pendulum's below the driving climber; otherwise it is the sum of two sines.
+    pub free: bool,
 }
 
 impl MotionConfig {
@@ -57,6 +60,7 @@ impl MotionConfig {
             climber_turn_rate: 0.15,
             climber_height: 2.8,
             platform_height: 1.35,
+            free: false,
         }
     }
 
@@ -129,7 +133,14 @@ pub struct Motion {
     turn: Wave,
     /// The climber's turn at rest, rad.
     heading: f64,
+    /// Where the platform is let go: the rope's direction (downwards) and its derivatives, every [`STEP`] from [`BEFORE`] on.
+    path: Vec<[Vector3<f64>; 3]>,
 }
+
+/// Between two entries of a free swing, s.
+const STEP: f64 = 5e-3;
+/// It begins so long before 0 and ends as long after the run, s.
+const BEFORE: f64 = 0.2;
 
 impl Motion {
     /// The motion of a configuration.
@@ -145,7 +156,7 @@ impl Motion {
         let direction = r.within(0.0, TAU);
         let shares = [direction.cos().abs().max(0.2), direction.sin().abs().max(0.2)];
         let scale = 1.0 / (shares[0] * shares[0] + shares[1] * shares[1]).sqrt();
-        Self {
+        let mut motion = Self {
             rope: 9.81 / (TAU * f).powi(2),
             swing: shares.map(|s| Wave::new(&mut r, config.swing * s * scale, f)),
             wobble: [0; 2].map(|_| Wave::new(&mut r, config.wobble * 0.7, 1.3)),
@@ -154,8 +165,66 @@ impl Motion {
             drive: [0; 2].map(|_| Wave::new(&mut r, drive, drive_frequency)),
             turn: Wave::new(&mut r, turn, turn_frequency),
             heading: r.within(-0.6, 0.6),
+            path: Vec::new(),
             config,
+        };
+        if motion.config.free {
+            motion.path = motion.let_go();
         }
+        motion
+    }
+
+    /// How the rope leans where it swings as told.
+    fn told(&self, t: f64) -> UnitQuaternion<f64> {
+        let e = self.envelope(t);
+        UnitQuaternion::from_scaled_axis(Vector3::new(e * self.swing[0].at(t), e * self.swing[1].at(t), 0.0))
+    }
+
+    /// A free swing by Runge and Kutta's fourth-order rule: `q¨ = (1 − q qᵀ) (g − pivot¨)/L − |q˙|² q`.
+    fn let_go(&self) -> Vec<[Vector3<f64>; 3]> {
+        let slope = |t: f64, q: Vector3<f64>, v: Vector3<f64>| {
+            let h = 1e-3;
+            let pivot = (self.pivot(t - h) + self.pivot(t + h) - self.pivot(t) * 2.0) / (h * h);
+            let pull = (Vector3::new(0.0, 0.0, -9.81) - pivot) / self.rope;
+            pull - q * (q.dot(&pull) + v.norm_squared())
+        };
+        let mut t = -BEFORE;
+        let told = |t: f64| self.told(t) * -Vector3::z();
+        let mut q = told(t);
+        let mut v = (told(t + 1e-4) - told(t - 1e-4)) / 2e-4;
+        let count = ((self.config.duration + 2.0 * BEFORE) / STEP).ceil() as usize + 1;
+        let mut path = Vec::with_capacity(count);
+        for _ in 0..count {
+            let a1 = slope(t, q, v);
+            path.push([q, v, a1]);
+            let (h, middle) = (STEP / 2.0, t + STEP / 2.0);
+            let (v2, a2) = (v + a1 * h, slope(middle, q + v * h, v + a1 * h));
+            let (v3, a3) = (v + a2 * h, slope(middle, q + v2 * h, v + a2 * h));
+            let (v4, a4) = (v + a3 * STEP, slope(t + STEP, q + v3 * STEP, v + a3 * STEP));
+            q = (q + (v + (v2 + v3) * 2.0 + v4) * (STEP / 6.0)).normalize();
+            v += (a1 + (a2 + a3) * 2.0 + a4) * (STEP / 6.0);
+            v -= q * q.dot(&v);
+            t += STEP;
+        }
+        path
+    }
+
+    /// How the rope leans at `t` seconds.
+    fn lean(&self, t: f64) -> UnitQuaternion<f64> {
+        let place = ((t + BEFORE) / STEP).clamp(0.0, self.path.len().saturating_sub(2) as f64);
+        let [Some(a), Some(b)] = [0, 1].map(|k| self.path.get(place as usize + k)) else {
+            return self.told(t);
+        };
+        // The polynomial of fifth order with place, speed and acceleration of both ends.
+        let s = place.fract();
+        let (s3, r) = (s * s * s, 1.0 - s);
+        let r3 = r * r * r;
+        let from = r3 * (1.0 + 3.0 * s + 6.0 * s * s);
+        let hang = a[0] * from
+            + b[0] * (1.0 - from)
+            + (a[1] * (r3 * s * (1.0 + 3.0 * s)) - b[1] * (s3 * r * (1.0 + 3.0 * r))) * STEP
+            + (a[2] * (r3 * s * s) + b[2] * (s3 * r * r)) * (STEP * STEP / 2.0);
+        UnitQuaternion::rotation_between(&-Vector3::z(), &hang).unwrap_or_else(UnitQuaternion::identity)
     }
 
     /// What it was made from.
@@ -205,10 +274,9 @@ impl Motion {
     pub fn world_from_volant(&self, t: f64) -> Isometry3<f64> {
         let e = self.envelope(t);
         let [x, y, turn] = self.climber(t);
-        let swing = [e * self.swing[0].at(t), e * self.swing[1].at(t)];
         let wobble = [e * self.wobble[0].at(t), e * self.wobble[1].at(t)];
         // Along the rope: leaning by φ about x moves the platform towards −y … and lifts it.
-        let rope = UnitQuaternion::from_scaled_axis(Vector3::new(swing[0], swing[1], 0.0));
+        let rope = self.lean(t);
         let hang = rope * Vector3::new(0.0, 0.0, -self.rope);
         let position =
             Vector3::new(x, y, self.config.platform_height + self.rope + e * self.heave.at(t)) + hang;
@@ -310,6 +378,24 @@ mod tests {
         assert!((start.world_from_volant.inverse() * end.world_from_volant).translation.vector.norm() < 1e-9);
         assert!(end.velocity.norm() < 1e-6 && end.acceleration.norm() < 1e-3);
         assert!(motion.kinematics(10.0).velocity.norm() > 1e-3);
+    }
+
+    #[test]
+    fn a_platform_that_is_let_go_is_pulled_along_its_rope_and_by_nothing_else() {
+        for seed in 0..4 {
+            let motion = Motion::new(MotionConfig { free: true, wobble: 0.0, ..MotionConfig::nominal(seed) });
+            for i in 0..120 {
+                let t = f64::from(i) * 0.1;
+                let k = motion.kinematics(t);
+                let place = k.world_from_volant.translation.vector;
+                let up = motion.pivot(t) - place;
+                assert!((up.norm() - motion.rope_length()).abs() < 1e-8);
+                let force = k.acceleration + Vector3::new(0.0, 0.0, 9.81);
+                let across = force - up * (force.dot(&up) / up.norm_squared());
+                assert!(across.norm() < 1e-4, "{t}: {}", across.norm());
+                assert!(up.normalize().z > 0.9, "{t}: it swings too far, {up}");
+            }
+        }
     }
 
     #[test]
