@@ -174,6 +174,36 @@ fn a_rig_file_that_is_wrong_is_named_with_its_key() {
 }
 
 #[test]
+fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
+    let place = Place::new();
+    let input = place.path("in.mcap");
+    bag(&input, "");
+    let (rig, out) = (place.path("rig.yaml"), place.path("out.mcap"));
+    let gone = place.path("gone.yaml");
+    let fails_with = |file: &Path, words: &[&str]| {
+        let words: Vec<&str> = words.iter().copied().chain(["params"]).collect();
+        let told = ["--params-file".as_ref(), file];
+        let rest = ["replay".as_ref(), input.as_path(), "--rig".as_ref(), &rig, "--out".as_ref(), &out];
+        fails(&[rest.as_slice(), &told].concat(), &words[..words.len() - usize::from(file == gone)]);
+    };
+    for (node, line, words) in [
+        ("pose_fusion", "markers: {gait: 9.0}", ["markers.gait", "markers.gate"]),
+        ("pose_fusion", "history: 60.0", ["history", "0.1"]),
+        (
+            "pose_fusion",
+            "pendulum: {climber_attachment: [0.0, 1.0]}",
+            ["pendulum.climber_attachment", "three"],
+        ),
+        ("marker_tracker", "max_predicted: six", ["max_predicted", "six"]),
+        ("/**", "no_node_has_this: 1", ["no_node_has_this", "params.yaml"]),
+    ] {
+        let text = format!("{node}:\n  ros__parameters:\n    {line}\n");
+        fails_with(&place.file("params.yaml", text.as_bytes()), &words);
+    }
+    fails_with(&gone, &["gone.yaml"]);
+}
+
+#[test]
 fn outputs_that_cannot_be_written() {
     let place = Place::new();
     let input = place.path("in.mcap");

@@ -55,6 +55,36 @@ fn a_replay_gives_the_same_bytes_each_time_with_one_thread_or_many() {
 }
 
 #[test]
+fn the_nodes_parameter_file_sets_the_replay_as_it_sets_the_nodes() {
+    let Some(bags) = bags() else { return };
+    let dir = TempDir::new().unwrap();
+    let written = |name: &str, more: &[&str]| {
+        let out = dir.path().join(name).with_extension("mcap");
+        replayed(&bags, "nominal", &out, more);
+        fs::read(out).unwrap()
+    };
+    let file = |name: &str, text: &str| {
+        let path = dir.path().join(name);
+        fs::write(&path, text).unwrap();
+        path.into_os_string().into_string().unwrap()
+    };
+    let usual = written("usual", &[]);
+    // Of another node, of the same node elsewhere, and what is usual anyway.
+    let others = file(
+        "others.yaml",
+        "imu_driver: {ros__parameters: {port: /dev/ttyS9}}\n/there/pose_fusion: {ros__parameters: {model: paper}}\n\
+         /**: {ros__parameters: {use_sim_time: false, port: /dev/ttyS8, max_predicted: 6, markers: {gate: 16.0}}}\n",
+    );
+    assert!(written("others", &["--params-file", &others]) == usual);
+    let paper = file("paper.yaml", "pose_fusion: {ros__parameters: {model: paper}}\n");
+    assert!(written("file", &["--params-file", &paper]) == written("option", &["--model", "paper"]));
+    assert!(written("both", &["--params-file", &paper, "--model", "tight"]) == usual);
+    assert!(written("over", &["--params-file", &others, "--params-file", &paper]) != usual);
+    let tracker = file("tracker.yaml", "marker_tracker: {ros__parameters: {max_centroid_sigma: 0.02}}\n");
+    assert!(written("tracker", &["--params-file", &tracker]) != usual);
+}
+
+#[test]
 fn a_bag_that_is_cut_is_replayed_up_to_the_cut() {
     let Some(bags) = bags() else { return };
     let dir = TempDir::new().unwrap();

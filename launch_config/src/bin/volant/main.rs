@@ -16,6 +16,7 @@ mod play;
 mod record;
 mod replay;
 mod say;
+mod settings;
 #[cfg(feature = "nodes")]
 mod signals;
 #[cfg(feature = "nodes")]

@@ -1,13 +1,14 @@
 //! `volant replay`.
 
-use crate::say;
+#[cfg(feature = "nodes")]
+use crate::settings;
+use crate::{say, settings::Settings};
 use anyhow::Context;
 use launch_config::{
     bag::{BagReader, Compression},
     replay::{ReplayOptions, ReplayReport, TopicNames, replay},
 };
-use marker_tracker::TrackerConfig;
-use pose_fusion::{FusionConfig, Model};
+use pose_fusion::Model;
 use rig_model::Rig;
 use std::{path::PathBuf, time::Duration};
 
@@ -21,9 +22,13 @@ pub struct Arguments {
     /// The bag to write: an .mcap file (one that is there is replaced) or a new folder
     #[arg(long, value_name = "OUT")]
     out: PathBuf,
-    /// Which estimator
-    #[arg(long, value_enum, default_value = "tight")]
-    model: ModelName,
+    #[cfg(feature = "nodes")]
+    /// A parameter file of the nodes: marker_tracker and pose_fusion are set as it says; may be given several times
+    #[arg(long, value_name = "FILE")]
+    params_file: Vec<PathBuf>,
+    /// Which estimator, whatever a parameter file says (tight where none says anything)
+    #[arg(long, value_enum)]
+    model: Option<ModelName>,
     /// The namespace of the rig's topics in the bag
     #[arg(long, default_value = "")]
     namespace: String,
@@ -55,31 +60,35 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         .map_err(anyhow::Error::from)
         .and_then(|text| Ok(Rig::from_yaml(&text)?))
         .with_context(|| format!("{}: not a usable rig file", arguments.rig.display()))?;
+    #[cfg(feature = "nodes")]
+    let settings = settings::read(&arguments.rig, rig, &arguments.params_file, &arguments.namespace)?;
+    #[cfg(not(feature = "nodes"))]
+    let settings = Settings::of(rig);
+    let Settings { rig, tracker, mut fusion } = settings;
+    match arguments.model {
+        Some(ModelName::Tight) => fusion.model = Model::Tight,
+        Some(ModelName::Paper) => fusion.model = Model::Paper,
+        None => {}
+    }
+    anyhow::ensure!(
+        !arguments.smooth || fusion.model == Model::Tight,
+        "--smooth needs the error-state filter: leave --model paper out"
+    );
     let workers = arguments
         .threads
         .unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
         .clamp(1, 64);
     let options = ReplayOptions {
         input: arguments.input.clone(),
-        tracker: TrackerConfig { start_colors: rig.colors, ..TrackerConfig::default() },
+        tracker,
         rig,
         output: arguments.out.clone(),
-        fusion: FusionConfig {
-            model: match arguments.model {
-                ModelName::Tight => Model::Tight,
-                ModelName::Paper => Model::Paper,
-            },
-            ..FusionConfig::default()
-        },
+        fusion,
         names: TopicNames::new(&arguments.namespace, &arguments.remap)?,
         compression: arguments.compression,
         workers,
         smooth: arguments.smooth,
     };
-    anyhow::ensure!(
-        !arguments.smooth || matches!(arguments.model, ModelName::Tight),
-        "--smooth needs the error-state filter: leave --model paper out"
-    );
     let bytes = BagReader::summary(&arguments.input)?.bytes;
     let bar = say::progress("replay", bytes);
     let result = replay(&options, |read, _| bar.set_position(read));

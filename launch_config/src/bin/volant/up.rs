@@ -39,8 +39,17 @@ fn node<S: NodeShell>() -> Node {
     }
 }
 
+fn known() -> [Node; 4] {
+    [node::<MarkerTrackerNode>(), node::<ImuNode>(), node::<ClimberNode>(), node::<FusionNode>()]
+}
+
+/// The names of all parameters of all nodes.
+pub fn parameters() -> Vec<String> {
+    known().iter().flat_map(|n| (n.parameters)()).collect()
+}
+
 pub fn run(words: &[OsString]) -> ExitCode {
-    let known = [node::<MarkerTrackerNode>(), node::<ImuNode>(), node::<ClimberNode>(), node::<FusionNode>()];
+    let known = known();
     let wrong = |text: String| {
         say::line(&format!("volant up: {text} (`volant up --help` lists what it takes)"));
         ExitCode::from(2)
