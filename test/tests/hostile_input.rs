@@ -65,9 +65,9 @@ fn largest_piece<T>(f: impl FnOnce() -> T) -> (T, usize) {
     (result, LARGEST.get())
 }
 
-/// Seconds per target.
-fn seconds() -> f64 {
-    std::env::var("VOLANT_HOSTILE_SECONDS").ok().and_then(|s| s.parse().ok()).unwrap_or(2.0)
+/// A number from the environment.
+fn setting(name: &str) -> Option<f64> {
+    std::env::var(name).ok()?.parse().ok()
 }
 
 fn run(name: &str) {
@@ -78,10 +78,13 @@ fn run(name: &str) {
     }
     let mut random = Random(0x9E37_79B9_7F4A_7C15);
     let mut input = Vec::new();
+    // Per target: at least so many inputs, for at least so many seconds.
+    let inputs = setting("VOLANT_HOSTILE_INPUTS").unwrap_or(1000.0) as u64;
+    let seconds = setting("VOLANT_HOSTILE_SECONDS").unwrap_or(2.0);
     let start = Instant::now();
     let mut count = 0_u64;
     let mut largest = 0;
-    while count < 1000 || start.elapsed().as_secs_f64() < seconds() {
+    while count < inputs || start.elapsed().as_secs_f64() < seconds {
         for _ in 0..100 {
             mutate(&seeds, target.words, &mut random, &mut input);
             let (_, piece) = largest_piece(|| (target.run)(&input));

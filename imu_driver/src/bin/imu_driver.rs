@@ -3,6 +3,10 @@
 use std::process::ExitCode;
 
 #[cfg(feature = "node")]
+#[global_allocator]
+static ALLOCATOR: node_kit::Allocator = node_kit::Allocator;
+
+#[cfg(feature = "node")]
 fn main() -> ExitCode {
     node_kit::node::run_node::<imu_driver::node::ImuNode>()
 }

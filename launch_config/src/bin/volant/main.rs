@@ -29,6 +29,10 @@ use std::{
     process::{Command, ExitCode},
 };
 
+#[cfg(feature = "nodes")]
+#[global_allocator]
+static ALLOCATOR: node_kit::Allocator = node_kit::Allocator;
+
 /// Where a platform hanging from a ceiling crane is: replay, evaluate, record, play and run its nodes.
 #[derive(Parser)]
 #[command(version, arg_required_else_help = true)]
