@@ -47,7 +47,7 @@ node_kit::parameters! {
         /// Step of the climber's x and y encoders.
         climber_quantum: f64 = 0.001, unit("m"), range(1e-6..=0.1), name("climber.quantum");
         /// Step of the climber's turn encoder.
-        climber_turn_quantum: f64 = 0.000_872_66, unit("rad"), range(1e-7..=0.1), name("climber.turn_quantum");
+        climber_turn_quantum: f64 = 0.05_f64.to_radians(), unit("rad"), range(1e-7..=0.1), name("climber.turn_quantum");
         /// Power density of the climber's jerk.
         climber_jerk: f64 = 0.05, unit("m^2/s^5"), range(1e-9..=1e6), name("climber.jerk");
         /// Power density of the jerk of the climber's turn.
@@ -391,5 +391,23 @@ impl NodeShell for FusionNode {
             ),
         ];
         kit.diagnose("filter", health, &message, &values);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_parameters_the_node_is_set_as_the_core_is() {
+        assert_eq!(FusionParameters::default().config().unwrap(), FusionConfig::default());
+    }
+
+    #[test]
+    fn a_place_is_three_numbers() {
+        let parameters =
+            FusionParameters { platform_attachment: vec![0.0, 0.1, 0.2, 0.3], ..FusionParameters::default() };
+        let why = parameters.config().unwrap_err();
+        assert!(why.contains("pendulum.platform_attachment has 4 numbers"), "{why}");
     }
 }

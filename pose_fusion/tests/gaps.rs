@@ -257,7 +257,7 @@ fn blind_for(seconds: f64, motion: Swing, ropes: &[(&str, Rope)]) -> Vec<Score> 
         let sensors = SensorConfig { hidden, ..SensorConfig::nominal(seed) };
         let run = simulated::run(MotionConfig { duration: 12.0 + seconds, ..motion(seed) }, &sensors);
         let (rope, heights) = (run.motion.rope_length(), run.motion.config());
-        for ((_, set), score) in ropes.iter().zip(&mut scores) {
+        for ((name, set), score) in ropes.iter().zip(&mut scores) {
             let mut config = FusionConfig::default();
             let pendulum = &mut config.tight.pendulum;
             set(pendulum, rope);
@@ -267,6 +267,16 @@ fn blind_for(seconds: f64, motion: Swing, ropes: &[(&str, Rope)]) -> Vec<Score> 
             for o in said.odometry.iter().filter(|o| o.stamp.seconds_since(sensors.epoch) > 12.0) {
                 let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
                 score.add(&o.world_from_volant, &o.pose_covariance, &truth);
+            }
+            if let Some(found) = fusion.status().rope {
+                println!(
+                    "    seed {seed}, {name}: length off by {:+.1} mm ± {:.1}, stretches by {:.1} mm, {:.2} m/s² across",
+                    (found.length - rope) * 1e3,
+                    found.length_variance.sqrt() * 1e3,
+                    found.stretch_variance.sqrt() * 1e3,
+                    found.side_variance.sqrt()
+                );
+                assert!((found.length - rope).abs() < 0.01, "{found:?}");
             }
         }
     }

@@ -1,8 +1,8 @@
 //! What was measured, in the order of its own time, with the state after each of it.
 //!
 //! A late measurement goes to its place, and everything behind is run again from there. The memory is bounded: at most
-//! [`CAPACITY`] entries of about 5.6 kB (1.4 MB) for each filter, in a store that grows to what the configured length asks for
-//! (0.6 s at 100 Hz, 50 Hz and 30 Hz: 108 entries, 0.6 MB) and is never given back. Besides it a filter remembers 64 stamps,
+//! [`CAPACITY`] entries of about 7.5 kB (1.9 MB) for each filter, in a store that grows to what the configured length asks for
+//! (0.6 s at 100 Hz, 50 Hz and 30 Hz: 108 entries, 0.8 MB) and is never given back. Besides it a filter remembers 64 stamps,
 //! readings and attitudes. As many as 23 filters run side by side until the camera's clock is known, one afterwards.
 
 use super::{
