@@ -2,7 +2,7 @@
 # make test    sets up what is missing, passes the tests
 # make long    what takes minutes: ten minutes at 400 Hz, the latency of a quiet machine, a minute's recording …
 # make lint    what CI lints: format, clippy, cores without middleware
-# make bench   the figures against the peers;  make faults: every fault on real processes
+# make bench   the figures against the peers, the filter against its bound on 200 runs;  make faults: every fault on real processes
 # make reproduce   the paper's figures and tables, the rivals beside them, and the report: OUT=folder
 # make fuzz    hostile bytes into every parser (FUZZ="-s SECONDS -r RUNS TARGET…"); make audit: advisories and licences
 # make security  who is not in the keystore reads and injects nothing (the middleware built anew, with DDS security)
@@ -76,6 +76,7 @@ peers: build .setup/debian-large
 
 bench: peers
 	target/release/volant-peers bench
+	VOLANT_RUNS=200 $(CARGO) test --release -p pose_fusion --test bounds -- --nocapture
 
 OUT ?= reproduced
 reproduce: peers
