@@ -1,7 +1,7 @@
 //! What a recorder has to take: images at 30 Hz (`raw`: 640×480 rgb8, 0.92 MB; else as JPEG, 60 kB) and inertial samples at
-//! 400 Hz, each numbered in its frame id.
+//! 400 Hz, each numbered in its frame id. A large image keeps its thread for longer than a sample may wait, so each is a process, as on a rig.
 //!
-//! `cargo run --release -p launch_config --example camera_and_unit -- --raw true`
+//! `cargo run --release -p launch_config --example camera_and_unit -- --raw true --samples false`, and `-- --images false`
 
 use node_kit::{Kit, Level, NodeError, NodeShell, Publisher, QosPreset, convert, parameters, run_node};
 use std::{process::ExitCode, time::Duration};
@@ -12,6 +12,10 @@ parameters! {
     pub struct Parameters {
         /// Raw images instead of JPEG.
         raw: bool = false;
+        /// Publish images.
+        images: bool = true;
+        /// Publish inertial samples.
+        samples: bool = true;
     }
 }
 
@@ -34,8 +38,12 @@ impl NodeShell for Source {
     type Input = Input;
 
     fn start(kit: &mut Kit<Input>, parameters: Parameters) -> Result<Self, NodeError> {
-        kit.timer(Duration::from_secs(1) / 30, || Input::Image);
-        kit.timer(Duration::from_micros(2500), || Input::Sample);
+        if parameters.images {
+            kit.timer(Duration::from_secs(1) / 30, || Input::Image);
+        }
+        if parameters.samples {
+            kit.timer(Duration::from_micros(2500), || Input::Sample);
+        }
         let raw = parameters.raw.then(|| kit.advertise("image_raw", QosPreset::Image)).transpose()?;
         let jpeg = kit.advertise("image_raw/compressed", QosPreset::Image)?;
         Ok(Self { raw, jpeg, samples: kit.advertise("imu", QosPreset::Sensor)?, counts: [0; 2] })

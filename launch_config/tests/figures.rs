@@ -61,11 +61,12 @@ fn recorded(domain: u8, raw: bool, seconds: u64) {
         .spawn()
         .unwrap();
     std::thread::sleep(Duration::from_secs(1));
-    let mut source = in_domain(domain, &example("camera_and_unit"))
-        .args(["--raw", &raw.to_string()])
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
+    let raw_flag = raw.to_string();
+    let camera = ["--raw", &raw_flag, "--samples", "false"];
+    let unit = ["--images", "false", "--ros-args", "-r", "__node:=unit"];
+    let mut sources = [&camera[..], &unit[..]].map(|arguments| {
+        in_domain(domain, &example("camera_and_unit")).args(arguments).stderr(Stdio::null()).spawn().unwrap()
+    });
     // The recorder finds the topics.
     std::thread::sleep(Duration::from_secs(2));
     let before = processor_time(&recorder);
@@ -73,8 +74,10 @@ fn recorded(domain: u8, raw: bool, seconds: u64) {
     let used = (processor_time(&recorder) - before).as_secs_f64() / seconds as f64;
     signal(&recorder, "INT");
     assert!(recorder.wait().unwrap().success());
-    signal(&source, "INT");
-    source.wait().unwrap();
+    for source in &mut sources {
+        signal(source, "INT");
+        source.wait().unwrap();
+    }
 
     let images = if raw {
         numbers::<Image>(&bag, "/image_raw", |m| m.header.frame_id)
