@@ -263,9 +263,7 @@ fn bytes_become_messages_soon_and_with_the_right_stamps() {
     // The first ones came while DDS was still discovering.
     let latencies = Latencies::of(&heard[200..], &sent);
     let [p50, ..] = latencies.print();
-    // A stamp is as good as the least delay so far; where the machine stalls at the start, the first ones are milliseconds off.
-    check_truth(&heard[..200], 30e-3);
-    check_truth(&heard[200..], 5e-3);
+    check_truth(&heard, 5e-3);
     let message = &heard[250].1;
     assert_eq!(message.header.frame_id, "imu");
     // Variances, not standard deviations: 0.002² · 100 Hz.
