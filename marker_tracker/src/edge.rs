@@ -292,11 +292,12 @@ fn look(
         return Some((None, step));
     };
     (edge.blur, edge.outside) = (blur, outside.level);
-    // What the outside level is uncertain by moves the whole edge: by the half-width's share of it.
-    let pixels = outside.rows * f64::from(beyond);
+    // What the outside level is uncertain by moves the whole edge: by the outer share of the band. Its tilt turns the edge.
     let contrast = (interior.level - outside.level).max(min_contrast);
-    edge.covariance[(0, 0)] +=
-        (half_width * interior.sigma / contrast).powi(2) * prior.correlation * prior.correlation / pixels;
+    let outer = 0.5 * f64::from(band) * normal[k].abs();
+    let by_level = (outer * interior.sigma / contrast * prior.correlation).powi(2) / f64::from(beyond);
+    edge.covariance[(0, 0)] += by_level / outside.rows;
+    edge.covariance[(1, 1)] += by_level * outside.tilt_variance;
     // What comes near the strip's end, and blur that is cut off in a full channel.
     edge.covariance[(0, 0)] += (half_width * (step - TAIL).max(0.0)).powi(2);
     if sampler.full {

@@ -171,7 +171,8 @@ fn combine(
     let done = |estimate: &Estimate, edges: [Option<EdgeFit>; 4]| {
         let mut fit = finish(predicted, centre, sides, edges, estimate, interior);
         let contrast = (fit.inside - fit.outside).abs().max(1e-3);
-        let lever = prior.half_width * interior.sigma / contrast * prior.correlation;
+        // (A band is whole pixels, some 0.4 px more on either side.)
+        let lever = (prior.half_width + 0.4) * interior.sigma / contrast * prior.correlation;
         fit.covariance +=
             Matrix2::identity() * (lever * lever * interior.reach * prior.inflation / prior.correlation);
         fit.inflation = prior.inflation;

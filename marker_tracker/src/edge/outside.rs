@@ -9,6 +9,8 @@ pub(super) struct Outside {
     pub level: f64,
     /// Per pixel along the edge.
     pub tilt: f64,
+    /// Variance of the tilt, in units of a row's.
+    pub tilt_variance: f64,
     pub gate: f32,
     /// The same for the single pixel at the band's rim, which the edge's blur may reach.
     pub rim_gate: f32,
@@ -56,11 +58,13 @@ impl Outside {
             return None;
         }
         // A weak pull to a constant level: the outer rows must not lever it.
+        let free = stt - st * st / n;
         let stt = stt + 2.0 * n * n;
         let det = stt * n - st * st;
         Some(Self {
             level: f64::from(median) + (stt * so - st * sto) / det,
             tilt: (n * sto - st * so) / det,
+            tilt_variance: free * (n / det).powi(2),
             gate,
             rim_gate,
             rows: n,

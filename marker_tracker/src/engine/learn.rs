@@ -10,6 +10,9 @@ use crate::{
 use nalgebra::{Isometry3, Matrix2, Vector2};
 use rig_model::{CameraModel, MarkerColor, MarkerLayout};
 
+/// From so many images on what was learnt changes slowly: the mean of the last ones, not their noise.
+const LEARNT: u32 = 12;
+
 impl Engine {
     /// How much larger the centroids' squared residuals about the best pose are than their covariances say: four
     /// centroids over-determine it by two. What the rows of an edge cannot tell (JPEG's blocks, demosaicing, paper that is
@@ -19,12 +22,12 @@ impl Engine {
             [Sight { color: MarkerColor::Red, pixel: Vector2::zeros(), sigma: 1.0, outline: None }; 4];
         let mut covariances = [Matrix2::identity(); 4];
         for color in MarkerColor::ALL {
-            let Some(f) = self.markers[color].fit.filter(is_whole) else { return };
+            let m = &self.markers[color];
+            let Some(f) = m.fit.filter(is_whole).filter(|_| m.placed > LEARNT) else { return };
             let sigma = (f.covariance.trace() / 2.0).sqrt();
-            let inflation = f.inflation;
             sights[color.index()] = Sight { color, pixel: f.centroid, sigma, outline: None };
             // As they are without what is learnt here.
-            covariances[color.index()] = f.covariance * (self.correlation() / inflation);
+            covariances[color.index()] = f.covariance * (self.correlation() / f.inflation);
         }
         let Some((best, _)) = refine(&self.layout, camera, &sights, pose, None, 4) else { return };
         let mut chi2 = 0.0;
@@ -79,7 +82,7 @@ impl Engine {
             let Some((more, bias)) = compare_outline(&self.layout, color, turn, camera, pose, &f) else {
                 continue;
             };
-            let rate = |n: u32| 1.0 / f64::from(n.min(12) + 1);
+            let rate = |n: u32| 1.0 / f64::from(n.min(LEARNT) + 1);
             m.turn.0 = (turn + rate(m.turn.1) * more).clamp(-MAX_TURN, MAX_TURN);
             m.turn.1 = m.turn.1.saturating_add(1);
             if detected < 4 {
@@ -115,7 +118,7 @@ impl Engine {
             return;
         }
         m.misplaced += 0.2 * (off.norm() - m.misplaced);
-        let by = inverse * off / f64::from(m.placed.min(12) + 1);
+        let by = inverse * off / f64::from(m.placed.min(LEARNT) + 1);
         m.placed = m.placed.saturating_add(1);
         let limit = MISPLACED * self.layout.side;
         let (given, place) = (self.given.centres[color], &mut self.layout.centres[color]);

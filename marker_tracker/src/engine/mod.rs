@@ -286,11 +286,11 @@ impl Engine {
     }
 
     fn inflation(&self) -> f64 {
-        // A mean of n rows whose neighbours correlate by ρ has (1 + ρ)/(1 − ρ) times the variance. Levels and slow
-        // correlation come on top; the centroids' residuals about the pose tell by how much, once there are some.
-        let expected = 1.0 + 1.4 * self.rho();
-        let weight = 20.0;
-        let excess = (self.excess[0] + expected * weight) / (self.excess[1] + weight);
+        // A mean of n rows whose neighbours correlate by ρ has (1 + ρ)/(1 − ρ) times the variance. The centroids' residuals about
+        // the pose tell by how much that is too little or too much; this many of them weigh as much as the expectation that it
+        // is right.
+        const WEIGHT: f64 = 50.0;
+        let excess = (self.excess[0] + WEIGHT) / (self.excess[1] + WEIGHT);
         self.correlation() * excess.clamp(0.6, 4.0)
     }
 }

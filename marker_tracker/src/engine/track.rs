@@ -218,10 +218,11 @@ impl Engine {
                 self.markers[color].reason = "not where the other markers say";
             }
         }
-        self.learn(image, camera, &now);
-        if known && self.images % 4 == 1 {
+        // Before the layout goes after this image's noise.
+        if known && self.images % 2 == 1 {
             self.learn_noise(camera, &now);
         }
+        self.learn(image, camera, &now);
         self.pose = Some(now);
         detected
     }
