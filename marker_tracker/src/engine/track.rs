@@ -16,6 +16,8 @@ use rig_model::{CameraModel, MarkerColor, PerColor};
 
 /// Likeness (0 to 1) of the hue histograms from which on a thing can be the marker.
 const MIN_LIKENESS: f32 = 0.6;
+/// Sum of the four edges' supports from which on a square is but touched: each edge was seen along enough of its own length.
+const TOUCHED: f64 = 3.3;
 /// Pixels around the sought outline that a window shows.
 const MARGIN: f64 = 9.0;
 /// Pixels around it that are read in a quick look.
@@ -203,7 +205,11 @@ impl Engine {
                 (true, 3) => (0.15 + 3.0 * sigma + 2.0 * self.markers[color].misplaced, 2, 0.4),
                 _ => (3.0 * place_sigma, 3, 0.92),
             };
-            if fit.edges.iter().flatten().filter(|e| !e.foreign && e.support > support).count() < edges {
+            let own = || fit.edges.iter().flatten().filter(|e| !e.foreign);
+            let touched = own().count() == 4
+                && own().all(|e| e.support > 0.5)
+                && own().map(|e| e.support).sum::<f64>() > TOUCHED;
+            if own().filter(|e| e.support > support).count() < edges && !(touched && known && known_shape) {
                 continue;
             }
             if self.misfit(color, &fit, camera, &now, detected.min(3), known) > 1.0 {
