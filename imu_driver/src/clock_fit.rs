@@ -7,6 +7,10 @@
 //! mean of the abscissas, because the sum of the distances is smallest there (a linear programme in two unknowns).
 //! Method: Zhang, Liu, Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002.
 //!
+//! The first samples have nothing before them to be compared with: on a host with more to do than it can, they are all
+//! late, by tens of milliseconds. So the fit says when it is settled ([`ClockFit::is_settled`]), and whoever can wait
+//! keeps the first samples until then: [`ClockFit::observe`] takes each as it comes, [`ClockFit::stamp`] gives the stamps.
+//!
 //! What no method can see is a delay that *every* sample has. The wire's share is known and subtracted by the caller.
 //! Beyond that: where whole messages come in bursts whose period is in step with the samples' (16 ms and 10 ms meet in
 //! five phases, 2 ms apart), the arrivals are the same for every offset within 2 ms until the clocks have drifted apart
@@ -34,11 +38,30 @@ pub struct ClockFitConfig {
     /// An arrival that is earlier than the fit by more than this means that the host's clock was set back; by less, that
     /// all samples before came through late, s.
     pub step_back: f64,
+    /// The fit is settled once [`ClockFitConfig::agreeing`] samples came through within this of the fastest, s …
+    pub agreement: f64,
+    /// … so many: a stalled host is late by something else each time.
+    pub agreeing: usize,
+    /// … not sooner than this after the first, s …
+    pub settling: f64,
+    /// … and in any case after this, s: an adapter may be more irregular than that.
+    pub longest_settling: f64,
 }
 
 impl Default for ClockFitConfig {
     fn default() -> Self {
-        Self { window: 120.0, max_drift: 150e-6, slew: 0.1, step: 0.1, patience: 1.0, step_back: 1.0 }
+        Self {
+            window: 120.0,
+            max_drift: 150e-6,
+            slew: 0.1,
+            step: 0.1,
+            patience: 1.0,
+            step_back: 1.0,
+            agreement: 0.3e-3,
+            agreeing: 5,
+            settling: 0.2,
+            longest_settling: 1.0,
+        }
     }
 }
 
@@ -59,14 +82,8 @@ struct Origin {
     host: Stamp,
 }
 
-/// What an [`ClockFit::stamp`] call did beside giving a stamp.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stamped {
-    /// When the sample was ready to be sent, on the host's clock.
-    pub stamp: Stamp,
-    /// The fit was begun anew because a clock had jumped by so many seconds.
-    pub stepped: Option<f64>,
-}
+/// More samples than this are never looked at for settling.
+const MOST_SETTLING: usize = 512;
 
 /// Fits host time to device time.
 #[derive(Clone, Debug)]
@@ -79,11 +96,15 @@ pub struct ClockFit {
     line: (f64, f64),
     /// The correction that the last stamp had, s: it follows the line by a limited slew.
     applied: f64,
-    last_device: i64,
+    /// Of the last stamp since the fit began.
+    last_device: Option<i64>,
     last_stamp: Option<Stamp>,
     last_arrival: Option<Stamp>,
     /// Since which point the arrivals have been far off the line, and the smallest distance since.
     suspicious: Option<(Point, f64)>,
+    /// Arrival minus device time of the first samples, s, until they agree.
+    first: Vec<f64>,
+    settled: bool,
 }
 
 impl ClockFit {
@@ -97,10 +118,12 @@ impl ClockFit {
             hull: Vec::with_capacity(capacity),
             line: (0.0, 0.0),
             applied: 0.0,
-            last_device: 0,
+            last_device: None,
             last_stamp: None,
             last_arrival: None,
             suspicious: None,
+            first: Vec::with_capacity(MOST_SETTLING),
+            settled: false,
         }
     }
 
@@ -110,7 +133,10 @@ impl ClockFit {
         self.points.clear();
         self.line = (0.0, 0.0);
         self.applied = 0.0;
+        self.last_device = None;
         self.suspicious = None;
+        self.first.clear();
+        self.settled = false;
     }
 
     /// Drift of the unit's clock against the host's, s/s: positive where the unit runs slow. `None` before the first
@@ -119,58 +145,89 @@ impl ClockFit {
         (self.points.len() >= 10).then_some(self.line.1)
     }
 
-    /// The host's stamp of a sample with this device time (ns, unwrapped, growing) that arrived at `arrival`.
-    pub fn stamp(&mut self, device: i64, arrival: Stamp) -> Stamped {
-        let mut stepped = None;
+    /// By how much a clock has jumped (s), where a sample with this device time (ns, unwrapped, growing) that arrived at
+    /// `arrival` makes that certain. The fit is then to be begun anew, with [`ClockFit::step`].
+    pub fn jump(&mut self, device: i64, arrival: Stamp) -> Option<f64> {
+        let origin = self.origin?;
+        self.clock_stepped(point_of(&origin, device, arrival))
+    }
+
+    /// The fit begins anew after a jump by so many seconds that a sample which arrived at `arrival` has shown. Stamps
+    /// follow a host's clock that was set back.
+    pub fn step(&mut self, jump: f64, arrival: Stamp) {
+        self.restart();
+        // Where the host's clock was set back, waiting until it catches up would hold all stamps for as long. (The unit's
+        // may have jumped ahead instead: then stamps go on.)
+        let earlier = self.last_arrival.is_some_and(|last| arrival.seconds_since(last) < -self.config.step);
+        if jump < 0.0 && earlier {
+            self.last_stamp = None;
+        }
+    }
+
+    /// Takes in when a sample came.
+    pub fn observe(&mut self, device: i64, arrival: Stamp) {
         let origin = match self.origin {
             Some(origin) => origin,
             None => self.begin(device, arrival),
         };
-        let mut origin = origin;
-        let mut point = point_of(&origin, device, arrival);
-        if let Some(jump) = self.clock_stepped(point) {
-            stepped = Some(jump);
-            self.restart();
-            // Where the host's clock was set back, waiting until it catches up would hold all stamps for as long. (The unit's
-            // may have jumped ahead instead: then stamps go on.)
-            let earlier =
-                self.last_arrival.is_some_and(|last| arrival.seconds_since(last) < -self.config.step);
-            if jump < 0.0 && earlier {
-                self.last_stamp = None;
-            }
-            origin = self.begin(device, arrival);
-            point = point_of(&origin, device, arrival);
+        let point = point_of(&origin, device, arrival);
+        if !self.settled {
+            self.first.push(point.y);
         }
         if self.take(point) {
             self.fit();
         }
-        let (offset, drift) = self.line;
-        let elapsed = (device.saturating_sub(self.last_device)).max(0) as f64 * 1e-9;
-        let target = offset + drift * point.x;
-        // A fit that is far off (the first samples came through late) is left quickly, but never backwards.
-        let far = (target - self.applied).abs() > 5e-3;
-        let limit = if far { 0.5 } else { self.config.slew } * elapsed;
-        self.applied = if self.last_device == device || self.points.len() == 1 && point.x == 0.0 {
-            target
-        } else {
-            self.applied + (target - self.applied).clamp(-limit, limit)
-        };
-        self.last_device = device;
+        if !self.settled {
+            self.settled = self.agree(point.x);
+        }
         self.last_arrival = Some(arrival);
-        let unconstrained = origin.host.plus_seconds(point.x + self.applied);
+    }
+
+    /// Whether enough samples were observed for stamps to be right from the first one on.
+    pub fn is_settled(&self) -> bool {
+        self.settled
+    }
+
+    fn agree(&self, elapsed: f64) -> bool {
+        let fastest = self.first.iter().copied().fold(f64::INFINITY, f64::min);
+        let agreeing = self.first.iter().filter(|y| **y - fastest < self.config.agreement).count();
+        elapsed >= self.config.longest_settling
+            || self.first.len() >= MOST_SETTLING
+            || elapsed >= self.config.settling && agreeing >= self.config.agreeing
+    }
+
+    /// The host's stamp of a sample with this device time, which was observed: when it was ready to be sent.
+    pub fn stamp(&mut self, device: i64) -> Stamp {
+        let Some(origin) = self.origin else {
+            return self.last_stamp.unwrap_or_default();
+        };
+        let x = device.saturating_sub(origin.device) as f64 * 1e-9;
+        let (offset, drift) = self.line;
+        let target = offset + drift * x;
+        self.applied = match self.last_device {
+            Some(last) => {
+                let elapsed = device.saturating_sub(last).max(0) as f64 * 1e-9;
+                // A fit that is far off (the first samples came through late) is left quickly, but never backwards.
+                let far = (target - self.applied).abs() > 5e-3;
+                let limit = if far { 0.5 } else { self.config.slew } * elapsed;
+                self.applied + (target - self.applied).clamp(-limit, limit)
+            }
+            None => target,
+        };
+        self.last_device = Some(device);
+        let unconstrained = origin.host.plus_seconds(x + self.applied);
         let stamp = match self.last_stamp {
             // Strictly later, if only by a microsecond.
             Some(last) => unconstrained.max(Stamp::from_nanos(last.as_nanos().saturating_add(1_000))),
             None => unconstrained,
         };
         self.last_stamp = Some(stamp);
-        Stamped { stamp, stepped }
+        stamp
     }
 
     fn begin(&mut self, device: i64, arrival: Stamp) -> Origin {
         let origin = Origin { device, host: arrival };
         self.origin = Some(origin);
-        self.last_device = device;
         origin
     }
 
@@ -252,6 +309,16 @@ fn point_of(origin: &Origin, device: i64, arrival: Stamp) -> Point {
 mod tests {
     use super::*;
 
+    /// Without waiting for the fit to settle, and what stepped.
+    fn stamp(fit: &mut ClockFit, device: i64, arrival: Stamp) -> (Stamp, Option<f64>) {
+        let jump = fit.jump(device, arrival);
+        if let Some(jump) = jump {
+            fit.step(jump, arrival);
+        }
+        fit.observe(device, arrival);
+        (fit.stamp(device), jump)
+    }
+
     /// Deterministic uniform numbers in 0..1.
     struct Uniform(u64);
 
@@ -306,17 +373,18 @@ mod tests {
                 not_before = arrival + 0.03 * random.next();
             }
             arrival = arrival.max(not_before);
-            let stamped = fit.stamp((device * 1e9).round() as i64, start.plus_seconds(arrival));
-            assert_eq!(stamped.stepped, None);
-            let error = stamped.stamp.seconds_since(start) - truth;
-            if let Some((stamp, previous)) = last {
-                backwards += usize::from(stamped.stamp <= stamp);
+            let (stamp, stepped) =
+                stamp(&mut fit, (device * 1e9).round() as i64, start.plus_seconds(arrival));
+            assert_eq!(stepped, None);
+            let error = stamp.seconds_since(start) - truth;
+            if let Some((before, previous)) = last {
+                backwards += usize::from(stamp <= before);
                 if device > 5.0 {
-                    let interval = stamped.stamp.seconds_since(stamp) - (truth - previous);
+                    let interval = stamp.seconds_since(before) - (truth - previous);
                     interval_squares += interval * interval;
                 }
             }
-            last = Some((stamped.stamp, truth));
+            last = Some((stamp, truth));
             if device > 5.0 {
                 sum += error;
                 squares += error * error;
@@ -377,9 +445,9 @@ mod tests {
             for k in 0..2000_i64 {
                 let t = k as f64 * 0.01;
                 let arrival = start.plus_seconds(t + if k >= 1000 { jump } else { 0.0 });
-                let stamped = fit.stamp(k * 10_000_000, arrival);
-                steps.extend(stamped.stepped);
-                last_error = stamped.stamp.seconds_since(arrival);
+                let (stamp, stepped) = stamp(&mut fit, k * 10_000_000, arrival);
+                steps.extend(stepped);
+                last_error = stamp.seconds_since(arrival);
             }
             assert_eq!(steps.len(), 1, "{jump}");
             assert!((steps[0] - jump).abs() < 1e-3);
@@ -396,9 +464,9 @@ mod tests {
                 let t = k as f64 * 0.01;
                 // From 10 s on nothing is read for a while, then all at once.
                 let arrival = if t > 10.0 && t < 10.0 + sleep { 10.0 + sleep + 1e-5 * k as f64 } else { t };
-                let stamped = fit.stamp(k * 10_000_000, start.plus_seconds(arrival));
-                assert_eq!(stamped.stepped, None, "{sleep} {t}");
-                let error = stamped.stamp.seconds_since(start) - t;
+                let (stamp, stepped) = stamp(&mut fit, k * 10_000_000, start.plus_seconds(arrival));
+                assert_eq!(stepped, None, "{sleep} {t}");
+                let error = stamp.seconds_since(start) - t;
                 assert!(error.abs() < 1e-4, "{sleep} {t}: {error}");
             }
         }
@@ -408,11 +476,11 @@ mod tests {
     fn a_restart_never_goes_back_and_forgets_the_old_offset() {
         let start = Stamp::from_nanos(0);
         let mut fit = ClockFit::new(ClockFitConfig::default());
-        let first = fit.stamp(1_000_000_000, start.plus_seconds(10.0)).stamp;
+        let first = stamp(&mut fit, 1_000_000_000, start.plus_seconds(10.0)).0;
         fit.restart();
-        let second = fit.stamp(0, start.plus_seconds(10.0)).stamp;
+        let second = stamp(&mut fit, 0, start.plus_seconds(10.0)).0;
         assert!(second > first);
-        let third = fit.stamp(500_000_000, start.plus_seconds(10.5)).stamp;
+        let third = stamp(&mut fit, 500_000_000, start.plus_seconds(10.5)).0;
         assert!(third.seconds_since(start.plus_seconds(10.5)).abs() < 1e-5);
     }
 }

@@ -252,6 +252,7 @@ impl Driver {
     }
 
     fn lost(&mut self, reason: &str) {
+        self.release();
         self.parser.reset();
         self.candidate_since = None;
         self.pause = FIRST_PAUSE;
@@ -267,6 +268,7 @@ impl Driver {
     }
 
     fn call(&mut self, delay: f64) {
+        self.release();
         self.phase = Phase::Calling(Calling {
             since: self.now,
             next_call: self.now + delay,

@@ -24,6 +24,17 @@ pub struct Sample {
     pub counter: Option<u16>,
 }
 
+impl Sample {
+    /// The same, measured at another time.
+    pub(super) fn stamped(mut self, stamp: Stamp) -> Self {
+        self.stamp = stamp;
+        if let Some(imu) = &mut self.imu {
+            imu.stamp = stamp;
+        }
+        self
+    }
+}
+
 fn finite(v: [f64; 3]) -> Option<Vector3<f64>> {
     v.iter().all(|x| x.is_finite()).then(|| Vector3::from(v))
 }

@@ -1,12 +1,13 @@
 //! While the unit measures: data messages to samples with stamps, and what is counted on the way.
 
-use super::{Driver, Event, Identity, Output, Phase, sample_of};
+use super::{Driver, Event, Identity, Output, Phase, Sample, sample_of};
 use crate::{
     clock_fit::{ClockFit, ClockFitConfig},
     device_time::DeviceTime,
     protocol::{Decoder, DeviceError, Frame, MessageId, OutputEntry, ParserCounts, Status},
 };
 use rig_model::Stamp;
+use std::collections::VecDeque;
 
 /// So many unreadable messages in a row, and the configuration is read anew.
 const UNREADABLE_LIMIT: u32 = 5;
@@ -43,6 +44,8 @@ pub(super) struct Stream {
     decoder: Decoder,
     time: DeviceTime,
     clock: ClockFit,
+    /// The first samples and their device time (ns), kept until the clocks' offset is known.
+    waiting: VecDeque<(i64, Sample)>,
     last_data: f64,
     unreadable_in_a_row: u32,
     said_no_inertial: bool,
@@ -58,6 +61,7 @@ impl Stream {
             decoder: Decoder::default(),
             time: DeviceTime::new(1152, 115_200),
             clock: ClockFit::new(clock),
+            waiting: VecDeque::new(),
             last_data: 0.0,
             unreadable_in_a_row: 0,
             said_no_inertial: false,
@@ -145,11 +149,19 @@ impl Driver {
             stream.statistics.repeated += 1;
             return;
         }
-        if placed.restarted {
-            stream.clock.restart();
+        let stepped = if placed.restarted { None } else { stream.clock.jump(placed.device, ready) };
+        if placed.restarted || stepped.is_some() {
+            // Those of the old clock first.
+            self.release();
         }
-        let stamped = stream.clock.stamp(placed.device, ready);
-        let sample = sample_of(&m, stamped.stamp, stream.time.period());
+        let stream = &mut self.stream;
+        match stepped {
+            Some(jump) => stream.clock.step(jump, ready),
+            None if placed.restarted => stream.clock.restart(),
+            None => {}
+        }
+        stream.clock.observe(placed.device, ready);
+        let sample = sample_of(&m, ready, stream.time.period());
         let statistics = &mut stream.statistics;
         statistics.lost += placed.lost;
         statistics.status = sample.status.or(statistics.status);
@@ -171,13 +183,24 @@ impl Driver {
         if placed.lost > 0 {
             self.event(Event::Lost { count: placed.lost });
         }
-        if let Some(seconds) = stamped.stepped {
+        if let Some(seconds) = stepped {
             self.event(Event::ClockStepped { seconds });
         }
         if missing {
             self.event(Event::NoInertialData);
         }
-        self.outputs.push_back(Output::Sample(sample));
+        self.stream.waiting.push_back((placed.device, sample));
+        if self.stream.clock.is_settled() {
+            self.release();
+        }
         debug_assert!(matches!(self.phase, Phase::Measuring));
+    }
+
+    /// Gives the samples that wait, with the best stamps that there are.
+    pub(super) fn release(&mut self) {
+        while let Some((device, sample)) = self.stream.waiting.pop_front() {
+            let stamp = self.stream.clock.stamp(device);
+            self.outputs.push_back(Output::Sample(sample.stamped(stamp)));
+        }
     }
 }
