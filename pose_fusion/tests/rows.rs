@@ -179,6 +179,42 @@ fn a_climber_that_starts_with_a_jerk_is_followed_and_moves_no_clock() {
     }
 }
 
+/// The unit was switched on a moment ago: biases and clocks are all open when it sets off.
+#[test]
+fn a_swing_that_begins_after_a_short_rest_is_no_confident_lie() {
+    let (mut all, mut beyond) = (0, 0);
+    for seed in 0..40 {
+        let rest = 0.4 + 0.065 * seed as f64;
+        let motion =
+            MotionConfig { still_until: rest, duration: rest + 2.0, ..MotionConfig::nominal(4 * (seed % 5)) };
+        let run = simulated::run(motion, &SensorConfig::nominal(seed));
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        let said = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+        let worst = said.odometry.iter().filter_map(|o| {
+            let at = o.stamp.seconds_since(SensorConfig::nominal(seed).epoch) - rest;
+            let truth = scoring::pose_at(&run.truth, o.stamp)?;
+            let mut one = Score::default();
+            one.add(&o.world_from_volant, &o.pose_covariance, &truth);
+            (at > 0.0).then_some((at, one.nees().0.max(one.nees().1)))
+        });
+        let worst: Vec<_> = worst.collect();
+        let outside: Vec<_> = worst.iter().filter(|w| w.1 > 21.1).collect();
+        all += worst.len();
+        beyond += outside.len();
+        if let (Some(first), Some(last)) = (outside.first(), outside.last()) {
+            let most = outside.iter().fold(0.0_f64, |m, w| m.max(w.1));
+            println!(
+                "rest {rest:.2}: {} beyond, {:.2}..{:.2} s, NEES {most:.0}",
+                outside.len(),
+                first.0,
+                last.0
+            );
+        }
+    }
+    println!("{beyond} of {all} beyond");
+    assert!(beyond as f64 <= 0.01 * all as f64, "{beyond} of {all}");
+}
+
 #[test]
 fn offsets_that_stay_are_in_the_covariance_though_they_cannot_be_found() {
     let systematic = 0.03;

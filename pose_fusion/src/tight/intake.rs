@@ -186,13 +186,17 @@ impl Tight {
             out.push_back(Output::Warning(Warning::TooOld { source_name: "climber", stamp, age_s }));
             return;
         }
+        let speed = tie::speed(&self.readings, stamp, &variance);
+        if in_order {
+            self.driving = speed.is_some_and(|s| s != Vector3::zeros());
+        }
         let reading = Reading {
             values,
             variance: variance.component_mul(&Vector3::from(share)),
             clock,
             felt: NOTHING,
             rest,
-            speed: tie::speed(&self.readings, stamp, &variance),
+            speed,
         };
         self.history.insert(at, Event::Climber(reading), NOTHING);
         if self.started {

@@ -1,7 +1,7 @@
 //! What the images teach beside the state: how noisy the pixels are, and when the estimate itself is wrong.
 
 use super::{
-    NOTHING, Pixels, REFUSED_PRICE, SETTLING, Tight,
+    ASKING, NOTHING, Pixels, REFUSED_PRICE, SETTLING, Tight,
     markers::{Report, Sighting, Verdict},
     start::{self, ClimberStart},
     state::{ACCELEROMETER, CAMERA_CLOCK, CLIMBER, CLIMBER_RATE, GYROSCOPE},
@@ -76,7 +76,8 @@ impl Tight {
         if self.weighed > SETTLING {
             self.evidence.take(at, report.surprise + REFUSED_PRICE * refused, shaken);
         }
-        if self.weighed <= self.ask_after {
+        self.driven += u64::from(self.driving);
+        if self.driven <= ASKING {
             self.history.each_node(|node| node.state.tie.forget());
         } else {
             self.recentre();

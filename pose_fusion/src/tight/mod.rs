@@ -56,7 +56,8 @@ const BRIDGED: f64 = 0.4;
 const REFUSED_PRICE: f64 = 20.0;
 /// So many images are no evidence yet: the noise of the other sensors is still being found.
 const SETTLING: u64 = 15;
-/// So many images say nothing of the climber's clock: biases are still being found.
+/// So many images of a driving climber say nothing of its clock: biases are still being found, and what drives it as well.
+/// (Those of one that stands teach neither.)
 const ASKING: u64 = 60;
 /// One answer about the climber's clock that is so probable is taken as given.
 const SURE: f64 = 0.99;
@@ -114,8 +115,11 @@ pub struct Tight {
     archive: Option<Vec<Node>>,
     evidence: Evidence,
     weighed: u64,
-    /// From so many images on the climber's clock is asked.
+    /// From so many images on the rope is asked.
     ask_after: u64,
+    /// The climber was seen driving by its newest reading, and so many images were taken while it was.
+    driving: bool,
+    driven: u64,
     /// Other filters take the camera's clock for another.
     camera_clock_open: bool,
     /// In the newest image.
@@ -163,6 +167,8 @@ impl Tight {
             evidence: Evidence::default(),
             weighed: 0,
             ask_after: ASKING,
+            driving: false,
+            driven: 0,
             camera_clock_open: false,
             markers_seen: 0,
             status: Status::default(),
