@@ -13,7 +13,7 @@ use rig_model::Stamp;
 use std::collections::VecDeque;
 
 /// A reading is a jolt where its normalised innovation squared (one degree of freedom) is above this.
-pub const SURPRISE: f64 = 25.0;
+pub const JOLT: f64 = 25.0;
 /// What one speaks against a filter among others, as minus twice a logarithm: all feel a real one about alike, and a filter
 /// with a wrong clock has one at every reading.
 pub const PRICE: f64 = 4.0;
@@ -54,11 +54,11 @@ impl Jolts {
     /// Notes that a reading stamped `to` on the inertial unit's time line was one, since `from`. False where it is none, or known already.
     pub fn note(&mut self, from: Stamp, to: Stamp, innovation: &Innovation) -> bool {
         let span = to.seconds_since(from);
-        if innovation.nis.max() <= SURPRISE || span <= 0.0 || self.0.iter().any(|j| j.to == to) {
+        if innovation.nis.max() <= JOLT || span <= 0.0 || self.0.iter().any(|j| j.to == to) {
             return false;
         }
         let density = Vector3::from_fn(|axis, _| {
-            if innovation.nis[axis] <= SURPRISE {
+            if innovation.nis[axis] <= JOLT {
                 return 0.0;
             }
             let residual = innovation.residual[axis].abs().min(ACCELERATION * span * span / 2.0);

@@ -64,7 +64,7 @@ const SURE: f64 = 0.99;
 /// A smaller change of the climber's clock needs no other linearisation, s.
 const MOVE: f64 = 2e-3;
 /// A reading that is so much (squared, in sigmas) off means that the climber jerks more than assumed.
-const SURPRISE: f64 = 10.0;
+const JERKY: f64 = 10.0;
 /// So many image stamps are remembered to tell duplicates.
 const REMEMBERED: usize = 64;
 /// And so many readings of the climber: [`tie::SPAN`] at 100 Hz, and as much again for those that come late.

@@ -1,7 +1,7 @@
 //! The history is run: from state to state, event by event, up to the newest inertial sample.
 
 use super::{
-    GAP, SURPRISE, Tight, climber, gap,
+    GAP, JERKY, Tight, climber, gap,
     history::{Event, Node},
     markers::{self, Gates},
     odometry::{self, Along},
@@ -99,7 +99,7 @@ impl Tight {
                     anchor = self.anchor_before(place);
                     continue;
                 }
-                let more = if innovation.nis.max() > SURPRISE { 1.6 } else { 0.98 };
+                let more = if innovation.nis.max() > JERKY { 1.6 } else { 0.98 };
                 self.jerk_scale = (self.jerk_scale * more).clamp(1.0, 1000.0);
             }
             self.history.set_run(place + 1);
