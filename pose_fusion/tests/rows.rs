@@ -212,7 +212,7 @@ fn a_swing_that_begins_after_a_short_rest_is_no_confident_lie() {
         }
     }
     println!("{beyond} of {all} beyond");
-    assert!(beyond as f64 <= 0.01 * all as f64, "{beyond} of {all}");
+    assert!(beyond as f64 <= 0.001 * all as f64, "{beyond} of {all}");
 }
 
 #[test]

@@ -65,6 +65,8 @@ const SURE: f64 = 0.99;
 const MOVE: f64 = 2e-3;
 /// A reading that is so much (squared, in sigmas) off means that the climber jerks more than assumed.
 const JERKY: f64 = 10.0;
+/// A climber that stands will set off, and jerks by so much (in units of the density assumed of one that drives) when it does.
+const SETTING_OFF: f64 = 100.0;
 /// So many image stamps are remembered to tell duplicates.
 const REMEMBERED: usize = 64;
 /// And so many readings of the climber: [`tie::SPAN`] at 100 Hz, and as much again for those that come late.
@@ -151,7 +153,7 @@ impl Tight {
             inertial_noise: InertialNoise::default(),
             stillness: Stillness::default(),
             reading_noise: ReadingNoise::new(steps),
-            jerk_scale: 1.0,
+            jerk_scale: SETTING_OFF,
             jolts: Jolts::default(),
             comparison: Comparison::default(),
             pixel_scale: 1.0,

@@ -1,7 +1,7 @@
 //! The history is run: from state to state, event by event, up to the newest inertial sample.
 
 use super::{
-    GAP, JERKY, Tight, climber, gap,
+    GAP, JERKY, SETTING_OFF, Tight, climber, gap,
     history::{Event, Node},
     markers::{self, Gates},
     odometry::{self, Along},
@@ -100,7 +100,8 @@ impl Tight {
                     continue;
                 }
                 let more = if innovation.nis.max() > JERKY { 1.6 } else { 0.98 };
-                self.jerk_scale = (self.jerk_scale * more).clamp(1.0, 1000.0);
+                let least = if self.driving { 1.0 } else { SETTING_OFF };
+                self.jerk_scale = (self.jerk_scale * more).clamp(least, 1000.0);
             }
             self.history.set_run(place + 1);
             if !sound {
