@@ -19,6 +19,12 @@ use std::collections::VecDeque;
 const REMEMBERED: usize = 64;
 /// A sample further from the image than this does not serve it, s.
 const NEAR: f64 = 0.1;
+/// The climber's speed is that of its readings of so long, s.
+const SPAN: f64 = 0.1;
+/// No climber is accelerated by more than so much (m/s², rad/s²; 1 sigma) …
+const ACCELERATION: [f64; 2] = [0.5, 0.3];
+/// … or is faster than that (m/s, rad/s; 1 sigma).
+const SPEED: [f64; 2] = [0.5, 0.4];
 
 /// Poses from single images.
 #[derive(Debug)]
@@ -120,7 +126,7 @@ impl VisualPoses {
             let fine = m.centroid.iter().chain(m.covariance.iter()).all(|x| x.is_finite());
             (take && fine).then(|| (m.centroid, m.covariance + floor))
         });
-        let world_from_climber = self.climber_at(stamp)?;
+        let (world_from_climber, climber_sigma) = self.climber_at(stamp)?;
         let world_from_camera = world_from_climber * self.rig.climber_from_camera;
         let found = planar_pose::candidates(&self.rig.markers, camera, &pixels, None);
         let up = self
@@ -154,7 +160,7 @@ impl VisualPoses {
         jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
         jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
         let mut covariance = jacobian * in_camera * jacobian.transpose();
-        let [place, angle] = self.climber_sigma.map(|s| s * s);
+        let [place, angle] = climber_sigma.map(|s| s * s);
         covariance[(0, 0)] += place;
         covariance[(1, 1)] += place;
         let arm = pose.translation.vector - world_from_climber.translation.vector;
@@ -164,23 +170,87 @@ impl VisualPoses {
         Some(PoseEstimate { stamp, pose, covariance })
     }
 
-    fn climber_at(&self, stamp: Stamp) -> Option<Isometry3<f64>> {
+    /// The climber at an image's stamp and what its place (m) and turn (rad) are uncertain by. An image that is faster than
+    /// the readings is ahead of them by up to their period: there the climber goes on as it went.
+    fn climber_at(&self, stamp: Stamp) -> Option<(Isometry3<f64>, [f64; 2])> {
         let after = self.climber.partition_point(|(s, _)| *s < stamp);
         let before = after.checked_sub(1).and_then(|i| self.climber.get(i));
         match (before, self.climber.get(after)) {
             (Some((a, from)), Some((b, to))) => {
                 let span = b.seconds_since(*a);
                 let share = if span > 0.0 { stamp.seconds_since(*a) / span } else { 0.0 };
-                (span < 2.0 * NEAR).then(|| {
-                    let place = from.translation.vector.lerp(&to.translation.vector, share);
-                    let turn = from.rotation.try_slerp(&to.rotation, share, 1e-9).unwrap_or(to.rotation);
-                    Isometry3::from_parts(place.into(), turn)
-                })
+                (span < 2.0 * NEAR).then(|| (between(from, to, share), self.climber_sigma))
             }
-            (Some((s, pose)), None) | (None, Some((s, pose))) => {
-                (s.seconds_since(stamp).abs() < NEAR).then_some(*pose)
+            (Some((newest, last)), None) => {
+                let age = stamp.seconds_since(*newest);
+                if age >= NEAR {
+                    return None;
+                }
+                let recent = self.climber.iter().find(|(s, _)| newest.seconds_since(*s) <= SPAN);
+                let (first, from) = recent?;
+                let span = newest.seconds_since(*first);
+                if span < 0.3 * SPAN {
+                    return Some((*last, self.grown(age, SPEED)));
+                }
+                let speed = [0, 1].map(|i| {
+                    let rounded = self.climber_sigma[i] * 2.0_f64.sqrt() / span;
+                    (rounded + ACCELERATION[i] * (span + age) / 2.0).min(SPEED[i])
+                });
+                Some((between(from, last, 1.0 + age / span), self.grown(age, speed)))
+            }
+            (None, Some((oldest, pose))) => {
+                let age = oldest.seconds_since(stamp);
+                (age < NEAR).then(|| (*pose, self.grown(age, SPEED)))
             }
             (None, None) => None,
         }
+    }
+
+    /// The readings' own uncertainty and that of the way since.
+    fn grown(&self, age: f64, speed: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|i| self.climber_sigma[i].hypot(speed[i] * age))
+    }
+}
+
+/// On the way from one pose to another, or beyond (share above 1).
+fn between(from: &Isometry3<f64>, to: &Isometry3<f64>, share: f64) -> Isometry3<f64> {
+    let place = from.translation.vector.lerp(&to.translation.vector, share);
+    let turn = (to.rotation * from.rotation.inverse()).scaled_axis() * share;
+    Isometry3::from_parts(place.into(), UnitQuaternion::from_scaled_axis(turn) * from.rotation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_image_ahead_of_the_readings_finds_the_climber_where_it_has_come_to() {
+        let rig = Rig::from_yaml(include_str!("../../test/src/rig/rig.yaml")).unwrap();
+        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
+        let at = |t: f64| Vector3::new(0.3 * t + 0.05 * t * t, -0.2 * t, 2.8);
+        let turn = |t: f64| 0.6 + 0.15 * t;
+        let sigma = [1e-3 / 12.0_f64.sqrt(), 0.05_f64.to_radians() / 12.0_f64.sqrt()];
+        let mut visual = VisualPoses::new(rig, 0.03, sigma);
+        let mut worst = 0.0_f64;
+        for i in 0..100 {
+            let t = f64::from(i) * 0.02;
+            let rounded = at(t).map(|x| (x * 1e3).round() * 1e-3);
+            let rotation = UnitQuaternion::from_scaled_axis(Vector3::z() * turn(t));
+            let world_from_climber = Isometry3::from_parts(rounded.into(), rotation);
+            visual.climber(&ClimberSample { stamp: start.plus_seconds(t), world_from_climber });
+            if i < 10 {
+                continue;
+            }
+            for ahead in [0.0, 0.007, 0.019] {
+                let (pose, sigma) = visual.climber_at(start.plus_seconds(t + ahead)).unwrap();
+                let error = (pose.translation.vector - at(t + ahead)).norm();
+                worst = worst.max(error);
+                assert!(error < 3.0 * 2.0_f64.sqrt() * sigma[0], "{t} {ahead}: {error} {sigma:?}");
+                assert!((pose.rotation.scaled_axis().z - turn(t + ahead)).abs() < 1e-9);
+            }
+        }
+        // It was 7 mm behind with the newest reading alone.
+        assert!(worst < 2e-3, "{worst}");
+        assert!(visual.climber_at(start.plus_seconds(3.0)).is_none(), "readings that ended serve no image");
     }
 }
