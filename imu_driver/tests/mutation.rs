@@ -51,7 +51,7 @@ fn the_seeds_reach_what_they_are_meant_to_reach() {
     }
     // They wait for the clocks' offset, and come when there is nothing more to wait for.
     assert_eq!(samples, 0);
-    driver.handle(Input::Lost { at, reason: "the end" });
+    driver.finish();
     while let Some(output) = driver.poll() {
         samples += u32::from(matches!(output, Output::Sample(_)));
     }

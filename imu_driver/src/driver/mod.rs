@@ -189,6 +189,11 @@ impl Driver {
         self.tick();
     }
 
+    /// Nothing more comes (a log has ended): the samples that still wait for the clocks' offset are given as they are.
+    pub fn finish(&mut self) {
+        self.release();
+    }
+
     /// The next thing to do.
     pub fn poll(&mut self) -> Option<Output> {
         self.outputs.pop_front()

@@ -114,7 +114,10 @@ pub(super) fn playback(arguments: &Playback) -> Result<(), Failure> {
         if driver.is_measuring() {
             match data.next() {
                 Some(bytes) => driver.handle(Input::Bytes { bytes, arrival: at }),
-                None => ended = true,
+                None => {
+                    driver.finish();
+                    ended = true;
+                }
             }
         } else {
             driver.handle(Input::Tick { at });
