@@ -346,14 +346,18 @@ fn bytes_become_messages_soon_and_with_the_right_stamps() {
     let holes = intervals.clone().filter(|i| *i > 0.015).count();
     assert!(holes <= 5, "{holes}");
     assert!(intervals.clone().all(|i| (i / 0.01 - (i / 0.01).round()).abs() < 0.1));
-    // Beside a compiler whole stretches are late by time slices, those of a bare relay as well: the median may be four of
-    // its medians longer, and the calmest tenth of a second tells whether something in the node waits. p99 over all has its own
+    // Beside a compiler whole stretches are late by time slices, those of a bare relay as well: there the median may be five
+    // of its medians, and the calmest tenth of a second tells whether something in the node waits. p99 over all has its own
     // test, which wants a quiet machine.
     let (calm, relayed) = (calmest(&latencies.beyond_write), percentile(&mut machine, 0.5));
     println!(
         "{calm:.3} ms in the calmest tenth of a second; a bare relay through four threads: p50 {relayed:.3} ms"
     );
-    assert!(calm <= 2.0 && p50 <= 2.0 + 4.0 * relayed, "{calm} {p50} {relayed} {:?}", latencies.beyond_write);
+    assert!(
+        calm <= 2.0 && p50 <= (5.0 * relayed).max(2.0),
+        "{calm} {p50} {relayed} {:?}",
+        latencies.beyond_write
+    );
     assert!(latencies.stamps_rms < 1.0, "{}", latencies.stamps_rms);
 }
 
