@@ -48,7 +48,9 @@ pub struct PlanarPose {
 /// At most this many poses come out of [`candidates`].
 pub const MAX_CANDIDATES: usize = 4;
 
-const ITERATIONS: usize = 30;
+/// Most descents take 3 to 10 steps. Those that come down a valley's flat floor creep, and of 80 000 with exact
+/// centroids 317 were still on their way after 30; 18 after 100.
+const ITERATIONS: usize = 100;
 
 /// Every distinct pose that is a minimum of the cost, best first. Empty with fewer than three measured markers, with
 /// markers whose order around the platform is that of a mirror image, or where nothing converges in front of the camera.
@@ -77,11 +79,15 @@ pub fn candidates(
     });
     for start in starts.into_iter().chain(upright).chain(around) {
         let Some(pose) = refine(layout, camera, pixels, tilt, &start) else { continue };
-        let same = |other: &PlanarPose| {
+        let same = |other: &&mut PlanarPose| {
             other.camera_from_volant.rotation.angle_to(&pose.camera_from_volant.rotation) < 5e-3
         };
-        if !found.iter().any(same) {
-            found.push(pose);
+        // Of two ends of one valley the deeper: near the ambiguity a descent from the wrong side creeps, and may have
+        // stopped short of the minimum that another start has reached.
+        match found.iter_mut().find(same) {
+            Some(other) if other.cost > pose.cost => *other = pose,
+            Some(_) => {}
+            None => found.push(pose),
         }
     }
     found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
@@ -344,6 +350,16 @@ mod tests {
             missed += usize::from(nearest(&candidates(&layout, &camera, &pixels, None), &truth) > 1e-3);
         }
         assert!(missed <= n as usize / 20, "{missed} of {n}");
+    }
+
+    #[test]
+    fn of_two_descents_into_one_minimum_the_one_that_arrived_is_told() {
+        // The first start comes from the other attitude and stops 1 mm and 1 mrad short; the second begins next to
+        // the truth.
+        let (layout, camera) = rig();
+        let truth = pose(0.079_838, 0.144_801, 2.209_96, 0.193_431, 0.164_407, 1.813_196);
+        let found = candidates(&layout, &camera, &measure(&layout, &camera, &truth), None);
+        assert!(nearest(&found[..1], &truth) < 1e-6, "{found:?}");
     }
 
     proptest! {
