@@ -84,7 +84,34 @@ impl Spans {
                 to = to.max(x);
             }
         }
+        // A row above or below of it has no sides (and what is infinite is rounded to any number).
+        if !(-524_288.0 < from && from < to && to < 524_288.0) {
+            return None;
+        }
         let (from, to) = (nearest(from + 0.5), nearest(to - 0.5) + 1);
-        (from < to && from > -(1 << 19) && to < 1 << 19).then_some((from, to))
+        (from < to).then_some((from, to))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_has_the_whole_columns_inside_and_one_beside_the_quad_none() {
+        let quad =
+            Quad([(10.2, 5.5), (30.7, 5.5), (30.7, 20.5), (10.2, 20.5)].map(|(x, y)| Vector2::new(x, y)));
+        let spans = quad.spans();
+        for y in -3..30 {
+            let inside = (6..=20).contains(&y);
+            assert_eq!(spans.at(f64::from(y)), inside.then_some((11, 31)), "{y}");
+        }
+        let tip =
+            Quad([(10.0, 0.0), (20.0, 10.0), (10.0, 20.0), (0.0, 10.0)].map(|(x, y)| Vector2::new(x, y)));
+        assert_eq!(tip.spans().at(10.0), Some((0, 21)));
+        assert_eq!(tip.spans().at(3.0), Some((7, 14)));
+        for beside in [-1.0, 20.5, 400.0] {
+            assert_eq!(tip.spans().at(beside), None, "{beside}");
+        }
     }
 }
