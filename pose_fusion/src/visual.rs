@@ -7,7 +7,7 @@
 
 use crate::{
     output::PoseEstimate,
-    tight::start::{Up, up_of},
+    tight::start::{CLIMBER_ACCELERATION_SIGMA, CLIMBER_SPEED_SIGMA, Up, up_of},
 };
 use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3, Vector6};
 use rig_model::{
@@ -21,10 +21,9 @@ const REMEMBERED: usize = 64;
 const NEAR: f64 = 0.1;
 /// The climber's speed is that of its readings of so long, s.
 const SPAN: f64 = 0.1;
-/// No climber is accelerated by more than so much (m/s², rad/s²; 1 sigma) …
-const ACCELERATION: [f64; 2] = [0.5, 0.3];
-/// … or is faster than that (m/s, rad/s; 1 sigma).
-const SPEED: [f64; 2] = [0.5, 0.4];
+/// What the climber's way and turn do at most, as the filter takes it at its start.
+const ACCELERATION: [f64; 2] = [CLIMBER_ACCELERATION_SIGMA[0], CLIMBER_ACCELERATION_SIGMA[2]];
+const SPEED: [f64; 2] = [CLIMBER_SPEED_SIGMA[0], CLIMBER_SPEED_SIGMA[2]];
 
 /// Poses from single images.
 #[derive(Debug)]

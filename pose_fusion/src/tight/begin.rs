@@ -6,7 +6,7 @@ use super::{
     history::Event,
     markers::Sighting,
     rigid,
-    start::{self, ClimberStart, Up},
+    start::{self, CLIMBER_ACCELERATION_SIGMA, CLIMBER_SPEED_SIGMA, ClimberStart, Up},
     state::{ACCELEROMETER, CAMERA_CLOCK, GYROSCOPE, State},
     tie::{self, Tie},
 };
@@ -186,7 +186,7 @@ impl Tight {
             self.config.climber_quantum,
             self.config.climber_turn_quantum,
         );
-        let any = Vector3::new(0.5, 0.5, 0.4);
+        let any = Vector3::from(CLIMBER_SPEED_SIGMA);
         let (mut rates, mut rate_sigma) = (Vector3::zeros(), any);
         if let (Some(first), Some(last)) = (recent().next(), recent().next_back()) {
             let span = last.0.seconds_since(first.0);
@@ -194,7 +194,7 @@ impl Tight {
                 rates = last.1 - first.1;
                 rates.z = climber::wrapped(rates.z);
                 rates /= span;
-                rate_sigma = (step / span + Vector3::repeat(0.5 * span)).inf(&any);
+                rate_sigma = (step / span + Vector3::from(CLIMBER_ACCELERATION_SIGMA) * span).inf(&any);
             }
         }
         let age = stamp.seconds_since(nearest.0);

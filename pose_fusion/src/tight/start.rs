@@ -28,6 +28,11 @@ pub struct Up {
 /// Tilt that a swing hides from the accelerometer, rad (1 sigma).
 pub const SWING_TILT: f64 = 0.15;
 
+/// No climber is faster than so much (x, y: m/s, turn: rad/s; 1 sigma) …
+pub const CLIMBER_SPEED_SIGMA: [f64; 3] = [0.5, 0.5, 0.4];
+/// … or accelerated by more than that (m/s², rad/s²; 1 sigma).
+pub const CLIMBER_ACCELERATION_SIGMA: [f64; 3] = [0.5, 0.5, 0.3];
+
 /// What the encoders say when the filter starts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClimberStart {
@@ -114,7 +119,7 @@ pub fn unknown(state: &mut State, config: &TightConfig, climber: &ClimberStart) 
     state.set_variance(GYROSCOPE, &Vector3::repeat(config.gyroscope_bias));
     state.set_variance(CLIMBER, &climber.sigma);
     state.set_variance(CLIMBER_RATE, &climber.rate_sigma);
-    state.set_variance(CLIMBER_ACCELERATION, &Vector3::new(0.5, 0.5, 0.3));
+    state.set_variance(CLIMBER_ACCELERATION, &CLIMBER_ACCELERATION_SIGMA.into());
     state.set_variance_of(CAMERA_CLOCK, config.camera_clock * config.camera_clock);
 }
 
