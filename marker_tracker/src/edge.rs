@@ -13,7 +13,8 @@ use crate::{
 use line::Places;
 use nalgebra::{Matrix2, Vector2};
 use outside::Outside;
-use rows::{Rows, Strip};
+pub(crate) use rows::Rows;
+use rows::Strip;
 use wide::f32x8;
 
 /// How an edge was measured.
@@ -121,10 +122,11 @@ pub(crate) fn fit_edge(
     half_width: f64,
     prior: &ShapePrior,
     min_contrast: f64,
+    scratch: &mut Rows,
 ) -> Option<EdgeFit> {
     let (mut half_width, mut beyond) = (half_width, f64::INFINITY);
     loop {
-        let (edge, step) = look(sampler, interior, side, (half_width, beyond), prior, min_contrast)?;
+        let (edge, step) = look(sampler, interior, side, (half_width, beyond), prior, min_contrast, scratch)?;
         if step < STEP {
             return edge;
         }
@@ -144,6 +146,7 @@ fn look(
     (half_width, beyond): (f64, f64),
     prior: &ShapePrior,
     min_contrast: f64,
+    scratch: &mut Rows,
 ) -> Option<(Option<EdgeFit>, f64)> {
     let Side { middle, tangent, normal, length, .. } = *side;
     if length.is_nan() || length < 4.0 {
@@ -187,48 +190,46 @@ fn look(
         if k == 0 { (sampler.width, sampler.height) } else { (sampler.height, sampler.width) };
     // While it is sought a place that is a little off will do; once it is known the whole band must be in the image.
     let sought = prior.edge_sigma >= 1.0;
-    let zero: Column = [0.0; MAX_ROWS];
-    let mut rows = Rows {
-        count: 0,
-        begin: [0; MAX_ROWS],
-        along: zero,
-        crossing: zero,
-        inner: zero,
-        pixels: [band as f32; MAX_ROWS],
-        s: zero,
-        sj: zero,
-        ss: zero,
-        outside: zero,
-        rim: zero,
-        room: [f32::INFINITY; MAX_ROWS],
-    };
-    let mut cut = false;
-    for i in 0..possible {
-        let line = first + if possible == usable { i } else { (i * usable + usable / 2) / possible };
+    let rows = &mut *scratch;
+    rows.begin_anew(possible as usize, band);
+    // Lines evenly over the edge: of each of `possible` parts of it the middle one.
+    let line_of = |i: i32| first + (i * usable + usable / 2) / possible;
+    let crossing_of = |line: i32| {
         let off = f64::from(line) - middle[1 - k];
-        let crossing = middle[k] + off * slope_axis;
-        let from = nearest(crossing - f64::from(band - 1) / 2.0);
-        let start = if outward { from } else { from - beyond };
-        let inside = start >= 0 && start + band + beyond <= columns && (0..lines).contains(&line);
-        if !inside {
+        (off, middle[k] + off * slope_axis)
+    };
+    let from_of = |crossing: f64| nearest(crossing - f64::from(band - 1) / 2.0);
+    let lead = if outward { 0 } else { beyond };
+    let is_inside = |line: i32| {
+        let start = from_of(crossing_of(line).1) - lead;
+        start >= 0 && start + band + beyond <= columns && (0..lines).contains(&line)
+    };
+    // The edge is straight: where both of its ends are in the image, all of it is.
+    let whole = is_inside(line_of(0)) && is_inside(line_of(possible - 1));
+    let (quotient, remainder) = (usable / possible, usable % possible);
+    let (mut line, mut part) = (line_of(0), (usable / 2) % possible);
+    let mut cut = false;
+    for _ in 0..possible {
+        if whole || is_inside(line) {
+            let (off, crossing) = crossing_of(line);
+            let from = from_of(crossing);
+            let (x, y) = if k == 0 { (from - lead, line) } else { (line, from - lead) };
+            let crossing = (crossing - f64::from(from)) as f32;
+            let inner = if outward { crossing + 0.5 } else { band as f32 - crossing - 0.5 };
+            rows.add(sampler.begin(x, y), (off * per_row) as f32, crossing, inner);
+        } else {
             cut = true;
-            continue;
         }
-        let n = rows.count;
-        let (x, y) = if k == 0 { (start, line) } else { (line, start) };
-        rows.begin[n] = sampler.begin(x, y);
-        rows.along[n] = (off * per_row) as f32;
-        let crossing = (crossing - f64::from(from)) as f32;
-        rows.crossing[n] = crossing;
-        rows.inner[n] = if outward { crossing + 0.5 } else { band as f32 - crossing - 0.5 };
-        rows.count = n + 1;
+        (line, part) = (line + quotient, part + remainder);
+        if part >= possible {
+            (line, part) = (line + 1, part - possible);
+        }
     }
     rows.read(sampler, &strip);
     if cut && sought {
         // At the image's edge as much as there is, as long as the marker's own edge is in it.
         for i in 0..possible {
-            let line = first + if possible == usable { i } else { (i * usable + usable / 2) / possible };
-            rows.add_cut(sampler, &strip, k, line, (middle, slope_axis, per_row, half, steep));
+            rows.add_cut(sampler, &strip, k, line_of(i), (middle, slope_axis, per_row, half, steep));
         }
     }
     let count = rows.count;
@@ -249,7 +250,7 @@ fn look(
     let gate = f32x8::splat(outside.gate);
     let rim_gate = f32x8::splat(outside.rim_gate);
     let (mut step, mut believed) = (f32x8::ZERO, f32x8::ZERO);
-    let mut places = Places { count, along: rows.along, across: zero };
+    let mut places = Places { count, along: rows.along, across: [0.0; MAX_ROWS] };
     let (mut good, mut blur) = ([0.0f32; MAX_ROWS], f32x8::ZERO);
     let mut all = f32x8::ZERO;
     for group in (0..count).step_by(8) {

@@ -58,26 +58,40 @@ impl Outline {
     pub fn remember(&mut self, sampler: &Sampler<'_>, quad: &Quad) {
         self.count = 0;
         self.normal = [0.0; 3];
-        const PER_EDGE: i32 = 8;
+        const PER_EDGE: usize = 8;
         for i in 0..4 {
             let (p, q) = (quad.0[i], quad.0[(i + 1) % 4]);
             let d = q - p;
-            let step = d / f64::from(PER_EDGE);
-            let mut at = p + step * 0.5;
+            let step = d / PER_EDGE as f64;
+            let start = p + step * 0.5;
             // A straight edge's gradient is along its normal: one difference, along the axis that it is nearer to, tells it.
             let (dx, dy) = if d.x.abs() > d.y.abs() { (0, 1) } else { (1, 0) };
             let (gx, gy) = if dx == 1 { (1.0, -d.x / d.y) } else { (-d.y / d.x, 1.0) };
-            for _ in 0..PER_EDGE {
-                let (x, y) = (nearest(at.x), nearest(at.y));
-                at += step;
-                let (Some(value), Some(before), Some(after)) =
-                    (sampler.at(x, y), sampler.at(x - dx, y - dy), sampler.at(x + dx, y + dy))
-                else {
-                    continue;
+            let mut places = [(0, 0); PER_EDGE];
+            for (i, place) in places.iter_mut().enumerate() {
+                let at = start + step * i as f64;
+                *place = (nearest(at.x), nearest(at.y));
+            }
+            let inside = |&(x, y): &(i32, i32)| {
+                x >= dx && y >= dy && x + dx < sampler.width && y + dy < sampler.height
+            };
+            let within = places.map(|p| inside(&p));
+            let begin = |ahead: i32| {
+                let of = |i: usize| {
+                    let (x, y) = places[i];
+                    if within[i] { sampler.begin(x + ahead * dx, y + ahead * dy) } else { 0 }
                 };
-                let half = (after - before) / 2.0;
-                let (gx, gy) = (half * gx as f32, half * gy as f32);
-                self.add((x, y), value, gx, gy);
+                [of(0), of(1), of(2), of(3), of(4), of(5), of(6), of(7)]
+            };
+            let scale = f32x8::splat(sampler.scale);
+            let signal = |ahead: i32| sampler.eight(&begin(ahead)) * scale;
+            let half = (signal(1) - signal(-1)) * f32x8::splat(0.5);
+            let (gx, gy) = (half * f32x8::splat(gx as f32), half * f32x8::splat(gy as f32));
+            let (value, gx, gy) = (signal(0).to_array(), gx.to_array(), gy.to_array());
+            for i in 0..PER_EDGE {
+                if within[i] {
+                    self.add(places[i], value[i], gx[i], gy[i]);
+                }
             }
         }
     }
@@ -163,7 +177,7 @@ impl Outline {
             let (mut begin, mut there) = ([0; 8], [0.0; 8]);
             for (k, i) in (group..self.count.min(group + 8)).enumerate() {
                 let (x, y) = (self.x[i].wrapping_add(u), self.y[i].wrapping_add(v));
-                if x >= 0 && y >= 0 && x < sampler.width && y < sampler.height {
+                if (0..sampler.width).contains(&x) && (0..sampler.height).contains(&y) {
                     (begin[k], there[k]) = (sampler.begin(x, y), 1.0);
                     seen += 1;
                 }

@@ -155,40 +155,45 @@ fn plain(sampler: &Sampler<'_>, lines: &[Line], (cx, cy): (i32, i32), reference:
     let numbers = f32x8::from([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
     let (scale, reference) = (f32x8::splat(sampler.scale), f32x8::splat(reference));
     let zero = f32x8::ZERO;
-    let (mut n, mut sx, mut sy, mut xx, mut xy, mut yy) = (zero, zero, zero, zero, zero, zero);
+    // What does not depend on the pixels is summed up line by line: Σ 1, Σ j and Σ j² of j = 0 … count − 1.
+    let (mut n, mut sx, mut sy, mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     let (mut s, mut xs, mut ys, mut ss) = (zero, zero, zero, zero);
     let (mut low, mut high) = (f32x8::splat(f32::INFINITY), f32x8::splat(f32::NEG_INFINITY));
     for &(x, y, count, hop) in lines {
-        let far = sampler.hop(0) * hop as usize;
-        let begin = sampler.begin(x, y);
-        let y = f32x8::splat((y - cy) as f32);
+        let far = sampler.hop(0) * hop as u32;
+        let first = sampler.begin(x, y);
+        let last = first + (count - 1) as u32 * far;
+        let mut begin: [u32; 8] = std::array::from_fn(|i| first + i as u32 * far);
+        let (x, y, hop) = (f64::from(x - cx), f64::from(y - cy), f64::from(hop));
+        let (one, j) = (f64::from(count), f64::from(count * (count - 1) / 2));
+        let jj = f64::from(count * (count - 1) * (2 * count - 1) / 6);
+        let along = one * x + hop * j;
+        n += one;
+        sx += along;
+        sy += one * y;
+        xx += one * x * x + 2.0 * x * hop * j + hop * hop * jj;
+        xy += along * y;
+        yy += one * y * y;
+        let (y, hop) = (f32x8::splat(y as f32), f32x8::splat(hop as f32));
+        let mut place = numbers * hop + f32x8::splat(x as f32);
         let mut group = 0;
         while group < count {
-            let at = |i: i32| begin + (group + i).min(count - 1) as usize * far;
-            let signal = sampler.eight(&[at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7)]);
-            let number = numbers + f32x8::splat(group as f32);
-            let there = number.simd_lt(f32x8::splat(count as f32));
-            let one = there & f32x8::ONE;
-            let x = (number * f32x8::splat(hop as f32) + f32x8::splat((x - cx) as f32)) * one;
-            let y = y * one;
             // The last pixel stands for those that are not there, so that no extreme is made up.
+            let signal = sampler.eight(&begin.map(|b| b.min(last)));
             let all = signal * scale - reference;
             (low, high) = (low.fast_min(all), high.fast_max(all));
+            let there = (numbers + f32x8::splat(group as f32)).simd_lt(f32x8::splat(count as f32));
             let value = all & there;
-            n += one;
-            sx += x;
-            sy += y;
-            xx += x * x;
-            xy += x * y;
-            yy += y * y;
             s += value;
-            xs += x * value;
+            xs += place * value;
             ys += y * value;
             ss += value * value;
+            place += hop * f32x8::splat(8.0);
+            begin = begin.map(|b| b + 8 * far);
             group += 8;
         }
     }
-    let [n, x, y, xx, xy, yy] = [n, sx, sy, xx, xy, yy].map(|v| f64::from(v.reduce_add()));
+    let (x, y) = (sx, sy);
     let [s, xs, ys, ss] = [s, xs, ys, ss].map(|v| f64::from(v.reduce_add()));
     let (low, high) = (low.to_array(), high.to_array());
     let low = low.iter().fold(f32::INFINITY, |m, v| m.min(*v));

@@ -6,7 +6,7 @@
 //! centroid to first order.
 
 use crate::{
-    edge::{EdgeFit, MAX_ROWS, Side, fit_edge},
+    edge::{EdgeFit, MAX_ROWS, Rows, Side, fit_edge},
     interior::Interior,
     quad::Quad,
     signal::Sampler,
@@ -148,8 +148,9 @@ pub(crate) fn fit(
     let interior = Interior::measure(sampler, predicted, half_width, prior.rows < MAX_ROWS, prior.gradient)?;
     let sides = Side::of(predicted, centre);
     let mut edges: [Option<EdgeFit>; 4] = [None; 4];
+    let mut scratch = Rows::new();
     for i in 0..4 {
-        edges[i] = fit_edge(sampler, &interior, &sides[i], half_width, prior, min_contrast);
+        edges[i] = fit_edge(sampler, &interior, &sides[i], half_width, prior, min_contrast, &mut scratch);
     }
     if let Some(levels) = &prior.levels
         && !sampler.full

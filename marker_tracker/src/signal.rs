@@ -101,22 +101,24 @@ impl<'a> Sampler<'a> {
         Some(self.sum(self.data.get(start..start + 3)?) as f32 * self.scale)
     }
 
-    /// Where a pixel of the image begins in its bytes.
+    /// Where a pixel of the image begins in its bytes. (32 bits: a place that is a few bytes further cannot overflow, so that it need
+    /// not be asked whether it did. No image has 4 GiB; of one that had, other pixels would be read.)
     #[inline(always)]
-    pub fn begin(&self, x: i32, y: i32) -> usize {
-        y as usize * self.step + x as usize * self.bytes
+    pub fn begin(&self, x: i32, y: i32) -> u32 {
+        (y as usize * self.step + x as usize * self.bytes) as u32
     }
 
     /// Bytes from a pixel to the next along x (`axis` 0) or y (`axis` 1).
     #[inline(always)]
-    pub fn hop(&self, axis: usize) -> usize {
-        if axis == 0 { self.bytes } else { self.step }
+    pub fn hop(&self, axis: usize) -> u32 {
+        (if axis == 0 { self.bytes } else { self.step }) as u32
     }
 
     /// Four bytes from a pixel's first on, of which the last is another's; the image's very last pixel has no fourth.
     #[inline(always)]
-    fn word(&self, begin: usize) -> u32 {
-        match self.data.get(begin..begin.wrapping_add(4)) {
+    fn word(&self, begin: u32) -> u32 {
+        let begin = begin as usize;
+        match self.data.get(begin..begin + 4) {
             Some(&[a, b, c, d]) => u32::from_le_bytes([a, b, c, d]),
             _ => self.last_word(begin),
         }
@@ -124,7 +126,7 @@ impl<'a> Sampler<'a> {
 
     #[cold]
     fn last_word(&self, begin: usize) -> u32 {
-        match self.data.get(begin..begin.wrapping_add(3)) {
+        match self.data.get(begin..begin + 3) {
             Some(&[a, b, c]) => u32::from_le_bytes([a, b, c, 0]),
             _ => 0,
         }
@@ -132,7 +134,7 @@ impl<'a> Sampler<'a> {
 
     /// Weighted sums of eight pixels at once, from where each begins.
     #[inline(always)]
-    pub fn eight(&self, begin: &[usize; 8]) -> f32x8 {
+    pub fn eight(&self, begin: &[u32; 8]) -> f32x8 {
         // Written out: a map over the array would be a call per pixel.
         let [a, b, c, d, e, f, g, h] = *begin;
         let words = u32x8::new([
@@ -218,8 +220,8 @@ mod tests {
             }
             for (axis, step) in [(0, (1, 0)), (1, (0, 1))] {
                 let (bytes, hop) = sampler.line(3, 4, axis, 8, 1).unwrap();
-                assert_eq!(hop, sampler.hop(axis));
-                let begin = std::array::from_fn(|j| sampler.begin(3, 4) + j * hop);
+                assert_eq!(hop, sampler.hop(axis) as usize);
+                let begin = std::array::from_fn(|j| sampler.begin(3, 4) + (j * hop) as u32);
                 let eight = sampler.eight(&begin).to_array();
                 sampler.each(bytes, hop, |j, value| {
                     assert_eq!(value as f32, eight[j as usize]);

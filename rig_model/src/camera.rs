@@ -207,6 +207,7 @@ impl CameraModel {
     }
 
     /// [`CameraModel::project`] with ∂pixel/∂point, px/m.
+    #[inline]
     pub fn project_with_jacobian(&self, point: &Point3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
         if !self.is_in_front(point) {
             return None;
@@ -214,16 +215,19 @@ impl CameraModel {
         let z_inverse = 1.0 / point.z;
         let n = Vector2::new(point.x * z_inverse, point.y * z_inverse);
         let (d, dd) = self.distort_with_jacobian(&n)?;
-        let to_normalised = Matrix2x3::new(
-            z_inverse,
-            0.0,
-            -n.x * z_inverse, //
-            0.0,
-            z_inverse,
-            -n.y * z_inverse,
+        // diag(fx, fy) · dd · (1 0 −n.x; 0 1 −n.y)/z, the zeros left out.
+        let (a, b) = (self.fx * dd.m11, self.fx * dd.m12);
+        let (c, d_y) = (self.fy * dd.m21, self.fy * dd.m22);
+        let (towards_x, towards_y) = (-n.x * z_inverse, -n.y * z_inverse);
+        let by_point = Matrix2x3::new(
+            a * z_inverse,
+            b * z_inverse,
+            a * towards_x + b * towards_y, //
+            c * z_inverse,
+            d_y * z_inverse,
+            c * towards_x + d_y * towards_y,
         );
-        let scale = Matrix2::new(self.fx, 0.0, 0.0, self.fy);
-        Some((Vector2::new(self.fx * d.x + self.cx, self.fy * d.y + self.cy), scale * dd * to_normalised))
+        Some((Vector2::new(self.fx * d.x + self.cx, self.fy * d.y + self.cy), by_point))
     }
 
     /// Unit ray (camera frame) through a raw pixel: the inverse of [`CameraModel::project`], by Newton's method to
@@ -284,6 +288,7 @@ impl CameraModel {
         })
     }
 
+    #[inline]
     fn distort_with_jacobian(&self, n: &Vector2<f64>) -> Option<(Vector2<f64>, Matrix2<f64>)> {
         let r2 = n.norm_squared();
         match &self.distortion {
@@ -361,6 +366,7 @@ impl CameraModel {
     }
 }
 
+#[inline]
 fn radial_and_tangential(
     n: &Vector2<f64>,
     radial: f64,

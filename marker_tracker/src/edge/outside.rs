@@ -45,9 +45,9 @@ impl Outside {
         let (mut n, mut st, mut stt, mut so, mut sto) = (zero, zero, zero, zero, zero);
         for group in (0..count).step_by(8) {
             let off = eight(outside, group) - f32x8::splat(median);
-            let member = off.abs().simd_lt(f32x8::splat(gate)) & present(group, count) & f32x8::ONE;
-            let (off, along) = (off * member, eight(along, group) * member);
-            n += member;
+            let member = off.abs().simd_lt(f32x8::splat(gate)) & present(group, count);
+            let (off, along) = (off & member, eight(along, group) & member);
+            n += member & f32x8::ONE;
             st += along;
             stt += along * along;
             so += off;

@@ -5,33 +5,77 @@ use crate::signal::{Sampler, nearest};
 use nalgebra::Vector2;
 use wide::f32x8;
 
-/// What was read along the rows: the sums over the band across the edge, and the level beyond it.
-pub(super) struct Rows {
-    pub count: usize,
+/// What was read along the rows: the sums over the band across the edge, and the level beyond it. One for all edges of an outline:
+/// to clear it for each would take longer than to read some of its rows.
+pub(crate) struct Rows {
+    pub(super) count: usize,
     /// Where the strip begins in the image's bytes.
-    pub begin: [usize; MAX_ROWS],
+    pub(super) begin: [u32; MAX_ROWS],
     /// Place along the edge, px from its middle.
-    pub along: Column,
+    pub(super) along: Column,
     /// Where the predicted edge crosses the row, and where the band's inner end is seen from there, px.
-    pub crossing: Column,
-    pub inner: Column,
+    pub(super) crossing: Column,
+    pub(super) inner: Column,
     /// Pixels of the band, Σ s, Σ s·j and Σ s².
-    pub pixels: Column,
-    pub s: Column,
-    pub sj: Column,
-    pub ss: Column,
-    pub outside: Column,
+    pub(super) pixels: Column,
+    pub(super) s: Column,
+    pub(super) sj: Column,
+    pub(super) ss: Column,
+    pub(super) outside: Column,
     /// The band's outermost pixel.
-    pub rim: Column,
+    pub(super) rim: Column,
     /// How far outside of the prediction the band reaches, across the edge, px.
-    pub room: Column,
+    pub(super) room: Column,
+}
+
+impl Rows {
+    /// No rows yet.
+    pub fn new() -> Self {
+        let zero: Column = [0.0; MAX_ROWS];
+        Self {
+            count: 0,
+            begin: [0; MAX_ROWS],
+            along: zero,
+            crossing: zero,
+            inner: zero,
+            pixels: zero,
+            s: zero,
+            sj: zero,
+            ss: zero,
+            outside: zero,
+            rim: zero,
+            room: zero,
+        }
+    }
+
+    /// Forgets all rows, for at most `possible` new ones of a band of as many pixels each. Other columns are written anew for every
+    /// row that is added; what they still hold in the lanes after the last row is masked out.
+    pub fn begin_anew(&mut self, possible: usize, band: i32) {
+        self.count = 0;
+        let groups = possible.next_multiple_of(8).min(MAX_ROWS);
+        self.pixels[..groups].fill(band as f32);
+        self.room[..groups].fill(f32::INFINITY);
+    }
+
+    /// A row that is in the image as a whole.
+    #[inline(always)]
+    pub fn add(&mut self, begin: u32, along: f32, crossing: f32, inner: f32) {
+        let n = self.count;
+        if n < MAX_ROWS {
+            self.begin[n] = begin;
+            self.along[n] = along;
+            self.crossing[n] = crossing;
+            self.inner[n] = inner;
+            self.count = n + 1;
+        }
+    }
 }
 
 /// How the strip across an edge lies: band and what is beyond it, px, and the bytes from one pixel to the next.
 pub(super) struct Strip {
     pub band: i32,
     pub beyond: i32,
-    pub hop: usize,
+    pub hop: u32,
     /// The outside comes last.
     pub outward: bool,
 }
@@ -39,7 +83,7 @@ pub(super) struct Strip {
 impl Rows {
     /// Reads eight rows side by side.
     #[inline(always)]
-    pub fn read(&mut self, sampler: &Sampler<'_>, strip: &Strip) {
+    pub(super) fn read(&mut self, sampler: &Sampler<'_>, strip: &Strip) {
         let Strip { band, beyond, hop, outward } = *strip;
         let (before, after) = if outward { (0, beyond) } else { (beyond, 0) };
         let rim_at = if outward { band - 1 } else { 0 };
@@ -47,14 +91,15 @@ impl Rows {
         for group in (0..self.count).step_by(8) {
             let mut begin = [0; 8];
             begin.copy_from_slice(&self.begin[group..group + 8]);
+            let mut along = 0;
             let (mut s, mut sj, mut ss, mut outside) = (f32x8::ZERO, f32x8::ZERO, f32x8::ZERO, f32x8::ZERO);
             let mut rim = f32x8::ZERO;
             for _ in 0..before {
-                outside += next(sampler, &mut begin, hop);
+                outside += next(sampler, &begin, &mut along, hop);
             }
             let mut j = f32x8::ZERO;
             for i in 0..band {
-                let signals = next(sampler, &mut begin, hop);
+                let signals = next(sampler, &begin, &mut along, hop);
                 if i == rim_at {
                     rim = signals;
                 }
@@ -64,7 +109,7 @@ impl Rows {
                 j += f32x8::ONE;
             }
             for _ in 0..after {
-                outside += next(sampler, &mut begin, hop);
+                outside += next(sampler, &begin, &mut along, hop);
             }
             let put = |column: &mut Column, values: f32x8, scale: f32| {
                 column[group..group + 8].copy_from_slice((values * f32x8::splat(scale)).as_array());
@@ -80,18 +125,16 @@ impl Rows {
 
 /// The signals of eight rows, each a pixel further than the last time.
 #[inline(always)]
-fn next(sampler: &Sampler<'_>, begin: &mut [usize; 8], hop: usize) -> f32x8 {
-    let signals = sampler.eight(begin);
-    for b in begin {
-        *b += hop;
-    }
+fn next(sampler: &Sampler<'_>, begin: &[u32; 8], along: &mut u32, hop: u32) -> f32x8 {
+    let signals = sampler.eight(&begin.map(|b| b.wrapping_add(*along)));
+    *along += hop;
     signals
 }
 
 impl Rows {
     /// Reads a row whose strip leaves the image, as far as it is in it.
     #[cold]
-    pub fn add_cut(
+    pub(super) fn add_cut(
         &mut self,
         sampler: &Sampler<'_>,
         strip: &Strip,
