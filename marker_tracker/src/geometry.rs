@@ -3,8 +3,8 @@
 
 use crate::quad::Quad;
 use nalgebra::{
-    Isometry3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3,
-    Vector6,
+    Isometry3, Matrix2, Matrix3, Matrix6, Point3, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector2,
+    Vector3, Vector6,
 };
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, PerColor};
 
@@ -104,8 +104,35 @@ pub(crate) fn refine(
     Some((pose, (now.square / (sights.len().max(1) as f64)).sqrt()))
 }
 
+/// Covariance of a pose (position, rotation about the camera's axes; m², m·rad, rad²) that sights and a prior tell.
+pub(crate) fn covariance(
+    layout: &MarkerLayout,
+    camera: &CameraModel,
+    sights: &[Sight],
+    pose: &Isometry3<f64>,
+    prior: &PosePrior,
+) -> Option<Matrix6<f64>> {
+    Some(evaluate(layout, camera, sights, pose, Some(prior))?.normal.cholesky()?.inverse())
+}
+
+/// A marker's centroid in the image (px) from a pose with its covariance, and the centroid's covariance, px².
+pub(crate) fn foretell(
+    layout: &MarkerLayout,
+    color: MarkerColor,
+    camera: &CameraModel,
+    pose: &Isometry3<f64>,
+    covariance: &Matrix6<f64>,
+) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+    let predicted = layout.projected_centroid(color, camera, pose)?;
+    let arm = pose.rotation * layout.centres[color].coords;
+    let mut j = SMatrix::<f64, 2, 6>::zeros();
+    j.fixed_columns_mut::<3>(0).copy_from(&predicted.jacobian_by_centre);
+    j.fixed_columns_mut::<3>(3).copy_from(&(predicted.jacobian_by_centre * (-arm.cross_matrix())));
+    Some((predicted.pixel, j * covariance * j.transpose()))
+}
+
 /// Translation and a rotation about the camera's axes, applied at the platform's origin.
-fn moved(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
+pub(crate) fn moved(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
     let t = Vector3::new(step[0], step[1], step[2]);
     let r = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
     Isometry3::from_parts(Translation3::from(pose.translation.vector + t), r * pose.rotation)

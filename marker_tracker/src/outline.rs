@@ -184,6 +184,12 @@ fn combine(
     {
         return Some(done(&estimate, edges));
     }
+    // One beside which something else lies may be that thing's: where the three others are seen, they tell the place.
+    if edges.iter().all(Option::is_some) && edges.iter().flatten().filter(|e| e.foreign).count() == 1 {
+        for edge in &mut edges {
+            *edge = edge.filter(|e| !e.foreign);
+        }
+    }
     // While an edge contradicts the shape, leave out the one without which the rest agrees best.
     loop {
         let seen = Seen::of(&edges);

@@ -220,6 +220,8 @@ fn centroids_states_and_covariances_on_the_recorded_bags() {
             all.part_nes += s.part_nes;
             all.part_square += s.part_square;
             all.part_worst = all.part_worst.max(s.part_worst);
+            all.predicted += s.predicted;
+            all.predicted_nes += s.predicted_nes;
             all.hidden_detected += s.hidden_detected;
             all.wrong += s.wrong;
         }
@@ -244,6 +246,10 @@ fn centroids_states_and_covariances_on_the_recorded_bags() {
         assert!((1.6..=2.6).contains(&nes), "{bag}: normalised squared error {nes}");
         assert!(all.part_nes / parts < 4.0, "{bag}: partly covered ones are not as good as they say");
         assert!(all.part_worst < 1.0, "{bag}: a partly covered marker is {} px off", all.part_worst);
+        if all.predicted > 20 {
+            let nes = all.predicted_nes / all.predicted as f64;
+            assert!(nes < 4.0, "{bag}: predicted ones are not as good as they say: {nes}");
+        }
         assert_eq!(all.hidden_detected, 0, "{bag}: hidden markers called detected");
         assert_eq!(all.wrong, 0, "{bag}: detected more than 5 px off");
     }

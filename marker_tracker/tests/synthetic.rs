@@ -54,6 +54,37 @@ fn hidden_markers_are_predicted_for_six_images_then_lost_and_are_back_at_once() 
 }
 
 #[test]
+fn what_is_predicted_is_as_far_off_as_it_says_however_many_are_hidden() {
+    for hidden in [&[1][..], &[1, 2], &[0, 2], &[1, 2, 3], &[0, 1, 2, 3]] {
+        let (mut nes, mut worst, mut n) = (0.0, 0.0f64, 0.0);
+        for start in 0..6 {
+            let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(4));
+            for k in 0..18i64 {
+                let pose = pose(2.0 * f64::from(start) + 0.1 * k as f64);
+                let mut paint = ALL;
+                if k >= 12 {
+                    hidden.iter().for_each(|i| paint[*i] = None);
+                }
+                let o = observe(&mut tracker, k, &draw(&pose, paint, &mut noise));
+                for &i in hidden.iter().filter(|_| k >= 12) {
+                    let color = MarkerColor::ALL[i];
+                    let m = &o.markers[color];
+                    assert_eq!(m.state, MarkerState::Predicted, "{hidden:?} {start} {k}");
+                    let e = m.centroid - truth(color, &pose);
+                    nes += (e.transpose() * m.covariance.try_inverse().unwrap() * e)[0];
+                    worst = worst.max(e.norm());
+                    n += 1.0;
+                }
+            }
+        }
+        nes /= n;
+        eprintln!("{hidden:?} hidden: at most {worst:.2} px off, normalised squared error {nes:.2}");
+        assert!(nes < 4.0, "{hidden:?}: {nes}");
+        assert!(worst < if hidden.len() < 3 { 1.5 } else { 12.0 }, "{hidden:?}: {worst}");
+    }
+}
+
+#[test]
 fn all_four_are_back_in_the_first_image_in_which_they_are_whole() {
     let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(3));
     for k in 0..20 {

@@ -1,9 +1,16 @@
 //! The markers' states from what was measured, and eq. 3 for what was not.
 
 use super::Engine;
-use crate::{image::ImageView, signal::Sampler};
-use nalgebra::{Isometry3, Matrix2, Vector2};
-use rig_model::{CameraModel, MarkerColor, MarkerObservation, MarkerObservations, MarkerState, PerColor};
+use crate::{geometry::foretell, image::ImageView, signal::Sampler};
+use nalgebra::{Matrix2, Vector2};
+use rig_model::{CameraModel, MarkerObservation, MarkerObservations, MarkerState, PerColor};
+
+/// Standard deviation, px, of a marker about the place that a pose gives it.
+const SEEN_SIGMA: f64 = 0.1;
+
+fn widened(sigma: f64) -> Matrix2<f64> {
+    Matrix2::identity() * (sigma * sigma)
+}
 
 impl Engine {
     /// States of the markers from what was measured; eq. 3 for what was not.
@@ -12,7 +19,6 @@ impl Engine {
         image: &ImageView<'_>,
         camera: Option<&CameraModel>,
         before: [Option<Vector2<f64>>; 4],
-        pose_before: Option<Isometry3<f64>>,
         ratio: f64,
     ) -> MarkerObservations {
         // Flows of the visible markers that were known in the previous image as well.
@@ -30,7 +36,8 @@ impl Engine {
         if n > 0.0 {
             mean /= n;
             let sum: f64 = flows.iter().flatten().map(|f| (f - mean).norm_squared()).sum();
-            spread = (sum / n / 2.0).sqrt() + 0.05;
+            // One alone does not tell how the others turn about it.
+            spread = if n > 1.0 { (sum / n / 2.0).sqrt() + 0.05 } else { 1.0 + mean.norm() * 0.5 };
         } else {
             // Nobody is seen: on as before.
             let (mut sum, mut known) = (Vector2::zeros(), 0.0);
@@ -44,16 +51,12 @@ impl Engine {
             }
         }
         let max = self.config.max_predicted;
-        let pose_now = self.pose;
-        // The others' flow as a rigid motion carries the turn about them too, which their mean leaves out.
-        let rigid = |color: MarkerColor| {
-            let (camera, before, now) = (camera?, pose_before?, pose_now?);
-            let a = self.layout.projected_centroid(color, camera, &before)?.pixel;
-            Some(self.layout.projected_centroid(color, camera, &now)?.pixel - a)
-        };
-        let rigid = PerColor::from_fn(|c| {
-            let wanted = self.markers[c].fit.is_none() && n >= 2.0 && self.config.rigid_prediction;
-            if wanted { rigid(c) } else { None }
+        // The others' flow as a rigid motion carries the turn about them too, which their mean leaves out; where none or one is
+        // seen the platform's motion goes on for a while.
+        let carried = self.carry(camera, ratio).filter(|_| self.config.rigid_prediction);
+        let rigid = PerColor::from_fn(|color| {
+            let (pose, covariance) = carried.as_ref()?;
+            foretell(&self.layout, color, camera?, pose, covariance)
         });
         let markers = PerColor::from_fn(|color| {
             let m = &mut self.markers[color];
@@ -64,7 +67,7 @@ impl Engine {
                 m.flow = flows[color.index()].unwrap_or(mean);
                 m.centroid = Some(f.centroid);
                 m.occluded = Some(0);
-                m.sigma = 0.1;
+                m.sigma = SEEN_SIGMA;
                 return MarkerObservation {
                     state: MarkerState::Detected,
                     occluded_frames: 0,
@@ -75,12 +78,13 @@ impl Engine {
             }
             m.outline.clear();
             (m.blur, m.gradient) = (0.0, None);
-            let (flow, spread) = match rigid[color] {
-                _ if !self.config.use_flow => (Vector2::zeros(), 2.0),
-                Some(flow) if (flow - mean).norm() < 4.0 * spread + 2.0 => {
-                    (flow, if n >= 3.0 { 0.04 } else { 0.1 })
+            let rigid = rigid[color].zip(m.centroid).map(|((place, covariance), c)| (place - c, covariance));
+            let (flow, covariance) = match rigid {
+                _ if !self.config.use_flow => (Vector2::zeros(), widened(m.sigma + 2.0)),
+                Some((flow, covariance)) if n < 2.0 || (flow - mean).norm() < 4.0 * spread + 2.0 => {
+                    (flow, covariance + widened(SEEN_SIGMA))
                 }
-                _ => (mean, spread),
+                _ => (mean, widened(m.sigma + spread)),
             };
             m.flow = flow;
             let Some(since) = m.occluded else { return MarkerObservation::lost(MarkerObservation::NEVER) };
@@ -89,13 +93,13 @@ impl Engine {
             match m.centroid {
                 Some(c) if since <= max && self.pose.is_some() => {
                     let place = c + flow;
-                    m.sigma += spread;
+                    m.sigma = (covariance.trace() / 2.0).sqrt();
                     m.centroid = Some(place);
                     MarkerObservation {
                         state: MarkerState::Predicted,
                         occluded_frames: since,
                         centroid: place,
-                        covariance: Matrix2::identity() * m.sigma * m.sigma,
+                        covariance,
                         area: 0.0,
                     }
                 }

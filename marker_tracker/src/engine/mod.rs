@@ -1,5 +1,6 @@
 //! One image after the other: acquisition, tracking, occlusion. Plain data in, plain data out; the facade is in `tracker`.
 
+mod carry;
 mod conclude;
 mod learn;
 mod repeat;
@@ -75,6 +76,8 @@ pub(crate) struct Engine {
     pub pose: Option<Isometry3<f64>>,
     /// Over the last interval, where both its ends were told by three markers at least.
     motion: Option<Motion>,
+    /// The same carried on through images in which fewer are seen.
+    carried: Option<carry::Carried>,
     last_stamp: Option<Stamp>,
     /// Interval before the last image, s.
     interval: f64,
@@ -116,6 +119,7 @@ impl Engine {
             guessed: None,
             pose: None,
             motion: None,
+            carried: None,
             last_stamp: None,
             interval: 0.0,
             markers: PerColor::default(),
@@ -229,7 +233,7 @@ impl Engine {
                 _ => None,
             };
         }
-        self.conclude(image, camera.as_ref(), before, pose_before, ratio)
+        self.conclude(image, camera.as_ref(), before, ratio)
     }
 
     /// Where the platform is if it goes on as it did.

@@ -246,7 +246,7 @@ impl Engine {
     }
 
     /// What a whole outline tells of the pose. Its corners are asked only where the centroids leave the tilt open.
-    fn sight(&self, color: MarkerColor, f: &QuadFit, with_outline: bool) -> Sight {
+    pub(super) fn sight(&self, color: MarkerColor, f: &QuadFit, with_outline: bool) -> Sight {
         let m = &self.markers[color];
         // Paper cut too large or a blooming sensor widen the outline; that is not nearness.
         let scale = 1.0 - (m.edge_bias.0[0] + m.edge_bias.0[1]) / f.area.sqrt().max(1.0);
