@@ -75,6 +75,9 @@ const FOREIGN: f64 = 0.15;
 /// Standard deviation, px, that the place of such an edge has beside its rows': it may be that thing's, or a gap too narrow to be seen.
 const FOREIGN_SIGMA: f64 = 0.3;
 
+/// How much further in than the others say such an edge may lie, in sigmas.
+const COVERED: f64 = 2.0;
+
 impl Levels {
     /// Of a whole outline; `None` where an edge was not seen.
     pub fn of(f: &QuadFit) -> Option<Self> {
@@ -184,12 +187,7 @@ fn combine(
     {
         return Some(done(&estimate, edges));
     }
-    // One beside which something else lies may be that thing's: where the three others are seen, they tell the place.
-    if edges.iter().all(Option::is_some) && edges.iter().flatten().filter(|e| e.foreign).count() == 1 {
-        for edge in &mut edges {
-            *edge = edge.filter(|e| !e.foreign);
-        }
-    }
+    leave_out_a_cover(sides, &mut edges, prior);
     // While an edge contradicts the shape, leave out the one without which the rest agrees best.
     loop {
         let seen = Seen::of(&edges);
@@ -217,6 +215,25 @@ fn combine(
             Some((i, rest)) if rest < total => edges[i] = None,
             _ => return None,
         }
+    }
+}
+
+/// Leaves out the one edge beside which something else lies, where it lies further in than the three others allow: it is that thing's.
+/// (A thing that only touches the square leaves its edge where it is.)
+fn leave_out_a_cover(sides: &[Side; 4], edges: &mut [Option<EdgeFit>; 4], prior: &ShapePrior) {
+    let is_foreign = |e: &Option<EdgeFit>| e.is_some_and(|e| e.foreign);
+    let mut foreign = (0..4).filter(|i| is_foreign(&edges[*i]));
+    let (Some(i), None) = (foreign.next(), foreign.next()) else { return };
+    let mut others = *edges;
+    let Some(edge) = others[i].take() else { return };
+    if others.iter().flatten().count() < 3 {
+        return;
+    }
+    let Some(estimate) = solve(sides, &others, prior) else { return };
+    let expected = sides[i].normal.dot(&estimate.shift) + prior.edge_bias[i % 2];
+    let rows = (edge.covariance[(0, 0)] - FOREIGN_SIGMA * FOREIGN_SIGMA).max(0.0);
+    if edge.offset - expected < -COVERED * (prior.edge_sigma.powi(2) + rows).sqrt() {
+        *edges = others;
     }
 }
 

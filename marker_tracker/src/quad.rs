@@ -107,9 +107,9 @@ mod tests {
             assert_eq!(spans.at(f64::from(y)), inside.then_some((11, 31)), "{y}");
         }
         let tip =
-            Quad([(10.0, 0.0), (20.0, 10.0), (10.0, 20.0), (0.0, 10.0)].map(|(x, y)| Vector2::new(x, y)));
-        assert_eq!(tip.spans().at(10.0), Some((0, 21)));
-        assert_eq!(tip.spans().at(3.0), Some((7, 14)));
+            Quad([(10.25, 0.0), (20.25, 10.0), (10.25, 20.0), (0.25, 10.0)].map(|(x, y)| Vector2::new(x, y)));
+        assert_eq!(tip.spans().at(10.0), Some((1, 21)));
+        assert_eq!(tip.spans().at(3.0), Some((8, 14)));
         for beside in [-1.0, 20.5, 400.0] {
             assert_eq!(tip.spans().at(beside), None, "{beside}");
         }
