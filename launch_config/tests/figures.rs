@@ -103,11 +103,11 @@ fn recorded(domain: u8, raw: bool, seconds: u64) {
 #[test]
 #[ignore = "takes a minute on a quiet machine"]
 fn a_minute_of_raw_images_and_samples_is_recorded_without_loss() {
-    recorded(185, true, 60);
+    recorded(85, true, 60);
 }
 
 #[test]
 #[ignore = "takes a minute on a quiet machine"]
 fn a_minute_of_jpeg_images_and_samples_is_recorded_without_loss() {
-    recorded(186, false, 60);
+    recorded(86, false, 60);
 }

@@ -117,7 +117,7 @@ fn what_is_played_is_recorded_byte_for_byte_and_at_its_pace() {
         finish(recorder, "record");
         assert!(started.elapsed() < Duration::from_secs(2), "the end took {:?}", started.elapsed());
     };
-    let recorded = copied(171, &["--clock"], &["--split-duration", "1", "--compression", "lz4"], end);
+    let recorded = copied(71, &["--clock"], &["--split-duration", "1", "--compression", "lz4"], end);
     let summary = BagReader::summary(&recorded.copy).unwrap();
     assert!(summary.complete && summary.files.len() >= 2, "{summary:?}");
     for topic in ["/tf_static", "/volant/imu/data", "/image/compressed", "/strange"] {
@@ -154,7 +154,7 @@ fn a_recorder_that_is_killed_leaves_a_bag_and_topics_can_be_chosen() {
         recorder.wait().unwrap();
     };
     let play = ["--rate", "2", "--remap", "volant/imu/data:=/imu", "--start-offset", "1"];
-    let recorded = copied(172, &play, &["/imu", "/nobody"], end);
+    let recorded = copied(72, &play, &["/imu", "/nobody"], end);
     let samples = read(&recorded.copy, "/imu");
     let first: Imu = cdr::from_bytes(&samples[0].data).unwrap();
     assert_eq!(first.linear_acceleration.z, 400.0, "the second half");
@@ -163,7 +163,7 @@ fn a_recorder_that_is_killed_leaves_a_bag_and_topics_can_be_chosen() {
     // Mended, it has its closing records.
     let mended = recorded.dir.path().join("mended.mcap");
     let recover =
-        volant(172, &["bag", "recover", recorded.copy.to_str().unwrap(), "--out", mended.to_str().unwrap()]);
+        volant(72, &["bag", "recover", recorded.copy.to_str().unwrap(), "--out", mended.to_str().unwrap()]);
     finish({ recover }.spawn().unwrap(), "recover");
     assert_eq!(BagReader::summary(&mended).unwrap().count("/imu"), 400);
 }
@@ -187,12 +187,12 @@ fn refusals_of_play_and_record() {
         (vec!["up", "climber_driver", "--ros-args", "-p", "image_transport:=raw"], 2, "image_transport"),
         (vec!["monitor", "--interval", "0"], 2, "from 0.1"),
     ] {
-        let output = volant(173, &arguments).output().unwrap();
+        let output = volant(73, &arguments).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
         assert!(said.contains(words), "{arguments:?}: {said}");
     }
-    let output = volant(173, &["up", "--help"]).output().unwrap();
+    let output = volant(73, &["up", "--help"]).output().unwrap();
     assert!(output.status.success() && String::from_utf8_lossy(&output.stdout).contains("marker_tracker"));
 }
 
@@ -238,13 +238,13 @@ fn rosbag2_s_services_steer_the_player() {
     bag(&original);
     // The client is not on the loopback alone.
     let on_all = |arguments: &[&str]| {
-        let mut command = volant(174, arguments);
+        let mut command = volant(74, arguments);
         command.env_remove("ROS_AUTOMATIC_DISCOVERY_RANGE").env("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp");
         command.spawn().unwrap()
     };
     let recorder = on_all(&["record", "/volant/imu/data", "-o", copy.to_str().unwrap()]);
     let player = on_all(&["play", original.to_str().unwrap(), "--paused", "--delay", "3"]);
-    let mut caller = Caller::start(&python, 174);
+    let mut caller = Caller::start(&python, 74);
     std::thread::sleep(Duration::from_secs(3));
     assert_eq!(caller.call("is_paused")["paused"], true);
     assert_eq!(caller.call("play_next")["success"], true);

@@ -125,9 +125,9 @@ fn the_monitor_tells_poses_markers_rates_losses_and_what_is_missing() {
         "-p",
         "model:=tight",
     ];
-    let _nodes = start(181, &nodes);
-    let _player = start(181, &["play", "--loop", path.to_str().unwrap()]);
-    let output = command(181, &["monitor", "--once", "--interval", "6"]).output().unwrap();
+    let _nodes = start(81, &nodes);
+    let _player = start(81, &["play", "--loop", path.to_str().unwrap()]);
+    let output = command(81, &["monitor", "--once", "--interval", "6"]).output().unwrap();
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
     for needle in [
@@ -147,10 +147,10 @@ fn the_monitor_tells_poses_markers_rates_losses_and_what_is_missing() {
     assert!((70.0..115.0).contains(&rate) && odometry.contains("0 lost"), "{odometry}");
 
     // In another namespace there is nothing of it.
-    let output = command(181, &["monitor", "--once", "--interval", "3", "-n", "/other"]).output().unwrap();
+    let output = command(81, &["monitor", "--once", "--interval", "3", "-n", "/other"]).output().unwrap();
     assert!(!String::from_utf8_lossy(&output.stdout).contains("odometry"));
     // And in another domain nothing at all, which it says.
-    let output = command(182, &["monitor", "--once", "--interval", "1"]).output().unwrap();
+    let output = command(82, &["monitor", "--once", "--interval", "1"]).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&output.stderr).contains("ROS_DOMAIN_ID"));
 }
@@ -166,7 +166,7 @@ fn foxglove_s_client_gets_images_poses_transforms_and_diagnostics_with_their_sch
     bag(&path, 1.0);
     let rig = rig_file();
     let arguments = ["up", "climber_driver", "--rig", rig.to_str().unwrap(), "--foxglove=127.0.0.1:0"];
-    let mut nodes = Volant(command(183, &arguments).stdout(Stdio::null()).spawn().unwrap());
+    let mut nodes = Volant(command(83, &arguments).stdout(Stdio::null()).spawn().unwrap());
     let mut lines = BufReader::new(nodes.0.stderr.take().unwrap()).lines();
     let url = lines
         .by_ref()
@@ -175,7 +175,7 @@ fn foxglove_s_client_gets_images_poses_transforms_and_diagnostics_with_their_sch
         .unwrap();
     // What it says later must be read, or it would wait for that.
     std::thread::spawn(move || lines.for_each(drop));
-    let _player = start(183, &["play", "--loop", path.to_str().unwrap()]);
+    let _player = start(83, &["play", "--loop", path.to_str().unwrap()]);
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/foxglove_client.py");
     let client = |protocol: &str, topics: &[&str]| {
         let output =
@@ -225,7 +225,7 @@ fn two_rigs_side_by_side_keep_to_themselves() {
         bag(&path, rail_x);
         let namespace = format!("__ns:=/{rig}");
         running.push(start(
-            184,
+            84,
             &[
                 "up",
                 "climber_driver",
@@ -248,7 +248,7 @@ fn two_rigs_side_by_side_keep_to_themselves() {
         let remap = format!("climber/joint_states:=/{rig}/climber/joint_states");
         let clock = format!("/clock:=/{rig}/clock");
         running.push(start(
-            184,
+            84,
             &[
                 "play",
                 "--delay",
@@ -267,7 +267,7 @@ fn two_rigs_side_by_side_keep_to_themselves() {
     }
     let copy = dir.path().join("copy.mcap");
     let record = ["record", "--duration", "7", "-o", copy.to_str().unwrap()];
-    let output = command(184, &record).output().unwrap();
+    let output = command(84, &record).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let mut bag = BagReader::open(&copy).unwrap();
     let mut counts = [0; 2];

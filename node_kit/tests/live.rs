@@ -15,9 +15,9 @@ fn minimal(domain: u16, arguments: &[&str], environment: &[(&str, &str)]) -> Run
 #[test]
 fn messages_cross_both_ways_unchanged() {
     let Some(python) = python() else { return };
-    let _node = minimal(101, &[], &[]);
+    let _node = minimal(1, &[], &[]);
     for (from, to, kind) in [("/pose", "/echo", "pose"), ("/imu", "/imu_echo", "imu")] {
-        let (_, lines) = Running::peer(101, &python, &["echo", from, to, kind, "20"]).finish(LONG);
+        let (_, lines) = Running::peer(1, &python, &["echo", from, to, kind, "20"]).finish(LONG);
         assert_eq!(lines, ["20"], "{kind}");
     }
 }
@@ -25,9 +25,9 @@ fn messages_cross_both_ways_unchanged() {
 #[test]
 fn a_late_joiner_gets_the_static_transform_once() {
     let Some(python) = python() else { return };
-    let _node = minimal(102, &[], &[]);
+    let _node = minimal(2, &[], &[]);
     std::thread::sleep(Duration::from_millis(500));
-    let (_, lines) = Running::peer(102, &python, &["hear", "/tf_static", "tf", "5", "1.5"]).finish(LONG);
+    let (_, lines) = Running::peer(2, &python, &["hear", "/tf_static", "tf", "5", "1.5"]).finish(LONG);
     assert_eq!(lines.len(), 1, "{lines:?}");
     assert!(lines[0].contains(r#""child_frame_id": "minimal""#), "{lines:?}");
 }
@@ -35,7 +35,7 @@ fn a_late_joiner_gets_the_static_transform_once() {
 #[test]
 fn sigterm_and_sigint_end_a_node_at_once_and_leave_no_ghost() {
     let Some(python) = python() else { return };
-    for (domain, signal) in [(103, "TERM"), (104, "INT")] {
+    for (domain, signal) in [(3, "TERM"), (4, "INT")] {
         let graph = Running::peer(domain, &python, &["graph", "30", "rt/"]);
         let mut node =
             minimal(domain, &["--ros-args", "-r", "__ns:=/rig1", "-r", "pose:=/elsewhere/pose"], &[]);
@@ -57,22 +57,22 @@ fn sigterm_and_sigint_end_a_node_at_once_and_leave_no_ghost() {
 #[test]
 fn a_node_that_was_stopped_and_continued_speaks_again() {
     let Some(python) = python() else { return };
-    let node = minimal(139, &[], &[]);
-    let _ = Running::peer(139, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
+    let node = minimal(39, &[], &[]);
+    let _ = Running::peer(39, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
     node.signal("STOP");
     std::thread::sleep(Duration::from_millis(300));
     node.signal("CONT");
     node.line_with("joining the DDS domain anew", Duration::from_secs(5));
-    let (_, lines) = Running::peer(139, &python, &["echo", "/pose", "/echo", "pose", "20"]).finish(LONG);
+    let (_, lines) = Running::peer(39, &python, &["echo", "/pose", "/echo", "pose", "20"]).finish(LONG);
     assert_eq!(lines, ["20"]);
 }
 
 #[test]
 fn diagnostics_name_the_topic_that_is_missing() {
     let Some(python) = python() else { return };
-    let _node = minimal(105, &[], &[]);
+    let _node = minimal(5, &[], &[]);
     let (_, lines) =
-        Running::peer(105, &python, &["hear", "/diagnostics", "diagnostics", "1", "5"]).finish(LONG);
+        Running::peer(5, &python, &["hear", "/diagnostics", "diagnostics", "1", "5"]).finish(LONG);
     assert!(
         lines[0].contains("nothing comes on /pose") && !lines[0].contains("nothing comes on /imu"),
         "{lines:?}"
@@ -82,8 +82,8 @@ fn diagnostics_name_the_topic_that_is_missing() {
 #[test]
 fn parameters_and_lifecycle_are_served() {
     let Some(python) = python() else { return };
-    let node = minimal(106, &[], &[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]);
-    let peer = Running::peer(106, &python, &["calls", "/minimal"]);
+    let node = minimal(6, &[], &[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]);
+    let peer = Running::peer(6, &python, &["calls", "/minimal"]);
     for (what, needles) in [
         ("list", vec![r#""beat""#, r#""use_sim_time""#, r#""markers.size""#, r#""markers""#]),
         ("get", vec![r#""type": 3"#, r#""double_value": 10.0"#, r#""type": 0"#]),
@@ -105,7 +105,7 @@ fn parameters_and_lifecycle_are_served() {
         }
     }
     // The topics are there again after the round.
-    let (_, lines) = Running::peer(106, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
+    let (_, lines) = Running::peer(6, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
     assert_eq!(lines, ["5"]);
     drop(node);
 }
@@ -113,8 +113,8 @@ fn parameters_and_lifecycle_are_served() {
 #[test]
 fn a_node_that_does_not_start_itself_waits_without_topics() {
     let Some(python) = python() else { return };
-    let _node = minimal(107, &["--ros-args", "-p", "autostart:=false"], &[]);
-    let graph = Running::peer(107, &python, &["graph", "2", "rt/"]);
+    let _node = minimal(7, &["--ros-args", "-p", "autostart:=false"], &[]);
+    let graph = Running::peer(7, &python, &["graph", "2", "rt/"]);
     let (_, lines) = graph.finish(LONG);
     let last = lines.last().unwrap();
     assert!(last.contains("rt/rosout") && !last.contains("rt/pose") && !last.contains("rt/echo"), "{last}");
@@ -123,11 +123,11 @@ fn a_node_that_does_not_start_itself_waits_without_topics() {
 #[test]
 fn simulated_time_drives_stamps_and_timers() {
     let Some(python) = python() else { return };
-    let _node = minimal(108, &["--ros-args", "-p", "use_sim_time:=true", "-p", "beat:=2.0"], &[]);
-    let beats = Running::peer(108, &python, &["hear", "/minimal/beats", "pose", "3", "15"]);
+    let _node = minimal(8, &["--ros-args", "-p", "use_sim_time:=true", "-p", "beat:=2.0"], &[]);
+    let beats = Running::peer(8, &python, &["hear", "/minimal/beats", "pose", "3", "15"]);
     std::thread::sleep(Duration::from_millis(500));
     // 6 s of simulated time in 1.2 s.
-    Running::peer(108, &python, &["clock", "1000", "60"]).finish(LONG);
+    Running::peer(8, &python, &["clock", "1000", "60"]).finish(LONG);
     let (_, lines) = beats.finish(LONG);
     assert_eq!(lines.len(), 3, "{lines:?}");
     for line in lines {
@@ -151,7 +151,7 @@ fn wrong_command_lines_say_what_is_wrong_and_how_it_is_right() {
     ] {
         let output = Command::new(example("minimal_node"))
             .args(&arguments)
-            .env("ROS_DOMAIN_ID", "109")
+            .env("ROS_DOMAIN_ID", "9")
             .output()
             .unwrap();
         let said = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);

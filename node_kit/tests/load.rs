@@ -10,7 +10,7 @@ const LONG: Duration = Duration::from_secs(20);
 
 #[test]
 fn an_idle_node_needs_little() {
-    let node = Running::start(111, &example("minimal_node"), &["--beat", "0.1"], &[]);
+    let node = Running::start(11, &example("minimal_node"), &["--beat", "0.1"], &[]);
     std::thread::sleep(Duration::from_secs(2));
     let before = node.processor_time();
     std::thread::sleep(Duration::from_secs(4));
@@ -24,7 +24,7 @@ fn an_idle_node_needs_little() {
 #[test]
 fn a_subscriber_killed_while_images_flow_costs_neither_memory_nor_time() {
     let Some(python) = python() else { return };
-    for (domain, reliability) in [(112, "best_effort"), (113, "reliable")] {
+    for (domain, reliability) in [(12, "best_effort"), (13, "reliable")] {
         let setting = format!("qos_overrides./image.publisher.reliability:={reliability}");
         let source = Running::start(domain, &example("image_source"), &["--ros-args", "-p", &setting], &[]);
         let watcher = Running::peer(domain, &python, &["watch", "/image", "image", reliability]);

@@ -103,11 +103,11 @@ fn inside_it_is_the_same_image_outside_a_copy_and_each_comes_once() {
     let (sender, reports) = mpsc::sync_channel(1000);
     *REPORTS.lock().unwrap() = Some(sender);
     let arguments = RosArguments::default();
-    let mut inside = Process::new(network(121)).unwrap();
+    let mut inside = Process::new(network(21)).unwrap();
     inside.start::<Sink>(&arguments).unwrap();
     inside.start::<Source>(&arguments).unwrap();
     // Another participant: as if it were another process.
-    let mut outside = Process::new(network(121)).unwrap();
+    let mut outside = Process::new(network(21)).unwrap();
     let mut renamed = RosArguments::default();
     renamed.remap("__node", "outside");
     outside.start::<Sink>(&renamed).unwrap();
@@ -135,7 +135,7 @@ fn inside_it_is_the_same_image_outside_a_copy_and_each_comes_once() {
 #[test]
 fn a_node_that_breaks_is_named_and_ends_the_process_in_order() {
     let _serial = SERIAL.lock().unwrap_or_else(|e| e.into_inner());
-    let mut process = Process::new(network(122)).unwrap();
+    let mut process = Process::new(network(22)).unwrap();
     process.start::<Source>(&RosArguments::default()).unwrap();
     process.start::<Broken>(&RosArguments::default()).unwrap();
     let error = process.wait().unwrap_err().to_string();
@@ -145,7 +145,7 @@ fn a_node_that_breaks_is_named_and_ends_the_process_in_order() {
 #[test]
 fn a_topic_has_one_type_in_a_process() {
     let _serial = SERIAL.lock().unwrap_or_else(|e| e.into_inner());
-    let mut process = Process::new(network(123)).unwrap();
+    let mut process = Process::new(network(23)).unwrap();
     process.start::<Source>(&RosArguments::default()).unwrap();
     let error = process.start::<OtherType>(&RosArguments::default()).unwrap_err().to_string();
     assert!(error.contains("/image") && error.contains("sensor_msgs/msg/Image"), "{error}");
@@ -154,7 +154,7 @@ fn a_topic_has_one_type_in_a_process() {
 #[test]
 fn a_stopper_ends_all_nodes() {
     let _serial = SERIAL.lock().unwrap_or_else(|e| e.into_inner());
-    let mut process = Process::new(network(124)).unwrap();
+    let mut process = Process::new(network(24)).unwrap();
     process.start::<Source>(&RosArguments::default()).unwrap();
     process.start::<Sink>(&RosArguments::default()).unwrap();
     let stopper = process.stopper();
@@ -175,10 +175,10 @@ fn services_answer_clients_of_fast_dds_too() {
         rcl_interfaces::{GetParametersRequest, GetParametersResponse},
     };
     let _serial = SERIAL.lock().unwrap_or_else(|e| e.into_inner());
-    let mut process = Process::new(network(125)).unwrap();
+    let mut process = Process::new(network(25)).unwrap();
     process.start::<Source>(&RosArguments::default()).unwrap();
 
-    let participant = rustdds::DomainParticipantBuilder::new(125).build().unwrap();
+    let participant = rustdds::DomainParticipantBuilder::new(25).build().unwrap();
     let context = Context::from_domain_participant(participant).unwrap();
     let mut node = context
         .new_node(NodeName::new("/", "client").unwrap(), NodeOptions::new().enable_rosout(false))

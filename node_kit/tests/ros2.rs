@@ -40,8 +40,8 @@ fn said(domain: u16, python: &Path, arguments: &[&str]) -> String {
 #[test]
 fn the_graph_is_that_of_any_node() {
     let Some(python) = rclpy() else { return };
-    let _node = Running::start(141, &example("minimal_node"), &["--ros-args", "-r", "__ns:=/rig1"], &[]);
-    let line = said(141, &python, &["look", "/rig1/minimal"]);
+    let _node = Running::start(41, &example("minimal_node"), &["--ros-args", "-r", "__ns:=/rig1"], &[]);
+    let line = said(41, &python, &["look", "/rig1/minimal"]);
     for needle in [
         r#""/rig1/echo": ["geometry_msgs/msg/PoseWithCovarianceStamped"]"#,
         r#""/rig1/pose": ["geometry_msgs/msg/PoseWithCovarianceStamped"]"#,
@@ -60,9 +60,9 @@ fn the_graph_is_that_of_any_node() {
 #[test]
 fn parameters_are_listed_described_dumped_and_set() {
     let Some(python) = rclpy() else { return };
-    let node = Running::start(142, &example("minimal_node"), &[], &[]);
+    let node = Running::start(42, &example("minimal_node"), &[], &[]);
     for times in ["1", "20"] {
-        let line = said(142, &python, &["parameters", "/minimal", times]);
+        let line = said(42, &python, &["parameters", "/minimal", times]);
         assert!(line.contains(r#""described": true"#), "{line}");
         let number = |key: &str| -> f64 {
             let rest = line.split(&format!("\"{key}\": ")).nth(1).unwrap();
@@ -74,22 +74,22 @@ fn parameters_are_listed_described_dumped_and_set() {
         assert!(line.contains(r#""beat": 10.0"#) && line.contains("Beats per second. [Hz]"), "{line}");
     }
     // More than a datagram holds is refused with a word, and the node goes on.
-    let (status, _) = peer(142, &python, &["parameters", "/minimal", "100"]).finish(LONG);
+    let (status, _) = peer(42, &python, &["parameters", "/minimal", "100"]).finish(LONG);
     assert!(!status.success());
     node.line_with("more than a datagram holds", LONG);
 
-    let line = said(142, &python, &["set", "/minimal", "talk", "true"]);
+    let line = said(42, &python, &["set", "/minimal", "talk", "true"]);
     assert!(line.contains(r#""successful": true"#), "{line}");
-    let line = said(142, &python, &["set", "/minimal", "autostart", "false"]);
+    let line = said(42, &python, &["set", "/minimal", "autostart", "false"]);
     assert!(line.contains(r#""successful": false"#) && line.contains("cannot change"), "{line}");
 }
 
 #[test]
 fn the_lifecycle_is_steered() {
     let Some(python) = rclpy() else { return };
-    let _node = Running::start(143, &example("minimal_node"), &[], &[]);
+    let _node = Running::start(43, &example("minimal_node"), &[], &[]);
     assert_eq!(
-        said(143, &python, &["lifecycle", "/minimal"]),
+        said(43, &python, &["lifecycle", "/minimal"]),
         r#"{"state": "active", "transitions": ["deactivate", "shutdown"], "deactivated": true, "then": "inactive", "activated": true, "at_last": "active"}"#
     );
 }
@@ -97,12 +97,12 @@ fn the_lifecycle_is_steered() {
 #[test]
 fn messages_are_heard_at_their_rate_and_the_end_is_seen_at_once() {
     let Some(python) = rclpy() else { return };
-    let node = Running::start(144, &example("minimal_node"), &["--beat", "50"], &[]);
+    let node = Running::start(44, &example("minimal_node"), &["--beat", "50"], &[]);
     let line =
-        said(144, &python, &["hear", "/minimal/beats", "geometry_msgs/PoseWithCovarianceStamped", "100"]);
+        said(44, &python, &["hear", "/minimal/beats", "geometry_msgs/PoseWithCovarianceStamped", "100"]);
     let rate: f64 = line.split(r#""rate": "#).nth(1).unwrap().split(',').next().unwrap().parse().unwrap();
     assert!((45.0..55.0).contains(&rate), "{line}");
-    let watcher = peer(144, &python, &["gone", "/minimal", "20"]);
+    let watcher = peer(44, &python, &["gone", "/minimal", "20"]);
     watcher.line_with("there", LONG);
     node.signal("TERM");
     let line = watcher.line_with("gone", LONG);

@@ -75,7 +75,7 @@ fn keystore(name: &str) -> PathBuf {
 }
 
 fn join(name: &str, security: Option<Security>) -> Process {
-    let mut process = Process::new(Network { domain_id: 131, security, ..Network::default() }).unwrap();
+    let mut process = Process::new(Network { domain_id: 31, security, ..Network::default() }).unwrap();
     process.start::<Talker>(&named(&format!("{name}_talker"))).unwrap();
     process.start::<Listener>(&named(&format!("{name}_listener"))).unwrap();
     process
@@ -117,6 +117,6 @@ fn who_has_no_key_of_the_keystore_reads_and_injects_nothing() {
 #[test]
 fn without_its_keys_an_enforced_process_does_not_start() {
     let security = Some(Security::enforced("/nowhere", "/rig/climber"));
-    let error = Process::new(Network { domain_id: 132, security, ..Network::default() }).err().unwrap();
+    let error = Process::new(Network { domain_id: 32, security, ..Network::default() }).err().unwrap();
     assert!(error.to_string().contains("/nowhere/enclaves/rig/climber/cert.pem"), "{error}");
 }

@@ -21,6 +21,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 struct Against {
     position: [f64; 2],
     rotation: [f64; 2],
+    /// How many squares were summed up.
+    samples: f64,
     /// Largest time from an inertial sample's arrival to the newest odometry's stamp, in steps from the
     /// sample before: 1 is "as old as that sample".
     age: f64,
@@ -32,6 +34,7 @@ impl Against {
             self.position[k] += other.position[k];
             self.rotation[k] += other.rotation[k];
         }
+        self.samples += other.samples;
         self.age = self.age.max(other.age);
     }
 
@@ -110,6 +113,7 @@ fn against(motion: MotionConfig, sensors: &SensorConfig, config: &FusionConfig, 
         against.position[1] += best.position.trace();
         against.rotation[0] += r.norm_squared();
         against.rotation[1] += best.rotation.trace();
+        against.samples += 1.0;
     }
     against
 }
@@ -132,8 +136,12 @@ fn row(
     let (position, rotation) = all.ratios();
     println!(
         "{name}: {seeds} runs, RMSE over the bound: position {position:.3} ({:.2} to {:.2}), rotation {rotation:.3}; \
-         output older than the newest sample by {:.2} periods at most",
-        spread.0, spread.1, all.age
+         position {:.2} mm, rotation {:.3} deg; output older than the newest sample by {:.2} periods at most",
+        spread.0,
+        spread.1,
+        (all.position[0] / all.samples).sqrt() * 1e3,
+        (all.rotation[0] / all.samples).sqrt().to_degrees(),
+        all.age
     );
     assert!(position <= limit && rotation <= limit, "{name}: {position:.3} {rotation:.3}");
     assert!(all.age <= 1.0, "{name}: {}", all.age);
@@ -160,6 +168,22 @@ fn delays_jitter_and_reordering_cost_no_more_than_they_must() {
         |seed| SensorConfig {
             image_delay: [0.0, 0.3],
             climber_delay: [0.0, 0.06],
+            ..SensorConfig::nominal(seed)
+        },
+    );
+}
+
+#[test]
+fn a_link_between_the_computers_costs_no_more_than_it_must() {
+    // What the climber's computer tells comes 50 ± 20 ms late: images and encoders alike.
+    row(
+        "images and encoders 30 to 70 ms late",
+        1.1,
+        runs(),
+        |seed| MotionConfig { duration: 16.0, ..MotionConfig::nominal(seed) },
+        |seed| SensorConfig {
+            image_delay: [0.03, 0.07],
+            climber_delay: [0.03, 0.07],
             ..SensorConfig::nominal(seed)
         },
     );

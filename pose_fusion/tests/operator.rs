@@ -179,7 +179,7 @@ mod live {
         sensor_msgs::msg::{CameraInfo, Imu},
     };
 
-    const DOMAIN: u16 = 176;
+    const DOMAIN: u16 = 76;
     const RIG: &str = include_str!("../../test/src/rig/rig.yaml");
 
     struct Mouth {
