@@ -47,6 +47,9 @@ fn a_subscriber_killed_while_images_flow_costs_neither_memory_nor_time() {
         assert!(after < before + 50 * 1024, "{reliability}: {before} -> {after} kB");
         // A publisher that waited for the dead subscriber would be blocked by every one of the hundred images since. Time in which
         // others had the processor does not count; a lock whose holder lost it meanwhile does, so that a few may be held up.
-        assert!(published > 100 && held_up * 20 <= published, "{reliability}: {held_up} of {published} blocked");
+        assert!(
+            published > 100 && held_up * 20 <= published,
+            "{reliability}: {held_up} of {published} blocked"
+        );
     }
 }

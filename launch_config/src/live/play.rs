@@ -17,6 +17,13 @@ use volant_msgs::{Message, builtin_interfaces::msg::Time, cdr, rosgraph_msgs::ms
 /// The longest that anything is slept without a look at the keys.
 const SLICE: Duration = Duration::from_millis(20);
 
+/// How long a player waits at its end for reliable subscribers that have not got everything. (One that was killed never says so.)
+const LAST_WAIT: Duration = Duration::from_secs(5);
+
+/// How long it stays after that. What a subscriber has acknowledged its program may not have taken yet, and RustDDS drops samples
+/// that nobody has taken when their publisher leaves (0.15.1: the topic's cache forgets how far the writer was complete).
+const LINGER: Duration = Duration::from_millis(500);
+
 /// What is played, and how.
 #[derive(Clone, Debug)]
 pub struct PlayOptions {
@@ -166,9 +173,11 @@ fn play_all(
         (begin, with_latched) = (start, true);
     }
     // What a reliable subscriber still misses is sent again while this waits.
+    let watch = Stopwatch::start();
     for writer in writers.values() {
-        let _ = writer.writer.wait_for_acknowledgments(Duration::from_millis(500));
+        let _ = writer.writer.wait_for_acknowledgments(LAST_WAIT.saturating_sub(watch.elapsed()));
     }
+    pace.hold(LINGER);
     Ok(report)
 }
 
