@@ -162,7 +162,7 @@ fn with_the_true_centroids_and_a_tenth_of_a_pixel_it_is_as_good_as_can_be() {
 fn delays_jitter_and_reordering_cost_no_more_than_they_must() {
     row(
         "images 0 to 300 ms late, out of order",
-        1.1,
+        1.05,
         runs(),
         |seed| MotionConfig { duration: 16.0, ..MotionConfig::nominal(seed) },
         |seed| SensorConfig {
@@ -178,7 +178,7 @@ fn a_link_between_the_computers_costs_no_more_than_it_must() {
     // What the climber's computer tells comes 50 ± 20 ms late: images and encoders alike.
     row(
         "images and encoders 30 to 70 ms late",
-        1.1,
+        1.05,
         runs(),
         |seed| MotionConfig { duration: 16.0, ..MotionConfig::nominal(seed) },
         |seed| SensorConfig {

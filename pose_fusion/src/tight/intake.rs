@@ -148,12 +148,14 @@ impl Tight {
             return;
         }
         let (values, rest) = ClimberRest::split(pose);
-        if self.readings.back().is_some_and(|(last, _, _)| *last == stamp) {
+        // Where it belongs among the others.
+        let place = self.readings.partition_point(|(at, _, _)| *at < stamp);
+        if self.readings.get(place).is_some_and(|(at, _, _)| *at == stamp) {
             self.status.duplicates += 1;
             out.push_back(Output::Warning(Warning::Duplicate { source_name: "climber", stamp }));
             return;
         }
-        let in_order = self.readings.back().is_none_or(|(last, _, _)| *last < stamp);
+        let in_order = place == self.readings.len();
         if let Some((newest, _)) = self.newest_imu {
             let ahead = stamp.seconds_since(newest);
             if ahead > AHEAD {
@@ -167,16 +169,18 @@ impl Tight {
             }
         }
         let (variance, share) = if in_order {
-            self.reading_noise.take(&values)
+            self.reading_noise.take(stamp, &values)
         } else {
-            // Out of order: whether it changed cannot be told, so it brings nothing but its value.
-            (self.reading_noise.variance(), [1.0; 3])
+            let neighbour =
+                place.checked_sub(1).and_then(|p| self.readings.get(p)).map(|(_, values, _)| values);
+            self.reading_noise.late(&values, neighbour)
         };
-        if in_order {
-            if self.readings.len() == READINGS {
-                self.readings.pop_front();
-            }
-            self.readings.push_back((stamp, values, rest));
+        // One that is older than all tells nothing of the climber's speed now.
+        if in_order || place > 0 {
+            self.readings.insert(place, (stamp, values, rest));
+        }
+        if self.readings.len() > READINGS {
+            self.readings.pop_front();
         }
         let clock = self.clock_guess() + self.climber_clock;
         let at = stamp.plus_seconds(clock);

@@ -148,7 +148,7 @@ impl Tight {
             newest_imu: None,
             jump: None,
             attitudes: VecDeque::with_capacity(REMEMBERED),
-            readings: VecDeque::with_capacity(READINGS),
+            readings: VecDeque::with_capacity(READINGS + 1),
             images: VecDeque::with_capacity(REMEMBERED),
             inertial_noise: InertialNoise::default(),
             stillness: Stillness::default(),
