@@ -189,6 +189,40 @@ fn a_link_between_the_computers_costs_no_more_than_it_must() {
     );
 }
 
+/// The runs of `volant hosts` over the clean link and over the late one: whatever is known, the pose now is that of 60 ms ago and the
+/// inertial samples since, and the better the centroids, the more that shows.
+#[test]
+fn what_a_late_link_costs_the_run_of_two_hosts_and_must() {
+    let motion = |seed| MotionConfig { duration: 13.0, still_until: 0.0, ..MotionConfig::nominal(seed) };
+    let ran = |pixel_noise: f64, link: [f64; 2]| {
+        let mut all = Against::default();
+        let runs = in_parallel(0..12, |seed| {
+            let sensors = SensorConfig {
+                pixel_noise,
+                image_delay: link.map(|d| 0.006 + d),
+                climber_delay: link.map(|d| 0.001 + d),
+                ..SensorConfig::nominal(seed)
+            };
+            against(motion(seed), &sensors, &FusionConfig::default(), 1.0)
+        });
+        runs.iter().for_each(|run| all.add(run));
+        all.position.map(|sum| (sum / all.samples).sqrt() * 1e3)
+    };
+    for pixel_noise in [0.05, 0.03] {
+        let (clean, late) = (ran(pixel_noise, [0.0, 0.0]), ran(pixel_noise, [0.03, 0.07]));
+        println!(
+            "{pixel_noise} px: clean {:.3} mm (bound {:.3}), 30 to 70 ms late {:.3} mm (bound {:.3}): {:.2} times, at best {:.2}",
+            clean[0],
+            clean[1],
+            late[0],
+            late[1],
+            late[0] / clean[0],
+            late[1] / clean[1]
+        );
+        assert!(late[0] < 1.1 * late[1], "{pixel_noise} px");
+    }
+}
+
 #[test]
 fn a_noisy_late_climber_is_smoothed_as_well_as_can_be() {
     row(
