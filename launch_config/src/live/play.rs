@@ -20,6 +20,9 @@ const SLICE: Duration = Duration::from_millis(20);
 /// How long a player waits at its end for reliable subscribers that have not got everything. (One that was killed never says so.)
 const LAST_WAIT: Duration = Duration::from_secs(5);
 
+/// The same for one that was told to stop.
+const STOPPED_WAIT: Duration = Duration::from_millis(500);
+
 /// How long it stays after that. What a subscriber has acknowledged its program may not have taken yet, and RustDDS drops samples
 /// that nobody has taken when their publisher leaves (0.15.1: the topic's cache forgets how far the writer was complete).
 const LINGER: Duration = Duration::from_millis(500);
@@ -174,8 +177,9 @@ fn play_all(
     }
     // What a reliable subscriber still misses is sent again while this waits.
     let watch = Stopwatch::start();
+    let in_time = || watch.elapsed() < if control.is_stopped() { STOPPED_WAIT } else { LAST_WAIT };
     for writer in writers.values() {
-        let _ = writer.writer.wait_for_acknowledgments(LAST_WAIT.saturating_sub(watch.elapsed()));
+        while in_time() && matches!(writer.writer.wait_for_acknowledgments(SLICE), Ok(false)) {}
     }
     pace.hold(LINGER);
     Ok(report)
