@@ -221,16 +221,14 @@ impl NodeShell for FusionNode {
         kit.subscribe("volant/imu/data", QosPreset::Sensor, |m: Arc<sensor_msgs::msg::Imu>| {
             input(Input::Imu(convert::imu_sample(&m)))
         })?;
-        // The climber's computer publishes these reliably; here best effort takes them. Waiting for one that was lost would hold the
-        // later ones up for a round trip and a heartbeat (up to 0.2 s), and they tell more than it does.
-        kit.subscribe("climber/markers", QosPreset::Sensor, |m: Arc<MarkerObservations>| {
+        kit.subscribe("climber/markers", QosPreset::State, |m: Arc<MarkerObservations>| {
             match convert::marker_observations(&m) {
                 Ok(markers) => input(Input::Markers(markers)),
                 Err(error) => Some(Event::Refused(format!("climber/markers: {error}"))),
             }
         })?;
         let names = frames.clone();
-        kit.subscribe("climber/transform", QosPreset::Sensor, move |m: Arc<TransformStamped>| {
+        kit.subscribe("climber/transform", QosPreset::State, move |m: Arc<TransformStamped>| {
             match convert::climber_sample(&m, &names) {
                 Ok(sample) => input(Input::Climber(sample)),
                 Err(error) => Some(Event::Refused(format!("climber/transform: {error}"))),
