@@ -114,7 +114,7 @@ impl NodeShell for ClimberNode {
     fn start(kit: &mut Kit<Received>, parameters: ClimberParameters) -> Result<Self, NodeError> {
         let rig = kit.rig()?;
         let climber = Climber::new(parameters.config()).map_err(|e| NodeError::shell(e.to_string()))?;
-        let transform = kit.advertise("climber/transform", QosPreset::State)?;
+        let transform = kit.advertise("climber/transform", QosPreset::Measurement)?;
         if parameters.publish_static_tf {
             kit.send_static_transform(convert::transform_message(
                 &rig.frames.climber,

@@ -32,8 +32,14 @@ pub enum QosPreset {
     /// Inertial samples and other fast streams whose next value is worth more than a repeated old one: best effort, the
     /// last 100 (0.25 s of them).
     Sensor,
-    /// Poses, transforms, markers, diagnostics: reliable, the last 10 (a subscription queues 100).
+    /// Poses, transforms, diagnostics: reliable, the last 10 (a subscription queues 100).
     State,
+    /// What is measured on one computer and used on another, such as markers: offered reliably for who must have all of it, taken best
+    /// effort, because waiting for one that was lost holds the later ones up, and they tell more than it does.
+    ///
+    /// RustDDS 0.15 keeps samples for a best-effort reader as if it might still acknowledge them, so fewer are kept here than of a
+    /// [`State`](Self::State): a rate of 80 Hz outlives the lease of a reader that was killed.
+    Measurement,
     /// What late joiners must get, such as `/tf_static`: reliable, transient local, the last one of each publisher.
     Latched,
 }
@@ -64,6 +70,10 @@ impl QosPreset {
             (Self::State, Endpoint::Publisher) => {
                 Qos { reliable: true, transient_local: false, depth: 10, max_samples: 8192 }
             }
+            (Self::Measurement, Endpoint::Publisher) => {
+                Qos { max_samples: 4096, ..Self::State.qos(Endpoint::Publisher) }
+            }
+            (Self::Measurement, Endpoint::Subscription) => Self::Sensor.qos(Endpoint::Subscription),
             (Self::State, Endpoint::Subscription) => {
                 Qos { reliable: true, transient_local: false, depth: 100, max_samples: 100 }
             }

@@ -221,14 +221,14 @@ impl NodeShell for FusionNode {
         kit.subscribe("volant/imu/data", QosPreset::Sensor, |m: Arc<sensor_msgs::msg::Imu>| {
             input(Input::Imu(convert::imu_sample(&m)))
         })?;
-        kit.subscribe("climber/markers", QosPreset::State, |m: Arc<MarkerObservations>| {
+        kit.subscribe("climber/markers", QosPreset::Measurement, |m: Arc<MarkerObservations>| {
             match convert::marker_observations(&m) {
                 Ok(markers) => input(Input::Markers(markers)),
                 Err(error) => Some(Event::Refused(format!("climber/markers: {error}"))),
             }
         })?;
         let names = frames.clone();
-        kit.subscribe("climber/transform", QosPreset::State, move |m: Arc<TransformStamped>| {
+        kit.subscribe("climber/transform", QosPreset::Measurement, move |m: Arc<TransformStamped>| {
             match convert::climber_sample(&m, &names) {
                 Ok(sample) => input(Input::Climber(sample)),
                 Err(error) => Some(Event::Refused(format!("climber/transform: {error}"))),

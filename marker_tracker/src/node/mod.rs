@@ -74,7 +74,7 @@ impl NodeShell for MarkerTrackerNode {
     fn start(kit: &mut Kit<Arrival>, parameters: MarkerTrackerParameters) -> Result<Self, NodeError> {
         let rig = kit.rig()?;
         let tracker = Tracker::new(rig.markers.clone(), parameters.config(&rig));
-        let markers = kit.advertise("climber/markers", QosPreset::State)?;
+        let markers = kit.advertise("climber/markers", QosPreset::Measurement)?;
         #[cfg(feature = "opencv")]
         let debug = kit.advertise("climber/markers/debug_image", QosPreset::Image)?;
         let mut node = Self {
