@@ -8,7 +8,12 @@ use crate::{
 };
 use node_kit::environment::Network;
 use rig_model::Stamp;
-use std::{fmt::Write, path::Path, sync::Arc, time::Duration};
+use std::{
+    fmt::Write,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
 
 /// Length of a run, s.
 pub const LENGTH: f64 = 13.0;
@@ -17,9 +22,38 @@ const WINDOW: [f64; 2] = [3.0, 8.0];
 /// How long a side that is restarted is gone, s.
 const GONE: f64 = 1.0;
 
-/// Runs of each of the two links whose errors are compared. One run's error is mostly what the clocks' offsets and the markers' constant
-/// errors happen to be in it: 0.25 to 0.5 mm.
-const COMPARED: usize = 5;
+/// Rigs that each of the two links whose errors are compared is tried with. One run's error is mostly what the clocks' offsets and the
+/// markers' constant errors happen to be in it: 0.25 to 0.5 mm.
+pub const COMPARED: usize = 5;
+
+/// A rig that swings, and what its camera sees.
+pub struct Swing {
+    scenario: Scenario,
+    film: Arc<Film>,
+}
+
+impl Swing {
+    /// The rig of this seed, no marker covered; its pictures are drawn on `threads` threads.
+    ///
+    /// # Errors
+    /// The scenario's, or the JPEG encoder's.
+    pub fn new(seed: u64, threads: usize) -> anyhow::Result<Self> {
+        let mut scenario = Scenario::swing(seed, LENGTH)?;
+        scenario.covers.clear();
+        let film = Arc::new(Film::shoot(&scenario, threads, |_, _| {})?);
+        Ok(Self { scenario, film })
+    }
+}
+
+/// Where it is tried.
+pub struct Place<'a> {
+    /// The two computers.
+    pub hosts: &'a Hosts,
+    /// The DDS domain.
+    pub network: &'a Network,
+    /// For the nodes' logs.
+    pub folder: PathBuf,
+}
 
 /// What happens to the link or to a side.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,8 +79,8 @@ pub struct Trial {
     pub unbroken: bool,
     /// Position RMSE at most so many times that of the clean link.
     pub at_most: Option<f64>,
-    /// How many runs are taken together: what is compared must not be one run's luck.
-    pub runs: usize,
+    /// How many rigs are taken together: what is compared must not be one rig's luck.
+    pub rigs: usize,
     /// After the trouble is over, fused again within so many seconds.
     pub back_within: Option<f64>,
 }
@@ -58,14 +92,14 @@ pub fn trials() -> Vec<Trial> {
         trouble: Trouble::Link(weather),
         unbroken: true,
         at_most: None,
-        runs: 1,
+        rigs: 1,
         back_within: None,
     };
     let clean = Weather::default();
     let lossy = |loss| Weather { loss, ..clean };
     let far = Weather { delay: 0.05, spread: 0.02, ..clean };
     vec![
-        Trial { runs: COMPARED, ..link("clean", clean) },
+        Trial { rigs: COMPARED, ..link("clean", clean) },
         link("1 % lost", lossy(0.01)),
         link("5 % lost", lossy(0.05)),
         link("20 % lost", lossy(0.2)),
@@ -73,7 +107,7 @@ pub fn trials() -> Vec<Trial> {
         link("3 of 10 frames overtaken", Weather { reordered: 0.3, ..clean }),
         Trial {
             at_most: Some(1.3),
-            runs: COMPARED,
+            rigs: COMPARED,
             ..link("5 % lost and 50 ± 20 ms delay", Weather { loss: 0.05, ..far })
         },
         Trial {
@@ -81,7 +115,7 @@ pub fn trials() -> Vec<Trial> {
             trouble: Trouble::Cut,
             unbroken: true,
             at_most: None,
-            runs: 1,
+            rigs: 1,
             back_within: Some(2.0),
         },
         Trial {
@@ -89,7 +123,7 @@ pub fn trials() -> Vec<Trial> {
             trouble: Trouble::Restart(Host::Climber),
             unbroken: true,
             at_most: None,
-            runs: 1,
+            rigs: 1,
             back_within: Some(2.0),
         },
         Trial {
@@ -97,7 +131,7 @@ pub fn trials() -> Vec<Trial> {
             trouble: Trouble::Restart(Host::Platform),
             unbroken: false,
             at_most: None,
-            runs: 1,
+            rigs: 1,
             back_within: Some(2.0),
         },
         Trial {
@@ -105,7 +139,7 @@ pub fn trials() -> Vec<Trial> {
             trouble: Trouble::Clock(ClockError { offset: 0.02, ppm: 50.0 }),
             unbroken: true,
             at_most: None,
-            runs: 1,
+            rigs: 1,
             back_within: None,
         },
     ]
@@ -133,50 +167,36 @@ pub struct Seen {
 }
 
 impl Seen {
-    /// With other runs as one: errors as the root of their mean square, of all else the worst.
-    fn with(&self, others: &[Self]) -> Self {
-        let mut all = self.clone();
-        for run in others {
-            all.first_pose = all.first_pose.max(run.first_pose);
-            all.rate = all.rate.min(run.rate);
-            all.longest_gap = all.longest_gap.max(run.longest_gap);
-            all.back_after = match (all.back_after, run.back_after) {
-                (Some(a), Some(b)) => Some(a.max(b)),
-                (a, b) => a.or(b),
-            };
-            all.failures.extend(run.failures.iter().cloned());
-        }
-        let count = 1.0 + others.len() as f64;
-        let mean = |of: fn(&Self) -> f64| (of(self) + others.iter().map(of).sum::<f64>()) / count;
-        all.position = mean(|s| s.position * s.position).sqrt();
-        all.rotation = mean(|s| s.rotation * s.rotation).sqrt();
-        let lost = mean(|s| s.frames[0] * s.frames[1]);
+    /// Of several runs: errors as the root of their mean square, of all else the worst.
+    fn of(runs: &[Self]) -> Self {
+        let count = runs.len().max(1) as f64;
+        let mean = |of: fn(&Self) -> f64| runs.iter().map(of).sum::<f64>() / count;
+        let worst = |of: fn(&Self) -> f64| runs.iter().map(of).fold(0.0, f64::max);
         let frames = mean(|s| s.frames[0]);
-        all.frames = [frames, lost / frames.max(1.0)];
-        all
+        Self {
+            first_pose: worst(|s| s.first_pose),
+            position: mean(|s| s.position.powi(2)).sqrt(),
+            rotation: mean(|s| s.rotation.powi(2)).sqrt(),
+            rate: runs.iter().map(|s| s.rate).fold(f64::INFINITY, f64::min),
+            longest_gap: worst(|s| s.longest_gap),
+            back_after: runs.iter().filter_map(|s| s.back_after).reduce(f64::max),
+            frames: [frames, mean(|s| s.frames[0] * s.frames[1]) / frames.max(1.0)],
+            failures: runs.iter().flat_map(|s| s.failures.iter().cloned()).collect(),
+        }
     }
 }
 
 impl Trial {
-    /// Runs it as often as it says. `clean` is the position error over the clean link, mm.
+    /// Runs it with as many of the rigs as it says. `clean` is the position error over the clean link, mm.
     ///
     /// # Errors
     /// The rig did not come up, or a process hung; the reason why no two hosts can be is told by [`Hosts::new`].
-    pub fn run(
-        &self,
-        scenario: &Scenario,
-        film: &Arc<Film>,
-        hosts: &Hosts,
-        network: &Network,
-        folder: &Path,
-        clean: Option<f64>,
-    ) -> Result<Seen, RunError> {
-        let first = self.once(scenario, film, hosts, network, folder)?;
-        let mut others = Vec::with_capacity(self.runs);
-        for i in 1..self.runs {
-            others.push(self.once(scenario, film, hosts, network, &folder.join(format!("again{i}")))?);
+    pub fn run(&self, swings: &[Swing], place: &Place<'_>, clean: Option<f64>) -> Result<Seen, RunError> {
+        let mut seen = Vec::with_capacity(self.rigs);
+        for (i, swing) in swings.iter().take(self.rigs).enumerate() {
+            seen.push(self.once(swing, place, &place.folder.join(format!("rig{i}")))?);
         }
-        let mut seen = first.with(&others);
+        let mut seen = Seen::of(&seen);
         if let (Some(most), Some(clean)) = (self.at_most, clean)
             && seen.position > most * clean
         {
@@ -186,14 +206,8 @@ impl Trial {
     }
 
     #[allow(clippy::disallowed_methods, reason = "it measures how long a start takes")]
-    fn once(
-        &self,
-        scenario: &Scenario,
-        film: &Arc<Film>,
-        hosts: &Hosts,
-        network: &Network,
-        folder: &Path,
-    ) -> Result<Seen, RunError> {
+    fn once(&self, swing: &Swing, place: &Place<'_>, folder: &Path) -> Result<Seen, RunError> {
+        let (Swing { scenario, film }, Place { hosts, network, .. }) = (swing, place);
         use std::sync::atomic::Ordering::Relaxed;
         let mut site = Site { hosts: Some(hosts.namespaces.clone()), ..Site::here(network) };
         hosts.cable.set(Weather::default());
