@@ -71,6 +71,10 @@ fn decode_jpeg(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
         return Err(ImageError::NoColor { encoding: "grey jpeg".to_owned() });
     }
     let (width, height) = decoder.dimensions().ok_or_else(|| failed("it has no size".to_owned()))?;
+    // No camera does, and the decoder panics on some.
+    if is_color_finer_than_luma(data, width, height) {
+        return Err(failed("its colour is sampled finer than its brightness".to_owned()));
+    }
     let most = data.len().saturating_mul(JPEG_PIXELS_PER_BYTE);
     check_claim(width, height, width * height, most, data.len())?;
     image.data.resize(width * height * 3, 0);
@@ -85,6 +89,26 @@ fn is_cut_off(jpeg: &[u8]) -> bool {
     const END: [u8; 2] = [0xff, 0xd9];
     const SCAN: [u8; 2] = [0xff, 0xda];
     jpeg.windows(2).rev().find(|pair| *pair == END || *pair == SCAN) != Some(&END)
+}
+
+/// Whether a frame header of this size (ITU-T T.81, B.2.2) gives a component a larger sampling factor than the first one, which is luma.
+///
+/// Any place that reads like one counts, with a marker before it or not: which one the decoder took it does not tell, and by chance eight
+/// such bytes do not occur.
+fn is_color_finer_than_luma(jpeg: &[u8], width: usize, height: usize) -> bool {
+    let side = |n: usize| u16::try_from(n).unwrap_or(u16::MAX).to_be_bytes();
+    let ([h1, h0], [w1, w0]) = (side(height), side(width));
+    // After its length: 8 bits, the size, how many components, and three bytes of each.
+    memchr::memmem::find_iter(jpeg, &[8, h1, h0, w1, w0]).any(|at| {
+        let count = jpeg.get(at + 5).copied().unwrap_or(0);
+        if !(2..=4).contains(&count) || !jpeg[..at].ends_with(&[0, 8 + 3 * count]) {
+            return false;
+        }
+        let components = jpeg[at + 6..].chunks_exact(3).take(usize::from(count));
+        let mut factors = components.map(|c| [c[1] >> 4, c[1] & 15]);
+        let Some([across, down]) = factors.next() else { return false };
+        factors.any(|[a, d]| a > across || d > down)
+    })
 }
 
 fn decode_png(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {

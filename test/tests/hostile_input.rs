@@ -183,6 +183,46 @@ fn a_small_picture_that_claims_to_be_huge_is_refused_before_memory_is_taken() {
 }
 
 #[test]
+fn a_jpeg_with_any_sampling_factors_is_a_picture_or_is_refused() {
+    use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
+    let across_down = [1_u8, 2, 4].into_iter().flat_map(|a| (1..=4).map(move |d| a << 4 | d));
+    let factors: Vec<u8> = across_down.collect();
+    let mut pictures = 0;
+    for ((width, height), progressive) in
+        [(24, 17), (33, 40), (17, 3), (8, 8)].into_iter().flat_map(|size| [(size, false), (size, true)])
+    {
+        let pixels: Vec<u8> = (0..width * height * 3).map(|i| (i * 7919 % 251) as u8).collect();
+        let mut jpeg = vec![];
+        let mut encoder = Encoder::new(&mut jpeg, 90);
+        encoder.set_sampling_factor(SamplingFactor::R_4_4_4);
+        encoder.set_progressive(progressive);
+        encoder.encode(&pixels, width as u16, height as u16, ColorType::Rgb).unwrap();
+        let start_of_frame = [0xff, if progressive { 0xc2 } else { 0xc0 }, 0, 17, 8];
+        let at = jpeg.windows(5).position(|bytes| bytes == start_of_frame).unwrap();
+        for (luma, blue, red) in factors.iter().flat_map(|l| {
+            let factors = &factors;
+            factors.iter().flat_map(move |b| factors.iter().map(move |r| (*l, *b, *r)))
+        }) {
+            for (i, value) in [luma, blue, red].into_iter().enumerate() {
+                jpeg[at + 11 + 3 * i] = value;
+            }
+            let finer = |c: u8| c >> 4 > luma >> 4 || c & 15 > luma & 15;
+            match decode_compressed("jpeg", &jpeg) {
+                Ok(_) => {
+                    assert!(!finer(blue) && !finer(red), "{luma:#x} {blue:#x} {red:#x}");
+                    pictures += 1;
+                }
+                Err(error) => assert!(
+                    !(finer(blue) || finer(red)) || error.to_string().contains("finer"),
+                    "{luma:#x} {blue:#x} {red:#x}: {error}"
+                ),
+            }
+        }
+    }
+    assert!(pictures > 100, "{pictures}");
+}
+
+#[test]
 fn lengths_beyond_the_bytes_at_hand_take_no_memory() {
     use volant_msgs::{cdr, sensor_msgs::msg::Image, tf2_msgs::msg::TFMessage};
     let mut bytes = vec![0, 1, 0, 0];
