@@ -7,13 +7,16 @@ use super::{
     markers::Sighting,
     rigid,
     start::{self, CLIMBER_ACCELERATION_SIGMA, CLIMBER_SPEED_SIGMA, ClimberStart, Up},
-    state::{ACCELEROMETER, CAMERA_CLOCK, GYROSCOPE, State},
+    state::{ACCELEROMETER, CAMERA_CLOCK, CLIMBER_RATE, GYROSCOPE, State},
     tie::{self, Tie},
 };
 use crate::output::{MarkerOutcome, Output, Warning};
 use nalgebra::Vector3;
 use rig_model::Stamp;
 use std::collections::VecDeque;
+
+/// The encoders' noise is another one from this factor of the variance on.
+const REWEIGHED: f64 = 1.5;
 
 impl Tight {
     /// The camera's clock as it is known best.
@@ -172,6 +175,35 @@ impl Tight {
         self.run(out);
     }
 
+    /// The first readings tell how noisy the encoders are, and were believed before that: where the noise is found to be another than was
+    /// assumed, they and the start are weighed anew, and all since is run again.
+    pub(super) fn weigh_readings_anew(&mut self, variance: &Vector3<f64>) {
+        let factor = variance.component_div(&self.reading_variance);
+        if factor.iter().all(|f| (1.0 / REWEIGHED..REWEIGHED).contains(f)) {
+            return;
+        }
+        let before = std::mem::replace(&mut self.reading_variance, *variance);
+        let more = (variance - before).map(|more| more.max(0.0));
+        for place in 0..self.history.len() {
+            let Some(node) = self.history.get_mut(place) else { continue };
+            match &mut node.event {
+                Event::Climber(reading) => reading.variance = variance.component_mul(&reading.share),
+                // All that the image showed moves with the climber.
+                Event::Set if place == 0 => {
+                    for axis in (0..3).filter(|axis| more[*axis] > 0.0) {
+                        let moved = rigid(&node.state, &Vector3::ith(axis, 1.0));
+                        node.state.covariance.ger(more[axis], &moved, &moved, 1.0);
+                        let rate = CLIMBER_RATE + axis;
+                        node.state.covariance[(rate, rate)] += CLIMBER_SPEED_SIGMA[axis].powi(2);
+                    }
+                }
+                Event::Set | Event::Imu { .. } | Event::Markers { .. } => {}
+            }
+        }
+        // Before the start nothing was run.
+        self.history.set_run(self.history.run().min(1));
+    }
+
     /// The climber at an instant from the readings around it.
     pub(super) fn climber_at(&self, stamp: Stamp) -> Option<(ClimberStart, ClimberRest)> {
         let (newest, _, _) = self.readings.back()?;
@@ -181,11 +213,8 @@ impl Tight {
         let recent = || self.readings.iter().filter(|(s, _, _)| s.seconds_since(stamp).abs() < 0.25);
         let nearest =
             self.readings.iter().min_by_key(|(s, _, _)| (s.as_nanos() - stamp.as_nanos()).unsigned_abs())?;
-        let step = Vector3::new(
-            self.config.climber_quantum,
-            self.config.climber_quantum,
-            self.config.climber_turn_quantum,
-        );
+        // An encoder that only rounds is off by its step at most.
+        let step = self.reading_noise.variance().map(|v| (12.0 * v).sqrt());
         let any = Vector3::from(CLIMBER_SPEED_SIGMA);
         let (mut rates, mut rate_sigma) = (Vector3::zeros(), any);
         if let (Some(first), Some(last)) = (recent().next(), recent().next_back()) {

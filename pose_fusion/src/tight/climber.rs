@@ -23,6 +23,8 @@ pub struct Reading {
     pub values: Vector3<f64>,
     /// Variance of each, m², m², rad².
     pub variance: Vector3<f64>,
+    /// How many times that of a driving climber's reading it is.
+    pub share: Vector3<f64>,
     /// The clock offset (τ_c + d) that placed the reading on the inertial unit's time line, s.
     pub clock: f64,
     /// What the unit felt then.
@@ -35,6 +37,9 @@ pub struct Reading {
 
 /// So long a climber's motion is a parabola but for less than its encoders' step, s.
 const SMOOTH: f64 = 0.2;
+
+/// After so many readings the noise is known.
+const YOUNG: usize = 50;
 
 /// Equal readings in a row count as one down to this share.
 pub const STANDING: f64 = 8.0;
@@ -163,10 +168,16 @@ impl ReadingNoise {
     /// The variance to be assumed, m², m², rad².
     pub fn variance(&self) -> Vector3<f64> {
         Vector3::from_fn(|axis, _| {
-            let found = self.variance[axis];
-            // The estimate scatters; below half as much again it is the step's own.
-            if self.weight[axis] >= 15.0 && found > 1.5 * self.floor[axis] { found } else { self.floor[axis] }
+            let (found, count) = (self.variance[axis], self.weight[axis]);
+            // The estimate scatters, and most while it has few differences; what may be scatter is the step's own.
+            let scatter = if count >= 15.0 { 1.5 } else { 1.0 + 7.5 / count };
+            if count > 0.0 && found > scatter * self.floor[axis] { found } else { self.floor[axis] }
         })
+    }
+
+    /// The noise is still being found: what it is taken for may yet change by much.
+    pub fn is_young(&self) -> bool {
+        self.count <= YOUNG
     }
 }
 
@@ -230,6 +241,7 @@ mod tests {
             let reading = Reading {
                 values,
                 variance: variance.component_mul(&Vector3::from(share)),
+                share: Vector3::from(share),
                 clock: 0.0,
                 felt: Felt { force: Vector3::zeros(), rate: Vector3::zeros() },
                 rest,

@@ -175,6 +175,10 @@ impl Tight {
                 place.checked_sub(1).and_then(|p| self.readings.get(p)).map(|(_, values, _)| values);
             self.reading_noise.late(&values, neighbour)
         };
+        let share = Vector3::from(share);
+        if in_order && self.reading_noise.is_young() {
+            self.weigh_readings_anew(&variance);
+        }
         // One that is older than all tells nothing of the climber's speed now.
         if in_order || place > 0 {
             self.readings.insert(place, (stamp, values, rest));
@@ -196,7 +200,8 @@ impl Tight {
         }
         let reading = Reading {
             values,
-            variance: variance.component_mul(&Vector3::from(share)),
+            variance: variance.component_mul(&share),
+            share,
             clock,
             felt: NOTHING,
             rest,

@@ -98,6 +98,8 @@ pub struct Tight {
     inertial_noise: InertialNoise,
     stillness: Stillness,
     reading_noise: ReadingNoise,
+    /// What the readings in the history were weighed with.
+    reading_variance: Vector3<f64>,
     jerk_scale: f64,
     jolts: Jolts,
     comparison: Comparison,
@@ -133,6 +135,7 @@ impl Tight {
     /// A filter that knows nothing yet.
     pub fn new(rig: Rig, config: TightConfig) -> Self {
         let steps = Vector3::new(config.climber_quantum, config.climber_quantum, config.climber_turn_quantum);
+        let reading_noise = ReadingNoise::new(steps);
         Self {
             rig,
             prior: Prior {
@@ -152,7 +155,8 @@ impl Tight {
             images: VecDeque::with_capacity(REMEMBERED),
             inertial_noise: InertialNoise::default(),
             stillness: Stillness::default(),
-            reading_noise: ReadingNoise::new(steps),
+            reading_variance: reading_noise.variance(),
+            reading_noise,
             jerk_scale: SETTING_OFF,
             jolts: Jolts::default(),
             comparison: Comparison::default(),
