@@ -141,9 +141,10 @@ impl Tap {
             what: format!("the subscription of {}", topic.name),
             reason,
         };
-        // Samples are taken as they come, so few wait; for pictures each counts a megabyte.
+        // Samples are taken as they come, so few wait; but a busy computer lets nobody run for a second at times, and what is beyond the
+        // depth then is lost (30 pictures, each up to a megabyte, or 400 inertial samples).
         let large = ["Image", "PointCloud2"].iter().any(|t| topic.type_name.ends_with(t));
-        let qos = QosProfile { depth: if large { 16 } else { 256 }, ..offer.qos };
+        let qos = QosProfile { depth: if large { 32 } else { 512 }, ..offer.qos };
         let qos = policies(&qos, rustdds::Duration::ZERO);
         let subscriber = match &self.subscriber {
             Some(subscriber) => subscriber.clone(),
