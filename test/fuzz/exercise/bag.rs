@@ -48,7 +48,7 @@ fn read(data: &[u8]) {
 fn without_checksums(data: &mut [u8]) -> bool {
     let mut at = 8;
     let mut any = false;
-    while let Some(head) = data.get(at..at + 9) {
+    while let Some(head) = data.get(at..).and_then(|rest| rest.get(..9)) {
         let (opcode, length) = (head[0], head[1..].iter().rev().fold(0_u64, |n, b| n << 8 | u64::from(*b)));
         if opcode == 0x06
             && let Some(crc) = data.get_mut(at + 9 + 24..at + 9 + 28)
