@@ -1,6 +1,7 @@
 //! The shell: a serial port in; `volant/imu/data`, `imu/mag`, `imu/temperature`, `/tf_static` and diagnostics out.
 
 use crate::{
+    clock_fit::ClockFitConfig,
     driver::{Driver, DriverConfig, Event, Sample, Severity, Statistics},
     protocol::{NumberFormat, Status},
     serial::{DriverStatus, Port, Report, Runner},
@@ -16,6 +17,10 @@ use volant_msgs::{
     geometry_msgs::msg::Vector3,
     sensor_msgs::msg::{Imu, MagneticField, Temperature},
 };
+
+/// So long all samples may be late before the clocks count as apart, s. When the host's is set the runner tells; what is left is a
+/// unit whose clock jumped without its counter showing it, which hardly can be, and a computer on which nothing runs in time.
+const PATIENCE: f64 = 10.0;
 
 node_kit::parameters! {
     /// Parameters of the inertial unit's node.
@@ -97,6 +102,7 @@ impl ImuParameters {
             two_stop_bits: self.two_stop_bits,
             transmission_delay: (self.transmission_delay >= 0.0).then_some(self.transmission_delay),
             longest_pause: self.longest_pause,
+            clock: ClockFitConfig { patience: PATIENCE, ..ClockFitConfig::default() },
             ..DriverConfig::default()
         })
     }
@@ -154,7 +160,8 @@ impl NodeShell for ImuNode {
         let runner = Runner { port: parameters.port.clone(), driver, raw: false, opened };
         kit.spawn("imu-serial", move || {
             let alive = sender.clone();
-            runner.run(|| clock.now(), |report| sender.send(report), || alive.is_open());
+            let mut watch = clock.watch();
+            runner.run(|| clock.now(), || watch.set_by(), |report| sender.send(report), || alive.is_open());
         })?;
         let per_sample = |density: f64| density * density * parameters.rate;
         let variances =
@@ -321,7 +328,9 @@ impl ImuNode {
         match event {
             Event::Lost { .. } => kit.log_throttled(level, "lost", line),
             Event::DeviceComplains { .. } => kit.log_throttled(level, "complains", line),
-            Event::ClockStepped { .. } | Event::UnitRestarted => kit.log_throttled(level, "clock", line),
+            Event::ClockSet { .. } | Event::ClockStepped { .. } | Event::UnitRestarted => {
+                kit.log_throttled(level, "clock", line)
+            }
             _ => kit.log(level, line),
         }
     }

@@ -210,10 +210,12 @@ pub struct Runner {
 }
 
 impl Runner {
-    /// Runs until `tell` returns false, which is asked for at least ten times a second. `now` is the clock of the stamps.
+    /// Runs until `tell` returns false, which is asked for at least ten times a second. `now` is the clock of the stamps, and `set_by`
+    /// tells by how many ns somebody set it since it was asked last.
     pub fn run(
         mut self,
         now: impl Fn() -> Stamp,
+        mut set_by: impl FnMut() -> Option<i64>,
         mut tell: impl FnMut(Report) -> bool,
         mut go_on: impl FnMut() -> bool,
     ) {
@@ -291,6 +293,14 @@ impl Runner {
             match open.tty.read(&mut buffer) {
                 Ok(n) if n > 0 => {
                     let arrival = now();
+                    let arrival = match set_by() {
+                        // Before the arrival was read or after it: by the clock as it is now in either case.
+                        Some(by) => {
+                            self.driver.handle(Input::ClockSet { by });
+                            now()
+                        }
+                        None => arrival,
+                    };
                     let bytes = buffer.get(..n).unwrap_or_default();
                     if self.raw && !tell(Report::Bytes(bytes.to_vec())) {
                         return;
@@ -302,6 +312,9 @@ impl Runner {
                     self.driver.handle(Input::Lost { at: now(), reason: "it was unplugged" });
                 }
                 Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => {
+                    if let Some(by) = set_by() {
+                        self.driver.handle(Input::ClockSet { by });
+                    }
                     self.driver.handle(Input::Tick { at: now() });
                 }
                 Err(error) => {

@@ -31,6 +31,8 @@ struct Bench {
     /// What it has not read yet, and when it will.
     unread: Vec<u8>,
     wakes_at: Stamp,
+    /// By how much the host's clock was set, s; the samples are kept with stamps as if it had not been.
+    set_by: f64,
 }
 
 fn motion(at: Stamp) -> FakeSample {
@@ -60,6 +62,7 @@ impl Bench {
             busy: false,
             unread: Vec::new(),
             wakes_at: START,
+            set_by: 0.0,
         }
     }
 
@@ -86,9 +89,19 @@ impl Bench {
         }
     }
 
+    /// Sets the host's clock, and tells the driver where `told`.
+    fn set_clock(&mut self, by: f64, told: bool) {
+        self.set_by += by;
+        if told {
+            self.driver.handle(Input::ClockSet { by: (by * 1e9).round() as i64 });
+        }
+    }
+
     fn step(&mut self) {
         let now = self.now;
-        self.driver.handle(Input::Tick { at: now });
+        let set_by = self.set_by;
+        let shown = |at: Stamp| at.plus_seconds(set_by);
+        self.driver.handle(Input::Tick { at: shown(now) });
         while let Some(bytes) =
             self.unit.poll(self.line.unwrap_or(Line { baud: 0, two_stop_bits: false }), now)
         {
@@ -111,21 +124,23 @@ impl Bench {
                 if self.lateness > 0.0 {
                     arrival = now.plus_seconds(20e-6 + self.lateness * self.share());
                 }
-                self.driver.handle(Input::Bytes { bytes: &bytes, arrival });
+                self.driver.handle(Input::Bytes { bytes: &bytes, arrival: shown(arrival) });
             }
         }
         if !self.unread.is_empty() && now >= self.wakes_at {
             let bytes = std::mem::take(&mut self.unread);
-            self.driver.handle(Input::Bytes { bytes: &bytes, arrival: now });
+            self.driver.handle(Input::Bytes { bytes: &bytes, arrival: shown(now) });
         }
         while let Some(output) = self.driver.poll() {
             match output {
                 Output::Open { baud, two_stop_bits } if self.plugged => {
                     self.line = Some(Line { baud, two_stop_bits });
                     self.unit.opened(now);
-                    self.driver.handle(Input::Opened { at: now });
+                    self.driver.handle(Input::Opened { at: shown(now) });
                 }
-                Output::Open { .. } => self.driver.handle(Input::OpenFailed { at: now, reason: "not there" }),
+                Output::Open { .. } => {
+                    self.driver.handle(Input::OpenFailed { at: shown(now), reason: "not there" });
+                }
                 Output::Close => self.line = None,
                 Output::SetBaud(baud) => {
                     self.bauds.push(baud);
@@ -137,7 +152,10 @@ impl Bench {
                         self.unit.handle(&bytes, line, now);
                     }
                 }
-                Output::Sample(sample) => self.samples.push(sample),
+                Output::Sample(mut sample) => {
+                    sample.stamp = sample.stamp.plus_seconds(-set_by);
+                    self.samples.push(sample);
+                }
                 Output::Event(event) => self.events.push(event),
             }
         }
@@ -146,7 +164,7 @@ impl Bench {
     fn unplug(&mut self) {
         self.plugged = false;
         self.line = None;
-        self.driver.handle(Input::Lost { at: self.now, reason: "unplugged" });
+        self.driver.handle(Input::Lost { at: self.now.plus_seconds(self.set_by), reason: "unplugged" });
     }
 
     fn has(&self, f: impl Fn(&Event) -> bool) -> bool {
@@ -511,6 +529,43 @@ fn the_first_samples_of_a_busy_host_have_the_right_stamps_too() {
     );
     assert!(rms < 0.2e-3 && worst < 1e-3, "{rms} {worst}");
     assert!(worst_at_once > 5e-3, "the host is not busy: {worst_at_once}");
+}
+
+/// Worst stamp error of a driver around and after an instant at which the host's clock is set, s, and what it said.
+fn stamps_around_a_set_clock(by: f64, told: bool) -> (f64, Vec<Event>) {
+    let unit = FakeUnitConfig { clock_ppm: 20.0, ..FakeUnitConfig::default() };
+    let mut bench = Bench::new(DriverConfig::default(), unit);
+    bench.lateness = 2e-3;
+    bench.run(20.0);
+    bench.samples.clear();
+    bench.events.clear();
+    bench.run(2.0);
+    bench.set_clock(by, told);
+    bench.run(10.0);
+    assert_eq!(bench.driver.statistics().lost, 0);
+    let sent = bench.unit.take_sent();
+    let worst = bench.samples.iter().map(|s| {
+        let truth = sent.iter().rfind(|t| Some(t.counter) == s.counter).unwrap();
+        s.stamp.seconds_since(truth.measured).abs()
+    });
+    assert!(bench.samples.len() > 1100, "{}", bench.samples.len());
+    (worst.fold(0.0, f64::max), bench.events)
+}
+
+#[test]
+fn stamps_follow_a_host_s_clock_that_is_set_at_once_where_it_is_told() {
+    for by in [3600.0 * 24.0 * 365.25 * 56.0, 5.0, 0.3, 0.02, -0.02, -0.3, -5.0, -1e6] {
+        let (worst, events) = stamps_around_a_set_clock(by, true);
+        println!("set by {by} s: stamps {:.3} ms off at worst", worst * 1e3);
+        assert!(worst < 0.3e-3, "{by}: {worst}");
+        assert!(
+            matches!(events[..], [Event::ClockSet { seconds }] if (seconds - by).abs() < 1e-6),
+            "{events:?}"
+        );
+    }
+    // Nobody tells: it finds out by itself, but not before a second of samples has agreed.
+    let (worst, events) = stamps_around_a_set_clock(2.0, false);
+    assert!(worst > 1.0 && matches!(events[..], [Event::ClockStepped { .. }]), "{worst} {events:?}");
 }
 
 #[test]

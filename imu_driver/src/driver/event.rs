@@ -125,7 +125,12 @@ pub enum Event {
     },
     /// The unit's clock started anew.
     UnitRestarted,
-    /// The host's clock was set.
+    /// The host's clock was set; stamps follow at once.
+    ClockSet {
+        /// By so many seconds.
+        seconds: f64,
+    },
+    /// The unit's clock and the host's came apart, and stay so.
     ClockStepped {
         /// By so many seconds.
         seconds: f64,
@@ -181,7 +186,11 @@ impl fmt::Display for Event {
             ),
             Self::Lost { count } => write!(f, "{count} messages lost"),
             Self::UnitRestarted => f.write_str("the unit's clock started anew"),
-            Self::ClockStepped { seconds } => write!(f, "the host's clock was set by {seconds:+.3} s"),
+            Self::ClockSet { seconds } => write!(f, "the host's clock was set by {seconds:+.3} s"),
+            Self::ClockStepped { seconds } => write!(
+                f,
+                "the unit's samples come {seconds:+.3} s later than its clock says: one of the two clocks was set, or all that the unit sends is held up"
+            ),
         }
     }
 }

@@ -6,8 +6,9 @@
 //!   └── port lost ─────┴───────────┴── unanswered, silent, woke up, unreadable ┘
 //! ```
 //!
-//! Time enters with the inputs. Timers run on the sum of small steps of it, so that a host clock that is set neither
-//! hangs nor hurries the driver.
+//! Time enters with the inputs, as the host's clock shows it. Where the shell tells that somebody set that clock
+//! ([`Input::ClockSet`]), the stamps follow at once and nothing else does: inside all runs on as if nobody had. Timers run on the
+//! sum of small steps, so that a clock that is set unsaid neither hangs nor hurries the driver.
 
 mod arrivals;
 pub mod config;
@@ -61,6 +62,11 @@ pub enum Input<'a> {
     Tick {
         /// Now.
         at: Stamp,
+    },
+    /// The host's clock was set: what follows comes by that much later (negative: earlier) than it would have.
+    ClockSet {
+        /// ns.
+        by: i64,
     },
 }
 
@@ -129,7 +135,10 @@ pub struct Driver {
     baud_index: usize,
     phase: Phase,
     now: f64,
+    /// As if the host's clock had never been set.
     last_input: Option<Stamp>,
+    /// By how much it was, in all, ns.
+    clock_set_by: i64,
     pause: f64,
     said_missing: Option<String>,
     said_no_answer: bool,
@@ -154,6 +163,7 @@ impl Driver {
             phase: Phase::Closed { retry_at: 0.0 },
             now: 0.0,
             last_input: None,
+            clock_set_by: 0,
             pause: FIRST_PAUSE,
             said_missing: None,
             said_no_answer: false,
@@ -175,18 +185,26 @@ impl Driver {
             | Input::Bytes { arrival: at, .. }
             | Input::Lost { at, .. }
             | Input::Tick { at } => at,
+            Input::ClockSet { by } => return self.clock_set(by),
         };
+        let at = Stamp::from_nanos(at.as_nanos().saturating_sub(self.clock_set_by));
         let step = self.last_input.map_or(0.0, |last| at.seconds_since(last));
         self.now += step.clamp(0.0, LONGEST_STEP);
         self.last_input = Some(at);
         match input {
             Input::Opened { .. } => self.opened(),
             Input::OpenFailed { reason, .. } => self.open_failed(reason),
-            Input::Bytes { bytes, arrival } => self.bytes(bytes, arrival),
+            Input::Bytes { bytes, .. } => self.bytes(bytes, at),
             Input::Lost { reason, .. } => self.lost(reason),
-            Input::Tick { .. } => {}
+            Input::Tick { .. } | Input::ClockSet { .. } => {}
         }
         self.tick();
+    }
+
+    fn clock_set(&mut self, by: i64) {
+        // Samples that still wait are stamped on the clock that is told from now on.
+        self.clock_set_by = self.clock_set_by.saturating_add(by);
+        self.event(Event::ClockSet { seconds: by as f64 * 1e-9 });
     }
 
     /// Nothing more comes (a log has ended): the samples that still wait for the clocks' offset are given as they are.

@@ -199,7 +199,8 @@ impl Driver {
     /// Gives the samples that wait, with the best stamps that there are.
     pub(super) fn release(&mut self) {
         while let Some((device, sample)) = self.stream.waiting.pop_front() {
-            let stamp = self.stream.clock.stamp(device);
+            let stamp = self.stream.clock.stamp(device).as_nanos().saturating_add(self.clock_set_by);
+            let stamp = Stamp::from_nanos(stamp);
             self.outputs.push_back(Output::Sample(sample.stamped(stamp)));
         }
     }

@@ -127,7 +127,7 @@ fn converse(
         ended.store(!go_on, Ordering::Relaxed);
         go_on
     };
-    runner.run(now, tell, || instant() < end);
+    runner.run(now, || None, tell, || instant() < end);
     Ok(ended.load(Ordering::Relaxed))
 }
 

@@ -137,14 +137,10 @@ impl NodeHandle {
             }
         }
         let state = self.lifecycle.get();
-        let anew = self.domain.took_over.map(|at| now().duration_since(at)).filter(|since| *since < TOLD_FOR);
-        let (health, message) = if let Some(since) = anew {
+        let anew = self.domain.took_over.map(|(at, loss)| (now().duration_since(at), loss));
+        let (health, message) = if let Some((since, loss)) = anew.filter(|(since, _)| *since < TOLD_FOR) {
             let seconds = since.as_secs_f64();
-            let why = "its process was stopped, or the computer slept";
-            (
-                Health::Warn,
-                format!("the DDS middleware had ended, the node started anew {seconds:.0} s ago: {why}"),
-            )
+            (Health::Warn, format!("the node started anew {seconds:.0} s ago: {loss}"))
         } else if let Some(time) = self.diagnostics.held_up {
             let seconds = time.as_secs_f64();
             let why = "its process was stopped or is slow, or the computer is overloaded";

@@ -9,7 +9,10 @@ use crate::{
     environment::{Network, Security},
     inbox::now,
     level::Level,
-    node::logger::Logger,
+    node::{
+        logger::Logger,
+        middleware::{Loss, MiddlewareWatch},
+    },
 };
 use futures_lite::{Stream, StreamExt};
 use ros2_client::{Context, Gid};
@@ -19,7 +22,7 @@ use std::{
     path::PathBuf,
     pin::pin,
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, PoisonError,
         atomic::{AtomicBool, Ordering},
     },
     task::{Context as TaskContext, Poll, Wake, Waker},
@@ -33,27 +36,27 @@ pub(crate) struct Domain {
     pub hub: Arc<Hub>,
     pub network: Network,
     buffers_checked: AtomicBool,
-    /// The middleware has ended without being asked to.
+    /// The middleware is of no use any more, though nobody asked it to end.
     pub ended: Arc<AtomicBool>,
-    /// When this one took the place of one that had ended.
-    pub took_over: Option<Instant>,
+    /// When this one took the place of one that was of no use any more, and why it was not.
+    pub took_over: Option<(Instant, Loss)>,
     stop: Arc<AtomicBool>,
     watcher: Option<JoinHandle<()>>,
 }
 
 /// Events can be lost when many come at once (RustDDS keeps 2048), so the state is read again this often without one.
 const BACKSTOP: Duration = Duration::from_secs(2);
-/// The middleware's threads are looked at this often.
+/// The middleware's threads, and the clock, are looked at this often.
 const HEARTBEAT: Duration = Duration::from_millis(250);
 /// Events come in bursts; the state is read once for each burst.
 const SETTLE: Duration = Duration::from_millis(5);
 
 impl Domain {
-    /// Joins. `lost` is called once, from the watching thread, when the middleware has ended without being asked to.
+    /// Joins. `lost` is called once, from the watching thread, when the middleware is of no use any more though nobody asked it to end.
     pub fn join(
         network: Network,
         log: Logger,
-        lost: impl FnOnce() + Send + 'static,
+        lost: impl FnOnce(Loss) + Send + 'static,
     ) -> Result<Self, NodeError> {
         let failed = |reason: String| NodeError::Middleware {
             what: format!("the participant in domain {}", network.domain_id),
@@ -66,7 +69,7 @@ impl Domain {
         if let Some(security) = &network.security {
             builder = secure(builder, security, &log)?;
         }
-        let (participant, threads) = MiddlewareThreads::of(|| builder.build());
+        let (participant, middleware) = MiddlewareWatch::of(|| builder.build());
         let participant = participant.map_err(|e| failed(e.to_string()))?;
         let context = Context::from_domain_participant(participant).map_err(|e| failed(e.to_string()))?;
         let hub = Arc::<Hub>::default();
@@ -74,16 +77,16 @@ impl Domain {
         let ended = Arc::<AtomicBool>::default();
         let lost = {
             let ended = Arc::clone(&ended);
-            move || {
+            move |loss| {
                 ended.store(true, Ordering::Release);
-                lost();
+                lost(loss);
             }
         };
         let watcher = std::thread::Builder::new()
             .name("dds_graph".into())
             .spawn({
                 let (context, hub, stop) = (context.clone(), Arc::clone(&hub), Arc::clone(&stop));
-                move || watch(&context, &hub, &stop, &log, threads, lost)
+                move || watch(&context, &hub, &stop, &log, middleware, lost)
             })
             .map_err(|source| NodeError::System { what: "a thread".into(), source })?;
         Ok(Self {
@@ -200,47 +203,13 @@ impl Wake for Unpark {
     }
 }
 
-/// RustDDS 0.15.1 ends its threads, without a word, when a system call of theirs is interrupted: after the process was stopped
-/// and continued (a shell's ^Z, a debugger, `docker pause`), or when the computer wakes up from sleep. The participant then
-/// is deaf and mute for good, so the threads are watched.
-struct MiddlewareThreads(Vec<u32>);
-
-impl MiddlewareThreads {
-    /// Builds a participant, and finds the threads that it started.
-    fn of<T>(build: impl FnOnce() -> T) -> (T, Self) {
-        // Participants are built one after the other, so that each finds its own.
-        static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
-        let _one = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-        let before = Self::all();
-        let built = build();
-        let new = Self::all().into_iter().filter(|id| !before.contains(id)).collect();
-        (built, Self(new))
-    }
-
-    /// Is one of them gone? Where the system does not tell of threads, none ever is.
-    fn ended(&self) -> bool {
-        self.0.iter().any(|id| !Self::is_one(*id))
-    }
-
-    fn all() -> Vec<u32> {
-        let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return Vec::new() };
-        let ids = tasks.filter_map(|t| t.ok()?.file_name().to_str()?.parse().ok());
-        ids.filter(|id| Self::is_one(*id)).collect()
-    }
-
-    fn is_one(id: u32) -> bool {
-        std::fs::read_to_string(format!("/proc/self/task/{id}/comm"))
-            .is_ok_and(|name| name.starts_with("RustDDS"))
-    }
-}
-
 fn watch(
     context: &Context,
     hub: &Hub,
     stop: &AtomicBool,
     log: &Logger,
-    threads: MiddlewareThreads,
-    lost: impl FnOnce(),
+    mut middleware: MiddlewareWatch,
+    lost: impl FnOnce(Loss),
 ) {
     let mut lost = Some(lost);
     let participant = context.domain_participant();
@@ -254,11 +223,11 @@ fn watch(
             read_endpoints(&participant, hub, log, &mut said);
             read_again = now() + BACKSTOP;
         }
-        if lost.is_some() && threads.ended() {
-            log.log(Level::Error, "the DDS middleware has ended: it was interrupted, or the computer slept");
-            if let Some(lost) = lost.take() {
-                lost();
-            }
+        if let Some(loss) = middleware.loss()
+            && let Some(lost) = lost.take()
+        {
+            log.log(Level::Error, loss.to_string());
+            lost(loss);
         }
         let woken = wait(HEARTBEAT);
         let mut any = drain(&mut events, &waker, log, &mut said);

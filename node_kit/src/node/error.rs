@@ -43,7 +43,7 @@ pub enum NodeError {
     },
     /// The middleware's threads are gone.
     #[error(
-        "the DDS middleware ended: it was interrupted (the process was stopped and continued) or the computer slept; start again"
+        "the DDS middleware ended: it was interrupted (the process was stopped and continued), the computer slept, or its clock was set back; start again"
     )]
     MiddlewareEnded,
     /// An environment variable that cannot be.

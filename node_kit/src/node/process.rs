@@ -2,7 +2,7 @@
 
 use super::{
     NodeError, NodeShell, clock::Clock, domain::Domain, handle::KitParts, kit::Event, life::live,
-    logger::Logger,
+    logger::Logger, middleware::Loss,
 };
 use crate::{
     args::{Override, RosArguments},
@@ -63,7 +63,7 @@ const PATIENCE: Duration = Duration::from_secs(3);
 enum Ended {
     Node,
     Stop,
-    Middleware,
+    Middleware(Loss),
 }
 
 /// Tells of the end of a node's thread, also when it panicked.
@@ -179,7 +179,7 @@ impl Process {
         reason
     }
 
-    /// Has the middleware ended without being asked to? Then nothing is heard or said any more; [`Process::run`] mends that.
+    /// Has the middleware ended without being asked to, or was the system's clock set back? Then nothing is heard or said any more; [`Process::run`] mends that.
     pub fn middleware_ended(&self) -> bool {
         self.domain.ended.load(std::sync::atomic::Ordering::Acquire)
     }
@@ -223,19 +223,19 @@ impl Process {
     /// # Errors
     /// Why the first node that failed did, or that the middleware ended.
     pub fn wait(mut self) -> Result<(), NodeError> {
-        let lost = !self.nodes.is_empty() && self.ended.recv() == Ok(Ended::Middleware);
+        let lost = !self.nodes.is_empty() && matches!(self.ended.recv(), Ok(Ended::Middleware(_)));
         let outcome = self.shut_down();
         if lost { Err(NodeError::MiddlewareEnded) } else { outcome }
     }
 
-    /// Starts nodes by `start`, and waits as [`Process::wait`] does; when the middleware ends, joins the domain anew and starts them
+    /// Starts nodes by `start`, and waits as [`Process::wait`] does; when the middleware ends, or is deaf because the clock was set back, joins the domain anew and starts them
     /// again. What they knew is gone then, as after a start of the process.
     ///
     /// # Errors
     /// As [`Process::start`] and [`Process::wait`].
     pub fn run(mut self, start: impl Fn(&mut Self) -> Result<(), NodeError>) -> Result<(), NodeError> {
         start(&mut self)?;
-        while !self.nodes.is_empty() && self.ended.recv() == Ok(Ended::Middleware) {
+        while let Some(Ok(Ended::Middleware(loss))) = (!self.nodes.is_empty()).then(|| self.ended.recv()) {
             let _ = self.shut_down();
             // The ends of the nodes are no news; that the process is to stop is.
             if self.ended.try_iter().any(|ended| ended == Ended::Stop) {
@@ -243,7 +243,7 @@ impl Process {
             }
             self.log.log(Level::Warn, "joining the DDS domain anew and starting the nodes again");
             let mut domain = join_domain(self.domain.network.clone(), &self.log, &self.ended_sender)?;
-            domain.took_over = Some(now());
+            domain.took_over = Some((now(), loss));
             self.domain = Arc::new(domain);
             start(&mut self)?;
         }
@@ -270,8 +270,8 @@ impl Process {
 
 fn join_domain(network: Network, log: &Logger, ended: &SyncSender<Ended>) -> Result<Domain, NodeError> {
     let ended = ended.clone();
-    let lost = move || {
-        let _ = ended.try_send(Ended::Middleware);
+    let lost = move |loss| {
+        let _ = ended.try_send(Ended::Middleware(loss));
     };
     Domain::join(network, log.clone(), lost)
 }
