@@ -11,6 +11,7 @@ use crate::{
     bag::{BagError, BagSummary, BagWriter, Topic, WriteOptions},
     stopwatch::Stopwatch,
 };
+use node_kit::node::Loss;
 use std::{
     collections::BTreeMap,
     path::PathBuf,
@@ -57,6 +58,8 @@ pub struct RecordStatus {
     pub lost: AtomicU64,
     /// Topics found.
     pub topics: AtomicU64,
+    /// How often the DDS domain was joined anew.
+    pub joined_anew: AtomicU64,
 }
 
 /// What a recording left.
@@ -70,6 +73,8 @@ pub struct RecordReport {
     pub lost: u64,
     /// Topics that were asked for and never seen.
     pub unseen: Vec<String>,
+    /// Why the DDS domain was joined anew in mid-recording; what was published meanwhile is missing.
+    pub losses: Vec<Loss>,
 }
 
 enum Item {
@@ -106,10 +111,16 @@ pub fn record(
         }
     });
     let watch = Stopwatch::start();
-    let mut takers = Takers { known: BTreeMap::new(), tap, items, status: &status };
+    let mut takers =
+        Takers { subscriptions: BTreeMap::new(), topics: BTreeMap::new(), tap, items, status: &status };
+    let mut losses = vec![];
     while !stop.load(Ordering::Acquire) && !failed.load(Ordering::Acquire) {
         if options.duration.is_some_and(|d| watch.elapsed() >= d) {
             break;
+        }
+        if let Some(loss) = takers.tap.loss() {
+            losses.push(loss);
+            takers.join_anew()?;
         }
         for offer in takers.tap.offers() {
             let name = &offer.topic.name;
@@ -121,7 +132,7 @@ pub fn record(
         progress(&status);
         std::thread::sleep(LOOK);
     }
-    let unseen = options.topics.iter().filter(|t| !takers.known.contains_key(*t)).cloned().collect();
+    let unseen = options.topics.iter().filter(|t| !takers.topics.contains_key(*t)).cloned().collect();
     // With the subscriptions and the tap the last ends of the queue drop, and the writer closes the bag.
     drop(takers);
     let bag = writer.join().map_err(|_| LiveError::Thread { what: "the bag's writer" })??;
@@ -130,6 +141,7 @@ pub fn record(
         dropped: status.dropped.load(Ordering::Relaxed),
         lost: status.lost.load(Ordering::Relaxed),
         unseen,
+        losses,
     })
 }
 
@@ -155,22 +167,40 @@ fn write_all(mut bag: BagWriter, queue: &Receiver<Item>) -> Result<BagSummary, B
 }
 
 struct Takers<'a> {
-    known: BTreeMap<String, Subscription>,
+    // Dropped before the tap that they are of.
+    subscriptions: BTreeMap<String, Subscription>,
+    /// Where each stands in the bag.
+    topics: BTreeMap<String, usize>,
     tap: Tap,
     items: SyncSender<Item>,
     status: &'a Arc<RecordStatus>,
 }
 
 impl Takers<'_> {
+    /// The topics stay what they are in the bag; discovery brings them again.
+    fn join_anew(&mut self) -> Result<(), LiveError> {
+        self.subscriptions.clear();
+        self.tap = Tap::join()?;
+        self.status.joined_anew.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    }
+
     fn add(&mut self, offer: Offer) -> Result<(), LiveError> {
-        if self.known.contains_key(&offer.topic.name) {
+        if self.subscriptions.contains_key(&offer.topic.name) {
             return Ok(());
         }
-        let index = self.known.len();
-        if self.items.send(Item::Topic(offer.topic.clone())).is_err() {
-            // The writer failed; the caller's loop sees that.
-            return Ok(());
-        }
+        let index = match self.topics.get(&offer.topic.name) {
+            Some(index) => *index,
+            None => {
+                if self.items.send(Item::Topic(offer.topic.clone())).is_err() {
+                    // The writer failed; the caller's loop sees that.
+                    return Ok(());
+                }
+                let index = self.topics.len();
+                self.topics.insert(offer.topic.name.clone(), index);
+                index
+            }
+        };
         let (items, status) = (self.items.clone(), Arc::clone(self.status));
         let subscription = self.tap.subscribe(&offer, move |sample| {
             let Sample { log_time, publish_time, lost, data, .. } = sample;
@@ -187,8 +217,8 @@ impl Takers<'_> {
                 }
             }
         })?;
-        self.known.insert(offer.topic.name, subscription);
-        self.status.topics.store(self.known.len() as u64, Ordering::Relaxed);
+        self.subscriptions.insert(offer.topic.name, subscription);
+        self.status.topics.store(self.topics.len() as u64, Ordering::Relaxed);
         Ok(())
     }
 }

@@ -10,6 +10,7 @@ use super::{
 use crate::bag::{Durability, QosProfile, Reliability, Topic};
 use async_executor::{Executor, Task};
 use futures_lite::{StreamExt, future::block_on};
+use node_kit::node::{Loss, MiddlewareWatch};
 use rustdds::{DomainParticipant, GUID, Subscriber, TopicKind, no_key::DataReader};
 use std::{
     collections::{BTreeMap, HashMap},
@@ -48,6 +49,7 @@ pub struct Sample {
 /// Listens; ends with all of its subscriptions when it drops.
 pub struct Tap {
     participant: DomainParticipant,
+    middleware: MiddlewareWatch,
     subscriber: Option<Subscriber>,
     executor: Arc<Executor<'static>>,
     end: async_channel::Sender<()>,
@@ -64,7 +66,8 @@ impl Tap {
     /// # Errors
     /// A variable that cannot be, or DDS's refusal.
     pub fn join() -> Result<Self, LiveError> {
-        let participant = join()?;
+        let (participant, middleware) = MiddlewareWatch::of(join);
+        let participant = participant?;
         let executor = Arc::new(Executor::new());
         let (end, ended) = async_channel::bounded::<()>(1);
         let thread = std::thread::Builder::new()
@@ -77,7 +80,12 @@ impl Tap {
                 }
             })
             .map_err(|_| LiveError::Thread { what: "the thread that takes samples" })?;
-        Ok(Self { participant, subscriber: None, executor, end, thread: Some(thread) })
+        Ok(Self { participant, middleware, subscriber: None, executor, end, thread: Some(thread) })
+    }
+
+    /// Why it hears nothing any more, where that is so: then its subscriptions are to be dropped, and another tap is to be joined.
+    pub fn loss(&mut self) -> Option<Loss> {
+        self.middleware.loss()
     }
 
     /// Topics that have a publisher now, by name.

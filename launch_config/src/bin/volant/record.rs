@@ -70,6 +70,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "volant: nobody published {topic}; see `ros2 topic list`, and check ROS_DOMAIN_ID"
         ));
     }
+    for loss in &report.losses {
+        say::line(&format!(
+            "volant: {loss}; the domain was joined anew, and what was published meanwhile is not in the bag"
+        ));
+    }
     if report.dropped > 0 {
         say::line(&format!(
             "volant: {} messages were lost, the disk did not keep up; try --compression none or fewer topics",

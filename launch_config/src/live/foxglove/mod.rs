@@ -123,7 +123,17 @@ fn run(listener: &TcpListener, mut tap: Tap, stop: &AtomicBool) {
     let mut next_id = 1;
     let mut threads: Vec<JoinHandle<()>> = vec![];
     let session = super::system_nanos().to_string();
+    let mut lost = false;
     while !stop.load(Ordering::Acquire) {
+        lost |= tap.loss().is_some();
+        if lost {
+            topics.values_mut().for_each(|topic| topic.subscription = None);
+            // It is tried again in the next round.
+            if let Ok(another) = Tap::join() {
+                tap = another;
+                lost = false;
+            }
+        }
         look_for_topics(&tap, &shared, &mut topics, &mut next_id);
         lock(&shared.clients).retain(|c| !c.is_closed());
         threads.retain(|t| !t.is_finished());

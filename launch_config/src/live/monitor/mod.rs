@@ -51,6 +51,10 @@ impl Watch {
     /// # Errors
     /// DDS's refusal.
     pub fn look(&mut self) -> Result<(), LiveError> {
+        if self.tap.loss().is_some() {
+            self.subscriptions.clear();
+            self.tap = Tap::join()?;
+        }
         let offers = self.tap.offers();
         for offer in &offers {
             let (name, type_name) = (&offer.topic.name, &offer.topic.type_name);
