@@ -70,6 +70,8 @@ pub struct Row {
     pub back_within: f64,
     /// Ends of nodes by a signal that belong to the fault.
     pub kills: Option<&'static str>,
+    /// So far ahead the nodes' clock is set while the fault lasts, s; 0: it is left alone.
+    pub clock_ahead: f64,
 }
 
 impl Row {
@@ -91,7 +93,7 @@ impl Row {
 
     /// May it come again and again in a long run?
     pub fn soaks(&self) -> bool {
-        !self.fault.starts_with("disk full")
+        !self.fault.starts_with("disk full") && self.clock_ahead == 0.0
     }
 
     /// Runs the row on the DDS domain of `network`, in `folder`, and writes its bag where one is
@@ -107,7 +109,8 @@ impl Row {
         folder: &Path,
         bag: Option<&Path>,
     ) -> Result<Outcome, RunError> {
-        let mut run = Run::start(scenario, Arc::clone(film), &Site::here(network), folder)?;
+        let site = Site { settable_clock: self.clock_ahead != 0.0, ..Site::here(network) };
+        let mut run = Run::start(scenario, Arc::clone(film), &site, folder)?;
         run.wait_for_pose(30.0)?;
         let epoch = run.begin();
         run.play_until(WINDOW[0], |_, _| {})?;

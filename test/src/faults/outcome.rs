@@ -65,7 +65,7 @@ const NEES_SHARE: f64 = 0.02;
 
 /// Judges a run.
 pub fn judge(row: &Row, scenario: &Scenario, ended: &Ended, folder: &Path, notes: Notes) -> Outcome {
-    let heard = &ended.heard;
+    let heard = &ended.heard.by_the_time_as_it_is(row.clock_ahead);
     let at = |t: f64| ended.epoch.plus_seconds(t);
     let truth = |s: Stamp| scenario.motion.world_from_volant(s.seconds_since(ended.epoch));
     let fused = heard.fused();

@@ -73,6 +73,7 @@ pub(super) fn disk_full() -> Row {
         diagnostics: None,
         back_within: 0.2,
         kills: None,
+        clock_ahead: 0.0,
     }
 }
 

@@ -29,6 +29,7 @@ fn spoiled(fault: &'static str, make: impl Fn() -> Spoiler + 'static) -> Row {
         diagnostics: None,
         back_within: 1.0,
         kills: None,
+        clock_ahead: 0.0,
     }
 }
 
@@ -53,6 +54,7 @@ fn unit(
         diagnostics: Some(("imu_driver", said)),
         back_within: 2.0,
         kills: None,
+        clock_ahead: 0.0,
     }
 }
 
@@ -67,6 +69,7 @@ fn killed(fault: &'static str, name: &'static str) -> Row {
         diagnostics: None,
         back_within: 2.5,
         kills: Some(name),
+        clock_ahead: 0.0,
     }
 }
 
@@ -77,6 +80,20 @@ fn stalled(fault: &'static str, name: &'static str) -> Row {
         begin: action(move |b| Ok(b.run.nodes.get(name).ok_or_else(missing)?.signal(Signal::STOP)?)),
         end: action(move |b| Ok(b.run.nodes.get(name).ok_or_else(missing)?.signal(Signal::CONT)?)),
         ..killed(fault, name)
+    }
+}
+
+/// The clock of the nodes' computer is set ahead, and set right when the window ends.
+fn clock_set(fault: &'static str, ahead: f64) -> Row {
+    Row {
+        begin: action(move |b| b.run.set_clock(ahead)),
+        end: action(|b| b.run.set_clock(0.0)),
+        flow: Flow::Gaps,
+        // One of the two steps leads back.
+        diagnostics: Some(("pose_fusion", &["clock was set back"])),
+        back_within: 1.5,
+        clock_ahead: ahead,
+        ..spoiled(fault, || images(one))
     }
 }
 
@@ -304,6 +321,9 @@ pub fn table() -> Vec<Row> {
             diagnostics: fusion(&["nothing comes on /climber/transform"]),
             ..stalled("climber_driver stalled for 3 s", "climber_driver")
         },
+        clock_set("the computer's clock set 5 s ahead, and right again", 5.0),
+        clock_set("the computer's clock set 5 s back, and right again", -5.0),
+        clock_set("the computer's clock set 0.3 s ahead, and right again", 0.3),
         recording::disk_full(),
     ]);
     // Off and on again takes the unit a fraction of the window: it is back before the window ends.

@@ -59,6 +59,22 @@ impl Heard {
         self.visual_pose.iter().filter_map(one).collect()
     }
 
+    /// What was said by a clock that was `ahead` seconds ahead for a while, by the time as it is: a stamp that is nearer to its receipt
+    /// without these seconds is told without them. Of odometry only.
+    pub fn by_the_time_as_it_is(&self, ahead: f64) -> Self {
+        let as_it_is = |(received, message): &(Stamp, Arc<Odometry>)| {
+            let stamp = stamp(&message.header.stamp);
+            let less = stamp.plus_seconds(-ahead);
+            if less.seconds_since(*received).abs() >= stamp.seconds_since(*received).abs() {
+                return (*received, Arc::clone(message));
+            }
+            let mut message = Odometry::clone(message);
+            message.header.stamp = convert::time(less);
+            (*received, Arc::new(message))
+        };
+        Self { odometry: self.odometry.iter().map(as_it_is).collect(), ..self.clone() }
+    }
+
     /// The inertial samples.
     pub fn inertial(&self) -> Vec<ImuSample> {
         self.imu.iter().map(|(_, m)| convert::imu_sample(m)).collect()

@@ -5,6 +5,7 @@
 //! is all of it from start to clean end; [`bag`] keeps it.
 
 pub mod bag;
+mod clock;
 mod film;
 mod heard;
 pub mod messages;
@@ -14,6 +15,7 @@ pub mod scenario;
 pub mod site;
 mod stand;
 
+pub use clock::SettableClock;
 pub use film::{Film, Frame};
 pub use heard::{Heard, Received, quantile};
 pub use processes::{Node, Nodes, ProcessError};

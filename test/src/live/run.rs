@@ -1,6 +1,8 @@
 //! A run from start to clean end: hardware up, four nodes up, wait for the first fused pose, play, end all.
 
-use super::{Film, Heard, Host, Node, Nodes, ProcessError, Said, Scenario, Site, Stand, StandError};
+use super::{
+    Film, Heard, Host, Node, Nodes, ProcessError, Said, Scenario, SettableClock, Site, Stand, StandError,
+};
 use node_kit::convert::stamp;
 use rig_model::Stamp;
 use std::{
@@ -67,6 +69,7 @@ pub struct Run {
     pub folder: PathBuf,
     domain: u16,
     epoch: Option<Stamp>,
+    clock: Option<SettableClock>,
 }
 
 /// What is left of a run.
@@ -96,6 +99,7 @@ impl Run {
         let rig_file = folder.join("rig.yaml");
         std::fs::write(&rig_file, &scenario.rig_yaml).map_err(io(&rig_file))?;
         let port = folder.join("mtx");
+        let clock = site.settable_clock.then(|| SettableClock::new(folder)).transpose()?;
         let stand = Stand::start(scenario, film, site, &port)?;
         let mut nodes = Nodes::default();
         for name in NODES {
@@ -113,11 +117,26 @@ impl Run {
             if !site.namespace.is_empty() {
                 arguments.extend(["-r".into(), format!("__ns:={}", site.namespace)]);
             }
-            let environment = [("ROS_DOMAIN_ID".to_owned(), site.network.domain_id.to_string())];
+            let mut environment = vec![("ROS_DOMAIN_ID".to_owned(), site.network.domain_id.to_string())];
+            environment.extend(clock.iter().flat_map(SettableClock::environment));
             let place = site.namespace_of(Host::of(name));
             nodes.push(Node::start_in(place, name, &arguments, &environment, folder)?);
         }
-        Ok(Self { stand, nodes, folder: folder.to_owned(), domain: site.network.domain_id, epoch: None })
+        let domain = site.network.domain_id;
+        Ok(Self { stand, nodes, folder: folder.to_owned(), domain, epoch: None, clock })
+    }
+
+    /// Sets the clock of the computer on which the nodes are, and its camera and encoders, so many seconds ahead of the time.
+    ///
+    /// # Errors
+    /// The site has no clock that can be set.
+    pub fn set_clock(&self, ahead: f64) -> Result<(), RunError> {
+        let clock = self.clock.as_ref().ok_or_else(|| RunError::NotPossible {
+            what: "a clock that can be set",
+            reason: "the site was not asked for one".to_owned(),
+        })?;
+        self.stand.set_clock(ahead);
+        clock.set(ahead)
     }
 
     /// The DDS domain that it is in.

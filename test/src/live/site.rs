@@ -64,6 +64,8 @@ pub struct Site {
     pub climber_clock: ClockError,
     /// What is listened to.
     pub ears: Ears,
+    /// The nodes' clock, and that of camera and encoders, can be set ([`super::Run::set_clock`]).
+    pub settable_clock: bool,
     /// The scenario begins anew when it is over, and what the hardware said is not kept.
     pub endless: bool,
 }

@@ -68,6 +68,8 @@ struct Shared {
     began: Stamp,
     /// How the clock of the climber's computer is off.
     clock: ClockError,
+    /// By how much it was set, ns.
+    clock_set_by: AtomicI64,
     /// The scenario begins anew when it is over, and what the hardware said is not kept.
     endless: bool,
     stop: AtomicBool,
@@ -92,7 +94,8 @@ impl Shared {
 
     /// What the climber's clock shows at an instant.
     fn climber_clock(&self, at: Stamp) -> Stamp {
-        at.plus_seconds(self.clock.offset + self.clock.ppm * 1e-6 * at.seconds_since(self.began))
+        let off = self.clock.offset + self.clock.ppm * 1e-6 * at.seconds_since(self.began);
+        Stamp::from_nanos(at.as_nanos() + self.clock_set_by.load(Ordering::Relaxed)).plus_seconds(off)
     }
 
     fn stopped(&self) -> bool {
@@ -257,6 +260,7 @@ impl Stand {
             epoch: AtomicI64::new(i64::MAX),
             began: imu_driver::fake_unit::pty::now(),
             clock: site.climber_clock,
+            clock_set_by: AtomicI64::new(0),
             endless: site.endless,
             stop: AtomicBool::new(false),
             spoiler: Mutex::new(None),
@@ -313,6 +317,11 @@ impl Stand {
     /// Has a fault spoil what camera and encoders say, or `None` to let them be.
     pub fn spoil(&self, spoiler: Option<Spoiler>) {
         *lock(&self.shared.spoiler) = spoiler;
+    }
+
+    /// Sets the clock by which camera and encoders stamp so many seconds ahead of the time.
+    pub fn set_clock(&self, ahead: f64) {
+        self.shared.clock_set_by.store((ahead * 1e9).round() as i64, Ordering::Relaxed);
     }
 
     /// The inertial unit, to unplug it.

@@ -1,0 +1,113 @@
+//! What befalls a recorder: the system's clock is set back, its process is stopped and continued. RustDDS is deaf after either; the
+//! recording goes on.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test")]
+
+use launch_config::bag::{BagReader, BagWriter, QosProfile, Topic, WriteOptions};
+use rustix::process::{Pid, Signal, kill_process};
+use std::{
+    path::Path,
+    process::{Child, Command, Stdio},
+    time::Duration,
+};
+use volant_msgs::{cdr, sensor_msgs::msg::Imu};
+use volant_test::live::{SettableClock, processes::executables};
+
+const RATE: u64 = 50;
+const SECONDS: u64 = 7;
+const TOPIC: &str = "/volant/imu/data";
+
+/// Samples that carry their number.
+fn bag(path: &Path) {
+    let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
+    let topic = bag.add_topic(Topic::of::<Imu>(TOPIC, &QosProfile::RELIABLE));
+    for i in 0..RATE * SECONDS {
+        let mut sample = Imu::default();
+        sample.linear_acceleration.z = i as f64;
+        bag.write_message(topic, 1_760_000_000_000_000_000 + i * (1_000_000_000 / RATE), &sample).unwrap();
+    }
+    bag.finish().unwrap();
+}
+
+fn numbers(path: &Path) -> Vec<u64> {
+    let mut bag = BagReader::open(path).unwrap();
+    let mut numbers = vec![];
+    while let Some(message) = bag.next_message().unwrap() {
+        if message.topic.name == TOPIC {
+            numbers.push(cdr::from_bytes::<Imu>(&message.data).unwrap().linear_acceleration.z as u64);
+        }
+    }
+    // A bag is read by the time of receipt, and that was set back.
+    numbers.sort_unstable();
+    numbers
+}
+
+fn volant(domain: u8, arguments: &[&str]) -> Command {
+    let mut command = Command::new(executables().join("volant"));
+    command
+        .args(arguments)
+        .env("ROS_DOMAIN_ID", domain.to_string())
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    command
+}
+
+fn signal(child: &Child, signal: Signal) {
+    let pid = Pid::from_raw(i32::try_from(child.id()).unwrap()).unwrap();
+    kill_process(pid, signal).unwrap();
+}
+
+/// Records what is played for seven seconds, and has something befall the recorder after about three of them. Gives the numbers that
+/// were recorded and what the recorder said.
+fn recorded(domain: u8, clock: Option<&SettableClock>, befall: impl FnOnce(&Child)) -> (Vec<u64>, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let (original, copy) = (folder.path().join("original.mcap"), folder.path().join("copy.mcap"));
+    bag(&original);
+    let mut recorder = volant(domain, &["record", TOPIC, "-o", copy.to_str().unwrap()]);
+    recorder.envs(clock.iter().flat_map(|clock| clock.environment()));
+    let recorder = recorder.spawn().unwrap();
+    let mut player = volant(domain, &["play", original.to_str().unwrap(), "--delay", "2"]).spawn().unwrap();
+    std::thread::sleep(Duration::from_secs(5));
+    befall(&recorder);
+    assert!(player.wait().unwrap().success());
+    std::thread::sleep(Duration::from_millis(300));
+    signal(&recorder, Signal::INT);
+    let output = recorder.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{said}");
+    (numbers(&copy), said)
+}
+
+/// From the first to the last, but for what was published until the recorder was back.
+fn check(numbers: &[u64], said: &str, words: &str) {
+    let missing = RATE * SECONDS - numbers.len() as u64;
+    println!("{missing} of {} missing; {said}", RATE * SECONDS);
+    assert_eq!((numbers.first(), numbers.last()), (Some(&0), Some(&(RATE * SECONDS - 1))), "{said}");
+    assert!(numbers.windows(2).all(|w| w[0] < w[1]), "one came twice");
+    assert!(missing < 2 * RATE, "{missing}");
+    assert!(said.contains(words), "{said}");
+}
+
+#[test]
+fn a_clock_that_is_set_back_does_not_end_a_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let clock = match SettableClock::new(folder.path()) {
+        Ok(clock) => clock,
+        Err(why) => return println!("skipped: {why}"),
+    };
+    let (numbers, said) = recorded(93, Some(&clock), |_| clock.set(-3600.0).unwrap());
+    check(&numbers, &said, "the system's clock was set back by 3600");
+}
+
+#[test]
+fn a_recorder_that_was_stopped_and_continued_goes_on() {
+    let (numbers, said) = recorded(94, None, |recorder| {
+        signal(recorder, Signal::STOP);
+        std::thread::sleep(Duration::from_millis(300));
+        signal(recorder, Signal::CONT);
+    });
+    // It is not always that RustDDS notices; where it does not, nothing is missing.
+    let words = if numbers.len() as u64 == RATE * SECONDS { "" } else { "joined anew" };
+    check(&numbers, &said, words);
+}
