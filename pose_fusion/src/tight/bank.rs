@@ -1,11 +1,12 @@
 //! The clock offsets are found by filters that start from different offsets side by side.
 //!
-//! First the camera's. An error-state filter corrects its clock offset well while it is off by a few milliseconds, and loses its way where it is off
-//! by more than an image period: it then integrates the wrong inertial samples. So the offset is first a choice among
-//! hypotheses [`STEP`] apart, each a filter of its own. Every image weighs them by what it surprises them
-//! (`νᵀ S⁻¹ ν + ln |S|`, and a fixed price for a marker that is gated), those that fall far behind the best are dropped, and the
-//! last one goes on alone and tunes its offset as a state. Without motion no hypothesis falls behind: the one of the configured
-//! offset speaks until another is clearly better, and the offset stays open.
+//! First the camera's. An error-state filter corrects its clock offset well while it is off by a few milliseconds, and loses its way where
+//! it is off by more than an image period: it then integrates the wrong inertial samples. So the offset is first a choice among
+//! hypotheses [`STEP`] apart, each a filter of its own. Every image weighs them by what it surprises them (`νᵀ S⁻¹ ν + ln |S|`, and a fixed
+//! price for a marker that is gated), any two by the images that both have weighed: one that still waits for inertial samples is not behind
+//! one that does not. Those that fall far behind another are dropped, and the last one goes on alone and tunes its offset as a state.
+//! Without motion no hypothesis falls behind: the one of the configured offset speaks until another is clearly better, and the offset
+//! stays open.
 
 use super::{
     Tight,
@@ -58,6 +59,8 @@ pub struct Bank {
     members: Vec<Tight>,
     speaker: usize,
     smoothing: bool,
+    /// To be used again.
+    images: Vec<Stamp>,
     silent: VecDeque<Output>,
 }
 
@@ -71,6 +74,7 @@ impl Bank {
             members: Vec::new(),
             speaker: 0,
             smoothing: false,
+            images: Vec::new(),
             silent: VecDeque::with_capacity(256),
         };
         bank.fill();
@@ -225,6 +229,14 @@ impl Bank {
     pub fn imu(&mut self, sample: &ImuSample, out: &mut VecDeque<Output>) {
         let said = out.len();
         self.each(out, |member, out| member.imu(sample, out));
+        if self.members.len() > 1 && self.drop_lost() {
+            // What a lost one says is no pose; the next sample is another's.
+            let mut index = 0;
+            out.retain(|output| {
+                index += 1;
+                index <= said || !matches!(output, Output::Odometry(_))
+            });
+        }
         if self.members.len() > 1 {
             let variance = self.open_variance();
             for output in out.iter_mut().skip(said) {
@@ -239,12 +251,11 @@ impl Bank {
     /// How far the offsets of the hypotheses that are still likely lie from the speaker's, s² (mean square).
     fn open_variance(&self) -> f64 {
         let Some(speaker) = self.speaker().state().map(|s| s.camera_clock) else { return 0.0 };
-        let least = self.members.iter().map(Tight::evidence).fold(f64::INFINITY, f64::min);
         let (mut sum, mut square) = (0.0, 0.0);
-        for member in &self.members {
+        for (member, deficit) in self.members.iter().zip(self.deficits()) {
             let Some(state) = member.state() else { continue };
             // Half as sharp as the evidence would be if noise were as white as the filters take it.
-            let weight = (-(member.evidence() - least) / 4.0).exp();
+            let weight = (-deficit / 4.0).exp();
             sum += weight;
             square += weight * (state.camera_clock - speaker).powi(2);
         }
@@ -273,36 +284,53 @@ impl Bank {
         }
     }
 
+    /// Images reach the hypotheses at different moments of the inertial clock, and late ones not all of them: those count that all have
+    /// weighed.
+    fn close_images(&mut self) {
+        let mut images = std::mem::take(&mut self.images);
+        images.extend(self.members.iter().flat_map(|m| m.images_say().open()));
+        images.sort_unstable();
+        images.dedup();
+        for image in images.drain(..) {
+            let says = |m: &Tight| m.images_say().said(image);
+            let all = self.members.iter().all(|m| says(m).is_some());
+            let never = self.members.iter().any(|m| says(m) == Some(None) || m.images_say().is_past(image));
+            if all || never {
+                self.members.iter_mut().for_each(|m| m.close_image(image, all && !never));
+            }
+        }
+        self.images = images;
+    }
+
+    /// How much more each has against it than another one that has weighed the same images: the most of all others.
+    fn deficits(&self) -> Vec<f64> {
+        let says = || self.members.iter().map(Tight::images_say);
+        says().map(|m| says().map(|other| m.against(other)).fold(0.0, f64::max)).collect()
+    }
+
     fn weigh(&mut self) {
         if self.members.len() == 1 {
             return;
         }
-        // Images reach the hypotheses at different moments of the inertial clock: compare after equally many.
+        self.drop_lost();
+        if self.members.len() == 1 {
+            return self.alone();
+        }
+        self.close_images();
         let images = self.members.iter().map(Tight::weighed).max().unwrap_or(0);
         if self.members.iter().any(|m| m.weighed() + 3 < images) {
             // One that cannot start is no hypothesis.
-            let speaker = self.speaker;
-            let mut index = 0;
-            let mut shift = 0;
-            self.members.retain(|m| {
-                let keep = m.weighed() + 12 >= images || index == speaker;
-                shift += usize::from(!keep && index < speaker);
-                index += 1;
-                keep
-            });
-            self.speaker -= shift;
+            self.retain(|m| m.weighed() + 12 >= images);
         }
         if images == 0 {
             return;
         }
-        let rate = |m: &Tight| m.evidence();
-        let Some((best, least)) =
-            self.members.iter().map(rate).enumerate().min_by(|a, b| a.1.total_cmp(&b.1))
-        else {
-            return;
-        };
-        if rate(&self.members[self.speaker]) > least + CHANGE {
-            self.speaker = best;
+        let deficits = self.deficits();
+        if deficits.get(self.speaker).is_some_and(|deficit| *deficit > CHANGE) {
+            let speaker = self.speaker().images_say();
+            let by = |m: &Tight| speaker.against(m.images_say());
+            let best = self.members.iter().map(by).enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+            self.speaker = best.map_or(self.speaker, |(best, _)| best);
         }
         // Neighbours that have tuned themselves to the speaker's offset are the same hypothesis.
         let offset = |m: &Tight| m.state().map(|s| s.camera_clock);
@@ -311,16 +339,47 @@ impl Bank {
             images > SETTLED
                 && matches!((offset(m), spoken), (Some(a), Some(b)) if (a - b).abs() < 0.2 * STEP)
         };
+        let same: Vec<bool> = self.members.iter().map(same).collect();
+        let mut all = deficits.iter().zip(&same);
+        self.retain(|_| all.next().is_some_and(|(deficit, same)| *deficit <= DROP && !same));
+        self.alone();
+    }
+
+    /// The last hypothesis tunes the climber's clock too.
+    fn alone(&mut self) {
+        if let [last] = self.members.as_mut_slice() {
+            last.let_be(false);
+        }
+    }
+
+    /// A wrong hypothesis can lose its way before it is refuted: its offset runs away to where no image is any more, and nothing more
+    /// speaks against it. True where that was the one that speaks.
+    fn drop_lost(&mut self) -> bool {
+        let farthest = 2.0 * REACH * self.config.camera_clock.max(WITHIN);
+        let told = self.config.camera_clock_offset;
+        let lost = |m: &Tight| m.state().is_some_and(|s| !((s.camera_clock - told).abs() <= farthest));
+        if !self.members.iter().any(lost) || self.members.iter().all(lost) {
+            return false;
+        }
+        let spoke = lost(&self.members[self.speaker]);
+        if spoke {
+            let sound = self.members.iter().enumerate().filter(|(_, m)| !lost(m));
+            let best = sound.min_by(|a, b| a.1.evidence().total_cmp(&b.1.evidence()));
+            self.speaker = best.map_or(0, |(i, _)| i);
+        }
+        self.retain(|m| !lost(m));
+        spoke
+    }
+
+    /// Keeps these, and the one that speaks.
+    fn retain(&mut self, mut stays: impl FnMut(&Tight) -> bool) {
         let (speaker, mut index, mut shift) = (self.speaker, 0, 0);
         self.members.retain(|m| {
-            let keep = (rate(m) <= least + DROP && !same(m)) || index == speaker;
+            let keep = stays(m) || index == speaker;
             shift += usize::from(!keep && index < speaker);
             index += 1;
             keep
         });
         self.speaker -= shift;
-        if let [last] = self.members.as_mut_slice() {
-            last.let_be(false);
-        }
     }
 }

@@ -95,6 +95,7 @@ impl Tight {
         pixels: Pixels,
         out: &mut VecDeque<Output>,
     ) {
+        self.evidence.pass(image);
         let at = image.plus_seconds(self.clock_guess());
         if self.newest_imu.is_some_and(|(newest, _)| at <= newest) {
             self.try_start(geometry, image, &pixels, out);

@@ -82,40 +82,106 @@ impl Jolts {
     }
 }
 
+/// So many images are kept open; a filter that is alone closes none.
+const OPEN: usize = 64;
+/// A filter that has gone on by so much since an image will say nothing of it any more, s.
+const PASSED: f64 = 0.5;
+
 /// What images say for or against a filter, less what they say because of a jolt.
-#[derive(Clone, Debug, Default)]
+///
+/// Filters with different clocks weigh an image at different moments, and where images come late some cannot weigh it at all. An image
+/// that fits adds a lot to all of them alike (some -37), so only what all have weighed may count: the others stay open.
+#[derive(Clone, Debug)]
 pub struct Evidence {
-    /// Minus twice the logarithm of the likelihood, up to what all filters have in common.
+    /// Minus twice the logarithm of the likelihood of the images that count, up to what all filters have in common.
     pub sum: f64,
     /// What an image usually adds.
     usual: Option<f64>,
-    /// What the newest added beyond that, and when.
-    newest: [Option<(Stamp, f64)>; 4],
+    /// The newest ones: image, when it was taken on this filter's time line, and what it added beyond the usual.
+    newest: [Option<(Stamp, Stamp, f64)>; 4],
+    /// Images that not all have weighed yet, and what this filter says of each; `None`: nothing.
+    open: VecDeque<(Stamp, Option<f64>)>,
+    newest_image: Option<Stamp>,
+}
+
+impl Default for Evidence {
+    fn default() -> Self {
+        let open = VecDeque::with_capacity(OPEN);
+        Self { sum: 0.0, usual: None, newest: [None; 4], open, newest_image: None }
+    }
 }
 
 impl Evidence {
-    /// Takes in what an image says.
-    pub fn take(&mut self, at: Stamp, surprise: f64, shaken: bool) {
+    /// Takes in what an image says that was taken `at` on this filter's time line.
+    pub fn take(&mut self, image: Stamp, at: Stamp, surprise: f64, shaken: bool) {
         let usual = *self.usual.get_or_insert(surprise);
         if shaken {
-            self.sum += surprise.min(usual);
+            self.say(image, Some(surprise.min(usual)));
             return;
         }
-        self.sum += surprise;
+        self.say(image, Some(surprise));
         // A jolt that is not known yet moves it little.
         self.usual = Some(usual + (surprise - usual).min(10.0) / 10.0);
         self.newest.rotate_left(1);
-        self.newest[3] = Some((at, (surprise - usual).max(0.0)));
+        self.newest[3] = Some((image, at, (surprise - usual).max(0.0)));
+    }
+
+    /// This filter will say nothing of an image.
+    pub fn pass(&mut self, image: Stamp) {
+        if self.said(image).is_none() {
+            self.say(image, None);
+        }
+    }
+
+    fn say(&mut self, image: Stamp, says: Option<f64>) {
+        if self.open.len() == OPEN {
+            self.open.pop_front();
+        }
+        self.open.push_back((image, says));
+        self.newest_image = Some(self.newest_image.map_or(image, |newest| newest.max(image)));
     }
 
     /// A jolt came to light that began then: what images have said against the filter since is taken back.
     pub fn take_back(&mut self, since: Stamp) {
         for newest in &mut self.newest {
-            if let Some((_, excess)) = newest.take_if(|(at, _)| *at >= since) {
-                self.sum -= excess;
+            if let Some((image, _, excess)) = newest.take_if(|(_, at, _)| *at >= since) {
+                match self.open.iter_mut().find(|(open, _)| *open == image) {
+                    Some((_, says)) => *says = says.map(|says| says - excess),
+                    None => self.sum -= excess,
+                }
             }
         }
         self.sum += PRICE;
+    }
+
+    /// How much more than another it has against it, by the images that count and those that both have weighed.
+    pub fn against(&self, other: &Self) -> f64 {
+        let both = self.open.iter().filter_map(|(image, says)| Some((*says)? - other.said(*image)??));
+        self.sum - other.sum + both.sum::<f64>()
+    }
+
+    /// The images that are open.
+    pub fn open(&self) -> impl Iterator<Item = Stamp> {
+        self.open.iter().map(|(image, _)| *image)
+    }
+
+    /// What it says of an image that is open: `Some(None)` where that is nothing, `None` where it has not said it yet.
+    pub fn said(&self, image: Stamp) -> Option<Option<f64>> {
+        self.open.iter().find(|(open, _)| *open == image).map(|(_, says)| *says)
+    }
+
+    /// Whether it will not say anything of an image any more, because it is long past it.
+    pub fn is_past(&self, image: Stamp) -> bool {
+        self.said(image).is_none()
+            && self.newest_image.is_some_and(|newest| newest.seconds_since(image) > PASSED)
+    }
+
+    /// An image is open no more; what is said of it `counts` or is forgotten.
+    pub fn close(&mut self, image: Stamp, counts: bool) {
+        let Some(place) = self.open.iter().position(|(open, _)| *open == image) else { return };
+        if let (Some((_, Some(says))), true) = (self.open.remove(place), counts) {
+            self.sum += says;
+        }
     }
 }
 
@@ -156,17 +222,62 @@ mod tests {
         let at = |ms: i64| Stamp::from_nanos(1_000_000_000 + ms * 1_000_000);
         let (mut calm, mut jolted) = (Evidence::default(), Evidence::default());
         for k in 0..20 {
-            calm.take(at(33 * k), -48.0, false);
-            jolted.take(at(33 * k), -48.0, false);
+            calm.take(at(33 * k), at(33 * k), -48.0, false);
+            jolted.take(at(33 * k), at(33 * k), -48.0, false);
+            if k < 18 {
+                // The last two are still open where the jolt comes to light.
+                calm.close(at(33 * k), true);
+                jolted.close(at(33 * k), true);
+            }
         }
         // The image before the reading that tells of it, then one that knows.
-        jolted.take(at(660), 300.0, false);
+        jolted.take(at(660), at(660), 300.0, false);
         jolted.take_back(at(650));
-        jolted.take(at(690), 200.0, true);
-        calm.take(at(660), -48.0, false);
-        calm.take(at(690), -48.0, false);
+        jolted.take(at(690), at(690), 200.0, true);
+        calm.take(at(660), at(660), -48.0, false);
+        calm.take(at(690), at(690), -48.0, false);
+        let close = |evidence: &mut Evidence| {
+            let open: Vec<Stamp> = evidence.open().collect();
+            open.into_iter().for_each(|image| evidence.close(image, true));
+        };
+        close(&mut calm);
+        close(&mut jolted);
         assert!((jolted.sum - calm.sum - PRICE).abs() < 2.0, "{jolted:?} {calm:?}");
-        jolted.take(at(900), 100.0, false);
+        jolted.take(at(900), at(900), 100.0, false);
+        close(&mut jolted);
         assert!(jolted.sum > calm.sum + 100.0);
+    }
+
+    #[test]
+    fn only_images_that_count_count() {
+        let at = |ms: i64| Stamp::from_nanos(1_000_000_000 + ms * 1_000_000);
+        let mut evidence = Evidence::default();
+        for k in 0..4 {
+            evidence.take(at(33 * k), at(33 * k), -40.0, false);
+        }
+        evidence.pass(at(140));
+        evidence.pass(at(33));
+        assert_eq!(
+            (evidence.said(at(33)), evidence.said(at(140)), evidence.said(at(170))),
+            (Some(Some(-40.0)), Some(None), None)
+        );
+        assert!(!evidence.is_past(at(70)));
+        let mut other = Evidence::default();
+        other.take(at(33), at(33), -30.0, false);
+        other.take(at(66), at(66), -50.0, false);
+        other.pass(at(99));
+        assert_eq!(evidence.against(&other), 0.0);
+        other.take(at(0), at(0), 10.0, false);
+        assert_eq!((evidence.against(&other), other.against(&evidence)), (-50.0, 50.0));
+        evidence.close(at(0), true);
+        evidence.close(at(33), false);
+        evidence.close(at(140), true);
+        assert_eq!((evidence.sum, evidence.open().count()), (-40.0, 2));
+        evidence.pass(at(700));
+        assert!(evidence.is_past(at(70)) && !evidence.is_past(at(66)) && !evidence.is_past(at(300)));
+        for k in 0..1000 {
+            evidence.take(at(1000 + k), at(1000 + k), -40.0, false);
+        }
+        assert_eq!(evidence.open().count(), OPEN);
     }
 }

@@ -20,6 +20,7 @@ impl Tight {
         outcome: MarkerOutcome,
         out: &mut VecDeque<Output>,
     ) {
+        self.evidence.pass(stamp);
         for color in MarkerColor::ALL {
             let outcome = if pixels[color.index()].is_some() { outcome } else { MarkerOutcome::NotDetected };
             out.push_back(Output::MarkerUpdate(MarkerUpdateRecord {
@@ -73,8 +74,10 @@ impl Tight {
         let refused = f64::from(seen.saturating_sub(report.used));
         let at = self.state().map_or(image, |state| image.plus_seconds(state.camera_clock));
         let shaken = self.jolts.shaken(at);
-        if self.weighed > SETTLING {
-            self.evidence.take(at, report.surprise + REFUSED_PRICE * refused, shaken);
+        if self.weighed <= SETTLING {
+            self.evidence.pass(image);
+        } else {
+            self.evidence.take(image, at, report.surprise + REFUSED_PRICE * refused, shaken);
         }
         self.driven += u64::from(self.driving);
         if self.driven <= ASKING {

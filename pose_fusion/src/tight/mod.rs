@@ -221,9 +221,19 @@ impl Tight {
         self.history.get(self.history.run().checked_sub(1)?).map(|n| &n.state)
     }
 
-    /// How unlikely all images were together (minus twice the logarithm of their likelihood, up to a constant).
+    /// How unlikely the images that count were together (minus twice the logarithm of their likelihood, up to a constant).
     pub fn evidence(&self) -> f64 {
         self.evidence.sum
+    }
+
+    /// What each image says for or against this filter.
+    pub(super) fn images_say(&self) -> &Evidence {
+        &self.evidence
+    }
+
+    /// An image that all filters have weighed counts; one that some never will is forgotten.
+    pub(super) fn close_image(&mut self, image: Stamp, counts: bool) {
+        self.evidence.close(image, counts);
     }
 
     /// What is thought of the climber's clock.
