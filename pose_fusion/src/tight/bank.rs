@@ -357,7 +357,10 @@ impl Bank {
     fn drop_lost(&mut self) -> bool {
         let farthest = 2.0 * REACH * self.config.camera_clock.max(WITHIN);
         let told = self.config.camera_clock_offset;
-        let lost = |m: &Tight| m.state().is_some_and(|s| !((s.camera_clock - told).abs() <= farthest));
+        let lost = |m: &Tight| {
+            let off = m.state().map(|s| (s.camera_clock - told).abs());
+            off.is_some_and(|off| off.is_nan() || off > farthest)
+        };
         if !self.members.iter().any(lost) || self.members.iter().all(lost) {
             return false;
         }
