@@ -1,102 +1,288 @@
-//! How the filter is set: every number that is not on the rig file, with its unit.
+//! Configuration of the estimators: every number that is not in the rig file, with its unit.
+//!
+//! Standard deviations are 1 sigma. Each default names its origin.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-/// Which estimator.
+/// Which estimator runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Model {
-    /// The error-state filter on the markers' pixels.
+    /// Tightly coupled error-state filter on marker pixels.
     #[default]
     Tight,
-    /// The published loosely coupled extended Kalman filter.
+    /// Loosely coupled extended Kalman filter as published in 2010.
     Paper,
 }
 
-/// Everything that can be set.
+/// Configuration of everything in this crate.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FusionConfig {
-    /// Which estimator.
+    /// Which estimator runs.
     pub model: Model,
-    /// What the error-state filter assumes.
+    /// Error-state filter.
     pub tight: TightConfig,
-    /// What the published filter assumes.
+    /// Published filter.
     pub paper: PaperConfig,
+    /// Single-image pose: choose between the two planar solutions with the IMU's direction of gravity.
+    pub visual_use_gravity: bool,
+    /// When a pose is called valid.
+    pub status: StatusConfig,
 }
 
-/// What the error-state filter assumes. Standard deviations are 1 sigma.
+/// Configuration of the error-state filter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TightConfig {
     /// Gravity, m/s².
     pub gravity: f64,
-    /// How far back the history reaches, s; later data are refused.
+    /// How far back delayed measurements are accepted, s.
     pub history: f64,
-    /// Uncertainty of the accelerometer's bias at the start, m/s².
-    pub accelerometer_bias: f64,
-    /// Its random walk, m/s²/√s.
-    pub accelerometer_bias_walk: f64,
-    /// Uncertainty of the gyroscope's bias at the start, rad/s.
-    pub gyroscope_bias: f64,
-    /// Its random walk, rad/s/√s.
-    pub gyroscope_bias_walk: f64,
-    /// Velocity at the start, each axis, m/s.
-    pub initial_velocity: f64,
-    /// Roll and pitch that the unit's own attitude is trusted to at the start, at best, rad.
-    pub attitude_floor: f64,
-    /// The model's own pixel error (what neither the observation's covariance nor the lens tells), px.
-    pub pixel_floor: f64,
-    /// What a marker's centroid is off by in all images alike, each axis, px (1 sigma). It widens what is said, not what is done.
-    pub pixel_systematic: f64,
-    /// Smallest pixel sigma that is believed of an observation, px.
-    pub pixel_minimum: f64,
-    /// Largest normalised innovation squared of one marker (2 degrees of freedom) that is used.
-    pub marker_gate: f64,
-    /// Largest joint cost per image, in units of its degrees of freedom's 0.9999 quantile.
-    pub joint_gate: f64,
-    /// Images in a row that contradict the estimate and agree in themselves until it is dropped for them.
-    pub lock_out_images: u32,
-    /// Step of the encoders in x and y, m.
-    pub climber_quantum: f64,
-    /// Step of the encoder of the turn, rad.
-    pub climber_turn_quantum: f64,
-    /// Power density of the climber's jerk, m²/s⁵.
-    pub climber_jerk: f64,
-    /// Power density of the jerk of its turn, rad²/s⁵.
-    pub climber_turn_jerk: f64,
-    /// Uncertainty of the camera's clock against the inertial unit's at the start, s; 0 switches the estimation off.
-    pub camera_clock: f64,
-    /// The camera clock's offset at the start, s: an image stamped t was taken at t plus this on the inertial unit's clock.
-    pub camera_clock_offset: f64,
-    /// Uncertainty of the climber's clock against the camera's where they are not one, s; 0: they are one.
-    pub climber_clock: f64,
-    /// Probability, before the first datum, that the climber's and the camera's stamps come from one clock.
-    pub climber_clock_tied: f64,
-    /// How the clock offsets wander, s/√s.
-    pub clock_walk: f64,
-    /// Largest factor by which the inertial noise may be found above the rig file's.
-    pub inertial_noise_limit: f64,
-    /// Velocity of a platform at rest (the zero-motion update's sigma), m/s; 0 switches it off.
-    pub rest_velocity: f64,
-    /// Position uncertainty above which the estimate is called lost, m.
-    pub lost_position: f64,
-    /// The rope that the platform hangs on.
+    /// IMU errors.
+    pub imu: ImuConfig,
+    /// Marker measurements.
+    pub markers: MarkerConfig,
+    /// Encoders and motion of the climber.
+    pub climber: ClimberConfig,
+    /// Time offsets.
+    pub clock: ClockConfig,
+    /// Calibration errors that widen the covariance.
+    pub calibration: CalibrationSigmas,
+    /// Velocity of a platform at rest (zero-velocity update), m/s; 0 disables the update.
+    pub zero_velocity_sigma: f64,
+    /// Values beyond which a state is unsound.
+    pub limits: LimitConfig,
+    /// How far ahead the predicted odometry lies, s; 0 disables it.
+    pub prediction_horizon: f64,
+    /// Rope that the platform hangs on.
     pub pendulum: PendulumConfig,
 }
 
-/// What is known of the rope; it counts while no marker is seen.
+/// Errors of the IMU.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImuConfig {
+    /// Initial accelerometer bias, m/s² (MTx data sheet: 0.02; ten times that for a unit that is not calibrated).
+    pub accelerometer_bias: f64,
+    /// Random walk of the accelerometer bias, m/s²/√s.
+    pub accelerometer_bias_walk: f64,
+    /// Initial gyroscope bias, rad/s (5°/s, five times the MTx data sheet).
+    pub gyroscope_bias: f64,
+    /// Random walk of the gyroscope bias, rad/s/√s.
+    pub gyroscope_bias_walk: f64,
+    /// Scale factor and misalignment of the accelerometer, relative (MTx data sheet: 0.03 % and 0.1°).
+    pub accelerometer_scale: f64,
+    /// Scale factor and misalignment of the gyroscope, relative.
+    pub gyroscope_scale: f64,
+    /// Smallest uncertainty of the IMU's own roll and pitch, rad.
+    pub attitude_floor: f64,
+    /// Largest factor by which the identified noise may exceed the rig file's density.
+    pub noise_limit: f64,
+    /// Specific force beyond which a reading is rejected, m/s² (largest range of an MTx: 18 g).
+    pub max_force: f64,
+    /// Angular velocity beyond which a reading is rejected, rad/s (largest range of an MTx: 2000°/s).
+    pub max_rate: f64,
+}
+
+/// Marker measurements.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MarkerConfig {
+    /// Pixel error of the lens and marker model beside the observation's covariance, px.
+    pub pixel_floor: f64,
+    /// Smallest pixel sigma accepted from an observation, px.
+    pub pixel_minimum: f64,
+    /// Largest NIS (2 degrees of freedom) of a marker that is used (16: 0.9997 quantile of χ²).
+    pub gate: f64,
+    /// Consecutive images that contradict the prediction, but not themselves, before the prediction gives way.
+    pub lock_out_images: u32,
+}
+
+/// Encoders and motion of the climber.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClimberConfig {
+    /// Step of the x and y encoders, m.
+    pub quantum: f64,
+    /// Step of the turn encoder, rad.
+    pub turn_quantum: f64,
+    /// Power spectral density of the climber's jerk, m²/s⁵.
+    pub jerk: f64,
+    /// Power spectral density of the turn's jerk, rad²/s⁵.
+    pub turn_jerk: f64,
+    /// Encoders that contradict the estimate for this long are adopted (re-homed or slipped), s.
+    pub step_timeout: f64,
+}
+
+/// Time offsets between the sensors.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClockConfig {
+    /// Initial uncertainty of the camera time offset, s; 0 takes camera and IMU as synchronized.
+    pub camera_sigma: f64,
+    /// Initial camera time offset, s (image time + offset = IMU time).
+    pub camera_offset: f64,
+    /// Random walk of the camera time offset, s/√s.
+    pub offset_walk: f64,
+    /// Constant offset of the climber's stamps against the camera's, s (encoder time + camera offset + this = IMU time).
+    pub climber_offset: f64,
+}
+
+/// Standard deviations of calibration errors. They widen the published covariance and do not change the estimate.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CalibrationSigmas {
+    /// Constant offset of each marker's centroid, each axis, px.
+    pub centroid: f64,
+    /// Focal length, relative.
+    pub focal_length: f64,
+    /// Size of the marker layout, relative.
+    pub layout: f64,
+    /// Orientation of the camera on the climber, each axis, rad.
+    pub mounting: f64,
+    /// Scale of the x and y encoders, relative.
+    pub encoder_scale: f64,
+    /// Time offset of the climber's stamps, s.
+    pub climber_offset: f64,
+}
+
+/// Values beyond which a state is unsound and the filter reinitializes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LimitConfig {
+    /// Distance of the platform from the climber, m.
+    pub max_range: f64,
+    /// Speed of the platform, m/s.
+    pub max_speed: f64,
+}
+
+/// When a pose is called valid.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StatusConfig {
+    /// Without a used image for this long the pose is COASTING, s.
+    pub max_image_age: f64,
+    /// Largest position sigma of a valid pose, m.
+    pub max_position_sigma: f64,
+    /// Largest rotation sigma of a valid pose, rad.
+    pub max_rotation_sigma: f64,
+    /// Position sigma above which the pose is LOST, m.
+    pub lost_position_sigma: f64,
+}
+
+/// Rope between climber and platform; used while no marker is visible.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PendulumConfig {
-    /// From the climber's attachment to the platform's, m; 0: nothing is assumed.
+    /// Length from the climber's attachment to the platform's, m; 0 disables the measurement.
     pub rope_length: f64,
-    /// Uncertainty of it, m, until the images have told it.
+    /// Uncertainty of the length until images have measured it, m.
     pub rope_sigma: f64,
-    /// What pushes the platform across the rope at least, each axis, m/s² (1 sigma).
+    /// Smallest disturbance of the platform across the rope, each axis, m/s².
     pub side_force: f64,
     /// Upper end in the climber's frame, m.
     pub climber_attachment: Vector3<f64>,
     /// Lower end in the volant frame, m.
     pub platform_attachment: Vector3<f64>,
+}
+
+/// Configuration of the published filter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PaperConfig {
+    /// R/Q, the ratio of measurement to process covariance (paper, section III-C: 10).
+    pub ratio: f64,
+    /// Standard deviation of the visual position behind R, m. Only its ratio to Q matters for the estimate.
+    pub position_sigma: f64,
+    /// Standard deviation of the visual rotation behind R, rad.
+    pub rotation_sigma: f64,
+    /// Gravity, m/s².
+    pub gravity: f64,
+    /// Threshold control: smaller velocity changes count as none, m/s (paper, section III-A).
+    pub velocity_threshold: f64,
+    /// Takes the inertial velocity from the fused poses; the paper names nothing that corrects it.
+    pub velocity_from_fused: bool,
+}
+
+impl Default for TightConfig {
+    fn default() -> Self {
+        Self {
+            gravity: 9.80665,
+            history: 0.6,
+            imu: ImuConfig::default(),
+            markers: MarkerConfig { pixel_floor: 0.03, pixel_minimum: 0.01, gate: 16.0, lock_out_images: 2 },
+            climber: ClimberConfig::default(),
+            clock: ClockConfig {
+                camera_sigma: 0.05,
+                camera_offset: 0.0,
+                offset_walk: 1e-5,
+                climber_offset: 0.0,
+            },
+            calibration: CalibrationSigmas::default(),
+            zero_velocity_sigma: 0.002,
+            limits: LimitConfig { max_range: 20.0, max_speed: 10.0 },
+            prediction_horizon: 0.0,
+            pendulum: PendulumConfig::default(),
+        }
+    }
+}
+
+impl Default for ImuConfig {
+    fn default() -> Self {
+        Self {
+            accelerometer_bias: 0.2,
+            accelerometer_bias_walk: 3e-4,
+            gyroscope_bias: 0.09,
+            gyroscope_bias_walk: 5e-5,
+            accelerometer_scale: 0.001,
+            gyroscope_scale: 0.001,
+            attitude_floor: 0.01,
+            noise_limit: 30.0,
+            max_force: 180.0,
+            max_rate: 40.0,
+        }
+    }
+}
+
+impl Default for ClimberConfig {
+    fn default() -> Self {
+        Self {
+            quantum: 0.001,
+            turn_quantum: 0.05_f64.to_radians(),
+            jerk: 0.05,
+            turn_jerk: 0.01,
+            step_timeout: 3.0,
+        }
+    }
+}
+
+impl CalibrationSigmas {
+    /// Sigmas of zero: every file is taken as exact.
+    pub const NONE: Self = Self {
+        centroid: 0.0,
+        focal_length: 0.0,
+        layout: 0.0,
+        mounting: 0.0,
+        encoder_scale: 0.0,
+        climber_offset: 0.0,
+    };
+    /// Sigmas of a rig calibrated with `volant calibrate`.
+    pub const DEFAULT: Self = Self {
+        centroid: 0.015,
+        focal_length: 0.0003,
+        layout: 0.0003,
+        mounting: 0.00005,
+        encoder_scale: 0.0002,
+        climber_offset: 0.002,
+    };
+}
+
+impl Default for CalibrationSigmas {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+impl Default for StatusConfig {
+    fn default() -> Self {
+        Self {
+            max_image_age: 0.2,
+            max_position_sigma: 0.1,
+            max_rotation_sigma: 0.1,
+            lost_position_sigma: 0.2,
+        }
+    }
 }
 
 impl Default for PendulumConfig {
@@ -109,57 +295,6 @@ impl Default for PendulumConfig {
             platform_attachment: Vector3::zeros(),
         }
     }
-}
-
-impl Default for TightConfig {
-    fn default() -> Self {
-        Self {
-            gravity: 9.80665,
-            history: 0.6,
-            accelerometer_bias: 0.2,
-            accelerometer_bias_walk: 3e-4,
-            gyroscope_bias: 0.09,
-            gyroscope_bias_walk: 5e-5,
-            initial_velocity: 1.5,
-            attitude_floor: 0.01,
-            pixel_floor: 0.03,
-            pixel_systematic: 0.015,
-            pixel_minimum: 0.01,
-            marker_gate: 16.0,
-            joint_gate: 1.0,
-            lock_out_images: 5,
-            climber_quantum: 0.001,
-            climber_turn_quantum: 0.05_f64.to_radians(),
-            climber_jerk: 0.05,
-            climber_turn_jerk: 0.01,
-            camera_clock: 0.05,
-            camera_clock_offset: 0.0,
-            climber_clock: 0.05,
-            climber_clock_tied: 0.5,
-            clock_walk: 1e-5,
-            inertial_noise_limit: 30.0,
-            rest_velocity: 0.002,
-            lost_position: 0.2,
-            pendulum: PendulumConfig::default(),
-        }
-    }
-}
-
-/// What the published filter assumes.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PaperConfig {
-    /// R/Q, the ratio of the measurement's to the process' covariance that the paper found accurate.
-    pub ratio: f64,
-    /// Standard deviation of the visual position behind R, m: only its ratio to Q matters for the estimate.
-    pub position_sigma: f64,
-    /// Standard deviation of the visual rotation behind R, rad.
-    pub rotation_sigma: f64,
-    /// Gravity, m/s².
-    pub gravity: f64,
-    /// Threshold control: velocity changes below it count as none, m/s.
-    pub velocity_threshold: f64,
-    /// Takes the inertial velocity from the fused poses; the paper names nothing that corrects it.
-    pub velocity_from_fused: bool,
 }
 
 impl Default for PaperConfig {

@@ -1,5 +1,5 @@
-//! What an operator asks of the node, over ROS: services `~/reset`, `~/freeze`, `~/save_checkpoint`, `~/load_checkpoint`,
-//! and the topic `volant/set_pose` (what RViz' "2D pose estimate" sends, remapped).
+//! Requests of an operator over ROS: services `~/reset`, `~/freeze`, `~/save_checkpoint`, `~/load_checkpoint`,
+//! and the topic `volant/set_pose` (RViz' "2D pose estimate", remapped).
 
 use crate::{Checkpoint, Fusion, PoseEstimate, node::Event};
 use node_kit::{
@@ -14,13 +14,13 @@ use volant_msgs::{
     std_srvs::srv::{SetBool, SetBoolResponse, Trigger, TriggerResponse},
 };
 
-/// One request.
+/// Request of an operator.
 pub enum Request {
-    /// Forget everything and start from the next image.
+    /// Discard the estimate; the next image initializes it.
     Reset(Responder<Trigger>),
     /// Stop or resume using markers.
     Freeze(bool, Responder<SetBool>),
-    /// Write what is known to the checkpoint's file.
+    /// Write a checkpoint to its file.
     Save(Responder<Trigger>),
     /// Read it back.
     Load(Responder<Trigger>),
@@ -28,7 +28,7 @@ pub enum Request {
     SetPose(Box<PoseEstimate>),
 }
 
-/// Offers the services and listens to the topic.
+/// Offers the services and subscribes to the topic.
 pub(crate) fn offer(kit: &mut Kit<Event>, frames: &Frames) -> Result<(), NodeError> {
     kit.serve::<Trigger>("~/reset", |_, answer| Event::Request(Request::Reset(answer)))?;
     kit.serve::<SetBool>("~/freeze", |ask, answer| Event::Request(Request::Freeze(ask.data, answer)))?;
@@ -38,14 +38,14 @@ pub(crate) fn offer(kit: &mut Kit<Event>, frames: &Frames) -> Result<(), NodeErr
     kit.subscribe_optional("volant/set_pose", QosPreset::State, move |m: Arc<PoseWithCovarianceStamped>| {
         Some(match pose_estimate(&m, &world) {
             Ok(pose) => Event::Request(Request::SetPose(Box::new(pose))),
-            Err(why) => Event::Refused(format!("volant/set_pose: {why}")),
+            Err(why) => Event::Rejected(format!("volant/set_pose: {why}")),
         })
     })
 }
 
 fn pose_estimate(m: &PoseWithCovarianceStamped, world: &str) -> Result<PoseEstimate, String> {
     if m.header.frame_id != world {
-        return Err(format!("it is in frame '{}', not in '{world}'", m.header.frame_id));
+        return Err(format!("the pose is in frame '{}', expected '{world}'", m.header.frame_id));
     }
     Ok(PoseEstimate {
         stamp: convert::stamp(&m.header.stamp),
@@ -54,24 +54,24 @@ fn pose_estimate(m: &PoseWithCovarianceStamped, world: &str) -> Result<PoseEstim
     })
 }
 
-/// Does it, and answers. What becomes of a pose that was set is returned: there is nobody to answer to.
+/// Carries out a request and answers it. A topic has no answer: why a pose cannot be set is returned.
 pub(crate) fn answer(fusion: &mut Fusion, request: Request, file: &str) -> Result<(), String> {
-    let told = |result: Result<String, String>| match result {
+    let reply = |result: Result<String, String>| match result {
         Ok(message) => TriggerResponse { success: true, message },
         Err(message) => TriggerResponse { success: false, message },
     };
     match request {
         Request::Reset(answer) => {
             fusion.reset();
-            answer.respond(told(Ok("it starts anew from the next image".to_owned())));
+            answer.respond(reply(Ok("the next image initializes the filter".to_owned())));
         }
         Request::Freeze(frozen, answer) => {
             fusion.freeze(frozen);
-            let message = if frozen { "markers are compared, not used" } else { "markers are used" };
+            let message = if frozen { "markers are compared and not used" } else { "markers are used" };
             answer.respond(SetBoolResponse { success: true, message: message.to_owned() });
         }
-        Request::Save(answer) => answer.respond(told(save(fusion, file))),
-        Request::Load(answer) => answer.respond(told(load(fusion, file))),
+        Request::Save(answer) => answer.respond(reply(save(fusion, file))),
+        Request::Load(answer) => answer.respond(reply(load(fusion, file))),
         Request::SetPose(pose) => {
             return fusion.set_pose(&pose).map_err(|refusal| format!("volant/set_pose: {refusal}"));
         }
@@ -81,7 +81,7 @@ pub(crate) fn answer(fusion: &mut Fusion, request: Request, file: &str) -> Resul
 
 fn path(file: &str) -> Result<&Path, String> {
     if file.is_empty() {
-        return Err("the parameter checkpoint_file names no file".to_owned());
+        return Err("the parameter checkpoint_file is empty: set it to a path".to_owned());
     }
     Ok(Path::new(file))
 }
@@ -90,7 +90,7 @@ fn save(fusion: &Fusion, file: &str) -> Result<String, String> {
     let path = path(file)?;
     let checkpoint = fusion.checkpoint().map_err(|refusal| refusal.to_string())?;
     let text = serde_json::to_string(&checkpoint).map_err(|e| e.to_string())?;
-    // Beside it and then in its place: a file that is there is never half of one.
+    // Written beside it and renamed: an existing file is never left incomplete.
     let beside = path.with_extension("part");
     fs::write(&beside, text)
         .and_then(|()| fs::rename(&beside, path))
@@ -102,9 +102,9 @@ fn load(fusion: &mut Fusion, file: &str) -> Result<String, String> {
     let path = path(file)?;
     let text = fs::read_to_string(path).map_err(|e| format!("{}: cannot be read: {e}", path.display()))?;
     let checkpoint: Checkpoint =
-        serde_json::from_str(&text).map_err(|e| format!("{}: no checkpoint: {e}", path.display()))?;
+        serde_json::from_str(&text).map_err(|e| format!("{}: not a checkpoint: {e}", path.display()))?;
     fusion.restore(&checkpoint).map_err(|refusal| format!("{}: {refusal}", path.display()))?;
-    Ok(format!("taken up from {}", path.display()))
+    Ok(format!("restored from {}", path.display()))
 }
 
 #[cfg(test)]
@@ -112,16 +112,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn without_a_file_or_a_state_the_answer_says_what_is_missing() {
+    fn without_a_file_or_a_state_the_answer_names_what_is_missing() {
         let rig = rig_model::Rig::from_yaml(include_str!("../../test/src/rig/rig.yaml")).unwrap();
         let mut fusion = Fusion::new(rig, crate::FusionConfig::default());
         assert!(save(&fusion, "").unwrap_err().contains("checkpoint_file"));
-        assert!(save(&fusion, "/no/such/file").unwrap_err().contains("not started"));
+        assert!(save(&fusion, "/no/such/file").unwrap_err().contains("not initialized"));
         assert!(load(&mut fusion, "/no/such/file").unwrap_err().contains("cannot be read"));
     }
 
     #[test]
-    fn a_pose_in_another_frame_is_refused() {
+    fn a_pose_in_another_frame_is_rejected() {
         let mut m = PoseWithCovarianceStamped::default();
         m.header.frame_id = "map".to_owned();
         assert!(pose_estimate(&m, "world").unwrap_err().contains("'map'"));

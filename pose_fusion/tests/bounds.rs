@@ -13,7 +13,7 @@ use common::{
     scoring, simulated,
 };
 use nalgebra::{Matrix3, Vector3};
-use pose_fusion::{Fusion, FusionConfig, Input, Odometry, TightConfig};
+use pose_fusion::{Fusion, FusionConfig, Input, Odometry};
 use rig_model::Stamp;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -272,7 +272,7 @@ fn encoders_noisier_than_their_step_do_not_mislead_the_first_seconds() {
                 [nees(&p, 0), nees(&r, 3), r.norm().to_degrees()]
             })
             .collect();
-        (errors, fusion.status().recoveries)
+        (errors, fusion.status().counts.resets.recoveries)
     });
     let all: Vec<[f64; 3]> = far.iter().flat_map(|(errors, _)| errors).copied().collect();
     // Chi-square of 3 degrees of freedom: one of a thousand is beyond 16.3.
@@ -314,53 +314,14 @@ fn a_start_after_the_encoders_noise_was_found_leaves_nothing_false_to_smooth() {
     }
 }
 
-/// How the climber's clock is in a run of fifty, and what the filter is told of it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Clocks {
-    /// One clock, and the filter knows.
-    Told,
-    /// One clock, and the filter has to find that.
-    One,
-    /// As the filter believes before the first datum: one clock in every other run, else an offset of 50 ms (1 sigma).
-    Drawn,
-}
-
-/// The middle of the `k`-th of `n` equal shares of a normal distribution, in sigmas: draws that fill it evenly.
-fn normal_share(k: u64, n: u64) -> f64 {
-    let share = (k as f64 + 0.5) / n as f64;
-    let (mut low, mut high) = (-5.0, 5.0);
-    for _ in 0..50 {
-        let x: f64 = (low + high) / 2.0;
-        // Φ(x) = ½ + φ(x) (x + x³/3 + x⁵/15 + …).
-        let (mut sum, mut term) = (0.0, x);
-        for i in 1..150 {
-            sum += term;
-            term *= x * x / (2.0 * f64::from(i) + 1.0);
-        }
-        let below = 0.5 + sum * (-x * x / 2.0).exp() / std::f64::consts::TAU.sqrt();
-        if below < share { low = x } else { high = x }
-    }
-    low
-}
-
 /// Normalised squared errors of position, velocity and attitude every tenth of a second.
 ///
-/// Nothing is told but the clocks, and that the simulated centroids have no offsets that stay: else the filter has its defaults, though the
-/// runs' biases are smaller (0.03 m/s² and 0.008 rad/s, 1 sigma) and their lens is exact. A covariance is that of the errors over all that the filter takes for possible: where it takes two clocks to
-/// be as likely as one, fifty runs with one clock are too good for it, and fifty with two too bad.
-fn nees(seed: u64, clocks: Clocks) -> Vec<[f64; 3]> {
-    let mut sensors = SensorConfig::nominal(seed);
-    let (half, odd) = ((seed % 50) / 2, seed % 2 == 1);
-    if clocks == Clocks::Drawn && odd {
-        sensors.climber_clock_ahead = TightConfig::default().climber_clock * normal_share(half, 25);
-    }
+/// The simulated rig has no calibration errors, so the filter is configured without them; else it has its defaults, though the runs'
+/// biases are smaller (0.03 m/s² and 0.008 rad/s, 1 sigma).
+fn nees(seed: u64) -> Vec<[f64; 3]> {
+    let sensors = SensorConfig::nominal(seed);
     let run = simulated::run(MotionConfig::nominal(seed), &sensors);
-    let mut config = FusionConfig::default();
-    config.tight.pixel_systematic = 0.0;
-    if clocks == Clocks::Told {
-        config.tight.climber_clock = 0.0;
-    }
-    let mut fusion = Fusion::new(simulated::rig(), config);
+    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
     let said = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
     let mut found = Vec::new();
     for tenth in FIRST..118 {
@@ -384,13 +345,12 @@ const FIRST: usize = 20;
 /// χ² with 150 degrees of freedom, 2.5 % and 97.5 %, over 50.
 const INTERVAL: (f64, f64) = (117.985 / 50.0, 185.800 / 50.0);
 
-/// Position, velocity, attitude: mean over the time from `tenth` on, and the shares of it below and above [`INTERVAL`].
-fn anees(name: &str, clocks: Clocks, tenth: usize) -> [[f64; 3]; 3] {
-    let mut runs = in_parallel(100..150, |seed| nees(seed, clocks));
-    runs.iter_mut().for_each(|run| drop(run.drain(..tenth - FIRST)));
+#[test]
+fn over_fifty_runs_the_covariance_is_that_of_the_errors() {
+    let runs = in_parallel(100..150, nees);
     let (low, high) = INTERVAL;
     let times = runs[0].len();
-    std::array::from_fn(|k| {
+    for (k, name) in ["position", "velocity", "attitude"].into_iter().enumerate() {
         let averages: Vec<f64> =
             (0..times).map(|t| runs.iter().map(|r| r[t][k]).sum::<f64>() / 50.0).collect();
         let share =
@@ -398,37 +358,11 @@ fn anees(name: &str, clocks: Clocks, tenth: usize) -> [[f64; 3]; 3] {
         let (below, above) = (share(&|a| a < low), share(&|a| a > high));
         let mean = averages.iter().sum::<f64>() / times as f64;
         println!(
-            "{name}, {}: ANEES {mean:.2} (3 at best), inside [{low:.2}, {high:.2}] {:.0} % of the time, {:.0} % below, {:.0} % above",
-            ["position", "velocity", "attitude"][k],
+            "{name}: ANEES {mean:.2} (ideal 3), inside [{low:.2}, {high:.2}] {:.0} % of the time, {:.0} % below, {:.0} % above",
             100.0 * (1.0 - below - above),
             100.0 * below,
             100.0 * above
         );
-        [mean, below, above]
-    })
-}
-
-#[test]
-fn over_fifty_runs_the_covariance_is_that_of_the_errors() {
-    for [mean, below, above] in anees("told of one clock", Clocks::Told, FIRST) {
         assert!(below + above <= 0.1, "{mean}: below {below}, above {above}");
-    }
-}
-
-/// Where the clocks are what the filter believes of them, a run with one clock has less error than it says and one with two has more,
-/// until the data tell: together they have what it says.
-#[test]
-fn over_fifty_runs_of_one_clock_or_two_as_well_once_it_has_seen_five_seconds() {
-    // Before: 4.8 at worst (see the README).
-    anees("one clock or two, from 2 s", Clocks::Drawn, FIRST);
-    for [mean, below, above] in anees("one clock or two, from 6 s", Clocks::Drawn, 60) {
-        assert!(below + above <= 0.1, "{mean}: below {below}, above {above}");
-    }
-}
-
-#[test]
-fn over_fifty_runs_with_one_clock_it_is_careful_as_long_as_it_asks() {
-    for [mean, _, above] in anees("one clock, not told", Clocks::One, FIRST) {
-        assert!((1.5..3.3).contains(&mean) && above < 0.05, "{mean}, above {above}");
     }
 }

@@ -6,7 +6,7 @@ use common::{
     scoring, simulated,
 };
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
-use pose_fusion::{Fusion, FusionConfig, Input, Odometry, Warning};
+use pose_fusion::{Fusion, FusionConfig, Input, Odometry, Warning, config::CalibrationSigmas};
 use rig_model::Stamp;
 
 fn recording() -> simulated::Run {
@@ -73,11 +73,13 @@ fn what_is_broken_is_refused_and_leaves_no_trace() {
     let said = scoring::run(&mut fusion, inputs);
     let status = fusion.status();
     assert!(
-        status.refused_imu > 50 && status.refused_climber > 20 && status.refused_markers > 20,
+        status.counts.rejected.imu > 50
+            && status.counts.rejected.climber > 20
+            && status.counts.rejected.markers > 20,
         "{status:?}"
     );
-    assert!(status.duplicates > 50);
-    assert_eq!(status.time_jumps, 0);
+    assert!(status.counts.inputs.duplicates > 50);
+    assert_eq!(status.counts.resets.time_jumps, 0);
     // The broken image shows no markers, so nothing changes but rounding of one more step.
     assert_eq!(said.odometry.len(), clean.len());
     let worst = said
@@ -103,7 +105,7 @@ fn reordered_inertial_samples_are_put_in_their_place() {
     let said = scoring::run(&mut fusion, inputs);
     let score = scoring::score(&said.odometry, &run.truth, 1.0);
     println!("{score}");
-    assert!(fusion.status().late_imu > 50);
+    assert!(fusion.status().counts.inputs.late_imu > 50);
     assert!(score.position_rmse() < 1.2 && score.rotation_rmse() < 0.2, "{score}");
     assert!(said.odometry.windows(2).all(|w| w[1].stamp > w[0].stamp));
 }
@@ -114,7 +116,7 @@ fn a_looped_recording_starts_anew() {
     let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
     let first = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
     let second = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
-    assert_eq!(fusion.status().time_jumps, 1);
+    assert_eq!(fusion.status().counts.resets.time_jumps, 1);
     assert!(second.warnings.iter().any(|w| matches!(w, Warning::TimeJump { .. })));
     let score = scoring::score(&second.odometry, &run.truth, 1.0);
     println!("{score}");
@@ -131,9 +133,10 @@ fn without_vision_it_does_not_lie() {
             ..SensorConfig::nominal(2)
         },
     );
-    // What an unknown clock makes of the motion comes and goes with the speed: here it is known.
+    // An unknown time offset comes and goes in the covariance with the speed: here it is known.
     let mut config = FusionConfig::default();
-    config.tight.climber_clock = 0.0;
+    config.tight.clock.camera_sigma = 0.0;
+    config.tight.calibration = CalibrationSigmas::NONE;
     let mut fusion = Fusion::new(simulated::rig(), config);
     let said = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
     let epoch = SensorConfig::nominal(2).epoch;

@@ -2,7 +2,7 @@
 
 use super::topics::TopicNames;
 use crate::bag::{BagError, BagSummary, BagWriter, QosProfile, Topic, TopicId, WriteOptions};
-use pose_fusion::{MarkerUpdateRecord, Odometry, PoseEstimate, messages};
+use pose_fusion::{MarkerUpdateRecord, Odometry, PoseEstimate, PoseStatus, messages};
 use rig_model::{ClimberSample, Frames, MarkerObservations, Rig, Stamp};
 use std::{cmp::Reverse, collections::BinaryHeap, path::Path};
 use volant_msgs::{Message, cdr, geometry_msgs, msg, nav_msgs, tf2_msgs};
@@ -30,6 +30,9 @@ struct Topics {
     transform: TopicId,
     odometry: TopicId,
     fused_pose: TopicId,
+    pose: TopicId,
+    status: TopicId,
+    predicted: TopicId,
     visual_pose: TopicId,
     updates: TopicId,
     tf: TopicId,
@@ -70,6 +73,15 @@ impl OutputBag {
                 .add_topic(Topic::of::<nav_msgs::msg::Odometry>(&names.resolve("volant/odometry"), &qos)),
             fused_pose: bag.add_topic(Topic::of::<geometry_msgs::msg::PoseWithCovarianceStamped>(
                 &names.resolve("volant/fused_pose"),
+                &qos,
+            )),
+            pose: bag.add_topic(Topic::of::<geometry_msgs::msg::PoseWithCovarianceStamped>(
+                &names.resolve("volant/pose"),
+                &qos,
+            )),
+            status: bag.add_topic(Topic::of::<msg::PoseStatus>(&names.resolve("volant/status"), &qos)),
+            predicted: bag.add_topic(Topic::of::<nav_msgs::msg::Odometry>(
+                &names.resolve("volant/predicted_odometry"),
                 &qos,
             )),
             visual_pose: bag.add_topic(Topic::of::<geometry_msgs::msg::PoseWithCovarianceStamped>(
@@ -123,15 +135,32 @@ impl OutputBag {
         self.put(self.topics.tf, sample.stamp, &tf2_msgs::msg::TFMessage { transforms: vec![message] })
     }
 
-    /// `volant/odometry`, `volant/fused_pose` and `/tf`.
+    /// `volant/odometry`, `volant/fused_pose`, `volant/pose` and `/tf`.
     ///
     /// # Errors
     /// As [`BagWriter::write`].
     pub fn odometry(&mut self, o: &Odometry) -> Result<(), BagError> {
         self.put(self.topics.odometry, o.stamp, &messages::odometry(o, &self.frames))?;
         self.put(self.topics.fused_pose, o.stamp, &messages::fused_pose(o, &self.frames))?;
+        self.put(self.topics.pose, o.stamp, &messages::pose(o, &self.frames))?;
         let transforms = vec![messages::transform(o, &self.frames)];
         self.put(self.topics.tf, o.stamp, &tf2_msgs::msg::TFMessage { transforms })
+    }
+
+    /// `volant/status`.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn status(&mut self, status: &PoseStatus) -> Result<(), BagError> {
+        self.put(self.topics.status, status.stamp, &messages::status(status, &self.frames))
+    }
+
+    /// `volant/predicted_odometry`.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn predicted(&mut self, o: &Odometry) -> Result<(), BagError> {
+        self.put(self.topics.predicted, o.stamp, &messages::odometry(o, &self.frames))
     }
 
     /// `volant/smoothed_odometry`.

@@ -265,6 +265,8 @@ impl Pipeline {
                     self.count_odometry(odometry.stamp);
                     self.output.odometry(&odometry)?;
                 }
+                pose_fusion::Output::Status(status) => self.output.status(&status)?,
+                pose_fusion::Output::Predicted(odometry) => self.output.predicted(&odometry)?,
                 pose_fusion::Output::VisualPose(pose) => {
                     self.counts.visual += 1;
                     self.output.visual_pose(&pose)?;

@@ -128,7 +128,7 @@ fn transition(
         density[(3 + i, 3 + i)] = (imu.accelerometer_noise_density * factor).powi(2);
         density[(6 + i, 6 + i)] = (imu.gyroscope_noise_density * factor).powi(2);
         density[(CLIMBER + 6 + i, CLIMBER + 6 + i)] =
-            if i == 2 { told.climber_turn_jerk } else { told.climber_jerk };
+            if i == 2 { told.climber.turn_jerk } else { told.climber.jerk };
     }
     // ∫ Φ D Φᵀ by Simpson's rule.
     let half = Square::identity() + a * (dt / 2.0) + a * a * (dt * dt / 8.0);
@@ -194,14 +194,14 @@ pub fn bound(scene: &Scene<'_>, recording: &Recording, told: &TightConfig, every
         }
     };
     set(0, 2.0);
-    set(3, told.initial_velocity);
+    set(3, 1.5);
     set(6, 1.0);
-    set(9, told.accelerometer_bias);
-    set(12, told.gyroscope_bias);
+    set(9, told.imu.accelerometer_bias);
+    set(12, told.imu.gyroscope_bias);
     set(CLIMBER, 1.0);
     set(CLIMBER + 3, 0.5);
     set(CLIMBER + 6, 0.5);
-    first[(CLOCK, CLOCK)] = told.camera_clock.powi(2);
+    first[(CLOCK, CLOCK)] = told.clock.camera_sigma.powi(2);
 
     let step = |p: &mut Square, node: &Node, now: f64| {
         *p = node.transition * *p * node.transition.transpose() + node.noise;

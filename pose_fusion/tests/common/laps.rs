@@ -26,10 +26,6 @@ pub struct Found {
     pub mean_nees: [f64; 2],
     /// Share of the odometry beyond [`BEYOND`].
     pub beyond: [f64; 2],
-    /// Share of the second half's odometry during which "one clock" was the less likely answer.
-    pub doubted: f64,
-    /// Largest offset of the climber's clock that was said in the second half, s.
-    pub said: f64,
     pub encoder_faults: u32,
     pub status: Status,
 }
@@ -52,7 +48,7 @@ impl Laps {
     pub fn follow(&self, fusion: &mut Fusion) -> Found {
         let mut random = Random::fork(self.sensors.seed, "encoder faults");
         let mut found = Found::default();
-        let (mut count, mut late, mut doubted) = (0.0, 0.0, 0.0);
+        let mut count = 0.0;
         for lap in 0..self.count {
             let begin = f64::from(lap) * self.motion.duration;
             // Other noise in each lap, and the same unit.
@@ -85,12 +81,6 @@ impl Laps {
                         found.mean_nees[k] += nees;
                         found.beyond[k] += f64::from(u8::from(nees > BEYOND));
                     }
-                    if 2 * lap >= self.count && count % 10.0 == 0.0 {
-                        let status = fusion.status();
-                        late += 1.0;
-                        doubted += f64::from(u8::from(status.climber_clock_tied < 0.5));
-                        found.said = found.said.max(status.climber_clock_offset.abs());
-                    }
                 }
             }
         }
@@ -98,7 +88,6 @@ impl Laps {
             found.mean_nees[k] /= count;
             found.beyond[k] /= count;
         }
-        found.doubted = doubted / late;
         found.hours = f64::from(self.count) * self.motion.duration / 3600.0;
         found.status = fusion.status();
         found

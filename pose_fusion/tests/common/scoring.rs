@@ -103,6 +103,8 @@ pub struct Said {
     pub visual: Vec<PoseEstimate>,
     pub records: Vec<pose_fusion::MarkerUpdateRecord>,
     pub warnings: Vec<pose_fusion::Warning>,
+    pub status: Vec<pose_fusion::PoseStatus>,
+    pub predicted: Vec<Odometry>,
 }
 
 pub fn run(fusion: &mut Fusion, inputs: impl IntoIterator<Item = Input>) -> Said {
@@ -115,6 +117,8 @@ pub fn run(fusion: &mut Fusion, inputs: impl IntoIterator<Item = Input>) -> Said
                 Output::VisualPose(p) => said.visual.push(p),
                 Output::MarkerUpdate(r) => said.records.push(r),
                 Output::Warning(w) => said.warnings.push(w),
+                Output::Status(s) => said.status.push(s),
+                Output::Predicted(o) => said.predicted.push(o),
             }
         }
     }

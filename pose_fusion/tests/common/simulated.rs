@@ -5,11 +5,18 @@ use super::rig::{
     motion::{Motion, MotionConfig},
 };
 use super::scoring::Truth;
-use pose_fusion::Input;
+use pose_fusion::{FusionConfig, Input, config::CalibrationSigmas};
 use rig_model::{CameraModel, Distortion, Rig, Stamp};
 
 pub fn rig() -> Rig {
     Rig::from_yaml(include_str!("../../../test/src/rig/rig.yaml")).unwrap()
+}
+
+/// The defaults, without calibration errors: the simulated rig has none.
+pub fn config() -> FusionConfig {
+    let mut config = FusionConfig::default();
+    config.tight.calibration = CalibrationSigmas::NONE;
+    config
 }
 
 pub fn camera() -> CameraModel {

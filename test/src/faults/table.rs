@@ -161,7 +161,7 @@ pub fn table() -> Vec<Row> {
             })
         }),
         Row {
-            diagnostics: fusion(&["ahead of the inertial samples"]),
+            diagnostics: fusion(&["ahead of the IMU samples"]),
             ..spoiled("pictures stamped 10 s ahead", || {
                 images(|mut m| {
                     shift(&mut m.header, 10.0);
@@ -170,7 +170,7 @@ pub fn table() -> Vec<Row> {
             })
         },
         Row {
-            diagnostics: fusion(&["older than the newest inertial sample"]),
+            diagnostics: fusion(&["older than the newest IMU sample"]),
             ..spoiled("pictures stamped 10 s in the past", || {
                 images(|mut m| {
                     shift(&mut m.header, -10.0);
@@ -295,7 +295,7 @@ pub fn table() -> Vec<Row> {
         },
         Row {
             flow: Flow::Stops,
-            diagnostics: fusion(&["no inertial sample for"]),
+            diagnostics: fusion(&["no IMU sample for"]),
             ..killed("kill -9 imu_driver, started 3 s later", "imu_driver")
         },
         Row {
@@ -314,7 +314,7 @@ pub fn table() -> Vec<Row> {
         },
         Row {
             flow: Flow::Stops,
-            diagnostics: fusion(&["no inertial sample for"]),
+            diagnostics: fusion(&["no IMU sample for"]),
             ..stalled("imu_driver stalled for 3 s", "imu_driver")
         },
         Row {

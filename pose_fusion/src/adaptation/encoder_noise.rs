@@ -1,0 +1,185 @@
+//! Noise of the climber's encoders, identified from their readings.
+//!
+//! Third divided differences cancel any smooth motion, however the readings are spaced (some are lost or late); divided by
+//! the norm of their weights they leave the variance of white noise in their square.
+
+use crate::measurements::geometry::wrap;
+use nalgebra::{Vector3, Vector4};
+use rig_model::Stamp;
+
+/// Over this span a climber's motion is a parabola but for less than its encoders' step, s.
+const SMOOTH: f64 = 0.2;
+/// After this time the noise is known, s.
+const YOUNG: f64 = 1.0;
+/// Equal readings in a row count as one, up to this number.
+pub const STANDING: f64 = 8.0;
+
+/// Running estimate of the encoders' noise.
+#[derive(Clone, Debug)]
+pub struct EncoderNoise {
+    last: [(Stamp, Vector3<f64>); 4],
+    count: usize,
+    first: Option<Stamp>,
+    newest: Stamp,
+    variance: Vector3<f64>,
+    weight: Vector3<f64>,
+    floor: Vector3<f64>,
+    equal: [f64; 3],
+}
+
+impl EncoderNoise {
+    /// Creates an estimate with the quantization noise step²/12 of the encoders' steps (m, m, rad) as the floor.
+    pub fn new(steps: Vector3<f64>) -> Self {
+        Self {
+            last: [(Stamp::default(), Vector3::zeros()); 4],
+            count: 0,
+            first: None,
+            newest: Stamp::default(),
+            variance: Vector3::zeros(),
+            weight: Vector3::zeros(),
+            floor: steps.map(|q| q * q / 12.0),
+            equal: [1.0; 3],
+        }
+    }
+
+    /// Adds a reading that is newer than those before. Returns the variance of a moving climber's reading, and for each value
+    /// the number of equal readings in a row, at most [`STANDING`].
+    pub fn add(&mut self, stamp: Stamp, values: &Vector3<f64>) -> (Vector3<f64>, [f64; 3]) {
+        self.first.get_or_insert(stamp);
+        self.newest = stamp;
+        let before = self.last[3].1;
+        let mut values = *values;
+        if self.count > 0 {
+            values.z = before.z + wrap(values.z - before.z);
+        }
+        self.last.rotate_left(1);
+        self.last[3] = (stamp, values);
+        self.count = self.count.saturating_add(1);
+        for axis in 0..3 {
+            let equal = self.count > 1 && values[axis] == before[axis];
+            self.equal[axis] = if equal { (self.equal[axis] + 1.0).min(STANDING) } else { 1.0 };
+        }
+        if let (true, Some(weights)) = (self.count >= 4, self.weights()) {
+            let norm = weights.norm_squared();
+            for axis in 0..3 {
+                let still = (0..3).all(|k| self.last[k].1[axis] == self.last[k + 1].1[axis]);
+                if !still {
+                    // Relative to the newest value, which is far from zero on a long rail.
+                    let d: f64 = (0..3).map(|k| weights[k] * (self.last[k].1[axis] - values[axis])).sum();
+                    // Mean of the first differences, then a memory of a hundred; one jump counts ten times at most.
+                    self.weight[axis] = (self.weight[axis] + 1.0).min(100.0);
+                    let mut square = d * d / norm;
+                    if self.weight[axis] > 10.0 {
+                        square = square.min(10.0 * self.variance[axis].max(self.floor[axis]));
+                    }
+                    self.variance[axis] += (square - self.variance[axis]) / self.weight[axis];
+                }
+            }
+        }
+        (self.variance(), self.equal)
+    }
+
+    /// Returns the same for a reading that arrives after newer ones, `neighbor` being the one before it. It changes nothing, and
+    /// where it equals its neighbor it counts as little as that one.
+    pub fn late(&self, values: &Vector3<f64>, neighbor: Option<&Vector3<f64>>) -> (Vector3<f64>, [f64; 3]) {
+        let equal = std::array::from_fn(|axis| {
+            if neighbor.is_some_and(|n| n[axis] == values[axis]) { STANDING } else { 1.0 }
+        });
+        (self.variance(), equal)
+    }
+
+    /// Returns the weights of the third divided difference of the last four readings; `None` where they are too far apart for a
+    /// smooth motion.
+    fn weights(&self) -> Option<Vector4<f64>> {
+        let newest = self.last[3].0;
+        let t = self.last.map(|(at, _)| at.seconds_since(newest));
+        if t[0] < -SMOOTH {
+            return None;
+        }
+        // In units of the mean interval, so that the weights stay near one.
+        let unit = -t[0] / 3.0;
+        Some(Vector4::from_fn(|i, _| {
+            (0..4).filter(|j| *j != i).map(|j| unit / (t[i] - t[j])).product::<f64>()
+        }))
+    }
+
+    /// Returns the variance of a moving climber's reading, m², m², rad².
+    pub fn variance(&self) -> Vector3<f64> {
+        Vector3::from_fn(|axis, _| {
+            let (found, count) = (self.variance[axis], self.weight[axis]);
+            // The estimate scatters, most while it has few differences; what may be scatter is quantization.
+            let scatter = if count >= 15.0 { 1.5 } else { 1.0 + 7.5 / count };
+            if count > 0.0 && found > scatter * self.floor[axis] { found } else { self.floor[axis] }
+        })
+    }
+
+    /// Returns whether the noise is still being identified and may yet change by much.
+    pub fn is_young(&self) -> bool {
+        self.first.is_none_or(|first| self.newest.seconds_since(first) < YOUNG)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A poor link leaves the readings of a moving climber unevenly spaced.
+    #[test]
+    fn lost_or_late_readings_are_not_taken_for_noise() {
+        let step = 0.001;
+        let reading = |i: i32| {
+            let t = f64::from(i) * 0.02 + 0.002 * f64::from(i % 3);
+            let x = ((0.4 * t.sin()) / step).round() * step;
+            (Stamp::default().plus_seconds(t), Vector3::new(x, 0.0, 0.0))
+        };
+        for lost in [&[][..], &[3], &[2, 3], &[1, 2, 5, 6]] {
+            let mut noise = EncoderNoise::new(Vector3::repeat(step));
+            for (stamp, values) in (0..400).filter(|i| !lost.contains(&(i % 7))).map(reading) {
+                noise.add(stamp, &values);
+            }
+            let sigma = noise.variance().x.sqrt() * 12.0_f64.sqrt() / step;
+            assert!(sigma < 1.25, "{lost:?} lost of each seven: {sigma} steps");
+        }
+        // A late reading that equals its neighbor counts as little as that one.
+        let noise = EncoderNoise::new(Vector3::repeat(step));
+        let (_, share) = noise.late(&Vector3::new(0.3, 0.2, 0.1), Some(&Vector3::new(0.3, 0.1, 0.1)));
+        assert_eq!(share, [STANDING, 1.0, STANDING]);
+    }
+
+    #[test]
+    fn noise_is_separated_from_motion() {
+        let steps = Vector3::new(0.001, 0.001, 0.00087);
+        let mut noise = EncoderNoise::new(steps);
+        let mut state = 1u64;
+        let mut normal = || {
+            let mut sum = 0.0;
+            for _ in 0..12 {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                sum += (state >> 11) as f64 * 2f64.powi(-53);
+            }
+            sum - 6.0
+        };
+        let mut found = Vector3::zeros();
+        for i in 0..200 {
+            let t = f64::from(i) * 0.02;
+            let x = 0.4 * t.sin() + 0.002 * normal();
+            (found, _) = noise.add(Stamp::default().plus_seconds(t), &Vector3::new(x, 0.3, 0.0));
+        }
+        assert!((found.x.sqrt() / 0.002 - 1.0).abs() < 0.25, "{}", found.x.sqrt());
+        assert!((found.y - 1e-6 / 12.0).abs() < 1e-12);
+        assert!(!noise.is_young());
+    }
+
+    #[test]
+    fn a_climber_at_rest_is_not_known_much_better_than_its_step() {
+        let mut noise = EncoderNoise::new(Vector3::repeat(0.001));
+        let values = Vector3::new(0.3, 0.2, 0.1);
+        let mut variance = 0.01;
+        for i in 0..100 {
+            let (moving, equal) = noise.add(Stamp::default().plus_seconds(f64::from(i) * 0.02), &values);
+            variance += 1e-8;
+            variance = 1.0 / (1.0 / variance + 1.0 / (moving.x * equal[0]));
+        }
+        assert!(variance.sqrt() > 0.0001, "{}", variance.sqrt());
+    }
+}

@@ -1,0 +1,184 @@
+//! Integrity of IMU samples: rejection of impossible samples, and additional noise for suspicious ones.
+
+use crate::{config::ImuConfig, ekf::propagation::ImuReading};
+use nalgebra::Vector3;
+
+use super::imu_noise::Densities;
+
+/// A second difference of samples above this many sigma is a shock that the sampling may have missed in part. (Second
+/// differences cancel a swing: at 1 Hz and 100 samples per second they leave 0.4 % of it.)
+const JUMP_SIGMAS: f64 = 6.0;
+/// Part of a jump that the integration may have missed: between nothing and the whole step, 1 sigma.
+const MISSED: f64 = 0.5;
+/// An axis that repeats the largest magnitude it ever had, above this one, is saturated: m/s², rad/s.
+const SATURATION: [f64; 2] = [15.0, 0.1];
+/// Number of equal samples in a row that are no coincidence of a quantized signal at the peak of a swing.
+const REPEATED: u32 = 3;
+/// Specific force (m/s²) and angular velocity (rad/s) that a saturated or stuck axis may hide, 1 sigma: a fast swing's.
+const HIDDEN: [f64; 2] = [3.0, 2.0];
+/// Correlation time of what is hidden and of scale errors in a swing, s.
+const CORRELATION: f64 = 0.3;
+/// Samples that repeat all six values for this long are stuck, s.
+const STUCK: f64 = 0.05;
+/// Time constant of the mean specific force, whose scale error the bias absorbs, s.
+const MEAN_FORCE: f64 = 5.0;
+
+/// Why a sample is rejected.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Implausible {
+    /// The specific force is not finite or beyond the range of any IMU.
+    Force,
+    /// The angular velocity is not finite or beyond the range of any IMU.
+    Rate,
+    /// All six values are zero: a disconnected sensor.
+    AllZero,
+}
+
+/// Memory of the previous sample and of the mean force.
+#[derive(Clone, Debug, Default)]
+pub struct ImuIntegrity {
+    previous: Option<ImuReading>,
+    before: Option<ImuReading>,
+    mean_force: Option<Vector3<f64>>,
+    unchanged: f64,
+    /// Largest magnitude of each axis, and how often it was repeated: force, rate.
+    peaks: [[(f64, u32); 3]; 2],
+}
+
+impl ImuIntegrity {
+    /// Checks a reading against the range of an IMU.
+    ///
+    /// # Errors
+    /// See [`Implausible`].
+    pub fn check(reading: &ImuReading, config: &ImuConfig) -> Result<(), Implausible> {
+        let within = |v: &Vector3<f64>, most: f64| v.iter().all(|x| x.is_finite() && x.abs() <= most);
+        if !within(&reading.specific_force, config.max_force) {
+            return Err(Implausible::Force);
+        }
+        if !within(&reading.angular_velocity, config.max_rate) {
+            return Err(Implausible::Rate);
+        }
+        if *reading == ImuReading::default() {
+            return Err(Implausible::AllZero);
+        }
+        Ok(())
+    }
+
+    /// Returns the additional densities of the step of `dt` seconds to this reading: scale factor and misalignment (growing with
+    /// rate and specific force), shocks between samples, saturated axes and stuck values.
+    ///
+    /// `variances` are those of one sample, (m/s²)² and (rad/s)², `scale_factor` a factor on the configured scale sigmas.
+    pub fn additional(
+        &mut self,
+        reading: &ImuReading,
+        dt: f64,
+        variances: &Densities,
+        scale_factor: f64,
+        config: &ImuConfig,
+    ) -> Densities {
+        let mean = *self.mean_force.get_or_insert(reading.specific_force);
+        let share = (dt / MEAN_FORCE).clamp(0.0, 1.0);
+        self.mean_force = Some(mean + (reading.specific_force - mean) * share);
+        let mut more = Densities {
+            force: (scale_factor * config.accelerometer_scale * (reading.specific_force - mean).norm())
+                .powi(2)
+                * CORRELATION,
+            rate: (scale_factor * config.gyroscope_scale * reading.angular_velocity.norm()).powi(2)
+                * CORRELATION,
+        };
+        let Some(previous) = self.previous.replace(*reading) else { return more };
+        let force_change = reading.specific_force - previous.specific_force;
+        let rate_change = reading.angular_velocity - previous.angular_velocity;
+        if let Some(before) = self.before.replace(previous) {
+            let jump = |bend: Vector3<f64>, variance: f64| {
+                // Second differences of white noise have six times its variance.
+                let limit = JUMP_SIGMAS * JUMP_SIGMAS * 6.0 * variance;
+                let square = bend.map(|c| if c * c > limit { c * c } else { 0.0 }).sum();
+                MISSED * MISSED * square * dt
+            };
+            let last_force = previous.specific_force - before.specific_force;
+            let last_rate = previous.angular_velocity - before.angular_velocity;
+            more.force += jump(force_change - last_force, variances.force);
+            more.rate += jump(rate_change - last_rate, variances.rate);
+        }
+        self.unchanged = if *reading == previous { self.unchanged + dt } else { 0.0 };
+        let stuck = self.unchanged > STUCK;
+        let saturated =
+            [self.is_saturated(0, &reading.specific_force), self.is_saturated(1, &reading.angular_velocity)];
+        if stuck || saturated[0] {
+            more.force += HIDDEN[0].powi(2) * CORRELATION;
+        }
+        if stuck || saturated[1] {
+            more.rate += HIDDEN[1].powi(2) * CORRELATION;
+        }
+        more
+    }
+
+    fn is_saturated(&mut self, signal: usize, values: &Vector3<f64>) -> bool {
+        let mut saturated = false;
+        for (axis, (peak, count)) in self.peaks[signal].iter_mut().enumerate() {
+            let magnitude = values[axis].abs();
+            *count = if magnitude == *peak { *count + 1 } else { 0 };
+            *peak = peak.max(magnitude);
+            saturated |= *count + 1 >= REPEATED && magnitude > SATURATION[signal];
+        }
+        saturated
+    }
+
+    /// Discards the memory, after a gap.
+    pub fn clear(&mut self) {
+        *self = Self { mean_force: self.mean_force, peaks: self.peaks, ..Self::default() };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const VARIANCES: Densities = Densities { force: 4e-4, rate: 7.6e-5 };
+
+    fn reading(force: f64, rate: f64) -> ImuReading {
+        ImuReading {
+            specific_force: Vector3::new(force, 0.1 * force, 9.8),
+            angular_velocity: Vector3::new(rate, 0.05, 0.01 + 1e-3 * force),
+        }
+    }
+
+    #[test]
+    fn impossible_samples_are_rejected() {
+        let config = ImuConfig::default();
+        assert_eq!(ImuIntegrity::check(&reading(1.0, 0.3), &config), Ok(()));
+        assert_eq!(ImuIntegrity::check(&reading(1000.0, 0.3), &config), Err(Implausible::Force));
+        assert_eq!(ImuIntegrity::check(&reading(f64::NAN, 0.3), &config), Err(Implausible::Force));
+        assert_eq!(ImuIntegrity::check(&reading(1.0, 50.0), &config), Err(Implausible::Rate));
+        assert_eq!(ImuIntegrity::check(&ImuReading::default(), &config), Err(Implausible::AllZero));
+    }
+
+    #[test]
+    fn shocks_saturation_and_stuck_values_raise_the_noise_and_calm_motion_does_not() {
+        let config = ImuConfig::default();
+        let mut integrity = ImuIntegrity::default();
+        let mut next = |r: ImuReading| integrity.additional(&r, 0.01, &VARIANCES, 1.0, &config);
+        next(reading(0.0, 0.29));
+        next(reading(0.02, 0.3));
+        let calm = next(reading(0.05, 0.31));
+        assert!(calm.force < 1e-7 && calm.rate < 1e-6, "{calm:?}");
+        let shock = next(reading(20.0, 0.32));
+        assert!(shock.force > 0.9, "{shock:?}");
+        next(reading(0.0, 0.5));
+        next(reading(0.03, 0.5));
+        let saturated = next(reading(0.01, 0.5));
+        assert!(saturated.rate > 1.0 && saturated.force < 1.1, "{saturated:?}");
+        let stuck = (0..10).map(|_| next(reading(0.02, 0.05))).last().unwrap();
+        assert!(stuck.rate > 1.0 && stuck.force > 1.0, "{stuck:?}");
+    }
+
+    #[test]
+    fn a_scale_error_counts_in_proportion_to_the_motion() {
+        let config = ImuConfig { gyroscope_scale: 0.01, ..ImuConfig::default() };
+        let mut integrity = ImuIntegrity::default();
+        let slow = integrity.additional(&reading(0.0, 0.1), 0.01, &VARIANCES, 1.0, &config).rate;
+        let fast = integrity.additional(&reading(0.01, 3.0), 0.0, &VARIANCES, 1.0, &config).rate;
+        assert!(fast > 300.0 * slow, "{slow} {fast}");
+    }
+}

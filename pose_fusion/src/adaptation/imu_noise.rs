@@ -1,0 +1,206 @@
+//! Noise of the IMU, identified from its own samples.
+//!
+//! Third differences cancel any motion that is smooth over four samples (a 1 Hz swing of 35° leaves a tenth of an MTx's
+//! noise at 100 Hz), and white noise of variance σ² leaves 20 σ² in their square. They are taken at two time scales: of single
+//! samples, and of means over [`BLOCK`] seconds. White noise has the same density at both. Vibration is strong
+//! between samples and averages out over a block, where it no longer moves the platform; fast motion is seen by the
+//! blocks and not between samples. So the smaller density is that of the noise which the filter integrates. The
+//! rig file's density is the floor.
+
+use crate::ekf::propagation::ImuReading;
+use nalgebra::Vector3;
+
+/// Length of a block, s: its third differences measure at 8–12 Hz, above a platform's motion and below its vibration.
+const BLOCK: f64 = 0.04;
+/// Longer intervals between samples interrupt the differences, s.
+const INTERRUPTED: f64 = 0.05;
+/// Memory, differences.
+const MEMORY: f64 = 100.0;
+/// Fewest differences before the estimate counts.
+const FEWEST: f64 = 15.0;
+/// An estimate within this factor of the rig file's density confirms it: it scatters by a fifth.
+const CONFIRMED: f64 = 1.5;
+
+/// Densities of specific force, (m/s²)²/Hz, and angular velocity, (rad/s)²/Hz.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Densities {
+    /// Of the specific force.
+    pub force: f64,
+    /// Of the angular velocity.
+    pub rate: f64,
+}
+
+/// The mean over a block has triangular weights, which suppress vibration by the square of what equal weights do. Its variance is
+/// 4/3 of that of equal weights.
+const TRIANGULAR: f64 = 4.0 / 3.0;
+
+/// Running estimate of the IMU's noise.
+#[derive(Clone, Debug)]
+pub struct ImuNoise {
+    samples: Differences,
+    blocks: Differences,
+    sum: ImuReading,
+    weights: f64,
+    filled: f64,
+    period: f64,
+}
+
+impl Default for ImuNoise {
+    fn default() -> Self {
+        Self {
+            samples: Differences::default(),
+            blocks: Differences::default(),
+            sum: ImuReading::default(),
+            weights: 0.0,
+            filled: 0.0,
+            period: 0.01,
+        }
+    }
+}
+
+impl ImuNoise {
+    /// Adds a reading that came `dt` seconds after the previous one.
+    pub fn add(&mut self, reading: &ImuReading, dt: f64) {
+        if !(dt > 0.0 && dt < INTERRUPTED) {
+            self.samples.interrupt();
+            self.blocks.interrupt();
+            (self.sum, self.weights, self.filled) = (ImuReading::default(), 0.0, 0.0);
+        }
+        self.samples.add(reading);
+        self.period += (dt.clamp(0.0, INTERRUPTED) - self.period) / self.samples.weight.max(10.0);
+        let weight = 1.0 - (2.0 * (self.filled + 0.5 * dt) / BLOCK - 1.0).abs().min(1.0);
+        self.sum.specific_force += reading.specific_force * weight;
+        self.sum.angular_velocity += reading.angular_velocity * weight;
+        (self.weights, self.filled) = (self.weights + weight, self.filled + dt);
+        if self.filled >= BLOCK - 0.5 * self.period && self.weights > 0.0 {
+            let mean = ImuReading {
+                specific_force: self.sum.specific_force / self.weights,
+                angular_velocity: self.sum.angular_velocity / self.weights,
+            };
+            self.blocks.add(&mean);
+            (self.sum, self.weights, self.filled) = (ImuReading::default(), 0.0, 0.0);
+        }
+    }
+
+    /// Returns the densities to assume, given those of the rig file and the largest factor `limit` on their roots.
+    pub fn densities(&self, given: &Densities, limit: f64) -> Densities {
+        let choose = |of: fn(&Differences) -> f64, given: f64| {
+            let samples = of(&self.samples) * self.period;
+            let blocks = of(&self.blocks) * BLOCK / TRIANGULAR;
+            let found = if self.blocks.weight >= FEWEST { samples.min(blocks) } else { samples };
+            let known = self.samples.weight >= FEWEST;
+            if known && found > CONFIRMED * given { found.min(given * limit * limit) } else { given }
+        };
+        Densities { force: choose(|d| d.force, given.force), rate: choose(|d| d.rate, given.rate) }
+    }
+
+    /// Returns the variances of one sample, (m/s²)² and (rad/s)², at full bandwidth.
+    pub fn sample_variances(&self) -> Densities {
+        Densities { force: self.samples.force, rate: self.samples.rate }
+    }
+
+    /// Returns the mean time between samples, s.
+    pub fn period(&self) -> f64 {
+        self.period.max(1e-4)
+    }
+
+    /// Returns whether enough samples came for [`ImuNoise::sample_variances`] to mean something.
+    pub fn is_known(&self) -> bool {
+        self.samples.weight >= FEWEST
+    }
+}
+
+/// Variance of a series by its third differences.
+#[derive(Clone, Debug, Default)]
+struct Differences {
+    last: [ImuReading; 4],
+    count: usize,
+    weight: f64,
+    force: f64,
+    rate: f64,
+}
+
+impl Differences {
+    fn interrupt(&mut self) {
+        self.count = 0;
+    }
+
+    fn add(&mut self, reading: &ImuReading) {
+        self.last.rotate_left(1);
+        self.last[3] = *reading;
+        self.count = self.count.saturating_add(1);
+        if self.count < 4 {
+            return;
+        }
+        self.weight = (self.weight + 1.0).min(MEMORY);
+        let third = |of: fn(&ImuReading) -> Vector3<f64>| {
+            let [a, b, c, d] = &self.last;
+            (of(d) - of(c) * 3.0 + of(b) * 3.0 - of(a)).norm_squared() / 60.0
+        };
+        let (mut force, mut rate) = (third(|r| r.specific_force), third(|r| r.angular_velocity));
+        if self.weight > 20.0 {
+            // A single shock is no noise.
+            force = force.min(20.0 * self.force);
+            rate = rate.min(20.0 * self.rate);
+        }
+        self.force += (force - self.force) / self.weight;
+        self.rate += (rate - self.rate) / self.weight;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn normal() -> impl FnMut() -> f64 {
+        let mut state = 3u64;
+        move || {
+            let mut sum = 0.0;
+            for _ in 0..12 {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                sum += (state >> 11) as f64 * 2f64.powi(-53);
+            }
+            sum - 6.0
+        }
+    }
+
+    const GIVEN: Densities = Densities { force: 4e-6, rate: 7.6e-7 };
+
+    #[test]
+    fn ten_times_the_noise_is_found_within_a_second_of_swing() {
+        let (mut noise, mut normal) = (ImuNoise::default(), normal());
+        for i in 0..100 {
+            let swing = (std::f64::consts::TAU * f64::from(i) * 0.01).sin();
+            let mut white = |s: f64| Vector3::new(normal(), normal(), normal()) * s;
+            let reading = ImuReading {
+                specific_force: Vector3::new(3.0 * swing, 1.0, 9.8) + white(0.2),
+                angular_velocity: Vector3::new(3.0 * swing, 0.0, 0.0) + white(0.087),
+            };
+            noise.add(&reading, 0.01);
+        }
+        let found = noise.densities(&GIVEN, 30.0);
+        assert!((found.force.sqrt() / 0.02 - 1.0).abs() < 0.3, "{}", found.force.sqrt());
+        assert!((found.rate.sqrt() / 0.0087 - 1.0).abs() < 0.3, "{}", found.rate.sqrt());
+        let loud = Densities { force: 3.5e-4, rate: 7.6e-7 };
+        assert_eq!(noise.densities(&loud, 30.0).force, 3.5e-4);
+    }
+
+    #[test]
+    fn vibration_between_samples_is_not_taken_for_noise_that_is_integrated() {
+        let (mut noise, mut normal) = (ImuNoise::default(), normal());
+        for i in 0..2000 {
+            let t = f64::from(i) / 286.0;
+            let vibration =
+                (std::f64::consts::TAU * 93.0 * t).sin() + (std::f64::consts::TAU * 118.0 * t).sin();
+            let mut white = |s: f64| Vector3::new(normal(), normal(), normal()) * s;
+            let reading = ImuReading {
+                specific_force: Vector3::new(2.0 * vibration, vibration, 9.8) + white(0.002 * 286f64.sqrt()),
+                angular_velocity: white(0.00087 * 286f64.sqrt()),
+            };
+            noise.add(&reading, 1.0 / 286.0);
+        }
+        let found = noise.densities(&GIVEN, 30.0);
+        assert!(noise.sample_variances().force > 1.0, "{:?}", noise.sample_variances());
+        assert!(found.force.sqrt() < 0.02, "{}", found.force.sqrt());
+    }
+}

@@ -1,0 +1,9 @@
+//! Adaptation: noise levels and disturbances identified from the measurements themselves.
+
+pub mod disturbances;
+pub mod encoder_noise;
+pub mod imu_integrity;
+pub mod imu_noise;
+pub mod model_error;
+pub mod pixel_noise;
+pub mod stationary;

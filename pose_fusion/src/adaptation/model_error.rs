@@ -1,0 +1,72 @@
+//! Model error of the IMU, identified from the images: scale factors and misalignments beyond the data sheet.
+//!
+//! An image's innovation has two parts. What no pose explains (2 of the 8 numbers of four markers) is pixel noise and
+//! nothing else ([`super::pixel_noise`]); what a pose explains (6 numbers) is the error of the prediction. Where the second part is larger
+//! than its covariance, the IMU's scale and misalignment sigmas are raised, and return slowly.
+
+/// Memory, images.
+const MEMORY: f64 = 15.0;
+/// Degrees of freedom of a pose.
+const POSE: f64 = 6.0;
+/// Mean NIS per degree of freedom above which the sigmas grow, and below which they shrink back.
+const LARGE: f64 = 2.0;
+const SMALL: f64 = 1.4;
+/// Factors per image: tenfold within half a second, back within five.
+const GROWTH: f64 = 1.15;
+const DECAY: f64 = 0.985;
+/// Factor where the images contradict the prediction.
+const CONTRADICTED: f64 = 3.0;
+/// Largest factor: 5 % with the default sigmas.
+const LIMIT: f64 = 50.0;
+
+/// Factor on the IMU's scale and misalignment sigmas.
+#[derive(Clone, Debug)]
+pub struct ModelError {
+    ratio: f64,
+    factor: f64,
+}
+
+impl Default for ModelError {
+    fn default() -> Self {
+        Self { ratio: 1.0, factor: 1.0 }
+    }
+}
+
+impl ModelError {
+    /// Adds an image of four markers with this NIS (8 degrees of freedom), `internal` of which no pose explains.
+    pub fn add(&mut self, nis: f64, internal: f64) {
+        let ratio = ((nis - internal) / POSE).clamp(0.0, 6.0);
+        self.ratio += (ratio - self.ratio) / MEMORY;
+        if self.ratio > LARGE {
+            self.factor = (self.factor * GROWTH).min(LIMIT);
+        } else if self.ratio < SMALL {
+            self.factor = (self.factor * DECAY).max(1.0);
+        }
+    }
+
+    /// Notes that the prediction had to give way to images that contradict it.
+    pub fn contradicted(&mut self) {
+        self.factor = (self.factor * CONTRADICTED).min(LIMIT);
+    }
+
+    /// Returns the factor on the sigmas, at least 1.
+    pub fn factor(&self) -> f64 {
+        self.factor
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_answers_to_what_a_pose_explains_and_not_to_pixel_noise() {
+        let mut error = ModelError::default();
+        (0..100).for_each(|_| error.add(26.0, 20.0));
+        assert_eq!(error.factor(), 1.0);
+        (0..60).for_each(|_| error.add(20.0, 2.0));
+        assert!(error.factor() > 20.0, "{}", error.factor());
+        (0..500).for_each(|_| error.add(8.0, 2.0));
+        assert_eq!(error.factor(), 1.0);
+    }
+}

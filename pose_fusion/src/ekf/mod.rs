@@ -1,0 +1,6 @@
+//! The error-state extended Kalman filter: state, propagation with inertial readings, and updates.
+
+pub mod consider;
+pub mod propagation;
+pub mod state;
+pub mod update;

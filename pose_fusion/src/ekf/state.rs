@@ -1,0 +1,225 @@
+//! State of the error-state Kalman filter, its error and their composition.
+//!
+//! | index | error | unit | of |
+//! | --- | --- | --- | --- |
+//! | 0–2 | δp | m | position of the IMU, world |
+//! | 3–5 | δv | m/s | its velocity, world |
+//! | 6–8 | δθ | rad | attitude `world_from_imu`: `R_true = Exp(δθ) R`, a rotation about world axes |
+//! | 9–11 | δb_a | m/s² | accelerometer bias, IMU axes |
+//! | 12–14 | δb_g | rad/s | gyroscope bias, IMU axes |
+//! | 15–17 | δc | m, m, rad | x, y and turn of the climber |
+//! | 18–20 | δċ | per s | their rates |
+//! | 21–23 | δc̈ | per s² | their accelerations |
+//! | 24 | δτ | s | camera time offset: image time + τ = IMU time |
+//!
+//! **Time of the error.** The nominal state lives on the IMU's time line. Its error compares truth and estimate at the
+//! instant that the camera's stamp names. The time offset then does not appear in the image's measurement equation; it
+//! enters where inertial readings are integrated, whose changes are measured. In the other formulation the offset is
+//! multiplied by the velocity, which is unknown at the start, and an extended Kalman filter gains false information from
+//! that product. The error at IMU time, which is published, is `δx − ẋ δτ`.
+//!
+//! The attitude error is global (Solà 2017, "Quaternion kinematics for the error-state Kalman filter", section 7): that is
+//! the convention of ROS pose covariances, and the error dynamics do not depend on the angular velocity.
+
+use super::{consider::Sensitivity, propagation::ImuReading};
+use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
+
+/// Dimension of the error state.
+pub const N: usize = 25;
+/// First index of the position error.
+pub const POSITION: usize = 0;
+/// First index of the velocity error.
+pub const VELOCITY: usize = 3;
+/// First index of the attitude error.
+pub const ATTITUDE: usize = 6;
+/// First index of the accelerometer bias error.
+pub const ACCELEROMETER_BIAS: usize = 9;
+/// First index of the gyroscope bias error.
+pub const GYROSCOPE_BIAS: usize = 12;
+/// First index of the climber's x, y and turn errors.
+pub const CLIMBER: usize = 15;
+/// First index of the climber's rate errors.
+pub const CLIMBER_RATE: usize = 18;
+/// First index of the climber's acceleration errors.
+pub const CLIMBER_ACCELERATION: usize = 21;
+/// Index of the camera time offset error.
+pub const TIME_OFFSET: usize = 24;
+
+/// Covariance of the error state.
+pub type Covariance = SMatrix<f64, N, N>;
+/// Error state.
+pub type Error = SVector<f64, N>;
+
+/// Nominal state with the covariance of its error.
+#[derive(Clone, Debug, PartialEq)]
+pub struct State {
+    /// Position of the IMU, world, m.
+    pub position: Vector3<f64>,
+    /// Velocity of the IMU, world, m/s.
+    pub velocity: Vector3<f64>,
+    /// Attitude `world_from_imu`.
+    pub attitude: UnitQuaternion<f64>,
+    /// Accelerometer bias, IMU axes, m/s².
+    pub accelerometer_bias: Vector3<f64>,
+    /// Gyroscope bias, IMU axes, rad/s.
+    pub gyroscope_bias: Vector3<f64>,
+    /// x, y (m) and turn (rad) of the climber.
+    pub climber: Vector3<f64>,
+    /// Rates of x, y, turn, per s.
+    pub climber_rate: Vector3<f64>,
+    /// Accelerations of x, y, turn, per s².
+    pub climber_acceleration: Vector3<f64>,
+    /// Camera time offset, s (image time + offset = IMU time).
+    pub time_offset: f64,
+    /// Covariance of the error state.
+    pub covariance: Covariance,
+    /// Sensitivity of the error state to the consider parameters.
+    pub sensitivity: Sensitivity,
+    /// Time since a marker last corrected the state, s.
+    pub since_marker: f64,
+}
+
+impl State {
+    /// Returns a state with all values and variances zero.
+    pub fn zero() -> Self {
+        Self {
+            position: Vector3::zeros(),
+            velocity: Vector3::zeros(),
+            attitude: UnitQuaternion::identity(),
+            accelerometer_bias: Vector3::zeros(),
+            gyroscope_bias: Vector3::zeros(),
+            climber: Vector3::zeros(),
+            climber_rate: Vector3::zeros(),
+            climber_acceleration: Vector3::zeros(),
+            time_offset: 0.0,
+            covariance: Covariance::zeros(),
+            sensitivity: Sensitivity::zeros(),
+            since_marker: 0.0,
+        }
+    }
+
+    /// Adds an error to the nominal state (⊞). The covariance stays.
+    pub fn add(&mut self, error: &Error) {
+        let three = |i: usize| Vector3::new(error[i], error[i + 1], error[i + 2]);
+        self.position += three(POSITION);
+        self.velocity += three(VELOCITY);
+        self.attitude = UnitQuaternion::from_scaled_axis(three(ATTITUDE)) * self.attitude;
+        self.attitude.renormalize_fast();
+        self.accelerometer_bias += three(ACCELEROMETER_BIAS);
+        self.gyroscope_bias += three(GYROSCOPE_BIAS);
+        self.climber += three(CLIMBER);
+        self.climber_rate += three(CLIMBER_RATE);
+        self.climber_acceleration += three(CLIMBER_ACCELERATION);
+        self.time_offset += error[TIME_OFFSET];
+    }
+
+    /// Returns `self ⊟ other`, the error that leads from `other` to `self`.
+    pub fn minus(&self, other: &State) -> Error {
+        let mut e = Error::zeros();
+        let mut put = |i: usize, v: Vector3<f64>| e.fixed_rows_mut::<3>(i).copy_from(&v);
+        put(POSITION, self.position - other.position);
+        put(VELOCITY, self.velocity - other.velocity);
+        put(ATTITUDE, (self.attitude * other.attitude.inverse()).scaled_axis());
+        put(ACCELEROMETER_BIAS, self.accelerometer_bias - other.accelerometer_bias);
+        put(GYROSCOPE_BIAS, self.gyroscope_bias - other.gyroscope_bias);
+        put(CLIMBER, self.climber - other.climber);
+        put(CLIMBER_RATE, self.climber_rate - other.climber_rate);
+        put(CLIMBER_ACCELERATION, self.climber_acceleration - other.climber_acceleration);
+        e[TIME_OFFSET] = self.time_offset - other.time_offset;
+        e
+    }
+
+    /// Moves the nominal state by `−seconds` along its own motion.
+    ///
+    /// The time offset was corrected by `seconds`: what was known at the camera's instant belongs to an instant of the IMU's
+    /// time line that is later by as much. `reading` is the IMU reading at the state, `gravity` in m/s².
+    pub fn shift_time(&mut self, reading: &ImuReading, seconds: f64, gravity: f64) {
+        if seconds == 0.0 {
+            return;
+        }
+        let force = self.attitude * (reading.specific_force - self.accelerometer_bias);
+        let rate = self.attitude * (reading.angular_velocity - self.gyroscope_bias);
+        let acceleration = Vector3::new(force.x, force.y, force.z - gravity);
+        self.position -= self.velocity * seconds;
+        self.velocity -= acceleration * seconds;
+        self.attitude = UnitQuaternion::from_scaled_axis(rate * -seconds) * self.attitude;
+        self.climber -= self.climber_rate * seconds;
+        self.climber_rate -= self.climber_acceleration * seconds;
+    }
+
+    /// Returns whether every number is finite and every variance not negative.
+    pub fn is_finite(&self) -> bool {
+        let vectors = [
+            &self.position,
+            &self.velocity,
+            &self.accelerometer_bias,
+            &self.gyroscope_bias,
+            &self.climber,
+            &self.climber_rate,
+            &self.climber_acceleration,
+        ];
+        vectors.into_iter().flatten().chain(self.attitude.coords.iter()).all(|x| x.is_finite())
+            && self.time_offset.is_finite()
+            && (0..N).all(|i| self.covariance[(i, i)] >= 0.0)
+            && self.covariance.sum().is_finite()
+            && self.sensitivity.sum().is_finite()
+    }
+
+    /// Returns the standard deviation of one entry of the error.
+    pub fn sigma(&self, index: usize) -> f64 {
+        self.covariance[(index, index)].max(0.0).sqrt()
+    }
+
+    /// Returns the standard deviations of three entries of the error from `first` on.
+    pub fn sigmas(&self, first: usize) -> Vector3<f64> {
+        Vector3::from_fn(|i, _| self.sigma(first + i))
+    }
+
+    /// Sets the standard deviations of three entries and clears their correlations and sensitivities.
+    pub fn set_sigmas(&mut self, first: usize, sigmas: &Vector3<f64>) {
+        for i in 0..3 {
+            self.set_sigma(first + i, sigmas[i]);
+        }
+    }
+
+    /// Sets the standard deviation of one entry and clears its correlations and sensitivities.
+    pub fn set_sigma(&mut self, index: usize, sigma: f64) {
+        self.covariance.row_mut(index).fill(0.0);
+        self.covariance.column_mut(index).fill(0.0);
+        self.sensitivity.row_mut(index).fill(0.0);
+        self.covariance[(index, index)] = sigma * sigma;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn minus_is_the_inverse_of_add() {
+        let mut a = State::zero();
+        a.attitude = UnitQuaternion::from_euler_angles(0.3, -0.2, 1.1);
+        let error = Error::from_fn(|i, _| 0.01 * (i as f64 + 1.0) * if i % 2 == 0 { 1.0 } else { -1.0 });
+        let mut b = a.clone();
+        b.add(&error);
+        assert!((b.minus(&a) - error).norm() < 1e-12);
+    }
+
+    #[test]
+    fn one_non_finite_number_anywhere_is_found() {
+        let spoil: [fn(&mut State); 6] = [
+            |s| s.velocity.y = f64::NAN,
+            |s| s.gyroscope_bias.x = f64::INFINITY,
+            |s| s.climber_acceleration.z = f64::NAN,
+            |s| s.time_offset = f64::NAN,
+            |s| s.covariance[(3, 20)] = f64::NAN,
+            |s| s.covariance[(7, 7)] = -1e-9,
+        ];
+        assert!(State::zero().is_finite());
+        for change in spoil {
+            let mut state = State::zero();
+            change(&mut state);
+            assert!(!state.is_finite());
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! Tightly coupled error-state filter: marker pixels, encoders and IMU samples, each at its own time.
+//!
+//! Inputs arrive in any order ([`ingest`]) and go to their place on the time line; the time line is processed up to its end
+//! ([`processing`]), and the newest state is published ([`publish`]). The parts are values of their own: this type only
+//! connects them.
+
+mod ingest;
+mod operator;
+mod processing;
+mod publish;
+mod starting;
+
+use crate::{
+    adaptation::disturbances::Disturbances,
+    config::{StatusConfig, TightConfig},
+    ekf::state::State,
+    health::{
+        encoder_trust::EncoderTrust,
+        lock_out::LockOut,
+        status::{Status, TimeOffsetStatus},
+    },
+    initialization::time_offset::TimeOffsetSearch,
+    input::{climber_track::ClimberTrack, imu::ImuInput, markers::MarkerInput},
+    measurements::geometry::Geometry,
+    timeline::{arrival::Arrival, history::History},
+};
+use publish::Publisher;
+use rig_model::{CameraModel, Rig};
+use starting::Start;
+
+/// Error-state filter.
+#[derive(Clone, Debug)]
+pub struct Filter {
+    setup: Setup,
+    arrival: Arrival,
+    history: History,
+    imu: ImuInput,
+    markers: MarkerInput,
+    climber: ClimberTrack,
+    disturbances: Disturbances,
+    trust: EncoderTrust,
+    lock_out: LockOut,
+    search: Option<TimeOffsetSearch>,
+    start: Start,
+    publisher: Publisher,
+}
+
+/// What is given: rig, configuration and camera.
+#[derive(Clone, Debug)]
+struct Setup {
+    rig: Rig,
+    config: TightConfig,
+    status: StatusConfig,
+    geometry: Option<Geometry>,
+    frozen: bool,
+}
+
+impl Filter {
+    /// Creates a filter without an estimate.
+    pub fn new(rig: Rig, config: TightConfig, status: StatusConfig) -> Self {
+        Self {
+            arrival: Arrival::default(),
+            history: History::default(),
+            imu: ImuInput::default(),
+            markers: MarkerInput::default(),
+            climber: ClimberTrack::new(&config.climber),
+            disturbances: Disturbances::default(),
+            trust: EncoderTrust::default(),
+            lock_out: LockOut::default(),
+            search: search(&config),
+            start: Start::default(),
+            publisher: Publisher::new(&config),
+            setup: Setup { rig, config, status, geometry: None, frozen: false },
+        }
+    }
+
+    /// Sets the camera's calibration; a changed one counts from the next image on.
+    pub fn camera(&mut self, camera: &CameraModel) {
+        if self.setup.geometry.as_ref().is_none_or(|g| g.camera != *camera) {
+            self.setup.geometry = Some(Geometry::new(&self.setup.rig, camera.clone()));
+        }
+    }
+
+    /// Stops or resumes using markers; what is not used is still compared and recorded.
+    pub fn freeze(&mut self, frozen: bool) {
+        self.setup.frozen = frozen;
+    }
+
+    /// Discards the estimate and everything identified; the next image initializes it. Counters and camera stay.
+    pub fn reset(&mut self) {
+        self.archive_all();
+        let Setup { rig, config, status, geometry, frozen } = self.setup.clone();
+        let mut fresh = Self::new(rig, config, status);
+        (fresh.setup.geometry, fresh.setup.frozen) = (geometry, frozen);
+        fresh.publisher.keep_from(&mut self.publisher);
+        *self = fresh;
+    }
+
+    /// Returns the newest state, once initialized.
+    pub fn state(&self) -> Option<&State> {
+        if !self.start.is_started() {
+            return None;
+        }
+        self.history.newest_processed().map(|entry| &entry.state)
+    }
+
+    /// Returns counters and the newest insights.
+    pub fn status(&self) -> Status {
+        let (config, imu) = (&self.setup.config, &self.setup.rig.imu);
+        let geometry = self.setup.geometry.as_ref();
+        let mut status = Status {
+            initialized: self.start.is_started(),
+            frozen: self.setup.frozen,
+            encoders_suspended: self.trust.is_suspended(),
+            newest_imu: self.arrival.newest_imu().map(|(stamp, _)| stamp),
+            last_used_image: self.lock_out.last_used(),
+            densities: self.imu.densities(imu, config),
+            pixel_noise_factor: self.markers.noise_factor().sqrt(),
+            rope: geometry.and_then(|g| self.publisher.rope.rope(&config.pendulum, g)),
+            counts: self.publisher.counts,
+            ..Status::default()
+        };
+        status.counts.inputs.overflows = self.history.overflows();
+        if let Some(state) = self.state() {
+            status.time_offset = TimeOffsetStatus {
+                offset: state.time_offset,
+                sigma: state.sigma(crate::ekf::state::TIME_OFFSET),
+                searching: self.search.is_some(),
+            };
+            status.biases = [state.accelerometer_bias, state.gyroscope_bias];
+            status.position_sigma = self.publisher.position_sigma;
+        }
+        status
+    }
+}
+
+/// Returns a search for the camera time offset, unless the configuration knows it.
+fn search(config: &TightConfig) -> Option<TimeOffsetSearch> {
+    (config.clock.camera_sigma > 0.0).then(TimeOffsetSearch::default)
+}

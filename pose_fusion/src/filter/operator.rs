@@ -1,0 +1,112 @@
+//! Requests of an operator: save and restore what is known, put the platform at a pose.
+
+use super::Filter;
+use crate::{
+    ekf::state::{ATTITUDE, POSITION, TIME_OFFSET, VELOCITY},
+    initialization::{
+        checkpoint::{Checkpoint, Refusal},
+        from_image::{self, ClimberPrior, INITIAL_VELOCITY},
+    },
+    output::{Output, PoseEstimate},
+    timeline::arrival::AHEAD,
+};
+use nalgebra::{Matrix6, Vector3};
+use rig_model::Stamp;
+use std::collections::VecDeque;
+
+/// A restored time offset that is better known than this needs no search, s.
+const OFFSET_KNOWN: f64 = 5e-3;
+
+impl Filter {
+    /// Returns what is known now.
+    ///
+    /// # Errors
+    /// There is no estimate.
+    pub fn checkpoint(&self) -> Result<Checkpoint, Refusal> {
+        match self.history.newest_processed() {
+            Some(entry) if self.start.is_started() => Ok(Checkpoint::of(&entry.state, entry.stamp)),
+            _ => Err(Refusal::NotInitialized),
+        }
+    }
+
+    /// Restores a checkpoint: all of it where the next IMU sample follows within 0.4 s, else time offset and biases, and the
+    /// next image gives the pose.
+    ///
+    /// # Errors
+    /// The checkpoint is invalid; nothing is changed then.
+    pub fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), Refusal> {
+        let state = checkpoint.state()?;
+        self.restart();
+        self.publisher.continuity.reset();
+        let known = state.sigma(TIME_OFFSET) < OFFSET_KNOWN;
+        self.search = super::search(&self.setup.config).filter(|_| !known);
+        self.start.resume_from(state, Stamp::from_nanos(checkpoint.stamp_ns));
+        Ok(())
+    }
+
+    /// Puts the platform at a pose with its covariance (position and rotation about world axes). Its velocity becomes the
+    /// climber's within [`INITIAL_VELOCITY`]; time offset and biases stay.
+    ///
+    /// # Errors
+    /// No camera model, IMU sample or encoder reading yet; a stamp that the history does not reach; invalid numbers.
+    pub fn set_pose(&mut self, pose: &PoseEstimate, out: &mut VecDeque<Output>) -> Result<(), Refusal> {
+        let Some(geometry) = self.setup.geometry.clone() else {
+            return Err(Refusal::Missing { what: "camera_info" });
+        };
+        let Some((newest, _)) = self.arrival.newest_imu() else {
+            return Err(Refusal::Missing { what: "IMU sample" });
+        };
+        let symmetric = (pose.covariance + pose.covariance.transpose()) * 0.5;
+        let p = &pose.pose;
+        let numbers = symmetric.iter().chain(p.translation.vector.iter()).chain(p.rotation.coords.iter());
+        if !numbers.into_iter().all(|x| x.is_finite()) {
+            return Err(Refusal::Invalid { what: "the pose", why: "a number in it is not finite" });
+        }
+        if symmetric.cholesky().is_none() {
+            let why = "its covariance is not positive: give the uncertainty of the pose";
+            return Err(Refusal::Invalid { what: "the pose", why });
+        }
+        // A pose given now is ahead of the newest sample by that sample's latency.
+        let ahead = pose.stamp.seconds_since(newest);
+        let at = if (0.0..AHEAD).contains(&ahead) { newest } else { pose.stamp };
+        let away_s = newest.seconds_since(at);
+        let limit_s = self.setup.config.history;
+        if !(0.0..limit_s).contains(&away_s) {
+            return Err(Refusal::OutOfReach { away_s, limit_s });
+        }
+        let mut state = match (self.state().cloned(), self.climber.at(at)) {
+            (Some(state), _) => state,
+            (None, Some(climber)) => {
+                let mut state =
+                    from_image::unknown(&self.setup.config, &ClimberPrior::from_readings(&climber));
+                state.time_offset = self.time_offset();
+                self.remember(&mut state);
+                state
+            }
+            (None, None) => return Err(Refusal::Missing { what: "climber transform" }),
+        };
+        let world_from_imu = p * geometry.volant_from_imu;
+        state.position = world_from_imu.translation.vector;
+        state.attitude = world_from_imu.rotation;
+        for first in [POSITION, VELOCITY, ATTITUDE] {
+            state.set_sigmas(first, &INITIAL_VELOCITY.into());
+        }
+        state.velocity = Vector3::new(state.climber_rate.x, state.climber_rate.y, 0.0);
+        // δp_imu = δp − [R t]× δθ.
+        let lever = p.rotation * geometry.volant_from_imu.translation.vector;
+        let mut by = Matrix6::identity();
+        by.fixed_view_mut::<3, 3>(0, 3).copy_from(&-lever.cross_matrix());
+        let spread = by * symmetric * by.transpose();
+        for (a, i) in [POSITION, ATTITUDE].into_iter().enumerate() {
+            for (b, j) in [POSITION, ATTITUDE].into_iter().enumerate() {
+                let block = spread.fixed_view::<3, 3>(3 * a, 3 * b);
+                state.covariance.fixed_view_mut::<3, 3>(i, j).copy_from(&block);
+            }
+        }
+        state.since_marker = 0.0;
+        self.publisher.continuity.reset();
+        self.start.set_started();
+        self.begin(at, state, out);
+        Ok(())
+    }
+}

@@ -1,0 +1,321 @@
+//! Processing of the time line, and the responses to measurements that contradict the prediction.
+
+use super::Filter;
+use crate::{
+    ekf::{propagation::ProcessNoise, state::TIME_OFFSET},
+    health::{
+        encoder_trust::Verdict,
+        lock_out::{Response, SUSPECT},
+        sanity,
+    },
+    measurements::{
+        Innovation, Outcome,
+        encoders::{self, CONTRADICTION},
+        markers::{Image, ImageInnovation},
+    },
+    output::{Output, Warning},
+    timeline::{
+        history::Event,
+        repropagation::{self, Context, Step},
+    },
+};
+use nalgebra::Vector3;
+use rig_model::Stamp;
+use std::collections::VecDeque;
+
+/// A disturbance of the climber began at most this many readings before the one that reveals it.
+const DISTURBED_READINGS: usize = 2;
+/// Jerk of a climber whose encoders are not trusted, in units of the configured density.
+const FREE_JERK: f64 = 1000.0;
+/// NIS of four markers (0.999 quantile of χ² with 8 degrees of freedom) above which the platform was struck.
+const STRAINED: f64 = 26.12;
+/// Markers that do not show that they agree with each other (three, or one of four is false) must contradict in this many times as
+/// many images before the prediction gives way.
+const DISAGREEING: u32 = 3;
+/// Share of a residual that a shock explains by rotation: the IMU measures rotation without gravity's help, and better.
+const ROTATION_SHARE: f64 = 0.3;
+/// The rope is compared from this time after the initialization on, s.
+const ROPE_COMPARED: f64 = 2.0;
+
+impl Filter {
+    /// Processes everything on the time line up to its end.
+    pub(super) fn process(&mut self, out: &mut VecDeque<Output>) {
+        let Some(end) = self.arrival.end() else { return };
+        while let Some((place, step)) = self.step(end) {
+            let Some(entry) = self.history.get(place) else { return };
+            let at = entry.stamp;
+            if !sanity::is_sound(&entry.state, &self.setup.config) {
+                out.push_back(Output::Warning(Warning::Diverged { stamp: at }));
+                self.publisher.counts.resets.divergences += 1;
+                return self.reset_estimate();
+            }
+            let done = match step {
+                Step::Inertial => false,
+                Step::Encoders { innovation, excluded, fresh } => {
+                    self.on_encoders(place, at, &innovation, excluded, fresh, out)
+                }
+                Step::Image { stamp, image, record, fresh: true } => {
+                    self.on_image(place, stamp, &image, &record, out)
+                }
+                Step::Image { .. } => false,
+            };
+            if done {
+                return;
+            }
+        }
+    }
+
+    fn step(&mut self, end: Stamp) -> Option<(usize, Step)> {
+        let config = &self.setup.config;
+        let geometry = self.setup.geometry.as_ref()?;
+        let rope = self.publisher.rope.rope(&config.pendulum, geometry);
+        let context = Context {
+            config,
+            geometry,
+            noise: self.process_noise(),
+            disturbances: &self.disturbances,
+            rope: rope.zip(self.climber.newest().map(|(_, _, rest)| *rest)),
+            imu_period: self.imu.period(),
+            frozen: self.setup.frozen,
+        };
+        repropagation::step(&mut self.history, &context, end)
+    }
+
+    /// Process noise apart from the IMU's, which comes with each sample.
+    pub(super) fn process_noise(&self) -> ProcessNoise {
+        let c = &self.setup.config;
+        let factor = if self.trust.is_suspended() { FREE_JERK } else { self.climber.jerk_factor() };
+        let densities = self.imu.densities(&self.setup.rig.imu, c);
+        ProcessNoise {
+            force: densities.force,
+            rate: densities.rate,
+            accelerometer_bias: c.imu.accelerometer_bias_walk.powi(2),
+            gyroscope_bias: c.imu.gyroscope_bias_walk.powi(2),
+            jerk: Vector3::new(c.climber.jerk, c.climber.jerk, c.climber.turn_jerk) * factor,
+            time_offset: if c.clock.camera_sigma > 0.0 { c.clock.offset_walk.powi(2) } else { 0.0 },
+        }
+    }
+
+    /// Responds to an encoder reading. Returns whether the time line was replaced.
+    fn on_encoders(
+        &mut self,
+        place: usize,
+        at: Stamp,
+        innovation: &Innovation<3>,
+        excluded: bool,
+        fresh: bool,
+        out: &mut VecDeque<Output>,
+    ) -> bool {
+        if excluded {
+            self.publisher.counts.excluded_readings += u64::from(fresh);
+            return fresh && self.trust.is_suspended() && self.judge_encoders(place, at, innovation, out);
+        }
+        if innovation.nis <= CONTRADICTION {
+            if fresh {
+                self.climber.adapt_jerk(innovation.nis);
+                self.publisher.note_encoders(at);
+            }
+            return false;
+        }
+        let first = self.history.get(0).map_or(at, |first| first.stamp);
+        let (since, from) = self.history.reading_before(place, DISTURBED_READINGS).unwrap_or((0, first));
+        if encoders::is_impossible(innovation, at.seconds_since(from)) {
+            self.exclude(place);
+            self.suspend_encoders(at, innovation, out);
+        } else if self.disturbances.add_jerk(from, at, innovation) {
+            self.climber.adapt_jerk(innovation.nis);
+            self.history.rewind(since + 1);
+        } else {
+            self.exclude(place);
+        }
+        false
+    }
+
+    /// Judges a reading of encoders that are suspended. Returns whether the time line was replaced.
+    fn judge_encoders(
+        &mut self,
+        place: usize,
+        at: Stamp,
+        innovation: &Innovation<3>,
+        out: &mut VecDeque<Output>,
+    ) -> bool {
+        match self.trust.judge(at, innovation.nis, self.setup.config.climber.step_timeout) {
+            Verdict::Exclude => false,
+            Verdict::Resume => {
+                if let Some(entry) = self.history.get_mut(place)
+                    && let Event::Encoders { excluded, .. } = &mut entry.event
+                {
+                    *excluded = false;
+                }
+                self.history.rewind(place);
+                out.push_back(Output::Warning(Warning::EncodersResumed { stamp: at }));
+                false
+            }
+            Verdict::Adopt => {
+                self.publisher.counts.resets.encoder_steps += 1;
+                out.push_back(Output::Warning(Warning::EncoderStep { stamp: at }));
+                self.restart();
+                self.publisher.continuity.reset();
+                true
+            }
+        }
+    }
+
+    fn exclude(&mut self, place: usize) {
+        if let Some(entry) = self.history.get_mut(place)
+            && let Event::Encoders { excluded, .. } = &mut entry.event
+        {
+            *excluded = true;
+            self.publisher.counts.excluded_readings += 1;
+        }
+    }
+
+    fn suspend_encoders(&mut self, at: Stamp, innovation: &Innovation<3>, out: &mut VecDeque<Output>) {
+        if !self.trust.is_suspended() {
+            let distance_m = innovation.residual.xy().norm();
+            out.push_back(Output::Warning(Warning::EncodersSuspended { stamp: at, distance_m }));
+        }
+        self.trust.suspend(at);
+    }
+
+    /// Responds to an image that is processed for the first time. Returns whether the time line was replaced.
+    fn on_image(
+        &mut self,
+        place: usize,
+        stamp: Stamp,
+        image: &Image,
+        record: &ImageInnovation,
+        out: &mut VecDeque<Output>,
+    ) -> bool {
+        self.publisher.record(stamp, record, self.setup.frozen, out);
+        if self.setup.frozen {
+            return false;
+        }
+        let Some(entry) = self.history.get(place) else { return false };
+        let at = entry.stamp;
+        let excused = self.disturbances.is_climber_disturbed(at);
+        let settled = self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > ROPE_COMPARED);
+        if let (true, Some(geometry)) = (record.used >= 3 && !excused && settled, &self.setup.geometry) {
+            let c = &self.setup.config;
+            self.publisher.rope.compare(
+                &c.pendulum,
+                geometry,
+                &entry.state,
+                &entry.reading,
+                &image.rest,
+                c.gravity,
+            );
+        }
+        let last_used = self.lock_out.last_used();
+        let limit = self.setup.config.markers.lock_out_images;
+        let agrees = record.agrees_with_itself();
+        if record.used == 4 && record.nis > STRAINED && agrees && !excused && settled {
+            self.strike(place, last_used.unwrap_or(stamp), record);
+        }
+        if let (Some(internal), 4) = (record.internal, record.used) {
+            self.markers.noise().add(internal);
+            if !excused {
+                self.imu.model_error().add(record.nis, internal);
+            }
+        }
+        let limit = if agrees { limit } else { DISAGREEING * limit };
+        match self.lock_out.note(stamp, image.detected(), record.used, limit, excused) {
+            Response::None => false,
+            Response::GiveWay(since) => {
+                self.lock_out.answered();
+                self.give_way(place, stamp, image, record, since, out)
+            }
+            Response::Reinitialize(since) => {
+                self.lock_out.answered();
+                self.reinitialize(stamp, image, since, out)
+            }
+        }
+    }
+
+    /// The prediction gives way to images that contradict it. Returns whether the time line was replaced.
+    fn give_way(
+        &mut self,
+        place: usize,
+        stamp: Stamp,
+        image: &Image,
+        record: &ImageInnovation,
+        since: Stamp,
+        out: &mut VecDeque<Output>,
+    ) -> bool {
+        let Some(entry) = self.history.get(place) else { return false };
+        let at = entry.stamp;
+        let repeated = self.lock_out.gives_way(stamp);
+        self.imu.model_error().contradicted();
+        // Encoders that stopped at once while the images see the climber drive on are frozen.
+        let stopped = self.disturbances.climber_since(at, SUSPECT);
+        let disturbed = stopped.filter(|_| self.climber.is_standing());
+        if let (false, Some(from)) = (self.trust.is_suspended(), disturbed) {
+            self.exclude_since(from);
+            let distance_m = 0.0;
+            out.push_back(Output::Warning(Warning::EncodersSuspended { stamp, distance_m }));
+            self.trust.suspend(at);
+            return false;
+        }
+        if repeated {
+            return self.reinitialize(stamp, image, since, out);
+        }
+        self.strike(place, self.lock_out.last_used().unwrap_or(stamp), record);
+        self.publisher.counts.resets.shocks += 1;
+        out.push_back(Output::Warning(Warning::Shock { since, stamp }));
+        false
+    }
+
+    /// Re-propagates the time since the last used image with the noise of a shock that explains the residuals of an image.
+    fn strike(&mut self, place: usize, last_used: Stamp, record: &ImageInnovation) {
+        let Some(entry) = self.history.get(place) else { return };
+        let (at, from) = (entry.stamp, last_used.plus_seconds(entry.state.time_offset));
+        if self.disturbances.has_shock(at) || from >= at {
+            return;
+        }
+        let (distance, angle) = self.shock_size(place, record);
+        self.disturbances.add_shock(from, at, distance, angle);
+        let first = self.history.place_of(from);
+        self.history.rewind(first);
+    }
+
+    fn exclude_since(&mut self, from: Stamp) {
+        let first = self.history.place_of(from);
+        for place in first..self.history.len() {
+            self.exclude(place);
+        }
+        self.history.rewind(first);
+    }
+
+    /// Distance (m) and angle (rad) by which a shock moved the platform, from the markers' residuals.
+    fn shock_size(&self, place: usize, record: &ImageInnovation) -> (f64, f64) {
+        let (Some(entry), Some(geometry)) = (self.history.get(place), &self.setup.geometry) else {
+            return (0.1, 0.1);
+        };
+        let measured =
+            record.markers.iter().filter(|m| !matches!(m.outcome, Outcome::Absent | Outcome::NotPredictable));
+        let residual = measured.map(|m| m.residual.norm()).fold(0.0, f64::max);
+        let height = match self.climber.newest() {
+            Some((_, _, rest)) => (rest.height - entry.state.position.z).abs(),
+            None => 1.0,
+        };
+        let distance = (residual * height / geometry.camera.focal_lengths().x).min(0.5);
+        let centers = geometry.markers.centres.iter();
+        let radius = centers.map(|(_, c)| c.coords.xy().norm()).fold(0.05, f64::max);
+        (distance, (ROTATION_SHARE * distance / radius).min(0.5))
+    }
+
+    /// Returns the camera time offset to place an image with, s.
+    pub(super) fn time_offset(&self) -> f64 {
+        let known = self.state().or(self.start.kept());
+        match (known, self.start.time_offset()) {
+            (Some(state), _) => state.time_offset,
+            (None, Some(found)) => found.offset,
+            (None, None) => self.setup.config.clock.camera_offset,
+        }
+    }
+
+    /// Returns the standard deviation of the camera time offset, s.
+    pub(super) fn time_offset_sigma(&self) -> Option<f64> {
+        self.state().map(|state| state.sigma(TIME_OFFSET))
+    }
+}

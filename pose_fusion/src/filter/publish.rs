@@ -1,0 +1,282 @@
+//! Publication of the newest state: odometry, status, prediction, and the records of measurements.
+
+use super::Filter;
+use crate::{
+    config::TightConfig,
+    ekf::consider::{self, ByParameter},
+    health::{pose_status::PoseState, pose_status::PoseStatus, status::Counts},
+    measurements::{
+        Outcome,
+        markers::{ImageInnovation, Pixels},
+        rope::RopeIdentification,
+    },
+    output::{
+        MarkerOutcome, MarkerUpdateRecord, Odometry, Output, Warning,
+        continuity::Continuity,
+        odometry::{Settings, odometry},
+        prediction, smoother,
+    },
+    timeline::history::{Entry, Event},
+};
+use nalgebra::{Matrix2, Matrix3, Vector2};
+use rig_model::{MarkerColor, Stamp};
+use std::collections::VecDeque;
+
+/// Time between two status messages while there is no pose, s.
+const STATUS_PERIOD: f64 = 0.1;
+
+/// Doubt of the time offset per density of the gyroscope's noise above [`QUIET_GYROSCOPE`], s per rad/s/√Hz. An image seems to measure
+/// the offset by the noise of single samples too; at ten times an MTx's noise the filter is surer than it may be by 3 ms
+/// (`--test rows ten_times`).
+const FALSE_INFORMATION: f64 = 0.4;
+/// Twice the noise density of an MTx, rad/s/√Hz.
+const QUIET_GYROSCOPE: f64 = 1.7e-3;
+
+/// What publication remembers.
+#[derive(Clone, Debug)]
+pub(super) struct Publisher {
+    pub counts: Counts,
+    pub continuity: Continuity,
+    pub rope: RopeIdentification,
+    pub position_sigma: f64,
+    calibration: ByParameter,
+    last_published: Option<Stamp>,
+    last_encoders: Option<Stamp>,
+    markers_used: u8,
+    imu_lost: bool,
+    lost: bool,
+    archive: Option<Vec<Entry>>,
+}
+
+impl Publisher {
+    pub fn new(config: &TightConfig) -> Self {
+        Self {
+            counts: Counts::default(),
+            continuity: Continuity::default(),
+            rope: RopeIdentification::default(),
+            position_sigma: f64::INFINITY,
+            calibration: consider::variances(&config.calibration),
+            last_published: None,
+            last_encoders: None,
+            markers_used: 0,
+            imu_lost: false,
+            lost: false,
+            archive: None,
+        }
+    }
+
+    /// Takes over what a reset keeps.
+    pub fn keep_from(&mut self, former: &mut Publisher) {
+        self.counts = former.counts;
+        self.archive = former.archive.take();
+    }
+
+    /// Notes the IMU time of an encoder reading that was used.
+    pub fn note_encoders(&mut self, at: Stamp) {
+        self.last_encoders = self.last_encoders.max(Some(at));
+    }
+
+    /// Notes that the IMU is silent; true the first time.
+    pub fn note_imu_lost(&mut self) -> bool {
+        !std::mem::replace(&mut self.imu_lost, true)
+    }
+
+    /// Keeps an entry for the smoother.
+    pub fn archive(&mut self, entry: Option<&Entry>) {
+        if let Some(archive) = &mut self.archive {
+            archive.extend(entry.cloned());
+        }
+    }
+
+    /// Outputs the records of an image that is not processed.
+    pub fn reject(&self, stamp: Stamp, pixels: &Pixels, outcome: MarkerOutcome, out: &mut VecDeque<Output>) {
+        for color in MarkerColor::ALL {
+            let outcome = if pixels[color.index()].is_some() { outcome } else { MarkerOutcome::NotDetected };
+            out.push_back(Output::MarkerUpdate(MarkerUpdateRecord {
+                stamp,
+                color,
+                innovation: Vector2::repeat(f64::NAN),
+                covariance: Matrix2::repeat(f64::NAN),
+                nis: f64::NAN,
+                outcome,
+            }));
+        }
+    }
+
+    /// Outputs the records of an image and counts its markers.
+    pub fn record(
+        &mut self,
+        stamp: Stamp,
+        record: &ImageInnovation,
+        frozen: bool,
+        out: &mut VecDeque<Output>,
+    ) {
+        for color in MarkerColor::ALL {
+            let marker = &record.markers[color.index()];
+            let outcome = match marker.outcome {
+                Outcome::Absent => MarkerOutcome::NotDetected,
+                Outcome::Used if frozen => MarkerOutcome::Frozen,
+                Outcome::Used => MarkerOutcome::Used,
+                Outcome::Gated => MarkerOutcome::Gated,
+                Outcome::Inconsistent => MarkerOutcome::Inconsistent,
+                Outcome::NotPredictable => MarkerOutcome::NotPredictable,
+            };
+            match outcome {
+                MarkerOutcome::Used => self.counts.used_markers += 1,
+                MarkerOutcome::Gated | MarkerOutcome::Inconsistent => self.counts.gated_markers += 1,
+                _ => {}
+            }
+            out.push_back(Output::MarkerUpdate(MarkerUpdateRecord {
+                stamp,
+                color,
+                innovation: marker.residual,
+                covariance: marker.covariance,
+                nis: marker.nis,
+                outcome,
+            }));
+        }
+        if record.used > 0 && !frozen {
+            self.markers_used = record.used as u8;
+        }
+    }
+}
+
+impl Filter {
+    /// Outputs the estimate at the end of the time line: odometry, status and prediction.
+    pub(super) fn publish(&mut self, out: &mut VecDeque<Output>) {
+        let (Some(end), true) = (self.arrival.end(), self.start.is_started()) else { return };
+        let settings = self.settings();
+        let (Some(geometry), Some(entry)) = (&self.setup.geometry, self.history.newest_processed()) else {
+            return;
+        };
+        if entry.stamp != end || self.publisher.last_published.is_some_and(|last| last >= end) {
+            return;
+        }
+        let (state, reading) = (&entry.state, &entry.reading);
+        let limited = self.publisher.continuity.limit(odometry(end, state, reading, geometry, &settings));
+        let position_sigma = largest_sigma(&limited, 0);
+        let silent = self.arrival.is_imu_silent();
+        let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| end.seconds_since(s));
+        let image = self.lock_out.last_used().map(|image| image.plus_seconds(state.time_offset));
+        let status = PoseStatus {
+            stamp: end,
+            position_sigma,
+            rotation_sigma: largest_sigma(&limited, 3),
+            image_age: since(image),
+            imu_age: since(self.arrival.newest_imu().map(|(stamp, _)| stamp)),
+            climber_age: since(self.publisher.last_encoders),
+            markers_used: self.publisher.markers_used,
+            time_offset: state.time_offset,
+            ..PoseStatus::initializing(end, String::new())
+        }
+        .judged(&self.setup.status, silent);
+        let horizon = self.setup.config.prediction_horizon;
+        let predicted = (horizon > 0.0).then(|| {
+            let noise = self.process_noise();
+            prediction::predicted(end, state, reading, horizon, &noise, geometry, &settings)
+        });
+        self.publisher.position_sigma = position_sigma;
+        self.publisher.last_published = Some(end);
+        self.publisher.imu_lost &= silent;
+        self.publisher.counts.odometry += 1;
+        let lost = status.state == PoseState::Lost;
+        if let (true, false, Some(since)) = (lost, self.publisher.lost, self.lock_out.last_used()) {
+            out.push_back(Output::Warning(Warning::VisionLost { since, position_sigma_m: position_sigma }));
+        }
+        self.publisher.lost = lost;
+        out.push_back(Output::Odometry(limited));
+        out.push_back(Output::Status(status));
+        out.extend(predicted.map(Output::Predicted));
+    }
+
+    /// Outputs the status at 10 Hz of data time while there is no pose.
+    pub fn publish_initializing(&mut self, now: Stamp, out: &mut VecDeque<Output>) {
+        if self.start.is_started() {
+            return;
+        }
+        let due = self.publisher.last_published.is_none_or(|last| {
+            let since = now.seconds_since(last);
+            !(0.0..STATUS_PERIOD).contains(&since)
+        });
+        if due {
+            self.publisher.last_published = Some(now);
+            out.push_back(Output::Status(PoseStatus::initializing(now, self.missing())));
+        }
+    }
+
+    /// Returns what the initialization waits for.
+    pub fn missing(&self) -> String {
+        let missing = [
+            ("climber/camera/camera_info", self.setup.geometry.is_none()),
+            ("volant/imu/data", self.arrival.newest_imu().is_none()),
+            ("climber/transform", self.climber.newest().is_none()),
+        ];
+        let missing: Vec<&str> =
+            missing.into_iter().filter(|(_, absent)| *absent).map(|(name, _)| name).collect();
+        if missing.is_empty() {
+            "no image with three markers that fit together".to_owned()
+        } else {
+            format!("no message on {}", missing.join(", "))
+        }
+    }
+
+    fn settings(&self) -> Settings {
+        let densities = self.imu.densities(&self.setup.rig.imu, &self.setup.config);
+        let doubt = if self.search.is_some() {
+            self.start.offset_doubt().unwrap_or(self.setup.config.clock.camera_sigma)
+        } else if self.setup.config.clock.camera_sigma > 0.0 {
+            FALSE_INFORMATION * (densities.rate.sqrt() - QUIET_GYROSCOPE).max(0.0)
+        } else {
+            0.0
+        };
+        Settings {
+            rate_variance: densities.rate / self.imu.period(),
+            gravity: self.setup.config.gravity,
+            calibration: self.publisher.calibration,
+            time_offset: doubt * doubt,
+        }
+    }
+
+    /// Keeps from now on what the smoother needs: about 1 MB per second.
+    pub fn keep_archive(&mut self) {
+        self.publisher.archive.get_or_insert_default();
+    }
+
+    /// Returns how much is kept for the smoother, s.
+    pub fn archived(&self) -> f64 {
+        let ends = self.publisher.archive.as_ref().and_then(|a| Some((a.first()?, a.last()?)));
+        ends.map_or(0.0, |(first, last)| last.stamp.seconds_since(first.stamp))
+    }
+
+    /// Keeps all processed entries, at the end of an estimate.
+    pub fn archive_all(&mut self) {
+        if self.start.is_started() {
+            for place in 0..self.history.processed() {
+                self.publisher.archive(self.history.get(place));
+            }
+        }
+    }
+
+    /// Returns the smoothed odometry with every IMU sample of what is kept, but for the last `lag` seconds, which stay.
+    pub fn smoothed(&mut self, lag: f64) -> Vec<Odometry> {
+        let Some(entries) = self.publisher.archive.take() else { return Vec::new() };
+        let Some(geometry) = &self.setup.geometry else { return Vec::new() };
+        let states = smoother::smooth(&entries, self.setup.config.gravity);
+        let end = entries.last().map_or(Stamp::default(), |e| e.stamp).plus_seconds(-lag);
+        let ready = entries.iter().take_while(|e| e.stamp <= end).count();
+        let settings = self.settings();
+        let is_imu = |e: &Entry| matches!(e.event, Event::Imu { .. });
+        let smoothed = entries.iter().zip(&states).take(ready).filter(|(entry, _)| is_imu(entry));
+        let smoothed = smoothed
+            .map(|(entry, state)| odometry(entry.stamp, state, &entry.reading, geometry, &settings))
+            .collect();
+        self.publisher.archive = Some(entries.into_iter().skip(ready).collect());
+        smoothed
+    }
+}
+
+/// Largest standard deviation of the position (`first` 0, m) or rotation (`first` 3, rad) of an odometry.
+fn largest_sigma(odometry: &Odometry, first: usize) -> f64 {
+    let block: Matrix3<f64> = odometry.pose_covariance.fixed_view::<3, 3>(first, first).into_owned();
+    block.symmetric_eigenvalues().max().max(0.0).sqrt()
+}

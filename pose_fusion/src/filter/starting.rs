@@ -1,0 +1,434 @@
+//! Initialization of the filter: from an image, again after an outage, and with the camera time offset once it is known.
+
+use super::{Filter, search};
+use crate::{
+    adaptation::imu_noise::Densities,
+    ekf::{
+        propagation::ImuReading,
+        state::{ACCELEROMETER_BIAS, CLIMBER_RATE, GYROSCOPE_BIAS, POSITION, State, TIME_OFFSET},
+    },
+    initialization::{
+        from_image::{self, ClimberPrior},
+        time_offset::{FINAL, TimeOffset, WINDOW},
+    },
+    input::{climber_track::SPEED, imu::given},
+    measurements::markers::{Image, Pixels},
+    output::{MarkerOutcome, Output, Warning},
+    timeline::{arrival::AHEAD, history::Event},
+};
+use nalgebra::{Matrix6, Vector3};
+use rig_model::{PerColor, Stamp, planar_pose};
+use std::collections::VecDeque;
+
+/// The encoders' noise is another one from this factor of the variance on.
+const REWEIGHED: f64 = 1.5;
+/// An encoder reading further from the image than this initializes nothing, s.
+const NEAR: f64 = 1.0;
+/// Biases known before an outage or recovery are worth half afterwards.
+const REMEMBERED: f64 = 2.0;
+/// Smallest bias sigma after an outage, m/s² and rad/s.
+const BIAS_FLOOR: f64 = 1e-4;
+/// Smallest uncertainty of an initialized time offset, s, and factor on what its alignment claims.
+const OFFSET_SIGMA: [f64; 2] = [1e-3, 1.5];
+/// A filter whose time offset is no further off than this corrects it by itself, s.
+const OFFSET_LINEAR: f64 = 0.008;
+/// A filter that is off by this many sigma of an alignment restarts before the alignment is final.
+const GROSS: f64 = 4.0;
+/// Tilt by which the image poses that are aligned may miss "up", rad: a swing within the offset that is not known yet.
+const TILT: f64 = 0.1;
+
+/// What the initialization remembers.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Start {
+    started: bool,
+    /// Image to start from, while the IMU samples have not come so far.
+    awaited: Option<(Stamp, Pixels)>,
+    /// Last state before an outage: its offset and biases serve the next start.
+    kept: Option<Box<State>>,
+    /// Time of the kept state, where it may be resumed as a whole.
+    kept_at: Option<Stamp>,
+    time_offset: Option<TimeOffset>,
+    /// Uncertainty of the time offset while it is searched, s, once there is an alignment.
+    offset_doubt: Option<f64>,
+    markers_seen: usize,
+}
+
+impl Start {
+    pub fn is_started(&self) -> bool {
+        self.started
+    }
+
+    pub fn set_started(&mut self) {
+        self.started = true;
+    }
+
+    pub fn kept(&self) -> Option<&State> {
+        self.kept.as_deref()
+    }
+
+    pub fn time_offset(&self) -> Option<TimeOffset> {
+        self.time_offset
+    }
+
+    pub fn offset_doubt(&self) -> Option<f64> {
+        self.offset_doubt
+    }
+
+    pub fn markers_seen(&self) -> usize {
+        self.markers_seen
+    }
+
+    pub fn note_markers(&mut self, count: usize) {
+        self.markers_seen = count;
+    }
+
+    /// Keeps a state to be resumed at the next IMU sample.
+    pub fn resume_from(&mut self, state: State, at: Stamp) {
+        self.kept = Some(Box::new(state));
+        self.kept_at = Some(at);
+    }
+}
+
+impl Filter {
+    /// Drops the pose and keeps offset, biases and noise: the next image initializes the pose.
+    pub(super) fn restart(&mut self) {
+        if let Some(state) = self.state().cloned() {
+            self.start.kept = Some(Box::new(state));
+        }
+        self.archive_all();
+        self.history.clear();
+        self.arrival.reset();
+        self.imu.interrupt();
+        self.trust.reset();
+        self.lock_out.answered();
+        (self.start.started, self.start.awaited) = (false, None);
+    }
+
+    /// Drops everything that was estimated: it was unsound.
+    pub(super) fn reset_estimate(&mut self) {
+        self.restart();
+        self.start = Start { markers_seen: self.start.markers_seen, ..Start::default() };
+        self.search = search(&self.setup.config);
+    }
+
+    /// Offset and biases from before an outage.
+    pub(super) fn remember(&mut self, state: &mut State) {
+        if let Some(found) = self.start.time_offset {
+            state.time_offset = found.offset;
+            state.set_sigma(TIME_OFFSET, (OFFSET_SIGMA[1] * found.sigma).max(OFFSET_SIGMA[0]));
+        }
+        if let Some(kept) = self.start.kept.take() {
+            inherit(state, &kept);
+        }
+    }
+
+    /// Resumes a restored state, where it is so recent that an IMU sample at `stamp` continues it.
+    pub(super) fn resume(&mut self, stamp: Stamp, out: &mut VecDeque<Output>) -> bool {
+        let Some(at) = self.start.kept_at.take() else { return false };
+        let recent = (0.0..crate::timeline::dropout::INTERPOLATED).contains(&stamp.seconds_since(at));
+        if !recent || self.setup.geometry.is_none() {
+            return false;
+        }
+        let Some(state) = self.start.kept.take() else { return false };
+        self.start.started = true;
+        self.begin(at, *state, out);
+        true
+    }
+
+    /// Starts from an image, or keeps it until the IMU samples have come to its time.
+    pub(super) fn start_or_wait(
+        &mut self,
+        stamp: Stamp,
+        pixels: Pixels,
+        absent: bool,
+        out: &mut VecDeque<Output>,
+    ) {
+        let at = stamp.plus_seconds(self.time_offset());
+        if absent || self.arrival.newest_imu().is_some_and(|(newest, _)| at <= newest) {
+            return self.try_start(stamp, &pixels, absent, out);
+        }
+        // The first one is kept: were it replaced by each that follows, none would ever be reached.
+        let stale = self.start.awaited.is_none_or(|(kept, _)| stamp.seconds_since(kept).abs() > AHEAD);
+        if stale && pixels.iter().flatten().count() >= 3 {
+            self.start.awaited = Some((stamp, pixels));
+        } else {
+            self.publisher.reject(stamp, &pixels, MarkerOutcome::NotInitialized, out);
+        }
+    }
+
+    /// Starts from the awaited image where the IMU samples have come to its time.
+    pub(super) fn start_from_awaited(&mut self, newest: Stamp, out: &mut VecDeque<Output>) {
+        let Some((image, pixels)) = self.start.awaited else { return };
+        if image.plus_seconds(self.time_offset()) <= newest {
+            self.start.awaited = None;
+            self.try_start(image, &pixels, false, out);
+        }
+    }
+
+    fn try_start(&mut self, stamp: Stamp, pixels: &Pixels, absent: bool, out: &mut VecDeque<Output>) {
+        let time_offset = self.time_offset();
+        let at = stamp.plus_seconds(time_offset);
+        let is_imu_before =
+            |e: &crate::timeline::history::Entry| matches!(e.event, Event::Imu { .. }) && e.stamp <= at;
+        let measured = absent || self.history.iter().any(is_imu_before);
+        let climber = self.climber.at(stamp.plus_seconds(self.setup.config.clock.climber_offset));
+        let climber = climber.filter(|c| c.distance <= NEAR);
+        let (Some(climber), Some(geometry)) = (climber, &self.setup.geometry) else {
+            return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
+        };
+        let enough = pixels.iter().flatten().count() >= 3;
+        if !enough || !measured || self.setup.frozen {
+            return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
+        }
+        let image =
+            Image { pixels: *pixels, time_offset, reading: ImuReading::default(), rest: climber.rest };
+        let up = self.imu.up_at(at, &self.history);
+        let prior = ClimberPrior::from_readings(&climber);
+        let Some(start) = from_image::start(geometry, &self.setup.config, &image, up.as_ref(), &prior) else {
+            return self.publisher.reject(stamp, pixels, MarkerOutcome::Inconsistent, out);
+        };
+        self.publisher.record(stamp, &start.record, false, out);
+        self.lock_out.initialized(stamp);
+        out.push_back(Output::Warning(Warning::Initialized { stamp }));
+        self.start.started = true;
+        let mut state = start.state;
+        self.remember(&mut state);
+        self.begin(at, state, out);
+    }
+
+    /// Puts a state at an instant of the time line and processes what is behind it.
+    pub(super) fn begin(&mut self, at: Stamp, state: State, out: &mut VecDeque<Output>) {
+        let place = self.history.place_of(at);
+        let before = place.checked_sub(1).and_then(|p| self.history.get(p));
+        let reading = match (before, self.history.next_imu(place)) {
+            (Some(before), Some(next)) if matches!(before.event, Event::Imu { .. }) => {
+                let span = next.stamp.seconds_since(before.stamp);
+                let share = if span > 0.0 { at.seconds_since(before.stamp) / span } else { 0.0 };
+                before.reading.lerp(&next.reading, share.clamp(0.0, 1.0))
+            }
+            (_, Some(next)) => next.reading,
+            (_, None) => match self.arrival.newest_imu() {
+                Some((_, reading)) => reading,
+                None => ImuReading::of_uniform_motion(&state, self.setup.config.gravity),
+            },
+        };
+        for _ in 0..place {
+            self.publisher.archive(self.history.get(0).filter(|_| self.history.processed() > 0));
+            self.history.drop_first();
+        }
+        let place = self.history.insert(at, Event::Set, reading);
+        if let Some(entry) = self.history.get_mut(place) {
+            entry.state = state;
+        }
+        self.history.set_processed(1);
+        self.process(out);
+    }
+
+    /// Reinitializes the pose from an image whose markers agree with each other. Returns whether the time line was replaced.
+    pub(super) fn reinitialize(
+        &mut self,
+        stamp: Stamp,
+        image: &Image,
+        since: Stamp,
+        out: &mut VecDeque<Output>,
+    ) -> bool {
+        let (Some(geometry), Some(old)) = (&self.setup.geometry, self.state().cloned()) else { return false };
+        let at = stamp.plus_seconds(old.time_offset);
+        let image = Image { time_offset: old.time_offset, reading: ImuReading::default(), ..*image };
+        let up = self.imu.up_at(at, &self.history);
+        let prior = ClimberPrior::from_state(&old);
+        let Some(start) = from_image::start(geometry, &self.setup.config, &image, up.as_ref(), &prior) else {
+            return false;
+        };
+        let mut state = start.state;
+        inherit(&mut state, &old);
+        state.climber_acceleration = old.climber_acceleration;
+        self.publisher.counts.resets.recoveries += 1;
+        self.lock_out.initialized(stamp);
+        out.push_back(Output::Warning(Warning::LockOutRecovered { since, stamp }));
+        self.begin(at, state, out);
+        true
+    }
+
+    /// The first readings identify the encoders' noise and were weighed before that: where it is found to be another than was
+    /// assumed, they and the initial state are weighed again.
+    pub(super) fn reweigh_readings(&mut self, variance: &Vector3<f64>) {
+        let before = *self.climber.assumed_variance();
+        let factor = variance.component_div(&before);
+        if factor.iter().all(|f| (1.0 / REWEIGHED..REWEIGHED).contains(f)) {
+            return;
+        }
+        *self.climber.assumed_variance() = *variance;
+        let more = (variance - before).map(|more| more.max(0.0));
+        for place in 0..self.history.len() {
+            let Some(entry) = self.history.get_mut(place) else { continue };
+            match &mut entry.event {
+                Event::Encoders { reading, .. } => {
+                    reading.variance = variance.component_mul(&reading.multiplicity)
+                }
+                // Everything that the image measured moves with the climber.
+                Event::Set if place == 0 => {
+                    for axis in (0..3).filter(|axis| more[*axis] > 0.0) {
+                        let moved = rigid(&entry.state, axis);
+                        entry.state.covariance.ger(more[axis], &moved, &moved, 1.0);
+                        let rate = CLIMBER_RATE + axis;
+                        entry.state.covariance[(rate, rate)] += SPEED[axis].powi(2);
+                    }
+                }
+                _ => {}
+            }
+        }
+        self.history.set_processed(self.history.processed().min(1));
+    }
+
+    /// Adds noise to the IMU samples on the time line and processes them again.
+    pub(super) fn reweigh_samples(&mut self, more: &Densities) {
+        for place in 0..self.history.len() {
+            if let Some(entry) = self.history.get_mut(place)
+                && let Event::Imu { noise, .. } = &mut entry.event
+            {
+                noise.force += more.force;
+                noise.rate += more.rate;
+            }
+        }
+        self.history.set_processed(self.history.processed().min(1));
+    }
+
+    /// Aligns image poses with the IMU until the camera time offset is known, then initializes it.
+    pub(super) fn search_time_offset(&mut self, stamp: Stamp, pixels: &Pixels, out: &mut VecDeque<Output>) {
+        let (Some(geometry), Some(mut search)) = (&self.setup.geometry, self.search.take()) else { return };
+        if let Some((pose, covariance)) = self.image_pose(stamp, pixels) {
+            search.add_pose(stamp, &pose, &covariance);
+        }
+        let c = &self.setup.config;
+        let noise = self.imu.densities(&self.setup.rig.imu, c);
+        let found =
+            search.find(&geometry.volant_from_imu, c.gravity, &c.imu, &noise, &given(&self.setup.rig.imu));
+        if let Some(found) = found {
+            self.start.offset_doubt = Some(found.sigma.hypot(self.time_offset() - found.offset));
+        }
+        match found {
+            Some(found) if found.sigma < FINAL || self.confirms(stamp, &found) => {
+                self.initialize_time_offset(found, out);
+            }
+            // Known well enough to see that the filter is far off: it restarts, and the search goes on.
+            Some(found)
+                if (self.time_offset() - found.offset).abs() > OFFSET_LINEAR.max(GROSS * found.sigma) =>
+            {
+                self.initialize_time_offset(found, out);
+                self.search = Some(search);
+            }
+            _ => self.search = Some(search),
+        }
+    }
+
+    /// Whether an alignment of images since the pose was initialized agrees with a filter that knows its time offset.
+    fn confirms(&self, stamp: Stamp, found: &TimeOffset) -> bool {
+        let independent = self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > WINDOW);
+        let known = self.time_offset_sigma().filter(|sigma| *sigma < FINAL);
+        let away = (self.time_offset() - found.offset).abs();
+        independent && known.is_some_and(|sigma| away < 2.0 * sigma.hypot(found.sigma))
+    }
+
+    /// Pose of the platform in the world from one image and the IMU's direction of "up".
+    fn image_pose(&self, stamp: Stamp, pixels: &Pixels) -> Option<(nalgebra::Isometry3<f64>, Matrix6<f64>)> {
+        let geometry = self.setup.geometry.as_ref()?;
+        let climber = self.climber.at(stamp.plus_seconds(self.setup.config.clock.climber_offset))?;
+        if climber.distance > 0.05 {
+            return None;
+        }
+        let world_from_camera = climber.rest.join(&climber.values) * geometry.climber_from_camera;
+        let up = self.imu.up_at(stamp.plus_seconds(self.time_offset()), &self.history);
+        // "Up" is of another instant as long as the offset is not known: it chooses between the poses and moves none.
+        let found = planar_pose::candidates(&geometry.markers, &geometry.camera, &PerColor(*pixels), None);
+        let tilted = |pose: &planar_pose::PlanarPose| {
+            let up = up.map_or(Vector3::z(), |up| geometry.volant_from_imu.rotation * up.in_imu);
+            let measured = world_from_camera.rotation * pose.camera_from_volant.rotation * up;
+            pose.pixel_cost + (measured.angle(&Vector3::z()) / TILT).powi(2)
+        };
+        let best =
+            found.iter().min_by(|a, b| tilted(a).total_cmp(&tilted(b))).filter(|b| b.pixel_cost < 40.0)?;
+        let turn = world_from_camera.rotation.to_rotation_matrix();
+        let mut to_world = Matrix6::zeros();
+        to_world.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
+        to_world.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
+        let mut covariance = to_world * best.covariance * to_world.transpose();
+        let noise = climber.noise + climber.growth;
+        for axis in 0..2 {
+            covariance[(axis, axis)] += noise[axis] * noise[axis];
+        }
+        covariance[(5, 5)] += noise.z * noise.z;
+        Some((world_from_camera * best.camera_from_volant, covariance))
+    }
+
+    /// Restarts with the time offset at the oldest image of the history, unless the filter has found the same.
+    fn initialize_time_offset(&mut self, found: TimeOffset, out: &mut VecDeque<Output>) {
+        self.start.time_offset = Some(found);
+        self.publisher.counts.resets.time_offsets += 1;
+        out.push_back(Output::Warning(Warning::TimeOffset { offset_s: found.offset }));
+        let now = self.time_offset();
+        if (now - found.offset).abs() < OFFSET_LINEAR || !self.start.started {
+            return;
+        }
+        self.archive_all();
+        let events: Vec<(Stamp, Event, ImuReading)> =
+            self.history.iter().map(|e| (e.stamp, e.event.clone(), e.reading)).collect();
+        self.history.clear();
+        self.start.started = false;
+        let is_imu = |event: &Event| matches!(event, Event::Imu { .. });
+        let oldest =
+            events.iter().find(|(_, event, _)| is_imu(event)).map_or(Stamp::default(), |(at, _, _)| *at);
+        let mut first: Option<(Stamp, Pixels)> = None;
+        for (at, mut event, reading) in events {
+            let moved = match &mut event {
+                Event::Set => continue,
+                Event::Imu { .. } => 0.0,
+                Event::Image { image, stamp, .. } => {
+                    let measured = stamp.plus_seconds(found.offset) >= oldest;
+                    if first.is_none() && image.detected() >= 3 && measured {
+                        first = Some((*stamp, image.pixels));
+                    }
+                    let moved = found.offset - image.time_offset;
+                    image.time_offset = found.offset;
+                    moved
+                }
+                Event::Encoders { reading, .. } => {
+                    let before = reading.time_offset;
+                    reading.time_offset = found.offset + self.setup.config.clock.climber_offset;
+                    reading.time_offset - before
+                }
+            };
+            self.history.insert(at.plus_seconds(moved), event, reading);
+        }
+        self.start.kept = None;
+        if let Some((stamp, pixels)) = first {
+            let absent = self.arrival.is_imu_absent();
+            self.try_start(stamp, &pixels, absent, out);
+        }
+    }
+}
+
+/// By how much everything differs per meter or radian of a climber's axis, where nothing is known of the platform but what the
+/// camera sees of it: it moves rigidly with the climber.
+fn rigid(state: &State, axis: usize) -> crate::ekf::state::Error {
+    let mut moved = crate::ekf::state::Error::zeros();
+    let unit = Vector3::ith(axis, 1.0);
+    let arm = state.position - Vector3::new(state.climber.x, state.climber.y, state.position.z);
+    let carried = Vector3::new(unit.x, unit.y, 0.0) + Vector3::z().cross(&arm) * unit.z;
+    moved.fixed_rows_mut::<3>(POSITION).copy_from(&carried);
+    moved[crate::ekf::state::ATTITUDE + 2] = unit.z;
+    moved[crate::ekf::state::CLIMBER + axis] = 1.0;
+    moved
+}
+
+/// Takes over time offset and biases of a former state; the biases are worth half.
+fn inherit(state: &mut State, former: &State) {
+    state.accelerometer_bias = former.accelerometer_bias;
+    state.gyroscope_bias = former.gyroscope_bias;
+    state.time_offset = former.time_offset;
+    state.set_sigma(TIME_OFFSET, former.sigma(TIME_OFFSET));
+    for first in [ACCELEROMETER_BIAS, GYROSCOPE_BIAS] {
+        let sigmas = former.sigmas(first).map(|sigma| (REMEMBERED * sigma).max(BIAS_FLOOR));
+        state.set_sigmas(first, &sigmas);
+    }
+}

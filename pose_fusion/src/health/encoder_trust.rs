@@ -1,0 +1,84 @@
+//! Trust in the encoders.
+//!
+//! Policy: a reading that no climber can have reached is excluded, and the encoders are suspended: the climber then moves
+//! freely and is measured by images and IMU. Three consistent readings in a row restore trust. Readings that
+//! contradict the estimate for `climber.step_timeout` are adopted (the drive was homed, or a wheel slipped): the filter
+//! reinitializes with them, and the world frame moves with the encoders. Until then the pose keeps its frame.
+
+use rig_model::Stamp;
+
+/// Consistent readings in a row that restore trust.
+const CONSISTENT: u32 = 3;
+/// A reading is consistent below this NIS (one degree of freedom; 3 sigma).
+const GATE: f64 = 9.0;
+
+/// What to do with a reading while the encoders are suspended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Leave it excluded.
+    Exclude,
+    /// Trust is restored: use it.
+    Resume,
+    /// The encoders have contradicted for too long: reinitialize with them.
+    Adopt,
+}
+
+/// Whether the encoders are trusted.
+#[derive(Clone, Debug, Default)]
+pub struct EncoderTrust {
+    suspended: Option<Stamp>,
+    consistent: u32,
+}
+
+impl EncoderTrust {
+    /// Returns whether the encoders are suspended.
+    pub fn is_suspended(&self) -> bool {
+        self.suspended.is_some()
+    }
+
+    /// Suspends the encoders at a reading.
+    pub fn suspend(&mut self, at: Stamp) {
+        self.suspended.get_or_insert(at);
+        self.consistent = 0;
+    }
+
+    /// Judges a new reading at `at` with this NIS while the encoders are suspended. `timeout` in s.
+    pub fn judge(&mut self, at: Stamp, nis: f64, timeout: f64) -> Verdict {
+        let Some(since) = self.suspended else { return Verdict::Resume };
+        self.consistent = if nis < GATE { self.consistent + 1 } else { 0 };
+        if self.consistent >= CONSISTENT {
+            *self = Self::default();
+            Verdict::Resume
+        } else if self.consistent == 0 && at.seconds_since(since) > timeout {
+            *self = Self::default();
+            Verdict::Adopt
+        } else {
+            Verdict::Exclude
+        }
+    }
+
+    /// Trusts the encoders again, after a reinitialization.
+    pub fn reset(&mut self) {
+        *self = Self::default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn three_consistent_readings_restore_trust_and_a_lasting_step_is_adopted() {
+        let at = |ms: i64| Stamp::from_nanos(ms * 1_000_000);
+        let mut trust = EncoderTrust::default();
+        trust.suspend(at(0));
+        let verdicts = [1.0, 1.0, 500.0, 1.0, 1.0].map(|nis| trust.judge(at(20), nis, 3.0));
+        assert_eq!(verdicts, [Verdict::Exclude; 5]);
+        assert_eq!(trust.judge(at(60), 1.0, 3.0), Verdict::Resume);
+        assert!(!trust.is_suspended());
+        trust.suspend(at(100));
+        trust.suspend(at(2000));
+        assert_eq!(trust.judge(at(3000), 1e6, 3.0), Verdict::Exclude);
+        assert_eq!(trust.judge(at(3200), 1e6, 3.0), Verdict::Adopt);
+    }
+}

@@ -1,0 +1,120 @@
+//! Recovery where images contradict the prediction.
+//!
+//! An image contradicts where most of its markers are rejected. After `markers.lock_out_images` of them in a row the prediction gives
+//! way, by the mildest explanation first: encoders that jumped just before are suspended; else the platform was struck, and
+//! the time since the last used image is re-propagated with the noise of a shock; shocks that follow each other mean
+//! that something else is wrong, and the pose is reinitialized from the image. The same happens where no image was used for
+//! [`STARVED`] seconds.
+
+use rig_model::Stamp;
+
+/// Without a used image for this long a usable image reinitializes the pose, s.
+const STARVED: f64 = 0.5;
+/// Encoders that jumped within this time before an image may be what contradicts it, s.
+pub const SUSPECT: f64 = 0.5;
+/// The prediction gives way to rejected images this often within [`REPEATED`] seconds before another explanation is tried.
+const SHOCKS: u32 = 2;
+const REPEATED: f64 = 0.6;
+
+/// What follows from an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Response {
+    /// Nothing.
+    None,
+    /// The prediction gives way; the first image that contradicted it.
+    GiveWay(Stamp),
+    /// The pose is to be reinitialized from the image; the first image that contradicted it.
+    Reinitialize(Stamp),
+}
+
+/// Count of consecutive contradictions.
+#[derive(Clone, Debug, Default)]
+pub struct LockOut {
+    contradictions: u32,
+    since: Option<Stamp>,
+    last_used: Option<Stamp>,
+    initialized: Option<Stamp>,
+    /// First of the times that the prediction gave way, and how often it did since.
+    gave_way: Option<(Stamp, u32)>,
+}
+
+impl LockOut {
+    /// Notes that the pose was initialized from an image.
+    pub fn initialized(&mut self, image: Stamp) {
+        *self = Self { last_used: Some(image), initialized: Some(image), ..Self::default() };
+    }
+
+    /// Returns the newest image that was used.
+    pub fn last_used(&self) -> Option<Stamp> {
+        self.last_used
+    }
+
+    /// Returns the image that the pose was initialized from.
+    pub fn initialized_at(&self) -> Option<Stamp> {
+        self.initialized
+    }
+
+    /// Notes an image of which `used` of `detected` markers were used, and returns what follows. `limit` is the number of
+    /// contradicting images in a row; `excused` an image that contradicts because the climber was just disturbed.
+    pub fn note(&mut self, image: Stamp, detected: usize, used: u32, limit: u32, excused: bool) -> Response {
+        if used > 0 {
+            self.last_used = Some(self.last_used.map_or(image, |last| last.max(image)));
+        }
+        let used = used as usize;
+        if detected < 2 || used * 2 > detected {
+            if used > 0 {
+                self.contradictions = 0;
+                self.since = None;
+            }
+            return Response::None;
+        }
+        let since = *self.since.get_or_insert(image);
+        self.contradictions += u32::from(!excused);
+        let starved = self.last_used.is_none_or(|last| image.seconds_since(last) > STARVED);
+        if starved && detected >= 3 {
+            Response::Reinitialize(since)
+        } else if self.contradictions >= limit {
+            Response::GiveWay(since)
+        } else {
+            Response::None
+        }
+    }
+
+    /// Notes that the prediction gives way to an image, and returns whether it did so too often.
+    pub fn gives_way(&mut self, image: Stamp) -> bool {
+        let (first, count) = match self.gave_way {
+            Some((first, count)) if image.seconds_since(first) < REPEATED => (first, count + 1),
+            _ => (image, 1),
+        };
+        self.gave_way = Some((first, count));
+        count > SHOCKS
+    }
+
+    /// Starts counting again, after a response was carried out.
+    pub fn answered(&mut self) {
+        self.contradictions = 0;
+        self.since = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn contradictions_in_a_row_make_the_prediction_give_way_and_half_a_second_reinitializes() {
+        let at = |ms: i64| Stamp::from_nanos(ms * 1_000_000);
+        let mut lock_out = LockOut::default();
+        lock_out.initialized(at(0));
+        assert_eq!(lock_out.note(at(30), 4, 4, 2, false), Response::None);
+        assert_eq!(lock_out.note(at(60), 4, 0, 2, false), Response::None);
+        assert_eq!(lock_out.note(at(90), 4, 3, 2, false), Response::None);
+        assert_eq!(lock_out.note(at(120), 4, 1, 2, true), Response::None);
+        assert_eq!(lock_out.note(at(150), 4, 1, 2, false), Response::None);
+        assert_eq!(lock_out.note(at(180), 4, 1, 2, false), Response::GiveWay(at(120)));
+        lock_out.answered();
+        assert_eq!(lock_out.note(at(210), 4, 0, 2, false), Response::None);
+        assert_eq!(lock_out.note(at(800), 4, 0, 9, false), Response::Reinitialize(at(210)));
+        assert_eq!(lock_out.last_used(), Some(at(180)));
+    }
+}

@@ -1,0 +1,135 @@
+//! State of the published pose: whether a controller may use it, and why not.
+
+use crate::config::StatusConfig;
+use rig_model::Stamp;
+
+/// What carries the pose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum PoseState {
+    /// No pose yet.
+    Initializing = 0,
+    /// Images and IMU samples are used.
+    Tracking = 1,
+    /// No image was used for `status.max_image_age`; IMU samples carry the pose.
+    Coasting = 2,
+    /// No IMU samples; the pose comes from images.
+    VisionOnly = 3,
+    /// The pose must not be used.
+    Lost = 4,
+}
+
+/// Status published with every odometry.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoseStatus {
+    /// Stamp of the odometry.
+    pub stamp: Stamp,
+    /// What carries the pose.
+    pub state: PoseState,
+    /// The pose may be used: tracking, coasting or vision only, and both sigmas within their limits.
+    pub valid: bool,
+    /// Largest standard deviation of the position, m.
+    pub position_sigma: f64,
+    /// Largest standard deviation of the rotation, rad.
+    pub rotation_sigma: f64,
+    /// Time since the newest used image, s; infinite if none.
+    pub image_age: f64,
+    /// Time since the newest IMU sample, s; infinite if none.
+    pub imu_age: f64,
+    /// Time since the newest used encoder reading, s; infinite if none.
+    pub climber_age: f64,
+    /// Markers used of that image.
+    pub markers_used: u8,
+    /// Camera time offset, s (image time + offset = IMU time).
+    pub time_offset: f64,
+    /// Why the state is not tracking or the pose not valid; empty otherwise.
+    pub reason: String,
+}
+
+impl PoseStatus {
+    /// Returns the status where there is no pose.
+    pub fn initializing(stamp: Stamp, reason: String) -> Self {
+        Self {
+            stamp,
+            state: PoseState::Initializing,
+            valid: false,
+            position_sigma: f64::INFINITY,
+            rotation_sigma: f64::INFINITY,
+            image_age: f64::INFINITY,
+            imu_age: f64::INFINITY,
+            climber_age: f64::INFINITY,
+            markers_used: 0,
+            time_offset: 0.0,
+            reason,
+        }
+    }
+
+    /// Fills in state, validity and reason from the ages and sigmas. `vision_only` is whether IMU samples are missing.
+    pub fn judged(mut self, config: &StatusConfig, vision_only: bool) -> Self {
+        let beyond_position = !(self.position_sigma <= config.max_position_sigma);
+        let beyond_rotation = !(self.rotation_sigma <= config.max_rotation_sigma);
+        let lost = !(self.position_sigma <= config.lost_position_sigma);
+        self.state = if lost {
+            PoseState::Lost
+        } else if vision_only {
+            PoseState::VisionOnly
+        } else if self.image_age > config.max_image_age {
+            PoseState::Coasting
+        } else {
+            PoseState::Tracking
+        };
+        self.valid = !lost && !beyond_position && !beyond_rotation;
+        self.reason = match self.state {
+            PoseState::VisionOnly => format!("no IMU sample for {:.2} s", self.imu_age),
+            PoseState::Coasting | PoseState::Lost if self.image_age > config.max_image_age => {
+                format!("no image used for {:.2} s", self.image_age)
+            }
+            _ => String::new(),
+        };
+        for (beyond, what, sigma, limit, name) in [
+            (beyond_position, "position", self.position_sigma, config.max_position_sigma, "m"),
+            (beyond_rotation, "rotation", self.rotation_sigma, config.max_rotation_sigma, "rad"),
+        ] {
+            if beyond {
+                let join = if self.reason.is_empty() { "" } else { "; " };
+                self.reason += &format!(
+                    "{join}{what} sigma {sigma:.3} {name} above status.max_{what}_sigma {limit} {name}"
+                );
+            }
+        }
+        self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn judged(change: impl FnOnce(&mut PoseStatus), vision_only: bool) -> PoseStatus {
+        let mut status = PoseStatus::initializing(Stamp::from_nanos(0), String::new());
+        (status.position_sigma, status.rotation_sigma) = (0.001, 0.001);
+        (status.image_age, status.imu_age, status.climber_age) = (0.04, 0.0, 0.01);
+        change(&mut status);
+        status.judged(&StatusConfig::default(), vision_only)
+    }
+
+    #[test]
+    fn each_state_has_its_reason() {
+        let tracking = judged(|_| {}, false);
+        assert!(tracking.valid && tracking.state == PoseState::Tracking && tracking.reason.is_empty());
+        let coasting = judged(|s| s.image_age = 0.4, false);
+        assert!(
+            coasting.valid && coasting.state == PoseState::Coasting && coasting.reason.contains("0.40 s")
+        );
+        let vision = judged(|s| s.imu_age = 0.3, true);
+        assert!(vision.valid && vision.state == PoseState::VisionOnly && vision.reason.contains("IMU"));
+        let vague = judged(|s| s.rotation_sigma = 0.3, false);
+        assert!(!vague.valid && vague.state == PoseState::Tracking, "{vague:?}");
+        assert!(vague.reason.contains("status.max_rotation_sigma"), "{}", vague.reason);
+        let lost = judged(|s| (s.position_sigma, s.image_age) = (0.5, 3.0), false);
+        assert!(
+            !lost.valid && lost.state == PoseState::Lost && lost.reason.contains("no image used for 3.00 s")
+        );
+        assert!(!judged(|s| s.position_sigma = f64::NAN, false).valid);
+    }
+}

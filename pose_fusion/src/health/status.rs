@@ -1,0 +1,111 @@
+//! Counters and insights of the filter, for diagnostics.
+
+use crate::{adaptation::imu_noise::Densities, measurements::rope::Rope};
+use nalgebra::Vector3;
+use rig_model::Stamp;
+
+/// Counters since the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Inputs.
+    pub inputs: InputCounts,
+    /// Inputs that were rejected.
+    pub rejected: RejectedCounts,
+    /// Recoveries and reinitializations.
+    pub resets: ResetCounts,
+    /// Markers that updated the state.
+    pub used_markers: u64,
+    /// Markers rejected by a gate.
+    pub gated_markers: u64,
+    /// Encoder readings excluded as outliers.
+    pub excluded_readings: u64,
+    /// Odometry published.
+    pub odometry: u64,
+}
+
+/// Inputs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct InputCounts {
+    /// IMU samples.
+    pub imu: u64,
+    /// IMU samples that came out of order and were put in place.
+    pub late_imu: u64,
+    /// Gaps between IMU samples.
+    pub imu_gaps: u64,
+    /// Images.
+    pub images: u64,
+    /// Messages that came twice.
+    pub duplicates: u64,
+    /// Measurements dropped because the history was full.
+    pub overflows: u64,
+}
+
+/// Inputs that were rejected: not finite, too old, too far ahead, beyond the sensor's range.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RejectedCounts {
+    /// IMU samples.
+    pub imu: u64,
+    /// Images.
+    pub images: u64,
+    /// Markers.
+    pub markers: u64,
+    /// Encoder readings.
+    pub climber: u64,
+}
+
+/// Recoveries and reinitializations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ResetCounts {
+    /// Time jumped back: everything was reinitialized.
+    pub time_jumps: u64,
+    /// Shocks of the platform that images revealed.
+    pub shocks: u64,
+    /// Poses reinitialized from markers that had contradicted the estimate.
+    pub recoveries: u64,
+    /// Unsound states.
+    pub divergences: u64,
+    /// Steps of the encoders that were adopted.
+    pub encoder_steps: u64,
+    /// Initializations of the camera time offset.
+    pub time_offsets: u64,
+}
+
+/// Counters and the newest insights.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Status {
+    /// There is an estimate.
+    pub initialized: bool,
+    /// Markers are compared and not used.
+    pub frozen: bool,
+    /// The encoders contradict the estimate and are not used.
+    pub encoders_suspended: bool,
+    /// Newest IMU stamp.
+    pub newest_imu: Option<Stamp>,
+    /// Newest image that was used.
+    pub last_used_image: Option<Stamp>,
+    /// Largest standard deviation of the position, m.
+    pub position_sigma: f64,
+    /// Camera time offset, s (image time + offset = IMU time).
+    pub time_offset: TimeOffsetStatus,
+    /// Accelerometer (m/s²) and gyroscope bias (rad/s), IMU axes.
+    pub biases: [Vector3<f64>; 2],
+    /// Noise densities identified: specific force (m/s²)²/Hz, angular velocity (rad/s)²/Hz.
+    pub densities: Densities,
+    /// Factor on the markers' claimed sigma that their innovations ask for.
+    pub pixel_noise_factor: f64,
+    /// Rope as identified, where one is configured.
+    pub rope: Option<Rope>,
+    /// Counters.
+    pub counts: Counts,
+}
+
+/// What is known of the camera time offset.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TimeOffsetStatus {
+    /// Offset, s.
+    pub offset: f64,
+    /// Standard deviation, s.
+    pub sigma: f64,
+    /// The initial search still runs.
+    pub searching: bool,
+}

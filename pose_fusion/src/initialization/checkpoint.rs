@@ -1,0 +1,139 @@
+//! Checkpoint: everything the filter knows at an instant, as plain numbers.
+
+use crate::ekf::state::{Covariance, N, State};
+use nalgebra::{Cholesky, Const, Quaternion, UnitQuaternion, Vector3};
+use rig_model::Stamp;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// Version of the format.
+const VERSION: u32 = 2;
+
+/// State and covariance in SI units (see [`crate::ekf::state`]).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Checkpoint {
+    /// Version of the format: 2.
+    pub version: u32,
+    /// IMU time, ns.
+    pub stamp_ns: i64,
+    /// Position of the IMU, world.
+    pub position: [f64; 3],
+    /// Velocity of the IMU, world.
+    pub velocity: [f64; 3],
+    /// `world_from_imu`: x, y, z, w.
+    pub attitude: [f64; 4],
+    /// Accelerometer bias, IMU axes.
+    pub accelerometer_bias: [f64; 3],
+    /// Gyroscope bias, IMU axes.
+    pub gyroscope_bias: [f64; 3],
+    /// x, y, turn of the climber; their rates; their accelerations.
+    pub climber: [[f64; 3]; 3],
+    /// Camera time offset.
+    pub time_offset: f64,
+    /// Covariance of the error, row by row.
+    pub covariance: Vec<f64>,
+}
+
+/// Why an operator's request is refused.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum Refusal {
+    /// There is no estimate.
+    #[error("the filter is not initialized: there is nothing to save")]
+    NotInitialized,
+    /// A message is missing.
+    #[error("no {what} has arrived yet")]
+    Missing {
+        /// Which.
+        what: &'static str,
+    },
+    /// The stamp is out of reach.
+    #[error(
+        "the stamp is {away_s:.3} s before the newest IMU sample; the history reaches {limit_s:.1} s back"
+    )]
+    OutOfReach {
+        /// Distance.
+        away_s: f64,
+        /// Largest distance.
+        limit_s: f64,
+    },
+    /// Invalid numbers.
+    #[error("{what} is invalid: {why}")]
+    Invalid {
+        /// Which.
+        what: &'static str,
+        /// Why.
+        why: &'static str,
+    },
+}
+
+impl Checkpoint {
+    /// Returns the checkpoint of a state at an instant.
+    pub fn of(state: &State, stamp: Stamp) -> Self {
+        let q = state.attitude.coords;
+        let three = |v: &Vector3<f64>| [v.x, v.y, v.z];
+        Self {
+            version: VERSION,
+            stamp_ns: stamp.as_nanos(),
+            position: three(&state.position),
+            velocity: three(&state.velocity),
+            attitude: [q.x, q.y, q.z, q.w],
+            accelerometer_bias: three(&state.accelerometer_bias),
+            gyroscope_bias: three(&state.gyroscope_bias),
+            climber: [&state.climber, &state.climber_rate, &state.climber_acceleration].map(three),
+            time_offset: state.time_offset,
+            covariance: state.covariance.transpose().as_slice().to_vec(),
+        }
+    }
+
+    /// Returns the state.
+    ///
+    /// # Errors
+    /// Another version, a number that is not finite, an attitude of another norm than 1, a covariance of another size or that is
+    /// not symmetric and positive.
+    pub fn state(&self) -> Result<State, Refusal> {
+        let refuse = |what, why| Err(Refusal::Invalid { what, why });
+        if self.version != VERSION {
+            return refuse("the checkpoint", "it has another version");
+        }
+        let numbers = [&self.position, &self.velocity, &self.accelerometer_bias, &self.gyroscope_bias]
+            .into_iter()
+            .chain(&self.climber)
+            .flatten()
+            .chain(&self.attitude)
+            .chain([&self.time_offset])
+            .chain(&self.covariance);
+        if !numbers.into_iter().all(|x| x.is_finite()) {
+            return refuse("the checkpoint", "a number in it is not finite");
+        }
+        let [x, y, z, w] = self.attitude;
+        let attitude = Quaternion::new(w, x, y, z);
+        if (attitude.norm() - 1.0).abs() > 1e-3 {
+            return refuse("the checkpoint's attitude", "its norm is not 1");
+        }
+        if self.covariance.len() != N * N {
+            return refuse("the checkpoint's covariance", "it has another size");
+        }
+        let covariance = Covariance::from_row_slice(&self.covariance);
+        let scale = covariance.amax().max(1e-12);
+        let asymmetric = (covariance - covariance.transpose()).amax() > 1e-9 * scale;
+        let positive = covariance + Covariance::identity() * (1e-9 * scale);
+        if asymmetric || Cholesky::<f64, Const<N>>::new(positive).is_none() {
+            return refuse("the checkpoint's covariance", "it is not symmetric and positive");
+        }
+        let [climber, rate, acceleration] = self.climber.map(Vector3::from);
+        Ok(State {
+            position: self.position.into(),
+            velocity: self.velocity.into(),
+            attitude: UnitQuaternion::from_quaternion(attitude),
+            accelerometer_bias: self.accelerometer_bias.into(),
+            gyroscope_bias: self.gyroscope_bias.into(),
+            climber,
+            climber_rate: rate,
+            climber_acceleration: acceleration,
+            time_offset: self.time_offset,
+            covariance: (covariance + covariance.transpose()) * 0.5,
+            ..State::zero()
+        })
+    }
+}

@@ -1,0 +1,150 @@
+//! Initial state from one image, the IMU's direction of "up" and the encoders.
+//!
+//! The accelerometer of a swinging platform points along the rope and does not measure its tilt; the IMU's own roll and
+//! pitch do, with their covariance, and enter the cost in which the pose is found. Without them the accelerometer
+//! serves, with the tilt that a swing can hide.
+
+use crate::{
+    config::TightConfig,
+    ekf::{
+        consider::{ByParameter, Sensitivity},
+        state::{
+            ACCELEROMETER_BIAS, ATTITUDE, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_RATE, GYROSCOPE_BIAS,
+            POSITION, State, TIME_OFFSET, VELOCITY,
+        },
+        update,
+    },
+    input::{
+        climber_track::{ACCELERATION, ClimberAt},
+        imu::Up,
+    },
+    measurements::{
+        encoders::by_parameter,
+        geometry::Geometry,
+        markers::{self, Gates, Image, ImageInnovation},
+    },
+};
+use nalgebra::{UnitQuaternion, Vector3};
+use rig_model::{
+    PerColor,
+    planar_pose::{self, TiltPrior},
+};
+
+/// Largest cost of an image whose markers fit together: 2n − 6 (+ 2 for the tilt) degrees of freedom.
+const LARGEST_COST: f64 = 40.0;
+/// Initial position and attitude uncertainty, m and rad: so wide that the image decides.
+const OPEN: [f64; 2] = [2.0, 1.0];
+
+/// Initial state after the image, with the image's records.
+#[derive(Clone, Debug)]
+pub struct Start {
+    /// State.
+    pub state: State,
+    /// Records of the image's markers.
+    pub record: ImageInnovation,
+}
+
+/// Climber at the image with the uncertainty that an initial state is given.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClimberPrior {
+    /// x, y (m) and turn (rad).
+    pub values: Vector3<f64>,
+    /// Their rates.
+    pub rates: Vector3<f64>,
+    /// Standard deviations of the values.
+    pub sigmas: Vector3<f64>,
+    /// Standard deviations of the rates.
+    pub rate_sigmas: Vector3<f64>,
+}
+
+impl ClimberPrior {
+    /// Returns the prior from encoder readings: an encoder that only quantizes is off by its step at most.
+    pub fn from_readings(at: &ClimberAt) -> Self {
+        Self {
+            values: at.values,
+            rates: at.rates,
+            sigmas: at.noise * 12f64.sqrt() + at.growth,
+            rate_sigmas: at.rate_sigmas,
+        }
+    }
+
+    /// Returns the prior from a state.
+    pub fn from_state(state: &State) -> Self {
+        Self {
+            values: state.climber,
+            rates: state.climber_rate,
+            sigmas: state.sigmas(CLIMBER),
+            rate_sigmas: state.sigmas(CLIMBER_RATE),
+        }
+    }
+}
+
+/// Returns the most likely initial state that the image allows; `None` where its markers fit no pose.
+pub fn start(
+    geometry: &Geometry,
+    config: &TightConfig,
+    image: &Image,
+    up: Option<&Up>,
+    climber: &ClimberPrior,
+) -> Option<Start> {
+    let world_from_camera = image.rest.join(&climber.values) * geometry.climber_from_camera;
+    let tilt = up.map(|up| TiltPrior {
+        up_in_volant: geometry.volant_from_imu.rotation * up.in_imu,
+        up_in_camera: world_from_camera.rotation.inverse() * Vector3::z(),
+        sigma: up.sigma,
+    });
+    let pixels = PerColor(image.pixels);
+    let found = planar_pose::candidates(&geometry.markers, &geometry.camera, &pixels, tilt.as_ref());
+    let best = found.first().filter(|best| best.cost <= LARGEST_COST)?;
+    let world_from_imu = world_from_camera * best.camera_from_volant * geometry.volant_from_imu;
+    let (position, attitude): (Vector3<f64>, UnitQuaternion<f64>) =
+        (world_from_imu.translation.vector, world_from_imu.rotation);
+    let mut state = unknown(config, climber);
+    state.position = position;
+    state.attitude = attitude;
+    state.time_offset = image.time_offset;
+    // The prior is centered on the image's own solution, so that nothing bends.
+    state.set_sigmas(POSITION, &Vector3::repeat(OPEN[0]));
+    state.set_sigmas(ATTITUDE, &Vector3::repeat(OPEN[1]));
+    if let Some(up) = up {
+        // up = R u: its x and y in the world are zero; ∂(R u)/∂δθ = −[R u]×.
+        let (variance, none) = (up.sigma * up.sigma, ByParameter::zeros());
+        let v = state.attitude * up.in_imu;
+        update::scalar(&mut state, &[(ATTITUDE + 1, v.z), (ATTITUDE + 2, -v.y)], -v.x, variance, &none);
+        let v = state.attitude * up.in_imu;
+        update::scalar(&mut state, &[(ATTITUDE, -v.z), (ATTITUDE + 2, v.x)], -v.y, variance, &none);
+        // Prior and image together have their minimum at the candidate.
+        (state.position, state.attitude) = (position, attitude);
+    }
+    let record = markers::update(&mut state, geometry, image, &Gates::open(), config.gravity, true);
+    (state.position, state.attitude) = (position, attitude);
+    (state.climber, state.climber_rate) = (climber.values, climber.rates);
+    Some(Start { state, record })
+}
+
+/// Returns a state with the climber as its encoders have it and everything else as unknown as the configuration says.
+pub fn unknown(config: &TightConfig, climber: &ClimberPrior) -> State {
+    let mut state = State::zero();
+    state.climber = climber.values;
+    state.climber_rate = climber.rates;
+    state.set_sigmas(VELOCITY, &INITIAL_VELOCITY.into());
+    state.set_sigmas(ACCELEROMETER_BIAS, &Vector3::repeat(config.imu.accelerometer_bias));
+    state.set_sigmas(GYROSCOPE_BIAS, &Vector3::repeat(config.imu.gyroscope_bias));
+    state.set_sigmas(CLIMBER, &climber.sigmas);
+    state.set_sigmas(CLIMBER_RATE, &climber.rate_sigmas);
+    state.set_sigmas(CLIMBER_ACCELERATION, &ACCELERATION.into());
+    state.set_sigma(TIME_OFFSET, config.clock.camera_sigma.min(LINEAR_OFFSET));
+    state.sensitivity = Sensitivity::zeros();
+    for axis in 0..3 {
+        let by = by_parameter(axis, climber.values[axis], climber.rates[axis]);
+        state.sensitivity.row_mut(CLIMBER + axis).copy_from(&-by.transpose());
+    }
+    state
+}
+
+/// An error of the time offset up to which the filter is linear, s (1 sigma). A larger one is found by the alignment
+/// ([`super::time_offset`]), and widens the published covariance until then.
+const LINEAR_OFFSET: f64 = 0.006;
+
+/// Initial velocity of the platform, each axis, m/s (1 sigma): the fastest swing in a room.
+pub const INITIAL_VELOCITY: [f64; 3] = [1.5, 1.5, 1.5];

@@ -1,0 +1,6 @@
+//! Initialization: from one image, with what was known before, and of the camera time offset.
+
+pub mod checkpoint;
+pub mod from_image;
+pub mod preintegration;
+pub mod time_offset;

@@ -1,0 +1,335 @@
+//! Camera time offset by aligning the visual poses of single images with the motion that the IMU measured.
+//!
+//! An error-state filter corrects its time offset well while it is off by a few milliseconds, and loses its way where it is
+//! off by more than an image period. So the offset is first found by a batch alignment. For a candidate offset τ the image
+//! stamped `t` was taken at `t + τ` on the IMU's time line; there the IMU's motion is known but for its initial position,
+//! velocity and attitude and the biases (15 numbers), which enter linearly:
+//!
+//! `R_i = Exp(θ₀ + R₀ J_R b_g) R₀ ΔR_i`, `p_i = p₀ + v₀ s + g s²/2 + R₀ (Δp_i + J_p b) + [θ₀]× R₀ Δp_i − R_i t`
+//!
+//! (`t`: lever arm). The weighted squares that are left, `J(τ)`, have their minimum at the offset. It is accepted where the
+//! curvature says that it is known and every other minimum is refuted. Without motion `J` is flat and nothing is
+//! accepted. The image poses come on the climber's clock, which is the camera's, so that nothing else depends on τ.
+
+use super::preintegration::Preintegrated;
+use crate::{adaptation::imu_noise::Densities, config::ImuConfig, ekf::propagation::ImuReading};
+use nalgebra::{Isometry3, Matrix6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
+use rig_model::Stamp;
+use std::collections::VecDeque;
+
+/// Largest offset that is looked for, s.
+pub const REACH: f64 = 0.3;
+/// Distance of the candidates, s.
+const STEP: f64 = 0.01;
+/// The newest image poses of this time are aligned, s: longer, and the IMU's scale errors count.
+pub const WINDOW: f64 = 1.5;
+/// Images closer together than this add nothing, s.
+const SPACING: f64 = 0.024;
+/// Fewest images of an alignment.
+const FEWEST: usize = 12;
+/// An alignment after every so many images.
+const EVERY: usize = 3;
+/// Floors of the visual pose: position, m, and rotation, rad …
+const FLOOR: [f64; 2] = [0.4e-3, 1e-3];
+/// … and what is left of the IMU's noise in the window when initial state and biases are fitted, as shares of what it integrates to:
+/// specific force to position, angular velocity to rotation, angular velocity by the tilt to position. Noise beyond the rig
+/// file's counts more: it is not white, and one error of the window is as good as none.
+const IMU_SHARE: [f64; 3] = [0.2, 0.4, 0.04];
+const G_SQUARED: f64 = 96.2;
+const EXCESS_SHARE: [f64; 3] = [0.5, 0.8, 0.08];
+/// Largest standard deviation of an offset that is returned, s.
+const ACCEPTED: f64 = 0.010;
+/// The search ends with this standard deviation, s.
+pub const FINAL: f64 = 0.002;
+/// Every other candidate further away than this, s …
+const APART: f64 = 0.02;
+/// … must fit worse by this (χ²).
+const REFUTED: f64 = 16.0;
+/// Largest χ² per degree of freedom of an alignment that means anything.
+const LARGEST: f64 = 9.0;
+/// Smallest χ² per degree of freedom that is believed: the poses' own covariances are cautious.
+const SMALLEST: f64 = 0.6;
+/// Uncertainty of the initial velocity, m/s, and attitude, rad.
+const OPEN: [f64; 2] = [2.0, 0.5];
+
+const UNKNOWNS: usize = 15;
+type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+type Unknowns = SVector<f64, UNKNOWNS>;
+
+/// Camera time offset with its standard deviation, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimeOffset {
+    /// Image time + offset = IMU time.
+    pub offset: f64,
+    /// Standard deviation.
+    pub sigma: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct VisualPose {
+    stamp: Stamp,
+    world_from_volant: Isometry3<f64>,
+    covariance: Matrix6<f64>,
+    /// Inverse covariance, the IMU's noise included; of the alignment that runs.
+    information: Matrix6<f64>,
+}
+
+/// Collects image poses and IMU readings until the offset is known.
+#[derive(Clone, Debug, Default)]
+pub struct TimeOffsetSearch {
+    poses: VecDeque<VisualPose>,
+    readings: VecDeque<(Stamp, ImuReading)>,
+    added: usize,
+}
+
+impl TimeOffsetSearch {
+    /// Adds an IMU reading that is newer than those before.
+    pub fn add_reading(&mut self, stamp: Stamp, reading: &ImuReading) {
+        let oldest = stamp.plus_seconds(-(WINDOW + 2.0 * REACH + 0.2));
+        while self.readings.front().is_some_and(|(at, _)| *at < oldest) {
+            self.readings.pop_front();
+        }
+        self.readings.push_back((stamp, *reading));
+    }
+
+    /// Adds the pose of an image (camera time; covariance of position and rotation about world axes; m², rad²).
+    pub fn add_pose(&mut self, stamp: Stamp, world_from_volant: &Isometry3<f64>, covariance: &Matrix6<f64>) {
+        if self.poses.back().is_some_and(|p| stamp.seconds_since(p.stamp) < SPACING) {
+            return;
+        }
+        while self.poses.front().is_some_and(|p| stamp.seconds_since(p.stamp) > WINDOW) {
+            self.poses.pop_front();
+        }
+        self.poses.push_back(VisualPose {
+            stamp,
+            world_from_volant: *world_from_volant,
+            covariance: *covariance,
+            information: Matrix6::zeros(),
+        });
+        self.added += 1;
+    }
+
+    /// Weighs the poses with the IMU's noise as it is known now.
+    fn weigh(&mut self, noise: &Densities, given: &Densities) {
+        let of = |shares: [f64; 3], force: f64, rate: f64| {
+            let [by_force, by_rate, by_tilt] = shares.map(|share| share * share);
+            let position = by_force * force * WINDOW.powi(3) + by_tilt * G_SQUARED * rate * WINDOW.powi(5);
+            [position, by_rate * rate * WINDOW]
+        };
+        let usual = of(IMU_SHARE, given.force, given.rate);
+        let excess =
+            of(EXCESS_SHARE, (noise.force - given.force).max(0.0), (noise.rate - given.rate).max(0.0));
+        let imu = [usual[0] + excess[0], usual[1] + excess[1]];
+        for pose in &mut self.poses {
+            let mut covariance = pose.covariance;
+            for i in 0..6 {
+                covariance[(i, i)] += FLOOR[i / 3].powi(2) + imu[i / 3];
+            }
+            pose.information = covariance.try_inverse().unwrap_or_else(Matrix6::zeros);
+        }
+    }
+
+    /// Discards everything.
+    pub fn clear(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Returns the offset once it is known to 10 ms. Aligns after every third image only.
+    ///
+    /// `volant_from_imu` is the mounting of the IMU, `gravity` in m/s², `noise` the IMU's noise densities and
+    /// `given` those of the rig file.
+    pub fn find(
+        &mut self,
+        volant_from_imu: &Isometry3<f64>,
+        gravity: f64,
+        imu: &ImuConfig,
+        noise: &Densities,
+        given: &Densities,
+    ) -> Option<TimeOffset> {
+        if self.poses.len() < FEWEST || self.added < EVERY {
+            return None;
+        }
+        self.added = 0;
+        self.weigh(noise, given);
+        // The second time with the biases that the first one found: over the window they turn by several degrees.
+        let first = self.align(volant_from_imu, gravity, imu, &Biases::default())?;
+        let (found, _) = self.align(volant_from_imu, gravity, imu, &first.1)?;
+        found
+    }
+
+    /// Best offset, where it is known, and the biases that go with it. Linearized at `biases`.
+    fn align(
+        &self,
+        volant_from_imu: &Isometry3<f64>,
+        gravity: f64,
+        imu: &ImuConfig,
+        biases: &Biases,
+    ) -> Option<(Option<TimeOffset>, Biases)> {
+        let track = self.preintegrate(biases);
+        let alignment =
+            Alignment { track: &track, poses: &self.poses, volant_from_imu, gravity, imu, biases };
+        let steps = (REACH / STEP).round() as i32;
+        let costs: Vec<(f64, Option<Cost>)> =
+            (-steps..=steps).map(|i| (f64::from(i) * STEP, alignment.cost(f64::from(i) * STEP))).collect();
+        let mean = |c: &Cost| c.square / c.rows;
+        let usable = costs.iter().filter_map(|(offset, cost)| Some((*offset, cost.as_ref()?)));
+        let (start, _) = usable.clone().min_by(|a, b| mean(a.1).total_cmp(&mean(b.1)))?;
+        // Refine by parabolas through candidates a step apart: closer ones differ by the noise of single readings.
+        let (mut offset, h) = (start, STEP);
+        let (mut best, mut curvature) = (alignment.cost(offset)?, 0.0);
+        for _ in 0..3 {
+            let (low, high) = (alignment.cost(offset - h)?, alignment.cost(offset + h)?);
+            if low.rows != best.rows || high.rows != best.rows {
+                // An image at the edge of the readings: take the mean cost per row.
+                let (l, b, u) = (mean(&low), mean(&best), mean(&high));
+                curvature = (l + u - 2.0 * b) / (h * h) * best.rows;
+                offset += (h * (l - u) / (2.0 * (l + u - 2.0 * b))).clamp(-h, h);
+            } else {
+                curvature = (low.square + high.square - 2.0 * best.square) / (h * h);
+                offset += (h * (low.square - high.square)
+                    / (2.0 * (low.square + high.square - 2.0 * best.square)))
+                    .clamp(-h, h);
+            }
+            if !(curvature > 0.0 && offset.is_finite()) {
+                return Some((None, best.biases));
+            }
+            best = alignment.cost(offset)?;
+        }
+        let scale = (best.square / (best.rows - UNKNOWNS as f64).max(1.0)).max(SMALLEST);
+        let sigma = (2.0 * scale / curvature).sqrt();
+        let refuted = usable
+            .filter(|(at, _)| (at - offset).abs() > APART)
+            .all(|(_, cost)| (mean(cost) - mean(&best)) * best.rows.min(cost.rows) > REFUTED * scale);
+        let accepted = sigma < ACCEPTED && scale < LARGEST && refuted && offset.abs() < REACH;
+        Some((accepted.then_some(TimeOffset { offset, sigma }), best.biases))
+    }
+
+    fn preintegrate(&self, biases: &Biases) -> Vec<Preintegrated> {
+        let mut track: Vec<Preintegrated> = Vec::with_capacity(self.readings.len());
+        for (stamp, reading) in &self.readings {
+            let reading = &ImuReading {
+                specific_force: reading.specific_force - biases.accelerometer,
+                angular_velocity: reading.angular_velocity - biases.gyroscope,
+            };
+            let next = match track.last() {
+                Some(last) => last.to(*stamp, reading),
+                None => Preintegrated::first(*stamp, *reading),
+            };
+            track.push(next);
+        }
+        track
+    }
+}
+
+/// What is left of an alignment, and the biases that it found.
+#[derive(Clone, Copy, Debug)]
+struct Cost {
+    square: f64,
+    rows: f64,
+    biases: Biases,
+}
+
+/// Biases of the IMU, its axes: m/s², rad/s.
+#[derive(Clone, Copy, Debug, Default)]
+struct Biases {
+    accelerometer: Vector3<f64>,
+    gyroscope: Vector3<f64>,
+}
+
+struct Alignment<'a> {
+    track: &'a [Preintegrated],
+    poses: &'a VecDeque<VisualPose>,
+    volant_from_imu: &'a Isometry3<f64>,
+    gravity: f64,
+    imu: &'a ImuConfig,
+    biases: &'a Biases,
+}
+
+impl Alignment<'_> {
+    /// Cost of an offset; `None` where fewer than half of the images (and [`FEWEST`]) have IMU readings around them.
+    fn cost(&self, offset: f64) -> Option<Cost> {
+        let first = self.track.first()?;
+        let motions: Vec<(&VisualPose, Preintegrated)> =
+            self.poses.iter().filter_map(|p| Some((p, self.at(p.stamp.plus_seconds(offset))?))).collect();
+        if motions.len() < FEWEST.max(self.poses.len() / 2) {
+            return None;
+        }
+        let (pose, motion) = motions.get(motions.len() / 2)?;
+        // Linearized at the attitude that the image in the middle gives.
+        let imu_rotation = self.volant_from_imu.rotation;
+        let start = pose.world_from_volant.rotation * imu_rotation * motion.rotation.inverse();
+        let mut normal = Normal::zeros();
+        let mut right = Unknowns::zeros();
+        let mut square = 0.0;
+        let prior = [OPEN[0], OPEN[1], self.imu.accelerometer_bias, self.imu.gyroscope_bias];
+        for (k, sigma) in prior.into_iter().enumerate() {
+            for i in 0..3 {
+                let index = 3 * (k + 1) + i;
+                normal[(index, index)] += 1.0 / (sigma * sigma);
+            }
+        }
+        let known = [self.biases.accelerometer, self.biases.gyroscope];
+        for (k, bias) in known.iter().enumerate() {
+            for i in 0..3 {
+                let (index, weight) = (9 + 3 * k + i, prior[2 + k].powi(-2));
+                right[index] -= bias[i] * weight;
+                square += bias[i] * bias[i] * weight;
+            }
+        }
+        for (pose, motion) in &motions {
+            let (residual, jacobian) = self.row(&start, first.stamp, pose, motion);
+            let weighted = pose.information * jacobian;
+            normal += jacobian.transpose() * weighted;
+            right += weighted.transpose() * residual;
+            square += residual.dot(&(pose.information * residual));
+        }
+        let solution = normal.cholesky()?.solve(&right);
+        let biases = Biases {
+            accelerometer: self.biases.accelerometer + solution.fixed_rows::<3>(9),
+            gyroscope: self.biases.gyroscope + solution.fixed_rows::<3>(12),
+        };
+        let square = (square - right.dot(&solution)).max(0.0);
+        Some(Cost { square, rows: 6.0 * motions.len() as f64, biases })
+    }
+
+    /// Residual of an image (position, rotation) and its derivative by p₀, v₀, θ₀, b_a, b_g.
+    fn row(
+        &self,
+        start: &UnitQuaternion<f64>,
+        origin: Stamp,
+        pose: &VisualPose,
+        motion: &Preintegrated,
+    ) -> (Vector6<f64>, SMatrix<f64, 6, UNKNOWNS>) {
+        let s = motion.stamp.seconds_since(origin);
+        let r0 = start.to_rotation_matrix();
+        let r0 = r0.matrix();
+        let world_from_imu = start * motion.rotation;
+        let world_from_volant = world_from_imu * self.volant_from_imu.rotation.inverse();
+        let lever = world_from_volant * self.volant_from_imu.translation.vector;
+        let moved = start * motion.position;
+        let position = moved - Vector3::z() * (self.gravity * s * s / 2.0) - lever;
+        let rotation = (pose.world_from_volant.rotation * world_from_volant.inverse()).scaled_axis();
+        let shift = pose.world_from_volant.translation.vector - position;
+        let residual = Vector6::new(shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z);
+        let mut j = SMatrix::<f64, 6, UNKNOWNS>::zeros();
+        let by_gyroscope = r0 * motion.rotation_by_gyroscope;
+        j.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
+        j.fixed_view_mut::<3, 3>(0, 3).fill_diagonal(s);
+        j.fixed_view_mut::<3, 3>(0, 6).copy_from(&(lever - moved).cross_matrix());
+        j.fixed_view_mut::<3, 3>(0, 9).copy_from(&(r0 * motion.position_by[1]));
+        j.fixed_view_mut::<3, 3>(0, 12)
+            .copy_from(&(r0 * motion.position_by[0] + lever.cross_matrix() * by_gyroscope));
+        j.fixed_view_mut::<3, 3>(3, 6).fill_with_identity();
+        j.fixed_view_mut::<3, 3>(3, 12).copy_from(&by_gyroscope);
+        (residual, j)
+    }
+
+    /// Motion at an instant between two readings.
+    fn at(&self, stamp: Stamp) -> Option<Preintegrated> {
+        let after = self.track.partition_point(|p| p.stamp <= stamp);
+        let (before, next) = (self.track.get(after.checked_sub(1)?)?, self.track.get(after)?);
+        let span = next.stamp.seconds_since(before.stamp);
+        let share = stamp.seconds_since(before.stamp) / span;
+        Some(before.to(stamp, &before.reading.lerp(&next.reading, share)))
+    }
+}

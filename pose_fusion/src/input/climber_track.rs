@@ -1,0 +1,246 @@
+//! Newest encoder readings: the climber at any instant between them and shortly beyond.
+
+use crate::{
+    adaptation::encoder_noise::EncoderNoise,
+    config::ClimberConfig,
+    measurements::geometry::{ClimberRest, wrap},
+};
+use nalgebra::Vector3;
+use rig_model::Stamp;
+use std::collections::VecDeque;
+
+/// Number of readings kept: a second at 200 Hz.
+const KEPT: usize = 200;
+/// Readings within this time of an instant give the rates, s.
+const NEAR: f64 = 0.25;
+/// Shortest span of readings that gives rates, s.
+const SHORTEST: f64 = 0.03;
+/// No climber is faster than this (x, y, m/s; turn, rad/s; 1 sigma) …
+pub const SPEED: [f64; 3] = [0.5, 0.5, 0.4];
+/// … or accelerated by more than this (m/s², rad/s²; 1 sigma).
+pub const ACCELERATION: [f64; 3] = [0.5, 0.5, 0.3];
+/// A climber that moves by more than this many encoder steps within [`MOVING_SPAN`] is driving.
+const MOVING_STEPS: f64 = 3.0;
+const MOVING_SPAN: f64 = 0.2;
+/// Number of equal readings of encoders that stand.
+const STANDING: usize = 3;
+/// NIS above which the climber's jerk is larger than assumed.
+const LARGE_JERK: f64 = 10.0;
+/// Factor on the jerk of a climber that stands: it will set off.
+pub const SETTING_OFF: f64 = 100.0;
+/// Largest factor on the jerk.
+const JERK_LIMIT: f64 = 1000.0;
+
+/// Climber at an instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClimberAt {
+    /// x, y (m) and turn (rad).
+    pub values: Vector3<f64>,
+    /// Their rates, per s.
+    pub rates: Vector3<f64>,
+    /// Standard deviations of a reading: m, m, rad.
+    pub noise: Vector3<f64>,
+    /// Growth of the standard deviations outside the readings: m, m, rad.
+    pub growth: Vector3<f64>,
+    /// Standard deviations of the rates.
+    pub rate_sigmas: Vector3<f64>,
+    /// Time to the nearest reading, 0 between two readings, s.
+    pub distance: f64,
+    /// Height and tilt.
+    pub rest: ClimberRest,
+}
+
+/// The newest readings in the order of their stamps, with the noise and jerk identified from them.
+#[derive(Clone, Debug)]
+pub struct ClimberTrack {
+    readings: VecDeque<(Stamp, Vector3<f64>, ClimberRest)>,
+    noise: EncoderNoise,
+    /// Variance with which the readings on the time line were weighed.
+    assumed: Vector3<f64>,
+    jerk_factor: f64,
+}
+
+impl ClimberTrack {
+    /// Creates an empty track.
+    pub fn new(config: &ClimberConfig) -> Self {
+        let steps = Vector3::new(config.quantum, config.quantum, config.turn_quantum);
+        let noise = EncoderNoise::new(steps);
+        Self {
+            readings: VecDeque::with_capacity(KEPT + 1),
+            assumed: noise.variance(),
+            noise,
+            jerk_factor: SETTING_OFF,
+        }
+    }
+
+    /// Adds a reading. Returns its variance (m², m², rad²) as a moving climber's and the factor for equal readings; `None` for a
+    /// stamp that is there already.
+    pub fn add(
+        &mut self,
+        stamp: Stamp,
+        values: Vector3<f64>,
+        rest: ClimberRest,
+    ) -> Option<(Vector3<f64>, Vector3<f64>)> {
+        let place = self.readings.partition_point(|(at, _, _)| *at < stamp);
+        if self.readings.get(place).is_some_and(|(at, _, _)| *at == stamp) {
+            return None;
+        }
+        let (variance, equal) = if place == self.readings.len() {
+            self.noise.add(stamp, &values)
+        } else {
+            let neighbor = place.checked_sub(1).and_then(|p| self.readings.get(p));
+            self.noise.late(&values, neighbor.map(|(_, values, _)| values))
+        };
+        // One that is older than all the others says nothing of the climber now.
+        if place > 0 || self.readings.is_empty() {
+            self.readings.insert(place, (stamp, values, rest));
+        }
+        if self.readings.len() > KEPT {
+            self.readings.pop_front();
+        }
+        Some((variance, Vector3::from(equal)))
+    }
+
+    /// Returns the newest reading: stamp; x, y, turn; height and tilt.
+    pub fn newest(&self) -> Option<&(Stamp, Vector3<f64>, ClimberRest)> {
+        self.readings.back()
+    }
+
+    /// Returns the variance of a moving climber's reading, m², m², rad².
+    pub fn variance(&self) -> Vector3<f64> {
+        self.noise.variance()
+    }
+
+    /// Returns the variance with which the readings on the time line were weighed, to be replaced when they are weighed again.
+    pub fn assumed_variance(&mut self) -> &mut Vector3<f64> {
+        &mut self.assumed
+    }
+
+    /// Returns whether the noise is still being identified.
+    pub fn is_young(&self) -> bool {
+        self.noise.is_young()
+    }
+
+    /// Returns the factor on the configured jerk density.
+    pub fn jerk_factor(&self) -> f64 {
+        self.jerk_factor
+    }
+
+    /// Adapts the jerk to the NIS of a reading that was used: fast upwards, slowly back.
+    pub fn adapt_jerk(&mut self, nis: f64) {
+        let change = if nis > LARGE_JERK { 1.6 } else { 0.98 };
+        let least = if self.is_moving() { 1.0 } else { SETTING_OFF };
+        self.jerk_factor = (self.jerk_factor * change).clamp(least, JERK_LIMIT);
+    }
+
+    /// Returns whether the newest readings are equal on all axes: a climber at rest, or frozen encoders.
+    pub fn is_standing(&self) -> bool {
+        let Some((_, last, _)) = self.readings.back() else { return false };
+        self.readings.iter().rev().take(STANDING).all(|(_, values, _)| values == last)
+    }
+
+    fn is_moving(&self) -> bool {
+        let Some((newest, last, _)) = self.readings.back() else { return false };
+        let limit = self.noise.variance().map(|v| MOVING_STEPS * (12.0 * v).sqrt());
+        let recent =
+            self.readings.iter().rev().take_while(|(at, _, _)| newest.seconds_since(*at) < MOVING_SPAN);
+        recent.into_iter().any(|(_, values, _)| {
+            let mut moved = last - values;
+            moved.z = wrap(moved.z);
+            (0..3).any(|i| moved[i].abs() > limit[i])
+        })
+    }
+
+    /// Returns the climber at an instant: interpolated between two readings, else moved on with its rates. `None` without readings.
+    pub fn at(&self, stamp: Stamp) -> Option<ClimberAt> {
+        let after = self.readings.partition_point(|(at, _, _)| *at < stamp);
+        let before = after.checked_sub(1).and_then(|i| self.readings.get(i));
+        let next = self.readings.get(after);
+        let (nearest, distance) = match (before, next) {
+            (Some(a), Some(_)) => (a, 0.0),
+            (Some(a), None) => (a, stamp.seconds_since(a.0)),
+            (None, Some(b)) => (b, b.0.seconds_since(stamp)),
+            (None, None) => return None,
+        };
+        let noise = self.noise.variance().map(f64::sqrt);
+        let (rates, rate_sigmas) = self.rates(stamp, &noise);
+        let values = match (before, next) {
+            (Some(a), Some(b)) => {
+                let span = b.0.seconds_since(a.0);
+                let share = if span > 0.0 { stamp.seconds_since(a.0) / span } else { 0.0 };
+                let mut way = b.1 - a.1;
+                way.z = wrap(way.z);
+                a.1 + way * share
+            }
+            _ => nearest.1 + rates * stamp.seconds_since(nearest.0),
+        };
+        Some(ClimberAt {
+            values,
+            rates,
+            noise,
+            growth: rate_sigmas * distance,
+            rate_sigmas,
+            distance,
+            rest: nearest.2,
+        })
+    }
+
+    /// Rates from the readings around an instant, with their standard deviations.
+    fn rates(&self, stamp: Stamp, noise: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
+        let fastest = Vector3::from(SPEED);
+        let recent = || self.readings.iter().filter(|(s, _, _)| s.seconds_since(stamp).abs() < NEAR);
+        let (Some(first), Some(last)) = (recent().next(), recent().next_back()) else {
+            return (Vector3::zeros(), fastest);
+        };
+        let span = last.0.seconds_since(first.0);
+        if span <= SHORTEST {
+            return (Vector3::zeros(), fastest);
+        }
+        let mut rates = last.1 - first.1;
+        rates.z = wrap(rates.z);
+        let step = noise * 12f64.sqrt();
+        let sigmas = (step / span + Vector3::from(ACCELERATION) * span).inf(&fastest);
+        ((rates / span).map(|r| if r.is_finite() { r } else { 0.0 }), sigmas)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_instant_beyond_the_readings_is_where_the_climber_has_moved_to() {
+        let mut track = ClimberTrack::new(&ClimberConfig::default());
+        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
+        let truth = |t: f64| Vector3::new(0.3 * t + 0.05 * t * t, -0.2 * t, 3.1 + 0.15 * t);
+        for i in 0..100 {
+            let t = f64::from(i) * 0.02;
+            let mut reading = truth(t).map(|x| (x * 1e3).round() * 1e-3);
+            reading.z = wrap(reading.z);
+            assert!(track.add(start.plus_seconds(t), reading, rest).is_some());
+            assert!(track.add(start.plus_seconds(t), reading, rest).is_none());
+            if i < 10 {
+                continue;
+            }
+            for ahead in [-0.01, 0.0, 0.007, 0.019] {
+                let at = track.at(start.plus_seconds(t + ahead)).unwrap();
+                let mut error = at.values - truth(t + ahead);
+                error.z = wrap(error.z);
+                assert!(error.amax() < 3e-3, "{t} {ahead}: {error}");
+                assert_eq!(at.distance > 0.0, ahead > 0.0);
+            }
+        }
+        assert!(track.is_moving());
+        assert!(track.at(start.plus_seconds(4.0)).unwrap().growth.x > 0.3);
+    }
+
+    #[test]
+    fn jerk_grows_with_surprises_and_a_standing_climber_keeps_room_to_set_off() {
+        let mut track = ClimberTrack::new(&ClimberConfig::default());
+        track.adapt_jerk(30.0);
+        assert!(track.jerk_factor() > SETTING_OFF);
+        (0..1000).for_each(|_| track.adapt_jerk(1.0));
+        assert_eq!(track.jerk_factor(), SETTING_OFF);
+    }
+}

@@ -1,0 +1,169 @@
+//! IMU samples: checked, with the process noise of the step to each, and what the IMU knows of "up".
+
+use crate::{
+    adaptation::{
+        imu_integrity::{Implausible, ImuIntegrity},
+        imu_noise::{Densities, ImuNoise},
+        model_error::ModelError,
+        stationary::Stationary,
+    },
+    config::TightConfig,
+    ekf::propagation::ImuReading,
+    timeline::history::{Event, History},
+};
+use nalgebra::{UnitQuaternion, Vector3};
+use rig_model::{ImuMounting, ImuSample, Stamp};
+use std::collections::VecDeque;
+
+/// Number of attitudes kept.
+const KEPT: usize = 64;
+/// An attitude further from an instant does not serve it, s.
+const NEAR: f64 = 0.1;
+/// Tilt that a swing hides from the accelerometer, rad (1 sigma).
+const SWING_TILT: f64 = 0.15;
+/// The mean specific force over this time around an instant points up but for that, s.
+const MEAN_FORCE: f64 = 0.3;
+
+/// What is known of "up".
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Up {
+    /// World's up in IMU axes, unit vector.
+    pub in_imu: Vector3<f64>,
+    /// Its uncertainty about each horizontal axis, rad.
+    pub sigma: f64,
+}
+
+/// State of the IMU input.
+#[derive(Clone, Debug, Default)]
+pub struct ImuInput {
+    integrity: ImuIntegrity,
+    noise: ImuNoise,
+    stationary: Stationary,
+    ups: VecDeque<(Stamp, Up)>,
+    model_error: ModelError,
+    /// The noise was known at some time.
+    known: bool,
+}
+
+impl ImuInput {
+    /// Returns the reading of a sample.
+    ///
+    /// # Errors
+    /// A value that no IMU measures, see [`Implausible`].
+    pub fn reading(sample: &ImuSample, config: &TightConfig) -> Result<ImuReading, Implausible> {
+        let reading =
+            ImuReading { specific_force: sample.specific_force, angular_velocity: sample.angular_velocity };
+        ImuIntegrity::check(&reading, &config.imu)?;
+        Ok(reading)
+    }
+
+    /// Takes in a reading that came `dt` seconds after the previous one (`None`: the first one) and returns its event.
+    pub fn event(
+        &mut self,
+        reading: &ImuReading,
+        dt: Option<f64>,
+        mounting: &ImuMounting,
+        config: &TightConfig,
+    ) -> Event {
+        let given = given(mounting);
+        let Some(dt) = dt else {
+            return Event::Imu { noise: self.noise.densities(&given, config.imu.noise_limit), at_rest: None };
+        };
+        self.noise.add(reading, dt);
+        let mut noise = self.noise.densities(&given, config.imu.noise_limit);
+        let period = self.noise.period();
+        let found = self.noise.sample_variances();
+        let variances = Densities {
+            force: found.force.max(given.force / period),
+            rate: found.rate.max(given.rate / period),
+        };
+        let at_rest = self.stationary.add(reading, dt, variances.force, variances.rate);
+        let more = self.integrity.additional(reading, dt, &variances, self.model_error.factor(), &config.imu);
+        noise.force += more.force;
+        noise.rate += more.rate;
+        Event::Imu { noise, at_rest }
+    }
+
+    /// Remembers the IMU's own attitude, where the sample has a usable one.
+    pub fn remember_attitude(&mut self, sample: &ImuSample, floor: f64) {
+        if let Some(up) = up_of(sample, floor) {
+            if self.ups.len() == KEPT {
+                self.ups.pop_front();
+            }
+            self.ups.push_back((sample.stamp, up));
+        }
+    }
+
+    /// Returns by how much the noise exceeds the rig file's, once, when it becomes known: the samples before were weighed with the rig
+    /// file's.
+    pub fn newly_known_noise(&mut self, mounting: &ImuMounting, config: &TightConfig) -> Option<Densities> {
+        if self.known || !self.noise.is_known() {
+            return None;
+        }
+        self.known = true;
+        let (now, given) = (self.densities(mounting, config), given(mounting));
+        let more = Densities { force: now.force - given.force, rate: now.rate - given.rate };
+        (more.force > 0.0 || more.rate > 0.0).then_some(more)
+    }
+
+    /// Returns the model error identified from the images.
+    pub fn model_error(&mut self) -> &mut ModelError {
+        &mut self.model_error
+    }
+
+    /// Discards what a gap interrupts.
+    pub fn interrupt(&mut self) {
+        self.stationary.clear();
+        self.integrity.clear();
+    }
+
+    /// Returns the densities identified now, those of the rig file at least.
+    pub fn densities(&self, mounting: &ImuMounting, config: &TightConfig) -> Densities {
+        self.noise.densities(&given(mounting), config.imu.noise_limit)
+    }
+
+    /// Returns the mean time between samples, s.
+    pub fn period(&self) -> f64 {
+        self.noise.period()
+    }
+
+    /// Returns what is known of "up" at an instant: the IMU's own attitude, else the mean direction of its specific force.
+    pub fn up_at(&self, stamp: Stamp, history: &History) -> Option<Up> {
+        if let Some(up) = nearest(&self.ups, stamp) {
+            return Some(up);
+        }
+        let near = history.iter().filter(|entry| {
+            matches!(entry.event, Event::Imu { .. }) && entry.stamp.seconds_since(stamp).abs() < MEAN_FORCE
+        });
+        let sum: Vector3<f64> = near.map(|entry| entry.reading.specific_force).sum();
+        sum.try_normalize(1e-3).map(|in_imu| Up { in_imu, sigma: SWING_TILT })
+    }
+}
+
+/// Returns the noise densities of the rig file.
+pub fn given(mounting: &ImuMounting) -> Densities {
+    Densities {
+        force: mounting.accelerometer_noise_density.powi(2),
+        rate: mounting.gyroscope_noise_density.powi(2),
+    }
+}
+
+/// Returns the IMU's own direction of "up" in a sample, with a sigma of at least `floor` rad. `None` without a usable attitude.
+pub fn up_of(sample: &ImuSample, floor: f64) -> Option<Up> {
+    let orientation = sample.orientation.as_ref()?;
+    let enu_from_imu: &UnitQuaternion<f64> = &orientation.enu_from_imu;
+    let coords = enu_from_imu.coords;
+    if !coords.iter().all(|x| x.is_finite()) || (coords.norm() - 1.0).abs() > 0.01 {
+        return None;
+    }
+    let variance = orientation.covariance.map_or(0.0, |c| c[(0, 0)].max(c[(1, 1)]));
+    let sigma = if variance.is_finite() { variance.max(0.0).sqrt() } else { 0.0 };
+    Some(Up { in_imu: enu_from_imu.inverse() * Vector3::z(), sigma: sigma.max(floor) })
+}
+
+/// Returns the entry of a series that is nearest to an instant, within 0.1 s.
+pub fn nearest(ups: &VecDeque<(Stamp, Up)>, stamp: Stamp) -> Option<Up> {
+    let distance = |s: &Stamp| (s.as_nanos() - stamp.as_nanos()).unsigned_abs();
+    let (at, up) = ups.iter().min_by_key(|(s, _)| distance(s))?;
+    (at.seconds_since(stamp).abs() < NEAR).then_some(*up)
+}

@@ -1,0 +1,76 @@
+//! Marker observations: duplicates and unusable numbers are rejected, covariances bounded from below.
+
+use crate::{
+    adaptation::pixel_noise::PixelNoise, config::MarkerConfig, measurements::markers::Pixels, output::Warning,
+};
+use nalgebra::Matrix2;
+use rig_model::{MarkerObservations, MarkerState, Stamp};
+use std::collections::VecDeque;
+
+/// Number of image stamps kept to recognize duplicates.
+const KEPT: usize = 64;
+/// Largest coordinate (px) and variance (px²) of a usable centroid.
+const LARGEST: [f64; 2] = [1e5, 1e6];
+
+/// State of the marker input.
+#[derive(Clone, Debug, Default)]
+pub struct MarkerInput {
+    stamps: VecDeque<Stamp>,
+    noise: PixelNoise,
+}
+
+impl MarkerInput {
+    /// Returns whether an image of this stamp came already.
+    pub fn is_duplicate(&self, stamp: Stamp) -> bool {
+        self.stamps.contains(&stamp)
+    }
+
+    /// Remembers the stamp of an image.
+    pub fn remember(&mut self, stamp: Stamp) {
+        if self.stamps.len() == KEPT {
+            self.stamps.pop_front();
+        }
+        self.stamps.push_back(stamp);
+    }
+
+    /// Returns the pixel noise identified from the innovations.
+    pub fn noise(&mut self) -> &mut PixelNoise {
+        &mut self.noise
+    }
+
+    /// Returns the factor on the claimed pixel variance.
+    pub fn noise_factor(&self) -> f64 {
+        self.noise.factor()
+    }
+
+    /// Returns the detected markers of an image with the covariance to assume; `reject` gets a warning for each unusable one.
+    pub fn pixels(
+        &self,
+        observations: &MarkerObservations,
+        config: &MarkerConfig,
+        mut reject: impl FnMut(Warning),
+    ) -> Pixels {
+        let floor = Matrix2::identity() * config.pixel_floor.powi(2);
+        let minimum = config.pixel_minimum.powi(2);
+        let mut pixels = [None; 4];
+        for (color, marker) in observations.markers.iter() {
+            if marker.state != MarkerState::Detected {
+                continue;
+            }
+            let c = &marker.covariance;
+            let usable = marker.centroid.iter().all(|x| x.is_finite() && x.abs() < LARGEST[0])
+                && c.iter().all(|x| x.is_finite() && x.abs() < LARGEST[1])
+                && c.determinant() >= 0.0
+                && c.trace() >= 0.0;
+            if !usable {
+                let (stamp, what) = (observations.stamp, color.name());
+                reject(Warning::NotFinite { source_name: "marker", stamp, what });
+                continue;
+            }
+            let symmetric = (c + c.transpose()) * 0.5;
+            let bounded = symmetric + Matrix2::identity() * (minimum - symmetric.trace() / 2.0).max(0.0);
+            pixels[color.index()] = Some((marker.centroid, bounded * self.noise.factor() + floor));
+        }
+        pixels
+    }
+}

@@ -1,0 +1,143 @@
+//! Update of the climber's x, y and turn by its encoders.
+//!
+//! A reading of a moving climber has an error like white noise (variance step²/12). While the reading stands still its
+//! error stands still too: its variance is multiplied by the number of equal readings so far (see
+//! [`crate::adaptation::encoder_noise`]). A climber at rest is therefore never known much better than its encoders' step.
+
+use super::{Innovation, Outcome, geometry::ClimberRest, geometry::wrap};
+use crate::ekf::{
+    consider::{ByParameter, CLIMBER_OFFSET, ENCODER_SCALE},
+    propagation::ImuReading,
+    state::{CLIMBER, CLIMBER_RATE, State},
+    update,
+};
+use nalgebra::{Matrix3, Vector3};
+
+/// Largest acceleration of a climber: m/s², m/s², rad/s² (a drive into its end stop, simulated: 36 m/s²; a wheel that slips).
+const ACCELERATION: f64 = 40.0;
+/// Beyond this span the images decide where the climber went, s.
+const LONGEST: f64 = 0.1;
+/// NIS (one degree of freedom) above which a reading contradicts the model of the motion (5 sigma).
+pub const CONTRADICTION: f64 = 25.0;
+
+/// Encoder reading as the update needs it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EncoderReading {
+    /// x, y (m) and turn (rad, any multiple of a full turn).
+    pub values: Vector3<f64>,
+    /// Variance of each, m², m², rad².
+    pub variance: Vector3<f64>,
+    /// Factor on the variance of a moving climber's reading, already contained in `variance`.
+    pub multiplicity: Vector3<f64>,
+    /// Time offset with which the reading was placed on the IMU's time line, s.
+    pub time_offset: f64,
+    /// IMU reading at that time.
+    pub reading: ImuReading,
+    /// Height and tilt of the climber.
+    pub rest: ClimberRest,
+}
+
+/// Returns the innovation of a reading and its derivative rows without changing the state.
+///
+/// `climber_offset` is the configured offset of the climber's stamps against the camera's, s.
+pub fn innovation(state: &State, reading: &EncoderReading, climber_offset: f64) -> Innovation<3> {
+    // The reading's own instant is `late` after the place it was given on the time line.
+    let late = state.time_offset + climber_offset - reading.time_offset;
+    let predicted =
+        state.climber + state.climber_rate * late + state.climber_acceleration * (late * late / 2.0);
+    let mut residual = reading.values - predicted;
+    residual.z = wrap(residual.z);
+    let mut covariance = Matrix3::zeros();
+    for axis in 0..3 {
+        let (p, r) = (CLIMBER + axis, CLIMBER_RATE + axis);
+        let spread = state.covariance[(p, p)]
+            + 2.0 * late * state.covariance[(p, r)]
+            + late * late * state.covariance[(r, r)];
+        covariance[(axis, axis)] = spread + reading.variance[axis];
+    }
+    let nis = (0..3).map(|i| residual[i] * residual[i] / covariance[(i, i)]).fold(0.0, f64::max);
+    Innovation { residual, covariance, nis, outcome: Outcome::Used }
+}
+
+/// Corrects `state` by a reading, axis by axis. `gravity` in m/s².
+pub fn update(state: &mut State, reading: &EncoderReading, climber_offset: f64, gravity: f64) {
+    let late = state.time_offset + climber_offset - reading.time_offset;
+    let before = state.time_offset;
+    for axis in 0..3 {
+        let residual = innovation(state, reading, climber_offset).residual[axis];
+        let h = [(CLIMBER + axis, 1.0), (CLIMBER_RATE + axis, late)];
+        let by = by_parameter(axis, reading.values[axis], state.climber_rate[axis]);
+        update::scalar(state, &h, residual, reading.variance[axis], &by);
+    }
+    let moved = state.time_offset - before;
+    state.shift_time(&reading.reading, moved, gravity);
+}
+
+/// Returns the derivative of an encoder's value by the consider parameters.
+pub fn by_parameter(axis: usize, value: f64, rate: f64) -> ByParameter {
+    let mut by = ByParameter::zeros();
+    if axis < 2 {
+        by[ENCODER_SCALE] = value;
+    }
+    by[CLIMBER_OFFSET] = rate;
+    by
+}
+
+/// Returns whether no climber can have caused the innovation within `span` seconds: its distance, less five sigma, asks for more
+/// than [`ACCELERATION`].
+pub fn is_impossible(innovation: &Innovation<3>, span: f64) -> bool {
+    let reach = ACCELERATION * span.min(LONGEST).powi(2) / 2.0;
+    (0..3).any(|i| {
+        let sigma = innovation.covariance[(i, i)].sqrt();
+        let distance = innovation.residual[i].abs();
+        distance.is_nan() || distance > reach + 5.0 * sigma
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn example() -> (State, EncoderReading) {
+        let mut state = State::zero();
+        state.climber = Vector3::new(0.3, -0.2, 3.1);
+        state.climber_rate = Vector3::new(0.2, 0.0, 0.1);
+        state.set_sigmas(CLIMBER, &Vector3::repeat(1e-3));
+        let reading = EncoderReading {
+            values: Vector3::new(0.31, -0.2, 3.1 - std::f64::consts::TAU),
+            variance: Vector3::repeat(1e-6),
+            multiplicity: Vector3::repeat(1.0),
+            time_offset: 0.0,
+            reading: ImuReading::default(),
+            rest: ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() },
+        };
+        (state, reading)
+    }
+
+    #[test]
+    fn a_reading_moves_the_climber_and_a_full_turn_makes_no_difference() {
+        let (mut state, reading) = example();
+        let i = innovation(&state, &reading, 0.0);
+        assert!((i.residual - Vector3::new(0.01, 0.0, 0.0)).norm() < 1e-9, "{i:?}");
+        update(&mut state, &reading, 0.0, 9.81);
+        assert!((state.climber - Vector3::new(0.305, -0.2, 3.1)).norm() < 1e-9, "{}", state.climber);
+    }
+
+    #[test]
+    fn an_offset_of_the_stamps_moves_the_prediction_along_the_motion() {
+        let (state, reading) = example();
+        let i = innovation(&state, &reading, 0.05);
+        assert!((i.residual.x - 0.0).abs() < 1e-9 && (i.residual.z + 0.005).abs() < 1e-9, "{i:?}");
+    }
+
+    #[test]
+    fn a_jump_that_asks_for_forty_times_gravity_is_impossible_and_an_end_stop_is_not() {
+        let (state, mut reading) = example();
+        reading.values.x = 0.3 + 1.0;
+        assert!(is_impossible(&innovation(&state, &reading, 0.0), 0.04));
+        reading.values.x = 0.3 + 0.02;
+        assert!(!is_impossible(&innovation(&state, &reading, 0.0), 0.04));
+        reading.values.x = f64::NAN;
+        assert!(is_impossible(&innovation(&state, &reading, 0.0), 0.04));
+    }
+}

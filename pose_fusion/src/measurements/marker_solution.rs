@@ -1,0 +1,113 @@
+//! Iterated update of the state by a subset of an image's markers (Bell and Cathey 1993).
+
+use super::{
+    geometry::Geometry,
+    marker_prediction::{Linearization, by_calibration, innovation_spread, linearize, times_error},
+    markers::{Block, ByCalibration, Gain, Image, Jacobian, SEEN},
+};
+use crate::ekf::{
+    consider::PARAMETERS,
+    state::{ATTITUDE, Covariance, Error, State},
+};
+use nalgebra::{Cholesky, Const, SMatrix};
+
+/// Correction by the markers of a subset.
+pub struct Solution {
+    /// Error to add to the state.
+    pub step: Error,
+    /// `W = P Hᵀ L⁻ᵀ`.
+    pub root: Gain,
+    /// Squared deviation from prior and pixels at the solution, in units of their covariances.
+    pub cost: f64,
+    /// Normalized innovation squared at the prior.
+    pub nis: f64,
+    /// `L⁻¹ (H V + E)`.
+    pub by_parameter: ByCalibration,
+}
+
+/// Largest number of linearizations; a fifth one changes nothing on any recorded bag.
+const ITERATIONS: usize = 5;
+
+/// Computes the correction of `prior` by the markers in `mask`. `None` where it cannot be computed.
+pub fn solve(
+    prior: &State,
+    geometry: &Geometry,
+    image: &Image,
+    at_prior: &Linearization,
+    mask: &[bool; 4],
+) -> Option<Solution> {
+    let mut noise = Block::identity();
+    for (i, pixel) in image.pixels.iter().enumerate() {
+        if let (true, Some((_, covariance))) = (mask[i], pixel) {
+            noise.fixed_view_mut::<2, 2>(2 * i, 2 * i).copy_from(covariance);
+        }
+    }
+    let masked = |linear: &Linearization| {
+        let (mut r, mut h) = (linear.residual, linear.jacobian);
+        for (i, kept) in mask.iter().enumerate() {
+            if !kept {
+                r.fixed_rows_mut::<2>(2 * i).fill(0.0);
+                h.fixed_rows_mut::<2>(2 * i).fill(0.0);
+            }
+        }
+        (r, h)
+    };
+    let (mut residual, mut jacobian) = masked(at_prior);
+    let mut step = Error::zeros();
+    let mut nis = f64::NAN;
+    for iteration in 0..ITERATIONS {
+        let gain = covariance_times(&prior.covariance, &jacobian);
+        let spread = innovation_spread(&jacobian, &gain);
+        let cholesky = Cholesky::<f64, Const<8>>::new(spread + noise)?;
+        let seen = times_error(&jacobian, &step);
+        let target = residual + seen;
+        let weighted = cholesky.solve(&target);
+        if iteration == 0 {
+            nis = target.dot(&weighted);
+        }
+        let next: Error = gain * weighted;
+        let moved = times_error(&jacobian, &next);
+        let left = target - moved;
+        // Relinearize where the projection bends: more than two pixels, or half a degree.
+        let bends = (moved - seen).amax() > 2.0 || (next - step).fixed_rows::<3>(ATTITUDE).amax() > 0.01;
+        step = next;
+        if bends && iteration + 1 < ITERATIONS {
+            let mut there = prior.clone();
+            there.add(&step);
+            let linear = linearize(&there, geometry, image);
+            if (0..4).any(|i| mask[i] && !linear.valid[i]) {
+                return None;
+            }
+            let (r, h) = masked(&linear);
+            if (r - left).amax() > 0.01 {
+                (residual, jacobian) = (r, h);
+                continue;
+            }
+        }
+        let prior_cost = weighted.dot(&(spread * weighted));
+        let pixel_cost = left.dot(&Cholesky::<f64, Const<8>>::new(noise)?.solve(&left));
+        let cost = prior_cost + pixel_cost;
+        let l = cholesky.l();
+        let root = l.solve_lower_triangular(&gain.transpose())?.transpose();
+        let seen = SMatrix::<f64, 9, PARAMETERS>::from_fn(|k, j| prior.sensitivity[(SEEN[k], j)]);
+        let by_parameter = jacobian * seen + by_calibration(at_prior, geometry, mask);
+        let by_parameter = l.solve_lower_triangular(&by_parameter)?;
+        return cost.is_finite().then_some(Solution { step, root, cost, nis, by_parameter });
+    }
+    None
+}
+
+/// Returns `P Hᵀ`, by the columns of P that H touches.
+pub fn covariance_times(p: &Covariance, h: &Jacobian) -> Gain {
+    let mut out = Gain::zeros();
+    for row in 0..8 {
+        let mut column = out.column_mut(row);
+        for (k, &index) in SEEN.iter().enumerate() {
+            let weight = h[(row, k)];
+            if weight != 0.0 {
+                column.axpy(weight, &p.column(index), 1.0);
+            }
+        }
+    }
+    out
+}

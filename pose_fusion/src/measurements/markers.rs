@@ -1,0 +1,356 @@
+//! Update of the state by the markers of one image.
+//!
+//! All markers are used together. Each must pass its own gate, and those that pass must be consistent with each other:
+//! otherwise the largest consistent subset is used. The prediction is in [`super::marker_prediction`], the iterated
+//! update in [`super::marker_solution`].
+
+use super::{
+    Innovation, Outcome,
+    geometry::{ClimberRest, Geometry},
+    marker_prediction::{Linearization, innovation_spread, linearize},
+    marker_solution::{Solution, covariance_times, solve},
+};
+use crate::ekf::{
+    consider::PARAMETERS,
+    propagation::ImuReading,
+    state::{ATTITUDE, CLIMBER, N, POSITION, State},
+    update::subtract_square,
+};
+use nalgebra::{Cholesky, Matrix2, SMatrix, SVector, Vector2};
+
+/// Entries of the error that an image measures.
+pub const SEEN: [usize; 9] = [
+    POSITION,
+    POSITION + 1,
+    POSITION + 2,
+    ATTITUDE,
+    ATTITUDE + 1,
+    ATTITUDE + 2,
+    CLIMBER,
+    CLIMBER + 1,
+    CLIMBER + 2,
+];
+/// Two rows per marker.
+pub type Residual = SVector<f64, 8>;
+/// Derivative of the residual's measurement by the entries [`SEEN`].
+pub type Jacobian = SMatrix<f64, 8, 9>;
+/// `P Hᵀ`.
+pub type Gain = SMatrix<f64, N, 8>;
+/// Covariance of the residual.
+pub type Block = SMatrix<f64, 8, 8>;
+/// Derivative of the measurement by the consider parameters.
+pub type ByCalibration = SMatrix<f64, 8, PARAMETERS>;
+/// Centroid (raw px) and covariance (px²) of each detected marker.
+pub type Pixels = [Option<(Vector2<f64>, Matrix2<f64>)>; 4];
+
+/// χ² quantile (0.9999) for 0, 2, 4, 6, 8 degrees of freedom.
+const JOINT_LIMIT: [f64; 5] = [0.0, 18.42, 23.51, 27.86, 31.83];
+
+/// Markers of one image as the update needs them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Image {
+    /// Detected markers.
+    pub pixels: Pixels,
+    /// Camera time offset with which the image was placed on the IMU's time line, s.
+    pub time_offset: f64,
+    /// IMU reading at the exposure.
+    pub reading: ImuReading,
+    /// Height and tilt of the climber.
+    pub rest: ClimberRest,
+}
+
+impl Image {
+    /// Returns the number of detected markers.
+    pub fn detected(&self) -> usize {
+        self.pixels.iter().flatten().count()
+    }
+}
+
+/// Gates of the update.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gates {
+    /// Largest normalized innovation squared of one marker (2 degrees of freedom).
+    pub marker: f64,
+    /// Factor on the 0.9999 quantile of the joint cost.
+    pub joint: f64,
+}
+
+impl Gates {
+    /// Returns gates that reject nothing.
+    pub fn open() -> Self {
+        Self { marker: f64::INFINITY, joint: f64::INFINITY }
+    }
+}
+
+/// Records of one image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImageInnovation {
+    /// Marker by marker, in the order of the colors.
+    pub markers: [Innovation<2>; 4],
+    /// Normalized innovation squared of all used markers (2 degrees of freedom each).
+    pub nis: f64,
+    /// Number of markers used.
+    pub used: u32,
+    /// Squared residuals that no pose explains, in units of their covariance (2 degrees of freedom); only with four detected markers,
+    /// used or not.
+    pub internal: Option<f64>,
+}
+
+impl ImageInnovation {
+    /// Returns whether four markers agree with each other, whatever the prediction (0.999 quantile).
+    pub fn agrees_with_itself(&self) -> bool {
+        self.internal.is_some_and(|internal| internal < 13.82)
+    }
+}
+
+/// Corrects `state` by the markers that pass the gates and returns what became of each.
+///
+/// With `apply` false the state stays as it is and the records tell what would have happened. `gravity` in m/s².
+pub fn update(
+    state: &mut State,
+    geometry: &Geometry,
+    image: &Image,
+    gates: &Gates,
+    gravity: f64,
+    apply: bool,
+) -> ImageInnovation {
+    let mut record =
+        ImageInnovation { markers: [Innovation::absent(); 4], nis: f64::NAN, used: 0, internal: None };
+    let linear = linearize(state, geometry, image);
+    let gain = covariance_times(&state.covariance, &linear.jacobian);
+    let spread = innovation_spread(&linear.jacobian, &gain);
+    let mut pass = [false; 4];
+    for (i, pixel) in image.pixels.iter().enumerate() {
+        let Some((_, noise)) = pixel else { continue };
+        let marker = &mut record.markers[i];
+        if !linear.valid[i] {
+            marker.outcome = Outcome::NotPredictable;
+            continue;
+        }
+        marker.residual = linear.residual.fixed_rows::<2>(2 * i).into_owned();
+        marker.covariance = spread.fixed_view::<2, 2>(2 * i, 2 * i) + noise;
+        marker.nis = match Cholesky::new(marker.covariance) {
+            Some(c) => marker.residual.dot(&c.solve(&marker.residual)),
+            None => f64::INFINITY,
+        };
+        pass[i] = marker.nis <= gates.marker;
+        marker.outcome = if pass[i] { Outcome::Used } else { Outcome::Gated };
+    }
+    record.internal = if linear.valid == [true; 4] { internal_consistency(&linear, image) } else { None };
+    let mut best = solve(state, geometry, image, &linear, &pass);
+    if count(&pass) >= 2 && exceeds(&best, &pass, gates) {
+        let mut chosen = [false; 4];
+        best = None;
+        if let Some((mask, solution)) =
+            largest_consistent(&pass, gates, |mask| solve(state, geometry, image, &linear, mask))
+        {
+            chosen = mask;
+            best = Some(solution);
+        }
+        for i in 0..4 {
+            if pass[i] && !chosen[i] {
+                record.markers[i].outcome = Outcome::Inconsistent;
+            }
+        }
+        pass = chosen;
+    }
+    let (Some(solution), true) = (best, count(&pass) > 0) else { return record };
+    record.used = count(&pass) as u32;
+    record.nis = solution.nis;
+    if apply {
+        let offset = state.time_offset;
+        state.add(&solution.step);
+        state.sensitivity -= solution.root * solution.by_parameter;
+        state.shift_time(&image.reading, state.time_offset - offset, gravity);
+        subtract_square(&mut state.covariance, &solution.root);
+        state.since_marker = 0.0;
+    }
+    record
+}
+
+/// Returns what is left of the residuals of four markers after the best pose, in units of their covariance: χ² with 8 − 6 degrees of
+/// freedom, whatever the error of the predicted pose.
+fn internal_consistency(linear: &Linearization, image: &Image) -> Option<f64> {
+    let mut information = Block::zeros();
+    for (i, pixel) in image.pixels.iter().enumerate() {
+        information.fixed_view_mut::<2, 2>(2 * i, 2 * i).copy_from(&pixel.as_ref()?.1.try_inverse()?);
+    }
+    let by_pose = linear.jacobian.fixed_columns::<6>(0).into_owned();
+    let weighted = information * by_pose;
+    let normal = by_pose.transpose() * weighted;
+    let right = weighted.transpose() * linear.residual;
+    let solution = normal.cholesky()?.solve(&right);
+    Some((linear.residual.dot(&(information * linear.residual)) - right.dot(&solution)).max(0.0))
+}
+
+fn count(mask: &[bool; 4]) -> usize {
+    mask.iter().filter(|m| **m).count()
+}
+
+fn exceeds(solution: &Option<Solution>, mask: &[bool; 4], gates: &Gates) -> bool {
+    solution.as_ref().is_none_or(|s| s.cost > gates.joint * JOINT_LIMIT[count(mask)])
+}
+
+/// Returns the largest subset of `pass` that is consistent, among equals the likeliest. One marker alone is consistent with
+/// itself, which proves nothing.
+fn largest_consistent(
+    pass: &[bool; 4],
+    gates: &Gates,
+    solve: impl Fn(&[bool; 4]) -> Option<Solution>,
+) -> Option<([bool; 4], Solution)> {
+    for size in (2..count(pass)).rev() {
+        let mut best: Option<([bool; 4], Solution)> = None;
+        for bits in 1u8..16 {
+            let mask: [bool; 4] = std::array::from_fn(|i| bits >> i & 1 == 1 && pass[i]);
+            if bits.count_ones() as usize != size || count(&mask) != size {
+                continue;
+            }
+            let solution = solve(&mask);
+            if exceeds(&solution, &mask, gates) {
+                continue;
+            }
+            if let Some(solution) = solution
+                && best.as_ref().is_none_or(|(_, b)| solution.cost < b.cost)
+            {
+                best = Some((mask, solution));
+            }
+        }
+        if best.is_some() {
+            return best;
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::ekf::{
+        propagation::{ProcessNoise, propagate},
+        state::{Covariance, Error, TIME_OFFSET},
+    };
+    use nalgebra::{UnitQuaternion, Vector3};
+    use rig_model::{CameraModel, Distortion, Rig};
+
+    const RIG: &str = include_str!("../../../test/src/rig/rig.yaml");
+    const GATES: Gates = Gates { marker: 16.0, joint: 1.0 };
+
+    pub(in super::super) fn example() -> (State, Geometry, Image) {
+        let rig = Rig::from_yaml(RIG).unwrap();
+        let lens = Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]);
+        let camera = CameraModel::new(640, 480, [590.0, 590.0, 319.5, 239.5], lens).unwrap();
+        let geometry = Geometry::new(&rig, camera);
+        let mut state = State::zero();
+        state.position = Vector3::new(0.1, 0.05, 1.4);
+        state.velocity = Vector3::new(0.4, -0.3, 0.1);
+        state.attitude = UnitQuaternion::from_euler_angles(0.2, -0.1, 0.5);
+        state.climber = Vector3::new(0.05, -0.02, 0.3);
+        state.climber_rate = Vector3::new(0.2, 0.1, 0.15);
+        state.time_offset = 0.004;
+        let mut image = Image {
+            pixels: [Some((Vector2::zeros(), Matrix2::identity() * 0.01)); 4],
+            time_offset: 0.001,
+            reading: ImuReading {
+                specific_force: Vector3::new(0.0, 0.0, 9.8),
+                angular_velocity: Vector3::new(0.5, -0.8, 0.3),
+            },
+            rest: ClimberRest { height: 2.8, tilt: UnitQuaternion::identity() },
+        };
+        let linear = linearize(&state, &geometry, &image);
+        for i in 0..4 {
+            let pixel = -linear.residual.fixed_rows::<2>(2 * i).into_owned();
+            image.pixels[i] = Some((pixel, Matrix2::identity() * 0.01));
+        }
+        state.covariance = Covariance::identity() * 1e-4;
+        (state, geometry, image)
+    }
+
+    #[test]
+    fn the_covariance_is_corrected_as_by_joseph_s_form() {
+        let (mut state, geometry, image) = example();
+        let p = state.covariance;
+        let linear = linearize(&state, &geometry, &image);
+        let mut h = SMatrix::<f64, 8, N>::zeros();
+        for (k, &index) in SEEN.iter().enumerate() {
+            h.set_column(index, &linear.jacobian.column(k));
+        }
+        let r = Block::identity() * 0.01;
+        let s = h * p * h.transpose() + r;
+        let k = p * h.transpose() * s.try_inverse().unwrap();
+        let a = Covariance::identity() - k * h;
+        let joseph = a * p * a.transpose() + k * r * k.transpose();
+        let record = update(&mut state, &geometry, &image, &GATES, 9.81, true);
+        assert_eq!(record.used, 4);
+        assert!((state.covariance - joseph).amax() < 1e-12);
+        assert_eq!(state.covariance, state.covariance.transpose());
+    }
+
+    #[test]
+    fn the_sensitivity_is_the_difference_to_a_filter_that_knows_the_centroid_offsets() {
+        let (mut plain, geometry, image) = example();
+        for i in [3, 4, 5, 9, 10, 11, 12, 13, 14] {
+            plain.covariance[(i, i)] = 1e-3;
+        }
+        // A nominal state moves with its time offset, its error does not.
+        plain.set_sigma(TIME_OFFSET, 0.0);
+        let mut informed = plain.clone();
+        let offsets = Residual::from_fn(|i, _| 0.002 * ((3 * i + 1) as f64).sin());
+        let noise =
+            ProcessNoise { force: 1e-5, rate: 1e-6, jerk: Vector3::repeat(0.01), ..Default::default() };
+        let reading = ImuReading {
+            specific_force: plain.attitude.inverse() * Vector3::z() * 9.81,
+            angular_velocity: Vector3::zeros(),
+        };
+        for step in 0..40 {
+            let mut seen = image;
+            (seen.reading, seen.time_offset) = (reading, plain.time_offset);
+            let true_pixels = linearize(&plain, &geometry, &seen).residual;
+            for i in 0..4 {
+                if (10..20).contains(&step) && i == 1 {
+                    seen.pixels[i] = None;
+                } else if let Some((pixel, _)) = &mut seen.pixels[i] {
+                    *pixel -= true_pixels.fixed_rows::<2>(2 * i);
+                }
+            }
+            let mut corrected = seen;
+            for (i, pixel) in corrected.pixels.iter_mut().enumerate() {
+                if let Some((pixel, _)) = pixel {
+                    *pixel -= offsets.fixed_rows::<2>(2 * i);
+                }
+            }
+            for (state, image) in [(&mut plain, &seen), (&mut informed, &corrected)] {
+                assert!(update(state, &geometry, image, &GATES, 9.81, true).used >= 3);
+                propagate(state, &reading, &reading, 0.03, 9.81, &noise);
+            }
+        }
+        let moved = informed.minus(&plain);
+        let claimed = plain.sensitivity.fixed_columns::<8>(0) * offsets;
+        assert!(moved.fixed_rows::<3>(ATTITUDE).norm() > 1e-5, "{moved}");
+        for i in POSITION..POSITION + 9 {
+            assert!(
+                (moved[i] - claimed[i]).abs() < 0.1 * moved.fixed_rows::<9>(0).amax(),
+                "{moved}{claimed}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_marker_that_contradicts_the_others_is_rejected_even_with_a_wide_prior() {
+        let (mut state, geometry, mut image) = example();
+        let truth = state.clone();
+        state.covariance *= 100.0;
+        state.set_sigma(TIME_OFFSET, 0.0);
+        let mut off = Error::zeros();
+        (off[0], off[7]) = (0.05, 0.05);
+        state.add(&off);
+        if let Some((pixel, _)) = &mut image.pixels[2] {
+            pixel.x += 12.0;
+        }
+        let record = update(&mut state, &geometry, &image, &GATES, 9.81, true);
+        assert_eq!(record.markers[2].outcome, Outcome::Inconsistent, "{record:?}");
+        assert_eq!(record.used, 3);
+        // The climber is as uncertain: compare what the camera measures, the platform against the climber.
+        let there = (state.position - truth.position) - (state.climber - truth.climber);
+        assert!(there.xy().norm() < 0.05, "{there}");
+    }
+}

@@ -1,0 +1,51 @@
+//! Measurements: each with its prediction, Jacobian, noise and gate.
+
+pub mod encoders;
+pub mod geometry;
+mod marker_prediction;
+mod marker_solution;
+pub mod markers;
+pub mod rope;
+pub mod zero_velocity;
+
+use nalgebra::{SMatrix, SVector};
+
+/// What became of a measurement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// Not measured.
+    Absent,
+    /// Corrected the state.
+    Used,
+    /// Rejected: its own NIS exceeds the gate.
+    Gated,
+    /// Rejected: it contradicts the other measurements of the same image.
+    Inconsistent,
+    /// Not used: it cannot be predicted.
+    NotPredictable,
+}
+
+/// Record of one measurement of dimension `D`, used or not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Innovation<const D: usize> {
+    /// Measured minus predicted; NaN where there is none.
+    pub residual: SVector<f64, D>,
+    /// Covariance of the residual; NaN where there is none.
+    pub covariance: SMatrix<f64, D, D>,
+    /// Normalized innovation squared (`D` degrees of freedom); NaN where there is none.
+    pub nis: f64,
+    /// What became of it.
+    pub outcome: Outcome,
+}
+
+impl<const D: usize> Innovation<D> {
+    /// Returns the record of a measurement that is not there.
+    pub fn absent() -> Self {
+        Self {
+            residual: SVector::repeat(f64::NAN),
+            covariance: SMatrix::repeat(f64::NAN),
+            nis: f64::NAN,
+            outcome: Outcome::Absent,
+        }
+    }
+}

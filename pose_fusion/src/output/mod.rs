@@ -1,0 +1,141 @@
+//! Outputs of the estimators.
+
+pub mod continuity;
+#[cfg(feature = "messages")]
+pub mod messages;
+pub mod odometry;
+pub mod prediction;
+pub mod smoother;
+mod warning;
+
+pub use warning::Warning;
+
+use crate::health::pose_status::PoseStatus;
+use nalgebra::{Isometry3, Matrix2, Matrix3, Matrix6, Vector2, Vector3};
+use rig_model::{MarkerColor, Stamp};
+use std::fmt;
+
+/// One output.
+#[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant)] // nearly every output is odometry, and a box would be an allocation each
+pub enum Output {
+    /// Fused estimate: one per IMU sample with `tight` (per image without IMU), one per image with `paper`.
+    Odometry(Odometry),
+    /// Status of the estimate, after each odometry.
+    Status(PoseStatus),
+    /// Estimate `prediction_horizon` ahead, after each odometry.
+    Predicted(Odometry),
+    /// `world_from_volant` from one image alone, rotation about world-fixed axes.
+    VisualPose(PoseEstimate),
+    /// Record of one marker of one image.
+    MarkerUpdate(MarkerUpdateRecord),
+    /// Event that an operator should know of; counted in [`crate::Status`] as well.
+    Warning(Warning),
+}
+
+/// Fused estimate at one instant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Odometry {
+    /// Time.
+    pub stamp: Stamp,
+    /// Pose of the platform, m.
+    pub world_from_volant: Isometry3<f64>,
+    /// Covariance of (x, y, z, rotation about the fixed world axes x, y, z); m², m·rad, rad².
+    pub pose_covariance: Matrix6<f64>,
+    /// Velocity of the platform's origin against the world, in the volant frame, m/s.
+    pub linear_velocity: Vector3<f64>,
+    /// Angular velocity against the world, in the volant frame, rad/s.
+    pub angular_velocity: Vector3<f64>,
+    /// Covariance of (linear, angular velocity), both in the volant frame.
+    pub twist_covariance: Matrix6<f64>,
+}
+
+impl Odometry {
+    /// Returns the inverse pose `volant_from_world` with its covariance, whose rotation block is about the axes of the volant
+    /// frame (the frame that the message is stamped in).
+    ///
+    /// With `R_true = Exp(δ) R`, `p_true = p + ε` (δ, ε in world axes) the inverse pose has, to first order,
+    /// `δ' = −Rᵀ δ` and `ε' = −Rᵀ ε − Rᵀ [p]× δ`.
+    pub fn fused_pose(&self) -> PoseEstimate {
+        let pose = self.world_from_volant.inverse();
+        let rt: Matrix3<f64> = *pose.rotation.to_rotation_matrix().matrix();
+        let p = self.world_from_volant.translation.vector;
+        let mut jacobian = Matrix6::zeros();
+        jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&-rt);
+        jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-rt * p.cross_matrix()));
+        jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&-rt);
+        let covariance = jacobian * self.pose_covariance * jacobian.transpose();
+        PoseEstimate { stamp: self.stamp, pose, covariance: (covariance + covariance.transpose()) * 0.5 }
+    }
+}
+
+/// Pose with its covariance.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoseEstimate {
+    /// Time.
+    pub stamp: Stamp,
+    /// `parent_from_child`.
+    pub pose: Isometry3<f64>,
+    /// Covariance of (x, y, z, rotation about the parent's fixed axes); m², m·rad, rad².
+    pub covariance: Matrix6<f64>,
+}
+
+/// What became of a marker of an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum MarkerOutcome {
+    /// It corrected the state.
+    Used,
+    /// The tracker did not measure it in this image (predicted or lost).
+    NotDetected,
+    /// Its NIS exceeds the gate.
+    Gated,
+    /// It contradicts the other markers of the image.
+    Inconsistent,
+    /// The predicted marker is outside of what the lens model covers.
+    NotPredictable,
+    /// The filter is not initialized.
+    NotInitialized,
+    /// The image is too old, too far ahead, or arrived twice.
+    Rejected,
+    /// The filter is frozen: compared, but not used.
+    Frozen,
+}
+
+impl MarkerOutcome {
+    /// Returns a short name for messages and logs.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Used => "used",
+            Self::NotDetected => "not detected",
+            Self::Gated => "gated",
+            Self::Inconsistent => "contradicts the others",
+            Self::NotPredictable => "outside the lens model",
+            Self::NotInitialized => "filter not initialized",
+            Self::Rejected => "rejected",
+            Self::Frozen => "frozen",
+        }
+    }
+}
+
+impl fmt::Display for MarkerOutcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// Record of one marker of one image, used or not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MarkerUpdateRecord {
+    /// Stamp of the image.
+    pub stamp: Stamp,
+    /// Which marker.
+    pub color: MarkerColor,
+    /// Measured minus predicted centroid, px; NaN where there is none.
+    pub innovation: Vector2<f64>,
+    /// Covariance of the innovation, px²; NaN where there is none.
+    pub covariance: Matrix2<f64>,
+    /// Normalized innovation squared (2 degrees of freedom); NaN where there is none.
+    pub nis: f64,
+    /// What became of it.
+    pub outcome: MarkerOutcome,
+}

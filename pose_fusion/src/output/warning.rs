@@ -1,0 +1,169 @@
+//! Events that an operator should know of.
+
+use rig_model::Stamp;
+use thiserror::Error;
+
+/// Event that an operator should know of.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum Warning {
+    /// A number that is not finite or out of the sensor's range.
+    #[error("{source_name} at {stamp}: {what} is not finite or out of range; the sample is rejected")]
+    NotFinite {
+        /// Input.
+        source_name: &'static str,
+        /// Its stamp.
+        stamp: Stamp,
+        /// Field.
+        what: &'static str,
+    },
+    /// An input older than the history.
+    #[error(
+        "{source_name} at {stamp} is {age_s:.3} s older than the newest IMU sample; the parameter `history` does not reach back so far, it is rejected"
+    )]
+    TooOld {
+        /// Input.
+        source_name: &'static str,
+        /// Its stamp.
+        stamp: Stamp,
+        /// Age against the newest IMU sample.
+        age_s: f64,
+    },
+    /// The same stamp twice.
+    #[error("{source_name} at {stamp} arrived twice; the second is rejected: look for a second publisher")]
+    Duplicate {
+        /// Input.
+        source_name: &'static str,
+        /// Its stamp.
+        stamp: Stamp,
+    },
+    /// An input far ahead of all others.
+    #[error(
+        "{source_name} at {stamp} is {ahead_s:.3} s ahead of the IMU samples; rejected: synchronize the clocks"
+    )]
+    Ahead {
+        /// Input.
+        source_name: &'static str,
+        /// Its stamp.
+        stamp: Stamp,
+        /// Distance.
+        ahead_s: f64,
+    },
+    /// Time went backwards (a looped bag, a restarted simulation).
+    #[error("time jumped back by {by_s:.3} s; the filter reinitializes")]
+    TimeJump {
+        /// Distance.
+        by_s: f64,
+    },
+    /// No IMU sample for a while.
+    #[error("no IMU sample between {from} and {to}")]
+    ImuGap {
+        /// Last sample before the gap.
+        from: Stamp,
+        /// First sample after it.
+        to: Stamp,
+    },
+    /// No IMU samples while images arrive.
+    #[error("no IMU sample since {since}; the pose continues from images: check the IMU's cable and driver")]
+    ImuLost {
+        /// Last sample.
+        since: Stamp,
+    },
+    /// The filter was initialized.
+    #[error("initialized from the image at {stamp}")]
+    Initialized {
+        /// Image.
+        stamp: Stamp,
+    },
+    /// The camera time offset was initialized.
+    #[error("camera time offset {offset_s:+.4} s (image time + offset = IMU time)")]
+    TimeOffset {
+        /// Offset.
+        offset_s: f64,
+    },
+    /// The platform was struck between two IMU samples.
+    #[error(
+        "the images since {since} contradict the prediction: a shock that the IMU missed; the prediction gives way at {stamp}"
+    )]
+    Shock {
+        /// First image that contradicted.
+        since: Stamp,
+        /// Image that is followed.
+        stamp: Stamp,
+    },
+    /// Most markers contradicted the estimate for several images and were consistent with each other.
+    #[error(
+        "the markers contradict the estimate since {since} and agree with each other; reinitialized from the image at {stamp}"
+    )]
+    LockOutRecovered {
+        /// First image that contradicted.
+        since: Stamp,
+        /// Image of the reinitialization.
+        stamp: Stamp,
+    },
+    /// The encoders contradict images and IMU.
+    #[error(
+        "the encoder reading at {stamp} contradicts the estimate by {distance_m:.3} m; the encoders are not used until they agree again"
+    )]
+    EncodersSuspended {
+        /// Reading.
+        stamp: Stamp,
+        /// Distance.
+        distance_m: f64,
+    },
+    /// The encoders agree with the estimate again.
+    #[error("the encoders agree with the estimate again at {stamp}")]
+    EncodersResumed {
+        /// Reading.
+        stamp: Stamp,
+    },
+    /// The encoders have contradicted the estimate for too long and are adopted.
+    #[error(
+        "the encoders at {stamp} have contradicted the estimate for climber.step_timeout; they are adopted and the pose reinitializes: were they homed?"
+    )]
+    EncoderStep {
+        /// Reading.
+        stamp: Stamp,
+    },
+    /// The estimate is not worth much any more: no marker for too long.
+    #[error(
+        "no marker used since {since}: position uncertain by {position_sigma_m:.3} m (1 sigma, largest axis)"
+    )]
+    VisionLost {
+        /// Last image that was used.
+        since: Stamp,
+        /// Largest standard deviation of the position.
+        position_sigma_m: f64,
+    },
+    /// The state was not finite or beyond its bounds.
+    #[error(
+        "the estimate at {stamp} is not finite or beyond limits.max_range or limits.max_speed; the filter reinitializes"
+    )]
+    Diverged {
+        /// Time.
+        stamp: Stamp,
+    },
+}
+
+impl Warning {
+    /// Returns a short name of the kind, to throttle and to count by.
+    pub const fn kind(&self) -> &'static str {
+        match self {
+            Self::NotFinite { .. } => "not_finite",
+            Self::TooOld { .. } => "too_old",
+            Self::Duplicate { .. } => "duplicate",
+            Self::Ahead { .. } => "ahead",
+            Self::TimeJump { .. } => "time_jump",
+            Self::ImuGap { .. } => "imu_gap",
+            Self::ImuLost { .. } => "imu_lost",
+            Self::Initialized { .. } => "initialized",
+            Self::TimeOffset { .. } => "time_offset",
+            Self::Shock { .. } => "shock",
+            Self::LockOutRecovered { .. } => "lock_out_recovered",
+            Self::EncodersSuspended { .. } => "encoders_suspended",
+            Self::EncodersResumed { .. } => "encoders_resumed",
+            Self::EncoderStep { .. } => "encoder_step",
+            Self::VisionLost { .. } => "vision_lost",
+            Self::Diverged { .. } => "diverged",
+        }
+    }
+}

@@ -1,0 +1,240 @@
+//! Loosely coupled extended Kalman filter as published (Kyriakoulis and Gasteratos 2010, section III-C).
+//!
+//! The state is the pose vector: three positions, and three rotations as roll, pitch and yaw. IMU samples wait in a buffer
+//! until an image comes; then
+//! - the prediction (eq. 7, 9, 10 with the misprint read as `x⁻ = Ψ x`, Ψ = I) adds the IMU's change of translation and
+//!   rotation since the last image: `x⁻ = x + u`, `P⁻ = P + Q`. The translation is the acceleration (rotated to the world by
+//!   the IMU's own attitude, without gravity) integrated twice under the threshold control of section III-A; the rotation is
+//!   the IMU's own attitude, its heading aligned with the world at the first visual pose;
+//! - the correction (eq. 11–13) takes the visual pose as it is: `H = I`, `K = P⁻ (P⁻ + R)⁻¹`, `x = x⁻ + K (z − x⁻)`,
+//!   `P = (I − K) P⁻`, with R/Q = 10.
+//!
+//! Output is at the image rate. With two or more markers hidden the output is the previous pose moved by the IMU. Nothing
+//! corrects the inertial velocity (the paper names nothing that would); `velocity_from_fused` takes it from the fused poses.
+
+use crate::{
+    config::PaperConfig,
+    output::{Odometry, PoseEstimate},
+};
+use nalgebra::{Isometry3, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
+use rig_model::{ImuSample, Rig, Stamp};
+use std::{collections::VecDeque, f64::consts::TAU};
+
+/// Largest number of waiting IMU samples: ten seconds at 100 Hz.
+const WAITING: usize = 1024;
+
+/// Published filter.
+#[derive(Debug)]
+pub struct Paper {
+    config: PaperConfig,
+    volant_from_imu: Isometry3<f64>,
+    waiting: VecDeque<ImuSample>,
+    last_sample: Option<ImuSample>,
+    /// Heading that rotates the IMU's east-north-up to the world, rad; known from the first visual pose on.
+    heading: Option<f64>,
+    velocity: Vector3<f64>,
+    moved: Vector3<f64>,
+    state: Option<Estimate>,
+}
+
+#[derive(Clone, Debug)]
+struct Estimate {
+    stamp: Stamp,
+    pose: Vector6<f64>,
+    covariance: Matrix6<f64>,
+    imu_rotation: Vector3<f64>,
+}
+
+impl Paper {
+    /// Creates a filter without an estimate.
+    pub fn new(rig: &Rig, config: PaperConfig) -> Self {
+        Self {
+            config,
+            volant_from_imu: rig.imu.volant_from_imu,
+            waiting: VecDeque::with_capacity(WAITING),
+            last_sample: None,
+            heading: None,
+            velocity: Vector3::zeros(),
+            moved: Vector3::zeros(),
+            state: None,
+        }
+    }
+
+    /// Discards the estimate.
+    pub fn reset(&mut self) {
+        self.waiting.clear();
+        self.last_sample = None;
+        self.heading = None;
+        self.velocity = Vector3::zeros();
+        self.moved = Vector3::zeros();
+        self.state = None;
+    }
+
+    /// Takes in an IMU sample, which waits for the next image. A sample without the IMU's own attitude is not used.
+    pub fn imu(&mut self, sample: &ImuSample) {
+        let finite =
+            sample.specific_force.iter().chain(sample.angular_velocity.iter()).all(|x| x.is_finite());
+        let attitude =
+            sample.orientation.as_ref().is_some_and(|o| o.enu_from_imu.coords.iter().all(|x| x.is_finite()));
+        if !(finite && attitude) {
+            return;
+        }
+        let newest = self.waiting.back().or(self.last_sample.as_ref()).map(|s| s.stamp);
+        if newest.is_some_and(|n| n.seconds_since(sample.stamp) > 1.0) {
+            self.reset();
+        } else if newest.is_some_and(|n| n >= sample.stamp) {
+            return;
+        }
+        if self.waiting.len() == WAITING {
+            self.waiting.pop_front();
+        }
+        self.waiting.push_back(sample.clone());
+    }
+
+    /// Takes in an image at `stamp` with its visual pose, where it has one, and returns the fused estimate.
+    pub fn image(&mut self, stamp: Stamp, visual: Option<&PoseEstimate>) -> Option<Odometry> {
+        if self.state.as_ref().is_some_and(|s| s.stamp >= stamp) {
+            return None;
+        }
+        self.integrate_to(stamp);
+        let sample = self.last_sample.clone()?;
+        let Some(before) = self.state.clone() else {
+            // The first visual pose initializes the filter and aligns the IMU's heading.
+            let visual = visual?;
+            let pose = vector(&visual.pose);
+            let measured = self.imu_attitude(&sample)?;
+            self.heading = Some(wrap(pose[5] - euler(&measured).z));
+            self.velocity = Vector3::zeros();
+            self.moved = Vector3::zeros();
+            let state = Estimate {
+                stamp,
+                pose,
+                covariance: self.measurement_noise(),
+                imu_rotation: euler(&self.imu_attitude(&sample)?),
+            };
+            self.state = Some(state.clone());
+            return Some(self.odometry(&state, &sample, Vector3::zeros(), 1.0));
+        };
+        let imu_rotation = euler(&self.imu_attitude(&sample)?);
+        let rotated = (imu_rotation - before.imu_rotation).map(wrap);
+        let mut pose = before.pose;
+        for i in 0..3 {
+            pose[i] += self.moved[i];
+            pose[3 + i] = wrap(pose[3 + i] + rotated[i]);
+        }
+        self.moved = Vector3::zeros();
+        let mut covariance = before.covariance + self.measurement_noise() / self.config.ratio;
+        if let Some(visual) = visual {
+            let z = vector(&visual.pose);
+            let innovation = covariance + self.measurement_noise();
+            let mut difference = z - pose;
+            for i in 3..6 {
+                difference[i] = wrap(difference[i]);
+            }
+            if let Some(cholesky) = innovation.cholesky() {
+                pose += covariance * cholesky.solve(&difference);
+                let gain_p = covariance * cholesky.solve(&covariance);
+                covariance -= (gain_p + gain_p.transpose()) * 0.5;
+            }
+        }
+        let dt = stamp.seconds_since(before.stamp);
+        let speed = (pose - before.pose).fixed_rows::<3>(0) / dt;
+        if self.config.velocity_from_fused && visual.is_some() {
+            self.velocity = speed;
+        }
+        let state = Estimate { stamp, pose, covariance, imu_rotation };
+        self.state = Some(state.clone());
+        Some(self.odometry(&state, &sample, speed, dt))
+    }
+
+    /// Returns the time from the newest IMU sample to the estimate, s; infinite without one.
+    pub fn imu_age(&self) -> f64 {
+        match (&self.state, &self.last_sample) {
+            (Some(state), Some(sample)) => state.stamp.seconds_since(sample.stamp),
+            _ => f64::INFINITY,
+        }
+    }
+
+    /// Returns what the initialization waits for.
+    pub fn missing(&self) -> &'static str {
+        if self.last_sample.is_none() && self.waiting.is_empty() {
+            "no volant/imu/data with the IMU's own attitude, which the published filter needs"
+        } else {
+            "no image that gives a pose"
+        }
+    }
+
+    /// Double integration with the threshold control.
+    fn integrate_to(&mut self, stamp: Stamp) {
+        while self.waiting.front().is_some_and(|s| s.stamp <= stamp) {
+            let Some(sample) = self.waiting.pop_front() else { return };
+            if let (Some(last), Some(attitude)) = (&self.last_sample, self.imu_attitude(&sample)) {
+                let dt = sample.stamp.seconds_since(last.stamp);
+                let world_from_imu = attitude * self.volant_from_imu.rotation;
+                let gravity = Vector3::new(0.0, 0.0, self.config.gravity);
+                let acceleration = world_from_imu * sample.specific_force - gravity;
+                let velocity = self.velocity + acceleration * dt;
+                if (velocity - self.velocity).norm() >= self.config.velocity_threshold {
+                    self.moved += (self.velocity + velocity) * (dt / 2.0);
+                    self.velocity = velocity;
+                }
+            }
+            self.last_sample = Some(sample);
+        }
+    }
+
+    /// Rotation of `world_from_volant` as the IMU has it.
+    fn imu_attitude(&self, sample: &ImuSample) -> Option<UnitQuaternion<f64>> {
+        let enu_from_imu = sample.orientation.as_ref()?.enu_from_imu;
+        let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.heading.unwrap_or(0.0));
+        Some(heading * enu_from_imu * self.volant_from_imu.rotation.inverse())
+    }
+
+    fn measurement_noise(&self) -> Matrix6<f64> {
+        let (p, r) = (self.config.position_sigma.powi(2), self.config.rotation_sigma.powi(2));
+        Matrix6::from_diagonal(&Vector6::new(p, p, p, r, r, r))
+    }
+
+    fn odometry(&self, state: &Estimate, sample: &ImuSample, speed: Vector3<f64>, dt: f64) -> Odometry {
+        let x = &state.pose;
+        let rotation = UnitQuaternion::from_euler_angles(x[3], x[4], x[5]);
+        // Roll, pitch and yaw are rotations about other axes than the world's: δθ = E δ(roll, pitch, yaw).
+        let (sp, cp) = x[4].sin_cos();
+        let (sy, cy) = x[5].sin_cos();
+        let e = Matrix3::new(cy * cp, -sy, 0.0, sy * cp, cy, 0.0, -sp, 0.0, 1.0);
+        let mut jacobian = Matrix6::identity();
+        jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&e);
+        let pose_covariance = jacobian * state.covariance * jacobian.transpose();
+        let dt = dt.max(1e-3);
+        Odometry {
+            stamp: state.stamp,
+            world_from_volant: Isometry3::from_parts(Vector3::new(x[0], x[1], x[2]).into(), rotation),
+            pose_covariance: (pose_covariance + pose_covariance.transpose()) * 0.5,
+            linear_velocity: rotation.inverse() * speed,
+            angular_velocity: self.volant_from_imu.rotation * sample.angular_velocity,
+            twist_covariance: Matrix6::from_diagonal(&Vector6::new(
+                2.0 * state.covariance[(0, 0)] / (dt * dt),
+                2.0 * state.covariance[(1, 1)] / (dt * dt),
+                2.0 * state.covariance[(2, 2)] / (dt * dt),
+                1e-4,
+                1e-4,
+                1e-4,
+            )),
+        }
+    }
+}
+
+/// x, y, z, roll, pitch, yaw.
+fn vector(pose: &Isometry3<f64>) -> Vector6<f64> {
+    let (t, e) = (pose.translation.vector, euler(&pose.rotation));
+    Vector6::new(t.x, t.y, t.z, e.x, e.y, e.z)
+}
+
+fn euler(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
+    let (roll, pitch, yaw) = rotation.euler_angles();
+    Vector3::new(roll, pitch, yaw)
+}
+
+fn wrap(angle: f64) -> f64 {
+    angle - (angle / TAU).round() * TAU
+}

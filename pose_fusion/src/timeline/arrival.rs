@@ -1,0 +1,185 @@
+//! Arrival of the inputs: order, gaps and jumps of the IMU's stamps, and IMU samples that stay away.
+
+use super::dropout::GAP;
+use crate::ekf::propagation::ImuReading;
+use rig_model::Stamp;
+
+/// Further ahead of the IMU samples than this, a message is rejected, s.
+pub const AHEAD: f64 = 0.5;
+/// An IMU stamp further from its predecessor than this must be confirmed by others, s.
+const JUMP: f64 = 1.0;
+/// Number of consecutive samples that confirm a jump.
+const CONFIRMED: u32 = 3;
+/// Images or encoder readings that advance by this, in at least so many messages, without an IMU sample in between mean that the
+/// IMU is lost, s.
+const SILENCE: f64 = 0.1;
+const MESSAGES: u32 = 4;
+/// After this long without IMU samples a pose is initialized from images alone, s.
+const ABSENCE: f64 = 0.5;
+
+/// What an IMU sample is by its stamp.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ImuArrival {
+    /// First sample.
+    First,
+    /// Next sample, this many seconds after the previous one.
+    Next(f64),
+    /// Older than the newest one.
+    Late,
+    /// The stamp of the newest one.
+    Duplicate,
+    /// Far from the others and not confirmed: this many seconds ahead (negative: back).
+    Unconfirmed(f64),
+    /// Confirmed jump ahead: an outage.
+    Outage,
+    /// Confirmed jump back by this many seconds.
+    Back(f64),
+}
+
+/// Newest stamps.
+#[derive(Clone, Debug, Default)]
+pub struct Arrival {
+    newest_imu: Option<(Stamp, ImuReading)>,
+    jump: Option<(Stamp, u32)>,
+    /// Images and encoder readings since the newest IMU sample.
+    others: [Since; 2],
+    frontier: Option<Stamp>,
+}
+
+/// Messages of one source since the newest IMU sample. Sources are not mixed: their stamps may differ by any offset.
+#[derive(Clone, Copy, Debug, Default)]
+struct Since {
+    first: Option<Stamp>,
+    elapsed: f64,
+    count: u32,
+}
+
+/// Source of a message other than the IMU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// Image.
+    Image,
+    /// Encoder reading.
+    Encoders,
+}
+
+impl Arrival {
+    /// Classifies the stamp of an IMU sample.
+    pub fn classify(&mut self, stamp: Stamp) -> ImuArrival {
+        let Some((newest, _)) = self.newest_imu else { return ImuArrival::First };
+        let ahead = stamp.seconds_since(newest);
+        if ahead.abs() > JUMP {
+            let count = match self.jump {
+                Some((last, count)) if (0.0..JUMP).contains(&stamp.seconds_since(last)) => count + 1,
+                _ => 1,
+            };
+            self.jump = Some((stamp, count));
+            return match (count < CONFIRMED, ahead > 0.0) {
+                (true, _) => ImuArrival::Unconfirmed(ahead),
+                (false, true) => ImuArrival::Outage,
+                (false, false) => ImuArrival::Back(-ahead),
+            };
+        }
+        self.jump = None;
+        match ahead {
+            a if a > 0.0 => ImuArrival::Next(a),
+            a if a < 0.0 => ImuArrival::Late,
+            _ => ImuArrival::Duplicate,
+        }
+    }
+
+    /// Notes the newest IMU sample.
+    pub fn imu(&mut self, stamp: Stamp, reading: ImuReading) {
+        self.newest_imu = Some((stamp, reading));
+        self.others = [Since::default(); 2];
+        self.frontier = self.frontier.max(Some(stamp));
+        self.jump = None;
+    }
+
+    /// Notes the stamp of an image or encoder reading.
+    pub fn other(&mut self, source: Source, stamp: Stamp) {
+        let since = &mut self.others[source as usize];
+        let first = *since.first.get_or_insert(stamp);
+        since.elapsed = since.elapsed.max(stamp.seconds_since(first));
+        since.count += 1;
+    }
+
+    /// Moves the end of the time line to an image while the IMU is silent (IMU time).
+    pub fn image(&mut self, at: Stamp) {
+        self.frontier = self.frontier.max(Some(at));
+    }
+
+    /// Returns whether images and encoders arrive and IMU samples do not.
+    pub fn is_imu_silent(&self) -> bool {
+        self.others.iter().any(|since| since.count >= MESSAGES && since.elapsed > SILENCE)
+    }
+
+    /// Returns whether the IMU has been silent for so long that a pose may be initialized without it: samples that a computer held up
+    /// have arrived by then.
+    pub fn is_imu_absent(&self) -> bool {
+        self.is_imu_silent()
+            && self.others.iter().any(|since| since.elapsed > ABSENCE && since.count >= MESSAGES)
+    }
+
+    /// Returns the newest IMU sample.
+    pub fn newest_imu(&self) -> Option<(Stamp, ImuReading)> {
+        self.newest_imu
+    }
+
+    /// Returns the end of the time line: the newest IMU sample, or image while the IMU is silent.
+    pub fn end(&self) -> Option<Stamp> {
+        self.frontier
+    }
+
+    /// Returns whether an interval between samples is a gap.
+    pub fn is_gap(dt: f64) -> bool {
+        dt > GAP
+    }
+
+    /// Forgets everything, after a jump of time or an outage.
+    pub fn reset(&mut self) {
+        *self = Self::default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(ms: i64) -> Stamp {
+        Stamp::from_nanos(10_000_000_000 + ms * 1_000_000)
+    }
+
+    #[test]
+    fn jumps_must_be_confirmed() {
+        let mut arrival = Arrival::default();
+        assert_eq!(arrival.classify(at(0)), ImuArrival::First);
+        arrival.imu(at(0), ImuReading::default());
+        assert_eq!(arrival.classify(at(10)), ImuArrival::Next(0.01));
+        assert_eq!(arrival.classify(at(-10)), ImuArrival::Late);
+        assert_eq!(arrival.classify(at(0)), ImuArrival::Duplicate);
+        assert_eq!(arrival.classify(at(5000)), ImuArrival::Unconfirmed(5.0));
+        assert_eq!(arrival.classify(at(-5000)), ImuArrival::Unconfirmed(-5.0));
+        assert!(matches!(arrival.classify(at(-4990)), ImuArrival::Unconfirmed(_)));
+        assert_eq!(arrival.classify(at(-4980)), ImuArrival::Back(4.98));
+    }
+
+    #[test]
+    fn an_imu_is_silent_when_another_source_goes_on_whatever_its_clock() {
+        let mut arrival = Arrival::default();
+        arrival.imu(at(0), ImuReading::default());
+        for ms in [300, 333, 366, 400] {
+            arrival.other(Source::Encoders, at(10_000));
+            assert!(!arrival.is_imu_silent(), "{ms}");
+            arrival.other(Source::Image, at(ms));
+        }
+        assert!(!arrival.is_imu_silent());
+        arrival.other(Source::Image, at(433));
+        assert!(arrival.is_imu_silent());
+        arrival.imu(at(120), ImuReading::default());
+        assert!(!arrival.is_imu_silent());
+        arrival.other(Source::Image, at(466));
+        arrival.other(Source::Image, at(10_466));
+        assert!(!arrival.is_imu_silent(), "one stamp that jumps says nothing");
+    }
+}

@@ -1,0 +1,243 @@
+//! Measurements in the order of their own time, with the state after each, from a store that is reused.
+//!
+//! The history is trimmed to the configured length in time, so its size follows the rates of the sensors: 0.6 s at 100 Hz,
+//! 50 Hz and 30 Hz are 108 entries of about 8 kB. It never holds more than [`CAPACITY`] entries; what that drops is
+//! counted.
+
+use crate::{
+    adaptation::imu_noise::Densities,
+    ekf::{
+        propagation::{ImuReading, ProcessNoise},
+        state::State,
+    },
+    measurements::{encoders::EncoderReading, markers::Image},
+};
+use nalgebra::Vector3;
+use rig_model::Stamp;
+use std::collections::VecDeque;
+
+/// Largest number of entries: 1 s of 1,000 IMU samples, 200 encoder readings and 200 images per second.
+pub const CAPACITY: usize = 1400;
+
+/// What happened at an instant.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// The state was set (initialization, pose set by an operator).
+    Set,
+    /// IMU sample.
+    Imu {
+        /// Noise densities of the step to this sample.
+        noise: Densities,
+        /// Mean angular velocity of the window that ends here, where the platform was at rest, rad/s.
+        at_rest: Option<Vector3<f64>>,
+    },
+    /// Image.
+    Image {
+        /// Markers.
+        image: Image,
+        /// Stamp of the image, camera time.
+        stamp: Stamp,
+        /// Not processed yet: its record is still to be published.
+        fresh: bool,
+    },
+    /// Encoder reading.
+    Encoders {
+        /// Reading.
+        reading: EncoderReading,
+        /// Excluded as an outlier or while the encoders are not trusted.
+        excluded: bool,
+        /// Not processed yet.
+        fresh: bool,
+    },
+}
+
+/// Event with the IMU reading and the state after it.
+#[derive(Clone, Debug)]
+pub struct Entry {
+    /// IMU time.
+    pub stamp: Stamp,
+    /// Event.
+    pub event: Event,
+    /// IMU reading at that time, interpolated unless the event is an IMU sample.
+    pub reading: ImuReading,
+    /// Process noise of the step to this entry; valid where processed.
+    pub noise: ProcessNoise,
+    /// State after the event; valid where processed.
+    pub state: State,
+}
+
+/// Entries in the order of time.
+#[derive(Clone, Debug, Default)]
+pub struct History {
+    store: Vec<Entry>,
+    free: Vec<usize>,
+    order: VecDeque<usize>,
+    processed: usize,
+    overflows: u64,
+}
+
+impl History {
+    /// Removes all entries.
+    pub fn clear(&mut self) {
+        self.free.extend(self.order.drain(..));
+        self.processed = 0;
+    }
+
+    /// Returns the number of entries.
+    pub fn len(&self) -> usize {
+        self.order.len()
+    }
+
+    /// Returns whether there is no entry.
+    pub fn is_empty(&self) -> bool {
+        self.order.is_empty()
+    }
+
+    /// Returns how many of the first entries hold a valid state.
+    pub fn processed(&self) -> usize {
+        self.processed
+    }
+
+    /// Sets how many of the first entries hold a valid state.
+    pub fn set_processed(&mut self, processed: usize) {
+        self.processed = processed.min(self.order.len());
+    }
+
+    /// Marks everything from `place` on as to be processed again. The first entry always keeps its state.
+    pub fn rewind(&mut self, place: usize) {
+        self.processed = self.processed.min(place.max(1));
+    }
+
+    /// Returns how many entries were dropped because the history was full.
+    pub fn overflows(&self) -> u64 {
+        self.overflows
+    }
+
+    /// Returns the entry at a place.
+    pub fn get(&self, place: usize) -> Option<&Entry> {
+        self.order.get(place).and_then(|&i| self.store.get(i))
+    }
+
+    /// Returns the entry at a place, mutable.
+    pub fn get_mut(&mut self, place: usize) -> Option<&mut Entry> {
+        self.order.get(place).and_then(|&i| self.store.get_mut(i))
+    }
+
+    /// Returns the newest entry with a valid state.
+    pub fn newest_processed(&self) -> Option<&Entry> {
+        self.get(self.processed.checked_sub(1)?)
+    }
+
+    /// Returns the entries in the order of time.
+    pub fn iter(&self) -> impl DoubleEndedIterator<Item = &Entry> + ExactSizeIterator {
+        self.order.iter().map(|&i| &self.store[i])
+    }
+
+    /// Returns the place of an event at this stamp: behind all that are not later.
+    pub fn place_of(&self, stamp: Stamp) -> usize {
+        let mut place = self.order.len();
+        while place > 0 && self.get(place - 1).is_some_and(|n| n.stamp > stamp) {
+            place -= 1;
+        }
+        place
+    }
+
+    /// Inserts an event and returns its place. Everything from there on is to be processed (again); where the store is full the
+    /// oldest entry is dropped and counted.
+    pub fn insert(&mut self, stamp: Stamp, event: Event, reading: ImuReading) -> usize {
+        if self.free.is_empty() {
+            if self.store.len() < CAPACITY {
+                self.free.push(self.store.len());
+                let (noise, state) = (ProcessNoise::default(), State::zero());
+                self.store.push(Entry { stamp, event: Event::Set, reading, noise, state });
+            } else {
+                self.overflows += 1;
+                self.drop_first();
+            }
+        }
+        let place = self.place_of(stamp);
+        if let Some(slot) = self.free.pop() {
+            if let Some(entry) = self.store.get_mut(slot) {
+                entry.stamp = stamp;
+                entry.event = event;
+                entry.reading = reading;
+            }
+            self.order.insert(place, slot);
+            self.processed = self.processed.min(place);
+        }
+        place
+    }
+
+    /// Removes the oldest entry.
+    pub fn drop_first(&mut self) {
+        if let Some(slot) = self.order.pop_front() {
+            self.free.push(slot);
+            self.processed = self.processed.saturating_sub(1);
+        }
+    }
+
+    /// Returns the entries at `place - 1` and `place`, for a step from one to the other.
+    pub fn step(&mut self, place: usize) -> Option<(&Entry, &mut Entry)> {
+        let from = *self.order.get(place.checked_sub(1)?)?;
+        let to = *self.order.get(place)?;
+        let [from, to] = self.store.get_disjoint_mut([from, to]).ok()?;
+        Some((from, to))
+    }
+
+    /// Returns place and stamp of the `count`-th encoder reading before a place, of the oldest where there are fewer.
+    pub fn reading_before(&self, place: usize, count: usize) -> Option<(usize, Stamp)> {
+        (0..place)
+            .rev()
+            .filter_map(|p| self.get(p).map(|entry| (p, entry)))
+            .filter(|(_, entry)| matches!(entry.event, Event::Encoders { excluded: false, .. }))
+            .take(count)
+            .last()
+            .map(|(p, entry)| (p, entry.stamp))
+    }
+
+    /// Returns the next IMU sample at or behind a place.
+    pub fn next_imu(&self, place: usize) -> Option<&Entry> {
+        (place..self.order.len()).filter_map(|i| self.get(i)).find(|n| matches!(n.event, Event::Imu { .. }))
+    }
+
+    /// Returns the last IMU sample, or set state, before a place.
+    pub fn last_imu(&self, place: usize) -> Option<&Entry> {
+        let measured = |n: &&Entry| matches!(n.event, Event::Imu { .. } | Event::Set);
+        (0..place).rev().filter_map(|p| self.get(p)).find(measured)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(ms: i64) -> Stamp {
+        Stamp::from_nanos(ms * 1_000_000)
+    }
+
+    #[test]
+    fn events_are_ordered_by_their_own_time_and_reprocessed_from_there() {
+        let mut history = History::default();
+        for ms in [0, 10, 30, 40] {
+            history.insert(at(ms), Event::Set, ImuReading::default());
+        }
+        history.set_processed(4);
+        assert_eq!(history.insert(at(20), Event::Set, ImuReading::default()), 2);
+        assert_eq!(history.processed(), 2);
+        assert!(history.iter().zip(history.iter().skip(1)).all(|(a, b)| a.stamp < b.stamp));
+        history.drop_first();
+        assert_eq!((history.len(), history.processed()), (4, 1));
+        history.rewind(0);
+        assert_eq!(history.processed(), 1);
+    }
+
+    #[test]
+    fn a_full_history_drops_the_oldest_and_counts_it() {
+        let mut history = History::default();
+        for ms in 0..CAPACITY as i64 + 5 {
+            history.insert(at(ms), Event::Set, ImuReading::default());
+        }
+        assert_eq!((history.len(), history.overflows()), (CAPACITY, 5));
+        assert_eq!(history.get(0).unwrap().stamp, at(5));
+    }
+}

@@ -1,0 +1,162 @@
+//! Camera and climber share a clock that is off against the IMU's: the offset is found and the covariance knows.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)] // test code, outside of #[test]
+mod common;
+
+use common::{
+    bags,
+    rig::{inertial::SensorConfig, motion::MotionConfig},
+    scoring::{self, Score},
+    simulated,
+};
+use pose_fusion::{Fusion, FusionConfig, Input, Status, Warning};
+use rig_model::Stamp;
+
+/// The score of a run from a time on, and what the filter knows at the end.
+fn follow(motion: MotionConfig, sensors: &SensorConfig, config: FusionConfig, from: f64) -> (Score, Status) {
+    let run = simulated::run(motion, sensors);
+    let mut fusion = Fusion::new(simulated::rig(), config);
+    let said = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    (scoring::score(&said.odometry, &run.truth, from), fusion.status())
+}
+
+fn print(name: &str, score: &Score, s: &Status) {
+    println!(
+        "{name:34} {score}  offset {:+6.2} ± {:5.2} ms",
+        s.time_offset.offset * 1e3,
+        s.time_offset.sigma * 1e3
+    );
+}
+
+fn shared(ahead: f64, seed: u64) -> SensorConfig {
+    SensorConfig { camera_clock_ahead: ahead, climber_clock_ahead: ahead, ..SensorConfig::nominal(seed) }
+}
+
+#[test]
+fn offsets_up_to_300_ms_are_found_to_a_millisecond() {
+    for ahead in [-0.29, -0.15, -0.05, 0.02, 0.1, 0.29] {
+        for seed in 1..=3 {
+            let (score, status) =
+                follow(MotionConfig::nominal(seed), &shared(ahead, seed), simulated::config(), 3.0);
+            print(&format!("{ahead:+.2} s, seed {seed}"), &score, &status);
+            assert!((status.time_offset.offset + ahead).abs() < 1.5e-3, "{status:?}");
+            assert!(status.time_offset.sigma < 1e-3 && !status.time_offset.searching, "{status:?}");
+            assert!(score.position_rmse() < 1.5 && score.nees().0 < 6.0 && score.nees().1 < 6.0, "{score}");
+        }
+    }
+}
+
+#[test]
+fn an_offset_that_is_not_there_costs_two_percent_at_most() {
+    for seed in 1..=4 {
+        let run = |sigma: f64| {
+            let mut config = simulated::config();
+            config.tight.clock.camera_sigma = sigma;
+            follow(MotionConfig::nominal(seed), &SensorConfig::nominal(seed), config, 2.0)
+        };
+        let (searched, status) = run(0.05);
+        let (known, _) = run(1e-3);
+        print("searched", &searched, &status);
+        println!("{:34} {known}", "known to 1 ms");
+        assert!(searched.position_rmse() < 1.02 * known.position_rmse() + 0.03, "{searched}");
+        assert!(searched.rotation_rmse() < 1.05 * known.rotation_rmse() + 2e-3, "{searched}");
+    }
+}
+
+#[test]
+fn without_motion_the_offset_is_not_known() {
+    let (score, status) = follow(MotionConfig::rest(1), &shared(0.04, 1), simulated::config(), 1.0);
+    print("at rest", &score, &status);
+    assert!(status.time_offset.searching && score.position_rmse() < 1.0);
+}
+
+#[test]
+fn a_constant_offset_of_the_climber_is_configured() {
+    // The climber's stamps are 60 ms later than the camera's: its readings were taken 60 ms before their stamp.
+    let sensors = SensorConfig { climber_clock_ahead: 0.06, ..SensorConfig::nominal(2) };
+    let mut config = simulated::config();
+    config.tight.clock.climber_offset = -0.06;
+    let (configured, status) = follow(MotionConfig::nominal(2), &sensors, config, 3.0);
+    print("configured", &configured, &status);
+    let (ignored, _) = follow(MotionConfig::nominal(2), &sensors, simulated::config(), 3.0);
+    println!("{:34} {ignored}", "not configured");
+    assert!(configured.position_rmse() < 1.0, "{configured}");
+    // Not applied, and bounded: the climber's speed (0.42 m/s at most) times the delay.
+    assert!(ignored.position_max < 1.3 * 0.42 * 0.06, "{ignored}");
+}
+
+/// A rig that rests for a while after the start and then swings; everything arrives 5 ms after its instant, and where the computer is
+/// `held_up`, the IMU samples of 0.4 s arrive together, after the images. Returns the share of the odometry beyond the
+/// covariance's 1 in 10 000, and the error of the offset, s.
+fn after_a_rest(seed: u64, ahead: f64, held_up: bool) -> (f64, f64) {
+    const REST: f64 = 2.0;
+    let motion = MotionConfig { still_until: REST, duration: REST + 4.0, ..MotionConfig::nominal(seed) };
+    let sensors = SensorConfig { pixel_noise: 0.03, ..shared(ahead, seed) };
+    let run = simulated::run(motion, &sensors);
+    let instant = |input: &Input| match input {
+        Input::Imu(s) => Some(s.stamp),
+        Input::Climber(s) => Some(s.stamp.plus_seconds(-ahead)),
+        Input::Markers(s) => Some(s.stamp.plus_seconds(-ahead)),
+        Input::Camera(_) => None,
+    };
+    let mut inputs: Vec<(f64, Input)> = Vec::new();
+    for (_, input) in &run.inputs {
+        let mut arrival = instant(input).map_or(-1.0, |at| at.seconds_since(sensors.epoch) + 0.005);
+        if held_up && matches!(input, Input::Imu(_)) && (0.6..REST + 0.6).contains(&arrival) {
+            arrival = 0.6 + ((arrival - 0.6) / 0.4).ceil() * 0.4;
+        }
+        inputs.push((arrival, input.clone()));
+    }
+    inputs.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+    let said = scoring::run(&mut fusion, inputs.into_iter().map(|(_, input)| input));
+    let beyond = said.odometry.iter().filter(|o| {
+        let score = scoring::score(std::slice::from_ref(*o), &run.truth, 0.0);
+        score.count > 0 && score.nees().0.max(score.nees().1) > 21.1
+    });
+    let share = beyond.count() as f64 / said.odometry.len() as f64;
+    (share, fusion.status().time_offset.offset + ahead)
+}
+
+#[test]
+fn a_rest_at_the_start_and_a_computer_that_is_held_up_mislead_no_offset() {
+    for held_up in [false, true] {
+        for ahead in [-0.1, -0.06, 0.0, 0.06, 0.1] {
+            let (mut shares, mut worst) = (0.0, 0.0_f64);
+            for seed in 1..=4 {
+                let (share, off) = after_a_rest(seed, ahead, held_up);
+                shares += share / 4.0;
+                worst = worst.max(off.abs());
+            }
+            println!(
+                "{ahead:+.2} s, held up {held_up}: {:.2} % beyond, offset found to {:.2} ms",
+                shares * 1e2,
+                worst * 1e3
+            );
+            assert!(shares < 0.02 && worst < 2e-3, "{ahead} {held_up}: {shares} {worst}");
+        }
+    }
+}
+
+#[test]
+fn a_recorded_run_whose_camera_and_climber_are_moved_together_is_followed() {
+    for name in ["nominal", "occlude_two", "clutter", "fast_swing", "real_slow", "real_fast"] {
+        for ahead in [0.0, 0.04, -0.03, 0.2] {
+            let Some(mut bag) = bags::read(name, 0.1, 1) else { return };
+            for (_, input) in &mut bag.inputs {
+                let shift = |stamp: &mut Stamp| *stamp = stamp.plus_seconds(ahead);
+                match input {
+                    Input::Markers(m) => shift(&mut m.stamp),
+                    Input::Climber(c) => shift(&mut c.stamp),
+                    _ => {}
+                }
+            }
+            let mut fusion = Fusion::new(bag.rig.clone(), FusionConfig::default());
+            let said = scoring::run(&mut fusion, bag.inputs.iter().map(|(_, i)| i.clone()));
+            let (score, status) = (scoring::score(&said.odometry, &bag.truth, 6.0), fusion.status());
+            print(&format!("{name} {ahead:+.2}"), &score, &status);
+            assert!(said.warnings.iter().any(|w| matches!(w, Warning::TimeOffset { .. })), "{name}");
+            assert!((status.time_offset.offset + ahead).abs() < 1.5e-3, "{status:?}");
+            assert!(score.nees().0 < 6.0 && score.nees().1 < 6.0, "{score}");
+        }
+    }
+}

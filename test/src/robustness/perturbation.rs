@@ -1,0 +1,249 @@
+//! Perturbations: one change to a recording or its rig file each, by name.
+
+use super::recording::Recording;
+use nalgebra::{UnitQuaternion, Vector3};
+use pose_fusion::Input;
+use rig_model::{CameraModel, Stamp};
+use std::fmt;
+
+/// Beginning of what lasts for a while, s after the first truth.
+pub const FROM: f64 = 5.0;
+
+/// One change. Intervals begin [`FROM`] seconds after the first truth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Perturbation {
+    /// Gyroscope scale error, relative.
+    GyroScale(f64),
+    /// Accelerometer scale error, relative.
+    AccelerometerScale(f64),
+    /// The IMU's axes are rotated about its x axis, degrees.
+    ImuMisaligned(f64),
+    /// The IMU's axes are rotated about its z axis, degrees.
+    ImuYaw(f64),
+    /// The camera is rotated about its x axis against the rig file, degrees.
+    CameraMounting(f64),
+    /// Focal length of the camera's calibration, relative error.
+    FocalLength(f64),
+    /// Marker layout of the rig file, relative error.
+    Layout(f64),
+    /// Encoder scale, relative error.
+    EncoderScale(f64),
+    /// Encoder stamps are late by this, s.
+    EncoderDelay(f64),
+    /// The x encoder is off by this (m) for so long (s; 0: one reading).
+    EncoderOff(f64, f64),
+    /// The encoders repeat their reading for so long, s.
+    EncoderFrozen(f64),
+    /// The IMU reads zero for so long, s.
+    ImuZeros(f64),
+    /// One IMU sample has this specific force, m/s².
+    ImuSpike(f64),
+    /// The gyroscope saturates at this, rad/s.
+    GyroSaturated(f64),
+    /// No IMU samples for so long, s.
+    ImuLost(f64),
+    /// No encoder readings for so long, s.
+    EncodersLost(f64),
+    /// No images for so long, s.
+    ImagesLost(f64),
+    /// The camera's and encoders' stamps are late by this, s.
+    CameraDelay(f64),
+    /// A second publisher repeats every IMU sample.
+    ImuTwice,
+}
+
+/// Perturbations of the table.
+pub const TABLE: [Perturbation; 27] = {
+    use Perturbation::*;
+    [
+        GyroScale(0.002),
+        GyroScale(-0.002),
+        GyroScale(0.005),
+        GyroScale(-0.005),
+        GyroScale(0.02),
+        GyroScale(-0.02),
+        GyroScale(-0.05),
+        AccelerometerScale(0.01),
+        ImuMisaligned(0.5),
+        ImuYaw(1.0),
+        CameraMounting(0.2),
+        FocalLength(0.01),
+        Layout(0.01),
+        EncoderScale(0.01),
+        EncoderDelay(-0.15),
+        EncoderDelay(0.15),
+        EncoderDelay(0.4),
+        EncoderOff(100.0, 0.0),
+        EncoderOff(1.0, 0.1),
+        EncoderOff(10.0, 1.0),
+        EncoderFrozen(2.0),
+        ImuZeros(1.0),
+        ImuSpike(1000.0),
+        GyroSaturated(0.5),
+        ImuLost(2.0),
+        EncodersLost(2.0),
+        CameraDelay(0.1),
+    ]
+};
+
+impl fmt::Display for Perturbation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::GyroScale(x) => write!(f, "gyro scale {:+.1} %", x * 100.0),
+            Self::AccelerometerScale(x) => write!(f, "accelerometer scale {:+.1} %", x * 100.0),
+            Self::ImuMisaligned(x) => write!(f, "IMU misaligned {x}°"),
+            Self::ImuYaw(x) => write!(f, "IMU yaw off by {x}°"),
+            Self::CameraMounting(x) => write!(f, "camera mounting off by {x}°"),
+            Self::FocalLength(x) => write!(f, "focal length {:+.1} %", x * 100.0),
+            Self::Layout(x) => write!(f, "layout {:+.1} %", x * 100.0),
+            Self::EncoderScale(x) => write!(f, "encoder scale {:+.1} %", x * 100.0),
+            Self::EncoderDelay(x) => write!(f, "encoder stamps {:+.0} ms", x * 1e3),
+            Self::EncoderOff(x, t) if *t == 0.0 => write!(f, "one encoder reading {x} m off"),
+            Self::EncoderOff(x, t) => write!(f, "encoders {x} m off for {t} s"),
+            Self::EncoderFrozen(t) => write!(f, "encoders frozen {t} s"),
+            Self::ImuZeros(t) => write!(f, "IMU zeros {t} s"),
+            Self::ImuSpike(x) => write!(f, "one IMU sample of {x} m/s²"),
+            Self::GyroSaturated(x) => write!(f, "gyro saturated at {x} rad/s"),
+            Self::ImuLost(t) => write!(f, "no IMU for {t} s"),
+            Self::EncodersLost(t) => write!(f, "no encoders for {t} s"),
+            Self::ImagesLost(t) => write!(f, "no images for {t} s"),
+            Self::CameraDelay(t) => write!(f, "camera and encoder stamps {:+.0} ms", t * 1e3),
+            Self::ImuTwice => write!(f, "every IMU sample twice"),
+        }
+    }
+}
+
+impl Perturbation {
+    /// Returns how long it lasts, s: 0 for one sample, infinite for the whole run.
+    pub fn duration(&self) -> f64 {
+        match self {
+            Self::EncoderOff(_, t)
+            | Self::EncoderFrozen(t)
+            | Self::ImuZeros(t)
+            | Self::ImuLost(t)
+            | Self::EncodersLost(t)
+            | Self::ImagesLost(t) => *t,
+            Self::ImuSpike(_) => 0.0,
+            _ => f64::INFINITY,
+        }
+    }
+
+    /// Applies the change to a recording.
+    pub fn apply(&self, recording: &mut Recording) {
+        let from = recording.start().plus_seconds(FROM);
+        let lasts = self.duration();
+        let within = |stamp: Stamp| (0.0..lasts.max(1e-9)).contains(&stamp.seconds_since(from));
+        let radians = |degrees: f64| degrees.to_radians();
+        let turn =
+            |axis: Vector3<f64>, degrees: f64| UnitQuaternion::from_scaled_axis(axis * radians(degrees));
+        match *self {
+            Self::GyroScale(x) => each_imu(recording, |s| s.angular_velocity *= 1.0 + x),
+            Self::AccelerometerScale(x) => each_imu(recording, |s| s.specific_force *= 1.0 + x),
+            Self::ImuMisaligned(x) => rotate_imu(recording, turn(Vector3::x(), x)),
+            Self::ImuYaw(x) => rotate_imu(recording, turn(Vector3::z(), x)),
+            Self::CameraMounting(x) => recording.rig.climber_from_camera.rotation *= turn(Vector3::x(), x),
+            Self::FocalLength(x) => {
+                for (_, input) in &mut recording.inputs {
+                    if let Input::Camera(camera) = input {
+                        let (f, c) = (camera.focal_lengths() * (1.0 + x), camera.principal_point());
+                        let (w, h) = camera.size();
+                        let scaled =
+                            CameraModel::new(w, h, [f.x, f.y, c.x, c.y], camera.distortion().clone());
+                        *camera = scaled.unwrap_or_else(|_| camera.clone());
+                    }
+                }
+            }
+            Self::Layout(x) => {
+                recording.rig.markers.centres.0.iter_mut().for_each(|c| c.coords *= 1.0 + x);
+                recording.rig.markers.side *= 1.0 + x;
+            }
+            Self::EncoderScale(x) => each_climber(recording, |s| {
+                s.world_from_climber.translation.vector.x *= 1.0 + x;
+                s.world_from_climber.translation.vector.y *= 1.0 + x;
+            }),
+            Self::EncoderDelay(x) => each_climber(recording, |s| s.stamp = s.stamp.plus_seconds(x)),
+            Self::EncoderOff(x, duration) => {
+                let mut once = true;
+                each_climber(recording, |s| {
+                    let hit = if duration == 0.0 { once && s.stamp >= from } else { within(s.stamp) };
+                    if hit {
+                        once = false;
+                        s.world_from_climber.translation.vector.x += x;
+                    }
+                });
+            }
+            Self::EncoderFrozen(_) => {
+                let mut frozen = None;
+                each_climber(recording, |s| {
+                    if within(s.stamp) {
+                        s.world_from_climber = *frozen.get_or_insert(s.world_from_climber);
+                    }
+                });
+            }
+            Self::ImuZeros(_) => each_imu(recording, |s| {
+                if within(s.stamp) {
+                    (s.specific_force, s.angular_velocity) = (Vector3::zeros(), Vector3::zeros());
+                }
+            }),
+            Self::ImuSpike(x) => {
+                let mut once = true;
+                each_imu(recording, |s| {
+                    if once && s.stamp >= from {
+                        once = false;
+                        s.specific_force.x = x;
+                    }
+                });
+            }
+            Self::GyroSaturated(x) => {
+                each_imu(recording, |s| s.angular_velocity = s.angular_velocity.map(|w| w.clamp(-x, x)));
+            }
+            Self::ImuLost(_) => {
+                recording.inputs.retain(|(_, i)| !matches!(i, Input::Imu(s) if within(s.stamp)));
+            }
+            Self::EncodersLost(_) => {
+                recording.inputs.retain(|(_, i)| !matches!(i, Input::Climber(s) if within(s.stamp)));
+            }
+            Self::ImagesLost(_) => {
+                recording.inputs.retain(|(_, i)| !matches!(i, Input::Markers(s) if within(s.stamp)));
+            }
+            Self::CameraDelay(x) => {
+                each_climber(recording, |s| s.stamp = s.stamp.plus_seconds(x));
+                for (_, input) in &mut recording.inputs {
+                    if let Input::Markers(m) = input {
+                        m.stamp = m.stamp.plus_seconds(x);
+                    }
+                }
+            }
+            Self::ImuTwice => {
+                let twice = recording.inputs.drain(..).flat_map(|(at, input)| {
+                    let count = if matches!(input, Input::Imu(_)) { 2 } else { 1 };
+                    std::iter::repeat_n((at, input), count)
+                });
+                recording.inputs = twice.collect();
+            }
+        }
+    }
+}
+
+fn each_imu(recording: &mut Recording, mut change: impl FnMut(&mut rig_model::ImuSample)) {
+    for (_, input) in &mut recording.inputs {
+        if let Input::Imu(sample) = input {
+            change(sample);
+        }
+    }
+}
+
+fn each_climber(recording: &mut Recording, mut change: impl FnMut(&mut rig_model::ClimberSample)) {
+    for (_, input) in &mut recording.inputs {
+        if let Input::Climber(sample) = input {
+            change(sample);
+        }
+    }
+}
+
+fn rotate_imu(recording: &mut Recording, turn: UnitQuaternion<f64>) {
+    each_imu(recording, |s| {
+        s.specific_force = turn * s.specific_force;
+        s.angular_velocity = turn * s.angular_velocity;
+    });
+}

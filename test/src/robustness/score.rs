@@ -1,0 +1,152 @@
+//! What an estimator makes of a recording.
+
+use super::recording::Recording;
+use nalgebra::{Matrix3, Vector3};
+use pose_fusion::{Fusion, FusionConfig, Output, PoseStatus, Status, Warning};
+
+/// One published pose against the truth.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample {
+    /// Time since the first truth, s.
+    pub time: f64,
+    /// Position error, world, m.
+    pub position: Vector3<f64>,
+    /// Rotation error about world axes, rad.
+    pub rotation: Vector3<f64>,
+    /// Normalized estimation error squared of position and rotation (3 degrees of freedom each).
+    pub nees: [f64; 2],
+    /// Largest standard deviation of position (m) and rotation (rad).
+    pub sigmas: [f64; 2],
+    /// The pose was called valid.
+    pub valid: bool,
+    /// Time since the newest used image, s.
+    pub image_age: f64,
+}
+
+/// All published poses of a run.
+#[derive(Clone, Debug, Default)]
+pub struct Scored {
+    /// Poses in the order of publication.
+    pub samples: Vec<Sample>,
+    /// Warnings.
+    pub warnings: Vec<Warning>,
+    /// Arrival of each warning, s after the first truth.
+    pub warning_times: Vec<f64>,
+    /// Status at the end.
+    pub status: Status,
+    /// A number that is not finite was published.
+    pub non_finite: bool,
+}
+
+/// Runs the estimator over a recording.
+pub fn run(recording: &Recording, config: &FusionConfig) -> Scored {
+    let mut fusion = Fusion::new(recording.rig.clone(), config.clone());
+    let mut scored = Scored::default();
+    let start = recording.start();
+    for (at, input) in &recording.inputs {
+        fusion.handle(input.clone());
+        while let Some(output) = fusion.poll() {
+            match output {
+                Output::Odometry(o) => {
+                    let numbers = o.pose_covariance.iter().chain(o.twist_covariance.iter());
+                    let pose = &o.world_from_volant;
+                    scored.non_finite |= !numbers
+                        .chain(pose.translation.vector.iter())
+                        .chain(pose.rotation.coords.iter())
+                        .chain(o.linear_velocity.iter())
+                        .all(|x| x.is_finite());
+                    let Some(truth) = recording.pose_at(o.stamp) else { continue };
+                    let position = truth.translation.vector - pose.translation.vector;
+                    let rotation = (truth.rotation * pose.rotation.inverse()).scaled_axis();
+                    let block = |i: usize| -> Matrix3<f64> {
+                        o.pose_covariance.fixed_view::<3, 3>(i, i).into_owned()
+                    };
+                    let nees = |e: &Vector3<f64>, i: usize| {
+                        block(i).cholesky().map_or(f64::INFINITY, |c| e.dot(&c.solve(e)))
+                    };
+                    let sigma = |i: usize| block(i).diagonal().max().max(0.0).sqrt();
+                    scored.samples.push(Sample {
+                        time: o.stamp.seconds_since(start),
+                        position,
+                        rotation,
+                        nees: [nees(&position, 0), nees(&rotation, 3)],
+                        sigmas: [sigma(0), sigma(3)],
+                        valid: true,
+                        image_age: 0.0,
+                    });
+                }
+                Output::Status(PoseStatus { stamp, valid, image_age, .. }) => {
+                    let time = stamp.seconds_since(start);
+                    if let Some(last) = scored.samples.last_mut().filter(|s| s.time == time) {
+                        (last.valid, last.image_age) = (valid, image_age);
+                    }
+                }
+                Output::Warning(warning) => {
+                    scored.warning_times.push(at.seconds_since(start));
+                    scored.warnings.push(warning);
+                }
+                _ => {}
+            }
+        }
+    }
+    scored.status = fusion.status();
+    scored
+}
+
+/// Figures of an interval.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Figures {
+    /// Number of poses.
+    pub count: usize,
+    /// Position RMSE and largest error, mm.
+    pub position: [f64; 2],
+    /// Rotation RMSE and largest error, degrees.
+    pub rotation: [f64; 2],
+    /// Mean NEES of position and rotation.
+    pub nees: [f64; 2],
+    /// Largest step of the position error from one message to the next, mm, while images are used.
+    pub jump: f64,
+    /// Largest position error of a pose that was called valid, m.
+    pub worst_valid: f64,
+    /// Share of the valid poses whose position error exceeds three times the largest sigma.
+    pub beyond: f64,
+}
+
+impl Scored {
+    /// Returns the figures of the poses between two times, s.
+    pub fn figures(&self, from: f64, to: f64) -> Figures {
+        let mut f = Figures::default();
+        let (mut valid, mut beyond) = (0usize, 0usize);
+        let mut last: Option<&Sample> = None;
+        for s in self.samples.iter().filter(|s| (from..to).contains(&s.time)) {
+            f.count += 1;
+            let (p, r) = (s.position.norm(), s.rotation.norm());
+            f.position[0] += p * p;
+            f.rotation[0] += r * r;
+            f.position[1] = f.position[1].max(p * 1e3);
+            f.rotation[1] = f.rotation[1].max(r.to_degrees());
+            f.nees[0] += s.nees[0];
+            f.nees[1] += s.nees[1];
+            if let Some(before) = last
+                && s.time - before.time < 0.12
+                && s.image_age < 0.1
+                && before.image_age < 0.1
+            {
+                f.jump = f.jump.max((s.position - before.position).norm() * 1e3);
+            }
+            if s.valid {
+                valid += 1;
+                beyond +=
+                    usize::from(p > 3.0 * s.sigmas[0] * 3f64.sqrt() || r > 3.0 * s.sigmas[1] * 3f64.sqrt());
+                f.worst_valid = f.worst_valid.max(p);
+            }
+            last = Some(s);
+        }
+        let n = f.count.max(1) as f64;
+        f.position[0] = (f.position[0] / n).sqrt() * 1e3;
+        f.rotation[0] = (f.rotation[0] / n).sqrt().to_degrees();
+        f.nees = f.nees.map(|x| x / n);
+        f.beyond = beyond as f64 / valid.max(1) as f64;
+        f
+    }
+}
