@@ -35,6 +35,7 @@ fn noise() -> ProcessNoise {
         gyroscope_bias: 2.5e-9,
         jerk: nalgebra::Vector3::new(0.05, 0.05, 0.01),
         time_offset: 1e-10,
+        ..ProcessNoise::default()
     }
 }
 

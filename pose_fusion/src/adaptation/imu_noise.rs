@@ -18,6 +18,8 @@ const INTERRUPTED: f64 = 0.05;
 const MEMORY: f64 = 100.0;
 /// Fewest differences before the estimate counts.
 const FEWEST: f64 = 15.0;
+/// Fewest blocks before their changes count.
+const FEWEST_CHANGES: f64 = 4.0;
 /// An estimate within this factor of the rig file's density confirms it: it scatters by a fifth.
 const CONFIRMED: f64 = 1.5;
 
@@ -94,6 +96,25 @@ impl ImuNoise {
         Densities { force: choose(|d| d.force, given.force), rate: choose(|d| d.rate, given.rate) }
     }
 
+    /// Returns which share of a change of the readings between two images is noise: of specific force and angular velocity.
+    ///
+    /// An image measures the time offset by how much the motion changed since the image before. The noise of single samples
+    /// is part of that change and tells nothing of the offset.
+    pub fn noise_of_changes(&self) -> Densities {
+        if self.blocks.weight < FEWEST_CHANGES {
+            return Densities::default();
+        }
+        let share = |block: f64, change: f64, sample: f64| {
+            let noise = 2.0 * sample;
+            noise / (noise + (change - 2.0 * block).max(0.0) + f64::MIN_POSITIVE)
+        };
+        let (blocks, samples) = (&self.blocks, &self.samples);
+        Densities {
+            force: share(blocks.force, blocks.change.force, samples.force),
+            rate: share(blocks.rate, blocks.change.rate, samples.rate),
+        }
+    }
+
     /// Returns the variances of one sample, (m/s²)² and (rad/s)², at full bandwidth.
     pub fn sample_variances(&self) -> Densities {
         Densities { force: self.samples.force, rate: self.samples.rate }
@@ -118,6 +139,8 @@ struct Differences {
     weight: f64,
     force: f64,
     rate: f64,
+    /// Mean squares of the first differences.
+    change: Densities,
 }
 
 impl Differences {
@@ -145,6 +168,12 @@ impl Differences {
         }
         self.force += (force - self.force) / self.weight;
         self.rate += (rate - self.rate) / self.weight;
+        let first = |of: fn(&ImuReading) -> Vector3<f64>| {
+            (of(&self.last[3]) - of(&self.last[2])).norm_squared() / 3.0
+        };
+        let change = Densities { force: first(|r| r.specific_force), rate: first(|r| r.angular_velocity) };
+        self.change.force += (change.force - self.change.force) / self.weight;
+        self.change.rate += (change.rate - self.change.rate) / self.weight;
     }
 }
 

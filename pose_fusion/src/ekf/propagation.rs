@@ -65,6 +65,8 @@ pub struct ProcessNoise {
     pub jerk: Vector3<f64>,
     /// Of the time offset's random walk, s²/s.
     pub time_offset: f64,
+    /// Share of the readings' changes that is noise and tells nothing of the time offset: specific force, angular velocity.
+    pub noise_of_changes: [f64; 2],
 }
 
 /// Propagates `state` by `dt` seconds with the readings at both ends. `gravity` in m/s².
@@ -99,7 +101,7 @@ pub fn propagate(
     state.climber += state.climber_rate * dt + state.climber_acceleration * (dt * dt / 2.0);
     state.climber_rate += state.climber_acceleration * dt;
     state.since_marker += dt;
-    let blocks = Blocks::new(rotation, &force, from, to, dt);
+    let blocks = Blocks::new(rotation, &force, from, to, dt, noise);
     // F P Fᵀ as ((P Fᵀ)ᵀ Fᵀ): columns only, which are contiguous in memory; P is symmetric.
     times_transition(&mut state.covariance, &blocks, dt);
     state.covariance.transpose_mut();
@@ -110,14 +112,20 @@ pub fn propagate(
 }
 
 /// Returns the transition matrix `F` of the error over a step of `dt` seconds.
-pub fn transition(state: &State, from: &ImuReading, to: &ImuReading, dt: f64) -> Covariance {
+pub fn transition(
+    state: &State,
+    from: &ImuReading,
+    to: &ImuReading,
+    dt: f64,
+    noise: &ProcessNoise,
+) -> Covariance {
     let mean = from.lerp(to, 0.5);
     let half = UnitQuaternion::from_scaled_axis((mean.angular_velocity - state.gyroscope_bias) * (dt / 2.0));
     let rotation = (state.attitude * half).to_rotation_matrix();
     let rotation: &Matrix3<f64> = rotation.matrix();
     let force = rotation * (mean.specific_force - state.accelerometer_bias);
     let mut f = Covariance::identity();
-    times_transition(&mut f, &Blocks::new(rotation, &force, from, to, dt), dt);
+    times_transition(&mut f, &Blocks::new(rotation, &force, from, to, dt, noise), dt);
     f.transpose()
 }
 
@@ -135,13 +143,15 @@ impl Blocks {
         from: &ImuReading,
         to: &ImuReading,
         dt: f64,
+        noise: &ProcessNoise,
     ) -> Self {
+        let [force_share, rate_share] = noise.noise_of_changes.map(|noise| 1.0 - noise);
         Self {
             by_attitude: -(force.cross_matrix() * dt),
             by_bias: -(rotation * dt),
             by_offset: [
-                rotation * (to.specific_force - from.specific_force),
-                rotation * (to.angular_velocity - from.angular_velocity),
+                rotation * (to.specific_force - from.specific_force) * force_share,
+                rotation * (to.angular_velocity - from.angular_velocity) * rate_share,
             ],
         }
     }
@@ -333,7 +343,7 @@ mod tests {
         let mut s = start;
         s.covariance = p0;
         s.sensitivity = Sensitivity::from_fn(|i, j| 0.1 * ((i + 7 * j) as f64).cos());
-        let expected = transition(&s, &reading, &reading, dt) * s.sensitivity;
+        let expected = transition(&s, &reading, &reading, dt, &noise) * s.sensitivity;
         propagate(&mut s, &reading, &reading, dt, 9.81, &noise);
         assert!((s.sensitivity - expected).amax() < 1e-12);
         let expected = jacobian * p0 * jacobian.transpose();

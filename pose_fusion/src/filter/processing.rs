@@ -93,6 +93,7 @@ impl Filter {
             gyroscope_bias: c.imu.gyroscope_bias_walk.powi(2),
             jerk: Vector3::new(c.climber.jerk, c.climber.jerk, c.climber.turn_jerk) * factor,
             time_offset: if c.clock.camera_sigma > 0.0 { c.clock.offset_walk.powi(2) } else { 0.0 },
+            noise_of_changes: self.imu.noise_of_changes(),
         }
     }
 

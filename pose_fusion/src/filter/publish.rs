@@ -25,13 +25,6 @@ use std::collections::VecDeque;
 /// Time between two status messages while there is no pose, s.
 const STATUS_PERIOD: f64 = 0.1;
 
-/// Doubt of the time offset per density of the gyroscope's noise above [`QUIET_GYROSCOPE`], s per rad/s/√Hz. An image seems to measure
-/// the offset by the noise of single samples too; at ten times an MTx's noise the filter is surer than it may be by 3 ms
-/// (`--test rows ten_times`).
-const FALSE_INFORMATION: f64 = 0.4;
-/// Twice the noise density of an MTx, rad/s/√Hz.
-const QUIET_GYROSCOPE: f64 = 1.7e-3;
-
 /// What publication remembers.
 #[derive(Clone, Debug)]
 pub(super) struct Publisher {
@@ -224,8 +217,6 @@ impl Filter {
         let densities = self.imu.densities(&self.setup.rig.imu, &self.setup.config);
         let doubt = if self.search.is_some() {
             self.start.offset_doubt().unwrap_or(self.setup.config.clock.camera_sigma)
-        } else if self.setup.config.clock.camera_sigma > 0.0 {
-            FALSE_INFORMATION * (densities.rate.sqrt() - QUIET_GYROSCOPE).max(0.0)
         } else {
             0.0
         };

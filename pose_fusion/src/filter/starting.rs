@@ -32,8 +32,10 @@ const BIAS_FLOOR: f64 = 1e-4;
 const OFFSET_SIGMA: [f64; 2] = [1e-3, 1.5];
 /// A filter whose time offset is no further off than this corrects it by itself, s.
 const OFFSET_LINEAR: f64 = 0.008;
-/// A filter that is off by this many sigma of an alignment restarts before the alignment is final.
+/// A filter that an alignment contradicts by this many sigma of both restarts before the alignment is final.
 const GROSS: f64 = 4.0;
+/// A filter that knows its time offset to this, s, and agrees with an alignment, needs no other.
+const KNOWN: f64 = 0.003;
 /// Tilt by which the image poses that are aligned may miss "up", rad: a swing within the offset that is not known yet.
 const TILT: f64 = 0.1;
 
@@ -312,9 +314,7 @@ impl Filter {
                 self.initialize_time_offset(found, out);
             }
             // Known well enough to see that the filter is far off: it restarts, and the search goes on.
-            Some(found)
-                if (self.time_offset() - found.offset).abs() > OFFSET_LINEAR.max(GROSS * found.sigma) =>
-            {
+            Some(found) if self.contradicts(&found) => {
                 self.initialize_time_offset(found, out);
                 self.search = Some(search);
             }
@@ -325,9 +325,15 @@ impl Filter {
     /// Whether an alignment of images since the pose was initialized agrees with a filter that knows its time offset.
     fn confirms(&self, stamp: Stamp, found: &TimeOffset) -> bool {
         let independent = self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > WINDOW);
-        let known = self.time_offset_sigma().filter(|sigma| *sigma < FINAL);
+        let known = self.time_offset_sigma().filter(|sigma| *sigma < KNOWN);
         let away = (self.time_offset() - found.offset).abs();
         independent && known.is_some_and(|sigma| away < 2.0 * sigma.hypot(found.sigma))
+    }
+
+    /// Whether an alignment shows that the filter is further off than it can correct.
+    fn contradicts(&self, found: &TimeOffset) -> bool {
+        let sigma = found.sigma.hypot(self.time_offset_sigma().unwrap_or(0.0));
+        (self.time_offset() - found.offset).abs() > OFFSET_LINEAR.max(GROSS * sigma)
     }
 
     /// Pose of the platform in the world from one image and the IMU's direction of "up".

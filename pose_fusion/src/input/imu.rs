@@ -106,6 +106,12 @@ impl ImuInput {
         (more.force > 0.0 || more.rate > 0.0).then_some(more)
     }
 
+    /// Returns which share of the readings' changes between two images is noise: specific force, angular velocity.
+    pub fn noise_of_changes(&self) -> [f64; 2] {
+        let share = self.noise.noise_of_changes();
+        [share.force, share.rate]
+    }
+
     /// Returns the model error identified from the images.
     pub fn model_error(&mut self) -> &mut ModelError {
         &mut self.model_error

@@ -38,7 +38,7 @@ pub fn smooth(entries: &[Entry], gravity: f64) -> Vec<State> {
 /// One step back; `None` where the prediction's covariance cannot be factored.
 fn step(entry: &Entry, next: &Entry, later: &State, gravity: f64) -> Option<State> {
     let dt = next.stamp.seconds_since(entry.stamp);
-    let f = transition(&entry.state, &entry.reading, &next.reading, dt);
+    let f = transition(&entry.state, &entry.reading, &next.reading, dt, &next.noise);
     let mut prediction = entry.state.clone();
     propagate(&mut prediction, &entry.reading, &next.reading, dt, gravity, &next.noise);
     let mut later_there = later.clone();
@@ -98,7 +98,7 @@ mod tests {
             accelerometer_bias: 1e-8,
             gyroscope_bias: 1e-10,
             jerk: Vector3::repeat(1e-3),
-            time_offset: 0.0,
+            ..ProcessNoise::default()
         };
         let mut first = State::zero();
         for i in 0..24 {
@@ -136,7 +136,7 @@ mod tests {
         let (mut mean, mut own) = (Error::zeros(), first.covariance);
         let (mut now, mut shared) = (first.clone(), first.covariance);
         for i in 1..=n {
-            let f = transition(&now, &reading, &reading, dt);
+            let f = transition(&now, &reading, &reading, dt, &noise);
             propagate(&mut now, &reading, &reading, dt, 9.81, &noise);
             shared *= f.transpose();
             if i % 4 == 0 {

@@ -50,8 +50,27 @@ pub struct Arrival {
 #[derive(Clone, Copy, Debug, Default)]
 struct Since {
     first: Option<Stamp>,
-    elapsed: f64,
+    newest: Option<Stamp>,
     count: u32,
+}
+
+impl Since {
+    /// Counts a message that continues the ones before; one that jumps begins anew, and a duplicate says nothing.
+    fn note(&mut self, stamp: Stamp) {
+        match self.newest.map(|newest| stamp.seconds_since(newest)) {
+            Some(step) if step.abs() <= JUMP => {
+                if step > 0.0 {
+                    (self.newest, self.count) = (Some(stamp), self.count + 1);
+                }
+            }
+            _ => *self = Self { first: Some(stamp), newest: Some(stamp), count: 1 },
+        }
+    }
+
+    fn is_longer_than(&self, seconds: f64) -> bool {
+        let elapsed = self.newest.zip(self.first).map_or(0.0, |(newest, first)| newest.seconds_since(first));
+        self.count >= MESSAGES && elapsed > seconds
+    }
 }
 
 /// Source of a message other than the IMU.
@@ -98,10 +117,7 @@ impl Arrival {
 
     /// Notes the stamp of an image or encoder reading.
     pub fn other(&mut self, source: Source, stamp: Stamp) {
-        let since = &mut self.others[source as usize];
-        let first = *since.first.get_or_insert(stamp);
-        since.elapsed = since.elapsed.max(stamp.seconds_since(first));
-        since.count += 1;
+        self.others[source as usize].note(stamp);
     }
 
     /// Moves the end of the time line to an image while the IMU is silent (IMU time).
@@ -111,14 +127,13 @@ impl Arrival {
 
     /// Returns whether images and encoders arrive and IMU samples do not.
     pub fn is_imu_silent(&self) -> bool {
-        self.others.iter().any(|since| since.count >= MESSAGES && since.elapsed > SILENCE)
+        self.others.iter().any(|since| since.is_longer_than(SILENCE))
     }
 
     /// Returns whether the IMU has been silent for so long that a pose may be initialized without it: samples that a computer held up
     /// have arrived by then.
     pub fn is_imu_absent(&self) -> bool {
-        self.is_imu_silent()
-            && self.others.iter().any(|since| since.elapsed > ABSENCE && since.count >= MESSAGES)
+        self.others.iter().any(|since| since.is_longer_than(ABSENCE))
     }
 
     /// Returns the newest IMU sample.
