@@ -20,6 +20,9 @@ const MEMORY: f64 = 100.0;
 const FEWEST: f64 = 15.0;
 /// Fewest blocks before their changes count.
 const FEWEST_CHANGES: f64 = 4.0;
+/// Memory of the changes, differences, and the share of a single one that is believed at once.
+const CHANGE_MEMORY: f64 = 50.0;
+const SETS_OFF: f64 = 0.2;
 /// An estimate within this factor of the rig file's density confirms it: it scatters by a fifth.
 const CONFIRMED: f64 = 1.5;
 
@@ -172,8 +175,12 @@ impl Differences {
             (of(&self.last[3]) - of(&self.last[2])).norm_squared() / 3.0
         };
         let change = Densities { force: first(|r| r.specific_force), rate: first(|r| r.angular_velocity) };
-        self.change.force += (change.force - self.change.force) / self.weight;
-        self.change.rate += (change.rate - self.change.rate) / self.weight;
+        // A platform that sets off after a rest changes more than it did.
+        let follow = |mean: f64, newest: f64| {
+            (mean + (newest - mean) / self.weight.min(CHANGE_MEMORY)).max(SETS_OFF * newest)
+        };
+        self.change.force = follow(self.change.force, change.force);
+        self.change.rate = follow(self.change.rate, change.rate);
     }
 }
 

@@ -225,6 +225,7 @@ impl Filter {
             gravity: self.setup.config.gravity,
             calibration: self.publisher.calibration,
             time_offset: doubt * doubt,
+            silent: self.arrival.is_imu_silent(),
         }
     }
 

@@ -32,6 +32,8 @@ const BIAS_FLOOR: f64 = 1e-4;
 const OFFSET_SIGMA: [f64; 2] = [1e-3, 1.5];
 /// A filter whose time offset is no further off than this corrects it by itself, s.
 const OFFSET_LINEAR: f64 = 0.008;
+/// A filter agrees with an alignment within this many sigma of both.
+const AGREES: f64 = 3.0;
 /// A filter that an alignment contradicts by this many sigma of both restarts before the alignment is final.
 const GROSS: f64 = 4.0;
 /// A filter that knows its time offset to this, s, and agrees with an alignment, needs no other.
@@ -372,8 +374,9 @@ impl Filter {
         self.start.time_offset = Some(found);
         self.publisher.counts.resets.time_offsets += 1;
         out.push_back(Output::Warning(Warning::TimeOffset { offset_s: found.offset }));
-        let now = self.time_offset();
-        if (now - found.offset).abs() < OFFSET_LINEAR || !self.start.started {
+        let away = (self.time_offset() - found.offset).abs();
+        let sigma = (OFFSET_SIGMA[1] * found.sigma).hypot(self.time_offset_sigma().unwrap_or(0.0));
+        if away < OFFSET_LINEAR.min(AGREES * sigma) || !self.start.started {
             return;
         }
         self.archive_all();

@@ -30,7 +30,12 @@ pub struct Settings {
     pub calibration: ByParameter,
     /// Variance of the time offset beside the state's, while it is searched, s².
     pub time_offset: f64,
+    /// The IMU is silent: how fast the platform moves is known from images alone.
+    pub silent: bool,
 }
+
+/// Velocity, m/s, and angular velocity, rad/s, that images alone may miss while the platform's motion changes.
+const UNSEEN_MOTION: [f64; 2] = [0.3, 0.5];
 
 /// Returns the odometry of a state at `stamp`.
 pub fn odometry(
@@ -102,6 +107,12 @@ fn covariance_at_imu_time(state: &State, reading: &ImuReading, settings: &Settin
     p += motion * motion.transpose() * offset
         - with_offset * motion.transpose()
         - motion * with_offset.transpose();
+    if settings.silent {
+        for axis in 0..3 {
+            p[(axis, axis)] += UNSEEN_MOTION[0].powi(2) * offset;
+            p[(6 + axis, 6 + axis)] += UNSEEN_MOTION[1].powi(2) * offset;
+        }
+    }
     sensitivity -= motion * state.sensitivity.row(TIME_OFFSET);
     for (k, column) in sensitivity.column_iter().enumerate() {
         if settings.calibration[k] > 0.0 {
