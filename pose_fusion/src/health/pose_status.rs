@@ -66,9 +66,11 @@ impl PoseStatus {
 
     /// Fills in state, validity and reason from the ages and sigmas. `vision_only` is whether IMU samples are missing.
     pub fn judged(mut self, config: &StatusConfig, vision_only: bool) -> Self {
-        let beyond_position = !(self.position_sigma <= config.max_position_sigma);
-        let beyond_rotation = !(self.rotation_sigma <= config.max_rotation_sigma);
-        let lost = !(self.position_sigma <= config.lost_position_sigma);
+        // A sigma that is no number is beyond every limit.
+        let beyond = |sigma: f64, limit: f64| sigma.is_nan() || sigma > limit;
+        let beyond_position = beyond(self.position_sigma, config.max_position_sigma);
+        let beyond_rotation = beyond(self.rotation_sigma, config.max_rotation_sigma);
+        let lost = beyond(self.position_sigma, config.lost_position_sigma);
         self.state = if lost {
             PoseState::Lost
         } else if vision_only {

@@ -59,9 +59,9 @@ impl Preintegrated {
         next.velocity += force * dt;
         next.rotation = middle * half;
         next.rotation_by_gyroscope -= rotation * dt;
-        for k in 0..2 {
-            next.position_by[k] += self.velocity_by[k] * dt + velocity_step[k] * (dt / 2.0);
-            next.velocity_by[k] += velocity_step[k];
+        for (k, step) in velocity_step.into_iter().enumerate() {
+            next.position_by[k] += self.velocity_by[k] * dt + step * (dt / 2.0);
+            next.velocity_by[k] += step;
         }
         next
     }

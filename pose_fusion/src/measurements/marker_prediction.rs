@@ -155,12 +155,8 @@ mod tests {
         let f = geometry.camera.focal_lengths() * (1.0 + h);
         let c = geometry.camera.principal_point();
         let (width, height) = geometry.camera.size();
-        let camera = rig_model::CameraModel::new(
-            width,
-            height,
-            [f.x, f.y, c.x, c.y],
-            geometry.camera.distortion().clone(),
-        );
+        let camera =
+            rig_model::CameraModel::new(width, height, [f.x, f.y, c.x, c.y], *geometry.camera.distortion());
         check(FOCAL, Geometry { camera: camera.unwrap(), ..geometry.clone() });
         let mut scaled = geometry.clone();
         for center in &mut scaled.markers.centres.0 {

@@ -39,6 +39,10 @@ pub struct Context<'a> {
 
 /// What a step processed.
 #[derive(Clone, Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "it lives on the stack for one step, and steps allocate nothing"
+)]
 pub enum Step {
     /// IMU sample, or a state that was set.
     Inertial,

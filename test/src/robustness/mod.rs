@@ -3,3 +3,4 @@
 pub mod perturbation;
 pub mod recording;
 pub mod score;
+pub mod table;

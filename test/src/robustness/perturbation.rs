@@ -147,8 +147,7 @@ impl Perturbation {
                     if let Input::Camera(camera) = input {
                         let (f, c) = (camera.focal_lengths() * (1.0 + x), camera.principal_point());
                         let (w, h) = camera.size();
-                        let scaled =
-                            CameraModel::new(w, h, [f.x, f.y, c.x, c.y], camera.distortion().clone());
+                        let scaled = CameraModel::new(w, h, [f.x, f.y, c.x, c.y], *camera.distortion());
                         *camera = scaled.unwrap_or_else(|_| camera.clone());
                     }
                 }

@@ -44,7 +44,7 @@ impl Recording {
         }
         let mut inputs = Vec::new();
         let bytes = file("in.mcap")?;
-        let tracked_inside = tracked(&bytes)?.len() > 0;
+        let tracked_inside = !tracked(&bytes)?.is_empty();
         for message in mcap::MessageStream::new(&bytes).map_err(|e| e.to_string())? {
             let message = message.map_err(|e| e.to_string())?;
             let at = Stamp::from_nanos(message.log_time as i64);
@@ -96,6 +96,28 @@ impl Recording {
         let (a, b) = (self.truth.get(after.checked_sub(1)?)?, self.truth.get(after)?);
         let share = stamp.seconds_since(a.0) / b.0.seconds_since(a.0);
         Some(a.1.lerp_slerp(&b.1, share))
+    }
+
+    /// Returns by how much the climber moves the platform at most, m/s: its speed, and its turn by the platform's distance.
+    pub fn climber_speed(&self) -> f64 {
+        /// Encoders count in steps: speeds are taken over so many readings.
+        const SPAN: usize = 5;
+        let poses: Vec<(Stamp, Isometry3<f64>)> = self
+            .inputs
+            .iter()
+            .filter_map(|(_, input)| match input {
+                Input::Climber(c) => Some((c.stamp, c.world_from_climber)),
+                _ => None,
+            })
+            .collect();
+        let moved = |a: &(Stamp, Isometry3<f64>), b: &(Stamp, Isometry3<f64>)| {
+            let truth = self.pose_at(b.0)?.translation.vector;
+            let arm = (truth - b.1.translation.vector).xy().norm();
+            let way = (b.1.translation.vector - a.1.translation.vector).norm();
+            Some((way + arm * a.1.rotation.angle_to(&b.1.rotation)) / b.0.seconds_since(a.0))
+        };
+        let speeds = poses.iter().zip(poses.iter().skip(SPAN)).filter_map(|(a, b)| moved(a, b));
+        speeds.filter(|speed| speed.is_finite()).fold(0.0, f64::max)
     }
 
     /// Returns the camera's calibration.

@@ -116,7 +116,7 @@ fn is_colors(words: &[OsString]) -> bool {
 }
 
 /// What `volant-rig` does, on the simulated rig and with the real nodes: it comes with the whole project, not with this package.
-const SIMULATED: [&str; 6] = ["demo", "faults", "hosts", "reproduce", "rigs", "soak"];
+const SIMULATED: [&str; 7] = ["demo", "faults", "hosts", "reproduce", "rigs", "robustness", "soak"];
 
 /// `volant X` may be an executable `volant-X` beside this one, or on the path; some are one executable, `volant-rig`.
 fn other(words: &[OsString]) -> ExitCode {

@@ -1,5 +1,5 @@
-//! `volant-rig`: what is done with the simulated rig and the real nodes: `volant demo`, `faults`, `hosts`, `rigs`, `soak` and
-//! `reproduce`. One executable for all, so that their common code is built and linked once.
+//! `volant-rig`: what is done with the simulated rig and the real nodes: `volant demo`, `faults`, `hosts`, `rigs`, `robustness`,
+//! `soak` and `reproduce`. One executable for all, so that their common code is built and linked once.
 //!
 //! Exit status: 0 it was done, and all that was asserted held; 1 it failed or did not hold; 2 the command line was wrong.
 
@@ -10,6 +10,7 @@ mod faults;
 mod hosts;
 mod reproduce;
 mod rigs;
+mod robustness;
 mod soak;
 
 use anyhow::Result;
@@ -31,6 +32,7 @@ enum Action {
     Hosts(hosts::Arguments),
     Reproduce(reproduce::Arguments),
     Rigs(rigs::Arguments),
+    Robustness(robustness::Arguments),
     Soak(soak::Arguments),
 }
 
@@ -43,6 +45,7 @@ impl Action {
             Self::Hosts(a) => ("hosts", hosts::run(a)),
             Self::Reproduce(a) => ("reproduce", reproduce::run(a).map(|()| true)),
             Self::Rigs(a) => ("rigs", rigs::run(a).map(|()| true)),
+            Self::Robustness(a) => ("robustness", robustness::run(a)),
             Self::Soak(a) => ("soak", soak::run(a)),
         }
     }

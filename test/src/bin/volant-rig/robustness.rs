@@ -1,0 +1,119 @@
+//! `make robustness`: the estimator on recordings that differ from their rig file in one thing, and in every pair of two.
+//! Exit status 0 when nothing catastrophic happens; what a perturbation may cost is in the table.
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use indicatif::ProgressBar;
+use pose_fusion::FusionConfig;
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+use volant_test::robustness::{
+    perturbation::TABLE,
+    recording::Recording,
+    table::{self, Bench},
+};
+
+/// Changes recordings in one thing, or in two, and compares the pose with the truth.
+#[derive(Args)]
+pub(crate) struct Arguments {
+    /// Folder of recordings, each a folder with in.mcap, rig.yaml, truth.mcap and truth_markers.csv
+    #[arg(long)]
+    bags: PathBuf,
+    /// Folder with replays of them (`NAME.mcap`) whose tracked markers are used; without it the true centroids with 0.1 px of noise
+    #[arg(long)]
+    markers: Option<PathBuf>,
+    /// Only recordings whose name contains this text
+    #[arg(long)]
+    only: Option<String>,
+    /// Also every pair of perturbations
+    #[arg(long)]
+    pairs: bool,
+    /// Also write the table, as Markdown, to this file
+    #[arg(long)]
+    table: Option<PathBuf>,
+}
+
+const HEAD: &str = "# Robustness: recordings that differ from their rig file\n\n\
+    Written by `make robustness`. Each recording is changed in one thing (the rig file stays as it was, or is changed while the \
+    recording stays), and the estimator runs over it with its default parameters. A cell is the position RMSE over that of the \
+    unchanged recording, the largest position error, and the mean NEES of position and rotation (3 each where the covariance is \
+    right). Bold: more than the perturbation may cost (`test/src/robustness/table.rs`).\n\n";
+
+pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
+    let benches = read(arguments)?;
+    let bar = ProgressBar::new((TABLE.len() * benches.len()) as u64);
+    let mut rows = Vec::new();
+    let mut catastrophes = Vec::new();
+    for perturbation in TABLE {
+        let mut cells = Vec::new();
+        for bench in &benches {
+            let cell = bench.single(&perturbation);
+            catastrophes
+                .extend(cell.catastrophe.iter().map(|c| format!("{}: {perturbation}: {c}", bench.name())));
+            for failure in &cell.failures {
+                bar.suspend(|| println!("{}: {perturbation}: {failure}", bench.name()));
+            }
+            cells.push(cell);
+            bar.inc(1);
+        }
+        rows.push((perturbation, cells));
+    }
+    bar.finish_and_clear();
+    let mut text = format!("{HEAD}{}", table::markdown(&benches, &rows));
+    if arguments.pairs {
+        let pairs = table::pairs();
+        let bar = ProgressBar::new((pairs.len() * benches.len()) as u64);
+        for (first, second) in &pairs {
+            for bench in &benches {
+                let found = bench.pair(first, second);
+                catastrophes.extend(found.map(|c| format!("{}: {first}, {second}: {c}", bench.name())));
+                bar.inc(1);
+            }
+        }
+        bar.finish_and_clear();
+        text.push_str(&format!(
+            "\nPairs: {} of two perturbations on each recording. Number that is not finite, or pose more than 1 m wrong that is called \
+             valid: {}.\n",
+            pairs.len(),
+            catastrophes.len()
+        ));
+    }
+    println!("{text}");
+    for catastrophe in &catastrophes {
+        println!("{catastrophe}");
+    }
+    if let Some(path) = &arguments.table {
+        fs::write(path, text).with_context(|| format!("{}", path.display()))?;
+    }
+    Ok(catastrophes.is_empty())
+}
+
+fn read(arguments: &Arguments) -> Result<Vec<Bench>> {
+    let bags = &arguments.bags;
+    let entries = fs::read_dir(bags).with_context(|| format!("{}", bags.display()))?;
+    let mut folders: Vec<PathBuf> =
+        entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| has_truth(p)).collect();
+    folders.sort();
+    let wanted = |folder: &&PathBuf| {
+        let name = folder.file_name().map(|n| n.to_string_lossy());
+        arguments.only.as_ref().is_none_or(|text| name.is_some_and(|n| n.contains(text.as_str())))
+    };
+    let mut benches = Vec::new();
+    for folder in folders.iter().filter(wanted) {
+        let replay = |markers: &PathBuf| Some(markers.join(folder.file_name()?).with_extension("mcap"));
+        let markers = arguments.markers.as_ref().and_then(replay).filter(|path| path.is_file());
+        let recording = Recording::read(folder, markers.as_deref())
+            .map_err(|e| anyhow::anyhow!("{}: {e}", folder.display()))?;
+        benches.push(Bench::new(recording, FusionConfig::default()));
+    }
+    if benches.is_empty() {
+        bail!("{}: no folder with in.mcap and truth.mcap in it", bags.display());
+    }
+    Ok(benches)
+}
+
+fn has_truth(folder: &Path) -> bool {
+    folder.join("in.mcap").is_file() && folder.join("truth.mcap").is_file()
+}

@@ -1,0 +1,192 @@
+//! The table: every perturbation on every recording, alone and in pairs, against what it may cost.
+
+use super::{
+    perturbation::{FROM, Perturbation, TABLE},
+    recording::Recording,
+    score::{self, Figures, Scored},
+};
+use pose_fusion::FusionConfig;
+use std::fmt::Write;
+
+/// No pose further off than this may be called valid, m.
+const WRONG: f64 = 1.0;
+/// Largest share of valid poses beyond three sigma.
+const BEYOND: f64 = 0.005;
+/// What is measured after a fault begins this long after its end, s.
+const SETTLED: f64 = 1.0;
+
+/// What a perturbation may cost. `None` is not limited.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Limits {
+    /// Position RMSE over that of the unchanged recording.
+    pub factor: Option<f64>,
+    /// The same, from one second after the fault on.
+    pub after: Option<f64>,
+    /// Largest position error, mm.
+    pub worst: Option<f64>,
+    /// Mean NEES of position and rotation.
+    pub nees: Option<f64>,
+    /// Share of the valid poses that are further off than three sigma.
+    pub beyond: Option<f64>,
+}
+
+/// Returns what a perturbation may cost on a recording.
+pub fn limits(perturbation: &Perturbation, recording: &Recording) -> Limits {
+    use Perturbation::*;
+    let factor = |x: f64| Limits { factor: Some(x), ..Limits::default() };
+    let bounded = Limits { after: Some(1.5), beyond: Some(BEYOND), ..Limits::default() };
+    match *perturbation {
+        GyroScale(x) if x.abs() < 0.003 => factor(1.1),
+        GyroScale(x) if x.abs() < 0.01 => factor(1.15),
+        GyroScale(x) if x.abs() < 0.03 => factor(1.8),
+        GyroScale(_) => factor(6.0),
+        AccelerometerScale(_) => factor(1.2),
+        ImuMisaligned(_) | ImuYaw(_) => factor(1.4),
+        CameraMounting(_) | FocalLength(_) | Layout(_) | EncoderScale(_) => {
+            Limits { nees: Some(60.0), ..Limits::default() }
+        }
+        EncoderDelay(delay) => Limits {
+            // Millimeters beside what the climber moves in that time.
+            worst: Some(recording.climber_speed() * delay.abs() * 1e3 + 5.0),
+            ..Limits::default()
+        },
+        EncoderOff(_, 0.0) => factor(1.2),
+        EncoderOff(_, duration) if duration < 0.5 => factor(2.0),
+        EncoderOff(..) => Limits { worst: Some(100.0), after: Some(1.2), ..Limits::default() },
+        EncoderFrozen(_) | ImuZeros(_) | ImuSpike(_) | ImuLost(_) | EncodersLost(_) | ImagesLost(_) => {
+            bounded
+        }
+        GyroSaturated(_) => Limits { beyond: Some(BEYOND), ..Limits::default() },
+        CameraDelay(_) | ImuTwice => factor(1.2),
+    }
+}
+
+/// One perturbation on one recording.
+#[derive(Clone, Debug)]
+pub struct Cell {
+    /// Figures of the whole run.
+    pub whole: Figures,
+    /// Figures from one second after the fault on.
+    pub after: Figures,
+    /// What does not hold, in words.
+    pub failures: Vec<String>,
+    /// What never may happen: a number that is not finite, or a valid pose that is [`WRONG`].
+    pub catastrophe: Option<String>,
+}
+
+/// From when a recording is measured, s: recordings of real motion begin with the tracker's first images.
+fn begin(recording: &Recording) -> f64 {
+    if recording.name.starts_with("real") { 3.0 } else { 1.0 }
+}
+
+fn figures(scored: &Scored, recording: &Recording, perturbation: &Perturbation) -> [Figures; 2] {
+    let from = begin(recording);
+    let duration = Some(perturbation.duration()).filter(|d| d.is_finite()).unwrap_or(0.0);
+    [scored.figures(from, f64::INFINITY), scored.figures(FROM + duration + SETTLED, f64::INFINITY)]
+}
+
+fn catastrophe(scored: &Scored, whole: &Figures) -> Option<String> {
+    if scored.non_finite {
+        return Some("a number that is not finite".to_owned());
+    }
+    let worst = scored.figures(0.0, f64::INFINITY).worst_valid.max(whole.worst_valid);
+    (worst > WRONG).then(|| format!("a valid pose {worst:.1} m wrong"))
+}
+
+/// A recording with the figures of its unchanged run.
+pub struct Bench {
+    recording: Recording,
+    config: FusionConfig,
+    unchanged: Scored,
+}
+
+impl Bench {
+    /// Runs the unchanged recording.
+    pub fn new(recording: Recording, config: FusionConfig) -> Self {
+        let unchanged = score::run(&recording, &config);
+        Self { recording, config, unchanged }
+    }
+
+    /// Returns the figures of the unchanged run.
+    pub fn unchanged(&self) -> Figures {
+        self.unchanged.figures(begin(&self.recording), f64::INFINITY)
+    }
+
+    /// Returns the name of the recording.
+    pub fn name(&self) -> &str {
+        &self.recording.name
+    }
+
+    /// Runs the recording with one change.
+    pub fn single(&self, perturbation: &Perturbation) -> Cell {
+        let mut changed = self.recording.clone();
+        perturbation.apply(&mut changed);
+        let scored = score::run(&changed, &self.config);
+        let [whole, after] = figures(&scored, &self.recording, perturbation);
+        let [base, base_after] = figures(&self.unchanged, &self.recording, perturbation);
+        let limits = limits(perturbation, &self.recording);
+        let mut failures = Vec::new();
+        let mut check = |what: &str, limit: Option<f64>, value: f64| {
+            if let Some(limit) = limit.filter(|limit| value.is_nan() || value > *limit) {
+                failures.push(format!("{what} {value:.3} > {limit:.3}"));
+            }
+        };
+        check("×", limits.factor, whole.position[0] / base.position[0]);
+        check("× after", limits.after, after.position[0] / base_after.position[0]);
+        check("worst mm", limits.worst, whole.position[1]);
+        check("NEES", limits.nees, whole.nees[0].max(whole.nees[1]));
+        check("beyond 3σ", limits.beyond, whole.beyond);
+        let catastrophe = catastrophe(&scored, &whole);
+        Cell { whole, after, failures, catastrophe }
+    }
+
+    /// Runs the recording with two changes; returns what never may happen.
+    pub fn pair(&self, first: &Perturbation, second: &Perturbation) -> Option<String> {
+        let mut changed = self.recording.clone();
+        first.apply(&mut changed);
+        second.apply(&mut changed);
+        let scored = score::run(&changed, &self.config);
+        catastrophe(&scored, &scored.figures(begin(&self.recording), f64::INFINITY))
+    }
+}
+
+/// Returns all pairs of perturbations.
+pub fn pairs() -> Vec<(Perturbation, Perturbation)> {
+    let later = |i: usize| TABLE.iter().skip(i + 1);
+    TABLE.iter().enumerate().flat_map(|(i, a)| later(i).map(move |b| (*a, *b))).collect()
+}
+
+/// Returns the table as Markdown. A cell is the position RMSE over that of the unchanged run, the largest error and the NEES of
+/// position and rotation; what does not hold is in bold.
+pub fn markdown(benches: &[Bench], rows: &[(Perturbation, Vec<Cell>)]) -> String {
+    let mut text = String::from("| perturbation |");
+    for bench in benches {
+        let _ = write!(text, " {} |", bench.name());
+    }
+    text.push_str("\n| --- |");
+    text.push_str(&" --- |".repeat(benches.len()));
+    text.push_str("\n| none: mm, °, NEES |");
+    for bench in benches {
+        let f = bench.unchanged();
+        let _ = write!(
+            text,
+            " {:.2}, {:.3}, {:.1} / {:.1} |",
+            f.position[0], f.rotation[0], f.nees[0], f.nees[1]
+        );
+    }
+    text.push('\n');
+    for (perturbation, cells) in rows {
+        let _ = write!(text, "| {perturbation} |");
+        for (bench, cell) in benches.iter().zip(cells) {
+            let factor = cell.whole.position[0] / bench.unchanged().position[0];
+            let mark = if cell.failures.is_empty() && cell.catastrophe.is_none() { "" } else { "**" };
+            let _ = write!(
+                text,
+                " {mark}{factor:.2}{mark}, {:.0} mm, {:.1} / {:.1} |",
+                cell.whole.position[1], cell.whole.nees[0], cell.whole.nees[1]
+            );
+        }
+        text.push('\n');
+    }
+    text
+}
