@@ -224,7 +224,7 @@ impl Filter {
             Response::None => false,
             Response::GiveWay(since) => {
                 self.lock_out.answered();
-                self.give_way(place, stamp, image, record, since, out)
+                self.give_way(place, stamp, image, record, (last_used.unwrap_or(since), since), out)
             }
             Response::Reinitialize(since) => {
                 self.lock_out.answered();
@@ -233,14 +233,15 @@ impl Filter {
         }
     }
 
-    /// The prediction gives way to images that contradict it. Returns whether the time line was replaced.
+    /// The prediction gives way to images that contradict it: the newest image that was used before this one, and the first
+    /// that contradicted. Returns whether the time line was replaced.
     fn give_way(
         &mut self,
         place: usize,
         stamp: Stamp,
         image: &Image,
         record: &ImageInnovation,
-        since: Stamp,
+        (last_used, since): (Stamp, Stamp),
         out: &mut VecDeque<Output>,
     ) -> bool {
         let Some(entry) = self.history.get(place) else { return false };
@@ -260,7 +261,7 @@ impl Filter {
         if repeated {
             return self.reinitialize(stamp, image, since, out);
         }
-        self.strike(place, self.lock_out.last_used().unwrap_or(stamp), record);
+        self.strike(place, last_used, record);
         self.publisher.counts.resets.shocks += 1;
         out.push_back(Output::Warning(Warning::Shock { since, stamp }));
         false
