@@ -9,8 +9,8 @@ const MEMORY: f64 = 15.0;
 /// Degrees of freedom of a pose.
 const POSE: f64 = 6.0;
 /// Mean NIS per degree of freedom above which the sigmas grow, and below which they shrink back.
-const LARGE: f64 = 2.0;
-const SMALL: f64 = 1.4;
+const LARGE: f64 = 1.8;
+const SMALL: f64 = 1.25;
 /// Factors per image: tenfold within half a second, back within five.
 const GROWTH: f64 = 1.15;
 const DECAY: f64 = 0.985;
@@ -33,7 +33,7 @@ impl Default for ModelError {
 }
 
 impl ModelError {
-    /// Adds an image of four markers with this NIS (8 degrees of freedom), `internal` of which no pose explains.
+    /// Adds an image of four markers (`internal` of whose NIS no pose explains) or three (0: a pose explains all).
     pub fn add(&mut self, nis: f64, internal: f64) {
         let ratio = ((nis - internal) / POSE).clamp(0.0, 6.0);
         self.ratio += (ratio - self.ratio) / MEMORY;

@@ -213,11 +213,17 @@ impl Filter {
         if record.used == 4 && record.nis > STRAINED && agrees && !excused && settled {
             self.strike(place, last_used.unwrap_or(stamp), record);
         }
-        if let (Some(internal), 4) = (record.internal, record.used) {
-            self.markers.noise().add(internal);
-            if !excused {
-                self.imu.model_error().add(record.nis, internal);
+        let internal = match (record.internal, record.used) {
+            (Some(internal), 4) => {
+                self.markers.noise().add(internal);
+                Some(internal)
             }
+            // A pose explains whatever three markers show.
+            (None, 3) => Some(0.0),
+            _ => None,
+        };
+        if let (Some(internal), false) = (internal, excused) {
+            self.imu.model_error().add(record.nis, internal);
         }
         let limit = if agrees { limit } else { DISAGREEING * limit };
         match self.lock_out.note(stamp, image.detected(), record.used, limit, excused) {

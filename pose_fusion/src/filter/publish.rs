@@ -25,6 +25,10 @@ use std::collections::VecDeque;
 /// Time between two status messages while there is no pose, s.
 const STATUS_PERIOD: f64 = 0.1;
 
+/// After a silence of the IMU its samples carry the pose from the next image on, or after this time, s: until then the angular
+/// velocity between the last image and the first sample is not known.
+const RESUMING: f64 = 0.3;
+
 /// What publication remembers.
 #[derive(Clone, Debug)]
 pub(super) struct Publisher {
@@ -37,6 +41,8 @@ pub(super) struct Publisher {
     last_encoders: Option<Stamp>,
     markers_used: u8,
     imu_lost: bool,
+    /// First IMU sample after a silence, until an image follows it.
+    resumed: Option<Stamp>,
     lost: bool,
     archive: Option<Vec<Entry>>,
 }
@@ -53,6 +59,7 @@ impl Publisher {
             last_encoders: None,
             markers_used: 0,
             imu_lost: false,
+            resumed: None,
             lost: false,
             archive: None,
         }
@@ -146,11 +153,18 @@ impl Filter {
             return;
         }
         let (state, reading) = (&entry.state, &entry.reading);
+        let silent = self.arrival.is_imu_silent();
+        let image = self.lock_out.last_used().map(|image| image.plus_seconds(state.time_offset));
+        if self.publisher.imu_lost && !silent {
+            let resumed = *self.publisher.resumed.get_or_insert(end);
+            let followed = image.is_some_and(|image| image >= resumed);
+            if !followed && end.seconds_since(resumed) < RESUMING {
+                return;
+            }
+        }
         let limited = self.publisher.continuity.limit(odometry(end, state, reading, geometry, &settings));
         let position_sigma = largest_sigma(&limited, 0);
-        let silent = self.arrival.is_imu_silent();
         let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| end.seconds_since(s));
-        let image = self.lock_out.last_used().map(|image| image.plus_seconds(state.time_offset));
         let status = PoseStatus {
             stamp: end,
             position_sigma,
@@ -171,6 +185,7 @@ impl Filter {
         self.publisher.position_sigma = position_sigma;
         self.publisher.last_published = Some(end);
         self.publisher.imu_lost &= silent;
+        self.publisher.resumed = None;
         self.publisher.counts.odometry += 1;
         let lost = status.state == PoseState::Lost;
         if let (true, false, Some(since)) = (lost, self.publisher.lost, self.lock_out.last_used()) {
