@@ -4,13 +4,14 @@
 # make lint    what CI lints: format, clippy, cores without middleware
 # make bench   the figures against the peers, the filter against its bound on 200 runs;  make faults: every fault on real processes
 # make reproduce   the paper's figures and tables, the rivals beside them, and the report: OUT=folder
+# make robustness   recordings that differ from their rig file in one thing and in two: test/ROBUSTNESS.md
 # make fuzz    hostile bytes into every parser (FUZZ="-s SECONDS -r RUNS TARGET…"); make audit: advisories and licences
 # make security  who is not in the keystore reads and injects nothing (the middleware built anew, with DDS security)
 # make calibrate, make calibrate-test   volant calibrate, and its tests;  make browser: a browser for the report's test
 
 SHELL := /bin/bash
 .DEFAULT_GOAL := build
-.PHONY: setup build demo test long lint bench peers reproduce faults fuzz audit security calibrate calibrate-test browser clean-setup
+.PHONY: setup build demo test long lint bench peers reproduce faults robustness fuzz audit security calibrate calibrate-test browser clean-setup
 
 ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 export OPENCV_LINK_PATHS := /usr/lib/$(ARCH_LIB)
@@ -77,6 +78,15 @@ peers: build .setup/debian-large
 bench: peers
 	target/release/volant-peers bench
 	VOLANT_RUNS=200 $(CARGO) test --release -p pose_fusion --test bounds -- --nocapture
+
+# Recordings that differ from their rig file: VOLANT_SHARED is the folder that has them under bags/.
+robustness: build
+	@[ -d "$(VOLANT_SHARED)/bags" ] || { echo "make robustness: set VOLANT_SHARED to the folder with bags/ in it"; exit 1; }
+	@mkdir -p target/robustness
+	@for bag in $(VOLANT_SHARED)/bags/*/; do name=$$(basename $$bag); \
+	  target/release/volant replay $$bag/in.mcap --rig $$bag/rig.yaml --out target/robustness/$$name.mcap > /dev/null || exit 1; \
+	done
+	target/release/volant robustness --bags $(VOLANT_SHARED)/bags --markers target/robustness --pairs --table test/ROBUSTNESS.md
 
 OUT ?= reproduced
 reproduce: peers

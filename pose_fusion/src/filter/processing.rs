@@ -140,7 +140,8 @@ impl Filter {
         innovation: &Innovation<3>,
         out: &mut VecDeque<Output>,
     ) -> bool {
-        match self.trust.judge(at, innovation.nis, self.setup.config.climber.step_timeout) {
+        let timeout = self.setup.config.climber.step_timeout;
+        match self.trust.judge(at, innovation.nis, &innovation.residual, timeout) {
             Verdict::Exclude => false,
             Verdict::Resume => {
                 if let Some(entry) = self.history.get_mut(place)
@@ -261,7 +262,7 @@ impl Filter {
             self.exclude_since(from);
             let distance_m = 0.0;
             out.push_back(Output::Warning(Warning::EncodersSuspended { stamp, distance_m }));
-            self.trust.suspend(at);
+            self.trust.refute(at);
             return false;
         }
         if repeated {

@@ -53,7 +53,7 @@ pub enum Perturbation {
 }
 
 /// Perturbations of the table.
-pub const TABLE: [Perturbation; 27] = {
+pub const TABLE: [Perturbation; 29] = {
     use Perturbation::*;
     [
         GyroScale(0.002),
@@ -82,7 +82,9 @@ pub const TABLE: [Perturbation; 27] = {
         GyroSaturated(0.5),
         ImuLost(2.0),
         EncodersLost(2.0),
+        ImagesLost(2.0),
         CameraDelay(0.1),
+        ImuTwice,
     ]
 };
 
