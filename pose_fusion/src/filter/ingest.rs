@@ -3,7 +3,7 @@
 use super::Filter;
 use crate::{
     adaptation::imu_integrity::Implausible,
-    ekf::propagation::ImuReading,
+    ekf::{propagation::ImuReading, state::ATTITUDE},
     input::imu::ImuInput,
     measurements::{encoders::EncoderReading, geometry::ClimberRest, markers::Image},
     output::{MarkerOutcome, Output, Warning},
@@ -15,6 +15,9 @@ use crate::{
 };
 use rig_model::{ClimberSample, ImuSample, MarkerObservations, Stamp};
 use std::collections::VecDeque;
+
+/// Largest standard deviation of the attitude with which the pose goes on after a gap, rad.
+const LARGEST_ATTITUDE: f64 = 0.2;
 
 const IMU: &str = "IMU sample";
 
@@ -79,9 +82,11 @@ impl Filter {
             self.imu.interrupt();
             let covered =
                 self.arrival.end().is_some_and(|end| sample.stamp.seconds_since(end) < INTERPOLATED);
-            // What neither images nor samples have followed is not bridged where an image can reinitialize the pose.
-            if seconds > INTERPOLATED && !covered && self.start.is_started() && self.start.markers_seen() >= 3
-            {
+            // What neither images nor samples have followed is not bridged where an image can reinitialize the pose, and an attitude
+            // that is hardly known is no point to linearize at.
+            let unknown = self.state().is_some_and(|s| s.sigmas(ATTITUDE).max() > LARGEST_ATTITUDE);
+            let unfollowed = seconds > INTERPOLATED && !covered && self.start.markers_seen() >= 3;
+            if self.start.is_started() && (unfollowed || unknown) {
                 self.restart();
                 dt = None;
             }

@@ -141,7 +141,8 @@ impl Filter {
         out: &mut VecDeque<Output>,
     ) -> bool {
         let timeout = self.setup.config.climber.step_timeout;
-        match self.trust.judge(at, innovation.nis, &innovation.residual, timeout) {
+        let standing = self.climber.is_standing();
+        match self.trust.judge(at, innovation.nis, &innovation.residual, standing, timeout) {
             Verdict::Exclude => false,
             Verdict::Resume => {
                 if let Some(entry) = self.history.get_mut(place)

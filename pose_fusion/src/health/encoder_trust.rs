@@ -14,6 +14,8 @@ const DISPUTED: f64 = 0.3;
 
 /// Consistent readings in a row that restore trust.
 const CONSISTENT: u32 = 3;
+/// Readings that do not change must be consistent for so long, s: frozen ones agree while the climber comes by.
+const UNCHANGED: f64 = 1.0;
 /// A reading is consistent below this NIS (one degree of freedom; 3 sigma).
 const GATE: f64 = 9.0;
 
@@ -33,6 +35,7 @@ pub enum Verdict {
 pub struct EncoderTrust {
     suspended: Option<Stamp>,
     consistent: u32,
+    consistent_since: Option<Stamp>,
     /// Newest reading minus estimate: x, y (m), turn (rad).
     residual: Vector3<f64>,
     newest: Option<Stamp>,
@@ -49,7 +52,7 @@ impl EncoderTrust {
     /// Suspends the encoders at a reading.
     pub fn suspend(&mut self, at: Stamp) {
         self.suspended.get_or_insert(at);
-        self.consistent = 0;
+        (self.consistent, self.consistent_since) = (0, None);
     }
 
     /// Suspends the encoders that images have shown to be wrong.
@@ -64,12 +67,26 @@ impl EncoderTrust {
         (lasts > DISPUTED && !self.refuted).then_some(self.residual)
     }
 
-    /// Judges a new reading at `at` with this NIS and residual (x, y, m; turn, rad) while the encoders are suspended. `timeout` in s.
-    pub fn judge(&mut self, at: Stamp, nis: f64, residual: &Vector3<f64>, timeout: f64) -> Verdict {
+    /// Judges a new reading at `at` with this NIS and residual (x, y, m; turn, rad) while the encoders are suspended;
+    /// `standing`: the newest readings are equal. `timeout` in s.
+    pub fn judge(
+        &mut self,
+        at: Stamp,
+        nis: f64,
+        residual: &Vector3<f64>,
+        standing: bool,
+        timeout: f64,
+    ) -> Verdict {
         let Some(since) = self.suspended else { return Verdict::Resume };
         (self.newest, self.residual) = (Some(at), *residual);
-        self.consistent = if nis < GATE { self.consistent + 1 } else { 0 };
-        if self.consistent >= CONSISTENT {
+        if nis < GATE {
+            self.consistent += 1;
+            self.consistent_since.get_or_insert(at);
+        } else {
+            (self.consistent, self.consistent_since) = (0, None);
+        }
+        let lasts = self.consistent_since.map_or(0.0, |since| at.seconds_since(since));
+        if self.consistent >= CONSISTENT && (!standing || lasts > UNCHANGED) {
             *self = Self::default();
             Verdict::Resume
         } else if self.consistent == 0 && at.seconds_since(since) > timeout {
@@ -96,16 +113,20 @@ mod tests {
         let off = Vector3::new(0.5, 0.0, 0.0);
         let mut trust = EncoderTrust::default();
         trust.suspend(at(0));
-        let verdicts = [1.0, 1.0, 500.0, 1.0, 1.0].map(|nis| trust.judge(at(20), nis, &off, 3.0));
+        let verdicts = [1.0, 1.0, 500.0, 1.0, 1.0].map(|nis| trust.judge(at(20), nis, &off, false, 3.0));
         assert_eq!(verdicts, [Verdict::Exclude; 5]);
-        assert_eq!(trust.judge(at(60), 1.0, &off, 3.0), Verdict::Resume);
+        assert_eq!(trust.judge(at(60), 1.0, &off, false, 3.0), Verdict::Resume);
         assert!(!trust.is_suspended());
+        trust.suspend(at(70));
+        let frozen: Vec<Verdict> =
+            (0..60).map(|k| trust.judge(at(80 + 20 * k), 1.0, &off, true, 3.0)).collect();
+        assert_eq!(frozen.iter().position(|v| *v == Verdict::Resume), Some(51));
         trust.suspend(at(100));
         trust.suspend(at(2000));
-        assert_eq!(trust.judge(at(2100), 1e6, &off, 3.0), Verdict::Exclude);
+        assert_eq!(trust.judge(at(2100), 1e6, &off, false, 3.0), Verdict::Exclude);
         assert_eq!(trust.dispute(), Some(off));
         trust.refute(at(2200));
         assert_eq!(trust.dispute(), None);
-        assert_eq!(trust.judge(at(3200), 1e6, &off, 3.0), Verdict::Adopt);
+        assert_eq!(trust.judge(at(3200), 1e6, &off, false, 3.0), Verdict::Adopt);
     }
 }

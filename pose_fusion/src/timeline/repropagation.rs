@@ -1,7 +1,7 @@
 //! Processing of the time line: from state to state, event by event, up to its end.
 
 use super::{
-    dropout::{self, GAP, INTERPOLATED},
+    dropout::{self, GAP, HELD, INTERPOLATED},
     history::{Entry, Event, History},
 };
 use crate::{
@@ -93,6 +93,13 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
             noise = dropout::blind(&noise);
             (uniform, uniform)
         }
+        Source::Held { reading, seconds } => {
+            if !is_imu {
+                to.reading = reading;
+            }
+            noise = dropout::extrapolated(&noise, seconds);
+            (reading, reading)
+        }
         Source::Interpolated { share, next, gap } => {
             if !is_imu {
                 to.reading = from.reading.lerp(&next, share);
@@ -157,6 +164,8 @@ struct Drive {
 enum Source {
     /// No IMU sample within reach: uniform motion.
     Uniform,
+    /// The reading of the first sample after a long gap, this many seconds later.
+    Held { reading: ImuReading, seconds: f64 },
     /// Interpolated towards the next IMU sample, across a gap of this length where it is one.
     Interpolated { share: f64, next: ImuReading, gap: Option<f64> },
 }
@@ -170,7 +179,9 @@ impl Drive {
         let Some(before) = place.checked_sub(1).and_then(|p| history.get(p)) else { return uniform };
         let gap = next.stamp.seconds_since(last.stamp);
         if gap > INTERPOLATED {
-            return Self { source: Source::Uniform, noise };
+            let seconds = next.stamp.seconds_since(before.stamp);
+            let held = Source::Held { reading: next.reading, seconds };
+            return Self { source: if seconds < HELD { held } else { Source::Uniform }, noise };
         }
         let span = next.stamp.seconds_since(before.stamp);
         let share = if span > 0.0 { entry.stamp.seconds_since(before.stamp) / span } else { 0.0 };
