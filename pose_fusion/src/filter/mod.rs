@@ -9,6 +9,7 @@ mod operator;
 mod processing;
 mod publish;
 mod starting;
+mod time_offset;
 
 use crate::{
     adaptation::disturbances::Disturbances,

@@ -9,15 +9,15 @@ use crate::{
     },
     initialization::{
         from_image::{self, ClimberPrior},
-        time_offset::{FINAL, TimeOffset, WINDOW},
+        time_offset::TimeOffset,
     },
-    input::{climber_track::SPEED, imu::given},
+    input::climber_track::SPEED,
     measurements::markers::{Image, Pixels},
     output::{MarkerOutcome, Output, Warning},
     timeline::{arrival::AHEAD, history::Event},
 };
-use nalgebra::{Matrix6, Vector3};
-use rig_model::{PerColor, Stamp, planar_pose};
+use nalgebra::Vector3;
+use rig_model::Stamp;
 use std::collections::VecDeque;
 
 /// The encoders' noise is another one from this factor of the variance on.
@@ -29,31 +29,21 @@ const REMEMBERED: f64 = 2.0;
 /// Smallest bias sigma after an outage, m/s² and rad/s.
 const BIAS_FLOOR: f64 = 1e-4;
 /// Smallest uncertainty of an initialized time offset, s, and factor on what its alignment claims.
-const OFFSET_SIGMA: [f64; 2] = [1e-3, 1.5];
-/// A filter whose time offset is no further off than this corrects it by itself, s.
-const OFFSET_LINEAR: f64 = 0.008;
-/// A filter agrees with an alignment within this many sigma of both.
-const AGREES: f64 = 3.0;
-/// A filter that an alignment contradicts by this many sigma of both restarts before the alignment is final.
-const GROSS: f64 = 4.0;
-/// A filter that knows its time offset to this, s, and agrees with an alignment, needs no other.
-const KNOWN: f64 = 0.003;
-/// Tilt by which the image poses that are aligned may miss "up", rad: a swing within the offset that is not known yet.
-const TILT: f64 = 0.1;
+pub(super) const OFFSET_SIGMA: [f64; 2] = [1e-3, 1.5];
 
 /// What the initialization remembers.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Start {
-    started: bool,
+    pub(super) started: bool,
     /// Image to start from, while the IMU samples have not come so far.
     awaited: Option<(Stamp, Pixels)>,
     /// Last state before an outage: its offset and biases serve the next start.
-    kept: Option<Box<State>>,
+    pub(super) kept: Option<Box<State>>,
     /// Time of the kept state, where it may be resumed as a whole.
     kept_at: Option<Stamp>,
-    time_offset: Option<TimeOffset>,
+    pub(super) time_offset: Option<TimeOffset>,
     /// Uncertainty of the time offset while it is searched, s, once there is an alignment.
-    offset_doubt: Option<f64>,
+    pub(super) offset_doubt: Option<f64>,
     markers_seen: usize,
 }
 
@@ -169,7 +159,13 @@ impl Filter {
         }
     }
 
-    fn try_start(&mut self, stamp: Stamp, pixels: &Pixels, absent: bool, out: &mut VecDeque<Output>) {
+    pub(super) fn try_start(
+        &mut self,
+        stamp: Stamp,
+        pixels: &Pixels,
+        absent: bool,
+        out: &mut VecDeque<Output>,
+    ) {
         let time_offset = self.time_offset();
         let at = stamp.plus_seconds(time_offset);
         let is_imu_before =
@@ -296,124 +292,6 @@ impl Filter {
             }
         }
         self.history.set_processed(self.history.processed().min(1));
-    }
-
-    /// Aligns image poses with the IMU until the camera time offset is known, then initializes it.
-    pub(super) fn search_time_offset(&mut self, stamp: Stamp, pixels: &Pixels, out: &mut VecDeque<Output>) {
-        let (Some(geometry), Some(mut search)) = (&self.setup.geometry, self.search.take()) else { return };
-        if let Some((pose, covariance)) = self.image_pose(stamp, pixels) {
-            search.add_pose(stamp, &pose, &covariance);
-        }
-        let c = &self.setup.config;
-        let noise = self.imu.densities(&self.setup.rig.imu, c);
-        let found =
-            search.find(&geometry.volant_from_imu, c.gravity, &c.imu, &noise, &given(&self.setup.rig.imu));
-        if let Some(found) = found {
-            self.start.offset_doubt = Some(found.sigma.hypot(self.time_offset() - found.offset));
-        }
-        match found {
-            Some(found) if found.sigma < FINAL || self.confirms(stamp, &found) => {
-                self.initialize_time_offset(found, out);
-            }
-            // Known well enough to see that the filter is far off: it restarts, and the search goes on.
-            Some(found) if self.contradicts(&found) => {
-                self.initialize_time_offset(found, out);
-                self.search = Some(search);
-            }
-            _ => self.search = Some(search),
-        }
-    }
-
-    /// Whether an alignment of images since the pose was initialized agrees with a filter that knows its time offset.
-    fn confirms(&self, stamp: Stamp, found: &TimeOffset) -> bool {
-        let independent = self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > WINDOW);
-        let known = self.time_offset_sigma().filter(|sigma| *sigma < KNOWN);
-        let away = (self.time_offset() - found.offset).abs();
-        independent && known.is_some_and(|sigma| away < 2.0 * sigma.hypot(found.sigma))
-    }
-
-    /// Whether an alignment shows that the filter is further off than it can correct.
-    fn contradicts(&self, found: &TimeOffset) -> bool {
-        let sigma = found.sigma.hypot(self.time_offset_sigma().unwrap_or(0.0));
-        (self.time_offset() - found.offset).abs() > OFFSET_LINEAR.max(GROSS * sigma)
-    }
-
-    /// Pose of the platform in the world from one image and the IMU's direction of "up".
-    fn image_pose(&self, stamp: Stamp, pixels: &Pixels) -> Option<(nalgebra::Isometry3<f64>, Matrix6<f64>)> {
-        let geometry = self.setup.geometry.as_ref()?;
-        let climber = self.climber.at(stamp.plus_seconds(self.setup.config.clock.climber_offset))?;
-        if climber.distance > 0.05 {
-            return None;
-        }
-        let world_from_camera = climber.rest.join(&climber.values) * geometry.climber_from_camera;
-        let up = self.imu.up_at(stamp.plus_seconds(self.time_offset()), &self.history);
-        // "Up" is of another instant as long as the offset is not known: it chooses between the poses and moves none.
-        let found = planar_pose::candidates(&geometry.markers, &geometry.camera, &PerColor(*pixels), None);
-        let tilted = |pose: &planar_pose::PlanarPose| {
-            let up = up.map_or(Vector3::z(), |up| geometry.volant_from_imu.rotation * up.in_imu);
-            let measured = world_from_camera.rotation * pose.camera_from_volant.rotation * up;
-            pose.pixel_cost + (measured.angle(&Vector3::z()) / TILT).powi(2)
-        };
-        let best =
-            found.iter().min_by(|a, b| tilted(a).total_cmp(&tilted(b))).filter(|b| b.pixel_cost < 40.0)?;
-        let turn = world_from_camera.rotation.to_rotation_matrix();
-        let mut to_world = Matrix6::zeros();
-        to_world.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
-        to_world.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
-        let mut covariance = to_world * best.covariance * to_world.transpose();
-        let noise = climber.noise + climber.growth;
-        for axis in 0..2 {
-            covariance[(axis, axis)] += noise[axis] * noise[axis];
-        }
-        covariance[(5, 5)] += noise.z * noise.z;
-        Some((world_from_camera * best.camera_from_volant, covariance))
-    }
-
-    /// Restarts with the time offset at the oldest image of the history, unless the filter has found the same.
-    fn initialize_time_offset(&mut self, found: TimeOffset, out: &mut VecDeque<Output>) {
-        self.start.time_offset = Some(found);
-        self.publisher.counts.resets.time_offsets += 1;
-        out.push_back(Output::Warning(Warning::TimeOffset { offset_s: found.offset }));
-        let away = (self.time_offset() - found.offset).abs();
-        let sigma = (OFFSET_SIGMA[1] * found.sigma).hypot(self.time_offset_sigma().unwrap_or(0.0));
-        if away < OFFSET_LINEAR.min(AGREES * sigma) || !self.start.started {
-            return;
-        }
-        self.archive_all();
-        let events: Vec<(Stamp, Event, ImuReading)> =
-            self.history.iter().map(|e| (e.stamp, e.event.clone(), e.reading)).collect();
-        self.history.clear();
-        self.start.started = false;
-        let is_imu = |event: &Event| matches!(event, Event::Imu { .. });
-        let oldest =
-            events.iter().find(|(_, event, _)| is_imu(event)).map_or(Stamp::default(), |(at, _, _)| *at);
-        let mut first: Option<(Stamp, Pixels)> = None;
-        for (at, mut event, reading) in events {
-            let moved = match &mut event {
-                Event::Set => continue,
-                Event::Imu { .. } => 0.0,
-                Event::Image { image, stamp, .. } => {
-                    let measured = stamp.plus_seconds(found.offset) >= oldest;
-                    if first.is_none() && image.detected() >= 3 && measured {
-                        first = Some((*stamp, image.pixels));
-                    }
-                    let moved = found.offset - image.time_offset;
-                    image.time_offset = found.offset;
-                    moved
-                }
-                Event::Encoders { reading, .. } => {
-                    let before = reading.time_offset;
-                    reading.time_offset = found.offset + self.setup.config.clock.climber_offset;
-                    reading.time_offset - before
-                }
-            };
-            self.history.insert(at.plus_seconds(moved), event, reading);
-        }
-        self.start.kept = None;
-        if let Some((stamp, pixels)) = first {
-            let absent = self.arrival.is_imu_absent();
-            self.try_start(stamp, &pixels, absent, out);
-        }
     }
 }
 
