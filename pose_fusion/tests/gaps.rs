@@ -8,7 +8,7 @@ use common::{
     scoring::{self, Said, Score},
     simulated,
 };
-use pose_fusion::{Fusion, FusionConfig, Input, MarkerOutcome, PendulumConfig, Warning};
+use pose_fusion::{Fusion, FusionConfig, Input, MarkerOutcome, Output, PendulumConfig, PoseState, Warning};
 use rig_model::MarkerColor;
 
 /// 0.9999 quantile of χ² with 3 degrees of freedom.
@@ -317,4 +317,38 @@ fn a_rope_of_known_length_holds_what_would_drift_away_without_vision() {
             }
         }
     }
+}
+
+/// Neither IMU samples nor images, and encoders that go on: the status says at 10 Hz that there is no pose, until there is one.
+#[test]
+fn a_status_says_that_nothing_comes_but_encoder_readings() {
+    let run =
+        simulated::run(MotionConfig { duration: 8.0, ..MotionConfig::nominal(3) }, &SensorConfig::nominal(3));
+    let epoch = SensorConfig::nominal(3).epoch;
+    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+    let (mut alone, mut again) = (Vec::new(), None);
+    for (_, input) in &run.inputs {
+        let stamp = match input {
+            Input::Imu(s) => s.stamp,
+            Input::Markers(s) => s.stamp,
+            _ => epoch,
+        };
+        if (3.0..5.0).contains(&stamp.seconds_since(epoch)) {
+            continue;
+        }
+        fusion.handle(input.clone());
+        while let Some(output) = fusion.poll() {
+            let Output::Status(status) = output else { continue };
+            let t = status.stamp.seconds_since(epoch);
+            if (3.2..4.95).contains(&t) {
+                assert!(status.state == PoseState::Lost && !status.valid, "{status:?}");
+                assert!(status.reason.contains("no IMU sample and no image"), "{status:?}");
+                alone.push(t);
+            } else if t > 5.0 && status.valid {
+                again.get_or_insert(t);
+            }
+        }
+    }
+    assert!((14..=18).contains(&alone.len()), "{alone:?}");
+    assert!(again.is_some_and(|t| t < 5.3), "{again:?}");
 }

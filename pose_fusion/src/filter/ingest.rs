@@ -259,6 +259,7 @@ impl Filter {
         if self.start.is_started() {
             self.process(out);
         }
+        self.publish_silence(out);
     }
 
     /// Time from a stamp to the newest IMU sample, s.

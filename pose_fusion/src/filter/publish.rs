@@ -29,6 +29,17 @@ const STATUS_PERIOD: f64 = 0.1;
 /// velocity between the last image and the first sample is not known.
 const RESUMING: f64 = 0.3;
 
+/// Without a pose for longer than this a status alone is published, s.
+const SILENT: f64 = 0.3;
+
+/// A silence of the IMU.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Silence {
+    imu_lost: bool,
+    /// First IMU sample after it, until an image follows.
+    resumed: Option<Stamp>,
+}
+
 /// What publication remembers.
 #[derive(Clone, Debug)]
 pub(super) struct Publisher {
@@ -40,9 +51,8 @@ pub(super) struct Publisher {
     last_published: Option<Stamp>,
     last_encoders: Option<Stamp>,
     markers_used: u8,
-    imu_lost: bool,
-    /// First IMU sample after a silence, until an image follows it.
-    resumed: Option<Stamp>,
+    last_status: Option<Stamp>,
+    silence: Silence,
     lost: bool,
     archive: Option<Vec<Entry>>,
 }
@@ -58,8 +68,8 @@ impl Publisher {
             last_published: None,
             last_encoders: None,
             markers_used: 0,
-            imu_lost: false,
-            resumed: None,
+            last_status: None,
+            silence: Silence::default(),
             lost: false,
             archive: None,
         }
@@ -78,7 +88,7 @@ impl Publisher {
 
     /// Notes that the IMU is silent; true the first time.
     pub fn note_imu_lost(&mut self) -> bool {
-        !std::mem::replace(&mut self.imu_lost, true)
+        !std::mem::replace(&mut self.silence.imu_lost, true)
     }
 
     /// Keeps an entry for the smoother.
@@ -155,8 +165,8 @@ impl Filter {
         let (state, reading) = (&entry.state, &entry.reading);
         let silent = self.arrival.is_imu_silent();
         let image = self.lock_out.last_used().map(|image| image.plus_seconds(state.time_offset));
-        if self.publisher.imu_lost && !silent {
-            let resumed = *self.publisher.resumed.get_or_insert(end);
+        if self.publisher.silence.imu_lost && !silent {
+            let resumed = *self.publisher.silence.resumed.get_or_insert(end);
             let followed = image.is_some_and(|image| image >= resumed);
             if !followed && end.seconds_since(resumed) < RESUMING {
                 return;
@@ -187,8 +197,8 @@ impl Filter {
         });
         self.publisher.position_sigma = position_sigma;
         self.publisher.last_published = Some(end);
-        self.publisher.imu_lost &= silent;
-        self.publisher.resumed = None;
+        self.publisher.silence.imu_lost &= silent;
+        self.publisher.silence.resumed = None;
         self.publisher.counts.odometry += 1;
         let lost = status.state == PoseState::Lost;
         if let (true, false, Some(since)) = (lost, self.publisher.lost, self.lock_out.last_used()) {
@@ -198,6 +208,27 @@ impl Filter {
         out.push_back(Output::Odometry(limited));
         out.push_back(Output::Status(status));
         out.extend(predicted.map(Output::Predicted));
+    }
+
+    /// Outputs the status at 10 Hz where neither IMU samples nor images come and encoder readings do.
+    pub(super) fn publish_silence(&mut self, out: &mut VecDeque<Output>) {
+        let (Some((newest, _, _)), true) = (self.climber.newest(), self.start.is_started()) else { return };
+        let now = newest.plus_seconds(self.time_offset());
+        let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
+        let silent = since(self.publisher.last_published);
+        if silent < SILENT || (0.0..STATUS_PERIOD).contains(&since(self.publisher.last_status)) {
+            return;
+        }
+        self.publisher.last_status = Some(now);
+        let image = self.lock_out.last_used().map(|image| image.plus_seconds(self.time_offset()));
+        out.push_back(Output::Status(PoseStatus {
+            state: PoseState::Lost,
+            image_age: since(image),
+            imu_age: since(self.arrival.newest_imu().map(|(stamp, _)| stamp)),
+            climber_age: 0.0,
+            time_offset: self.time_offset(),
+            ..PoseStatus::initializing(now, format!("no IMU sample and no image for {silent:.1} s"))
+        }));
     }
 
     /// Outputs the status at 10 Hz of data time while there is no pose.

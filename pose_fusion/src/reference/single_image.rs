@@ -39,6 +39,7 @@ pub struct SingleImagePose {
     climber_config: ClimberConfig,
     last: Option<(Stamp, UnitQuaternion<f64>)>,
     floor: f64,
+    max_range: f64,
     use_gravity: bool,
 }
 
@@ -53,6 +54,7 @@ impl SingleImagePose {
             climber_config: config.climber.clone(),
             last: None,
             floor: config.markers.pixel_floor,
+            max_range: config.limits.max_range,
             use_gravity,
         }
     }
@@ -126,7 +128,10 @@ impl SingleImagePose {
         let found = planar_pose::candidates(&self.rig.markers, camera, &pixels, None);
         let up = nearest(&self.ups, stamp).filter(|_| self.use_gravity);
         let mut best: Option<(f64, Isometry3<f64>, Matrix6<f64>)> = None;
-        for candidate in &found {
+        // A false marker may put the platform anywhere.
+        let within =
+            |c: &&planar_pose::PlanarPose| c.camera_from_volant.translation.vector.norm() < self.max_range;
+        for candidate in found.iter().filter(within) {
             let world_from_volant = world_from_camera * candidate.camera_from_volant;
             let unlikely = match (up, self.last) {
                 (Some(up), _) => {
