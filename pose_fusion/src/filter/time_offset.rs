@@ -36,7 +36,9 @@ impl Filter {
         let found =
             search.find(&geometry.volant_from_imu, c.gravity, &c.imu, &noise, &given(&self.setup.rig.imu));
         if let Some(found) = found {
-            self.start.offset_doubt = Some(found.sigma.hypot(self.time_offset() - found.offset));
+            let away = (self.time_offset() - found.offset).abs();
+            let agrees = away < found.sigma;
+            self.start.offset_doubt = Some(if agrees { found.sigma } else { found.sigma.hypot(away) });
         }
         match found {
             Some(found) if found.sigma < FINAL || self.confirms(stamp, &found) => {
