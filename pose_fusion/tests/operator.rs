@@ -339,7 +339,7 @@ mod live {
         let mut caller = Caller::start(&python);
         assert_eq!(caller.reply()["ready"], true);
         let (ok, why) = caller.call("save_checkpoint 0");
-        assert!(!ok && why.contains("not started"), "{why}");
+        assert!(!ok && why.contains("not initialized"), "{why}");
         let feeding = run.clone();
         let _feeder = std::thread::spawn(move || feed(&feeding, sensors.epoch));
 
@@ -377,7 +377,7 @@ mod live {
         assert!(error < 0.01, "{error} m");
 
         let (ok, message) = caller.call("reset 0");
-        assert!(ok && message.contains("anew"), "{message}");
+        assert!(ok && message.contains("initializes"), "{message}");
         let said = after(2.0, &run);
         let widest = said.iter().map(|s| s.2).fold(0.0, f64::max);
         assert!(widest > 100.0 * velocity, "after a reset nothing is known of the speed: {widest}");
@@ -385,7 +385,7 @@ mod live {
         assert!(error < 0.01, "{error} m");
 
         let (ok, message) = caller.call("load_checkpoint 0");
-        assert!(ok && message.contains("taken up"), "{message}");
+        assert!(ok && message.contains("restored from"), "{message}");
         let (_, error, _) = last(&after(1.0, &run));
         assert!(error < 0.01, "{error} m");
         let _ = std::fs::remove_dir_all(&folder);

@@ -50,6 +50,20 @@ fn a_tenth_of_a_pixel_gives_a_millimetre_and_the_covariance_knows() {
     }
 }
 
+/// White noise has the same density at every rate; what is bounded in time must not be bounded in samples.
+#[test]
+fn imu_rates_from_50_to_1000_hz_are_all_the_same_to_it() {
+    for rate in [50.0, 200.0, 400.0, 1000.0] {
+        for seed in 0..2 {
+            let sensors = SensorConfig { imu_rate: rate, ..SensorConfig::nominal(seed) };
+            let o = follow(MotionConfig::nominal(seed), &sensors);
+            println!("{rate} Hz, seed {seed}: {}, {:?}", o.score, o.status.counts.inputs);
+            assert!(o.score.position_rmse() < 0.9 && consistent(&o.score, 1.0, 5.0), "{rate}: {}", o.score);
+            assert_eq!(o.status.counts.inputs.overflows, 0);
+        }
+    }
+}
+
 #[test]
 fn a_clock_that_is_off_by_a_tenth_of_a_second_is_found_to_a_millisecond() {
     for (seed, ahead) in [(1, 0.1), (2, -0.1), (4, 0.04), (5, -0.02)] {
