@@ -35,7 +35,7 @@ fn the_bags_are_followed_to_a_millimetre_and_the_covariance_knows() {
         println!("   {:?}", &said.warnings[..said.warnings.len().min(5)]);
         let (np, nr) = score.nees();
         assert!(score.position_rmse() < position && score.rotation_rmse() < rotation, "{name} {score}");
-        assert!((0.6..6.0).contains(&np) && (1.0..6.0).contains(&nr), "{name} {score}");
+        assert!((1.0..6.0).contains(&np) && (1.0..6.0).contains(&nr), "{name} {score}");
     }
 }
 

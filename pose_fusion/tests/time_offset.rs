@@ -72,7 +72,8 @@ fn an_offset_that_is_not_known_costs_little() {
 fn without_motion_the_offset_is_not_known() {
     let (score, status) = follow(MotionConfig::rest(1), &shared(0.04, 1), simulated::config(), 1.0);
     print("at rest", &score, &status);
-    assert!(status.time_offset.searching && score.position_rmse() < 1.0);
+    assert!(status.time_offset.searching && status.time_offset.sigma > 0.01, "{status:?}");
+    assert!(score.position_rmse() < 1.0, "{score}");
 }
 
 #[test]

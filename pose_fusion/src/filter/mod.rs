@@ -125,7 +125,7 @@ impl Filter {
         if let Some(state) = self.state() {
             status.time_offset = TimeOffsetStatus {
                 offset: state.time_offset,
-                sigma: state.sigma(crate::ekf::state::TIME_OFFSET),
+                sigma: state.sigma(crate::ekf::state::TIME_OFFSET).hypot(self.offset_doubt()),
                 searching: self.search.is_some(),
             };
             status.biases = [state.accelerometer_bias, state.gyroscope_bias];

@@ -262,13 +262,18 @@ impl Filter {
         }
     }
 
-    fn settings(&self) -> Settings {
-        let densities = self.imu.densities(&self.setup.rig.imu, &self.setup.config);
-        let doubt = if self.search.is_some() {
+    /// Returns the uncertainty of the time offset beside the state's, while it is searched, s.
+    pub(super) fn offset_doubt(&self) -> f64 {
+        if self.search.is_some() {
             self.start.offset_doubt().unwrap_or(self.setup.config.clock.camera_sigma)
         } else {
             0.0
-        };
+        }
+    }
+
+    fn settings(&self) -> Settings {
+        let densities = self.imu.densities(&self.setup.rig.imu, &self.setup.config);
+        let doubt = self.offset_doubt();
         Settings {
             rate_variance: densities.rate / self.imu.period(),
             gravity: self.setup.config.gravity,

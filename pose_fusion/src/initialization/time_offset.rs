@@ -27,7 +27,7 @@ pub const WINDOW: f64 = 1.5;
 const SPACING: f64 = 0.024;
 /// Fewest images of an alignment.
 const FEWEST: usize = 12;
-/// An alignment after every so many images.
+/// Number of images from one alignment to the next.
 const EVERY: usize = 3;
 /// Floors of the visual pose: position, m, and rotation, rad …
 const FLOOR: [f64; 2] = [0.4e-3, 1e-3];

@@ -10,7 +10,7 @@ pub const AHEAD: f64 = 0.5;
 const JUMP: f64 = 1.0;
 /// Number of consecutive samples that confirm a jump.
 const CONFIRMED: u32 = 3;
-/// Images or encoder readings that advance by this, in at least so many messages, without an IMU sample in between mean that the
+/// Images or encoder readings that advance by this, in at least [`MESSAGES`] messages, without an IMU sample in between mean that the
 /// IMU is lost, s.
 const SILENCE: f64 = 0.1;
 const MESSAGES: u32 = 4;
@@ -55,7 +55,7 @@ struct Since {
 }
 
 impl Since {
-    /// Counts a message that continues the ones before; one that jumps begins anew, and a duplicate says nothing.
+    /// Counts a message that continues the ones before; one that jumps restarts the count, and a duplicate is not counted.
     fn note(&mut self, stamp: Stamp) {
         match self.newest.map(|newest| stamp.seconds_since(newest)) {
             Some(step) if step.abs() <= JUMP => {

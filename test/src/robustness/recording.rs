@@ -100,7 +100,7 @@ impl Recording {
 
     /// Returns by how much the climber moves the platform at most, m/s: its speed, and its turn by the platform's distance.
     pub fn climber_speed(&self) -> f64 {
-        /// Encoders count in steps: speeds are taken over so many readings.
+        /// Number of readings over which a speed is taken: encoders count in steps.
         const SPAN: usize = 5;
         let poses: Vec<(Stamp, Isometry3<f64>)> = self
             .inputs

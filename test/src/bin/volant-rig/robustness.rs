@@ -30,18 +30,20 @@ pub(crate) struct Arguments {
     /// Also every pair of perturbations
     #[arg(long)]
     pairs: bool,
-    /// Also write the table, as Markdown, to this file
+    /// Also write the table, as Markdown, to this file; replaces a former table only
     #[arg(long)]
     table: Option<PathBuf>,
 }
 
-const HEAD: &str = "# Robustness: recordings that differ from their rig file\n\n\
-    Written by `make robustness`. Each recording is changed in one thing (the rig file stays as it was, or is changed while the \
+const HEAD: &str = "Written by `make robustness`. Each recording is changed in one thing (the rig file stays as it was, or is changed while the \
     recording stays), and the estimator runs over it with its default parameters. A cell is the position RMSE over that of the \
     unchanged recording, the largest position error, and the mean NEES of position and rotation (3 each where the covariance is \
     right). Bold: more than the perturbation may cost (`test/src/robustness/table.rs`).\n\n";
 
 pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
+    if let Some(path) = &arguments.table {
+        table::may_write(path).map_err(anyhow::Error::msg)?;
+    }
     let benches = read(arguments)?;
     let bar = ProgressBar::new((TABLE.len() * benches.len()) as u64);
     let mut rows = Vec::new();
@@ -61,7 +63,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         rows.push((perturbation, cells));
     }
     bar.finish_and_clear();
-    let mut text = format!("{HEAD}{}", table::markdown(&benches, &rows));
+    let mut text = format!("{}\n\n{HEAD}{}", table::TITLE, table::markdown(&benches, &rows));
     if arguments.pairs {
         let pairs = table::pairs();
         let bar = ProgressBar::new((pairs.len() * benches.len()) as u64);
@@ -85,7 +87,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         println!("{catastrophe}");
     }
     if let Some(path) = &arguments.table {
-        fs::write(path, text).with_context(|| format!("{}", path.display()))?;
+        table::write(path, &text).map_err(anyhow::Error::msg)?;
     }
     Ok(catastrophes.is_empty())
 }
