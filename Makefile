@@ -1,17 +1,27 @@
-# make demo    sets up what is missing, builds, runs the main job on a simulated rig: separate nodes, live over DDS
-# make test    sets up what is missing, passes the tests
-# make long    what takes minutes: ten minutes at 400 Hz, the latency of a quiet machine, a minute's recording …
-# make lint    what CI lints: format, clippy, cores without middleware
-# make bench   the figures against the peers, the filter against its bound on 200 runs;  make faults: every fault on real processes
-# make reproduce   the paper's figures and tables, the rivals beside them, and the report: OUT=folder
-# make robustness   recordings that differ from their rig file in one thing and in two: test/ROBUSTNESS.md
-# make fuzz    hostile bytes into every parser (FUZZ="-s SECONDS -r RUNS TARGET…"); make audit: advisories and licences
-# make security  who is not in the keystore reads and injects nothing (the middleware built anew, with DDS security)
-# make calibrate, make calibrate-test   volant calibrate, and its tests;  make browser: a browser for the report's test
+# make demo        sets up what is missing, builds, and runs the four nodes on a simulated rig
+# make test        sets up what is missing and passes the tests; ends with a table (test/tier)
+# make long        tests that take minutes or need a quiet machine
+# make lint        what CI lints: format, clippy, cores without middleware
+# make bench       the tracker beside other methods, the filter beside its bound on 200 runs
+# make faults      every fault on real processes: test/FAULTS.md
+# make reproduce   the paper's figures and tables, and the report: OUT=folder
+# make robustness  recordings that differ from their rig file: test/ROBUSTNESS.md
+# make checks      recordings whose files are wrong, and what `volant check` names: test/CHECK.md
+# make pages       generated pages (docs/src/parameters.md, figures.md, README.md)
+# make measured    what the tests measure: docs/src/measured.md (some minutes; VOLANT_SHARED)
+# make book        HTML of the book
+# make man         manual pages of all commands and shell completions: MAN=folder
+# make fuzz        hostile bytes into every parser: FUZZ="-s SECONDS -r RUNS TARGET…"
+# make audit       advisories and licenses of the dependencies
+# make security    tests with DDS security (the middleware rebuilt with it)
+# make calibrate   volant calibrate camera (needs all of OpenCV); make calibrate-test: its tests
+# make browser     a browser for the report's test
 
 SHELL := /bin/bash
 .DEFAULT_GOAL := build
-.PHONY: setup build demo test long lint bench peers reproduce faults robustness fuzz audit security calibrate calibrate-test browser clean-setup
+.PHONY: setup build demo test long lint bench peers \
+  reproduce faults robustness checks pages measured book man \
+  fuzz audit security calibrate calibrate-test browser clean-setup
 
 ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 export OPENCV_LINK_PATHS := /usr/lib/$(ARCH_LIB)
@@ -21,7 +31,8 @@ CARGO ?= cargo
 VENV := .venv
 export VOLANT_PYTHON := $(CURDIR)/$(VENV)/bin/python
 
-# Set up once: Debian's packages (the smallest OpenCV set) and a Python environment for the peers in the tests.
+# Set up once: Debian's packages (the smallest OpenCV set) and a Python environment for the peers
+# in the tests.
 setup: .setup/debian .setup/python
 
 .setup/debian: launch_config/setup/debian-packages.txt launch_config/setup/install-debian-packages
@@ -41,17 +52,19 @@ build: .setup/debian
 demo: build
 	target/release/volant demo
 
-# One build of everything: programs built apart from the tests would be compiled twice, because test features differ.
+# One build of everything: programs built apart from the tests would be compiled twice, because
+# test features differ.
 test: setup
 	$(CARGO) build --release --workspace --all-targets
-	$(CARGO) test --release --workspace
+	test/tier full
 
-# The tests that are too long, or need too quiet a machine, for every run; one at a time, so that they do not disturb each other.
+# Tests that are too long, or need too quiet a machine, for every run; one at a time.
 long: setup
-	$(CARGO) test --release --workspace --tests -- --ignored --nocapture --test-threads=1
+	test/tier long
 
 # A core knows no middleware, device or OpenCV: it must build without its default features.
-CORES := rig_model node_kit marker_tracker imu_driver climber_driver pose_fusion
+CORES := ros_parameters rig_model rig_simulator node_kit marker_tracker imu_driver \
+  climber_driver pose_fusion rig_calibration
 
 lint: .setup/debian
 	$(CARGO) fmt --all --check
@@ -63,8 +76,9 @@ lint: .setup/debian
 	done
 	$(CARGO) clippy --release --workspace --all-targets -- -D warnings
 
-# The rivals and the calibration need the large OpenCV, so they are workspaces of their own that `make test` never builds. They
-# share a folder, because both build the same bindings, and their executables go beside `volant`, which finds them there.
+# The peers and the calibration need the large OpenCV, so they are workspaces of their own that
+# `make test` never builds. They share a folder, because both build the same bindings, and their
+# executables go beside `volant`, which finds them there.
 .setup/debian-large: launch_config/setup/debian-packages-large.txt launch_config/setup/install-debian-packages .setup/debian
 	@launch_config/setup/install-debian-packages $<
 	@touch $@
@@ -78,28 +92,56 @@ peers: build .setup/debian-large
 bench: peers
 	target/release/volant-peers bench
 	VOLANT_RUNS=200 $(CARGO) test --release -p pose_fusion --test bounds -- --nocapture
+	$(CARGO) test --release -p pose_fusion --test cost -- --include-ignored --nocapture
 
 # Recordings that differ from their rig file: VOLANT_SHARED is the folder that has them under bags/.
 robustness: build
 	@[ -d "$(VOLANT_SHARED)/bags" ] || { echo "make robustness: set VOLANT_SHARED to the folder with bags/ in it"; exit 1; }
 	@mkdir -p target/robustness
 	@for bag in $(VOLANT_SHARED)/bags/*/; do name=$$(basename $$bag); \
-	  target/release/volant replay $$bag/in.mcap --rig $$bag/rig.yaml --out target/robustness/$$name.mcap > /dev/null || exit 1; \
+	  target/release/volant replay $$bag/in.mcap --rig $$bag/rig.yaml --out target/robustness/$$name.mcap --overwrite > /dev/null || exit 1; \
 	done
-	target/release/volant robustness --bags $(VOLANT_SHARED)/bags --markers target/robustness --pairs --table test/ROBUSTNESS.md
+	target/release/volant robustness --bags $(VOLANT_SHARED)/bags --markers target/robustness --pairs --table test/ROBUSTNESS.md --overwrite
+
+# Recordings whose files or messages are wrong in one thing, and what `volant check` names.
+checks: build
+	@[ -d "$(VOLANT_SHARED)/bags" ] || { echo "make checks: set VOLANT_SHARED to the folder with bags/ in it"; exit 1; }
+	target/release/volant checks --bags $(VOLANT_SHARED)/bags --table test/CHECK.md --overwrite
+
+# Generated pages: parameters from the declarations, figures from the files that tests and tools
+# write.
+pages: .setup/debian
+	VOLANT_UPDATE_PAGES=1 $(CARGO) test --release -p volant --test pages
+
+# What the tests print. Tests on recordings need VOLANT_SHARED, the folder that has them under
+# bags/.
+measured: setup
+	test/measure docs/src/measured.md
+
+book:
+	@command -v mdbook > /dev/null || { echo "make book: cargo install mdbook"; exit 1; }
+	mdbook build docs
+
+# The manual pages of all commands, and the completions of bash, zsh and fish.
+MAN ?= target/man
+man: build
+	target/release/volant manual --out $(MAN) --overwrite
+	@for shell in bash zsh fish; do \
+	  target/release/volant completions $$shell > $(MAN)/volant.$$shell || exit 1; \
+	done
 
 OUT ?= reproduced
 reproduce: peers
-	target/release/volant reproduce all --out $(OUT)
+	target/release/volant reproduce all --out $(OUT) --overwrite
 
 calibrate: build .setup/debian-large
-	cd launch_config/calibrate && $(CARGO) build --release --target-dir $(LARGE)
+	cd volant/calibrate && $(CARGO) build --release --target-dir $(LARGE)
 	cp $(LARGE)/release/volant-calibrate target/release/
 
 calibrate-test: .setup/debian-large
-	cd launch_config/calibrate && $(CARGO) test --release --target-dir $(LARGE)
+	cd volant/calibrate && $(CARGO) test --release --target-dir $(LARGE)
 
-# Only the test that opens the report needs it; without it that test says that it is skipped.
+# Only the test that renders the report needs it; without it that test is skipped.
 browser: .setup/debian
 	@launch_config/setup/install-debian-packages launch_config/setup/debian-packages-browser.txt
 
@@ -115,7 +157,7 @@ audit:
 # In a folder of its own: with the feature the middleware is another one.
 security: .setup/debian
 	@launch_config/setup/install-debian-packages launch_config/setup/debian-packages-security.txt
-	$(CARGO) test --release -p node_kit --features security --test security --target-dir target/security -- --nocapture
+	$(CARGO) test --release -p node_kit -p volant --features node_kit/security,volant/security --test security --target-dir target/security -- --nocapture
 
 clean-setup:
 	rm -rf .setup $(VENV)

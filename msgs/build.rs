@@ -1,6 +1,7 @@
-//! Makes the Rust types from the `.msg` and `.srv` files: ours in `msg/`, the standard ones in `interfaces/`.
+//! Generates Rust types from the `.msg` and `.srv` files of this package: `msg/` (its own) and
+//! `interfaces/` (standard ROS 2 packages).
 //!
-//! The same files give the same text each time; nothing is fetched.
+//! The output depends on these files only; nothing is downloaded.
 
 #[path = "generator/mod.rs"]
 mod generator;

@@ -1,61 +1,80 @@
-//! The core: readings in, samples and refusals out.
+//! The core: readings in, samples and rejections out.
 
 use crate::{
     config::{Axis, ClimberConfig, ConfigError},
-    refusal::Refusal,
+    rejection::Rejection,
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rig_model::{ClimberSample, Stamp};
 use std::collections::{BTreeMap, VecDeque};
+use thiserror::Error;
 
-/// The joints as read at one instant (`sensor_msgs/JointState`, of which velocity and effort are not looked at).
+/// Joint positions at one instant: `sensor_msgs/JointState` without velocity and effort.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointReading {
-    /// When the encoders were read.
+    /// Time of the encoder sample.
     pub stamp: Stamp,
-    /// Joint names; joints that are not ours are passed over.
+    /// Joint names; joints that are not configured are ignored.
     pub names: Vec<String>,
-    /// Readings, in the order of the names.
+    /// Encoder readings in the order of `names`, in units of the joint.
     pub positions: Vec<f64>,
 }
 
-/// What the core says.
+/// Output of the core.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Output {
-    /// Where the climber is.
+    /// Pose of the climber.
     Sample(ClimberSample),
-    /// Something to be told to a person.
+    /// Warning for the operator.
     Warning(Warning),
 }
 
-/// Something to be told to a person.
-#[derive(Clone, Debug, PartialEq)]
+/// Warning for the operator.
+#[derive(Clone, Debug, Error, PartialEq)]
 pub enum Warning {
-    /// A reading was refused.
-    Refused(Refusal),
-    /// A jump was refused at first, but the readings stayed at the new place: they are believed again.
+    /// A reading was rejected.
+    #[error(transparent)]
+    Rejected(Rejection),
+    /// Readings after a jump were consistent with each other and are accepted again.
+    #[error(
+        "position changed by {:+.3} m, {:+.3} m, {:+.4} rad and accepted after {rejected} \
+         consistent readings; check the encoders unless they were re-zeroed",
+        change[0], change[1], change[2]
+    )]
     Relocated {
-        /// Change against the last reading before the jump, m, m, rad.
+        /// Change since the last reading before the jump: m, m, rad.
         change: [f64; 3],
-        /// How many readings had been refused.
-        refused: u32,
+        /// Number of readings that had been rejected.
+        rejected: u32,
     },
-    /// The clock of the receiver went back (a replay was started anew): what was known is forgotten.
+    /// The receiver's clock went back (a replay was restarted); the state was reset.
+    #[error("time went back by {seconds:.3} s: state reset")]
     TimeWentBack {
-        /// By so much, s.
+        /// Step of the clock, s.
         seconds: f64,
     },
 }
 
-/// How many readings met which end.
+impl Warning {
+    /// Short name of its kind.
+    pub const fn kind(&self) -> &'static str {
+        match self {
+            Self::Rejected(rejection) => rejection.kind(),
+            Self::Relocated { .. } => "relocated",
+            Self::TimeWentBack { .. } => "time went back",
+        }
+    }
+}
+
+/// Number of readings by outcome.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Became samples.
+    /// Readings that became samples.
     pub accepted: u64,
-    /// Held none of our joints: another publisher's.
+    /// Messages of other publishers, without any of the configured joints.
     pub foreign: u64,
-    /// Refused, by [`Refusal::kind`].
-    pub refused: BTreeMap<&'static str, u64>,
+    /// Rejected readings by [`Rejection::kind`].
+    pub rejected: BTreeMap<&'static str, u64>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -64,14 +83,14 @@ struct Accepted {
     axes: [f64; 3],
 }
 
-/// A place that readings jumped to and may stay at.
+/// Readings after a jump that are consistent with each other.
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     last: Accepted,
-    agreeing: u32,
+    consistent: u32,
 }
 
-/// From encoder readings to where the climber is.
+/// Converts encoder readings into the pose of the climber and rejects implausible ones.
 #[derive(Debug)]
 pub struct Climber {
     config: ClimberConfig,
@@ -83,14 +102,14 @@ pub struct Climber {
     outputs: VecDeque<Output>,
 }
 
-/// The receiver's clock may step back by so much, s (a correction by NTP), before all is forgotten.
+/// Step back of the receiver's clock that resets the state, s; smaller ones are NTP corrections.
 const CLOCK_STEP: f64 = 1.0;
 
 impl Climber {
-    /// A climber of which nothing is known yet.
+    /// Creates the core in its initial state.
     ///
     /// # Errors
-    /// A configuration that cannot be.
+    /// [`ConfigError`] if a value is invalid.
     pub fn new(config: ClimberConfig) -> Result<Self, ConfigError> {
         config.validate()?;
         Ok(Self {
@@ -104,17 +123,17 @@ impl Climber {
         })
     }
 
-    /// Other values for the running core; what is known stays.
+    /// Replaces the configuration and keeps the state.
     ///
     /// # Errors
-    /// A configuration that cannot be; the old one stays in force.
+    /// [`ConfigError`] if a value is invalid; the previous configuration remains in force.
     pub fn set_config(&mut self, config: ClimberConfig) -> Result<(), ConfigError> {
         config.validate()?;
         self.config = config;
         Ok(())
     }
 
-    /// Takes one reading, received at `received` (the receiver's clock).
+    /// Processes one reading that was received at `received` (the receiver's clock).
     pub fn handle(&mut self, reading: &JointReading, received: Stamp) {
         if let Some(previous) = self.last_received {
             let back = previous.seconds_since(received);
@@ -135,72 +154,77 @@ impl Climber {
                 self.candidate = None;
                 self.outputs.push_back(Output::Sample(self.sample(&accepted)));
             }
-            Err(refusal) => {
-                *self.counts.refused.entry(refusal.kind()).or_default() += 1;
-                self.outputs.push_back(Output::Warning(Warning::Refused(refusal)));
+            Err(rejection) => {
+                *self.counts.rejected.entry(rejection.kind()).or_default() += 1;
+                self.outputs.push_back(Output::Warning(Warning::Rejected(rejection)));
             }
         }
     }
 
-    /// The next thing to publish or to say.
+    /// Returns the next output.
     pub fn poll(&mut self) -> Option<Output> {
         self.outputs.pop_front()
     }
 
-    /// How many readings met which end so far.
+    /// Number of readings by outcome since the start.
     pub fn counts(&self) -> &Counts {
         &self.counts
     }
 
-    /// Seconds since a reading was last accepted, where that is longer than the time-out; `None` while readings flow.
-    /// Infinite where there never was one.
+    /// Time since the last accepted reading, s, if it exceeds `silence_timeout`.
+    ///
+    /// Infinite if no reading was accepted yet.
     pub fn silent_for(&self, now: Stamp) -> Option<f64> {
         let silence = self.last_accepted_at.map_or(f64::INFINITY, |last| now.seconds_since(last));
         (silence > self.config.silence_timeout).then_some(silence)
     }
 
-    /// `Ok(None)`: not about our joints.
-    fn examine(&mut self, reading: &JointReading, received: Stamp) -> Result<Option<Accepted>, Refusal> {
+    /// Checks a reading; `Ok(None)` if it contains none of the configured joints.
+    fn examine(
+        &mut self,
+        reading: &JointReading,
+        received: Stamp,
+    ) -> Result<Option<Accepted>, Rejection> {
         let (names, positions) = (reading.names.len(), reading.positions.len());
-        let Some(readings) = self.our_joints(reading)? else { return Ok(None) };
+        let Some(readings) = self.joint_indices(reading)? else { return Ok(None) };
         if names != positions {
-            return Err(Refusal::LengthMismatch { names, positions });
+            return Err(Rejection::LengthMismatch { names, positions });
         }
         let mut axes = [0.0; 3];
         for ((axis, joint), &index) in axes.iter_mut().zip(&self.config.joints).zip(&readings) {
             let value = reading.positions[index];
             *axis = joint.scale * (value - joint.zero);
             if !axis.is_finite() {
-                return Err(Refusal::NotFinite { joint: joint.name.clone(), value });
+                return Err(Rejection::NotFinite { joint: joint.name.clone(), value });
             }
         }
         let age = received.seconds_since(reading.stamp);
         if age > self.config.max_age {
-            return Err(Refusal::Stale { age, limit: self.config.max_age });
+            return Err(Rejection::Stale { age, limit: self.config.max_age });
         }
         if -age > self.config.max_ahead {
-            return Err(Refusal::FromTheFuture { ahead: -age, limit: self.config.max_ahead });
+            return Err(Rejection::FromTheFuture { ahead: -age, limit: self.config.max_ahead });
         }
         let now = Accepted { stamp: reading.stamp, axes };
         let Some(last) = self.last else { return Ok(Some(now)) };
         if reading.stamp <= last.stamp {
-            return Err(Refusal::NotNewer { stamp: reading.stamp, last: last.stamp });
+            return Err(Rejection::NotNewer { stamp: reading.stamp, last: last.stamp });
         }
         match self.jump(&last, &now) {
             None => Ok(Some(now)),
-            Some(refusal) => self.weigh_candidate(&last, now, refusal).map(Some),
+            Some(rejection) => self.check_candidate(&last, now, rejection).map(Some),
         }
     }
 
-    /// Where our joints stand in the message; `None` if none of them does.
-    fn our_joints(&self, reading: &JointReading) -> Result<Option<[usize; 3]>, Refusal> {
+    /// Indices of the configured joints in the message; `None` if it contains none of them.
+    fn joint_indices(&self, reading: &JointReading) -> Result<Option<[usize; 3]>, Rejection> {
         let mut indices = [None; 3];
         for (slot, joint) in indices.iter_mut().zip(&self.config.joints) {
-            let mut places =
+            let mut found =
                 reading.names.iter().enumerate().filter(|(_, n)| **n == joint.name).map(|(i, _)| i);
-            *slot = places.next();
-            if places.next().is_some() {
-                return Err(Refusal::DuplicateJoint { joint: joint.name.clone() });
+            *slot = found.next();
+            if found.next().is_some() {
+                return Err(Rejection::DuplicateJoint { joint: joint.name.clone() });
             }
         }
         match indices {
@@ -208,7 +232,7 @@ impl Climber {
             [Some(x), Some(y), Some(turn)] => Ok(Some([x, y, turn])),
             _ => {
                 let missing = indices.iter().position(Option::is_none).unwrap_or(0);
-                Err(Refusal::MissingJoint {
+                Err(Rejection::MissingJoint {
                     joint: self.config.joints[missing].name.clone(),
                     axis: Axis::ALL[missing],
                 })
@@ -216,36 +240,46 @@ impl Climber {
         }
     }
 
-    /// The axis that moved faster than it can, if one did. Both readings may be off by their uncertainty, so three
-    /// standard deviations of the difference are allowed on top of the way that the speed limit gives.
-    fn jump(&self, before: &Accepted, after: &Accepted) -> Option<Refusal> {
+    /// Returns the first axis that moved faster than its speed limit.
+    ///
+    /// Each reading has a standard deviation of `uncertainty`; the limit allows for three standard
+    /// deviations of their difference.
+    fn jump(&self, before: &Accepted, after: &Accepted) -> Option<Rejection> {
         let seconds = after.stamp.seconds_since(before.stamp);
         Axis::ALL.into_iter().zip(&self.config.joints).enumerate().find_map(|(i, (axis, joint))| {
             let jump = after.axes[i] - before.axes[i];
-            let allowed = joint.max_speed * seconds + 3.0 * std::f64::consts::SQRT_2 * joint.uncertainty;
-            (jump.abs() > allowed).then_some(Refusal::Jump { axis, jump, seconds, limit: joint.max_speed })
+            let allowed =
+                joint.max_speed * seconds + 3.0 * std::f64::consts::SQRT_2 * joint.uncertainty;
+            (jump.abs() > allowed).then_some(Rejection::Jump {
+                axis,
+                jump,
+                seconds,
+                limit: joint.max_speed,
+            })
         })
     }
 
-    /// A single spike must not pass, yet an encoder that was re-zeroed must not be refused for ever: readings that
-    /// agree with each other for long enough are believed.
-    fn weigh_candidate(
+    /// Accepts readings after a jump once `jump_patience` of them are consistent with each other.
+    ///
+    /// This rejects single spikes and recovers from an encoder that was re-zeroed.
+    fn check_candidate(
         &mut self,
         last: &Accepted,
         now: Accepted,
-        refusal: Refusal,
-    ) -> Result<Accepted, Refusal> {
-        let agreeing = match self.candidate {
-            Some(c) if now.stamp <= c.last.stamp => return Err(refusal),
-            Some(c) if self.jump(&c.last, &now).is_none() => c.agreeing + 1,
+        rejection: Rejection,
+    ) -> Result<Accepted, Rejection> {
+        let consistent = match self.candidate {
+            Some(c) if now.stamp <= c.last.stamp => return Err(rejection),
+            Some(c) if self.jump(&c.last, &now).is_none() => c.consistent + 1,
             _ => 1,
         };
-        if agreeing < self.config.jump_patience {
-            self.candidate = Some(Candidate { last: now, agreeing });
-            return Err(refusal);
+        if consistent < self.config.jump_patience {
+            self.candidate = Some(Candidate { last: now, consistent });
+            return Err(rejection);
         }
         let change = std::array::from_fn(|i| now.axes[i] - last.axes[i]);
-        self.outputs.push_back(Output::Warning(Warning::Relocated { change, refused: agreeing - 1 }));
+        self.outputs
+            .push_back(Output::Warning(Warning::Relocated { change, rejected: consistent - 1 }));
         Ok(now)
     }
 

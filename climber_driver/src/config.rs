@@ -1,4 +1,4 @@
-//! What must be known of the crane: which joints, how their readings become metres and radians, what is plausible.
+//! Configuration of the core: joint names, calibration, plausibility limits.
 
 use std::fmt;
 use thiserror::Error;
@@ -16,10 +16,10 @@ pub enum Axis {
 }
 
 impl Axis {
-    /// All three in the order of the arrays here.
+    /// All three axes, in the order of [`ClimberConfig::joints`].
     pub const ALL: [Axis; 3] = [Axis::RailX, Axis::RailY, Axis::Turn];
 
-    /// Name, as in the parameters.
+    /// Name of the axis in the parameters.
     pub const fn name(self) -> &'static str {
         match self {
             Axis::RailX => "rail_x",
@@ -43,35 +43,36 @@ impl fmt::Display for Axis {
     }
 }
 
-/// From a joint's reading to its axis: `axis = scale · (reading − zero)`.
+/// Calibration of one joint: `axis = scale · (reading − zero)`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointCalibration {
     /// The joint's name in `sensor_msgs/JointState`.
     pub name: String,
-    /// Metres (radians for the turn) per unit of the reading; negative where the joint counts backwards.
+    /// Meters (radians for `turn`) per unit of the reading; negative if it counts backwards.
     pub scale: f64,
-    /// The reading at the world's origin, in units of the reading.
+    /// Reading at the world's origin, in units of the reading.
     pub zero: f64,
-    /// One standard deviation of the axis as measured, m (rad): quantisation, backlash.
+    /// Standard deviation of the measured axis, m (rad): quantization, backlash.
     pub uncertainty: f64,
-    /// Faster than this, m/s (rad/s), the axis cannot move.
+    /// Speed limit of the axis, m/s (rad/s); a faster change is rejected as a jump.
     pub max_speed: f64,
 }
 
-/// Everything that the core must be told.
+/// Configuration of [`crate::Climber`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClimberConfig {
-    /// One per [`Axis`], in its order.
+    /// One calibration per axis, in the order of [`Axis::ALL`].
     pub joints: [JointCalibration; 3],
     /// Height of the climber's origin above the world's, m.
     pub height: f64,
-    /// A reading that is older than this when it is received is stale, s.
+    /// Maximum age of a reading on receipt, s.
     pub max_age: f64,
-    /// A reading stamped further ahead of its receipt than this is refused, s.
+    /// Maximum time from receipt to a later stamp, s.
     pub max_ahead: f64,
-    /// Without an accepted reading for so long, the climber counts as silent, s.
+    /// Time without an accepted reading after which the climber counts as silent, s.
     pub silence_timeout: f64,
-    /// After a jump, so many readings in a row that agree with each other are believed: the encoders were re-zeroed.
+    /// Number of consecutive readings that must be consistent with each other before they are
+    /// accepted after a jump (the encoders were re-zeroed).
     pub jump_patience: u32,
 }
 
@@ -99,31 +100,37 @@ impl Default for ClimberConfig {
     }
 }
 
-/// A configuration that cannot be.
+/// Invalid configuration.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ConfigError {
-    /// A number out of its range.
-    #[error("the parameter `{name}` is {value}, but {requirement}")]
+    /// A value is out of range.
+    #[error("the parameter `{name}` is {value}; {requirement}")]
     Value {
-        /// The parameter.
+        /// Parameter name.
         name: String,
         /// Its value.
         value: f64,
-        /// What holds for such values.
+        /// The valid range.
         requirement: &'static str,
     },
-    /// Two axes read one joint, or one reads none.
-    #[error("the joint `{joint}` is named for {first} and for {second}; each axis takes a joint of its own")]
+    /// Two axes are configured with the same joint.
+    #[error(
+        "the parameters `joints.{first}` and `joints.{second}` are both `{joint}`; \
+         name a different joint for each axis"
+    )]
     SharedJoint {
-        /// The joint's name.
+        /// Joint name.
         joint: String,
         /// One axis.
         first: Axis,
         /// The other.
         second: Axis,
     },
-    /// An axis without a joint name.
-    #[error("the parameter `joints.{axis}` is empty; name the joint in joint_states that tells this axis")]
+    /// An axis has no joint name.
+    #[error(
+        "the parameter `joints.{axis}` is empty; \
+         set it to the joint in joint_states that measures this axis"
+    )]
     NoJoint {
         /// The axis.
         axis: Axis,
@@ -134,7 +141,7 @@ impl ClimberConfig {
     /// Checks every value.
     ///
     /// # Errors
-    /// The first value that cannot be, by the parameter's name.
+    /// The first invalid parameter.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let check = |ok: bool, name: String, value: f64, requirement: &'static str| {
             if ok { Ok(()) } else { Err(ConfigError::Value { name, value, requirement }) }
@@ -158,7 +165,12 @@ impl ClimberConfig {
                 joint.scale,
                 "it must be a finite number other than zero",
             )?;
-            check(joint.zero.is_finite(), format!("zero.{axis}"), joint.zero, "it must be a finite number")?;
+            check(
+                joint.zero.is_finite(),
+                format!("zero.{axis}"),
+                joint.zero,
+                "it must be a finite number",
+            )?;
             check(
                 joint.uncertainty.is_finite() && joint.uncertainty >= 0.0,
                 format!("uncertainty.{axis}"),
@@ -176,20 +188,25 @@ impl ClimberConfig {
             self.height.is_finite() && self.height.abs() <= 100.0,
             "height".into(),
             self.height,
-            "it is in metres and below 100 m",
+            "it must be in meters and within ±100 m",
         )?;
         for (name, value) in [
             ("max_age", self.max_age),
             ("max_ahead", self.max_ahead),
             ("silence_timeout", self.silence_timeout),
         ] {
-            check(value.is_finite() && value > 0.0, name.into(), value, "it must be greater than zero")?;
+            check(
+                value.is_finite() && value > 0.0,
+                name.into(),
+                value,
+                "it must be greater than zero",
+            )?;
         }
         check(
             self.jump_patience >= 2,
             "jump_patience".into(),
             f64::from(self.jump_patience),
-            "at least two readings are needed to agree",
+            "it must be at least 2",
         )
     }
 }
@@ -199,10 +216,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_defaults_are_valid_and_each_mistake_names_its_parameter() {
+    fn defaults_are_valid_and_each_error_names_its_parameter() {
         assert_eq!(ClimberConfig::default().validate(), Ok(()));
-        type Spoil = fn(&mut ClimberConfig);
-        let mistakes: [(&str, Spoil); 9] = [
+        type Fault = fn(&mut ClimberConfig);
+        let mistakes: [(&str, Fault); 9] = [
             ("scale.rail_y", |c| c.joints[1].scale = 0.0),
             ("zero.turn", |c| c.joints[2].zero = f64::NAN),
             ("uncertainty.rail_x", |c| c.joints[0].uncertainty = -1.0),
@@ -211,11 +228,13 @@ mod tests {
             ("max_age", |c| c.max_age = f64::NAN),
             ("jump_patience", |c| c.jump_patience = 1),
             ("joints.turn", |c| c.joints[2].name.clear()),
-            ("`rail_x` is named for rail_x and for turn", |c| c.joints[2].name = "rail_x".into()),
+            ("`joints.rail_x` and `joints.turn` are both `rail_x`", |c| {
+                c.joints[2].name = "rail_x".into()
+            }),
         ];
-        for (expected, spoil) in mistakes {
+        for (expected, inject) in mistakes {
             let mut config = ClimberConfig::default();
-            spoil(&mut config);
+            inject(&mut config);
             let error = config.validate().unwrap_err().to_string();
             assert!(error.contains(expected), "{expected}: {error}");
         }

@@ -1,14 +1,15 @@
-//! The crane's encoders tell where the climber is: readings of its three joints flow in, `world_from_climber` flows out.
+//! Encoder readings of the climber → transform `world_from_climber`.
 //!
-//! [`Climber`] is the core: [`Climber::handle`] takes a [`JointReading`] and when it was received, [`Climber::poll`] gives
-//! a [`rig_model::ClimberSample`] or says by name why the reading was refused. It knows no clock and no middleware.
+//! [`Climber`] is the core: [`Climber::handle`] receives a [`JointReading`] and the time of its
+//! receipt; [`Climber::poll`] returns a [`rig_model::ClimberSample`] or the [`Rejection`] of the
+//! reading. It uses no clock and no middleware.
 
 mod climber;
 mod config;
 #[cfg(feature = "node")]
 pub mod node;
-mod refusal;
+mod rejection;
 
 pub use climber::{Climber, Counts, JointReading, Output, Warning};
 pub use config::{Axis, ClimberConfig, ConfigError, JointCalibration};
-pub use refusal::Refusal;
+pub use rejection::Rejection;

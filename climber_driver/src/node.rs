@@ -1,26 +1,27 @@
-//! The shell: `climber/joint_states` in, `climber/transform`, `/tf` and `/tf_static` out.
+//! ROS 2 node: `climber/joint_states` → `climber/transform`, `/tf`, `/tf_static`, `/diagnostics`.
 
 use crate::{Climber, ClimberConfig, JointCalibration, JointReading, Output, Warning};
 use node_kit::{
     Level, convert,
-    node::{Health, Kit, NodeError, NodeShell, Publisher},
+    node::{Health, NodeContext, NodeError, NodeShell, Publisher},
     qos::QosPreset,
 };
-use rig_model::{Frames, Stamp};
+use rig_model::{Frames, Stamp, topics};
 use volant_msgs::{geometry_msgs::msg::TransformStamped, sensor_msgs::msg::JointState};
 
 node_kit::parameters! {
-    /// Parameters of the climber's node.
+    /// Parameters of the node `climber_driver`, one field each.
     pub struct ClimberParameters {
-        /// Name of the joint that tells the way along the world's x.
+        /// Name of the joint that measures the position along the world's x.
         joint_x: String = "rail_x", name("joints.rail_x");
-        /// Name of the joint that tells the way along the world's y.
+        /// Name of the joint that measures the position along the world's y.
         joint_y: String = "rail_y", name("joints.rail_y");
-        /// Name of the joint that tells the turn about the vertical.
+        /// Name of the joint that measures the rotation about the vertical.
         joint_turn: String = "turn", name("joints.turn");
-        /// Metres per unit of the reading: axis = scale * (reading - zero); negative where the joint counts backwards.
+        /// Meters per unit of the reading: axis = scale * (reading - zero); negative if the joint
+        /// counts backwards.
         scale_x: f64 = 1.0, name("scale.rail_x"), live;
-        /// Metres per unit of the reading.
+        /// Meters per unit of the reading.
         scale_y: f64 = 1.0, name("scale.rail_y"), live;
         /// Radians per unit of the reading.
         scale_turn: f64 = 1.0, name("scale.turn"), live;
@@ -28,27 +29,34 @@ node_kit::parameters! {
         zero_x: f64 = 0.0, name("zero.rail_x"), live;
         /// Reading at the world's origin.
         zero_y: f64 = 0.0, name("zero.rail_y"), live;
-        /// Reading where the climber's x points along the world's.
+        /// Reading at which the climber's x axis is parallel to the world's.
         zero_turn: f64 = 0.0, name("zero.turn"), live;
-        /// Height of the climber's frame above the world's origin.
-        height: f64 = 0.0, unit("m"), range(-100.0..=100.0), live;
-        /// Standard deviation of the encoder on x and y; three of them are allowed on top of the speed limit.
-        uncertainty: f64 = 0.001, unit("m"), range(0.0..=1.0), name("uncertainty.position"), live;
-        /// Standard deviation of the turn's encoder.
-        uncertainty_turn: f64 = 0.001, unit("rad"), range(0.0..=1.0), name("uncertainty.turn"), live;
-        /// Faster than this the climber cannot drive: a reading that says so is refused.
-        max_speed: f64 = 2.0, unit("m/s"), range(0.001..=100.0), name("max_speed.position"), live;
-        /// Faster than this the climber cannot turn.
-        max_speed_turn: f64 = 3.0, unit("rad/s"), range(0.001..=100.0), name("max_speed.turn"), live;
-        /// A reading that is older on arrival is refused.
+        /// Height of the climber's frame above the world's origin: measure it with a tape, or run
+        /// `volant calibrate climber --platform X,Y,Z`.
+        height: f64 = 0.0, required, unit("m"), range(-100.0..=100.0), live;
+        /// Standard deviation of the encoders on x and y; the jump check allows three of them on
+        /// top of the speed limit.
+        uncertainty: f64 = 0.001,
+            unit("m"), range(0.0..=1.0), name("uncertainty.position"), live;
+        /// Standard deviation of the encoder of the rotation.
+        uncertainty_turn: f64 = 0.001,
+            unit("rad"), range(0.0..=1.0), name("uncertainty.turn"), live;
+        /// Speed limit along x and y; a faster change is rejected.
+        max_speed: f64 = 2.0,
+            unit("m/s"), range(0.001..=100.0), name("max_speed.position"), live;
+        /// Limit of the rotation rate; a faster change is rejected.
+        max_speed_turn: f64 = 3.0,
+            unit("rad/s"), range(0.001..=100.0), name("max_speed.turn"), live;
+        /// Maximum age of a reading on receipt; an older one is rejected.
         max_age: f64 = 0.5, unit("s"), range(0.001..=60.0), live;
-        /// A reading stamped further ahead of its arrival is refused.
+        /// Maximum time from receipt to a later stamp; a reading further ahead is rejected.
         max_ahead: f64 = 0.5, unit("s"), range(0.001..=60.0), live;
-        /// Without an accepted reading for so long the diagnostics call the climber silent.
+        /// Time without an accepted reading after which the diagnostics report an error.
         silence_timeout: f64 = 0.5, unit("s"), range(0.01..=60.0), live;
-        /// After a jump, so many readings that agree with each other are believed: the encoders were re-zeroed.
+        /// Number of consecutive readings that must be consistent with each other before they are
+        /// accepted after a jump (the encoders were re-zeroed).
         jump_patience: u32 = 25, range(2..=100000), live;
-        /// Publish climber -> camera_optical on /tf_static; false where robot_state_publisher does it.
+        /// Publish climber -> camera_optical on /tf_static; false if robot_state_publisher does.
         publish_static_tf: bool = true;
         /// Publish world -> climber on /tf.
         publish_tf: bool = true;
@@ -57,7 +65,7 @@ node_kit::parameters! {
 }
 
 impl ClimberParameters {
-    /// As the core wants them.
+    /// Configuration of the core with these values.
     pub fn config(&self) -> ClimberConfig {
         let joint = |name: &String, scale, zero, uncertainty, max_speed| JointCalibration {
             name: name.clone(),
@@ -87,45 +95,48 @@ impl ClimberParameters {
     }
 }
 
-/// A message with when it came.
+/// A reading with its time of receipt.
 pub struct Received {
     reading: JointReading,
     at: Stamp,
 }
 
-/// The node.
+/// Shell of the node `climber_driver`.
 pub struct ClimberNode {
     climber: Climber,
     frames: Frames,
     publish_tf: bool,
     transform: Publisher<TransformStamped>,
-    /// Refusals at the last tick, to tell what is new.
-    refused_before: u64,
-    /// Why the newest of them was refused.
-    last_refusal: String,
+    /// Number of rejections at the last tick.
+    rejected_before: u64,
+    last_rejection: String,
 }
 
 impl NodeShell for ClimberNode {
     const NAME: &'static str = "climber_driver";
-    const ABOUT: &'static str = "the climber's encoder readings in, where the climber is out";
+    const ABOUT: &'static str = "encoder readings of the climber to the transform world -> climber";
     type Parameters = ClimberParameters;
     type Input = Received;
 
-    fn start(kit: &mut Kit<Received>, parameters: ClimberParameters) -> Result<Self, NodeError> {
-        let rig = kit.rig()?;
-        let climber = Climber::new(parameters.config()).map_err(|e| NodeError::shell(e.to_string()))?;
-        let transform = kit.advertise("climber/transform", QosPreset::Measurement)?;
+    fn start(
+        context: &mut NodeContext<Received>,
+        parameters: ClimberParameters,
+    ) -> Result<Self, NodeError> {
+        let rig = context.rig()?;
+        let climber =
+            Climber::new(parameters.config()).map_err(|e| NodeError::shell(e.to_string()))?;
+        let transform = context.advertise(topics::CLIMBER_TRANSFORM, QosPreset::Measurement)?;
         if parameters.publish_static_tf {
-            kit.send_static_transform(convert::transform_message(
+            context.send_static_transform(convert::transform_message(
                 &rig.frames.climber,
                 &rig.frames.camera,
-                kit.now(),
+                context.now(),
                 &rig.climber_from_camera,
             ))?;
         }
-        let clock = kit.clock();
-        kit.subscribe(
-            "climber/joint_states",
+        let clock = context.clock();
+        context.subscribe(
+            topics::JOINT_STATES,
             QosPreset::State,
             move |message: std::sync::Arc<JointState>| {
                 Some(Received {
@@ -143,81 +154,78 @@ impl NodeShell for ClimberNode {
             frames: rig.frames,
             publish_tf: parameters.publish_tf,
             transform,
-            refused_before: 0,
-            last_refusal: String::new(),
+            rejected_before: 0,
+            last_rejection: String::new(),
         })
     }
 
-    fn handle(&mut self, kit: &mut Kit<Received>, input: Received) {
+    fn handle(&mut self, context: &mut NodeContext<Received>, input: Received) {
         self.climber.handle(&input.reading, input.at);
         while let Some(output) = self.climber.poll() {
             match output {
                 Output::Sample(sample) => {
                     let message = convert::climber_message(&sample, &self.frames);
                     if self.publish_tf
-                        && let Err(error) = kit.send_transform(message.clone())
+                        && let Err(error) = context.send_transform(message.clone())
                     {
-                        kit.log_throttled(Level::Error, "tf", error.to_string());
+                        context.log_throttled(Level::Error, "tf", error.to_string());
                     }
                     self.transform.publish(message);
                 }
                 Output::Warning(warning) => {
-                    if let Warning::Refused(refusal) = &warning {
-                        self.last_refusal = refusal.to_string();
+                    if let Warning::Rejected(rejection) = &warning {
+                        self.last_rejection = rejection.to_string();
                     }
-                    say(kit, &warning);
+                    report(context, &warning);
                 }
             }
         }
     }
 
-    fn tick(&mut self, kit: &mut Kit<Received>) {
+    fn tick(&mut self, context: &mut NodeContext<Received>) {
         let counts = self.climber.counts();
-        let refused: u64 = counts.refused.values().sum();
+        let rejected: u64 = counts.rejected.values().sum();
         let mut values = vec![("accepted", counts.accepted.to_string())];
-        values.extend(counts.refused.iter().map(|(kind, n)| (*kind, n.to_string())));
-        let new = refused - self.refused_before;
+        values.extend(counts.rejected.iter().map(|(kind, n)| (*kind, n.to_string())));
+        let new = rejected - self.rejected_before;
         let why = if new == 0 {
             String::new()
         } else {
-            format!("; {new} readings refused in the last second, at last: {}", self.last_refusal)
+            format!("; {new} readings rejected in the last second, last: {}", self.last_rejection)
         };
-        let (health, message) = match self.climber.silent_for(kit.now()) {
+        let (health, message) = match self.climber.silent_for(context.now()) {
             Some(seconds) if seconds.is_finite() => {
                 (Health::Error, format!("no reading was accepted for {seconds:.1} s{why}"))
             }
-            Some(_) => (Health::Error, format!("no reading was accepted yet{why}")),
+            Some(_) => (
+                Health::Error,
+                format!(
+                    "no reading was accepted yet; check the publisher of climber/joint_states{why}"
+                ),
+            ),
             None if new > 0 => (Health::Warn, format!("readings flow{why}")),
             None => (Health::Ok, "readings flow".to_owned()),
         };
-        self.refused_before = refused;
-        kit.diagnose("encoders", health, &message, &values);
+        self.rejected_before = rejected;
+        context.diagnose("encoders", health, &message, &values);
     }
 
     fn parameters_changed(
         &mut self,
-        _kit: &mut Kit<Received>,
+        _context: &mut NodeContext<Received>,
         parameters: &ClimberParameters,
     ) -> Result<(), String> {
         self.climber.set_config(parameters.config()).map_err(|e| e.to_string())
     }
 }
 
-fn say(kit: &mut Kit<Received>, warning: &Warning) {
+fn report(context: &mut NodeContext<Received>, warning: &Warning) {
     match warning {
-        Warning::Refused(refusal) => kit.log_throttled(Level::Warn, refusal.kind(), refusal.to_string()),
-        Warning::Relocated { change, refused } => {
-            let [x, y, turn] = change;
-            kit.log(
-                Level::Warn,
-                format!(
-                    "the climber is believed to be elsewhere: {x:+.3} m, {y:+.3} m, {turn:+.4} rad, after {refused} refused \
-                     readings that agreed with each other; if nobody re-zeroed the encoders, check them"
-                ),
-            );
+        Warning::Rejected(rejection) => {
+            context.log_throttled(Level::Warn, rejection.kind(), rejection.to_string())
         }
-        Warning::TimeWentBack { seconds } => {
-            kit.log(Level::Warn, format!("time went back by {seconds:.3} s: starting anew"));
+        Warning::Relocated { .. } | Warning::TimeWentBack { .. } => {
+            context.log(Level::Warn, warning.to_string());
         }
     }
 }

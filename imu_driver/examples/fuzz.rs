@@ -1,9 +1,9 @@
-//! So many hostile inputs (default ten million) through parser, decoders, table and driver, in one process:
+//! Corrupted inputs (default ten million) for parser, decoders, CSV and driver:
 //! `cargo run --release -p imu_driver --no-default-features --example fuzz -- 10000000 [SEED]`.
 #![allow(
     clippy::print_stdout,
     clippy::disallowed_methods,
-    reason = "an executable for people that measures its time"
+    reason = "a command-line tool that measures its time"
 )]
 
 #[path = "../fuzz/exercise.rs"]

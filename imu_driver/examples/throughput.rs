@@ -1,13 +1,14 @@
-//! How fast bytes become SI values, against a plain loop that only sums the same bytes, in one run:
-//! `cargo run --release -p imu_driver --no-default-features --example throughput`. Recordings are found through `VOLANT_SHARED`.
+//! Throughput from bytes to SI values, compared with a loop that sums the same bytes:
+//! `cargo run --release -p imu_driver --no-default-features --example throughput`.
+//! Recordings are found through `VOLANT_SHARED`.
 #![allow(
     clippy::print_stdout,
     clippy::disallowed_methods,
-    reason = "an executable for people that measures its time"
+    reason = "a command-line tool that measures its time"
 )]
 
 use imu_driver::protocol::{
-    Decoder, FrameParser, LegacyFormat, Measurement, MessageId, NumberFormat, OutputSettings, frame,
+    Decoder, FrameParser, LegacyFormat, Measurement, MessageId, NumberFormat, frame,
 };
 use std::{hint::black_box, time::Instant};
 
@@ -31,7 +32,6 @@ fn best(mut work: impl FnMut()) -> f64 {
 fn measure(name: &str, format: Option<LegacyFormat>, bytes: &[u8]) {
     let stream = repeated(bytes);
     let sum = best(|| {
-        // A plain loop, as the figure has it: the compiler may do with it what it likes.
         let mut sum = 0_u64;
         for byte in black_box(&stream[..]) {
             sum += u64::from(*byte);
@@ -44,7 +44,7 @@ fn measure(name: &str, format: Option<LegacyFormat>, bytes: &[u8]) {
         let mut parser = FrameParser::new();
         let mut measurement = Measurement::default();
         frames = 0;
-        // As a serial port hands them over.
+        // In chunks as read from a serial port.
         for bytes in black_box(&stream[..]).chunks(4096) {
             parser.parse(bytes, |f| {
                 if let Ok(true) = decoder.decode_into(&f, &mut measurement) {
@@ -67,7 +67,7 @@ fn measure(name: &str, format: Option<LegacyFormat>, bytes: &[u8]) {
 fn main() {
     for number in NumberFormat::ALL {
         let mut format = LegacyFormat::STANDARD;
-        format.settings = OutputSettings(format.settings.0 | (number.bits() << 8));
+        format.settings = format.settings.with_number_format(number);
         let m = Measurement { acceleration: Some([0.1, 0.2, 9.8]), ..Measurement::default() };
         let mut data = Vec::new();
         format.encode(&m, &mut data);

@@ -1,29 +1,28 @@
-//! What is done with hostile bytes: shared by the fuzz targets, the long in-process run and the test.
+//! Processing of corrupted bytes, shared by the fuzz targets, the example and the test.
 
 use imu_driver::{
     driver::{Driver, DriverConfig, Input, Output},
     log::{decode_to_csv, saved_configuration},
-    protocol::{Decoder, FrameParser, LegacyFormat, OutputMode, OutputSettings, Reply},
+    protocol::{Decoder, FrameParser, LegacyFormat, OutputMode, OutputSettings},
 };
 use rig_model::Stamp;
 
-/// Bytes through the parser and all decoders. The first seven choose the legacy format and the size of the portions.
+/// Parses and decodes bytes; the first seven select the legacy format and the size of the chunks.
 pub fn stream(data: &[u8]) {
-    let Some((&[m0, m1, s0, s1, s2, s3, portion], rest)) = data.split_first_chunk::<7>() else {
+    let Some((&[m0, m1, s0, s1, s2, s3, chunk], rest)) = data.split_first_chunk::<7>() else {
         return;
     };
     let format = LegacyFormat {
-        mode: OutputMode(u16::from_be_bytes([m0, m1])),
-        settings: OutputSettings(u32::from_be_bytes([s0, s1, s2, s3])),
+        mode: OutputMode::from_bits_retain(u16::from_be_bytes([m0, m1])),
+        settings: OutputSettings::from_bits_retain(u32::from_be_bytes([s0, s1, s2, s3])),
     };
     let mut decoder = Decoder { format: Some(format) };
     let mut parser = FrameParser::new();
     let mut frames = 0;
-    for bytes in rest.chunks(usize::from(portion).max(1)) {
+    for bytes in rest.chunks(usize::from(chunk).max(1)) {
         parser.parse(bytes, |frame| {
             frames += 1;
             let _ = decoder.decode(&frame);
-            let _ = Reply::from_frame(&frame);
         });
     }
     while let Some(frame) = parser.next_frame_at_end() {
@@ -37,15 +36,16 @@ pub fn stream(data: &[u8]) {
     let _ = imu_driver::protocol::mtdata2::decode(rest);
 }
 
-/// A log through the table.
+/// Decodes a log to CSV.
 pub fn log(data: &[u8]) {
     let _ = saved_configuration(data);
     let mut table = Vec::new();
     let _ = decode_to_csv(data, Some(LegacyFormat::STANDARD), &mut table);
 }
 
-/// Portions of bytes through the whole driver, which is made to measure first. Each portion is preceded by its length
-/// and by how much time has passed. Stamps never go back and nothing that is not finite comes out.
+/// Chunks of bytes for the driver, each preceded by its length and the time passed.
+///
+/// Asserts that stamps increase and that all values are finite.
 pub fn driver(data: &[u8]) {
     let Ok(mut driver) = Driver::new(DriverConfig { baud: None, ..DriverConfig::default() }) else {
         return;
@@ -78,7 +78,7 @@ pub fn driver(data: &[u8]) {
         let Some((&[length, pause], tail)) = rest.split_first_chunk::<2>() else {
             return;
         };
-        // Up to half a second, squared so that short pauses are frequent.
+        // Up to 0.65 s, squared so that short pauses are frequent.
         at = at.plus_seconds(f64::from(pause).powi(2) * 1e-5);
         let (bytes, tail) = tail.split_at(usize::from(length).min(tail.len()));
         match bytes {

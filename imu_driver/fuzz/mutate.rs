@@ -1,8 +1,9 @@
-//! Hostile inputs without a fuzzer: real frames and conversations, cut, flipped, repeated and spliced at random.
+//! Corrupted inputs without a fuzzer: frames and conversations, truncated, flipped, repeated and
+//! spliced at random.
 
 use imu_driver::protocol::{
-    Configuration, LegacyFormat, Measurement, MessageId, NumberFormat, OutputMode, OutputSettings, frame,
-    mtdata2,
+    Configuration, LegacyFormat, Measurement, MessageId, NumberFormat, OutputMode, OutputSettings,
+    frame, mtdata2,
 };
 
 /// xorshift64*.
@@ -21,7 +22,7 @@ impl Random {
     }
 }
 
-/// The inputs that are mutated.
+/// Valid inputs to corrupt.
 pub fn seeds() -> Vec<Vec<u8>> {
     let m = Measurement {
         counter: Some(65_535),
@@ -34,15 +35,19 @@ pub fn seeds() -> Vec<Vec<u8>> {
     };
     let mut seeds = Vec::new();
     let format = LegacyFormat::STANDARD;
-    let configuration = Configuration { period: 1152, format, data_length: 54, ..Configuration::default() };
+    let configuration =
+        Configuration { period: 1152, format, data_length: 54, ..Configuration::default() };
     let mut data = Vec::new();
     format.encode(&m, &mut data);
     for settings in [0, 1, 0x101, 0x203, 0x302, 0x8000_0009] {
-        let format = LegacyFormat { mode: OutputMode(0x083F), settings: OutputSettings(settings) };
+        let format = LegacyFormat {
+            mode: OutputMode::from_bits_retain(0x083F),
+            settings: OutputSettings::from_bits_retain(settings),
+        };
         let mut data = Vec::new();
         format.encode(&m, &mut data);
-        let mut seed = format.mode.0.to_be_bytes().to_vec();
-        seed.extend(format.settings.0.to_be_bytes());
+        let mut seed = format.mode.bits().to_be_bytes().to_vec();
+        seed.extend(format.settings.bits().to_be_bytes());
         seed.push(64);
         seed.extend(frame(MessageId::MT_DATA, &data));
         seed.extend(frame(MessageId::REQ_CONFIGURATION.ack(), &configuration.to_data()));
@@ -53,36 +58,37 @@ pub fn seeds() -> Vec<Vec<u8>> {
         let mut data = Vec::new();
         mtdata2::encode(&m, format, &mut data);
         seeds.push(
-            [vec![0; 7], frame(MessageId::MT_DATA2, &data), frame(MessageId::MT_DATA2, &data)].concat(),
+            [vec![0; 7], frame(MessageId::MT_DATA2, &data), frame(MessageId::MT_DATA2, &data)]
+                .concat(),
         );
     }
-    // A conversation that leads to measuring: portions with length and pause.
-    let mut talk = Vec::new();
-    let mut say = |bytes: &[u8], pause: u8| {
-        talk.extend([bytes.len() as u8, pause]);
-        talk.extend(bytes);
+    // A conversation that leads to measuring: chunks with length and pause.
+    let mut conversation = Vec::new();
+    let mut add = |bytes: &[u8], pause: u8| {
+        conversation.extend([bytes.len() as u8, pause]);
+        conversation.extend(bytes);
     };
     for _ in 0..4 {
-        say(&[], 200);
+        add(&[], 200);
     }
-    say(&frame(MessageId::GO_TO_CONFIG.ack(), &[]), 30);
-    say(&frame(MessageId::REQ_DEVICE_ID.ack(), &[0, 0x30, 1, 2]), 30);
-    say(&frame(MessageId::REQ_PRODUCT_CODE.ack(), b"MTx"), 30);
-    say(&frame(MessageId::REQ_FIRMWARE.ack(), &[1, 2, 3]), 30);
-    say(&frame(MessageId::REQ_CONFIGURATION.ack(), &configuration.to_data()), 30);
-    say(&frame(MessageId::ERROR, &[4]), 30);
-    say(&frame(MessageId::GO_TO_MEASUREMENT.ack(), &[]), 30);
+    add(&frame(MessageId::GO_TO_CONFIG.ack(), &[]), 30);
+    add(&frame(MessageId::REQ_DEVICE_ID.ack(), &[0, 0x30, 1, 2]), 30);
+    add(&frame(MessageId::REQ_PRODUCT_CODE.ack(), b"MTx"), 30);
+    add(&frame(MessageId::REQ_FIRMWARE.ack(), &[1, 2, 3]), 30);
+    add(&frame(MessageId::REQ_CONFIGURATION.ack(), &configuration.to_data()), 30);
+    add(&frame(MessageId::ERROR, &[4]), 30);
+    add(&frame(MessageId::GO_TO_MEASUREMENT.ack(), &[]), 30);
     for counter in [65_534, 65_535, 0_u16] {
         let at = data.len() - 2;
         data[at..].copy_from_slice(&counter.to_be_bytes());
-        say(&frame(MessageId::MT_DATA, &data), 31);
+        add(&frame(MessageId::MT_DATA, &data), 31);
     }
-    say(&frame(MessageId::WAKE_UP, &[]), 100);
-    seeds.push(talk);
+    add(&frame(MessageId::WAKE_UP, &[]), 100);
+    seeds.push(conversation);
     seeds
 }
 
-/// One input.
+/// Writes one corrupted input to `out`.
 pub fn mutate(seeds: &[Vec<u8>], random: &mut Random, out: &mut Vec<u8>) {
     out.clear();
     out.extend_from_slice(&seeds[random.below(seeds.len())]);
@@ -117,7 +123,7 @@ pub fn mutate(seeds: &[Vec<u8>], random: &mut Random, out: &mut Vec<u8>) {
     }
 }
 
-/// Gives every frame its right checksum, so that hostile contents get past the parser.
+/// Corrects the checksum of every frame, so that corrupted data reach the decoders.
 fn repair(bytes: &mut [u8]) {
     let mut at = 0;
     while at + 5 <= bytes.len() {

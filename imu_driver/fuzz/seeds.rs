@@ -1,4 +1,4 @@
-//! Where `VOLANT_FUZZ_SEEDS` names a folder: writes the frames and conversations that fuzzing starts from, and ends.
+//! Writes the initial inputs of fuzzing to the folder `VOLANT_FUZZ_SEEDS`, if it is set, and exits.
 
 #[path = "mutate.rs"]
 #[allow(dead_code)]
@@ -10,7 +10,10 @@ pub fn write(target: &str) {
     let Some(folder) = env::var_os("VOLANT_FUZZ_SEEDS") else { return };
     let into = Path::new(&folder).join(target);
     let written = fs::create_dir_all(&into).and_then(|()| {
-        mutate::seeds().iter().enumerate().try_for_each(|(k, seed)| fs::write(into.join(format!("seed-{k}")), seed))
+        mutate::seeds()
+            .iter()
+            .enumerate()
+            .try_for_each(|(k, seed)| fs::write(into.join(format!("seed-{k}")), seed))
     });
     if let Err(error) = &written {
         eprintln!("{}: {error}", into.display());

@@ -1,25 +1,24 @@
-//! The unit's own clock, made to grow without wraps: from the sample counter or from SampleTimeFine.
+//! Clock of the device without wraps, from the sample counter or SampleTimeFine.
 //!
-//! In flow counters as they come and the instant of arrival; out flow device time in ns and the number of messages that
-//! are missing before this one.
+//! Counters and arrival times → device time (ns) and number of missing messages.
 
 use crate::protocol::Measurement;
 use rig_model::Stamp;
 
-/// SampleTimeFine of an MTi-10 or MTi-100 starts anew after one day of 0.1 ms ticks; others use all 32 bits.
+/// Period of SampleTimeFine of MTi-10 and MTi-100, ticks of 0.1 ms; others use all 32 bits.
 const TICKS_PER_DAY: i64 = 864_000_000;
 const NANOS_PER_TICK: i64 = 100_000;
 
-/// Where one message stands in the unit's time.
+/// Device time of one message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Placed {
-    /// ns since the first message.
+    /// Time since the first message, ns.
     pub device: i64,
     /// Messages missing before this one.
     pub lost: u64,
-    /// The unit or its counter started anew: `device` counts from zero again.
+    /// The device or its counter restarted: `device` starts at zero.
     pub restarted: bool,
-    /// The same message once more, or an older one: it is no new sample.
+    /// The message was received before, or is older than the last one.
     pub repeated: bool,
 }
 
@@ -31,61 +30,63 @@ struct Last {
     arrival: Stamp,
 }
 
-/// Unwraps the unit's clock.
+/// Unwraps the clock of the device.
 #[derive(Clone, Copy, Debug)]
 pub struct DeviceTime {
-    /// From one message to the next, ns, as a fraction: numerator and denominator are exact, so nothing adds up.
+    /// Message period, ns, as an exact fraction without accumulated error.
     period: (i64, i64),
     count: i64,
-    /// Messages without inertial data since the last one with them: they use up counters too.
+    /// Messages without inertial data since the last one with them; they increment the counter too.
     others: i64,
     last: Option<Last>,
 }
 
-/// A counter that claims more time than has passed, by more than this, started anew, s; less than this is a host that
-/// slept, lost what its buffers could not hold, and found the rest all at once.
+/// Counted minus elapsed time beyond which the counter has restarted, s. A smaller difference is a
+/// host that slept, lost the overflow of its buffers and received the rest at once.
 const AHEAD: f64 = 5.0;
-/// One that claims less, by more than this, too: less than this is a host that slept and found all in its buffers, s.
+/// Elapsed minus counted time beyond which the counter has restarted, s. A smaller difference is a
+/// host that slept and received everything from its buffers.
 const BEHIND: f64 = 5.0;
 
-fn disagrees(claimed: f64, elapsed: f64) -> bool {
-    claimed - elapsed > AHEAD || elapsed - claimed > BEHIND.max(0.5 * elapsed)
+fn inconsistent(counted: f64, elapsed: f64) -> bool {
+    counted - elapsed > AHEAD || elapsed - counted > BEHIND.max(0.5 * elapsed)
 }
 
 impl DeviceTime {
-    /// A clock whose messages follow one another every `ticks` / `ticks_per_second` seconds.
+    /// Creates a clock with a message period of `ticks` / `ticks_per_second` seconds.
     pub fn new(ticks: u32, ticks_per_second: u32) -> Self {
         let period = (i64::from(ticks.max(1)) * 1_000_000_000, i64::from(ticks_per_second.max(1)));
         Self { period, count: 0, others: 0, last: None }
     }
 
-    /// From one message to the next, s.
+    /// Message period, s.
     pub fn period(&self) -> f64 {
         self.period.0 as f64 / self.period.1 as f64 * 1e-9
     }
 
-    /// Begins anew.
+    /// Resets the clock to zero.
     pub fn restart(&mut self) {
         self.count = 0;
         self.others = 0;
         self.last = None;
     }
 
-    /// A message without inertial data passed: it uses up a counter, and its time is unrelated.
+    /// Counts a message without inertial data, whose time is unrelated.
     pub fn pass(&mut self, m: &Measurement) {
         self.others += i64::from(m.counter.is_some());
     }
 
-    /// Where a message stands.
+    /// Device time of a message that arrived at `arrival`.
     pub fn place(&mut self, m: &Measurement, arrival: Stamp) -> Placed {
         let Some(last) = self.last else {
             return self.first(m, arrival, false);
         };
         let elapsed = arrival.seconds_since(last.arrival);
         let by_counter = m.counter.zip(last.counter).map(|(now, before)| {
-            // After a long gap the counter may have wrapped more than once: the arrival tells how often.
+            // After a long dropout the arrival determines how often the counter has wrapped.
             let step = i64::from(now.wrapping_sub(before));
-            let wraps = ((elapsed / self.period() - step as f64) / 65_536.0).round().clamp(0.0, 1e9);
+            let wraps =
+                ((elapsed / self.period() - step as f64) / 65_536.0).round().clamp(0.0, 1e9);
             step + 65_536 * wraps as i64
         });
         if let Some((now, before)) = m.sample_time_fine.zip(last.fine) {
@@ -94,23 +95,25 @@ impl DeviceTime {
             if by_counter == Some(0) || ticks == 0 && by_counter.is_none() {
                 return self.repeated(last);
             }
-            if ticks < 0 || disagrees(advance as f64 * 1e-9, elapsed) {
+            if ticks < 0 || inconsistent(advance as f64 * 1e-9, elapsed) {
                 return self.first(m, arrival, true);
             }
-            let lost = by_counter.map_or(0, |step| step.saturating_sub(1 + self.others)).max(0) as u64;
+            let lost =
+                by_counter.map_or(0, |step| step.saturating_sub(1 + self.others)).max(0) as u64;
             return self.later(m, arrival, last.device.saturating_add(advance), lost);
         }
         let step = match by_counter {
             Some(0) => return self.repeated(last),
             Some(step) => step,
-            // Without any clock the message is the next one, unless it comes much too late.
+            // Without a counter the message is the next one, unless it is late by several periods.
             None => ((elapsed / self.period()).round().clamp(0.0, 1e9) as i64 - 1).max(1),
         };
-        if disagrees(step as f64 * self.period(), elapsed) {
+        if inconsistent(step as f64 * self.period(), elapsed) {
             return self.first(m, arrival, true);
         }
         self.count = self.count.saturating_add(step);
-        let device = (i128::from(self.count) * i128::from(self.period.0) / i128::from(self.period.1)) as i64;
+        let device =
+            (i128::from(self.count) * i128::from(self.period.0) / i128::from(self.period.1)) as i64;
         self.later(m, arrival, device, (step - 1 - self.others).max(0) as u64)
     }
 
@@ -135,7 +138,7 @@ impl DeviceTime {
     }
 }
 
-/// Ticks from one SampleTimeFine to the next, whichever way it wraps; negative for a clock that went back.
+/// Ticks between two values of SampleTimeFine with either period; negative if the clock went back.
 fn fine_step(now: u32, before: u32, elapsed: f64) -> i64 {
     let step = i64::from(now) - i64::from(before);
     if step >= 0 {
@@ -165,19 +168,22 @@ mod tests {
     }
 
     #[test]
-    fn the_counter_wraps_and_nothing_is_lost() {
+    fn counter_wraps_lose_nothing() {
         let mut time = DeviceTime::new(288, 115_200);
         let mut counter = 65_000_u16;
         for k in 0..1_440_000_i64 {
             // One hour at 400 Hz: 22 wraps.
             let placed = time.place(&counted(counter), at(k as f64 * 0.0025));
-            assert_eq!(placed, Placed { device: k * 2_500_000, lost: 0, restarted: false, repeated: false });
+            assert_eq!(
+                placed,
+                Placed { device: k * 2_500_000, lost: 0, restarted: false, repeated: false }
+            );
             counter = counter.wrapping_add(1);
         }
     }
 
     #[test]
-    fn gaps_are_counted_also_beyond_a_wrap() {
+    fn lost_messages_are_counted_across_wraps() {
         let mut time = DeviceTime::new(1152, 115_200);
         time.place(&counted(10), at(0.0));
         assert_eq!(time.place(&counted(15), at(0.05)).lost, 4);
@@ -187,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_counter_that_starts_anew_is_a_restart_and_no_gap() {
+    fn a_reset_counter_is_a_restart_without_losses() {
         let mut time = DeviceTime::new(1152, 115_200);
         time.place(&counted(5000), at(0.0));
         let placed = time.place(&counted(0), at(0.7));
@@ -195,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn sample_time_fine_wraps_after_a_day_or_after_all_its_bits() {
+    fn sample_time_fine_wraps_after_a_day_or_after_32_bits() {
         for (before, now) in [(863_999_950, 50), (4_294_967_246, 50)] {
             let mut time = DeviceTime::new(1152, 115_200);
             time.place(&fine(before), at(0.0));
@@ -208,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn without_any_clock_a_message_is_the_next_one() {
+    fn without_a_counter_each_message_is_the_next_one() {
         let mut time = DeviceTime::new(1152, 115_200);
         let none = Measurement::default();
         time.place(&none, at(0.0));

@@ -1,24 +1,23 @@
-//! The inertial unit's driver: bytes of an Xsens MTx (or a newer unit) in, inertial samples out.
+//! Driver for Xsens IMUs on a serial port: bytes → samples.
 //!
-//! In flow bytes with the instant of their arrival; out flow bytes to write, [`rig_model::ImuSample`]s with the instant
-//! at which they were **measured**, and events that say what is going on.
+//! The core receives bytes with their arrival time, and outputs bytes to write,
+//! [`rig_model::ImuSample`]s stamped with their time of **measurement**, and events.
 //!
-//! | module | in → out |
+//! | module | content |
 //! | --- | --- |
-//! | [`protocol`] | bytes → frames → values in SI units: the wire format alone |
-//! | [`driver`] | bytes and time → bytes to write, samples, events |
-//! | [`device_time`], [`clock_fit`] | counters and arrivals → stamps |
-//! | [`orientation`] | the unit's global frame → east-north-up |
-//! | [`log`] | recorded bytes → a table |
-//! | [`fake_unit`] | a unit that is not there |
+//! | [`protocol`] | bytes → frames → values in SI units |
+//! | [`driver`] | state machine: search, configuration, measurement, recovery |
+//! | [`device_time`], [`clock_fit`] | counters and arrival times → stamps |
+//! | [`orientation`] | global frames of the device → east-north-up |
+//! | [`log`] | recorded bytes → CSV |
+//! | [`simulated_imu`] | simulated device |
 //!
-//! All of these are pure. The features add the outside: `serial` the port, `node` the ROS 2 node, `cli` the tool
-//! `volant imu`, `fake` a pseudo-terminal for the fake unit.
+//! These modules are pure. Features add the rest: `serial` the port, `node` the ROS 2 node, `cli`
+//! the command `volant imu`, `simulated` a pseudo-terminal for the simulated device.
 
 pub mod clock_fit;
 pub mod device_time;
 pub mod driver;
-pub mod fake_unit;
 pub mod log;
 #[cfg(feature = "node")]
 pub mod node;
@@ -26,6 +25,6 @@ pub mod orientation;
 pub mod protocol;
 #[cfg(feature = "serial")]
 pub mod serial;
+pub mod simulated_imu;
 #[cfg(feature = "cli")]
-#[allow(clippy::print_stdout, reason = "a tool for people")]
 pub mod tool;

@@ -1,74 +1,78 @@
-//! Raw bytes recorded from a unit, and the table that is made of them. In flow a log (and a Configuration, where the log
-//! holds none); out flow CSV, a row per data message, and counts.
+//! Recorded bytes → CSV with one row per data message, and counts.
 
 use crate::protocol::{
-    Configuration, DecodeError, Decoder, FrameParser, LegacyFormat, Measurement, MessageId, ParserCounts,
+    Configuration, DecodeError, Decoder, FrameParser, LegacyFormat, Measurement, MessageId,
+    ParserCounts,
     configuration::{CONFIGURATION_LENGTH, output_configuration_from_data},
 };
 use std::io::{self, Write};
 use thiserror::Error;
 
-/// First line of the table.
-pub const CSV_HEADER: &str = "counter,sample_time_fine,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z,q_w,q_x,q_y,q_z";
+/// Header of the CSV.
+pub const CSV_HEADER: &str =
+    "counter,sample_time_fine,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z,q_w,q_x,q_y,q_z";
 
-/// What is wrong with a log.
+/// Error of decoding a log.
 #[derive(Debug, Error)]
 pub enum LogError {
-    /// Nothing in it.
-    #[error("it is empty; record one with `volant imu log`")]
+    /// The log is empty.
+    #[error("the log is empty; record one with `volant imu log`")]
     Empty,
-    /// No frame in it.
-    #[error("not one of its {bytes} bytes belongs to a whole frame; is it a unit's raw log?")]
+    /// The log contains no frame.
+    #[error("no valid frame in {bytes} bytes; give the raw bytes of an IMU")]
     Foreign {
-        /// Its length.
+        /// Length, bytes.
         bytes: usize,
     },
-    /// MTData whose format is nowhere.
+    /// The format of MTData is unknown.
     #[error(
-        "it holds {frames} legacy MTData messages but no Configuration, and they carry no tag of their own format; give the unit's Configuration with --config CONFIGURATION.bin"
+        "{frames} legacy MTData messages, but no Configuration with their format; \
+         give the Configuration of the IMU with --config CONFIGURATION.bin"
     )]
     NoConfiguration {
-        /// How many messages.
+        /// Number of messages.
         frames: u64,
     },
-    /// Not one message fits the Configuration.
-    #[error("none of its {frames} data messages can be read: {reason}")]
+    /// No message fits the Configuration.
+    #[error("none of {frames} data messages could be decoded: {reason}")]
     Unreadable {
-        /// How many messages.
+        /// Number of messages.
         frames: u64,
-        /// Why the first one cannot.
+        /// Error of the first message.
         reason: DecodeError,
     },
-    /// A Configuration that is none.
+    /// The bytes are not a Configuration.
     #[error(
-        "{bytes} bytes that are no Configuration; it is the answer to ReqConfiguration (118 bytes, or the whole frame of 123) or an output configuration"
+        "{bytes} bytes are not a Configuration; give the answer to ReqConfiguration \
+         (118 bytes, or the frame of 123 bytes) or an output configuration"
     )]
     NotConfiguration {
-        /// Its length.
+        /// Length, bytes.
         bytes: usize,
     },
-    /// The table cannot be written.
-    #[error("the table cannot be written: {source}")]
+    /// The CSV cannot be written.
+    #[error("the CSV cannot be written: {source}")]
     Write {
-        /// The system's reason.
+        /// Error of the system.
         #[from]
         source: io::Error,
     },
 }
 
-/// What was in a log.
+/// Counts of a decoded log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LogCounts {
-    /// The parser's counts over the whole log.
+    /// Counts of the frame parser.
     pub parser: ParserCounts,
     /// Data messages written as rows.
     pub rows: u64,
-    /// Data messages that could not be read.
+    /// Data messages that could not be decoded.
     pub unreadable: u64,
 }
 
-/// The legacy format in a Configuration that was saved: the whole frame or its data alone. `None` for the output
-/// configuration of a newer unit, whose messages carry their format themselves.
+/// Reads the legacy format from a saved Configuration, a frame or its data.
+///
+/// `None` for an output configuration: MTData2 identifies its format.
 ///
 /// # Errors
 /// [`LogError::NotConfiguration`].
@@ -80,14 +84,15 @@ pub fn saved_configuration(bytes: &[u8]) -> Result<Option<LegacyFormat>, LogErro
         return Ok(Configuration::from_data(bytes).ok().map(|c| c.format));
     }
     let mut framed = false;
-    FrameParser::new().parse(bytes, |f| framed |= f.message == MessageId::OUTPUT_CONFIGURATION.ack());
+    FrameParser::new()
+        .parse(bytes, |f| framed |= f.message == MessageId::OUTPUT_CONFIGURATION.ack());
     if framed || (!bytes.is_empty() && output_configuration_from_data(bytes).is_ok()) {
         return Ok(None);
     }
     Err(LogError::NotConfiguration { bytes: bytes.len() })
 }
 
-/// The format that the first Configuration message among the bytes tells.
+/// Legacy format of the first Configuration message in `bytes`.
 pub fn configuration_in(bytes: &[u8]) -> Option<LegacyFormat> {
     let mut format = None;
     FrameParser::new().parse(bytes, |f| {
@@ -98,20 +103,20 @@ pub fn configuration_in(bytes: &[u8]) -> Option<LegacyFormat> {
     format
 }
 
-/// Calls `take` with every frame of a whole log, also those within a frame that was cut off at the end.
-pub fn frames_of(log: &[u8], mut take: impl FnMut(crate::protocol::Frame<'_>)) -> ParserCounts {
+/// Calls `handle` with every frame of a log, also those inside an incomplete frame at its end.
+pub fn frames_of(log: &[u8], mut handle: impl FnMut(crate::protocol::Frame<'_>)) -> ParserCounts {
     let mut parser = FrameParser::new();
-    parser.parse(log, &mut take);
+    parser.parse(log, &mut handle);
     while let Some(frame) = parser.next_frame_at_end() {
-        take(frame);
+        handle(frame);
     }
     parser.counts()
 }
 
-/// Writes the table of a log. `format` is used until the log itself holds a Configuration.
+/// Decodes a log to CSV; `format` applies until the log contains a Configuration.
 ///
 /// # Errors
-/// [`LogError`]: a log without frames, without a format, or one that cannot be written.
+/// [`LogError`] if the log has no frames or no format, or if writing fails.
 pub fn decode_to_csv(
     log: &[u8],
     format: Option<LegacyFormat>,
@@ -135,7 +140,7 @@ pub fn decode_to_csv(
         }
         Ok(None) => {}
         Err(error) => {
-            // A message that is no data message cannot be a row either way.
+            // Other messages are no rows anyway.
             counts.unreadable += u64::from(frame.message.is_data());
             first_error.get_or_insert(error);
         }
@@ -143,7 +148,9 @@ pub fn decode_to_csv(
     written?;
     match first_error {
         _ if counts.parser.frames == 0 => Err(LogError::Foreign { bytes: log.len() }),
-        Some(DecodeError::NoConfiguration) => Err(LogError::NoConfiguration { frames: counts.unreadable }),
+        Some(DecodeError::NoConfiguration) => {
+            Err(LogError::NoConfiguration { frames: counts.unreadable })
+        }
         Some(reason) if counts.rows == 0 && counts.unreadable > 0 => {
             Err(LogError::Unreadable { frames: counts.unreadable, reason })
         }
@@ -154,7 +161,7 @@ pub fn decode_to_csv(
 fn csv_row(m: &Measurement, row: &mut String) {
     use std::fmt::Write as _;
     row.clear();
-    // Writing into a string cannot fail.
+    // Writing to a string cannot fail.
     if let Some(counter) = m.counter {
         let _ = write!(row, "{counter}");
     }
@@ -171,7 +178,10 @@ fn csv_row(m: &Measurement, row: &mut String) {
         }
     };
     numbers(m.acceleration.as_ref().or(m.acceleration_hr.as_ref()).map(|v| v.as_slice()), 3);
-    numbers(m.angular_velocity.as_ref().or(m.angular_velocity_hr.as_ref()).map(|v| v.as_slice()), 3);
+    numbers(
+        m.angular_velocity.as_ref().or(m.angular_velocity_hr.as_ref()).map(|v| v.as_slice()),
+        3,
+    );
     numbers(m.quaternion().as_ref().map(|v| v.as_slice()), 4);
     row.push('\n');
 }
@@ -188,20 +198,27 @@ mod tests {
     }
 
     #[test]
-    fn the_format_comes_from_the_argument_or_from_the_log() {
+    fn the_format_is_read_from_the_argument_or_the_log() {
         let mut data = Vec::new();
-        let m =
-            Measurement { counter: Some(7), acceleration: Some([1.0, 2.0, 9.5]), ..Measurement::default() };
+        let m = Measurement {
+            counter: Some(7),
+            acceleration: Some([1.0, 2.0, 9.5]),
+            ..Measurement::default()
+        };
         LegacyFormat::STANDARD.encode(&m, &mut data);
         let log = frame(MessageId::MT_DATA, &data);
         assert!(matches!(table(&log, None), Err(LogError::NoConfiguration { frames: 1 })));
         let (text, counts) = table(&log, Some(LegacyFormat::STANDARD)).unwrap();
         assert_eq!(text, format!("{CSV_HEADER}\n7,,1,2,9.5,0,0,0,1,0,0,0\n"));
         assert_eq!((counts.rows, counts.parser.frames), (1, 1));
-        let configuration = Configuration { format: LegacyFormat::STANDARD, ..Configuration::default() };
+        let configuration =
+            Configuration { format: LegacyFormat::STANDARD, ..Configuration::default() };
         let framed = frame(MessageId::REQ_CONFIGURATION.ack(), &configuration.to_data());
         assert_eq!(saved_configuration(&framed).unwrap(), Some(LegacyFormat::STANDARD));
-        assert_eq!(saved_configuration(&configuration.to_data()).unwrap(), Some(LegacyFormat::STANDARD));
+        assert_eq!(
+            saved_configuration(&configuration.to_data()).unwrap(),
+            Some(LegacyFormat::STANDARD)
+        );
         assert_eq!(saved_configuration(&[0x10, 0x20, 0xFF, 0xFF]).unwrap(), None);
         assert!(saved_configuration(&[1, 2, 3]).is_err());
         let with_configuration = [log.clone(), framed].concat();
@@ -211,9 +228,9 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_log_is_said() {
+    fn invalid_logs_are_rejected() {
         assert!(matches!(table(&[], None), Err(LogError::Empty)));
-        assert!(matches!(table(b"a picture", None), Err(LogError::Foreign { bytes: 9 })));
+        assert!(matches!(table(b"not a log", None), Err(LogError::Foreign { bytes: 9 })));
         let cut = frame(MessageId::MT_DATA2, &[0x10, 0x20, 2, 1, 2]);
         let log = [&cut[..], &cut[..6]].concat();
         let (_, counts) = table(&log, None).unwrap();

@@ -1,25 +1,25 @@
-//! From the attitude as a unit sends it to ROS's: east-north-up from the unit's axes (REP-103, REP-145).
+//! Orientation of the device → rotation from the sensor frame to east-north-up (REP-103, REP-145).
 
 use crate::protocol::{Attitude, GlobalFrame, Orientation};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion};
 use std::f64::consts::FRAC_1_SQRT_2;
 
-/// East-north-up from a unit's global frame.
-///
-/// A legacy unit means x north, y west, z up: taken for east-north-up, its heading would be off by 90°.
+/// Rotation from a global frame of the device to east-north-up.
 pub fn enu_from_global(frame: GlobalFrame) -> UnitQuaternion<f64> {
     let q = match frame {
         GlobalFrame::EastNorthUp => Quaternion::identity(),
-        // A quarter turn about up: north (x) becomes the second axis, west (y) the negative first one.
+        // 90° about up: north (x) is the second axis, west (y) the negative first one.
         GlobalFrame::NorthWestUp => Quaternion::new(FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2),
-        // Half a turn about the bisector of north and east.
+        // 180° about the bisector of north and east.
         GlobalFrame::NorthEastDown => Quaternion::new(0.0, FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0),
     };
     UnitQuaternion::new_unchecked(q)
 }
 
-/// East-north-up from the unit's axes; `None` where what was sent is no attitude (not finite, far from unit length or
-/// from orthonormal).
+/// Rotation from the sensor frame to east-north-up.
+///
+/// `None` if the orientation is not finite, or differs from a unit quaternion or orthonormal matrix
+/// by more than 5 %.
 pub fn enu_from_imu(orientation: &Orientation) -> Option<UnitQuaternion<f64>> {
     let global_from_imu = match orientation.attitude {
         Attitude::Quaternion([w, x, y, z]) => {
@@ -46,7 +46,6 @@ pub fn enu_from_imu(orientation: &Orientation) -> Option<UnitQuaternion<f64>> {
             UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(m))
         }
     };
-    // The product of two unit quaternions drifts from unit length by rounding alone.
     Some(enu_from_global(orientation.frame) * global_from_imu)
 }
 
@@ -56,7 +55,7 @@ mod tests {
     use nalgebra::Vector3;
 
     #[test]
-    fn north_west_and_down_go_where_they_belong() {
+    fn axes_of_all_global_frames_map_to_east_north_up() {
         let nwu = enu_from_global(GlobalFrame::NorthWestUp);
         assert!((nwu * Vector3::x() - Vector3::y()).norm() < 1e-12);
         assert!((nwu * Vector3::y() + Vector3::x()).norm() < 1e-12);
@@ -67,8 +66,8 @@ mod tests {
     }
 
     #[test]
-    fn three_forms_of_one_real_attitude_agree() {
-        // Matrix and quaternion of one recorded message (a newer unit, east-north-up).
+    fn three_forms_of_a_recorded_orientation_are_equal() {
+        // Matrix and quaternion of one recorded message (east-north-up).
         let frame = GlobalFrame::EastNorthUp;
         let from_matrix = enu_from_imu(&Orientation {
             attitude: Attitude::Matrix([
@@ -98,12 +97,13 @@ mod tests {
         assert!(from_matrix.angle_to(&from_quaternion) < 1e-4);
         let (roll, pitch, yaw) = from_quaternion.euler_angles();
         let degrees = [roll, pitch, yaw].map(f64::to_degrees);
-        let from_euler = enu_from_imu(&Orientation { attitude: Attitude::Euler(degrees), frame }).unwrap();
+        let from_euler =
+            enu_from_imu(&Orientation { attitude: Attitude::Euler(degrees), frame }).unwrap();
         assert!(from_euler.angle_to(&from_quaternion) < 1e-9);
     }
 
     #[test]
-    fn what_is_no_attitude_is_refused() {
+    fn invalid_orientations_are_rejected() {
         let frame = GlobalFrame::NorthWestUp;
         for attitude in [
             Attitude::Quaternion([0.0; 4]),

@@ -1,8 +1,11 @@
-//! The serial port, and the loop that lets a [`Driver`] drive it. The only file that knows `serialport`.
+//! Serial port, and the loop that connects it to a [`Driver`]; the only file that uses
+//! `serialport`.
 
 use crate::driver::{Driver, Event, Identity, Input, Output, Sample, Statistics};
 use rig_model::Stamp;
-use serialport::{ClearBuffer, DataBits, FlowControl, Parity, SerialPort, SerialPortType, StopBits, TTYPort};
+use serialport::{
+    ClearBuffer, DataBits, FlowControl, Parity, SerialPort, SerialPortType, StopBits, TTYPort,
+};
 use std::{
     fmt,
     io::{ErrorKind, Read, Write},
@@ -11,52 +14,55 @@ use std::{
 };
 use thiserror::Error;
 
-/// Reading waits for so long at most, so that timers run.
+/// Timeout of reading, so that timers run.
 const READ_TIMEOUT: Duration = Duration::from_millis(20);
-/// Status goes out this often, s.
+/// Interval of the status, s.
 const STATUS_INTERVAL: f64 = 0.5;
 
-/// Why a port cannot be opened.
+/// Error of opening a port.
 #[derive(Debug, Error)]
 pub enum PortError {
-    /// It is not there.
+    /// The port does not exist.
     #[error(
-        "the serial port {port} is not there; plug the unit in, or give its port (`volant imu find` lists them)"
+        "the serial port {port} does not exist; \
+         connect the IMU, or give its port (`volant imu find` lists ports)"
     )]
     Missing {
-        /// As given.
+        /// Path of the port.
         port: String,
     },
-    /// The user may not.
+    /// The user has no permission.
     #[error(
-        "the serial port {port} may not be opened; add the user to the group that owns it (usually `dialout`) and log in again"
+        "no permission to open the serial port {port}; \
+         add the user to the group that owns it (usually `dialout`) and log in again"
     )]
     Forbidden {
-        /// As given.
+        /// Path of the port.
         port: String,
     },
-    /// Somebody else has it.
+    /// Another program uses the port.
     #[error(
-        "the serial port {port} is in use by another program; end it (ModemManager is one that grabs such ports)"
+        "the serial port {port} is in use by another program; \
+         stop that program (ModemManager opens such ports)"
     )]
     Busy {
-        /// As given.
+        /// Path of the port.
         port: String,
     },
-    /// Something else.
-    #[error("the serial port {port} cannot be opened: {reason}; is it a serial port?")]
+    /// Any other error.
+    #[error("the serial port {port} cannot be opened: {reason}; check that it is a serial port")]
     Other {
-        /// As given.
+        /// Path of the port.
         port: String,
-        /// The system's reason.
+        /// Error of the system.
         reason: String,
     },
 }
 
-/// An open port.
+/// Open serial port.
 pub struct Port {
     tty: TTYPort,
-    /// The adapter hands bytes over at once.
+    /// The adapter forwards bytes without a latency timer.
     pub low_latency: bool,
 }
 
@@ -67,7 +73,7 @@ impl fmt::Debug for Port {
 }
 
 impl Port {
-    /// Opens a port for this process alone: 8 data bits, no parity, no flow control.
+    /// Opens a port exclusively: 8 data bits, no parity, no flow control.
     ///
     /// # Errors
     /// [`PortError`] with the remedy.
@@ -90,7 +96,9 @@ impl Port {
                     serialport::ErrorKind::Io(ErrorKind::PermissionDenied) => {
                         PortError::Forbidden { port: named() }
                     }
-                    serialport::ErrorKind::Io(ErrorKind::NotFound) => PortError::Missing { port: named() },
+                    serialport::ErrorKind::Io(ErrorKind::NotFound) => {
+                        PortError::Missing { port: named() }
+                    }
                     _ if text.contains("busy") => PortError::Busy { port: named() },
                     serialport::ErrorKind::NoDevice if text.contains("No such") => {
                         PortError::Missing { port: named() }
@@ -99,7 +107,7 @@ impl Port {
                 }
             })?;
         let low_latency = set_low_latency(&tty);
-        // What the old stream left in the system's buffers is not the new stream's beginning.
+        // Remains of a previous stream.
         let _ = tty.clear(ClearBuffer::All);
         Ok(Self { tty, low_latency })
     }
@@ -110,41 +118,42 @@ impl Port {
     }
 }
 
-/// Asks the adapter's kernel driver for no latency timer: an FTDI's holds bytes back for up to 16 ms otherwise. Not every
-/// driver knows the flag, and a pseudo-terminal has none.
+/// Requests low latency from the driver of the adapter; returns whether it is supported.
+///
+/// Without it an FTDI adapter delays bytes by up to 16 ms.
 #[allow(
     unsafe_code,
-    reason = "no safe wrapper offers TIOCGSERIAL; the buffer is larger than the kernel's structure"
+    reason = "no safe wrapper for TIOCGSERIAL; the buffer is larger than the kernel's structure"
 )]
 fn set_low_latency(tty: &TTYPort) -> bool {
-    /// Index of `flags` in `struct serial_struct`: type, line, port, irq come before it.
+    /// Index of `flags` in `struct serial_struct`, after type, line, port and irq.
     const FLAGS: usize = 4;
     const ASYNC_LOW_LATENCY: libc::c_int = 1 << 13;
     // `struct serial_struct` has 72 bytes on 64-bit Linux, and fewer on 32-bit.
     let mut serial = [0 as libc::c_int; 32];
     let fd = tty.as_raw_fd();
-    // SAFETY: fd is open for the lifetime of `tty`; the kernel writes at most sizeof(struct serial_struct) bytes.
-    let got = unsafe { libc::ioctl(fd, libc::TIOCGSERIAL as _, serial.as_mut_ptr()) };
-    if got != 0 {
+    // SAFETY: fd is open as long as `tty`; the kernel writes at most sizeof(struct serial_struct).
+    let result = unsafe { libc::ioctl(fd, libc::TIOCGSERIAL as _, serial.as_mut_ptr()) };
+    if result != 0 {
         return false;
     }
     serial[FLAGS] |= ASYNC_LOW_LATENCY;
-    // SAFETY: as above; the kernel reads what it has just written, with one flag more.
+    // SAFETY: as above; the kernel reads the structure that it has written, with one more flag.
     unsafe { libc::ioctl(fd, libc::TIOCSSERIAL as _, serial.as_ptr()) == 0 }
 }
 
-/// A port that might have a unit, for people.
+/// Serial port that may have an IMU.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Candidate {
-    /// Its path.
+    /// Path of the port.
     pub path: String,
-    /// What is known of the adapter.
+    /// Description of the adapter.
     pub adapter: String,
-    /// The adapter is one of the units' maker.
+    /// The adapter has an identifier of the manufacturer.
     pub likely: bool,
 }
 
-/// The serial ports of this machine, the likely ones first.
+/// Serial ports of this computer, likely ones first.
 pub fn candidates() -> Vec<Candidate> {
     let mut found: Vec<Candidate> = serialport::available_ports()
         .unwrap_or_default()
@@ -152,8 +161,9 @@ pub fn candidates() -> Vec<Candidate> {
         .map(|port| match port.port_type {
             SerialPortType::UsbPort(usb) => Candidate {
                 path: port.port_name,
-                // 2639 is the maker's; 0403 with d388 to d38f are its FTDI cables.
-                likely: usb.vid == 0x2639 || (usb.vid == 0x0403 && (0xD388..=0xD38F).contains(&usb.pid)),
+                // Vendor 2639; 0403 with d388 to d38f: its FTDI cables.
+                likely: usb.vid == 0x2639
+                    || (usb.vid == 0x0403 && (0xD388..=0xD38F).contains(&usb.pid)),
                 adapter: format!(
                     "USB {:04x}:{:04x} {}",
                     usb.vid,
@@ -168,55 +178,57 @@ pub fn candidates() -> Vec<Candidate> {
     found
 }
 
-/// How the driver fares, twice a second.
+/// Status of the driver, reported twice per second.
 #[derive(Clone, Debug)]
 pub struct DriverStatus {
-    /// Counts.
+    /// Counts since the start.
     pub statistics: Statistics,
-    /// What it is doing.
+    /// Description of the phase.
     pub state: &'static str,
-    /// Samples are coming.
+    /// The device is in the measurement state.
     pub measuring: bool,
-    /// Which unit.
+    /// Identity of the device.
     pub identity: Identity,
-    /// The adapter hands bytes over at once.
+    /// The adapter forwards bytes without a latency timer.
     pub low_latency: bool,
 }
 
-/// What the loop tells.
+/// Report of the loop.
 #[derive(Debug)]
 pub enum Report {
     /// A sample.
     Sample(Sample),
-    /// Something happened.
+    /// An event.
     Event(Event),
-    /// How it fares.
+    /// The status.
     Status(Box<DriverStatus>),
-    /// Bytes as they came (only where they were asked for).
+    /// Received bytes, if requested by [`Runner::raw`].
     Bytes(Vec<u8>),
 }
 
-/// Lets a driver drive a port.
+/// Connects a driver to a port.
 #[derive(Debug)]
 pub struct Runner {
     /// Path of the port.
     pub port: String,
     /// The driver.
     pub driver: Driver,
-    /// Report the raw bytes too.
+    /// Report the received bytes too.
     pub raw: bool,
-    /// Taken at the first opening instead of opening the port anew.
+    /// Open port for the first [`Output::Open`].
     pub opened: Option<Port>,
 }
 
 impl Runner {
-    /// Runs until `tell` returns false, which is asked for at least ten times a second. `now` is the clock of the stamps, and `set_by`
-    /// tells by how many ns somebody set it since it was asked last.
+    /// Runs until `report` or `go_on` returns false; `go_on` is called at least ten times per
+    /// second.
+    ///
+    /// `now`: clock of the stamps; `set_by`: step of this clock since the last call, ns.
     pub fn run(
         mut self,
         now: impl Fn() -> Stamp,
         mut set_by: impl FnMut() -> Option<i64>,
-        mut tell: impl FnMut(Report) -> bool,
+        mut report: impl FnMut(Report) -> bool,
         mut go_on: impl FnMut() -> bool,
     ) {
         let mut port: Option<Port> = None;
@@ -225,9 +237,9 @@ impl Runner {
         self.driver.handle(Input::Tick { at: now() });
         loop {
             while let Some(output) = self.driver.poll() {
-                let told = match output {
-                    Output::Sample(sample) => tell(Report::Sample(sample)),
-                    Output::Event(event) => tell(Report::Event(event)),
+                let go_on = match output {
+                    Output::Sample(sample) => report(Report::Sample(sample)),
+                    Output::Event(event) => report(Report::Event(event)),
                     Output::Close => {
                         port = None;
                         true
@@ -244,7 +256,8 @@ impl Runner {
                             }
                             Err(error) => {
                                 let reason = error.to_string();
-                                self.driver.handle(Input::OpenFailed { at: now(), reason: &reason });
+                                self.driver
+                                    .handle(Input::OpenFailed { at: now(), reason: &reason });
                             }
                         }
                         true
@@ -259,12 +272,13 @@ impl Runner {
                     Output::Write(bytes) => {
                         if let Some(Err(error)) = port.as_mut().map(|p| p.tty.write_all(&bytes)) {
                             port = None;
-                            self.driver.handle(Input::Lost { at: now(), reason: &error.to_string() });
+                            self.driver
+                                .handle(Input::Lost { at: now(), reason: &error.to_string() });
                         }
                         true
                     }
                 };
-                if !told {
+                if !go_on {
                     return;
                 }
             }
@@ -281,7 +295,7 @@ impl Runner {
                     identity: self.driver.identity().clone(),
                     low_latency: port.as_ref().is_some_and(|p| p.low_latency),
                 };
-                if !tell(Report::Status(Box::new(status))) {
+                if !report(Report::Status(Box::new(status))) {
                     return;
                 }
             }
@@ -294,7 +308,7 @@ impl Runner {
                 Ok(n) if n > 0 => {
                     let arrival = now();
                     let arrival = match set_by() {
-                        // Before the arrival was read or after it: by the clock as it is now in either case.
+                        // The clock may have been set before or after `arrival` was read.
                         Some(by) => {
                             self.driver.handle(Input::ClockSet { by });
                             now()
@@ -302,16 +316,18 @@ impl Runner {
                         None => arrival,
                     };
                     let bytes = buffer.get(..n).unwrap_or_default();
-                    if self.raw && !tell(Report::Bytes(bytes.to_vec())) {
+                    if self.raw && !report(Report::Bytes(bytes.to_vec())) {
                         return;
                     }
                     self.driver.handle(Input::Bytes { bytes, arrival });
                 }
                 Ok(_) => {
                     port = None;
-                    self.driver.handle(Input::Lost { at: now(), reason: "it was unplugged" });
+                    self.driver.handle(Input::Lost { at: now(), reason: "adapter disconnected" });
                 }
-                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => {
+                Err(error)
+                    if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) =>
+                {
                     if let Some(by) = set_by() {
                         self.driver.handle(Input::ClockSet { by });
                     }

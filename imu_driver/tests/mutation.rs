@@ -1,5 +1,11 @@
-//! A million hostile inputs in a few seconds; ten million and more: `--example fuzz`.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
+//! A million corrupted inputs in a few seconds; `--example fuzz` runs more.
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 
 #[path = "../fuzz/exercise.rs"]
 mod exercise;
@@ -7,7 +13,7 @@ mod exercise;
 mod mutate;
 
 #[test]
-fn a_million_damaged_streams_logs_and_conversations_do_no_harm() {
+fn a_million_corrupted_streams_logs_and_conversations_never_panic() {
     let seeds = mutate::seeds();
     let mut random = mutate::Random(0x5DEE_CE66_D1CE_4E5B);
     let mut input = Vec::new();
@@ -22,8 +28,8 @@ fn a_million_damaged_streams_logs_and_conversations_do_no_harm() {
 }
 
 #[test]
-fn the_seeds_reach_what_they_are_meant_to_reach() {
-    // Without this the runs above could be shut out at the first check.
+fn the_seeds_contain_valid_frames_and_a_valid_conversation() {
+    // Otherwise the runs above might fail the first check of the parser every time.
     use imu_driver::{driver::*, protocol::*};
     let seeds = mutate::seeds();
     let mut frames = 0;
@@ -49,7 +55,7 @@ fn the_seeds_reach_what_they_are_meant_to_reach() {
         driver.handle(Input::Bytes { bytes, arrival: at });
         rest = tail;
     }
-    // They wait for the clocks' offset, and come when there is nothing more to wait for.
+    // Samples wait for the clock fit; the end of the stream releases them.
     assert_eq!(samples, 0);
     driver.finish();
     while let Some(output) = driver.poll() {

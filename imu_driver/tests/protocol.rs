@@ -1,19 +1,32 @@
-//! The protocol under all ways of cutting, writing and damaging a stream.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
+//! Protocol: chunking, round trips in all formats, corrupted streams.
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 
 use imu_driver::protocol::{
-    Attitude, Configuration, Decoder, FrameParser, GlobalFrame, LegacyFormat, Measurement, MessageId,
-    NumberFormat, Orientation, OutputMode, OutputSettings, Status, Utc, frame,
+    Attitude, Configuration, Decoder, FrameParser, GlobalFrame, LegacyFormat, Measurement,
+    MessageId, NumberFormat, Orientation, OutputMode, OutputSettings, Status, Utc, frame,
     measurement::{RawGps, RawInertial},
     mtdata2,
 };
 use proptest::{collection::vec, prelude::*};
 
-/// Every combination of bits that mean something, raw data included.
+fn legacy(mode: u16, settings: u32) -> LegacyFormat {
+    LegacyFormat {
+        mode: OutputMode::from_bits_retain(mode),
+        settings: OutputSettings::from_bits_retain(settings),
+    }
+}
+
+/// Every combination of documented bits, including raw data.
 fn any_format() -> impl Strategy<Value = LegacyFormat> {
     (any::<u16>(), any::<u32>(), 0..3_u32).prop_map(|(mode, settings, form)| LegacyFormat {
-        mode: OutputMode(mode & 0x583F),
-        settings: OutputSettings((settings & 0x8000_0F73) | (form << 2)),
+        mode: OutputMode::from_bits_truncate(mode),
+        settings: OutputSettings::from_bits_retain((settings & 0x8000_0F73) | (form << 2)),
     })
 }
 
@@ -55,24 +68,30 @@ prop_compose! {
             latitude_longitude: Some([numbers[1], numbers[2]]),
             altitude: Some(numbers[3]),
             orientation: Some(Orientation { attitude, frame: GlobalFrame::NorthWestUp }),
-            raw: Some(RawInertial { acceleration: w(0), angular_velocity: w(3), magnetic_field: w(6), temperature: words[9] }),
+            raw: Some(RawInertial {
+                acceleration: w(0),
+                angular_velocity: w(3),
+                magnetic_field: w(6),
+                temperature: words[9],
+            }),
             raw_gps: Some(RawGps(gps.try_into().unwrap())),
             analog: [Some(words[10]), Some(words[11])],
             counter: Some(words[12]),
-            status: Some(Status(u32::from(status))),
+            status: Some(Status::from_bits_retain(u32::from(status))),
             utc: Some(Utc { nanosecond, year, month, day, hour, minute, second, flags }),
             ..Measurement::default()
         }
     }
 }
 
-/// What of a measurement a format carries, as the format writes it.
-fn as_carried(m: &Measurement, format: LegacyFormat) -> Measurement {
+/// The measurement after a round trip in this format.
+fn as_encoded(m: &Measurement, format: LegacyFormat) -> Measurement {
     let (mode, settings) = (format.mode, format.settings);
-    let round = |x: f64| settings.number_format().quantise(x);
+    let round = |x: f64| settings.number_format().quantize(x);
     let vector = |v: Option<[f64; 3]>| v.map(|v| v.map(round));
-    let calibrated = |bit: u32, v| if format.sends_vector(bit) { vector(v) } else { None };
-    let when = |bit: u16| mode.has(bit);
+    let calibrated =
+        |bit: OutputSettings, v| if format.sends_vector(bit) { vector(v) } else { None };
+    let when = |bit: OutputMode| mode.contains(bit);
     let gps = when(OutputMode::RAW_GPS);
     Measurement {
         acceleration: calibrated(OutputSettings::NO_ACCELERATION, m.acceleration),
@@ -80,7 +99,10 @@ fn as_carried(m: &Measurement, format: LegacyFormat) -> Measurement {
         magnetic_field: calibrated(OutputSettings::NO_MAGNETIC_FIELD, m.magnetic_field),
         velocity: vector(m.velocity).filter(|_| when(OutputMode::VELOCITY)),
         temperature: m.temperature.map(round).filter(|_| when(OutputMode::TEMPERATURE)),
-        latitude_longitude: m.latitude_longitude.map(|v| v.map(round)).filter(|_| when(OutputMode::POSITION)),
+        latitude_longitude: m
+            .latitude_longitude
+            .map(|v| v.map(round))
+            .filter(|_| when(OutputMode::POSITION)),
         altitude: m.altitude.map(round).filter(|_| when(OutputMode::POSITION)),
         orientation: m.orientation.filter(|_| when(OutputMode::ORIENTATION)).map(|o| Orientation {
             attitude: match o.attitude {
@@ -95,11 +117,11 @@ fn as_carried(m: &Measurement, format: LegacyFormat) -> Measurement {
         has_gnss: gps,
         analog: [OutputSettings::NO_ANALOG_1, OutputSettings::NO_ANALOG_2].map(|bit| {
             let index = usize::from(bit == OutputSettings::NO_ANALOG_2);
-            m.analog[index].filter(|_| when(OutputMode::AUXILIARY) && !settings.has(bit))
+            m.analog[index].filter(|_| when(OutputMode::AUXILIARY) && !settings.contains(bit))
         }),
-        counter: m.counter.filter(|_| settings.has(OutputSettings::COUNTER)),
+        counter: m.counter.filter(|_| settings.contains(OutputSettings::COUNTER)),
         status: m.status.filter(|_| when(OutputMode::STATUS)),
-        utc: m.utc.filter(|_| settings.has(OutputSettings::UTC)),
+        utc: m.utc.filter(|_| settings.contains(OutputSettings::UTC)),
         ..Measurement::default()
     }
 }
@@ -122,28 +144,40 @@ fn parse(stream: &[u8], cuts: &[usize]) -> (Found, imu_driver::protocol::ParserC
     (found, parser.counts())
 }
 
-/// Frames, noise, cut frames and false preambles, one after the other.
+/// A sequence of frames, noise, truncated frames and preambles.
 fn any_stream() -> impl Strategy<Value = Vec<u8>> {
     let piece = prop_oneof![
-        4 => (any::<u8>(), vec(any::<u8>(), 0..300)).prop_map(|(id, data)| frame(MessageId(id), &data)),
-        1 => (vec(any::<u8>(), 0..100), 0..50_usize)
-            .prop_map(|(data, cut)| { let mut f = frame(MessageId::MT_DATA, &data); f.truncate(cut); f }),
+        4 => (any::<u8>(), vec(any::<u8>(), 0..300))
+            .prop_map(|(id, data)| frame(MessageId(id), &data)),
+        1 => (vec(any::<u8>(), 0..100), 0..50_usize).prop_map(|(data, length)| {
+            let mut f = frame(MessageId::MT_DATA, &data);
+            f.truncate(length);
+            f
+        }),
         1 => vec(any::<u8>(), 0..40),
-        1 => vec(prop_oneof![Just(0xFA_u8), Just(0xFF), Just(0x01), Just(0x32), Just(0x00)], 0..12),
+        1 => vec(prop::sample::select(vec![0xFA_u8, 0xFF, 0x01, 0x32, 0x00]), 0..12),
         1 => vec(any::<u8>(), 300..1200).prop_map(|data| frame(MessageId::MT_DATA2, &data)),
     ];
     vec(piece, 0..12).prop_map(|pieces| pieces.concat())
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 2000,
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
 
     #[test]
-    fn any_split_of_any_stream_gives_the_same_frames(stream in any_stream(), cuts in vec(0..90_usize, 0..60)) {
+    fn any_chunking_of_a_stream_gives_the_same_frames(
+        stream in any_stream(),
+        cuts in vec(0..90_usize, 0..60),
+    ) {
         let (whole, counts) = parse(&stream, &[]);
-        prop_assert_eq!((&whole, counts), (&parse(&stream, &cuts).0, parse(&stream, &cuts).1));
-        let bytewise = parse(&stream, &vec![1; stream.len()]);
-        prop_assert_eq!((&whole, counts), (&bytewise.0, bytewise.1));
+        for cuts in [cuts, vec![1; stream.len()]] {
+            let chunked = parse(&stream, &cuts);
+            prop_assert_eq!((&whole, counts), (&chunked.0, chunked.1));
+        }
         prop_assert_eq!(counts.frames as usize, whole.len());
         prop_assert_eq!(counts.frame_bytes + counts.skipped_bytes, stream.len() as u64);
     }
@@ -151,26 +185,31 @@ proptest! {
     #[test]
     fn every_legacy_format_round_trips(
         (format, m) in any_format().prop_flat_map(|f| {
-            (Just(f), any_measurement((f.settings.0 >> 2) & 3))
+            (Just(f), any_measurement((f.settings.bits() >> 2) & 3))
         })
     ) {
         let mut data = Vec::new();
         format.encode(&m, &mut data);
         prop_assert_eq!(data.len(), format.data_length());
-        prop_assert_eq!(format.decode(&data), Ok(as_carried(&m, format)));
-        // And through the wire, after the Configuration.
+        prop_assert_eq!(format.decode(&data), Ok(as_encoded(&m, format)));
+        // On the wire, after a Configuration.
         let configuration = Configuration { format, ..Configuration::default() };
         let mut stream = frame(MessageId::REQ_CONFIGURATION.ack(), &configuration.to_data());
         stream.extend(frame(MessageId::MT_DATA, &data));
         let mut decoder = Decoder::default();
         let mut decoded = Vec::new();
         FrameParser::new().parse(&stream, |f| decoded.push(decoder.decode(&f).unwrap()));
-        prop_assert_eq!(decoded, vec![None, Some(as_carried(&m, format))]);
-        prop_assert!(format.decode(&data[..data.len().saturating_sub(1)]).is_err() || data.is_empty());
+        prop_assert_eq!(decoded, vec![None, Some(as_encoded(&m, format))]);
+        let shorter = &data[..data.len().saturating_sub(1)];
+        prop_assert!(format.decode(shorter).is_err() || data.is_empty());
     }
 
     #[test]
-    fn mtdata2_round_trips_in_all_formats(m in any_measurement(0), bits in 0..4_u32, fine in any::<u32>()) {
+    fn mtdata2_round_trips_in_all_formats(
+        m in any_measurement(0),
+        bits in 0..4_u32,
+        fine in any::<u32>(),
+    ) {
         let format = NumberFormat::from_bits(bits);
         let m = Measurement {
             sample_time_fine: Some(fine),
@@ -182,18 +221,19 @@ proptest! {
         };
         let mut data = Vec::new();
         mtdata2::encode(&m, format, &mut data);
-        let round3 = |v: Option<[f64; 3]>| v.map(|v| v.map(|x| format.quantise(x)));
+        let round3 = |v: Option<[f64; 3]>| v.map(|v| v.map(|x| format.quantize(x)));
         let expected = Measurement {
             acceleration: round3(m.acceleration),
             angular_velocity: round3(m.angular_velocity),
             magnetic_field: round3(m.magnetic_field),
             velocity: round3(m.velocity),
-            temperature: m.temperature.map(|x| format.quantise(x)),
-            altitude: m.altitude.map(|x| format.quantise(x)),
-            latitude_longitude: m.latitude_longitude.map(|v| v.map(|x| format.quantise(x))),
+            temperature: m.temperature.map(|x| format.quantize(x)),
+            altitude: m.altitude.map(|x| format.quantize(x)),
+            latitude_longitude: m.latitude_longitude.map(|v| v.map(|x| format.quantize(x))),
             orientation: m.orientation.map(|o| match o.attitude {
                 Attitude::Quaternion(q) => {
-                    Orientation { attitude: Attitude::Quaternion(q.map(|x| format.quantise(x))), ..o }
+                    let attitude = Attitude::Quaternion(q.map(|x| format.quantize(x)));
+                    Orientation { attitude, ..o }
                 }
                 _ => o,
             }),
@@ -203,8 +243,8 @@ proptest! {
     }
 
     #[test]
-    fn no_bytes_whatever_make_a_decoder_panic(data in vec(any::<u8>(), 0..400), mode: u16, settings: u32) {
-        let format = LegacyFormat { mode: OutputMode(mode), settings: OutputSettings(settings) };
+    fn decoders_never_panic(data in vec(any::<u8>(), 0..400), mode: u16, settings: u32) {
+        let format = legacy(mode, settings);
         let _ = format.decode(&data);
         let mut fitting = data.clone();
         fitting.resize(format.data_length(), 0x5A);
@@ -216,20 +256,15 @@ proptest! {
 }
 
 #[test]
-fn every_single_output_mode_and_form_and_number_format_has_its_own_length() {
-    // Data of one number format: temperature, three vectors, attitude, position, velocity, status, counter, UTC.
+fn lengths_follow_from_output_mode_form_and_number_format() {
+    // Temperature, three vectors, orientation, position, velocity, status, counter, UTC.
     for format in NumberFormat::ALL {
         for (form, attitude) in [(0, 4), (1, 3), (2, 9)] {
-            let all = LegacyFormat {
-                mode: OutputMode(0x083F),
-                settings: OutputSettings(3 | (form << 2) | (format.bits() << 8)),
-            };
+            let all = legacy(0x083F, 3 | (form << 2) | (format.bits() << 8));
             let numbers = 1 + 9 + attitude + 3 + 3;
             assert_eq!(all.data_length(), numbers * format.size() + 4 + 1 + 2 + 12);
         }
     }
-    let raw = LegacyFormat { mode: OutputMode(0x4000), settings: OutputSettings(1) };
-    assert_eq!(raw.data_length(), 22);
-    let gps = LegacyFormat { mode: OutputMode(0x1000), settings: OutputSettings(0) };
-    assert_eq!(gps.data_length(), 44);
+    assert_eq!(legacy(0x4000, 1).data_length(), 22);
+    assert_eq!(legacy(0x1000, 0).data_length(), 44);
 }

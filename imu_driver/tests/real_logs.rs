@@ -1,4 +1,5 @@
-//! Bytes of real units against values decoded by somebody else's program. They are found through `VOLANT_SHARED`.
+//! Recordings of real devices, compared with values decoded by another program; the recordings are
+//! found through `VOLANT_SHARED`.
 #![allow(
     missing_docs,
     clippy::unwrap_used,
@@ -15,14 +16,10 @@ use imu_driver::{
 use std::{collections::BTreeMap, path::PathBuf};
 
 fn recordings() -> Option<PathBuf> {
-    let Some(shared) = std::env::var_os("VOLANT_SHARED") else {
-        eprintln!("skipped: VOLANT_SHARED is not set, so there are no recordings");
-        return None;
-    };
-    Some(PathBuf::from(shared).join("data/xsens"))
+    Some(test_support::recordings()?.join("data/xsens"))
 }
 
-/// One message of the reference: heading → lines below it.
+/// One message of the reference: lines by heading.
 type Reference = BTreeMap<String, Vec<String>>;
 
 fn reference(text: &str) -> Vec<Reference> {
@@ -49,7 +46,7 @@ fn numbers(lines: &[String]) -> Vec<f64> {
     lines.iter().map(|l| l.rsplit(':').next().unwrap().parse().unwrap()).collect()
 }
 
-/// Compares one kind of data; how many messages of the reference had it.
+/// Compares one kind of data; returns 1 if the reference contains it.
 fn compare(reference: &Reference, name: &str, ours: Option<&[f64]>, tolerance: f64) -> usize {
     let found = reference.iter().find(|(heading, _)| heading.split('(').next() == Some(name));
     match (found, ours) {
@@ -79,7 +76,7 @@ fn attitude(m: &Measurement, wanted: &str) -> Option<Vec<f64>> {
 }
 
 #[test]
-fn five_recordings_equal_the_reference_in_every_value() {
+fn every_value_of_five_recordings_equals_the_reference() {
     let Some(folder) = recordings() else { return };
     let mut compared = 0;
     for log in 1..=5 {
@@ -95,7 +92,7 @@ fn five_recordings_equal_the_reference_in_every_value() {
             let slice3 = |v: &Option<[f64; 3]>| v.map(|v| v.to_vec());
             let whole = |v: Option<u32>| v.map(|x| vec![f64::from(x)]);
             let exact = 0.0;
-            // The reference prints single precision ECEF positions with nine digits.
+            // The reference has ECEF positions in single precision, with nine digits.
             for (name, value, tolerance) in [
                 ("PacketCounter", whole(m.counter.map(u32::from)), exact),
                 ("SampleTimeFine", whole(m.sample_time_fine), exact),
@@ -120,7 +117,7 @@ fn five_recordings_equal_the_reference_in_every_value() {
             }
             let bits = |text: &String| u32::from_str_radix(text, 2).unwrap();
             let status = r.get("StatusWord").or(r.get("StatusByte")).map(|lines| bits(&lines[0]));
-            assert_eq!(m.status.map(|s| s.0), status);
+            assert_eq!(m.status.map(|s| s.bits()), status);
             if let Some(utc) = m.utc {
                 let text = &r["UTCTime"][0];
                 let date = format!(
@@ -140,11 +137,12 @@ fn five_recordings_equal_the_reference_in_every_value() {
 }
 
 #[test]
-fn the_table_of_every_recording_has_a_row_per_message_and_its_values() {
+fn the_csv_of_every_recording_has_one_row_per_message_with_its_values() {
     let Some(folder) = recordings() else { return };
     for log in 1..=5 {
         let bytes = std::fs::read(folder.join(log.to_string()).join("output.bin")).unwrap();
-        let golden = std::fs::read_to_string(folder.join(log.to_string()).join("output.golden")).unwrap();
+        let golden =
+            std::fs::read_to_string(folder.join(log.to_string()).join("output.golden")).unwrap();
         let mut table = Vec::new();
         let counts = decode_to_csv(&bytes, None, &mut table).unwrap();
         assert_eq!((counts.rows, counts.unreadable), (100, 0));
@@ -153,10 +151,13 @@ fn the_table_of_every_recording_has_a_row_per_message_and_its_values() {
             let cells: Vec<&str> = row.split(',').collect();
             assert_eq!(cells.len(), 12);
             assert_eq!(cells[0], r["PacketCounter"][0]);
-            for (at, name, n) in [(2, "Acceleration", 3), (5, "RateOfTurn", 3), (8, "Quaternion", 4)] {
+            for (at, name, n) in
+                [(2, "Acceleration", 3), (5, "RateOfTurn", 3), (8, "Quaternion", 4)]
+            {
                 match r.iter().find(|(h, _)| h.split('(').next() == Some(name)) {
                     Some((_, lines)) => {
-                        let cells: Vec<f64> = cells[at..at + n].iter().map(|c| c.parse().unwrap()).collect();
+                        let cells: Vec<f64> =
+                            cells[at..at + n].iter().map(|c| c.parse().unwrap()).collect();
                         assert_eq!(cells, numbers(lines));
                     }
                     None => assert!(cells[at..at + n].iter().all(|c| c.is_empty())),
@@ -167,7 +168,7 @@ fn the_table_of_every_recording_has_a_row_per_message_and_its_values() {
 }
 
 #[test]
-fn a_real_legacy_unit_s_frames_are_read_with_its_configuration() {
+fn recorded_legacy_frames_are_decoded_with_their_configuration() {
     let Some(folder) = recordings() else { return };
     let text = std::fs::read_to_string(folder.join("legacy_frames.txt")).unwrap();
     let frames: Vec<Vec<u8>> = text
@@ -188,12 +189,12 @@ fn a_real_legacy_unit_s_frames_are_read_with_its_configuration() {
     assert_eq!(data[1].counter.unwrap(), data[0].counter.unwrap() + 1);
     for m in &data {
         let [x, y, z] = m.acceleration.unwrap();
-        // At rest on a table, a few degrees off the level; the Earth's field is about 1 where it was calibrated.
+        // Stationary on a table, tilted by a few degrees.
         assert!(((x * x + y * y + z * z).sqrt() - 9.81).abs() < 0.1, "{:?}", m.acceleration);
         let [w, i, j, k] = m.quaternion().unwrap();
         assert!(((w * w + i * i + j * j + k * k).sqrt() - 1.0).abs() < 1e-5);
         assert_eq!(m.orientation.unwrap().frame, GlobalFrame::NorthWestUp);
-        // Its own attitude turns its own specific force upright: the quaternion is global from sensor.
+        // The quaternion rotates from the sensor to the global frame: specific force points up.
         let q = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, i, j, k));
         let up = q * nalgebra::Vector3::new(x, y, z);
         assert!(up.z > 9.7 && up.xy().norm() < 0.3, "{up}");

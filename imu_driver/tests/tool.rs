@@ -1,6 +1,12 @@
-//! `volant imu` as a person starts it.
+//! Executable `volant-imu`.
 #![cfg(feature = "cli")]
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 
 use imu_driver::protocol::{Configuration, LegacyFormat, Measurement, MessageId, frame};
 use std::{
@@ -12,7 +18,7 @@ fn volant_imu(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_volant-imu")).args(arguments).output().unwrap()
 }
 
-/// A folder of its own for each test.
+/// A separate folder for each test.
 fn folder(name: &str) -> PathBuf {
     let folder = std::env::temp_dir().join(format!("volant-imu-{name}-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
@@ -36,10 +42,11 @@ fn legacy_message(counter: u16) -> Vec<u8> {
 }
 
 #[test]
-fn a_damaged_legacy_log_becomes_a_table_and_the_loss_is_said() {
+fn a_corrupted_legacy_log_is_decoded_and_its_losses_are_counted() {
     let folder = folder("damaged");
     let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
-    let configuration = Configuration { format: LegacyFormat::STANDARD, ..Configuration::default() };
+    let configuration =
+        Configuration { format: LegacyFormat::STANDARD, ..Configuration::default() };
     let config = frame(MessageId::REQ_CONFIGURATION.ack(), &configuration.to_data());
     std::fs::write(path("configuration.bin"), config).unwrap();
     let mut log = Vec::new();
@@ -78,21 +85,26 @@ fn a_damaged_legacy_log_becomes_a_table_and_the_loss_is_said() {
 }
 
 #[test]
-fn what_cannot_be_ends_with_one_line_that_says_why() {
+fn errors_are_one_line_with_file_and_remedy() {
     let folder = folder("cannot");
     let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
     std::fs::write(path("empty.bin"), []).unwrap();
-    std::fs::write(path("foreign.bin"), b"not a log of any unit at all").unwrap();
+    std::fs::write(path("foreign.bin"), b"not a log of any IMU at all").unwrap();
     std::fs::write(path("legacy.bin"), legacy_message(1)).unwrap();
     std::fs::write(path("bad_config.bin"), [1, 2, 3]).unwrap();
     let csv = path("out.csv");
     for (arguments, expected) in [
         (vec!["decode".to_owned(), path("missing.bin")], "missing.bin"),
         (vec!["decode".to_owned(), path("empty.bin")], "empty"),
-        (vec!["decode".to_owned(), path("foreign.bin")], "whole frame"),
+        (vec!["decode".to_owned(), path("foreign.bin")], "no valid frame"),
         (vec!["decode".to_owned(), path("legacy.bin")], "--config"),
         (
-            vec!["decode".to_owned(), path("legacy.bin"), "--config".into(), path("bad_config.bin")],
+            vec![
+                "decode".to_owned(),
+                path("legacy.bin"),
+                "--config".into(),
+                path("bad_config.bin"),
+            ],
             "bad_config.bin",
         ),
     ] {
@@ -105,7 +117,9 @@ fn what_cannot_be_ends_with_one_line_that_says_why() {
         assert!(text.contains(expected), "{text}");
         assert!(!std::path::Path::new(&csv).exists());
     }
-    for arguments in [vec!["info", "--port", "/nowhere/tty"], vec!["find", "--port", "/nowhere/tty"]] {
+    for arguments in
+        [vec!["info", "--port", "/nowhere/tty"], vec!["find", "--port", "/nowhere/tty"]]
+    {
         let done = volant_imu(&arguments);
         assert_eq!(done.status.code(), Some(1));
     }
@@ -114,21 +128,33 @@ fn what_cannot_be_ends_with_one_line_that_says_why() {
     std::fs::remove_dir_all(folder).unwrap();
 }
 
-#[cfg(feature = "fake")]
+#[cfg(feature = "simulated")]
 #[test]
-fn a_unit_on_a_port_is_found_set_logged_and_its_log_decoded() {
-    use imu_driver::fake_unit::{FakeSample, FakeUnitConfig, pty::PtyUnit};
-    let folder = folder("unit");
+fn an_imu_is_found_configured_and_logged_and_the_log_decoded() {
+    use imu_driver::simulated_imu::{SimulatedImuConfig, SimulatedSample, pty::PtyImu};
+    let folder = folder("imu");
     let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
     let tty = path("tty");
-    let config = FakeUnitConfig { baud: 57_600, ..FakeUnitConfig::default() };
-    let unit = PtyUnit::start(config, &tty, Box::new(|_| FakeSample::at_rest())).unwrap();
+    let config = SimulatedImuConfig { baud: 57_600, ..SimulatedImuConfig::default() };
+    let imu = PtyImu::start(config, &tty, Box::new(|_| SimulatedSample::stationary())).unwrap();
     let found = volant_imu(&["find", "--port", &tty]);
     let text = String::from_utf8_lossy(&found.stdout).into_owned();
-    assert!(found.status.success() && text.contains("MTx-28A53G25") && text.contains("57600 baud"), "{text}");
-    assert_eq!(unit.with(|u, _| u.flash_writes()), Some(0));
-    let set =
-        volant_imu(&["configure", "--port", &tty, "--baud", "57600", "--set-baud", "115200", "--rate", "50"]);
+    assert!(
+        found.status.success() && text.contains("MTx-28A53G25") && text.contains("57600 baud"),
+        "{text}"
+    );
+    assert_eq!(imu.with(|u, _| u.flash_writes()), Some(0));
+    let set = volant_imu(&[
+        "configure",
+        "--port",
+        &tty,
+        "--baud",
+        "57600",
+        "--set-baud",
+        "115200",
+        "--rate",
+        "50",
+    ]);
     let text = String::from_utf8_lossy(&set.stdout).into_owned();
     assert!(
         set.status.success() && text.contains("50.000 Hz") && text.contains("115200 baud"),
@@ -137,15 +163,19 @@ fn a_unit_on_a_port_is_found_set_logged_and_its_log_decoded() {
     let info = volant_imu(&["info", "--port", &tty, "--baud", "115200"]);
     let text = String::from_utf8_lossy(&info.stdout).into_owned();
     assert!(text.contains("mode 0006, settings 00000001"), "{text}");
-    // Other outputs, and the standard ones again.
+    // Other outputs, then the standard ones again.
     let line = ["--port", &tty, "--baud", "115200"];
-    let outputs = ["--rate", "100", "--temperature", "--status", "--no-magnetic-field", "--no-orientation"];
+    let outputs =
+        ["--rate", "100", "--temperature", "--status", "--no-magnetic-field", "--no-orientation"];
     let set = volant_imu(&[&["configure"], &line[..], &outputs].concat());
     let text = String::from_utf8_lossy(&set.stdout).into_owned();
-    assert!(set.status.success() && text.contains("mode 0803, settings 00000041"), "{text} {set:?}");
-    let written = unit.with(|u, _| u.flash_writes());
+    assert!(
+        set.status.success() && text.contains("mode 0803, settings 00000041"),
+        "{text} {set:?}"
+    );
+    let written = imu.with(|u, _| u.flash_writes());
     let again = volant_imu(&[&["configure"], &line[..], &outputs].concat());
-    assert!(again.status.success() && unit.with(|u, _| u.flash_writes()) == written, "{again:?}");
+    assert!(again.status.success() && imu.with(|u, _| u.flash_writes()) == written, "{again:?}");
     let set = volant_imu(&[&["configure"], &line[..], &["--rate", "50"]].concat());
     assert!(set.status.success(), "{set:?}");
     let log = volant_imu(&[
@@ -163,11 +193,75 @@ fn a_unit_on_a_port_is_found_set_logged_and_its_log_decoded() {
     let decoded = volant_imu(&["decode", &path("log.bin"), "--csv", &path("log.csv")]);
     assert!(decoded.status.success(), "{decoded:?}");
     let rows = std::fs::read_to_string(path("log.csv")).unwrap().lines().count();
-    // The stream that was under way is in it too.
+    // Includes data of the stream before the configuration.
     assert!((50..90).contains(&rows), "{rows}");
     let played = volant_imu(&["playback", &path("log.bin"), "--csv", &path("played.csv")]);
     assert!(played.status.success(), "{played:?}");
     assert!(last_line(&played).contains("0 lost, 0 unreadable"), "{played:?}");
-    drop(unit);
+    drop(imu);
     std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn standard_output_that_is_closed_or_full_ends_a_command_without_a_panic() {
+    let run = |arguments: &[&str], stdout: std::process::Stdio| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_volant-imu"));
+        command.args(arguments).stdout(stdout).stderr(std::process::Stdio::piped());
+        let output = command.output().unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    for arguments in [&["--help"][..], &["--version"], &["find", "--port", "/no/such/port"]] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        assert_eq!(run(arguments, writer.into()), (Some(141), String::new()), "{arguments:?}");
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let (status, message) = run(arguments, full.into());
+        assert_eq!((status, message.lines().count()), (Some(1), 1), "{arguments:?}: {message}");
+        assert!(message.starts_with("volant imu: standard output"), "{message}");
+    }
+}
+
+#[test]
+fn a_file_is_replaced_only_on_request_and_a_log_never() {
+    let folder = folder("files");
+    let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    let configuration =
+        Configuration { format: LegacyFormat::STANDARD, ..Configuration::default() };
+    let mut log = frame(MessageId::REQ_CONFIGURATION.ack(), &configuration.to_data());
+    for counter in 0..300 {
+        log.extend(legacy_message(counter));
+    }
+    std::fs::write(path("log.bin"), &log).unwrap();
+    std::fs::hard_link(path("log.bin"), path("other.bin")).unwrap();
+    for command in ["decode", "playback"] {
+        let csv = path(&format!("{command}.csv"));
+        let run = |csv: &str, more: &[&str]| {
+            volant_imu(&[&[command, &path("log.bin"), "--csv", csv], more].concat())
+        };
+        assert!(run(&csv, &[]).status.success());
+        let table = std::fs::read(&csv).unwrap();
+        std::fs::write(&csv, "former").unwrap();
+        let refused = run(&csv, &[]);
+        assert_eq!(refused.status.code(), Some(1));
+        assert!(last_line(&refused).contains("exists already"), "{}", last_line(&refused));
+        assert_eq!(std::fs::read(&csv).unwrap(), b"former");
+        assert!(run(&csv, &["--overwrite"]).status.success());
+        assert!(std::fs::read(&csv).unwrap() == table);
+        for input in ["log.bin", "other.bin"] {
+            let refused = run(&path(input), &["--overwrite"]);
+            assert!(last_line(&refused).contains("the output is the input"));
+        }
+    }
+    // Of a log that cannot be decoded, the former table stays.
+    std::fs::write(path("noise.bin"), [1, 2, 3]).unwrap();
+    let csv = path("decode.csv");
+    let before = std::fs::read(&csv).unwrap();
+    assert!(
+        !volant_imu(&["decode", &path("noise.bin"), "--csv", &csv, "--overwrite"]).status.success()
+    );
+    assert!(
+        std::fs::read(&csv).unwrap() == before && std::fs::read(path("log.bin")).unwrap() == log
+    );
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 5, "nothing is left beside them");
+    std::fs::remove_dir_all(&folder).unwrap();
 }

@@ -1,10 +1,3 @@
-//! What `volant` does, as a library: bags, replay of a recorded run through the nodes' own code, and the evaluation of
-//! its estimates against the truth; with the feature `nodes` also recording from and playing onto live topics.
-
-pub mod bag;
-pub mod evaluate;
-#[cfg(feature = "nodes")]
-pub mod live;
-pub mod replay;
-pub mod report;
-mod stopwatch;
+//! Launch files, parameter files, robot description and layouts of Volant. No code.
+//!
+//! colcon installs the share folder of an `ament_cargo` package, and such a package needs a target.

@@ -1,34 +1,36 @@
-//! Calibration of the colours: what each marker's paper looks like to the camera, over some images.
+//! Color calibration: the mean color of each marker's paper over some images.
 
 use crate::{
-    Input, Output, Tracker, TrackerConfig,
+    config::TrackerConfig,
     image::{ImageError, ImageView},
     patches::find_patches,
     signal::rgb_at,
+    tracker::{Input, Output, Tracker},
 };
 use nalgebra::Vector2;
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerState, PerColor};
 
-/// Smallest patch that counts, px².
+/// Smallest patch that is used, px²: 8 px of side, where the blurred rim is half of the area.
 const MIN_AREA: f64 = 60.0;
-/// Half the side of the square about a picked place, px.
+/// Half the side of the sampled square about a picked place, px.
 const PICK: i32 = 2;
 
-/// One marker's paper.
+/// Calibrated color of one marker's paper.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibratedColor {
-    /// Median of the mean colours, r, g, b of 0–255.
+    /// Median of the images' mean colors, r, g, b of 0–255.
     pub rgb: [f64; 3],
-    /// Median distance of the images' colours from it, of 255.
+    /// Median distance of the images' colors from it, 0–255 per channel.
     pub spread: f64,
-    /// From how many images.
+    /// Number of images.
     pub images: usize,
 }
 
-/// Gathers the colours of the four markers over images.
+/// Collects the colors of the four markers over images.
 ///
-/// With the layout the markers are those patches that stand as it says, so that coloured things beside them do not count;
-/// without it the largest square-like patch of each colour is taken. A place that was picked by hand goes before both.
+/// With a layout the markers are the patches that stand as it requires, so that other colored
+/// things are ignored; without one, the largest square-like patch of each color. A place picked by
+/// hand takes precedence.
 #[derive(Debug)]
 pub struct ColorCalibration {
     tracker: Option<Tracker>,
@@ -37,20 +39,21 @@ pub struct ColorCalibration {
 }
 
 impl ColorCalibration {
-    /// With the markers' layout, where it is known, and places (px) that were picked by hand.
+    /// Starts a calibration with the markers' layout (volant frame, m), where it is known, and with
+    /// places (px) picked by hand.
     pub fn new(layout: Option<MarkerLayout>, picks: PerColor<Option<Vector2<f64>>>) -> Self {
         let tracker = layout.map(|layout| Tracker::new(layout, TrackerConfig::default()));
         Self { tracker, picks, samples: PerColor::from_fn(|_| Vec::new()) }
     }
 
-    /// The camera's model, which the check of the layout gains by.
+    /// Sets the camera model, which makes the check of the layout stricter.
     pub fn camera(&mut self, camera: CameraModel) {
         if let Some(tracker) = &mut self.tracker {
             tracker.handle(Input::Camera(camera));
         }
     }
 
-    /// Takes an image; the stamps of a sequence must grow.
+    /// Adds an image; the stamps of a sequence must increase.
     ///
     /// # Errors
     /// [`ImageError`] where the image's fields contradict each other.
@@ -61,7 +64,9 @@ impl ColorCalibration {
             tracker.handle(Input::Image(*image));
             while let Some(output) = tracker.poll() {
                 if let Output::Observations(o) = output {
-                    for (color, _) in o.markers.iter().filter(|(_, m)| m.state == MarkerState::Detected) {
+                    for (color, _) in
+                        o.markers.iter().filter(|(_, m)| m.state == MarkerState::Detected)
+                    {
                         found[color] = tracker.color(color).map(|rgb| rgb.map(f64::from));
                     }
                 }
@@ -82,7 +87,7 @@ impl ColorCalibration {
         Ok(())
     }
 
-    /// What was gathered; `None` for a marker that was in no image.
+    /// The calibrated colors; `None` for a marker that no image shows.
     pub fn result(&self) -> PerColor<Option<CalibratedColor>> {
         PerColor::from_fn(|color| {
             let samples = &self.samples[color];
@@ -94,13 +99,15 @@ impl ColorCalibration {
                 values[values.len() / 2]
             };
             let rgb = [0, 1, 2].map(|c| median(samples.iter().map(|s| s[c]).collect()));
-            let distance = |s: &[f64; 3]| (0..3).map(|c| (s[c] - rgb[c]).powi(2)).sum::<f64>().sqrt();
+            let distance =
+                |s: &[f64; 3]| (0..3).map(|c| (s[c] - rgb[c]).powi(2)).sum::<f64>().sqrt();
             let spread = median(samples.iter().map(distance).collect());
             Some(CalibratedColor { rgb, spread, images: samples.len() })
         })
     }
 }
 
+/// Mean color of the square about a picked place (px).
 fn mean_about(image: &ImageView<'_>, place: Vector2<f64>) -> Option<[f64; 3]> {
     let (cx, cy) = (place.x.round() as i32, place.y.round() as i32);
     let (mut sum, mut n) = ([0.0; 3], 0.0);

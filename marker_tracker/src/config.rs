@@ -1,23 +1,24 @@
-//! What can be set.
+//! Settings of the tracker.
 
 use rig_model::PerColor;
 
-/// Settings of the tracker. Every default works for any camera and light that the markers can be told in.
+/// Settings of the tracker. The defaults suit any camera and light in which the markers' colors
+/// differ.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackerConfig {
-    /// Whether the optical flow takes part (the paper's first criterion).
+    /// Whether the optical flow is used (the paper's first criterion).
     pub use_flow: bool,
-    /// Whether the hue histogram takes part (the paper's second criterion).
+    /// Whether the hue histogram is used (the paper's second criterion).
     pub use_hue: bool,
-    /// Images in a row for which an occluded marker is predicted before it is lost.
+    /// Number of consecutive images for which a hidden marker is predicted before it is lost.
     pub max_predicted: u16,
-    /// Whether an occluded marker moves with the others' flow as a rigid motion (their turn included) or, as eq. 3 has it,
-    /// with its mean.
+    /// Whether a hidden marker moves with the platform's rigid motion, or with the mean flow of the
+    /// others (paper, eq. 3).
     pub rigid_prediction: bool,
-    /// Largest standard deviation of a centroid, px, that still counts as measured.
+    /// Largest standard deviation of a measured centroid, px.
     pub max_centroid_sigma: f64,
-    /// What each marker's paper looks like, mean r, g, b of 0–255, where it was calibrated (the rig file's `markers.colors`);
-    /// else it is told by the hue that its name says.
+    /// Calibrated mean color of each marker's paper, r, g, b of 0–255 (`markers.colors` of the rig
+    /// file); without one, the hue of the marker's name.
     pub start_colors: PerColor<Option<[f64; 3]>>,
 }
 

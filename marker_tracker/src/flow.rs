@@ -1,7 +1,8 @@
-//! Optical flow after Lucas and Kanade on a marker's soft binary image, from its gradient pixels alone.
+//! Optical flow after Lucas and Kanade on a marker's soft binary image, from its gradient pixels.
 //!
-//! The colour signal is the binary image of the paper, only not yet rounded: 1 on the marker, 0 beside it. All that its flow
-//! can be told from lies on the outline, so some 32 pixels there stand for the window (eq. 1).
+//! The color signal is the binary image of the paper before rounding: 1 on the marker, 0 beside it.
+//! All information about its flow lies on the outline, so 32 pixels there replace the window (eq.
+//! 1).
 
 use crate::{
     quad::Quad,
@@ -10,14 +11,23 @@ use crate::{
 use nalgebra::Vector2;
 use wide::f32x8;
 
-/// Pixels that are kept.
+/// Maximum number of pixels that are kept.
 const MAX_POINTS: usize = 64;
-/// Iterations; each is one step of Gauss and Newton.
+/// Gauss–Newton steps: at 2 px each they reach 10 px.
 const ITERATIONS: usize = 5;
+/// Largest correction of the start, px; beyond it, the features may match another edge.
+const MAX_CORRECTION: f64 = 12.0;
+/// Longest step, px: as far as the gradient of a blurred edge reaches.
+const MAX_STEP: f64 = 2.0;
+/// Length of a step, px, at which the iteration has converged, and that from which on it has not.
+const CONVERGED: f64 = 0.6;
+const DIVERGED: f64 = 1.2;
+/// Largest Σ difference² over Σ gradient² of a match, px²: an edge that is 1.5 px off.
+const MAX_RESIDUAL: f32 = 2.3;
 
-/// What a marker's outline looked like in the previous image: pixels on it, their signal and its gradient.
+/// Pixels on a marker's outline in the previous image, with their signal and its gradient.
 #[derive(Clone, Debug)]
-pub(crate) struct Outline {
+pub(crate) struct FlowFeatures {
     x: [i32; MAX_POINTS],
     y: [i32; MAX_POINTS],
     value: [f32; MAX_POINTS],
@@ -28,7 +38,15 @@ pub(crate) struct Outline {
     normal: [f32; 3],
 }
 
-impl Default for Outline {
+/// Σ g·difference along x and y, Σ difference², and the number of pixels that are in the image.
+struct Differences {
+    bx: f32,
+    by: f32,
+    square: f32,
+    seen: usize,
+}
+
+impl Default for FlowFeatures {
     fn default() -> Self {
         let zero = [0.0; MAX_POINTS];
         Self {
@@ -43,7 +61,7 @@ impl Default for Outline {
     }
 }
 
-impl Outline {
+impl FlowFeatures {
     fn add(&mut self, (x, y): (i32, i32), value: f32, gx: f32, gy: f32) {
         let i = self.count;
         (self.x[i], self.y[i]) = (x, y);
@@ -54,8 +72,8 @@ impl Outline {
         self.normal[2] += gy * gy;
     }
 
-    /// Remembers pixels on each edge.
-    pub fn remember(&mut self, sampler: &Sampler<'_>, quad: &Quad) {
+    /// Extracts eight pixels on each edge of an outline.
+    pub fn extract(&mut self, sampler: &Sampler<'_>, quad: &Quad) {
         self.count = 0;
         self.normal = [0.0; 3];
         const PER_EDGE: usize = 8;
@@ -64,7 +82,8 @@ impl Outline {
             let d = q - p;
             let step = d / PER_EDGE as f64;
             let start = p + step * 0.5;
-            // A straight edge's gradient is along its normal: one difference, along the axis that it is nearer to, tells it.
+            // A straight edge's gradient is along its normal: one difference, along the axis nearer
+            // to it, determines it.
             let (dx, dy) = if d.x.abs() > d.y.abs() { (0, 1) } else { (1, 0) };
             let (gx, gy) = if dx == 1 { (1.0, -d.x / d.y) } else { (-d.y / d.x, 1.0) };
             let mut places = [(0, 0); PER_EDGE];
@@ -96,14 +115,15 @@ impl Outline {
         }
     }
 
-    /// Remembers the pixels of a patch whose outline is not known, `reach` px around its centre, that have a gradient.
-    pub fn remember_patch(&mut self, sampler: &Sampler<'_>, centre: Vector2<f64>, reach: f64) {
+    /// Extracts the pixels with a gradient of a patch whose outline is unknown, `reach` px around
+    /// its center.
+    pub fn extract_patch(&mut self, sampler: &Sampler<'_>, center: Vector2<f64>, reach: f64) {
         self.count = 0;
         self.normal = [0.0; 3];
         const SIDE: i32 = 16;
         for i in 0..SIDE * SIDE {
             let at = |k: i32| (f64::from(k) / f64::from(SIDE - 1) - 0.5) * 2.0 * reach;
-            let (x, y) = (nearest(centre.x + at(i % SIDE)), nearest(centre.y + at(i / SIDE)));
+            let (x, y) = (nearest(center.x + at(i % SIDE)), nearest(center.y + at(i / SIDE)));
             let (Some(value), Some(l), Some(r), Some(u), Some(v)) = (
                 sampler.at(x, y),
                 sampler.at(x - 1, y),
@@ -120,21 +140,23 @@ impl Outline {
         }
     }
 
-    /// Whether every remembered pixel has its very signal still.
+    /// Whether every pixel still has exactly its signal.
     pub fn is_unchanged(&self, sampler: &Sampler<'_>) -> bool {
         (0..self.count).all(|i| sampler.at(self.x[i], self.y[i]) == Some(self.value[i]))
     }
 
-    /// Forgets.
+    /// Removes all pixels.
     pub fn clear(&mut self) {
         self.count = 0;
     }
 
-    /// Displacement (px) from the remembered image to the one in `sampler`, sought from `start`; `None` where it cannot be
-    /// told: too few pixels in the image, flow along one direction only, or no convergence.
+    /// Displacement (px) from the previous image to the one in `sampler`, searched from `start`;
+    /// `None` with too few pixels in the image, gradients in one direction only, or without
+    /// convergence.
     ///
-    /// The difference of the images is taken at whole pixels: an edge's blur is wider than the half pixel by which that is off,
-    /// so no interpolation is needed, and a round that comes back to the same place has nothing to add.
+    /// The images' difference is taken at whole pixels: an edge's blur is wider than the half pixel
+    /// by which that is off, so that no interpolation is needed, and a step that returns to an
+    /// earlier place adds nothing.
     pub fn displacement(&self, sampler: &Sampler<'_>, start: Vector2<f64>) -> Option<Vector2<f64>> {
         let [xx, xy, yy] = self.normal;
         let det = xx * yy - xy * xy;
@@ -145,31 +167,32 @@ impl Outline {
         let mut places = [None; ITERATIONS];
         for round in 0..ITERATIONS {
             let (u, v) = (nearest(d.x), nearest(d.y));
-            let (bx, by, square, seen) = self.differences(sampler, u, v);
+            let Differences { bx, by, square, seen } = self.differences(sampler, u, v);
             if seen < 12 || seen * 4 < self.count * 3 {
                 return None;
             }
-            let step =
-                Vector2::new(f64::from((yy * bx - xy * by) / det), f64::from((xx * by - xy * bx) / det));
-            // A step is believed as far as the gradient reaches.
+            let step = Vector2::new(
+                f64::from((yy * bx - xy * by) / det),
+                f64::from((xx * by - xy * bx) / det),
+            );
             let length = step.norm();
-            let step = if length > 2.0 { step * (2.0 / length) } else { step };
+            let step = if length > MAX_STEP { step * (MAX_STEP / length) } else { step };
             d = Vector2::new(f64::from(u), f64::from(v)) - step;
-            if !d.x.is_finite() || !d.y.is_finite() || (d - start).norm() > 12.0 {
+            if !d.x.is_finite() || !d.y.is_finite() || (d - start).norm() > MAX_CORRECTION {
                 return None;
             }
             places[round] = Some((u, v));
-            if length < 0.6 || places[..=round].contains(&Some((nearest(d.x), nearest(d.y)))) {
-                // What is left must be less than an edge that is off by a pixel and a half.
-                return (length < 1.2 && square < 2.3 * (xx + yy)).then_some(d);
+            if length < CONVERGED || places[..=round].contains(&Some((nearest(d.x), nearest(d.y))))
+            {
+                let matched = length < DIVERGED && square < MAX_RESIDUAL * (xx + yy);
+                return matched.then_some(d);
             }
         }
         None
     }
 
-    /// Σ g·difference along x and y, Σ difference², and the number of pixels that are in the image, for a displacement by whole
-    /// pixels.
-    fn differences(&self, sampler: &Sampler<'_>, u: i32, v: i32) -> (f32, f32, f32, usize) {
+    /// Differences of the images for a displacement by whole pixels.
+    fn differences(&self, sampler: &Sampler<'_>, u: i32, v: i32) -> Differences {
         let (mut bx, mut by, mut square) = (f32x8::ZERO, f32x8::ZERO, f32x8::ZERO);
         let mut seen = 0;
         let scale = f32x8::splat(sampler.scale);
@@ -192,6 +215,6 @@ impl Outline {
             bx += of(&self.gx) * difference;
             by += of(&self.gy) * difference;
         }
-        (bx.reduce_add(), by.reduce_add(), square.reduce_add(), seen)
+        Differences { bx: bx.reduce_add(), by: by.reduce_add(), square: square.reduce_add(), seen }
     }
 }

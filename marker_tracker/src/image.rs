@@ -1,4 +1,4 @@
-//! Images as they come in: borrowed pixels with their layout, and the refusal of what cannot be read.
+//! Images: borrowed or owned pixels with their layout, and the errors of unusable ones.
 
 use rig_model::Stamp;
 use thiserror::Error;
@@ -10,14 +10,14 @@ pub enum PixelFormat {
     Rgb8,
     /// Blue, green, red.
     Bgr8,
-    /// Red, green, blue, and one that is not looked at.
+    /// Red, green, blue, and an ignored one.
     Rgba8,
-    /// Blue, green, red, and one that is not looked at.
+    /// Blue, green, red, and an ignored one.
     Bgra8,
 }
 
 impl PixelFormat {
-    /// Bytes from one pixel to the next.
+    /// Bytes from pixel to pixel.
     pub const fn bytes_per_pixel(self) -> usize {
         match self {
             PixelFormat::Rgb8 | PixelFormat::Bgr8 => 3,
@@ -25,7 +25,7 @@ impl PixelFormat {
         }
     }
 
-    /// True where blue comes first.
+    /// Whether blue comes first.
     pub const fn blue_first(self) -> bool {
         matches!(self, PixelFormat::Bgr8 | PixelFormat::Bgra8)
     }
@@ -44,68 +44,84 @@ impl PixelFormat {
 /// Why an image cannot be used.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum ImageError {
-    /// An encoding without colour.
+    /// An encoding without color.
     #[error(
-        "image encoding `{encoding}` has no colour, and the markers are told by theirs; let the camera send rgb8, bgr8, Bayer or YUV 4:2:2"
+        "image encoding `{encoding}` has no color, which identifies the markers; set the camera to \
+         rgb8, bgr8, Bayer or YUV 4:2:2"
     )]
     NoColor {
-        /// As it stood in the message.
+        /// As in the message.
         encoding: String,
     },
-    /// An encoding that is not handled.
+    /// An encoding that is not supported.
     #[error(
-        "image encoding `{encoding}` is not handled; use rgb8, bgr8, rgba8, bgra8, bayer_*8, bayer_*16, yuv422 (uyvy), yuv422_yuy2 (yuyv), jpeg or png"
+        "image encoding `{encoding}` is not supported; use rgb8, bgr8, rgba8, bgra8, bayer_*8, \
+         bayer_*16, yuv422 (uyvy), yuv422_yuy2 (yuyv), jpeg or png"
     )]
     UnknownEncoding {
-        /// As it stood in the message.
+        /// As in the message.
         encoding: String,
     },
     /// An encoding that needs the `opencv` feature.
     #[error(
-        "image encoding `{encoding}` is converted by OpenCV, which this build leaves out; build with feature `opencv`"
+        "image encoding `{encoding}` is converted by OpenCV, which this build omits; build with \
+         feature `opencv`"
     )]
     NeedsOpencv {
-        /// As it stood in the message.
+        /// As in the message.
         encoding: String,
     },
-    /// A width, height or step that cannot be.
+    /// An invalid width, height or step.
     #[error(
-        "image of {width}x{height} with step {step} and {length} bytes of data cannot be; the sender's fields contradict each other"
+        "image of {width}x{height} with step {step} and {length} bytes of data: the sender's fields \
+         contradict each other; check the camera driver"
     )]
     Size {
         /// Width, px.
         width: usize,
         /// Height, px.
         height: usize,
-        /// Bytes from one row to the next.
+        /// Bytes from row to row.
         step: usize,
-        /// Bytes that there were.
+        /// Bytes of data.
         length: usize,
     },
-    /// Compressed data that cannot be decoded.
-    #[error("compressed image ({format}) cannot be decoded: {reason}; the frame is left out")]
+    /// Invalid compressed data.
+    #[error("compressed image ({format}) is invalid: {reason}; the image is ignored")]
     Decode {
-        /// What it was taken for.
+        /// Detected format.
         format: &'static str,
-        /// The decoder's words.
+        /// The decoder's reason.
         reason: String,
     },
-    /// Compressed data that claim more pixels than are taken, or than so few bytes can hold.
+    /// Compressed data that claim more pixels than are supported, or than their bytes can hold.
     #[error(
-        "compressed image of {width}x{height} in {length} bytes is refused: a side has at most 16384 px, an image 2^25 px (8K) and no more than its bytes can hold"
+        "compressed image of {width}x{height} in {length} bytes is rejected: a side has at most \
+         16384 px, an image 2^25 px (8K) and no more than its bytes can hold"
     )]
     TooLarge {
         /// Width, px.
         width: usize,
         /// Height, px.
         height: usize,
-        /// Bytes that there were.
+        /// Bytes of data.
         length: usize,
     },
+    /// A progressive JPEG whose decoding would take too long.
+    #[error(
+        "compressed image has {scans} scans and is rejected: at most {limit} are decoded; set the \
+         camera to baseline JPEG"
+    )]
+    TooManyScans {
+        /// Number of scans.
+        scans: usize,
+        /// Largest supported number.
+        limit: usize,
+    },
     /// Neither jpeg nor png.
-    #[error("compressed image of format `{format}` is neither jpeg nor png")]
+    #[error("compressed image of format `{format}` is neither jpeg nor png; set the camera to one")]
     UnknownCompression {
-        /// As it stood in the message.
+        /// As in the message.
         format: String,
     },
 }
@@ -119,7 +135,7 @@ pub struct ImageView<'a> {
     pub width: usize,
     /// Height, px.
     pub height: usize,
-    /// Bytes from one row to the next.
+    /// Bytes from row to row.
     pub step: usize,
     /// Order of the channels.
     pub format: PixelFormat,
@@ -128,12 +144,29 @@ pub struct ImageView<'a> {
 }
 
 impl ImageView<'_> {
-    /// Largest width and height that are taken, px.
+    /// Reads one byte of every cache line of a window (left, top, right, bottom; px, within the
+    /// image), so that the memory of a fresh image arrives for all rows at once.
+    pub(crate) fn prefetch(&self, [x0, y0, x1, y1]: [i32; 4]) {
+        const LINE: usize = 64;
+        let bytes = self.format.bytes_per_pixel();
+        let mut sum = 0u8;
+        for y in y0..y1 {
+            let start = y as usize * self.step;
+            let row = start + x0 as usize * bytes..start + x1 as usize * bytes;
+            for line in self.data.get(row).unwrap_or(&[]).chunks(LINE) {
+                sum ^= line[0];
+            }
+        }
+        std::hint::black_box(sum);
+    }
+
+    /// Largest width and height, px.
     pub const MAX_SIDE: usize = 16_384;
-    /// Most pixels that a compressed image may have: 7680 × 4320 is less. A raw one brings its bytes along.
+    /// Largest number of pixels of a compressed image: 7680 × 4320 is less. (A raw one carries its
+    /// bytes.)
     pub const MAX_PIXELS: usize = 1 << 25;
 
-    /// Whether size, step and data agree.
+    /// Checks that size, step and data agree.
     ///
     /// # Errors
     /// [`ImageError::Size`] where they do not.
@@ -167,14 +200,14 @@ impl ImageView<'_> {
     }
 }
 
-/// Pixels of one image with their memory, which is kept from one image to the next.
+/// Pixels of one image with their memory, which is reused from image to image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OwnedImage {
     /// Width, px.
     pub width: usize,
     /// Height, px.
     pub height: usize,
-    /// Bytes from one row to the next.
+    /// Bytes from row to row.
     pub step: usize,
     /// Order of the channels.
     pub format: PixelFormat,
@@ -189,7 +222,7 @@ impl Default for OwnedImage {
 }
 
 impl OwnedImage {
-    /// The pixels with the time at which they were taken.
+    /// The pixels with their stamp (middle of the exposure).
     pub fn view(&self, stamp: Stamp) -> ImageView<'_> {
         ImageView {
             stamp,
@@ -200,77 +233,4 @@ impl OwnedImage {
             data: &self.data,
         }
     }
-}
-
-/// The fields of a `sensor_msgs/Image` as a view. Three- and four-channel 8-bit images are borrowed; Bayer and YUV 4:2:2
-/// ones are converted into `scratch`, whose memory is reused.
-///
-/// # Errors
-/// An encoding without colour or one that is not handled, and sizes that contradict each other.
-#[allow(clippy::too_many_arguments)] // the fields of the message, in its order
-pub fn from_encoding<'a>(
-    stamp: Stamp,
-    width: usize,
-    height: usize,
-    encoding: &str,
-    big_endian: bool,
-    step: usize,
-    data: &'a [u8],
-    scratch: &'a mut OwnedImage,
-) -> Result<ImageView<'a>, ImageError> {
-    let format = match encoding {
-        "rgb8" | "8UC3_rgb" => PixelFormat::Rgb8,
-        "bgr8" | "8UC3" => PixelFormat::Bgr8,
-        "rgba8" => PixelFormat::Rgba8,
-        "bgra8" | "8UC4" => PixelFormat::Bgra8,
-        _ if encoding.starts_with("mono")
-            || ["8UC1", "8SC1", "16UC1", "16SC1", "32FC1", "64FC1"].contains(&encoding) =>
-        {
-            return Err(ImageError::NoColor { encoding: encoding.to_owned() });
-        }
-        _ => return convert(stamp, width, height, encoding, big_endian, step, data, scratch),
-    };
-    let view = ImageView { stamp, width, height, step, format, data };
-    view.check()?;
-    Ok(view)
-}
-
-#[cfg(not(feature = "opencv"))]
-#[allow(clippy::too_many_arguments)]
-fn convert<'a>(
-    _: Stamp,
-    _: usize,
-    _: usize,
-    encoding: &str,
-    _: bool,
-    _: usize,
-    _: &'a [u8],
-    _: &'a mut OwnedImage,
-) -> Result<ImageView<'a>, ImageError> {
-    let encoding = encoding.to_owned();
-    if encoding.starts_with("bayer_")
-        || encoding.starts_with("yuv422")
-        || encoding == "uyvy"
-        || encoding == "yuyv"
-    {
-        Err(ImageError::NeedsOpencv { encoding })
-    } else {
-        Err(ImageError::UnknownEncoding { encoding })
-    }
-}
-
-#[cfg(feature = "opencv")]
-#[allow(clippy::too_many_arguments)]
-fn convert<'a>(
-    stamp: Stamp,
-    width: usize,
-    height: usize,
-    encoding: &str,
-    big_endian: bool,
-    step: usize,
-    data: &'a [u8],
-    scratch: &'a mut OwnedImage,
-) -> Result<ImageView<'a>, ImageError> {
-    crate::opencv::convert(width, height, encoding, big_endian, step, data, scratch)?;
-    Ok(scratch.view(stamp))
 }

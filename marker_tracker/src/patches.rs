@@ -1,16 +1,17 @@
-//! Patches of the markers' colours without any layout: several of a colour, each for itself.
+//! Patches of the markers' colors without a layout: several of one color, each by itself.
 //!
-//! For pictures of which nothing is known but the colours: to calibrate those ([`find_patches`]), and to follow coloured
-//! paper whose geometry nobody measured ([`PatchTracker`]). Both criteria are those of the tracker: a patch is sought where
-//! its optical flow carries it, in a window of at least 25 px widened by the displacement, and must have its hues.
+//! For color calibration ([`find_patches`]) and for colored paper of unknown geometry
+//! ([`PatchTracker`]). Both criteria are the tracker's: a patch is searched where its optical flow
+//! carries it, in a window of 25 px plus the displacement, and must have its hues.
 
 use crate::{
-    blob::{Blob, Palette, ScanConfig, Scanner},
+    appearance::Appearance,
     config::TrackerConfig,
-    flow::Outline,
+    flow::FlowFeatures,
+    hue::HueHistogram,
     image::{ImageError, ImageView},
-    model::{Appearance, HueHistogram},
     quad::Quad,
+    scan::{Blob, Palette, ScanConfig, Scanner},
     signal::Sampler,
 };
 use nalgebra::Vector2;
@@ -19,40 +20,50 @@ use rig_model::{MarkerColor, MarkerState};
 /// A patch of one of the markers' colours.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Patch {
-    /// Its number, for as long as it is followed.
+    /// Its number while it is tracked.
     pub id: u32,
-    /// Which marker's colour it has.
+    /// Marker whose color it has.
     pub color: MarkerColor,
-    /// Whether it was measured in the last image, predicted, or lost.
+    /// Whether it was measured, predicted or lost in the last image.
     pub state: MarkerState,
-    /// Images since it was measured.
+    /// Number of images since the last measurement.
     pub occluded_frames: u16,
     /// Centroid of its pixels, px.
     pub centroid: Vector2<f64>,
-    /// Displacement since the image before, px.
+    /// Displacement since the previous image, px.
     pub flow: Vector2<f64>,
-    /// px².
+    /// Area, px².
     pub area: f64,
-    /// Mean colour r, g, b of 0–255.
+    /// Mean color, r, g, b of 0–255.
     pub rgb: [f32; 3],
 }
 
-/// Half the side of the window in which a patch is sought, px, beside its displacement.
+/// Half the side of the search window beyond patch and displacement, px (paper).
 const WINDOW: f64 = 25.0;
-/// Likeness of the hue histograms from which on a thing can be the patch.
-const MIN_LIKENESS: f32 = 0.6;
-/// To which part of its area a patch may shrink and still be whole: in the shade its rim falls below the threshold.
+/// Share of its area to which a whole patch may shrink: in the shade its rim falls below the
+/// threshold. Tuned; guarded by the video of `tests/color.rs`.
 const SHRUNK: f64 = 0.7;
 
 fn is_square(blob: &Blob) -> bool {
-    !blob.cut && (0.75..1.25).contains(&blob.fill()) && blob.elongation() < 2.0 && blob.saturation() > 0.2
+    !blob.cut
+        && (0.75..1.25).contains(&blob.fill())
+        && blob.elongation() < 2.0
+        && blob.saturation() > 0.2
 }
 
 fn scan_config(stride: usize, min_area: f64, max_area: f64) -> ScanConfig {
-    ScanConfig { stride, grid: stride.clamp(4, 8), min_saturation: 0.15, min_layer: 16, min_area, max_area }
+    ScanConfig {
+        stride,
+        grid: stride.clamp(4, 8),
+        min_saturation: 0.15,
+        min_layer: 16,
+        min_area,
+        max_area,
+    }
 }
 
-/// The square-like patches of the markers' colours in an image, the largest first.
+/// Finds the square-like patches of the markers' colors of at least `min_area` px² in an image, the
+/// largest first.
 ///
 /// # Errors
 /// [`ImageError::Size`] where the image's fields contradict each other.
@@ -69,7 +80,11 @@ pub fn find_patches(image: &ImageView<'_>, min_area: f64) -> Result<Vec<Patch>, 
 fn scan_all(scanner: &mut Scanner, image: &ImageView<'_>, min_area: f64) {
     let (w, h) = (image.width as i32, image.height as i32);
     let stride = (image.width.max(image.height) / 640).clamp(1, 8);
-    scanner.scan(image, [0, 0, w, h], &scan_config(stride, min_area, f64::from(w) * f64::from(h) / 6.0));
+    scanner.scan(
+        image,
+        [0, 0, w, h],
+        &scan_config(stride, min_area, f64::from(w) * f64::from(h) / 6.0),
+    );
 }
 
 fn patch_of(blob: &Blob, id: u32) -> Patch {
@@ -85,22 +100,23 @@ fn patch_of(blob: &Blob, id: u32) -> Patch {
     }
 }
 
-/// A square of a patch's size: good enough to sample its colours in.
+/// An upright square of a patch's size, in which its colors are sampled.
 fn square(patch: &Patch) -> Quad {
     let h = patch.area.sqrt() / 2.0;
     Quad([(-h, -h), (h, -h), (h, h), (-h, h)].map(|(x, y)| patch.centroid + Vector2::new(x, y)))
 }
 
+/// A tracked patch.
 #[derive(Clone, Debug)]
 struct Followed {
     patch: Patch,
     appearance: Appearance,
-    outline: Outline,
-    /// As large as it is when it is whole, px².
+    features: FlowFeatures,
+    /// Area while it is whole, px².
     whole_area: f64,
 }
 
-/// Follows every patch of a marker's colour, each for itself.
+/// Tracks every patch of a marker's color by itself.
 #[derive(Debug)]
 pub struct PatchTracker {
     config: TrackerConfig,
@@ -112,7 +128,8 @@ pub struct PatchTracker {
 }
 
 impl PatchTracker {
-    /// For patches of at least `min_area` px². Of the settings, the two criteria and the longest prediction count.
+    /// Creates a tracker for patches of at least `min_area` px². Of the settings it uses the two
+    /// criteria, the longest prediction and the colors.
     pub fn new(config: TrackerConfig, min_area: f64) -> Self {
         let palette = Palette::new(&config.start_colors);
         Self {
@@ -125,8 +142,8 @@ impl PatchTracker {
         }
     }
 
-    /// The patches in the next image: those followed, whatever became of them, and new ones. The whole image is searched at
-    /// the start and as long as one is lost.
+    /// Processes the next image; returns the tracked patches, whatever their state, and new ones.
+    /// The whole image is searched at the start and while a patch is lost.
     ///
     /// # Errors
     /// [`ImageError::Size`] where the image's fields contradict each other.
@@ -142,7 +159,7 @@ impl PatchTracker {
         for f in &mut self.followed {
             if f.patch.state == MarkerState::Detected {
                 let sampler = Sampler::new(image, &f.appearance.discriminant);
-                f.outline.remember_patch(&sampler, f.patch.centroid, 0.8 * f.patch.area.sqrt());
+                f.features.extract_patch(&sampler, f.patch.centroid, 0.8 * f.patch.area.sqrt());
             }
         }
         self.patches.clear();
@@ -160,7 +177,7 @@ impl PatchTracker {
         let before = f.patch;
         let sampler = Sampler::new(image, &f.appearance.discriminant);
         let flow = if config.use_flow {
-            f.outline.displacement(&sampler, before.flow).unwrap_or(before.flow)
+            f.features.displacement(&sampler, before.flow).unwrap_or(before.flow)
         } else {
             Vector2::zeros()
         };
@@ -181,7 +198,7 @@ impl PatchTracker {
             .filter(|(_, p)| {
                 !config.use_hue
                     || HueHistogram::of(image, &square(p))
-                        .is_some_and(|h| h.likeness(&f.appearance.hue) > MIN_LIKENESS)
+                        .is_some_and(|h| h.is_like(&f.appearance.hue))
             })
             .min_by(|a, b| (a.1.centroid - place).norm().total_cmp(&(b.1.centroid - place).norm()))
             .map(|(b, p)| (is_square(b), p));
@@ -189,34 +206,37 @@ impl PatchTracker {
             Some((true, p)) if p.area > SHRUNK * f.whole_area && p.area < f.whole_area / SHRUNK => {
                 f.patch = Patch { flow: p.centroid - before.centroid, ..p };
                 f.whole_area += 0.1 * (p.area - f.whole_area);
-                f.appearance.follow(image, &square(&f.patch), 0.1);
+                f.appearance.adapt(image, &square(&f.patch), 0.1);
             }
             _ => {
-                // Covered, in part or as a whole: it goes where its flow carries it, for a while.
+                // Covered in part or as a whole: its flow continues for a while.
                 let since = before.occluded_frames.saturating_add(1);
-                let state =
-                    if since <= config.max_predicted { MarkerState::Predicted } else { MarkerState::Lost };
+                let state = if since <= config.max_predicted {
+                    MarkerState::Predicted
+                } else {
+                    MarkerState::Lost
+                };
                 f.patch = Patch { state, occluded_frames: since, centroid: place, flow, ..before };
             }
         }
     }
 
-    /// New patches, and lost ones that are back.
+    /// Adds new patches and recovers lost ones.
     fn search(&mut self, image: &ImageView<'_>) {
         scan_all(&mut self.scanner, image, self.min_area);
-        let taken = |followed: &[Followed], b: &Blob| {
+        let is_tracked = |followed: &[Followed], b: &Blob| {
             followed.iter().any(|f| {
                 f.patch.state != MarkerState::Lost
                     && (f.patch.centroid - b.centroid).norm() < 0.7 * b.area.sqrt()
             })
         };
         for blob in self.scanner.blobs.iter().filter(|b| is_square(b)) {
-            if taken(&self.followed, blob) {
+            if is_tracked(&self.followed, blob) {
                 continue;
             }
             let patch = patch_of(blob, self.next_id);
             let quad = square(&patch);
-            // The nearest lost one of its colour, hues and size; else it is new.
+            // The nearest lost patch of its color, hues and size; otherwise it is new.
             let hue = HueHistogram::of(image, &quad);
             let back = self
                 .followed
@@ -226,7 +246,7 @@ impl PatchTracker {
                         && f.patch.color == patch.color
                         && patch.area > SHRUNK * f.whole_area
                         && patch.area < f.whole_area / SHRUNK
-                        && hue.as_ref().is_some_and(|h| h.likeness(&f.appearance.hue) > MIN_LIKENESS)
+                        && hue.as_ref().is_some_and(|h| h.is_like(&f.appearance.hue))
                 })
                 .min_by(|a, b| {
                     let off = |f: &Followed| (f.patch.centroid - patch.centroid).norm();
@@ -234,10 +254,15 @@ impl PatchTracker {
                 });
             if let Some(f) = back {
                 f.patch = Patch { id: f.patch.id, ..patch };
-            } else if let Some(appearance) = Appearance::learn(image, &quad) {
+            } else if let Some(appearance) = Appearance::sample(image, &quad) {
                 self.next_id += 1;
-                let outline = Outline::default();
-                self.followed.push(Followed { patch, appearance, outline, whole_area: patch.area });
+                let features = FlowFeatures::default();
+                self.followed.push(Followed {
+                    patch,
+                    appearance,
+                    features,
+                    whole_area: patch.area,
+                });
             }
         }
     }

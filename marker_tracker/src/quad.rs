@@ -1,18 +1,19 @@
-//! Four corners in the image, and what follows from them.
+//! Quadrangles in the image.
 
-use crate::signal::nearest;
+use crate::{image::ImageView, signal::nearest};
 use nalgebra::Vector2;
 
-/// Four corners in order around the square, px.
+/// Four corners in order around a square's image, px.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Quad(pub [Vector2<f64>; 4]);
 
 impl Quad {
+    /// The quadrangle moved by `by` (px).
     pub fn shifted(&self, by: Vector2<f64>) -> Self {
         Self(self.0.map(|c| c + by))
     }
 
-    /// Signed area and area centroid of the polygon.
+    /// Signed area (px²; positive where the corners turn from x to y) and area centroid (px).
     pub fn area_and_centroid(&self) -> (f64, Vector2<f64>) {
         let origin = self.0[0];
         let (mut area, mut moment) = (0.0, Vector2::zeros());
@@ -28,7 +29,27 @@ impl Quad {
         (area / 2.0, origin + moment / (3.0 * area))
     }
 
-    /// x0, y0, x1, y1 with a margin, whole pixels, the upper ones excluded.
+    /// N × N points from corner to corner (bilinear), column by column.
+    pub fn grid<const N: usize>(&self) -> impl Iterator<Item = Vector2<f64>> {
+        let at = |i: usize| i as f64 / (N - 1) as f64;
+        (0..N * N).map(move |k| {
+            let (u, v) = (at(k / N), at(k % N));
+            self.0[0] * (1.0 - u) * (1.0 - v)
+                + self.0[1] * u * (1.0 - v)
+                + self.0[2] * u * v
+                + self.0[3] * (1.0 - u) * v
+        })
+    }
+
+    /// Bounds within the image: left, top, right, bottom (the last two excluded), px.
+    pub fn window(&self, image: &ImageView<'_>, margin: f64) -> [i32; 4] {
+        let (w, h) = (image.width as i32, image.height as i32);
+        let [x0, y0, x1, y1] = self.bounds(margin);
+        let (x0, y0) = (x0.clamp(0, w), y0.clamp(0, h));
+        [x0, y0, x1.clamp(x0, w), y1.clamp(y0, h)]
+    }
+
+    /// Bounding box with a margin: left, top, right, bottom (the last two excluded), px.
     pub fn bounds(&self, margin: f64) -> [i32; 4] {
         let min = self.0.iter().fold(Vector2::repeat(f64::INFINITY), |m, c| m.inf(c));
         let max = self.0.iter().fold(Vector2::repeat(f64::NEG_INFINITY), |m, c| m.sup(c));
@@ -45,46 +66,53 @@ impl Quad {
         [0, 1].map(|i| {
             let middle = |k: usize| (self.0[k % 4] + self.0[(k + 1) % 4]) / 2.0;
             let (a, b) = (middle(i), middle(i + 2));
-            let edge = (self.0[(i + 1) % 4] - self.0[i]) - (self.0[(i + 3) % 4] - self.0[(i + 2) % 4]);
+            let edge =
+                (self.0[(i + 1) % 4] - self.0[i]) - (self.0[(i + 3) % 4] - self.0[(i + 2) % 4]);
             let length = edge.norm().max(1e-9);
             ((b - a).x * edge.y - (b - a).y * edge.x).abs() / length
         })
     }
 
-    /// The rows' whole columns inside.
+    /// The pixels inside, row by row.
     pub fn spans(&self) -> Spans {
-        let mut sides = [(0.0, 0.0, 0.0, 0.0); 4];
-        for (i, side) in sides.iter_mut().enumerate() {
+        Spans(std::array::from_fn(|i| {
             let (p, q) = (self.0[i], self.0[(i + 1) % 4]);
             let slope = if p.y == q.y { 0.0 } else { (q.x - p.x) / (q.y - p.y) };
-            *side = (p.y.min(q.y), p.y.max(q.y), p.x - slope * p.y, slope);
-        }
-        Spans(sides)
+            SpanSide { low: p.y.min(q.y), high: p.y.max(q.y), x: p.x - slope * p.y, slope }
+        }))
     }
 
-    /// Smallest distance between opposite sides' middles, px, from the area: what is there to measure a level in.
+    /// Thickness (px): the area over the longest side.
     pub fn thickness_of(&self, area: f64) -> f64 {
         let longest = (0..4).map(|i| (self.0[(i + 1) % 4] - self.0[i]).norm()).fold(0.0, f64::max);
         if longest > 0.0 { area.abs() / longest } else { 0.0 }
     }
 }
 
-/// Per side of a quad: lowest and highest y, x at y = 0, and the change of x with y.
-pub(crate) struct Spans([(f64, f64, f64, f64); 4]);
+/// A side of a quadrangle: its range of y, x at y = 0, and ∂x/∂y.
+struct SpanSide {
+    low: f64,
+    high: f64,
+    x: f64,
+    slope: f64,
+}
+
+/// The pixels inside of a quadrangle.
+pub(crate) struct Spans([SpanSide; 4]);
 
 impl Spans {
-    /// Whole columns inside on the row `y`, from (included) to (excluded); `None` where there is none.
+    /// Whole columns inside on row `y`, from (included) to (excluded); `None` where there is none.
     #[inline(always)]
     pub fn at(&self, y: f64) -> Option<(i32, i32)> {
         let (mut from, mut to) = (f64::INFINITY, f64::NEG_INFINITY);
-        for &(low, high, x, slope) in &self.0 {
-            if low <= y && y < high {
-                let x = x + slope * y;
+        for side in &self.0 {
+            if side.low <= y && y < side.high {
+                let x = side.x + side.slope * y;
                 from = from.min(x);
                 to = to.max(x);
             }
         }
-        // A row above or below of it has no sides (and what is infinite is rounded to any number).
+        // A row above or below crosses no side (and infinity rounds to an arbitrary number).
         if !(-524_288.0 < from && from < to && to < 524_288.0) {
             return None;
         }
@@ -98,16 +126,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_row_has_the_whole_columns_inside_and_one_beside_the_quad_none() {
-        let quad =
-            Quad([(10.2, 5.5), (30.7, 5.5), (30.7, 20.5), (10.2, 20.5)].map(|(x, y)| Vector2::new(x, y)));
+    fn spans_hold_the_whole_columns_inside() {
+        let quad = Quad(
+            [(10.2, 5.5), (30.7, 5.5), (30.7, 20.5), (10.2, 20.5)].map(|(x, y)| Vector2::new(x, y)),
+        );
         let spans = quad.spans();
         for y in -3..30 {
             let inside = (6..=20).contains(&y);
             assert_eq!(spans.at(f64::from(y)), inside.then_some((11, 31)), "{y}");
         }
-        let tip =
-            Quad([(10.25, 0.0), (20.25, 10.0), (10.25, 20.0), (0.25, 10.0)].map(|(x, y)| Vector2::new(x, y)));
+        let tip = Quad(
+            [(10.25, 0.0), (20.25, 10.0), (10.25, 20.0), (0.25, 10.0)]
+                .map(|(x, y)| Vector2::new(x, y)),
+        );
         assert_eq!(tip.spans().at(10.0), Some((1, 21)));
         assert_eq!(tip.spans().at(3.0), Some((8, 14)));
         for beside in [-1.0, 20.5, 400.0] {

@@ -1,38 +1,50 @@
-//! From pixels to a colour signal: the projection of a pixel onto one direction of RGB space.
+//! The color signal: the projection of a pixel onto one direction of RGB space.
 
 use crate::image::ImageView;
+use nalgebra::Vector2;
 use wide::{f32x8, i16x16, u32x8};
 
 /// A direction in RGB space along which a marker differs most from its surroundings.
 ///
-/// The signal `weights · (r, g, b)` is linear in the share of a pixel that the marker covers, as long as the sensor is,
-/// so that its moments and edge integrals are unbiased under blur, chroma subsampling and demosaicing.
+/// With a linear sensor the signal `weights · (r, g, b)` is linear in the share of a pixel that the
+/// marker covers, so that its moments and edge integrals are unbiased under blur, chroma
+/// subsampling and demosaicing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Discriminant {
-    /// Per channel r, g, b; `weights · (marker − surroundings) = 1` at the light in which it was learnt.
+    /// Per channel r, g, b; `weights · (marker − surroundings) = 1` in the light of the samples.
     pub weights: [f32; 3],
-    /// Whether a channel that tells the two apart is full: it no longer says how much light there is, and an edge's blur is cut off
-    /// in it.
-    pub full: bool,
+    /// Whether a channel in which the two differ is saturated: it no longer measures the light, and
+    /// an edge's blur is cut off in it.
+    pub saturated: bool,
 }
 
 impl Discriminant {
-    /// Level from which on a channel may be full: colours are followed with a delay of some images.
-    const FULL: f32 = 228.0;
+    /// Level from which on a channel may be saturated: 255 less 10 %, because the colors are
+    /// adapted with a delay of some images.
+    const SATURATED: f32 = 228.0;
+    /// Smallest squared distance of the two colors: 5 gray values, a few times a camera's noise.
+    const MIN_DISTANCE2: f32 = 25.0;
 
-    /// Between the mean colours of a marker and of what surrounds it, the pixel noise taken as equal in the channels; `None` where
-    /// they are the same.
+    /// Between the mean colors (r, g, b of 0–255) of a marker and of its surroundings, for equal
+    /// noise in the channels; `None` where the colors are the same.
     pub fn between(marker: [f32; 3], surroundings: [f32; 3]) -> Option<Self> {
         let d = [0, 1, 2].map(|i| marker[i] - surroundings[i]);
         let gain = d.iter().map(|d| d * d).sum::<f32>();
-        let full = (0..3).any(|i| d[i] * d[i] > 0.05 * gain && marker[i].max(surroundings[i]) > Self::FULL);
-        (gain.is_finite() && gain > 25.0).then(|| Self { weights: d.map(|d| d / gain), full })
+        let saturated = (0..3)
+            .any(|i| d[i] * d[i] > 0.05 * gain && marker[i].max(surroundings[i]) > Self::SATURATED);
+        (gain.is_finite() && gain > Self::MIN_DISTANCE2)
+            .then(|| Self { weights: d.map(|d| d / gain), saturated })
+    }
+
+    /// Signal of a color.
+    pub fn project(&self, color: [f32; 3]) -> f32 {
+        self.weights.iter().zip(&color).map(|(w, c)| w * c).sum()
     }
 }
 
-/// An image seen through one marker's discriminant: the colour signal of any pixel, computed where it is asked for.
+/// An image through one marker's discriminant: the color signal of any pixel, computed on demand.
 ///
-/// Nothing is copied: a marker's outline needs some thousand of its pixels, most of them once.
+/// Nothing is copied: a marker's outline needs about a thousand pixels, most of them once.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sampler<'a> {
     data: &'a [u8],
@@ -41,43 +53,54 @@ pub(crate) struct Sampler<'a> {
     /// Of the image, px.
     pub width: i32,
     pub height: i32,
-    /// In the order of the channels in memory, whole numbers: a signal is exact however its weights were rounded.
+    /// In the order of the channels in memory; integers, so that sums are exact.
     weights: [i32; 3],
-    /// The same in pairs of 16 bits: the first and the third channel, and the second alone.
+    /// The same in pairs of 16 bits: first and third channel, and the second alone.
     outer: i16x16,
     middle: i16x16,
     /// Signal per unit of the weighted sum.
     pub scale: f32,
     /// As in [`Discriminant`].
-    pub full: bool,
+    pub saturated: bool,
 }
 
 impl<'a> Sampler<'a> {
-    /// Largest weight: a sum of three channels stays below 2²⁰, and its moments within 64 bits.
+    /// Largest weight: a sum of three channels stays below 2²⁰ and is exact in 32-bit floats.
     const WEIGHT: f32 = 1024.0;
 
+    /// Prepares the integer weights.
     pub fn new(image: &ImageView<'a>, discriminant: &Discriminant) -> Self {
         let mut weights = discriminant.weights;
         if image.format.blue_first() {
             weights.swap(0, 2);
         }
-        let largest = weights.iter().fold(1e-12f32, |m, w| m.max(w.abs()));
-        let weights = weights.map(|w| (w * (Self::WEIGHT / largest)).round() as i32);
-        let pairs = |low: i32, high: i32| {
-            i16x16::new(std::array::from_fn(|i| if i % 2 == 0 { low } else { high } as i16))
-        };
-        Self {
+        let mut sampler = Self {
             data: image.data,
             step: image.step,
             bytes: image.format.bytes_per_pixel(),
             width: image.width as i32,
             height: image.height as i32,
-            weights,
-            outer: pairs(weights[0], weights[2]),
-            middle: pairs(weights[1], 0),
-            scale: largest / Self::WEIGHT,
-            full: discriminant.full,
-        }
+            weights: [0; 3],
+            outer: i16x16::ZERO,
+            middle: i16x16::ZERO,
+            scale: 1.0,
+            saturated: discriminant.saturated,
+        };
+        sampler.set_weights(weights);
+        sampler
+    }
+
+    /// Sets the weights in the order of the channels in memory.
+    #[inline(always)]
+    fn set_weights(&mut self, weights: [f32; 3]) {
+        let largest = weights.iter().fold(1e-12f32, |m, w| m.max(w.abs()));
+        self.weights = weights.map(|w| (w * (Self::WEIGHT / largest)).round() as i32);
+        let pairs = |low: i32, high: i32| {
+            i16x16::new(std::array::from_fn(|i| if i % 2 == 0 { low } else { high } as i16))
+        };
+        self.outer = pairs(self.weights[0], self.weights[2]);
+        self.middle = pairs(self.weights[1], 0);
+        self.scale = largest / Self::WEIGHT;
     }
 
     #[inline(always)]
@@ -101,8 +124,8 @@ impl<'a> Sampler<'a> {
         Some(self.sum(self.data.get(start..start + 3)?) as f32 * self.scale)
     }
 
-    /// Where a pixel of the image begins in its bytes. (32 bits: a place that is a few bytes further cannot overflow, so that it need
-    /// not be asked whether it did. No image has 4 GiB; of one that had, other pixels would be read.)
+    /// Index of a pixel's first byte. (No image has 4 GiB; of one that had, other pixels would be
+    /// read.)
     #[inline(always)]
     pub fn begin(&self, x: i32, y: i32) -> u32 {
         (y as usize * self.step + x as usize * self.bytes) as u32
@@ -114,7 +137,7 @@ impl<'a> Sampler<'a> {
         (if axis == 0 { self.bytes } else { self.step }) as u32
     }
 
-    /// Four bytes from a pixel's first on, of which the last is another's; the image's very last pixel has no fourth.
+    /// Four bytes from a pixel's first on; the last belongs to the next pixel, or is 0.
     #[inline(always)]
     fn word(&self, begin: u32) -> u32 {
         let begin = begin as usize;
@@ -132,10 +155,24 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Weighted sums of eight pixels at once, from where each begins.
+    /// The same image by its brightness (mean of the channels).
+    pub fn brightness(&self) -> Self {
+        let mut other = *self;
+        other.set_weights([1.0 / 3.0; 3]);
+        other
+    }
+
+    /// Signal of the pixel with this first byte; 0 outside of the image.
+    #[inline(always)]
+    pub fn one(&self, begin: u32) -> f32 {
+        let [a, b, c, _] = self.word(begin).to_le_bytes();
+        self.weighted(a, b, c) as f32 * self.scale
+    }
+
+    /// Weighted sums of eight pixels from their first bytes.
     #[inline(always)]
     pub fn eight(&self, begin: &[u32; 8]) -> f32x8 {
-        // Written out: a map over the array would be a call per pixel.
+        // Written out: a map over the array is compiled to a call per pixel.
         let [a, b, c, d, e, f, g, h] = *begin;
         let words = u32x8::new([
             self.word(a),
@@ -152,10 +189,18 @@ impl<'a> Sampler<'a> {
         (outer.dot(self.outer) + middle.dot(self.middle)).round_float()
     }
 
-    /// A line of pixels from (`x`, `y`) on, every `stride`-th along x (`axis` 0) or y (`axis` 1), as bytes with the distance
-    /// from one to the next; `None` where one is outside of the image.
+    /// A line of `count` pixels from (`x`, `y`) on, every `stride`-th along x (`axis` 0) or y
+    /// (`axis` 1): its bytes and their distance from pixel to pixel; `None` where one is outside of
+    /// the image.
     #[inline(always)]
-    pub fn line(&self, x: i32, y: i32, axis: usize, count: i32, stride: i32) -> Option<(&'a [u8], usize)> {
+    pub fn line(
+        &self,
+        x: i32,
+        y: i32,
+        axis: usize,
+        count: i32,
+        stride: i32,
+    ) -> Option<(&'a [u8], usize)> {
         if count < 1 || x < 0 || y < 0 {
             return None;
         }
@@ -169,7 +214,7 @@ impl<'a> Sampler<'a> {
         Some((self.data.get(start..start + (count as usize - 1) * hop + 3)?, hop))
     }
 
-    /// Calls `f` with the number and the weighted sum of each pixel of a line.
+    /// Calls `f` with the index and the weighted sum of each pixel of a line.
     #[inline(always)]
     pub fn each(&self, bytes: &[u8], hop: usize, mut f: impl FnMut(i32, i32)) {
         for (j, pixel) in bytes.chunks(hop).enumerate() {
@@ -178,9 +223,9 @@ impl<'a> Sampler<'a> {
     }
 }
 
-/// The nearest whole number, for places within ± 2³¹ (others, and NaN, give some number).
+/// Rounds to the nearest integer, for values within ± 2³¹ (an arbitrary number for others and NaN).
 ///
-/// By the mantissa's low bits: a sum with 1.5·2⁵² has the whole number there, rounded.
+/// Adding 1.5·2⁵² leaves the rounded integer in the mantissa's low bits.
 #[inline(always)]
 pub(crate) fn nearest(x: f64) -> i32 {
     const SHIFT: f64 = 6_755_399_441_055_744.0;
@@ -198,6 +243,25 @@ pub(crate) fn rgb_at(image: &ImageView<'_>, x: i32, y: i32) -> Option<[u8; 3]> {
     Some(if image.format.blue_first() { [p[2], p[1], p[0]] } else { [p[0], p[1], p[2]] })
 }
 
+/// Mean color (r, g, b of 0–255) of the square of side 2·`radius` + 1 about a place (px); `None`
+/// outside of the image.
+pub(crate) fn mean_rgb(image: &ImageView<'_>, at: Vector2<f64>, radius: i32) -> Option<[f32; 3]> {
+    let (cx, cy) = (at.x.round() as i32, at.y.round() as i32);
+    let mut sum = [0f32; 3];
+    let mut n = 0f32;
+    for y in cy - radius..=cy + radius {
+        for x in cx - radius..=cx + radius {
+            if let Some(p) = rgb_at(image, x, y) {
+                for c in 0..3 {
+                    sum[c] += f32::from(p[c]);
+                }
+                n += 1.0;
+            }
+        }
+    }
+    (n > 0.0).then(|| sum.map(|s| s / n))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -205,10 +269,12 @@ mod tests {
     use rig_model::Stamp;
 
     #[test]
-    fn lines_and_single_pixels_tell_the_same_in_every_order_of_the_channels() {
-        let data: Vec<u8> = (0..20 * 60u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
-        let discriminant = Discriminant { weights: [0.31, -0.72, 0.05], full: false };
-        for format in [PixelFormat::Rgb8, PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8] {
+    fn lines_and_single_pixels_agree_in_every_channel_order() {
+        let data: Vec<u8> =
+            (0..20 * 60u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        let discriminant = Discriminant { weights: [0.31, -0.72, 0.05], saturated: false };
+        for format in [PixelFormat::Rgb8, PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8]
+        {
             let stamp = Stamp::from_nanos(0);
             let view = ImageView { stamp, width: 14, height: 20, step: 60, format, data: &data };
             let sampler = Sampler::new(&view, &discriminant);
@@ -229,16 +295,18 @@ mod tests {
                     assert_eq!(value as f32 * sampler.scale, at);
                 });
             }
-            // The very last pixel has no byte after it.
+            // The last pixel has no byte after it.
             let last = sampler.eight(&[sampler.begin(13, 19); 8]).to_array();
             assert_eq!(last[7] * sampler.scale, sampler.at(13, 19).unwrap());
             assert!(sampler.at(14, 0).is_none() && sampler.at(0, -1).is_none());
-            assert!(sampler.line(10, 0, 0, 5, 1).is_none() && sampler.line(10, 0, 0, 4, 1).is_some());
+            assert!(
+                sampler.line(10, 0, 0, 5, 1).is_none() && sampler.line(10, 0, 0, 4, 1).is_some()
+            );
         }
     }
 
     #[test]
-    fn the_nearest_whole_number_is_found_on_both_sides_of_zero() {
+    fn rounding_works_on_both_sides_of_zero() {
         for (x, wanted) in
             [(0.4, 0), (0.6, 1), (-0.4, 0), (-0.6, -1), (-7.2, -7), (639.49, 639), (-1000.7, -1001)]
         {

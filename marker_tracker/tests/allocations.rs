@@ -1,4 +1,4 @@
-//! A tracked image allocates nothing: counted by the allocator itself.
+//! A tracked image allocates no memory, as counted by the allocator.
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
@@ -10,11 +10,11 @@ use marker_tracker::{ImageView, Input, Output, PixelFormat, TrackerConfig};
 use rig_model::{MarkerState, Stamp};
 
 #[test]
-fn a_tracked_image_and_one_with_a_hidden_marker_cost_no_allocation() {
+fn a_tracked_image_allocates_nothing() {
     let mut tracker = new_tracker(TrackerConfig::default());
     let mut noise = Noise(1);
     for k in 0..24i64 {
-        // A marker goes and comes back: that is tracked, too.
+        // Including images in which a marker is hidden.
         let paint = if (12..18).contains(&k) { [ALL[0], None, ALL[2], ALL[3]] } else { ALL };
         let data = draw(&pose(0.033 * k as f64), paint, &mut noise);
         let image = ImageView {
@@ -34,7 +34,8 @@ fn a_tracked_image_and_one_with_a_hidden_marker_cost_no_allocation() {
         let Some(Output::Observations(o)) = output else { panic!("image {k}") };
         let detected = o.markers.0.iter().filter(|m| m.state == MarkerState::Detected).count();
         assert_eq!(detected, paint.iter().flatten().count(), "image {k}");
-        // The search before the first image, and the first one for a marker that is gone, fill the buffers.
+        // The first search of the whole image and the first one for a hidden marker fill the
+        // buffers.
         if k >= 2 && k != 12 {
             assert_eq!(allocated, 0, "image {k}");
         }

@@ -1,13 +1,15 @@
-//! The tracker over the recorded bags, against their truth, marker by marker.
+//! The recorded bags against their truth, marker by marker.
 
-#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are outside of what clippy takes for a test
+#![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
 
 use marker_tracker::{Input, Output, Tracker, TrackerConfig, decode_compressed};
 use nalgebra::Vector2;
-use rig_model::{CameraModel, MarkerColor, MarkerObservations, MarkerState, PerColor, Rig, Stamp};
+use rig_model::{
+    CameraModel, MarkerColor, MarkerObservations, MarkerState, PerColor, Rig, Stamp, topics,
+};
 use std::{collections::BTreeMap, path::Path};
 
-/// A cursor over CDR (little endian), as far as these two messages need it.
+/// Cursor over little-endian CDR, as far as these two messages need it.
 struct Cdr<'a>(&'a [u8], usize);
 
 impl<'a> Cdr<'a> {
@@ -46,7 +48,7 @@ pub fn track_bag(folder: &Path, config: TrackerConfig) -> Vec<MarkerObservations
     for message in mcap::MessageStream::new(&file).unwrap() {
         let message = message.unwrap();
         match message.channel.topic.as_str() {
-            "/climber/camera/camera_info" => {
+            topics::absolute::CAMERA_INFO => {
                 let mut c = Cdr::new(&message.data);
                 c.stamp();
                 let (h, w) = (c.u32(), c.u32());
@@ -56,7 +58,7 @@ pub fn track_bag(folder: &Path, config: TrackerConfig) -> Vec<MarkerObservations
                 let camera = CameraModel::from_camera_info(w, h, &model, &d, &k).unwrap();
                 tracker.handle(Input::Camera(camera));
             }
-            "/climber/camera/image_raw/compressed" => {
+            topics::absolute::COMPRESSED_IMAGE => {
                 let mut c = Cdr::new(&message.data);
                 let stamp = c.stamp();
                 let format = c.text().to_owned();
@@ -128,8 +130,12 @@ fn score(folder: &Path, observations: &[MarkerObservations], verbose: bool) -> P
             let (m, t, s) = (&o.markers[color], &t[color], &mut scores[color]);
             let detected = m.state == MarkerState::Detected;
             let error = m.centroid - t.centroid;
-            let nes = m.covariance.try_inverse().map_or(0.0, |i| (error.transpose() * i * error)[0]);
-            if verbose && (t.shown < 1.0 || !detected || nes > 12.0) && std::env::var("VERBOSE").is_ok() {
+            let nes =
+                m.covariance.try_inverse().map_or(0.0, |i| (error.transpose() * i * error)[0]);
+            if verbose
+                && (t.shown < 1.0 || !detected || nes > 12.0)
+                && std::env::var("VERBOSE").is_ok()
+            {
                 eprintln!(
                     "{k:4} {color:6} shown {:.3} {:?} error {:6.3} {:6.3} sigma {:.3} nes {nes:.1}",
                     t.shown,
@@ -174,16 +180,13 @@ fn score(folder: &Path, observations: &[MarkerObservations], verbose: bool) -> P
 
 #[test]
 fn centroids_states_and_covariances_on_the_recorded_bags() {
-    let Ok(shared) = std::env::var("VOLANT_SHARED") else {
-        eprintln!("skipped: VOLANT_SHARED (the folder with the recorded bags) is not set");
-        return;
-    };
+    let Some(shared) = test_support::recordings() else { return };
     let only = std::env::var("BAG").unwrap_or_default();
     for bag in ["nominal", "occlude_two", "clutter", "fast_swing"] {
         if !bag.contains(&only) {
             continue;
         }
-        let folder = Path::new(&shared).join("bags").join(bag);
+        let folder = shared.join("bags").join(bag);
         let observations = track_bag(&folder, TrackerConfig::default());
         let scores = score(&folder, &observations, true);
         let (mut all, mut square) = (Score::default(), Vector2::zeros());
@@ -191,8 +194,9 @@ fn centroids_states_and_covariances_on_the_recorded_bags() {
             let n = s.whole_detected.max(1) as f64;
             let rms = (s.square / n).map(f64::sqrt);
             eprintln!(
-                "{bag:12} {color:6} whole {:3}/{:3} rms {:.4} {:.4} mean {:7.4} {:7.4} nes {:5.2} | part {:3}/{:3} rms {:.3} \
-                 nes {:5.2} worst {:.2} | hidden {}/{} wrong {} | predicted {} rms {:.2} nes {:.2}",
+                "{bag:12} {color:6} whole {:3}/{:3} rms {:.4} {:.4} mean {:7.4} {:7.4} nes {:5.2} | \
+                 part {:3}/{:3} rms {:.3} nes {:5.2} worst {:.2} | hidden {}/{} wrong {} | \
+                 predicted {} rms {:.2} nes {:.2}",
                 s.whole_detected,
                 s.whole,
                 rms.x,
@@ -231,7 +235,8 @@ fn centroids_states_and_covariances_on_the_recorded_bags() {
         let nes = all.nes / n;
         let parts = all.part_detected.max(1) as f64;
         eprintln!(
-            "{bag:12} all    whole {}/{} = {:.2} %  rms {:.4} {:.4} px  nes {nes:.2} | part nes {:.2} rms {:.3}",
+            "{bag:12} all    whole {}/{} = {:.2} %  rms {:.4} {:.4} px  nes {nes:.2} | \
+             part nes {:.2} rms {:.3}",
             all.whole_detected,
             all.whole,
             100.0 * share,
@@ -243,14 +248,18 @@ fn centroids_states_and_covariances_on_the_recorded_bags() {
         assert!(observations.len() == 358, "{bag}: an observation per image");
         assert!(share >= 0.999, "{bag}: whole markers detected {share}");
         assert!(rms.x <= 0.06 && rms.y <= 0.06, "{bag}: centroid RMS {rms}");
-        assert!((1.6..=2.6).contains(&nes), "{bag}: normalised squared error {nes}");
-        assert!(all.part_nes / parts < 4.0, "{bag}: partly covered ones are not as good as they say");
-        assert!(all.part_worst < 1.0, "{bag}: a partly covered marker is {} px off", all.part_worst);
+        assert!((1.6..=2.6).contains(&nes), "{bag}: normalized squared error {nes}");
+        assert!(all.part_nes / parts < 4.0, "{bag}: partly covered markers are inconsistent");
+        assert!(
+            all.part_worst < 1.0,
+            "{bag}: a partly covered marker is {} px off",
+            all.part_worst
+        );
         if all.predicted > 20 {
             let nes = all.predicted_nes / all.predicted as f64;
-            assert!(nes < 4.0, "{bag}: predicted ones are not as good as they say: {nes}");
+            assert!(nes < 4.0, "{bag}: predictions are inconsistent: {nes}");
         }
-        assert_eq!(all.hidden_detected, 0, "{bag}: hidden markers called detected");
+        assert_eq!(all.hidden_detected, 0, "{bag}: hidden markers detected");
         assert_eq!(all.wrong, 0, "{bag}: detected more than 5 px off");
     }
 }

@@ -1,16 +1,18 @@
-//! The tracker on drawn scenes with exact edges: precision, both criteria, loss and return, what is refused.
+//! Drawn scenes with exact edges: precision, both criteria, loss and recovery, rejected images.
 
-#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are outside of what clippy takes for a test
+#![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
 
 mod common;
 
 use common::{ALL, HEIGHT, Noise, WIDTH, camera, draw, layout, new_tracker, observe, pose, truth};
-use marker_tracker::{ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig, Warning};
+use marker_tracker::{
+    ImageView, Input, Outcome, Output, PixelFormat, Tracker, TrackerConfig, Warning,
+};
 use nalgebra::Vector2;
 use rig_model::{MarkerColor, MarkerState, Stamp};
 
 #[test]
-fn clean_scenes_are_told_to_a_hundredth_of_a_pixel_from_the_first_image_on() {
+fn clean_scenes_are_measured_to_0_015_px_from_the_first_image_on() {
     let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(1));
     let (mut square, mut nes, mut n) = (Vector2::zeros(), 0.0, 0.0);
     for k in 0..12 {
@@ -25,13 +27,18 @@ fn clean_scenes_are_told_to_a_hundredth_of_a_pixel_from_the_first_image_on() {
         }
     }
     let rms = (square / n).map(f64::sqrt);
-    eprintln!("clean scenes: rms {:.4} {:.4} px, normalised squared error {:.2}", rms.x, rms.y, nes / n);
+    eprintln!(
+        "clean scenes: rms {:.4} {:.4} px, normalized squared error {:.2}",
+        rms.x,
+        rms.y,
+        nes / n
+    );
     assert!(rms.x < 0.015 && rms.y < 0.015, "{rms}");
     assert!((1.2..=3.2).contains(&(nes / n)), "{}", nes / n);
 }
 
 #[test]
-fn hidden_markers_are_predicted_for_six_images_then_lost_and_are_back_at_once() {
+fn a_hidden_marker_is_predicted_for_six_images_then_lost_then_detected_at_once() {
     let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(2));
     for k in 0..24 {
         let pose = pose(0.033 * k as f64);
@@ -54,7 +61,7 @@ fn hidden_markers_are_predicted_for_six_images_then_lost_and_are_back_at_once() 
 }
 
 #[test]
-fn what_is_predicted_is_as_far_off_as_it_says_however_many_are_hidden() {
+fn predictions_are_consistent_however_many_markers_are_hidden() {
     for hidden in [&[1][..], &[1, 2], &[0, 2], &[1, 2, 3], &[0, 1, 2, 3]] {
         let (mut nes, mut worst, mut n) = (0.0, 0.0f64, 0.0);
         for start in 0..6 {
@@ -78,14 +85,16 @@ fn what_is_predicted_is_as_far_off_as_it_says_however_many_are_hidden() {
             }
         }
         nes /= n;
-        eprintln!("{hidden:?} hidden: at most {worst:.2} px off, normalised squared error {nes:.2}");
+        eprintln!(
+            "{hidden:?} hidden: at most {worst:.2} px off, normalized squared error {nes:.2}"
+        );
         assert!(nes < 4.0, "{hidden:?}: {nes}");
         assert!(worst < if hidden.len() < 3 { 1.5 } else { 12.0 }, "{hidden:?}: {worst}");
     }
 }
 
 #[test]
-fn all_four_are_back_in_the_first_image_in_which_they_are_whole() {
+fn all_four_are_detected_in_the_first_image_that_shows_them_again() {
     let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(3));
     for k in 0..20 {
         let gone = (4..16).contains(&k);
@@ -110,14 +119,14 @@ fn either_criterion_switched_off_changes_the_result() {
         observe(&mut tracker, 4, &draw(&pose(0.4), last, &mut noise)).markers
     };
     let on = TrackerConfig::default();
-    // Without the flow a hidden marker is not carried along with the others.
+    // Without the flow a hidden marker does not move with the others.
     let hidden = [ALL[0], None, ALL[2], ALL[3]];
     let place = truth(MarkerColor::Green, &pose(0.4));
     let off = TrackerConfig { use_flow: false, ..on.clone() };
     let with = (run(on.clone(), hidden)[MarkerColor::Green].centroid - place).norm();
     let without = (run(off, hidden)[MarkerColor::Green].centroid - place).norm();
     assert!(with < 0.5 && without > 2.0 * with, "{with} px with the flow, {without} px without");
-    // Without the hue a crimson square that takes the red one's place is taken for it.
+    // Without the hue a crimson square in the red one's place is accepted.
     let other = [Some([150.0, 40.0, 90.0]), ALL[1], ALL[2], ALL[3]];
     let off = TrackerConfig { use_hue: false, ..on.clone() };
     assert_ne!(run(on, other)[MarkerColor::Red].state, MarkerState::Detected);
@@ -125,8 +134,8 @@ fn either_criterion_switched_off_changes_the_result() {
 }
 
 #[test]
-fn where_the_rig_file_has_the_markers_does_not_move_their_measured_centroids() {
-    // Two millimetres are 0.96 px here.
+fn an_error_of_the_layout_does_not_move_the_centroids() {
+    // 2 mm are 0.96 px here.
     let mut wrong = layout();
     let shift = [[2.0, 0.0], [-1.0, 1.7], [-1.4, -1.4], [0.3, 2.0]];
     for (centre, by) in wrong.centres.0.iter_mut().zip(shift) {
@@ -143,7 +152,12 @@ fn where_the_rig_file_has_the_markers_does_not_move_their_measured_centroids() {
         let (a, b) = (observe(&mut exact, k, &data), observe(&mut other, k, &data));
         for color in MarkerColor::ALL {
             let m = &b.markers[color];
-            assert_eq!(m.state, MarkerState::Detected, "{color} in image {k}: {:?}", other.reasons());
+            assert_eq!(
+                m.state,
+                MarkerState::Detected,
+                "{color} in image {k}: {:?}",
+                other.outcomes()
+            );
             let apart = m.centroid - a.markers[color].centroid;
             square += apart.norm_squared() / 2.0;
             largest = largest.max(apart.norm());
@@ -154,42 +168,44 @@ fn where_the_rig_file_has_the_markers_does_not_move_their_measured_centroids() {
     }
     let (rms, nes) = ((square / n).sqrt(), nes / n);
     eprintln!(
-        "layout 2 mm off: centroids {rms:.4} px apart, at most {largest:.3}, normalised squared error {nes:.2}"
+        "layout 2 mm off: centroids {rms:.4} px apart, at most {largest:.3}, normalized squared error {nes:.2}"
     );
     assert!(rms < 0.01 && largest < 0.04, "{rms}, {largest}");
     assert!((1.2..=3.2).contains(&nes), "{nes}");
 }
 
 #[test]
-fn what_was_seen_is_one_on_the_marker_and_nought_beside_it_and_bears_its_hue() {
+fn the_signal_is_1_on_a_marker_and_0_beside_it_and_the_histogram_has_its_hue() {
     let mut tracker = new_tracker(TrackerConfig::default());
     let pose = pose(0.0);
     let data = draw(&pose, ALL, &mut Noise(5));
     let stamp = Stamp::from_nanos(0);
     let format = PixelFormat::Rgb8;
-    let image = ImageView { stamp, width: WIDTH, height: HEIGHT, step: 3 * WIDTH, format, data: &data };
-    assert!(tracker.seen(MarkerColor::Red, &image).is_none());
+    let image =
+        ImageView { stamp, width: WIDTH, height: HEIGHT, step: 3 * WIDTH, format, data: &data };
+    assert!(tracker.signal(MarkerColor::Red, &image).is_none());
     tracker.handle(Input::Image(image));
     for (color, degrees) in MarkerColor::ALL.into_iter().zip([359.0, 119.0, 210.0, 47.0]) {
-        let seen = tracker.seen(color, &image).unwrap();
+        let view = tracker.signal(color, &image).unwrap();
         let pixel = truth(color, &pose);
         let at = |p: Vector2<f64>| {
-            let (x, y) = (p.x.round() as i32 - seen.origin[0], p.y.round() as i32 - seen.origin[1]);
-            seen.signal[y as usize * seen.width + x as usize]
+            let (x, y) = (p.x.round() as i32 - view.origin[0], p.y.round() as i32 - view.origin[1]);
+            view.signal[y as usize * view.width + x as usize]
         };
         assert!((at(pixel) - 1.0).abs() < 0.3, "{color}: {}", at(pixel));
-        let edge = seen.signal.iter().filter(|v| v.is_finite() && v.abs() < 0.3).count();
+        let edge = view.signal.iter().filter(|v| v.is_finite() && v.abs() < 0.3).count();
         assert!(edge > 50, "{color}: only {edge} pixels beside it");
-        assert!((seen.hue.iter().sum::<f32>() - 1.0).abs() < 1e-3);
-        let peak = (0..seen.hue.len()).max_by(|a, b| seen.hue[*a].total_cmp(&seen.hue[*b])).unwrap();
-        let middle = (peak as f64 + 0.5) * 360.0 / seen.hue.len() as f64;
+        assert!((view.hue.iter().sum::<f32>() - 1.0).abs() < 1e-3);
+        let peak =
+            (0..view.hue.len()).max_by(|a, b| view.hue[*a].total_cmp(&view.hue[*b])).unwrap();
+        let middle = (peak as f64 + 0.5) * 360.0 / view.hue.len() as f64;
         let off = (middle - degrees + 180.0).rem_euclid(360.0) - 180.0;
         assert!(off.abs() < 12.0, "{color}: {middle} deg for {degrees}");
     }
 }
 
 #[test]
-fn an_image_that_is_sent_again_is_no_measurement_and_said_so() {
+fn a_repeated_image_is_no_measurement_and_is_reported() {
     let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(6));
     let frozen = draw(&pose(0.0), ALL, &mut noise);
     for k in 0..12 {
@@ -205,22 +221,24 @@ fn an_image_that_is_sent_again_is_no_measurement_and_said_so() {
         }
         match warning {
             None => assert_eq!(k, 0),
-            Some(Output::Warning(Warning::Repeated { images, .. })) => assert_eq!(i64::from(images), k),
+            Some(Output::Warning(Warning::Repeated { images, .. })) => {
+                assert_eq!(i64::from(images), k)
+            }
             other => panic!("{other:?}"),
         }
     }
-    assert!(tracker.reasons().iter().all(|(_, reason)| reason.contains("byte for byte")));
-    // It goes on, somewhere else: back at once.
+    assert!(tracker.outcomes().0.iter().all(|o| *o == Outcome::RepeatedImage));
+    // The next new image shows them elsewhere: detected at once.
     let o = observe(&mut tracker, 12, &draw(&pose(0.8), ALL, &mut noise));
     assert!(o.markers.0.iter().all(|m| m.state == MarkerState::Detected));
-    // The same scene at rest, with the sensor's noise, is measured.
+    // The same scene with new sensor noise is measured.
     let o = observe(&mut tracker, 13, &draw(&pose(0.8), ALL, &mut noise));
     assert!(o.markers.0.iter().all(|m| m.state == MarkerState::Detected));
     assert!(tracker.poll().is_none());
 }
 
 #[test]
-fn a_camera_info_of_another_size_is_scaled_and_told_of_once() {
+fn a_camera_model_of_another_size_is_scaled_and_reported_once() {
     let mut tracker = Tracker::new(layout(), TrackerConfig::default());
     tracker.handle(Input::Camera(camera().resized(1280, 960).unwrap()));
     let mut noise = Noise(7);
@@ -241,7 +259,11 @@ fn a_camera_info_of_another_size_is_scaled_and_told_of_once() {
             assert!(
                 matches!(
                     warned,
-                    Some(Output::Warning(Warning::CameraSize { camera_width: 1280, width: 640, .. }))
+                    Some(Output::Warning(Warning::CameraSize {
+                        camera_width: 1280,
+                        width: 640,
+                        ..
+                    }))
                 ),
                 "{warned:?}"
             );
@@ -251,7 +273,7 @@ fn a_camera_info_of_another_size_is_scaled_and_told_of_once() {
 }
 
 #[test]
-fn every_order_of_channels_gives_the_same() {
+fn every_channel_order_gives_the_same_centroids() {
     let rgb = draw(&pose(0.0), ALL, &mut Noise(5));
     let reference = observe(&mut new_tracker(TrackerConfig::default()), 0, &rgb);
     for format in [PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8] {
@@ -260,8 +282,11 @@ fn every_order_of_channels_gives_the_same() {
         let mut data = vec![0; step * HEIGHT];
         for y in 0..HEIGHT {
             for x in 0..WIDTH {
-                let mut p =
-                    [rgb[3 * (y * WIDTH + x)], rgb[3 * (y * WIDTH + x) + 1], rgb[3 * (y * WIDTH + x) + 2]];
+                let mut p = [
+                    rgb[3 * (y * WIDTH + x)],
+                    rgb[3 * (y * WIDTH + x) + 1],
+                    rgb[3 * (y * WIDTH + x) + 2],
+                ];
                 if format.blue_first() {
                     p.reverse();
                 }
@@ -280,13 +305,16 @@ fn every_order_of_channels_gives_the_same() {
         }));
         let Some(Output::Observations(o)) = tracker.poll() else { panic!("{format:?}") };
         for (color, m) in o.markers.iter() {
-            assert!((m.centroid - reference.markers[color].centroid).norm() < 1e-3, "{format:?} {color}");
+            assert!(
+                (m.centroid - reference.markers[color].centroid).norm() < 1e-3,
+                "{format:?} {color}"
+            );
         }
     }
 }
 
 #[test]
-fn images_that_cannot_be_and_stamps_from_the_past_are_refused() {
+fn contradicting_fields_and_old_stamps_are_rejected() {
     let mut tracker = new_tracker(TrackerConfig::default());
     let data = [0u8; 100];
     for (width, height, step) in
@@ -295,7 +323,10 @@ fn images_that_cannot_be_and_stamps_from_the_past_are_refused() {
         let stamp = Stamp::from_nanos(1);
         let view = ImageView { stamp, width, height, step, format: PixelFormat::Rgb8, data: &data };
         tracker.handle(Input::Image(view));
-        assert!(matches!(tracker.poll(), Some(Output::Warning(Warning::Image(_)))), "{width}x{height}");
+        assert!(
+            matches!(tracker.poll(), Some(Output::Warning(Warning::Image(_)))),
+            "{width}x{height}"
+        );
     }
     let tiny = |nanos| ImageView {
         stamp: Stamp::from_nanos(nanos),

@@ -1,5 +1,7 @@
-//! What ROS 2 says about a type: the definition text that a bag carries (`ros2msg`) and the RIHS01 hash (REP-2016:
-//! SHA-256 over the JSON of `type_description_interfaces/msg/TypeDescription` without default values).
+//! Type description: the definition text of a bag's `ros2msg` schema, and the RIHS01 hash.
+//!
+//! REP-2016 defines the hash as SHA-256 over the JSON of
+//! `type_description_interfaces/msg/TypeDescription` without default values.
 
 use super::{
     GenerateError, Interfaces,
@@ -8,9 +10,13 @@ use super::{
 use sha2::{Digest, Sha256};
 use std::{collections::BTreeSet, fmt::Write};
 
-/// The names of all messages used in `message`, in the order in which a reader meets them, without itself.
+/// Names of all messages nested in `message`, depth first, without itself.
 fn used(set: &Interfaces, message: &Interface) -> Result<Vec<Name>, GenerateError> {
-    fn visit(set: &Interfaces, message: &Interface, found: &mut Vec<Name>) -> Result<(), GenerateError> {
+    fn visit(
+        set: &Interfaces,
+        message: &Interface,
+        found: &mut Vec<Name>,
+    ) -> Result<(), GenerateError> {
         for field in &message.fields {
             if let Base::Nested(name) = &field.base
                 && !found.contains(name)
@@ -26,7 +32,11 @@ fn used(set: &Interfaces, message: &Interface) -> Result<Vec<Name>, GenerateErro
     Ok(found)
 }
 
-/// The text of the message and, after a line of 80 `=` and `MSG: package/Name` each, of all that it uses.
+/// Definition text: the message, then each nested message after a line of 80 `=` and a line
+/// `MSG: package/Name`.
+///
+/// # Errors
+/// A nested type has no file.
 pub fn definition(set: &Interfaces, message: &Interface) -> Result<String, GenerateError> {
     let mut text = message.text.trim_end().to_owned() + "\n";
     for name in used(set, message)? {
@@ -38,7 +48,10 @@ pub fn definition(set: &Interfaces, message: &Interface) -> Result<String, Gener
     Ok(text)
 }
 
-/// `RIHS01_…` of a message.
+/// RIHS01 hash of a message, `RIHS01_` and 64 hexadecimal digits.
+///
+/// # Errors
+/// A nested type has no file.
 pub fn message_hash(set: &Interfaces, message: &Interface) -> Result<String, GenerateError> {
     let fields = message_fields(message);
     let mut referenced = BTreeSet::new();
@@ -48,9 +61,13 @@ pub fn message_hash(set: &Interfaces, message: &Interface) -> Result<String, Gen
     Ok(hash(&message.name.to_string(), &fields, &referenced))
 }
 
-/// `RIHS01_…` of a service: request, response and the event that service introspection publishes.
+/// RIHS01 hash of a service: request, response and the event of service introspection.
+///
+/// # Errors
+/// A nested type has no file.
 pub fn service_hash(set: &Interfaces, service: &Name) -> Result<String, GenerateError> {
-    let part = |suffix: &str| Name::new(&service.package, "srv", &format!("{}{suffix}", service.name));
+    let part =
+        |suffix: &str| Name::new(&service.package, "srv", &format!("{}{suffix}", service.name));
     let (request, response, event) = (part("_Request"), part("_Response"), part("_Event"));
     let info = Name::new("service_msgs", "msg", "ServiceEventInfo");
     let nested = |name: &str, type_id: u32, capacity: u32, of: &Name| {
@@ -100,17 +117,30 @@ fn message_fields(message: &Interface) -> String {
                 Count::Bounded(n) => (BOUNDED, n),
                 Count::Unbounded => (UNBOUNDED, 0),
             };
-            field_json(&field.name, type_id + offset, capacity as u32, string_capacity as u32, &nested)
+            field_json(
+                &field.name,
+                type_id + offset,
+                capacity as u32,
+                string_capacity as u32,
+                &nested,
+            )
         })
         .collect();
     fields.join(", ")
 }
 
-// The hash is over these very bytes: one space after each comma and colon, keys in this order.
-fn field_json(name: &str, type_id: u32, capacity: u32, string_capacity: u32, nested: &str) -> String {
-    format!(
-        r#"{{"name": "{name}", "type": {{"type_id": {type_id}, "capacity": {capacity}, "string_capacity": {string_capacity}, "nested_type_name": "{nested}"}}}}"#
-    )
+// The hash covers these exact bytes: one space after each comma and colon, keys in this order.
+fn field_json(
+    name: &str,
+    type_id: u32,
+    capacity: u32,
+    string_capacity: u32,
+    nested: &str,
+) -> String {
+    let field_type = format!(
+        r#"{{"type_id": {type_id}, "capacity": {capacity}, "string_capacity": {string_capacity}, "#
+    ) + &format!(r#""nested_type_name": "{nested}"}}"#);
+    format!(r#"{{"name": "{name}", "type": {field_type}}}"#)
 }
 
 fn hash(name: &str, fields: &str, referenced: &BTreeSet<(String, String)>) -> String {

@@ -1,4 +1,5 @@
-//! Writes the Rust source: one module per package, one struct per message, with its CDR form and its description.
+//! Generates the Rust source: one module per package, one struct per message, with its CDR
+//! implementation and type description.
 
 use super::{
     GenerateError, Interfaces, OWN_PACKAGE, describe,
@@ -6,7 +7,10 @@ use super::{
 };
 use std::collections::BTreeSet;
 
-/// All types as one file, to be included at the root of the crate.
+/// Source of all types, to be included at the crate root.
+///
+/// # Errors
+/// An interface uses an unknown type, or a constant or default does not fit its type.
 pub fn rust_source(set: &Interfaces) -> Result<String, GenerateError> {
     let mut out = String::new();
     let packages: BTreeSet<&str> = set.messages.keys().map(|n| n.package.as_str()).collect();
@@ -17,8 +21,11 @@ pub fn rust_source(set: &Interfaces) -> Result<String, GenerateError> {
             line(&mut out, format!("pub mod {package} {{"));
         }
         for kind in ["msg", "srv"] {
-            let messages: Vec<&Interface> =
-                set.messages.values().filter(|m| m.name.package == package && m.name.kind == kind).collect();
+            let messages: Vec<&Interface> = set
+                .messages
+                .values()
+                .filter(|m| m.name.package == package && m.name.kind == kind)
+                .collect();
             if messages.is_empty() {
                 continue;
             }
@@ -89,9 +96,9 @@ fn field_type(field: &Field) -> String {
 fn serde_attribute(field: &Field) -> Option<&'static str> {
     let bytes = matches!(&field.base, Base::Primitive(p) if p.rust() == "u8");
     match field.count {
-        // The bytes on the wire are the same; element by element is a hundred times slower.
+        // Same bytes on the wire; serializing element by element is 100 times slower.
         Count::Bounded(_) | Count::Unbounded if bytes => Some("#[serde(with = \"serde_bytes\")]"),
-        // Serde itself stops at 32.
+        // Serde implements arrays up to 32 elements.
         Count::Fixed(n) if n > 32 => Some("#[serde(with = \"serde_big_array::BigArray\")]"),
         _ => None,
     }
@@ -100,7 +107,7 @@ fn serde_attribute(field: &Field) -> Option<&'static str> {
 fn literal(base: &Base, value: &str, place: &Name) -> Result<String, GenerateError> {
     let wrong = || GenerateError {
         place: place.to_string(),
-        message: format!("`{value}` is not a value of its type"),
+        message: format!("`{value}` does not fit the type of its field or constant"),
     };
     Ok(match base {
         Base::Nested(_) => return Err(wrong()),
@@ -126,14 +133,22 @@ fn literal(base: &Base, value: &str, place: &Name) -> Result<String, GenerateErr
 
 fn default_value(field: &Field, place: &Name) -> Result<String, GenerateError> {
     Ok(match (&field.default, field.count, &field.base) {
-        (Some(value), _, Base::String(_)) => format!("{}.into()", literal(&field.base, value, place)?),
+        (Some(value), _, Base::String(_)) => {
+            format!("{}.into()", literal(&field.base, value, place)?)
+        }
         (Some(value), _, base) => literal(base, value, place)?,
-        (None, Count::Fixed(_), _) => "::std::array::from_fn(|_| ::std::default::Default::default())".into(),
+        (None, Count::Fixed(_), _) => {
+            "::std::array::from_fn(|_| ::std::default::Default::default())".into()
+        }
         (None, _, _) => "::std::default::Default::default()".into(),
     })
 }
 
-fn emit_message(out: &mut String, set: &Interfaces, message: &Interface) -> Result<(), GenerateError> {
+fn emit_message(
+    out: &mut String,
+    set: &Interfaces,
+    message: &Interface,
+) -> Result<(), GenerateError> {
     let name = rust_name(&message.name);
     doc(out, &format!("`{}`", message.name));
     if !message.comment.is_empty() {
@@ -143,7 +158,8 @@ fn emit_message(out: &mut String, set: &Interfaces, message: &Interface) -> Resu
     line(out, "#[derive(Clone, Debug, PartialEq, ::serde::Serialize, ::serde::Deserialize)]");
     line(out, format!("pub struct {name} {{"));
     for field in &message.fields {
-        let about = if field.comment.is_empty() { String::new() } else { format!(": {}", field.comment) };
+        let about =
+            if field.comment.is_empty() { String::new() } else { format!(": {}", field.comment) };
         doc(out, &format!("`{}`{about}", field.written));
         if let Some(attribute) = serde_attribute(field) {
             line(out, attribute);
@@ -153,17 +169,26 @@ fn emit_message(out: &mut String, set: &Interfaces, message: &Interface) -> Resu
     line(out, "}");
     emit_constants(out, message, &name)?;
 
-    // Written out for all: a derive knows neither the definition's defaults nor arrays beyond 32.
+    // Not derived: a derive supports neither the defaults of the definition nor arrays beyond 32.
     line(out, "#[allow(clippy::derivable_impls)]");
-    line(out, format!("impl ::std::default::Default for {name} {{ fn default() -> Self {{ Self {{"));
+    line(
+        out,
+        format!("impl ::std::default::Default for {name} {{ fn default() -> Self {{ Self {{"),
+    );
     for field in &message.fields {
-        line(out, format!("{}: {},", field_name(&field.name), default_value(field, &message.name)?));
+        line(
+            out,
+            format!("{}: {},", field_name(&field.name), default_value(field, &message.name)?),
+        );
     }
     line(out, "} } }");
 
     line(out, format!("impl crate::cdr::Cdr for {name} {{"));
-    let sizes: Vec<String> =
-        message.fields.iter().map(|f| format!("<{} as crate::cdr::Cdr>::MIN_SIZE", field_type(f))).collect();
+    let sizes: Vec<String> = message
+        .fields
+        .iter()
+        .map(|f| format!("<{} as crate::cdr::Cdr>::MIN_SIZE", field_type(f)))
+        .collect();
     line(out, format!("const MIN_SIZE: usize = {};", sizes.join(" + ")));
     line(out, "fn write(&self, to: &mut crate::cdr::Writer) {");
     for field in &message.fields {
@@ -172,7 +197,8 @@ fn emit_message(out: &mut String, set: &Interfaces, message: &Interface) -> Resu
     line(out, "}");
     line(
         out,
-        "fn read(from: &mut crate::cdr::Reader<'_>) -> ::std::result::Result<Self, crate::cdr::CdrError> {",
+        "fn read(from: &mut crate::cdr::Reader<'_>) \
+         -> ::std::result::Result<Self, crate::cdr::CdrError> {",
     );
     line(out, "::std::result::Result::Ok(Self {");
     for field in &message.fields {
@@ -181,7 +207,10 @@ fn emit_message(out: &mut String, set: &Interfaces, message: &Interface) -> Resu
             _ => "crate::cdr::Cdr::read(from)".to_owned(),
         };
         let place = format!("{}.{}", message.name, field.name);
-        line(out, format!("{}: {read}.map_err(|e| e.inside({place:?}))?,", field_name(&field.name)));
+        line(
+            out,
+            format!("{}: {read}.map_err(|e| e.inside({place:?}))?,", field_name(&field.name)),
+        );
     }
     line(out, "}) } }");
 
@@ -195,8 +224,14 @@ fn emit_message(out: &mut String, set: &Interfaces, message: &Interface) -> Resu
             ros.package, ros.kind, ros.name
         ),
     );
-    line(out, format!("const DEFINITION: &'static str = {:?};", describe::definition(set, message)?));
-    line(out, format!("const RIHS01_HASH: &'static str = {:?};", describe::message_hash(set, message)?));
+    line(
+        out,
+        format!("const DEFINITION: &'static str = {:?};", describe::definition(set, message)?),
+    );
+    line(
+        out,
+        format!("const RIHS01_HASH: &'static str = {:?};", describe::message_hash(set, message)?),
+    );
     line(out, "}");
     Ok(())
 }
@@ -227,34 +262,38 @@ fn emit_service(out: &mut String, set: &Interfaces, service: &Name) -> Result<()
     line(out, format!("type Request = {name}Request;"));
     line(out, format!("type Response = {name}Response;"));
     line(out, format!("const TYPE_NAME: &'static str = \"{service}\";"));
-    line(out, format!("const RIHS01_HASH: &'static str = {:?};", describe::service_hash(set, service)?));
+    line(
+        out,
+        format!("const RIHS01_HASH: &'static str = {:?};", describe::service_hash(set, service)?),
+    );
     line(out, "}");
     Ok(())
 }
 
 fn emit_registry(out: &mut String, set: &Interfaces) {
     let messages: Vec<&Name> = set.messages.keys().filter(|n| n.kind == "msg").collect();
-    doc(out, "Every message that is built in, by name.");
+    doc(out, "All built-in messages, sorted by name.");
     line(out, "pub static MESSAGES: &[crate::MessageInfo] = &[");
     for name in messages {
         line(out, format!("crate::MessageInfo::of::<{}>(),", rust_path(name)));
     }
     line(out, "];");
-    // For code that does the same with each type, such as the tests against other implementations.
-    doc(out, "Calls a macro with the paths of all types, the halves of services included.");
+    doc(out, "Calls a macro with the paths of all types, requests and responses included.");
     line(out, "#[macro_export]");
     line(out, "macro_rules! for_each_type { ($call:ident) => { $call! {");
     for name in set.messages.keys() {
         line(out, format!("{},", rust_path(name).replacen("crate::", "$crate::", 1)));
     }
     line(out, "} } }");
-    doc(out, "Every service that is built in: name and hash.");
+    doc(out, "Name and RIHS01 hash of all built-in services, sorted by name.");
     line(out, "pub static SERVICES: &[(&str, &str)] = &[");
     for name in &set.services {
         let path = rust_path(name);
         line(
             out,
-            format!("(<{path} as crate::Service>::TYPE_NAME, <{path} as crate::Service>::RIHS01_HASH),"),
+            format!(
+                "(<{path} as crate::Service>::TYPE_NAME, <{path} as crate::Service>::RIHS01_HASH),"
+            ),
         );
     }
     line(out, "];");

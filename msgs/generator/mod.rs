@@ -1,5 +1,7 @@
-//! From `.msg` and `.srv` text to Rust source: [`parse`] reads it, [`describe`] gives the definition text and the
-//! RIHS01 hash that ROS 2 would give, [`emit`] writes the types. Used by `build.rs` and by its tests.
+//! Generator of Rust types from `.msg` and `.srv` files.
+//!
+//! [`parse`] reads the text, [`describe`] derives definition text and RIHS01 hash, [`emit`] writes
+//! the source. Used by `build.rs`.
 
 pub mod describe;
 pub mod emit;
@@ -8,24 +10,24 @@ pub mod parse;
 use parse::{Interface, Name};
 use std::{collections::BTreeMap, error::Error, fmt, fs, path::Path};
 
-/// The package whose `.msg` files lie in `msg/` and whose types are found at `crate::msg`.
+/// This package: its `.msg` files are in `msg/`, its types in `crate::msg`.
 pub const OWN_PACKAGE: &str = "volant_msgs";
 
-/// Every message by its full name; a service is there as its request and its response.
+/// All interfaces by full name.
 #[derive(Debug, Default)]
 pub struct Interfaces {
-    /// Messages, the requests and responses of services included.
+    /// Messages, including the requests and responses of services.
     pub messages: BTreeMap<Name, Interface>,
     /// Services: `pkg/srv/Name`.
     pub services: Vec<Name>,
 }
 
-/// What is wrong with a file, and in which line.
+/// Error in an interface file.
 #[derive(Debug)]
 pub struct GenerateError {
-    /// The file or the interface.
+    /// File or interface name.
     pub place: String,
-    /// What is wrong.
+    /// Description, with the line where one applies.
     pub message: String,
 }
 
@@ -38,6 +40,9 @@ impl fmt::Display for GenerateError {
 impl Error for GenerateError {}
 
 /// Reads `root/msg` and `root/interfaces/<package>/{msg,srv}`.
+///
+/// # Errors
+/// A folder or file cannot be read, or a file is not a valid interface.
 pub fn read_interfaces(root: &Path) -> Result<Interfaces, Box<dyn Error>> {
     let mut set = Interfaces::default();
     read_folder(&mut set, OWN_PACKAGE, "msg", &root.join("msg"))?;
@@ -55,7 +60,12 @@ pub fn read_interfaces(root: &Path) -> Result<Interfaces, Box<dyn Error>> {
     Ok(set)
 }
 
-fn read_folder(set: &mut Interfaces, package: &str, kind: &str, folder: &Path) -> Result<(), Box<dyn Error>> {
+fn read_folder(
+    set: &mut Interfaces,
+    package: &str,
+    kind: &str,
+    folder: &Path,
+) -> Result<(), Box<dyn Error>> {
     let mut files: Vec<_> = fs::read_dir(folder)?.collect::<Result<_, _>>()?;
     files.sort_by_key(fs::DirEntry::file_name);
     for file in files {
@@ -72,7 +82,10 @@ fn read_folder(set: &mut Interfaces, package: &str, kind: &str, folder: &Path) -
 }
 
 impl Interfaces {
-    /// Adds one file's text.
+    /// Parses and adds the text of one file.
+    ///
+    /// # Errors
+    /// Line and reason of a syntax error.
     pub fn add(&mut self, name: Name, text: &str) -> Result<(), String> {
         if name.kind == "srv" {
             let mut lines = text.split_inclusive('\n');
@@ -94,7 +107,10 @@ impl Interfaces {
         Ok(())
     }
 
-    /// The message of that name.
+    /// Returns the message with this name.
+    ///
+    /// # Errors
+    /// There is no file for it.
     pub fn get(&self, name: &Name) -> Result<&Interface, GenerateError> {
         self.messages.get(name).ok_or_else(|| GenerateError {
             place: name.to_string(),

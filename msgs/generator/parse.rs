@@ -1,4 +1,4 @@
-//! The text of a `.msg` file, line by line: `type name`, `type name default`, `type NAME=value`, `# comment`.
+//! Parser of `.msg` text: lines `type name`, `type name default`, `type NAME=value`, `# comment`.
 
 use std::fmt;
 
@@ -9,12 +9,12 @@ pub struct Name {
     pub package: String,
     /// `msg` or `srv`.
     pub kind: String,
-    /// Without package.
+    /// Type name without package.
     pub name: String,
 }
 
 impl Name {
-    /// From its three parts.
+    /// Name from package, kind (`msg` or `srv`) and type.
     pub fn new(package: &str, kind: &str, name: &str) -> Self {
         Self { package: package.into(), kind: kind.into(), name: name.into() }
     }
@@ -26,12 +26,12 @@ impl fmt::Display for Name {
     }
 }
 
-/// What one element of a field is.
+/// Element type of a field.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Base {
-    /// A number, `bool`, `byte` or `char`, by its name in the text.
+    /// A number, `bool`, `byte` or `char`.
     Primitive(Primitive),
-    /// `string`, with its bound where there is one.
+    /// `string`, with its bound if it has one.
     String(Option<u64>),
     /// Another message.
     Nested(Name),
@@ -57,11 +57,11 @@ pub enum Primitive {
 }
 
 impl Primitive {
-    /// Name in `.msg`, name in Rust, number in `type_description_interfaces/msg/FieldType`.
+    /// Name in `.msg`, Rust type, `type_id` of `type_description_interfaces/msg/FieldType`.
     const TABLE: [(&'static str, &'static str, u32, Primitive); 13] = [
         ("bool", "bool", 15, Primitive::Bool),
         ("byte", "u8", 16, Primitive::Byte),
-        // ROS 2 reads `char` as uint8.
+        // ROS 2 defines `char` as uint8.
         ("char", "u8", 3, Primitive::Char),
         ("int8", "i8", 2, Primitive::Int8),
         ("uint8", "u8", 3, Primitive::Uint8),
@@ -85,7 +85,7 @@ impl Primitive {
         self.row().1
     }
 
-    /// The number that ROS 2's type description has for it.
+    /// `type_id` of ROS 2's type description.
     pub fn type_id(self) -> u32 {
         self.row().2
     }
@@ -95,7 +95,7 @@ impl Primitive {
     }
 }
 
-/// How many elements a field has.
+/// Number of elements of a field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Count {
     /// One.
@@ -111,41 +111,41 @@ pub enum Count {
 /// A field.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Field {
-    /// As written, for the docs.
+    /// The type as written, for the documentation.
     pub written: String,
     /// Element type.
     pub base: Base,
     /// Element count.
     pub count: Count,
-    /// Its name.
+    /// Field name.
     pub name: String,
     /// Default value as written.
     pub default: Option<String>,
-    /// The comment in its line.
+    /// Comment on the same line.
     pub comment: String,
 }
 
 /// A constant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Constant {
-    /// Its type.
+    /// Type of the value.
     pub base: Base,
-    /// Its name.
+    /// Constant name.
     pub name: String,
-    /// Its value as written.
+    /// Value as written.
     pub value: String,
-    /// The comment in its line.
+    /// Comment on the same line.
     pub comment: String,
 }
 
 /// One message.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Interface {
-    /// Its name.
+    /// Full name.
     pub name: Name,
-    /// Its text, as it stands in the file.
+    /// Text of the file.
     pub text: String,
-    /// The comment before its first field.
+    /// Comment lines before the first field.
     pub comment: Vec<String>,
     /// Fields in order.
     pub fields: Vec<Field>,
@@ -154,22 +154,30 @@ pub struct Interface {
 }
 
 impl Interface {
-    /// Reads the text of a message, or of half a service.
+    /// Parses the text of a message, or of one half of a service.
+    ///
+    /// # Errors
+    /// Line and reason of a syntax error.
     pub fn parse(name: Name, text: &str) -> Result<Self, String> {
-        let mut message =
-            Self { name, text: text.to_owned(), comment: vec![], fields: vec![], constants: vec![] };
+        let mut message = Self {
+            name,
+            text: text.to_owned(),
+            comment: vec![],
+            fields: vec![],
+            constants: vec![],
+        };
         for (i, line) in text.lines().enumerate() {
             message.line(line).map_err(|e| format!("line {}: {e}", i + 1))?;
         }
         if message.fields.is_empty() {
-            // An empty struct does not exist in C, so ROS 2 puts this in, on the wire as well.
+            // C has no empty structs; ROS 2 adds this member, on the wire as well.
             message.fields.push(Field {
                 written: "uint8".into(),
                 base: Base::Primitive(Primitive::Uint8),
                 count: Count::One,
                 name: "structure_needs_at_least_one_member".into(),
                 default: None,
-                comment: "what ROS 2 puts into a message without fields".into(),
+                comment: "added by ROS 2 to a message without fields".into(),
             });
         }
         Ok(message)
@@ -185,10 +193,12 @@ impl Interface {
             return Ok(());
         }
         let comment = comment.to_owned();
-        let (written, rest) = code.split_once(char::is_whitespace).ok_or("a type without a name")?;
+        let (written, rest) =
+            code.split_once(char::is_whitespace).ok_or("a type without a name")?;
         let rest = rest.trim();
         let (base, count) = self.field_type(written)?;
-        let name_end = rest.find(|c: char| !(c.is_ascii_alphanumeric() || c == '_')).unwrap_or(rest.len());
+        let name_end =
+            rest.find(|c: char| !(c.is_ascii_alphanumeric() || c == '_')).unwrap_or(rest.len());
         let (name, after) = rest.split_at(name_end);
         if !name.starts_with(|c: char| c.is_ascii_alphabetic()) {
             return Err(format!("`{rest}` does not start with a name"));
@@ -206,7 +216,14 @@ impl Interface {
             if default.is_some() && count != Count::One {
                 return Err(format!("`{name}`: a default for a list is not supported"));
             }
-            self.fields.push(Field { written: written.into(), base, count, name, default, comment });
+            self.fields.push(Field {
+                written: written.into(),
+                base,
+                count,
+                name,
+                default,
+                comment,
+            });
         }
         Ok(())
     }
@@ -248,7 +265,7 @@ impl Interface {
     }
 }
 
-/// Splits at the first `#` that is not inside quotes.
+/// Splits a line at the first `#` outside quotes into code and comment.
 fn split_comment(line: &str) -> (&str, &str) {
     let mut quote = None;
     for (i, c) in line.char_indices() {

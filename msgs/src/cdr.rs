@@ -1,57 +1,60 @@
-//! CDR, the bytes of a message on the wire and in a bag: a header of four bytes (`00 01 00 00` little endian, `00 00 …`
-//! big endian), then the fields, each aligned to its own size from the end of the header.
+//! CDR, the encoding of messages on the wire and in bags (OMG DDSI-RTPS 2.5, section 10).
 //!
-//! Reading never panics and never reserves more than the bytes at hand can hold, whatever lengths they claim.
+//! A header of four bytes (`00 01 00 00` little endian, `00 00 …` big endian) precedes the fields;
+//! each field is aligned to its own size, counted from the end of the header.
+//!
+//! Reading cannot panic: every slice is checked against the remaining bytes, and no allocation
+//! exceeds what they can hold, whatever lengths they claim.
 
 use thiserror::Error;
 
-/// Why bytes are not a message of the type.
+/// Error of decoding a message.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum CdrError {
-    /// The first four bytes are not those of plain CDR.
+    /// The header is not that of plain CDR.
     #[error("the bytes begin with {header:02x?}, which is not plain CDR (00 00 or 00 01)")]
     Encapsulation {
-        /// What was there, at most four bytes.
+        /// The header found, at most four bytes.
         header: Vec<u8>,
     },
     /// The bytes end inside a field.
     #[error("the bytes end inside {field} ({needed} more needed, {left} left)")]
     End {
-        /// Which field.
+        /// `package/msg/Type.field`.
         field: &'static str,
         /// Bytes needed.
         needed: usize,
         /// Bytes left.
         left: usize,
     },
-    /// A list longer than its bound.
-    #[error("{field} holds {found} elements, its bound is {bound}")]
+    /// A sequence is longer than its bound.
+    #[error("{field} has {found} elements, more than its bound of {bound}")]
     Bound {
-        /// Which field.
+        /// `package/msg/Type.field`.
         field: &'static str,
-        /// How many the bytes claim.
+        /// Number of elements in the bytes.
         found: usize,
-        /// How many may be.
+        /// Largest number of elements.
         bound: usize,
     },
-    /// A value that the type cannot have.
+    /// A value is invalid for its type.
     #[error("{field} is not {expected}")]
     Value {
-        /// Which field.
+        /// `package/msg/Type.field`.
         field: &'static str,
-        /// What it should be.
+        /// Valid values.
         expected: &'static str,
     },
-    /// Bytes after the last field: the message is of another type.
-    #[error("{count} bytes are left after the last field: the bytes are of another type")]
+    /// Bytes remain after the last field: the message has another type.
+    #[error("{count} bytes remain after the last field: the message has another type")]
     Trailing {
-        /// How many.
+        /// Number of bytes.
         count: usize,
     },
 }
 
 impl CdrError {
-    /// Names the field, unless a field inside of it was named already.
+    /// Adds the name of the field, unless a nested field was named already.
     pub fn inside(mut self, place: &'static str) -> Self {
         match &mut self {
             Self::End { field, .. } | Self::Bound { field, .. } | Self::Value { field, .. }
@@ -65,15 +68,15 @@ impl CdrError {
     }
 }
 
-/// Collects the bytes of a message.
+/// Encoder of a message.
 #[derive(Debug)]
 pub struct Writer {
     bytes: Vec<u8>,
 }
 
-/// Bytes before the first field; alignment counts from here.
+/// Length of the header; alignment counts from its end.
 const HEADER: usize = 4;
-/// Writers may pad the end of a message to their own liking.
+/// Most bytes of padding that writers add at the end of a message.
 const LARGEST_PADDING: usize = 7;
 
 impl Writer {
@@ -85,15 +88,15 @@ impl Writer {
     }
 
     fn length(&mut self, length: usize) {
-        // A list of 2^32 elements does not fit any message; were it to happen, the reader refuses the rest.
+        // Longer sequences do not fit into a message; a reader rejects the bytes that follow.
         (length.min(u32::MAX as usize) as u32).write(self);
     }
 }
 
-/// Walks through the bytes of a message.
+/// Decoder of a message.
 #[derive(Debug)]
 pub struct Reader<'a> {
-    /// After the header.
+    /// Bytes after the header.
     body: &'a [u8],
     position: usize,
     big_endian: bool,
@@ -114,7 +117,7 @@ impl<'a> Reader<'a> {
         self.body.len() - self.position
     }
 
-    /// A length that the bytes left could hold.
+    /// Reads a number of elements and checks it against the remaining bytes.
     fn length(&mut self, element: usize) -> Result<usize, CdrError> {
         let count = u32::read(self)? as usize;
         let needed = count.saturating_mul(element);
@@ -125,29 +128,29 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// A type with a CDR form.
+/// A type with a CDR encoding.
 pub trait Cdr: Sized {
-    /// Fewest bytes that a value takes; at least one.
+    /// Smallest encoded size, bytes; at least one.
     const MIN_SIZE: usize;
 
-    /// Appends the value.
+    /// Appends the encoded value.
     fn write(&self, to: &mut Writer);
 
-    /// Reads a value.
+    /// Decodes a value.
     ///
     /// # Errors
-    /// [`CdrError`] where the bytes are not such a value.
+    /// [`CdrError`] if the bytes are no valid encoding.
     fn read(from: &mut Reader<'_>) -> Result<Self, CdrError>;
 
-    /// Appends several values.
+    /// Appends the encoded values without a length.
     fn write_all(items: &[Self], to: &mut Writer) {
         items.iter().for_each(|item| item.write(to));
     }
 
-    /// Reads `count` values.
+    /// Decodes `count` values.
     ///
     /// # Errors
-    /// As for [`Cdr::read`].
+    /// As [`Cdr::read`].
     fn read_all(count: usize, from: &mut Reader<'_>) -> Result<Vec<Self>, CdrError> {
         let mut items = Vec::with_capacity(count.min(from.left() / Self::MIN_SIZE));
         for _ in 0..count {
@@ -171,7 +174,8 @@ macro_rules! number {
                 let bytes = from.take(Self::MIN_SIZE, Self::MIN_SIZE)?;
                 let mut own = [0; size_of::<$number>()];
                 own.copy_from_slice(bytes);
-                Ok(if from.big_endian { Self::from_be_bytes(own) } else { Self::from_le_bytes(own) })
+                let little = Self::from_le_bytes;
+                Ok(if from.big_endian { Self::from_be_bytes(own) } else { little(own) })
             }
         }
     )*};
@@ -189,7 +193,7 @@ impl Cdr for u8 {
         Ok(from.take(1, 1)?[0])
     }
 
-    // Images: one copy instead of a million pushes.
+    // Images: one copy instead of one push per byte.
     fn write_all(items: &[Self], to: &mut Writer) {
         to.bytes.extend_from_slice(items);
     }
@@ -216,7 +220,7 @@ impl Cdr for bool {
 }
 
 impl Cdr for String {
-    /// The length alone: some writers send an empty string without its closing zero.
+    /// The length alone: some writers omit the terminating zero of an empty string.
     const MIN_SIZE: usize = 4;
 
     fn write(&self, to: &mut Writer) {
@@ -231,10 +235,12 @@ impl Cdr for String {
         let text = match bytes.split_last() {
             None => bytes,
             Some((0, text)) => text,
-            Some(_) => return Err(CdrError::Value { field: "", expected: "a string that ends with a zero" }),
+            Some(_) => {
+                return Err(CdrError::Value { field: "", expected: "a zero-terminated string" });
+            }
         };
         String::from_utf8(text.to_vec())
-            .map_err(|_| CdrError::Value { field: "", expected: "a string in UTF-8" })
+            .map_err(|_| CdrError::Value { field: "", expected: "valid UTF-8" })
     }
 }
 
@@ -262,14 +268,14 @@ impl<T: Cdr, const N: usize> Cdr for [T; N] {
     fn read(from: &mut Reader<'_>) -> Result<Self, CdrError> {
         T::read_all(N, from)?
             .try_into()
-            .map_err(|_| CdrError::Value { field: "", expected: "a list of its fixed length" })
+            .map_err(|_| CdrError::Value { field: "", expected: "an array of its fixed length" })
     }
 }
 
-/// A list with a bound.
+/// Decodes a sequence of at most `bound` elements.
 ///
 /// # Errors
-/// [`CdrError::Bound`] beyond it, and as for [`Cdr::read`].
+/// [`CdrError::Bound`] for a longer one; otherwise as [`Cdr::read`].
 pub fn read_bounded<T: Cdr>(from: &mut Reader<'_>, bound: usize) -> Result<Vec<T>, CdrError> {
     let found = from.length(T::MIN_SIZE)?;
     if found > bound {
@@ -278,7 +284,7 @@ pub fn read_bounded<T: Cdr>(from: &mut Reader<'_>, bound: usize) -> Result<Vec<T
     T::read_all(found, from)
 }
 
-/// The message's bytes, little endian, header included: what a bag holds and what goes over the wire.
+/// Encodes a message in little endian, header included, as in a bag and on the wire.
 pub fn to_bytes<T: Cdr>(message: &T) -> Vec<u8> {
     let mut writer = Writer { bytes: Vec::with_capacity(HEADER + T::MIN_SIZE) };
     writer.bytes.extend_from_slice(&[0, 1, 0, 0]);
@@ -286,16 +292,20 @@ pub fn to_bytes<T: Cdr>(message: &T) -> Vec<u8> {
     writer.bytes
 }
 
-/// The message from its bytes, header included.
+/// Decodes a message in either byte order, header included.
 ///
 /// # Errors
-/// [`CdrError`] that names the field: bytes that end too early or go on, lengths beyond the bytes at hand or a bound,
-/// strings that are not UTF-8, bools that are neither 0 nor 1, other encodings than plain CDR.
+/// [`CdrError`] with the name of the field: missing or excess bytes, a length beyond the bytes or
+/// the bound, invalid UTF-8, a bool other than 0 or 1, an encoding other than plain CDR.
 pub fn from_bytes<T: Cdr>(bytes: &[u8]) -> Result<T, CdrError> {
     let big_endian = match bytes {
         [0, 0, _, _, ..] => true,
         [0, 1, _, _, ..] => false,
-        _ => return Err(CdrError::Encapsulation { header: bytes[..bytes.len().min(HEADER)].to_vec() }),
+        _ => {
+            return Err(CdrError::Encapsulation {
+                header: bytes[..bytes.len().min(HEADER)].to_vec(),
+            });
+        }
     };
     let mut reader = Reader { body: &bytes[HEADER..], position: 0, big_endian };
     let message = T::read(&mut reader)?;

@@ -1,8 +1,8 @@
-//! ROS messages as Rust types: `volant_msgs`' own in [`msg`], the standard ones in a module per ROS package.
+//! ROS messages and services as Rust types: [`msg`] is `volant_msgs`, other packages have modules.
 //!
-//! In flow the `.msg` and `.srv` files of this package (build time); out flow structs with the defaults and constants
-//! of their definitions, their serde form for the middleware, their CDR form for bags ([`cdr`]), and what ROS 2 says
-//! about each type: names, definition text and RIHS01 hash ([`Message`]).
+//! `build.rs` generates the types from the `.msg` and `.srv` files. Each has the defaults and
+//! constants of its definition, serde traits for the middleware, a CDR encoding for bags ([`cdr`]),
+//! and its ROS 2 type description: names, definition text and RIHS01 hash ([`Message`]).
 //!
 //! ```
 //! use volant_msgs::{Message, cdr, geometry_msgs::msg::PointStamped};
@@ -16,7 +16,7 @@
 pub mod cdr;
 
 mod generated {
-    // Documentation comes from the .msg files; not every comment there is a sentence of rustdoc.
+    // The documentation is copied from comments in .msg files, which are not rustdoc markup.
     #![allow(rustdoc::invalid_html_tags, rustdoc::broken_intra_doc_links, rustdoc::bare_urls)]
     #![allow(clippy::doc_markdown, clippy::identity_op)]
     include!(concat!(env!("OUT_DIR"), "/messages.rs"));
@@ -26,33 +26,42 @@ pub use generated::*;
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Debug;
 
-/// A ROS message (or half of a service).
+/// A ROS message, or the request or response of a service.
 pub trait Message:
-    cdr::Cdr + Clone + Debug + Default + PartialEq + Serialize + DeserializeOwned + Send + Sync + 'static
+    cdr::Cdr
+    + Clone
+    + Debug
+    + Default
+    + PartialEq
+    + Serialize
+    + DeserializeOwned
+    + Send
+    + Sync
+    + 'static
 {
-    /// `package/msg/Type`.
+    /// ROS name, `package/msg/Type`.
     const TYPE_NAME: &'static str;
-    /// `package::msg::dds_::Type_`, as DDS has it.
+    /// DDS name, `package::msg::dds_::Type_`.
     const DDS_TYPE_NAME: &'static str;
-    /// The `.msg` text and those of all messages in it: a bag's `ros2msg` schema.
+    /// `.msg` text with those of all nested messages: the `ros2msg` schema of a bag.
     const DEFINITION: &'static str;
-    /// REP-2016's hash of the type.
+    /// RIHS01 hash of the type (REP-2016).
     const RIHS01_HASH: &'static str;
 }
 
 /// A ROS service.
 pub trait Service: 'static {
-    /// What the client sends.
+    /// Message from the client.
     type Request: Message;
-    /// What it gets.
+    /// Message to the client.
     type Response: Message;
-    /// `package/srv/Type`.
+    /// ROS name, `package/srv/Type`.
     const TYPE_NAME: &'static str;
-    /// REP-2016's hash of the type.
+    /// RIHS01 hash of the type (REP-2016).
     const RIHS01_HASH: &'static str;
 }
 
-/// What [`Message`] says about a type, as a value.
+/// The constants of [`Message`] as a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MessageInfo {
     /// [`Message::TYPE_NAME`].
@@ -66,7 +75,7 @@ pub struct MessageInfo {
 }
 
 impl MessageInfo {
-    /// Of a type.
+    /// Description of `M`.
     pub const fn of<M: Message>() -> Self {
         Self {
             type_name: M::TYPE_NAME,
@@ -76,7 +85,7 @@ impl MessageInfo {
         }
     }
 
-    /// Of the type with that name (`package/msg/Type`), if it is built in.
+    /// Description of the built-in message with this name (`package/msg/Type`).
     pub fn by_name(type_name: &str) -> Option<&'static Self> {
         MESSAGES.iter().find(|m| m.type_name == type_name)
     }

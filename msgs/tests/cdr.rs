@@ -1,5 +1,5 @@
-//! CDR against implementations that are not ours: PyPI `rosbags` and `cyclonedds` (the golden file, made by
-//! `make_golden_cdr.py`) and the crate that writes the wire of the middleware; and against bytes that lie.
+//! CDR compared with PyPI `rosbags` and `cyclonedds` (golden file of `make_golden_cdr.py`) and with
+//! the encoder of the middleware; corrupted bytes.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
@@ -28,7 +28,7 @@ fn bytes(hex: &str) -> Vec<u8> {
     (0..hex.len()).step_by(2).map(|i| u8::from_str_radix(&hex[i..i + 2], 16).unwrap()).collect()
 }
 
-/// Some writers fill up to a multiple of four at the end.
+/// Removes the padding that some writers add at the end.
 fn without_padding(bytes: &[u8]) -> &[u8] {
     let end = bytes.iter().rposition(|b| *b != 0).map_or(0, |i| i + 1);
     &bytes[..end.max(4).min(bytes.len())]
@@ -38,31 +38,43 @@ fn check<M: Message>() -> usize {
     let rows: Vec<&Golden> = GOLDEN.iter().filter(|g| g.r#type == M::TYPE_NAME).collect();
     for row in &rows {
         let name = M::TYPE_NAME;
-        let value: M = serde_json::from_value(row.value.clone()).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let value: M =
+            serde_json::from_value(row.value.clone()).unwrap_or_else(|e| panic!("{name}: {e}"));
         let theirs = bytes(&row.cdr);
         let ours = cdr::to_bytes(&value);
         assert_eq!(without_padding(&ours), without_padding(&theirs), "{name}");
         assert!(ours.len() <= theirs.len() && theirs.len() - ours.len() < 4, "{name}");
         assert_eq!(cdr::from_bytes::<M>(&theirs).as_ref(), Ok(&value), "{name}");
-        assert_eq!(cdr::from_bytes::<M>(&bytes(&row.big_endian)).as_ref(), Ok(&value), "{name}, big endian");
-        // What RustDDS puts on the wire behind its header of four bytes, and what it reads there.
+        assert_eq!(
+            cdr::from_bytes::<M>(&bytes(&row.big_endian)).as_ref(),
+            Ok(&value),
+            "{name}, big endian"
+        );
+        // RustDDS writes and reads the bytes after the header.
         let wire = cdr_encoding::to_vec::<M, byteorder::LittleEndian>(&value).unwrap();
         assert_eq!(wire, ours[4..], "{name} on the wire");
-        let (read, _) = cdr_encoding::from_bytes::<M, byteorder::LittleEndian>(&theirs[4..]).unwrap();
+        let (read, _) =
+            cdr_encoding::from_bytes::<M, byteorder::LittleEndian>(&theirs[4..]).unwrap();
         assert_eq!(read, value, "{name} from the wire");
-        // Each cut is refused, or, where only zeros of padding are cut, gives the same.
+        // Every truncation is rejected.
         for end in 0..ours.len() {
-            assert!(cdr::from_bytes::<M>(&ours[..end]).is_err(), "{name} cut to {end} of {}", ours.len());
+            assert!(
+                cdr::from_bytes::<M>(&ours[..end]).is_err(),
+                "{name} cut to {end} of {}",
+                ours.len()
+            );
         }
     }
     rows.len()
 }
 
 #[test]
-fn every_type_agrees_with_rosbags_cyclonedds_and_the_wire() {
+fn every_type_equals_rosbags_cyclonedds_and_the_wire() {
     let mut compared = 0;
     let mut types = 0;
-    macro_rules! all { ($($message:ty,)*) => { $( compared += check::<$message>(); types += 1; )* } }
+    macro_rules! all {
+        ($($message:ty,)*) => { $( compared += check::<$message>(); types += 1; )* }
+    }
     volant_msgs::for_each_type!(all);
     assert_eq!(compared, GOLDEN.len(), "each golden value belongs to a type");
     assert_eq!(GOLDEN.len(), 2 * types, "each type has two golden values; run make_golden_cdr.py");
@@ -95,19 +107,26 @@ fn an_error_names_the_field() {
         Err(CdrError::Trailing { .. })
     ));
 
-    let three =
-        ParameterDescriptor { integer_range: vec![Default::default(); 3], ..ParameterDescriptor::default() };
+    let three = ParameterDescriptor {
+        integer_range: vec![Default::default(); 3],
+        ..ParameterDescriptor::default()
+    };
     assert_eq!(
         cdr::from_bytes::<ParameterDescriptor>(&cdr::to_bytes(&three)).unwrap_err(),
-        CdrError::Bound { field: "rcl_interfaces/msg/ParameterDescriptor.integer_range", found: 3, bound: 1 }
+        CdrError::Bound {
+            field: "rcl_interfaces/msg/ParameterDescriptor.integer_range",
+            found: 3,
+            bound: 1
+        }
     );
 }
 
 proptest! {
     #[test]
-    fn joint_states_come_back_as_they_went(
+    fn joint_states_round_trip(
         sec in any::<i32>(), nanosec in any::<u32>(), frame in ".{0,20}",
-        name in prop::collection::vec(".{0,9}", 0..5), position in prop::collection::vec(any::<f64>(), 0..5),
+        name in prop::collection::vec(".{0,9}", 0..5),
+        position in prop::collection::vec(any::<f64>(), 0..5),
     ) {
         let mut message = JointState { name, position, ..JointState::default() };
         message.header.stamp.sec = sec;
@@ -115,14 +134,16 @@ proptest! {
         message.header.frame_id = frame;
         let bytes = cdr::to_bytes(&message);
         let back: JointState = cdr::from_bytes(&bytes).unwrap();
-        // NaN differs from itself, its bytes do not.
+        // NaN is not equal to itself, its bytes are.
         prop_assert_eq!(cdr::to_bytes(&back), bytes);
     }
 
-    /// Whatever bytes are changed, reading ends with an error or with a value that can be written and read again.
+    /// Reading ends with an error or with a value that survives a round trip.
     #[test]
-    fn bytes_that_lie_do_no_harm(
-        row in 0..usize::MAX, changes in prop::collection::vec((any::<usize>(), any::<u8>()), 1..6), cut in any::<usize>(),
+    fn corrupted_bytes_never_panic(
+        row in 0..usize::MAX,
+        changes in prop::collection::vec((any::<usize>(), any::<u8>()), 1..6),
+        cut in any::<usize>(),
     ) {
         let mut data = bytes(&GOLDEN[row % GOLDEN.len()].cdr);
         for (at, value) in changes {

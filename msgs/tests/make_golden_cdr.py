@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Writes golden_cdr.json: one value of each message with its CDR bytes, made without any code of this project.
+"""Writes golden_cdr.json: two values of each message with their CDR bytes.
 
-The bytes come from PyPI `rosbags`, and PyPI `cyclonedds` must give the same ones. Run it after a change of a
-definition:  python msgs/tests/make_golden_cdr.py
+The bytes are those of PyPI `rosbags`; PyPI `cyclonedds` must produce the same ones. No code of this
+project is used. Run it after a change of a definition:  python msgs/tests/make_golden_cdr.py
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ HERE = Path(__file__).parent
 PACKAGE = HERE.parent
 NUMBERS = {
     "int8": (-(2**7), 2**7 - 1), "uint8": (0, 2**8 - 1), "char": (0, 2**8 - 1),
-    "byte": (0, 127), "octet": (0, 127),  # rosbags takes a byte for a signed one
+    "byte": (0, 127), "octet": (0, 127),  # rosbags treats byte as signed
     "int16": (-(2**15), 2**15 - 1), "uint16": (0, 2**16 - 1),
     "int32": (-(2**31), 2**31 - 1), "uint32": (0, 2**32 - 1),
     "int64": (-(2**63), 2**63 - 1), "uint64": (0, 2**64 - 1),
@@ -36,7 +36,7 @@ BASE, NAME, ARRAY, SEQUENCE = 1, 2, 3, 4  # rosbags' kinds of field
 
 
 def own_definitions():
-    """All interfaces of the package as messages; a service becomes two."""
+    """Yield name and text of all interfaces; a service becomes two messages."""
     for path in sorted(PACKAGE.glob("msg/*.msg")):
         yield f"volant_msgs/msg/{path.stem}", path.read_text()
     for path in sorted(PACKAGE.glob("interfaces/*/*/*.*")):
@@ -46,7 +46,7 @@ def own_definitions():
         else:
             request, response = ("\n" + path.read_text()).split("\n---", 1)
             for suffix, text in (("Request", request), ("Response", response.lstrip("-"))):
-                # rosbags names everything .../msg/...; an empty half has the dummy member that ROS 2 gives it.
+                # rosbags names everything .../msg/...; ROS 2 adds a dummy member to an empty half.
                 text = text.strip() or "uint8 structure_needs_at_least_one_member"
                 yield f"{package}/msg/{path.stem}_{suffix}", text + "\n"
 
@@ -87,7 +87,8 @@ def rosbags_value(store, field, value):
         return rosbags_message(store, data, value)
     item = data[0]
     if int(item[0]) == BASE and item[1][0] != "string":
-        return numpy.array(value, dtype={"byte": "u1", "octet": "u1", "char": "u1"}.get(item[1][0], item[1][0]))
+        name = "u1" if item[1][0] in ("byte", "octet", "char") else item[1][0]
+        return numpy.array(value, dtype=name)
     return [rosbags_value(store, item, v) for v in value]
 
 
@@ -97,7 +98,7 @@ def rosbags_message(store, name, value):
 
 
 class Cyclone:
-    """The same types once more, as cyclonedds has them."""
+    """The same types in cyclonedds."""
 
     def __init__(self, store):
         self.store = store
@@ -143,7 +144,8 @@ def main():
     added = {}
     for name, text in own_definitions():
         names.append(name)
-        if not any(l.split("#")[0].strip() and "=" not in l.split("#")[0].replace("<=", "") for l in text.splitlines()):
+        code = [line.split("#")[0].strip() for line in text.splitlines()]
+        if not any(c and "=" not in c.replace("<=", "") for c in code):
             text += "uint8 structure_needs_at_least_one_member\n"
         added.update(get_types_from_msg(text, name))
     store.register(added)
@@ -154,16 +156,17 @@ def main():
         for variant in range(2):
             dice = random.Random(zlib.crc32(f"{name} {variant}".encode()))
             value = message_of(dice, store, name)
-            data = bytes(store.serialize_cdr(rosbags_message(store, name, value), name))
-            big = bytes(store.serialize_cdr(rosbags_message(store, name, value), name, little_endian=False))
+            message = rosbags_message(store, name, value)
+            data = bytes(store.serialize_cdr(message, name))
+            big = bytes(store.serialize_cdr(message, name, little_endian=False))
             other = cyclone.message(name, value).serialize(use_version_2=False)
             if other[4:].rstrip(b"\0") != data[4:].rstrip(b"\0"):
-                raise SystemExit(f"{name}: rosbags and cyclonedds differ\n{data.hex()}\n{other.hex()}")
-            if name.endswith(("_Request", "_Response")):
-                ros_name = name.replace("/msg/", "/srv/")
-            else:
-                ros_name = name
-            golden.append({"type": ros_name, "value": value, "cdr": data.hex(), "big_endian": big.hex()})
+                difference = f"{data.hex()}\n{other.hex()}"
+                raise SystemExit(f"{name}: rosbags and cyclonedds differ\n{difference}")
+            service = name.endswith(("_Request", "_Response"))
+            ros_name = name.replace("/msg/", "/srv/") if service else name
+            encoded = {"cdr": data.hex(), "big_endian": big.hex()}
+            golden.append({"type": ros_name, "value": value, **encoded})
     lines = ",\n".join(json.dumps(g, ensure_ascii=False) for g in golden)
     (HERE / "golden_cdr.json").write_text(f"[\n{lines}\n]\n")
     print(f"{len(golden)} values of {len(names)} types")

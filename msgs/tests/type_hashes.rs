@@ -1,4 +1,4 @@
-//! Names, definition texts and hashes against ROS 2's own.
+//! Names, definition texts and hashes compared with those of ROS 2 Jazzy.
 
 use volant_msgs::{
     MESSAGES, Message, SERVICES, geometry_msgs::msg::Quaternion, msg, nav_msgs, rcl_interfaces,
@@ -7,7 +7,7 @@ use volant_msgs::{
 const JAZZY: &str = include_str!("jazzy_type_hashes.txt");
 
 #[test]
-fn every_hash_is_the_one_of_ros_2_jazzy() {
+fn every_hash_equals_that_of_ros_2_jazzy() {
     let mut compared = 0;
     for line in JAZZY.lines().filter(|l| !l.starts_with('#')) {
         let (name, expected) = line.split_once(' ').unwrap();
@@ -25,7 +25,7 @@ fn every_hash_is_the_one_of_ros_2_jazzy() {
 }
 
 #[test]
-fn names_and_definitions_are_those_of_a_bag() {
+fn names_and_definitions_equal_those_of_a_bag() {
     assert_eq!(Quaternion::TYPE_NAME, "geometry_msgs/msg/Quaternion");
     assert_eq!(Quaternion::DDS_TYPE_NAME, "geometry_msgs::msg::dds_::Quaternion_");
     assert_eq!(
@@ -49,15 +49,19 @@ fn names_and_definitions_are_those_of_a_bag() {
             "{name} in {blocks:?}"
         );
     }
-    assert!(msg::MarkerObservations::DEFINITION.contains("always in the order red, green, blue, yellow"));
+    assert!(
+        msg::MarkerObservations::DEFINITION
+            .contains("always in the order red, green, blue, yellow")
+    );
 }
 
 #[test]
-fn defaults_and_constants_are_those_of_the_definition() {
+fn defaults_and_constants_equal_those_of_the_definition() {
     assert_eq!(Quaternion::default(), Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 });
     assert_eq!(rcl_interfaces::msg::Log::WARN, 30);
     assert_eq!(msg::MarkerObservation::YELLOW, 3);
     assert_eq!(msg::MarkerObservation::LOST, 2);
-    let request = volant_msgs::type_description_interfaces::srv::GetTypeDescriptionRequest::default();
+    let request =
+        volant_msgs::type_description_interfaces::srv::GetTypeDescriptionRequest::default();
     assert!(request.include_type_sources);
 }

@@ -1,10 +1,12 @@
-//! Embedding: a larger program runs nodes of this kit beside its own work, two rigs under two namespaces, all in one
-//! process. Inside of a rig the messages are handed over as `Arc`s; `ros2 topic list` shows them all the same.
+//! Embedding: a larger program runs nodes beside its own work, here two rigs in two namespaces in
+//! one process. Messages within the process are shared as `Arc`s; `ros2 topic list` shows them too.
 //!
 //! A bare core needs none of this: `let mut tracker = marker_tracker::Tracker::new(layout, config);
 //! tracker.handle(input); while let Some(output) = tracker.poll() { … }`.
 
-use node_kit::{Kit, Level, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments};
+use node_kit::{
+    Level, NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments,
+};
 use std::{sync::Arc, time::Duration};
 use volant_msgs::geometry_msgs::msg::PointStamped;
 
@@ -15,12 +17,12 @@ impl NodeShell for Talker {
     type Parameters = ();
     type Input = ();
 
-    fn start(kit: &mut Kit<()>, (): ()) -> Result<Self, NodeError> {
-        kit.timer(Duration::from_millis(500), || ());
-        Ok(Self(kit.advertise("point", QosPreset::State)?))
+    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
+        context.timer(Duration::from_millis(500), || ());
+        Ok(Self(context.advertise("point", QosPreset::State)?))
     }
 
-    fn handle(&mut self, _: &mut Kit<()>, (): ()) {
+    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
         self.0.publish(PointStamped::default());
     }
 }
@@ -32,13 +34,13 @@ impl NodeShell for Listener {
     type Parameters = ();
     type Input = Arc<PointStamped>;
 
-    fn start(kit: &mut Kit<Arc<PointStamped>>, (): ()) -> Result<Self, NodeError> {
-        kit.subscribe("point", QosPreset::State, Some)?;
+    fn start(context: &mut NodeContext<Arc<PointStamped>>, (): ()) -> Result<Self, NodeError> {
+        context.subscribe("point", QosPreset::State, Some)?;
         Ok(Self)
     }
 
-    fn handle(&mut self, kit: &mut Kit<Arc<PointStamped>>, _: Arc<PointStamped>) {
-        kit.log(Level::Info, "a point");
+    fn handle(&mut self, context: &mut NodeContext<Arc<PointStamped>>, _: Arc<PointStamped>) {
+        context.log(Level::Info, "a point");
     }
 }
 

@@ -1,7 +1,7 @@
-//! Raw images as a camera sends them, 640×480 at 30 Hz, and each second the longest that a publication took and how many have
-//! waited for something.
+//! Publishes raw images like a camera, 640×480 at 30 Hz, and logs each second the longest duration
+//! of a publication and how many publications were blocked.
 
-use node_kit::{Kit, Level, NodeError, NodeShell, Publisher, QosPreset, run_node};
+use node_kit::{Level, NodeContext, NodeError, NodeShell, Publisher, QosPreset, run_node};
 use rustix::time::{ClockId, clock_gettime};
 use std::{
     process::ExitCode,
@@ -9,16 +9,16 @@ use std::{
 };
 use volant_msgs::sensor_msgs::msg::Image;
 
-/// A publication that blocks for longer waits for something.
+/// Blocked time from which a publication counts as held up.
 const HELD_UP: Duration = Duration::from_millis(1);
 
-/// Time since some instant, and how much of it this thread has not spent blocked: it was on a processor, or ready for one that
-/// others had.
+/// The current time, and the time that this thread was not blocked: it ran, or was ready to run.
 #[allow(clippy::disallowed_methods, reason = "it measures its own duration")]
 fn spent() -> (Instant, Duration) {
     let now = clock_gettime(ClockId::ThreadCPUTime);
-    let processor = Duration::new(now.tv_sec.unsigned_abs(), u32::try_from(now.tv_nsec).unwrap_or(0));
-    // Nanoseconds on a processor (as of the last tick), nanoseconds ready for one, time slices.
+    let processor =
+        Duration::new(now.tv_sec.unsigned_abs(), u32::try_from(now.tv_nsec).unwrap_or(0));
+    // Fields: nanoseconds running (as of the last tick), nanoseconds ready to run, time slices.
     let schedule = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
     let ready = schedule.split_whitespace().nth(1).and_then(|ns| ns.parse().ok()).unwrap_or(0);
     (Instant::now(), processor + Duration::from_nanos(ready))
@@ -37,13 +37,13 @@ impl NodeShell for Source {
     type Parameters = ();
     type Input = ();
 
-    fn start(kit: &mut Kit<()>, (): ()) -> Result<Self, NodeError> {
-        kit.timer(Duration::from_secs(1) / 30, || ());
-        let images = kit.advertise("image", QosPreset::Image)?;
+    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
+        context.timer(Duration::from_secs(1) / 30, || ());
+        let images = context.advertise("image", QosPreset::Image)?;
         Ok(Self { images, longest: Duration::ZERO, published: 0, held_up: 0 })
     }
 
-    fn handle(&mut self, _: &mut Kit<()>, (): ()) {
+    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
         let image = Image {
             height: 480,
             width: 640,
@@ -61,14 +61,15 @@ impl NodeShell for Source {
         self.held_up += u32::from(took.saturating_sub(after.1 - before.1) > HELD_UP);
     }
 
-    fn tick(&mut self, kit: &mut Kit<()>) {
+    fn tick(&mut self, context: &mut NodeContext<()>) {
         let (micros, subscribers, refused) =
             (self.longest.as_micros(), self.images.subscribers(), self.images.refused());
         let (published, held_up) = (self.published, self.held_up);
         let line = format!(
-            "longest_us={micros} published={published} held_up={held_up} subscribers={subscribers} refused={refused}"
+            "longest_us={micros} published={published} held_up={held_up} \
+             subscribers={subscribers} refused={refused}"
         );
-        kit.log(Level::Info, line);
+        context.log(Level::Info, line);
         self.longest = Duration::ZERO;
     }
 }

@@ -1,8 +1,11 @@
-//! A node in one screen: it republishes the poses that it hears, and beats.
+//! A minimal node: republishes the poses that it receives, and publishes a beat.
 //!
-//! `minimal_node --beat 2.0 --ros-args -r pose:=/robot/pose -r __ns:=/demo`, then `ros2 topic echo /demo/echo`.
+//! Run `minimal_node --beat 2.0 --ros-args -r pose:=/robot/pose -r __ns:=/demo`, then
+//! `ros2 topic echo /demo/echo`.
 
-use node_kit::{Kit, Level, NodeError, NodeShell, Publisher, QosPreset, parameters, run_node};
+use node_kit::{
+    Level, NodeContext, NodeError, NodeShell, Publisher, QosPreset, parameters, run_node,
+};
 use std::{process::ExitCode, sync::Arc, time::Duration};
 use volant_msgs::{
     geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
@@ -10,12 +13,15 @@ use volant_msgs::{
     std_msgs::msg::Header,
 };
 
+#[global_allocator]
+static ALLOCATOR: node_kit::Allocator = node_kit::Allocator;
+
 parameters! {
     /// Parameters of the example.
     pub struct Parameters {
         /// Beats per second.
         beat: f64 = 10.0, unit("Hz"), range(0.1..=1000.0);
-        /// Say each pose that comes.
+        /// Log each received pose.
         talk: bool = false, live;
     }
 }
@@ -39,48 +45,52 @@ impl NodeShell for Minimal {
     type Parameters = Parameters;
     type Input = Input;
 
-    fn start(kit: &mut Kit<Input>, parameters: Parameters) -> Result<Self, NodeError> {
-        kit.subscribe("pose", QosPreset::State, |m| Some(Input::Pose(m)))?;
-        kit.subscribe_optional("imu", QosPreset::Sensor, |m: Arc<Imu>| {
+    fn start(context: &mut NodeContext<Input>, parameters: Parameters) -> Result<Self, NodeError> {
+        context.subscribe("pose", QosPreset::State, |m| Some(Input::Pose(m)))?;
+        context.subscribe_optional("imu", QosPreset::Sensor, |m: Arc<Imu>| {
             if m.angular_velocity.x.is_nan() {
                 Err("the rate of turn is not a number")
             } else {
                 Ok(Input::Imu(m))
             }
         })?;
-        kit.timer(Duration::from_secs_f64(1.0 / parameters.beat), || Input::Beat);
-        kit.send_static_transform(TransformStamped {
+        context.timer(Duration::from_secs_f64(1.0 / parameters.beat), || Input::Beat);
+        context.send_static_transform(TransformStamped {
             header: Header { frame_id: "world".into(), ..Header::default() },
             child_frame_id: "minimal".into(),
             ..TransformStamped::default()
         })?;
         Ok(Self {
-            echo: kit.advertise("echo", QosPreset::State)?,
-            imu_echo: kit.advertise("imu_echo", QosPreset::Sensor)?,
-            beats: kit.advertise("~/beats", QosPreset::State)?,
+            echo: context.advertise("echo", QosPreset::State)?,
+            imu_echo: context.advertise("imu_echo", QosPreset::Sensor)?,
+            beats: context.advertise("~/beats", QosPreset::State)?,
             parameters,
         })
     }
 
-    fn handle(&mut self, kit: &mut Kit<Input>, input: Input) {
+    fn handle(&mut self, context: &mut NodeContext<Input>, input: Input) {
         match input {
             Input::Pose(pose) => {
                 if self.parameters.talk {
-                    kit.log(Level::Info, format!("a pose in {}", pose.header.frame_id));
+                    context.log(Level::Info, format!("a pose in {}", pose.header.frame_id));
                 }
                 self.echo.publish_shared(pose);
             }
             Input::Imu(imu) => self.imu_echo.publish_shared(imu),
             Input::Beat => {
                 let mut beat = PoseWithCovarianceStamped::default();
-                let (sec, nanosec) = kit.now().to_sec_nanosec();
+                let (sec, nanosec) = context.now().to_sec_nanosec();
                 (beat.header.stamp.sec, beat.header.stamp.nanosec) = (sec, nanosec);
                 self.beats.publish(beat);
             }
         }
     }
 
-    fn parameters_changed(&mut self, _: &mut Kit<Input>, parameters: &Parameters) -> Result<(), String> {
+    fn parameters_changed(
+        &mut self,
+        _: &mut NodeContext<Input>,
+        parameters: &Parameters,
+    ) -> Result<(), String> {
         self.parameters = parameters.clone();
         Ok(())
     }

@@ -1,35 +1,39 @@
-//! The part of a command line that ROS 2 owns: everything between `--ros-args` and `--` (or the end).
+//! ROS 2's part of a command line: everything between `--ros-args` and `--` (or the end).
 //!
 //! `ros2 launch` appends it to every node that it starts, sometimes twice.
 
 use crate::{
     level::Level,
     names::{NameError, NodeName, Remap},
+    parameters::{ParameterError, ParameterSet, ParameterStore, common_descriptors},
 };
-use rig_model::parameters::{ParameterFile, ParameterFileError, ParameterMap, ParameterValue, parse_value};
+use rig_model::rig::edit_distance;
+use ros_parameters::{
+    ParameterFile, ParameterFileError, ParameterMap, ParameterValue, parse_value,
+};
 use std::{collections::BTreeSet, path::PathBuf};
 use thiserror::Error;
 
-/// Why a command line cannot be used. All of them are the caller's mistake: exit status 2, but for a parameter file
-/// that cannot be read ([`ArgumentError::is_usage`]).
+/// An invalid command line (exit status 2), or an unusable parameter file (exit status 1; see
+/// [`ArgumentError::is_usage`]).
 #[derive(Debug, Error)]
 pub enum ArgumentError {
-    /// An option without its value.
+    /// An option without a value.
     #[error("`{option}` needs {expected} after it")]
     MissingValue {
         /// The option.
         option: String,
-        /// What belongs after it.
+        /// The expected value.
         expected: &'static str,
     },
-    /// A rule, assignment or level that cannot be read.
+    /// A malformed rule, assignment or level.
     #[error("`{option} {text}` is not understood; expected {expected}")]
     Malformed {
         /// The option.
         option: String,
         /// The text after it.
         text: String,
-        /// What belongs after it.
+        /// The expected value.
         expected: &'static str,
     },
     /// An option that ROS 2 does not have.
@@ -38,7 +42,7 @@ pub enum ArgumentError {
         /// The option.
         option: String,
     },
-    /// An argument outside of `--ros-args` that the program does not have.
+    /// An unknown argument outside of `--ros-args`.
     #[error("`{argument}` is not known{hint}")]
     UnknownArgument {
         /// The argument.
@@ -46,15 +50,15 @@ pub enum ArgumentError {
         /// ` (did you mean …?)` or nothing.
         hint: String,
     },
-    /// A parameter file that cannot be opened.
+    /// A parameter file that cannot be read.
     #[error("the parameter file {path}: {source}")]
     Unreadable {
         /// The path as given.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// A parameter file that is none.
+    /// A malformed parameter file.
     #[error("the parameter file {path}: {source}")]
     ParameterFile {
         /// The path as given.
@@ -62,7 +66,20 @@ pub enum ArgumentError {
         /// What is wrong with it.
         source: ParameterFileError,
     },
-    /// A value after `-p` that no parameter can hold.
+    /// A block of a parameter file whose node's name is a typing mistake.
+    #[error(
+        "the parameter file {path}: the block `{selector}` matches no node (did you mean \
+         `{name}`?); correct its spelling"
+    )]
+    UnknownNode {
+        /// The path as given.
+        path: PathBuf,
+        /// The node selector.
+        selector: String,
+        /// The node's name.
+        name: String,
+    },
+    /// A malformed value after `-p`.
     #[error("`-p {text}`: {source}")]
     ParameterValue {
         /// The text after `-p`.
@@ -70,26 +87,31 @@ pub enum ArgumentError {
         /// What is wrong with it.
         source: ParameterFileError,
     },
-    /// A node name or namespace that cannot be.
+    /// An invalid node name or namespace.
     #[error(transparent)]
     Name(#[from] NameError),
 }
 
 impl ArgumentError {
-    /// Is the command line itself wrong (exit status 2), rather than a file that it names (1)?
+    /// Returns whether the command line itself is wrong (exit status 2) rather than a file that it
+    /// names (1).
     pub fn is_usage(&self) -> bool {
-        !matches!(self, Self::Unreadable { .. } | Self::ParameterFile { .. })
+        !matches!(
+            self,
+            Self::Unreadable { .. } | Self::ParameterFile { .. } | Self::UnknownNode { .. }
+        )
     }
 }
 
-/// One source of parameter values, in the order of the command line: later ones override earlier ones.
+/// One source of parameter values, in the order of the command line: later ones override earlier
+/// ones.
 #[derive(Clone, Debug, PartialEq)]
 enum ParameterSource {
     File { path: PathBuf, file: ParameterFile },
     Value { node: Option<String>, name: String, value: ParameterValue },
 }
 
-/// What `--ros-args` said.
+/// Parsed `--ros-args`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RosArguments {
     remaps: Vec<Remap>,
@@ -100,7 +122,7 @@ pub struct RosArguments {
     enclave: Option<String>,
 }
 
-/// A parameter's value and where it came from.
+/// A parameter's value and its origin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Override {
     /// The value.
@@ -110,10 +132,11 @@ pub struct Override {
 }
 
 impl RosArguments {
-    /// Splits a command line (without the program's name) into ROS 2's part and the rest.
+    /// Splits a command line (without the program's name) into ROS 2's part and the rest, and reads
+    /// the parameter files.
     ///
     /// # Errors
-    /// See [`ArgumentError`]. Parameter files are read here.
+    /// See [`ArgumentError`].
     pub fn parse(
         arguments: impl IntoIterator<Item = String>,
     ) -> Result<(RosArguments, Vec<String>), ArgumentError> {
@@ -131,9 +154,10 @@ impl RosArguments {
                 continue;
             }
             let mut value = |expected| {
-                arguments
-                    .next()
-                    .ok_or_else(|| ArgumentError::MissingValue { option: argument.clone(), expected })
+                arguments.next().ok_or_else(|| ArgumentError::MissingValue {
+                    option: argument.clone(),
+                    expected,
+                })
             };
             match argument.as_str() {
                 "--" => inside = false,
@@ -144,7 +168,7 @@ impl RosArguments {
                 "--log-level" => ros.add_level(&argument, &value(LEVEL)?)?,
                 "--enable-rosout-logs" => ros.rosout = Some(true),
                 "--disable-rosout-logs" => ros.rosout = Some(false),
-                // rcl has them; there is nothing here that they could change.
+                // Options of rcl without a counterpart here.
                 "--enable-stdout-logs"
                 | "--disable-stdout-logs"
                 | "--enable-external-lib-logs"
@@ -159,14 +183,17 @@ impl RosArguments {
         Ok((ros, rest))
     }
 
-    /// The enclave that the process is in, where it was named.
+    /// The security enclave (`--enclave`), if given.
     pub fn enclave(&self) -> Option<&str> {
         self.enclave.as_deref()
     }
 
     fn add_remap(&mut self, option: &str, text: &str) -> Result<(), ArgumentError> {
-        let malformed =
-            || ArgumentError::Malformed { option: option.to_owned(), text: text.to_owned(), expected: REMAP };
+        let malformed = || ArgumentError::Malformed {
+            option: option.to_owned(),
+            text: text.to_owned(),
+            expected: REMAP,
+        };
         let (from, to) = text.split_once(":=").ok_or_else(malformed)?;
         if from.is_empty() || to.is_empty() {
             return Err(malformed());
@@ -196,7 +223,7 @@ impl RosArguments {
     /// Adds a parameter file, as `--params-file` does.
     ///
     /// # Errors
-    /// The file cannot be read or is no parameter file.
+    /// [`ArgumentError::Unreadable`] or [`ArgumentError::ParameterFile`].
     pub fn add_file(&mut self, path: PathBuf) -> Result<(), ArgumentError> {
         let text = crate::files::read_text(&path)
             .map_err(|source| ArgumentError::Unreadable { path: path.clone(), source })?;
@@ -211,18 +238,13 @@ impl RosArguments {
         self.sources.push(ParameterSource::Value { node: None, name: name.to_owned(), value });
     }
 
-    /// Names the parameters of other nodes of this process, so that one that is given for all nodes is no typing mistake to
-    /// those that do not have it.
+    /// Names the parameters of other nodes of this process: given for all nodes, they are no typing
+    /// mistakes for a node that does not declare them.
     pub fn allow_of_others(&mut self, names: impl IntoIterator<Item = String>) {
         self.of_others.extend(names);
     }
 
-    /// Is this a parameter of another node of this process?
-    pub fn is_of_others(&self, name: &str) -> bool {
-        self.of_others.contains(name)
-    }
-
-    /// Adds a remap for every node, as `-r` does; `__ns` and `__node` are names too.
+    /// Adds a remap for every node, as `-r` does; `from` may be `__ns` or `__node`.
     pub fn remap(&mut self, from: &str, to: &str) {
         self.remaps.push(Remap { node: None, from: from.to_owned(), to: to.to_owned() });
     }
@@ -241,10 +263,10 @@ impl RosArguments {
         Ok(())
     }
 
-    /// The node's name: `__node` and `__ns` over the default name in `/`.
+    /// The node's name: `__node` and `__ns`, else `default` in `/`.
     ///
     /// # Errors
-    /// A name that cannot be.
+    /// [`NameError`] for an invalid name.
     pub fn node_name(&self, default: &str) -> Result<NodeName, NameError> {
         let find = |key: &str| {
             self.remaps
@@ -258,12 +280,12 @@ impl RosArguments {
         )
     }
 
-    /// The rules for topics and services.
+    /// The remaps of topics and services.
     pub fn remaps(&self) -> Vec<Remap> {
         self.remaps.iter().filter(|r| !r.from.starts_with("__")).cloned().collect()
     }
 
-    /// The least severe level that is said; [`Level::Info`] by default.
+    /// The lowest level that is logged; [`Level::Info`] by default.
     pub fn level(&self, node: &NodeName) -> Level {
         let logger = node.fully_qualified().trim_start_matches('/').replace('/', ".");
         self.levels
@@ -273,12 +295,58 @@ impl RosArguments {
             .map_or(Level::Info, |(_, level)| *level)
     }
 
-    /// Are lines of the log published on `/rosout`?
+    /// Returns whether the log is published on `/rosout`.
     pub fn rosout(&self) -> bool {
         self.rosout.unwrap_or(true)
     }
 
-    /// The values given for this node, later sources over earlier ones. Each comes with its origin.
+    /// Checks the node selectors of all parameter files for mistyped forms of `kind`, the name of a
+    /// node's program. Other names are those of other nodes: longer ones (`pose_fusion_2`), and those
+    /// with a digit.
+    ///
+    /// # Errors
+    /// [`ArgumentError::UnknownNode`]
+    pub fn check_node_names(&self, node: &NodeName, kind: &str) -> Result<(), ArgumentError> {
+        // Two letters exchanged are two edits; short names differ by as much from each other.
+        let limit = (kind.len() / 4).min(2);
+        for source in &self.sources {
+            let ParameterSource::File { path, file } = source else { continue };
+            let mistyped = |selector: &&str| {
+                let name = selector.rsplit('/').next().unwrap_or_default();
+                name != node.base()
+                    && !name.starts_with(kind)
+                    && !name.contains(|c: char| c.is_ascii_digit() || c == '*')
+                    && edit_distance(&name.to_ascii_lowercase(), kind) <= limit
+            };
+            if let Some(selector) = file.selectors().find(mistyped) {
+                return Err(ArgumentError::UnknownNode {
+                    path: path.clone(),
+                    selector: selector.to_owned(),
+                    name: kind.to_owned(),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Declares a node's parameters, those of every node among them, with the values given for it.
+    ///
+    /// # Errors
+    /// [`ParameterError`] of the first unknown or invalid value.
+    pub fn declare<P: ParameterSet>(
+        &self,
+        node: &NodeName,
+    ) -> Result<ParameterStore, ParameterError> {
+        let mut descriptors = P::descriptors();
+        descriptors.extend(common_descriptors());
+        let mut overrides = self.overrides(node);
+        overrides.retain(|name, _| {
+            !self.of_others.contains(name) || descriptors.iter().any(|d| d.name == *name)
+        });
+        ParameterStore::new(descriptors, overrides)
+    }
+
+    /// The values given for this node with their origins; later sources override earlier ones.
     pub fn overrides(&self, node: &NodeName) -> std::collections::BTreeMap<String, Override> {
         let mut all = std::collections::BTreeMap::new();
         for source in &self.sources {
@@ -286,14 +354,17 @@ impl RosArguments {
                 ParameterSource::File { path, file } => {
                     let origin = path.display().to_string();
                     all.extend(
-                        file.for_node(&node.fully_qualified())
-                            .into_iter()
-                            .map(|(name, value)| (name, Override { value, origin: origin.clone() })),
+                        file.for_node(&node.fully_qualified()).into_iter().map(|(name, value)| {
+                            (name, Override { value, origin: origin.clone() })
+                        }),
                     );
                 }
                 ParameterSource::Value { node: only, name, value } => {
                     if only.as_deref().is_none_or(|n| n == node.base()) {
-                        all.insert(name.clone(), Override { value: value.clone(), origin: "-p".to_owned() });
+                        all.insert(
+                            name.clone(),
+                            Override { value: value.clone(), origin: "-p".to_owned() },
+                        );
                     }
                 }
             }
@@ -301,7 +372,7 @@ impl RosArguments {
         all
     }
 
-    /// [`RosArguments::overrides`] without the origins.
+    /// The values given for this node, without their origins.
     pub fn values(&self, node: &NodeName) -> ParameterMap {
         self.overrides(node).into_iter().map(|(name, o)| (name, o.value)).collect()
     }
@@ -311,7 +382,7 @@ const REMAP: &str = "`from:=to` (or `__node:=name`, `__ns:=/namespace`)";
 const ASSIGNMENT: &str = "`name:=value`";
 const LEVEL: &str = "debug, info, warn, error or fatal (or `logger:=level`)";
 
-/// `node:rest`; the `:` of `rostopic://` is none of a node.
+/// Splits `node:rest`; the `:` of `rostopic://` separates no node.
 fn split_node(text: &str) -> (Option<String>, &str) {
     match text.split_once(':') {
         Some((node, rest)) if !rest.starts_with("//") => (Some(node.to_owned()), rest),
@@ -320,67 +391,4 @@ fn split_node(text: &str) -> (Option<String>, &str) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::names::resolve;
-
-    fn words(text: &str) -> Vec<String> {
-        text.split_whitespace().map(str::to_owned).collect()
-    }
-
-    #[test]
-    fn what_launch_passes_is_understood() {
-        let folder = std::env::temp_dir().join(format!("volant_args_{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let (a, b) = (folder.join("a.yaml"), folder.join("b.yaml"));
-        std::fs::write(
-            &a,
-            "/**: {ros__parameters: {sub: {x: 1}, y: 2, z: 3}}\nother: {ros__parameters: {y: 9}}",
-        )
-        .unwrap();
-        std::fs::write(&b, "/robot1/est: {ros__parameters: {y: 5}}").unwrap();
-        let line = format!(
-            "--custom x --ros-args --log-level debug --ros-args -r __node:=est -r __ns:=/robot1 --params-file {} \
-             --params-file {} -r /imu:=/sensors/imu -r pose:=~/pose -p z:=4.5 -p other:y:=7 -- tail",
-            a.display(),
-            b.display()
-        );
-        let (ros, rest) = RosArguments::parse(words(&line)).unwrap();
-        assert_eq!(rest, words("--custom x tail"));
-        let node = ros.node_name("pose_fusion").unwrap();
-        assert_eq!(node.fully_qualified(), "/robot1/est");
-        assert_eq!(ros.level(&node), Level::Debug);
-        let values = ros.values(&node);
-        assert_eq!(values["sub.x"], ParameterValue::Integer(1));
-        assert_eq!(values["y"], ParameterValue::Integer(5));
-        assert_eq!(values["z"], ParameterValue::Double(4.5));
-        assert_eq!(ros.overrides(&node)["y"].origin, b.display().to_string());
-        assert_eq!(resolve(&node, &ros.remaps(), "pose").unwrap(), "/robot1/est/pose");
-        assert_eq!(resolve(&node, &ros.remaps(), "/imu").unwrap(), "/sensors/imu");
-        std::fs::remove_dir_all(&folder).unwrap();
-    }
-
-    #[test]
-    fn each_mistake_is_named() {
-        for (line, needle, usage) in [
-            ("--ros-args -r", "-r", true),
-            ("--ros-args -r a", "from:=to", true),
-            ("--ros-args -p a", "name:=value", true),
-            ("--ros-args -p a:={b:1", "-p a", true),
-            ("--ros-args --log-level loud", "loud", true),
-            ("--ros-args --bogus", "--bogus", true),
-            ("--ros-args --params-file /no/such.yaml", "/no/such.yaml", false),
-        ] {
-            let error = RosArguments::parse(words(line)).unwrap_err();
-            assert!(error.to_string().contains(needle), "{line}: {error}");
-            assert_eq!(error.is_usage(), usage, "{line}");
-        }
-    }
-
-    #[test]
-    fn node_prefixes_limit_rules_to_one_node_of_a_process() {
-        let (ros, _) = RosArguments::parse(words("--ros-args -r a:__node:=first -r b:__ns:=/two")).unwrap();
-        assert_eq!(ros.node_name("a").unwrap().fully_qualified(), "/first");
-        assert_eq!(ros.node_name("b").unwrap().fully_qualified(), "/two/b");
-    }
-}
+mod tests;

@@ -1,4 +1,4 @@
-//! What ROS 2's environment variables say about the network.
+//! Network settings from ROS 2's environment variables.
 
 use std::{
     net::{IpAddr, Ipv4Addr},
@@ -6,7 +6,7 @@ use std::{
 };
 use thiserror::Error;
 
-/// An environment variable that cannot be.
+/// An environment variable with an invalid value.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("the environment variable {name}={value} is not understood; expected {expected}")]
 pub struct EnvironmentError {
@@ -14,81 +14,85 @@ pub struct EnvironmentError {
     pub name: &'static str,
     /// Its value.
     pub value: String,
-    /// What it may be.
+    /// Valid values.
     pub expected: &'static str,
 }
 
-/// How far discovery reaches.
+/// Range of discovery.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DiscoveryRange {
-    /// Only this host: `ROS_LOCALHOST_ONLY=1`, or `ROS_AUTOMATIC_DISCOVERY_RANGE` `LOCALHOST` or `OFF`. (RustDDS cannot
-    /// be kept from finding peers on the host, so `OFF` is as narrow as it gets.)
+    /// Only this host: `ROS_LOCALHOST_ONLY=1`, or `ROS_AUTOMATIC_DISCOVERY_RANGE` `LOCALHOST` or
+    /// `OFF` (RustDDS 0.15.1 cannot turn off discovery on the host).
     Localhost,
     /// The local network: `SUBNET` and `SYSTEM_DEFAULT`, and ROS 2's default.
     #[default]
     Subnet,
 }
 
-/// Which service wire format the peers speak.
+/// Wire format of services.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ServiceFlavour {
-    /// Fast DDS, Connext and RustDDS: the request's identity travels beside the payload.
+    /// Fast DDS, Connext and RustDDS: the request's identity is beside the payload.
     #[default]
     Enhanced,
-    /// Cyclone DDS: it travels inside.
+    /// Cyclone DDS: it is inside the payload.
     Cyclone,
 }
 
-/// The network that a process takes part in.
+/// The DDS domain of a process, and how it joins.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Network {
     /// `ROS_DOMAIN_ID`, 0 to 232.
     pub domain_id: u16,
-    /// How far discovery reaches.
+    /// Range of discovery.
     pub range: DiscoveryRange,
     /// From `RMW_IMPLEMENTATION`.
     pub services: ServiceFlavour,
-    /// `ROS_SECURITY_ENABLE` and what belongs to it.
+    /// `ROS_SECURITY_ENABLE` and its companions; `None` without security.
     pub security: Option<Security>,
 }
 
-/// How a process proves who it is, and asks that of others: an enclave of an SROS 2 keystore.
+/// Enclave of an SROS 2 keystore, with which a process authenticates itself and others.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Security {
     /// `ROS_SECURITY_KEYSTORE`.
     pub keystore: PathBuf,
-    /// The enclave's absolute name: `ROS_SECURITY_ENCLAVE_OVERRIDE`, else what `--enclave` says, else `/`.
+    /// The enclave's absolute name: `ROS_SECURITY_ENCLAVE_OVERRIDE`, else `--enclave`, else `/`.
     pub enclave: String,
-    /// From `ROS_SECURITY_ENCLAVE_OVERRIDE`: `--enclave` does not count.
+    /// Set by `ROS_SECURITY_ENCLAVE_OVERRIDE`: `--enclave` is ignored.
     overridden: bool,
-    /// `ROS_SECURITY_STRATEGY=Enforce`: without its keys the process does not start. Otherwise it starts unprotected, with
-    /// a warning, as in rcl.
+    /// `ROS_SECURITY_STRATEGY=Enforce`: without its keys the process does not start. Otherwise it
+    /// starts unprotected, with a warning, as in rcl.
     pub enforce: bool,
 }
 
 impl Security {
-    /// This enclave of this keystore, or no start at all.
+    /// An enclave of a keystore, enforced.
     pub fn enforced(keystore: impl Into<PathBuf>, enclave: impl Into<String>) -> Self {
-        Self { keystore: keystore.into(), enclave: enclave.into(), overridden: false, enforce: true }
+        Self {
+            keystore: keystore.into(),
+            enclave: enclave.into(),
+            overridden: false,
+            enforce: true,
+        }
     }
 
-    /// Folder of the enclave: `cert.pem`, `key.pem`, `identity_ca.cert.pem`, `permissions_ca.cert.pem`, `governance.p7s`,
-    /// `permissions.p7s`.
+    /// Folder of the enclave's certificates, keys and permissions.
     pub fn folder(&self) -> PathBuf {
         self.keystore.join("enclaves").join(self.enclave.trim_start_matches('/'))
     }
 }
 
 impl Network {
-    /// From the environment of this process.
+    /// Reads the environment of this process.
     ///
     /// # Errors
-    /// A variable with a value that ROS 2 does not know.
+    /// [`EnvironmentError`] for a value that ROS 2 does not define.
     pub fn from_environment() -> Result<Self, EnvironmentError> {
         Self::from_variables(|name| std::env::var(name).ok())
     }
 
-    /// From variables; an empty one counts as not set, as in rcl.
+    /// Reads variables with `get`; an empty value counts as not set, as in rcl.
     ///
     /// # Errors
     /// As [`Network::from_environment`].
@@ -101,26 +105,27 @@ impl Network {
                 wrong("ROS_DOMAIN_ID", value, "a number from 0 to 232 (UDP has no ports for more)")
             })?,
         };
-        let range = match (get("ROS_LOCALHOST_ONLY").as_deref(), get("ROS_AUTOMATIC_DISCOVERY_RANGE")) {
-            (Some("1"), _) => DiscoveryRange::Localhost,
-            (_, None) => DiscoveryRange::default(),
-            (_, Some(value)) => match value.as_str() {
-                "LOCALHOST" | "OFF" => DiscoveryRange::Localhost,
-                "SUBNET" | "SYSTEM_DEFAULT" => DiscoveryRange::Subnet,
-                _ => {
-                    return Err(wrong(
-                        "ROS_AUTOMATIC_DISCOVERY_RANGE",
-                        value,
-                        "SUBNET, LOCALHOST, OFF or SYSTEM_DEFAULT",
-                    ));
-                }
-            },
-        };
+        let range =
+            match (get("ROS_LOCALHOST_ONLY").as_deref(), get("ROS_AUTOMATIC_DISCOVERY_RANGE")) {
+                (Some("1"), _) => DiscoveryRange::Localhost,
+                (_, None) => DiscoveryRange::default(),
+                (_, Some(value)) => match value.as_str() {
+                    "LOCALHOST" | "OFF" => DiscoveryRange::Localhost,
+                    "SUBNET" | "SYSTEM_DEFAULT" => DiscoveryRange::Subnet,
+                    _ => {
+                        return Err(wrong(
+                            "ROS_AUTOMATIC_DISCOVERY_RANGE",
+                            value,
+                            "SUBNET, LOCALHOST, OFF or SYSTEM_DEFAULT",
+                        ));
+                    }
+                },
+            };
         let services = match get("RMW_IMPLEMENTATION").as_deref() {
             Some("rmw_cyclonedds_cpp") => ServiceFlavour::Cyclone,
             _ => ServiceFlavour::Enhanced,
         };
-        // rcl knows this one value.
+        // rcl accepts this one value.
         let security = match get("ROS_SECURITY_ENABLE").as_deref() {
             Some("true") => {
                 let keystore = get("ROS_SECURITY_KEYSTORE").ok_or_else(|| {
@@ -140,7 +145,7 @@ impl Network {
         Ok(Self { domain_id, range, services, security })
     }
 
-    /// With the enclave that the command line names (`--ros-args --enclave /rig/climber`).
+    /// Sets the enclave of the command line (`--ros-args --enclave /rig/climber`).
     #[must_use]
     pub fn with_enclave(mut self, enclave: Option<&str>) -> Self {
         if let (Some(security), Some(enclave)) = (&mut self.security, enclave)
@@ -151,7 +156,7 @@ impl Network {
         self
     }
 
-    /// The addresses that discovery is limited to; `None` for all of the host's.
+    /// Local addresses that discovery is limited to; `None` for all of the host.
     pub fn only_addresses(&self) -> Option<Vec<IpAddr>> {
         match self.range {
             DiscoveryRange::Localhost => Some(vec![IpAddr::V4(Ipv4Addr::LOCALHOST)]),
@@ -171,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn the_variables_are_rcl_s() {
+    fn the_variables_are_those_of_rcl() {
         assert_eq!(network(&[]).unwrap(), Network::default());
         assert_eq!(network(&[("ROS_DOMAIN_ID", "")]).unwrap().domain_id, 0);
         assert_eq!(network(&[("ROS_DOMAIN_ID", "42")]).unwrap().domain_id, 42);
@@ -188,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn security_is_sros_2_s() {
+    fn the_security_variables_are_those_of_sros_2() {
         assert_eq!(network(&[("ROS_SECURITY_ENABLE", "yes")]).unwrap().security, None);
         let missing = network(&[("ROS_SECURITY_ENABLE", "true")]).unwrap_err().to_string();
         assert!(missing.contains("ROS_SECURITY_KEYSTORE"), "{missing}");
@@ -199,16 +204,23 @@ mod tests {
         let named = network_.with_enclave(Some("/rig/climber")).security.unwrap();
         assert_eq!(named.folder(), PathBuf::from("/keys/enclaves/rig/climber"));
         let mut more = enabled.to_vec();
-        more.extend([("ROS_SECURITY_ENCLAVE_OVERRIDE", "/b"), ("ROS_SECURITY_STRATEGY", "Enforce")]);
+        more.extend([
+            ("ROS_SECURITY_ENCLAVE_OVERRIDE", "/b"),
+            ("ROS_SECURITY_STRATEGY", "Enforce"),
+        ]);
         let overridden = network(&more).unwrap().with_enclave(Some("/a")).security.unwrap();
-        assert!(overridden.enforce && overridden.folder() == std::path::Path::new("/keys/enclaves/b"));
+        assert!(
+            overridden.enforce && overridden.folder() == std::path::Path::new("/keys/enclaves/b")
+        );
     }
 
     #[test]
-    fn a_value_that_cannot_be_is_named() {
-        for (name, value) in
-            [("ROS_DOMAIN_ID", "233"), ("ROS_DOMAIN_ID", "x"), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FAR")]
-        {
+    fn an_invalid_value_is_named() {
+        for (name, value) in [
+            ("ROS_DOMAIN_ID", "233"),
+            ("ROS_DOMAIN_ID", "x"),
+            ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FAR"),
+        ] {
             let error = network(&[(name, value)]).unwrap_err().to_string();
             assert!(error.contains(name) && error.contains(value), "{error}");
         }

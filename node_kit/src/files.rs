@@ -1,20 +1,27 @@
-//! Reading what a person names: parameter, rig and calibration files. In flow a path, out flow its text, up to a size that
-//! no such file has: `--params-file /dev/zero` is an error, not the end of the machine's memory.
+//! Files of command line tools: text files of a limited size are read, and outputs are written so
+//! that no existing file is lost.
+//!
+//! `--params-file /dev/zero` is an error and does not exhaust the memory. An [`OutputFile`] is
+//! written under a temporary name beside its target and renamed when it is complete.
 
 use std::{
-    fs::File,
-    io::{self, ErrorKind, Read},
-    path::Path,
+    ffi::OsString,
+    fs::{self, File, Metadata},
+    io::{self, ErrorKind, Read, Seek, SeekFrom, Write},
+    os::unix::fs::{FileTypeExt, MetadataExt},
+    path::{Path, PathBuf},
+    sync::{Mutex, MutexGuard, PoisonError},
 };
+use thiserror::Error;
 
-/// Largest text that is read, bytes.
+/// Largest file that is read, bytes.
 pub const LARGEST_TEXT: u64 = 1 << 20;
 
-/// The text of a file.
+/// Reads a text file.
 ///
 /// # Errors
-/// What the operating system says; [`ErrorKind::FileTooLarge`] beyond [`LARGEST_TEXT`]; [`ErrorKind::InvalidData`] for
-/// what is not UTF-8.
+/// The system's error; [`ErrorKind::FileTooLarge`] beyond [`LARGEST_TEXT`];
+/// [`ErrorKind::InvalidData`] if the text is not UTF-8.
 pub fn read_text(path: &Path) -> io::Result<String> {
     let mut text = String::new();
     File::open(path)?.take(LARGEST_TEXT + 1).read_to_string(&mut text)?;
@@ -28,19 +35,278 @@ pub fn read_text(path: &Path) -> io::Result<String> {
     Ok(text)
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+/// Why an output is not written. What was there before is unchanged.
+#[derive(Debug, Error)]
+pub enum FileError {
+    /// A file with this name exists.
+    #[error("{}: exists already; give another name, or --overwrite to replace it", path.display())]
+    Exists {
+        /// The output.
+        path: PathBuf,
+    },
+    /// A folder with this name exists; no option replaces it.
+    #[error("{}: exists already and is a folder, which is never replaced; give another name",
+            path.display())]
+    Folder {
+        /// The output.
+        path: PathBuf,
+    },
+    /// The output is one of the command's inputs, by whatever name.
+    #[error("{}: the output is the input{}, which is never replaced; give it another name",
+            path.display(),
+            if input == path { String::new() } else { format!(" {}", input.display()) })]
+    Input {
+        /// The output.
+        path: PathBuf,
+        /// The input as given, or the member of an input folder.
+        input: PathBuf,
+    },
+    /// An operation of the operating system failed.
+    #[error("{}: cannot be written: {source}; check its folder, the permissions and the space on \
+             the disk", path.display())]
+    Io {
+        /// The output.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
+}
 
-    #[test]
-    fn a_text_is_read_and_what_never_ends_is_refused() {
-        let path = std::env::temp_dir().join(format!("volant-files-{}", std::process::id()));
-        std::fs::write(&path, "a: 1\n").unwrap();
-        assert_eq!(read_text(&path).unwrap(), "a: 1\n");
-        std::fs::write(&path, [0xFF, 0xFE]).unwrap();
-        assert_eq!(read_text(&path).unwrap_err().kind(), ErrorKind::InvalidData);
-        std::fs::remove_file(&path).unwrap();
-        assert_eq!(read_text(&path).unwrap_err().kind(), ErrorKind::NotFound);
-        assert_eq!(read_text(Path::new("/dev/zero")).unwrap_err().kind(), ErrorKind::FileTooLarge);
+impl FileError {
+    fn io(path: &Path, source: io::Error) -> Self {
+        Self::Io { path: path.to_owned(), source }
+    }
+
+    /// The error of creating what must not exist.
+    fn of(path: &Path, source: io::Error) -> Self {
+        match source.kind() {
+            ErrorKind::AlreadyExists => Self::Exists { path: path.to_owned() },
+            _ => Self::io(path, source),
+        }
     }
 }
+
+/// Checks whether an output may be written before the work for it starts.
+///
+/// `inputs` are files and folders that the command reads; the output is none of them, nor a file in
+/// one of the folders, by any name (links included).
+///
+/// # Errors
+/// [`FileError::Input`]; [`FileError::Folder`]; [`FileError::Exists`] without `overwrite`.
+pub fn check_output(path: &Path, overwrite: bool, inputs: &[&Path]) -> Result<(), FileError> {
+    let Ok(link) = fs::symlink_metadata(path) else { return Ok(()) };
+    let there = fs::metadata(path).unwrap_or(link);
+    if is_special(&there) {
+        return Ok(());
+    }
+    let same = |p: &Path| fs::metadata(p).is_ok_and(|m| identity(&m) == identity(&there));
+    for input in inputs {
+        let members = fs::read_dir(input).into_iter().flatten().flatten().map(|e| e.path());
+        if let Some(input) = std::iter::once(input.to_path_buf()).chain(members).find(|p| same(p)) {
+            return Err(FileError::Input { path: path.to_owned(), input });
+        }
+    }
+    match (there.is_dir(), overwrite) {
+        (true, _) => Err(FileError::Folder { path: path.to_owned() }),
+        (false, false) => Err(FileError::Exists { path: path.to_owned() }),
+        (false, true) => Ok(()),
+    }
+}
+
+/// Writes a whole file as [`OutputFile`] does.
+///
+/// # Errors
+/// As [`OutputFile::create`] and [`OutputFile::commit`].
+pub fn write(path: &Path, bytes: &[u8], overwrite: bool) -> Result<(), FileError> {
+    let mut output = OutputFile::create(path, overwrite)?;
+    output.write_all(bytes).map_err(|e| FileError::io(path, e))?;
+    output.commit()
+}
+
+/// File that is written under a temporary name, `NAME.PID.partial`, in its target's folder and
+/// renamed by [`OutputFile::commit`]. Dropped without it, the temporary file is removed. A device or
+/// pipe is written directly.
+#[derive(Debug)]
+pub struct OutputFile {
+    file: File,
+    /// `None` where the target is written directly.
+    pending: Option<Pending>,
+    target: PathBuf,
+}
+
+impl OutputFile {
+    /// Creates the temporary file.
+    ///
+    /// # Errors
+    /// As [`check_output`] without inputs; or the folder is not writable.
+    pub fn create(path: &Path, overwrite: bool) -> Result<Self, FileError> {
+        check_output(path, overwrite, &[])?;
+        let io = |e| FileError::io(path, e);
+        let former = fs::metadata(path).ok();
+        if former.as_ref().is_some_and(is_special) {
+            let file = File::options().write(true).open(path).map_err(io)?;
+            return Ok(Self { file, pending: None, target: path.to_owned() });
+        }
+        let pending = Pending::new(path, overwrite)?;
+        let file = File::create_new(&pending.temporary).map_err(io)?;
+        if let Some(former) = former {
+            file.set_permissions(former.permissions()).map_err(io)?;
+        }
+        Ok(Self { file, pending: Some(pending), target: path.to_owned() })
+    }
+
+    /// Creates a file that bears its own name from the start: of a recording, which is readable
+    /// when its process is killed, or in a folder that is renamed as a whole.
+    ///
+    /// # Errors
+    /// [`FileError::Exists`]; or the folder is not writable.
+    pub fn in_place(path: &Path) -> Result<Self, FileError> {
+        let file = File::create_new(path).map_err(|e| FileError::of(path, e))?;
+        Ok(Self { file, pending: None, target: path.to_owned() })
+    }
+
+    /// Gives the complete file its name.
+    ///
+    /// # Errors
+    /// The system's error, such as a full disk; or a file has appeared under that name meanwhile.
+    pub fn commit(self) -> Result<(), FileError> {
+        let Some(pending) = self.pending else { return Ok(()) };
+        self.file.sync_data().map_err(|e| FileError::io(&self.target, e))?;
+        pending.commit()
+    }
+}
+
+impl Write for OutputFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Seek for OutputFile {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.file.seek(to)
+    }
+}
+
+/// Temporary name of a file or folder until it is complete; dropped before, what bears it is
+/// removed.
+#[derive(Debug)]
+pub struct Pending {
+    /// The temporary name.
+    pub temporary: PathBuf,
+    target: PathBuf,
+    overwrite: bool,
+}
+
+impl Pending {
+    /// Chooses the temporary name of an output; nothing is created yet.
+    ///
+    /// # Errors
+    /// The path ends in no name; or [`discard_all`] was called.
+    pub fn new(path: &Path, overwrite: bool) -> Result<Self, FileError> {
+        // A link stays, and the file that it names is replaced.
+        let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let name = target.file_name().ok_or_else(|| {
+            FileError::io(path, io::Error::new(ErrorKind::InvalidInput, "it is no file name"))
+        })?;
+        let mut temporary = OsString::from(name);
+        temporary.push(format!(".{}.partial", std::process::id()));
+        let temporary = target.with_file_name(temporary);
+        let mut open = open();
+        if open.discarded || open.paths.iter().any(|(t, _)| *t == temporary) {
+            let reason = if open.discarded { "interrupted" } else { "it is written already" };
+            return Err(FileError::io(path, io::Error::other(reason)));
+        }
+        open.paths.push((temporary.clone(), path.to_owned()));
+        Ok(Self { temporary, target, overwrite })
+    }
+
+    /// Gives the complete file or folder its name.
+    ///
+    /// # Errors
+    /// As [`OutputFile::commit`].
+    pub fn commit(self) -> Result<(), FileError> {
+        // Held until the name is given: an interruption comes before or after, not between.
+        let mut open = open();
+        let (from, to) = (&self.temporary, &self.target);
+        if open.discarded {
+            return Err(FileError::io(to, ErrorKind::Interrupted.into()));
+        }
+        self.rename().map_err(|e| FileError::of(to, e))?;
+        open.paths.retain(|(temporary, _)| temporary != from);
+        Ok(())
+    }
+
+    fn rename(&self) -> io::Result<()> {
+        let (from, to) = (&self.temporary, &self.target);
+        if self.overwrite || from.is_dir() {
+            // A folder replaces at most an empty one.
+            return fs::rename(from, to);
+        }
+        // A second name fails where the file exists, which a rename does not.
+        match fs::hard_link(from, to) {
+            Ok(()) => fs::remove_file(from),
+            Err(e) if e.kind() == ErrorKind::AlreadyExists => Err(e),
+            // A file system without hard links.
+            Err(_) if fs::symlink_metadata(to).is_ok() => Err(ErrorKind::AlreadyExists.into()),
+            Err(_) => fs::rename(from, to),
+        }
+    }
+}
+
+impl Drop for Pending {
+    fn drop(&mut self) {
+        let mut open = open();
+        if let Some(index) = open.paths.iter().position(|(t, _)| *t == self.temporary) {
+            remove(&open.paths.swap_remove(index).0);
+        }
+    }
+}
+
+/// Outputs of this process that are not complete: temporary name, and name as given.
+struct Open {
+    paths: Vec<(PathBuf, PathBuf)>,
+    discarded: bool,
+}
+
+static OPEN: Mutex<Open> = Mutex::new(Open { paths: vec![], discarded: false });
+
+fn open() -> MutexGuard<'static, Open> {
+    OPEN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Removes all incomplete outputs of an interrupted process and returns their targets' names; none
+/// is completed or begun from now on.
+pub fn discard_all() -> Vec<PathBuf> {
+    let mut open = open();
+    open.discarded = true;
+    open.paths
+        .drain(..)
+        .map(|(temporary, path)| {
+            remove(&temporary);
+            path
+        })
+        .collect()
+}
+
+/// Removes what bears a temporary name; nobody can be informed where that fails.
+fn remove(temporary: &Path) {
+    let _ =
+        if temporary.is_dir() { fs::remove_dir_all(temporary) } else { fs::remove_file(temporary) };
+}
+
+fn is_special(there: &Metadata) -> bool {
+    let kind = there.file_type();
+    kind.is_char_device() || kind.is_block_device() || kind.is_fifo() || kind.is_socket()
+}
+
+fn identity(file: &Metadata) -> (u64, u64) {
+    (file.dev(), file.ino())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,36 +1,34 @@
-//! The one inbox of a node: messages and device events in order of arrival, bounded source by source.
+//! Inbox of a node: messages and device events in order of arrival, bounded source by source.
 //!
-//! A source (a topic, a device, a timer) may have `depth` entries waiting; one more drops the oldest of the *same*
-//! source and counts it, so a burst of images never costs an inertial sample, and nobody who puts in ever waits.
+//! At most `depth` entries of a source (a topic, a device) wait. One more drops the oldest of the
+//! *same* source and is counted, so that a burst of images never costs an inertial sample and a
+//! producer never waits.
 
-use std::{
-    collections::VecDeque,
-    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
-    time::Instant,
-};
+use parking_lot::{Condvar, Mutex, MutexGuard};
+use std::{collections::VecDeque, sync::Arc, time::Instant};
 
 /// Index of a source in its inbox.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SourceId(usize);
 
-/// What is known of a source.
+/// Counts of a source.
 #[derive(Clone, Debug)]
 pub struct SourceCount {
     /// The topic's absolute name, or the device's.
     pub name: String,
-    /// Put in, since the start.
+    /// Entries received since the start.
     pub received: u64,
-    /// Dropped because the node did not keep up.
+    /// Entries dropped because the node did not keep up.
     pub dropped: u64,
-    /// Refused: not decodable, of another type, or not usable.
+    /// Messages refused: not decodable, of another type, or unusable.
     pub refused: u64,
-    /// Lost on the way, by the gaps in the publishers' numbering.
+    /// Messages lost in transport, by the gaps in the publishers' sequence numbers.
     pub lost: u64,
-    /// When the latest was put in.
+    /// Time of the latest entry.
     pub latest: Option<Instant>,
-    /// Is the source a topic that the node waits for?
+    /// Whether the diagnostics report the source while it is missing.
     pub expected: bool,
-    /// Entries pass even while the inbox does not accept: what steers the node itself.
+    /// Entries pass even while the inbox does not accept: control of the node itself.
     control: bool,
     retired: bool,
     depth: usize,
@@ -49,7 +47,7 @@ struct Shared<T> {
     ready: Condvar,
 }
 
-/// The inbox; clones are handles to the same one.
+/// Inbox of entries `T`; clones share it.
 pub(crate) struct Inbox<T>(Arc<Shared<T>>);
 
 impl<T> Clone for Inbox<T> {
@@ -58,14 +56,14 @@ impl<T> Clone for Inbox<T> {
     }
 }
 
-/// What [`Inbox::take`] gives.
+/// Result of [`Inbox::take`].
 #[derive(Debug, PartialEq)]
 pub(crate) enum Taken<T> {
     /// An entry.
     Entry(T),
-    /// Nothing came until the deadline.
+    /// The deadline passed without an entry.
     Deadline,
-    /// The inbox was closed; what was queued is gone.
+    /// The inbox was closed; its entries are dropped.
     Closed,
 }
 
@@ -83,11 +81,10 @@ impl<T> Inbox<T> {
     }
 
     fn lock(&self) -> MutexGuard<'_, State<T>> {
-        // The state is whole between any two statements that could panic.
-        self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.state.lock()
     }
 
-    /// A source of this name, with at most `depth` entries waiting.
+    /// Adds a source of which at most `depth` entries wait.
     pub(crate) fn add_source(&self, name: &str, depth: usize, expected: bool) -> SourceId {
         let mut state = self.lock();
         state.sources.push(SourceCount {
@@ -106,14 +103,14 @@ impl<T> Inbox<T> {
         SourceId(state.sources.len() - 1)
     }
 
-    /// A source that passes even while the inbox does not accept.
+    /// Adds a source whose entries pass even while the inbox does not accept.
     pub(crate) fn add_control(&self, name: &str, depth: usize) -> SourceId {
         let SourceId(index) = self.add_source(name, depth, false);
         self.lock().sources[index].control = true;
         SourceId(index)
     }
 
-    /// Puts one in; never waits. `now` is the time of arrival.
+    /// Puts an entry in without waiting. `now` is the time of arrival.
     pub(crate) fn put(&self, SourceId(source): SourceId, entry: T, now: Instant) {
         let mut state = self.lock();
         if state.closed || state.sources[source].retired {
@@ -139,24 +136,24 @@ impl<T> Inbox<T> {
         self.0.ready.notify_one();
     }
 
-    /// Counts one that was received but could not be used.
+    /// Counts a message that could not be used.
     pub(crate) fn refuse(&self, SourceId(source): SourceId) {
         self.lock().sources[source].refused += 1;
     }
 
-    /// Counts one that needs no handling.
+    /// Counts a message that needs no handling.
     pub(crate) fn touch(&self, SourceId(source): SourceId, now: Instant) {
         let mut state = self.lock();
         state.sources[source].received += 1;
         state.sources[source].latest = Some(now);
     }
 
-    /// Counts messages that never came.
+    /// Counts messages that were lost in transport.
     pub(crate) fn lose(&self, SourceId(source): SourceId, count: u64) {
         self.lock().sources[source].lost += count;
     }
 
-    /// The source is no more: what it has queued is dropped, and it is counted no longer.
+    /// Ends a source: drops its entries and removes it from the counts.
     pub(crate) fn retire(&self, SourceId(source): SourceId) {
         let mut state = self.lock();
         state.sources[source].retired = true;
@@ -168,17 +165,17 @@ impl<T> Inbox<T> {
         drop::<VecDeque<_>>(gone);
     }
 
-    /// Whether entries are kept at all; an inactive node counts them and lets them go.
+    /// Sets whether entries are kept; an inactive node counts and drops them.
     pub(crate) fn set_accepting(&self, accepting: bool) {
         self.lock().accepting = accepting;
     }
 
-    /// Has the inbox been closed?
+    /// Returns whether the inbox has been closed.
     pub(crate) fn is_closed(&self) -> bool {
         self.lock().closed
     }
 
-    /// The next entry; waits for it until `deadline`.
+    /// Takes the next entry, waiting for it until `deadline`.
     pub(crate) fn take(&self, deadline: Option<Instant>) -> Taken<T> {
         let mut state = self.lock();
         loop {
@@ -189,37 +186,34 @@ impl<T> Inbox<T> {
                 state.sources[source].queued -= 1;
                 return Taken::Entry(entry);
             }
-            state = match deadline {
-                None => self.0.ready.wait(state).unwrap_or_else(PoisonError::into_inner),
+            match deadline {
+                None => self.0.ready.wait(&mut state),
+                Some(deadline) if now() >= deadline => return Taken::Deadline,
                 Some(deadline) => {
-                    let left = deadline.saturating_duration_since(now());
-                    if left.is_zero() {
-                        return Taken::Deadline;
-                    }
-                    self.0.ready.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0
+                    self.0.ready.wait_until(&mut state, deadline);
                 }
-            };
+            }
         }
     }
 
-    /// Ends it: who waits is woken, what is queued is dropped, what comes later is ignored.
+    /// Closes the inbox: wakes the reader, drops all entries and ignores later ones.
     pub(crate) fn close(&self) {
         let mut state = self.lock();
         state.closed = true;
         let queued = std::mem::take(&mut state.queue);
         drop(state);
-        // Outside of the lock: an entry may own something whose drop puts in again.
+        // Outside of the lock, because dropping an entry may put in another one.
         drop(queued);
         self.0.ready.notify_all();
     }
 
-    /// The counts of all sources.
+    /// Counts of all sources.
     pub(crate) fn counts(&self) -> Vec<SourceCount> {
         self.lock().sources.iter().filter(|s| !s.control && !s.retired).cloned().collect()
     }
 }
 
-/// The steady clock: for deadlines and rates, never for stamps.
+/// Time of the steady clock, for deadlines and rates, never for stamps.
 #[allow(clippy::disallowed_methods, reason = "a shell's clock")]
 pub(crate) fn now() -> Instant {
     Instant::now()

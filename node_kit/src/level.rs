@@ -1,4 +1,4 @@
-//! How loud a line of the log is.
+//! Severity of a line of the log.
 
 use std::{fmt, str::FromStr};
 
@@ -6,15 +6,15 @@ use std::{fmt, str::FromStr};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
 pub enum Level {
-    /// For whoever looks for a fault.
+    /// Details for finding a fault.
     Debug = 10,
-    /// What happened.
+    /// An expected event.
     Info = 20,
-    /// Something is not as it should be, and the node goes on.
+    /// Something is wrong, and the node continues.
     Warn = 30,
     /// Something failed.
     Error = 40,
-    /// The node ends.
+    /// A failure that ends the node.
     Fatal = 50,
 }
 

@@ -1,24 +1,24 @@
-//! The states of a managed node and the ways between them, as `lifecycle_msgs` numbers them.
+//! States and transitions of a managed node, with the numbers of `lifecycle_msgs`.
 
 /// A primary state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum LifecycleState {
-    /// There, with its parameters and services, but without topics and devices.
+    /// Parameters and services exist, topics and devices do not.
     Unconfigured = 1,
-    /// Topics and devices are open; what comes is let go, nothing is published.
+    /// Topics and devices are open; inputs are dropped, and nothing is published.
     Inactive = 2,
-    /// At work.
+    /// Inputs are handled.
     Active = 3,
-    /// Done; it waits for its process to end.
+    /// Ended; the node waits for its process to end.
     Finalized = 4,
 }
 
 impl LifecycleState {
-    /// All of them.
+    /// All, by number.
     pub const ALL: [Self; 4] = [Self::Unconfigured, Self::Inactive, Self::Active, Self::Finalized];
 
-    /// As `ros2 lifecycle get` says it.
+    /// Name, as `ros2 lifecycle get` prints it.
     pub const fn label(self) -> &'static str {
         match self {
             Self::Unconfigured => "unconfigured",
@@ -29,17 +29,17 @@ impl LifecycleState {
     }
 }
 
-/// A way from one state to another.
+/// A transition between states.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum Transition {
-    /// Takes its parameters and opens topics and devices.
+    /// Opens topics and devices with the current parameters.
     Configure = 1,
-    /// Closes them.
+    /// Closes topics and devices.
     Cleanup = 2,
-    /// Begins to work.
+    /// Starts to handle inputs.
     Activate = 3,
-    /// Pauses.
+    /// Stops to handle inputs.
     Deactivate = 4,
     /// Ends, from unconfigured.
     UnconfiguredShutdown = 5,
@@ -50,7 +50,7 @@ pub enum Transition {
 }
 
 impl Transition {
-    /// All of them.
+    /// All, by number.
     pub const ALL: [Self; 7] = [
         Self::Configure,
         Self::Cleanup,
@@ -61,18 +61,20 @@ impl Transition {
         Self::ActiveShutdown,
     ];
 
-    /// As `ros2 lifecycle set` takes it.
+    /// Name, as in `ros2 lifecycle set`.
     pub const fn label(self) -> &'static str {
         match self {
             Self::Configure => "configure",
             Self::Cleanup => "cleanup",
             Self::Activate => "activate",
             Self::Deactivate => "deactivate",
-            Self::UnconfiguredShutdown | Self::InactiveShutdown | Self::ActiveShutdown => "shutdown",
+            Self::UnconfiguredShutdown | Self::InactiveShutdown | Self::ActiveShutdown => {
+                "shutdown"
+            }
         }
     }
 
-    /// Where it starts and where it leads.
+    /// Start and goal state.
     pub const fn ends(self) -> (LifecycleState, LifecycleState) {
         use LifecycleState as S;
         match self {
@@ -86,8 +88,8 @@ impl Transition {
         }
     }
 
-    /// The one that a `ChangeState` request means, where it is possible from `state`: by its number, or by its label where
-    /// the number is zero.
+    /// The transition that a `ChangeState` request names, if it is possible from `state`: by
+    /// number, or by label if the number is zero.
     pub fn requested(state: LifecycleState, id: u8, label: &str) -> Option<Self> {
         Self::ALL
             .into_iter()
@@ -101,12 +103,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_request_is_taken_only_where_it_is_possible() {
+    fn only_possible_transitions_are_found() {
         use LifecycleState as S;
         assert_eq!(Transition::requested(S::Unconfigured, 1, ""), Some(Transition::Configure));
         assert_eq!(Transition::requested(S::Active, 1, ""), None);
-        assert_eq!(Transition::requested(S::Active, 0, "shutdown"), Some(Transition::ActiveShutdown));
-        assert_eq!(Transition::requested(S::Inactive, 0, "shutdown"), Some(Transition::InactiveShutdown));
+        assert_eq!(
+            Transition::requested(S::Active, 0, "shutdown"),
+            Some(Transition::ActiveShutdown)
+        );
+        assert_eq!(
+            Transition::requested(S::Inactive, 0, "shutdown"),
+            Some(Transition::InactiveShutdown)
+        );
         assert_eq!(Transition::requested(S::Finalized, 0, "configure"), None);
     }
 }

@@ -1,15 +1,15 @@
-//! ROS 2 names: relative, absolute and private (`~`) names in, absolute names out, and remap rules over them.
+//! ROS 2 names: resolves relative, absolute and private (`~`) names to absolute ones, with remaps.
 //!
-//! Everything is resolved here, before the middleware sees a name: ros2-client turns a relative topic in the
-//! namespace `/` into `rt//name`, and knows neither `~` nor remaps.
+//! ros2-client 0.12.1 turns a relative topic in the namespace `/` into `rt//name` and supports
+//! neither `~` nor remaps, so it gets absolute names only.
 
 use thiserror::Error;
 
-/// Why a name is no ROS 2 name.
+/// An invalid ROS 2 name.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("`{name}` is not a ROS 2 name: {reason}")]
 pub struct NameError {
-    /// The name as it was given.
+    /// The name as given.
     pub name: String,
     /// What is wrong with it.
     pub reason: &'static str,
@@ -23,10 +23,10 @@ pub struct NodeName {
 }
 
 impl NodeName {
-    /// From a namespace (`/`, `/rig1`, or `rig1` for `/rig1`) and a base name.
+    /// Creates a name from a namespace (`/`, `/rig1`, or `rig1` for `/rig1`) and a base name.
     ///
     /// # Errors
-    /// Characters or slashes that a ROS 2 name cannot have.
+    /// [`NameError`] for characters or slashes that ROS 2 does not allow.
     pub fn new(namespace: &str, name: &str) -> Result<Self, NameError> {
         let namespace =
             if namespace.starts_with('/') { namespace.to_owned() } else { format!("/{namespace}") };
@@ -37,25 +37,25 @@ impl NodeName {
         Ok(Self { namespace, name: name.to_owned() })
     }
 
-    /// `/` or `/rig1`.
+    /// The namespace: `/` or `/rig1`.
     pub fn namespace(&self) -> &str {
         &self.namespace
     }
 
-    /// The base name.
+    /// The base name: `pose_fusion`.
     pub fn base(&self) -> &str {
         &self.name
     }
 
-    /// `/rig1/pose_fusion`.
+    /// The full name: `/rig1/pose_fusion`.
     pub fn fully_qualified(&self) -> String {
         join(&self.namespace, &self.name)
     }
 
-    /// The absolute name that a topic, service or parameter topic `name` has for this node, before remaps.
+    /// Absolute name of this node's topic or service `name`, before remaps.
     ///
     /// # Errors
-    /// A name that cannot be.
+    /// [`NameError`] if `name` is invalid.
     pub fn expand(&self, name: &str) -> Result<String, NameError> {
         let wrong = |reason| NameError { name: name.to_owned(), reason };
         if name.is_empty() {
@@ -102,33 +102,39 @@ fn check_token(whole: &str, token: &str) -> Result<(), NameError> {
 
 fn check_absolute(name: &str) -> Result<(), NameError> {
     let Some(rest) = name.strip_prefix('/') else {
-        return Err(NameError { name: name.to_owned(), reason: "an absolute name begins with `/`" });
+        return Err(NameError {
+            name: name.to_owned(),
+            reason: "an absolute name begins with `/`",
+        });
     };
     rest.split('/').try_for_each(|token| check_token(name, token))
 }
 
-/// `from:=to`, where asked for only for the node of one name.
+/// Remap rule `from:=to`, for one node or all.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Remap {
-    /// Base name of the node that the rule is for; `None` for every node of the process.
+    /// Base name of the node; `None` for every node of the process.
     pub node: Option<String>,
     /// The name in the code: relative, absolute or private.
     pub from: String,
-    /// The name on the wire.
+    /// The name in the graph.
     pub to: String,
 }
 
-/// The absolute name on the wire: [`NodeName::expand`], then the first rule that fits.
+/// Absolute name of a topic or service: [`NodeName::expand`], then the first matching rule.
 ///
 /// # Errors
-/// A name, or the target of the rule that fits, that cannot be.
+/// [`NameError`] if `name` or the target of the matching rule is invalid.
 pub fn resolve(node: &NodeName, remaps: &[Remap], name: &str) -> Result<String, NameError> {
     let expanded = node.expand(name)?;
     for rule in remaps {
         if rule.node.as_deref().is_some_and(|only| only != node.base()) {
             continue;
         }
-        let from = rule.from.strip_prefix("rostopic://").or_else(|| rule.from.strip_prefix("rosservice://"));
+        let from = rule
+            .from
+            .strip_prefix("rostopic://")
+            .or_else(|| rule.from.strip_prefix("rosservice://"));
         if node.expand(from.unwrap_or(&rule.from)).is_ok_and(|from| from == expanded) {
             return node.expand(&rule.to);
         }
@@ -159,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_name_is_refused_with_a_reason() {
+    fn invalid_names_are_rejected() {
         let node = NodeName::new("/", "imu").unwrap();
         for name in ["", "/", "a//b", "a/", "1a", "a b", "a__b", "~x", "ä"] {
             assert!(node.expand(name).is_err(), "{name}");
@@ -169,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_rule_that_fits_counts_and_rules_of_other_nodes_do_not() {
+    fn the_first_matching_rule_applies_and_rules_of_other_nodes_do_not() {
         let node = NodeName::new("/rig1", "fusion").unwrap();
         let rule = |node: Option<&str>, from: &str, to: &str| Remap {
             node: node.map(str::to_owned),

@@ -1,12 +1,12 @@
-//! Quality of service: three presets, each of which can be overridden by parameters, topic by topic.
+//! Quality of service: presets, and parameters that override them topic by topic.
 //!
-//! `qos_overrides.<topic>.publisher.reliability`, `.durability`, `.depth` (and `.subscription.…`), with the absolute
-//! topic, as rclcpp has them. A fourth, `.max_samples`, bounds what a reliable publisher keeps for readers that do not
-//! answer.
+//! The parameters are rclcpp's: `qos_overrides.<topic>.publisher.reliability`, `.durability`,
+//! `.depth` (and `.subscription.…`), with the absolute topic. A fourth one, `.max_samples`, bounds
+//! what a reliable publisher keeps for readers that do not acknowledge.
 
 use crate::parameters::{Descriptor, ParameterKind, ParameterValue};
 
-/// Who asks: the names of the parameters differ.
+/// Kind of endpoint; the names of the parameters differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Endpoint {
     /// A publisher.
@@ -24,46 +24,54 @@ impl Endpoint {
     }
 }
 
-/// What a topic is for; that decides how it is sent.
+/// Purpose of a topic, which determines its QoS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum QosPreset {
-    /// Images and camera info: best effort, the last 4. A subscription takes reliable publishers too.
+    /// Images: best effort, the last 4. A subscription matches reliable publishers too.
     Image,
-    /// Inertial samples and other fast streams whose next value is worth more than a repeated old one: best effort, the
-    /// last 100 (0.25 s of them).
+    /// Camera info, sent with the images: as [`Image`](Self::Image).
+    CameraInfo,
+    /// Inertial samples and other fast streams in which a new value is worth more than a repeated
+    /// one: best effort, the last 100 (0.25 s at 400 Hz).
     Sensor,
     /// Poses, transforms, diagnostics: reliable, the last 10 (a subscription queues 100).
     State,
-    /// What is measured on one computer and used on another, such as markers: offered reliably for who must have all of it, taken best
-    /// effort, because waiting for one that was lost holds the later ones up, and they tell more than it does.
+    /// Measurements of one computer used on another, such as markers: published reliably for
+    /// recorders, subscribed best effort, because waiting for a lost one delays newer ones, which
+    /// are worth more.
     ///
-    /// RustDDS 0.15 keeps samples for a best-effort reader as if it might still acknowledge them, so fewer are kept here than of a
-    /// [`State`](Self::State): a rate of 80 Hz outlives the lease of a reader that was killed.
+    /// RustDDS 0.15.1 keeps samples for a best-effort reader as for one that acknowledges, so fewer
+    /// are kept than of a [`State`](Self::State): enough at 80 Hz for the lease of a reader that
+    /// was killed.
     Measurement,
-    /// What late joiners must get, such as `/tf_static`: reliable, transient local, the last one of each publisher.
+    /// State for late joiners, such as `/tf_static`: reliable, transient local, the last message of
+    /// each publisher.
     Latched,
 }
 
 /// The quality of service of one publisher or subscription.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Qos {
-    /// Sent again until it is acknowledged.
+    /// Messages are repeated until they are acknowledged.
     pub reliable: bool,
-    /// Kept for late joiners.
+    /// Messages are kept for late joiners.
     pub transient_local: bool,
     /// Messages kept, at least one; for a subscription, how many wait in the node's inbox.
     pub depth: usize,
-    /// Most samples that a reliable publisher keeps for readers that do not acknowledge. When it is full a publication
-    /// fails (and is counted); it never blocks. A reader that was killed is only noticed when its lease is over
-    /// (10 s for Cyclone DDS, 20 s for Fast DDS, 50 s for RustDDS), and until then it holds all samples back.
+    /// Samples that a reliable publisher keeps for readers that do not acknowledge. When they are
+    /// full, publishing fails, is counted and never blocks. A reader that was killed holds all
+    /// samples back until its lease is over (10 s for Cyclone DDS, 20 s for Fast DDS, 50 s for
+    /// RustDDS).
     pub max_samples: usize,
 }
 
 impl QosPreset {
-    /// Its values.
+    /// The QoS of this preset.
     pub const fn qos(self, endpoint: Endpoint) -> Qos {
         match (self, endpoint) {
-            (Self::Image, _) => Qos { reliable: false, transient_local: false, depth: 4, max_samples: 4 },
+            (Self::Image | Self::CameraInfo, _) => {
+                Qos { reliable: false, transient_local: false, depth: 4, max_samples: 4 }
+            }
             (Self::Sensor, _) => {
                 Qos { reliable: false, transient_local: false, depth: 100, max_samples: 100 }
             }
@@ -88,7 +96,8 @@ impl QosPreset {
 }
 
 impl Qos {
-    /// The parameters that override this for the topic of this absolute name, with the values here as defaults.
+    /// Descriptors of the parameters that override this QoS for a topic (absolute name); the
+    /// defaults are the values of `self`.
     pub fn descriptors(&self, topic: &str, endpoint: Endpoint) -> Vec<Descriptor> {
         let end = endpoint.name();
         let name = |policy: &str| format!("qos_overrides.{topic}.{end}.{policy}");
@@ -131,7 +140,7 @@ impl Qos {
         all
     }
 
-    /// With one override; `name` is that of a descriptor from [`Qos::descriptors`].
+    /// Applies one override; `name` is the name of a descriptor of [`Qos::descriptors`].
     #[must_use]
     pub fn with(mut self, name: &str, value: &ParameterValue) -> Self {
         let count = |value: &ParameterValue| match value {
@@ -140,7 +149,9 @@ impl Qos {
         };
         match (name.rsplit('.').next(), value) {
             (Some("reliability"), ParameterValue::String(s)) => self.reliable = s == "reliable",
-            (Some("durability"), ParameterValue::String(s)) => self.transient_local = s == "transient_local",
+            (Some("durability"), ParameterValue::String(s)) => {
+                self.transient_local = s == "transient_local"
+            }
             (Some("depth"), _) => self.depth = count(value).unwrap_or(self.depth),
             (Some("max_samples"), _) => self.max_samples = count(value).unwrap_or(self.max_samples),
             _ => {}
@@ -155,7 +166,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_policy_can_be_overridden_by_the_parameter_that_describes_it() {
+    fn every_policy_is_overridden_by_its_parameter() {
         let base = QosPreset::State.qos(Endpoint::Publisher);
         let descriptors = base.descriptors("/volant/odometry", Endpoint::Publisher);
         assert_eq!(descriptors[0].name, "qos_overrides./volant/odometry.publisher.reliability");
@@ -164,8 +175,14 @@ mod tests {
             .fold(base, |qos, d| d.default.as_ref().map_or(qos, |value| qos.with(&d.name, value)));
         assert_eq!(unchanged, base);
         let changed = base
-            .with("qos_overrides./x.publisher.reliability", &ParameterValue::String("best_effort".into()))
-            .with("qos_overrides./x.publisher.durability", &ParameterValue::String("transient_local".into()))
+            .with(
+                "qos_overrides./x.publisher.reliability",
+                &ParameterValue::String("best_effort".into()),
+            )
+            .with(
+                "qos_overrides./x.publisher.durability",
+                &ParameterValue::String("transient_local".into()),
+            )
             .with("qos_overrides./x.publisher.depth", &ParameterValue::Integer(20_000));
         assert_eq!(
             changed,

@@ -1,4 +1,4 @@
-//! A node of this kit against a DDS peer that is not ours (PyPI `cyclonedds`), in processes of their own.
+//! Nodes of `node_kit` against a foreign DDS peer (PyPI `cyclonedds`), in processes of their own.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod common;
@@ -27,7 +27,8 @@ fn a_late_joiner_gets_the_static_transform_once() {
     let Some(python) = python() else { return };
     let _node = minimal(2, &[], &[]);
     std::thread::sleep(Duration::from_millis(500));
-    let (_, lines) = Running::peer(2, &python, &["hear", "/tf_static", "tf", "5", "1.5"]).finish(LONG);
+    let (_, lines) =
+        Running::peer(2, &python, &["receive", "/tf_static", "tf", "5", "1.5"]).finish(LONG);
     assert_eq!(lines.len(), 1, "{lines:?}");
     assert!(lines[0].contains(r#""child_frame_id": "minimal""#), "{lines:?}");
 }
@@ -37,15 +38,24 @@ fn sigterm_and_sigint_end_a_node_at_once_and_leave_no_ghost() {
     let Some(python) = python() else { return };
     for (domain, signal) in [(3, "TERM"), (4, "INT")] {
         let graph = Running::peer(domain, &python, &["graph", "30", "rt/"]);
-        let mut node =
-            minimal(domain, &["--ros-args", "-r", "__ns:=/rig1", "-r", "pose:=/elsewhere/pose"], &[]);
-        let seen = graph.line_with("rt/rig1/minimal/beats", LONG);
-        for topic in ["rt/elsewhere/pose", "rt/rig1/imu", "rt/rig1/echo", "rt/tf_static", "rt/rosout"] {
-            assert!(seen.contains(&format!("\"{topic}\"")), "{topic} in {seen}");
-        }
+        let mut node = minimal(
+            domain,
+            &["--ros-args", "-r", "__ns:=/rig1", "-r", "pose:=/elsewhere/pose"],
+            &[],
+        );
+        // Publications and subscriptions are discovered one after the other.
+        let topics = [
+            "\"rt/rig1/minimal/beats\"",
+            "\"rt/elsewhere/pose\"",
+            "\"rt/rig1/imu\"",
+            "\"rt/rig1/echo\"",
+            "\"rt/tf_static\"",
+            "\"rt/rosout\"",
+        ];
+        let seen = graph.line_with_all(&topics, LONG);
         assert!(!seen.contains("rt/clock") && !seen.contains("rt//"), "{seen}");
         node.signal(signal);
-        // `ros2 launch` on a terminal gives it a second one at once, which must not cut the end off.
+        // `ros2 launch` in a terminal sends a second one at once, which must not interrupt the end.
         node.signal(signal);
         assert!(node.wait(Duration::from_secs(1)).success());
         // The lease of a ghost is 50 s.
@@ -53,17 +63,18 @@ fn sigterm_and_sigint_end_a_node_at_once_and_leave_no_ghost() {
     }
 }
 
-/// RustDDS's threads end when the process was stopped and continued; the node joins anew.
+/// RustDDS's threads end when the process is stopped and continued; the node rejoins the domain.
 #[test]
-fn a_node_that_was_stopped_and_continued_speaks_again() {
+fn a_node_that_was_stopped_and_continued_publishes_again() {
     let Some(python) = python() else { return };
     let node = minimal(39, &[], &[]);
     let _ = Running::peer(39, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
     node.signal("STOP");
     std::thread::sleep(Duration::from_millis(300));
     node.signal("CONT");
-    node.line_with("joining the DDS domain anew", Duration::from_secs(5));
-    let (_, lines) = Running::peer(39, &python, &["echo", "/pose", "/echo", "pose", "20"]).finish(LONG);
+    node.line_with("rejoining the DDS domain", Duration::from_secs(5));
+    let (_, lines) =
+        Running::peer(39, &python, &["echo", "/pose", "/echo", "pose", "20"]).finish(LONG);
     assert_eq!(lines, ["20"]);
 }
 
@@ -72,7 +83,8 @@ fn diagnostics_name_the_topic_that_is_missing() {
     let Some(python) = python() else { return };
     let _node = minimal(5, &[], &[]);
     let (_, lines) =
-        Running::peer(5, &python, &["hear", "/diagnostics", "diagnostics", "1", "5"]).finish(LONG);
+        Running::peer(5, &python, &["receive", "/diagnostics", "diagnostics", "1", "5"])
+            .finish(LONG);
     assert!(
         lines[0].contains("nothing comes on /pose") && !lines[0].contains("nothing comes on /imu"),
         "{lines:?}"
@@ -87,7 +99,10 @@ fn parameters_and_lifecycle_are_served() {
     for (what, needles) in [
         ("list", vec![r#""beat""#, r#""use_sim_time""#, r#""markers.size""#, r#""markers""#]),
         ("get", vec![r#""type": 3"#, r#""double_value": 10.0"#, r#""type": 0"#]),
-        ("describe", vec!["Beats per second. [Hz]", r#""read_only": true"#, r#""to_value": 1000.0"#]),
+        (
+            "describe",
+            vec!["Beats per second. [Hz]", r#""read_only": true"#, r#""to_value": 1000.0"#],
+        ),
         ("set_live", vec![r#""successful": true"#]),
         ("set_fixed", vec![r#""successful": false"#, "`beat` cannot change"]),
         ("get_after", vec![r#""bool_value": true"#]),
@@ -104,40 +119,45 @@ fn parameters_and_lifecycle_are_served() {
             assert!(line.contains(needle), "{what}: {needle} in {line}");
         }
     }
-    // The topics are there again after the round.
-    let (_, lines) = Running::peer(6, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
+    // The topics work again afterwards.
+    let (_, lines) =
+        Running::peer(6, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
     assert_eq!(lines, ["5"]);
     drop(node);
 }
 
 #[test]
-fn a_node_that_does_not_start_itself_waits_without_topics() {
+fn a_node_without_autostart_waits_without_topics() {
     let Some(python) = python() else { return };
     let _node = minimal(7, &["--ros-args", "-p", "autostart:=false"], &[]);
     let graph = Running::peer(7, &python, &["graph", "2", "rt/"]);
     let (_, lines) = graph.finish(LONG);
     let last = lines.last().unwrap();
-    assert!(last.contains("rt/rosout") && !last.contains("rt/pose") && !last.contains("rt/echo"), "{last}");
+    assert!(
+        last.contains("rt/rosout") && !last.contains("rt/pose") && !last.contains("rt/echo"),
+        "{last}"
+    );
 }
 
 #[test]
 fn simulated_time_drives_stamps_and_timers() {
     let Some(python) = python() else { return };
     let _node = minimal(8, &["--ros-args", "-p", "use_sim_time:=true", "-p", "beat:=2.0"], &[]);
-    let beats = Running::peer(8, &python, &["hear", "/minimal/beats", "pose", "3", "15"]);
+    let beats = Running::peer(8, &python, &["receive", "/minimal/beats", "pose", "3", "15"]);
     std::thread::sleep(Duration::from_millis(500));
     // 6 s of simulated time in 1.2 s.
     Running::peer(8, &python, &["clock", "1000", "60"]).finish(LONG);
     let (_, lines) = beats.finish(LONG);
     assert_eq!(lines.len(), 3, "{lines:?}");
     for line in lines {
-        let sec: i64 = line.split(r#""sec": "#).nth(1).unwrap().split(',').next().unwrap().parse().unwrap();
+        let sec: i64 =
+            line.split(r#""sec": "#).nth(1).unwrap().split(',').next().unwrap().parse().unwrap();
         assert!((1000..=1006).contains(&sec), "{line}");
     }
 }
 
 #[test]
-fn wrong_command_lines_say_what_is_wrong_and_how_it_is_right() {
+fn errors_of_the_command_line_name_the_mistake_and_the_remedy() {
     for (arguments, code, needle) in [
         (vec!["--bet", "3"], 2, "did you mean `beat`"),
         (vec!["stray"], 2, "stray"),
@@ -154,12 +174,17 @@ fn wrong_command_lines_say_what_is_wrong_and_how_it_is_right() {
             .env("ROS_DOMAIN_ID", "9")
             .output()
             .unwrap();
-        let said = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
-        assert!(said.contains(needle), "{arguments:?}: {said}");
-        assert!(code == 0 || said.trim().lines().count() == 1, "{arguments:?}: {said}");
+        let output_text =
+            String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {output_text}");
+        assert!(output_text.contains(needle), "{arguments:?}: {output_text}");
+        assert!(
+            code == 0 || output_text.trim().lines().count() == 1,
+            "{arguments:?}: {output_text}"
+        );
     }
-    let output = Command::new(example("minimal_node")).env("ROS_DOMAIN_ID", "300").output().unwrap();
+    let output =
+        Command::new(example("minimal_node")).env("ROS_DOMAIN_ID", "300").output().unwrap();
     assert_eq!(output.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&output.stderr).contains("ROS_DOMAIN_ID=300"));
 }

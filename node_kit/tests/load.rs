@@ -1,4 +1,4 @@
-//! What a node costs, and what a subscriber that dies costs it.
+//! Resources of an idle node, and of a publisher whose subscriber is killed.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod common;
@@ -26,7 +26,8 @@ fn a_subscriber_killed_while_images_flow_costs_neither_memory_nor_time() {
     let Some(python) = python() else { return };
     for (domain, reliability) in [(12, "best_effort"), (13, "reliable")] {
         let setting = format!("qos_overrides./image.publisher.reliability:={reliability}");
-        let source = Running::start(domain, &example("image_source"), &["--ros-args", "-p", &setting], &[]);
+        let source =
+            Running::start(domain, &example("image_source"), &["--ros-args", "-p", &setting], &[]);
         let watcher = Running::peer(domain, &python, &["watch", "/image", "image", reliability]);
         watcher.line_with("first", LONG);
         source.line_with("subscribers=1", LONG);
@@ -37,16 +38,20 @@ fn a_subscriber_killed_while_images_flow_costs_neither_memory_nor_time() {
         std::thread::sleep(Duration::from_secs(4));
         let after = source.memory();
         let lines = source.lines_so_far();
-        let number = |line: &str, name: &str| line.split(name).nth(1)?.split(' ').next()?.parse::<u64>().ok();
+        let number = |line: &str, name: &str| {
+            line.split(name).nth(1)?.split(' ').next()?.parse::<u64>().ok()
+        };
         let most = |name| lines.iter().filter_map(|l| number(l, name)).max().unwrap();
-        let (longest, published, held_up) = (most("longest_us="), most("published="), most("held_up="));
+        let (longest, published, held_up) =
+            (most("longest_us="), most("published="), most("held_up="));
         eprintln!(
-            "{reliability}: {before} kB before, {after} kB after, longest publication {longest} us, {held_up} of {published} blocked for \
-             more than 1 ms"
+            "{reliability}: {before} kB before, {after} kB after, longest publication {longest} \
+             us, {held_up} of {published} blocked for more than 1 ms"
         );
         assert!(after < before + 50 * 1024, "{reliability}: {before} -> {after} kB");
-        // A publisher that waited for the dead subscriber would be blocked by every one of the hundred images since. Time in which
-        // others had the processor does not count; a lock whose holder lost it meanwhile does, so that a few may be held up.
+        // A publisher that waited for the killed subscriber would be blocked by each of the hundred
+        // images since. Time ready to run does not count as blocked; a lock whose holder is
+        // preempted does, so a few may be held up.
         assert!(
             published > 100 && held_up * 20 <= published,
             "{reliability}: {held_up} of {published} blocked"

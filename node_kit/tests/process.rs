@@ -1,63 +1,82 @@
-//! Several nodes in one process: the same `Arc` for subscribers inside, DDS for those outside, each message once.
+//! Several nodes in one process: the same `Arc` for subscribers inside, DDS for those outside, each
+//! message once.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
+mod common;
+
 use node_kit::{
-    Kit, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments, environment::Network,
+    NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments,
+    environment::Network,
 };
 use std::{
-    sync::{Arc, Mutex, mpsc},
+    sync::{Arc, mpsc},
     time::Duration,
 };
 use volant_msgs::{sensor_msgs::msg::Image, std_msgs::msg::Header};
 
-/// Who, and what it had in its hands.
+/// Name of the node, and the image that it published or received.
 type Report = (&'static str, Arc<Image>);
+type Reports = mpsc::SyncSender<Report>;
 
-/// Serial: the tests share what the shells report to.
-static REPORTS: Mutex<Option<mpsc::SyncSender<Report>>> = Mutex::new(None);
-static SERIAL: Mutex<()> = Mutex::new(());
-
-fn report(who: &'static str, image: Arc<Image>) {
-    if let Some(sender) = &*REPORTS.lock().unwrap() {
-        let _ = sender.try_send((who, image));
-    }
+struct Source {
+    images: Publisher<Image>,
+    number: u32,
+    reports: Option<Reports>,
 }
 
-struct Source(Publisher<Image>, u32);
+impl Source {
+    fn new(context: &mut NodeContext<()>, reports: Option<Reports>) -> Result<Self, NodeError> {
+        context.timer(Duration::from_millis(20), || ());
+        Ok(Self { images: context.advertise("image", QosPreset::Image)?, number: 0, reports })
+    }
+}
 
 impl NodeShell for Source {
     const NAME: &'static str = "source";
     type Parameters = ();
     type Input = ();
 
-    fn start(kit: &mut Kit<()>, (): ()) -> Result<Self, NodeError> {
-        kit.timer(Duration::from_millis(20), || ());
-        Ok(Self(kit.advertise("image", QosPreset::Image)?, 0))
+    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
+        Self::new(context, None)
     }
 
-    fn handle(&mut self, _: &mut Kit<()>, (): ()) {
-        self.1 += 1;
-        let image = Arc::new(Image { width: self.1, data: vec![7; 100_000], ..Image::default() });
-        report("source", Arc::clone(&image));
-        self.0.publish_shared(image);
+    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
+        self.number += 1;
+        let image =
+            Arc::new(Image { width: self.number, data: vec![7; 100_000], ..Image::default() });
+        if let Some(reports) = &self.reports {
+            let _ = reports.try_send(("source", Arc::clone(&image)));
+        }
+        self.images.publish_shared(image);
     }
 }
 
-struct Sink;
+struct Sink(Option<Reports>);
+
+impl Sink {
+    fn new(
+        context: &mut NodeContext<Arc<Image>>,
+        reports: Option<Reports>,
+    ) -> Result<Self, NodeError> {
+        context.subscribe("image", QosPreset::Image, Some)?;
+        Ok(Self(reports))
+    }
+}
 
 impl NodeShell for Sink {
     const NAME: &'static str = "sink";
     type Parameters = ();
     type Input = Arc<Image>;
 
-    fn start(kit: &mut Kit<Arc<Image>>, (): ()) -> Result<Self, NodeError> {
-        kit.subscribe("image", QosPreset::Image, Some)?;
-        Ok(Self)
+    fn start(context: &mut NodeContext<Arc<Image>>, (): ()) -> Result<Self, NodeError> {
+        Self::new(context, None)
     }
 
-    fn handle(&mut self, kit: &mut Kit<Arc<Image>>, image: Arc<Image>) {
-        let who = if kit.name().base() == "outside" { "outside" } else { "inside" };
-        report(who, image);
+    fn handle(&mut self, context: &mut NodeContext<Arc<Image>>, image: Arc<Image>) {
+        let who = if context.name().base() == "outside" { "outside" } else { "inside" };
+        if let Some(reports) = &self.0 {
+            let _ = reports.try_send((who, image));
+        }
     }
 }
 
@@ -68,13 +87,13 @@ impl NodeShell for Broken {
     type Parameters = ();
     type Input = ();
 
-    fn start(kit: &mut Kit<()>, (): ()) -> Result<Self, NodeError> {
-        kit.timer(Duration::from_millis(1), || ());
+    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
+        context.timer(Duration::from_millis(1), || ());
         Ok(Self)
     }
 
-    fn handle(&mut self, _: &mut Kit<()>, (): ()) {
-        panic!("as the test wants it");
+    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
+        panic!("on purpose");
     }
 }
 
@@ -85,12 +104,12 @@ impl NodeShell for OtherType {
     type Parameters = ();
     type Input = Arc<Header>;
 
-    fn start(kit: &mut Kit<Arc<Header>>, (): ()) -> Result<Self, NodeError> {
-        kit.subscribe("image", QosPreset::State, Some)?;
+    fn start(context: &mut NodeContext<Arc<Header>>, (): ()) -> Result<Self, NodeError> {
+        context.subscribe("image", QosPreset::State, Some)?;
         Ok(Self)
     }
 
-    fn handle(&mut self, _: &mut Kit<Arc<Header>>, _: Arc<Header>) {}
+    fn handle(&mut self, _: &mut NodeContext<Arc<Header>>, _: Arc<Header>) {}
 }
 
 fn network(domain_id: u16) -> Network {
@@ -99,27 +118,32 @@ fn network(domain_id: u16) -> Network {
 
 #[test]
 fn inside_it_is_the_same_image_outside_a_copy_and_each_comes_once() {
-    let _serial = SERIAL.lock().unwrap_or_else(|e| e.into_inner());
     let (sender, reports) = mpsc::sync_channel(1000);
-    *REPORTS.lock().unwrap() = Some(sender);
+    let to = || Some(sender.clone());
+    let sink = || {
+        let reports = to();
+        move |context: &mut NodeContext<_>, ()| Sink::new(context, reports.clone())
+    };
+    let reports_of_source = to();
     let arguments = RosArguments::default();
     let mut inside = Process::new(network(21)).unwrap();
-    inside.start::<Sink>(&arguments).unwrap();
-    inside.start::<Source>(&arguments).unwrap();
-    // Another participant: as if it were another process.
+    inside.start_with(&arguments, sink()).unwrap();
+    inside
+        .start_with(&arguments, move |context, ()| Source::new(context, reports_of_source.clone()))
+        .unwrap();
+    // Another participant, like another process.
     let mut outside = Process::new(network(21)).unwrap();
     let mut renamed = RosArguments::default();
     renamed.remap("__node", "outside");
-    outside.start::<Sink>(&renamed).unwrap();
+    outside.start_with(&renamed, sink()).unwrap();
     std::thread::sleep(Duration::from_millis(1500));
     drop(inside);
     drop(outside);
-    *REPORTS.lock().unwrap() = None;
     let all: Vec<_> = reports.try_iter().collect();
     let of = |who| all.iter().filter(|(w, _)| *w == who).map(|(_, i)| i).collect::<Vec<_>>();
     let (source, inside, outside) = (of("source"), of("inside"), of("outside"));
     assert!(source.len() > 30, "{}", source.len());
-    // Same images in the same order; the last may have come after the end.
+    // Same images in the same order; the last may have arrived after the end.
     assert!(source.len() - inside.len() <= 1, "{} of {}", inside.len(), source.len());
     assert!(inside.iter().zip(&source).all(|(a, b)| Arc::ptr_eq(a, b)));
     assert!(outside.len() > 20, "{} of {}", outside.len(), source.len());
@@ -134,17 +158,15 @@ fn inside_it_is_the_same_image_outside_a_copy_and_each_comes_once() {
 
 #[test]
 fn a_node_that_breaks_is_named_and_ends_the_process_in_order() {
-    let _serial = SERIAL.lock().unwrap_or_else(|e| e.into_inner());
     let mut process = Process::new(network(22)).unwrap();
     process.start::<Source>(&RosArguments::default()).unwrap();
     process.start::<Broken>(&RosArguments::default()).unwrap();
     let error = process.wait().unwrap_err().to_string();
-    assert!(error.contains("/broken") && error.contains("as the test wants it"), "{error}");
+    assert!(error.contains("/broken") && error.contains("on purpose"), "{error}");
 }
 
 #[test]
 fn a_topic_has_one_type_in_a_process() {
-    let _serial = SERIAL.lock().unwrap_or_else(|e| e.into_inner());
     let mut process = Process::new(network(23)).unwrap();
     process.start::<Source>(&RosArguments::default()).unwrap();
     let error = process.start::<OtherType>(&RosArguments::default()).unwrap_err().to_string();
@@ -153,7 +175,6 @@ fn a_topic_has_one_type_in_a_process() {
 
 #[test]
 fn a_stopper_ends_all_nodes() {
-    let _serial = SERIAL.lock().unwrap_or_else(|e| e.into_inner());
     let mut process = Process::new(network(24)).unwrap();
     process.start::<Source>(&RosArguments::default()).unwrap();
     process.start::<Sink>(&RosArguments::default()).unwrap();
@@ -166,33 +187,19 @@ fn a_stopper_ends_all_nodes() {
     stopping.join().unwrap();
 }
 
-/// ros2-client's own client speaks as Fast DDS's does: the identity of a request travels beside it.
+/// ros2-client's own client has the wire format of Fast DDS: a request's identity beside it.
 #[test]
 fn services_answer_clients_of_fast_dds_too() {
-    use ros2_client::{
-        Context, Name, NodeName, NodeOptions, QosProfile, ServiceMapping, ServiceTypeName,
-        qos::WhenFull,
-        rcl_interfaces::{GetParametersRequest, GetParametersResponse},
-    };
-    let _serial = SERIAL.lock().unwrap_or_else(|e| e.into_inner());
+    use ros2_client::rcl_interfaces::{GetParametersRequest, GetParametersResponse};
     let mut process = Process::new(network(25)).unwrap();
     process.start::<Source>(&RosArguments::default()).unwrap();
 
-    let participant = rustdds::DomainParticipantBuilder::new(25).build().unwrap();
-    let context = Context::from_domain_participant(participant).unwrap();
-    let mut node = context
-        .new_node(NodeName::new("/", "client").unwrap(), NodeOptions::new().enable_rosout(false))
-        .unwrap();
-    let qos = QosProfile::publisher_default().reliability_reliable(WhenFull::Fail);
-    let client = node
-        .create_client::<GetParametersRequest, GetParametersResponse>(
-            ServiceMapping::Enhanced,
-            &Name::parse("/source/get_parameters").unwrap(),
-            &ServiceTypeName::new("rcl_interfaces", "GetParameters"),
-            qos.clone(),
-            qos,
-        )
-        .unwrap();
+    let mut node = common::client_node(25);
+    let client = common::client::<GetParametersRequest, GetParametersResponse>(
+        &mut node,
+        "/source/get_parameters",
+        "GetParameters",
+    );
     let names = vec!["autostart".to_owned(), "frames.world".to_owned(), "no_such".to_owned()];
     let answer = (0..100).find_map(|round| {
         // Until both sides have found each other, requests go nowhere.

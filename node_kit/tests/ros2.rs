@@ -1,37 +1,30 @@
-//! A node of this kit before ROS 2 itself: rclpy on Fast DDS, which is what the `ros2` command line is made of.
+//! Nodes of `node_kit` against ROS 2 itself: rclpy on Fast DDS, as the `ros2` command line uses it.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod common;
 
-use common::{Running, example, python};
+use common::{Running, example};
 use std::{
     path::{Path, PathBuf},
-    process::Command,
     time::Duration,
 };
 
 const LONG: Duration = Duration::from_secs(40);
 
-/// The Python of the tests, if rclpy is in it.
+/// The tests' Python, if it has rclpy.
 fn rclpy() -> Option<PathBuf> {
-    let python = python()?;
-    let there = Command::new(&python).args(["-c", "import rclpy"]).output().is_ok_and(|o| o.status.success());
-    if !there {
-        eprintln!("skipped: {} has no rclpy", python.display());
-    }
-    there.then_some(python)
+    test_support::python("rclpy")
 }
 
 fn peer(domain: u16, python: &Path, arguments: &[&str]) -> Running {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/ros2_peer.py");
     let mut all = vec![script.to_str().unwrap()];
     all.extend(arguments);
-    // Shared memory of Fast DDS would pass between two of its own only.
     Running::start(domain, python, &all, &[])
 }
 
-/// The line that the peer says.
-fn said(domain: u16, python: &Path, arguments: &[&str]) -> String {
+/// The JSON line that the peer prints.
+fn output(domain: u16, python: &Path, arguments: &[&str]) -> String {
     let (status, lines) = peer(domain, python, arguments).finish(LONG);
     assert!(status.success(), "{arguments:?}: {lines:?}");
     lines.into_iter().find(|l| l.starts_with('{')).unwrap()
@@ -40,8 +33,9 @@ fn said(domain: u16, python: &Path, arguments: &[&str]) -> String {
 #[test]
 fn the_graph_is_that_of_any_node() {
     let Some(python) = rclpy() else { return };
-    let _node = Running::start(41, &example("minimal_node"), &["--ros-args", "-r", "__ns:=/rig1"], &[]);
-    let line = said(41, &python, &["look", "/rig1/minimal"]);
+    let _node =
+        Running::start(41, &example("minimal_node"), &["--ros-args", "-r", "__ns:=/rig1"], &[]);
+    let line = output(41, &python, &["look", "/rig1/minimal"]);
     for needle in [
         r#""/rig1/echo": ["geometry_msgs/msg/PoseWithCovarianceStamped"]"#,
         r#""/rig1/pose": ["geometry_msgs/msg/PoseWithCovarianceStamped"]"#,
@@ -62,51 +56,66 @@ fn parameters_are_listed_described_dumped_and_set() {
     let Some(python) = rclpy() else { return };
     let node = Running::start(42, &example("minimal_node"), &[], &[]);
     for times in ["1", "20"] {
-        let line = said(42, &python, &["parameters", "/minimal", times]);
+        let line = output(42, &python, &["parameters", "/minimal", times]);
         assert!(line.contains(r#""described": true"#), "{line}");
         let number = |key: &str| -> f64 {
             let rest = line.split(&format!("\"{key}\": ")).nth(1).unwrap();
             rest.split([',', '}']).next().unwrap().parse().unwrap()
         };
-        eprintln!("{} parameters in one request: {:.1} ms", number("asked"), number("seconds") * 1e3);
-        assert_eq!(number("asked"), number("values"));
-        assert!(number("asked") >= 20.0 * times.parse::<f64>().unwrap());
-        assert!(line.contains(r#""beat": 10.0"#) && line.contains("Beats per second. [Hz]"), "{line}");
+        eprintln!(
+            "{} parameters in one request: {:.1} ms",
+            number("requested"),
+            number("seconds") * 1e3
+        );
+        assert_eq!(number("requested"), number("values"));
+        assert!(number("requested") >= 20.0 * times.parse::<f64>().unwrap());
+        assert!(
+            line.contains(r#""beat": 10.0"#) && line.contains("Beats per second. [Hz]"),
+            "{line}"
+        );
     }
-    // More than a datagram holds is refused with a word, and the node goes on.
+    // A reply larger than a datagram is refused with a log line, and the node continues.
     let (status, _) = peer(42, &python, &["parameters", "/minimal", "100"]).finish(LONG);
     assert!(!status.success());
     node.line_with("more than a datagram holds", LONG);
 
-    let line = said(42, &python, &["set", "/minimal", "talk", "true"]);
+    let line = output(42, &python, &["set", "/minimal", "talk", "true"]);
     assert!(line.contains(r#""successful": true"#), "{line}");
-    let line = said(42, &python, &["set", "/minimal", "autostart", "false"]);
+    let line = output(42, &python, &["set", "/minimal", "autostart", "false"]);
     assert!(line.contains(r#""successful": false"#) && line.contains("cannot change"), "{line}");
 }
 
 #[test]
-fn the_lifecycle_is_steered() {
+fn the_lifecycle_changes_state() {
     let Some(python) = rclpy() else { return };
     let _node = Running::start(43, &example("minimal_node"), &[], &[]);
     assert_eq!(
-        said(43, &python, &["lifecycle", "/minimal"]),
-        r#"{"state": "active", "transitions": ["deactivate", "shutdown"], "deactivated": true, "then": "inactive", "activated": true, "at_last": "active"}"#
+        output(43, &python, &["lifecycle", "/minimal"]),
+        concat!(
+            r#"{"state": "active", "transitions": ["deactivate", "shutdown"], "#,
+            r#""deactivated": true, "then": "inactive", "activated": true, "at_last": "active"}"#
+        )
     );
 }
 
 #[test]
-fn messages_are_heard_at_their_rate_and_the_end_is_seen_at_once() {
+fn messages_arrive_at_their_rate_and_the_end_is_seen_at_once() {
     let Some(python) = rclpy() else { return };
     let node = Running::start(44, &example("minimal_node"), &["--beat", "50"], &[]);
-    let line =
-        said(44, &python, &["hear", "/minimal/beats", "geometry_msgs/PoseWithCovarianceStamped", "100"]);
-    let rate: f64 = line.split(r#""rate": "#).nth(1).unwrap().split(',').next().unwrap().parse().unwrap();
+    let line = output(
+        44,
+        &python,
+        &["receive", "/minimal/beats", "geometry_msgs/PoseWithCovarianceStamped", "100"],
+    );
+    let rate: f64 =
+        line.split(r#""rate": "#).nth(1).unwrap().split(',').next().unwrap().parse().unwrap();
     assert!((45.0..55.0).contains(&rate), "{line}");
     let watcher = peer(44, &python, &["gone", "/minimal", "20"]);
     watcher.line_with("there", LONG);
     node.signal("TERM");
     let line = watcher.line_with("gone", LONG);
-    let seconds: f64 = line.split(r#""seconds": "#).nth(1).unwrap().trim_end_matches('}').parse().unwrap();
+    let seconds: f64 =
+        line.split(r#""seconds": "#).nth(1).unwrap().trim_end_matches('}').parse().unwrap();
     eprintln!("gone from the graph of Fast DDS after {seconds:.3} s");
     assert!(line.contains(r#""gone": true"#) && seconds < 1.0, "{line}");
 }

@@ -1,10 +1,13 @@
-"""ROS 2 itself (rclpy on Fast DDS): what `ros2 …` does with a node, one command a run, one JSON a line.
+"""ROS 2 itself (rclpy on Fast DDS) for the tests in ros2.rs: one `ros2 …` command a run, one JSON
+a line.
 
 ros2_peer.py look NODE                 node list, node info, topic list -t, service list -t
-ros2_peer.py parameters NODE N         param list, then describe and get of all of them, N times over in one request
+ros2_peer.py parameters NODE N         param list, then describe and get of all, N times over in
+                                       one request
 ros2_peer.py set NODE NAME true|false  param set
 ros2_peer.py lifecycle NODE            lifecycle get, list, set deactivate, get, set activate
-ros2_peer.py hear TOPIC PACKAGE/TYPE N topic echo of N messages, and the rate at which they came
+ros2_peer.py receive TOPIC PACKAGE/TYPE N
+                                       topic echo of N messages, and their rate
 ros2_peer.py gone NODE SECONDS         seconds until the node has left the graph
 """
 
@@ -61,18 +64,18 @@ def look(node, name):
 
 def parameters(node, name, times):
     names = call(node, ListParameters, f"{name}/list_parameters", ListParameters.Request())[0].result.names
-    asked = list(names) * int(times)
-    values, took_get = call(node, GetParameters, f"{name}/get_parameters", GetParameters.Request(names=asked))
+    requested = list(names) * int(times)
+    values, took_get = call(node, GetParameters, f"{name}/get_parameters", GetParameters.Request(names=requested))
     described, took_describe = call(
-        node, DescribeParameters, f"{name}/describe_parameters", DescribeParameters.Request(names=asked)
+        node, DescribeParameters, f"{name}/describe_parameters", DescribeParameters.Request(names=requested)
     )
     say(
         names=list(names),
-        asked=len(asked),
+        requested=len(requested),
         values=len(values.values),
-        described=[d.name for d in described.descriptors] == asked,
+        described=[d.name for d in described.descriptors] == requested,
         seconds=max(took_get, took_describe),
-        beat=next(v.double_value for n, v in zip(asked, values.values) if n == "beat"),
+        beat=next(v.double_value for n, v in zip(requested, values.values) if n == "beat"),
         about_beat=next(d.description for d in described.descriptors if d.name == "beat"),
     )
 
@@ -106,7 +109,7 @@ def lifecycle(node, name):
     )
 
 
-def hear(node, topic, kind, count):
+def receive(node, topic, kind, count):
     package, name = kind.split("/")
     message = getattr(importlib.import_module(f"{package}.msg"), name)
     got = []
@@ -139,7 +142,7 @@ def main():
         "parameters": parameters,
         "set": set_parameter,
         "lifecycle": lifecycle,
-        "hear": hear,
+        "receive": receive,
         "gone": gone,
     }
     commands[sys.argv[1]](node, *sys.argv[2:])

@@ -1,27 +1,24 @@
-//! DDS security: who is not in the keystore reads nothing and is not heard. Needs `--features security` and the `openssl` program.
+//! DDS security: a participant without a key of the keystore receives nothing and is not received.
+//! Needs `--features security` and the `openssl` program.
 #![cfg(feature = "security")]
 
 use node_kit::{
     RosArguments,
     environment::{Network, Security},
-    node::{Kit, NodeError, NodeShell, Process},
+    node::{NodeContext, NodeError, NodeShell, Process},
     qos::QosPreset,
 };
+use parking_lot::Mutex;
 use std::{
     path::{Path, PathBuf},
     process::Command,
-    sync::{Arc, Mutex, PoisonError},
+    sync::Arc,
     time::Duration,
 };
 use volant_msgs::std_msgs::msg::Header;
 
-/// What each listener heard: its own name, and the talker's.
-static HEARD: Mutex<Vec<(String, String)>> = Mutex::new(Vec::new());
-
-fn heard(listener: &str, talker: &str) -> usize {
-    let heard = HEARD.lock().unwrap_or_else(PoisonError::into_inner);
-    heard.iter().filter(|(l, t)| l == listener && t == talker).count()
-}
+/// Received messages: name of the listener, name of the talker.
+type Received = Arc<Mutex<Vec<(String, String)>>>;
 
 struct Talker(node_kit::node::Publisher<Header>, String);
 
@@ -30,32 +27,33 @@ impl NodeShell for Talker {
     type Parameters = ();
     type Input = ();
 
-    fn start(kit: &mut Kit<()>, (): ()) -> Result<Self, NodeError> {
-        kit.timer(Duration::from_millis(50), || ());
-        let name = kit.name().base().to_owned();
-        Ok(Self(kit.advertise("/secret", QosPreset::State)?, name))
+    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
+        context.timer(Duration::from_millis(50), || ());
+        let name = context.name().base().to_owned();
+        Ok(Self(context.advertise("/secret", QosPreset::State)?, name))
     }
 
-    fn handle(&mut self, _: &mut Kit<()>, (): ()) {
+    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
         self.0.publish(Header { frame_id: self.1.clone(), ..Header::default() });
     }
 }
 
-struct Listener(String);
+struct Listener(String, Received);
+
+impl Listener {
+    fn new(context: &mut NodeContext<Arc<Header>>, received: &Received) -> Result<Self, NodeError> {
+        context.subscribe("/secret", QosPreset::State, Some)?;
+        Ok(Self(context.name().base().to_owned(), Arc::clone(received)))
+    }
+}
 
 impl NodeShell for Listener {
     const NAME: &'static str = "listener";
     type Parameters = ();
     type Input = Arc<Header>;
 
-    fn start(kit: &mut Kit<Arc<Header>>, (): ()) -> Result<Self, NodeError> {
-        kit.subscribe("/secret", QosPreset::State, Some)?;
-        Ok(Self(kit.name().base().to_owned()))
-    }
-
-    fn handle(&mut self, _: &mut Kit<Arc<Header>>, message: Arc<Header>) {
-        let mut heard = HEARD.lock().unwrap_or_else(PoisonError::into_inner);
-        heard.push((self.0.clone(), message.frame_id.clone()));
+    fn handle(&mut self, _: &mut NodeContext<Arc<Header>>, message: Arc<Header>) {
+        self.1.lock().push((self.0.clone(), message.frame_id.clone()));
     }
 }
 
@@ -69,43 +67,58 @@ fn keystore(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     let _ = std::fs::remove_dir_all(&folder);
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../launch_config/setup/make-keystore");
-    let status = Command::new(script).arg(&folder).args(["/rig/climber", "/rig/platform"]).status().unwrap();
+    let status =
+        Command::new(script).arg(&folder).args(["/rig/climber", "/rig/platform"]).status().unwrap();
     assert!(status.success());
     folder
 }
 
-fn join(name: &str, security: Option<Security>) -> Process {
-    let mut process = Process::new(Network { domain_id: 31, security, ..Network::default() }).unwrap();
+fn join(name: &str, security: Option<Security>, received: &Received) -> Process {
+    let mut process =
+        Process::new(Network { domain_id: 31, security, ..Network::default() }).unwrap();
     process.start::<Talker>(&named(&format!("{name}_talker"))).unwrap();
-    process.start::<Listener>(&named(&format!("{name}_listener"))).unwrap();
+    let received = Arc::clone(received);
+    process
+        .start_with(&named(&format!("{name}_listener")), move |context, ()| {
+            Listener::new(context, &received)
+        })
+        .unwrap();
     process
 }
 
 #[test]
-fn who_has_no_key_of_the_keystore_reads_and_injects_nothing() {
+fn a_participant_without_a_key_receives_and_injects_nothing() {
     let (ours, theirs) = (keystore("ours"), keystore("theirs"));
-    let climber = join("climber", Some(Security::enforced(&ours, "/rig/climber")));
-    let platform = join("platform", Some(Security::enforced(&ours, "/rig/platform")));
-    let nobody = join("nobody", None);
-    let stranger = join("stranger", Some(Security::enforced(&theirs, "/rig/climber")));
+    let messages = Received::default();
+    let received = |listener: &str, talker: &str| {
+        messages.lock().iter().filter(|(l, t)| l == listener && t == talker).count()
+    };
+    let climber = join("climber", Some(Security::enforced(&ours, "/rig/climber")), &messages);
+    let platform = join("platform", Some(Security::enforced(&ours, "/rig/platform")), &messages);
+    let nobody = join("nobody", None, &messages);
+    let stranger = join("stranger", Some(Security::enforced(&theirs, "/rig/climber")), &messages);
     for _ in 0..100 {
-        if heard("platform_listener", "climber_talker") > 20
-            && heard("climber_listener", "platform_talker") > 20
+        if received("platform_listener", "climber_talker") > 20
+            && received("climber_listener", "platform_talker") > 20
         {
             break;
         }
         std::thread::sleep(Duration::from_millis(200));
     }
     std::thread::sleep(Duration::from_secs(2));
-    // Those who may, hear each other; and everybody hears himself, so that the outsiders were at work.
-    assert!(heard("platform_listener", "climber_talker") > 20, "{:?}", HEARD.lock());
-    assert!(heard("climber_listener", "platform_talker") > 20);
+    // Members receive each other, and every participant receives itself, so the outsiders worked.
+    assert!(received("platform_listener", "climber_talker") > 20, "{:?}", messages.lock());
+    assert!(received("climber_listener", "platform_talker") > 20);
     for alone in ["nobody", "stranger"] {
-        assert!(heard(&format!("{alone}_listener"), &format!("{alone}_talker")) > 20);
+        assert!(received(&format!("{alone}_listener"), &format!("{alone}_talker")) > 20);
         for insider in ["climber", "platform"] {
-            assert_eq!(heard(&format!("{alone}_listener"), &format!("{insider}_talker")), 0, "{alone} reads");
             assert_eq!(
-                heard(&format!("{insider}_listener"), &format!("{alone}_talker")),
+                received(&format!("{alone}_listener"), &format!("{insider}_talker")),
+                0,
+                "{alone} reads"
+            );
+            assert_eq!(
+                received(&format!("{insider}_listener"), &format!("{alone}_talker")),
                 0,
                 "{alone} injects"
             );
@@ -117,6 +130,14 @@ fn who_has_no_key_of_the_keystore_reads_and_injects_nothing() {
 #[test]
 fn without_its_keys_an_enforced_process_does_not_start() {
     let security = Some(Security::enforced("/nowhere", "/rig/climber"));
-    let error = Process::new(Network { domain_id: 32, security, ..Network::default() }).err().unwrap();
-    assert!(error.to_string().contains("/nowhere/enclaves/rig/climber/cert.pem"), "{error}");
+    let error =
+        Process::new(Network { domain_id: 32, security, ..Network::default() }).err().unwrap();
+    let error = error.to_string();
+    for needle in [
+        "enclave /rig/climber of the keystore /nowhere",
+        "/nowhere/enclaves/rig/climber/cert.pem is missing",
+        "make-keystore /nowhere /rig/climber",
+    ] {
+        assert!(error.contains(needle), "{error}");
+    }
 }

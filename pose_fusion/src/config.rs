@@ -25,7 +25,8 @@ pub struct FusionConfig {
     pub tight: TightConfig,
     /// Published filter.
     pub paper: PaperConfig,
-    /// Single-image pose: choose between the two planar solutions with the IMU's direction of gravity.
+    /// Single-image pose: choose between the two planar solutions with the IMU's direction of
+    /// gravity.
     pub visual_use_gravity: bool,
     /// When a pose is called valid.
     pub status: StatusConfig,
@@ -61,7 +62,8 @@ pub struct TightConfig {
 /// Errors of the IMU.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImuConfig {
-    /// Initial accelerometer bias, m/s² (MTx data sheet: 0.02; ten times that for a unit that is not calibrated).
+    /// Initial accelerometer bias, m/s² (MTx data sheet: 0.02; ten times that for a unit that is
+    /// not calibrated).
     pub accelerometer_bias: f64,
     /// Random walk of the accelerometer bias, m/s²/√s.
     pub accelerometer_bias_walk: f64,
@@ -69,17 +71,21 @@ pub struct ImuConfig {
     pub gyroscope_bias: f64,
     /// Random walk of the gyroscope bias, rad/s/√s.
     pub gyroscope_bias_walk: f64,
-    /// Scale factor and misalignment of the accelerometer, relative (MTx data sheet: 0.03 % and 0.1°).
+    /// Initial scale factor of each axis of the accelerometer, relative (MTx data sheet: 0.0003).
     pub accelerometer_scale: f64,
-    /// Scale factor and misalignment of the gyroscope, relative.
+    /// Initial scale factor of each axis of the gyroscope, relative.
     pub gyroscope_scale: f64,
+    /// Initial rotation of gyroscope and accelerometer against the mounting, each axis, rad (MTx
+    /// data sheet: 0.1°).
+    pub misalignment: f64,
     /// Smallest uncertainty of the IMU's own roll and pitch, rad.
     pub attitude_floor: f64,
     /// Largest factor by which the identified noise may exceed the rig file's density.
     pub noise_limit: f64,
     /// Specific force beyond which a reading is rejected, m/s² (largest range of an MTx: 18 g).
     pub max_force: f64,
-    /// Angular velocity beyond which a reading is rejected, rad/s (largest range of an MTx: 2000°/s).
+    /// Angular velocity beyond which a reading is rejected, rad/s (largest range of an MTx:
+    /// 2000°/s).
     pub max_rate: f64,
 }
 
@@ -92,7 +98,8 @@ pub struct MarkerConfig {
     pub pixel_minimum: f64,
     /// Largest NIS (2 degrees of freedom) of a marker that is used (16: 0.9997 quantile of χ²).
     pub gate: f64,
-    /// Consecutive images that contradict the prediction, but not themselves, before the prediction gives way.
+    /// Consecutive images that contradict the prediction, but not themselves, before the prediction
+    /// gives way.
     pub lock_out_images: u32,
 }
 
@@ -120,11 +127,13 @@ pub struct ClockConfig {
     pub camera_offset: f64,
     /// Random walk of the camera time offset, s/√s.
     pub offset_walk: f64,
-    /// Constant offset of the climber's stamps against the camera's, s (encoder time + camera offset + this = IMU time).
+    /// Constant offset of the climber's stamps against the camera's, s (encoder time + camera
+    /// offset + this = IMU time).
     pub climber_offset: f64,
 }
 
-/// Standard deviations of calibration errors. They widen the published covariance and do not change the estimate.
+/// Standard deviations of calibration errors. They widen the published covariance and do not change
+/// the estimate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationSigmas {
     /// Constant offset of each marker's centroid, each axis, px.
@@ -183,7 +192,8 @@ pub struct PendulumConfig {
 pub struct PaperConfig {
     /// R/Q, the ratio of measurement to process covariance (paper, section III-C: 10).
     pub ratio: f64,
-    /// Standard deviation of the visual position behind R, m. Only its ratio to Q matters for the estimate.
+    /// Standard deviation of the visual position behind R, m. Only its ratio to Q matters for the
+    /// estimate.
     pub position_sigma: f64,
     /// Standard deviation of the visual rotation behind R, rad.
     pub rotation_sigma: f64,
@@ -195,56 +205,59 @@ pub struct PaperConfig {
     pub velocity_from_fused: bool,
 }
 
-impl Default for TightConfig {
-    fn default() -> Self {
-        Self {
-            gravity: 9.80665,
-            history: 0.6,
-            imu: ImuConfig::default(),
-            markers: MarkerConfig { pixel_floor: 0.03, pixel_minimum: 0.01, gate: 16.0, lock_out_images: 2 },
-            climber: ClimberConfig::default(),
-            clock: ClockConfig {
-                camera_sigma: 0.05,
-                camera_offset: 0.0,
-                offset_walk: 1e-5,
-                climber_offset: 0.0,
-            },
-            calibration: CalibrationSigmas::default(),
-            zero_velocity_sigma: 0.002,
-            limits: LimitConfig { max_range: 20.0, max_speed: 10.0 },
-            prediction_horizon: 0.0,
-            pendulum: PendulumConfig::default(),
-        }
-    }
+impl TightConfig {
+    /// Defaults.
+    pub const DEFAULT: Self = Self {
+        gravity: 9.80665,
+        history: 0.6,
+        imu: ImuConfig::DEFAULT,
+        markers: MarkerConfig {
+            pixel_floor: 0.03,
+            pixel_minimum: 0.01,
+            gate: 16.0,
+            lock_out_images: 2,
+        },
+        climber: ClimberConfig::DEFAULT,
+        clock: ClockConfig {
+            camera_sigma: 0.05,
+            camera_offset: 0.0,
+            offset_walk: 1e-5,
+            climber_offset: 0.0,
+        },
+        calibration: CalibrationSigmas::DEFAULT,
+        zero_velocity_sigma: 0.002,
+        limits: LimitConfig { max_range: 20.0, max_speed: 10.0 },
+        prediction_horizon: 0.0,
+        pendulum: PendulumConfig::DEFAULT,
+    };
 }
 
-impl Default for ImuConfig {
-    fn default() -> Self {
-        Self {
-            accelerometer_bias: 0.2,
-            accelerometer_bias_walk: 3e-4,
-            gyroscope_bias: 0.09,
-            gyroscope_bias_walk: 5e-5,
-            accelerometer_scale: 0.001,
-            gyroscope_scale: 0.001,
-            attitude_floor: 0.01,
-            noise_limit: 30.0,
-            max_force: 180.0,
-            max_rate: 40.0,
-        }
-    }
+impl ImuConfig {
+    /// Defaults.
+    pub const DEFAULT: Self = Self {
+        accelerometer_bias: 0.2,
+        accelerometer_bias_walk: 3e-4,
+        gyroscope_bias: 0.09,
+        gyroscope_bias_walk: 5e-5,
+        accelerometer_scale: 0.002,
+        gyroscope_scale: 0.003,
+        misalignment: 0.0015,
+        attitude_floor: 0.01,
+        noise_limit: 30.0,
+        max_force: 180.0,
+        max_rate: 40.0,
+    };
 }
 
-impl Default for ClimberConfig {
-    fn default() -> Self {
-        Self {
-            quantum: 0.001,
-            turn_quantum: 0.05_f64.to_radians(),
-            jerk: 0.05,
-            turn_jerk: 0.01,
-            step_timeout: 3.0,
-        }
-    }
+impl ClimberConfig {
+    /// Defaults.
+    pub const DEFAULT: Self = Self {
+        quantum: 0.001,
+        turn_quantum: 0.05 * std::f64::consts::PI / 180.0,
+        jerk: 0.05,
+        turn_jerk: 0.01,
+        step_timeout: 3.0,
+    };
 }
 
 impl CalibrationSigmas {
@@ -268,44 +281,51 @@ impl CalibrationSigmas {
     };
 }
 
-impl Default for CalibrationSigmas {
-    fn default() -> Self {
-        Self::DEFAULT
-    }
+impl StatusConfig {
+    /// Defaults.
+    pub const DEFAULT: Self = Self {
+        max_image_age: 0.2,
+        max_position_sigma: 0.1,
+        max_rotation_sigma: 0.1,
+        lost_position_sigma: 0.2,
+    };
 }
 
-impl Default for StatusConfig {
-    fn default() -> Self {
-        Self {
-            max_image_age: 0.2,
-            max_position_sigma: 0.1,
-            max_rotation_sigma: 0.1,
-            lost_position_sigma: 0.2,
-        }
-    }
+impl PendulumConfig {
+    /// Defaults.
+    pub const DEFAULT: Self = Self {
+        rope_length: 0.0,
+        rope_sigma: 0.02,
+        side_force: 0.1,
+        climber_attachment: Vector3::new(0.0, 0.0, 0.0),
+        platform_attachment: Vector3::new(0.0, 0.0, 0.0),
+    };
 }
 
-impl Default for PendulumConfig {
-    fn default() -> Self {
-        Self {
-            rope_length: 0.0,
-            rope_sigma: 0.02,
-            side_force: 0.1,
-            climber_attachment: Vector3::zeros(),
-            platform_attachment: Vector3::zeros(),
-        }
-    }
+impl PaperConfig {
+    /// Defaults.
+    pub const DEFAULT: Self = Self {
+        ratio: 10.0,
+        position_sigma: 0.005,
+        rotation_sigma: 0.01,
+        gravity: 9.80665,
+        velocity_threshold: 1e-5,
+        velocity_from_fused: false,
+    };
 }
 
-impl Default for PaperConfig {
-    fn default() -> Self {
-        Self {
-            ratio: 10.0,
-            position_sigma: 0.005,
-            rotation_sigma: 0.01,
-            gravity: 9.80665,
-            velocity_threshold: 1e-5,
-            velocity_from_fused: false,
-        }
-    }
+macro_rules! default_is_const {
+    ($($config:ident)*) => {
+        $(
+            impl Default for $config {
+                fn default() -> Self {
+                    Self::DEFAULT
+                }
+            }
+        )*
+    };
+}
+
+default_is_const! {
+    TightConfig ImuConfig ClimberConfig CalibrationSigmas StatusConfig PendulumConfig PaperConfig
 }

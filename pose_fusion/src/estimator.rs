@@ -50,11 +50,17 @@ impl Fusion {
     /// Creates an estimator without an estimate.
     pub fn new(rig: Rig, config: FusionConfig) -> Self {
         Self {
-            single_image: SingleImagePose::new(rig.clone(), &config.tight, config.visual_use_gravity),
+            single_image: SingleImagePose::new(
+                rig.clone(),
+                &config.tight,
+                config.visual_use_gravity,
+            ),
             estimator: match config.model {
-                Model::Tight => {
-                    Estimator::TightlyCoupled(Filter::new(rig, config.tight.clone(), config.status.clone()))
-                }
+                Model::Tight => Estimator::TightlyCoupled(Filter::new(
+                    rig,
+                    config.tight.clone(),
+                    config.status.clone(),
+                )),
                 Model::Paper => Estimator::Paper(Paper::new(&rig, config.paper.clone())),
             },
             config,
@@ -82,7 +88,8 @@ impl Fusion {
                     Estimator::Paper(paper) => {
                         if let Some(odometry) = paper.image(markers.stamp, visual.as_ref()) {
                             let image_age = if visual.is_some() { 0.0 } else { f64::INFINITY };
-                            let status = paper_status(&odometry, image_age, paper.imu_age(), &self.config);
+                            let status =
+                                paper_status(&odometry, image_age, paper.imu_age(), &self.config);
                             out.push_back(Output::Odometry(odometry));
                             out.push_back(Output::Status(status));
                             self.newest_image = Some(markers.stamp);
@@ -126,7 +133,8 @@ impl Fusion {
         }
     }
 
-    /// Puts the platform at a pose `world_from_volant` with its covariance (error-state filter), at a stamp within the history.
+    /// Puts the platform at a pose `world_from_volant` with its covariance (error-state filter), at
+    /// a stamp within the history.
     ///
     /// # Errors
     /// See [`Refusal`]; nothing is changed then.
@@ -148,8 +156,8 @@ impl Fusion {
         }
     }
 
-    /// Restores a checkpoint: all of it where the next IMU sample follows within 0.4 s, else time offset and biases, and the
-    /// next image gives the pose.
+    /// Restores a checkpoint: all of it where the next IMU sample follows within 0.4 s, else time
+    /// offset and biases, and the next image gives the pose.
     ///
     /// # Errors
     /// The checkpoint is invalid, or the published filter runs; nothing is changed then.
@@ -160,7 +168,8 @@ impl Fusion {
         }
     }
 
-    /// Stops or resumes using markers (error-state filter): what is not used is still compared and recorded.
+    /// Stops or resumes using markers (error-state filter): what is not used is still compared and
+    /// recorded.
     pub fn freeze(&mut self, frozen: bool) {
         if let Estimator::TightlyCoupled(filter) = &mut self.estimator {
             filter.freeze(frozen);
@@ -174,9 +183,11 @@ impl Fusion {
         }
     }
 
-    /// Returns the smoothed odometry that later data no longer change (error-state filter); at the `end` of the run all of it.
+    /// Returns the smoothed odometry that later data no longer change (error-state filter); at the
+    /// `end` of the run all of it.
     ///
-    /// A minute at a time with the knowledge of 20 s more, so that memory is bounded however long the run is.
+    /// A minute at a time with the knowledge of 20 s more, so that memory is bounded however long
+    /// the run is.
     pub fn smoothed(&mut self, end: bool) -> Vec<Odometry> {
         let Estimator::TightlyCoupled(filter) = &mut self.estimator else { return Vec::new() };
         if !end && filter.archived() <= SMOOTHED + LAG {
@@ -223,7 +234,12 @@ impl Fusion {
 const NOT_OF_THE_PAPER: Refusal =
     Refusal::Invalid { what: "the request", why: "the published filter runs (parameter `model`)" };
 
-fn paper_status(odometry: &Odometry, image_age: f64, imu_age: f64, config: &FusionConfig) -> PoseStatus {
+fn paper_status(
+    odometry: &Odometry,
+    image_age: f64,
+    imu_age: f64,
+    config: &FusionConfig,
+) -> PoseStatus {
     let largest = |first: usize| {
         let block = odometry.pose_covariance.fixed_view::<3, 3>(first, first).into_owned();
         block.symmetric_eigenvalues().max().max(0.0).sqrt()

@@ -1,10 +1,11 @@
 //! Fuses marker pixels, IMU samples and the climber's encoders to the pose of the platform.
 //!
-//! [`Fusion::handle`] takes each input in the order of arrival, [`Fusion::poll`] returns what follows from it. Time comes
-//! with the data; nothing in the core reads a clock, logs, sleeps or panics.
+//! [`Fusion::handle`] takes each input in the order of arrival, [`Fusion::poll`] returns what
+//! follows from it. Time comes with the data; nothing in the core reads a clock, logs, sleeps or
+//! panics.
 //!
-//! [`filter`] is the tightly coupled error-state filter (the default), [`reference`] the published filter and the pose from one
-//! image alone. The ROS 2 node is in `node` (feature `node`).
+//! [`filter`] is the tightly coupled error-state filter (the default), [`reference`] the published
+//! filter and the pose from one image alone. The ROS 2 node is in `node` (feature `node`).
 
 pub mod adaptation;
 pub mod config;

@@ -1,4 +1,5 @@
-//! Node: markers, IMU samples and the climber's transform in; odometry, poses, status, tf, marker records and diagnostics out.
+//! Node: markers, IMU samples and the climber's transform in; odometry, poses, status, tf, marker
+//! records and diagnostics out.
 
 use crate::{
     Fusion, Input, Output, PoseStatus, Warning, messages,
@@ -7,10 +8,10 @@ use crate::{
 };
 use node_kit::{
     Level, convert,
-    node::{Health, Kit, NodeError, NodeShell, Publisher},
+    node::{Health, NodeContext, NodeError, NodeShell, Publisher},
     qos::QosPreset,
 };
-use rig_model::{Frames, Stamp};
+use rig_model::{Frames, Stamp, topics};
 use std::{sync::Arc, time::Duration};
 use volant_msgs::{
     geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
@@ -53,7 +54,10 @@ struct Rejections {
 
 impl Rejections {
     fn note(&mut self, warning: &Warning) {
-        if matches!(warning, Warning::Ahead { .. } | Warning::TooOld { .. } | Warning::NotFinite { .. }) {
+        if matches!(
+            warning,
+            Warning::Ahead { .. } | Warning::TooOld { .. } | Warning::NotFinite { .. }
+        ) {
             self.count += 1;
             self.newest = warning.to_string();
         }
@@ -65,8 +69,9 @@ impl Rejections {
         if count == 0 {
             return (health, message);
         }
-        let report =
-            format!("{message}; {count} inputs of the last second were rejected, the newest: {newest}");
+        let report = format!(
+            "{message}; {count} inputs of the last second were rejected, the newest: {newest}"
+        );
         (health.max(Health::Warn), report)
     }
 }
@@ -94,52 +99,59 @@ impl NodeShell for FusionNode {
     type Parameters = FusionParameters;
     type Input = Event;
 
-    fn start(kit: &mut Kit<Event>, parameters: FusionParameters) -> Result<Self, NodeError> {
-        let rig = kit.rig()?;
+    fn start(
+        context: &mut NodeContext<Event>,
+        parameters: FusionParameters,
+    ) -> Result<Self, NodeError> {
+        let rig = context.rig()?;
         let frames = rig.frames.clone();
         let publishers = Publishers {
-            odometry: kit.advertise("volant/odometry", QosPreset::State)?,
-            fused_pose: kit.advertise("volant/fused_pose", QosPreset::State)?,
-            pose: kit.advertise("volant/pose", QosPreset::State)?,
-            visual_pose: kit.advertise("volant/visual_pose", QosPreset::State)?,
-            status: kit.advertise("volant/status", QosPreset::State)?,
+            odometry: context.advertise(topics::ODOMETRY, QosPreset::State)?,
+            fused_pose: context.advertise(topics::FUSED_POSE, QosPreset::State)?,
+            pose: context.advertise(topics::POSE, QosPreset::State)?,
+            visual_pose: context.advertise(topics::VISUAL_POSE, QosPreset::State)?,
+            status: context.advertise(topics::STATUS, QosPreset::State)?,
             predicted: if parameters.prediction_horizon > 0.0 {
-                Some(kit.advertise("volant/predicted_odometry", QosPreset::State)?)
+                Some(context.advertise(topics::PREDICTED_ODOMETRY, QosPreset::State)?)
             } else {
                 None
             },
             updates: if parameters.publish_marker_updates {
-                Some(kit.advertise("volant/marker_updates", QosPreset::State)?)
+                Some(context.advertise(topics::MARKER_UPDATES, QosPreset::State)?)
             } else {
                 None
             },
         };
-        kit.timer(STATUS_PERIOD, || Event::StatusDue);
-        kit.subscribe("volant/imu/data", QosPreset::Sensor, |m: Arc<sensor_msgs::msg::Imu>| {
+        context.timer(STATUS_PERIOD, || Event::StatusDue);
+        context.subscribe(topics::IMU, QosPreset::Sensor, |m: Arc<sensor_msgs::msg::Imu>| {
             input(Input::Imu(convert::imu_sample(&m)))
         })?;
-        kit.subscribe("climber/markers", QosPreset::Measurement, |m: Arc<MarkerObservations>| {
-            match convert::marker_observations(&m) {
+        context.subscribe(
+            topics::MARKERS,
+            QosPreset::Measurement,
+            |m: Arc<MarkerObservations>| match convert::marker_observations(&m) {
                 Ok(markers) => input(Input::Markers(markers)),
                 Err(error) => Some(Event::Rejected(format!("climber/markers: {error}"))),
-            }
-        })?;
+            },
+        )?;
         let names = frames.clone();
-        kit.subscribe("climber/transform", QosPreset::Measurement, move |m: Arc<TransformStamped>| {
-            match convert::climber_sample(&m, &names) {
+        context.subscribe(
+            topics::CLIMBER_TRANSFORM,
+            QosPreset::Measurement,
+            move |m: Arc<TransformStamped>| match convert::climber_sample(&m, &names) {
                 Ok(sample) => input(Input::Climber(sample)),
                 Err(error) => Some(Event::Rejected(format!("climber/transform: {error}"))),
-            }
-        })?;
-        kit.subscribe(
-            "climber/camera/camera_info",
-            QosPreset::Sensor,
+            },
+        )?;
+        context.subscribe(
+            topics::CAMERA_INFO,
+            QosPreset::CameraInfo,
             |m: Arc<sensor_msgs::msg::CameraInfo>| match convert::camera_model(&m) {
                 Ok(camera) => input(Input::Camera(camera)),
                 Err(error) => Some(Event::Rejected(error.to_string())),
             },
         )?;
-        services::offer(kit, &frames)?;
+        services::offer(context, &frames)?;
         Ok(Self {
             fusion: Fusion::new(rig, parameters.config().map_err(NodeError::shell)?),
             frames,
@@ -152,7 +164,7 @@ impl NodeShell for FusionNode {
         })
     }
 
-    fn handle(&mut self, kit: &mut Kit<Event>, event: Event) {
+    fn handle(&mut self, context: &mut NodeContext<Event>, event: Event) {
         match event {
             Event::Input(input) => {
                 if matches!(*input, Input::Camera(_)) {
@@ -163,31 +175,32 @@ impl NodeShell for FusionNode {
             Event::StatusDue => {
                 let missing = self.fusion.missing();
                 if !missing.is_empty() {
-                    let status = PoseStatus::initializing(kit.now(), missing);
+                    let status = PoseStatus::initializing(context.now(), missing);
                     self.publishers.status.publish(messages::status(&status, &self.frames));
                 }
             }
             Event::Request(request) => {
-                let done = services::answer(&mut self.fusion, request, &self.parameters.checkpoint_file);
+                let done =
+                    services::answer(&mut self.fusion, request, &self.parameters.checkpoint_file);
                 if let Err(why) = done {
-                    kit.log_throttled(Level::Warn, "rejected", &why);
+                    context.log_throttled(Level::Warn, "rejected", &why);
                 }
             }
             Event::Rejected(why) => {
-                kit.log_throttled(Level::Warn, "rejected", &why);
+                context.log_throttled(Level::Warn, "rejected", &why);
                 if why.starts_with("camera_info") {
                     self.camera_rejected = Some(why);
                 }
             }
         }
         while let Some(output) = self.fusion.poll() {
-            self.publish(kit, output);
+            self.publish(context, output);
         }
     }
 
-    fn tick(&mut self, kit: &mut Kit<Event>) {
+    fn tick(&mut self, context: &mut NodeContext<Event>) {
         let s = self.fusion.status();
-        let now: Stamp = kit.now();
+        let now: Stamp = context.now();
         let age = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
         let (imu_age, image_age) = (age(s.newest_imu), age(s.last_used_image));
         let gated = s.counts.gated_markers - self.gated_before.min(s.counts.gated_markers);
@@ -206,7 +219,10 @@ impl NodeShell for FusionNode {
             let health = if lost { Health::Error } else { Health::Warn };
             (
                 health,
-                format!("no marker used for {image_age:.1} s, position within {:.3} m", s.position_sigma),
+                format!(
+                    "no marker used for {image_age:.1} s, position within {:.3} m",
+                    s.position_sigma
+                ),
             )
         } else if s.encoders_suspended {
             (Health::Error, "the encoders contradict images and IMU and are not used".to_owned())
@@ -220,19 +236,19 @@ impl NodeShell for FusionNode {
             self.rejections = Rejections::default();
         }
         let (health, message) = self.rejections.report(health, message);
-        kit.diagnose("filter", health, &message, &diagnostics::values(&s));
+        context.diagnose("filter", health, &message, &diagnostics::values(&s));
     }
 }
 
 impl FusionNode {
-    fn publish(&mut self, kit: &mut Kit<Event>, output: Output) {
+    fn publish(&mut self, context: &mut NodeContext<Event>, output: Output) {
         let (frames, publishers) = (&self.frames, &self.publishers);
         match output {
             Output::Odometry(o) => {
                 if self.parameters.publish_tf
-                    && let Err(error) = kit.send_transform(messages::transform(&o, frames))
+                    && let Err(error) = context.send_transform(messages::transform(&o, frames))
                 {
-                    kit.log_throttled(Level::Error, "tf", error.to_string());
+                    context.log_throttled(Level::Error, "tf", error.to_string());
                 }
                 publishers.odometry.publish(messages::odometry(&o, frames));
                 publishers.fused_pose.publish(messages::fused_pose(&o, frames));
@@ -246,7 +262,9 @@ impl FusionNode {
                     predicted.publish(messages::odometry(&o, frames));
                 }
             }
-            Output::VisualPose(p) => publishers.visual_pose.publish(messages::visual_pose(&p, frames)),
+            Output::VisualPose(p) => {
+                publishers.visual_pose.publish(messages::visual_pose(&p, frames))
+            }
             Output::MarkerUpdate(record) => {
                 if let (Some(updates), Some(message)) =
                     (&publishers.updates, self.gathered.add(record, frames))
@@ -263,7 +281,7 @@ impl FusionNode {
                     Warning::Diverged { .. } | Warning::ImuLost { .. } => Level::Error,
                     _ => Level::Warn,
                 };
-                kit.log_throttled(level, warning.kind(), warning.to_string());
+                context.log_throttled(level, warning.kind(), warning.to_string());
             }
         }
     }
@@ -280,8 +298,15 @@ mod diagnostics {
         let rope = s.rope.map_or("none".to_owned(), |r| {
             format!("{:.4} +- {:.4}", r.length, (r.length_variance + r.stretch_variance).sqrt())
         });
-        let side_force = s.rope.map_or("none".to_owned(), |r| format!("{:.3}", r.side_variance.sqrt()));
-        let offset = format!("{:.2} +- {:.2}", s.time_offset.offset * 1e3, s.time_offset.sigma * 1e3);
+        let side_force =
+            s.rope.map_or("none".to_owned(), |r| format!("{:.3}", r.side_variance.sqrt()));
+        let offset =
+            format!("{:.2} +- {:.2}", s.time_offset.offset * 1e3, s.time_offset.sigma * 1e3);
+        let three = |first: usize, factor: f64| {
+            let c = &s.imu_constants;
+            let [x, y, z] = [0, 1, 2].map(|k| factor * c[first + k]);
+            format!("{x:.2} {y:.2} {z:.2}")
+        };
         vec![
             ("position sigma (m)", format!("{:.5}", s.position_sigma)),
             ("markers used", c.used_markers.to_string()),
@@ -303,6 +328,10 @@ mod diagnostics {
             ("camera time offset known", (!s.time_offset.searching).to_string()),
             ("accelerometer noise density", format!("{:.5}", s.densities.force.sqrt())),
             ("gyroscope noise density", format!("{:.6}", s.densities.rate.sqrt())),
+            ("gyroscope scale factors (%)", three(0, 100.0)),
+            ("accelerometer scale factors (%)", three(3, 100.0)),
+            ("gyroscope misalignment (deg)", three(6, 1f64.to_degrees())),
+            ("accelerometer misalignment (deg)", three(9, 1f64.to_degrees())),
             ("pixel noise factor", format!("{:.2}", s.pixel_noise_factor)),
             ("rope (m)", rope),
             ("force across the rope (m/s^2)", side_force),

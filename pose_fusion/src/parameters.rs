@@ -3,10 +3,16 @@
 use crate::{
     FusionConfig, Model, PaperConfig, PendulumConfig, TightConfig,
     config::{
-        CalibrationSigmas, ClimberConfig, ClockConfig, ImuConfig, LimitConfig, MarkerConfig, StatusConfig,
+        CalibrationSigmas, ClimberConfig, ClockConfig, ImuConfig, LimitConfig, MarkerConfig,
+        StatusConfig,
     },
 };
 use nalgebra::Vector3;
+
+/// Defaults: those of the core.
+const TIGHT: TightConfig = TightConfig::DEFAULT;
+const STATUS: StatusConfig = StatusConfig::DEFAULT;
+const PAPER: PaperConfig = PaperConfig::DEFAULT;
 
 node_kit::parameters! {
     /// Parameters of the node: one field per ROS parameter, so there are more than a dozen.
@@ -14,90 +20,137 @@ node_kit::parameters! {
         /// The estimator: tight (error-state filter on pixels) or paper (the published filter).
         model: String = "tight", one_of(&["tight", "paper"]);
         /// Gravity.
-        gravity: f64 = 9.80665, unit("m/s^2"), range(9.0..=10.5);
+        gravity: f64 = TIGHT.gravity, unit("m/s^2"), range(9.0..=10.5);
         /// How far back delayed measurements are accepted.
-        history: f64 = 0.6, unit("s"), range(0.1..=1.0);
+        history: f64 = TIGHT.history, unit("s"), range(0.1..=1.0);
         /// Initial accelerometer bias (1 sigma).
-        accelerometer_bias: f64 = 0.2, unit("m/s^2"), range(0.0..=10.0), name("imu_bias.accelerometer");
+        accelerometer_bias: f64 = TIGHT.imu.accelerometer_bias, unit("m/s^2"), range(0.0..=10.0),
+            name("imu_bias.accelerometer");
         /// Random walk of the accelerometer bias.
-        accelerometer_bias_walk: f64 = 3e-4, unit("m/s^2/sqrt(s)"), range(0.0..=1.0), name("imu_bias.accelerometer_walk");
+        accelerometer_bias_walk: f64 = TIGHT.imu.accelerometer_bias_walk, unit("m/s^2/sqrt(s)"),
+            range(0.0..=1.0),
+            name("imu_bias.accelerometer_walk");
         /// Initial gyroscope bias (1 sigma).
-        gyroscope_bias: f64 = 0.09, unit("rad/s"), range(0.0..=1.0), name("imu_bias.gyroscope");
+        gyroscope_bias: f64 = TIGHT.imu.gyroscope_bias, unit("rad/s"), range(0.0..=1.0),
+            name("imu_bias.gyroscope");
         /// Random walk of the gyroscope bias.
-        gyroscope_bias_walk: f64 = 5e-5, unit("rad/s/sqrt(s)"), range(0.0..=1.0), name("imu_bias.gyroscope_walk");
-        /// Scale factor and misalignment of the accelerometer, relative (1 sigma).
-        accelerometer_scale: f64 = 0.001, range(0.0..=0.1), name("imu_scale.accelerometer");
-        /// Scale factor and misalignment of the gyroscope, relative (1 sigma).
-        gyroscope_scale: f64 = 0.001, range(0.0..=0.1), name("imu_scale.gyroscope");
+        gyroscope_bias_walk: f64 = TIGHT.imu.gyroscope_bias_walk, unit("rad/s/sqrt(s)"),
+            range(0.0..=1.0),
+            name("imu_bias.gyroscope_walk");
+        /// Initial scale factor of each axis of the accelerometer, relative (1 sigma).
+        accelerometer_scale: f64 = TIGHT.imu.accelerometer_scale, range(0.0..=0.1),
+            name("imu_scale.accelerometer");
+        /// Initial scale factor of each axis of the gyroscope, relative (1 sigma).
+        gyroscope_scale: f64 = TIGHT.imu.gyroscope_scale, range(0.0..=0.1),
+            name("imu_scale.gyroscope");
+        /// Initial rotation of gyroscope and accelerometer against the mounting, each axis (1
+        /// sigma).
+        misalignment: f64 = TIGHT.imu.misalignment, unit("rad"), range(0.0..=0.1),
+            name("imu_scale.misalignment");
         /// Pixel error of the lens and marker model, beside the observation's covariance.
-        pixel_floor: f64 = 0.03, unit("px"), range(0.0..=10.0), name("markers.pixel_floor");
+        pixel_floor: f64 = TIGHT.markers.pixel_floor, unit("px"), range(0.0..=10.0),
+            name("markers.pixel_floor");
         /// Largest normalized innovation squared (2 degrees of freedom) of a marker that is used.
-        marker_gate: f64 = 16.0, range(1.0..=1000.0), name("markers.gate");
-        /// Consecutive images that contradict the prediction, but not themselves, before the prediction gives way.
-        lock_out_images: u32 = 2, range(1..=1000), name("markers.lock_out_images");
+        marker_gate: f64 = TIGHT.markers.gate, range(1.0..=1000.0), name("markers.gate");
+        /// Consecutive images that contradict the prediction, but not themselves, before the
+        /// prediction gives way.
+        lock_out_images: u32 = TIGHT.markers.lock_out_images, range(1..=1000),
+            name("markers.lock_out_images");
         /// Step of the climber's x and y encoders.
-        climber_quantum: f64 = 0.001, unit("m"), range(1e-6..=0.1), name("climber.quantum");
+        climber_quantum: f64 = TIGHT.climber.quantum, unit("m"), range(1e-6..=0.1),
+            name("climber.quantum");
         /// Step of the climber's turn encoder.
-        climber_turn_quantum: f64 = 0.05_f64.to_radians(), unit("rad"), range(1e-7..=0.1), name("climber.turn_quantum");
+        climber_turn_quantum: f64 = TIGHT.climber.turn_quantum, unit("rad"), range(1e-7..=0.1),
+            name("climber.turn_quantum");
         /// Power spectral density of the climber's jerk.
-        climber_jerk: f64 = 0.05, unit("m^2/s^5"), range(1e-9..=1e6), name("climber.jerk");
+        climber_jerk: f64 = TIGHT.climber.jerk, unit("m^2/s^5"), range(1e-9..=1e6),
+            name("climber.jerk");
         /// Power spectral density of the jerk of the climber's turn.
-        climber_turn_jerk: f64 = 0.01, unit("rad^2/s^5"), range(1e-9..=1e6), name("climber.turn_jerk");
+        climber_turn_jerk: f64 = TIGHT.climber.turn_jerk, unit("rad^2/s^5"), range(1e-9..=1e6),
+            name("climber.turn_jerk");
         /// Encoders that contradict the estimate for this long are adopted (re-homed or slipped).
-        climber_step_timeout: f64 = 3.0, unit("s"), range(0.1..=3600.0), name("climber.step_timeout");
-        /// Initial uncertainty of the camera time offset (1 sigma); 0 takes camera and IMU as synchronized.
-        camera_clock: f64 = 0.05, unit("s"), range(0.0..=0.2), name("clock.camera");
+        climber_step_timeout: f64 = TIGHT.climber.step_timeout, unit("s"), range(0.1..=3600.0),
+            name("climber.step_timeout");
+        /// Initial uncertainty of the camera time offset (1 sigma); 0 takes camera and IMU as
+        /// synchronized.
+        camera_clock: f64 = TIGHT.clock.camera_sigma, unit("s"), range(0.0..=0.2),
+            name("clock.camera");
         /// Initial camera time offset: image time + offset = IMU time.
-        camera_clock_offset: f64 = 0.0, unit("s"), range(-1.0..=1.0), name("clock.camera_offset");
+        camera_clock_offset: f64 = TIGHT.clock.camera_offset, unit("s"), range(-1.0..=1.0),
+            name("clock.camera_offset");
         /// Constant offset of the climber's stamps: encoder time + camera offset + this = IMU time.
-        climber_offset: f64 = 0.0, unit("s"), range(-1.0..=1.0), name("clock.climber_offset");
+        climber_offset: f64 = TIGHT.clock.climber_offset, unit("s"), range(-1.0..=1.0),
+            name("clock.climber_offset");
         /// Uncertainty of that offset (1 sigma), which widens the covariance.
-        climber_sigma: f64 = 0.002, unit("s"), range(0.0..=0.1), name("clock.climber_sigma");
-        /// Constant offset of a marker's centroid, each axis (1 sigma), which widens the covariance.
-        centroid_sigma: f64 = 0.015, unit("px"), range(0.0..=10.0), name("calibration.centroid_sigma");
+        climber_sigma: f64 = TIGHT.calibration.climber_offset, unit("s"), range(0.0..=0.1),
+            name("clock.climber_sigma");
+        /// Constant offset of a marker's centroid, each axis (1 sigma), which widens the
+        /// covariance.
+        centroid_sigma: f64 = TIGHT.calibration.centroid, unit("px"), range(0.0..=10.0),
+            name("calibration.centroid_sigma");
         /// Relative error of the focal length (1 sigma), which widens the covariance.
-        focal_length_sigma: f64 = CalibrationSigmas::DEFAULT.focal_length, range(0.0..=0.1), name("calibration.focal_length_sigma");
+        focal_length_sigma: f64 = TIGHT.calibration.focal_length, range(0.0..=0.1),
+            name("calibration.focal_length_sigma");
         /// Relative error of the marker layout's size (1 sigma), which widens the covariance.
-        layout_sigma: f64 = CalibrationSigmas::DEFAULT.layout, range(0.0..=0.1), name("calibration.layout_sigma");
-        /// Orientation error of the camera mounting, each axis (1 sigma), which widens the covariance.
-        mounting_sigma: f64 = CalibrationSigmas::DEFAULT.mounting, unit("rad"), range(0.0..=0.1), name("calibration.mounting_sigma");
+        layout_sigma: f64 = TIGHT.calibration.layout, range(0.0..=0.1),
+            name("calibration.layout_sigma");
+        /// Orientation error of the camera mounting, each axis (1 sigma), which widens the
+        /// covariance.
+        mounting_sigma: f64 = TIGHT.calibration.mounting, unit("rad"), range(0.0..=0.1),
+            name("calibration.mounting_sigma");
         /// Relative error of the x and y encoders' scale (1 sigma), which widens the covariance.
-        encoder_scale_sigma: f64 = CalibrationSigmas::DEFAULT.encoder_scale, range(0.0..=0.1), name("calibration.encoder_scale_sigma");
+        encoder_scale_sigma: f64 = TIGHT.calibration.encoder_scale, range(0.0..=0.1),
+            name("calibration.encoder_scale_sigma");
         /// Velocity of a platform at rest for the zero-velocity update (1 sigma); 0 disables it.
-        zero_velocity_sigma: f64 = 0.002, unit("m/s"), range(0.0..=1.0);
+        zero_velocity_sigma: f64 = TIGHT.zero_velocity_sigma, unit("m/s"), range(0.0..=1.0);
         /// Distance of the platform from the climber beyond which the estimate is unsound.
-        max_range: f64 = 20.0, unit("m"), range(0.1..=1000.0), name("limits.max_range");
+        max_range: f64 = TIGHT.limits.max_range, unit("m"), range(0.1..=1000.0),
+            name("limits.max_range");
         /// Speed of the platform beyond which the estimate is unsound.
-        max_speed: f64 = 10.0, unit("m/s"), range(0.1..=100.0), name("limits.max_speed");
+        max_speed: f64 = TIGHT.limits.max_speed, unit("m/s"), range(0.1..=100.0),
+            name("limits.max_speed");
         /// How far ahead volant/predicted_odometry lies; 0 publishes nothing.
-        prediction_horizon: f64 = 0.0, unit("s"), range(0.0..=1.0);
+        prediction_horizon: f64 = TIGHT.prediction_horizon, unit("s"), range(0.0..=1.0);
         /// Without a used image for this long the pose is COASTING.
-        max_image_age: f64 = 0.2, unit("s"), range(0.01..=60.0), name("status.max_image_age");
+        max_image_age: f64 = STATUS.max_image_age, unit("s"), range(0.01..=60.0),
+            name("status.max_image_age");
         /// Largest position sigma of a valid pose.
-        max_position_sigma: f64 = 0.1, unit("m"), range(1e-4..=100.0), name("status.max_position_sigma");
+        max_position_sigma: f64 = STATUS.max_position_sigma, unit("m"), range(1e-4..=100.0),
+            name("status.max_position_sigma");
         /// Largest rotation sigma of a valid pose.
-        max_rotation_sigma: f64 = 0.1, unit("rad"), range(1e-4..=3.2), name("status.max_rotation_sigma");
+        max_rotation_sigma: f64 = STATUS.max_rotation_sigma, unit("rad"), range(1e-4..=3.2),
+            name("status.max_rotation_sigma");
         /// Position sigma above which the pose is LOST.
-        lost_position: f64 = 0.2, unit("m"), range(0.001..=100.0);
-        /// volant/visual_pose: choose between the two planar solutions with the IMU's direction of gravity.
+        lost_position: f64 = STATUS.lost_position_sigma, unit("m"), range(0.001..=100.0);
+        /// volant/visual_pose: choose between the two planar solutions with the IMU's direction of
+        /// gravity.
         visual_use_gravity: bool = false, name("visual_pose.use_gravity");
-        /// Rope from the climber's attachment to the platform's, used while no marker is visible; 0 disables it.
-        rope_length: f64 = 0.0, unit("m"), range(0.0..=100.0), name("pendulum.rope_length");
+        /// Rope from the climber's attachment to the platform's, used while no marker is visible; 0
+        /// disables it.
+        rope_length: f64 = TIGHT.pendulum.rope_length, unit("m"), range(0.0..=100.0),
+            name("pendulum.rope_length");
         /// Uncertainty of the rope's length (1 sigma) until images have measured it.
-        rope_sigma: f64 = 0.02, unit("m"), range(1e-4..=10.0), name("pendulum.rope_sigma");
+        rope_sigma: f64 = TIGHT.pendulum.rope_sigma, unit("m"), range(1e-4..=10.0),
+            name("pendulum.rope_sigma");
         /// Smallest disturbance of the platform across the rope, each axis (1 sigma).
-        side_force: f64 = 0.1, unit("m/s^2"), range(1e-3..=10.0), name("pendulum.side_force");
+        side_force: f64 = TIGHT.pendulum.side_force, unit("m/s^2"), range(1e-3..=10.0),
+            name("pendulum.side_force");
         /// Upper end of the rope in the climber's frame: x, y, z.
-        climber_attachment: Vec<f64> = &[0.0, 0.0, 0.0], unit("m"), range(-100.0..=100.0), name("pendulum.climber_attachment");
+        climber_attachment: Vec<f64> = &[0.0, 0.0, 0.0], unit("m"), range(-100.0..=100.0),
+            name("pendulum.climber_attachment");
         /// Lower end of the rope in the volant frame: x, y, z.
-        platform_attachment: Vec<f64> = &[0.0, 0.0, 0.0], unit("m"), range(-100.0..=100.0), name("pendulum.platform_attachment");
+        platform_attachment: Vec<f64> = &[0.0, 0.0, 0.0], unit("m"), range(-100.0..=100.0),
+            name("pendulum.platform_attachment");
         /// R/Q of the published filter.
-        paper_ratio: f64 = 10.0, range(1e-6..=1e6), name("paper.ratio");
+        paper_ratio: f64 = PAPER.ratio, range(1e-6..=1e6), name("paper.ratio");
         /// Threshold control of the published filter.
-        paper_velocity_threshold: f64 = 1e-5, unit("m/s"), range(0.0..=1.0), name("paper.velocity_threshold");
+        paper_velocity_threshold: f64 = PAPER.velocity_threshold, unit("m/s"), range(0.0..=1.0),
+            name("paper.velocity_threshold");
         /// Takes the published filter's inertial velocity from the fused poses.
-        paper_velocity_from_fused: bool = false, name("paper.velocity_from_fused");
-        /// Where ~/save_checkpoint writes what the filter knows and ~/load_checkpoint reads it; empty: nowhere.
+        paper_velocity_from_fused: bool = PAPER.velocity_from_fused,
+            name("paper.velocity_from_fused");
+        /// Where ~/save_checkpoint writes what the filter knows and ~/load_checkpoint reads it;
+        /// empty: nowhere.
         checkpoint_file: String = "";
         /// Publish world -> volant on /tf.
         publish_tf: bool = true;
@@ -151,6 +204,7 @@ impl FusionParameters {
                 gyroscope_bias_walk: self.gyroscope_bias_walk,
                 accelerometer_scale: self.accelerometer_scale,
                 gyroscope_scale: self.gyroscope_scale,
+                misalignment: self.misalignment,
                 ..default.imu
             },
             markers: MarkerConfig {
@@ -188,7 +242,10 @@ impl FusionParameters {
                 rope_sigma: self.rope_sigma,
                 side_force: self.side_force,
                 climber_attachment: place("pendulum.climber_attachment", &self.climber_attachment)?,
-                platform_attachment: place("pendulum.platform_attachment", &self.platform_attachment)?,
+                platform_attachment: place(
+                    "pendulum.platform_attachment",
+                    &self.platform_attachment,
+                )?,
             },
         })
     }
@@ -205,8 +262,10 @@ mod tests {
 
     #[test]
     fn an_attachment_is_three_numbers() {
-        let parameters =
-            FusionParameters { platform_attachment: vec![0.0, 0.1, 0.2, 0.3], ..FusionParameters::default() };
+        let parameters = FusionParameters {
+            platform_attachment: vec![0.0, 0.1, 0.2, 0.3],
+            ..FusionParameters::default()
+        };
         let why = parameters.config().unwrap_err();
         assert!(why.contains("pendulum.platform_attachment has 4 numbers"), "{why}");
     }

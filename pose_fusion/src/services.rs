@@ -1,13 +1,13 @@
-//! Requests of an operator over ROS: services `~/reset`, `~/freeze`, `~/save_checkpoint`, `~/load_checkpoint`,
-//! and the topic `volant/set_pose` (RViz' "2D pose estimate", remapped).
+//! Requests of an operator over ROS: services `~/reset`, `~/freeze`, `~/save_checkpoint`,
+//! `~/load_checkpoint`, and the topic `volant/set_pose` (RViz' "2D pose estimate", remapped).
 
 use crate::{Checkpoint, Fusion, PoseEstimate, node::Event};
 use node_kit::{
     convert,
-    node::{Kit, NodeError, Responder},
+    node::{NodeContext, NodeError, Responder},
     qos::QosPreset,
 };
-use rig_model::Frames;
+use rig_model::{Frames, topics};
 use std::{fs, path::Path, sync::Arc};
 use volant_msgs::{
     geometry_msgs::msg::PoseWithCovarianceStamped,
@@ -29,18 +29,26 @@ pub enum Request {
 }
 
 /// Offers the services and subscribes to the topic.
-pub(crate) fn offer(kit: &mut Kit<Event>, frames: &Frames) -> Result<(), NodeError> {
-    kit.serve::<Trigger>("~/reset", |_, answer| Event::Request(Request::Reset(answer)))?;
-    kit.serve::<SetBool>("~/freeze", |ask, answer| Event::Request(Request::Freeze(ask.data, answer)))?;
-    kit.serve::<Trigger>("~/save_checkpoint", |_, answer| Event::Request(Request::Save(answer)))?;
-    kit.serve::<Trigger>("~/load_checkpoint", |_, answer| Event::Request(Request::Load(answer)))?;
+pub(crate) fn offer(context: &mut NodeContext<Event>, frames: &Frames) -> Result<(), NodeError> {
+    context.serve::<Trigger>("~/reset", |_, answer| Event::Request(Request::Reset(answer)))?;
+    context.serve::<SetBool>("~/freeze", |ask, answer| {
+        Event::Request(Request::Freeze(ask.data, answer))
+    })?;
+    context
+        .serve::<Trigger>("~/save_checkpoint", |_, answer| Event::Request(Request::Save(answer)))?;
+    context
+        .serve::<Trigger>("~/load_checkpoint", |_, answer| Event::Request(Request::Load(answer)))?;
     let world = frames.world.clone();
-    kit.subscribe_optional("volant/set_pose", QosPreset::State, move |m: Arc<PoseWithCovarianceStamped>| {
-        Some(match pose_estimate(&m, &world) {
-            Ok(pose) => Event::Request(Request::SetPose(Box::new(pose))),
-            Err(why) => Event::Rejected(format!("volant/set_pose: {why}")),
-        })
-    })
+    context.subscribe_optional(
+        topics::SET_POSE,
+        QosPreset::State,
+        move |m: Arc<PoseWithCovarianceStamped>| {
+            Some(match pose_estimate(&m, &world) {
+                Ok(pose) => Event::Request(Request::SetPose(Box::new(pose))),
+                Err(why) => Event::Rejected(format!("volant/set_pose: {why}")),
+            })
+        },
+    )
 }
 
 fn pose_estimate(m: &PoseWithCovarianceStamped, world: &str) -> Result<PoseEstimate, String> {
@@ -49,12 +57,13 @@ fn pose_estimate(m: &PoseWithCovarianceStamped, world: &str) -> Result<PoseEstim
     }
     Ok(PoseEstimate {
         stamp: convert::stamp(&m.header.stamp),
-        pose: convert::pose(&m.pose.pose, "volant/set_pose").map_err(|e| e.to_string())?,
+        pose: convert::pose(&m.pose.pose, topics::SET_POSE).map_err(|e| e.to_string())?,
         covariance: convert::covariance6(&m.pose.covariance),
     })
 }
 
-/// Carries out a request and answers it. A topic has no answer: why a pose cannot be set is returned.
+/// Carries out a request and answers it. A topic has no answer: why a pose cannot be set is
+/// returned.
 pub(crate) fn answer(fusion: &mut Fusion, request: Request, file: &str) -> Result<(), String> {
     let reply = |result: Result<String, String>| match result {
         Ok(message) => TriggerResponse { success: true, message },
@@ -67,7 +76,8 @@ pub(crate) fn answer(fusion: &mut Fusion, request: Request, file: &str) -> Resul
         }
         Request::Freeze(frozen, answer) => {
             fusion.freeze(frozen);
-            let message = if frozen { "markers are compared and not used" } else { "markers are used" };
+            let message =
+                if frozen { "markers are compared and not used" } else { "markers are used" };
             answer.respond(SetBoolResponse { success: true, message: message.to_owned() });
         }
         Request::Save(answer) => answer.respond(reply(save(fusion, file))),
@@ -90,19 +100,16 @@ fn save(fusion: &Fusion, file: &str) -> Result<String, String> {
     let path = path(file)?;
     let checkpoint = fusion.checkpoint().map_err(|refusal| refusal.to_string())?;
     let text = serde_json::to_string(&checkpoint).map_err(|e| e.to_string())?;
-    // Written beside it and renamed: an existing file is never left incomplete.
-    let beside = path.with_extension("part");
-    fs::write(&beside, text)
-        .and_then(|()| fs::rename(&beside, path))
-        .map_err(|e| format!("{}: cannot be written: {e}", path.display()))?;
+    node_kit::files::write(path, text.as_bytes(), true).map_err(|e| e.to_string())?;
     Ok(format!("written to {}", path.display()))
 }
 
 fn load(fusion: &mut Fusion, file: &str) -> Result<String, String> {
     let path = path(file)?;
-    let text = fs::read_to_string(path).map_err(|e| format!("{}: cannot be read: {e}", path.display()))?;
-    let checkpoint: Checkpoint =
-        serde_json::from_str(&text).map_err(|e| format!("{}: not a checkpoint: {e}", path.display()))?;
+    let text =
+        fs::read_to_string(path).map_err(|e| format!("{}: cannot be read: {e}", path.display()))?;
+    let checkpoint: Checkpoint = serde_json::from_str(&text)
+        .map_err(|e| format!("{}: not a checkpoint: {e}", path.display()))?;
     fusion.restore(&checkpoint).map_err(|refusal| format!("{}: {refusal}", path.display()))?;
     Ok(format!("restored from {}", path.display()))
 }
@@ -113,7 +120,7 @@ mod tests {
 
     #[test]
     fn without_a_file_or_a_state_the_answer_names_what_is_missing() {
-        let rig = rig_model::Rig::from_yaml(include_str!("../../test/src/rig/rig.yaml")).unwrap();
+        let rig = rig_model::Rig::from_yaml(rig_simulator::RIG_YAML).unwrap();
         let mut fusion = Fusion::new(rig, crate::FusionConfig::default());
         assert!(save(&fusion, "").unwrap_err().contains("checkpoint_file"));
         assert!(save(&fusion, "/no/such/file").unwrap_err().contains("not initialized"));

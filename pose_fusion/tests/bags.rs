@@ -1,25 +1,35 @@
-//! The filter on the developer bags with the true centroids + 0.1 px, and beside its rivals on every scenario.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)] // test code, outside of #[test]
+//! The filter on the recordings with true centroids + 0.1 px, and beside other estimators on every
+//! scenario.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::panic,
+    reason = "a test"
+)]
 mod common;
 
 use common::{
     bags,
-    rig::{inertial::SensorConfig, motion::MotionConfig},
     scoring::{self, Score, Truth},
     simulated,
 };
 use pose_fusion::{Fusion, FusionConfig, Input, Model};
 use rig_model::{MarkerColor, Rig};
+use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
 #[test]
-fn the_bags_are_followed_to_a_millimetre_and_the_covariance_knows() {
-    for (name, position, rotation) in
-        [("nominal", 1.0, 0.15), ("occlude_two", 1.5, 0.2), ("clutter", 1.0, 0.15), ("fast_swing", 1.5, 0.2)]
-    {
+fn bags_give_millimeters_and_a_consistent_covariance() {
+    for (name, position, rotation) in [
+        ("nominal", 1.0, 0.15),
+        ("occlude_two", 1.5, 0.2),
+        ("clutter", 1.0, 0.15),
+        ("fast_swing", 1.5, 0.2),
+    ] {
         let Some(bag) = bags::read(name, 0.1, 1) else { return };
         let mut fusion = Fusion::new(bag.rig.clone(), FusionConfig::default());
-        let said = scoring::run(&mut fusion, bag.inputs.iter().map(|(_, i)| i.clone()));
-        let score = scoring::score(&said.odometry, &bag.truth, 1.0);
+        let outputs = scoring::run(&mut fusion, bag.inputs.iter().map(|(_, i)| i.clone()));
+        let score = scoring::score(&outputs.odometry, &bag.truth, 1.0);
         println!("{name:12} {score}");
         let s = fusion.status();
         println!(
@@ -32,9 +42,30 @@ fn the_bags_are_followed_to_a_millimetre_and_the_covariance_knows() {
             s.counts.gated_markers,
             s.counts.resets.recoveries,
         );
-        println!("   {:?}", &said.warnings[..said.warnings.len().min(5)]);
+        println!("   {:?}", &outputs.warnings[..outputs.warnings.len().min(5)]);
         let (np, nr) = score.nees();
-        assert!(score.position_rmse() < position && score.rotation_rmse() < rotation, "{name} {score}");
+        assert!(
+            score.position_rmse() < position && score.rotation_rmse() < rotation,
+            "{name} {score}"
+        );
+        assert!((1.0..6.0).contains(&np) && (1.0..6.0).contains(&nr), "{name} {score}");
+    }
+}
+
+/// Real IMU samples; in `real_tapping` the IMU is struck, harder than its range.
+#[test]
+fn real_imu_samples_are_tracked_and_blows_are_followed() {
+    for (name, position, largest) in
+        [("real_slow", 0.65, 4.0), ("real_fast", 0.8, 4.0), ("real_tapping", 1.3, 14.0)]
+    {
+        let Some(bag) = bags::read(name, 0.1, 1) else { return };
+        let mut fusion = Fusion::new(bag.rig.clone(), FusionConfig::default());
+        let outputs = scoring::run(&mut fusion, bag.inputs.iter().map(|(_, i)| i.clone()));
+        let score = scoring::score(&outputs.odometry, &bag.truth, 1.0);
+        println!("{name:12} {score}");
+        let (np, nr) = score.nees();
+        assert!(score.position_rmse() < position, "{name} {score}");
+        assert!(1e3 * score.position.max() < largest, "{name} {score}");
         assert!((1.0..6.0).contains(&np) && (1.0..6.0).contains(&nr), "{name} {score}");
     }
 }
@@ -50,7 +81,7 @@ struct Scenario {
     name: String,
     rig: Rig,
     inputs: Vec<Input>,
-    truth: Vec<Truth>,
+    truth: Truth,
 }
 
 impl Scenario {
@@ -62,8 +93,8 @@ impl Scenario {
 
     fn fused(&self, config: FusionConfig, from: f64, inputs: impl Iterator<Item = Input>) -> Row {
         let mut fusion = Fusion::new(self.rig.clone(), config);
-        let said = scoring::run(&mut fusion, inputs);
-        Row { score: scoring::score(&said.odometry, &self.truth, from), share: 1.0 }
+        let outputs = scoring::run(&mut fusion, inputs);
+        Row { score: scoring::score(&outputs.odometry, &self.truth, from), share: 1.0 }
     }
 
     /// tight; paper; paper with the velocity from the fused poses; visual alone; inertial alone.
@@ -75,19 +106,20 @@ impl Scenario {
             self.fused(config, 1.0, all())
         };
         let mut fusion = Fusion::new(self.rig.clone(), FusionConfig::default());
-        let said = scoring::run(&mut fusion, all());
+        let outputs = scoring::run(&mut fusion, all());
         let mut visual = Row { score: Score::default(), share: 0.0 };
-        for p in &said.visual {
-            let late = p.stamp.seconds_since(self.truth[0].stamp) >= 1.0;
+        for p in &outputs.visual {
+            let late = p.stamp.seconds_since(scoring::start(&self.truth)) >= 1.0;
             if let (true, Some(truth)) = (late, scoring::pose_at(&self.truth, p.stamp)) {
                 visual.score.add(&p.pose, &p.covariance, &truth);
             }
         }
         let images = all().filter(|i| matches!(i, Input::Markers(_))).count();
-        visual.share = said.visual.len() as f64 / images as f64;
-        let tight = Row { score: scoring::score(&said.odometry, &self.truth, 1.0), share: 1.0 };
-        // The inertial unit alone: biases, clocks and pose of the first three seconds, and no marker from then on.
-        let blind = self.truth[0].stamp.plus_seconds(3.0);
+        visual.share = outputs.visual.len() as f64 / images as f64;
+        let tight = Row { score: scoring::score(&outputs.odometry, &self.truth, 1.0), share: 1.0 };
+        // The inertial unit alone: biases, clocks and pose of the first three seconds, and no
+        // marker from then on.
+        let blind = scoring::start(&self.truth).plus_seconds(3.0);
         let without = all().filter(|i| !matches!(i, Input::Markers(m) if m.stamp > blind));
         let inertial = self.fused(FusionConfig::default(), 3.0, without);
         [tight, paper(false), paper(true), visual, inertial]
@@ -113,26 +145,42 @@ fn table_of_the_filter_beside_the_published_one_visual_and_inertial_alone() {
     use MarkerColor::{Blue, Red};
     for (name, motion, sensors) in [
         ("nominal", nominal(), plain.clone()),
-        ("fast swing", MotionConfig { duration: 20.0, ..MotionConfig::fast_swing(1) }, plain.clone()),
-        ("at rest", MotionConfig { duration: 20.0, ..MotionConfig::rest(1) }, plain.clone()),
+        (
+            "fast swing",
+            MotionConfig { duration: 20.0, ..MotionConfig::fast_swing(1) },
+            plain.clone(),
+        ),
+        ("stationary", MotionConfig { duration: 20.0, ..MotionConfig::rest(1) }, plain.clone()),
         ("one hidden 10 s", nominal(), hidden(&[Red])),
         ("two hidden 10 s", nominal(), hidden(&[Red, Blue])),
         ("20 % false markers", nominal(), SensorConfig { false_markers: 0.2, ..plain.clone() }),
-        ("images 0 to 300 ms late", nominal(), SensorConfig { image_delay: [0.0, 0.3], ..plain.clone() }),
-        ("ten times the inertial noise", nominal(), SensorConfig { imu_noise_factor: 10.0, ..plain }),
+        (
+            "images 0 to 300 ms late",
+            nominal(),
+            SensorConfig { image_delay: [0.0, 0.3], ..plain.clone() },
+        ),
+        (
+            "ten times the inertial noise",
+            nominal(),
+            SensorConfig { imu_noise_factor: 10.0, ..plain },
+        ),
     ] {
         scenarios.push(Scenario::simulated(name, motion, &sensors));
     }
     println!(
-        "RMSE of position (mm) and rotation (deg), from 1 s on (inertial alone: from 3 s on, blind from there)"
+        "RMSE of position (mm) and rotation (deg), from 1 s on (inertial alone: from 3 s on, blind \
+         from there)"
     );
     println!(
-        "| scenario | tight | paper | paper, velocity from the fused | visual alone (share of images) | inertial alone |"
+        "| scenario | tight | paper | paper, velocity from the fused | visual alone (share of \
+         images) | inertial alone |"
     );
     println!("| --- | --- | --- | --- | --- | --- |");
     for scenario in &scenarios {
         let rows = scenario.rows();
-        let cell = |row: &Row| format!("{:.2} / {:.3}", row.score.position_rmse(), row.score.rotation_rmse());
+        let cell = |row: &Row| {
+            format!("{:.2} / {:.3}", row.score.position_rmse(), row.score.rotation_rmse())
+        };
         let [tight, paper, aided, visual, inertial] = &rows;
         println!(
             "| {} | {} | {} | {} | {} ({:.0} %) | {} |",
@@ -144,13 +192,16 @@ fn table_of_the_filter_beside_the_published_one_visual_and_inertial_alone() {
             100.0 * visual.share,
             cell(inertial),
         );
-        // With so noisy an inertial unit the estimate of now is worse than an image's pose of itself, which comes 25 to 45 ms later.
+        // With so noisy an inertial unit the estimate of now is worse than an image's pose of
+        // itself, which comes 25 to 45 ms later.
         let noisy = scenario.name.ends_with("inertial noise");
-        let rivals = if noisy { vec![paper, inertial] } else { vec![paper, aided, visual, inertial] };
-        for other in rivals {
+        let peers =
+            if noisy { vec![paper, inertial] } else { vec![paper, aided, visual, inertial] };
+        for other in peers {
             assert!(tight.score.position_rmse() < other.score.position_rmse(), "{}", scenario.name);
         }
-        // The published filter takes the rotation that the unit itself says, which knows nothing of a noisy gyroscope.
+        // The published filter uses the IMU's own rotation, which a noisy gyroscope does not affect
+        // here.
         assert!(tight.score.rotation_rmse() < visual.score.rotation_rmse(), "{}", scenario.name);
     }
 }

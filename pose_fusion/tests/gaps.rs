@@ -1,38 +1,50 @@
-//! Data that stop for a while: what is said at their return is covered by its covariance, and soon as good as before.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)] // test code, outside of #[test]
+//! Dropouts of sensors: after them the errors match the covariance, and soon the pose is as
+//! good as before.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::panic,
+    reason = "a test"
+)]
 mod common;
 
 use common::{
     laps::Laps,
-    rig::{inertial::SensorConfig, motion::MotionConfig},
-    scoring::{self, Said, Score},
+    scoring::{self, Outputs, Score},
     simulated,
 };
-use pose_fusion::{Fusion, FusionConfig, Input, MarkerOutcome, Output, PendulumConfig, PoseState, Warning};
-use rig_model::MarkerColor;
+use pose_fusion::{
+    Fusion, FusionConfig, Input, MarkerOutcome, Output, PendulumConfig, PoseState, Warning,
+};
+use rig_model::{
+    MarkerColor,
+    score::{Nees, PoseError},
+};
+use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
 /// 0.9999 quantile of χ² with 3 degrees of freedom.
 const BEYOND: f64 = 21.1;
 
-/// Share of the odometry from `from` to `to` beyond the gate (position, rotation), and the errors at the end (m, rad).
-fn judge(said: &Said, run: &simulated::Run, from: f64, to: f64) -> (f64, f64, f64, f64) {
+/// Share of the odometry from `from` to `to` beyond the gate (position, rotation), and the errors
+/// at the end (m, rad).
+fn judge(outputs: &Outputs, run: &simulated::Run, from: f64, to: f64) -> (f64, f64, f64, f64) {
     let epoch = SensorConfig::nominal(0).epoch;
     let (mut count, mut beyond, mut last) = (0.0, [0.0; 2], (0.0, 0.0));
-    for o in &said.odometry {
+    for o in &outputs.odometry {
         let t = o.stamp.seconds_since(epoch);
         if !(from..to).contains(&t) {
             continue;
         }
-        let (p, r) = scoring::errors(&o.world_from_volant, &scoring::pose_at(&run.truth, o.stamp).unwrap());
+        let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
+        let error = PoseError::new(&o.world_from_volant, &truth);
         count += 1.0;
-        for (k, e) in [p, r].into_iter().enumerate() {
-            let c = o.pose_covariance.fixed_view::<3, 3>(3 * k, 3 * k).into_owned();
-            let nees = c.cholesky().map_or(f64::INFINITY, |c| e.dot(&c.solve(&e)));
+        for (k, nees) in Nees::pair(&error, &o.pose_covariance).into_iter().enumerate() {
             beyond[k] += f64::from(u8::from(nees > BEYOND));
         }
-        last = (p.norm(), r.norm());
+        last = (error.position.norm(), error.rotation.norm());
     }
-    assert!(count > 0.0, "nothing was said");
+    assert!(count > 0.0, "no output");
     (beyond[0] / count, beyond[1] / count, last.0, last.1)
 }
 
@@ -42,23 +54,25 @@ fn motions() -> Vec<(u64, MotionConfig)> {
     (1..=3).flat_map(|seed| [(seed, n(seed)), (seed + 10, f(seed))]).collect()
 }
 
-/// The inputs go through `change` with their times of arrival (s); checks the second after `end`, and the state after two.
+/// The inputs go through `change` with their times of arrival (s); checks the second after `end`,
+/// and the state after two.
 fn row(
     name: &str,
     end: f64,
     change: impl Fn(Vec<(f64, Input)>) -> Vec<(f64, Input)>,
-    also: impl Fn(&Said, &Fusion),
+    also: impl Fn(&Outputs, &Fusion),
 ) {
     let mut shares = [0.0; 2];
     let motions = motions();
     for (seed, motion) in &motions {
         let sensors = SensorConfig::nominal(*seed);
         let run = simulated::run(motion.clone(), &sensors);
-        let inputs = run.inputs.iter().map(|(at, i)| (at.seconds_since(sensors.epoch), i.clone())).collect();
+        let inputs =
+            run.inputs.iter().map(|(at, i)| (at.seconds_since(sensors.epoch), i.clone())).collect();
         let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-        let said = scoring::run(&mut fusion, change(inputs).into_iter().map(|(_, i)| i));
-        let (p, r, _, _) = judge(&said, &run, end, end + 1.0);
-        let (_, _, position, rotation) = judge(&said, &run, end + 1.0, end + 2.0);
+        let outputs = scoring::run(&mut fusion, change(inputs).into_iter().map(|(_, i)| i));
+        let (p, r, _, _) = judge(&outputs, &run, end, end + 1.0);
+        let (_, _, position, rotation) = judge(&outputs, &run, end + 1.0, end + 2.0);
         println!(
             "{name} seed {seed}: beyond {:.1} % {:.1} %, two seconds later {:.2} mm {:.3}°",
             100.0 * p,
@@ -69,32 +83,33 @@ fn row(
         assert!(position < 0.01 && rotation < 1.0_f64.to_radians(), "{name} seed {seed}: not back");
         shares[0] += p / motions.len() as f64;
         shares[1] += r / motions.len() as f64;
-        also(&said, &fusion);
+        also(&outputs, &fusion);
     }
     assert!(shares[0] < 0.02 && shares[1] < 0.02, "{name}: beyond the gate {shares:?}");
 }
 
 #[test]
-fn after_an_inertial_outage_the_odometry_is_covered() {
+fn the_odometry_is_consistent_after_an_imu_dropout() {
     for gap in [0.1, 0.3, 0.6, 0.9, 1.5, 3.0] {
         row(
             &format!("no inertial sample for {gap} s"),
             6.0 + gap,
             |inputs| {
-                let silent =
-                    |at: f64, i: &Input| matches!(i, Input::Imu(_)) && (6.0..6.0 + gap).contains(&at);
+                let silent = |at: f64, i: &Input| {
+                    matches!(i, Input::Imu(_)) && (6.0..6.0 + gap).contains(&at)
+                };
                 inputs.into_iter().filter(|(at, i)| !silent(*at, i)).collect()
             },
-            |said, fusion| {
+            |outputs, fusion| {
                 assert_eq!(fusion.status().counts.inputs.imu_gaps, 1);
-                assert!(said.warnings.iter().any(|w| matches!(w, Warning::ImuGap { .. })));
+                assert!(outputs.warnings.iter().any(|w| matches!(w, Warning::ImuGap { .. })));
             },
         );
     }
 }
 
 #[test]
-fn after_a_stall_of_the_process_the_odometry_is_covered() {
+fn the_odometry_is_consistent_after_a_stall_of_the_process() {
     for (gap, depth) in [(0.4, 10), (3.0, 10), (3.0, 100)] {
         row(
             &format!("stalled for {gap} s, queues of {depth}"),
@@ -111,8 +126,11 @@ fn after_a_stall_of_the_process_the_odometry_is_covered() {
                 );
                 let mut all: Vec<_> = inputs.iter().filter(|(at, _)| *at < 6.0).cloned().collect();
                 for kind in kinds {
-                    let waiting: Vec<_> =
-                        inputs.iter().filter(|(at, i)| (6.0..end).contains(at) && kind(i)).cloned().collect();
+                    let waiting: Vec<_> = inputs
+                        .iter()
+                        .filter(|(at, i)| (6.0..end).contains(at) && kind(i))
+                        .cloned()
+                        .collect();
                     all.extend(waiting.into_iter().rev().take(depth).rev());
                 }
                 all.extend(inputs.into_iter().filter(|(at, _)| *at >= end));
@@ -124,9 +142,9 @@ fn after_a_stall_of_the_process_the_odometry_is_covered() {
 }
 
 #[test]
-fn two_pictures_of_three_are_no_loss_that_the_covariance_does_not_know() {
+fn two_dropped_images_of_three_keep_the_covariance_consistent() {
     row(
-        "two pictures of three dropped",
+        "two images of three dropped",
         4.0,
         |inputs| {
             let mut count = 0;
@@ -142,13 +160,14 @@ fn two_pictures_of_three_are_no_loss_that_the_covariance_does_not_know() {
 }
 
 #[test]
-fn three_seconds_without_encoders_are_covered() {
+fn three_seconds_without_encoders_stay_consistent() {
     for end in [4.5, 6.0, 7.0] {
         row(
             "encoders silent from 3 s to 6 s",
             end,
             |inputs| {
-                let silent = |at: f64, i: &Input| matches!(i, Input::Climber(_)) && (3.0..6.0).contains(&at);
+                let silent =
+                    |at: f64, i: &Input| matches!(i, Input::Climber(_)) && (3.0..6.0).contains(&at);
                 inputs.into_iter().filter(|(at, i)| !silent(*at, i)).collect()
             },
             |_, _| {},
@@ -157,9 +176,9 @@ fn three_seconds_without_encoders_are_covered() {
 }
 
 #[test]
-fn pictures_from_the_future_are_refused_with_a_reason_and_the_rest_goes_on() {
+fn images_from_the_future_are_rejected_with_a_reason() {
     row(
-        "pictures stamped 10 s ahead",
+        "images stamped 10 s ahead",
         6.0,
         |inputs| {
             let ahead = |at: f64, mut i: Input| {
@@ -172,16 +191,22 @@ fn pictures_from_the_future_are_refused_with_a_reason_and_the_rest_goes_on() {
             };
             inputs.into_iter().map(|(at, i)| ahead(at, i)).collect()
         },
-        |said, fusion| {
+        |outputs, fusion| {
             let status = fusion.status();
             assert!((85..95).contains(&status.counts.rejected.images), "{status:?}");
-            let refused = said.records.iter().filter(|r| r.outcome == MarkerOutcome::Rejected).count();
-            assert!(refused as u64 >= status.counts.rejected.images);
-            let told = |w: &Warning| matches!(w, Warning::Ahead { source_name: "image", ahead_s, .. } if *ahead_s > 9.0);
-            assert!(said.warnings.iter().any(told));
+            let rejected =
+                outputs.records.iter().filter(|r| r.outcome == MarkerOutcome::Rejected).count();
+            assert!(rejected as u64 >= status.counts.rejected.images);
+            let ahead = |w: &Warning| match w {
+                Warning::Ahead { source_name, ahead_s, .. } => {
+                    *source_name == "image" && *ahead_s > 9.0
+                }
+                _ => false,
+            };
+            assert!(outputs.warnings.iter().any(ahead));
             // One odometry with every inertial sample all the time.
             let gap = |w: &[pose_fusion::Odometry]| w[1].stamp.seconds_since(w[0].stamp) < 0.03;
-            assert!(said.odometry.windows(2).all(gap));
+            assert!(outputs.odometry.windows(2).all(gap));
         },
     );
 }
@@ -201,9 +226,10 @@ fn lap_row(name: &str, laps: &Laps) -> common::laps::Found {
     found
 }
 
-/// Fifteen seconds from rest to full motion: at first every turn and every speed hides in the noise.
+/// Fifteen seconds from rest to full motion: at first every turn and every speed hides in the
+/// noise.
 #[test]
-fn a_platform_that_sets_out_slowly_is_followed_and_the_covariance_knows() {
+fn a_slow_start_keeps_the_covariance_consistent() {
     for seed in 1..=4 {
         let found = lap_row(&format!("slow laps, seed {seed}"), &Laps::minutes(seed, 3));
         assert!(found.beyond.iter().all(|b| *b < 0.002), "{found:?}");
@@ -224,7 +250,7 @@ fn broken_encoders(seed: u64, laps: u32) {
 /// Rounding must not pile up: without symmetric covariances a variance was negative after an hour.
 #[test]
 #[ignore = "three hours of rig time: two minutes"]
-fn hours_leave_the_covariance_as_it_was() {
+fn hours_do_not_change_the_covariance() {
     let found = lap_row("three hours, nothing broken", &Laps::minutes(5, 180));
     assert!(
         found.status.counts.resets.divergences == 0 && found.status.counts.resets.recoveries == 0,
@@ -234,13 +260,13 @@ fn hours_leave_the_covariance_as_it_was() {
 }
 
 #[test]
-fn broken_encoders_are_ridden_out() {
+fn encoder_faults_are_survived() {
     broken_encoders(1, 15);
 }
 
 #[test]
 #[ignore = "three hours of rig time for each of two seeds: some minutes"]
-fn broken_encoders_are_ridden_out_for_three_hours() {
+fn encoder_faults_are_survived_for_three_hours() {
     for seed in 2..=3 {
         broken_encoders(seed, 180);
     }
@@ -249,13 +275,14 @@ fn broken_encoders_are_ridden_out_for_three_hours() {
 type Rope = fn(&mut PendulumConfig, f64);
 type Swing = fn(u64) -> MotionConfig;
 
-/// What is said while no marker is seen, from 12 s on, over four seeds: a score for each rope.
+/// Errors without visible markers, from 12 s on, over four seeds: a score for each rope.
 fn blind_for(seconds: f64, motion: Swing, ropes: &[(&str, Rope)]) -> Vec<Score> {
     let mut scores: Vec<Score> = ropes.iter().map(|_| Score::default()).collect();
     for seed in 1..=4 {
         let hidden = MarkerColor::ALL.map(|c| (c, 12.0, 12.0 + seconds)).to_vec();
         let sensors = SensorConfig { hidden, ..SensorConfig::nominal(seed) };
-        let run = simulated::run(MotionConfig { duration: 12.0 + seconds, ..motion(seed) }, &sensors);
+        let run =
+            simulated::run(MotionConfig { duration: 12.0 + seconds, ..motion(seed) }, &sensors);
         let (rope, heights) = (run.motion.rope_length(), run.motion.config());
         for ((name, set), score) in ropes.iter().zip(&mut scores) {
             let mut config = FusionConfig::default();
@@ -263,14 +290,16 @@ fn blind_for(seconds: f64, motion: Swing, ropes: &[(&str, Rope)]) -> Vec<Score> 
             set(pendulum, rope);
             pendulum.climber_attachment.z = heights.platform_height + rope - heights.climber_height;
             let mut fusion = Fusion::new(simulated::rig(), config);
-            let said = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
-            for o in said.odometry.iter().filter(|o| o.stamp.seconds_since(sensors.epoch) > 12.0) {
+            let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+            for o in outputs.odometry.iter().filter(|o| o.stamp.seconds_since(sensors.epoch) > 12.0)
+            {
                 let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
                 score.add(&o.world_from_volant, &o.pose_covariance, &truth);
             }
             if let Some(found) = fusion.status().rope {
                 println!(
-                    "    seed {seed}, {name}: length off by {:+.1} mm ± {:.1}, stretches by {:.1} mm, {:.2} m/s² across",
+                    "    seed {seed}, {name}: length off by {:+.1} mm ± {:.1}, stretches by {:.1} \
+                     mm, {:.2} m/s² across",
                     (found.length - rope) * 1e3,
                     found.length_variance.sqrt() * 1e3,
                     found.stretch_variance.sqrt() * 1e3,
@@ -282,20 +311,21 @@ fn blind_for(seconds: f64, motion: Swing, ropes: &[(&str, Rope)]) -> Vec<Score> 
     scores
 }
 
-/// The simulated rope's upper end goes 10 mm up and down, as one that stretches; the climber drives.
+/// The simulated rope's upper end goes 10 mm up and down, as one that stretches; the climber
+/// drives.
 #[test]
-fn a_rope_of_known_length_holds_what_would_drift_away_without_vision() {
+fn a_known_rope_length_bounds_the_drift_without_vision() {
     let ropes: [(&str, Rope); 4] = [
         ("none", |_, _| {}),
         ("known", |p, length| p.rope_length = length),
         ("2 % wrong", |p, length| p.rope_length = 1.02 * length),
-        ("2 % wrong, said to be known to 1 mm", |p, length| {
+        ("2 % wrong, with a sigma of 1 mm", |p, length| {
             (p.rope_length, p.rope_sigma) = (1.02 * length, 1e-3);
         }),
     ];
     let free: Swing = |seed| MotionConfig { free: true, ..MotionConfig::nominal(seed) };
-    // Swinging as told, the platform is pushed aside by up to 0.4 m/s²: no pendulum moves so.
-    let motions: [(&str, Swing); 2] = [("free", free), ("as told", MotionConfig::nominal)];
+    // In the prescribed swing the platform is pushed aside by up to 0.4 m/s², unlike a pendulum.
+    let motions: [(&str, Swing); 2] = [("free", free), ("prescribed", MotionConfig::nominal)];
     println!("| swing | no vision for | rope | position, mm | rotation, ° | NEES |");
     for (name, motion) in motions {
         // At most these shares of the error without a rope.
@@ -319,11 +349,14 @@ fn a_rope_of_known_length_holds_what_would_drift_away_without_vision() {
     }
 }
 
-/// Neither IMU samples nor images, and encoders that go on: the status says at 10 Hz that there is no pose, until there is one.
+/// Neither IMU samples nor images, only encoder readings: the status reports at 10 Hz that there is
+/// no pose, until there is one.
 #[test]
-fn a_status_says_that_nothing_comes_but_encoder_readings() {
-    let run =
-        simulated::run(MotionConfig { duration: 8.0, ..MotionConfig::nominal(3) }, &SensorConfig::nominal(3));
+fn the_status_reports_that_only_encoder_readings_arrive() {
+    let run = simulated::run(
+        MotionConfig { duration: 8.0, ..MotionConfig::nominal(3) },
+        &SensorConfig::nominal(3),
+    );
     let epoch = SensorConfig::nominal(3).epoch;
     let mut fusion = Fusion::new(simulated::rig(), simulated::config());
     let (mut alone, mut again) = (Vec::new(), None);

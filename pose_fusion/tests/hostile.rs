@@ -1,16 +1,18 @@
-//! Input that is broken, late, doubled, out of order or from another time: refused and counted, and the filter goes on.
+//! Invalid, late, repeated, reordered input, or input of another time: rejected and counted,
+//! without effect on later output.
 mod common;
 
-use common::{
-    rig::{inertial::SensorConfig, motion::MotionConfig},
-    scoring, simulated,
-};
+use common::{scoring, simulated};
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use pose_fusion::{Fusion, FusionConfig, Input, Odometry, Warning, config::CalibrationSigmas};
-use rig_model::Stamp;
+use rig_model::{Stamp, score::PoseError};
+use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
 fn recording() -> simulated::Run {
-    simulated::run(MotionConfig { duration: 6.0, ..MotionConfig::nominal(4) }, &SensorConfig::nominal(4))
+    simulated::run(
+        MotionConfig { duration: 6.0, ..MotionConfig::nominal(4) },
+        &SensorConfig::nominal(4),
+    )
 }
 
 fn shifted(input: &Input, seconds: f64) -> Input {
@@ -35,7 +37,7 @@ fn the_same_inputs_give_the_same_outputs() {
 }
 
 #[test]
-fn what_is_broken_is_refused_and_leaves_no_trace() {
+fn invalid_input_is_rejected_and_has_no_effect() {
     let run = recording();
     let clean = {
         let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
@@ -70,7 +72,7 @@ fn what_is_broken_is_refused_and_leaves_no_trace() {
             inputs.push(shifted(input, 1000.0)); // from the future
         }
     }
-    let said = scoring::run(&mut fusion, inputs);
+    let outputs = scoring::run(&mut fusion, inputs);
     let status = fusion.status();
     assert!(
         status.counts.rejected.imu > 50
@@ -81,8 +83,8 @@ fn what_is_broken_is_refused_and_leaves_no_trace() {
     assert!(status.counts.inputs.duplicates > 50);
     assert_eq!(status.counts.resets.time_jumps, 0);
     // The broken image shows no markers, so nothing changes but rounding of one more step.
-    assert_eq!(said.odometry.len(), clean.len());
-    let worst = said
+    assert_eq!(outputs.odometry.len(), clean.len());
+    let worst = outputs
         .odometry
         .iter()
         .zip(&clean)
@@ -94,24 +96,25 @@ fn what_is_broken_is_refused_and_leaves_no_trace() {
 }
 
 #[test]
-fn reordered_inertial_samples_are_put_in_their_place() {
+fn reordered_imu_samples_are_sorted() {
     let run = recording();
     let mut inputs: Vec<Input> = run.inputs.iter().map(|(_, i)| i.clone()).collect();
-    let imu: Vec<usize> = (0..inputs.len()).filter(|i| matches!(inputs[*i], Input::Imu(_))).collect();
+    let imu: Vec<usize> =
+        (0..inputs.len()).filter(|i| matches!(inputs[*i], Input::Imu(_))).collect();
     for pair in imu.chunks_exact(7) {
         inputs.swap(pair[2], pair[3]);
     }
     let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-    let said = scoring::run(&mut fusion, inputs);
-    let score = scoring::score(&said.odometry, &run.truth, 1.0);
+    let outputs = scoring::run(&mut fusion, inputs);
+    let score = scoring::score(&outputs.odometry, &run.truth, 1.0);
     println!("{score}");
     assert!(fusion.status().counts.inputs.late_imu > 50);
     assert!(score.position_rmse() < 1.2 && score.rotation_rmse() < 0.2, "{score}");
-    assert!(said.odometry.windows(2).all(|w| w[1].stamp > w[0].stamp));
+    assert!(outputs.odometry.windows(2).all(|w| w[1].stamp > w[0].stamp));
 }
 
 #[test]
-fn a_looped_recording_starts_anew() {
+fn a_looped_recording_reinitializes() {
     let run = recording();
     let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
     let first = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
@@ -125,7 +128,7 @@ fn a_looped_recording_starts_anew() {
 }
 
 #[test]
-fn without_vision_it_does_not_lie() {
+fn the_covariance_stays_consistent_without_vision() {
     let run = simulated::run(
         MotionConfig { duration: 12.0, ..MotionConfig::nominal(2) },
         &SensorConfig {
@@ -138,13 +141,13 @@ fn without_vision_it_does_not_lie() {
     config.tight.clock.camera_sigma = 0.0;
     config.tight.calibration = CalibrationSigmas::NONE;
     let mut fusion = Fusion::new(simulated::rig(), config);
-    let said = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
     let epoch = SensorConfig::nominal(2).epoch;
     let mut last: Option<&Odometry> = None;
-    for o in &said.odometry {
+    for o in &outputs.odometry {
         let t = o.stamp.seconds_since(epoch);
         let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
-        let (p, _) = scoring::errors(&o.world_from_volant, &truth);
+        let p = PoseError::new(&o.world_from_volant, &truth).position;
         for i in 0..3 {
             let sigma = o.pose_covariance[(i, i)].sqrt();
             assert!(p[i].abs() < 5.0 * sigma + 1e-3, "{t} {i}: {} of {sigma}", p[i]);
@@ -156,18 +159,21 @@ fn without_vision_it_does_not_lie() {
             last = Some(o);
         }
     }
-    assert!(said.warnings.iter().any(|w| matches!(w, Warning::VisionLost { .. })));
+    assert!(outputs.warnings.iter().any(|w| matches!(w, Warning::VisionLost { .. })));
     // Back within two images.
-    let back = said.odometry.iter().find(|o| o.stamp.seconds_since(epoch) > 9.12).unwrap();
-    let (p, _) = scoring::errors(&back.world_from_volant, &scoring::pose_at(&run.truth, back.stamp).unwrap());
+    let back = outputs.odometry.iter().find(|o| o.stamp.seconds_since(epoch) > 9.12).unwrap();
+    let truth = scoring::pose_at(&run.truth, back.stamp).unwrap();
+    let p = PoseError::new(&back.world_from_volant, &truth).position;
     println!("back with {:.2} mm", p.norm() * 1e3);
     assert!(p.norm() < 0.01);
 }
 
 #[test]
 fn the_fused_pose_is_the_inverse_with_the_covariance_in_its_own_axes() {
-    // Proven by sampling: perturb the pose in world axes, invert, and look at the spread in volant axes.
-    let covariance = Matrix6::from_diagonal(&nalgebra::Vector6::new(1e-6, 4e-6, 9e-6, 1e-6, 2e-6, 4e-6));
+    // Verified by sampling: perturb the pose in world axes, invert, and compare the spread in
+    // volant axes.
+    let covariance =
+        Matrix6::from_diagonal(&nalgebra::Vector6::new(1e-6, 4e-6, 9e-6, 1e-6, 2e-6, 4e-6));
     let pose = nalgebra::Isometry3::from_parts(
         Vector3::new(0.4, -0.3, 1.3).into(),
         UnitQuaternion::from_euler_angles(0.1, -0.2, std::f64::consts::FRAC_PI_2),
@@ -182,7 +188,7 @@ fn the_fused_pose_is_the_inverse_with_the_covariance_in_its_own_axes() {
     };
     let fused = odometry.fused_pose();
     assert!((fused.pose * pose).translation.vector.norm() < 1e-12);
-    let mut random = common::rig::random::Random::new(5);
+    let mut random = rig_simulator::random::Random::new(5);
     let (mut spread, n) = (Matrix6::zeros(), 20_000);
     for _ in 0..n {
         let e = nalgebra::Vector6::from_fn(|i, _| covariance[(i, i)].sqrt() * random.normal());
@@ -190,7 +196,7 @@ fn the_fused_pose_is_the_inverse_with_the_covariance_in_its_own_axes() {
             (pose.translation.vector + e.fixed_rows::<3>(0)).into(),
             UnitQuaternion::from_scaled_axis(e.fixed_rows::<3>(3).into_owned()) * pose.rotation,
         );
-        let d = scoring::error6(&fused.pose, &moved.inverse());
+        let d = PoseError::new(&fused.pose, &moved.inverse()).stacked();
         spread += d * d.transpose() / f64::from(n);
     }
     assert!(

@@ -1,22 +1,23 @@
-//! A camera's calibration as ROS's `camera_calibration` writes it: YAML text in, [`CameraModel`] out.
+//! Camera calibration files of ROS's `camera_calibration`: YAML → [`CameraModel`].
 
-use crate::{CameraModel, CameraModelError, yaml};
+use crate::{CameraModel, CameraModelError};
+use ros_parameters::yaml;
 use serde::Deserialize;
 use thiserror::Error;
 
-/// What is wrong with a calibration file.
+/// Invalid calibration file.
 #[derive(Debug, Error)]
 pub enum CalibrationFileError {
-    /// Not YAML, or a key is missing or of another type.
+    /// The text is not YAML, or a key is missing or has another type.
     #[error(transparent)]
     Yaml(#[from] serde_yaml_ng::Error),
-    /// A camera matrix that is none.
-    #[error("camera_matrix.data takes nine numbers, not {found}")]
+    /// The camera matrix does not have nine entries.
+    #[error("camera_matrix.data has {found} numbers; it must have nine")]
     Matrix {
-        /// How many there are.
+        /// Number of entries.
         found: usize,
     },
-    /// Values that cannot be.
+    /// A value is invalid.
     #[error(transparent)]
     Model(#[from] CameraModelError),
 }
@@ -37,17 +38,23 @@ struct File {
 }
 
 impl CameraModel {
-    /// From the text of a calibration file; the rectification in it is not looked at.
+    /// Parses the text of a calibration file; its rectification and projection are ignored.
     ///
     /// # Errors
-    /// What is wrong with it. The caller knows the file's name.
+    /// [`CalibrationFileError`], without the name of the file.
     pub fn from_calibration_file(text: &str) -> Result<Self, CalibrationFileError> {
         let file: File = serde_yaml_ng::from_value(yaml::parse(text)?)?;
         let k = &file.camera_matrix.data;
         let k: [f64; 9] =
             k.as_slice().try_into().map_err(|_| CalibrationFileError::Matrix { found: k.len() })?;
         let d = &file.distortion_coefficients.data;
-        Ok(Self::from_camera_info(file.image_width, file.image_height, &file.distortion_model, d, &k)?)
+        Ok(Self::from_camera_info(
+            file.image_width,
+            file.image_height,
+            &file.distortion_model,
+            d,
+            &k,
+        )?)
     }
 }
 
@@ -66,14 +73,15 @@ projection_matrix: {rows: 3, cols: 4, data: [591, 0, 319, 0, 0, 589, 235, 0, 0, 
 ";
 
     #[test]
-    fn a_calibration_file_is_read_and_a_bad_one_is_refused() {
+    fn a_valid_calibration_file_is_read_and_an_invalid_one_is_rejected() {
         let camera = CameraModel::from_calibration_file(FILE).unwrap();
         assert_eq!(camera.size(), (640, 480));
         assert_eq!(camera.focal_lengths().y, 589.0);
-        let refused =
-            |from, to| CameraModel::from_calibration_file(&FILE.replace(from, to)).unwrap_err().to_string();
-        assert!(refused("591.0, 0.0, 319.0", "591.0, 319.0").contains("nine"));
-        assert!(refused("plumb_bob", "brown").contains("brown"));
-        assert!(refused("image_width", "width").contains("image_width"));
+        let error = |from, to| {
+            CameraModel::from_calibration_file(&FILE.replace(from, to)).unwrap_err().to_string()
+        };
+        assert!(error("591.0, 0.0, 319.0", "591.0, 319.0").contains("nine"));
+        assert!(error("plumb_bob", "brown").contains("brown"));
+        assert!(error("image_width", "width").contains("image_width"));
     }
 }

@@ -1,23 +1,34 @@
-//! What the rig *is*, as plain data and pure functions: the one vocabulary in which the drivers, the tracker,
-//! the filter and the tools speak to each other.
+//! Description of the rig as plain data and pure functions, shared by drivers, tracker, filter and
+//! tools.
 //!
-//! In flow the rig file ([`rig`], ROS 2 parameter YAML through [`parameters`]) and `CameraInfo` ([`camera`]);
-//! out flow typed frames, stamps, samples and the projection of the markers. No middleware, clock, thread,
-//! file or device is in here.
+//! | module | content |
+//! | --- | --- |
+//! | [`stamp`], [`samples`] | time, and the core's side of every topic |
+//! | [`rig`] | the rig file: frames, mounting, IMU noise, markers |
+//! | [`camera`], [`calibration_file`] | camera model, from `CameraInfo` or a calibration file |
+//! | [`marker`] | marker layout, and the centroid of a projected square with its derivatives |
+//! | [`planar_pose`] | pose of the platform from the markers of one image |
+//! | [`score`] | truth, pose errors, RMSE and NEES |
+//! | [`topics`] | names of topics and frames |
+//! | [`angle`] | angles within ±π |
 //!
-//! Conventions: metres, radians, seconds, pixels; right-handed frames (REP-103). `a_from_b` maps a point's
-//! coordinates in `b` to its coordinates in `a` (the paper's `aTb`). The centre of the top left pixel is (0, 0).
+//! Units are meters, radians, seconds and pixels; frames are right-handed (REP-103). `a_from_b`
+//! maps the coordinates of a point in `b` to its coordinates in `a` (the paper's `aTb`). The center
+//! of the top left pixel is (0, 0). Nothing here uses middleware, clocks, threads, files or
+//! devices.
 
+pub mod angle;
 pub mod calibration_file;
 pub mod camera;
 pub mod marker;
-pub mod parameters;
 pub mod planar_pose;
 pub mod rig;
 pub mod samples;
+pub mod score;
 pub mod stamp;
-pub mod yaml;
+pub mod topics;
 
+pub use angle::wrap_angle;
 pub use calibration_file::CalibrationFileError;
 pub use camera::{CameraModel, CameraModelError, Distortion};
 pub use marker::{MarkerColor, MarkerLayout, PerColor};

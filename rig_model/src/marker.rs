@@ -1,4 +1,4 @@
-//! The four coloured squares: their colours, where they are on the platform, and what their image's centroid is.
+//! The four colored squares: layout on the platform and projection into the image.
 
 use crate::camera::CameraModel;
 use nalgebra::{Isometry3, Matrix2x3, Point3, Vector2, Vector3};
@@ -7,7 +7,7 @@ use std::{
     ops::{Index, IndexMut},
 };
 
-/// The colour that names a marker.
+/// Color of a marker, which identifies it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u8)]
 pub enum MarkerColor {
@@ -26,7 +26,7 @@ impl MarkerColor {
     pub const ALL: [MarkerColor; 4] =
         [MarkerColor::Red, MarkerColor::Green, MarkerColor::Blue, MarkerColor::Yellow];
 
-    /// Lower-case name, as in the rig file.
+    /// Lowercase name, as in the rig file.
     pub const fn name(self) -> &'static str {
         match self {
             MarkerColor::Red => "red",
@@ -36,7 +36,7 @@ impl MarkerColor {
         }
     }
 
-    /// Place in [`MarkerColor::ALL`].
+    /// Index in [`MarkerColor::ALL`].
     pub const fn index(self) -> usize {
         self as usize
     }
@@ -48,17 +48,17 @@ impl fmt::Display for MarkerColor {
     }
 }
 
-/// One value for each of the four markers.
+/// One value per marker.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PerColor<T>(pub [T; 4]);
 
 impl<T> PerColor<T> {
-    /// Made colour by colour.
+    /// Calls `f` for each color in the order of [`MarkerColor::ALL`].
     pub fn from_fn(mut f: impl FnMut(MarkerColor) -> T) -> Self {
         Self(MarkerColor::ALL.map(&mut f))
     }
 
-    /// Each value with its colour.
+    /// Iterates over colors and values.
     pub fn iter(&self) -> impl Iterator<Item = (MarkerColor, &T)> {
         MarkerColor::ALL.into_iter().zip(self.0.iter())
     }
@@ -77,42 +77,49 @@ impl<T> IndexMut<MarkerColor> for PerColor<T> {
     }
 }
 
-/// Where the markers are on the platform.
+/// Layout of the markers on the platform.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MarkerLayout {
     /// Side of each square, m.
     pub side: f64,
-    /// Centres in the volant frame, m. Each square lies in a plane of constant z of that frame; how it is turned
-    /// in its plane was never measured.
+    /// Centers in the volant frame, m.
+    ///
+    /// Each square lies in a plane of constant z of that frame; its rotation within the plane is
+    /// unknown.
     pub centres: PerColor<Point3<f64>>,
 }
 
-/// Centroid of a square's image, with its derivatives.
+/// Centroid of a projected square, with its derivatives.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProjectedCentroid {
-    /// Area centroid of the image, raw (distorted) pixels.
+    /// Area centroid of the image, raw (distorted) px.
     pub pixel: Vector2<f64>,
-    /// ∂pixel/∂(square's centre in the camera frame), px/m, as the mean over the square; the square's orientation is
-    /// held. (What is left out, the change of the area weights, is of the order of the centroid shift itself.)
+    /// ∂pixel/∂(center in the camera frame), px/m, at constant orientation: the mean over the
+    /// square.
+    ///
+    /// Neglects the change of the area weights, which is of the order of the centroid shift.
     pub jacobian_by_centre: Matrix2x3<f64>,
-    /// ∂pixel/∂(turn of the square about its own centre, as a rotation vector along the camera's axes), px/rad: how the
-    /// centroid's shift, −4h²/(3z)·∂π/∂p·(e_z − n·n_z) to second order in the half side h (n: the square's normal), changes
-    /// as the square tilts.
+    /// ∂pixel/∂(rotation about the square's center), px/rad, as a rotation vector in the camera
+    /// frame.
+    ///
+    /// Derivative of the centroid's shift −4h²/(3z)·∂π/∂p·(e_z − n·n_z), which is of second order
+    /// in the half side h; n is the normal of the square.
     pub jacobian_by_turn: Matrix2x3<f64>,
-    /// Area of the image, px², to second order.
+    /// Area of the image, px², to second order in the side.
     pub area: f64,
 }
 
 impl MarkerLayout {
-    /// The area centroid of the image of the square `color` for a platform at `camera_from_volant`.
+    /// Projects the square `color` and returns the area centroid of its image.
     ///
-    /// A tilted square's image is larger where it is nearer, so its centroid lies beside the image of its centre by
-    /// about 4·f·h²·sinθ·cosθ/(3·z²) px (h = half the side). The integral ∫ π(u)·|∂π/∂u| du / ∫ |∂π/∂u| du over the
-    /// square is taken by 2×2 Gauss–Legendre points, exact for cubic integrands; because a square's second
-    /// moments are the same in all directions the result does not depend, to that order, on how the square is
-    /// turned in its plane. Lens distortion is included, point by point.
+    /// The near part of a tilted square appears larger, so that the centroid differs from the image
+    /// of the center by about 4·f·h²·sinθ·cosθ/(3·z²) px (h: half the side). The integral
+    /// ∫ π(u)·|∂π/∂u| du / ∫ |∂π/∂u| du over the square is computed with 2×2 Gauss–Legendre points,
+    /// which are exact for cubic integrands and include lens distortion. The second moments of a
+    /// square are equal in all directions; to that order the result does not depend on the rotation
+    /// within the plane.
     ///
-    /// `None` where any of the four points is behind the camera or outside the lens model's range.
+    /// `None` if one of the four points is behind the camera or outside the lens model's range.
     #[inline]
     pub fn projected_centroid(
         &self,
@@ -121,13 +128,13 @@ impl MarkerLayout {
         camera_from_volant: &Isometry3<f64>,
     ) -> Option<ProjectedCentroid> {
         let offset = self.side / 2.0 / 3f64.sqrt();
-        let centre = self.centres[color];
+        let center = self.centres[color];
         let u = camera_from_volant.rotation * Vector3::x();
         let v = camera_from_volant.rotation * Vector3::y();
-        let centre_camera = camera_from_volant * centre;
+        let center_camera = camera_from_volant * center;
         let (mut weight, mut pixel, mut jacobian) = (0.0, Vector2::zeros(), Matrix2x3::zeros());
         for (su, sv) in [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)] {
-            let point = centre_camera + u * (su * offset) + v * (sv * offset);
+            let point = center_camera + u * (su * offset) + v * (sv * offset);
             let (p, dp) = camera.project_with_jacobian(&point)?;
             let (pu, pv) = (dp * u, dp * v);
             let density = (pu.x * pv.y - pu.y * pv.x).abs();
@@ -139,11 +146,12 @@ impl MarkerLayout {
             let jacobian_by_centre = jacobian / weight;
             let n = u.cross(&v);
             let n_cross = n.cross_matrix();
-            let shift = self.side * self.side / (3.0 * centre_camera.z);
+            let shift = self.side * self.side / (3.0 * center_camera.z);
             ProjectedCentroid {
                 pixel: pixel / weight,
                 jacobian_by_centre,
-                jacobian_by_turn: jacobian_by_centre * ((n_cross * n.z + n * n_cross.row(2)) * -shift),
+                jacobian_by_turn: jacobian_by_centre
+                    * ((n_cross * n.z + n * n_cross.row(2)) * -shift),
                 area: weight / 4.0 * self.side * self.side,
             }
         })
@@ -156,7 +164,7 @@ mod tests {
     use crate::camera::Distortion;
     use nalgebra::{Rotation3, Translation3, UnitQuaternion, Vector3};
 
-    /// The integral by brute force: 400×400 cells of the square.
+    /// Centroid and area from 400×400 cells of the square.
     fn centroid_by_cells(
         camera: &CameraModel,
         pose: &Isometry3<f64>,
@@ -171,7 +179,8 @@ mod tests {
                 let cell = |k: usize| ((k as f64 + 0.5) / n as f64 - 0.5) * side;
                 let p = pose * Point3::from(turn * Vector3::new(cell(i), cell(j), 0.0));
                 let (pixel, d) = camera.project_with_jacobian(&p).unwrap();
-                let (a, b) = (d * (pose.rotation * Vector3::x()), d * (pose.rotation * Vector3::y()));
+                let (a, b) =
+                    (d * (pose.rotation * Vector3::x()), d * (pose.rotation * Vector3::y()));
                 let area = (a.x * b.y - a.y * b.x).abs();
                 w += area;
                 s += pixel * area;
@@ -181,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn four_gauss_points_give_the_centroid_to_a_thousandth_of_a_pixel_however_the_square_is_turned() {
+    fn four_gauss_points_give_the_centroid_for_any_rotation_within_the_plane() {
         let camera = CameraModel::new(
             640,
             480,
@@ -197,13 +206,17 @@ mod tests {
             );
             let (truth, area) = centroid_by_cells(&camera, &pose, 0.076, turn);
             let ours = layout.projected_centroid(MarkerColor::Red, &camera, &pose).unwrap();
-            assert!((ours.pixel - truth).norm() < 2e-3, "{tilt} {turn}: {}", (ours.pixel - truth).norm());
+            assert!(
+                (ours.pixel - truth).norm() < 2e-3,
+                "{tilt} {turn}: {}",
+                (ours.pixel - truth).norm()
+            );
             assert!((ours.area / area - 1.0).abs() < 2e-3);
         }
     }
 
     #[test]
-    fn the_derivatives_are_the_numerical_ones() {
+    fn derivatives_equal_numerical_ones() {
         let lens = Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]);
         let camera = CameraModel::new(640, 480, [590.0, 590.0, 319.5, 239.5], lens).unwrap();
         let layout = MarkerLayout { side: 0.076, centres: PerColor([Point3::origin(); 4]) };
@@ -212,19 +225,23 @@ mod tests {
                 Translation3::new(0.15, -0.1, 1.1),
                 UnitQuaternion::from_euler_angles(std::f64::consts::PI - tilt, 0.1, 0.4),
             );
-            let at =
-                |pose: &Isometry3<f64>| layout.projected_centroid(MarkerColor::Red, &camera, pose).unwrap();
+            let at = |pose: &Isometry3<f64>| {
+                layout.projected_centroid(MarkerColor::Red, &camera, pose).unwrap()
+            };
             let ours = at(&pose);
             let h = 1e-5;
             for axis in 0..3 {
                 let mut step = Vector3::zeros();
                 step[axis] = h;
                 let shifted = |s: f64| {
-                    at(&Isometry3::from_parts((pose.translation.vector + step * s).into(), pose.rotation))
-                        .pixel
+                    at(&Isometry3::from_parts(
+                        (pose.translation.vector + step * s).into(),
+                        pose.rotation,
+                    ))
+                    .pixel
                 };
-                let by_centre = (shifted(1.0) - shifted(-1.0)) / (2.0 * h);
-                assert!((by_centre - ours.jacobian_by_centre.column(axis)).norm() < 2.0, "{axis}");
+                let by_center = (shifted(1.0) - shifted(-1.0)) / (2.0 * h);
+                assert!((by_center - ours.jacobian_by_centre.column(axis)).norm() < 2.0, "{axis}");
                 let turned = |s: f64| {
                     let turn = UnitQuaternion::from_scaled_axis(step * s);
                     at(&Isometry3::from_parts(pose.translation, turn * pose.rotation)).pixel

@@ -1,175 +1,128 @@
-//! The rig file: what was measured on the rig.
+//! The rig file: frames, mounting of camera and IMU, IMU noise, markers.
 //!
-//! A ROS 2 parameter file with the keys `frames`, `camera`, `imu` and `markers`; each node declares them among
-//! its own parameters, the tools read them with [`Rig::from_yaml`]. An unknown key is an error, because it is a typing
-//! mistake.
+//! A ROS 2 parameter file with the keys `frames`, `camera`, `imu` and `markers`. Each node declares
+//! them among its parameters ([`rig_keys`]); tools read the file with [`Rig::from_yaml`]. An
+//! unknown key is an error, because it is a typing mistake.
+
+mod keys;
+
+pub use keys::{RigKey, rig_keys};
 
 use crate::{
     marker::{MarkerColor, MarkerLayout, PerColor},
-    parameters::{ParameterFile, ParameterFileError, ParameterMap, ParameterValue},
+    topics::frames,
 };
-use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector2};
+use keys::Reader;
+use nalgebra::{Isometry3, Point3, Vector2};
+use ros_parameters::{ParameterFile, ParameterFileError, ParameterMap};
 use thiserror::Error;
 
-/// Names of the frames.
+/// Frame ids.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frames {
-    /// The initial point, z up.
+    /// Initial point, z up.
     pub world: String,
-    /// The climber unit on the ceiling.
+    /// Climber on the ceiling.
     pub climber: String,
-    /// The camera, z along the viewing direction.
+    /// Camera, z along the viewing direction, x right, y down.
     pub camera: String,
-    /// The inertial unit's own axes.
+    /// Axes of the IMU.
     pub imu: String,
-    /// The platform.
+    /// Platform.
     pub volant: String,
 }
 
 impl Default for Frames {
     fn default() -> Self {
         Self {
-            world: "world".into(),
-            climber: "climber".into(),
-            camera: "camera_optical".into(),
-            imu: "imu".into(),
-            volant: "volant".into(),
+            world: frames::WORLD.into(),
+            climber: frames::CLIMBER.into(),
+            camera: frames::CAMERA.into(),
+            imu: frames::IMU.into(),
+            volant: frames::VOLANT.into(),
         }
     }
 }
 
-/// How the inertial unit sits on the platform, and how noisy it is.
+/// Mounting and noise of the IMU.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImuMounting {
-    /// `volant` from `imu`.
+    /// Transform from `imu` to `volant`.
     pub volant_from_imu: Isometry3<f64>,
-    /// m/s²/√Hz.
+    /// White noise of the accelerometer, m/s²/√Hz.
     pub accelerometer_noise_density: f64,
-    /// rad/s/√Hz.
+    /// White noise of the gyroscope, rad/s/√Hz.
     pub gyroscope_noise_density: f64,
 }
 
-/// The whole rig file.
+/// Content of the rig file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rig {
-    /// Names of the frames.
+    /// Frame ids.
     pub frames: Frames,
-    /// `climber` from `camera_optical`.
+    /// Transform from `camera_optical` to `climber`.
     pub climber_from_camera: Isometry3<f64>,
-    /// The inertial unit.
+    /// Mounting and noise of the IMU.
     pub imu: ImuMounting,
-    /// The markers on the platform.
+    /// Markers on the platform.
     pub markers: MarkerLayout,
-    /// What each marker's paper looks like to the camera: mean r, g, b of 0–255, where it was calibrated. Else a marker is told
-    /// by the hue that its name says.
+    /// Mean r, g, b (0–255) of each marker in camera images; `None` if not calibrated.
+    ///
+    /// Without calibration a marker is detected by the hue of its name.
     pub colors: PerColor<Option<[f64; 3]>>,
 }
 
-/// What is wrong with a rig file.
+/// Invalid rig file.
 #[derive(Debug, Error)]
 pub enum RigError {
-    /// Not a parameter file at all.
+    /// The text is not a parameter file.
     #[error(transparent)]
     File(#[from] ParameterFileError),
-    /// A key that must be there is not.
+    /// A required key is missing.
     #[error("the key `{key}` is missing; it must hold {expected}")]
     Missing {
         /// The flat key.
         key: String,
-        /// What it must hold.
+        /// Description of a valid value.
         expected: &'static str,
     },
-    /// A key that nobody knows.
-    #[error("the key `{key}` is not known{hint}; remove it or correct its spelling")]
+    /// A key is unknown.
+    #[error("the key `{key}` is unknown{hint}; remove it or correct its spelling")]
     Unknown {
         /// The flat key.
         key: String,
-        /// ` (did you mean ...?)` or nothing.
+        /// ` (did you mean …?)`, or empty.
         hint: String,
     },
-    /// A key with a value of another type.
+    /// A value has another type.
     #[error("the key `{key}` is a {found}; it must hold {expected}")]
     Type {
         /// The flat key.
         key: String,
         /// The type found.
         found: &'static str,
-        /// What it must hold.
+        /// Description of a valid value.
         expected: &'static str,
     },
-    /// A value that cannot be.
-    #[error("the key `{key}` is {value}, but {requirement}")]
+    /// A value is invalid.
+    #[error("the key `{key}` is {value}; valid: {requirement}")]
     Value {
         /// The flat key.
         key: String,
         /// The value found.
         value: String,
-        /// What holds for such values.
+        /// Description of valid values.
         requirement: &'static str,
     },
 }
 
-/// A key of the rig file: its flat name, what it holds, its unit, and its default (`None`: must be given).
-#[derive(Clone, Debug)]
-pub struct RigKey {
-    /// Flat name.
-    pub name: &'static str,
-    /// What it holds, with the unit.
-    pub description: &'static str,
-    /// The default, where there is one.
-    pub default: Option<ParameterValue>,
-}
-
-const POSITION: &str = "three numbers x, y, z in metres";
-const ORIENTATION: &str = "a unit quaternion x, y, z, w";
-const FRAME: &str = "a frame id";
-const NUMBER: &str = "a number";
-
-/// Every key of the rig file, so that each node declares the same ones.
-pub fn rig_keys() -> Vec<RigKey> {
-    let text = |s: &str| Some(ParameterValue::String(s.to_owned()));
-    let number = |x| Some(ParameterValue::Double(x));
-    let numbers = |x: &[f64]| Some(ParameterValue::DoubleArray(x.to_vec()));
-    let key = |name, description, default| RigKey { name, description, default };
-    vec![
-        key("frames.world", "frame id of the room", text("world")),
-        key("frames.climber", "frame id of the climber unit", text("climber")),
-        key("frames.camera", "frame id of the camera (optical axes)", text("camera_optical")),
-        key("frames.imu", "frame id of the inertial unit", text("imu")),
-        key("frames.volant", "frame id of the platform", text("volant")),
-        key("camera.position", "climber_from_camera: x, y, z [m]", None),
-        key("camera.orientation", "climber_from_camera: unit quaternion x, y, z, w", None),
-        key("imu.position", "volant_from_imu: x, y, z [m]", numbers(&[0.0; 3])),
-        key("imu.orientation", "volant_from_imu: unit quaternion x, y, z, w", numbers(&[0.0, 0.0, 0.0, 1.0])),
-        key(
-            "imu.accelerometer_noise_density",
-            "white noise of the accelerometer [m/s^2/sqrt(Hz)]",
-            number(0.002),
-        ),
-        key("imu.gyroscope_noise_density", "white noise of the gyroscope [rad/s/sqrt(Hz)]", number(0.00087)),
-        key("markers.size", "side of each square [m]", None),
-        key("markers.red", "centre of the red square in the volant frame: x, y, z [m]", None),
-        key("markers.green", "centre of the green square in the volant frame: x, y, z [m]", None),
-        key("markers.blue", "centre of the blue square in the volant frame: x, y, z [m]", None),
-        key("markers.yellow", "centre of the yellow square in the volant frame: x, y, z [m]", None),
-        key(
-            "markers.colors.red",
-            "the red paper as the camera sees it: r, g, b of 0 to 255; empty: not calibrated",
-            numbers(&[]),
-        ),
-        key("markers.colors.green", "the same of the green paper", numbers(&[])),
-        key("markers.colors.blue", "the same of the blue paper", numbers(&[])),
-        key("markers.colors.yellow", "the same of the yellow paper", numbers(&[])),
-    ]
-}
-
 impl Rig {
-    /// From the text of a rig file. Blocks for all nodes (`/**`, `/*`) count; blocks of single nodes are left to those.
+    /// Parses the text of a rig file: its blocks for all nodes (`/**`, `/*`).
     ///
     /// # Errors
-    /// What is wrong, with the key and what it must hold. The caller knows the file's name.
+    /// [`RigError`] with the key and its valid values, without the name of the file.
     pub fn from_yaml(text: &str) -> Result<Self, RigError> {
-        // No node is called so: only the wildcard blocks match.
+        // No node has this name: only the wildcard blocks match.
         let map = ParameterFile::parse(text)?.for_node("/_rig_file_");
         let known = rig_keys();
         if let Some(key) = map.keys().find(|k| !known.iter().any(|r| r.name == k.as_str())) {
@@ -181,14 +134,13 @@ impl Rig {
         Self::from_parameters(&map)
     }
 
-    /// From a node's flat parameters; keys of others in it are left alone.
+    /// Reads the rig from the flat parameters of a node; other keys are ignored.
     ///
     /// # Errors
     /// As [`Rig::from_yaml`].
     pub fn from_parameters(map: &ParameterMap) -> Result<Self, RigError> {
-        let defaults = rig_keys();
-        let r = Reader { map, defaults: &defaults };
-        let centre = |name: &str| r.position(name).map(|t| Point3::from(t.vector));
+        let r = Reader::new(map);
+        let center = |name: &str| r.position(name).map(|t| Point3::from(t.vector));
         let rig = Self {
             frames: Frames {
                 world: r.text("frames.world")?,
@@ -206,10 +158,10 @@ impl Rig {
             markers: MarkerLayout {
                 side: r.positive("markers.size")?,
                 centres: PerColor([
-                    centre("markers.red")?,
-                    centre("markers.green")?,
-                    centre("markers.blue")?,
-                    centre("markers.yellow")?,
+                    center("markers.red")?,
+                    center("markers.green")?,
+                    center("markers.blue")?,
+                    center("markers.yellow")?,
                 ]),
             },
             colors: PerColor([
@@ -230,56 +182,52 @@ impl Rig {
             for b in &MarkerColor::ALL[..i] {
                 let distance = (self.markers.centres[a] - self.markers.centres[*b]).norm();
                 if distance < self.markers.side {
-                    return Err(RigError::Value {
-                        key: format!("markers.{a}"),
-                        value: format!("{:.4} m from the {b} one", distance),
-                        requirement: "two markers are at least one side (markers.size) apart",
-                    });
+                    return Err(RigError::value(
+                        &format!("markers.{a}"),
+                        format!("{distance:.4} m from markers.{b}"),
+                        "markers are at least one side (markers.size) apart",
+                    ));
                 }
             }
         }
-        // A line of markers does not fix the turn about it.
+        // Collinear markers do not determine the rotation about their line.
         let c = &self.markers.centres.0;
         let spread = (1..4)
             .flat_map(|i| (1..4).map(move |j| (i, j)))
             .map(|(i, j)| (c[i] - c[0]).cross(&(c[j] - c[0])).norm())
             .fold(0.0, f64::max);
         if spread < self.markers.side * self.markers.side {
-            return Err(RigError::Value {
-                key: "markers".into(),
-                value: "four centres on one line".into(),
-                requirement: "the markers must span a plane, or the pose cannot be told",
-            });
+            return Err(RigError::value(
+                "markers",
+                "four centers on one line".into(),
+                "the markers span a plane; otherwise the pose is not observable",
+            ));
         }
         Ok(())
     }
 
     fn check_colors(&self) -> Result<(), RigError> {
-        // The hue's direction in the plane across the grey axis, as a fraction of the brightness.
+        // Direction of the hue in the plane normal to the gray axis, relative to the brightness.
         let chroma = |[r, g, b]: [f64; 3]| {
             let v = Vector2::new(2.0 * r - g - b, 3f64.sqrt() * (g - b));
             v / (2.0 * r.max(g).max(b).max(1.0))
         };
         for (i, a) in MarkerColor::ALL.into_iter().enumerate() {
             let Some(rgb) = self.colors[a] else { continue };
-            let key = || format!("markers.colors.{a}");
-            let value = || format!("{rgb:?}");
+            let key = format!("markers.colors.{a}");
             let own = chroma(rgb);
             if own.norm() < 0.15 {
-                return Err(RigError::Value {
-                    key: key(),
-                    value: value(),
-                    requirement: "a marker is told by its colour: it cannot be grey",
-                });
+                let requirement = "a color with a hue: gray does not identify a marker";
+                return Err(RigError::value(&key, format!("{rgb:?}"), requirement));
             }
             for b in &MarkerColor::ALL[..i] {
                 let Some(other) = self.colors[*b].map(chroma) else { continue };
                 if own.angle(&other) < 15f64.to_radians() {
-                    return Err(RigError::Value {
-                        key: key(),
-                        value: format!("{} (nearly the hue of markers.colors.{b})", value()),
-                        requirement: "the four hues must differ by 15 degrees at least",
-                    });
+                    return Err(RigError::value(
+                        &key,
+                        format!("{rgb:?} (nearly the hue of markers.colors.{b})"),
+                        "the hues differ by at least 15 degrees",
+                    ));
                 }
             }
         }
@@ -296,159 +244,45 @@ impl Rig {
             ("frames.volant", &f.volant),
         ];
         for (i, (key, name)) in named.iter().enumerate() {
-            let value = || format!("{name:?}");
-            if name.is_empty() {
-                return Err(RigError::Value {
-                    key: (*key).into(),
-                    value: value(),
-                    requirement: "a frame id is not empty",
-                });
-            }
-            if named[..i].iter().any(|(_, other)| other == name) {
-                return Err(RigError::Value {
-                    key: (*key).into(),
-                    value: value(),
-                    requirement: "two frames cannot bear one name",
-                });
-            }
+            let requirement = if name.is_empty() {
+                "a frame id that is not empty"
+            } else if named[..i].iter().any(|(_, other)| other == name) {
+                "a different frame id for each frame"
+            } else {
+                continue;
+            };
+            return Err(RigError::value(key, format!("{name:?}"), requirement));
         }
         Ok(())
     }
 }
 
-struct Reader<'a> {
-    map: &'a ParameterMap,
-    defaults: &'a [RigKey],
-}
-
-impl Reader<'_> {
-    fn value(&self, key: &str, expected: &'static str) -> Result<&ParameterValue, RigError> {
-        self.map
-            .get(key)
-            .or_else(|| self.defaults.iter().find(|d| d.name == key).and_then(|d| d.default.as_ref()))
-            .ok_or_else(|| RigError::Missing { key: key.to_owned(), expected })
-    }
-
-    fn text(&self, key: &str) -> Result<String, RigError> {
-        match self.value(key, FRAME)? {
-            ParameterValue::String(s) => Ok(s.clone()),
-            other => Err(RigError::Type { key: key.to_owned(), found: other.type_name(), expected: FRAME }),
-        }
-    }
-
-    fn positive(&self, key: &str) -> Result<f64, RigError> {
-        let value = self.value(key, NUMBER)?;
-        let x = value.as_f64().ok_or(RigError::Type {
-            key: key.to_owned(),
-            found: value.type_name(),
-            expected: NUMBER,
-        })?;
-        if x.is_finite() && x > 0.0 {
-            Ok(x)
-        } else {
-            Err(RigError::Value {
-                key: key.to_owned(),
-                value: x.to_string(),
-                requirement: "it must be greater than zero",
-            })
-        }
-    }
-
-    /// Three numbers of 0–255, or none at all.
-    fn color(&self, key: &str) -> Result<Option<[f64; 3]>, RigError> {
-        const COLOR: &str = "three numbers r, g, b of 0 to 255";
-        let value = self.value(key, COLOR)?;
-        let list = value.as_f64_array().ok_or(RigError::Type {
-            key: key.to_owned(),
-            found: value.type_name(),
-            expected: COLOR,
-        })?;
-        match <[f64; 3]>::try_from(list.as_slice()) {
-            _ if list.is_empty() => Ok(None),
-            Ok(rgb) if rgb.iter().all(|v| (0.0..=255.0).contains(v)) => Ok(Some(rgb)),
-            _ => Err(RigError::Value {
-                key: key.to_owned(),
-                value: format!("{list:?}"),
-                requirement: "it takes three numbers r, g, b of 0 to 255",
-            }),
-        }
-    }
-
-    fn numbers<const N: usize>(&self, key: &str, expected: &'static str) -> Result<[f64; N], RigError> {
-        let value = self.value(key, expected)?;
-        let list = value.as_f64_array().ok_or(RigError::Type {
-            key: key.to_owned(),
-            found: value.type_name(),
-            expected,
-        })?;
-        let numbers: [f64; N] = list.as_slice().try_into().map_err(|_| RigError::Value {
-            key: key.to_owned(),
-            value: format!("a list of {}", list.len()),
-            requirement: if N == 3 {
-                "it takes three numbers x, y, z in metres"
-            } else {
-                "it takes four numbers x, y, z, w"
-            },
-        })?;
-        if numbers.iter().all(|x| x.is_finite()) {
-            Ok(numbers)
-        } else {
-            Err(RigError::Value {
-                key: key.to_owned(),
-                value: format!("{numbers:?}"),
-                requirement: "every number must be finite",
-            })
-        }
-    }
-
-    fn position(&self, key: &str) -> Result<Translation3<f64>, RigError> {
-        let [x, y, z] = self.numbers(key, POSITION)?;
-        if [x, y, z].iter().any(|v| v.abs() > 100.0) {
-            return Err(RigError::Value {
-                key: key.to_owned(),
-                value: format!("{:?}", [x, y, z]),
-                requirement: "positions on the rig are metres (not millimetres) and below 100 m",
-            });
-        }
-        Ok(Translation3::new(x, y, z))
-    }
-
-    fn transform(&self, block: &str) -> Result<Isometry3<f64>, RigError> {
-        let key = format!("{block}.orientation");
-        let [x, y, z, w] = self.numbers(&key, ORIENTATION)?;
-        let q = Quaternion::new(w, x, y, z);
-        if (q.norm() - 1.0).abs() > 1e-3 {
-            return Err(RigError::Value {
-                key,
-                value: format!("{:?} (length {:.4})", [x, y, z, w], q.norm()),
-                requirement: "a unit quaternion x, y, z, w has length 1",
-            });
-        }
-        Ok(Isometry3::from_parts(
-            self.position(&format!("{block}.position"))?,
-            UnitQuaternion::from_quaternion(q),
-        ))
+impl RigError {
+    fn value(key: &str, value: String, requirement: &'static str) -> Self {
+        Self::Value { key: key.to_owned(), value, requirement }
     }
 }
 
-/// ` (did you mean …?)` where a known name is near.
+/// Number of characters to insert, remove or replace to get from `a` to `b`.
+pub fn edit_distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, ca) in a.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, cb) in b.iter().enumerate() {
+            let cost = diagonal + usize::from(ca != *cb);
+            diagonal = row[j + 1];
+            row[j + 1] = cost.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
+
+/// Returns ` (did you mean …?)` with the known name of the smallest edit distance, if it is small.
 pub fn did_you_mean<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> String {
-    let distance = |a: &str, b: &str| {
-        let b: Vec<char> = b.chars().collect();
-        let mut row: Vec<usize> = (0..=b.len()).collect();
-        for (i, ca) in a.chars().enumerate() {
-            let mut diagonal = row[0];
-            row[0] = i + 1;
-            for (j, cb) in b.iter().enumerate() {
-                let cost = diagonal + usize::from(ca != *cb);
-                diagonal = row[j + 1];
-                row[j + 1] = cost.min(row[j] + 1).min(diagonal + 1);
-            }
-        }
-        row[b.len()]
-    };
     known
-        .map(|k| (distance(name, k), k))
+        .map(|k| (edit_distance(name, k), k))
         .min()
         .filter(|(d, k)| *d <= (k.len() / 3).max(1))
         .map(|(_, k)| format!(" (did you mean `{k}`?)"))
@@ -479,7 +313,7 @@ mod tests {
 ";
 
     #[test]
-    fn the_contract_s_example_is_read_and_looks_down_as_eq_6_says() {
+    fn the_documented_example_is_read_and_looks_down_as_in_eq_6() {
         let rig = Rig::from_yaml(RIG).unwrap();
         let r = rig.climber_from_camera.rotation.to_rotation_matrix();
         let eq6 = nalgebra::Matrix3::new(0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0);
@@ -489,17 +323,20 @@ mod tests {
     }
 
     #[test]
-    fn calibrated_colours_are_read() {
+    fn calibrated_colors_are_read() {
         let text = RIG.replace(
             "size: 0.076",
             "size: 0.076\n      colors: {green: [30, 180, 60], blue: [20.5, 60, 190]}",
         );
         let colors = Rig::from_yaml(&text).unwrap().colors;
-        assert_eq!(colors, PerColor([None, Some([30.0, 180.0, 60.0]), Some([20.5, 60.0, 190.0]), None]));
+        assert_eq!(
+            colors,
+            PerColor([None, Some([30.0, 180.0, 60.0]), Some([20.5, 60.0, 190.0]), None])
+        );
     }
 
     #[test]
-    fn each_mistake_names_its_key() {
+    fn each_error_names_its_key() {
         for (from, to, key) in [
             ("size: 0.076", "sise: 0.076", "markers.sise"),
             ("size: 0.076", "", "markers.size"),
@@ -513,7 +350,11 @@ mod tests {
             ("[0.70710678, 0.70710678, 0.0, 0.0]", "[0.7, 0.7, 0.7, 0.0]", "camera.orientation"),
             ("[0.0, 0.0, 0.0, 1.0]", "[0.0, 0.0, 0.0]", "imu.orientation"),
             ("size: 0.076", "size: 0.076\n      colors: {red: [200, 40]}", "markers.colors.red"),
-            ("size: 0.076", "size: 0.076\n      colors: {red: [90, 90, 95]}", "cannot be grey"),
+            (
+                "size: 0.076",
+                "size: 0.076\n      colors: {red: [90, 90, 95]}",
+                "does not identify a marker",
+            ),
             ("size: 0.076", "size: 0.076\n      colors: {red: [200, 40, 300]}", "0 to 255"),
             (
                 "size: 0.076",

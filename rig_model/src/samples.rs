@@ -1,59 +1,61 @@
-//! What travels between the nodes, as plain data: the core's side of every topic. The ROS message's side and the
-//! conversion between them live in `node_kit::convert`.
+//! Plain data exchanged between the nodes.
+//!
+//! `node_kit::convert` converts them from and to ROS messages.
 
 use crate::{marker::PerColor, stamp::Stamp};
 use nalgebra::{Isometry3, Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
-/// One sample of the inertial unit, in its own axes (`imu`).
+/// Sample of the IMU, in the frame `imu`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ImuSample {
-    /// When it was measured.
+    /// Time of measurement.
     pub stamp: Stamp,
     /// Specific force, m/s²: +9.81 upwards at rest (REP-145).
     pub specific_force: Vector3<f64>,
-    /// Rate of turn, rad/s.
+    /// Angular velocity, rad/s.
     pub angular_velocity: Vector3<f64>,
-    /// The unit's own estimate of its attitude, where it gives one.
+    /// Orientation estimated by the IMU, if it outputs one.
     pub orientation: Option<OrientationSample>,
 }
 
-/// The attitude that an inertial unit computes by itself.
+/// Orientation estimated by the IMU itself.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OrientationSample {
-    /// East-north-up from the unit's axes; the heading is unknown against `world`.
+    /// Rotation from `imu` to east-north-up; its heading relative to `world` is unknown.
     pub enu_from_imu: UnitQuaternion<f64>,
-    /// Covariance of the rotation error about the ENU axes, rad²; `None` where the message left it unknown.
+    /// Covariance of the rotation error about the ENU axes, rad²; `None` if unknown.
     pub covariance: Option<Matrix3<f64>>,
 }
 
-/// Where the climber is, from its encoders.
+/// Pose of the climber, from its encoders.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClimberSample {
-    /// When the encoders were read.
+    /// Time of the encoder sample.
     pub stamp: Stamp,
-    /// `world` from `climber`.
+    /// Transform from `climber` to `world`.
     pub world_from_climber: Isometry3<f64>,
 }
 
-/// How an image coordinate of a marker came to be.
+/// Origin of a marker's image coordinates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum MarkerState {
-    /// Measured in this image, and only if the measurement tells the whole square's centroid.
+    /// Measured in this image, and valid for the centroid of the whole square.
     Detected,
-    /// Occluded; placed by the flow of the others (the paper's eq. 3), for six images at most.
+    /// Occluded; predicted from the flow of the other markers (paper, eq. 3), for six images at
+    /// most.
     Predicted,
-    /// Not known; the coordinates are NaN.
+    /// Unknown; the coordinates are NaN.
     Lost,
 }
 
-/// One marker in one image.
+/// Observation of one marker in one image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MarkerObservation {
-    /// Measured, predicted or lost.
+    /// Detected, predicted or lost.
     pub state: MarkerState,
-    /// Images since it was last detected: 0 when detected, [`MarkerObservation::NEVER`] if it never was.
+    /// Images since the last detection: 0 if detected, [`MarkerObservation::NEVER`] if never.
     pub occluded_frames: u16,
-    /// Area centroid of the marker's image, raw (distorted) pixels, (x right, y down); NaN when lost.
+    /// Area centroid of the marker's image, raw (distorted) px, x right, y down; NaN if lost.
     pub centroid: Vector2<f64>,
     /// Covariance of the centroid, px².
     pub covariance: Matrix2<f64>,
@@ -62,10 +64,10 @@ pub struct MarkerObservation {
 }
 
 impl MarkerObservation {
-    /// `occluded_frames` of a marker that was never seen.
+    /// `occluded_frames` of a marker that was never detected.
     pub const NEVER: u16 = u16::MAX;
 
-    /// A marker of which nothing is known.
+    /// Observation of a lost marker.
     pub fn lost(occluded_frames: u16) -> Self {
         Self {
             state: MarkerState::Lost,
@@ -77,11 +79,11 @@ impl MarkerObservation {
     }
 }
 
-/// All markers of the rig in one image.
+/// Observations of all markers in one image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MarkerObservations {
-    /// Middle of the image's exposure.
+    /// Middle of the exposure.
     pub stamp: Stamp,
-    /// One per colour, in the order of [`crate::MarkerColor::ALL`].
+    /// One observation per color, in the order of [`crate::MarkerColor::ALL`].
     pub markers: PerColor<MarkerObservation>,
 }

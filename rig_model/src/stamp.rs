@@ -1,39 +1,39 @@
-//! Time as it comes with the data: nanoseconds since the epoch of whatever clock stamped it.
+//! Time of a sample, in nanoseconds since the epoch of the clock that stamped it.
 
 use std::fmt;
 
-/// An instant, ns since the Unix epoch (or since the start of simulated time).
+/// Instant, ns since the Unix epoch (or since the start of simulated time).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Stamp(i64);
 
 impl Stamp {
-    /// From nanoseconds.
+    /// Instant from nanoseconds since the epoch.
     pub const fn from_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
 
-    /// From the two fields of `builtin_interfaces/Time`.
+    /// Instant from the two fields of `builtin_interfaces/Time`.
     pub const fn from_sec_nanosec(sec: i32, nanosec: u32) -> Self {
         Self(sec as i64 * 1_000_000_000 + nanosec as i64)
     }
 
-    /// The two fields of `builtin_interfaces/Time`; instants that do not fit its 32-bit seconds are clamped.
+    /// The two fields of `builtin_interfaces/Time`; seconds are clamped to 32 bits.
     pub fn to_sec_nanosec(self) -> (i32, u32) {
         let sec = self.0.div_euclid(1_000_000_000).clamp(i64::from(i32::MIN), i64::from(i32::MAX));
         (sec as i32, self.0.rem_euclid(1_000_000_000) as u32)
     }
 
-    /// Nanoseconds.
+    /// Nanoseconds since the epoch.
     pub const fn as_nanos(self) -> i64 {
         self.0
     }
 
-    /// `self - earlier`, s; negative where `earlier` is the later one. Differences saturate, they never wrap.
+    /// Returns `self - earlier`, s; negative if `earlier` is later. Saturates.
     pub fn seconds_since(self, earlier: Stamp) -> f64 {
         self.0.saturating_sub(earlier.0) as f64 * 1e-9
     }
 
-    /// The instant `seconds` later (earlier where negative), rounded to a nanosecond, saturating.
+    /// Returns the instant `seconds` later, rounded to a nanosecond. Saturates.
     pub fn plus_seconds(self, seconds: f64) -> Stamp {
         Stamp(self.0.saturating_add((seconds * 1e9).round() as i64))
     }
@@ -50,15 +50,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_ros_fields_round_trip_also_before_the_epoch() {
-        for nanos in [0, 1, 999_999_999, 1_000_000_000, 1_760_001_000_062_293_974, -1, -1_000_000_001] {
+    fn ros_fields_round_trip_also_before_the_epoch() {
+        for nanos in
+            [0, 1, 999_999_999, 1_000_000_000, 1_760_001_000_062_293_974, -1, -1_000_000_001]
+        {
             let (sec, nanosec) = Stamp::from_nanos(nanos).to_sec_nanosec();
             assert_eq!(Stamp::from_sec_nanosec(sec, nanosec), Stamp::from_nanos(nanos));
         }
     }
 
     #[test]
-    fn differences_keep_nanoseconds_at_todays_epoch() {
+    fn differences_keep_nanoseconds_at_current_epochs() {
         let a = Stamp::from_nanos(1_760_001_000_062_293_974);
         assert_eq!(a.plus_seconds(0.033_333_333).seconds_since(a), 0.033_333_333);
     }

@@ -1,9 +1,13 @@
-//! How far a track is from the truth, axis by axis: the rows of the paper's Table II; and the inertial unit alone.
+//! How far a track is from the truth, axis by axis: the rows of the paper's Table II; and the
+//! inertial unit alone.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use rig_model::{ImuSample, Stamp};
+use rig_model::{
+    ImuSample, Stamp,
+    score::{PoseError, SpreadSum},
+};
 
-pub use launch_config::report::{AXES, Track, UNITS, six};
+pub use volant::report::{AXES, Track, UNITS, six};
 
 /// Errors of a track, per axis and as a whole.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -22,37 +26,37 @@ pub struct Errors {
 
 impl Errors {
     /// Errors of the poses stamped in `from ..= to`, against the truth at their stamps.
-    pub fn of(track: &Track, from: Stamp, to: Stamp, truth: impl Fn(Stamp) -> Isometry3<f64>) -> Self {
-        let mut errors = Self::default();
+    pub fn of(
+        track: &Track,
+        from: Stamp,
+        to: Stamp,
+        truth: impl Fn(Stamp) -> Isometry3<f64>,
+    ) -> Self {
+        let mut axes = [SpreadSum::default(); 6];
+        let (mut position, mut rotation) = (SpreadSum::default(), SpreadSum::default());
         for (stamp, pose) in track.iter().filter(|(stamp, _)| *stamp >= from && *stamp <= to) {
-            let truth = truth(*stamp);
-            let (a, b) = (six(pose), six(&truth));
-            errors.count += 1;
-            for i in 0..6 {
-                let mut d = a[i] - b[i];
-                if i >= 3 {
-                    d = (d + 180.0).rem_euclid(360.0) - 180.0;
-                }
-                errors.rmse[i] += d * d;
-                errors.max[i] = errors.max[i].max(d.abs());
-            }
-            errors.position_rmse += (pose.translation.vector - truth.translation.vector).norm_squared() * 1e6;
-            errors.rotation_rmse += pose.rotation.angle_to(&truth.rotation).to_degrees().powi(2);
+            let error = PoseError::new(pose, &truth(*stamp));
+            let millimeters = error.position * 1e3;
+            let degrees = error.roll_pitch_yaw.map(f64::to_degrees);
+            let six = millimeters.iter().chain(degrees.iter());
+            axes.iter_mut().zip(six).for_each(|(sum, error)| sum.add(*error));
+            position.add(millimeters.norm());
+            rotation.add(error.rotation.norm().to_degrees());
         }
-        let mean = |sum: f64| (sum / errors.count as f64).sqrt();
         Self {
-            count: errors.count,
-            rmse: errors.rmse.map(mean),
-            max: errors.max,
-            position_rmse: mean(errors.position_rmse),
-            rotation_rmse: mean(errors.rotation_rmse),
+            count: position.count() as usize,
+            rmse: axes.map(|sum| sum.rmse()),
+            max: axes.map(|sum| sum.max()),
+            position_rmse: position.rmse(),
+            rotation_rmse: rotation.rmse(),
         }
     }
 }
 
-/// The inertial unit alone, as the paper has it: the unit's own attitude gives the rotation (its unknown heading is
-/// taken from the first pose), the accelerations, turned into the world and freed of gravity, are integrated twice.
-/// Where the velocity changes by less than `threshold` (m/s) from one sample to the next, it is held to stand still.
+/// IMU alone, as in the paper: its own attitude gives the rotation (the unknown heading is that of
+/// the first pose); accelerations, rotated into the world and without gravity, are integrated
+/// twice. Where the velocity changes by less than `threshold` (m/s) from one sample to the next,
+/// the IMU counts as stationary.
 ///
 /// Samples before the first pose's stamp and samples without an attitude are passed over.
 pub fn inertial_alone(
@@ -66,7 +70,7 @@ pub fn inertial_alone(
     let gravity = Vector3::new(0.0, 0.0, 9.81);
     let mut heading: Option<UnitQuaternion<f64>> = None;
     let (mut position, mut velocity, mut last) = (first.1.translation.vector, velocity, first.0);
-    // The unit does not sit in the platform's origin: what it feels is the motion of its own place.
+    // The IMU is not in the platform's origin: it measures the motion of its own place.
     let mut lever = Vector3::zeros();
     let mut before: Option<Vector3<f64>> = None;
     let mut track = Track::new();
@@ -81,7 +85,8 @@ pub fn inertial_alone(
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), true_yaw - own)
         });
         let world_from_volant = heading * enu_from_volant;
-        let acceleration = world_from_volant * (volant_from_imu.rotation * sample.specific_force) - gravity;
+        let acceleration =
+            world_from_volant * (volant_from_imu.rotation * sample.specific_force) - gravity;
         let dt = sample.stamp.seconds_since(last);
         last = sample.stamp;
         // By the trapezoid rule: the sample alone would lag by half a period.
@@ -103,16 +108,21 @@ pub fn inertial_alone(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::{
+    use rig_model::{CameraModel, Distortion, Rig};
+    use rig_simulator::{
         inertial::{Message, SensorConfig, Sensors},
         motion::{Motion, MotionConfig},
     };
-    use rig_model::{CameraModel, Distortion, Rig};
 
     fn run(noise: f64, bias: f64) -> (Errors, Errors) {
-        let rig = Rig::from_yaml(crate::live::scenario::RIG_YAML).unwrap();
-        let camera =
-            CameraModel::new(640, 480, [590.0, 590.0, 319.5, 239.5], Distortion::PlumbBob([0.0; 5])).unwrap();
+        let rig = Rig::from_yaml(rig_simulator::RIG_YAML).unwrap();
+        let camera = CameraModel::new(
+            640,
+            480,
+            [590.0, 590.0, 319.5, 239.5],
+            Distortion::PlumbBob([0.0; 5]),
+        )
+        .unwrap();
         let motion = Motion::new(MotionConfig { duration: 6.0, ..MotionConfig::nominal(3) });
         let config = SensorConfig {
             imu_noise_factor: noise,
@@ -138,13 +148,18 @@ mod tests {
             1e-5,
         );
         let errors = |from, to| {
-            Errors::of(&track, config.epoch.plus_seconds(from), config.epoch.plus_seconds(to), truth)
+            Errors::of(
+                &track,
+                config.epoch.plus_seconds(from),
+                config.epoch.plus_seconds(to),
+                truth,
+            )
         };
         (errors(0.0, 1.0), errors(5.0, 6.0))
     }
 
     #[test]
-    fn a_perfect_unit_alone_follows_the_truth_and_a_real_one_drifts_off() {
+    fn an_ideal_imu_alone_follows_the_truth_and_a_real_one_drifts() {
         let (_, late) = run(0.0, 0.0);
         assert!(late.position_rmse < 15.0 && late.rotation_rmse < 0.01, "{late:?}");
         let (early, late) = run(1.0, 0.03);
@@ -156,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn an_angle_s_error_wraps_and_the_axes_are_told_apart() {
+    fn angle_errors_wrap_and_axes_are_separate() {
         let pose = |x: f64, yaw: f64| {
             Isometry3::from_parts(
                 Translation3::new(x, 0.0, 0.0),
@@ -164,10 +179,16 @@ mod tests {
             )
         };
         let at = Stamp::from_nanos;
-        let track = vec![(at(1), pose(0.003, 179.0)), (at(2), pose(-0.004, -179.0)), (at(9), pose(9.0, 0.0))];
+        let track = vec![
+            (at(1), pose(0.003, 179.0)),
+            (at(2), pose(-0.004, -179.0)),
+            (at(9), pose(9.0, 0.0)),
+        ];
         let errors = Errors::of(&track, at(0), at(5), |_| pose(0.0, 180.0));
         assert_eq!(errors.count, 2);
-        assert!((errors.rmse[0] - 12.5_f64.sqrt()).abs() < 1e-9 && (errors.max[0] - 4.0).abs() < 1e-9);
+        assert!(
+            (errors.rmse[0] - 12.5_f64.sqrt()).abs() < 1e-9 && (errors.max[0] - 4.0).abs() < 1e-9
+        );
         assert!((errors.rmse[5] - 1.0).abs() < 1e-9 && errors.rmse[3] < 1e-9);
         assert!((errors.rotation_rmse - 1.0).abs() < 1e-9);
     }

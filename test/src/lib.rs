@@ -1,17 +1,19 @@
-//! The simulated rig that feeds the real nodes, and what the end-to-end tests, the demo and the faults share.
+//! The simulated rig that feeds the real nodes, and what the end-to-end tests, the demo and the
+//! faults share.
 //!
-//! [`rig`] is the world: it moves, and what its camera, inertial unit and encoders say flows out, with the truth.
-//! [`live`] plays it to the four nodes, which run as processes of their own, [`hosts`] on two computers with a bad link; [`faults`]
-//! breaks it; [`accuracy`] tells how far off they were,
-//! [`report`] shows it. [`robustness`] changes recordings and compares the pose with the truth.
+//! [`rig_simulator`] yields motion, sensor data and truth. [`live`] feeds the four nodes, which run
+//! as processes of their own, [`hosts`] on two computers with an impaired link; [`faults`] breaks
+//! it; [`accuracy`] computes errors, [`report`] shows them. [`robustness`] changes recordings and
+//! compares the pose with the truth.
 
 pub mod accuracy;
-pub mod crowd;
+pub mod check;
 pub mod faults;
 pub mod hosts;
 pub mod live;
+pub mod load_test;
 pub mod paper;
 pub mod report;
-pub mod rig;
 pub mod robustness;
+pub mod run_folder;
 pub mod soak;

@@ -1,4 +1,5 @@
-//! What a run has shown, for people: a table like the paper's Table II. Charts and the page are in `launch_config::report`.
+//! What a run has shown, for people: a table like the paper's Table II. Charts and the page are in
+//! `volant::report`.
 
 use crate::accuracy::{AXES, Errors, UNITS};
 use std::fmt::Write;
@@ -40,7 +41,8 @@ mod tests {
 
     #[test]
     fn the_table_names_every_axis_and_estimate() {
-        let errors = Errors { rmse: [1.25, 2.0, 3.0, 0.5, 0.25, 0.125], count: 1, ..Errors::default() };
+        let errors =
+            Errors { rmse: [1.25, 2.0, 3.0, 0.5, 0.25, 0.125], count: 1, ..Errors::default() };
         let text = table(&[("camera alone", &errors), ("fused", &errors)]);
         for part in ["camera alone", "fused", "x [mm]", "yaw [deg]", "1.25", "0.125"] {
             assert!(text.contains(part), "{part} in\n{text}");

@@ -1,17 +1,26 @@
-//! The main job over DDS, with the four nodes as processes of their own, a simulated rig as their hardware, and a
-//! Cyclone DDS peer that hears what they say.
+//! The main job over DDS, with the four nodes as processes, simulated hardware, and a Cyclone DDS
+//! peer that subscribes to their topics.
 //!
-//! The nodes' executables are taken from the folder of this test's build (`cargo build --release --workspace --bins`
-//! makes them; `make test` does that first), or from `VOLANT_BIN`. The peer needs `VOLANT_PYTHON`, a Python with
-//! `test/requirements.txt`; without it that part is skipped, and said.
+//! The nodes' executables are in the folder of this test's build (`cargo build --release
+//! --workspace --bins` makes them; `make test` does that first), or in `VOLANT_BIN`. The peer needs
+//! `VOLANT_PYTHON`, a Python with `test/requirements.txt`; without it the test counts as skipped.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout, reason = "a test")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test"
+)]
 
 use node_kit::{
     convert::{pose, stamp},
     environment::Network,
 };
-use rig_model::Stamp;
+use rig_model::{
+    Stamp,
+    topics::{self, frames},
+};
 use std::{
     collections::HashMap,
     io::{BufRead, BufReader, Write},
@@ -23,7 +32,7 @@ use std::{
 use volant_msgs::msg::MarkerObservation;
 use volant_test::{
     accuracy::Errors,
-    live::{Film, Heard, Run, Scenario, Site, quantile},
+    live::{ImageSequence, Received, Run, Scenario, Site, quantile},
 };
 
 const DOMAIN: u16 = 87;
@@ -37,12 +46,7 @@ struct Peer {
 impl Peer {
     /// `None` where there is no Python for it.
     fn start() -> Option<Self> {
-        let Some(python) = std::env::var_os("VOLANT_PYTHON").filter(|p| Path::new(p).is_file()) else {
-            println!(
-                "skipped: the Cyclone DDS peer needs VOLANT_PYTHON, a Python with test/requirements.txt"
-            );
-            return None;
-        };
+        let python = test_support::python("cyclonedds")?;
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peer/listen.py");
         let mut process = Command::new(python)
             .args([script.as_os_str(), DOMAIN.to_string().as_ref(), "60".as_ref()])
@@ -51,7 +55,8 @@ impl Peer {
             .spawn()
             .unwrap();
         let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
-        let ready = lines.next().expect("the peer ended before it was ready: see its words above").unwrap();
+        let ready =
+            lines.next().expect("the peer ended before it was ready: see its words above").unwrap();
         assert!(ready.contains("ready"), "{ready}");
         let reader = std::thread::spawn(move || lines.map_while(Result::ok).collect());
         Some(Self { process, reader })
@@ -65,7 +70,8 @@ impl Peer {
         let parse = |line: &String| {
             let value: serde_json::Value = serde_json::from_str(line).unwrap();
             let values = value["values"].as_array().unwrap();
-            let key = (value["topic"].as_str().unwrap().to_owned(), value["stamp"].as_i64().unwrap());
+            let key =
+                (value["topic"].as_str().unwrap().to_owned(), value["stamp"].as_i64().unwrap());
             let frame = value["frame"].as_str().unwrap().to_owned();
             (key, (frame, values.iter().map(|v| v.as_str().unwrap().parse().unwrap()).collect()))
         };
@@ -81,104 +87,151 @@ fn same(a: &[f64], b: &[f64]) -> bool {
 #[test]
 fn four_processes_turn_frames_bytes_and_encoders_into_the_pose() {
     let scenario = Scenario::swing(7, SECONDS).unwrap();
-    let film = Arc::new(Film::shoot(&scenario, 2, |_, _| {}).unwrap());
+    let images = Arc::new(ImageSequence::render(&scenario, 2, |_, _| {}).unwrap());
     let folder = std::env::temp_dir().join(format!("volant-end-to-end-{}", std::process::id()));
     let network = Network { domain_id: DOMAIN, ..Network::default() };
     let peer = Peer::start();
-    let mut run = Run::start(&scenario, film, &Site::here(&network), &folder).unwrap();
+    let mut run = Run::start(&scenario, images, &Site::here(&network), &folder).unwrap();
     run.wait_for_pose(30.0).unwrap();
     let epoch = run.begin();
     run.play_until(SECONDS + 0.3, |_, _| {}).unwrap();
     let ended = run.finish().unwrap();
-    let heard = &ended.heard;
+    let received = &ended.received;
     let (from, to) = (epoch.plus_seconds(1.0), epoch.plus_seconds(SECONDS - 0.1));
     let truth = |at: Stamp| scenario.motion.world_from_volant(at.seconds_since(epoch));
 
-    check_rates(heard, from, to);
-    check_frames(heard);
-    check_markers(heard, &scenario, epoch);
+    check_rates(received, from, to);
+    check_frames(received);
+    check_markers(received, &scenario, epoch);
 
-    let errors = Errors::of(&heard.fused(), from, to, truth);
+    let errors = Errors::of(&received.fused(), from, to, truth);
     println!(
         "fused: {:.2} mm, {:.3} deg RMSE over {} poses",
         errors.position_rmse, errors.rotation_rmse, errors.count
     );
     assert!(errors.position_rmse <= 2.0 && errors.rotation_rmse <= 0.3, "{errors:?}");
-    let nees = heard.nees(from, to, truth);
+    let nees = received.nees(from, to, truth);
     for k in 0..2 {
         let mean = nees.iter().map(|n| n[k]).sum::<f64>() / nees.len() as f64;
         assert!(mean > 0.05 && mean < 12.0, "NEES {k}: {mean}");
     }
-    let latencies = heard.latencies(from, to);
-    // What a busy machine does to the other images is not the nodes' doing; a wait of theirs would be in its calmest second as well.
-    let calmest =
-        latencies.windows(30).map(|second| quantile(second, 0.5)).min_by(f64::total_cmp).unwrap_or(f64::NAN);
-    println!(
-        "image to odometry: median {:.1} ms of {}, {:.1} ms in the calmest second",
-        1e3 * quantile(&latencies, 0.5),
-        latencies.len(),
-        1e3 * calmest
-    );
-    assert!(calmest < 0.05, "{latencies:?}");
-
     for (name, status) in &ended.ends {
         assert!(status.success(), "{name} ended with {status}; see {}", folder.display());
     }
     if let Some(peer) = peer {
         std::thread::sleep(Duration::from_millis(200));
-        check_peer(heard, &peer.finish(), from, to);
+        check_peer(received, &peer.finish(), from, to);
     }
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
-/// Odometry and fused pose with every inertial sample, and bearing its stamp.
-fn check_rates(heard: &Heard, from: Stamp, to: Stamp) {
-    let within = |at: Stamp| at >= from && at <= to;
-    let odometry: Vec<Stamp> =
-        heard.odometry.iter().map(|(_, m)| stamp(&m.header.stamp)).filter(|s| within(*s)).collect();
-    let samples: Vec<Stamp> =
-        heard.imu.iter().map(|(_, m)| stamp(&m.header.stamp)).filter(|s| within(*s)).collect();
-    assert!(samples.len() as f64 > 0.97 * 100.0 * (SECONDS - 1.1), "{} inertial samples", samples.len());
-    assert!(odometry.len() as f64 >= 0.97 * samples.len() as f64, "{} of {}", odometry.len(), samples.len());
-    assert!(odometry.windows(2).all(|w| w[0] < w[1]), "stamps go back");
-    let known: std::collections::HashSet<Stamp> =
-        heard.imu.iter().map(|(_, m)| stamp(&m.header.stamp)).collect();
-    let strange = odometry.iter().filter(|s| !known.contains(s)).count();
-    assert!(strange as f64 <= 0.02 * odometry.len() as f64, "{strange} stamps that no inertial sample bears");
+#[test]
+#[ignore = "measures wall time: make long"]
+fn odometry_contains_an_image_within_50_ms() {
+    let scenario = Scenario::swing(7, SECONDS).unwrap();
+    let images = Arc::new(ImageSequence::render(&scenario, 2, |_, _| {}).unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let network = Network { domain_id: DOMAIN, ..Network::default() };
+    let mut run = Run::start(&scenario, images, &Site::here(&network), folder.path()).unwrap();
+    run.wait_for_pose(30.0).unwrap();
+    let epoch = run.begin();
+    run.play_until(SECONDS + 0.3, |_, _| {}).unwrap();
+    let ended = run.finish().unwrap();
+    let (from, to) = (epoch.plus_seconds(1.0), epoch.plus_seconds(SECONDS - 0.1));
+    let latencies = ended.received.latencies(from, to);
+    // Other processes delay some images; a wait inside the nodes would show in the best second too.
+    let best = latencies
+        .windows(30)
+        .map(|second| quantile(second, 0.5))
+        .min_by(f64::total_cmp)
+        .unwrap_or(f64::NAN);
+    println!(
+        "image to odometry: median {:.1} ms of {}, {:.1} ms in the best second",
+        1e3 * quantile(&latencies, 0.5),
+        latencies.len(),
+        1e3 * best
+    );
+    assert!(best < 0.05, "{latencies:?}");
 }
 
-fn check_frames(heard: &Heard) {
-    assert!(heard.odometry.iter().all(|(_, m)| m.header.frame_id == "world" && m.child_frame_id == "volant"));
-    assert!(heard.fused_pose.iter().all(|(_, m)| m.header.frame_id == "volant"));
-    assert!(heard.visual_pose.iter().all(|(_, m)| m.header.frame_id == "world"));
-    assert!(heard.imu.iter().all(|(_, m)| m.header.frame_id == "imu"));
-    assert!(heard.markers.iter().all(|(_, m)| m.header.frame_id == "camera_optical"));
-    assert!(heard.climber.iter().all(|(_, m)| m.header.frame_id == "world" && m.child_frame_id == "climber"));
+/// Odometry and fused pose with every inertial sample, and bearing its stamp.
+fn check_rates(received: &Received, from: Stamp, to: Stamp) {
+    let within = |at: Stamp| at >= from && at <= to;
+    let odometry: Vec<Stamp> = received
+        .odometry
+        .iter()
+        .map(|(_, m)| stamp(&m.header.stamp))
+        .filter(|s| within(*s))
+        .collect();
+    let samples: Vec<Stamp> =
+        received.imu.iter().map(|(_, m)| stamp(&m.header.stamp)).filter(|s| within(*s)).collect();
+    assert!(
+        samples.len() as f64 > 0.97 * 100.0 * (SECONDS - 1.1),
+        "{} inertial samples",
+        samples.len()
+    );
+    assert!(
+        odometry.len() as f64 >= 0.97 * samples.len() as f64,
+        "{} of {}",
+        odometry.len(),
+        samples.len()
+    );
+    assert!(odometry.windows(2).all(|w| w[0] < w[1]), "stamps go back");
+    let known: std::collections::HashSet<Stamp> =
+        received.imu.iter().map(|(_, m)| stamp(&m.header.stamp)).collect();
+    let unknown = odometry.iter().filter(|s| !known.contains(s)).count();
+    assert!(
+        unknown as f64 <= 0.02 * odometry.len() as f64,
+        "{unknown} stamps without an IMU sample"
+    );
+}
+
+fn check_frames(received: &Received) {
+    assert!(
+        received
+            .odometry
+            .iter()
+            .all(|(_, m)| m.header.frame_id == frames::WORLD && m.child_frame_id == frames::VOLANT)
+    );
+    assert!(received.fused_pose.iter().all(|(_, m)| m.header.frame_id == frames::VOLANT));
+    assert!(received.visual_pose.iter().all(|(_, m)| m.header.frame_id == frames::WORLD));
+    assert!(received.imu.iter().all(|(_, m)| m.header.frame_id == frames::IMU));
+    assert!(received.markers.iter().all(|(_, m)| m.header.frame_id == frames::CAMERA));
+    assert!(
+        received
+            .climber
+            .iter()
+            .all(|(_, m)| m.header.frame_id == frames::WORLD && m.child_frame_id == frames::CLIMBER)
+    );
     let fixed = |parent: &str, child: &str| {
-        heard
+        received
             .tf_static
             .iter()
             .flat_map(|(_, m)| &m.transforms)
             .any(|t| t.header.frame_id == parent && t.child_frame_id == child)
     };
-    assert!(fixed("climber", "camera_optical") && fixed("volant", "imu"));
+    assert!(fixed(frames::CLIMBER, frames::CAMERA) && fixed(frames::VOLANT, frames::IMU));
     let moving = |child: &str| {
-        heard
+        received
             .tf
             .iter()
             .flat_map(|(_, m)| &m.transforms)
-            .any(|t| t.header.frame_id == "world" && t.child_frame_id == child)
+            .any(|t| t.header.frame_id == frames::WORLD && t.child_frame_id == child)
     };
-    assert!(moving("climber") && moving("volant"));
+    assert!(moving(frames::CLIMBER) && moving(frames::VOLANT));
     for node in ["climber_driver", "imu_driver", "marker_tracker", "pose_fusion"] {
-        let speaks = heard.diagnostics.iter().flat_map(|(_, m)| &m.status).any(|s| s.name.starts_with(node));
-        assert!(speaks, "no diagnostics of {node}");
+        let reported = received
+            .diagnostics
+            .iter()
+            .flat_map(|(_, m)| &m.status)
+            .any(|s| s.name.starts_with(node));
+        assert!(reported, "no diagnostics of {node}");
     }
-    // The platform as seen in the room and the room as seen from the platform undo each other.
+    // `odometry` and `fused_pose` are inverse to each other.
     let by_stamp: HashMap<Stamp, _> =
-        heard.fused_pose.iter().map(|(_, m)| (stamp(&m.header.stamp), m)).collect();
+        received.fused_pose.iter().map(|(_, m)| (stamp(&m.header.stamp), m)).collect();
     let mut compared = 0;
-    for (_, odometry) in &heard.odometry {
+    for (_, odometry) in &received.odometry {
         let Some(fused) = by_stamp.get(&stamp(&odometry.header.stamp)) else { continue };
         let a = pose(&odometry.pose.pose, "odometry").unwrap();
         let b = pose(&fused.pose.pose, "fused_pose").unwrap();
@@ -190,10 +243,10 @@ fn check_frames(heard: &Heard) {
 }
 
 /// Detected where it can be seen, never detected while it is covered.
-fn check_markers(heard: &Heard, scenario: &Scenario, epoch: Stamp) {
+fn check_markers(received: &Received, scenario: &Scenario, epoch: Stamp) {
     let cover = scenario.covers[0];
     let (mut seen, mut images, mut covered) = (0, 0, 0);
-    for (_, message) in &heard.markers {
+    for (_, message) in &received.markers {
         let t = stamp(&message.header.stamp).seconds_since(epoch);
         let marker = &message.markers[cover.color.index()];
         if t > cover.seconds[0] && t < cover.seconds[1] {
@@ -206,7 +259,8 @@ fn check_markers(heard: &Heard, scenario: &Scenario, epoch: Stamp) {
             );
         } else if t > 0.0 && (t < cover.seconds[0] - 0.5 || t > cover.seconds[1] + 0.5) {
             images += 1;
-            seen += usize::from(message.markers.iter().all(|m| m.state == MarkerObservation::DETECTED));
+            seen +=
+                usize::from(message.markers.iter().all(|m| m.state == MarkerObservation::DETECTED));
         }
     }
     assert!(covered > 15, "{covered} images with a covered marker");
@@ -217,7 +271,12 @@ fn check_markers(heard: &Heard, scenario: &Scenario, epoch: Stamp) {
 }
 
 /// The peer decodes the same values, to the last bit.
-fn check_peer(heard: &Heard, peer: &HashMap<(String, i64), (String, Vec<f64>)>, from: Stamp, to: Stamp) {
+fn check_peer(
+    received: &Received,
+    peer: &HashMap<(String, i64), (String, Vec<f64>)>,
+    from: Stamp,
+    to: Stamp,
+) {
     let of_pose = |p: &volant_msgs::geometry_msgs::msg::PoseWithCovariance| {
         let (t, q) = (&p.pose.position, &p.pose.orientation);
         let mut values = vec![t.x, t.y, t.z, q.x, q.y, q.z, q.w];
@@ -225,15 +284,20 @@ fn check_peer(heard: &Heard, peer: &HashMap<(String, i64), (String, Vec<f64>)>, 
         values
     };
     let mut ours: Vec<(&str, Stamp, &str, Vec<f64>)> = Vec::new();
-    for (_, m) in &heard.odometry {
+    for (_, m) in &received.odometry {
         let mut values = of_pose(&m.pose);
         values.extend([m.twist.twist.linear.x, m.twist.twist.angular.z]);
-        ours.push(("volant/odometry", stamp(&m.header.stamp), &m.header.frame_id, values));
+        ours.push((topics::ODOMETRY, stamp(&m.header.stamp), &m.header.frame_id, values));
     }
-    for (_, m) in &heard.fused_pose {
-        ours.push(("volant/fused_pose", stamp(&m.header.stamp), &m.header.frame_id, of_pose(&m.pose)));
+    for (_, m) in &received.fused_pose {
+        ours.push((
+            topics::FUSED_POSE,
+            stamp(&m.header.stamp),
+            &m.header.frame_id,
+            of_pose(&m.pose),
+        ));
     }
-    for (_, m) in &heard.markers {
+    for (_, m) in &received.markers {
         let values = m
             .markers
             .iter()
@@ -248,9 +312,9 @@ fn check_peer(heard: &Heard, peer: &HashMap<(String, i64), (String, Vec<f64>)>, 
                 ]
             })
             .collect();
-        ours.push(("climber/markers", stamp(&m.header.stamp), &m.header.frame_id, values));
+        ours.push((topics::MARKERS, stamp(&m.header.stamp), &m.header.frame_id, values));
     }
-    for topic in ["volant/odometry", "volant/fused_pose", "climber/markers"] {
+    for topic in [topics::ODOMETRY, topics::FUSED_POSE, topics::MARKERS] {
         let of_topic: Vec<_> =
             ours.iter().filter(|(t, at, ..)| *t == topic && *at >= from && *at <= to).collect();
         let mut found = 0;
@@ -261,7 +325,7 @@ fn check_peer(heard: &Heard, peer: &HashMap<(String, i64), (String, Vec<f64>)>, 
                 assert!(same(values, theirs), "{topic} at {at}: {values:?} {theirs:?}");
             }
         }
-        println!("the peer heard {found} of {} on {topic}", of_topic.len());
+        println!("the peer received {found} of {} on {topic}", of_topic.len());
         assert!(
             found as f64 > 0.97 * of_topic.len() as f64 && found > 100,
             "{topic}: {found} of {}",

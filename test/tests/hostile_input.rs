@@ -1,6 +1,13 @@
-//! Bytes from outside, made wrong at random, through every parser that meets such: a few seconds of what `make fuzz` does
-//! for as long as one likes. And what a small input may cost: its claims are refused before memory is taken for them.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
+//! Random bytes through every parser of external data: a few seconds of what `make fuzz` does
+//! without a limit. And the cost of a small input: a declared size is rejected before memory is
+//! allocated for it.
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 #![allow(unsafe_code, reason = "a counting allocator; it hands on to the system's")]
 #![allow(clippy::disallowed_methods, reason = "a test that measures time")]
 
@@ -78,7 +85,7 @@ fn run(name: &str) {
     }
     let mut random = Random(0x9E37_79B9_7F4A_7C15);
     let mut input = Vec::new();
-    // Per target: at least so many inputs, for at least so many seconds.
+    // Per target: least number of inputs and of seconds.
     let inputs = setting("VOLANT_HOSTILE_INPUTS").unwrap_or(1000.0) as u64;
     let seconds = setting("VOLANT_HOSTILE_SECONDS").unwrap_or(2.0);
     let start = Instant::now();
@@ -92,7 +99,8 @@ fn run(name: &str) {
             count += 1;
         }
     }
-    // A picture's pixels and a chunk decompressed are the largest there are; lengths that are claimed are none.
+    // An image's pixels and a chunk decompressed are the largest there are; lengths that are
+    // claimed are none.
     assert!(largest < 64 << 20, "{name}: {largest}");
     println!("{name}: {count} inputs, largest piece of memory {} KiB", largest >> 10);
 }
@@ -128,22 +136,22 @@ fn bags() {
 }
 
 #[test]
-fn the_seeds_are_right_inputs() {
+fn the_seeds_are_valid_inputs() {
     // Without this the runs above could be shut out at the first check.
     for seed in exercise::yaml::parameter_seeds() {
-        rig_model::parameters::ParameterFile::parse(std::str::from_utf8(&seed).unwrap()).unwrap();
+        ros_parameters::ParameterFile::parse(std::str::from_utf8(&seed).unwrap()).unwrap();
     }
     for seed in exercise::yaml::calibration_seeds() {
         rig_model::CameraModel::from_calibration_file(std::str::from_utf8(&seed).unwrap()).unwrap();
     }
     for seed in &exercise::yaml::metadata_seeds()[..2] {
-        launch_config::bag::files_named_by(std::str::from_utf8(seed).unwrap()).unwrap();
+        bag::files_named_by(std::str::from_utf8(seed).unwrap()).unwrap();
     }
     let decoded = image::seeds().iter().filter(|s| decode_compressed("", s).is_ok()).count();
-    // Three JPEGs, one of nothing but headers, and the PNGs that have colours.
+    // Three JPEGs, one of headers only, and the PNGs with colors.
     assert_eq!(decoded, 3 + 1 + 4);
     for seed in exercise::bag::seeds() {
-        let mut bag = launch_config::bag::BagReader::from_reader(
+        let mut bag = bag::BagReader::from_reader(
             std::path::Path::new("seed"),
             std::io::Cursor::new(seed.clone()),
         )
@@ -158,7 +166,7 @@ fn the_seeds_are_right_inputs() {
 }
 
 #[test]
-fn a_small_picture_that_claims_to_be_huge_is_refused_before_memory_is_taken() {
+fn a_small_image_that_declares_a_huge_size_is_rejected_without_allocation() {
     let huge = u32::from(u16::MAX);
     let mut claims = vec![
         ("jpeg 65535", image::jpeg_headers(65_535, 65_535, false)),
@@ -171,25 +179,32 @@ fn a_small_picture_that_claims_to_be_huge_is_refused_before_memory_is_taken() {
     for (color, depth) in [(2, 8), (6, 16), (3, 1)] {
         claims.push(("png 65535", image::png(huge, huge, color, depth, 100)));
         claims.push(("png 8000x4000", image::png(8000, 4000, color, depth, 100)));
-        claims.push(("png of 2^31 px", image::png(i32::MAX as u32, i32::MAX as u32, color, depth, 100)));
+        claims.push((
+            "png of 2^31 px",
+            image::png(i32::MAX as u32, i32::MAX as u32, color, depth, 100),
+        ));
         claims.push(("png of 2^31 columns", image::png(i32::MAX as u32, 1, color, depth, 100)));
     }
     for (what, data) in claims {
         let (result, largest) = largest_piece(|| decode_compressed("", &data));
         let error = result.unwrap_err();
-        assert!(matches!(error, ImageError::TooLarge { .. } | ImageError::Decode { .. }), "{what}: {error}");
+        assert!(
+            matches!(error, ImageError::TooLarge { .. } | ImageError::Decode { .. }),
+            "{what}: {error}"
+        );
         assert!(largest < 1 << 20, "{what}: {largest} bytes for {}", data.len());
     }
 }
 
 #[test]
-fn a_jpeg_with_any_sampling_factors_is_a_picture_or_is_refused() {
+fn a_jpeg_with_any_sampling_factors_is_decoded_or_rejected() {
     use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
     let across_down = [1_u8, 2, 4].into_iter().flat_map(|a| (1..=4).map(move |d| a << 4 | d));
     let factors: Vec<u8> = across_down.collect();
-    let mut pictures = 0;
-    for ((width, height), progressive) in
-        [(24, 17), (33, 40), (17, 3), (8, 8)].into_iter().flat_map(|size| [(size, false), (size, true)])
+    let mut images = 0;
+    for ((width, height), progressive) in [(24, 17), (33, 40), (17, 3), (8, 8)]
+        .into_iter()
+        .flat_map(|size| [(size, false), (size, true)])
     {
         let pixels: Vec<u8> = (0..width * height * 3).map(|i| (i * 7919 % 251) as u8).collect();
         let mut jpeg = vec![];
@@ -210,7 +225,7 @@ fn a_jpeg_with_any_sampling_factors_is_a_picture_or_is_refused() {
             match decode_compressed("jpeg", &jpeg) {
                 Ok(_) => {
                     assert!(!finer(blue) && !finer(red), "{luma:#x} {blue:#x} {red:#x}");
-                    pictures += 1;
+                    images += 1;
                 }
                 Err(error) => assert!(
                     !(finer(blue) || finer(red)) || error.to_string().contains("finer"),
@@ -219,11 +234,11 @@ fn a_jpeg_with_any_sampling_factors_is_a_picture_or_is_refused() {
             }
         }
     }
-    assert!(pictures > 100, "{pictures}");
+    assert!(images > 100, "{images}");
 }
 
 #[test]
-fn lengths_beyond_the_bytes_at_hand_take_no_memory() {
+fn lengths_beyond_the_input_allocate_nothing() {
     use volant_msgs::{cdr, sensor_msgs::msg::Image, tf2_msgs::msg::TFMessage};
     let mut bytes = vec![0, 1, 0, 0];
     bytes.extend(u32::MAX.to_le_bytes());
@@ -239,8 +254,8 @@ fn lengths_beyond_the_bytes_at_hand_take_no_memory() {
 
 /// Found by the fuzzer: arithmetic below zero in the `mcap` crate.
 #[test]
-fn a_record_that_is_longer_than_its_chunk_is_damage() {
-    use launch_config::bag::BagReader;
+fn a_record_longer_than_its_chunk_is_damage() {
+    use bag::BagReader;
     let mut records = vec![3];
     records.extend(200_u64.to_le_bytes());
     records.extend([0; 40]);
@@ -254,15 +269,17 @@ fn a_record_that_is_longer_than_its_chunk_is_damage() {
     let mut file = b"\x89MCAP0\r\n\x06".to_vec();
     file.extend((body.len() as u64).to_le_bytes());
     file.extend(body);
-    let mut bag = BagReader::from_reader(std::path::Path::new("x.mcap"), std::io::Cursor::new(file)).unwrap();
+    let mut bag =
+        BagReader::from_reader(std::path::Path::new("x.mcap"), std::io::Cursor::new(file)).unwrap();
     assert!(bag.next_message().unwrap().is_none());
     assert!(bag.losses()[0].contains("longer than the chunk"), "{:?}", bag.losses());
 }
 
 #[test]
-fn a_chunk_that_decompresses_without_end_is_refused() {
-    use launch_config::bag::BagReader;
-    // A chunk that claims 2 GiB, in all three forms of compression, and with and without a checksum.
+fn a_chunk_that_decompresses_without_end_is_rejected() {
+    use bag::BagReader;
+    // A chunk that claims 2 GiB, in all three forms of compression, and with and without a
+    // checksum.
     for compression in ["", "lz4", "zstd"] {
         for crc in [0_u32, 7] {
             let mut body = vec![0; 16];
@@ -277,7 +294,8 @@ fn a_chunk_that_decompresses_without_end_is_refused() {
             file.extend(body);
             let (losses, largest) = largest_piece(|| {
                 let input = std::io::Cursor::new(file.clone());
-                let mut bag = BagReader::from_reader(std::path::Path::new("bomb.mcap"), input).unwrap();
+                let mut bag =
+                    BagReader::from_reader(std::path::Path::new("bomb.mcap"), input).unwrap();
                 while bag.next_message().unwrap().is_some() {}
                 bag.losses().to_vec()
             });

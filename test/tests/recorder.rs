@@ -1,8 +1,9 @@
-//! What befalls a recorder: the system's clock is set back, its process is stopped and continued. RustDDS is deaf after either; the
-//! recording goes on.
+//! Interruptions of a recorder: the system's clock is set back, its process is stopped and
+//! continued. RustDDS receives nothing after either; the recording continues.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test")]
 
-use launch_config::bag::{BagReader, BagWriter, QosProfile, Topic, WriteOptions};
+use bag::{BagReader, BagWriter, QosProfile, Topic, WriteOptions};
+use rig_model::topics;
 use rustix::process::{Pid, Signal, kill_process};
 use std::{
     path::Path,
@@ -14,7 +15,7 @@ use volant_test::live::{SettableClock, processes::executables};
 
 const RATE: u64 = 50;
 const SECONDS: u64 = 7;
-const TOPIC: &str = "/volant/imu/data";
+const TOPIC: &str = topics::absolute::IMU;
 
 /// Samples that carry their number.
 fn bag(path: &Path) {
@@ -23,7 +24,8 @@ fn bag(path: &Path) {
     for i in 0..RATE * SECONDS {
         let mut sample = Imu::default();
         sample.linear_acceleration.z = i as f64;
-        bag.write_message(topic, 1_760_000_000_000_000_000 + i * (1_000_000_000 / RATE), &sample).unwrap();
+        bag.write_message(topic, 1_760_000_000_000_000_000 + i * (1_000_000_000 / RATE), &sample)
+            .unwrap();
     }
     bag.finish().unwrap();
 }
@@ -33,7 +35,8 @@ fn numbers(path: &Path) -> Vec<u64> {
     let mut numbers = vec![];
     while let Some(message) = bag.next_message().unwrap() {
         if message.topic.name == TOPIC {
-            numbers.push(cdr::from_bytes::<Imu>(&message.data).unwrap().linear_acceleration.z as u64);
+            numbers
+                .push(cdr::from_bytes::<Imu>(&message.data).unwrap().linear_acceleration.z as u64);
         }
     }
     // A bag is read by the time of receipt, and that was set back.
@@ -58,35 +61,44 @@ fn signal(child: &Child, signal: Signal) {
     kill_process(pid, signal).unwrap();
 }
 
-/// Records what is played for seven seconds, and has something befall the recorder after about three of them. Gives the numbers that
-/// were recorded and what the recorder said.
-fn recorded(domain: u8, clock: Option<&SettableClock>, befall: impl FnOnce(&Child)) -> (Vec<u64>, String) {
+/// Records what is played for seven seconds, with an interruption after about three of them.
+/// Returns the recorded numbers and the recorder's standard error.
+fn recorded(
+    domain: u8,
+    clock: Option<&SettableClock>,
+    interrupt: impl FnOnce(&Child),
+) -> (Vec<u64>, String) {
     let folder = tempfile::tempdir().unwrap();
     let (original, copy) = (folder.path().join("original.mcap"), folder.path().join("copy.mcap"));
     bag(&original);
     let mut recorder = volant(domain, &["record", TOPIC, "-o", copy.to_str().unwrap()]);
     recorder.envs(clock.iter().flat_map(|clock| clock.environment()));
     let recorder = recorder.spawn().unwrap();
-    let mut player = volant(domain, &["play", original.to_str().unwrap(), "--delay", "2"]).spawn().unwrap();
+    let mut player =
+        volant(domain, &["play", original.to_str().unwrap(), "--delay", "2"]).spawn().unwrap();
     std::thread::sleep(Duration::from_secs(5));
-    befall(&recorder);
+    interrupt(&recorder);
     assert!(player.wait().unwrap().success());
     std::thread::sleep(Duration::from_millis(300));
     signal(&recorder, Signal::INT);
     let output = recorder.wait_with_output().unwrap();
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{said}");
-    (numbers(&copy), said)
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{stderr}");
+    (numbers(&copy), stderr)
 }
 
 /// From the first to the last, but for what was published until the recorder was back.
-fn check(numbers: &[u64], said: &str, words: &str) {
+fn check(numbers: &[u64], stderr: &str, words: &str) {
     let missing = RATE * SECONDS - numbers.len() as u64;
-    println!("{missing} of {} missing; {said}", RATE * SECONDS);
-    assert_eq!((numbers.first(), numbers.last()), (Some(&0), Some(&(RATE * SECONDS - 1))), "{said}");
+    println!("{missing} of {} missing; {stderr}", RATE * SECONDS);
+    assert_eq!(
+        (numbers.first(), numbers.last()),
+        (Some(&0), Some(&(RATE * SECONDS - 1))),
+        "{stderr}"
+    );
     assert!(numbers.windows(2).all(|w| w[0] < w[1]), "one came twice");
     assert!(missing < 2 * RATE, "{missing}");
-    assert!(said.contains(words), "{said}");
+    assert!(stderr.contains(words), "{stderr}");
 }
 
 #[test]
@@ -94,20 +106,20 @@ fn a_clock_that_is_set_back_does_not_end_a_recording() {
     let folder = tempfile::tempdir().unwrap();
     let clock = match SettableClock::new(folder.path()) {
         Ok(clock) => clock,
-        Err(why) => return println!("skipped: {why}"),
+        Err(reason) => return test_support::skip(reason),
     };
-    let (numbers, said) = recorded(93, Some(&clock), |_| clock.set(-3600.0).unwrap());
-    check(&numbers, &said, "the system's clock was set back by 3600");
+    let (numbers, stderr) = recorded(93, Some(&clock), |_| clock.set(-3600.0).unwrap());
+    check(&numbers, &stderr, "the system's clock was set back by 3600");
 }
 
 #[test]
-fn a_recorder_that_was_stopped_and_continued_goes_on() {
-    let (numbers, said) = recorded(94, None, |recorder| {
+fn a_stopped_and_continued_recorder_goes_on() {
+    let (numbers, stderr) = recorded(94, None, |recorder| {
         signal(recorder, Signal::STOP);
         std::thread::sleep(Duration::from_millis(300));
         signal(recorder, Signal::CONT);
     });
     // It is not always that RustDDS notices; where it does not, nothing is missing.
-    let words = if numbers.len() as u64 == RATE * SECONDS { "" } else { "joined anew" };
-    check(&numbers, &said, words);
+    let words = if numbers.len() as u64 == RATE * SECONDS { "" } else { "joined again" };
+    check(&numbers, &stderr, words);
 }

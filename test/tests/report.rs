@@ -1,23 +1,25 @@
-//! The report: every figure is in it, and a real browser draws it without fault, in the light and in the dark.
+//! The report: every figure is in it, and a real browser draws it without fault, in the light and
+//! in the dark.
 //!
-//! Another page is looked at with `VOLANT_PAGE=page.html`; pictures of each figure are left in `VOLANT_SCREENSHOTS` where that
-//! names a folder.
+//! `VOLANT_PAGE=page.html` checks another page; `VOLANT_SCREENSHOTS` names a folder for images of
+//! each figure.
 
-#![allow(clippy::unwrap_used, clippy::panic)] // helpers of tests are outside of what clippy takes for a test
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of a test")]
 
 mod browser;
 
 use browser::{Browser, installed};
 use std::path::{Path, PathBuf};
 use volant_test::{
-    live::{Film, Scenario},
+    live::{ImageSequence, Scenario},
     paper::{
-        Made, NAMES, curves::Curves, occlusion::figure_6, report::write_report, rest::figure_9, rivals,
-        stages::Stages,
+        Made, NAMES, curves::Curves, occlusion::figure_6, peers, report::write_report,
+        stages::Stages, stationary::figure_9,
     },
 };
 
-/// What `volant-peers` wrote in a run of its own, so that its figures are drawn here without the large OpenCV.
+/// What `volant-peers` wrote in a run of its own, so that its figures are drawn here without the
+/// large OpenCV.
 const PEERS: [(&str, &str); 6] = [
     ("fig-2.csv", include_str!("data/fig-2.csv")),
     ("fig-7.csv", include_str!("data/fig-7.csv")),
@@ -35,18 +37,18 @@ fn make(folder: &Path) -> Vec<Made> {
     let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let stages = Stages::of(1, threads).unwrap();
     let scenario = Scenario::swing(1, 4.0).unwrap();
-    let film = Film::shoot(&scenario, threads, |_, _| {}).unwrap();
-    let curves = Curves::of(&scenario, &film).unwrap();
+    let images = ImageSequence::render(&scenario, threads, |_, _| {}).unwrap();
+    let curves = Curves::of(&scenario, &images).unwrap();
     let made = vec![
-        rivals::boards("fig-2", folder).unwrap(),
+        peers::boards("fig-2", folder).unwrap(),
         stages.figure_4(folder).unwrap(),
         stages.figure_5(folder).unwrap(),
         figure_6(1, folder, threads, |_| {}).unwrap(),
-        rivals::boards("fig-7", folder).unwrap(),
+        peers::boards("fig-7", folder).unwrap(),
         figure_9(1, folder).unwrap(),
-        rivals::table_1(folder).unwrap(),
-        rivals::figure_11(folder).unwrap(),
-        rivals::figure_12(folder).unwrap(),
+        peers::table_1(folder).unwrap(),
+        peers::figure_11(folder).unwrap(),
+        peers::figure_12(folder).unwrap(),
         curves.figure_13(&scenario, folder).unwrap(),
         curves.table_2(&scenario, folder).unwrap(),
     ];
@@ -56,7 +58,7 @@ fn make(folder: &Path) -> Vec<Made> {
 }
 
 #[test]
-fn the_report_holds_every_figure_and_a_browser_draws_it_in_light_and_dark() {
+fn a_browser_renders_the_report_in_light_and_dark() {
     let folder = tempfile();
     let page = match std::env::var_os("VOLANT_PAGE") {
         Some(page) => std::fs::canonicalize(page).unwrap(),
@@ -82,35 +84,37 @@ fn the_report_holds_every_figure_and_a_browser_draws_it_in_light_and_dark() {
         }
     };
     match installed() {
-        Some(program) => look(&program, &page),
-        None => eprintln!(
-            "skipped: no browser to open the report in; `make browser` installs one, VOLANT_BROWSER names one"
+        Some(program) => inspect(&program, &page),
+        None => test_support::skip(
+            "no browser renders the report: `make browser` installs one, VOLANT_BROWSER names one",
         ),
     }
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
-fn look(program: &Path, page: &Path) {
+fn inspect(program: &Path, page: &Path) {
     let mut browser = Browser::start(program, 1280, 900);
     let mut grounds = Vec::new();
     for (scheme, width) in [("light", 1280), ("dark", 1280), ("light", 700)] {
-        let device =
-            serde_json::json!({"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": false});
+        let device = serde_json::json!({
+            "width": width, "height": 900, "deviceScaleFactor": 1, "mobile": false
+        });
         browser.call("Emulation.setDeviceMetricsOverride", device);
         browser.open(page, scheme);
-        let seen = browser.evaluate(include_str!("browser/look.js"));
+        let seen = browser.evaluate(include_str!("browser/inspect.js"));
         let problems: Vec<&str> =
             seen["problems"].as_array().unwrap().iter().map(|p| p.as_str().unwrap()).collect();
         if let Some(out) = std::env::var_os("VOLANT_SCREENSHOTS") {
             let out = PathBuf::from(out);
             std::fs::create_dir_all(&out).unwrap();
             let height = seen["height"].as_f64().unwrap();
-            let top = browser.picture([0.0, 0.0, f64::from(width), height.min(1100.0)]);
+            let top = browser.image([0.0, 0.0, f64::from(width), height.min(1100.0)]);
             std::fs::write(out.join(format!("{scheme}-{width}-top.png")), top).unwrap();
             for (i, figure) in seen["figures"].as_array().unwrap().iter().enumerate() {
                 let at = |name: &str| figure[name].as_f64().unwrap();
-                let picture = browser.picture([0.0, at("y") - 170.0, f64::from(width), at("height") + 420.0]);
-                std::fs::write(out.join(format!("{scheme}-{width}-{i:02}.png")), picture).unwrap();
+                let image =
+                    browser.image([0.0, at("y") - 170.0, f64::from(width), at("height") + 420.0]);
+                std::fs::write(out.join(format!("{scheme}-{width}-{i:02}.png")), image).unwrap();
             }
         }
         assert!(problems.is_empty(), "{scheme}, {width} px wide:\n{}", problems.join("\n"));
@@ -124,7 +128,10 @@ fn look(program: &Path, page: &Path) {
             match method {
                 "Network.requestWillBeSent" => {
                     let url = p["request"]["url"].as_str().unwrap();
-                    assert!(url == address || url.starts_with("data:"), "{scheme}: the page asks for {url}");
+                    assert!(
+                        url == address || url.starts_with("data:"),
+                        "{scheme}: the page requests {url}"
+                    );
                 }
                 "Runtime.exceptionThrown" => panic!("{scheme}: {p}"),
                 "Runtime.consoleAPICalled" => {

@@ -1,8 +1,8 @@
-//! The estimator on recordings that differ from their rig file in one thing, and in two (all of them: `make robustness`).
+//! The estimator on recordings that differ from their rig file in one thing, and in two (all of
+//! them: `make robustness`).
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use pose_fusion::FusionConfig;
-use std::path::PathBuf;
 use volant_test::robustness::{
     perturbation::{Perturbation, TABLE},
     recording::Recording,
@@ -11,18 +11,16 @@ use volant_test::robustness::{
 
 /// The recording of a name with the true centroids and 0.1 px of noise, where there are recordings.
 fn bench(name: &str) -> Option<Bench> {
-    let Some(folder) = std::env::var_os("VOLANT_SHARED") else {
-        println!("skipped: VOLANT_SHARED is not set");
-        return None;
-    };
-    let recording = Recording::read(&PathBuf::from(folder).join("bags").join(name), None).unwrap();
+    let folder = test_support::recordings()?.join("bags").join(name);
+    let recording = Recording::read(&folder, None).unwrap();
     Some(Bench::new(recording, FusionConfig::default()))
 }
 
 const BAGS: [&str; 7] =
     ["nominal", "occlude_two", "clutter", "fast_swing", "real_slow", "real_fast", "real_tapping"];
 
-/// The rows of the table that hold on every recording. What does not hold is in the table that `make robustness` writes.
+/// The rows of the table that hold on every recording. What does not hold is in the table that
+/// `make robustness` writes.
 fn holds(name: &str, perturbation: &Perturbation) -> bool {
     use Perturbation::*;
     let real = name.starts_with("real");
@@ -39,11 +37,14 @@ fn holds(name: &str, perturbation: &Perturbation) -> bool {
 }
 
 #[test]
-fn one_perturbation_costs_what_it_may_and_none_makes_the_pose_wrong() {
+fn one_perturbation_stays_within_its_bound() {
     for name in BAGS {
         let Some(bench) = bench(name) else { return };
         let base = bench.unchanged();
-        println!("{name}: {:.3} mm, {:.4}°, NEES {:.2?}", base.position[0], base.rotation[0], base.nees);
+        println!(
+            "{name}: {:.3} mm, {:.4}°, NEES {:.2?}",
+            base.position[0], base.rotation[0], base.nees
+        );
         for perturbation in TABLE {
             let cell = bench.single(&perturbation);
             assert_eq!(cell.catastrophe, None, "{name}: {perturbation}");
@@ -62,7 +63,7 @@ fn one_perturbation_costs_what_it_may_and_none_makes_the_pose_wrong() {
 }
 
 #[test]
-fn two_perturbations_make_no_pose_wrong() {
+fn two_perturbations_keep_the_pose_bounded() {
     for name in ["nominal", "fast_swing"] {
         let Some(bench) = bench(name) else { return };
         for (first, second) in pairs() {

@@ -1,4 +1,4 @@
-//! The climber's node: encoder readings in, `climber/transform` and tf out.
+//! Executable of the node `climber_driver`.
 
 use std::process::ExitCode;
 
@@ -15,7 +15,7 @@ fn main() -> ExitCode {
 #[cfg(not(feature = "node"))]
 fn main() -> ExitCode {
     eprintln!(
-        "climber_driver: built without its feature `node`, it can do nothing; build it with the default features"
+        "climber_driver: built without the feature `node`; build it with the default features"
     );
     ExitCode::FAILURE
 }

@@ -1,4 +1,4 @@
-//! Each refusal, each way back, and that nothing implausible ever leaves.
+//! Every rejection, every recovery, and the plausibility of every output.
 
 use super::*;
 use crate::config::JointCalibration;
@@ -18,15 +18,15 @@ fn climber() -> Climber {
     Climber::new(ClimberConfig { height: 2.8, ..ClimberConfig::default() }).unwrap()
 }
 
-/// Handles it 5 ms after its stamp; gives what comes out.
-fn feed(climber: &mut Climber, reading: &JointReading) -> Vec<Output> {
+/// Processes a reading 5 ms after its stamp and returns the outputs.
+fn process(climber: &mut Climber, reading: &JointReading) -> Vec<Output> {
     climber.handle(reading, reading.stamp.plus_seconds(0.005));
     std::iter::from_fn(|| climber.poll()).collect()
 }
 
-fn refusal(climber: &mut Climber, reading: &JointReading) -> Refusal {
-    match feed(climber, reading).as_slice() {
-        [Output::Warning(Warning::Refused(refusal))] => refusal.clone(),
+fn rejection(climber: &mut Climber, reading: &JointReading) -> Rejection {
+    match process(climber, reading).as_slice() {
+        [Output::Warning(Warning::Rejected(rejection))] => rejection.clone(),
         other => panic!("{other:?}"),
     }
 }
@@ -41,12 +41,16 @@ fn joints_are_found_by_name_and_scaled() {
         max_speed: 2.0,
     };
     let mut climber = Climber::new(ClimberConfig {
-        joints: [joint("rail_x", 0.001, 500.0), joint("rail_y", -1.0, 0.0), joint("turn", 0.5, 0.0)],
+        joints: [
+            joint("rail_x", 0.001, 500.0),
+            joint("rail_y", -1.0, 0.0),
+            joint("turn", 0.5, 0.0),
+        ],
         height: 2.8,
         ..ClimberConfig::default()
     })
     .unwrap();
-    let out = feed(&mut climber, &reading(0.0, 1500.0, 0.25, 1.0));
+    let out = process(&mut climber, &reading(0.0, 1500.0, 0.25, 1.0));
     let [Output::Sample(sample)] = out.as_slice() else { panic!("{out:?}") };
     assert_eq!(sample.stamp, T0);
     assert_eq!(sample.world_from_climber.translation.vector, Vector3::new(1.0, -0.25, 2.8));
@@ -55,10 +59,10 @@ fn joints_are_found_by_name_and_scaled() {
 }
 
 #[test]
-fn each_refusal_is_named_and_the_next_good_reading_is_taken() {
+fn each_rejection_is_named_and_the_next_valid_reading_is_accepted() {
     let good = |s| reading(s, 0.1, 0.2, 0.3);
-    type Spoil = fn(&mut JointReading);
-    let spoiled: [(&str, Spoil); 8] = [
+    type Fault = fn(&mut JointReading);
+    let faults: [(&str, Fault); 8] = [
         ("not finite", |r| r.positions[1] = f64::NAN),
         ("not finite", |r| r.positions[3] = f64::INFINITY),
         ("length mismatch", |r| {
@@ -70,69 +74,78 @@ fn each_refusal_is_named_and_the_next_good_reading_is_taken() {
         ("jump", |r| r.positions[1] += 3.2),
         ("not newer", |r| r.stamp = T0.plus_seconds(-0.1)),
     ];
-    for (kind, spoil) in spoiled {
+    for (kind, inject) in faults {
         let mut climber = climber();
-        assert!(matches!(feed(&mut climber, &good(0.0))[..], [Output::Sample(_)]));
+        assert!(matches!(process(&mut climber, &good(0.0))[..], [Output::Sample(_)]));
         let mut bad = good(0.02);
-        spoil(&mut bad);
-        let said = refusal(&mut climber, &bad);
-        assert_eq!(said.kind(), kind, "{said}");
-        assert_eq!(climber.counts().refused[kind], 1);
-        assert!(matches!(feed(&mut climber, &good(0.04))[..], [Output::Sample(_)]), "after {kind}");
+        inject(&mut bad);
+        let rejected = rejection(&mut climber, &bad);
+        assert_eq!(rejected.kind(), kind, "{rejected}");
+        assert_eq!(climber.counts().rejected[kind], 1);
+        assert!(
+            matches!(process(&mut climber, &good(0.04))[..], [Output::Sample(_)]),
+            "after {kind}"
+        );
     }
 }
 
 #[test]
-fn stale_readings_and_those_of_the_future_are_refused_by_the_time_of_receipt() {
+fn stale_and_future_readings_are_rejected_by_their_time_of_receipt() {
     let mut climber = climber();
     let r = reading(0.0, 0.0, 0.0, 0.0);
     climber.handle(&r, T0.plus_seconds(0.6));
-    assert!(matches!(climber.poll(), Some(Output::Warning(Warning::Refused(Refusal::Stale { .. })))));
+    assert!(matches!(
+        climber.poll(),
+        Some(Output::Warning(Warning::Rejected(Rejection::Stale { .. })))
+    ));
     climber.handle(&r, T0.plus_seconds(-0.3));
     assert!(matches!(climber.poll(), Some(Output::Sample(_))));
     climber.handle(&reading(1.0, 0.0, 0.0, 0.0), T0.plus_seconds(0.4));
-    assert!(matches!(climber.poll(), Some(Output::Warning(Warning::Refused(Refusal::FromTheFuture { .. })))));
-    // The reading from the future did not set the clock ahead.
+    assert!(matches!(
+        climber.poll(),
+        Some(Output::Warning(Warning::Rejected(Rejection::FromTheFuture { .. })))
+    ));
+    // The rejected reading did not advance the last accepted stamp.
     climber.handle(&reading(0.41, 0.0, 0.0, 0.0), T0.plus_seconds(0.41));
     assert!(matches!(climber.poll(), Some(Output::Sample(_))));
 }
 
 #[test]
-fn the_same_message_twice_counts_once() {
+fn a_repeated_message_counts_once() {
     let mut climber = climber();
     let r = reading(0.0, 0.1, 0.2, 0.3);
-    assert!(matches!(feed(&mut climber, &r)[..], [Output::Sample(_)]));
-    assert_eq!(refusal(&mut climber, &r).kind(), "not newer");
+    assert!(matches!(process(&mut climber, &r)[..], [Output::Sample(_)]));
+    assert_eq!(rejection(&mut climber, &r).kind(), "not newer");
     assert_eq!(climber.counts().accepted, 1);
 }
 
 #[test]
-fn another_publisher_s_joints_are_passed_over_in_silence() {
+fn messages_without_configured_joints_are_ignored() {
     let mut climber = climber();
     let arm = JointReading { stamp: T0, names: vec!["elbow".into()], positions: vec![f64::NAN] };
-    assert!(feed(&mut climber, &arm).is_empty());
+    assert!(process(&mut climber, &arm).is_empty());
     assert_eq!(climber.counts().foreign, 1);
 }
 
 #[test]
-fn a_spike_never_passes_but_a_lasting_step_does_after_the_patience() {
+fn spikes_are_rejected_and_a_lasting_step_is_accepted_after_the_patience() {
     let mut climber = climber();
     let patience = ClimberConfig::default().jump_patience;
-    let _ = feed(&mut climber, &reading(0.0, 0.0, 0.0, 0.0));
-    // Every second reading is a spike, and always another one: nothing builds up.
+    let _ = process(&mut climber, &reading(0.0, 0.0, 0.0, 0.0));
+    // Every second reading is a different spike: no two of them are consistent.
     for i in 1..200 {
         let spike = i % 2 == 0;
         let x = if spike { 1.0 + f64::from(i) } else { 0.0 };
-        let out = feed(&mut climber, &reading(0.02 * f64::from(i), x, 0.0, 0.0));
+        let out = process(&mut climber, &reading(0.02 * f64::from(i), x, 0.0, 0.0));
         assert_eq!(matches!(out[..], [Output::Sample(_)]), !spike, "{i}");
     }
-    let mut refused = 0;
+    let mut rejected = 0;
     for i in 200.. {
-        let out = feed(&mut climber, &reading(0.02 * f64::from(i), 5.0, 0.0, 0.0));
+        let out = process(&mut climber, &reading(0.02 * f64::from(i), 5.0, 0.0, 0.0));
         match out.as_slice() {
-            [Output::Warning(Warning::Refused(Refusal::Jump { .. }))] => refused += 1,
-            [Output::Warning(Warning::Relocated { change, refused: n }), Output::Sample(s)] => {
-                assert_eq!((*n, refused), (patience - 1, patience - 1));
+            [Output::Warning(Warning::Rejected(Rejection::Jump { .. }))] => rejected += 1,
+            [Output::Warning(Warning::Relocated { change, rejected: n }), Output::Sample(s)] => {
+                assert_eq!((*n, rejected), (patience - 1, patience - 1));
                 assert_eq!((change[0], s.world_from_climber.translation.x), (5.0, 5.0));
                 break;
             }
@@ -143,26 +156,32 @@ fn a_spike_never_passes_but_a_lasting_step_does_after_the_patience() {
 }
 
 #[test]
-fn a_replay_that_starts_anew_is_followed() {
+fn a_restarted_replay_resets_the_state() {
     let mut climber = climber();
-    assert!(matches!(feed(&mut climber, &reading(100.0, 0.0, 0.0, 0.0))[..], [Output::Sample(_)]));
-    let out = feed(&mut climber, &reading(0.0, 1.0, 0.0, 0.0));
-    assert!(matches!(out[..], [Output::Warning(Warning::TimeWentBack { .. }), Output::Sample(_)]), "{out:?}");
+    assert!(matches!(
+        process(&mut climber, &reading(100.0, 0.0, 0.0, 0.0))[..],
+        [Output::Sample(_)]
+    ));
+    let out = process(&mut climber, &reading(0.0, 1.0, 0.0, 0.0));
+    assert!(
+        matches!(out[..], [Output::Warning(Warning::TimeWentBack { .. }), Output::Sample(_)]),
+        "{out:?}"
+    );
 }
 
 #[test]
-fn silence_is_told_by_the_last_accepted_reading_not_by_the_last_received() {
+fn silence_counts_from_the_last_accepted_reading() {
     let mut climber = climber();
     assert_eq!(climber.silent_for(T0), Some(f64::INFINITY));
-    let _ = feed(&mut climber, &reading(0.0, 0.0, 0.0, 0.0));
+    let _ = process(&mut climber, &reading(0.0, 0.0, 0.0, 0.0));
     assert_eq!(climber.silent_for(T0.plus_seconds(0.3)), None);
-    let _ = feed(&mut climber, &reading(0.5, f64::NAN, 0.0, 0.0));
+    let _ = process(&mut climber, &reading(0.5, f64::NAN, 0.0, 0.0));
     assert!(climber.silent_for(T0.plus_seconds(0.6)).is_some_and(|s| s > 0.59));
 }
 
 proptest! {
     #[test]
-    fn whatever_comes_in_samples_are_finite_unit_newer_and_never_too_fast(
+    fn samples_are_finite_normalized_increasing_and_within_the_speed_limit(
         readings in prop::collection::vec(
             (-2.0..2.0f64, prop::array::uniform3(prop_oneof![
                 8 => -0.05..0.05f64,
@@ -172,7 +191,8 @@ proptest! {
             1..200,
         )
     ) {
-        let mut climber = Climber::new(ClimberConfig { jump_patience: u32::MAX, ..ClimberConfig::default() }).unwrap();
+        let config = ClimberConfig { jump_patience: u32::MAX, ..ClimberConfig::default() };
+        let mut climber = Climber::new(config).unwrap();
         let mut seconds = 0.0;
         let mut last: Option<ClimberSample> = None;
         for (step, [x, y, turn], late) in readings {
@@ -182,12 +202,14 @@ proptest! {
             while let Some(output) = climber.poll() {
                 match output {
                     Output::Sample(s) => {
-                        prop_assert!(s.world_from_climber.translation.vector.iter().all(|v| v.is_finite()));
+                        let position = s.world_from_climber.translation.vector;
+                        prop_assert!(position.iter().all(|v| v.is_finite()));
                         prop_assert!((s.world_from_climber.rotation.norm() - 1.0).abs() < 1e-9);
                         if let Some(last) = &last {
                             prop_assert!(s.stamp > last.stamp);
-                            let way = s.world_from_climber.translation.vector.x - last.world_from_climber.translation.vector.x;
-                            prop_assert!(way.abs() <= 2.0 * s.stamp.seconds_since(last.stamp) + 0.005);
+                            let way = position.x - last.world_from_climber.translation.vector.x;
+                            let seconds = s.stamp.seconds_since(last.stamp);
+                            prop_assert!(way.abs() <= 2.0 * seconds + 0.005);
                         }
                         last = Some(s);
                     }

@@ -1,4 +1,4 @@
-//! The inertial unit's node: bytes of a serial port in, `volant/imu/data` out.
+//! Executable of the node `imu_driver`.
 
 use std::process::ExitCode;
 
@@ -14,8 +14,6 @@ fn main() -> ExitCode {
 // Instead of `required-features`: colcon installs no executable that has them.
 #[cfg(not(feature = "node"))]
 fn main() -> ExitCode {
-    eprintln!(
-        "imu_driver: built without its feature `node`, it can do nothing; build it with the default features"
-    );
+    eprintln!("imu_driver: built without the feature `node`; build it with the default features");
     ExitCode::FAILURE
 }

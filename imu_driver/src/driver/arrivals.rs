@@ -1,59 +1,61 @@
-//! When did a message begin on the wire? An adapter that hands bytes over in bursts cuts messages in two, and each part
-//! tells something: a message whose first 20 bytes arrived at t began no later than 20 byte times before t. With a burst
-//! that falls *into* a message this is known to one byte time (87 µs at 115200 baud), however long the bursts are apart.
+//! Upper bound of the time at which a message began on the wire, from the arrival of its parts.
 //!
-//! In flow portions of bytes with their arrival; out flow the latest instant at which a message can have begun.
+//! A message whose first 20 bytes arrived at t began no later than 20 byte times before t. A burst
+//! of the adapter that splits a message determines its begin to one byte time (87 µs at 115200
+//! baud), independent of the interval of the bursts.
 
 use rig_model::Stamp;
 use std::collections::VecDeque;
 
-/// Portions that are kept: more than one message is ever cut into, unless it comes byte by byte.
+/// Number of chunks kept: more than the parts of a message, unless it arrives byte by byte.
 const KEPT: usize = 64;
 
 #[derive(Clone, Copy, Debug)]
-struct Portion {
-    /// Bytes of the stream up to its end.
+struct Chunk {
+    /// Position of its end in the stream, bytes.
     end: u64,
     arrival: Stamp,
 }
 
-/// The newest portions of a stream.
+/// The newest chunks of a stream.
 #[derive(Debug)]
 pub(super) struct Arrivals {
-    portions: VecDeque<Portion>,
+    chunks: VecDeque<Chunk>,
 }
 
 impl Arrivals {
     pub(super) fn new() -> Self {
-        Self { portions: VecDeque::with_capacity(KEPT) }
+        Self { chunks: VecDeque::with_capacity(KEPT) }
     }
 
-    /// The stream starts anew.
+    /// Discards all chunks: another stream starts.
     pub(super) fn clear(&mut self) {
-        self.portions.clear();
+        self.chunks.clear();
     }
 
-    /// A portion came, which ends after so many bytes of the stream.
-    pub(super) fn came(&mut self, end: u64, arrival: Stamp) {
-        if self.portions.len() == KEPT {
-            self.portions.pop_front();
+    /// Adds a chunk that ends at position `end` of the stream, bytes.
+    pub(super) fn received(&mut self, end: u64, arrival: Stamp) {
+        if self.chunks.len() == KEPT {
+            self.chunks.pop_front();
         }
-        self.portions.push_back(Portion { end, arrival });
+        self.chunks.push_back(Chunk { end, arrival });
     }
 
-    /// The latest instant at which the message of these bytes can have begun, where a byte takes `byte_time` (s).
-    /// `None` where none of its portions is known. Portions before it are forgotten.
+    /// Latest time at which the message at position `offset` with `length` bytes can have begun.
+    ///
+    /// `byte_time`: duration of one byte, s. `None` if no chunk of the message is known. Discards
+    /// the chunks before the message.
     pub(super) fn begun(&mut self, offset: u64, length: usize, byte_time: f64) -> Option<Stamp> {
-        while self.portions.front().is_some_and(|p| p.end <= offset) {
-            self.portions.pop_front();
+        while self.chunks.front().is_some_and(|p| p.end <= offset) {
+            self.chunks.pop_front();
         }
         let end = offset + length as u64;
         let mut earliest: Option<Stamp> = None;
-        for portion in &self.portions {
-            let of_it = portion.end.min(end) - offset;
-            let begun = portion.arrival.plus_seconds(-(of_it as f64) * byte_time);
+        for chunk in &self.chunks {
+            let received = chunk.end.min(end) - offset;
+            let begun = chunk.arrival.plus_seconds(-(received as f64) * byte_time);
             earliest = Some(earliest.map_or(begun, |e| e.min(begun)));
-            if portion.end >= end {
+            if chunk.end >= end {
                 break;
             }
         }
@@ -72,32 +74,33 @@ mod tests {
     }
 
     #[test]
-    fn a_message_that_was_cut_is_known_to_one_byte() {
+    fn the_begin_of_a_split_message_is_known_to_one_byte() {
         let mut arrivals = Arrivals::new();
-        // Bytes 0..50 are one message, 50..100 the next; a burst ends after 70 bytes, the rest waits for 16 ms.
-        arrivals.came(70, at(1.0));
-        arrivals.came(100, at(1.016));
+        // Messages in bytes 0..50 and 50..100; the first burst has 70 bytes, the next is 16 ms
+        // later.
+        arrivals.received(70, at(1.0));
+        arrivals.received(100, at(1.016));
         assert_eq!(arrivals.begun(0, 50, BYTE), Some(at(1.0 - 0.005)));
         assert_eq!(arrivals.begun(50, 50, BYTE), Some(at(1.0 - 0.002)));
-        // Whole in one portion.
-        arrivals.came(150, at(1.032));
+        // Whole in one chunk.
+        arrivals.received(150, at(1.032));
         assert_eq!(arrivals.begun(100, 50, BYTE), Some(at(1.032 - 0.005)));
         assert_eq!(arrivals.begun(150, 50, BYTE), None);
     }
 
     #[test]
-    fn a_first_part_that_was_held_back_does_no_harm() {
+    fn a_delayed_first_chunk_has_no_effect() {
         let mut arrivals = Arrivals::new();
-        arrivals.came(10, at(1.010));
-        arrivals.came(50, at(1.0101));
+        arrivals.received(10, at(1.010));
+        arrivals.received(50, at(1.0101));
         assert_eq!(arrivals.begun(0, 50, BYTE), Some(at(1.0101 - 0.005)));
     }
 
     #[test]
-    fn byte_by_byte_the_newest_are_kept() {
+    fn of_single_bytes_the_newest_are_kept() {
         let mut arrivals = Arrivals::new();
         for k in 1..=1000_u64 {
-            arrivals.came(k, at(k as f64 * BYTE));
+            arrivals.received(k, at(k as f64 * BYTE));
         }
         let begun = arrivals.begun(0, 1000, BYTE).unwrap();
         assert!(begun.seconds_since(at(0.0)).abs() < 1e-9);

@@ -1,4 +1,4 @@
-//! What the driver is asked to do, and what that means for the unit's settings.
+//! Configuration of the driver, and the device settings that follow from it.
 
 use crate::{
     clock_fit::ClockFitConfig,
@@ -11,34 +11,37 @@ use crate::{
 };
 use thiserror::Error;
 
-/// What the driver is asked to do.
+/// Configuration of the driver.
+///
+/// One field per parameter of the node, hence their number.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriverConfig {
-    /// Baud rate; `None`: the unit is looked for at the usual ones.
+    /// Baud rate; `None`: search at the usual ones.
     pub baud: Option<u32>,
-    /// Samples per second.
+    /// Sampling rate, Hz.
     pub rate: f64,
-    /// Ask for the unit's own attitude.
+    /// Output the orientation estimated by the device.
     pub orientation: bool,
-    /// Ask for the magnetic field.
+    /// Output the magnetic field.
     pub magnetic_field: bool,
-    /// Ask for the temperature.
+    /// Output the temperature.
     pub temperature: bool,
-    /// Ask for the status bits.
+    /// Output the status bits.
     pub status: bool,
-    /// How numbers are to be written.
+    /// Number format of the messages.
     pub number_format: NumberFormat,
-    /// Change nothing in the unit: take its configuration as it is.
+    /// Do not change the settings of the device.
     pub leave_settings: bool,
-    /// Set the unit to the baud rate of this code, and nothing else: it comes into force by a reset.
+    /// Only set the device to the baud rate of this code, followed by a reset.
     pub set_baud: Option<u8>,
-    /// Send two stop bits: an MTx from before 2008 hears nothing else.
+    /// Send two stop bits, which an MTx from before 2008 requires.
     pub two_stop_bits: bool,
-    /// From a sample to the arrival of its last bit, s; `None`: the time that the bytes take at the baud rate.
+    /// Time from a sample to the arrival of its last bit, s; `None`: transmission time at the baud
+    /// rate.
     pub transmission_delay: Option<f64>,
-    /// The longest pause between two attempts to find the unit again, s.
+    /// Longest pause between two attempts to find the device, s.
     pub longest_pause: f64,
-    /// How stamps are made.
+    /// Parameters of the clock fit.
     pub clock: ClockFitConfig,
 }
 
@@ -62,42 +65,47 @@ impl Default for DriverConfig {
     }
 }
 
-/// A configuration that cannot be.
+/// Invalid configuration.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ConfigError {
-    /// No unit does that.
-    #[error("a rate of {rate} Hz is not possible; use 0.01 to 512 Hz")]
+    /// The rate is out of range.
+    #[error("a rate of {rate} Hz is out of range; use 0.01 to 512 Hz")]
     Rate {
-        /// As given.
+        /// Configured rate, Hz.
         rate: f64,
     },
-    /// Not a baud rate of these units.
-    #[error("no unit talks at {baud} baud; use {}, or 0 to look for it", BAUD_SCAN.map(|b| b.to_string()).join(", "))]
+    /// The devices do not support the baud rate.
+    #[error(
+        "{baud} baud is not supported; use {}, or 0 to search",
+        BAUD_SCAN.map(|b| b.to_string()).join(", ")
+    )]
     Baud {
-        /// As given.
+        /// Configured baud rate.
         baud: u32,
     },
-    /// The line is too slow.
+    /// The messages exceed the baud rate.
     #[error(
-        "{rate} Hz of {bytes} bytes need {needed} baud, but the line has {baud}; lower the rate, leave outputs out, or set the unit to a higher baud rate with `volant imu configure --set-baud`"
+        "{rate} Hz of {bytes} bytes need {needed} baud, but the line has {baud}; \
+         lower the rate, disable outputs, or set a higher baud rate with \
+         `volant imu configure --set-baud`"
     )]
     LineTooSlow {
-        /// As given, Hz.
+        /// Configured rate, Hz.
         rate: f64,
-        /// Length of a message.
+        /// Length of a message, bytes.
         bytes: usize,
-        /// What would be needed.
+        /// Required baud rate.
         needed: u32,
-        /// What there is.
+        /// Configured baud rate.
         baud: u32,
     },
 }
 
 impl DriverConfig {
-    /// Whether it can be.
+    /// Checks all values.
     ///
     /// # Errors
-    /// [`ConfigError`]: which of the values cannot.
+    /// [`ConfigError`] for the first invalid value.
     pub fn check(&self) -> Result<(), ConfigError> {
         if period_and_skip(self.rate).is_none() {
             return Err(ConfigError::Rate { rate: self.rate });
@@ -116,25 +124,24 @@ impl DriverConfig {
         Ok(())
     }
 
-    /// The rates at which the unit is looked for, best first.
+    /// Baud rates in the order of the search.
     pub(super) fn bauds(&self) -> Vec<u32> {
         self.baud.map_or_else(|| BAUD_SCAN.to_vec(), |baud| vec![baud])
     }
 
-    /// The format that a legacy unit is to send: always calibrated data and the counter.
+    /// Format to set on a legacy device; always with calibrated data and counter.
     pub fn legacy_format(&self) -> LegacyFormat {
-        let when = |wanted: bool, bit: u16| if wanted { bit } else { 0 };
-        let mode = OutputMode::CALIBRATED
-            | when(self.orientation, OutputMode::ORIENTATION)
-            | when(self.temperature, OutputMode::TEMPERATURE)
-            | when(self.status, OutputMode::STATUS);
-        let settings = OutputSettings::COUNTER
-            | (self.number_format.bits() << 8)
-            | if self.magnetic_field { 0 } else { OutputSettings::NO_MAGNETIC_FIELD };
-        LegacyFormat { mode: OutputMode(mode), settings: OutputSettings(settings) }
+        let mut mode = OutputMode::CALIBRATED;
+        mode.set(OutputMode::ORIENTATION, self.orientation);
+        mode.set(OutputMode::TEMPERATURE, self.temperature);
+        mode.set(OutputMode::STATUS, self.status);
+        let mut settings = OutputSettings::COUNTER.with_number_format(self.number_format);
+        settings.set(OutputSettings::NO_MAGNETIC_FIELD, !self.magnetic_field);
+        LegacyFormat { mode, settings }
     }
 
-    /// What a newer unit is to send: counter and SampleTimeFine with everything.
+    /// Output configuration to set on an MTi-1, 10, 100, 600: counter and SampleTimeFine with every
+    /// message.
     pub fn outputs(&self) -> Vec<OutputEntry> {
         let rate = self.rate.round().clamp(1.0, 2000.0) as u16;
         let format = self.number_format.bits() as u16;
@@ -149,7 +156,7 @@ impl DriverConfig {
             outputs.push(number(xdi::MAGNETIC_FIELD));
         }
         if self.temperature {
-            // It changes slowly.
+            // The temperature changes slowly.
             outputs.push(OutputEntry { id: xdi::TEMPERATURE | format, rate: 1 });
         }
         if self.status {
@@ -158,7 +165,7 @@ impl DriverConfig {
         outputs
     }
 
-    /// Period and skip factor; those of 100 Hz where the rate cannot be (which [`DriverConfig::check`] says).
+    /// Period and skip factor; those of 100 Hz if the rate is invalid.
     pub(super) fn period_and_skip(&self) -> (u16, u16) {
         period_and_skip(self.rate).unwrap_or(((TICKS_PER_SECOND / 100.0) as u16, 0))
     }
@@ -177,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_named() {
+    fn errors_name_the_invalid_value() {
         let config = DriverConfig { rate: 400.0, ..DriverConfig::default() };
         let error = config.check().unwrap_err().to_string();
         assert!(error.contains("236000 baud"), "{error}");

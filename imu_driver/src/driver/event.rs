@@ -1,39 +1,40 @@
-//! What the driver has to tell besides samples. It logs nothing: the shell does, once.
+//! Events of the driver, for the log and the diagnostics of its shell.
 
 use crate::protocol::{Configuration, DeviceError, DeviceId, MessageId, OutputEntry};
 use std::fmt;
 
-/// How much an event matters.
+/// Severity of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Severity {
-    /// All is well.
+    /// Normal operation.
     Info,
-    /// Something is wrong and the driver copes with it.
+    /// Something is wrong, but samples are available.
     Warning,
-    /// No samples come.
+    /// No samples are available.
     Error,
 }
 
-/// Which unit it is and what it is set to.
+/// Identity and configuration of the device.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Identity {
     /// Device identifier.
     pub device_id: DeviceId,
-    /// Product code, empty where it gave none.
+    /// Product code; empty if unknown.
     pub product_code: String,
-    /// Firmware revision, empty where it gave none.
+    /// Firmware revision; empty if unknown.
     pub firmware: String,
-    /// A legacy unit's configuration as read back.
+    /// Configuration as read from a legacy device.
     pub configuration: Option<Configuration>,
-    /// A newer unit's output configuration as read back.
+    /// Output configuration as read from an MTi-1, 10, 100, 600.
     pub outputs: Option<Vec<OutputEntry>>,
-    /// At which rate it was found.
+    /// Baud rate at which it was found.
     pub baud: u32,
 }
 
 impl fmt::Display for Identity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = if self.product_code.is_empty() { self.device_id.family() } else { &self.product_code };
+        let name =
+            if self.product_code.is_empty() { self.device_id.family() } else { &self.product_code };
         write!(f, "{name} {}", self.device_id)?;
         if !self.firmware.is_empty() {
             write!(f, ", firmware {}", self.firmware)?;
@@ -42,103 +43,103 @@ impl fmt::Display for Identity {
     }
 }
 
-/// What happened.
+/// Event of the driver.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
-    /// The port cannot be opened; the next attempt follows after `pause` seconds.
+    /// The port could not be opened.
     PortMissing {
-        /// Why.
+        /// Reason, with the name of the port.
         reason: String,
-        /// s.
+        /// Time until the next attempt, s.
         pause: f64,
     },
-    /// The port is gone while it was in use.
+    /// The open port was lost.
     PortLost {
-        /// Why.
+        /// Reason.
         reason: String,
     },
-    /// The port is open.
+    /// The port was opened.
     PortOpened {
-        /// At this rate.
+        /// Baud rate.
         baud: u32,
     },
-    /// Nobody answers on the open port.
+    /// No device answers on the open port.
     NoAnswer {
-        /// The rates that were tried.
+        /// Baud rates tried.
         bauds: Vec<u32>,
-        /// Something is being received, but it makes no sense (wrong baud rate, another device).
+        /// Bytes are received, but no valid frames (wrong baud rate, other device).
         garbage: bool,
     },
-    /// The unit was silent for so many seconds.
+    /// No message was received.
     Silent {
-        /// s.
+        /// Time since the last message, s.
         seconds: f64,
     },
-    /// A unit answered.
+    /// A device answered.
     Found(Identity),
-    /// The unit has just started (power-up, brown-out, reset).
+    /// The device has started (power-up, brown-out, reset).
     WokeUp,
-    /// A setting was written into the unit's flash.
+    /// A setting was written to the flash of the device.
     Set {
-        /// Which.
+        /// The setting.
         what: MessageId,
     },
-    /// The unit refused a setting or a request.
-    Refused {
-        /// Which.
+    /// The device rejected a setting or a request.
+    Rejected {
+        /// The message.
         what: MessageId,
-        /// Its reason.
+        /// Reason.
         error: DeviceError,
     },
-    /// The unit does not answer a request.
+    /// The device does not answer a request.
     Unanswered {
-        /// Which.
+        /// The message.
         what: MessageId,
     },
-    /// The read-back differs from what was asked for; the driver goes on with what the unit has.
-    NotTaken {
-        /// Which.
+    /// A setting read back differs from the written one; the driver uses the former.
+    NotApplied {
+        /// The setting.
         what: MessageId,
-        /// As asked.
+        /// Value written.
         wanted: String,
-        /// As read back.
+        /// Value read back.
         found: String,
     },
-    /// The unit measures; samples follow.
+    /// The device entered the measurement state.
     Measuring(Identity),
-    /// The unit reports an error while it measures.
-    DeviceComplains {
-        /// Its reason.
+    /// The device reported an error while measuring.
+    DeviceFault {
+        /// The error.
         error: DeviceError,
     },
-    /// Messages that cannot be read come in; the configuration is read anew.
+    /// Messages could not be decoded; the configuration is read again.
     Unreadable {
-        /// Why.
+        /// Reason.
         reason: String,
     },
-    /// The stream lacks what a sample needs.
+    /// The messages lack acceleration or angular velocity.
     NoInertialData,
-    /// The counter says that messages are missing.
+    /// Messages are missing, according to the counter.
     Lost {
-        /// How many.
+        /// Number of messages.
         count: u64,
     },
-    /// The unit's clock started anew.
-    UnitRestarted,
+    /// The clock of the device restarted.
+    DeviceRestarted,
     /// The host's clock was set; stamps follow at once.
     ClockSet {
-        /// By so many seconds.
+        /// New time minus old time, s.
         seconds: f64,
     },
-    /// The unit's clock and the host's came apart, and stay so.
+    /// The clocks of device and host have a new offset.
     ClockStepped {
-        /// By so many seconds.
+        /// Change of the offset, s.
         seconds: f64,
     },
 }
 
 impl Event {
-    /// How much it matters.
+    /// Severity of the event.
     pub fn severity(&self) -> Severity {
         match self {
             Self::PortOpened { .. } | Self::Found(_) | Self::Set { .. } | Self::Measuring(_) => {
@@ -157,39 +158,53 @@ impl Event {
 impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::PortMissing { reason, pause } => write!(f, "{reason}; next attempt in {pause:.1} s"),
-            Self::PortLost { reason } => write!(f, "the port is gone ({reason}): plug the unit in again"),
+            Self::PortMissing { reason, pause } => {
+                write!(f, "{reason}; next attempt in {pause:.1} s")
+            }
+            Self::PortLost { reason } => {
+                write!(f, "the port was lost ({reason}); reconnect the adapter")
+            }
             Self::PortOpened { baud } => write!(f, "port open at {baud} baud"),
             Self::NoAnswer { bauds, garbage } => {
                 let bauds: Vec<String> = bauds.iter().map(u32::to_string).collect();
-                write!(f, "no unit answers at {} baud; ", bauds.join(", "))?;
+                write!(f, "no IMU answers at {} baud; ", bauds.join(", "))?;
                 if *garbage {
-                    f.write_str("bytes come that make no sense: is the baud rate another one (baud: 0 looks for it), or is this another device?")
+                    f.write_str(
+                        "the bytes received contain no valid message: \
+                         set the baud rate (baud: 0 searches) and check the device on this port",
+                    )
                 } else {
-                    f.write_str("is it powered and is this its port? (units from before 2008 need two_stop_bits: true)")
+                    f.write_str(
+                        "check power supply and port \
+                         (an MTx from before 2008 needs two_stop_bits: true)",
+                    )
                 }
             }
-            Self::Silent { seconds } => write!(f, "no message for {seconds:.1} s; asking the unit"),
+            Self::Silent { seconds } => write!(f, "no message for {seconds:.1} s; calling the IMU"),
             Self::Found(identity) => write!(f, "found {identity}"),
-            Self::WokeUp => f.write_str("the unit has just started"),
-            Self::Set { what } => write!(f, "{what}: written into the unit"),
-            Self::Refused { what, error } => write!(f, "the unit refuses {what}: {error}"),
-            Self::Unanswered { what } => write!(f, "the unit does not answer {what}; starting over"),
-            Self::NotTaken { what, wanted, found } => {
-                write!(f, "{what}: {wanted} was asked for, but the unit has {found}; going on with that")
+            Self::WokeUp => f.write_str("the IMU has started"),
+            Self::Set { what } => write!(f, "{what}: written to the IMU"),
+            Self::Rejected { what, error } => write!(f, "the IMU rejected {what}: {error}"),
+            Self::Unanswered { what } => {
+                write!(f, "the IMU does not answer {what}; configuring it again")
+            }
+            Self::NotApplied { what, wanted, found } => {
+                write!(f, "{what}: {wanted} was written, but the IMU has {found}, which is used")
             }
             Self::Measuring(identity) => write!(f, "measuring: {identity}"),
-            Self::DeviceComplains { error } => write!(f, "the unit reports {error}"),
-            Self::Unreadable { reason } => write!(f, "messages cannot be read: {reason}"),
+            Self::DeviceFault { error } => write!(f, "the IMU reports {error}"),
+            Self::Unreadable { reason } => write!(f, "messages cannot be decoded: {reason}"),
             Self::NoInertialData => f.write_str(
-                "the unit sends no acceleration and rate of turn in one message; let the driver set its outputs (leave_settings: false)",
+                "the messages lack acceleration or angular velocity; \
+                 let the driver set the outputs (leave_settings: false)",
             ),
             Self::Lost { count } => write!(f, "{count} messages lost"),
-            Self::UnitRestarted => f.write_str("the unit's clock started anew"),
+            Self::DeviceRestarted => f.write_str("the clock of the IMU restarted"),
             Self::ClockSet { seconds } => write!(f, "the host's clock was set by {seconds:+.3} s"),
             Self::ClockStepped { seconds } => write!(
                 f,
-                "the unit's samples come {seconds:+.3} s later than its clock says: one of the two clocks was set, or all that the unit sends is held up"
+                "samples arrive {seconds:+.3} s later than the clock of the IMU indicates: \
+                 one of the two clocks was set, or its data are delayed"
             ),
         }
     }

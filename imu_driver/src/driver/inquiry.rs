@@ -1,40 +1,45 @@
-//! From GoToConfig's acknowledgement to measuring: identity, configuration, what differs, read-back.
+//! From the acknowledgement of GoToConfig to measuring: identity, configuration, settings that
+//! differ, read-back.
 //!
-//! One request is under way at a time. A reply is told from data that still stream, and from the late reply to an
-//! earlier request, by its message identifier.
+//! One request is pending at a time. Its reply is distinguished from data messages and from late
+//! replies to earlier requests by its message identifier.
 
 use super::{Driver, Event, Identity, Phase};
 use crate::protocol::{
     Configuration, DeviceError, DeviceId, Frame, MessageId, OutputEntry,
     configuration::{
-        firmware_from_data, output_configuration_from_data, output_configuration_to_data, text_from_data,
+        firmware_from_data, output_configuration_from_data, output_configuration_to_data,
+        text_from_data,
     },
 };
 use rig_model::Stamp;
 use std::collections::VecDeque;
 
+/// Time until a request is repeated, s.
 const REPLY_TIMEOUT: f64 = 0.5;
+/// Number of times that a request is sent.
 const ATTEMPTS: u32 = 6;
+/// The same for a request without which the device is usable.
 const ATTEMPTS_IF_OPTIONAL: u32 = 3;
-/// A request that was not answered by now is not answered any more, s.
-const FORGOTTEN: f64 = 5.0;
+/// Time after which a request is no longer expected to be answered, s.
+const EXPIRY: f64 = 5.0;
 
 #[derive(Debug)]
 pub(super) struct Inquiry {
     request: Request,
     sent_at: f64,
     attempts: u32,
-    /// Settings still to be written.
+    /// Settings to write.
     to_set: VecDeque<Request>,
     read_back: bool,
-    /// What was sent and not answered yet, oldest first: a unit answers in order. So a late reply, and above all an
-    /// error, which does not say what it is about, is told from the one that is waited for.
+    /// Unanswered requests, oldest first. The device answers in order, so that late replies and
+    /// errors (which do not identify their request) are assigned to the right one.
     in_flight: VecDeque<InFlight>,
-    /// Number of the request.
+    /// Number of the pending request.
     number: u32,
-    /// Wrote at least one setting.
+    /// At least one setting was written.
     changed: bool,
-    /// The unit is the one from before: what cannot have changed is not asked again.
+    /// The device was identified before: its product code and firmware are not requested again.
     known: bool,
 }
 
@@ -48,7 +53,7 @@ struct InFlight {
 impl Inquiry {
     fn send(&mut self, now: f64) {
         self.sent_at = now;
-        self.in_flight.retain(|r| now - r.sent_at < FORGOTTEN);
+        self.in_flight.retain(|r| now - r.sent_at < EXPIRY);
         self.in_flight.push_back(InFlight {
             message: self.request.message,
             number: self.number,
@@ -56,17 +61,17 @@ impl Inquiry {
         });
     }
 
-    /// Whether an acknowledgement answers the request that is waited for.
+    /// Whether an acknowledgement answers the pending request.
     fn is_current(&mut self, ack: MessageId) -> bool {
         let Some(position) = self.in_flight.iter().position(|r| r.message.ack() == ack) else {
             return false;
         };
-        // What was sent before it was swallowed.
+        // Earlier requests were lost.
         self.in_flight.drain(..position);
         self.in_flight.pop_front().is_some_and(|r| r.number == self.number)
     }
 
-    /// Whether an error answers it.
+    /// Whether an error answers the pending request.
     fn is_current_error(&mut self) -> bool {
         self.in_flight.pop_front().is_some_and(|r| r.number == self.number)
     }
@@ -87,7 +92,7 @@ impl Request {
         !self.data.is_empty()
     }
 
-    /// A unit that does not answer this one can be used all the same.
+    /// Whether the device is usable without an answer.
     fn is_optional(&self) -> bool {
         !self.is_setting()
             && matches!(
@@ -100,14 +105,23 @@ impl Request {
     }
 }
 
+/// Setting with its value as wanted and as read from the device.
+struct Setting {
+    message: MessageId,
+    /// Data that set the wanted value.
+    data: Vec<u8>,
+    wanted: String,
+    found: String,
+}
+
 impl Driver {
     pub(super) fn begin_inquiry(&mut self) {
-        self.found();
-        self.identity.baud = self.baud();
+        self.connection.found();
+        self.identity.baud = self.connection.baud();
         let request = Request::ask(MessageId::REQ_DEVICE_ID);
         self.phase = Phase::Asking(Inquiry {
             request: request.clone(),
-            sent_at: self.now,
+            sent_at: self.time.now,
             attempts: 0,
             to_set: VecDeque::new(),
             read_back: false,
@@ -120,7 +134,7 @@ impl Driver {
     }
 
     pub(super) fn tick_inquiry(&mut self) {
-        let now = self.now;
+        let now = self.time.now;
         let Phase::Asking(inquiry) = &mut self.phase else {
             return;
         };
@@ -149,30 +163,30 @@ impl Driver {
         if frame.message == MessageId::ERROR {
             if inquiry.is_current_error() {
                 let error = DeviceError(frame.data.first().copied().unwrap_or_default());
-                self.refused(&request, error);
+                self.rejected(&request, error);
             }
         } else if inquiry.is_current(frame.message) {
             self.accept(&request, frame.data);
         } else if frame.message == MessageId::REQ_PRODUCT_CODE.ack() {
-            // Late, but as good as ever.
+            // A late reply.
             self.identity.product_code = text_from_data(frame.data);
         } else if frame.message.is_data() && request.message == MessageId::GO_TO_MEASUREMENT {
-            // In the config state nothing streams: the acknowledgement was lost, the unit measures.
+            // No data in the config state: the acknowledgement was lost and the device measures.
             self.begin_measuring();
             self.data(frame, arrival);
         }
-        // Everything else is data that still stream, or a late reply: not the one that is waited for.
+        // Everything else is a data message or a late reply.
     }
 
-    fn refused(&mut self, request: &Request, error: DeviceError) {
+    fn rejected(&mut self, request: &Request, error: DeviceError) {
         if request.message == MessageId::OUTPUT_CONFIGURATION && !request.is_setting() {
-            // A legacy unit does not know the message: that is how it is told from a newer one.
+            // A legacy device does not support the message, which distinguishes the two kinds.
             self.identity.outputs = None;
             return self.proceed(request);
         }
-        self.event(Event::Refused { what: request.message, error });
+        self.event(Event::Rejected { what: request.message, error });
         if request.message == MessageId::GO_TO_MEASUREMENT {
-            let pause = self.grow_pause();
+            let pause = self.connection.grow_pause();
             self.call(pause);
         } else {
             self.proceed(request);
@@ -183,12 +197,13 @@ impl Driver {
         match request.message {
             MessageId::REQ_DEVICE_ID => {
                 let device_id = DeviceId::from_data(data).unwrap_or_default();
-                // Another unit on the same port: what is known of the old one is void.
+                // Another device on the same port.
                 if device_id != self.identity.device_id || self.identity.device_id.0 == 0 {
                     self.identity = Identity { device_id, ..Identity::default() };
                 }
-                self.identity.baud = self.baud();
-                let known = self.identity.configuration.is_some() || self.identity.outputs.is_some();
+                self.identity.baud = self.connection.baud();
+                let known =
+                    self.identity.configuration.is_some() || self.identity.outputs.is_some();
                 if let Phase::Asking(inquiry) = &mut self.phase {
                     inquiry.known = known;
                 }
@@ -211,7 +226,7 @@ impl Driver {
         }
         if request.is_setting() {
             if request.message == MessageId::BAUD_RATE {
-                // In force only after it.
+                // Effective after a reset.
                 self.write(MessageId::RESET, &[]);
             }
             self.event(Event::Set { what: request.message });
@@ -222,7 +237,7 @@ impl Driver {
         self.proceed(request);
     }
 
-    /// The request is done, one way or the other: the next one.
+    /// Sends the request that follows `done`, answered or not.
     fn proceed(&mut self, done: &Request) {
         let Phase::Asking(inquiry) = &mut self.phase else {
             return;
@@ -237,7 +252,9 @@ impl Driver {
             }
         } else {
             match done.message {
-                MessageId::REQ_DEVICE_ID if known => Some(Request::ask(MessageId::REQ_CONFIGURATION)),
+                MessageId::REQ_DEVICE_ID if known => {
+                    Some(Request::ask(MessageId::REQ_CONFIGURATION))
+                }
                 MessageId::REQ_DEVICE_ID => Some(Request::ask(MessageId::REQ_PRODUCT_CODE)),
                 MessageId::REQ_PRODUCT_CODE => Some(Request::ask(MessageId::REQ_FIRMWARE)),
                 MessageId::REQ_FIRMWARE => Some(Request::ask(MessageId::REQ_CONFIGURATION)),
@@ -250,8 +267,9 @@ impl Driver {
         if let Some(next) = next {
             return self.send_request(next);
         }
-        if !inquiry.read_back && inquiry.to_set.is_empty() && !inquiry.changed && !done.is_setting() {
-            // All is read: what differs?
+        if !inquiry.read_back && inquiry.to_set.is_empty() && !inquiry.changed && !done.is_setting()
+        {
+            // Everything is read.
             let settings = self.differences();
             self.event(Event::Found(self.identity.clone()));
             if let Phase::Asking(inquiry) = &mut self.phase {
@@ -273,14 +291,14 @@ impl Driver {
         }
         if self.identity.configuration.is_none() && self.identity.outputs.is_none() {
             self.event(Event::Unanswered { what: MessageId::REQ_CONFIGURATION });
-            let pause = self.grow_pause();
+            let pause = self.connection.grow_pause();
             return self.call(pause);
         }
         self.send_request(Request::ask(MessageId::GO_TO_MEASUREMENT));
     }
 
     fn send_request(&mut self, request: Request) {
-        let now = self.now;
+        let now = self.time.now;
         if let Phase::Asking(inquiry) = &mut self.phase {
             inquiry.request = request.clone();
             inquiry.number += 1;
@@ -290,69 +308,75 @@ impl Driver {
         }
     }
 
-    /// The settings that must be written: settings go to flash, so only those that differ.
+    /// Settings of the configuration, as wanted and as read from the device.
+    fn settings(&self) -> Vec<Setting> {
+        if let Some(found) = &self.identity.outputs {
+            let wanted = self.config.outputs();
+            let message = MessageId::OUTPUT_CONFIGURATION;
+            let data = output_configuration_to_data(&wanted);
+            return vec![Setting { message, data, wanted: listed(&wanted), found: listed(found) }];
+        }
+        let Some(found) = self.identity.configuration else {
+            return Vec::new();
+        };
+        let word = |message, wanted: u16, found: u16| Setting {
+            message,
+            data: wanted.to_be_bytes().to_vec(),
+            wanted: wanted.to_string(),
+            found: found.to_string(),
+        };
+        let (period, skip) = self.config.period_and_skip();
+        let format = self.config.legacy_format();
+        let (wanted_mode, found_mode) = (format.mode.bits(), found.format.mode.bits());
+        let (wanted, found_settings) = (format.settings.bits(), found.format.settings.bits());
+        vec![
+            word(MessageId::PERIOD, period, found.period),
+            word(MessageId::OUTPUT_SKIP_FACTOR, skip, found.skip),
+            Setting {
+                message: MessageId::OUTPUT_MODE,
+                data: wanted_mode.to_be_bytes().to_vec(),
+                wanted: format!("{wanted_mode:04X}"),
+                found: format!("{found_mode:04X}"),
+            },
+            Setting {
+                message: MessageId::OUTPUT_SETTINGS,
+                data: wanted.to_be_bytes().to_vec(),
+                wanted: format!("{wanted:08X}"),
+                found: format!("{found_settings:08X}"),
+            },
+        ]
+    }
+
+    /// Settings to write: only those that differ, because each write wears the flash.
     fn differences(&self) -> Vec<Request> {
         if let Some(code) = self.config.set_baud {
             return vec![Request { message: MessageId::BAUD_RATE, data: vec![code] }];
         }
-        if self.config.leave_settings {
+        let settled = self.stream.settled_outputs(&self.config.outputs());
+        if self.config.leave_settings || settled.is_some_and(|found| self.has_outputs(found)) {
             return Vec::new();
         }
-        if let Some(found) = &self.identity.outputs {
-            let wanted = self.config.outputs();
-            let settled = self.stream.settled_outputs(&wanted) == Some(found);
-            if *found == wanted || settled {
-                return Vec::new();
-            }
-            let data = output_configuration_to_data(&wanted);
-            return vec![Request { message: MessageId::OUTPUT_CONFIGURATION, data }];
-        }
-        let Some(found) = self.identity.configuration else {
-            return Vec::new();
-        };
-        let (period, skip) = self.config.period_and_skip();
-        let format = self.config.legacy_format();
-        let mut settings = Vec::new();
-        let mut set = |message, differs: bool, data: &[u8]| {
-            if differs {
-                settings.push(Request { message, data: data.to_vec() });
-            }
-        };
-        set(MessageId::PERIOD, found.period != period, &period.to_be_bytes());
-        set(MessageId::OUTPUT_SKIP_FACTOR, found.skip != skip, &skip.to_be_bytes());
-        set(MessageId::OUTPUT_MODE, found.format.mode != format.mode, &format.mode.0.to_be_bytes());
-        let settings_bytes = format.settings.0.to_be_bytes();
-        set(MessageId::OUTPUT_SETTINGS, found.format.settings != format.settings, &settings_bytes);
-        settings
+        let differing = self.settings().into_iter().filter(|s| s.wanted != s.found);
+        differing.map(|s| Request { message: s.message, data: s.data }).collect()
+    }
+
+    fn has_outputs(&self, outputs: &[OutputEntry]) -> bool {
+        self.identity.outputs.as_deref() == Some(outputs)
     }
 
     fn compare_read_back(&mut self) {
-        let mut not_taken = |what, wanted: String, found: String| {
+        for Setting { message: what, wanted, found, .. } in self.settings() {
             if wanted != found {
-                self.outputs.push_back(super::Output::Event(Event::NotTaken { what, wanted, found }));
+                self.event(Event::NotApplied { what, wanted, found });
             }
-        };
-        if let Some(found) = &self.identity.outputs {
-            let wanted = self.config.outputs();
-            not_taken(MessageId::OUTPUT_CONFIGURATION, listed(&wanted), listed(found));
-            self.stream.settle_outputs(wanted, found.clone());
-            return;
         }
-        let Some(found) = self.identity.configuration else {
-            return;
-        };
-        let (period, skip) = self.config.period_and_skip();
-        let format = self.config.legacy_format();
-        not_taken(MessageId::PERIOD, period.to_string(), found.period.to_string());
-        not_taken(MessageId::OUTPUT_SKIP_FACTOR, skip.to_string(), found.skip.to_string());
-        let hex = |mode: u16| format!("{mode:04X}");
-        not_taken(MessageId::OUTPUT_MODE, hex(format.mode.0), hex(found.format.mode.0));
-        let hex = |settings: u32| format!("{settings:08X}");
-        not_taken(MessageId::OUTPUT_SETTINGS, hex(format.settings.0), hex(found.format.settings.0));
+        if let Some(found) = &self.identity.outputs {
+            self.stream.settle_outputs(self.config.outputs(), found.clone());
+        }
     }
 
     pub(super) fn begin_measuring(&mut self) {
-        self.stream.begin(&self.identity, self.now);
+        self.stream.begin(&self.identity, self.time.now);
         self.phase = Phase::Measuring;
         self.event(Event::Measuring(self.identity.clone()));
     }

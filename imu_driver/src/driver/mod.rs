@@ -1,17 +1,20 @@
-//! The driver as a state machine without I/O: it says what to open, write and publish, and is told what arrived.
+//! Driver of one IMU as a state machine without I/O: port events, bytes and time in; port commands,
+//! samples and events out.
 //!
 //! ```text
-//! Closed ──Open──▶ Settling ──▶ Calling ──GoToConfig's ack──▶ Asking ──▶ Measuring ──▶ samples
-//!   ▲  pause grows     ▲           ▲  baud scan, Reset            │            │
-//!   └── port lost ─────┴───────────┴── unanswered, silent, woke up, unreadable ┘
+//! Closed ──Open──▶ Settling ──▶ Calling ──GoToConfig ack──▶ Asking ──▶ Measuring ──▶ samples
+//!   ▲  pause grows     ▲           ▲  baud scan, Reset           │          │
+//!   └── port lost ─────┴───────────┴─ no reply, silence, WakeUp, unreadable ┘
 //! ```
 //!
-//! Time enters with the inputs, as the host's clock shows it. Where the shell tells that somebody set that clock
-//! ([`Input::ClockSet`]), the stamps follow at once and nothing else does: inside all runs on as if nobody had. Timers run on the
-//! sum of small steps, so that a clock that is set unsaid neither hangs nor hurries the driver.
+//! Time enters with the inputs and is that of the host's clock. [`Input::ClockSet`] reports that
+//! this clock was set: stamps follow at once, timers and the clock fit are not affected. Timers
+//! count the sum of small steps, so that an unreported step of the clock neither blocks nor
+//! triggers them.
 
 mod arrivals;
 pub mod config;
+mod connection;
 pub mod event;
 mod inquiry;
 pub mod sample;
@@ -24,152 +27,149 @@ pub use stream::Statistics;
 
 use crate::protocol::{FrameParser, MessageId, frame::frame};
 use arrivals::Arrivals;
+use connection::{Calling, Connection};
 use inquiry::Inquiry;
 use rig_model::Stamp;
 use std::collections::VecDeque;
 use stream::Stream;
 
-/// What the driver is told.
+/// Input of the driver.
 #[derive(Clone, Copy, Debug)]
 pub enum Input<'a> {
-    /// The port that was asked for is open.
+    /// The port was opened as requested by [`Output::Open`].
     Opened {
-        /// Now.
+        /// Current time.
         at: Stamp,
     },
-    /// It could not be opened.
+    /// The port could not be opened.
     OpenFailed {
-        /// Now.
+        /// Current time.
         at: Stamp,
-        /// Why.
+        /// Reason, with the name of the port.
         reason: &'a str,
     },
-    /// Bytes came.
+    /// Bytes were received.
     Bytes {
-        /// They.
+        /// The bytes.
         bytes: &'a [u8],
-        /// When they were read.
+        /// Time at which they were read.
         arrival: Stamp,
     },
-    /// Reading or writing failed; the port is closed.
+    /// Reading or writing failed and the port was closed.
     Lost {
-        /// Now.
+        /// Current time.
         at: Stamp,
-        /// Why.
+        /// Reason.
         reason: &'a str,
     },
-    /// Nothing came. At least ten a second are needed.
+    /// Time has passed; required at least ten times per second.
     Tick {
-        /// Now.
+        /// Current time.
         at: Stamp,
     },
-    /// The host's clock was set: what follows comes by that much later (negative: earlier) than it would have.
+    /// The host's clock was set.
     ClockSet {
-        /// ns.
+        /// New time minus old time, ns.
         by: i64,
     },
 }
 
-/// What the driver says.
+/// Output of the driver.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Output {
     /// Open the port and report [`Input::Opened`] or [`Input::OpenFailed`].
     Open {
-        /// At this rate.
+        /// Baud rate.
         baud: u32,
-        /// With two stop bits.
+        /// Two stop bits instead of one.
         two_stop_bits: bool,
     },
     /// Close the port.
     Close,
-    /// Set the open port to another rate and throw away what it has buffered.
+    /// Change the baud rate of the open port and discard its buffers.
     SetBaud(u32),
     /// Write these bytes.
     Write(Vec<u8>),
     /// A sample.
     Sample(Sample),
-    /// Something to tell.
+    /// An event for the log and the diagnostics.
     Event(Event),
 }
 
-/// Frames are looked for from here on, bytes before are the old stream's, s.
-const SETTLING: f64 = 0.1;
-/// GoToConfig is answered within 0.2 s, and up to 1.5 s after power-up.
-const CALL_INTERVAL: f64 = 0.25;
-/// A rate at which nothing sensible is heard is left after this, s.
-const SCAN_DWELL: f64 = 0.6;
-/// With one rate only, or where the unit is heard: until it is reset, s.
-const PATIENCE: f64 = 1.8;
-/// After the Reset, GoToConfig is sent at this interval (s) …
-const RESET_INTERVAL: f64 = 0.1;
-/// … for so long, s.
-const RESET_PATIENCE: f64 = 2.5;
-const FIRST_PAUSE: f64 = 0.1;
-/// A step of time that is longer is taken for this long: the host slept, the unit did not fall silent, s.
+/// Longest step of time, s: a longer one means that the host slept, not that the device was silent.
 const LONGEST_STEP: f64 = 0.25;
 
 #[derive(Debug)]
 enum Phase {
-    Closed { retry_at: f64 },
+    Closed {
+        retry_at: f64,
+    },
     Opening,
-    Settling { until: f64 },
+    /// Bytes received until then belong to the previous stream.
+    Settling {
+        until: f64,
+    },
     Calling(Calling),
     Asking(Inquiry),
     Measuring,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Calling {
-    since: f64,
-    next_call: f64,
-    heard: bool,
-    skipped_before: u64,
-    reset_at: Option<f64>,
+/// Time of the host without the steps of its clock.
+#[derive(Debug, Default)]
+struct HostTime {
+    /// Sum of the steps between inputs, s.
+    now: f64,
+    last_input: Option<Stamp>,
+    /// Sum of all reported steps of the clock, ns.
+    set_by: i64,
 }
 
-/// The driver of one unit.
+impl HostTime {
+    /// Advances to an input at `at` and returns its time on a clock that was never set.
+    fn advance(&mut self, at: Stamp) -> Stamp {
+        let at = Stamp::from_nanos(at.as_nanos().saturating_sub(self.set_by));
+        let step = self.last_input.map_or(0.0, |last| at.seconds_since(last));
+        self.now += step.clamp(0.0, LONGEST_STEP);
+        self.last_input = Some(at);
+        at
+    }
+
+    /// Time on the host's clock as it is set now.
+    fn on_host_clock(&self, at: Stamp) -> Stamp {
+        Stamp::from_nanos(at.as_nanos().saturating_add(self.set_by))
+    }
+}
+
+/// Driver of one IMU.
 #[derive(Debug)]
 pub struct Driver {
     config: DriverConfig,
-    bauds: Vec<u32>,
-    baud_index: usize,
+    connection: Connection,
     phase: Phase,
-    now: f64,
-    /// As if the host's clock had never been set.
-    last_input: Option<Stamp>,
-    /// By how much it was, in all, ns.
-    clock_set_by: i64,
-    pause: f64,
-    said_missing: Option<String>,
-    said_no_answer: bool,
+    time: HostTime,
     parser: FrameParser,
     arrivals: Arrivals,
-    candidate_since: Option<f64>,
+    /// Since when an incomplete frame is buffered, s.
+    incomplete_since: Option<f64>,
     identity: Identity,
     stream: Stream,
     outputs: VecDeque<Output>,
 }
 
 impl Driver {
-    /// A driver that will open the port at once.
+    /// Creates a driver whose first output is [`Output::Open`].
     ///
     /// # Errors
-    /// [`ConfigError`] for a configuration that cannot be.
+    /// [`ConfigError`] if a value is invalid.
     pub fn new(config: DriverConfig) -> Result<Self, ConfigError> {
         config.check()?;
         Ok(Self {
-            bauds: config.bauds(),
-            baud_index: 0,
+            connection: Connection::new(&config),
             phase: Phase::Closed { retry_at: 0.0 },
-            now: 0.0,
-            last_input: None,
-            clock_set_by: 0,
-            pause: FIRST_PAUSE,
-            said_missing: None,
-            said_no_answer: false,
+            time: HostTime::default(),
             parser: FrameParser::new(),
             arrivals: Arrivals::new(),
-            candidate_since: None,
+            incomplete_since: None,
             identity: Identity::default(),
             stream: Stream::new(config.clock),
             outputs: VecDeque::new(),
@@ -177,7 +177,7 @@ impl Driver {
         })
     }
 
-    /// Takes in what happened.
+    /// Processes one input.
     pub fn handle(&mut self, input: Input<'_>) {
         let at = match input {
             Input::Opened { at }
@@ -185,12 +185,13 @@ impl Driver {
             | Input::Bytes { arrival: at, .. }
             | Input::Lost { at, .. }
             | Input::Tick { at } => at,
-            Input::ClockSet { by } => return self.clock_set(by),
+            Input::ClockSet { by } => {
+                // Waiting samples are stamped on the new clock.
+                self.time.set_by = self.time.set_by.saturating_add(by);
+                return self.event(Event::ClockSet { seconds: by as f64 * 1e-9 });
+            }
         };
-        let at = Stamp::from_nanos(at.as_nanos().saturating_sub(self.clock_set_by));
-        let step = self.last_input.map_or(0.0, |last| at.seconds_since(last));
-        self.now += step.clamp(0.0, LONGEST_STEP);
-        self.last_input = Some(at);
+        let at = self.time.advance(at);
         match input {
             Input::Opened { .. } => self.opened(),
             Input::OpenFailed { reason, .. } => self.open_failed(reason),
@@ -201,49 +202,39 @@ impl Driver {
         self.tick();
     }
 
-    fn clock_set(&mut self, by: i64) {
-        // Samples that still wait are stamped on the clock that is told from now on.
-        self.clock_set_by = self.clock_set_by.saturating_add(by);
-        self.event(Event::ClockSet { seconds: by as f64 * 1e-9 });
-    }
-
-    /// Nothing more comes (a log has ended): the samples that still wait for the clocks' offset are given as they are.
+    /// Ends the stream (a log has ended): releases the samples that wait for the clock fit.
     pub fn finish(&mut self) {
         self.release();
     }
 
-    /// The next thing to do.
+    /// Returns the next output.
     pub fn poll(&mut self) -> Option<Output> {
         self.outputs.pop_front()
     }
 
-    /// Which unit it is, as far as it is known.
+    /// Identity and configuration of the device, as far as known.
     pub fn identity(&self) -> &Identity {
         &self.identity
     }
 
-    /// Counts for diagnostics.
+    /// Counts since the start.
     pub fn statistics(&self) -> Statistics {
         self.stream.statistics(self.parser.counts())
     }
 
-    /// Whether samples are coming.
+    /// Whether the device is in the measurement state.
     pub fn is_measuring(&self) -> bool {
         matches!(self.phase, Phase::Measuring)
     }
 
-    /// What it is doing, for people.
+    /// Description of the current phase.
     pub fn state(&self) -> &'static str {
         match self.phase {
             Phase::Closed { .. } | Phase::Opening => "waiting for the port",
-            Phase::Settling { .. } | Phase::Calling(_) => "calling the unit",
-            Phase::Asking(_) => "configuring the unit",
+            Phase::Settling { .. } | Phase::Calling(_) => "calling the IMU",
+            Phase::Asking(_) => "configuring the IMU",
             Phase::Measuring => "measuring",
         }
-    }
-
-    fn baud(&self) -> u32 {
-        self.bauds.get(self.baud_index).copied().unwrap_or(115_200)
     }
 
     fn event(&mut self, event: Event) {
@@ -254,79 +245,32 @@ impl Driver {
         self.outputs.push_back(Output::Write(frame(message, data)));
     }
 
-    fn opened(&mut self) {
-        self.said_missing = None;
-        self.parser.reset();
-        self.arrivals.clear();
-        self.candidate_since = None;
-        if !self.said_no_answer {
-            self.event(Event::PortOpened { baud: self.baud() });
-        }
-        self.phase = Phase::Settling { until: self.now + SETTLING };
-    }
-
-    fn open_failed(&mut self, reason: &str) {
-        let pause = self.grow_pause();
-        if self.said_missing.as_deref() != Some(reason) {
-            self.said_missing = Some(reason.to_owned());
-            self.event(Event::PortMissing { reason: reason.to_owned(), pause });
-        }
-        self.phase = Phase::Closed { retry_at: self.now + pause };
-    }
-
-    fn lost(&mut self, reason: &str) {
-        self.release();
-        self.parser.reset();
-        self.candidate_since = None;
-        self.pause = FIRST_PAUSE;
-        self.said_no_answer = false;
-        self.event(Event::PortLost { reason: reason.to_owned() });
-        self.phase = Phase::Closed { retry_at: self.now + FIRST_PAUSE };
-    }
-
-    fn grow_pause(&mut self) -> f64 {
-        let pause = self.pause;
-        self.pause = (self.pause * 1.6).min(self.config.longest_pause.max(FIRST_PAUSE));
-        pause
-    }
-
-    fn call(&mut self, delay: f64) {
-        self.release();
-        self.phase = Phase::Calling(Calling {
-            since: self.now,
-            next_call: self.now + delay,
-            heard: false,
-            skipped_before: self.parser.counts().skipped_bytes,
-            reset_at: None,
-        });
-    }
-
     fn bytes(&mut self, bytes: &[u8], arrival: Stamp) {
         if matches!(self.phase, Phase::Closed { .. } | Phase::Opening | Phase::Settling { .. }) {
-            // What the old stream left in some buffer.
+            // Remains of the previous stream.
             return;
         }
-        // The parser is taken out so that its frames can be handled while they borrow it.
+        // Moved out, because its frames borrow it while they are handled.
         let mut parser = std::mem::take(&mut self.parser);
-        self.arrivals.came(parser.pushed() + bytes.len() as u64, arrival);
+        self.arrivals.received(parser.pushed() + bytes.len() as u64, arrival);
         let mut rest = bytes;
         let mut any = false;
         while !rest.is_empty() {
-            let taken = parser.push(rest);
-            rest = rest.get(taken..).unwrap_or_default();
+            let buffered = parser.push(rest);
+            rest = rest.get(buffered..).unwrap_or_default();
             any |= self.frames(&mut parser, arrival);
         }
-        // A false preamble with a great length must not hold back what follows it.
-        let longest = 0.1 + 2100.0 * 10.0 / f64::from(self.baud());
         if any || parser.pending() == 0 {
-            self.candidate_since = None;
+            self.incomplete_since = None;
         }
+        // An invalid header with a large length must not block the frames after it.
+        let longest = 0.1 + 2100.0 * 10.0 / f64::from(self.connection.baud());
         if parser.pending() > 0 {
-            let since = *self.candidate_since.get_or_insert(self.now);
-            if self.now - since > longest {
+            let since = *self.incomplete_since.get_or_insert(self.time.now);
+            if self.time.now - since > longest {
                 parser.give_up_candidate();
                 self.frames(&mut parser, arrival);
-                self.candidate_since = None;
+                self.incomplete_since = None;
             }
         }
         self.parser = parser;
@@ -342,19 +286,15 @@ impl Driver {
             }
             match &mut self.phase {
                 Phase::Calling(calling) => {
-                    calling.heard = true;
                     if frame.message == MessageId::GO_TO_CONFIG.ack() {
                         self.begin_inquiry();
-                    } else if calling.reset_at.is_none() {
-                        // Somebody is there: no need to wait for the next call.
-                        calling.next_call = calling.next_call.min(self.now + CALL_INTERVAL);
+                    } else {
+                        calling.frame_received(self.time.now);
                     }
                 }
                 Phase::Asking(_) => self.reply(&frame, arrival),
-                Phase::Measuring => {
-                    self.data(&frame, arrival);
-                }
-                _ => {}
+                Phase::Measuring => self.data(&frame, arrival),
+                Phase::Closed { .. } | Phase::Opening | Phase::Settling { .. } => {}
             }
         }
         any
@@ -363,86 +303,33 @@ impl Driver {
     fn woke_up(&mut self) {
         self.write(MessageId::WAKE_UP_ACK, &[]);
         self.event(Event::WokeUp);
-        // It is in the config state now; asking for it once more is answered at once and does no harm.
+        // The device enters the config state; another GoToConfig is acknowledged at once.
         self.call(0.01);
     }
 
     fn tick(&mut self) {
-        match &mut self.phase {
-            Phase::Closed { retry_at } if self.now >= *retry_at => {
+        let now = self.time.now;
+        match &self.phase {
+            Phase::Closed { retry_at } if now >= *retry_at => {
                 self.phase = Phase::Opening;
-                let open = Output::Open { baud: self.baud(), two_stop_bits: self.config.two_stop_bits };
-                self.outputs.push_back(open);
+                self.outputs.push_back(Output::Open {
+                    baud: self.connection.baud(),
+                    two_stop_bits: self.config.two_stop_bits,
+                });
             }
-            Phase::Settling { until } if self.now >= *until => self.call(0.0),
+            Phase::Settling { until } if now >= *until => self.call(0.0),
             Phase::Calling(calling) => {
                 let calling = *calling;
                 self.tick_calling(calling);
             }
             Phase::Asking(_) => self.tick_inquiry(),
             Phase::Measuring => {
-                if let Some(seconds) = self.stream.silent_for(self.now) {
+                if let Some(seconds) = self.stream.silent_for(now) {
                     self.event(Event::Silent { seconds });
                     self.call(0.0);
                 }
             }
             _ => {}
         }
-    }
-
-    fn tick_calling(&mut self, mut calling: Calling) {
-        let waited = self.now - calling.since;
-        let patience = match calling.reset_at {
-            Some(at) => at - calling.since + RESET_PATIENCE,
-            None if self.bauds.len() > 1 && !calling.heard => SCAN_DWELL,
-            None => PATIENCE,
-        };
-        if waited > patience {
-            if calling.heard && calling.reset_at.is_none() {
-                // It talks, but is deaf to GoToConfig.
-                self.write(MessageId::RESET, &[]);
-                calling.reset_at = Some(self.now);
-                calling.next_call = self.now + RESET_INTERVAL;
-                self.phase = Phase::Calling(calling);
-            } else {
-                self.not_here(calling);
-            }
-            return;
-        }
-        if self.now >= calling.next_call {
-            let interval = if calling.reset_at.is_some() { RESET_INTERVAL } else { CALL_INTERVAL };
-            calling.next_call = self.now + interval;
-            self.phase = Phase::Calling(calling);
-            self.write(MessageId::GO_TO_CONFIG, &[]);
-        }
-    }
-
-    fn not_here(&mut self, calling: Calling) {
-        self.baud_index = (self.baud_index + 1) % self.bauds.len().max(1);
-        if self.baud_index > 0 {
-            self.outputs.push_back(Output::SetBaud(self.baud()));
-            self.parser.reset();
-            return self.call(0.02);
-        }
-        if !self.said_no_answer {
-            self.said_no_answer = true;
-            let garbage = self.parser.counts().skipped_bytes > calling.skipped_before;
-            self.event(Event::NoAnswer { bauds: self.bauds.clone(), garbage });
-        }
-        // Opened anew: the adapter may have been replaced by another one of the same name.
-        self.outputs.push_back(Output::Close);
-        let pause = self.grow_pause();
-        self.phase = Phase::Closed { retry_at: self.now + pause };
-    }
-
-    /// The unit has answered: later attempts start where it was found.
-    fn found(&mut self) {
-        if self.baud_index > 0 {
-            let baud = self.bauds.remove(self.baud_index);
-            self.bauds.insert(0, baud);
-            self.baud_index = 0;
-        }
-        self.pause = FIRST_PAUSE;
-        self.said_no_answer = false;
     }
 }

@@ -1,4 +1,4 @@
-//! From a measurement to a sample as ROS means it (REP-145).
+//! Conversion of a measurement to a sample with the conventions of REP-145.
 
 use crate::{
     orientation::enu_from_imu,
@@ -7,25 +7,25 @@ use crate::{
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use rig_model::{ImuSample, OrientationSample, Stamp};
 
-/// One message of the unit.
+/// Sample of the IMU.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
-    /// When it was measured.
+    /// Time of measurement.
     pub stamp: Stamp,
-    /// Specific force, rate of turn, attitude: where the message has all it takes.
+    /// Specific force, angular velocity, orientation; `None` if one of the first two is missing.
     pub imu: Option<ImuSample>,
-    /// Magnetic field in the unit's axes, in arbitrary units: the Earth's is about 1.
+    /// Magnetic field in the sensor frame, arbitrary unit (about 1 in the Earth's field).
     pub magnetic_field: Option<Vector3<f64>>,
-    /// °C.
+    /// Temperature, °C.
     pub temperature: Option<f64>,
     /// Status bits.
     pub status: Option<Status>,
-    /// The unit's counter.
+    /// Message counter.
     pub counter: Option<u16>,
 }
 
 impl Sample {
-    /// The same, measured at another time.
+    /// The same sample with another stamp.
     pub(super) fn stamped(mut self, stamp: Stamp) -> Self {
         self.stamp = stamp;
         if let Some(imu) = &mut self.imu {
@@ -39,12 +39,16 @@ fn finite(v: [f64; 3]) -> Option<Vector3<f64>> {
     v.iter().all(|x| x.is_finite()).then(|| Vector3::from(v))
 }
 
-/// Makes a sample; `period` (s) turns increments into rates where a unit sends only those. What is not finite is left
-/// out.
+/// Converts a measurement to a sample; non-finite values are omitted.
+///
+/// `period` (s) converts increments of velocity and orientation if the message has no rates.
 pub fn sample_of(m: &Measurement, stamp: Stamp, period: f64) -> Sample {
     let per_second = |v: [f64; 3]| v.map(|x| x / period);
-    let specific_force =
-        m.acceleration.or(m.acceleration_hr).or_else(|| m.delta_velocity.map(per_second)).and_then(finite);
+    let specific_force = m
+        .acceleration
+        .or(m.acceleration_hr)
+        .or_else(|| m.delta_velocity.map(per_second))
+        .and_then(finite);
     let angular_velocity = m
         .angular_velocity
         .or(m.angular_velocity_hr)
@@ -55,11 +59,8 @@ pub fn sample_of(m: &Measurement, stamp: Stamp, period: f64) -> Sample {
         .as_ref()
         .and_then(enu_from_imu)
         .map(|enu_from_imu| OrientationSample { enu_from_imu, covariance: None });
-    let imu = specific_force.zip(angular_velocity).map(|(specific_force, angular_velocity)| ImuSample {
-        stamp,
-        specific_force,
-        angular_velocity,
-        orientation,
+    let imu = specific_force.zip(angular_velocity).map(|(specific_force, angular_velocity)| {
+        ImuSample { stamp, specific_force, angular_velocity, orientation }
     });
     Sample {
         stamp,
@@ -71,7 +72,7 @@ pub fn sample_of(m: &Measurement, stamp: Stamp, period: f64) -> Sample {
     }
 }
 
-/// The mean rate of turn over one period that turned by the quaternion w, x, y, z.
+/// Mean angular velocity, rad/s, of a rotation by the quaternion w, x, y, z within `period` (s).
 fn rate_of([w, x, y, z]: [f64; 4], period: f64) -> Option<Vector3<f64>> {
     let q = Quaternion::new(w, x, y, z);
     let norm = q.norm();
@@ -86,7 +87,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn increments_become_rates_and_nan_nothing() {
+    fn increments_become_rates_and_nan_is_omitted() {
         let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.001, -0.002, 0.003));
         let m = Measurement {
             delta_velocity: Some([0.0, 0.0, 0.0981]),
@@ -96,7 +97,8 @@ mod tests {
         let imu = sample_of(&m, Stamp::default(), 0.01).imu.unwrap();
         assert!((imu.specific_force.z - 9.81).abs() < 1e-12);
         assert!((imu.angular_velocity - Vector3::new(0.1, -0.2, 0.3)).norm() < 1e-9);
-        let m = Measurement { delta_velocity: Some([f64::NAN; 3]), temperature: Some(f64::NAN), ..m };
+        let m =
+            Measurement { delta_velocity: Some([f64::NAN; 3]), temperature: Some(f64::NAN), ..m };
         let sample = sample_of(&m, Stamp::default(), 0.01);
         assert_eq!((sample.imu, sample.temperature), (None, None));
     }

@@ -1,4 +1,4 @@
-//! While the unit measures: data messages to samples with stamps, and what is counted on the way.
+//! Measurement state: data messages → samples with stamps, and statistics.
 
 use super::{Driver, Event, Identity, Output, Phase, Sample, sample_of};
 use crate::{
@@ -9,33 +9,33 @@ use crate::{
 use rig_model::Stamp;
 use std::collections::VecDeque;
 
-/// So many unreadable messages in a row, and the configuration is read anew.
+/// Consecutive undecodable messages after which the configuration is read again.
 const UNREADABLE_LIMIT: u32 = 5;
-/// The unit is silent after this, s, or after five messages' time.
+/// Time without data after which the device counts as silent, s; at least five message periods.
 const SILENCE: f64 = 0.5;
 
-/// What was counted since the start.
+/// Counts since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Statistics {
-    /// Samples given.
+    /// Samples output.
     pub samples: u64,
-    /// Messages that the counter misses.
+    /// Missing messages, according to the counter.
     pub lost: u64,
-    /// Messages that came twice.
+    /// Messages received twice.
     pub repeated: u64,
-    /// Whole frames that could not be decoded.
+    /// Valid frames that could not be decoded.
     pub unreadable: u64,
-    /// Samples while a sensor clipped, as the status says.
+    /// Samples with clipping, according to the status.
     pub clipped: u64,
-    /// How often the stream began.
+    /// Number of times that the measurement state was entered.
     pub connections: u64,
-    /// The parser's counts.
+    /// Counts of the frame parser.
     pub parser: ParserCounts,
     /// The newest status bits.
     pub status: Option<Status>,
-    /// The unit's clock against the host's, parts per million, once it is known.
+    /// Drift of the device's clock, ppm, positive if it is slow; `None` until it is known.
     pub drift_ppm: Option<f64>,
-    /// Messages per second as configured.
+    /// Configured message rate, Hz.
     pub rate: f64,
 }
 
@@ -44,14 +44,14 @@ pub(super) struct Stream {
     decoder: Decoder,
     time: DeviceTime,
     clock: ClockFit,
-    /// The first samples and their device time (ns), kept until the clocks' offset is known.
+    /// Device time (ns) and sample, until the clock fit has settled.
     waiting: VecDeque<(i64, Sample)>,
     last_data: f64,
     unreadable_in_a_row: u32,
-    said_no_inertial: bool,
+    reported_no_inertial: bool,
     inertial_missing: u32,
     statistics: Statistics,
-    /// What was asked of a newer unit and what it made of it: asking again would wear its flash for nothing.
+    /// Output configuration written and read back; writing it again would wear the flash.
     settled: Option<(Vec<OutputEntry>, Vec<OutputEntry>)>,
 }
 
@@ -64,7 +64,7 @@ impl Stream {
             waiting: VecDeque::new(),
             last_data: 0.0,
             unreadable_in_a_row: 0,
-            said_no_inertial: false,
+            reported_no_inertial: false,
             inertial_missing: 0,
             statistics: Statistics::default(),
             settled: None,
@@ -93,14 +93,14 @@ impl Stream {
         Statistics { parser, drift_ppm: self.clock.drift().map(|d| d * 1e6), ..self.statistics }
     }
 
-    /// How long no data came, where that is too long.
+    /// Time without data, s, if it exceeds the limit.
     pub(super) fn silent_for(&self, now: f64) -> Option<f64> {
         let silent = now - self.last_data;
         (silent > SILENCE.max(5.0 * self.time.period())).then_some(silent)
     }
 
     pub(super) fn settled_outputs(&self, wanted: &[OutputEntry]) -> Option<&Vec<OutputEntry>> {
-        self.settled.as_ref().filter(|(asked, _)| asked == wanted).map(|(_, found)| found)
+        self.settled.as_ref().filter(|(written, _)| written == wanted).map(|(_, found)| found)
     }
 
     pub(super) fn settle_outputs(&mut self, wanted: Vec<OutputEntry>, found: Vec<OutputEntry>) {
@@ -112,10 +112,10 @@ impl Driver {
     pub(super) fn data(&mut self, frame: &Frame<'_>, arrival: Stamp) {
         if frame.message == MessageId::ERROR {
             let error = DeviceError(frame.data.first().copied().unwrap_or_default());
-            return self.event(Event::DeviceComplains { error });
+            return self.event(Event::DeviceFault { error });
         }
-        // The unit sends one stop bit, also where it wants to hear two.
-        let byte_time = 10.0 / f64::from(self.baud());
+        // The device sends one stop bit, even if it requires two.
+        let byte_time = 10.0 / f64::from(self.connection.baud());
         let on_the_wire = frame.wire_length as f64 * byte_time;
         let begun = self.arrivals.begun(frame.offset, frame.wire_length, byte_time);
         let stream = &mut self.stream;
@@ -134,11 +134,11 @@ impl Driver {
             }
         };
         stream.unreadable_in_a_row = 0;
-        stream.last_data = self.now;
+        stream.last_data = self.time.now;
         if !m.is_inertial() {
             return stream.time.pass(&m);
         }
-        // Where the bytes take less than a wire would need, they say nothing one by one.
+        // With a delay below the transmission time, the begin of the message is not known.
         let delay = self.config.transmission_delay.unwrap_or(on_the_wire);
         let ready = match begun {
             Some(begun) if delay >= on_the_wire => begun.plus_seconds(on_the_wire - delay),
@@ -151,7 +151,7 @@ impl Driver {
         }
         let stepped = if placed.restarted { None } else { stream.clock.jump(placed.device, ready) };
         if placed.restarted || stepped.is_some() {
-            // Those of the old clock first.
+            // Samples of the previous clock.
             self.release();
         }
         let stream = &mut self.stream;
@@ -165,20 +165,21 @@ impl Driver {
         let statistics = &mut stream.statistics;
         statistics.lost += placed.lost;
         statistics.status = sample.status.or(statistics.status);
-        statistics.clipped += u64::from(sample.status.is_some_and(Status::any_clipping));
+        statistics.clipped +=
+            u64::from(sample.status.is_some_and(|s| s.intersects(Status::CLIPPING)));
         let missing = if sample.imu.is_some() {
             statistics.samples += 1;
             stream.inertial_missing = 0;
-            stream.said_no_inertial = false;
+            stream.reported_no_inertial = false;
             false
         } else {
             stream.inertial_missing += 1;
-            let say = stream.inertial_missing >= 100 && !stream.said_no_inertial;
-            stream.said_no_inertial |= say;
-            say
+            let report = stream.inertial_missing >= 100 && !stream.reported_no_inertial;
+            stream.reported_no_inertial |= report;
+            report
         };
         if placed.restarted {
-            self.event(Event::UnitRestarted);
+            self.event(Event::DeviceRestarted);
         }
         if placed.lost > 0 {
             self.event(Event::Lost { count: placed.lost });
@@ -196,11 +197,10 @@ impl Driver {
         debug_assert!(matches!(self.phase, Phase::Measuring));
     }
 
-    /// Gives the samples that wait, with the best stamps that there are.
+    /// Outputs the waiting samples with the current clock fit.
     pub(super) fn release(&mut self) {
         while let Some((device, sample)) = self.stream.waiting.pop_front() {
-            let stamp = self.stream.clock.stamp(device).as_nanos().saturating_add(self.clock_set_by);
-            let stamp = Stamp::from_nanos(stamp);
+            let stamp = self.time.on_host_clock(self.stream.clock.stamp(device));
             self.outputs.push_back(Output::Sample(sample.stamped(stamp)));
         }
     }

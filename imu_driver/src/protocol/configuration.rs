@@ -1,5 +1,5 @@
-//! What a unit says about itself: the 118 bytes of a legacy Configuration, the list of a newer one's outputs, its
-//! identity.
+//! Identity and configuration of a device: Configuration (legacy, 118 bytes) and output
+//! configuration (MTi-1, 10, 100, 600 series).
 
 use super::{
     DecodeError,
@@ -8,17 +8,17 @@ use super::{
 };
 use std::fmt;
 
-/// The unit's period and skip factor are counted in these, Hz.
+/// Resolution of the sampling period, Hz.
 pub const TICKS_PER_SECOND: f64 = 115_200.0;
-/// Length of a Configuration's data for one device, bytes.
+/// Length of the data of a Configuration message for one device, bytes.
 pub const CONFIGURATION_LENGTH: usize = 118;
 
-/// A device identifier: 32 bits, 64 on the newest units.
+/// Device identifier: 32 bits, 64 on the newest devices.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct DeviceId(pub u64);
 
 impl DeviceId {
-    /// From the data of a DeviceID message.
+    /// Identifier from the data of a DeviceID message; `None` unless they have 4 or 8 bytes.
     pub fn from_data(data: &[u8]) -> Option<Self> {
         match data.len() {
             4 | 8 => Some(Self(data.iter().fold(0, |id, &b| (id << 8) | u64::from(b)))),
@@ -26,42 +26,46 @@ impl DeviceId {
         }
     }
 
-    /// The family, as far as it is known.
+    /// Name of the product family.
     pub fn family(self) -> &'static str {
         match self.0 & 0x00F0_0000 {
             0x0030_0000 => "MTi/MTx",
             0x0050_0000 => "MTi-G",
-            _ => "inertial unit",
+            _ => "IMU",
         }
     }
 }
 
 impl fmt::Display for DeviceId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.0 > u64::from(u32::MAX) { write!(f, "{:016X}", self.0) } else { write!(f, "{:08X}", self.0) }
+        if self.0 > u64::from(u32::MAX) {
+            write!(f, "{:016X}", self.0)
+        } else {
+            write!(f, "{:08X}", self.0)
+        }
     }
 }
 
-/// A legacy unit's configuration: what of it the driver uses.
+/// The part of a legacy Configuration that the driver uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Configuration {
-    /// Which unit.
+    /// Device identifier.
     pub device_id: DeviceId,
     /// Sampling period, ticks of 1/115200 s.
     pub period: u16,
-    /// So many samples are left out between two that are sent; FFFF: sent only on request.
+    /// Number of samples omitted between two messages; FFFF: messages on request only.
     pub skip: u16,
-    /// Length of MTData's data, bytes, as the unit says it.
+    /// Length of the data of MTData, bytes.
     pub data_length: u16,
-    /// The format of its MTData.
+    /// Format of MTData.
     pub format: LegacyFormat,
 }
 
 impl Configuration {
-    /// From the data of a Configuration message.
+    /// Configuration from the data of a Configuration message.
     ///
     /// # Errors
-    /// [`DecodeError::Length`] where they are not 118 bytes (a chain of several units has more).
+    /// [`DecodeError::Length`] unless they have 118 bytes (a chain of several devices has more).
     pub fn from_data(data: &[u8]) -> Result<Self, DecodeError> {
         let error = DecodeError::Length { found: data.len(), expected: CONFIGURATION_LENGTH };
         if data.len() != CONFIGURATION_LENGTH {
@@ -80,11 +84,14 @@ impl Configuration {
             skip,
             device_id: DeviceId(u64::from(r.u32()?)),
             data_length: r.u16()?,
-            format: LegacyFormat { mode: OutputMode(r.u16()?), settings: OutputSettings(r.u32()?) },
+            format: LegacyFormat {
+                mode: OutputMode::from_bits_retain(r.u16()?),
+                settings: OutputSettings::from_bits_retain(r.u32()?),
+            },
         })
     }
 
-    /// The 118 bytes of a Configuration message with everything else zero.
+    /// Data of a Configuration message (118 bytes); the other fields are zero.
     pub fn to_data(&self) -> Vec<u8> {
         let mut data = Vec::with_capacity(CONFIGURATION_LENGTH);
         let id = (self.device_id.0 as u32).to_be_bytes();
@@ -95,13 +102,15 @@ impl Configuration {
         data.extend_from_slice(&1_u16.to_be_bytes());
         data.extend_from_slice(&id);
         data.extend_from_slice(&self.data_length.to_be_bytes());
-        data.extend_from_slice(&self.format.mode.0.to_be_bytes());
-        data.extend_from_slice(&self.format.settings.0.to_be_bytes());
+        data.extend_from_slice(&self.format.mode.bits().to_be_bytes());
+        data.extend_from_slice(&self.format.settings.bits().to_be_bytes());
         data.resize(CONFIGURATION_LENGTH, 0);
         data
     }
 
-    /// Ticks of 1/115200 s from one message to the next; `None` where it sends only on request or the period is zero.
+    /// Ticks of 1/115200 s between two messages.
+    ///
+    /// `None` if the device sends on request only, or if the period is zero.
     pub fn ticks_per_message(&self) -> Option<u32> {
         if self.skip == u16::MAX || self.period == 0 {
             return None;
@@ -109,13 +118,15 @@ impl Configuration {
         Some(u32::from(self.period) * (u32::from(self.skip) + 1))
     }
 
-    /// Messages per second.
+    /// Message rate, Hz.
     pub fn rate(&self) -> Option<f64> {
         self.ticks_per_message().map(|ticks| TICKS_PER_SECOND / f64::from(ticks))
     }
 }
 
-/// Period and skip factor nearest to a rate (Hz): the period stays within the 225 to 11520 ticks that a unit takes.
+/// Period (ticks) and skip factor nearest to `rate` (Hz), with a period of 225 to 11520 ticks.
+///
+/// `None` unless the rate is 0.01 to 512 Hz.
 pub fn period_and_skip(rate: f64) -> Option<(u16, u16)> {
     if !(0.01..=512.0).contains(&rate) {
         return None;
@@ -125,22 +136,22 @@ pub fn period_and_skip(rate: f64) -> Option<(u16, u16)> {
     Some(((ticks / divisor).round() as u16, (divisor - 1.0) as u16))
 }
 
-/// One entry of a newer unit's output configuration.
+/// Entry of an output configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct OutputEntry {
-    /// What.
+    /// MTData2 identifier.
     pub id: u16,
-    /// How often, Hz; FFFF for what comes with every message.
+    /// Rate, Hz; FFFF: with every message.
     pub rate: u16,
 }
 
-/// Most entries that an output configuration takes.
+/// Largest number of entries in an output configuration.
 pub const MAX_OUTPUTS: usize = 32;
 
-/// A newer unit's output configuration.
+/// Decodes an output configuration.
 ///
 /// # Errors
-/// [`DecodeError::Length`] where the data are no list of at most 32 four-byte entries.
+/// [`DecodeError::Length`] unless the data are at most 32 entries of four bytes.
 pub fn output_configuration_from_data(data: &[u8]) -> Result<Vec<OutputEntry>, DecodeError> {
     let (entries, rest) = data.as_chunks::<4>();
     if !rest.is_empty() || entries.len() > MAX_OUTPUTS {
@@ -156,13 +167,13 @@ pub fn output_configuration_from_data(data: &[u8]) -> Result<Vec<OutputEntry>, D
         .collect())
 }
 
-/// The data of a SetOutputConfiguration message.
+/// Encodes the data of a SetOutputConfiguration message.
 pub fn output_configuration_to_data(entries: &[OutputEntry]) -> Vec<u8> {
     let bytes = |e: &OutputEntry| [e.id.to_be_bytes(), e.rate.to_be_bytes()];
     entries.iter().take(MAX_OUTPUTS).flat_map(bytes).flatten().collect()
 }
 
-/// A product code or another text of at most 20 characters; its padding varies and is taken off.
+/// Text of a message, such as the product code, without its padding.
 pub fn text_from_data(data: &[u8]) -> String {
     data.iter()
         .map(|&b| if (0x20..0x7F).contains(&b) { char::from(b) } else { ' ' })
@@ -171,7 +182,7 @@ pub fn text_from_data(data: &[u8]) -> String {
         .to_owned()
 }
 
-/// A firmware revision: major.minor.revision (three bytes, and eight more on newer units).
+/// Firmware revision as `major.minor.revision`; `None` with fewer than three bytes.
 pub fn firmware_from_data(data: &[u8]) -> Option<String> {
     let [major, minor, revision, ..] = data else {
         return None;

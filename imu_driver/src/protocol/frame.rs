@@ -1,50 +1,49 @@
-//! The frame: `FA | BID | MID | LEN | [EXTLEN if LEN = FF] | data | checksum`, found in a stream of bytes.
+//! Frames `FA | BID | MID | LEN | [EXTLEN if LEN = FF] | data | checksum` in a stream of bytes.
 //!
-//! In flow bytes in any portions; out flow whole frames with a right checksum, always the same ones for the same
-//! bytes. After something that looked like a frame and was none the search goes on **one** byte further, so that a
-//! true preamble inside it is not missed. The buffer is of a fixed size and no frame costs an allocation. All access
-//! is by checked slices: no input makes it panic.
+//! The frames found do not depend on how the bytes are chunked. After an invalid frame the search
+//! continues **one** byte after its preamble, so that a valid frame inside it is found. The buffer
+//! has a fixed size; no frame allocates. No input can cause a panic: all slices are checked.
 
 use super::message::MessageId;
 
 /// First byte of every frame.
 pub const PREAMBLE: u8 = 0xFA;
-/// Bus identifier of the master, and of a stand-alone unit's data.
+/// Bus identifier of the master, and of the data of a stand-alone device.
 pub const BUS_MASTER: u8 = 0xFF;
-/// Bus identifier that also addresses a stand-alone unit.
+/// Bus identifier that also addresses a stand-alone device.
 pub const BUS_STANDALONE: u8 = 0x01;
-/// Longest data: the manual says 2048, the vendor's legacy library takes 8192.
+/// Largest length of data, bytes: 2048 in the manual, 8192 in the vendor's legacy library.
 pub const MAX_DATA: usize = 8192;
-/// A frame's bytes that are not data, at most: preamble, BID, MID, LEN, EXTLEN, checksum.
+/// Largest overhead of a frame, bytes: preamble, BID, MID, LEN, EXTLEN, checksum.
 pub const MAX_OVERHEAD: usize = 7;
 
 const CAPACITY: usize = 2 * (MAX_DATA + MAX_OVERHEAD);
 
-/// One frame whose checksum is right; it borrows the parser's buffer.
+/// A frame with a valid checksum, borrowed from the parser's buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame<'a> {
-    /// FF or 01.
+    /// Bus identifier, FF or 01.
     pub bus_id: u8,
-    /// What kind of message it is.
+    /// Message identifier.
     pub message: MessageId,
-    /// Its data.
+    /// Data of the message.
     pub data: &'a [u8],
-    /// All its bytes on the wire, from the preamble to the checksum.
+    /// Length on the wire, bytes, from preamble to checksum.
     pub wire_length: usize,
-    /// Bytes of the stream before its preamble, counted since the parser was made.
+    /// Position of the preamble in the stream, bytes since the parser was created.
     pub offset: u64,
 }
 
-/// What passed through a [`FrameParser`]. `frame_bytes + skipped_bytes` is all that was parsed.
+/// Counts of a [`FrameParser`]; `frame_bytes + skipped_bytes` is the number of parsed bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ParserCounts {
-    /// Frames with a right checksum.
+    /// Frames with a valid checksum.
     pub frames: u64,
-    /// Things that looked like a whole frame but for their checksum.
+    /// Frames with an invalid checksum.
     pub bad_checksums: u64,
-    /// Bytes of right frames.
+    /// Bytes of valid frames.
     pub frame_bytes: u64,
-    /// Bytes that belong to no right frame.
+    /// Bytes outside valid frames.
     pub skipped_bytes: u64,
 }
 
@@ -65,12 +64,12 @@ impl Default for FrameParser {
 
 enum Step {
     Frame { bus_id: u8, message: u8, data: (usize, usize), length: usize },
-    NotHere { bad_checksum: bool },
+    Invalid { bad_checksum: bool },
     NeedMore,
 }
 
 impl FrameParser {
-    /// An empty parser; its buffer is the only thing it ever allocates.
+    /// Creates an empty parser with its buffer, the only allocation.
     pub fn new() -> Self {
         Self {
             buffer: vec![0; CAPACITY].into_boxed_slice(),
@@ -80,8 +79,10 @@ impl FrameParser {
         }
     }
 
-    /// Takes bytes from the front of `bytes` and says how many: all of them unless the buffer is full. Once
-    /// [`FrameParser::next_frame`] has returned `None` there is room for more than 8 KiB.
+    /// Buffers bytes from the front of `bytes` and returns their number.
+    ///
+    /// All of them unless the buffer is full. After [`FrameParser::next_frame`] has returned
+    /// `None`, there is space for at least 8 KiB.
     pub fn push(&mut self, bytes: &[u8]) -> usize {
         if self.start == self.end {
             (self.start, self.end) = (0, 0);
@@ -91,37 +92,39 @@ impl FrameParser {
             self.start = 0;
         }
         let n = bytes.len().min(self.buffer.len() - self.end);
-        if let (Some(to), Some(from)) = (self.buffer.get_mut(self.end..self.end + n), bytes.get(..n)) {
+        if let (Some(to), Some(from)) =
+            (self.buffer.get_mut(self.end..self.end + n), bytes.get(..n))
+        {
             to.copy_from_slice(from);
             self.end += n;
         }
         n
     }
 
-    /// The next whole frame among the bytes pushed so far.
+    /// Returns the next complete frame among the buffered bytes.
     pub fn next_frame(&mut self) -> Option<Frame<'_>> {
         self.advance(false)
     }
 
-    /// Like [`FrameParser::next_frame`] where no further byte will come: a frame that was cut short is skipped, and
-    /// what it seemed to contain is searched.
+    /// [`FrameParser::next_frame`] at the end of a stream: searches inside an incomplete frame.
     pub fn next_frame_at_end(&mut self) -> Option<Frame<'_>> {
         self.advance(true)
     }
 
-    /// Calls `take` with every frame that `bytes` completes.
-    pub fn parse(&mut self, mut bytes: &[u8], mut take: impl FnMut(Frame<'_>)) {
+    /// Calls `handle` with every frame that `bytes` completes.
+    pub fn parse(&mut self, mut bytes: &[u8], mut handle: impl FnMut(Frame<'_>)) {
         while !bytes.is_empty() {
             let n = self.push(bytes);
             bytes = bytes.get(n..).unwrap_or_default();
             while let Some(frame) = self.next_frame() {
-                take(frame);
+                handle(frame);
             }
         }
     }
 
-    /// The frame that is being waited for is a false one (nothing that long can be on its way): search on one byte
-    /// further. Returns false where nothing is waited for.
+    /// Discards the first byte of an incomplete frame that timed out, so that the search continues.
+    ///
+    /// Returns false if no bytes are buffered.
     pub fn give_up_candidate(&mut self) -> bool {
         if self.start == self.end {
             return false;
@@ -130,22 +133,22 @@ impl FrameParser {
         true
     }
 
-    /// Forgets what is buffered, so that nothing of an old stream is glued to a new one; the bytes count as skipped.
+    /// Discards the buffered bytes before another stream starts; they count as skipped.
     pub fn reset(&mut self) {
         self.skip(self.end - self.start);
     }
 
-    /// Bytes that wait for the rest of their frame.
+    /// Number of buffered bytes of an incomplete frame.
     pub fn pending(&self) -> usize {
         self.end - self.start
     }
 
-    /// Bytes that were pushed since the parser was made.
+    /// Number of bytes pushed since the parser was created.
     pub fn pushed(&self) -> u64 {
         self.counts.frame_bytes + self.counts.skipped_bytes + self.pending() as u64
     }
 
-    /// What passed so far.
+    /// Counts since the parser was created.
     pub fn counts(&self) -> ParserCounts {
         self.counts
     }
@@ -177,7 +180,7 @@ impl FrameParser {
                     let message = MessageId(message);
                     return Some(Frame { bus_id, message, data, wire_length: length, offset });
                 }
-                Step::NotHere { bad_checksum } => {
+                Step::Invalid { bad_checksum } => {
                     self.counts.bad_checksums += u64::from(bad_checksum);
                     self.skip(1);
                 }
@@ -188,14 +191,14 @@ impl FrameParser {
     }
 }
 
-/// What the bytes are, given that the first is a preamble.
+/// Examines bytes that start with a preamble.
 #[inline]
 fn examine(bytes: &[u8]) -> Step {
-    let not_here = Step::NotHere { bad_checksum: false };
+    let invalid = Step::Invalid { bad_checksum: false };
     match bytes.get(1) {
         None => return Step::NeedMore,
         Some(&(BUS_MASTER | BUS_STANDALONE)) => {}
-        Some(_) => return not_here,
+        Some(_) => return invalid,
     }
     let &[_, bus_id, message, short_length, ..] = bytes else {
         return Step::NeedMore;
@@ -209,19 +212,19 @@ fn examine(bytes: &[u8]) -> Step {
         (4, usize::from(short_length))
     };
     if data_length > MAX_DATA {
-        return not_here;
+        return invalid;
     }
     let length = header + data_length + 1;
-    let Some(summed) = bytes.get(1..length) else {
+    let Some(checked) = bytes.get(1..length) else {
         return Step::NeedMore;
     };
-    if summed.iter().fold(0_u8, |sum, &b| sum.wrapping_add(b)) != 0 {
-        return Step::NotHere { bad_checksum: true };
+    if checked.iter().fold(0_u8, |sum, &b| sum.wrapping_add(b)) != 0 {
+        return Step::Invalid { bad_checksum: true };
     }
     Step::Frame { bus_id, message, data: (header, header + data_length), length }
 }
 
-/// Appends a frame to `out`, with the extended length where the data need it. Data beyond [`MAX_DATA`] are cut off.
+/// Appends a frame to `out`; data beyond [`MAX_DATA`] are truncated.
 pub fn write_frame(bus_id: u8, message: MessageId, data: &[u8], out: &mut Vec<u8>) {
     let data = data.get(..MAX_DATA).unwrap_or(data);
     let start = out.len();
@@ -238,7 +241,7 @@ pub fn write_frame(bus_id: u8, message: MessageId, data: &[u8], out: &mut Vec<u8
     out.push(sum.wrapping_neg());
 }
 
-/// A frame from the master, ready to be written.
+/// Returns a frame from the master.
 pub fn frame(message: MessageId, data: &[u8]) -> Vec<u8> {
     let mut out = Vec::with_capacity(data.len() + MAX_OVERHEAD);
     write_frame(BUS_MASTER, message, data, &mut out);
@@ -256,16 +259,16 @@ mod tests {
     }
 
     #[test]
-    fn the_manual_s_frames_are_written_byte_by_byte() {
+    fn frames_equal_those_of_the_manual() {
         assert_eq!(frame(MessageId::GO_TO_CONFIG, &[]), [0xFA, 0xFF, 0x30, 0x00, 0xD1]);
         assert_eq!(frame(MessageId::GO_TO_CONFIG.ack(), &[]), [0xFA, 0xFF, 0x31, 0x00, 0xD0]);
         assert_eq!(frame(MessageId::GO_TO_MEASUREMENT, &[]), [0xFA, 0xFF, 0x10, 0x00, 0xF1]);
     }
 
     #[test]
-    fn a_true_preamble_inside_a_false_frame_is_found() {
+    fn a_valid_frame_inside_an_invalid_one_is_found() {
         let mut parser = FrameParser::new();
-        // The false header claims eight bytes of data, which are a true frame and three more.
+        // The invalid header claims eight bytes of data: a valid frame and three more bytes.
         let mut bytes = vec![0x00, 0xFA, 0xFA, 0xFF, 0x32, 0x08];
         bytes.extend(frame(MessageId::GO_TO_CONFIG.ack(), &[]));
         bytes.extend([1, 2, 3, 0xEE]);
@@ -275,23 +278,26 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_any_length_and_the_end_of_a_cut_one() {
+    fn frames_of_any_length_and_inside_a_truncated_one_are_found() {
         let mut parser = FrameParser::new();
         for length in [0, 1, 253, 254, 255, 256, 2048, MAX_DATA] {
             let data: Vec<u8> = (0..length).map(|i| (i * 7) as u8).collect();
             assert_eq!(frames(&mut parser, &frame(MessageId::MT_DATA, &data)), [(0x32, data)]);
         }
-        // A log cut within a frame whose data hold a whole one.
+        // A log that ends inside a frame with a complete one in its data.
         let mut cut = vec![0xFA, 0xFF, 0x32, 0x40];
         cut.extend(frame(MessageId::GO_TO_CONFIG.ack(), &[]));
         assert_eq!(frames(&mut parser, &cut), []);
-        assert_eq!(parser.next_frame_at_end().map(|f| f.message), Some(MessageId::GO_TO_CONFIG.ack()));
+        assert_eq!(
+            parser.next_frame_at_end().map(|f| f.message),
+            Some(MessageId::GO_TO_CONFIG.ack())
+        );
         assert_eq!(parser.next_frame_at_end(), None);
         assert_eq!(parser.pending(), 0);
     }
 
     #[test]
-    fn a_reset_forgets_the_old_stream() {
+    fn reset_discards_buffered_bytes() {
         let whole = frame(MessageId::MT_DATA, &[1, 2, 3, 4]);
         let mut parser = FrameParser::new();
         assert_eq!(frames(&mut parser, &whole[..5]), []);

@@ -1,88 +1,94 @@
-//! Legacy MTData: what an MTi, MTx or MTi-G sends. The message carries no tag of its own format, so OutputMode and
-//! OutputSettings must be known (from the Configuration) before it can be read.
+//! Legacy MTData, the data message of MTi, MTx and MTi-G.
+//!
+//! The message does not identify its format: OutputMode and OutputSettings from the Configuration
+//! are needed to read it.
 
 use super::{
     DecodeError,
-    measurement::{Attitude, GlobalFrame, Measurement, Orientation, RawGps, RawInertial, Status, Utc},
+    measurement::{
+        Attitude, GlobalFrame, Measurement, Orientation, RawGps, RawInertial, Status, Utc,
+    },
     number::{NumberFormat, Reader},
 };
+use bitflags::bitflags;
 
-/// What a legacy unit sends.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub struct OutputMode(pub u16);
-
-impl OutputMode {
-    /// Temperature.
-    pub const TEMPERATURE: u16 = 0x0001;
-    /// Acceleration, rate of turn, magnetic field.
-    pub const CALIBRATED: u16 = 0x0002;
-    /// Attitude.
-    pub const ORIENTATION: u16 = 0x0004;
-    /// Analog inputs.
-    pub const AUXILIARY: u16 = 0x0008;
-    /// Position.
-    pub const POSITION: u16 = 0x0010;
-    /// Velocity.
-    pub const VELOCITY: u16 = 0x0020;
-    /// Status byte.
-    pub const STATUS: u16 = 0x0800;
-    /// Raw GPS data.
-    pub const RAW_GPS: u16 = 0x1000;
-    /// Uncalibrated readings, instead of the calibrated ones.
-    pub const RAW_INERTIAL: u16 = 0x4000;
-
-    /// Whether a bit is set.
-    pub const fn has(self, bit: u16) -> bool {
-        self.0 & bit != 0
+bitflags! {
+    /// OutputMode: data that a legacy device outputs.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+    pub struct OutputMode: u16 {
+        /// Temperature.
+        const TEMPERATURE = 0x0001;
+        /// Acceleration, angular velocity, magnetic field.
+        const CALIBRATED = 0x0002;
+        /// Orientation.
+        const ORIENTATION = 0x0004;
+        /// Analog inputs.
+        const AUXILIARY = 0x0008;
+        /// Position.
+        const POSITION = 0x0010;
+        /// Velocity.
+        const VELOCITY = 0x0020;
+        /// Status byte.
+        const STATUS = 0x0800;
+        /// Raw GPS data.
+        const RAW_GPS = 0x1000;
+        /// Uncalibrated readings instead of the calibrated ones.
+        const RAW_INERTIAL = 0x4000;
     }
 }
 
-/// In which form a legacy unit sends its attitude.
+bitflags! {
+    /// OutputSettings: format of the data that a legacy device outputs.
+    ///
+    /// Bits 3:2 are the [`OrientationForm`], bits 9:8 the [`NumberFormat`].
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+    pub struct OutputSettings: u32 {
+        /// Send the sample counter.
+        const COUNTER = 1;
+        /// Send date and time.
+        const UTC = 2;
+        /// Omit the acceleration.
+        const NO_ACCELERATION = 1 << 4;
+        /// Omit the angular velocity.
+        const NO_ANGULAR_VELOCITY = 1 << 5;
+        /// Omit the magnetic field.
+        const NO_MAGNETIC_FIELD = 1 << 6;
+        /// Omit analog input 1.
+        const NO_ANALOG_1 = 1 << 10;
+        /// Omit analog input 2.
+        const NO_ANALOG_2 = 1 << 11;
+        /// The global frame is north-east-down instead of north-west-up.
+        const NED = 1 << 31;
+        // The multi-bit fields are valid bits too.
+        const _ = !0;
+    }
+}
+
+/// Form in which a legacy device outputs its orientation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum OrientationForm {
     /// Four numbers w, x, y, z.
     Quaternion,
-    /// Three angles, degrees.
+    /// Roll, pitch, yaw, degrees.
     Euler,
     /// Nine numbers.
     Matrix,
 }
 
-/// How a legacy unit writes what it sends.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub struct OutputSettings(pub u32);
-
 impl OutputSettings {
-    /// Send the sample counter.
-    pub const COUNTER: u32 = 1;
-    /// Send date and time.
-    pub const UTC: u32 = 2;
-    /// Leave the acceleration out.
-    pub const NO_ACCELERATION: u32 = 1 << 4;
-    /// Leave the rate of turn out.
-    pub const NO_ANGULAR_VELOCITY: u32 = 1 << 5;
-    /// Leave the magnetic field out.
-    pub const NO_MAGNETIC_FIELD: u32 = 1 << 6;
-    /// Leave analog input 1 out.
-    pub const NO_ANALOG_1: u32 = 1 << 10;
-    /// Leave analog input 2 out.
-    pub const NO_ANALOG_2: u32 = 1 << 11;
-    /// North-east-down.
-    pub const NED: u32 = 1 << 31;
-
-    /// Whether a bit is set.
-    pub const fn has(self, bit: u32) -> bool {
-        self.0 & bit != 0
-    }
-
-    /// How numbers are written.
+    /// Number format of bits 9:8.
     pub const fn number_format(self) -> NumberFormat {
-        NumberFormat::from_bits(self.0 >> 8)
+        NumberFormat::from_bits(self.bits() >> 8)
     }
 
-    /// The attitude's form; `None` for the code that means none.
+    /// The same settings with another number format.
+    pub const fn with_number_format(self, format: NumberFormat) -> Self {
+        Self::from_bits_retain((self.bits() & !0x300) | (format.bits() << 8))
+    }
+
+    /// Orientation form of bits 3:2; `None` for the invalid code 3.
     pub const fn orientation_form(self) -> Option<OrientationForm> {
-        match (self.0 >> 2) & 3 {
+        match (self.bits() >> 2) & 3 {
             0 => Some(OrientationForm::Quaternion),
             1 => Some(OrientationForm::Euler),
             2 => Some(OrientationForm::Matrix),
@@ -90,18 +96,18 @@ impl OutputSettings {
         }
     }
 
-    /// The attitude's global frame.
+    /// Global frame of orientation and velocity.
     pub const fn global_frame(self) -> GlobalFrame {
-        if self.has(Self::NED) { GlobalFrame::NorthEastDown } else { GlobalFrame::NorthWestUp }
+        if self.contains(Self::NED) { GlobalFrame::NorthEastDown } else { GlobalFrame::NorthWestUp }
     }
 }
 
-/// The format of a legacy unit's MTData.
+/// Format of MTData.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct LegacyFormat {
-    /// What is sent.
+    /// Data in the message.
     pub mode: OutputMode,
-    /// How it is written.
+    /// Encoding of the data.
     pub settings: OutputSettings,
 }
 
@@ -110,27 +116,27 @@ const RAW_GPS_LENGTH: usize = 44;
 const UTC_LENGTH: usize = 12;
 
 impl LegacyFormat {
-    /// Calibrated data, quaternion, counter, float32: what the driver asks for.
+    /// Calibrated data, quaternion, counter, float32: the format that the driver sets.
     pub const STANDARD: Self = Self {
-        mode: OutputMode(OutputMode::CALIBRATED | OutputMode::ORIENTATION),
-        settings: OutputSettings(OutputSettings::COUNTER),
+        mode: OutputMode::CALIBRATED.union(OutputMode::ORIENTATION),
+        settings: OutputSettings::COUNTER,
     };
 
-    /// Whether one of the calibrated vectors is sent.
-    pub const fn sends_vector(&self, leave_out: u32) -> bool {
-        self.mode.has(OutputMode::CALIBRATED) && !self.settings.has(leave_out)
+    /// Whether the message contains the calibrated vector that `omit` would omit.
+    pub const fn sends_vector(&self, omit: OutputSettings) -> bool {
+        self.mode.contains(OutputMode::CALIBRATED) && !self.settings.contains(omit)
     }
 
-    fn sends_analog(&self, leave_out: u32) -> bool {
-        self.mode.has(OutputMode::AUXILIARY) && !self.settings.has(leave_out)
+    fn sends_analog(&self, omit: OutputSettings) -> bool {
+        self.mode.contains(OutputMode::AUXILIARY) && !self.settings.contains(omit)
     }
 
-    /// Length of a message's data in this format, bytes.
+    /// Length of the data of a message in this format, bytes.
     pub fn data_length(&self) -> usize {
         use OutputMode as M;
         use OutputSettings as S;
         let size = self.settings.number_format().size();
-        let if_set = |bit, n| if self.mode.has(bit) { n } else { 0 };
+        let if_set = |bit, n| if self.mode.contains(bit) { n } else { 0 };
         let vectors = [S::NO_ACCELERATION, S::NO_ANGULAR_VELOCITY, S::NO_MAGNETIC_FIELD];
         let attitude = match self.settings.orientation_form() {
             Some(OrientationForm::Quaternion) => 4,
@@ -143,20 +149,21 @@ impl LegacyFormat {
             + if_set(M::ORIENTATION, attitude)
             + if_set(M::POSITION, 3)
             + if_set(M::VELOCITY, 3);
-        let analogs = [S::NO_ANALOG_1, S::NO_ANALOG_2].iter().filter(|a| self.sends_analog(**a)).count();
+        let analogs =
+            [S::NO_ANALOG_1, S::NO_ANALOG_2].iter().filter(|a| self.sends_analog(**a)).count();
         numbers * size
             + if_set(M::RAW_INERTIAL, RAW_LENGTH)
             + if_set(M::RAW_GPS, RAW_GPS_LENGTH)
             + 2 * analogs
             + if_set(M::STATUS, 1)
-            + if self.settings.has(S::COUNTER) { 2 } else { 0 }
-            + if self.settings.has(S::UTC) { UTC_LENGTH } else { 0 }
+            + if self.settings.contains(S::COUNTER) { 2 } else { 0 }
+            + if self.settings.contains(S::UTC) { UTC_LENGTH } else { 0 }
     }
 
     /// Decodes the data of one MTData message.
     ///
     /// # Errors
-    /// [`DecodeError::Length`] where the data are not as long as the format says: it is not the unit's format.
+    /// [`DecodeError::Length`] if the data do not have the length of the format.
     #[inline]
     pub fn decode(&self, data: &[u8]) -> Result<Measurement, DecodeError> {
         let mut m = Measurement::default();
@@ -164,8 +171,8 @@ impl LegacyFormat {
         Ok(m)
     }
 
-    /// [`LegacyFormat::decode`] into a measurement that is at hand: a measurement is large, and moving it costs more than
-    /// reading it.
+    /// [`LegacyFormat::decode`] into an existing measurement: moving one costs more than decoding
+    /// it.
     ///
     /// # Errors
     /// As [`LegacyFormat::decode`].
@@ -185,7 +192,7 @@ impl LegacyFormat {
         use OutputSettings as S;
         let r = &mut Reader::new(data);
         let format = self.settings.number_format();
-        if self.mode.has(M::RAW_INERTIAL) {
+        if self.mode.contains(M::RAW_INERTIAL) {
             let mut words = [0_u16; 10];
             for word in &mut words {
                 *word = r.u16()?;
@@ -198,11 +205,11 @@ impl LegacyFormat {
                 temperature,
             });
         }
-        if self.mode.has(M::RAW_GPS) {
+        if self.mode.contains(M::RAW_GPS) {
             m.raw_gps = Some(RawGps(r.take(RAW_GPS_LENGTH)?.try_into().ok()?));
             m.has_gnss = true;
         }
-        if self.mode.has(M::TEMPERATURE) {
+        if self.mode.contains(M::TEMPERATURE) {
             m.temperature = Some(r.numbers::<1>(format)?[0]);
         }
         if self.sends_vector(S::NO_ACCELERATION) {
@@ -214,7 +221,7 @@ impl LegacyFormat {
         if self.sends_vector(S::NO_MAGNETIC_FIELD) {
             m.magnetic_field = Some(r.numbers(format)?);
         }
-        if self.mode.has(M::ORIENTATION) {
+        if self.mode.contains(M::ORIENTATION) {
             let frame = self.settings.global_frame();
             let attitude = match self.settings.orientation_form() {
                 Some(OrientationForm::Quaternion) => Some(Attitude::Quaternion(r.numbers(format)?)),
@@ -230,44 +237,46 @@ impl LegacyFormat {
         if self.sends_analog(S::NO_ANALOG_2) {
             m.analog[1] = Some(r.u16()?);
         }
-        if self.mode.has(M::POSITION) {
+        if self.mode.contains(M::POSITION) {
             let [latitude, longitude, altitude] = r.numbers(format)?;
             m.latitude_longitude = Some([latitude, longitude]);
             m.altitude = Some(altitude);
         }
-        if self.mode.has(M::VELOCITY) {
+        if self.mode.contains(M::VELOCITY) {
             m.velocity = Some(r.numbers(format)?);
         }
-        if self.mode.has(M::STATUS) {
-            m.status = Some(Status(u32::from(r.u8()?)));
+        if self.mode.contains(M::STATUS) {
+            m.status = Some(Status::from_bits_retain(u32::from(r.u8()?)));
         }
-        if self.settings.has(S::COUNTER) {
+        if self.settings.contains(S::COUNTER) {
             m.counter = Some(r.u16()?);
         }
-        if self.settings.has(S::UTC) {
+        if self.settings.contains(S::UTC) {
             m.utc = Some(read_utc(r)?);
         }
         Some(())
     }
 
-    /// Appends the data of one MTData message: the inverse of [`LegacyFormat::decode`]. What the measurement does not
-    /// hold is written as zero.
+    /// Appends the data of one MTData message: the inverse of [`LegacyFormat::decode`].
+    ///
+    /// Data missing in the measurement are zero, a missing orientation is the identity.
     pub fn encode(&self, m: &Measurement, out: &mut Vec<u8>) {
         use OutputMode as M;
         use OutputSettings as S;
         let format = self.settings.number_format();
-        let write = |values: &[f64], out: &mut Vec<u8>| values.iter().for_each(|v| format.write(*v, out));
-        if self.mode.has(M::RAW_INERTIAL) {
+        let write =
+            |values: &[f64], out: &mut Vec<u8>| values.iter().for_each(|v| format.write(*v, out));
+        if self.mode.contains(M::RAW_INERTIAL) {
             let raw = m.raw.unwrap_or_default();
             let words = [raw.acceleration, raw.angular_velocity, raw.magnetic_field];
             for word in words.iter().flatten().chain(std::iter::once(&raw.temperature)) {
                 out.extend_from_slice(&word.to_be_bytes());
             }
         }
-        if self.mode.has(M::RAW_GPS) {
+        if self.mode.contains(M::RAW_GPS) {
             out.extend_from_slice(&m.raw_gps.map_or([0; RAW_GPS_LENGTH], |g| g.0));
         }
-        if self.mode.has(M::TEMPERATURE) {
+        if self.mode.contains(M::TEMPERATURE) {
             write(&[m.temperature.unwrap_or_default()], out);
         }
         let vectors = [
@@ -275,15 +284,17 @@ impl LegacyFormat {
             (S::NO_ANGULAR_VELOCITY, m.angular_velocity),
             (S::NO_MAGNETIC_FIELD, m.magnetic_field),
         ];
-        for (leave_out, vector) in vectors {
-            if self.sends_vector(leave_out) {
+        for (omit, vector) in vectors {
+            if self.sends_vector(omit) {
                 write(&vector.unwrap_or_default(), out);
             }
         }
-        if self.mode.has(M::ORIENTATION) {
+        if self.mode.contains(M::ORIENTATION) {
             let attitude = m.orientation.map(|o| o.attitude);
             match (self.settings.orientation_form(), attitude) {
-                (Some(OrientationForm::Quaternion), Some(Attitude::Quaternion(q))) => write(&q, out),
+                (Some(OrientationForm::Quaternion), Some(Attitude::Quaternion(q))) => {
+                    write(&q, out)
+                }
                 (Some(OrientationForm::Quaternion), _) => write(&[1.0, 0.0, 0.0, 0.0], out),
                 (Some(OrientationForm::Euler), Some(Attitude::Euler(e))) => write(&e, out),
                 (Some(OrientationForm::Euler), _) => write(&[0.0; 3], out),
@@ -294,25 +305,25 @@ impl LegacyFormat {
                 (None, _) => {}
             }
         }
-        for (leave_out, value) in [(S::NO_ANALOG_1, m.analog[0]), (S::NO_ANALOG_2, m.analog[1])] {
-            if self.sends_analog(leave_out) {
+        for (omit, value) in [(S::NO_ANALOG_1, m.analog[0]), (S::NO_ANALOG_2, m.analog[1])] {
+            if self.sends_analog(omit) {
                 out.extend_from_slice(&value.unwrap_or_default().to_be_bytes());
             }
         }
-        if self.mode.has(M::POSITION) {
+        if self.mode.contains(M::POSITION) {
             let [latitude, longitude] = m.latitude_longitude.unwrap_or_default();
             write(&[latitude, longitude, m.altitude.unwrap_or_default()], out);
         }
-        if self.mode.has(M::VELOCITY) {
+        if self.mode.contains(M::VELOCITY) {
             write(&m.velocity.unwrap_or_default(), out);
         }
-        if self.mode.has(M::STATUS) {
-            out.push(m.status.unwrap_or_default().0 as u8);
+        if self.mode.contains(M::STATUS) {
+            out.push(m.status.unwrap_or_default().bits() as u8);
         }
-        if self.settings.has(S::COUNTER) {
+        if self.settings.contains(S::COUNTER) {
             out.extend_from_slice(&m.counter.unwrap_or_default().to_be_bytes());
         }
-        if self.settings.has(S::UTC) {
+        if self.settings.contains(S::UTC) {
             write_utc(&m.utc.unwrap_or_default(), out);
         }
     }
@@ -342,14 +353,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_real_unit_s_configuration_gives_its_real_length() {
+    fn the_standard_format_has_the_length_and_codes_of_a_recorded_configuration() {
         assert_eq!(LegacyFormat::STANDARD.data_length(), 0x36);
-        assert_eq!(LegacyFormat::STANDARD.mode.0, 6);
-        assert_eq!(LegacyFormat::STANDARD.settings.0, 1);
+        assert_eq!(LegacyFormat::STANDARD.mode.bits(), 6);
+        assert_eq!(LegacyFormat::STANDARD.settings.bits(), 1);
     }
 
     #[test]
-    fn a_wrong_length_is_said_and_not_read() {
+    fn data_of_another_length_are_rejected() {
         let error = LegacyFormat::STANDARD.decode(&[0; 53]).unwrap_err();
         assert_eq!(error, DecodeError::Length { found: 53, expected: 54 });
     }

@@ -1,37 +1,39 @@
-//! What one data message says, in SI units, as the unit sent it: no frame is turned and nothing is made up.
+//! Content of one data message in SI units, in the frames of the device.
 
-/// In which global frame a unit gives its orientation and velocity.
+use bitflags::bitflags;
+
+/// Global frame of orientation and velocity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum GlobalFrame {
-    /// x east, y north, z up: the newer units' default.
+    /// x east, y north, z up: default of MTi-1, 10, 100, 600 series.
     EastNorthUp,
     /// x north, y east, z down.
     NorthEastDown,
-    /// x (magnetic) north, y west, z up: what a legacy unit means.
+    /// x (magnetic) north, y west, z up: legacy devices.
     NorthWestUp,
 }
 
-/// An attitude, global frame from sensor, in the form in which it was sent.
+/// Rotation from the sensor to the global frame, in the form of the message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Attitude {
     /// w, x, y, z.
     Quaternion([f64; 4]),
-    /// Roll, pitch, yaw, **degrees** as sent.
+    /// Roll, pitch, yaw, **degrees**.
     Euler([f64; 3]),
-    /// The matrix global from sensor, column by column as sent.
+    /// Rotation matrix, column by column.
     Matrix([f64; 9]),
 }
 
-/// An attitude with its global frame.
+/// Orientation of the device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orientation {
-    /// The attitude.
+    /// Rotation from the sensor to the global frame.
     pub attitude: Attitude,
-    /// Against what.
+    /// The global frame.
     pub frame: GlobalFrame,
 }
 
-/// Date and time of a unit with GNSS.
+/// Date and time of a device with GNSS.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Utc {
     /// Nanoseconds of the second.
@@ -48,42 +50,27 @@ pub struct Utc {
     pub minute: u8,
     /// 0–59 (60 in a leap second).
     pub second: u8,
-    /// Which of the fields are valid.
+    /// Validity of the fields.
     pub flags: u8,
 }
 
-/// The status bits; a legacy unit and MTData2's short form send only the lowest eight.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub struct Status(pub u32);
-
-impl Status {
-    /// The self-test at start-up was passed.
-    pub const fn self_test_passed(self) -> bool {
-        self.0 & 1 != 0
-    }
-
-    /// The orientation filter's output is valid.
-    pub const fn filter_valid(self) -> bool {
-        self.0 & 2 != 0
-    }
-
-    /// There is a GNSS fix.
-    pub const fn gnss_fix(self) -> bool {
-        self.0 & 4 != 0
-    }
-
-    /// Accelerometers (x, y, z in bits 0–2), gyroscopes (3–5), magnetometers (6–8) that clip.
-    pub const fn clipping(self) -> u16 {
-        ((self.0 >> 8) & 0x1FF) as u16
-    }
-
-    /// Any clipping at all.
-    pub const fn any_clipping(self) -> bool {
-        self.clipping() != 0 || self.0 & (1 << 19) != 0
+bitflags! {
+    /// Status bits; legacy devices and MTData2's status byte have the lowest eight only.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+    pub struct Status: u32 {
+        /// The self-test at start-up passed.
+        const SELF_TEST_PASSED = 1;
+        /// The output of the orientation filter is valid.
+        const FILTER_VALID = 2;
+        /// A GNSS fix is available.
+        const GNSS_FIX = 4;
+        /// Clipping of accelerometers (x, y, z in bits 8–10), gyroscopes (11–13), magnetometers
+        /// (14–16), or any of them (19).
+        const CLIPPING = (0x1FF << 8) | (1 << 19);
     }
 }
 
-/// The readings of the analog-digital converter, uncalibrated.
+/// Uncalibrated readings of the analog-to-digital converter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RawInertial {
     /// Accelerometers.
@@ -96,54 +83,56 @@ pub struct RawInertial {
     pub temperature: u16,
 }
 
-/// Raw GPS data of an MTi-G, 44 bytes as they came.
+/// Raw GPS data of an MTi-G, 44 bytes, not decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RawGps(pub [u8; 44]);
 
-/// One data message, decoded. Vectors are in the unit's own axes unless said otherwise.
+/// Decoded data message; vectors are in the sensor frame unless noted.
+///
+/// One field per data item of the two protocols, hence their number.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measurement {
-    /// The message's own counter; wraps.
+    /// Message counter; wraps.
     pub counter: Option<u16>,
-    /// Ticks of 0.1 ms; wraps.
+    /// Sample time, ticks of 0.1 ms; wraps.
     pub sample_time_fine: Option<u32>,
-    /// Seconds.
+    /// Sample time, s.
     pub sample_time_coarse: Option<u32>,
     /// Date and time.
     pub utc: Option<Utc>,
     /// Specific force, m/s²: +9.81 up at rest.
     pub acceleration: Option<[f64; 3]>,
-    /// The same, from the unit's faster path.
+    /// Specific force from the high-rate channel, m/s².
     pub acceleration_hr: Option<[f64; 3]>,
     /// Acceleration without gravity, m/s², in the global frame.
     pub free_acceleration: Option<[f64; 3]>,
     /// Velocity increment over one sample, m/s.
     pub delta_velocity: Option<[f64; 3]>,
-    /// Rate of turn, rad/s.
+    /// Angular velocity, rad/s.
     pub angular_velocity: Option<[f64; 3]>,
-    /// The same, from the unit's faster path.
+    /// Angular velocity from the high-rate channel, rad/s.
     pub angular_velocity_hr: Option<[f64; 3]>,
     /// Orientation increment over one sample, quaternion w, x, y, z.
     pub delta_orientation: Option<[f64; 4]>,
-    /// Magnetic field in arbitrary units: the Earth's is about 1.
+    /// Magnetic field, arbitrary unit (about 1 in the Earth's field).
     pub magnetic_field: Option<[f64; 3]>,
-    /// Attitude.
+    /// Orientation.
     pub orientation: Option<Orientation>,
-    /// A second form of the attitude, where one message holds several.
+    /// Further forms of the orientation in the same message.
     pub further_orientations: [Option<Orientation>; 2],
-    /// °C.
+    /// Temperature, °C.
     pub temperature: Option<f64>,
-    /// Pa.
+    /// Pressure, Pa.
     pub pressure: Option<u32>,
     /// Status bits.
     pub status: Option<Status>,
-    /// Analog inputs, as converted.
+    /// Analog inputs, digits of the converter.
     pub analog: [Option<u16>; 2],
     /// Latitude and longitude, degrees.
     pub latitude_longitude: Option<[f64; 2]>,
     /// Height above the ellipsoid, m.
     pub altitude: Option<f64>,
-    /// Earth-centred position, m.
+    /// Earth-centered position, m.
     pub position_ecef: Option<[f64; 3]>,
     /// Velocity, m/s, in the global frame.
     pub velocity: Option<[f64; 3]>,
@@ -151,13 +140,15 @@ pub struct Measurement {
     pub raw: Option<RawInertial>,
     /// Raw GPS data.
     pub raw_gps: Option<RawGps>,
-    /// The message holds GNSS receiver data (which are not decoded).
+    /// The message contains GNSS receiver data, which are not decoded.
     pub has_gnss: bool,
 }
 
 impl Measurement {
-    /// Whether the message carries inertial data. Only then do its counter and SampleTimeFine tell when a sample was
-    /// taken: messages with GNSS data alone carry an unrelated time.
+    /// Whether the message contains inertial data.
+    ///
+    /// Only then are its counter and SampleTimeFine the time of a sample; messages with GNSS data
+    /// alone have an unrelated time.
     pub fn is_inertial(&self) -> bool {
         self.acceleration.is_some()
             || self.acceleration_hr.is_some()
@@ -171,14 +162,14 @@ impl Measurement {
             || self.raw.is_some()
     }
 
-    /// The quaternion w, x, y, z, if the message holds one (an attitude in another form is not converted).
+    /// Quaternion w, x, y, z, if the message contains one; other forms are not converted.
     pub fn quaternion(&self) -> Option<[f64; 4]> {
-        std::iter::once(&self.orientation).chain(&self.further_orientations).flatten().find_map(|o| {
-            match o.attitude {
+        std::iter::once(&self.orientation).chain(&self.further_orientations).flatten().find_map(
+            |o| match o.attitude {
                 Attitude::Quaternion(q) => Some(q),
                 _ => None,
-            }
-        })
+            },
+        )
     }
 
     pub(super) fn add_orientation(&mut self, orientation: Orientation) {

@@ -1,8 +1,8 @@
-//! Names of the messages, error codes and baud codes.
+//! Message identifiers, error codes and baud rate codes.
 
 use std::fmt;
 
-/// The message identifier (MID).
+/// Message identifier (MID).
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct MessageId(pub u8);
 
@@ -11,7 +11,7 @@ macro_rules! messages {
         impl MessageId {
             $($(#[$doc])* pub const $name: Self = Self($mid);)*
 
-            /// The manual's name, for the message and for its acknowledgement.
+            /// Name in the manual, for the message and its acknowledgement.
             pub fn name(self) -> Option<&'static str> {
                 match self.0 {
                     $($mid => Some($text),)*
@@ -23,69 +23,57 @@ macro_rules! messages {
 }
 
 messages! {
-    /// Asks for the device identifier.
+    /// Requests the device identifier.
     REQ_DEVICE_ID = 0x00, "ReqDID";
     /// Sampling period, u16, ticks of 1/115200 s.
     PERIOD = 0x04, "SetPeriod";
-    /// Asks how long the data of an MTData message are.
+    /// Requests the length of the data of an MTData message.
     REQ_DATA_LENGTH = 0x0A, "ReqDataLength";
-    /// Asks for the 118 bytes of the configuration.
+    /// Requests the Configuration (118 bytes).
     REQ_CONFIGURATION = 0x0C, "ReqConfiguration";
-    /// Back to the factory's settings (config state only).
+    /// Restores the factory settings (config state only).
     RESTORE_FACTORY = 0x0E, "RestoreFactoryDef";
-    /// To the measurement state.
+    /// Enters the measurement state.
     GO_TO_MEASUREMENT = 0x10, "GoToMeasurement";
-    /// Asks for the firmware's revision.
+    /// Requests the firmware revision.
     REQ_FIRMWARE = 0x12, "ReqFWRev";
-    /// Baud rate as a code, in force after a reset.
+    /// Baud rate as a code, effective after a reset.
     BAUD_RATE = 0x18, "SetBaudrate";
-    /// Asks for the product code.
+    /// Requests the product code.
     REQ_PRODUCT_CODE = 0x1C, "ReqProductCode";
-    /// Asks for the hardware's version.
+    /// Requests the hardware version.
     REQ_HARDWARE = 0x1E, "ReqHWVersion";
-    /// Newer units estimate the gyroscopes' bias for so many seconds.
-    SET_NO_ROTATION = 0x22, "SetNoRotation";
-    /// To the config state.
+    /// Enters the config state.
     GO_TO_CONFIG = 0x30, "GoToConfig";
-    /// Data of a legacy unit.
+    /// Data of a legacy device.
     MT_DATA = 0x32, "MTData";
-    /// Asks for one data message.
-    REQ_DATA = 0x34, "ReqData";
-    /// Data of a newer unit.
+    /// Data of the MTi-1, 10, 100, 600 series.
     MT_DATA2 = 0x36, "MTData2";
-    /// From a unit that has just started.
+    /// From the device after its start.
     WAKE_UP = 0x3E, "WakeUp";
-    /// To a unit that has just started: enter the config state.
+    /// Answer to WakeUp: enter the config state.
     WAKE_UP_ACK = 0x3F, "WakeUpAck";
-    /// Start anew.
+    /// Restarts the device.
     RESET = 0x40, "Reset";
-    /// From the unit: an error, its code first.
+    /// Error from the device, its code first.
     ERROR = 0x42, "Error";
-    /// Date and time.
-    UTC = 0x60, "SetUTCTime";
-    /// Location identifier.
-    LOCATION_ID = 0x84, "SetLocationID";
-    /// Turns the orientation's zero.
-    RESET_ORIENTATION = 0xA4, "ResetOrientation";
-    /// What a newer unit sends.
+    /// Output configuration of the MTi-1, 10, 100, 600 series.
     OUTPUT_CONFIGURATION = 0xC0, "SetOutputConfiguration";
-    /// What a legacy unit sends.
+    /// Data that a legacy device outputs.
     OUTPUT_MODE = 0xD0, "SetOutputMode";
-    /// How a legacy unit writes it.
+    /// Format of the data that a legacy device outputs.
     OUTPUT_SETTINGS = 0xD2, "SetOutputSettings";
-    /// Every so-manieth sample is left out.
+    /// Number of samples omitted between two messages.
     OUTPUT_SKIP_FACTOR = 0xD4, "SetOutputSkipFactor";
-    /// What the unit does after an error.
-    ERROR_MODE = 0xDA, "SetErrorMode";
 }
 
 impl MessageId {
-    /// The identifier of the acknowledgement.
+    /// Identifier of the acknowledgement.
     pub const fn ack(self) -> Self {
         Self(self.0.wrapping_add(1))
     }
 
-    /// Data that stream by themselves, as opposed to an answer.
+    /// Whether the message is a data message rather than a reply.
     pub fn is_data(self) -> bool {
         self == Self::MT_DATA || self == Self::MT_DATA2
     }
@@ -107,7 +95,7 @@ impl fmt::Debug for MessageId {
     }
 }
 
-/// What a unit complains about in an Error message.
+/// Code of an Error message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct DeviceError(pub u8);
 
@@ -115,15 +103,16 @@ impl fmt::Display for DeviceError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let meaning = match self.0 {
             0x03 => "the period is out of range",
-            0x04 => "the message is invalid or not known to this unit",
+            0x04 => "the message is invalid or not supported by this device",
             0x1E => "timer overflow",
-            0x20 => "the baud rate is not possible",
+            0x20 => "the baud rate is not supported",
             0x21 => "a parameter is invalid",
             0x28 => "device error",
             0x29 => {
-                "more data than the line can carry; lower the rate, leave outputs out, or raise the baud rate"
+                "more data than the line can carry; \
+                 lower the rate, disable outputs, or raise the baud rate"
             }
-            _ => "not in the manual",
+            _ => "not documented",
         };
         write!(f, "error {:02X}: {meaning}", self.0)
     }
@@ -148,15 +137,15 @@ const BAUDS: [(u32, u8); 15] = [
     (4_000_000, 0x0D),
 ];
 
-/// In which order a unit of unknown baud rate is looked for.
+/// Baud rates in the order of the search.
 pub const BAUD_SCAN: [u32; 8] = [115_200, 921_600, 460_800, 230_400, 57_600, 38_400, 19_200, 9_600];
 
-/// The code of a baud rate, where it has one.
+/// Code of a baud rate; `None` if it has none.
 pub fn baud_code(baud: u32) -> Option<u8> {
     BAUDS.iter().find(|(b, _)| *b == baud).map(|(_, code)| *code)
 }
 
-/// The baud rate of a code.
+/// Baud rate of a code; `None` if the code is not documented.
 pub fn baud_from_code(code: u8) -> Option<u32> {
     // 921600 has two codes.
     let code = if code == 0x0A { 0x80 } else { code };
@@ -168,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_for_people() {
+    fn messages_and_errors_have_names() {
         assert_eq!(MessageId(0xD1).to_string(), "SetOutputMode's acknowledgement");
         assert_eq!(MessageId(0x32).to_string(), "MTData");
         assert_eq!(MessageId(0x77).to_string(), "message 77");
@@ -176,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn baud_codes_lead_there_and_back() {
+    fn baud_codes_round_trip() {
         for (baud, code) in BAUDS {
             assert_eq!((baud_code(baud), baud_from_code(code)), (Some(code), Some(baud)));
         }

@@ -1,12 +1,11 @@
-//! The units' serial protocol, bytes in and values out, without I/O: worth using alone.
+//! Serial protocol of Xsens devices, without I/O.
 //!
-//! [`FrameParser`] finds frames in a stream; [`LegacyFormat::decode`] and [`mtdata2::decode`] turn their data into a
-//! [`Measurement`] in SI units; [`Decoder`] does both for whatever comes. Nothing here allocates per frame, and no input
-//! makes it panic: every access is by a checked slice.
+//! [`FrameParser`] finds frames in a stream; [`LegacyFormat::decode`] and [`mtdata2::decode`]
+//! convert their data to a [`Measurement`] in SI units; [`Decoder`] handles both. Nothing here
+//! allocates per frame, and no input can cause a panic: all slices are checked.
 //!
-//! Source: the vendor's low-level protocol manuals, checked against real recordings.
+//! Source: the vendor's low-level protocol manuals, verified with recordings of real devices.
 
-pub mod command;
 pub mod configuration;
 pub mod frame;
 pub mod legacy;
@@ -15,7 +14,6 @@ pub mod message;
 pub mod mtdata2;
 pub mod number;
 
-pub use command::{Command, Reply};
 pub use configuration::{Configuration, DeviceId, OutputEntry};
 pub use frame::{Frame, FrameParser, ParserCounts, frame, write_frame};
 pub use legacy::{LegacyFormat, OrientationForm, OutputMode, OutputSettings};
@@ -25,53 +23,53 @@ pub use number::NumberFormat;
 
 use thiserror::Error;
 
-/// Why the data of a whole frame could not be read.
+/// Error of decoding the data of a frame.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum DecodeError {
-    /// Not as long as the format says.
-    #[error("{found} bytes of data where the format has {expected}; read the unit's configuration anew")]
+    /// The length does not fit the format.
+    #[error(
+        "{found} bytes of data, but the format has {expected}; \
+         read the Configuration of the device again"
+    )]
     Length {
-        /// Bytes found.
+        /// Length found, bytes.
         found: usize,
-        /// Bytes that the format has.
+        /// Length of the format, bytes.
         expected: usize,
     },
-    /// An MTData2 item claims more bytes than there are.
-    #[error("the MTData2 item at byte {offset} runs past the end ({length} bytes)")]
+    /// An MTData2 item exceeds the data.
+    #[error("the MTData2 item at byte {offset} exceeds the {length} bytes of the message")]
     Overrun {
-        /// Where the item starts.
+        /// Position of the item, bytes.
         offset: usize,
-        /// Length of the data.
+        /// Length of the data, bytes.
         length: usize,
     },
-    /// A known MTData2 item with a size that it cannot have.
-    #[error("the MTData2 item {id:04X} has {size} bytes, which its identifier does not allow")]
+    /// The size of an MTData2 item does not fit its identifier.
+    #[error("the MTData2 item {id:04X} has {size} bytes, which does not fit its identifier")]
     ItemSize {
-        /// Its identifier.
+        /// Identifier of the item.
         id: u16,
-        /// Its size.
+        /// Size of the item, bytes.
         size: u8,
     },
-    /// A legacy MTData before its format is known.
-    #[error("MTData without a Configuration: its format is not known; give the Configuration of its unit")]
+    /// The format of a legacy MTData message is unknown.
+    #[error(
+        "the format of MTData is unknown without a Configuration; \
+         provide the Configuration of the device"
+    )]
     NoConfiguration,
-    /// No data message at all.
-    #[error("{message} is no data message")]
-    NotData {
-        /// What it is.
-        message: MessageId,
-    },
 }
 
-/// Decodes data messages of both kinds; learns the legacy format from the Configuration messages that pass by.
+/// Decodes data messages of both kinds; reads the legacy format from Configuration messages.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Decoder {
-    /// The legacy format, once it is known.
+    /// Format of MTData, if known.
     pub format: Option<LegacyFormat>,
 }
 
 impl Decoder {
-    /// The measurement in a frame; `Ok(None)` for a frame that is no data message.
+    /// Decodes a frame; `Ok(None)` if it is not a data message.
     ///
     /// # Errors
     /// As [`LegacyFormat::decode`] and [`mtdata2::decode`], and [`DecodeError::NoConfiguration`].
@@ -81,12 +79,16 @@ impl Decoder {
         Ok(self.decode_into(frame, &mut m)?.then_some(m))
     }
 
-    /// [`Decoder::decode`] into a measurement that is at hand; `Ok(false)` for a frame that is no data message.
+    /// [`Decoder::decode`] into an existing measurement; `Ok(false)` if it is not a data message.
     ///
     /// # Errors
     /// As [`Decoder::decode`].
     #[inline]
-    pub fn decode_into(&mut self, frame: &Frame<'_>, m: &mut Measurement) -> Result<bool, DecodeError> {
+    pub fn decode_into(
+        &mut self,
+        frame: &Frame<'_>,
+        m: &mut Measurement,
+    ) -> Result<bool, DecodeError> {
         match frame.message {
             MessageId::MT_DATA => match &self.format {
                 Some(format) => format.decode_into(frame.data, m).map(|()| true),

@@ -1,5 +1,6 @@
-//! MTData2: what the newer units send, a list of `identifier u16 | size u8 | data`. Unknown identifiers are skipped by
-//! their size.
+//! MTData2, the data message of the MTi-1, 10, 100, 600 series.
+//!
+//! A list of `identifier u16 | size u8 | data`; items with an unknown identifier are skipped.
 
 use super::{
     DecodeError,
@@ -10,63 +11,54 @@ use super::{
 
 /// Data identifiers without their low nibble (number format and global frame).
 pub mod xdi {
-    /// Temperature.
-    pub const TEMPERATURE: u16 = 0x0810;
-    /// Date and time.
-    pub const UTC: u16 = 0x1010;
-    /// Counter.
-    pub const COUNTER: u16 = 0x1020;
-    /// 0.1 ms ticks.
-    pub const SAMPLE_TIME_FINE: u16 = 0x1060;
-    /// Seconds.
-    pub const SAMPLE_TIME_COARSE: u16 = 0x1070;
-    /// Quaternion.
-    pub const QUATERNION: u16 = 0x2010;
-    /// Matrix.
-    pub const MATRIX: u16 = 0x2020;
-    /// Euler angles.
-    pub const EULER: u16 = 0x2030;
-    /// Pressure.
-    pub const PRESSURE: u16 = 0x3010;
-    /// Velocity increment.
-    pub const DELTA_VELOCITY: u16 = 0x4010;
-    /// Specific force.
-    pub const ACCELERATION: u16 = 0x4020;
-    /// Acceleration without gravity.
-    pub const FREE_ACCELERATION: u16 = 0x4030;
-    /// Specific force, faster path.
-    pub const ACCELERATION_HR: u16 = 0x4040;
-    /// Height above the ellipsoid.
-    pub const ALTITUDE: u16 = 0x5020;
-    /// Earth-centred position.
-    pub const POSITION_ECEF: u16 = 0x5030;
-    /// Latitude and longitude.
-    pub const LATITUDE_LONGITUDE: u16 = 0x5040;
-    /// GNSS solution.
-    pub const GNSS_PVT: u16 = 0x7010;
-    /// GNSS satellites.
-    pub const GNSS_SATELLITES: u16 = 0x7020;
-    /// Rate of turn.
-    pub const ANGULAR_VELOCITY: u16 = 0x8020;
-    /// Orientation increment.
-    pub const DELTA_ORIENTATION: u16 = 0x8030;
-    /// Rate of turn, faster path.
-    pub const ANGULAR_VELOCITY_HR: u16 = 0x8040;
-    /// Magnetic field.
-    pub const MAGNETIC_FIELD: u16 = 0xC020;
-    /// Velocity.
-    pub const VELOCITY: u16 = 0xD010;
-    /// Status byte.
-    pub const STATUS_BYTE: u16 = 0xE010;
-    /// Status word.
-    pub const STATUS_WORD: u16 = 0xE020;
+    macro_rules! identifiers {
+        ($($name:ident = $id:literal, $text:literal;)*) => {
+            $(#[doc = concat!("Identifier of ", $text, ".")] pub const $name: u16 = $id;)*
+
+            /// Name of the data; the low nibble of the identifier is ignored.
+            pub fn name(id: u16) -> &'static str {
+                match id & 0xFFF0 {
+                    $($id => $text,)*
+                    _ => "other",
+                }
+            }
+        };
+    }
+
+    identifiers! {
+        TEMPERATURE = 0x0810, "temperature";
+        UTC = 0x1010, "date and time";
+        COUNTER = 0x1020, "counter";
+        SAMPLE_TIME_FINE = 0x1060, "sample time, ticks of 0.1 ms";
+        SAMPLE_TIME_COARSE = 0x1070, "sample time, s";
+        QUATERNION = 0x2010, "quaternion";
+        MATRIX = 0x2020, "rotation matrix";
+        EULER = 0x2030, "Euler angles";
+        PRESSURE = 0x3010, "pressure";
+        DELTA_VELOCITY = 0x4010, "velocity increment";
+        ACCELERATION = 0x4020, "specific force";
+        FREE_ACCELERATION = 0x4030, "acceleration without gravity";
+        ACCELERATION_HR = 0x4040, "specific force, high-rate channel";
+        ALTITUDE = 0x5020, "height above the ellipsoid";
+        POSITION_ECEF = 0x5030, "Earth-centered position";
+        LATITUDE_LONGITUDE = 0x5040, "latitude and longitude";
+        GNSS_PVT = 0x7010, "GNSS solution";
+        GNSS_SATELLITES = 0x7020, "GNSS satellites";
+        ANGULAR_VELOCITY = 0x8020, "angular velocity";
+        DELTA_ORIENTATION = 0x8030, "orientation increment";
+        ANGULAR_VELOCITY_HR = 0x8040, "angular velocity, high-rate channel";
+        MAGNETIC_FIELD = 0xC020, "magnetic field";
+        VELOCITY = 0xD010, "velocity";
+        STATUS_BYTE = 0xE010, "status byte";
+        STATUS_WORD = 0xE020, "status word";
+    }
 }
 
 /// Decodes the data of one MTData2 message.
 ///
 /// # Errors
-/// [`DecodeError::Overrun`] where an item claims more bytes than there are, [`DecodeError::ItemSize`] where a known
-/// item is not as long as its identifier says.
+/// [`DecodeError::Overrun`] if an item exceeds the data, [`DecodeError::ItemSize`] if a known item
+/// does not have the size of its identifier.
 #[inline]
 pub fn decode(data: &[u8]) -> Result<Measurement, DecodeError> {
     let mut m = Measurement::default();
@@ -74,10 +66,10 @@ pub fn decode(data: &[u8]) -> Result<Measurement, DecodeError> {
     Ok(m)
 }
 
-/// [`decode`] into a measurement that is at hand.
+/// [`decode`] into an existing measurement.
 ///
 /// # Errors
-/// As [`decode`]; what was read before the error stands in the measurement.
+/// As [`decode`]; `m` contains the items before the error.
 #[inline]
 pub fn decode_into(data: &[u8], m: &mut Measurement) -> Result<(), DecodeError> {
     *m = Measurement::default();
@@ -134,12 +126,12 @@ fn read_item(m: &mut Measurement, id: u16, r: &mut Reader<'_>) -> Option<()> {
         xdi::ANGULAR_VELOCITY_HR => m.angular_velocity_hr = Some(r.numbers(format)?),
         xdi::MAGNETIC_FIELD => m.magnetic_field = Some(r.numbers(format)?),
         xdi::VELOCITY => m.velocity = Some(r.numbers(format)?),
-        // A status word beside a status byte says more, whatever their order.
+        // A status word takes precedence over a status byte, in any order.
         xdi::STATUS_BYTE => {
             let byte = u32::from(r.u8()?);
-            m.status = m.status.or(Some(Status(byte)));
+            m.status = m.status.or(Some(Status::from_bits_retain(byte)));
         }
-        xdi::STATUS_WORD => m.status = Some(Status(r.u32()?)),
+        xdi::STATUS_WORD => m.status = Some(Status::from_bits_retain(r.u32()?)),
         other => {
             m.has_gnss |= matches!(other, xdi::GNSS_PVT | xdi::GNSS_SATELLITES);
             r.take(r.rest().len())?;
@@ -148,7 +140,7 @@ fn read_item(m: &mut Measurement, id: u16, r: &mut Reader<'_>) -> Option<()> {
     Some(())
 }
 
-/// Appends the items that the measurement holds, numbers in `format`: the inverse of [`decode`].
+/// Appends the items in `m`, with numbers in `format`: the inverse of [`decode`].
 pub fn encode(m: &Measurement, format: NumberFormat, out: &mut Vec<u8>) {
     let bits = format.bits() as u16;
     fn head(out: &mut Vec<u8>, id: u16, size: usize) {
@@ -208,7 +200,7 @@ pub fn encode(m: &Measurement, format: NumberFormat, out: &mut Vec<u8>) {
     for (id, values) in vectors {
         numbers(out, id, values);
     }
-    words(out, xdi::STATUS_WORD, m.status.map(|s| s.0));
+    words(out, xdi::STATUS_WORD, m.status.map(|s| s.bits()));
 }
 
 #[cfg(test)]
@@ -216,15 +208,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_known_is_skipped_by_its_size() {
+    fn unknown_items_are_skipped() {
         let data = [0x12, 0x34, 2, 9, 9, 0x10, 0x20, 2, 0x01, 0x02, 0x70, 0x10, 1, 7];
         let m = decode(&data).unwrap();
         assert_eq!((m.counter, m.has_gnss, m.is_inertial()), (Some(0x0102), true, false));
     }
 
     #[test]
-    fn sizes_that_cannot_be_are_named() {
-        assert_eq!(decode(&[0x10, 0x20, 3, 1, 2, 3]), Err(DecodeError::ItemSize { id: 0x1020, size: 3 }));
+    fn invalid_sizes_are_rejected() {
+        assert_eq!(
+            decode(&[0x10, 0x20, 3, 1, 2, 3]),
+            Err(DecodeError::ItemSize { id: 0x1020, size: 3 })
+        );
         assert_eq!(decode(&[0x10, 0x20, 1, 1]), Err(DecodeError::ItemSize { id: 0x1020, size: 1 }));
         assert_eq!(decode(&[0x10, 0x20, 9, 1]), Err(DecodeError::Overrun { offset: 0, length: 4 }));
         assert_eq!(decode(&[0x10]), Err(DecodeError::Overrun { offset: 0, length: 1 }));

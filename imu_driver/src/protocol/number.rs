@@ -1,14 +1,14 @@
-//! The four ways in which a unit writes a number, and a reader that never runs past the end.
+//! The four number formats of the protocol, and a bounds-checked reader.
 
-/// How values are written, in OutputSettings (bits 9:8) and in the low nibble of an MTData2 identifier (bits 1:0).
+/// Number format: OutputSettings bits 9:8, MTData2 identifier bits 1:0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum NumberFormat {
     /// IEEE 754 single.
     #[default]
     Float32,
-    /// Signed 32 bits, 20 of them behind the point.
+    /// Signed fixed point, 32 bits with 20 fractional bits.
     Fp1220,
-    /// 32 bits of fraction, then a signed 16-bit integer part: the halves stand in this order on the wire.
+    /// Signed fixed point: 32 fractional bits, followed on the wire by 16 integer bits.
     Fp1632,
     /// IEEE 754 double.
     Float64,
@@ -18,7 +18,7 @@ impl NumberFormat {
     /// All four, in the order of their codes.
     pub const ALL: [Self; 4] = [Self::Float32, Self::Fp1220, Self::Fp1632, Self::Float64];
 
-    /// From the two bits; the others are ignored.
+    /// Format of bits 1:0; the other bits are ignored.
     pub const fn from_bits(bits: u32) -> Self {
         match bits & 3 {
             0 => Self::Float32,
@@ -28,12 +28,12 @@ impl NumberFormat {
         }
     }
 
-    /// The two bits.
+    /// Code of the format, bits 1:0.
     pub const fn bits(self) -> u32 {
         self as u32
     }
 
-    /// Bytes of one number.
+    /// Size of one number, bytes.
     pub const fn size(self) -> usize {
         match self {
             Self::Float32 | Self::Fp1220 => 4,
@@ -42,11 +42,13 @@ impl NumberFormat {
         }
     }
 
-    /// Appends one number; what the format cannot hold is clamped to its range (NaN becomes 0 in the fixed ones).
+    /// Appends one number, clamped to the range of the format (NaN is 0 in fixed point).
     pub fn write(self, value: f64, out: &mut Vec<u8>) {
         match self {
             Self::Float32 => out.extend_from_slice(&(value as f32).to_be_bytes()),
-            Self::Fp1220 => out.extend_from_slice(&((value * 1_048_576.0).round() as i32).to_be_bytes()),
+            Self::Fp1220 => {
+                out.extend_from_slice(&((value * 1_048_576.0).round() as i32).to_be_bytes())
+            }
             Self::Fp1632 => {
                 let limit = (1_i64 << 47) as f64;
                 let scaled = (value * 4_294_967_296.0).round().clamp(-limit, limit - 1.0) as i64;
@@ -57,25 +59,25 @@ impl NumberFormat {
         }
     }
 
-    /// The nearest number that the format can hold: what comes back after a round trip.
-    pub fn quantise(self, value: f64) -> f64 {
+    /// Returns the nearest number of the format: the result of a round trip.
+    pub fn quantize(self, value: f64) -> f64 {
         let mut bytes = Vec::with_capacity(8);
         self.write(value, &mut bytes);
         Reader::new(&bytes).numbers::<1>(self).map_or(0.0, |[x]| x)
     }
 }
 
-/// Reads big-endian fields from the front of a slice; `None` where it is too short.
+/// Reads big-endian fields from the front of a slice; each method returns `None` at its end.
 #[derive(Clone, Copy, Debug)]
 pub struct Reader<'a>(&'a [u8]);
 
 impl<'a> Reader<'a> {
-    /// Starts at the front of `data`.
+    /// Creates a reader at the front of `data`.
     pub const fn new(data: &'a [u8]) -> Self {
         Self(data)
     }
 
-    /// What is left.
+    /// The remaining bytes.
     pub const fn rest(&self) -> &'a [u8] {
         self.0
     }
@@ -119,7 +121,7 @@ impl<'a> Reader<'a> {
         self.array().map(i32::from_be_bytes)
     }
 
-    /// `N` numbers in a format.
+    /// `N` numbers in `format`.
     #[inline]
     pub fn numbers<const N: usize>(&mut self, format: NumberFormat) -> Option<[f64; N]> {
         let bytes = self.take(N * format.size())?;
@@ -158,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn fp1632_of_a_real_frame() {
+    fn fp1632_of_a_recorded_frame() {
         // From the first frame of a recorded FP16.32 log: acceleration x and y.
         let bytes = [0x0b, 0xd2, 0xd9, 0x60, 0x00, 0x00, 0xbc, 0x86, 0xa0, 0x00, 0xff, 0xf8];
         let [x, y] = Reader::new(&bytes).numbers(NumberFormat::Fp1632).unwrap();
@@ -166,18 +168,18 @@ mod tests {
     }
 
     #[test]
-    fn numbers_round_trip_and_the_fixed_formats_clamp() {
+    fn numbers_round_trip_and_fixed_point_clamps() {
         for format in NumberFormat::ALL {
             assert_eq!(NumberFormat::from_bits(format.bits()), format);
             for value in [0.0, 1.0, -1.0, 9.812_345, -2047.5, 1e-6, -1e-6] {
-                let error = (format.quantise(value) - value).abs();
+                let error = (format.quantize(value) - value).abs();
                 let bound = if format == NumberFormat::Fp1220 { 0.5 / 1_048_576.0 } else { 1e-4 };
                 assert!(error <= bound, "{format:?} {value} {error}");
-                assert_eq!(format.quantise(format.quantise(value)), format.quantise(value));
+                assert_eq!(format.quantize(format.quantize(value)), format.quantize(value));
             }
         }
-        assert!((NumberFormat::Fp1220.quantise(1e9) - 2048.0).abs() < 1e-5);
-        assert!((NumberFormat::Fp1632.quantise(-1e9) + 32768.0).abs() < 1e-5);
-        assert_eq!(NumberFormat::Fp1632.quantise(f64::NAN), 0.0);
+        assert!((NumberFormat::Fp1220.quantize(1e9) - 2048.0).abs() < 1e-5);
+        assert!((NumberFormat::Fp1632.quantize(-1e9) + 32768.0).abs() < 1e-5);
+        assert_eq!(NumberFormat::Fp1632.quantize(f64::NAN), 0.0);
     }
 }

@@ -1,4 +1,4 @@
-//! The subcommands that talk to a unit.
+//! Subcommands that communicate with an IMU.
 
 use super::Failure;
 use crate::{
@@ -6,69 +6,73 @@ use crate::{
     protocol::{MessageId, OrientationForm, message::baud_from_code, mtdata2},
     serial::{Port, Report, Runner, candidates},
 };
+use node_kit::{
+    console, errln,
+    files::{FileError, OutputFile},
+    outln,
+};
 use rig_model::Stamp;
 use std::{
-    fs::File,
     io::Write,
     path::PathBuf,
     sync::atomic::{AtomicBool, Ordering},
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
-/// Where the unit is.
+/// Serial line of the IMU.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Line {
     /// Serial port
     #[arg(long)]
     port: String,
-    /// Baud rate; without it the unit is looked for at the usual ones
+    /// Baud rate; without it, search at the usual ones
     #[arg(long)]
     baud: Option<u32>,
     /// Two stop bits, for an MTx from before 2008
     #[arg(long)]
     two_stop_bits: bool,
-    /// Give up after so many seconds
+    /// Time limit in seconds
     #[arg(long, default_value_t = 10.0)]
     timeout: f64,
 }
 
-/// Look for units.
+/// Arguments of `volant imu find`.
 #[derive(Debug, clap::Args)]
 pub struct Find {
-    /// Look at this port only (may be given several times)
+    /// Search this port only (may be given several times)
     #[arg(long)]
     port: Vec<String>,
-    /// Seconds per port
+    /// Time limit per port in seconds
     #[arg(long, default_value_t = 7.0)]
     timeout: f64,
 }
 
-/// What to set.
+/// Arguments of `volant imu configure`.
 #[derive(Debug, clap::Args)]
 pub struct Configure {
     #[command(flatten)]
     line: Line,
-    /// Samples per second
+    /// Sampling rate in Hz
     #[arg(long, default_value_t = 100.0)]
     rate: f64,
-    /// Leave the orientation out
+    /// Disable the orientation
     #[arg(long)]
     no_orientation: bool,
-    /// Leave the magnetic field out
+    /// Disable the magnetic field
     #[arg(long)]
     no_magnetic_field: bool,
-    /// Send the temperature
+    /// Enable the temperature
     #[arg(long)]
     temperature: bool,
-    /// Send the status bits
+    /// Enable the status bits
     #[arg(long)]
     status: bool,
-    /// Set the unit to this baud rate first (it is reset for that)
+    /// Set this baud rate first (the IMU is reset)
     #[arg(long)]
     set_baud: Option<u32>,
 }
 
-/// What to log.
+/// Arguments of `volant imu log`.
 #[derive(Debug, clap::Args)]
 pub struct Log {
     #[command(flatten)]
@@ -76,39 +80,47 @@ pub struct Log {
     /// File to write the raw bytes to
     #[arg(long)]
     out: PathBuf,
-    /// Stop after so many seconds of samples; without it, at ctrl-c
+    /// Replace an existing file
+    #[arg(long)]
+    overwrite: bool,
+    /// Duration of the samples in seconds; without it, until ctrl-c
     #[arg(long)]
     duration: Option<f64>,
-    /// Set the standard outputs first; without it the unit's settings are left as they are
+    /// Set the standard outputs first; without it the settings remain
     #[arg(long)]
     configure: bool,
 }
 
-#[allow(clippy::disallowed_methods, reason = "a tool that talks to a device lives in real time")]
+#[allow(clippy::disallowed_methods, reason = "communication with a device runs in real time")]
 pub(super) fn now() -> Stamp {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     Stamp::from_nanos(i64::try_from(since.as_nanos()).unwrap_or(i64::MAX))
 }
 
-#[allow(clippy::disallowed_methods, reason = "a tool that talks to a device lives in real time")]
+#[allow(clippy::disallowed_methods, reason = "communication with a device runs in real time")]
 fn instant() -> Instant {
     Instant::now()
 }
 
-/// What the driver tells, until `take` has seen enough.
-enum Told<'a> {
+/// Flag of a conversation that no signal ends.
+static NEVER: AtomicBool = AtomicBool::new(false);
+
+/// Output of the driver.
+enum Received<'a> {
     Sample(&'a Sample),
     Event(&'a Event),
     Bytes(&'a [u8]),
 }
 
-/// Runs a driver until `take` returns false or the time is over; whether `take` ended it.
+/// Runs a driver for at most `seconds`, until `stop` is set or `handle` returns false; returns
+/// whether it did.
 fn converse(
     line: &Line,
     config: DriverConfig,
     seconds: f64,
     raw: bool,
-    mut take: impl FnMut(Told<'_>) -> bool,
+    stop: &AtomicBool,
+    mut handle: impl FnMut(Received<'_>) -> bool,
 ) -> Result<bool, Failure> {
     let config = DriverConfig { baud: line.baud, two_stop_bits: line.two_stop_bits, ..config };
     let driver = Driver::new(config).map_err(|e| e.to_string())?;
@@ -117,32 +129,33 @@ fn converse(
     let runner = Runner { port: line.port.clone(), driver, raw, opened: Some(opened) };
     let end = instant() + Duration::from_secs_f64(seconds.clamp(0.0, 1e9));
     let ended = AtomicBool::new(false);
-    let tell = |report: Report| {
+    let on_report = |report: Report| {
         let go_on = match &report {
-            Report::Sample(sample) => take(Told::Sample(sample)),
-            Report::Event(event) => take(Told::Event(event)),
-            Report::Bytes(bytes) => take(Told::Bytes(bytes)),
+            Report::Sample(sample) => handle(Received::Sample(sample)),
+            Report::Event(event) => handle(Received::Event(event)),
+            Report::Bytes(bytes) => handle(Received::Bytes(bytes)),
             Report::Status(_) => true,
         };
         ended.store(!go_on, Ordering::Relaxed);
         go_on
     };
-    runner.run(now, || None, tell, || instant() < end);
+    runner.run(now, || None, on_report, || instant() < end && !stop.load(Ordering::Relaxed));
     Ok(ended.load(Ordering::Relaxed))
 }
 
-fn look() -> DriverConfig {
+fn read_only() -> DriverConfig {
     DriverConfig { leave_settings: true, ..DriverConfig::default() }
 }
 
-/// Waits until a unit measures; what it is.
-fn identify(line: &Line, config: DriverConfig, say: bool) -> Result<Identity, Failure> {
+/// Waits until a device measures and returns its identity; `verbose` prints events.
+fn identify(line: &Line, config: DriverConfig, verbose: bool) -> Result<Identity, Failure> {
     let mut found = None;
-    let mut trouble = None;
-    let done = converse(line, config, line.timeout, false, |told| {
-        if let Told::Event(event) = told {
-            if say && (event.severity() > Severity::Info || matches!(event, Event::Set { .. })) {
-                eprintln!("{event}");
+    let mut problem = None;
+    let done = converse(line, config, line.timeout, false, &NEVER, |received| {
+        if let Received::Event(event) = received {
+            if verbose && (event.severity() > Severity::Info || matches!(event, Event::Set { .. }))
+            {
+                errln!("{event}");
             }
             match event {
                 Event::Measuring(identity) => {
@@ -150,7 +163,7 @@ fn identify(line: &Line, config: DriverConfig, say: bool) -> Result<Identity, Fa
                     return false;
                 }
                 Event::Found(identity) => found = Some(identity.clone()),
-                _ if event.severity() > Severity::Info => trouble = Some(event.to_string()),
+                _ if event.severity() > Severity::Info => problem = Some(event.to_string()),
                 _ => {}
             }
         }
@@ -158,13 +171,14 @@ fn identify(line: &Line, config: DriverConfig, say: bool) -> Result<Identity, Fa
     })?;
     match (done, found) {
         (true, Some(identity)) => Ok(identity),
-        (_, Some(identity)) if !say => Ok(identity),
+        (_, Some(identity)) if !verbose => Ok(identity),
         _ => Err(format!(
-            "no unit is ready at {} after {:.0} s: {}",
+            "no IMU is ready at {} after {:.0} s: {}",
             line.port,
             line.timeout,
-            trouble.unwrap_or_else(|| "it does not answer; give another --port or --timeout".into())
-        )),
+            problem.unwrap_or_else(|| "no answer; give another --port or --timeout".into())
+        )
+        .into()),
     }
 }
 
@@ -175,36 +189,43 @@ pub(super) fn find(arguments: &Find) -> Result<(), Failure> {
         ports = candidates().into_iter().map(|c| (c.path, c.adapter)).collect();
     }
     if ports.is_empty() {
-        return Err(
-            "this machine has no serial port; plug the unit in (and see `dmesg`), or give --port".into()
-        );
+        let remedy = "connect the IMU (and check `dmesg`), or give --port";
+        return Err(format!("no serial port found; {remedy}").into());
     }
     let mut any = false;
     for (port, adapter) in ports {
-        let line = Line { port: port.clone(), baud: None, two_stop_bits: false, timeout: arguments.timeout };
-        match identify(&line, look(), false) {
+        let line = Line {
+            port: port.clone(),
+            baud: None,
+            two_stop_bits: false,
+            timeout: arguments.timeout,
+        };
+        match identify(&line, read_only(), false) {
             Ok(identity) => {
                 any = true;
-                println!("{port} ({adapter}): {identity}");
+                outln!("{port} ({adapter}): {identity}")?;
             }
-            Err(reason) => println!("{port} ({adapter}): {reason}"),
+            Err(reason) => outln!("{port} ({adapter}): {reason}")?,
         }
     }
-    if any { Ok(()) } else { Err("no unit was found; is it powered? (--port names one port)".into()) }
+    if any {
+        Ok(())
+    } else {
+        Err("no IMU found; check its power supply, or give its --port".to_owned().into())
+    }
 }
 
 pub(super) fn info(line: &Line) -> Result<(), Failure> {
-    show(&identify(line, look(), true)?);
-    Ok(())
+    show(&identify(line, read_only(), true)?)
 }
 
-fn show(identity: &Identity) {
-    println!("{identity}");
-    println!("family: {}", identity.device_id.family());
+fn show(identity: &Identity) -> Result<(), Failure> {
+    outln!("{identity}")?;
+    outln!("family: {}", identity.device_id.family())?;
     if let Some(c) = &identity.configuration {
         match c.rate() {
-            Some(rate) => println!("rate: {rate:.3} Hz (period {}, skip {})", c.period, c.skip),
-            None => println!("rate: on request only (period {}, skip {})", c.period, c.skip),
+            Some(rate) => outln!("rate: {rate:.3} Hz (period {}, skip {})", c.period, c.skip)?,
+            None => outln!("rate: on request only (period {}, skip {})", c.period, c.skip)?,
         }
         if identity.outputs.is_none() {
             let form = match c.format.settings.orientation_form() {
@@ -213,46 +234,25 @@ fn show(identity: &Identity) {
                 Some(OrientationForm::Matrix) => "matrix",
                 None => "none",
             };
-            println!(
+            outln!(
                 "output mode {:04X}, settings {:08X}: {:?}, orientation as {form}, {:?}",
-                c.format.mode.0,
-                c.format.settings.0,
+                c.format.mode.bits(),
+                c.format.settings.bits(),
                 c.format.settings.number_format(),
                 c.format.settings.global_frame()
-            );
-            println!("message: {} bytes", c.format.data_length() + 5);
+            )?;
+            outln!("message: {} bytes", c.format.data_length() + 5)?;
         }
     }
     for output in identity.outputs.iter().flatten() {
-        let every =
-            if output.rate == u16::MAX { "every message".into() } else { format!("{} Hz", output.rate) };
-        println!("output {:04X}: {} ({every})", output.id, name_of(output.id));
+        let every = if output.rate == u16::MAX {
+            "every message".into()
+        } else {
+            format!("{} Hz", output.rate)
+        };
+        outln!("output {:04X}: {} ({every})", output.id, mtdata2::xdi::name(output.id))?;
     }
-}
-
-fn name_of(id: u16) -> &'static str {
-    use mtdata2::xdi;
-    match id & 0xFFF0 {
-        xdi::TEMPERATURE => "temperature",
-        xdi::UTC => "date and time",
-        xdi::COUNTER => "counter",
-        xdi::SAMPLE_TIME_FINE => "time in 0.1 ms",
-        xdi::SAMPLE_TIME_COARSE => "time in s",
-        xdi::QUATERNION => "quaternion",
-        xdi::MATRIX => "matrix",
-        xdi::EULER => "Euler angles",
-        xdi::PRESSURE => "pressure",
-        xdi::DELTA_VELOCITY => "velocity increment",
-        xdi::ACCELERATION => "acceleration",
-        xdi::FREE_ACCELERATION => "free acceleration",
-        xdi::ACCELERATION_HR => "acceleration, fast",
-        xdi::ANGULAR_VELOCITY => "rate of turn",
-        xdi::DELTA_ORIENTATION => "orientation increment",
-        xdi::ANGULAR_VELOCITY_HR => "rate of turn, fast",
-        xdi::MAGNETIC_FIELD => "magnetic field",
-        xdi::STATUS_BYTE | xdi::STATUS_WORD => "status",
-        _ => "other",
-    }
+    Ok(())
 }
 
 pub(super) fn configure(arguments: &Configure) -> Result<(), Failure> {
@@ -270,57 +270,65 @@ pub(super) fn configure(arguments: &Configure) -> Result<(), Failure> {
         line.baud = Some(baud);
     }
     DriverConfig { baud: line.baud, ..config.clone() }.check().map_err(|e| e.to_string())?;
-    show(&identify(&line, config, true)?);
-    Ok(())
+    show(&identify(&line, config, true)?)
 }
 
 fn set_baud(line: &Line, baud: u32) -> Result<(), Failure> {
     let code = crate::protocol::message::baud_code(baud)
         .and_then(|code| baud_from_code(code).map(|_| code))
-        .ok_or_else(|| format!("no unit talks at {baud} baud"))?;
-    let config = DriverConfig { set_baud: Some(code), ..look() };
+        .ok_or_else(|| format!("{baud} baud is not supported by the IMU"))?;
+    let config = DriverConfig { set_baud: Some(code), ..read_only() };
     let mut set = false;
-    converse(line, config, line.timeout, false, |told| {
-        if let Told::Event(event) = told {
-            eprintln!("{event}");
+    converse(line, config, line.timeout, false, &NEVER, |received| {
+        if let Received::Event(event) = received {
+            errln!("{event}");
             set |= *event == Event::Set { what: MessageId::BAUD_RATE };
             if set {
-                // The Reset that brings the rate into force is on the wire: the port stays open until the unit has it.
+                // Keeps the port open until the device has received the Reset.
                 std::thread::sleep(Duration::from_millis(100));
             }
             return !set;
         }
         true
     })?;
-    if set { Ok(()) } else { Err(format!("the unit at {} did not take {baud} baud; see above", line.port)) }
+    if set {
+        Ok(())
+    } else {
+        let port = &line.port;
+        Err(format!("the IMU at {port} rejected {baud} baud; see the messages above").into())
+    }
 }
 
 pub(super) fn log(arguments: &Log) -> Result<(), Failure> {
     let out = &arguments.out;
-    let cannot = |e: std::io::Error| format!("{} cannot be written: {e}; give another --out", out.display());
-    let mut file = File::create(out).map_err(cannot)?;
-    let config = if arguments.configure { DriverConfig::default() } else { look() };
+    // A new log bears its name from the start: its bytes are readable whatever ends the process.
+    let mut file = match arguments.overwrite {
+        true => OutputFile::create(out, true)?,
+        false => OutputFile::in_place(out)?,
+    };
+    let stop = console::stop_flag().map_err(|e| e.to_string())?;
+    let config = if arguments.configure { DriverConfig::default() } else { read_only() };
     let (mut samples, mut bytes_written) = (0_u64, 0_u64);
     let mut first = None;
     let mut failed = None;
     let forever = 1e9;
     let wait = arguments.duration.map_or(forever, |d| d + arguments.line.timeout);
-    converse(&arguments.line, config, wait, true, |told| {
-        match told {
-            Told::Bytes(bytes) => {
-                // Unbuffered: what came before ctrl-c is in the file.
-                if let Err(error) = file.write_all(bytes) {
-                    failed = Some(cannot(error));
+    converse(&arguments.line, config, wait, true, &stop, |received| {
+        match received {
+            Received::Bytes(bytes) => {
+                // Unbuffered, so that the file is complete after a kill.
+                if let Err(source) = file.write_all(bytes) {
+                    failed = Some(FileError::Io { path: out.clone(), source });
                     return false;
                 }
                 bytes_written += bytes.len() as u64;
             }
-            Told::Event(event) => eprintln!("{event}"),
-            Told::Sample(sample) => {
+            Received::Event(event) => errln!("{event}"),
+            Received::Sample(sample) => {
                 samples += 1;
                 let start = *first.get_or_insert(sample.stamp);
                 if samples % 100 == 0 {
-                    eprintln!("{samples} samples, {bytes_written} bytes");
+                    errln!("{samples} samples, {bytes_written} bytes");
                 }
                 return arguments.duration.is_none_or(|d| sample.stamp.seconds_since(start) < d);
             }
@@ -328,11 +336,13 @@ pub(super) fn log(arguments: &Log) -> Result<(), Failure> {
         true
     })?;
     if let Some(failure) = failed {
-        return Err(failure);
+        return Err(failure.into());
     }
     if samples == 0 {
-        return Err(format!("no sample came from {}; see above", arguments.line.port));
+        let port = &arguments.line.port;
+        return Err(format!("no sample received from {port}; see the messages above").into());
     }
-    eprintln!("{}: {samples} samples, {bytes_written} bytes", out.display());
+    file.commit()?;
+    errln!("{}: {samples} samples, {bytes_written} bytes", out.display());
     Ok(())
 }

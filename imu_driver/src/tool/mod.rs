@@ -1,4 +1,4 @@
-//! `volant imu …`: what a person does with a unit and its logs.
+//! Command `volant imu`.
 
 mod live;
 mod playback;
@@ -7,17 +7,24 @@ use crate::{
     log::{LogCounts, LogError, decode_to_csv, saved_configuration},
     protocol::LegacyFormat,
 };
-use clap::{Parser, Subcommand};
+use clap::{Parser, Subcommand, error::ErrorKind};
+use node_kit::{
+    console::{self, EXIT_STATUS, OutputError},
+    errln,
+    files::{FileError, OutputFile, check_output},
+    out,
+};
 use std::{
     fs::File,
-    io::{BufWriter, Read, Write},
+    io::{BufWriter, Read},
     path::{Path, PathBuf},
     process::ExitCode,
 };
+use thiserror::Error;
 
-/// Finds, shows, sets, logs and decodes Xsens inertial units.
+/// Find, inspect, configure and log Xsens IMUs; decode logs.
 #[derive(Debug, Parser)]
-#[command(name = "volant imu", bin_name = "volant imu", version)]
+#[command(name = "volant imu", bin_name = "volant imu", version, after_help = EXIT_STATUS)]
 pub struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -25,37 +32,83 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Look for units on the serial ports of this machine
+    /// Search the serial ports of this computer for IMUs
     Find(live::Find),
-    /// Show a unit's identity and configuration
+    /// Show identity and configuration of an IMU
     Info(live::Line),
-    /// Set a unit's rate, outputs and baud rate (they go into its flash)
+    /// Set rate, outputs and baud rate of an IMU (stored in its flash)
     Configure(live::Configure),
-    /// Record a unit's raw bytes, its configuration first
+    /// Record the raw bytes of an IMU, its configuration first
     Log(live::Log),
-    /// Play a log back through the driver and show what it makes of it
+    /// Process a log with the driver and report samples and losses
     Playback(playback::Playback),
-    /// Decode a log to a table
+    /// Decode a log to CSV
     Decode(Decode),
 }
 
 #[derive(Debug, clap::Args)]
 struct Decode {
-    /// Raw bytes recorded from a unit
+    /// Raw bytes recorded from an IMU
     log: PathBuf,
-    /// The unit's Configuration, where the log holds none (legacy MTData cannot be read without)
+    /// Configuration of the IMU, required for legacy MTData if the log contains none
     #[arg(long)]
     config: Option<PathBuf>,
-    /// The table to write: one row per data message
+    /// CSV to write: one row per data message
     #[arg(long)]
     csv: PathBuf,
+    /// Replace an existing file
+    #[arg(long)]
+    overwrite: bool,
 }
 
-/// One line that names the thing and the remedy.
-pub(crate) type Failure = String;
+/// Why a command failed.
+#[derive(Debug, Error)]
+pub(crate) enum Failure {
+    /// Message of one line: file or device, and remedy.
+    #[error("{0}")]
+    Work(String),
+    /// A file that is not written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// Standard output is closed or full.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+}
 
-/// Does what the command line says; the exit status.
-pub fn run(arguments: Arguments) -> ExitCode {
+impl From<String> for Failure {
+    fn from(message: String) -> Self {
+        Self::Work(message)
+    }
+}
+
+/// Runs the command of the process's command line and returns the exit status.
+pub fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            // Fails where standard output or error is closed.
+            let printed = error.print().map_err(OutputError::from).and_then(|()| out!(""));
+            return match (error.kind(), printed) {
+                (ErrorKind::DisplayHelp | ErrorKind::DisplayVersion, Ok(())) => ExitCode::SUCCESS,
+                (ErrorKind::DisplayHelp | ErrorKind::DisplayVersion, Err(e)) => e.report(NAME),
+                _ => ExitCode::from(2),
+            };
+        }
+    };
+    // A log without a duration is ended by a signal, and is complete then.
+    if !matches!(arguments.command, Command::Log(_))
+        && let Err(error) = console::end_on_signals(NAME, || {})
+    {
+        errln!("{NAME}: {error}");
+        return ExitCode::FAILURE;
+    }
+    run(arguments)
+}
+
+const NAME: &str = "volant imu";
+
+/// Runs the command and returns the exit status.
+fn run(arguments: Arguments) -> ExitCode {
     let done = match arguments.command {
         Command::Find(find) => live::find(&find),
         Command::Info(line) => live::info(&line),
@@ -66,29 +119,29 @@ pub fn run(arguments: Arguments) -> ExitCode {
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
+        Err(Failure::Output(error)) => error.report(NAME),
         Err(failure) => {
-            eprintln!("volant imu: {failure}");
+            errln!("{NAME}: {failure}");
             ExitCode::FAILURE
         }
     }
 }
 
-/// Longest log that is read at once: a day at 400 Hz has 2 GB.
+/// Largest log, bytes: a day at 400 Hz has 2 GB.
 const LONGEST_LOG: u64 = 4 << 30;
 
 pub(crate) fn read_log(path: &Path) -> Result<Vec<u8>, Failure> {
-    let cannot =
-        |e: std::io::Error| format!("{} cannot be read: {e}; give a file of raw bytes", path.display());
+    let cannot = |e: std::io::Error| {
+        Failure::from(format!("{} cannot be read: {e}; give a log of raw bytes", path.display()))
+    };
     let file = File::open(path).map_err(cannot)?;
     let length = file.metadata().map_err(cannot)?.len();
     let mut log = Vec::with_capacity(length.min(LONGEST_LOG) as usize);
     file.take(LONGEST_LOG + 1).read_to_end(&mut log).map_err(cannot)?;
     if log.len() as u64 > LONGEST_LOG {
         let gibibytes = LONGEST_LOG >> 30;
-        return Err(format!(
-            "{} is longer than {gibibytes} GiB; split it (any split will do)",
-            path.display()
-        ));
+        let path = path.display();
+        return Err(format!("{path} is larger than {gibibytes} GiB; split it (at any byte)").into());
     }
     Ok(log)
 }
@@ -97,37 +150,44 @@ pub(crate) fn read_configuration(path: Option<&Path>) -> Result<Option<LegacyFor
     let Some(path) = path else {
         return Ok(None);
     };
-    saved_configuration(&read_log(path)?).map_err(|e| format!("{}: {e}", path.display()))
+    saved_configuration(&read_log(path)?).map_err(|e| format!("{}: {e}", path.display()).into())
+}
+
+impl Decode {
+    fn inputs(&self) -> Vec<&Path> {
+        std::iter::once(&self.log).chain(&self.config).map(PathBuf::as_path).collect()
+    }
 }
 
 fn run_decode(arguments: &Decode) -> Result<(), Failure> {
+    let csv = &arguments.csv;
+    check_output(csv, arguments.overwrite, &arguments.inputs())?;
     let log = read_log(&arguments.log)?;
     let format = read_configuration(arguments.config.as_deref())?;
-    let csv = &arguments.csv;
-    let cannot = |e: std::io::Error| format!("{} cannot be written: {e}; give another --csv", csv.display());
-    // Decoded twice: a log that is none leaves no empty table behind, and a table is some times as long as its log.
-    let of_log = |e| match e {
-        LogError::Write { source } => cannot(source),
-        e => format!("{}: {e}", arguments.log.display()),
-    };
-    decode_to_csv(&log, format, &mut std::io::sink()).map_err(of_log)?;
-    let mut file = BufWriter::new(File::create(csv).map_err(cannot)?);
-    let counts = decode_to_csv(&log, format, &mut file).map_err(of_log)?;
-    file.flush().map_err(cannot)?;
-    say_counts(&counts);
+    // The CSV is too large to keep in memory; of an invalid log none is left.
+    let mut file = BufWriter::new(OutputFile::create(csv, arguments.overwrite)?);
+    let cannot = |source| FileError::Io { path: csv.clone(), source };
+    let counts = decode_to_csv(&log, format, &mut file).map_err(|e| match e {
+        LogError::Write { source } => Failure::from(cannot(source)),
+        e => format!("{}: {e}", arguments.log.display()).into(),
+    })?;
+    file.into_inner().map_err(|e| cannot(e.into_error()))?.commit()?;
+    print_counts(&counts);
     Ok(())
 }
 
-fn say_counts(counts: &LogCounts) {
+fn print_counts(counts: &LogCounts) {
     if counts.unreadable > 0 {
-        eprintln!("{} data messages do not fit the format and are left out", counts.unreadable);
+        errln!("{} data messages do not fit the format and are omitted", counts.unreadable);
     }
     let others = counts.parser.frames - counts.rows - counts.unreadable;
     if others > 0 {
-        eprintln!("{others} frames are no data messages (acknowledgements, configuration)");
+        errln!("{others} frames are not data messages (acknowledgements, configuration)");
     }
-    eprintln!(
+    errln!(
         "{} frames, {} bad checksums, {} skipped bytes",
-        counts.parser.frames, counts.parser.bad_checksums, counts.parser.skipped_bytes
+        counts.parser.frames,
+        counts.parser.bad_checksums,
+        counts.parser.skipped_bytes
     );
 }

@@ -1,4 +1,4 @@
-//! A log through the driver, as if its unit were there.
+//! Processing of a log with the driver.
 
 use super::{Failure, read_configuration, read_log};
 use crate::{
@@ -6,30 +6,37 @@ use crate::{
     log::{configuration_in, frames_of},
     protocol::{Configuration, LegacyFormat, MessageId, frame, write_frame},
 };
+use node_kit::{
+    errln,
+    files::{FileError, OutputFile, check_output},
+};
 use rig_model::Stamp;
 use std::{
-    fs::File,
     io::{BufWriter, Write},
-    path::PathBuf,
+    path::{Path, PathBuf},
 };
 
-/// Which log.
+/// Arguments of `volant imu playback`.
 #[derive(Debug, clap::Args)]
 pub struct Playback {
-    /// Raw bytes recorded from a unit
+    /// Raw bytes recorded from an IMU
     log: PathBuf,
-    /// The unit's Configuration, where the log holds none
+    /// Configuration of the IMU, if the log contains none
     #[arg(long)]
     config: Option<PathBuf>,
-    /// Messages per second, where the Configuration does not say
+    /// Message rate in Hz, if the Configuration does not contain it
     #[arg(long, default_value_t = 100.0)]
     rate: f64,
-    /// Write what the node would publish: stamp, specific force, rate of turn, orientation (east-north-up)
+    /// CSV to write, as published by the node: stamp, specific force, angular velocity, orientation
+    /// (east-north-up)
     #[arg(long)]
     csv: Option<PathBuf>,
+    /// Replace an existing file
+    #[arg(long)]
+    overwrite: bool,
 }
 
-/// The log's frames as a unit that answers and then streams them.
+/// Frames of a log, and the answers of its device.
 struct Replayed {
     configuration: Configuration,
     modern: bool,
@@ -38,7 +45,7 @@ struct Replayed {
 
 fn read(arguments: &Playback) -> Result<Replayed, Failure> {
     let log = read_log(&arguments.log)?;
-    let named = |reason: &str| format!("{}: {reason}", arguments.log.display());
+    let named = |reason: &str| Failure::from(format!("{}: {reason}", arguments.log.display()));
     let mut configuration = None;
     let mut data = Vec::new();
     let mut modern = false;
@@ -54,12 +61,14 @@ fn read(arguments: &Playback) -> Result<Replayed, Failure> {
         }
     });
     if data.is_empty() {
-        return Err(named("no data message is in it; is it a unit's raw log?"));
+        return Err(named("no data message; give the raw bytes of an IMU"));
     }
     let given = read_configuration(arguments.config.as_deref())?;
     let format = given.or_else(|| configuration_in(&log));
     if !modern && format.is_none() {
-        return Err(named("legacy MTData without a Configuration; give it with --config CONFIGURATION.bin"));
+        return Err(named(
+            "legacy MTData without a Configuration; give one with --config CONFIGURATION.bin",
+        ));
     }
     let mut configuration = configuration.unwrap_or_else(|| Configuration {
         period: (115_200.0 / arguments.rate.clamp(2.0, 512.0)).round() as u16,
@@ -74,7 +83,9 @@ impl Replayed {
         let message = MessageId(*request.get(2)?);
         let data = match message {
             MessageId::GO_TO_CONFIG | MessageId::GO_TO_MEASUREMENT => vec![],
-            MessageId::REQ_DEVICE_ID => (self.configuration.device_id.0 as u32).to_be_bytes().to_vec(),
+            MessageId::REQ_DEVICE_ID => {
+                (self.configuration.device_id.0 as u32).to_be_bytes().to_vec()
+            }
             MessageId::REQ_PRODUCT_CODE => b"recorded".to_vec(),
             MessageId::REQ_FIRMWARE => vec![0, 0, 0],
             MessageId::REQ_CONFIGURATION => self.configuration.to_data(),
@@ -86,28 +97,33 @@ impl Replayed {
 }
 
 pub(super) fn playback(arguments: &Playback) -> Result<(), Failure> {
-    let unit = read(arguments)?;
+    let inputs: Vec<&Path> =
+        std::iter::once(&arguments.log).chain(&arguments.config).map(PathBuf::as_path).collect();
     let mut table = match &arguments.csv {
         Some(path) => {
-            let file = File::create(path)
-                .map_err(|e| format!("{} cannot be written: {e}; give another --csv", path.display()))?;
-            Some(BufWriter::new(file))
+            check_output(path, arguments.overwrite, &inputs)?;
+            Some(BufWriter::new(OutputFile::create(path, arguments.overwrite)?))
         }
         None => None,
     };
+    let log = read(arguments)?;
+    let cannot = |source| FileError::Io { path: arguments.csv.clone().unwrap_or_default(), source };
     let mut write = |line: String| -> Result<(), Failure> {
         match &mut table {
-            Some(table) => writeln!(table, "{line}").map_err(|e| format!("the table cannot be written: {e}")),
+            Some(table) => Ok(writeln!(table, "{line}").map_err(cannot)?),
             None => Ok(()),
         }
     };
     write("stamp,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z,q_w,q_x,q_y,q_z".into())?;
-    let config =
-        DriverConfig { leave_settings: true, transmission_delay: Some(0.0), ..DriverConfig::default() };
+    let config = DriverConfig {
+        leave_settings: true,
+        transmission_delay: Some(0.0),
+        ..DriverConfig::default()
+    };
     let mut driver = Driver::new(config).map_err(|e| e.to_string())?;
-    let period = unit.configuration.ticks_per_message().map_or(0.01, |t| f64::from(t) / 115_200.0);
+    let period = log.configuration.ticks_per_message().map_or(0.01, |t| f64::from(t) / 115_200.0);
     let mut at = Stamp::default();
-    let mut data = unit.data.iter();
+    let mut data = log.data.iter();
     let (mut samples, mut ended) = (0_u64, false);
     while !ended {
         at = at.plus_seconds(period);
@@ -121,20 +137,20 @@ pub(super) fn playback(arguments: &Playback) -> Result<(), Failure> {
             }
         } else {
             driver.handle(Input::Tick { at });
-            // A log that the driver never gets to measure from ends too.
+            // Ends if the driver never enters the measurement state.
             ended = at.as_nanos() > 60_000_000_000 && samples == 0;
         }
         while let Some(output) = driver.poll() {
             match output {
                 Output::Open { .. } => driver.handle(Input::Opened { at }),
                 Output::Write(request) => {
-                    if let Some(reply) = unit.answer(&request) {
+                    if let Some(reply) = log.answer(&request) {
                         driver.handle(Input::Bytes { bytes: &reply, arrival: at });
                     }
                 }
                 Output::Event(event) => {
                     if event.severity() > Severity::Info || matches!(event, Event::Measuring(_)) {
-                        eprintln!("{at}: {event}");
+                        errln!("{at}: {event}");
                     }
                 }
                 Output::Sample(sample) => {
@@ -156,12 +172,18 @@ pub(super) fn playback(arguments: &Playback) -> Result<(), Failure> {
         }
     }
     let statistics = driver.statistics();
-    eprintln!(
+    errln!(
         "{samples} messages, {} samples, {} lost, {} unreadable",
-        statistics.samples, statistics.lost, statistics.unreadable
+        statistics.samples,
+        statistics.lost,
+        statistics.unreadable
     );
     if samples == 0 {
-        return Err(format!("{}: the driver made no sample of it; see above", arguments.log.display()));
+        let log = arguments.log.display();
+        return Err(format!("{log}: no sample was decoded; see the messages above").into());
+    }
+    if let Some(table) = table {
+        table.into_inner().map_err(|e| cannot(e.into_error()))?.commit()?;
     }
     Ok(())
 }

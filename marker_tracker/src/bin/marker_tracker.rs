@@ -1,4 +1,4 @@
-//! The marker tracker's node: images in, `climber/markers` out.
+//! The marker tracker node: images in, `climber/markers` out.
 
 use std::process::ExitCode;
 
@@ -11,11 +11,11 @@ fn main() -> ExitCode {
     node_kit::run_node::<marker_tracker::node::MarkerTrackerNode>()
 }
 
-// Instead of `required-features`: colcon installs no executable that has them.
+// Instead of `required-features`: colcon does not install executables with those.
 #[cfg(not(feature = "node"))]
 fn main() -> ExitCode {
     eprintln!(
-        "marker_tracker: built without its feature `node`, it can do nothing; build it with the default features"
+        "marker_tracker: built without the feature `node`; build it with the default features"
     );
     ExitCode::FAILURE
 }

@@ -1,11 +1,31 @@
-//! The straight line through the places of an edge on its rows.
+//! Line fit: the straight line through the places of an edge on its rows.
 
-use super::{Column, EdgeFit, MAX_ROWS, eight, present};
-use crate::outline::ShapePrior;
+use crate::edge::{
+    columns::{Column, MAX_ROWS, eight, present},
+    edge_fit::EdgeFit,
+    prior::ShapePrior,
+};
 use nalgebra::Matrix2;
 use wide::f32x8;
 
-/// Where the edge lies on its rows: how far along, and how far outside of the prediction, px.
+/// Variance of a row's place that is assumed at least, px²: 0.02 px, which 8-bit values
+/// leave at a weak edge.
+const MIN_VARIANCE: f64 = 4e-4;
+/// Gate for a row's residual in standard deviations (normal distribution: 0.14 % of the rows are
+/// lost), and its least value, px.
+const ROW_GATE: f64 = 3.2;
+const MIN_GATE: f32 = 0.15;
+/// Largest distance of a row's place from the mean, px, up to which the plain least squares line is
+/// tried first.
+const PLAIN: f32 = 0.3;
+/// Least share of an edge's rows that determine it.
+const MIN_SUPPORT: f64 = 0.2;
+/// Standard deviation of an edge of which all rows are covered, px: rows that a cover's blur
+/// touches a little go unnoticed, in proportion to the covered share. Tuned; guarded by the bound
+/// on partly covered markers in `tests/bags.rs`.
+const COVERED_SIGMA: f64 = 0.2;
+
+/// Places of an edge on its rows: distance along it, and outside of the prediction, px.
 pub(super) struct Places {
     pub count: usize,
     pub along: Column,
@@ -22,7 +42,7 @@ struct LineSums {
 }
 
 impl Places {
-    /// Leaves out the rows that are not good (those that are have 1).
+    /// Keeps the rows whose entry in `good` is positive.
     pub fn keep(&mut self, good: &Column) {
         let mut kept = 0;
         for (i, good) in good.iter().enumerate().take(self.count) {
@@ -34,22 +54,27 @@ impl Places {
         self.count = kept;
     }
 
-    /// Robust straight line through the rows' places.
+    /// Fits a robust straight line to the rows' places. `possible`: number of rows that the edge
+    /// has;
+    /// `length`: its length, px. `None` where fewer than three rows, or less than a fifth of them,
+    /// agree.
     ///
-    /// What covers an edge shows as rows whose crossing lies further in, never further out, so of several places that rows
-    /// agree on the outermost is the edge. Rows beside ones that disagree are half covered and left out with them.
+    /// A cover moves a row's crossing inward, never outward, so that of several places on which
+    /// rows agree the outermost is the edge. Rows beside ones that disagree are half covered and
+    /// are left out with them.
     pub fn line(&self, possible: usize, length: f64, prior: &ShapePrior) -> Option<EdgeFit> {
         let count = self.count;
         if count < 3 {
             return None;
         }
         let lean = 2.0 * prior.slope_sigma * length / 2.0;
-        // Where nothing disagrees all rows are taken, and one look is enough.
+        // Where all rows agree, one pass suffices.
         let zero = f32x8::ZERO;
         let (mut st, mut stt, mut sa, mut sta) = (zero, zero, zero, zero);
         for group in (0..count).step_by(8) {
             let there = present(group, count);
-            let (along, across) = (eight(&self.along, group) & there, eight(&self.across, group) & there);
+            let (along, across) =
+                (eight(&self.along, group) & there, eight(&self.across, group) & there);
             st += along;
             stt += along * along;
             sa += across;
@@ -63,14 +88,15 @@ impl Places {
             let off = (eight(&self.across, group) - mean).abs() & present(group, count);
             furthest = furthest.fast_max(off);
         }
-        if !largest(furthest).is_nan() && largest(furthest) < 0.3 {
+        if !largest(furthest).is_nan() && largest(furthest) < PLAIN {
             let fit = sums.solve(prior)?;
             let (offset, slope) = (f32x8::splat(fit.0 as f32), f32x8::splat(fit.1 as f32));
             let mut residuals: Column = [0.0; MAX_ROWS];
             let (mut square, mut furthest) = (zero, zero);
             for group in (0..count).step_by(8) {
-                let residual = (eight(&self.across, group) - offset - slope * eight(&self.along, group))
-                    & present(group, count);
+                let residual =
+                    (eight(&self.across, group) - offset - slope * eight(&self.along, group))
+                        & present(group, count);
                 square += residual * residual;
                 furthest = furthest.fast_max(residual.abs());
                 residuals[group..group + 8].copy_from_slice(residual.as_array());
@@ -79,7 +105,7 @@ impl Places {
             let (edge, gate) =
                 sums.edge(fit, square.reduce_add(), product, (0.3 + lean) as f32, possible, prior);
             if largest(furthest) < gate {
-                return (edge.support > 0.2).then_some(edge);
+                return (edge.support > MIN_SUPPORT).then_some(edge);
             }
         }
         self.robust_line(possible, lean, prior)
@@ -90,14 +116,14 @@ impl Places {
         let (along, across) = (&self.along[..count], &self.across[..count]);
         let mean = across.iter().sum::<f32>() / count as f32;
         let (mut offset, mut slope, reach);
-        if across.iter().all(|a| (a - mean).abs() < 0.3) {
+        if across.iter().all(|a| (a - mean).abs() < PLAIN) {
             (offset, slope, reach) = (mean, 0f32, 0.3 + lean);
         } else {
             let mut sorted = self.across;
             let sorted = &mut sorted[..count];
             sorted.sort_unstable_by(f32::total_cmp);
             let spread = f64::from(sorted[count * 3 / 4] - sorted[count / 4]) / 1.35;
-            // The fullest place within ± reach, and the outermost that is half as full.
+            // The place with most rows within ± reach, and the outermost with half as many.
             reach = (2.0 * spread).clamp(0.2, 0.4) + lean;
             let near = reach as f32;
             let fullness = |at: usize| {
@@ -107,13 +133,14 @@ impl Places {
             };
             let most = (0..count).map(&fullness).map(|(a, b)| b - a).max()?;
             let enough = most.max(8.min(count));
-            let (from, to) = (0..count).rev().map(&fullness).find(|(a, b)| 2 * (b - a) >= enough)?;
+            let (from, to) =
+                (0..count).rev().map(&fullness).find(|(a, b)| 2 * (b - a) >= enough)?;
             (offset, slope) = (sorted[(from + to) / 2], 0.0);
         }
         let mut gate = reach as f32;
         let mut used = [false; MAX_ROWS];
-        // Rows far apart are no neighbours.
-        let neighbours = possible < prior.rows;
+        // Sampled rows are no neighbors.
+        let neighbors = possible < prior.rows;
         let mut before = usize::MAX;
         let mut result = None;
         for round in 0..3 {
@@ -122,7 +149,7 @@ impl Places {
             for (i, used) in used[..count].iter_mut().enumerate() {
                 let member = agrees(i)
                     && (round == 0
-                        || !neighbours
+                        || !neighbors
                         || ((i == 0 || agrees(i - 1)) && (i + 1 == count || agrees(i + 1))));
                 *used = member;
                 members += usize::from(member);
@@ -131,7 +158,6 @@ impl Places {
                 return None;
             }
             if members == count && members == before {
-                // Every row again: nothing changes any more.
                 break;
             }
             before = members;
@@ -157,7 +183,7 @@ impl Places {
             (edge, gate) = sums.edge(fit, square, product, gate, possible, prior);
             result = Some(edge);
         }
-        result.filter(|e| e.support > 0.2)
+        result.filter(|e| e.support > MIN_SUPPORT)
     }
 }
 
@@ -166,8 +192,8 @@ fn largest(of: f32x8) -> f32 {
 }
 
 impl LineSums {
-    /// Σ along², with what is known of the direction: to `slope_sigma` beforehand; what the rows weigh against it is their
-    /// usual noise.
+    /// Σ along² with the prior of the direction, whose weight assumes a row's usual noise of 0.1
+    /// px.
     fn stt(&self, prior: &ShapePrior) -> f64 {
         self.stt + 0.01 / (prior.slope_sigma * prior.slope_sigma)
     }
@@ -177,12 +203,15 @@ impl LineSums {
         let stt = self.stt(prior);
         let det = self.n * stt - self.st * self.st;
         (det > 0.0).then(|| {
-            ((stt * self.sa - self.st * self.sta) / det, (self.n * self.sta - self.st * self.sa) / det)
+            (
+                (stt * self.sa - self.st * self.sta) / det,
+                (self.n * self.sta - self.st * self.sa) / det,
+            )
         })
     }
 
-    /// The edge that was fitted so, from its residuals' sum of squares and of products of neighbours, and the gate (at most
-    /// `gate`, px) for its rows.
+    /// The edge with this line, from the sum of its squared residuals (px²) and of the products of
+    /// neighboring ones, and the gate (px, at most `gate`) for its rows.
     fn edge(
         &self,
         (offset, slope): (f64, f64),
@@ -194,14 +223,25 @@ impl LineSums {
     ) -> (EdgeFit, f32) {
         let stt = self.stt(prior);
         let det = self.n * stt - self.st * self.st;
-        let variance = (f64::from(square) / (self.n - 2.0).max(1.0)).max(4e-4);
+        let variance = (f64::from(square) / (self.n - 2.0).max(1.0)).max(MIN_VARIANCE);
         let support = self.n / possible.max(1) as f64;
         let mut covariance =
             Matrix2::new(stt, -self.st, -self.st, self.n) * (variance * prior.inflation / det);
-        // Rows that a cover's blur touches a little stay unnoticed: the more is covered the more there are.
-        covariance[(0, 0)] += (0.2 * (1.0 - support)).powi(2);
+        covariance[(0, 0)] += (COVERED_SIGMA * (1.0 - support)).powi(2);
         let lag = [f64::from(square), f64::from(product)];
-        let gate = ((3.2 * variance.sqrt()) as f32).clamp(0.15, gate);
-        (EdgeFit { offset, slope, covariance, support, outside: 0.0, foreign: false, blur: 0.0, lag }, gate)
+        let gate = ((ROW_GATE * variance.sqrt()) as f32).clamp(MIN_GATE, gate);
+        (
+            EdgeFit {
+                offset,
+                slope,
+                covariance,
+                support,
+                outside: 0.0,
+                foreign: false,
+                blur: 0.0,
+                lag,
+            },
+            gate,
+        )
     }
 }

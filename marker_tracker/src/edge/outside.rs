@@ -1,23 +1,35 @@
 //! The level beside an edge.
 
-use super::{Column, eight, present};
-use crate::interior::Interior;
+use crate::edge::{
+    columns::{Column, eight, present},
+    interior::Interior,
+};
 use wide::f32x8;
 
-/// Level outside along the edge: a line through the rows that agree.
+/// Gates for a row's level outside and for the pixel at the band's rim, which the edge's blur may
+/// reach, in standard deviations of a pixel inside (normal distribution: 6e-5 and 2e-9), with their
+/// bounds in units of the contrast. The mean of several pixels scatters less than one.
+const GATE: (f64, f64, f64) = (4.0, 0.06, 0.2);
+const RIM_GATE: (f64, f64, f64) = (6.0, 0.25, 0.5);
+
+/// Level outside along an edge: a line through the rows that agree.
 pub(super) struct Outside {
     pub level: f64,
     /// Per pixel along the edge.
     pub tilt: f64,
     /// Variance of the tilt, in units of a row's.
     pub tilt_variance: f64,
+    /// Gate for a row's level.
     pub gate: f32,
-    /// The same for the single pixel at the band's rim, which the edge's blur may reach.
+    /// Gate for the single pixel at the band's rim.
     pub rim_gate: f32,
+    /// Number of rows that agree.
     pub rows: f64,
 }
 
 impl Outside {
+    /// Fits the level to the rows' levels `outside` at the places `along` (px). `None` where the
+    /// contrast to the interior is at most `min_contrast` or fewer than three rows agree.
     pub fn measure(
         along: &Column,
         outside: &Column,
@@ -39,8 +51,10 @@ impl Outside {
         if contrast.is_nan() || contrast <= min_contrast {
             return None;
         }
-        let gate = ((4.0 * interior.sigma).clamp(0.06, 0.2) * contrast.max(0.3)) as f32;
-        let rim_gate = ((6.0 * interior.sigma).clamp(0.25, 0.5) * contrast.max(0.3)) as f32;
+        let gate_of = |(gate, low, high): (f64, f64, f64)| {
+            ((gate * interior.sigma).clamp(low, high) * contrast.max(0.3)) as f32
+        };
+        let (gate, rim_gate) = (gate_of(GATE), gate_of(RIM_GATE));
         let zero = f32x8::ZERO;
         let (mut n, mut st, mut stt, mut so, mut sto) = (zero, zero, zero, zero, zero);
         for group in (0..count).step_by(8) {
@@ -57,7 +71,7 @@ impl Outside {
         if n < 3.0 {
             return None;
         }
-        // A weak pull to a constant level: the outer rows must not lever it.
+        // A weak prior of a constant level keeps the outer rows from tilting it.
         let free = stt - st * st / n;
         let stt = stt + 2.0 * n * n;
         let det = stt * n - st * st;

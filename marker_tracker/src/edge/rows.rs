@@ -1,35 +1,41 @@
 //! What is read along the rows that cross an edge.
 
-use super::{Column, MAX_BAND, MAX_ROWS};
-use crate::signal::{Sampler, nearest};
-use nalgebra::Vector2;
+use crate::{
+    edge::{
+        columns::{Column, MAX_ROWS},
+        row_plan::{MAX_BAND, RowPlan, Strip},
+    },
+    signal::{Sampler, nearest},
+};
 use wide::f32x8;
 
-/// What was read along the rows: the sums over the band across the edge, and the level beyond it. One for all edges of an outline:
-/// to clear it for each would take longer than to read some of its rows.
+/// Sums over the band across an edge and the level beyond it, row by row. One value serves all
+/// edges of an outline: clearing it for each would take longer than reading some of its rows.
 pub(crate) struct Rows {
     pub(super) count: usize,
-    /// Where the strip begins in the image's bytes.
-    pub(super) begin: [u32; MAX_ROWS],
+    /// Start of the strip in the image's bytes.
+    begin: [u32; MAX_ROWS],
     /// Place along the edge, px from its middle.
     pub(super) along: Column,
-    /// Where the predicted edge crosses the row, and where the band's inner end is seen from there, px.
+    /// Crossing with the predicted edge, px from the band's first pixel, and distance of the band's
+    /// inner end from it, px.
     pub(super) crossing: Column,
     pub(super) inner: Column,
-    /// Pixels of the band, Σ s, Σ s·j and Σ s².
+    /// Number of pixels j of the band, Σ s, Σ s·j and Σ s² of their signal s.
     pub(super) pixels: Column,
     pub(super) s: Column,
     pub(super) sj: Column,
     pub(super) ss: Column,
+    /// Mean signal beyond the band.
     pub(super) outside: Column,
-    /// The band's outermost pixel.
+    /// Signal of the band's outermost pixel.
     pub(super) rim: Column,
-    /// How far outside of the prediction the band reaches, across the edge, px.
+    /// Reach of the band outside of the prediction, across the edge, px.
     pub(super) room: Column,
 }
 
 impl Rows {
-    /// No rows yet.
+    /// Creates empty rows.
     pub fn new() -> Self {
         let zero: Column = [0.0; MAX_ROWS];
         Self {
@@ -48,18 +54,18 @@ impl Rows {
         }
     }
 
-    /// Forgets all rows, for at most `possible` new ones of a band of as many pixels each. Other columns are written anew for every
-    /// row that is added; what they still hold in the lanes after the last row is masked out.
-    pub fn begin_anew(&mut self, possible: usize, band: i32) {
+    /// Clears all rows, for at most `possible` new ones of `band` pixels each. The other columns
+    /// are overwritten row by row; what remains in the lanes after the last row is masked.
+    fn clear(&mut self, possible: usize, band: i32) {
         self.count = 0;
         let groups = possible.next_multiple_of(8).min(MAX_ROWS);
         self.pixels[..groups].fill(band as f32);
         self.room[..groups].fill(f32::INFINITY);
     }
 
-    /// A row that is in the image as a whole.
+    /// Adds a row that is in the image as a whole.
     #[inline(always)]
-    pub fn add(&mut self, begin: u32, along: f32, crossing: f32, inner: f32) {
+    fn add(&mut self, begin: u32, along: f32, crossing: f32, inner: f32) {
         let n = self.count;
         if n < MAX_ROWS {
             self.begin[n] = begin;
@@ -71,19 +77,111 @@ impl Rows {
     }
 }
 
-/// How the strip across an edge lies: band and what is beyond it, px, and the bytes from one pixel to the next.
-pub(super) struct Strip {
-    pub band: i32,
-    pub beyond: i32,
-    pub hop: u32,
-    /// The outside comes last.
-    pub outward: bool,
-}
-
 impl Rows {
-    /// Reads eight rows side by side.
+    /// Reads the rows of a plan; with `partly`, rows whose strip leaves the image as far as they
+    /// are in it.
+    pub(super) fn read_plan(&mut self, sampler: &Sampler<'_>, plan: &RowPlan, partly: bool) {
+        let strip = plan.strip;
+        let (columns, lines) = if plan.axis == 0 {
+            (sampler.width, sampler.height)
+        } else {
+            (sampler.height, sampler.width)
+        };
+        self.clear(plan.possible as usize, strip.band);
+        let is_inside = |line: i32| {
+            let start = plan.band_start(&plan.crossing(line)) - plan.lead();
+            start >= 0 && start + strip.band + strip.beyond <= columns && (0..lines).contains(&line)
+        };
+        // The edge is straight: where both of its ends are in the image, all of it is.
+        let whole = is_inside(plan.line(0)) && is_inside(plan.line(plan.possible - 1));
+        let mut cut = false;
+        for line in plan.lines() {
+            if whole || is_inside(line) {
+                let crossing = plan.crossing(line);
+                let from = plan.band_start(&crossing);
+                let (x, y) = plan.pixel(from - plan.lead(), line);
+                let place = (crossing.place - f64::from(from)) as f32;
+                let inner =
+                    if strip.outward { place + 0.5 } else { strip.band as f32 - place - 0.5 };
+                self.add(sampler.begin(x, y), (crossing.off * plan.per_row) as f32, place, inner);
+            } else {
+                cut = true;
+            }
+        }
+        self.read(sampler, &strip);
+        if cut && partly {
+            for i in 0..plan.possible {
+                self.add_cut(sampler, plan, plan.line(i));
+            }
+        }
+    }
+
+    /// Normalizes each row to 1 inside and 0 outside by the levels at its own ends, and drops the
+    /// rows that a shadow's edge crosses: where the brightness of the surroundings over the
+    /// marker's is not
+    /// `expected`.
+    pub(super) fn relight(&mut self, sampler: &Sampler<'_>, plan: &RowPlan, expected: f32) {
+        /// Pixels inside of the band whose level is the row's.
+        const INNER: u32 = 3;
+        /// Largest relative deviation of the brightness's ratio: four standard deviations of two
+        /// means of three pixels with a noise of 2 % each, and a shadow's tint.
+        const TOLERANCE: f32 = 0.15;
+        /// Largest missing brightness within the band, in pixels of the marker: four standard
+        /// deviations of the sum of nine pixels with a noise of 2 %, and the two levels'.
+        const SHADE: f32 = 0.4;
+        /// Smallest contrast of a row, in units of the adapted one: a shadow may leave 0.15 of the
+        /// light.
+        const MIN_CONTRAST: f32 = 0.1;
+        let Strip { band, beyond, hop, outward } = plan.strip;
+        let brightness = sampler.brightness();
+        let (inner_first, band_first, outer_first) = if outward {
+            (0u32.wrapping_sub(INNER * hop), 0, band as u32 * hop)
+        } else {
+            ((beyond + band) as u32 * hop, beyond as u32 * hop, 0)
+        };
+        let sum = |sampler: &Sampler<'_>, begin: u32, first: u32, count: u32| {
+            let start = begin.wrapping_add(first);
+            (0..count).map(|i| sampler.one(start.wrapping_add(i * hop))).sum::<f32>() / count as f32
+        };
+        let mut kept = 0;
+        for n in 0..self.count {
+            let begin = self.begin[n];
+            let inside = sum(sampler, begin, inner_first, INNER);
+            let outside = sum(sampler, begin, outer_first, beyond as u32);
+            let bright = sum(&brightness, begin, inner_first, INNER);
+            let ratio = sum(&brightness, begin, outer_first, beyond as u32) / bright.max(1e-3);
+            let contrast = inside - outside;
+            if contrast < MIN_CONTRAST || (ratio / expected - 1.0).abs() > TOLERANCE {
+                continue;
+            }
+            let (scale, pixels) = (1.0 / contrast, self.pixels[n]);
+            let shift = -outside * scale;
+            let (s, sj, ss) = (self.s[n], self.sj[n], self.ss[n]);
+            // The brightness of the band follows from the marker's share of it.
+            let covered = scale * s + shift * pixels;
+            let predicted = covered + (pixels - covered) * ratio;
+            let measured = sum(&brightness, begin, band_first, band as u32) * pixels / bright;
+            if (measured - predicted).abs() > SHADE {
+                continue;
+            }
+            self.along[kept] = self.along[n];
+            self.crossing[kept] = self.crossing[n];
+            self.inner[kept] = self.inner[n];
+            self.pixels[kept] = pixels;
+            self.s[kept] = scale * s + shift * pixels;
+            self.sj[kept] = scale * sj + shift * pixels * (pixels - 1.0) / 2.0;
+            self.ss[kept] = scale * scale * ss + 2.0 * scale * shift * s + shift * shift * pixels;
+            self.outside[kept] = 0.0;
+            self.rim[kept] = scale * self.rim[n] + shift;
+            self.room[kept] = self.room[n];
+            kept += 1;
+        }
+        self.count = kept;
+    }
+
+    /// Reads all rows, eight side by side.
     #[inline(always)]
-    pub(super) fn read(&mut self, sampler: &Sampler<'_>, strip: &Strip) {
+    fn read(&mut self, sampler: &Sampler<'_>, strip: &Strip) {
         let Strip { band, beyond, hop, outward } = *strip;
         let (before, after) = if outward { (0, beyond) } else { (beyond, 0) };
         let rim_at = if outward { band - 1 } else { 0 };
@@ -92,7 +190,8 @@ impl Rows {
             let mut begin = [0; 8];
             begin.copy_from_slice(&self.begin[group..group + 8]);
             let mut along = 0;
-            let (mut s, mut sj, mut ss, mut outside) = (f32x8::ZERO, f32x8::ZERO, f32x8::ZERO, f32x8::ZERO);
+            let (mut s, mut sj, mut ss, mut outside) =
+                (f32x8::ZERO, f32x8::ZERO, f32x8::ZERO, f32x8::ZERO);
             let mut rim = f32x8::ZERO;
             for _ in 0..before {
                 outside += next(sampler, &begin, &mut along, hop);
@@ -123,7 +222,7 @@ impl Rows {
     }
 }
 
-/// The signals of eight rows, each a pixel further than the last time.
+/// The next pixel's signals of eight rows.
 #[inline(always)]
 fn next(sampler: &Sampler<'_>, begin: &[u32; 8], along: &mut u32, hop: u32) -> f32x8 {
     let signals = sampler.eight(&begin.map(|b| b.wrapping_add(*along)));
@@ -134,44 +233,39 @@ fn next(sampler: &Sampler<'_>, begin: &[u32; 8], along: &mut u32, hop: u32) -> f
 impl Rows {
     /// Reads a row whose strip leaves the image, as far as it is in it.
     #[cold]
-    pub(super) fn add_cut(
-        &mut self,
-        sampler: &Sampler<'_>,
-        strip: &Strip,
-        k: usize,
-        line: i32,
-        (middle, slope_axis, per_row, half, steep): (Vector2<f64>, f64, f64, f64, f64),
-    ) {
-        let end = if k == 0 { sampler.width } else { sampler.height } - 1;
-        let off = f64::from(line) - middle[1 - k];
-        let crossing = middle[k] + off * slope_axis;
-        let from = nearest(crossing - f64::from(strip.band - 1) / 2.0);
-        let start = if strip.outward { from } else { from - strip.beyond };
+    fn add_cut(&mut self, sampler: &Sampler<'_>, plan: &RowPlan, line: i32) {
+        let (strip, half) = (plan.strip, plan.half);
+        let end = if plan.axis == 0 { sampler.width } else { sampler.height } - 1;
+        let crossing = plan.crossing(line);
+        let start = plan.band_start(&crossing) - plan.lead();
         if start >= 0 && start + strip.band + strip.beyond <= end + 1 {
             return;
         }
-        let (mut from, mut to) = (nearest(crossing - half), nearest(crossing + half));
+        let (mut from, mut to) = (nearest(crossing.place - half), nearest(crossing.place + half));
         let mut room = f64::INFINITY;
         let beyond = if strip.outward {
             if to > end - 1 {
                 to = end - 1;
-                room = f64::from(to) - crossing;
+                room = f64::from(to) - crossing.place;
             }
             strip.beyond.min(end - to)
         } else {
             if from < 1 {
                 from = 1;
-                room = crossing - f64::from(from);
+                room = crossing.place - f64::from(from);
             }
             strip.beyond.min(from)
         };
         let band = to - from + 1;
-        if !(2..=MAX_BAND).contains(&band) || room < half.min(1.0) || beyond < 1 || self.count >= MAX_ROWS {
+        if !(2..=MAX_BAND).contains(&band)
+            || room < half.min(1.0)
+            || beyond < 1
+            || self.count >= MAX_ROWS
+        {
             return;
         }
-        let start = if strip.outward { from } else { from - beyond };
-        let (x, y) = if k == 0 { (start, line) } else { (line, start) };
-        let Some((bytes, hop)) = sampler.line(x, y, k, band + beyond, 1) else { return };
+        let (x, y) = plan.pixel(if strip.outward { from } else { from - beyond }, line);
+        let Some((bytes, hop)) = sampler.line(x, y, plan.axis, band + beyond, 1) else { return };
         let (inner, outer) = if strip.outward {
             bytes.split_at(band as usize * hop)
         } else {
@@ -187,16 +281,16 @@ impl Rows {
         });
         sampler.each(outer, hop, |_, value| outside += value as f32 * sampler.scale);
         let n = self.count;
-        self.along[n] = (off * per_row) as f32;
-        let crossing = (crossing - f64::from(from)) as f32;
+        self.along[n] = (crossing.off * plan.per_row) as f32;
+        let crossing = (crossing.place - f64::from(from)) as f32;
         self.crossing[n] = crossing;
         self.inner[n] = if strip.outward { crossing + 0.5 } else { band as f32 - crossing - 0.5 };
         self.pixels[n] = band as f32;
         (self.s[n], self.sj[n], self.ss[n]) = (s, sj, ss);
         self.outside[n] = outside / beyond as f32;
-        // What is beyond the image is not known: its rim is taken to be as what is beside it.
+        // The rim is unknown beyond the image; what is beside it stands in.
         self.rim[n] = self.outside[n];
-        self.room[n] = (room * steep) as f32;
+        self.room[n] = (room * plan.steep) as f32;
         self.count = n + 1;
     }
 }

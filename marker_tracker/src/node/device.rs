@@ -1,4 +1,4 @@
-//! A camera by V4L2: the driver's own stamps and sequence numbers, its buffers mapped.
+//! Camera device by V4L2, with the driver's stamps and sequence numbers and mapped buffers.
 
 use super::{Arrival, MarkerTrackerParameters, source::Frame};
 use node_kit::{Clock, DeviceSender, Level, Logger};
@@ -11,7 +11,7 @@ use v4l::{
     video::{Capture, capture::Parameters},
 };
 
-/// Pixel formats that are taken, in order of preference, with ROS's name; `None` is a JPEG.
+/// Supported pixel formats in order of preference, with the ROS encoding; `None` is a JPEG.
 const FORMATS: [(&[u8; 4], Option<&str>); 9] = [
     (b"RGB3", Some("rgb8")),
     (b"BGR3", Some("bgr8")),
@@ -24,7 +24,7 @@ const FORMATS: [(&[u8; 4], Option<&str>); 9] = [
     (b"MJPG", None),
 ];
 
-/// What was agreed with the driver.
+/// An opened device and its image format.
 struct Opened {
     device: Device,
     encoding: Option<&'static str>,
@@ -37,16 +37,17 @@ fn open(parameters: &MarkerTrackerParameters) -> Result<Opened, String> {
     let path = &parameters.device_path;
     let failed = |what: &str, e: io::Error| {
         format!(
-            "camera {path}: {what}: {e}; see that it is plugged in, readable (group video) and not in use, or set device.path"
+            "camera {path}: {what}: {e}; check that it is connected, readable (group video) and not \
+             in use, or set device.path"
         )
     };
-    let device = Device::with_path(path).map_err(|e| failed("cannot be opened", e))?;
+    let device = Device::with_path(path).map_err(|e| failed("opening failed", e))?;
     let wanted = parameters.device_format.as_bytes();
     for (code, encoding) in FORMATS {
         if !wanted.is_empty() && wanted != code {
             continue;
         }
-        let mut format = device.format().map_err(|e| failed("does not tell its format", e))?;
+        let mut format = device.format().map_err(|e| failed("reading its format failed", e))?;
         (format.width, format.height, format.fourcc) =
             (parameters.device_width, parameters.device_height, FourCC::new(code));
         let Ok(given) = device.set_format(&format) else { continue };
@@ -54,18 +55,28 @@ fn open(parameters: &MarkerTrackerParameters) -> Result<Opened, String> {
             continue;
         }
         let frames = parameters.device_rate.round().max(1.0) as u32;
-        // A camera with one fixed rate refuses to be told; its own is then taken.
+        // A camera with a fixed rate rejects this and keeps its own.
         let _ = device.set_params(&Parameters::with_fps(frames));
-        return Ok(Opened { device, encoding, width: given.width, height: given.height, step: given.stride });
+        return Ok(Opened {
+            device,
+            encoding,
+            width: given.width,
+            height: given.height,
+            step: given.stride,
+        });
     }
-    let names: Vec<_> = FORMATS.iter().map(|(code, _)| String::from_utf8_lossy(*code).into_owned()).collect();
+    let names: Vec<_> =
+        FORMATS.iter().map(|(code, _)| String::from_utf8_lossy(*code).into_owned()).collect();
     Err(format!(
-        "camera {path} gives none of the pixel formats {}; set device.format or use another camera",
+        "camera {path} has none of the pixel formats {}; set device.format or use another camera",
         names.join(", ")
     ))
 }
 
-/// Whether the camera is there and gives a format that is taken; `Ok` says which.
+/// Checks that the camera is present and has a supported format; returns a description.
+///
+/// # Errors
+/// One line with the device and the reason.
 pub(crate) fn check(parameters: &MarkerTrackerParameters) -> Result<String, String> {
     let o = open(parameters)?;
     Ok(format!(
@@ -77,7 +88,7 @@ pub(crate) fn check(parameters: &MarkerTrackerParameters) -> Result<String, Stri
     ))
 }
 
-/// The device's thread: frames until the node ends; a camera that fails is opened anew each second.
+/// Thread of the device: sends frames until the node ends; reopens a failed camera every second.
 pub(crate) fn run(
     parameters: &MarkerTrackerParameters,
     sender: &DeviceSender<Arrival>,
@@ -86,7 +97,7 @@ pub(crate) fn run(
 ) {
     while sender.is_open() {
         if let Err(reason) = stream(parameters, sender, clock) {
-            log.log(Level::Error, format!("{reason}; trying again"));
+            log.log(Level::Error, format!("{reason}; retrying in 1 s"));
             for _ in 0..10 {
                 if !sender.is_open() {
                     return;
@@ -139,8 +150,8 @@ fn stream(
     Ok(())
 }
 
-/// The driver's stamp on the node's clock. Drivers stamp on the monotonic clock (those that do not say so stamp late, and
-/// the arrival is as good).
+/// The driver's stamp on the node's clock. Drivers stamp on the monotonic clock; for others the
+/// time of arrival is as good.
 fn driver_stamp(meta: &v4l::buffer::Metadata, clock: &Clock) -> Stamp {
     let now = clock.now();
     if !meta.flags.contains(Flags::TIMESTAMP_MONOTONIC) {

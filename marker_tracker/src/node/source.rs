@@ -1,4 +1,4 @@
-//! What a camera device or a video file gives, and the messages that it becomes.
+//! Frames of a camera device or a video file, and their messages.
 
 use node_kit::convert;
 use rig_model::Stamp;
@@ -9,9 +9,9 @@ use volant_msgs::sensor_msgs::msg::{CompressedImage, Image};
 #[derive(Debug)]
 pub struct Frame {
     pub(crate) stamp: Stamp,
-    /// The driver's number of it.
+    /// The driver's sequence number.
     pub(crate) sequence: Option<u32>,
-    /// ROS's name of the pixels; `None` for a JPEG.
+    /// Encoding as in `sensor_msgs/Image`; `None` for a JPEG.
     pub(crate) encoding: Option<&'static str>,
     pub(crate) width: u32,
     pub(crate) height: u32,
@@ -20,16 +20,17 @@ pub struct Frame {
 }
 
 /// The message of a frame.
-pub(crate) enum Picture {
+pub(crate) enum ImageMessage {
     Raw(Arc<Image>),
     Compressed(Arc<CompressedImage>),
 }
 
 impl Frame {
-    pub(crate) fn into_message(self, frame_id: &str) -> Picture {
+    /// Turns the frame into a message in the frame `frame_id`.
+    pub(crate) fn into_message(self, frame_id: &str) -> ImageMessage {
         let header = convert::header(frame_id, self.stamp);
         match self.encoding {
-            Some(encoding) => Picture::Raw(Arc::new(Image {
+            Some(encoding) => ImageMessage::Raw(Arc::new(Image {
                 header,
                 height: self.height,
                 width: self.width,
@@ -38,7 +39,7 @@ impl Frame {
                 step: self.step,
                 data: self.data,
             })),
-            None => Picture::Compressed(Arc::new(CompressedImage {
+            None => ImageMessage::Compressed(Arc::new(CompressedImage {
                 header,
                 format: "jpeg".to_owned(),
                 data: self.data,

@@ -1,21 +1,21 @@
-//! How long each stage of an image takes and how many images came, for the diagnostics.
+//! Durations of the stages and counts of images, for the diagnostics.
 
-use crate::ImageView;
+use crate::image::ImageView;
 use std::time::{Duration, Instant};
 
 /// Sums since the last report.
 #[derive(Debug, Default)]
 pub(crate) struct Stages {
     images: u32,
-    taken: u32,
-    refused: u32,
+    accepted: u32,
+    rejected: u32,
     repeated: u32,
     convert: Span,
     track: Span,
     draw: Span,
-    /// Images with none, one … four markers detected.
+    /// Number of images with 0 to 4 detected markers.
     detected: [u32; 5],
-    /// Mean values of the images with none, summed.
+    /// Σ of the mean values of the images without a marker.
     brightness: f64,
     /// Size of the newest image, px.
     size: (usize, usize),
@@ -41,14 +41,14 @@ impl Span {
     }
 }
 
-/// One second.
+/// Summary of one second.
 pub(crate) struct Report {
     pub images: u32,
-    pub taken: u32,
-    /// Images that were the one before, byte for byte.
+    pub accepted: u32,
+    /// Number of images that were copies of their predecessor.
     pub repeated: u32,
-    pub refused: u32,
-    /// Images with at least one marker, at least two, ….
+    pub rejected: u32,
+    /// Number of images with at least 1, 2, 3 and 4 markers.
     pub detected: [u32; 4],
     /// Mean of the values of the images without a marker, 0 to 255.
     pub brightness: f64,
@@ -57,7 +57,7 @@ pub(crate) struct Report {
     pub values: Vec<(&'static str, String)>,
 }
 
-/// Mean value of an image, from a few of its rows.
+/// Mean value of an image (0–255), from eight of its rows.
 fn brightness(image: &ImageView<'_>) -> f64 {
     const ROWS: usize = 8;
     let row = image.width * image.format.bytes_per_pixel();
@@ -65,13 +65,15 @@ fn brightness(image: &ImageView<'_>) -> f64 {
         let start = (2 * i + 1) * image.height / (2 * ROWS) * image.step;
         image.data.get(start..start + row).unwrap_or(&[])
     });
-    let (sum, count) = bytes.fold((0_u64, 0_u64), |(sum, count), byte| (sum + u64::from(*byte), count + 1));
+    let (sum, count) =
+        bytes.fold((0_u64, 0_u64), |(sum, count), byte| (sum + u64::from(*byte), count + 1));
     sum as f64 / count.max(1) as f64
 }
 
 impl Stages {
-    /// A stage begins.
-    #[allow(clippy::disallowed_methods)] // how long the work takes is what is measured; no data is stamped with it
+    /// Start of a stage.
+    // Measures the duration of the work; no data is stamped with it.
+    #[allow(clippy::disallowed_methods)]
     pub fn start(&self) -> Instant {
         Instant::now()
     }
@@ -90,21 +92,21 @@ impl Stages {
         self.draw.add(since.elapsed());
     }
 
-    /// What the image was like, of which `finished` told last.
-    pub fn looked_at(&mut self, image: &ImageView<'_>, unseen_before: u32) {
+    /// Records size and, without a marker, brightness of the last image.
+    pub fn inspect(&mut self, image: &ImageView<'_>, unseen_before: u32) {
         self.size = (image.width, image.height);
         if self.detected[0] > unseen_before {
             self.brightness += brightness(image);
         }
     }
 
-    /// Images without a marker.
+    /// Number of images without a marker.
     pub fn unseen(&self) -> u32 {
         self.detected[0]
     }
 
-    pub fn refused(&mut self) {
-        self.refused += 1;
+    pub fn rejected(&mut self) {
+        self.rejected += 1;
     }
 
     pub fn repeated(&mut self) {
@@ -112,25 +114,25 @@ impl Stages {
     }
 
     pub fn finished(&mut self, detected: usize) {
-        self.taken += 1;
+        self.accepted += 1;
         self.detected[detected.min(4)] += 1;
     }
 
-    /// What the last second held; starts anew.
+    /// Summary since the last report; resets all sums.
     pub fn report(&mut self) -> Report {
         let s = std::mem::take(self);
         let at_least = [1, 2, 3, 4].map(|n| s.detected[n..].iter().sum());
         Report {
             images: s.images,
-            taken: s.taken,
+            accepted: s.accepted,
             repeated: s.repeated,
-            refused: s.refused,
+            rejected: s.rejected,
             detected: at_least,
             brightness: s.brightness / f64::from(s.detected[0].max(1)),
             size: s.size,
             values: vec![
                 ("images", s.images.to_string()),
-                ("refused", s.refused.to_string()),
+                ("rejected", s.rejected.to_string()),
                 ("repeated", s.repeated.to_string()),
                 ("all four detected", s.detected[4].to_string()),
                 ("three detected", s.detected[3].to_string()),

@@ -1,4 +1,4 @@
-//! A video file, decoded by an `ffmpeg` process of its own.
+//! Video file, decoded by an `ffmpeg` process.
 
 use super::{Arrival, MarkerTrackerParameters, source::Frame};
 use node_kit::{Clock, DeviceSender};
@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-/// What a file holds.
+/// Size (px) and rate (Hz) of a video.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Video {
     width: u32,
@@ -16,39 +16,54 @@ pub(crate) struct Video {
     rate: f64,
 }
 
-/// Asks `ffprobe`.
+/// Reads size and rate with `ffprobe`.
+///
+/// # Errors
+/// One line with the file and the reason.
 pub(crate) fn probe(path: &str) -> Result<Video, String> {
     if !std::path::Path::new(path).is_file() {
-        return Err(format!("video file {path} is not there; set file.path"));
+        return Err(format!("video file {path} does not exist; set file.path"));
     }
     let output = Command::new("ffprobe")
-        .args(["-v", "error", "-select_streams", "v:0", "-show_entries", "stream=width,height,r_frame_rate"])
+        .args([
+            "-v",
+            "error",
+            "-select_streams",
+            "v:0",
+            "-show_entries",
+            "stream=width,height,r_frame_rate",
+        ])
         .args(["-of", "csv=p=0", path])
         .output()
         .map_err(|e| not_installed("ffprobe", &e))?;
     let text = String::from_utf8_lossy(&output.stdout);
     parse(text.trim()).ok_or_else(|| {
         let reason = String::from_utf8_lossy(&output.stderr);
-        format!("video file {path} cannot be read ({}); give one with a video stream", reason.trim())
+        format!(
+            "video file {path} is not readable ({}); use one with a video stream",
+            reason.trim()
+        )
     })
 }
 
 fn not_installed(program: &str, error: &io::Error) -> String {
-    format!("{program} cannot be started ({error}); video files need it: apt-get install ffmpeg")
+    format!("{program} did not start ({error}); video files need it: apt-get install ffmpeg")
 }
 
-/// `640,480,30000/1001`.
+/// Parses ffprobe's `640,480,30000/1001`.
 fn parse(line: &str) -> Option<Video> {
     let mut parts = line.lines().next()?.split(',');
     let (width, height) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
     let (over, under) = parts.next()?.split_once('/')?;
     let rate = over.parse::<f64>().ok()? / under.parse::<f64>().ok()?;
-    let plausible =
-        (1..=16_384).contains(&width) && (1..=16_384).contains(&height) && rate.is_finite() && rate > 0.0;
+    let plausible = (1..=16_384).contains(&width)
+        && (1..=16_384).contains(&height)
+        && rate.is_finite()
+        && rate > 0.0;
     plausible.then_some(Video { width, height, rate })
 }
 
-/// Ends the process with the thread.
+/// Kills the process on drop.
 struct Killed(Child);
 
 impl Drop for Killed {
@@ -58,7 +73,7 @@ impl Drop for Killed {
     }
 }
 
-/// The file's thread: a frame whenever its time has come, then [`Arrival::Ended`].
+/// Thread of the file: sends each frame at its time, then [`Arrival::Ended`].
 pub(crate) fn run(
     parameters: &MarkerTrackerParameters,
     video: Video,
@@ -116,7 +131,7 @@ fn play(
         number += 1;
     }
     if number == 0 {
-        return Err(format!("video file {}: ffmpeg gave no frame of it", parameters.file_path));
+        return Err(format!("video file {}: ffmpeg decoded no frame", parameters.file_path));
     }
     Ok(())
 }
@@ -126,7 +141,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ffprobe_s_answer_is_understood() {
+    fn the_output_of_ffprobe_is_parsed() {
         assert_eq!(parse("632,468,30/1"), Some(Video { width: 632, height: 468, rate: 30.0 }));
         assert_eq!(parse("632,468,0/0"), None);
         assert_eq!(parse(""), None);

@@ -1,20 +1,22 @@
 //! Drawn scenes with exact edges.
 
-#![allow(dead_code, clippy::unwrap_used, clippy::panic)] // each test takes what it needs
+#![allow(dead_code, clippy::unwrap_used, clippy::panic)] // each test uses a part
 
 use marker_tracker::{ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
-use rig_model::{CameraModel, Distortion, MarkerColor, MarkerLayout, MarkerObservations, PerColor, Stamp};
+use rig_model::{
+    CameraModel, Distortion, MarkerColor, MarkerLayout, MarkerObservations, PerColor, Stamp,
+};
 
 /// Of every image, px.
 pub const WIDTH: usize = 640;
 /// Of every image, px.
 pub const HEIGHT: usize = 480;
-/// Colours of the four.
+/// Colors of the four, r, g, b of 0–255.
 pub const PAINT: [[f64; 3]; 4] =
     [[168.0, 47.0, 49.0], [77.0, 132.0, 76.0], [40.0, 93.0, 146.0], [194.0, 166.0, 67.0]];
 
-/// Where they are.
+/// Layout of the markers (volant frame, m).
 pub fn layout() -> MarkerLayout {
     MarkerLayout {
         side: 0.076,
@@ -29,10 +31,11 @@ pub fn layout() -> MarkerLayout {
 
 /// The camera of every image.
 pub fn camera() -> CameraModel {
-    CameraModel::new(640, 480, [600.0, 600.0, 319.5, 239.5], Distortion::PlumbBob([0.0; 5])).unwrap()
+    CameraModel::new(640, 480, [600.0, 600.0, 319.5, 239.5], Distortion::PlumbBob([0.0; 5]))
+        .unwrap()
 }
 
-/// The platform at `t` s.
+/// Pose of the platform (`camera_from_volant`) at `t` s.
 pub fn pose(t: f64) -> Isometry3<f64> {
     Isometry3::from_parts(
         Translation3::new(0.03 * (1.3 * t).sin(), 0.05 * (0.9 * t).cos(), 1.25),
@@ -44,12 +47,13 @@ pub fn pose(t: f64) -> Isometry3<f64> {
     )
 }
 
-/// A small generator, so that the noise is the same in every run.
+/// A small generator: the noise is the same in every run.
 pub struct Noise(pub u64);
 
 impl Noise {
     fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        self.0 =
+            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 11) as f64 / (1u64 << 53) as f64
     }
     fn normal(&mut self) -> f64 {
@@ -57,7 +61,7 @@ impl Noise {
     }
 }
 
-/// A grey platform on a darker floor, with those markers on it that have a paint.
+/// Draws a gray platform on a darker floor, with the markers that have a paint; rgb8.
 pub fn draw(pose: &Isometry3<f64>, paint: [Option<[f64; 3]>; 4], noise: &mut Noise) -> Vec<u8> {
     let inverse = pose.inverse();
     let layout = layout();
@@ -81,7 +85,8 @@ pub fn draw(pose: &Isometry3<f64>, paint: [Option<[f64; 3]>; 4], noise: &mut Noi
         for x in 0..WIDTH {
             let corner = |i: f64, j: f64| color_at(x as f64 + i, y as f64 + j);
             let first = corner(-0.5, -0.5);
-            let plain = [(0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)].iter().all(|&(i, j)| corner(i, j) == first);
+            let plain =
+                [(0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)].iter().all(|&(i, j)| corner(i, j) == first);
             let mut sum = [0.0; 3];
             let n = if plain { 1 } else { 8 };
             for i in 0..n {
@@ -92,15 +97,18 @@ pub fn draw(pose: &Isometry3<f64>, paint: [Option<[f64; 3]>; 4], noise: &mut Noi
                 }
             }
             for s in sum {
-                data.push((s / f64::from(n * n) + 2.0 * noise.normal()).round().clamp(0.0, 255.0) as u8);
+                data.push(
+                    (s / f64::from(n * n) + 2.0 * noise.normal()).round().clamp(0.0, 255.0) as u8
+                );
             }
         }
     }
     data
 }
 
-/// All four on the platform.
-pub const ALL: [Option<[f64; 3]>; 4] = [Some(PAINT[0]), Some(PAINT[1]), Some(PAINT[2]), Some(PAINT[3])];
+/// Paint of all four.
+pub const ALL: [Option<[f64; 3]>; 4] =
+    [Some(PAINT[0]), Some(PAINT[1]), Some(PAINT[2]), Some(PAINT[3])];
 
 /// The observations of the image number `k`.
 pub fn observe(tracker: &mut Tracker, k: i64, data: &[u8]) -> MarkerObservations {
@@ -118,14 +126,14 @@ pub fn observe(tracker: &mut Tracker, k: i64, data: &[u8]) -> MarkerObservations
     }
 }
 
-/// A tracker that knows the camera.
+/// A tracker with the camera's model.
 pub fn new_tracker(config: TrackerConfig) -> Tracker {
     let mut tracker = Tracker::new(layout(), config);
     tracker.handle(Input::Camera(camera()));
     tracker
 }
 
-/// Where a marker's centroid is.
+/// True centroid of a marker, px.
 pub fn truth(color: MarkerColor, pose: &Isometry3<f64>) -> Vector2<f64> {
     layout().projected_centroid(color, &camera(), pose).unwrap().pixel
 }

@@ -8,7 +8,7 @@ use std::sync::{
 };
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-/// Tells the time that stamps are made of. Clones tell the same.
+/// Time of the stamps. Clones share it.
 #[derive(Clone, Debug, Default)]
 pub struct Clock(Arc<State>);
 
@@ -19,7 +19,7 @@ struct State {
 }
 
 impl Clock {
-    /// Now. Simulated time is zero until the first `/clock` message.
+    /// The current time. Simulated time is zero until the first `/clock` message.
     pub fn now(&self) -> Stamp {
         if self.is_simulated() {
             Stamp::from_nanos(self.0.nanos.load(Ordering::Acquire))
@@ -28,12 +28,12 @@ impl Clock {
         }
     }
 
-    /// Does the time come from `/clock`?
+    /// Returns whether the time comes from `/clock`.
     pub fn is_simulated(&self) -> bool {
         self.0.simulated.load(Ordering::Acquire)
     }
 
-    /// Notices from now on when somebody sets it.
+    /// Starts to watch for steps of the clock.
     pub fn watch(&self) -> ClockWatch {
         let mut watch = ClockWatch { clock: self.clone(), began: now(), shown_at_began: None };
         watch.set_by();
@@ -49,22 +49,22 @@ impl Clock {
     }
 }
 
-/// Notices when the system's clock is set, by the one that nobody can set and that runs at the same rate beside it.
+/// Detects steps of the system's clock by comparing it with the steady clock.
 #[derive(Clone, Debug)]
 pub struct ClockWatch {
     clock: Clock,
     began: Instant,
-    /// What it would have shown at `began`, had it always been what it is now, ns.
+    /// Reading at `began` extrapolated from the latest one, ns.
     shown_at_began: Option<i64>,
 }
 
 impl ClockWatch {
-    /// So much is reading two clocks, ns.
+    /// Uncertainty of reading two clocks, ns.
     const SLACK: i64 = 50_000;
-    /// Between two readings so far apart this thread was held up, ns.
+    /// Time between two readings from which this thread counts as held up, ns.
     const HELD_UP: i64 = 100_000;
 
-    /// By how much the clock was set since the last call, ns. Simulated time runs as it likes: nobody sets that.
+    /// Step of the clock since the last call, ns; `None` without one. Simulated time has no steps.
     pub fn set_by(&mut self) -> Option<i64> {
         let mut narrowest: Option<(i64, i64)> = None;
         for _ in 0..5 {
@@ -75,10 +75,12 @@ impl ClockWatch {
                 self.shown_at_began = None;
                 return None;
             }
-            // It was read at some instant between the two.
+            // The clock was read at some instant between the two.
             let (least, most) = (shown - after, shown - before);
             let known = self.shown_at_began;
-            if known.is_some_and(|known| (least - Self::SLACK..=most + Self::SLACK).contains(&known)) {
+            if known
+                .is_some_and(|known| (least - Self::SLACK..=most + Self::SLACK).contains(&known))
+            {
                 return None;
             }
             if narrowest.is_none_or(|(least, most)| after - before < most - least) {
@@ -88,8 +90,8 @@ impl ClockWatch {
                 break;
             }
         }
-        // The least, where the thread was held up each time: an arrival that seems late is one of many, one that seems early would
-        // be believed. The next call mends it.
+        // The lower bound, if the thread was held up each time: an arrival that seems late is an
+        // outlier, one that seems early would be used. The next call corrects it.
         let (least, _) = narrowest?;
         self.shown_at_began.replace(least).map(|known| least - known)
     }
@@ -99,7 +101,7 @@ impl ClockWatch {
     }
 }
 
-/// The system's time, whatever `use_sim_time` says: for lines of the log before a node is there.
+/// The system's time, whatever `use_sim_time` is.
 #[allow(clippy::disallowed_methods, reason = "the clock of the shells")]
 pub(crate) fn system_now() -> Stamp {
     let nanos = match SystemTime::now().duration_since(UNIX_EPOCH) {
@@ -114,19 +116,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_clock_that_is_set_is_noticed_to_a_tenth_of_a_millisecond() {
+    fn a_step_is_detected_to_a_tenth_of_a_millisecond() {
         let clock = Clock::default();
         let mut watch = clock.watch();
-        let mut told = 0;
-        for by in [0, 200_000, 30_000_000, 5_000_000_000, -5_000_000_000, -300_000, 1_700_000_000_000_000_000]
-        {
-            // As if it had been set: what it would have shown is another.
+        let mut detected = 0;
+        for by in [
+            0,
+            200_000,
+            30_000_000,
+            5_000_000_000,
+            -5_000_000_000,
+            -300_000,
+            1_700_000_000_000_000_000,
+        ] {
+            // A step of the clock changes the extrapolated reading.
             watch.shown_at_began = watch.shown_at_began.map(|shown| shown - by);
-            told = (0..100).filter_map(|_| watch.set_by()).sum::<i64>();
-            assert!((told - by).abs() < 100_000, "{by}: {told}");
+            detected = (0..100).filter_map(|_| watch.set_by()).sum::<i64>();
+            assert!((detected - by).abs() < 100_000, "{by}: {detected}");
         }
-        assert!(told > 0);
-        // Simulated time runs as it likes; afterwards nothing is known of the system's.
+        assert!(detected > 0);
+        // After simulated time, the first reading of the system's clock is the new reference.
         clock.set_simulated(true);
         assert_eq!(watch.set_by(), None);
         clock.set_simulated(false);

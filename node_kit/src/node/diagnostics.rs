@@ -1,19 +1,23 @@
-//! `/diagnostics`, once a second: which input topics are missing, how fast each one comes, what was dropped, and what the
-//! node itself has to say.
+//! `/diagnostics`, once a second: missing topics, rates, what was dropped, and the node's own
+//! statuses.
 
 use super::{
-    NodeError,
-    handle::NodeHandle,
+    endpoints::Endpoints,
+    error::NodeError,
+    intra_process::TopicState,
     publisher::{Publisher, Rate},
 };
 use crate::{
     inbox::{SourceCount, now},
+    level::Level,
     lifecycle::LifecycleState,
+    names::NodeName,
     qos::Qos,
 };
+use rig_model::{Stamp, topics};
 use std::{
     collections::{BTreeMap, HashMap},
-    sync::atomic::Ordering,
+    sync::{Weak, atomic::Ordering},
     time::Duration,
 };
 use volant_msgs::{
@@ -22,126 +26,154 @@ use volant_msgs::{
     std_msgs::msg::Header,
 };
 
-/// A topic on which nothing came for this long is missing.
+/// A topic on which nothing arrived for this long is missing.
 const MISSING_AFTER: Duration = Duration::from_secs(2);
-/// A round that is later than this was held up.
+/// Lateness of the second's tick from which the node counts as held up.
 const HELD_UP_AFTER: Duration = Duration::from_secs(1);
-/// That the node started anew is told for so long.
-const TOLD_FOR: Duration = Duration::from_secs(5);
-const DIAGNOSTICS: Qos = Qos { reliable: true, transient_local: false, depth: 10, max_samples: 100 };
+/// How long a restart of the node is reported.
+const RESTART_REPORTED_FOR: Duration = Duration::from_secs(5);
+const DIAGNOSTICS: Qos =
+    Qos { reliable: true, transient_local: false, depth: 10, max_samples: 100 };
 
-/// How well something is, with the numbers of `diagnostic_msgs/DiagnosticStatus`.
+/// Level of a status, with the numbers of `diagnostic_msgs/DiagnosticStatus`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub enum Health {
-    /// As it should be.
+    /// Works as expected.
     Ok = DiagnosticStatus::OK,
-    /// Somebody should look.
+    /// Needs attention.
     Warn = DiagnosticStatus::WARN,
-    /// It does not work.
+    /// Does not work.
     Error = DiagnosticStatus::ERROR,
-    /// Nothing is known any more.
+    /// Unknown, because no data arrive.
     Stale = DiagnosticStatus::STALE,
 }
 
-#[derive(Default)]
+/// Statuses of one node.
 pub(crate) struct Diagnostics {
-    publisher: Option<Publisher<DiagnosticArray>>,
+    publisher: Publisher<DiagnosticArray>,
+    /// Set by the shell.
     statuses: BTreeMap<String, DiagnosticStatus>,
     rates: HashMap<String, Rate>,
-    /// Counts of the round before, to tell what is new.
-    before: HashMap<String, (u64, u64, u64)>,
-    /// How long the node did nothing before this round, where that was long.
+    /// Dropped, refused and lost messages by topic, a second ago.
+    previous: HashMap<String, (u64, u64, u64)>,
+    /// How late this second's tick is, where that is long.
     held_up: Option<Duration>,
-}
-
-impl Diagnostics {
-    /// Forgets what the shell had to say.
-    pub(crate) fn forget_shell(&mut self) {
-        self.statuses.clear();
-    }
+    /// Conflicts that were logged.
+    conflicts: String,
 }
 
 fn pair(key: impl Into<String>, value: impl ToString) -> KeyValue {
     KeyValue { key: key.into(), value: value.to_string() }
 }
 
-impl NodeHandle {
-    /// Sets one of the node's own lines in `/diagnostics`; it stays until it is set again. It appears as
-    /// `<node>: <name>`.
-    pub fn diagnose(&mut self, name: &str, health: Health, message: &str, values: &[(&str, String)]) {
-        let status = DiagnosticStatus {
-            level: health as u8,
-            name: format!("{}: {name}", self.name().base()),
-            message: message.to_owned(),
-            hardware_id: self.name().fully_qualified(),
-            values: values.iter().map(|(key, value)| pair(*key, value)).collect(),
+fn status(
+    node: &NodeName,
+    name: &str,
+    health: Health,
+    message: impl Into<String>,
+    values: Vec<KeyValue>,
+) -> DiagnosticStatus {
+    DiagnosticStatus {
+        level: health as u8,
+        name: format!("{}: {name}", node.base()),
+        message: message.into(),
+        hardware_id: node.fully_qualified(),
+        values,
+    }
+}
+
+impl Diagnostics {
+    /// Advertises `/diagnostics`.
+    pub fn new(endpoints: &mut Endpoints) -> Result<Self, NodeError> {
+        Ok(Self {
+            publisher: endpoints.advertise_always(topics::absolute::DIAGNOSTICS, DIAGNOSTICS)?,
+            statuses: BTreeMap::new(),
+            rates: HashMap::new(),
+            previous: HashMap::new(),
+            held_up: None,
+            conflicts: String::new(),
+        })
+    }
+
+    /// Sets a status of the shell.
+    pub fn set(
+        &mut self,
+        node: &NodeName,
+        name: &str,
+        health: Health,
+        message: &str,
+        values: &[(&str, String)],
+    ) {
+        let values = values.iter().map(|(key, value)| pair(*key, value)).collect();
+        self.statuses.insert(name.to_owned(), status(node, name, health, message, values));
+    }
+
+    /// Removes the shell's statuses.
+    pub fn clear(&mut self) {
+        self.statuses.clear();
+    }
+
+    /// Notes how late this second's tick is.
+    pub fn ticked(&mut self, late: Duration) {
+        self.held_up = (late > HELD_UP_AFTER).then_some(late);
+    }
+
+    /// Publishes all statuses, stamped `now`.
+    pub fn publish(&mut self, endpoints: &mut Endpoints, state: LifecycleState, now: Stamp) {
+        let mut all =
+            vec![self.inputs(endpoints, state), self.outputs(endpoints), self.graph(endpoints)];
+        all.extend(self.statuses.values().cloned());
+        let (sec, nanosec) = now.to_sec_nanosec();
+        self.publisher.publish(DiagnosticArray {
+            header: Header { stamp: Time { sec, nanosec }, ..Header::default() },
+            status: all,
+        });
+    }
+
+    fn rate(&mut self, key: &str, count: u64) -> f64 {
+        self.rates.entry(key.to_owned()).or_insert_with(Rate::new).update(count)
+    }
+
+    fn inputs(&mut self, endpoints: &Endpoints, state: LifecycleState) -> DiagnosticStatus {
+        let sources = endpoints.sources.counts();
+        let now_steady = now();
+        let is_missing = |s: &SourceCount| {
+            let silent = |at| now_steady.duration_since(at) > MISSING_AFTER;
+            s.expected && s.latest.is_none_or(silent)
         };
-        self.diagnostics.statuses.insert(name.to_owned(), status);
-    }
-
-    pub(crate) fn connect_diagnostics(&mut self) -> Result<(), NodeError> {
-        self.diagnostics.publisher = Some(self.advertise_always("/diagnostics", DIAGNOSTICS)?);
-        Ok(())
-    }
-
-    /// The round of once a second.
-    pub(crate) fn publish_diagnostics(&mut self) {
-        let (inputs, outputs) = (self.input_status(), self.output_status());
-        let (sec, nanosec) = self.now().to_sec_nanosec();
-        let mut status = vec![inputs, outputs];
-        status.extend(self.diagnostics.statuses.values().cloned());
-        if let Some(publisher) = &self.diagnostics.publisher {
-            publisher.publish(DiagnosticArray {
-                header: Header { stamp: Time { sec, nanosec }, ..Header::default() },
-                status,
-            });
-        }
-    }
-
-    /// Notes that the round of once a second is so late.
-    pub(crate) fn stood_still(&mut self, late: Duration) {
-        self.diagnostics.held_up = (late > HELD_UP_AFTER).then_some(late);
-    }
-
-    /// Topics that the node waits for and on which nothing comes.
-    pub fn missing_topics(&self) -> Vec<String> {
-        let now = now();
-        self.sources
-            .counts()
-            .into_iter()
-            .filter(|s| s.expected && s.latest.is_none_or(|at| now.duration_since(at) > MISSING_AFTER))
-            .map(|s| s.name)
-            .collect()
-    }
-
-    fn input_status(&mut self) -> DiagnosticStatus {
-        let missing = self.missing_topics();
+        let missing: Vec<String> =
+            sources.iter().filter(|s| is_missing(s)).map(|s| s.name.clone()).collect();
         let mut values = Vec::new();
         let mut trouble = Vec::new();
-        for SourceCount { name, received, dropped, refused, lost, .. } in self.sources.counts() {
-            let rate = self.diagnostics.rates.entry(name.clone()).or_insert_with(Rate::new).update(received);
-            values.push(pair(format!("{name} rate [Hz]"), format!("{rate:.1}")));
+        for SourceCount { name, received, dropped, refused, lost, .. } in sources {
+            values.push(pair(
+                format!("{name} rate [Hz]"),
+                format!("{:.1}", self.rate(&name, received)),
+            ));
             values.push(pair(format!("{name} received"), received));
             values.push(pair(format!("{name} dropped"), dropped));
             values.push(pair(format!("{name} refused"), refused));
             values.push(pair(format!("{name} lost on the way"), lost));
             let counts = (dropped, refused, lost);
-            let before = self.diagnostics.before.insert(name.clone(), counts).unwrap_or_default();
-            for (what, now, before) in
-                [("dropped", dropped, before.0), ("refused", refused, before.1), ("lost", lost, before.2)]
-            {
-                if now > before {
-                    trouble.push(format!("{} {what} on {name}", now - before));
+            let previous = self.previous.insert(name.clone(), counts).unwrap_or_default();
+            for (what, now, previous) in [
+                ("dropped", dropped, previous.0),
+                ("refused", refused, previous.1),
+                ("lost", lost, previous.2),
+            ] {
+                if now > previous {
+                    trouble.push(format!("{} {what} on {name}", now - previous));
                 }
             }
         }
-        let state = self.lifecycle.get();
-        let anew = self.domain.took_over.map(|(at, loss)| (now().duration_since(at), loss));
-        let (health, message) = if let Some((since, loss)) = anew.filter(|(since, _)| *since < TOLD_FOR) {
+        let restart = endpoints.domain.took_over.map(|(at, loss)| (now().duration_since(at), loss));
+        let (health, message) = if let Some((since, loss)) =
+            restart.filter(|(since, _)| *since < RESTART_REPORTED_FOR)
+        {
             let seconds = since.as_secs_f64();
-            (Health::Warn, format!("the node started anew {seconds:.0} s ago: {loss}"))
-        } else if let Some(time) = self.diagnostics.held_up {
+            (Health::Warn, format!("the node restarted {seconds:.0} s ago: {loss}"))
+        } else if let Some(time) = self.held_up {
             let seconds = time.as_secs_f64();
             let why = "its process was stopped or is slow, or the computer is overloaded";
             (Health::Warn, format!("the node stood still for {seconds:.1} s: {why}"))
@@ -154,26 +186,54 @@ impl NodeHandle {
         } else {
             (Health::Ok, "all inputs come".to_owned())
         };
-        self.status("inputs", health, message, values)
+        status(&endpoints.name, "inputs", health, message, values)
     }
 
-    fn output_status(&mut self) -> DiagnosticStatus {
+    /// Other nodes with this name, and topics with several publishers; a new conflict is logged.
+    fn graph(&mut self, endpoints: &Endpoints) -> DiagnosticStatus {
+        let sources = endpoints.sources.counts();
+        let topics = endpoints.domain.transport.topics();
+        let topics: Vec<(String, &TopicState, bool)> = topics
+            .iter()
+            .filter_map(|(name, _, state)| {
+                let source = sources.iter().find(|source| source.name == *name)?;
+                Some((name.clone(), &**state, source.expected))
+            })
+            .collect();
+        let conflicts = endpoints.domain.graph.conflicts(&endpoints.name, &topics).join("; ");
+        if conflicts != self.conflicts && !conflicts.is_empty() {
+            endpoints.logger.log(Level::Warn, &conflicts);
+        }
+        self.conflicts.clone_from(&conflicts);
+        let (health, message) = if conflicts.is_empty() {
+            (
+                Health::Ok,
+                "no other node has its name, and each topic that it receives has one publisher"
+                    .to_owned(),
+            )
+        } else {
+            (Health::Warn, conflicts)
+        };
+        status(&endpoints.name, "graph", health, message, Vec::new())
+    }
+
+    fn outputs(&mut self, endpoints: &mut Endpoints) -> DiagnosticStatus {
         let mut values = Vec::new();
         let mut trouble = Vec::new();
-        self.publishers.retain(|p| p.strong_count() > 0);
-        for publisher in self.publishers.iter().filter_map(std::sync::Weak::upgrade) {
+        endpoints.publishers.retain(|p| p.strong_count() > 0);
+        for publisher in endpoints.publishers.iter().filter_map(Weak::upgrade) {
             publisher.retry();
             let name = publisher.topic();
             let published = publisher.counts().published.load(Ordering::Relaxed);
             let refused = publisher.counts().refused.load(Ordering::Relaxed);
             let key = format!("{name} (out)");
-            let rate = self.diagnostics.rates.entry(key.clone()).or_insert_with(Rate::new).update(published);
+            let rate = self.rate(&key, published);
             values.push(pair(format!("{name} rate [Hz]"), format!("{rate:.1}")));
-            let before = self.diagnostics.before.insert(key, (refused, 0, 0)).unwrap_or_default().0;
-            if refused > before {
+            let previous = self.previous.insert(key, (refused, 0, 0)).unwrap_or_default().0;
+            if refused > previous {
                 trouble.push(format!(
                     "{} not sent on {name}: a reliable reader does not answer",
-                    refused - before
+                    refused - previous
                 ));
             }
         }
@@ -182,16 +242,6 @@ impl NodeHandle {
         } else {
             (Health::Warn, trouble.join(", "))
         };
-        self.status("outputs", health, message, values)
-    }
-
-    fn status(&self, name: &str, health: Health, message: String, values: Vec<KeyValue>) -> DiagnosticStatus {
-        DiagnosticStatus {
-            level: health as u8,
-            name: format!("{}: {name}", self.name().base()),
-            message,
-            hardware_id: self.name().fully_qualified(),
-            values,
-        }
+        status(&endpoints.name, "outputs", health, message, values)
     }
 }

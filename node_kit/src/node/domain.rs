@@ -1,28 +1,27 @@
-//! The process's place in the DDS domain: one participant for all of its nodes, and who is at the other end of their
-//! topics.
+//! The process in its DDS domain: one participant for all of its nodes, and discovery of the other
+//! ends of their topics.
 //!
-//! ros2-client's own spinner is not used: it would subscribe to `/clock` with a wrong type, and two of them on one
-//! participant take each other's events. What it would tell is read from discovery here.
+//! ros2-client 0.12.1's own spinner is not used: it subscribes to `/clock` with a wrong type, and
+//! two of them on one participant take each other's events.
 
-use super::{NodeError, hub::Hub};
-use crate::{
-    environment::{Network, Security},
-    inbox::now,
-    level::Level,
-    node::{
-        logger::Logger,
-        middleware::{Loss, MiddlewareWatch},
-    },
+use super::{
+    error::NodeError,
+    graph::{Announcements, Graph},
+    intra_process::IntraProcess,
+    logger::Logger,
+    middleware::{Loss, MiddlewareWatch},
+    participant::join,
+    supervisor::Supervisor,
 };
+use crate::{environment::Network, inbox::now, level::Level};
 use futures_lite::{Stream, StreamExt};
 use ros2_client::{Context, Gid};
-use rustdds::{DomainParticipantBuilder, DomainParticipantStatusEvent, GUID, StatusEvented};
+use rustdds::{DomainParticipantStatusEvent, GUID, RTPSEntity, StatusEvented};
 use std::{
     collections::HashSet,
-    path::PathBuf,
     pin::pin,
     sync::{
-        Arc, PoisonError,
+        Arc,
         atomic::{AtomicBool, Ordering},
     },
     task::{Context as TaskContext, Poll, Wake, Waker},
@@ -30,49 +29,50 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// The participant, the hub of its nodes, and the thread that watches discovery.
+/// The participant, the intra-process transport of its nodes, and the thread that watches
+/// discovery.
 pub(crate) struct Domain {
     pub context: Context,
-    pub hub: Arc<Hub>,
+    pub transport: Arc<IntraProcess>,
     pub network: Network,
+    pub graph: Arc<Graph>,
+    pub supervisor: Arc<Supervisor>,
     buffers_checked: AtomicBool,
-    /// The middleware is of no use any more, though nobody asked it to end.
+    /// The middleware has become unusable.
     pub ended: Arc<AtomicBool>,
-    /// When this one took the place of one that was of no use any more, and why it was not.
+    /// When this participant replaced one that had become unusable, and why that one had.
     pub took_over: Option<(Instant, Loss)>,
     stop: Arc<AtomicBool>,
     watcher: Option<JoinHandle<()>>,
 }
 
-/// Events can be lost when many come at once (RustDDS keeps 2048), so the state is read again this often without one.
+/// Period of reading the endpoints without an event: events can be lost in a burst (RustDDS 0.15.1
+/// keeps 2048).
 const BACKSTOP: Duration = Duration::from_secs(2);
-/// The middleware's threads, and the clock, are looked at this often.
+/// Period of checking the middleware's threads and the clock.
 const HEARTBEAT: Duration = Duration::from_millis(250);
-/// Events come in bursts; the state is read once for each burst.
+/// Events come in bursts; the endpoints are read once for each burst.
 const SETTLE: Duration = Duration::from_millis(5);
 
 impl Domain {
-    /// Joins. `lost` is called once, from the watching thread, when the middleware is of no use any more though nobody asked it to end.
+    /// Joins the domain. `lost` is called once, from the watching thread, when the middleware
+    /// becomes unusable.
+    ///
+    /// # Errors
+    /// As [`join`]; [`NodeError::System`] if the system refuses the thread.
     pub fn join(
         network: Network,
         log: Logger,
         lost: impl FnOnce(Loss) + Send + 'static,
     ) -> Result<Self, NodeError> {
-        let failed = |reason: String| NodeError::Middleware {
-            what: format!("the participant in domain {}", network.domain_id),
-            reason,
-        };
-        let mut builder = DomainParticipantBuilder::new(network.domain_id);
-        if let Some(addresses) = network.only_addresses() {
-            builder = builder.with_only_networks(addresses);
-        }
-        if let Some(security) = &network.security {
-            builder = secure(builder, security, &log)?;
-        }
-        let (participant, middleware) = MiddlewareWatch::of(|| builder.build());
-        let participant = participant.map_err(|e| failed(e.to_string()))?;
-        let context = Context::from_domain_participant(participant).map_err(|e| failed(e.to_string()))?;
-        let hub = Arc::<Hub>::default();
+        let (participant, middleware) = join(&network)?;
+        let context =
+            Context::from_domain_participant(participant).map_err(|e| NodeError::Middleware {
+                what: format!("the participant in domain {}", network.domain_id),
+                reason: e.to_string(),
+            })?;
+        let transport = Arc::<IntraProcess>::default();
+        let graph = Arc::<Graph>::default();
         let stop = Arc::<AtomicBool>::default();
         let ended = Arc::<AtomicBool>::default();
         let lost = {
@@ -85,14 +85,22 @@ impl Domain {
         let watcher = std::thread::Builder::new()
             .name("dds_graph".into())
             .spawn({
-                let (context, hub, stop) = (context.clone(), Arc::clone(&hub), Arc::clone(&stop));
-                move || watch(&context, &hub, &stop, &log, middleware, lost)
+                let view = View {
+                    participant: context.domain_participant(),
+                    transport: Arc::clone(&transport),
+                    graph: Arc::clone(&graph),
+                    log,
+                };
+                let stop = Arc::clone(&stop);
+                move || watch(&view, &stop, middleware, lost)
             })
             .map_err(|source| NodeError::System { what: "a thread".into(), source })?;
         Ok(Self {
             context,
-            hub,
+            transport,
             network,
+            graph,
+            supervisor: Supervisor::from_environment(),
             buffers_checked: AtomicBool::new(false),
             ended,
             took_over: None,
@@ -101,7 +109,8 @@ impl Domain {
         })
     }
 
-    /// Says once, when the first image topic is made, that the kernel's socket buffers are too small for images.
+    /// Logs once, when the first image topic is subscribed, that the kernel's socket buffers are
+    /// too small for images.
     pub fn check_socket_buffers(&self, log: &Logger) {
         const ENOUGH: u64 = 4 * 1024 * 1024;
         if self.buffers_checked.swap(true, Ordering::Relaxed) {
@@ -112,77 +121,28 @@ impl Domain {
                 .ok()
                 .and_then(|text| text.trim().parse::<u64>().ok())
         };
-        // RustDDS asks for 8 MiB and gets at most rmem_max; Fast DDS takes rmem_default as it is.
+        // RustDDS requests 8 MiB and gets at most rmem_max; Fast DDS uses rmem_default.
         if let (Some(default), Some(max)) = (read("rmem_default"), read("rmem_max"))
             && default.min(max) < ENOUGH
         {
             log.log(
                 Level::Info,
                 format!(
-                    "net.core.rmem_default is {default} and rmem_max {max}: raw images can be lost on the way; \
-                     `sudo sysctl -w net.core.rmem_default={ENOUGH} net.core.rmem_max={ENOUGH}` helps"
+                    "net.core.rmem_default is {default} and rmem_max {max}: raw images can be lost \
+                     on the way; `sudo sysctl -w net.core.rmem_default={ENOUGH} \
+                     net.core.rmem_max={ENOUGH}` helps"
                 ),
             );
         }
     }
 
-    /// Has the other ends of the topics read again soon: a topic is new.
+    /// Requests that the other ends of the topics are read soon, because a topic is new.
     pub fn refresh(&self) {
         if let Some(watcher) = &self.watcher {
             watcher.thread().unpark();
         }
     }
 }
-
-/// The builder of a participant that is in a security enclave.
-fn secure(
-    builder: DomainParticipantBuilder,
-    security: &Security,
-    log: &Logger,
-) -> Result<DomainParticipantBuilder, NodeError> {
-    let folder = security.folder();
-    let missing = ENCLAVE.into_iter().map(|name| folder.join(name)).find(|file| !file.is_file());
-    let reason = if cfg!(not(feature = "security")) {
-        "this program was built without it; build it with `--features node_kit/security`".to_owned()
-    } else if let Some(file) = missing {
-        format!("{} is missing; make a keystore or name another enclave", file.display())
-    } else {
-        log.log(Level::Info, format!("DDS security: {}", folder.display()));
-        return Ok(with_keys(builder, folder));
-    };
-    if security.enforce {
-        let what = format!("a secure participant in the enclave {}", security.enclave);
-        return Err(NodeError::Middleware { what, reason });
-    }
-    let line = format!(
-        "ROS_SECURITY_ENABLE is set, but this process runs UNPROTECTED: {reason} (ROS_SECURITY_STRATEGY=Enforce forbids that)"
-    );
-    log.log(Level::Warn, line);
-    Ok(builder)
-}
-
-#[cfg(feature = "security")]
-fn with_keys(builder: DomainParticipantBuilder, folder: PathBuf) -> DomainParticipantBuilder {
-    builder.builtin_security(rustdds::DomainParticipantSecurityConfigFiles::with_ros_default_names(
-        folder,
-        String::new(),
-    ))
-}
-
-#[cfg(not(feature = "security"))]
-fn with_keys(builder: DomainParticipantBuilder, _: PathBuf) -> DomainParticipantBuilder {
-    builder
-}
-
-/// What an enclave holds.
-const ENCLAVE: [&str; 6] = [
-    "cert.pem",
-    "key.pem",
-    "identity_ca.cert.pem",
-    "permissions_ca.cert.pem",
-    "governance.p7s",
-    "permissions.p7s",
-];
 
 impl Drop for Domain {
     fn drop(&mut self) {
@@ -191,7 +151,7 @@ impl Drop for Domain {
             watcher.thread().unpark();
             let _ = watcher.join();
         }
-        // The context drops after this, with the last handle to the participant.
+        // The context drops after this, with the last handle of the participant.
     }
 }
 
@@ -203,24 +163,29 @@ impl Wake for Unpark {
     }
 }
 
-fn watch(
-    context: &Context,
-    hub: &Hub,
-    stop: &AtomicBool,
-    log: &Logger,
-    mut middleware: MiddlewareWatch,
-    lost: impl FnOnce(Loss),
-) {
+/// What the watching thread reads, and where it writes that.
+struct View {
+    participant: rustdds::DomainParticipant,
+    transport: Arc<IntraProcess>,
+    graph: Arc<Graph>,
+    log: Logger,
+}
+
+fn watch(view: &View, stop: &AtomicBool, mut middleware: MiddlewareWatch, lost: impl FnOnce(Loss)) {
     let mut lost = Some(lost);
-    let participant = context.domain_participant();
-    let listener = participant.status_listener();
+    let listener = view.participant.status_listener();
+    let mut announcements = Announcements::subscribe(&view.participant);
+    let log = &view.log;
     let mut events = pin!(listener.as_async_status_stream());
     let waker = Waker::from(Arc::new(Unpark(std::thread::current())));
-    let mut said = HashSet::new();
+    let mut logged = HashSet::new();
     let mut read_again = now();
     while !stop.load(Ordering::Acquire) {
         if now() >= read_again {
-            read_endpoints(&participant, hub, log, &mut said);
+            if let Some(announcements) = &mut announcements {
+                view.graph.read(announcements);
+            }
+            read_endpoints(view, &mut logged);
             read_again = now() + BACKSTOP;
         }
         if let Some(loss) = middleware.loss()
@@ -230,30 +195,30 @@ fn watch(
             lost(loss);
         }
         let woken = wait(HEARTBEAT);
-        let mut any = drain(&mut events, &waker, log, &mut said);
+        let mut any = drain(&mut events, &waker, log, &mut logged);
         if any || woken {
             read_again = now();
         }
         while any && !stop.load(Ordering::Acquire) {
             std::thread::sleep(SETTLE);
-            any = drain(&mut events, &waker, log, &mut said);
+            any = drain(&mut events, &waker, log, &mut logged);
         }
     }
 }
 
-/// Waits for an event; true if something may have happened before the time was over.
+/// Waits for an event; returns whether it was woken before the time was over.
 fn wait(time: Duration) -> bool {
     let began = now();
     std::thread::park_timeout(time);
     now() < began + time
 }
 
-/// Reads all events that are there; with none left, the waker is registered for the next.
+/// Reads all queued events and registers the waker for the next one.
 fn drain<S: Stream<Item = DomainParticipantStatusEvent> + Unpin>(
     events: &mut S,
     waker: &Waker,
     log: &Logger,
-    said: &mut HashSet<(GUID, GUID)>,
+    logged: &mut HashSet<(GUID, GUID)>,
 ) -> bool {
     let mut any = false;
     let mut task = TaskContext::from_waker(waker);
@@ -261,36 +226,37 @@ fn drain<S: Stream<Item = DomainParticipantStatusEvent> + Unpin>(
         any = true;
         let (here, there) = match &event {
             DomainParticipantStatusEvent::RemoteReaderQosIncompatible {
-                local_writer, remote_reader, ..
+                local_writer,
+                remote_reader,
+                ..
             } => (*local_writer, *remote_reader),
             DomainParticipantStatusEvent::RemoteWriterQosIncompatible {
-                local_reader, remote_writer, ..
+                local_reader,
+                remote_writer,
+                ..
             } => (*local_reader, *remote_writer),
             _ => continue,
         };
-        // An endpoint is announced again and again; the mismatch is said once.
-        if said.len() < 10_000 && said.insert((here, there)) {
+        // An endpoint is announced repeatedly; the mismatch is logged once.
+        if logged.len() < 10_000 && logged.insert((here, there)) {
             log.log(
                 Level::Warn,
-                "a publisher and a subscription of the same topic do not match for their quality of service \
-                 (`ros2 topic info -v` shows both); set qos_overrides.<topic>.…",
+                "a publisher and a subscription of the same topic do not match for their quality \
+                 of service (`ros2 topic info -v` shows both); set qos_overrides.<topic>.…",
             );
         }
     }
     any
 }
 
-fn read_endpoints(
-    participant: &rustdds::DomainParticipant,
-    hub: &Hub,
-    log: &Logger,
-    said: &mut HashSet<(GUID, GUID)>,
-) {
-    let topics = hub.topics();
+fn read_endpoints(view: &View, logged: &mut HashSet<(GUID, GUID)>) {
+    let View { participant, transport, graph, log } = view;
+    let topics = transport.topics();
     if topics.is_empty() {
         return;
     }
     let (readers, writers) = (participant.discovered_readers(), participant.discovered_writers());
+    graph.keep(participant.guid(), &writers);
     for (name, type_name, state) in topics {
         let dds_name = format!("rt{name}");
         let dds_type = dds_type_name(type_name);
@@ -303,29 +269,32 @@ fn read_endpoints(
             .count();
         state.remote_readers.store(count, Ordering::Relaxed);
         let mut foreign = HashSet::new();
-        let mut matching = 0;
-        for writer in writers.iter().map(|w| &w.publication_topic_data).filter(|w| w.topic_name == dds_name) {
+        let mut matching = Vec::new();
+        for writer in
+            writers.iter().map(|w| &w.publication_topic_data).filter(|w| w.topic_name == dds_name)
+        {
             if writer.type_name == dds_type {
-                matching += 1;
+                matching.push(Gid::from(writer.key));
                 continue;
             }
             foreign.insert(Gid::from(writer.key));
-            if said.len() < 10_000 && said.insert((writer.key, writer.key)) {
+            if logged.len() < 10_000 && logged.insert((writer.key, writer.key)) {
                 log.log(
                     Level::Warn,
                     format!(
-                        "somebody publishes {} on {name}, which is {type_name} here; those messages are refused",
+                        "somebody publishes {} on {name}, which is {type_name} here; those \
+                         messages are refused",
                         writer.type_name
                     ),
                 );
             }
         }
-        state.remote_writers.store(matching, Ordering::Relaxed);
-        *state.foreign_writers.write().unwrap_or_else(PoisonError::into_inner) = foreign;
+        *state.remote_writers.write() = matching;
+        *state.foreign_writers.write() = foreign;
     }
 }
 
-/// `sensor_msgs/msg/Imu` as `sensor_msgs::msg::dds_::Imu_`.
+/// DDS type name of a ROS type: `sensor_msgs::msg::dds_::Imu_` for `sensor_msgs/msg/Imu`.
 pub(crate) fn dds_type_name(type_name: &str) -> String {
     match type_name.rsplit_once('/') {
         Some((package, name)) => format!("{}::dds_::{name}_", package.replace('/', "::")),

@@ -1,10 +1,14 @@
-//! Why a node ends before it was asked to.
+//! Why a node ends on its own.
 
-use crate::{args::ArgumentError, names::NameError, parameters::ParameterError};
+use crate::{
+    args::ArgumentError, environment::EnvironmentError, names::NameError,
+    parameters::ParameterError, scheduling::SchedulingError,
+};
 use rig_model::RigError;
+use std::path::PathBuf;
 use thiserror::Error;
 
-/// Why a node cannot start or go on.
+/// Why a node cannot start or continue.
 #[derive(Debug, Error)]
 pub enum NodeError {
     /// The command line.
@@ -24,47 +28,56 @@ pub enum NodeError {
         source: RigError,
     },
     /// The same topic with two types in one process.
-    #[error("the topic {topic} is {there} in this process already, not {here}; remap one of the two")]
+    #[error(
+        "the topic {topic} is {there} in this process already, not {here}; remap one of the two"
+    )]
     TypeClash {
         /// Absolute name.
         topic: String,
-        /// The type that was asked for.
+        /// The requested type.
         here: &'static str,
-        /// The type that it has.
+        /// The existing type.
         there: &'static str,
     },
-    /// The middleware refused to make something.
+    /// The middleware could not create something.
     #[error("DDS cannot make {what}: {reason}")]
     Middleware {
         /// Participant, publisher, subscription or service, with its name.
         what: String,
-        /// What it said.
+        /// The middleware's message.
+        reason: String,
+    },
+    /// Security is enforced, and the enclave cannot be used.
+    #[error("DDS security: the enclave {enclave} of the keystore {keystore}: {reason}")]
+    Security {
+        /// Absolute name of the enclave.
+        enclave: String,
+        /// `ROS_SECURITY_KEYSTORE`.
+        keystore: PathBuf,
+        /// What is missing, and the remedy.
         reason: String,
     },
     /// The middleware's threads are gone.
     #[error(
-        "the DDS middleware ended: it was interrupted (the process was stopped and continued), the computer slept, or its clock was set back; start again"
+        "the DDS middleware ended: it was interrupted (the process was stopped and continued), \
+         the computer slept, or its clock was set back; start again"
     )]
     MiddlewareEnded,
-    /// An environment variable that cannot be.
-    #[error("the environment variable {name}={value} is not understood; expected {expected}")]
-    Environment {
-        /// Its name.
-        name: &'static str,
-        /// Its value.
-        value: String,
-        /// What it may be.
-        expected: &'static str,
-    },
+    /// Priority, affinity or memory lock of the process.
+    #[error(transparent)]
+    Scheduling(#[from] SchedulingError),
+    /// An environment variable with an invalid value.
+    #[error(transparent)]
+    Environment(#[from] EnvironmentError),
     /// The system refused a thread or a signal handler.
     #[error("the system refused {what}: {source}")]
     System {
-        /// What was asked for.
+        /// What was requested.
         what: String,
-        /// What it said.
+        /// The system's message.
         source: std::io::Error,
     },
-    /// What the node itself says: which file, topic or device, and what to do.
+    /// The node's own reason: which file, topic or device, and what to do.
     #[error("{message}")]
     Shell {
         /// One line.
@@ -86,10 +99,14 @@ impl NodeError {
         Self::Shell { message: message.into() }
     }
 
-    /// Is the command line wrong (exit status 2) rather than the work impossible (1)?
+    /// Returns whether the command line is wrong (exit status 2) rather than the work impossible
+    /// (1).
     pub fn is_usage(&self) -> bool {
         matches!(self, Self::Arguments(e) if e.is_usage())
             || matches!(self, Self::Name(_))
-            || matches!(self, Self::Parameter(ParameterError::Unknown { origin, .. }) if origin == "-p")
+            || matches!(
+                self,
+                Self::Parameter(ParameterError::Unknown { origin, .. }) if origin == "-p"
+            )
     }
 }

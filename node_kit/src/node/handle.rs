@@ -1,120 +1,66 @@
-//! What a node has that does not depend on what comes to it.
+//! The part of a node's context that does not depend on the node's inputs.
 
 use super::{
-    NodeError,
     clock::Clock,
-    control::{Control, SharedState},
-    diagnostics::Diagnostics,
+    control_services::{self, SharedState},
+    devices::Devices,
+    diagnostics::{Diagnostics, Health},
     domain::Domain,
-    kit::Event,
+    endpoints::Endpoints,
+    error::NodeError,
+    event::Sources,
     logger::Logger,
-    publisher::Publishing,
-    reactor::Reactor,
-    tf::Tf,
-    topics::Subscription,
+    publisher::Publisher,
+    subscription::Subscription,
+    tf::Transforms,
 };
 use crate::{
-    inbox::{Inbox, SourceCount, SourceId, now},
     level::Level,
     lifecycle::LifecycleState,
-    names::{NodeName, Remap, resolve},
+    names::{NodeName, Remap},
     parameters::{Change, ParameterMap, ParameterStore, ParameterValue},
-    qos::Qos,
+    qos::{Qos, QosPreset},
 };
 use async_executor::Task;
-use rig_model::{Rig, Stamp};
+use parking_lot::MutexGuard;
+use rig_model::{Rig, Stamp, topics};
 use std::{
-    sync::{
-        Arc, Mutex, MutexGuard, PoisonError, Weak,
-        atomic::{AtomicBool, Ordering},
-    },
-    thread::JoinHandle,
+    sync::{Arc, Weak, atomic::Ordering},
     time::Duration,
 };
+use volant_msgs::{
+    Message, geometry_msgs::msg::TransformStamped, rosgraph_msgs::msg::Clock as ClockMessage,
+};
 
-/// A node's inbox, whatever its inputs are.
-pub(crate) trait Sources: Send + Sync {
-    fn add_source(&self, name: &str, depth: usize, expected: bool) -> SourceId;
-    fn add_control(&self, name: &str, depth: usize) -> SourceId;
-    fn put_control(&self, source: SourceId, control: Control);
-    fn wake(&self, source: SourceId);
-    fn refuse(&self, source: SourceId);
-    fn touch(&self, source: SourceId);
-    fn lose(&self, source: SourceId, count: u64);
-    fn retire(&self, source: SourceId);
-    fn set_accepting(&self, accepting: bool);
-    fn counts(&self) -> Vec<SourceCount>;
-    fn close(&self);
+/// Subscriptions and services of one owner; they end when it drops.
+#[derive(Default)]
+pub(crate) struct Held {
+    pub subscriptions: Vec<Subscription>,
+    pub services: Vec<Task<()>>,
 }
 
-impl<I: Send + 'static> Sources for Inbox<Event<I>> {
-    fn add_source(&self, name: &str, depth: usize, expected: bool) -> SourceId {
-        Self::add_source(self, name, depth, expected)
-    }
-    fn add_control(&self, name: &str, depth: usize) -> SourceId {
-        Self::add_control(self, name, depth)
-    }
-    fn put_control(&self, source: SourceId, control: Control) {
-        self.put(source, Event::Control(control), now());
-    }
-    fn wake(&self, source: SourceId) {
-        self.put(source, Event::Wake, now());
-    }
-    fn refuse(&self, source: SourceId) {
-        Self::refuse(self, source);
-    }
-    fn touch(&self, source: SourceId) {
-        Self::touch(self, source, now());
-    }
-    fn lose(&self, source: SourceId, count: u64) {
-        Self::lose(self, source, count);
-    }
-    fn retire(&self, source: SourceId) {
-        Self::retire(self, source);
-    }
-    fn set_accepting(&self, accepting: bool) {
-        Self::set_accepting(self, accepting);
-    }
-    fn counts(&self) -> Vec<SourceCount> {
-        Self::counts(self)
-    }
-    fn close(&self) {
-        Self::close(self);
-    }
-}
-
-/// What a node has that does not depend on its inputs: publishers, services, clock, log, parameters, threads. A
-/// [`Kit`](super::Kit) is one with inputs, and derefs to it.
+/// The part of a node's context that does not depend on the node's inputs: publishers, clock, log,
+/// parameters, transforms, diagnostics, device threads.
 ///
-/// It is apart from the kit so that its code, with all that middleware behind it, is compiled once and not in each executable.
+/// A [`NodeContext`](super::NodeContext) is one with inputs and dereferences to it. The two are
+/// apart so that this code, with the middleware behind it, is compiled once and not in each
+/// executable.
 pub struct NodeHandle {
-    pub(crate) shell_subscriptions: Vec<Subscription>,
-    pub(crate) kit_subscriptions: Vec<Subscription>,
-    pub(crate) shell_services: Vec<Task<()>>,
-    pub(crate) kit_services: Vec<Task<()>>,
-    pub(crate) tf: Tf,
+    /// Of the shell; dropped when it is cleaned up.
+    pub(crate) shell: Held,
+    /// Of the node itself: parameters, lifecycle, `/clock`.
+    own: Held,
+    transforms: Transforms,
     pub(crate) diagnostics: Diagnostics,
-    pub(crate) publishers: Vec<Weak<dyn Publishing>>,
-    devices: Vec<JoinHandle<()>>,
-    pub(super) device_sources: Vec<SourceId>,
-    /// False when the devices of this start of the shell must end.
-    pub(super) devices_open: Arc<AtomicBool>,
+    pub(crate) devices: Devices,
     pub(crate) lifecycle: SharedState,
     pub(crate) ending: Option<Result<(), NodeError>>,
-    pub(crate) sources: Arc<dyn Sources>,
-    pub(crate) store: Arc<Mutex<ParameterStore>>,
-    pub(super) active: Arc<AtomicBool>,
-    pub(super) always: Arc<AtomicBool>,
-    pub(crate) name: NodeName,
-    remaps: Vec<Remap>,
-    pub(super) clock: Clock,
-    pub(super) logger: Logger,
-    pub(crate) reactor: Reactor,
-    pub(crate) node: ros2_client::Node,
-    pub(crate) domain: Arc<Domain>,
+    pub(crate) clock: Clock,
+    pub(crate) endpoints: Endpoints,
 }
 
-pub(crate) struct KitParts {
+/// Names, parameters and log of a node that is to be created.
+pub(crate) struct NodeParts {
     pub name: NodeName,
     pub remaps: Vec<Remap>,
     pub store: ParameterStore,
@@ -127,79 +73,94 @@ impl NodeHandle {
     pub(crate) fn new(
         domain: Arc<Domain>,
         sources: Arc<dyn Sources>,
-        parts: KitParts,
+        parts: NodeParts,
     ) -> Result<Self, NodeError> {
-        let KitParts { name, remaps, store, clock, logger, rosout } = parts;
-        let failed = |reason: String| NodeError::Middleware {
-            what: format!("the node {}", name.fully_qualified()),
-            reason,
-        };
-        let ros_name =
-            ros2_client::NodeName::new(name.namespace(), name.base()).map_err(|e| failed(e.to_string()))?;
-        // ros2-client's own parameter services speak one mapping only and know no descriptors; its /rosout has no bound.
-        let options = ros2_client::NodeOptions::new()
-            .enable_rosout(false)
-            .start_parameter_services(false)
-            .allow_undeclared_parameters(true);
-        let node = domain.context.new_node(ros_name, options).map_err(|e| failed(e.to_string()))?;
-        let reactor = Reactor::start(name.base())?;
+        let NodeParts { name, remaps, store, clock, logger, rosout } = parts;
+        let mut endpoints = Endpoints::new(domain, sources, name, remaps, store, logger)?;
+        if rosout {
+            let publisher = endpoints.advertise_always(topics::absolute::ROSOUT, ROSOUT)?;
+            endpoints.logger.connect(publisher);
+        }
         let mut handle = Self {
-            shell_subscriptions: Vec::new(),
-            kit_subscriptions: Vec::new(),
-            shell_services: Vec::new(),
-            kit_services: Vec::new(),
-            tf: Tf::default(),
-            diagnostics: Diagnostics::default(),
-            publishers: Vec::new(),
-            devices: Vec::new(),
-            device_sources: Vec::new(),
-            devices_open: Arc::new(AtomicBool::new(true)),
+            shell: Held::default(),
+            own: Held::default(),
+            transforms: Transforms::default(),
+            diagnostics: Diagnostics::new(&mut endpoints)?,
+            devices: Devices::default(),
             lifecycle: SharedState::new(LifecycleState::Unconfigured),
             ending: None,
-            sources,
-            store: Arc::new(Mutex::new(store)),
-            active: Arc::new(AtomicBool::new(true)),
-            always: Arc::new(AtomicBool::new(true)),
-            name,
-            remaps,
             clock,
-            logger,
-            reactor,
-            node,
-            domain,
+            endpoints,
         };
-        if rosout {
-            let publisher = handle.advertise_always("/rosout", ROSOUT)?;
-            handle.logger.connect(publisher);
-        }
-        handle.connect_diagnostics()?;
         handle.follow_use_sim_time()?;
         Ok(handle)
     }
 
-    /// The absolute name of a topic or service after remaps.
+    /// Advertises a topic. The shell keeps the publisher; the topic ends when the last clone drops.
     ///
     /// # Errors
-    /// A name that cannot be.
-    pub fn resolve(&self, name: &str) -> Result<String, NodeError> {
-        Ok(resolve(&self.name, &self.remaps, name)?)
+    /// An invalid name or override of the QoS, a topic of another type in this process, or an error
+    /// of DDS.
+    pub fn advertise<M: Message>(
+        &mut self,
+        topic: &str,
+        preset: QosPreset,
+    ) -> Result<Publisher<M>, NodeError> {
+        self.endpoints.advertise(topic, preset)
     }
 
-    /// Starts a named thread for a device. It must end soon after [`DeviceSender::is_open`] becomes false: the node's
+    /// Absolute name of a topic or service after remaps.
+    ///
+    /// # Errors
+    /// An invalid name.
+    pub fn resolve(&self, name: &str) -> Result<String, NodeError> {
+        self.endpoints.resolve(name)
+    }
+
+    /// Starts a named thread for a device. It must end soon after
+    /// [`DeviceSender::is_open`](super::DeviceSender::is_open) becomes false, because the node's
     /// end waits for it.
     ///
     /// # Errors
     /// The system refuses the thread.
-    pub fn spawn(&mut self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), NodeError> {
-        let thread = std::thread::Builder::new()
-            .name(name.to_owned())
-            .spawn(work)
-            .map_err(|source| NodeError::System { what: format!("the thread {name}"), source })?;
-        self.devices.push(thread);
-        Ok(())
+    pub fn spawn(
+        &mut self,
+        name: &str,
+        work: impl FnOnce() + Send + 'static,
+    ) -> Result<(), NodeError> {
+        self.devices.spawn(name, work)
     }
 
-    /// Now, on the node's clock: for stamps.
+    /// Publishes a transform on `/tf`.
+    ///
+    /// # Errors
+    /// The first call advertises the topic, which can fail.
+    pub fn send_transform(&mut self, transform: TransformStamped) -> Result<(), NodeError> {
+        self.transforms.send(&mut self.endpoints, transform)
+    }
+
+    /// Publishes a constant transform on `/tf_static`, for late joiners too. It replaces an earlier
+    /// one with the same child frame.
+    ///
+    /// # Errors
+    /// The first call advertises the topic, which can fail.
+    pub fn send_static_transform(&mut self, transform: TransformStamped) -> Result<(), NodeError> {
+        self.transforms.send_static(&mut self.endpoints, transform)
+    }
+
+    /// Sets one of the node's own statuses in `/diagnostics`, published as `<node>: <name>` until
+    /// it is set again.
+    pub fn diagnose(
+        &mut self,
+        name: &str,
+        health: Health,
+        message: &str,
+        values: &[(&str, String)],
+    ) {
+        self.diagnostics.set(&self.endpoints.name, name, health, message, values);
+    }
+
+    /// Time of the node's clock, for stamps.
     pub fn now(&self) -> Stamp {
         self.clock.now()
     }
@@ -211,89 +172,124 @@ impl NodeHandle {
 
     /// The node's log, for other threads.
     pub fn logger(&self) -> Logger {
-        self.logger.clone()
+        self.endpoints.logger.clone()
     }
 
     /// Writes a line of the log.
     pub fn log(&self, level: Level, text: impl AsRef<str>) {
-        self.logger.log(level, text);
+        self.endpoints.logger.log(level, text);
     }
 
-    /// Writes a line of the log, but not for the same `key` again within 5 s.
+    /// Writes a line of the log, at most once per `key` in 5 s.
     pub fn log_throttled(&self, level: Level, key: &str, text: impl AsRef<str>) {
-        self.logger.throttled(level, key, Duration::from_secs(5), text);
+        self.endpoints.logger.throttled(level, key, Duration::from_secs(5), text);
     }
 
     /// The node's name.
     pub fn name(&self) -> &NodeName {
-        &self.name
+        &self.endpoints.name
     }
 
     /// The rig, from the node's parameters.
     ///
     /// # Errors
-    /// A key that is missing or cannot be.
+    /// A key that is missing or invalid.
     pub fn rig(&self) -> Result<Rig, NodeError> {
         Ok(Rig::from_parameters(&self.parameter_values())?)
     }
 
-    /// Every parameter that holds now.
+    /// Current values of all parameters.
     pub fn parameter_values(&self) -> ParameterMap {
         self.parameter_store().values().clone()
-    }
-
-    pub(crate) fn parameter_store(&self) -> MutexGuard<'_, ParameterStore> {
-        lock_store(&self.store)
     }
 
     /// Ends the node for a reason: exit status 1 with this line.
     pub fn fail(&mut self, error: NodeError) {
         self.ending.get_or_insert(Err(error));
-        self.sources.close();
+        self.endpoints.sources.close();
     }
 
     /// Ends the node because its work is done.
     pub fn finish(&mut self) {
         self.ending.get_or_insert(Ok(()));
-        self.sources.close();
+        self.endpoints.sources.close();
     }
 
-    /// Opens or shuts the node's gates: what comes in is kept or let go, what is published goes out or not.
+    pub(crate) fn parameter_store(&self) -> MutexGuard<'_, ParameterStore> {
+        self.endpoints.store.lock()
+    }
+
+    /// Offers the parameter and lifecycle services.
+    pub(crate) fn offer_control(&mut self) -> Result<(), NodeError> {
+        let services = control_services::offer(&mut self.endpoints, &self.lifecycle)?;
+        self.own.services.extend(services);
+        Ok(())
+    }
+
+    /// Activates or deactivates the node's inputs and publishers.
     pub(crate) fn set_active(&mut self, active: bool) {
-        self.active.store(active, Ordering::Release);
-        self.sources.set_accepting(active);
+        self.endpoints.active.store(active, Ordering::Release);
+        self.endpoints.sources.set_accepting(active);
         if active {
-            // Latched topics speak of what they were given meanwhile.
-            self.publishers.iter().filter_map(Weak::upgrade).for_each(|p| p.retry());
+            // Latched topics publish what was published meanwhile.
+            self.endpoints.publishers.iter().filter_map(Weak::upgrade).for_each(|p| p.retry());
         }
     }
 
     /// Ends the threads of devices and waits for them.
     pub(crate) fn end_devices(&mut self) {
-        self.devices_open.store(false, Ordering::Release);
-        for device in std::mem::take(&mut self.devices) {
-            let _ = device.join();
+        self.devices.end(&*self.endpoints.sources);
+    }
+
+    /// Ends the shell's subscriptions, services, transforms and statuses.
+    pub(crate) fn clear_shell(&mut self) {
+        self.shell = Held::default();
+        self.transforms = Transforms::default();
+        self.diagnostics.clear();
+    }
+
+    /// Publishes the diagnostics of this second.
+    pub(crate) fn publish_diagnostics(&mut self) {
+        self.diagnostics.publish(&mut self.endpoints, self.lifecycle.get(), self.clock.now());
+    }
+
+    /// Subscribes to `/clock` if `use_sim_time` is set, else ends the subscription.
+    pub(crate) fn follow_use_sim_time(&mut self) -> Result<(), NodeError> {
+        let use_sim_time = self.parameter_store().get("use_sim_time").cloned();
+        let simulated = use_sim_time == Some(ParameterValue::Bool(true));
+        self.clock.set_simulated(simulated);
+        if !simulated {
+            self.own.subscriptions.clear();
+        } else if self.own.subscriptions.is_empty() {
+            let (clock, sources) = (self.clock.clone(), Arc::clone(&self.endpoints.sources));
+            let wake = sources.add_control("clock", 1);
+            let subscription = self.endpoints.subscribe(
+                topics::absolute::CLOCK,
+                CLOCK,
+                true,
+                move |source, _, m: &Arc<ClockMessage>| {
+                    clock.set(Stamp::from_sec_nanosec(m.clock.sec, m.clock.nanosec));
+                    sources.touch(source);
+                    sources.wake(wake);
+                },
+            )?;
+            self.own.subscriptions.push(subscription);
         }
-        self.device_sources.drain(..).for_each(|source| self.sources.retire(source));
-        self.devices_open = Arc::new(AtomicBool::new(true));
+        Ok(())
     }
 
-    /// Forgets what the shell subscribed, offered and timed.
-    pub(crate) fn forget_shell(&mut self) {
-        self.shell_subscriptions.clear();
-        self.shell_services.clear();
-        self.tf = Tf::default();
-        self.diagnostics.forget_shell();
-    }
-
-    /// Says on `/parameter_events` which parameters there are.
+    /// Publishes all parameters on `/parameter_events`.
     pub(crate) fn announce_parameters(&self) {
-        let all: Vec<Change> =
-            self.parameter_values().into_iter().map(|(name, value)| Change { name, value }).collect();
+        let all: Vec<Change> = self
+            .parameter_values()
+            .into_iter()
+            .map(|(name, value)| Change { name, value })
+            .collect();
         self.announce(&all);
     }
 
-    /// Says changes on `/parameter_events`. ros2-client's own copy of the parameters serves for nothing else.
+    /// Publishes changes on `/parameter_events`, the only use of ros2-client's copy of the
+    /// parameters.
     pub(crate) fn announce(&self, changes: &[Change]) {
         use ros2_client::ParameterValue as R;
         for Change { name, value } in changes {
@@ -307,16 +303,13 @@ impl NodeHandle {
                 ParameterValue::DoubleArray(x) => R::DoubleArray(x),
                 ParameterValue::StringArray(x) => R::StringArray(x),
             };
-            if let Err(reason) = self.node.set_parameter(name, value) {
+            if let Err(reason) = self.endpoints.node.set_parameter(name, value) {
                 self.log(Level::Debug, format!("no event for the parameter {name}: {reason}"));
             }
         }
     }
 }
 
-pub(crate) fn lock_store(store: &Mutex<ParameterStore>) -> MutexGuard<'_, ParameterStore> {
-    store.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// rclcpp's, but for the bound.
+/// rclcpp's, with a bound.
 const ROSOUT: Qos = Qos { reliable: true, transient_local: true, depth: 100, max_samples: 100 };
+const CLOCK: Qos = Qos { reliable: false, transient_local: false, depth: 1, max_samples: 1 };

@@ -1,12 +1,13 @@
 //! Replies that do not fit into one datagram of RustDDS.
 //!
-//! RustDDS 0.15.1 cuts a sample of more than about 1.3 kB into DATA_FRAG submessages, and writes those malformed where they
-//! carry inline QoS (an `Option`'s tag before the parameter list), which a reply with the identity of its request always
-//! does. No peer can read them, so `ros2 param dump` of a node with many parameters would wait for ever.
+//! RustDDS 0.15.1 splits a sample of more than about 1.3 kB into DATA_FRAG submessages, and writes
+//! them malformed if they have inline QoS (an `Option`'s tag before the parameter list), which a
+//! reply with the identity of its request always has. No peer can read them: `ros2 param dump` of a
+//! node with many parameters would wait for ever.
 //!
-//! So such a reply goes through RustDDS as ever, which numbers it, announces it and takes its acknowledgment, and besides as
-//! what Fast DDS itself sends for up to 64 kB: one DATA submessage in one datagram, with the same writer and number. A
-//! reader takes whichever copy it can read, once.
+//! Such a reply is sent through RustDDS, which numbers and announces it and receives the
+//! acknowledgment, and besides as Fast DDS sends up to 64 kB: one DATA submessage in one datagram,
+//! with the same writer and number. A reader uses the copy that it can read, once.
 
 use rustdds::{DomainParticipant, SampleIdentity};
 use std::{
@@ -14,26 +15,35 @@ use std::{
     net::{Ipv4Addr, SocketAddr, UdpSocket},
 };
 
-/// Larger ones are sent twice. A datagram of 1500 bytes holds this with all headers.
+/// Largest reply that is sent through RustDDS only, bytes: it fits a datagram of 1500 with all
+/// headers.
 pub(super) const FITS: usize = 1300;
-/// What a UDP datagram holds (65507 bytes), less the headers below.
+/// Largest reply, bytes: a UDP datagram (65507) less the headers below.
 pub(super) const LONGEST: usize = 65_000;
 
 const VENDOR: [u8; 2] = [0x01, 0x12];
 const INFO_TIMESTAMP: u8 = 0x09;
 const DATA: u8 = 0x15;
+// Flags of a submessage, used in two expressions; a type of bitflags 2.13 would be longer.
 const LITTLE_ENDIAN: u8 = 0x01;
 const INLINE_QOS: u8 = 0x02;
 const WITH_DATA: u8 = 0x04;
-/// `PID_RELATED_SAMPLE_IDENTITY` of the RPC specification, and Fast DDS's own number from before it.
+/// `PID_RELATED_SAMPLE_IDENTITY` of the RPC specification, and Fast DDS's own number from before
+/// it.
 const RELATED_SAMPLE_IDENTITY: [u16; 2] = [0x0083, 0x800f];
 const SENTINEL: u16 = 0x0001;
 
 /// The datagram: RTPS header, time, one DATA submessage.
 ///
-/// `sample` is the identity that RustDDS gave the reply, `request` that of its request, `payload` the reply as CDR with its
-/// header of four bytes, `stamp` the time of sending in units of 2⁻³² s since 1970.
-fn datagram(sample: &SampleIdentity, request: &SampleIdentity, payload: &[u8], stamp: u64) -> Vec<u8> {
+/// `sample` is the identity of the reply from RustDDS, `request` the identity of its request,
+/// `payload` the reply as CDR with its header of four bytes, `stamp` the time of sending in units
+/// of 2⁻³² s since 1970.
+fn datagram(
+    sample: &SampleIdentity,
+    request: &SampleIdentity,
+    payload: &[u8],
+    stamp: u64,
+) -> Vec<u8> {
     let (writer, number) = (sample.writer_guid.to_bytes(), i64::from(sample.sequence_number));
     let mut bytes = Vec::with_capacity(payload.len() + 128);
     bytes.extend_from_slice(b"RTPS");
@@ -47,9 +57,9 @@ fn datagram(sample: &SampleIdentity, request: &SampleIdentity, payload: &[u8], s
 
     let mut body = Vec::with_capacity(payload.len() + 96);
     body.extend_from_slice(&[0, 0]);
-    // Octets from behind this field to the inline QoS.
+    // Octets between this field and the inline QoS.
     body.extend_from_slice(&16u16.to_le_bytes());
-    // Any reader that is matched to the writer: each client finds its own request in the inline QoS.
+    // Any matched reader: each client finds its own request in the inline QoS.
     body.extend_from_slice(&[0; 4]);
     body.extend_from_slice(&writer[12..]);
     put_halves(&mut body, number.cast_unsigned());
@@ -73,13 +83,14 @@ fn datagram(sample: &SampleIdentity, request: &SampleIdentity, payload: &[u8], s
     bytes
 }
 
-/// RTPS writes 64-bit numbers as the high and then the low half, each in the byte order of the submessage.
+/// Writes a 64-bit number as RTPS has it: the high half first, each half in the byte order of the
+/// submessage.
 fn put_halves(bytes: &mut Vec<u8>, number: u64) {
     bytes.extend_from_slice(&((number >> 32) as u32).to_le_bytes());
     bytes.extend_from_slice(&(number as u32).to_le_bytes());
 }
 
-/// A reply on its way beside RustDDS.
+/// Reply that is sent beside RustDDS.
 pub(super) struct LargeReply {
     datagram: Vec<u8>,
     socket: UdpSocket,
@@ -87,10 +98,10 @@ pub(super) struct LargeReply {
 }
 
 impl LargeReply {
-    /// For every reader of the DDS topic `replies` that discovery knows.
+    /// Prepares the reply for every discovered reader of the DDS topic `replies`.
     ///
     /// # Errors
-    /// The system refuses a socket.
+    /// The system's error if it refuses a socket.
     pub fn new(
         participant: &DomainParticipant,
         replies: &str,
@@ -115,7 +126,7 @@ impl LargeReply {
         })
     }
 
-    /// Sends it to all readers once. One that cannot be reached is none of ours to tell: its lease ends it.
+    /// Sends the reply to all readers once. An unreachable reader ends by its lease.
     pub fn send(&self) {
         for reader in &self.readers {
             let _ = self.socket.send_to(&self.datagram, reader);
@@ -129,17 +140,22 @@ mod tests {
     use rustdds::{GUID, SequenceNumber};
 
     #[test]
-    fn the_datagram_is_what_the_specification_says() {
+    fn the_datagram_has_the_layout_of_the_specification() {
         let identity = |first: u8, number: i64| SampleIdentity {
             writer_guid: GUID::from_bytes(std::array::from_fn(|i| first + i as u8)),
             sequence_number: SequenceNumber::from(number),
         };
-        let bytes =
-            datagram(&identity(0x10, 7), &identity(0x40, (2 << 32) | 3), &[0, 1, 0, 0, 9], 5 << 32 | 6);
+        let bytes = datagram(
+            &identity(0x10, 7),
+            &identity(0x40, (2 << 32) | 3),
+            &[0, 1, 0, 0, 9],
+            5 << 32 | 6,
+        );
         assert_eq!(bytes[..8], *b"RTPS\x02\x04\x01\x12");
         assert_eq!(bytes[8..20], std::array::from_fn::<u8, 12, _>(|i| 0x10 + i as u8));
         assert_eq!(bytes[20..32], [9, 1, 8, 0, 5, 0, 0, 0, 6, 0, 0, 0]);
-        // DATA, its flags and length: 20 up to the inline QoS, twice 28 and the sentinel in it, 5 of payload, filled up.
+        // DATA, flags and length: 20 bytes up to the inline QoS, in it twice 28 and the sentinel, 5
+        // of payload, padded.
         assert_eq!(bytes[32..36], [0x15, 7, 88, 0]);
         assert_eq!(bytes[36..40], [0, 0, 16, 0]);
         assert_eq!(bytes[40..56], [0, 0, 0, 0, 0x1c, 0x1d, 0x1e, 0x1f, 0, 0, 0, 0, 7, 0, 0, 0]);

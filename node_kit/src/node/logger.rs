@@ -1,16 +1,17 @@
-//! Lines of the log: on standard error as rclcpp writes them, and on `/rosout`.
+//! The log: on standard error in rclcpp's format, and on `/rosout`.
 
 use super::{clock::Clock, publisher::Publisher};
 use crate::{inbox::now, level::Level};
+use parking_lot::Mutex;
 use std::{
     collections::HashMap,
     io::Write,
-    sync::{Arc, Mutex, OnceLock, PoisonError},
+    sync::{Arc, OnceLock},
     time::{Duration, Instant},
 };
 use volant_msgs::{builtin_interfaces::msg::Time, rcl_interfaces::msg::Log};
 
-/// Writes lines of one node. Clones write for the same node, from any thread.
+/// Log of one node. Clones belong to the same node; any thread may write.
 #[derive(Clone)]
 pub struct Logger(Arc<State>);
 
@@ -24,21 +25,27 @@ struct State {
 
 impl Logger {
     pub(crate) fn new(name: String, level: Level, clock: Clock) -> Self {
-        Self(Arc::new(State { name, level, clock, rosout: OnceLock::new(), throttled: Mutex::default() }))
+        Self(Arc::new(State {
+            name,
+            level,
+            clock,
+            rosout: OnceLock::new(),
+            throttled: Mutex::default(),
+        }))
     }
 
     pub(crate) fn connect(&self, rosout: Publisher<Log>) {
         let _ = self.0.rosout.set(rosout);
     }
 
-    /// Writes a line, unless the node's level is above it.
+    /// Writes a line if `level` is at least the node's level.
     pub fn log(&self, level: Level, text: impl AsRef<str>) {
         let (state, text) = (&*self.0, text.as_ref());
         if level < state.level {
             return;
         }
         let stamp = state.clock.now();
-        // A closed terminal is no reason to stop.
+        // A closed standard error does not end the node.
         let _ = writeln!(std::io::stderr(), "[{level}] [{stamp}] [{}]: {text}", state.name);
         if let Some(rosout) = state.rosout.get() {
             let (sec, nanosec) = stamp.to_sec_nanosec();
@@ -52,24 +59,24 @@ impl Logger {
         }
     }
 
-    /// [`Logger::log`], but not the same `key` again within `period`.
+    /// [`Logger::log`], at most once per `key` and `period`.
     pub fn throttled(&self, level: Level, key: &str, period: Duration, text: impl AsRef<str>) {
         let now = now();
         {
-            let mut said = self.0.throttled.lock().unwrap_or_else(PoisonError::into_inner);
-            if said.get(key).is_some_and(|at| now.duration_since(*at) < period) {
+            let mut logged = self.0.throttled.lock();
+            if logged.get(key).is_some_and(|at| now.duration_since(*at) < period) {
                 return;
             }
-            // Keys are few (one per kind of warning), but nothing here may grow without bound.
-            if said.len() >= 256 {
-                said.clear();
+            // Keys are few (one per kind of warning); the bound is a safeguard.
+            if logged.len() >= 256 {
+                logged.clear();
             }
-            said.insert(key.to_owned(), now);
+            logged.insert(key.to_owned(), now);
         }
         self.log(level, text);
     }
 
-    /// The name in each line: `rig1.pose_fusion`.
+    /// Name in each line: `rig1.pose_fusion`.
     pub fn name(&self) -> &str {
         &self.0.name
     }

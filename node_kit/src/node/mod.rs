@@ -1,76 +1,47 @@
-//! Nodes on DDS: [`NodeShell`] is what a node is, [`Kit`] what it has (most of it a [`NodeHandle`]), [`run_node`] a binary's whole `main`, and
-//! [`Process`] several nodes in one process.
+//! Nodes on DDS: a node implements [`NodeShell`] and works with its [`NodeContext`]; [`run_node`]
+//! is a binary's whole `main`, and a [`Process`] holds several nodes.
 
 mod clock;
-mod control;
+mod context;
+mod control_services;
+mod devices;
 mod diagnostics;
 mod domain;
+mod endpoints;
 mod error;
+mod event;
+mod graph;
 mod handle;
-mod hub;
-mod kit;
+mod intra_process;
 mod large_reply;
-mod life;
 mod logger;
 mod middleware;
+mod participant;
 mod process;
 mod publisher;
 mod reactor;
+mod reply_budget;
 mod run;
+mod runner;
 mod service;
+mod shell;
+mod subscription;
+mod supervisor;
 mod tf;
 mod timers;
-mod topics;
 mod wire;
 
 pub use clock::{Clock, ClockWatch};
+pub use context::{IntoInput, NodeContext};
+pub use devices::DeviceSender;
 pub use diagnostics::Health;
 pub use error::NodeError;
 pub use handle::NodeHandle;
-pub use kit::{DeviceSender, Kit};
 pub use logger::Logger;
 pub use middleware::{Loss, MiddlewareWatch};
+pub use participant::join;
 pub use process::{Process, Stopper};
 pub use publisher::Publisher;
 pub use run::{run_node, run_node_with};
 pub use service::Responder;
-pub use topics::IntoInput;
-
-use crate::parameters::ParameterSet;
-
-/// A node: a thin shell around a core. It lives on a thread of its own, and every message, device event and timer comes
-/// to it through [`NodeShell::handle`], one by one, in order of arrival.
-pub trait NodeShell: Sized + 'static {
-    /// Default name of the node; `-r __node:=…` gives it another.
-    const NAME: &'static str;
-    /// A sentence for `--help`.
-    const ABOUT: &'static str = "";
-    /// Its parameters, besides those that every node has.
-    type Parameters: ParameterSet;
-    /// What comes to it.
-    type Input: Send + 'static;
-
-    /// Subscribes, advertises, starts the threads of devices.
-    ///
-    /// # Errors
-    /// Why the node cannot run; see [`NodeError::shell`].
-    fn start(kit: &mut Kit<Self::Input>, parameters: Self::Parameters) -> Result<Self, NodeError>;
-
-    /// One input.
-    fn handle(&mut self, kit: &mut Kit<Self::Input>, input: Self::Input);
-
-    /// Once a second, before the diagnostics go out: [`Kit::diagnose`].
-    fn tick(&mut self, _kit: &mut Kit<Self::Input>) {}
-
-    /// Live parameters have changed; `parameters` are all of them, checked. An error refuses the change, with a reason.
-    ///
-    /// # Errors
-    /// Why these values do not fit what the node does now.
-    fn parameters_changed(
-        &mut self,
-        _kit: &mut Kit<Self::Input>,
-        _parameters: &Self::Parameters,
-    ) -> Result<(), String> {
-        Ok(())
-    }
-}
+pub use shell::NodeShell;

@@ -1,19 +1,18 @@
-//! Several nodes in one process: each on its own thread, one DDS participant for all, messages handed over as `Arc`s.
+//! Several nodes in one process: each on its own thread, one DDS participant for all, messages
+//! shared as `Arc`s.
 
 use super::{
-    NodeError, NodeShell, clock::Clock, domain::Domain, handle::KitParts, kit::Event, life::live,
-    logger::Logger, middleware::Loss,
+    clock::Clock, context::NodeContext, domain::Domain, error::NodeError, event::Event,
+    handle::NodeParts, logger::Logger, middleware::Loss, participant::process_log, runner,
+    shell::NodeShell,
 };
 use crate::{
-    args::{Override, RosArguments},
+    args::RosArguments,
     environment::Network,
     inbox::{Inbox, now},
     level::Level,
-    names::NodeName,
-    parameters::{ParameterSet, ParameterStore, common_descriptors},
 };
 use std::{
-    collections::BTreeMap,
     sync::{
         Arc,
         mpsc::{Receiver, SyncSender, sync_channel},
@@ -22,15 +21,22 @@ use std::{
     time::Duration,
 };
 
-/// A process with nodes in it.
+/// Nodes of one process.
 ///
 /// ```no_run
-/// # use node_kit::node::{Kit, NodeError, NodeShell, Process};
-/// # struct Camera; struct Tracker;
-/// # impl NodeShell for Camera { const NAME: &'static str = "camera"; type Parameters = (); type Input = ();
-/// #     fn start(_: &mut Kit<()>, _: ()) -> Result<Self, NodeError> { Ok(Self) } fn handle(&mut self, _: &mut Kit<()>, _: ()) {} }
-/// # impl NodeShell for Tracker { const NAME: &'static str = "tracker"; type Parameters = (); type Input = ();
-/// #     fn start(_: &mut Kit<()>, _: ()) -> Result<Self, NodeError> { Ok(Self) } fn handle(&mut self, _: &mut Kit<()>, _: ()) {} }
+/// # use node_kit::node::{NodeContext, NodeError, NodeShell, Process};
+/// # macro_rules! node { ($Name:ident, $name:literal) => {
+/// #     struct $Name;
+/// #     impl NodeShell for $Name {
+/// #         const NAME: &'static str = $name;
+/// #         type Parameters = ();
+/// #         type Input = ();
+/// #         fn start(_: &mut NodeContext<()>, _: ()) -> Result<Self, NodeError> { Ok(Self) }
+/// #         fn handle(&mut self, _: &mut NodeContext<()>, _: ()) {}
+/// #     }
+/// # } }
+/// # node!(Camera, "camera");
+/// # node!(Tracker, "tracker");
 /// # fn main() -> Result<(), NodeError> {
 /// let (ros, _) = node_kit::RosArguments::parse(std::env::args().skip(1))?;
 /// let process = Process::from_environment()?;
@@ -55,10 +61,10 @@ struct Running {
     thread: JoinHandle<Result<(), NodeError>>,
 }
 
-/// How long the end in order may take before a further signal ends the process at once.
-const PATIENCE: Duration = Duration::from_secs(3);
+/// Time for an orderly end, after which a further signal ends the process at once.
+const GRACE_PERIOD: Duration = Duration::from_secs(3);
 
-/// What wakes [`Process::wait`].
+/// Event that wakes [`Process::wait`].
 #[derive(Clone, Copy, PartialEq)]
 enum Ended {
     Node,
@@ -66,21 +72,21 @@ enum Ended {
     Middleware(Loss),
 }
 
-/// Tells of the end of a node's thread, also when it panicked.
-struct TellEnd(SyncSender<Ended>);
+/// Reports the end of a node's thread when it drops, also by a panic.
+struct ReportEnd(SyncSender<Ended>);
 
-impl Drop for TellEnd {
+impl Drop for ReportEnd {
     fn drop(&mut self) {
         let _ = self.0.try_send(Ended::Node);
     }
 }
 
-/// Asks a [`Process`] to stop, from any thread.
+/// Stops a [`Process`] from any thread.
 #[derive(Clone)]
 pub struct Stopper(SyncSender<Ended>);
 
 impl Stopper {
-    /// Asks; returns at once. Asking again changes nothing.
+    /// Requests the stop and returns at once. Further calls have no effect.
     pub fn stop(&self) {
         let _ = self.0.try_send(Ended::Stop);
     }
@@ -90,30 +96,26 @@ impl Process {
     /// Joins the DDS domain that the environment names.
     ///
     /// # Errors
-    /// A variable that cannot be, or DDS's refusal.
+    /// [`NodeError::Environment`] for a variable with an invalid value; else as [`Process::new`].
     pub fn from_environment() -> Result<Self, NodeError> {
         Self::from_arguments(&RosArguments::default())
     }
 
-    /// Joins the DDS domain that the environment names, in the security enclave that the command line names.
+    /// Joins the DDS domain that the environment names, in the security enclave that the command
+    /// line names.
     ///
     /// # Errors
-    /// A variable that cannot be, keys that are not there, or DDS's refusal.
+    /// As [`Process::from_environment`].
     pub fn from_arguments(arguments: &RosArguments) -> Result<Self, NodeError> {
-        let network = Network::from_environment().map_err(|e| NodeError::Environment {
-            name: e.name,
-            value: e.value,
-            expected: e.expected,
-        })?;
-        Self::new(network.with_enclave(arguments.enclave()))
+        Self::new(Network::from_environment()?.with_enclave(arguments.enclave()))
     }
 
     /// Joins a DDS domain.
     ///
     /// # Errors
-    /// DDS's refusal.
+    /// As [`join`](super::join).
     pub fn new(network: Network) -> Result<Self, NodeError> {
-        let log = Logger::new("volant".to_owned(), Level::Info, Clock::default());
+        let log = process_log();
         let (ended_sender, ended) = sync_channel(64);
         let domain = Arc::new(join_domain(network, &log, &ended_sender)?);
         Ok(Self { nodes: Vec::new(), ended, ended_sender, log, domain })
@@ -122,31 +124,34 @@ impl Process {
     /// Starts a node; returns when its [`NodeShell::start`] has.
     ///
     /// # Errors
-    /// Names or parameters that cannot be, or what the node's start says.
+    /// Invalid names or parameters, or the error of the node's start.
     pub fn start<S: NodeShell>(&mut self, arguments: &RosArguments) -> Result<(), NodeError> {
-        let name = arguments.node_name(S::NAME)?;
-        let overrides = arguments.overrides(&name);
-        self.start_node::<S>(name, arguments, overrides)
+        self.start_with(arguments, S::start)
     }
 
-    fn start_node<S: NodeShell>(
+    /// Starts a node whose shell is created by `start` instead of [`NodeShell::start`]: a closure
+    /// that owns what the shell shares with the rest of the program. It is called again when the
+    /// node is configured again.
+    ///
+    /// # Errors
+    /// As [`Process::start`].
+    pub fn start_with<S: NodeShell>(
         &mut self,
-        name: NodeName,
         arguments: &RosArguments,
-        mut overrides: BTreeMap<String, Override>,
+        start: impl FnMut(&mut NodeContext<S::Input>, S::Parameters) -> Result<S, NodeError>
+        + Send
+        + 'static,
     ) -> Result<(), NodeError> {
-        let mut descriptors = S::Parameters::descriptors();
-        descriptors.extend(common_descriptors());
-        overrides
-            .retain(|name, _| !arguments.is_of_others(name) || descriptors.iter().any(|d| d.name == *name));
-        let store = ParameterStore::new(descriptors, overrides)?;
+        let name = arguments.node_name(S::NAME)?;
+        arguments.check_node_names(&name, S::NAME)?;
+        let store = arguments.declare::<S::Parameters>(&name)?;
         let clock = Clock::default();
         let logger = Logger::new(
             name.fully_qualified().trim_start_matches('/').replace('/', "."),
             arguments.level(&name),
             clock.clone(),
         );
-        let parts = KitParts {
+        let parts = NodeParts {
             remaps: arguments.remaps(),
             rosout: arguments.rosout(),
             name: name.clone(),
@@ -164,33 +169,38 @@ impl Process {
         let thread = std::thread::Builder::new()
             .name(name.base().chars().take(15).collect())
             .spawn(move || {
-                let _tells = TellEnd(ended);
-                live::<S>(domain, inbox, parts, &started_sender)
+                let _report = ReportEnd(ended);
+                runner::run::<S>(domain, inbox, parts, Box::new(start), &started_sender)
             })
-            .map_err(|source| NodeError::System { what: format!("a thread for {}", name.base()), source })?;
-        // The sender drops without a word when the node could not start; its thread says why.
+            .map_err(|source| NodeError::System {
+                what: format!("a thread for {}", name.base()),
+                source,
+            })?;
+        // The sender drops unused when the node could not start; the thread's result says why.
         if started.recv().is_ok() {
             self.nodes.push(Running { name: name.fully_qualified(), close, thread });
             return Ok(());
         }
         let reason = join(thread, &name.fully_qualified());
-        // That end has been reported here.
+        // The end of this thread is reported here.
         let _ = self.ended.try_recv();
         reason
     }
 
-    /// Has the middleware ended without being asked to, or was the system's clock set back? Then nothing is heard or said any more; [`Process::run`] mends that.
+    /// Returns whether the middleware has become unusable ([`Loss`]): nothing is received or
+    /// published then, until [`Process::run`] joins the domain again.
     pub fn middleware_ended(&self) -> bool {
         self.domain.ended.load(std::sync::atomic::Ordering::Acquire)
     }
 
-    /// Something that stops the process from another thread.
+    /// A handle that stops the process from another thread.
     pub fn stopper(&self) -> Stopper {
         Stopper(self.ended_sender.clone())
     }
 
-    /// Has SIGINT and SIGTERM stop the process in order. One that comes 3 s after the first or later ends it at once: Ctrl-C in
-    /// a terminal gives a launched node two in a row, one of the terminal's and one of `ros2 launch`'s.
+    /// Stops the process in order on SIGINT and SIGTERM. A signal that arrives 3 s after the first
+    /// or later ends it at once; earlier ones are ignored, because Ctrl-C in a terminal sends a
+    /// launched node two in a row, one of the terminal and one of `ros2 launch`.
     ///
     /// # Errors
     /// The system refuses the handler.
@@ -209,7 +219,7 @@ impl Process {
                 let mut first = None;
                 for signal in signals.forever() {
                     stopper.stop();
-                    if now().duration_since(*first.get_or_insert_with(now)) >= PATIENCE {
+                    if now().duration_since(*first.get_or_insert_with(now)) >= GRACE_PERIOD {
                         let _ = emulate_default_handler(signal);
                     }
                 }
@@ -218,35 +228,46 @@ impl Process {
         Ok(())
     }
 
-    /// Waits until it is asked to stop, or a node ends; then stops all nodes and leaves the domain.
+    /// Waits until the process is stopped or a node ends; then stops all nodes and leaves the
+    /// domain.
     ///
     /// # Errors
-    /// Why the first node that failed did, or that the middleware ended.
+    /// The first error of a node, or [`NodeError::MiddlewareEnded`].
     pub fn wait(mut self) -> Result<(), NodeError> {
+        self.domain.supervisor.ready();
         let lost = !self.nodes.is_empty() && matches!(self.ended.recv(), Ok(Ended::Middleware(_)));
+        self.domain.supervisor.stopping();
         let outcome = self.shut_down();
         if lost { Err(NodeError::MiddlewareEnded) } else { outcome }
     }
 
-    /// Starts nodes by `start`, and waits as [`Process::wait`] does; when the middleware ends, or is deaf because the clock was set back, joins the domain anew and starts them
-    /// again. What they knew is gone then, as after a start of the process.
+    /// Starts nodes with `start` and waits as [`Process::wait`] does. When the middleware becomes
+    /// unusable, joins the domain again and restarts the nodes, which lose their state.
     ///
     /// # Errors
     /// As [`Process::start`] and [`Process::wait`].
-    pub fn run(mut self, start: impl Fn(&mut Self) -> Result<(), NodeError>) -> Result<(), NodeError> {
+    pub fn run(
+        mut self,
+        start: impl Fn(&mut Self) -> Result<(), NodeError>,
+    ) -> Result<(), NodeError> {
         start(&mut self)?;
-        while let Some(Ok(Ended::Middleware(loss))) = (!self.nodes.is_empty()).then(|| self.ended.recv()) {
+        self.domain.supervisor.ready();
+        while let Some(Ok(Ended::Middleware(loss))) =
+            (!self.nodes.is_empty()).then(|| self.ended.recv())
+        {
             let _ = self.shut_down();
-            // The ends of the nodes are no news; that the process is to stop is.
+            // The ends of the nodes are expected; a request to stop is not.
             if self.ended.try_iter().any(|ended| ended == Ended::Stop) {
                 return Ok(());
             }
-            self.log.log(Level::Warn, "joining the DDS domain anew and starting the nodes again");
-            let mut domain = join_domain(self.domain.network.clone(), &self.log, &self.ended_sender)?;
+            self.log.log(Level::Warn, "rejoining the DDS domain and restarting the nodes");
+            let mut domain =
+                join_domain(self.domain.network.clone(), &self.log, &self.ended_sender)?;
             domain.took_over = Some((now(), loss));
             self.domain = Arc::new(domain);
             start(&mut self)?;
         }
+        self.domain.supervisor.stopping();
         self.shut_down()
     }
 
@@ -268,7 +289,11 @@ impl Process {
     }
 }
 
-fn join_domain(network: Network, log: &Logger, ended: &SyncSender<Ended>) -> Result<Domain, NodeError> {
+fn join_domain(
+    network: Network,
+    log: &Logger,
+    ended: &SyncSender<Ended>,
+) -> Result<Domain, NodeError> {
     let ended = ended.clone();
     let lost = move |loss| {
         let _ = ended.try_send(Ended::Middleware(loss));

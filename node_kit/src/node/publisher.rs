@@ -1,11 +1,12 @@
-//! What a node gives out.
+//! Publishers of messages.
 
-use super::{hub::Channel, wire::Shared};
+use super::{intra_process::Channel, wire::Shared};
 use crate::{inbox::now, qos::Qos};
-use ros2_client::{Gid, WriteError};
+use parking_lot::Mutex;
+use ros2_client::WriteError;
 use std::{
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
     time::Instant,
@@ -14,8 +15,9 @@ use volant_msgs::Message;
 
 /// Publishes messages of one type on one topic. Clones share it; any thread may publish.
 ///
-/// A publication never waits: subscribers of the same process get the `Arc` at once, DDS takes a copy of the bytes or,
-/// when a reliable reader has not acknowledged `max_samples` of them, refuses it, which is counted.
+/// Publishing never waits. Subscribers of the same process get the `Arc` at once. DDS takes a copy
+/// of the bytes, or refuses it when a reliable reader has not acknowledged `max_samples` of them;
+/// refusals are counted.
 pub struct Publisher<M: Message>(Arc<Inner<M>>);
 
 impl<M: Message> Clone for Publisher<M> {
@@ -32,7 +34,7 @@ struct Inner<M: Message> {
     writer: ros2_client::Publisher<Shared<M>>,
     active: Arc<AtomicBool>,
     counts: Arc<PublisherCounts>,
-    /// Of a latched topic: what was published while the node was inactive, or what DDS has not taken yet.
+    /// Of a latched topic: message published while the node was inactive, or refused by DDS.
     pending: Mutex<Option<Pending<M>>>,
 }
 
@@ -41,18 +43,18 @@ enum Pending<M> {
     Unwritten(Arc<M>),
 }
 
-/// How a publisher fares.
+/// Counts of a publisher.
 #[derive(Debug, Default)]
 pub(crate) struct PublisherCounts {
     pub published: AtomicU64,
     pub refused: AtomicU64,
 }
 
-/// A publisher without its type, for the 1 Hz round of the kit.
+/// A publisher without its type, for the diagnostics.
 pub(crate) trait Publishing: Send + Sync {
     fn topic(&self) -> &str;
     fn counts(&self) -> &PublisherCounts;
-    /// Gives DDS again what it refused of a latched topic.
+    /// Publishes the pending message of a latched topic again.
     fn retry(&self);
 }
 
@@ -65,7 +67,7 @@ impl<M: Message> Publisher<M> {
         active: Arc<AtomicBool>,
     ) -> Self {
         let gid = writer.gid();
-        channel.state.own_writers.write().unwrap_or_else(PoisonError::into_inner).insert(gid);
+        channel.state.own_writers.write().insert(gid);
         Self(Arc::new(Inner {
             topic,
             id: channel.new_id(),
@@ -78,26 +80,27 @@ impl<M: Message> Publisher<M> {
         }))
     }
 
-    /// Publishes.
+    /// Publishes a message.
     pub fn publish(&self, message: M) {
         self.publish_shared(Arc::new(message));
     }
 
-    /// Publishes what others hold too, without a copy.
+    /// Publishes a shared message without copying it.
     pub fn publish_shared(&self, message: Arc<M>) {
         let inner = &*self.0;
         if !inner.active.load(Ordering::Acquire) {
             if inner.qos.transient_local {
-                *inner.pending() = Some(Pending::Unpublished(message));
+                *inner.pending.lock() = Some(Pending::Unpublished(message));
             }
             return;
         }
         inner.publish(message);
     }
 
-    /// Subscribers, in this process and outside.
+    /// Number of subscribers, inside and outside of this process.
     pub fn subscribers(&self) -> usize {
-        self.0.channel.local_subscribers() + self.0.channel.state.remote_readers.load(Ordering::Relaxed)
+        self.0.channel.local_subscribers()
+            + self.0.channel.state.remote_readers.load(Ordering::Relaxed)
     }
 
     /// Absolute name of the topic.
@@ -105,7 +108,7 @@ impl<M: Message> Publisher<M> {
         &self.0.topic
     }
 
-    /// Publications that DDS refused since the start, because a reliable reader did not answer.
+    /// Number of publications refused by DDS because a reliable reader did not acknowledge.
     pub fn refused(&self) -> u64 {
         self.0.counts.refused.load(Ordering::Relaxed)
     }
@@ -117,10 +120,6 @@ impl<M: Message> Publisher<M> {
 }
 
 impl<M: Message> Inner<M> {
-    fn pending(&self) -> MutexGuard<'_, Option<Pending<M>>> {
-        self.pending.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn publish(&self, message: Arc<M>) {
         self.counts.published.fetch_add(1, Ordering::Relaxed);
         if self.qos.transient_local {
@@ -128,33 +127,30 @@ impl<M: Message> Inner<M> {
         } else {
             self.channel.deliver(&message);
             if self.channel.state.remote_readers.load(Ordering::Relaxed) == 0 {
-                // Nobody outside would get it, and nobody will ask for it later.
+                // No subscriber outside, and a volatile topic keeps nothing for later ones.
                 return;
             }
         }
         if let Err(message) = self.write(message) {
             self.counts.refused.fetch_add(1, Ordering::Relaxed);
             if self.qos.transient_local {
-                *self.pending() = Some(Pending::Unwritten(message));
+                *self.pending.lock() = Some(Pending::Unwritten(message));
             }
         }
     }
 
-    /// Gives it to DDS; what it refuses for want of room comes back.
+    /// Writes to DDS; returns the message if its queue is full.
     fn write(&self, message: Arc<M>) -> Result<(), Arc<M>> {
         match self.writer.publish(Shared(message)) {
             Ok(()) => Ok(()),
             Err(WriteError::WouldBlock { data }) => Err(data.0),
-            // Anything else (a message that cannot be serialised, a participant that is gone) stays as it is if tried again.
+            // Other errors (serialization, a participant that has ended) do not go away by
+            // retrying.
             Err(_) => {
                 self.counts.refused.fetch_add(1, Ordering::Relaxed);
                 Ok(())
             }
         }
-    }
-
-    fn gid(&self) -> Gid {
-        self.writer.gid()
     }
 }
 
@@ -168,17 +164,17 @@ impl<M: Message> Publishing for Inner<M> {
     }
 
     fn retry(&self) {
-        let pending = self.pending().take();
+        let pending = self.pending.lock().take();
         match pending {
             None => {}
             Some(Pending::Unpublished(message)) if self.active.load(Ordering::Acquire) => {
                 self.publish(message)
             }
-            Some(unpublished @ Pending::Unpublished(_)) => *self.pending() = Some(unpublished),
+            Some(unpublished @ Pending::Unpublished(_)) => *self.pending.lock() = Some(unpublished),
             Some(Pending::Unwritten(message)) => {
                 if let Err(message) = self.write(message) {
-                    // Unless a younger one waits by now.
-                    self.pending().get_or_insert(Pending::Unwritten(message));
+                    // Unless a newer one is pending by now.
+                    self.pending.lock().get_or_insert(Pending::Unwritten(message));
                 }
             }
         }
@@ -188,12 +184,11 @@ impl<M: Message> Publishing for Inner<M> {
 impl<M: Message> Drop for Inner<M> {
     fn drop(&mut self) {
         self.channel.unlatch(self.id);
-        let gid = self.gid();
-        self.channel.state.own_writers.write().unwrap_or_else(PoisonError::into_inner).remove(&gid);
+        self.channel.state.own_writers.write().remove(&self.writer.gid());
     }
 }
 
-/// Counts per second between two rounds.
+/// Rate of a counter.
 #[derive(Debug)]
 pub(crate) struct Rate {
     count: u64,
@@ -209,7 +204,8 @@ impl Rate {
     pub fn update(&mut self, count: u64) -> f64 {
         let now = now();
         let seconds = now.duration_since(self.at).as_secs_f64();
-        let rate = if seconds > 0.0 { count.saturating_sub(self.count) as f64 / seconds } else { 0.0 };
+        let rate =
+            if seconds > 0.0 { count.saturating_sub(self.count) as f64 / seconds } else { 0.0 };
         (self.count, self.at) = (count, now);
         rate
     }

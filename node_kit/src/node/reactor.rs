@@ -1,6 +1,7 @@
-//! The thread that reads a node's subscriptions and services, so that a busy node never holds up the middleware.
+//! The thread that reads a node's subscriptions and services, so that a busy node never holds up
+//! the middleware.
 
-use super::NodeError;
+use super::error::NodeError;
 use async_executor::{Executor, Task};
 use std::{future::Future, sync::Arc, thread::JoinHandle};
 
@@ -14,7 +15,7 @@ impl Reactor {
     pub fn start(node: &str) -> Result<Self, NodeError> {
         let executor = Arc::new(Executor::new());
         let (stop, stopped) = async_channel::bounded::<()>(1);
-        // The kernel cuts names off at 15 bytes.
+        // The kernel truncates names to 15 bytes.
         let thread = std::thread::Builder::new()
             .name(format!("dds_{node}").chars().take(15).collect())
             .spawn({
@@ -40,6 +41,6 @@ impl Drop for Reactor {
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
-        // What is left of the tasks, and with it every subscription and service, drops with the executor.
+        // Remaining tasks, and with them every subscription and service, drop with the executor.
     }
 }

@@ -1,22 +1,34 @@
 //! A binary's whole `main`.
 
-use super::{NodeError, NodeShell, Process};
+use super::{error::NodeError, process::Process, shell::NodeShell};
 use crate::{
     args::{ArgumentError, RosArguments},
-    parameters::{Descriptor, ParameterSet, common_descriptors, help_table, markdown_table, yaml_file},
+    parameters::{
+        Descriptor, ParameterSet, common_descriptors, help_table, markdown_table, yaml_file,
+    },
+    scheduling::{self, Scheduling},
 };
-use rig_model::{parameters::parse_value, rig::did_you_mean};
-use std::{io::Write, process::ExitCode};
+use rig_model::rig::did_you_mean;
+use ros_parameters::parse_value;
+use std::{ffi::OsString, process::ExitCode};
 
-/// Runs one node until SIGINT, SIGTERM or a failure. Exit status 0 done, 1 failed (with one line), 2 wrong command line.
+/// Runs one node until SIGINT, SIGTERM or a failure. Exit status: 0 done, 1 failed (one line on
+/// standard error), 2 wrong command line.
 ///
-/// Besides `--ros-args …`, each parameter of the node can be given as `--name value`, and `--rig rig.yaml` stands for
-/// `--ros-args --params-file rig.yaml`.
+/// Besides `--ros-args …`, each parameter of the node can be given as `--name value`, and
+/// `--rig rig.yaml` stands for `--ros-args --params-file rig.yaml`.
 pub fn run_node<S: NodeShell>() -> ExitCode {
-    run_node_with::<S>(std::env::args().skip(1))
+    let words: Result<Vec<_>, _> = std::env::args_os().skip(1).map(OsString::into_string).collect();
+    match words {
+        Ok(words) => run_node_with::<S>(words),
+        Err(word) => report::<S>(&NodeError::from(ArgumentError::UnknownArgument {
+            argument: word.to_string_lossy().into_owned(),
+            hint: " (it is not UTF-8)".to_owned(),
+        })),
+    }
 }
 
-/// [`run_node`] with a command line (without the program's name).
+/// Runs one node as [`run_node`] does, with this command line (without the program's name).
 pub fn run_node_with<S: NodeShell>(arguments: impl IntoIterator<Item = String>) -> ExitCode {
     let own = S::Parameters::descriptors();
     let (ros, rest) = match RosArguments::parse(arguments) {
@@ -24,8 +36,7 @@ pub fn run_node_with<S: NodeShell>(arguments: impl IntoIterator<Item = String>) 
         Err(error) => return report::<S>(&error.into()),
     };
     if rest.iter().any(|a| a == "--help" || a == "-h") {
-        let _ = write!(std::io::stdout(), "{}", help::<S>(&own));
-        return ExitCode::SUCCESS;
+        return print::<S>(&help::<S>(&own));
     }
     if let Some(form) = rest.iter().find_map(|a| a.strip_prefix("--print-parameters=")) {
         let mut all = own;
@@ -34,10 +45,14 @@ pub fn run_node_with<S: NodeShell>(arguments: impl IntoIterator<Item = String>) 
             "yaml" => yaml_file("/**", &all),
             _ => markdown_table(&all),
         };
-        let _ = write!(std::io::stdout(), "{text}");
-        return ExitCode::SUCCESS;
+        return print::<S>(&text);
     }
-    match own_arguments(ros, rest, &own).map_err(NodeError::from).and_then(|ros| run::<S>(&ros)) {
+    let started = Scheduling::take(rest).map_err(NodeError::from).and_then(|(scheduling, rest)| {
+        let ros = own_arguments(ros, rest, &own)?;
+        scheduling.apply()?;
+        run::<S>(&ros)
+    });
+    match started {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => report::<S>(&error),
     }
@@ -49,7 +64,7 @@ fn run<S: NodeShell>(ros: &RosArguments) -> Result<(), NodeError> {
     process.run(|process| process.start::<S>(ros))
 }
 
-/// `--name value`, `--name=value` and `--rig file` as if they stood in `--ros-args`.
+/// Adds `--name value`, `--name=value` and `--rig file` to `ros`.
 fn own_arguments(
     mut ros: RosArguments,
     rest: Vec<String>,
@@ -61,7 +76,10 @@ fn own_arguments(
             argument: argument.clone(),
             hint: did_you_mean(
                 argument.trim_start_matches('-'),
-                own.iter().map(|d| d.name.as_str()).chain(["rig", "help", "ros-args"]),
+                own.iter()
+                    .map(|d| d.name.as_str())
+                    .chain(["rig", "help", "ros-args"])
+                    .chain(scheduling::OPTIONS),
             ),
         };
         let Some(option) = argument.strip_prefix("--") else { return Err(unknown()) };
@@ -73,12 +91,14 @@ fn own_arguments(
         if !known && !matches!(name, "rig" | "params-file") {
             return Err(unknown());
         }
-        let value = inline
-            .or_else(|| rest.next())
-            .ok_or_else(|| ArgumentError::MissingValue { option: argument.clone(), expected: "a value" })?;
+        let value = inline.or_else(|| rest.next()).ok_or_else(|| ArgumentError::MissingValue {
+            option: argument.clone(),
+            expected: "a value",
+        })?;
         if known {
-            let value = parse_value(name, &value)
-                .map_err(|source| ArgumentError::ParameterValue { text: argument.clone(), source })?;
+            let value = parse_value(name, &value).map_err(|source| {
+                ArgumentError::ParameterValue { text: argument.clone(), source }
+            })?;
             ros.set(name, value);
         } else {
             ros.add_file(value.into())?;
@@ -92,22 +112,32 @@ fn help<S: NodeShell>(own: &[Descriptor]) -> String {
     let own = help_table(own);
     let name = S::NAME;
     format!(
-        "{name}: {about}\n\nusage: {name} [--rig rig.yaml] [--PARAMETER VALUE]… [--ros-args …]\n       \
+        "{name}: {about}\n\n\
+         usage: {name} [--rig rig.yaml] [--PARAMETER VALUE]… [--ros-args …]\n       \
          {name} --print-parameters=yaml|markdown\n\n\
-         --ros-args takes what ROS 2 gives every node: -r from:=to, -r __node:=name, -r __ns:=/namespace,\n\
-         -p parameter:=value, --params-file file.yaml, --log-level debug|info|warn|error|fatal.\n\n\
+         --ros-args takes what ROS 2 gives every node: -r from:=to, -r __node:=name,\n\
+         -r __ns:=/namespace, -p parameter:=value, --params-file file.yaml,\n\
+         --log-level debug|info|warn|error|fatal.\n\n\
+         process:\n{process}\n\
          parameters:\n{own}\nparameters of every node:\n{common}",
-        about = S::ABOUT
+        about = S::ABOUT,
+        process = scheduling::HELP
     )
 }
 
+fn print<S: NodeShell>(text: &str) -> ExitCode {
+    match crate::out!("{text}") {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => error.report(S::NAME),
+    }
+}
+
 fn report<S: NodeShell>(error: &NodeError) -> ExitCode {
-    let mut out = std::io::stderr();
     if error.is_usage() {
-        let _ = writeln!(out, "{}: {error} (`{} --help` lists what it takes)", S::NAME, S::NAME);
+        crate::errln!("{}: {error} (`{} --help` lists what it takes)", S::NAME, S::NAME);
         ExitCode::from(2)
     } else {
-        let _ = writeln!(out, "{}: {error}", S::NAME);
+        crate::errln!("{}: {error}", S::NAME);
         ExitCode::FAILURE
     }
 }

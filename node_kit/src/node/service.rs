@@ -1,12 +1,11 @@
 //! Services.
 
 use super::{
-    NodeError,
-    handle::NodeHandle,
-    kit::{Event, Kit},
+    endpoints::{Endpoints, policies},
+    error::NodeError,
     large_reply::{self, LargeReply},
     logger::Logger,
-    topics::policies,
+    reply_budget::ReplyBudget,
     wire::Half,
 };
 use crate::{environment::ServiceFlavour, inbox::now, level::Level, qos::Qos};
@@ -15,44 +14,36 @@ use futures_lite::StreamExt;
 use ros2_client::{MessageInfo, RmwRequestId, ServiceTypeName};
 use rustdds::{SampleIdentity, SequenceNumber, Topic, TopicKind, WriteOptionsBuilder};
 use serde::{Deserialize, Serialize};
-use std::{fmt::Display, future::Future, sync::Arc, time::Duration};
+use std::{
+    fmt::Display,
+    future::Future,
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
+    time::Duration,
+};
 use volant_msgs::Service;
 
-/// Answers one request of a service. Dropped without an answer, the client gets none.
+/// Replies to one request of a service. If it is dropped unused, the client gets no reply.
 pub struct Responder<S: Service>(async_channel::Sender<S::Response>);
 
 impl<S: Service> Responder<S> {
-    /// Answers; returns at once.
+    pub(super) fn new() -> (Self, async_channel::Receiver<S::Response>) {
+        let (sender, receiver) = async_channel::bounded(1);
+        (Self(sender), receiver)
+    }
+
+    /// Sends the reply without waiting.
     pub fn respond(self, response: S::Response) {
         let _ = self.0.try_send(response);
     }
 }
 
-impl<I: Send + 'static> Kit<I> {
-    /// Offers a service. `make` turns a request, and what answers it, into an input of the node; a request that the node
-    /// does not come to within the inbox's bound (16) is dropped.
-    ///
-    /// # Errors
-    /// A name that cannot be, or DDS's refusal.
-    pub fn serve<S: Service>(
-        &mut self,
-        name: &str,
-        make: impl Fn(S::Request, Responder<S>) -> I + Send + Sync + 'static,
-    ) -> Result<(), NodeError> {
-        let (inbox, source) = (self.inbox.clone(), self.inbox.add_source(&self.resolve(name)?, 16, false));
-        let task = self.serve_with::<S, _>(name, move |request| {
-            let (sender, receiver) = async_channel::bounded(1);
-            inbox.put(source, Event::Input(make(request, Responder(sender))), now());
-            async move { receiver.recv().await.ok() }
-        })?;
-        self.shell_services.push(task);
-        Ok(())
-    }
-}
-
-impl NodeHandle {
-    /// Offers a service that the kit itself answers.
-    pub(crate) fn serve_with<S: Service, F: Future<Output = Option<S::Response>> + Send>(
+impl Endpoints {
+    /// Offers a service; `answer` yields the reply to a request, or `None` for no reply. Requests
+    /// of one service are answered one at a time. The service ends when the task drops.
+    pub fn serve<S: Service, F: Future<Output = Option<S::Response>> + Send>(
         &mut self,
         name: &str,
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
@@ -69,7 +60,7 @@ impl NodeHandle {
         }
     }
 
-    /// The identity of a request travels beside the payload: Fast DDS, Connext, RustDDS.
+    /// Serves with a request's identity beside the payload: Fast DDS, Connext, RustDDS.
     fn serve_enhanced<S: Service, F: Future<Output = Option<S::Response>> + Send>(
         &mut self,
         name: String,
@@ -77,18 +68,25 @@ impl NodeHandle {
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
     ) -> Result<Task<()>, NodeError> {
         let (requests, replies) = self.service_topics(&name, type_name)?;
-        let requests =
-            self.node.create_subscription::<S::Request>(&requests, None).map_err(|e| failed(&name, e))?;
+        let requests = self
+            .node
+            .create_subscription::<S::Request>(&requests, None)
+            .map_err(|e| failed(&name, e))?;
         let participant = self.domain.context.domain_participant();
-        // Not ros2-client's Publisher, which has no way to write what a reply answers.
+        // ros2-client 0.12.1's Publisher cannot write which request a reply belongs to.
         let writer = participant
-            .create_publisher(&policies(&SERVICE))
+            .create_publisher(&policies(&REPLIES))
             .and_then(|p| {
-                p.create_datawriter_no_key_cdr::<Half<S::Response>>(&replies, Some(policies(&SERVICE)))
+                p.create_datawriter_no_key_cdr::<Half<S::Response>>(
+                    &replies,
+                    Some(policies(&REPLIES)),
+                )
             })
             .map_err(|e| failed(&name, e))?;
         let writer = Arc::new(writer);
-        let log = ServiceLog { logger: self.logger(), name: name.clone() };
+        let log = ServiceLog { logger: self.logger.clone(), name: name.clone() };
+        let mut budget = ReplyBudget::new();
+        let resenders = Arc::<AtomicUsize>::default();
         Ok(self.reactor.spawn(async move {
             let mut stream = std::pin::pin!(requests.async_stream());
             while let Some(request) = stream.next().await {
@@ -106,6 +104,10 @@ impl NodeHandle {
                     log.too_long(payload.len());
                     continue;
                 }
+                if !budget.take(payload.len(), now()) {
+                    log.over_budget();
+                    continue;
+                }
                 let options = WriteOptionsBuilder::new()
                     .source_timestamp(rustdds::Timestamp::now())
                     .related_sample_identity(identity)
@@ -120,7 +122,9 @@ impl NodeHandle {
                 if payload.len() > large_reply::FITS {
                     let topic = format!("rr{name}Reply");
                     match LargeReply::new(&participant, &topic, &sample, &identity, &payload) {
-                        Ok(reply) => send_until_acknowledged(reply, Arc::clone(&writer)),
+                        Ok(reply) => {
+                            send_until_acknowledged(reply, Arc::clone(&writer), &resenders);
+                        }
                         Err(error) => log.unsent(error),
                     }
                 }
@@ -128,7 +132,7 @@ impl NodeHandle {
         }))
     }
 
-    /// The identity of a request travels in front of the payload: Cyclone DDS. Two plain topics do it.
+    /// Serves with a request's identity in front of the payload: Cyclone DDS.
     fn serve_cyclone<S: Service, F: Future<Output = Option<S::Response>> + Send>(
         &mut self,
         name: String,
@@ -144,7 +148,8 @@ impl NodeHandle {
             .node
             .create_publisher::<WithIdentity<S::Response>>(&replies, None)
             .map_err(|e| failed(&name, e))?;
-        let log = ServiceLog { logger: self.logger(), name };
+        let log = ServiceLog { logger: self.logger.clone(), name };
+        let mut budget = ReplyBudget::new();
         Ok(self.reactor.spawn(async move {
             let mut stream = std::pin::pin!(requests.async_stream());
             while let Some(request) = stream.next().await {
@@ -155,9 +160,10 @@ impl NodeHandle {
                         continue;
                     }
                 };
-                if let Some(half) = answer(half).await
-                    && let Err(error) = replies.publish(WithIdentity { client, number, half })
-                {
+                let Some(half) = answer(half).await else { continue };
+                if !budget.take(volant_msgs::cdr::to_bytes(&half).len(), now()) {
+                    log.over_budget();
+                } else if let Err(error) = replies.publish(WithIdentity { client, number, half }) {
                     log.unsent(error);
                 }
             }
@@ -165,54 +171,81 @@ impl NodeHandle {
     }
 
     /// The DDS topics of requests and replies.
-    fn service_topics(&self, name: &str, type_name: &ServiceTypeName) -> Result<(Topic, Topic), NodeError> {
-        let topic = |dds_name: String, half: &str| {
-            let dds_type =
-                format!("{}::srv::dds_::{}_{half}_", type_name.package_name(), type_name.type_name());
+    fn service_topics(
+        &self,
+        name: &str,
+        type_name: &ServiceTypeName,
+    ) -> Result<(Topic, Topic), NodeError> {
+        let topic = |dds_name: String, half: &str, qos: &Qos| {
+            let dds_type = format!(
+                "{}::srv::dds_::{}_{half}_",
+                type_name.package_name(),
+                type_name.type_name()
+            );
             self.domain
                 .context
                 .domain_participant()
-                .create_topic(dds_name, dds_type, &policies(&SERVICE), TopicKind::NoKey)
+                .create_topic(dds_name, dds_type, &policies(qos), TopicKind::NoKey)
                 .map_err(|e| failed(name, e))
         };
-        Ok((topic(format!("rq{name}Request"), "Request")?, topic(format!("rr{name}Reply"), "Response")?))
+        Ok((
+            topic(format!("rq{name}Request"), "Request", &REQUESTS)?,
+            topic(format!("rr{name}Reply"), "Response", &REPLIES)?,
+        ))
     }
 }
 
-/// rmw's default for services, but for the bound.
-const SERVICE: Qos = Qos { reliable: true, transient_local: false, depth: 10, max_samples: 1000 };
+/// rmw's default for services, with a bound. RustDDS 0.15.1 keeps the newest `max_samples`
+/// requests, read or not, until newer ones replace them; a request can have 64 kB and more.
+const REQUESTS: Qos = Qos { reliable: true, transient_local: false, depth: 10, max_samples: 32 };
+/// rmw's default for services; [`ReplyBudget`] bounds the bytes.
+const REPLIES: Qos = Qos { reliable: true, transient_local: false, depth: 10, max_samples: 1000 };
+/// Threads that resend large replies of one service.
+const MAX_RESENDERS: usize = 4;
 
-/// What a reply must bear so that the client knows it for its own.
+/// Identity of a request, by which a client recognizes the reply.
 fn identity_of(info: &MessageInfo) -> SampleIdentity {
-    let own = RmwRequestId { writer_gid: info.publisher_gid(), sequence_number: info.sequence_number() };
+    let own =
+        RmwRequestId { writer_gid: info.publisher_gid(), sequence_number: info.sequence_number() };
     let mut id = info.related_request_id().unwrap_or(own);
-    // Fast DDS names the reader that waits for the reply, and leaves the number to the request's own.
+    // Fast DDS names the reader that waits for the reply and omits the sequence number.
     if id.sequence_number == i64::from(SequenceNumber::UNKNOWN) {
         id.sequence_number = own.sequence_number;
     }
     SampleIdentity::from(id)
 }
 
-/// Sends from a thread of its own, because the acknowledgment is waited for; again if there is none.
+/// Sends a large reply, and again from a thread of its own until it is acknowledged, at most 5
+/// times.
 fn send_until_acknowledged<M: Serialize + Send + Sync + 'static>(
     reply: LargeReply,
     writer: Arc<ReplyWriter<M>>,
+    resenders: &Arc<AtomicUsize>,
 ) {
     reply.send();
-    // Without a thread it was sent once.
-    let _ = std::thread::Builder::new().name("large_reply".into()).spawn(move || {
+    // Without a thread the reply was sent once.
+    if resenders.fetch_add(1, Ordering::AcqRel) >= MAX_RESENDERS {
+        resenders.fetch_sub(1, Ordering::AcqRel);
+        return;
+    }
+    let running = Arc::clone(resenders);
+    let spawned = std::thread::Builder::new().name("large_reply".into()).spawn(move || {
         for _ in 0..4 {
             if let Ok(true) = writer.wait_for_acknowledgments(Duration::from_millis(50)) {
-                return;
+                break;
             }
             reply.send();
         }
+        running.fetch_sub(1, Ordering::AcqRel);
     });
+    if spawned.is_err() {
+        resenders.fetch_sub(1, Ordering::AcqRel);
+    }
 }
 
 type ReplyWriter<M> = rustdds::no_key::DataWriter<Half<M>, rustdds::CDRSerializerAdapter<Half<M>>>;
 
-/// A request or reply with the header that rmw_cyclonedds puts before it.
+/// Request or reply with the header that rmw_cyclonedds puts before it.
 #[derive(Serialize, Deserialize)]
 struct WithIdentity<M> {
     client: u64,
@@ -234,13 +267,14 @@ impl ServiceLog {
         self.logger.throttled(Level::Warn, &self.name, Duration::from_secs(seconds), text);
     }
 
-    /// Most likely a client whose middleware maps services another way.
+    /// Most likely a client whose middleware has another wire format for services.
     fn unreadable(&self, error: impl Display) {
         let name = &self.name;
         self.warn(
             60,
             format!(
-                "a request for {name} cannot be read ({error}); is RMW_IMPLEMENTATION here the client's?"
+                "a request for {name} cannot be read ({error}); is RMW_IMPLEMENTATION here the \
+                 client's?"
             ),
         );
     }
@@ -249,13 +283,21 @@ impl ServiceLog {
         self.warn(5, format!("an answer of {} cannot be sent: {error}", self.name));
     }
 
+    fn over_budget(&self) {
+        let name = &self.name;
+        self.warn(
+            5,
+            format!("{name} gets more requests than it can answer; some replies are not sent"),
+        );
+    }
+
     fn too_long(&self, bytes: usize) {
         let name = &self.name;
         self.warn(
             5,
             format!(
-                "an answer of {name} has {bytes} bytes, more than a datagram holds; ask for less at a time, or use \
-                 RMW_IMPLEMENTATION=rmw_cyclonedds_cpp"
+                "an answer of {name} has {bytes} bytes, more than a datagram holds; ask for less \
+                 at a time, or use RMW_IMPLEMENTATION=rmw_cyclonedds_cpp"
             ),
         );
     }

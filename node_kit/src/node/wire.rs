@@ -1,9 +1,9 @@
-//! Newtypes that let ros2-client carry what it did not define.
+//! Newtypes that implement ros2-client's traits for foreign types.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::sync::Arc;
 
-/// A shared message, serialised as itself.
+/// Shared message, serialized as the message itself.
 #[derive(Debug)]
 pub(crate) struct Shared<M>(pub Arc<M>);
 
@@ -13,7 +13,7 @@ impl<M: Serialize> Serialize for Shared<M> {
     }
 }
 
-/// Half of a service.
+/// Request or response of a service.
 #[derive(Clone, Debug)]
 pub(crate) struct Half<M>(pub M);
 

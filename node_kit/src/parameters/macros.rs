@@ -1,26 +1,36 @@
-//! The declaration.
+//! Declaration of parameters.
+
+use super::{
+    descriptor::{Descriptor, ParameterError},
+    set::ParameterType,
+};
+use ros_parameters::{ParameterMap, ParameterValue};
 
 /// Declares the parameters of a node: a struct, its defaults, its descriptors and its validation.
 ///
-/// Each row is a doc comment (the sentence), `field: type = default`, and any of `unit("m")`, `range(0.0..=1.0)`,
-/// `one_of(&["a", "b"])`, `name("sub.leaf")` (else the field's name), `live` (else read-only). Types: `bool`, `f64`,
-/// whole numbers, `String`, `Vec` of `bool`, `i64`, `f64`, `String`. An optional `check` at the end sees the whole
-/// struct and refuses values that do not go together.
+/// Each row is a doc comment (the description), `field: type = default`, and any of `unit("m")`,
+/// `range(0.0..=1.0)`, `one_of(&["a", "b"])`, `name("sub.leaf")` (else the field's name), `live`
+/// (else read-only), `required` (else the default holds where the parameter is not given). Types: `bool`, `f64`, whole numbers, `String`, `Vec` of `bool`, `i64`, `f64`,
+/// `String`. An optional `check` at the end validates the whole struct.
 ///
 /// ```
 /// node_kit::parameters! {
 ///     /// Parameters of a driver.
 ///     #[derive(PartialEq)]
 ///     pub struct DriverParameters {
-///         /// Serial port that the unit is on.
+///         /// Serial port of the IMU.
 ///         port: String = "/dev/ttyUSB0";
 ///         /// Samples per second.
 ///         rate: f64 = 100.0, unit("Hz"), range(1.0..=512.0), name("sampling.rate");
-///         /// Say it after so many lost samples.
+///         /// Lost samples that cause a warning.
 ///         loss_limit: u32 = 3, range(1..=1000), live;
 ///     }
 ///     check(p) {
-///         if p.rate * f64::from(p.loss_limit) > 5000.0 { Err("rate times loss_limit exceeds 5000".to_owned()) } else { Ok(()) }
+///         if p.rate * f64::from(p.loss_limit) > 5000.0 {
+///             Err("rate times loss_limit exceeds 5000".to_owned())
+///         } else {
+///             Ok(())
+///         }
 ///     }
 /// }
 /// use node_kit::parameters::{ParameterMap, ParameterSet, ParameterValue};
@@ -37,7 +47,8 @@ macro_rules! parameters {
         $vis:vis struct $Name:ident {
             $(
                 $(#[doc = $doc:literal])+
-                $field:ident : $type:ty = $default:expr $(, $attribute:ident $(( $($argument:tt)* ))? )* ;
+                $field:ident : $type:ty = $default:expr
+                    $(, $attribute:ident $(( $($argument:tt)* ))? )* ;
             )*
         }
         $( check($this:ident) $check:block )?
@@ -51,7 +62,10 @@ macro_rules! parameters {
         impl Default for $Name {
             fn default() -> Self {
                 Self {
-                    $( $field: <$type as $crate::parameters::ParameterType>::from_literal($default), )*
+                    $(
+                        $field:
+                            <$type as $crate::parameters::ParameterType>::from_literal($default),
+                    )*
                 }
             }
         }
@@ -81,7 +95,7 @@ macro_rules! parameters {
                 let mut descriptors = Self::descriptors().into_iter();
                 $(
                     if let Some(descriptor) = descriptors.next()
-                        && let Some(value) = map.get(&descriptor.name)
+                        && let Some(value) = descriptor.given(map)?
                     {
                         set.$field = descriptor.read(value)?;
                     }
@@ -90,7 +104,9 @@ macro_rules! parameters {
                 $(
                     let $this = &set;
                     let checked: Result<(), String> = $check;
-                    checked.map_err(|requirement| $crate::parameters::ParameterError::Rule { requirement })?;
+                    checked.map_err(|requirement| {
+                        $crate::parameters::ParameterError::Rule { requirement }
+                    })?;
                 )?
                 Ok(set)
             }
@@ -98,21 +114,35 @@ macro_rules! parameters {
     };
 }
 
-impl super::Descriptor {
-    /// [`super::Descriptor::accept`], then as the field's type.
+impl Descriptor {
+    /// Returns the parameter's value, if it is given.
     ///
     /// # Errors
-    /// What `accept` refuses, and whole numbers that the type cannot hold.
-    #[doc(hidden)]
-    pub fn read<T: super::ParameterType>(
+    /// [`ParameterError::Missing`] if it is not, and must be.
+    pub fn given<'m>(
         &self,
-        value: &super::ParameterValue,
-    ) -> Result<T, super::ParameterError> {
+        map: &'m ParameterMap,
+    ) -> Result<Option<&'m ParameterValue>, ParameterError> {
+        match (map.get(&self.name), &self.default) {
+            (None, None) => Err(ParameterError::Missing {
+                name: self.name.clone(),
+                description: self.description.clone(),
+            }),
+            (value, _) => Ok(value),
+        }
+    }
+
+    /// Validates a value ([`Descriptor::accept`]) and converts it to the field's type.
+    ///
+    /// # Errors
+    /// As `accept`, and for whole numbers out of the range of the type.
+    #[doc(hidden)]
+    pub fn read<T: ParameterType>(&self, value: &ParameterValue) -> Result<T, ParameterError> {
         let accepted = self.accept(value)?;
-        T::from_value(&accepted).ok_or_else(|| super::ParameterError::Value {
+        T::from_value(&accepted).ok_or_else(|| ParameterError::Value {
             name: self.name.clone(),
             value: value.to_string(),
-            requirement: "it is too large, or negative where it cannot be".to_owned(),
+            requirement: "it is too large, or negative".to_owned(),
         })
     }
 }

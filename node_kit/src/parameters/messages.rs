@@ -1,12 +1,13 @@
-//! Parameters as `rcl_interfaces` has them on the wire.
+//! Parameters as messages of `rcl_interfaces`.
 
-use super::{Descriptor, ParameterKind, ParameterValue};
+use super::descriptor::{Descriptor, ParameterKind};
+use ros_parameters::ParameterValue;
 use volant_msgs::rcl_interfaces::msg;
 
 /// `rcl_interfaces/ParameterType`'s "not set".
 const NOT_SET: u8 = 0;
 
-/// A value's message; `None` is "not set".
+/// Message of a value; `None` is "not set".
 pub fn value_message(value: Option<&ParameterValue>) -> msg::ParameterValue {
     let mut message = msg::ParameterValue::default();
     let Some(value) = value else {
@@ -27,7 +28,7 @@ pub fn value_message(value: Option<&ParameterValue>) -> msg::ParameterValue {
     message
 }
 
-/// From a value's message; `None` for "not set", and for byte arrays, which no parameter here is.
+/// Value of a message; `None` for "not set", and for byte arrays, which no parameter here has.
 pub fn value(message: &msg::ParameterValue) -> Option<ParameterValue> {
     use ParameterKind as K;
     let is = |kind: K| message.r#type == kind as u8;
@@ -37,17 +38,22 @@ pub fn value(message: &msg::ParameterValue) -> Option<ParameterValue> {
         () if is(K::Double) => ParameterValue::Double(message.double_value),
         () if is(K::String) => ParameterValue::String(message.string_value.clone()),
         () if is(K::BoolArray) => ParameterValue::BoolArray(message.bool_array_value.clone()),
-        () if is(K::IntegerArray) => ParameterValue::IntegerArray(message.integer_array_value.clone()),
+        () if is(K::IntegerArray) => {
+            ParameterValue::IntegerArray(message.integer_array_value.clone())
+        }
         () if is(K::DoubleArray) => ParameterValue::DoubleArray(message.double_array_value.clone()),
         () if is(K::StringArray) => ParameterValue::StringArray(message.string_array_value.clone()),
         () => return None,
     })
 }
 
-/// A declaration's message; `None` where nobody declared `name`.
+/// Message of a declaration; `None` for an undeclared `name`.
 pub fn descriptor_message(name: &str, descriptor: Option<&Descriptor>) -> msg::ParameterDescriptor {
     let Some(d) = descriptor else {
-        return msg::ParameterDescriptor { name: name.to_owned(), ..msg::ParameterDescriptor::default() };
+        return msg::ParameterDescriptor {
+            name: name.to_owned(),
+            ..msg::ParameterDescriptor::default()
+        };
     };
     let mut message = msg::ParameterDescriptor {
         name: d.name.clone(),
@@ -68,7 +74,7 @@ pub fn descriptor_message(name: &str, descriptor: Option<&Descriptor>) -> msg::P
         match d.kind {
             ParameterKind::Integer | ParameterKind::IntegerArray => {
                 message.integer_range = vec![msg::IntegerRange {
-                    // Bounds of whole numbers are written as such in the declaration.
+                    // The declaration has whole numbers here.
                     from_value: low as i64,
                     to_value: high as i64,
                     step: 0,
@@ -105,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_descriptor_tells_unit_range_and_whether_it_may_change() {
+    fn a_descriptor_has_unit_range_and_read_only() {
         let d = Descriptor::new("rate", ParameterKind::Double, None, "Samples per second.")
             .unit("Hz")
             .range(1.0..=400.0);

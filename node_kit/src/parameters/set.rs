@@ -1,16 +1,17 @@
-//! What a node's parameters are as plain data.
+//! A node's parameters as plain data.
 
-use super::{Descriptor, ParameterError, ParameterKind, ParameterMap, ParameterValue};
+use super::descriptor::{Descriptor, ParameterError, ParameterKind};
+use ros_parameters::{ParameterMap, ParameterValue};
 
-/// A plain struct whose fields are parameters. Made by [`parameters!`](crate::parameters!), not by hand.
+/// A plain struct whose fields are parameters, declared with [`parameters!`](crate::parameters!).
 pub trait ParameterSet: Clone + Send + 'static {
-    /// One for each field.
+    /// Descriptors, one for each field.
     fn descriptors() -> Vec<Descriptor>;
 
-    /// From flat values; what is not in the map has its default.
+    /// Creates the struct from flat values; a missing one has its default.
     ///
     /// # Errors
-    /// A value of another type or out of its range, or values that do not go together.
+    /// [`ParameterError`] for a value of another type or out of its range, or inconsistent values.
     fn from_map(map: &ParameterMap) -> Result<Self, ParameterError>;
 }
 
@@ -25,18 +26,18 @@ impl ParameterSet for () {
     }
 }
 
-/// A type that a field of a [`ParameterSet`] can have.
+/// Type of a field of a [`ParameterSet`].
 pub trait ParameterType: Sized {
-    /// How its default is written in the declaration: `1.5`, `"text"`, `&[1.0, 2.0]`.
+    /// Type of the default in the declaration: `1.5`, `"text"`, `&[1.0, 2.0]`.
     type Literal;
     /// The ROS type.
     const KIND: ParameterKind;
 
-    /// From the default in the declaration.
+    /// Converts the default of the declaration.
     fn from_literal(literal: Self::Literal) -> Self;
-    /// From a value that the descriptor has accepted; `None` where this type cannot hold it.
+    /// Converts a value that the descriptor has accepted; `None` if it is out of this type's range.
     fn from_value(value: &ParameterValue) -> Option<Self>;
-    /// As a value.
+    /// Converts to a value.
     fn to_value(&self) -> ParameterValue;
 }
 
@@ -83,7 +84,8 @@ macro_rules! integer {
             }
 
             fn from_value(value: &ParameterValue) -> Option<Self> {
-                if let ParameterValue::Integer(x) = value { <$type>::try_from(*x).ok() } else { None }
+                let ParameterValue::Integer(x) = value else { return None };
+                <$type>::try_from(*x).ok()
             }
 
             fn to_value(&self) -> ParameterValue {

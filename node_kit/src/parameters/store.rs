@@ -1,19 +1,20 @@
-//! The values of a node while it runs: what is declared, what holds now, what may change.
+//! A node's parameters at run time: declarations and current values.
 
-use super::{Descriptor, ParameterError, ParameterMap, ParameterValue};
+use super::descriptor::{Descriptor, ParameterError};
 use crate::args::Override;
 use rig_model::rig::did_you_mean;
+use ros_parameters::{ParameterMap, ParameterValue};
 use std::collections::BTreeMap;
 
-/// Overrides of a topic's QoS are declared when the topic is.
+/// Prefix of a topic's QoS overrides, which are declared with the topic.
 const QOS_OVERRIDES: &str = "qos_overrides.";
 
-/// A parameter that has changed or come into being.
+/// A new or changed parameter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Change {
     /// Flat name.
     pub name: String,
-    /// The value now.
+    /// The current value.
     pub value: ParameterValue,
 }
 
@@ -22,15 +23,15 @@ pub struct Change {
 pub struct ParameterStore {
     declared: BTreeMap<String, Descriptor>,
     values: ParameterMap,
-    /// Given at the start for topics that were not yet declared.
+    /// Overrides given at the start for topics that do not exist yet.
     pending: BTreeMap<String, Override>,
 }
 
 impl ParameterStore {
-    /// Declares parameters and takes the values given at the start.
+    /// Declares parameters and applies the values given at the start.
     ///
     /// # Errors
-    /// The first value that is unknown or cannot be, in the order of the names.
+    /// [`ParameterError`] of the first unknown or invalid value, in the order of the names.
     pub fn new(
         descriptors: Vec<Descriptor>,
         overrides: BTreeMap<String, Override>,
@@ -62,11 +63,11 @@ impl ParameterStore {
         }
     }
 
-    /// Declares one more if a value was given for it at the start, and tells that value. What nobody overrides is not
-    /// listed: a node would have four such parameters for each of its topics.
+    /// Declares a parameter if a value was given for it at the start, and returns that value.
+    /// Without one it is not listed: a node would have four such parameters for each of its topics.
     ///
     /// # Errors
-    /// That value cannot be.
+    /// [`ParameterError`] if the value is invalid.
     pub fn declare_if_given(
         &mut self,
         descriptor: Descriptor,
@@ -79,22 +80,22 @@ impl ParameterStore {
         Ok(self.values.get(&descriptor.name).cloned())
     }
 
-    /// Given at the start, but for a topic that the node does not have: typing mistakes.
+    /// Overrides given at the start for topics that the node does not have: typing mistakes.
     pub fn left_over(&self) -> Vec<ParameterError> {
         self.pending.iter().map(|(name, given)| self.unknown(name, &given.origin)).collect()
     }
 
-    /// All values that hold now.
+    /// All current values.
     pub fn values(&self) -> &ParameterMap {
         &self.values
     }
 
-    /// The value of one.
+    /// The current value of a parameter.
     pub fn get(&self, name: &str) -> Option<&ParameterValue> {
         self.values.get(name)
     }
 
-    /// The declaration of one.
+    /// The declaration of a parameter.
     pub fn descriptor(&self, name: &str) -> Option<&Descriptor> {
         self.declared.get(name)
     }
@@ -104,11 +105,11 @@ impl ParameterStore {
         self.declared.values()
     }
 
-    /// What the values would be if all of `changes` were made at once. Nothing is changed yet: whoever owns the
-    /// parameters looks at the whole first, then calls [`ParameterStore::commit`].
+    /// Values after applying all of `changes` at once, and the changes as stored. Nothing is stored
+    /// before [`ParameterStore::commit`], so that the node can validate the whole.
     ///
     /// # Errors
-    /// The first change that is unknown, read-only or cannot be.
+    /// [`ParameterError`] of the first unknown, read-only or invalid change.
     pub fn propose(
         &self,
         changes: &[(String, ParameterValue)],
@@ -116,7 +117,8 @@ impl ParameterStore {
         let mut values = self.values.clone();
         let mut made = Vec::new();
         for (name, value) in changes {
-            let descriptor = self.declared.get(name).ok_or_else(|| self.unknown(name, "set_parameters"))?;
+            let descriptor =
+                self.declared.get(name).ok_or_else(|| self.unknown(name, "set_parameters"))?;
             let value = descriptor.accept(value)?;
             if !descriptor.live && values.get(name) != Some(&value) {
                 return Err(ParameterError::ReadOnly { name: name.clone() });
@@ -127,13 +129,13 @@ impl ParameterStore {
         Ok((values, made))
     }
 
-    /// Makes proposed values hold.
+    /// Stores proposed values.
     pub fn commit(&mut self, values: ParameterMap) {
         self.values = values;
     }
 
-    /// Names below any of `prefixes` (all if empty), at most `depth` dots deeper than the prefix (0: any depth), and the
-    /// prefixes that they lie under: the answer of `list_parameters`.
+    /// Names below any of `prefixes` (all if empty), at most `depth` dots deeper than the prefix
+    /// (0: any depth), and their own prefixes: the reply of `list_parameters`.
     pub fn list(&self, prefixes: &[String], depth: u64) -> (Vec<String>, Vec<String>) {
         let within = |rest: &str| depth == 0 || (rest.matches('.').count() as u64) < depth;
         let names: Vec<String> = self
@@ -153,8 +155,10 @@ impl ParameterStore {
             })
             .cloned()
             .collect();
-        let mut parents: Vec<String> =
-            names.iter().filter_map(|n| n.rsplit_once('.').map(|(parent, _)| parent.to_owned())).collect();
+        let mut parents: Vec<String> = names
+            .iter()
+            .filter_map(|n| n.rsplit_once('.').map(|(parent, _)| parent.to_owned()))
+            .collect();
         parents.sort();
         parents.dedup();
         (names, parents)
@@ -181,22 +185,28 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_name_is_a_typing_mistake_and_the_right_one_is_said() {
+    fn an_unknown_name_is_rejected_with_a_suggestion() {
         let error = ParameterStore::new(
             common_descriptors(),
             [given("markers.sise", ParameterValue::Double(0.1))].into(),
         )
         .unwrap_err()
         .to_string();
-        assert!(error.contains("did you mean `markers.size`") && error.contains("rig.yaml"), "{error}");
+        assert!(
+            error.contains("did you mean `markers.size`") && error.contains("rig.yaml"),
+            "{error}"
+        );
     }
 
     #[test]
-    fn a_change_is_checked_whole_before_it_is_made() {
+    fn changes_are_validated_as_a_whole() {
         let mut store = store();
         let live = ("a.gain".to_owned(), ParameterValue::Integer(2));
         let fixed = ("markers.size".to_owned(), ParameterValue::Double(0.1));
-        assert!(matches!(store.propose(&[live.clone(), fixed]), Err(ParameterError::ReadOnly { .. })));
+        assert!(matches!(
+            store.propose(&[live.clone(), fixed]),
+            Err(ParameterError::ReadOnly { .. })
+        ));
         assert!(store.propose(&[("a.gain".to_owned(), ParameterValue::Integer(3))]).is_err());
         assert!(store.propose(&[("gain".to_owned(), ParameterValue::Integer(1))]).is_err());
         let (values, made) = store.propose(&[live]).unwrap();
@@ -238,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn listing_knows_prefixes_and_depth() {
+    fn listing_honors_prefixes_and_depth() {
         let store = store();
         let (names, prefixes) = store.list(&["markers".to_owned()], 1);
         assert_eq!(names.len(), 5);

@@ -1,12 +1,14 @@
-//! Descriptors as text: the table for the documentation, the YAML file, the help on a terminal.
+//! Descriptors as text: Markdown table, YAML file, terminal help.
 
-use super::{Descriptor, ParameterValue};
+use super::descriptor::Descriptor;
+use ros_parameters::ParameterValue;
 use std::fmt::Write;
 
-/// A markdown table, one row for each parameter.
+/// Markdown table, one row for each parameter.
 pub fn markdown_table(descriptors: &[Descriptor]) -> String {
     let mut text = String::from(
-        "| parameter | type | default | unit | allowed | changes | what it is |\n|---|---|---|---|---|---|---|\n",
+        "| parameter | type | default | unit | allowed | changes | what it is |\n\
+         |---|---|---|---|---|---|---|\n",
     );
     for d in descriptors {
         let default = d.default.as_ref().map_or("(must be given)".to_owned(), |v| format!("`{v}`"));
@@ -24,14 +26,15 @@ pub fn markdown_table(descriptors: &[Descriptor]) -> String {
     text
 }
 
-/// A parameter file with every default, and each parameter's sentence as a comment. What must be given is commented
-/// out.
+/// Parameter file with every default and each description as a comment. Required parameters are
+/// commented out.
 pub fn yaml_file(selector: &str, descriptors: &[Descriptor]) -> String {
     let mut text = format!("{selector}:\n  ros__parameters:\n");
     for d in descriptors {
         let unit = if d.unit.is_empty() { String::new() } else { format!(" [{}]", d.unit) };
         let constraint = d.constraint();
-        let constraint = if constraint.is_empty() { constraint } else { format!(" ({constraint})") };
+        let constraint =
+            if constraint.is_empty() { constraint } else { format!(" ({constraint})") };
         let _ = writeln!(text, "    # {}{unit}{constraint}", d.description);
         let _ = match &d.default {
             Some(value) => writeln!(text, "    {}: {}", d.name, yaml_value(value)),
@@ -42,16 +45,17 @@ pub fn yaml_file(selector: &str, descriptors: &[Descriptor]) -> String {
 }
 
 fn yaml_value(value: &ParameterValue) -> String {
-    // Rust's way to write lists, numbers and quoted texts is YAML's flow style, but for infinities.
+    // Rust writes lists, numbers and quoted texts in YAML's flow style, except infinities.
     value.to_string().replace("inf", ".inf")
 }
 
-/// Lines for a terminal: name, default, unit, sentence.
+/// Lines for a terminal: name, description, type, default, unit, constraint.
 pub fn help_table(descriptors: &[Descriptor]) -> String {
     let width = descriptors.iter().map(|d| d.name.len()).max().unwrap_or(0);
     let mut text = String::new();
     for d in descriptors {
-        let default = d.default.as_ref().map_or("must be given".to_owned(), |v| format!("default {v}"));
+        let default =
+            d.default.as_ref().map_or("must be given".to_owned(), |v| format!("default {v}"));
         let unit = if d.unit.is_empty() { String::new() } else { format!(" {}", d.unit) };
         let constraint = d.constraint();
         let constraint = if constraint.is_empty() { constraint } else { format!(", {constraint}") };
@@ -71,14 +75,19 @@ pub fn help_table(descriptors: &[Descriptor]) -> String {
 mod tests {
     use super::*;
     use crate::parameters::common_descriptors;
-    use rig_model::parameters::ParameterFile;
+    use ros_parameters::ParameterFile;
 
     #[test]
     fn the_yaml_file_reads_back_as_the_defaults() {
         let all = common_descriptors();
         let map = ParameterFile::parse(&yaml_file("/**", &all)).unwrap().for_node("/x");
         for d in &all {
-            assert_eq!(map.get(&d.name).map(|v| d.accept(v).unwrap()), d.default.clone(), "{}", d.name);
+            assert_eq!(
+                map.get(&d.name).map(|v| d.accept(v).unwrap()),
+                d.default.clone(),
+                "{}",
+                d.name
+            );
         }
     }
 }

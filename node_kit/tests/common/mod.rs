@@ -1,7 +1,12 @@
-//! Starting nodes and peers, and ending them whatever happens.
-#![allow(dead_code, reason = "each test takes its part")]
+//! Starts nodes and peers as processes and ends them when the test ends.
+#![allow(dead_code, reason = "each test uses a part")]
 #![allow(clippy::unwrap_used, clippy::panic, clippy::disallowed_methods, reason = "tests")]
 
+use node_kit::{environment::Network, node::join};
+use ros2_client::{
+    Context, Message, Name, Node, NodeName, NodeOptions, QosProfile, ServiceMapping,
+    ServiceTypeName, qos::WhenFull, service::Client,
+};
 use std::{
     io::{BufRead, BufReader, Read},
     path::{Path, PathBuf},
@@ -10,13 +15,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// The Python that has `cyclonedds`; without it the test says that it is skipped.
+/// The Python that has `cyclonedds`, else a skip.
 pub fn python() -> Option<PathBuf> {
-    let python = std::env::var_os("VOLANT_PYTHON").filter(|v| !v.is_empty()).map(PathBuf::from);
-    if python.is_none() {
-        eprintln!("skipped: VOLANT_PYTHON names no Python with cyclonedds");
-    }
-    python
+    test_support::python("cyclonedds")
 }
 
 /// An example of this crate; cargo builds them with the tests.
@@ -26,14 +27,46 @@ pub fn example(name: &str) -> PathBuf {
     folder.join("examples").join(name)
 }
 
+/// A ROS 2 node of another participant in this process, for clients of services.
+pub fn client_node(domain: u16) -> Node {
+    let network = Network { domain_id: domain, ..Network::default() };
+    let (participant, _) = join(&network).unwrap();
+    let context = Context::from_domain_participant(participant).unwrap();
+    let options = NodeOptions::new().enable_rosout(false);
+    context.new_node(NodeName::new("/", "client").unwrap(), options).unwrap()
+}
+
+/// Client of a service of `rcl_interfaces`, with the identity of a request beside the payload as
+/// Fast DDS has it.
+pub fn client<Request: Message + Clone + 'static, Response: Message + 'static>(
+    node: &mut Node,
+    service: &str,
+    type_name: &str,
+) -> Client<Request, Response> {
+    let qos = QosProfile::publisher_default().reliability_reliable(WhenFull::Fail);
+    node.create_client(
+        ServiceMapping::Enhanced,
+        &Name::parse(service).unwrap(),
+        &ServiceTypeName::new("rcl_interfaces", type_name),
+        qos.clone(),
+        qos,
+    )
+    .unwrap()
+}
+
 pub struct Running {
     child: Child,
     lines: Receiver<String>,
 }
 
 impl Running {
-    /// Runs a command in a DDS domain of its own; what it says on both outputs can be read line by line.
-    pub fn start(domain: u16, program: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
+    /// Runs a command in a DDS domain; both of its outputs can be read line by line.
+    pub fn start(
+        domain: u16,
+        program: &Path,
+        arguments: &[&str],
+        environment: &[(&str, &str)],
+    ) -> Self {
         let mut child = Command::new(program)
             .args(arguments)
             .env("ROS_DOMAIN_ID", domain.to_string())
@@ -68,21 +101,26 @@ impl Running {
         Self::start(domain, python, &all, &[])
     }
 
-    /// The next line that holds `text`.
+    /// The next line that contains `text`.
     pub fn line_with(&self, text: &str, within: Duration) -> String {
+        self.line_with_all(&[text], within)
+    }
+
+    /// The next line that contains each of `texts`.
+    pub fn line_with_all(&self, texts: &[&str], within: Duration) -> String {
         let deadline = Instant::now() + within;
         let mut before = Vec::new();
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
             match self.lines.recv_timeout(left) {
-                Ok(line) if line.contains(text) => return line,
+                Ok(line) if texts.iter().all(|text| line.contains(text)) => return line,
                 Ok(line) => before.push(line),
-                Err(_) => panic!("no line with {text:?} within {within:?}; there was {before:?}"),
+                Err(_) => panic!("no line with {texts:?} within {within:?}; there was {before:?}"),
             }
         }
     }
 
-    /// Lines that have come by now.
+    /// Lines received so far.
     pub fn lines_so_far(&self) -> Vec<String> {
         self.lines.try_iter().collect()
     }
@@ -90,7 +128,7 @@ impl Running {
     /// All lines until its end.
     pub fn finish(mut self, within: Duration) -> (ExitStatus, Vec<String>) {
         let status = self.wait(within);
-        // The readers hang up when they have read all.
+        // The channel closes when the readers have read everything.
         (status, self.lines.iter().collect())
     }
 
@@ -105,6 +143,11 @@ impl Running {
         }
     }
 
+    /// Its process id.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     pub fn signal(&self, name: &str) {
         let pid = self.child.id().to_string();
         assert!(Command::new("kill").args(["-s", name, &pid]).status().unwrap().success());
@@ -112,12 +155,22 @@ impl Running {
 
     /// Resident memory, kB.
     pub fn memory(&self) -> u64 {
+        self.status("VmRSS:")
+    }
+
+    /// Threads of the process.
+    pub fn threads(&self) -> u64 {
+        self.status("Threads:")
+    }
+
+    /// The number in a line of `/proc/PID/status`.
+    fn status(&self, key: &str) -> u64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
-        let line = status.lines().find(|l| l.starts_with("VmRSS")).unwrap();
+        let line = status.lines().find(|l| l.starts_with(key)).unwrap();
         line.split_whitespace().nth(1).unwrap().parse().unwrap()
     }
 
-    /// Time on a processor, of all threads.
+    /// Processor time of all threads.
     pub fn processor_time(&self) -> Duration {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.child.id())).unwrap();
         let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();

@@ -1,10 +1,11 @@
 //! Disturbances: intervals in which the platform or the climber moves unlike its model.
 //!
-//! A climber whose drive is switched on or that runs into its end stop, and a platform that is struck between two IMU
-//! samples, contradict the measurements by many sigma. The interval since the last consistent measurement is then
-//! re-propagated with as much process noise as explains the residual: white jerk of density `q` moves the climber within
-//! `T` by `√(q T⁵/20)`, so a residual `r` asks for `q = 20 r²/T⁵`; white acceleration moves the platform by `√(q T³/3)`,
-//! so `q = 3 r²/T³`; a rotation `r` asks for `q = r²/T`.
+//! A climber whose drive is switched on or that runs into its end stop, and a platform that is
+//! struck between two IMU samples, contradict the measurements by many sigma. The interval since
+//! the last consistent measurement is then re-propagated with as much process noise as explains the
+//! residual: white jerk of density `q` moves the climber within `T` by `√(q T⁵/20)`, so a residual
+//! `r` asks for `q = 20 r²/T⁵`; white acceleration moves the platform by `√(q T³/3)`, so
+//! `q = 3 r²/T³`; a rotation `r` asks for `q = r²/T`.
 
 use crate::{
     ekf::propagation::ProcessNoise, measurements::Innovation, measurements::encoders::CONTRADICTION,
@@ -41,8 +42,8 @@ impl Default for Disturbances {
 }
 
 impl Disturbances {
-    /// Adds the jerk that explains an encoder reading at `to`, since `from`. Returns false where the reading needs none or has its
-    /// disturbance already.
+    /// Adds the jerk that explains an encoder reading at `to`, since `from`. Returns false where
+    /// the reading needs none or has its disturbance already.
     pub fn add_jerk(&mut self, from: Stamp, to: Stamp, innovation: &Innovation<3>) -> bool {
         let span = to.seconds_since(from);
         if innovation.nis <= CONTRADICTION
@@ -63,7 +64,8 @@ impl Disturbances {
         true
     }
 
-    /// Adds a disturbance of the platform that moves it by `distance` (m) and `angle` (rad) between `from` and `to`.
+    /// Adds a disturbance of the platform that moves it by `distance` (m) and `angle` (rad) between
+    /// `from` and `to`.
     pub fn add_shock(&mut self, from: Stamp, to: Stamp, distance: f64, angle: f64) {
         let span = to.seconds_since(from).max(1e-3);
         let force = 3.0 * distance * distance / span.powi(3);
@@ -87,10 +89,12 @@ impl Disturbances {
         }
     }
 
-    /// Returns the beginning of the newest disturbance of the climber within `span` seconds before `at`, and whether there is one.
+    /// Returns the beginning of the newest disturbance of the climber within `span` seconds before
+    /// `at`, and whether there is one.
     pub fn climber_since(&self, at: Stamp, span: f64) -> Option<Stamp> {
-        let recent =
-            |d: &&Disturbance| d.jerk != Vector3::zeros() && d.from <= at && at.seconds_since(d.to) <= span;
+        let recent = |d: &&Disturbance| {
+            d.jerk != Vector3::zeros() && d.from <= at && at.seconds_since(d.to) <= span
+        };
         self.0.iter().filter(recent).map(|d| d.from).min()
     }
 
@@ -138,7 +142,10 @@ mod tests {
         assert_eq!(density(&disturbances, 0).jerk.x, 0.0);
         assert_eq!(density(&disturbances, 41).jerk.x, 0.0);
         assert!(!disturbances.add_jerk(at(80), at(120), &innovation(Vector3::zeros(), 1.0)));
-        assert!(disturbances.is_climber_disturbed(at(80)) && !disturbances.is_climber_disturbed(at(100)));
+        assert!(
+            disturbances.is_climber_disturbed(at(80))
+                && !disturbances.is_climber_disturbed(at(100))
+        );
         disturbances.add_shock(at(200), at(260), 0.005, 0.02);
         let noise = density(&disturbances, 250);
         assert!(((noise.force * 0.06f64.powi(3) / 3.0).sqrt() - 0.005).abs() < 1e-12);

@@ -1,11 +1,11 @@
 //! Noise of the climber's encoders, identified from their readings.
 //!
-//! Third divided differences cancel any smooth motion, however the readings are spaced (some are lost or late); divided by
-//! the norm of their weights they leave the variance of white noise in their square.
+//! Third divided differences cancel any smooth motion, however the readings are spaced (some are
+//! lost or late); divided by the norm of their weights they leave the variance of white noise in
+//! their square.
 
-use crate::measurements::geometry::wrap;
 use nalgebra::{Vector3, Vector4};
-use rig_model::Stamp;
+use rig_model::{Stamp, wrap_angle};
 
 /// Over this span a climber's motion is a parabola but for less than its encoders' step, s.
 const SMOOTH: f64 = 0.2;
@@ -28,7 +28,8 @@ pub struct EncoderNoise {
 }
 
 impl EncoderNoise {
-    /// Creates an estimate with the quantization noise step²/12 of the encoders' steps (m, m, rad) as the floor.
+    /// Creates an estimate with the quantization noise step²/12 of the encoders' steps (m, m, rad)
+    /// as the floor.
     pub fn new(steps: Vector3<f64>) -> Self {
         Self {
             last: [(Stamp::default(), Vector3::zeros()); 4],
@@ -42,15 +43,15 @@ impl EncoderNoise {
         }
     }
 
-    /// Adds a reading that is newer than those before. Returns the variance of a moving climber's reading, and for each value
-    /// the number of equal readings in a row, at most [`STANDING`].
+    /// Adds a reading that is newer than those before. Returns the variance of a moving climber's
+    /// reading, and for each value the number of equal readings in a row, at most [`STANDING`].
     pub fn add(&mut self, stamp: Stamp, values: &Vector3<f64>) -> (Vector3<f64>, [f64; 3]) {
         self.first.get_or_insert(stamp);
         self.newest = stamp;
         let before = self.last[3].1;
         let mut values = *values;
         if self.count > 0 {
-            values.z = before.z + wrap(values.z - before.z);
+            values.z = before.z + wrap_angle(values.z - before.z);
         }
         self.last.rotate_left(1);
         self.last[3] = (stamp, values);
@@ -65,8 +66,10 @@ impl EncoderNoise {
                 let still = (0..3).all(|k| self.last[k].1[axis] == self.last[k + 1].1[axis]);
                 if !still {
                     // Relative to the newest value, which is far from zero on a long rail.
-                    let d: f64 = (0..3).map(|k| weights[k] * (self.last[k].1[axis] - values[axis])).sum();
-                    // Mean of the first differences, then a memory of a hundred; one jump counts ten times at most.
+                    let d: f64 =
+                        (0..3).map(|k| weights[k] * (self.last[k].1[axis] - values[axis])).sum();
+                    // Mean of the first differences, then a memory of a hundred; one jump counts
+                    // ten times at most.
                     self.weight[axis] = (self.weight[axis] + 1.0).min(100.0);
                     let mut square = d * d / norm;
                     if self.weight[axis] > 10.0 {
@@ -79,17 +82,22 @@ impl EncoderNoise {
         (self.variance(), self.equal)
     }
 
-    /// Returns the same for a reading that arrives after newer ones, `neighbor` being the one before it. It changes nothing, and
-    /// where it equals its neighbor it counts as little as that one.
-    pub fn late(&self, values: &Vector3<f64>, neighbor: Option<&Vector3<f64>>) -> (Vector3<f64>, [f64; 3]) {
+    /// Returns the same for a reading that arrives after newer ones, `neighbor` being the one
+    /// before it. It changes nothing, and where it equals its neighbor it counts as little as that
+    /// one.
+    pub fn late(
+        &self,
+        values: &Vector3<f64>,
+        neighbor: Option<&Vector3<f64>>,
+    ) -> (Vector3<f64>, [f64; 3]) {
         let equal = std::array::from_fn(|axis| {
             if neighbor.is_some_and(|n| n[axis] == values[axis]) { STANDING } else { 1.0 }
         });
         (self.variance(), equal)
     }
 
-    /// Returns the weights of the third divided difference of the last four readings; `None` where they are too far apart for a
-    /// smooth motion.
+    /// Returns the weights of the third divided difference of the last four readings; `None` where
+    /// they are too far apart for a smooth motion.
     fn weights(&self) -> Option<Vector4<f64>> {
         let newest = self.last[3].0;
         let t = self.last.map(|(at, _)| at.seconds_since(newest));
@@ -107,7 +115,8 @@ impl EncoderNoise {
     pub fn variance(&self) -> Vector3<f64> {
         Vector3::from_fn(|axis, _| {
             let (found, count) = (self.variance[axis], self.weight[axis]);
-            // The estimate scatters, most while it has few differences; what may be scatter is quantization.
+            // The estimate scatters, most while it has few differences; what may be scatter is
+            // quantization.
             let scatter = if count >= 15.0 { 1.5 } else { 1.0 + 7.5 / count };
             if count > 0.0 && found > scatter * self.floor[axis] { found } else { self.floor[axis] }
         })
@@ -142,7 +151,8 @@ mod tests {
         }
         // A late reading that equals its neighbor counts as little as that one.
         let noise = EncoderNoise::new(Vector3::repeat(step));
-        let (_, share) = noise.late(&Vector3::new(0.3, 0.2, 0.1), Some(&Vector3::new(0.3, 0.1, 0.1)));
+        let (_, share) =
+            noise.late(&Vector3::new(0.3, 0.2, 0.1), Some(&Vector3::new(0.3, 0.1, 0.1)));
         assert_eq!(share, [STANDING, 1.0, STANDING]);
     }
 
@@ -154,7 +164,9 @@ mod tests {
         let mut normal = || {
             let mut sum = 0.0;
             for _ in 0..12 {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
                 sum += (state >> 11) as f64 * 2f64.powi(-53);
             }
             sum - 6.0
@@ -176,7 +188,8 @@ mod tests {
         let values = Vector3::new(0.3, 0.2, 0.1);
         let mut variance = 0.01;
         for i in 0..100 {
-            let (moving, equal) = noise.add(Stamp::default().plus_seconds(f64::from(i) * 0.02), &values);
+            let (moving, equal) =
+                noise.add(Stamp::default().plus_seconds(f64::from(i) * 0.02), &values);
             variance += 1e-8;
             variance = 1.0 / (1.0 / variance + 1.0 / (moving.x * equal[0]));
         }

@@ -1,21 +1,30 @@
-//! Integrity of IMU samples: rejection of impossible samples, and additional noise for suspicious ones.
+//! Integrity of IMU samples: rejection of impossible samples, and additional noise for suspicious
+//! ones.
 
 use crate::{config::ImuConfig, ekf::propagation::ImuReading};
 use nalgebra::Vector3;
 
 use super::imu_noise::Densities;
 
-/// A second difference of samples above this many sigma is a shock that the sampling may have missed in part. (Second
-/// differences cancel a swing: at 1 Hz and 100 samples per second they leave 0.4 % of it.)
+/// A second difference of samples above this many sigma is a shock that the sampling may have
+/// missed in part. (Second differences cancel a swing: at 1 Hz and 100 samples per second they
+/// leave 0.4 % of it.)
 const JUMP_SIGMAS: f64 = 6.0;
-/// Part of a jump that the integration may have missed: between nothing and the whole step, 1 sigma.
+/// Part of a jump that the integration may have missed: between nothing and the whole step, 1
+/// sigma.
 const MISSED: f64 = 0.5;
-/// An axis that repeats the largest magnitude it ever had, above this one, is saturated: m/s², rad/s.
+/// An axis that repeats the largest magnitude it ever had, above this one, is saturated: m/s²,
+/// rad/s.
 const SATURATION: [f64; 2] = [15.0, 0.1];
-/// Number of equal samples in a row that are no coincidence of a quantized signal at the peak of a swing.
+/// Number of equal samples in a row that are no coincidence of a quantized signal at the peak of a
+/// swing.
 const REPEATED: u32 = 3;
-/// Specific force (m/s²) and angular velocity (rad/s) that a saturated or stuck axis may hide, 1 sigma: a fast swing's.
+/// Specific force (m/s²) and angular velocity (rad/s) that a saturated or stuck axis may hide, 1
+/// sigma: a fast swing's.
 const HIDDEN: [f64; 2] = [3.0, 2.0];
+/// Scale error that the estimated constants ([`crate::ekf::imu_calibration`]) do not describe,
+/// relative: nonlinearity.
+const SCALE: f64 = 0.001;
 /// Correlation time of what is hidden and of scale errors in a swing, s.
 const CORRELATION: f64 = 0.3;
 /// Samples that repeat all six values for this long are stuck, s.
@@ -51,7 +60,8 @@ impl ImuIntegrity {
     /// # Errors
     /// See [`Implausible`].
     pub fn check(reading: &ImuReading, config: &ImuConfig) -> Result<(), Implausible> {
-        let within = |v: &Vector3<f64>, most: f64| v.iter().all(|x| x.is_finite() && x.abs() <= most);
+        let within =
+            |v: &Vector3<f64>, most: f64| v.iter().all(|x| x.is_finite() && x.abs() <= most);
         if !within(&reading.specific_force, config.max_force) {
             return Err(Implausible::Force);
         }
@@ -64,27 +74,25 @@ impl ImuIntegrity {
         Ok(())
     }
 
-    /// Returns the additional densities of the step of `dt` seconds to this reading: scale factor and misalignment (growing with
-    /// rate and specific force), shocks between samples, saturated axes and stuck values.
+    /// Returns the additional densities of the step of `dt` seconds to this reading: nonlinearity
+    /// (growing with rate and specific force), shocks between samples, saturated axes and stuck
+    /// values.
     ///
-    /// `variances` are those of one sample, (m/s²)² and (rad/s)², `scale_factor` a factor on the configured scale sigmas.
+    /// `variances` are those of one sample, (m/s²)² and (rad/s)².
     pub fn additional(
         &mut self,
         reading: &ImuReading,
         dt: f64,
         variances: &Densities,
         scale_factor: f64,
-        config: &ImuConfig,
     ) -> Densities {
         let mean = *self.mean_force.get_or_insert(reading.specific_force);
         let share = (dt / MEAN_FORCE).clamp(0.0, 1.0);
         self.mean_force = Some(mean + (reading.specific_force - mean) * share);
         let mut more = Densities {
-            force: (scale_factor * config.accelerometer_scale * (reading.specific_force - mean).norm())
-                .powi(2)
+            force: (scale_factor * SCALE * (reading.specific_force - mean).norm()).powi(2)
                 * CORRELATION,
-            rate: (scale_factor * config.gyroscope_scale * reading.angular_velocity.norm()).powi(2)
-                * CORRELATION,
+            rate: (scale_factor * SCALE * reading.angular_velocity.norm()).powi(2) * CORRELATION,
         };
         let Some(previous) = self.previous.replace(*reading) else { return more };
         let force_change = reading.specific_force - previous.specific_force;
@@ -103,8 +111,10 @@ impl ImuIntegrity {
         }
         self.unchanged = if *reading == previous { self.unchanged + dt } else { 0.0 };
         let stuck = self.unchanged > STUCK;
-        let saturated =
-            [self.is_saturated(0, &reading.specific_force), self.is_saturated(1, &reading.angular_velocity)];
+        let saturated = [
+            self.is_saturated(0, &reading.specific_force),
+            self.is_saturated(1, &reading.angular_velocity),
+        ];
         if stuck || saturated[0] {
             more.force += HIDDEN[0].powi(2) * CORRELATION;
         }
@@ -156,9 +166,8 @@ mod tests {
 
     #[test]
     fn shocks_saturation_and_stuck_values_raise_the_noise_and_calm_motion_does_not() {
-        let config = ImuConfig::default();
         let mut integrity = ImuIntegrity::default();
-        let mut next = |r: ImuReading| integrity.additional(&r, 0.01, &VARIANCES, 1.0, &config);
+        let mut next = |r: ImuReading| integrity.additional(&r, 0.01, &VARIANCES, 1.0);
         next(reading(0.0, 0.29));
         next(reading(0.02, 0.3));
         let calm = next(reading(0.05, 0.31));
@@ -175,10 +184,9 @@ mod tests {
 
     #[test]
     fn a_scale_error_counts_in_proportion_to_the_motion() {
-        let config = ImuConfig { gyroscope_scale: 0.01, ..ImuConfig::default() };
         let mut integrity = ImuIntegrity::default();
-        let slow = integrity.additional(&reading(0.0, 0.1), 0.01, &VARIANCES, 1.0, &config).rate;
-        let fast = integrity.additional(&reading(0.01, 3.0), 0.0, &VARIANCES, 1.0, &config).rate;
+        let slow = integrity.additional(&reading(0.0, 0.1), 0.01, &VARIANCES, 1.0).rate;
+        let fast = integrity.additional(&reading(0.01, 3.0), 0.0, &VARIANCES, 1.0).rate;
         assert!(fast > 300.0 * slow, "{slow} {fast}");
     }
 }

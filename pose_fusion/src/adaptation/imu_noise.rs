@@ -1,16 +1,18 @@
 //! Noise of the IMU, identified from its own samples.
 //!
-//! Third differences cancel any motion that is smooth over four samples (a 1 Hz swing of 35° leaves a tenth of an MTx's
-//! noise at 100 Hz), and white noise of variance σ² leaves 20 σ² in their square. They are taken at two time scales: of single
-//! samples, and of means over [`BLOCK`] seconds. White noise has the same density at both. Vibration is strong
-//! between samples and averages out over a block, where it no longer moves the platform; fast motion is seen by the
-//! blocks and not between samples. So the smaller density is that of the noise which the filter integrates. The
-//! rig file's density is the floor.
+//! Third differences cancel any motion that is smooth over four samples (a 1 Hz swing of 35° leaves
+//! a tenth of an MTx's noise at 100 Hz), and white noise of variance σ² leaves 20 σ² in their
+//! square. They are taken at two time scales: of single samples, and of means over [`BLOCK`]
+//! seconds. White noise has the same density at both. Vibration is strong between samples and
+//! averages out over a block, where it no longer moves the platform; fast motion is seen by the
+//! blocks and not between samples. So the smaller density is that of the noise which the filter
+//! integrates. The rig file's density is the floor.
 
 use crate::ekf::propagation::ImuReading;
 use nalgebra::Vector3;
 
-/// Length of a block, s: its third differences measure at 8–12 Hz, above a platform's motion and below its vibration.
+/// Length of a block, s: its third differences measure at 8–12 Hz, above a platform's motion and
+/// below its vibration.
 const BLOCK: f64 = 0.04;
 /// Longer intervals between samples interrupt the differences, s.
 const INTERRUPTED: f64 = 0.05;
@@ -20,7 +22,7 @@ const MEMORY: f64 = 100.0;
 const FEWEST: f64 = 15.0;
 /// Fewest blocks before their changes count.
 const FEWEST_CHANGES: f64 = 4.0;
-/// Memory of the changes, differences, and the share of a single one that is believed at once.
+/// Memory of the changes, differences, and the share of a single one that counts at once.
 const CHANGE_MEMORY: f64 = 50.0;
 const SETS_OFF: f64 = 0.2;
 /// An estimate within this factor of the rig file's density confirms it: it scatters by a fifth.
@@ -35,8 +37,8 @@ pub struct Densities {
     pub rate: f64,
 }
 
-/// The mean over a block has triangular weights, which suppress vibration by the square of what equal weights do. Its variance is
-/// 4/3 of that of equal weights.
+/// The mean over a block has triangular weights, which suppress vibration by the square of what
+/// equal weights do. Its variance is 4/3 of that of equal weights.
 const TRIANGULAR: f64 = 4.0 / 3.0;
 
 /// Running estimate of the IMU's noise.
@@ -87,22 +89,28 @@ impl ImuNoise {
         }
     }
 
-    /// Returns the densities to assume, given those of the rig file and the largest factor `limit` on their roots.
+    /// Returns the densities to assume, given those of the rig file and the largest factor `limit`
+    /// on their roots.
     pub fn densities(&self, given: &Densities, limit: f64) -> Densities {
         let choose = |of: fn(&Differences) -> f64, given: f64| {
             let samples = of(&self.samples) * self.period;
             let blocks = of(&self.blocks) * BLOCK / TRIANGULAR;
             let found = if self.blocks.weight >= FEWEST { samples.min(blocks) } else { samples };
             let known = self.samples.weight >= FEWEST;
-            if known && found > CONFIRMED * given { found.min(given * limit * limit) } else { given }
+            if known && found > CONFIRMED * given {
+                found.min(given * limit * limit)
+            } else {
+                given
+            }
         };
         Densities { force: choose(|d| d.force, given.force), rate: choose(|d| d.rate, given.rate) }
     }
 
-    /// Returns which share of a change of the readings between two images is noise: of specific force and angular velocity.
+    /// Returns which share of a change of the readings between two images is noise: of specific
+    /// force and angular velocity.
     ///
-    /// An image measures the time offset by how much the motion changed since the image before. The noise of single samples
-    /// is part of that change and tells nothing of the offset.
+    /// An image measures the time offset by how much the motion changed since the image before. The
+    /// noise of single samples is part of that change and tells nothing of the offset.
     pub fn noise_of_changes(&self) -> Densities {
         if self.blocks.weight < FEWEST_CHANGES {
             return Densities::default();
@@ -174,7 +182,8 @@ impl Differences {
         let first = |of: fn(&ImuReading) -> Vector3<f64>| {
             (of(&self.last[3]) - of(&self.last[2])).norm_squared() / 3.0
         };
-        let change = Densities { force: first(|r| r.specific_force), rate: first(|r| r.angular_velocity) };
+        let change =
+            Densities { force: first(|r| r.specific_force), rate: first(|r| r.angular_velocity) };
         // A platform that sets off after a rest changes more than it did.
         let follow = |mean: f64, newest: f64| {
             (mean + (newest - mean) / self.weight.min(CHANGE_MEMORY)).max(SETS_OFF * newest)
@@ -193,7 +202,9 @@ mod tests {
         move || {
             let mut sum = 0.0;
             for _ in 0..12 {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
                 sum += (state >> 11) as f64 * 2f64.powi(-53);
             }
             sum - 6.0
@@ -226,11 +237,12 @@ mod tests {
         let (mut noise, mut normal) = (ImuNoise::default(), normal());
         for i in 0..2000 {
             let t = f64::from(i) / 286.0;
-            let vibration =
-                (std::f64::consts::TAU * 93.0 * t).sin() + (std::f64::consts::TAU * 118.0 * t).sin();
+            let vibration = (std::f64::consts::TAU * 93.0 * t).sin()
+                + (std::f64::consts::TAU * 118.0 * t).sin();
             let mut white = |s: f64| Vector3::new(normal(), normal(), normal()) * s;
             let reading = ImuReading {
-                specific_force: Vector3::new(2.0 * vibration, vibration, 9.8) + white(0.002 * 286f64.sqrt()),
+                specific_force: Vector3::new(2.0 * vibration, vibration, 9.8)
+                    + white(0.002 * 286f64.sqrt()),
                 angular_velocity: white(0.00087 * 286f64.sqrt()),
             };
             noise.add(&reading, 1.0 / 286.0);

@@ -1,8 +1,10 @@
-//! Model error of the IMU, identified from the images: scale factors and misalignments beyond the data sheet.
+//! Model error of the prediction, identified from the images: what neither the noise of the IMU nor
+//! its estimated constants ([`crate::ekf::imu_calibration`]) describe.
 //!
-//! An image's innovation has two parts. What no pose explains (2 of the 8 numbers of four markers) is pixel noise and
-//! nothing else ([`super::pixel_noise`]); what a pose explains (6 numbers) is the error of the prediction. Where the second part is larger
-//! than its covariance, the IMU's scale and misalignment sigmas are raised, and return slowly.
+//! An image's innovation has two parts. What no pose explains (2 of the 8 numbers of four markers)
+//! is pixel noise and nothing else ([`super::pixel_noise`]); what a pose explains (6 numbers) is
+//! the error of the prediction. Where the second part is larger than its covariance, the noise that
+//! grows with rate and specific force is raised, and returns slowly.
 
 /// Memory, images.
 const MEMORY: f64 = 15.0;
@@ -16,10 +18,10 @@ const GROWTH: f64 = 1.15;
 const DECAY: f64 = 0.985;
 /// Factor where the images contradict the prediction.
 const CONTRADICTED: f64 = 3.0;
-/// Largest factor: 5 % with the default sigmas.
+/// Largest factor: 5 % of rate and specific force.
 const LIMIT: f64 = 50.0;
 
-/// Factor on the IMU's scale and misalignment sigmas.
+/// Factor on the noise that grows with the motion.
 #[derive(Clone, Debug)]
 pub struct ModelError {
     ratio: f64,
@@ -33,7 +35,8 @@ impl Default for ModelError {
 }
 
 impl ModelError {
-    /// Adds an image of four markers (`internal` of whose NIS no pose explains) or three (0: a pose explains all).
+    /// Adds an image of four markers (`internal` of whose NIS no pose explains) or three (0: a pose
+    /// explains all).
     pub fn add(&mut self, nis: f64, internal: f64) {
         let ratio = ((nis - internal) / POSE).clamp(0.0, 6.0);
         self.ratio += (ratio - self.ratio) / MEMORY;

@@ -1,5 +1,5 @@
-//! Pixel noise, identified from the images: what no pose explains of four markers is pixel noise. Images that fit worse than they
-//! claim count less.
+//! Pixel noise, identified from the images: what no pose explains of four markers is pixel noise.
+//! Images that fit worse than they claim count less.
 
 /// Memory, images.
 const MEMORY: f64 = 40.0;
@@ -25,7 +25,8 @@ impl Default for PixelNoise {
 }
 
 impl PixelNoise {
-    /// Adds the squared residuals of four markers that no pose explains, in units of their covariance.
+    /// Adds the squared residuals of four markers that no pose explains, in units of their
+    /// covariance.
     pub fn add(&mut self, internal: f64) {
         let ratio = (internal / FREEDOM).clamp(0.0, 6.0);
         self.ratio += (ratio - self.ratio) / MEMORY;

@@ -35,10 +35,12 @@ pub struct Stationary {
 }
 
 impl Stationary {
-    /// Adds a reading `dt` seconds after the previous one, with the variances of one sample, (m/s²)² and (rad/s)².
+    /// Adds a reading `dt` seconds after the previous one, with the variances of one sample,
+    /// (m/s²)² and (rad/s)².
     ///
-    /// Returns the mean angular velocity of the window (rad/s, IMU axes) at its end where the platform was at rest: neither
-    /// signal scatters by more than 1.5 times its variance, and the means of both halves differ by no more than their noise.
+    /// Returns the mean angular velocity of the window (rad/s, IMU axes) at its end where the
+    /// platform was at rest: neither signal scatters by more than 1.5 times its variance, and the
+    /// means of both halves differ by no more than their noise.
     pub fn add(
         &mut self,
         reading: &ImuReading,
@@ -64,7 +66,8 @@ impl Stationary {
         }
         let quiet = |k: usize, variance: f64| {
             let mean = (a.sum[k] + b.sum[k]) / n;
-            let scatter = (a.squares[k] + b.squares[k] - n * mean.norm_squared()) / (3.0 * (n - 1.0));
+            let scatter =
+                (a.squares[k] + b.squares[k] - n * mean.norm_squared()) / (3.0 * (n - 1.0));
             let drift = (a.sum[k] / a.count - b.sum[k] / b.count).norm_squared() / 3.0;
             (scatter < 1.5 * variance && drift < 12.0 * variance / n).then_some(mean)
         };

@@ -1,4 +1,5 @@
-//! The fusion's node: markers, inertial samples and the climber's transform in, the platform's pose out.
+//! The fusion's node: markers, inertial samples and the climber's transform in, the platform's pose
+//! out.
 
 use std::process::ExitCode;
 
@@ -15,7 +16,8 @@ fn main() -> ExitCode {
 #[cfg(not(feature = "node"))]
 fn main() -> ExitCode {
     eprintln!(
-        "pose_fusion: built without its feature `node`, it can do nothing; build it with the default features"
+        "pose_fusion: built without its feature `node`, it can do nothing; build it with the \
+         default features"
     );
     ExitCode::FAILURE
 }

@@ -1,16 +1,20 @@
-//! Consider parameters: constant errors of the rig's calibration that widen the covariance and are not estimated.
+//! Consider parameters: constant errors of the rig's calibration that widen the covariance.
 //!
-//! Twelve seconds of swing cannot tell most of these errors from tilt, bias or height, so the filter takes the files as
-//! exact when it computes its gains (Schmidt 1966). Beside the estimate it carries the sensitivity `V = ∂δx/∂θ` of the
-//! estimation error to each parameter θ (Friedland 1969): `V ← F V` in a propagation, `V ← V − K (H V + E)` in an update
-//! with `E = ∂z/∂θ`. The published covariance is `P + V Σ Vᵀ` with `Σ` the configured variances.
+//! Twelve seconds of swing cannot tell most of these errors from tilt, bias or height, so the
+//! filter takes the files as exact when it computes its gains (Schmidt 1966). Beside the estimate
+//! it carries the sensitivity `V = ∂δx/∂θ` of the estimation error to each parameter θ (Friedland
+//! 1969): `V ← F V` in a propagation, `V ← V − K (H V + E)` in an update with `E = ∂z/∂θ`. The
+//! published covariance is `P + V Σ Vᵀ` with `Σ` the configured variances.
 
-use super::state::{Error, N};
+use super::{
+    imu_calibration::CONSTANTS,
+    state::{Error, N},
+};
 use crate::config::CalibrationSigmas;
 use nalgebra::{SMatrix, SVector};
 
 /// Number of consider parameters.
-pub const PARAMETERS: usize = 15;
+pub const PARAMETERS: usize = 27;
 /// First of eight constant centroid offsets: x and y of red, green, blue, yellow, px.
 pub const CENTROID: usize = 0;
 /// Relative error of the focal length.
@@ -23,9 +27,13 @@ pub const MOUNTING: usize = 10;
 pub const ENCODER_SCALE: usize = 13;
 /// Offset of the climber's stamps, s.
 pub const CLIMBER_OFFSET: usize = 14;
+/// First constant of the IMU; these are estimated ([`super::imu_calibration`]).
+pub const IMU: usize = 15;
 
-/// Sensitivity of the error state to each consider parameter, one column each.
-pub type Sensitivity = SMatrix<f64, N, PARAMETERS>;
+/// Sensitivity of the error state to each parameter, transposed: one row for each parameter, one
+/// column for each entry of the error. Single precision: it widens a covariance and moves the state
+/// by its own corrections only.
+pub type Sensitivity = SMatrix<f32, PARAMETERS, N>;
 /// Derivative of a scalar measurement by each consider parameter.
 pub type ByParameter = SVector<f64, PARAMETERS>;
 
@@ -45,19 +53,22 @@ pub fn variances(sigmas: &CalibrationSigmas) -> ByParameter {
     variances
 }
 
+/// Returns the sensitivity of one entry of the error to each parameter.
+pub fn of_entry(sensitivity: &Sensitivity, index: usize) -> ByParameter {
+    sensitivity.column(index).map(f64::from)
+}
+
+/// Returns the sensitivity of the error to the constants of the IMU.
+pub fn of_imu(sensitivity: &Sensitivity) -> SMatrix<f64, N, CONSTANTS> {
+    sensitivity.fixed_rows::<CONSTANTS>(IMU).map(f64::from).transpose()
+}
+
 /// Corrects the sensitivity for a scalar update: `V ← V − k (h V + e)`.
 ///
-/// `gain` is the Kalman gain `k`, `by_state` the row `h V` and `by_parameter` the row `e`.
-pub fn correct(
-    sensitivity: &mut Sensitivity,
-    gain: &Error,
-    by_state: &ByParameter,
-    by_parameter: &ByParameter,
-) {
-    for (k, mut column) in sensitivity.column_iter_mut().enumerate() {
-        let residual = by_state[k] + by_parameter[k];
-        if residual != 0.0 {
-            column.axpy(-residual, gain, 1.0);
-        }
+/// `gain` is the Kalman gain `k` and `residual` the row `h V + e`.
+pub fn correct(sensitivity: &mut Sensitivity, gain: &Error, residual: &ByParameter) {
+    let residual = residual.map(|x| x as f32);
+    for (mut column, k) in sensitivity.column_iter_mut().zip(gain) {
+        column.axpy(-(*k as f32), &residual, 1.0);
     }
 }

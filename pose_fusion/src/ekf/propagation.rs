@@ -1,26 +1,30 @@
 //! Propagation of the state from one instant to the next with inertial readings.
 //!
-//! Specific force `f` and angular velocity `ω` are taken as linear between the two instants, so that their mean moves the
-//! state: `a = R(f − b_a) + g`, `p += v dt + a dt²/2`, `v += a dt`, `R ← R Exp((ω − b_g) dt)`, with `R` in `a` the attitude in
-//! the middle. Two terms correct for the rotation during the step (Savage 1998, "Strapdown inertial navigation
-//! integration algorithm design"): coning `dt²/12 ω₀ × ω₁` on the rotation, sculling
-//! `dt/12 (ω × Δf − Δω × f) + dt²/24 ω × (ω × f)` on the mean force. In a 1 Hz swing of 35° at 100 Hz they amount to 0.04°/s and
-//! 5 mm/s².
+//! Specific force `f` and angular velocity `ω` are taken as linear between the two instants, so
+//! that their mean moves the state: `a = R(f − b_a) + g`, `p += v dt + a dt²/2`, `v += a dt`,
+//! `R ← R Exp((ω − b_g) dt)`, with `R` in `a` the attitude in the middle. Two terms correct for the
+//! rotation during the step (Savage 1998, "Strapdown inertial navigation integration algorithm
+//! design"): coning `dt²/12 ω₀ × ω₁` on the rotation, sculling
+//! `dt/12 (ω × Δf − Δω × f) + dt²/24 ω × (ω × f)` on the mean force. In a 1 Hz swing of 35° at 100
+//! Hz they amount to 0.04°/s and 5 mm/s².
 //!
-//! Error dynamics (global attitude error): `δθ' = δθ − R δb_g dt`, `δv' = δv − [R f]× δθ dt − R δb_a dt`,
-//! `δp' = δp + δv dt + (δv' − δv) dt/2`. The climber has white jerk.
+//! Error dynamics (global attitude error): `δθ' = δθ − R δb_g dt`,
+//! `δv' = δv − [R f]× δθ dt − R δb_a dt`, `δp' = δp + δv dt + (δv' − δv) dt/2`. The climber has
+//! white jerk.
 //!
-//! The error is that at the camera's instant (see [`super::state`]): an error of the time offset means that other readings
-//! should have been integrated, `δv' += R (f_to − f_from) δτ` and `δθ' += R (ω_to − ω_from) δτ`.
+//! The error is that at the camera's instant (see [`super::state`]): an error of the time offset
+//! means that other readings should have been integrated, `δv' += R (f_to − f_from) δτ` and
+//! `δθ' += R (ω_to − ω_from) δτ`.
 
 use super::{
-    consider::Sensitivity,
+    consider::{IMU, Sensitivity},
+    imu_calibration::ImuCalibration,
     state::{
         ACCELEROMETER_BIAS, ATTITUDE, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_RATE, Covariance,
         GYROSCOPE_BIAS, N, POSITION, State, TIME_OFFSET, VELOCITY,
     },
 };
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, RealField, SMatrix, UnitQuaternion, Vector3};
 
 /// Specific force and angular velocity at an instant, IMU axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -40,12 +44,15 @@ impl ImuReading {
         }
     }
 
-    /// Returns the reading that an IMU in state `state` has in uniform motion without rotation. `gravity` in m/s².
+    /// Returns the reading that an IMU in state `state` has in uniform motion without rotation.
+    /// `gravity` in m/s².
     pub fn of_uniform_motion(state: &State, gravity: f64) -> ImuReading {
+        let specific_force = state.attitude.inverse() * Vector3::new(0.0, 0.0, gravity);
+        let angular_velocity = Vector3::zeros();
+        let reading = state.imu.reading(&ImuReading { specific_force, angular_velocity });
         ImuReading {
-            specific_force: state.attitude.inverse() * Vector3::new(0.0, 0.0, gravity)
-                + state.accelerometer_bias,
-            angular_velocity: state.gyroscope_bias,
+            specific_force: reading.specific_force + state.accelerometer_bias,
+            angular_velocity: reading.angular_velocity + state.gyroscope_bias,
         }
     }
 }
@@ -65,7 +72,8 @@ pub struct ProcessNoise {
     pub jerk: Vector3<f64>,
     /// Of the time offset's random walk, s²/s.
     pub time_offset: f64,
-    /// Share of the readings' changes that is noise and tells nothing of the time offset: specific force, angular velocity.
+    /// Share of the readings' changes that is noise and tells nothing of the time offset: specific
+    /// force, angular velocity.
     pub noise_of_changes: [f64; 2],
 }
 
@@ -79,12 +87,12 @@ pub fn propagate(
     noise: &ProcessNoise,
 ) {
     let mean = from.lerp(to, 0.5);
-    let rate = mean.angular_velocity - state.gyroscope_bias;
+    let measured = state.unbiased(&mean);
+    let ImuReading { specific_force: force, angular_velocity: rate } = state.imu.motion(&measured);
     let half = UnitQuaternion::from_scaled_axis(rate * (dt / 2.0));
     let middle = state.attitude * half;
     let rotation = middle.to_rotation_matrix();
     let rotation: &Matrix3<f64> = rotation.matrix();
-    let force = mean.specific_force - state.accelerometer_bias;
     let rate_change = to.angular_velocity - from.angular_velocity;
     let force_change = to.specific_force - from.specific_force;
     let sculling = (rate.cross(&force_change) - rate_change.cross(&force)) * (dt / 12.0)
@@ -108,7 +116,8 @@ pub fn propagate(
     times_transition(&mut state.covariance, &blocks, dt);
     symmetrize(&mut state.covariance);
     add_noise(&mut state.covariance, dt, noise);
-    propagate_sensitivity(&mut state.sensitivity, &blocks, dt);
+    times_transition(&mut state.sensitivity, &blocks, dt);
+    drive_sensitivity(&mut state.sensitivity, rotation, &measured, dt);
 }
 
 /// Returns the transition matrix `F` of the error over a step of `dt` seconds.
@@ -120,10 +129,11 @@ pub fn transition(
     noise: &ProcessNoise,
 ) -> Covariance {
     let mean = from.lerp(to, 0.5);
-    let half = UnitQuaternion::from_scaled_axis((mean.angular_velocity - state.gyroscope_bias) * (dt / 2.0));
+    let motion = state.motion(&mean);
+    let half = UnitQuaternion::from_scaled_axis(motion.angular_velocity * (dt / 2.0));
     let rotation = (state.attitude * half).to_rotation_matrix();
     let rotation: &Matrix3<f64> = rotation.matrix();
-    let force = rotation * (mean.specific_force - state.accelerometer_bias);
+    let force = rotation * motion.specific_force;
     let mut f = Covariance::identity();
     times_transition(&mut f, &Blocks::new(rotation, &force, from, to, dt, noise), dt);
     f.transpose()
@@ -157,54 +167,62 @@ impl Blocks {
     }
 }
 
-/// `P ← P Fᵀ`, by columns.
-fn times_transition(p: &mut Covariance, blocks: &Blocks, dt: f64) {
-    let Blocks { by_attitude, by_bias, by_offset } = blocks;
+/// `M ← M Fᵀ` of a matrix with a column for each entry of the error and `R` rows, by columns.
+fn times_transition<T: RealField + Copy, const R: usize>(
+    m: &mut SMatrix<T, R, N>,
+    blocks: &Blocks,
+    dt: f64,
+) {
+    let number = nalgebra::convert::<f64, T>;
+    let (half, dt) = (number(0.5), number(dt));
     // One column at a time as plain slices: the compiler vectorizes these loops.
-    let columns = p.as_mut_slice();
-    let (body, climber) = columns.split_at_mut(CLIMBER * N);
-    let (position, rest) = body.split_at_mut(VELOCITY * N);
-    let (velocity, rest) = rest.split_at_mut((ATTITUDE - VELOCITY) * N);
-    let (attitude, biases) = rest.split_at_mut((ACCELEROMETER_BIAS - ATTITUDE) * N);
-    let (accelerometer, gyroscope) = biases.split_at_mut((GYROSCOPE_BIAS - ACCELEROMETER_BIAS) * N);
-    let (climber, offset) = climber.split_at_mut((TIME_OFFSET - CLIMBER) * N);
+    let columns = m.as_mut_slice();
+    let (body, climber) = columns.split_at_mut(CLIMBER * R);
+    let (position, rest) = body.split_at_mut(VELOCITY * R);
+    let (velocity, rest) = rest.split_at_mut((ATTITUDE - VELOCITY) * R);
+    let (attitude, biases) = rest.split_at_mut((ACCELEROMETER_BIAS - ATTITUDE) * R);
+    let (accelerometer, gyroscope) = biases.split_at_mut((GYROSCOPE_BIAS - ACCELEROMETER_BIAS) * R);
+    let (climber, offset) = climber.split_at_mut((TIME_OFFSET - CLIMBER) * R);
     for axis in 0..3 {
-        let at = axis * N..(axis + 1) * N;
-        let (pc, vc) = (&mut position[at.clone()], &mut velocity[at.clone()]);
-        let a = [by_attitude[(axis, 0)], by_attitude[(axis, 1)], by_attitude[(axis, 2)]];
-        let b = [by_bias[(axis, 0)], by_bias[(axis, 1)], by_bias[(axis, 2)]];
-        for i in 0..N {
+        let row = |m: &Matrix3<f64>| [0, 1, 2].map(|k| number(m[(axis, k)]));
+        let (a, b) = (row(&blocks.by_attitude), row(&blocks.by_bias));
+        let by_offset = blocks.by_offset.map(|v| number(v[axis]));
+        let at = axis * R..(axis + 1) * R;
+        let (pc, vc) = (&mut position[at.clone()], &mut velocity[at]);
+        for i in 0..R {
             let change = a[0] * attitude[i]
-                + a[1] * attitude[N + i]
-                + a[2] * attitude[2 * N + i]
+                + a[1] * attitude[R + i]
+                + a[2] * attitude[2 * R + i]
                 + b[0] * accelerometer[i]
-                + b[1] * accelerometer[N + i]
-                + b[2] * accelerometer[2 * N + i]
-                + by_offset[0][axis] * offset[i];
-            pc[i] += dt * (vc[i] + 0.5 * change);
+                + b[1] * accelerometer[R + i]
+                + b[2] * accelerometer[2 * R + i]
+                + by_offset[0] * offset[i];
+            pc[i] += dt * (vc[i] + half * change);
             vc[i] += change;
         }
     }
     for axis in 0..3 {
-        let ac = &mut attitude[axis * N..(axis + 1) * N];
-        let b = [by_bias[(axis, 0)], by_bias[(axis, 1)], by_bias[(axis, 2)]];
-        for i in 0..N {
+        let ac = &mut attitude[axis * R..(axis + 1) * R];
+        let b = [0, 1, 2].map(|k| number(blocks.by_bias[(axis, k)]));
+        let by_offset = number(blocks.by_offset[1][axis]);
+        for i in 0..R {
             ac[i] += b[0] * gyroscope[i]
-                + b[1] * gyroscope[N + i]
-                + b[2] * gyroscope[2 * N + i]
-                + by_offset[1][axis] * offset[i];
+                + b[1] * gyroscope[R + i]
+                + b[2] * gyroscope[2 * R + i]
+                + by_offset * offset[i];
         }
     }
-    let (place, rest) = climber.split_at_mut((CLIMBER_RATE - CLIMBER) * N);
-    let (speed, rest) = rest.split_at_mut((CLIMBER_ACCELERATION - CLIMBER_RATE) * N);
-    for i in 0..3 * N {
+    let (place, rest) = climber.split_at_mut((CLIMBER_RATE - CLIMBER) * R);
+    let (speed, rest) = rest.split_at_mut((CLIMBER_ACCELERATION - CLIMBER_RATE) * R);
+    for i in 0..3 * R {
         let change = dt * rest[i];
-        place[i] += dt * (speed[i] + 0.5 * change);
+        place[i] += dt * (speed[i] + half * change);
         speed[i] += change;
     }
 }
 
-/// Removes the asymmetry that rounding leaves; no measurement corrects it, and after an hour a variance would be negative.
+/// Removes the asymmetry that rounding leaves; no measurement corrects it, and after an hour a
+/// variance would be negative.
 fn symmetrize(p: &mut Covariance) {
     for j in 0..N {
         for i in j + 1..N {
@@ -215,30 +233,23 @@ fn symmetrize(p: &mut Covariance) {
     }
 }
 
-/// `V ← F V`.
-fn propagate_sensitivity(sensitivity: &mut Sensitivity, blocks: &Blocks, dt: f64) {
-    for column in sensitivity.as_mut_slice().chunks_exact_mut(N) {
-        propagate_error(column, blocks, dt);
+/// Adds the motion that the constants of the IMU hide in a step from its readings without bias.
+fn drive_sensitivity(
+    sensitivity: &mut Sensitivity,
+    rotation: &Matrix3<f64>,
+    measured: &ImuReading,
+    dt: f64,
+) {
+    let mut add = |row: usize, column: usize, by: Matrix3<f64>| {
+        let mut block = sensitivity.fixed_view_mut::<3, 3>(IMU + column, row);
+        block += by.transpose().map(|x| x as f32);
+    };
+    for (k, by) in ImuCalibration::derivative(0, rotation, &measured.angular_velocity) {
+        add(ATTITUDE, k, by * dt);
     }
-}
-
-/// `e ← F e`.
-fn propagate_error(e: &mut [f64], blocks: &Blocks, dt: f64) {
-    let three = |e: &[f64], i: usize| Vector3::new(e[i], e[i + 1], e[i + 2]);
-    let offset = e[TIME_OFFSET];
-    let (velocity, attitude) = (three(e, VELOCITY), three(e, ATTITUDE));
-    let change = blocks.by_attitude * attitude
-        + blocks.by_bias * three(e, ACCELEROMETER_BIAS)
-        + blocks.by_offset[0] * offset;
-    let turn = blocks.by_bias * three(e, GYROSCOPE_BIAS) + blocks.by_offset[1] * offset;
-    let rate_change = three(e, CLIMBER_ACCELERATION) * dt;
-    let rate = three(e, CLIMBER_RATE);
-    for i in 0..3 {
-        e[POSITION + i] += dt * (velocity[i] + 0.5 * change[i]);
-        e[VELOCITY + i] += change[i];
-        e[ATTITUDE + i] += turn[i];
-        e[CLIMBER + i] += dt * (rate[i] + 0.5 * rate_change[i]);
-        e[CLIMBER_RATE + i] += rate_change[i];
+    for (k, by) in ImuCalibration::derivative(1, rotation, &measured.specific_force) {
+        add(VELOCITY, k, by * dt);
+        add(POSITION, k, by * (0.5 * dt * dt));
     }
 }
 
@@ -271,7 +282,10 @@ fn add_noise(p: &mut Covariance, dt: f64, noise: &ProcessNoise) {
 
 #[cfg(test)]
 mod tests {
-    use super::{super::state::Error, *};
+    use super::{
+        super::{imu_calibration::CONSTANTS, state::Error},
+        *,
+    };
 
     fn example() -> (State, ImuReading) {
         let mut s = State::zero();
@@ -342,10 +356,25 @@ mod tests {
         let p0 = seed * seed.transpose() + Covariance::identity();
         let mut s = start;
         s.covariance = p0;
-        s.sensitivity = Sensitivity::from_fn(|i, j| 0.1 * ((i + 7 * j) as f64).cos());
-        let expected = transition(&s, &reading, &reading, dt, &noise) * s.sensitivity;
+        s.sensitivity = Sensitivity::from_fn(|i, j| 0.1 * ((7 * i + j) as f32).cos());
+        s.sensitivity.fixed_rows_mut::<CONSTANTS>(IMU).fill(0.0);
+        let mut expected = s.sensitivity.map(f64::from)
+            * transition(&s, &reading, &reading, dt, &noise).transpose();
+        for k in 0..CONSTANTS {
+            let moved = |sign: f64| {
+                let mut s = s.clone();
+                s.imu.move_constant(k, sign * h);
+                propagate(&mut s, &reading, &reading, dt, 9.81, &noise);
+                s.minus(&end)
+            };
+            expected.set_row(IMU + k, &((moved(1.0) - moved(-1.0)) / (2.0 * h)).transpose());
+        }
         propagate(&mut s, &reading, &reading, dt, 9.81, &noise);
-        assert!((s.sensitivity - expected).amax() < 1e-12);
+        let wrong = (s.sensitivity.map(f64::from) - expected).abs();
+        assert!(wrong.rows(0, IMU).max() < 1e-6);
+        // First order in dt, as for the covariance.
+        let by_imu = expected.fixed_rows::<CONSTANTS>(IMU);
+        assert!(wrong.fixed_rows::<CONSTANTS>(IMU).norm() < 0.02 * by_imu.norm(), "{wrong}");
         let expected = jacobian * p0 * jacobian.transpose();
         // First order in dt: the terms left out are those of δb_g on δv (dt²).
         assert!((s.covariance - expected).norm() / expected.norm() < 5e-4);

@@ -12,16 +12,18 @@
 //! | 21–23 | δc̈ | per s² | their accelerations |
 //! | 24 | δτ | s | camera time offset: image time + τ = IMU time |
 //!
-//! **Time of the error.** The nominal state lives on the IMU's time line. Its error compares truth and estimate at the
-//! instant that the camera's stamp names. The time offset then does not appear in the image's measurement equation; it
-//! enters where inertial readings are integrated, whose changes are measured. In the other formulation the offset is
-//! multiplied by the velocity, which is unknown at the start, and an extended Kalman filter gains false information from
-//! that product. The error at IMU time, which is published, is `δx − ẋ δτ`.
+//! **Time of the error.** The nominal state lives on the IMU's time line. Its error compares truth
+//! and estimate at the instant that the camera's stamp names. The time offset then does not appear
+//! in the image's measurement equation; it enters where inertial readings are integrated, whose
+//! changes are measured. In the other formulation the offset is multiplied by the velocity, which
+//! is unknown at the start, and an extended Kalman filter gains false information from that
+//! product. The error at IMU time, which is published, is `δx − ẋ δτ`.
 //!
-//! The attitude error is global (Solà 2017, "Quaternion kinematics for the error-state Kalman filter", section 7): that is
-//! the convention of ROS pose covariances, and the error dynamics do not depend on the angular velocity.
+//! The attitude error is global (Solà 2017, "Quaternion kinematics for the error-state Kalman
+//! filter", section 7): that is the convention of ROS pose covariances, and the error dynamics do
+//! not depend on the angular velocity.
 
-use super::{consider::Sensitivity, propagation::ImuReading};
+use super::{consider::Sensitivity, imu_calibration::ImuCalibration, propagation::ImuReading};
 use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
 
 /// Dimension of the error state.
@@ -75,6 +77,8 @@ pub struct State {
     pub covariance: Covariance,
     /// Sensitivity of the error state to the consider parameters.
     pub sensitivity: Sensitivity,
+    /// Scale factors and misalignment of the IMU.
+    pub imu: ImuCalibration,
     /// Time since a marker last corrected the state, s.
     pub since_marker: f64,
 }
@@ -94,8 +98,23 @@ impl State {
             time_offset: 0.0,
             covariance: Covariance::zeros(),
             sensitivity: Sensitivity::zeros(),
+            imu: ImuCalibration::default(),
             since_marker: 0.0,
         }
+    }
+
+    /// Returns a reading without the biases.
+    pub fn unbiased(&self, reading: &ImuReading) -> ImuReading {
+        ImuReading {
+            specific_force: reading.specific_force - self.accelerometer_bias,
+            angular_velocity: reading.angular_velocity - self.gyroscope_bias,
+        }
+    }
+
+    /// Returns the specific force (m/s²) and angular velocity (rad/s) that a reading measures, IMU
+    /// axes.
+    pub fn motion(&self, reading: &ImuReading) -> ImuReading {
+        self.imu.motion(&self.unbiased(reading))
     }
 
     /// Adds an error to the nominal state (⊞). The covariance stays.
@@ -131,14 +150,16 @@ impl State {
 
     /// Moves the nominal state by `−seconds` along its own motion.
     ///
-    /// The time offset was corrected by `seconds`: what was known at the camera's instant belongs to an instant of the IMU's
-    /// time line that is later by as much. `reading` is the IMU reading at the state, `gravity` in m/s².
+    /// The time offset was corrected by `seconds`: what was known at the camera's instant belongs
+    /// to an instant of the IMU's time line that is later by as much. `reading` is the IMU reading
+    /// at the state, `gravity` in m/s².
     pub fn shift_time(&mut self, reading: &ImuReading, seconds: f64, gravity: f64) {
         if seconds == 0.0 {
             return;
         }
-        let force = self.attitude * (reading.specific_force - self.accelerometer_bias);
-        let rate = self.attitude * (reading.angular_velocity - self.gyroscope_bias);
+        let motion = self.motion(reading);
+        let force = self.attitude * motion.specific_force;
+        let rate = self.attitude * motion.angular_velocity;
         let acceleration = Vector3::new(force.x, force.y, force.z - gravity);
         self.position -= self.velocity * seconds;
         self.velocity -= acceleration * seconds;
@@ -163,6 +184,7 @@ impl State {
             && (0..N).all(|i| self.covariance[(i, i)] >= 0.0)
             && self.covariance.sum().is_finite()
             && self.sensitivity.sum().is_finite()
+            && self.imu.covariance().sum().is_finite()
     }
 
     /// Returns the standard deviation of one entry of the error.
@@ -175,7 +197,8 @@ impl State {
         Vector3::from_fn(|i, _| self.sigma(first + i))
     }
 
-    /// Sets the standard deviations of three entries and clears their correlations and sensitivities.
+    /// Sets the standard deviations of three entries and clears their correlations and
+    /// sensitivities.
     pub fn set_sigmas(&mut self, first: usize, sigmas: &Vector3<f64>) {
         for i in 0..3 {
             self.set_sigma(first + i, sigmas[i]);
@@ -186,7 +209,7 @@ impl State {
     pub fn set_sigma(&mut self, index: usize, sigma: f64) {
         self.covariance.row_mut(index).fill(0.0);
         self.covariance.column_mut(index).fill(0.0);
-        self.sensitivity.row_mut(index).fill(0.0);
+        self.sensitivity.column_mut(index).fill(0.0);
         self.covariance[(index, index)] = sigma * sigma;
     }
 }
@@ -199,7 +222,8 @@ mod tests {
     fn minus_is_the_inverse_of_add() {
         let mut a = State::zero();
         a.attitude = UnitQuaternion::from_euler_angles(0.3, -0.2, 1.1);
-        let error = Error::from_fn(|i, _| 0.01 * (i as f64 + 1.0) * if i % 2 == 0 { 1.0 } else { -1.0 });
+        let error =
+            Error::from_fn(|i, _| 0.01 * (i as f64 + 1.0) * if i % 2 == 0 { 1.0 } else { -1.0 });
         let mut b = a.clone();
         b.add(&error);
         assert!((b.minus(&a) - error).norm() < 1e-12);

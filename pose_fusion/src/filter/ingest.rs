@@ -13,7 +13,7 @@ use crate::{
         history::Event,
     },
 };
-use rig_model::{ClimberSample, ImuSample, MarkerObservations, Stamp};
+use rig_model::{ClimberSample, ImuSample, MarkerObservations, Stamp, topics};
 use std::collections::VecDeque;
 
 /// Largest standard deviation of the attitude with which the pose goes on after a gap, rad.
@@ -34,7 +34,11 @@ impl Filter {
                     Implausible::AllZero => "every value is zero: linear_acceleration",
                 };
                 self.publisher.counts.rejected.imu += 1;
-                return out.push_back(Output::Warning(Warning::NotFinite { source_name: IMU, stamp, what }));
+                return out.push_back(Output::Warning(Warning::NotFinite {
+                    source_name: IMU,
+                    stamp,
+                    what,
+                }));
             }
         };
         match self.arrival.classify(stamp) {
@@ -80,10 +84,13 @@ impl Filter {
             self.publisher.counts.inputs.imu_gaps += 1;
             out.push_back(Output::Warning(Warning::ImuGap { from, to: sample.stamp }));
             self.imu.interrupt();
-            let covered =
-                self.arrival.end().is_some_and(|end| sample.stamp.seconds_since(end) < INTERPOLATED);
-            // What neither images nor samples have followed is not bridged where an image can reinitialize the pose, and an attitude
-            // that is hardly known is no point to linearize at.
+            let covered = self
+                .arrival
+                .end()
+                .is_some_and(|end| sample.stamp.seconds_since(end) < INTERPOLATED);
+            // What neither images nor samples have followed is not bridged where an image can
+            // reinitialize the pose, and an attitude that is hardly known is no point to linearize
+            // at.
             let unknown = self.state().is_some_and(|s| s.sigmas(ATTITUDE).max() > LARGEST_ATTITUDE);
             let unfollowed = seconds > INTERPOLATED && !covered && self.start.markers_seen() >= 3;
             if self.start.is_started() && (unfollowed || unknown) {
@@ -125,15 +132,23 @@ impl Filter {
         if before.is_none() {
             self.publisher.counts.rejected.imu += 1;
             let age_s = self.age(stamp);
-            return out.push_back(Output::Warning(Warning::TooOld { source_name: IMU, stamp, age_s }));
+            return out.push_back(Output::Warning(Warning::TooOld {
+                source_name: IMU,
+                stamp,
+                age_s,
+            }));
         }
         self.publisher.counts.inputs.late_imu += 1;
         let noise = self.imu.densities(&self.setup.rig.imu, &self.setup.config);
         let place = self.history.insert(stamp, Event::Imu { noise, at_rest: None }, reading);
-        // What was interpolated over this sample's place is interpolated again: back to the sample before.
+        // What was interpolated over this sample's place is interpolated again: back to the sample
+        // before.
         let mut from = place;
         while from > 1
-            && self.history.get(from - 1).is_some_and(|n| !matches!(n.event, Event::Imu { .. } | Event::Set))
+            && self
+                .history
+                .get(from - 1)
+                .is_some_and(|n| !matches!(n.event, Event::Imu { .. } | Event::Set))
         {
             from -= 1;
         }
@@ -156,7 +171,8 @@ impl Filter {
         self.start.note_markers(pixels.iter().flatten().count());
         if self.markers.is_duplicate(stamp) {
             self.publisher.counts.inputs.duplicates += 1;
-            return out.push_back(Output::Warning(Warning::Duplicate { source_name: "image", stamp }));
+            return out
+                .push_back(Output::Warning(Warning::Duplicate { source_name: "image", stamp }));
         }
         let newest = self.arrival.newest_imu().map(|(newest, _)| newest);
         let ahead_s = newest.map_or(0.0, |newest| stamp.seconds_since(newest));
@@ -180,7 +196,11 @@ impl Filter {
         let at = stamp.plus_seconds(time_offset);
         if self.history.get(0).is_none_or(|first| at <= first.stamp) {
             self.publisher.counts.rejected.images += 1;
-            out.push_back(Output::Warning(Warning::TooOld { source_name: "image", stamp, age_s: -ahead_s }));
+            out.push_back(Output::Warning(Warning::TooOld {
+                source_name: "image",
+                stamp,
+                age_s: -ahead_s,
+            }));
             return self.publisher.reject(stamp, &pixels, MarkerOutcome::Rejected, out);
         }
         let Some((_, _, rest)) = self.climber.newest().copied() else { return };
@@ -200,11 +220,15 @@ impl Filter {
             return;
         }
         let at = stamp.plus_seconds(self.time_offset());
-        if self.arrival.end().is_some_and(|end| at.seconds_since(end) > AHEAD) && self.start.is_started() {
+        if self.arrival.end().is_some_and(|end| at.seconds_since(end) > AHEAD)
+            && self.start.is_started()
+        {
             // Neither images nor samples for a while: the image initializes the pose.
             self.restart();
         }
-        if let (Some((since, _)), true) = (self.arrival.newest_imu(), self.publisher.note_imu_lost()) {
+        if let (Some((since, _)), true) =
+            (self.arrival.newest_imu(), self.publisher.note_imu_lost())
+        {
             out.push_back(Output::Warning(Warning::ImuLost { since }));
         }
         self.arrival.image(at);
@@ -212,15 +236,22 @@ impl Filter {
 
     /// Takes in an encoder reading.
     pub fn climber(&mut self, sample: &ClimberSample, out: &mut VecDeque<Output>) {
-        const SOURCE: &str = "climber/transform";
+        const SOURCE: &str = topics::CLIMBER_TRANSFORM;
         let (pose, stamp) = (&sample.world_from_climber, sample.stamp);
-        if !pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|x| x.is_finite()) {
+        if !pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|x| x.is_finite())
+        {
             self.publisher.counts.rejected.climber += 1;
             let what = "the pose";
-            return out.push_back(Output::Warning(Warning::NotFinite { source_name: SOURCE, stamp, what }));
+            return out.push_back(Output::Warning(Warning::NotFinite {
+                source_name: SOURCE,
+                stamp,
+                what,
+            }));
         }
         self.arrival.other(Source::Encoders, stamp);
-        if let (Some((newest, _)), false) = (self.arrival.newest_imu(), self.arrival.is_imu_silent()) {
+        if let (Some((newest, _)), false) =
+            (self.arrival.newest_imu(), self.arrival.is_imu_silent())
+        {
             let ahead_s = stamp.seconds_since(newest);
             if ahead_s > AHEAD {
                 self.publisher.counts.rejected.climber += 1;
@@ -234,7 +265,8 @@ impl Filter {
         let (values, rest) = ClimberRest::split(pose);
         let Some((variance, multiplicity)) = self.climber.add(stamp, values, rest) else {
             self.publisher.counts.inputs.duplicates += 1;
-            return out.push_back(Output::Warning(Warning::Duplicate { source_name: SOURCE, stamp }));
+            return out
+                .push_back(Output::Warning(Warning::Duplicate { source_name: SOURCE, stamp }));
         };
         if self.climber.is_young() {
             self.reweigh_readings(&variance);
@@ -244,7 +276,11 @@ impl Filter {
         if self.start.is_started() && self.history.get(0).is_none_or(|first| at <= first.stamp) {
             self.publisher.counts.rejected.climber += 1;
             let age_s = self.age(stamp);
-            return out.push_back(Output::Warning(Warning::TooOld { source_name: SOURCE, stamp, age_s }));
+            return out.push_back(Output::Warning(Warning::TooOld {
+                source_name: SOURCE,
+                stamp,
+                age_s,
+            }));
         }
         let reading = EncoderReading {
             values,
@@ -255,7 +291,11 @@ impl Filter {
             rest,
         };
         let excluded = self.trust.is_suspended();
-        self.history.insert(at, Event::Encoders { reading, excluded, fresh: true }, ImuReading::default());
+        self.history.insert(
+            at,
+            Event::Encoders { reading, excluded, fresh: true },
+            ImuReading::default(),
+        );
         if self.start.is_started() {
             self.process(out);
         }

@@ -1,8 +1,9 @@
-//! Tightly coupled error-state filter: marker pixels, encoders and IMU samples, each at its own time.
+//! Tightly coupled error-state filter: marker pixels, encoders and IMU samples, each at its own
+//! time.
 //!
-//! Inputs arrive in any order ([`ingest`]) and go to their place on the time line; the time line is processed up to its end
-//! ([`processing`]), and the newest state is published ([`publish`]). The parts are values of their own: this type only
-//! connects them.
+//! Inputs arrive in any order ([`ingest`]) and go to their place on the time line; the time line is
+//! processed up to its end ([`processing`]), and the newest state is published ([`publish`]). The
+//! parts are values of their own: this type only connects them.
 
 mod ingest;
 mod operator;
@@ -87,7 +88,8 @@ impl Filter {
         self.setup.frozen = frozen;
     }
 
-    /// Discards the estimate and everything identified; the next image initializes it. Counters and camera stay.
+    /// Discards the estimate and everything identified; the next image initializes it. Counters and
+    /// camera stay.
     pub fn reset(&mut self) {
         self.archive_all();
         let Setup { rig, config, status, geometry, frozen } = self.setup.clone();
@@ -129,6 +131,7 @@ impl Filter {
                 searching: self.search.is_some(),
             };
             status.biases = [state.accelerometer_bias, state.gyroscope_bias];
+            status.imu_constants = *state.imu.constants();
             status.position_sigma = self.publisher.position_sigma;
         }
         status

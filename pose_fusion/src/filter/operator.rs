@@ -29,8 +29,8 @@ impl Filter {
         }
     }
 
-    /// Restores a checkpoint: all of it where the next IMU sample follows within 0.4 s, else time offset and biases, and the
-    /// next image gives the pose.
+    /// Restores a checkpoint: all of it where the next IMU sample follows within 0.4 s, else time
+    /// offset and biases, and the next image gives the pose.
     ///
     /// # Errors
     /// The checkpoint is invalid; nothing is changed then.
@@ -44,12 +44,17 @@ impl Filter {
         Ok(())
     }
 
-    /// Puts the platform at a pose with its covariance (position and rotation about world axes). Its velocity becomes the
-    /// climber's within [`INITIAL_VELOCITY`]; time offset and biases stay.
+    /// Puts the platform at a pose with its covariance (position and rotation about world axes).
+    /// Its velocity becomes the climber's within [`INITIAL_VELOCITY`]; time offset and biases stay.
     ///
     /// # Errors
-    /// No camera model, IMU sample or encoder reading yet; a stamp that the history does not reach; invalid numbers.
-    pub fn set_pose(&mut self, pose: &PoseEstimate, out: &mut VecDeque<Output>) -> Result<(), Refusal> {
+    /// No camera model, IMU sample or encoder reading yet; a stamp that the history does not reach;
+    /// invalid numbers.
+    pub fn set_pose(
+        &mut self,
+        pose: &PoseEstimate,
+        out: &mut VecDeque<Output>,
+    ) -> Result<(), Refusal> {
         let Some(geometry) = self.setup.geometry.clone() else {
             return Err(Refusal::Missing { what: "camera_info" });
         };
@@ -58,7 +63,8 @@ impl Filter {
         };
         let symmetric = (pose.covariance + pose.covariance.transpose()) * 0.5;
         let p = &pose.pose;
-        let numbers = symmetric.iter().chain(p.translation.vector.iter()).chain(p.rotation.coords.iter());
+        let numbers =
+            symmetric.iter().chain(p.translation.vector.iter()).chain(p.rotation.coords.iter());
         if !numbers.into_iter().all(|x| x.is_finite()) {
             return Err(Refusal::Invalid { what: "the pose", why: "a number in it is not finite" });
         }

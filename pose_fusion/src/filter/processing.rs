@@ -27,12 +27,18 @@ use std::collections::VecDeque;
 const DISTURBED_READINGS: usize = 2;
 /// Jerk of a climber whose encoders are not trusted, in units of the configured density.
 const FREE_JERK: f64 = 1000.0;
-/// NIS of four markers (0.999 quantile of χ² with 8 degrees of freedom) above which the platform was struck.
+/// NIS of four markers (8 degrees of freedom) above which the platform was struck: where all passed
+/// the gates (0.999 quantile), and where some did not (0.9999 quantile).
 const STRAINED: f64 = 26.12;
-/// Markers that do not show that they agree with each other (three, or one of four is false) must contradict in this many times as
-/// many images before the prediction gives way.
+const CONTRADICTED: f64 = 31.83;
+/// Largest factor of the model error with which a gated image means a shock and not one more error
+/// of the model; guarded by the late encoders of `make robustness`.
+const SUDDEN: f64 = 1.5;
+/// Markers that do not show that they agree with each other (three, or one of four is false) must
+/// contradict in this many times as many images before the prediction gives way.
 const DISAGREEING: u32 = 3;
-/// Share of a residual that a shock explains by rotation: the IMU measures rotation without gravity's help, and better.
+/// Share of a residual that a shock explains by rotation: the IMU measures rotation without
+/// gravity's help, and better.
 const ROTATION_SHARE: f64 = 0.3;
 /// The rope is compared from this time after the initialization on, s.
 const ROPE_COMPARED: f64 = 2.0;
@@ -109,7 +115,9 @@ impl Filter {
     ) -> bool {
         if excluded {
             self.publisher.counts.excluded_readings += u64::from(fresh);
-            return fresh && self.trust.is_suspended() && self.judge_encoders(place, at, innovation, out);
+            return fresh
+                && self.trust.is_suspended()
+                && self.judge_encoders(place, at, innovation, out);
         }
         if innovation.nis <= CONTRADICTION {
             if fresh {
@@ -119,7 +127,8 @@ impl Filter {
             return false;
         }
         let first = self.history.get(0).map_or(at, |first| first.stamp);
-        let (since, from) = self.history.reading_before(place, DISTURBED_READINGS).unwrap_or((0, first));
+        let (since, from) =
+            self.history.reading_before(place, DISTURBED_READINGS).unwrap_or((0, first));
         if encoders::is_impossible(innovation, at.seconds_since(from)) {
             self.exclude(place);
             self.suspend_encoders(at, innovation, out);
@@ -173,7 +182,12 @@ impl Filter {
         }
     }
 
-    fn suspend_encoders(&mut self, at: Stamp, innovation: &Innovation<3>, out: &mut VecDeque<Output>) {
+    fn suspend_encoders(
+        &mut self,
+        at: Stamp,
+        innovation: &Innovation<3>,
+        out: &mut VecDeque<Output>,
+    ) {
         if !self.trust.is_suspended() {
             let distance_m = innovation.residual.xy().norm();
             out.push_back(Output::Warning(Warning::EncodersSuspended { stamp: at, distance_m }));
@@ -181,7 +195,8 @@ impl Filter {
         self.trust.suspend(at);
     }
 
-    /// Responds to an image that is processed for the first time. Returns whether the time line was replaced.
+    /// Responds to an image that is processed for the first time. Returns whether the time line was
+    /// replaced.
     fn on_image(
         &mut self,
         place: usize,
@@ -197,8 +212,11 @@ impl Filter {
         let Some(entry) = self.history.get(place) else { return false };
         let at = entry.stamp;
         let excused = self.disturbances.is_climber_disturbed(at);
-        let settled = self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > ROPE_COMPARED);
-        if let (true, Some(geometry)) = (record.used >= 3 && !excused && settled, &self.setup.geometry) {
+        let settled =
+            self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > ROPE_COMPARED);
+        if let (true, Some(geometry)) =
+            (record.used >= 3 && !excused && settled, &self.setup.geometry)
+        {
             let c = &self.setup.config;
             self.publisher.rope.compare(
                 &c.pendulum,
@@ -212,7 +230,15 @@ impl Filter {
         let last_used = self.lock_out.last_used();
         let limit = self.setup.config.markers.lock_out_images;
         let agrees = record.agrees_with_itself();
-        if record.used == 4 && record.nis > STRAINED && agrees && !excused && settled {
+        // Encoders that just jumped may be what the image contradicts (see `give_way`), and a shock
+        // breaks a prediction that held until then.
+        let sudden = self.disturbances.climber_since(at, SUSPECT).is_none()
+            && self.imu.model_error().factor() <= SUDDEN;
+        let strained = match record.used {
+            4 => record.nis > STRAINED,
+            _ => record.against_prediction.is_some_and(|nis| nis > CONTRADICTED) && sudden,
+        };
+        if strained && agrees && !excused && settled {
             self.strike(place, last_used.unwrap_or(stamp), record);
         }
         let internal = match (record.internal, record.used) {
@@ -241,8 +267,8 @@ impl Filter {
         }
     }
 
-    /// The prediction gives way to images that contradict it: the newest image that was used before this one, and the first
-    /// that contradicted. Returns whether the time line was replaced.
+    /// The prediction gives way to images that contradict it: the newest image that was used before
+    /// this one, and the first that contradicted. Returns whether the time line was replaced.
     fn give_way(
         &mut self,
         place: usize,
@@ -275,7 +301,8 @@ impl Filter {
         false
     }
 
-    /// Re-propagates the time since the last used image with the noise of a shock that explains the residuals of an image.
+    /// Re-propagates the time since the last used image with the noise of a shock that explains the
+    /// residuals of an image.
     fn strike(&mut self, place: usize, last_used: Stamp, record: &ImageInnovation) {
         let Some(entry) = self.history.get(place) else { return };
         let (at, from) = (entry.stamp, last_used.plus_seconds(entry.state.time_offset));
@@ -296,13 +323,16 @@ impl Filter {
         self.history.rewind(first);
     }
 
-    /// Distance (m) and angle (rad) by which a shock moved the platform, from the markers' residuals.
+    /// Distance (m) and angle (rad) by which a shock moved the platform, from the markers'
+    /// residuals.
     fn shock_size(&self, place: usize, record: &ImageInnovation) -> (f64, f64) {
         let (Some(entry), Some(geometry)) = (self.history.get(place), &self.setup.geometry) else {
             return (0.1, 0.1);
         };
-        let measured =
-            record.markers.iter().filter(|m| !matches!(m.outcome, Outcome::Absent | Outcome::NotPredictable));
+        let measured = record
+            .markers
+            .iter()
+            .filter(|m| !matches!(m.outcome, Outcome::Absent | Outcome::NotPredictable));
         let residual = measured.map(|m| m.residual.norm()).fold(0.0, f64::max);
         let height = match self.climber.newest() {
             Some((_, _, rest)) => (rest.height - entry.state.position.z).abs(),

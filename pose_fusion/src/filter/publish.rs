@@ -19,14 +19,15 @@ use crate::{
     timeline::history::{Entry, Event},
 };
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3, Vector6};
-use rig_model::{MarkerColor, Stamp};
+use rig_model::{MarkerColor, Stamp, topics};
 use std::collections::VecDeque;
 
 /// Time between two status messages while there is no pose, s.
 const STATUS_PERIOD: f64 = 0.1;
 
-/// After a silence of the IMU its samples carry the pose from the next image on, or after this time, s: until then the angular
-/// velocity between the last image and the first sample is not known.
+/// After a silence of the IMU its samples carry the pose from the next image on, or after this
+/// time, s: until then the angular velocity between the last image and the first sample is not
+/// known.
 const RESUMING: f64 = 0.3;
 
 /// Without a pose for longer than this a status alone is published, s.
@@ -99,9 +100,16 @@ impl Publisher {
     }
 
     /// Outputs the records of an image that is not processed.
-    pub fn reject(&self, stamp: Stamp, pixels: &Pixels, outcome: MarkerOutcome, out: &mut VecDeque<Output>) {
+    pub fn reject(
+        &self,
+        stamp: Stamp,
+        pixels: &Pixels,
+        outcome: MarkerOutcome,
+        out: &mut VecDeque<Output>,
+    ) {
         for color in MarkerColor::ALL {
-            let outcome = if pixels[color.index()].is_some() { outcome } else { MarkerOutcome::NotDetected };
+            let outcome =
+                if pixels[color.index()].is_some() { outcome } else { MarkerOutcome::NotDetected };
             out.push_back(Output::MarkerUpdate(MarkerUpdateRecord {
                 stamp,
                 color,
@@ -133,7 +141,9 @@ impl Publisher {
             };
             match outcome {
                 MarkerOutcome::Used => self.counts.used_markers += 1,
-                MarkerOutcome::Gated | MarkerOutcome::Inconsistent => self.counts.gated_markers += 1,
+                MarkerOutcome::Gated | MarkerOutcome::Inconsistent => {
+                    self.counts.gated_markers += 1
+                }
                 _ => {}
             }
             out.push_back(Output::MarkerUpdate(MarkerUpdateRecord {
@@ -156,7 +166,8 @@ impl Filter {
     pub(super) fn publish(&mut self, out: &mut VecDeque<Output>) {
         let (Some(end), true) = (self.arrival.end(), self.start.is_started()) else { return };
         let settings = self.settings();
-        let (Some(geometry), Some(entry)) = (&self.setup.geometry, self.history.newest_processed()) else {
+        let (Some(geometry), Some(entry)) = (&self.setup.geometry, self.history.newest_processed())
+        else {
             return;
         };
         if entry.stamp != end || self.publisher.last_published.is_some_and(|last| last >= end) {
@@ -172,7 +183,8 @@ impl Filter {
                 return;
             }
         }
-        let mut limited = self.publisher.continuity.limit(odometry(end, state, reading, geometry, &settings));
+        let mut limited =
+            self.publisher.continuity.limit(odometry(end, state, reading, geometry, &settings));
         if let Some(dispute) = self.trust.dispute() {
             add_dispute(&mut limited, &dispute, &state.climber);
         }
@@ -202,7 +214,10 @@ impl Filter {
         self.publisher.counts.odometry += 1;
         let lost = status.state == PoseState::Lost;
         if let (true, false, Some(since)) = (lost, self.publisher.lost, self.lock_out.last_used()) {
-            out.push_back(Output::Warning(Warning::VisionLost { since, position_sigma_m: position_sigma }));
+            out.push_back(Output::Warning(Warning::VisionLost {
+                since,
+                position_sigma_m: position_sigma,
+            }));
         }
         self.publisher.lost = lost;
         out.push_back(Output::Odometry(limited));
@@ -210,9 +225,12 @@ impl Filter {
         out.extend(predicted.map(Output::Predicted));
     }
 
-    /// Outputs the status at 10 Hz where neither IMU samples nor images come and encoder readings do.
+    /// Outputs the status at 10 Hz where neither IMU samples nor images come and encoder readings
+    /// do.
     pub(super) fn publish_silence(&mut self, out: &mut VecDeque<Output>) {
-        let (Some((newest, _, _)), true) = (self.climber.newest(), self.start.is_started()) else { return };
+        let (Some((newest, _, _)), true) = (self.climber.newest(), self.start.is_started()) else {
+            return;
+        };
         let now = newest.plus_seconds(self.time_offset());
         let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
         let silent = since(self.publisher.last_published);
@@ -249,9 +267,9 @@ impl Filter {
     /// Returns what the initialization waits for.
     pub fn missing(&self) -> String {
         let missing = [
-            ("climber/camera/camera_info", self.setup.geometry.is_none()),
-            ("volant/imu/data", self.arrival.newest_imu().is_none()),
-            ("climber/transform", self.climber.newest().is_none()),
+            (topics::CAMERA_INFO, self.setup.geometry.is_none()),
+            (topics::IMU, self.arrival.newest_imu().is_none()),
+            (topics::CLIMBER_TRANSFORM, self.climber.newest().is_none()),
         ];
         let missing: Vec<&str> =
             missing.into_iter().filter(|(_, absent)| *absent).map(|(name, _)| name).collect();
@@ -303,7 +321,8 @@ impl Filter {
         }
     }
 
-    /// Returns the smoothed odometry with every IMU sample of what is kept, but for the last `lag` seconds, which stay.
+    /// Returns the smoothed odometry with every IMU sample of what is kept, but for the last `lag`
+    /// seconds, which stay.
     pub fn smoothed(&mut self, lag: f64) -> Vec<Odometry> {
         let Some(entries) = self.publisher.archive.take() else { return Vec::new() };
         let Some(geometry) = &self.setup.geometry else { return Vec::new() };
@@ -321,8 +340,8 @@ impl Filter {
     }
 }
 
-/// Adds the distance between encoders and estimate (x, y, m; turn of the climber at `climber`, rad) to the covariance of a pose that
-/// moves with the climber.
+/// Adds the distance between encoders and estimate (x, y, m; turn of the climber at `climber`, rad)
+/// to the covariance of a pose that moves with the climber.
 fn add_dispute(odometry: &mut Odometry, dispute: &Vector3<f64>, climber: &Vector3<f64>) {
     let place = odometry.world_from_volant.translation.vector;
     let arm = Vector3::new(place.x - climber.x, place.y - climber.y, 0.0);
@@ -331,8 +350,10 @@ fn add_dispute(odometry: &mut Odometry, dispute: &Vector3<f64>, climber: &Vector
     odometry.pose_covariance += off * off.transpose();
 }
 
-/// Largest standard deviation of the position (`first` 0, m) or rotation (`first` 3, rad) of an odometry.
+/// Largest standard deviation of the position (`first` 0, m) or rotation (`first` 3, rad) of an
+/// odometry.
 fn largest_sigma(odometry: &Odometry, first: usize) -> f64 {
-    let block: Matrix3<f64> = odometry.pose_covariance.fixed_view::<3, 3>(first, first).into_owned();
+    let block: Matrix3<f64> =
+        odometry.pose_covariance.fixed_view::<3, 3>(first, first).into_owned();
     block.symmetric_eigenvalues().max().max(0.0).sqrt()
 }

@@ -1,4 +1,5 @@
-//! Initialization of the filter: from an image, again after an outage, and with the camera time offset once it is known.
+//! Initialization of the filter: from an image, again after an outage, and with the camera time
+//! offset once it is known.
 
 use super::{Filter, search};
 use crate::{
@@ -119,7 +120,8 @@ impl Filter {
     /// Resumes a restored state, where it is so recent that an IMU sample at `stamp` continues it.
     pub(super) fn resume(&mut self, stamp: Stamp, out: &mut VecDeque<Output>) -> bool {
         let Some(at) = self.start.kept_at.take() else { return false };
-        let recent = (0.0..crate::timeline::dropout::INTERPOLATED).contains(&stamp.seconds_since(at));
+        let recent =
+            (0.0..crate::timeline::dropout::INTERPOLATED).contains(&stamp.seconds_since(at));
         if !recent || self.setup.geometry.is_none() {
             return false;
         }
@@ -142,7 +144,8 @@ impl Filter {
             return self.try_start(stamp, &pixels, absent, out);
         }
         // The first one is kept: were it replaced by each that follows, none would ever be reached.
-        let stale = self.start.awaited.is_none_or(|(kept, _)| stamp.seconds_since(kept).abs() > AHEAD);
+        let stale =
+            self.start.awaited.is_none_or(|(kept, _)| stamp.seconds_since(kept).abs() > AHEAD);
         if stale && pixels.iter().flatten().count() >= 3 {
             self.start.awaited = Some((stamp, pixels));
         } else {
@@ -168,8 +171,9 @@ impl Filter {
     ) {
         let time_offset = self.time_offset();
         let at = stamp.plus_seconds(time_offset);
-        let is_imu_before =
-            |e: &crate::timeline::history::Entry| matches!(e.event, Event::Imu { .. }) && e.stamp <= at;
+        let is_imu_before = |e: &crate::timeline::history::Entry| {
+            matches!(e.event, Event::Imu { .. }) && e.stamp <= at
+        };
         let measured = absent || self.history.iter().any(is_imu_before);
         let climber = self.climber.at(stamp.plus_seconds(self.setup.config.clock.climber_offset));
         let climber = climber.filter(|c| c.distance <= NEAR);
@@ -180,11 +184,17 @@ impl Filter {
         if !enough || !measured || self.setup.frozen {
             return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
         }
-        let image =
-            Image { pixels: *pixels, time_offset, reading: ImuReading::default(), rest: climber.rest };
+        let image = Image {
+            pixels: *pixels,
+            time_offset,
+            reading: ImuReading::default(),
+            rest: climber.rest,
+        };
         let up = self.imu.up_at(at, &self.history);
         let prior = ClimberPrior::from_readings(&climber);
-        let Some(start) = from_image::start(geometry, &self.setup.config, &image, up.as_ref(), &prior) else {
+        let Some(start) =
+            from_image::start(geometry, &self.setup.config, &image, up.as_ref(), &prior)
+        else {
             return self.publisher.reject(stamp, pixels, MarkerOutcome::Inconsistent, out);
         };
         self.publisher.record(stamp, &start.record, false, out);
@@ -224,7 +234,8 @@ impl Filter {
         self.process(out);
     }
 
-    /// Reinitializes the pose from an image whose markers agree with each other. Returns whether the time line was replaced.
+    /// Reinitializes the pose from an image whose markers agree with each other. Returns whether
+    /// the time line was replaced.
     pub(super) fn reinitialize(
         &mut self,
         stamp: Stamp,
@@ -232,12 +243,17 @@ impl Filter {
         since: Stamp,
         out: &mut VecDeque<Output>,
     ) -> bool {
-        let (Some(geometry), Some(old)) = (&self.setup.geometry, self.state().cloned()) else { return false };
+        let (Some(geometry), Some(old)) = (&self.setup.geometry, self.state().cloned()) else {
+            return false;
+        };
         let at = stamp.plus_seconds(old.time_offset);
-        let image = Image { time_offset: old.time_offset, reading: ImuReading::default(), ..*image };
+        let image =
+            Image { time_offset: old.time_offset, reading: ImuReading::default(), ..*image };
         let up = self.imu.up_at(at, &self.history);
         let prior = ClimberPrior::from_state(&old);
-        let Some(start) = from_image::start(geometry, &self.setup.config, &image, up.as_ref(), &prior) else {
+        let Some(start) =
+            from_image::start(geometry, &self.setup.config, &image, up.as_ref(), &prior)
+        else {
             return false;
         };
         let mut state = start.state;
@@ -250,8 +266,8 @@ impl Filter {
         true
     }
 
-    /// The first readings identify the encoders' noise and were weighed before that: where it is found to be another than was
-    /// assumed, they and the initial state are weighed again.
+    /// The first readings identify the encoders' noise and were weighed before that: where it is
+    /// found to be another than was assumed, they and the initial state are weighed again.
     pub(super) fn reweigh_readings(&mut self, variance: &Vector3<f64>) {
         let before = *self.climber.assumed_variance();
         let factor = variance.component_div(&before);
@@ -295,8 +311,8 @@ impl Filter {
     }
 }
 
-/// By how much everything differs per meter or radian of a climber's axis, where nothing is known of the platform but what the
-/// camera sees of it: it moves rigidly with the climber.
+/// By how much everything differs per meter or radian of a climber's axis, where nothing is known
+/// of the platform but what the camera sees of it: it moves rigidly with the climber.
 fn rigid(state: &State, axis: usize) -> crate::ekf::state::Error {
     let mut moved = crate::ekf::state::Error::zeros();
     let unit = Vector3::ith(axis, 1.0);
@@ -312,6 +328,7 @@ fn rigid(state: &State, axis: usize) -> crate::ekf::state::Error {
 fn inherit(state: &mut State, former: &State) {
     state.accelerometer_bias = former.accelerometer_bias;
     state.gyroscope_bias = former.gyroscope_bias;
+    state.imu = former.imu;
     state.time_offset = former.time_offset;
     state.set_sigma(TIME_OFFSET, former.sigma(TIME_OFFSET));
     for first in [ACCELEROMETER_BIAS, GYROSCOPE_BIAS] {

@@ -1,4 +1,5 @@
-//! Camera time offset of the filter: searched by alignment ([`crate::initialization::time_offset`]) until it is known.
+//! Camera time offset of the filter: searched by alignment ([`crate::initialization::time_offset`])
+//! until it is known.
 
 use super::{Filter, starting::OFFSET_SIGMA};
 use crate::{
@@ -17,34 +18,50 @@ use std::collections::VecDeque;
 const OFFSET_LINEAR: f64 = 0.008;
 /// A filter agrees with an alignment within this many sigma of both.
 const AGREES: f64 = 3.0;
-/// A filter that an alignment contradicts by this many sigma of both restarts before the alignment is final.
+/// A filter that an alignment contradicts by this many sigma of both restarts before the alignment
+/// is final.
 const GROSS: f64 = 4.0;
 /// A filter that knows its time offset to this, s, and agrees with an alignment, needs no other.
 const KNOWN: f64 = 0.003;
-/// Tilt by which the image poses that are aligned may miss "up", rad: a swing within the offset that is not known yet.
+/// Tilt by which the image poses that are aligned may miss "up", rad: a swing within the offset
+/// that is not known yet.
 const TILT: f64 = 0.1;
 
 impl Filter {
     /// Aligns image poses with the IMU until the camera time offset is known, then initializes it.
-    pub(super) fn search_time_offset(&mut self, stamp: Stamp, pixels: &Pixels, out: &mut VecDeque<Output>) {
-        let (Some(geometry), Some(mut search)) = (&self.setup.geometry, self.search.take()) else { return };
+    pub(super) fn search_time_offset(
+        &mut self,
+        stamp: Stamp,
+        pixels: &Pixels,
+        out: &mut VecDeque<Output>,
+    ) {
+        let (Some(geometry), Some(mut search)) = (&self.setup.geometry, self.search.take()) else {
+            return;
+        };
         if let Some((pose, covariance)) = self.image_pose(stamp, pixels) {
             search.add_pose(stamp, &pose, &covariance);
         }
         let c = &self.setup.config;
         let noise = self.imu.densities(&self.setup.rig.imu, c);
-        let found =
-            search.find(&geometry.volant_from_imu, c.gravity, &c.imu, &noise, &given(&self.setup.rig.imu));
+        let found = search.find(
+            &geometry.volant_from_imu,
+            c.gravity,
+            &c.imu,
+            &noise,
+            &given(&self.setup.rig.imu),
+        );
         if let Some(found) = found {
             let away = (self.time_offset() - found.offset).abs();
             let agrees = away < found.sigma;
-            self.start.offset_doubt = Some(if agrees { found.sigma } else { found.sigma.hypot(away) });
+            self.start.offset_doubt =
+                Some(if agrees { found.sigma } else { found.sigma.hypot(away) });
         }
         match found {
             Some(found) if found.sigma < FINAL || self.confirms(stamp, &found) => {
                 self.initialize_time_offset(found, out);
             }
-            // Known well enough to see that the filter is far off: it restarts, and the search goes on.
+            // Known well enough to see that the filter is far off: it restarts, and the search goes
+            // on.
             Some(found) if self.contradicts(&found) => {
                 self.initialize_time_offset(found, out);
                 self.search = Some(search);
@@ -53,9 +70,11 @@ impl Filter {
         }
     }
 
-    /// Whether an alignment of images since the pose was initialized agrees with a filter that knows its time offset.
+    /// Whether an alignment of images since the pose was initialized agrees with a filter that
+    /// knows its time offset.
     fn confirms(&self, stamp: Stamp, found: &TimeOffset) -> bool {
-        let independent = self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > WINDOW);
+        let independent =
+            self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > WINDOW);
         let known = self.time_offset_sigma().filter(|sigma| *sigma < KNOWN);
         let away = (self.time_offset() - found.offset).abs();
         independent && known.is_some_and(|sigma| away < 2.0 * sigma.hypot(found.sigma))
@@ -68,7 +87,11 @@ impl Filter {
     }
 
     /// Pose of the platform in the world from one image and the IMU's direction of "up".
-    fn image_pose(&self, stamp: Stamp, pixels: &Pixels) -> Option<(nalgebra::Isometry3<f64>, Matrix6<f64>)> {
+    fn image_pose(
+        &self,
+        stamp: Stamp,
+        pixels: &Pixels,
+    ) -> Option<(nalgebra::Isometry3<f64>, Matrix6<f64>)> {
         let geometry = self.setup.geometry.as_ref()?;
         let climber = self.climber.at(stamp.plus_seconds(self.setup.config.clock.climber_offset))?;
         if climber.distance > 0.05 {
@@ -76,15 +99,19 @@ impl Filter {
         }
         let world_from_camera = climber.rest.join(&climber.values) * geometry.climber_from_camera;
         let up = self.imu.up_at(stamp.plus_seconds(self.time_offset()), &self.history);
-        // "Up" is of another instant as long as the offset is not known: it chooses between the poses and moves none.
-        let found = planar_pose::candidates(&geometry.markers, &geometry.camera, &PerColor(*pixels), None);
+        // "Up" is of another instant as long as the offset is not known: it chooses between the
+        // poses and moves none.
+        let found =
+            planar_pose::candidates(&geometry.markers, &geometry.camera, &PerColor(*pixels), None);
         let tilted = |pose: &planar_pose::PlanarPose| {
             let up = up.map_or(Vector3::z(), |up| geometry.volant_from_imu.rotation * up.in_imu);
             let measured = world_from_camera.rotation * pose.camera_from_volant.rotation * up;
             pose.pixel_cost + (measured.angle(&Vector3::z()) / TILT).powi(2)
         };
-        let best =
-            found.iter().min_by(|a, b| tilted(a).total_cmp(&tilted(b))).filter(|b| b.pixel_cost < 40.0)?;
+        let best = found
+            .iter()
+            .min_by(|a, b| tilted(a).total_cmp(&tilted(b)))
+            .filter(|b| b.pixel_cost < 40.0)?;
         let turn = world_from_camera.rotation.to_rotation_matrix();
         let mut to_world = Matrix6::zeros();
         to_world.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
@@ -98,7 +125,8 @@ impl Filter {
         Some((world_from_camera * best.camera_from_volant, covariance))
     }
 
-    /// Restarts with the time offset at the oldest image of the history, unless the filter has found the same.
+    /// Restarts with the time offset at the oldest image of the history, unless the filter has
+    /// found the same.
     fn initialize_time_offset(&mut self, found: TimeOffset, out: &mut VecDeque<Output>) {
         self.start.time_offset = Some(found);
         self.publisher.counts.resets.time_offsets += 1;
@@ -114,8 +142,10 @@ impl Filter {
         self.history.clear();
         self.start.started = false;
         let is_imu = |event: &Event| matches!(event, Event::Imu { .. });
-        let oldest =
-            events.iter().find(|(_, event, _)| is_imu(event)).map_or(Stamp::default(), |(at, _, _)| *at);
+        let oldest = events
+            .iter()
+            .find(|(_, event, _)| is_imu(event))
+            .map_or(Stamp::default(), |(at, _, _)| *at);
         let mut first: Option<(Stamp, Pixels)> = None;
         for (at, mut event, reading) in events {
             let moved = match &mut event {

@@ -1,10 +1,11 @@
 //! Trust in the encoders.
 //!
-//! Policy: a reading that no climber can have reached is excluded, and the encoders are suspended: the climber then moves
-//! freely and is measured by images and IMU. Three consistent readings in a row restore trust. Readings that
-//! contradict the estimate for `climber.step_timeout` are adopted (the drive was homed, or a wheel slipped): the filter
-//! reinitializes with them, and the world frame moves with the encoders. Until then the pose keeps its frame. Who of the two
-//! is wrong is not known: after [`DISPUTED`] the published covariance contains the distance between them.
+//! Policy: a reading that no climber can have reached is excluded, and the encoders are suspended:
+//! the climber then moves freely and is measured by images and IMU. Three consistent readings in a
+//! row restore trust. Readings that contradict the estimate for `climber.step_timeout` are adopted
+//! (the drive was homed, or a wheel slipped): the filter reinitializes with them, and the world
+//! frame moves with the encoders. Until then the pose keeps its frame. Who of the two is wrong is
+//! not known: after [`DISPUTED`] the published covariance contains the distance between them.
 
 use nalgebra::Vector3;
 use rig_model::Stamp;
@@ -14,7 +15,8 @@ const DISPUTED: f64 = 0.3;
 
 /// Consistent readings in a row that restore trust.
 const CONSISTENT: u32 = 3;
-/// Readings that do not change must be consistent for so long, s: frozen ones agree while the climber comes by.
+/// Readings that do not change must be consistent for so long, s: frozen ones agree while the
+/// climber comes by.
 const UNCHANGED: f64 = 1.0;
 /// A reading is consistent below this NIS (one degree of freedom; 3 sigma).
 const GATE: f64 = 9.0;
@@ -61,14 +63,15 @@ impl EncoderTrust {
         self.refuted = true;
     }
 
-    /// Returns by how much encoders and estimate contradict each other, x, y (m) and turn (rad), once it is not known which is wrong.
+    /// Returns by how much encoders and estimate contradict each other, x, y (m) and turn (rad),
+    /// once it is not known which is wrong.
     pub fn dispute(&self) -> Option<Vector3<f64>> {
         let lasts = self.newest?.seconds_since(self.suspended?);
         (lasts > DISPUTED && !self.refuted).then_some(self.residual)
     }
 
-    /// Judges a new reading at `at` with this NIS and residual (x, y, m; turn, rad) while the encoders are suspended;
-    /// `standing`: the newest readings are equal. `timeout` in s.
+    /// Judges a new reading at `at` with this NIS and residual (x, y, m; turn, rad) while the
+    /// encoders are suspended; `standing`: the newest readings are equal. `timeout` in s.
     pub fn judge(
         &mut self,
         at: Stamp,
@@ -113,7 +116,8 @@ mod tests {
         let off = Vector3::new(0.5, 0.0, 0.0);
         let mut trust = EncoderTrust::default();
         trust.suspend(at(0));
-        let verdicts = [1.0, 1.0, 500.0, 1.0, 1.0].map(|nis| trust.judge(at(20), nis, &off, false, 3.0));
+        let verdicts =
+            [1.0, 1.0, 500.0, 1.0, 1.0].map(|nis| trust.judge(at(20), nis, &off, false, 3.0));
         assert_eq!(verdicts, [Verdict::Exclude; 5]);
         assert_eq!(trust.judge(at(60), 1.0, &off, false, 3.0), Verdict::Resume);
         assert!(!trust.is_suspended());

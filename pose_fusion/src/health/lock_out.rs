@@ -1,10 +1,11 @@
 //! Recovery where images contradict the prediction.
 //!
-//! An image contradicts where most of its markers are rejected. After `markers.lock_out_images` of them in a row the prediction gives
-//! way, by the mildest explanation first: encoders that jumped just before are suspended; else the platform was struck, and
-//! the time since the last used image is re-propagated with the noise of a shock; shocks that follow each other mean
-//! that something else is wrong, and the pose is reinitialized from the image. The same happens where no image was used for
-//! [`STARVED`] seconds.
+//! An image contradicts where most of its markers are rejected. After `markers.lock_out_images` of
+//! them in a row the prediction gives way, by the mildest explanation first: encoders that jumped
+//! just before are suspended; else the platform was struck, and the time since the last used image
+//! is re-propagated with the noise of a shock; shocks that follow each other mean that something
+//! else is wrong, and the pose is reinitialized from the image. The same happens where no image was
+//! used for [`STARVED`] seconds.
 
 use rig_model::Stamp;
 
@@ -12,7 +13,8 @@ use rig_model::Stamp;
 const STARVED: f64 = 0.5;
 /// Encoders that jumped within this time before an image may be what contradicts it, s.
 pub const SUSPECT: f64 = 0.5;
-/// The prediction gives way to rejected images this often within [`REPEATED`] seconds before another explanation is tried.
+/// The prediction gives way to rejected images this often within [`REPEATED`] seconds before
+/// another explanation is tried.
 const SHOCKS: u32 = 2;
 const REPEATED: f64 = 0.6;
 
@@ -54,9 +56,17 @@ impl LockOut {
         self.initialized
     }
 
-    /// Notes an image of which `used` of `detected` markers were used, and returns what follows. `limit` is the number of
-    /// contradicting images in a row; `excused` an image that contradicts because the climber was just disturbed.
-    pub fn note(&mut self, image: Stamp, detected: usize, used: u32, limit: u32, excused: bool) -> Response {
+    /// Notes an image of which `used` of `detected` markers were used, and returns what follows.
+    /// `limit` is the number of contradicting images in a row; `excused` an image that contradicts
+    /// because the climber was just disturbed.
+    pub fn note(
+        &mut self,
+        image: Stamp,
+        detected: usize,
+        used: u32,
+        limit: u32,
+        excused: bool,
+    ) -> Response {
         if used > 0 {
             self.last_used = Some(self.last_used.map_or(image, |last| last.max(image)));
         }

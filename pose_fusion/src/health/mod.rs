@@ -1,4 +1,5 @@
-//! Health: trust in the encoders, recovery from contradictions, soundness of the state, and the published status.
+//! Health: trust in the encoders, recovery from contradictions, soundness of the state, and the
+//! published status.
 
 pub mod encoder_trust;
 pub mod lock_out;

@@ -26,7 +26,8 @@ pub struct PoseStatus {
     pub stamp: Stamp,
     /// What carries the pose.
     pub state: PoseState,
-    /// The pose may be used: tracking, coasting or vision only, and both sigmas within their limits.
+    /// The pose may be used: tracking, coasting or vision only, and both sigmas within their
+    /// limits.
     pub valid: bool,
     /// Largest standard deviation of the position, m.
     pub position_sigma: f64,
@@ -64,7 +65,8 @@ impl PoseStatus {
         }
     }
 
-    /// Fills in state, validity and reason from the ages and sigmas. `vision_only` is whether IMU samples are missing.
+    /// Fills in state, validity and reason from the ages and sigmas. `vision_only` is whether IMU
+    /// samples are missing.
     pub fn judged(mut self, config: &StatusConfig, vision_only: bool) -> Self {
         // A sigma that is no number is beyond every limit.
         let beyond = |sigma: f64, limit: f64| sigma.is_nan() || sigma > limit;
@@ -118,19 +120,27 @@ mod tests {
     #[test]
     fn each_state_has_its_reason() {
         let tracking = judged(|_| {}, false);
-        assert!(tracking.valid && tracking.state == PoseState::Tracking && tracking.reason.is_empty());
+        assert!(
+            tracking.valid && tracking.state == PoseState::Tracking && tracking.reason.is_empty()
+        );
         let coasting = judged(|s| s.image_age = 0.4, false);
         assert!(
-            coasting.valid && coasting.state == PoseState::Coasting && coasting.reason.contains("0.40 s")
+            coasting.valid
+                && coasting.state == PoseState::Coasting
+                && coasting.reason.contains("0.40 s")
         );
         let vision = judged(|s| s.imu_age = 0.3, true);
-        assert!(vision.valid && vision.state == PoseState::VisionOnly && vision.reason.contains("IMU"));
+        assert!(
+            vision.valid && vision.state == PoseState::VisionOnly && vision.reason.contains("IMU")
+        );
         let vague = judged(|s| s.rotation_sigma = 0.3, false);
         assert!(!vague.valid && vague.state == PoseState::Tracking, "{vague:?}");
         assert!(vague.reason.contains("status.max_rotation_sigma"), "{}", vague.reason);
         let lost = judged(|s| (s.position_sigma, s.image_age) = (0.5, 3.0), false);
         assert!(
-            !lost.valid && lost.state == PoseState::Lost && lost.reason.contains("no image used for 3.00 s")
+            !lost.valid
+                && lost.state == PoseState::Lost
+                && lost.reason.contains("no image used for 3.00 s")
         );
         assert!(!judged(|s| s.position_sigma = f64::NAN, false).valid);
     }

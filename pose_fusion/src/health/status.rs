@@ -1,6 +1,8 @@
 //! Counters and insights of the filter, for diagnostics.
 
-use crate::{adaptation::imu_noise::Densities, measurements::rope::Rope};
+use crate::{
+    adaptation::imu_noise::Densities, ekf::imu_calibration::Constants, measurements::rope::Rope,
+};
 use nalgebra::Vector3;
 use rig_model::Stamp;
 
@@ -89,6 +91,8 @@ pub struct Status {
     pub time_offset: TimeOffsetStatus,
     /// Accelerometer (m/s²) and gyroscope bias (rad/s), IMU axes.
     pub biases: [Vector3<f64>; 2],
+    /// Constants of the IMU: scale factors of gyroscope and accelerometer, rotations of both, rad.
+    pub imu_constants: Constants,
     /// Noise densities identified: specific force (m/s²)²/Hz, angular velocity (rad/s)²/Hz.
     pub densities: Densities,
     /// Factor on the markers' claimed sigma that their innovations ask for.

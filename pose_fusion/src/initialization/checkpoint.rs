@@ -1,7 +1,11 @@
 //! Checkpoint: everything the filter knows at an instant, as plain numbers.
 
-use crate::ekf::state::{Covariance, N, State};
-use nalgebra::{Cholesky, Const, Quaternion, UnitQuaternion, Vector3};
+use crate::ekf::{
+    consider,
+    imu_calibration::{CONSTANTS, ImuCalibration, LARGEST},
+    state::{N, State},
+};
+use nalgebra::{Cholesky, Const, Quaternion, SMatrix, UnitQuaternion, Vector3};
 use rig_model::Stamp;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -31,8 +35,12 @@ pub struct Checkpoint {
     pub climber: [[f64; 3]; 3],
     /// Camera time offset.
     pub time_offset: f64,
-    /// Covariance of the error, row by row.
+    /// Covariance of the error, that of the IMU's constants included, row by row.
     pub covariance: Vec<f64>,
+    /// Scale factors of gyroscope and accelerometer, rotations of both, rad.
+    pub imu_constants: [f64; CONSTANTS],
+    /// Their covariance, row by row.
+    pub imu_covariance: Vec<f64>,
 }
 
 /// Why an operator's request is refused.
@@ -49,7 +57,8 @@ pub enum Refusal {
     },
     /// The stamp is out of reach.
     #[error(
-        "the stamp is {away_s:.3} s before the newest IMU sample; the history reaches {limit_s:.1} s back"
+        "the stamp is {away_s:.3} s before the newest IMU sample; the history reaches \
+         {limit_s:.1} s back"
     )]
     OutOfReach {
         /// Distance.
@@ -71,6 +80,8 @@ impl Checkpoint {
     /// Returns the checkpoint of a state at an instant.
     pub fn of(state: &State, stamp: Stamp) -> Self {
         let q = state.attitude.coords;
+        let by_imu = consider::of_imu(&state.sensitivity);
+        let covariance = state.covariance + by_imu * state.imu.covariance() * by_imu.transpose();
         let three = |v: &Vector3<f64>| [v.x, v.y, v.z];
         Self {
             version: VERSION,
@@ -82,27 +93,33 @@ impl Checkpoint {
             gyroscope_bias: three(&state.gyroscope_bias),
             climber: [&state.climber, &state.climber_rate, &state.climber_acceleration].map(three),
             time_offset: state.time_offset,
-            covariance: state.covariance.transpose().as_slice().to_vec(),
+            covariance: covariance.as_slice().to_vec(),
+            imu_constants: (*state.imu.constants()).into(),
+            imu_covariance: state.imu.covariance().as_slice().to_vec(),
         }
     }
 
     /// Returns the state.
     ///
     /// # Errors
-    /// Another version, a number that is not finite, an attitude of another norm than 1, a covariance of another size or that is
-    /// not symmetric and positive.
+    /// Another version, a number that is not finite, an attitude of another norm than 1, an IMU
+    /// constant beyond its limit, a covariance of another size or that is not symmetric and
+    /// positive.
     pub fn state(&self) -> Result<State, Refusal> {
         let refuse = |what, why| Err(Refusal::Invalid { what, why });
         if self.version != VERSION {
             return refuse("the checkpoint", "it has another version");
         }
-        let numbers = [&self.position, &self.velocity, &self.accelerometer_bias, &self.gyroscope_bias]
-            .into_iter()
-            .chain(&self.climber)
-            .flatten()
-            .chain(&self.attitude)
-            .chain([&self.time_offset])
-            .chain(&self.covariance);
+        let numbers =
+            [&self.position, &self.velocity, &self.accelerometer_bias, &self.gyroscope_bias]
+                .into_iter()
+                .chain(&self.climber)
+                .flatten()
+                .chain(&self.attitude)
+                .chain([&self.time_offset])
+                .chain(&self.covariance)
+                .chain(&self.imu_constants)
+                .chain(&self.imu_covariance);
         if !numbers.into_iter().all(|x| x.is_finite()) {
             return refuse("the checkpoint", "a number in it is not finite");
         }
@@ -111,16 +128,13 @@ impl Checkpoint {
         if (attitude.norm() - 1.0).abs() > 1e-3 {
             return refuse("the checkpoint's attitude", "its norm is not 1");
         }
-        if self.covariance.len() != N * N {
-            return refuse("the checkpoint's covariance", "it has another size");
+        if self.imu_constants.iter().any(|constant| constant.abs() > LARGEST) {
+            return refuse("the checkpoint's IMU calibration", "a constant is larger than 0.1");
         }
-        let covariance = Covariance::from_row_slice(&self.covariance);
-        let scale = covariance.amax().max(1e-12);
-        let asymmetric = (covariance - covariance.transpose()).amax() > 1e-9 * scale;
-        let positive = covariance + Covariance::identity() * (1e-9 * scale);
-        if asymmetric || Cholesky::<f64, Const<N>>::new(positive).is_none() {
-            return refuse("the checkpoint's covariance", "it is not symmetric and positive");
-        }
+        let covariance = positive::<N>("the checkpoint's covariance", &self.covariance, 1e-9)?;
+        // Kept in single precision.
+        let of_imu = "the checkpoint's covariance of the IMU";
+        let of_imu = positive::<CONSTANTS>(of_imu, &self.imu_covariance, 1e-6)?;
         let [climber, rate, acceleration] = self.climber.map(Vector3::from);
         Ok(State {
             position: self.position.into(),
@@ -132,8 +146,29 @@ impl Checkpoint {
             climber_rate: rate,
             climber_acceleration: acceleration,
             time_offset: self.time_offset,
-            covariance: (covariance + covariance.transpose()) * 0.5,
+            covariance,
+            imu: ImuCalibration::known(self.imu_constants.into(), &of_imu),
             ..State::zero()
         })
     }
+}
+
+/// Returns a covariance from its rows, symmetric and positive but for a `rounding` relative to its
+/// largest entry.
+fn positive<const D: usize>(
+    what: &'static str,
+    rows: &[f64],
+    rounding: f64,
+) -> Result<SMatrix<f64, D, D>, Refusal> {
+    if rows.len() != D * D {
+        return Err(Refusal::Invalid { what, why: "it has another size" });
+    }
+    let matrix = SMatrix::<f64, D, D>::from_row_slice(rows);
+    let limit = rounding * matrix.amax().max(1e-12);
+    let asymmetric = (matrix - matrix.transpose()).amax() > limit;
+    let raised = matrix + SMatrix::<f64, D, D>::identity() * limit;
+    if asymmetric || Cholesky::<f64, Const<D>>::new(raised).is_none() {
+        return Err(Refusal::Invalid { what, why: "it is not symmetric and positive" });
+    }
+    Ok((matrix + matrix.transpose()) * 0.5)
 }

@@ -1,16 +1,17 @@
 //! Initial state from one image, the IMU's direction of "up" and the encoders.
 //!
-//! The accelerometer of a swinging platform points along the rope and does not measure its tilt; the IMU's own roll and
-//! pitch do, with their covariance, and enter the cost in which the pose is found. Without them the accelerometer
-//! serves, with the tilt that a swing can hide.
+//! The accelerometer of a swinging platform points along the rope and does not measure its tilt;
+//! the IMU's own roll and pitch do, with their covariance, and enter the cost in which the pose is
+//! found. Without them the accelerometer serves, with the tilt that a swing can hide.
 
 use crate::{
     config::TightConfig,
     ekf::{
         consider::{ByParameter, Sensitivity},
+        imu_calibration::ImuCalibration,
         state::{
-            ACCELEROMETER_BIAS, ATTITUDE, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_RATE, GYROSCOPE_BIAS,
-            POSITION, State, TIME_OFFSET, VELOCITY,
+            ACCELEROMETER_BIAS, ATTITUDE, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_RATE,
+            GYROSCOPE_BIAS, POSITION, State, TIME_OFFSET, VELOCITY,
         },
         update,
     },
@@ -30,7 +31,8 @@ use rig_model::{
     planar_pose::{self, TiltPrior},
 };
 
-/// Largest cost of an image whose markers fit together: 2n − 6 (+ 2 for the tilt) degrees of freedom.
+/// Largest cost of an image whose markers fit together: 2n − 6 (+ 2 for the tilt) degrees of
+/// freedom.
 const LARGEST_COST: f64 = 40.0;
 /// Initial position and attitude uncertainty, m and rad: so wide that the image decides.
 const OPEN: [f64; 2] = [2.0, 1.0];
@@ -58,7 +60,8 @@ pub struct ClimberPrior {
 }
 
 impl ClimberPrior {
-    /// Returns the prior from encoder readings: an encoder that only quantizes is off by its step at most.
+    /// Returns the prior from encoder readings: an encoder that only quantizes is off by its step
+    /// at most.
     pub fn from_readings(at: &ClimberAt) -> Self {
         Self {
             values: at.values,
@@ -79,7 +82,8 @@ impl ClimberPrior {
     }
 }
 
-/// Returns the most likely initial state that the image allows; `None` where its markers fit no pose.
+/// Returns the most likely initial state that the image allows; `None` where its markers fit no
+/// pose.
 pub fn start(
     geometry: &Geometry,
     config: &TightConfig,
@@ -94,7 +98,8 @@ pub fn start(
         sigma: up.sigma,
     });
     let pixels = PerColor(image.pixels);
-    let found = planar_pose::candidates(&geometry.markers, &geometry.camera, &pixels, tilt.as_ref());
+    let found =
+        planar_pose::candidates(&geometry.markers, &geometry.camera, &pixels, tilt.as_ref());
     let best = found.first().filter(|best| best.cost <= LARGEST_COST)?;
     let world_from_imu = world_from_camera * best.camera_from_volant * geometry.volant_from_imu;
     let (position, attitude): (Vector3<f64>, UnitQuaternion<f64>) =
@@ -110,7 +115,13 @@ pub fn start(
         // up = R u: its x and y in the world are zero; ∂(R u)/∂δθ = −[R u]×.
         let (variance, none) = (up.sigma * up.sigma, ByParameter::zeros());
         let v = state.attitude * up.in_imu;
-        update::scalar(&mut state, &[(ATTITUDE + 1, v.z), (ATTITUDE + 2, -v.y)], -v.x, variance, &none);
+        update::scalar(
+            &mut state,
+            &[(ATTITUDE + 1, v.z), (ATTITUDE + 2, -v.y)],
+            -v.x,
+            variance,
+            &none,
+        );
         let v = state.attitude * up.in_imu;
         update::scalar(&mut state, &[(ATTITUDE, -v.z), (ATTITUDE + 2, v.x)], -v.y, variance, &none);
         // Prior and image together have their minimum at the candidate.
@@ -122,7 +133,8 @@ pub fn start(
     Some(Start { state, record })
 }
 
-/// Returns a state with the climber as its encoders have it and everything else as unknown as the configuration says.
+/// Returns a state with the climber as its encoders have it and everything else as unknown as the
+/// configuration says.
 pub fn unknown(config: &TightConfig, climber: &ClimberPrior) -> State {
     let mut state = State::zero();
     state.climber = climber.values;
@@ -135,15 +147,16 @@ pub fn unknown(config: &TightConfig, climber: &ClimberPrior) -> State {
     state.set_sigmas(CLIMBER_ACCELERATION, &ACCELERATION.into());
     state.set_sigma(TIME_OFFSET, config.clock.camera_sigma.min(LINEAR_OFFSET));
     state.sensitivity = Sensitivity::zeros();
+    state.imu = ImuCalibration::new(&config.imu);
     for axis in 0..3 {
         let by = by_parameter(axis, climber.values[axis], climber.rates[axis]);
-        state.sensitivity.row_mut(CLIMBER + axis).copy_from(&-by.transpose());
+        state.sensitivity.set_column(CLIMBER + axis, &by.map(|x| -x as f32));
     }
     state
 }
 
-/// An error of the time offset up to which the filter is linear, s (1 sigma). A larger one is found by the alignment
-/// ([`super::time_offset`]), and widens the published covariance until then.
+/// An error of the time offset up to which the filter is linear, s (1 sigma). A larger one is found
+/// by the alignment ([`super::time_offset`]), and widens the published covariance until then.
 const LINEAR_OFFSET: f64 = 0.006;
 
 /// Initial velocity of the platform, each axis, m/s (1 sigma): the fastest swing in a room.

@@ -1,5 +1,5 @@
-//! Motion from IMU readings alone, relative to the first reading, with its derivatives by the biases
-//! (Forster et al. 2017, "On-manifold preintegration", without noise terms).
+//! Motion from IMU readings alone, relative to the first reading, with its derivatives by the
+//! biases (Forster et al. 2017, "On-manifold preintegration", without noise terms).
 
 use crate::ekf::propagation::ImuReading;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};

@@ -1,15 +1,19 @@
-//! Camera time offset by aligning the visual poses of single images with the motion that the IMU measured.
+//! Camera time offset by aligning the visual poses of single images with the motion that the IMU
+//! measured.
 //!
-//! An error-state filter corrects its time offset well while it is off by a few milliseconds, and loses its way where it is
-//! off by more than an image period. So the offset is first found by a batch alignment. For a candidate offset τ the image
-//! stamped `t` was taken at `t + τ` on the IMU's time line; there the IMU's motion is known but for its initial position,
-//! velocity and attitude and the biases (15 numbers), which enter linearly:
+//! An error-state filter corrects its time offset well while it is off by a few milliseconds, and
+//! loses its way where it is off by more than an image period. So the offset is first found by a
+//! batch alignment. For a candidate offset τ the image stamped `t` was taken at `t + τ` on the
+//! IMU's time line; there the IMU's motion is known but for its initial position, velocity and
+//! attitude and the biases (15 numbers), which enter linearly:
 //!
-//! `R_i = Exp(θ₀ + R₀ J_R b_g) R₀ ΔR_i`, `p_i = p₀ + v₀ s + g s²/2 + R₀ (Δp_i + J_p b) + [θ₀]× R₀ Δp_i − R_i t`
+//! `R_i = Exp(θ₀ + R₀ J_R b_g) R₀ ΔR_i`,
+//! `p_i = p₀ + v₀ s + g s²/2 + R₀ (Δp_i + J_p b) + [θ₀]× R₀ Δp_i − R_i t`
 //!
-//! (`t`: lever arm). The weighted squares that are left, `J(τ)`, have their minimum at the offset. It is accepted where the
-//! curvature says that it is known and every other minimum is refuted. Without motion `J` is flat and nothing is
-//! accepted. The image poses come on the climber's clock, which is the camera's, so that nothing else depends on τ.
+//! (`t`: lever arm). The weighted squares that are left, `J(τ)`, have their minimum at the offset.
+//! It is accepted where the curvature says that it is known and every other minimum is refuted.
+//! Without motion `J` is flat and nothing is accepted. The image poses come on the climber's clock,
+//! which is the camera's, so that nothing else depends on τ.
 
 use super::preintegration::Preintegrated;
 use crate::{adaptation::imu_noise::Densities, config::ImuConfig, ekf::propagation::ImuReading};
@@ -31,9 +35,10 @@ const FEWEST: usize = 12;
 const EVERY: usize = 3;
 /// Floors of the visual pose: position, m, and rotation, rad …
 const FLOOR: [f64; 2] = [0.4e-3, 1e-3];
-/// … and what is left of the IMU's noise in the window when initial state and biases are fitted, as shares of what it integrates to:
-/// specific force to position, angular velocity to rotation, angular velocity by the tilt to position. Noise beyond the rig
-/// file's counts more: it is not white, and one error of the window is as good as none.
+/// … and what is left of the IMU's noise in the window when initial state and biases are fitted, as
+/// shares of what it integrates to: specific force to position, angular velocity to rotation,
+/// angular velocity by the tilt to position. Noise beyond the rig file's counts more: it is not
+/// white, and one error of the window is as good as none.
 const IMU_SHARE: [f64; 3] = [0.2, 0.4, 0.04];
 const G_SQUARED: f64 = 96.2;
 const EXCESS_SHARE: [f64; 3] = [0.5, 0.8, 0.08];
@@ -47,7 +52,7 @@ const APART: f64 = 0.02;
 const REFUTED: f64 = 16.0;
 /// Largest χ² per degree of freedom of an alignment that means anything.
 const LARGEST: f64 = 9.0;
-/// Smallest χ² per degree of freedom that is believed: the poses' own covariances are cautious.
+/// Smallest χ² per degree of freedom that is accepted: the poses' own covariances are cautious.
 const SMALLEST: f64 = 0.6;
 /// Uncertainty of the initial velocity, m/s, and attitude, rad.
 const OPEN: [f64; 2] = [2.0, 0.5];
@@ -92,8 +97,14 @@ impl TimeOffsetSearch {
         self.readings.push_back((stamp, *reading));
     }
 
-    /// Adds the pose of an image (camera time; covariance of position and rotation about world axes; m², rad²).
-    pub fn add_pose(&mut self, stamp: Stamp, world_from_volant: &Isometry3<f64>, covariance: &Matrix6<f64>) {
+    /// Adds the pose of an image (camera time; covariance of position and rotation about world
+    /// axes; m², rad²).
+    pub fn add_pose(
+        &mut self,
+        stamp: Stamp,
+        world_from_volant: &Isometry3<f64>,
+        covariance: &Matrix6<f64>,
+    ) {
         if self.poses.back().is_some_and(|p| stamp.seconds_since(p.stamp) < SPACING) {
             return;
         }
@@ -113,12 +124,16 @@ impl TimeOffsetSearch {
     fn weigh(&mut self, noise: &Densities, given: &Densities) {
         let of = |shares: [f64; 3], force: f64, rate: f64| {
             let [by_force, by_rate, by_tilt] = shares.map(|share| share * share);
-            let position = by_force * force * WINDOW.powi(3) + by_tilt * G_SQUARED * rate * WINDOW.powi(5);
+            let position =
+                by_force * force * WINDOW.powi(3) + by_tilt * G_SQUARED * rate * WINDOW.powi(5);
             [position, by_rate * rate * WINDOW]
         };
         let usual = of(IMU_SHARE, given.force, given.rate);
-        let excess =
-            of(EXCESS_SHARE, (noise.force - given.force).max(0.0), (noise.rate - given.rate).max(0.0));
+        let excess = of(
+            EXCESS_SHARE,
+            (noise.force - given.force).max(0.0),
+            (noise.rate - given.rate).max(0.0),
+        );
         let imu = [usual[0] + excess[0], usual[1] + excess[1]];
         for pose in &mut self.poses {
             let mut covariance = pose.covariance;
@@ -136,8 +151,8 @@ impl TimeOffsetSearch {
 
     /// Returns the offset once it is known to 10 ms. Aligns after every third image only.
     ///
-    /// `volant_from_imu` is the mounting of the IMU, `gravity` in m/s², `noise` the IMU's noise densities and
-    /// `given` those of the rig file.
+    /// `volant_from_imu` is the mounting of the IMU, `gravity` in m/s², `noise` the IMU's noise
+    /// densities and `given` those of the rig file.
     pub fn find(
         &mut self,
         volant_from_imu: &Isometry3<f64>,
@@ -151,7 +166,8 @@ impl TimeOffsetSearch {
         }
         self.added = 0;
         self.weigh(noise, given);
-        // The second time with the biases that the first one found: over the window they turn by several degrees.
+        // The second time with the biases that the first one found: over the window they turn by
+        // several degrees.
         let first = self.align(volant_from_imu, gravity, imu, &Biases::default())?;
         let (found, _) = self.align(volant_from_imu, gravity, imu, &first.1)?;
         found
@@ -169,12 +185,14 @@ impl TimeOffsetSearch {
         let alignment =
             Alignment { track: &track, poses: &self.poses, volant_from_imu, gravity, imu, biases };
         let steps = (REACH / STEP).round() as i32;
-        let costs: Vec<(f64, Option<Cost>)> =
-            (-steps..=steps).map(|i| (f64::from(i) * STEP, alignment.cost(f64::from(i) * STEP))).collect();
+        let costs: Vec<(f64, Option<Cost>)> = (-steps..=steps)
+            .map(|i| (f64::from(i) * STEP, alignment.cost(f64::from(i) * STEP)))
+            .collect();
         let mean = |c: &Cost| c.square / c.rows;
         let usable = costs.iter().filter_map(|(offset, cost)| Some((*offset, cost.as_ref()?)));
         let (start, _) = usable.clone().min_by(|a, b| mean(a.1).total_cmp(&mean(b.1)))?;
-        // Refine by parabolas through candidates a step apart: closer ones differ by the noise of single readings.
+        // Refine by parabolas through candidates a step apart: closer ones differ by the noise of
+        // single readings.
         let (mut offset, h) = (start, STEP);
         let (mut best, mut curvature) = (alignment.cost(offset)?, 0.0);
         for _ in 0..3 {
@@ -197,9 +215,9 @@ impl TimeOffsetSearch {
         }
         let scale = (best.square / (best.rows - UNKNOWNS as f64).max(1.0)).max(SMALLEST);
         let sigma = (2.0 * scale / curvature).sqrt();
-        let refuted = usable
-            .filter(|(at, _)| (at - offset).abs() > APART)
-            .all(|(_, cost)| (mean(cost) - mean(&best)) * best.rows.min(cost.rows) > REFUTED * scale);
+        let refuted = usable.filter(|(at, _)| (at - offset).abs() > APART).all(|(_, cost)| {
+            (mean(cost) - mean(&best)) * best.rows.min(cost.rows) > REFUTED * scale
+        });
         let accepted = sigma < ACCEPTED && scale < LARGEST && refuted && offset.abs() < REACH;
         Some((accepted.then_some(TimeOffset { offset, sigma }), best.biases))
     }
@@ -246,11 +264,15 @@ struct Alignment<'a> {
 }
 
 impl Alignment<'_> {
-    /// Cost of an offset; `None` where fewer than half of the images (and [`FEWEST`]) have IMU readings around them.
+    /// Cost of an offset; `None` where fewer than half of the images (and [`FEWEST`]) have IMU
+    /// readings around them.
     fn cost(&self, offset: f64) -> Option<Cost> {
         let first = self.track.first()?;
-        let motions: Vec<(&VisualPose, Preintegrated)> =
-            self.poses.iter().filter_map(|p| Some((p, self.at(p.stamp.plus_seconds(offset))?))).collect();
+        let motions: Vec<(&VisualPose, Preintegrated)> = self
+            .poses
+            .iter()
+            .filter_map(|p| Some((p, self.at(p.stamp.plus_seconds(offset))?)))
+            .collect();
         if motions.len() < FEWEST.max(self.poses.len() / 2) {
             return None;
         }
@@ -308,7 +330,8 @@ impl Alignment<'_> {
         let lever = world_from_volant * self.volant_from_imu.translation.vector;
         let moved = start * motion.position;
         let position = moved - Vector3::z() * (self.gravity * s * s / 2.0) - lever;
-        let rotation = (pose.world_from_volant.rotation * world_from_volant.inverse()).scaled_axis();
+        let rotation =
+            (pose.world_from_volant.rotation * world_from_volant.inverse()).scaled_axis();
         let shift = pose.world_from_volant.translation.vector - position;
         let residual = Vector6::new(shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z);
         let mut j = SMatrix::<f64, 6, UNKNOWNS>::zeros();

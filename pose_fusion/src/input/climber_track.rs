@@ -1,12 +1,11 @@
 //! Newest encoder readings: the climber at any instant between them and shortly beyond.
 
 use crate::{
-    adaptation::encoder_noise::EncoderNoise,
-    config::ClimberConfig,
-    measurements::geometry::{ClimberRest, wrap},
+    adaptation::encoder_noise::EncoderNoise, config::ClimberConfig,
+    measurements::geometry::ClimberRest,
 };
 use nalgebra::Vector3;
-use rig_model::Stamp;
+use rig_model::{Stamp, wrap_angle};
 use std::collections::VecDeque;
 
 /// Number of readings kept: a second at 200 Hz.
@@ -73,8 +72,8 @@ impl ClimberTrack {
         }
     }
 
-    /// Adds a reading. Returns its variance (m², m², rad²) as a moving climber's and the factor for equal readings; `None` for a
-    /// stamp that is there already.
+    /// Adds a reading. Returns its variance (m², m², rad²) as a moving climber's and the factor for
+    /// equal readings; `None` for a stamp that is there already.
     pub fn add(
         &mut self,
         stamp: Stamp,
@@ -111,7 +110,8 @@ impl ClimberTrack {
         self.noise.variance()
     }
 
-    /// Returns the variance with which the readings on the time line were weighed, to be replaced when they are weighed again.
+    /// Returns the variance with which the readings on the time line were weighed, to be replaced
+    /// when they are weighed again.
     pub fn assumed_variance(&mut self) -> &mut Vector3<f64> {
         &mut self.assumed
     }
@@ -133,7 +133,8 @@ impl ClimberTrack {
         self.jerk_factor = (self.jerk_factor * change).clamp(least, JERK_LIMIT);
     }
 
-    /// Returns whether the newest readings are equal on all axes: a climber at rest, or frozen encoders.
+    /// Returns whether the newest readings are equal on all axes: a climber at rest, or frozen
+    /// encoders.
     pub fn is_standing(&self) -> bool {
         let Some((_, last, _)) = self.readings.back() else { return false };
         self.readings.iter().rev().take(STANDING).all(|(_, values, _)| values == last)
@@ -142,16 +143,20 @@ impl ClimberTrack {
     fn is_moving(&self) -> bool {
         let Some((newest, last, _)) = self.readings.back() else { return false };
         let limit = self.noise.variance().map(|v| MOVING_STEPS * (12.0 * v).sqrt());
-        let recent =
-            self.readings.iter().rev().take_while(|(at, _, _)| newest.seconds_since(*at) < MOVING_SPAN);
+        let recent = self
+            .readings
+            .iter()
+            .rev()
+            .take_while(|(at, _, _)| newest.seconds_since(*at) < MOVING_SPAN);
         recent.into_iter().any(|(_, values, _)| {
             let mut moved = last - values;
-            moved.z = wrap(moved.z);
+            moved.z = wrap_angle(moved.z);
             (0..3).any(|i| moved[i].abs() > limit[i])
         })
     }
 
-    /// Returns the climber at an instant: interpolated between two readings, else moved on with its rates. `None` without readings.
+    /// Returns the climber at an instant: interpolated between two readings, else moved on with its
+    /// rates. `None` without readings.
     pub fn at(&self, stamp: Stamp) -> Option<ClimberAt> {
         let after = self.readings.partition_point(|(at, _, _)| *at < stamp);
         let before = after.checked_sub(1).and_then(|i| self.readings.get(i));
@@ -169,7 +174,7 @@ impl ClimberTrack {
                 let span = b.0.seconds_since(a.0);
                 let share = if span > 0.0 { stamp.seconds_since(a.0) / span } else { 0.0 };
                 let mut way = b.1 - a.1;
-                way.z = wrap(way.z);
+                way.z = wrap_angle(way.z);
                 a.1 + way * share
             }
             _ => nearest.1 + rates * stamp.seconds_since(nearest.0),
@@ -188,7 +193,8 @@ impl ClimberTrack {
     /// Rates from the readings around an instant, with their standard deviations.
     fn rates(&self, stamp: Stamp, noise: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
         let fastest = Vector3::from(SPEED);
-        let recent = || self.readings.iter().filter(|(s, _, _)| s.seconds_since(stamp).abs() < NEAR);
+        let recent =
+            || self.readings.iter().filter(|(s, _, _)| s.seconds_since(stamp).abs() < NEAR);
         let (Some(first), Some(last)) = (recent().next(), recent().next_back()) else {
             return (Vector3::zeros(), fastest);
         };
@@ -197,7 +203,7 @@ impl ClimberTrack {
             return (Vector3::zeros(), fastest);
         }
         let mut rates = last.1 - first.1;
-        rates.z = wrap(rates.z);
+        rates.z = wrap_angle(rates.z);
         let step = noise * 12f64.sqrt();
         let sigmas = (step / span + Vector3::from(ACCELERATION) * span).inf(&fastest);
         ((rates / span).map(|r| if r.is_finite() { r } else { 0.0 }), sigmas)
@@ -217,7 +223,7 @@ mod tests {
         for i in 0..100 {
             let t = f64::from(i) * 0.02;
             let mut reading = truth(t).map(|x| (x * 1e3).round() * 1e-3);
-            reading.z = wrap(reading.z);
+            reading.z = wrap_angle(reading.z);
             assert!(track.add(start.plus_seconds(t), reading, rest).is_some());
             assert!(track.add(start.plus_seconds(t), reading, rest).is_none());
             if i < 10 {
@@ -226,7 +232,7 @@ mod tests {
             for ahead in [-0.01, 0.0, 0.007, 0.019] {
                 let at = track.at(start.plus_seconds(t + ahead)).unwrap();
                 let mut error = at.values - truth(t + ahead);
-                error.z = wrap(error.z);
+                error.z = wrap_angle(error.z);
                 assert!(error.amax() < 3e-3, "{t} {ahead}: {error}");
                 assert_eq!(at.distance > 0.0, ahead > 0.0);
             }

@@ -1,4 +1,5 @@
-//! IMU samples: checked, with the process noise of the step to each, and what the IMU knows of "up".
+//! IMU samples: checked, with the process noise of the step to each, and what the IMU knows of
+//! "up".
 
 use crate::{
     adaptation::{
@@ -51,13 +52,16 @@ impl ImuInput {
     /// # Errors
     /// A value that no IMU measures, see [`Implausible`].
     pub fn reading(sample: &ImuSample, config: &TightConfig) -> Result<ImuReading, Implausible> {
-        let reading =
-            ImuReading { specific_force: sample.specific_force, angular_velocity: sample.angular_velocity };
+        let reading = ImuReading {
+            specific_force: sample.specific_force,
+            angular_velocity: sample.angular_velocity,
+        };
         ImuIntegrity::check(&reading, &config.imu)?;
         Ok(reading)
     }
 
-    /// Takes in a reading that came `dt` seconds after the previous one (`None`: the first one) and returns its event.
+    /// Takes in a reading that came `dt` seconds after the previous one (`None`: the first one) and
+    /// returns its event.
     pub fn event(
         &mut self,
         reading: &ImuReading,
@@ -67,7 +71,10 @@ impl ImuInput {
     ) -> Event {
         let given = given(mounting);
         let Some(dt) = dt else {
-            return Event::Imu { noise: self.noise.densities(&given, config.imu.noise_limit), at_rest: None };
+            return Event::Imu {
+                noise: self.noise.densities(&given, config.imu.noise_limit),
+                at_rest: None,
+            };
         };
         self.noise.add(reading, dt);
         let mut noise = self.noise.densities(&given, config.imu.noise_limit);
@@ -78,7 +85,7 @@ impl ImuInput {
             rate: found.rate.max(given.rate / period),
         };
         let at_rest = self.stationary.add(reading, dt, variances.force, variances.rate);
-        let more = self.integrity.additional(reading, dt, &variances, self.model_error.factor(), &config.imu);
+        let more = self.integrity.additional(reading, dt, &variances, self.model_error.factor());
         noise.force += more.force;
         noise.rate += more.rate;
         Event::Imu { noise, at_rest }
@@ -94,9 +101,13 @@ impl ImuInput {
         }
     }
 
-    /// Returns by how much the noise exceeds the rig file's, once, when it becomes known: the samples before were weighed with the rig
-    /// file's.
-    pub fn newly_known_noise(&mut self, mounting: &ImuMounting, config: &TightConfig) -> Option<Densities> {
+    /// Returns by how much the noise exceeds the rig file's, once, when it becomes known: the
+    /// samples before were weighed with the rig file's.
+    pub fn newly_known_noise(
+        &mut self,
+        mounting: &ImuMounting,
+        config: &TightConfig,
+    ) -> Option<Densities> {
         if self.known || !self.noise.is_known() {
             return None;
         }
@@ -106,7 +117,8 @@ impl ImuInput {
         (more.force > 0.0 || more.rate > 0.0).then_some(more)
     }
 
-    /// Returns which share of the readings' changes between two images is noise: specific force, angular velocity.
+    /// Returns which share of the readings' changes between two images is noise: specific force,
+    /// angular velocity.
     pub fn noise_of_changes(&self) -> [f64; 2] {
         let share = self.noise.noise_of_changes();
         [share.force, share.rate]
@@ -133,13 +145,15 @@ impl ImuInput {
         self.noise.period()
     }
 
-    /// Returns what is known of "up" at an instant: the IMU's own attitude, else the mean direction of its specific force.
+    /// Returns what is known of "up" at an instant: the IMU's own attitude, else the mean direction
+    /// of its specific force.
     pub fn up_at(&self, stamp: Stamp, history: &History) -> Option<Up> {
         if let Some(up) = nearest(&self.ups, stamp) {
             return Some(up);
         }
         let near = history.iter().filter(|entry| {
-            matches!(entry.event, Event::Imu { .. }) && entry.stamp.seconds_since(stamp).abs() < MEAN_FORCE
+            matches!(entry.event, Event::Imu { .. })
+                && entry.stamp.seconds_since(stamp).abs() < MEAN_FORCE
         });
         let sum: Vector3<f64> = near.map(|entry| entry.reading.specific_force).sum();
         sum.try_normalize(1e-3).map(|in_imu| Up { in_imu, sigma: SWING_TILT })
@@ -154,7 +168,8 @@ pub fn given(mounting: &ImuMounting) -> Densities {
     }
 }
 
-/// Returns the IMU's own direction of "up" in a sample, with a sigma of at least `floor` rad. `None` without a usable attitude.
+/// Returns the IMU's own direction of "up" in a sample, with a sigma of at least `floor` rad.
+/// `None` without a usable attitude.
 pub fn up_of(sample: &ImuSample, floor: f64) -> Option<Up> {
     let orientation = sample.orientation.as_ref()?;
     let enu_from_imu: &UnitQuaternion<f64> = &orientation.enu_from_imu;

@@ -1,7 +1,9 @@
-//! Marker observations: duplicates and unusable numbers are rejected, covariances bounded from below.
+//! Marker observations: duplicates and unusable numbers are rejected, covariances bounded from
+//! below.
 
 use crate::{
-    adaptation::pixel_noise::PixelNoise, config::MarkerConfig, measurements::markers::Pixels, output::Warning,
+    adaptation::pixel_noise::PixelNoise, config::MarkerConfig, measurements::markers::Pixels,
+    output::Warning,
 };
 use nalgebra::Matrix2;
 use rig_model::{MarkerObservations, MarkerState, Stamp};
@@ -43,7 +45,8 @@ impl MarkerInput {
         self.noise.factor()
     }
 
-    /// Returns the detected markers of an image with the covariance to assume; `reject` gets a warning for each unusable one.
+    /// Returns the detected markers of an image with the covariance to assume; `reject` gets a
+    /// warning for each unusable one.
     pub fn pixels(
         &self,
         observations: &MarkerObservations,
@@ -68,7 +71,8 @@ impl MarkerInput {
                 continue;
             }
             let symmetric = (c + c.transpose()) * 0.5;
-            let bounded = symmetric + Matrix2::identity() * (minimum - symmetric.trace() / 2.0).max(0.0);
+            let bounded =
+                symmetric + Matrix2::identity() * (minimum - symmetric.trace() / 2.0).max(0.0);
             pixels[color.index()] = Some((marker.centroid, bounded * self.noise.factor() + floor));
         }
         pixels

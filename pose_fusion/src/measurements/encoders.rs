@@ -1,10 +1,11 @@
 //! Update of the climber's x, y and turn by its encoders.
 //!
-//! A reading of a moving climber has an error like white noise (variance step²/12). While the reading stands still its
-//! error stands still too: its variance is multiplied by the number of equal readings so far (see
-//! [`crate::adaptation::encoder_noise`]). A climber at rest is therefore never known much better than its encoders' step.
+//! A reading of a moving climber has an error like white noise (variance step²/12). While the
+//! reading stands still its error stands still too: its variance is multiplied by the number of
+//! equal readings so far (see [`crate::adaptation::encoder_noise`]). A climber at rest is therefore
+//! never known much better than its encoders' step.
 
-use super::{Innovation, Outcome, geometry::ClimberRest, geometry::wrap};
+use super::{Innovation, Outcome, geometry::ClimberRest};
 use crate::ekf::{
     consider::{ByParameter, CLIMBER_OFFSET, ENCODER_SCALE},
     propagation::ImuReading,
@@ -12,8 +13,10 @@ use crate::ekf::{
     update,
 };
 use nalgebra::{Matrix3, Vector3};
+use rig_model::wrap_angle;
 
-/// Largest acceleration of a climber: m/s², m/s², rad/s² (a drive into its end stop, simulated: 36 m/s²; a wheel that slips).
+/// Largest acceleration of a climber: m/s², m/s², rad/s² (a drive into its end stop, simulated: 36
+/// m/s²; a wheel that slips).
 const ACCELERATION: f64 = 40.0;
 /// Beyond this span the images decide where the climber went, s.
 const LONGEST: f64 = 0.1;
@@ -43,10 +46,11 @@ pub struct EncoderReading {
 pub fn innovation(state: &State, reading: &EncoderReading, climber_offset: f64) -> Innovation<3> {
     // The reading's own instant is `late` after the place it was given on the time line.
     let late = state.time_offset + climber_offset - reading.time_offset;
-    let predicted =
-        state.climber + state.climber_rate * late + state.climber_acceleration * (late * late / 2.0);
+    let predicted = state.climber
+        + state.climber_rate * late
+        + state.climber_acceleration * (late * late / 2.0);
     let mut residual = reading.values - predicted;
-    residual.z = wrap(residual.z);
+    residual.z = wrap_angle(residual.z);
     let mut covariance = Matrix3::zeros();
     for axis in 0..3 {
         let (p, r) = (CLIMBER + axis, CLIMBER_RATE + axis);
@@ -83,8 +87,8 @@ pub fn by_parameter(axis: usize, value: f64, rate: f64) -> ByParameter {
     by
 }
 
-/// Returns whether no climber can have caused the innovation within `span` seconds: its distance, less five sigma, asks for more
-/// than [`ACCELERATION`].
+/// Returns whether no climber can have caused the innovation within `span` seconds: its distance,
+/// less five sigma, asks for more than [`ACCELERATION`].
 pub fn is_impossible(innovation: &Innovation<3>, span: f64) -> bool {
     let reach = ACCELERATION * span.min(LONGEST).powi(2) / 2.0;
     (0..3).any(|i| {
@@ -120,7 +124,11 @@ mod tests {
         let i = innovation(&state, &reading, 0.0);
         assert!((i.residual - Vector3::new(0.01, 0.0, 0.0)).norm() < 1e-9, "{i:?}");
         update(&mut state, &reading, 0.0, 9.81);
-        assert!((state.climber - Vector3::new(0.305, -0.2, 3.1)).norm() < 1e-9, "{}", state.climber);
+        assert!(
+            (state.climber - Vector3::new(0.305, -0.2, 3.1)).norm() < 1e-9,
+            "{}",
+            state.climber
+        );
     }
 
     #[test]

@@ -41,7 +41,8 @@ pub struct ClimberRest {
 }
 
 impl ClimberRest {
-    /// Splits a pose into (x, y, turn) and the rest, so that `pose = T(x, y, height) · Rz(turn) · tilt` (swing–twist).
+    /// Splits a pose into (x, y, turn) and the rest, so that
+    /// `pose = T(x, y, height) · Rz(turn) · tilt` (swing–twist).
     pub fn split(pose: &Isometry3<f64>) -> (Vector3<f64>, ClimberRest) {
         let q = pose.rotation;
         let turn = 2.0 * q.k.atan2(q.w);
@@ -57,12 +58,6 @@ impl ClimberRest {
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), climber.z) * self.tilt,
         )
     }
-}
-
-/// Returns the angle within ±π, rad.
-pub fn wrap(angle: f64) -> f64 {
-    let turns = (angle / std::f64::consts::TAU).round();
-    angle - turns * std::f64::consts::TAU
 }
 
 #[cfg(test)]

@@ -1,10 +1,11 @@
 //! Predicted marker centroids with their derivatives by state and calibration.
 //!
 //! A marker's predicted centroid is that of the projected square at
-//! `camera_from_volant = (world_from_climber · climber_from_camera)⁻¹ · world_from_imu · imu_from_volant` (paper, eq. 5), at the
-//! time of the exposure. With `c` the square's center and `R_wc` the camera's attitude,
-//! `δc = R_wcᵀ (δp − [R m]× δθ − e_xy δc_xy − (e_z × (X − X_climber)) δturn)`, and the square turns about its center by
-//! `R_wcᵀ (δθ − e_z δturn)`. The time offset has no part in it (see [`crate::ekf::state`]).
+//! `camera_from_volant = (world_from_climber · climber_from_camera)⁻¹ · world_from_imu · imu_from_volant`
+//! (paper, eq. 5), at the time of the exposure. With `c` the square's center and `R_wc` the
+//! camera's attitude, `δc = R_wcᵀ (δp − [R m]× δθ − e_xy δc_xy − (e_z × (X − X_climber)) δturn)`,
+//! and the square turns about its center by `R_wcᵀ (δθ − e_z δturn)`. The time offset has no part
+//! in it (see [`crate::ekf::state`]).
 
 use super::{
     geometry::Geometry,
@@ -15,9 +16,10 @@ use crate::ekf::{
     state::{Error, State},
 };
 use nalgebra::{Isometry3, Matrix2x3, Matrix3, SVector, UnitQuaternion, Vector3};
-use rig_model::MarkerColor;
+use rig_model::{MarkerColor, marker::ProjectedCentroid};
 
-/// Residuals of an image and their derivatives. A marker that is absent or cannot be projected has zero rows.
+/// Residuals of an image and their derivatives. A marker that is absent or cannot be projected has
+/// zero rows.
 pub struct Linearization {
     /// Measured minus predicted, px, two rows per marker.
     pub residual: Residual,
@@ -25,20 +27,23 @@ pub struct Linearization {
     pub jacobian: Jacobian,
     /// Which markers could be projected.
     pub valid: [bool; 4],
-    /// Camera and volant frames at the linearization point, for [`by_calibration`].
+    /// Camera and volant frames at the linearization point, and the projections there, for
+    /// [`by_calibration`].
     camera_from_volant: Isometry3<f64>,
+    projected: [Option<ProjectedCentroid>; 4],
 }
 
 /// Linearizes the measurement of `image` at `state`.
 pub fn linearize(state: &State, geometry: &Geometry, image: &Image) -> Linearization {
     let late = state.time_offset - image.time_offset;
-    let world_rate = state.attitude * (image.reading.angular_velocity - state.gyroscope_bias);
+    let world_rate = state.attitude * state.motion(&image.reading).angular_velocity;
     let climber = state.climber + state.climber_rate * late;
     let position = state.position + state.velocity * late;
     let attitude = UnitQuaternion::from_scaled_axis(world_rate * late) * state.attitude;
     let world_from_climber = image.rest.join(&climber);
     let world_from_camera = world_from_climber * geometry.climber_from_camera;
-    let world_from_volant = Isometry3::from_parts(position.into(), attitude) * geometry.imu_from_volant;
+    let world_from_volant =
+        Isometry3::from_parts(position.into(), attitude) * geometry.imu_from_volant;
     let camera_from_volant = world_from_camera.inverse() * world_from_volant;
     let to_camera = world_from_camera.rotation.inverse().to_rotation_matrix();
     let to_camera: &Matrix3<f64> = to_camera.matrix();
@@ -47,6 +52,7 @@ pub fn linearize(state: &State, geometry: &Geometry, image: &Image) -> Lineariza
         jacobian: Jacobian::zeros(),
         valid: [false; 4],
         camera_from_volant,
+        projected: [None; 4],
     };
     for color in MarkerColor::ALL {
         let i = color.index();
@@ -57,6 +63,7 @@ pub fn linearize(state: &State, geometry: &Geometry, image: &Image) -> Lineariza
             continue;
         };
         linear.valid[i] = true;
+        linear.projected[i] = Some(predicted);
         linear.residual.fixed_rows_mut::<2>(2 * i).copy_from(&(measured - predicted.pixel));
         let center = world_from_volant * geometry.markers.centres[color];
         let by_center: Matrix2x3<f64> = predicted.jacobian_by_centre * to_camera;
@@ -75,22 +82,22 @@ pub fn linearize(state: &State, geometry: &Geometry, image: &Image) -> Lineariza
 }
 
 /// Returns the derivative of the markers in `mask` by the consider parameters.
-pub fn by_calibration(linear: &Linearization, geometry: &Geometry, mask: &[bool; 4]) -> ByCalibration {
+pub fn by_calibration(
+    linear: &Linearization,
+    geometry: &Geometry,
+    mask: &[bool; 4],
+) -> ByCalibration {
     let mut by = ByCalibration::zeros();
     let pose = &linear.camera_from_volant;
     let principal = geometry.camera.principal_point();
     for color in MarkerColor::ALL {
         let i = color.index();
-        if !mask[i] {
-            continue;
-        }
-        let Some(predicted) = geometry.markers.projected_centroid(color, &geometry.camera, pose) else {
-            continue;
-        };
+        let (Some(predicted), true) = (&linear.projected[i], mask[i]) else { continue };
         let in_volant = geometry.markers.centres[color];
         let center = (pose * in_volant).coords;
         let layout = predicted.jacobian_by_centre * (pose.rotation * in_volant.coords);
-        let mounting = predicted.jacobian_by_turn - predicted.jacobian_by_centre * center.cross_matrix();
+        let mounting =
+            predicted.jacobian_by_turn - predicted.jacobian_by_centre * center.cross_matrix();
         let mut rows = by.fixed_rows_mut::<2>(2 * i);
         rows[(0, CENTROID + 2 * i)] = 1.0;
         rows[(1, CENTROID + 2 * i + 1)] = 1.0;
@@ -136,7 +143,8 @@ mod tests {
             };
             let numeric = -(at(1.0) - at(-1.0)) / (2.0 * h);
             let error = (numeric - linear.jacobian.column(k)).amax();
-            // What the projected square's area weights change is left out of the analytical derivative.
+            // What the projected square's area weights change is left out of the analytical
+            // derivative.
             assert!(error < 0.006 * numeric.amax() + 1e-3, "{k}: {error}");
         }
     }
@@ -155,8 +163,12 @@ mod tests {
         let f = geometry.camera.focal_lengths() * (1.0 + h);
         let c = geometry.camera.principal_point();
         let (width, height) = geometry.camera.size();
-        let camera =
-            rig_model::CameraModel::new(width, height, [f.x, f.y, c.x, c.y], *geometry.camera.distortion());
+        let camera = rig_model::CameraModel::new(
+            width,
+            height,
+            [f.x, f.y, c.x, c.y],
+            *geometry.camera.distortion(),
+        );
         check(FOCAL, Geometry { camera: camera.unwrap(), ..geometry.clone() });
         let mut scaled = geometry.clone();
         for center in &mut scaled.markers.centres.0 {

@@ -3,7 +3,7 @@
 use super::{
     geometry::Geometry,
     marker_prediction::{Linearization, by_calibration, innovation_spread, linearize, times_error},
-    markers::{Block, ByCalibration, Gain, Image, Jacobian, SEEN},
+    markers::{Block, ByCalibration, Gain, Image, Jacobian, Residual, SEEN},
 };
 use crate::ekf::{
     consider::PARAMETERS,
@@ -21,6 +21,8 @@ pub struct Solution {
     pub cost: f64,
     /// Normalized innovation squared at the prior.
     pub nis: f64,
+    /// Innovation `L⁻¹ r`.
+    pub whitened: Residual,
     /// `L⁻¹ (H V + E)`.
     pub by_parameter: ByCalibration,
 }
@@ -69,7 +71,8 @@ pub fn solve(
         let moved = times_error(&jacobian, &next);
         let left = target - moved;
         // Relinearize where the projection bends: more than two pixels, or half a degree.
-        let bends = (moved - seen).amax() > 2.0 || (next - step).fixed_rows::<3>(ATTITUDE).amax() > 0.01;
+        let bends =
+            (moved - seen).amax() > 2.0 || (next - step).fixed_rows::<3>(ATTITUDE).amax() > 0.01;
         step = next;
         if bends && iteration + 1 < ITERATIONS {
             let mut there = prior.clone();
@@ -89,10 +92,20 @@ pub fn solve(
         let cost = prior_cost + pixel_cost;
         let l = cholesky.l();
         let root = l.solve_lower_triangular(&gain.transpose())?.transpose();
-        let seen = SMatrix::<f64, 9, PARAMETERS>::from_fn(|k, j| prior.sensitivity[(SEEN[k], j)]);
+        let seen = SMatrix::<f64, 9, PARAMETERS>::from_fn(|k, j| {
+            f64::from(prior.sensitivity[(j, SEEN[k])])
+        });
         let by_parameter = jacobian * seen + by_calibration(at_prior, geometry, mask);
         let by_parameter = l.solve_lower_triangular(&by_parameter)?;
-        return cost.is_finite().then_some(Solution { step, root, cost, nis, by_parameter });
+        let whitened = l.solve_lower_triangular(&target)?;
+        return cost.is_finite().then_some(Solution {
+            step,
+            root,
+            cost,
+            nis,
+            whitened,
+            by_parameter,
+        });
     }
     None
 }

@@ -1,8 +1,8 @@
 //! Update of the state by the markers of one image.
 //!
-//! All markers are used together. Each must pass its own gate, and those that pass must be consistent with each other:
-//! otherwise the largest consistent subset is used. The prediction is in [`super::marker_prediction`], the iterated
-//! update in [`super::marker_solution`].
+//! All markers are used together. Each must pass its own gate, and those that pass must be
+//! consistent with each other: otherwise the largest consistent subset is used. The prediction is
+//! in [`super::marker_prediction`], the iterated update in [`super::marker_solution`].
 
 use super::{
     Innovation, Outcome,
@@ -11,7 +11,7 @@ use super::{
     marker_solution::{Solution, covariance_times, solve},
 };
 use crate::ekf::{
-    consider::PARAMETERS,
+    consider::{self, PARAMETERS},
     propagation::ImuReading,
     state::{ATTITUDE, CLIMBER, N, POSITION, State},
     update::subtract_square,
@@ -91,13 +91,17 @@ pub struct ImageInnovation {
     pub nis: f64,
     /// Number of markers used.
     pub used: u32,
-    /// Squared residuals that no pose explains, in units of their covariance (2 degrees of freedom); only with four detected markers,
-    /// used or not.
+    /// Squared residuals that no pose explains, in units of their covariance (2 degrees of
+    /// freedom); only with four detected markers, used or not.
     pub internal: Option<f64>,
+    /// Normalized innovation squared of four detected markers of which not all are used (8 degrees
+    /// of freedom).
+    pub against_prediction: Option<f64>,
 }
 
 impl ImageInnovation {
-    /// Returns whether four markers agree with each other, whatever the prediction (0.999 quantile).
+    /// Returns whether four markers agree with each other, whatever the prediction (0.999
+    /// quantile).
     pub fn agrees_with_itself(&self) -> bool {
         self.internal.is_some_and(|internal| internal < 13.82)
     }
@@ -105,7 +109,8 @@ impl ImageInnovation {
 
 /// Corrects `state` by the markers that pass the gates and returns what became of each.
 ///
-/// With `apply` false the state stays as it is and the records tell what would have happened. `gravity` in m/s².
+/// With `apply` false the state stays as it is and the records tell what would have happened.
+/// `gravity` in m/s².
 pub fn update(
     state: &mut State,
     geometry: &Geometry,
@@ -114,8 +119,13 @@ pub fn update(
     gravity: f64,
     apply: bool,
 ) -> ImageInnovation {
-    let mut record =
-        ImageInnovation { markers: [Innovation::absent(); 4], nis: f64::NAN, used: 0, internal: None };
+    let mut record = ImageInnovation {
+        markers: [Innovation::absent(); 4],
+        nis: f64::NAN,
+        used: 0,
+        internal: None,
+        against_prediction: None,
+    };
     let linear = linearize(state, geometry, image);
     let gain = covariance_times(&state.covariance, &linear.jacobian);
     let spread = innovation_spread(&linear.jacobian, &gain);
@@ -136,7 +146,9 @@ pub fn update(
         pass[i] = marker.nis <= gates.marker;
         marker.outcome = if pass[i] { Outcome::Used } else { Outcome::Gated };
     }
-    record.internal = if linear.valid == [true; 4] { internal_consistency(&linear, image) } else { None };
+    if linear.valid == [true; 4] {
+        record.internal = internal_consistency(&linear, image);
+    }
     let mut best = solve(state, geometry, image, &linear, &pass);
     if count(&pass) >= 2 && exceeds(&best, &pass, gates) {
         let mut chosen = [false; 4];
@@ -154,13 +166,21 @@ pub fn update(
         }
         pass = chosen;
     }
+    if record.internal.is_some() && count(&pass) < 4 {
+        record.against_prediction = joint_nis(&linear.residual, spread, image);
+    }
     let (Some(solution), true) = (best, count(&pass) > 0) else { return record };
     record.used = count(&pass) as u32;
     record.nis = solution.nis;
     if apply {
         let offset = state.time_offset;
         state.add(&solution.step);
-        state.sensitivity -= solution.root * solution.by_parameter;
+        for k in 0..2 * 4 {
+            let (gain, row) = (solution.root.column(k), solution.by_parameter.row(k));
+            consider::correct(&mut state.sensitivity, &gain.into(), &row.transpose());
+        }
+        let learned = state.imu.correct(&solution.by_parameter, &solution.whitened);
+        state.add(&(consider::of_imu(&state.sensitivity) * learned));
         state.shift_time(&image.reading, state.time_offset - offset, gravity);
         subtract_square(&mut state.covariance, &solution.root);
         state.since_marker = 0.0;
@@ -168,12 +188,14 @@ pub fn update(
     record
 }
 
-/// Returns what is left of the residuals of four markers after the best pose, in units of their covariance: χ² with 8 − 6 degrees of
-/// freedom, whatever the error of the predicted pose.
+/// Returns what is left of the residuals of four markers after the best pose, in units of their
+/// covariance: χ² with 8 − 6 degrees of freedom, whatever the error of the predicted pose.
 fn internal_consistency(linear: &Linearization, image: &Image) -> Option<f64> {
     let mut information = Block::zeros();
     for (i, pixel) in image.pixels.iter().enumerate() {
-        information.fixed_view_mut::<2, 2>(2 * i, 2 * i).copy_from(&pixel.as_ref()?.1.try_inverse()?);
+        information
+            .fixed_view_mut::<2, 2>(2 * i, 2 * i)
+            .copy_from(&pixel.as_ref()?.1.try_inverse()?);
     }
     let by_pose = linear.jacobian.fixed_columns::<6>(0).into_owned();
     let weighted = information * by_pose;
@@ -181,6 +203,15 @@ fn internal_consistency(linear: &Linearization, image: &Image) -> Option<f64> {
     let right = weighted.transpose() * linear.residual;
     let solution = normal.cholesky()?.solve(&right);
     Some((linear.residual.dot(&(information * linear.residual)) - right.dot(&solution)).max(0.0))
+}
+
+/// Returns `rᵀ (H P Hᵀ + R)⁻¹ r` of four markers; `spread` is `H P Hᵀ`.
+fn joint_nis(residual: &Residual, mut spread: Block, image: &Image) -> Option<f64> {
+    for (i, pixel) in image.pixels.iter().enumerate() {
+        let mut own = spread.fixed_view_mut::<2, 2>(2 * i, 2 * i);
+        own += pixel.as_ref()?.1;
+    }
+    Some(residual.dot(&Cholesky::new(spread)?.solve(residual)))
 }
 
 fn count(mask: &[bool; 4]) -> usize {
@@ -191,8 +222,8 @@ fn exceeds(solution: &Option<Solution>, mask: &[bool; 4], gates: &Gates) -> bool
     solution.as_ref().is_none_or(|s| s.cost > gates.joint * JOINT_LIMIT[count(mask)])
 }
 
-/// Returns the largest subset of `pass` that is consistent, among equals the likeliest. One marker alone is consistent with
-/// itself, which proves nothing.
+/// Returns the largest subset of `pass` that is consistent, among equals the likeliest. One marker
+/// alone is consistent with itself, which proves nothing.
 fn largest_consistent(
     pass: &[bool; 4],
     gates: &Gates,
@@ -232,7 +263,7 @@ pub(super) mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
     use rig_model::{CameraModel, Distortion, Rig};
 
-    const RIG: &str = include_str!("../../../test/src/rig/rig.yaml");
+    const RIG: &str = rig_simulator::RIG_YAML;
     const GATES: Gates = Gates { marker: 16.0, joint: 1.0 };
 
     pub(in super::super) fn example() -> (State, Geometry, Image) {
@@ -295,8 +326,12 @@ pub(super) mod tests {
         plain.set_sigma(TIME_OFFSET, 0.0);
         let mut informed = plain.clone();
         let offsets = Residual::from_fn(|i, _| 0.002 * ((3 * i + 1) as f64).sin());
-        let noise =
-            ProcessNoise { force: 1e-5, rate: 1e-6, jerk: Vector3::repeat(0.01), ..Default::default() };
+        let noise = ProcessNoise {
+            force: 1e-5,
+            rate: 1e-6,
+            jerk: Vector3::repeat(0.01),
+            ..Default::default()
+        };
         let reading = ImuReading {
             specific_force: plain.attitude.inverse() * Vector3::z() * 9.81,
             angular_velocity: Vector3::zeros(),
@@ -324,7 +359,8 @@ pub(super) mod tests {
             }
         }
         let moved = informed.minus(&plain);
-        let claimed = plain.sensitivity.fixed_columns::<8>(0) * offsets;
+        let by_centroid = plain.sensitivity.fixed_rows::<8>(0).map(f64::from);
+        let claimed = by_centroid.transpose() * offsets;
         assert!(moved.fixed_rows::<3>(ATTITUDE).norm() > 1e-5, "{moved}");
         for i in POSITION..POSITION + 9 {
             assert!(
@@ -349,7 +385,8 @@ pub(super) mod tests {
         let record = update(&mut state, &geometry, &image, &GATES, 9.81, true);
         assert_eq!(record.markers[2].outcome, Outcome::Inconsistent, "{record:?}");
         assert_eq!(record.used, 3);
-        // The climber is as uncertain: compare what the camera measures, the platform against the climber.
+        // The climber is as uncertain: compare what the camera measures, the platform against the
+        // climber.
         let there = (state.position - truth.position) - (state.climber - truth.climber);
         assert!(there.xy().norm() < 0.05, "{there}");
     }

@@ -1,21 +1,25 @@
-//! Rope measurement: a platform that hangs on one rope is pulled along it. Off unless the rope's length is configured.
+//! Rope measurement: a platform that hangs on one rope is pulled along it. Off unless the rope's
+//! length is configured.
 //!
-//! The accelerometer of a hanging body (`F = R (f − b_a)`, gravity and acceleration in one) points at the rope's upper end.
-//! With `ρ` the vector from the platform's attachment to the climber's and `L` the rope's length, `ρ − L F/|F| = n`: along
-//! the rope `n` is the error of the length and its stretch, across it `L/|F|` times the other forces on the platform
-//! (thrusters, air). With `u = F/|F|`, `a` the platform's attachment in IMU axes and `c` the climber's attachment from its axis of
-//! turn, world axes, the derivative is
-//! `−δp + ([R a]× + L [u]×) δθ + L/|F| (1 − u uᵀ) R δb_a + δc_xy + (e_z × c) δturn`
-//! (the equation of motion of a spherical pendulum, e.g. Landau and Lifshitz, Mechanics, section 14, solved for its
-//! deflection). An accelerometer alone takes a tilt error `ε` for an acceleration `g ε`; with the rope the same error is one
-//! of position, `L ε`.
+//! The accelerometer of a hanging body (`F = R (f − b_a)`, gravity and acceleration in one) points
+//! at the rope's upper end. With `ρ` the vector from the platform's attachment to the climber's and
+//! `L` the rope's length, `ρ − L F/|F| = n`: along the rope `n` is the error of the length and its
+//! stretch, across it `L/|F|` times the other forces on the platform (thrusters, air). With
+//! `u = F/|F|`, `a` the platform's attachment in IMU axes and `c` the climber's attachment from its
+//! axis of turn, world axes, the derivative is
+//! `−δp + ([R a]× + L [u]×) δθ + L/|F| (1 − u uᵀ) R δb_a + δc_xy + (e_z × c) δturn` (the equation
+//! of motion of a spherical pendulum, e.g. Landau and Lifshitz, Mechanics, section 14, solved for
+//! its deflection). An accelerometer alone takes a tilt error `ε` for an acceleration `g ε`; with
+//! the rope the same error is one of position, `L ε`.
 //!
-//! **Correlated noise.** A side force lasts for about `√(L/g)`, a wrong length for the whole outage. With a correlation time
-//! `τ` and an update every `T` seconds a variance `σ²` enters as `2 τ σ²/T`, the white noise of the same density at low
-//! frequencies (Bryson and Ho 1975, section 11.4).
+//! **Correlated noise.** A side force lasts for about `√(L/g)`, a wrong length for the whole
+//! outage. With a correlation time `τ` and an update every `T` seconds a variance `σ²` enters as
+//! `2 τ σ²/T`, the white noise of the same density at low frequencies (Bryson and Ho 1975, section
+//! 11.4).
 //!
-//! **Identified while markers are visible.** Then nothing is corrected by the rope; the length that fits, its scatter and the
-//! side force are measured and replace the configured values as far as they are known better.
+//! **Identified while markers are visible.** Then nothing is corrected by the rope; the length that
+//! fits, its scatter and the side force are measured and replace the configured values as far as
+//! they are known better.
 
 use super::geometry::{ClimberRest, Geometry};
 use crate::{
@@ -43,7 +47,8 @@ const LENGTH_LASTS: f64 = 10.0;
 const STRETCH_LASTS: f64 = 1.0;
 /// Smallest uncertainty of the identified length, m: systematic errors of the images.
 const FLOOR: f64 = 0.5e-3;
-/// Memory of the identification, images (ten seconds), and the number of images that count as one independent sample.
+/// Memory of the identification, images (ten seconds), and the number of images that count as one
+/// independent sample.
 const MEMORY: f64 = 300.0;
 const CORRELATED: f64 = 15.0;
 
@@ -99,28 +104,36 @@ impl Rope {
         let upper = world_from_climber.rotation * self.climber_attachment;
         Pull {
             span: world_from_climber.translation.vector + upper - state.position - lower,
-            force: state.attitude * (reading.specific_force - state.accelerometer_bias),
+            force: state.attitude * state.motion(reading).specific_force,
             arms: [lower, upper],
         }
     }
 
     /// Returns the residual of a taut rope and its Jacobian.
-    fn linearize(&self, state: &State, reading: &ImuReading, rest: &ClimberRest) -> (Vector3<f64>, Jacobian) {
+    fn linearize(
+        &self,
+        state: &State,
+        reading: &ImuReading,
+        rest: &ClimberRest,
+    ) -> (Vector3<f64>, Jacobian) {
         let Pull { span, force, arms: [lower, upper] } = self.pull(state, reading, rest);
         let strength = force.norm();
         let along = force / strength;
         let across = Matrix3::identity() - along * along.transpose();
-        let by_bias = across * state.attitude.to_rotation_matrix().matrix() * (self.length / strength);
+        let by_bias =
+            across * state.attitude.to_rotation_matrix().matrix() * (self.length / strength);
         let mut h = Jacobian::zeros();
         h.fixed_columns_mut::<3>(0).copy_from(&-Matrix3::identity());
-        h.fixed_columns_mut::<3>(3).copy_from(&(lower.cross_matrix() + along.cross_matrix() * self.length));
+        h.fixed_columns_mut::<3>(3)
+            .copy_from(&(lower.cross_matrix() + along.cross_matrix() * self.length));
         h.fixed_columns_mut::<3>(6).copy_from(&by_bias);
         h.fixed_columns_mut::<2>(9).copy_from(&Matrix3::identity().fixed_columns::<2>(0));
         h.fixed_columns_mut::<1>(11).copy_from(&Vector3::z().cross(&upper));
         (along * self.length - span, h)
     }
 
-    /// Corrects `state` by the rope and returns whether it did: a slack or contradicting rope is not used.
+    /// Corrects `state` by the rope and returns whether it did: a slack or contradicting rope is
+    /// not used.
     ///
     /// `force_variance` is the accelerometer's white noise per sample, (m/s²)², `gravity` in m/s².
     pub fn update(
@@ -138,13 +151,15 @@ impl Rope {
         }
         // Along the rope and twice across it.
         let along = force / strength;
-        let aside = along.cross(&if along.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() }).normalize();
+        let aside =
+            along.cross(&if along.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() }).normalize();
         let axes = [along, aside, along.cross(&aside)];
         let lasting = (self.length / gravity).sqrt();
         let arm = self.length / strength;
         let across = arm * arm * (self.side_variance * 2.0 * lasting / PERIOD + force_variance);
-        let length =
-            (self.length_variance * LENGTH_LASTS + self.stretch_variance * STRETCH_LASTS) * 2.0 / PERIOD;
+        let length = (self.length_variance * LENGTH_LASTS + self.stretch_variance * STRETCH_LASTS)
+            * 2.0
+            / PERIOD;
         let variances = [length, across, across];
         let rows = |state: &State| {
             let (residual, h) = self.linearize(state, reading, rest);
@@ -190,7 +205,8 @@ pub struct RopeIdentification {
 }
 
 impl RopeIdentification {
-    /// Compares the configured rope with a state that an image has just corrected. `gravity` in m/s².
+    /// Compares the configured rope with a state that an image has just corrected. `gravity` in
+    /// m/s².
     pub fn compare(
         &mut self,
         config: &PendulumConfig,
@@ -218,7 +234,8 @@ impl RopeIdentification {
         self.side += (side - self.side) * weight;
     }
 
-    /// Returns the rope: what is configured and, as far as it is known better, what was identified. `None` without a rope.
+    /// Returns the rope: what is configured and, as far as it is known better, what was identified.
+    /// `None` without a rope.
     pub fn rope(&self, config: &PendulumConfig, geometry: &Geometry) -> Option<Rope> {
         if config.rope_length <= 0.0 {
             return None;
@@ -226,7 +243,8 @@ impl RopeIdentification {
         let configured = config.rope_sigma.powi(2);
         let samples = self.count.min(MEMORY) / CORRELATED;
         // One sample has no scatter.
-        let found = if samples >= 2.0 { self.scatter / samples + FLOOR * FLOOR } else { f64::INFINITY };
+        let found =
+            if samples >= 2.0 { self.scatter / samples + FLOOR * FLOOR } else { f64::INFINITY };
         let share = configured / (configured + found);
         Some(Rope {
             length: config.rope_length + self.more * share,
@@ -245,7 +263,8 @@ impl RopeIdentification {
     }
 }
 
-/// Returns whether the rope is due in a step at whose ends no marker was seen for `from` and `to` seconds.
+/// Returns whether the rope is due in a step at whose ends no marker was seen for `from` and `to`
+/// seconds.
 pub fn is_due(from: f64, to: f64) -> bool {
     to > UNSEEN && (to / PERIOD).floor() > (from / PERIOD).floor()
 }
@@ -272,7 +291,8 @@ mod tests {
         let rest = ClimberRest { height: 2.8, tilt: UnitQuaternion::identity() };
         let towards = Vector3::new(-0.2, 0.1, 1.0).normalize();
         let upper = rest.join(&state.climber) * nalgebra::Point3::from(rope.climber_attachment);
-        state.position = upper.coords - towards * rope.length - state.attitude * rope.platform_attachment;
+        state.position =
+            upper.coords - towards * rope.length - state.attitude * rope.platform_attachment;
         let reading = ImuReading {
             specific_force: state.attitude.inverse() * (towards * 10.1) + state.accelerometer_bias,
             angular_velocity: Vector3::zeros(),
@@ -320,8 +340,14 @@ mod tests {
         for _ in 0..20 {
             assert!(rope.update(&mut drifted, &reading, &rest, 4e-4, 9.81));
         }
-        assert!((drifted.position - truth.position).norm() < 0.02, "{}", drifted.position - truth.position);
-        assert!(drifted.covariance[(POSITION, POSITION)] < 0.5 * state.covariance[(POSITION, POSITION)]);
+        assert!(
+            (drifted.position - truth.position).norm() < 0.02,
+            "{}",
+            drifted.position - truth.position
+        );
+        assert!(
+            drifted.covariance[(POSITION, POSITION)] < 0.5 * state.covariance[(POSITION, POSITION)]
+        );
         let slack = ImuReading { specific_force: reading.specific_force * 0.2, ..reading };
         let mut same = state.clone();
         assert!(!rope.update(&mut same, &slack, &rest, 4e-4, 9.81) && same == state);
@@ -331,7 +357,7 @@ mod tests {
 
     #[test]
     fn the_identified_length_replaces_the_configured_one() {
-        let rig = rig_model::Rig::from_yaml(include_str!("../../../test/src/rig/rig.yaml")).unwrap();
+        let rig = rig_model::Rig::from_yaml(rig_simulator::RIG_YAML).unwrap();
         let camera = rig_model::CameraModel::new(
             640,
             480,
@@ -339,7 +365,8 @@ mod tests {
             rig_model::Distortion::PlumbBob([0.0; 5]),
         );
         let geometry = Geometry::new(&rig, camera.unwrap());
-        let config = PendulumConfig { rope_length: 1.25, rope_sigma: 0.01, ..PendulumConfig::default() };
+        let config =
+            PendulumConfig { rope_length: 1.25, rope_sigma: 0.01, ..PendulumConfig::default() };
         let mut identification = RopeIdentification::default();
         assert!(identification.rope(&PendulumConfig::default(), &geometry).is_none());
         let at_first = identification.rope(&config, &geometry).unwrap();
@@ -349,7 +376,9 @@ mod tests {
         }
         let rope = identification.rope(&config, &geometry).unwrap();
         assert!((rope.length - 1.225).abs() < 1e-3 && rope.length_variance < 2e-6, "{rope:?}");
-        assert!((rope.stretch_variance - 2e-6).abs() < 3e-7 && (rope.side_variance - 0.3).abs() < 1e-9);
+        assert!(
+            (rope.stretch_variance - 2e-6).abs() < 3e-7 && (rope.side_variance - 0.3).abs() < 1e-9
+        );
     }
 
     #[test]

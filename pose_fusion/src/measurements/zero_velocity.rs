@@ -1,7 +1,8 @@
 //! Zero-velocity update: a platform at rest has no velocity and no angular velocity.
 //!
-//! Applied where the IMU's samples of a window show no motion ([`crate::adaptation::stationary`]) and the state does not
-//! contradict it. A slow swing that hides in the IMU's noise contradicts by its velocity.
+//! Applied where the IMU's samples of a window show no motion ([`crate::adaptation::stationary`])
+//! and the state does not contradict it. A slow swing that hides in the IMU's noise contradicts by
+//! its velocity.
 
 use crate::ekf::{
     consider::ByParameter,
@@ -10,17 +11,19 @@ use crate::ekf::{
 };
 use nalgebra::Vector3;
 
-/// Angular velocity of a platform at rest, (rad/s)²: a tenth of a degree per second, which nobody would see.
+/// Angular velocity of a platform at rest, (rad/s)²: a tenth of a degree per second, which nobody
+/// would see.
 const REST_RATE: f64 = 3e-6;
 
 /// Applies the update to `state` and returns whether it was consistent with it.
 ///
-/// `mean_rate` is the mean gyroscope reading of the window (rad/s, IMU axes), `sigma` the velocity of a platform at rest (m/s),
-/// `rate_variance` the variance of `mean_rate`, (rad/s)².
+/// `mean_rate` is the mean gyroscope reading of the window (rad/s, IMU axes), `sigma` the velocity
+/// of a platform at rest (m/s), `rate_variance` the variance of `mean_rate`, (rad/s)².
 pub fn update(state: &mut State, mean_rate: &Vector3<f64>, sigma: f64, rate_variance: f64) -> bool {
     let consistent = (0..3).all(|i| {
         let velocity_sigma = state.sigma(VELOCITY + i).hypot(sigma);
-        let rate_sigma = (state.covariance[(GYROSCOPE_BIAS + i, GYROSCOPE_BIAS + i)] + rate_variance).sqrt();
+        let rate_sigma =
+            (state.covariance[(GYROSCOPE_BIAS + i, GYROSCOPE_BIAS + i)] + rate_variance).sqrt();
         state.velocity[i].abs() < 3.0 * velocity_sigma
             && state.climber_rate[i].abs() < 3.0 * state.sigma(CLIMBER_RATE + i) + 0.002
             && (mean_rate[i] - state.gyroscope_bias[i]).abs() < 3.0 * rate_sigma + 1e-3
@@ -33,7 +36,13 @@ pub fn update(state: &mut State, mean_rate: &Vector3<f64>, sigma: f64, rate_vari
         let residual = -state.velocity[i];
         update::scalar(state, &[(VELOCITY + i, 1.0)], residual, sigma * sigma, &none);
         let residual = mean_rate[i] - state.gyroscope_bias[i];
-        update::scalar(state, &[(GYROSCOPE_BIAS + i, 1.0)], residual, rate_variance + REST_RATE, &none);
+        update::scalar(
+            state,
+            &[(GYROSCOPE_BIAS + i, 1.0)],
+            residual,
+            rate_variance + REST_RATE,
+            &none,
+        );
     }
     true
 }

@@ -37,7 +37,12 @@ pub fn visual_pose(p: &PoseEstimate, frames: &Frames) -> PoseWithCovarianceStamp
 
 /// `volant/pose`: the pose of the odometry, `world_from_volant`.
 pub fn pose(o: &Odometry, frames: &Frames) -> PoseWithCovarianceStamped {
-    convert::pose_with_covariance_message(&frames.world, o.stamp, &o.world_from_volant, &o.pose_covariance)
+    convert::pose_with_covariance_message(
+        &frames.world,
+        o.stamp,
+        &o.world_from_volant,
+        &o.pose_covariance,
+    )
 }
 
 /// `volant/status`.
@@ -96,7 +101,11 @@ pub struct Gathered(Vec<MarkerUpdateRecord>);
 
 impl Gathered {
     /// Adds a record and returns the message with the fourth.
-    pub fn add(&mut self, record: MarkerUpdateRecord, frames: &Frames) -> Option<Arc<MarkerUpdates>> {
+    pub fn add(
+        &mut self,
+        record: MarkerUpdateRecord,
+        frames: &Frames,
+    ) -> Option<Arc<MarkerUpdates>> {
         if self.0.first().is_some_and(|f| f.stamp != record.stamp) {
             self.0.clear();
         }

@@ -17,9 +17,11 @@ use std::fmt;
 
 /// One output.
 #[derive(Clone, Debug, PartialEq)]
-#[allow(clippy::large_enum_variant)] // nearly every output is odometry, and a box would be an allocation each
+// Nearly every output is odometry, and a box would be an allocation each.
+#[allow(clippy::large_enum_variant)]
 pub enum Output {
-    /// Fused estimate: one per IMU sample with `tight` (per image without IMU), one per image with `paper`.
+    /// Fused estimate: one per IMU sample with `tight` (per image without IMU), one per image with
+    /// `paper`.
     Odometry(Odometry),
     /// Status of the estimate, after each odometry.
     Status(PoseStatus),
@@ -51,11 +53,11 @@ pub struct Odometry {
 }
 
 impl Odometry {
-    /// Returns the inverse pose `volant_from_world` with its covariance, whose rotation block is about the axes of the volant
-    /// frame (the frame that the message is stamped in).
+    /// Returns the inverse pose `volant_from_world` with its covariance, whose rotation block is
+    /// about the axes of the volant frame (the frame that the message is stamped in).
     ///
-    /// With `R_true = Exp(δ) R`, `p_true = p + ε` (δ, ε in world axes) the inverse pose has, to first order,
-    /// `δ' = −Rᵀ δ` and `ε' = −Rᵀ ε − Rᵀ [p]× δ`.
+    /// With `R_true = Exp(δ) R`, `p_true = p + ε` (δ, ε in world axes) the inverse pose has, to
+    /// first order, `δ' = −Rᵀ δ` and `ε' = −Rᵀ ε − Rᵀ [p]× δ`.
     pub fn fused_pose(&self) -> PoseEstimate {
         let pose = self.world_from_volant.inverse();
         let rt: Matrix3<f64> = *pose.rotation.to_rotation_matrix().matrix();
@@ -65,7 +67,11 @@ impl Odometry {
         jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-rt * p.cross_matrix()));
         jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&-rt);
         let covariance = jacobian * self.pose_covariance * jacobian.transpose();
-        PoseEstimate { stamp: self.stamp, pose, covariance: (covariance + covariance.transpose()) * 0.5 }
+        PoseEstimate {
+            stamp: self.stamp,
+            pose,
+            covariance: (covariance + covariance.transpose()) * 0.5,
+        }
     }
 }
 

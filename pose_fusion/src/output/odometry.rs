@@ -1,13 +1,14 @@
 //! Odometry of the platform from the state of the IMU, with its covariances.
 //!
-//! With `t` the IMU's position on the platform and `ω` its angular velocity (volant axes): `p_v = p − R_v t`,
-//! `δp_v = δp + [R_v t]× δθ`; the velocity in the volant frame is `R_vᵀ v − ω × t`, its error
-//! `R_vᵀ δv + R_vᵀ [v]× δθ + [t]× δω` with `δω = R_vi (n_g − δb_g)`.
+//! With `t` the IMU's position on the platform and `ω` its angular velocity (volant axes):
+//! `p_v = p − R_v t`, `δp_v = δp + [R_v t]× δθ`; the velocity in the volant frame is
+//! `R_vᵀ v − ω × t`, its error `R_vᵀ δv + R_vᵀ [v]× δθ + [t]× δω` with `δω = R_vi (n_g − δb_g)`.
 
 use super::Odometry;
 use crate::{
     ekf::{
-        consider::{ByParameter, PARAMETERS},
+        consider::{self, ByParameter, IMU, PARAMETERS},
+        imu_calibration::CONSTANTS,
         propagation::ImuReading,
         state::{ATTITUDE, GYROSCOPE_BIAS, POSITION, State, TIME_OFFSET, VELOCITY},
     },
@@ -16,7 +17,8 @@ use crate::{
 use nalgebra::{Isometry3, Matrix3, Matrix6, SMatrix, SVector, Vector3};
 use rig_model::Stamp;
 
-/// Entries of the error that the odometry consists of: position, velocity, attitude, gyroscope bias.
+/// Entries of the error that the odometry consists of: position, velocity, attitude, gyroscope
+/// bias.
 const USED: [usize; 4] = [POSITION, VELOCITY, ATTITUDE, GYROSCOPE_BIAS];
 
 /// What the odometry is computed with beside the state.
@@ -34,7 +36,8 @@ pub struct Settings {
     pub silent: bool,
 }
 
-/// Velocity, m/s, and angular velocity, rad/s, that images alone may miss while the platform's motion changes.
+/// Velocity, m/s, and angular velocity, rad/s, that images alone may miss while the platform's
+/// motion changes.
 const UNSEEN_MOTION: [f64; 2] = [0.3, 0.5];
 
 /// Returns the odometry of a state at `stamp`.
@@ -47,11 +50,12 @@ pub fn odometry(
 ) -> Odometry {
     let world_from_imu = Isometry3::from_parts(state.position.into(), state.attitude);
     let world_from_volant = world_from_imu * geometry.imu_from_volant;
+    let motion = state.motion(reading);
     let rv = world_from_volant.rotation.to_rotation_matrix();
     let rv: &Matrix3<f64> = rv.matrix();
     let lever = geometry.volant_from_imu.translation.vector;
     let volant_from_imu = geometry.volant_from_imu.rotation.to_rotation_matrix();
-    let angular_velocity = volant_from_imu * (reading.angular_velocity - state.gyroscope_bias);
+    let angular_velocity = volant_from_imu * motion.angular_velocity;
     let linear_velocity = rv.transpose() * state.velocity - angular_velocity.cross(&lever);
 
     let p = covariance_at_imu_time(state, reading, settings);
@@ -82,23 +86,31 @@ pub fn odometry(
     }
 }
 
-/// Covariance of position, velocity, attitude and gyroscope bias at IMU time: `δx − ẋ δτ`, calibration errors included.
-fn covariance_at_imu_time(state: &State, reading: &ImuReading, settings: &Settings) -> SMatrix<f64, 12, 12> {
+/// Covariance of position, velocity, attitude and gyroscope bias at IMU time: `δx − ẋ δτ`,
+/// calibration errors included.
+fn covariance_at_imu_time(
+    state: &State,
+    reading: &ImuReading,
+    settings: &Settings,
+) -> SMatrix<f64, 12, 12> {
     let mut p = SMatrix::<f64, 12, 12>::zeros();
     let mut with_offset = SVector::<f64, 12>::zeros();
     let mut sensitivity = SMatrix::<f64, 12, PARAMETERS>::zeros();
     for (a, &i) in USED.iter().enumerate() {
         for (b, &j) in USED.iter().enumerate() {
-            p.fixed_view_mut::<3, 3>(3 * a, 3 * b).copy_from(&state.covariance.fixed_view::<3, 3>(i, j));
+            p.fixed_view_mut::<3, 3>(3 * a, 3 * b)
+                .copy_from(&state.covariance.fixed_view::<3, 3>(i, j));
         }
         with_offset
             .fixed_rows_mut::<3>(3 * a)
             .copy_from(&state.covariance.fixed_view::<3, 1>(i, TIME_OFFSET));
-        sensitivity.fixed_rows_mut::<3>(3 * a).copy_from(&state.sensitivity.fixed_rows::<3>(i));
+        let columns = state.sensitivity.fixed_columns::<3>(i).map(f64::from);
+        sensitivity.fixed_rows_mut::<3>(3 * a).copy_from(&columns.transpose());
     }
-    let force = state.attitude * (reading.specific_force - state.accelerometer_bias);
-    let acceleration = force - Vector3::new(0.0, 0.0, settings.gravity);
-    let rate = state.attitude * (reading.angular_velocity - state.gyroscope_bias);
+    let measured = state.motion(reading);
+    let acceleration =
+        state.attitude * measured.specific_force - Vector3::new(0.0, 0.0, settings.gravity);
+    let rate = state.attitude * measured.angular_velocity;
     let mut motion = SVector::<f64, 12>::zeros();
     motion.fixed_rows_mut::<3>(0).copy_from(&state.velocity);
     motion.fixed_rows_mut::<3>(3).copy_from(&acceleration);
@@ -113,7 +125,9 @@ fn covariance_at_imu_time(state: &State, reading: &ImuReading, settings: &Settin
             p[(6 + axis, 6 + axis)] += UNSEEN_MOTION[1].powi(2) * offset;
         }
     }
-    sensitivity -= motion * state.sensitivity.row(TIME_OFFSET);
+    sensitivity -= motion * consider::of_entry(&state.sensitivity, TIME_OFFSET).transpose();
+    let by_imu = sensitivity.fixed_columns::<CONSTANTS>(IMU);
+    p += by_imu * state.imu.covariance() * by_imu.transpose();
     for (k, column) in sensitivity.column_iter().enumerate() {
         if settings.calibration[k] > 0.0 {
             p += column * column.transpose() * settings.calibration[k];

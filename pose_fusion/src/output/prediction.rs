@@ -1,6 +1,7 @@
 //! Odometry ahead of the newest one: the motion goes on with the last IMU reading.
 //!
-//! The uncertainty grows with the motion that the last reading misses ([`crate::timeline::dropout::extrapolated`]).
+//! The uncertainty grows with the motion that the last reading misses
+//! ([`crate::timeline::dropout::extrapolated`]).
 
 use super::{
     Odometry,
@@ -19,7 +20,8 @@ use rig_model::Stamp;
 /// Length of an integration step, s.
 const STEP: f64 = 0.01;
 
-/// Returns the odometry `horizon` seconds after `stamp`, where the state is `state` and the IMU reads `reading`.
+/// Returns the odometry `horizon` seconds after `stamp`, where the state is `state` and the IMU
+/// reads `reading`.
 pub fn predicted(
     stamp: Stamp,
     state: &State,

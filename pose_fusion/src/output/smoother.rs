@@ -1,16 +1,21 @@
 //! Fixed-interval smoother: every estimate with the knowledge of all data, those after it included.
 //!
-//! Its input are the filter's [`Entry`]s once nothing changes them any more. From the last entry back (Rauch, Tung and Striebel 1965; on the error state as in Särkkä, "Bayesian Filtering and Smoothing",
-//! ch. 8): with `x⁺, P⁺` after the event at entry i, `x⁻ = f(x⁺), P⁻ = F P⁺ Fᵀ + Q` the prediction of entry i + 1 from it,
+//! Its input are the filter's [`Entry`]s once nothing changes them any more. From the last entry
+//! back (Rauch, Tung and Striebel 1965; on the error state as in Särkkä, "Bayesian Filtering and
+//! Smoothing", ch. 8): with `x⁺, P⁺` after the event at entry i, `x⁻ = f(x⁺), P⁻ = F P⁺ Fᵀ + Q` the
+//! prediction of entry i + 1 from it,
 //!
 //! `C = P⁺ Fᵀ (P⁻)⁻¹`, `x ← x⁺ ⊞ C (x_{i+1} ⊟ x⁻)`, `P ← P⁺ + C (P_{i+1} − P⁻) Cᵀ`.
 //!
-//! The prediction uses the filter's own [`propagate`]. `P⁻` is scaled to a unit diagonal and factored by Cholesky. The errors
-//! are those at the camera's time (see [`crate::ekf::state`]): where the time offset differs, the nominal states are moved along
-//! their own motion before they are compared, and after they are corrected.
+//! The prediction uses the filter's own [`propagate`]. `P⁻` is scaled to a unit diagonal and
+//! factored by Cholesky. The errors are those at the camera's time (see [`crate::ekf::state`]):
+//! where the time offset differs, the nominal states are moved along their own motion before they
+//! are compared, and after they are corrected.
 
 use crate::{
     ekf::{
+        consider,
+        imu_calibration::ImuCalibration,
         propagation::{propagate, transition},
         state::{Covariance, Error, N, State, TIME_OFFSET},
     },
@@ -18,28 +23,41 @@ use crate::{
 };
 use nalgebra::{Cholesky, Const};
 
-/// Returns the smoothed states of entries in the order of time. Nothing behind a state that was set is known before it.
-/// `gravity` in m/s².
+/// Returns the smoothed states of entries in the order of time. Nothing behind a state that was set
+/// is known before it. `gravity` in m/s².
 pub fn smooth(entries: &[Entry], gravity: f64) -> Vec<State> {
     let mut states: Vec<State> = Vec::with_capacity(entries.len());
+    let Some(calibration) = entries.last().map(|entry| entry.state.imu) else { return states };
     for (i, entry) in entries.iter().enumerate().rev() {
-        let state = match (entries.get(i + 1), states.last()) {
+        let state = with_calibration(&entry.state, calibration);
+        let smoothed = match (entries.get(i + 1), states.last()) {
             (Some(next), Some(later)) if !matches!(next.event, Event::Set) => {
-                step(entry, next, later, gravity).unwrap_or_else(|| entry.state.clone())
+                step(entry, &state, next, later, gravity)
             }
-            _ => entry.state.clone(),
+            _ => None,
         };
-        states.push(state);
+        states.push(smoothed.unwrap_or(state));
     }
     states.reverse();
     states
 }
 
-/// One step back; `None` where the prediction's covariance cannot be factored.
-fn step(entry: &Entry, next: &Entry, later: &State, gravity: f64) -> Option<State> {
+/// Returns the state that the filter would have had with the constants of the IMU that are known in
+/// the end, to first order.
+fn with_calibration(state: &State, calibration: ImuCalibration) -> State {
+    let mut moved = state.clone();
+    let change = calibration.constants() - state.imu.constants();
+    moved.add(&(consider::of_imu(&state.sensitivity) * change));
+    moved.imu = calibration;
+    moved
+}
+
+/// One step back from the state `now` of an entry; `None` where the prediction's covariance cannot
+/// be factored.
+fn step(entry: &Entry, now: &State, next: &Entry, later: &State, gravity: f64) -> Option<State> {
     let dt = next.stamp.seconds_since(entry.stamp);
-    let f = transition(&entry.state, &entry.reading, &next.reading, dt, &next.noise);
-    let mut prediction = entry.state.clone();
+    let f = transition(now, &entry.reading, &next.reading, dt, &next.noise);
+    let mut prediction = now.clone();
     propagate(&mut prediction, &entry.reading, &next.reading, dt, gravity, &next.noise);
     let mut later_there = later.clone();
     later_there.shift_time(&next.reading, prediction.time_offset - later.time_offset, gravity);
@@ -49,13 +67,14 @@ fn step(entry: &Entry, next: &Entry, later: &State, gravity: f64) -> Option<Stat
         let variance = prediction.covariance[(i, i)];
         if variance > 0.0 { variance.sqrt() } else { 1.0 }
     });
-    let mut scaled = Covariance::from_fn(|i, j| prediction.covariance[(i, j)] / (scale[i] * scale[j]));
+    let mut scaled =
+        Covariance::from_fn(|i, j| prediction.covariance[(i, j)] / (scale[i] * scale[j]));
     for i in 0..N {
         // What is known exactly stays so; the rest is far above rounding.
         scaled[(i, i)] = scaled[(i, i)].max(1.0) + 1e-12;
     }
     let cholesky = Cholesky::<f64, Const<N>>::new(scaled)?;
-    let mut shared = f * entry.state.covariance;
+    let mut shared = f * now.covariance;
     for i in 0..N {
         shared.row_mut(i).unscale_mut(scale[i]);
     }
@@ -65,11 +84,11 @@ fn step(entry: &Entry, next: &Entry, later: &State, gravity: f64) -> Option<Stat
     }
     let gain = gain.transpose();
     let correction = gain * error;
-    let mut state = entry.state.clone();
+    let mut state = now.clone();
     state.add(&correction);
     state.shift_time(&entry.reading, correction[TIME_OFFSET], gravity);
     let covariance =
-        entry.state.covariance + gain * (later.covariance - prediction.covariance) * gain.transpose();
+        now.covariance + gain * (later.covariance - prediction.covariance) * gain.transpose();
     state.covariance = (covariance + covariance.transpose()) * 0.5;
     state.is_finite().then_some(state)
 }
@@ -87,11 +106,14 @@ mod tests {
     use nalgebra::Vector3;
     use rig_model::Stamp;
 
-    /// In a linear problem the smoothed first state is the one that all measurements give in one batch.
+    /// In a linear problem the smoothed first state is the one that all measurements give in one
+    /// batch.
     #[test]
     fn the_smoothed_state_is_the_batch_solution() {
-        let reading =
-            ImuReading { specific_force: Vector3::new(0.0, 0.0, 9.81), angular_velocity: Vector3::zeros() };
+        let reading = ImuReading {
+            specific_force: Vector3::new(0.0, 0.0, 9.81),
+            angular_velocity: Vector3::zeros(),
+        };
         let noise = ProcessNoise {
             force: 1e-4,
             rate: 1e-8,
@@ -120,7 +142,13 @@ mod tests {
             propagate(&mut state, &reading, &reading, dt, 9.81, &noise);
             if i % 4 == 0 {
                 let residual = truth(i as f64 * dt) - state.position.x;
-                update::scalar(&mut state, &[(POSITION, 1.0)], residual, 1e-6, &ByParameter::zeros());
+                update::scalar(
+                    &mut state,
+                    &[(POSITION, 1.0)],
+                    residual,
+                    1e-6,
+                    &ByParameter::zeros(),
+                );
             }
             let stamp = Stamp::from_nanos(0).plus_seconds(i as f64 * dt);
             entries.push(Entry {
@@ -132,7 +160,8 @@ mod tests {
             });
         }
         let smoothed = smooth(&entries, 9.81);
-        // The same by augmenting the first state: its cross-covariance with every later one is carried along.
+        // The same by augmenting the first state: its cross-covariance with every later one is
+        // carried along.
         let (mut mean, mut own) = (Error::zeros(), first.covariance);
         let (mut now, mut shared) = (first.clone(), first.covariance);
         for i in 1..=n {
@@ -152,7 +181,11 @@ mod tests {
         }
         let error = smoothed[0].minus(&first);
         assert!((error - mean).amax() < 1e-6, "{}", (error - mean).amax());
-        assert!((smoothed[0].covariance - own).amax() < 1e-7, "{}", (smoothed[0].covariance - own).amax());
+        assert!(
+            (smoothed[0].covariance - own).amax() < 1e-7,
+            "{}",
+            (smoothed[0].covariance - own).amax()
+        );
         assert!((smoothed[0].velocity.x - 0.3).abs() < 0.01);
         assert!(smoothed[0].covariance[(VELOCITY, VELOCITY)] < 1e-3);
     }

@@ -7,7 +7,9 @@ use thiserror::Error;
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum Warning {
     /// A number that is not finite or out of the sensor's range.
-    #[error("{source_name} at {stamp}: {what} is not finite or out of range; the sample is rejected")]
+    #[error(
+        "{source_name} at {stamp}: {what} is not finite or out of range; the sample is rejected"
+    )]
     NotFinite {
         /// Input.
         source_name: &'static str,
@@ -18,7 +20,8 @@ pub enum Warning {
     },
     /// An input older than the history.
     #[error(
-        "{source_name} at {stamp} is {age_s:.3} s older than the newest IMU sample; the parameter `history` does not reach back so far, it is rejected"
+        "{source_name} at {stamp} is {age_s:.3} s older than the newest IMU sample; the parameter \
+         `history` does not reach back so far, it is rejected"
     )]
     TooOld {
         /// Input.
@@ -29,7 +32,10 @@ pub enum Warning {
         age_s: f64,
     },
     /// The same stamp twice.
-    #[error("{source_name} at {stamp} arrived twice; the second is rejected: look for a second publisher")]
+    #[error(
+        "{source_name} at {stamp} arrived twice; the second is rejected: look for a second \
+         publisher"
+    )]
     Duplicate {
         /// Input.
         source_name: &'static str,
@@ -38,7 +44,8 @@ pub enum Warning {
     },
     /// An input far ahead of all others.
     #[error(
-        "{source_name} at {stamp} is {ahead_s:.3} s ahead of the IMU samples; rejected: synchronize the clocks"
+        "{source_name} at {stamp} is {ahead_s:.3} s ahead of the IMU samples; rejected: \
+         synchronize the clocks"
     )]
     Ahead {
         /// Input.
@@ -63,7 +70,10 @@ pub enum Warning {
         to: Stamp,
     },
     /// No IMU samples while images arrive.
-    #[error("no IMU sample since {since}; the pose continues from images: check the IMU's cable and driver")]
+    #[error(
+        "no IMU sample since {since}; the pose continues from images: check the IMU's cable and \
+         driver"
+    )]
     ImuLost {
         /// Last sample.
         since: Stamp,
@@ -82,7 +92,8 @@ pub enum Warning {
     },
     /// The platform was struck between two IMU samples.
     #[error(
-        "the images since {since} contradict the prediction: a shock that the IMU missed; the prediction gives way at {stamp}"
+        "the images since {since} contradict the prediction: a shock that the IMU missed; the \
+         prediction gives way at {stamp}"
     )]
     Shock {
         /// First image that contradicted.
@@ -90,9 +101,11 @@ pub enum Warning {
         /// Image that is followed.
         stamp: Stamp,
     },
-    /// Most markers contradicted the estimate for several images and were consistent with each other.
+    /// Most markers contradicted the estimate for several images and were consistent with each
+    /// other.
     #[error(
-        "the markers contradict the estimate since {since} and agree with each other; reinitialized from the image at {stamp}"
+        "the markers contradict the estimate since {since} and agree with each other; \
+         reinitialized from the image at {stamp}"
     )]
     LockOutRecovered {
         /// First image that contradicted.
@@ -102,7 +115,8 @@ pub enum Warning {
     },
     /// The encoders contradict images and IMU.
     #[error(
-        "the encoder reading at {stamp} contradicts the estimate by {distance_m:.3} m; the encoders are not used until they agree again"
+        "the encoder reading at {stamp} contradicts the estimate by {distance_m:.3} m; the \
+         encoders are not used until they agree again"
     )]
     EncodersSuspended {
         /// Reading.
@@ -118,7 +132,8 @@ pub enum Warning {
     },
     /// The encoders have contradicted the estimate for too long and are adopted.
     #[error(
-        "the encoders at {stamp} have contradicted the estimate for climber.step_timeout; they are adopted and the pose reinitializes: were they homed?"
+        "the encoders at {stamp} have contradicted the estimate for climber.step_timeout; they \
+         are adopted and the pose reinitializes: were they homed?"
     )]
     EncoderStep {
         /// Reading.
@@ -126,7 +141,8 @@ pub enum Warning {
     },
     /// The estimate is not worth much any more: no marker for too long.
     #[error(
-        "no marker used since {since}: position uncertain by {position_sigma_m:.3} m (1 sigma, largest axis)"
+        "no marker used since {since}: position uncertain by {position_sigma_m:.3} m (1 sigma, \
+         largest axis)"
     )]
     VisionLost {
         /// Last image that was used.
@@ -136,7 +152,8 @@ pub enum Warning {
     },
     /// The state was not finite or beyond its bounds.
     #[error(
-        "the estimate at {stamp} is not finite or beyond limits.max_range or limits.max_speed; the filter reinitializes"
+        "the estimate at {stamp} is not finite or beyond limits.max_range or limits.max_speed; \
+         the filter reinitializes"
     )]
     Diverged {
         /// Time.

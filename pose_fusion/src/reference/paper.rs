@@ -1,24 +1,27 @@
-//! Loosely coupled extended Kalman filter as published (Kyriakoulis and Gasteratos 2010, section III-C).
+//! Loosely coupled extended Kalman filter as published (Kyriakoulis and Gasteratos 2010, section
+//! III-C).
 //!
-//! The state is the pose vector: three positions, and three rotations as roll, pitch and yaw. IMU samples wait in a buffer
-//! until an image comes; then
-//! - the prediction (eq. 7, 9, 10 with the misprint read as `x⁻ = Ψ x`, Ψ = I) adds the IMU's change of translation and
-//!   rotation since the last image: `x⁻ = x + u`, `P⁻ = P + Q`. The translation is the acceleration (rotated to the world by
-//!   the IMU's own attitude, without gravity) integrated twice under the threshold control of section III-A; the rotation is
-//!   the IMU's own attitude, its heading aligned with the world at the first visual pose;
-//! - the correction (eq. 11–13) takes the visual pose as it is: `H = I`, `K = P⁻ (P⁻ + R)⁻¹`, `x = x⁻ + K (z − x⁻)`,
-//!   `P = (I − K) P⁻`, with R/Q = 10.
+//! The state is the pose vector: three positions, and three rotations as roll, pitch and yaw. IMU
+//! samples wait in a buffer until an image comes; then
+//! - the prediction (eq. 7, 9, 10 with the misprint read as `x⁻ = Ψ x`, Ψ = I) adds the IMU's
+//!   change of translation and rotation since the last image: `x⁻ = x + u`, `P⁻ = P + Q`. The
+//!   translation is the acceleration (rotated to the world by the IMU's own attitude, without
+//!   gravity) integrated twice under the threshold control of section III-A; the rotation is the
+//!   IMU's own attitude, its heading aligned with the world at the first visual pose;
+//! - the correction (eq. 11–13) takes the visual pose as it is: `H = I`, `K = P⁻ (P⁻ + R)⁻¹`,
+//!   `x = x⁻ + K (z − x⁻)`, `P = (I − K) P⁻`, with R/Q = 10.
 //!
-//! Output is at the image rate. With two or more markers hidden the output is the previous pose moved by the IMU. Nothing
-//! corrects the inertial velocity (the paper names nothing that would); `velocity_from_fused` takes it from the fused poses.
+//! Output is at the image rate. With two or more markers hidden the output is the previous pose
+//! moved by the IMU. Nothing corrects the inertial velocity (the paper names nothing that would);
+//! `velocity_from_fused` takes it from the fused poses.
 
 use crate::{
     config::PaperConfig,
     output::{Odometry, PoseEstimate},
 };
 use nalgebra::{Isometry3, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
-use rig_model::{ImuSample, Rig, Stamp};
-use std::{collections::VecDeque, f64::consts::TAU};
+use rig_model::{ImuSample, Rig, Stamp, wrap_angle};
+use std::collections::VecDeque;
 
 /// Largest number of waiting IMU samples: ten seconds at 100 Hz.
 const WAITING: usize = 1024;
@@ -30,7 +33,8 @@ pub struct Paper {
     volant_from_imu: Isometry3<f64>,
     waiting: VecDeque<ImuSample>,
     last_sample: Option<ImuSample>,
-    /// Heading that rotates the IMU's east-north-up to the world, rad; known from the first visual pose on.
+    /// Heading that rotates the IMU's east-north-up to the world, rad; known from the first visual
+    /// pose on.
     heading: Option<f64>,
     velocity: Vector3<f64>,
     moved: Vector3<f64>,
@@ -70,12 +74,18 @@ impl Paper {
         self.state = None;
     }
 
-    /// Takes in an IMU sample, which waits for the next image. A sample without the IMU's own attitude is not used.
+    /// Takes in an IMU sample, which waits for the next image. A sample without the IMU's own
+    /// attitude is not used.
     pub fn imu(&mut self, sample: &ImuSample) {
-        let finite =
-            sample.specific_force.iter().chain(sample.angular_velocity.iter()).all(|x| x.is_finite());
-        let attitude =
-            sample.orientation.as_ref().is_some_and(|o| o.enu_from_imu.coords.iter().all(|x| x.is_finite()));
+        let finite = sample
+            .specific_force
+            .iter()
+            .chain(sample.angular_velocity.iter())
+            .all(|x| x.is_finite());
+        let attitude = sample
+            .orientation
+            .as_ref()
+            .is_some_and(|o| o.enu_from_imu.coords.iter().all(|x| x.is_finite()));
         if !(finite && attitude) {
             return;
         }
@@ -91,7 +101,8 @@ impl Paper {
         self.waiting.push_back(sample.clone());
     }
 
-    /// Takes in an image at `stamp` with its visual pose, where it has one, and returns the fused estimate.
+    /// Takes in an image at `stamp` with its visual pose, where it has one, and returns the fused
+    /// estimate.
     pub fn image(&mut self, stamp: Stamp, visual: Option<&PoseEstimate>) -> Option<Odometry> {
         if self.state.as_ref().is_some_and(|s| s.stamp >= stamp) {
             return None;
@@ -103,7 +114,7 @@ impl Paper {
             let visual = visual?;
             let pose = vector(&visual.pose);
             let measured = self.imu_attitude(&sample)?;
-            self.heading = Some(wrap(pose[5] - euler(&measured).z));
+            self.heading = Some(wrap_angle(pose[5] - euler(&measured).z));
             self.velocity = Vector3::zeros();
             self.moved = Vector3::zeros();
             let state = Estimate {
@@ -116,11 +127,11 @@ impl Paper {
             return Some(self.odometry(&state, &sample, Vector3::zeros(), 1.0));
         };
         let imu_rotation = euler(&self.imu_attitude(&sample)?);
-        let rotated = (imu_rotation - before.imu_rotation).map(wrap);
+        let rotated = (imu_rotation - before.imu_rotation).map(wrap_angle);
         let mut pose = before.pose;
         for i in 0..3 {
             pose[i] += self.moved[i];
-            pose[3 + i] = wrap(pose[3 + i] + rotated[i]);
+            pose[3 + i] = wrap_angle(pose[3 + i] + rotated[i]);
         }
         self.moved = Vector3::zeros();
         let mut covariance = before.covariance + self.measurement_noise() / self.config.ratio;
@@ -129,7 +140,7 @@ impl Paper {
             let innovation = covariance + self.measurement_noise();
             let mut difference = z - pose;
             for i in 3..6 {
-                difference[i] = wrap(difference[i]);
+                difference[i] = wrap_angle(difference[i]);
             }
             if let Some(cholesky) = innovation.cholesky() {
                 pose += covariance * cholesky.solve(&difference);
@@ -186,7 +197,8 @@ impl Paper {
     /// Rotation of `world_from_volant` as the IMU has it.
     fn imu_attitude(&self, sample: &ImuSample) -> Option<UnitQuaternion<f64>> {
         let enu_from_imu = sample.orientation.as_ref()?.enu_from_imu;
-        let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.heading.unwrap_or(0.0));
+        let heading =
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.heading.unwrap_or(0.0));
         Some(heading * enu_from_imu * self.volant_from_imu.rotation.inverse())
     }
 
@@ -195,10 +207,17 @@ impl Paper {
         Matrix6::from_diagonal(&Vector6::new(p, p, p, r, r, r))
     }
 
-    fn odometry(&self, state: &Estimate, sample: &ImuSample, speed: Vector3<f64>, dt: f64) -> Odometry {
+    fn odometry(
+        &self,
+        state: &Estimate,
+        sample: &ImuSample,
+        speed: Vector3<f64>,
+        dt: f64,
+    ) -> Odometry {
         let x = &state.pose;
         let rotation = UnitQuaternion::from_euler_angles(x[3], x[4], x[5]);
-        // Roll, pitch and yaw are rotations about other axes than the world's: δθ = E δ(roll, pitch, yaw).
+        // Roll, pitch and yaw are rotations about other axes than the world's: δθ = E δ(roll,
+        // pitch, yaw).
         let (sp, cp) = x[4].sin_cos();
         let (sy, cy) = x[5].sin_cos();
         let e = Matrix3::new(cy * cp, -sy, 0.0, sy * cp, cy, 0.0, -sp, 0.0, 1.0);
@@ -208,7 +227,10 @@ impl Paper {
         let dt = dt.max(1e-3);
         Odometry {
             stamp: state.stamp,
-            world_from_volant: Isometry3::from_parts(Vector3::new(x[0], x[1], x[2]).into(), rotation),
+            world_from_volant: Isometry3::from_parts(
+                Vector3::new(x[0], x[1], x[2]).into(),
+                rotation,
+            ),
             pose_covariance: (pose_covariance + pose_covariance.transpose()) * 0.5,
             linear_velocity: rotation.inverse() * speed,
             angular_velocity: self.volant_from_imu.rotation * sample.angular_velocity,
@@ -233,8 +255,4 @@ fn vector(pose: &Isometry3<f64>) -> Vector6<f64> {
 fn euler(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
     let (roll, pitch, yaw) = rotation.euler_angles();
     Vector3::new(roll, pitch, yaw)
-}
-
-fn wrap(angle: f64) -> f64 {
-    angle - (angle / TAU).round() * TAU
 }

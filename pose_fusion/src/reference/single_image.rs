@@ -1,9 +1,10 @@
 //! Pose from one image alone, by the paper's section II-E and eq. 4 (`volant/visual_pose`).
 //!
-//! The markers' centroids give the pose in the camera's frame ([`rig_model::planar_pose`]); the encoders, interpolated to the
-//! image's stamp, and the camera's mounting bring it to the world (eq. 4). With two or more markers hidden there is none.
-//! Where the image allows two poses, the previous visual pose decides, or with `visual_pose.use_gravity` the IMU's
-//! direction of "up"; the pixels alone place the pose that is chosen.
+//! The markers' centroids give the pose in the camera's frame ([`rig_model::planar_pose`]); the
+//! encoders, interpolated to the image's stamp, and the camera's mounting bring it to the world
+//! (eq. 4). With two or more markers hidden there is none. Where the image allows two poses, the
+//! previous visual pose decides, or with `visual_pose.use_gravity` the IMU's direction of "up"; the
+//! pixels alone place the pose that is chosen.
 
 use crate::{
     config::{ClimberConfig, TightConfig},
@@ -16,7 +17,8 @@ use crate::{
 };
 use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3, Vector6};
 use rig_model::{
-    CameraModel, ClimberSample, ImuSample, MarkerObservations, MarkerState, PerColor, Rig, Stamp, planar_pose,
+    CameraModel, ClimberSample, ImuSample, MarkerObservations, MarkerState, PerColor, Rig, Stamp,
+    planar_pose,
 };
 use std::collections::VecDeque;
 
@@ -26,7 +28,8 @@ const KEPT: usize = 64;
 const NEAR: f64 = 0.1;
 /// Smallest uncertainty of the IMU's own roll and pitch, rad.
 const ATTITUDE_FLOOR: f64 = 1e-3;
-/// The previous visual pose decides between two for this long, s, with this uncertainty of the rotation in between, rad.
+/// The previous visual pose decides between two for this long, s, with this uncertainty of the
+/// rotation in between, rad.
 const PREVIOUS: [f64; 2] = [0.3, 0.2];
 
 /// Poses from single images.
@@ -44,7 +47,8 @@ pub struct SingleImagePose {
 }
 
 impl SingleImagePose {
-    /// Creates an estimator for a rig. With `use_gravity` the IMU's direction of "up" decides between two poses.
+    /// Creates an estimator for a rig. With `use_gravity` the IMU's direction of "up" decides
+    /// between two poses.
     pub fn new(rig: Rig, config: &TightConfig, use_gravity: bool) -> Self {
         Self {
             rig,
@@ -86,19 +90,24 @@ impl SingleImagePose {
     /// Takes in an encoder reading.
     pub fn climber(&mut self, sample: &ClimberSample) {
         let pose = &sample.world_from_climber;
-        if !pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|x| x.is_finite()) {
+        if !pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|x| x.is_finite())
+        {
             return;
         }
         // A looped bag starts again.
-        if self.climber.newest().is_some_and(|(newest, _, _)| newest.seconds_since(sample.stamp) > 1.0) {
+        if self
+            .climber
+            .newest()
+            .is_some_and(|(newest, _, _)| newest.seconds_since(sample.stamp) > 1.0)
+        {
             self.reset();
         }
         let (values, rest) = ClimberRest::split(pose);
         self.climber.add(sample.stamp, values, rest);
     }
 
-    /// Returns `world_from_volant` from one image. `None` with fewer than three detected markers, or without encoder readings
-    /// within 0.1 s.
+    /// Returns `world_from_volant` from one image. `None` with fewer than three detected markers,
+    /// or without encoder readings within 0.1 s.
     pub fn estimate(&mut self, observations: &MarkerObservations) -> Option<PoseEstimate> {
         let camera = self.camera.as_ref()?;
         let stamp = observations.stamp;
@@ -118,8 +127,8 @@ impl SingleImagePose {
         let floor = nalgebra::Matrix2::identity() * (self.floor * self.floor + 1e-4);
         let pixels = PerColor::from_fn(|color| {
             let m = &observations.markers[color];
-            let take =
-                m.state == MarkerState::Detected || (with_predicted && m.state == MarkerState::Predicted);
+            let take = m.state == MarkerState::Detected
+                || (with_predicted && m.state == MarkerState::Predicted);
             let fine = m.centroid.iter().chain(m.covariance.iter()).all(|x| x.is_finite());
             (take && fine).then(|| (m.centroid, m.covariance + floor))
         });
@@ -129,14 +138,16 @@ impl SingleImagePose {
         let up = nearest(&self.ups, stamp).filter(|_| self.use_gravity);
         let mut best: Option<(f64, Isometry3<f64>, Matrix6<f64>)> = None;
         // A false marker may put the platform anywhere.
-        let within =
-            |c: &&planar_pose::PlanarPose| c.camera_from_volant.translation.vector.norm() < self.max_range;
+        let within = |c: &&planar_pose::PlanarPose| {
+            c.camera_from_volant.translation.vector.norm() < self.max_range
+        };
         for candidate in found.iter().filter(within) {
             let world_from_volant = world_from_camera * candidate.camera_from_volant;
             let unlikely = match (up, self.last) {
                 (Some(up), _) => {
-                    let measured =
-                        world_from_volant.rotation * self.rig.imu.volant_from_imu.rotation * up.in_imu;
+                    let measured = world_from_volant.rotation
+                        * self.rig.imu.volant_from_imu.rotation
+                        * up.in_imu;
                     (measured.angle(&Vector3::z()) / up.sigma).powi(2)
                 }
                 (None, Some((last, rotation))) if stamp.seconds_since(last).abs() < PREVIOUS[0] => {
@@ -166,7 +177,8 @@ impl SingleImagePose {
         Some(PoseEstimate { stamp, pose, covariance })
     }
 
-    /// `world_from_climber` at an image's stamp with the standard deviations of its position (m) and turn (rad).
+    /// `world_from_climber` at an image's stamp with the standard deviations of its position (m)
+    /// and turn (rad).
     fn climber_at(&self, stamp: Stamp) -> Option<(Isometry3<f64>, [f64; 2])> {
         let at = self.climber.at(stamp).filter(|at| at.distance < NEAR)?;
         let sigma = |axis: usize| at.noise[axis].hypot(at.growth[axis]);

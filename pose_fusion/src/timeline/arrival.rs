@@ -1,4 +1,5 @@
-//! Arrival of the inputs: order, gaps and jumps of the IMU's stamps, and IMU samples that stay away.
+//! Arrival of the inputs: order, gaps and jumps of the IMU's stamps, and IMU samples that stay
+//! away.
 
 use super::dropout::GAP;
 use crate::ekf::propagation::ImuReading;
@@ -10,8 +11,8 @@ pub const AHEAD: f64 = 0.5;
 const JUMP: f64 = 1.0;
 /// Number of consecutive samples that confirm a jump.
 const CONFIRMED: u32 = 3;
-/// Images or encoder readings that advance by this, in at least [`MESSAGES`] messages, without an IMU sample in between mean that the
-/// IMU is lost, s.
+/// Images or encoder readings that advance by this, in at least [`MESSAGES`] messages, without an
+/// IMU sample in between mean that the IMU is lost, s.
 const SILENCE: f64 = 0.1;
 const MESSAGES: u32 = 4;
 /// After this long without IMU samples a pose is initialized from images alone, s.
@@ -46,7 +47,8 @@ pub struct Arrival {
     frontier: Option<Stamp>,
 }
 
-/// Messages of one source since the newest IMU sample. Sources are not mixed: their stamps may differ by any offset.
+/// Messages of one source since the newest IMU sample. Sources are not mixed: their stamps may
+/// differ by any offset.
 #[derive(Clone, Copy, Debug, Default)]
 struct Since {
     first: Option<Stamp>,
@@ -55,7 +57,8 @@ struct Since {
 }
 
 impl Since {
-    /// Counts a message that continues the ones before; one that jumps restarts the count, and a duplicate is not counted.
+    /// Counts a message that continues the ones before; one that jumps restarts the count, and a
+    /// duplicate is not counted.
     fn note(&mut self, stamp: Stamp) {
         match self.newest.map(|newest| stamp.seconds_since(newest)) {
             Some(step) if step.abs() <= JUMP => {
@@ -68,7 +71,8 @@ impl Since {
     }
 
     fn is_longer_than(&self, seconds: f64) -> bool {
-        let elapsed = self.newest.zip(self.first).map_or(0.0, |(newest, first)| newest.seconds_since(first));
+        let elapsed =
+            self.newest.zip(self.first).map_or(0.0, |(newest, first)| newest.seconds_since(first));
         self.count >= MESSAGES && elapsed > seconds
     }
 }
@@ -89,7 +93,9 @@ impl Arrival {
         let ahead = stamp.seconds_since(newest);
         if ahead.abs() > JUMP {
             let count = match self.jump {
-                Some((last, count)) if (0.0..JUMP).contains(&stamp.seconds_since(last)) => count + 1,
+                Some((last, count)) if (0.0..JUMP).contains(&stamp.seconds_since(last)) => {
+                    count + 1
+                }
                 _ => 1,
             };
             self.jump = Some((stamp, count));
@@ -130,8 +136,8 @@ impl Arrival {
         self.others.iter().any(|since| since.is_longer_than(SILENCE))
     }
 
-    /// Returns whether the IMU has been silent for so long that a pose may be initialized without it: samples that a computer held up
-    /// have arrived by then.
+    /// Returns whether the IMU has been silent for so long that a pose may be initialized without
+    /// it: samples that a computer held up have arrived by then.
     pub fn is_imu_absent(&self) -> bool {
         self.others.iter().any(|since| since.is_longer_than(ABSENCE))
     }

@@ -1,10 +1,11 @@
 //! Process noise where IMU samples are missing.
 //!
-//! Across a gap of `T` seconds between two samples the readings are interpolated. A motion of angular frequency ω and
-//! amplitude A is then missed by at most `A ω² T²/8` (the remainder of the interpolation), and by A where the gap is longer than
-//! that reaches. The error is nearly constant over [`CORRELATION`] at most, so it acts as white noise of the density
-//! `error² · min(T, CORRELATION)` on velocity and attitude. Without a later sample the state moves uniformly, with the noise of
-//! a motion that is missed altogether.
+//! Across a gap of `T` seconds between two samples the readings are interpolated. A motion of
+//! angular frequency ω and amplitude A is then missed by at most `A ω² T²/8` (the remainder of the
+//! interpolation), and by A where the gap is longer than that reaches. The error is nearly constant
+//! over [`CORRELATION`] at most, so it acts as white noise of the density
+//! `error² · min(T, CORRELATION)` on velocity and attitude. Without a later sample the state moves
+//! uniformly, with the noise of a motion that is missed altogether.
 
 use crate::ekf::propagation::ProcessNoise;
 
@@ -14,7 +15,8 @@ pub const GAP: f64 = 0.05;
 pub const INTERPOLATED: f64 = 0.4;
 /// Before the first sample after a longer gap its reading counts for so long, s.
 pub const HELD: f64 = 0.15;
-/// Specific force of a swinging platform away from its mean, m/s² (1 sigma): 35° at 1 Hz below 0.25 m of rope.
+/// Specific force of a swinging platform away from its mean, m/s² (1 sigma): 35° at 1 Hz below 0.25
+/// m of rope.
 pub const FORCE: f64 = 3.0;
 /// Its angular velocity, rad/s (1 sigma).
 pub const RATE: f64 = 2.0;
@@ -34,8 +36,8 @@ pub fn interpolated(usual: &ProcessNoise, seconds: f64) -> ProcessNoise {
     }
 }
 
-/// Returns the process noise of a motion that goes on for `seconds` with the last reading: a motion of angular frequency ω and
-/// amplitude A is missed by `A ω T/2` in the mean.
+/// Returns the process noise of a motion that goes on for `seconds` with the last reading: a motion
+/// of angular frequency ω and amplitude A is missed by `A ω T/2` in the mean.
 pub fn extrapolated(usual: &ProcessNoise, seconds: f64) -> ProcessNoise {
     let missed = (FREQUENCY * seconds / 2.0).min(1.0);
     let span = seconds.min(CORRELATION);
@@ -62,7 +64,8 @@ mod tests {
     #[test]
     fn a_swing_that_was_not_measured_is_covered() {
         let usual = ProcessNoise { force: 4e-6, rate: 7.6e-7, ..ProcessNoise::default() };
-        // A swing of 5 m/s² at 1 Hz, interpolated linearly over the gap: the velocity that is missed.
+        // A swing of 5 m/s² at 1 Hz, interpolated linearly over the gap: the velocity that is
+        // missed.
         for gap in [0.06, 0.1, 0.2, 0.4, 0.8] {
             let sigma = (interpolated(&usual, gap).force * gap).sqrt();
             let (mut worst, mut square) = (0.0f64, 0.0);
@@ -74,7 +77,10 @@ mod tests {
                 worst = worst.max(missed.abs());
                 square += missed * missed / 100.0;
             }
-            assert!(worst < 3.5 * sigma && square.sqrt() > 0.1 * sigma, "{gap}: {worst} of {sigma}");
+            assert!(
+                worst < 3.5 * sigma && square.sqrt() > 0.1 * sigma,
+                "{gap}: {worst} of {sigma}"
+            );
         }
         assert_eq!(interpolated(&usual, 2.0).force, blind(&usual).force);
     }

@@ -1,8 +1,9 @@
-//! Measurements in the order of their own time, with the state after each, from a store that is reused.
+//! Measurements in the order of their own time, with the state after each, from a store that is
+//! reused.
 //!
-//! The history is trimmed to the configured length in time, so its size follows the rates of the sensors: 0.6 s at 100 Hz,
-//! 50 Hz and 30 Hz are 108 entries of about 8 kB. It never holds more than [`CAPACITY`] entries; what that drops is
-//! counted.
+//! The history is trimmed to the configured length in time, so its size follows the rates of the
+//! sensors: 0.6 s at 100 Hz, 50 Hz and 30 Hz are 108 entries of about 8 kB. It never holds more
+//! than [`CAPACITY`] entries; what that drops is counted.
 
 use crate::{
     adaptation::imu_noise::Densities,
@@ -16,7 +17,8 @@ use nalgebra::Vector3;
 use rig_model::Stamp;
 use std::collections::VecDeque;
 
-/// Largest number of entries: 1 s of 1,000 IMU samples, 200 encoder readings and 200 images per second.
+/// Largest number of entries: 1 s of 1,000 IMU samples, 200 encoder readings and 200 images per
+/// second.
 pub const CAPACITY: usize = 1400;
 
 /// What happened at an instant.
@@ -28,7 +30,8 @@ pub enum Event {
     Imu {
         /// Noise densities of the step to this sample.
         noise: Densities,
-        /// Mean angular velocity of the window that ends here, where the platform was at rest, rad/s.
+        /// Mean angular velocity of the window that ends here, where the platform was at rest,
+        /// rad/s.
         at_rest: Option<Vector3<f64>>,
     },
     /// Image.
@@ -103,7 +106,8 @@ impl History {
         self.processed = processed.min(self.order.len());
     }
 
-    /// Marks everything from `place` on as to be processed again. The first entry always keeps its state.
+    /// Marks everything from `place` on as to be processed again. The first entry always keeps its
+    /// state.
     pub fn rewind(&mut self, place: usize) {
         self.processed = self.processed.min(place.max(1));
     }
@@ -142,8 +146,8 @@ impl History {
         place
     }
 
-    /// Inserts an event and returns its place. Everything from there on is to be processed (again); where the store is full the
-    /// oldest entry is dropped and counted.
+    /// Inserts an event and returns its place. Everything from there on is to be processed (again);
+    /// where the store is full the oldest entry is dropped and counted.
     pub fn insert(&mut self, stamp: Stamp, event: Event, reading: ImuReading) -> usize {
         if self.free.is_empty() {
             if self.store.len() < CAPACITY {
@@ -184,7 +188,8 @@ impl History {
         Some((from, to))
     }
 
-    /// Returns place and stamp of the `count`-th encoder reading before a place, of the oldest where there are fewer.
+    /// Returns place and stamp of the `count`-th encoder reading before a place, of the oldest
+    /// where there are fewer.
     pub fn reading_before(&self, place: usize, count: usize) -> Option<(usize, Stamp)> {
         (0..place)
             .rev()
@@ -197,7 +202,9 @@ impl History {
 
     /// Returns the next IMU sample at or behind a place.
     pub fn next_imu(&self, place: usize) -> Option<&Entry> {
-        (place..self.order.len()).filter_map(|i| self.get(i)).find(|n| matches!(n.event, Event::Imu { .. }))
+        (place..self.order.len())
+            .filter_map(|i| self.get(i))
+            .find(|n| matches!(n.event, Event::Imu { .. }))
     }
 
     /// Returns the last IMU sample, or set state, before a place.

@@ -1,6 +1,7 @@
 //! Time line: measurements in the order of their own time, with the state after each of them.
 //!
-//! A delayed measurement goes to its place, and everything behind it is propagated again from there.
+//! A delayed measurement goes to its place, and everything behind it is propagated again from
+//! there.
 
 pub mod arrival;
 pub mod dropout;

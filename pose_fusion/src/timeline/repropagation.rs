@@ -68,9 +68,11 @@ pub enum Step {
     },
 }
 
-/// Processes the next event up to `end`. Returns its place and what it was; `None` where nothing is left.
+/// Processes the next event up to `end`. Returns its place and what it was; `None` where nothing is
+/// left.
 ///
-/// An encoder reading that contradicts the state is not applied: the caller decides and rewinds, or excludes it.
+/// An encoder reading that contradicts the state is not applied: the caller decides and rewinds, or
+/// excludes it.
 pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<(usize, Step)> {
     let place = history.processed().max(1);
     if history.get(place).is_none_or(|n| n.stamp > end) {
@@ -141,7 +143,8 @@ fn apply(entry: &mut Entry, unseen: f64, blind: bool, context: &Context<'_>) -> 
         Event::Image { image, stamp, fresh } => {
             image.reading = *reading;
             let gates = Gates { marker: config.markers.gate, joint: 1.0 };
-            let record = markers::update(state, context.geometry, image, &gates, gravity, !context.frozen);
+            let record =
+                markers::update(state, context.geometry, image, &gates, gravity, !context.frozen);
             Step::Image { stamp: *stamp, image: *image, record, fresh: std::mem::take(fresh) }
         }
         Event::Encoders { reading: encoder, excluded, fresh } => {
@@ -173,10 +176,14 @@ enum Source {
 impl Drive {
     fn of(history: &History, place: usize) -> Self {
         let uniform = Self { source: Source::Uniform, noise: Default::default() };
-        let (Some(last), Some(entry)) = (history.last_imu(place), history.get(place)) else { return uniform };
+        let (Some(last), Some(entry)) = (history.last_imu(place), history.get(place)) else {
+            return uniform;
+        };
         let Some(next) = history.next_imu(place) else { return uniform };
         let Event::Imu { noise, .. } = next.event else { return uniform };
-        let Some(before) = place.checked_sub(1).and_then(|p| history.get(p)) else { return uniform };
+        let Some(before) = place.checked_sub(1).and_then(|p| history.get(p)) else {
+            return uniform;
+        };
         let gap = next.stamp.seconds_since(last.stamp);
         if gap > INTERPOLATED {
             let seconds = next.stamp.seconds_since(before.stamp);

@@ -1,18 +1,21 @@
-//! The best that any causal filter can do on a simulated run: the Riccati recursion of the error's covariance, linearised at
-//! the truth, that uses at each instant what had arrived by then, each datum at its own time.
+//! The best that any causal filter can do on a simulated run: the Riccati recursion of the error's
+//! covariance, linearised at the truth, that uses at each instant what had arrived by then, each
+//! datum at its own time.
 //!
-//! Written for itself, with dense matrices and derivatives by differences, so that it shares no line with the filter. The
-//! error: position, velocity, attitude (about world axes), biases of accelerometer and gyroscope (constant), the climber's x,
-//! y, turn with rates and accelerations (white jerk, as the filter is told), and the offset of the clock that camera and
-//! climber share.
+//! Independent of the filter's code, with dense matrices and numerical derivatives. The error
+//! state: position, velocity, attitude (about world axes), biases of accelerometer and gyroscope
+//! (constant), the climber's x, y, yaw with rates and accelerations (white jerk, with the filter's
+//! settings), and the offset of the clock that camera and climber share.
 
-use super::rig::{
+use nalgebra::{
+    Isometry3, Matrix3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3,
+};
+use pose_fusion::TightConfig;
+use rig_model::{CameraModel, MarkerColor, MarkerState, Rig};
+use rig_simulator::{
     inertial::{Message, Recording, SensorConfig, Sensors},
     motion::Motion,
 };
-use nalgebra::{Isometry3, Matrix3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3};
-use pose_fusion::TightConfig;
-use rig_model::{CameraModel, MarkerColor, MarkerState, Rig};
 
 const N: usize = 25;
 type Square = SMatrix<f64, N, N>;
@@ -44,7 +47,8 @@ struct Node {
     datum: Datum,
 }
 
-/// Pixel of a marker when the platform is moved by `turn`, `shift` (world axes, about the unit), the climber by `drive`.
+/// Pixel of a marker when the platform is moved by `turn`, `shift` (world axes, about the IMU), and
+/// the climber by `drive`.
 fn pixel(
     scene: &Scene<'_>,
     t: f64,
@@ -65,7 +69,12 @@ fn pixel(
     );
     let camera = climber * scene.rig.climber_from_camera;
     let camera_from_volant = camera.inverse() * moved * scene.rig.imu.volant_from_imu.inverse();
-    scene.rig.markers.projected_centroid(color, scene.camera, &camera_from_volant).expect("in view").pixel
+    scene
+        .rig
+        .markers
+        .projected_centroid(color, scene.camera, &camera_from_volant)
+        .expect("in view")
+        .pixel
 }
 
 /// What the run was made from.
@@ -88,8 +97,14 @@ fn image_rows(scene: &Scene<'_>, t: f64, color: MarkerColor) -> Vec<(SVector<f64
         let mut e = Vector3::zeros();
         e[axis] = h;
         let d = |plus: Vector2<f64>, minus: Vector2<f64>| (plus - minus) / (2.0 * h);
-        put(axis, d(pixel(scene, t, color, &e, &zero, &zero), pixel(scene, t, color, &-e, &zero, &zero)));
-        put(6 + axis, d(pixel(scene, t, color, &zero, &e, &zero), pixel(scene, t, color, &zero, &-e, &zero)));
+        put(
+            axis,
+            d(pixel(scene, t, color, &e, &zero, &zero), pixel(scene, t, color, &-e, &zero, &zero)),
+        );
+        put(
+            6 + axis,
+            d(pixel(scene, t, color, &zero, &e, &zero), pixel(scene, t, color, &zero, &-e, &zero)),
+        );
         put(
             CLIMBER + axis,
             d(pixel(scene, t, color, &zero, &zero, &e), pixel(scene, t, color, &zero, &zero, &-e)),
@@ -104,14 +119,15 @@ fn image_rows(scene: &Scene<'_>, t: f64, color: MarkerColor) -> Vec<(SVector<f64
 fn transition(
     scene: &Scene<'_>,
     sensors: &Sensors<'_>,
-    told: &TightConfig,
+    settings: &TightConfig,
     from: f64,
     to: f64,
 ) -> (Square, Square) {
     let dt = to - from;
     let middle = (from + to) / 2.0;
     let (force, _) = sensors.ideal_imu(middle);
-    let turn = scene.motion.world_from_volant(middle).rotation * scene.rig.imu.volant_from_imu.rotation;
+    let turn =
+        scene.motion.world_from_volant(middle).rotation * scene.rig.imu.volant_from_imu.rotation;
     let r = turn.to_rotation_matrix();
     let mut a = Square::zeros();
     a.fixed_view_mut::<3, 3>(0, 3).copy_from(&Matrix3::identity());
@@ -120,7 +136,8 @@ fn transition(
     a.fixed_view_mut::<3, 3>(6, 12).copy_from(&-r.matrix());
     a.fixed_view_mut::<3, 3>(CLIMBER, CLIMBER + 3).copy_from(&Matrix3::identity());
     a.fixed_view_mut::<3, 3>(CLIMBER + 3, CLIMBER + 6).copy_from(&Matrix3::identity());
-    let f = Square::identity() + a * dt + a * a * (dt * dt / 2.0) + a * a * a * (dt * dt * dt / 6.0);
+    let f =
+        Square::identity() + a * dt + a * a * (dt * dt / 2.0) + a * a * a * (dt * dt * dt / 6.0);
     let imu = &scene.rig.imu;
     let factor = scene.sensors.imu_noise_factor;
     let mut density = Square::zeros();
@@ -128,16 +145,22 @@ fn transition(
         density[(3 + i, 3 + i)] = (imu.accelerometer_noise_density * factor).powi(2);
         density[(6 + i, 6 + i)] = (imu.gyroscope_noise_density * factor).powi(2);
         density[(CLIMBER + 6 + i, CLIMBER + 6 + i)] =
-            if i == 2 { told.climber.turn_jerk } else { told.climber.jerk };
+            if i == 2 { settings.climber.turn_jerk } else { settings.climber.jerk };
     }
     // ∫ Φ D Φᵀ by Simpson's rule.
     let half = Square::identity() + a * (dt / 2.0) + a * a * (dt * dt / 8.0);
-    let q = (density + half * density * half.transpose() * 4.0 + f * density * f.transpose()) * (dt / 6.0);
+    let q = (density + half * density * half.transpose() * 4.0 + f * density * f.transpose())
+        * (dt / 6.0);
     (f, q)
 }
 
 /// The bound at every `every`-th inertial sample of a recording.
-pub fn bound(scene: &Scene<'_>, recording: &Recording, told: &TightConfig, every: usize) -> Vec<Best> {
+pub fn bound(
+    scene: &Scene<'_>,
+    recording: &Recording,
+    settings: &TightConfig,
+    every: usize,
+) -> Vec<Best> {
     let sensors = Sensors::new(scene.motion, scene.rig, scene.camera, scene.sensors);
     let config = scene.sensors;
     let seconds = |stamp: rig_model::Stamp| stamp.seconds_since(config.epoch);
@@ -176,13 +199,14 @@ pub fn bound(scene: &Scene<'_>, recording: &Recording, told: &TightConfig, every
         }
     }
     data.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let start = data.iter().position(|d| matches!(&d.2, Datum::Rows(r) if r.len() == 8)).expect("an image");
+    let start =
+        data.iter().position(|d| matches!(&d.2, Datum::Rows(r) if r.len() == 8)).expect("an image");
     let mut last = data[start].0;
     let nodes: Vec<Node> = data
         .into_iter()
         .skip(start)
         .map(|(time, arrival, datum)| {
-            let (transition, noise) = transition(scene, &sensors, told, last, time);
+            let (transition, noise) = transition(scene, &sensors, settings, last, time);
             last = time;
             Node { time, arrival, transition, noise, datum }
         })
@@ -196,12 +220,12 @@ pub fn bound(scene: &Scene<'_>, recording: &Recording, told: &TightConfig, every
     set(0, 2.0);
     set(3, 1.5);
     set(6, 1.0);
-    set(9, told.imu.accelerometer_bias);
-    set(12, told.imu.gyroscope_bias);
+    set(9, settings.imu.accelerometer_bias);
+    set(12, settings.imu.gyroscope_bias);
     set(CLIMBER, 1.0);
     set(CLIMBER + 3, 0.5);
     set(CLIMBER + 6, 0.5);
-    first[(CLOCK, CLOCK)] = told.clock.camera_sigma.powi(2);
+    first[(CLOCK, CLOCK)] = settings.clock.camera_sigma.powi(2);
 
     let step = |p: &mut Square, node: &Node, now: f64| {
         *p = node.transition * *p * node.transition.transpose() + node.noise;

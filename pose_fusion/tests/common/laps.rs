@@ -1,9 +1,12 @@
-//! A long run: lap after lap of one motion that begins and ends at rest at one place, with what goes wrong on a rig.
+//! A long run: repetitions of one motion that begins and ends stationary at one place, with faults
+//! of a rig.
 
-use super::rig::{inertial::SensorConfig, motion::MotionConfig, random::Random};
-use super::{scoring, simulated};
-use nalgebra::Vector3;
+use super::{
+    scoring::{self, Nees, PoseError},
+    simulated,
+};
 use pose_fusion::{Fusion, Input, Output, Status};
+use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, random::Random};
 
 /// 0.9999 quantile of χ² with 3 degrees of freedom.
 pub const BEYOND: f64 = 21.1;
@@ -15,7 +18,8 @@ pub struct Laps {
     pub sensors: SensorConfig,
     /// How often.
     pub count: u32,
-    /// Encoders that fall silent for up to 3 s, say a reading twice, stand still while they drive, or come late.
+    /// Encoder faults: silence for up to 3 s, repeated readings, frozen readings while driving,
+    /// delays.
     pub broken_encoders: bool,
 }
 
@@ -58,26 +62,28 @@ impl Laps {
                 ..self.sensors.clone()
             };
             let run = simulated::run(self.motion.clone(), &sensors);
-            let mut inputs: Vec<(f64, Input)> =
-                run.inputs.into_iter().map(|(at, i)| (at.seconds_since(sensors.epoch), i)).collect();
+            let mut inputs: Vec<(f64, Input)> = run
+                .inputs
+                .into_iter()
+                .map(|(at, i)| (at.seconds_since(sensors.epoch), i))
+                .collect();
             if self.broken_encoders {
-                found.encoder_faults += spoil(&mut inputs, self.motion.duration, &mut random);
+                found.encoder_faults += corrupt(&mut inputs, self.motion.duration, &mut random);
             }
             for (_, input) in inputs {
                 fusion.handle(input);
                 while let Some(output) = fusion.poll() {
                     let Output::Odometry(o) = output else { continue };
                     let seconds = o.stamp.seconds_since(self.sensors.epoch);
-                    let Some(pose) = scoring::pose_at(&run.truth, o.stamp).filter(|_| seconds > 10.0) else {
+                    let Some(pose) =
+                        scoring::pose_at(&run.truth, o.stamp).filter(|_| seconds > 10.0)
+                    else {
                         continue;
                     };
                     count += 1.0;
-                    let (p, r) = scoring::errors(&o.world_from_volant, &pose);
-                    let square = |e: Vector3<f64>, first: usize| {
-                        let c = o.pose_covariance.fixed_view::<3, 3>(first, first).into_owned();
-                        c.cholesky().map_or(f64::INFINITY, |c| e.dot(&c.solve(&e)))
-                    };
-                    for (k, nees) in [square(p, 0), square(r, 3)].into_iter().enumerate() {
+                    let error = PoseError::new(&o.world_from_volant, &pose);
+                    let nees = Nees::pair(&error, &o.pose_covariance);
+                    for (k, nees) in nees.into_iter().enumerate() {
                         found.mean_nees[k] += nees;
                         found.beyond[k] += f64::from(u8::from(nees > BEYOND));
                     }
@@ -94,8 +100,8 @@ impl Laps {
     }
 }
 
-/// What the encoders of a lap say while they are broken now and then; how often they were.
-fn spoil(inputs: &mut Vec<(f64, Input)>, duration: f64, random: &mut Random) -> u32 {
+/// Applies occasional encoder faults to the inputs of a lap and returns their number.
+fn corrupt(inputs: &mut Vec<(f64, Input)>, duration: f64, random: &mut Random) -> u32 {
     let mut faults = 0;
     let mut at = random.within(2.0, 12.0);
     while at < duration - 4.0 {
@@ -121,12 +127,12 @@ fn spoil(inputs: &mut Vec<(f64, Input)>, duration: f64, random: &mut Random) -> 
                 2 => {
                     // Every other reading repeats the one before, under its own stamp.
                     let repeated = standing.take();
-                    let mut said = sample.clone();
+                    let mut outputs = sample.clone();
                     match repeated {
-                        Some(pose) => said.world_from_climber = pose,
+                        Some(pose) => outputs.world_from_climber = pose,
                         None => standing = Some(sample.world_from_climber),
                     }
-                    changed.push((arrival, Input::Climber(said)));
+                    changed.push((arrival, Input::Climber(outputs)));
                 }
                 _ => changed.push((arrival + random.within(0.0, 0.3), input)),
             }

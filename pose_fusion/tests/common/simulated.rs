@@ -1,15 +1,17 @@
 //! The simulated rig as inputs of the filter, with its truth.
 
-use super::rig::{
+use pose_fusion::{FusionConfig, Input, config::CalibrationSigmas};
+use rig_model::{
+    CameraModel, Distortion, Rig, Stamp,
+    score::{Truth, TruthSample},
+};
+use rig_simulator::{
     inertial::{Message, SensorConfig, Sensors},
     motion::{Motion, MotionConfig},
 };
-use super::scoring::Truth;
-use pose_fusion::{FusionConfig, Input, config::CalibrationSigmas};
-use rig_model::{CameraModel, Distortion, Rig, Stamp};
 
 pub fn rig() -> Rig {
-    Rig::from_yaml(include_str!("../../../test/src/rig/rig.yaml")).unwrap()
+    Rig::from_yaml(rig_simulator::RIG_YAML).unwrap()
 }
 
 /// The defaults, without calibration errors: the simulated rig has none.
@@ -27,7 +29,7 @@ pub fn camera() -> CameraModel {
 pub struct Run {
     pub motion: Motion,
     pub inputs: Vec<(Stamp, Input)>,
-    pub truth: Vec<Truth>,
+    pub truth: Truth,
 }
 
 pub fn run(motion: MotionConfig, sensors: &SensorConfig) -> Run {
@@ -47,12 +49,13 @@ pub fn run(motion: MotionConfig, sensors: &SensorConfig) -> Run {
     let truth = (-10..count + 10)
         .map(|i| {
             let k = motion.kinematics(i as f64 * 0.005);
-            Truth {
+            TruthSample {
                 stamp: sensors.epoch.plus_seconds(i as f64 * 0.005),
-                velocity: k.world_from_volant.rotation.inverse() * k.velocity,
-                pose: k.world_from_volant,
+                world_from_volant: k.world_from_volant,
+                linear_velocity: k.world_from_volant.rotation.inverse() * k.velocity,
+                angular_velocity: k.angular_velocity,
             }
         })
         .collect();
-    Run { motion, inputs, truth }
+    Run { motion, inputs, truth: Truth::new(truth) }
 }

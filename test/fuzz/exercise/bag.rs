@@ -1,6 +1,6 @@
 //! Bags: MCAP, whole, cut and damaged, from its beginning and from its closing records.
 
-use launch_config::bag::{BagReader, BagWriter, Compression, QosProfile, Topic, WriteOptions};
+use bag::{BagReader, BagWriter, Compression, QosProfile, Topic, WriteOptions};
 use std::{io::Cursor, path::Path};
 use volant_msgs::{nav_msgs::msg::Odometry, std_msgs::msg::String as Text};
 
@@ -23,7 +23,7 @@ pub const WORDS: &[&[u8]] = &[
 
 pub fn run(data: &[u8]) {
     read(data);
-    // A chunk's checksum shuts nearly every change out; zero means that there is none.
+    // A checksum would reject nearly every mutated chunk; zero means that there is none.
     let mut open = data.to_vec();
     if without_checksums(&mut open) {
         read(&open);
@@ -49,14 +49,17 @@ fn without_checksums(data: &mut [u8]) -> bool {
     let mut at = 8;
     let mut any = false;
     while let Some(head) = data.get(at..).and_then(|rest| rest.get(..9)) {
-        let (opcode, length) = (head[0], head[1..].iter().rev().fold(0_u64, |n, b| n << 8 | u64::from(*b)));
+        let (opcode, length) =
+            (head[0], head[1..].iter().rev().fold(0_u64, |n, b| n << 8 | u64::from(*b)));
         if opcode == 0x06
             && let Some(crc) = data.get_mut(at + 9 + 24..at + 9 + 28)
         {
             any |= crc != [0; 4];
             crc.fill(0);
         }
-        let Some(next) = usize::try_from(length).ok().and_then(|l| at.checked_add(9)?.checked_add(l)) else {
+        let Some(next) =
+            usize::try_from(length).ok().and_then(|l| at.checked_add(9)?.checked_add(l))
+        else {
             break;
         };
         at = next;
@@ -76,8 +79,12 @@ pub fn seeds() -> Vec<Vec<u8>> {
         [("none", Compression::None), ("lz4", Compression::Lz4), ("zstd", Compression::Zstd)]
     {
         let path = folder.join(format!("{name}.mcap"));
-        let options =
-            WriteOptions { compression, chunk_bytes: 600, replace: true, ..WriteOptions::default() };
+        let options = WriteOptions {
+            compression,
+            chunk_bytes: 600,
+            replace: true,
+            ..WriteOptions::default()
+        };
         let mut bag = BagWriter::create(&path, options).expect("a bag");
         let odometry = bag.add_topic(Topic {
             definition: "x".into(),

@@ -1,10 +1,14 @@
-//! Messages: CDR of each type that a node or a tool subscribes to or reads from a bag, by our own reader (bags) and by the
-//! middleware's (the wire), and what the nodes make of them before a core sees them.
+//! Messages: CDR of each type that a node or a tool subscribes to or reads from a bag, by our own
+//! reader (bags) and by the middleware's (the wire), and what the nodes make of them before a core
+//! sees them.
 
 use climber_driver::{Climber, ClimberConfig, JointReading};
 use node_kit::{convert, parameters::messages};
 use rig_model::Frames;
-use std::{any::Any, cell::RefCell};
+use std::{
+    any::{Any, TypeId},
+    cell::RefCell,
+};
 use volant_msgs::{
     Message, cdr,
     diagnostic_msgs::msg::DiagnosticArray,
@@ -20,7 +24,9 @@ use volant_msgs::{
         },
     },
     rosgraph_msgs::msg::Clock,
-    sensor_msgs::msg::{CameraInfo, CompressedImage, Image, Imu, JointState, MagneticField, Temperature},
+    sensor_msgs::msg::{
+        CameraInfo, CompressedImage, Image, Imu, JointState, MagneticField, Temperature,
+    },
     tf2_msgs::msg::TFMessage,
 };
 
@@ -57,7 +63,8 @@ macro_rules! types {
         }
 
         fn number<M: Message>() -> usize {
-            [$(std::any::TypeId::of::<$t>()),*].iter().position(|t| *t == std::any::TypeId::of::<M>()).unwrap_or(0)
+            let types = [$(TypeId::of::<$t>()),*];
+            types.iter().position(|t| *t == TypeId::of::<M>()).unwrap_or(0)
         }
     };
 }
@@ -101,7 +108,8 @@ pub fn run(data: &[u8]) {
 fn read<M: Message>(bytes: &[u8]) {
     let own = cdr::from_bytes::<M>(bytes);
     if let Ok(message) = &own {
-        // What was read is written and read as the same: compared as bytes, since NaN is not itself.
+        // What was read is written and read as the same: compared as bytes, since NaN is not
+        // itself.
         let written = cdr::to_bytes(message);
         let again = cdr::from_bytes::<M>(&written).expect("what was written is read");
         assert_eq!(cdr::to_bytes(&again), written);
@@ -117,7 +125,11 @@ fn read<M: Message>(bytes: &[u8]) {
         _ => None,
     };
     if let (Ok(own), Some(wire)) = (&own, &wire) {
-        assert_eq!(cdr::to_bytes(own), cdr::to_bytes(wire), "the wire's reader and the bag's agree");
+        assert_eq!(
+            cdr::to_bytes(own),
+            cdr::to_bytes(wire),
+            "the reader of messages and that of bags give the same"
+        );
     }
     if let Some(message) = &wire {
         consume(message);
@@ -128,7 +140,9 @@ fn read<M: Message>(bytes: &[u8]) {
 fn consume(message: &dyn Any) {
     if let Some(m) = message.downcast_ref::<Imu>() {
         let sample = convert::imu_sample(m);
-        assert!(sample.orientation.as_ref().is_none_or(|o| (o.enu_from_imu.norm() - 1.0).abs() < 1e-6));
+        assert!(
+            sample.orientation.as_ref().is_none_or(|o| (o.enu_from_imu.norm() - 1.0).abs() < 1e-6)
+        );
     } else if let Some(m) = message.downcast_ref::<MarkerObservations>() {
         let _ = convert::marker_observations(m);
     } else if let Some(m) = message.downcast_ref::<TransformStamped>() {
@@ -153,10 +167,17 @@ fn consume(message: &dyn Any) {
         let at = convert::stamp(&m.header.stamp);
         let (width, height, step) = (m.width as usize, m.height as usize, m.step as usize);
         let big = m.is_bigendian != 0;
-        if let Ok(view) =
-            marker_tracker::from_encoding(at, width, height, &m.encoding, big, step, &m.data, &mut scratch)
-        {
-            view.check().expect("an image agrees with its size");
+        if let Ok(view) = marker_tracker::from_encoding(
+            at,
+            width,
+            height,
+            &m.encoding,
+            big,
+            step,
+            &m.data,
+            &mut scratch,
+        ) {
+            view.check().expect("an image with a consistent size");
         }
     } else if let Some(m) = message.downcast_ref::<CompressedImage>() {
         let _ = marker_tracker::decode_compressed(&m.format, &m.data);
@@ -178,8 +199,9 @@ fn parameter(parameter: &Parameter) {
 /// One reading after the other into one climber, each at the time that it bears.
 fn joints(m: &JointState) {
     CLIMBER.with_borrow_mut(|climber| {
-        let climber = climber
-            .get_or_insert_with(|| Climber::new(ClimberConfig::default()).expect("its defaults are right"));
+        let climber = climber.get_or_insert_with(|| {
+            Climber::new(ClimberConfig::default()).expect("its defaults are right")
+        });
         let stamp = convert::stamp(&m.header.stamp);
         let reading = JointReading { stamp, names: m.name.clone(), positions: m.position.clone() };
         climber.handle(&reading, stamp);
@@ -198,7 +220,8 @@ pub fn seeds() -> Vec<Vec<u8>> {
         seed.extend(bytes);
         seeds.push(seed);
     };
-    let header = volant_msgs::std_msgs::msg::Header { frame_id: "world".into(), ..Default::default() };
+    let header =
+        volant_msgs::std_msgs::msg::Header { frame_id: "world".into(), ..Default::default() };
     let joint_state = JointState {
         header: header.clone(),
         name: ["rail_x", "rail_y", "turn"].map(str::to_owned).to_vec(),
@@ -209,7 +232,13 @@ pub fn seeds() -> Vec<Vec<u8>> {
     let markers = MarkerObservations {
         header: header.clone(),
         markers: (0..4)
-            .map(|color| MarkerObservation { color, x: 3.5, y: 4.5, area: 9.0, ..Default::default() })
+            .map(|color| MarkerObservation {
+                color,
+                x: 3.5,
+                y: 4.5,
+                area: 9.0,
+                ..Default::default()
+            })
             .collect(),
     };
     add(number::<MarkerObservations>(), cdr::to_bytes(&markers));
@@ -231,16 +260,22 @@ pub fn seeds() -> Vec<Vec<u8>> {
         ..Image::default()
     };
     add(number::<Image>(), cdr::to_bytes(&image));
-    let picture = CompressedImage {
+    let image = CompressedImage {
         format: "png".into(),
         data: super::image::png(3, 2, 2, 8, 99),
         ..Default::default()
     };
-    add(number::<CompressedImage>(), cdr::to_bytes(&picture));
-    let transform =
-        TransformStamped { header: header.clone(), child_frame_id: "climber".into(), ..Default::default() };
+    add(number::<CompressedImage>(), cdr::to_bytes(&image));
+    let transform = TransformStamped {
+        header: header.clone(),
+        child_frame_id: "climber".into(),
+        ..Default::default()
+    };
     add(number::<TransformStamped>(), cdr::to_bytes(&transform));
-    add(number::<TFMessage>(), cdr::to_bytes(&TFMessage { transforms: vec![transform.clone(), transform] }));
+    add(
+        number::<TFMessage>(),
+        cdr::to_bytes(&TFMessage { transforms: vec![transform.clone(), transform] }),
+    );
     let mut set = Parameter { name: "rate".into(), ..Parameter::default() };
     set.value.r#type = 3;
     set.value.double_value = 100.0;

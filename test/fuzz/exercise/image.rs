@@ -52,13 +52,15 @@ thread_local! {
     static IMAGE: RefCell<OwnedImage> = RefCell::default();
 }
 
-/// A picture of more pixels than this is decoded in one of [`SELDOM`] inputs: it costs as much as a thousand small ones, and differs
-/// from them in the size that it claims alone, which is looked at before.
+/// An image of more pixels than this is decoded in one of [`SELDOM`] inputs: it costs as much as a
+/// thousand small ones and differs from them only in its declared size, which is checked before.
 const MANY_PIXELS: u64 = 1 << 14;
 const SELDOM: usize = 64;
 
 pub fn run(data: &[u8]) {
-    let sum = data.iter().fold(0_usize, |sum, byte| sum.wrapping_mul(31).wrapping_add(usize::from(*byte)));
+    let sum = data
+        .iter()
+        .fold(0_usize, |sum, byte| sum.wrapping_mul(31).wrapping_add(usize::from(*byte)));
     if claimed(data) > MANY_PIXELS && sum % SELDOM != 0 {
         raw(data);
         return;
@@ -78,9 +80,9 @@ fn decode(data: &[u8]) {
             *image = OwnedImage::default();
         }
         if decode_compressed_into("fuzzed", data, image).is_ok() {
-            image.view(Stamp::default()).check().expect("a decoded image agrees with its size");
+            image.view(Stamp::default()).check().expect("a decoded image with a consistent size");
             assert!(image.width * image.height <= ImageView::MAX_PIXELS);
-            // Three or four bytes for each of the pixels that so many bytes can hold.
+            // Three or four bytes per pixel.
             assert!(
                 image.data.len() <= 4 * (2048 * data.len() + (1 << 16)),
                 "{} of {}",
@@ -97,13 +99,15 @@ fn claimed(data: &[u8]) -> u64 {
     if let Some(header) = data.strip_prefix(b"\x89PNG\r\n\x1A\n").and_then(|rest| rest.get(8..16)) {
         return number(&header[..4]).saturating_mul(number(&header[4..]));
     }
-    let frames = data.windows(9).filter(|w| w[0] == 0xFF && (0xC0..=0xCF).contains(&w[1]) && w[1] != 0xC4);
+    let frames =
+        data.windows(9).filter(|w| w[0] == 0xFF && (0xC0..=0xCF).contains(&w[1]) && w[1] != 0xC4);
     frames.map(|w| number(&w[5..7]) * number(&w[7..9])).max().unwrap_or(0)
 }
 
 /// A raw image whose fields are the first bytes.
 fn raw(data: &[u8]) {
-    let Some((&[encoding, big, w0, w1, h0, h1, s0, s1, scale], pixels)) = data.split_first_chunk::<9>()
+    let Some((&[encoding, big, w0, w1, h0, h1, s0, s1, scale], pixels)) =
+        data.split_first_chunk::<9>()
     else {
         return;
     };
@@ -113,8 +117,10 @@ fn raw(data: &[u8]) {
     let encoding = ENCODINGS[usize::from(encoding) % ENCODINGS.len()];
     let mut scratch = OwnedImage::default();
     let at = Stamp::default();
-    if let Ok(view) = from_encoding(at, width, height, encoding, big & 1 == 1, step, pixels, &mut scratch) {
-        view.check().expect("a raw image agrees with its size");
+    if let Ok(view) =
+        from_encoding(at, width, height, encoding, big & 1 == 1, step, pixels, &mut scratch)
+    {
+        view.check().expect("a raw image with a consistent size");
         assert_eq!((view.width, view.height), (width, height));
     }
 }
@@ -127,7 +133,9 @@ fn with_right_checksums(data: &mut [u8]) -> bool {
     let mut at = 8;
     while let Some(length) = data.get(at..at + 4) {
         let length = length.iter().fold(0_usize, |n, b| n << 8 | usize::from(*b));
-        let Some(end) = (at + 8).checked_add(length).filter(|end| end + 4 <= data.len()) else { break };
+        let Some(end) = (at + 8).checked_add(length).filter(|end| end + 4 <= data.len()) else {
+            break;
+        };
         let crc = crc32(&data[at + 4..end]);
         data[end..end + 4].copy_from_slice(&crc.to_be_bytes());
         at = end + 4;
@@ -154,7 +162,8 @@ fn chunk(out: &mut Vec<u8>, name: &[u8; 4], body: &[u8]) {
     out.extend(crc.to_be_bytes());
 }
 
-/// A PNG of that size whose pixels are stored without compression, or as few of them as `most` bytes hold.
+/// A PNG of that size whose pixels are stored without compression, or as few of them as `most`
+/// bytes hold.
 pub fn png(width: u32, height: u32, color: u8, depth: u8, most: usize) -> Vec<u8> {
     let mut out = b"\x89PNG\r\n\x1A\n".to_vec();
     let mut header = vec![];
@@ -180,16 +189,16 @@ pub fn png(width: u32, height: u32, color: u8, depth: u8, most: usize) -> Vec<u8
     let pixels: Vec<u8> =
         (0..size).map(|k| if k % row == 0 { (k / row % 5) as u8 } else { (k * 7) as u8 }).collect();
     body.extend(&pixels);
-    let (a, b) = pixels
-        .iter()
-        .fold((1_u32, 0_u32), |(a, b), p| ((a + u32::from(*p)) % 65_521, (b + a + u32::from(*p)) % 65_521));
+    let (a, b) = pixels.iter().fold((1_u32, 0_u32), |(a, b), p| {
+        ((a + u32::from(*p)) % 65_521, (b + a + u32::from(*p)) % 65_521)
+    });
     body.extend((b << 16 | a).to_be_bytes());
     chunk(&mut out, b"IDAT", &body);
     chunk(&mut out, b"IEND", &[]);
     out
 }
 
-/// The headers of a JPEG of that size, without any picture.
+/// The headers of a JPEG of that size, without image data.
 pub fn jpeg_headers(width: u16, height: u16, progressive: bool) -> Vec<u8> {
     let mut out = vec![0xFF, 0xD8];
     out.extend([0xFF, 0xDB, 0, 67, 0]);
@@ -226,7 +235,7 @@ pub fn seeds() -> Vec<Vec<u8>> {
         encoder.set_optimized_huffman_tables(optimized);
         encoder.set_sampling_factor(sampling);
         encoder.set_restart_interval(if optimized { 0 } else { 2 });
-        encoder.encode(&pixels, width, height, ColorType::Rgb).expect("a picture");
+        encoder.encode(&pixels, width, height, ColorType::Rgb).expect("an image");
         seeds.push(jpeg);
     }
     for (color, depth) in [(2, 8), (6, 8), (2, 16), (3, 2), (0, 8), (4, 8)] {

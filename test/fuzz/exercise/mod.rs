@@ -1,5 +1,6 @@
-//! What is done with bytes from outside, parser by parser: shared by the fuzz targets (coverage-guided, hours) and by
-//! `test/tests/hostile_input.rs` (a few seconds of the same in every test run). A finding panics.
+//! What is done with bytes from outside, parser by parser: shared by the fuzz targets
+//! (coverage-guided, hours) and by `test/tests/hostile_input.rs` (a few seconds of the same in
+//! every test run). A finding panics.
 
 pub mod bag;
 pub mod cdr;
@@ -22,14 +23,24 @@ pub struct Target {
 /// All of them.
 pub const TARGETS: [Target; 6] = [
     Target { name: "cdr", run: cdr::run, seeds: cdr::seeds, words: cdr::WORDS },
-    Target { name: "parameters", run: yaml::parameters, seeds: yaml::parameter_seeds, words: yaml::WORDS },
+    Target {
+        name: "parameters",
+        run: yaml::parameters,
+        seeds: yaml::parameter_seeds,
+        words: yaml::WORDS,
+    },
     Target {
         name: "calibration",
         run: yaml::calibration,
         seeds: yaml::calibration_seeds,
         words: yaml::WORDS,
     },
-    Target { name: "metadata", run: yaml::metadata, seeds: yaml::metadata_seeds, words: yaml::WORDS },
+    Target {
+        name: "metadata",
+        run: yaml::metadata,
+        seeds: yaml::metadata_seeds,
+        words: yaml::WORDS,
+    },
     Target { name: "image", run: image::run, seeds: image::seeds, words: image::WORDS },
     Target { name: "bag", run: bag::run, seeds: bag::seeds, words: bag::WORDS },
 ];

@@ -1,11 +1,8 @@
 //! Text files: parameters and the rig, a camera's calibration, a bag folder's metadata.
 
-use launch_config::bag::{QosProfile, files_named_by};
-use rig_model::{
-    CameraModel, Rig,
-    parameters::{ParameterFile, ParameterValue, parse_value},
-    yaml,
-};
+use bag::{QosProfile, files_named_by};
+use rig_model::{CameraModel, Rig};
+use ros_parameters::{ParameterFile, ParameterValue, parse_value, yaml};
 
 pub const WORDS: &[&[u8]] = &[
     b"/**:",
@@ -44,7 +41,8 @@ fn texts(data: &[u8]) -> Option<&str> {
     std::str::from_utf8(data).ok()
 }
 
-/// A parameter file, as each node takes it, as the rig, and its lines as values of `-p name:=value`.
+/// A parameter file, as each node takes it, as the rig, and its lines as values of `-p
+/// name:=value`.
 pub fn parameters(data: &[u8]) {
     let Some(text) = texts(data) else { return };
     for line in text.lines().take(4) {
@@ -83,7 +81,9 @@ fn size_of_tree(value: &serde_yaml_ng::Value) -> usize {
     match value {
         V::String(s) => 1 + s.len(),
         V::Sequence(items) => 1 + items.iter().map(size_of_tree).sum::<usize>(),
-        V::Mapping(map) => 1 + map.iter().map(|(k, v)| size_of_tree(k) + size_of_tree(v)).sum::<usize>(),
+        V::Mapping(map) => {
+            1 + map.iter().map(|(k, v)| size_of_tree(k) + size_of_tree(v)).sum::<usize>()
+        }
         V::Tagged(tagged) => 1 + size_of_tree(&tagged.value),
         _ => 1,
     }
@@ -95,22 +95,32 @@ const RIG: &str = "/**:
     camera:
       position: [0.0, 0.0, -0.10]
       orientation: [0.70710678, 0.70710678, 0.0, 0.0]
-    imu: {position: [0, 0, 0], orientation: [0.0, 0.0, 0.0, 1.0], accelerometer_noise_density: 0.002}
-    markers: {size: 0.076, red: [0.15, 0.15, 0.02], green: [-0.15, 0.15, 0.02], blue: [-0.15, -0.15, 0.02], yellow: [0.15, -0.15, 0.02]}
+    imu:
+      position: [0, 0, 0]
+      orientation: [0.0, 0.0, 0.0, 1.0]
+      accelerometer_noise_density: 0.002
+    markers:
+      size: 0.076
+      red: [0.15, 0.15, 0.02]
+      green: [-0.15, 0.15, 0.02]
+      blue: [-0.15, -0.15, 0.02]
+      yellow: [0.15, -0.15, 0.02]
 ";
 
 pub fn parameter_seeds() -> Vec<Vec<u8>> {
     [
         RIG,
-        "est: {ros__parameters: {a: {b: 2}}}\n/**: {ros__parameters: {a: {b: 1, c: [0, 0.5]}, d: hello}}\nrig1: {est: {ros__parameters: {d: x}}}",
-        "/**:\n  ros__parameters:\n    a: &x [1, 2, 3]\n    b: *x\n    c: !!float 3\n    d: |\n      text\n    e: [true, false]\n    f: ['x', \"y\"]\n",
+        "est: {ros__parameters: {a: {b: 2}}}\n/**: {ros__parameters: {a: {b: 1, c: [0, 0.5]}, d: \
+         hello}}\nrig1: {est: {ros__parameters: {d: x}}}",
+        "/**:\n  ros__parameters:\n    a: &x [1, 2, 3]\n    b: *x\n    c: !!float 3\n    d: \
+         |\n      text\n    e: [true, false]\n    f: ['x', \"y\"]\n",
         "/ns/*:\n  node:\n    ros__parameters: ~\n",
     ]
     .map(|text| text.as_bytes().to_vec())
     .to_vec()
 }
 
-/// A camera's calibration; what it gives is used for pixels far and near.
+/// Parses a camera calibration and uses it for pixels near and far.
 pub fn calibration(data: &[u8]) {
     let Some(text) = texts(data) else { return };
     if let Ok(camera) = CameraModel::from_calibration_file(text) {
@@ -121,17 +131,24 @@ pub fn calibration(data: &[u8]) {
 /// Points through a lens and back: finite where there is an answer.
 pub fn use_camera(camera: &CameraModel) {
     use nalgebra::{Point3, Vector2};
-    for point in
-        [[0.0, 0.0, 1.0], [0.3, -0.2, 1.5], [1e6, -1e6, 1e-3], [f64::NAN, 0.0, 1.0], [1.0, 1.0, -1.0]]
-    {
+    for point in [
+        [0.0, 0.0, 1.0],
+        [0.3, -0.2, 1.5],
+        [1e6, -1e6, 1e-3],
+        [f64::NAN, 0.0, 1.0],
+        [1.0, 1.0, -1.0],
+    ] {
         if let Some((pixel, jacobian)) = camera.project_with_jacobian(&Point3::from(point)) {
             let _ = (pixel.norm(), jacobian.norm());
         }
     }
     let (width, height) = camera.size();
-    for pixel in
-        [[0.0, 0.0], [f64::from(width), f64::from(height)], [f64::from(width) / 2.0, 3.0], [-1e9, 1e9]]
-    {
+    for pixel in [
+        [0.0, 0.0],
+        [f64::from(width), f64::from(height)],
+        [f64::from(width) / 2.0, 3.0],
+        [-1e9, 1e9],
+    ] {
         if let Some(ray) = camera.ray(&Vector2::from(pixel)) {
             assert!((ray.norm() - 1.0).abs() < 1e-6 && ray.z > 0.0, "{ray:?}");
         }
@@ -141,8 +158,10 @@ pub fn use_camera(camera: &CameraModel) {
 pub fn calibration_seeds() -> Vec<Vec<u8>> {
     let file = |model: &str, d: &str| {
         format!(
-            "image_width: 640\nimage_height: 480\ncamera_name: ceiling\ncamera_matrix: {{rows: 3, cols: 3, data: [591.0, 0.0, 319.0, 0.0, 589.0, 235.0, 0.0, 0.0, 1.0]}}\n\
-             distortion_model: {model}\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data: {d}\n"
+            "image_width: 640\nimage_height: 480\ncamera_name: ceiling\ncamera_matrix: {{rows: 3, \
+             cols: 3, data: [591.0, 0.0, 319.0, 0.0, 589.0, 235.0, 0.0, 0.0, 1.0]}}\n\
+             distortion_model: {model}\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n  data: \
+             {d}\n"
         )
         .into_bytes()
     };
@@ -161,7 +180,9 @@ pub fn metadata(data: &[u8]) {
         assert!(!files.is_empty());
         for name in files {
             assert!(
-                !name.is_empty() && !name.starts_with('/') && !name.split('/').any(|part| part == ".."),
+                !name.is_empty()
+                    && !name.starts_with('/')
+                    && !name.split('/').any(|part| part == ".."),
                 "{name}"
             );
         }
@@ -173,9 +194,17 @@ pub fn metadata(data: &[u8]) {
 
 pub fn metadata_seeds() -> Vec<Vec<u8>> {
     vec![
-        b"rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: mcap\n  duration: {nanoseconds: 5}\n  message_count: 1\n  topics_with_message_count: []\n  compression_format: \"\"\n  compression_mode: \"\"\n  relative_file_paths:\n    - run_0.mcap\n    - run_1.mcap\n".to_vec(),
-        b"rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: [a/b.mcap.zstd], compression_format: zstd, compression_mode: FILE}".to_vec(),
-        b"rosbag2_bagfile_information: {storage_identifier: sqlite3, relative_file_paths: [../x.db3]}".to_vec(),
+        b"rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: mcap\n  duration: \
+          {nanoseconds: 5}\n  message_count: 1\n  topics_with_message_count: []\n  \
+          compression_format: \"\"\n  compression_mode: \"\"\n  relative_file_paths:\n    - \
+          run_0.mcap\n    - run_1.mcap\n"
+            .to_vec(),
+        b"rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: \
+          [a/b.mcap.zstd], compression_format: zstd, compression_mode: FILE}"
+            .to_vec(),
+        b"rosbag2_bagfile_information: {storage_identifier: sqlite3, relative_file_paths: \
+          [../x.db3]}"
+            .to_vec(),
         QosProfile::LATCHED.to_yaml().into_bytes(),
         b"- history: 3\n  depth: 0\n  reliability: 2\n  durability: 1\n".to_vec(),
     ]

@@ -1,3 +1,3 @@
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(init: volant_fuzz::write_seeds("image"), |data: &[u8]| volant_fuzz::run("image", data));
+volant_fuzz::target!("image");

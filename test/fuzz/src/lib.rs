@@ -1,4 +1,4 @@
-//! The fuzz targets of all parsers but the inertial unit's, which stand in `imu_driver/fuzz`.
+//! The fuzz targets of all parsers but the IMU's, which are in `imu_driver/fuzz`.
 
 #[path = "../exercise/mod.rs"]
 pub mod exercise;
@@ -15,8 +15,8 @@ pub fn run(name: &str, data: &[u8]) {
     (target(name).run)(data);
 }
 
-/// Where `VOLANT_FUZZ_SEEDS` names a folder: writes the right inputs that fuzzing starts from, and the format's words as
-/// libFuzzer's dictionary, and ends.
+/// Where `VOLANT_FUZZ_SEEDS` names a folder: writes the right inputs that fuzzing starts from, and
+/// the format's words as libFuzzer's dictionary, and ends.
 pub fn write_seeds(name: &str) {
     let Some(folder) = env::var_os("VOLANT_FUZZ_SEEDS") else { return };
     match write(target(name), Path::new(&folder)) {
@@ -39,4 +39,15 @@ fn write(target: &Target, folder: &Path) -> io::Result<()> {
         format!("\"{word}\"\n")
     });
     fs::write(folder.join(format!("{}.dict", target.name)), words.collect::<String>())
+}
+
+/// Defines the fuzz target of a name.
+#[macro_export]
+macro_rules! target {
+    ($name:literal) => {
+        libfuzzer_sys::fuzz_target!(
+            init: volant_fuzz::write_seeds($name),
+            |data: &[u8]| volant_fuzz::run($name, data)
+        );
+    };
 }

@@ -20,8 +20,10 @@ void *shim_apriltag_new(float decimate) {
     return shim;
 }
 
-/* Corners of the tag `id` as x0, y0 … x3, y3 where the ideal tag has (-1,1), (1,1), (1,-1), (-1,-1); 1 where found. */
-int shim_apriltag_detect(void *handle, uint8_t *gray, int32_t width, int32_t height, int32_t stride, int id,
+/* Finds the corners of the tag `id`: x0, y0 … x3, y3, in the order (-1,1), (1,1), (1,-1), (-1,-1)
+* of the ideal tag. Returns 1 if it was found. */
+int shim_apriltag_detect(void *handle, uint8_t *gray, int32_t width, int32_t height, int32_t stride,
+int id,
                          double corners[8]) {
     Shim *shim = handle;
     image_u8_t image = {.width = width, .height = height, .stride = stride, .buf = gray};
@@ -42,14 +44,14 @@ int shim_apriltag_detect(void *handle, uint8_t *gray, int32_t width, int32_t hei
     return hit;
 }
 
-/* The tag's picture with its white border, 10x10 cells, one byte each; 0 where the size is another. */
-int shim_apriltag_picture(int id, uint8_t cells[100]) {
+/* The tag's image with its white border, 10x10 cells, a byte each. Returns 0 for another size. */
+int shim_apriltag_frame(int id, uint8_t cells[100]) {
     apriltag_family_t *family = tag36h11_create();
-    image_u8_t *picture = apriltag_to_image(family, id);
-    int ok = picture && picture->width == 10 && picture->height == 10;
+    image_u8_t *frame = apriltag_to_image(family, id);
+    int ok = frame && frame->width == 10 && frame->height == 10;
     for (int y = 0; ok && y < 10; y++)
-        for (int x = 0; x < 10; x++) cells[10 * y + x] = picture->buf[y * picture->stride + x];
-    if (picture) image_u8_destroy(picture);
+        for (int x = 0; x < 10; x++) cells[10 * y + x] = frame->buf[y * frame->stride + x];
+    if (frame) image_u8_destroy(frame);
     tag36h11_destroy(family);
     return ok;
 }

@@ -6,7 +6,7 @@ use crate::{
     methods::{AprilTag, Aruco, Carrier, Method, Ours, Recipe, Sift},
     progress::Progress,
     report::{Csv, Targets, number},
-    scene::{Picture, Pinhole, PlateKind},
+    scene::{Frame, Pinhole, PlateKind},
     sift_texture,
     stage::{FOOTPRINT, Stage},
     trajectory,
@@ -16,7 +16,7 @@ use marker_tracker::TrackerConfig;
 use rig_model::{MarkerLayout, MarkerState};
 use std::{path::Path, time::Duration};
 
-/// Pictures that a method works on in one go.
+/// Images that a method works on in one go.
 const BLOCK: usize = 20;
 
 /// The published times of Table I, ms.
@@ -42,9 +42,9 @@ pub fn methods(camera: &Pinhole, layout: &MarkerLayout, seed: u64) -> Result<Vec
     ])
 }
 
-/// A picture as it would come from a decoder: just written, by the core that reads it.
-pub fn fresh(picture: &Picture) -> Picture {
-    picture.clone()
+/// A frame as it would come from a decoder: just written, by the core that reads it.
+pub fn fresh(frame: &Frame) -> Frame {
+    frame.clone()
 }
 
 /// What the bench found.
@@ -55,44 +55,46 @@ pub struct Outcome {
     pub stages: Vec<&'static [&'static str]>,
     /// Whole-image acquisition of ours, median µs: a new tracker; one that had lost everything.
     pub acquisition_us: [f64; 2],
-    /// Ours on the first picture after the rivals, whose work left nothing of it in the caches: median µs.
+    /// Ours on the first frame after the peers, whose work left nothing of it in the caches: median
+    /// µs.
     pub cold_us: f64,
-    /// Share of those pictures in which all four markers were told at once.
+    /// Share of those images in which all four markers were detected at once.
     pub acquired: f64,
     /// Allocations in a tracked frame: median and largest.
     pub allocations: (u64, u64),
-    /// Mean normalised squared error of our centroids (ideal 2).
+    /// Mean normalized squared error of our centroids (ideal 2).
     pub nees: f64,
-    /// Our tracker's time with both criteria, without the flow, without flow and hue: median µs on the same pictures.
+    /// Our tracker's time with both criteria, without the flow, without flow and hue: median µs on
+    /// the same images.
     pub criteria_us: [f64; 3],
 }
 
 /// Runs the main sequence.
-pub fn run(pictures: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
+pub fn run(images: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
     let camera = Pinhole::BENCH;
     let mut stage = Stage::new(camera, seed)?;
     let layout = layout(&stage)?;
     let mut methods = methods(&camera, &layout, seed)?;
     let mut records = vec![Record::default(); methods.len()];
     let mut ours = Ours::new(&camera, layout.clone(), TrackerConfig::default());
-    let (mut allocated, mut nees, mut told) = (Vec::new(), 0.0, 0usize);
+    let (mut allocated, mut nees, mut detected) = (Vec::new(), 0.0, 0usize);
     let without_flow = TrackerConfig { use_flow: false, ..TrackerConfig::default() };
     let without_both = TrackerConfig { use_hue: false, ..without_flow.clone() };
     let mut by_criteria = [TrackerConfig::default(), without_flow, without_both]
-        .map(|config| (Ours::new(&camera, layout.clone(), config), Vec::with_capacity(pictures)));
+        .map(|config| (Ours::new(&camera, layout.clone(), config), Vec::with_capacity(images)));
     let (mut first, mut again, mut acquired, mut tried) = (Vec::new(), Vec::new(), 0usize, 0usize);
-    // Nine grey ones, each another: the same image again would be a camera that stands still.
-    let blanks: Vec<Picture> = (0..9)
-        .map(|i| Picture {
+    // Nine different gray images: repetitions of one image would be a frozen camera.
+    let blanks: Vec<Frame> = (0..9)
+        .map(|i| Frame {
             width: camera.width,
             height: camera.height,
             rgb: vec![124 + i; 3 * camera.width * camera.height],
         })
         .collect();
     let mut cold = Vec::new();
-    let numbers: Vec<usize> = (0..pictures).collect();
+    let numbers: Vec<usize> = (0..images).collect();
     for block in numbers.chunks(BLOCK) {
-        progress.tell(block[0] as f64 / pictures as f64);
+        progress.report(block[0] as f64 / images as f64);
         let carriers = [Carrier::Markers, Carrier::Tag, Carrier::Texture];
         let scenes: Vec<_> = block
             .iter()
@@ -102,8 +104,9 @@ pub fn run(pictures: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
                 (number, pose, shots, carriers.map(|c| stage.truth(c, &pose)))
             })
             .collect();
-        // Each method has the core to itself for some pictures, as in a process of its own: what a rival before it leaves in
-        // the caches is not its cost. The first picture of a block tells what that would be.
+        // Each method has the core to itself for some images, as in a process of its own: the
+        // caches that another method leaves are not its cost. The first frame of a block shows
+        // their effect.
         for (index, (method, record)) in methods.iter_mut().zip(&mut records).enumerate() {
             let carrier = method.carrier() as usize;
             for (i, (_, pose, shots, truths)) in scenes.iter().enumerate() {
@@ -120,7 +123,7 @@ pub fn run(pictures: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
             }
         }
         for (number, _, shots, truths) in &scenes {
-            // The same pictures once more for what is not timed: allocations and consistency.
+            // The same images once more for what is not timed: allocations and consistency.
             let before = allocations();
             ours.track(&shots[0]);
             let count = allocations() - before;
@@ -133,21 +136,22 @@ pub fn run(pictures: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
                 {
                     let error = marker.centroid - truths[0][color.index()];
                     nees += error.dot(&(information * error));
-                    told += 1;
+                    detected += 1;
                 }
             }
             if number % 10 == 0 {
-                let mut fresh_tracker = Ours::new(&camera, layout.clone(), TrackerConfig::default());
+                let mut fresh_tracker =
+                    Ours::new(&camera, layout.clone(), TrackerConfig::default());
                 tried += 2;
                 let image = fresh(&shots[0]);
                 first.push(fresh_tracker.track(&image).as_secs_f64() * 1e6);
-                acquired += usize::from(all_told(&fresh_tracker));
+                acquired += usize::from(sum(&fresh_tracker));
                 for blank in &blanks {
                     fresh_tracker.track(blank);
                 }
                 let image = fresh(&shots[0]);
                 again.push(fresh_tracker.track(&image).as_secs_f64() * 1e6);
-                acquired += usize::from(all_told(&fresh_tracker));
+                acquired += usize::from(sum(&fresh_tracker));
             }
         }
     }
@@ -162,13 +166,15 @@ pub fn run(pictures: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
             allocated.get(allocated.len() / 2).copied().unwrap_or(0),
             allocated.last().copied().unwrap_or(0),
         ),
-        nees: nees / told as f64,
+        nees: nees / detected as f64,
         criteria_us: by_criteria.map(|(_, times)| median(times)),
     })
 }
 
-fn all_told(ours: &Ours) -> bool {
-    ours.observed.as_ref().is_some_and(|o| o.markers.0.iter().all(|m| m.state == MarkerState::Detected))
+fn sum(ours: &Ours) -> bool {
+    ours.observed
+        .as_ref()
+        .is_some_and(|o| o.markers.0.iter().all(|m| m.state == MarkerState::Detected))
 }
 
 impl Outcome {
@@ -197,8 +203,9 @@ impl Outcome {
         }
         let ours = &self.records[0].1;
         println!(
-            "ours: tracker {:.1} us + extrinsics {:.1} us; acquisition {:.0} us (new tracker), {:.0} us (after a loss), \
-             {:.0}% at the first picture; {:.1} us right after the rivals; bias {:+.4} {:+.4} px",
+            "ours: tracker {:.1} us + extrinsics {:.1} us; acquisition {:.0} us (new tracker), \
+             {:.0} us (after a loss), {:.0}% at the first frame; {:.1} us right after the peers; \
+             bias {:+.4} {:+.4} px",
             ours.stage_us(0),
             ours.stage_us(1),
             self.acquisition_us[0],
@@ -229,7 +236,11 @@ impl Outcome {
             time / recipe.median_us(),
             1.0 / 80.0,
         );
-        targets.at_most("tracked frame / AprilTag decimate 2", time / april.median_us(), 1.0 / 50.0);
+        targets.at_most(
+            "tracked frame / AprilTag decimate 2",
+            time / april.median_us(),
+            1.0 / 50.0,
+        );
         targets.at_most("tracked frame / ArUco", time / aruco.median_us(), 1.0 / 100.0);
         targets.at_most(
             "whole-image acquisition / recipe",
@@ -249,16 +260,17 @@ impl Outcome {
             1.0 / 6.0,
         );
         targets.at_least("success, ours", ours.success(), 0.99);
-        targets.within("normalised squared error of the centres", self.nees, 1.6, 2.6);
+        targets.within("normalized squared error of the centers", self.nees, 1.6, 2.6);
         targets
     }
 
     /// `bench.csv`, `table-1.csv`, `fig-12.csv`.
     pub fn write(&self, folder: &Path) -> Result<()> {
         let recipe = self.of("recipe").median_us();
-        let mut csv = Csv::new(
-            "method,median_us,ratio_to_recipe,px_rms,translation_rmse_mm,rotation_rmse_deg,success,gross_errors",
-        );
+        let mut csv = Csv::new(concat!(
+            "method,median_us,ratio_to_recipe,px_rms,",
+            "translation_rmse_mm,rotation_rmse_deg,success,gross_errors"
+        ));
         for (name, r) in &self.records {
             csv.row(&[
                 (*name).into(),
@@ -276,19 +288,29 @@ impl Outcome {
         self.fig_12().write(&folder.join("fig-12.csv"))
     }
 
-    /// Table I. Our tracker's criteria are one pass over the windows; what the flow and the hue take of it is the difference
-    /// of its time with and without them, and the rest is finding and measuring the squares.
+    /// Table I. Our tracker's criteria are one pass over the windows; what the flow and the hue
+    /// take of it is the difference of its time with and without them, and the rest is finding and
+    /// measuring the squares.
     pub fn table_1(&self) -> Csv {
         let (ours, recipe) = (&self.records[0].1, self.of("recipe"));
         let mut csv = Csv::new("stage,published_ms,plain_opencv_ms,ours_ms");
         let names = ["optical flow", "tracking", "feature extraction", "extrinsics"];
         let [both, no_flow, neither] = self.criteria_us;
         // Where a criterion saves as much time as it takes, it takes none.
-        let own =
-            [(both - no_flow).max(0.0), (no_flow - neither).max(0.0), neither.min(both), ours.stage_us(1)];
+        let own = [
+            (both - no_flow).max(0.0),
+            (no_flow - neither).max(0.0),
+            neither.min(both),
+            ours.stage_us(1),
+        ];
         for (i, name) in names.iter().enumerate() {
             let own = number(own[i] * 1e-3, 5);
-            csv.row(&[(*name).into(), number(PUBLISHED_MS[i], 2), number(recipe.stage_us(i) * 1e-3, 4), own]);
+            csv.row(&[
+                (*name).into(),
+                number(PUBLISHED_MS[i], 2),
+                number(recipe.stage_us(i) * 1e-3, 4),
+                own,
+            ]);
         }
         csv.row(&[
             "flow, tracking and extraction".into(),
@@ -310,7 +332,13 @@ impl Outcome {
         let mut csv = Csv::new("method,mean_mm,std_mm,mean_deg,std_deg");
         for (name, r) in &self.records {
             let (mm, deg) = (mean_and_deviation(&r.millimetres), mean_and_deviation(&r.degrees));
-            csv.row(&[(*name).into(), number(mm.0, 4), number(mm.1, 4), number(deg.0, 5), number(deg.1, 5)]);
+            csv.row(&[
+                (*name).into(),
+                number(mm.0, 4),
+                number(mm.1, 4),
+                number(deg.0, 5),
+                number(deg.1, 5),
+            ]);
         }
         csv
     }

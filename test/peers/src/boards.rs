@@ -1,4 +1,5 @@
-//! Figs. 2 and 7: the pose from all corners of a chessboard, from four of them, and from four markers, over the viewing angle.
+//! Figs. 2 and 7: the pose from all corners of a chessboard, from four of them, and from four
+//! markers, over the viewing angle.
 
 use crate::{
     bench,
@@ -52,11 +53,13 @@ fn corners() -> Vec<Point3<f64>> {
 }
 
 /// The outermost four.
-const OUTER: [usize; 4] = [0, CORNERS.0 - 1, CORNERS.0 * CORNERS.1 - 1, CORNERS.0 * (CORNERS.1 - 1)];
+const OUTER: [usize; 4] =
+    [0, CORNERS.0 - 1, CORNERS.0 * CORNERS.1 - 1, CORNERS.0 * (CORNERS.1 - 1)];
 
-/// The corners in a picture, px; `None` where the board is not found.
+/// The corners in a frame, px; `None` where the board is not found.
 fn find(gray: &[u8], camera: &Pinhole) -> Result<Option<Vec<Vector2<f64>>>> {
-    let image = Mat::new_rows_cols_with_bytes::<u8>(camera.height as i32, camera.width as i32, gray)?;
+    let image =
+        Mat::new_rows_cols_with_bytes::<u8>(camera.height as i32, camera.width as i32, gray)?;
     let mut found = Vector::<Point2f>::new();
     let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_NORMALIZE_IMAGE;
     let size = Size::new(CORNERS.0 as i32, CORNERS.1 as i32);
@@ -68,11 +71,18 @@ fn find(gray: &[u8], camera: &Pinhole) -> Result<Option<Vec<Vector2<f64>>>> {
     let gap = points.windows(2).map(|p| f64::from((p[0] - p[1]).norm())).fold(f64::MAX, f64::min);
     let half = ((0.4 * gap) as i32).clamp(2, 5);
     let criteria = TermCriteria::new(core::TermCriteria_COUNT + core::TermCriteria_EPS, 40, 1e-3)?;
-    imgproc::corner_sub_pix(&image, &mut found, Size::new(half, half), Size::new(-1, -1), criteria)?;
+    imgproc::corner_sub_pix(
+        &image,
+        &mut found,
+        Size::new(half, half),
+        Size::new(-1, -1),
+        criteria,
+    )?;
     Ok(Some(found.iter().map(|p| Vector2::new(f64::from(p.x), f64::from(p.y))).collect()))
 }
 
-/// Homography, then least squares of the reprojection (OpenCV's extrinsics), from some of the corners.
+/// Homography, then least squares of the reprojection (OpenCV's extrinsics), from some of the
+/// corners.
 fn extrinsics(
     matrix: &Mat,
     plate: &[Point3<f64>],
@@ -97,13 +107,15 @@ pub fn run(folder: &Path, per_condition: usize, seed: u64, progress: &Progress) 
     let mut recipe = Recipe::new(&camera, &layout)?;
     let mut ours = Ours::new(&camera, layout, TrackerConfig::default());
     let mut rng = Rng::new(seed ^ 0xb0a2d);
-    let header = "angle_deg,method,pictures,found,mean_mm,std_mm,mean_deg,std_deg";
+    let header = "angle_deg,method,images,found,mean_mm,std_mm,mean_deg,std_deg";
     let (mut fig_2, mut fig_7) = (Csv::new(header), Csv::new(header));
     let (mut turned, mut seen, mut shot) = (0usize, 0usize, 0usize);
-    println!("mean error in mm and deg over the viewing angle; found in % of {per_condition} pictures");
+    println!(
+        "mean error in mm and deg over the viewing angle; found in % of {per_condition} images"
+    );
     println!("{:<10} {}", "angle deg", NAMES.map(|n| format!("{n:>34}")).join(""));
     for step in 0..=12 {
-        progress.tell(f64::from(step) / 13.0);
+        progress.report(f64::from(step) / 13.0);
         let tilt_deg = 5.0 * f64::from(step);
         let condition = Condition { sweep: "angle_deg", value: tilt_deg, range: 1.0, tilt_deg };
         let mut records = vec![Record::default(); NAMES.len()];
@@ -115,7 +127,8 @@ pub fn run(folder: &Path, per_condition: usize, seed: u64, progress: &Progress) 
                 let board = stage.shoot(Carrier::Board, &pose, shot);
                 let mut estimates = vec![Estimate::default(), Estimate::default()];
                 if let Some(found) = find(&board.gray(), &camera)? {
-                    // A chessboard looks the same after half a turn: which way round it is, only the truth tells here.
+                    // A chessboard is symmetric under half a turn: the truth resolves its
+                    // orientation.
                     let reversed: Vec<_> = found.iter().rev().copied().collect();
                     let first = camera.project(&(pose * plate[0]));
                     let upside_down = (reversed[0] - first).norm() < (found[0] - first).norm();
@@ -137,11 +150,12 @@ pub fn run(folder: &Path, per_condition: usize, seed: u64, progress: &Progress) 
         }
         let mut line = format!("{tilt_deg:<10}");
         for (index, (name, record)) in NAMES.iter().zip(&records).enumerate() {
-            let (mm, deg) = (mean_and_deviation(&record.millimetres), mean_and_deviation(&record.degrees));
+            let (mm, deg) =
+                (mean_and_deviation(&record.millimetres), mean_and_deviation(&record.degrees));
             let cells = [
                 number(tilt_deg, 0),
                 (*name).into(),
-                record.pictures.to_string(),
+                record.images.to_string(),
                 record.millimetres.len().to_string(),
                 number(mm.0, 4),
                 number(mm.1, 4),
@@ -152,13 +166,16 @@ pub fn run(folder: &Path, per_condition: usize, seed: u64, progress: &Progress) 
                 fig_2.row(&cells);
             }
             fig_7.row(&cells);
-            let found = 100.0 * record.millimetres.len() as f64 / record.pictures as f64;
-            line += &format!("{:>34}", format!("{} mm {} deg {found:.0} %", number(mm.0, 2), number(deg.0, 3)));
+            let found = 100.0 * record.millimetres.len() as f64 / record.images as f64;
+            line += &format!(
+                "{:>34}",
+                format!("{} mm {} deg {found:.0} %", number(mm.0, 2), number(deg.0, 3))
+            );
         }
         println!("{line}");
     }
-    println!("the board was told upside down in {turned} of {seen} pictures");
-    progress.tell(1.0);
+    println!("the board was upside down in {turned} of {seen} images");
+    progress.report(1.0);
     fig_2.write(&folder.join("fig-2.csv"))?;
     fig_7.write(&folder.join("fig-7.csv"))
 }
@@ -179,26 +196,29 @@ mod tests {
         for p in corners() {
             let d = 0.3 * cell;
             let around = [(-d, d), (d, d), (d, -d), (-d, -d)].map(|(x, y)| at(p.x + x, p.y + y));
-            assert!(around[0] == around[2] && around[1] == around[3] && around[0] != around[1], "{p} {around:?}");
+            assert!(
+                around[0] == around[2] && around[1] == around[3] && around[0] != around[1],
+                "{p} {around:?}"
+            );
         }
         let middle = corners().iter().map(|p| p.coords).sum::<nalgebra::Vector3<f64>>() / 48.0;
         assert!(middle.norm() < 1e-12);
     }
 
     #[test]
-    fn a_drawn_board_gives_its_pose_back() {
+    fn the_pose_of_a_rendered_board_is_recovered() {
         let camera = Pinhole::BENCH;
         let mut stage = Stage::new(camera, 1).unwrap();
-        let pose = crate::trajectory::pose(&camera, camera.centre(), 1.0, 0.4, 0.7, 0.3);
-        let picture = stage.shoot(Carrier::Board, &pose, 1);
-        let found = find(&picture.gray(), &camera).unwrap().unwrap();
+        let pose = crate::trajectory::pose(&camera, camera.center(), 1.0, 0.4, 0.7, 0.3);
+        let frame = stage.shoot(Carrier::Board, &pose, 1);
+        let found = find(&frame.gray(), &camera).unwrap().unwrap();
         let all: Vec<usize> = (0..48).collect();
         let matrix = camera_matrix(&camera).unwrap();
         let upright = (found[0] - camera.project(&(pose * corners()[0]))).norm() < 3.0;
         let pixels: Vec<_> = if upright { found } else { found.into_iter().rev().collect() };
         for (which, limit) in [(&all[..], 1.5), (&OUTER[..], 5.0)] {
-            let told = extrinsics(&matrix, &corners(), &pixels, which).unwrap().unwrap();
-            let off = (told.translation.vector - pose.translation.vector).norm() * 1e3;
+            let detected = extrinsics(&matrix, &corners(), &pixels, which).unwrap().unwrap();
+            let off = (detected.translation.vector - pose.translation.vector).norm() * 1e3;
             assert!(off < limit, "{off} mm from {} corners", which.len());
         }
     }

@@ -1,4 +1,5 @@
-//! Time that this thread had the core: other processes on the machine do not count against a method.
+//! Time that this thread had the core: other processes on the machine do not count against a
+//! method.
 
 use std::time::Duration;
 

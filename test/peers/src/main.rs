@@ -1,7 +1,9 @@
-//! `volant-peers`: the project's marker tracker beside its rivals, in one run, on scenes made from a seed with truth.
+//! `volant-peers`: the project's marker tracker beside its peers, in one run, on scenes made from a
+//! seed with truth.
 //!
-//! `bench` prints the main table (time, accuracy, success) and the targets of the tracker; `sweep` the success over viewing
-//! angle and distance; `boards` compares markers with chessboards; `trials` what the tracker does in scenes that are made to mislead it.
+//! `bench` prints the main table (time, accuracy, success) and the targets of the tracker; `sweep`
+//! the success over viewing angle and distance; `boards` compares markers with chessboards;
+//! `trials` what the tracker does in scenes that are made to mislead it.
 
 mod bench;
 mod boards;
@@ -31,7 +33,7 @@ use std::{
     sync::atomic::{AtomicU64, Ordering},
 };
 
-/// Counts what is asked of the system's allocator.
+/// Counts allocations.
 struct Counting;
 
 static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
@@ -64,7 +66,7 @@ fn allocations() -> u64 {
     ALLOCATIONS.load(Ordering::Relaxed)
 }
 
-/// The marker tracker beside its rivals.
+/// The marker tracker beside its peers.
 #[derive(Parser)]
 #[command(name = "volant-peers", version)]
 struct Arguments {
@@ -85,21 +87,22 @@ struct Arguments {
 enum Command {
     /// Time, accuracy and success on one motion; bench.csv, table-1.csv, fig-12.csv.
     Bench {
-        /// How many pictures.
+        /// How many images.
         #[arg(long, default_value_t = 300)]
-        pictures: usize,
+        images: usize,
     },
     /// Success over viewing angle and distance; fig-11.csv.
     Sweep {
-        /// Pictures per angle and distance.
+        /// Images per angle and distance.
         #[arg(long, default_value_t = 12)]
-        pictures: usize,
+        images: usize,
     },
-    /// Pose from a chessboard's corners, from four of them and from markers, over the viewing angle; fig-2.csv, fig-7.csv.
+    /// Pose from a chessboard's corners, from four of them and from markers, over the viewing
+    /// angle; fig-2.csv, fig-7.csv.
     Boards {
-        /// Pictures per angle.
+        /// Images per angle.
         #[arg(long, default_value_t = 16)]
-        pictures: usize,
+        images: usize,
     },
     /// Scenes that are made to mislead the tracker; trials.csv.
     Trials {
@@ -109,36 +112,39 @@ enum Command {
         /// Every mistake in a line of its own, and what was around it enlarged as PNG.
         #[arg(long)]
         verbose: bool,
-        /// One picture of each scene instead, as PNG.
+        /// One frame of each scene instead, as PNG.
         #[arg(long)]
-        pictures: bool,
+        images: bool,
     },
 }
 
 fn work(arguments: &Arguments) -> Result<usize> {
     opencv::core::set_num_threads(1)?;
-    std::fs::create_dir_all(&arguments.out)
-        .with_context(|| format!("{} cannot be made; name a folder with --out", arguments.out.display()))?;
+    std::fs::create_dir_all(&arguments.out).with_context(|| {
+        format!("creating {}; name a folder with --out", arguments.out.display())
+    })?;
     let progress = Progress(arguments.progress);
     match &arguments.command {
-        Command::Bench { pictures } => {
-            let outcome = bench::run(*pictures, arguments.seed, &progress)?;
+        Command::Bench { images } => {
+            let outcome = bench::run(*images, arguments.seed, &progress)?;
             outcome.print();
             outcome.write(&arguments.out)?;
             Ok(outcome.targets().print())
         }
-        Command::Sweep { pictures } => {
-            Ok(sweep::run(&arguments.out, *pictures, arguments.seed, &progress)?.print())
+        Command::Sweep { images } => {
+            Ok(sweep::run(&arguments.out, *images, arguments.seed, &progress)?.print())
         }
-        Command::Boards { pictures } => {
-            boards::run(&arguments.out, *pictures, arguments.seed, &progress)?;
+        Command::Boards { images } => {
+            boards::run(&arguments.out, *images, arguments.seed, &progress)?;
             Ok(0)
         }
-        Command::Trials { pictures: true, .. } => {
-            trials::pictures(&arguments.out, arguments.seed)?;
+        Command::Trials { images: true, .. } => {
+            trials::images(&arguments.out, arguments.seed)?;
             Ok(0)
         }
-        Command::Trials { only, verbose, .. } => trials::run(&arguments.out, arguments.seed, only, *verbose),
+        Command::Trials { only, verbose, .. } => {
+            trials::run(&arguments.out, arguments.seed, only, *verbose)
+        }
     }
 }
 

@@ -12,10 +12,10 @@ pub const SUCCESS_MM: f64 = 5.0;
 /// The success of Fig. 11: a pose within 5 mm and 1°.
 pub const SUCCESS_DEG: f64 = 1.0;
 
-/// What a method did over a run of pictures.
+/// What a method did over a run of images.
 #[derive(Clone, Debug, Default)]
 pub struct Record {
-    /// Time per picture and stage.
+    /// Time per frame and stage.
     pub times: Vec<Vec<Duration>>,
     /// Translation errors, mm, of poses that are not gross failures.
     pub millimetres: Vec<f64>,
@@ -25,18 +25,18 @@ pub struct Record {
     pub pixel: (Vector2<f64>, usize),
     /// Sum of point errors, px.
     pub bias: Vector2<f64>,
-    /// Pictures.
-    pub pictures: usize,
-    /// Pictures with a pose within 5 mm and 1°.
+    /// Images.
+    pub images: usize,
+    /// Images with a pose within 5 mm and 1°.
     pub successes: usize,
-    /// Pictures with a pose beyond 50 mm or 5°.
+    /// Images with a pose beyond 50 mm or 5°.
     pub gross: usize,
 }
 
 impl Record {
-    /// Adds a picture's result.
+    /// Adds a frame's result.
     pub fn add(&mut self, estimate: &Estimate, truth: &Isometry3<f64>, points: &[Vector2<f64>]) {
-        self.pictures += 1;
+        self.images += 1;
         self.times.push(estimate.stages.clone());
         for (index, point) in &estimate.points {
             if let Some(t) = points.get(*index) {
@@ -51,7 +51,8 @@ impl Record {
         let Some(pose) = estimate.camera_from_volant else { return };
         let millimetres = (pose.translation.vector - truth.translation.vector).norm() * 1e3;
         let degrees = pose.rotation.angle_to(&truth.rotation).to_degrees();
-        if millimetres > GROSS_MM || degrees > GROSS_DEG || millimetres.is_nan() || degrees.is_nan() {
+        if millimetres > GROSS_MM || degrees > GROSS_DEG || millimetres.is_nan() || degrees.is_nan()
+        {
             self.gross += 1;
             return;
         }
@@ -67,10 +68,12 @@ impl Record {
 
     /// Median of one stage, µs.
     pub fn stage_us(&self, stage: usize) -> f64 {
-        median(self.times.iter().filter_map(|t| t.get(stage)).map(|t| t.as_secs_f64() * 1e6).collect())
+        median(
+            self.times.iter().filter_map(|t| t.get(stage)).map(|t| t.as_secs_f64() * 1e6).collect(),
+        )
     }
 
-    /// RMS of the points per axis, px; NaN where the method tells none.
+    /// RMS of the points per axis, px; NaN where the method yields none.
     pub fn pixel_rms(&self) -> f64 {
         ((self.pixel.0.x + self.pixel.0.y) / (2.0 * self.pixel.1 as f64)).sqrt()
     }
@@ -92,7 +95,7 @@ impl Record {
 
     /// Share of successes.
     pub fn success(&self) -> f64 {
-        self.successes as f64 / self.pictures as f64
+        self.successes as f64 / self.images as f64
     }
 }
 
@@ -104,11 +107,12 @@ pub fn rms(values: &[f64]) -> f64 {
 /// Mean and standard deviation.
 pub fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
-    let variance = values.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / values.len() as f64;
+    let variance =
+        values.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / values.len() as f64;
     (mean, variance.sqrt())
 }
 
-/// The middle value; NaN where there is none.
+/// The median; NaN of no values.
 pub fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)

@@ -1,6 +1,6 @@
 //! Tables as text and as CSV, and figures beside their targets.
 
-use crate::scene::Picture;
+use crate::scene::Frame;
 use anyhow::{Context, Result, ensure};
 use opencv::{
     core::{self, Mat},
@@ -8,7 +8,7 @@ use opencv::{
 };
 use std::{fs, path::Path};
 
-/// A number with `digits` decimals; empty where there is none.
+/// A number with `digits` decimals; empty if it is not finite.
 pub fn number(value: f64, digits: usize) -> String {
     if value.is_finite() { format!("{value:.digits$}") } else { String::new() }
 }
@@ -25,15 +25,17 @@ impl Csv {
 
     /// One row; a cell with a comma is quoted.
     pub fn row(&mut self, cells: &[String]) {
-        let quoted: Vec<String> =
-            cells.iter().map(|c| if c.contains(',') { format!("\"{c}\"") } else { c.clone() }).collect();
+        let quoted: Vec<String> = cells
+            .iter()
+            .map(|c| if c.contains(',') { format!("\"{c}\"") } else { c.clone() })
+            .collect();
         self.0.push_str(&quoted.join(","));
         self.0.push('\n');
     }
 
     /// Into a file.
     pub fn write(&self, path: &Path) -> Result<()> {
-        fs::write(path, &self.0).with_context(|| format!("{} cannot be written", path.display()))
+        fs::write(path, &self.0).with_context(|| format!("writing {}", path.display()))
     }
 }
 
@@ -54,29 +56,37 @@ impl Targets {
 
     /// `value` must lie between the two.
     pub fn within(&mut self, what: &str, value: f64, low: f64, high: f64) {
-        self.0.push((what.into(), value, format!("{low} to {high}"), (low..=high).contains(&value)));
+        self.0.push((
+            what.into(),
+            value,
+            format!("{low} to {high}"),
+            (low..=high).contains(&value),
+        ));
     }
 
     /// Every row, and how many failed.
     pub fn print(&self) -> usize {
         println!("\n{:<52} {:>12} {:>14}", "figure", "value", "target");
         for (what, value, target, reached) in &self.0 {
-            println!("{what:<52} {value:>12.5} {target:>14}  {}", if *reached { "pass" } else { "FAIL" });
+            println!(
+                "{what:<52} {value:>12.5} {target:>14}  {}",
+                if *reached { "pass" } else { "FAIL" }
+            );
         }
         self.0.iter().filter(|t| !t.3).count()
     }
 }
 
-/// A picture as PNG.
-pub fn write_png(picture: &Picture, path: &Path) -> Result<()> {
+/// A frame as PNG.
+pub fn write_png(frame: &Frame, path: &Path) -> Result<()> {
     let rgb = Mat::new_rows_cols_with_bytes::<core::Vec3b>(
-        picture.height as i32,
-        picture.width as i32,
-        &picture.rgb,
+        frame.height as i32,
+        frame.width as i32,
+        &frame.rgb,
     )?;
     let mut bgr = Mat::default();
     imgproc::cvt_color_def(&rgb, &mut bgr, imgproc::COLOR_RGB2BGR)?;
     let written = imgcodecs::imwrite_def(path, &bgr)?;
-    ensure!(written, "{} cannot be written", path.display());
+    ensure!(written, "{}: OpenCV could not write the file", path.display());
     Ok(())
 }

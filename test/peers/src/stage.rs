@@ -1,9 +1,10 @@
-//! The bench's standard pictures: one pose, three carriers of one footprint, the same light, floor and noise.
+//! The bench's standard images: one pose, three carriers of one footprint, the same light, floor
+//! and noise.
 
 use crate::{
     boards,
-    methods::{Carrier, tag_picture},
-    scene::{Canvas, Floor, Light, MarkerTruth, Picture, Pinhole, Plate, Rng, Thing},
+    methods::{Carrier, tag_frame},
+    scene::{Canvas, Floor, Frame, Light, MarkerTruth, Pinhole, Plate, Rng, Thing},
     sift_texture,
 };
 use anyhow::Result;
@@ -17,7 +18,7 @@ pub const FOOTPRINT: f64 = 0.376;
 pub const VIVID: [[f32; 3]; 4] =
     [[205.0, 30.0, 35.0], [30.0, 180.0, 60.0], [30.0, 65.0, 200.0], [215.0, 200.0, 30.0]];
 
-/// Pale paper: a layer difference of 95 to 135 grey levels.
+/// Pale paper: a layer difference of 95 to 135 gray levels.
 pub const MUTED: [[f32; 3]; 4] =
     [[190.0, 80.0, 85.0], [80.0, 175.0, 105.0], [75.0, 110.0, 180.0], [200.0, 185.0, 80.0]];
 
@@ -32,7 +33,7 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// With clutter of other colours on the floor.
+    /// With clutter of other colors on the floor.
     pub fn new(camera: Pinhole, seed: u64) -> Result<Self> {
         let mut rng = Rng::new(seed);
         let mut floor = Floor::new(camera.width, camera.height, 4, [150.0, 146.0, 138.0], &mut rng);
@@ -41,7 +42,10 @@ impl Stage {
                 let gray = rng.within(50.0, 190.0) as f32;
                 let tint = [0; 3].map(|_| rng.within(-28.0, 28.0) as f32);
                 Thing::rectangle(
-                    Vector2::new(rng.within(0.0, camera.width as f64), rng.within(0.0, camera.height as f64)),
+                    Vector2::new(
+                        rng.within(0.0, camera.width as f64),
+                        rng.within(0.0, camera.height as f64),
+                    ),
                     Vector2::new(rng.within(8.0, 70.0), rng.within(8.0, 70.0)),
                     rng.within(0.0, TAU),
                     tint.map(|t| gray + t),
@@ -51,7 +55,7 @@ impl Stage {
         floor.strew(&things);
         let plates = [
             Plate::markers(VIVID, &mut rng),
-            Plate::cells(10, tag_picture()?, [225.0; 3]),
+            Plate::cells(10, tag_frame()?, [225.0; 3]),
             Plate::cells(sift_texture::CELLS, sift_texture::texture(seed), [118.0, 116.0, 112.0]),
             Plate::cells(boards::CELLS, boards::board(), [225.0; 3]),
         ];
@@ -63,8 +67,9 @@ impl Stage {
         &self.plates[carrier as usize]
     }
 
-    /// The picture `number` of a carrier at a pose: noise σ = 3, ±10 % of light over time and over the picture.
-    pub fn shoot(&mut self, carrier: Carrier, pose: &Isometry3<f64>, number: usize) -> Picture {
+    /// The frame `number` of a carrier at a pose: noise σ = 3, ±10 % of light over time and over
+    /// the frame.
+    pub fn shoot(&mut self, carrier: Carrier, pose: &Isometry3<f64>, number: usize) -> Frame {
         let phase = number as f64;
         let light = Light {
             gain: 1.0 + 0.1 * (0.061 * phase).sin(),
@@ -74,8 +79,9 @@ impl Stage {
         };
         self.floor.copy_to(&mut self.canvas, Vector2::zeros());
         self.plates[carrier as usize].draw(&mut self.canvas, &self.camera, &[*pose]);
-        let mut rng =
-            Rng::new(self.seed ^ (number as u64 * 3 + carrier as u64 + 1).wrapping_mul(0x2545_f491));
+        let mut rng = Rng::new(
+            self.seed ^ (number as u64 * 3 + carrier as u64 + 1).wrapping_mul(0x2545_f491),
+        );
         self.canvas.expose(&light, &mut rng)
     }
 

@@ -1,4 +1,5 @@
-//! Fig. 11: success over the viewing angle and over the distance, with the errors of what succeeded.
+//! Fig. 11: success over the viewing angle and over the distance, with the errors of what
+//! succeeded.
 
 use crate::{
     bench,
@@ -38,25 +39,33 @@ fn conditions() -> Vec<Condition> {
     angles.chain(distances).collect()
 }
 
-/// A short smooth motion in this condition, the whole footprint in the picture, each pose on a step of the bench.
+/// A short smooth motion in this condition, the whole footprint in the frame, each pose on a step
+/// of the bench.
 pub fn motion(
     camera: &Pinhole,
     condition: &Condition,
-    pictures: usize,
+    images: usize,
     rng: &mut Rng,
 ) -> Vec<Isometry3<f64>> {
     loop {
         let (yaw, direction) = (rng.within(-0.7, 0.7), rng.within(0.0, std::f64::consts::TAU));
         let offset = Vector2::new(rng.within(-150.0, 150.0), rng.within(-90.0, 90.0)) * rng.unit();
-        let poses: Vec<_> = (0..pictures)
+        let poses: Vec<_> = (0..images)
             .map(|i| {
-                let t = i as f64 / pictures as f64;
-                let pixel = camera.centre() + offset + Vector2::new(6.0, -4.0) * t;
+                let t = i as f64 / images as f64;
+                let pixel = camera.center() + offset + Vector2::new(6.0, -4.0) * t;
                 let tilt = condition.tilt_deg.to_radians();
-                trajectory::on_bench(camera, pixel, condition.range, tilt, direction + 0.3 * t, yaw + 0.1 * t)
+                trajectory::on_bench(
+                    camera,
+                    pixel,
+                    condition.range,
+                    tilt,
+                    direction + 0.3 * t,
+                    yaw + 0.1 * t,
+                )
             })
             .collect();
-        // The plate's rim may leave the picture at 0.5 m, what it carries may not.
+        // The plate's rim may leave the frame at 0.5 m, its pattern may not.
         if poses.iter().all(|p| trajectory::is_inside(camera, p, FOOTPRINT, 3.0)) {
             return poses;
         }
@@ -72,16 +81,16 @@ pub fn run(folder: &Path, per_condition: usize, seed: u64, progress: &Progress) 
     let mut rng = Rng::new(seed ^ 0xf11);
     let mut csv = Csv::new("sweep,value,method,success,mean_mm,std_mm,mean_deg,std_deg,px_rms");
     let conditions = conditions();
-    let (mut ours, mut pictures) = (0.0, 0.0);
+    let (mut ours, mut images) = (0.0, 0.0);
     let mut number_of_picture = 0;
-    println!("success (a pose within 5 mm and 1 deg) in % of {per_condition} pictures");
+    println!("success (a pose within 5 mm and 1 deg) in % of {per_condition} images");
     print!("{:<12} {:>6}", "sweep", "value");
     for method in &methods {
         print!(" {:>12}", method.name().chars().take(12).collect::<String>());
     }
     println!(" {:>12}", "our px RMS");
     for (done, condition) in conditions.iter().enumerate() {
-        progress.tell(done as f64 / conditions.len() as f64);
+        progress.report(done as f64 / conditions.len() as f64);
         let mut records = vec![Record::default(); methods.len()];
         // Two motions per condition, each from a start without any prior.
         for _ in 0..2 {
@@ -99,7 +108,8 @@ pub fn run(folder: &Path, per_condition: usize, seed: u64, progress: &Progress) 
         print!("{:<12} {:>6}", condition.sweep, condition.value);
         for (method, record) in methods.iter().zip(&records) {
             print!(" {:>12.0}", 100.0 * record.success());
-            let (mm, deg) = (mean_and_deviation(&record.millimetres), mean_and_deviation(&record.degrees));
+            let (mm, deg) =
+                (mean_and_deviation(&record.millimetres), mean_and_deviation(&record.degrees));
             csv.row(&[
                 condition.sweep.into(),
                 condition.value.to_string(),
@@ -114,11 +124,11 @@ pub fn run(folder: &Path, per_condition: usize, seed: u64, progress: &Progress) 
         }
         println!(" {:>12}", number(records[0].pixel_rms(), 4));
         ours += records[0].successes as f64;
-        pictures += records[0].pictures as f64;
+        images += records[0].images as f64;
     }
-    progress.tell(1.0);
+    progress.report(1.0);
     csv.write(&folder.join("fig-11.csv"))?;
     let mut targets = Targets::default();
-    targets.at_least("success over tilt 0-60 deg and 0.5-3 m, ours", ours / pictures, 0.99);
+    targets.at_least("success over tilt 0-60 deg and 0.5-3 m, ours", ours / images, 0.99);
     Ok(targets)
 }

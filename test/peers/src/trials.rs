@@ -1,11 +1,11 @@
-//! Scenes that are made to mislead the tracker, and what it said, held against the truth.
+//! Scenes that challenge the tracker, and its results against the truth.
 
 mod scenes;
 
 use crate::{
     methods::Ours,
     report::{self, Csv, number},
-    scene::{Canvas, MarkerTruth, Picture, Pinhole, PlateKind, Rng},
+    scene::{Canvas, Frame, MarkerTruth, Pinhole, PlateKind, Rng},
 };
 use anyhow::{Result, bail};
 use marker_tracker::TrackerConfig;
@@ -19,17 +19,19 @@ const WHOLE: f64 = 0.995;
 const HIDDEN: f64 = 0.02;
 /// A detection further off than this is of something else, px.
 const WRONG: f64 = 5.0;
-/// A normalised squared error from which on a picture is worth a look (1 of 20 000 is larger, where the covariance is right).
+/// Normalized squared error above which a frame is saved (exceeded by 1 of 20 000 with a correct
+/// covariance).
 const SURPRISING: f64 = 20.0;
-/// Most pictures of mistakes that are left per scene, the pixels around the marker that they show, and by how much they are enlarged.
-const LOOKS: usize = 24;
+/// Most images of mistakes that are left per scene, the pixels around the marker that they show,
+/// and by how much they are enlarged.
+const CLOSEUPS: usize = 24;
 const REACH: i32 = 36;
 const ENLARGED: usize = 10;
 
-/// What came out of one scene.
+/// Sums over one scene; flat, because each is a column or part of one.
 #[derive(Clone, Debug, Default)]
 struct Tally {
-    pictures: usize,
+    images: usize,
     whole: usize,
     whole_detected: usize,
     cut: usize,
@@ -39,12 +41,13 @@ struct Tally {
     hidden: usize,
     hidden_detected: usize,
     wrong: usize,
-    /// Longest run of pictures with a wrong association.
+    /// Longest run of images with a wrong association.
     longest_wrong: usize,
     squared: f64,
     sum: Vector2<f64>,
     nees: f64,
-    /// Times that all four came back after all had been lost, and the pictures that it took beyond the first.
+    /// Times that all four came back after all had been lost, and the images that it took beyond
+    /// the first.
     returns: usize,
     return_delay: usize,
     delay: Option<usize>,
@@ -57,9 +60,9 @@ impl Tally {
         &mut self,
         ours: &Ours,
         truth: &[MarkerTruth; 4],
-        tell: &mut impl FnMut(String, MarkerColor, &MarkerTruth),
+        report: &mut impl FnMut(String, MarkerColor, &MarkerTruth),
     ) {
-        self.pictures += 1;
+        self.images += 1;
         let mut any_wrong = false;
         for (truth, color) in truth.iter().zip(MarkerColor::ALL) {
             let marker = ours.observed.as_ref().map(|o| o.markers[color]);
@@ -70,8 +73,9 @@ impl Tally {
                 self.wrong += 1;
                 any_wrong = true;
             }
-            let surprise =
-                detected.zip(error).and_then(|(m, e)| Some(e.dot(&(m.covariance.try_inverse()? * e))));
+            let surprise = detected
+                .zip(error)
+                .and_then(|(m, e)| Some(e.dot(&(m.covariance.try_inverse()? * e))));
             let note = if truth.shown >= WHOLE {
                 self.whole += 1;
                 self.whole_detected += usize::from(detected.is_some());
@@ -83,16 +87,17 @@ impl Tally {
                 if detected.is_none() {
                     "whole, not detected"
                 } else if surprise.is_none_or(|s| s > SURPRISING) {
-                    "whole, but off by more than it says"
+                    "whole, but beyond its covariance"
                 } else {
                     ""
                 }
             } else if truth.shown > HIDDEN {
                 self.cut += 1;
                 self.cut_detected += usize::from(detected.is_some());
-                let misled = error.is_some_and(|e| e.norm() > 0.3) && surprise.is_none_or(|s| s > 16.0);
+                let misled =
+                    error.is_some_and(|e| e.norm() > 0.3) && surprise.is_none_or(|s| s > 16.0);
                 self.cut_misled += usize::from(misled);
-                if misled { "cut, but told as if it were whole" } else { "" }
+                if misled { "cut, but detected as if whole" } else { "" }
             } else {
                 self.hidden += 1;
                 self.hidden_detected += usize::from(detected.is_some());
@@ -103,9 +108,9 @@ impl Tally {
                 let e = error.unwrap_or(Vector2::repeat(f64::NAN));
                 let sigma = marker.map_or(f64::NAN, |m| (m.covariance.trace() / 2.0).sqrt());
                 let line = format!(
-                    "picture {}: {color} {note}; shown {:.3}, truth ({:.1}, {:.1}), error ({:.2}, {:.2}), sigma {sigma:.3}, \
-                     squared {:.0}, {}",
-                    self.pictures - 1,
+                    "frame {}: {color} {note}; shown {:.3}, truth ({:.1}, {:.1}), error ({:.2}, \
+                     {:.2}), sigma {sigma:.3}, squared {:.0}, {}",
+                    self.images - 1,
                     truth.shown,
                     truth.centroid.x,
                     truth.centroid.y,
@@ -114,7 +119,7 @@ impl Tally {
                     surprise.unwrap_or(f64::NAN),
                     ours.account(color).0,
                 );
-                tell(line, color, truth);
+                report(line, color, truth);
             }
         }
         self.running_wrong = if any_wrong { self.running_wrong + 1 } else { 0 };
@@ -144,15 +149,17 @@ impl Tally {
     }
 }
 
-fn run_scene(scene: &Scene, seed: u64, looks: Option<&Path>) -> Result<Tally> {
+fn run_scene(scene: &Scene, seed: u64, closeups: Option<&Path>) -> Result<Tally> {
     let camera = Pinhole::BENCH;
-    let PlateKind::Markers { layout, .. } = &scene.plate.kind else { bail!("a trial's plate bears markers") };
+    let PlateKind::Markers { layout, .. } = &scene.plate.kind else {
+        bail!("a trial's plate bears markers")
+    };
     let mut ours = Ours::new(&camera, layout.clone(), TrackerConfig::default());
     let mut canvas = Canvas::new(camera.width, camera.height);
     let mut rng = Rng::new(seed ^ 0x7717);
     let mut tally = Tally::default();
     let mut shown = 0;
-    for number in 0..scene.pictures {
+    for number in 0..scene.images {
         let moment = (scene.at)(number as f64 / 30.0);
         scene.floor.copy_to(&mut canvas, moment.floor_shift);
         for thing in &moment.under {
@@ -165,42 +172,44 @@ fn run_scene(scene: &Scene, seed: u64, looks: Option<&Path>) -> Result<Tally> {
             canvas.flatten();
         }
         let truth = scene.plate.truth(&camera, &moment.poses, &moment.over);
-        let picture = canvas.expose(&moment.light, &mut rng);
-        let time = ours.track(&picture);
+        let frame = canvas.expose(&moment.light, &mut rng);
+        let time = ours.track(&frame);
         tally.slowest_us = tally.slowest_us.max(time.as_secs_f64() * 1e6);
         let mut failed = Ok(());
         tally.add(&ours, &truth, &mut |line, color, truth| {
-            let Some(folder) = looks else { return };
+            let Some(folder) = closeups else { return };
             println!("  {}: {line}", scene.name);
-            if shown < LOOKS {
+            if shown < CLOSEUPS {
                 shown += 1;
                 let name = format!("{}-{number}-{color}.png", scene.name.replace(' ', "-"));
                 failed = report::write_png(
-                    &closeup(&picture, truth.centroid, ours.account(color).1.as_ref()),
+                    &closeup(&frame, truth.centroid, ours.account(color).1.as_ref()),
                     &folder.join(name),
                 );
             }
         });
         failed?;
-        if looks.is_some() {
+        if closeups.is_some() {
             for warning in ours.warnings.drain(..) {
-                println!("  {}: picture {number}: {warning}", scene.name);
+                println!("  {}: frame {number}: {warning}", scene.name);
             }
         }
     }
     Ok(tally)
 }
 
-/// What is around a place, enlarged: the true centroid as a black cross, the measured outline in white.
-fn closeup(picture: &Picture, at: Vector2<f64>, outline: Option<&[Vector2<f64>; 4]>) -> Picture {
+/// What is around a place, enlarged: the true centroid as a black cross, the measured outline in
+/// white.
+fn closeup(frame: &Frame, at: Vector2<f64>, outline: Option<&[Vector2<f64>; 4]>) -> Frame {
     let side = (2 * REACH + 1) as usize * ENLARGED;
     let origin = at.map(|v| v.round() as i32 - REACH);
     let mut rgb = vec![0; 3 * side * side];
     for (i, pixel) in rgb.chunks_exact_mut(3).enumerate() {
-        let (x, y) = (origin.x + (i % side / ENLARGED) as i32, origin.y + (i / side / ENLARGED) as i32);
-        if (0..picture.width as i32).contains(&x) && (0..picture.height as i32).contains(&y) {
-            let from = 3 * (y as usize * picture.width + x as usize);
-            pixel.copy_from_slice(&picture.rgb[from..from + 3]);
+        let (x, y) =
+            (origin.x + (i % side / ENLARGED) as i32, origin.y + (i / side / ENLARGED) as i32);
+        if (0..frame.width as i32).contains(&x) && (0..frame.height as i32).contains(&y) {
+            let from = 3 * (y as usize * frame.width + x as usize);
+            pixel.copy_from_slice(&frame.rgb[from..from + 3]);
         }
     }
     let mut line = |from: Vector2<f64>, to: Vector2<f64>, value: u8| {
@@ -222,11 +231,11 @@ fn closeup(picture: &Picture, at: Vector2<f64>, outline: Option<&[Vector2<f64>; 
             line(corners[i], corners[(i + 1) % 4], 255);
         }
     }
-    Picture { width: side, height: side, rgb }
+    Frame { width: side, height: side, rgb }
 }
 
-/// One picture of each scene as PNG, to look at.
-pub fn pictures(folder: &Path, seed: u64) -> Result<()> {
+/// One frame of each scene as PNG.
+pub fn images(folder: &Path, seed: u64) -> Result<()> {
     let camera = Pinhole::BENCH;
     let mut canvas = Canvas::new(camera.width, camera.height);
     for scene in scenes::all(seed) {
@@ -241,22 +250,22 @@ pub fn pictures(folder: &Path, seed: u64) -> Result<()> {
             canvas.add(&thing.outline, thing.color, 1.0);
             canvas.flatten();
         }
-        let picture = canvas.expose(&moment.light, &mut Rng::new(seed));
-        report::write_png(&picture, &folder.join(format!("{}.png", scene.name.replace(' ', "-"))))?;
+        let frame = canvas.expose(&moment.light, &mut Rng::new(seed));
+        report::write_png(&frame, &folder.join(format!("{}.png", scene.name.replace(' ', "-"))))?;
     }
     Ok(())
 }
 
-/// Every scene (or those whose name contains `only`); prints the table and writes `trials.csv`. Returns how many rows
-/// fall short.
+/// Every scene (or those whose name contains `only`); prints the table and writes `trials.csv`.
+/// Returns how many rows fall short.
 pub fn run(folder: &Path, seed: u64, only: &str, verbose: bool) -> Result<usize> {
     println!(
         "{:<28} {:>5} {:>9} {:>11} {:>13} {:>6} {:>7} {:>8} {:>6} {:>12} {:>8}",
         "scene",
         "pict",
         "detected",
-        "cut: told",
-        "hidden: told",
+        "cut: detected",
+        "hidden: detected",
         "wrong",
         "longest",
         "px RMS",
@@ -264,9 +273,10 @@ pub fn run(folder: &Path, seed: u64, only: &str, verbose: bool) -> Result<usize>
         "back (late)",
         "max us"
     );
-    let mut csv = Csv::new(
-        "scene,pictures,whole,whole_detected,cut,cut_detected,cut_misled,hidden,hidden_detected,wrong,longest_wrong,px_rms,nees,returns,return_delay",
-    );
+    let mut csv = Csv::new(concat!(
+        "scene,images,whole,whole_detected,cut,cut_detected,cut_misled,hidden,",
+        "hidden_detected,wrong,longest_wrong,px_rms,nees,returns,return_delay"
+    ));
     let mut short = 0;
     for scene in scenes::all(seed).into_iter().filter(|s| s.name.contains(only)) {
         let t = run_scene(&scene, seed, verbose.then_some(folder))?;
@@ -277,13 +287,17 @@ pub fn run(folder: &Path, seed: u64, only: &str, verbose: bool) -> Result<usize>
         let (rms, nees) = ((t.squared / (2.0 * n)).sqrt(), t.nees / n);
         let share = if t.whole == 0 { 1.0 } else { n / t.whole as f64 };
         let late = t.return_delay + t.delay.unwrap_or(0);
-        let good =
-            share >= scene.wanted && t.wrong == 0 && t.hidden_detected == 0 && t.cut_misled == 0 && late == 0;
+        let good = share >= scene.wanted
+            && t.wrong == 0
+            && t.hidden_detected == 0
+            && t.cut_misled == 0
+            && late == 0;
         short += usize::from(!good);
         println!(
-            "{:<28} {:>5} {:>8.2}% {:>4}/{:<3}({:>2}) {:>6}/{:<6} {:>6} {:>7} {:>8} {:>6} {:>6} ({:>3}) {:>8.0}  {}",
+            "{:<28} {:>5} {:>8.2}% {:>4}/{:<3}({:>2}) {:>6}/{:<6} {:>6} {:>7} {:>8} {:>6} {:>6} \
+             ({:>3}) {:>8.0}  {}",
             scene.name,
-            t.pictures,
+            t.images,
             100.0 * share,
             t.cut_detected,
             t.cut,
@@ -300,7 +314,7 @@ pub fn run(folder: &Path, seed: u64, only: &str, verbose: bool) -> Result<usize>
             if good { "pass" } else { "FAIL" },
         );
         let counts = [
-            t.pictures,
+            t.images,
             t.whole,
             t.whole_detected,
             t.cut,

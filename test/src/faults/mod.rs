@@ -1,17 +1,17 @@
-//! Faults on real processes: each row of the table breaks one thing of a live rig for some seconds and asserts on what
-//! the nodes published meanwhile and afterwards.
+//! Faults on real processes: each row of the table breaks one part of a live rig for some seconds
+//! and asserts on what the nodes published meanwhile and afterwards.
 //!
-//! [`table`] has the rows, [`Row::run`] runs one, [`markdown`] makes the documentation's table of what was seen.
+//! [`table`] has the rows, [`Row::run`] runs one, [`markdown`] writes the table of the results.
 
+mod injectors;
 pub(crate) mod outcome;
 mod recording;
-mod spoilers;
 mod table;
 
 pub use outcome::{Outcome, Verdict};
 pub use table::table;
 
-use crate::live::{Film, Run, RunError, Scenario, Site, bag};
+use crate::live::{ImageSequence, Run, RunError, Scenario, Site, bag};
 use node_kit::environment::Network;
 use rig_model::Stamp;
 use std::{fmt::Write, path::Path, sync::Arc};
@@ -36,8 +36,8 @@ pub struct Bench<'a> {
 /// What a row finds beside the rig's own messages.
 #[derive(Clone, Debug, Default)]
 pub struct Notes {
-    /// What was said of the fault by somebody who has no diagnostics.
-    pub said: Option<String>,
+    /// Report of the fault by a process without diagnostics.
+    pub report: Option<String>,
     /// What is not as it must be.
     pub failures: Vec<String>,
 }
@@ -49,7 +49,7 @@ type Action = Box<dyn Fn(&mut Bench<'_>) -> Result<(), RunError>>;
 pub enum Flow {
     /// It comes with every inertial sample.
     Unbroken,
-    /// It stops, because nothing can be said.
+    /// It stops, because no pose can be estimated.
     Stops,
     /// It has gaps.
     Gaps,
@@ -63,10 +63,11 @@ pub struct Row {
     end: Action,
     /// The odometry meanwhile.
     pub flow: Flow,
-    /// The node whose diagnostics must say so at WARN or above, and words of which one must be in its line: they name the
-    /// fault itself, so that no other trouble passes for it. `None`: too small to be said, or nobody is left to say it.
+    /// Node whose diagnostics must report the fault at WARN or above, and words of which one must
+    /// occur in the line: they name the fault itself, so that no other fault is accepted in its
+    /// place. `None`: too small to be reported, or the reporting node is gone.
     pub diagnostics: Option<(&'static str, &'static [&'static str])>,
-    /// After its end the pose is back within so many seconds.
+    /// Largest time from its end until the pose is back, s.
     pub back_within: f64,
     /// Ends of nodes by a signal that belong to the fault.
     pub kills: Option<&'static str>,
@@ -78,7 +79,7 @@ impl Row {
     /// Begins the fault.
     ///
     /// # Errors
-    /// What it needs is not there.
+    /// A requirement of the row is missing.
     pub fn start(&self, bench: &mut Bench<'_>) -> Result<(), RunError> {
         (self.begin)(bench)
     }
@@ -86,7 +87,7 @@ impl Row {
     /// Ends it.
     ///
     /// # Errors
-    /// A node that cannot be started again.
+    /// A node could not be restarted.
     pub fn stop(&self, bench: &mut Bench<'_>) -> Result<(), RunError> {
         (self.end)(bench)
     }
@@ -100,17 +101,17 @@ impl Row {
     /// asked for.
     ///
     /// # Errors
-    /// The rig did not come up or a process hung: that is no verdict.
+    /// The rig did not start or a process hung: no verdict.
     pub fn run(
         &self,
         scenario: &Scenario,
-        film: &Arc<Film>,
+        images: &Arc<ImageSequence>,
         network: &Network,
         folder: &Path,
         bag: Option<&Path>,
     ) -> Result<Outcome, RunError> {
         let site = Site { settable_clock: self.clock_ahead != 0.0, ..Site::here(network) };
-        let mut run = Run::start(scenario, Arc::clone(film), &site, folder)?;
+        let mut run = Run::start(scenario, Arc::clone(images), &site, folder)?;
         run.wait_for_pose(30.0)?;
         let epoch = run.begin();
         run.play_until(WINDOW[0], |_, _| {})?;
@@ -122,28 +123,31 @@ impl Row {
         let logs = folder.to_owned();
         let ended = run.finish()?;
         if let Some(bag) = bag {
-            bag::write(bag, scenario, epoch, &ended.said, &ended.heard)
-                .map_err(|e| RunError::NotPossible { what: "the run's bag", reason: e.to_string() })?;
+            bag::write(bag, scenario, epoch, &ended.sent, &ended.received).map_err(|e| {
+                RunError::NotPossible { what: "the run's bag", reason: e.to_string() }
+            })?;
         }
         Ok(outcome::judge(self, scenario, &ended, &logs, notes))
     }
 }
 
-/// Waits for a time of the scenario; a node that ended meanwhile is an error unless the fault is to kill one.
+/// Waits for a time of the scenario; a node that ended meanwhile is an error unless the fault kills
+/// it.
 fn wait(run: &mut Run, until: f64, may_end: bool) -> Result<(), RunError> {
     if !may_end {
         return run.play_until(until, |_, _| {});
     }
-    while run.stand.seconds() < until {
+    while run.hardware.seconds() < until {
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
     Ok(())
 }
 
-/// The table as Markdown: fault, what the output did, what the diagnostics said, how long until it was back.
+/// The results as a Markdown table: fault, odometry, diagnostics, time until the pose was back.
 pub fn markdown(outcomes: &[(&'static str, Outcome)]) -> String {
     let mut text = String::from(
-        "| fault | odometry meanwhile | largest error meanwhile | diagnostics | back after | verdict |\n| --- | --- | --- | --- | --- | --- |\n",
+        "| fault | odometry meanwhile | largest error meanwhile | diagnostics | back after | \
+         verdict |\n| --- | --- | --- | --- | --- | --- |\n",
     );
     for (fault, o) in outcomes {
         let verdict = match &o.verdict {
@@ -159,10 +163,11 @@ pub fn markdown(outcomes: &[(&'static str, Outcome)]) -> String {
         };
         let _ = writeln!(
             text,
-            "| {fault} | {:.0} % of the samples, longest gap {:.0} ms | {error} | {} | {back} | {verdict} |",
+            "| {fault} | {:.0} % of the samples, longest gap {:.0} ms | {error} | {} | {back} | \
+             {verdict} |",
             o.rate * 100.0,
             o.longest_gap * 1e3,
-            o.said.as_deref().unwrap_or("–"),
+            o.report.as_deref().unwrap_or("–"),
         );
     }
     text

@@ -3,10 +3,10 @@
 use super::{Flow, LENGTH, Notes, Row, WINDOW};
 use crate::{
     accuracy::Track,
-    live::{Ended, Heard, Scenario},
+    live::{Ended, Received, Scenario},
 };
 use nalgebra::Isometry3;
-use rig_model::Stamp;
+use rig_model::{Stamp, topics};
 use std::path::Path;
 use volant_msgs::{diagnostic_msgs::msg::DiagnosticStatus, msg::MarkerObservation};
 
@@ -32,8 +32,8 @@ pub struct Outcome {
     pub worst_position: f64,
     /// Largest error while it lasted, degrees.
     pub worst_rotation: f64,
-    /// The line of the diagnostics that tells it.
-    pub said: Option<String>,
+    /// Line of the diagnostics that reports the fault.
+    pub report: Option<String>,
     /// From the fault's end until the pose was back to stay, s.
     pub back_after: Option<f64>,
     /// The judgement.
@@ -48,7 +48,7 @@ impl Outcome {
             longest_gap: f64::NAN,
             worst_position: f64::NAN,
             worst_rotation: f64::NAN,
-            said: None,
+            report: None,
             back_after: None,
             verdict: Verdict::Skipped(reason),
         }
@@ -57,26 +57,34 @@ impl Outcome {
 
 /// Back is who is nearer than this, mm and degrees.
 const NEAR: [f64; 2] = [10.0, 1.0];
-/// Contradicted is what lies beyond the 0.9999 quantile of χ² with 3 degrees of freedom, in a larger share of the odometry than
-/// this.
+/// Largest share of the odometry whose NEES may exceed the 0.9999 quantile of χ² with 3 degrees of
+/// freedom.
 pub(crate) const GATE: [f64; 2] = [NEES_LIMIT, NEES_SHARE];
 const NEES_LIMIT: f64 = 21.1;
 const NEES_SHARE: f64 = 0.02;
 
 /// Judges a run.
-pub fn judge(row: &Row, scenario: &Scenario, ended: &Ended, folder: &Path, notes: Notes) -> Outcome {
-    let heard = &ended.heard.by_the_time_as_it_is(row.clock_ahead);
+pub fn judge(
+    row: &Row,
+    scenario: &Scenario,
+    ended: &Ended,
+    folder: &Path,
+    notes: Notes,
+) -> Outcome {
+    let received = &ended.received.by_the_time_as_it_is(row.clock_ahead);
     let at = |t: f64| ended.epoch.plus_seconds(t);
     let truth = |s: Stamp| scenario.motion.world_from_volant(s.seconds_since(ended.epoch));
-    let fused = heard.fused();
+    let fused = received.fused();
     let (rate, longest_gap) = flow(&fused, at(WINDOW[0]), at(WINDOW[1]));
     let (worst_position, worst_rotation) = worst(&fused, at(WINDOW[0]), at(WINDOW[1]), truth);
-    let back_after =
-        back(&fused, at(WINDOW[1]), at(LENGTH - 0.4), truth).map(|s| s.seconds_since(at(WINDOW[1])));
-    let said = row.diagnostics.and_then(|(node, words)| said(heard, node, words, at(WINDOW[0])));
+    let back_after = back(&fused, at(WINDOW[1]), at(LENGTH - 0.4), truth)
+        .map(|s| s.seconds_since(at(WINDOW[1])));
+    let report =
+        row.diagnostics.and_then(|(node, words)| report(received, node, words, at(WINDOW[0])));
 
     // The folder of the logs is this machine's own.
-    let said = said.or(notes.said).map(|line| line.replace(&format!("{}/", folder.display()), ""));
+    let report =
+        report.or(notes.report).map(|line| line.replace(&format!("{}/", folder.display()), ""));
 
     let mut failures = notes.failures;
     match row.flow {
@@ -88,28 +96,29 @@ pub fn judge(row: &Row, scenario: &Scenario, ended: &Ended, folder: &Path, notes
             ));
         }
         Flow::Stops if rate > 0.5 => {
-            failures.push("the odometry went on though nothing could be said".to_owned())
+            failures.push("odometry was published though no pose can be estimated".to_owned());
         }
         _ => {}
     }
-    if let (Some((node, words)), None) = (row.diagnostics, &said) {
-        failures.push(format!("the diagnostics of {node} never said any of {words:?}"));
+    if let (Some((node, words)), None) = (row.diagnostics, &report) {
+        failures.push(format!("the diagnostics of {node} reported none of {words:?}"));
     }
     match back_after {
         Some(s) if s <= row.back_within => {}
         Some(s) => failures.push(format!("back after {s:.2} s instead of {}", row.back_within)),
         None => failures.push("not back before the end".to_owned()),
     }
-    failures.extend(not_a_number(heard));
-    failures.extend(contradicted(heard, at(0.5), at(LENGTH - 0.4), truth));
+    failures.extend(not_a_number(received));
+    failures.extend(contradicted(received, at(0.5), at(LENGTH - 0.4), truth));
     failures.extend(ends(ended, folder));
     let verdict = if failures.is_empty() { Verdict::Holds } else { Verdict::Fails(failures) };
-    Outcome { rate, longest_gap, worst_position, worst_rotation, said, back_after, verdict }
+    Outcome { rate, longest_gap, worst_position, worst_rotation, report, back_after, verdict }
 }
 
 /// Share of the 100 Hz that came, and the longest gap.
 pub(crate) fn flow(track: &Track, from: Stamp, to: Stamp) -> (f64, f64) {
-    let stamps: Vec<Stamp> = track.iter().map(|(s, _)| *s).filter(|s| *s >= from && *s <= to).collect();
+    let stamps: Vec<Stamp> =
+        track.iter().map(|(s, _)| *s).filter(|s| *s >= from && *s <= to).collect();
     let mut last = from;
     let mut gap: f64 = 0.0;
     for s in stamps.iter().chain([&to]) {
@@ -159,10 +168,13 @@ pub(crate) fn back(
     since.filter(|_| last.is_some_and(|l| to.seconds_since(l) < 0.2))
 }
 
-/// The first line at WARN or above with one of the words: what a person reads, not the numbers beside it.
-fn said(heard: &Heard, node: &str, words: &[&str], from: Stamp) -> Option<String> {
-    let lines =
-        heard.diagnostics.iter().filter(|(received, _)| *received >= from).flat_map(|(_, m)| &m.status);
+/// First line at WARN or above with one of the words: the message, not the values beside it.
+fn report(received: &Received, node: &str, words: &[&str], from: Stamp) -> Option<String> {
+    let lines = received
+        .diagnostics
+        .iter()
+        .filter(|(received, _)| *received >= from)
+        .flat_map(|(_, m)| &m.status);
     lines
         .filter(|s| s.level >= DiagnosticStatus::WARN && s.name.starts_with(node))
         .map(|s| format!("{}: {}", s.name, s.message))
@@ -170,63 +182,67 @@ fn said(heard: &Heard, node: &str, words: &[&str], from: Stamp) -> Option<String
 }
 
 /// Every number that must be one is one.
-pub(crate) fn not_a_number(heard: &Heard) -> Option<String> {
+pub(crate) fn not_a_number(received: &Received) -> Option<String> {
     let finite = |values: &[f64]| values.iter().all(|v| v.is_finite());
     let pose = |p: &volant_msgs::geometry_msgs::msg::PoseWithCovariance| {
         let (t, q) = (&p.pose.position, &p.pose.orientation);
         finite(&[t.x, t.y, t.z, q.x, q.y, q.z, q.w]) && finite(&p.covariance)
     };
     let vector = |v: &volant_msgs::geometry_msgs::msg::Vector3| finite(&[v.x, v.y, v.z]);
-    let checks =
-        [
-            (
-                "odometry",
-                heard.odometry.iter().all(|(_, m)| {
-                    pose(&m.pose)
-                        && vector(&m.twist.twist.linear)
-                        && vector(&m.twist.twist.angular)
-                        && finite(&m.twist.covariance)
-                }),
-            ),
-            ("fused_pose", heard.fused_pose.iter().all(|(_, m)| pose(&m.pose))),
-            ("visual_pose", heard.visual_pose.iter().all(|(_, m)| pose(&m.pose))),
-            (
-                "imu/data",
-                heard.imu.iter().all(|(_, m)| vector(&m.linear_acceleration) && vector(&m.angular_velocity)),
-            ),
-            (
-                "climber/transform",
-                heard.climber.iter().all(|(_, m)| {
-                    let (t, q) = (&m.transform.translation, &m.transform.rotation);
-                    vector(t) && finite(&[q.x, q.y, q.z, q.w])
-                }),
-            ),
-            (
-                "climber/markers",
-                heard.markers.iter().flat_map(|(_, m)| &m.markers).all(|o| {
-                    o.state == MarkerObservation::LOST || finite(&[o.x, o.y]) && finite(&o.covariance)
-                }),
-            ),
-        ];
+    let checks = [
+        (
+            "odometry",
+            received.odometry.iter().all(|(_, m)| {
+                pose(&m.pose)
+                    && vector(&m.twist.twist.linear)
+                    && vector(&m.twist.twist.angular)
+                    && finite(&m.twist.covariance)
+            }),
+        ),
+        ("fused_pose", received.fused_pose.iter().all(|(_, m)| pose(&m.pose))),
+        ("visual_pose", received.visual_pose.iter().all(|(_, m)| pose(&m.pose))),
+        (
+            "imu/data",
+            received
+                .imu
+                .iter()
+                .all(|(_, m)| vector(&m.linear_acceleration) && vector(&m.angular_velocity)),
+        ),
+        (
+            topics::CLIMBER_TRANSFORM,
+            received.climber.iter().all(|(_, m)| {
+                let (t, q) = (&m.transform.translation, &m.transform.rotation);
+                vector(t) && finite(&[q.x, q.y, q.z, q.w])
+            }),
+        ),
+        (
+            topics::MARKERS,
+            received.markers.iter().flat_map(|(_, m)| &m.markers).all(|o| {
+                o.state == MarkerObservation::LOST || finite(&[o.x, o.y]) && finite(&o.covariance)
+            }),
+        ),
+    ];
     let bad: Vec<&str> = checks.iter().filter(|(_, fine)| !fine).map(|(name, _)| *name).collect();
-    (!bad.is_empty()).then(|| format!("a number that is none on {}", bad.join(", ")))
+    (!bad.is_empty()).then(|| format!("a non-finite number on {}", bad.join(", ")))
 }
 
 /// A covariance that the truth contradicts.
 pub(crate) fn contradicted(
-    heard: &Heard,
+    received: &Received,
     from: Stamp,
     to: Stamp,
     truth: impl Fn(Stamp) -> Isometry3<f64> + Copy,
 ) -> Option<String> {
-    let nees = heard.nees_by_stamp(from, to, truth);
-    let beyond: Vec<_> = nees.iter().filter(|(_, n)| n[0] > NEES_LIMIT || n[1] > NEES_LIMIT).collect();
+    let nees = received.nees_by_stamp(from, to, truth);
+    let beyond: Vec<_> =
+        nees.iter().filter(|(_, n)| n[0] > NEES_LIMIT || n[1] > NEES_LIMIT).collect();
     let share = beyond.len() as f64 / nees.len().max(1) as f64;
     let [(first, _), .., (last, _)] = beyond[..] else { return None };
     (share > NEES_SHARE).then(|| {
         let worst = beyond.iter().flat_map(|(_, n)| n).fold(0.0_f64, |a, b| a.max(*b));
         format!(
-            "the truth contradicts the covariance in {:.1} % of the odometry (NEES up to {worst:.0}, between {:.1} and {:.1} s)",
+            "the truth contradicts the covariance in {:.1} % of the odometry (NEES up to \
+             {worst:.0}, between {:.1} and {:.1} s)",
             share * 100.0,
             first.seconds_since(from),
             last.seconds_since(from)

@@ -1,8 +1,8 @@
-//! A disk that fills up while the run is recorded: a file system of a few MiB, on which `volant record` writes.
+//! A disk that fills up during a recording: `volant record` writes to a file system of 2 MiB.
 
 use super::{Action, Bench, Flow, Row, table::action};
 use crate::live::{RunError, processes::executables};
-use launch_config::bag::{BagError, BagReader};
+use bag::{BagError, BagReader};
 use std::{
     cell::RefCell,
     io::Read,
@@ -12,10 +12,10 @@ use std::{
     time::Duration,
 };
 
-/// Room on the disk; the rig's topics fill it within two seconds.
-const ROOM: &str = "size=2m";
+/// Size of the disk; the rig's topics fill it within two seconds.
+const SIZE: &str = "size=2m";
 
-/// What stands while the row runs.
+/// The disk and the recorder while the row runs.
 struct Recorder {
     child: Child,
     disk: Disk,
@@ -32,7 +32,7 @@ impl Disk {
         };
         std::fs::create_dir_all(at).map_err(|e| impossible(e.to_string()))?;
         let output = Command::new("mount")
-            .args(["-t", "tmpfs", "-o", ROOM, "tmpfs"])
+            .args(["-t", "tmpfs", "-o", SIZE, "tmpfs"])
             .arg(at)
             .output()
             .map_err(|e| impossible(e.to_string()))?;
@@ -93,7 +93,8 @@ fn start(b: &mut Bench<'_>) -> Result<Recorder, RunError> {
     Ok(Recorder { child, disk })
 }
 
-/// It must have ended by itself with status 1 and one line that names the file, and what it wrote must be readable.
+/// Asserts that it ended by itself with status 1 and one line that names the file, and that its bag
+/// is readable.
 fn finish(mut recorder: Recorder, b: &mut Bench<'_>) {
     for _ in 0..100 {
         if matches!(recorder.child.try_wait(), Ok(Some(_))) {
@@ -116,16 +117,18 @@ fn finish(mut recorder: Recorder, b: &mut Bench<'_>) {
     }
     let last = words.lines().last().unwrap_or_default().to_owned();
     if status.code() != Some(1) || !last.contains("run.mcap") {
-        b.notes.failures.push(format!("the recorder ended with {status} and said `{last}`"));
+        b.notes.failures.push(format!("the recorder ended with {status} and wrote `{last}`"));
     }
-    b.notes.said = Some(last.replace(&format!("{}/", recorder.disk.0.display()), ""));
+    b.notes.report = Some(last.replace(&format!("{}/", recorder.disk.0.display()), ""));
     let bag = recorder.disk.0.join("run.mcap");
     match readable(&bag) {
         Ok(count) if count < 100 => {
-            b.notes.failures.push(format!("only {count} messages of the full disk's bag can be read"));
+            b.notes
+                .failures
+                .push(format!("only {count} messages of the full disk's bag can be read"));
         }
         Ok(_) => {}
-        Err(error) => b.notes.failures.push(format!("the full disk's bag cannot be read: {error}")),
+        Err(error) => b.notes.failures.push(format!("the full disk's bag is unreadable: {error}")),
     }
 }
 

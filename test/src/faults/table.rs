@@ -1,10 +1,12 @@
-//! The rows. A window of 3 s: long enough that the diagnostics, once a second, name what is missing for 2 s.
+//! The rows. The window is 3 s: the diagnostics, once a second, name a topic after 2 s without a
+//! message.
 
 use super::{
-    Action, Bench, Flow, Row, recording,
-    spoilers::{even_pictures, images, joints, one, shift},
+    Action, Bench, Flow, Row,
+    injectors::{images, joints, one, shift, uniform_images},
+    recording,
 };
-use crate::live::{ProcessError, RunError, Spoiler, processes::Signal};
+use crate::live::{FaultInjector, ProcessError, RunError, processes::Signal};
 use std::time::Duration;
 
 type Words = &'static [&'static str];
@@ -13,16 +15,16 @@ pub(super) fn action(f: impl Fn(&mut Bench<'_>) -> Result<(), RunError> + 'stati
     Box::new(f)
 }
 
-/// A row in which camera or encoders speak as `make` has them, until the window ends.
-fn spoiled(fault: &'static str, make: impl Fn() -> Spoiler + 'static) -> Row {
+/// A row in which `make` changes the data of camera or encoders until the window ends.
+fn sensor_fault(fault: &'static str, make: impl Fn() -> FaultInjector + 'static) -> Row {
     Row {
         fault,
         begin: action(move |b| {
-            b.run.stand.spoil(Some(make()));
+            b.run.hardware.inject(Some(make()));
             Ok(())
         }),
         end: action(|b| {
-            b.run.stand.spoil(None);
+            b.run.hardware.inject(None);
             Ok(())
         }),
         flow: Flow::Unbroken,
@@ -36,7 +38,7 @@ fn spoiled(fault: &'static str, make: impl Fn() -> Spoiler + 'static) -> Row {
 /// A row in which the inertial unit is treated with `begin`, and with `end` when the window ends.
 fn unit(
     fault: &'static str,
-    said: Words,
+    report: Words,
     begin: impl Fn(&mut Bench<'_>) + 'static,
     end: impl Fn(&mut Bench<'_>) + 'static,
 ) -> Row {
@@ -51,7 +53,7 @@ fn unit(
             Ok(())
         }),
         flow: Flow::Stops,
-        diagnostics: Some(("imu_driver", said)),
+        diagnostics: Some(("imu_driver", report)),
         back_within: 2.0,
         kills: None,
         clock_ahead: 0.0,
@@ -60,7 +62,8 @@ fn unit(
 
 /// The named node is killed as by `kill -9`, and started again when the window ends.
 fn killed(fault: &'static str, name: &'static str) -> Row {
-    let missing = move || RunError::Process(ProcessError::NotBuilt { name: name.into(), path: name.into() });
+    let missing =
+        move || RunError::Process(ProcessError::NotBuilt { name: name.into(), path: name.into() });
     Row {
         fault,
         begin: action(move |b| Ok(b.run.nodes.get(name).ok_or_else(missing)?.kill()?)),
@@ -73,12 +76,17 @@ fn killed(fault: &'static str, name: &'static str) -> Row {
     }
 }
 
-/// The named node is stopped for the window (SIGSTOP, SIGCONT), as on a computer that is overloaded.
+/// Stops the named node for the window (SIGSTOP, SIGCONT), as on an overloaded computer.
 fn stalled(fault: &'static str, name: &'static str) -> Row {
-    let missing = move || RunError::Process(ProcessError::NotBuilt { name: name.into(), path: name.into() });
+    let missing =
+        move || RunError::Process(ProcessError::NotBuilt { name: name.into(), path: name.into() });
     Row {
-        begin: action(move |b| Ok(b.run.nodes.get(name).ok_or_else(missing)?.signal(Signal::STOP)?)),
-        end: action(move |b| Ok(b.run.nodes.get(name).ok_or_else(missing)?.signal(Signal::CONT)?)),
+        begin: action(move |b| {
+            Ok(b.run.nodes.get(name).ok_or_else(missing)?.signal(Signal::STOP)?)
+        }),
+        end: action(move |b| {
+            Ok(b.run.nodes.get(name).ok_or_else(missing)?.signal(Signal::CONT)?)
+        }),
         ..killed(fault, name)
     }
 }
@@ -93,7 +101,7 @@ fn clock_set(fault: &'static str, ahead: f64) -> Row {
         diagnostics: Some(("pose_fusion", &["clock was set back"])),
         back_within: 1.5,
         clock_ahead: ahead,
-        ..spoiled(fault, || images(one))
+        ..sensor_fault(fault, || images(one))
     }
 }
 
@@ -107,11 +115,11 @@ pub fn table() -> Vec<Row> {
             flow: Flow::Unbroken,
             diagnostics: None,
             back_within: 0.2,
-            ..spoiled("nothing (to compare with)", || images(one))
+            ..sensor_fault("no fault (reference)", || images(one))
         },
         Row {
             diagnostics: tracker(&["byte for byte"]),
-            ..spoiled("camera frozen: the same picture with new stamps", || {
+            ..sensor_fault("camera frozen: the same image with new stamps", || {
                 let mut first: Option<Vec<u8>> = None;
                 images(move |mut m| {
                     m.data = first.get_or_insert(m.data).clone();
@@ -121,13 +129,13 @@ pub fn table() -> Vec<Row> {
         },
         Row {
             diagnostics: tracker(&["nearly black"]),
-            ..spoiled("camera dark", || even_pictures(640, 480, 0))
+            ..sensor_fault("camera dark", || uniform_images(640, 480, 0))
         },
         Row {
             diagnostics: tracker(&["nearly white"]),
-            ..spoiled("camera over-exposed", || even_pictures(640, 480, 250))
+            ..sensor_fault("camera over-exposed", || uniform_images(640, 480, 250))
         },
-        spoiled("camera drops two pictures of three", || {
+        sensor_fault("camera drops two images of three", || {
             let mut count = 0;
             images(move |m| {
                 count += 1;
@@ -136,24 +144,26 @@ pub fn table() -> Vec<Row> {
         }),
         Row {
             diagnostics: tracker(&["no image came"]),
-            ..spoiled("camera silent", || images(|_| Vec::new()))
+            ..sensor_fault("camera silent", || images(|_| Vec::new()))
         },
         Row {
             diagnostics: tracker(&["the images are 320x240, camera_info is for 640x480"]),
-            ..spoiled("camera sends another size", || even_pictures(320, 240, 90))
+            ..sensor_fault("camera sends another size", || uniform_images(320, 240, 90))
         },
         Row {
-            diagnostics: tracker(&["refused"]),
-            ..spoiled("pictures cut off in their middle", || {
+            diagnostics: tracker(&["rejected"]),
+            ..sensor_fault("images cut off in the middle", || {
                 images(|mut m| {
                     m.data.truncate(m.data.len() / 2);
                     one(m)
                 })
             })
         },
-        spoiled("pictures doubled", || images(|m| vec![(Duration::ZERO, m.clone()), (Duration::ZERO, m)])),
-        spoiled("pictures late by 150 ms", || images(|m| vec![(Duration::from_millis(150), m)])),
-        spoiled("pictures out of order", || {
+        sensor_fault("images doubled", || {
+            images(|m| vec![(Duration::ZERO, m.clone()), (Duration::ZERO, m)])
+        }),
+        sensor_fault("images late by 150 ms", || images(|m| vec![(Duration::from_millis(150), m)])),
+        sensor_fault("images out of order", || {
             let mut late = false;
             images(move |m| {
                 late = !late;
@@ -162,7 +172,7 @@ pub fn table() -> Vec<Row> {
         }),
         Row {
             diagnostics: fusion(&["ahead of the IMU samples"]),
-            ..spoiled("pictures stamped 10 s ahead", || {
+            ..sensor_fault("images stamped 10 s ahead", || {
                 images(|mut m| {
                     shift(&mut m.header, 10.0);
                     one(m)
@@ -171,7 +181,7 @@ pub fn table() -> Vec<Row> {
         },
         Row {
             diagnostics: fusion(&["older than the newest IMU sample"]),
-            ..spoiled("pictures stamped 10 s in the past", || {
+            ..sensor_fault("images stamped 10 s in the past", || {
                 images(|mut m| {
                     shift(&mut m.header, -10.0);
                     one(m)
@@ -180,7 +190,7 @@ pub fn table() -> Vec<Row> {
         },
         Row {
             diagnostics: climber(&["jumped by"]),
-            ..spoiled("encoder: every second reading off by 0.5 m", || {
+            ..sensor_fault("encoder: every second reading off by 0.5 m", || {
                 let mut count = 0;
                 joints(move |mut m| {
                     count += 1;
@@ -193,7 +203,7 @@ pub fn table() -> Vec<Row> {
         },
         Row {
             diagnostics: climber(&["is NaN"]),
-            ..spoiled("encoder: NaN", || {
+            ..sensor_fault("encoder: NaN", || {
                 joints(|mut m| {
                     m.position[1] = f64::NAN;
                     one(m)
@@ -202,7 +212,7 @@ pub fn table() -> Vec<Row> {
         },
         Row {
             diagnostics: climber(&["old on arrival"]),
-            ..spoiled("encoders stale: stamped 2 s ago", || {
+            ..sensor_fault("encoders stale: stamped 2 s ago", || {
                 joints(|mut m| {
                     shift(&mut m.header, -2.0);
                     one(m)
@@ -211,11 +221,11 @@ pub fn table() -> Vec<Row> {
         },
         Row {
             diagnostics: climber(&["no reading was accepted"]),
-            ..spoiled("encoders silent", || joints(|_| Vec::new()))
+            ..sensor_fault("encoders silent", || joints(|_| Vec::new()))
         },
         Row {
             diagnostics: climber(&["is missing"]),
-            ..spoiled("encoder: a joint is missing", || {
+            ..sensor_fault("encoder: a joint is missing", || {
                 joints(|mut m| {
                     m.name.pop();
                     m.position.pop();
@@ -225,21 +235,21 @@ pub fn table() -> Vec<Row> {
         },
         Row {
             diagnostics: climber(&["after its receipt"]),
-            ..spoiled("encoders from the future: stamped 2 s ahead", || {
+            ..sensor_fault("encoders from the future: stamped 2 s ahead", || {
                 joints(|mut m| {
                     shift(&mut m.header, 2.0);
                     one(m)
                 })
             })
         },
-        spoiled("encoder readings out of order", || {
+        sensor_fault("encoder readings out of order", || {
             let mut late = false;
             joints(move |m| {
                 late = !late;
                 vec![(Duration::from_millis(if late { 40 } else { 0 }), m)]
             })
         }),
-        spoiled("encoder readings doubled and late by 60 ms", || {
+        sensor_fault("encoder readings doubled and late by 60 ms", || {
             joints(|m| vec![(Duration::from_millis(60), m.clone()), (Duration::from_millis(60), m)])
         }),
     ];
@@ -253,7 +263,8 @@ pub fn table() -> Vec<Row> {
                     for i in 0..10_u8 {
                         let garbage: Vec<u8> =
                             (0..400_u32).map(|k| (k as u8).wrapping_mul(37) ^ i | 0xC0).collect();
-                        let _ = b.run.stand.unit().with(move |unit, now| unit.inject(&garbage, now));
+                        let _ =
+                            b.run.hardware.imu().with(move |unit, now| unit.inject(&garbage, now));
                         std::thread::sleep(Duration::from_millis(100));
                     }
                 },
@@ -264,26 +275,30 @@ pub fn table() -> Vec<Row> {
             "serial silence (a broken wire)",
             &["no message for"],
             |b| {
-                let _ = b.run.stand.unit().with(|unit, _| unit.set_mute(true));
+                let _ = b.run.hardware.imu().with(|unit, _| unit.set_mute(true));
             },
             |b| {
-                let _ = b.run.stand.unit().with(|unit, _| unit.set_mute(false));
+                let _ = b.run.hardware.imu().with(|unit, _| unit.set_mute(false));
             },
         ),
         unit(
             "serial adapter unplugged",
             &["the serial port"],
-            |b| b.run.stand.unit().unplug(),
-            |b| b.run.stand.unit().replug(),
+            |b| b.run.hardware.imu().unplug(),
+            |b| b.run.hardware.imu().replug(),
         ),
-        unit(
-            "inertial unit off and on again",
-            &["was set up again"],
-            |b| {
-                let _ = b.run.stand.unit().with(|unit, now| unit.power_cycle(now));
-            },
-            |_| {},
-        ),
+        // A power cycle takes a fraction of the window: the IMU is back before the window ends.
+        Row {
+            flow: Flow::Gaps,
+            ..unit(
+                "IMU off and on again",
+                &["was set up again"],
+                |b| {
+                    let _ = b.run.hardware.imu().with(|unit, now| unit.power_cycle(now));
+                },
+                |_| {},
+            )
+        },
         Row {
             flow: Flow::Stops,
             diagnostics: None,
@@ -308,8 +323,9 @@ pub fn table() -> Vec<Row> {
         },
         Row {
             flow: Flow::Gaps,
-            // An interrupted middleware is joined anew, which takes the place of having stood still.
-            diagnostics: fusion(&["stood still for", "started anew"]),
+            // After an interruption the domain is joined again, and the restart is reported
+            // instead.
+            diagnostics: fusion(&["stood still for", "restarted"]),
             ..stalled("pose_fusion stalled for 3 s", "pose_fusion")
         },
         Row {
@@ -321,16 +337,10 @@ pub fn table() -> Vec<Row> {
             diagnostics: fusion(&["nothing comes on /climber/transform"]),
             ..stalled("climber_driver stalled for 3 s", "climber_driver")
         },
-        clock_set("the computer's clock set 5 s ahead, and right again", 5.0),
-        clock_set("the computer's clock set 5 s back, and right again", -5.0),
-        clock_set("the computer's clock set 0.3 s ahead, and right again", 0.3),
+        clock_set("system clock set 5 s ahead, and corrected", 5.0),
+        clock_set("system clock set 5 s back, and corrected", -5.0),
+        clock_set("system clock set 0.3 s ahead, and corrected", 0.3),
         recording::disk_full(),
     ]);
-    // Off and on again takes the unit a fraction of the window: it is back before the window ends.
-    for row in &mut rows {
-        if row.fault.starts_with("inertial unit off") {
-            row.flow = Flow::Gaps;
-        }
-    }
     rows
 }

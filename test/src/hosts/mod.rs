@@ -1,52 +1,54 @@
-//! The rig's two computers on one machine: two network namespaces and a cable between them that can be made bad.
+//! The rig's two computers on one machine: two network namespaces and an impaired link between
+//! them.
 //!
-//! [`Hosts`] makes them and takes them away; [`weather`] is what the cable does to a frame, [`cable`] does it; [`trial`] runs
-//! the live rig over it.
+//! [`Hosts`] creates and removes them; [`impairment`] decides what happens to a frame, [`link`]
+//! carries it; [`trial`] runs the live rig over it.
 
-pub mod cable;
+pub mod impairment;
+pub mod link;
 pub mod trial;
-pub mod weather;
 
-pub use cable::Cable;
-pub use weather::Weather;
+pub use impairment::Impairment;
+pub use link::Link;
 
 use crate::live::Namespaces;
 use std::process::Command;
 use thiserror::Error;
 
-/// The two computers cannot be made here.
+/// The two computers could not be created on this machine.
 #[derive(Debug, Error)]
 #[error(
-    "two hosts need network namespaces and a tap device, that is root (or CAP_NET_ADMIN and CAP_SYS_ADMIN), iproute2 and \
-     /dev/net/tun: {reason}"
+    "two hosts need network namespaces and a tap device, that is root (or CAP_NET_ADMIN and \
+     CAP_SYS_ADMIN), iproute2 and /dev/net/tun: {reason}"
 )]
 pub struct NotPermitted {
     reason: String,
 }
 
-/// Two computers with a cable between them. All of it is gone when this drops.
+/// Two computers with a link between them. All of it is gone when this drops.
 pub struct Hosts {
-    /// The cable.
-    pub cable: Cable,
+    /// The link.
+    pub link: Link,
     /// Their names.
     pub namespaces: Namespaces,
 }
 
 impl Hosts {
-    /// Makes them. Their names bear the process's id, so that several can stand side by side.
+    /// Creates them. The process id is part of their names, so that several can exist at once.
     ///
     /// # Errors
     /// What is missing.
     pub fn new(seed: u64) -> Result<Self, NotPermitted> {
         remove_left_over();
         let id = std::process::id();
-        let namespaces = Namespaces { climber: format!("volant-c-{id}"), platform: format!("volant-p-{id}") };
+        let namespaces =
+            Namespaces { climber: format!("volant-c-{id}"), platform: format!("volant-p-{id}") };
         let made = Made(&namespaces);
         let names = [format!("vc{id}"), format!("vp{id}")];
         for name in [&namespaces.climber, &namespaces.platform] {
             ip(&["netns", "add", name])?;
         }
-        let cable = Cable::new([&names[0], &names[1]], seed)
+        let link = Link::new([&names[0], &names[1]], seed)
             .map_err(|e| NotPermitted { reason: format!("a tap device: {e}") })?;
         for (i, place) in [&namespaces.climber, &namespaces.platform].into_iter().enumerate() {
             let end = names[i].as_str();
@@ -57,15 +59,15 @@ impl Hosts {
             ip(&["-n", place, "route", "add", "224.0.0.0/4", "dev", end])?;
         }
         std::mem::forget(made);
-        Ok(Self { cable, namespaces })
+        Ok(Self { link, namespaces })
     }
 }
 
-/// A computer of its own for the calling thread, and for what it starts from then on.
+/// A separate computer for the calling thread and for what it starts afterwards.
 pub struct Island(String);
 
 impl Island {
-    /// Moves the calling thread into a network namespace with nothing but a loopback and an interface of its own.
+    /// Moves the calling thread into a network namespace with a loopback and one more interface.
     ///
     /// # Errors
     /// What is missing.
@@ -100,15 +102,18 @@ impl Drop for Island {
 /// Takes away what a process that was killed has left.
 fn remove_left_over() {
     let Ok(folder) = std::fs::read_dir("/run/netns") else { return };
-    for name in folder.filter_map(Result::ok).filter_map(|entry| entry.file_name().into_string().ok()) {
-        let id = ["c", "p", "i"].iter().find_map(|kind| name.strip_prefix(&format!("volant-{kind}-")));
+    for name in
+        folder.filter_map(Result::ok).filter_map(|entry| entry.file_name().into_string().ok())
+    {
+        let id =
+            ["c", "p", "i"].iter().find_map(|kind| name.strip_prefix(&format!("volant-{kind}-")));
         if id.is_some_and(|id| !std::path::Path::new("/proc").join(id).exists()) {
             let _ = ip(&["netns", "delete", &name]);
         }
     }
 }
 
-/// Takes away what was made when the rest cannot be.
+/// Removes what was created when the rest fails.
 struct Made<'a>(&'a Namespaces);
 
 impl Drop for Made<'_> {
@@ -134,6 +139,6 @@ fn ip(arguments: &[&str]) -> Result<(), NotPermitted> {
     if output.status.success() {
         return Ok(());
     }
-    let said = String::from_utf8_lossy(&output.stderr);
-    Err(NotPermitted { reason: format!("{}: {}", line(), said.trim()) })
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    Err(NotPermitted { reason: format!("{}: {}", line(), stderr.trim()) })
 }

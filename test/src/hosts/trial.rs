@@ -1,10 +1,11 @@
-//! Runs of the live rig over two computers: what the link or one side does, and what became of the pose.
+//! Runs of the live rig on two computers with an impaired link or a failing side, and the resulting
+//! pose errors.
 
-use super::{Hosts, Weather};
+use super::{Hosts, Impairment};
 use crate::{
     accuracy::Errors,
     faults::outcome,
-    live::{ClockError, Film, Host, NODES, Run, RunError, Scenario, Site},
+    live::{ClockError, Host, ImageSequence, NODES, Run, RunError, Scenario, Site},
 };
 use node_kit::environment::Network;
 use rig_model::Stamp;
@@ -22,26 +23,26 @@ const WINDOW: [f64; 2] = [3.0, 8.0];
 /// How long a side that is restarted is gone, s.
 const GONE: f64 = 1.0;
 
-/// Rigs that each of the two links whose errors are compared is tried with. One run's error is mostly what the clocks' offsets and the
-/// markers' constant errors happen to be in it: 0.25 to 0.5 mm.
+/// Rigs per link whose errors are compared. The error of one run is mostly due to its clock offsets
+/// and constant marker errors: 0.25 to 0.5 mm.
 pub const COMPARED: usize = 5;
 
 /// A rig that swings, and what its camera sees.
 pub struct Swing {
     scenario: Scenario,
-    film: Arc<Film>,
+    images: Arc<ImageSequence>,
 }
 
 impl Swing {
-    /// The rig of this seed, no marker covered; its pictures are drawn on `threads` threads.
+    /// The rig of this seed, no marker covered; its images are drawn on `threads` threads.
     ///
     /// # Errors
     /// The scenario's, or the JPEG encoder's.
     pub fn new(seed: u64, threads: usize) -> anyhow::Result<Self> {
         let mut scenario = Scenario::swing(seed, LENGTH)?;
         scenario.covers.clear();
-        let film = Arc::new(Film::shoot(&scenario, threads, |_, _| {})?);
-        Ok(Self { scenario, film })
+        let images = Arc::new(ImageSequence::render(&scenario, threads, |_, _| {})?);
+        Ok(Self { scenario, images })
     }
 }
 
@@ -59,7 +60,7 @@ pub struct Place<'a> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trouble {
     /// The link is so from the start on.
-    Link(Weather),
+    Link(Impairment),
     /// The link is cut for 5 s.
     Cut,
     /// The nodes of one computer are killed as by `kill -9`, and started again 1 s later.
@@ -77,38 +78,38 @@ pub struct Trial {
     pub trouble: Trouble,
     /// The odometry must come with every inertial sample, all the time.
     pub unbroken: bool,
-    /// Position RMSE at most so many times that of the clean link.
+    /// Largest ratio of the position RMSE to that of the clean link.
     pub at_most: Option<f64>,
-    /// How many rigs are taken together: what is compared must not be one rig's luck.
+    /// Number of rigs whose errors are averaged, so that a comparison does not depend on one rig.
     pub rigs: usize,
-    /// After the trouble is over, fused again within so many seconds.
+    /// Largest time from the end of the trouble until fused poses are back, s.
     pub back_within: Option<f64>,
 }
 
 /// Every trial; the first one is the clean link that others are compared with.
 pub fn trials() -> Vec<Trial> {
-    let link = |name, weather| Trial {
+    let link = |name, impairment| Trial {
         name,
-        trouble: Trouble::Link(weather),
+        trouble: Trouble::Link(impairment),
         unbroken: true,
         at_most: None,
         rigs: 1,
         back_within: None,
     };
-    let clean = Weather::default();
-    let lossy = |loss| Weather { loss, ..clean };
-    let far = Weather { delay: 0.05, spread: 0.02, ..clean };
+    let clean = Impairment::default();
+    let lossy = |loss| Impairment { loss, ..clean };
+    let far = Impairment { delay: 0.05, spread: 0.02, ..clean };
     vec![
         Trial { rigs: COMPARED, ..link("clean", clean) },
         link("1 % lost", lossy(0.01)),
         link("5 % lost", lossy(0.05)),
         link("20 % lost", lossy(0.2)),
         link("50 ± 20 ms delay", far),
-        link("3 of 10 frames overtaken", Weather { reordered: 0.3, ..clean }),
+        link("3 of 10 frames overtaken", Impairment { reordered: 0.3, ..clean }),
         Trial {
             at_most: Some(1.3),
             rigs: COMPARED,
-            ..link("5 % lost and 50 ± 20 ms delay", Weather { loss: 0.05, ..far })
+            ..link("5 % lost and 50 ± 20 ms delay", Impairment { loss: 0.05, ..far })
         },
         Trial {
             name: "cut for 5 s",
@@ -160,7 +161,7 @@ pub struct Seen {
     pub longest_gap: f64,
     /// From the trouble's end until the pose was back to stay, s.
     pub back_after: Option<f64>,
-    /// Frames and share of them that the cable lost.
+    /// Frames and share of them that the link lost.
     pub frames: [f64; 2],
     /// What is not as it must be.
     pub failures: Vec<String>,
@@ -187,11 +188,17 @@ impl Seen {
 }
 
 impl Trial {
-    /// Runs it with as many of the rigs as it says. `clean` is the position error over the clean link, mm.
+    /// Runs it with its number of rigs. `clean` is the position error over the clean link, mm.
     ///
     /// # Errors
-    /// The rig did not come up, or a process hung; the reason why no two hosts can be is told by [`Hosts::new`].
-    pub fn run(&self, swings: &[Swing], place: &Place<'_>, clean: Option<f64>) -> Result<Seen, RunError> {
+    /// The rig did not start, or a process hung. [`Hosts::new`] reports why two hosts are not
+    /// possible.
+    pub fn run(
+        &self,
+        swings: &[Swing],
+        place: &Place<'_>,
+        clean: Option<f64>,
+    ) -> Result<Seen, RunError> {
         let mut seen = Vec::with_capacity(self.rigs);
         for (i, swing) in swings.iter().take(self.rigs).enumerate() {
             seen.push(self.once(swing, place, &place.folder.join(format!("rig{i}")))?);
@@ -200,42 +207,44 @@ impl Trial {
         if let (Some(most), Some(clean)) = (self.at_most, clean)
             && seen.position > most * clean
         {
-            seen.failures.push(format!("{:.2} times the clean link's error", seen.position / clean));
+            seen.failures
+                .push(format!("{:.2} times the clean link's error", seen.position / clean));
         }
         Ok(seen)
     }
 
     #[allow(clippy::disallowed_methods, reason = "it measures how long a start takes")]
     fn once(&self, swing: &Swing, place: &Place<'_>, folder: &Path) -> Result<Seen, RunError> {
-        let (Swing { scenario, film }, Place { hosts, network, .. }) = (swing, place);
+        let (Swing { scenario, images }, Place { hosts, network, .. }) = (swing, place);
         use std::sync::atomic::Ordering::Relaxed;
         let mut site = Site { hosts: Some(hosts.namespaces.clone()), ..Site::here(network) };
-        hosts.cable.set(Weather::default());
+        hosts.link.set(Impairment::default());
         match self.trouble {
-            Trouble::Link(weather) => hosts.cable.set(weather),
+            Trouble::Link(impairment) => hosts.link.set(impairment),
             Trouble::Clock(error) => site.climber_clock = error,
             Trouble::Cut | Trouble::Restart(_) => {}
         }
-        let traffic = hosts.cable.traffic();
+        let traffic = hosts.link.traffic();
         let before = [traffic.frames.load(Relaxed), traffic.lost.load(Relaxed)];
         let started = std::time::Instant::now();
-        let mut run = Run::start(scenario, Arc::clone(film), &site, folder)?;
+        let mut run = Run::start(scenario, Arc::clone(images), &site, folder)?;
         run.wait_for_pose(30.0)?;
         let first_pose = started.elapsed().as_secs_f64();
         let epoch = run.begin();
         let over = self.play(&mut run, hosts, LENGTH - 0.2)?;
         let ended = run.finish()?;
-        hosts.cable.set(Weather::default());
+        hosts.link.set(Impairment::default());
 
         let at = |t: f64| epoch.plus_seconds(t);
         let truth = |s: Stamp| scenario.motion.world_from_volant(s.seconds_since(epoch));
-        let heard = &ended.heard;
-        let fused = heard.fused();
+        let received = &ended.received;
+        let fused = received.fused();
         let end = at(LENGTH - 0.4);
         let errors = Errors::of(&fused, at(1.0), end, truth);
         let (rate, longest_gap) = outcome::flow(&fused, at(1.0), end);
         let back_after = over.map(|over| {
-            outcome::back(&fused, at(over), end, truth).map_or(f64::INFINITY, |s| s.seconds_since(at(over)))
+            outcome::back(&fused, at(over), end, truth)
+                .map_or(f64::INFINITY, |s| s.seconds_since(at(over)))
         });
         let mut failures = Vec::new();
         if self.unbroken && (rate < 0.97 || longest_gap > 0.06) {
@@ -250,14 +259,15 @@ impl Trial {
         {
             failures.push(format!("back after {back:.2} s instead of {within}"));
         }
-        failures.extend(outcome::not_a_number(heard));
-        failures.extend(outcome::contradicted(heard, at(0.5), end, truth));
+        failures.extend(outcome::not_a_number(received));
+        failures.extend(outcome::contradicted(received, at(0.5), end, truth));
         let killed = match self.trouble {
             Trouble::Restart(host) => Some(host),
             _ => None,
         };
         let ends = outcome::ends(&ended, folder);
-        failures.extend(ends.into_iter().filter(|line| killed.is_none() || line.contains("panicked")));
+        failures
+            .extend(ends.into_iter().filter(|line| killed.is_none() || line.contains("panicked")));
         let count = |i: usize, now: u64| (now - before[i]) as f64;
         let frames = count(0, traffic.frames.load(Relaxed));
         let lost = count(1, traffic.lost.load(Relaxed));
@@ -276,7 +286,7 @@ impl Trial {
     /// Plays until `end`; when the trouble is over, s, where it has an end.
     fn play(&self, run: &mut Run, hosts: &Hosts, end: f64) -> Result<Option<f64>, RunError> {
         let wait = |run: &Run, until: f64| {
-            while run.stand.seconds() < until {
+            while run.hardware.seconds() < until {
                 std::thread::sleep(Duration::from_millis(5));
             }
         };
@@ -284,10 +294,10 @@ impl Trial {
             Trouble::Link(_) | Trouble::Clock(_) => None,
             Trouble::Cut => {
                 run.play_until(WINDOW[0], |_, _| {})?;
-                hosts.cable.set(Weather { cut: true, ..Weather::default() });
+                hosts.link.set(Impairment { cut: true, ..Impairment::default() });
                 run.play_until(WINDOW[1], |_, _| {})?;
-                hosts.cable.set(Weather::default());
-                Some(run.stand.seconds())
+                hosts.link.set(Impairment::default());
+                Some(run.hardware.seconds())
             }
             Trouble::Restart(host) => {
                 run.play_until(WINDOW[0], |_, _| {})?;
@@ -303,7 +313,7 @@ impl Trial {
                         node.restart()?;
                     }
                 }
-                Some(run.stand.seconds())
+                Some(run.hardware.seconds())
             }
         };
         run.play_until(end, |_, _| {})?;
@@ -314,7 +324,8 @@ impl Trial {
 /// The table as Markdown.
 pub fn markdown(rows: &[(&'static str, Result<Seen, String>)]) -> String {
     let mut text = String::from(
-        "| between the hosts | first pose after | position, rotation RMSE | odometry | back after | frames, lost | verdict |\n\
+        "| between the hosts | first pose after | position, rotation RMSE | odometry | back after \
+         | frames, lost | verdict |\n\
          | --- | --- | --- | --- | --- | --- | --- |\n",
     );
     for (name, seen) in rows {
@@ -333,7 +344,8 @@ pub fn markdown(rows: &[(&'static str, Result<Seen, String>)]) -> String {
                 };
                 writeln!(
                     text,
-                    "| {name} | {:.2} s | {:.2} mm, {:.3}° | {:.1} %, longest gap {:.0} ms | {back} | {:.0}, {:.1} % | {verdict} |",
+                    "| {name} | {:.2} s | {:.2} mm, {:.3}° | {:.1} %, longest gap {:.0} ms | \
+                     {back} | {:.0}, {:.1} % | {verdict} |",
                     s.first_pose,
                     s.position,
                     s.rotation,

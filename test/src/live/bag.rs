@@ -1,15 +1,20 @@
-//! The run as a bag: what the hardware said, what the nodes said, and the truth, in order of receipt.
+//! A run as a bag: data of the simulated hardware, messages of the nodes, and the truth, in order
+//! of receipt.
 
 use super::{
-    heard::{Heard, Received},
+    hardware::{LEAD, Sent},
     messages::truth,
+    received::{Received, TopicLog},
     scenario::Scenario,
-    stand::{LEAD, Said},
 };
-use launch_config::bag::{BagError, BagWriter, Compression, QosProfile, Topic, WriteOptions};
-use rig_model::Stamp;
+use bag::{BagError, BagWriter, Compression, QosProfile, Topic, WriteOptions};
+use node_kit::convert;
+use rig_model::{ClimberSample, Stamp, topics};
+use rig_simulator::inertial::{Message as Sensed, Sensors};
 use std::path::Path;
-use volant_msgs::{Message, cdr};
+use volant_msgs::{
+    Message, cdr, geometry_msgs::msg::TransformStamped, sensor_msgs::msg::JointState,
+};
 
 /// Poses of the truth per second.
 const TRUTH_RATE: f64 = 200.0;
@@ -17,35 +22,84 @@ const TRUTH_RATE: f64 = 200.0;
 /// Writes the run, from half a second before `epoch` (the scenario's zero) on, as a rosbag2 folder.
 ///
 /// # Errors
-/// A place that cannot be written to or is taken.
+/// The file exists or is not writable.
 pub fn write(
     path: &Path,
     scenario: &Scenario,
     epoch: Stamp,
-    said: &Said,
-    heard: &Heard,
+    sent: &Sent,
+    received: &Received,
 ) -> Result<(), BagError> {
     let begin = epoch.plus_seconds(-LEAD);
     let options = WriteOptions { compression: Compression::None, ..WriteOptions::default() };
     let mut bag = BagWriter::create(path, options)?;
     let mut entries = Vec::new();
     let e = &mut entries;
-    put(&mut bag, e, "/climber/camera/image_raw/compressed", &QosProfile::SENSOR, &said.images);
-    put(&mut bag, e, "/climber/camera/camera_info", &QosProfile::SENSOR, &said.camera_info);
-    put(&mut bag, e, "/climber/joint_states", &QosProfile::RELIABLE, &said.joints);
-    put_heard(&mut bag, e, "/volant/imu/data", &QosProfile::SENSOR, begin, &heard.imu);
-    put_heard(&mut bag, e, "/climber/transform", &QosProfile::RELIABLE, begin, &heard.climber);
-    put_heard(&mut bag, e, "/climber/markers", &QosProfile::RELIABLE, begin, &heard.markers);
-    put_heard(&mut bag, e, "/volant/odometry", &QosProfile::RELIABLE, begin, &heard.odometry);
-    put_heard(&mut bag, e, "/volant/fused_pose", &QosProfile::RELIABLE, begin, &heard.fused_pose);
-    put_heard(&mut bag, e, "/volant/visual_pose", &QosProfile::RELIABLE, begin, &heard.visual_pose);
-    put_heard(&mut bag, e, "/volant/marker_updates", &QosProfile::RELIABLE, begin, &heard.marker_updates);
-    put_heard(&mut bag, e, "/tf", &QosProfile::RELIABLE, begin, &heard.tf);
-    put_heard(&mut bag, e, "/diagnostics", &QosProfile::RELIABLE, begin, &heard.diagnostics);
-    // Latched: heard before the run, belonging into it.
+    put(&mut bag, e, topics::absolute::COMPRESSED_IMAGE, &QosProfile::SENSOR, &sent.images);
+    put(&mut bag, e, topics::absolute::CAMERA_INFO, &QosProfile::SENSOR, &sent.camera_info);
+    put(&mut bag, e, topics::absolute::JOINT_STATES, &QosProfile::RELIABLE, &sent.joints);
+    write_received(&mut bag, e, topics::absolute::IMU, &QosProfile::SENSOR, begin, &received.imu);
+    write_received(
+        &mut bag,
+        e,
+        topics::absolute::CLIMBER_TRANSFORM,
+        &QosProfile::RELIABLE,
+        begin,
+        &received.climber,
+    );
+    write_received(
+        &mut bag,
+        e,
+        topics::absolute::MARKERS,
+        &QosProfile::RELIABLE,
+        begin,
+        &received.markers,
+    );
+    write_received(
+        &mut bag,
+        e,
+        topics::absolute::ODOMETRY,
+        &QosProfile::RELIABLE,
+        begin,
+        &received.odometry,
+    );
+    write_received(
+        &mut bag,
+        e,
+        topics::absolute::FUSED_POSE,
+        &QosProfile::RELIABLE,
+        begin,
+        &received.fused_pose,
+    );
+    write_received(
+        &mut bag,
+        e,
+        topics::absolute::VISUAL_POSE,
+        &QosProfile::RELIABLE,
+        begin,
+        &received.visual_pose,
+    );
+    write_received(
+        &mut bag,
+        e,
+        topics::absolute::MARKER_UPDATES,
+        &QosProfile::RELIABLE,
+        begin,
+        &received.marker_updates,
+    );
+    write_received(&mut bag, e, topics::absolute::TF, &QosProfile::RELIABLE, begin, &received.tf);
+    write_received(
+        &mut bag,
+        e,
+        topics::absolute::DIAGNOSTICS,
+        &QosProfile::RELIABLE,
+        begin,
+        &received.diagnostics,
+    );
+    // Latched: received before the run, belonging into it.
     let fixed: Vec<_> =
-        heard.tf_static.iter().map(|(at, m)| ((*at).max(begin), m.as_ref().clone())).collect();
-    put(&mut bag, e, "/tf_static", &QosProfile::LATCHED, &fixed);
+        received.tf_static.iter().map(|(at, m)| ((*at).max(begin), m.as_ref().clone())).collect();
+    put(&mut bag, e, topics::absolute::TF_STATIC, &QosProfile::LATCHED, &fixed);
     let poses: Vec<_> = (0..=((scenario.duration() + LEAD) * TRUTH_RATE) as usize)
         .map(|i| {
             let t = i as f64 / TRUTH_RATE - LEAD;
@@ -53,7 +107,7 @@ pub fn write(
             (stamp, truth(scenario, t, stamp))
         })
         .collect();
-    put(&mut bag, e, "/ground_truth/odometry", &QosProfile::RELIABLE, &poses);
+    put(&mut bag, e, topics::absolute::GROUND_TRUTH, &QosProfile::RELIABLE, &poses);
     entries.sort_by_key(|(time, ..)| *time);
     for (time, topic, data) in &entries {
         bag.write(*topic, *time, *time, data)?;
@@ -62,7 +116,65 @@ pub fn write(
     Ok(())
 }
 
-type Entry = (u64, launch_config::bag::TopicId, Vec<u8>);
+/// Writes what ideal sensors record of a scenario, without nodes: markers, IMU samples, the truth,
+/// and the climber as the messages that `climber` makes of it, on the topic of their type.
+///
+/// # Errors
+/// The file exists or is not writable.
+pub fn from_sensors<M: ClimberMessage>(
+    path: &Path,
+    scenario: &Scenario,
+    mut climber: impl FnMut(&ClimberSample) -> M,
+) -> Result<(), BagError> {
+    let mut bag = BagWriter::create(path, WriteOptions::default())?;
+    let frames = &scenario.rig.frames;
+    let mut entries = Vec::new();
+    let (mut imu, mut markers, mut poses, mut truths) = (vec![], vec![], vec![], vec![]);
+    let sensors =
+        Sensors::new(&scenario.motion, &scenario.rig, &scenario.camera, &scenario.sensors);
+    for (at, message) in sensors.record() {
+        match message {
+            Sensed::Imu(s) => imu.push((at, convert::imu_message(&frames.imu, &s, None, None))),
+            Sensed::Markers(o) => markers.push((at, convert::markers_message(&frames.camera, &o))),
+            // Received when it was read: its driver is beside it.
+            Sensed::Climber(s) => poses.push((s.stamp, climber(&s))),
+        }
+    }
+    let epoch = scenario.sensors.epoch;
+    let info = convert::camera_message(&frames.camera, epoch, &scenario.camera);
+    for i in 0..=(scenario.duration() * TRUTH_RATE) as usize {
+        let t = i as f64 / TRUTH_RATE;
+        truths.push((epoch.plus_seconds(t), truth(scenario, t, epoch.plus_seconds(t))));
+    }
+    let e = &mut entries;
+    put(&mut bag, e, topics::absolute::CAMERA_INFO, &QosProfile::SENSOR, &[(epoch, info)]);
+    put(&mut bag, e, topics::absolute::IMU, &QosProfile::SENSOR, &imu);
+    put(&mut bag, e, M::TOPIC, &QosProfile::RELIABLE, &poses);
+    put(&mut bag, e, topics::absolute::MARKERS, &QosProfile::RELIABLE, &markers);
+    put(&mut bag, e, topics::absolute::GROUND_TRUTH, &QosProfile::RELIABLE, &truths);
+    entries.sort_by_key(|(time, ..)| *time);
+    for (time, topic, data) in &entries {
+        bag.write(*topic, *time, *time, data)?;
+    }
+    bag.finish()?;
+    Ok(())
+}
+
+/// Message with the climber's pose.
+pub trait ClimberMessage: Message {
+    /// Its topic.
+    const TOPIC: &'static str;
+}
+
+impl ClimberMessage for JointState {
+    const TOPIC: &'static str = topics::absolute::JOINT_STATES;
+}
+
+impl ClimberMessage for TransformStamped {
+    const TOPIC: &'static str = topics::absolute::CLIMBER_TRANSFORM;
+}
+
+type Entry = (u64, bag::TopicId, Vec<u8>);
 
 fn put<M: Message>(
     bag: &mut BagWriter,
@@ -72,18 +184,22 @@ fn put<M: Message>(
     messages: &[(Stamp, M)],
 ) {
     let topic = bag.add_topic(Topic::of::<M>(name, qos));
-    entries.extend(messages.iter().map(|(at, m)| (at.as_nanos().unsigned_abs(), topic, cdr::to_bytes(m))));
+    entries.extend(
+        messages.iter().map(|(at, m)| (at.as_nanos().unsigned_abs(), topic, cdr::to_bytes(m))),
+    );
 }
 
-fn put_heard<M: Message>(
+fn write_received<M: Message>(
     bag: &mut BagWriter,
     entries: &mut Vec<Entry>,
     name: &str,
     qos: &QosProfile,
     from: Stamp,
-    messages: &Received<M>,
+    messages: &TopicLog<M>,
 ) {
     let topic = bag.add_topic(Topic::of::<M>(name, qos));
     let kept = messages.iter().filter(|(at, _)| *at >= from);
-    entries.extend(kept.map(|(at, m)| (at.as_nanos().unsigned_abs(), topic, cdr::to_bytes(m.as_ref()))));
+    entries.extend(
+        kept.map(|(at, m)| (at.as_nanos().unsigned_abs(), topic, cdr::to_bytes(m.as_ref()))),
+    );
 }

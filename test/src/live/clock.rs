@@ -1,4 +1,5 @@
-//! A computer's clock that can be set without setting this one's: libfaketime in the nodes' processes, which it tells by a file.
+//! A settable clock for the nodes' processes: libfaketime, controlled by a file. The machine's own
+//! clock is not changed.
 
 use super::RunError;
 use std::{
@@ -17,29 +18,35 @@ impl SettableClock {
     /// A clock that shows the time as it is, with its file in `folder`.
     ///
     /// # Errors
-    /// No libfaketime on this computer, or the file cannot be written.
+    /// libfaketime is not installed, or the file is not writable.
     pub fn new(folder: &Path) -> Result<Self, RunError> {
         let multiarch = format!("/usr/lib/{}-linux-gnu/faketime", std::env::consts::ARCH);
-        let places =
-            [multiarch.as_str(), "/usr/lib/faketime", "/usr/lib64/faketime", "/usr/local/lib/faketime"];
+        let places = [
+            multiarch.as_str(),
+            "/usr/lib/faketime",
+            "/usr/lib64/faketime",
+            "/usr/local/lib/faketime",
+        ];
         let library = places.iter().map(|place| Path::new(place).join("libfaketimeMT.so.1"));
-        let library =
-            library.into_iter().find(|path| path.is_file()).ok_or_else(|| RunError::NotPossible {
+        let library = library.into_iter().find(|path| path.is_file()).ok_or_else(|| {
+            RunError::NotPossible {
                 what: "a clock that can be set",
-                reason: "libfaketime is not there; install it (Debian: apt install libfaketime)".to_owned(),
-            })?;
+                reason: "libfaketime is not there; install it (Debian: apt install libfaketime)"
+                    .to_owned(),
+            }
+        })?;
         let clock = Self { library, file: folder.join("clock") };
         clock.set(0.0)?;
         Ok(clock)
     }
 
-    /// Sets it to so many seconds more than the time as it is.
+    /// Sets it this many seconds ahead of the true time.
     ///
     /// # Errors
-    /// The file cannot be written.
+    /// The file is not writable.
     pub fn set(&self, ahead: f64) -> Result<(), RunError> {
         let io = |error: io::Error| RunError::Io { path: self.file.clone(), error };
-        // In one piece: it is read at every look at the clock.
+        // Written in one piece: libfaketime reads it whenever a process reads the clock.
         let next = self.file.with_extension("next");
         fs::write(&next, format!("{ahead:+.6}\n")).map_err(io)?;
         fs::rename(&next, &self.file).map_err(io)

@@ -1,17 +1,17 @@
-//! What the simulated hardware says, as ROS messages.
+//! Data of the simulated hardware as ROS messages.
 
 use super::scenario::Scenario;
-use crate::rig::random::Random;
 use nalgebra::Vector3;
 use node_kit::convert;
 use rig_model::Stamp;
+use rig_simulator::random::Random;
 use volant_msgs::{
     geometry_msgs::msg::{PoseWithCovariance, Twist, TwistWithCovariance},
     nav_msgs::msg::Odometry,
     sensor_msgs::msg::{CompressedImage, JointState},
 };
 
-/// A JPEG picture.
+/// A JPEG image.
 pub fn compressed_image(stamp: Stamp, frame_id: &str, jpeg: Vec<u8>) -> CompressedImage {
     CompressedImage {
         header: convert::header(frame_id, stamp),
@@ -21,7 +21,12 @@ pub fn compressed_image(stamp: Stamp, frame_id: &str, jpeg: Vec<u8>) -> Compress
 }
 
 /// The encoders as the control stack publishes them, read at `seconds` of the scenario.
-pub fn joint_state(scenario: &Scenario, random: &mut Random, seconds: f64, stamp: Stamp) -> JointState {
+pub fn joint_state(
+    scenario: &Scenario,
+    random: &mut Random,
+    seconds: f64,
+    stamp: Stamp,
+) -> JointState {
     let c = &scenario.sensors;
     let mut position = scenario.motion.climber(seconds).to_vec();
     for (i, value) in position.iter_mut().enumerate() {
@@ -42,7 +47,8 @@ pub fn joint_state(scenario: &Scenario, random: &mut Random, seconds: f64, stamp
 /// The truth, as bags hold it.
 pub fn truth(scenario: &Scenario, seconds: f64, stamp: Stamp) -> Odometry {
     let (pose, velocity, rate) = scenario.truth(seconds);
-    let vector = |v: Vector3<f64>| volant_msgs::geometry_msgs::msg::Vector3 { x: v.x, y: v.y, z: v.z };
+    let vector =
+        |v: Vector3<f64>| volant_msgs::geometry_msgs::msg::Vector3 { x: v.x, y: v.y, z: v.z };
     Odometry {
         header: convert::header(&scenario.rig.frames.world, stamp),
         child_frame_id: scenario.rig.frames.volant.clone(),

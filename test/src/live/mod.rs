@@ -1,25 +1,26 @@
-//! The simulated rig, live: four real nodes as processes of their own, and hardware that is not there.
+//! The simulated rig, live: the four nodes as processes, and simulated hardware.
 //!
-//! [`Film`] is what the camera will see, taken beforehand; [`Stand`] plays it on the image topic at its time, beside an
-//! inertial unit on a pty and the encoders, and hears what the nodes say ([`Heard`]); [`Nodes`] are the processes; [`Run`]
-//! is all of it from start to clean end; [`bag`] keeps it.
+//! [`ImageSequence`] is rendered in advance. [`SimulatedHardware`] publishes it in real time,
+//! beside an IMU on a pty and the encoders, and collects the nodes' messages ([`Received`]).
+//! [`Nodes`] are the processes, [`Run`] is a run from start to clean end, [`bag`] writes it to a
+//! file.
 
 pub mod bag;
 mod clock;
-mod film;
-mod heard;
+mod hardware;
+mod images;
 pub mod messages;
 pub mod processes;
+mod received;
 mod run;
 pub mod scenario;
 pub mod site;
-mod stand;
 
 pub use clock::SettableClock;
-pub use film::{Film, Frame};
-pub use heard::{Heard, Received, quantile};
+pub use hardware::{FaultInjector, HardwareError, SensorMessage, Sent, SimulatedHardware};
+pub use images::{Frame, ImageSequence};
 pub use processes::{Node, Nodes, ProcessError};
+pub use received::{Received, TopicLog, quantile};
 pub use run::{Ended, NODES, Run, RunError};
 pub use scenario::{Cover, Scenario};
-pub use site::{ClockError, Ears, Host, Namespaces, Site};
-pub use stand::{Said, Saying, Spoiler, Stand, StandError};
+pub use site::{ClockError, Host, Namespaces, Site, Subscriptions};

@@ -1,12 +1,14 @@
-//! The four nodes as processes of their own, started as a person would and ended as a person would: by SIGINT.
+//! The four nodes as processes, started from the command line and ended by SIGINT.
 
 pub use rustix::process::Signal;
 use rustix::process::{Pid, kill_process};
 use std::{
+    collections::BTreeSet,
     fs::File,
     io,
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
+    sync::{Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
 use thiserror::Error;
@@ -16,7 +18,8 @@ use thiserror::Error;
 pub enum ProcessError {
     /// The executable is not there.
     #[error(
-        "{name}: no executable at {path}; build it with `cargo build --release --workspace --bins`, or name its folder in VOLANT_BIN"
+        "{name}: no executable at {path}; build it with `cargo build --release --workspace \
+         --bins`, or name its folder in VOLANT_BIN"
     )]
     NotBuilt {
         /// The node.
@@ -24,12 +27,12 @@ pub enum ProcessError {
         /// Where it should be.
         path: PathBuf,
     },
-    /// The system refused.
+    /// A system call failed.
     #[error("{name}: {error}")]
     Io {
         /// The node.
         name: String,
-        /// What the system said.
+        /// Error of the system call.
         error: io::Error,
     },
     /// It ended though nobody asked it to.
@@ -39,7 +42,7 @@ pub enum ProcessError {
         name: String,
         /// How.
         status: ExitStatus,
-        /// What it said.
+        /// Log file.
         log: PathBuf,
     },
     /// It did not end when it was asked to.
@@ -49,7 +52,7 @@ pub enum ProcessError {
         name: String,
         /// How long it was given.
         seconds: u64,
-        /// What it said.
+        /// Log file.
         log: PathBuf,
     },
 }
@@ -67,12 +70,27 @@ pub fn executables() -> PathBuf {
     folder
 }
 
+/// Process ids of all nodes that were started and not waited for.
+static RUNNING: Mutex<BTreeSet<u32>> = Mutex::new(BTreeSet::new());
+
+fn running() -> MutexGuard<'static, BTreeSet<u32>> {
+    RUNNING.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Kills all nodes that run, before this process ends without their [`Drop`].
+pub fn kill_all() {
+    for id in running().iter().filter_map(|id| Pid::from_raw(i32::try_from(*id).ok()?)) {
+        // One that has ended is a zombie until it is waited for: its id belongs to no other.
+        let _ = kill_process(id, Signal::KILL);
+    }
+}
+
 /// One running node.
 #[derive(Debug)]
 pub struct Node {
     /// Its executable's name.
     pub name: String,
-    /// What it says goes here.
+    /// Log file: standard output and standard error.
     pub log: PathBuf,
     child: Child,
     arguments: Vec<String>,
@@ -82,10 +100,11 @@ pub struct Node {
 }
 
 impl Node {
-    /// Starts the executable `name` with `arguments`; what it says is appended to `folder`/`name`.log.
+    /// Starts the executable `name` with `arguments`; its output is appended to
+    /// `folder`/`name`.log.
     ///
     /// # Errors
-    /// An executable that is not built, or what the system says.
+    /// The executable is missing, or it cannot be started.
     pub fn start(
         name: &str,
         arguments: &[String],
@@ -130,6 +149,7 @@ impl Node {
             .stderr(out)
             .spawn()
             .map_err(io)?;
+        running().insert(child.id());
         Ok(Self {
             name: name.into(),
             log,
@@ -146,11 +166,12 @@ impl Node {
         self.child.id()
     }
 
-    /// Sends a signal. By a system call and not by a `kill` process: a signal that comes while a process is spawned (that a child
-    /// has stopped, say) can interrupt RustDDS's threads in this process, and that ends them.
+    /// Sends a signal by a system call, not by a `kill` process: a signal that arrives while a
+    /// process is spawned (such as SIGCHLD) can interrupt RustDDS's threads in this process, which
+    /// ends them.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system call failed.
     pub fn signal(&self, signal: Signal) -> Result<(), ProcessError> {
         let io = |error| ProcessError::Io { name: self.name.clone(), error };
         let id = i32::try_from(self.id()).ok().and_then(Pid::from_raw);
@@ -160,12 +181,16 @@ impl Node {
     /// How it ended, if it did.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         if self.status.is_none() {
+            let mut running = running();
             self.status = self.child.try_wait().ok().flatten();
+            if self.status.is_some() {
+                running.remove(&self.child.id());
+            }
         }
         self.status
     }
 
-    /// Kills it (as `kill -9` does) and starts it anew with the same arguments.
+    /// Kills it (as `kill -9` does) and restarts it with the same arguments.
     ///
     /// # Errors
     /// As [`Node::start`].
@@ -177,45 +202,54 @@ impl Node {
     /// Kills it, as `kill -9` does.
     ///
     /// # Errors
-    /// What the system says.
+    /// The system call failed.
     pub fn kill(&mut self) -> Result<(), ProcessError> {
         let name = self.name.clone();
         let io = |error| ProcessError::Io { name: name.clone(), error };
         if self.ended().is_none() {
             self.child.kill().map_err(io)?;
+            let mut running = running();
             self.status = Some(self.child.wait().map_err(io)?);
+            running.remove(&self.child.id());
         }
         Ok(())
     }
 
-    /// Starts it anew with the same arguments, after it ended.
+    /// Restarts it with the same arguments after it ended.
     ///
     /// # Errors
     /// As [`Node::start`].
     pub fn restart(&mut self) -> Result<(), ProcessError> {
         let folder = self.log.parent().unwrap_or(Path::new(".")).to_owned();
-        let next =
-            Self::start_in(self.place.as_deref(), &self.name, &self.arguments, &self.environment, &folder)?;
+        let next = Self::start_in(
+            self.place.as_deref(),
+            &self.name,
+            &self.arguments,
+            &self.environment,
+            &folder,
+        )?;
         *self = next;
         Ok(())
     }
 
-    /// Resident memory now, bytes; 0 where the system does not tell.
+    /// Resident memory, bytes; 0 if it is unknown.
     pub fn resident_bytes(&self) -> u64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.id())).unwrap_or_default();
+        let status =
+            std::fs::read_to_string(format!("/proc/{}/status", self.id())).unwrap_or_default();
         let line = status.lines().find(|l| l.starts_with("VmRSS:")).unwrap_or_default();
         line.split_whitespace().nth(1).and_then(|kb| kb.parse::<u64>().ok()).unwrap_or(0) * 1024
     }
 
-    /// Threads now; 0 where the system does not tell.
+    /// Number of threads; 0 if it is unknown.
     pub fn threads(&self) -> usize {
         std::fs::read_dir(format!("/proc/{}/task", self.id())).map_or(0, Iterator::count)
     }
 
-    /// Processor time used so far, s; 0 where the system does not tell.
+    /// Processor time used so far, s; 0 if it is unknown.
     pub fn processor_seconds(&self) -> f64 {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.id())).unwrap_or_default();
-        let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+        let fields: Vec<&str> =
+            stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
         let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(0.0);
         // utime and stime are fields 14 and 15 of the line, in ticks of 1/100 s on every Linux.
         (ticks(11) + ticks(12)) / 100.0
@@ -271,13 +305,17 @@ impl Nodes {
     pub fn check(&mut self) -> Result<(), ProcessError> {
         for node in &mut self.0 {
             if let Some(status) = node.ended() {
-                return Err(ProcessError::Ended { name: node.name.clone(), status, log: node.log.clone() });
+                return Err(ProcessError::Ended {
+                    name: node.name.clone(),
+                    status,
+                    log: node.log.clone(),
+                });
             }
         }
         Ok(())
     }
 
-    /// Ends all of them by SIGINT and tells how each one ended.
+    /// Ends all of them by SIGINT and returns the exit status of each.
     ///
     /// # Errors
     /// A node that hangs; the others are ended all the same.

@@ -1,7 +1,8 @@
-//! A run from start to clean end: hardware up, four nodes up, wait for the first fused pose, play, end all.
+//! A run from start to clean end: hardware, four nodes, first fused pose, scenario, exit.
 
 use super::{
-    Film, Heard, Host, Node, Nodes, ProcessError, Said, Scenario, SettableClock, Site, Stand, StandError,
+    HardwareError, Host, ImageSequence, Node, Nodes, ProcessError, Received, Scenario, Sent,
+    SettableClock, SimulatedHardware, Site,
 };
 use node_kit::convert::stamp;
 use rig_model::Stamp;
@@ -18,7 +19,7 @@ use std::{
 pub enum RunError {
     /// The hardware.
     #[error(transparent)]
-    Stand(#[from] StandError),
+    Hardware(#[from] HardwareError),
     /// A node's process.
     #[error(transparent)]
     Process(#[from] ProcessError),
@@ -27,10 +28,10 @@ pub enum RunError {
     Io {
         /// Which.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system call.
         error: io::Error,
     },
-    /// What is to be tried cannot be had here.
+    /// The machine lacks a requirement of the run.
     #[error("{what}: {reason}")]
     NotPossible {
         /// What is needed.
@@ -38,31 +39,34 @@ pub enum RunError {
         /// Why it is not there.
         reason: String,
     },
-    /// The stand heard nothing any more.
-    #[error("the test's own DDS participant was interrupted and ended (RustDDS does that); run it again")]
-    Deaf,
+    /// The run's own DDS participant ended.
+    #[error(
+        "the test's own DDS participant was interrupted and ended (RustDDS does that); run it again"
+    )]
+    Interrupted,
     /// Nothing came.
     #[error(
-        "no fused pose within {seconds:.0} s (heard: {heard}); the nodes' own words are in {}",
+        "no fused pose within {seconds:.0} s (received: {received}); the logs of the nodes are in \
+         {}",
         folder.display()
     )]
     NoPose {
         /// How long it was waited.
         seconds: f64,
-        /// What was heard instead.
-        heard: String,
+        /// What was received instead.
+        received: String,
         /// Where the logs are.
         folder: PathBuf,
     },
 }
 
-/// The nodes with what each is told beside the rig file.
+/// The nodes.
 pub const NODES: [&str; 4] = ["climber_driver", "imu_driver", "marker_tracker", "pose_fusion"];
 
 /// A running rig.
 pub struct Run {
     /// The hardware.
-    pub stand: Stand,
+    pub hardware: SimulatedHardware,
     /// The processes.
     pub nodes: Nodes,
     /// Where logs, rig file and port are.
@@ -77,20 +81,26 @@ pub struct Run {
 pub struct Ended {
     /// Stamp of the scenario's zero.
     pub epoch: Stamp,
-    /// What the nodes said.
-    pub heard: Heard,
-    /// What the hardware said.
-    pub said: Said,
+    /// Messages of the nodes.
+    pub received: Received,
+    /// Messages of the hardware.
+    pub sent: Sent,
     /// How each node ended.
     pub ends: Vec<(String, ExitStatus)>,
 }
 
 impl Run {
-    /// Brings up hardware and nodes at `site`, with logs, rig file and port in `folder` (made where it is not there).
+    /// Starts hardware and nodes at `site`, with logs, rig file and port in `folder` (created if
+    /// missing).
     ///
     /// # Errors
     /// What is missing, by name.
-    pub fn start(scenario: &Scenario, film: Arc<Film>, site: &Site, folder: &Path) -> Result<Self, RunError> {
+    pub fn start(
+        scenario: &Scenario,
+        images: Arc<ImageSequence>,
+        site: &Site,
+        folder: &Path,
+    ) -> Result<Self, RunError> {
         let io = |path: &Path| {
             let path = path.to_owned();
             move |error| RunError::Io { path, error }
@@ -100,13 +110,16 @@ impl Run {
         std::fs::write(&rig_file, &scenario.rig_yaml).map_err(io(&rig_file))?;
         let port = folder.join("mtx");
         let clock = site.settable_clock.then(|| SettableClock::new(folder)).transpose()?;
-        let stand = Stand::start(scenario, film, site, &port)?;
+        let hardware = SimulatedHardware::start(scenario, images, site, &port)?;
         let mut nodes = Nodes::default();
         for name in NODES {
-            let mut arguments =
-                vec!["--ros-args".into(), "--params-file".into(), rig_file.display().to_string()];
+            let mut arguments = site.node_options.clone();
+            let rig = rig_file.display().to_string();
+            arguments.extend(["--ros-args".into(), "--params-file".into(), rig]);
             let own = match name {
-                "climber_driver" => Some(format!("height:={}", scenario.motion.config().climber_height)),
+                "climber_driver" => {
+                    Some(format!("height:={}", scenario.motion.config().climber_height))
+                }
                 "imu_driver" => Some(format!("port:={}", port.display())),
                 "marker_tracker" => Some("image_transport:=compressed".to_owned()),
                 _ => None,
@@ -117,16 +130,17 @@ impl Run {
             if !site.namespace.is_empty() {
                 arguments.extend(["-r".into(), format!("__ns:={}", site.namespace)]);
             }
-            let mut environment = vec![("ROS_DOMAIN_ID".to_owned(), site.network.domain_id.to_string())];
+            let mut environment =
+                vec![("ROS_DOMAIN_ID".to_owned(), site.network.domain_id.to_string())];
             environment.extend(clock.iter().flat_map(SettableClock::environment));
             let place = site.namespace_of(Host::of(name));
             nodes.push(Node::start_in(place, name, &arguments, &environment, folder)?);
         }
         let domain = site.network.domain_id;
-        Ok(Self { stand, nodes, folder: folder.to_owned(), domain, epoch: None, clock })
+        Ok(Self { hardware, nodes, folder: folder.to_owned(), domain, epoch: None, clock })
     }
 
-    /// Sets the clock of the computer on which the nodes are, and its camera and encoders, so many seconds ahead of the time.
+    /// Sets the clock of the nodes, camera and encoders `ahead` seconds ahead of the true time.
     ///
     /// # Errors
     /// The site has no clock that can be set.
@@ -135,7 +149,7 @@ impl Run {
             what: "a clock that can be set",
             reason: "the site was not asked for one".to_owned(),
         })?;
-        self.stand.set_clock(ahead);
+        self.hardware.set_clock(ahead);
         clock.set(ahead)
     }
 
@@ -155,18 +169,19 @@ impl Run {
             self.nodes.check()?;
             // The visual pose as well: then all four nodes are at work.
             let ready = {
-                let heard = self.stand.heard();
-                heard.odometry.len() > 20 && heard.visual_pose.len() > 5
+                let received = self.hardware.received();
+                received.odometry.len() > 20 && received.visual_pose.len() > 5
             };
             if ready {
                 return Ok(());
             }
             if start.elapsed().as_secs_f64() > seconds {
-                let h = self.stand.heard();
+                let h = self.hardware.received();
                 return Err(RunError::NoPose {
                     seconds,
-                    heard: format!(
-                        "{} inertial samples, {} climber transforms, {} marker observations, {} fused and {} visual poses",
+                    received: format!(
+                        "{} IMU samples, {} climber transforms, {} marker observations, \
+                        {} fused and {} visual poses",
                         h.imu.len(),
                         h.climber.len(),
                         h.markers.len(),
@@ -182,22 +197,23 @@ impl Run {
 
     /// Lets the scenario begin a second from now.
     pub fn begin(&mut self) -> Stamp {
-        *self.epoch.insert(self.stand.begin_in(1.0))
+        *self.epoch.insert(self.hardware.begin_in(1.0))
     }
 
-    /// Waits until `seconds` of the scenario are over; `progress` is called with its time about ten times a second.
+    /// Waits until `seconds` of the scenario are over; calls `progress` with its time about ten
+    /// times a second.
     ///
     /// # Errors
     /// A node ended.
     pub fn play_until(
         &mut self,
         seconds: f64,
-        mut progress: impl FnMut(f64, &Stand),
+        mut progress: impl FnMut(f64, &SimulatedHardware),
     ) -> Result<(), RunError> {
         loop {
             self.nodes.check()?;
-            let now = self.stand.seconds();
-            progress(now, &self.stand);
+            let now = self.hardware.seconds();
+            progress(now, &self.hardware);
             if now >= seconds {
                 return Ok(());
             }
@@ -205,18 +221,19 @@ impl Run {
         }
     }
 
-    /// Ends the nodes as a person would and gives what was said.
+    /// Ends the nodes by SIGINT and returns all messages.
     ///
     /// # Errors
     /// A node that hangs.
     pub fn finish(self) -> Result<Ended, RunError> {
-        if self.stand.is_deaf() {
-            return Err(RunError::Deaf);
+        if self.hardware.middleware_ended() {
+            return Err(RunError::Interrupted);
         }
         let ends = self.nodes.stop()?;
-        let heard = self.stand.heard().clone();
-        let said = self.stand.said();
-        let first = heard.odometry.first().map_or(Stamp::default(), |(_, m)| stamp(&m.header.stamp));
-        Ok(Ended { epoch: self.epoch.unwrap_or(first), heard, said, ends })
+        let received = self.hardware.received().clone();
+        let sent = self.hardware.sent();
+        let first =
+            received.odometry.first().map_or(Stamp::default(), |(_, m)| stamp(&m.header.stamp));
+        Ok(Ended { epoch: self.epoch.unwrap_or(first), received, sent, ends })
     }
 }

@@ -1,16 +1,14 @@
 //! What happens in a run: how the rig moves, what its sensors are like, when a marker is covered.
 
-use crate::rig::{
-    Covers, Instant, SceneConfig,
+use nalgebra::{Isometry3, Vector3};
+use rig_model::{CameraModel, CameraModelError, Distortion, MarkerColor, Rig, RigError};
+use rig_simulator::{
+    Covers, Instant, RIG_YAML, SceneConfig,
     inertial::SensorConfig,
     motion::{Motion, MotionConfig},
 };
-use nalgebra::{Isometry3, Vector3};
-use rig_model::{CameraModel, CameraModelError, Distortion, MarkerColor, Rig, RigError};
 use std::sync::Arc;
 
-/// The rig file of the simulated rig.
-pub const RIG_YAML: &str = include_str!("../rig/rig.yaml");
 /// Shutter open, s.
 pub const EXPOSURE: f64 = 0.005;
 /// Images per second.
@@ -25,7 +23,7 @@ pub struct Cover {
     pub seconds: [f64; 2],
 }
 
-/// A run, all of it fixed by a seed. Time counts from the instant at which the platform begins to swing, s.
+/// A run, fixed by a seed. Times count from the start of the platform's swing, s.
 #[derive(Clone, Debug)]
 pub struct Scenario {
     /// The rig file.
@@ -34,7 +32,7 @@ pub struct Scenario {
     pub rig_yaml: String,
     /// The camera's lens.
     pub camera: CameraModel,
-    /// How the rig moves; at rest before zero.
+    /// Motion of the rig; stationary before zero.
     pub motion: Arc<Motion>,
     /// Biases and noise of the sensors.
     pub sensors: SensorConfig,
@@ -56,7 +54,7 @@ impl Scenario {
         Self::new(MotionConfig { duration, still_until: 0.0, ..MotionConfig::nominal(seed) })
     }
 
-    /// A swing of `duration` seconds that ends at rest where it began, to be run lap by lap.
+    /// A swing of `duration` seconds that ends stationary where it began, to be repeated.
     ///
     /// # Errors
     /// None but those of a rig file or lens that were edited wrongly.
@@ -110,7 +108,11 @@ impl Scenario {
     /// The truth: pose, and velocity and rate of turn in the volant frame.
     pub fn truth(&self, t: f64) -> (Isometry3<f64>, Vector3<f64>, Vector3<f64>) {
         let k = self.motion.kinematics(t);
-        (k.world_from_volant, k.world_from_volant.rotation.inverse() * k.velocity, k.angular_velocity)
+        (
+            k.world_from_volant,
+            k.world_from_volant.rotation.inverse() * k.velocity,
+            k.angular_velocity,
+        )
     }
 
     /// How far the planks are in at `t`.
@@ -125,7 +127,7 @@ impl Scenario {
     }
 }
 
-/// A rig file or a lens that cannot be.
+/// An invalid rig file or lens.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
     /// The rig file.

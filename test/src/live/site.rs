@@ -17,13 +17,18 @@ pub enum Host {
 }
 
 impl Host {
-    /// Where a node runs: what the climber's hardware feeds on the climber, the rest on the platform.
+    /// Computer of a node: those of the climber's hardware on the climber, the others on the
+    /// platform.
     pub fn of(node: &str) -> Self {
-        if matches!(node, "marker_tracker" | "climber_driver") { Self::Climber } else { Self::Platform }
+        if matches!(node, "marker_tracker" | "climber_driver") {
+            Self::Climber
+        } else {
+            Self::Platform
+        }
     }
 }
 
-/// Network namespaces that stand for the two computers.
+/// Network namespaces of the two computers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Namespaces {
     /// The climber's.
@@ -35,16 +40,16 @@ pub struct Namespaces {
 /// How a computer's clock is off.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ClockError {
-    /// Ahead by so much at the start, s.
+    /// Time ahead at the start, s.
     pub offset: f64,
-    /// Faster by so much, 1e-6.
+    /// Rate error, 1e-6.
     pub ppm: f64,
 }
 
 /// What is listened to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Ears {
-    /// Everything that the nodes say.
+pub enum Subscriptions {
+    /// All topics of the nodes.
     #[default]
     All,
     /// The poses, what became of the markers, and the diagnostics.
@@ -63,10 +68,12 @@ pub struct Site {
     /// How the climber's clock is off: that of camera and encoders.
     pub climber_clock: ClockError,
     /// What is listened to.
-    pub ears: Ears,
+    pub subscriptions: Subscriptions,
     /// The nodes' clock, and that of camera and encoders, can be set ([`super::Run::set_clock`]).
     pub settable_clock: bool,
-    /// The scenario begins anew when it is over, and what the hardware said is not kept.
+    /// Options of every node's process, such as `--realtime-priority 20`.
+    pub node_options: Vec<String>,
+    /// The scenario repeats, and published messages are not kept.
     pub endless: bool,
 }
 
@@ -84,7 +91,7 @@ impl Site {
         })
     }
 
-    /// What every node is told.
+    /// ROS arguments of every node.
     pub fn ros_arguments(&self) -> Vec<String> {
         if self.namespace.is_empty() {
             return Vec::new();
@@ -92,18 +99,21 @@ impl Site {
         ["--ros-args".to_owned(), "-r".to_owned(), format!("__ns:={}", self.namespace)].to_vec()
     }
 
-    /// Joins the DDS domain on a computer. The sockets belong to the network namespace of the thread that makes them, so
-    /// a thread of its own goes there.
+    /// Joins the DDS domain on a computer. A socket belongs to the network namespace of the thread
+    /// that creates it, so a separate thread joins.
     pub(super) fn join(&self, host: Host) -> Result<Process, NodeError> {
         let network = self.network.clone();
         let Some(name) = self.namespace_of(host) else { return Process::new(network) };
-        let failed = |source| NodeError::System { what: format!("the network namespace {name}"), source };
+        let failed =
+            |source| NodeError::System { what: format!("the network namespace {name}"), source };
         std::thread::scope(|scope| {
             let there = scope.spawn(|| {
                 enter(name).map_err(failed)?;
                 Process::new(network)
             });
-            there.join().unwrap_or_else(|_| Err(NodeError::shell("joining the DDS domain panicked")))
+            there
+                .join()
+                .unwrap_or_else(|_| Err(NodeError::shell("joining the DDS domain panicked")))
         })
     }
 }

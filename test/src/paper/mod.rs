@@ -1,23 +1,25 @@
 //! The paper's experiments on the simulated bench, by the nodes' own cores.
 //!
-//! [`offline`] runs the cores over a scenario's film and samples, in order of arrival; [`curves`] makes Fig. 13 and
-//! Table II, [`rest`] Fig. 9, [`stages`] the pictures of Figs. 4 and 5, [`occlusion`] those of Fig. 6; [`rivals`] draws what
-//! `volant-peers` measured beside the rivals: Figs. 2, 7, 11, 12 and Table I. [`report`] makes the page that shows them.
+//! [`offline`] runs the cores over a scenario's images and samples, in order of arrival; [`curves`]
+//! makes Fig. 13 and Table II, [`rest`] Fig. 9, [`stages`] the images of Figs. 4 and 5,
+//! [`occlusion`] those of Fig. 6; [`peers`] draws what `volant-peers` measured beside the peers:
+//! Figs. 2, 7, 11, 12 and Table I. [`report`] makes the page that shows them.
 
 pub mod curves;
 pub mod occlusion;
 pub mod offline;
+pub mod peers;
 pub mod report;
-pub mod rest;
-pub mod rivals;
 pub mod stages;
+pub mod stationary;
 
-use launch_config::report::{ChartError, Table};
 use std::path::PathBuf;
+use volant::report::{ChartError, Table};
 
 /// What can be made, in the order of the paper's figures and tables.
 pub const NAMES: [&str; 11] = [
-    "fig-2", "fig-4", "fig-5", "fig-6", "fig-7", "fig-9", "table-1", "fig-11", "fig-12", "fig-13", "table-2",
+    "fig-2", "fig-4", "fig-5", "fig-6", "fig-7", "fig-9", "table-1", "fig-11", "fig-12", "fig-13",
+    "table-2",
 ];
 
 /// A table or figure that was made.
@@ -25,15 +27,15 @@ pub const NAMES: [&str; 11] = [
 pub struct Made {
     /// As in the contract: `table-2`, `fig-13`, …
     pub name: &'static str,
-    /// What it is.
+    /// Title.
     pub title: &'static str,
     /// The numbers.
     pub csv: PathBuf,
-    /// The picture.
+    /// The image.
     pub svg: PathBuf,
-    /// Numbers that stand in the report below the picture.
+    /// Numbers for the report below the image.
     pub table: Option<Table>,
-    /// What it shows.
+    /// Result in words.
     pub shows: String,
     /// What was published, where this differs from it, and why.
     pub published: String,
@@ -47,32 +49,33 @@ pub enum PaperError {
     Io {
         /// Which.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system call.
         source: std::io::Error,
     },
     /// The simulated rig.
     #[error(transparent)]
     Scenario(#[from] crate::live::scenario::ScenarioError),
-    /// The camera's pictures.
-    #[error("a picture: {0}")]
-    Picture(String),
+    /// The camera's images.
+    #[error("an image: {0}")]
+    Image(String),
     /// The drawing.
     #[error("a drawing: {0}")]
     Drawing(#[from] ChartError),
     /// A table of `volant-peers` that is not as it should be.
-    #[error("{}: {what}; build volant-peers of the same version anew with `make reproduce`", path.display())]
+    #[error("{}: {what}; rebuild volant-peers with `make reproduce`, so that the versions \
+             match", path.display())]
     Table {
         /// Which.
         path: PathBuf,
         /// What is wrong with it.
         what: String,
     },
-    /// A filter said nothing.
+    /// A filter without output.
     #[error("the model {model} gave no pose; its warnings: {warnings}")]
     NoPose {
         /// Which.
         model: &'static str,
-        /// What it said.
+        /// Its name.
         warnings: String,
     },
 }
@@ -80,7 +83,7 @@ pub enum PaperError {
 /// Writes a file, and names it where that fails.
 ///
 /// # Errors
-/// What the system says.
+/// Reading failed.
 pub(crate) fn write(path: &std::path::Path, text: &str) -> Result<(), PaperError> {
     std::fs::write(path, text).map_err(|source| PaperError::Io { path: path.to_owned(), source })
 }
@@ -88,7 +91,7 @@ pub(crate) fn write(path: &std::path::Path, text: &str) -> Result<(), PaperError
 /// Reads a file, and names it where that fails.
 ///
 /// # Errors
-/// What the system says.
+/// Writing failed.
 pub(crate) fn read(path: &std::path::Path) -> Result<String, PaperError> {
     std::fs::read_to_string(path).map_err(|source| PaperError::Io { path: path.to_owned(), source })
 }

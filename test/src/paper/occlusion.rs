@@ -1,18 +1,19 @@
-//! Fig. 6: a marker is covered while the platform swings: what the tracker says of it, and what it does to the pose.
+//! Fig. 6: a marker is covered while the platform swings: its states in the tracker, and the effect
+//! on the pose.
 
 use super::{
     Made, PaperError,
     offline::{fuse, record_observed, track_with},
-    stages::{chart_colour, rgb_of},
+    stages::{chart_color, rgb_of},
     write,
 };
-use crate::live::{Film, Scenario};
-use launch_config::report::{Anchor, Axis, Drawing, Panel, Series, Shape, Sheet, colours, panels};
+use crate::live::{ImageSequence, Scenario};
 use marker_tracker::TrackerConfig;
 use nalgebra::Vector2;
 use pose_fusion::Model;
 use rig_model::{MarkerColor, MarkerObservations, MarkerState};
 use std::{fmt::Write, path::Path};
+use volant::report::{Anchor, Axis, Drawing, Panel, Series, Shape, Sheet, colors, panels};
 
 /// Length of the run, s.
 const SECONDS: f64 = 8.0;
@@ -20,7 +21,7 @@ const SECONDS: f64 = 8.0;
 /// Makes `fig-6.csv` and `fig-6.svg`.
 ///
 /// # Errors
-/// The scenario, a picture, or a place that cannot be written to.
+/// The scenario, an image, or a folder that is not writable.
 pub fn figure_6(
     seed: u64,
     folder: &Path,
@@ -28,22 +29,31 @@ pub fn figure_6(
     progress: impl Fn(f64) + Sync,
 ) -> Result<Made, PaperError> {
     let scenario = Scenario::swing(seed, SECONDS)?;
-    let film = Film::shoot(&scenario, threads, |done, of| progress(done as f64 / of.max(1) as f64))
-        .map_err(|e| PaperError::Picture(e.to_string()))?;
-    let observed = track_with(&scenario, &film, TrackerConfig::default())?;
-    let as_published =
-        track_with(&scenario, &film, TrackerConfig { rigid_prediction: false, ..TrackerConfig::default() })?;
+    let images = ImageSequence::render(&scenario, threads, |done, of| {
+        progress(done as f64 / of.max(1) as f64)
+    })
+    .map_err(|e| PaperError::Image(e.to_string()))?;
+    let observed = track_with(&scenario, &images, TrackerConfig::default())?;
+    let as_published = track_with(
+        &scenario,
+        &images,
+        TrackerConfig { rigid_prediction: false, ..TrackerConfig::default() },
+    )?;
     let recording = record_observed(&scenario, observed.clone());
     let poses = fuse(&scenario, &recording, Model::Tight)?;
-    let cover =
-        scenario.covers.first().copied().ok_or_else(|| PaperError::Picture("nothing is covered".into()))?;
+    let cover = scenario
+        .covers
+        .first()
+        .copied()
+        .ok_or_else(|| PaperError::Image("nothing is covered".into()))?;
 
     let places = [&observed, &as_published].map(|o| place_errors(&scenario, o, cover.color));
     let visual = errors(&scenario, &poses.visual);
     let fused = errors(&scenario, &poses.fused);
-    let mut csv = String::from(
-        "seconds,state,place_error_px,place_error_mean_flow_px,camera_mm,camera_deg,fused_mm,fused_deg\n",
-    );
+    let mut csv = String::from(concat!(
+        "seconds,state,place_error_px,place_error_mean_flow_px,",
+        "camera_mm,camera_deg,fused_mm,fused_deg\n"
+    ));
     let at = |rows: &[[f64; 3]], t: f64| -> [f64; 2] {
         let near = rows.iter().min_by(|a, b| (a[0] - t).abs().total_cmp(&(b[0] - t).abs()));
         near.filter(|r| (r[0] - t).abs() < 0.02).map_or([f64::NAN; 2], |r| [r[1], r[2]])
@@ -65,7 +75,7 @@ pub fn figure_6(
 
     let [from, to] = cover.seconds;
     let svg = folder.join("fig-6.svg");
-    write(&svg, &draw(&scenario, &film, &observed, &places, &visual, &fused)?)?;
+    write(&svg, &draw(&scenario, &images, &observed, &places, &visual, &fused)?)?;
     let rms = |rows: &[[f64; 3]], column: usize, hidden: bool| -> f64 {
         let inside = |t: f64| t >= from && t <= to;
         let values: Vec<f64> = rows
@@ -76,12 +86,17 @@ pub fn figure_6(
         (values.iter().sum::<f64>() / values.len() as f64).sqrt()
     };
     let predicted = |rows: &[Place]| -> (f64, usize) {
-        let values: Vec<f64> =
-            rows.iter().filter(|r| r.1 == MarkerState::Predicted && r.2.is_finite()).map(|r| r.2).collect();
+        let values: Vec<f64> = rows
+            .iter()
+            .filter(|r| r.1 == MarkerState::Predicted && r.2.is_finite())
+            .map(|r| r.2)
+            .collect();
         (values.iter().copied().fold(0.0, f64::max), values.len())
     };
-    let back =
-        places[0].iter().find(|p| p.0 > to && p.1 == MarkerState::Detected).map_or(f64::NAN, |p| p.0 - to);
+    let back = places[0]
+        .iter()
+        .find(|p| p.0 > to && p.1 == MarkerState::Detected)
+        .map_or(f64::NAN, |p| p.0 - to);
     let ((rigid, count), (mean, _)) = (predicted(&places[0]), predicted(&places[1]));
     Ok(Made {
         name: "fig-6",
@@ -90,9 +105,11 @@ pub fn figure_6(
         svg,
         table: None,
         shows: format!(
-            "A plank slides over the {} marker for {:.1} s. The tracker calls it PREDICTED in {count} pictures, placed by the \
-             others' flow, then LOST, and measures it again {:.0} ms after the plank begins to slide away (which takes 300 ms). Camera alone: {:.2} mm and {:.3}° RMS with \
-             four markers, {:.2} mm and {:.3}° with three. The filter: {:.2} mm and {:.3}° with four, {:.2} mm and {:.3}° with three.",
+            "A plank slides over the {} marker for {:.1} s. The tracker reports it as PREDICTED in \
+             {count} images, placed by the others' flow, then LOST, and measures it again {:.0} ms \
+             after the plank begins to slide away (which takes 300 ms). Camera alone: {:.2} mm and \
+             {:.3}° RMS with four markers, {:.2} mm and {:.3}° with three. The filter: {:.2} mm \
+             and {:.3}° with four, {:.2} mm and {:.3}° with three.",
             cover.color,
             to - from,
             1e3 * back,
@@ -106,10 +123,12 @@ pub fn figure_6(
             rms(&fused, 2, true),
         ),
         published: format!(
-            "The paper reports that occlusion of one marker barely changes the pose, and so it is for the filter. It moves \
-             the hidden marker by the mean flow of the visible ones (eq. 3), which leaves out the platform's turn: at worst \
-             {mean:.1} px off within six pictures here. The default carries the others' flow over as a rigid motion: {rigid:.1} px \
-             at worst. A predicted place is shown and never used as a measurement: the pose rests on what is seen."
+            "The paper reports that occlusion of one marker barely changes the pose, which holds \
+             for the filter. It moves the hidden marker by the mean flow of the visible ones (eq. \
+             3), which leaves out the platform's turn: at worst {mean:.1} px off within six images \
+             here. The default carries the others' flow over as a rigid motion: {rigid:.1} px at \
+             worst. A predicted place is shown and never used as a measurement: the pose depends \
+             on visible markers only."
         ),
     })
 }
@@ -117,13 +136,18 @@ pub fn figure_6(
 /// Seconds, state and error of the reported place, px.
 type Place = (f64, MarkerState, f64);
 
-fn place_errors(scenario: &Scenario, observed: &[MarkerObservations], color: MarkerColor) -> Vec<Place> {
+fn place_errors(
+    scenario: &Scenario,
+    observed: &[MarkerObservations],
+    color: MarkerColor,
+) -> Vec<Place> {
     observed
         .iter()
         .map(|o| {
             let t = o.stamp.seconds_since(scenario.sensors.epoch);
             let m = &o.markers[color];
-            let error = true_place(scenario, color, t).map_or(f64::NAN, |p| (m.centroid - p).norm());
+            let error =
+                true_place(scenario, color, t).map_or(f64::NAN, |p| (m.centroid - p).norm());
             (t, m.state, error)
         })
         .collect()
@@ -158,7 +182,7 @@ fn state_name(state: MarkerState) -> &'static str {
 
 fn draw(
     scenario: &Scenario,
-    film: &Film,
+    images: &ImageSequence,
     observed: &[MarkerObservations],
     places: &[Vec<Place>; 2],
     visual: &[[f64; 3]],
@@ -167,7 +191,7 @@ fn draw(
     let cover = scenario.covers[0];
     let [from, to] = cover.seconds;
     let mut d = Drawing::new(1120.0);
-    d.text(24.0, 34.0, 20.0, colours::INK, Anchor::Start, "Fig. 6: an occluded marker");
+    d.text(24.0, 34.0, 20.0, colors::INK, Anchor::Start, "Fig. 6: an occluded marker");
     let first = |state: MarkerState, after: f64| {
         places[0].iter().position(|p| p.0 >= after && p.1 == state).unwrap_or(0)
     };
@@ -180,32 +204,41 @@ fn draw(
     let (wide, top) = (260.0, 84.0);
     let mut bottom = top;
     for (k, (name, index)) in shots.into_iter().enumerate() {
-        let frame =
-            film.frames.get(index).ok_or_else(|| PaperError::Picture("a picture is missing".into()))?;
+        let frame = images
+            .frames
+            .get(index)
+            .ok_or_else(|| PaperError::Image("an image is missing".into()))?;
         let image = marker_tracker::decode_compressed("jpeg", &frame.jpeg)
-            .map_err(|e| PaperError::Picture(e.to_string()))?;
+            .map_err(|e| PaperError::Image(e.to_string()))?;
         let x = 24.0 + (wide + 10.6) * k as f64;
         let high = wide * image.height as f64 / image.width as f64;
         bottom = top + high;
-        d.text(x, top - 12.0, 15.0, colours::INK, Anchor::Start, &format!("{:.2} s: {name}", frame.seconds));
-        d.picture(x, top, wide, high, image.width, &rgb_of(&image), false)?;
+        d.text(
+            x,
+            top - 12.0,
+            15.0,
+            colors::INK,
+            Anchor::Start,
+            &format!("{:.2} s: {name}", frame.seconds),
+        );
+        d.image(x, top, wide, high, image.width, &rgb_of(&image), false)?;
         let scale = wide / image.width as f64;
         for (color, m) in observed[index].markers.iter().filter(|(_, m)| m.centroid.x.is_finite()) {
             let place = [x + (m.centroid.x + 0.5) * scale, top + (m.centroid.y + 0.5) * scale];
             let filled = m.state == MarkerState::Detected;
-            d.dot(place, 6.0, colours::PICTURE_DARK, filled);
+            d.dot(place, 6.0, colors::PICTURE_DARK, filled);
             if filled {
-                d.dot(place, 4.0, colours::PICTURE_LIGHT, true);
+                d.dot(place, 4.0, colors::PICTURE_LIGHT, true);
             } else {
-                d.dot(place, 8.0, chart_colour(color), false);
-                d.dot(place, 10.0, colours::PICTURE_LIGHT, false);
+                d.dot(place, 8.0, chart_color(color), false);
+                d.dot(place, 10.0, colors::PICTURE_LIGHT, false);
             }
         }
     }
     let axis = |name: &str, range, log| Axis { name: name.into(), range, log };
-    let line = |name: &str, colour, shape, points: Vec<(f64, f64)>| Series {
+    let line = |name: &str, color, shape, points: Vec<(f64, f64)>| Series {
         name: name.into(),
-        colour,
+        color,
         shape,
         points,
         spread: Vec::new(),
@@ -226,22 +259,23 @@ fn draw(
         }
         points
     };
-    // Room for the camera's largest error after the first second.
-    let top = |c: usize| 1.2 * visual.iter().filter(|r| r[0] >= 1.0).map(|r| r[c]).fold(0.1, f64::max);
+    // Space for the camera's largest error after the first second.
+    let top =
+        |c: usize| 1.2 * visual.iter().filter(|r| r[0] >= 1.0).map(|r| r[c]).fold(0.1, f64::max);
     let covered = |high: f64, low: f64| Series {
         name: "covered".into(),
-        colour: colours::AXIS,
+        color: colors::AXIS,
         shape: Shape::Line(1),
         points: vec![(from, low), (from, high), (f64::NAN, f64::NAN), (to, low), (to, high)],
         spread: Vec::new(),
     };
     let sheet = Sheet { title: "", size: (1120, 430), grid: (1, 3) };
-    let own = chart_colour(cover.color);
+    let own = chart_color(cover.color);
     let svg = panels(
         sheet,
         &[
             Panel {
-                title: format!("where the {} marker is said to be", cover.color),
+                title: format!("reported position of the {} marker", cover.color),
                 x: time(),
                 y: axis("off the truth [px]", [0.001, 30.0], true),
                 series: vec![
@@ -249,13 +283,13 @@ fn draw(
                     line("detected", own, Shape::Dots, of(&places[0], MarkerState::Detected)),
                     line(
                         "predicted, rigid motion",
-                        colours::VIOLET,
+                        colors::VIOLET,
                         Shape::Dotted,
                         of(&places[0], MarkerState::Predicted),
                     ),
                     line(
                         "predicted, mean flow (eq. 3)",
-                        colours::PAPER,
+                        colors::PAPER,
                         Shape::Dotted,
                         of(&places[1], MarkerState::Predicted),
                     ),
@@ -267,8 +301,8 @@ fn draw(
                 y: axis("error [mm]", [0.0, top(1)], false),
                 series: vec![
                     covered(top(1), 0.0),
-                    line("camera alone", colours::CAMERA, Shape::Dots, column(visual, 1, 0.08)),
-                    line("default filter", colours::FUSED, Shape::Line(2), column(fused, 1, 0.08)),
+                    line("camera alone", colors::CAMERA, Shape::Dots, column(visual, 1, 0.08)),
+                    line("default filter", colors::FUSED, Shape::Line(2), column(fused, 1, 0.08)),
                 ],
             },
             Panel {
@@ -277,8 +311,8 @@ fn draw(
                 y: axis("error [deg]", [0.0, top(2)], false),
                 series: vec![
                     covered(top(2), 0.0),
-                    line("camera alone", colours::CAMERA, Shape::Dots, column(visual, 2, 0.08)),
-                    line("default filter", colours::FUSED, Shape::Line(2), column(fused, 2, 0.08)),
+                    line("camera alone", colors::CAMERA, Shape::Dots, column(visual, 2, 0.08)),
+                    line("default filter", colors::FUSED, Shape::Line(2), column(fused, 2, 0.08)),
                 ],
             },
         ],

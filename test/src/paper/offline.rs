@@ -1,18 +1,18 @@
-//! The nodes' cores over a scenario, without middleware and clock: pictures through the tracker, its observations, the
-//! inertial samples and the encoders through the filter, in order of arrival.
+//! The nodes' cores over a scenario, without middleware and clock: images through the tracker, its
+//! observations, the inertial samples and the encoders through the filter, in order of arrival.
 
 use super::PaperError;
 use crate::{
     accuracy::Track,
-    live::{Film, Scenario},
-    rig::{
-        inertial::{Message, Sensors},
-        random::Random,
-    },
+    live::{ImageSequence, Scenario},
 };
 use marker_tracker::{Tracker, TrackerConfig};
 use pose_fusion::{Fusion, FusionConfig, Model, Output};
 use rig_model::{ImuSample, MarkerObservations, Stamp};
+use rig_simulator::{
+    inertial::{Message, Sensors},
+    random::Random,
+};
 
 /// What the filter is fed with.
 pub struct Recording {
@@ -22,29 +22,32 @@ pub struct Recording {
     pub samples: Vec<ImuSample>,
 }
 
-/// Tracks the film's markers with the tracker's defaults.
+/// Tracks the images's markers with the tracker's defaults.
 ///
 /// # Errors
-/// A picture that cannot be read.
-pub fn track(scenario: &Scenario, film: &Film) -> Result<Vec<MarkerObservations>, PaperError> {
-    track_with(scenario, film, TrackerConfig::default())
+/// An unreadable image.
+pub fn track(
+    scenario: &Scenario,
+    images: &ImageSequence,
+) -> Result<Vec<MarkerObservations>, PaperError> {
+    track_with(scenario, images, TrackerConfig::default())
 }
 
-/// Tracks the film's markers.
+/// Tracks the images's markers.
 ///
 /// # Errors
-/// A picture that cannot be read.
+/// An unreadable image.
 pub fn track_with(
     scenario: &Scenario,
-    film: &Film,
+    images: &ImageSequence,
     config: TrackerConfig,
 ) -> Result<Vec<MarkerObservations>, PaperError> {
     let mut tracker = Tracker::new(scenario.rig.markers.clone(), config);
     tracker.handle(marker_tracker::Input::Camera(scenario.camera.clone()));
-    let mut observations = Vec::with_capacity(film.frames.len());
-    for frame in &film.frames {
+    let mut observations = Vec::with_capacity(images.frames.len());
+    for frame in &images.frames {
         let image = marker_tracker::decode_compressed("jpeg", &frame.jpeg)
-            .map_err(|e| PaperError::Picture(e.to_string()))?;
+            .map_err(|e| PaperError::Image(e.to_string()))?;
         tracker.handle(marker_tracker::Input::Image(
             image.view(scenario.sensors.epoch.plus_seconds(frame.seconds)),
         ));
@@ -60,14 +63,15 @@ pub fn track_with(
 /// All that arrives at the filter during a scenario.
 ///
 /// # Errors
-/// A picture that cannot be read.
-pub fn record(scenario: &Scenario, film: &Film) -> Result<Recording, PaperError> {
-    Ok(record_observed(scenario, track(scenario, film)?))
+/// An unreadable image.
+pub fn record(scenario: &Scenario, images: &ImageSequence) -> Result<Recording, PaperError> {
+    Ok(record_observed(scenario, track(scenario, images)?))
 }
 
 /// The same with markers that were tracked already.
 pub fn record_observed(scenario: &Scenario, observed: Vec<MarkerObservations>) -> Recording {
-    let sensors = Sensors::new(&scenario.motion, &scenario.rig, &scenario.camera, &scenario.sensors);
+    let sensors =
+        Sensors::new(&scenario.motion, &scenario.rig, &scenario.camera, &scenario.sensors);
     let mut messages = sensors.imu();
     let samples = messages
         .iter()
@@ -97,7 +101,8 @@ pub struct Poses {
 /// # Errors
 /// It gave no pose.
 pub fn fuse(scenario: &Scenario, recording: &Recording, model: Model) -> Result<Poses, PaperError> {
-    let mut fusion = Fusion::new(scenario.rig.clone(), FusionConfig { model, ..FusionConfig::default() });
+    let mut fusion =
+        Fusion::new(scenario.rig.clone(), FusionConfig { model, ..FusionConfig::default() });
     fusion.handle(pose_fusion::Input::Camera(scenario.camera.clone()));
     let mut poses = Poses { fused: Track::new(), visual: Track::new() };
     let mut warnings = Vec::new();

@@ -1,13 +1,16 @@
 //! The page that shows what was made.
 
 use super::{Made, PaperError, read, write};
-use launch_config::report::{Block, Page, Section};
 use std::path::Path;
+use volant::report::{Block, Page, Section};
+
+/// Title of the page.
+pub const TITLE: &str = "Published figures and tables, reproduced";
 
 /// Writes `report.html` with every figure and table in it.
 ///
 /// # Errors
-/// A figure that cannot be read, or a place that cannot be written to.
+/// An unreadable figure, or a folder that is not writable.
 pub fn write_report(
     folder: &Path,
     facts: &[(String, String)],
@@ -16,12 +19,14 @@ pub fn write_report(
 ) -> Result<(), PaperError> {
     let mut sections = Vec::new();
     for m in made {
-        let mut blocks = vec![Block::labelled("What it shows.", &m.shows), Block::Figure(read(&m.svg)?)];
+        let mut blocks =
+            vec![Block::labelled("What it shows.", &m.shows), Block::Figure(read(&m.svg)?)];
         blocks.extend(m.table.clone().map(Block::Table));
         blocks.push(Block::labelled("Against the published one.", &m.published));
-        let name = |p: &Path| p.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
+        let name =
+            |p: &Path| p.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
         blocks.push(Block::Note(format!(
-            "Numbers: `{}`. Picture: `{}`. Alone: `volant reproduce {} --out DIR`.",
+            "Numbers: `{}`. Image: `{}`. Alone: `volant reproduce {} --out DIR`.",
             name(&m.csv),
             name(&m.svg),
             m.name
@@ -29,17 +34,24 @@ pub fn write_report(
         sections.push(Section { id: m.name.to_owned(), title: m.title.to_owned(), blocks });
     }
     if !missing.is_empty() {
-        let blocks =
-            missing.iter().map(|(name, why)| Block::labelled(&format!("{name}:"), why.as_str())).collect();
-        sections.push(Section { id: "missing".into(), title: "Not made in this run".into(), blocks });
+        let blocks = missing
+            .iter()
+            .map(|(name, why)| Block::labelled(&format!("{name}:"), why.as_str()))
+            .collect();
+        sections.push(Section {
+            id: "missing".into(),
+            title: "Not made in this run".into(),
+            blocks,
+        });
     }
     let page = Page {
         over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
-        title: "The paper's experiments, made anew".into(),
-        lead: "N. Kyriakoulis and A. Gasteratos, “Color-Based Monocular Visuoinertial 3-D Pose Estimation of a Volant Robot”, \
-               IEEE Transactions on Instrumentation and Measurement 59(10), 2010. Each figure and table below was made in one run by \
-               this program's own nodes on a simulated bench with exact truth, the rivals beside it on the same footprint and \
-               under the same light. Where a rival wins, it stands here as well."
+        title: TITLE.into(),
+        lead: "N. Kyriakoulis and A. Gasteratos, “Color-Based Monocular Visuoinertial 3-D Pose \
+               Estimation of a Volant Robot”, IEEE Transactions on Instrumentation and Measurement \
+               59(10), 2010. Each figure and table below was made in one run by this program's own \
+               nodes on a simulated bench with exact truth, the peers beside it on the same \
+               footprint and under the same light. Where a peer is better, it is named."
             .into(),
         facts: facts.to_vec(),
         sections,

@@ -136,20 +136,24 @@ impl Perturbation {
         let lasts = self.duration();
         let within = |stamp: Stamp| (0.0..lasts.max(1e-9)).contains(&stamp.seconds_since(from));
         let radians = |degrees: f64| degrees.to_radians();
-        let turn =
-            |axis: Vector3<f64>, degrees: f64| UnitQuaternion::from_scaled_axis(axis * radians(degrees));
+        let turn = |axis: Vector3<f64>, degrees: f64| {
+            UnitQuaternion::from_scaled_axis(axis * radians(degrees))
+        };
         match *self {
             Self::GyroScale(x) => each_imu(recording, |s| s.angular_velocity *= 1.0 + x),
             Self::AccelerometerScale(x) => each_imu(recording, |s| s.specific_force *= 1.0 + x),
             Self::ImuMisaligned(x) => rotate_imu(recording, turn(Vector3::x(), x)),
             Self::ImuYaw(x) => rotate_imu(recording, turn(Vector3::z(), x)),
-            Self::CameraMounting(x) => recording.rig.climber_from_camera.rotation *= turn(Vector3::x(), x),
+            Self::CameraMounting(x) => {
+                recording.rig.climber_from_camera.rotation *= turn(Vector3::x(), x)
+            }
             Self::FocalLength(x) => {
                 for (_, input) in &mut recording.inputs {
                     if let Input::Camera(camera) = input {
                         let (f, c) = (camera.focal_lengths() * (1.0 + x), camera.principal_point());
                         let (w, h) = camera.size();
-                        let scaled = CameraModel::new(w, h, [f.x, f.y, c.x, c.y], *camera.distortion());
+                        let scaled =
+                            CameraModel::new(w, h, [f.x, f.y, c.x, c.y], *camera.distortion());
                         *camera = scaled.unwrap_or_else(|_| camera.clone());
                     }
                 }
@@ -166,7 +170,8 @@ impl Perturbation {
             Self::EncoderOff(x, duration) => {
                 let mut once = true;
                 each_climber(recording, |s| {
-                    let hit = if duration == 0.0 { once && s.stamp >= from } else { within(s.stamp) };
+                    let hit =
+                        if duration == 0.0 { once && s.stamp >= from } else { within(s.stamp) };
                     if hit {
                         once = false;
                         s.world_from_climber.translation.vector.x += x;
@@ -196,16 +201,22 @@ impl Perturbation {
                 });
             }
             Self::GyroSaturated(x) => {
-                each_imu(recording, |s| s.angular_velocity = s.angular_velocity.map(|w| w.clamp(-x, x)));
+                each_imu(recording, |s| {
+                    s.angular_velocity = s.angular_velocity.map(|w| w.clamp(-x, x))
+                });
             }
             Self::ImuLost(_) => {
                 recording.inputs.retain(|(_, i)| !matches!(i, Input::Imu(s) if within(s.stamp)));
             }
             Self::EncodersLost(_) => {
-                recording.inputs.retain(|(_, i)| !matches!(i, Input::Climber(s) if within(s.stamp)));
+                recording
+                    .inputs
+                    .retain(|(_, i)| !matches!(i, Input::Climber(s) if within(s.stamp)));
             }
             Self::ImagesLost(_) => {
-                recording.inputs.retain(|(_, i)| !matches!(i, Input::Markers(s) if within(s.stamp)));
+                recording
+                    .inputs
+                    .retain(|(_, i)| !matches!(i, Input::Markers(s) if within(s.stamp)));
             }
             Self::CameraDelay(x) => {
                 each_climber(recording, |s| s.stamp = s.stamp.plus_seconds(x));

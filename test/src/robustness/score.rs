@@ -1,8 +1,9 @@
 //! What an estimator makes of a recording.
 
 use super::recording::Recording;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use pose_fusion::{Fusion, FusionConfig, Output, PoseStatus, Status, Warning};
+use rig_model::score::{Nees, PoseError, SpreadSum};
 
 /// One published pose against the truth.
 #[derive(Clone, Copy, Debug)]
@@ -56,20 +57,14 @@ pub fn run(recording: &Recording, config: &FusionConfig) -> Scored {
                         .chain(o.linear_velocity.iter())
                         .all(|x| x.is_finite());
                     let Some(truth) = recording.pose_at(o.stamp) else { continue };
-                    let position = truth.translation.vector - pose.translation.vector;
-                    let rotation = (truth.rotation * pose.rotation.inverse()).scaled_axis();
-                    let block = |i: usize| -> Matrix3<f64> {
-                        o.pose_covariance.fixed_view::<3, 3>(i, i).into_owned()
-                    };
-                    let nees = |e: &Vector3<f64>, i: usize| {
-                        block(i).cholesky().map_or(f64::INFINITY, |c| e.dot(&c.solve(e)))
-                    };
-                    let sigma = |i: usize| block(i).diagonal().max().max(0.0).sqrt();
+                    let error = PoseError::new(pose, &truth);
+                    let variances = o.pose_covariance.diagonal();
+                    let sigma = |i: usize| variances.fixed_rows::<3>(i).max().max(0.0).sqrt();
                     scored.samples.push(Sample {
                         time: o.stamp.seconds_since(start),
-                        position,
-                        rotation,
-                        nees: [nees(&position, 0), nees(&rotation, 3)],
+                        position: error.position,
+                        rotation: error.rotation,
+                        nees: Nees::pair(&error, &o.pose_covariance),
                         sigmas: [sigma(0), sigma(3)],
                         valid: true,
                         image_age: 0.0,
@@ -117,14 +112,13 @@ impl Scored {
     pub fn figures(&self, from: f64, to: f64) -> Figures {
         let mut f = Figures::default();
         let (mut valid, mut beyond) = (0usize, 0usize);
+        let (mut position, mut rotation) = (SpreadSum::default(), SpreadSum::default());
         let mut last: Option<&Sample> = None;
         for s in self.samples.iter().filter(|s| (from..to).contains(&s.time)) {
             f.count += 1;
             let (p, r) = (s.position.norm(), s.rotation.norm());
-            f.position[0] += p * p;
-            f.rotation[0] += r * r;
-            f.position[1] = f.position[1].max(p * 1e3);
-            f.rotation[1] = f.rotation[1].max(r.to_degrees());
+            position.add(p);
+            rotation.add(r);
             f.nees[0] += s.nees[0];
             f.nees[1] += s.nees[1];
             if let Some(before) = last
@@ -136,15 +130,20 @@ impl Scored {
             }
             if s.valid {
                 valid += 1;
-                beyond +=
-                    usize::from(p > 3.0 * s.sigmas[0] * 3f64.sqrt() || r > 3.0 * s.sigmas[1] * 3f64.sqrt());
+                beyond += usize::from(
+                    p > 3.0 * s.sigmas[0] * 3f64.sqrt() || r > 3.0 * s.sigmas[1] * 3f64.sqrt(),
+                );
                 f.worst_valid = f.worst_valid.max(p);
             }
             last = Some(s);
         }
         let n = f.count.max(1) as f64;
-        f.position[0] = (f.position[0] / n).sqrt() * 1e3;
-        f.rotation[0] = (f.rotation[0] / n).sqrt().to_degrees();
+        let pair = |sum: SpreadSum, scale| {
+            let spread = sum.spread(scale);
+            [spread.rmse, spread.max]
+        };
+        f.position = pair(position, 1e3);
+        f.rotation = pair(rotation, 1f64.to_degrees());
         f.nees = f.nees.map(|x| x / n);
         f.beyond = beyond as f64 / valid.max(1) as f64;
         f

@@ -1,4 +1,5 @@
-//! The table: every perturbation on every recording, alone and in pairs, against what it may cost.
+//! The table: every perturbation on every recording, alone and in pairs, against its largest
+//! allowed error.
 
 use super::{
     perturbation::{FROM, Perturbation, TABLE},
@@ -6,7 +7,7 @@ use super::{
     score::{self, Figures, Scored},
 };
 use pose_fusion::FusionConfig;
-use std::{fmt::Write, fs, path::Path};
+use std::fmt::Write;
 
 /// No pose further off than this may be called valid, m.
 const WRONG: f64 = 1.0;
@@ -53,9 +54,8 @@ pub fn limits(perturbation: &Perturbation, recording: &Recording) -> Limits {
         EncoderOff(_, 0.0) => factor(1.2),
         EncoderOff(_, duration) if duration < 0.5 => factor(2.0),
         EncoderOff(..) => Limits { worst: Some(100.0), after: Some(1.2), ..Limits::default() },
-        EncoderFrozen(_) | ImuZeros(_) | ImuSpike(_) | ImuLost(_) | EncodersLost(_) | ImagesLost(_) => {
-            bounded
-        }
+        EncoderFrozen(_) | ImuZeros(_) | ImuSpike(_) | ImuLost(_) | EncodersLost(_)
+        | ImagesLost(_) => bounded,
         GyroSaturated(_) => Limits { beyond: Some(BEYOND), ..Limits::default() },
         // The offset is found while the platform moves, within some seconds.
         CameraDelay(_) => Limits { after: Some(1.2), ..Limits::default() },
@@ -76,7 +76,8 @@ pub struct Cell {
     pub catastrophe: Option<String>,
 }
 
-/// From when a recording is measured, s: recordings of real motion begin with the tracker's first images.
+/// From when a recording is measured, s: recordings of real motion begin with the tracker's first
+/// images.
 fn begin(recording: &Recording) -> f64 {
     if recording.name.starts_with("real") { 3.0 } else { 1.0 }
 }
@@ -158,36 +159,8 @@ pub fn pairs() -> Vec<(Perturbation, Perturbation)> {
     TABLE.iter().enumerate().flat_map(|(i, a)| later(i).map(move |b| (*a, *b))).collect()
 }
 
-/// First line of a table that [`write`] may replace.
-pub const TITLE: &str = "# Robustness: recordings that differ from their rig file";
-
-/// Returns whether a table may be written to `path`: nothing is there, or a former table.
-///
-/// # Errors
-/// Another file, with what to do.
-pub fn may_write(path: &Path) -> Result<(), String> {
-    match fs::read(path) {
-        Ok(bytes) if bytes.starts_with(TITLE.as_bytes()) => Ok(()),
-        Ok(_) => Err(format!("{}: not a table of this command; name another file", path.display())),
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(()),
-        Err(e) => Err(format!("{}: {e}", path.display())),
-    }
-}
-
-/// Writes a table under a temporary name and renames it: a former one is never left incomplete.
-///
-/// # Errors
-/// See [`may_write`]; or the file cannot be written.
-pub fn write(path: &Path, text: &str) -> Result<(), String> {
-    may_write(path)?;
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let said = |e: std::io::Error| format!("{}: {e}", path.display());
-    let beside = folder.join(format!(".robustness.{}.part", std::process::id()));
-    fs::write(&beside, text).and_then(|()| fs::rename(&beside, path)).map_err(said)
-}
-
-/// Returns the table as Markdown. A cell is the position RMSE over that of the unchanged run, the largest error and the NEES of
-/// position and rotation; what does not hold is in bold.
+/// Returns the table as Markdown. A cell is the position RMSE over that of the unchanged run, the
+/// largest error and the NEES of position and rotation; what does not hold is in bold.
 pub fn markdown(benches: &[Bench], rows: &[(Perturbation, Vec<Cell>)]) -> String {
     let mut text = String::from("| perturbation |");
     for bench in benches {
@@ -209,7 +182,8 @@ pub fn markdown(benches: &[Bench], rows: &[(Perturbation, Vec<Cell>)]) -> String
         let _ = write!(text, "| {perturbation} |");
         for (bench, cell) in benches.iter().zip(cells) {
             let factor = cell.whole.position[0] / bench.unchanged().position[0];
-            let mark = if cell.failures.is_empty() && cell.catastrophe.is_none() { "" } else { "**" };
+            let mark =
+                if cell.failures.is_empty() && cell.catastrophe.is_none() { "" } else { "**" };
             let _ = write!(
                 text,
                 " {mark}{factor:.2}{mark}, {:.0} mm, {:.1} / {:.1} |",
@@ -219,22 +193,4 @@ pub fn markdown(benches: &[Bench], rows: &[(Perturbation, Vec<Cell>)]) -> String
         text.push('\n');
     }
     text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_a_former_table_is_replaced() {
-        let folder = tempfile::tempdir().unwrap();
-        let (recording, table) = (folder.path().join("in.mcap"), folder.path().join("table.md"));
-        fs::write(&recording, b"\x89MCAP0\r\n").unwrap();
-        assert!(write(&recording, TITLE).unwrap_err().contains("name another file"));
-        assert_eq!(fs::read(&recording).unwrap(), b"\x89MCAP0\r\n");
-        write(&table, &format!("{TITLE}\nfirst")).unwrap();
-        write(&table, &format!("{TITLE}\nsecond")).unwrap();
-        assert!(fs::read_to_string(&table).unwrap().ends_with("second"));
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2, "nothing is left beside them");
-    }
 }

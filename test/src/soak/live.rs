@@ -1,9 +1,9 @@
-//! The long run in real time: four processes, a looped film, rows of the fault table at random.
+//! The long run in real time: four processes, a looped images, rows of the fault table at random.
 
-use super::{Lives, Plan};
+use super::{Instances, Plan};
 use crate::{
     faults::{Bench, Notes, Row, outcome, table},
-    live::{Film, Heard, Run, RunError, Scenario, Site},
+    live::{ImageSequence, Received, Run, RunError, Scenario, Site},
 };
 use node_kit::environment::Network;
 use rig_model::Stamp;
@@ -16,7 +16,8 @@ pub struct SoakConfig {
     pub seconds: f64,
     /// The faults follow from it.
     pub seed: u64,
-    /// Nodes are killed only before this time, so that the others' memory can be watched for long, s.
+    /// Nodes are killed only before this time, so that the others' memory can be watched for long,
+    /// s.
     pub kills_until: f64,
 }
 
@@ -25,7 +26,7 @@ pub struct SoakConfig {
 pub struct Seen {
     /// Faults so far, and what they were.
     pub faults: Vec<(f64, &'static str)>,
-    /// Odometry heard.
+    /// Odometry received.
     pub odometry: u64,
     /// Odometry whose covariance the truth contradicts.
     pub contradicted: u64,
@@ -36,7 +37,7 @@ pub struct Seen {
     /// What is not as it must be.
     pub failures: Vec<String>,
     /// Memory and threads.
-    pub lives: Lives,
+    pub instances: Instances,
 }
 
 /// Odometry around a fault whose covariance the truth contradicts.
@@ -52,8 +53,9 @@ pub struct Contradiction {
     pub largest: [f64; 2],
 }
 
-/// Memory may grow by so much after the first minute, bytes. A reliable publisher keeps up to 8192 samples for a reader that was killed,
-/// until its lease is over, so the growth since the last kill is told apart.
+/// Largest growth of the memory after the first minute, bytes. A reliable publisher keeps up to
+/// 8192 samples for a killed reader until its lease ends, so the growth since the last kill is
+/// evaluated separately.
 pub const GROWTH: i64 = 5 << 20;
 
 /// Runs it.
@@ -62,41 +64,41 @@ pub const GROWTH: i64 = 5 << 20;
 /// The rig did not come up, or a process hung.
 pub fn run(
     scenario: &Scenario,
-    film: Arc<Film>,
+    images: Arc<ImageSequence>,
     config: &SoakConfig,
     network: &Network,
     folder: &Path,
     mut progress: impl FnMut(f64, &Seen),
 ) -> Result<Seen, RunError> {
     let site = Site { endless: true, ..Site::here(network) };
-    let mut run = Run::start(scenario, film, &site, folder)?;
+    let mut run = Run::start(scenario, images, &site, folder)?;
     run.wait_for_pose(30.0)?;
     let epoch = run.begin();
     run.play_until(0.5, |_, _| {})?;
-    drop(run.stand.take_heard());
+    drop(run.hardware.take_received());
     let rows: Vec<Row> = table().into_iter().filter(|row| row.soaks()).collect();
     let mut seen = Seen::default();
     let mut plan = Plan::new(config.seed, rows.len());
-    while run.stand.seconds() < config.seconds {
+    while run.hardware.seconds() < config.seconds {
         let Some(next) = plan.next() else { break };
         let Some(row) = rows.get(next.which) else { continue };
-        let now = run.stand.seconds();
+        let now = run.hardware.seconds();
         if row.kills.is_some() && now > config.kills_until {
             continue;
         }
         let mut notes = Notes::default();
         seen.faults.push((now, row.fault));
         if row.kills.is_some() {
-            seen.lives.killed(now);
+            seen.instances.killed(now);
         }
         row.start(&mut Bench { run: &mut run, epoch, scenario, notes: &mut notes })?;
         watch(&mut run, now + next.lasts, &mut seen, &mut progress);
         row.stop(&mut Bench { run: &mut run, epoch, scenario, notes: &mut notes })?;
-        let over = run.stand.seconds();
+        let over = run.hardware.seconds();
         watch(&mut run, over + next.calm, &mut seen, &mut progress);
         seen.failures.extend(notes.failures);
-        let heard = run.stand.take_heard();
-        judge(&heard, scenario, epoch, over, row, &mut seen);
+        let received = run.hardware.take_received();
+        judge(&received, scenario, epoch, over, row, &mut seen);
         run.nodes.check()?;
     }
     // Panics, and how they end, are seen at the end.
@@ -109,8 +111,8 @@ pub fn run(
 
 fn watch(run: &mut Run, until: f64, seen: &mut Seen, progress: &mut impl FnMut(f64, &Seen)) {
     loop {
-        let now = run.stand.seconds();
-        seen.lives.look(&run.nodes, now);
+        let now = run.hardware.seconds();
+        seen.instances.sample(&run.nodes, now);
         progress(now, seen);
         if now >= until {
             return;
@@ -119,13 +121,22 @@ fn watch(run: &mut Run, until: f64, seen: &mut Seen, progress: &mut impl FnMut(f
     }
 }
 
-fn judge(heard: &Heard, scenario: &Scenario, epoch: Stamp, over: f64, row: &Row, seen: &mut Seen) {
+fn judge(
+    received: &Received,
+    scenario: &Scenario,
+    epoch: Stamp,
+    over: f64,
+    row: &Row,
+    seen: &mut Seen,
+) {
     let lap = scenario.duration();
-    let truth = |s: Stamp| scenario.motion.world_from_volant(s.seconds_since(epoch).max(0.0).rem_euclid(lap));
-    let fused = heard.fused();
+    let truth = |s: Stamp| {
+        scenario.motion.world_from_volant(s.seconds_since(epoch).max(0.0).rem_euclid(lap))
+    };
+    let fused = received.fused();
     let end = fused.last().map_or(epoch, |(stamp, _)| *stamp);
     let [gate, _] = outcome::GATE;
-    let nees = heard.nees_by_stamp(Stamp::default(), end, truth);
+    let nees = received.nees_by_stamp(Stamp::default(), end, truth);
     seen.odometry += nees.len() as u64;
     let beyond: Vec<_> = nees.iter().filter(|(_, n)| n[0] > gate || n[1] > gate).collect();
     if let (Some((first, _)), Some((last, _))) = (beyond.first(), beyond.last()) {
@@ -139,8 +150,9 @@ fn judge(heard: &Heard, scenario: &Scenario, epoch: Stamp, over: f64, row: &Row,
             largest: [largest(0), largest(1)],
         });
     }
-    seen.failures
-        .extend(outcome::not_a_number(heard).map(|why| format!("{over:.0} s, {}: {why}", row.fault)));
+    seen.failures.extend(
+        outcome::not_a_number(received).map(|why| format!("{over:.0} s, {}: {why}", row.fault)),
+    );
     let back = outcome::back(&fused, epoch.plus_seconds(over), end, truth);
     let after = back.map_or(f64::INFINITY, |s| s.seconds_since(epoch.plus_seconds(over)));
     if after > super::BACK_WITHIN {
@@ -151,29 +163,31 @@ fn judge(heard: &Heard, scenario: &Scenario, epoch: Stamp, over: f64, row: &Row,
 fn conclude(seen: &mut Seen) {
     let share = seen.contradicted as f64 / (seen.odometry.max(1)) as f64;
     if seen.odometry == 0 {
-        seen.failures.push("no odometry was heard".to_owned());
+        seen.failures.push("no odometry was received".to_owned());
     }
     if share > outcome::GATE[1] {
-        seen.failures
-            .push(format!("the truth contradicts the covariance in {:.1} % of the odometry", share * 100.0));
+        seen.failures.push(format!(
+            "the truth contradicts the covariance in {:.1} % of the odometry",
+            share * 100.0
+        ));
     }
     for (worst, when) in [
-        (seen.lives.worst_undisturbed(), "while no node was killed"),
-        (seen.lives.worst(), "after its first minute"),
+        (seen.instances.worst_undisturbed(), "while no node was killed"),
+        (seen.instances.worst(), "after its first minute"),
     ] {
-        if let Some((life, growth)) = worst
+        if let Some((instance, growth)) = worst
             && growth >= GROWTH
         {
-            let (node, id, growth) = (&life.node, life.id, growth as f64 / 1e6);
+            let (node, id, growth) = (&instance.node, instance.id, growth as f64 / 1e6);
             seen.failures.push(format!("{node} ({id}) grew by {growth:.1} MB {when}"));
         }
     }
-    for life in seen.lives.iter() {
-        if life.growth().is_some()
-            && let [first, last] = life.threads
+    for instance in seen.instances.iter() {
+        if instance.growth().is_some()
+            && let [first, last] = instance.threads
             && last > first
         {
-            let (node, id) = (&life.node, life.id);
+            let (node, id) = (&instance.node, instance.id);
             seen.failures.push(format!(
                 "{node} ({id}) had {first} threads in its first minute and {last} in its last"
             ));

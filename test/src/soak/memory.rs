@@ -1,11 +1,11 @@
-//! How memory and threads of processes go, life by life: a process that was killed and started again begins a new one.
+//! Memory and threads of processes; a process that was killed and restarted is a new instance.
 
 use crate::live::Nodes;
 use std::collections::{BTreeMap, VecDeque};
 
 /// One process from its start to its end.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Life {
+pub struct Instance {
     /// The node.
     pub node: String,
     /// Process id.
@@ -16,9 +16,9 @@ pub struct Life {
     pub until: f64,
     /// Resident memory at the end of its first minute, bytes.
     pub settled: Option<u64>,
-    /// Resident memory a minute after the start or after another node was killed, whichever came later, bytes; and when that was,
-    /// s of the run. A reliable publisher keeps its samples for a killed reader until that one's lease is over, and the memory for
-    /// them from then on.
+    /// Resident memory a minute after the start or after another node was killed, whichever came
+    /// later, bytes; and when that was, s of the run. A reliable publisher keeps its samples for a
+    /// killed reader until that one's lease is over, and the memory for them from then on.
     pub undisturbed: Option<(f64, u64)>,
     /// Resident memory at last, bytes.
     pub last: u64,
@@ -31,42 +31,44 @@ pub struct Life {
 /// What counts as the first minute, s.
 const FIRST_MINUTE: f64 = 60.0;
 
-impl Life {
-    /// Growth of the memory after the first minute, bytes; `None` for lives that were shorter than two.
+impl Instance {
+    /// Growth of the memory after the first minute, bytes; `None` for instances that were shorter
+    /// than two.
     pub fn growth(&self) -> Option<i64> {
         (self.until - self.since >= 2.0 * FIRST_MINUTE)
             .then(|| self.settled.map(|settled| self.last as i64 - settled as i64))
             .flatten()
     }
 
-    /// Growth of the memory since a minute after the last kill, bytes; `None` where less than a minute was left.
+    /// Growth of the memory since a minute after the last kill, bytes; `None` where less than a
+    /// minute was left.
     pub fn undisturbed_growth(&self) -> Option<i64> {
         let (at, bytes) = self.undisturbed?;
         (self.until - at >= FIRST_MINUTE).then(|| self.last as i64 - bytes as i64)
     }
 }
 
-/// All lives of a run.
+/// All instances of a run.
 #[derive(Clone, Debug, Default)]
-pub struct Lives {
-    lives: BTreeMap<u32, Life>,
+pub struct Instances {
+    instances: BTreeMap<u32, Instance>,
     last_kill: f64,
 }
 
-impl Lives {
-    /// Looks at every process.
-    pub fn look(&mut self, nodes: &Nodes, now: f64) {
+impl Instances {
+    /// Samples every process.
+    pub fn sample(&mut self, nodes: &Nodes, now: f64) {
         for node in nodes.iter() {
             self.note(&node.name, node.id(), node.resident_bytes(), node.threads(), now);
         }
     }
 
     fn note(&mut self, node: &str, id: u32, bytes: u64, threads: usize, now: f64) {
-        // Of a process that is gone the system tells nothing.
+        // A process that has ended has no figures.
         if bytes == 0 {
             return;
         }
-        let life = self.lives.entry(id).or_insert_with(|| Life {
+        let instance = self.instances.entry(id).or_insert_with(|| Instance {
             node: node.to_owned(),
             id,
             since: now,
@@ -77,44 +79,44 @@ impl Lives {
             threads: [0, threads],
             recent: VecDeque::new(),
         });
-        (life.until, life.last) = (now, bytes);
-        life.recent.push_back((now, threads));
-        while life.recent.front().is_some_and(|(at, _)| now - at > FIRST_MINUTE) {
-            life.recent.pop_front();
+        (instance.until, instance.last) = (now, bytes);
+        instance.recent.push_back((now, threads));
+        while instance.recent.front().is_some_and(|(at, _)| now - at > FIRST_MINUTE) {
+            instance.recent.pop_front();
         }
-        life.threads[1] = life.recent.iter().map(|(_, count)| *count).max().unwrap_or(0);
-        if now - life.since < FIRST_MINUTE {
-            life.threads[0] = life.threads[0].max(threads);
+        instance.threads[1] = instance.recent.iter().map(|(_, count)| *count).max().unwrap_or(0);
+        if now - instance.since < FIRST_MINUTE {
+            instance.threads[0] = instance.threads[0].max(threads);
         } else {
-            life.settled.get_or_insert(bytes);
+            instance.settled.get_or_insert(bytes);
         }
-        if now - life.since.max(self.last_kill) >= FIRST_MINUTE {
-            life.undisturbed.get_or_insert((now, bytes));
+        if now - instance.since.max(self.last_kill) >= FIRST_MINUTE {
+            instance.undisturbed.get_or_insert((now, bytes));
         }
     }
 
     /// A node was killed.
     pub fn killed(&mut self, now: f64) {
         self.last_kill = now;
-        self.lives.values_mut().for_each(|life| life.undisturbed = None);
+        self.instances.values_mut().for_each(|instance| instance.undisturbed = None);
     }
 
-    /// Each life.
-    pub fn iter(&self) -> impl Iterator<Item = &Life> {
-        self.lives.values()
+    /// All instances.
+    pub fn iter(&self) -> impl Iterator<Item = &Instance> {
+        self.instances.values()
     }
 
-    /// The life whose memory grew most after its first minute, and by how much, bytes.
-    pub fn worst(&self) -> Option<(&Life, i64)> {
-        self.most(Life::growth)
+    /// Instance whose memory grew most after its first minute, and its growth, bytes.
+    pub fn worst(&self) -> Option<(&Instance, i64)> {
+        self.most(Instance::growth)
     }
 
-    /// The life whose memory grew most while no node was killed, and by how much, bytes.
-    pub fn worst_undisturbed(&self) -> Option<(&Life, i64)> {
-        self.most(Life::undisturbed_growth)
+    /// Instance whose memory grew most while no node was killed, and its growth, bytes.
+    pub fn worst_undisturbed(&self) -> Option<(&Instance, i64)> {
+        self.most(Instance::undisturbed_growth)
     }
 
-    fn most(&self, growth: impl Fn(&Life) -> Option<i64>) -> Option<(&Life, i64)> {
+    fn most(&self, growth: impl Fn(&Instance) -> Option<i64>) -> Option<(&Instance, i64)> {
         self.iter().filter_map(|l| Some((l, growth(l)?))).max_by_key(|(_, growth)| *growth)
     }
 }
@@ -124,29 +126,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn growth_counts_from_the_end_of_the_first_minute_of_each_life() {
-        let mut lives = Lives::default();
+    fn growth_counts_from_the_end_of_the_first_minute_of_each_instance() {
+        let mut instances = Instances::default();
         for t in 0..300 {
             let bytes = if t < 50 { 1_000 * t } else { 50_000 + (t - 50) * 10 };
-            lives.note("a", 1, bytes + 1, 9, t as f64);
-            lives.note("b", 2 + (t / 100) as u32, 7, 3, t as f64);
+            instances.note("a", 1, bytes + 1, 9, t as f64);
+            instances.note("b", 2 + (t / 100) as u32, 7, 3, t as f64);
         }
-        lives.note("a", 1, 0, 0, 301.0);
-        let (life, growth) = lives.worst().unwrap();
-        assert_eq!((life.node.as_str(), growth), ("a", 239 * 10));
-        assert!(lives.iter().filter(|l| l.node == "b").all(|l| l.growth().is_none()));
+        instances.note("a", 1, 0, 0, 301.0);
+        let (instance, growth) = instances.worst().unwrap();
+        assert_eq!((instance.node.as_str(), growth), ("a", 239 * 10));
+        assert!(instances.iter().filter(|l| l.node == "b").all(|l| l.growth().is_none()));
     }
 
     #[test]
-    fn what_a_killed_reader_holds_back_is_told_from_a_leak() {
-        let mut lives = Lives::default();
+    fn samples_for_a_killed_reader_are_no_leak() {
+        let mut instances = Instances::default();
         for t in 0..400_u64 {
             if t == 150 {
-                lives.killed(150.0);
+                instances.killed(150.0);
             }
-            lives.note("a", 1, 1000 + if t < 150 { 0 } else { 500 }, 9, t as f64);
+            instances.note("a", 1, 1000 + if t < 150 { 0 } else { 500 }, 9, t as f64);
         }
-        assert_eq!(lives.worst().unwrap().1, 500);
-        assert_eq!(lives.worst_undisturbed().unwrap().1, 0);
+        assert_eq!(instances.worst().unwrap().1, 500);
+        assert_eq!(instances.worst_undisturbed().unwrap().1, 0);
     }
 }

@@ -1,14 +1,15 @@
-//! The long run: laps of a live rig with faults at random from a seed; memory and threads must stay flat, nothing may panic,
-//! no number may be none, and the covariance must stay true.
+//! The long run: laps of a live rig with faults at random from a seed; memory and threads must stay
+//! flat, nothing may panic, no number may be none, and the covariance must stay true.
 //!
-//! [`Plan`] draws which row of the fault table comes when; [`live`] runs it in real time on the four processes.
+//! [`Plan`] draws which row of the fault table comes when; [`live`] runs it in real time on the
+//! four processes.
 
 pub mod live;
 mod memory;
 
-pub use memory::{Life, Lives};
+pub use memory::{Instance, Instances};
 
-use crate::rig::random::Random;
+use rig_simulator::random::Random;
 
 /// One fault of the long run.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,7 +41,11 @@ impl Iterator for Plan {
 
     fn next(&mut self) -> Option<Planned> {
         let which = (self.random.within(0.0, self.count as f64) as usize).min(self.count - 1);
-        Some(Planned { which, calm: self.random.within(4.0, 9.0), lasts: self.random.within(0.5, 4.0) })
+        Some(Planned {
+            which,
+            calm: self.random.within(4.0, 9.0),
+            lasts: self.random.within(0.5, 4.0),
+        })
     }
 }
 

@@ -1,9 +1,9 @@
-"""A DDS peer that is not ours: hears a rig's outputs by Cyclone DDS and prints each message as one JSON line.
+"""A Cyclone DDS peer that subscribes to a rig's outputs and prints each message as a JSON line.
 
 usage: listen.py DOMAIN_ID SECONDS
 
-Ends after SECONDS, or at a line on standard input. The types are written by hand from the ROS 2 definitions, so
-that nothing of the project's own serialisation is in here.
+Ends after SECONDS, or at a line on standard input. The types follow the ROS 2 definitions and do
+not depend on the project's own serialization.
 """
 
 import json
@@ -69,7 +69,9 @@ class PoseWithCovariance_(IdlStruct, typename="geometry_msgs::msg::dds_::PoseWit
 
 
 @dataclass
-class PoseWithCovarianceStamped_(IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovarianceStamped_"):
+class PoseWithCovarianceStamped_(
+    IdlStruct, typename="geometry_msgs::msg::dds_::PoseWithCovarianceStamped_",
+):
     header: Header_
     pose: PoseWithCovariance_
 
@@ -117,11 +119,16 @@ def of_pose(message):
 
 
 TOPICS = {
-    "volant/odometry": (Odometry_, lambda m: [*of_pose(m), m.twist.twist.linear.x, m.twist.twist.angular.z]),
+    "volant/odometry": (
+    Odometry_, lambda m: [*of_pose(m), m.twist.twist.linear.x, m.twist.twist.angular.z],
+    ),
     "volant/fused_pose": (PoseWithCovarianceStamped_, of_pose),
     "climber/markers": (
         MarkerObservations_,
-        lambda m: [v for o in m.markers for v in (o.color, o.state, o.occluded_frames, o.x, o.y, o.covariance[0])],
+        lambda m: [
+        v for o in m.markers
+        for v in (o.color, o.state, o.occluded_frames, o.x, o.y, o.covariance[0])
+        ],
     ),
 }
 

@@ -5,7 +5,7 @@ use super::{
     pose::{camera_matrix, point2, solve_pnp},
 };
 use crate::clock::Clock;
-use crate::scene::{Picture, Pinhole};
+use crate::scene::{Frame, Pinhole};
 use anyhow::{Result, ensure};
 use nalgebra::Vector2;
 use opencv::{calib3d::SolvePnPMethod, core};
@@ -22,7 +22,7 @@ unsafe extern "C" {
         id: i32,
         corners: *mut f64,
     ) -> i32;
-    fn shim_apriltag_picture(id: i32, cells: *mut u8) -> i32;
+    fn shim_apriltag_frame(id: i32, cells: *mut u8) -> i32;
     fn shim_apriltag_free(handle: *mut c_void);
 }
 
@@ -30,10 +30,10 @@ unsafe extern "C" {
 pub const TAG: i32 = 7;
 
 /// The tag with its white border: 10×10 cells, dark 30, light 225, from the top left.
-pub fn tag_picture() -> Result<Vec<u8>> {
+pub fn tag_frame() -> Result<Vec<u8>> {
     let mut cells = vec![0u8; 100];
     // SAFETY: the function fills exactly 100 bytes.
-    let ok = unsafe { shim_apriltag_picture(TAG, cells.as_mut_ptr()) };
+    let ok = unsafe { shim_apriltag_frame(TAG, cells.as_mut_ptr()) };
     ensure!(ok == 1, "libapriltag draws tag36h11 in another size than 10x10; use AprilTag 3");
     Ok(cells.into_iter().map(|c| if c > 127 { 225 } else { 30 }).collect())
 }
@@ -86,25 +86,35 @@ impl Method for AprilTag {
         &["detection", "extrinsics"]
     }
 
-    fn estimate(&mut self, picture: &Picture) -> Result<Estimate> {
-        let mut gray = picture.gray();
+    fn estimate(&mut self, frame: &Frame) -> Result<Estimate> {
+        let mut gray = frame.gray();
         let mut raw = [0.0; 8];
-        let (width, height) = (picture.width as i32, picture.height as i32);
+        let (width, height) = (frame.width as i32, frame.height as i32);
         let start = Clock::start();
         // SAFETY: `gray` holds width·height bytes, `raw` eight numbers.
         let hit = unsafe {
-            shim_apriltag_detect(self.handle, gray.as_mut_ptr(), width, height, width, TAG, raw.as_mut_ptr())
+            shim_apriltag_detect(
+                self.handle,
+                gray.as_mut_ptr(),
+                width,
+                height,
+                width,
+                TAG,
+                raw.as_mut_ptr(),
+            )
         };
         let detected = start.elapsed();
         if hit == 0 {
             return Ok(Estimate { stages: vec![detected], ..Estimate::default() });
         }
-        // AprilTag's pixel (0, 0) is the corner of the top left pixel, ours its centre. Its third corner is our first.
+        // AprilTag's pixel (0, 0) is the corner of the top left pixel, ours its center. Its third
+        // corner is our first.
         let corner = |i: usize| Vector2::new(raw[2 * i] - 0.5, raw[2 * i + 1] - 0.5);
         let corners = [corner(3), corner(2), corner(1), corner(0)];
         let image: core::Vector<core::Point2d> = corners.iter().map(point2).collect();
         let start = Clock::start();
-        let pose = solve_pnp(&self.matrix, &self.object, &image, SolvePnPMethod::SOLVEPNP_IPPE, true)?;
+        let pose =
+            solve_pnp(&self.matrix, &self.object, &image, SolvePnPMethod::SOLVEPNP_IPPE, true)?;
         Ok(Estimate {
             camera_from_volant: pose,
             points: corners.into_iter().enumerate().collect(),

@@ -6,7 +6,7 @@ use super::{
     pose::{camera_matrix, point2, solve_pnp},
 };
 use crate::clock::Clock;
-use crate::scene::{Picture, Pinhole};
+use crate::scene::{Frame, Pinhole};
 use anyhow::Result;
 use nalgebra::Vector2;
 use opencv::{
@@ -28,7 +28,8 @@ impl Aruco {
     /// For a tag of `footprint` m with its border.
     pub fn new(camera: &Pinhole, footprint: f64) -> Result<Self> {
         let mut parameters = aruco::DetectorParameters::create()?;
-        parameters.set_corner_refinement_method(aruco::CornerRefineMethod::CORNER_REFINE_SUBPIX as i32);
+        parameters
+            .set_corner_refinement_method(aruco::CornerRefineMethod::CORNER_REFINE_SUBPIX as i32);
         Ok(Self {
             dictionary: aruco::get_predefined_dictionary(
                 aruco::PREDEFINED_DICTIONARY_NAME::DICT_APRILTAG_36h11,
@@ -53,9 +54,10 @@ impl Method for Aruco {
         &["detection", "extrinsics"]
     }
 
-    fn estimate(&mut self, picture: &Picture) -> Result<Estimate> {
-        let gray = picture.gray();
-        let image = Mat::new_rows_cols_with_bytes::<u8>(picture.height as i32, picture.width as i32, &gray)?;
+    fn estimate(&mut self, frame: &Frame) -> Result<Estimate> {
+        let gray = frame.gray();
+        let image =
+            Mat::new_rows_cols_with_bytes::<u8>(frame.height as i32, frame.width as i32, &gray)?;
         let mut corners = core::Vector::<core::Vector<core::Point2f>>::new();
         let (mut ids, mut rejected) =
             (core::Vector::<i32>::new(), core::Vector::<core::Vector<core::Point2f>>::new());
@@ -72,13 +74,17 @@ impl Method for Aruco {
         let Some(index) = ids.iter().position(|id| id == TAG) else {
             return Ok(Estimate { stages: vec![detected], ..Estimate::default() });
         };
-        let corners: Vec<Vector2<f64>> =
-            corners.get(index)?.iter().map(|p| Vector2::new(f64::from(p.x), f64::from(p.y))).collect();
+        let corners: Vec<Vector2<f64>> = corners
+            .get(index)?
+            .iter()
+            .map(|p| Vector2::new(f64::from(p.x), f64::from(p.y)))
+            .collect();
         // OpenCV's dictionary has the same codes turned by half a turn.
         let corners = [corners[2], corners[3], corners[0], corners[1]];
         let image: core::Vector<core::Point2d> = corners.iter().map(point2).collect();
         let start = Clock::start();
-        let pose = solve_pnp(&self.matrix, &self.object, &image, SolvePnPMethod::SOLVEPNP_IPPE, true)?;
+        let pose =
+            solve_pnp(&self.matrix, &self.object, &image, SolvePnPMethod::SOLVEPNP_IPPE, true)?;
         Ok(Estimate {
             camera_from_volant: pose,
             points: corners.into_iter().enumerate().collect(),

@@ -1,4 +1,5 @@
-//! The rivals and our own tracker behind one call: a picture in, points and a pose out, with the time of each stage.
+//! The peers and our own tracker behind one call: a frame in, points and a pose out, with the time
+//! of each stage.
 
 mod april;
 mod aruco;
@@ -7,22 +8,22 @@ mod pose;
 mod recipe;
 mod sift;
 
-pub use april::{AprilTag, tag_picture};
+pub use april::{AprilTag, tag_frame};
 pub use aruco::Aruco;
 pub use ours::Ours;
 pub use pose::{camera_matrix, gauss_newton, point2, point3, pose_from_centroids, solve_pnp};
 pub use recipe::Recipe;
 pub use sift::{CELLS, Sift, texture};
 
-use crate::scene::Picture;
+use crate::scene::Frame;
 use anyhow::Result;
 use nalgebra::{Isometry3, Vector2};
 use std::time::Duration;
 
-/// Which plate a method looks at.
+/// Plate that a method detects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Carrier {
-    /// Four coloured squares.
+    /// Four colored squares.
     Markers,
     /// A tag36h11 tag.
     Tag,
@@ -32,7 +33,7 @@ pub enum Carrier {
     Board,
 }
 
-/// What a method made of one picture.
+/// What a method made of one frame.
 #[derive(Clone, Debug, Default)]
 pub struct Estimate {
     /// `camera_from_volant`.
@@ -47,12 +48,12 @@ pub struct Estimate {
 pub trait Method {
     /// Its name in tables.
     fn name(&self) -> &'static str;
-    /// What it looks at.
+    /// Plate that it detects.
     fn carrier(&self) -> Carrier;
     /// What its stages are called.
     fn stages(&self) -> &'static [&'static str];
-    /// The next picture. Rivals that work on grey pictures are given one: its making is not counted.
-    fn estimate(&mut self, picture: &Picture) -> Result<Estimate>;
-    /// Forgets what it followed: the next picture is searched as a whole.
+    /// Processes the next frame. The conversion to gray for methods that need it is not counted.
+    fn estimate(&mut self, frame: &Frame) -> Result<Estimate>;
+    /// Resets the tracking: the next frame is searched as a whole.
     fn forget(&mut self);
 }

@@ -1,8 +1,9 @@
-//! The project's own tracker, as a node drives it, and the pose by Gauss–Newton from the previous one.
+//! The project's own tracker, as a node drives it, and the pose by Gauss–Newton from the previous
+//! one.
 
 use super::{Carrier, Estimate, Method, gauss_newton, pose_from_centroids};
 use crate::clock::Clock;
-use crate::scene::{Picture, Pinhole};
+use crate::scene::{Frame, Pinhole};
 use anyhow::Result;
 use marker_tracker::{ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig};
 use nalgebra::{Isometry3, Vector2};
@@ -17,9 +18,9 @@ pub struct Ours {
     tracker: Tracker,
     pose: Option<Isometry3<f64>>,
     stamp: i64,
-    /// What the tracker said to the last picture.
+    /// Result for the last frame.
     pub observed: Option<MarkerObservations>,
-    /// What it warned of.
+    /// Warnings.
     pub warnings: Vec<String>,
 }
 
@@ -40,21 +41,21 @@ impl Ours {
         ours
     }
 
-    /// What became of a marker in the last picture, and the outline that was measured.
+    /// What became of a marker in the last frame, and the outline that was measured.
     pub fn account(&self, color: MarkerColor) -> (&'static str, Option<[Vector2<f64>; 4]>) {
-        (self.tracker.reasons()[color.index()].1, self.tracker.marks()[color].outline)
+        (self.tracker.outcomes()[color].as_str(), self.tracker.views()[color].outline)
     }
 
-    /// The tracker alone: time from pixels to the finished observations, 30 pictures a second.
-    pub fn track(&mut self, picture: &Picture) -> Duration {
+    /// The tracker alone: time from pixels to the finished observations, 30 images a second.
+    pub fn track(&mut self, frame: &Frame) -> Duration {
         self.stamp += 33_333_333;
         let view = ImageView {
             stamp: Stamp::from_nanos(self.stamp),
-            width: picture.width,
-            height: picture.height,
-            step: 3 * picture.width,
+            width: frame.width,
+            height: frame.height,
+            step: 3 * frame.width,
             format: PixelFormat::Rgb8,
-            data: &picture.rgb,
+            data: &frame.rgb,
         };
         self.observed = None;
         let start = Clock::start();
@@ -67,7 +68,8 @@ impl Ours {
                     self.observed = Some(o);
                 }
                 Output::Warning(w) => self.warnings.push(w.to_string()),
-                #[allow(unreachable_patterns)] // the tracker may tell more than this bench listens to
+                #[allow(unreachable_patterns)]
+                // other outputs of the tracker are not evaluated
                 _ => {}
             }
         }
@@ -88,8 +90,8 @@ impl Method for Ours {
         &["tracker", "extrinsics"]
     }
 
-    fn estimate(&mut self, picture: &Picture) -> Result<Estimate> {
-        let tracked = self.track(picture);
+    fn estimate(&mut self, frame: &Frame) -> Result<Estimate> {
+        let tracked = self.track(frame);
         let Some(observed) = &self.observed else {
             return Ok(Estimate { stages: vec![tracked], ..Estimate::default() });
         };

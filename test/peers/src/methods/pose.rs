@@ -1,18 +1,24 @@
-//! From points to a pose: OpenCV's solvers for the rivals, Gauss–Newton on centroids for ours.
+//! From points to a pose: OpenCV's solvers for the peers, Gauss–Newton on centroids for ours.
 
 use crate::scene::Pinhole;
 use anyhow::Result;
 use nalgebra::{
-    Isometry3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3,
-    Vector6,
+    Isometry3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, Translation3, UnitQuaternion, Vector2,
+    Vector3, Vector6,
 };
 use opencv::{calib3d, core, prelude::*};
-use rig_model::{CameraModel, MarkerLayout, MarkerObservations, MarkerState, PerColor, planar_pose};
+use rig_model::{
+    CameraModel, MarkerLayout, MarkerObservations, MarkerState, PerColor, planar_pose,
+};
 
 /// OpenCV's camera matrix.
 pub fn camera_matrix(camera: &Pinhole) -> Result<core::Mat> {
-    let c = camera.centre();
-    Ok(core::Mat::from_slice_2d(&[[camera.focal, 0.0, c.x], [0.0, camera.focal, c.y], [0.0, 0.0, 1.0]])?)
+    let c = camera.center();
+    Ok(core::Mat::from_slice_2d(&[
+        [camera.focal, 0.0, c.x],
+        [0.0, camera.focal, c.y],
+        [0.0, 0.0, 1.0],
+    ])?)
 }
 
 fn to_isometry(rvec: &core::Mat, tvec: &core::Mat) -> Result<Isometry3<f64>> {
@@ -25,7 +31,7 @@ fn to_isometry(rvec: &core::Mat, tvec: &core::Mat) -> Result<Isometry3<f64>> {
     ))
 }
 
-/// `solvePnP` by `flag`, then refined by Levenberg–Marquardt where `refine` says so.
+/// `solvePnP` by `flag`, optionally refined by Levenberg–Marquardt.
 pub fn solve_pnp(
     matrix: &core::Mat,
     object: &core::Vector<core::Point3d>,
@@ -35,7 +41,8 @@ pub fn solve_pnp(
 ) -> Result<Option<Isometry3<f64>>> {
     let (mut rvec, mut tvec) = (core::Mat::default(), core::Mat::default());
     let none = core::no_array();
-    if !calib3d::solve_pnp(object, image, matrix, &none, &mut rvec, &mut tvec, false, flag as i32)? {
+    if !calib3d::solve_pnp(object, image, matrix, &none, &mut rvec, &mut tvec, false, flag as i32)?
+    {
         return Ok(None);
     }
     if refine {
@@ -54,8 +61,9 @@ pub fn point2(p: &Vector2<f64>) -> core::Point2d {
     core::Point2d::new(p.x, p.y)
 }
 
-/// Gauss–Newton on the centroids of the projected squares, weighted by their covariances, from a prior pose.
-/// Returns the pose and the weighted sum of squares; `None` with less than four markers or without a solution.
+/// Gauss–Newton on the centroids of the projected squares, weighted by their covariances, from a
+/// prior pose. Returns the pose and the weighted sum of squares; `None` with less than four markers
+/// or without a solution.
 pub fn gauss_newton(
     layout: &MarkerLayout,
     camera: &CameraModel,
@@ -65,7 +73,8 @@ pub fn gauss_newton(
     let mut pose = *prior;
     let mut last = f64::MAX;
     for _ in 0..12 {
-        let (mut normal, mut right, mut cost, mut used) = (Matrix6::zeros(), Vector6::zeros(), 0.0, 0);
+        let (mut normal, mut right, mut cost, mut used) =
+            (Matrix6::zeros(), Vector6::zeros(), 0.0, 0);
         for (color, marker) in observed.markers.iter() {
             if marker.state != MarkerState::Detected {
                 continue;

@@ -1,11 +1,12 @@
-//! The paper's recipe, written plainly with OpenCV's functions on whole frames, staged as its Table I.
+//! The paper's recipe, written plainly with OpenCV's functions on whole frames, staged as its Table
+//! I.
 
 use super::{
     Carrier, Estimate, Method,
     pose::{camera_matrix, point2, point3, solve_pnp},
 };
 use crate::clock::Clock;
-use crate::scene::{Picture, Pinhole};
+use crate::scene::{Frame, Pinhole};
 use anyhow::Result;
 use nalgebra::Vector2;
 use opencv::{
@@ -29,7 +30,7 @@ pub struct Recipe {
     binary: [Mat; 4],
     previous: [Mat; 4],
     histograms: [Mat; 4],
-    centres: [Option<Point2f>; 4],
+    centers: [Option<Point2f>; 4],
     half_window: [f64; 4],
 }
 
@@ -44,12 +45,13 @@ impl Recipe {
             binary: Default::default(),
             previous: Default::default(),
             histograms: Default::default(),
-            centres: [None; 4],
+            centers: [None; 4],
             half_window: [25.0; 4],
         })
     }
 
-    /// Red, green, blue, yellow as differences of the layers, each made binary at 0.75 of its own largest value.
+    /// Red, green, blue, yellow as differences of the layers, each made binary at 0.75 of its own
+    /// largest value.
     fn identify(&mut self, rgb: &impl core::ToInputArray) -> Result<()> {
         let mut channels = core::Vector::<Mat>::new();
         core::split(rgb, &mut channels)?;
@@ -62,7 +64,14 @@ impl Recipe {
         core::subtract_def(&rest, &b, &mut self.layers[3])?;
         for i in 0..4 {
             let mut largest = 0.0;
-            core::min_max_loc(&self.layers[i], None, Some(&mut largest), None, None, &core::no_array())?;
+            core::min_max_loc(
+                &self.layers[i],
+                None,
+                Some(&mut largest),
+                None,
+                None,
+                &core::no_array(),
+            )?;
             imgproc::threshold(
                 &self.layers[i],
                 &mut self.binary[i],
@@ -78,8 +87,8 @@ impl Recipe {
     fn flow(&self) -> Result<[Option<Point2f>; 4]> {
         let mut flows = [None; 4];
         for (i, flow) in flows.iter_mut().enumerate() {
-            let Some(centre) = self.centres[i] else { continue };
-            let from: core::Vector<Point2f> = [centre].into_iter().collect();
+            let Some(center) = self.centers[i] else { continue };
+            let from: core::Vector<Point2f> = [center].into_iter().collect();
             let mut to = core::Vector::<Point2f>::new();
             let (mut status, mut error) = (core::Vector::<u8>::new(), core::Vector::<f32>::new());
             video::calc_optical_flow_pyr_lk(
@@ -95,16 +104,16 @@ impl Recipe {
                 0,
                 1e-4,
             )?;
-            *flow = (status.get(0)? == 1).then_some(to.get(0)? - centre);
+            *flow = (status.get(0)? == 1).then_some(to.get(0)? - center);
         }
         Ok(flows)
     }
 
     /// Share of the window's pixels that bear each marker's hue; `None` where there is no window.
     fn window(&self, i: usize, flow: Option<Point2f>, width: i32, height: i32) -> Option<Rect> {
-        let centre = self.centres[i]?;
+        let center = self.centers[i]?;
         let flow = flow.unwrap_or_default();
-        let (x, y) = (centre.x + flow.x, centre.y + flow.y);
+        let (x, y) = (center.x + flow.x, center.y + flow.y);
         let half = self.half_window[i] as f32 + flow.x.abs().max(flow.y.abs());
         let x0 = ((x - half) as i32).clamp(0, width - 1);
         let y0 = ((y - half) as i32).clamp(0, height - 1);
@@ -114,8 +123,9 @@ impl Recipe {
     }
 
     /// Hue histogram under a mask, its largest bin 255.
-    fn learn_hue(&mut self, i: usize, window: Rect) -> Result<()> {
-        let images: core::Vector<Mat> = [Mat::roi(&self.hsv, window)?.try_clone()?].into_iter().collect();
+    fn update_hue(&mut self, i: usize, window: Rect) -> Result<()> {
+        let images: core::Vector<Mat> =
+            [Mat::roi(&self.hsv, window)?.try_clone()?].into_iter().collect();
         let mask = Mat::roi(&self.binary[i], window)?;
         let mut histogram = Mat::default();
         imgproc::calc_hist(
@@ -141,7 +151,8 @@ impl Recipe {
 
     /// The layer's largest blob in the whole image.
     fn largest_blob(&self, i: usize) -> Result<Option<Rect>> {
-        let (mut labels, mut stats, mut centroids) = (Mat::default(), Mat::default(), Mat::default());
+        let (mut labels, mut stats, mut centroids) =
+            (Mat::default(), Mat::default(), Mat::default());
         let n = imgproc::connected_components_with_stats_def(
             &self.binary[i],
             &mut labels,
@@ -179,9 +190,9 @@ impl Method for Recipe {
         &["optical flow", "tracking", "feature extraction", "extrinsics"]
     }
 
-    fn estimate(&mut self, picture: &Picture) -> Result<Estimate> {
-        let (width, height) = (picture.width as i32, picture.height as i32);
-        let rgb = Mat::new_rows_cols_with_bytes::<core::Vec3b>(height, width, &picture.rgb)?;
+    fn estimate(&mut self, frame: &Frame) -> Result<Estimate> {
+        let (width, height) = (frame.width as i32, frame.height as i32);
+        let rgb = Mat::new_rows_cols_with_bytes::<core::Vec3b>(height, width, &frame.rgb)?;
         // Feature extraction, first half: the binary images, which the flow works on.
         let start = Clock::start();
         self.identify(&rgb)?;
@@ -197,7 +208,8 @@ impl Method for Recipe {
         let mut masks: [Option<(Mat, Rect)>; 4] = Default::default();
         for (i, mask) in masks.iter_mut().enumerate() {
             let Some(window) = self.window(i, flows[i], width, height) else { continue };
-            let images: core::Vector<Mat> = [Mat::roi(&self.hsv, window)?.try_clone()?].into_iter().collect();
+            let images: core::Vector<Mat> =
+                [Mat::roi(&self.hsv, window)?.try_clone()?].into_iter().collect();
             let (mut likely, mut hue) = (Mat::default(), Mat::default());
             imgproc::calc_back_project(
                 &images,
@@ -214,7 +226,7 @@ impl Method for Recipe {
         }
         let tracking = start.elapsed();
 
-        // Feature extraction, second half: centres of mass.
+        // Feature extraction, second half: centers of mass.
         let start = Clock::start();
         for (i, mask) in masks.into_iter().enumerate() {
             let mut found = None;
@@ -224,10 +236,10 @@ impl Method for Recipe {
             if found.is_none()
                 && let Some(window) = self.largest_blob(i)?
             {
-                self.learn_hue(i, window)?;
+                self.update_hue(i, window)?;
                 found = centre_of_mass(&Mat::roi(&self.binary[i], window)?.try_clone()?, window)?;
             }
-            self.centres[i] = found.map(|f| f.0);
+            self.centers[i] = found.map(|f| f.0);
             self.half_window[i] = found.map_or(25.0, |f| (0.9 * f.1.sqrt()).max(25.0));
         }
         std::mem::swap(&mut self.previous, &mut self.binary);
@@ -235,15 +247,22 @@ impl Method for Recipe {
 
         let start = Clock::start();
         let points: Vec<(usize, Vector2<f64>)> = self
-            .centres
+            .centers
             .iter()
             .enumerate()
             .filter_map(|(i, c)| c.map(|c| (i, Vector2::new(f64::from(c.x), f64::from(c.y)))))
             .collect();
         let mut pose = None;
         if points.len() == 4 {
-            let image: core::Vector<core::Point2d> = points.iter().map(|(_, p)| point2(p)).collect();
-            pose = solve_pnp(&self.matrix, &self.object, &image, SolvePnPMethod::SOLVEPNP_ITERATIVE, false)?;
+            let image: core::Vector<core::Point2d> =
+                points.iter().map(|(_, p)| point2(p)).collect();
+            pose = solve_pnp(
+                &self.matrix,
+                &self.object,
+                &image,
+                SolvePnPMethod::SOLVEPNP_ITERATIVE,
+                false,
+            )?;
         }
         Ok(Estimate {
             camera_from_volant: pose,
@@ -253,17 +272,17 @@ impl Method for Recipe {
     }
 
     fn forget(&mut self) {
-        self.centres = [None; 4];
+        self.centers = [None; 4];
     }
 }
 
 fn centre_of_mass(mask: &Mat, window: Rect) -> Result<Option<(Point2f, f64)>> {
     let moments = imgproc::moments(mask, true)?;
     Ok((moments.m00 >= 25.0).then(|| {
-        let centre = Point2f::new(
+        let center = Point2f::new(
             (moments.m10 / moments.m00) as f32 + window.x as f32,
             (moments.m01 / moments.m00) as f32 + window.y as f32,
         );
-        (centre, moments.m00)
+        (center, moments.m00)
     }))
 }

@@ -5,7 +5,7 @@ use super::{
     pose::{camera_matrix, solve_pnp},
 };
 use crate::clock::Clock;
-use crate::scene::{Picture, Pinhole, Rng};
+use crate::scene::{Frame, Pinhole, Rng};
 use anyhow::Result;
 use opencv::{
     calib3d::{self, SolvePnPMethod},
@@ -16,7 +16,7 @@ use opencv::{
 
 /// Cells along an edge of the texture.
 pub const CELLS: usize = 64;
-/// Pixels of the reference picture per cell.
+/// Pixels of the reference frame per cell.
 const SCALE: usize = 6;
 
 /// A texture with detail at every scale, from a seed.
@@ -48,19 +48,20 @@ impl Sift {
     pub fn new(camera: &Pinhole, texture: &[u8], footprint: f64) -> Result<Self> {
         let mut detector = features2d::SIFT::create_def()?;
         let side = CELLS * SCALE;
-        let picture: Vec<u8> =
-            (0..side * side).map(|i| texture[(i / side / SCALE) * CELLS + (i % side) / SCALE]).collect();
-        let image = Mat::new_rows_cols_with_bytes::<u8>(side as i32, side as i32, &picture)?;
+        let frame: Vec<u8> = (0..side * side)
+            .map(|i| texture[(i / side / SCALE) * CELLS + (i % side) / SCALE])
+            .collect();
+        let image = Mat::new_rows_cols_with_bytes::<u8>(side as i32, side as i32, &frame)?;
         let (mut keys, mut reference) = (core::Vector::<core::KeyPoint>::new(), Mat::default());
         detector.detect_and_compute_def(&image, &core::no_array(), &mut keys, &mut reference)?;
-        let metres = footprint / side as f64;
+        let meters = footprint / side as f64;
         let places = keys
             .iter()
             .map(|k| {
                 let p = k.pt();
                 (
-                    (f64::from(p.x) + 0.5) * metres - footprint / 2.0,
-                    footprint / 2.0 - (f64::from(p.y) + 0.5) * metres,
+                    (f64::from(p.x) + 0.5) * meters - footprint / 2.0,
+                    footprint / 2.0 - (f64::from(p.y) + 0.5) * meters,
                 )
             })
             .collect();
@@ -87,9 +88,10 @@ impl Method for Sift {
         &["features", "matching", "extrinsics"]
     }
 
-    fn estimate(&mut self, picture: &Picture) -> Result<Estimate> {
-        let gray = picture.gray();
-        let image = Mat::new_rows_cols_with_bytes::<u8>(picture.height as i32, picture.width as i32, &gray)?;
+    fn estimate(&mut self, frame: &Frame) -> Result<Estimate> {
+        let gray = frame.gray();
+        let image =
+            Mat::new_rows_cols_with_bytes::<u8>(frame.height as i32, frame.width as i32, &gray)?;
         let (mut keys, mut found) = (core::Vector::<core::KeyPoint>::new(), Mat::default());
         let start = Clock::start();
         self.detector.detect_and_compute_def(&image, &core::no_array(), &mut keys, &mut found)?;
@@ -125,7 +127,13 @@ impl Method for Sift {
                 }
             }
             if object.len() >= 8 {
-                pose = solve_pnp(&self.matrix, &object, &image, SolvePnPMethod::SOLVEPNP_ITERATIVE, false)?;
+                pose = solve_pnp(
+                    &self.matrix,
+                    &object,
+                    &image,
+                    SolvePnPMethod::SOLVEPNP_ITERATIVE,
+                    false,
+                )?;
             }
         }
         Ok(Estimate {

@@ -1,4 +1,4 @@
-//! A picture in linear light that layers are laid upon, and what a sensor makes of it.
+//! A frame in linear light that layers are laid upon, and what a sensor makes of it.
 
 use super::{
     geometry::clip_area,
@@ -8,7 +8,7 @@ use nalgebra::Vector2;
 
 /// Interleaved 8-bit RGB.
 #[derive(Clone, Debug)]
-pub struct Picture {
+pub struct Frame {
     /// Width, px.
     pub width: usize,
     /// Height, px.
@@ -17,13 +17,14 @@ pub struct Picture {
     pub rgb: Vec<u8>,
 }
 
-impl Picture {
-    /// Luma of every pixel (ITU-R 601), for the rivals that work on grey pictures.
+impl Frame {
+    /// Luma of every pixel (ITU-R 601), for the methods that use gray images.
     pub fn gray(&self) -> Vec<u8> {
         self.rgb
             .chunks_exact(3)
             .map(|p| {
-                ((299 * u32::from(p[0]) + 587 * u32::from(p[1]) + 114 * u32::from(p[2]) + 500) / 1000) as u8
+                ((299 * u32::from(p[0]) + 587 * u32::from(p[1]) + 114 * u32::from(p[2]) + 500)
+                    / 1000) as u8
             })
             .collect()
     }
@@ -34,13 +35,14 @@ impl Picture {
 pub struct Light {
     /// Factor on everything.
     pub gain: f64,
-    /// Further factor from one end of the picture to the other, along (cos, sin) of `direction`: 1 ∓ `shading`.
+    /// Further factor from one end of the frame to the other, along (cos, sin) of `direction`: 1 ∓
+    /// `shading`.
     pub shading: f64,
     /// Direction of the shading, rad.
     pub direction: f64,
     /// Factor per channel (white balance).
     pub white: [f64; 3],
-    /// Standard deviation of the sensor's noise, grey levels.
+    /// Standard deviation of the sensor's noise, gray levels.
     pub noise: f64,
     /// Standard deviation of the lens's blur, px (0: none).
     pub blur: f64,
@@ -50,7 +52,15 @@ pub struct Light {
 
 impl Default for Light {
     fn default() -> Self {
-        Self { gain: 1.0, shading: 0.0, direction: 0.0, white: [1.0; 3], noise: 3.0, blur: 0.0, gamma: 1.0 }
+        Self {
+            gain: 1.0,
+            shading: 0.0,
+            direction: 0.0,
+            white: [1.0; 3],
+            noise: 3.0,
+            blur: 0.0,
+            gamma: 1.0,
+        }
     }
 }
 
@@ -80,8 +90,8 @@ impl Canvas {
         }
     }
 
-    /// Adds a convex polygon to the layer in work; polygons of one layer must not overlap. `weight` below 1 spreads a
-    /// moving thing over several sub-exposures.
+    /// Adds a convex polygon to the layer in work; polygons of one layer must not overlap. `weight`
+    /// below 1 spreads a moving thing over several sub-exposures.
     pub fn add(&mut self, polygon: &[Vector2<f64>], color: [f32; 3], weight: f64) {
         let (width, height) = (self.width, self.height);
         for_each_covered(polygon, width, height, |index, share| {
@@ -109,13 +119,17 @@ impl Canvas {
         }
     }
 
-    /// What the sensor tells.
-    pub fn expose(&mut self, light: &Light, rng: &mut Rng) -> Picture {
+    /// Image of the sensor.
+    pub fn expose(&mut self, light: &Light, rng: &mut Rng) -> Frame {
         if light.blur > 0.0 {
             self.blur(light.blur);
         }
         let curve = |v: f64| {
-            if light.gamma == 1.0 { v } else { 255.0 * (v.max(0.0) / 255.0).powf(1.0 / light.gamma) }
+            if light.gamma == 1.0 {
+                v
+            } else {
+                255.0 * (v.max(0.0) / 255.0).powf(1.0 / light.gamma)
+            }
         };
         let (w, h) = (self.width, self.height);
         let (sin, cos) = light.direction.sin_cos();
@@ -134,13 +148,14 @@ impl Canvas {
                 }
             }
         }
-        Picture { width: w, height: h, rgb }
+        Frame { width: w, height: h, rgb }
     }
 
     fn blur(&mut self, sigma: f64) {
         let radius = (3.0 * sigma).ceil() as i64;
-        let kernel: Vec<f32> =
-            (-radius..=radius).map(|i| (-(i * i) as f64 / (2.0 * sigma * sigma)).exp() as f32).collect();
+        let kernel: Vec<f32> = (-radius..=radius)
+            .map(|i| (-(i * i) as f64 / (2.0 * sigma * sigma)).exp() as f32)
+            .collect();
         let sum: f32 = kernel.iter().sum();
         let (w, h) = (self.width as i64, self.height as i64);
         for (dx, dy) in [(1, 0), (0, 1)] {
@@ -149,8 +164,9 @@ impl Canvas {
                 for x in 0..w {
                     let mut value = [0.0; 3];
                     for (k, weight) in (-radius..=radius).zip(&kernel) {
-                        let p = source
-                            [((y + k * dy).clamp(0, h - 1) * w + (x + k * dx).clamp(0, w - 1)) as usize];
+                        let p = source[((y + k * dy).clamp(0, h - 1) * w
+                            + (x + k * dx).clamp(0, w - 1))
+                            as usize];
                         for c in 0..3 {
                             value[c] += weight * p[c];
                         }
@@ -170,10 +186,9 @@ pub fn for_each_covered(
     mut f: impl FnMut(usize, f64),
 ) {
     let bound = |axis: usize, low: bool| {
-        polygon
-            .iter()
-            .map(|p| p[axis])
-            .fold(if low { f64::MAX } else { f64::MIN }, |a, b| if low { a.min(b) } else { a.max(b) })
+        polygon.iter().map(|p| p[axis]).fold(if low { f64::MAX } else { f64::MIN }, |a, b| {
+            if low { a.min(b) } else { a.max(b) }
+        })
     };
     let x0 = (bound(0, true) - 0.5).ceil().max(0.0) as usize;
     let y0 = (bound(1, true) - 0.5).ceil().max(0.0) as usize;
@@ -198,8 +213,10 @@ pub fn for_each_covered(
         .collect();
     for y in y0..=(y1 as usize) {
         for x in x0..=(x1 as usize) {
-            let inside =
-                edges.iter().map(|(a, b, c)| a * x as f64 + b * y as f64 + c).fold(f64::MAX, f64::min);
+            let inside = edges
+                .iter()
+                .map(|(a, b, c)| a * x as f64 + b * y as f64 + c)
+                .fold(f64::MAX, f64::min);
             let share = if inside > 0.7072 {
                 1.0
             } else if inside < -0.7072 {

@@ -3,21 +3,26 @@
 use super::{canvas::Canvas, rng::Rng};
 use nalgebra::Vector2;
 
-/// Something of one colour on the floor or in front of the platform.
+/// An object of one color on the floor or in front of the platform.
 #[derive(Clone, Debug)]
 pub struct Thing {
     /// Convex outline, px.
     pub outline: Vec<Vector2<f64>>,
-    /// Its colour.
+    /// Its color.
     pub color: [f32; 3],
 }
 
 impl Thing {
-    /// A rectangle around `centre`, turned by `angle`.
-    pub fn rectangle(centre: Vector2<f64>, size: Vector2<f64>, angle: f64, color: [f32; 3]) -> Self {
+    /// A rectangle around `center`, turned by `angle`.
+    pub fn rectangle(
+        center: Vector2<f64>,
+        size: Vector2<f64>,
+        angle: f64,
+        color: [f32; 3],
+    ) -> Self {
         let turn = nalgebra::Rotation2::new(angle);
         let outline = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
-            .map(|(x, y)| centre + turn * Vector2::new(x * size.x, y * size.y))
+            .map(|(x, y)| center + turn * Vector2::new(x * size.x, y * size.y))
             .to_vec();
         Self { outline, color }
     }
@@ -28,7 +33,7 @@ impl Thing {
     }
 }
 
-/// Ground that reaches beyond the picture, so that the camera can move over it.
+/// Ground that reaches beyond the frame, so that the camera can move over it.
 pub struct Floor {
     ground: Canvas,
     margin: usize,
@@ -50,16 +55,19 @@ impl Floor {
             .collect();
         for y in 0..ground.height {
             for x in 0..ground.width {
-                let mottle: f64 =
-                    waves.iter().map(|w| w[3] * (w[0] * x as f64 + w[1] * y as f64 + w[2]).sin()).sum();
+                let mottle: f64 = waves
+                    .iter()
+                    .map(|w| w[3] * (w[0] * x as f64 + w[1] * y as f64 + w[2]).sin())
+                    .sum();
                 let grain = rng.within(-0.02, 0.02);
-                ground.light[y * (width + 2 * margin) + x] = base.map(|b| b * (1.0 + mottle + grain) as f32);
+                ground.light[y * (width + 2 * margin) + x] =
+                    base.map(|b| b * (1.0 + mottle + grain) as f32);
             }
         }
         Self { ground, margin }
     }
 
-    /// Lays things on the ground, in picture coordinates.
+    /// Lays things on the ground, in frame coordinates.
     pub fn strew(&mut self, things: &[Thing]) {
         let shift = Vector2::repeat(self.margin as f64);
         for thing in things {

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3, Vector2};
 use rig_model::{CameraModel, Distortion};
 
-/// A camera without distortion; the centre of the top left pixel is (0, 0).
+/// A camera without distortion; the center of the top left pixel is (0, 0).
 #[derive(Clone, Copy, Debug)]
 pub struct Pinhole {
     /// Focal length, px.
@@ -19,13 +19,13 @@ impl Pinhole {
     pub const BENCH: Self = Self { focal: 600.0, width: 640, height: 480 };
 
     /// Principal point, px.
-    pub fn centre(&self) -> Vector2<f64> {
+    pub fn center(&self) -> Vector2<f64> {
         Vector2::new((self.width as f64 - 1.0) / 2.0, (self.height as f64 - 1.0) / 2.0)
     }
 
     /// Pixel of a point in the camera frame.
     pub fn project(&self, point: &Point3<f64>) -> Vector2<f64> {
-        Vector2::new(point.x, point.y) * (self.focal / point.z) + self.centre()
+        Vector2::new(point.x, point.y) * (self.focal / point.z) + self.center()
     }
 
     /// Pixels of a polygon of the plane `z = height` of a body.
@@ -35,12 +35,15 @@ impl Pinhole {
         corners: &[[f64; 2]],
         height: f64,
     ) -> Vec<Vector2<f64>> {
-        corners.iter().map(|c| self.project(&(camera_from_body * Point3::new(c[0], c[1], height)))).collect()
+        corners
+            .iter()
+            .map(|c| self.project(&(camera_from_body * Point3::new(c[0], c[1], height))))
+            .collect()
     }
 
     /// The same camera as the project's own code takes it.
     pub fn model(&self) -> CameraModel {
-        let c = self.centre();
+        let c = self.center();
         CameraModel::new(
             self.width as u32,
             self.height as u32,

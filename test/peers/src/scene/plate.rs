@@ -12,7 +12,7 @@ use rig_model::{MarkerLayout, PerColor};
 /// What is on the plate.
 #[derive(Clone, Debug)]
 pub enum PlateKind {
-    /// Four squares: their colours, and how each is turned in its plane, rad.
+    /// Four squares: their colors, and the yaw of each in its plane, rad.
     Markers {
         /// Where they are.
         layout: MarkerLayout,
@@ -21,34 +21,35 @@ pub enum PlateKind {
         /// rad.
         turns: [f64; 4],
     },
-    /// `side`×`side` cells of grey, from the top left as seen from above, in a square of `footprint` m.
+    /// `side`×`side` gray cells, from the top left as seen from above, in a square of `footprint`
+    /// m.
     Cells {
         /// Cells along an edge.
         side: usize,
-        /// Grey levels, row by row.
+        /// Gray levels, row by row.
         gray: Vec<u8>,
         /// Edge of the whole, m.
         footprint: f64,
     },
 }
 
-/// The platform's upper side: a plate of one colour with something on it.
+/// The platform's upper side: a plate of one color with a pattern.
 #[derive(Clone, Debug)]
 pub struct Plate {
     /// Edge of the plate, m.
     pub edge: f64,
-    /// Its colour.
+    /// Its color.
     pub color: [f32; 3],
     /// What is on it.
     pub kind: PlateKind,
 }
 
-/// Where a marker truly is in the picture.
+/// Where a marker truly is in the frame.
 #[derive(Clone, Copy, Debug)]
 pub struct MarkerTruth {
     /// Area centroid of the whole square's image, px (the mean over the exposure).
     pub centroid: Vector2<f64>,
-    /// Share that is in the picture and not covered.
+    /// Share that is in the frame and not covered.
     pub shown: f64,
 }
 
@@ -68,8 +69,8 @@ impl Plate {
         }
     }
 
-    /// Grey cells on the markers' footprint. A tag's plate is white, as ArUco drops a tag whose quiet zone ends in an
-    /// edge near its own.
+    /// Gray cells on the markers' footprint. A tag's plate is white, because ArUco drops a tag
+    /// whose quiet zone ends in an edge near its own.
     pub fn cells(side: usize, gray: Vec<u8>, color: [f32; 3]) -> Self {
         Self { edge: 0.42, color, kind: PlateKind::Cells { side, gray, footprint: 0.376 } }
     }
@@ -88,7 +89,11 @@ impl Plate {
                 for (color, paint) in colors.iter() {
                     for pose in poses {
                         let z = layout.centres[color].z;
-                        canvas.add(&camera.polygon(pose, &self.square(color.index()), z), *paint, weight);
+                        canvas.add(
+                            &camera.polygon(pose, &self.square(color.index()), z),
+                            *paint,
+                            weight,
+                        );
                     }
                 }
                 canvas.flatten();
@@ -100,7 +105,11 @@ impl Plate {
                     let y = footprint / 2.0 - (index / side) as f64 * cell;
                     let corners = [[x, y], [x + cell, y], [x + cell, y - cell], [x, y - cell]];
                     for pose in poses {
-                        canvas.add(&camera.polygon(pose, &corners, 0.0), [f32::from(value); 3], weight);
+                        canvas.add(
+                            &camera.polygon(pose, &corners, 0.0),
+                            [f32::from(value); 3],
+                            weight,
+                        );
                     }
                 }
                 canvas.flatten();
@@ -111,23 +120,30 @@ impl Plate {
     /// Corners of a marker in the plate's frame, m.
     fn square(&self, index: usize) -> [[f64; 2]; 4] {
         let PlateKind::Markers { layout, turns, .. } = &self.kind else { return [[0.0; 2]; 4] };
-        let (centre, half) = (layout.centres.0[index], layout.side / 2.0);
+        let (center, half) = (layout.centres.0[index], layout.side / 2.0);
         let (sin, cos) = turns[index].sin_cos();
-        [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
-            .map(|(x, y)| [centre.x + half * (cos * x - sin * y), centre.y + half * (sin * x + cos * y)])
+        [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| {
+            [center.x + half * (cos * x - sin * y), center.y + half * (sin * x + cos * y)]
+        })
     }
 
     /// The truth of each marker under these covers.
-    pub fn truth(&self, camera: &Pinhole, poses: &[Isometry3<f64>], covers: &[Thing]) -> [MarkerTruth; 4] {
+    pub fn truth(
+        &self,
+        camera: &Pinhole,
+        poses: &[Isometry3<f64>],
+        covers: &[Thing],
+    ) -> [MarkerTruth; 4] {
         let middle = &poses[poses.len() / 2];
         let PlateKind::Markers { layout, .. } = &self.kind else {
             return [MarkerTruth { centroid: Vector2::zeros(), shown: 0.0 }; 4];
         };
         [0, 1, 2, 3].map(|i| {
             let z = layout.centres.0[i].z;
-            let images: Vec<_> = poses.iter().map(|p| camera.polygon(p, &self.square(i), z)).collect();
-            let centroid =
-                images.iter().map(|p| polygon_centroid(p).1).sum::<Vector2<f64>>() / poses.len() as f64;
+            let images: Vec<_> =
+                poses.iter().map(|p| camera.polygon(p, &self.square(i), z)).collect();
+            let centroid = images.iter().map(|p| polygon_centroid(p).1).sum::<Vector2<f64>>()
+                / poses.len() as f64;
             let image = camera.polygon(middle, &self.square(i), z);
             let area = polygon_centroid(&image).0.abs();
             let mut seen = 0.0;

@@ -36,7 +36,7 @@ impl Rng {
     }
 }
 
-/// Normal deviates from a table: fast enough for every pixel of a picture.
+/// Normal deviates from a table: fast enough for every pixel of a frame.
 pub struct NoiseTable(Vec<f32>);
 
 impl NoiseTable {
@@ -47,8 +47,9 @@ impl NoiseTable {
         let mut rng = Rng::new(77);
         let mut table: Vec<f32> = (0..Self::LENGTH).map(|_| rng.normal() as f32).collect();
         let mean = table.iter().sum::<f32>() / Self::LENGTH as f32;
-        let deviation =
-            (table.iter().map(|x| (x - mean) * (x - mean)).sum::<f32>() / Self::LENGTH as f32).sqrt();
+        let deviation = (table.iter().map(|x| (x - mean) * (x - mean)).sum::<f32>()
+            / Self::LENGTH as f32)
+            .sqrt();
         table.iter_mut().for_each(|x| *x = (*x - mean) / deviation);
         Self(table)
     }

@@ -22,7 +22,7 @@ pub struct Moment {
     pub under: Vec<Thing>,
     /// Things before it.
     pub over: Vec<Thing>,
-    /// How far the floor has moved in the picture, px.
+    /// How far the floor has moved in the frame, px.
     pub floor_shift: Vector2<f64>,
 }
 
@@ -38,10 +38,10 @@ impl Moment {
     }
 }
 
-/// A scene: what it is called, and what is to be seen when.
+/// A scene: name, frames and truth.
 pub struct Scene {
     pub name: &'static str,
-    pub pictures: usize,
+    pub images: usize,
     /// Share of the whole markers that must be detected.
     pub wanted: f64,
     pub plate: Plate,
@@ -79,7 +79,8 @@ fn floor(strewn: &[Thing], rng: &mut Rng) -> Floor {
 }
 
 fn gentle(t: f64) -> Isometry3<f64> {
-    let at = CAMERA.centre() + Vector2::new(80.0 * (TAU * 0.25 * t).sin(), 40.0 * (TAU * 0.19 * t).cos());
+    let at = CAMERA.center()
+        + Vector2::new(80.0 * (TAU * 0.25 * t).sin(), 40.0 * (TAU * 0.19 * t).cos());
     trajectory::pose(&CAMERA, at, 1.5, 0.15 * (TAU * 0.4 * t).sin(), 0.7 * t, 0.3 + 0.2 * t)
 }
 
@@ -98,24 +99,39 @@ fn pole(x: f64, width: f64, angle: f64, color: [f32; 3]) -> Thing {
 pub fn all(seed: u64) -> Vec<Scene> {
     let mut rng = Rng::new(seed ^ 0xabcd);
     let mut scenes = Vec::new();
-    let mut scene = |name, pictures, wanted, colors, strewn: Vec<Thing>, at: Box<dyn Fn(f64) -> Moment>| {
-        let mut own = rng.clone();
-        rng.bits();
-        let plate = Plate::markers(colors, &mut own);
-        let floor = floor(&strewn, &mut own);
-        scenes.push(Scene { name, pictures, wanted, plate, floor, at });
-    };
+    let mut scene =
+        |name, images, wanted, colors, strewn: Vec<Thing>, at: Box<dyn Fn(f64) -> Moment>| {
+            let mut own = rng.clone();
+            rng.bits();
+            let plate = Plate::markers(colors, &mut own);
+            let floor = floor(&strewn, &mut own);
+            scenes.push(Scene { name, images, wanted, plate, floor, at });
+        };
     let mut lay = Rng::new(seed ^ 0x1111);
 
-    scene("nominal", 150, 0.999, VIVID, vec![], Box::new(|t| Moment::new(trajectory::standard(&CAMERA, t))));
+    scene(
+        "nominal",
+        150,
+        0.999,
+        VIVID,
+        vec![],
+        Box::new(|t| Moment::new(trajectory::standard(&CAMERA, t))),
+    );
 
-    scene("gamma 2.2", 90, 0.999, VIVID.map(|c| c.map(|v| 255.0 * (v / 255.0).powf(2.2))), vec![], {
-        Box::new(|t| {
-            let mut m = Moment::new(gentle(t));
-            m.light.gamma = 2.2;
-            m
-        })
-    });
+    scene(
+        "gamma 2.2",
+        90,
+        0.999,
+        VIVID.map(|c| c.map(|v| 255.0 * (v / 255.0).powf(2.2))),
+        vec![],
+        {
+            Box::new(|t| {
+                let mut m = Moment::new(gentle(t));
+                m.light.gamma = 2.2;
+                m
+            })
+        },
+    );
 
     scene(
         "muted paper, light ±30 %",
@@ -133,7 +149,7 @@ pub fn all(seed: u64) -> Vec<Scene> {
     );
 
     scene(
-        "clutter of marker colours",
+        "clutter of marker colors",
         150,
         0.995,
         VIVID,
@@ -188,15 +204,15 @@ pub fn all(seed: u64) -> Vec<Scene> {
     scene("full turn", 120, 0.999, VIVID, things(8, &VIVID, (15.0, 50.0), &mut lay), {
         Box::new(|t| {
             let tilt = 0.2 * (TAU * 0.5 * t).sin();
-            Moment::new(trajectory::pose(&CAMERA, CAMERA.centre(), 1.4, tilt, 0.4, TAU * t / 4.0))
+            Moment::new(trajectory::pose(&CAMERA, CAMERA.center(), 1.4, tilt, 0.4, TAU * t / 4.0))
         })
     });
 
     scene("fast motion, blurred", 120, 0.995, VIVID, things(8, &VIVID, (15.0, 50.0), &mut lay), {
         Box::new(|t| {
             let at = |t: f64| {
-                let pixel =
-                    CAMERA.centre() + Vector2::new(110.0 * (TAU * t).sin(), 25.0 * (TAU * 1.3 * t).cos());
+                let pixel = CAMERA.center()
+                    + Vector2::new(110.0 * (TAU * t).sin(), 25.0 * (TAU * 1.3 * t).cos());
                 trajectory::pose(&CAMERA, pixel, 1.5, 0.6 * (TAU * t).sin(), 1.2, 0.3)
             };
             let mut m = Moment::new(at(t));
@@ -209,7 +225,8 @@ pub fn all(seed: u64) -> Vec<Scene> {
         Box::new(|t| {
             // Every half second the platform is elsewhere, as after dropped images.
             let step = (t * 2.0).floor();
-            let at = CAMERA.centre() + Vector2::new(150.0 * (2.3 * step).sin(), 70.0 * (4.1 * step).cos());
+            let at = CAMERA.center()
+                + Vector2::new(150.0 * (2.3 * step).sin(), 70.0 * (4.1 * step).cos());
             Moment::new(trajectory::pose(&CAMERA, at, 1.5, 0.1, step, 0.9 * step))
         })
     });
@@ -217,7 +234,8 @@ pub fn all(seed: u64) -> Vec<Scene> {
     scene("camera in motion", 120, 0.995, VIVID, things(20, &VIVID, (15.0, 50.0), &mut lay), {
         Box::new(|t| {
             let mut m = Moment::new(gentle(t));
-            m.floor_shift = Vector2::new(90.0 * (TAU * 0.5 * t).sin(), 60.0 * (TAU * 0.4 * t).sin());
+            m.floor_shift =
+                Vector2::new(90.0 * (TAU * 0.5 * t).sin(), 60.0 * (TAU * 0.4 * t).sin());
             m
         })
     });
@@ -230,7 +248,7 @@ pub fn all(seed: u64) -> Vec<Scene> {
         })
     });
 
-    scene("pole of a marker's colour", 180, 0.995, VIVID, vec![], {
+    scene("pole of a marker's color", 180, 0.995, VIVID, vec![], {
         Box::new(|t| {
             let mut m = Moment::new(gentle(t));
             m.over.push(pole(120.0 + 70.0 * t, 18.0, 0.25, [180.0, 32.0, 40.0]));
@@ -243,13 +261,19 @@ pub fn all(seed: u64) -> Vec<Scene> {
         Box::new(|t| {
             let mut m = Moment::new(gentle(t));
             let reach = 170.0 + 110.0 * (TAU * 0.33 * t).sin();
-            m.over.push(Thing::rectangle(Vector2::new(reach, 200.0), Vector2::new(200.0, 70.0), 0.2, SKIN));
+            m.over.push(Thing::rectangle(
+                Vector2::new(reach, 200.0),
+                Vector2::new(200.0, 70.0),
+                0.2,
+                SKIN,
+            ));
             m
         })
     });
 
     let back = |t: f64| (0.8..1.8).contains(&t) || (2.8..4.5).contains(&t);
-    let tarp = || Thing::rectangle(Vector2::new(320.0, 240.0), Vector2::new(500.0, 440.0), 0.0, GRAY);
+    let tarp =
+        || Thing::rectangle(Vector2::new(320.0, 240.0), Vector2::new(500.0, 440.0), 0.0, GRAY);
     scene("all gone and back", 180, 0.995, VIVID, vec![], {
         Box::new(move |t| {
             let mut m = Moment::new(gentle(1.7 * t));
@@ -257,30 +281,54 @@ pub fn all(seed: u64) -> Vec<Scene> {
             m
         })
     });
-    scene("all gone amid clutter", 180, 0.995, VIVID, things(24, &VIVID, (15.0, 60.0), &mut lay), {
-        Box::new(move |t| {
-            let pose = gentle(1.7 * t);
-            let mut m = Moment::new(pose);
-            if back(t) {
-                // Only the platform is hidden: the clutter stays in sight.
-                m.over.push(Thing { outline: on_platform(&pose, 0.0, 0.0, 0.46, GRAY).outline, color: GRAY });
-            }
-            m
-        })
-    });
+    scene(
+        "all gone amid clutter",
+        180,
+        0.995,
+        VIVID,
+        things(24, &VIVID, (15.0, 60.0), &mut lay),
+        {
+            Box::new(move |t| {
+                let pose = gentle(1.7 * t);
+                let mut m = Moment::new(pose);
+                if back(t) {
+                    // Only the platform is hidden: the clutter stays in sight.
+                    m.over.push(Thing {
+                        outline: on_platform(&pose, 0.0, 0.0, 0.46, GRAY).outline,
+                        color: GRAY,
+                    });
+                }
+                m
+            })
+        },
+    );
 
-    scene("leaves the picture", 150, 0.99, VIVID, vec![], {
+    scene("leaves the frame", 150, 0.99, VIVID, vec![], {
         Box::new(|t| {
-            let at = CAMERA.centre() + Vector2::new(330.0 * (TAU * 0.2 * t).sin(), 30.0);
+            let at = CAMERA.center() + Vector2::new(330.0 * (TAU * 0.2 * t).sin(), 30.0);
             Moment::new(trajectory::pose(&CAMERA, at, 1.5, 0.1, 0.5, 0.3))
         })
     });
 
-    scene("no platform, only clutter", 90, 0.0, VIVID, things(32, &VIVID, (15.0, 60.0), &mut lay), {
-        Box::new(|_| {
-            // Far outside of the picture.
-            Moment::new(trajectory::pose(&CAMERA, Vector2::new(-2000.0, 240.0), 1.5, 0.0, 0.0, 0.0))
-        })
-    });
+    scene(
+        "no platform, only clutter",
+        90,
+        0.0,
+        VIVID,
+        things(32, &VIVID, (15.0, 60.0), &mut lay),
+        {
+            Box::new(|_| {
+                // Far outside of the frame.
+                Moment::new(trajectory::pose(
+                    &CAMERA,
+                    Vector2::new(-2000.0, 240.0),
+                    1.5,
+                    0.0,
+                    0.0,
+                    0.0,
+                ))
+            })
+        },
+    );
     scenes
 }

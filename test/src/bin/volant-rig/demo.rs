@@ -3,23 +3,27 @@
 use anyhow::{Context, Result};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use launch_config::report::{Block, Curve, Page, Run as Drawn, Section, Table, colours, six_curves};
 use node_kit::environment::Network;
+use node_kit::{files, outln};
 use rig_model::Stamp;
 use std::{path::PathBuf, sync::Arc};
+use volant::report::{Block, Curve, Page, Run as Drawn, Section, Table, colors, six_curves};
 use volant_test::{
     accuracy::{AXES, Errors, UNITS, inertial_alone},
-    live::{Ended, Film, Run, Scenario, Site, bag, quantile, scenario::IMAGE_RATE},
+    live::{Ended, ImageSequence, Run, Scenario, Site, bag, quantile, scenario::IMAGE_RATE},
     report::table,
+    run_folder::RunFolder,
 };
 
 /// Runs the main job on a simulated rig: four separate nodes, live over DDS.
 ///
-/// A rendered camera, an Xsens unit on a pseudo-terminal and encoders speak to marker_tracker, imu_driver, climber_driver
-/// and pose_fusion as hardware would. Ends with a table of errors against the truth, a bag and a picture of the run.
+/// A rendered camera, an Xsens IMU on a pseudo-terminal and encoders feed marker_tracker,
+/// imu_driver, climber_driver and pose_fusion as hardware would. Ends with a table of errors
+/// against the truth, a bag and a image of the run.
 #[derive(Args)]
 pub(crate) struct Arguments {
-    /// Folder for bag, picture and logs; what an earlier run left there is replaced
+    /// Folder for bag, image and logs: an empty or new one, or that of an earlier run, which is
+    /// replaced
     #[arg(long, default_value = "demo_run")]
     out: PathBuf,
     /// Length of the swing, s
@@ -28,7 +32,7 @@ pub(crate) struct Arguments {
     /// Everything random follows from it
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Strew things of the markers' colours over the floor
+    /// Strew things of the markers' colors over the floor
     #[arg(long)]
     clutter: bool,
 }
@@ -52,11 +56,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let mut scenario = Scenario::swing(arguments.seed, arguments.seconds)?;
     scenario.scene.clutter = arguments.clutter;
     let network = Network::from_environment()?;
-    clear(&arguments.out)?;
+    let _folder = RunFolder::create(&arguments.out)?;
 
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4));
     let shooting = bar(0, "rendering the camera");
-    let film = Film::shoot(&scenario, threads, |done, of| {
+    let images = ImageSequence::render(&scenario, threads, |done, of| {
         shooting.set_length(of as u64);
         shooting.set_position(done as u64);
     })?;
@@ -65,20 +69,21 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let starting = ProgressBar::new_spinner();
     starting.set_message("starting marker_tracker, imu_driver, climber_driver, pose_fusion");
     starting.enable_steady_tick(std::time::Duration::from_millis(120));
-    let mut run = Run::start(&scenario, Arc::new(film), &Site::here(&network), &arguments.out)?;
+    let mut run = Run::start(&scenario, Arc::new(images), &Site::here(&network), &arguments.out)?;
     run.wait_for_pose(20.0)?;
     starting.finish_and_clear();
     let ids: Vec<String> = run.nodes.iter().map(|n| format!("{} ({})", n.name, n.id())).collect();
-    println!("four nodes on DDS domain {}: {}", network.domain_id, ids.join(", "));
+    outln!("four nodes on DDS domain {}: {}", network.domain_id, ids.join(", "))?;
 
     let epoch = run.begin();
     let playing = bar((scenario.duration() * 10.0) as u64, "live [0.1 s]");
-    run.play_until(scenario.duration() + 0.3, |t, stand| {
+    run.play_until(scenario.duration() + 0.3, |t, hardware| {
         playing.set_position((t.max(0.0) * 10.0) as u64);
-        let heard = stand.heard();
-        if let Some((_, last)) = heard.odometry.last() {
+        let received = hardware.received();
+        if let Some((_, last)) = received.odometry.last() {
             let p = &last.pose.pose.position;
-            let covered = scenario.covers.iter().find(|c| (c.seconds[0]..c.seconds[1]).contains(&t));
+            let covered =
+                scenario.covers.iter().find(|c| (c.seconds[0]..c.seconds[1]).contains(&t));
             let covered = covered.map_or(String::new(), |c| format!("  {} covered", c.color));
             playing.set_message(format!("x {:+.3} y {:+.3} z {:.3} m{covered}", p.x, p.y, p.z));
         }
@@ -88,39 +93,33 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     conclude(arguments, &scenario, epoch, &ended)
 }
 
-/// Removes what an earlier run left, and nothing else.
-fn clear(folder: &std::path::Path) -> Result<()> {
-    std::fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
-    let bag = folder.join("bag");
-    if bag.join("metadata.yaml").is_file() {
-        std::fs::remove_dir_all(&bag).with_context(|| format!("{}", bag.display()))?;
-    }
-    for name in volant_test::live::NODES {
-        let log = folder.join(format!("{name}.log"));
-        if log.is_file() {
-            std::fs::remove_file(&log).with_context(|| format!("{}", log.display()))?;
-        }
-    }
-    Ok(())
-}
-
 fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &Ended) -> Result<()> {
-    let heard = &ended.heard;
+    let received = &ended.received;
     let truth = |at: Stamp| scenario.motion.world_from_volant(at.seconds_since(epoch));
     // The first second is the filter's to settle, as `volant evaluate` has it.
     let (from, to) = (epoch.plus_seconds(1.0), epoch.plus_seconds(scenario.duration()));
-    let (camera, fused, samples) = (heard.visual(), heard.fused(), heard.inertial());
+    let (camera, fused, samples) = (received.visual(), received.fused(), received.inertial());
     let first = fused
         .iter()
         .find(|(at, _)| *at >= epoch)
         .context("no fused pose since the swing began; see the nodes' logs")?;
-    let inertial =
-        inertial_alone(&samples, &scenario.rig.imu.volant_from_imu, first, nalgebra::Vector3::zeros(), 1e-5);
+    let inertial = inertial_alone(
+        &samples,
+        &scenario.rig.imu.volant_from_imu,
+        first,
+        nalgebra::Vector3::zeros(),
+        1e-5,
+    );
     let errors = |track| Errors::of(track, from, to, truth);
     let (of_camera, of_inertial, of_fused) = (errors(&camera), errors(&inertial), errors(&fused));
-    let rows = [("camera alone", &of_camera), ("inertial alone", &of_inertial), ("fused", &of_fused)];
-    println!("\nerrors against the truth, {} s to {} s (the paper's Table II)\n", 1, scenario.duration());
-    println!("{}\n", table(&rows));
+    let rows =
+        [("camera alone", &of_camera), ("inertial alone", &of_inertial), ("fused", &of_fused)];
+    outln!(
+        "\nerrors against the truth, {} s to {} s (the paper's Table II)\n",
+        1,
+        scenario.duration()
+    )?;
+    outln!("{}\n", table(&rows))?;
 
     let expected = samples.iter().filter(|s| s.stamp >= from && s.stamp <= to).count();
     let gap = fused
@@ -128,48 +127,58 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
         .filter(|w| w[0].0 >= from && w[1].0 <= to)
         .map(|w| w[1].0.seconds_since(w[0].0))
         .fold(0.0, f64::max);
-    println!("odometry: {} of {expected} inertial samples, longest gap {:.0} ms", of_fused.count, gap * 1e3);
-    let nees = heard.nees(from, to, truth);
+    outln!(
+        "odometry: {} of {expected} inertial samples, longest gap {:.0} ms",
+        of_fused.count,
+        gap * 1e3
+    )?;
+    let nees = received.nees(from, to, truth);
     let mean = |k: usize| nees.iter().map(|n| n[k]).sum::<f64>() / nees.len() as f64;
-    println!("consistency: NEES of position {:.2}, of rotation {:.2} (ideal 3)", mean(0), mean(1));
-    let latencies = heard.latencies(from, to);
-    println!(
-        "image's stamp to the odometry that contains it, over DDS: median {:.1} ms, p99 {:.1} ms of {} images \
+    outln!("consistency: NEES of position {:.2}, of rotation {:.2} (ideal 3)", mean(0), mean(1))?;
+    let latencies = received.latencies(from, to);
+    outln!(
+        "image's stamp to the odometry that contains it, over DDS: median {:.1} ms, p99 {:.1} ms \
+         of {} images \
          (one image period: {:.1} ms)",
         quantile(&latencies, 0.5) * 1e3,
         quantile(&latencies, 0.99) * 1e3,
         latencies.len(),
         1e3 / IMAGE_RATE
-    );
+    )?;
     for (name, status) in &ended.ends {
         if !status.success() {
-            println!("{name} ended with {status}");
+            outln!("{name} ended with {status}")?;
         }
     }
 
     let bag_path = arguments.out.join("bag");
-    bag::write(&bag_path, scenario, epoch, &ended.said, heard)?;
-    let picture = arguments.out.join("curves.svg");
+    bag::write(&bag_path, scenario, epoch, &ended.sent, received)?;
+    let image = arguments.out.join("curves.svg");
     let shaded: Vec<[f64; 2]> = scenario.covers.iter().map(|c| c.seconds).collect();
     let svg = six_curves(
         &Drawn {
-            title: "Pose of the platform: camera alone, inertial unit alone, fused (the paper's Fig. 13)",
+            title: "Pose of the platform: camera alone, inertial unit alone, fused (the paper's \
+                    Fig. 13)",
             epoch,
             seconds: scenario.duration(),
             truth: &|t| Some(scenario.motion.world_from_volant(t)),
             shaded: &shaded,
         },
         &[
-            Curve { name: "camera alone", track: &camera, colour: colours::CAMERA, width: 0 },
-            Curve { name: "inertial alone", track: &inertial, colour: colours::INERTIAL, width: 2 },
-            Curve { name: "fused", track: &fused, colour: colours::FUSED, width: 3 },
+            Curve { name: "camera alone", track: &camera, color: colors::CAMERA, width: 0 },
+            Curve { name: "inertial alone", track: &inertial, color: colors::INERTIAL, width: 2 },
+            Curve { name: "fused", track: &fused, color: colors::FUSED, width: 3 },
         ],
     )?;
     let page = arguments.out.join("report.html");
     let numbers = [
         (
             "odometry".to_owned(),
-            format!("{} of {expected} inertial samples, longest gap {:.0} ms", of_fused.count, gap * 1e3),
+            format!(
+                "{} of {expected} inertial samples, longest gap {:.0} ms",
+                of_fused.count,
+                gap * 1e3
+            ),
         ),
         (
             "consistency".to_owned(),
@@ -178,24 +187,25 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
         (
             "latency".to_owned(),
             format!(
-                "from an image's stamp to the odometry that contains it: median {:.1} ms, p99 {:.1} ms",
+                "from an image's stamp to the odometry that contains it: median {:.1} ms, p99 \
+                 {:.1} ms",
                 quantile(&latencies, 0.5) * 1e3,
                 quantile(&latencies, 0.99) * 1e3
             ),
         ),
     ];
-    write(&picture, &svg)?;
+    write(&image, &svg)?;
     write(&page, &demo_page(arguments, &rows, &numbers, svg).render())?;
-    println!("\nbag      {}", bag_path.display());
-    println!("rig file {}", arguments.out.join("rig.yaml").display());
-    println!("picture  {}", picture.display());
-    println!("report   {}", page.display());
-    println!("logs     {}", arguments.out.join("*.log").display());
+    outln!("\nbag      {}", bag_path.display())?;
+    outln!("rig file {}", arguments.out.join("rig.yaml").display())?;
+    outln!("figure   {}", image.display())?;
+    outln!("report   {}", page.display())?;
+    outln!("logs     {}", arguments.out.join("*.log").display())?;
     Ok(())
 }
 
 fn write(path: &std::path::Path, text: &str) -> Result<()> {
-    std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
+    Ok(files::write(path, text.as_bytes(), false)?)
 }
 
 /// The run as a page.
@@ -227,14 +237,18 @@ fn demo_page(
         ),
     ];
     facts.extend(numbers.iter().cloned());
-    let words = "Position in millimetres and rotation in degrees, against the truth (thin line). What leaves a panel has left the \
-                 range of the truth: the inertial unit's doubly integrated acceleration drifts. The camera alone is shown \
-                 where one image told a pose.";
+    let words = "Position in millimeters and rotation in degrees, against the truth (thin line). \
+                 What leaves a panel has left the \
+                 range of the truth: the inertial unit's doubly integrated acceleration drifts. \
+                 The camera alone is shown \
+                 where one image determines a pose.";
     Page {
         over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
         title: "A live run on the simulated rig".into(),
-        lead: "Four nodes as processes of their own, live over DDS: marker_tracker, imu_driver, climber_driver and pose_fusion. \
-               They were fed by a rendered camera, an Xsens unit's protocol on a pseudo-terminal and encoder readings, which they \
+        lead: "Four nodes as processes of their own, live over DDS: marker_tracker, imu_driver, \
+               climber_driver and pose_fusion. \
+               They were fed by a rendered camera, an Xsens unit's protocol on a pseudo-terminal \
+               and encoder readings, which they \
                know only as hardware."
             .into(),
         facts,
@@ -244,7 +258,11 @@ fn demo_page(
                 title: "Errors against the truth, without the first second".into(),
                 blocks: vec![Block::Table(errors)],
             },
-            Section { id: "curves".into(), title: "The six curves".into(), blocks: vec![Block::text(words), Block::Figure(svg)] },
+            Section {
+                id: "curves".into(),
+                title: "The six curves".into(),
+                blocks: vec![Block::text(words), Block::Figure(svg)],
+            },
         ],
     }
 }

@@ -1,60 +1,82 @@
-//! `volant hosts`: the live rig on two computers with a bad link. Exit status 0 when each row holds; 1 when one fails or is skipped.
+//! `volant hosts`: the live rig on two computers with a bad link. Exit status 0 when each row
+//! holds; 1 when one fails or is skipped.
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::Args;
 use node_kit::environment::Network;
+use node_kit::{errln, files, outln};
 use std::path::PathBuf;
-use volant_test::hosts::{
-    Hosts,
-    trial::{COMPARED, LENGTH, Place, Seen, Swing, markdown, trials},
+use volant_test::{
+    hosts::{
+        Hosts,
+        trial::{COMPARED, LENGTH, Place, Seen, Swing, markdown, trials},
+    },
+    run_folder::RunFolder,
 };
 
-/// Runs the climber's and the platform's nodes in two network namespaces (as root), with loss, delay, reordering, a cut and
-/// restarts between them, and asserts on what the nodes publish.
+/// Runs the climber's and the platform's nodes in two network namespaces (as root), with loss,
+/// delay, reordering, a cut and restarts between them, and asserts on what the nodes publish.
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// Only rows whose name contains this text; the clean link is run in any case, to compare with
     #[arg(long)]
     only: Option<String>,
-    /// Folder for the nodes' logs
+    /// Folder for the nodes' logs, one in it for each run: new, empty or of an earlier run, which is
+    /// replaced
     #[arg(long, default_value = "target/hosts")]
     out: PathBuf,
     /// Also write the table, as Markdown, to this file
     #[arg(long)]
     table: Option<PathBuf>,
+    /// Replace an existing table
+    #[arg(long)]
+    overwrite: bool,
     /// Everything random follows from it
     #[arg(long, default_value_t = 5)]
     seed: u64,
 }
 
-const HEAD: &str = "# Two computers\n\n\
-    Written by `volant hosts --table test/HOSTS.md` (as root): `marker_tracker`, `climber_driver`, camera and encoders in one network \
-    namespace, `imu_driver`, `pose_fusion` and who listens in another, joined by a cable in user space that loses, delays and \
-    reorders Ethernet frames from a seed, each way. 13 s of swing; RMSE without the first second; a cut lasts from 3 s to 8 s, a side \
-    is killed (`kill -9`) at 3 s and started at 4 s; back counts from the end of the cut or the start of the processes and means nearer \
-    than 10 mm and 1° to the truth, to stay. The clean link and the one that is compared with it are tried with five rigs each (other motion, clocks, \
-    constant errors), taken together; the other rows with the first of them; with centroids as exact as \
-    these no causal filter stays below 1.32 times the clean link's error (`cargo test --release -p pose_fusion --test bounds \
-    two_hosts -- --nocapture`). Every row fails too where a message holds a number that is \
-    none, a node panics, or the truth contradicts the covariance in more than 2 % of the odometry.\n\n";
+const HEAD: &str = "\
+    # Two computers\n\n\
+    Written by `volant hosts --table test/HOSTS.md` (as root). `marker_tracker`,\n\
+    `climber_driver`, camera and encoders are in one network namespace; `imu_driver`,\n\
+    `pose_fusion` and the observer are in another. A link in user space joins them and\n\
+    loses, delays and reorders Ethernet frames from a seed, each way. 13 s of swing; RMSE\n\
+    without the first second.\n\n\
+    A cut lasts from 3 s to 8 s; a side is killed (`kill -9`) at 3 s and started at 4 s.\n\
+    \"Back\" counts from the end of the cut or the start of the processes until the error\n\
+    stays below 10 mm and 1°. The clean link and the one compared with it are run with five\n\
+    rigs each (other motion, clocks, constant errors), taken together; the other rows with\n\
+    the first of them. With centroids as accurate as these no causal filter stays below 1.32\n\
+    times the clean link's error (`cargo test --release -p pose_fusion --test bounds\n\
+    two_hosts -- --nocapture`).\n\n\
+    Every row fails too where a message contains a non-finite number, a node panics, or the\n\
+    truth contradicts the covariance in more than 2 % of the odometry.\n\n";
 
 pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
+    if let Some(path) = &arguments.table {
+        files::check_output(path, arguments.overwrite, &[])?;
+    }
+    let wanted = |i: usize, name: &str| {
+        i == 0 || arguments.only.as_ref().is_none_or(|text| name.contains(text.as_str()))
+    };
+    let trials: Vec<_> =
+        trials().into_iter().enumerate().filter(|(i, t)| wanted(*i, t.name)).collect();
+    let folders = trials
+        .iter()
+        .map(|(i, _)| RunFolder::create(&arguments.out.join(format!("{:02}", i + 1))))
+        .collect::<Result<Vec<_>, _>>()?;
     let hosts = Hosts::new(arguments.seed)?;
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4));
-    eprintln!("drawing what {COMPARED} cameras see in {LENGTH} s");
+    errln!("drawing what {COMPARED} cameras see in {LENGTH} s");
     let swings = (0..COMPARED as u64)
         .map(|i| Swing::new(arguments.seed.wrapping_add(i), threads))
         .collect::<Result<Vec<_>>>()?;
     let network = Network::from_environment()?;
-    let wanted = |name: &str| arguments.only.as_ref().is_none_or(|text| name.contains(text.as_str()));
     let mut rows: Vec<(&'static str, Result<Seen, String>)> = Vec::new();
     let mut clean = None;
-    for (i, trial) in trials().into_iter().enumerate().filter(|(i, t)| *i == 0 || wanted(t.name)) {
-        let folder = arguments.out.join(format!("{:02}", i + 1));
-        if folder.is_dir() {
-            std::fs::remove_dir_all(&folder).with_context(|| format!("{}", folder.display()))?;
-        }
-        let place = Place { hosts: &hosts, network: &network, folder };
+    for ((_, trial), folder) in trials.into_iter().zip(&folders) {
+        let place = Place { hosts: &hosts, network: &network, folder: folder.path().to_owned() };
         let seen = trial.run(&swings, &place, clean).map_err(|error| error.to_string());
         clean = clean.or(seen.as_ref().ok().map(|s| s.position));
         let verdict = match &seen {
@@ -62,15 +84,15 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
             Ok(s) if s.failures.is_empty() => format!("holds ({:.2} mm)", s.position),
             Ok(s) => format!("FAILS ({:.2} mm): {}", s.position, s.failures.join("; ")),
         };
-        eprintln!("{}: {verdict}", trial.name);
+        errln!("{}: {verdict}", trial.name);
         rows.push((trial.name, seen));
     }
     let text = markdown(&rows);
-    println!("{text}");
     if let Some(path) = &arguments.table {
-        std::fs::write(path, format!("{HEAD}{text}")).with_context(|| format!("{}", path.display()))?;
+        files::write(path, format!("{HEAD}{text}").as_bytes(), arguments.overwrite)?;
     }
+    outln!("{text}")?;
     let held = rows.iter().filter(|(_, s)| s.as_ref().is_ok_and(|s| s.failures.is_empty())).count();
-    println!("{held} of {} rows hold", rows.len());
+    outln!("{held} of {} rows hold", rows.len())?;
     Ok(held == rows.len())
 }

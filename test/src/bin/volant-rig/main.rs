@@ -1,10 +1,10 @@
-//! `volant-rig`: what is done with the simulated rig and the real nodes: `volant demo`, `faults`, `hosts`, `rigs`, `robustness`,
-//! `soak` and `reproduce`. One executable for all, so that their common code is built and linked once.
+//! `volant-rig`: what is done with the simulated rig and the real nodes: `volant checks`, `demo`, `faults`,
+//! `hosts`, `rigs`, `robustness`, `soak` and `reproduce`. One executable for all, so that their
+//! common code is built and linked once.
 //!
-//! Exit status: 0 it was done, and all that was asserted held; 1 it failed or did not hold; 2 the command line was wrong.
+//! Exit status: [`EXIT_STATUS`].
 
-#![allow(clippy::print_stdout, reason = "what it prints is its work")]
-
+mod checks;
 mod demo;
 mod faults;
 mod hosts;
@@ -14,12 +14,15 @@ mod robustness;
 mod soak;
 
 use anyhow::Result;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
+use node_kit::console::{EXIT_STATUS, end_on_signals};
 use std::process::ExitCode;
+use volant::command_line;
+use volant_test::{live::processes, run_folder};
 
 /// The simulated rig with the real nodes.
 #[derive(Parser)]
-#[command(name = "volant", bin_name = "volant", version)]
+#[command(name = "volant", bin_name = "volant", version, after_help = EXIT_STATUS)]
 struct Arguments {
     #[command(subcommand)]
     action: Action,
@@ -27,6 +30,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Action {
+    Checks(checks::Arguments),
     Demo(demo::Arguments),
     Faults(faults::Arguments),
     Hosts(hosts::Arguments),
@@ -34,12 +38,16 @@ enum Action {
     Rigs(rigs::Arguments),
     Robustness(robustness::Arguments),
     Soak(soak::Arguments),
+    /// Writes the manual pages of these commands; `volant manual` calls it.
+    #[command(hide = true)]
+    Manual(command_line::Manual),
 }
 
 impl Action {
     /// Its name, and whether all that it asserts held.
     fn run(&self) -> (&'static str, Result<bool>) {
         match self {
+            Self::Checks(a) => ("checks", checks::run(a)),
             Self::Demo(a) => ("demo", demo::run(a).map(|()| true)),
             Self::Faults(a) => ("faults", faults::run(a)),
             Self::Hosts(a) => ("hosts", hosts::run(a)),
@@ -47,17 +55,29 @@ impl Action {
             Self::Rigs(a) => ("rigs", rigs::run(a).map(|()| true)),
             Self::Robustness(a) => ("robustness", robustness::run(a)),
             Self::Soak(a) => ("soak", soak::run(a)),
+            Self::Manual(a) => {
+                let written = a.write(Arguments::command(), false);
+                ("manual", written.map(|()| true).map_err(Into::into))
+            }
         }
     }
 }
 
 fn main() -> ExitCode {
-    match Arguments::parse().action.run() {
+    let arguments: Arguments = match command_line::parse() {
+        Ok(arguments) => arguments,
+        Err(status) => return status,
+    };
+    let end = || {
+        processes::kill_all();
+        run_folder::write_lists();
+    };
+    if let Err(error) = end_on_signals("volant", end) {
+        return command_line::failure("volant", &error.into());
+    }
+    match arguments.action.run() {
         (_, Ok(true)) => ExitCode::SUCCESS,
         (_, Ok(false)) => ExitCode::FAILURE,
-        (name, Err(error)) => {
-            eprintln!("volant {name}: {error:#}");
-            ExitCode::FAILURE
-        }
+        (name, Err(error)) => command_line::failure(&format!("volant {name}"), &error),
     }
 }

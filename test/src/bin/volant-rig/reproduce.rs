@@ -1,32 +1,47 @@
-//! `volant reproduce`: the paper's tables and figures, made anew.
+//! `volant reproduce`: the paper's tables and figures from simulated data.
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
+use node_kit::{
+    files::{self, Pending},
+    outln,
+};
 use std::{
     path::{Path, PathBuf},
     sync::Mutex,
 };
 use volant_test::{
-    live::{Film, Scenario, processes::executables},
+    live::{ImageSequence, Scenario, processes::executables},
     paper::{
-        Made, NAMES, PaperError, curves::Curves, occlusion::figure_6, report::write_report, rest::figure_9,
-        rivals, stages::Stages,
+        Made, NAMES, PaperError,
+        curves::Curves,
+        occlusion::figure_6,
+        peers,
+        report::{TITLE, write_report},
+        stages::Stages,
+        stationary::figure_9,
     },
 };
 
-/// Makes the paper's tables and figures anew, from the program's own nodes on a simulated bench.
+/// Reproduces the paper's tables and figures with the program's own nodes on a simulated bench.
 ///
-/// fig-2, fig-7, fig-11, fig-12 and table-1 compare with rivals, which need the large OpenCV: `make reproduce` builds all of it
-/// and makes everything. Without it, the rest is made, and what is missing is said.
+/// fig-2, fig-7, fig-11, fig-12 and table-1 compare with peers, which need the large OpenCV: `make
+/// reproduce` builds them and writes everything. Without them the other results are written, and
+/// the missing ones are named.
 #[derive(Args)]
 pub(crate) struct Arguments {
-    /// What to make (all without a name, or `all`): fig-2, fig-4, fig-5, fig-6, fig-7, fig-9, fig-11, fig-12, fig-13, table-1, table-2
+    /// What to make (all without a name, or `all`): fig-2, fig-4, fig-5, fig-6, fig-7, fig-9,
+    /// fig-11, fig-12, fig-13, table-1, table-2
     #[arg(value_parser = name)]
     names: Vec<String>,
     /// Folder for NAME.csv, NAME.svg and report.html
     #[arg(long)]
     out: PathBuf,
+    /// Replace existing files NAME.csv and NAME.svg; without it only the report of an earlier run is
+    /// replaced
+    #[arg(long)]
+    overwrite: bool,
     /// Everything random follows from it
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -84,10 +99,13 @@ impl Bar {
         let style = ProgressStyle::with_template("{msg:<40} [{bar:34}] {percent:>3} % {elapsed}");
         bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
         bar.enable_steady_tick(std::time::Duration::from_millis(250));
-        Self { bar, shares: Mutex::new(jobs.iter().map(|(job, weight, _)| (*job, *weight, 0.0)).collect()) }
+        Self {
+            bar,
+            shares: Mutex::new(jobs.iter().map(|(job, weight, _)| (*job, *weight, 0.0)).collect()),
+        }
     }
 
-    fn tell(&self, job: Job, share: f64, what: &'static str) {
+    fn report(&self, job: Job, share: f64, what: &'static str) {
         let Ok(mut shares) = self.shares.lock() else { return };
         for s in shares.iter_mut().filter(|s| s.0 == job) {
             s.2 = share.clamp(0.0, 1.0);
@@ -115,29 +133,41 @@ impl Results {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    let out = &arguments.out;
-    std::fs::create_dir_all(out)
-        .with_context(|| format!("{} cannot be made; name another folder with --out", out.display()))?;
     let all = arguments.names.is_empty() || arguments.names.iter().any(|n| n == "all");
     let wanted = |name: &str| all || arguments.names.iter().any(|n| n == name);
-    let jobs: Vec<_> = JOBS.into_iter().filter(|(_, _, names)| names.iter().any(|n| wanted(n))).collect();
+    let creating = || format!("creating {}; name another --out", arguments.out.display());
+    std::fs::create_dir_all(&arguments.out).with_context(creating)?;
+    for name in NAMES.into_iter().filter(|n| wanted(n)) {
+        for file in [format!("{name}.csv"), format!("{name}.svg")] {
+            files::check_output(&arguments.out.join(file), arguments.overwrite, &[])?;
+        }
+    }
+    let report = arguments.out.join("report.html");
+    files::check_output(&report, arguments.overwrite || is_report(&report), &[])?;
+    // The work leaves more than is wanted, such as the other names of a job.
+    let work = Pending::new(&arguments.out.join("results"), false)?;
+    std::fs::create_dir(&work.temporary).with_context(creating)?;
+    let out = &work.temporary;
+    let jobs: Vec<_> =
+        JOBS.into_iter().filter(|(_, _, names)| names.iter().any(|n| wanted(n))).collect();
     let has = |job: Job| jobs.iter().any(|j| j.0 == job);
     let bar = Bar::new(&jobs);
-    let peers = rivals::find_peers(&executables());
+    let peers = peers::find_peers(&executables());
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let run_rival = |results: &mut Results, job: Job, command: &str, what: &'static str| -> bool {
+    let run_peers = |results: &mut Results, job: Job, command: &str, what: &'static str| -> bool {
         let Some((_, _, names)) = jobs.iter().find(|j| j.0 == job) else { return false };
-        bar.tell(job, 0.0, what);
+        bar.report(job, 0.0, what);
         let done = match &peers {
             None => Err(format!(
-                "it compares with rivals and needs {}, which is not built; `make reproduce` builds it and makes everything",
-                rivals::PEERS
+                "it compares with peers and needs {}, which is not built; `make reproduce` \
+                 builds it and makes everything",
+                peers::PEERS
             )),
-            Some(program) => {
-                rivals::run(program, command, out, arguments.seed, |share| bar.tell(job, share, what))
-            }
+            Some(program) => peers::run(program, command, out, arguments.seed, |share| {
+                bar.report(job, share, what)
+            }),
         };
-        bar.tell(job, 1.0, what);
+        bar.report(job, 1.0, what);
         match done {
             Ok(()) => true,
             Err(why) => {
@@ -150,30 +180,30 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 
     let mut results = Results::default();
     // Times are measured first, with nothing beside it.
-    if run_rival(&mut results, Job::Bench, "bench", "the tracker beside its rivals") {
+    if run_peers(&mut results, Job::Bench, "bench", "the tracker beside its peers") {
         if wanted("table-1") {
-            results.take("table-1", rivals::table_1(out));
+            results.take("table-1", peers::table_1(out));
         }
         if wanted("fig-12") {
-            results.take("fig-12", rivals::figure_12(out));
+            results.take("fig-12", peers::figure_12(out));
         }
     }
     let (own, others) = std::thread::scope(|scope| {
         let others = scope.spawn(|| {
             let mut results = Results::default();
-            if run_rival(&mut results, Job::Sweep, "sweep", "viewing angle and distance") {
-                results.take("fig-11", rivals::figure_11(out));
+            if run_peers(&mut results, Job::Sweep, "sweep", "viewing angle and distance") {
+                results.take("fig-11", peers::figure_11(out));
             }
-            if run_rival(&mut results, Job::Boards, "boards", "chessboards") {
+            if run_peers(&mut results, Job::Boards, "boards", "chessboards") {
                 for name in ["fig-2", "fig-7"].into_iter().filter(|n| wanted(n)) {
-                    results.take(name, rivals::boards(name, out));
+                    results.take(name, peers::boards(name, out));
                 }
             }
             results
         });
         let beside = peers.is_some() && (has(Job::Sweep) || has(Job::Boards));
         let threads = if beside { cores.saturating_sub(1).max(1) } else { cores.min(4) };
-        let own = simulate(arguments, &wanted, &has, &bar, threads);
+        let own = simulate(arguments, out, &wanted, &has, &bar, threads);
         (own, others.join())
     });
     for part in [own?, others.unwrap_or_default()] {
@@ -181,26 +211,27 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         results.missing.extend(part.missing);
     }
     bar.bar.finish_and_clear();
-    conclude(arguments, results)
+    conclude(arguments, out, results)
 }
 
 /// What needs the simulated rig alone.
 fn simulate(
     arguments: &Arguments,
+    out: &Path,
     wanted: &dyn Fn(&str) -> bool,
     has: &dyn Fn(Job) -> bool,
     bar: &Bar,
     threads: usize,
 ) -> Result<Results> {
-    let (out, seed) = (&arguments.out, arguments.seed);
+    let seed = arguments.seed;
     let mut results = Results::default();
     if has(Job::Rest) {
-        bar.tell(Job::Rest, 0.1, "a unit at rest");
+        bar.report(Job::Rest, 0.1, "a stationary IMU");
         results.take("fig-9", figure_9(seed, out));
-        bar.tell(Job::Rest, 1.0, "a unit at rest");
+        bar.report(Job::Rest, 1.0, "a stationary IMU");
     }
     if has(Job::Stages) {
-        bar.tell(Job::Stages, 0.1, "the tracker's stages");
+        bar.report(Job::Stages, 0.1, "the tracker's stages");
         let stages = Stages::of(seed, threads)?;
         if wanted("fig-4") {
             results.take("fig-4", stages.figure_4(out));
@@ -208,36 +239,46 @@ fn simulate(
         if wanted("fig-5") {
             results.take("fig-5", stages.figure_5(out));
         }
-        bar.tell(Job::Stages, 1.0, "the tracker's stages");
+        bar.report(Job::Stages, 1.0, "the tracker's stages");
     }
     if has(Job::Occlusion) {
         let what = "an occluded marker";
-        results.take("fig-6", figure_6(seed, out, threads, |s| bar.tell(Job::Occlusion, 0.9 * s, what)));
-        bar.tell(Job::Occlusion, 1.0, what);
+        results.take(
+            "fig-6",
+            figure_6(seed, out, threads, |s| bar.report(Job::Occlusion, 0.9 * s, what)),
+        );
+        bar.report(Job::Occlusion, 1.0, what);
     }
     if has(Job::Swing) {
         let scenario = Scenario::swing(seed, arguments.seconds)?;
-        let film = Film::shoot(&scenario, threads, |done, of| {
-            bar.tell(Job::Swing, 0.9 * done as f64 / of.max(1) as f64, "rendering the camera");
+        let images = ImageSequence::render(&scenario, threads, |done, of| {
+            bar.report(Job::Swing, 0.9 * done as f64 / of.max(1) as f64, "rendering the camera");
         })?;
-        bar.tell(Job::Swing, 0.9, "four estimators");
-        let curves = Curves::of(&scenario, &film)?;
+        bar.report(Job::Swing, 0.9, "four estimators");
+        let curves = Curves::of(&scenario, &images)?;
         if wanted("table-2") {
             results.take("table-2", curves.table_2(&scenario, out));
         }
         if wanted("fig-13") {
             results.take("fig-13", curves.figure_13(&scenario, out));
         }
-        bar.tell(Job::Swing, 1.0, "four estimators");
+        bar.report(Job::Swing, 1.0, "four estimators");
     }
     Ok(results)
 }
 
-fn conclude(arguments: &Arguments, mut results: Results) -> Result<()> {
+/// Whether a file is a report that this command wrote.
+fn is_report(path: &Path) -> bool {
+    std::fs::read_to_string(path).is_ok_and(|text| text.contains(TITLE))
+}
+
+/// Gives the wanted files from `work` their names in the output folder.
+fn conclude(arguments: &Arguments, work: &Path, mut results: Results) -> Result<()> {
     let place = |name: &str| NAMES.iter().position(|n| *n == name);
     results.made.sort_by_key(|m| place(m.name));
     results.missing.sort_by_key(|m| place(m.0));
-    let words: Vec<String> = std::env::args().skip(1).collect();
+    let words: Vec<String> =
+        std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     let facts = [
         ("Made by", format!("volant {}", env!("CARGO_PKG_VERSION"))),
         ("Command", format!("`volant {}`", words.join(" "))),
@@ -245,11 +286,21 @@ fn conclude(arguments: &Arguments, mut results: Results) -> Result<()> {
         ("Machine", machine()),
     ]
     .map(|(name, value)| (name.to_owned(), value));
-    write_report(&arguments.out, &facts, &results.made, &results.missing)?;
+    write_report(work, &facts, &results.made, &results.missing)?;
+    let publish = |path: &Path, overwrite: bool| -> Result<PathBuf> {
+        let name = path.file_name().unwrap_or_default();
+        let target = arguments.out.join(name);
+        files::write(&target, &std::fs::read(work.join(name))?, overwrite)?;
+        Ok(target)
+    };
     for m in &results.made {
-        println!("{}: {}\n    {}", m.name, m.csv.display(), m.shows);
+        publish(&m.svg, arguments.overwrite)?;
+        let csv = publish(&m.csv, arguments.overwrite)?;
+        outln!("{}: {}\n    {}", m.name, csv.display(), m.shows)?;
     }
-    println!("report: {}", arguments.out.join("report.html").display());
+    let report = arguments.out.join("report.html");
+    let report = publish(&report, arguments.overwrite || is_report(&report))?;
+    outln!("report: {}", report.display())?;
     if !results.missing.is_empty() {
         let mut reasons: Vec<(String, Vec<&str>)> = Vec::new();
         for (name, why) in &results.missing {

@@ -1,9 +1,11 @@
-//! `make robustness`: the estimator on recordings that differ from their rig file in one thing, and in every pair of two.
-//! Exit status 0 when nothing catastrophic happens; what a perturbation may cost is in the table.
+//! `make robustness`: the estimator on recordings that differ from their rig file in one thing, and
+//! in every pair of two. Exit status 0 when nothing catastrophic happens; what a perturbation may
+//! cost is in the table.
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use indicatif::ProgressBar;
+use node_kit::{files, outln};
 use pose_fusion::FusionConfig;
 use std::{
     fs,
@@ -21,7 +23,8 @@ pub(crate) struct Arguments {
     /// Folder of recordings, each a folder with in.mcap, rig.yaml, truth.mcap and truth_markers.csv
     #[arg(long)]
     bags: PathBuf,
-    /// Folder with replays of them (`NAME.mcap`) whose tracked markers are used; without it the true centroids with 0.1 px of noise
+    /// Folder with replays of them (`NAME.mcap`) whose tracked markers are used; without it the
+    /// true centroids with 0.1 px of noise
     #[arg(long)]
     markers: Option<PathBuf>,
     /// Only recordings whose name contains this text
@@ -30,19 +33,30 @@ pub(crate) struct Arguments {
     /// Also every pair of perturbations
     #[arg(long)]
     pairs: bool,
-    /// Also write the table, as Markdown, to this file; replaces a former table only
+    /// Also write the table, as Markdown, to this file
     #[arg(long)]
     table: Option<PathBuf>,
+    /// Replace an existing table; never a recording
+    #[arg(long)]
+    overwrite: bool,
 }
 
-const HEAD: &str = "Written by `make robustness`. Each recording is changed in one thing (the rig file stays as it was, or is changed while the \
-    recording stays), and the estimator runs over it with its default parameters. A cell is the position RMSE over that of the \
-    unchanged recording, the largest position error, and the mean NEES of position and rotation (3 each where the covariance is \
-    right). Bold: more than the perturbation may cost (`test/src/robustness/table.rs`).\n\n";
+const HEAD: &str = "\
+    # Robustness: recordings that differ from their rig file\n\n\
+    Written by `make robustness`. Each recording is changed in one thing (the rig file stays\n\
+    as it was, or is changed while the recording stays), and the estimator runs over it with\n\
+    its default parameters. A cell is the position RMSE over that of the unchanged\n\
+    recording, the largest position error, and the mean NEES of position and rotation (3\n\
+    each where the covariance is right).\n\n\
+    Bold: more than the perturbation may cost (`test/src/robustness/table.rs`).\n\n";
 
 pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     if let Some(path) = &arguments.table {
-        table::may_write(path).map_err(anyhow::Error::msg)?;
+        let recordings = fs::read_dir(&arguments.bags).into_iter().flatten().flatten();
+        let recordings: Vec<PathBuf> = recordings.map(|entry| entry.path()).collect();
+        let inputs: Vec<&Path> =
+            recordings.iter().chain(&arguments.markers).map(PathBuf::as_path).collect();
+        files::check_output(path, arguments.overwrite, &inputs)?;
     }
     let benches = read(arguments)?;
     let bar = ProgressBar::new((TABLE.len() * benches.len()) as u64);
@@ -52,10 +66,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         let mut cells = Vec::new();
         for bench in &benches {
             let cell = bench.single(&perturbation);
-            catastrophes
-                .extend(cell.catastrophe.iter().map(|c| format!("{}: {perturbation}: {c}", bench.name())));
+            catastrophes.extend(
+                cell.catastrophe.iter().map(|c| format!("{}: {perturbation}: {c}", bench.name())),
+            );
             for failure in &cell.failures {
-                bar.suspend(|| println!("{}: {perturbation}: {failure}", bench.name()));
+                bar.suspend(|| outln!("{}: {perturbation}: {failure}", bench.name()))?;
             }
             cells.push(cell);
             bar.inc(1);
@@ -63,31 +78,32 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         rows.push((perturbation, cells));
     }
     bar.finish_and_clear();
-    let mut text = format!("{}\n\n{HEAD}{}", table::TITLE, table::markdown(&benches, &rows));
+    let mut text = format!("{HEAD}{}", table::markdown(&benches, &rows));
     if arguments.pairs {
         let pairs = table::pairs();
         let bar = ProgressBar::new((pairs.len() * benches.len()) as u64);
         for (first, second) in &pairs {
             for bench in &benches {
                 let found = bench.pair(first, second);
-                catastrophes.extend(found.map(|c| format!("{}: {first}, {second}: {c}", bench.name())));
+                catastrophes
+                    .extend(found.map(|c| format!("{}: {first}, {second}: {c}", bench.name())));
                 bar.inc(1);
             }
         }
         bar.finish_and_clear();
         text.push_str(&format!(
-            "\nPairs: {} of two perturbations on each recording. Number that is not finite, or pose more than 1 m wrong that is called \
-             valid: {}.\n",
+            "\nPairs: {} of two perturbations on each recording. Non-finite numbers, or poses\n\
+             more than 1 m wrong that are called valid: {}.\n",
             pairs.len(),
             catastrophes.len()
         ));
     }
-    println!("{text}");
-    for catastrophe in &catastrophes {
-        println!("{catastrophe}");
-    }
     if let Some(path) = &arguments.table {
-        table::write(path, &text).map_err(anyhow::Error::msg)?;
+        files::write(path, text.as_bytes(), arguments.overwrite)?;
+    }
+    outln!("{text}")?;
+    for catastrophe in &catastrophes {
+        outln!("{catastrophe}")?;
     }
     Ok(catastrophes.is_empty())
 }
@@ -104,7 +120,8 @@ fn read(arguments: &Arguments) -> Result<Vec<Bench>> {
     };
     let mut benches = Vec::new();
     for folder in folders.iter().filter(wanted) {
-        let replay = |markers: &PathBuf| Some(markers.join(folder.file_name()?).with_extension("mcap"));
+        let replay =
+            |markers: &PathBuf| Some(markers.join(folder.file_name()?).with_extension("mcap"));
         let markers = arguments.markers.as_ref().and_then(replay).filter(|path| path.is_file());
         let recording = Recording::read(folder, markers.as_deref())
             .map_err(|e| anyhow::anyhow!("{}: {e}", folder.display()))?;

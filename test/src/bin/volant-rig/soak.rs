@@ -1,24 +1,28 @@
 //! `volant soak`: the long run. Exit status 0 when all of it held.
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::Args;
 use node_kit::environment::Network;
+use node_kit::{errln, outln};
 use std::{path::PathBuf, sync::Arc};
 use volant_test::{
-    live::{Film, Scenario},
+    live::{ImageSequence, Scenario},
+    run_folder::RunFolder,
     soak::live::{self, Seen, SoakConfig},
 };
 
-/// Runs the live rig lap by lap with faults at random, and watches memory, threads, numbers and covariances.
+/// Runs the live rig lap by lap with faults at random, and watches memory, threads, numbers and
+/// covariances.
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// For how long
     #[arg(long, default_value_t = 60.0)]
     minutes: f64,
-    /// Nodes are killed in the first part of the run only, so that memory can be watched for long in the rest
+    /// Nodes are killed in the first part of the run only, so that memory can be watched for long
+    /// in the rest
     #[arg(long, default_value_t = 0.3)]
     kills: f64,
-    /// Folder for the nodes' logs
+    /// Folder for the nodes' logs: an empty or new one, or that of an earlier run, which is replaced
     #[arg(long, default_value = "target/soak")]
     out: PathBuf,
     /// DDS domain to run on, so that a rig on the usual one is not disturbed
@@ -30,69 +34,72 @@ pub(crate) struct Arguments {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
+    let _folder = RunFolder::create(&arguments.out)?;
     let scenario = Scenario::lap(arguments.seed, 20.0)?;
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4));
-    eprintln!("rendering the camera's film of {} s", scenario.duration());
-    let film = Arc::new(Film::shoot(&scenario, threads, |_, _| {})?);
-    if arguments.out.is_dir() {
-        std::fs::remove_dir_all(&arguments.out).with_context(|| format!("{}", arguments.out.display()))?;
-    }
+    errln!("rendering the camera's images of {} s", scenario.duration());
+    let images = Arc::new(ImageSequence::render(&scenario, threads, |_, _| {})?);
     let network = Network { domain_id: arguments.domain, ..Network::from_environment()? };
     let seconds = arguments.minutes * 60.0;
-    let config = SoakConfig { seconds, seed: arguments.seed, kills_until: seconds * arguments.kills };
+    let config =
+        SoakConfig { seconds, seed: arguments.seed, kills_until: seconds * arguments.kills };
     let mut minute = 0.0;
-    let seen = live::run(&scenario, film, &config, &network, &arguments.out, |now, seen| {
+    let seen = live::run(&scenario, images, &config, &network, &arguments.out, |now, seen| {
         if now >= minute {
-            eprintln!("{:4.0} min: {}", now / 60.0, line(seen));
+            errln!("{:4.0} min: {}", now / 60.0, line(seen));
             minute += 60.0;
         }
     })?;
-    println!("{} faults; {}", seen.faults.len(), line(&seen));
-    println!(
-        "\n| node | process | minutes | MB after the first minute | MB at the end | growth, MB | since a minute after the last kill | threads |"
-    );
-    println!("| --- | --- | --- | --- | --- | --- | --- | --- |");
-    for life in seen.lives.iter() {
-        let settled = life.settled.map_or("–".to_owned(), |b| format!("{:.2}", b as f64 / 1e6));
-        let change =
-            |bytes: Option<i64>| bytes.map_or("–".to_owned(), |b| format!("{:+.2}", b as f64 / 1e6));
-        let (growth, undisturbed) = (change(life.growth()), change(life.undisturbed_growth()));
-        println!(
+    outln!("{} faults; {}", seen.faults.len(), line(&seen))?;
+    outln!(
+        "\n| node | process | minutes | MB after the first minute | MB at the end | growth, MB | \
+         since a minute after the last kill | threads |"
+    )?;
+    outln!("| --- | --- | --- | --- | --- | --- | --- | --- |")?;
+    for instance in seen.instances.iter() {
+        let settled =
+            instance.settled.map_or("–".to_owned(), |b| format!("{:.2}", b as f64 / 1e6));
+        let change = |bytes: Option<i64>| {
+            bytes.map_or("–".to_owned(), |b| format!("{:+.2}", b as f64 / 1e6))
+        };
+        let (growth, undisturbed) =
+            (change(instance.growth()), change(instance.undisturbed_growth()));
+        outln!(
             "| {} | {} | {:.1} | {settled} | {:.2} | {growth} | {undisturbed} | {} |",
-            life.node,
-            life.id,
-            (life.until - life.since) / 60.0,
-            life.last as f64 / 1e6,
-            life.threads[1]
-        );
+            instance.node,
+            instance.id,
+            (instance.until - instance.since) / 60.0,
+            instance.last as f64 / 1e6,
+            instance.threads[1]
+        )?;
     }
-    println!();
+    outln!()?;
     let lap = scenario.duration();
     for c in &seen.contradictions {
         let [from, to] = c.seconds;
-        println!(
-            "contradicted: {} poses between {from:.1} and {to:.1} s ({:.1} to {:.1} s of the lap), NEES up to {:.0} and {:.0}: {}",
+        outln!(
+            "contradicted: {} poses between {from:.1} and {to:.1} s ({:.1} to {:.1} s of the \
+             lap), NEES up to {:.0} and {:.0}: {}",
             c.poses,
             from % lap,
             to % lap,
             c.largest[0],
             c.largest[1],
             c.fault
-        );
+        )?;
     }
     for failure in &seen.failures {
-        println!("FAILS: {failure}");
+        outln!("FAILS: {failure}")?;
     }
-    println!("{}", if seen.failures.is_empty() { "all of it held" } else { "it did not hold" });
+    outln!("{}", if seen.failures.is_empty() { "all of it held" } else { "it did not hold" })?;
     Ok(seen.failures.is_empty())
 }
 
 fn line(seen: &Seen) -> String {
     let share = 100.0 * seen.contradicted as f64 / seen.odometry.max(1) as f64;
-    let growth = seen
-        .lives
-        .worst()
-        .map_or("–".to_owned(), |(life, bytes)| format!("{:+.2} MB ({})", bytes as f64 / 1e6, life.node));
+    let growth = seen.instances.worst().map_or("–".to_owned(), |(instance, bytes)| {
+        format!("{:+.2} MB ({})", bytes as f64 / 1e6, instance.node)
+    });
     format!(
         "{} odometry, {share:.2} % contradicted, {} late returns, largest growth {growth}",
         seen.odometry,

@@ -1,0 +1,124 @@
+//! Bags: rosbag2's MCAP, read and written, as a lone `.mcap` file or as a folder with
+//! `metadata.yaml`.
+//!
+//! [`BagReader`] reads [`BagMessage`]s in the order in which they were logged; [`BagWriter`] writes
+//! bags that `ros2 bag`, Foxglove and other readers accept. Only [`recording`] decodes messages.
+
+mod file_reader;
+mod file_writer;
+mod metadata;
+mod qos;
+mod read;
+pub mod recording;
+mod records;
+mod summary;
+mod write;
+
+pub use file_writer::Compression;
+pub use qos::{Durability, QosProfile, Reliability};
+pub use read::{BagReader, BagSummary, files_named_by};
+pub use write::{BagWriter, TopicId, WriteOptions};
+
+use std::{path::PathBuf, sync::Arc};
+use thiserror::Error;
+
+/// A topic as a bag describes it.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Topic {
+    /// Absolute name.
+    pub name: String,
+    /// `package/msg/Type`.
+    pub type_name: String,
+    /// `ros2msg` text of the type and of all types in it; empty where the writer did not know it.
+    pub definition: String,
+    /// `cdr` in every ROS 2 bag.
+    pub message_encoding: String,
+    /// `RIHS01_…`, or empty.
+    pub type_hash: String,
+    /// The publishers' QoS as rosbag2's YAML list, or empty.
+    pub offered_qos_profiles: String,
+}
+
+impl Topic {
+    /// Describes a topic of a built-in type.
+    pub fn of<M: volant_msgs::Message>(name: &str, qos: &QosProfile) -> Self {
+        Self {
+            name: name.to_owned(),
+            type_name: M::TYPE_NAME.to_owned(),
+            definition: M::DEFINITION.to_owned(),
+            message_encoding: "cdr".to_owned(),
+            type_hash: M::RIHS01_HASH.to_owned(),
+            offered_qos_profiles: qos.to_yaml(),
+        }
+    }
+}
+
+/// One message of a bag.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BagMessage {
+    /// Its topic.
+    pub topic: Arc<Topic>,
+    /// Time of reception, ns since the epoch.
+    pub log_time: u64,
+    /// Time of publication, ns since the epoch.
+    pub publish_time: u64,
+    /// CDR bytes with their encapsulation header.
+    pub data: Vec<u8>,
+}
+
+/// Why reading or writing a bag fails.
+#[derive(Debug, Error)]
+pub enum BagError {
+    /// No such file or folder.
+    #[error("{}: no such file or folder; give an .mcap file or a rosbag2 \
+             folder", path.display())]
+    NotFound {
+        /// The path as given.
+        path: PathBuf,
+    },
+    /// A file of zero bytes.
+    #[error("{}: the file is empty; record it again, or give another one", path.display())]
+    Empty {
+        /// Which file.
+        path: PathBuf,
+    },
+    /// Not an MCAP file.
+    #[error("{}: this is not an MCAP file ({what}); {remedy}", path.display())]
+    Foreign {
+        /// Which file.
+        path: PathBuf,
+        /// What its first bytes are.
+        what: String,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// An operation of the operating system failed.
+    #[error("{}: {source}; check the path, its permissions and the space on the \
+             disk", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// Its reason.
+        source: std::io::Error,
+    },
+    /// A rosbag2 folder with a missing or invalid `metadata.yaml`.
+    #[error("{}: {reason}; `volant bag recover` repairs its .mcap \
+             files", path.display())]
+    Metadata {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The file violates MCAP where nothing can be skipped.
+    #[error("{}: {reason}", path.display())]
+    Damaged {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong, and what to do.
+        reason: String,
+    },
+    /// A bag that is not written, since it exists already or its folder is not writable.
+    #[error(transparent)]
+    Output(#[from] node_kit::files::FileError),
+}

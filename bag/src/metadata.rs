@@ -1,0 +1,187 @@
+//! rosbag2's `metadata.yaml` (version 9): which files a folder holds, and what is in them.
+
+use super::Topic;
+use serde::Deserialize;
+use std::fmt::Write;
+
+/// The used part of a folder's `metadata.yaml`.
+#[derive(Debug, PartialEq)]
+pub(super) struct Folder {
+    /// `mcap`, `sqlite3`, …
+    pub storage: String,
+    /// The files in order.
+    pub files: Vec<String>,
+    /// `` or `zstd`.
+    pub compression_format: String,
+    /// ``, `file` or `message`.
+    pub compression_mode: String,
+}
+
+#[derive(Deserialize)]
+struct Document {
+    rosbag2_bagfile_information: Information,
+}
+
+#[derive(Deserialize)]
+struct Information {
+    #[serde(default)]
+    storage_identifier: String,
+    #[serde(default)]
+    relative_file_paths: Vec<String>,
+    #[serde(default)]
+    compression_format: Option<String>,
+    #[serde(default)]
+    compression_mode: Option<String>,
+}
+
+impl Folder {
+    /// Parses the file's text.
+    ///
+    /// # Errors
+    /// A description of what is wrong with the text.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let document: Document = ros_parameters::yaml::parse(text)
+            .and_then(serde_yaml_ng::from_value)
+            .map_err(|e| format!("is not valid ({e})"))?;
+        let information = document.rosbag2_bagfile_information;
+        let mode = information.compression_mode.unwrap_or_default().to_lowercase();
+        Ok(Self {
+            storage: information.storage_identifier,
+            files: information.relative_file_paths,
+            compression_format: information.compression_format.unwrap_or_default(),
+            compression_mode: if mode == "none" { String::new() } else { mode },
+        })
+    }
+}
+
+/// Contents of one file of a bag.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct FileContents {
+    /// Name relative to the folder.
+    pub path: String,
+    /// First and last log time, ns.
+    pub span: Option<(u64, u64)>,
+    /// Messages in it.
+    pub count: u64,
+}
+
+/// Formats `metadata.yaml`.
+pub(super) fn to_yaml<'a>(
+    files: &[FileContents],
+    topics: impl Iterator<Item = (&'a Topic, u64)>,
+) -> String {
+    let span = files
+        .iter()
+        .filter_map(|f| f.span)
+        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+        .unwrap_or_default();
+    let count: u64 = files.iter().map(|f| f.count).sum();
+    let times = |indent: &str, (start, end): (u64, u64)| {
+        format!(
+            "{indent}duration:\n{indent}  nanoseconds: {}\n{indent}starting_time:\n{indent}  \
+             nanoseconds_since_epoch: {start}\n",
+            end - start
+        )
+    };
+    let mut out =
+        String::from("rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: mcap\n");
+    out += &times("  ", span);
+    // Writing to a string cannot fail.
+    let _ = writeln!(out, "  message_count: {count}");
+    out += "  topics_with_message_count:";
+    let mut none = true;
+    for (topic, count) in topics {
+        none = false;
+        let _ = write!(
+            out,
+            "\n    - topic_metadata:\n        name: {}\n        type: {}\n        \
+             serialization_format: {}\n        offered_qos_profiles:",
+            quoted(&topic.name),
+            quoted(&topic.type_name),
+            quoted(&topic.message_encoding)
+        );
+        if topic.offered_qos_profiles.trim().is_empty() {
+            out += " []";
+        } else {
+            for line in topic.offered_qos_profiles.lines().filter(|l| !l.trim().is_empty()) {
+                let _ = write!(out, "\n          {line}");
+            }
+        }
+        let _ = write!(
+            out,
+            "\n        type_description_hash: {}\n      message_count: {count}",
+            quoted(&topic.type_hash)
+        );
+    }
+    out += if none { " []\n" } else { "\n" };
+    out += "  compression_format: \"\"\n  compression_mode: \"\"\n  relative_file_paths:\n";
+    for file in files {
+        let _ = writeln!(out, "    - {}", quoted(&file.path));
+    }
+    out += "  files:\n";
+    for file in files {
+        let _ = writeln!(out, "    - path: {}", quoted(&file.path));
+        out += &times("      ", file.span.unwrap_or_default());
+        let _ = writeln!(out, "      message_count: {}", file.count);
+    }
+    out += "  custom_data: ~\n  ros_distro: jazzy\n";
+    out
+}
+
+/// Names come from the network: quoted where YAML could misread them.
+fn quoted(text: &str) -> String {
+    let plain = text.starts_with(|c: char| c == '/' || c.is_ascii_alphabetic())
+        && text.chars().all(|c| c.is_ascii_alphanumeric() || "/_.-".contains(c));
+    if plain {
+        text.to_owned()
+    } else {
+        let mut out = String::from("\"");
+        for c in text.chars() {
+            match c {
+                '"' | '\\' => {
+                    out.push('\\');
+                    out.push(c);
+                }
+                c if c.is_control() => {
+                    let _ = write!(out, "\\u{:04x}", c as u32);
+                }
+                c => out.push(c),
+            }
+        }
+        out + "\""
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{super::QosProfile, *};
+
+    #[test]
+    fn written_metadata_is_yaml_and_names_its_files() {
+        let topic = Topic {
+            name: "/odd: \"name\"".into(),
+            ..Topic::of::<volant_msgs::std_msgs::msg::String>("/x", &QosProfile::LATCHED)
+        };
+        let files = [FileContents { path: "run 1_0.mcap".into(), span: Some((5, 9)), count: 2 }];
+        let text = to_yaml(&files, [(&topic, 2)].into_iter());
+        let folder = Folder::parse(&text).unwrap();
+        assert_eq!(folder.files, ["run 1_0.mcap"]);
+        assert_eq!(folder.storage, "mcap");
+        let value: serde_yaml_ng::Value = serde_yaml_ng::from_str(&text).unwrap();
+        let topic =
+            &value["rosbag2_bagfile_information"]["topics_with_message_count"][0]["topic_metadata"];
+        assert_eq!(topic["name"], "/odd: \"name\"");
+        assert_eq!(topic["offered_qos_profiles"][0]["durability"], "transient_local");
+        assert_eq!(value["rosbag2_bagfile_information"]["duration"]["nanoseconds"], 4);
+    }
+
+    #[test]
+    fn a_foreign_file_is_an_error() {
+        assert!(
+            Folder::parse("just: some\nyaml: file\n")
+                .unwrap_err()
+                .contains("rosbag2_bagfile_information")
+        );
+        assert!(Folder::parse("{").is_err());
+    }
+}

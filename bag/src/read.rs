@@ -1,0 +1,385 @@
+//! Reads a bag from its first message to its last, in the order in which they were logged.
+
+use super::{BagError, BagMessage, Topic, file_reader::FileReader, metadata::Folder, summary};
+use std::{
+    cmp::Reverse,
+    collections::{BTreeMap, BinaryHeap, VecDeque},
+    fs,
+    io::{Read, Seek},
+    path::{Component, Path, PathBuf},
+};
+
+/// Contents of a bag.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BagSummary {
+    /// Topics by name, with their number of messages.
+    pub topics: Vec<(Topic, u64)>,
+    /// First and last log time, ns, if there is a message.
+    pub span: Option<(u64, u64)>,
+    /// Bytes of all files.
+    pub bytes: u64,
+    /// The files.
+    pub files: Vec<PathBuf>,
+    /// Whether each file has its closing records; rosbag2 requires them.
+    pub complete: bool,
+}
+
+impl BagSummary {
+    /// Messages on a topic.
+    pub fn count(&self, topic: &str) -> u64 {
+        let on_it = self.topics.iter().filter(|(t, _)| t.name == topic);
+        on_it.fold(0, |sum, (_, n)| sum.saturating_add(*n))
+    }
+
+    /// All messages.
+    pub fn messages(&self) -> u64 {
+        self.topics.iter().fold(0, |sum, (_, n)| sum.saturating_add(*n))
+    }
+}
+
+/// Reader of a bag.
+#[derive(Debug)]
+pub struct BagReader {
+    waiting: VecDeque<PathBuf>,
+    current: Option<FileReader>,
+    bytes_before: u64,
+    /// Messages that are read and not yet returned, by log time and then by their order in the bag.
+    pending: BinaryHeap<Reverse<Pending>>,
+    /// Bytes in `pending`, and their limit.
+    pending_bytes: usize,
+    largest_pending: usize,
+    /// Earliest log time of the group that was read last: messages logged before it can be
+    /// returned, ns.
+    horizon: Option<u64>,
+    read: u64,
+    losses: Vec<String>,
+}
+
+#[derive(Debug)]
+struct Pending {
+    key: (u64, u64),
+    message: BagMessage,
+}
+
+impl PartialEq for Pending {
+    fn eq(&self, other: &Self) -> bool {
+        self.key == other.key
+    }
+}
+impl Eq for Pending {}
+impl PartialOrd for Pending {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Pending {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.key.cmp(&other.key)
+    }
+}
+
+/// Bytes of pending messages beyond which the earliest is returned, in order or not: a bag in which
+/// one early message follows each late one would otherwise be held in memory completely.
+const LARGEST_PENDING: usize = 512 << 20;
+/// Memory of a message beside its data, bytes.
+const PER_MESSAGE: usize = 128;
+
+impl BagReader {
+    /// Opens a lone `.mcap` file or a rosbag2 folder.
+    ///
+    /// # Errors
+    /// No such path, an empty or foreign file, a folder without `metadata.yaml` or with missing
+    /// files.
+    pub fn open(path: &Path) -> Result<Self, BagError> {
+        let mut files: VecDeque<PathBuf> = files_of(path)?.into();
+        // Each file's magic is checked now rather than in the middle of a run.
+        let mut first = None;
+        for file in &files {
+            let reader = FileReader::open(file)?;
+            first.get_or_insert(reader);
+        }
+        files.pop_front();
+        Ok(Self::over(first, files))
+    }
+
+    /// Reads an MCAP file from any input; errors and losses name it `name`.
+    ///
+    /// # Errors
+    /// The input does not start with MCAP's magic.
+    pub fn from_reader(name: &Path, input: impl Read + Send + 'static) -> Result<Self, BagError> {
+        Ok(Self::over(Some(FileReader::of(name, Box::new(input))?), VecDeque::new()))
+    }
+
+    fn over(current: Option<FileReader>, waiting: VecDeque<PathBuf>) -> Self {
+        Self {
+            waiting,
+            current,
+            bytes_before: 0,
+            pending: BinaryHeap::new(),
+            pending_bytes: 0,
+            largest_pending: LARGEST_PENDING,
+            horizon: None,
+            read: 0,
+            losses: vec![],
+        }
+    }
+
+    /// Reads the closing records of an MCAP file of `size` bytes; `None` where they are missing or
+    /// damaged.
+    pub fn closing_records(file: &mut (impl Read + Seek), size: u64) -> Option<BagSummary> {
+        let found = summary::summary_of(file, size)?;
+        Some(BagSummary {
+            topics: found.topics,
+            span: found.span,
+            bytes: size,
+            files: vec![],
+            complete: true,
+        })
+    }
+
+    /// Summarizes a bag from the files' closing records, or by reading all of it where they are
+    /// missing.
+    ///
+    /// # Errors
+    /// As [`BagReader::open`], or a file is unreadable.
+    pub fn summary(path: &Path) -> Result<BagSummary, BagError> {
+        let files = files_of(path)?;
+        let mut topics: BTreeMap<Topic, u64> = BTreeMap::new();
+        let mut summary = BagSummary { complete: true, ..BagSummary::default() };
+        let join =
+            |a: Option<(u64, u64)>, b: (u64, u64)| a.map_or(b, |a| (a.0.min(b.0), a.1.max(b.1)));
+        for file in &files {
+            let bytes = fs::metadata(file)
+                .map_err(|source| BagError::Io { path: file.clone(), source })?
+                .len();
+            summary.bytes += bytes;
+            if let Some(found) = summary::read_summary(file) {
+                for (topic, count) in found.topics {
+                    let sum = topics.entry(topic).or_default();
+                    *sum = sum.saturating_add(count);
+                }
+                summary.span = found.span.map(|s| join(summary.span, s)).or(summary.span);
+            } else {
+                let mut reader = FileReader::open(file)?;
+                while let Some(group) = reader.next_group()? {
+                    for message in group {
+                        summary.span =
+                            Some(join(summary.span, (message.log_time, message.log_time)));
+                        if let Some(count) = topics.get_mut(&*message.topic) {
+                            *count += 1;
+                        } else {
+                            topics.insert((*message.topic).clone(), 1);
+                        }
+                    }
+                }
+                // The end of a compressed file is not accessible without reading it all.
+                let compressed = file.extension().is_some_and(|e| e != "mcap");
+                summary.complete &= compressed && reader.losses().is_empty();
+            }
+        }
+        summary.files = files;
+        summary.topics = topics.into_iter().collect();
+        Ok(summary)
+    }
+
+    /// Reads the next message, `None` at the end. Damaged parts of a file are skipped and described
+    /// by [`BagReader::losses`].
+    ///
+    /// # Errors
+    /// The operating system fails to read a file.
+    pub fn next_message(&mut self) -> Result<Option<BagMessage>, BagError> {
+        loop {
+            let ready = match (self.pending.peek(), self.horizon) {
+                (Some(Reverse(first)), Some(horizon)) => first.key.0 < horizon,
+                (Some(_), None) => self.at_end(),
+                (None, _) if self.at_end() => return Ok(None),
+                (None, _) => false,
+            };
+            if ready || self.pending_bytes > self.largest_pending {
+                let message = self.pending.pop().map(|Reverse(p)| p.message);
+                let size = message.as_ref().map_or(0, |m| m.data.len() + PER_MESSAGE);
+                self.pending_bytes = self.pending_bytes.saturating_sub(size);
+                return Ok(message);
+            }
+            self.read_group()?;
+        }
+    }
+
+    /// Bytes read so far, of [`BagSummary::bytes`] (decompressed bytes of a compressed file).
+    pub fn bytes_read(&self) -> u64 {
+        self.bytes_before + self.current.as_ref().map_or(0, FileReader::offset)
+    }
+
+    /// Descriptions of what was lost, one sentence each, with the file's name.
+    pub fn losses(&self) -> &[String] {
+        &self.losses
+    }
+
+    fn at_end(&self) -> bool {
+        self.current.is_none()
+    }
+
+    fn read_group(&mut self) -> Result<(), BagError> {
+        let Some(file) = &mut self.current else {
+            self.horizon = None;
+            return Ok(());
+        };
+        if let Some(group) = file.next_group()? {
+            // An empty chunk does not move the horizon.
+            if let Some(earliest) = group.iter().map(|m| m.log_time).min() {
+                self.horizon = Some(earliest);
+            }
+            for message in group {
+                self.pending_bytes += message.data.len() + PER_MESSAGE;
+                self.pending.push(Reverse(Pending { key: (message.log_time, self.read), message }));
+                self.read += 1;
+            }
+        } else {
+            self.losses.extend_from_slice(file.losses());
+            self.bytes_before += file.offset();
+            self.current = match self.waiting.pop_front() {
+                Some(path) => Some(FileReader::open(&path)?),
+                None => None,
+            };
+            if self.current.is_none() {
+                self.horizon = None;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Returns the files that a rosbag2 folder's `metadata.yaml` names, in their order.
+///
+/// # Errors
+/// A description of what is wrong with the text: not such YAML, another storage or compression, no
+/// file, or one outside of the folder.
+pub fn files_named_by(metadata: &str) -> Result<Vec<String>, String> {
+    let folder = Folder::parse(metadata)?;
+    match not_ours(&folder) {
+        Some((what, remedy)) => Err(format!("{what}; {remedy}")),
+        None => own_files(folder),
+    }
+}
+
+/// Why a folder's files are not supported, and the remedy.
+fn not_ours(folder: &Folder) -> Option<(String, &'static str)> {
+    if folder.storage != "mcap" {
+        let what = format!("its storage is `{}`", folder.storage);
+        return Some((what, "convert it with `ros2 bag convert`, or record with `-s mcap`"));
+    }
+    if folder.compression_mode == "message" || !matches!(&*folder.compression_format, "" | "zstd") {
+        let what = format!(
+            "its messages are compressed one by one, mode `{}`, format `{}`",
+            folder.compression_mode, folder.compression_format
+        );
+        return Some((what, "convert it with `ros2 bag convert` without compression"));
+    }
+    None
+}
+
+/// The files of a folder. Bags come from other people: a name must not lead out of the folder.
+fn own_files(folder: Folder) -> Result<Vec<String>, String> {
+    let inside = |name: &String| {
+        !name.is_empty()
+            && Path::new(name)
+                .components()
+                .all(|c| matches!(c, Component::Normal(_) | Component::CurDir))
+    };
+    if folder.files.is_empty() {
+        return Err("names no file".into());
+    }
+    match folder.files.iter().find(|name| !inside(name)) {
+        Some(foreign) => Err(format!("names {foreign:?}, which is not a file of this folder")),
+        None => Ok(folder.files),
+    }
+}
+
+/// The `.mcap` files of a bag in their order.
+fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
+    let io = |source: std::io::Error| {
+        if source.kind() == std::io::ErrorKind::NotFound {
+            BagError::NotFound { path: path.to_owned() }
+        } else {
+            BagError::Io { path: path.to_owned(), source }
+        }
+    };
+    if !fs::metadata(path).map_err(io)?.is_dir() {
+        return Ok(vec![path.to_owned()]);
+    }
+    let yaml = path.join("metadata.yaml");
+    let broken = |reason: String| BagError::Metadata { path: yaml.clone(), reason };
+    let text = match node_kit::files::read_text(&yaml) {
+        Ok(text) => text,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+            return Err(broken("is missing, so this folder is not a rosbag2 bag".into()));
+        }
+        Err(source) => return Err(BagError::Io { path: yaml.clone(), source }),
+    };
+    let folder = Folder::parse(&text).map_err(&broken)?;
+    if let Some((what, remedy)) = not_ours(&folder) {
+        return Err(BagError::Foreign { path: path.to_owned(), what, remedy });
+    }
+    let names = own_files(folder).map_err(&broken)?;
+    let files: Vec<PathBuf> = names.iter().map(|name| path.join(name)).collect();
+    if let Some(missing) = files.iter().find(|f| !f.exists()) {
+        return Err(broken(format!("names {}, which is not there", missing.display())));
+    }
+    Ok(files)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{BagWriter, QosProfile, WriteOptions};
+    use volant_msgs::std_msgs::msg::String as Text;
+
+    /// Writes a bag in which an early message follows each late one, so that no message is ever
+    /// certain to be the next.
+    fn without_order(path: &Path) -> u64 {
+        let options = WriteOptions { chunk_bytes: 1000, ..WriteOptions::default() };
+        let mut bag = BagWriter::create(path, options).unwrap();
+        let topic = bag.add_topic(Topic::of::<Text>("/text", &QosProfile::RELIABLE));
+        for k in 0..500_u64 {
+            bag.write(topic, 1_000_000 - k, 0, &[0; 200]).unwrap();
+        }
+        bag.finish().unwrap();
+        500
+    }
+
+    #[test]
+    fn a_bag_without_order_is_read_in_bounded_memory() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.mcap");
+        let written = without_order(&path);
+        for (bound, ordered) in [(LARGEST_PENDING, true), (10_000, false)] {
+            let mut bag = BagReader::open(&path).unwrap();
+            bag.largest_pending = bound;
+            let (mut times, mut most) = (vec![], 0);
+            while let Some(message) = bag.next_message().unwrap() {
+                times.push(message.log_time);
+                most = most.max(bag.pending_bytes);
+            }
+            assert_eq!(times.len() as u64, written);
+            assert_eq!(times.is_sorted(), ordered);
+            // One chunk's messages more than the bound.
+            assert!(most < bound.saturating_add(5_000), "{most}");
+            assert_eq!(bag.pending_bytes, 0);
+        }
+    }
+
+    #[test]
+    fn a_folder_names_its_own_files_only() {
+        let named = |name: &str| {
+            files_named_by(&format!(
+                "rosbag2_bagfile_information: {{storage_identifier: mcap, relative_file_paths: \
+                 [{name}]}}"
+            ))
+        };
+        assert_eq!(named("run_0.mcap").unwrap(), ["run_0.mcap"]);
+        assert_eq!(named("./a/run_0.mcap").unwrap(), ["./a/run_0.mcap"]);
+        for foreign in ["/etc/passwd", "../other/run_0.mcap", "a/../../x", "''"] {
+            assert!(named(foreign).unwrap_err().contains("not a file of this folder"), "{foreign}");
+        }
+    }
+}

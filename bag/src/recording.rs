@@ -1,0 +1,228 @@
+//! Recordings of the rig with ground truth, as the types of the cores.
+//!
+//! A folder holds `in.mcap` (what the nodes received), `rig.yaml`, `truth.mcap` and, where the bag
+//! has images,
+//! `truth_markers.csv` (the true centroids in them).
+
+use crate::{BagError, BagReader};
+use nalgebra::{Matrix2, Vector2, Vector3};
+use node_kit::convert;
+use rig_model::{
+    CameraModel, ClimberSample, ImuSample, MarkerObservation, MarkerObservations, MarkerState,
+    PerColor, Rig, Stamp,
+    score::{Truth, TruthSample},
+    topics::absolute as topics,
+};
+use std::{
+    collections::HashMap,
+    path::{Path, PathBuf},
+};
+use thiserror::Error;
+use volant_msgs::{Message, cdr, geometry_msgs, msg, nav_msgs, sensor_msgs};
+
+/// Marker observations of images, by their stamps.
+pub type Markers = HashMap<Stamp, MarkerObservations>;
+
+/// One message for the estimator.
+#[derive(Clone, Debug)]
+pub enum Sample {
+    /// Intrinsics of the camera.
+    Camera(CameraModel),
+    /// Pose of the climber unit.
+    Climber(ClimberSample),
+    /// IMU sample.
+    Imu(ImuSample),
+    /// Markers of one image.
+    Markers(MarkerObservations),
+}
+
+/// Recording of one run.
+#[derive(Clone, Debug)]
+pub struct Recording {
+    /// Rig file.
+    pub rig: Rig,
+    /// Samples with their times of arrival, in the order of arrival.
+    pub samples: Vec<(Stamp, Sample)>,
+    /// True motion.
+    pub truth: Truth,
+}
+
+/// Why reading a recording fails.
+#[derive(Debug, Error)]
+pub enum RecordingError {
+    /// One of its bags.
+    #[error(transparent)]
+    Bag(#[from] BagError),
+    /// One of its other files, or a message.
+    #[error("{}: {reason}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+impl RecordingError {
+    fn file(path: &Path, reason: impl ToString) -> Self {
+        Self::File { path: path.to_owned(), reason: reason.to_string() }
+    }
+}
+
+impl Recording {
+    /// Reads a folder.
+    ///
+    /// A bag without `climber/markers` gets for each of its compressed images the observations that
+    /// `markers` holds.
+    ///
+    /// # Errors
+    /// A missing or unreadable file, or an undecodable message, with its path.
+    pub fn read(folder: &Path, markers: &Markers) -> Result<Self, RecordingError> {
+        let path = folder.join("rig.yaml");
+        let rig = Rig::from_yaml(&text(&path)?).map_err(|e| RecordingError::file(&path, e))?;
+        let path = folder.join("in.mcap");
+        let observed = BagReader::summary(&path)?
+            .topics
+            .iter()
+            .any(|(topic, count)| topic.name == topics::MARKERS && *count > 0);
+        let mut samples = Vec::new();
+        let mut bag = BagReader::open(&path)?;
+        while let Some(message) = bag.next_message()? {
+            let wrong = |e: &dyn ToString| RecordingError::file(&path, e.to_string());
+            let data = &message.data;
+            let sample = match message.topic.name.as_str() {
+                topics::IMU => {
+                    Sample::Imu(convert::imu_sample(&decode::<sensor_msgs::msg::Imu>(&path, data)?))
+                }
+                topics::CLIMBER_TRANSFORM => {
+                    let m = decode::<geometry_msgs::msg::TransformStamped>(&path, data)?;
+                    Sample::Climber(
+                        convert::climber_sample(&m, &rig.frames).map_err(|e| wrong(&e))?,
+                    )
+                }
+                topics::CAMERA_INFO => {
+                    let m = decode::<sensor_msgs::msg::CameraInfo>(&path, data)?;
+                    Sample::Camera(convert::camera_model(&m).map_err(|e| wrong(&e))?)
+                }
+                topics::MARKERS => Sample::Markers(observations(&path, data)?),
+                topics::COMPRESSED_IMAGE if !observed => {
+                    let m = decode::<sensor_msgs::msg::CompressedImage>(&path, data)?;
+                    match markers.get(&convert::stamp(&m.header.stamp)) {
+                        Some(markers) => Sample::Markers(markers.clone()),
+                        None => continue,
+                    }
+                }
+                _ => continue,
+            };
+            samples.push((arrival(message.log_time), sample));
+        }
+        let truth = read_truth(&folder.join("truth.mcap"), topics::GROUND_TRUTH, &mut vec![])?;
+        Ok(Self { rig, samples, truth })
+    }
+}
+
+/// Reads the marker observations of a bag.
+///
+/// # Errors
+/// An unreadable bag, or an undecodable message.
+pub fn read_markers(path: &Path) -> Result<Markers, RecordingError> {
+    let mut markers = Markers::new();
+    let mut bag = BagReader::open(path)?;
+    while let Some(message) = bag.next_message()? {
+        if message.topic.name == topics::MARKERS {
+            let observed = observations(path, &message.data)?;
+            markers.insert(observed.stamp, observed);
+        }
+    }
+    Ok(markers)
+}
+
+/// Reads the true centroids from a folder's `truth_markers.csv`, with noise of `sigma` px.
+///
+/// `normal` yields numbers of mean 0 and standard deviation 1. Markers that are shown less than 99
+/// % are lost.
+///
+/// # Errors
+/// A missing or unreadable file.
+pub fn true_centroids(
+    folder: &Path,
+    sigma: f64,
+    mut normal: impl FnMut() -> f64,
+) -> Result<Markers, RecordingError> {
+    let table = text(&folder.join("truth_markers.csv"))?;
+    let mut lines = table.lines();
+    let names: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
+    let mut images = Markers::new();
+    for line in lines {
+        let fields: Vec<&str> = line.split(',').collect();
+        let field =
+            |name: &str| names.iter().position(|n| *n == name).and_then(|i| fields.get(i)).copied();
+        let number =
+            |name: &str| field(name).and_then(|f| f.parse::<f64>().ok()).unwrap_or(f64::NAN);
+        let Some(stamp) = field("stamp_ns").and_then(|f| f.parse().ok()) else { continue };
+        let stamp = Stamp::from_nanos(stamp);
+        let markers = PerColor::from_fn(|color| {
+            let noise = Vector2::new(normal(), normal()) * sigma;
+            let of = |what: &str| number(&format!("{color}_{what}"));
+            let shown = of("shown");
+            if shown.is_nan() || shown < 0.99 {
+                return MarkerObservation::lost(1);
+            }
+            MarkerObservation {
+                state: MarkerState::Detected,
+                occluded_frames: 0,
+                centroid: Vector2::new(of("cx"), of("cy")) + noise,
+                covariance: Matrix2::identity() * sigma * sigma,
+                area: 1000.0,
+            }
+        });
+        images.insert(stamp, MarkerObservations { stamp, markers });
+    }
+    Ok(images)
+}
+
+/// Reads the true motion from the odometry on a topic; what the bag lost is appended to `losses`.
+///
+/// Undecodable messages are skipped.
+///
+/// # Errors
+/// An unreadable bag.
+pub fn read_truth(path: &Path, topic: &str, losses: &mut Vec<String>) -> Result<Truth, BagError> {
+    let mut bag = BagReader::open(path)?;
+    let mut samples = vec![];
+    while let Some(message) = bag.next_message()? {
+        if message.topic.name != topic
+            || message.topic.type_name != nav_msgs::msg::Odometry::TYPE_NAME
+        {
+            continue;
+        }
+        let Ok(m) = cdr::from_bytes::<nav_msgs::msg::Odometry>(&message.data) else { continue };
+        let Ok(pose) = convert::pose(&m.pose.pose, "odometry") else { continue };
+        let (v, w) = (&m.twist.twist.linear, &m.twist.twist.angular);
+        samples.push(TruthSample {
+            stamp: convert::stamp(&m.header.stamp),
+            world_from_volant: pose,
+            linear_velocity: Vector3::new(v.x, v.y, v.z),
+            angular_velocity: Vector3::new(w.x, w.y, w.z),
+        });
+    }
+    losses.extend_from_slice(bag.losses());
+    Ok(Truth::new(samples))
+}
+
+fn arrival(log_time: u64) -> Stamp {
+    Stamp::from_nanos(i64::try_from(log_time).unwrap_or(i64::MAX))
+}
+
+fn text(path: &Path) -> Result<String, RecordingError> {
+    node_kit::files::read_text(path).map_err(|e| RecordingError::file(path, e))
+}
+
+fn decode<T: cdr::Cdr>(path: &Path, data: &[u8]) -> Result<T, RecordingError> {
+    cdr::from_bytes(data).map_err(|e| RecordingError::file(path, e))
+}
+
+fn observations(path: &Path, data: &[u8]) -> Result<MarkerObservations, RecordingError> {
+    convert::marker_observations(&decode::<msg::MarkerObservations>(path, data)?)
+        .map_err(|e| RecordingError::file(path, e))
+}

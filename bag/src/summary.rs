@@ -1,0 +1,78 @@
+//! Closing records of an MCAP file: its topics, message counts and times, without reading it all.
+//!
+//! mcap 0.26.0's `SummaryReader` is not used: it parses records with binrw 0.15.2, which reserves
+//! whatever length a text claims (see [`crate::records`]).
+
+use crate::{
+    Topic,
+    file_reader::{Channels, LARGEST_RECORD},
+    records::{self, Channel, Statistics},
+};
+use mcap::records::op;
+use std::{
+    collections::BTreeMap,
+    fs::File,
+    io::{Read, Seek, SeekFrom},
+    path::Path,
+};
+
+/// Contents of a file according to its closing records.
+pub(crate) struct Summary {
+    /// Topics and how many messages each has.
+    pub topics: Vec<(Topic, u64)>,
+    /// First and last log time, ns, if there is a message.
+    pub span: Option<(u64, u64)>,
+}
+
+/// Reads the closing records of a file; `None` where they are missing or damaged (then the whole
+/// file must be read).
+pub(crate) fn read_summary(path: &Path) -> Option<Summary> {
+    let mut file = File::open(path).ok()?;
+    let size = file.metadata().ok()?.len();
+    summary_of(&mut file, size)
+}
+
+/// Reads the closing records of an input of `size` bytes; see [`read_summary`].
+pub(crate) fn summary_of(file: &mut (impl Read + Seek), size: u64) -> Option<Summary> {
+    /// Footer record (head, two positions, checksum) and the magic after it.
+    const CLOSING: u64 = 9 + 20 + 8;
+    let footer_at = size.checked_sub(CLOSING)?;
+    let closing = read_at(file, footer_at, CLOSING)?;
+    let footer = closing
+        .strip_prefix(&[op::FOOTER])?
+        .strip_suffix(mcap::MAGIC)?
+        .strip_prefix(&20_u64.to_le_bytes())?;
+    let start = records::summary_start(footer).filter(|start| (1..=footer_at).contains(start))?;
+    let section = read_at(file, start, (footer_at - start).min(LARGEST_RECORD as u64))?;
+    let mut rest = section.as_slice();
+    let (mut channels, mut listed, mut statistics) = (Channels::default(), BTreeMap::new(), None);
+    while let Some((head, after)) = rest.split_first_chunk::<9>() {
+        let [opcode, length @ ..] = *head;
+        let (record, next) =
+            after.split_at_checked(usize::try_from(u64::from_le_bytes(length)).ok()?)?;
+        match opcode {
+            op::SCHEMA => channels.record(opcode, record, &mut vec![]).ok()?,
+            op::CHANNEL => {
+                let channel = Channel::parse(record)?;
+                listed.insert(channel.id, channel);
+            }
+            op::STATISTICS => statistics = Some(Statistics::parse(record)?),
+            _ => {}
+        }
+        rest = next;
+    }
+    let Statistics { messages, start, end, counts } = statistics?;
+    // An end before the start is damage.
+    (start <= end).then_some(())?;
+    let count = |id: u16| counts.get(&id).copied().unwrap_or(0);
+    let topics =
+        listed.values().map(|channel| (channels.topic_of(channel), count(channel.id))).collect();
+    Some(Summary { topics, span: (messages > 0).then_some((start, end)) })
+}
+
+fn read_at(file: &mut (impl Read + Seek), at: u64, length: u64) -> Option<Vec<u8>> {
+    file.seek(SeekFrom::Start(at)).ok()?;
+    let mut bytes = vec![];
+    file.take(length).read_to_end(&mut bytes).ok()?;
+    (bytes.len() as u64 == length).then_some(bytes)
+}

@@ -1,0 +1,323 @@
+//! Writes a bag as rosbag2 does: a lone `.mcap` file, or a folder whose files are split by size or
+//! time.
+
+use super::{
+    BagError, BagSummary, Topic,
+    file_writer::{Compression, FileWriter},
+    metadata::{self, FileContents},
+};
+use node_kit::files::{self, FileError, OutputFile, Pending};
+use std::{
+    collections::VecDeque,
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+/// How a bag is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WriteOptions {
+    /// Compression of the chunks.
+    pub compression: Compression,
+    /// A chunk is closed beyond this many bytes.
+    pub chunk_bytes: u64,
+    /// Bytes of messages after which a new file is started (folders only).
+    pub split_bytes: Option<u64>,
+    /// Duration after which a new file is started, ns (folders only).
+    pub split_nanos: Option<u64>,
+    /// Files that are kept when a new one is started: the oldest of this bag are removed (folders
+    /// only; at least 1).
+    pub keep: Option<usize>,
+    /// Whether an existing file is replaced; a folder never is.
+    pub replace: bool,
+    /// Whether a new bag bears its own name from the start, as a recording does: its messages are
+    /// readable after a kill. Else it has a temporary name until it is finished.
+    pub in_place: bool,
+}
+
+impl Default for WriteOptions {
+    fn default() -> Self {
+        Self {
+            compression: Compression::Zstd,
+            chunk_bytes: 1 << 20,
+            split_bytes: None,
+            split_nanos: None,
+            keep: None,
+            replace: false,
+            in_place: false,
+        }
+    }
+}
+
+/// Identifier of a topic in a [`BagWriter`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TopicId(usize);
+
+/// Writer of a bag. Without [`BagWriter::finish`] nothing is left of it; of one that is written in
+/// place the closing records are missing, and the messages up to the last [`BagWriter::flush`] are
+/// readable.
+#[derive(Debug)]
+pub struct BagWriter {
+    path: PathBuf,
+    /// `None`: a lone file.
+    folder: Option<PathBuf>,
+    /// Temporary name of the folder.
+    pending: Option<Pending>,
+    options: WriteOptions,
+    topics: Vec<(Topic, u64)>,
+    files: Vec<FileContents>,
+    /// Messages of each topic in each file that has ended, in the order of `files`.
+    counts: VecDeque<Vec<u64>>,
+    /// Number of the next file.
+    next_file: usize,
+    current: Option<Current>,
+    bytes: u64,
+}
+
+#[derive(Debug)]
+struct Current {
+    writer: FileWriter,
+    /// The file's number of each topic, once it is used there.
+    channels: Vec<Option<u16>>,
+    topics: Vec<u64>,
+    bytes: u64,
+}
+
+impl BagWriter {
+    /// Creates a bag: a lone file where the name ends with `.mcap`, else a folder.
+    ///
+    /// # Errors
+    /// The path exists already, or is not writable.
+    pub fn create(path: &Path, options: WriteOptions) -> Result<Self, BagError> {
+        let lone = path.extension().is_some_and(|e| e == "mcap");
+        files::check_output(path, lone && options.replace, &[])?;
+        if !lone && path.exists() {
+            // A device, which is no place for a folder.
+            return Err(FileError::Exists { path: path.to_owned() }.into());
+        }
+        let mut bag = Self {
+            path: path.to_owned(),
+            folder: None,
+            pending: None,
+            options,
+            topics: vec![],
+            files: vec![],
+            counts: VecDeque::new(),
+            next_file: 0,
+            current: None,
+            bytes: 0,
+        };
+        if !lone {
+            if !options.in_place {
+                bag.pending = Some(Pending::new(path, false)?);
+            }
+            let folder = bag.pending.as_ref().map_or(path, |pending| &pending.temporary);
+            fs::create_dir_all(folder)
+                .map_err(|source| BagError::Io { path: path.to_owned(), source })?;
+            bag.folder = Some(folder.to_owned());
+        }
+        bag.begin_file()?;
+        Ok(bag)
+    }
+
+    /// Adds a topic; an equal topic returns the same identifier.
+    pub fn add_topic(&mut self, topic: Topic) -> TopicId {
+        let known = self.topics.iter().position(|(t, _)| *t == topic);
+        TopicId(known.unwrap_or_else(|| {
+            self.topics.push((topic, 0));
+            self.topics.len() - 1
+        }))
+    }
+
+    /// Appends a message; times in ns.
+    ///
+    /// # Errors
+    /// The file is no longer writable.
+    pub fn write(
+        &mut self,
+        topic: TopicId,
+        log_time: u64,
+        publish_time: u64,
+        data: &[u8],
+    ) -> Result<(), BagError> {
+        self.split_if_due(log_time)?;
+        let Some(current) = &mut self.current else {
+            return Ok(());
+        };
+        if current.channels.len() < self.topics.len() {
+            current.channels.resize(self.topics.len(), None);
+            current.topics.resize(self.topics.len(), 0);
+        }
+        let channel = match current.channels[topic.0] {
+            Some(channel) => channel,
+            None => {
+                let channel = current.writer.add_topic(&self.topics[topic.0].0)?;
+                current.channels[topic.0] = Some(channel);
+                channel
+            }
+        };
+        current.writer.write(channel, log_time, publish_time, data)?;
+        current.bytes += data.len() as u64;
+        current.topics[topic.0] += 1;
+        self.bytes += data.len() as u64;
+        self.topics[topic.0].1 += 1;
+        if let Some(file) = self.files.last_mut() {
+            file.count += 1;
+            file.span = Some(
+                file.span.map_or((log_time, log_time), |(a, b)| (a.min(log_time), b.max(log_time))),
+            );
+        }
+        Ok(())
+    }
+
+    /// Serializes and appends a message that was published when it was logged; `time` in ns.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn write_message<M: volant_msgs::Message>(
+        &mut self,
+        topic: TopicId,
+        time: u64,
+        message: &M,
+    ) -> Result<(), BagError> {
+        self.write(topic, time, time, &volant_msgs::cdr::to_bytes(message))
+    }
+
+    /// Makes all written messages readable, also where the process is killed later.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn flush(&mut self) -> Result<(), BagError> {
+        if let Some(current) = &mut self.current {
+            current.writer.flush()?;
+        }
+        self.write_metadata()
+    }
+
+    /// Bytes of the messages written so far.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Closes the bag and summarizes it.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn finish(mut self) -> Result<BagSummary, BagError> {
+        self.end_file()?;
+        self.write_metadata()?;
+        if let Some(pending) = self.pending.take() {
+            pending.commit()?;
+        }
+        let files = self.files.iter().map(|f| match &self.folder {
+            Some(_) => self.path.join(&f.path),
+            None => self.path.clone(),
+        });
+        let files: Vec<PathBuf> = files.collect();
+        let mut bytes = 0;
+        for file in &files {
+            bytes += fs::metadata(file)
+                .map_err(|source| BagError::Io { path: file.clone(), source })?
+                .len();
+        }
+        let span =
+            self.files.iter().filter_map(|f| f.span).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+        Ok(BagSummary { topics: self.topics, span, bytes, files, complete: true })
+    }
+
+    fn split_if_due(&mut self, log_time: u64) -> Result<(), BagError> {
+        if self.folder.is_none() {
+            return Ok(());
+        }
+        let (Some(current), Some(file)) = (&self.current, self.files.last()) else {
+            return Ok(());
+        };
+        let large = self.options.split_bytes.is_some_and(|limit| current.bytes >= limit);
+        let long = match (self.options.split_nanos, file.span) {
+            (Some(limit), Some((start, _))) => log_time.saturating_sub(start) >= limit,
+            _ => false,
+        };
+        if file.count > 0 && (large || long) {
+            self.end_file()?;
+            self.begin_file()?;
+            let removed = self.forget_oldest();
+            // First the list without them, so that a reader never misses a file.
+            self.write_metadata()?;
+            for path in removed {
+                fs::remove_file(&path).map_err(|source| BagError::Io { path, source })?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes the files beyond [`WriteOptions::keep`] and their counts out of the bag.
+    fn forget_oldest(&mut self) -> Vec<PathBuf> {
+        let (Some(folder), Some(keep)) = (&self.folder, self.options.keep) else {
+            return vec![];
+        };
+        let beyond = self.files.len().saturating_sub(keep.max(1));
+        for counts in self.counts.drain(..beyond.min(self.counts.len())) {
+            for ((_, total), count) in self.topics.iter_mut().zip(counts) {
+                *total -= count;
+            }
+        }
+        self.files.drain(..beyond).map(|file| folder.join(file.path)).collect()
+    }
+
+    fn begin_file(&mut self) -> Result<(), BagError> {
+        let stem = self.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let name =
+            if self.folder.is_some() { format!("{stem}_{}.mcap", self.next_file) } else { stem };
+        let path = match &self.folder {
+            Some(folder) => folder.join(&name),
+            None => self.path.clone(),
+        };
+        let options = self.options;
+        let in_place = self.folder.is_some() || (options.in_place && !path.exists());
+        let file = match in_place {
+            true => OutputFile::in_place(&path)?,
+            false => OutputFile::create(&path, options.replace)?,
+        };
+        let writer = FileWriter::new(file, &path, options.compression, options.chunk_bytes)?;
+        self.next_file += 1;
+        self.files.push(FileContents { path: name, span: None, count: 0 });
+        self.current = Some(Current { writer, channels: vec![], topics: vec![], bytes: 0 });
+        Ok(())
+    }
+
+    fn end_file(&mut self) -> Result<(), BagError> {
+        let (Some(mut current), Some(file)) = (self.current.take(), self.files.last()) else {
+            return Ok(());
+        };
+        current.channels.resize(self.topics.len(), None);
+        current.topics.resize(self.topics.len(), 0);
+        // Topics without messages are announced too.
+        for ((topic, _), channel) in self.topics.iter().zip(&current.channels) {
+            if channel.is_none() {
+                current.writer.add_topic(topic)?;
+            }
+        }
+        let topics = self.topics.iter().map(|(t, _)| t).zip(current.topics.iter().copied());
+        // A lone file can be renamed, and two replays must have the same bytes: rosbag2's record,
+        // which names the file, belongs to a folder. Without it rosbag2 finds the same in the
+        // file's own closing records.
+        let metadata =
+            self.folder.as_ref().map(|_| metadata::to_yaml(std::slice::from_ref(file), topics));
+        current.writer.finish(metadata.as_deref())?;
+        self.counts.push_back(current.topics);
+        Ok(())
+    }
+
+    /// Replaces `metadata.yaml`, at each flush: a folder whose recorder was killed is a bag.
+    fn write_metadata(&self) -> Result<(), BagError> {
+        let Some(folder) = &self.folder else {
+            return Ok(());
+        };
+        let yaml = metadata::to_yaml(&self.files, self.topics.iter().map(|(t, n)| (t, *n)));
+        let (new, path) = (folder.join(".metadata.yaml.new"), folder.join("metadata.yaml"));
+        let done = |result: io::Result<()>| {
+            result.map_err(|source| BagError::Io { path: path.clone(), source })
+        };
+        done(fs::write(&new, yaml))?;
+        done(fs::rename(&new, &path))
+    }
+}

@@ -1,0 +1,153 @@
+//! Replies of the simulated IMU to requests.
+
+use super::model::{SimulatedImu, State};
+use crate::protocol::{
+    LegacyFormat, MessageId, OutputMode, OutputSettings,
+    configuration::{output_configuration_from_data, output_configuration_to_data},
+    message::{baud_code, baud_from_code},
+};
+use rig_model::Stamp;
+
+// Error codes of the manual.
+const PERIOD_OUT_OF_RANGE: u8 = 0x03;
+const INVALID_MESSAGE: u8 = 0x04;
+const BAUD_UNSUPPORTED: u8 = 0x20;
+const PARAMETER_INVALID: u8 = 0x21;
+const TOO_MUCH_DATA: u8 = 0x29;
+
+impl SimulatedImu {
+    pub(super) fn answer(&mut self, bus_id: u8, message: MessageId, data: &[u8], now: Stamp) {
+        let soon = now.plus_seconds(self.config.ack_delay);
+        match (self.state, message) {
+            (_, MessageId::GO_TO_CONFIG) => {
+                let late = now.plus_seconds(self.config.config_ack_delay);
+                if matches!(self.state, State::Measuring { .. }) {
+                    self.config_at = Some(self.config_at.unwrap_or(late));
+                } else {
+                    self.state = State::Config;
+                }
+                self.reply(bus_id, message.ack(), &[], late);
+            }
+            (_, MessageId::RESET) => {
+                self.reply(bus_id, message.ack(), &[], soon);
+                self.wire.baud = self.config.baud;
+                self.counter = self.config.first_counter;
+                self.state = State::Booting { until: soon.plus_seconds(self.config.boot) };
+            }
+            (State::Waking { .. }, MessageId::WAKE_UP_ACK) => self.state = State::Config,
+            (State::Config, _) => match self.config_state(message, data, now) {
+                Ok(reply) => self.reply(bus_id, message.ack(), &reply, soon),
+                Err(code) => self.reply(bus_id, MessageId::ERROR, &[code], soon),
+            },
+            // While measuring, other requests are ignored.
+            _ => {}
+        }
+    }
+
+    fn config_state(&mut self, message: MessageId, data: &[u8], now: Stamp) -> Result<Vec<u8>, u8> {
+        let modern = self.config.outputs.is_some();
+        match message {
+            MessageId::REQ_DEVICE_ID => Ok((self.config.device_id.0 as u32).to_be_bytes().to_vec()),
+            MessageId::REQ_PRODUCT_CODE => {
+                Ok(format!("{:<20}", self.config.product_code).into_bytes())
+            }
+            MessageId::REQ_FIRMWARE => Ok(self.config.firmware.to_vec()),
+            MessageId::REQ_HARDWARE => Ok(vec![1, 0]),
+            MessageId::REQ_CONFIGURATION => Ok(self.config.configuration().to_data()),
+            MessageId::REQ_DATA_LENGTH => {
+                Ok((self.config.format.data_length() as u16).to_be_bytes().to_vec())
+            }
+            MessageId::GO_TO_MEASUREMENT => {
+                if !self.line_carries_stream() {
+                    return Err(TOO_MUCH_DATA);
+                }
+                // The acknowledgement precedes the first sample.
+                let since = now.plus_seconds(self.config.ack_delay + 0.005);
+                self.state = State::Measuring { since, next: 0 };
+                Ok(vec![])
+            }
+            MessageId::PERIOD => self.setting_u16(data, self.config.period, |imu, period| {
+                if !(225..=11_520).contains(&period) {
+                    return Err(PERIOD_OUT_OF_RANGE);
+                }
+                imu.config.period = period;
+                Ok(())
+            }),
+            MessageId::OUTPUT_SKIP_FACTOR if !modern => {
+                self.setting_u16(data, self.config.skip, |imu, skip| {
+                    imu.config.skip = skip;
+                    Ok(())
+                })
+            }
+            MessageId::OUTPUT_MODE if !modern => {
+                self.setting_u16(data, self.config.format.mode.bits(), |imu, mode| {
+                    let mode = OutputMode::from_bits_retain(mode);
+                    let exclusive = OutputMode::CALIBRATED | OutputMode::ORIENTATION;
+                    if mode.contains(OutputMode::RAW_INERTIAL) && mode.intersects(exclusive) {
+                        return Err(PARAMETER_INVALID);
+                    }
+                    imu.config.format.mode = mode;
+                    Ok(())
+                })
+            }
+            MessageId::OUTPUT_SETTINGS if !modern => match *data {
+                [] => Ok(self.config.format.settings.bits().to_be_bytes().to_vec()),
+                [a, b, c, d] => {
+                    let settings =
+                        OutputSettings::from_bits_retain(u32::from_be_bytes([a, b, c, d]));
+                    if settings.orientation_form().is_none() {
+                        return Err(PARAMETER_INVALID);
+                    }
+                    self.config.format = LegacyFormat { settings, ..self.config.format };
+                    self.flash_writes += 1;
+                    Ok(vec![])
+                }
+                _ => Err(PARAMETER_INVALID),
+            },
+            MessageId::OUTPUT_CONFIGURATION if modern => {
+                if !data.is_empty() {
+                    let entries =
+                        output_configuration_from_data(data).map_err(|_| PARAMETER_INVALID)?;
+                    self.config.outputs = Some(entries);
+                    self.flash_writes += 1;
+                }
+                let entries = self.config.outputs.clone().unwrap_or_default();
+                Ok(output_configuration_to_data(&entries))
+            }
+            MessageId::BAUD_RATE => match *data {
+                [] => Ok(vec![baud_code(self.config.baud).unwrap_or(2)]),
+                [code] => {
+                    self.config.baud = baud_from_code(code).ok_or(BAUD_UNSUPPORTED)?;
+                    self.flash_writes += 1;
+                    Ok(vec![])
+                }
+                _ => Err(PARAMETER_INVALID),
+            },
+            MessageId::RESTORE_FACTORY => {
+                let factory = super::SimulatedImuConfig::default();
+                (self.config.period, self.config.skip) = (factory.period, factory.skip);
+                self.config.format = factory.format;
+                self.flash_writes += 1;
+                Ok(vec![])
+            }
+            _ => Err(INVALID_MESSAGE),
+        }
+    }
+
+    fn setting_u16(
+        &mut self,
+        data: &[u8],
+        current: u16,
+        set: impl FnOnce(&mut Self, u16) -> Result<(), u8>,
+    ) -> Result<Vec<u8>, u8> {
+        match *data {
+            [] => Ok(current.to_be_bytes().to_vec()),
+            [a, b] => {
+                set(self, u16::from_be_bytes([a, b]))?;
+                self.flash_writes += 1;
+                Ok(vec![])
+            }
+            _ => Err(PARAMETER_INVALID),
+        }
+    }
+}

@@ -1,0 +1,396 @@
+//! Driver and simulated IMU on simulated time, without port, clock or thread.
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
+
+mod bench;
+
+use bench::{Bench, rms_and_worst};
+use imu_driver::{
+    clock_fit::ClockFitConfig,
+    driver::{DriverConfig, Event},
+    protocol::{DeviceError, MessageId, NumberFormat, OutputEntry, OutputSettings, Status, frame},
+    simulated_imu::SimulatedImuConfig,
+};
+
+#[test]
+fn factory_settings_are_changed_once_and_the_flash_is_not_written_again() {
+    let mut bench = Bench::new(DriverConfig::default(), SimulatedImuConfig::default());
+    bench.run(2.0);
+    assert!(bench.driver.is_measuring(), "{:?}", bench.events);
+    assert!(bench.has(|e| *e == Event::Set { what: MessageId::OUTPUT_SETTINGS }));
+    assert_eq!(bench.imu.flash_writes(), 1);
+    assert!(bench.samples.len() > 130, "{}", bench.samples.len());
+    bench.check_truth(0.2e-3);
+    let identity = bench.driver.identity();
+    assert_eq!(identity.product_code, "MTx-28A53G25");
+    assert_eq!(identity.firmware, "2.6.0");
+    // The same device again: nothing differs.
+    let config = bench.imu.config().clone();
+    let mut bench = Bench::new(DriverConfig::default(), config);
+    bench.run(2.0);
+    assert!(bench.samples.len() > 130);
+    assert_eq!(bench.imu.flash_writes(), 0);
+}
+
+#[test]
+fn every_setting_is_applied() {
+    let default = DriverConfig::default;
+    for (driver, expected_rate) in [
+        (DriverConfig { orientation: false, temperature: true, status: true, ..default() }, 100.0),
+        (DriverConfig { rate: 50.0, magnetic_field: false, ..default() }, 50.0),
+        (DriverConfig { number_format: NumberFormat::Fp1632, ..default() }, 100.0),
+        (DriverConfig { rate: 400.0, baud: Some(460_800), ..default() }, 400.0),
+    ] {
+        let baud = driver.baud.unwrap();
+        let imu = SimulatedImuConfig { baud, period: 2304, ..SimulatedImuConfig::default() };
+        let mut bench = Bench::new(driver.clone(), imu);
+        bench.run(3.0);
+        let configuration = bench.imu.config().configuration();
+        assert_eq!(configuration.rate(), Some(expected_rate));
+        assert_eq!(configuration.format, driver.legacy_format());
+        bench.check_truth(0.3e-3);
+        let last = bench.samples.last().unwrap();
+        assert_eq!(last.imu.as_ref().unwrap().orientation.is_some(), driver.orientation);
+        assert_eq!(last.magnetic_field.is_some(), driver.magnetic_field);
+        assert_eq!(last.temperature.is_some(), driver.temperature);
+        assert_eq!(last.status.is_some(), driver.status);
+    }
+}
+
+#[test]
+fn a_device_at_another_baud_rate_is_found_by_scanning() {
+    let driver = DriverConfig { baud: None, ..DriverConfig::default() };
+    let imu = SimulatedImuConfig { baud: 460_800, ..SimulatedImuConfig::default() };
+    let mut bench = Bench::new(driver, imu);
+    bench.run(4.0);
+    assert!(bench.driver.is_measuring(), "{:?}", bench.events);
+    assert_eq!(bench.bauds, [921_600, 460_800]);
+    assert_eq!(bench.driver.identity().baud, 460_800);
+    // After an interruption the search starts at that baud rate.
+    bench.replug(0.5, 2.0);
+    assert_eq!(bench.bauds, [921_600, 460_800]);
+    assert!(bench.driver.is_measuring());
+}
+
+#[test]
+fn a_wrong_baud_rate_and_a_missing_stop_bit_are_reported() {
+    let imu = SimulatedImuConfig { baud: 57_600, ..SimulatedImuConfig::default() };
+    let mut bench = Bench::new(DriverConfig::default(), imu);
+    bench.run(4.0);
+    let garbage = bench.has(|e| matches!(e, Event::NoAnswer { garbage: true, .. }));
+    assert!(garbage, "{:?}", bench.events);
+    let imu = SimulatedImuConfig { needs_two_stop_bits: true, ..SimulatedImuConfig::default() };
+    let mut bench = Bench::new(DriverConfig::default(), imu.clone());
+    bench.run(6.0);
+    assert!(!bench.driver.is_measuring());
+    let event = bench.events.iter().find(|e| matches!(e, Event::NoAnswer { .. })).unwrap();
+    assert!(event.to_string().contains("two_stop_bits"), "{event}");
+    let driver = DriverConfig { two_stop_bits: true, ..DriverConfig::default() };
+    let mut bench = Bench::new(driver, imu);
+    bench.run(2.0);
+    assert!(bench.driver.is_measuring());
+    bench.check_truth(0.3e-3);
+}
+
+#[test]
+fn the_driver_recovers_from_power_up_and_brown_out() {
+    let imu = SimulatedImuConfig { already_measuring: false, ..SimulatedImuConfig::default() };
+    let mut bench = Bench::new(DriverConfig::default(), imu);
+    bench.run(2.0);
+    assert!(bench.driver.is_measuring(), "{:?}", bench.events);
+    let before = bench.samples.len();
+    bench.imu.power_cycle(bench.now);
+    bench.run(1.5);
+    assert!(bench.has(|e| *e == Event::WokeUp));
+    assert!(bench.driver.is_measuring());
+    // 0.2 s of booting, then samples within a second of the first answer.
+    assert!(bench.samples.len() > before + 60, "{} {before}", bench.samples.len());
+    bench.check_truth(0.3e-3);
+}
+
+#[test]
+fn slow_acknowledgements_and_lost_requests_are_handled() {
+    for (ack_delay, ignored_requests) in [(0.7, 0), (1.3, 0), (0.002, 5), (0.1, 20)] {
+        let imu = SimulatedImuConfig {
+            ack_delay,
+            ignored_requests,
+            config_ack_delay: 0.3,
+            ..SimulatedImuConfig::default()
+        };
+        let mut bench = Bench::new(DriverConfig::default(), imu);
+        bench.run(25.0);
+        assert!(bench.driver.is_measuring(), "{ack_delay} {ignored_requests}: {:?}", bench.events);
+        let configuration = bench.imu.config().configuration();
+        assert_eq!(configuration.format, DriverConfig::default().legacy_format());
+        bench.check_truth(0.3e-3);
+    }
+}
+
+#[test]
+fn rejections_are_reported_and_nothing_is_written() {
+    // Error 0x29: the baud rate is too low for the data.
+    let driver = DriverConfig { leave_settings: true, ..DriverConfig::default() };
+    let imu = SimulatedImuConfig { period: 288, ..SimulatedImuConfig::default() };
+    let mut bench = Bench::new(driver, imu);
+    bench.run(3.0);
+    let rejected = Event::Rejected { what: MessageId::GO_TO_MEASUREMENT, error: DeviceError(0x29) };
+    assert!(bench.has(|e| *e == rejected), "{:?}", bench.events);
+    assert_eq!(bench.imu.flash_writes(), 0);
+}
+
+#[test]
+fn after_replugging_samples_resume_and_no_frames_are_mixed() {
+    let mut bench = Bench::new(DriverConfig::default(), SimulatedImuConfig::default());
+    bench.run(3.0);
+    for outage in [0.05, 1.0, 30.0] {
+        let before = bench.samples.len();
+        bench.replug(outage, 2.5);
+        assert!(bench.driver.is_measuring(), "{outage}");
+        // Up to the longest pause until the port is opened, then calling and configuring.
+        assert!(bench.samples.len() > before + 50, "{outage}: {}", bench.samples.len() - before);
+    }
+    assert!(bench.has(|e| matches!(e, Event::PortMissing { .. })));
+    assert_eq!(bench.imu.flash_writes(), 1);
+    bench.check_truth(0.3e-3);
+    assert_eq!(bench.driver.statistics().connections, 4);
+    assert_eq!(bench.driver.statistics().lost, 0);
+}
+
+#[test]
+fn a_silent_device_is_called_until_it_answers() {
+    let mut bench = Bench::new(DriverConfig::default(), SimulatedImuConfig::default());
+    bench.run(3.0);
+    bench.imu.set_mute(true);
+    bench.run(20.0);
+    assert!(bench.has(|e| matches!(e, Event::Silent { .. })));
+    assert!(bench.has(|e| matches!(e, Event::NoAnswer { garbage: false, .. })));
+    let calls = bench.written;
+    bench.run(10.0);
+    // The pauses have grown: only a few calls per second.
+    assert!(bench.written - calls < 50, "{}", bench.written - calls);
+    bench.imu.set_mute(false);
+    let before = bench.samples.len();
+    bench.run(2.5);
+    assert!(bench.samples.len() > before + 50);
+    bench.check_truth(0.3e-3);
+}
+
+#[test]
+fn garbage_between_frames_loses_no_other_frames() {
+    let mut bench = Bench::new(DriverConfig::default(), SimulatedImuConfig::default());
+    bench.run(2.0);
+    let before = bench.samples.len();
+    for k in 0..50_u8 {
+        // Noise, invalid preambles, a header with 8 KiB, half a frame, an unexpected reply.
+        bench.imu.inject(&[0xFA, 0xFF, k, 0x00, 0xFA], bench.now);
+        bench.imu.inject(&[0xFA, 0xFF, 0x32, 0xFF, 0x1F, 0x00], bench.now);
+        bench.imu.inject(&frame(MessageId::OUTPUT_MODE.ack(), &[])[..3], bench.now);
+        bench.imu.inject(&frame(MessageId::GO_TO_CONFIG.ack(), &[]), bench.now);
+        bench.run(0.4);
+    }
+    assert!(bench.driver.is_measuring());
+    assert_eq!(bench.driver.statistics().connections, 1);
+    assert_eq!(bench.driver.statistics().lost, 0);
+    assert!(bench.samples.len() > before + 1980, "{}", bench.samples.len() - before);
+    bench.check_truth(2e-3);
+}
+
+#[test]
+fn an_mtdata2_device_is_set_up_by_its_output_configuration() {
+    let imu = SimulatedImuConfig {
+        outputs: Some(vec![OutputEntry { id: 0x2010, rate: 100 }]),
+        product_code: "MTi-100".into(),
+        ..SimulatedImuConfig::default()
+    };
+    let driver = DriverConfig { temperature: true, status: true, ..DriverConfig::default() };
+    let mut bench = Bench::new(driver.clone(), imu);
+    bench.run(3.0);
+    assert_eq!(bench.imu.config().outputs, Some(driver.outputs()), "{:?}", bench.events);
+    assert!(bench.driver.is_measuring(), "{:?}", bench.events);
+    assert!(bench.samples.last().unwrap().status.unwrap().contains(Status::SELF_TEST_PASSED));
+    // SampleTimeFine has a resolution of 0.1 ms.
+    bench.check_truth(1.3e-3);
+    let written = bench.imu.flash_writes();
+    bench.replug(0.2, 2.0);
+    assert!(bench.driver.is_measuring());
+    assert_eq!(bench.imu.flash_writes(), written);
+}
+
+#[test]
+fn legacy_orientation_in_north_east_down_is_converted() {
+    let mut imu = SimulatedImuConfig::default();
+    let euler = OutputSettings::from_bits_retain(1 << 2);
+    imu.format.settings = OutputSettings::NED | OutputSettings::COUNTER | euler;
+    let driver = DriverConfig { leave_settings: true, ..DriverConfig::default() };
+    let mut bench = Bench::new(driver, imu);
+    bench.run(2.0);
+    bench.check_truth(0.3e-3);
+    assert_eq!(bench.imu.flash_writes(), 0);
+}
+
+/// Stamp errors (s) behind an adapter, after the first seconds.
+fn stamp_errors(imu: SimulatedImuConfig, seconds: f64) -> Vec<f64> {
+    let mut bench = Bench::new(DriverConfig::default(), imu);
+    bench.host.lateness = 80e-6;
+    bench.run(6.5);
+    bench.samples.clear();
+    bench.run(seconds);
+    assert_eq!(bench.driver.statistics().lost, 0);
+    for pair in bench.samples.windows(2) {
+        assert!(pair[1].stamp > pair[0].stamp);
+    }
+    bench.stamp_errors()
+}
+
+#[test]
+fn stamps_behind_bursts_with_drift_and_jitter_are_accurate() {
+    for ppm in [-30.0, 30.0] {
+        let imu = SimulatedImuConfig {
+            clock_ppm: ppm,
+            burst: Some(0.016),
+            burst_jitter: 0.002,
+            ..SimulatedImuConfig::default()
+        };
+        let errors = stamp_errors(imu, 30.0);
+        let (rms, _) = rms_and_worst(&errors);
+        println!("16 ms bursts, {ppm} ppm: {:.3} ms RMS over {} samples", rms * 1e3, errors.len());
+        assert!(rms < 0.2e-3, "{rms}");
+    }
+}
+
+#[test]
+fn stamps_behind_bursts_synchronous_with_the_samples_are_accurate() {
+    // Periods of exactly 16 ms and 10 ms have five phases: with complete messages an error of up to
+    // 2 ms would not be observable. Half of the bursts split a message, which determines its begin.
+    let mut worst = 0.0_f64;
+    for ppm in [-30.0, 0.0, 30.0] {
+        for phase in 0..8 {
+            let imu = SimulatedImuConfig {
+                clock_ppm: ppm,
+                burst: Some(0.016),
+                config_ack_delay: 0.1 + 0.25e-3 * f64::from(phase),
+                ..SimulatedImuConfig::default()
+            };
+            let (rms, _) = rms_and_worst(&stamp_errors(imu, 10.0));
+            worst = worst.max(rms);
+            assert!(rms < 0.2e-3, "{ppm} ppm, phase {phase}: {rms}");
+        }
+    }
+    println!(
+        "16 ms bursts synchronous with 10 ms samples: at most {:.3} ms RMS in 24 runs",
+        worst * 1e3
+    );
+}
+
+/// RMS and largest stamp error of all samples (s) on a busy host, over starts and replugs.
+fn stamps_on_a_busy_host(clock: ClockFitConfig) -> (f64, f64) {
+    let mut all = Vec::new();
+    for seed in 1..=40_u64 {
+        let driver = DriverConfig { clock, ..DriverConfig::default() };
+        let mut bench = Bench::new(driver, SimulatedImuConfig::default());
+        bench.host.busy = true;
+        bench.host.random = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        bench.run(4.0);
+        bench.replug(0.3, 4.0);
+        let statistics = bench.driver.statistics();
+        assert_eq!(statistics.lost, 0);
+        assert_eq!(statistics.samples as usize, bench.samples.len(), "samples are withheld");
+        assert!(bench.samples.len() > 500, "{}", bench.samples.len());
+        all.extend(bench.stamp_errors());
+    }
+    rms_and_worst(&all)
+}
+
+#[test]
+fn stamps_on_a_busy_host_are_accurate_from_the_first_sample_on() {
+    let (rms, worst) = stamps_on_a_busy_host(ClockFitConfig::default());
+    let at_once = ClockFitConfig { settling: 0.0, consistent: 0, ..ClockFitConfig::default() };
+    let (rms_at_once, worst_at_once) = stamps_on_a_busy_host(at_once);
+    println!(
+        "busy host, from the first sample on: {:.3} ms RMS, {:.3} ms at worst; \
+         without settling {:.2} and {:.1} ms",
+        rms * 1e3,
+        worst * 1e3,
+        rms_at_once * 1e3,
+        worst_at_once * 1e3
+    );
+    assert!(rms < 0.2e-3 && worst < 1e-3, "{rms} {worst}");
+    assert!(worst_at_once > 5e-3, "the host is not busy: {worst_at_once}");
+}
+
+/// Largest stamp error (s) before and after a step of the host's clock, and the events.
+fn stamps_around_a_clock_step(by: f64, report: bool) -> (f64, Vec<Event>) {
+    let imu = SimulatedImuConfig { clock_ppm: 20.0, ..SimulatedImuConfig::default() };
+    let mut bench = Bench::new(DriverConfig::default(), imu);
+    bench.host.lateness = 2e-3;
+    bench.run(20.0);
+    bench.samples.clear();
+    bench.events.clear();
+    bench.run(2.0);
+    bench.set_clock(by, report);
+    bench.run(10.0);
+    assert_eq!(bench.driver.statistics().lost, 0);
+    assert!(bench.samples.len() > 1100, "{}", bench.samples.len());
+    (rms_and_worst(&bench.stamp_errors()).1, bench.events)
+}
+
+#[test]
+fn stamps_follow_a_reported_clock_step_at_once() {
+    for by in [3600.0 * 24.0 * 365.25 * 56.0, 5.0, 0.3, 0.02, -0.02, -0.3, -5.0, -1e6] {
+        let (worst, events) = stamps_around_a_clock_step(by, true);
+        println!("clock step of {by} s: stamp error {:.3} ms at worst", worst * 1e3);
+        assert!(worst < 0.3e-3, "{by}: {worst}");
+        assert!(
+            matches!(events[..], [Event::ClockSet { seconds }] if (seconds - by).abs() < 1e-6),
+            "{events:?}"
+        );
+    }
+    // An unreported step is detected after a second of consistent samples.
+    let (worst, events) = stamps_around_a_clock_step(2.0, false);
+    assert!(
+        worst > 1.0 && matches!(events[..], [Event::ClockStepped { .. }]),
+        "{worst} {events:?}"
+    );
+}
+
+#[test]
+fn an_hour_at_400_hz_loses_nothing_across_counter_wraps() {
+    let driver = DriverConfig { rate: 400.0, baud: Some(460_800), ..DriverConfig::default() };
+    let imu =
+        SimulatedImuConfig { baud: 460_800, clock_ppm: 20.0, ..SimulatedImuConfig::default() };
+    let mut bench = Bench::new(driver, imu);
+    bench.run(2.0);
+    bench.samples.clear();
+    let before = bench.driver.statistics();
+    let mut wraps = 0;
+    let mut last = 0;
+    for _ in 0..3600 {
+        // One second, in steps of the messages.
+        let end = bench.now.plus_seconds(1.0);
+        while bench.now < end {
+            let due = bench.imu.next_deadline().unwrap_or(end);
+            bench.now = due.max(bench.now.plus_seconds(1e-5)).min(end);
+            bench.step();
+        }
+        for sample in bench.samples.drain(..) {
+            let counter = sample.counter.unwrap();
+            wraps += usize::from(counter < last);
+            last = counter;
+        }
+        bench.imu.take_sent();
+    }
+    let after = bench.driver.statistics();
+    println!(
+        "one hour at 400 Hz: {} samples, {} lost, {wraps} wraps",
+        after.samples - before.samples,
+        after.lost
+    );
+    assert_eq!((after.lost, after.repeated, after.connections), (0, 0, 1));
+    assert!(after.samples - before.samples >= 1_439_990);
+    assert_eq!(wraps, 21);
+}

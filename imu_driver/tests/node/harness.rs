@@ -1,0 +1,201 @@
+//! Simulated IMU on a pseudo-terminal, the node as a process, and a node that receives its topics.
+
+use imu_driver::simulated_imu::{SimulatedImuConfig, SimulatedSample, pty::PtyImu, pty::now};
+use nalgebra::{UnitQuaternion, Vector3};
+use node_kit::{
+    RosArguments, convert,
+    environment::Network,
+    node::{NodeContext, NodeError, NodeShell, Process},
+    qos::QosPreset,
+};
+use rig_model::{Stamp, topics};
+use std::{
+    io::Read,
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+use volant_msgs::{
+    diagnostic_msgs::msg::DiagnosticArray,
+    sensor_msgs::msg::{Imu, MagneticField},
+    tf2_msgs::msg::TFMessage,
+};
+
+const RIG: &str = "/**:
+  ros__parameters:
+    camera: {position: [0.0, 0.0, -0.10], orientation: [0.70710678, 0.70710678, 0.0, 0.0]}
+    imu:
+      position: [0.01, 0.02, 0.03]
+      orientation: [0.0, 0.0, 0.0, 1.0]
+      accelerometer_noise_density: 0.002
+      gyroscope_noise_density: 0.00087
+    markers:
+      size: 0.076
+      red: [0.15, 0.15, 0.02]
+      green: [-0.15, 0.15, 0.02]
+      blue: [-0.15, -0.15, 0.02]
+      yellow: [0.15, -0.15, 0.02]
+";
+
+/// Writes the rig file into `folder`, which is created.
+pub fn rig_file(folder: &Path) -> PathBuf {
+    std::fs::create_dir_all(folder).unwrap();
+    let rig = folder.join("rig.yaml");
+    std::fs::write(&rig, RIG).unwrap();
+    rig
+}
+
+/// Messages received, samples with their time of receipt.
+#[derive(Default)]
+pub struct Received {
+    pub imu: Vec<(Stamp, Arc<Imu>)>,
+    pub field: Vec<Arc<MagneticField>>,
+    pub tf: Vec<Arc<TFMessage>>,
+    pub diagnostics: Vec<Arc<DiagnosticArray>>,
+}
+
+static RECEIVED: Mutex<Option<Received>> = Mutex::new(None);
+/// One test at a time: they share the received messages.
+static TURN: Mutex<()> = Mutex::new(());
+
+/// Accesses the received messages.
+pub fn received<T>(f: impl FnOnce(&mut Received) -> T) -> T {
+    let mut received = RECEIVED.lock().unwrap_or_else(PoisonError::into_inner);
+    f(received.get_or_insert_default())
+}
+
+struct Subscriber;
+
+impl NodeShell for Subscriber {
+    const NAME: &'static str = "subscriber";
+    type Parameters = ();
+    type Input = ();
+
+    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
+        context.subscribe(topics::IMU, QosPreset::Sensor, |m: Arc<Imu>| -> Option<()> {
+            let at = now();
+            received(|r| r.imu.push((at, m)));
+            None
+        })?;
+        context.subscribe("imu/mag", QosPreset::Sensor, |m: Arc<MagneticField>| -> Option<()> {
+            received(|r| r.field.push(m));
+            None
+        })?;
+        context.subscribe(
+            topics::absolute::TF_STATIC,
+            QosPreset::Latched,
+            |m: Arc<TFMessage>| -> Option<()> {
+                received(|r| r.tf.push(m));
+                None
+            },
+        )?;
+        context.subscribe(
+            topics::absolute::DIAGNOSTICS,
+            QosPreset::State,
+            |m: Arc<DiagnosticArray>| -> Option<()> {
+                received(|r| r.diagnostics.push(m));
+                None
+            },
+        )?;
+        Ok(Self)
+    }
+
+    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {}
+}
+
+/// True motion at `at`.
+fn motion(at: Stamp) -> SimulatedSample {
+    let t = (at.as_nanos() % 100_000_000_000) as f64 * 1e-9;
+    SimulatedSample {
+        specific_force: Vector3::new(t.sin(), t.cos(), 9.81),
+        angular_velocity: Vector3::new(0.1 * t.cos(), 0.2, -0.3),
+        enu_from_imu: UnitQuaternion::from_euler_angles(0.1, -0.2, 0.3 * t),
+        ..SimulatedSample::stationary()
+    }
+}
+
+/// Simulated IMU, node and subscriber; all end on drop.
+pub struct Harness {
+    pub imu: PtyImu,
+    pub node: Child,
+    _subscriber: Process,
+    folder: PathBuf,
+    _turn: MutexGuard<'static, ()>,
+}
+
+impl Harness {
+    pub fn start(name: &str, domain: u16, imu: SimulatedImuConfig, arguments: &[&str]) -> Self {
+        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        received(|r| *r = Received::default());
+        let folder =
+            std::env::temp_dir().join(format!("volant-imu-node-{name}-{}", std::process::id()));
+        let rig = rig_file(&folder);
+        let port = folder.join("tty");
+        let imu = PtyImu::start(imu, &port, Box::new(motion)).unwrap();
+        let network = Network { domain_id: domain, ..Network::default() };
+        let mut subscriber = Process::new(network).unwrap();
+        subscriber.start::<Subscriber>(&RosArguments::default()).unwrap();
+        let node = Command::new(env!("CARGO_BIN_EXE_imu_driver"))
+            .args(["--ros-args", "--params-file", rig.to_str().unwrap()])
+            .args(["-p", &format!("port:={}", port.display())])
+            .args(arguments)
+            .env("ROS_DOMAIN_ID", domain.to_string())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        Self { imu, node, _subscriber: subscriber, folder, _turn: turn }
+    }
+
+    /// Waits until `samples` were received, for at most `seconds`; returns their number.
+    pub fn wait_for_samples(&self, samples: usize, seconds: f64) -> usize {
+        let end = now().plus_seconds(seconds);
+        loop {
+            let count = received(|r| r.imu.len());
+            if count >= samples || now() > end {
+                return count;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Waits for `done`, for at most `seconds`; returns whether it was reached.
+    pub fn wait(&self, seconds: f64, done: impl Fn(&Received) -> bool) -> bool {
+        let end = now().plus_seconds(seconds);
+        while now() < end {
+            if received(|r| done(r)) {
+                return true;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        false
+    }
+}
+
+impl Drop for Harness {
+    fn drop(&mut self) {
+        let _ = self.node.kill();
+        let _ = self.node.wait();
+        let mut log = String::new();
+        if let Some(stderr) = &mut self.node.stderr {
+            let _ = stderr.read_to_string(&mut log);
+        }
+        println!("{log}");
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+/// Asserts that every message equals the truth at its stamp, and that stamps increase.
+pub fn check_truth(messages: &[(Stamp, Arc<Imu>)], tolerance: f64) {
+    for pair in messages.windows(2) {
+        assert!(convert::stamp(&pair[1].1.header.stamp) > convert::stamp(&pair[0].1.header.stamp));
+    }
+    for (_, message) in messages {
+        let imu = convert::imu_sample(message);
+        let expected = motion(imu.stamp);
+        assert!((imu.specific_force - expected.specific_force).norm() < tolerance);
+        assert!((imu.angular_velocity - expected.angular_velocity).norm() < tolerance);
+        let orientation = imu.orientation.unwrap();
+        assert!(orientation.enu_from_imu.angle_to(&expected.enu_from_imu) < tolerance);
+    }
+}

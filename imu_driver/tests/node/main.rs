@@ -1,0 +1,275 @@
+//! The node as a process, between a pseudo-terminal and DDS.
+#![cfg(all(feature = "node", feature = "simulated"))]
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
+
+mod harness;
+
+use harness::{Harness, Received, check_truth, received, rig_file};
+use imu_driver::{
+    protocol::{MessageId, frame},
+    simulated_imu::{SentSample, SimulatedImuConfig, pty::now},
+};
+use node_kit::convert;
+use rig_model::Stamp;
+use std::{
+    process::{Command, Stdio},
+    sync::Arc,
+    time::Duration,
+};
+use volant_msgs::sensor_msgs::msg::Imu;
+
+fn percentile(values: &mut [f64], share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[((values.len() - 1) as f64 * share).round() as usize]
+}
+
+/// Latencies from the IMU to a subscriber, ms.
+struct Latencies {
+    /// From the time at which the last byte was written to the pseudo-terminal.
+    beyond_write: Vec<f64>,
+    /// From the nominal end of the transmission, which includes the lateness of the simulated IMU.
+    beyond_wire: Vec<f64>,
+    stamps_rms: f64,
+}
+
+impl Latencies {
+    fn of(messages: &[(Stamp, Arc<Imu>)], sent: &[SentSample]) -> Self {
+        let (mut beyond_write, mut beyond_wire, mut squares) = (Vec::new(), Vec::new(), 0.0);
+        for (at, message) in messages {
+            let stamp = convert::stamp(&message.header.stamp);
+            let truth = sent
+                .iter()
+                .min_by_key(|s| (s.measured.as_nanos() - stamp.as_nanos()).abs())
+                .unwrap();
+            beyond_wire.push(at.seconds_since(truth.sent) * 1e3);
+            beyond_write.push(at.seconds_since(truth.written.unwrap()) * 1e3);
+            squares += (stamp.seconds_since(truth.measured) * 1e3).powi(2);
+        }
+        let stamps_rms = (squares / messages.len() as f64).sqrt();
+        Self { beyond_write, beyond_wire, stamps_rms }
+    }
+
+    /// Prints and returns p50 and p99 from the write, p99 from the end of the transmission.
+    fn print(&self) -> [f64; 3] {
+        let [write, wire] = [&self.beyond_write, &self.beyond_wire].map(|v| {
+            let mut v = v.clone();
+            [0.5, 0.99].map(|share| percentile(&mut v, share))
+        });
+        println!(
+            "last byte on the pty → message received over DDS, {} samples: p50 {:.3} ms, \
+             p99 {:.3} ms; from the nominal end of the transmission p99 {:.3} ms; \
+             stamps {:.3} ms RMS",
+            self.beyond_write.len(),
+            write[0],
+            write[1],
+            wire[1],
+            self.stamps_rms
+        );
+        [write[0], write[1], wire[1]]
+    }
+}
+
+/// Smallest median of ten consecutive latencies, which other load did not delay.
+fn smallest_median(latencies: &[f64]) -> f64 {
+    latencies.windows(10).map(|w| percentile(&mut w.to_vec(), 0.5)).fold(f64::INFINITY, f64::min)
+}
+
+/// p99 <= 2 ms after the transmission, on a quiet machine.
+#[test]
+#[ignore = "needs a quiet machine"]
+fn p99_from_the_last_byte_to_the_message_is_at_most_two_milliseconds() {
+    let harness = Harness::start("p99", 75, SimulatedImuConfig::default(), &[]);
+    assert!(harness.wait_for_samples(3200, 60.0) >= 3200);
+    let sent = harness.imu.take_sent();
+    let messages = received(|r| std::mem::take(&mut r.imu));
+    let [_, p99, beyond_wire] = Latencies::of(&messages[200..], &sent).print();
+    assert!(p99 <= 2.0 && beyond_wire <= 2.0, "{p99} {beyond_wire}");
+}
+
+#[test]
+fn messages_are_published_without_delay_and_with_accurate_stamps() {
+    let harness = Harness::start("latency", 71, SimulatedImuConfig::default(), &[]);
+    assert!(harness.wait_for_samples(200, 30.0) >= 200);
+    assert!(harness.wait_for_samples(900, 30.0) >= 900);
+    let sent: Vec<SentSample> = harness.imu.take_sent();
+    let messages = received(|r| std::mem::take(&mut r.imu));
+    // DDS discovery delays the first samples.
+    let latencies = Latencies::of(&messages[200..], &sent);
+    latencies.print();
+    check_truth(&messages, 5e-3);
+    let message = &messages[250].1;
+    assert_eq!(message.header.frame_id, "imu");
+    // Variances, not standard deviations: 0.002² · 100 Hz.
+    assert!((message.linear_acceleration_covariance[0] - 4e-4).abs() < 1e-9);
+    assert!((message.orientation_covariance[8] - 0.087 * 0.087).abs() < 1e-9);
+    received(|r| {
+        let field = &r.field[10].magnetic_field;
+        assert!((field.x - 0.4 * 5e-5).abs() < 1e-9 && (field.z + 0.9 * 5e-5).abs() < 1e-9);
+        let transform = &r.tf[0].transforms[0];
+        assert_eq!(
+            (transform.header.frame_id.as_str(), transform.child_frame_id.as_str()),
+            ("volant", "imu")
+        );
+        assert!((transform.transform.translation.z - 0.03).abs() < 1e-12);
+    });
+    // 100 Hz without missing samples, as delivered by DDS.
+    let intervals = messages[200..].windows(2).map(|w| {
+        convert::stamp(&w[1].1.header.stamp).seconds_since(convert::stamp(&w[0].1.header.stamp))
+    });
+    let holes = intervals.clone().filter(|i| *i > 0.015).count();
+    assert!(holes <= 5, "{holes}");
+    assert!(intervals.clone().all(|i| (i / 0.01 - (i / 0.01).round()).abs() < 0.1));
+    // Other load delays samples by time slices (up to 192 ms were seen), so that percentiles of all
+    // samples are asserted on a quiet machine only. The smallest median contains any delay of the
+    // driver or the node.
+    let smallest = smallest_median(&latencies.beyond_write);
+    println!("{smallest:.3} ms smallest median of ten samples");
+    assert!(smallest <= 2.0, "{smallest} {:?}", latencies.beyond_write);
+    assert!(latencies.stamps_rms < 1.0, "{}", latencies.stamps_rms);
+}
+
+#[test]
+fn the_node_recovers_from_unplugging_slow_replies_garbage_and_power_loss() {
+    let config = SimulatedImuConfig { ack_delay: 0.02, ..SimulatedImuConfig::default() };
+    let harness = Harness::start("replug", 72, config, &[]);
+    assert!(harness.wait_for_samples(100, 20.0) >= 100);
+    for outage in [0.2, 1.2] {
+        harness.imu.unplug();
+        std::thread::sleep(Duration::from_secs_f64(outage));
+        let before = received(|r| r.imu.len());
+        harness.imu.replug();
+        let plugged = now();
+        assert!(harness.wait_for_samples(before + 1, 10.0) > before);
+        let back = received(|r| r.imu[before].0).seconds_since(plugged);
+        println!("plugged in again after {outage} s: first sample after {back:.2} s");
+        // Up to one pause (1 s) until the port is opened, 0.1 s to settle, then within a second.
+        assert!(back < 3.0, "{back}");
+        assert!(harness.wait_for_samples(before + 100, 10.0) >= before + 100);
+    }
+    harness.imu.with(|imu, at| {
+        for k in 0..200_u8 {
+            imu.inject(&[0xFA, 0xFF, 0x32, k, 0xFA, k.wrapping_mul(37)], at);
+        }
+        imu.inject(&frame(MessageId::GO_TO_CONFIG.ack(), &[]), at);
+        imu.inject(&frame(MessageId::MT_DATA, &[0; 54])[..40], at);
+    });
+    let before = received(|r| r.imu.len());
+    assert!(harness.wait_for_samples(before + 200, 10.0) >= before + 200);
+    harness.imu.with(|imu, at| imu.power_cycle(at));
+    let before = received(|r| r.imu.len());
+    assert!(harness.wait_for_samples(before + 200, 10.0) >= before + 200);
+    let messages = received(|r| r.imu.clone());
+    check_truth(&messages, 30e-3);
+    // Only the missing counter was written.
+    assert_eq!(harness.imu.with(|imu, _| imu.flash_writes()), Some(1));
+    assert!(harness.wait(5.0, |r| {
+        r.diagnostics.iter().flat_map(|d| &d.status).any(|s| {
+            s.name == "imu_driver: imu"
+                && s.values.iter().any(|v| v.key == "connections" && v.value == "4")
+        })
+    }));
+}
+
+#[test]
+fn a_missing_port_ends_the_node_with_one_line_or_is_waited_for() {
+    let folder =
+        std::env::temp_dir().join(format!("volant-imu-node-missing-{}", std::process::id()));
+    let rig = rig_file(&folder);
+    let node = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_imu_driver"));
+        command.args(["--ros-args", "--params-file", rig.to_str().unwrap()]).args(arguments);
+        command.env("ROS_DOMAIN_ID", "73").stderr(Stdio::piped());
+        command
+    };
+    for (arguments, code, expected) in [
+        (["-p", "port:=/nowhere/tty0"], 1, "/nowhere/tty0"),
+        (["-p", "port:=/dev/null"], 1, "/dev/null"),
+        (["-p", "baud:=12345"], 1, "12345"),
+        (["-p", "rate:=400.0"], 1, "baud"),
+    ] {
+        let done = node(&arguments).output().unwrap();
+        let text = String::from_utf8_lossy(&done.stderr).into_owned();
+        assert_eq!(done.status.code(), Some(code), "{text}");
+        assert_eq!(text.lines().count(), 1, "{text}");
+        assert!(text.contains(expected), "{text}");
+    }
+    let mut waiting = node(&[
+        "-p",
+        &format!("port:={}", folder.join("tty").display()),
+        "-p",
+        "wait_for_device:=true",
+    ])
+    .spawn()
+    .unwrap();
+    std::thread::sleep(Duration::from_secs(1));
+    assert!(waiting.try_wait().unwrap().is_none());
+    waiting.kill().unwrap();
+    waiting.wait().unwrap();
+    let _ = std::fs::remove_dir_all(folder);
+}
+
+/// Resident memory of a process, KiB.
+fn resident(pid: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
+    let line = status.lines().find(|l| l.starts_with("VmRSS")).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse().unwrap()
+}
+
+#[test]
+#[ignore = "takes ten minutes"]
+fn ten_minutes_at_400_hz_lose_nothing_at_constant_memory() {
+    let config = SimulatedImuConfig {
+        baud: 460_800,
+        first_counter: 50_000,
+        ..SimulatedImuConfig::default()
+    };
+    let harness = Harness::start("soak", 74, config, &["-p", "baud:=460800", "-p", "rate:=400.0"]);
+    let seconds = std::env::var("VOLANT_SOAK").ok().and_then(|s| s.parse().ok()).unwrap_or(600.0);
+    assert!(harness.wait_for_samples(400, 20.0) >= 400);
+    harness.imu.take_sent();
+    received(|r| *r = Received::default());
+    let start = now();
+    let mut memory = Vec::new();
+    let (mut sent, mut count, mut gaps) = (0, 0, 0);
+    let mut last: Option<Stamp> = None;
+    while now().seconds_since(start) < seconds {
+        std::thread::sleep(Duration::from_secs(1));
+        memory.push(resident(harness.node.id()));
+        sent += harness.imu.take_sent().len();
+        let messages = received(|r| std::mem::take(&mut r.imu));
+        count += messages.len();
+        for (_, message) in messages {
+            let stamp = convert::stamp(&message.header.stamp);
+            gaps += usize::from(last.is_some_and(|l| stamp.seconds_since(l) > 0.004));
+            last = Some(stamp);
+        }
+    }
+    std::thread::sleep(Duration::from_secs(2));
+    let value = |r: &Received, key: &str| {
+        let status = r
+            .diagnostics
+            .iter()
+            .flat_map(|d| &d.status)
+            .rfind(|s| s.name == "imu_driver: imu")
+            .unwrap();
+        status.values.iter().find(|v| v.key == key).unwrap().value.clone()
+    };
+    let [lost, checksums, connections, samples] = received(|r| {
+        ["lost samples", "checksum errors", "connections", "samples"].map(|key| value(r, key))
+    });
+    let settled = memory.len() / 5;
+    let (early, late) = (memory[settled], memory[memory.len() - 1]);
+    println!(
+        "{seconds:.0} s at 400 Hz: {sent} samples sent, {samples} in all, {lost} lost by the \
+         counter, {checksums} checksum errors, {count} received over DDS (best effort) with \
+         {gaps} gaps; resident {early} KiB after {settled} s, {late} KiB at the end"
+    );
+    assert_eq!((lost.as_str(), checksums.as_str(), connections.as_str()), ("0", "0", "1"));
+    assert!(late < early + 2048, "{early} {late}");
+}

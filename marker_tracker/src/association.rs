@@ -1,0 +1,291 @@
+//! Association of patches with markers: sets of four (or, where one is hidden, three) patches that
+//! can be an image of the layout, best first. Colored things on the floor do not stand so.
+
+use crate::{
+    geometry::{PoseObservation, pose_from_four, poses_from_three, refine},
+    scan::Blob,
+};
+use nalgebra::{Isometry3, Vector2};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, PerColor};
+
+/// A set of patches that can be an image of the layout.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Hypothesis {
+    pub camera_from_volant: Isometry3<f64>,
+    pub blobs: PerColor<Option<usize>>,
+    /// Lower is better: reprojection error over the squares' side, and disagreement of the areas.
+    pub score: f64,
+}
+
+/// Limits of the geometric check; an assumed camera admits larger ones.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Strictness {
+    /// RMS reprojection error in units of the square's side.
+    pub reprojection: f64,
+    /// Factor by which an area may differ.
+    pub area: f64,
+}
+
+/// Extent of a search.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Extent {
+    /// Fours, until one is good.
+    Quick,
+    /// All fours.
+    Fours,
+    /// Threes, where a marker is hidden.
+    Threes,
+}
+
+/// Maximum number of hypotheses that are returned, half of which are expected to be used.
+const KEEP: usize = 8;
+/// Maximum number of patches per color, of sets of four that are ranked, and of sets of four and of
+/// three (of each three colors) whose pose is estimated: they bound the cost of a search. Tuned;
+/// the cluttered scenes of `volant-peers trials` find the markers within them, and `make bench`
+/// bounds the time.
+const PER_COLOR: usize = 24;
+const RANKED_FOURS: usize = 64;
+const FOURS: usize = 32;
+const THREES: usize = 32;
+/// Number of sets of four whose pose is estimated before a quick search asks for a good one, and
+/// the score of a good one.
+const BATCH: usize = 4;
+const GOOD: f64 = 0.12;
+
+/// All hypotheses of four patches (or of three, each three in turn) worth a closer look, best
+/// first, into `found` (cleared before).
+pub(crate) fn hypotheses(
+    layout: &MarkerLayout,
+    camera: &CameraModel,
+    blobs: &[Blob],
+    strictness: Strictness,
+    extent: Extent,
+    found: &mut Vec<Hypothesis>,
+) {
+    found.clear();
+    let by_threes = extent == Extent::Threes;
+    // The most colourful and most square patches first; of wood and cardboard there may be
+    // hundreds.
+    let mut of: PerColor<([(usize, f64); PER_COLOR], usize)> =
+        PerColor([([(0, 0.0); PER_COLOR], 0); 4]);
+    for (i, blob) in blobs.iter().enumerate() {
+        let fill = blob.fill();
+        if !(0.55..1.35).contains(&fill) || blob.elongation() >= 5.0 {
+            continue;
+        }
+        let merit = f64::from(blob.saturation()) * (-2.0 * fill.ln().abs()).exp();
+        let (list, n) = &mut of[blob.color];
+        if *n < PER_COLOR {
+            *n += 1;
+        } else if list[PER_COLOR - 1].1 >= merit {
+            continue;
+        }
+        let mut k = *n - 1;
+        while k > 0 && list[k - 1].1 < merit {
+            list[k] = list[k - 1];
+            k -= 1;
+        }
+        list[k] = (i, merit);
+    }
+    let list = |c: MarkerColor| &of[c].0[..of[c].1];
+    let seeds = [
+        [MarkerColor::Red, MarkerColor::Green, MarkerColor::Blue, MarkerColor::Yellow],
+        [MarkerColor::Green, MarkerColor::Blue, MarkerColor::Yellow, MarkerColor::Red],
+        [MarkerColor::Blue, MarkerColor::Yellow, MarkerColor::Red, MarkerColor::Green],
+        [MarkerColor::Yellow, MarkerColor::Red, MarkerColor::Green, MarkerColor::Blue],
+    ];
+    let mut fours = [(0.0, [0usize; 4]); RANKED_FOURS];
+    let mut kept = 0;
+    for [a, b, c, d] in seeds.into_iter().take(if by_threes { 4 } else { 1 }) {
+        let mut threes = THREES;
+        let (pa, pb, pc, pd) =
+            (layout.centres[a], layout.centres[b], layout.centres[c], layout.centres[d]);
+        let (u, v) = ((pb - pa).xy(), (pc - pa).xy());
+        let twist = u.x * v.y - u.y * v.x;
+        let side2 = layout.side * layout.side;
+        if twist.abs() < side2 * 0.5 {
+            continue;
+        }
+        // The platform is seen from in front and the image's y points down, so orientation is
+        // reversed.
+        let expected = -twist / side2;
+        // Place of d in the affine frame of the other three.
+        let w = (pd - pa).xy();
+        let (s, t) = ((w.x * v.y - w.y * v.x) / twist, (u.x * w.y - u.y * w.x) / twist);
+        let reach = u.norm().max(v.norm()) / layout.side;
+        for &(ia, _) in list(a) {
+            for &(ib, _) in list(b) {
+                let (ba, bb) = (&blobs[ia], &blobs[ib]);
+                let side = (ba.area * bb.area).sqrt().sqrt();
+                let limit = 2.6 * side * reach + 10.0;
+                if (ba.centroid - bb.centroid).norm() > limit || !like_areas(ba.area, bb.area) {
+                    continue;
+                }
+                for &(ic, _) in list(c) {
+                    let bc = &blobs[ic];
+                    if !like_areas(ba.area, bc.area) || !like_areas(bb.area, bc.area) {
+                        continue;
+                    }
+                    let (iu, iv) = (bb.centroid - ba.centroid, bc.centroid - ba.centroid);
+                    let area = (ba.area * bb.area * bc.area).cbrt();
+                    let ratio = (iu.x * iv.y - iu.y * iv.x) / area / expected;
+                    if !(0.55..2.2).contains(&ratio) {
+                        continue;
+                    }
+                    if !by_threes {
+                        let guess = ba.centroid + iu * s + iv * t;
+                        for &(id, _) in list(d) {
+                            let bd = &blobs[id];
+                            let off = (bd.centroid - guess).norm();
+                            if off >= 0.35 * reach * side + 3.0 || !like_areas(area, bd.area) {
+                                continue;
+                            }
+                            // What stands like a parallelogram, is of one size and colourful comes
+                            // first.
+                            let uneven: f64 =
+                                [ba, bb, bc, bd].iter().map(|b| (b.area / area).ln().abs()).sum();
+                            let colorful: f64 =
+                                [ba, bb, bc, bd].iter().map(|b| f64::from(b.saturation())).sum();
+                            let rank = off / (reach * side) + 0.2 * uneven - 0.2 * colorful;
+                            let mut k = if kept < RANKED_FOURS {
+                                kept += 1;
+                                kept - 1
+                            } else if fours[RANKED_FOURS - 1].0 <= rank {
+                                continue;
+                            } else {
+                                RANKED_FOURS - 1
+                            };
+                            while k > 0 && fours[k - 1].0 > rank {
+                                fours[k] = fours[k - 1];
+                                k -= 1;
+                            }
+                            fours[k] = (rank, [ia, ib, ic, id]);
+                        }
+                    }
+                    if by_threes && threes > 0 {
+                        threes -= 1;
+                        three(layout, camera, blobs, [ia, ib, ic], [a, b, c], strictness, found);
+                    }
+                }
+            }
+        }
+    }
+    for batch in fours[..kept.min(FOURS)].chunks(BATCH) {
+        for (_, indices) in batch {
+            four(layout, camera, blobs, *indices, seeds[0], strictness, found);
+        }
+        if extent == Extent::Quick && found.iter().any(|h| h.score < GOOD) {
+            break;
+        }
+    }
+    found.sort_unstable_by(|a, b| a.score.total_cmp(&b.score));
+    found.truncate(KEEP * 2);
+}
+
+/// Areas of two markers in one image differ by perspective and by what covers them.
+fn like_areas(a: f64, b: f64) -> bool {
+    let r = a / b;
+    (0.38..2.6).contains(&r)
+}
+
+fn four(
+    layout: &MarkerLayout,
+    camera: &CameraModel,
+    blobs: &[Blob],
+    indices: [usize; 4],
+    colors: [MarkerColor; 4],
+    strictness: Strictness,
+    found: &mut Vec<Hypothesis>,
+) {
+    let mut pixels = PerColor([Vector2::zeros(); 4]);
+    let mut chosen = PerColor([None; 4]);
+    for (&i, c) in indices.iter().zip(colors) {
+        pixels[c] = blobs[i].centroid;
+        chosen[c] = Some(i);
+    }
+    let Some(start) = pose_from_four(layout, camera, &pixels) else { return };
+    let observations = colors.map(|color| PoseObservation {
+        color,
+        pixel: pixels[color],
+        sigma: 1.0,
+        outline: None,
+    });
+    score(layout, camera, blobs, &observations, &start, chosen, strictness, 0.0, found);
+}
+
+fn three(
+    layout: &MarkerLayout,
+    camera: &CameraModel,
+    blobs: &[Blob],
+    indices: [usize; 3],
+    colors: [MarkerColor; 3],
+    strictness: Strictness,
+    found: &mut Vec<Hypothesis>,
+) {
+    let mut chosen = PerColor([None; 4]);
+    for (&i, c) in indices.iter().zip(colors) {
+        if blobs[i].cut || !(0.8..1.2).contains(&blobs[i].fill()) {
+            return;
+        }
+        chosen[c] = Some(i);
+    }
+    let observations: [PoseObservation; 3] = std::array::from_fn(|k| PoseObservation {
+        color: colors[k],
+        pixel: blobs[indices[k]].centroid,
+        sigma: 1.0,
+        outline: None,
+    });
+    let Some(starts) = poses_from_three(layout, camera, &observations) else { return };
+    for start in &starts {
+        // Three observations are explained by many poses, so they come after every four, and their
+        // areas must be right.
+        let strict = Strictness { area: strictness.area.min(1.45), ..strictness };
+        score(layout, camera, blobs, &observations, start, chosen, strict, 1.0, found);
+    }
+}
+
+#[allow(clippy::too_many_arguments)]
+fn score(
+    layout: &MarkerLayout,
+    camera: &CameraModel,
+    blobs: &[Blob],
+    observations: &[PoseObservation],
+    start: &Isometry3<f64>,
+    chosen: PerColor<Option<usize>>,
+    strictness: Strictness,
+    handicap: f64,
+    found: &mut Vec<Hypothesis>,
+) {
+    let Some((pose, rms)) = refine(layout, camera, observations, start, None, 15) else { return };
+    // Beyond 78° a square is a line.
+    let up = pose.rotation * nalgebra::Vector3::z();
+    if -up.dot(&pose.translation.vector.normalize()) < 0.2 {
+        return;
+    }
+    let mut disagreement = 0.0;
+    let mut side = 0.0;
+    for (color, index) in chosen.iter() {
+        let Some(index) = *index else { continue };
+        let Some(predicted) = layout.projected_centroid(color, camera, &pose) else { return };
+        // The scan loses a rim of blurred pixels, and covers cost area, so less is forgiven sooner
+        // than more.
+        let ratio = blobs[index].area / predicted.area;
+        let side_here = predicted.area.sqrt();
+        let rim = ((side_here - 2.0) / side_here).max(0.3).powi(2);
+        let off = (ratio / rim.sqrt()).ln();
+        if off > strictness.area.ln() || -off > 2.2 * strictness.area.ln() {
+            return;
+        }
+        disagreement += off.abs();
+        side += side_here / observations.len() as f64;
+    }
+    if rms > strictness.reprojection * side + 1.0 {
+        return;
+    }
+    let score = handicap + rms / side + 0.1 * disagreement;
+    if found.len() >= 4 * KEEP {
+        found.sort_unstable_by(|a, b| a.score.total_cmp(&b.score));
+        found.truncate(2 * KEEP);
+    }
+    found.push(Hypothesis { camera_from_volant: pose, blobs: chosen, score });
+}

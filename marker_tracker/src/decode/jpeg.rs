@@ -1,0 +1,150 @@
+//! JPEG.
+
+use crate::{
+    decode::claim,
+    image::{ImageError, OwnedImage, PixelFormat},
+};
+use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
+use zune_jpeg::JpegDecoder;
+
+/// Largest number of pixels per byte: the emptiest block of 64 (or, with halved chroma, 170 per
+/// block) takes two bits.
+const PIXELS_PER_BYTE: usize = 2048;
+/// Largest number of scans. Cameras send one; libjpeg's progressive script has 10, and the work
+/// grows with each.
+const MAX_SCANS: usize = 32;
+
+/// Decodes a JPEG into rgb8.
+///
+/// # Errors
+/// As [`decode_compressed`](super::decode_compressed).
+pub(super) fn decode(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
+    let failed = |reason: String| ImageError::Decode { format: "jpeg", reason };
+    // The decoder fills what is missing with gray and would cut off markers.
+    if is_cut_off(data) {
+        return Err(failed("it is cut off".to_owned()));
+    }
+    let scans = count_scans(data);
+    if scans > MAX_SCANS {
+        return Err(ImageError::TooManyScans { scans, limit: MAX_SCANS });
+    }
+    let options = DecoderOptions::default()
+        .jpeg_set_out_colorspace(ColorSpace::RGB)
+        .set_max_width(usize::from(u16::MAX))
+        .set_max_height(usize::from(u16::MAX));
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(data), options);
+    decoder.decode_headers().map_err(|e| failed(format!("{e:?}")))?;
+    if decoder.input_colorspace() == Some(ColorSpace::Luma) {
+        return Err(ImageError::NoColor { encoding: "gray jpeg".to_owned() });
+    }
+    let (width, height) =
+        decoder.dimensions().ok_or_else(|| failed("it has no size".to_owned()))?;
+    // No camera does this, and the decoder panics on some.
+    if is_color_finer_than_luma(data, width, height) {
+        return Err(failed("its color is sampled finer than its brightness".to_owned()));
+    }
+    let most = data.len().saturating_mul(PIXELS_PER_BYTE);
+    claim::check(width, height, width * height, most, data.len())?;
+    image.data.resize(width * height * 3, 0);
+    decoder.decode_into(&mut image.data).map_err(|e| failed(format!("{e:?}")))?;
+    (image.width, image.height, image.step, image.format) =
+        (width, height, width * 3, PixelFormat::Rgb8);
+    Ok(())
+}
+
+/// Whether no end of image follows the last scan. Within a scan 0xff is only followed by 0 or a
+/// restart marker, so an end after the last start of a scan is the image's own (a thumbnail in the
+/// header has one too). Cameras pad what follows it.
+fn is_cut_off(jpeg: &[u8]) -> bool {
+    const END: [u8; 2] = [0xff, 0xd9];
+    const SCAN: [u8; 2] = [0xff, 0xda];
+    jpeg.windows(2).rev().find(|pair| *pair == END || *pair == SCAN) != Some(&END)
+}
+
+/// Counts the scans (ITU-T T.81, B.1.1.2): each start of a scan that is no part of another segment.
+///
+/// The decoder works through every block of the image in each scan, and its own limit of 100 scans
+/// only applies after a decoding error (zune-jpeg 0.5.15, `mcu_prog.rs`).
+fn count_scans(jpeg: &[u8]) -> usize {
+    const SCAN: u8 = 0xda;
+    let (mut at, mut scans) = (0, 0);
+    while let Some(found) = jpeg.get(at..).and_then(|rest| memchr::memchr(0xff, rest)) {
+        at += found + 1;
+        let Some(&marker) = jpeg.get(at) else { break };
+        match marker {
+            // Fill bytes, a stuffed 0, restarts, start and end of the image have no length.
+            0xff | 0x00 | 0x01 | 0xd0..=0xd9 => {}
+            _ => {
+                scans += usize::from(marker == SCAN);
+                let length =
+                    jpeg.get(at + 1..at + 3).map_or(0, |l| u16::from_be_bytes([l[0], l[1]]));
+                at += 1 + usize::from(length);
+            }
+        }
+    }
+    scans
+}
+
+/// Whether a frame header of this size (ITU-T T.81, B.2.2) gives a component a larger sampling
+/// factor than the first one, which is luma.
+///
+/// Any place that reads like one counts, with a marker before it or not: the decoder does not
+/// report which one it used, and eight such bytes do not occur by chance.
+fn is_color_finer_than_luma(jpeg: &[u8], width: usize, height: usize) -> bool {
+    let side = |n: usize| u16::try_from(n).unwrap_or(u16::MAX).to_be_bytes();
+    let ([h1, h0], [w1, w0]) = (side(height), side(width));
+    // After its length: 8 bits, the size, the number of components, and three bytes of each.
+    memchr::memmem::find_iter(jpeg, &[8, h1, h0, w1, w0]).any(|at| {
+        let count = jpeg.get(at + 5).copied().unwrap_or(0);
+        if !(2..=4).contains(&count) || !jpeg[..at].ends_with(&[0, 8 + 3 * count]) {
+            return false;
+        }
+        let components = jpeg[at + 6..].chunks_exact(3).take(usize::from(count));
+        let mut factors = components.map(|c| [c[1] >> 4, c[1] & 15]);
+        let Some([across, down]) = factors.next() else { return false };
+        factors.any(|[a, d]| a > across || d > down)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use jpeg_encoder::{ColorType, Encoder};
+
+    #[test]
+    fn a_cut_off_image_differs_from_a_padded_one() {
+        let head = [0xff, 0xd8, 0xff, 0xe1, 0xff, 0xd9, 0xff, 0xda, 1, 0xff, 0, 2, 0xff, 0xd0, 3];
+        assert!(is_cut_off(&head) && is_cut_off(&[]) && is_cut_off(&[0xff]));
+        let whole = [&head[..], &[0xff, 0xd9]].concat();
+        assert!(!is_cut_off(&whole) && !is_cut_off(&[&whole[..], &[0; 9]].concat()));
+        let cut = decode(&head, &mut OwnedImage::default()).unwrap_err().to_string();
+        assert!(cut.contains("cut off"), "{cut}");
+    }
+
+    fn progressive(scans: u8) -> Vec<u8> {
+        let mut jpeg = Vec::new();
+        let mut encoder = Encoder::new(&mut jpeg, 80);
+        encoder.set_progressive_scans(scans);
+        encoder.encode(&[90; 3 * 64 * 64], 64, 64, ColorType::Rgb).unwrap();
+        jpeg
+    }
+
+    #[test]
+    fn an_ordinary_progressive_image_is_decoded() {
+        let jpeg = progressive(10);
+        assert!((10..MAX_SCANS).contains(&count_scans(&jpeg)), "{}", count_scans(&jpeg));
+        decode(&jpeg, &mut OwnedImage::default()).unwrap();
+    }
+
+    #[test]
+    fn an_image_with_2000_scans_is_rejected_before_it_is_decoded() {
+        // The last scan of an ordinary image, repeated.
+        let jpeg = progressive(4);
+        let last = jpeg.windows(2).rposition(|pair| pair == [0xff, 0xda]).unwrap();
+        let (head, scan) = (&jpeg[..last], &jpeg[last..jpeg.len() - 2]);
+        let bomb = [head, &scan.repeat(2000), &[0xff, 0xd9]].concat();
+        let error = decode(&bomb, &mut OwnedImage::default()).unwrap_err();
+        let scans = count_scans(head) + 2000;
+        assert_eq!(error, ImageError::TooManyScans { scans, limit: MAX_SCANS });
+    }
+}

@@ -1,0 +1,38 @@
+//! Decoding of `sensor_msgs/CompressedImage`: JPEG and PNG.
+
+mod claim;
+mod jpeg;
+mod png;
+
+use crate::image::{ImageError, OwnedImage};
+
+/// Decodes a compressed image into rgb8 or rgba8. Its first bytes determine the format; `format`
+/// (the message's field) only appears in errors, since cameras fill it in many ways.
+///
+/// # Errors
+/// [`ImageError::UnknownCompression`] for anything but JPEG and PNG, [`ImageError::TooLarge`] and
+/// [`ImageError::TooManyScans`] before any work is done, [`ImageError::Decode`] with the decoder's
+/// reason, [`ImageError::NoColor`] for gray images.
+pub fn decode_compressed(format: &str, data: &[u8]) -> Result<OwnedImage, ImageError> {
+    let mut image = OwnedImage::default();
+    decode_compressed_into(format, data, &mut image)?;
+    Ok(image)
+}
+
+/// Decodes a compressed image like [`decode_compressed`] into an image whose memory is reused.
+///
+/// # Errors
+/// As [`decode_compressed`]; the image's contents are then unspecified.
+pub fn decode_compressed_into(
+    format: &str,
+    data: &[u8],
+    image: &mut OwnedImage,
+) -> Result<(), ImageError> {
+    if data.starts_with(&[0xff, 0xd8, 0xff]) {
+        jpeg::decode(data, image)
+    } else if data.starts_with(&[0x89, b'P', b'N', b'G']) {
+        png::decode(data, image)
+    } else {
+        Err(ImageError::UnknownCompression { format: format.to_owned() })
+    }
+}

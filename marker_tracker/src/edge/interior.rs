@@ -1,0 +1,291 @@
+//! The signal's level inside of a square: a plane, robust against what crosses the square.
+
+use crate::{
+    quad::Quad,
+    signal::{Sampler, nearest},
+};
+use nalgebra::{Matrix3, Vector2, Vector3};
+use wide::f32x8;
+
+/// Maximum number of lines that are read and of pixels of each: in a thorough measurement, and in a
+/// quick one, which relies on the gradient of the previous images.
+const LINES: i32 = 40;
+const PER_LINE: i32 = 48;
+const QUICK: (i32, i32) = (12, 16);
+/// Weight of the previous images' gradient relative to this image's pixels: shading drifts slowly,
+/// and noise of the gradient shifts opposite edges the same way. A time constant of 4 images.
+const PRIOR_WEIGHT: f64 = 3.0;
+/// Bounds of the gate for a pixel's distance from the level, in units of the contrast. Within them
+/// the gate is 4.5 standard deviations (all pixels of an even square, normal: 7e-6) or 4 of the
+/// middle half of the pixels.
+const GATE: (f64, f64) = (0.08, 0.3);
+
+/// Signal level of the interior.
+pub(crate) struct Interior {
+    center: Vector2<f64>,
+    /// At the center.
+    pub level: f64,
+    /// Per px.
+    pub gradient: Vector2<f64>,
+    /// Share of the pixels that have the level.
+    pub filled: f64,
+    /// Standard deviation of a pixel about the plane.
+    pub sigma: f64,
+    /// Variance, in units of a pixel's, of the gradient times half the side.
+    pub reach: f64,
+}
+
+/// Sums of a plane's normal equations, about a center and a reference level.
+#[derive(Default)]
+struct Sums {
+    n: f64,
+    x: f64,
+    y: f64,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+    s: f64,
+    xs: f64,
+    ys: f64,
+    ss: f64,
+}
+
+/// One line of the interior: its first pixel, and number and distance (px) of the pixels.
+#[derive(Clone, Copy, Default)]
+struct Line {
+    x: i32,
+    y: i32,
+    count: i32,
+    hop: i32,
+}
+
+impl Interior {
+    /// The level at a place, px.
+    pub fn at(&self, x: f64, y: f64) -> f64 {
+        self.level + self.gradient.x * (x - self.center.x) + self.gradient.y * (y - self.center.y)
+    }
+
+    /// The interior after each row was normalized to the light at its place: level 1 and flat.
+    pub fn relit(&self) -> Self {
+        let scale = self.level.abs().max(0.1);
+        Self {
+            center: self.center,
+            level: 1.0,
+            gradient: Vector2::zeros(),
+            filled: 1.0,
+            sigma: (self.sigma / scale).min(0.1),
+            reach: self.reach,
+        }
+    }
+
+    /// Fits the plane to the pixels that are `half_width` px away from the edges (to fewer of them
+    /// if
+    /// `quick`) and to the gradient of the previous images. `None` with fewer than 8 pixels.
+    pub fn measure(
+        sampler: &Sampler<'_>,
+        quad: &Quad,
+        half_width: f64,
+        quick: bool,
+        before: Option<Vector2<f64>>,
+    ) -> Option<Self> {
+        let (area, center) = quad.area_and_centroid();
+        let side = quad.thickness_of(area);
+        let shrink = ((side - 2.0 * half_width - 1.0) / side).clamp(0.25, 0.9);
+        let shrunken = Quad(quad.0.map(|c| center + (c - center) * shrink));
+        let [_, top, _, bottom] = shrunken.bounds(0.0);
+        let (most, per_line) = if quick { QUICK } else { (LINES, PER_LINE) };
+        let stride = ((bottom - top + most - 1) / most).max(1);
+        let spans = shrunken.spans();
+        let mut lines = [Line::default(); LINES as usize + 1];
+        let mut count = 0;
+        let mut y = top + stride / 2;
+        while y < bottom && count < lines.len() {
+            if let Some((from, to)) = spans.at(f64::from(y)) {
+                let (from, to) = (from.max(0), to.min(sampler.width));
+                let hop = ((to - from + per_line - 1) / per_line).max(1);
+                let n = (to - from + hop - 1) / hop;
+                if n > 0 && y >= 0 && y < sampler.height {
+                    lines[count] = Line { x: from, y, count: n, hop };
+                    count += 1;
+                }
+            }
+            y += stride;
+        }
+        let lines = &lines[..count];
+        let middle = (nearest(center.x), nearest(center.y));
+        // Differences from any pixel inside are small numbers.
+        let &Line { x, y, .. } = lines.get(lines.len() / 2)?;
+        let reference = sampler.at(x, y)?;
+        let (mut sums, low, high) = plain(sampler, lines, middle, reference);
+        let mut offset = f64::from(reference);
+        let all = sums.n;
+        if all < 8.0 {
+            return None;
+        }
+        let mean = sums.s / all;
+        let spread = (sums.ss / all - mean * mean).max(0.0).sqrt();
+        let gate = (4.5 * spread).clamp(GATE.0, GATE.1);
+        if high - mean > gate || mean - low > gate {
+            // Something crosses it.
+            let (median, spread) = middle_half(sampler, lines)?;
+            sums = gated(sampler, lines, middle, median, (4.0 * spread).clamp(GATE.0, GATE.1));
+            offset = median;
+        }
+        if sums.n < 8.0 {
+            return None;
+        }
+        let n = sums.n;
+        // A weak prior of a flat level keeps small squares stable; the previous gradient is a
+        // strong one.
+        let (pull, target) = match before {
+            Some(gradient) => (PRIOR_WEIGHT, gradient),
+            None => (0.0, Vector2::zeros()),
+        };
+        let weak = if before.is_some() { 0.0 } else { 10.0 * n.min(20.0) };
+        let spread = (sums.xx - sums.x * sums.x / n, sums.yy - sums.y * sums.y / n);
+        let extra = (weak + pull * spread.0, weak + pull * spread.1);
+        let normal = Matrix3::new(
+            n,
+            sums.x,
+            sums.y,
+            sums.x,
+            sums.xx + extra.0,
+            sums.xy,
+            sums.y,
+            sums.xy,
+            sums.yy + extra.1,
+        );
+        let plain = Vector3::new(sums.s, sums.xs, sums.ys);
+        let right = plain + Vector3::new(0.0, extra.0 * target.x, extra.1 * target.y);
+        let solution = normal.cholesky()?.solve(&right);
+        // Σ (s − plane)² without the priors.
+        let square = sums.ss - 2.0 * solution.dot(&plain) + solution.dot(&(normal * solution))
+            - extra.0 * solution.y * solution.y
+            - extra.1 * solution.z * solution.z;
+        let variance = (square / (n - 3.0)).max(1e-8);
+        Some(Self {
+            center: Vector2::new(f64::from(middle.0), f64::from(middle.1)),
+            level: offset + solution.x,
+            gradient: Vector2::new(solution.y, solution.z),
+            filled: n / all,
+            sigma: variance.sqrt(),
+            // Of the gradient's part in the level at an edge's middle; with a prior it is averaged
+            // over time with the gain 1/(1 + weight).
+            reach: 3.0
+                / (n * shrink * shrink)
+                / if before.is_some() { 2.0 * PRIOR_WEIGHT + 1.0 } else { 1.0 },
+        })
+    }
+}
+
+/// Sums over all pixels of their difference from `reference`, and the lowest and highest
+/// difference.
+fn plain(
+    sampler: &Sampler<'_>,
+    lines: &[Line],
+    (cx, cy): (i32, i32),
+    reference: f32,
+) -> (Sums, f64, f64) {
+    let numbers = f32x8::from([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+    let (scale, reference) = (f32x8::splat(sampler.scale), f32x8::splat(reference));
+    let zero = f32x8::ZERO;
+    // What does not depend on the pixels has closed forms: Σ 1, Σ j and Σ j² of j = 0 … count − 1.
+    let (mut n, mut sx, mut sy, mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    let (mut s, mut xs, mut ys, mut ss) = (zero, zero, zero, zero);
+    let (mut low, mut high) = (f32x8::splat(f32::INFINITY), f32x8::splat(f32::NEG_INFINITY));
+    for &Line { x, y, count, hop } in lines {
+        let far = sampler.hop(0) * hop as u32;
+        let first = sampler.begin(x, y);
+        let last = first + (count - 1) as u32 * far;
+        let mut begin: [u32; 8] = std::array::from_fn(|i| first + i as u32 * far);
+        let (x, y, hop) = (f64::from(x - cx), f64::from(y - cy), f64::from(hop));
+        let (one, j) = (f64::from(count), f64::from(count * (count - 1) / 2));
+        let jj = f64::from(count * (count - 1) * (2 * count - 1) / 6);
+        let along = one * x + hop * j;
+        n += one;
+        sx += along;
+        sy += one * y;
+        xx += one * x * x + 2.0 * x * hop * j + hop * hop * jj;
+        xy += along * y;
+        yy += one * y * y;
+        let (y, hop) = (f32x8::splat(y as f32), f32x8::splat(hop as f32));
+        let mut place = numbers * hop + f32x8::splat(x as f32);
+        let mut group = 0;
+        while group < count {
+            // The last pixel stands in for missing ones, so that the extremes are real.
+            let signal = sampler.eight(&begin.map(|b| b.min(last)));
+            let all = signal * scale - reference;
+            (low, high) = (low.fast_min(all), high.fast_max(all));
+            let there = (numbers + f32x8::splat(group as f32)).simd_lt(f32x8::splat(count as f32));
+            let value = all & there;
+            s += value;
+            xs += place * value;
+            ys += y * value;
+            ss += value * value;
+            place += hop * f32x8::splat(8.0);
+            begin = begin.map(|b| b + 8 * far);
+            group += 8;
+        }
+    }
+    let (x, y) = (sx, sy);
+    let [s, xs, ys, ss] = [s, xs, ys, ss].map(|v| f64::from(v.reduce_add()));
+    let (low, high) = (low.to_array(), high.to_array());
+    let low = low.iter().fold(f32::INFINITY, |m, v| m.min(*v));
+    let high = high.iter().fold(f32::NEG_INFINITY, |m, v| m.max(*v));
+    (Sums { n, x, y, xx, xy, yy, s, xs, ys, ss }, f64::from(low), f64::from(high))
+}
+
+/// Sums over the pixels less than `gate` off `median` of their difference from it.
+fn gated(
+    sampler: &Sampler<'_>,
+    lines: &[Line],
+    (cx, cy): (i32, i32),
+    median: f64,
+    gate: f64,
+) -> Sums {
+    let mut sums = Sums::default();
+    for &Line { x, y, count, hop } in lines {
+        let Some((bytes, step)) = sampler.line(x, y, 0, count, hop) else { continue };
+        let y = f64::from(y - cy);
+        sampler.each(bytes, step, |j, value| {
+            let d = f64::from(value) * f64::from(sampler.scale) - median;
+            if d.abs() < gate {
+                let x = f64::from(x + j * hop - cx);
+                sums.n += 1.0;
+                sums.x += x;
+                sums.y += y;
+                sums.xx += x * x;
+                sums.xy += x * y;
+                sums.yy += y * y;
+                sums.s += d;
+                sums.xs += x * d;
+                sums.ys += y * d;
+                sums.ss += d * d;
+            }
+        });
+    }
+    sums
+}
+
+/// The median and the standard deviation according to the middle half of the values (for a normal
+/// distribution the quartiles are 1.35 σ apart).
+fn middle_half(sampler: &Sampler<'_>, lines: &[Line]) -> Option<(f64, f64)> {
+    let mut values = [0i32; 256];
+    let mut count = 0;
+    for &Line { x, y, count: n, hop } in lines {
+        let Some((bytes, step)) = sampler.line(x, y, 0, n, hop) else { continue };
+        sampler.each(bytes, step, |j, value| {
+            if (j + y) % 4 == 0
+                && let Some(slot) = values.get_mut(count)
+            {
+                *slot = value;
+                count += 1;
+            }
+        });
+    }
+    let values = values.get_mut(..count).filter(|v| v.len() >= 8)?;
+    values.sort_unstable();
+    let scale = f64::from(sampler.scale);
+    let at = |i: usize| f64::from(values[i]) * scale;
+    Some((at(count / 2), (at(count * 3 / 4) - at(count / 4)) / 1.35))
+}

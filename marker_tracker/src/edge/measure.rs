@@ -1,0 +1,190 @@
+//! Edge measurement: rows across the edge, summed up and fitted by a line.
+
+use crate::{
+    edge::{
+        columns::{Column, MAX_ROWS, eight, present},
+        edge_fit::EdgeFit,
+        interior::Interior,
+        line::Places,
+        outside::Outside,
+        prior::ShapePrior,
+        row_plan::{Band, RowPlan},
+        rows::Rows,
+        side::Side,
+    },
+    signal::Sampler,
+};
+use wide::f32x8;
+
+/// Largest difference of the level beyond the band from that at its rim, in units of the contrast.
+/// Beside a step there is one level; where another one lies further out, something else is there,
+/// and only a narrower band measures the edge. Tuned; guarded by `volant-peers trials` (poles,
+/// hands).
+const STEP: f64 = 0.1;
+/// The same for the narrowest band.
+const LARGEST_STEP: f64 = 0.25;
+/// Half-width of the narrowest band, px: the blur of a lens and of JPEG's chroma; and the share of
+/// the width that each attempt has of the one before.
+const NARROWEST: f64 = 1.3;
+const NARROWER: f64 = 0.65;
+/// Largest share of the contrast that an edge's own blur leaves at the band's rim: 2.5 σ of a
+/// Gaussian blur leave 0.6 %, a motion blur and sharpening more.
+const TAIL: f64 = 0.03;
+/// Standard deviation of an edge's place in a saturated channel, in units of its blur.
+const SATURATED: f64 = 0.15;
+
+/// Measures one edge: offset and slope relative to the predicted side, and the level outside.
+///
+/// The edge is crossed by rows (or columns, whichever cross it more steeply) of the image. Along a
+/// row the signal, scaled to 0 outside and 1 inside, is summed up: the place of the edge, exact for
+/// any symmetric blur and without interpolation. Where something of another level lies within the
+/// band, the measurement is repeated with a narrower one.
+///
+/// `half_width`: of the band, px; `min_contrast`: in units of the signal. `None` where too few rows
+/// agree on an edge.
+pub(crate) fn fit_edge(
+    sampler: &Sampler<'_>,
+    interior: &Interior,
+    side: &Side,
+    half_width: f64,
+    prior: &ShapePrior,
+    min_contrast: f64,
+    scratch: &mut Rows,
+) -> Option<EdgeFit> {
+    let mut band = Band { half_width, beyond: f64::INFINITY };
+    loop {
+        let attempt = attempt(sampler, interior, side, band, prior, min_contrast, scratch)?;
+        if attempt.step < STEP {
+            return attempt.edge;
+        }
+        if band.half_width <= NARROWEST {
+            return attempt.edge.filter(|_| attempt.step < LARGEST_STEP);
+        }
+        band = Band { half_width: (band.half_width * NARROWER).max(NARROWEST), beyond: 1.0 };
+    }
+}
+
+/// One measurement of an edge.
+struct Attempt {
+    /// `None` where too few rows agree; a narrower band may find more.
+    edge: Option<EdgeFit>,
+    /// Difference of the level at the band's rim from that beyond, in units of the contrast.
+    step: f64,
+}
+
+/// Measures an edge with one band.
+fn attempt(
+    sampler: &Sampler<'_>,
+    interior: &Interior,
+    side: &Side,
+    band: Band,
+    prior: &ShapePrior,
+    min_contrast: f64,
+    rows: &mut Rows,
+) -> Option<Attempt> {
+    let plan = RowPlan::new(sampler, side, band, prior.rows)?;
+    // While the edge is searched, rows that leave the image serve as far as they are in it.
+    rows.read_plan(sampler, &plan, prior.edge_sigma >= 1.0);
+    if let Some(brightness) = prior.relit {
+        rows.relight(sampler, &plan, brightness);
+    }
+    let count = rows.count;
+    if count < 3 || count * 4 < plan.possible as usize {
+        return None;
+    }
+    let outside = Outside::measure(&rows.along, &rows.outside, count, interior, min_contrast)?;
+    let crossings = Crossings::find(rows, &plan, interior, &outside, min_contrast);
+    let step = crossings.step;
+    let Some(mut edge) = crossings.places.line(plan.possible as usize, side.length, prior) else {
+        return Some(Attempt { edge: None, step });
+    };
+    (edge.blur, edge.outside) = (crossings.blur, outside.level);
+    // The outside level's error moves the whole edge, by the outer share of the band; that of its
+    // tilt turns the edge.
+    let contrast = (interior.level - outside.level).max(min_contrast);
+    let outer = 0.5 * f64::from(plan.strip.band) * plan.steep;
+    let by_level = (outer * interior.sigma / contrast * prior.correlation).powi(2)
+        / f64::from(plan.strip.beyond);
+    edge.covariance[(0, 0)] += by_level / outside.rows;
+    edge.covariance[(1, 1)] += by_level * outside.tilt_variance;
+    edge.covariance[(0, 0)] += (plan.half_width * (step - TAIL).max(0.0)).powi(2);
+    if sampler.saturated {
+        edge.covariance[(0, 0)] += (SATURATED * crossings.blur).powi(2);
+    }
+    Some(Attempt { edge: Some(edge), step })
+}
+
+/// Where an edge crosses its rows.
+struct Crossings {
+    places: Places,
+    /// Mean of ∫ c·(1 − c) across the edge, px.
+    blur: f64,
+    /// Mean level at the band's rim, in units of the contrast.
+    step: f64,
+}
+
+impl Crossings {
+    /// Sums up each row, scaled to 0 outside and 1 inside.
+    fn find(
+        rows: &Rows,
+        plan: &RowPlan,
+        interior: &Interior,
+        outside: &Outside,
+        min_contrast: f64,
+    ) -> Self {
+        let (count, side) = (rows.count, &plan.side);
+        // The level inside, and its shading relative to the crossing, which the outside shares.
+        let at_middle = f32x8::splat(interior.at(side.middle.x, side.middle.y) as f32);
+        let inside_tilt = f32x8::splat(interior.gradient.dot(&side.tangent) as f32);
+        // Light that multiplies everything multiplies a signal of either sign.
+        let level_here = interior.level.abs().max(0.3).copysign(interior.level);
+        let shading = f32x8::splat((interior.gradient[plan.axis] / level_here) as f32);
+        let (level, tilt) = (f32x8::splat(outside.level as f32), f32x8::splat(outside.tilt as f32));
+        let steep = f32x8::splat(plan.steep as f32);
+        let limit = f32x8::splat(plan.half_width as f32);
+        let least = f32x8::splat(min_contrast as f32);
+        let gate = f32x8::splat(outside.gate);
+        let rim_gate = f32x8::splat(outside.rim_gate);
+        let (mut step, mut valid) = (f32x8::ZERO, f32x8::ZERO);
+        let mut places = Places { count, along: rows.along, across: [0.0; MAX_ROWS] };
+        let (mut good, mut blur) = ([0.0f32; MAX_ROWS], f32x8::ZERO);
+        let mut all = f32x8::ZERO;
+        for group in (0..count).step_by(8) {
+            let of = |column: &Column| eight(column, group);
+            let (along, pixels, s) = (of(&rows.along), of(&rows.pixels), of(&rows.s));
+            // Σ c with c = (s·(1 − shading·(j − crossing)) − outside)/difference, all rows alike.
+            let outside_here = level + tilt * along;
+            let difference = at_middle + inside_tilt * along - outside_here;
+            let sum = s * (f32x8::ONE + shading * of(&rows.crossing))
+                - shading * of(&rows.sj)
+                - pixels * outside_here;
+            let covered = sum / difference;
+            let across = (covered - of(&rows.inner)) * steep;
+            let rim = of(&rows.rim) - outside_here;
+            let is_good = (of(&rows.outside) - outside_here).abs().simd_le(gate)
+                & difference.simd_ge(least)
+                & across.abs().simd_lt(limit)
+                & across.simd_lt(of(&rows.room) - f32x8::splat(0.3))
+                & present(group, count);
+            step += is_good & (rim / difference);
+            valid += is_good & f32x8::ONE;
+            let is_good = is_good & rim.abs().simd_le(rim_gate);
+            let one = is_good & f32x8::ONE;
+            all += one;
+            good[group..group + 8].copy_from_slice(one.as_array());
+            // A row without contrast may have any number there.
+            places.across[group..group + 8].copy_from_slice((is_good & across).as_array());
+            // Σ c − Σ c², without the shading.
+            let square = of(&rows.ss) - outside_here * (s + s - pixels * outside_here);
+            let spread = (covered - square / (difference * difference)) * steep;
+            blur += is_good & spread;
+        }
+        let step = f64::from((step.reduce_add() / valid.reduce_add().max(1.0)).abs());
+        let kept = all.reduce_add();
+        let blur = f64::from(blur.reduce_add() / kept.max(1.0)).max(0.0);
+        if kept < count as f32 {
+            places.keep(&good);
+        }
+        Self { places, blur, step }
+    }
+}

@@ -1,0 +1,78 @@
+//! Raw images as `sensor_msgs/Image` carries them.
+
+use crate::image::{ImageError, ImageView, OwnedImage, PixelFormat};
+use rig_model::Stamp;
+
+/// Views the fields of a `sensor_msgs/Image`. Three- and four-channel 8-bit images are borrowed;
+/// Bayer and YUV 4:2:2 ones are converted into `scratch`, whose memory is reused.
+///
+/// # Errors
+/// [`ImageError::NoColor`], [`ImageError::UnknownEncoding`] or [`ImageError::NeedsOpencv`] for the
+/// encoding; [`ImageError::Size`] where size, step and data contradict each other.
+#[allow(clippy::too_many_arguments)] // the fields of the message, in its order
+pub fn from_encoding<'a>(
+    stamp: Stamp,
+    width: usize,
+    height: usize,
+    encoding: &str,
+    big_endian: bool,
+    step: usize,
+    data: &'a [u8],
+    scratch: &'a mut OwnedImage,
+) -> Result<ImageView<'a>, ImageError> {
+    let format = match encoding {
+        "rgb8" | "8UC3_rgb" => PixelFormat::Rgb8,
+        "bgr8" | "8UC3" => PixelFormat::Bgr8,
+        "rgba8" => PixelFormat::Rgba8,
+        "bgra8" | "8UC4" => PixelFormat::Bgra8,
+        _ if encoding.starts_with("mono")
+            || ["8UC1", "8SC1", "16UC1", "16SC1", "32FC1", "64FC1"].contains(&encoding) =>
+        {
+            return Err(ImageError::NoColor { encoding: encoding.to_owned() });
+        }
+        _ => return convert(stamp, width, height, encoding, big_endian, step, data, scratch),
+    };
+    let view = ImageView { stamp, width, height, step, format, data };
+    view.check()?;
+    Ok(view)
+}
+
+#[cfg(not(feature = "opencv"))]
+#[allow(clippy::too_many_arguments)]
+fn convert<'a>(
+    _: Stamp,
+    _: usize,
+    _: usize,
+    encoding: &str,
+    _: bool,
+    _: usize,
+    _: &'a [u8],
+    _: &'a mut OwnedImage,
+) -> Result<ImageView<'a>, ImageError> {
+    let encoding = encoding.to_owned();
+    if encoding.starts_with("bayer_")
+        || encoding.starts_with("yuv422")
+        || encoding == "uyvy"
+        || encoding == "yuyv"
+    {
+        Err(ImageError::NeedsOpencv { encoding })
+    } else {
+        Err(ImageError::UnknownEncoding { encoding })
+    }
+}
+
+#[cfg(feature = "opencv")]
+#[allow(clippy::too_many_arguments)]
+fn convert<'a>(
+    stamp: Stamp,
+    width: usize,
+    height: usize,
+    encoding: &str,
+    big_endian: bool,
+    step: usize,
+    data: &'a [u8],
+    scratch: &'a mut OwnedImage,
+) -> Result<ImageView<'a>, ImageError> {
+    crate::opencv::convert(width, height, encoding, big_endian, step, data, scratch)?;
+    Ok(scratch.view(stamp))
+}

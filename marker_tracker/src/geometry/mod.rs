@@ -1,0 +1,10 @@
+//! The platform's pose in the camera frame, as far as the tracker needs it: to predict the squares'
+//! outlines and to decide whether patches of the right colors can be the markers.
+
+mod refine;
+mod square;
+mod starts;
+
+pub(crate) use refine::{PoseObservation, PosePrior, covariance, predict_centroid, refine};
+pub(crate) use square::project_square;
+pub(crate) use starts::{pose_from_four, poses_from_three};

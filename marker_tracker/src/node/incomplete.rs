@@ -1,0 +1,129 @@
+//! Memory of incomplete images.
+//!
+//! A raw image is sent in thousands of fragments. With best-effort transport one lost fragment
+//! makes an image incomplete, and RustDDS 0.15.1 keeps the buffers of up to 128 incomplete messages
+//! per publisher until 10 s pass (`rtps/fragment_assembler.rs`): 1.2 GB of images of 2048×1536. It
+//! neither reports nor limits them. A camera announces each image by a small camera_info, so that
+//! the missing ones are known; renewing the subscription frees their buffers.
+
+use std::fs;
+
+/// Memory of incomplete images at which the subscription is renewed, bytes: four of the largest
+/// images of common 8 MP cameras, and 13 of 2048×1536.
+const LIMIT: usize = 128 << 20;
+/// Bytes per pixel of a raw image at most (bgra8); most cameras send three.
+const BYTES_PER_PIXEL: usize = 3;
+
+/// Counts announced and complete images since the last renewal.
+#[derive(Debug, Default)]
+pub(super) struct IncompleteImages {
+    announced: usize,
+    received: usize,
+    /// Memory of the process when images were last complete, bytes.
+    resident: Option<usize>,
+    /// Number of incomplete images that were dropped since the start.
+    pub dropped: u64,
+}
+
+impl IncompleteImages {
+    /// Counts a complete image.
+    pub fn count_received(&mut self) {
+        self.received += 1;
+    }
+
+    /// Counts an announced image of this size (width, height; px). True where the missing images
+    /// occupy more than the limit, which the memory of the process confirms: a camera may also
+    /// announce more images than it sends.
+    pub fn is_full_after(&mut self, size: (u32, u32)) -> bool {
+        self.is_full_with(size, resident)
+    }
+
+    fn is_full_with(&mut self, size: (u32, u32), resident: impl Fn() -> Option<usize>) -> bool {
+        let base = *self.resident.get_or_insert_with(|| resident().unwrap_or(0));
+        self.announced += 1;
+        let missing = self.announced.saturating_sub(self.received);
+        let bytes = missing * size.0 as usize * size.1 as usize * BYTES_PER_PIXEL;
+        bytes > LIMIT && resident().is_none_or(|now| now > base + LIMIT / 2)
+    }
+
+    /// Counts the missing images as dropped, since the subscription is renewed.
+    pub fn drop_all(&mut self) {
+        self.dropped += self.announced.saturating_sub(self.received) as u64;
+        (self.announced, self.received) = (0, 0);
+    }
+
+    /// Explains a second without images.
+    pub fn why_none(&self) -> String {
+        if self.dropped == 0 {
+            return "no image arrived in the last second".to_owned();
+        }
+        format!(
+            "{} images arrived incomplete and were dropped: the socket buffer is too small for raw \
+             images of this size and rate; raise net.core.rmem_max or set image_transport to \
+             compressed",
+            self.dropped
+        )
+    }
+}
+
+/// Resident memory of the process, bytes.
+fn resident() -> Option<usize> {
+    const PAGE: usize = 4096;
+    let pages = fs::read_to_string("/proc/self/statm").ok()?;
+    Some(pages.split_whitespace().nth(1)?.parse::<usize>().ok()? * PAGE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+
+    const SIZE: (u32, u32) = (2048, 1536);
+    const IMAGE: usize = 2048 * 1536 * 3;
+
+    /// 20 Hz for a minute, of which each `period`-th image is complete: the most bytes that RustDDS
+    /// holds, and the number of renewals.
+    fn hold(period: Option<usize>, kept: usize) -> (usize, u32) {
+        let mut images = IncompleteImages::default();
+        let (held, mut most, mut renewals) = (Cell::new(0), 0, 0);
+        for k in 0..1200 {
+            if period.is_some_and(|p| k % p == 0) {
+                images.count_received();
+            } else {
+                held.set(held.get() + kept);
+            }
+            most = most.max(held.get());
+            if images.is_full_with(SIZE, || Some((33 << 20) + held.get())) {
+                images.drop_all();
+                held.set(0);
+                renewals += 1;
+            }
+        }
+        (most, renewals)
+    }
+
+    #[test]
+    fn incomplete_images_occupy_at_most_the_limit() {
+        for period in [None, Some(2), Some(10)] {
+            let (most, renewals) = hold(period, IMAGE);
+            assert!(most <= LIMIT + 2 * IMAGE, "{period:?}: {most} bytes");
+            assert!(renewals > 10, "{period:?}: {renewals}");
+        }
+    }
+
+    #[test]
+    fn neither_complete_images_nor_unsent_ones_renew_the_subscription() {
+        assert_eq!(hold(Some(1), IMAGE).1, 0);
+        assert_eq!(hold(Some(3), 0).1, 0);
+    }
+
+    #[test]
+    fn dropped_images_are_counted_and_explained() {
+        let mut images = IncompleteImages::default();
+        assert!(images.why_none().contains("no image"));
+        while !images.is_full_with(SIZE, || None) {}
+        images.drop_all();
+        assert_eq!(images.dropped as usize, LIMIT / IMAGE + 1);
+        assert!(images.why_none().contains("rmem_max"));
+    }
+}

@@ -1,0 +1,200 @@
+//! Bayer and YUV 4:2:2 images into pixels.
+
+use crate::image::{ImageError, ImageView, OwnedImage, PixelFormat};
+use opencv::{
+    core::{Mat, Vec2b, Vec3b},
+    imgproc,
+};
+
+/// OpenCV's conversion of an encoding to r, g, b.
+struct Layout {
+    code: i32,
+    bytes_per_pixel: usize,
+}
+
+/// The conversion of an encoding. `sensor_msgs/image_encodings` names a Bayer pattern by the first
+/// two pixels of the first two rows, OpenCV by the second and third of the second row: rggb is its
+/// BG.
+fn layout(encoding: &str) -> Option<Layout> {
+    let (code, bytes_per_pixel) = match encoding {
+        "bayer_rggb8" => (imgproc::COLOR_BayerBG2RGB, 1),
+        "bayer_bggr8" => (imgproc::COLOR_BayerRG2RGB, 1),
+        "bayer_gbrg8" => (imgproc::COLOR_BayerGR2RGB, 1),
+        "bayer_grbg8" => (imgproc::COLOR_BayerGB2RGB, 1),
+        "bayer_rggb16" => (imgproc::COLOR_BayerBG2RGB, 2),
+        "bayer_bggr16" => (imgproc::COLOR_BayerRG2RGB, 2),
+        "bayer_gbrg16" => (imgproc::COLOR_BayerGR2RGB, 2),
+        "bayer_grbg16" => (imgproc::COLOR_BayerGB2RGB, 2),
+        "yuv422" | "uyvy" => (imgproc::COLOR_YUV2RGB_UYVY, 2),
+        "yuv422_yuy2" | "yuyv" => (imgproc::COLOR_YUV2RGB_YUY2, 2),
+        _ => return None,
+    };
+    Some(Layout { code, bytes_per_pixel })
+}
+
+/// Converts Bayer or YUV 4:2:2 into rgb8.
+///
+/// # Errors
+/// [`ImageError::UnknownEncoding`], [`ImageError::Size`] where size, step and data contradict each
+/// other, [`ImageError::Decode`] with OpenCV's reason.
+pub(crate) fn convert(
+    width: usize,
+    height: usize,
+    encoding: &str,
+    big_endian: bool,
+    step: usize,
+    data: &[u8],
+    scratch: &mut OwnedImage,
+) -> Result<(), ImageError> {
+    let layout = layout(encoding)
+        .ok_or_else(|| ImageError::UnknownEncoding { encoding: encoding.to_owned() })?;
+    let contradiction = ImageError::Size { width, height, step, length: data.len() };
+    let row = width.checked_mul(layout.bytes_per_pixel).ok_or_else(|| contradiction.clone())?;
+    let limit = 1..=ImageView::MAX_SIDE;
+    let enough = step.checked_mul(height.saturating_sub(1)).and_then(|n| n.checked_add(row));
+    if !limit.contains(&width)
+        || !limit.contains(&height)
+        || step < row
+        || enough.is_none_or(|n| data.len() < n)
+        // Both patterns repeat every two pixels.
+        || !width.is_multiple_of(2)
+        || height < 2
+    {
+        return Err(contradiction);
+    }
+    let yuv = encoding.starts_with('y') || encoding.starts_with('u');
+    let packed: Vec<u8>;
+    let bytes: &[u8] = if layout.bytes_per_pixel == 2 && !yuv {
+        // The upper byte of each 16-bit value.
+        let upper = usize::from(!big_endian);
+        packed = (0..height)
+            .flat_map(|y| data[y * step..y * step + row].iter().skip(upper).step_by(2).copied())
+            .collect();
+        &packed
+    } else if step == row {
+        &data[..row * height]
+    } else {
+        packed = (0..height).flat_map(|y| data[y * step..y * step + row].iter().copied()).collect();
+        &packed
+    };
+    let (w, h) = (width as i32, height as i32);
+    scratch.data.resize(width * height * 3, 0);
+    (scratch.width, scratch.height, scratch.step, scratch.format) =
+        (width, height, width * 3, PixelFormat::Rgb8);
+    let converted = (|| {
+        let mut out = Mat::new_rows_cols_with_bytes_mut::<Vec3b>(h, w, &mut scratch.data)?;
+        if yuv {
+            imgproc::cvt_color_def(
+                &Mat::new_rows_cols_with_bytes::<Vec2b>(h, w, bytes)?,
+                &mut out,
+                layout.code,
+            )
+        } else {
+            imgproc::cvt_color_def(
+                &Mat::new_rows_cols_with_bytes::<u8>(h, w, bytes)?,
+                &mut out,
+                layout.code,
+            )
+        }
+    })();
+    converted.map_err(|e| ImageError::Decode { format: "Bayer or YUV", reason: e.to_string() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A smooth colored image, sampled through a pattern, is recovered with every color in place.
+    #[test]
+    fn every_bayer_pattern_is_converted() {
+        let (w, h) = (64usize, 48usize);
+        let truth = |x: usize, y: usize| [60 + x as i32, 200 - 2 * y as i32, 40 + (x + y) as i32];
+        for pattern in ["rggb", "bggr", "gbrg", "grbg"] {
+            let channel = |x: usize, y: usize| {
+                let letter = pattern.as_bytes()[(y % 2) * 2 + x % 2];
+                truth(x, y)[match letter {
+                    b'r' => 0,
+                    b'g' => 1,
+                    _ => 2,
+                }] as u8
+            };
+            let step = w + 6;
+            let mut eight = vec![0u8; step * h];
+            let (mut little, mut big) = (vec![0u8; 2 * w * h], vec![0u8; 2 * w * h]);
+            for y in 0..h {
+                for x in 0..w {
+                    eight[y * step + x] = channel(x, y);
+                    little[2 * (y * w + x) + 1] = channel(x, y);
+                    big[2 * (y * w + x)] = channel(x, y);
+                }
+            }
+            for (encoding, big_endian, step, data) in [
+                (format!("bayer_{pattern}8"), false, step, &eight),
+                (format!("bayer_{pattern}16"), false, 2 * w, &little),
+                (format!("bayer_{pattern}16"), true, 2 * w, &big),
+            ] {
+                let mut image = OwnedImage::default();
+                convert(w, h, &encoding, big_endian, step, data, &mut image).unwrap();
+                for y in 4..h - 4 {
+                    for x in 4..w - 4 {
+                        for c in 0..3 {
+                            let found = i32::from(image.data[(y * w + x) * 3 + c]);
+                            assert!(
+                                (found - truth(x, y)[c]).abs() <= 2,
+                                "{encoding} {x} {y} {c}: {found}"
+                            );
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn yuv_422_is_converted_in_either_order() {
+        let (w, h) = (16usize, 4usize);
+        // BT.601, studio range: (200, 60, 40).
+        let (r, g, b) = (200.0, 60.0, 40.0);
+        let y = 16.0 + 0.257 * r + 0.504 * g + 0.098 * b;
+        let u = 128.0 - 0.148 * r - 0.291 * g + 0.439 * b;
+        let v = 128.0 + 0.439 * r - 0.368 * g - 0.071 * b;
+        let [y, u, v] = [y, u, v].map(|x: f64| x.round() as u8);
+        for (encoding, unit) in [
+            ("yuv422", [u, y, v, y]),
+            ("uyvy", [u, y, v, y]),
+            ("yuv422_yuy2", [y, u, y, v]),
+            ("yuyv", [y, u, y, v]),
+        ] {
+            let data: Vec<u8> = unit.iter().copied().cycle().take(2 * w * h).collect();
+            let mut image = OwnedImage::default();
+            convert(w, h, encoding, false, 2 * w, &data, &mut image).unwrap();
+            for (found, wanted) in image.data.iter().zip([r, g, b].iter().cycle()) {
+                assert!(
+                    (f64::from(*found) - wanted).abs() < 4.0,
+                    "{encoding}: {found} instead of {wanted}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn contradicting_sizes_are_rejected() {
+        let mut image = OwnedImage::default();
+        assert!(matches!(
+            convert(8, 8, "bayer_rggb8", false, 8, &[0; 63], &mut image),
+            Err(ImageError::Size { .. })
+        ));
+        assert!(matches!(
+            convert(7, 8, "yuv422", false, 14, &[0; 112], &mut image),
+            Err(ImageError::Size { .. })
+        ));
+        assert!(matches!(
+            convert(usize::MAX, 8, "yuv422", false, 14, &[0; 112], &mut image),
+            Err(ImageError::Size { .. })
+        ));
+        assert!(matches!(
+            convert(8, 8, "nv21", false, 8, &[0; 96], &mut image),
+            Err(ImageError::UnknownEncoding { .. })
+        ));
+    }
+}

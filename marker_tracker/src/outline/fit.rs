@@ -1,0 +1,144 @@
+//! Outline measurement from four edges.
+
+use crate::{
+    edge::{EdgeFit, Interior, MAX_ROWS, Rows, ShapePrior, Side, fit_edge},
+    outline::{
+        combine::{Estimate, combine},
+        quad_fit::QuadFit,
+    },
+    quad::Quad,
+    signal::Sampler,
+};
+use nalgebra::{Matrix2, Vector2};
+
+/// Smallest area of an outline that is measured, px².
+const MIN_AREA: f64 = 9.0;
+
+/// Measures the outline near `predicted` (px).
+///
+/// Each edge is measured by the rows that cross it ([`fit_edge`]). The level inside is a plane over
+/// the interior, the level outside a line along the edge that continues with the interior's
+/// relative shading. Rows that something crosses are left out. An edge that is not visible is put
+/// where the shape prior has it relative to the others; the covariance contains that.
+///
+/// `min_contrast`: in units of the signal. `None` where fewer than two adjacent edges are visible
+/// or the contrast is lost.
+pub(crate) fn fit(
+    sampler: &Sampler<'_>,
+    predicted: &Quad,
+    prior: &ShapePrior,
+    min_contrast: f64,
+) -> Option<QuadFit> {
+    if !predicted.0.iter().all(|c| c.amax() < 1e6) {
+        return None;
+    }
+    let (signed_area, center) = predicted.area_and_centroid();
+    if signed_area.is_nan() || signed_area.abs() < MIN_AREA {
+        return None;
+    }
+    let half_width = prior.half_width.min(predicted.thickness_of(signed_area) * 0.25).max(1.0);
+    let quick = prior.rows < MAX_ROWS;
+    let interior = Interior::measure(sampler, predicted, half_width, quick, prior.gradient)?;
+    let interior = if prior.relit.is_some() { interior.relit() } else { interior };
+    let sides = Side::of(predicted, center);
+    let mut edges: [Option<EdgeFit>; 4] = [None; 4];
+    let mut scratch = Rows::new();
+    for (edge, side) in edges.iter_mut().zip(&sides) {
+        *edge = fit_edge(sampler, &interior, side, half_width, prior, min_contrast, &mut scratch);
+    }
+    if let Some(levels) = &prior.levels
+        && !sampler.saturated
+        && prior.relit.is_none()
+    {
+        levels.mark_foreign(&mut edges, interior.level);
+    }
+    let (estimate, edges) = combine(&sides, edges, prior)?;
+    let mut fit = finish(predicted, center, &sides, edges, &estimate, &interior);
+    let contrast = (fit.inside - fit.outside).abs().max(1e-3);
+    // (A band is whole pixels, some 0.4 px more on either side.)
+    let lever = (prior.half_width + 0.4) * interior.sigma / contrast * prior.correlation;
+    fit.covariance += Matrix2::identity()
+        * (lever * lever * interior.reach * prior.inflation / prior.correlation);
+    fit.inflation = prior.inflation;
+    fit.relit = prior.relit.is_some();
+    Some(fit)
+}
+
+/// Intersects the edges and propagates their covariance to the centroid.
+fn finish(
+    predicted: &Quad,
+    center: Vector2<f64>,
+    sides: &[Side; 4],
+    edges: [Option<EdgeFit>; 4],
+    estimate: &Estimate,
+    interior: &Interior,
+) -> QuadFit {
+    // Each edge as point and direction, then neighbours intersected.
+    let line: [(Vector2<f64>, Vector2<f64>); 4] = std::array::from_fn(|i| {
+        let Side { middle, tangent, normal, .. } = sides[i];
+        (middle + normal * estimate.offsets[i], tangent + normal * estimate.slopes[i])
+    });
+    let mut quad = *predicted;
+    for i in 0..4 {
+        // Corner i + 1 is where edge i meets edge i + 1.
+        let ((p, d), (q, e)) = (line[i], line[(i + 1) % 4]);
+        let cross = d.x * e.y - d.y * e.x;
+        if cross.abs() > 1e-6 {
+            let w = q - p;
+            quad.0[(i + 1) % 4] = p + d * ((w.x * e.y - w.y * e.x) / cross);
+        }
+    }
+    let (area, centroid) = quad.area_and_centroid();
+    let a = area.abs().max(1.0);
+    // ∂centroid/∂(offset, slope) of each edge: the strip's first moment about the centroid over the
+    // area.
+    let by: [Matrix2<f64>; 4] = std::array::from_fn(|i| {
+        let Side { middle, tangent, length, .. } = sides[i];
+        Matrix2::from_columns(&[
+            (middle - center) * (length / a),
+            tangent * (length.powi(3) / (12.0 * a)),
+        ])
+    });
+    let mut covariance = Matrix2::zeros();
+    match &estimate.covariance {
+        None => {
+            for (b, e) in by.iter().zip(&edges) {
+                if let Some(e) = e {
+                    covariance += b * e.covariance * b.transpose();
+                }
+            }
+        }
+        Some(all) => {
+            for i in 0..4 {
+                for j in 0..4 {
+                    let part = Matrix2::new(
+                        all[(i, j)],
+                        all[(i, 4 + j)],
+                        all[(4 + i, j)],
+                        all[(4 + i, 4 + j)],
+                    );
+                    covariance += by[i] * part * by[j].transpose();
+                }
+            }
+        }
+    }
+    let miss = (0..4)
+        .map(|i| estimate.offsets[i].abs() + estimate.slopes[i].abs() * sides[i].length / 2.0)
+        .fold(0.0, f64::max);
+    let seen = edges.iter().flatten().count() as f64;
+    let outside = edges.iter().flatten().map(|e| e.outside).sum::<f64>() / seen.max(1.0);
+    QuadFit {
+        quad,
+        centroid,
+        covariance: (covariance + covariance.transpose()) * 0.5,
+        area: a,
+        edges,
+        gradient: interior.gradient,
+        inside: interior.level,
+        outside,
+        filled: interior.filled,
+        inflation: 1.0,
+        miss,
+        relit: false,
+    }
+}

@@ -1,0 +1,286 @@
+//! Acquisition: the markers in the whole image, wherever they are.
+
+use crate::{
+    appearance::Appearance,
+    association::{Extent, Hypothesis, Strictness, hypotheses},
+    geometry::{PoseObservation, refine},
+    image::ImageView,
+    outline::QuadFit,
+    quad::Quad,
+    scan::{CELL, Palette, ScanConfig, Scanner},
+    signal::{Sampler, mean_rgb},
+    tracking::{
+        meter::{ONE_PASS_ROWS, OutlineMeter, SEARCH_ROWS, Tolerance},
+        platform::{MAX_TURN, PlatformModel},
+    },
+};
+use nalgebra::{Isometry3, Vector2};
+use rig_model::{CameraModel, MarkerColor, PerColor};
+
+/// A marker that an acquisition has measured.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AcquiredMarker {
+    pub appearance: Appearance,
+    /// Turn in its plane, rad.
+    pub turn: f64,
+    /// Half-width across the edges that their blur needs, px.
+    pub half_width: f64,
+    centroid: Vector2<f64>,
+}
+
+/// A hypothesis that its outlines confirm.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Acquired {
+    /// `camera_from_volant`.
+    pub pose: Isometry3<f64>,
+    pub markers: PerColor<Option<AcquiredMarker>>,
+    count: usize,
+    /// Reprojection error and deviation of the sizes, px.
+    error: f64,
+}
+
+impl Acquired {
+    fn is_better_than(&self, other: &Self) -> bool {
+        (self.count, -self.error) > (other.count, -other.error)
+    }
+
+    /// Whether no common marker is more than 3 px apart.
+    fn is_at_the_place_of(&self, other: &Self) -> bool {
+        self.markers.0.iter().zip(&other.markers.0).all(|(a, b)| match (a, b) {
+            (Some(a), Some(b)) => (a.centroid - b.centroid).norm() < 3.0,
+            _ => true,
+        })
+    }
+}
+
+/// Patches of the markers' colors and hypotheses; their memory is reused.
+#[derive(Debug)]
+pub(super) struct Acquisition {
+    scanner: Scanner,
+    found: Vec<Hypothesis>,
+}
+
+impl Acquisition {
+    /// RMS error (px) below which a hypothesis with four outlines needs no comparison: tuned;
+    /// guarded by the clutter bag of `tests/bags.rs`.
+    const CERTAIN: f64 = 0.6;
+
+    /// Creates the search for papers of these colors (mean r, g, b of 0–255), where calibrated.
+    pub fn new(colors: &PerColor<Option<[f64; 3]>>) -> Self {
+        Self { scanner: Scanner::new(Palette::new(colors)), found: Vec::with_capacity(64) }
+    }
+
+    /// Replaces the calibrated colors.
+    pub fn set_colors(&mut self, colors: &PerColor<Option<[f64; 3]>>) {
+        self.scanner.palette = Palette::new(colors);
+    }
+
+    /// The calibrated colors.
+    pub fn palette(&self) -> &Palette {
+        &self.scanner.palette
+    }
+
+    /// The outline moved to the nearest patch of the marker's color, size and shape, at most
+    /// `25 + reach` px away (25 px: the paper's search window).
+    pub fn nearest_patch(
+        &mut self,
+        image: &ImageView<'_>,
+        color: MarkerColor,
+        outline: &Quad,
+        reach: f64,
+    ) -> Option<Quad> {
+        let (area, place) = outline.area_and_centroid();
+        let config = ScanConfig {
+            stride: 1,
+            grid: 4,
+            min_saturation: 0.15,
+            min_layer: 10,
+            min_area: 0.5 * area.abs(),
+            max_area: 1.5 * area.abs(),
+        };
+        self.scanner.scan(image, outline.bounds(25.0 + reach), &config);
+        let patches = self.scanner.blobs.iter();
+        let nearest = patches
+            .filter(|b| b.color == color && !b.cut && (0.8..1.2).contains(&b.fill()))
+            .min_by(|a, b| (a.centroid - place).norm().total_cmp(&(b.centroid - place).norm()))?;
+        Some(outline.shifted(nearest.centroid - place))
+    }
+
+    /// Searches the whole image; `None` where no four markers, and no unambiguous three, are found.
+    pub fn search(
+        &mut self,
+        image: &ImageView<'_>,
+        camera: &CameraModel,
+        known_camera: bool,
+        platform: &PlatformModel,
+        meters: &PerColor<OutlineMeter>,
+    ) -> Option<Acquired> {
+        let size = (image.width * image.height) as f64;
+        // An assumed camera admits larger deviations.
+        let strictness = if known_camera {
+            Strictness { reprojection: 0.08, area: 1.8 }
+        } else {
+            Strictness { reprojection: 0.3, area: 2.2 }
+        };
+        let stride = (image.width.max(image.height) / 320).clamp(1, 8);
+        let full = [0, 0, image.width as i32, image.height as i32];
+        // Paper is more colorful than most floors: a coarse search for that first. Small or pale
+        // markers are left to the fine one.
+        let coarse = ScanConfig {
+            stride: 2 * stride,
+            grid: CELL,
+            min_saturation: 0.28,
+            min_layer: 20,
+            min_area: 100.0,
+            max_area: size / 6.0,
+        };
+        let fine = ScanConfig {
+            stride,
+            grid: stride.clamp(4, 8),
+            min_saturation: 0.15,
+            min_layer: 12,
+            min_area: 40.0,
+            ..coarse
+        };
+        let verification = Verification { image, camera, known_camera, platform, meters };
+        // Three patches only where no four are confirmed.
+        for (config, extents) in [
+            (coarse, &[Extent::Quick] as &[Extent]),
+            (fine, &[Extent::Quick, Extent::Fours, Extent::Threes]),
+        ] {
+            self.scanner.scan(image, full, &config);
+            for extent in extents {
+                let (layout, blobs) = (&platform.layout, &self.scanner.blobs);
+                hypotheses(layout, camera, blobs, strictness, *extent, &mut self.found);
+                let best = verification.best_of(&self.found, &self.scanner);
+                if best.is_some() {
+                    return best;
+                }
+            }
+        }
+        None
+    }
+}
+
+/// Measures the outlines that hypotheses claim.
+struct Verification<'a, 'p> {
+    image: &'a ImageView<'p>,
+    camera: &'a CameraModel,
+    known_camera: bool,
+    platform: &'a PlatformModel,
+    meters: &'a PerColor<OutlineMeter>,
+}
+
+impl Verification<'_, '_> {
+    /// The hypothesis that its outlines confirm best; none where three markers could be in several
+    /// places.
+    fn best_of(&self, found: &[Hypothesis], scanner: &Scanner) -> Option<Acquired> {
+        let mut best: Option<Acquired> = None;
+        let mut ambiguous = false;
+        for hypothesis in found {
+            let Some(v) = self.verify(hypothesis, scanner) else { continue };
+            if let Some(b) = &best {
+                ambiguous |= b.count == v.count && !b.is_at_the_place_of(&v);
+            }
+            if best.as_ref().is_none_or(|b| v.is_better_than(b)) {
+                best = Some(v);
+            }
+            if best.as_ref().is_some_and(|b| b.count == 4 && b.error < Acquisition::CERTAIN) {
+                return best;
+            }
+        }
+        best.filter(|b| b.count == 4 || !ambiguous)
+    }
+
+    /// Measures the outlines of one hypothesis and refines its pose.
+    fn verify(&self, hypothesis: &Hypothesis, scanner: &Scanner) -> Option<Acquired> {
+        let start = &hypothesis.camera_from_volant;
+        let mut markers = PerColor([None; 4]);
+        let mut observations = [PoseObservation::NONE; 4];
+        let (mut count, mut side, mut shape_error) = (0, 0.0, 0.0);
+        for color in MarkerColor::ALL {
+            let Some(blob) = hypothesis.blobs[color].and_then(|i| scanner.blobs.get(i)) else {
+                continue;
+            };
+            let Some(predicted) = self.platform.outline(color, self.camera, start) else {
+                continue;
+            };
+            let (_, place) = predicted.area_and_centroid();
+            let predicted = predicted.shifted(blob.centroid - place);
+            let Some(mut appearance) = Appearance::sample(self.image, &predicted) else { continue };
+            if mean_rgb(self.image, blob.centroid, 1)
+                .is_some_and(|rgb| scanner.palette.classify_mean(rgb).is_none())
+            {
+                continue;
+            }
+            let Some(fit) = self.measure(color, &appearance, &predicted) else { continue };
+            appearance.adapt(self.image, &fit.quad, 1.0);
+            let turn = self.platform.turn_of(color, self.camera, start, &fit)?;
+            if turn.abs() > MAX_TURN {
+                continue;
+            }
+            let centroid = fit.centroid;
+            markers[color] =
+                Some(AcquiredMarker { appearance, turn, half_width: fit.half_width(), centroid });
+            let outline = Some((fit.quad, turn));
+            observations[count] =
+                PoseObservation { color, pixel: centroid, sigma: PoseObservation::SIGMA, outline };
+            count += 1;
+            side += fit.area.sqrt();
+            let spread = fit.area.sqrt() - predicted.area_and_centroid().0.abs().sqrt();
+            shape_error += spread.powi(2);
+        }
+        if count < 3 {
+            return None;
+        }
+        let observations = &observations[..count];
+        let (pose, rms) =
+            refine(&self.platform.layout, self.camera, observations, start, None, 20)?;
+        side /= count as f64;
+        let shape = (shape_error / count as f64).sqrt();
+        // Largest RMS errors of position and size, px: of a layout measured by hand and, with an
+        // assumed camera, of its focal length and distortion. Tuned; guarded by `tests/bags.rs` and
+        // `tests/synthetic.rs`.
+        let (limit, shape_limit) = if self.known_camera {
+            (0.35 + 0.02 * side, 1.0 + 0.05 * side)
+        } else {
+            (2.0 + 0.1 * side, 2.0 + 0.15 * side)
+        };
+        (rms <= limit && shape <= shape_limit).then_some(Acquired {
+            pose,
+            markers,
+            count,
+            error: rms + 0.2 * shape,
+        })
+    }
+
+    /// Measures a whole outline about a patch: its place is known to a few pixels, its size and
+    /// turn roughly.
+    fn measure(
+        &self,
+        color: MarkerColor,
+        appearance: &Appearance,
+        predicted: &Quad,
+    ) -> Option<QuadFit> {
+        let sampler = Sampler::new(self.image, &appearance.discriminant);
+        let wide = Tolerance {
+            half_width: 6.0,
+            edge: if self.known_camera { 1.5 } else { 3.0 },
+            place: 6.0,
+            slope: 0.12,
+            gradient: None,
+            rows: SEARCH_ROWS,
+        };
+        let narrow = Tolerance {
+            half_width: 3.0,
+            edge: 0.5,
+            place: 3.0,
+            slope: 0.05,
+            gradient: None,
+            rows: ONE_PASS_ROWS,
+        };
+        let meter = &self.meters[color];
+        let first = meter.measure(&sampler, predicted, wide).filter(QuadFit::is_whole)?;
+        meter.measure(&sampler, &first.quad, narrow).filter(QuadFit::is_whole)
+    }
+}

@@ -1,0 +1,74 @@
+//! The camera model for the size of the images.
+
+use crate::image::ImageView;
+use rig_model::{CameraModel, Distortion};
+
+/// The camera model as it was given, and as it fits the images.
+#[derive(Debug, Default)]
+pub(super) struct ImageCamera {
+    given: Option<CameraModel>,
+    fitted: Option<Fitted>,
+    assumed: Option<CameraModel>,
+}
+
+/// The given model scaled to a size; no model where the aspect ratio differs.
+#[derive(Debug)]
+struct Fitted {
+    size: (u32, u32),
+    model: Option<CameraModel>,
+}
+
+impl ImageCamera {
+    /// Sets the model from the camera's calibration.
+    pub fn set(&mut self, camera: CameraModel) {
+        if self.given.as_ref() != Some(&camera) {
+            self.given = Some(camera);
+            self.fitted = None;
+        }
+    }
+
+    /// The model for an image: the given one, scaled to the image's size where that has the same
+    /// aspect ratio; otherwise an assumed one. `None` where the size admits no model.
+    pub fn for_image(&mut self, image: &ImageView<'_>) -> Option<CameraModel> {
+        let size = size_of(image);
+        if self.fitted.as_ref().is_none_or(|f| f.size != size) {
+            let model = self.given.as_ref().and_then(|c| c.resized(size.0, size.1));
+            self.fitted = Some(Fitted { size, model });
+        }
+        if let Some(Fitted { model: Some(model), .. }) = &self.fitted {
+            return Some(model.clone());
+        }
+        if self.assumed.as_ref().is_none_or(|c| c.size() != size) {
+            self.assumed = assumed_camera(image.width, image.height);
+        }
+        self.assumed.clone()
+    }
+
+    /// Whether the model of the last image comes from a calibration.
+    pub fn is_known(&self) -> bool {
+        matches!(self.fitted, Some(Fitted { model: Some(_), .. }))
+    }
+
+    /// Size (width, height; px) of the given model where the image has another one.
+    pub fn mismatched_size(&self, image: &ImageView<'_>) -> Option<(u32, u32)> {
+        let size = self.given.as_ref()?.size();
+        (size != size_of(image)).then_some(size)
+    }
+}
+
+fn size_of(image: &ImageView<'_>) -> (u32, u32) {
+    (image.width as u32, image.height as u32)
+}
+
+/// A camera without distortion and with a horizontal field of view of 58° (focal length 0.9 of the
+/// longer side), which is that of common webcams; stands in until a calibration arrives.
+fn assumed_camera(width: usize, height: usize) -> Option<CameraModel> {
+    let f = 0.9 * width.max(height) as f64;
+    CameraModel::new(
+        width as u32,
+        height as u32,
+        [f, f, (width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0],
+        Distortion::PlumbBob([0.0; 5]),
+    )
+    .ok()
+}

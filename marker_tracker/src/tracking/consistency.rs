@@ -1,0 +1,210 @@
+//! Consistency check: whether outlines can be the markers of one platform.
+
+use crate::{
+    geometry::{PoseObservation, PosePrior, refine},
+    outline::QuadFit,
+    quad::Quad,
+    tracking::{marker::MarkerTrack, platform::PlatformModel},
+};
+use nalgebra::Isometry3;
+use rig_model::{CameraModel, MarkerColor, PerColor};
+
+/// Measured outlines.
+pub(super) type Fits = PerColor<Option<QuadFit>>;
+
+/// Number of standard deviations by which a width or a direction may exceed its tolerance: for a
+/// normal distribution 6e-5 (two-sided), so that noise alone rejects no marker in hours of images.
+const GATE: f64 = 4.0;
+
+/// The same for the reprojection error of three or four centroids: 2.5 σ of the least certain
+/// centroid, plus what the adapted layout leaves. Tuned; guarded by `tests/bags.rs`.
+const REPROJECTION: (f64, f64) = (0.08, 2.5);
+
+/// Tolerances of a square's shape in the pose of `count` markers.
+struct ShapeTolerance {
+    /// Width between opposite edges, px.
+    width: f64,
+    /// Direction of an edge relative to the others, rad.
+    slope: f64,
+}
+
+impl ShapeTolerance {
+    /// How well the shape is known: of the paper itself and of the pose that it is seen from.
+    /// Tuned; guarded from both sides by `tests/bags.rs` (whole markers are detected) and
+    /// `volant-peers trials` (cut ones are not). `side`: of the square, px.
+    fn new(known_camera: bool, known_shape: bool, count: usize, side: f64) -> Self {
+        let (width, slope) = match (known_camera, known_shape, count) {
+            (true, true, 4) => (0.1 + 0.004 * side, 0.01),
+            (true, true, 3) => (0.2 + 0.008 * side, 0.015),
+            (true, true, _) => (0.5 + 0.03 * side, 0.06),
+            (true, false, _) => (1.0 + 0.05 * side, 0.08),
+            (false, ..) => (1.5 + 0.15 * side, 0.15),
+        };
+        Self { width, slope }
+    }
+}
+
+/// How far an outline is off the shape that a pose, determined by `count` markers, gives it, in
+/// units of its tolerance: the widths between opposite edges and the directions of the measured
+/// edges. Whatever hides an edge, or continues it in its color, shows in them.
+pub(super) fn misfit(
+    platform: &PlatformModel,
+    color: MarkerColor,
+    fit: &QuadFit,
+    camera: &CameraModel,
+    pose: &Isometry3<f64>,
+    count: usize,
+    known_camera: bool,
+) -> f64 {
+    let Some(expected) = platform.outline(color, camera, pose) else { return f64::INFINITY };
+    let geometry = &platform.markers[color];
+    let side = fit.area.sqrt();
+    let tolerance = ShapeTolerance::new(known_camera, geometry.is_shape_known(), count, side);
+    // While the layout is still adapting, so is the shape.
+    let misplacement = platform.largest_misplacement();
+    let width = tolerance.width + 1.5 * misplacement;
+    let slope = tolerance.slope + 1.5 * misplacement / side.max(10.0);
+    let mut worst = 0.0f64;
+    for (k, (measured, predicted)) in fit.quad.widths().iter().zip(expected.widths()).enumerate() {
+        // Width k is the distance between the edges k and k + 2.
+        let (Some(a), Some(b)) = (fit.edges[k], fit.edges[k + 2]) else { continue };
+        let sigma = (a.covariance[(0, 0)] + b.covariance[(0, 0)]).sqrt();
+        let off = (measured - predicted - 2.0 * geometry.edge_bias()[k]).abs();
+        worst = worst.max(off / (width + GATE * sigma));
+    }
+    let (mut turns, mut mean, mut seen) = ([0.0; 4], 0.0, 0.0);
+    for (i, turn) in turns.iter_mut().enumerate() {
+        let side = |q: &Quad| q.0[(i + 1) % 4] - q.0[i];
+        let (a, b) = (side(&expected), side(&fit.quad));
+        *turn = (a.x * b.y - a.y * b.x).atan2(a.dot(&b));
+        if fit.edges[i].is_some() {
+            (mean, seen) = (mean + *turn, seen + 1.0);
+        }
+    }
+    mean /= f64::max(seen, 1.0);
+    for (turn, edge) in turns.iter().zip(&fit.edges) {
+        let Some(e) = edge else { continue };
+        let sigma = e.covariance[(1, 1)].sqrt();
+        worst = worst.max((turn - mean).abs() / (slope + GATE * sigma));
+    }
+    worst
+}
+
+/// Checks whole outlines against one pose.
+pub(super) struct Consistency<'a> {
+    platform: &'a PlatformModel,
+    tracks: &'a PerColor<MarkerTrack>,
+    camera: &'a CameraModel,
+    known_camera: bool,
+}
+
+impl<'a> Consistency<'a> {
+    /// Collects what the check needs: the learned geometry, the tracks' last motion, the camera.
+    pub fn new(
+        platform: &'a PlatformModel,
+        tracks: &'a PerColor<MarkerTrack>,
+        camera: &'a CameraModel,
+        known_camera: bool,
+    ) -> Self {
+        Self { platform, tracks, camera, known_camera }
+    }
+
+    /// The pose (`camera_from_volant`) that the whole outlines determine, and which of them were
+    /// removed from `whole` because they contradict the others. `start`: the predicted pose.
+    ///
+    /// Four centroids over-determine the pose by two, and each square has the widths that the pose
+    /// gives it: what does not fit is no marker, or has an edge hidden behind something straight.
+    pub fn pose(
+        &self,
+        start: &Isometry3<f64>,
+        whole: &mut Fits,
+    ) -> (Isometry3<f64>, PerColor<bool>) {
+        let prior =
+            PosePrior { camera_from_volant: *start, position_sigma: 0.1, rotation_sigma: 0.1 };
+        let mut removed = PerColor([false; 4]);
+        loop {
+            let count = whole.0.iter().flatten().count();
+            if count == 0 {
+                return (*start, removed);
+            }
+            let mut observations = [PoseObservation::NONE; 4];
+            for ((color, fit), slot) in
+                whole.iter().filter_map(|(c, f)| Some((c, f.as_ref()?))).zip(&mut observations)
+            {
+                *slot = self.platform.observation(color, fit, count < 4);
+            }
+            let observations = &observations[..count];
+            let refined =
+                refine(&self.platform.layout, self.camera, observations, start, Some(&prior), 8);
+            let Some((pose, rms)) = refined else { return (*start, removed) };
+            if count < 2 {
+                return (pose, removed);
+            }
+            let (mut worst, mut culprit) = (0.0, None);
+            for (color, fit) in whole.iter() {
+                let Some(fit) = fit else { continue };
+                let off =
+                    misfit(self.platform, color, fit, self.camera, &pose, count, self.known_camera);
+                if off > worst {
+                    (worst, culprit) = (off, Some(color));
+                }
+            }
+            if worst < 1.0 {
+                if count == 2 || rms <= self.reprojection_tolerance(whole) {
+                    return (pose, removed);
+                }
+                culprit = self.strangest(whole);
+            }
+            let Some(culprit) = culprit else { return (pose, removed) };
+            whole[culprit] = None;
+            removed[culprit] = true;
+        }
+    }
+
+    /// Largest RMS reprojection error of consistent centroids, px: the error of the layout until it
+    /// has been adapted, then that of the measurements.
+    fn reprojection_tolerance(&self, whole: &Fits) -> f64 {
+        let placed = self.platform.markers.0.iter().all(|m| m.is_placed());
+        match (self.known_camera, placed) {
+            (true, true) => {
+                let variance = |f: &QuadFit| f.covariance.trace() / 2.0;
+                let sigma = whole.0.iter().flatten().map(variance).fold(0.0, f64::max).sqrt();
+                let (base, gate) = REPROJECTION;
+                base + gate * sigma + 2.0 * self.platform.largest_misplacement()
+            }
+            // 2 % of a marker's side is 1.5 mm: how well a layout is measured by hand.
+            (true, false) => {
+                let side = whole.0.iter().flatten().map(|f| f.area.sqrt()).fold(0.0, f64::max);
+                0.5 + 0.02 * side
+            }
+            (false, _) => 3.0,
+        }
+    }
+
+    /// The marker whose displacement since the last image differs most from the others' (median of
+    /// the distances).
+    fn strangest(&self, whole: &Fits) -> Option<MarkerColor> {
+        let moved = PerColor::from_fn(|c| {
+            let track = &self.tracks[c];
+            whole[c].and_then(|f| Some(f.centroid - track.centroid? - track.flow))
+        });
+        let strangeness = |c: MarkerColor| {
+            let own = moved[c]?;
+            let mut distances = [f64::INFINITY; 4];
+            let mut k = 0;
+            for (_, other) in moved.iter().filter(|(o, _)| *o != c) {
+                if let Some(v) = other {
+                    distances[k] = (v - own).norm();
+                    k += 1;
+                }
+            }
+            distances[..k].sort_unstable_by(f64::total_cmp);
+            distances[..k].get(k / 2).copied()
+        };
+        MarkerColor::ALL
+            .into_iter()
+            .filter_map(|c| Some((c, strangeness(c)?)))
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(c, _)| c)
+    }
+}

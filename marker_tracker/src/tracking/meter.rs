@@ -1,0 +1,134 @@
+//! Outline measurement of one marker with what is known of its shape, levels and noise.
+
+use crate::{
+    appearance::Appearance,
+    edge::{MAX_ROWS, ShapePrior},
+    outline::{QuadFit, fit},
+    quad::Quad,
+    signal::Sampler,
+    tracking::{marker::EdgeHistory, noise::NoiseModel, platform::MarkerGeometry},
+};
+use nalgebra::Vector2;
+
+/// Half-width of the band across an edge while it is searched, px: tuned; guarded by
+/// the fast_swing bag of `tests/bags.rs`.
+pub(super) const SEARCH_HALF_WIDTH: f64 = 4.5;
+/// Widest band of a measurement after the search, px.
+pub(super) const MAX_HALF_WIDTH: f64 = SEARCH_HALF_WIDTH - 0.1;
+/// Rows of an edge that are read during the search and in a one-pass measurement. Tuned: `make
+/// bench` bounds the time, `tests/synthetic.rs` the accuracy.
+pub(super) const SEARCH_ROWS: usize = 16;
+pub(super) const ONE_PASS_ROWS: usize = 32;
+
+/// How precisely an outline's edges are known before a measurement.
+#[derive(Clone, Copy)]
+pub(super) struct Tolerance {
+    /// Half-width of the band across the edges that is read, px.
+    pub half_width: f64,
+    /// Standard deviation of an edge's distance from the predicted shape, px.
+    pub edge: f64,
+    /// Standard deviation of the predicted place, px.
+    pub place: f64,
+    /// Standard deviation of an edge's direction, rad.
+    pub slope: f64,
+    /// Signal gradient inside, 1/px, where it is known.
+    pub gradient: Option<Vector2<f64>>,
+    /// Maximum number of rows of an edge that are read.
+    pub rows: usize,
+}
+
+/// While an outline is searched.
+pub(super) const SEARCH: Tolerance = Tolerance {
+    half_width: SEARCH_HALF_WIDTH,
+    edge: 1.0,
+    place: 3.0,
+    slope: 0.06,
+    gradient: None,
+    rows: SEARCH_ROWS,
+};
+
+/// Once an outline is known to a fraction of a pixel.
+pub(super) const KNOWN: Tolerance = Tolerance {
+    half_width: 2.0,
+    edge: 0.5,
+    place: 3.0,
+    slope: 0.03,
+    gradient: None,
+    rows: MAX_ROWS,
+};
+
+/// Lowest contrast of an edge, in units of the one that the marker's colors were adapted in. Light
+/// may drop to 0.45 of its level (the shade scene of `volant-peers trials`); the rest is left for
+/// noise.
+const MIN_CONTRAST: f64 = 0.35;
+
+/// Measures the outline of one marker in one image.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OutlineMeter {
+    prior: ShapePrior,
+}
+
+impl Default for OutlineMeter {
+    /// For a marker of which nothing is known.
+    fn default() -> Self {
+        Self::new(&MarkerGeometry::default(), &EdgeHistory::default(), &NoiseModel::default())
+    }
+}
+
+impl OutlineMeter {
+    /// Collects what is known of a marker.
+    pub fn new(geometry: &MarkerGeometry, edges: &EdgeHistory, noise: &NoiseModel) -> Self {
+        Self {
+            prior: ShapePrior {
+                edge_bias: geometry.edge_bias(),
+                correlation: noise.correlation(),
+                inflation: noise.inflation(),
+                // Until the shape is known all edges are needed, whatever is beside them.
+                levels: edges.levels.filter(|_| geometry.is_shape_known()),
+                ..ShapePrior::default()
+            },
+        }
+    }
+
+    /// Measures the outline near `predicted` (px).
+    pub fn measure(
+        &self,
+        sampler: &Sampler<'_>,
+        predicted: &Quad,
+        tolerance: Tolerance,
+    ) -> Option<QuadFit> {
+        let prior = ShapePrior {
+            edge_sigma: tolerance.edge,
+            place_sigma: tolerance.place,
+            slope_sigma: tolerance.slope,
+            half_width: tolerance.half_width,
+            rows: tolerance.rows,
+            gradient: tolerance.gradient,
+            ..self.prior
+        };
+        fit(sampler, predicted, &prior, MIN_CONTRAST)
+    }
+
+    /// The measurement with rows normalized to the light at their places, for a marker of this
+    /// appearance: for shadows.
+    pub fn relit(&self, appearance: &Appearance) -> Self {
+        let relit = Some(appearance.relative_brightness());
+        Self { prior: ShapePrior { relit, levels: None, ..self.prior } }
+    }
+
+    /// Measures a whole outline in two passes: with the tolerance `first`, then about the outline
+    /// that was found, with the half-width that its blur needs.
+    pub fn whole(
+        &self,
+        sampler: &Sampler<'_>,
+        predicted: &Quad,
+        first: Tolerance,
+    ) -> Option<QuadFit> {
+        let first = self.measure(sampler, predicted, first).filter(QuadFit::is_whole)?;
+        let tolerance = Tolerance { half_width: first.half_width(), ..KNOWN };
+        let mut second = self.measure(sampler, &first.quad, tolerance).filter(QuadFit::is_whole)?;
+        // The distance from where it was predicted, not from the first pass.
+        second.miss += first.miss;
+        Some(second)
+    }
+}

@@ -1,0 +1,327 @@
+//! The tracking pipeline: acquisition, tracking and occlusion handling, image by image.
+//!
+//! [`Pipeline`] only orchestrates. Each component owns its state and its constants: the per-marker
+//! tracks (`marker`), the outline measurement (`meter`, `partial`), the association of patches with
+//! markers (`acquisition`), the consistency check (`consistency`), the adaptation of the platform's
+//! geometry (`platform`) and of the noise (`noise`), the platform's motion (`motion`,
+//! `extrapolation`) and the resulting marker states (`states`).
+
+mod acquisition;
+mod camera;
+mod consistency;
+mod extrapolation;
+mod marker;
+mod meter;
+mod motion;
+mod noise;
+mod outcome;
+mod partial;
+mod platform;
+mod repeat;
+mod states;
+
+pub use outcome::Outcome;
+
+use crate::{
+    config::TrackerConfig,
+    debug_view::{MarkerView, SignalView},
+    image::ImageView,
+    outline::QuadFit,
+    signal::Sampler,
+};
+use acquisition::Acquisition;
+use camera::ImageCamera;
+use consistency::{Consistency, Fits};
+use extrapolation::Extrapolator;
+use marker::MarkerTrack;
+use meter::OutlineMeter;
+use motion::{ImageInterval, PlatformMotion};
+use nalgebra::{Isometry3, Vector2};
+use noise::NoiseModel;
+use partial::PartialSearch;
+use platform::PlatformModel;
+use repeat::RepeatDetector;
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, PerColor};
+use states::CommonFlow;
+
+/// Margin around the searched outline that a debug view shows, px.
+const VIEW_MARGIN: f64 = 9.0;
+/// Margin around it that one measurement reads, px: the widest band
+/// ([`meter::SEARCH_HALF_WIDTH`]) rounded up.
+const READ_MARGIN: f64 = 5.0;
+
+/// State of the tracker: one value per component.
+#[derive(Debug)]
+pub(crate) struct Pipeline {
+    config: TrackerConfig,
+    camera: ImageCamera,
+    platform: PlatformModel,
+    motion: PlatformMotion,
+    extrapolator: Extrapolator,
+    interval: ImageInterval,
+    markers: PerColor<MarkerTrack>,
+    acquisition: Acquisition,
+    noise: NoiseModel,
+    repeats: RepeatDetector,
+    /// Processed images.
+    images: u32,
+    /// Consecutive images with fewer than two detected markers.
+    unseen: u32,
+}
+
+impl Pipeline {
+    /// Creates a tracker that searches for markers at the places of `layout` (volant frame, m).
+    pub fn new(layout: MarkerLayout, config: TrackerConfig) -> Self {
+        Self {
+            camera: ImageCamera::default(),
+            platform: PlatformModel::new(layout),
+            motion: PlatformMotion::default(),
+            extrapolator: Extrapolator::default(),
+            interval: ImageInterval::default(),
+            markers: PerColor::default(),
+            acquisition: Acquisition::new(&config.start_colors),
+            noise: NoiseModel::default(),
+            repeats: RepeatDetector::default(),
+            images: 0,
+            unseen: 0,
+            config,
+        }
+    }
+
+    /// Replaces the settings and keeps all tracks.
+    pub fn set_config(&mut self, config: TrackerConfig) {
+        self.acquisition.set_colors(&config.start_colors);
+        self.config = config;
+    }
+
+    /// Sets the camera's intrinsic parameters.
+    pub fn set_camera(&mut self, camera: CameraModel) {
+        self.camera.set(camera);
+    }
+
+    /// Size (width, height; px) of the camera model where the image has another one.
+    pub fn mismatched_camera_size(&self, image: &ImageView<'_>) -> Option<(u32, u32)> {
+        self.camera.mismatched_size(image)
+    }
+
+    /// Number of consecutive images that were identical to their predecessor.
+    pub fn repeated(&self) -> u32 {
+        self.repeats.count
+    }
+
+    /// Outcome of the search for a marker in the last image.
+    pub fn outcome(&self, color: MarkerColor) -> Outcome {
+        self.markers[color].outcome
+    }
+
+    /// What a debug image shows of a marker.
+    pub fn view(&self, color: MarkerColor) -> MarkerView {
+        self.markers[color].view()
+    }
+
+    /// The color signal of a marker's window in the image processed last; `None` until the marker's
+    /// color is known.
+    pub fn signal(&self, color: MarkerColor, image: &ImageView<'_>) -> Option<SignalView> {
+        self.markers[color].signal(image)
+    }
+
+    /// A marker's adapted color, r, g, b of 0–255; `None` until it is known.
+    pub fn color(&self, color: MarkerColor) -> Option<[f32; 3]> {
+        self.markers[color].appearance.as_ref().map(|a| a.marker)
+    }
+
+    /// Processes one image, whose fields must have passed [`ImageView::check`].
+    pub fn process(&mut self, image: &ImageView<'_>) -> MarkerObservations {
+        if self.repeats.is_repeated(image, &self.markers) {
+            let max = self.config.max_predicted;
+            let markers = PerColor::from_fn(|color| self.markers[color].repeat(max));
+            return MarkerObservations { stamp: image.stamp, markers };
+        }
+        let ratio = self.interval.advance(image.stamp);
+        let before = PerColor::from_fn(|color| self.markers[color].centroid);
+        self.images = self.images.wrapping_add(1);
+        self.markers.0.iter_mut().for_each(MarkerTrack::begin_image);
+        let camera = self.camera.for_image(image);
+        if let Some(camera) = &camera {
+            self.update_pose(image, camera, ratio);
+        }
+        self.conclude(image, camera.as_ref(), &before, ratio)
+    }
+
+    /// Detects the markers by tracking or, with fewer than two, by acquisition, and updates the
+    /// platform's pose and motion.
+    fn update_pose(&mut self, image: &ImageView<'_>, camera: &CameraModel, ratio: f64) {
+        let pose_before = self.motion.pose;
+        let mut detected = if pose_before.is_some() { self.track(image, camera, ratio) } else { 0 };
+        let followed = detected >= 3;
+        if detected < 2 && self.acquire(image, camera) {
+            self.markers.0.iter_mut().for_each(MarkerTrack::forget_flow);
+            self.motion.last = None;
+            detected = self.track(image, camera, 1.0);
+        }
+        self.unseen = if detected >= 2 { 0 } else { self.unseen + 1 };
+        // The outline of one marker constrains the pose; without any marker it only drifts.
+        let patience = if detected == 1 { 10 } else { 1 };
+        if self.unseen > patience * u32::from(self.config.max_predicted) {
+            self.motion.pose = None;
+        }
+        self.motion.update(pose_before.filter(|_| followed));
+    }
+
+    /// Searches the whole image for the markers; true where they were found, with the pose set.
+    fn acquire(&mut self, image: &ImageView<'_>, camera: &CameraModel) -> bool {
+        let meters = PerColor::from_fn(|color| self.meter(color));
+        let known = self.camera.is_known();
+        let found = self.acquisition.search(image, camera, known, &self.platform, &meters);
+        let Some(found) = found else { return false };
+        self.motion.pose = Some(found.pose);
+        for color in MarkerColor::ALL {
+            let track = &mut self.markers[color];
+            if let Some(marker) = &found.markers[color] {
+                track.appearance = Some(marker.appearance);
+                self.platform.markers[color].init_turn(marker.turn);
+            }
+            track.edges.restart(found.markers[color].as_ref().map(|m| m.half_width));
+        }
+        true
+    }
+
+    /// Measures each marker near its predicted outline; returns the number of detected ones.
+    fn track(&mut self, image: &ImageView<'_>, camera: &CameraModel, ratio: f64) -> usize {
+        let Some(start) = self.motion.predicted(ratio, self.config.use_flow) else { return 0 };
+        let mut whole = self.measure_whole(image, camera, &start);
+        let known = self.camera.is_known();
+        let check = Consistency::new(&self.platform, &self.markers, camera, known);
+        let (pose, inconsistent) = check.pose(&start, &mut whole);
+        for color in MarkerColor::ALL {
+            if inconsistent[color] {
+                self.markers[color].outcome = Outcome::Inconsistent;
+            }
+        }
+        let detected = self.measure_partial(image, camera, &pose, &whole);
+        // Before the layout adapts to the noise of this image.
+        if known && self.images % 2 == 1 {
+            self.noise.adapt_excess(&self.platform, &self.markers, camera, &pose);
+        }
+        self.adapt(image, camera, &pose);
+        self.motion.pose = Some(pose);
+        detected
+    }
+
+    /// Measures each marker as a whole square near the outline that the pose `start` predicts.
+    fn measure_whole(
+        &mut self,
+        image: &ImageView<'_>,
+        camera: &CameraModel,
+        start: &Isometry3<f64>,
+    ) -> Fits {
+        let outlines = PerColor::from_fn(|color| {
+            let outline = self.platform.outline(color, camera, start)?;
+            image.prefetch(outline.window(image, READ_MARGIN));
+            Some(outline)
+        });
+        let mut whole = Fits::default();
+        for color in MarkerColor::ALL {
+            let meter = self.meter(color);
+            let track = &mut self.markers[color];
+            let Some(appearance) = &track.appearance else { continue };
+            let sampler = Sampler::new(image, &appearance.discriminant);
+            let Some(mut outline) = outlines[color] else { continue };
+            if self.config.use_flow {
+                outline = track.moved_by_flow(&sampler, &outline);
+            }
+            track.window = outline.window(image, VIEW_MARGIN);
+            let found = track.edges.follow(&meter, &sampler, &outline).or_else(|| {
+                let reach = track.flow.norm();
+                let outline = self.acquisition.nearest_patch(image, color, &outline, reach)?;
+                meter.whole(&sampler, &outline, meter::SEARCH)
+            });
+            let found = match found {
+                Some(fit) if !track.edges.has_changed_light(&fit) => Some(fit),
+                other => {
+                    let relit = meter.relit(appearance).whole(&sampler, &outline, meter::SEARCH);
+                    QuadFit::in_changed_light(other, relit)
+                }
+            };
+            whole[color] = found.filter(|f| {
+                let accepted = !self.config.use_hue || track.has_hue(image, &f.quad);
+                if !accepted {
+                    track.outcome = Outcome::OtherHue;
+                }
+                accepted
+            });
+        }
+        whole
+    }
+
+    /// Measures the markers that are not whole at the places that the other markers' pose predicts;
+    /// returns the number of detected markers.
+    fn measure_partial(
+        &mut self,
+        image: &ImageView<'_>,
+        camera: &CameraModel,
+        pose: &Isometry3<f64>,
+        whole: &Fits,
+    ) -> usize {
+        let mut search = PartialSearch::new(image, camera, pose, whole, self.camera.is_known());
+        for color in MarkerColor::ALL {
+            let meter = self.meter(color);
+            if let Some(fit) = whole[color] {
+                self.markers[color].fit = Some(fit);
+                self.markers[color].outcome = Outcome::Whole;
+            } else if search.is_possible() {
+                let palette = self.acquisition.palette();
+                let track = &mut self.markers[color];
+                track.outcome =
+                    search.run(color, track, &meter, &mut self.platform, palette, &self.config);
+            }
+        }
+        search.detected
+    }
+
+    /// Adapts noise, appearance and geometry to the markers that were measured as a whole.
+    fn adapt(&mut self, image: &ImageView<'_>, camera: &CameraModel, pose: &Isometry3<f64>) {
+        let detected = self.markers.0.iter().filter(|m| m.fit.is_some()).count();
+        for color in MarkerColor::ALL {
+            let track = &mut self.markers[color];
+            let Some(fit) = track.fit.filter(|f| f.is_whole() && !f.relit) else { continue };
+            self.noise.add_rows(&fit);
+            // Light drifts slowly: one marker's colors per image suffice.
+            let is_due = self.images % 4 == color.index() as u32;
+            track.adapt(image, &fit, is_due);
+            self.platform.adapt(color, camera, pose, &fit, detected, is_due);
+        }
+        self.noise.forget_rows();
+    }
+
+    /// Turns the measurements into the markers' states (paper, eq. 3, for unmeasured ones).
+    fn conclude(
+        &mut self,
+        image: &ImageView<'_>,
+        camera: Option<&CameraModel>,
+        before: &PerColor<Option<Vector2<f64>>>,
+        ratio: f64,
+    ) -> MarkerObservations {
+        let common = CommonFlow::of(&self.markers, before, ratio);
+        let extrapolated = self
+            .extrapolator
+            .advance(&self.motion, &self.platform, &self.markers, camera, ratio, &self.interval)
+            .filter(|_| self.config.rigid_prediction);
+        let has_pose = self.motion.pose.is_some();
+        let markers = PerColor::from_fn(|color| {
+            let rigid =
+                extrapolated.as_ref().and_then(|e| e.centroid(&self.platform, color, camera?));
+            let track = &mut self.markers[color];
+            match track.fit {
+                Some(fit) => track.conclude_detected(image, &fit, common.of_marker(color)),
+                None => track.conclude_hidden(rigid, &common, &self.config, has_pose),
+            }
+        });
+        MarkerObservations { stamp: image.stamp, markers }
+    }
+
+    /// The outline measurement with what is known of a marker.
+    fn meter(&self, color: MarkerColor) -> OutlineMeter {
+        OutlineMeter::new(&self.platform.markers[color], &self.markers[color].edges, &self.noise)
+    }
+}

@@ -1,0 +1,89 @@
+//! The platform's pose and its motion from image to image.
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use rig_model::Stamp;
+
+/// Displacement of the platform over one image interval.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Motion {
+    /// Of the platform's origin, camera frame, m.
+    pub translation: Vector3<f64>,
+    /// Rotation vector along the camera's axes, rad.
+    pub rotation: Vector3<f64>,
+}
+
+impl Motion {
+    /// The motion from one pose (`camera_from_volant`) to the next.
+    pub fn between(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Self {
+        Self {
+            translation: to.translation.vector - from.translation.vector,
+            rotation: (to.rotation * from.rotation.inverse()).scaled_axis(),
+        }
+    }
+
+    /// The motion over an interval that is `ratio` times as long, at the same rate.
+    pub fn scaled(&self, ratio: f64) -> Self {
+        Self { translation: self.translation * ratio, rotation: self.rotation * ratio }
+    }
+
+    /// Moves a pose.
+    pub fn apply(&self, pose: &Isometry3<f64>) -> Isometry3<f64> {
+        Isometry3::from_parts(
+            Translation3::from(pose.translation.vector + self.translation),
+            UnitQuaternion::from_scaled_axis(self.rotation) * pose.rotation,
+        )
+    }
+}
+
+/// Pose of the platform in the last image and its last motion.
+#[derive(Debug, Default)]
+pub(super) struct PlatformMotion {
+    /// `camera_from_volant`; `None` before acquisition and after loss.
+    pub pose: Option<Isometry3<f64>>,
+    /// Over the last interval, where three markers determined the pose at both of its ends.
+    pub last: Option<Motion>,
+}
+
+impl PlatformMotion {
+    /// The pose at constant velocity; `ratio`: this image interval over the previous one.
+    pub fn predicted(&self, ratio: f64, use_motion: bool) -> Option<Isometry3<f64>> {
+        let pose = self.pose?;
+        match self.last.filter(|_| use_motion) {
+            Some(motion) => Some(motion.scaled(ratio).apply(&pose)),
+            None => Some(pose),
+        }
+    }
+
+    /// Replaces the last motion by the one from `before` to the current pose.
+    pub fn update(&mut self, before: Option<Isometry3<f64>>) {
+        self.last = before.zip(self.pose).map(|(from, to)| Motion::between(&from, &to));
+    }
+}
+
+/// Time between images.
+#[derive(Debug, Default)]
+pub(super) struct ImageInterval {
+    last: Option<Stamp>,
+    /// Before the last image, s; 0 before the second image.
+    pub seconds: f64,
+}
+
+impl ImageInterval {
+    /// Bounds of the ratio of two consecutive intervals. A camera that drops up to three images in
+    /// a row stays within them; beyond, constant velocity is no better than standing still.
+    const RATIO: (f64, f64) = (0.2, 4.0);
+
+    /// Advances to the stamp of a new image; returns this interval over the previous one.
+    pub fn advance(&mut self, stamp: Stamp) -> f64 {
+        let elapsed = self.last.map(|last| stamp.seconds_since(last));
+        let ratio = match elapsed {
+            Some(dt) if self.seconds > 0.0 => {
+                (dt / self.seconds).clamp(Self::RATIO.0, Self::RATIO.1)
+            }
+            _ => 1.0,
+        };
+        self.seconds = elapsed.unwrap_or(0.0);
+        self.last = Some(stamp);
+        ratio
+    }
+}

@@ -1,0 +1,212 @@
+//! Markers that are covered in part, or were not where the prediction had them: measured again at
+//! the places that the pose of the other markers gives.
+
+use crate::{
+    appearance::Appearance,
+    config::TrackerConfig,
+    image::ImageView,
+    outline::QuadFit,
+    scan::Palette,
+    signal::Sampler,
+    tracking::{
+        consistency::{Fits, misfit},
+        marker::MarkerTrack,
+        meter::{KNOWN, OutlineMeter, SEARCH, Tolerance},
+        outcome::Outcome,
+        platform::PlatformModel,
+    },
+};
+use nalgebra::Isometry3;
+use rig_model::{CameraModel, MarkerColor};
+
+/// Sum of the four edges' supports from which on a square is only touched by a cover: each edge was
+/// measured along 83 % of its length on average.
+const TOUCHED: f64 = 3.3;
+
+/// Around an outline of unknown turn, known to a few pixels.
+const UNKNOWN: Tolerance = Tolerance { half_width: 5.0, slope: 0.1, rows: KNOWN.rows, ..SEARCH };
+
+/// Search for the markers that were not measured as a whole.
+pub(super) struct PartialSearch<'a, 'p> {
+    image: &'a ImageView<'p>,
+    camera: &'a CameraModel,
+    pose: &'a Isometry3<f64>,
+    whole: &'a Fits,
+    known_camera: bool,
+    /// Detected markers so far.
+    pub detected: usize,
+}
+
+impl<'a, 'p> PartialSearch<'a, 'p> {
+    /// Prepares the search at `pose`, which the markers in `whole` determine.
+    pub fn new(
+        image: &'a ImageView<'p>,
+        camera: &'a CameraModel,
+        pose: &'a Isometry3<f64>,
+        whole: &'a Fits,
+        known_camera: bool,
+    ) -> Self {
+        let detected = whole.0.iter().flatten().count();
+        Self { image, camera, pose, whole, known_camera, detected }
+    }
+
+    /// Whether any marker was measured as a whole.
+    pub fn is_possible(&self) -> bool {
+        self.whole.0.iter().any(Option::is_some)
+    }
+
+    /// Number of markers that determine the pose.
+    fn determining(&self) -> usize {
+        self.whole.0.iter().flatten().count()
+    }
+
+    /// Searches one marker; stores its measurement in the track where it is accepted.
+    pub fn run(
+        &mut self,
+        color: MarkerColor,
+        track: &mut MarkerTrack,
+        meter: &OutlineMeter,
+        platform: &mut PlatformModel,
+        palette: &Palette,
+        config: &TrackerConfig,
+    ) -> Outcome {
+        // Rows with their own levels first: they bear a shadow's edge as well as a cover's.
+        let relit = track.appearance.map(|appearance| meter.relit(&appearance));
+        let mut outcome = Outcome::Covered;
+        for meter in relit.iter().chain([meter]) {
+            outcome = self.accept(color, track, meter, platform, palette, config);
+            if track.fit.is_some() {
+                return outcome;
+            }
+        }
+        if track.fit.is_none() && self.restart(color, track, platform) {
+            return Outcome::Whole;
+        }
+        outcome
+    }
+
+    /// Measures a marker without its adapted geometry where three others determine the pose, and
+    /// restarts the adaptation where that was adapted to a covered square.
+    fn restart(
+        &mut self,
+        color: MarkerColor,
+        track: &mut MarkerTrack,
+        platform: &mut PlatformModel,
+    ) -> bool {
+        if self.determining() < 3 || !self.known_camera {
+            return false;
+        }
+        let mut restarted = || {
+            let outline = platform.nominal_outline(color, self.camera, self.pose)?;
+            let appearance = Appearance::sample(self.image, &outline)?;
+            if !appearance.hue.is_like(&track.appearance.as_ref()?.hue) {
+                return None;
+            }
+            let sampler = Sampler::new(self.image, &appearance.discriminant);
+            let fit = OutlineMeter::default().whole(&sampler, &outline, UNKNOWN)?;
+            platform
+                .restart_covered(color, self.camera, self.pose, &fit)
+                .then_some((appearance, fit))
+        };
+        let Some((appearance, fit)) = restarted() else { return false };
+        track.appearance = Some(appearance);
+        track.edges.levels = None;
+        track.fit = Some(fit);
+        self.detected += 1;
+        true
+    }
+
+    /// Measures one marker and stores the measurement in the track where it is accepted.
+    fn accept(
+        &mut self,
+        color: MarkerColor,
+        track: &mut MarkerTrack,
+        meter: &OutlineMeter,
+        platform: &PlatformModel,
+        palette: &Palette,
+        config: &TrackerConfig,
+    ) -> Outcome {
+        // Standard deviations of place and edges, px: what one, two or three markers leave of a
+        // pose's uncertainty at the place of another.
+        let (place_sigma, edge_sigma) = match self.determining() {
+            1 => (3.0, 0.4),
+            2 => (2.0, 0.25),
+            _ => (0.8, 0.1),
+        };
+        let tolerance = Tolerance { edge: edge_sigma, place: place_sigma, ..KNOWN };
+        let Some(fit) = self.measure(color, track, meter, platform, palette, config, tolerance)
+        else {
+            return Outcome::Covered;
+        };
+        if config.use_hue && !track.has_hue(self.image, &fit.quad) {
+            return Outcome::OtherHue;
+        }
+        let geometry = &platform.markers[color];
+        let trusted =
+            self.known_camera && geometry.is_shape_known() && geometry.is_roughly_placed();
+        // Two markers constrain the pose too little to tell a cover's edge from the marker's.
+        let (reach, edges, support) = if trusted && self.determining() == 3 {
+            let others = self.whole.0.iter().flatten().map(QuadFit::sigma).fold(0.0, f64::max);
+            let sigma = fit.sigma() + others;
+            (0.15 + 3.0 * sigma + 2.0 * geometry.misplacement, 2, 0.4)
+        } else if trusted && fit.relit {
+            // Rows with their own levels measure no cover's edge.
+            (3.0 * place_sigma, 3, 0.6)
+        } else {
+            (3.0 * place_sigma, 3, 0.92)
+        };
+        let own = || fit.edges.iter().flatten().filter(|e| !e.foreign);
+        let touched = own().count() == 4
+            && own().all(|e| e.support > 0.5)
+            && own().map(|e| e.support).sum::<f64>() > TOUCHED;
+        let supported = own().filter(|e| e.support > support).count();
+        if supported < edges && !(touched && trusted) {
+            return Outcome::Covered;
+        }
+        let count = self.detected.min(3);
+        if misfit(platform, color, &fit, self.camera, self.pose, count, self.known_camera) > 1.0 {
+            return Outcome::OtherShape;
+        }
+        match platform.layout.projected_centroid(color, self.camera, self.pose) {
+            Some(expected) if (expected.pixel - fit.centroid).norm() < reach => {
+                track.fit = Some(fit);
+                self.detected += 1;
+                Outcome::PartlyCovered
+            }
+            _ => Outcome::Displaced,
+        }
+    }
+
+    /// Measures a marker at the place that the pose gives.
+    #[allow(clippy::too_many_arguments)] // one caller; the components are separate values
+    fn measure(
+        &self,
+        color: MarkerColor,
+        track: &mut MarkerTrack,
+        meter: &OutlineMeter,
+        platform: &PlatformModel,
+        palette: &Palette,
+        config: &TrackerConfig,
+        tolerance: Tolerance,
+    ) -> Option<QuadFit> {
+        let outline = platform.outline(color, self.camera, self.pose)?;
+        let appearance = match track.appearance {
+            Some(appearance) => appearance,
+            None => Appearance::sample(self.image, &outline)
+                .filter(|a| palette.classify_mean(a.marker) == Some(color))?,
+        };
+        let sampler = Sampler::new(self.image, &appearance.discriminant);
+        let fit = if platform.markers[color].is_turn_known() {
+            let (_, place) = outline.area_and_centroid();
+            let wide = Tolerance { half_width: 3.5, slope: 0.012, ..tolerance };
+            let first = meter.measure(&sampler, &outline, wide)?;
+            let outline = outline.shifted(first.centroid - place);
+            let fit = meter.measure(&sampler, &outline, Tolerance { half_width: 2.5, ..wide })?;
+            fit.determines_centroid(config.max_centroid_sigma).then_some(fit)
+        } else {
+            meter.whole(&sampler, &outline, UNKNOWN)
+        }?;
+        track.appearance = Some(appearance);
+        Some(fit)
+    }
+}

@@ -1,0 +1,302 @@
+//! Adaptation of the platform's geometry: where the markers are, how they are turned in their
+//! plane, and how far their edges lie outside of the nominal square.
+
+use crate::{
+    geometry::{PoseObservation, project_square},
+    outline::QuadFit,
+    quad::Quad,
+};
+use nalgebra::{Isometry3, Vector2};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, PerColor};
+
+/// Largest turn of a square in its plane, rad (20°): markers are mounted "a few degrees" off.
+pub(super) const MAX_TURN: f64 = 0.35;
+/// Number of images after which an adapted value is a running mean with a constant gain.
+const SETTLED: u32 = 12;
+/// Largest distance of a marker from where the rig file has it, in units of its side: 11 mm for a
+/// side of 76 mm.
+const MAX_MISPLACEMENT: f64 = 0.15;
+
+/// Gain of the n-th update of a mean that becomes a running mean.
+fn gain(n: u32) -> f64 {
+    1.0 / f64::from(n.min(SETTLED) + 1)
+}
+
+/// Adapted geometry of one marker.
+#[derive(Clone, Debug, Default)]
+pub(super) struct MarkerGeometry {
+    /// Turn in its plane, rad.
+    turn: f64,
+    turn_updates: u32,
+    /// Distance of its edges outside of the nominal square, px: first and third edge, and others.
+    edge_bias: [f64; 2],
+    edge_bias_updates: u32,
+    place_updates: u32,
+    /// Recent distance of its centroid from its adapted place, px.
+    pub misplacement: f64,
+}
+
+impl MarkerGeometry {
+    /// Distance of its edges outside of the nominal square, px (paper cut too large, blooming):
+    /// first and third edge, second and fourth edge.
+    pub fn edge_bias(&self) -> [f64; 2] {
+        self.edge_bias
+    }
+
+    /// Sets the turn, rad, unless one is known.
+    pub fn init_turn(&mut self, turn: f64) {
+        if self.turn_updates == 0 {
+            (self.turn, self.turn_updates) = (turn, 1);
+        }
+    }
+
+    /// Whether the edges' bias is known: after 4 images its noise is half of an edge's.
+    pub fn is_shape_known(&self) -> bool {
+        self.edge_bias_updates > 3
+    }
+
+    /// Whether the turn is known, so that an outline is predicted to 0.012 rad: after 6 images.
+    pub fn is_turn_known(&self) -> bool {
+        self.turn_updates > 5
+    }
+
+    /// Whether the place has been adapted: roughly after 4 images, then after 6, well after 13.
+    pub fn is_roughly_placed(&self) -> bool {
+        self.place_updates > 3
+    }
+    pub fn is_placed(&self) -> bool {
+        self.place_updates > 5
+    }
+    pub fn is_placed_well(&self) -> bool {
+        self.place_updates > SETTLED
+    }
+
+    /// Whether more images improve little, so that one update in four images suffices.
+    fn is_settled(&self) -> bool {
+        self.turn_updates > 30 && self.edge_bias_updates > 30
+    }
+}
+
+/// Difference of a measured outline from the predicted one.
+struct OutlineDifference {
+    /// Turn in the square's plane, rad.
+    turn: f64,
+    /// Distance of its edges outside of the prediction, px, as [`MarkerGeometry::edge_bias`].
+    edge_bias: [f64; 2],
+}
+
+/// The layout as the rig file has it and as the images show it.
+#[derive(Clone, Debug)]
+pub(super) struct PlatformModel {
+    given: MarkerLayout,
+    /// Adapted layout (volant frame, m).
+    pub layout: MarkerLayout,
+    pub markers: PerColor<MarkerGeometry>,
+}
+
+impl PlatformModel {
+    /// Starts from the layout of the rig file.
+    pub fn new(layout: MarkerLayout) -> Self {
+        Self { given: layout.clone(), layout, markers: PerColor::default() }
+    }
+
+    /// The outline (px) that a pose gives a marker; `None` outside of the camera model's range.
+    pub fn outline(
+        &self,
+        color: MarkerColor,
+        camera: &CameraModel,
+        pose: &Isometry3<f64>,
+    ) -> Option<Quad> {
+        project_square(&self.layout, color, self.markers[color].turn, camera, pose)
+    }
+
+    /// What a whole outline says about the pose. Its corners only enter `with_outline`, where the
+    /// centroids leave the tilt open.
+    pub fn observation(
+        &self,
+        color: MarkerColor,
+        fit: &QuadFit,
+        with_outline: bool,
+    ) -> PoseObservation {
+        let m = &self.markers[color];
+        // Paper cut too large or a blooming sensor widen the outline; that is not nearness.
+        let scale = 1.0 - (m.edge_bias[0] + m.edge_bias[1]) / fit.area.sqrt().max(1.0);
+        let outline = Quad(fit.quad.0.map(|c| fit.centroid + (c - fit.centroid) * scale));
+        PoseObservation {
+            color,
+            pixel: fit.centroid,
+            sigma: PoseObservation::SIGMA,
+            outline: (with_outline && m.turn_updates > 0).then_some((outline, m.turn)),
+        }
+    }
+
+    /// Recent distance of the worst marker from its adapted place, px.
+    pub fn largest_misplacement(&self) -> f64 {
+        self.markers.0.iter().map(|m| m.misplacement).fold(0.0, f64::max)
+    }
+
+    /// Turn (rad) in its plane of an outline that is seen from `pose`.
+    pub fn turn_of(
+        &self,
+        color: MarkerColor,
+        camera: &CameraModel,
+        pose: &Isometry3<f64>,
+        fit: &QuadFit,
+    ) -> Option<f64> {
+        Some(self.markers[color].turn + self.compare(color, camera, pose, fit)?.turn)
+    }
+
+    /// The outline (px) of a marker as the rig file has it, not turned.
+    pub fn nominal_outline(
+        &self,
+        color: MarkerColor,
+        camera: &CameraModel,
+        pose: &Isometry3<f64>,
+    ) -> Option<Quad> {
+        project_square(&self.given, color, 0.0, camera, pose)
+    }
+
+    /// Restarts the adaptation of a marker whose geometry was adapted while something covered it,
+    /// where a whole outline shows it larger; true where it did.
+    ///
+    /// A cover only makes a square smaller. So the adapted geometry is wrong where the outline is
+    /// wider than that by more than its noise, and as wide as the other markers, which share paper,
+    /// scissors and blooming. Settled geometry is kept: something of the marker's color beside it
+    /// would widen the outline as well.
+    pub fn restart_covered(
+        &mut self,
+        color: MarkerColor,
+        camera: &CameraModel,
+        pose: &Isometry3<f64>,
+        fit: &QuadFit,
+    ) -> bool {
+        /// Smallest excess of the two widths' sum, px, and largest deficit of either: 4 and 3 times
+        /// an edge's noise of 0.05 px.
+        const EXCESS: f64 = 0.2;
+        const DEFICIT: f64 = 0.15;
+        /// Largest deviation from the other markers' bias, px, and in units of the side (0.8 mm of
+        /// 76 mm): how evenly paper is cut by hand.
+        const UNEVEN: (f64, f64) = (0.25, 0.01);
+        let others = self.markers.iter().filter(|(c, m)| *c != color && m.is_shape_known());
+        let (mut mean, mut count) = (0.0, 0.0);
+        for (_, m) in others {
+            mean += (m.edge_bias[0] + m.edge_bias[1]) / 2.0;
+            count += 1.0;
+        }
+        let known = &self.markers[color];
+        let adapted = known.edge_bias;
+        let mut fresh = self.clone();
+        fresh.markers[color] = MarkerGeometry::default();
+        fresh.layout.centres[color] = self.given.centres[color];
+        let Some(now) = fresh.compare(color, camera, pose, fit) else { return false };
+        let more = [0, 1].map(|k| now.edge_bias[k] - adapted[k]);
+        let limit = UNEVEN.0 + UNEVEN.1 * fit.area.sqrt();
+        // With few updates the levels beside the edges may be the cover's, too.
+        let is_larger = !known.is_turn_known() || more[0] + more[1] > EXCESS;
+        let is_smaller = more.iter().any(|m| *m < -DEFICIT);
+        let is_even = count > 2.0 && now.edge_bias.iter().all(|b| (b - mean / count).abs() < limit);
+        if !known.is_settled() && is_larger && !is_smaller && is_even && now.turn.abs() <= MAX_TURN
+        {
+            fresh.markers[color].init_turn(now.turn);
+            *self = fresh;
+            return true;
+        }
+        false
+    }
+
+    /// Adapts one marker to a whole outline, seen from `pose` together with `detected` markers in
+    /// all. A marker whose geometry has settled adapts only where it `is_due`.
+    pub fn adapt(
+        &mut self,
+        color: MarkerColor,
+        camera: &CameraModel,
+        pose: &Isometry3<f64>,
+        fit: &QuadFit,
+        detected: usize,
+        is_due: bool,
+    ) {
+        let m = &self.markers[color];
+        // Three markers leave the tilt too open to measure sizes, but hardly the turn.
+        let determined = detected >= 4 || (detected == 3 && m.turn_updates <= 10);
+        if (m.is_settled() && !is_due) || !determined {
+            return;
+        }
+        let Some(difference) = self.compare(color, camera, pose, fit) else { return };
+        let m = &mut self.markers[color];
+        m.turn = (m.turn + gain(m.turn_updates) * difference.turn).clamp(-MAX_TURN, MAX_TURN);
+        m.turn_updates = m.turn_updates.saturating_add(1);
+        if detected < 4 {
+            return;
+        }
+        let gain = gain(m.edge_bias_updates);
+        for (known, now) in m.edge_bias.iter_mut().zip(difference.edge_bias) {
+            *known += gain * (now - *known).clamp(-1.0, 1.0);
+        }
+        m.edge_bias_updates = m.edge_bias_updates.saturating_add(1);
+        self.adapt_place(color, camera, pose, fit);
+    }
+
+    /// Moves a marker on the platform towards where it is seen. The four centroids over-determine
+    /// the pose by two; what remains, pose after pose, is the error of the layout.
+    fn adapt_place(
+        &mut self,
+        color: MarkerColor,
+        camera: &CameraModel,
+        pose: &Isometry3<f64>,
+        fit: &QuadFit,
+    ) {
+        let Some(p) = self.layout.projected_centroid(color, camera, pose) else { return };
+        let plane = pose.rotation.to_rotation_matrix().matrix().fixed_columns::<2>(0).into_owned();
+        let Some(inverse) = (p.jacobian_by_centre * plane).try_inverse() else { return };
+        let off = fit.centroid - p.pixel;
+        let m = &mut self.markers[color];
+        // An outline that something touches must not move a known place.
+        if m.is_placed() && off.norm() > 0.3 + 3.0 * m.misplacement {
+            return;
+        }
+        m.misplacement += 0.2 * (off.norm() - m.misplacement);
+        let by = inverse * off / f64::from(m.place_updates.min(SETTLED) + 1);
+        m.place_updates = m.place_updates.saturating_add(1);
+        let limit = MAX_MISPLACEMENT * self.layout.side;
+        let (given, place) = (self.given.centres[color], &mut self.layout.centres[color]);
+        for i in 0..2 {
+            place[i] = (place[i] + by[i]).clamp(given[i] - limit, given[i] + limit);
+        }
+    }
+
+    /// Difference of a measured outline from the one that `pose` predicts.
+    fn compare(
+        &self,
+        color: MarkerColor,
+        camera: &CameraModel,
+        pose: &Isometry3<f64>,
+        fit: &QuadFit,
+    ) -> Option<OutlineDifference> {
+        /// Step of the numerical derivative, rad.
+        const STEP: f64 = 0.01;
+        let turn = self.markers[color].turn;
+        let here = project_square(&self.layout, color, turn, camera, pose)?;
+        let turned = project_square(&self.layout, color, turn + STEP, camera, pose)?;
+        let (mut gain, mut sum, mut edge_bias) = (0.0, 0.0, [0.0; 2]);
+        let (_, here_center) = here.area_and_centroid();
+        for i in 0..4 {
+            let side = |q: &Quad| q.0[(i + 1) % 4] - q.0[i];
+            let (a, b, measured) = (side(&here), side(&turned), side(&fit.quad));
+            let turn_of = |v: &Vector2<f64>| (a.x * v.y - a.y * v.x).atan2(a.dot(v));
+            let g = turn_of(&b) / STEP;
+            gain += g * g;
+            sum += g * turn_of(&measured);
+            // Distance of the measured edge's middle outside of the predicted one, about the same
+            // center.
+            let normal = Vector2::new(a.y, -a.x) / a.norm();
+            let outward = (here.0[i] + here.0[(i + 1) % 4]) / 2.0 - here_center;
+            let normal = if normal.dot(&outward) < 0.0 { -normal } else { normal };
+            let half =
+                |q: &Quad, c: Vector2<f64>| ((q.0[i] + q.0[(i + 1) % 4]) / 2.0 - c).dot(&normal);
+            edge_bias[i % 2] += (half(&fit.quad, fit.centroid) - half(&here, here_center)) / 2.0;
+        }
+        let turn = sum / gain;
+        let finite = turn.is_finite() && edge_bias.iter().all(|b| b.is_finite());
+        finite.then_some(OutlineDifference { turn, edge_bias })
+    }
+}

@@ -1,0 +1,188 @@
+//! The markers' states: measured, predicted by the paper's eq. 3 or by the rigid motion of the
+//! platform, or lost.
+
+use crate::{
+    config::TrackerConfig,
+    image::ImageView,
+    outline::QuadFit,
+    signal::Sampler,
+    tracking::{marker::MarkerTrack, outcome::Outcome},
+};
+use nalgebra::{Matrix2, Vector2};
+use rig_model::{MarkerColor, MarkerObservation, MarkerState, PerColor};
+
+/// Standard deviation of a marker about the place that a pose gives it, px; tuned; guarded by
+/// the bounds on predicted markers in `tests/bags.rs`.
+const POSE_SIGMA: f64 = 0.1;
+
+/// Covariance of two independent coordinates with standard deviation `sigma`, px².
+fn isotropic(sigma: f64) -> Matrix2<f64> {
+    Matrix2::identity() * (sigma * sigma)
+}
+
+/// Displacement of the visible markers since the last image, px.
+pub(super) struct CommonFlow {
+    /// Of the markers that were measured now and known in the last image.
+    flows: PerColor<Option<Vector2<f64>>>,
+    mean: Vector2<f64>,
+    /// Standard deviation of a marker's flow about the mean, per axis, px.
+    spread: f64,
+    count: f64,
+}
+
+impl CommonFlow {
+    /// From the current measurements and the centroids `before`. Without any measurement the last
+    /// flows continue; `ratio`: this image interval over the previous one.
+    pub fn of(
+        tracks: &PerColor<MarkerTrack>,
+        before: &PerColor<Option<Vector2<f64>>>,
+        ratio: f64,
+    ) -> Self {
+        let flows = PerColor::from_fn(|c| {
+            tracks[c].fit.zip(before[c]).map(|(fit, before)| fit.centroid - before)
+        });
+        let (mut mean, mut count) = (Vector2::zeros(), 0.0);
+        for flow in flows.0.iter().flatten() {
+            mean += flow;
+            count += 1.0;
+        }
+        let mut spread = 1.0;
+        if count > 0.0 {
+            mean /= count;
+            let sum: f64 = flows.0.iter().flatten().map(|f| (f - mean).norm_squared()).sum();
+            // One flow alone does not determine the rotation about it.
+            spread = if count > 1.0 {
+                (sum / count / 2.0).sqrt() + 0.05
+            } else {
+                1.0 + mean.norm() * 0.5
+            };
+        } else {
+            let (mut sum, mut known) = (Vector2::zeros(), 0.0);
+            for m in tracks.0.iter().filter(|m| m.centroid.is_some()) {
+                sum += m.flow * ratio;
+                known += 1.0;
+            }
+            if known > 0.0 {
+                mean = sum / known;
+                spread = 1.0 + mean.norm() * 0.5;
+            }
+        }
+        Self { flows, mean, spread, count }
+    }
+
+    /// A marker's own flow, else the mean, px.
+    pub fn of_marker(&self, color: MarkerColor) -> Vector2<f64> {
+        self.flows[color].unwrap_or(self.mean)
+    }
+
+    /// Whether a predicted flow is plausible beside the measured ones.
+    fn admits(&self, flow: &Vector2<f64>) -> bool {
+        self.count < 2.0 || (flow - self.mean).norm() < 4.0 * self.spread + 2.0
+    }
+}
+
+impl MarkerTrack {
+    /// The observation of a measured marker; `flow`: its displacement since the last image, px.
+    pub fn conclude_detected(
+        &mut self,
+        image: &ImageView<'_>,
+        fit: &QuadFit,
+        flow: Vector2<f64>,
+    ) -> MarkerObservation {
+        if let Some(appearance) = &self.appearance {
+            self.features.extract(&Sampler::new(image, &appearance.discriminant), &fit.quad);
+        }
+        self.flow = flow;
+        self.centroid = Some(fit.centroid);
+        self.occluded = Some(0);
+        self.sigma = POSE_SIGMA;
+        MarkerObservation {
+            state: MarkerState::Detected,
+            occluded_frames: 0,
+            centroid: fit.centroid,
+            covariance: fit.covariance,
+            area: fit.area as f32,
+        }
+    }
+
+    /// The observation of an unmeasured marker. `rigid`: its centroid (px) and covariance (px²) in
+    /// the extrapolated pose.
+    pub fn conclude_hidden(
+        &mut self,
+        rigid: Option<(Vector2<f64>, Matrix2<f64>)>,
+        common: &CommonFlow,
+        config: &TrackerConfig,
+        has_pose: bool,
+    ) -> MarkerObservation {
+        self.features.clear();
+        self.edges.hide();
+        let rigid = rigid
+            .zip(self.centroid)
+            .map(|((place, covariance), centroid)| (place - centroid, covariance))
+            .filter(|(flow, _)| common.admits(flow));
+        let (flow, covariance) = match rigid {
+            _ if !config.use_flow => (Vector2::zeros(), isotropic(self.sigma + 2.0)),
+            Some((flow, covariance)) => (flow, covariance + isotropic(POSE_SIGMA)),
+            None => (common.mean, isotropic(self.sigma + common.spread)),
+        };
+        self.flow = flow;
+        let Some(since) = self.count_occluded() else {
+            return MarkerObservation::lost(MarkerObservation::NEVER);
+        };
+        match self.centroid {
+            Some(centroid) if since <= config.max_predicted && has_pose => {
+                self.sigma = (covariance.trace() / 2.0).sqrt();
+                self.predict(since, centroid + flow, covariance)
+            }
+            _ => self.lose(since),
+        }
+    }
+
+    /// The observation in a repeated image, in which nothing is measured: the marker may have moved
+    /// on as it did.
+    pub fn repeat(&mut self, max_predicted: u16) -> MarkerObservation {
+        self.fit = None;
+        self.outcome = Outcome::RepeatedImage;
+        let Some(since) = self.count_occluded() else {
+            return MarkerObservation::lost(MarkerObservation::NEVER);
+        };
+        match self.centroid {
+            Some(centroid) if since <= max_predicted => {
+                self.sigma += 1.0 + self.flow.norm();
+                self.predict(since, centroid, Matrix2::identity() * self.sigma * self.sigma)
+            }
+            _ => {
+                self.flow = Vector2::zeros();
+                self.lose(since)
+            }
+        }
+    }
+
+    /// Counts an image without a measurement; `None` before the first detection.
+    fn count_occluded(&mut self) -> Option<u16> {
+        let since = self.occluded?.saturating_add(1).min(MarkerObservation::NEVER - 1);
+        self.occluded = Some(since);
+        Some(since)
+    }
+
+    fn predict(
+        &mut self,
+        since: u16,
+        centroid: Vector2<f64>,
+        covariance: Matrix2<f64>,
+    ) -> MarkerObservation {
+        self.centroid = Some(centroid);
+        MarkerObservation {
+            state: MarkerState::Predicted,
+            occluded_frames: since,
+            centroid,
+            covariance,
+            area: 0.0,
+        }
+    }
+
+    fn lose(&mut self, since: u16) -> MarkerObservation {
+        self.centroid = None;
+        MarkerObservation::lost(since)
+    }
+}

@@ -1,0 +1,187 @@
+//! Real images of a ceiling camera: patches of red, green, blue and yellow paper, tracked through
+//! the video. The test prints the folder of its debug images.
+
+#![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
+
+use marker_tracker::{
+    ImageView, OwnedImage, Patch, PatchTracker, PixelFormat, TrackerConfig, find_patches,
+};
+use nalgebra::Vector2;
+use rig_model::{MarkerColor, MarkerState, Stamp};
+use std::{
+    fs::File,
+    io::{BufWriter, Read},
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+};
+
+const WIDTH: usize = 632;
+const HEIGHT: usize = 468;
+
+fn folder() -> Option<PathBuf> {
+    Some(test_support::recordings()?.join("data/colour"))
+}
+
+fn out() -> PathBuf {
+    let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("colour");
+    std::fs::create_dir_all(&out).unwrap();
+    out
+}
+
+fn view(data: &[u8], width: usize, height: usize) -> ImageView<'_> {
+    let stamp = Stamp::from_nanos(0);
+    ImageView { stamp, width, height, step: 3 * width, format: PixelFormat::Rgb8, data }
+}
+
+/// Draws a box around each patch, gray where it was predicted.
+fn draw(path: &Path, data: &[u8], width: usize, height: usize, patches: &[Patch]) {
+    let mut data = data.to_vec();
+    let mut put = |x: i32, y: i32, rgb: [u8; 3]| {
+        if x >= 0 && y >= 0 && (x as usize) < width && (y as usize) < height {
+            let i = 3 * (y as usize * width + x as usize);
+            data[i..i + 3].copy_from_slice(&rgb);
+        }
+    };
+    for p in patches.iter().filter(|p| p.state != MarkerState::Lost) {
+        let rgb = match (p.state, p.color) {
+            (MarkerState::Predicted, _) => [128; 3],
+            (_, MarkerColor::Red) => [255, 0, 0],
+            (_, MarkerColor::Green) => [0, 255, 0],
+            (_, MarkerColor::Blue) => [0, 160, 255],
+            (_, MarkerColor::Yellow) => [255, 255, 0],
+        };
+        let (cx, cy) = (p.centroid.x.round() as i32, p.centroid.y.round() as i32);
+        let h = (p.area.sqrt() / 2.0) as i32 + 3;
+        for i in -h..=h {
+            for (x, y) in [(i, -h), (i, h), (-h, i), (h, i)] {
+                put(cx + x, cy + y, rgb);
+            }
+        }
+        for i in 0..=10 {
+            let tip = p.centroid + p.flow * (f64::from(i) / 2.0);
+            put(tip.x.round() as i32, tip.y.round() as i32, [255; 3]);
+        }
+    }
+    let mut encoder =
+        png::Encoder::new(BufWriter::new(File::create(path).unwrap()), width as u32, height as u32);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.write_header().unwrap().write_image_data(&data).unwrap();
+}
+
+/// Patches in the first image, located by eye: color and center, px. Pink paper has red's hue. (A
+/// pale blue one at (112, 232), half below a robot's body, is no square.)
+const FIRST: [(MarkerColor, f64, f64); 8] = [
+    (MarkerColor::Blue, 204.0, 106.0),
+    (MarkerColor::Green, 214.0, 118.0),
+    (MarkerColor::Yellow, 458.0, 39.0),
+    (MarkerColor::Red, 469.0, 50.0),
+    (MarkerColor::Yellow, 529.0, 203.0),
+    (MarkerColor::Red, 520.0, 215.0),
+    (MarkerColor::Blue, 219.0, 366.0),
+    (MarkerColor::Red, 226.0, 380.0),
+];
+
+/// Centers (px) in image 450 of the two patches that a rod pushes.
+const MOVED: [(usize, f64, f64); 2] = [(0, 336.0, 112.0), (1, 327.0, 125.0)];
+
+#[test]
+fn every_patch_is_tracked_through_the_video() {
+    let Some(folder) = folder() else { return };
+    let video = folder.join("robot_move.mp4");
+    let child = Command::new("ffmpeg")
+        .args(["-v", "error", "-i"])
+        .arg(&video)
+        .args(["-f", "rawvideo", "-pix_fmt", "rgb24", "-"])
+        .stdout(Stdio::piped())
+        .spawn();
+    let Ok(mut child) = child else {
+        test_support::skip("ffmpeg, which decodes the video, is not installed");
+        return;
+    };
+    let mut pipe = child.stdout.take().unwrap();
+    let out = out();
+    let mut tracker = PatchTracker::new(TrackerConfig::default(), 60.0);
+    let mut data = vec![0u8; 3 * WIDTH * HEIGHT];
+    let mut ids = [u32::MAX; FIRST.len()];
+    let mut detected = [0usize; FIRST.len()];
+    let mut wrong = [0usize; FIRST.len()];
+    let mut last: Vec<Vector2<f64>> = Vec::new();
+    let mut images = 0;
+    while pipe.read_exact(&mut data).is_ok() {
+        let patches = tracker.process(&view(&data, WIDTH, HEIGHT)).unwrap();
+        if images == 0 {
+            for (id, (color, x, y)) in ids.iter_mut().zip(FIRST) {
+                let near =
+                    |p: &&Patch| (p.centroid - Vector2::new(x, y)).norm() < 4.0 && p.color == color;
+                let found = patches.iter().find(near);
+                *id = found
+                    .unwrap_or_else(|| panic!("{color} at ({x}, {y}) is not among {patches:?}"))
+                    .id;
+                last.push(Vector2::new(x, y));
+            }
+        }
+        for (k, id) in ids.iter().enumerate() {
+            let p = patches.iter().find(|p| p.id == *id).unwrap();
+            if p.state == MarkerState::Detected {
+                detected[k] += 1;
+                // A patch at rest must not move (its shade does a little), and a pushed one must
+                // not jump, except while it is covered.
+                let still = !MOVED.iter().any(|m| m.0 == k);
+                let limit = if still { 5.0 } else { 25.0 };
+                wrong[k] += usize::from((p.centroid - last[k]).norm() > limit);
+                if !still {
+                    last[k] = p.centroid;
+                }
+            }
+        }
+        if images == 450 {
+            for (k, x, y) in MOVED {
+                let p = patches.iter().find(|p| p.id == ids[k]).unwrap();
+                assert_eq!(p.state, MarkerState::Detected, "{p:?} of {patches:?}");
+                assert!((p.centroid - Vector2::new(x, y)).norm() < 3.0, "{p:?}");
+            }
+        }
+        if images % 50 == 0 {
+            draw(&out.join(format!("robot_move_{images:03}.png")), &data, WIDTH, HEIGHT, patches);
+        }
+        images += 1;
+    }
+    child.wait().unwrap();
+    eprintln!("debug images: {}", out.display());
+    for (k, (color, x, y)) in FIRST.iter().enumerate() {
+        eprintln!(
+            "{color} at ({x}, {y}): measured in {} of {images} images, {} astray",
+            detected[k], wrong[k]
+        );
+    }
+    assert_eq!(images, 502);
+    for (k, (color, x, y)) in FIRST.iter().enumerate() {
+        let share = detected[k] as f64 / images as f64;
+        assert_eq!(wrong[k], 0, "{color} at ({x}, {y}) went astray");
+        // The rod covers the two that it pushes, the hand the ones that it passes.
+        assert!(share > 0.8, "{color} at ({x}, {y}) was measured in {share:.3} of the images");
+    }
+}
+
+#[test]
+fn the_patches_of_a_still_image_are_found() {
+    let Some(folder) = folder() else { return };
+    let bytes = std::fs::read(folder.join("field_640x480.png")).unwrap();
+    let mut image = OwnedImage::default();
+    marker_tracker::decode_compressed_into("png", &bytes, &mut image).unwrap();
+    let view = image.view(Stamp::from_nanos(0));
+    let patches = find_patches(&view, 40.0).unwrap();
+    let rgb: Vec<u8> = match image.format {
+        PixelFormat::Rgb8 => image.data.clone(),
+        _ => image.data.chunks(4).flat_map(|p| [p[0], p[1], p[2]]).collect(),
+    };
+    let out = out();
+    draw(&out.join("field.png"), &rgb, image.width, image.height, &patches);
+    eprintln!("debug image: {}", out.join("field.png").display());
+    for color in [MarkerColor::Blue, MarkerColor::Green, MarkerColor::Yellow] {
+        let count = patches.iter().filter(|p| p.color == color).count();
+        eprintln!("{color}: {count} patches");
+        assert!(count >= 1, "no {color} patch among {patches:?}");
+    }
+}

@@ -1,0 +1,93 @@
+use super::*;
+use crate::names::resolve;
+
+fn words(text: &str) -> Vec<String> {
+    text.split_whitespace().map(str::to_owned).collect()
+}
+
+#[test]
+fn the_arguments_of_ros2_launch_are_parsed() {
+    let folder = std::env::temp_dir().join(format!("volant_args_{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let (a, b) = (folder.join("a.yaml"), folder.join("b.yaml"));
+    std::fs::write(
+        &a,
+        "/**: {ros__parameters: {sub: {x: 1}, y: 2, z: 3}}\nother: {ros__parameters: {y: 9}}",
+    )
+    .unwrap();
+    std::fs::write(&b, "/robot1/est: {ros__parameters: {y: 5}}").unwrap();
+    let line = format!(
+        "--custom x --ros-args --log-level debug --ros-args -r __node:=est -r __ns:=/robot1 \
+         --params-file {} --params-file {} -r /imu:=/sensors/imu -r pose:=~/pose -p z:=4.5 \
+         -p other:y:=7 -- tail",
+        a.display(),
+        b.display()
+    );
+    let (ros, rest) = RosArguments::parse(words(&line)).unwrap();
+    assert_eq!(rest, words("--custom x tail"));
+    let node = ros.node_name("pose_fusion").unwrap();
+    assert_eq!(node.fully_qualified(), "/robot1/est");
+    assert_eq!(ros.level(&node), Level::Debug);
+    let values = ros.values(&node);
+    assert_eq!(values["sub.x"], ParameterValue::Integer(1));
+    assert_eq!(values["y"], ParameterValue::Integer(5));
+    assert_eq!(values["z"], ParameterValue::Double(4.5));
+    assert_eq!(ros.overrides(&node)["y"].origin, b.display().to_string());
+    assert_eq!(resolve(&node, &ros.remaps(), "pose").unwrap(), "/robot1/est/pose");
+    assert_eq!(resolve(&node, &ros.remaps(), "/imu").unwrap(), "/sensors/imu");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn every_mistake_is_named() {
+    for (line, needle, usage) in [
+        ("--ros-args -r", "-r", true),
+        ("--ros-args -r a", "from:=to", true),
+        ("--ros-args -p a", "name:=value", true),
+        ("--ros-args -p a:={b:1", "-p a", true),
+        ("--ros-args --log-level loud", "loud", true),
+        ("--ros-args --bogus", "--bogus", true),
+        ("--ros-args --params-file /no/such.yaml", "/no/such.yaml", false),
+    ] {
+        let error = RosArguments::parse(words(line)).unwrap_err();
+        assert!(error.to_string().contains(needle), "{line}: {error}");
+        assert_eq!(error.is_usage(), usage, "{line}");
+    }
+}
+
+#[test]
+fn node_prefixes_limit_rules_to_one_node_of_a_process() {
+    let (ros, _) =
+        RosArguments::parse(words("--ros-args -r a:__node:=first -r b:__ns:=/two")).unwrap();
+    assert_eq!(ros.node_name("a").unwrap().fully_qualified(), "/first");
+    assert_eq!(ros.node_name("b").unwrap().fully_qualified(), "/two/b");
+}
+
+#[test]
+fn a_mistyped_node_name_is_rejected_and_that_of_another_node_is_not() {
+    let folder = std::env::temp_dir().join(format!("volant_selectors_{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("params.yaml");
+    let check = |selector: &str, node: &str, kind: &str| {
+        std::fs::write(&path, format!("{selector}: {{ros__parameters: {{x: 1}}}}")).unwrap();
+        let mut ros = RosArguments::default();
+        ros.add_file(path.clone()).unwrap();
+        ros.check_node_names(&NodeName::new("/", node).unwrap(), kind)
+    };
+    for selector in
+        ["/pose_fusoin", "pose_fusio", "/rig1/posefusion", "/Pose_Fusion", "/**/pose_fusin"]
+    {
+        let error = check(selector, "pose_fusion", "pose_fusion").unwrap_err();
+        assert!(error.to_string().contains(&format!("`{selector}` matches no node")), "{error}");
+        assert!(!error.is_usage());
+    }
+    for selector in
+        ["/**", "/*", "/pose_fusion", "/rig1/pose_fusion", "pose_fusion_b", "imu_driver", "est"]
+    {
+        check(selector, "est", "pose_fusion").unwrap();
+    }
+    for selector in ["imu2_driver", "climber_driver", "robot_state_publisher"] {
+        check(selector, "imu1_driver", "imu_driver").unwrap();
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
+}

@@ -1,0 +1,141 @@
+//! Standard output and error of command line programs.
+//!
+//! `println!` and `eprintln!` panic where the reader has gone or the disk is full.
+//! [`outln!`](crate::outln) returns an error, and [`errln!`](crate::errln) ignores it.
+
+use std::{
+    fmt,
+    io::{self, Write},
+    process::ExitCode,
+};
+use thiserror::Error;
+
+/// Why standard output cannot be written.
+#[derive(Debug, Error)]
+pub enum OutputError {
+    /// The reader has gone, as in `volant evaluate … | head -1`.
+    #[error("standard output was closed by its reader")]
+    Closed,
+    /// Any other reason, such as a full disk.
+    #[error("standard output: {0}; check the space where it is redirected to")]
+    Failed(io::Error),
+}
+
+impl From<io::Error> for OutputError {
+    fn from(error: io::Error) -> Self {
+        match error.kind() {
+            io::ErrorKind::BrokenPipe => Self::Closed,
+            _ => Self::Failed(error),
+        }
+    }
+}
+
+/// Exit status of the commands, for `--help` and the manual.
+pub const EXIT_STATUS: &str = "\
+Exit status:
+  0    done; all that the command checks holds
+  1    the work failed, with one line on standard error; or what the command checks does not hold
+  2    the command line is wrong
+  130  interrupted by SIGINT (ctrl-c); existing files are unchanged
+  141  the reader of standard output has gone
+  143  ended by SIGTERM; existing files are unchanged
+Nodes, record, play, monitor and foxglove run until SIGINT or SIGTERM and end with 0 on either.";
+
+/// Exit status of a program whose reader has gone: what a shell reports for SIGPIPE (128 + 13).
+const READER_GONE: u8 = 141;
+
+impl OutputError {
+    /// Reports the error of `program` on standard error, and returns the exit status: 1, or 141
+    /// without a message where the reader has gone.
+    pub fn report(&self, program: &str) -> ExitCode {
+        match self {
+            Self::Closed => ExitCode::from(READER_GONE),
+            Self::Failed(_) => {
+                crate::errln!("{program}: {self}");
+                ExitCode::FAILURE
+            }
+        }
+    }
+}
+
+/// Writes text to standard output and flushes it; see [`out!`](crate::out).
+///
+/// # Errors
+/// The reader has gone, or the text cannot be written.
+pub fn write_out(text: fmt::Arguments<'_>) -> Result<(), OutputError> {
+    let mut out = io::stdout().lock();
+    Ok(out.write_fmt(text).and_then(|()| out.flush())?)
+}
+
+/// Writes a line to standard error; see [`errln!`](crate::errln).
+pub fn write_error_line(text: fmt::Arguments<'_>) {
+    // Nobody can be informed where standard error is closed or full.
+    let _ = writeln!(io::stderr(), "{text}");
+}
+
+/// Ends the process on SIGINT and SIGTERM with the status that a shell reports for the signal (130,
+/// 143). Incomplete outputs are removed and named on standard error; `first` is called before.
+///
+/// # Errors
+/// The system does not deliver the signals.
+#[cfg(feature = "signals")]
+#[allow(clippy::disallowed_methods, reason = "the work of the other threads is given up")]
+pub fn end_on_signals(
+    program: &'static str,
+    first: impl FnOnce() + Send + 'static,
+) -> io::Result<()> {
+    use signal_hook::consts::{SIGINT, SIGTERM};
+    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM])?;
+    std::thread::spawn(move || {
+        let Some(signal) = signals.forever().next() else { return };
+        first();
+        let outputs = crate::files::discard_all();
+        if outputs.is_empty() {
+            crate::errln!("{program}: interrupted");
+        }
+        for path in outputs {
+            let left = if path.exists() { "is the former one" } else { "was not written" };
+            crate::errln!("{program}: interrupted; {} {left}", path.display());
+        }
+        std::process::exit(128 + signal);
+    });
+    Ok(())
+}
+
+/// Flag that SIGINT and SIGTERM set.
+///
+/// # Errors
+/// The system does not deliver the signals.
+#[cfg(feature = "signals")]
+pub fn stop_flag() -> io::Result<std::sync::Arc<std::sync::atomic::AtomicBool>> {
+    use signal_hook::{
+        consts::{SIGINT, SIGTERM},
+        flag::register,
+    };
+    let flag = std::sync::Arc::default();
+    for signal in [SIGINT, SIGTERM] {
+        register(signal, std::sync::Arc::clone(&flag))?;
+    }
+    Ok(flag)
+}
+
+/// `print!` that returns an [`OutputError`] instead of panicking.
+#[macro_export]
+macro_rules! out {
+    ($($text:tt)*) => { $crate::console::write_out(::std::format_args!($($text)*)) };
+}
+
+/// `println!` that returns an [`OutputError`] instead of panicking.
+#[macro_export]
+macro_rules! outln {
+    () => { $crate::out!("\n") };
+    ($format:literal $($rest:tt)*) => {
+        $crate::out!("{}\n", ::std::format_args!($format $($rest)*))
+    };
+}
+
+/// `eprintln!` that ignores a standard error that is closed or full.
+#[macro_export]
+macro_rules! errln {
+    ($($text:tt)*) => { $crate::console::write_error_line(::std::format_args!($($text)*)) };
+}

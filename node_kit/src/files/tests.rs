@@ -1,0 +1,118 @@
+use super::*;
+use std::{
+    fs::Permissions,
+    os::unix::fs::{PermissionsExt, symlink},
+};
+
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("volant-{name}-{}", std::process::id()));
+        fs::create_dir(&path).unwrap();
+        Self(path)
+    }
+
+    fn file(&self, name: &str, text: &str) -> PathBuf {
+        let path = self.0.join(name);
+        fs::write(&path, text).unwrap();
+        path
+    }
+
+    fn names(&self) -> Vec<String> {
+        let entries = fs::read_dir(&self.0).unwrap();
+        let mut names: Vec<_> =
+            entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+#[test]
+fn text_is_read_and_an_endless_file_rejected() {
+    let folder = Folder::new("read");
+    assert_eq!(read_text(&folder.file("a", "a: 1\n")).unwrap(), "a: 1\n");
+    let path = folder.0.join("a");
+    fs::write(&path, [0xFF, 0xFE]).unwrap();
+    assert_eq!(read_text(&path).unwrap_err().kind(), ErrorKind::InvalidData);
+    fs::remove_file(&path).unwrap();
+    assert_eq!(read_text(&path).unwrap_err().kind(), ErrorKind::NotFound);
+    assert_eq!(read_text(Path::new("/dev/zero")).unwrap_err().kind(), ErrorKind::FileTooLarge);
+}
+
+#[test]
+fn a_file_appears_when_it_is_complete() {
+    let folder = Folder::new("complete");
+    let path = folder.0.join("out");
+    let mut output = OutputFile::create(&path, false).unwrap();
+    output.write_all(b"new").unwrap();
+    assert!(!path.exists());
+    // Nothing else in this process writes it meanwhile, and a file that appears is not lost.
+    assert!(OutputFile::create(&path, false).is_err());
+    fs::write(&path, "of another").unwrap();
+    assert!(matches!(output.commit(), Err(FileError::Exists { .. })));
+    assert_eq!(
+        (fs::read_to_string(&path).unwrap().as_str(), folder.names().len()),
+        ("of another", 1)
+    );
+    fs::remove_file(&path).unwrap();
+    write(&path, b"new", false).unwrap();
+    assert_eq!((fs::read_to_string(&path).unwrap().as_str(), folder.names().len()), ("new", 1));
+}
+
+#[test]
+fn an_existing_file_is_replaced_only_on_request_and_keeps_its_mode_and_links() {
+    let folder = Folder::new("replace");
+    let path = folder.file("out", "former");
+    fs::set_permissions(&path, Permissions::from_mode(0o640)).unwrap();
+    assert!(matches!(write(&path, b"new", false), Err(FileError::Exists { .. })));
+    drop(OutputFile::create(&path, true).unwrap());
+    assert_eq!(fs::read_to_string(&path).unwrap(), "former");
+    let link = folder.0.join("link");
+    symlink(&path, &link).unwrap();
+    write(&link, b"new", true).unwrap();
+    assert!(link.is_symlink());
+    assert_eq!(fs::read_to_string(&path).unwrap(), "new");
+    assert_eq!(fs::metadata(&path).unwrap().mode() & 0o777, 0o640);
+    assert_eq!(folder.names(), ["link", "out"]);
+    assert!(matches!(write(&folder.0, b"", true), Err(FileError::Folder { .. })));
+}
+
+#[test]
+fn an_input_is_found_under_any_name() {
+    let folder = Folder::new("input");
+    let bag = folder.0.join("bag");
+    fs::create_dir(&bag).unwrap();
+    let member = bag.join("bag_0.mcap");
+    fs::write(&member, "").unwrap();
+    let (soft, hard) = (folder.0.join("soft"), folder.0.join("hard"));
+    symlink(&member, &soft).unwrap();
+    fs::hard_link(&member, &hard).unwrap();
+    let dotted = bag.join("../bag/bag_0.mcap");
+    for output in [&member, &soft, &hard, &dotted, &bag] {
+        for input in [&bag, &member, &hard] {
+            let checked = check_output(output, true, &[input]);
+            let other = output == &bag && input != &bag;
+            assert!(
+                matches!(checked, Err(FileError::Input { .. })) != other,
+                "{output:?} {input:?}: {checked:?}"
+            );
+        }
+    }
+    assert!(check_output(&bag.join("new.csv"), false, &[&bag]).is_ok());
+    assert!(check_output(Path::new("/dev/null"), false, &[Path::new("/dev/null")]).is_ok());
+}
+
+#[test]
+fn a_full_disk_and_a_folder_that_is_not_there_are_named() {
+    let error = write(Path::new("/dev/full"), b"text", false).unwrap_err().to_string();
+    assert!(error.contains("/dev/full") && error.contains("space on the disk"), "{error}");
+    let error = write(Path::new("/no/such/out"), b"", false).unwrap_err().to_string();
+    assert!(error.contains("/no/such/out"), "{error}");
+}

@@ -1,0 +1,98 @@
+//! Threads of a node's devices, and how they hand events to the node.
+
+use super::{
+    error::NodeError,
+    event::{Event, Sources},
+};
+use crate::inbox::{Inbox, SourceId, now};
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::JoinHandle,
+};
+
+/// Device threads of one start of the shell.
+pub(crate) struct Devices {
+    threads: Vec<JoinHandle<()>>,
+    sources: Vec<SourceId>,
+    /// False when the threads must end.
+    open: Arc<AtomicBool>,
+}
+
+impl Default for Devices {
+    fn default() -> Self {
+        Self { threads: Vec::new(), sources: Vec::new(), open: Arc::new(AtomicBool::new(true)) }
+    }
+}
+
+impl Devices {
+    pub fn spawn(
+        &mut self,
+        name: &str,
+        work: impl FnOnce() + Send + 'static,
+    ) -> Result<(), NodeError> {
+        let thread = std::thread::Builder::new()
+            .name(name.to_owned())
+            .spawn(work)
+            .map_err(|source| NodeError::System { what: format!("the thread {name}"), source })?;
+        self.threads.push(thread);
+        Ok(())
+    }
+
+    pub fn sender<I>(
+        &mut self,
+        inbox: &Inbox<Event<I>>,
+        name: &str,
+        depth: usize,
+    ) -> DeviceSender<I> {
+        let source = inbox.add_source(name, depth, false);
+        self.sources.push(source);
+        DeviceSender { inbox: inbox.clone(), source, open: Arc::clone(&self.open) }
+    }
+
+    /// Ends the threads, waits for them and retires their sources.
+    pub fn end(&mut self, inbox: &dyn Sources) {
+        let Self { threads, sources, open } = std::mem::take(self);
+        open.store(false, Ordering::Release);
+        for thread in threads {
+            let _ = thread.join();
+        }
+        sources.into_iter().for_each(|source| inbox.retire(source));
+    }
+}
+
+/// Puts a device's events into the node's inbox, in order with the messages. Clones share one
+/// source.
+pub struct DeviceSender<I> {
+    inbox: Inbox<Event<I>>,
+    source: SourceId,
+    open: Arc<AtomicBool>,
+}
+
+impl<I> Clone for DeviceSender<I> {
+    fn clone(&self) -> Self {
+        Self { inbox: self.inbox.clone(), source: self.source, open: Arc::clone(&self.open) }
+    }
+}
+
+impl<I> DeviceSender<I> {
+    /// Puts an event into the inbox without waiting. Returns false when the node has ended and the
+    /// device's thread should end too.
+    pub fn send(&self, input: I) -> bool {
+        self.inbox.put(self.source, Event::Input(input), now());
+        self.is_open()
+    }
+
+    /// Counts data of the device that could not be used.
+    pub fn refuse(&self) {
+        self.inbox.refuse(self.source);
+    }
+
+    /// Returns whether the node still runs. A device's thread checks this at least every 0.2 s,
+    /// because the end of the node waits for it.
+    pub fn is_open(&self) -> bool {
+        self.open.load(Ordering::Acquire) && !self.inbox.is_closed()
+    }
+}

@@ -1,0 +1,186 @@
+//! A node's presence in DDS: creates its publishers, subscriptions and services.
+
+use super::{
+    domain::{Domain, dds_type_name},
+    error::NodeError,
+    event::Sources,
+    logger::Logger,
+    publisher::{Publisher, Publishing},
+    reactor::Reactor,
+    wire::Shared,
+};
+use crate::{
+    names::{NodeName, Remap, resolve},
+    parameters::ParameterStore,
+    qos::{Endpoint, Qos, QosPreset},
+};
+use parking_lot::Mutex;
+use rustdds::{
+    QosPolicies, QosPolicyBuilder, Topic, TopicKind,
+    policy::{Durability, History, Reliability, ResourceLimits},
+};
+use std::sync::{Arc, Weak, atomic::AtomicBool};
+use volant_msgs::Message;
+
+/// Creates a node's endpoints under its name, remaps and overrides of the QoS.
+pub(crate) struct Endpoints {
+    pub name: NodeName,
+    pub remaps: Vec<Remap>,
+    pub store: Arc<Mutex<ParameterStore>>,
+    pub sources: Arc<dyn Sources>,
+    pub logger: Logger,
+    /// Whether the node's own publishers publish.
+    pub active: Arc<AtomicBool>,
+    pub publishers: Vec<Weak<dyn Publishing>>,
+    // Dropped in this order: the readers' thread, the ROS node, the participant.
+    pub reactor: Reactor,
+    pub node: ros2_client::Node,
+    pub domain: Arc<Domain>,
+}
+
+impl Endpoints {
+    /// Creates the ROS node in `domain`.
+    ///
+    /// # Errors
+    /// [`NodeError::Middleware`] if DDS refuses the node; [`NodeError::System`] if the system
+    /// refuses the thread.
+    pub fn new(
+        domain: Arc<Domain>,
+        sources: Arc<dyn Sources>,
+        name: NodeName,
+        remaps: Vec<Remap>,
+        store: ParameterStore,
+        logger: Logger,
+    ) -> Result<Self, NodeError> {
+        let failed = |reason: String| NodeError::Middleware {
+            what: format!("the node {}", name.fully_qualified()),
+            reason,
+        };
+        let ros_name = ros2_client::NodeName::new(name.namespace(), name.base())
+            .map_err(|e| failed(e.to_string()))?;
+        // ros2-client 0.12.1's own parameter services have one wire format only and no
+        // descriptors; its /rosout has no bound.
+        let options = ros2_client::NodeOptions::new()
+            .enable_rosout(false)
+            .start_parameter_services(false)
+            .allow_undeclared_parameters(true);
+        let node = domain.context.new_node(ros_name, options).map_err(|e| failed(e.to_string()))?;
+        let reactor = Reactor::start(name.base())?;
+        Ok(Self {
+            name,
+            remaps,
+            store: Arc::new(Mutex::new(store)),
+            sources,
+            logger,
+            active: Arc::new(AtomicBool::new(true)),
+            publishers: Vec::new(),
+            reactor,
+            node,
+            domain,
+        })
+    }
+
+    /// Absolute name of a topic or service after remaps.
+    pub fn resolve(&self, name: &str) -> Result<String, NodeError> {
+        Ok(resolve(&self.name, &self.remaps, name)?)
+    }
+
+    /// Creates a publisher that is silent while the node is inactive.
+    pub fn advertise<M: Message>(
+        &mut self,
+        topic: &str,
+        preset: QosPreset,
+    ) -> Result<Publisher<M>, NodeError> {
+        let active = Arc::clone(&self.active);
+        self.make_publisher(topic, preset.qos(Endpoint::Publisher), active)
+    }
+
+    /// Creates a publisher of the node itself, which publishes while the node is inactive too.
+    pub fn advertise_always<M: Message>(
+        &mut self,
+        topic: &str,
+        qos: Qos,
+    ) -> Result<Publisher<M>, NodeError> {
+        self.make_publisher(topic, qos, Arc::new(AtomicBool::new(true)))
+    }
+
+    fn make_publisher<M: Message>(
+        &mut self,
+        topic: &str,
+        qos: Qos,
+        active: Arc<AtomicBool>,
+    ) -> Result<Publisher<M>, NodeError> {
+        let name = self.resolve(topic)?;
+        let qos = self.overridden(&name, qos, Endpoint::Publisher)?;
+        let channel = self.domain.transport.channel::<M>(&name)?;
+        let dds_topic = self.dds_topic::<M>(&name, &qos)?;
+        let writer = self.node.create_publisher::<Shared<M>>(&dds_topic, None).map_err(|e| {
+            NodeError::Middleware {
+                what: format!("the publisher of {name}"),
+                reason: e.to_string(),
+            }
+        })?;
+        let publisher = Publisher::new(name, qos, channel, writer, active);
+        self.publishers.push(publisher.weak());
+        self.domain.refresh();
+        Ok(publisher)
+    }
+
+    /// DDS topic of a ROS topic with an absolute name.
+    pub fn dds_topic<M: Message>(&self, name: &str, qos: &Qos) -> Result<Topic, NodeError> {
+        self.domain
+            .context
+            .domain_participant()
+            .create_topic(
+                format!("rt{name}"),
+                dds_type_name(M::TYPE_NAME),
+                &policies(qos),
+                TopicKind::NoKey,
+            )
+            .map_err(|e| NodeError::Middleware {
+                what: format!("the topic {name}"),
+                reason: e.to_string(),
+            })
+    }
+
+    /// The QoS with the parameters `qos_overrides.…` applied.
+    pub fn overridden(
+        &self,
+        topic: &str,
+        mut qos: Qos,
+        endpoint: Endpoint,
+    ) -> Result<Qos, NodeError> {
+        let mut store = self.store.lock();
+        for descriptor in qos.descriptors(topic, endpoint) {
+            let name = descriptor.name.clone();
+            if let Some(value) = store.declare_if_given(descriptor)? {
+                qos = qos.with(&name, &value);
+            }
+        }
+        Ok(qos)
+    }
+}
+
+/// DDS policies of a QoS.
+pub(crate) fn policies(qos: &Qos) -> QosPolicies {
+    let count = |n: usize| i32::try_from(n).unwrap_or(i32::MAX);
+    QosPolicyBuilder::new()
+        .reliability(if qos.reliable {
+            // Zero: a full window fails at once. Waiting would hold up the sensor's loop.
+            Reliability::Reliable { max_blocking_time: rustdds::Duration::ZERO }
+        } else {
+            Reliability::BestEffort
+        })
+        .durability(if qos.transient_local {
+            Durability::TransientLocal
+        } else {
+            Durability::Volatile
+        })
+        .history(History::KeepLast { depth: count(qos.depth) })
+        .resource_limits(ResourceLimits {
+            max_samples: count(qos.max_samples),
+            max_instances: 1,
+            max_samples_per_instance: count(qos.max_samples),
+        })
+        .build()
+}

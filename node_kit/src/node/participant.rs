@@ -1,0 +1,103 @@
+//! The one place that creates a DDS participant, for nodes and for tools alike: security enclave,
+//! discovery range and the watch over the middleware's threads are the same everywhere.
+//!
+//! There are no static peers (`ROS_STATIC_PEERS`): RustDDS 0.15.1 discovers by multicast only.
+
+use super::{clock::Clock, error::NodeError, logger::Logger, middleware::MiddlewareWatch};
+use crate::{
+    environment::{Network, Security},
+    level::Level,
+};
+use rustdds::{DomainParticipant, DomainParticipantBuilder};
+use std::path::PathBuf;
+
+/// Joins a DDS domain: creates a participant with the domain, discovery range and security of
+/// `network` ([`Network::from_environment`]), and a watch that reports when it becomes unusable.
+///
+/// # Errors
+/// [`NodeError::Security`] if `ROS_SECURITY_STRATEGY` is `Enforce` and the enclave cannot be used;
+/// [`NodeError::Middleware`] if DDS cannot create the participant (no network interface, no ports).
+#[allow(clippy::disallowed_methods, reason = "the one place")]
+pub fn join(network: &Network) -> Result<(DomainParticipant, MiddlewareWatch), NodeError> {
+    let mut builder = DomainParticipantBuilder::new(network.domain_id);
+    if let Some(addresses) = network.only_addresses() {
+        builder = builder.with_only_networks(addresses);
+    }
+    if let Some(security) = &network.security {
+        builder = secure(builder, security)?;
+    }
+    let (participant, watch) = MiddlewareWatch::of(|| builder.build());
+    let participant = participant.map_err(|e| NodeError::Middleware {
+        what: format!("the participant in domain {}", network.domain_id),
+        reason: e.to_string(),
+    })?;
+    Ok((participant, watch))
+}
+
+/// Log of what happens before a node exists, or besides the nodes.
+pub(crate) fn process_log() -> Logger {
+    Logger::new("volant".to_owned(), Level::Info, Clock::default())
+}
+
+/// Files of an enclave.
+const ENCLAVE: [&str; 6] = [
+    "cert.pem",
+    "key.pem",
+    "identity_ca.cert.pem",
+    "permissions_ca.cert.pem",
+    "governance.p7s",
+    "permissions.p7s",
+];
+
+/// Puts the participant into its security enclave.
+fn secure(
+    builder: DomainParticipantBuilder,
+    security: &Security,
+) -> Result<DomainParticipantBuilder, NodeError> {
+    let folder = security.folder();
+    let missing = ENCLAVE.into_iter().map(|name| folder.join(name)).find(|file| !file.is_file());
+    let (keystore, enclave) = (security.keystore.display(), &security.enclave);
+    let reason = if let Some(file) = missing {
+        format!(
+            "{} is missing; create the enclave with `make-keystore {keystore} {enclave}` or \
+             `ros2 security create_enclave {keystore} {enclave}`, or name another one with \
+             ROS_SECURITY_ENCLAVE_OVERRIDE",
+            file.display()
+        )
+    } else if cfg!(not(feature = "security")) {
+        "this program was built without DDS security; build it with \
+         `--features node_kit/security`"
+            .to_owned()
+    } else {
+        process_log().log(Level::Info, format!("DDS security: {}", folder.display()));
+        return Ok(with_keys(builder, folder));
+    };
+    if security.enforce {
+        return Err(NodeError::Security {
+            enclave: enclave.clone(),
+            keystore: security.keystore.clone(),
+            reason,
+        });
+    }
+    process_log().log(
+        Level::Warn,
+        format!(
+            "ROS_SECURITY_ENABLE is set, but this process runs UNPROTECTED: {reason} \
+             (ROS_SECURITY_STRATEGY=Enforce forbids that)"
+        ),
+    );
+    Ok(builder)
+}
+
+#[cfg(feature = "security")]
+fn with_keys(builder: DomainParticipantBuilder, folder: PathBuf) -> DomainParticipantBuilder {
+    builder.builtin_security(rustdds::DomainParticipantSecurityConfigFiles::with_ros_default_names(
+        folder,
+        String::new(),
+    ))
+}
+
+#[cfg(not(feature = "security"))]
+fn with_keys(builder: DomainParticipantBuilder, _: PathBuf) -> DomainParticipantBuilder {
+    builder
+}

@@ -1,0 +1,234 @@
+//! Runs a node on its own thread: main loop, lifecycle, changes of parameters, end.
+
+use super::{
+    context::NodeContext,
+    control_services::{SharedState, transition_description},
+    domain::Domain,
+    error::NodeError,
+    event::{Control, Event},
+    handle::NodeParts,
+    publisher::Publisher,
+    shell::NodeShell,
+};
+use crate::{
+    inbox::{Inbox, Taken, now},
+    level::Level,
+    lifecycle::{LifecycleState, Transition},
+    parameters::{ParameterSet, ParameterValue},
+    qos::Qos,
+};
+use std::{
+    sync::{Arc, mpsc::SyncSender},
+    time::{Duration, Instant},
+};
+use volant_msgs::lifecycle_msgs::msg::TransitionEvent;
+
+/// Period of the shell's tick and the diagnostics.
+const TICK: Duration = Duration::from_secs(1);
+const TRANSITION_EVENTS: Qos =
+    Qos { reliable: true, transient_local: false, depth: 10, max_samples: 100 };
+
+/// Creates the shell of a node.
+type Start<S> = Box<
+    dyn FnMut(
+        &mut NodeContext<<S as NodeShell>::Input>,
+        <S as NodeShell>::Parameters,
+    ) -> Result<S, NodeError>,
+>;
+
+struct NodeRunner<S: NodeShell> {
+    // Dropped before the context, so that its publishers and devices end before the node.
+    shell: Option<S>,
+    start: Start<S>,
+    state: SharedState,
+    events: Publisher<TransitionEvent>,
+    context: NodeContext<S::Input>,
+}
+
+/// Runs a node until its inbox is closed. `started` is sent when the node has started, and drops
+/// unused if it cannot start.
+///
+/// # Errors
+/// Why the node cannot start, or why it ended on its own.
+pub(crate) fn run<S: NodeShell>(
+    domain: Arc<Domain>,
+    inbox: Inbox<Event<S::Input>>,
+    parts: NodeParts,
+    start: Start<S>,
+    started: &SyncSender<()>,
+) -> Result<(), NodeError> {
+    // Invalid values end the node now, whether or not it starts active.
+    S::Parameters::from_map(parts.store.values())?;
+    let autostart = parts.store.get("autostart") != Some(&ParameterValue::Bool(false));
+    let mut context = NodeContext::new(domain, inbox, parts)?;
+    context.set_active(false);
+    let events = context.endpoints.advertise_always("~/transition_event", TRANSITION_EVENTS)?;
+    context.offer_control()?;
+    let mut runner =
+        NodeRunner::<S> { shell: None, start, state: context.lifecycle.clone(), events, context };
+    if autostart {
+        // Active before the start, so that what a node publishes in it is published.
+        runner.context.set_active(true);
+        runner.change(Transition::Configure)?;
+        runner.change(Transition::Activate)?;
+    }
+    runner.context.announce_parameters();
+    let _ = started.send(());
+    runner.run();
+    runner.context.ending.take().unwrap_or(Ok(()))
+}
+
+impl<S: NodeShell> NodeRunner<S> {
+    fn run(&mut self) {
+        let supervised = self.context.endpoints.domain.supervisor.add_loop();
+        let mut next_tick = now() + TICK;
+        loop {
+            supervised.passed();
+            let active = self.state.get() == LifecycleState::Active;
+            let timer = if active { self.context.next_timer() } else { None };
+            let beat = supervised.interval().map(|interval| now() + interval);
+            let deadline = [timer, beat].into_iter().flatten().fold(next_tick, Instant::min);
+            match self.context.inbox.take(Some(deadline)) {
+                Taken::Entry(Event::Input(input)) => {
+                    if let Some(shell) = &mut self.shell {
+                        shell.handle(&mut self.context, input);
+                    }
+                }
+                Taken::Entry(Event::Control(control)) => self.control(control),
+                Taken::Entry(Event::Wake) | Taken::Deadline => {}
+                Taken::Closed => return,
+            }
+            if self.state.get() == LifecycleState::Active
+                && let Some(shell) = &mut self.shell
+            {
+                while let Some(input) = self.context.due_timer() {
+                    shell.handle(&mut self.context, input);
+                }
+            }
+            let late = now().saturating_duration_since(next_tick);
+            if now() >= next_tick {
+                self.context.diagnostics.ticked(late);
+                next_tick = now() + TICK;
+                if self.state.get() == LifecycleState::Active
+                    && let Some(shell) = &mut self.shell
+                {
+                    shell.tick(&mut self.context);
+                }
+                self.context.publish_diagnostics();
+            }
+        }
+    }
+
+    fn control(&mut self, control: Control) {
+        match control {
+            Control::Set { changes, reply } => {
+                let _ = reply.try_send(self.set(&changes));
+            }
+            Control::Transition { id, label, reply } => {
+                let success = match Transition::requested(self.state.get(), id, &label) {
+                    None => {
+                        let state = self.state.get().label();
+                        self.context.log(
+                            Level::Warn,
+                            format!("the transition {id} `{label}` is not possible from {state}"),
+                        );
+                        false
+                    }
+                    Some(transition) => match self.change(transition) {
+                        Ok(()) => true,
+                        Err(error) => {
+                            self.context.log(
+                                Level::Error,
+                                format!("cannot {}: {error}", transition.label()),
+                            );
+                            false
+                        }
+                    },
+                };
+                let _ = reply.try_send(success);
+            }
+        }
+    }
+
+    fn set(&mut self, changes: &[(String, ParameterValue)]) -> Result<(), String> {
+        let (values, made) =
+            self.context.parameter_store().propose(changes).map_err(|e| e.to_string())?;
+        let parameters = S::Parameters::from_map(&values).map_err(|e| e.to_string())?;
+        if let Some(shell) = &mut self.shell {
+            shell.parameters_changed(&mut self.context, &parameters)?;
+        }
+        self.context.parameter_store().commit(values);
+        self.context.announce(&made);
+        if made.iter().any(|c| c.name == "use_sim_time") {
+            self.context.follow_use_sim_time().map_err(|e| e.to_string())?;
+        }
+        Ok(())
+    }
+
+    fn change(&mut self, transition: Transition) -> Result<(), NodeError> {
+        let (start, goal) = transition.ends();
+        let outcome = match transition {
+            Transition::Configure => self.configure(),
+            Transition::Activate => {
+                self.context.set_active(true);
+                Ok(())
+            }
+            Transition::Deactivate => {
+                self.context.set_active(false);
+                Ok(())
+            }
+            Transition::Cleanup
+            | Transition::UnconfiguredShutdown
+            | Transition::InactiveShutdown
+            | Transition::ActiveShutdown => {
+                self.context.set_active(false);
+                self.clean_up();
+                Ok(())
+            }
+        };
+        let reached = if outcome.is_ok() { goal } else { start };
+        self.state.set(reached);
+        if outcome.is_ok() {
+            let description = transition_description(transition);
+            self.events.publish(TransitionEvent {
+                timestamp: u64::try_from(self.context.now().as_nanos()).unwrap_or(0),
+                transition: description.transition,
+                start_state: description.start_state,
+                goal_state: description.goal_state,
+            });
+        }
+        outcome
+    }
+
+    fn configure(&mut self) -> Result<(), NodeError> {
+        let parameters = S::Parameters::from_map(self.context.parameter_store().values())?;
+        match (self.start)(&mut self.context, parameters) {
+            Ok(shell) => self.shell = Some(shell),
+            Err(error) => {
+                self.clean_up();
+                return Err(error);
+            }
+        }
+        for mistake in self.context.parameter_store().left_over() {
+            self.context.log(Level::Warn, mistake.to_string());
+        }
+        Ok(())
+    }
+
+    /// Ends the devices, then the shell with its publishers, then its subscriptions, services and
+    /// timers.
+    fn clean_up(&mut self) {
+        self.context.end_devices();
+        self.shell = None;
+        self.context.clear_shell();
+    }
+}
+
+impl<S: NodeShell> Drop for NodeRunner<S> {
+    fn drop(&mut self) {
+        self.context.inbox.close();
+        self.clean_up();
+        // The context's fields drop the rest: subscriptions, reader thread, DDS node, in this
+        // order.
+    }
+}

@@ -1,0 +1,234 @@
+//! systemd's notification protocol and the scheduling options on real processes.
+#![allow(clippy::disallowed_methods, reason = "a test that waits")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+mod common;
+
+use common::{Running, example};
+use node_kit::{NodeContext, NodeError, NodeShell, Process, RosArguments, environment::Network};
+use std::{
+    os::{
+        linux::net::SocketAddrExt,
+        unix::net::{SocketAddr, UnixDatagram},
+    },
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+
+/// Watchdog period of the tests, µs: a beat at least every 200 ms.
+const PERIOD: &str = "400000";
+const LONG: Duration = Duration::from_secs(20);
+
+/// A service manager's socket.
+struct Manager {
+    socket: UnixDatagram,
+    path: PathBuf,
+}
+
+impl Manager {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("volant-{name}-{}", std::process::id()));
+        let _ = std::fs::remove_file(&path);
+        Self { socket: UnixDatagram::bind(&path).unwrap(), path }
+    }
+
+    /// The next signal, within `time`.
+    fn signal(&self, time: Duration) -> Option<String> {
+        self.socket.set_read_timeout(Some(time)).unwrap();
+        let mut bytes = [0; 256];
+        let length = self.socket.recv(&mut bytes).ok()?;
+        Some(String::from_utf8_lossy(&bytes[..length]).into_owned())
+    }
+
+    /// Waits for a signal.
+    fn wait_for(&self, signal: &str) {
+        let deadline = Instant::now() + LONG;
+        while self.signal(LONG).as_deref() != Some(signal) {
+            assert!(Instant::now() < deadline, "no {signal}");
+        }
+    }
+
+    /// Number of beats within `time`.
+    fn beats(&self, time: Duration) -> usize {
+        let deadline = Instant::now() + time;
+        let mut beats = 0;
+        while Instant::now() < deadline {
+            let left = deadline.saturating_duration_since(Instant::now());
+            let signal = self.signal(left.max(Duration::from_millis(1)));
+            beats += usize::from(signal.as_deref() == Some("WATCHDOG=1"));
+        }
+        beats
+    }
+}
+
+impl Drop for Manager {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+fn minimal(domain: u16, arguments: &[&str], environment: &[(&str, &str)]) -> Running {
+    Running::start(domain, &example("minimal_node"), arguments, environment)
+}
+
+#[test]
+fn a_node_reports_its_start_its_beats_and_its_end() {
+    let manager = Manager::new("notify");
+    let socket = manager.path.to_str().unwrap();
+    let mut node = minimal(140, &[], &[("NOTIFY_SOCKET", socket), ("WATCHDOG_USEC", PERIOD)]);
+    manager.wait_for("READY=1");
+    let beats = manager.beats(Duration::from_secs(2));
+    // 20 at most: four per period.
+    assert!((8..=21).contains(&beats), "{beats}");
+    node.signal("TERM");
+    manager.wait_for("STOPPING=1");
+    assert!(node.wait(Duration::from_secs(5)).success());
+}
+
+#[test]
+fn an_abstract_socket_is_reached_and_without_a_watchdog_there_is_no_beat() {
+    let name = format!("volant-abstract-{}", std::process::id());
+    let address = SocketAddr::from_abstract_name(&name).unwrap();
+    let manager =
+        Manager { socket: UnixDatagram::bind_addr(&address).unwrap(), path: "/nowhere".into() };
+    let socket = format!("@{name}");
+    let environment = [("NOTIFY_SOCKET", &*socket), ("WATCHDOG_USEC", PERIOD)];
+    let _node = minimal(141, &[], &environment[..1]);
+    manager.wait_for("READY=1");
+    assert_eq!(manager.beats(Duration::from_secs(1)), 0);
+    // The watchdog of another process, such as a shell that started this one.
+    let of_another = [environment[0], environment[1], ("WATCHDOG_PID", "1")];
+    let _other = minimal(141, &[], &of_another);
+    manager.wait_for("READY=1");
+    assert_eq!(manager.beats(Duration::from_secs(1)), 0);
+}
+
+#[test]
+fn a_socket_that_is_gone_is_reported_and_the_node_runs() {
+    let node = minimal(142, &[], &[("NOTIFY_SOCKET", "/no/such/socket")]);
+    let line = node.line_with("NOTIFY_SOCKET=/no/such/socket", LONG);
+    assert!(line.contains("[WARN]"), "{line}");
+}
+
+/// Runs well for ever.
+struct Well;
+
+impl NodeShell for Well {
+    const NAME: &'static str = "well";
+    type Parameters = ();
+    type Input = ();
+
+    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
+        context.timer(Duration::from_millis(20), || ());
+        Ok(Self)
+    }
+
+    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {}
+}
+
+/// Hangs in its handler from the third second on.
+struct Hanging(Instant);
+
+impl NodeShell for Hanging {
+    const NAME: &'static str = "hanging";
+    type Parameters = ();
+    type Input = ();
+
+    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
+        context.timer(Duration::from_millis(20), || ());
+        Ok(Self(Instant::now()))
+    }
+
+    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
+        while self.0.elapsed() > Duration::from_secs(3) {
+            std::thread::sleep(Duration::from_secs(1));
+        }
+    }
+}
+
+/// The process of the test below.
+#[test]
+#[ignore = "a process that another test starts"]
+fn process_with_a_node_that_hangs() {
+    if std::env::var_os("NOTIFY_SOCKET").is_none() {
+        return;
+    }
+    let network = Network { domain_id: 143, ..Network::default() };
+    let mut process = Process::new(network).unwrap();
+    process.start::<Well>(&RosArguments::default()).unwrap();
+    process.start::<Hanging>(&RosArguments::default()).unwrap();
+    process.wait().unwrap();
+}
+
+#[test]
+fn one_hanging_event_loop_stops_the_beat_of_its_process() {
+    let manager = Manager::new("hang");
+    let _process = Running::start(
+        143,
+        &std::env::current_exe().unwrap(),
+        &["--exact", "process_with_a_node_that_hangs", "--ignored"],
+        &[("NOTIFY_SOCKET", manager.path.to_str().unwrap()), ("WATCHDOG_USEC", PERIOD)],
+    );
+    manager.wait_for("READY=1");
+    let beats = manager.beats(Duration::from_secs(2));
+    assert!(beats >= 8, "{beats}");
+    // The other node's loop runs on.
+    std::thread::sleep(Duration::from_secs(2));
+    while manager.signal(Duration::from_millis(1)).is_some() {}
+    assert_eq!(manager.beats(Duration::from_secs(2)), 0);
+}
+
+/// Scheduling policy of each thread of a process (`man 5 proc`: field 41 of `stat`; 1 is FIFO).
+fn policies(id: u32) -> Vec<String> {
+    let tasks = std::fs::read_dir(Path::new("/proc").join(id.to_string()).join("task")).unwrap();
+    tasks
+        .map(|task| {
+            let stat = std::fs::read_to_string(task.unwrap().path().join("stat")).unwrap();
+            let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
+            format!("{} {}", fields[38], fields[37])
+        })
+        .collect()
+}
+
+#[test]
+fn priority_affinity_and_memory_lock_hold_for_every_thread() {
+    if !rustix::process::geteuid().is_root() {
+        test_support::skip("real-time priority needs root or CAP_SYS_NICE");
+        return;
+    }
+    let options = ["--realtime-priority", "7", "--cpus", "0", "--lock-memory"];
+    let node = minimal(144, &options, &[]);
+    let deadline = Instant::now() + LONG;
+    while node.threads() < 8 && Instant::now() < deadline {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let policies = policies(node.id());
+    assert!(
+        policies.len() >= 8 && policies.iter().filter(|p| **p == "1 7").count() >= 7,
+        "{policies:?}"
+    );
+    let status = std::fs::read_to_string(format!("/proc/{}/status", node.id())).unwrap();
+    let value =
+        |key| status.lines().find(|l| l.starts_with(key)).unwrap().split_whitespace().nth(1);
+    assert_eq!(value("Cpus_allowed_list:"), Some("0"));
+    assert!(value("VmLck:").unwrap().parse::<u64>().unwrap() > 1000, "{status}");
+}
+
+#[test]
+fn what_the_system_does_not_permit_is_named_with_its_remedy() {
+    if !rustix::process::geteuid().is_root() {
+        test_support::skip("dropping privileges needs root");
+        return;
+    }
+    let node = example("minimal_node");
+    for (option, remedy) in
+        [(&["--realtime-priority", "7"][..], "LimitRTPRIO=7"), (&["--lock-memory"], "LimitMEMLOCK")]
+    {
+        let mut words = vec!["--reuid=65534", "--regid=65534", "--clear-groups", "--"];
+        words.push(node.to_str().unwrap());
+        words.extend(option);
+        let (status, lines) = Running::start(145, Path::new("setpriv"), &words, &[]).finish(LONG);
+        assert_eq!(status.code(), Some(1), "{lines:?}");
+        assert!(lines.len() == 1 && lines[0].contains(remedy), "{lines:?}");
+    }
+}

@@ -1,0 +1,261 @@
+//! Calibration of the IMU: scale factors and misalignment, estimated beside the state.
+//!
+//! Twelve constants θ: for gyroscope and accelerometer each three scale factors `s` and a rotation
+//! `ρ` of the triad against the mounting in the rig file. A reading `m`, less its bias, measures
+//! the motion `m − s ∘ m − ρ × m`.
+//!
+//! They are estimated by Friedland's two-stage filter (1969, "Treatment of bias in recursive
+//! filtering"). The state is estimated as if they were known, with the sensitivity `V` of its error
+//! to them (see [`super::consider`]). The innovations `r` of an image, with covariance `L Lᵀ`, have
+//! the expectation `(H V + E) θ`, so that with `B = L⁻¹ (H V + E)` the constants follow by
+//! recursive least squares, row by row: `k = P b / (1 + bᵀ P b)`, `θ ← θ + k (L⁻¹ r)`,
+//! `P ← P − k bᵀ P`. The correction moves the state by `V δθ`: all that follows is linearized at
+//! the corrected constants. This is the Kalman filter of state and constants together, at a cost
+//! that grows with the number of constants instead of its square.
+
+use super::{
+    consider::{IMU, PARAMETERS},
+    propagation::ImuReading,
+};
+use crate::config::ImuConfig;
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+
+/// Number of constants: scale factors of gyroscope and accelerometer, rotations of both, rad.
+pub const CONSTANTS: usize = 12;
+/// First rotation.
+const ROTATION: usize = 6;
+/// Largest scale factor and rotation, rad. An IMU beyond that has another range, or another
+/// mounting, than configured.
+pub const LARGEST: f64 = 0.1;
+/// A constant this many standard deviations from zero was expected too close to it; its variance is
+/// opened by its square.
+const UNEXPECTED: f32 = 3.0;
+
+/// Numbers of one triangle of the covariance.
+const TRIANGLE: usize = CONSTANTS * (CONSTANTS + 1) / 2;
+
+/// One number for each constant.
+pub type Constants = SVector<f64, CONSTANTS>;
+/// The same in single precision, as covariances are stored: the history keeps one for each entry.
+type Single = SVector<f32, CONSTANTS>;
+
+/// Symmetric matrix, stored as its lower triangle, column by column.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Symmetric([f32; TRIANGLE]);
+
+impl Default for Symmetric {
+    fn default() -> Self {
+        Self([0.0; TRIANGLE])
+    }
+}
+
+impl Symmetric {
+    /// Returns the lower triangle of a matrix.
+    fn of(matrix: &SMatrix<f32, CONSTANTS, CONSTANTS>) -> Self {
+        let mut triangle = Self::default();
+        let lower = (0..CONSTANTS).flat_map(|j| (j..CONSTANTS).map(move |i| (i, j)));
+        for (to, at) in triangle.0.iter_mut().zip(lower) {
+            *to = matrix[at];
+        }
+        triangle
+    }
+
+    /// Returns the whole matrix.
+    fn matrix(&self) -> SMatrix<f32, CONSTANTS, CONSTANTS> {
+        let mut matrix = SMatrix::zeros();
+        let lower = (0..CONSTANTS).flat_map(|j| (j..CONSTANTS).map(move |i| (i, j)));
+        for (from, (i, j)) in self.0.iter().zip(lower) {
+            matrix[(i, j)] = *from;
+            matrix[(j, i)] = *from;
+        }
+        matrix
+    }
+}
+
+/// Estimated constants with their covariance.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ImuCalibration {
+    constants: Constants,
+    covariance: Symmetric,
+    /// Expected distance from zero, 1 sigma.
+    expected: Single,
+}
+
+impl ImuCalibration {
+    /// Returns constants of zero with the configured standard deviations.
+    pub fn new(config: &ImuConfig) -> Self {
+        let sigmas = [config.gyroscope_scale, config.accelerometer_scale, config.misalignment];
+        let expected = Single::from_fn(|i, _| sigmas[(i / 3).min(2)] as f32);
+        let covariance =
+            Symmetric::of(&SMatrix::from_diagonal(&expected.map(|sigma| sigma * sigma)));
+        Self { constants: Constants::zeros(), covariance, expected }
+    }
+
+    /// Returns constants that are known with a covariance.
+    pub fn known(constants: Constants, covariance: &SMatrix<f64, CONSTANTS, CONSTANTS>) -> Self {
+        let expected = constants.abs() + covariance.diagonal().map(|v| v.max(0.0).sqrt());
+        let covariance = Symmetric::of(&covariance.map(|x| x as f32));
+        Self { constants, covariance, expected: expected.map(|x| x as f32) }
+    }
+
+    /// Returns the constants: scale factors of gyroscope and accelerometer, rotations of both, rad,
+    /// IMU axes.
+    pub fn constants(&self) -> &Constants {
+        &self.constants
+    }
+
+    /// Returns the covariance of the constants.
+    pub fn covariance(&self) -> SMatrix<f64, CONSTANTS, CONSTANTS> {
+        self.covariance.matrix().map(f64::from)
+    }
+
+    /// Returns the motion that a reading measures, both without the biases.
+    pub fn motion(&self, reading: &ImuReading) -> ImuReading {
+        ImuReading {
+            angular_velocity: reading.angular_velocity - self.error(0, &reading.angular_velocity),
+            specific_force: reading.specific_force - self.error(1, &reading.specific_force),
+        }
+    }
+
+    /// Returns the reading of a motion, both without the biases: the inverse of
+    /// [`ImuCalibration::motion`] to first order.
+    pub fn reading(&self, motion: &ImuReading) -> ImuReading {
+        ImuReading {
+            angular_velocity: motion.angular_velocity + self.error(0, &motion.angular_velocity),
+            specific_force: motion.specific_force + self.error(1, &motion.specific_force),
+        }
+    }
+
+    /// Moves one constant.
+    #[cfg(test)]
+    pub fn move_constant(&mut self, index: usize, by: f64) {
+        self.constants[index] += by;
+    }
+
+    /// `s ∘ m + ρ × m` of the gyroscope (`triad` 0) or the accelerometer (1).
+    fn error(&self, triad: usize, m: &Vector3<f64>) -> Vector3<f64> {
+        let three = |first: usize| self.constants.fixed_rows::<3>(first).into_owned();
+        three(3 * triad).component_mul(m) + three(ROTATION + 3 * triad).cross(m)
+    }
+
+    /// Derivative of a triad's motion, turned by `rotation`, by the constants of that triad, with
+    /// the first column of each part: scale factors and rotation.
+    pub fn derivative(
+        triad: usize,
+        rotation: &Matrix3<f64>,
+        m: &Vector3<f64>,
+    ) -> [(usize, Matrix3<f64>); 2] {
+        let by_scale = -(rotation * Matrix3::from_diagonal(m));
+        [(3 * triad, by_scale), (ROTATION + 3 * triad, rotation * m.cross_matrix())]
+    }
+
+    /// Corrects the constants by an innovation and returns by how much. `by_parameter` is `B`,
+    /// `whitened` is `L⁻¹ r`.
+    pub fn correct<const M: usize>(
+        &mut self,
+        by_parameter: &SMatrix<f64, M, PARAMETERS>,
+        whitened: &SVector<f64, M>,
+    ) -> Constants {
+        let mut step = Constants::zeros();
+        let mut covariance = self.covariance.matrix();
+        // The rows are independent and have unit variance.
+        for (row, innovation) in by_parameter.row_iter().zip(whitened) {
+            let b: Constants = row.fixed_columns::<CONSTANTS>(IMU).transpose();
+            let gain = covariance * b.map(|x| x as f32);
+            let spread = 1.0 + b.dot(&gain.map(f64::from));
+            let residual = innovation - b.dot(&step);
+            if !(spread >= 1.0 && residual.is_finite()) {
+                continue;
+            }
+            step += gain.map(f64::from) * (residual / spread);
+            let root = gain / (spread as f32).sqrt();
+            for (mut column, scale) in covariance.column_iter_mut().zip(&root) {
+                column.axpy(-scale, &root, 1.0);
+            }
+        }
+        let before = self.constants;
+        self.constants = (before + step).map(|x| x.clamp(-LARGEST, LARGEST));
+        for i in 0..CONSTANTS {
+            let away = self.constants[i].abs() as f32;
+            if away > UNEXPECTED * self.expected[i] {
+                self.expected[i] = away;
+                covariance[(i, i)] += away * away;
+            }
+        }
+        self.covariance = Symmetric::of(&covariance);
+        self.constants - before
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn config() -> ImuConfig {
+        ImuConfig { gyroscope_scale: 0.003, accelerometer_scale: 0.002, ..ImuConfig::default() }
+    }
+
+    #[test]
+    fn motion_and_reading_are_inverse_and_the_derivative_is_the_numerical_one() {
+        let mut calibration = ImuCalibration::new(&config());
+        calibration.constants = Constants::from_fn(|i, _| 0.001 * ((i * 7) % 5) as f64 - 0.002);
+        let reading = ImuReading {
+            specific_force: Vector3::new(0.5, -1.0, 9.6),
+            angular_velocity: Vector3::new(1.0, -2.0, 0.5),
+        };
+        let motion = calibration.motion(&reading);
+        let back = calibration.reading(&motion);
+        assert!((back.specific_force - reading.specific_force).norm() < 1e-3);
+        assert!((back.angular_velocity - reading.angular_velocity).norm() < 1e-4);
+        let turn = *nalgebra::Rotation3::from_euler_angles(0.3, -0.2, 1.1).matrix();
+        for triad in 0..2 {
+            let part = |r: &ImuReading| [r.angular_velocity, r.specific_force][triad];
+            for (first, by) in ImuCalibration::derivative(triad, &turn, &part(&reading)) {
+                for k in 0..3 {
+                    let mut moved = calibration;
+                    moved.constants[first + k] += 1e-6;
+                    let change = turn * (part(&moved.motion(&reading)) - part(&motion)) / 1e-6;
+                    assert!((change - by.column(k)).norm() < 1e-6, "{triad} {first} {k}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_constant_is_found_within_its_sigma_and_a_surprising_one_opens_its_variance() {
+        for (truth, images) in [(0.004, 200), (-0.05, 1000)] {
+            let mut calibration = ImuCalibration::new(&config());
+            for k in 0..images {
+                let mut b = SMatrix::<f64, 2, PARAMETERS>::zeros();
+                b[(0, IMU)] = 20.0 * (0.1 * f64::from(k)).sin();
+                b[(1, IMU + 4)] = 20.0;
+                let error = truth - calibration.constants[0];
+                // A deterministic stand-in for white noise of variance 1.
+                let noise = 1.2 * (f64::from(k) * 7919.0 * 0.618).sin();
+                let whitened = SVector::<f64, 2>::new(b[(0, IMU)] * error + noise, 0.0);
+                calibration.correct(&b, &whitened);
+            }
+            let sigma = calibration.covariance()[(0, 0)].sqrt();
+            assert!(
+                (calibration.constants[0] - truth).abs() < 3.0 * sigma && sigma < 0.006,
+                "{truth}: {} +- {sigma}",
+                calibration.constants[0]
+            );
+            assert_eq!(calibration.constants[4], 0.0);
+        }
+    }
+
+    #[test]
+    fn a_constant_is_limited_and_a_number_that_is_not_finite_is_ignored() {
+        let mut calibration = ImuCalibration::new(&config());
+        let mut b = SMatrix::<f64, 1, PARAMETERS>::zeros();
+        b[(0, IMU + 6)] = 1e6;
+        for _ in 0..20 {
+            calibration.correct(&b, &SVector::<f64, 1>::new(1e6));
+        }
+        assert_eq!(calibration.constants[6], LARGEST);
+        let before = calibration;
+        assert_eq!(calibration.correct(&b, &SVector::<f64, 1>::new(f64::NAN)), Constants::zeros());
+        assert_eq!(calibration, before);
+    }
+}

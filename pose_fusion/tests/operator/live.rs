@@ -1,0 +1,249 @@
+//! The real node as a process of its own, fed over DDS and called by a Cyclone DDS client.
+
+#![allow(clippy::disallowed_methods, reason = "a live test waits")]
+use super::*;
+use node_kit::{
+    RosArguments, convert,
+    environment::Network,
+    node::{NodeContext, NodeError, NodeShell, Process, Publisher},
+    qos::QosPreset,
+};
+use rig_model::Stamp;
+use serde_json::Value;
+use std::{
+    io::{BufRead, BufReader, Lines, Write},
+    path::Path,
+    process::{Child, ChildStdout, Command, Stdio},
+    sync::{Arc, Mutex, OnceLock},
+    thread::sleep,
+    time::{Duration, Instant},
+};
+use volant_msgs::{
+    geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
+    msg::{MarkerObservations, MarkerUpdate, MarkerUpdates},
+    nav_msgs::msg::Odometry,
+    sensor_msgs::msg::{CameraInfo, Imu},
+};
+
+const DOMAIN: u16 = 76;
+const RIG: &str = rig_simulator::RIG_YAML;
+
+struct RigPublishers {
+    imu: Publisher<Imu>,
+    climber: Publisher<TransformStamped>,
+    markers: Publisher<MarkerObservations>,
+    camera: Publisher<CameraInfo>,
+    pose: Publisher<PoseWithCovarianceStamped>,
+}
+
+static PUBLISHERS: OnceLock<RigPublishers> = OnceLock::new();
+static RECEIVED: Mutex<Vec<Arc<Odometry>>> = Mutex::new(Vec::new());
+static UPDATES: Mutex<Vec<Arc<MarkerUpdates>>> = Mutex::new(Vec::new());
+
+/// The rest of the rig.
+struct Others;
+
+impl NodeShell for Others {
+    const NAME: &'static str = "others";
+    type Parameters = ();
+    type Input = ();
+
+    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
+        context.subscribe(
+            topics::ODOMETRY,
+            QosPreset::State,
+            |m: Arc<Odometry>| -> Option<()> {
+                RECEIVED.lock().unwrap().push(m);
+                None
+            },
+        )?;
+        context.subscribe(
+            topics::MARKER_UPDATES,
+            QosPreset::State,
+            |m: Arc<MarkerUpdates>| -> Option<()> {
+                UPDATES.lock().unwrap().push(m);
+                None
+            },
+        )?;
+        let publishers = RigPublishers {
+            imu: context.advertise(topics::IMU, QosPreset::Sensor)?,
+            climber: context.advertise(topics::CLIMBER_TRANSFORM, QosPreset::State)?,
+            markers: context.advertise(topics::MARKERS, QosPreset::State)?,
+            camera: context.advertise(topics::CAMERA_INFO, QosPreset::CameraInfo)?,
+            pose: context.advertise(topics::SET_POSE, QosPreset::State)?,
+        };
+        assert!(PUBLISHERS.set(publishers).is_ok());
+        Ok(Self)
+    }
+
+    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {}
+}
+
+fn feed(run: &simulated::Run, epoch: Stamp) {
+    let (frames, publishers) = (simulated::rig().frames, PUBLISHERS.get().unwrap());
+    let begin = Instant::now();
+    for (k, (at, input)) in run.inputs.iter().enumerate() {
+        let due = Duration::from_secs_f64(at.seconds_since(epoch).max(0.0));
+        sleep(due.saturating_sub(begin.elapsed()));
+        // A camera repeats it with every image; the first may precede the discovery.
+        if k % 100 == 0 {
+            publishers.camera.publish(convert::camera_message(
+                &frames.camera,
+                *at,
+                &simulated::camera(),
+            ));
+        }
+        match input {
+            Input::Imu(s) => {
+                publishers.imu.publish(convert::imu_message(&frames.imu, s, None, None))
+            }
+            Input::Markers(m) => {
+                publishers.markers.publish(convert::markers_message(&frames.camera, m))
+            }
+            Input::Climber(s) => publishers.climber.publish(convert::climber_message(s, &frames)),
+            Input::Camera(_) => {}
+        }
+    }
+}
+
+struct Ended(Child);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+struct Caller(Ended, Lines<BufReader<ChildStdout>>);
+
+impl Caller {
+    fn start(python: &Path) -> Self {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/operator/caller.py");
+        let mut child = Command::new(python)
+            .arg(script)
+            .env("ROS_DOMAIN_ID", DOMAIN.to_string())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        Self(Ended(child), lines)
+    }
+
+    fn reply(&mut self) -> Value {
+        serde_json::from_str(&self.1.next().unwrap().unwrap()).unwrap()
+    }
+
+    fn call(&mut self, line: &str) -> (bool, String) {
+        writeln!(self.0.0.stdin.as_mut().unwrap(), "{line}").unwrap();
+        let reply = self.reply();
+        println!("{line}: {reply}");
+        (reply["success"] == true, reply["message"].as_str().unwrap().to_owned())
+    }
+}
+
+/// Odometry of at least `seconds` after now's newest, with what came since: stamps, errors in m,
+/// variances of the velocity.
+fn after(seconds: f64, run: &simulated::Run) -> Vec<(Stamp, f64, f64)> {
+    let newest = || RECEIVED.lock().unwrap().last().map(|m| convert::stamp(&m.header.stamp));
+    let begin = Instant::now();
+    let from = loop {
+        if let Some(stamp) = newest() {
+            break stamp;
+        }
+        assert!(begin.elapsed().as_secs() < 20, "no odometry came");
+        sleep(Duration::from_millis(10));
+    };
+    while newest().is_none_or(|stamp| stamp.seconds_since(from) < seconds) {
+        assert!(begin.elapsed().as_secs() < 30, "odometry has ended");
+        sleep(Duration::from_millis(10));
+    }
+    let received = RECEIVED.lock().unwrap();
+    let since = received.iter().filter(|m| convert::stamp(&m.header.stamp) > from);
+    since
+        .map(|m| {
+            let stamp = convert::stamp(&m.header.stamp);
+            let pose = convert::pose(&m.pose.pose, "odometry").unwrap();
+            let truth = scoring::pose_at(&run.truth, stamp).unwrap();
+            (stamp, PoseError::new(&pose, &truth).position.norm(), m.twist.covariance[0])
+        })
+        .collect()
+}
+
+#[test]
+fn the_operator_s_services_and_topic_work_over_dds() {
+    let Some(python) = test_support::python("cyclonedds") else { return };
+    let sensors = SensorConfig::nominal(1);
+    let motion = MotionConfig { duration: 40.0, ..MotionConfig::nominal(1) };
+    let run = Arc::new(simulated::run(motion, &sensors));
+    let folder = std::env::temp_dir().join(format!("volant-operator-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let (rig, kept) = (folder.join("rig.yaml"), folder.join("kept.json"));
+    std::fs::write(&rig, RIG).unwrap();
+    let network = Network { domain_id: DOMAIN, ..Network::default() };
+    let mut others = Process::new(network).unwrap();
+    others.start::<Others>(&RosArguments::default()).unwrap();
+    let node = Command::new(env!("CARGO_BIN_EXE_pose_fusion"))
+        .args(["--ros-args", "--params-file", rig.to_str().unwrap()])
+        .args(["-p", &format!("checkpoint_file:={}", kept.display())])
+        .env("ROS_DOMAIN_ID", DOMAIN.to_string())
+        .env("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
+        .spawn()
+        .unwrap();
+    let _node = Ended(node);
+    let mut caller = Caller::start(&python);
+    assert_eq!(caller.reply()["ready"], true);
+    let (ok, why) = caller.call("save_checkpoint 0");
+    assert!(!ok && why.contains("not initialized"), "{why}");
+    let feeding = run.clone();
+    let _feeder = std::thread::spawn(move || feed(&feeding, sensors.epoch));
+
+    let last = |outputs: &[(Stamp, f64, f64)]| *outputs.last().unwrap();
+    let (_, error, velocity) = last(&after(4.0, &run));
+    assert!(error < 3e-3, "{error} m");
+    let (ok, why) = caller.call("load_checkpoint 0");
+    assert!(!ok && why.contains("cannot be read"), "{why}");
+    let (ok, message) = caller.call("save_checkpoint 0");
+    assert!(ok && message.contains("kept.json"), "{message}");
+    let checkpoint: pose_fusion::Checkpoint =
+        serde_json::from_str(&std::fs::read_to_string(&kept).unwrap()).unwrap();
+    let saved = scoring::pose_at(&run.truth, Stamp::from_nanos(checkpoint.stamp_ns)).unwrap();
+    assert!((nalgebra::Vector3::from(checkpoint.position) - saved.translation.vector).norm() < 0.1);
+
+    // While frozen, a pose that was set does not change with the markers.
+    assert!(caller.call("freeze 1").0);
+    let (stamp, _, _) = last(&after(0.1, &run));
+    let mut wrong = scoring::pose_at(&run.truth, stamp).unwrap();
+    wrong.translation.vector.x += 0.5;
+    let covariance = Matrix6::identity() * 1e-6;
+    let message =
+        |frame: &str| convert::pose_with_covariance_message(frame, stamp, &wrong, &covariance);
+    let publishers = PUBLISHERS.get().unwrap();
+    publishers.pose.publish(message("another_frame"));
+    let (_, error, _) = last(&after(0.2, &run));
+    assert!(error < 0.02, "a pose in another frame is rejected: {error} m");
+    publishers.pose.publish(message("world"));
+    let (_, error, _) = last(&after(0.3, &run));
+    assert!((0.3..0.8).contains(&error), "{error} m");
+    let outcome = UPDATES.lock().unwrap().last().unwrap().markers[0].outcome;
+    assert!([MarkerUpdate::FROZEN, MarkerUpdate::GATED].contains(&outcome), "{outcome}");
+    // Freed, it finds back.
+    assert!(caller.call("freeze 0").0);
+    let (_, error, _) = last(&after(2.0, &run));
+    assert!(error < 0.01, "{error} m");
+
+    let (ok, message) = caller.call("reset 0");
+    assert!(ok && message.contains("initializes"), "{message}");
+    let outputs = after(2.0, &run);
+    let widest = outputs.iter().map(|s| s.2).fold(0.0, f64::max);
+    assert!(widest > 100.0 * velocity, "after a reset nothing is known of the speed: {widest}");
+    let (_, error, _) = last(&outputs);
+    assert!(error < 0.01, "{error} m");
+
+    let (ok, message) = caller.call("load_checkpoint 0");
+    assert!(ok && message.contains("restored from"), "{message}");
+    let (_, error, _) = last(&after(1.0, &run));
+    assert!(error < 0.01, "{error} m");
+    let _ = std::fs::remove_dir_all(&folder);
+}

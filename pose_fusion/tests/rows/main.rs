@@ -1,0 +1,331 @@
+//! The filter on the simulated rig with known truth: each test is a row of required figures.
+#[path = "../common/mod.rs"]
+mod common;
+mod outliers;
+
+use common::{
+    scoring::{self, Outputs, Score},
+    simulated,
+};
+use nalgebra::Vector3;
+use pose_fusion::{Fusion, FusionConfig, Input, MarkerOutcome, Model, Status};
+use rig_model::MarkerColor;
+use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
+
+struct Outcome {
+    score: Score,
+    outputs: Outputs,
+    status: Status,
+}
+
+fn follow_from(
+    motion: MotionConfig,
+    sensors: &SensorConfig,
+    config: FusionConfig,
+    from: f64,
+) -> Outcome {
+    let run = simulated::run(motion, sensors);
+    let mut fusion = Fusion::new(simulated::rig(), config);
+    let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    Outcome {
+        score: scoring::score(&outputs.odometry, &run.truth, from),
+        status: fusion.status(),
+        outputs,
+    }
+}
+
+fn follow(motion: MotionConfig, sensors: &SensorConfig) -> Outcome {
+    follow_from(motion, sensors, simulated::config(), 1.0)
+}
+
+fn consistent(score: &Score, low: f64, high: f64) -> bool {
+    let (p, r) = score.nees();
+    (low..high).contains(&p) && (low..high).contains(&r)
+}
+
+#[test]
+fn a_tenth_of_a_pixel_gives_a_millimeter_and_a_consistent_covariance() {
+    for seed in 0..5 {
+        for motion in [MotionConfig::nominal(seed), MotionConfig::fast_swing(seed)] {
+            let o = follow(motion, &SensorConfig::nominal(seed));
+            println!("seed {seed}: {}", o.score);
+            assert!(o.score.position_rmse() < 1.0 && o.score.rotation_rmse() < 0.15, "{}", o.score);
+            assert!(consistent(&o.score, 1.0, 6.0), "{}", o.score);
+            assert_eq!(o.status.counts.resets.recoveries, 0);
+            // One odometry with every inertial sample once it runs, in order.
+            assert!(o.outputs.odometry.windows(2).all(|w| {
+                let gap = w[1].stamp.seconds_since(w[0].stamp);
+                gap > 0.0 && gap < 0.03
+            }));
+        }
+    }
+}
+
+/// White noise has the same density at every rate; what is bounded in time must not be bounded in
+/// samples.
+#[test]
+fn imu_rates_from_50_to_1000_hz_give_the_same_accuracy() {
+    for rate in [50.0, 200.0, 400.0, 1000.0] {
+        for seed in 0..2 {
+            let sensors = SensorConfig { imu_rate: rate, ..SensorConfig::nominal(seed) };
+            let o = follow(MotionConfig::nominal(seed), &sensors);
+            println!("{rate} Hz, seed {seed}: {}, {:?}", o.score, o.status.counts.inputs);
+            assert!(
+                o.score.position_rmse() < 0.9 && consistent(&o.score, 1.0, 5.0),
+                "{rate}: {}",
+                o.score
+            );
+            assert_eq!(o.status.counts.inputs.overflows, 0);
+        }
+    }
+}
+
+#[test]
+fn a_camera_offset_of_100_ms_is_estimated_to_a_millisecond() {
+    for (seed, ahead) in [(1, 0.1), (2, -0.1), (4, 0.04), (5, -0.02)] {
+        let sensors = SensorConfig {
+            camera_clock_ahead: ahead,
+            climber_clock_ahead: ahead,
+            ..SensorConfig::nominal(seed)
+        };
+        let o = follow_from(MotionConfig::nominal(seed), &sensors, simulated::config(), 3.0);
+        println!(
+            "{ahead:+.3} s: found {:+.5} ± {:.5}  {}",
+            o.status.time_offset.offset, o.status.time_offset.sigma, o.score
+        );
+        assert!((o.status.time_offset.offset + ahead).abs() < 1e-3);
+        assert!(o.status.time_offset.sigma < 1e-3 && !o.status.time_offset.searching);
+        assert!(o.score.position_rmse() < 1.5, "{}", o.score);
+    }
+    let still = follow(MotionConfig::rest(1), &SensorConfig::nominal(1));
+    println!(
+        "stationary: {:+.4} ± {:.4} s",
+        still.status.time_offset.offset, still.status.time_offset.sigma
+    );
+    assert!(
+        still.status.time_offset.searching && still.status.time_offset.sigma > 0.01,
+        "not known without motion"
+    );
+}
+
+#[test]
+fn late_and_early_images_cost_little() {
+    for seed in [1, 2] {
+        let all = follow(MotionConfig::nominal(seed), &SensorConfig::nominal(seed));
+        let late = SensorConfig { image_delay: [0.0, 0.3], ..SensorConfig::nominal(seed) };
+        let early = SensorConfig {
+            image_delay: [0.003, 0.006],
+            climber_delay: [0.001, 0.002],
+            imu_delay: [0.006, 0.009],
+            ..SensorConfig::nominal(seed)
+        };
+        for (name, sensors) in
+            [("0-300 ms, out of order", late), ("ahead of the inertial samples", early)]
+        {
+            let o = follow(MotionConfig::nominal(seed), &sensors);
+            println!("{name}: {}", o.score);
+            assert!(o.score.position_rmse() < 1.7 * all.score.position_rmse(), "{}", o.score);
+            assert!(consistent(&o.score, 1.0, 6.0), "{}", o.score);
+            assert_eq!(o.status.counts.rejected.images + o.status.counts.rejected.climber, 0);
+        }
+    }
+}
+
+#[test]
+fn hidden_markers_cost_little() {
+    let n = || MotionConfig { duration: 20.0, ..MotionConfig::nominal(3) };
+    let hide = |colors: &[MarkerColor], from: f64, to: f64| SensorConfig {
+        hidden: colors.iter().map(|c| (*c, from, to)).collect(),
+        ..SensorConfig::nominal(3)
+    };
+    use MarkerColor::{Blue, Red};
+    let minute = || MotionConfig { duration: 65.0, ..MotionConfig::nominal(3) };
+    let seen = follow(minute(), &SensorConfig::nominal(3)).score;
+    let one = follow(minute(), &hide(&[Red], 4.0, 64.0)).score;
+    println!("over a minute\nall  {seen}\none  {one}");
+    assert!(
+        one.position_rmse() < 1.5 * seen.position_rmse()
+            && one.rotation_rmse() < 1.5 * seen.rotation_rmse()
+    );
+    let all = follow(n(), &SensorConfig::nominal(3)).score;
+    let two = follow(n(), &hide(&[Red, Blue], 5.0, 15.0)).score;
+    println!("over twenty seconds\nall  {all}\ntwo  {two}");
+    assert!(
+        two.position_rmse() < 2.0 * all.position_rmse()
+            && two.rotation_rmse() < 2.0 * all.rotation_rmse()
+    );
+    for (gap, limit) in [(0.5, 15e-3), (1.0, 50e-3)] {
+        let none = follow(n(), &hide(&MarkerColor::ALL, 8.0, 8.0 + gap));
+        println!("none for {gap} s  {}", none.score);
+        assert!(
+            none.score.position.max() < limit && consistent(&none.score, 1.0, 6.0),
+            "{}",
+            none.score
+        );
+    }
+}
+
+#[test]
+fn ten_times_the_noise_and_large_biases_are_estimated() {
+    let mut outside = Vec::new();
+    for seed in 0..10 {
+        let sensors = SensorConfig {
+            imu_noise_factor: 10.0,
+            accelerometer_bias: Vector3::new(0.2, -0.2, 0.2),
+            gyroscope_bias: Vector3::new(0.087, -0.087, 0.05),
+            ..SensorConfig::nominal(seed)
+        };
+        let motion = || MotionConfig { duration: 30.0, ..MotionConfig::nominal(seed) };
+        let o = follow_from(motion(), &sensors, simulated::config(), 10.0);
+        // The same filter with the true densities and bias sizes in the rig file.
+        let mut rig = simulated::rig();
+        rig.imu.accelerometer_noise_density *= 10.0;
+        rig.imu.gyroscope_noise_density *= 10.0;
+        let mut config = simulated::config();
+        config.tight.imu.accelerometer_bias = 0.2;
+        config.tight.imu.gyroscope_bias = 0.08;
+        let run = simulated::run(motion(), &sensors);
+        let mut fusion = Fusion::new(rig, config);
+        let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+        let best = scoring::score(&outputs.odometry, &run.truth, 10.0);
+        println!(
+            "{}  densities {:.4} {:.5}\ntold {best}",
+            o.score,
+            o.status.densities.force.sqrt(),
+            o.status.densities.rate.sqrt()
+        );
+        println!(
+            "time offset {:+.2} ms, searching {}",
+            o.status.time_offset.offset * 1e3,
+            o.status.time_offset.searching
+        );
+        assert!((o.status.densities.force.sqrt() / 0.02 - 1.0).abs() < 0.25);
+        let ratios = (
+            o.score.position_rmse() / best.position_rmse(),
+            o.score.rotation_rmse() / best.rotation_rmse(),
+        );
+        println!("over the filter with known densities: {:.3} / {:.3}", ratios.0, ratios.1);
+        if !consistent(&o.score, 1.2, 5.0) || ratios.0 > 1.3 || ratios.1 > 1.3 {
+            outside.push(seed);
+        }
+    }
+    assert!(outside.is_empty(), "outside: {outside:?}");
+}
+
+/// A drive that is switched on, or an end stop that is hit: up to 36 m/s² for a tenth of a second.
+#[test]
+fn a_jerk_of_the_climber_does_not_change_the_time_offset() {
+    for ramp in [0.3, 1.0] {
+        for seed in 0..6 {
+            let motion = MotionConfig { still_until: 1.5, ramp, ..MotionConfig::nominal(seed) };
+            let o = follow(motion, &SensorConfig::nominal(seed));
+            println!("ramp {ramp} s, seed {seed}: {}", o.score);
+            assert!(consistent(&o.score, 0.5, 6.0), "{}", o.score);
+            assert!(o.score.position_rmse() < 1.0 && o.score.position.max() < 5.0, "{}", o.score);
+            assert!(
+                o.status.counts.resets.recoveries == 0 && o.status.time_offset.offset.abs() < 2e-3,
+                "{:?}",
+                o.status
+            );
+        }
+    }
+}
+
+/// The IMU was switched on a moment before: biases and clocks are uncertain at the start.
+#[test]
+fn a_swing_after_a_short_rest_is_consistent() {
+    let (mut all, mut beyond) = (0, 0);
+    for seed in 0..40 {
+        let rest = 0.4 + 0.065 * seed as f64;
+        let motion = MotionConfig {
+            still_until: rest,
+            duration: rest + 2.0,
+            ..MotionConfig::nominal(4 * (seed % 5))
+        };
+        let run = simulated::run(motion, &SensorConfig::nominal(seed));
+        let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+        let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+        let worst = outputs.odometry.iter().filter_map(|o| {
+            let at = o.stamp.seconds_since(SensorConfig::nominal(seed).epoch) - rest;
+            let truth = scoring::pose_at(&run.truth, o.stamp)?;
+            let mut one = Score::default();
+            one.add(&o.world_from_volant, &o.pose_covariance, &truth);
+            (at > 0.0).then_some((at, one.nees().0.max(one.nees().1)))
+        });
+        let worst: Vec<_> = worst.collect();
+        let outside: Vec<_> = worst.iter().filter(|w| w.1 > 21.1).collect();
+        all += worst.len();
+        beyond += outside.len();
+        if let (Some(first), Some(last)) = (outside.first(), outside.last()) {
+            let most = outside.iter().fold(0.0_f64, |m, w| m.max(w.1));
+            println!(
+                "rest {rest:.2}: {} beyond, {:.2}..{:.2} s, NEES {most:.0}",
+                outside.len(),
+                first.0,
+                last.0
+            );
+        }
+    }
+    println!("{beyond} of {all} beyond");
+    assert!(beyond as f64 <= 0.001 * all as f64, "{beyond} of {all}");
+}
+
+#[test]
+fn constant_centroid_offsets_are_in_the_covariance() {
+    let bias = 0.03;
+    let mut nees = [[0.0; 2]; 2];
+    let runs = 8;
+    for seed in 0..runs {
+        let run = simulated::run(MotionConfig::nominal(seed), &SensorConfig::nominal(seed));
+        let mut random = rig_simulator::random::Random::fork(seed, "offsets");
+        let offsets: [[f64; 2]; 4] =
+            std::array::from_fn(|_| std::array::from_fn(|_| random.normal() * bias));
+        for (settings, nees) in [0.0, bias].into_iter().zip(&mut nees) {
+            let mut config = simulated::config();
+            config.tight.markers.pixel_floor = 0.0;
+            config.tight.calibration.centroid = settings;
+            let mut fusion = Fusion::new(simulated::rig(), config);
+            let inputs = run.inputs.iter().map(|(_, i)| {
+                let mut input = i.clone();
+                if let Input::Markers(image) = &mut input {
+                    for (color, offset) in MarkerColor::ALL.into_iter().zip(&offsets) {
+                        let marker = &mut image.markers[color];
+                        marker.centroid += nalgebra::Vector2::from(*offset);
+                    }
+                }
+                input
+            });
+            let outputs = scoring::run(&mut fusion, inputs);
+            let score = scoring::score(&outputs.odometry, &run.truth, 5.0);
+            nees[0] += score.nees().0 / runs as f64;
+            nees[1] += score.nees().1 / runs as f64;
+        }
+    }
+    println!(
+        "NEES with offsets of {bias} px: {:.1?} without, {:.1?} with their sigma",
+        nees[0], nees[1]
+    );
+    assert!(nees[0][1] > 8.0, "an offset treated as noise makes it overconfident: {nees:?}");
+    assert!(nees[1].iter().all(|n| (1.2..5.0).contains(n)), "{nees:?}");
+}
+
+/// So slow that the IMU's noise hides it.
+#[test]
+fn a_slow_start_is_no_zero_velocity() {
+    for seed in 0..4 {
+        let motion = MotionConfig {
+            duration: 30.0,
+            still_until: 4.0,
+            swing: 0.004,
+            frequency: 0.12,
+            wobble: 0.001,
+            yaw: 0.006,
+            climber_speed: 0.002,
+            climber_turn_rate: 0.001,
+            ..MotionConfig::nominal(seed)
+        };
+        let o = follow_from(motion, &SensorConfig::nominal(seed), simulated::config(), 4.0);
+        println!("{}", o.score);
+        assert!(consistent(&o.score, 0.0, 6.0), "{}", o.score);
+    }
+}

@@ -1,0 +1,81 @@
+//! Units and noise of the IMU.
+
+use super::{Corrected, findings::Finding};
+use crate::recording::Recording;
+use nalgebra::Vector3;
+use rig_model::topics;
+
+/// Norm of the specific force that is gravity, m/s².
+const GRAVITY: f64 = 9.806_65;
+/// Relative deviation of its median that motion and bias explain.
+const TOLERANCE: f64 = 0.15;
+/// Factor by which the measured noise exceeds the file's where the file is wrong.
+const NOISE: f64 = 10.0;
+
+/// Compares the median norm of the specific force with gravity.
+pub(crate) fn examine_units(state: &mut Corrected) {
+    let mut norms: Vec<f64> = state.samples.imu.iter().map(|s| s.specific_force.norm()).collect();
+    norms.sort_by(f64::total_cmp);
+    let Some(norm) = norms.get(norms.len() / 2).copied().filter(|n| *n > 0.0) else { return };
+    if (norm / GRAVITY - 1.0).abs() < TOLERANCE {
+        return;
+    }
+    let in_g = (norm - 1.0).abs() < TOLERANCE;
+    let (text, factor) = if in_g {
+        (
+            format!("the accelerometer measures {norm:.2} at rest: it reports g instead of m/s²"),
+            GRAVITY,
+        )
+    } else {
+        (format!("the accelerometer measures {norm:.2} m/s² instead of gravity"), GRAVITY / norm)
+    };
+    state.findings.push(Finding::wrong(
+        "imu.accelerometer.unit",
+        text,
+        format!("let the driver of {} publish m/s² (sensor_msgs/Imu, REP-103)", topics::IMU),
+    ));
+    state.samples.imu.iter_mut().for_each(|s| s.specific_force *= factor);
+}
+
+/// Compares the noise of the samples with the rig file's densities.
+///
+/// Third differences remove the motion; their variance is 20 times that of white noise.
+pub(crate) fn examine_noise(state: &mut Corrected, recording: &Recording) {
+    let samples = &recording.imu;
+    if samples.len() < 100 {
+        return;
+    }
+    let rate = (samples.len() - 1) as f64 / (samples[samples.len() - 1].0 - samples[0].0);
+    let density = |of: &dyn Fn(usize) -> Vector3<f64>| {
+        let mut sizes: Vec<f64> = (0..samples.len() - 3)
+            .flat_map(|i| {
+                let d = of(i + 3) - of(i + 2) * 3.0 + of(i + 1) * 3.0 - of(i);
+                [d.x.abs(), d.y.abs(), d.z.abs()]
+            })
+            .collect();
+        sizes.sort_by(f64::total_cmp);
+        // The median of |x| is 0.6745 sigma.
+        sizes[sizes.len() / 2] / 0.6745 / 20f64.sqrt() / rate.sqrt()
+    };
+    let measured = [density(&|i| samples[i].1), density(&|i| samples[i].2)];
+    let imu = &mut state.rig.imu;
+    let kinds = [
+        ("accelerometer", "m/s²/√Hz", &mut imu.accelerometer_noise_density),
+        ("gyroscope", "rad/s/√Hz", &mut imu.gyroscope_noise_density),
+    ];
+    for ((name, unit, file), measured) in kinds.into_iter().zip(measured) {
+        if measured < NOISE * *file {
+            continue;
+        }
+        state.findings.push(Finding::wrong(
+            &format!("imu.{name}_noise_density"),
+            format!(
+                "imu.{name}_noise_density is {file:.2e} {unit}; the samples have {measured:.2e}"
+            ),
+            "measure it with `volant calibrate imu` from a recording at rest, or take it from the \
+             data sheet"
+                .to_owned(),
+        ));
+        *file = measured;
+    }
+}

@@ -1,0 +1,358 @@
+//! The layout of the markers: units, exchanged colors, a mirrored layout, a marker far off; and a
+//! camera that looks elsewhere.
+
+use super::{Corrected, Track, findings::Finding};
+use crate::{CalibrationError, recording::Recording};
+use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
+use rig_model::{
+    CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState, PerColor, planar_pose,
+};
+
+/// Largest and smallest distance of a marker from the layout's center, m: a platform that a climber
+/// carries.
+const REACH: [f64; 2] = [0.03, 3.0];
+/// Largest and smallest side of a marker, m.
+const SIDE: [f64; 2] = [0.01, 1.0];
+/// Share of images with four markers above which the layout is good enough to track with.
+const TRACKED: f64 = 0.3;
+/// First images with which other layouts are tried; more where the first do not show all markers.
+const TRIALS: [usize; 2] = [30, 120];
+/// Images in which the reprojection error is compared.
+const COMPARED: usize = 40;
+/// Standard deviation of a centroid in that comparison, px: lens and layout within a survey.
+const PIXEL: f64 = 0.5;
+/// Median squared residual (two degrees of freedom) of a layout that fits, and factor by which the
+/// file's must exceed it.
+const FITS: f64 = 30.0;
+const WORSE: f64 = 10.0;
+/// Angle between the platform's mean normal and the climber's vertical that is possible, rad.
+const LEAN: f64 = 0.35;
+
+/// Key of a layout of which one coordinate has the wrong sign.
+pub(crate) const MIRRORED: &str = "markers.mirrored";
+
+/// A layout that the files may have meant.
+struct Candidate {
+    layout: MarkerLayout,
+    /// What is wrong in the file; empty for the file's layout.
+    text: String,
+    key: String,
+    moved: Option<usize>,
+}
+
+/// Examines units, colors and mirroring; tracks the images again where the file's layout finds
+/// nothing.
+///
+/// # Errors
+/// No images show all markers, whatever the layout.
+pub(crate) fn examine(
+    state: &mut Corrected,
+    track: Option<&mut Track<'_>>,
+) -> Result<(), CalibrationError> {
+    units(state);
+    let candidates = candidates(&state.rig.markers);
+    let share = |markers: &[MarkerObservations]| {
+        let full = markers.iter().filter(|m| all_detected(m)).count();
+        full as f64 / markers.len().max(1) as f64
+    };
+    if let Some(track) = track
+        && share(&state.samples.markers) < TRACKED
+    {
+        let camera = state.samples.camera.clone();
+        for images in TRIALS {
+            let trials: Vec<(f64, f64, &Candidate)> = candidates
+                .iter()
+                .map(|c| {
+                    let markers = track(&c.layout, &camera, Some(images));
+                    (share(&markers), cost(&c.layout, &camera, &centroids(&markers)), c)
+                })
+                .collect();
+            let most = trials.iter().map(|t| t.0).fold(0.0, f64::max);
+            // A turned layout is nearly the same: of those that find the markers, the one that fits.
+            let found = trials.iter().filter(|t| t.0 > TRACKED && t.0 > 0.5 * most);
+            if let Some((_, _, candidate)) = found.min_by(|a, b| a.1.total_cmp(&b.1)) {
+                state.samples.markers = track(&candidate.layout, &camera, None);
+                break;
+            }
+        }
+    }
+    let shots = centroids(&state.samples.markers);
+    if shots.is_empty() {
+        state.findings.push(missing(state).ok_or(CalibrationError::FewImages { count: 0 })?);
+        return Ok(());
+    }
+    let every = (shots.len() / COMPARED).max(1);
+    let shots: Vec<_> = shots.into_iter().step_by(every).collect();
+    let costs: Vec<f64> =
+        candidates.iter().map(|c| cost(&c.layout, &state.samples.camera, &shots)).collect();
+    let file = costs[0];
+    let fits = (1..costs.len()).filter(|i| candidates[*i].moved.is_none() && costs[*i] < FITS);
+    let exact = fits.min_by(|a, b| costs[*a].total_cmp(&costs[*b]));
+    let moved = (1..costs.len())
+        .filter(|i| candidates[*i].moved.is_some())
+        .min_by(|a, b| costs[*a].total_cmp(&costs[*b]));
+    if let Some(i) = exact
+        && file > WORSE * costs[i].max(1.0)
+    {
+        let c = &candidates[i];
+        state.rig.markers = c.layout.clone();
+        if c.key == MIRRORED {
+            let other = candidates.iter().find(|o| o.key == MIRRORED && o.text != c.text);
+            state.other_mirror = other.map(|o| (o.layout.clone(), o.text.clone()));
+        }
+        state.findings.push(Finding::wrong(
+            &c.key,
+            c.text.clone(),
+            "compare the colors and coordinates in the rig file with the platform, seen from above"
+                .to_owned(),
+        ));
+    } else if let Some(i) = moved
+        && file > WORSE * costs[i].max(FITS)
+    {
+        state.rig.markers = candidates[i].layout.clone();
+        state.moved = candidates[i].moved;
+    }
+    Ok(())
+}
+
+/// One marker that is not where the file has it, while the others are.
+fn missing(state: &Corrected) -> Option<Finding> {
+    let images = state.samples.markers.len() as f64;
+    let shown = MarkerColor::ALL.map(|color| {
+        let found = |m: &&MarkerObservations| m.markers[color].state == MarkerState::Detected;
+        state.samples.markers.iter().filter(found).count() as f64 / images
+    });
+    let absent: Vec<usize> = (0..4).filter(|i| shown[*i] < 0.05).collect();
+    let [one] = absent[..] else { return None };
+    if shown.iter().filter(|s| **s > TRACKED).count() != 3 {
+        return None;
+    }
+    let color = MarkerColor::ALL[one].name();
+    Some(Finding {
+        blocks: true,
+        ..Finding::wrong(
+            &format!("markers.{color}"),
+            format!(
+                "the {color} marker is not where the file has it, while the other three are found"
+            ),
+            format!(
+                "measure markers.{color} again; if it is right, calibrate its color with `volant \
+                 calibrate colors`"
+            ),
+        )
+    })
+}
+
+/// Centroids in the images with four markers.
+fn centroids(markers: &[MarkerObservations]) -> Vec<PerColor<Vector2<f64>>> {
+    let full = markers.iter().filter(|m| all_detected(m));
+    full.map(|m| PerColor(m.markers.0.map(|o| o.centroid))).collect()
+}
+
+fn all_detected(m: &MarkerObservations) -> bool {
+    m.markers.0.iter().all(|o| o.state == MarkerState::Detected)
+}
+
+/// Brings lengths in millimeters or centimeters to meters.
+fn units(state: &mut Corrected) {
+    let layout = &mut state.rig.markers;
+    let mean = layout.centres.0.iter().map(|c| c.coords).sum::<Vector3<f64>>() / 4.0;
+    let reach = layout.centres.0.iter().map(|c| (c.coords - mean).norm()).fold(0.0, f64::max);
+    let factor = |value: f64, [low, high]: [f64; 2]| {
+        [1.0, 1e-2, 1e-3, 1e2, 1e3].into_iter().find(|f| (low..high).contains(&(value * f)))
+    };
+    let unit = |factor: f64| match factor {
+        1e-2 => "in centimeters instead of meters",
+        1e-3 => "in millimeters instead of meters",
+        _ => "too small by a factor of 100 or 1000",
+    };
+    for (key, value, limits) in
+        [("markers.positions", reach, REACH), ("markers.size", layout.side, SIDE)]
+    {
+        let Some(factor) = factor(value, limits).filter(|f| *f != 1.0) else { continue };
+        if key == "markers.size" {
+            layout.side *= factor;
+        } else {
+            layout.centres.0.iter_mut().for_each(|c| c.coords *= factor);
+        }
+        state.findings.push(Finding::wrong(
+            key,
+            format!("{key} is {}: {value:.3} as a length in m is impossible", unit(factor)),
+            "write the marker positions and their size in meters".to_owned(),
+        ));
+    }
+}
+
+/// Brings mounting positions in millimeters or centimeters to meters.
+pub(crate) fn examine_places(state: &mut Corrected) {
+    let rig = &mut state.rig;
+    for (key, place) in [
+        ("imu.position", &mut rig.imu.volant_from_imu.translation.vector),
+        ("camera.position", &mut rig.climber_from_camera.translation.vector),
+    ] {
+        let norm = place.norm();
+        if norm < REACH[1] {
+            continue;
+        }
+        let (unit, factor) = if norm < 1e2 * REACH[1] && norm * 1e-3 < 1e-2 {
+            ("centimeters", 1e-2)
+        } else {
+            ("millimeters", 1e-3)
+        };
+        *place *= factor;
+        state.findings.push(Finding::wrong(
+            key,
+            format!("{key} is in {unit} instead of meters: {norm:.1} m is impossible"),
+            "write it in meters".to_owned(),
+        ));
+    }
+}
+
+/// The file's layout first; then exchanged colors, mirrored layouts, and layouts in which one
+/// marker completes the parallelogram of the other three.
+fn candidates(file: &MarkerLayout) -> Vec<Candidate> {
+    let of = |layout, key: &str, text: String, moved| Candidate {
+        layout,
+        key: key.to_owned(),
+        text,
+        moved,
+    };
+    let mut list = vec![of(file.clone(), "", String::new(), None)];
+    let mirrored = |flip: Vector3<f64>| {
+        let mut layout = file.clone();
+        layout.centres.0.iter_mut().for_each(|c| c.coords.component_mul_assign(&flip));
+        layout
+    };
+    for order in permutations().into_iter().skip(1) {
+        let mut layout = file.clone();
+        for (i, from) in order.iter().enumerate() {
+            layout.centres.0[i] = file.centres.0[*from];
+        }
+        let (key, text) = exchanged(&order);
+        list.push(of(layout, &key, text, None));
+    }
+    for (flip, axis) in [(Vector3::new(1.0, -1.0, 1.0), "y"), (Vector3::new(-1.0, 1.0, 1.0), "x")] {
+        let text = format!(
+            "the marker layout is mirrored: the signs of the {axis} coordinates are exchanged"
+        );
+        list.push(of(mirrored(flip), MIRRORED, text, None));
+    }
+    for i in 0..4 {
+        // The two neighbors of a marker are those that its opposite is not: try all three.
+        let others: Vec<usize> = (0..4).filter(|k| *k != i).collect();
+        for opposite in &others {
+            let c = |k: usize| file.centres.0[k].coords;
+            let sum: Vector3<f64> = others.iter().filter(|k| *k != opposite).map(|k| c(*k)).sum();
+            let mut layout = file.clone();
+            layout.centres.0[i].coords = sum - c(*opposite);
+            list.push(of(layout, "", String::new(), Some(i)));
+        }
+    }
+    list
+}
+
+/// All orders of four markers, the unchanged one first.
+fn permutations() -> Vec<[usize; 4]> {
+    let mut list = vec![];
+    for i in 0..256usize {
+        let order = [i >> 6 & 3, i >> 4 & 3, i >> 2 & 3, i & 3];
+        if (0..4).all(|k| order.contains(&k)) {
+            list.push(order);
+        }
+    }
+    list
+}
+
+fn exchanged(order: &[usize; 4]) -> (String, String) {
+    let color = |i: usize| MarkerColor::ALL[i].name();
+    let moved: Vec<usize> = (0..4).filter(|i| order[*i] != *i).collect();
+    if let [a, b] = moved[..] {
+        let (a, b) = (color(a), color(b));
+        return (format!("markers.{a}"), format!("the markers {a} and {b} are exchanged"));
+    }
+    let places: Vec<String> = moved
+        .iter()
+        .map(|i| format!("{} is where the file has {}", color(*i), color(order[*i])))
+        .collect();
+    let mirrored = [[1, 0, 3, 2], [3, 2, 1, 0]].contains(order);
+    let what = if mirrored {
+        "the marker layout is mirrored (or its colors are exchanged in pairs)"
+    } else if moved.len() == 4 {
+        "the marker colors are rotated by a place"
+    } else {
+        "three marker colors are exchanged"
+    };
+    let key = if mirrored { "markers.exchanged" } else { "markers.colors" };
+    (key.to_owned(), format!("{what}: {}", places.join(", ")))
+}
+
+/// Median squared residual of the best pose of each image; infinite where most have none.
+fn cost(layout: &MarkerLayout, camera: &CameraModel, shots: &[PerColor<Vector2<f64>>]) -> f64 {
+    let covariance = Matrix2::identity() * (PIXEL * PIXEL);
+    let mut costs: Vec<f64> = shots
+        .iter()
+        .map(|shot| {
+            let measured = PerColor(shot.0.map(|pixel| Some((pixel, covariance))));
+            let poses = planar_pose::candidates(layout, camera, &measured, None);
+            poses.first().map_or(f64::INFINITY, |p| p.pixel_cost)
+        })
+        .collect();
+    costs.sort_by(f64::total_cmp);
+    costs.get(costs.len() / 2).copied().unwrap_or(f64::INFINITY)
+}
+
+/// Compares the platform's mean normal with the vertical of the rig file's camera.
+pub(crate) fn examine_view(state: &mut Corrected, recording: &Recording) {
+    let covariance = Matrix2::identity() * (PIXEL * PIXEL);
+    let mut normal = Vector3::zeros();
+    for shot in recording.shots.iter().step_by((recording.shots.len() / COMPARED).max(1)) {
+        let measured = PerColor(shot.pixels.map(|pixel| Some((pixel, covariance))));
+        let poses = planar_pose::candidates(&state.rig.markers, &recording.camera, &measured, None);
+        // Of the two poses of a plane the mean is the one that faces the camera.
+        for pose in poses.iter().take(2) {
+            normal += pose.camera_from_volant.rotation * Vector3::z();
+        }
+    }
+    let camera = &mut state.rig.climber_from_camera.rotation;
+    let up = *camera * normal;
+    if normal.norm() < 1e-9 || up.angle(&Vector3::z()) < LEAN {
+        return;
+    }
+    let q = camera.coords;
+    let swapped = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q.x, q.y, q.z, q.w));
+    let degrees = up.angle(&Vector3::z()).to_degrees();
+    let text = if (swapped * normal).angle(&Vector3::z()) < LEAN {
+        *camera = swapped;
+        "camera.orientation is written as w, x, y, z; the file needs x, y, z, w".to_owned()
+    } else {
+        if let Some(turn) = UnitQuaternion::rotation_between(&up, &Vector3::z()) {
+            *camera = turn * *camera;
+        }
+        format!("camera.orientation is off by about {degrees:.0}°: the platform would hang askew")
+    };
+    let remedy = "write climber_from_camera_optical as x, y, z, w; for a camera that looks \
+                  straight down it is [0.7071, 0.7071, 0, 0]";
+    state.findings.push(Finding::wrong("camera.orientation", text, remedy.to_owned()));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exchanged_colors_are_named() {
+        assert_eq!(permutations().len(), 24);
+        assert_eq!(permutations()[0], [0, 1, 2, 3]);
+        let (key, text) = exchanged(&[1, 0, 2, 3]);
+        assert_eq!(
+            (key.as_str(), text.as_str()),
+            ("markers.red", "the markers red and green are exchanged")
+        );
+        assert!(
+            exchanged(&[1, 2, 3, 0])
+                .1
+                .contains("rotated by a place: red is where the file has green")
+        );
+        assert!(exchanged(&[1, 0, 3, 2]).1.contains("mirrored"));
+    }
+}

@@ -1,0 +1,112 @@
+//! Checks a rig's files against a recording: gross errors by simple detectors first, then one batch
+//! estimate of everything that the filter takes as given.
+
+mod encoders;
+mod findings;
+mod groups;
+mod inertial;
+mod layout;
+mod rates;
+mod select;
+mod stamps;
+
+pub use findings::{CheckRow, Finding, Report, Verdict};
+
+use crate::{
+    CalibrationError, Samples,
+    adjustment::Adjustment,
+    initial::first_states,
+    parameters::{PARAMETERS, Parameters},
+    problem::CLIMBER_NOISE,
+    recording::Recording,
+};
+use nalgebra::DVector;
+use rig_model::{CameraModel, MarkerLayout, MarkerObservations, Rig};
+
+/// Tracks the markers of a recording's images with a layout and a camera, in all images or in the
+/// first ones.
+pub type Track<'a> =
+    dyn FnMut(&MarkerLayout, &CameraModel, Option<usize>) -> Vec<MarkerObservations> + 'a;
+
+/// Longest part of a recording that the batch uses, images, and of how many it takes one in a part
+/// of more than half of that: its time grows with them.
+const SPAN: usize = 900;
+const EVERY: usize = 2;
+
+/// Largest number of corrections of the encoders: turn, then rails.
+const ROUNDS: usize = 2;
+
+/// Recording and rig with the gross errors corrected that were found so far.
+#[derive(Clone)]
+pub(crate) struct Corrected {
+    pub samples: Samples,
+    pub rig: Rig,
+    /// Marker whose position is unknown, by index.
+    pub moved: Option<usize>,
+    /// Of a mirrored layout: the one mirrored along the other axis, which is the same turned by
+    /// 180°, with its text.
+    pub other_mirror: Option<(MarkerLayout, String)>,
+    /// Offset that was removed from the IMU's stamps, s.
+    pub imu_clock: f64,
+    /// Rounds of corrections of the encoders.
+    pub rounds: usize,
+    pub findings: Vec<Finding>,
+}
+
+/// Checks a rig's files against a recording.
+///
+/// `samples.markers` are those tracked with the rig's layout, or those of the recording; `track`
+/// tracks the images again with another one, where the recording has images.
+///
+/// # Errors
+/// The recording is too short, or no pose fits it.
+pub fn check(
+    samples: &Samples,
+    rig: &Rig,
+    track: Option<&mut Track<'_>>,
+) -> Result<Report, CalibrationError> {
+    let mut state = Corrected {
+        samples: samples.clone(),
+        rig: rig.clone(),
+        moved: None,
+        other_mirror: None,
+        imu_clock: 0.0,
+        rounds: 0,
+        findings: stamps::examine(samples),
+    };
+    if state.findings.iter().any(|f| f.blocks) {
+        return Ok(Report { findings: state.findings, ..Report::default() });
+    }
+    stamps::repair(&mut state.samples);
+    inertial::examine_units(&mut state);
+    layout::examine_places(&mut state);
+    layout::examine(&mut state, track)?;
+    if state.findings.iter().any(|f| f.blocks) {
+        return Ok(Report { findings: state.findings, ..Report::default() });
+    }
+    let recording = Recording::new(&state.samples)?;
+    layout::examine_view(&mut state, &recording);
+    rates::examine(&mut state, &recording);
+    let mut recording = Recording::new(&state.samples)?;
+    recording.keep_liveliest(SPAN, EVERY);
+    inertial::examine_noise(&mut state, &recording);
+    while state.rounds < ROUNDS && encoders::examine(&mut state, &recording)? {
+        state.rounds += 1;
+        recording = Recording::new(&state.samples)?;
+        recording.keep_liveliest(SPAN, EVERY);
+    }
+    let file = Parameters::new(rig, &recording);
+    let start = Parameters::new(&state.rig, &recording);
+    let states = first_states(&recording, &start)?;
+    let priors = vec![0.0; PARAMETERS];
+    let work = Adjustment::new(&recording, start, states, priors, CLIMBER_NOISE);
+    let outcome = match select::explain(work, state.moved)? {
+        select::Explained::By(outcome) => outcome,
+        select::Explained::Deaf(axes) => {
+            state.findings.extend(axes.into_iter().map(findings::deaf));
+            return Ok(Report { findings: state.findings, ..Report::default() });
+        }
+    };
+    let change: DVector<f64> = outcome.parameters.minus(&file);
+    Ok(findings::report(&state, &file, &outcome, &change))
+}

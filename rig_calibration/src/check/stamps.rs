@@ -1,0 +1,154 @@
+//! Stamps: two publishers on one topic, clocks that jump, and clocks without a common time.
+
+use super::findings::{Finding, Verdict};
+use crate::Samples;
+use nalgebra::Vector3;
+use rig_model::{Stamp, topics};
+
+/// Share of repeated or backward stamps above which a topic has two publishers; a network reorders
+/// less.
+const TWICE: f64 = 0.05;
+/// Readings of two publishers differ from their neighbors by this factor more than from the next
+/// but one.
+const ALTERNATING: f64 = 5.0;
+/// A gap longer than this, s, is reported.
+const GAP: f64 = 1.0;
+
+/// Examines the stamps of each topic.
+pub(crate) fn examine(samples: &Samples) -> Vec<Finding> {
+    let imu: Vec<_> = samples.imu.iter().map(|s| (s.stamp, s.specific_force)).collect();
+    let climber: Vec<_> = samples
+        .climber
+        .iter()
+        .map(|s| (s.stamp, s.world_from_climber.translation.vector))
+        .collect();
+    let images: Vec<_> = samples.markers.iter().map(|m| (m.stamp, Vector3::zeros())).collect();
+    let topics = [
+        (topics::IMU, &imu),
+        (topics::CLIMBER_TRANSFORM, &climber),
+        (topics::COMPRESSED_IMAGE, &images),
+    ];
+    let mut found: Vec<Finding> =
+        topics.iter().flat_map(|(topic, readings)| of_topic(topic, readings)).collect();
+    found.extend(disjoint(&imu, &images));
+    found
+}
+
+/// Sorts each topic by its stamps and removes repeated ones.
+pub(crate) fn repair(samples: &mut Samples) {
+    samples.imu.sort_by_key(|s| s.stamp);
+    samples.imu.dedup_by_key(|s| s.stamp);
+    samples.climber.sort_by_key(|s| s.stamp);
+    samples.climber.dedup_by_key(|s| s.stamp);
+    samples.markers.sort_by_key(|s| s.stamp);
+    samples.markers.dedup_by_key(|s| s.stamp);
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+fn of_topic(topic: &str, readings: &[(Stamp, Vector3<f64>)]) -> Vec<Finding> {
+    if readings.len() < 20 {
+        return vec![];
+    }
+    let steps: Vec<f64> = readings.windows(2).map(|w| w[1].0.seconds_since(w[0].0)).collect();
+    let not_later = steps.iter().filter(|dt| **dt < 1e-6).count() as f64 / steps.len() as f64;
+    let apart = |n: usize| {
+        median(readings.iter().zip(&readings[n..]).map(|(a, b)| (b.1 - a.1).norm()).collect())
+    };
+    let alternating = apart(1) > ALTERNATING * apart(2) && apart(1) > 0.01;
+    let mut found = vec![];
+    if not_later > TWICE || alternating {
+        let what = if alternating {
+            "neighboring messages contradict each other"
+        } else {
+            "stamps repeat or go backwards"
+        };
+        found.push(Finding {
+            key: topic.to_owned(),
+            verdict: Verdict::Wrong,
+            text: format!("two publishers on {topic}: {what}"),
+            remedy: format!(
+                "stop one of them (`ros2 topic info -v {topic}` lists both), or give each rig a \
+                 namespace of its own"
+            ),
+            blocks: alternating,
+        });
+        return found;
+    }
+    if let Some((at, jump)) = steps.iter().enumerate().find(|(_, dt)| **dt < -GAP || **dt > GAP) {
+        let since = readings[at].0.seconds_since(readings[0].0);
+        found.push(Finding {
+            key: topic.to_owned(),
+            verdict: if *jump < 0.0 { Verdict::Wrong } else { Verdict::Suspect },
+            text: format!(
+                "the stamps of {topic} step by {jump:+.3} s, {since:.1} s after their start"
+            ),
+            remedy: "let the clocks be slewed, not stepped, while the rig runs; where messages \
+                     were lost, look at the network or the recorder"
+                .to_owned(),
+            blocks: false,
+        });
+    }
+    found
+}
+
+/// The clocks of IMU and camera have no common time.
+fn disjoint(imu: &[(Stamp, Vector3<f64>)], images: &[(Stamp, Vector3<f64>)]) -> Option<Finding> {
+    let span = |list: &[(Stamp, Vector3<f64>)]| Some((list.first()?.0, list.last()?.0));
+    let ((a0, a1), (b0, b1)) = (span(imu)?, span(images)?);
+    let common = a1.min(b1).seconds_since(a0.max(b0));
+    let shorter = a1.seconds_since(a0).min(b1.seconds_since(b0));
+    (common < 0.5 * shorter).then(|| Finding {
+        key: "clock.imu".to_owned(),
+        verdict: Verdict::Wrong,
+        text: format!(
+            "the IMU's stamps begin {:+.3} s after the images': their clocks are not synchronized",
+            a0.seconds_since(b0)
+        ),
+        remedy: "synchronize the two computers' clocks (chrony or PTP)".to_owned(),
+        blocks: true,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn readings(count: i64, place: impl Fn(i64) -> f64) -> Vec<(Stamp, Vector3<f64>)> {
+        let at = |i: i64| Stamp::from_nanos(i * 20_000_000);
+        (0..count).map(|i| (at(i), Vector3::new(place(i), 0.0, 0.0))).collect()
+    }
+
+    #[test]
+    fn two_publishers_are_found_by_their_stamps_or_by_their_contradictions() {
+        let one = readings(100, |i| i as f64 * 1e-3);
+        assert!(of_topic("t", &one).is_empty());
+        let twice: Vec<_> = one.iter().flat_map(|r| [*r, *r]).collect();
+        let found = of_topic("t", &twice);
+        assert!(found[0].text.contains("two publishers") && !found[0].blocks, "{found:?}");
+        let two = readings(100, |i| i as f64 * 1e-3 + if i % 2 == 0 { 0.0 } else { 2.0 });
+        let found = of_topic("t", &two);
+        assert!(found[0].text.contains("contradict") && found[0].blocks, "{found:?}");
+    }
+
+    #[test]
+    fn a_backward_step_is_wrong_and_a_gap_suspect() {
+        let mut stepped = readings(100, |i| i as f64 * 1e-3);
+        stepped[50..].iter_mut().for_each(|r| r.0 = r.0.plus_seconds(-3.0));
+        assert_eq!(of_topic("t", &stepped)[0].verdict, Verdict::Wrong);
+        let mut gap = readings(100, |i| i as f64 * 1e-3);
+        gap[50..].iter_mut().for_each(|r| r.0 = r.0.plus_seconds(2.0));
+        assert_eq!(of_topic("t", &gap)[0].verdict, Verdict::Suspect);
+    }
+
+    #[test]
+    fn clocks_without_a_common_time_are_found() {
+        let (a, mut b) = (readings(500, |_| 0.0), readings(500, |_| 0.0));
+        assert!(disjoint(&a, &b).is_none());
+        b.iter_mut().for_each(|r| r.0 = r.0.plus_seconds(3600.0));
+        assert!(disjoint(&a, &b).is_some_and(|f| f.text.contains("-3600.000 s")));
+    }
+}

@@ -1,0 +1,26 @@
+//! Calibration of the rig from a recording: mountings of camera and IMU, and marker positions,
+//! refined together by bundle adjustment with uncertainties. The platform swings freely, so images
+//! alone do not determine the rig: gravity, the IMU between the images, and the encoders do.
+//! Parameters that a recording's motion does not determine keep their values and are reported.
+//!
+//! [`check`] compares the files with a recording and names what is wrong.
+//!
+//! No middleware, file or image: the caller reads a recording into [`Samples`].
+
+mod adjustment;
+pub mod allan;
+mod arrow;
+mod check;
+pub mod climber;
+mod error;
+mod estimate;
+mod inertial;
+mod initial;
+mod parameters;
+mod problem;
+mod recording;
+
+pub use check::{CheckRow, Finding, Report, Track, Verdict, check};
+pub use error::CalibrationError;
+pub use estimate::{Estimate, Row, refine_rig, refine_rig_holding};
+pub use recording::{Recording, Samples, Shot};

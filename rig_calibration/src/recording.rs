@@ -1,0 +1,168 @@
+//! A recording as numbers: marker observations, IMU samples, climber poses, camera.
+
+use crate::CalibrationError;
+use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3, Vector4};
+use rig_model::{
+    CameraModel, ClimberSample, ImuSample, MarkerObservations, MarkerState, Stamp, topics,
+};
+
+/// What a recording holds, in the order received.
+#[derive(Clone, Debug)]
+pub struct Samples {
+    /// The camera.
+    pub camera: CameraModel,
+    /// Marker observations.
+    pub markers: Vec<MarkerObservations>,
+    /// IMU samples.
+    pub imu: Vec<ImuSample>,
+    /// Climber poses.
+    pub climber: Vec<ClimberSample>,
+}
+
+/// One image in which all four markers were measured.
+#[derive(Clone, Debug)]
+pub struct Shot {
+    /// Time since the recording's first stamp, s, camera clock.
+    pub time: f64,
+    /// Centroids of the markers, px.
+    pub pixels: [Vector2<f64>; 4],
+    /// Covariances of the centroids, px².
+    pub covariances: [Matrix2<f64>; 4],
+}
+
+/// Recording as numbers.
+#[derive(Clone, Debug)]
+pub struct Recording {
+    /// The camera.
+    pub camera: CameraModel,
+    /// Images with all four markers, sorted by time.
+    pub shots: Vec<Shot>,
+    /// IMU samples: s since the first stamp, specific force (m/s²), angular velocity (rad/s).
+    pub imu: Vec<(f64, Vector3<f64>, Vector3<f64>)>,
+    /// Climber: s since the first stamp, position (m) and rotation about the vertical (rad,
+    /// unwrapped).
+    pub climber: Vec<(f64, Vector3<f64>, f64)>,
+}
+
+/// Half width of the window of the weighted fit to the climber's samples, s: averages the encoders'
+/// quantization.
+const CLIMBER_WINDOW: f64 = 0.2;
+
+impl Recording {
+    /// Selects the images with all four markers and converts stamps to seconds.
+    ///
+    /// # Errors
+    /// Too few images, IMU samples or climber poses.
+    pub fn new(samples: &Samples) -> Result<Self, CalibrationError> {
+        let (imu, climber) = (&samples.imu, &samples.climber);
+        for (count, topic) in [(imu.len(), topics::IMU), (climber.len(), topics::CLIMBER_TRANSFORM)]
+        {
+            if count < 100 {
+                return Err(CalibrationError::TooShort { count, topic });
+            }
+        }
+        let start = imu[0].stamp;
+        let climber = climber_line(climber, start);
+        let imu: Vec<_> = imu
+            .iter()
+            .map(|s| (s.stamp.seconds_since(start), s.specific_force, s.angular_velocity))
+            .collect();
+        let end = imu[imu.len() - 1].0;
+        let mut shots: Vec<Shot> = samples
+            .markers
+            .iter()
+            .filter(|o| o.markers.0.iter().all(|m| m.state == MarkerState::Detected))
+            .map(|o| Shot {
+                time: o.stamp.seconds_since(start),
+                pixels: o.markers.0.map(|m| m.centroid),
+                covariances: o.markers.0.map(|m| m.covariance),
+            })
+            // The IMU samples must extend beyond both ends, also with different clocks.
+            .filter(|s| s.time > 0.2 && s.time < end - 0.2)
+            .collect();
+        shots.sort_by(|a, b| a.time.total_cmp(&b.time));
+        shots.dedup_by(|a, b| a.time - b.time < 1e-4);
+        if shots.len() < 60 {
+            return Err(CalibrationError::FewImages { count: shots.len() });
+        }
+        Ok(Self { camera: samples.camera.clone(), shots, imu, climber })
+    }
+
+    /// Keeps the consecutive images, at most `count`, in which the climber moves most; of more than
+    /// half as many one in `every`.
+    pub(crate) fn keep_liveliest(&mut self, count: usize, every: usize) {
+        if self.shots.len() > count {
+            self.keep_span(count);
+        }
+        if self.shots.len() > count / 2 {
+            self.shots = self.shots.iter().step_by(every).cloned().collect();
+        }
+    }
+
+    fn keep_span(&mut self, count: usize) {
+        let way: Vec<f64> = std::iter::once(0.0)
+            .chain(self.shots.windows(2).map(|w| {
+                let (a, b) = (self.climber_at(w[0].time), self.climber_at(w[1].time));
+                (b.0 - a.0).norm() + (b.1 - a.1).abs()
+            }))
+            .scan(0.0, |sum, step| {
+                *sum += step;
+                Some(*sum)
+            })
+            .collect();
+        let last = self.shots.len() - count;
+        let of = |k: &usize| way[k + count - 1] - way[*k];
+        let first = (0..=last).max_by(|a, b| of(a).total_cmp(&of(b))).unwrap_or(0);
+        self.shots = self.shots[first..first + count].to_vec();
+    }
+
+    /// Position (m) and turn (rad) of the climber at a time of its clock, by a parabola
+    /// through the samples around it.
+    pub fn climber_at(&self, time: f64) -> (Vector3<f64>, f64) {
+        let first = self.climber.partition_point(|c| c.0 < time - CLIMBER_WINDOW);
+        let last = self.climber.partition_point(|c| c.0 <= time + CLIMBER_WINDOW);
+        // Weights that vanish at the window's ends: the result is smooth in time.
+        let weight = |c: &(f64, Vector3<f64>, f64)| {
+            let u = (c.0 - time) / CLIMBER_WINDOW;
+            (1.0 - u * u).max(0.0).powi(2)
+        };
+        let samples = &self.climber[first..last];
+        let reading = |c: &(f64, Vector3<f64>, f64)| Vector4::new(c.1.x, c.1.y, c.1.z, c.2);
+        // Normal equations of value, rate and half the acceleration at `time`.
+        let (mut matrix, mut right) = (Matrix3::zeros(), SMatrix::<f64, 3, 4>::zeros());
+        for c in samples {
+            let u = (c.0 - time) / CLIMBER_WINDOW;
+            let powers = Vector3::new(1.0, u, u * u);
+            matrix += powers * powers.transpose() * weight(c);
+            right += powers * reading(c).transpose() * weight(c);
+        }
+        let around = samples.iter().any(|c| c.0 < time) && samples.iter().any(|c| c.0 > time);
+        if let Some(factor) = matrix.cholesky().filter(|_| around && samples.len() >= 5) {
+            let value = factor.solve(&right).row(0).transpose();
+            return (value.xyz(), value.w);
+        }
+        // At an end, or in a gap: the line through two samples.
+        let middle = self.climber.partition_point(|c| c.0 < time).clamp(1, self.climber.len() - 1);
+        let (a, b) = (&self.climber[middle - 1], &self.climber[middle]);
+        let value = reading(a) + (reading(b) - reading(a)) * ((time - a.0) / (b.0 - a.0).max(1e-6));
+        (value.xyz(), value.w)
+    }
+}
+
+fn climber_line(samples: &[ClimberSample], start: Stamp) -> Vec<(f64, Vector3<f64>, f64)> {
+    let mut line: Vec<(f64, Vector3<f64>, f64)> = Vec::with_capacity(samples.len());
+    for sample in samples {
+        let pose = &sample.world_from_climber;
+        let along = pose.rotation * Vector3::x();
+        let mut turn = along.y.atan2(along.x);
+        let time = sample.stamp.seconds_since(start);
+        if let Some(last) = line.last() {
+            if time <= last.0 {
+                continue;
+            }
+            turn += ((last.2 - turn) / std::f64::consts::TAU).round() * std::f64::consts::TAU;
+        }
+        line.push((time, pose.translation.vector, turn));
+    }
+    line
+}

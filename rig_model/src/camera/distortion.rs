@@ -1,0 +1,157 @@
+//! Lens distortion: the models of `sensor_msgs/CameraInfo`, with derivatives.
+
+use nalgebra::{Matrix2, Vector2};
+
+/// Lens distortion with its coefficients in the order of `CameraInfo.d`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Distortion {
+    /// k1, k2, p1, p2, k3 (OpenCV's five).
+    PlumbBob([f64; 5]),
+    /// k1, k2, p1, p2, k3, k4, k5, k6 (OpenCV's eight).
+    RationalPolynomial([f64; 8]),
+    /// k1, k2, k3, k4 (Kannala and Brandt 2006; OpenCV's fisheye).
+    Equidistant([f64; 4]),
+}
+
+impl Distortion {
+    /// Coefficients in the order of `CameraInfo.d`.
+    pub fn coefficients(&self) -> &[f64] {
+        match self {
+            Self::PlumbBob(d) => d,
+            Self::RationalPolynomial(d) => d,
+            Self::Equidistant(d) => d,
+        }
+    }
+
+    /// Distorts normalized coordinates (x/z, y/z); `None` beyond `max_radius`.
+    #[inline]
+    pub(super) fn apply(&self, n: &Vector2<f64>, max_radius: f64) -> Option<Vector2<f64>> {
+        self.apply_with_jacobian(n, max_radius).map(|(distorted, _)| distorted)
+    }
+
+    /// [`Distortion::apply`] with its derivative ∂distorted/∂undistorted.
+    #[inline]
+    pub(super) fn apply_with_jacobian(
+        &self,
+        n: &Vector2<f64>,
+        max_radius: f64,
+    ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+        let r2 = n.norm_squared();
+        match self {
+            Self::PlumbBob([k1, k2, p1, p2, k3]) => {
+                if r2 > max_radius * max_radius {
+                    return None;
+                }
+                let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+                let by_r2 = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
+                Some(radial_and_tangential(n, radial, by_r2, *p1, *p2))
+            }
+            Self::RationalPolynomial([k1, k2, p1, p2, k3, k4, k5, k6]) => {
+                if r2 > max_radius * max_radius {
+                    return None;
+                }
+                let top = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+                let bottom = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
+                let d_top = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
+                let d_bottom = k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6);
+                let radial = top / bottom;
+                Some(radial_and_tangential(
+                    n,
+                    radial,
+                    (d_top - radial * d_bottom) / bottom,
+                    *p1,
+                    *p2,
+                ))
+            }
+            Self::Equidistant(k) => {
+                let r = r2.sqrt();
+                if r < 1e-8 {
+                    return Some((*n, Matrix2::identity()));
+                }
+                let theta = r.atan();
+                if theta > max_radius {
+                    return None;
+                }
+                let (theta_d, by_theta) = equidistant_angle(k, theta);
+                let scale = theta_d / r;
+                // d(theta_d/r)/dr · n·nᵀ/r + theta_d/r · I
+                let by_r = (by_theta / (1.0 + r2) - scale) / r;
+                Some((n * scale, Matrix2::identity() * scale + n * n.transpose() * (by_r / r)))
+            }
+        }
+    }
+
+    /// Largest undistorted radius up to which the distortion is one to one.
+    ///
+    /// The radius is tan θ for the perspective models and θ, rad, for the equidistant one (θ: angle
+    /// from the optical axis). The first zero of the derivative of the distorted radius, searched
+    /// in steps of 1e-4 of the range.
+    pub(super) fn max_radius(&self) -> f64 {
+        let (growth, limit): (Box<dyn Fn(f64) -> f64>, f64) = match *self {
+            Self::PlumbBob([k1, k2, _, _, k3]) => (
+                Box::new(move |r| {
+                    let s = r * r;
+                    1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3))
+                }),
+                10.0,
+            ),
+            Self::RationalPolynomial([k1, k2, _, _, k3, k4, k5, k6]) => (
+                Box::new(move |r| {
+                    let s = r * r;
+                    let top = 1.0 + s * (k1 + s * (k2 + s * k3));
+                    let bottom = 1.0 + s * (k4 + s * (k5 + s * k6));
+                    let d_top = 2.0 * s * (k1 + s * (2.0 * k2 + s * 3.0 * k3));
+                    let d_bottom = 2.0 * s * (k4 + s * (2.0 * k5 + s * 3.0 * k6));
+                    if bottom <= 0.0 {
+                        -1.0
+                    } else {
+                        top / bottom + (d_top * bottom - top * d_bottom) / (bottom * bottom)
+                    }
+                }),
+                10.0,
+            ),
+            Self::Equidistant(k) => {
+                (Box::new(move |theta| equidistant_angle(&k, theta).1), std::f64::consts::FRAC_PI_2)
+            }
+        };
+        let steps = 10_000;
+        (1..=steps)
+            .map(|i| limit * f64::from(i) / f64::from(steps))
+            .find(|&r| growth(r) <= 0.0)
+            .unwrap_or(limit)
+    }
+}
+
+/// Radial and tangential (Brown–Conrady) distortion and its derivative; `by_r2` = ∂radial/∂r².
+#[inline]
+fn radial_and_tangential(
+    n: &Vector2<f64>,
+    radial: f64,
+    by_r2: f64,
+    p1: f64,
+    p2: f64,
+) -> (Vector2<f64>, Matrix2<f64>) {
+    let (x, y) = (n.x, n.y);
+    let r2 = x * x + y * y;
+    let d = Vector2::new(
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+    );
+    let cross = 2.0 * x * y * by_r2 + 2.0 * p1 * x + 2.0 * p2 * y;
+    let jacobian = Matrix2::new(
+        radial + 2.0 * x * x * by_r2 + 2.0 * p1 * y + 6.0 * p2 * x,
+        cross,
+        cross,
+        radial + 2.0 * y * y * by_r2 + 6.0 * p1 * y + 2.0 * p2 * x,
+    );
+    (d, jacobian)
+}
+
+/// Distorted angle θ·(1 + k1·θ² + k2·θ⁴ + k3·θ⁶ + k4·θ⁸) and its derivative.
+fn equidistant_angle([k1, k2, k3, k4]: &[f64; 4], theta: f64) -> (f64, f64) {
+    let s = theta * theta;
+    (
+        theta * (1.0 + s * (k1 + s * (k2 + s * (k3 + s * k4)))),
+        1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * (7.0 * k3 + s * 9.0 * k4))),
+    )
+}

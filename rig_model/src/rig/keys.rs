@@ -1,0 +1,162 @@
+//! Keys of the rig file: declaration, defaults and reading.
+
+use super::RigError;
+use crate::topics::frames;
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use ros_parameters::{ParameterMap, ParameterValue};
+
+/// A key of the rig file.
+#[derive(Clone, Debug)]
+pub struct RigKey {
+    /// Flat name, such as `camera.position`.
+    pub name: &'static str,
+    /// Description with the unit.
+    pub description: &'static str,
+    /// Default value; `None` if the key is required.
+    pub default: Option<ParameterValue>,
+}
+
+const COLOR: &str = "three numbers r, g, b of 0 to 255";
+/// Largest coordinate of a position, m: rejects values in millimeters.
+const LARGEST_POSITION: f64 = 100.0;
+
+/// All keys of the rig file, which each node declares among its parameters.
+pub fn rig_keys() -> Vec<RigKey> {
+    let text = |s: &str| Some(ParameterValue::String(s.to_owned()));
+    let number = |x| Some(ParameterValue::Double(x));
+    let numbers = |x: &[f64]| Some(ParameterValue::DoubleArray(x.to_vec()));
+    let key = |name, description, default| RigKey { name, description, default };
+    vec![
+        key("frames.world", "frame id of the world", text(frames::WORLD)),
+        key("frames.climber", "frame id of the climber unit", text(frames::CLIMBER)),
+        key("frames.camera", "frame id of the camera (optical axes)", text(frames::CAMERA)),
+        key("frames.imu", "frame id of the IMU", text(frames::IMU)),
+        key("frames.volant", "frame id of the platform", text(frames::VOLANT)),
+        key("camera.position", "climber_from_camera: x, y, z [m]", None),
+        key("camera.orientation", "climber_from_camera: unit quaternion x, y, z, w", None),
+        key("imu.position", "volant_from_imu: x, y, z [m]", numbers(&[0.0; 3])),
+        key(
+            "imu.orientation",
+            "volant_from_imu: unit quaternion x, y, z, w",
+            numbers(&[0.0, 0.0, 0.0, 1.0]),
+        ),
+        key(
+            "imu.accelerometer_noise_density",
+            "white noise of the accelerometer [m/s^2/sqrt(Hz)]",
+            number(0.002),
+        ),
+        key(
+            "imu.gyroscope_noise_density",
+            "white noise of the gyroscope [rad/s/sqrt(Hz)]",
+            number(0.00087),
+        ),
+        key("markers.size", "side of each square [m]", None),
+        key("markers.red", "center of the red square in the volant frame: x, y, z [m]", None),
+        key("markers.green", "center of the green square in the volant frame: x, y, z [m]", None),
+        key("markers.blue", "center of the blue square in the volant frame: x, y, z [m]", None),
+        key("markers.yellow", "center of the yellow square in the volant frame: x, y, z [m]", None),
+        key(
+            "markers.colors.red",
+            "the red paper as the camera sees it: r, g, b of 0 to 255; empty: not calibrated",
+            numbers(&[]),
+        ),
+        key("markers.colors.green", "the same of the green paper", numbers(&[])),
+        key("markers.colors.blue", "the same of the blue paper", numbers(&[])),
+        key("markers.colors.yellow", "the same of the yellow paper", numbers(&[])),
+    ]
+}
+
+/// Reads values of the rig file from flat parameters, with the defaults of [`rig_keys`].
+pub(super) struct Reader<'a> {
+    map: &'a ParameterMap,
+    defaults: Vec<RigKey>,
+}
+
+impl<'a> Reader<'a> {
+    pub(super) fn new(map: &'a ParameterMap) -> Self {
+        Self { map, defaults: rig_keys() }
+    }
+
+    /// Value of `key`, converted by `convert`.
+    fn get<T>(
+        &self,
+        key: &str,
+        expected: &'static str,
+        convert: impl Fn(&ParameterValue) -> Option<T>,
+    ) -> Result<T, RigError> {
+        let default = || self.defaults.iter().find(|d| d.name == key)?.default.as_ref();
+        let value = self
+            .map
+            .get(key)
+            .or_else(default)
+            .ok_or_else(|| RigError::Missing { key: key.to_owned(), expected })?;
+        convert(value).ok_or_else(|| RigError::Type {
+            key: key.to_owned(),
+            found: value.type_name(),
+            expected,
+        })
+    }
+
+    pub(super) fn text(&self, key: &str) -> Result<String, RigError> {
+        self.get(key, "a frame id", |value| match value {
+            ParameterValue::String(text) => Some(text.clone()),
+            _ => None,
+        })
+    }
+
+    pub(super) fn positive(&self, key: &str) -> Result<f64, RigError> {
+        let x = self.get(key, "a number", ParameterValue::as_f64)?;
+        if x.is_finite() && x > 0.0 {
+            return Ok(x);
+        }
+        Err(RigError::value(key, x.to_string(), "it must be greater than zero"))
+    }
+
+    /// Three numbers of 0–255; `None` for an empty list.
+    pub(super) fn color(&self, key: &str) -> Result<Option<[f64; 3]>, RigError> {
+        let list = self.get(key, COLOR, ParameterValue::as_f64_array)?;
+        match <[f64; 3]>::try_from(list.as_slice()) {
+            _ if list.is_empty() => Ok(None),
+            Ok(rgb) if rgb.iter().all(|v| (0.0..=255.0).contains(v)) => Ok(Some(rgb)),
+            _ => Err(RigError::value(key, format!("{list:?}"), COLOR)),
+        }
+    }
+
+    fn numbers<const N: usize>(
+        &self,
+        key: &str,
+        expected: &'static str,
+    ) -> Result<[f64; N], RigError> {
+        let list = self.get(key, expected, ParameterValue::as_f64_array)?;
+        let numbers: [f64; N] = list.as_slice().try_into().map_err(|_| {
+            RigError::value(key, format!("a list of {} numbers", list.len()), expected)
+        })?;
+        if numbers.iter().all(|x| x.is_finite()) {
+            return Ok(numbers);
+        }
+        Err(RigError::value(key, format!("{numbers:?}"), "every number must be finite"))
+    }
+
+    pub(super) fn position(&self, key: &str) -> Result<Translation3<f64>, RigError> {
+        let position: [f64; 3] = self.numbers(key, "three numbers x, y, z in meters")?;
+        if position.iter().any(|v| v.abs() > LARGEST_POSITION) {
+            let requirement = "positions are in meters (not millimeters) and within ±100 m";
+            return Err(RigError::value(key, format!("{position:?}"), requirement));
+        }
+        Ok(Translation3::from(position))
+    }
+
+    /// The transform `block.position`, `block.orientation`.
+    pub(super) fn transform(&self, block: &str) -> Result<Isometry3<f64>, RigError> {
+        let key = format!("{block}.orientation");
+        let [x, y, z, w] = self.numbers(&key, "a unit quaternion x, y, z, w")?;
+        let q = Quaternion::new(w, x, y, z);
+        if (q.norm() - 1.0).abs() > 1e-3 {
+            let value = format!("{:?} (length {:.4})", [x, y, z, w], q.norm());
+            let requirement = "a unit quaternion x, y, z, w has length 1";
+            return Err(RigError::value(&key, value, requirement));
+        }
+        let position = self.position(&format!("{block}.position"))?;
+        Ok(Isometry3::from_parts(position, UnitQuaternion::from_quaternion(q)))
+    }
+}

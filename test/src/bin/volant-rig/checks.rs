@@ -1,0 +1,149 @@
+//! `volant checks`: faults in the files and messages of recordings, and whether `volant check`
+//! names them. Exit status 0 when at least 95 % are right and no unchanged run is called wrong.
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use node_kit::{files, outln};
+use std::{
+    fmt::Write,
+    fs,
+    path::{Path, PathBuf},
+};
+use volant_test::check::{Bench, FAULTS};
+
+/// Makes the files and messages of recordings wrong in one thing, and checks them.
+#[derive(Args)]
+pub(crate) struct Arguments {
+    /// Folder of recordings, each a folder with in.mcap, rig.yaml, truth.mcap and truth_markers.csv
+    #[arg(long)]
+    bags: Option<PathBuf>,
+    /// Only recordings whose name contains this text
+    #[arg(long, default_value = "")]
+    only: String,
+    /// Only faults whose name contains this text
+    #[arg(long, default_value = "")]
+    fault: String,
+    /// Number of unchanged simulated runs
+    #[arg(long, default_value_t = 10)]
+    clean: u64,
+    /// Also print the findings' sentences
+    #[arg(long)]
+    verbose: bool,
+    /// Also write the table, as Markdown, to this file
+    #[arg(long)]
+    table: Option<PathBuf>,
+    /// Replace an existing table; never a recording
+    #[arg(long)]
+    overwrite: bool,
+}
+
+/// Share of right cells that is asserted.
+const RIGHT: f64 = 0.95;
+
+pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
+    if let Some(path) = &arguments.table {
+        let inputs: Vec<&Path> = arguments.bags.iter().map(PathBuf::as_path).collect();
+        files::check_output(path, arguments.overwrite, &inputs)?;
+    }
+    let mut benches = vec![];
+    if let Some(bags) = &arguments.bags {
+        let entries = fs::read_dir(bags).with_context(|| format!("{}", bags.display()))?;
+        let mut folders: Vec<PathBuf> = entries
+            .filter_map(|e| Some(e.ok()?.path()))
+            .filter(|p| p.join("truth.mcap").is_file())
+            .filter(|p| p.to_string_lossy().contains(arguments.only.as_str()))
+            .collect();
+        folders.sort();
+        for folder in folders {
+            let bench = Bench::read(&folder);
+            benches.push(bench.with_context(|| format!("{}", folder.display()))?);
+        }
+    }
+    if "simulated".contains(arguments.only.as_str()) {
+        benches.push(Bench::simulated(1)?);
+    }
+    if benches.is_empty() {
+        bail!("no recording whose name contains `{}`", arguments.only);
+    }
+    let (mut right, mut count) = (0, 0);
+    let mut text = String::from("| fault |");
+    for bench in &benches {
+        let _ = write!(text, " {} |", bench.name());
+    }
+    let _ = write!(text, "\n| --- |{}\n| none |", " --- |".repeat(benches.len()));
+    let mut alarms = 0;
+    for bench in &benches {
+        let findings: Vec<&str> = bench.clean().findings.iter().map(|f| f.text.as_str()).collect();
+        alarms += usize::from(!findings.is_empty());
+        let _ = write!(
+            text,
+            " {} |",
+            if findings.is_empty() { "ok".into() } else { findings.join("; ") }
+        );
+    }
+    text.push('\n');
+    if arguments.verbose {
+        for bench in &benches {
+            for row in &bench.clean().rows {
+                outln!(
+                    "{}: {:<32} {:>10.3} {:>10.3} ± {:.3} {} {}",
+                    bench.name(),
+                    row.name,
+                    row.file,
+                    row.estimate,
+                    row.deviation,
+                    row.unit,
+                    row.verdict
+                )?;
+            }
+        }
+    }
+    for fault in FAULTS.iter().filter(|f| f.name.contains(arguments.fault.as_str())) {
+        let _ = write!(text, "| {} |", fault.name);
+        for bench in &benches {
+            let cell = bench.cell(fault);
+            count += 1;
+            right += usize::from(cell.right);
+            let mark = if cell.right { "" } else { "**" };
+            let _ = write!(text, " {mark}{}{mark} |", cell.text);
+            if arguments.verbose || !cell.right {
+                let said = cell.sentences.join("; ");
+                outln!("{}: {}: {} [{said}]", bench.name(), fault.name, cell.text)?;
+            }
+        }
+        text.push('\n');
+    }
+    let mut false_alarms = vec![];
+    for seed in 101..101 + arguments.clean {
+        let bench = Bench::simulated(seed)?;
+        for finding in &bench.clean().findings {
+            false_alarms.push(format!("seed {seed}: {}", finding.text));
+        }
+    }
+    let share = right as f64 / f64::max(f64::from(count), 1.0);
+    let _ = write!(
+        text,
+        "\nRight: {right} of {count} ({:.1} %). Findings in unchanged recordings: {alarms} of {}, \
+         in {} unchanged simulated runs of other seeds: {}.\n",
+        100.0 * share,
+        benches.len(),
+        arguments.clean,
+        false_alarms.len()
+    );
+    for alarm in &false_alarms {
+        outln!("false alarm: {alarm}")?;
+    }
+    if let Some(path) = &arguments.table {
+        let text = format!("{HEAD}{text}");
+        files::write(path, text.as_bytes(), arguments.overwrite)?;
+    }
+    outln!("{text}")?;
+    Ok(share >= RIGHT && false_alarms.is_empty() && alarms == 0)
+}
+
+const HEAD: &str = "\
+    # Check: recordings whose files or messages are wrong\n\n\
+    Written by `make checks`. Each recording is made wrong in one thing, and `volant check`\n\
+    compares it with its files. A cell holds the findings' verdicts and keys; it is right where\n\
+    they name the cause and nothing else is called wrong, or where the value is `unobservable` in\n\
+    that recording. Bold: not right.\n\n";

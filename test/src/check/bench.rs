@@ -1,0 +1,197 @@
+//! A recording, its faults, and whether a check names them.
+
+use super::fault::Fault;
+use crate::robustness::recording::Recording;
+use marker_tracker::TrackerConfig;
+use nalgebra::Vector3;
+use pose_fusion::Input;
+use rig_calibration::{Report, Samples, Track, Verdict, check};
+use rig_model::{
+    CameraModel, Distortion, MarkerLayout, Rig, Stamp,
+    score::{Truth, TruthSample},
+};
+use rig_simulator::{
+    inertial::{Message, SensorConfig, Sensors},
+    motion::{Motion, MotionConfig},
+};
+use std::path::{Path, PathBuf};
+use volant::calibration::track_bag;
+
+/// A recording with what is needed to track its images again.
+#[derive(Clone, Debug)]
+pub struct Bench {
+    recording: Recording,
+    /// Bag with images, where there is one.
+    images: Option<PathBuf>,
+    /// Report of the unchanged recording.
+    clean: Report,
+}
+
+/// What a check says of one fault.
+#[derive(Clone, Debug)]
+pub struct Cell {
+    /// Whether it names the cause, and no other one as wrong.
+    pub right: bool,
+    /// Verdict and keys.
+    pub text: String,
+    /// The report's sentences.
+    pub sentences: Vec<String>,
+}
+
+fn tracker(rig: &Rig) -> TrackerConfig {
+    TrackerConfig { start_colors: rig.colors, ..TrackerConfig::default() }
+}
+
+impl Bench {
+    /// Reads a folder with `in.mcap`, `rig.yaml`, `truth.mcap` and `truth_markers.csv`.
+    ///
+    /// # Errors
+    /// A missing or unreadable file, or a recording that cannot be checked.
+    pub fn read(folder: &Path) -> anyhow::Result<Self> {
+        let mut recording = Recording::read(folder, None)?;
+        let bag = folder.join("in.mcap");
+        let camera = recording.camera().cloned();
+        let mut images = None;
+        if let Some(camera) = camera {
+            let rig = &recording.rig;
+            let markers = track_bag(&bag, &rig.markers, &tracker(rig), &camera, None)?;
+            if !markers.is_empty() {
+                recording.inputs.retain(|(_, i)| !matches!(i, Input::Markers(_)));
+                let inputs = markers.into_iter().map(|m| (m.stamp, Input::Markers(m)));
+                recording.inputs.extend(inputs);
+                images = Some(bag);
+            }
+        }
+        Self::new(recording, images)
+    }
+
+    /// Simulates a run in which all axes of the climber move; `seed` fixes it.
+    ///
+    /// # Errors
+    /// The simulated recording cannot be checked.
+    pub fn simulated(seed: u64) -> anyhow::Result<Self> {
+        let config = MotionConfig {
+            duration: 20.0,
+            swing: 0.2,
+            climber_speed: 0.5,
+            climber_turn_rate: 0.4,
+            ..MotionConfig::nominal(seed)
+        };
+        Self::of_motion(config)
+    }
+
+    /// Simulates a run with a motion and its seed.
+    ///
+    /// # Errors
+    /// The simulated recording cannot be checked.
+    pub fn of_motion(config: MotionConfig) -> anyhow::Result<Self> {
+        let seed = config.seed;
+        let motion = Motion::new(config);
+        let rig = Rig::from_yaml(rig_simulator::RIG_YAML)?;
+        let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
+        let camera = CameraModel::new(640, 480, [591.3, 589.7, 319.3, 235.2], lens)?;
+        let sensors = SensorConfig::nominal(seed);
+        let recorded = Sensors::new(&motion, &rig, &camera, &sensors).record();
+        let start = sensors.epoch;
+        let mut inputs: Vec<(Stamp, Input)> = vec![(start, Input::Camera(camera))];
+        inputs.extend(recorded.into_iter().map(|(at, message)| {
+            let input = match message {
+                Message::Imu(s) => Input::Imu(s),
+                Message::Markers(s) => Input::Markers(s),
+                Message::Climber(s) => Input::Climber(s),
+            };
+            (at, input)
+        }));
+        let truth = Truth::new(vec![TruthSample {
+            stamp: start,
+            world_from_volant: motion.world_from_volant(0.0),
+            linear_velocity: Vector3::zeros(),
+            angular_velocity: Vector3::zeros(),
+        }]);
+        Self::new(Recording { name: format!("simulated {seed}"), rig, inputs, truth }, None)
+    }
+
+    fn new(recording: Recording, images: Option<PathBuf>) -> anyhow::Result<Self> {
+        let mut bench = Self { recording, images, clean: Report::default() };
+        bench.clean = bench.report(&bench.recording, false)?;
+        Ok(bench)
+    }
+
+    /// The recording's name.
+    pub fn name(&self) -> &str {
+        &self.recording.name
+    }
+
+    /// Report of the unchanged recording.
+    pub fn clean(&self) -> &Report {
+        &self.clean
+    }
+
+    fn report(&self, recording: &Recording, retrack: bool) -> anyhow::Result<Report> {
+        let camera = recording.camera().cloned();
+        let camera = camera.ok_or_else(|| anyhow::anyhow!("{}: no camera", recording.name))?;
+        let mut samples = Samples { camera, markers: vec![], imu: vec![], climber: vec![] };
+        for (_, input) in &recording.inputs {
+            match input {
+                Input::Markers(m) => samples.markers.push(m.clone()),
+                Input::Imu(s) => samples.imu.push(s.clone()),
+                Input::Climber(s) => samples.climber.push(s.clone()),
+                _ => {}
+            }
+        }
+        let config = tracker(&recording.rig);
+        let mut track = |layout: &MarkerLayout, camera: &CameraModel, limit: Option<usize>| {
+            let images = self.images.as_deref().unwrap_or(Path::new(""));
+            track_bag(images, layout, &config, camera, limit).unwrap_or_default()
+        };
+        if self.images.is_some() && retrack {
+            samples.markers = track(&recording.rig.markers, &samples.camera, None);
+        }
+        let track: Option<&mut Track<'_>> =
+            if self.images.is_some() && retrack { Some(&mut track) } else { None };
+        Ok(check(&samples, &recording.rig, track)?)
+    }
+
+    /// Applies a fault and checks the recording.
+    pub fn cell(&self, fault: &Fault) -> Cell {
+        let mut recording = self.recording.clone();
+        (fault.apply)(&mut recording);
+        let report = match self.report(&recording, fault.retrack) {
+            Ok(report) => report,
+            Err(error) => {
+                return Cell { right: false, text: format!("error: {error}"), sentences: vec![] };
+            }
+        };
+        let names = |key: &str, list: &[&str]| list.iter().any(|k| key.starts_with(k));
+        let (named, others): (Vec<_>, Vec<_>) =
+            report.findings.iter().partition(|f| names(&f.key, fault.keys));
+        let accused = others.iter().any(|f| f.verdict == Verdict::Wrong);
+        let unobservable = report
+            .rows
+            .iter()
+            .any(|r| r.verdict == Verdict::Unobservable && names(&r.name, fault.rows));
+        let estimate = |report: &Report, row: &str| {
+            let row = report.rows.iter().find(|r| r.name.starts_with(row) && r.unit == "ms");
+            row.map_or((f64::NAN, f64::NAN), |r| (r.estimate, r.deviation))
+        };
+        // Within the tolerance, or the accuracy that the recording's motion allows.
+        let measured = fault.offset.is_none_or(|(row, expected, tolerance)| {
+            let (with, deviation) = estimate(&report, row);
+            let off = with - estimate(&self.clean, row).0 - expected;
+            off.abs() < f64::max(tolerance, 2.0 * deviation)
+        });
+        let right = !accused && if named.is_empty() { unobservable } else { measured };
+        let mut keys: Vec<String> =
+            report.findings.iter().map(|f| format!("{}: {}", f.verdict, f.key)).collect();
+        if keys.is_empty() {
+            keys.push(if unobservable { "unobservable" } else { "ok" }.to_owned());
+        }
+        if !measured && let Some((row, ..)) = fault.offset {
+            let (with, deviation) = estimate(&report, row);
+            let clean = estimate(&self.clean, row).0;
+            keys.push(format!("{row} {with:.1} ± {deviation:.1} ms, unchanged {clean:.1} ms"));
+        }
+        let sentences = report.findings.iter().map(|f| f.text.clone()).collect();
+        Cell { right, text: keys.join(", "), sentences }
+    }
+}

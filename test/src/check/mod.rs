@@ -1,0 +1,7 @@
+//! `volant check` on recordings whose files or messages are wrong in one thing.
+
+pub mod bench;
+pub mod fault;
+
+pub use bench::{Bench, Cell};
+pub use fault::{FAULTS, Fault};

@@ -1,0 +1,112 @@
+//! `volant check` on the simulated rig: one fault of each kind is named, unchanged runs are not
+//! accused; and the command's exit status and JSON on a recording.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
+
+use rig_calibration::Verdict;
+use rig_model::{MarkerColor, Rig};
+use rig_simulator::motion::MotionConfig;
+use serde_json::Value;
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+use volant_test::check::{Bench, FAULTS};
+
+/// Faults of the short form; `make checks` has all of them, on recordings too.
+const KINDS: [&str; 12] = [
+    "camera tilt 2°",
+    "camera yaw 180°",
+    "focal length +20 %",
+    "distortion zeroed",
+    "red and green swapped",
+    "IMU quaternion as w, x, y, z",
+    "accelerometer negated",
+    "gyroscope in deg/s",
+    "encoders x and y exchanged",
+    "turn reversed",
+    "encoder stamps + 0.2 s",
+    "two climbers on one topic",
+];
+
+#[test]
+fn one_fault_of_each_kind_is_named() {
+    let bench = Bench::simulated(1).unwrap();
+    assert!(bench.clean().findings.is_empty(), "{:?}", bench.clean().findings);
+    for kind in KINDS {
+        let fault = FAULTS.iter().find(|f| f.name == kind).unwrap();
+        let cell = bench.cell(fault);
+        assert!(cell.right, "{kind}: {} {:?}", cell.text, cell.sentences);
+    }
+}
+
+#[test]
+fn unchanged_runs_of_other_seeds_are_not_accused() {
+    for seed in 11..14 {
+        let bench = Bench::simulated(seed).unwrap();
+        assert!(bench.clean().findings.is_empty(), "{seed}: {:?}", bench.clean().findings);
+        assert!(bench.clean().rows.len() > 40);
+    }
+}
+
+#[test]
+fn a_climber_at_rest_is_unobservable_and_not_frozen() {
+    let config = MotionConfig {
+        climber_speed: 0.0,
+        climber_turn_rate: 0.0,
+        swing: 0.2,
+        ..MotionConfig::nominal(7)
+    };
+    let report = Bench::of_motion(config).unwrap().clean().clone();
+    assert!(report.findings.is_empty(), "{:?}", report.findings);
+    for name in ["climber.rail_x scale", "climber.rail_y scale", "climber.turn scale"] {
+        let row = report.rows.iter().find(|r| r.name == name).unwrap();
+        assert_eq!(row.verdict, Verdict::Unobservable, "{row:?}");
+    }
+}
+
+fn check(bag: &Path, rig: &Path, json: &Path) -> Output {
+    let volant = Path::new(env!("CARGO_BIN_EXE_volant-rig")).with_file_name("volant");
+    Command::new(volant)
+        .arg("check")
+        .arg(bag)
+        .arg("--rig")
+        .arg(rig)
+        .arg("--json")
+        .arg(json)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn the_command_names_an_exchanged_pair_of_colors_in_a_recording_with_images() {
+    let Some(shared) = test_support::recordings() else { return };
+    let folder = shared.join("bags/nominal");
+    let (bag, right) = (folder.join("in.mcap"), folder.join("rig.yaml"));
+    let temporary = tempfile::tempdir().unwrap();
+    let json = temporary.path().join("right.json");
+    let output = check(&bag, &right, &json);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+    let report: Value = serde_json::from_slice(&fs::read(&json).unwrap()).unwrap();
+    assert_eq!(report["wrong"], false);
+    let verdict = |name: &str| {
+        let rows = report["rows"].as_array().unwrap();
+        rows.iter().find(|r| r["name"] == name).unwrap()["verdict"].as_str().unwrap().to_owned()
+    };
+    assert_eq!(verdict("camera_info: fx"), "ok");
+    assert_eq!(verdict("climber.height"), "unobservable");
+    // An existing file is not replaced.
+    assert_eq!(check(&bag, &right, &json).status.code(), Some(1));
+
+    let text = fs::read_to_string(&right).unwrap();
+    let swapped =
+        text.replace("red:", "none:").replace("green:", "red:").replace("none:", "green:");
+    let wrong = temporary.path().join("wrong.yaml");
+    fs::write(&wrong, &swapped).unwrap();
+    let (a, b) = (Rig::from_yaml(&text).unwrap(), Rig::from_yaml(&swapped).unwrap());
+    assert_eq!(a.markers.centres[MarkerColor::Red], b.markers.centres[MarkerColor::Green]);
+    let output = check(&bag, &wrong, &temporary.path().join("wrong.json"));
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("the markers red and green are exchanged"), "{said}");
+}

@@ -1,0 +1,215 @@
+//! Conflicts in the ROS graph, with real processes: two publishers of one topic, two nodes of one
+//! name, two rigs in one namespace. `/diagnostics` names both ends and the remedy.
+#![allow(clippy::disallowed_methods, reason = "a test that waits")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test")]
+
+use node_kit::{
+    NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments, convert::time,
+    environment::Network,
+};
+use std::{
+    path::Path,
+    process::{Child, Command, Stdio},
+    sync::{Arc, mpsc},
+    time::{Duration, Instant},
+};
+use volant_msgs::{
+    diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus},
+    sensor_msgs::msg::JointState,
+};
+use volant_test::live::processes::{Node, Signal};
+
+const LONG: Duration = Duration::from_secs(20);
+const RIG: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../launch_config/config/rig.yaml");
+
+enum Input {
+    Beat,
+    Statuses(Arc<DiagnosticArray>),
+}
+
+/// Publishes joint states in three namespaces and passes statuses on.
+struct Observer {
+    joints: Vec<Publisher<JointState>>,
+    statuses: mpsc::SyncSender<DiagnosticStatus>,
+}
+
+impl NodeShell for Observer {
+    const NAME: &'static str = "observer";
+    type Parameters = ();
+    type Input = Input;
+
+    fn handle(&mut self, context: &mut NodeContext<Input>, input: Input) {
+        match input {
+            Input::Beat => {
+                let mut message = JointState::default();
+                message.header.stamp = time(context.now());
+                message.name = ["rail_x", "rail_y", "turn"].map(str::to_owned).to_vec();
+                message.position = vec![0.0; 3];
+                self.joints.iter().for_each(|topic| topic.publish(message.clone()));
+            }
+            Input::Statuses(array) => {
+                for status in &array.status {
+                    let _ = self.statuses.try_send(status.clone());
+                }
+            }
+        }
+    }
+}
+
+/// Diagnostics of a domain.
+struct Observed {
+    _process: Process,
+    statuses: mpsc::Receiver<DiagnosticStatus>,
+}
+
+impl Observed {
+    fn start(domain: u16) -> Self {
+        let (sender, statuses) = mpsc::sync_channel(10_000);
+        let mut process =
+            Process::new(Network { domain_id: domain, ..Network::default() }).unwrap();
+        let start = move |context: &mut NodeContext<Input>, ()| -> Result<Observer, NodeError> {
+            context.timer(Duration::from_millis(20), || Input::Beat);
+            context.subscribe("/diagnostics", QosPreset::State, |m| Some(Input::Statuses(m)))?;
+            let joints = ["/climber/joint_states", "/rig2/climber/joint_states"]
+                .into_iter()
+                .map(|topic| context.advertise(topic, QosPreset::State))
+                .collect::<Result<_, _>>()?;
+            Ok(Observer { joints, statuses: sender.clone() })
+        };
+        process.start_with::<Observer>(&RosArguments::default(), start).unwrap();
+        Self { _process: process, statuses }
+    }
+
+    /// Waits for a status of `node` named `graph` whose message has each of `texts`, and returns
+    /// the message.
+    fn graph(&self, node: &str, level: u8, texts: &[&str]) -> String {
+        while self.statuses.try_recv().is_ok() {}
+        let deadline = Instant::now() + LONG;
+        let mut last = String::new();
+        while Instant::now() < deadline {
+            let Ok(status) = self.statuses.recv_timeout(LONG) else { break };
+            if status.hardware_id != node || !status.name.ends_with(": graph") {
+                continue;
+            }
+            if status.level == level && texts.iter().all(|text| status.message.contains(text)) {
+                return status.message;
+            }
+            last = status.message;
+        }
+        panic!("{node}: no {texts:?} at level {level}; the last: {last}");
+    }
+}
+
+/// A node's process; `label` separates the logs.
+fn node(domain: u16, label: &str, name: &str, arguments: &[&str]) -> Node {
+    let folder = std::env::temp_dir().join(format!("volant-graph-{}", std::process::id()));
+    let folder = folder.join(label);
+    std::fs::create_dir_all(&folder).unwrap();
+    let mut words = vec!["--rig", RIG];
+    words.extend(arguments);
+    let words: Vec<String> = words.into_iter().map(str::to_owned).collect();
+    let environment = [("ROS_DOMAIN_ID".to_owned(), domain.to_string())];
+    Node::start(name, &words, &environment, &folder).unwrap()
+}
+
+fn end(mut node: Node) {
+    node.signal(Signal::TERM).unwrap();
+    let deadline = Instant::now() + LONG;
+    while node.ended().is_none() {
+        assert!(Instant::now() < deadline, "{} does not end", node.name);
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+const OK: u8 = DiagnosticStatus::OK;
+const WARN: u8 = DiagnosticStatus::WARN;
+
+#[test]
+fn two_drivers_and_then_two_rigs_in_one_namespace_are_named() {
+    const DOMAIN: u16 = 151;
+    let observed = Observed::start(DOMAIN);
+    let driver = node(DOMAIN, "first", "climber_driver", &[]);
+    let _fusion = node(DOMAIN, "first", "pose_fusion", &[]);
+    // A rig of its own namespace disturbs nobody.
+    let space = ["--ros-args", "-r", "__ns:=/rig2", "-r", "/tf:=tf", "-r", "/tf_static:=tf_static"];
+    let _second_rig = node(DOMAIN, "rig2", "climber_driver", &space);
+    for name in ["/climber_driver", "/pose_fusion", "/rig2/climber_driver"] {
+        observed.graph(name, OK, &[]);
+    }
+
+    let double = node(DOMAIN, "second", "climber_driver", &[]);
+    let texts =
+        ["2 nodes are named /climber_driver", "-r __node:=NAME", "at this computer, process "];
+    let named = observed.graph("/climber_driver", WARN, &texts);
+    let ids = [&driver, &double].map(|node| format!("this computer, process {} ", node.id()));
+    assert!(ids.iter().any(|id| named.contains(id)), "{named}");
+    assert_eq!(named.matches("participant 01.12.").count(), 2, "{named}");
+    let published = observed.graph("/pose_fusion", WARN, &["2 publishers on /climber/transform"]);
+    assert_eq!(published.matches("/climber_driver at ").count(), 2, "{published}");
+    assert_eq!(published.matches("GID 01.12.").count(), 2, "{published}");
+    assert!(published.contains("-r FROM:=TO"), "{published}");
+    observed.graph("/rig2/climber_driver", OK, &[]);
+
+    let second_fusion = node(DOMAIN, "second", "pose_fusion", &[]);
+    for name in ["/climber_driver", "/pose_fusion"] {
+        let texts = ["two rigs in the namespace /", "/climber_driver, /pose_fusion", "__ns:=/rig1"];
+        observed.graph(name, WARN, &texts);
+    }
+
+    end(second_fusion);
+    end(double);
+    observed.graph("/climber_driver", OK, &[]);
+    observed.graph("/pose_fusion", OK, &[]);
+}
+
+/// A node that was killed is listed until its lease ends; its successor is no second publisher.
+#[test]
+fn a_publisher_that_was_killed_is_no_second_one() {
+    const DOMAIN: u16 = 152;
+    let observed = Observed::start(DOMAIN);
+    let mut driver = node(DOMAIN, "killed", "climber_driver", &[]);
+    let _fusion = node(DOMAIN, "killed", "pose_fusion", &[]);
+    observed.graph("/pose_fusion", OK, &[]);
+    driver.kill_and_restart().unwrap();
+    // Over the time for which the killed one counts as sending, and far below its lease (50 s).
+    std::thread::sleep(Duration::from_secs(5));
+    observed.graph("/pose_fusion", OK, &[]);
+    observed.graph("/climber_driver", OK, &[]);
+}
+
+struct Foreign(Child);
+
+impl Drop for Foreign {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn foreign_publishers_beside_ours_are_named() {
+    let names = [("cyclonedds", "a publisher without a node name"), ("rclpy", "/foreign at ")];
+    for (domain, (module, name)) in (153..).zip(names) {
+        let Some(python) = test_support::python(module) else { return };
+        let observed = Observed::start(domain);
+        let _driver = node(domain, module, "climber_driver", &[]);
+        let _fusion = node(domain, module, "pose_fusion", &[]);
+        observed.graph("/pose_fusion", OK, &[]);
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peer/publish.py");
+        let foreign = Command::new(python)
+            .arg(script)
+            .args([module, "/climber/transform"])
+            .env("ROS_DOMAIN_ID", domain.to_string())
+            .env_remove("ROS_AUTOMATIC_DISCOVERY_RANGE")
+            .stdin(Stdio::null())
+            .spawn()
+            .unwrap();
+        let foreign = Foreign(foreign);
+        let texts = ["2 publishers on /climber/transform", "/climber_driver at ", name, "GID "];
+        observed.graph("/pose_fusion", WARN, &texts);
+        observed.graph("/climber_driver", OK, &[]);
+        drop(foreign);
+        std::thread::sleep(Duration::from_secs(4));
+        observed.graph("/pose_fusion", OK, &[]);
+    }
+}

@@ -1,0 +1,199 @@
+//! Replay of encoder readings through the climber driver, with the parameters of the nodes' files.
+#![allow(missing_docs, clippy::unwrap_used)]
+
+use bag::BagReader;
+use climber_driver::{Climber, ClimberConfig, JointReading, Output};
+use node_kit::convert;
+use rig_model::{ClimberSample, topics};
+use rig_simulator::motion::MotionConfig;
+use std::{
+    fs,
+    path::Path,
+    process::{self, Command},
+};
+use tempfile::TempDir;
+use volant_msgs::{cdr, geometry_msgs::msg::TransformStamped, sensor_msgs::msg::JointState};
+use volant_test::live::{Scenario, bag::from_sensors, processes::executables};
+
+/// Encoders with names, scale, sign and zero of their own.
+fn config() -> ClimberConfig {
+    let mut config = ClimberConfig {
+        height: MotionConfig::nominal(0).climber_height,
+        ..ClimberConfig::default()
+    };
+    for (joint, (name, scale, zero)) in config.joints.iter_mut().zip([
+        ("long", 0.001, 250.0),
+        ("cross", -0.5, 0.1),
+        ("yaw", 2.0, 0.0),
+    ]) {
+        (joint.name, joint.scale, joint.zero) = (name.to_owned(), scale, zero);
+    }
+    config
+}
+
+const PARAMETERS: &str = "\
+climber_driver:
+  ros__parameters:
+    joints: {rail_x: long, rail_y: cross, turn: yaw}
+    scale: {rail_x: 0.001, rail_y: -0.5, turn: 2.0}
+    zero: {rail_x: 250.0, rail_y: 0.1, turn: 0.0}
+    height: HEIGHT
+";
+
+/// What encoders read that yield `sample` with [`config`].
+fn joints(sample: &ClimberSample) -> JointState {
+    let pose = &sample.world_from_climber;
+    let axes = [pose.translation.x, pose.translation.y, pose.rotation.euler_angles().2];
+    let config = config();
+    let readings = config.joints.iter().zip(axes).map(|(j, axis)| axis / j.scale + j.zero);
+    JointState {
+        header: convert::header("", sample.stamp),
+        name: config.joints.iter().map(|j| j.name.clone()).collect(),
+        position: readings.collect(),
+        ..JointState::default()
+    }
+}
+
+fn replay(bag: &Path, out: &Path, rig: &Path, more: &[&str]) -> process::Output {
+    let mut command = Command::new(executables().join("volant"));
+    command.arg("replay").arg(bag).arg("--rig").arg(rig).arg("--out").arg(out);
+    command.args(more).output().unwrap()
+}
+
+#[test]
+fn encoder_readings_give_the_pose_of_the_drivers_transforms() {
+    let dir = TempDir::new().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    let scenario = Scenario::swing(7, 5.0).unwrap();
+    from_sensors(&path("joints.mcap"), &scenario, joints).unwrap();
+    // The driver's core over the same readings, received when they were logged.
+    let mut driver = Climber::new(config()).unwrap();
+    let mut transforms = 0;
+    from_sensors(&path("transforms.mcap"), &scenario, |sample| -> TransformStamped {
+        let m = joints(sample);
+        let reading = JointReading { stamp: sample.stamp, names: m.name, positions: m.position };
+        driver.handle(&reading, sample.stamp);
+        transforms += 1;
+        match driver.poll() {
+            Some(Output::Sample(sample)) => convert::climber_message(&sample, &scenario.rig.frames),
+            other => unreachable!("{other:?}"),
+        }
+    })
+    .unwrap();
+    let height = config().height;
+    let parameters = PARAMETERS.replace("HEIGHT", &format!("{height:?}"));
+    let (rig, params, both) = (path("rig.yaml"), path("climber.yaml"), path("both.yaml"));
+    fs::write(&rig, &scenario.rig_yaml).unwrap();
+    fs::write(&params, &parameters).unwrap();
+    fs::write(&both, format!("{}\n{parameters}", scenario.rig_yaml)).unwrap();
+    let done = |bag: &str, out: &str, rig: &Path, more: &[&str]| {
+        let output = replay(&path(bag), &path(out), rig, more);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        fs::read(path(out)).unwrap()
+    };
+    let usual = done("transforms.mcap", "usual.mcap", &rig, &[]);
+    let params = params.to_str().unwrap();
+    assert!(done("joints.mcap", "file.mcap", &rig, &["--params-file", params]) == usual);
+    assert!(done("joints.mcap", "block.mcap", &both, &[]) == usual);
+    let heights: Vec<f64> = messages(&path("block.mcap"))
+        .iter()
+        .map(|data| cdr::from_bytes::<TransformStamped>(data).unwrap().transform.translation.z)
+        .collect();
+    assert_eq!(heights.len(), transforms);
+    assert!(heights.iter().all(|z| (z - height).abs() < 1e-12));
+    // In a namespace, with the block of that rig's driver and another topic.
+    let there = parameters.replace("climber_driver:", "/rig2/climber_driver:");
+    fs::write(&both, format!("{}\n{there}", scenario.rig_yaml)).unwrap();
+    let output = replay(&path("joints.mcap"), &path("there.mcap"), &both, &["--namespace", "rig2"]);
+    assert!(!output.status.success(), "the topics are not in that namespace");
+    let remaps: Vec<String> =
+        [topics::MARKERS, topics::CAMERA_INFO, topics::IMU, topics::JOINT_STATES]
+            .iter()
+            .flat_map(|topic| ["--remap".to_owned(), format!("{topic}:=/{topic}")])
+            .collect();
+    let mut words = vec!["--namespace", "rig2"];
+    words.extend(remaps.iter().map(String::as_str));
+    done("joints.mcap", "there.mcap", &both, &words);
+}
+
+/// `volant check` reads encoders through the driver, too, and names a wrong sign in its parameters.
+#[test]
+fn a_check_names_a_reversed_joint_of_the_parameter_file() {
+    let dir = TempDir::new().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    let scenario = Scenario::swing(7, 14.0).unwrap();
+    from_sensors(&path("joints.mcap"), &scenario, joints).unwrap();
+    fs::write(path("rig.yaml"), &scenario.rig_yaml).unwrap();
+    let right = PARAMETERS.replace("HEIGHT", &format!("{:?}", config().height));
+    for (text, status, said) in [
+        (right.clone(), 0, "nothing is wrong"),
+        (right.replace("rail_y: -0.5", "rail_y: 0.5"), 1, "`rail_y` is reversed"),
+    ] {
+        fs::write(path("climber.yaml"), text).unwrap();
+        let output = Command::new(executables().join("volant"))
+            .arg("check")
+            .arg(path("joints.mcap"))
+            .args(["--rig".as_ref(), path("rig.yaml").as_os_str()])
+            .args(["--params-file".as_ref(), path("climber.yaml").as_os_str()])
+            .output()
+            .unwrap();
+        let printed = String::from_utf8_lossy(&output.stdout);
+        assert_eq!(output.status.code(), Some(status), "{printed}{output:?}");
+        assert!(printed.contains(said), "{printed}");
+    }
+}
+
+fn messages(path: &Path) -> Vec<Vec<u8>> {
+    let mut bag = BagReader::open(path).unwrap();
+    std::iter::from_fn(|| bag.next_message().unwrap())
+        .filter(|m| m.topic.name == topics::absolute::CLIMBER_TRANSFORM)
+        .map(|m| m.data)
+        .collect()
+}
+
+/// What a live node with the same files rejects, a replay rejects in the same words.
+#[test]
+fn a_replay_rejects_what_a_live_node_rejects() {
+    let dir = TempDir::new().unwrap();
+    let (bag, out, rig) =
+        (dir.path().join("in.mcap"), dir.path().join("out.mcap"), dir.path().join("rig.yaml"));
+    let scenario = Scenario::swing(7, 3.0).unwrap();
+    from_sensors(&bag, &scenario, joints).unwrap();
+    for (node, block) in [
+        ("pose_fusion", "/pose_fusoin: {ros__parameters: {model: paper}}"),
+        ("climber_driver", "/rig/climber_drvier: {ros__parameters: {height: 1.0}}"),
+        ("pose_fusion", "pose_fusion: {ros__parameters: {modle: paper}}"),
+        ("marker_tracker", "marker_tracker: {ros__parameters: {max_predicted: six}}"),
+        (
+            "climber_driver",
+            "climber_driver: {ros__parameters: {height: 3}}\n/**/climber_driver: \
+                            {ros__parameters: {joints: {rail_x: a, rail_y: a}}}",
+        ),
+        ("imu_driver", "imu_driver: {ros__parameters: {ports: x}}"),
+        ("marker_tracker", "/**: {ros__parameters: {heigth: 3.0}}"),
+    ] {
+        // The first block of all nodes is the rig's.
+        let text = match block.strip_prefix("/**: {ros__parameters: {") {
+            Some(more) => {
+                let line = format!("ros__parameters:\n    {}", more.trim_end_matches('}'));
+                scenario.rig_yaml.replacen("ros__parameters:", &line, 1)
+            }
+            None => format!("{}\n{block}\n", scenario.rig_yaml),
+        };
+        fs::write(&rig, text).unwrap();
+        let replayed = replay(&bag, &out, &rig, &[]);
+        let live = Command::new(executables().join(node))
+            .args(["--ros-args", "--params-file", rig.to_str().unwrap()])
+            .env("ROS_DOMAIN_ID", "77")
+            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+            .output()
+            .unwrap();
+        let live = String::from_utf8_lossy(&live.stderr).into_owned();
+        let reason = live.lines().last().unwrap().strip_prefix(&format!("{node}: ")).unwrap();
+        let reason = reason.split(" (`").next().unwrap();
+        let printed = String::from_utf8_lossy(&replayed.stderr);
+        assert_eq!(replayed.status.code(), Some(1), "{block}: {printed}");
+        assert!(printed.contains(reason), "{block}: live: {reason}; replay: {printed}");
+        assert!(!out.exists());
+    }
+}

@@ -1,0 +1,109 @@
+//! `volant-rig` whose standard output is closed or full, and an argument that is not UTF-8.
+#![allow(clippy::unwrap_used)]
+
+use std::{
+    ffi::OsStr,
+    fs::File,
+    os::unix::ffi::OsStrExt,
+    process::{Command, Stdio},
+};
+
+fn rig(arguments: &[&OsStr]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_volant-rig"));
+    command.args(arguments).stderr(Stdio::piped());
+    command
+}
+
+#[test]
+fn standard_output_that_is_closed_or_full_ends_a_command_without_a_panic() {
+    for arguments in [&["--help".as_ref()][..], &["demo".as_ref(), "--help".as_ref()]] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let closed = rig(arguments).stdout(writer).output().unwrap();
+        assert_eq!((closed.status.code(), closed.stderr.len()), (Some(141), 0), "{closed:?}");
+        let full = File::options().write(true).open("/dev/full").unwrap();
+        let full = rig(arguments).stdout(full).output().unwrap();
+        let message = String::from_utf8_lossy(&full.stderr);
+        assert_eq!(full.status.code(), Some(1), "{message}");
+        assert!(message.starts_with("volant: standard output"), "{message}");
+    }
+}
+
+#[test]
+fn an_argument_that_is_not_utf_8_is_a_wrong_command_line() {
+    let odd = OsStr::from_bytes(b"\xff");
+    for arguments in [&[odd][..], &["demo".as_ref(), "--seconds".as_ref(), odd]] {
+        let output = rig(arguments).output().unwrap();
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(!message.is_empty());
+    }
+}
+
+#[test]
+fn the_help_of_volant_lists_the_commands_of_all_executables() {
+    let folder = volant_test::live::processes::executables();
+    let printed = |name: &str, words: &[&str]| {
+        let output = Command::new(folder.join(name)).args(words).output().unwrap();
+        assert!(output.status.success(), "{name}: {output:?}");
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    };
+    let help = printed("volant", &["--help"]);
+    let commands = |help: &str, from: &str| -> Vec<String> {
+        let rows = help.split(from).nth(1).unwrap().lines().skip(1);
+        rows.take_while(|row| !row.is_empty())
+            .filter_map(|row| Some(row.strip_prefix("  ")?.split_whitespace().next()?.to_owned()))
+            .collect()
+    };
+    let listed: Vec<String> = help
+        .lines()
+        .filter_map(|row| row.strip_prefix("  ").filter(|r| r.starts_with(char::is_alphabetic)))
+        .filter_map(|row| Some(row.split_whitespace().next()?.to_owned()))
+        .collect();
+    for name in commands(&printed("volant-rig", &["--help"]), "Commands:") {
+        assert!(listed.contains(&name), "{name} is not in:\n{help}");
+    }
+    for name in ["imu", "calibrate", "replay", "record", "up", "completions", "manual"] {
+        assert!(listed.iter().any(|l| l == name), "{name} is not in:\n{help}");
+    }
+    let mut once = listed.clone();
+    once.sort();
+    once.dedup();
+    assert_eq!(once.len(), listed.len(), "{help}");
+    // What is listed and here runs, prints its help, and completes.
+    let completions = printed("volant", &["completions", "bash"]);
+    for name in listed.iter().filter(|name| *name != "calibrate" && *name != "help") {
+        assert!(printed("volant", &["help", name]).contains("Usage") || *name == "up", "{name}");
+        assert!(completions.contains(&format!("volant,{name})")), "{name} is not completed");
+    }
+    for words in
+        ["130  interrupted by SIGINT", "143  ended by SIGTERM", "2    the command line is wrong"]
+    {
+        assert!(help.contains(words), "{help}");
+    }
+}
+
+#[test]
+fn the_manual_has_a_page_for_each_command_and_replaces_none_unasked() {
+    let place = tempfile::tempdir().unwrap();
+    let volant = volant_test::live::processes::executables().join("volant");
+    let manual = |more: &[&str]| {
+        let mut command = Command::new(&volant);
+        command.args(["manual", "--out"]).arg(place.path()).args(more).output().unwrap()
+    };
+    assert!(manual(&[]).status.success());
+    for (page, words) in [
+        ("volant.1", "EXIT STATUS"),
+        ("volant-replay.1", "overwrite"),
+        ("volant-imu-decode.1", "csv"),
+        ("volant-demo.1", "seed"),
+        ("volant-calibrate-rig.1", "EXIT STATUS"),
+    ] {
+        let text = std::fs::read_to_string(place.path().join(page)).unwrap();
+        assert!(text.contains(words) && text.starts_with(".ie"), "{page}: {text}");
+    }
+    let again = manual(&[]);
+    assert_eq!(again.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("exists already"));
+    assert!(manual(&["--overwrite"]).status.success());
+}

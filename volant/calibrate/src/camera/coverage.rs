@@ -1,0 +1,185 @@
+//! Coverage of the image and of the board's attitudes by the views, and what is missing.
+//! Computed from images alone, before a calibration exists: positions of the corners, size of the
+//! board, and inequality of its opposite sides (its tilt).
+
+use super::board::{Board, View};
+use nalgebra::Vector2;
+use std::fmt;
+
+/// Columns and rows of the coverage map.
+const MAP: (usize, usize) = (6, 4);
+/// Wanted views, as many as the paper used.
+pub const WANTED_VIEWS: usize = 40;
+/// Wanted tilted views in each of four directions.
+const WANTED_TILTED: usize = 3;
+/// Relative difference of opposite sides of a board tilted by about 15°.
+const TILTED: f64 = 0.06;
+
+/// Sums over views.
+#[derive(Clone, Debug)]
+pub struct Coverage {
+    views: usize,
+    /// Corners per cell of the image.
+    map: [usize; MAP.0 * MAP.1],
+    /// Views tilted away at the top, bottom, left, right.
+    tilted: [usize; 4],
+    /// Smallest and largest share of the image's width and height that a board fills.
+    share: (f64, f64),
+    /// Accepted views, for [`Coverage::adds`].
+    seen: Vec<[f64; 5]>,
+}
+
+impl Default for Coverage {
+    fn default() -> Self {
+        Self {
+            views: 0,
+            map: [0; MAP.0 * MAP.1],
+            tilted: [0; 4],
+            share: (1.0, 0.0),
+            seen: Vec::new(),
+        }
+    }
+}
+
+/// Center and size (shares of the image), and inequality of opposite sides, horizontally and
+/// vertically.
+fn signature(view: &View, board: &Board) -> [f64; 5] {
+    let (w, h) = (f64::from(view.size.0), f64::from(view.size.1));
+    let at = |column: i32, row: i32| {
+        let p = view.corners.get((row * board.columns + column) as usize).unwrap_or_default();
+        Vector2::new(f64::from(p.x), f64::from(p.y))
+    };
+    let (a, b) = (at(0, 0), at(board.columns - 1, 0));
+    let (c, d) = (at(board.columns - 1, board.rows - 1), at(0, board.rows - 1));
+    let centre = (a + b + c + d) / 4.0;
+    let diagonals = (c - a, d - b);
+    let area = 0.5 * (diagonals.0.x * diagonals.1.y - diagonals.0.y * diagonals.1.x).abs();
+    let inequality = |p: f64, q: f64| (p - q) / (0.5 * (p + q)).max(1e-9);
+    let (rows, columns) =
+        (inequality((b - a).norm(), (c - d).norm()), inequality((c - b).norm(), (d - a).norm()));
+    // In the image's directions, independent of the board's rotation in the image: the rows'
+    // lengths change along the board's columns, the columns' lengths along its rows.
+    let down = ((d + c) - (a + b)).normalize_or_zero();
+    let along = ((b + c) - (a + d)).normalize_or_zero();
+    let gradient = down * rows + along * columns;
+    [centre.x / w, centre.y / h, (area / (w * h)).sqrt(), gradient.x, gradient.y]
+}
+
+trait NormalizeOrZero {
+    fn normalize_or_zero(self) -> Self;
+}
+
+impl NormalizeOrZero for Vector2<f64> {
+    fn normalize_or_zero(self) -> Self {
+        self.try_normalize(1e-9).unwrap_or_else(Vector2::zeros)
+    }
+}
+
+impl Coverage {
+    /// Adds a view.
+    pub fn add(&mut self, view: &View, board: &Board) {
+        let signature = signature(view, board);
+        self.views += 1;
+        for p in view.corners.iter() {
+            let cell = |value: f32, size: i32, cells: usize| {
+                ((f64::from(value) / f64::from(size) * cells as f64).max(0.0) as usize)
+                    .min(cells - 1)
+            };
+            self.map[cell(p.y, view.size.1, MAP.1) * MAP.0 + cell(p.x, view.size.0, MAP.0)] += 1;
+        }
+        // The lengths shrink along the depth gradient: positive if the far side is right or below.
+        for (index, value) in
+            [-signature[4], signature[4], -signature[3], signature[3]].into_iter().enumerate()
+        {
+            self.tilted[index] += usize::from(value > TILTED);
+        }
+        self.share = (self.share.0.min(signature[2]), self.share.1.max(signature[2]));
+        self.seen.push(signature);
+    }
+
+    /// Whether a view of a stream differs enough from the accepted ones.
+    pub fn adds(&self, view: &View, board: &Board) -> bool {
+        let new = signature(view, board);
+        let scale = [1.0, 1.0, 1.0, 2.0, 2.0];
+        self.seen.iter().all(|old| {
+            let distance: f64 = (0..5).map(|i| scale[i] * (new[i] - old[i]).abs()).sum();
+            distance > 0.12
+        })
+    }
+
+    /// Missing views, one sentence each; empty if none is missing.
+    pub fn missing(&self) -> Vec<String> {
+        let mut missing = Vec::new();
+        if self.views < WANTED_VIEWS {
+            missing.push(format!(
+                "{} more views (there are {}, {WANTED_VIEWS} are wanted)",
+                WANTED_VIEWS - self.views,
+                self.views
+            ));
+        }
+        let names = ["top", "bottom", "left", "right"];
+        for (name, &count) in names.iter().zip(&self.tilted) {
+            if count < WANTED_TILTED {
+                missing.push(format!(
+                    "{} with the board tilted by 20 to 45 deg so that its {name} side is the far \
+                     one ({count} so far)",
+                    if count == 0 {
+                        "views".into()
+                    } else {
+                        format!("{} more views", WANTED_TILTED - count)
+                    }
+                ));
+            }
+        }
+        let places: Vec<&str> = [
+            ("the top left corner", 0, 0),
+            ("the top right corner", MAP.0 - 1, 0),
+            ("the bottom left corner", 0, MAP.1 - 1),
+            ("the bottom right corner", MAP.0 - 1, MAP.1 - 1),
+        ]
+        .iter()
+        .filter(|(_, x, y)| self.map[y * MAP.0 + x] == 0)
+        .map(|(name, ..)| *name)
+        .collect();
+        if !places.is_empty() {
+            missing.push(format!(
+                "the board in {} of the image, where the distortion is largest",
+                places.join(", ")
+            ));
+        }
+        if self.share.1 < 0.4 {
+            missing
+                .push("the board nearer to the camera, so that it fills half of the image".into());
+        }
+        missing
+    }
+}
+
+impl fmt::Display for Coverage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let most = self.map.iter().copied().max().unwrap_or(0).max(1);
+        writeln!(
+            f,
+            "coverage of the image by corners (. none, 1 few … 9 most), {} views:",
+            self.views
+        )?;
+        for row in self.map.chunks(MAP.0) {
+            let line: String = row
+                .iter()
+                .map(|&n| if n == 0 { ". ".into() } else { format!("{} ", (n * 9).div_ceil(most)) })
+                .collect();
+            writeln!(f, "  {line}")?;
+        }
+        write!(
+            f,
+            "tilted away: top {}, bottom {}, left {}, right {}; board fills {:.0} to {:.0} % of \
+             the image's sides",
+            self.tilted[0],
+            self.tilted[1],
+            self.tilted[2],
+            self.tilted[3],
+            100.0 * self.share.0.min(self.share.1),
+            100.0 * self.share.1
+        )
+    }
+}

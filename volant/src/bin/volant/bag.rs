@@ -1,0 +1,146 @@
+//! `volant bag`.
+
+use crate::terminal;
+use bag::{BagReader, BagWriter, Compression, WriteOptions};
+use node_kit::outln;
+use std::{
+    collections::HashMap,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+#[derive(clap::Subcommand)]
+pub enum Action {
+    /// Print topics, types, message counts and times
+    Info {
+        /// .mcap file or rosbag2 folder
+        bag: PathBuf,
+    },
+    /// Write all readable messages of damaged bags to a new bag
+    Recover {
+        /// .mcap files or rosbag2 folders, in order; of a folder without metadata.yaml its .mcap
+        /// files
+        #[arg(required = true)]
+        bags: Vec<PathBuf>,
+        /// Bag to write: an .mcap file or a new folder
+        #[arg(long, value_name = "OUT")]
+        out: PathBuf,
+        /// Replace an existing .mcap file
+        #[arg(long)]
+        overwrite: bool,
+        /// Compression of the new bag
+        #[arg(long, value_enum, default_value = "zstd")]
+        compression: Compression,
+    },
+}
+
+pub fn run(action: &Action) -> anyhow::Result<()> {
+    match action {
+        Action::Info { bag } => info(bag),
+        Action::Recover { bags, out, overwrite, compression } => {
+            let options = WriteOptions {
+                compression: *compression,
+                replace: *overwrite,
+                ..WriteOptions::default()
+            };
+            recover(bags, out, options)
+        }
+    }
+}
+
+fn info(path: &Path) -> anyhow::Result<()> {
+    let bag = BagReader::summary(path)?;
+    for file in &bag.files {
+        outln!("file      {}", file.display())?;
+    }
+    outln!("size      {}", terminal::mebibytes(bag.bytes))?;
+    if let Some((start, end)) = bag.span {
+        let seconds =
+            |nanos: u64| format!("{}.{:09}", nanos / 1_000_000_000, nanos % 1_000_000_000);
+        outln!("start     {}", seconds(start))?;
+        outln!("end       {}", seconds(end))?;
+        outln!("duration  {:.3} s", (end - start) as f64 * 1e-9)?;
+    }
+    outln!("messages  {}", bag.messages())?;
+    if !bag.complete {
+        outln!("state     cut off or damaged; `volant bag recover` repairs it")?;
+    }
+    let duration = bag.span.map_or(0.0, |(a, b)| (b - a) as f64 * 1e-9);
+    let name = bag.topics.iter().map(|(t, _)| t.name.len()).max().unwrap_or(0);
+    let kind = bag.topics.iter().map(|(t, _)| t.type_name.len()).max().unwrap_or(0);
+    for (topic, count) in &bag.topics {
+        let rate = if duration > 0.0 && *count > 1 {
+            format!("{:>9.2} Hz", (*count - 1) as f64 / duration)
+        } else {
+            String::new()
+        };
+        outln!("topic     {:name$}  {:kind$}  {count:>7}{rate}", topic.name, topic.type_name)?;
+    }
+    Ok(())
+}
+
+fn recover(paths: &[PathBuf], out: &Path, options: WriteOptions) -> anyhow::Result<()> {
+    let inputs: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
+    node_kit::files::check_output(out, options.replace, &inputs)?;
+    let mut files = vec![];
+    for path in paths {
+        if path.is_dir() && !path.join("metadata.yaml").exists() {
+            let mut found: Vec<PathBuf> = std::fs::read_dir(path)?
+                .filter_map(|e| Some(e.ok()?.path()))
+                .filter(|p| p.extension().is_some_and(|e| e == "mcap"))
+                .collect();
+            found.sort_by_key(|p| number_of(p));
+            anyhow::ensure!(
+                !found.is_empty(),
+                "{}: the folder holds no .mcap file",
+                path.display()
+            );
+            files.extend(found);
+        } else {
+            files.push(path.clone());
+        }
+    }
+    let mut writer = BagWriter::create(out, options)?;
+    let mut topics = HashMap::new();
+    let mut messages = 0u64;
+    let mut losses = vec![];
+    for file in &files {
+        let mut reader = match BagReader::open(file) {
+            Ok(reader) => reader,
+            Err(error) => {
+                losses.push(error.to_string());
+                continue;
+            }
+        };
+        while let Some(message) = reader.next_message()? {
+            let key = Arc::as_ptr(&message.topic) as usize;
+            // The pointer is a fast key; topics are compared too, since an address can be reused.
+            let id = match topics.get(&key) {
+                Some((topic, id)) if *topic == message.topic => *id,
+                _ => {
+                    let id = writer.add_topic((*message.topic).clone());
+                    topics.insert(key, (message.topic.clone(), id));
+                    id
+                }
+            };
+            writer.write(id, message.log_time, message.publish_time, &message.data)?;
+            messages += 1;
+        }
+        losses.extend_from_slice(reader.losses());
+    }
+    for loss in &losses {
+        terminal::line(&format!("volant: {loss}"));
+    }
+    anyhow::ensure!(messages > 0, "{}: no readable message", terminal::name(&paths[0]));
+    let bag = writer.finish()?;
+    outln!("{messages} messages, {}, in {}", terminal::mebibytes(bag.bytes), out.display())?;
+    Ok(())
+}
+
+/// `name_12.mcap` → 12, so that 10 comes after 9.
+fn number_of(path: &Path) -> (u64, PathBuf) {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let digits: String = stem.chars().rev().take_while(char::is_ascii_digit).collect();
+    let number = digits.chars().rev().collect::<String>().parse().unwrap_or(0);
+    (number, path.to_owned())
+}

@@ -1,0 +1,315 @@
+//! `volant bringup`: from measured lengths to an accepted rig file, step by step.
+
+mod acceptance;
+mod camera;
+mod dialog;
+mod motion;
+mod report;
+mod setup;
+mod state;
+
+use crate::terminal;
+use anyhow::{Context, Result, bail};
+use dialog::{Paused, ask};
+use node_kit::{files, outln};
+use ros_parameters::ParameterFile;
+use state::{Item, Outcome, Record, State, Verdict};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Run this step only [default: all that are not done yet]
+    #[arg(value_enum)]
+    step: Option<Step>,
+    /// Rig file; a new one begins with the values of a common rig
+    #[arg(long, value_name = "FILE")]
+    rig: PathBuf,
+    /// HTML page to write with the result of every step
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
+    /// Replace an existing report
+    #[arg(long)]
+    overwrite: bool,
+    /// Begin again: forget which steps are done. The rig file stays
+    #[arg(long)]
+    restart: bool,
+}
+
+/// Steps, in their order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Step {
+    /// Measure the rig, print the marker squares
+    Markers,
+    /// Find the IMU, measure its noise
+    Imu,
+    /// Check rate, stamps and exposure of the images, measure the markers' colors
+    Camera,
+    /// Calibrate the lens
+    Intrinsics,
+    /// Find the encoders' names, signs, scales, zeros and the height
+    Encoders,
+    /// Refine mountings and marker positions
+    Mounting,
+    /// Compare the clocks
+    Offsets,
+    /// Judge a run with the finished rig file
+    Acceptance,
+}
+
+impl Step {
+    const ALL: [Self; 8] = [
+        Self::Markers,
+        Self::Imu,
+        Self::Camera,
+        Self::Intrinsics,
+        Self::Encoders,
+        Self::Mounting,
+        Self::Offsets,
+        Self::Acceptance,
+    ];
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Markers => "markers",
+            Self::Imu => "imu",
+            Self::Camera => "camera",
+            Self::Intrinsics => "intrinsics",
+            Self::Encoders => "encoders",
+            Self::Mounting => "mounting",
+            Self::Offsets => "offsets",
+            Self::Acceptance => "acceptance",
+        }
+    }
+
+    fn run(self, walk: &mut Walk) -> Result<()> {
+        match self {
+            Self::Markers => setup::markers(walk),
+            Self::Imu => setup::imu(walk),
+            Self::Camera => camera::camera(walk),
+            Self::Intrinsics => camera::intrinsics(walk),
+            Self::Encoders => motion::encoders(walk),
+            Self::Mounting => motion::mounting(walk),
+            Self::Offsets => motion::offsets(walk),
+            Self::Acceptance => acceptance::acceptance(walk),
+        }
+    }
+}
+
+/// A bring-up under way.
+struct Walk {
+    rig: PathBuf,
+    /// Recordings, figures and sheets that the steps make.
+    folder: PathBuf,
+    state: State,
+    /// Items of the present step.
+    items: Vec<Item>,
+    /// Files that it wrote.
+    wrote: Vec<String>,
+}
+
+impl Walk {
+    fn item(&mut self, verdict: Verdict, name: &str, text: impl Into<String>) -> Result<()> {
+        let text = text.into();
+        outln!("  {:<5}{name}: {text}", verdict.word())?;
+        self.items.push(Item { name: name.to_owned(), verdict, text });
+        Ok(())
+    }
+
+    fn check(&mut self, passes: bool, name: &str, text: impl Into<String>) -> Result<()> {
+        self.item(if passes { Verdict::Pass } else { Verdict::Fail }, name, text)
+    }
+
+    fn note(&mut self, name: &str, text: impl Into<String>) -> Result<()> {
+        self.item(Verdict::Note, name, text)
+    }
+
+    /// A file of this bring-up.
+    fn file(&mut self, name: &str) -> PathBuf {
+        let path = self.folder.join(name);
+        self.wrote.push(path.display().to_string());
+        path
+    }
+
+    /// The recording of some topics under a name: a bag of the operator's, or a new one.
+    fn recording(&mut self, name: &str, topics: &[&str], seconds: f64) -> Result<PathBuf> {
+        // A live recording is made again: its step is repeated because the rig has changed.
+        let known = self.state.recordings.get(name).filter(|p| !p.starts_with(&self.folder));
+        let known = known.map(|p| p.display().to_string());
+        outln!("  Topics: {}", topics.join(", "))?;
+        let question = format!("  Bag, or `live SECONDS` to record (about {seconds:.0})");
+        let default = known.unwrap_or_else(|| format!("live {seconds:.0}"));
+        let answer = dialog::file_or(&question, &default, &["live"])?;
+        let path = match answer.strip_prefix("live") {
+            Some(duration) => {
+                let duration = duration.trim().parse().unwrap_or(seconds);
+                let path = self.file(&format!("{name}.mcap"));
+                record(&path, topics, duration)?;
+                path
+            }
+            None => PathBuf::from(answer),
+        };
+        self.state.recordings.insert(name.to_owned(), path.clone());
+        Ok(path)
+    }
+}
+
+#[cfg(feature = "nodes")]
+fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
+    use std::time::Duration;
+    use volant::live::record::{RecordOptions, record};
+    // Of an earlier try of this step.
+    if path.exists() {
+        fs::remove_file(path).with_context(|| path.display().to_string())?;
+    }
+    outln!("  recording {seconds} s …")?;
+    let options = RecordOptions {
+        output: path.to_owned(),
+        topics: topics.iter().map(|t| format!("/{t}")).collect(),
+        exclude: vec![],
+        write: bag::WriteOptions::default(),
+        duration: Some(Duration::try_from_secs_f64(seconds)?),
+    };
+    let report = record(&options, &std::sync::atomic::AtomicBool::new(false), |_| {})?;
+    if report.unpublished.len() == topics.len() {
+        bail!("none of {} has a publisher; start the drivers and the nodes", topics.join(", "));
+    }
+    for topic in report.unpublished {
+        outln!("  {topic}: no publisher")?;
+    }
+    Ok(())
+}
+
+#[cfg(not(feature = "nodes"))]
+fn record(_: &Path, _: &[&str], _: f64) -> Result<()> {
+    bail!("this build has no live topics; name a bag")
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// See the messages, which name the remedy; a pause; a failed step at the end.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let beside = |suffix: &str| {
+        let mut name = arguments.rig.as_os_str().to_owned();
+        name.push(suffix);
+        PathBuf::from(name)
+    };
+    if let Some(path) = &arguments.report {
+        files::check_output(path, arguments.overwrite, &[&arguments.rig])?;
+    }
+    let (state_file, folder) = (beside(".bringup.json"), beside(".bringup"));
+    fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+    setup::complete(&arguments.rig)?;
+    let state = if arguments.restart { State::default() } else { State::read(&state_file)? };
+    let mut walk = Walk { rig: arguments.rig.clone(), folder, state, items: vec![], wrote: vec![] };
+    let steps: Vec<Step> = match arguments.step {
+        Some(step) => vec![step],
+        None => {
+            let done = |s: &Step| {
+                let record = walk.state.steps.get(s.name());
+                record.is_some_and(|r| r.outcome != Outcome::Failed)
+            };
+            Step::ALL.into_iter().filter(|s| !done(s)).collect()
+        }
+    };
+    for step in steps {
+        take(step, &mut walk, &state_file)?;
+    }
+    summary(&walk.state)?;
+    if let Some(path) = &arguments.report {
+        let page = report::page(&arguments.rig, &walk.state).render();
+        files::write(path, page.as_bytes(), arguments.overwrite)?;
+        terminal::line(&format!("{}: written", path.display()));
+    }
+    let failed: Vec<&str> = Step::ALL
+        .into_iter()
+        .map(Step::name)
+        .filter(|n| walk.state.steps.get(*n).is_some_and(|r| r.outcome == Outcome::Failed))
+        .collect();
+    if !failed.is_empty() {
+        bail!(
+            "{}: not accepted: {} failed; correct the causes above and run it again",
+            arguments.rig.display(),
+            failed.join(", ")
+        );
+    }
+    Ok(())
+}
+
+/// Runs a step until it is done, skipped or given up, and keeps its result.
+fn take(step: Step, walk: &mut Walk, state_file: &Path) -> Result<()> {
+    let number = Step::ALL.iter().position(|s| *s == step).unwrap_or(0) + 1;
+    outln!("\n{number}/{} {}", Step::ALL.len(), step.name())?;
+    loop {
+        let before = fs::read_to_string(&walk.rig).unwrap_or_default();
+        (walk.items, walk.wrote) = (vec![], vec![]);
+        let answer = ask("  Enter: begin, s: skip, q: quit", "")?;
+        let outcome = if answer == "s" {
+            Outcome::Skipped
+        } else {
+            match step.run(walk) {
+                Ok(()) => {}
+                Err(error) if error.is::<Paused>() => {
+                    walk.state.write(state_file)?;
+                    return Err(error);
+                }
+                Err(error) => walk.item(Verdict::Fail, step.name(), format!("{error:#}"))?,
+            }
+            let fails = walk.items.iter().any(|i| i.verdict == Verdict::Fail);
+            if fails { Outcome::Failed } else { Outcome::Done }
+        };
+        let after = fs::read_to_string(&walk.rig).unwrap_or_default();
+        let changed = changed(&before, &after);
+        if !changed.is_empty() {
+            walk.wrote.push(format!("{}: {}", walk.rig.display(), changed.join(", ")));
+        }
+        for wrote in &walk.wrote {
+            outln!("  wrote {wrote}")?;
+        }
+        let record = Record { outcome, items: walk.items.clone(), wrote: walk.wrote.clone() };
+        walk.state.steps.insert(step.name().to_owned(), record);
+        walk.state.write(state_file)?;
+        if outcome != Outcome::Failed || ask("  r: repeat this step, Enter: go on", "")? != "r" {
+            return Ok(());
+        }
+    }
+}
+
+/// Names of the parameters in which two parameter files differ.
+fn changed(before: &str, after: &str) -> Vec<String> {
+    let nodes = ["/**", "/climber_driver", "/pose_fusion"];
+    let mut names = vec![];
+    let parsed = [before, after].map(|text| ParameterFile::parse(text).unwrap_or_default());
+    for node in nodes {
+        let [old, new] = [0, 1].map(|i| parsed[i].for_node(node));
+        for (name, value) in new {
+            if old.get(&name) != Some(&value) && !names.contains(&name) {
+                names.push(name);
+            }
+        }
+    }
+    names
+}
+
+fn summary(state: &State) -> Result<()> {
+    outln!("")?;
+    for step in Step::ALL {
+        let Some(record) = state.steps.get(step.name()) else {
+            outln!("{:<12}not done", step.name())?;
+            continue;
+        };
+        let word = match record.outcome {
+            Outcome::Done => "PASS",
+            Outcome::Failed => "FAIL",
+            Outcome::Skipped => "skipped",
+        };
+        outln!("{:<12}{word}", step.name())?;
+        for item in record.items.iter().filter(|i| i.verdict == Verdict::Fail) {
+            outln!("            {}: {}", item.name, item.text)?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,58 @@
+//! The page with the result of every step.
+
+use super::{
+    Step,
+    state::{Outcome, State},
+};
+use std::path::Path;
+use volant::report::{Block, Page, Section, Table};
+
+/// Lays out the page.
+pub fn page(rig: &Path, state: &State) -> Page {
+    let word = |outcome| match outcome {
+        Outcome::Done => "PASS",
+        Outcome::Failed => "FAIL",
+        Outcome::Skipped => "skipped",
+    };
+    let sections = Step::ALL.into_iter().enumerate().map(|(i, step)| {
+        let record = state.steps.get(step.name());
+        let outcome = record.map_or("not done", |r| word(r.outcome));
+        let mut blocks = vec![];
+        if let Some(record) = record {
+            let head = ["", "item", "result"].map(str::to_owned).to_vec();
+            let rows = record.items.iter().map(|item| {
+                let cells = [item.verdict.word().to_owned(), item.name.clone(), item.text.clone()];
+                cells.map(|cell| (cell, false)).to_vec()
+            });
+            if !record.items.is_empty() {
+                blocks.push(Block::Table(Table { head, rows: rows.collect() }));
+            }
+            for wrote in &record.wrote {
+                blocks.push(Block::labelled("Written:", wrote.clone()));
+            }
+        }
+        Section {
+            id: step.name().to_owned(),
+            title: format!("{}. {}: {outcome}", i + 1, step.name()),
+            blocks,
+        }
+    });
+    let recordings = state.recordings.iter();
+    let mut facts = vec![
+        ("Made by".to_owned(), format!("volant {}", env!("CARGO_PKG_VERSION"))),
+        ("Rig file".to_owned(), rig.display().to_string()),
+    ];
+    facts.extend(
+        recordings.map(|(name, path)| (format!("Recording {name}"), path.display().to_string())),
+    );
+    let failed = state.steps.values().any(|r| r.outcome == Outcome::Failed);
+    let accepted = state.steps.get(Step::Acceptance.name());
+    let accepted = accepted.is_some_and(|r| r.outcome == Outcome::Done) && !failed;
+    Page {
+        over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
+        title: format!("Bring-up: {}", if accepted { "accepted" } else { "not accepted" }),
+        lead: "Each step with what it checked and what it wrote.".into(),
+        facts,
+        sections: sections.collect(),
+    }
+}

@@ -1,0 +1,155 @@
+//! Steps of the first hour: measured lengths, printed markers, the IMU at rest.
+
+use super::{Walk, dialog};
+use crate::{
+    calibrate::{self, Output, read_rig},
+    markers,
+};
+use anyhow::{Context, Result};
+use nalgebra::UnitQuaternion;
+use node_kit::outln;
+use rig_calibration::allan::Sensor;
+use rig_model::{MarkerColor, topics};
+use ros_parameters::ParameterFile;
+use std::{path::Path, process::Command};
+use volant::parameter_update::{Destination, RIG, Setting, list, number, update};
+
+/// Rig file of a common rig.
+const TEMPLATE: &str = include_str!("../../../../../launch_config/config/rig.yaml");
+
+/// The template without what must be measured: the climber's height.
+fn template() -> &'static str {
+    TEMPLATE.split_once("/**/climber_driver").map_or(TEMPLATE, |(rig, _)| rig)
+}
+
+/// Creates the rig file, or adds the keys that it lacks with the values of a common rig.
+pub fn complete(path: &Path) -> Result<()> {
+    let shown = || path.display().to_string();
+    let text = if path.exists() {
+        node_kit::files::read_text(path).with_context(shown)?
+    } else {
+        String::new()
+    };
+    if text.trim().is_empty() {
+        return Ok(node_kit::files::write(path, template().as_bytes(), true)?);
+    }
+    let present = ParameterFile::parse(&text).with_context(shown)?.for_node(RIG);
+    let missing: Vec<Setting> = ParameterFile::parse(template())?
+        .for_node(RIG)
+        .into_iter()
+        .filter(|(name, _)| !present.contains_key(name))
+        .map(|(name, value)| Setting::rig(name, value))
+        .collect();
+    update(path, &Destination::default(), &missing).map(drop)
+}
+
+/// Writes settings of the rig file.
+pub fn set(walk: &Walk, settings: &[Setting]) -> Result<()> {
+    update(&walk.rig, &Destination::default(), settings).map(drop)
+}
+
+/// The lengths that a tape measures, and the sheets.
+pub fn markers(walk: &mut Walk) -> Result<()> {
+    outln!(
+        "  Side of the printed squares, and their centers in the platform's frame: origin and axes \
+         are yours to choose, z up. Lengths in mm."
+    )?;
+    let rig = read_rig(&walk.rig)?;
+    let [side] = dialog::numbers("  side", [1e3 * rig.markers.side])?;
+    set(walk, &[Setting::rig("markers.size", number(side / 1e3, 6))])?;
+    let out = walk.file("markers.pdf");
+    let (rig_file, page) = (walk.rig.clone(), markers::Page::A4);
+    let sheets = markers::Arguments { rig: rig_file, out, overwrite: true, page, camera: None };
+    markers::run(&sheets)?;
+    outln!("  Print at 100 %, measure the bar, mount the squares, and measure their centers.")?;
+    let mut settings = vec![];
+    for color in MarkerColor::ALL {
+        let known = rig.markers.centres[color].coords * 1e3;
+        let center = dialog::numbers(&format!("  {color} x y z"), known.into())?;
+        settings.push(Setting::rig(format!("markers.{color}"), list(&center.map(|c| c / 1e3))));
+    }
+    outln!("  The camera in the climber's frame: x y z of the lens, mm; rotation as quaternion.")?;
+    settings.extend(mounting("camera", &rig.climber_from_camera)?);
+    outln!("  The IMU in the platform's frame.")?;
+    settings.extend(mounting("imu", &rig.imu.volant_from_imu)?);
+    set(walk, &settings)?;
+    let [a, b] = [MarkerColor::Red, MarkerColor::Blue].map(|c| read_center(&settings, c));
+    walk.note("diagonal", format!("red - blue {:.1} mm: compare with a tape", 1e3 * (a - b).norm()))
+}
+
+fn read_center(settings: &[Setting], color: MarkerColor) -> nalgebra::Vector3<f64> {
+    let name = format!("markers.{color}");
+    let values = settings.iter().find(|s| s.name == name).and_then(|s| s.value.as_f64_array());
+    values.map_or_else(nalgebra::Vector3::zeros, |v| nalgebra::Vector3::from_row_slice(&v))
+}
+
+/// Asks for a mounting: position (mm) and quaternion.
+fn mounting(name: &str, known: &nalgebra::Isometry3<f64>) -> Result<[Setting; 2]> {
+    let position =
+        dialog::numbers(&format!("  {name} x y z"), (known.translation.vector * 1e3).into())?;
+    let q = known.rotation.coords;
+    let mut orientation =
+        dialog::numbers(&format!("  {name} quaternion x y z w"), [q.x, q.y, q.z, q.w])?;
+    let [x, y, z, w] = orientation;
+    let unit = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
+    orientation.copy_from_slice(unit.coords.as_slice());
+    Ok([
+        Setting::rig(format!("{name}.position"), list(&position.map(|c| c / 1e3))),
+        Setting::rig(format!("{name}.orientation"), list(&orientation)),
+    ])
+}
+
+/// The IMU: port, rate, units, noise.
+pub fn imu(walk: &mut Walk) -> Result<()> {
+    outln!(
+        "  Connect the IMU (udev rule: imu_driver/udev/60-volant-imu.rules). imu_driver configures \
+         it at its start."
+    )?;
+    if dialog::ask("  f: find an Xsens IMU, Enter: its samples are published or recorded", "")?
+        == "f"
+    {
+        let found = Command::new(std::env::current_exe()?).args(["imu", "find"]).status();
+        let fine = found.is_ok_and(|s| s.success());
+        walk.check(fine, "port", "volant imu find: start imu_driver with -p port:=PORT")?;
+    }
+    outln!("  Lay the platform on the floor, fans off, and record the IMU for a minute.")?;
+    let bag = walk.recording("rest", &[topics::IMU], 60.0)?;
+    let samples = calibrate::imu::read(&bag, None)?;
+    let mean = |of: fn(&rig_model::ImuSample) -> nalgebra::Vector3<f64>| {
+        samples.iter().map(of).sum::<nalgebra::Vector3<f64>>() / samples.len().max(1) as f64
+    };
+    let (force, rate) = (mean(|s| s.specific_force), mean(|s| s.angular_velocity));
+    let g = force.norm();
+    walk.check(
+        (9.5..10.1).contains(&g),
+        "accelerometer",
+        format!("{g:.3} m/s^2 at rest (9.8 is right; 1 means g instead of m/s^2)"),
+    )?;
+    let rig = read_rig(&walk.rig)?;
+    let up = rig.imu.volant_from_imu.rotation * force.normalize();
+    let tilt = up.angle(&nalgebra::Vector3::z()).to_degrees();
+    walk.check(
+        tilt < 20.0,
+        "imu.orientation",
+        format!(
+            "gravity is {tilt:.1} deg off the platform's z (20 is the limit on a level floor; more \
+             means another mounting than entered, 180 upside down)"
+        ),
+    )?;
+    let turn = rate.norm().to_degrees();
+    walk.check(turn < 3.0, "gyroscope", format!("{turn:.2} deg/s at rest"))?;
+    let plot = walk.file("allan.svg");
+    let noise = calibrate::imu::run(&calibrate::imu::Arguments {
+        bag,
+        rig: walk.rig.clone(),
+        topic: None,
+        plot: Some(plot),
+        output: Output { out: None, overwrite: true },
+    })?;
+    walk.check(noise.rate > 45.0, "rate", format!("{:.1} Hz", noise.rate))?;
+    for sensor in Sensor::ALL {
+        let (density, unit) = (noise.density(sensor), sensor.unit());
+        walk.note(&format!("{sensor} noise"), format!("{density:.3e} {unit}/sqrt(Hz)"))?;
+    }
+    Ok(())
+}

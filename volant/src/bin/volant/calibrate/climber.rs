@@ -1,0 +1,261 @@
+//! `volant calibrate climber`: the encoders' names, signs, scales, zeros and height from a jog.
+
+use super::Output;
+use anyhow::{Context, Result, bail};
+use bag::BagReader;
+use nalgebra::{UnitQuaternion, Vector3};
+use node_kit::{convert, outln};
+use rig_calibration::climber::{
+    AXES, ClimberCalibration, Jog, JointReadings, Value, calibrate_climber,
+};
+use rig_model::Rig;
+use ros_parameters::{ParameterFile, ParameterMap, ParameterValue};
+use std::path::{Path, PathBuf};
+use volant::{
+    calibration::read_samples,
+    parameter_update::{Setting, list, number},
+};
+use volant_msgs::{Message, cdr, sensor_msgs::msg::JointState};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Bag with climber/joint_states, images (or climber/markers) and camera_info: the platform
+    /// rests on the floor in view of the camera, the climber starts turned to within 45 degrees of
+    /// zero, and one axis after the other is jogged to and fro, as far as the platform stays in
+    /// view (0.3 m or 20 degrees at least)
+    #[cfg_attr(feature = "nodes", arg(required_unless_present = "live"))]
+    pub bag: Option<PathBuf>,
+    /// Record live topics instead of reading a bag
+    #[cfg(feature = "nodes")]
+    #[arg(long, conflicts_with = "bag")]
+    pub live: bool,
+    /// Duration of the live recording, s (Ctrl-C ends it earlier)
+    #[cfg(feature = "nodes")]
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
+    pub duration: f64,
+    /// Rig file: marker layout and camera mounting
+    #[arg(long, value_name = "FILE")]
+    pub rig: PathBuf,
+    /// Parameter file of climber_driver to update [default: the rig file]
+    #[arg(long, value_name = "FILE")]
+    pub params_file: Option<PathBuf>,
+    /// Node whose parameters are updated
+    #[arg(long, value_name = "NAME", default_value = "/climber_driver")]
+    pub node: String,
+    /// Where the platform's origin is in the world while it rests, m: gives the readings at the
+    /// world's origin and the height. For an origin on the floor below the platform: 0,0,Z with the
+    /// height Z of the platform's origin above the floor
+    #[arg(long, value_name = "X,Y,Z", value_parser = position, allow_hyphen_values = true)]
+    pub platform: Option<Vector3<f64>>,
+    /// Also correct camera.position (x, y) and the tilt in camera.orientation of the rig file, where
+    /// the jog shows them
+    #[arg(long)]
+    pub camera: bool,
+    #[command(flatten)]
+    pub output: Output,
+}
+
+fn position(text: &str) -> Result<Vector3<f64>, String> {
+    let numbers: Vec<f64> = text.split(',').filter_map(|n| n.trim().parse().ok()).collect();
+    match numbers.as_slice() {
+        [x, y, z] if numbers.iter().all(|n| n.is_finite()) => Ok(Vector3::new(*x, *y, *z)),
+        _ => Err("write it as X,Y,Z in meters, such as 0,0,0.12".to_owned()),
+    }
+}
+
+/// Runs the command; returns what it found.
+///
+/// # Errors
+/// See the messages, which name the remedy.
+pub fn run(arguments: &Arguments) -> Result<ClimberCalibration> {
+    let rig = super::read_rig(&arguments.rig)?;
+    let file = arguments.params_file.as_ref().unwrap_or(&arguments.rig);
+    let shown = file.display();
+    let text =
+        node_kit::files::read_text(file).with_context(|| format!("{shown}: not readable"))?;
+    // The update rejects an invalid file; one of comments only is a valid start.
+    let present = ParameterFile::parse(&text).unwrap_or_default().for_node(&arguments.node);
+    let found = match &arguments.bag {
+        Some(bag) => from_bag(bag, arguments, &rig, &present)?,
+        None => live(arguments, &rig, &present)?,
+    };
+    print(&found, &present)?;
+    let camera = if arguments.camera { camera_settings(&found, &rig) } else { vec![] };
+    let mut settings = settings(&found, &arguments.node);
+    if arguments.params_file.is_some() && !camera.is_empty() {
+        Output::default().update(&arguments.rig, &camera)?;
+    } else {
+        settings.extend(camera);
+    }
+    arguments.output.update(file, &settings)?;
+    Ok(found)
+}
+
+fn from_bag(
+    path: &Path,
+    arguments: &Arguments,
+    rig: &Rig,
+    present: &ParameterMap,
+) -> Result<ClimberCalibration> {
+    let shown = path.display();
+    let joints = read_joints(path)?;
+    if joints.is_empty() {
+        bail!("{shown}: no sensor_msgs/JointState in it; record climber/joint_states");
+    }
+    let samples = read_samples(path, rig)?;
+    // Joints to prefer where two measure the same axis: those in use.
+    let names = AXES.map(|axis| match present.get(&format!("joints.{axis}")) {
+        Some(ParameterValue::String(name)) => name.as_str(),
+        _ => axis,
+    });
+    let jog = Jog {
+        camera: &samples.camera,
+        rig,
+        markers: &samples.markers,
+        joints: &joints,
+        preferred: names,
+        platform: arguments.platform,
+    };
+    calibrate_climber(&jog).with_context(|| shown.to_string())
+}
+
+fn read_joints(path: &Path) -> Result<Vec<JointReadings>> {
+    let mut bag = BagReader::open(path)?;
+    let mut joints = vec![];
+    while let Some(message) = bag.next_message()? {
+        if message.topic.type_name != JointState::TYPE_NAME {
+            continue;
+        }
+        let what = || format!("{}: a message on {}", path.display(), message.topic.name);
+        let state: JointState = cdr::from_bytes(&message.data).with_context(what)?;
+        joints.push(JointReadings {
+            stamp: convert::stamp(&state.header.stamp),
+            names: state.name,
+            positions: state.position,
+        });
+    }
+    Ok(joints)
+}
+
+/// Records the jog. Markers of a running tracker are preferred to raw images, which are large.
+#[cfg(feature = "nodes")]
+fn live(arguments: &Arguments, rig: &Rig, present: &ParameterMap) -> Result<ClimberCalibration> {
+    use rig_model::topics::absolute;
+    let topics = [
+        absolute::JOINT_STATES,
+        absolute::CAMERA_INFO,
+        absolute::MARKERS,
+        absolute::COMPRESSED_IMAGE,
+    ];
+    let recorded = super::live::record(topics.map(str::to_owned).to_vec(), arguments.duration)?;
+    let missing = |topic: &str| recorded.unpublished.iter().any(|t| t == topic);
+    for topic in [absolute::JOINT_STATES, absolute::CAMERA_INFO] {
+        if missing(topic) {
+            bail!("{topic}: no publisher; start the control stack and the camera's driver");
+        }
+    }
+    if missing(absolute::MARKERS) && missing(absolute::COMPRESSED_IMAGE) {
+        bail!(
+            "neither {} nor {} has a publisher; start marker_tracker",
+            absolute::MARKERS,
+            absolute::COMPRESSED_IMAGE
+        );
+    }
+    from_bag(recorded.path(), arguments, rig, present)
+}
+
+#[cfg(not(feature = "nodes"))]
+fn live(_: &Arguments, _: &Rig, _: &ParameterMap) -> Result<ClimberCalibration> {
+    bail!("name a bag: this build has no live topics")
+}
+
+fn settings(found: &ClimberCalibration, node: &str) -> Vec<Setting> {
+    let mut settings = vec![];
+    let mut set = |name: String, value| {
+        settings.push(Setting { node: node.to_owned(), name, value });
+    };
+    for (axis, name) in found.axes.iter().zip(AXES) {
+        let Some(axis) = axis else { continue };
+        set(format!("joints.{name}"), ParameterValue::String(axis.joint.clone()));
+        set(format!("scale.{name}"), number(axis.scale.0, 7));
+        if let Some(zero) = axis.zero {
+            set(format!("zero.{name}"), number(zero.0, 7));
+        }
+    }
+    if let Some(height) = found.height {
+        set("height".to_owned(), number(height.0, 5));
+    }
+    settings
+}
+
+fn camera_settings(found: &ClimberCalibration, rig: &Rig) -> Vec<Setting> {
+    let mut settings = vec![];
+    if let Some([x, y]) = found.camera_offset {
+        let position = rig.climber_from_camera.translation.vector + Vector3::new(x.0, y.0, 0.0);
+        settings.push(Setting::rig("camera.position", list(position.as_slice())));
+    }
+    if let Some([x, y]) = found.camera_tilt {
+        let tilt = UnitQuaternion::from_scaled_axis(Vector3::new(x.0, y.0, 0.0));
+        let q = (tilt * rig.climber_from_camera.rotation).coords;
+        settings.push(Setting::rig("camera.orientation", list(&[q.x, q.y, q.z, q.w])));
+    }
+    settings
+}
+
+fn print(found: &ClimberCalibration, present: &ParameterMap) -> Result<()> {
+    outln!("{} images, pixel residual {:.3} px RMS", found.images, found.pixel_rms)?;
+    outln!("{:<16}{:>16}{:>16}{:>12}", "", "in the file", "found", "std dev")?;
+    let row = |name: &str, value: Option<Value>, unit: &str, remedy: &str| {
+        let before = present.get(name).map_or("-".into(), ToString::to_string);
+        match value {
+            Some((value, sigma)) => {
+                let value = number(value, 7).to_string();
+                outln!("{name:<16}{before:>16}{value:>16}{sigma:>12.2e}  {unit}")
+            }
+            None => outln!("{name:<16}{before:>16}  unobservable: survey it{remedy}"),
+        }
+    };
+    for (axis, name) in found.axes.iter().zip(AXES) {
+        let known = axis.as_ref();
+        let before = present.get(&format!("joints.{name}")).map_or("-".into(), ToString::to_string);
+        let joint = known.map_or("unobservable: jog it", |a| a.joint.as_str());
+        outln!("{:<16}{before:>16}{joint:>16}", format!("joints.{name}"))?;
+        let unit = if name == "turn" { "rad" } else { "m" };
+        let jog = ", or jog it";
+        row(&format!("scale.{name}"), known.map(|a| a.scale), &format!("{unit} per unit"), jog)?;
+        let survey =
+            if name == "turn" { ", or jog a rail too" } else { ", or give --platform X,Y,Z" };
+        row(&format!("zero.{name}"), known.and_then(|a| a.zero), "units of the reading", survey)?;
+    }
+    row("height", found.height, "m", ", or give --platform X,Y,Z")?;
+    let shown = |what: &str, value: Option<[Value; 2]>, scale: f64, unit: &str, least: f64| {
+        let Some([x, y]) = value else { return Ok(()) };
+        if [x, y].iter().all(|v| v.0.abs() < least.max(3.0 * v.1)) {
+            return Ok(());
+        }
+        let [x, y] = [x, y].map(|v| (v.0 * scale, v.1 * scale.abs()));
+        outln!(
+            "the rig file's {what}: {:+.2} +- {:.2} {unit} in x, {:+.2} +- {:.2} {unit} in y \
+             against this recording; --camera corrects it",
+            x.0,
+            x.1,
+            y.0,
+            y.1
+        )
+    };
+    shown("camera.position is off by", found.camera_offset, -1e3, "mm", 3e-3)?;
+    let degrees = 1f64.to_degrees();
+    shown("camera.orientation is tilted by", found.camera_tilt, -degrees, "deg", 3e-3)?;
+    let (offset, sigma) = found.time_offset;
+    if offset.abs() > (5.0 * sigma).max(0.01) {
+        outln!(
+            "the stamps of joint_states are {:.0} ms (std dev {:.0} ms) {} those of the images; \
+             correct the clocks, or set clock.climber_offset of pose_fusion to {:.3}",
+            1e3 * offset.abs(),
+            1e3 * sigma,
+            if offset > 0.0 { "behind" } else { "ahead of" },
+            -offset
+        )?;
+    }
+    Ok(())
+}

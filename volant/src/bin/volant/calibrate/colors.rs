@@ -1,0 +1,214 @@
+//! `volant calibrate colors`: initial marker colors for the rig file, from an image file, a bag or
+//! a live topic.
+
+use super::Output;
+use crate::terminal;
+use anyhow::{Context, anyhow, bail};
+use bag::BagReader;
+use marker_tracker::{ColorCalibration, OwnedImage, decode_compressed_into};
+use nalgebra::Vector2;
+use node_kit::out;
+use rig_model::{MarkerColor, PerColor, Stamp};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+use volant::{
+    parameter_update::{Setting, list},
+    replay::{Fed, Feed, ImageTopic},
+};
+use volant_msgs::{cdr, sensor_msgs::msg::CameraInfo};
+
+/// Images of a bag or a topic that are evaluated.
+const IMAGES: usize = 60;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Image file (png, jpg), bag with images (an .mcap file or a rosbag2 folder), or live image
+    /// topic
+    pub source: String,
+    /// Rig file to update; only patches in the layout of its markers count, instead of the largest
+    /// of each color. Without it the lines for the rig file are printed
+    #[arg(long, value_name = "FILE")]
+    pub rig: Option<PathBuf>,
+    /// Measure a marker's color at this pixel, such as red=312,140; repeatable
+    #[arg(long, value_name = "COLOR=X,Y", value_parser = pick)]
+    pub pick: Vec<(MarkerColor, Vector2<f64>)>,
+    /// Image topic, where a bag has several
+    #[arg(long, value_name = "TOPIC")]
+    pub topic: Option<String>,
+    /// Duration of recording from a live topic, s
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
+    pub duration: f64,
+    #[command(flatten)]
+    pub output: Output,
+}
+
+fn pick(text: &str) -> Result<(MarkerColor, Vector2<f64>), String> {
+    let parse = || {
+        let (name, place) = text.split_once('=')?;
+        let color = MarkerColor::ALL.into_iter().find(|c| c.name() == name)?;
+        let (x, y) = place.split_once(',')?;
+        Some((color, Vector2::new(x.trim().parse().ok()?, y.trim().parse().ok()?)))
+    };
+    parse().ok_or_else(|| {
+        "write it as red=312,140 (red, green, blue or yellow; column, row)".to_owned()
+    })
+}
+
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let rig = arguments.rig.as_deref().map(super::read_rig);
+    let layout = rig.transpose()?.map(|rig| rig.markers);
+    let with_layout = layout.is_some();
+    let mut picks = PerColor([None; 4]);
+    for (color, place) in &arguments.pick {
+        picks[*color] = Some(*place);
+    }
+    let mut calibration = ColorCalibration::new(layout, picks);
+    let path = Path::new(&arguments.source);
+    let is_image_file = path
+        .extension()
+        .is_some_and(|e| ["png", "jpg", "jpeg"].iter().any(|known| e.eq_ignore_ascii_case(known)));
+    if is_image_file {
+        image_file(path, &mut calibration)?;
+    } else if path.exists() {
+        bag(path, arguments.topic.as_deref(), &mut calibration)?;
+    } else {
+        topic(arguments, &mut calibration)?;
+    }
+    let (mut settings, mut notes, mut missing) = (vec![], vec![], vec![]);
+    for (color, found) in calibration.result().iter() {
+        match found {
+            Some(c) => {
+                let [r, g, b] = c.rgb;
+                let tenths = c.rgb.map(|x| (10.0 * x).round() / 10.0);
+                settings.push(Setting::rig(format!("markers.colors.{color}"), list(&tenths)));
+                let (n, spread) = (c.images, c.spread);
+                notes.push(format!(
+                    "{color}: {r:.0} {g:.0} {b:.0} from {n} images, within {spread:.1} of 255"
+                ));
+            }
+            None => missing.push(color.name()),
+        }
+    }
+    if !missing.is_empty() {
+        let how = if with_layout {
+            "no image shows the markers in the rig file's layout"
+        } else {
+            "no image has a square patch of that color"
+        };
+        bail!(
+            "{}: {} not found ({how}); give an image with all four fully visible, or their places \
+             with --pick {}=X,Y",
+            arguments.source,
+            missing.join(", "),
+            missing[0]
+        );
+    }
+    notes.iter().for_each(|note| terminal::line(note));
+    match (&arguments.rig, &arguments.output.out) {
+        (Some(rig), _) => arguments.output.update(rig, &settings),
+        (None, out) => {
+            let text = settings.iter().try_fold(String::new(), |text, s| {
+                ros_parameters::edit::set(&text, &s.node, &s.name, &s.value)
+            })?;
+            match out {
+                Some(out) => {
+                    node_kit::files::write(out, text.as_bytes(), arguments.output.overwrite)?;
+                    terminal::line(&format!(
+                        "{}: pass it as a second --params-file, or name the rig file with --rig",
+                        out.display()
+                    ));
+                }
+                None => out!("{text}")?,
+            }
+            Ok(())
+        }
+    }
+}
+
+fn image_file(path: &Path, calibration: &mut ColorCalibration) -> anyhow::Result<()> {
+    let bytes = fs::read(path).with_context(|| format!("{}: not readable", path.display()))?;
+    let format = if bytes.starts_with(b"\x89PNG") { "png" } else { "jpeg" };
+    let mut image = OwnedImage::default();
+    decode_compressed_into(format, &bytes, &mut image)
+        .with_context(|| path.display().to_string())?;
+    calibration.add(&image.view(Stamp::from_nanos(0))).with_context(|| path.display().to_string())
+}
+
+fn bag(path: &Path, topic: Option<&str>, calibration: &mut ColorCalibration) -> anyhow::Result<()> {
+    let summary = BagReader::summary(path)?;
+    let named = |t: &&bag::Topic| topic.is_none_or(|name| t.name == name);
+    let images = |kind: &str| {
+        summary
+            .topics
+            .iter()
+            .map(|(t, _)| t)
+            .filter(named)
+            .find(|t| t.type_name == kind)
+            .map(|t| t.name.clone())
+    };
+    let source = images("sensor_msgs/msg/Image")
+        .map(ImageTopic::Raw)
+        .or_else(|| images("sensor_msgs/msg/CompressedImage").map(ImageTopic::Compressed))
+        .ok_or_else(|| match topic {
+            Some(name) => anyhow!("{}: no images on {name}", path.display()),
+            None => anyhow!("{}: no images", path.display()),
+        })?;
+    let cameras: Vec<String> = summary
+        .topics
+        .iter()
+        .filter(|(t, _)| t.type_name == "sensor_msgs/msg/CameraInfo")
+        .map(|(t, _)| t.name.clone())
+        .collect();
+    let mut feed = Feed::start(path, Some(source), cameras, 1)?;
+    let mut count = 0;
+    let mut rejected = None;
+    while let Some(fed) = feed.take()? {
+        match fed {
+            Fed::Message(message) => {
+                if let Ok(info) = cdr::from_bytes::<CameraInfo>(&message.data)
+                    && let Ok(camera) = node_kit::convert::camera_model(&info)
+                {
+                    calibration.camera(camera);
+                }
+            }
+            Fed::Image(Ok((stamp, image))) => {
+                calibration.add(&image.view(stamp))?;
+                count += 1;
+                if count == IMAGES {
+                    break;
+                }
+            }
+            Fed::Image(Err(reason)) => rejected = Some(reason),
+        }
+    }
+    match rejected {
+        Some(reason) if count == 0 => bail!("{}: no usable image: {reason}", path.display()),
+        _ => Ok(()),
+    }
+}
+
+/// Records the topic for a short time and evaluates the recording.
+#[cfg(feature = "nodes")]
+fn topic(arguments: &Arguments, calibration: &mut ColorCalibration) -> anyhow::Result<()> {
+    let name = match arguments.source.strip_prefix('/') {
+        Some(_) => arguments.source.clone(),
+        None => format!("/{}", arguments.source),
+    };
+    let info = name.split("/image_raw").next().map(|camera| format!("{camera}/camera_info"));
+    let topics = std::iter::once(name.clone()).chain(info).collect();
+    let recorded = super::live::record(topics, arguments.duration)?;
+    if recorded.unpublished.contains(&name) {
+        bail!(
+            "{name}: no such file, and no publisher of such a topic; is the camera's driver \
+             running?"
+        );
+    }
+    bag(recorded.path(), Some(&name), calibration)
+}
+
+#[cfg(not(feature = "nodes"))]
+fn topic(arguments: &Arguments, _: &mut ColorCalibration) -> anyhow::Result<()> {
+    bail!("{}: no such file, and this build has no live topics", arguments.source)
+}

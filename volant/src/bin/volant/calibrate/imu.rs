@@ -1,0 +1,153 @@
+//! `volant calibrate imu`: noise densities from a bag at rest.
+
+use super::Output;
+use anyhow::{Context, Result, bail};
+use bag::BagReader;
+use node_kit::{convert, outln};
+use rig_calibration::allan::{ImuNoise, Sensor, imu_noise};
+use rig_model::ImuSample;
+use std::path::{Path, PathBuf};
+use volant::{
+    parameter_update::{Setting, number},
+    report::{Axis, Color, Panel, Series, Shape, Sheet, colors, panels},
+};
+use volant_msgs::{Message, cdr, sensor_msgs::msg::Imu};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Bag with volant/imu/data of the IMU at rest: a minute for the noise densities, hours for
+    /// bias instability and random walk
+    pub bag: PathBuf,
+    /// Rig file to update
+    #[arg(long, value_name = "FILE")]
+    pub rig: PathBuf,
+    /// IMU topic, where a bag has several
+    #[arg(long, value_name = "TOPIC")]
+    pub topic: Option<String>,
+    /// Figure to write: Allan deviation over averaging time
+    #[arg(long, value_name = "FILE.svg")]
+    pub plot: Option<PathBuf>,
+    #[command(flatten)]
+    pub output: Output,
+}
+
+/// Runs the command; returns what it found.
+///
+/// # Errors
+/// See the messages, which name the remedy.
+pub fn run(arguments: &Arguments) -> Result<ImuNoise> {
+    super::read_rig(&arguments.rig)?;
+    if let Some(plot) = &arguments.plot {
+        node_kit::files::check_output(plot, arguments.output.overwrite, &[&arguments.bag])?;
+    }
+    let mut samples = read(&arguments.bag, arguments.topic.as_deref())?;
+    samples.sort_by_key(|s| s.stamp);
+    let noise = imu_noise(&samples).with_context(|| arguments.bag.display().to_string())?;
+    print(&noise)?;
+    if let Some(plot) = &arguments.plot {
+        node_kit::files::write(plot, figure(&noise)?.as_bytes(), arguments.output.overwrite)?;
+    }
+    let settings = Sensor::ALL.map(|sensor| {
+        Setting::rig(format!("imu.{sensor}_noise_density"), number(noise.density(sensor), 3))
+    });
+    arguments.output.update(&arguments.rig, &settings)?;
+    Ok(noise)
+}
+
+/// Reads the IMU samples of a bag.
+///
+/// # Errors
+/// No or several IMU topics; an unreadable bag.
+pub fn read(path: &Path, topic: Option<&str>) -> Result<Vec<ImuSample>> {
+    let shown = path.display();
+    let summary = BagReader::summary(path)?;
+    let known = summary.topics.iter().filter(|(t, n)| *n > 0 && t.type_name == Imu::TYPE_NAME);
+    let known: Vec<&str> = known.map(|(t, _)| t.name.as_str()).collect();
+    let name = match (topic, known.as_slice()) {
+        (Some(topic), _) if known.contains(&topic) => topic,
+        (Some(topic), _) => bail!("{shown}: no IMU samples on {topic}, but on {known:?}"),
+        (None, [name]) => name,
+        (None, []) => bail!("{shown}: no IMU samples; record volant/imu/data"),
+        (None, _) => bail!("{shown}: IMU samples on {}; name one with --topic", known.join(", ")),
+    };
+    let mut bag = BagReader::open(path)?;
+    let mut samples = vec![];
+    while let Some(message) = bag.next_message()? {
+        if message.topic.name == name {
+            let what = || format!("{shown}: a message on {name}");
+            samples.push(convert::imu_sample(&cdr::from_bytes(&message.data).with_context(what)?));
+        }
+    }
+    Ok(samples)
+}
+
+fn print(noise: &ImuNoise) -> Result<()> {
+    outln!("{:.1} s at {:.2} Hz", noise.seconds, noise.rate)?;
+    let head = ["noise density", "+-", "bias instability", "random walk"];
+    outln!("{:<18}{:>14}{:>8}{:>26}{:>14}", "", head[0], head[1], head[2], head[3])?;
+    for sensor in Sensor::ALL {
+        for (axis, name) in noise.sensors[sensor as usize].iter().zip(["x", "y", "z"]) {
+            let instability = axis
+                .instability
+                .map_or("record longer".into(), |(b, tau)| format!("{b:.3e} (at {tau:.0} s)"));
+            let walk = axis.walk.map_or("record longer".into(), |k| format!("{k:.3e}"));
+            outln!(
+                "{:<18}{:>14.4e}{:>6.1} %{instability:>26}{walk:>14}",
+                format!("{sensor} {name}"),
+                axis.density,
+                100.0 * axis.uncertainty
+            )?;
+        }
+        let unit = sensor.unit();
+        outln!(
+            "{:<18}{:>14.4e}  (root mean square; {unit}/sqrt(Hz), {unit}, {unit}*sqrt(Hz))",
+            format!("{sensor}"),
+            noise.density(sensor)
+        )?;
+    }
+    Ok(())
+}
+
+/// Draws the Allan deviations of both sensors with the lines of their white noise.
+fn figure(noise: &ImuNoise) -> Result<String> {
+    let axes: [(&str, Color); 3] =
+        [("x", colors::FUSED), ("y", colors::CAMERA), ("z", colors::INERTIAL)];
+    let all = Sensor::ALL.map(|sensor| {
+        let curves = &noise.sensors[sensor as usize];
+        let points = || curves.iter().flat_map(|a| &a.curve);
+        let least = points().map(|p| p.1).fold(f64::INFINITY, f64::min);
+        let most = points().map(|p| p.1).fold(0.0, f64::max);
+        let span = [1.0 / noise.rate, points().map(|p| p.0).fold(0.0, f64::max)];
+        let mut series: Vec<Series> = axes
+            .iter()
+            .zip(curves)
+            .map(|((name, color), axis)| Series {
+                name: (*name).into(),
+                color: *color,
+                shape: Shape::Line(2),
+                points: axis.curve.clone(),
+                spread: vec![],
+            })
+            .collect();
+        let white = |tau: f64| (tau, noise.density(sensor) / tau.sqrt());
+        series.push(Series {
+            name: "white noise as written to the rig file".into(),
+            color: colors::SOFT,
+            shape: Shape::Line(1),
+            points: span.map(white).to_vec(),
+            spread: vec![],
+        });
+        Panel {
+            title: sensor.to_string(),
+            x: Axis { name: "averaging time [s]".into(), range: span, log: true },
+            y: Axis {
+                name: format!("Allan deviation [{}]", sensor.unit()),
+                range: [0.8 * least, 1.25 * most],
+                log: true,
+            },
+            series,
+        }
+    });
+    let sheet = Sheet { title: "Noise of the IMU at rest", size: (1120, 520), grid: (1, 2) };
+    Ok(panels(sheet, &all)?)
+}

@@ -1,0 +1,97 @@
+//! `volant calibrate rig`.
+
+use super::Output;
+use crate::settings::{self, Settings};
+use anyhow::Result;
+use node_kit::outln;
+use rig_calibration::Estimate;
+use std::path::PathBuf;
+use volant::{
+    calibration::{Cores, refine_from_bag},
+    parameter_update::{Setting, list},
+};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Bag with images (or climber/markers), camera_info, volant/imu/data and climber/transform
+    /// (or climber/joint_states, which the rig file's parameters of climber_driver convert)
+    pub bag: PathBuf,
+    /// Rig file as measured by hand, which is updated
+    #[arg(long, value_name = "FILE")]
+    pub rig: PathBuf,
+    /// Keep the camera's mounting as it is in the rig file: the jog of `volant calibrate climber
+    /// --camera` determines it better than a swing
+    #[arg(long)]
+    pub hold_camera: bool,
+    #[command(flatten)]
+    pub output: Output,
+}
+
+/// Runs the command; returns what it found.
+///
+/// # Errors
+/// See the messages, which name the remedy.
+pub fn run(arguments: &Arguments) -> Result<Estimate> {
+    #[cfg(feature = "nodes")]
+    let settings = settings::read(&arguments.rig, &[], "")?;
+    #[cfg(not(feature = "nodes"))]
+    let settings = settings::read(&arguments.rig)?;
+    let Settings { rig, tracker, climber, .. } = settings;
+    let held: &[&str] = if arguments.hold_camera { &["camera turn", "camera place"] } else { &[] };
+    let estimate = refine_from_bag(&arguments.bag, &rig, &Cores { tracker, climber }, held)?;
+    print(&estimate)?;
+    arguments.output.update(&arguments.rig, &changes(&estimate))?;
+    Ok(estimate)
+}
+
+fn print(estimate: &Estimate) -> Result<()> {
+    outln!(
+        "{} images with all four markers ({} rejected as outliers); pixel residual {:.3} -> {:.3} \
+         px RMS; squared residual \
+         per degree of freedom {:.2}",
+        estimate.images.0,
+        estimate.images.1,
+        estimate.pixel_rms.0,
+        estimate.pixel_rms.1,
+        estimate.reduced
+    )?;
+    outln!("{:<30} {:>10} {:>10}", "", "change", "std dev")?;
+    for row in &estimate.rows {
+        if row.determined {
+            outln!("{:<30} {:>10.3} {:>10.3}  {}", row.name, row.change, row.deviation, row.unit)?;
+        } else {
+            outln!(
+                "{:<30} {:>10} {:>10}  not determined by this motion: as in the rig file",
+                row.name,
+                "held",
+                ""
+            )?;
+        }
+    }
+    outln!(
+        "The markers' mean position, rotation and size are those of the rig file: images do not \
+         determine them."
+    )?;
+    Ok(())
+}
+
+/// What the recording determines, as settings of the rig file.
+fn changes(estimate: &Estimate) -> Vec<Setting> {
+    let (rig, mut settings) = (&estimate.rig, vec![]);
+    let mut set = |parameters: &str, name: String, value: &[f64]| {
+        let mut rows = estimate.rows.iter().filter(|r| r.name.starts_with(parameters));
+        if rows.any(|r| r.determined) {
+            settings.push(Setting::rig(name, list(value)));
+        }
+    };
+    for (name, pose) in [("camera", &rig.climber_from_camera), ("imu", &rig.imu.volant_from_imu)] {
+        let position = pose.translation.vector;
+        set(&format!("{name} place"), format!("{name}.position"), position.as_slice());
+        let orientation = pose.rotation.coords;
+        set(&format!("{name} turn"), format!("{name}.orientation"), orientation.as_slice());
+    }
+    for (color, center) in rig.markers.centres.iter() {
+        set(&format!("marker {color}"), format!("markers.{color}"), center.coords.as_slice());
+    }
+    settings
+}

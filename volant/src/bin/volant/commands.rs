@@ -1,0 +1,200 @@
+//! All commands of `volant`: their list, those that are executables of their own, shell completions
+//! and manual pages.
+
+use crate::{Action, Arguments, terminal};
+use clap::{Arg, Command, CommandFactory, Subcommand, ValueHint};
+use node_kit::{console::EXIT_STATUS, out, outln};
+use rig_model::rig::did_you_mean;
+use std::{
+    ffi::OsString,
+    fmt::Write as _,
+    os::unix::process::CommandExt,
+    path::PathBuf,
+    process::{self, ExitCode},
+};
+use volant::command_line::Manual;
+
+/// A command that is an executable of its own, beside this one or on the path.
+struct External {
+    name: &'static str,
+    executable: &'static str,
+    about: &'static str,
+}
+
+const fn external(name: &'static str, executable: &'static str, about: &'static str) -> External {
+    External { name, executable, about }
+}
+
+/// What needs the simulated rig or all of OpenCV does not weigh on the robot.
+const EXTERNAL: [External; 10] = [
+    external("imu", "volant-imu", "Find, inspect, configure and log Xsens IMUs; decode logs"),
+    external(
+        "calibrate",
+        "volant-calibrate",
+        "Calibrate camera, colors, mountings, encoders and IMU",
+    ),
+    external("checks", "volant-rig", "Make recordings' files wrong and see what `check` names"),
+    external("demo", "volant-rig", "Run the four nodes live on the simulated rig"),
+    external("faults", "volant-rig", "Break the live rig in every way and check the pose"),
+    external("hosts", "volant-rig", "Run the rig on two computers with a bad link (as root)"),
+    external("reproduce", "volant-rig", "Reproduce the paper's figures and tables"),
+    external("rigs", "volant-rig", "Run more and more rigs until the machine is full"),
+    external("robustness", "volant-rig", "Replay recordings with wrong rig files"),
+    external("soak", "volant-rig", "Run the rig for hours with faults at random"),
+];
+
+/// Groups of the list; a command that is in none comes last.
+const GROUPS: [(&str, &[&str]); 5] = [
+    ("On the rig", &["up", "record", "play", "monitor", "foxglove", "imu"]),
+    ("Set up and check", &["bringup", "markers", "calibrate", "check"]),
+    ("Recordings", &["replay", "evaluate", "bag"]),
+    (
+        "Simulated rig",
+        &["demo", "faults", "checks", "hosts", "rigs", "robustness", "soak", "reproduce"],
+    ),
+    ("This command", &["completions", "manual", "help"]),
+];
+
+/// The list of all commands, by group, and the exit status: the end of `volant --help`.
+pub fn listing() -> String {
+    let own = Action::augment_subcommands(Command::new("volant"));
+    let mut all: Vec<(String, String)> = own
+        .get_subcommands()
+        .map(|c| {
+            (c.get_name().to_owned(), c.get_about().map(ToString::to_string).unwrap_or_default())
+        })
+        .collect();
+    let help = ("help".to_owned(), "Print the help of a command".to_owned());
+    let external = EXTERNAL.iter().map(|e| (e.name.to_owned(), e.about.to_owned()));
+    for command in external.chain([help]) {
+        if !all.iter().any(|(name, _)| *name == command.0) {
+            all.push(command);
+        }
+    }
+    let mut text = String::new();
+    for (title, names) in GROUPS.iter().chain(&[("Others", &[] as &[&str])]) {
+        let mut rows = String::new();
+        for name in *names {
+            if let Some(i) = all.iter().position(|(n, _)| n == name) {
+                let (name, about) = all.remove(i);
+                let _ = write!(rows, "\n  {name:<12} {about}");
+            }
+        }
+        if names.is_empty() {
+            all.drain(..).for_each(|(name, about)| {
+                let _ = write!(rows, "\n  {name:<12} {about}");
+            });
+        }
+        if !rows.is_empty() {
+            let _ = write!(text, "\n{title}:{rows}\n");
+        }
+    }
+    format!("{}\n{EXIT_STATUS}", text.trim_start())
+}
+
+/// Runs `volant X …` as an executable `volant-X` or as that of [`EXTERNAL`], which takes the place
+/// of this process; `volant help X` as `volant X --help`.
+pub fn other(words: &[OsString]) -> ExitCode {
+    let Some((first, rest)) = words.split_first() else {
+        return ExitCode::from(2);
+    };
+    let name = first.to_string_lossy();
+    if name == "help" {
+        let own = std::env::current_exe().unwrap_or_else(|_| "volant".into());
+        return become_(process::Command::new(own).args(rest).arg("--help"), "volant", "");
+    }
+    let known = EXTERNAL.iter().find(|e| e.name == name);
+    let executable = known.map_or_else(|| format!("volant-{name}"), |e| e.executable.to_owned());
+    let missing = match (known, executable.as_str()) {
+        (None, _) => {
+            let names = GROUPS.iter().flat_map(|(_, names)| names.iter().copied());
+            let hint = did_you_mean(&name, names);
+            format!(
+                "unknown command `{name}`{hint}, and no executable `{executable}`; see volant --help"
+            )
+        }
+        (_, "volant-calibrate") => {
+            format!("`{name}` needs {executable}; build it with `make calibrate`")
+        }
+        _ => format!(
+            "`{name}` needs {executable}; build it with `cargo build --release --workspace --bins`"
+        ),
+    };
+    let mut command =
+        process::Command::new(beside(&executable).unwrap_or_else(|| executable.clone().into()));
+    // `volant-rig` has several commands.
+    command.args(if executable == "volant-rig" { words } else { rest });
+    let status = become_(&mut command, &executable, &missing);
+    if known.is_none() { ExitCode::from(2) } else { status }
+}
+
+/// An executable in the folder of this one.
+fn beside(name: &str) -> Option<PathBuf> {
+    let own = std::env::current_exe().ok()?;
+    Some(own.parent()?.join(name)).filter(|path| path.is_file())
+}
+
+/// Replaces this process, so that signals and the exit status are the other one's; returns where
+/// that fails.
+fn become_(command: &mut process::Command, name: &str, missing: &str) -> ExitCode {
+    let error = command.exec();
+    if error.kind() == std::io::ErrorKind::NotFound {
+        terminal::line(&format!("volant: {missing}"));
+    } else {
+        terminal::line(&format!("volant: {name} cannot be run: {error}"));
+    }
+    ExitCode::FAILURE
+}
+
+/// The command line with the commands of the other executables: `volant-imu` with all its options,
+/// the rest with their names.
+fn whole() -> Command {
+    let mut whole = Arguments::command();
+    let calibrate = crate::calibrate::Arguments::command().name("calibrate");
+    if whole.find_subcommand("calibrate").is_none() {
+        whole = whole.subcommand(calibrate);
+    }
+    #[cfg(feature = "nodes")]
+    {
+        whole = whole.subcommand(imu_driver::tool::Arguments::command().name("imu"));
+    }
+    for external in EXTERNAL {
+        if whole.find_subcommand(external.name).is_none() {
+            let words = Arg::new("words").num_args(0..).value_hint(ValueHint::AnyPath);
+            whole = whole.subcommand(Command::new(external.name).about(external.about).arg(words));
+        }
+    }
+    whole
+}
+
+/// Prints completions.
+pub fn completions(shell: clap_complete::Shell) -> anyhow::Result<()> {
+    let mut text = vec![];
+    clap_complete::generate(shell, &mut whole(), "volant", &mut text);
+    out!("{}", String::from_utf8_lossy(&text))?;
+    Ok(())
+}
+
+/// Writes the manual pages; those of the simulated rig's commands are written by its executable.
+pub fn manual(arguments: &Manual) -> anyhow::Result<()> {
+    let mut command = whole();
+    if let Some(rig) = beside("volant-rig") {
+        let own = command.get_subcommands().map(|c| c.get_name().to_owned());
+        let is_rigs = |n: &String| {
+            EXTERNAL.iter().any(|e| e.name == n.as_str() && e.executable == "volant-rig")
+        };
+        for name in own.filter(is_rigs).collect::<Vec<_>>() {
+            command = command.mut_subcommand(name, |c| c.hide(true));
+        }
+        let overwrite = arguments.overwrite.then_some("--overwrite");
+        let status = process::Command::new(rig)
+            .args(["manual".as_ref(), "--out".as_ref(), arguments.out.as_os_str()])
+            .args(overwrite)
+            .status()?;
+        anyhow::ensure!(status.success(), "volant-rig wrote no pages: {status}");
+    }
+    arguments.write(command, true)?;
+    let folder = arguments.out.display();
+    outln!("the pages are in {folder}; `man -l {folder}/volant.1` shows the first")?;
+    Ok(())
+}

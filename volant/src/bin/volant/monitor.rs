@@ -1,0 +1,130 @@
+//! `volant monitor`.
+
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use std::{
+    io::{IsTerminal, Write},
+    sync::atomic::{AtomicBool, Ordering},
+    time::Duration,
+};
+use volant::live::{
+    LiveError,
+    monitor::{Snapshot, Watch, WatchOptions, plain, screen},
+};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Show only the topics of this namespace
+    #[arg(short, long, default_value = "", value_name = "NAMESPACE")]
+    namespace: String,
+    /// Subscribe to images too, to measure their rate and delay (adds network load)
+    #[arg(long)]
+    images: bool,
+    /// Print one snapshot as text and exit
+    #[arg(long)]
+    once: bool,
+    /// Print snapshots as text instead of a screen (the default into a pipe)
+    #[arg(long, conflicts_with = "once")]
+    plain: bool,
+    /// Time before the first snapshot and between two, s
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0, value_parser = seconds)]
+    interval: f64,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|x| (0.1..=3600.0).contains(x))
+        .ok_or("must be a number from 0.1 to 3600".into())
+}
+
+/// Period of discovery.
+const DISCOVERY: Duration = Duration::from_millis(50);
+/// Period of the screen.
+const FRAME: Duration = Duration::from_millis(250);
+
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let options = WatchOptions { namespace: arguments.namespace.clone(), images: arguments.images };
+    let mut watch = Watch::start(options)?;
+    let stop = node_kit::console::stop_flag()?;
+    if !arguments.once && !arguments.plain && std::io::stdout().is_terminal() {
+        return Ok(on_screen(&mut watch, &stop)?);
+    }
+    loop {
+        listen(&mut watch, &stop, Duration::from_secs_f64(arguments.interval))?;
+        let snapshot = watch.snapshot();
+        anyhow::ensure!(
+            !arguments.once || !snapshot.topics.is_empty(),
+            "nothing is published{}; check that the nodes run with the same ROS_DOMAIN_ID",
+            if arguments.namespace.is_empty() { "" } else { " in this namespace" }
+        );
+        // A closed pipe ends it.
+        let written = write!(
+            std::io::stdout(),
+            "{}{}",
+            plain::text(&snapshot),
+            if arguments.once { "" } else { "\n" }
+        );
+        if arguments.once || written.is_err() || stop.load(Ordering::Acquire) {
+            return Ok(());
+        }
+    }
+}
+
+fn listen(watch: &mut Watch, stop: &AtomicBool, time: Duration) -> Result<(), LiveError> {
+    let polls = time.div_duration_f64(DISCOVERY) as u32;
+    for _ in 0..polls.max(1) {
+        if stop.load(Ordering::Acquire) {
+            break;
+        }
+        watch.poll()?;
+        std::thread::sleep(DISCOVERY);
+    }
+    Ok(())
+}
+
+fn on_screen(watch: &mut Watch, stop: &AtomicBool) -> Result<(), LiveError> {
+    let failed = |source| LiveError::Terminal { source };
+    // Its panic hook restores the terminal too.
+    let mut terminal = ratatui::try_init().map_err(failed)?;
+    let mut chosen = 0;
+    let result = loop {
+        if let Err(error) = watch.poll() {
+            break Err(error);
+        }
+        let snapshot = watch.snapshot();
+        if let Err(source) = terminal.draw(|frame| screen::draw(frame, &snapshot, chosen)) {
+            break Err(failed(source));
+        }
+        match keys(&snapshot, &mut chosen) {
+            Ok(true) => {}
+            Ok(false) => break Ok(()),
+            Err(source) => break Err(failed(source)),
+        }
+        if stop.load(Ordering::Acquire) {
+            break Ok(());
+        }
+    };
+    ratatui::restore();
+    result
+}
+
+/// Handles keys until the next frame; `false`: quit.
+fn keys(snapshot: &Snapshot, chosen: &mut usize) -> std::io::Result<bool> {
+    if !event::poll(FRAME)? {
+        return Ok(true);
+    }
+    if let Event::Key(key) = event::read()?
+        && key.kind == KeyEventKind::Press
+    {
+        match key.code {
+            KeyCode::Char('q') | KeyCode::Esc => return Ok(false),
+            // In raw mode the terminal sends no signal.
+            KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => {
+                return Ok(false);
+            }
+            KeyCode::Tab => *chosen = (*chosen + 1) % snapshot.rigs.len().max(1),
+            _ => {}
+        }
+    }
+    Ok(true)
+}

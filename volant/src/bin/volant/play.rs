@@ -1,0 +1,134 @@
+//! `volant play`.
+
+use crate::{signals, terminal};
+use node_kit::outln;
+use std::{io::Read, path::PathBuf, sync::Arc, time::Duration};
+use volant::{
+    live::play::{PlayControl, PlayOptions, play, serve},
+    replay::TopicNames,
+};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Bag: an .mcap file or a rosbag2 folder
+    input: PathBuf,
+    /// Playback rate; 2 is twice as fast as recorded
+    #[arg(short, long, default_value_t = 1.0, value_parser = positive)]
+    rate: f64,
+    /// Restart at the end
+    #[arg(short = 'l', long = "loop")]
+    repeat: bool,
+    /// Time to skip at the start, s
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    start_offset: f64,
+    /// Time to wait for subscribers before the first message, s
+    #[arg(short, long, value_name = "SECONDS", default_value_t = 0.5)]
+    delay: f64,
+    /// Start paused; the space bar, SIGUSR1 and rosbag2's services on /rosbag2_player resume and
+    /// pause
+    #[arg(short, long)]
+    paused: bool,
+    /// Publish /clock at this rate, Hz
+    #[arg(
+        long,
+        value_name = "HZ",
+        num_args = 0..=1,
+        default_missing_value = "40",
+        value_parser = positive
+    )]
+    clock: Option<f64>,
+    /// Play only these topics
+    #[arg(long, value_name = "TOPIC", num_args = 1..)]
+    topics: Vec<String>,
+    /// Remap a topic, FROM:=TO; repeatable
+    #[arg(short = 'm', long, value_name = "FROM:=TO", num_args = 1..)]
+    remap: Vec<String>,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|x: &f64| x.is_finite() && *x > 0.0)
+        .ok_or("must be a number above 0".into())
+}
+
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let seconds = |s: f64| Duration::try_from_secs_f64(s.max(0.0)).unwrap_or(Duration::MAX);
+    let absolute =
+        |name: &String| if name.starts_with('/') { name.clone() } else { format!("/{name}") };
+    let options = PlayOptions {
+        input: arguments.input.clone(),
+        repeat: arguments.repeat,
+        start_offset: seconds(arguments.start_offset),
+        delay: seconds(arguments.delay),
+        clock_hz: arguments.clock,
+        topics: arguments.topics.iter().map(absolute).collect(),
+        names: TopicNames::new("", &arguments.remap)?,
+    };
+    let control = Arc::new(PlayControl::new(arguments.rate, arguments.paused));
+    let services = serve(&control)?;
+    signals::on_stop({
+        let control = control.clone();
+        move || control.stop()
+    })?;
+    signals::on_usr1({
+        let control = control.clone();
+        move || control.toggle_paused()
+    })?;
+    let keys = Keys::listen(&control);
+    let bar = terminal::spinner();
+    let result = play(&options, &control, |time, (first, last)| {
+        let at = |t: u64| t.saturating_sub(first) as f64 * 1e-9;
+        let hint = if keys.is_some() { "; space pauses" } else { "" };
+        bar.set_message(format!("playing {:.1} of {:.1} s{hint}", at(time), at(last)));
+    });
+    bar.finish_and_clear();
+    drop((keys, services));
+    let report = result?;
+    for loss in &report.losses {
+        terminal::line(&format!("volant: {loss}"));
+    }
+    if report.rejected > 0 {
+        terminal::line(&format!(
+            "volant: {} messages were not published: a reliable subscriber did not keep up, or \
+             they are no little-endian CDR",
+            report.rejected
+        ));
+    }
+    outln!("{} messages of {}", report.messages, arguments.input.display())?;
+    Ok(())
+}
+
+/// Pauses on the space bar; the terminal is in non-canonical mode until this is dropped.
+struct Keys(rustix::termios::Termios);
+
+impl Keys {
+    fn listen(control: &Arc<PlayControl>) -> Option<Self> {
+        use rustix::termios::{LocalModes, OptionalActions, tcgetattr, tcsetattr};
+        let stdin = std::io::stdin();
+        let before = tcgetattr(&stdin).ok()?;
+        let mut keys = before.clone();
+        keys.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
+        tcsetattr(&stdin, OptionalActions::Now, &keys).ok()?;
+        let control = control.clone();
+        // A blocking read has no cancellation; the thread ends with the process.
+        std::thread::spawn(move || {
+            for key in std::io::stdin().lock().bytes().map_while(Result::ok) {
+                if key == b' ' {
+                    control.toggle_paused();
+                }
+            }
+        });
+        Some(Self(before))
+    }
+}
+
+impl Drop for Keys {
+    fn drop(&mut self) {
+        let _ = rustix::termios::tcsetattr(
+            std::io::stdin(),
+            rustix::termios::OptionalActions::Now,
+            &self.0,
+        );
+    }
+}

@@ -1,0 +1,123 @@
+//! `volant record`.
+
+use crate::terminal;
+use bag::{Compression, WriteOptions};
+use node_kit::outln;
+use std::{
+    path::PathBuf,
+    sync::atomic::Ordering,
+    time::{Duration, SystemTime},
+};
+use volant::live::record::{RecordOptions, bag_name, record};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Topics [default: all]
+    topics: Vec<String>,
+    /// Bag to write: a new rosbag2 folder, or an .mcap file
+    #[arg(short, long, value_name = "OUT", required_unless_present = "into")]
+    out: Option<PathBuf>,
+    /// Write a new bag in this folder, named by the time: volant_2026-11-23T20-15-00Z
+    #[arg(long, value_name = "FOLDER", conflicts_with = "out")]
+    into: Option<PathBuf>,
+    /// Replace an existing .mcap file
+    #[arg(long)]
+    overwrite: bool,
+    /// Record every topic (the default)
+    #[arg(short, long, conflicts_with = "topics")]
+    all: bool,
+    /// Exclude a topic, in every namespace where it does not begin with a slash; repeatable
+    #[arg(short = 'x', long, value_name = "TOPIC")]
+    exclude: Vec<String>,
+    /// Compression of the chunks
+    #[arg(long, value_enum, default_value = "none")]
+    compression: Compression,
+    /// Start a new file after this many MiB (folders only)
+    #[arg(long, value_name = "MIB")]
+    split_size: Option<u64>,
+    /// Start a new file after this time, s (folders only)
+    #[arg(long, value_name = "SECONDS")]
+    split_duration: Option<f64>,
+    /// Keep this many files and remove the oldest of this recording when a new one starts
+    #[arg(long, value_name = "FILES", value_parser = clap::value_parser!(u32).range(1..))]
+    keep: Option<u32>,
+    /// Stop after this time, s
+    #[arg(long, value_name = "SECONDS")]
+    duration: Option<f64>,
+}
+
+#[allow(clippy::disallowed_methods, reason = "a shell: it names a file by the time")]
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let absolute =
+        |name: &String| if name.starts_with('/') { name.clone() } else { format!("/{name}") };
+    let seconds = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::MAX);
+    let output = match (&arguments.out, &arguments.into) {
+        (None, Some(folder)) => folder.join(bag_name(SystemTime::now())),
+        (out, _) => out.clone().unwrap_or_default(),
+    };
+    let options = RecordOptions {
+        output: output.clone(),
+        topics: arguments.topics.iter().map(absolute).collect(),
+        exclude: arguments.exclude.clone(),
+        write: WriteOptions {
+            compression: arguments.compression,
+            split_bytes: arguments.split_size.map(|mib| mib << 20),
+            replace: arguments.overwrite,
+            in_place: true,
+            split_nanos: arguments.split_duration.map(|s| (s.max(0.0) * 1e9) as u64),
+            keep: arguments.keep.map(|files| files as usize),
+            ..WriteOptions::default()
+        },
+        duration: arguments.duration.map(seconds),
+    };
+    let stop = node_kit::console::stop_flag()?;
+    let bar = terminal::spinner();
+    let result = record(&options, &stop, |status| {
+        bar.set_message(format!(
+            "recording {} topics, {} messages, {}{}",
+            status.topics.load(Ordering::Relaxed),
+            status.messages.load(Ordering::Relaxed),
+            terminal::mebibytes(status.bytes.load(Ordering::Relaxed)),
+            match status.dropped.load(Ordering::Relaxed) {
+                0 => String::new(),
+                n => format!(", {n} DROPPED"),
+            }
+        ));
+    });
+    bar.finish_and_clear();
+    let report = result?;
+    for topic in &report.unpublished {
+        terminal::line(&format!(
+            "volant: {topic} had no publisher; see `ros2 topic list`, and check ROS_DOMAIN_ID"
+        ));
+    }
+    for loss in &report.losses {
+        terminal::line(&format!(
+            "volant: {loss}; the domain was joined again, and messages published meanwhile are \
+             missing"
+        ));
+    }
+    if report.dropped > 0 {
+        terminal::line(&format!(
+            "volant: {} messages were dropped because the disk did not keep up; try --compression \
+             none or \
+             fewer topics",
+            report.dropped
+        ));
+    }
+    if report.lost > 0 {
+        terminal::line(&format!(
+            "volant: {} messages were lost in transport; set `sysctl net.core.rmem_max` to 4 MB or \
+             more",
+            report.lost
+        ));
+    }
+    let bag = report.bag;
+    outln!(
+        "{} messages, {}, in {}",
+        bag.messages(),
+        terminal::mebibytes(bag.bytes),
+        output.display()
+    )?;
+    Ok(())
+}

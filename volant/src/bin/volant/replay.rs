@@ -1,0 +1,167 @@
+//! `volant replay`.
+
+use crate::{
+    settings::{self, Settings},
+    terminal,
+};
+use anyhow::Context;
+use bag::{BagReader, Compression};
+use node_kit::{files, out, outln};
+use pose_fusion::Model;
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
+use volant::replay::{ReplayOptions, ReplayReport, TopicNames, replay};
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Bag: an .mcap file or a rosbag2 folder
+    input: PathBuf,
+    /// Rig file
+    #[arg(long, value_name = "FILE")]
+    rig: PathBuf,
+    /// Bag to write: an .mcap file or a new folder
+    #[arg(long, value_name = "OUT")]
+    out: PathBuf,
+    /// Replace an existing .mcap file
+    #[arg(long)]
+    overwrite: bool,
+    #[cfg(feature = "nodes")]
+    /// ROS 2 parameter file of the nodes, in addition to the rig file; repeatable
+    #[arg(long, value_name = "FILE")]
+    params_file: Vec<PathBuf>,
+    /// Estimator; overrides the parameter files [default: tight]
+    #[arg(long, value_enum)]
+    model: Option<ModelName>,
+    /// Namespace of the rig's topics in the bag
+    #[arg(long, default_value = "")]
+    namespace: String,
+    /// Remap a topic, FROM:=TO; repeatable
+    #[arg(long, value_name = "FROM:=TO")]
+    remap: Vec<String>,
+    /// Compression of the output
+    #[arg(long, value_enum, default_value = "zstd")]
+    compression: Compression,
+    /// Add volant/smoothed_odometry: fixed-interval smoothing, every estimate from all measurements
+    /// of the bag
+    #[arg(long)]
+    smooth: bool,
+    /// Threads that decode images [default: number of cores]
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum ModelName {
+    /// The error-state filter on the markers' pixels
+    Tight,
+    /// The published loosely coupled filter
+    Paper,
+}
+
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    #[cfg(feature = "nodes")]
+    let more = &arguments.params_file;
+    #[cfg(not(feature = "nodes"))]
+    let more: &[PathBuf] = &[];
+    let inputs: Vec<&Path> =
+        [&arguments.input, &arguments.rig].into_iter().chain(more).map(PathBuf::as_path).collect();
+    files::check_output(&arguments.out, arguments.overwrite, &inputs)?;
+    #[cfg(feature = "nodes")]
+    let settings = settings::read(&arguments.rig, &arguments.params_file, &arguments.namespace)?;
+    #[cfg(not(feature = "nodes"))]
+    let settings = settings::read(&arguments.rig)?;
+    let Settings { rig, tracker, mut fusion, climber } = settings;
+    match arguments.model {
+        Some(ModelName::Tight) => fusion.model = Model::Tight,
+        Some(ModelName::Paper) => fusion.model = Model::Paper,
+        None => {}
+    }
+    anyhow::ensure!(
+        !arguments.smooth || fusion.model == Model::Tight,
+        "--smooth requires the error-state filter; remove --model paper"
+    );
+    let workers = arguments
+        .threads
+        .unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
+        .clamp(1, 64);
+    let options = ReplayOptions {
+        input: arguments.input.clone(),
+        tracker,
+        climber,
+        rig,
+        output: arguments.out.clone(),
+        overwrite: arguments.overwrite,
+        fusion,
+        names: TopicNames::new(&arguments.namespace, &arguments.remap)?,
+        compression: arguments.compression,
+        workers,
+        smooth: arguments.smooth,
+    };
+    let bytes = BagReader::summary(&arguments.input)?.bytes;
+    let bar = terminal::progress("replay", bytes);
+    let result = replay(&options, |read, _| bar.set_position(read));
+    bar.finish_and_clear();
+    let report = result.context("replay")?;
+    for loss in &report.losses {
+        terminal::line(&format!("volant: {loss}"));
+    }
+    for (count, sentence) in report.counts.warnings.values() {
+        let times = if *count > 1 { format!(" ({count} times)") } else { String::new() };
+        terminal::line(&format!("volant: {sentence}{times}"));
+    }
+    out!("{}", summary(&report, workers))?;
+    outln!("wrote     {}", arguments.out.display())?;
+    Ok(())
+}
+
+fn summary(report: &ReplayReport, workers: usize) -> String {
+    let (c, s) = (&report.counts, &report.spent);
+    let share = |part: u64, of: u64| if of == 0 { 0.0 } else { 100.0 * part as f64 / of as f64 };
+    let seconds = |d: Duration| d.as_secs_f64();
+    let work =
+        seconds(report.decoding) + seconds(s.tracker) + seconds(s.fusion) + seconds(s.output);
+    let of_work = |d: Duration| if work > 0.0 { 100.0 * seconds(d) / work } else { 0.0 };
+    let wall = seconds(report.wall).max(1e-9);
+    let mut out = String::new();
+    if c.images > 0 {
+        out += &format!("images    {}\n", c.images);
+    }
+    out += &format!(
+        "markers   {} detected of {} ({:.1} %), {} used by the filter ({:.1} %)\n",
+        c.detected,
+        4 * c.markers,
+        share(c.detected, 4 * c.markers),
+        c.used,
+        share(c.used, 4 * c.markers)
+    );
+    out += &format!("inputs    {} IMU samples, {} climber transforms\n", c.imu, c.climber);
+    out += &format!(
+        "outputs   {} odometries, {} visual poses; after the first second {:.2} % of the inertial \
+         samples, longest gap {:.1} ms\n",
+        c.odometry,
+        c.visual,
+        share(c.odometry_settled, c.imu_settled),
+        c.longest_gap * 1e3
+    );
+    if c.smoothed > 0 {
+        out += &format!("smoothed  {} odometries\n", c.smoothed);
+    }
+    out += &format!(
+        "time      {:.2} s for {:.2} s: {:.1} x real time, {workers} decoding thread{}\n",
+        wall,
+        report.recorded,
+        report.recorded / wall,
+        if workers == 1 { "" } else { "s" }
+    );
+    out += &format!(
+        "work      {work:.3} s of one core: {:.1} % outside JPEG decoding (tracker {:.1} %, \
+         filter {:.1} %, output {:.1} %)\n",
+        100.0 - of_work(report.decoding),
+        of_work(s.tracker),
+        of_work(s.fusion),
+        of_work(s.output)
+    );
+    out
+}

@@ -1,0 +1,45 @@
+//! Standard error: messages of one line each, and progress bars on a terminal.
+
+use indicatif::{ProgressBar, ProgressStyle};
+use node_kit::errln;
+use std::path::Path;
+use volant::command_line::one_line;
+
+/// Prints a message as one line.
+pub fn line(text: &str) {
+    errln!("{}", one_line(text));
+}
+
+/// Progress bar over a number of bytes; drawn on a terminal only.
+pub fn progress(what: &str, bytes: u64) -> ProgressBar {
+    let bar = ProgressBar::new(bytes);
+    let template = "{prefix} {wide_bar} {percent:>3} %  {bytes_per_sec}, {eta} left";
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
+    }
+    bar.set_prefix(what.to_owned());
+    bar
+}
+
+/// Formats a number of bytes.
+pub fn mebibytes(bytes: u64) -> String {
+    if bytes < 1 << 20 {
+        format!("{:.1} KiB", bytes as f64 / 1024.0)
+    } else {
+        format!("{:.1} MiB", bytes as f64 / (1u64 << 20) as f64)
+    }
+}
+
+/// Last component of a path.
+pub fn name(path: &Path) -> String {
+    path.file_name()
+        .map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned())
+}
+
+/// Status line; drawn on a terminal only.
+#[cfg(feature = "nodes")]
+pub fn spinner() -> ProgressBar {
+    let bar = ProgressBar::new_spinner();
+    bar.enable_steady_tick(std::time::Duration::from_millis(200));
+    bar
+}

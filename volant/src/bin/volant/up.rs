@@ -1,0 +1,129 @@
+//! `volant up`: any set of nodes in one process, with intra-process transport.
+
+use crate::terminal;
+use climber_driver::node::ClimberNode;
+use imu_driver::node::ImuNode;
+use marker_tracker::node::MarkerTrackerNode;
+use node_kit::{
+    ParameterSet, RosArguments,
+    node::{NodeError, NodeShell, Process},
+    out,
+    scheduling::{self, Scheduling},
+};
+use pose_fusion::node::FusionNode;
+use std::process::ExitCode;
+
+const HELP: &str = "\
+volant up: runs nodes in one process; images and samples are passed between them without a copy,
+and topics are published for other processes
+
+usage: volant up [NODE…] [--rig rig.yaml] [--params-file file.yaml]
+                 [--foxglove[=ADDRESS:PORT]] [--realtime-priority N] [--cpus LIST]
+                 [--lock-memory] [--ros-args …]
+
+nodes (default: all four): marker_tracker, imu_driver, climber_driver, pose_fusion
+
+--foxglove serves all live topics to Foxglove (port 8765; see `volant foxglove --help`).
+
+--ros-args accepts what ROS 2 gives every node. -p NODE:parameter:=value and -r NODE:from:=to apply
+to one node, -p parameter:=value to all nodes with that parameter.
+";
+
+#[derive(Clone, Copy)]
+struct Node {
+    name: &'static str,
+    start: fn(&mut Process, &RosArguments) -> Result<(), NodeError>,
+    parameters: fn() -> Vec<String>,
+}
+
+fn node<S: NodeShell>() -> Node {
+    Node {
+        name: S::NAME,
+        start: |process, ros| process.start::<S>(ros),
+        parameters: || S::Parameters::descriptors().into_iter().map(|d| d.name).collect(),
+    }
+}
+
+fn known() -> [Node; 4] {
+    [node::<MarkerTrackerNode>(), node::<ImuNode>(), node::<ClimberNode>(), node::<FusionNode>()]
+}
+
+/// The names of all parameters of all nodes.
+pub fn parameters() -> Vec<String> {
+    known().iter().flat_map(|n| (n.parameters)()).collect()
+}
+
+pub fn run(words: Vec<String>) -> ExitCode {
+    let known = known();
+    let wrong = |text: String| {
+        terminal::line(&format!("volant up: {text} (`volant up --help` lists the options)"));
+        ExitCode::from(2)
+    };
+    let (mut ros, rest) = match RosArguments::parse(words) {
+        Ok(parsed) => parsed,
+        Err(error) => return wrong(error.to_string()),
+    };
+    let (scheduling, rest) = match Scheduling::take(rest) {
+        Ok(taken) => taken,
+        Err(error) => return wrong(error.to_string()),
+    };
+    let mut chosen: Vec<Node> = vec![];
+    let mut foxglove: Option<String> = None;
+    let mut rest = rest.into_iter();
+    while let Some(word) = rest.next() {
+        match word.as_str() {
+            "--help" | "-h" => {
+                return match out!("{HELP}\nprocess:\n{}", scheduling::HELP) {
+                    Ok(()) => ExitCode::SUCCESS,
+                    Err(error) => error.report("volant up"),
+                };
+            }
+            "--rig" | "--params-file" => {
+                let Some(path) = rest.next() else { return wrong(format!("{word} needs a file")) };
+                if let Err(error) = ros.add_file(path.into()) {
+                    terminal::line(&format!("volant up: {error}"));
+                    return if error.is_usage() { ExitCode::from(2) } else { ExitCode::FAILURE };
+                }
+            }
+            "--foxglove" => foxglove = Some(String::new()),
+            word if word.starts_with("--foxglove=") => {
+                foxglove = word.split_once('=').map(|(_, address)| address.to_owned());
+            }
+            name => match known.iter().find(|n| n.name == name) {
+                Some(node) if !chosen.iter().any(|n| n.name == node.name) => chosen.push(*node),
+                Some(_) => return wrong(format!("`{name}` is given twice")),
+                None => return wrong(format!("there is no node `{name}`")),
+            },
+        }
+    }
+    if chosen.is_empty() {
+        chosen = known.to_vec();
+    }
+    ros.allow_of_others(chosen.iter().flat_map(|n| (n.parameters)()));
+    if let Err(error) = scheduling.apply() {
+        terminal::line(&format!("volant up: {error}"));
+        return ExitCode::FAILURE;
+    }
+    // Kept until the nodes have ended.
+    let _foxglove = match foxglove.map(|address| crate::foxglove::start(Some(&address))).transpose()
+    {
+        Ok(server) => server,
+        Err(error) => {
+            terminal::line(&format!("volant up: {error:#}"));
+            return ExitCode::FAILURE;
+        }
+    };
+    match up(&chosen, &ros) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            terminal::line(&format!("volant up: {error}"));
+            if error.is_usage() { ExitCode::from(2) } else { ExitCode::FAILURE }
+        }
+    }
+}
+
+fn up(nodes: &[Node], ros: &RosArguments) -> Result<(), NodeError> {
+    let process = Process::from_arguments(ros)?;
+    process.stop_on_signals()?;
+    process.run(|process| nodes.iter().try_for_each(|node| (node.start)(process, ros)))
+}

@@ -1,0 +1,215 @@
+//! Reads a bag into the samples of the batch estimators, refines a rig with them, and checks it.
+
+use crate::replay::{Fed, Feed, ImageTopic};
+use anyhow::{Context, Result, bail};
+use bag::{BagReader, BagSummary};
+use climber_driver::{Climber, ClimberConfig, JointReading};
+use marker_tracker::{Input, Output, Tracker, TrackerConfig};
+use node_kit::convert;
+use rig_calibration::{Estimate, Recording, Report, Samples, Track, refine_rig_holding};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Rig, Stamp};
+use std::path::Path;
+use volant_msgs::{
+    Message, cdr, geometry_msgs, msg::MarkerObservations as MarkersMessage, sensor_msgs::msg,
+};
+
+/// The images are tracked again until the markers move by less than this, m: a tenth of the
+/// accuracy of a good recording.
+const SETTLED: f64 = 3e-5;
+const ROUNDS: usize = 4;
+
+/// First topic with images of a bag, raw ones preferred.
+fn image_topic(summary: &BagSummary) -> Option<ImageTopic> {
+    let first = |kind: &str| names(summary, kind).into_iter().next();
+    first(msg::Image::TYPE_NAME)
+        .map(ImageTopic::Raw)
+        .or_else(|| first(msg::CompressedImage::TYPE_NAME).map(ImageTopic::Compressed))
+}
+
+/// Topics of a type that have messages.
+fn names(summary: &BagSummary, kind: &str) -> Vec<String> {
+    let found = summary.topics.iter().filter(|(t, n)| *n > 0 && t.type_name == kind);
+    found.map(|(t, _)| t.name.clone()).collect()
+}
+
+fn workers() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// Appends what the tracker has found.
+fn collect(tracker: &mut Tracker, markers: &mut Vec<MarkerObservations>) {
+    while let Some(output) = tracker.poll() {
+        if let Output::Observations(observations) = output {
+            markers.push(observations);
+        }
+    }
+}
+
+/// Configuration of the cores that a bag is read with.
+#[derive(Clone, Debug)]
+pub struct Cores {
+    /// The tracker's.
+    pub tracker: TrackerConfig,
+    /// The climber driver's, for a bag with `climber/joint_states` and without
+    /// `climber/transform`; or why there is none.
+    pub climber: Result<ClimberConfig, String>,
+}
+
+impl Cores {
+    /// The defaults with a rig file.
+    pub fn of(rig: &Rig) -> Self {
+        let tracker = TrackerConfig { start_colors: rig.colors, ..TrackerConfig::default() };
+        Self { tracker, climber: Ok(ClimberConfig::default()) }
+    }
+}
+
+/// Reads a bag; the markers are tracked again if it holds images.
+///
+/// # Errors
+/// A missing topic, an undecodable message, or an unreadable bag.
+pub fn read_samples(path: &Path, rig: &Rig) -> Result<Samples> {
+    read_with(path, rig, &Cores::of(rig))
+}
+
+fn read_with(path: &Path, rig: &Rig, cores: &Cores) -> Result<Samples> {
+    let shown = path.display();
+    let summary = BagReader::summary(path)?;
+    let images = image_topic(&summary);
+    let wanted = [
+        msg::CameraInfo::TYPE_NAME,
+        MarkersMessage::TYPE_NAME,
+        msg::Imu::TYPE_NAME,
+        geometry_msgs::msg::TransformStamped::TYPE_NAME,
+        msg::JointState::TYPE_NAME,
+    ];
+    let has_transforms =
+        !names(&summary, geometry_msgs::msg::TransformStamped::TYPE_NAME).is_empty();
+    let has_joints = !has_transforms && !names(&summary, msg::JointState::TYPE_NAME).is_empty();
+    let mut driver = match &cores.climber {
+        _ if !has_joints => None,
+        Ok(config) => Some(Climber::new(config.clone()).with_context(|| format!("{shown}"))?),
+        Err(reason) => {
+            bail!("{shown}: climber/joint_states is converted by climber_driver: {reason}")
+        }
+    };
+    let wanted = wanted.iter().flat_map(|kind| names(&summary, kind)).collect();
+    let has_images = images.is_some();
+    let mut feed = Feed::start(path, images, wanted, workers())?;
+    let mut tracker = Tracker::new(rig.markers.clone(), cores.tracker.clone());
+    let (mut camera, mut markers) = (None, vec![]);
+    let (mut imu, mut climber) = (vec![], vec![]);
+    while let Some(fed) = feed.take()? {
+        match fed {
+            Fed::Image(Ok((stamp, image))) => tracker.handle(Input::Image(image.view(stamp))),
+            Fed::Image(Err(_)) => {}
+            Fed::Message(message) => {
+                let what = || format!("{shown}: a message on {}", message.topic.name);
+                let (kind, data) = (message.topic.type_name.as_str(), &message.data);
+                if kind == msg::CameraInfo::TYPE_NAME {
+                    let info = cdr::from_bytes(data).with_context(what)?;
+                    let model = convert::camera_model(&info).with_context(what)?;
+                    tracker.handle(Input::Camera(model.clone()));
+                    camera = Some(model);
+                } else if kind == MarkersMessage::TYPE_NAME && !has_images {
+                    let observed: MarkersMessage = cdr::from_bytes(data).with_context(what)?;
+                    markers.push(convert::marker_observations(&observed).with_context(what)?);
+                } else if kind == msg::Imu::TYPE_NAME {
+                    imu.push(convert::imu_sample(&cdr::from_bytes(data).with_context(what)?));
+                } else if kind == geometry_msgs::msg::TransformStamped::TYPE_NAME {
+                    let transform = cdr::from_bytes(data).with_context(what)?;
+                    climber.extend(convert::climber_sample(&transform, &rig.frames));
+                } else if let Some(driver) = &mut driver
+                    && kind == msg::JointState::TYPE_NAME
+                {
+                    let joints: msg::JointState = cdr::from_bytes(data).with_context(what)?;
+                    let reading = JointReading {
+                        stamp: convert::stamp(&joints.header.stamp),
+                        names: joints.name,
+                        positions: joints.position,
+                    };
+                    let logged = i64::try_from(message.log_time).unwrap_or(i64::MAX);
+                    driver.handle(&reading, Stamp::from_nanos(logged));
+                    climber.extend(std::iter::from_fn(|| driver.poll()).filter_map(|o| match o {
+                        climber_driver::Output::Sample(sample) => Some(sample),
+                        climber_driver::Output::Warning(_) => None,
+                    }));
+                }
+            }
+        }
+        collect(&mut tracker, &mut markers);
+    }
+    let camera = camera.with_context(|| {
+        format!("{shown}: no camera_info in it; record climber/camera/camera_info too")
+    })?;
+    Ok(Samples { camera, markers, imu, climber })
+}
+
+/// Tracks the markers in the images of a bag, or in its first `limit` images.
+///
+/// # Errors
+/// An unreadable bag.
+pub fn track_bag(
+    path: &Path,
+    layout: &MarkerLayout,
+    config: &TrackerConfig,
+    camera: &CameraModel,
+    limit: Option<usize>,
+) -> Result<Vec<MarkerObservations>> {
+    let images = image_topic(&BagReader::summary(path)?);
+    let mut feed = Feed::start(path, images, vec![], workers())?;
+    let mut tracker = Tracker::new(layout.clone(), config.clone());
+    tracker.handle(Input::Camera(camera.clone()));
+    let mut markers = vec![];
+    while let Some(fed) = feed.take()? {
+        if let Fed::Image(Ok((stamp, image))) = fed {
+            tracker.handle(Input::Image(image.view(stamp)));
+            collect(&mut tracker, &mut markers);
+        }
+        if limit.is_some_and(|limit| markers.len() >= limit) {
+            break;
+        }
+    }
+    Ok(markers)
+}
+
+/// Checks a rig's files against a bag.
+///
+/// # Errors
+/// As [`read_samples`] and [`rig_calibration::check`].
+pub fn check_bag(bag: &Path, rig: &Rig, cores: &Cores) -> Result<Report> {
+    let samples = read_with(bag, rig, cores)?;
+    let has_images = image_topic(&BagReader::summary(bag)?).is_some();
+    let mut track = |layout: &MarkerLayout, camera: &CameraModel, limit| {
+        track_bag(bag, layout, &cores.tracker, camera, limit).unwrap_or_default()
+    };
+    let track: Option<&mut Track<'_>> = if has_images { Some(&mut track) } else { None };
+    rig_calibration::check(&samples, rig, track).with_context(|| format!("{}", bag.display()))
+}
+
+/// Refines a rig with a bag; `held`: see [`refine_rig_holding`].
+/// The tracker's measurements depend slightly on the marker positions, so the images are tracked
+/// again with the refined positions until these converge. The rig file stays the prior of what the
+/// motion does not determine.
+///
+/// # Errors
+/// As [`read_samples`] and [`refine_rig_holding`].
+pub fn refine_from_bag(bag: &Path, rig: &Rig, cores: &Cores, held: &[&str]) -> Result<Estimate> {
+    let mut seen_with = rig.clone();
+    let mut round = 1;
+    loop {
+        let samples = read_with(bag, &seen_with, cores)?;
+        let estimate = Recording::new(&samples)
+            .and_then(|recording| refine_rig_holding(&recording, rig, held))
+            .with_context(|| format!("{}", bag.display()))?;
+        let centres = [&estimate.rig, &seen_with].map(|r| &r.markers.centres);
+        let moved = MarkerColor::ALL
+            .map(|c| (centres[0][c] - centres[1][c]).norm())
+            .into_iter()
+            .fold(0.0, f64::max);
+        if moved < SETTLED || round == ROUNDS {
+            return Ok(estimate);
+        }
+        seen_with.markers = estimate.rig.markers.clone();
+        round += 1;
+    }
+}

@@ -1,0 +1,109 @@
+//! What the executables share: parsing with an exit status, and reporting errors.
+//!
+//! Exit status: see [`EXIT_STATUS`].
+
+use clap::{Command, Parser, builder::Resettable, error::ErrorKind};
+use node_kit::{
+    console::{EXIT_STATUS, OutputError},
+    errln,
+    files::{self, FileError},
+    out,
+};
+use std::{ffi::OsString, io::Write, path::PathBuf, process::ExitCode};
+
+/// Parses the command line of the process.
+///
+/// # Errors
+/// The exit status of a wrong command line (reported on standard error), or of `--help` and
+/// `--version` (0, or that of [`OutputError::report`] where writing them fails).
+pub fn parse<P: Parser>() -> Result<P, ExitCode> {
+    parse_from(std::env::args_os())
+}
+
+/// Parses a command line that starts with the program's name; see [`parse`].
+///
+/// # Errors
+/// As [`parse`].
+pub fn parse_from<P: Parser>(words: impl IntoIterator<Item = OsString>) -> Result<P, ExitCode> {
+    P::try_parse_from(words).map_err(|error| match error.kind() {
+        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => {
+            match error.print().map_err(OutputError::from).and_then(|()| out!("")) {
+                Ok(()) => ExitCode::SUCCESS,
+                Err(error) => error.report("volant"),
+            }
+        }
+        _ => {
+            // Fails where standard error is closed: the status is all that is left.
+            let _ = error.print();
+            ExitCode::from(2)
+        }
+    })
+}
+
+/// Reports why `program` failed, in one line on standard error, and returns its exit status.
+pub fn failure(program: &str, error: &anyhow::Error) -> ExitCode {
+    match error.downcast_ref::<OutputError>() {
+        Some(output) => output.report(program),
+        None => {
+            errln!("{program}: {}", one_line(&causes(error)));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Replaces line breaks by spaces.
+pub fn one_line(text: &str) -> String {
+    text.replace(['\n', '\r'], " ")
+}
+
+/// The error and its causes, without those whose text the error repeats.
+fn causes(error: &anyhow::Error) -> String {
+    error.chain().fold(String::new(), |text, cause| match (cause.to_string(), text.is_empty()) {
+        (cause, true) => cause,
+        (cause, false) if text.contains(&cause) => text,
+        (cause, false) => format!("{text}: {cause}"),
+    })
+}
+
+/// Options of the commands that write manual pages.
+#[derive(Debug, clap::Args)]
+pub struct Manual {
+    /// Folder for the pages, such as ~/.local/share/man/man1
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Replace existing pages
+    #[arg(long)]
+    pub overwrite: bool,
+}
+
+impl Manual {
+    /// Writes the page of `command`, if `itself`, and those of its visible subcommands:
+    /// `volant.1`, `volant-replay.1`.
+    ///
+    /// # Errors
+    /// A page exists, or is not writable.
+    pub fn write(&self, command: Command, itself: bool) -> Result<(), FileError> {
+        std::fs::create_dir_all(&self.out)
+            .map_err(|source| FileError::Io { path: self.out.clone(), source })?;
+        let mut command = command.disable_help_subcommand(true);
+        command.build();
+        self.pages(&command, "volant", itself)
+    }
+
+    fn pages(&self, command: &Command, name: &str, itself: bool) -> Result<(), FileError> {
+        let path = self.out.join(format!("{name}.1"));
+        if itself {
+            let status = EXIT_STATUS.split_once('\n').map_or("", |(_, rows)| rows);
+            let mut page = vec![];
+            clap_mangen::Man::new(command.clone().after_help(Resettable::Reset))
+                .render(&mut page)
+                .and_then(|()| write!(page, ".SH \"EXIT STATUS\"\n.nf\n{status}\n.fi\n"))
+                .map_err(|source| FileError::Io { path: path.clone(), source })?;
+            files::write(&path, &page, self.overwrite)?;
+        }
+        command
+            .get_subcommands()
+            .filter(|c| !c.is_hide_set())
+            .try_for_each(|c| self.pages(c, &format!("{name}-{}", c.get_name()), true))
+    }
+}

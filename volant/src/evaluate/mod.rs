@@ -1,0 +1,332 @@
+//! Evaluation of the estimates in one bag against the `ground_truth/odometry` of another. The truth
+//! is interpolated at each estimate's stamp. The first second after the start of both bags is
+//! skipped. `volant/fused_pose` is inverted first, so that all errors are those of the platform in
+//! the world frame.
+
+mod many;
+mod page;
+mod report;
+
+pub use many::{RunFiles, RunResult, csv_of_many, evaluate_many, pairs, table_of_many};
+pub use page::{page, page_of_many};
+pub use report::{csv, table};
+pub use rig_model::score::{Nees, PoseError, Spread, Truth, TruthSample, inverse};
+
+use crate::{replay::TopicNames, report::Track};
+use bag::{BagError, BagReader, recording::read_truth};
+use nalgebra::{Isometry3, Matrix6, Vector3};
+use node_kit::convert;
+use rig_model::{
+    Stamp,
+    score::{Score, SpreadSum},
+    topics,
+};
+use serde::Serialize;
+use std::path::PathBuf;
+use thiserror::Error;
+use volant_msgs::{cdr, geometry_msgs::msg::PoseWithCovarianceStamped, nav_msgs::msg::Odometry};
+
+/// Shortest gap that is counted, s.
+const GAP: f64 = 0.030;
+/// Relative topics of the estimates; `replay --smooth` adds the last one.
+pub const ESTIMATES: [&str; 4] =
+    [topics::ODOMETRY, topics::FUSED_POSE, topics::VISUAL_POSE, topics::SMOOTHED_ODOMETRY];
+const TRUTH: &str = topics::GROUND_TRUTH;
+
+/// Options of an evaluation.
+#[derive(Clone, Debug)]
+pub struct EvaluateOptions {
+    /// Bag with the estimates.
+    pub estimates: PathBuf,
+    /// Bag with the truth.
+    pub truth: PathBuf,
+    /// Skipped time at the start, s.
+    pub skip: f64,
+    /// Namespace and remaps.
+    pub names: TopicNames,
+}
+
+/// Errors and rates of one estimate: a flat record, since each field is a column of the CSV and a
+/// key of the JSON.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Quality {
+    /// Relative topic.
+    pub estimate: String,
+    /// Number of compared poses.
+    pub count: u64,
+    /// Norm of the position error, mm.
+    pub position_mm: Spread,
+    /// Norm of the rotation vector of the error, deg.
+    pub rotation_deg: Spread,
+    /// RMSE of the position in x, y, z, mm.
+    pub axes_mm: [Spread; 3],
+    /// RMSE of roll, pitch, yaw, deg.
+    pub angles_deg: [Spread; 3],
+    /// Mean NEES of the position, expected 3; `None` without a usable covariance.
+    pub nees_position: Option<f64>,
+    /// Mean NEES of the rotation, expected 3.
+    pub nees_rotation: Option<f64>,
+    /// Mean NEES of the pose, expected 6.
+    pub nees_pose: Option<f64>,
+    /// RMSE of the velocity, mm/s, where estimate and truth have one.
+    pub velocity_mm_s: Option<Spread>,
+    /// RMSE of the angular velocity, deg/s.
+    pub turn_deg_s: Option<Spread>,
+    /// Estimates per second, Hz.
+    pub rate_hz: f64,
+    /// Number of gaps of more than 30 ms.
+    pub gaps_over_30_ms: u64,
+    /// Longest gap, ms.
+    pub longest_gap_ms: f64,
+    /// Time of the first estimate, s after the start.
+    pub first_s: f64,
+    /// Time of the last estimate, s after the start.
+    pub last_s: f64,
+    /// Number of non-finite poses and undecodable messages.
+    pub unusable: u64,
+    /// Number of covariances that are not positive definite.
+    pub without_covariance: u64,
+    /// Number of estimates at times without truth.
+    pub without_truth: u64,
+}
+
+/// Result of an evaluation.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Evaluation {
+    /// One entry per estimate in the bag.
+    pub estimates: Vec<Quality>,
+    /// Losses in the bags, one sentence each.
+    pub losses: Vec<String>,
+    /// The poses, for figures.
+    #[serde(skip)]
+    pub tracks: Tracks,
+}
+
+/// Compared poses.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Tracks {
+    /// Start of the run: the first stamp that both bags cover.
+    pub began: Stamp,
+    /// Topic and poses, `world_from_volant`, as in [`Evaluation::estimates`].
+    pub estimates: Vec<(String, Track)>,
+    /// The truth.
+    pub truth: Truth,
+}
+
+/// Why an evaluation fails.
+#[derive(Debug, Error)]
+pub enum EvaluateError {
+    /// A bag is unreadable.
+    #[error(transparent)]
+    Bag(#[from] BagError),
+    /// The bag holds no truth.
+    #[error("{}: no usable nav_msgs/msg/Odometry on {topic}; give the bag with the truth to \
+             --truth, or name its topic with --remap {TRUTH}:=OTHER", path.display())]
+    NoTruth {
+        /// The bag.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+    },
+    /// The bag holds no estimate.
+    #[error("{}: no estimate on {}; give the bag that `volant replay --out` \
+             wrote", path.display(), topics.join(", "))]
+    NoEstimate {
+        /// The bag.
+        path: PathBuf,
+        /// The topics.
+        topics: Vec<String>,
+    },
+    /// A folder of runs is incomplete.
+    #[error("{}: {reason}", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// Estimates and truth do not overlap in time.
+    #[error("{}: none of its estimates lies within the truth's time ({from} to {to}, without the \
+             first {skip} s); check that both bags are of one run", path.display())]
+    Apart {
+        /// Bag with the estimates.
+        path: PathBuf,
+        /// Start of the truth, s.
+        from: Stamp,
+        /// End of the truth, s.
+        to: Stamp,
+        /// Skipped time at the start, s.
+        skip: f64,
+    },
+}
+
+struct Estimate {
+    stamp: Stamp,
+    pose: Isometry3<f64>,
+    covariance: Matrix6<f64>,
+    twist: Option<(Vector3<f64>, Vector3<f64>)>,
+}
+
+/// Evaluates a bag's estimates.
+///
+/// # Errors
+/// See [`EvaluateError`].
+pub fn evaluate(options: &EvaluateOptions) -> Result<Evaluation, EvaluateError> {
+    let mut losses = vec![];
+    let truth = read_truth(&options.truth, &options.names.resolve(TRUTH), &mut losses)?;
+    let Some((from, to)) = truth.span() else {
+        return Err(EvaluateError::NoTruth {
+            path: options.truth.clone(),
+            topic: options.names.resolve(TRUTH),
+        });
+    };
+    let topics: Vec<String> = ESTIMATES.iter().map(|name| options.names.resolve(name)).collect();
+    let mut collected: [(Vec<Estimate>, u64); ESTIMATES.len()] = Default::default();
+    let mut began: Option<Stamp> = None;
+    let mut bag = BagReader::open(&options.estimates)?;
+    while let Some(message) = bag.next_message()? {
+        began.get_or_insert(Stamp::from_nanos(i64::try_from(message.log_time).unwrap_or(0)));
+        let Some(which) = topics.iter().position(|t| *t == message.topic.name) else { continue };
+        let estimate = match which {
+            0 | 3 => read_odometry(&message.data),
+            1 => read_pose(&message.data).map(|mut e| {
+                (e.pose, e.covariance) = inverse(&e.pose, &e.covariance);
+                e
+            }),
+            _ => read_pose(&message.data),
+        };
+        match estimate {
+            Some(estimate) => collected[which].0.push(estimate),
+            None => collected[which].1 += 1,
+        }
+    }
+    losses.extend_from_slice(bag.losses());
+    if collected.iter().all(|(estimates, unusable)| estimates.is_empty() && *unusable == 0) {
+        return Err(EvaluateError::NoEstimate { path: options.estimates.clone(), topics });
+    }
+    let began = began.unwrap_or(from).max(from);
+    let mut tracks = Tracks { began, estimates: Vec::new(), truth: truth.clone() };
+    let estimates: Vec<Quality> = ESTIMATES
+        .iter()
+        .zip(&mut collected)
+        .filter(|(_, (estimates, unusable))| !estimates.is_empty() || *unusable > 0)
+        .map(|(name, (estimates, unusable))| {
+            estimates.sort_by_key(|e| e.stamp);
+            let mut quality = quality(name, estimates, &truth, began, options.skip);
+            quality.unusable = *unusable;
+            tracks
+                .estimates
+                .push(((*name).to_owned(), estimates.iter().map(|e| (e.stamp, e.pose)).collect()));
+            quality
+        })
+        .collect();
+    if estimates.iter().all(|q| q.count == 0) {
+        let path = options.estimates.clone();
+        return Err(EvaluateError::Apart { path, from, to, skip: options.skip });
+    }
+    Ok(Evaluation { estimates, losses, tracks })
+}
+
+fn quality(name: &str, estimates: &[Estimate], truth: &Truth, began: Stamp, skip: f64) -> Quality {
+    let mut sums = Sums::default();
+    let mut without_truth = 0;
+    let mut longest: f64 = 0.0;
+    let mut gaps = 0;
+    let mut span: Option<(Stamp, Stamp)> = None;
+    for estimate in estimates {
+        if estimate.stamp.seconds_since(began) < skip {
+            continue;
+        }
+        if let Some((_, last)) = span {
+            let gap = estimate.stamp.seconds_since(last);
+            longest = longest.max(gap);
+            gaps += u64::from(gap > GAP);
+        }
+        span = Some((span.map_or(estimate.stamp, |(first, _)| first), estimate.stamp));
+        match truth.at(estimate.stamp) {
+            Some(true_one) => sums.add(estimate, &true_one),
+            None => without_truth += 1,
+        }
+    }
+    let (first, last) = span.unwrap_or((began, began));
+    let duration = last.seconds_since(first);
+    let considered = sums.pose.count() + without_truth;
+    let nees = sums.pose.mean_nees();
+    let degrees = 1f64.to_degrees();
+    let twist = sums.velocity_known && estimates.iter().any(|e| e.twist.is_some());
+    Quality {
+        estimate: name.to_owned(),
+        count: sums.pose.count(),
+        position_mm: sums.pose.position.spread(1e3),
+        rotation_deg: sums.pose.rotation.spread(degrees),
+        axes_mm: sums.axes.map(|s| s.spread(1e3)),
+        angles_deg: sums.angles.map(|s| s.spread(degrees)),
+        nees_position: nees.map(|n| n.position),
+        nees_rotation: nees.map(|n| n.rotation),
+        nees_pose: nees.map(|n| n.pose),
+        velocity_mm_s: twist.then(|| sums.velocity.spread(1e3)),
+        turn_deg_s: twist.then(|| sums.turn.spread(degrees)),
+        rate_hz: if duration > 0.0 { considered.saturating_sub(1) as f64 / duration } else { 0.0 },
+        gaps_over_30_ms: gaps,
+        longest_gap_ms: longest * 1e3,
+        first_s: first.seconds_since(began),
+        last_s: last.seconds_since(began),
+        unusable: 0,
+        without_covariance: sums.pose.without_covariance(),
+        without_truth,
+    }
+}
+
+#[derive(Default)]
+struct Sums {
+    pose: Score,
+    axes: [SpreadSum; 3],
+    angles: [SpreadSum; 3],
+    velocity: SpreadSum,
+    turn: SpreadSum,
+    velocity_known: bool,
+}
+
+impl Sums {
+    fn add(&mut self, estimate: &Estimate, truth: &TruthSample) {
+        let error = self.pose.add(&estimate.pose, &estimate.covariance, &truth.world_from_volant);
+        for axis in 0..3 {
+            self.axes[axis].add(error.position[axis]);
+            self.angles[axis].add(error.roll_pitch_yaw[axis]);
+        }
+        if let Some((linear, angular)) = estimate.twist {
+            self.velocity.add((linear - truth.linear_velocity).norm());
+            self.turn.add((angular - truth.angular_velocity).norm());
+            // An all-zero twist means that the truth has none.
+            self.velocity_known |= truth.linear_velocity != Vector3::zeros();
+        }
+    }
+}
+
+fn read_odometry(data: &[u8]) -> Option<Estimate> {
+    let message: Odometry = cdr::from_bytes(data).ok()?;
+    let twist = &message.twist.twist;
+    finite(Estimate {
+        stamp: convert::stamp(&message.header.stamp),
+        pose: convert::pose(&message.pose.pose, "odometry").ok()?,
+        covariance: convert::covariance6(&message.pose.covariance),
+        twist: Some((
+            Vector3::new(twist.linear.x, twist.linear.y, twist.linear.z),
+            Vector3::new(twist.angular.x, twist.angular.y, twist.angular.z),
+        )),
+    })
+}
+
+fn read_pose(data: &[u8]) -> Option<Estimate> {
+    let message: PoseWithCovarianceStamped = cdr::from_bytes(data).ok()?;
+    finite(Estimate {
+        stamp: convert::stamp(&message.header.stamp),
+        pose: convert::pose(&message.pose.pose, "pose").ok()?,
+        covariance: convert::covariance6(&message.pose.covariance),
+        twist: None,
+    })
+}
+
+fn finite(estimate: Estimate) -> Option<Estimate> {
+    estimate.pose.translation.vector.iter().all(|x| x.is_finite()).then_some(estimate)
+}

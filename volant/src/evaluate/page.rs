@@ -1,0 +1,346 @@
+//! HTML page of an evaluation: table of errors, curves of the poses and of their errors.
+
+use super::{EvaluateOptions, Evaluation, Quality, RunResult, Truth, many::qualities};
+use crate::report::{
+    Axis, Block, ChartError, Color, Curve, Page, Panel, Run, Section, Series, Shape, Sheet, Table,
+    Track, colors, panels, six_curves,
+};
+use nalgebra::Isometry3;
+use rig_model::{Stamp, topics};
+
+/// Most points of a drawn curve.
+const POINTS: usize = 1500;
+
+/// Lays out the page of one evaluation.
+///
+/// # Errors
+/// A figure cannot be drawn.
+pub fn page(evaluation: &Evaluation, options: &EvaluateOptions) -> Result<Page, ChartError> {
+    let tracks = &evaluation.tracks;
+    let seconds =
+        tracks.truth.span().map_or(0.0, |(_, last)| last.seconds_since(tracks.began)).max(0.1);
+    // `fused_pose` is the same odometry, inverted: its curve would coincide.
+    // The dots of single images first, so that the line is above them.
+    let shown: Vec<(&str, &Track, Color, u32)> = tracks
+        .estimates
+        .iter()
+        .rev()
+        .filter_map(|(topic, track)| match topic.as_str() {
+            topics::VISUAL_POSE => Some(("camera alone", track, colors::CAMERA, 0)),
+            topics::ODOMETRY => Some(("fused", track, colors::FUSED, 3)),
+            _ => None,
+        })
+        .collect();
+    let truth = |t: f64| Some(tracks.truth.at(tracks.began.plus_seconds(t))?.world_from_volant);
+    let curves: Vec<Curve<'_>> = shown
+        .iter()
+        .map(|(name, track, color, width)| Curve { name, track, color: *color, width: *width })
+        .collect();
+    let run = Run {
+        title: "Pose of the platform in the world frame",
+        epoch: tracks.began,
+        seconds,
+        truth: &truth,
+        shaded: &[],
+    };
+    let six = six_curves(&run, &curves)?;
+    let words =
+        |losses: &[String]| losses.iter().map(|l| Block::Note(l.clone())).collect::<Vec<_>>();
+    let mut blocks = vec![Block::Table(table(&evaluation.estimates))];
+    blocks.extend(words(&evaluation.losses));
+    let mut facts = vec![
+        ("Made by".into(), format!("volant {}", env!("CARGO_PKG_VERSION"))),
+        (
+            "Command".into(),
+            format!(
+                "`volant evaluate {} --truth {}`",
+                options.estimates.display(),
+                options.truth.display()
+            ),
+        ),
+        ("Run".into(), format!("{seconds:.1} s; the table skips the first {} s", options.skip)),
+    ];
+    if let Some(q) = evaluation.estimates.iter().find(|q| q.estimate == topics::ODOMETRY) {
+        facts.push((
+            "Odometry".into(),
+            format!("{:.2} Hz, longest gap {:.1} ms", q.rate_hz, q.longest_gap_ms),
+        ));
+    }
+    Ok(Page {
+        over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
+        title: "Estimates against the truth".into(),
+        lead: "The truth is interpolated at each estimate's stamp. NEES compares the covariance \
+               with the errors: its expected value is 3 for position and for rotation; a larger \
+               one means that the covariance is too small."
+            .into(),
+        facts,
+        sections: vec![
+            Section { id: "errors".into(), title: "Errors".into(), blocks },
+            Section {
+                id: "curves".into(),
+                title: "Position and rotation over time".into(),
+                blocks: vec![
+                    Block::text(
+                        "Each panel has the range of the truth (thin line); a curve that \
+                                 drifts leaves it.",
+                    ),
+                    Block::Figure(six),
+                ],
+            },
+            Section {
+                id: "off".into(),
+                title: "Distance from the truth over time".into(),
+                blocks: vec![Block::Figure(distances(
+                    tracks.began,
+                    seconds,
+                    options.skip,
+                    &tracks.truth,
+                    &shown,
+                )?)],
+            },
+        ],
+    })
+}
+
+/// Lays out the page of many runs: a table, and the errors of each.
+///
+/// # Errors
+/// A figure cannot be drawn.
+pub fn page_of_many(results: &[RunResult], command: &str) -> Result<Page, ChartError> {
+    let all = qualities(results);
+    let head = [
+        "run",
+        "estimate",
+        "position RMSE / largest [mm]",
+        "rotation RMSE / largest [deg]",
+        "NEES",
+        "rate [Hz]",
+    ];
+    let mut table = Table { head: head.map(String::from).to_vec(), rows: Vec::new() };
+    let number = |x: Option<f64>| x.map_or("–".into(), |x| format!("{x:.2}"));
+    for (name, q) in &all {
+        let cells = [
+            (*name).to_owned(),
+            q.estimate.clone(),
+            format!("{:.3} / {:.3}", q.position_mm.rmse, q.position_mm.max),
+            format!("{:.3} / {:.3}", q.rotation_deg.rmse, q.rotation_deg.max),
+            format!("{}, {}", number(q.nees_position), number(q.nees_rotation)),
+            format!("{:.2}", q.rate_hz),
+        ];
+        table.rows.push(cells.map(|c| (c, false)).to_vec());
+    }
+    let mut blocks = vec![Block::Table(table)];
+    for (name, result) in results {
+        if let Err(e) = result {
+            blocks.push(Block::labelled(&format!("{name} failed:"), e.to_string()));
+        }
+    }
+    let shown = |estimate: &str, of: &dyn Fn(&Quality) -> f64| -> Vec<(f64, f64)> {
+        let runs = all.iter().filter(|(_, q)| q.estimate == estimate);
+        runs.enumerate().map(|(i, (_, q))| (i as f64 + 1.0, of(q))).collect()
+    };
+    let panel = |title: &str, unit: &str, of: &dyn Fn(&Quality) -> f64| {
+        let series: Vec<Series> = [
+            ("fused", topics::ODOMETRY, colors::FUSED),
+            ("camera alone", topics::VISUAL_POSE, colors::CAMERA),
+        ]
+        .into_iter()
+        .map(|(name, estimate, color)| Series {
+            name: name.into(),
+            color,
+            shape: Shape::Dots,
+            points: shown(estimate, of),
+            spread: Vec::new(),
+        })
+        .collect();
+        let top = series.iter().flat_map(|s| &s.points).map(|p| p.1).fold(0.0, f64::max);
+        Panel {
+            title: title.into(),
+            x: Axis {
+                name: "run, in the table's order".into(),
+                range: [0.5, results.len() as f64 + 0.5],
+                log: false,
+            },
+            y: Axis {
+                name: format!("RMSE [{unit}]"),
+                range: [0.0, (1.2 * top).max(1e-3)],
+                log: false,
+            },
+            series,
+        }
+    };
+    let drawn = panels(
+        Sheet { title: "Error of each run", size: (1120, 440), grid: (1, 2) },
+        &[
+            panel("position", "mm", &|q| q.position_mm.rmse),
+            panel("rotation", "deg", &|q| q.rotation_deg.rmse),
+        ],
+    )?;
+    blocks.push(Block::Figure(drawn));
+    Ok(Page {
+        over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
+        title: format!("{} runs against the truth", results.len()),
+        lead: "Each row is one estimate of one run. NEES (of the position, of the rotation) is 3 \
+               at best."
+            .into(),
+        facts: vec![
+            ("Made by".into(), format!("volant {}", env!("CARGO_PKG_VERSION"))),
+            ("Command".into(), format!("`{command}`")),
+        ],
+        sections: vec![Section { id: "runs".into(), title: "Errors of all runs".into(), blocks }],
+    })
+}
+
+fn table(estimates: &[Quality]) -> Table {
+    let mut table = Table { head: vec!["RMSE / largest".into()], rows: Vec::new() };
+    table.head.extend(estimates.iter().map(|q| q.estimate.clone()));
+    let mut row = |name: &str, cell: &dyn Fn(&Quality) -> String| {
+        let mut cells = vec![(name.to_owned(), false)];
+        cells.extend(estimates.iter().map(|q| (cell(q), false)));
+        table.rows.push(cells);
+    };
+    let spread = |s: super::Spread| format!("{:.3} / {:.3}", s.rmse, s.max);
+    let number = |x: Option<f64>| x.map_or("–".into(), |x| format!("{x:.2}"));
+    row("position [mm]", &|q| spread(q.position_mm));
+    row("rotation [deg]", &|q| spread(q.rotation_deg));
+    for (i, name) in ["x [mm]", "y [mm]", "z [mm]"].into_iter().enumerate() {
+        row(name, &|q| spread(q.axes_mm[i]));
+    }
+    for (i, name) in ["roll [deg]", "pitch [deg]", "yaw [deg]"].into_iter().enumerate() {
+        row(name, &|q| spread(q.angles_deg[i]));
+    }
+    row("NEES of the position", &|q| number(q.nees_position));
+    row("NEES of the rotation", &|q| number(q.nees_rotation));
+    row("compared", &|q| q.count.to_string());
+    row("rate [Hz]", &|q| format!("{:.2}", q.rate_hz));
+    table
+}
+
+fn distances(
+    began: Stamp,
+    seconds: f64,
+    skip: f64,
+    truth: &Truth,
+    shown: &[(&str, &Track, Color, u32)],
+) -> Result<String, ChartError> {
+    let curve = |of: &dyn Fn(&Isometry3<f64>, &Isometry3<f64>) -> f64| -> (Vec<Series>, f64) {
+        let mut all = Vec::new();
+        let series = shown
+            .iter()
+            .map(|(name, track, color, width)| {
+                let points: Vec<(f64, f64)> = track
+                    .iter()
+                    .filter_map(|(stamp, pose)| {
+                        Some((
+                            stamp.seconds_since(began),
+                            of(pose, &truth.at(*stamp)?.world_from_volant),
+                        ))
+                    })
+                    .filter(|p| p.0 >= skip)
+                    .collect();
+                all.extend(points.iter().map(|p| p.1));
+                // The largest of neighboring values, so that no peak is lost.
+                let step = points.len().div_ceil(POINTS).max(1);
+                let thinned = points
+                    .chunks(step)
+                    .filter_map(|c| c.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1)))
+                    .collect();
+                let shape = if *width == 0 { Shape::Dots } else { Shape::Line(2) };
+                Series {
+                    name: (*name).to_owned(),
+                    color: *color,
+                    shape,
+                    points: thinned,
+                    spread: Vec::new(),
+                }
+            })
+            .collect();
+        all.sort_by(f64::total_cmp);
+        let top = all.get(all.len().saturating_sub(1 + all.len() / 200)).copied().unwrap_or(1.0);
+        (series, (1.2 * top).max(1e-3))
+    };
+    let (mm, top_mm) = curve(&|a, b| (a.translation.vector - b.translation.vector).norm() * 1e3);
+    let (deg, top_deg) = curve(&|a, b| a.rotation.angle_to(&b.rotation).to_degrees());
+    let panel = |title: &str, unit: &str, series, top| Panel {
+        title: title.into(),
+        x: Axis { name: "time [s]".into(), range: [0.0, seconds], log: false },
+        y: Axis { name: format!("error [{unit}]"), range: [0.0, top], log: false },
+        series,
+    };
+    let sheet = Sheet { title: "Distance from the truth", size: (1120, 460), grid: (1, 2) };
+    panels(sheet, &[panel("position", "mm", mm, top_mm), panel("rotation", "deg", deg, top_deg)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluate::{Spread, Tracks, TruthSample};
+    use nalgebra::{Translation3, Vector3};
+
+    fn evaluation() -> Evaluation {
+        let stamp = |i: i64| Stamp::from_nanos(i * 10_000_000);
+        let pose =
+            |i: i64, off: f64| Isometry3::from(Translation3::new(0.001 * i as f64 + off, 0.0, 1.0));
+        let sample = |stamp, world_from_volant| TruthSample {
+            stamp,
+            world_from_volant,
+            linear_velocity: Vector3::zeros(),
+            angular_velocity: Vector3::zeros(),
+        };
+        let spread = Spread { rmse: 1.0, max: 2.0 };
+        let quality = Quality {
+            estimate: topics::ODOMETRY.into(),
+            count: 300,
+            position_mm: spread,
+            rotation_deg: spread,
+            axes_mm: [spread; 3],
+            angles_deg: [spread; 3],
+            nees_position: Some(3.1),
+            nees_rotation: None,
+            nees_pose: None,
+            velocity_mm_s: None,
+            turn_deg_s: None,
+            rate_hz: 100.0,
+            gaps_over_30_ms: 0,
+            longest_gap_ms: 10.0,
+            first_s: 1.0,
+            last_s: 3.0,
+            unusable: 0,
+            without_covariance: 0,
+            without_truth: 0,
+        };
+        Evaluation {
+            estimates: vec![quality],
+            losses: vec!["the bag was cut".into()],
+            tracks: Tracks {
+                began: stamp(0),
+                estimates: vec![(
+                    topics::ODOMETRY.into(),
+                    (0..300).map(|i| (stamp(i), pose(i, 0.002))).collect(),
+                )],
+                truth: Truth::new((0..301).map(|i| sample(stamp(i), pose(i, 0.0))).collect()),
+            },
+        }
+    }
+
+    #[test]
+    fn the_page_has_the_table_the_curves_and_the_losses() {
+        let options = EvaluateOptions {
+            estimates: "OUT.mcap".into(),
+            truth: "TRUTH.mcap".into(),
+            skip: 1.0,
+            names: crate::replay::TopicNames::default(),
+        };
+        let html = page(&evaluation(), &options).unwrap().render();
+        for part in [
+            "volant evaluate OUT.mcap --truth TRUTH.mcap",
+            "1.000 / 2.000",
+            "3.10",
+            "the bag was cut",
+            "error [mm]",
+        ] {
+            assert!(html.contains(part), "{part}");
+        }
+        assert_eq!(html.matches("<figure>").count(), 2);
+    }
+}

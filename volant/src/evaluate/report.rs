@@ -1,0 +1,105 @@
+//! Formats an evaluation as a text table and as CSV.
+
+use super::{Evaluation, Quality, Spread};
+use std::fmt::Write;
+
+/// Formats a text table with one column per estimate.
+pub fn table(evaluation: &Evaluation) -> String {
+    let q = &evaluation.estimates;
+    let spread = |s: Spread| format!("{:.3} / {:.3}", s.rmse, s.max);
+    let number = |x: Option<f64>| x.map_or("-".into(), |x| format!("{x:.2}"));
+    let optional = |s: Option<Spread>| s.map_or("-".into(), spread);
+    let mut rows: Vec<(String, Vec<String>)> = vec![];
+    let mut row = |name: &str, cell: &dyn Fn(&Quality) -> String| {
+        rows.push((name.to_owned(), q.iter().map(cell).collect()));
+    };
+    row("", &|q| q.estimate.clone());
+    row("RMSE / max", &|_| String::new());
+    row("position (mm)", &|q| spread(q.position_mm));
+    row("rotation (deg)", &|q| spread(q.rotation_deg));
+    for (i, name) in ["x (mm)", "y (mm)", "z (mm)"].into_iter().enumerate() {
+        row(name, &|q| spread(q.axes_mm[i]));
+    }
+    for (i, name) in ["roll (deg)", "pitch (deg)", "yaw (deg)"].into_iter().enumerate() {
+        row(name, &|q| spread(q.angles_deg[i]));
+    }
+    if q.iter().any(|q| q.velocity_mm_s.is_some()) {
+        row("velocity (mm/s)", &|q| optional(q.velocity_mm_s));
+        row("turn rate (deg/s)", &|q| optional(q.turn_deg_s));
+    }
+    row("NEES position (3)", &|q| number(q.nees_position));
+    row("NEES rotation (3)", &|q| number(q.nees_rotation));
+    row("NEES pose (6)", &|q| number(q.nees_pose));
+    row("compared", &|q| q.count.to_string());
+    row("rate (Hz)", &|q| format!("{:.2}", q.rate_hz));
+    row("gaps > 30 ms", &|q| q.gaps_over_30_ms.to_string());
+    row("longest gap (ms)", &|q| format!("{:.1}", q.longest_gap_ms));
+    row("first, last (s)", &|q| format!("{:.2}, {:.2}", q.first_s, q.last_s));
+    for (name, get) in [
+        ("unusable", (|q| q.unusable) as fn(&Quality) -> u64),
+        ("without covariance", |q| q.without_covariance),
+        ("without truth", |q| q.without_truth),
+    ] {
+        if q.iter().any(|q| get(q) > 0) {
+            row(name, &|q| get(q).to_string());
+        }
+    }
+    let first = rows.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..q.len())
+        .map(|i| rows.iter().map(|(_, cells)| cells[i].len()).max().unwrap_or(0))
+        .collect();
+    let mut out = String::new();
+    for (name, cells) in &rows {
+        let _ = write!(out, "{name:first$}");
+        for (cell, width) in cells.iter().zip(&widths) {
+            let _ = write!(out, "  {cell:>width$}");
+        }
+        while out.ends_with(' ') {
+            out.pop();
+        }
+        out.push('\n');
+    }
+    out
+}
+
+/// Formats CSV with one row per estimate.
+pub fn csv(evaluation: &Evaluation) -> String {
+    let mut out = String::from("estimate,count");
+    for axis in ["position", "x", "y", "z"] {
+        let _ = write!(out, ",{axis}_rmse_mm,{axis}_max_mm");
+    }
+    for axis in ["rotation", "roll", "pitch", "yaw"] {
+        let _ = write!(out, ",{axis}_rmse_deg,{axis}_max_deg");
+    }
+    out += ",nees_position,nees_rotation,nees_pose,rate_hz,gaps_over_30_ms,longest_gap_ms,\
+            first_s,last_s,unusable,without_covariance,without_truth\n";
+    for q in &evaluation.estimates {
+        let _ = write!(out, "{},{}", q.estimate, q.count);
+        let spreads = std::iter::once(&q.position_mm)
+            .chain(&q.axes_mm)
+            .chain(std::iter::once(&q.rotation_deg))
+            .chain(&q.angles_deg);
+        for s in spreads {
+            let _ = write!(out, ",{:.6},{:.6}", s.rmse, s.max);
+        }
+        for nees in [q.nees_position, q.nees_rotation, q.nees_pose] {
+            out.push(',');
+            if let Some(nees) = nees {
+                let _ = write!(out, "{nees:.4}");
+            }
+        }
+        let _ = writeln!(
+            out,
+            ",{:.4},{},{:.3},{:.3},{:.3},{},{},{}",
+            q.rate_hz,
+            q.gaps_over_30_ms,
+            q.longest_gap_ms,
+            q.first_s,
+            q.last_s,
+            q.unusable,
+            q.without_covariance,
+            q.without_truth
+        );
+    }
+    out
+}

@@ -1,0 +1,331 @@
+//! Server of Foxglove's WebSocket protocol for live topics, without ROS. Samples of live topics
+//! ([`Tap`]) are sent unchanged, with their `.msg` text as schema, so that Foxglove shows them as
+//! it does from a bag. A topic is subscribed to only while a client subscribes to it. Clients
+//! cannot publish, call services or set parameters.
+
+mod client;
+mod protocol;
+
+use super::{
+    LiveError,
+    tap::{Offer, Sample, Subscription, Tap},
+};
+use bag::Durability;
+use client::Client;
+use protocol::{Channel, FromClient, advertise, message_data, server_info, unadvertise, warning};
+use std::{
+    collections::{BTreeMap, HashMap},
+    io::ErrorKind,
+    net::{IpAddr, SocketAddr, TcpListener},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::JoinHandle,
+    time::Duration,
+};
+use tungstenite::Message;
+
+/// Foxglove's default port.
+pub const PORT: u16 = 8765;
+/// Period of polling for new topics and clients.
+const LOOK: Duration = Duration::from_millis(50);
+/// Time for which a topic without a publisher is kept, because publishers restart.
+const LEAVE_AFTER: u32 = 100;
+/// Limit of simultaneous clients.
+const MOST_CLIENTS: usize = 32;
+
+/// Parses ADDRESS, PORT or ADDRESS:PORT; the defaults are `host` and [`PORT`].
+#[must_use]
+pub fn serve_at(text: &str, host: IpAddr) -> Option<SocketAddr> {
+    if text.is_empty() {
+        return Some(SocketAddr::new(host, PORT));
+    }
+    if let Ok(port) = text.parse::<u16>() {
+        return Some(SocketAddr::new(host, port));
+    }
+    if let Ok(address) = text.parse::<IpAddr>() {
+        return Some(SocketAddr::new(address, PORT));
+    }
+    text.parse().ok()
+}
+
+/// A running server; dropping it ends it.
+pub struct Foxglove {
+    address: SocketAddr,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Foxglove {
+    /// Starts a server at an address (port 0: any free port).
+    ///
+    /// # Errors
+    /// The address is not available, or the domain cannot be joined.
+    pub fn start(address: SocketAddr) -> Result<Self, LiveError> {
+        let failed = |source| LiveError::Address { address, source };
+        let listener = TcpListener::bind(address).map_err(failed)?;
+        listener.set_nonblocking(true).map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        let tap = Tap::join()?;
+        let stop = Arc::<AtomicBool>::default();
+        let thread = std::thread::Builder::new()
+            .name("foxglove".into())
+            .spawn({
+                let stop = Arc::clone(&stop);
+                move || run(&listener, tap, &stop)
+            })
+            .map_err(|_| LiveError::Thread { what: "the thread of the Foxglove server" })?;
+        Ok(Self { address, stop, thread: Some(thread) })
+    }
+
+    /// Address of the server.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+}
+
+impl Drop for Foxglove {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// State shared by the threads of the clients, the tap and the server.
+#[derive(Default)]
+struct Shared {
+    clients: Mutex<Vec<Arc<Client>>>,
+    latched: Mutex<Latched>,
+}
+
+/// Last message of each latched topic by channel and publisher, for late clients.
+type Latched = HashMap<(u32, [u8; 16]), Arc<Sample>>;
+
+struct Topic {
+    offer: Offer,
+    channel: Channel,
+    subscription: Option<Subscription>,
+    /// Polls without a publisher.
+    missing: u32,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn run(listener: &TcpListener, mut tap: Tap, stop: &AtomicBool) {
+    let shared = Arc::<Shared>::default();
+    let mut topics: BTreeMap<String, Topic> = BTreeMap::new();
+    let mut next_id = 1;
+    let mut threads: Vec<JoinHandle<()>> = vec![];
+    let session = super::system_nanos().to_string();
+    let mut lost = false;
+    while !stop.load(Ordering::Acquire) {
+        lost |= tap.loss().is_some();
+        if lost {
+            topics.values_mut().for_each(|topic| topic.subscription = None);
+            // Retried in the next poll.
+            if let Ok(another) = Tap::join() {
+                tap = another;
+                lost = false;
+            }
+        }
+        look_for_topics(&tap, &shared, &mut topics, &mut next_id);
+        lock(&shared.clients).retain(|c| !c.is_closed());
+        threads.retain(|t| !t.is_finished());
+        loop {
+            match listener.accept() {
+                Ok((stream, _)) if threads.len() < MOST_CLIENTS => {
+                    let hello = vec![
+                        server_info("volant", &session),
+                        advertise(&topics.values().map(|t| t.channel.clone()).collect::<Vec<_>>()),
+                    ];
+                    threads.extend(welcome(stream, hello, &shared));
+                }
+                // Dropping it closes it.
+                Ok(_) => {}
+                Err(e) if e.kind() == ErrorKind::WouldBlock => break,
+                // The client disconnected before it was accepted.
+                Err(_) => break,
+            }
+        }
+        follow(&mut tap, &shared, &mut topics);
+        std::thread::sleep(LOOK);
+    }
+    lock(&shared.clients).iter().for_each(|c| c.close());
+    drop(topics);
+    for thread in threads {
+        let _ = thread.join();
+    }
+}
+
+/// Advertises new topics, and unadvertises removed ones.
+fn look_for_topics(
+    tap: &Tap,
+    shared: &Shared,
+    topics: &mut BTreeMap<String, Topic>,
+    next_id: &mut u32,
+) {
+    let mut new = vec![];
+    for topic in topics.values_mut() {
+        topic.missing += 1;
+    }
+    for offer in tap.offers() {
+        let known = topics.get_mut(&offer.topic.name);
+        if let Some(topic) = known.filter(|t| t.offer.topic.type_name == offer.topic.type_name) {
+            topic.missing = 0;
+            topic.offer = offer;
+            continue;
+        }
+        // Foxglove requires a schema.
+        if offer.topic.definition.is_empty() {
+            continue;
+        }
+        let channel = Channel {
+            id: *next_id,
+            topic: offer.topic.name.clone(),
+            encoding: "cdr",
+            schema_name: offer.topic.type_name.clone(),
+            schema: offer.topic.definition.clone(),
+            schema_encoding: "ros2msg",
+        };
+        *next_id += 1;
+        new.push(channel.clone());
+        let topic = Topic { offer, channel, subscription: None, missing: 0 };
+        if let Some(before) = topics.insert(topic.channel.topic.clone(), topic) {
+            leave(shared, before.channel.id);
+        }
+    }
+    topics.retain(|_, topic| {
+        let stays = topic.missing < LEAVE_AFTER;
+        if !stays {
+            leave(shared, topic.channel.id);
+        }
+        stays
+    });
+    if !new.is_empty() {
+        let text = advertise(&new);
+        lock(&shared.clients).iter().for_each(|c| c.send(Message::text(text.clone())));
+    }
+}
+
+fn leave(shared: &Shared, channel: u32) {
+    lock(&shared.latched).retain(|(id, _), _| *id != channel);
+    for client in lock(&shared.clients).iter() {
+        lock(&client.subscriptions).remove(&channel);
+        client.send(Message::text(unadvertise(&[channel])));
+    }
+}
+
+fn welcome(
+    stream: std::net::TcpStream,
+    hello: Vec<String>,
+    shared: &Arc<Shared>,
+) -> Option<JoinHandle<()>> {
+    // An accepted socket may inherit the listener's mode.
+    stream.set_nonblocking(false).ok()?;
+    let (client, outgoing) = Client::new();
+    lock(&shared.clients).push(Arc::clone(&client));
+    let shared = Arc::clone(shared);
+    std::thread::Builder::new()
+        .name("foxglove_client".into())
+        .spawn(move || {
+            // A lost connection affects no other client.
+            let _ = client::serve(stream, &client, &outgoing, hello, |request| {
+                handle_request(&shared, &client, request)
+            });
+            client.close();
+        })
+        .ok()
+}
+
+fn handle_request(shared: &Shared, client: &Client, request: FromClient) {
+    match request {
+        FromClient::Subscribe { subscriptions } => {
+            for subscribe in subscriptions {
+                let mut latest: Vec<Arc<Sample>> = vec![];
+                {
+                    // Locked over both, so that a latched message is sent once.
+                    let latched = lock(&shared.latched);
+                    lock(&client.subscriptions).insert(subscribe.channel_id, subscribe.id);
+                    latest.extend(
+                        latched
+                            .iter()
+                            .filter(|((id, _), _)| *id == subscribe.channel_id)
+                            .map(|(_, s)| Arc::clone(s)),
+                    );
+                }
+                for sample in latest {
+                    client.send(Message::binary(message_data(
+                        subscribe.id,
+                        sample.log_time,
+                        &sample.data,
+                    )));
+                }
+            }
+        }
+        FromClient::Unsubscribe { subscription_ids } => {
+            lock(&client.subscriptions).retain(|_, id| !subscription_ids.contains(id));
+        }
+        FromClient::Other => {
+            client.send(Message::text(warning("this server only publishes topics")));
+        }
+    }
+}
+
+/// Subscribes to the topics that clients subscribe to, and unsubscribes from others.
+fn follow(tap: &mut Tap, shared: &Arc<Shared>, topics: &mut BTreeMap<String, Topic>) {
+    for topic in topics.values_mut() {
+        let id = topic.channel.id;
+        let wanted =
+            lock(&shared.clients).iter().any(|c| !c.is_closed() && c.subscription(id).is_some());
+        if !wanted {
+            if topic.subscription.take().is_some() {
+                lock(&shared.latched).retain(|(channel, _), _| *channel != id);
+            }
+        } else if topic.subscription.is_none() {
+            let latched = topic.offer.qos.durability == Durability::TransientLocal;
+            let shared = Arc::clone(shared);
+            // Retried in the next poll.
+            topic.subscription =
+                tap.subscribe(&topic.offer, move |sample| give(&shared, id, latched, sample)).ok();
+        }
+    }
+}
+
+fn give(shared: &Shared, channel: u32, latched: bool, sample: Sample) {
+    let sample = Arc::new(sample);
+    let mut kept = latched.then(|| lock(&shared.latched));
+    if let Some(kept) = &mut kept
+        && (kept.len() < 1024 || kept.contains_key(&(channel, sample.writer)))
+    {
+        kept.insert((channel, sample.writer), Arc::clone(&sample));
+    }
+    for client in lock(&shared.clients).iter() {
+        if let Some(subscription) = client.subscription(channel) {
+            client.send(Message::binary(message_data(subscription, sample.log_time, &sample.data)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::Ipv4Addr;
+
+    #[test]
+    fn an_address_a_port_or_both() {
+        let host = IpAddr::V4(Ipv4Addr::LOCALHOST);
+        let show = |text| serve_at(text, host).map(|a| a.to_string());
+        assert_eq!(show("").as_deref(), Some("127.0.0.1:8765"));
+        assert_eq!(show("9000").as_deref(), Some("127.0.0.1:9000"));
+        assert_eq!(show("10.0.0.1").as_deref(), Some("10.0.0.1:8765"));
+        assert_eq!(show("10.0.0.1:1").as_deref(), Some("10.0.0.1:1"));
+        assert_eq!(show("::1").as_deref(), Some("[::1]:8765"));
+        assert_eq!(show("70000"), None);
+        assert_eq!(show("here"), None);
+    }
+}

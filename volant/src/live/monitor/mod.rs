@@ -1,0 +1,118 @@
+//! Monitor of live nodes: poses with their uncertainty, markers, rates, delays, losses,
+//! diagnostics. [`Watch`] subscribes to live topics and yields [`Snapshot`]s, which are shown as
+//! text ([`plain`]) or on a terminal ([`screen`]).
+
+pub mod plain;
+pub mod screen;
+mod snapshot;
+mod state;
+
+pub use snapshot::{
+    Flow, InputLine, MarkerState, PoseState, RigState, Snapshot, StatusLine, TopicLine,
+};
+pub use state::Monitor;
+
+use super::{
+    LiveError, system_nanos,
+    tap::{Subscription, Tap},
+};
+use rig_model::topics;
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+/// Which topics are watched.
+#[derive(Clone, Debug, Default)]
+pub struct WatchOptions {
+    /// Only topics under this namespace, and those of the whole graph (`/diagnostics`, `/tf`);
+    /// empty: all.
+    pub namespace: String,
+    /// Whether to subscribe to images too, which adds network load.
+    pub images: bool,
+}
+
+/// Subscriptions to live topics, and what they received.
+pub struct Watch {
+    // Dropped before their tap.
+    subscriptions: BTreeMap<String, Subscription>,
+    tap: Tap,
+    monitor: Arc<Mutex<Monitor>>,
+    options: WatchOptions,
+}
+
+impl Watch {
+    /// Joins the domain that the environment names.
+    ///
+    /// # Errors
+    /// A variable of the environment is invalid, or the domain cannot be joined.
+    pub fn start(options: WatchOptions) -> Result<Self, LiveError> {
+        Ok(Self {
+            subscriptions: BTreeMap::new(),
+            tap: Tap::join()?,
+            monitor: Arc::default(),
+            options,
+        })
+    }
+
+    /// Subscribes to new topics; call it a few times a second.
+    ///
+    /// # Errors
+    /// DDS creates no subscription, or the domain cannot be joined again.
+    pub fn poll(&mut self) -> Result<(), LiveError> {
+        if self.tap.loss().is_some() {
+            self.subscriptions.clear();
+            self.tap = Tap::join()?;
+        }
+        let offers = self.tap.offers();
+        for offer in &offers {
+            let (name, type_name) = (&offer.topic.name, &offer.topic.type_name);
+            if !self.concerns(name) {
+                continue;
+            }
+            let image =
+                matches!(&**type_name, "sensor_msgs/msg/Image" | "sensor_msgs/msg/CompressedImage");
+            let known = !offer.topic.definition.is_empty();
+            let subscribed = known && (!image || self.options.images);
+            lock(&self.monitor).discover(name, type_name, offer.publishers, subscribed);
+            if subscribed && !self.subscriptions.contains_key(name) {
+                let (monitor, topic) = (Arc::clone(&self.monitor), offer.topic.clone());
+                let subscription =
+                    self.tap.subscribe(offer, move |sample| lock(&monitor).add(&topic, &sample))?;
+                self.subscriptions.insert(name.clone(), subscription);
+            }
+        }
+        lock(&self.monitor).retain_published(|name| offers.iter().any(|o| o.topic.name == name));
+        Ok(())
+    }
+
+    /// Summarizes what was received until now.
+    pub fn snapshot(&self) -> Snapshot {
+        lock(&self.monitor).snapshot(system_nanos())
+    }
+
+    fn concerns(&self, topic: &str) -> bool {
+        let namespace = self.options.namespace.trim_matches('/');
+        let plumbing =
+            [topics::absolute::PARAMETER_EVENTS, topics::absolute::ROSOUT, "/transition_event"]
+                .iter()
+                .any(|t| topic.ends_with(t));
+        !plumbing
+            && (namespace.is_empty()
+                || [
+                    topics::absolute::DIAGNOSTICS,
+                    topics::absolute::TF,
+                    topics::absolute::TF_STATIC,
+                    topics::absolute::CLOCK,
+                ]
+                .contains(&topic)
+                || topic
+                    .strip_prefix('/')
+                    .and_then(|t| t.strip_prefix(namespace))
+                    .is_some_and(|t| t.starts_with('/')))
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,216 @@
+//! Formats a snapshot as text, for pipes, logs and tests; the screen uses the same cells.
+
+use super::snapshot::{Flow, InputLine, MarkerState, PoseState, RigState, Snapshot, StatusLine};
+use std::fmt::Write;
+
+/// Names of the levels of diagnostics.
+pub const LEVELS: [&str; 4] = ["ok", "WARN", "ERROR", "STALE"];
+
+/// Name of a diagnostic's level.
+pub fn level(status: &StatusLine) -> &'static str {
+    LEVELS.get(usize::from(status.level)).copied().unwrap_or("?")
+}
+
+/// Formats a snapshot.
+pub fn text(snapshot: &Snapshot) -> String {
+    let mut out = String::new();
+    for (name, rig) in &snapshot.rigs {
+        let _ = writeln!(out, "rig {}", if name.is_empty() { "/" } else { name });
+        for line in rig_lines(rig, snapshot.now) {
+            let _ = writeln!(out, "  {line}");
+        }
+    }
+    let _ = writeln!(out, "topics");
+    let width = snapshot.topics.iter().map(|t| t.name.len()).max().unwrap_or(0);
+    for topic in &snapshot.topics {
+        let flow = topic
+            .flow
+            .as_ref()
+            .map_or_else(|| "not subscribed".to_owned(), |f| flow_cells(f).join("  "));
+        let publishers = match topic.publishers {
+            0 => "  NO PUBLISHER".to_owned(),
+            1 => String::new(),
+            n => format!("  {n} publishers"),
+        };
+        let _ = writeln!(out, "  {:width$}  {flow}{publishers}", topic.name);
+    }
+    if !snapshot.inputs.is_empty() {
+        let _ = writeln!(out, "inputs, as the nodes count them");
+        for input in &snapshot.inputs {
+            let _ = writeln!(out, "  {}", input_line(input));
+        }
+    }
+    if !snapshot.statuses.is_empty() {
+        let _ = writeln!(out, "diagnostics");
+        for status in &snapshot.statuses {
+            let _ = writeln!(
+                out,
+                "  {:5} {}: {}: {}",
+                level(status),
+                status.node,
+                status.name,
+                status.message
+            );
+        }
+    }
+    out
+}
+
+/// Formats poses and markers, one line each.
+pub fn rig_lines(rig: &RigState, now: u64) -> Vec<String> {
+    let mut lines = vec![];
+    for (what, pose) in [("fused ", &rig.odometry), ("camera", &rig.visual)] {
+        match pose {
+            Some(pose) => {
+                let [position, angles] = pose_lines(pose);
+                lines.push(format!("{what}  {position}{}", old(pose.at, now)));
+                lines.push(format!("        {angles}"));
+                if let Some([linear, angular]) = pose.speed {
+                    lines.push(format!("        {linear:.3} m/s, {angular:.1} °/s"));
+                }
+            }
+            None => lines.push(format!("{what}  nothing yet")),
+        }
+    }
+    if rig.markers.is_empty() {
+        lines.push("markers nothing yet".to_owned());
+    }
+    for marker in &rig.markers {
+        lines.push(format!(
+            "{:7} {}{}",
+            marker.color.name(),
+            marker_line(marker),
+            old(rig.markers_at, now)
+        ));
+    }
+    lines
+}
+
+/// Formats position and rotation with their standard deviations.
+pub fn pose_lines(pose: &PoseState) -> [String; 2] {
+    let axes = |names: [&str; 3],
+                values: [f64; 3],
+                sigmas: [f64; 3],
+                unit: &str,
+                digits: usize,
+                small: (f64, &str)| {
+        let cells: Vec<String> = names
+            .iter()
+            .zip(values.iter().zip(sigmas))
+            .map(|(name, (value, sigma))| {
+                format!("{name} {value:8.digits$} ±{:.2} {}", sigma * small.0, small.1)
+            })
+            .collect();
+        format!("{} ({unit})", cells.join("  "))
+    };
+    [
+        axes(["x", "y", "z"], pose.position.into(), pose.position_sigma, "m", 4, (1e3, "mm")),
+        axes(["roll", "pitch", "yaw"], pose.angles, pose.angle_sigma, "°", 2, (1.0, "°")),
+    ]
+}
+
+/// Formats state, position and standard deviations of a marker.
+pub fn marker_line(marker: &MarkerState) -> String {
+    let place = if marker.position[0].is_finite() {
+        format!(
+            "({:7.2}, {:7.2}) px ±{:.3}, {:.3}",
+            marker.position[0], marker.position[1], marker.sigma[0], marker.sigma[1]
+        )
+    } else {
+        String::new()
+    };
+    let hidden = match marker.hidden_for {
+        Some(0) => String::new(),
+        Some(n) => format!("hidden for {n} images"),
+        None => "never seen".to_owned(),
+    };
+    format!(
+        "{:9} {place}{}{hidden}",
+        marker.state,
+        if hidden.is_empty() || place.is_empty() { "" } else { ", " }
+    )
+    .trim_end()
+    .to_owned()
+}
+
+/// Formats rate, delay, messages and losses.
+pub fn flow_cells(flow: &Flow) -> [String; 4] {
+    [
+        if flow.rate > 0.0 { format!("{:7.1} Hz", flow.rate) } else { "  silent  ".to_owned() },
+        flow.delay.map_or_else(
+            || format!("{:24}", ""),
+            |(mean, max)| format!("delay {:6.1} max {:6.1} ms", mean * 1e3, max * 1e3),
+        ),
+        format!("{:7} messages", flow.count),
+        format!("{} lost", flow.lost),
+    ]
+}
+
+/// Formats a node's count of an input.
+pub fn input_line(input: &InputLine) -> String {
+    format!(
+        "{} ← {}  {:.1} Hz, {} dropped, {} rejected, {} lost in transport",
+        input.node, input.input, input.rate, input.dropped, input.rejected, input.lost
+    )
+}
+
+fn old(at: u64, now: u64) -> String {
+    match now.saturating_sub(at) / 1_000_000_000 {
+        0 | 1 => String::new(),
+        seconds => format!("  ({seconds} s ago)"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+    use rig_model::MarkerColor;
+
+    #[test]
+    fn what_matters_is_in_the_text() {
+        let pose = PoseState {
+            at: 0,
+            position: Vector3::new(0.1, -0.2, -1.5),
+            angles: [1.0, 2.0, 90.0],
+            position_sigma: [0.0004, 0.0005, 0.0006],
+            angle_sigma: [0.05, 0.06, 0.07],
+            speed: Some([0.25, 12.0]),
+        };
+        let marker = |state, x, hidden_for| MarkerState {
+            color: MarkerColor::Red,
+            state,
+            position: [x, 240.0],
+            sigma: [0.02, 0.03],
+            hidden_for,
+        };
+        let rig = RigState {
+            odometry: Some(pose),
+            visual: None,
+            markers: vec![
+                marker("DETECTED", 320.0, Some(0)),
+                marker("LOST", f64::NAN, None),
+                marker("PREDICTED", 9.0, Some(2)),
+            ],
+            markers_at: 0,
+        };
+        let snapshot = Snapshot {
+            rigs: vec![(String::new(), rig)],
+            now: 7_000_000_000,
+            ..Snapshot::default()
+        };
+        let text = text(&snapshot);
+        for needle in [
+            "x   0.1000 ±0.40 mm",
+            "yaw    90.00 ±0.07 °",
+            "0.250 m/s, 12.0 °/s",
+            "(7 s ago)",
+            "camera  nothing yet",
+            "DETECTED  ( 320.00,  240.00) px ±0.020, 0.030",
+            "LOST      never seen",
+            "±0.020, 0.030, hidden for 2 images",
+        ] {
+            assert!(text.contains(needle), "{needle} in\n{text}");
+        }
+    }
+}

@@ -1,0 +1,240 @@
+//! Draws a snapshot on a terminal.
+
+use super::{
+    plain::{flow_cells, input_line, level, marker_line, pose_lines},
+    snapshot::{RigState, Snapshot},
+};
+use ratatui::{
+    Frame,
+    layout::{Constraint, Layout, Rect},
+    style::{Color, Modifier, Style},
+    text::{Line, Span},
+    widgets::{Block, Paragraph, Row, Table, canvas::Canvas},
+};
+use rig_model::MarkerColor;
+
+/// Draws a snapshot; `chosen` is the index of the rig that is shown.
+pub fn draw(frame: &mut Frame<'_>, snapshot: &Snapshot, chosen: usize) {
+    let rig = snapshot.rigs.get(chosen.min(snapshot.rigs.len().saturating_sub(1)));
+    // Two lines of border and one of headings.
+    let rows = |n: usize, most: u16| u16::try_from(n).unwrap_or(most).min(most) + 3;
+    let [top, topics, inputs, diagnostics] = Layout::vertical([
+        Constraint::Length(11),
+        Constraint::Length(rows(snapshot.topics.len(), 16)),
+        Constraint::Length(rows(snapshot.inputs.len(), 8) - 1),
+        Constraint::Min(4),
+    ])
+    .areas(frame.area());
+    let [left, right] =
+        Layout::horizontal([Constraint::Min(76), Constraint::Percentage(30)]).areas(top);
+    draw_rig(frame, left, snapshot, rig);
+    draw_image(frame, right, rig.map(|(_, rig)| rig));
+    draw_topics(frame, topics, snapshot);
+    let lines: Vec<Line<'_>> = snapshot
+        .inputs
+        .iter()
+        .map(|i| {
+            let bad = i.rate == 0.0 || i.dropped + i.rejected + i.lost > 0;
+            Line::styled(
+                input_line(i),
+                if bad { Style::new().fg(Color::Yellow) } else { Style::new() },
+            )
+        })
+        .collect();
+    frame.render_widget(
+        Paragraph::new(lines).block(titled("inputs, as the nodes count them")),
+        inputs,
+    );
+    let lines: Vec<Line<'_>> = snapshot
+        .statuses
+        .iter()
+        .map(|s| {
+            let color = match s.level {
+                0 => Color::Green,
+                1 => Color::Yellow,
+                _ => Color::Red,
+            };
+            Line::from(vec![
+                Span::styled(format!("{:5} ", level(s)), Style::new().fg(color)),
+                Span::styled(
+                    format!("{}: {}: ", s.node, s.name),
+                    Style::new().add_modifier(Modifier::BOLD),
+                ),
+                Span::raw(s.message.as_str()),
+            ])
+        })
+        .collect();
+    frame.render_widget(
+        Paragraph::new(lines).block(titled("diagnostics (q: quit, tab: next rig)")),
+        diagnostics,
+    );
+}
+
+fn titled(title: &str) -> Block<'_> {
+    Block::bordered().title(title)
+}
+
+fn draw_rig(
+    frame: &mut Frame<'_>,
+    area: Rect,
+    snapshot: &Snapshot,
+    rig: Option<&(String, RigState)>,
+) {
+    let mut lines: Vec<Line<'_>> = vec![];
+    let title = match rig {
+        None => "no rig: no publisher of volant/odometry, volant/visual_pose or climber/markers"
+            .to_owned(),
+        Some((name, _)) if name.is_empty() => "rig /".to_owned(),
+        Some((name, _)) => format!("rig {name}"),
+    };
+    if let Some((_, rig)) = rig {
+        for (what, pose) in [("fused ", &rig.odometry), ("camera", &rig.visual)] {
+            match pose {
+                None => lines.push(Line::styled(
+                    format!("{what}  nothing yet"),
+                    Style::new().fg(Color::Yellow),
+                )),
+                Some(pose) => {
+                    let old = snapshot.now.saturating_sub(pose.at) > 2_000_000_000;
+                    let style = if old { Style::new().fg(Color::Red) } else { Style::new() };
+                    let [position, angles] = pose_lines(pose);
+                    lines.push(Line::styled(format!("{what}  {position}"), style));
+                    lines.push(Line::styled(format!("        {angles}"), style));
+                    if let Some([linear, angular]) = pose.speed {
+                        lines.push(Line::styled(
+                            format!("        {linear:.3} m/s, {angular:.1} °/s"),
+                            style,
+                        ));
+                    }
+                }
+            }
+        }
+        for marker in &rig.markers {
+            lines.push(Line::from(vec![
+                Span::styled(
+                    format!("{:7} ", marker.color.name()),
+                    Style::new().fg(color(marker.color)),
+                ),
+                Span::raw(marker_line(marker)),
+            ]));
+        }
+    }
+    frame.render_widget(Paragraph::new(lines).block(titled(&title)), area);
+}
+
+/// Draws the markers' positions in the image. The image size is unknown here, so the frame grows
+/// with the positions.
+fn draw_image(frame: &mut Frame<'_>, area: Rect, rig: Option<&RigState>) {
+    let seen: Vec<(MarkerColor, f64, f64)> = rig
+        .iter()
+        .flat_map(|r| &r.markers)
+        .filter(|m| m.position[0].is_finite() && m.position[1].is_finite())
+        .map(|m| (m.color, m.position[0], m.position[1]))
+        .collect();
+    let far = |least: f64, of: fn(&(MarkerColor, f64, f64)) -> f64| {
+        seen.iter().map(of).fold(least, f64::max)
+    };
+    let (width, height) = (far(640.0, |m| m.1), far(480.0, |m| m.2));
+    let canvas = Canvas::default()
+        .block(titled("markers in the image"))
+        .x_bounds([0.0, width])
+        // Image coordinates: y points down.
+        .y_bounds([-height, 0.0])
+        .paint(|context| {
+            for (marker, x, y) in &seen {
+                context.print(*x, -*y, Span::styled("■", Style::new().fg(color(*marker))));
+            }
+        });
+    frame.render_widget(canvas, area);
+}
+
+fn draw_topics(frame: &mut Frame<'_>, area: Rect, snapshot: &Snapshot) {
+    let rows = snapshot.topics.iter().map(|topic| {
+        let mut cells = vec![topic.name.clone()];
+        match &topic.flow {
+            Some(flow) => cells.extend(flow_cells(flow)),
+            None => cells.extend([String::new(), "not subscribed (--images)".to_owned()]),
+        }
+        let bad = topic.publishers == 0 || topic.flow.is_some_and(|f| f.lost > 0);
+        Row::new(cells).style(if bad { Style::new().fg(Color::Yellow) } else { Style::new() })
+    });
+    let widths = [
+        Constraint::Min(30),
+        Constraint::Length(11),
+        Constraint::Length(27),
+        Constraint::Length(17),
+        Constraint::Length(9),
+    ];
+    let head = Row::new(["topic", "rate", "stamp to here", "", "lost"])
+        .style(Style::new().add_modifier(Modifier::DIM));
+    frame.render_widget(Table::new(rows, widths).header(head).block(titled("topics")), area);
+}
+
+fn color(marker: MarkerColor) -> Color {
+    match marker {
+        MarkerColor::Red => Color::Red,
+        MarkerColor::Green => Color::Green,
+        MarkerColor::Blue => Color::Blue,
+        MarkerColor::Yellow => Color::Yellow,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::live::monitor::{Flow, MarkerState, StatusLine, TopicLine};
+    use ratatui::{Terminal, backend::TestBackend};
+
+    fn screen(snapshot: &Snapshot, width: u16, height: u16) -> String {
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+        terminal.draw(|frame| draw(frame, snapshot, 7)).unwrap();
+        terminal.backend().to_string()
+    }
+
+    #[test]
+    fn the_screen_shows_markers_rates_and_diagnostics_at_any_size() {
+        let marker = MarkerState {
+            color: MarkerColor::Green,
+            state: "DETECTED",
+            position: [320.0, 240.0],
+            sigma: [0.02, 0.02],
+            hidden_for: Some(0),
+        };
+        let snapshot = Snapshot {
+            rigs: vec![("/rig1".into(), RigState { markers: vec![marker], ..RigState::default() })],
+            topics: vec![TopicLine {
+                name: "/rig1/climber/markers".into(),
+                type_name: String::new(),
+                publishers: 1,
+                flow: Some(Flow { rate: 30.0, delay: Some((0.01, 0.02)), count: 77, lost: 3 }),
+            }],
+            inputs: vec![],
+            statuses: vec![StatusLine {
+                level: 1,
+                node: "/rig1/imu".into(),
+                name: "unit".into(),
+                message: "unplugged".into(),
+            }],
+            now: 1,
+        };
+        let shown = screen(&snapshot, 120, 40);
+        for needle in [
+            "rig /rig1",
+            "green",
+            "DETECTED",
+            "■",
+            "30.0 Hz",
+            "3 lost",
+            "WARN",
+            "unplugged",
+            "nothing yet",
+        ] {
+            assert!(shown.contains(needle), "{needle} in\n{shown}");
+        }
+        for (width, height) in [(1, 1), (20, 5), (400, 100)] {
+            screen(&snapshot, width, height);
+            screen(&Snapshot::default(), width, height);
+        }
+        assert!(screen(&Snapshot::default(), 100, 30).contains("no rig"));
+    }
+}

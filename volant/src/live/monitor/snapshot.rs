@@ -1,0 +1,161 @@
+//! What the monitor shows: poses, markers, rates and diagnostics at one time.
+
+use nalgebra::{Isometry3, Vector3};
+use rig_model::MarkerColor;
+use volant_msgs::msg::MarkerObservation;
+
+/// The estimates and measurements of one rig.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RigState {
+    /// `volant/odometry`: `world_from_volant` and its twist in the volant frame.
+    pub odometry: Option<PoseState>,
+    /// `volant/visual_pose`: `world_from_volant` from one image alone.
+    pub visual: Option<PoseState>,
+    /// `climber/markers`.
+    pub markers: Vec<MarkerState>,
+    /// Arrival of the markers, ns.
+    pub markers_at: u64,
+}
+
+/// A pose with its standard deviations.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PoseState {
+    /// Time of arrival, ns.
+    pub at: u64,
+    /// Position, m.
+    pub position: Vector3<f64>,
+    /// Roll, pitch, yaw (fixed axes x, y, z), degrees.
+    pub angles: [f64; 3],
+    /// Standard deviations of the position, m.
+    pub position_sigma: [f64; 3],
+    /// Standard deviations of the rotation about the axes, degrees.
+    pub angle_sigma: [f64; 3],
+    /// Linear and angular speed, m/s and degrees/s, where the message has a twist.
+    pub speed: Option<[f64; 2]>,
+}
+
+/// A marker in the latest image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MarkerState {
+    /// Color of the marker.
+    pub color: MarkerColor,
+    /// `DETECTED`, `PREDICTED`, `LOST`, or `?`.
+    pub state: &'static str,
+    /// Position in the image, px; NaN where it is lost.
+    pub position: [f64; 2],
+    /// Standard deviations of the position, px.
+    pub sigma: [f64; 2],
+    /// Images since it was last detected; `None` if it never was.
+    pub hidden_for: Option<u16>,
+}
+
+/// What the monitor shows.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Snapshot {
+    /// Rigs by namespace, such as `/rig1`; empty for the root.
+    pub rigs: Vec<(String, RigState)>,
+    /// Topics by name.
+    pub topics: Vec<TopicLine>,
+    /// The nodes' own counts of their inputs.
+    pub inputs: Vec<InputLine>,
+    /// Diagnostics, worst first.
+    pub statuses: Vec<StatusLine>,
+    /// Time of the snapshot, ns.
+    pub now: u64,
+}
+
+/// A published topic.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TopicLine {
+    /// Absolute name.
+    pub name: String,
+    /// `package/msg/Type`.
+    pub type_name: String,
+    /// Number of publishers.
+    pub publishers: usize,
+    /// Received messages; `None` if the monitor does not subscribe.
+    pub flow: Option<Flow>,
+}
+
+/// Rate and delay of a topic.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Flow {
+    /// Rate over the last 5 s, Hz; 0 where it is silent.
+    pub rate: f64,
+    /// Mean and largest time from stamp to arrival, s.
+    pub delay: Option<(f64, f64)>,
+    /// Messages received since the start.
+    pub count: u64,
+    /// Messages lost in transport.
+    pub lost: u64,
+}
+
+/// A node's own count of one of its inputs.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct InputLine {
+    /// Fully qualified name of the node.
+    pub node: String,
+    /// The topic or device.
+    pub input: String,
+    /// Rate, Hz.
+    pub rate: f64,
+    /// Messages dropped from the full input queue.
+    pub dropped: u64,
+    /// Messages rejected as unusable.
+    pub rejected: u64,
+    /// Messages lost in transport.
+    pub lost: u64,
+}
+
+/// A line of `/diagnostics`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StatusLine {
+    /// 0 ok, 1 warning, 2 error, 3 stale.
+    pub level: u8,
+    /// Fully qualified name of the node.
+    pub node: String,
+    /// Name of the diagnostic.
+    pub name: String,
+    /// Its message.
+    pub message: String,
+}
+
+impl PoseState {
+    /// Converts a received pose; `at` in ns, `speed` in m/s and degrees/s.
+    pub(super) fn new(
+        at: u64,
+        pose: &Isometry3<f64>,
+        covariance: &[f64; 36],
+        speed: Option<[f64; 2]>,
+    ) -> Self {
+        let (roll, pitch, yaw) = pose.rotation.euler_angles();
+        let sigma = |i: usize| covariance[i * 7].max(0.0).sqrt();
+        Self {
+            at,
+            position: pose.translation.vector,
+            angles: [roll, pitch, yaw].map(f64::to_degrees),
+            position_sigma: [sigma(0), sigma(1), sigma(2)],
+            angle_sigma: [sigma(3), sigma(4), sigma(5)].map(f64::to_degrees),
+            speed,
+        }
+    }
+}
+
+impl MarkerState {
+    /// Converts a received observation; `None` for an unknown color.
+    pub(super) fn new(m: &MarkerObservation) -> Option<Self> {
+        let color = MarkerColor::ALL.into_iter().nth(usize::from(m.color))?;
+        Some(Self {
+            color,
+            state: match m.state {
+                MarkerObservation::DETECTED => "DETECTED",
+                MarkerObservation::PREDICTED => "PREDICTED",
+                MarkerObservation::LOST => "LOST",
+                _ => "?",
+            },
+            position: [m.x, m.y],
+            sigma: [m.covariance[0].max(0.0).sqrt(), m.covariance[3].max(0.0).sqrt()],
+            hidden_for: (m.occluded_frames != u16::MAX).then_some(m.occluded_frames),
+        })
+    }
+}

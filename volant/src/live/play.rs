@@ -1,0 +1,306 @@
+//! Plays a bag to live topics, at the pace of its log times.
+
+pub use super::player::{PlayControl, serve};
+use super::{
+    LiveError, join,
+    raw::{Raw, RawAdapter, dds_type_name, policies},
+};
+use crate::{replay::TopicNames, stopwatch::Stopwatch};
+use bag::{BagReader, Durability, QosProfile};
+use rig_model::topics;
+use rustdds::{Publisher, TopicKind, no_key::DataWriter};
+use std::{collections::BTreeMap, path::PathBuf, time::Duration};
+use volant_msgs::{Message, builtin_interfaces::msg::Time, cdr, rosgraph_msgs::msg::Clock};
+
+/// Longest sleep between two checks of the controls.
+const SLICE: Duration = Duration::from_millis(20);
+
+/// How long a player waits at its end for acknowledgments of reliable subscribers. (One that was
+/// killed never acknowledges.)
+const LAST_WAIT: Duration = Duration::from_secs(5);
+
+/// The same for a player that was stopped.
+const STOPPED_WAIT: Duration = Duration::from_millis(500);
+
+/// How long it stays after that. A subscriber may have acknowledged samples that its program has
+/// not read yet, and RustDDS 0.15.1 drops unread samples when their publisher leaves: the topic's
+/// cache forgets up to where the writer was complete.
+const LINGER: Duration = Duration::from_millis(500);
+
+/// Options of a playback.
+#[derive(Clone, Debug)]
+pub struct PlayOptions {
+    /// Bag to play.
+    pub input: PathBuf,
+    /// Whether to restart at the end.
+    pub repeat: bool,
+    /// Skipped time at the start.
+    pub start_offset: Duration,
+    /// Time before the first message, in which subscribers discover the topics.
+    pub delay: Duration,
+    /// Rate of `/clock`, Hz; `None`: not published.
+    pub clock_hz: Option<f64>,
+    /// Topics to play, by their names in the bag; empty: all.
+    pub topics: Vec<String>,
+    /// Remapping of names in the bag.
+    pub names: TopicNames,
+}
+
+/// Result of a playback.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PlayReport {
+    /// Number of published messages.
+    pub messages: u64,
+    /// Number of messages that were not published: the middleware rejected them (a reliable
+    /// subscriber did not keep up), or they are not little-endian CDR.
+    pub rejected: u64,
+    /// Losses in the bag, one sentence each.
+    pub losses: Vec<String>,
+}
+
+struct Writer {
+    writer: DataWriter<Raw, RawAdapter>,
+    latched: bool,
+}
+
+/// Plays a bag. `progress` is called with the bag's time and its span, ns.
+///
+/// # Errors
+/// The bag is unreadable or holds nothing to play, or DDS creates no publisher.
+pub fn play(
+    options: &PlayOptions,
+    control: &PlayControl,
+    progress: impl FnMut(u64, (u64, u64)),
+) -> Result<PlayReport, LiveError> {
+    let result = play_all(options, control, progress);
+    // Callers that wait for a burst return.
+    control.end();
+    result
+}
+
+fn play_all(
+    options: &PlayOptions,
+    control: &PlayControl,
+    mut progress: impl FnMut(u64, (u64, u64)),
+) -> Result<PlayReport, LiveError> {
+    let summary = BagReader::summary(&options.input)?;
+    let nothing =
+        |why: String| LiveError::Nothing { path: options.input.display().to_string(), why };
+    let Some((first, last)) = summary.span else {
+        return Err(nothing(": it holds no message".into()));
+    };
+    let offset = u64::try_from(options.start_offset.as_nanos()).unwrap_or(u64::MAX);
+    let start = first.saturating_add(offset);
+    if start > last {
+        return Err(nothing(format!(": it is {:.3} s long", (last - first) as f64 * 1e-9)));
+    }
+    let (participant, _) = join()?;
+    let failed =
+        |what: &str, reason: String| LiveError::Middleware { what: what.to_owned(), reason };
+    let publisher = participant
+        .create_publisher(&policies(&QosProfile::RELIABLE, rustdds::Duration::ZERO))
+        .map_err(|e| failed("a publisher", e.to_string()))?;
+    let mut writers = BTreeMap::new();
+    for (topic, count) in &summary.topics {
+        let selected = options.topics.is_empty() || options.topics.contains(&topic.name);
+        let clock = options.clock_hz.is_some() && topic.type_name == Clock::TYPE_NAME;
+        if *count == 0 || !selected || clock || writers.contains_key(&topic.name) {
+            continue;
+        }
+        let qos = QosProfile::from_yaml(&topic.offered_qos_profiles);
+        let name = options.names.resolve(&topic.name);
+        let writer = writer(&participant, &publisher, &name, &topic.type_name, &qos)?;
+        writers.insert(topic.name.clone(), writer);
+    }
+    if writers.is_empty() {
+        let known: Vec<&str> = summary.topics.iter().map(|(t, _)| t.name.as_str()).collect();
+        return Err(nothing(format!(
+            " on {}; it holds {}",
+            options.topics.join(", "),
+            known.join(", ")
+        )));
+    }
+    let clock = match options.clock_hz {
+        Some(hz) => {
+            let name = options.names.resolve(topics::absolute::CLOCK);
+            let qos = QosProfile::SENSOR;
+            Some((writer(&participant, &publisher, &name, Clock::TYPE_NAME, &qos)?, 1.0 / hz))
+        }
+        None => None,
+    };
+    control.begin((first, last));
+    let mut report = PlayReport::default();
+    let mut pace = Pace {
+        clock,
+        clock_due: 0.0,
+        watch: Stopwatch::start(),
+        control,
+        origin: first,
+        position: 0.0,
+        seen: 0.0,
+    };
+    pace.hold(options.delay);
+    let mut begin = start;
+    // Latched messages before the start are published once, and not again after a seek.
+    let mut with_latched = true;
+    'bag: loop {
+        let mut bag = BagReader::open(&options.input)?;
+        pace.leap(begin);
+        while let Some(message) = bag.next_message()? {
+            let Some(writer) = writers.get(&message.topic.name) else { continue };
+            let early = message.log_time < begin;
+            if early && !(writer.latched && with_latched) {
+                continue;
+            }
+            let turn = if early { Turn::Play } else { pace.until(message.log_time) };
+            match turn {
+                Turn::Stop => break 'bag,
+                Turn::Elsewhere => {
+                    begin = control.take_seek().unwrap_or(begin);
+                    with_latched = false;
+                    continue 'bag;
+                }
+                Turn::Play | Turn::One => {}
+            }
+            if !early {
+                progress(message.log_time, (first, last));
+            }
+            let little_endian = message.data.get(..2) == Some(&[0, 1]);
+            if little_endian && writer.writer.write(Raw(message.data), None).is_ok() {
+                report.messages += 1;
+            } else {
+                report.rejected += 1;
+            }
+            if turn == Turn::One {
+                control.one_is_out();
+            }
+        }
+        report.losses = bag.losses().to_vec();
+        if !options.repeat || control.is_stopped() {
+            break;
+        }
+        (begin, with_latched) = (start, true);
+    }
+    // DDS repeats what reliable subscribers miss while this waits.
+    let watch = Stopwatch::start();
+    let in_time = || watch.elapsed() < if control.is_stopped() { STOPPED_WAIT } else { LAST_WAIT };
+    for writer in writers.values() {
+        while in_time() && matches!(writer.writer.wait_for_acknowledgments(SLICE), Ok(false)) {}
+    }
+    pace.hold(LINGER);
+    Ok(report)
+}
+
+fn writer(
+    participant: &rustdds::DomainParticipant,
+    publisher: &Publisher,
+    name: &str,
+    type_name: &str,
+    qos: &QosProfile,
+) -> Result<Writer, LiveError> {
+    let failed =
+        |reason: String| LiveError::Middleware { what: format!("the publisher of {name}"), reason };
+    let latched = qos.durability == Durability::TransientLocal;
+    // A slow subscriber delays the player for a moment only.
+    let policies = policies(qos, rustdds::Duration::from_millis(100));
+    let topic = participant
+        .create_topic(format!("rt{name}"), dds_type_name(type_name), &policies, TopicKind::NoKey)
+        .map_err(|e| failed(e.to_string()))?;
+    let writer = publisher
+        .create_datawriter_no_key(&topic, Some(policies))
+        .map_err(|e| failed(e.to_string()))?;
+    Ok(Writer { writer, latched })
+}
+
+/// What to do with the next message.
+#[derive(Clone, Copy, PartialEq)]
+enum Turn {
+    Play,
+    /// Publish it although the player is paused.
+    One,
+    Stop,
+    Elsewhere,
+}
+
+struct Pace<'a> {
+    clock: Option<(Writer, f64)>,
+    clock_due: f64,
+    watch: Stopwatch,
+    control: &'a PlayControl,
+    /// Time in the bag, ns.
+    origin: u64,
+    /// Position in the bag, s since the origin, and when it was updated, s of the stopwatch.
+    position: f64,
+    seen: f64,
+}
+
+impl Pace<'_> {
+    fn now(&self) -> f64 {
+        self.watch.elapsed().as_secs_f64()
+    }
+
+    fn hold(&self, time: Duration) {
+        let end = self.now() + time.as_secs_f64();
+        while !self.control.is_stopped() && self.now() < end {
+            std::thread::sleep(SLICE.min(Duration::from_secs_f64((end - self.now()).max(0.0))));
+        }
+    }
+
+    fn since_origin(&self, time: u64) -> f64 {
+        (i128::from(time) - i128::from(self.origin)) as f64 * 1e-9
+    }
+
+    /// Continues at a time of the bag, ns.
+    fn leap(&mut self, time: u64) {
+        (self.position, self.seen) = (self.since_origin(time), self.now());
+    }
+
+    /// Waits until the bag's time, and publishes the clock meanwhile. Time stops while paused.
+    fn until(&mut self, log_time: u64) -> Turn {
+        let due = self.since_origin(log_time);
+        loop {
+            let (wish, now) = (self.control.wish(), self.now());
+            if wish.stop {
+                return Turn::Stop;
+            }
+            if wish.elsewhere {
+                return Turn::Elsewhere;
+            }
+            if !wish.paused {
+                self.position += (now - self.seen) * wish.rate;
+            }
+            self.seen = now;
+            let clock_left = self.tick(now);
+            if wish.paused && wish.one {
+                self.position = self.position.max(due);
+                return Turn::One;
+            }
+            let left = if wish.paused { f64::INFINITY } else { (due - self.position) / wish.rate };
+            if left <= 0.0 {
+                return Turn::Play;
+            }
+            let slice = left.min(clock_left).min(SLICE.as_secs_f64());
+            std::thread::sleep(Duration::from_secs_f64(slice.max(0.0)));
+        }
+    }
+
+    /// Publishes the clock if it is due; returns the time until it is due again, s.
+    fn tick(&mut self, now: f64) -> f64 {
+        let Some((writer, period)) = &self.clock else {
+            return f64::INFINITY;
+        };
+        if now >= self.clock_due {
+            let bag = self.origin.saturating_add_signed((self.position * 1e9) as i64);
+            let clock = Clock {
+                clock: Time {
+                    sec: i32::try_from(bag / 1_000_000_000).unwrap_or(i32::MAX),
+                    nanosec: (bag % 1_000_000_000) as u32,
+                },
+            };
+            // Best effort: the next one follows soon.
+            let _ = writer.writer.write(Raw(cdr::to_bytes(&clock)), None);
+            self.clock_due = now + period;
+        }
+        (self.clock_due - now).max(0.0)
+    }
+}

@@ -1,0 +1,283 @@
+//! Records live topics to a bag.
+//! One thread receives and stamps samples, one writes the bag, and the caller's thread polls
+//! discovery for new topics. A bounded queue connects the first two; what it drops is counted.
+
+use super::{
+    LiveError,
+    tap::{Offer, Sample, Subscription, Tap},
+};
+use crate::stopwatch::Stopwatch;
+use bag::{BagError, BagSummary, BagWriter, Topic, WriteOptions};
+use node_kit::node::Loss;
+use std::{
+    collections::BTreeMap,
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+        mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel},
+    },
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
+
+/// Messages that may wait for the disk: 4 s of 30 raw images/s and 400 Hz of IMU samples.
+const QUEUE: usize = 2048;
+/// Period of flushing: a recorder that is killed loses at most this time.
+const FLUSH: Duration = Duration::from_secs(1);
+/// Period of polling discovery.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Options of a recording.
+#[derive(Clone, Debug)]
+pub struct RecordOptions {
+    /// Bag to write.
+    pub output: PathBuf,
+    /// Absolute names of the topics; empty: all.
+    pub topics: Vec<String>,
+    /// Excluded topics: absolute names, or relative ones that are excluded in every namespace.
+    pub exclude: Vec<String>,
+    /// Options of the bag.
+    pub write: WriteOptions,
+    /// Duration; `None`: until stopped.
+    pub duration: Option<Duration>,
+}
+
+/// Progress of a recording.
+#[derive(Debug, Default)]
+pub struct RecordStatus {
+    /// Received messages.
+    pub messages: AtomicU64,
+    /// Bytes of the received messages.
+    pub bytes: AtomicU64,
+    /// Messages that the full queue dropped.
+    pub dropped: AtomicU64,
+    /// Messages lost in transport, by gaps in their publishers' sequence numbers.
+    pub lost: AtomicU64,
+    /// Recorded topics.
+    pub topics: AtomicU64,
+    /// How often the DDS domain was joined again.
+    pub joined_anew: AtomicU64,
+}
+
+/// Result of a recording.
+#[derive(Debug)]
+pub struct RecordReport {
+    /// The bag.
+    pub bag: BagSummary,
+    /// Messages that the full queue dropped.
+    pub dropped: u64,
+    /// Messages lost in transport, by gaps in their publishers' sequence numbers.
+    pub lost: u64,
+    /// Requested topics that had no publisher.
+    pub unpublished: Vec<String>,
+    /// Why the DDS domain was joined again during the recording; messages published meanwhile are
+    /// missing.
+    pub losses: Vec<Loss>,
+}
+
+enum Item {
+    /// A new topic; topics are numbered from 0.
+    Topic(Topic),
+    Message {
+        topic: usize,
+        log_time: u64,
+        publish_time: u64,
+        data: Vec<u8>,
+    },
+}
+
+/// Records until `stop` is set or the duration is over; calls `progress` regularly.
+///
+/// # Errors
+/// The bag is not writable, or DDS creates no subscription.
+pub fn record(
+    options: &RecordOptions,
+    stop: &AtomicBool,
+    mut progress: impl FnMut(&RecordStatus),
+) -> Result<RecordReport, LiveError> {
+    // Joined first: a recording that cannot start leaves no file.
+    let tap = Tap::join()?;
+    let bag = BagWriter::create(&options.output, options.write)?;
+    let status = Arc::new(RecordStatus::default());
+    let (items, queue) = sync_channel(QUEUE);
+    let failed = Arc::new(AtomicBool::new(false));
+    let writer = std::thread::spawn({
+        let failed = failed.clone();
+        move || {
+            let result = write_all(bag, &queue);
+            failed.store(result.is_err(), Ordering::Release);
+            result
+        }
+    });
+    let watch = Stopwatch::start();
+    let mut takers = Takers {
+        subscriptions: BTreeMap::new(),
+        topics: BTreeMap::new(),
+        tap,
+        items,
+        status: &status,
+    };
+    let mut losses = vec![];
+    while !stop.load(Ordering::Acquire) && !failed.load(Ordering::Acquire) {
+        if options.duration.is_some_and(|d| watch.elapsed() >= d) {
+            break;
+        }
+        if let Some(loss) = takers.tap.loss() {
+            losses.push(loss);
+            takers.join_anew()?;
+        }
+        for offer in takers.tap.offers() {
+            let name = &offer.topic.name;
+            let selected = options.topics.is_empty() || options.topics.contains(name);
+            if selected && !options.exclude.iter().any(|topic| is_meant(topic, name)) {
+                takers.add(offer)?;
+            }
+        }
+        progress(&status);
+        std::thread::sleep(LOOK);
+    }
+    let unpublished =
+        options.topics.iter().filter(|t| !takers.topics.contains_key(*t)).cloned().collect();
+    // Dropping the subscriptions and the tap closes the queue, and the writer closes the bag.
+    drop(takers);
+    let bag = writer.join().map_err(|_| LiveError::Thread { what: "the bag's writer" })??;
+    Ok(RecordReport {
+        bag,
+        dropped: status.dropped.load(Ordering::Relaxed),
+        lost: status.lost.load(Ordering::Relaxed),
+        unpublished,
+        losses,
+    })
+}
+
+/// Whether the absolute or relative name `topic` means the topic `name`.
+fn is_meant(topic: &str, name: &str) -> bool {
+    topic == name || !topic.starts_with('/') && name.ends_with(&format!("/{topic}"))
+}
+
+fn write_all(mut bag: BagWriter, queue: &Receiver<Item>) -> Result<BagSummary, BagError> {
+    let mut ids = vec![];
+    let mut flushed = Stopwatch::start();
+    loop {
+        match queue.recv_timeout(FLUSH) {
+            Ok(Item::Topic(topic)) => ids.push(bag.add_topic(topic)),
+            Ok(Item::Message { topic, log_time, publish_time, data }) => {
+                if let Some(id) = ids.get(topic) {
+                    bag.write(*id, log_time, publish_time, &data)?;
+                }
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return bag.finish(),
+        }
+        if flushed.elapsed() >= FLUSH {
+            bag.flush()?;
+            flushed = Stopwatch::start();
+        }
+    }
+}
+
+struct Takers<'a> {
+    // Dropped before their tap.
+    subscriptions: BTreeMap<String, Subscription>,
+    /// Number of each topic in the queue.
+    topics: BTreeMap<String, usize>,
+    tap: Tap,
+    items: SyncSender<Item>,
+    status: &'a Arc<RecordStatus>,
+}
+
+impl Takers<'_> {
+    /// Joins again; the topics keep their numbers, and discovery finds them again.
+    fn join_anew(&mut self) -> Result<(), LiveError> {
+        self.subscriptions.clear();
+        self.tap = Tap::join()?;
+        self.status.joined_anew.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    }
+
+    fn add(&mut self, offer: Offer) -> Result<(), LiveError> {
+        if self.subscriptions.contains_key(&offer.topic.name) {
+            return Ok(());
+        }
+        let index = match self.topics.get(&offer.topic.name) {
+            Some(index) => *index,
+            None => {
+                if self.items.send(Item::Topic(offer.topic.clone())).is_err() {
+                    // The writer failed; the caller's loop detects it.
+                    return Ok(());
+                }
+                let index = self.topics.len();
+                self.topics.insert(offer.topic.name.clone(), index);
+                index
+            }
+        };
+        let (items, status) = (self.items.clone(), Arc::clone(self.status));
+        let subscription = self.tap.subscribe(&offer, move |sample| {
+            let Sample { log_time, publish_time, lost, data, .. } = sample;
+            let bytes = data.len() as u64;
+            status.lost.fetch_add(lost, Ordering::Relaxed);
+            match items.try_send(Item::Message { topic: index, log_time, publish_time, data }) {
+                Ok(()) => {
+                    status.messages.fetch_add(1, Ordering::Relaxed);
+                    status.bytes.fetch_add(bytes, Ordering::Relaxed);
+                }
+                // Disconnected: the writer failed, and the recording ends with its reason.
+                Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => {
+                    status.dropped.fetch_add(1, Ordering::Relaxed);
+                }
+            }
+        })?;
+        self.subscriptions.insert(offer.topic.name, subscription);
+        self.status.topics.store(self.topics.len() as u64, Ordering::Relaxed);
+        Ok(())
+    }
+}
+
+/// Name of a bag that starts at `time`, in UTC: `volant_2026-11-23T20-15-00Z`.
+pub fn bag_name(time: SystemTime) -> String {
+    let seconds = time.duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    let (mut days, seconds) = (seconds / 86_400, seconds % 86_400);
+    let is_leap = |y: u64| y.is_multiple_of(4) && (!y.is_multiple_of(100) || y.is_multiple_of(400));
+    let mut year = 1970;
+    while days >= 365 + u64::from(is_leap(year)) {
+        days -= 365 + u64::from(is_leap(year));
+        year += 1;
+    }
+    let lengths = [31, 28 + u64::from(is_leap(year)), 31, 30, 31, 30, 31, 31, 30, 31, 30, 31];
+    let mut month = 0;
+    while days >= lengths[month] {
+        days -= lengths[month];
+        month += 1;
+    }
+    let (hour, minute, second) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
+    let (month, day) = (month + 1, days + 1);
+    format!("volant_{year}-{month:02}-{day:02}T{hour:02}-{minute:02}-{second:02}Z")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_relative_name_means_every_namespace() {
+        for (topic, name, meant) in [
+            ("/a/b", "/a/b", true),
+            ("/a/b", "/rig1/a/b", false),
+            ("a/b", "/a/b", true),
+            ("a/b", "/rig1/a/b", true),
+            ("a/b", "/a/b/c", false),
+            ("a/b", "/aa/b", false),
+        ] {
+            assert_eq!(is_meant(topic, name), meant, "{topic} {name}");
+        }
+    }
+
+    #[test]
+    fn a_bag_is_named_in_utc() {
+        let at = |seconds| bag_name(UNIX_EPOCH + Duration::from_secs(seconds));
+        assert_eq!(at(0), "volant_1970-01-01T00-00-00Z");
+        assert_eq!(at(1_709_210_096), "volant_2024-02-29T12-34-56Z");
+        assert_eq!(at(1_798_761_599), "volant_2026-12-31T23-59-59Z");
+        assert_eq!(at(4_102_444_800), "volant_2100-01-01T00-00-00Z");
+    }
+}

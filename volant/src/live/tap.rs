@@ -1,0 +1,238 @@
+//! Live topics as bytes: discovered publishers, and samples of any type.
+//! A [`Tap`] lists [`Offer`]s from discovery and passes [`Sample`]s on its own thread.
+
+use super::{
+    LiveError, join,
+    raw::{Raw, RawAdapter, dds_type_name, policies, ros_type_name},
+    system_nanos,
+};
+use async_executor::{Executor, Task};
+use bag::{Durability, QosProfile, Reliability, Topic};
+use futures_lite::{StreamExt, future::block_on};
+use node_kit::node::{Loss, MiddlewareWatch};
+use rustdds::{DomainParticipant, GUID, Subscriber, TopicKind, no_key::DataReader};
+use std::{
+    collections::{BTreeMap, HashMap},
+    pin::pin,
+    sync::Arc,
+    thread::JoinHandle,
+};
+use volant_msgs::MessageInfo;
+
+/// A published topic.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Offer {
+    /// Description for a bag.
+    pub topic: Topic,
+    /// QoS that is compatible with all of its publishers.
+    pub qos: QosProfile,
+    /// Number of publishers.
+    pub publishers: usize,
+}
+
+/// One message of a live topic.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sample {
+    /// Time of reception, ns since the epoch.
+    pub log_time: u64,
+    /// Time of publication, ns since the epoch.
+    pub publish_time: u64,
+    /// GUID of the publisher.
+    pub writer: [u8; 16],
+    /// Samples of this publisher that were lost in transport before this one, by the gap in the
+    /// sequence numbers.
+    pub lost: u64,
+    /// CDR bytes with their encapsulation header.
+    pub data: Vec<u8>,
+}
+
+/// Participant that subscribes to topics as bytes; dropping it ends its subscriptions.
+pub struct Tap {
+    participant: DomainParticipant,
+    middleware: MiddlewareWatch,
+    subscriber: Option<Subscriber>,
+    executor: Arc<Executor<'static>>,
+    end: async_channel::Sender<()>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// A subscription; dropping it ends it.
+#[must_use]
+pub struct Subscription(#[allow(dead_code, reason = "held for its drop")] Task<()>);
+
+impl Tap {
+    /// Joins the domain that the environment names, with its discovery range and security.
+    ///
+    /// # Errors
+    /// As [`node_kit::node::join`], and [`LiveError::Environment`] for an invalid variable.
+    pub fn join() -> Result<Self, LiveError> {
+        let (participant, middleware) = join()?;
+        let executor = Arc::new(Executor::new());
+        let (end, ended) = async_channel::bounded::<()>(1);
+        let thread = std::thread::Builder::new()
+            .name("tap".into())
+            .spawn({
+                let executor = Arc::clone(&executor);
+                move || {
+                    // An error means that the sender is gone: the tap has ended.
+                    let _ = block_on(executor.run(ended.recv()));
+                }
+            })
+            .map_err(|_| LiveError::Thread { what: "the thread that receives samples" })?;
+        Ok(Self { participant, middleware, subscriber: None, executor, end, thread: Some(thread) })
+    }
+
+    /// Why the middleware has failed, if it has: the caller drops the subscriptions and joins
+    /// another tap.
+    pub fn loss(&mut self) -> Option<Loss> {
+        self.middleware.loss()
+    }
+
+    /// Topics with a publisher, sorted by name.
+    pub fn offers(&self) -> Vec<Offer> {
+        let mut offers: BTreeMap<String, Offer> = BTreeMap::new();
+        for writer in self.participant.discovered_writers() {
+            let data = &writer.publication_topic_data;
+            let (Some(name), Some(type_name)) =
+                (data.topic_name.strip_prefix("rt"), ros_type_name(&data.type_name))
+            else {
+                continue;
+            };
+            let reliable =
+                matches!(data.reliability, Some(rustdds::policy::Reliability::Reliable { .. }));
+            let latched =
+                matches!(data.durability, Some(rustdds::policy::Durability::TransientLocal));
+            let offer = offers.entry(name.to_owned()).or_insert_with(|| {
+                let info = MessageInfo::by_name(&type_name);
+                let hash = info
+                    .map(|i| i.rihs01_hash.to_owned())
+                    .or_else(|| type_hash(&writer.user_data))
+                    .unwrap_or_default();
+                let topic = Topic {
+                    name: name.to_owned(),
+                    definition: info.map(|i| i.definition.to_owned()).unwrap_or_default(),
+                    type_hash: hash,
+                    type_name,
+                    message_encoding: "cdr".to_owned(),
+                    offered_qos_profiles: String::new(),
+                };
+                Offer { topic, qos: QosProfile::LATCHED, publishers: 0 }
+            });
+            offer.publishers += 1;
+            if !reliable {
+                offer.qos.reliability = Reliability::BestEffort;
+            }
+            if !latched {
+                offer.qos.durability = Durability::Volatile;
+            }
+        }
+        offers
+            .into_values()
+            .map(|mut offer| {
+                // The offered QoS; the depth, which discovery does not transmit, is a guess for
+                // players.
+                let depth = if offer.qos.durability == Durability::TransientLocal { 1 } else { 10 };
+                offer.topic.offered_qos_profiles = QosProfile { depth, ..offer.qos }.to_yaml();
+                offer
+            })
+            .collect()
+    }
+
+    /// Subscribes to a topic; `take` runs on the tap's thread and must not block.
+    ///
+    /// # Errors
+    /// DDS does not create the subscription.
+    pub fn subscribe(
+        &mut self,
+        offer: &Offer,
+        mut take: impl FnMut(Sample) + Send + 'static,
+    ) -> Result<Subscription, LiveError> {
+        let topic = &offer.topic;
+        let failed = |reason: String| LiveError::Middleware {
+            what: format!("the subscription of {}", topic.name),
+            reason,
+        };
+        // Samples are read as they arrive, so few wait. A busy computer can stop this thread for a
+        // second, and samples beyond the depth are then lost (30 images of up to a megabyte, or 400
+        // IMU samples).
+        let large = ["Image", "PointCloud2"].iter().any(|t| topic.type_name.ends_with(t));
+        let qos = QosProfile { depth: if large { 32 } else { 512 }, ..offer.qos };
+        let qos = policies(&qos, rustdds::Duration::ZERO);
+        let subscriber = match &self.subscriber {
+            Some(subscriber) => subscriber.clone(),
+            None => {
+                let made =
+                    self.participant.create_subscriber(&qos).map_err(|e| failed(e.to_string()))?;
+                self.subscriber.insert(made).clone()
+            }
+        };
+        let dds_topic = self
+            .participant
+            .create_topic(
+                format!("rt{}", topic.name),
+                dds_type_name(&topic.type_name),
+                &qos,
+                TopicKind::NoKey,
+            )
+            .map_err(|e| failed(e.to_string()))?;
+        let reader: DataReader<Raw, RawAdapter> = subscriber
+            .create_datareader_no_key(&dds_topic, Some(qos))
+            .map_err(|e| failed(e.to_string()))?;
+        Ok(Subscription(self.executor.spawn(async move {
+            let mut numbers = HashMap::<GUID, i64>::new();
+            let mut samples = pin!(reader.async_sample_stream());
+            while let Some(sample) = samples.next().await {
+                let Ok(sample) = sample else { continue };
+                let log_time = system_nanos();
+                let info = sample.sample_info();
+                let publish_time = info.source_timestamp().map_or(log_time, nanos);
+                let (writer, number) =
+                    (info.publication_handle(), i64::from(info.sample_identity().sequence_number));
+                // Publishers come and go; the map must stay bounded.
+                if numbers.len() > 256 {
+                    numbers.clear();
+                }
+                let before = numbers.insert(writer, number);
+                let lost = before.map_or(0, |b| u64::try_from(number - b - 1).unwrap_or(0));
+                let Raw(data) = sample.into_value();
+                take(Sample { log_time, publish_time, writer: writer.to_bytes(), lost, data });
+            }
+        })))
+    }
+}
+
+impl Drop for Tap {
+    fn drop(&mut self) {
+        self.end.close();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+        // The executor drops the remaining tasks with their readers before the participant.
+    }
+}
+
+/// Type hash of REP-2016 in the endpoint's user data, as rmw writes it: `typehash=RIHS01_…;`.
+fn type_hash(user_data: &[u8]) -> Option<String> {
+    let text = String::from_utf8_lossy(user_data);
+    let hash = text.split(';').find_map(|part| part.trim().strip_prefix("typehash="))?;
+    hash.starts_with("RIHS01_").then(|| hash.to_owned())
+}
+
+/// Converts DDS's unit of 2⁻³² s to ns.
+fn nanos(time: rustdds::Timestamp) -> u64 {
+    let ticks = time.to_ticks();
+    (ticks >> 32) * 1_000_000_000 + (((ticks & 0xffff_ffff) * 1_000_000_000) >> 32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_hash_of_a_type_that_is_not_built_in_comes_from_its_publisher() {
+        assert_eq!(type_hash(b"typehash=RIHS01_ab12;").as_deref(), Some("RIHS01_ab12"));
+        assert_eq!(type_hash(b"enclave=/;typehash=RIHS01_0;").as_deref(), Some("RIHS01_0"));
+        assert_eq!(type_hash(b"typehash=MD5_0;"), None);
+        assert_eq!(type_hash(b""), None);
+    }
+}

@@ -1,0 +1,206 @@
+//! Changes parameters in rig and parameter files: in place, with the former file kept as `.bak`, or
+//! to a new file. Every other key and comment stays.
+
+use anyhow::{Context, Result};
+use node_kit::files;
+use rig_model::Rig;
+use ros_parameters::{ParameterFile, ParameterValue, edit};
+use std::{
+    fs::{self, File},
+    io::{ErrorKind, Write},
+    path::{Path, PathBuf},
+};
+
+/// Every node: where the rig's keys are.
+pub const RIG: &str = "/**";
+
+/// Backups beside a file: `.bak`, `.bak1` …
+const BACKUPS: usize = 1000;
+
+/// A parameter of a node, and its new value.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setting {
+    /// Node, such as `/climber_driver`; [`RIG`] for the rig's keys.
+    pub node: String,
+    /// Flat name.
+    pub name: String,
+    /// Value.
+    pub value: ParameterValue,
+}
+
+impl Setting {
+    /// Setting of a key of the rig file.
+    pub fn rig(name: impl Into<String>, value: ParameterValue) -> Self {
+        Self { node: RIG.to_owned(), name: name.into(), value }
+    }
+}
+
+/// Where the result goes.
+#[derive(Clone, Debug, Default)]
+pub struct Destination<'a> {
+    /// A file to write instead of updating the original.
+    pub out: Option<&'a Path>,
+    /// Whether `out` may replace an existing file.
+    pub overwrite: bool,
+}
+
+/// Result of an update.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Update {
+    /// The file that holds the new values.
+    pub path: PathBuf,
+    /// The former file; `None` where no file was replaced.
+    pub backup: Option<PathBuf>,
+    /// Names of the parameters that changed.
+    pub changed: Vec<String>,
+}
+
+/// Sets parameters in the text of `file`. Values that are equal already keep their notation; where
+/// nothing changes, nothing is written in place.
+///
+/// # Errors
+/// An unreadable file; a place that cannot be edited; a rig file that would become invalid; see
+/// [`files::check_output`] for `out`.
+pub fn update(file: &Path, destination: &Destination<'_>, settings: &[Setting]) -> Result<Update> {
+    let shown = || file.display().to_string();
+    let text = files::read_text(file).with_context(|| format!("{}: not readable", shown()))?;
+    if let Some(out) = destination.out {
+        files::check_output(out, destination.overwrite, &[file])?;
+    }
+    let (mut edited, mut changed) = (text.clone(), vec![]);
+    for Setting { node, name, value } in settings {
+        let present = ParameterFile::parse(&edited).ok().map(|f| f.for_node(node));
+        if present.and_then(|p| p.get(name).cloned()).is_some_and(|old| equal(&old, value)) {
+            continue;
+        }
+        edited = edit::set(&edited, node, name, value).with_context(shown)?;
+        changed.push(name.clone());
+    }
+    if Rig::from_yaml(&text).is_ok() {
+        Rig::from_yaml(&edited).with_context(|| {
+            format!("{}: left as it is, for the new values are not usable", shown())
+        })?;
+    }
+    let (path, backup) = match destination.out {
+        Some(out) => {
+            files::write(out, edited.as_bytes(), destination.overwrite)?;
+            (out.to_owned(), None)
+        }
+        None if changed.is_empty() => (file.to_owned(), None),
+        None => (file.to_owned(), Some(replace(file, edited.as_bytes())?)),
+    };
+    Ok(Update { path, backup, changed })
+}
+
+/// Replaces a file and keeps the former one as `NAME.bak`, or `.bak1` … where that exists; returns
+/// its name.
+///
+/// # Errors
+/// The folder is not writable, or the disk is full; the file is unchanged then.
+pub fn replace(file: &Path, bytes: &[u8]) -> Result<PathBuf> {
+    let former = fs::read(file).with_context(|| format!("{}: not readable", file.display()))?;
+    let backup = backup(file, &former)
+        .with_context(|| format!("{}: no copy of it can be kept; left as it is", file.display()))?;
+    files::write(file, bytes, true)?;
+    Ok(backup)
+}
+
+fn backup(file: &Path, former: &[u8]) -> std::io::Result<PathBuf> {
+    for number in 0..BACKUPS {
+        let mut name = file.as_os_str().to_owned();
+        name.push(".bak");
+        if number > 0 {
+            name.push(number.to_string());
+        }
+        let path = PathBuf::from(name);
+        match File::create_new(&path) {
+            Ok(mut copy) => {
+                copy.write_all(former)?;
+                copy.set_permissions(fs::metadata(file)?.permissions())?;
+                copy.sync_all()?;
+                return Ok(path);
+            }
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Err(std::io::Error::other(format!("there are {BACKUPS} copies already; remove some")))
+}
+
+/// Whether two values are equal to seven digits: files hold quaternions with eight.
+fn equal(a: &ParameterValue, b: &ParameterValue) -> bool {
+    let numbers = |v: &ParameterValue| v.as_f64().map(|x| vec![x]).or_else(|| v.as_f64_array());
+    match (numbers(a), numbers(b)) {
+        (Some(a), Some(b)) => {
+            let near = |(a, b): (&f64, &f64)| (a - b).abs() <= 2e-8 * a.abs().max(b.abs());
+            a.len() == b.len() && a.iter().zip(&b).all(near)
+        }
+        _ => a == b,
+    }
+}
+
+/// A list of numbers, to nine decimals.
+pub fn list(values: &[f64]) -> ParameterValue {
+    ParameterValue::DoubleArray(values.iter().map(|v| (v * 1e9).round() / 1e9 + 0.0).collect())
+}
+
+/// A number to this many significant digits.
+pub fn number(value: f64, digits: usize) -> ParameterValue {
+    let text = format!("{value:.*e}", digits.saturating_sub(1));
+    ParameterValue::Double(text.parse().unwrap_or(value))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = "# mine\n/**:\n  ros__parameters:\n    a: [1.0, 2]  # one, two\n    b: 3\n";
+
+    #[test]
+    fn a_file_is_updated_in_place_and_every_former_one_is_kept() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let file = folder.path().join("rig.yaml");
+        fs::write(&file, TEXT).unwrap();
+        let set = |value: f64| {
+            let settings =
+                [Setting::rig("a", list(&[1.0, value])), Setting::rig("b", number(3.0, 4))];
+            update(&file, &Destination::default(), &settings).unwrap()
+        };
+        let update = set(2.0);
+        assert_eq!((update.backup, update.changed), (None, vec![]));
+        assert_eq!(fs::read_to_string(&file).unwrap(), TEXT);
+        for (value, backup) in [(5.0, "rig.yaml.bak"), (6.0, "rig.yaml.bak1")] {
+            let before = fs::read(&file).unwrap();
+            let update = set(value);
+            let path = folder.path().join(backup);
+            assert_eq!(update.backup.as_ref(), Some(&path));
+            assert_eq!(update.changed, ["a"]);
+            assert_eq!(fs::read(path).unwrap(), before);
+            let expected = TEXT.replace("[1.0, 2]", &format!("[1.0, {value:.1}]"));
+            assert_eq!(fs::read_to_string(&file).unwrap(), expected);
+        }
+    }
+
+    #[test]
+    fn a_new_file_replaces_nothing_and_an_invalid_rig_is_not_written() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let (file, out) = (folder.path().join("rig.yaml"), folder.path().join("new.yaml"));
+        let rig = include_str!("../../launch_config/config/rig.yaml");
+        fs::write(&file, rig).unwrap();
+        let to = |overwrite| Destination { out: Some(&out), overwrite };
+        let size = [Setting::rig("markers.size", number(0.08, 4))];
+        assert_eq!(update(&file, &to(false), &size).unwrap().backup, None);
+        let written = fs::read_to_string(&out).unwrap();
+        assert_eq!(written, rig.replace("size: 0.076  ", "size: 0.08  "));
+        let error = update(&file, &to(false), &size).unwrap_err().to_string();
+        assert!(error.contains("--overwrite"), "{error}");
+        update(&file, &to(true), &size).unwrap();
+        let own = Destination { out: Some(&file), overwrite: true };
+        assert!(update(&file, &own, &size).is_err(), "an input");
+        let bad = [Setting::rig("markers.size", number(-1.0, 4))];
+        let error = format!("{:#}", update(&file, &Destination::default(), &bad).unwrap_err());
+        assert!(error.contains("left as it is") && error.contains("markers.size"), "{error}");
+        assert_eq!(fs::read_to_string(&file).unwrap(), rig);
+        assert_eq!(number(0.000_871_234, 3), ParameterValue::Double(0.000871));
+    }
+}

@@ -1,0 +1,360 @@
+//! Replay of a bag through the nodes' cores: deterministic, and as fast as possible. A bag and the
+//! rig file are read, and a bag with what the nodes would have published is written, each message
+//! logged at its stamp. One thread reads, some decode images ([`feed`]), and this thread drives the
+//! cores in the bag's order ([`pipeline`]): the result does not depend on the threads.
+
+mod feed;
+mod output;
+mod pipeline;
+mod topic_names;
+
+pub use feed::{Fed, Feed, ImageTopic};
+pub use pipeline::{Counts, Spent};
+pub use topic_names::{TopicNameError, TopicNames};
+
+use crate::stopwatch::Stopwatch;
+use bag::{BagError, BagMessage, BagReader, BagSummary, Compression, WriteOptions};
+use climber_driver::{Climber, ClimberConfig};
+use marker_tracker::{Tracker, TrackerConfig};
+use output::OutputBag;
+use pipeline::Pipeline;
+use pose_fusion::{Fusion, FusionConfig};
+use rig_model::{Rig, Stamp, topics};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
+use thiserror::Error;
+use volant_msgs::{Message, cdr, geometry_msgs, msg, sensor_msgs, tf2_msgs};
+
+/// Options of a replay.
+#[derive(Clone, Debug)]
+pub struct ReplayOptions {
+    /// Bag to replay.
+    pub input: PathBuf,
+    /// Rig.
+    pub rig: Rig,
+    /// Bag to write.
+    pub output: PathBuf,
+    /// Whether an existing file is replaced; never the input.
+    pub overwrite: bool,
+    /// Configuration of the tracker.
+    pub tracker: TrackerConfig,
+    /// Configuration of the climber driver, for a bag with `climber/joint_states` and without
+    /// `climber/transform`; or why there is none.
+    pub climber: Result<ClimberConfig, String>,
+    /// Configuration of the filter, with its model.
+    pub fusion: FusionConfig,
+    /// Namespace and remaps.
+    pub names: TopicNames,
+    /// Compression of the bag to write.
+    pub compression: Compression,
+    /// Threads that decode images.
+    pub workers: usize,
+    /// Whether to add `volant/smoothed_odometry`, estimates from all measurements of the bag.
+    pub smooth: bool,
+}
+
+/// Result of a replay.
+#[derive(Clone, Debug)]
+pub struct ReplayReport {
+    /// Counts of inputs and outputs.
+    pub counts: Counts,
+    /// CPU time in the estimators and the output.
+    pub spent: Spent,
+    /// CPU time in image decoding, over all threads.
+    pub decoding: Duration,
+    /// Wall-clock time.
+    pub wall: Duration,
+    /// Duration of the bag, s.
+    pub recorded: f64,
+    /// Losses in the bag, one sentence each.
+    pub losses: Vec<String>,
+}
+
+/// Why a replay failed.
+#[derive(Debug, Error)]
+pub enum ReplayError {
+    /// A bag is not readable or writable.
+    #[error(transparent)]
+    Bag(#[from] BagError),
+    /// A required topic has no message.
+    #[error("{}: no message on {topic} ({type_name}){hint}; record it, or name it with --remap \
+             {name}:=OTHER", path.display())]
+    MissingTopic {
+        /// Bag to replay.
+        path: PathBuf,
+        /// Name of the topic after remapping.
+        topic: String,
+        /// Its name before remapping.
+        name: &'static str,
+        /// Its type.
+        type_name: &'static str,
+        /// Hint to a topic of that type in the bag.
+        hint: String,
+    },
+    /// A topic has another type.
+    #[error("{}: {topic} is {found}, expected {expected}; name the right topic with \
+             --remap", path.display())]
+    WrongType {
+        /// Bag to replay.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// Its type.
+        found: String,
+        /// The expected type.
+        expected: String,
+    },
+    /// The bag needs the climber driver, which would not start.
+    #[error("{}: {topic} is converted by climber_driver: {reason}", path.display())]
+    Climber {
+        /// Bag to replay.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// The invalid or missing parameter.
+        reason: String,
+    },
+    /// The filter never initialized.
+    #[error("{}: the filter never started: {why}", path.display())]
+    NoEstimate {
+        /// Bag to replay.
+        path: PathBuf,
+        /// What the bag holds, and what to check.
+        why: String,
+    },
+}
+
+/// Replays a bag. `progress` is called with the bytes read and the bytes of the bag.
+///
+/// # Errors
+/// See [`ReplayError`]. A damaged bag is not an error: its losses are in the report.
+pub fn replay(
+    options: &ReplayOptions,
+    mut progress: impl FnMut(u64, u64),
+) -> Result<ReplayReport, ReplayError> {
+    let watch = Stopwatch::start();
+    let (input, output) = (&options.input, &options.output);
+    node_kit::files::check_output(output, options.overwrite, &[input]).map_err(BagError::from)?;
+    let summary = BagReader::summary(input)?;
+    let plan = Plan::new(input, &summary, &options.names)?;
+    let climber = match &plan.climber {
+        ClimberTopic::Transform(_) => None,
+        ClimberTopic::Joints(topic) => {
+            let climber = options.climber.clone();
+            let climber = climber.and_then(|c| Climber::new(c).map_err(|e| e.to_string()));
+            Some(climber.map_err(|reason| ReplayError::Climber {
+                path: input.clone(),
+                topic: topic.clone(),
+                reason,
+            })?)
+        }
+    };
+    let (start, end) = summary.span.unwrap_or_default();
+    let first = Stamp::from_nanos(i64::try_from(start).unwrap_or(0));
+    let write = WriteOptions {
+        compression: options.compression,
+        replace: options.overwrite,
+        ..WriteOptions::default()
+    };
+    let out =
+        OutputBag::create(output, write, &options.names, &options.rig, first, options.smooth)?;
+    let tracker = Tracker::new(options.rig.markers.clone(), options.tracker.clone());
+    let mut fusion = Fusion::new(options.rig.clone(), options.fusion.clone());
+    if options.smooth {
+        fusion.keep_for_smoothing();
+    }
+    let mut pipeline = Pipeline::new(options.rig.clone(), tracker, fusion, out, options.smooth);
+    pipeline.climber = climber;
+    let mut feed = Feed::start(input, plan.images.clone(), plan.wanted(), options.workers)?;
+    while let Some(fed) = feed.take()? {
+        match fed {
+            Fed::Message(message) => plan.hand_over(&message, &mut pipeline)?,
+            Fed::Image(Ok((stamp, image))) => {
+                pipeline.image(stamp, &image)?;
+                progress(feed.bytes_read(), summary.bytes);
+            }
+            Fed::Image(Err(reason)) => pipeline.bad_image(&reason),
+        }
+    }
+    let (decoding, losses) = (feed.decode_time(), feed.losses());
+    if pipeline.counts.odometry == 0 {
+        return Err(ReplayError::NoEstimate {
+            path: input.clone(),
+            why: why_silent(&pipeline.counts, &losses),
+        });
+    }
+    let (counts, spent) = pipeline.finish()?;
+    Ok(ReplayReport {
+        counts,
+        spent,
+        decoding,
+        wall: watch.elapsed(),
+        recorded: (end.saturating_sub(start)) as f64 * 1e-9,
+        losses,
+    })
+}
+
+fn why_silent(counts: &Counts, losses: &[String]) -> String {
+    let warnings: Vec<&str> = counts
+        .warnings
+        .values()
+        .map(|(_, s)| s.as_str())
+        .chain(losses.iter().map(String::as_str))
+        .collect();
+    let suffix =
+        if warnings.is_empty() { String::new() } else { format!("; {}", warnings.join("; ")) };
+    format!(
+        "{} markers measured in {} images, {} IMU samples, {} climber transforms{suffix}; \
+         check the camera's view, \
+         the markers in the rig file and the stamps",
+        counts.detected, counts.markers, counts.imu, counts.climber
+    )
+}
+
+/// Names of the bag's topics.
+struct Plan {
+    images: Option<ImageTopic>,
+    markers: Option<String>,
+    imu: String,
+    climber: ClimberTopic,
+    camera: String,
+    tf_static: String,
+}
+
+/// Topic with the climber's pose.
+enum ClimberTopic {
+    Transform(String),
+    /// Encoder readings, where there are no transforms.
+    Joints(String),
+}
+
+impl ClimberTopic {
+    fn name(&self) -> &String {
+        match self {
+            Self::Transform(name) | Self::Joints(name) => name,
+        }
+    }
+}
+
+impl Plan {
+    fn new(path: &Path, bag: &BagSummary, names: &TopicNames) -> Result<Self, ReplayError> {
+        let find =
+            |name: &'static str, type_name: &'static str| -> Result<Option<String>, ReplayError> {
+                let topic = names.resolve(name);
+                let Some((found, _)) =
+                    bag.topics.iter().find(|(t, count)| t.name == topic && *count > 0)
+                else {
+                    return Ok(None);
+                };
+                if found.type_name != type_name && !found.type_name.is_empty() {
+                    return Err(ReplayError::WrongType {
+                        path: path.to_owned(),
+                        topic,
+                        found: found.type_name.clone(),
+                        expected: type_name.to_owned(),
+                    });
+                }
+                Ok(Some(topic))
+            };
+        let missing = |name: &'static str, type_name: &'static str| {
+            let others: Vec<&str> = bag
+                .topics
+                .iter()
+                .filter(|(t, count)| t.type_name == type_name && *count > 0)
+                .map(|(t, _)| t.name.as_str())
+                .collect();
+            let hint = if others.is_empty() {
+                String::new()
+            } else {
+                format!("; the bag has {}", others.join(", "))
+            };
+            ReplayError::MissingTopic {
+                path: path.to_owned(),
+                topic: names.resolve(name),
+                name,
+                type_name,
+                hint,
+            }
+        };
+        let need = |name: &'static str, type_name: &'static str| {
+            find(name, type_name)?.ok_or_else(|| missing(name, type_name))
+        };
+        let raw = find(topics::IMAGE, sensor_msgs::msg::Image::TYPE_NAME)?.map(ImageTopic::Raw);
+        let images = match raw {
+            Some(raw) => Some(raw),
+            None => find(topics::COMPRESSED_IMAGE, sensor_msgs::msg::CompressedImage::TYPE_NAME)?
+                .map(ImageTopic::Compressed),
+        };
+        let markers = match &images {
+            Some(_) => None,
+            None => match find(topics::MARKERS, msg::MarkerObservations::TYPE_NAME)? {
+                Some(markers) => Some(markers),
+                None => {
+                    return Err(missing(
+                        topics::COMPRESSED_IMAGE,
+                        sensor_msgs::msg::CompressedImage::TYPE_NAME,
+                    ));
+                }
+            },
+        };
+        let imu = need(topics::IMU, sensor_msgs::msg::Imu::TYPE_NAME)?;
+        let transform = geometry_msgs::msg::TransformStamped::TYPE_NAME;
+        let joints = sensor_msgs::msg::JointState::TYPE_NAME;
+        let climber = match find(topics::CLIMBER_TRANSFORM, transform)? {
+            Some(transform) => ClimberTopic::Transform(transform),
+            None => match find(topics::JOINT_STATES, joints)? {
+                Some(joints) => ClimberTopic::Joints(joints),
+                None => return Err(missing(topics::CLIMBER_TRANSFORM, transform)),
+            },
+        };
+        Ok(Self {
+            images,
+            markers,
+            imu,
+            climber,
+            camera: need(topics::CAMERA_INFO, sensor_msgs::msg::CameraInfo::TYPE_NAME)?,
+            tf_static: names.resolve(topics::absolute::TF_STATIC),
+        })
+    }
+
+    fn wanted(&self) -> Vec<String> {
+        let always = [&self.imu, self.climber.name(), &self.camera, &self.tf_static];
+        always.into_iter().chain(&self.markers).cloned().collect()
+    }
+
+    fn hand_over(&self, message: &BagMessage, to: &mut Pipeline) -> Result<(), BagError> {
+        fn read<M: Message>(message: &BagMessage, to: &mut Pipeline) -> Option<M> {
+            cdr::from_bytes(&message.data)
+                .map_err(|error| {
+                    let topic = &message.topic.name;
+                    to.counts.warn(topic, || format!("{topic}: a message is ignored: {error}"));
+                })
+                .ok()
+        }
+        let topic = &message.topic.name;
+        if *topic == self.imu {
+            read(message, to).map_or(Ok(()), |m| to.imu(&m))
+        } else if topic == self.climber.name() {
+            match self.climber {
+                ClimberTopic::Transform(_) => read(message, to).map_or(Ok(()), |m| to.climber(&m)),
+                ClimberTopic::Joints(_) => {
+                    let at = Stamp::from_nanos(i64::try_from(message.log_time).unwrap_or(0));
+                    read(message, to).map_or(Ok(()), |m| to.joints(m, at))
+                }
+            }
+        } else if *topic == self.camera {
+            read(message, to).map_or(Ok(()), |m| to.camera(&m))
+        } else if Some(topic) == self.markers.as_ref() {
+            read(message, to).map_or(Ok(()), |m| to.markers(&m))
+        } else if *topic == self.tf_static {
+            if let Some(m) = read::<tf2_msgs::msg::TFMessage>(message, to) {
+                to.tf_static(&m);
+            }
+            Ok(())
+        } else {
+            Ok(())
+        }
+    }
+}

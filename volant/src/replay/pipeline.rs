@@ -1,0 +1,364 @@
+//! The nodes' cores connected in sequence, fed in the order in which the bag logged the messages.
+
+use super::output::OutputBag;
+use crate::stopwatch::WorkWatch;
+use bag::BagError;
+use climber_driver::{Climber, JointReading};
+use marker_tracker::{OwnedImage, Tracker};
+use node_kit::convert;
+use pose_fusion::{Fusion, MarkerUpdateRecord};
+use rig_model::{CameraModel, MarkerObservations, MarkerState, Rig, Stamp, topics};
+use std::{collections::BTreeMap, time::Duration};
+use volant_msgs::{
+    geometry_msgs::msg::TransformStamped, msg, sensor_msgs::msg as sensor, tf2_msgs::msg::TFMessage,
+};
+
+/// Counts of inputs and outputs, and warnings: a flat record, since each field is one number of the
+/// printed summary or needed for one.
+#[derive(Clone, Debug, Default)]
+pub struct Counts {
+    /// Decoded images.
+    pub images: u64,
+    /// Detected markers (at most four per image).
+    pub detected: u64,
+    /// Marker observations, from images or from the bag.
+    pub markers: u64,
+    /// IMU samples.
+    pub imu: u64,
+    /// Climber transforms.
+    pub climber: u64,
+    /// Odometries.
+    pub odometry: u64,
+    /// Poses from one image alone.
+    pub visual: u64,
+    /// Smoothed odometries.
+    pub smoothed: u64,
+    /// Markers that updated the filter.
+    pub used: u64,
+    /// Warnings by kind: their number, and the first one.
+    pub warnings: BTreeMap<String, (u64, String)>,
+    /// Stamps of the first IMU sample and of the odometries.
+    pub first_imu: Option<Stamp>,
+    /// IMU samples more than one second after the first.
+    pub imu_settled: u64,
+    /// Odometries more than one second after the first IMU sample.
+    pub odometry_settled: u64,
+    /// Stamp of the last odometry.
+    pub last_odometry: Option<Stamp>,
+    /// Longest time between two odometries after the first second, s.
+    pub longest_gap: f64,
+}
+
+impl Counts {
+    /// Counts a warning; only the first of a kind is kept.
+    pub fn warn(&mut self, kind: &str, sentence: impl FnOnce() -> String) {
+        match self.warnings.get_mut(kind) {
+            Some((count, _)) => *count += 1,
+            None => {
+                self.warnings.insert(kind.to_owned(), (1, sentence()));
+            }
+        }
+    }
+}
+
+/// CPU time, without decoding.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Spent {
+    /// CPU time in the tracker.
+    pub tracker: Duration,
+    /// CPU time in the filter.
+    pub fusion: Duration,
+    /// CPU time in writing the output.
+    pub output: Duration,
+}
+
+/// The cores and the output.
+#[derive(Debug)]
+pub struct Pipeline {
+    rig: Rig,
+    tracker: Tracker,
+    fusion: Fusion,
+    camera: Option<CameraModel>,
+    output: OutputBag,
+    smooth: bool,
+    /// The climber driver, where the bag holds its input and not its output.
+    pub climber: Option<Climber>,
+    records: Vec<MarkerUpdateRecord>,
+    /// Counts so far.
+    pub counts: Counts,
+    /// CPU time so far.
+    pub spent: Spent,
+}
+
+impl Pipeline {
+    /// Creates the cores from their configuration.
+    pub fn new(
+        rig: Rig,
+        tracker: Tracker,
+        fusion: Fusion,
+        output: OutputBag,
+        smooth: bool,
+    ) -> Self {
+        Self {
+            rig,
+            tracker,
+            fusion,
+            camera: None,
+            output,
+            smooth,
+            climber: None,
+            records: vec![],
+            counts: Counts::default(),
+            spent: Spent::default(),
+        }
+    }
+
+    /// Handles an IMU sample.
+    ///
+    /// # Errors
+    /// The output is not writable.
+    pub fn imu(&mut self, message: &sensor::Imu) -> Result<(), BagError> {
+        let sample = convert::imu_sample(message);
+        self.counts.imu += 1;
+        let first = *self.counts.first_imu.get_or_insert(sample.stamp);
+        self.counts.imu_settled += u64::from(sample.stamp.seconds_since(first) > 1.0);
+        self.fuse(pose_fusion::Input::Imu(sample))
+    }
+
+    /// Handles a climber transform.
+    ///
+    /// # Errors
+    /// The output is not writable.
+    pub fn climber(&mut self, message: &TransformStamped) -> Result<(), BagError> {
+        match convert::climber_sample(message, &self.rig.frames) {
+            Ok(sample) => {
+                self.counts.climber += 1;
+                let output = &mut self.output;
+                WorkWatch::add_to(&mut self.spent.output, || output.climber(&sample))?;
+                self.fuse(pose_fusion::Input::Climber(sample))
+            }
+            Err(error) => {
+                self.counts.warn(topics::CLIMBER_TRANSFORM, || {
+                    format!("{error}; such transforms are ignored")
+                });
+                Ok(())
+            }
+        }
+    }
+
+    /// Handles the climber's encoder readings as its driver does; `received` is when the bag logged
+    /// them.
+    ///
+    /// # Errors
+    /// The output is not writable.
+    pub fn joints(&mut self, message: sensor::JointState, received: Stamp) -> Result<(), BagError> {
+        let Some(climber) = &mut self.climber else { return Ok(()) };
+        let reading = JointReading {
+            stamp: convert::stamp(&message.header.stamp),
+            names: message.name,
+            positions: message.position,
+        };
+        climber.handle(&reading, received);
+        let outputs: Vec<_> = std::iter::from_fn(|| climber.poll()).collect();
+        outputs.into_iter().try_for_each(|output| match output {
+            // As a message, which rounds the rotation: live the filter receives no other.
+            climber_driver::Output::Sample(sample) => {
+                self.climber(&convert::climber_message(&sample, &self.rig.frames))
+            }
+            climber_driver::Output::Warning(warning) => {
+                let kind = format!("climber {}", warning.kind());
+                self.counts.warn(&kind, || format!("climber: {warning}"));
+                Ok(())
+            }
+        })
+    }
+
+    /// Handles a camera info.
+    ///
+    /// # Errors
+    /// The output is not writable.
+    pub fn camera(&mut self, message: &sensor::CameraInfo) -> Result<(), BagError> {
+        match convert::camera_model(message) {
+            Ok(model) if self.camera.as_ref() == Some(&model) => Ok(()),
+            Ok(model) => {
+                self.camera = Some(model.clone());
+                self.tracker.handle(marker_tracker::Input::Camera(model.clone()));
+                self.fuse(pose_fusion::Input::Camera(model))
+            }
+            Err(error) => {
+                self.counts.warn("camera_info", || error.to_string());
+                Ok(())
+            }
+        }
+    }
+
+    /// Handles an image.
+    ///
+    /// # Errors
+    /// The output is not writable.
+    pub fn image(&mut self, stamp: Stamp, image: &OwnedImage) -> Result<(), BagError> {
+        let tracker = &mut self.tracker;
+        WorkWatch::add_to(&mut self.spent.tracker, || {
+            tracker.handle(marker_tracker::Input::Image(image.view(stamp)));
+        });
+        self.counts.images += 1;
+        while let Some(output) = self.tracker.poll() {
+            match output {
+                marker_tracker::Output::Observations(observations) => {
+                    self.observations(observations)?
+                }
+                marker_tracker::Output::Warning(warning) => {
+                    self.counts
+                        .warn(&kind_of("tracker", &warning), || format!("tracker: {warning}"));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Counts an unusable image.
+    pub fn bad_image(&mut self, reason: &str) {
+        self.counts.warn("image", || format!("an image is ignored: {reason}"));
+    }
+
+    /// Handles marker observations of a live tracker.
+    ///
+    /// # Errors
+    /// The output is not writable.
+    pub fn markers(&mut self, message: &msg::MarkerObservations) -> Result<(), BagError> {
+        match convert::marker_observations(message) {
+            Ok(observations) => self.observations(observations),
+            Err(error) => {
+                self.counts.warn(topics::MARKERS, || format!("{error}; such messages are ignored"));
+                Ok(())
+            }
+        }
+    }
+
+    /// Compares `/tf_static` with the rig file, which takes precedence, and warns of differences.
+    pub fn tf_static(&mut self, message: &TFMessage) {
+        for ours in convert::static_transforms(&self.rig, Stamp::default()).transforms {
+            let (parent, child) = (&ours.header.frame_id, &ours.child_frame_id);
+            let theirs = message
+                .transforms
+                .iter()
+                .find(|t| t.header.frame_id == *parent && t.child_frame_id == *child);
+            let (Some(theirs), Ok(ours)) = (theirs, convert::isometry(&ours.transform, "rig"))
+            else {
+                continue;
+            };
+            let sentence = match convert::isometry(&theirs.transform, topics::absolute::TF_STATIC) {
+                Err(error) => error.to_string(),
+                Ok(theirs) => {
+                    let meters = (theirs.translation.vector - ours.translation.vector).norm();
+                    let degrees = theirs.rotation.angle_to(&ours.rotation).to_degrees();
+                    // Rounding to eight digits in a file.
+                    if meters <= 1e-4 && degrees <= 0.01 {
+                        continue;
+                    }
+                    format!(
+                        "/tf_static has {child} in {parent} {:.1} mm and {degrees:.2} deg from \
+                         the rig file's; \
+                         the rig file counts",
+                        meters * 1e3
+                    )
+                }
+            };
+            self.counts.warn(&format!("/tf_static {parent} {child}"), || sentence);
+        }
+    }
+
+    /// Closes the output.
+    ///
+    /// # Errors
+    /// The output is not writable.
+    pub fn finish(mut self) -> Result<(Counts, Spent), BagError> {
+        self.write_smoothed(true)?;
+        let mut spent = self.spent;
+        WorkWatch::add_to(&mut spent.output, || self.output.finish())?;
+        Ok((self.counts, spent))
+    }
+
+    fn write_smoothed(&mut self, end: bool) -> Result<(), BagError> {
+        if self.smooth {
+            let fusion = &mut self.fusion;
+            let smoothed = WorkWatch::add_to(&mut self.spent.fusion, || fusion.smoothed(end));
+            for odometry in &smoothed {
+                self.counts.smoothed += 1;
+                self.output.smoothed(odometry)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn observations(&mut self, observations: MarkerObservations) -> Result<(), BagError> {
+        let detected =
+            observations.markers.iter().filter(|(_, m)| m.state == MarkerState::Detected).count();
+        self.counts.markers += 1;
+        self.counts.detected += detected as u64;
+        let output = &mut self.output;
+        WorkWatch::add_to(&mut self.spent.output, || output.markers(&observations))?;
+        self.fuse(pose_fusion::Input::Markers(observations))?;
+        self.write_smoothed(false)
+    }
+
+    fn fuse(&mut self, input: pose_fusion::Input) -> Result<(), BagError> {
+        let fusion = &mut self.fusion;
+        WorkWatch::add_to(&mut self.spent.fusion, || fusion.handle(input));
+        let watch = WorkWatch::start();
+        while let Some(output) = self.fusion.poll() {
+            match output {
+                pose_fusion::Output::Odometry(odometry) => {
+                    self.count_odometry(odometry.stamp);
+                    self.output.odometry(&odometry)?;
+                }
+                pose_fusion::Output::Status(status) => self.output.status(&status)?,
+                pose_fusion::Output::Predicted(odometry) => self.output.predicted(&odometry)?,
+                pose_fusion::Output::VisualPose(pose) => {
+                    self.counts.visual += 1;
+                    self.output.visual_pose(&pose)?;
+                }
+                pose_fusion::Output::MarkerUpdate(record) => {
+                    self.counts.used +=
+                        u64::from(record.outcome == pose_fusion::MarkerOutcome::Used);
+                    if self.records.first().is_some_and(|first| first.stamp != record.stamp) {
+                        self.write_records()?;
+                    }
+                    self.records.push(record);
+                }
+                pose_fusion::Output::Warning(warning) => {
+                    self.counts.warn(&kind_of("filter", &warning), || format!("filter: {warning}"));
+                }
+            }
+        }
+        self.write_records()?;
+        self.spent.output += watch.elapsed();
+        Ok(())
+    }
+
+    fn write_records(&mut self) -> Result<(), BagError> {
+        self.output.marker_updates(&self.records)?;
+        self.records.clear();
+        Ok(())
+    }
+
+    fn count_odometry(&mut self, at: Stamp) {
+        let counts = &mut self.counts;
+        counts.odometry += 1;
+        let settled = counts.first_imu.is_some_and(|first| at.seconds_since(first) > 1.0);
+        if settled {
+            counts.odometry_settled += 1;
+            if let Some(last) = counts.last_odometry {
+                counts.longest_gap = counts.longest_gap.max(at.seconds_since(last));
+            }
+        }
+        counts.last_odometry = Some(at);
+    }
+}
+
+/// Name of a warning's variant.
+fn kind_of(who: &str, warning: &impl std::fmt::Debug) -> String {
+    let text = format!("{warning:?}");
+    let end = text.find(|c: char| !c.is_alphanumeric()).unwrap_or(text.len());
+    format!("{who} {}", &text[..end])
+}

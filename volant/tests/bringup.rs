@@ -1,0 +1,152 @@
+//! `volant bringup` on a simulated rig with a scripted terminal: from an empty rig file and lengths
+//! measured with a tape to a rig file that is as good as the true one.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
+mod simulated;
+
+use nalgebra::Vector3;
+use rig_model::{MarkerColor, Rig};
+use simulated::{Simulated, resting};
+use std::{
+    fmt::Write as _,
+    fs,
+    io::Write as _,
+    path::Path,
+    process::{Command, Output, Stdio},
+};
+use tempfile::TempDir;
+use volant::{
+    evaluate::{EvaluateOptions, evaluate},
+    replay::TopicNames,
+};
+
+/// Runs `volant bringup` with the answers of an operator.
+fn bringup(arguments: &[&str], answers: &str) -> (Output, String) {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_volant"))
+        .arg("bringup")
+        .args(arguments)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    child.stdin.take().unwrap().write_all(answers.as_bytes()).unwrap();
+    let output = child.wait_with_output().unwrap();
+    let printed = [&output.stdout, &output.stderr].map(|b| String::from_utf8_lossy(b).into_owned());
+    (output, printed.concat())
+}
+
+/// Position (mm) and rotation (deg) RMSE of a replay with a rig file.
+fn rmse(bag: &Path, rig: &Path, truth: &Path, out: &Path) -> [f64; 2] {
+    let output = Command::new(env!("CARGO_BIN_EXE_volant"))
+        .arg("replay")
+        .arg(bag)
+        .arg("--rig")
+        .arg(rig)
+        .arg("--out")
+        .arg(out)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let options = EvaluateOptions {
+        estimates: out.to_owned(),
+        truth: truth.to_owned(),
+        skip: 3.0,
+        names: TopicNames::default(),
+    };
+    let evaluation = evaluate(&options).unwrap();
+    let fused = evaluation.estimates.iter().find(|q| q.estimate.ends_with("odometry")).unwrap();
+    [fused.position_mm.rmse, fused.rotation_deg.rmse]
+}
+
+/// A tape's reading: millimeters to a tenth.
+fn tape(v: Vector3<f64>) -> String {
+    format!("{:.1} {:.1} {:.1}", 1e3 * v.x, 1e3 * v.y, 1e3 * v.z)
+}
+
+#[test]
+fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
+    let folder = TempDir::new().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    let shown = |name: &str| file(name).display().to_string();
+    let simulated = Simulated::new(1);
+    simulated.write_rest(&file("rest.mcap"));
+    simulated.write_jog(&file("jog.mcap"));
+    simulated.write(&file("swing.mcap"), &simulated.motion(60.0, true), false);
+    let other = Simulated::new(101);
+    let motion = other.motion(20.0, false);
+    other.write(&file("work.mcap"), &motion, false);
+    other.write_truth(&file("truth.mcap"), &motion);
+
+    // The operator: markers to 0.1 mm, camera and IMU to some millimeters and degrees.
+    let rig = &simulated.rig;
+    let mut answers = String::from("\n76\n");
+    for color in MarkerColor::ALL {
+        writeln!(answers, "{}", tape(rig.markers.centres[color].coords)).unwrap();
+    }
+    let camera = rig.climber_from_camera.translation.vector + Vector3::new(0.004, -0.003, 0.002);
+    let imu = rig.imu.volant_from_imu.translation.vector + Vector3::new(0.003, -0.002, 0.003);
+    writeln!(answers, "{}\n0.7071 0.7071 0 0\n{}\n0 0 0 1", tape(camera), tape(imu)).unwrap();
+    // IMU; then a pause.
+    writeln!(answers, "\n\n{}", shown("rest.mcap")).unwrap();
+    let rig_file = shown("rig.yaml");
+    let (output, printed) = bringup(&["--rig", &rig_file], &answers);
+    assert_eq!(output.status.code(), Some(1), "{printed}");
+    assert!(printed.contains("3/8 camera") && printed.contains("paused"), "{printed}");
+    assert!(!printed.contains("FAIL"), "{printed}");
+
+    // It goes on with the camera. The lens is calibrated.
+    let mut answers = format!("\n{}\n\n\n{}\n", shown("swing.mcap"), shown("swing.mcap"));
+    let t = resting().translation;
+    writeln!(answers, "\n{} {} {}\n{}", t.x, t.y, t.z, shown("jog.mcap")).unwrap();
+    // Mounting, offsets, acceptance.
+    writeln!(answers, "\n{}\n\n\n{}", shown("swing.mcap"), shown("work.mcap")).unwrap();
+    let page = shown("page.html");
+    let (output, printed) = bringup(&["--rig", &rig_file, "--report", &page], &answers);
+    eprintln!("{printed}");
+    assert!(output.status.success(), "{printed}");
+    assert!(!printed.contains("1/8 markers"), "resumed: {printed}");
+    for step in ["camera", "intrinsics", "encoders", "mounting", "offsets", "acceptance"] {
+        assert!(printed.contains(&format!("{step:<12}PASS")), "{step}: {printed}");
+    }
+    let html = fs::read_to_string(&page).unwrap();
+    assert!(html.contains("Bring-up: accepted") && html.contains("joint bridge"));
+    assert!(fs::read(file("rig.yaml.bringup/markers.pdf")).unwrap().starts_with(b"%PDF"));
+    assert!(file("rig.yaml.bringup/allan.svg").is_file());
+
+    // The true rig file, with the true encoders.
+    let e = &simulated.encoders;
+    let axes = ["rail_x", "rail_y", "turn"];
+    let map = |values: [String; 3]| {
+        let pairs: Vec<_> = axes.iter().zip(values).map(|(a, v)| format!("{a}: {v}")).collect();
+        format!("{{{}}}", pairs.join(", "))
+    };
+    let truth = format!(
+        "{}/climber_driver:\n  ros__parameters:\n    joints: {}\n    scale: {}\n    zero: {}\n    \
+         height: {}\n",
+        rig_simulator::RIG_YAML,
+        map(e.names.map(str::to_owned)),
+        map(e.scale.map(|s| s.to_string())),
+        map(e.zero.map(|z| format!("{z:?}"))),
+        simulated.height
+    );
+    fs::write(file("true.yaml"), truth).unwrap();
+    let [ours, best] = ["rig.yaml", "true.yaml"].map(|rig| {
+        rmse(&file("work.mcap"), &file(rig), &file("truth.mcap"), &file(&format!("{rig}.mcap")))
+    });
+    eprintln!("position mm, rotation deg: {ours:?}; with the true rig file {best:?}");
+    for (ours, best) in ours.into_iter().zip(best) {
+        assert!(ours <= 1.3 * best, "{ours} {best}");
+    }
+    let found = Rig::from_yaml(&fs::read_to_string(file("rig.yaml")).unwrap()).unwrap();
+    assert!((found.imu.gyroscope_noise_density / 0.000_872_66 - 1.0).abs() < 0.05);
+
+    // A single step, which fails: the platform was not on the floor.
+    let answers = format!("\n0 0 0.1\n{}\n\n", shown("swing.mcap"));
+    let before = fs::read(&rig_file).unwrap();
+    let (output, printed) = bringup(&["encoders", "--rig", &rig_file], &answers);
+    assert_eq!(output.status.code(), Some(1), "{printed}");
+    assert!(printed.contains("FAIL encoders") && printed.contains("onto the floor"), "{printed}");
+    assert!(printed.contains("not accepted: encoders failed"), "{printed}");
+    assert_eq!(fs::read(&rig_file).unwrap(), before);
+}

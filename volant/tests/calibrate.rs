@@ -1,0 +1,216 @@
+//! `volant calibrate`: each command updates its file in place, keeps every other key and comment,
+//! and leaves the former file as `.bak`.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod simulated;
+
+use rig_model::Rig;
+use ros_parameters::{ParameterFile, ParameterMap};
+use simulated::{Simulated, resting};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+use tempfile::TempDir;
+
+fn volant(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_volant")).args(arguments).output().unwrap()
+}
+
+/// Runs a command that succeeds; returns what it prints.
+fn done(arguments: &[&str]) -> String {
+    let output = volant(arguments);
+    let printed = [output.stdout, output.stderr].map(|b| String::from_utf8_lossy(&b).into_owned());
+    assert!(output.status.success(), "{arguments:?}: {}", printed.concat());
+    printed.concat()
+}
+
+/// A user's rig file: comments, colors, and nodes' parameters after the rig.
+fn dressed(rig: &str) -> String {
+    let colors = "markers: # glued on Monday\n      colors: {red: [180.0, 40.0, 40.0]} # by eye\n";
+    let nodes = "/pose_fusion: # ours\n  ros__parameters: {prediction_horizon: 0.05}\n\
+                 /climber_driver:\n  ros__parameters:\n    # with the tape\n    height: 2.5 # m\n";
+    assert!(rig.contains("markers:\n"));
+    format!("# the rig in hall 3\n{}{nodes}", rig.replacen("markers:\n", colors, 1))
+}
+
+/// Asserts that all but some lines are those of before, in order.
+fn assert_same_lines(before: &str, after: &str, except: &[&str]) {
+    let others = |text: &str| -> Vec<String> {
+        let keep = |line: &&str| !except.iter().any(|e| line.trim_start().starts_with(e));
+        text.lines().filter(keep).map(str::to_owned).collect()
+    };
+    assert_eq!(others(before), others(after));
+}
+
+fn backup(path: &Path) -> PathBuf {
+    PathBuf::from(format!("{}.bak", path.display()))
+}
+
+fn parameters(text: &str, node: &str) -> ParameterMap {
+    ParameterFile::parse(text).unwrap().for_node(node)
+}
+
+#[test]
+fn rig_keeps_colors_comments_and_the_nodes_parameters() {
+    let (folder, simulated) = (TempDir::new().unwrap(), Simulated::new(5));
+    let [bag, path] = ["swing.mcap", "rig.yaml"].map(|n| folder.path().join(n));
+    simulated.write(&bag, &simulated.motion(9.0, true), true);
+    // The IMU is turned by two degrees.
+    let turned = "[0.0126, 0.0097, 0.0269, 0.9995]";
+    let measured = "[-0.00480638, 0.00967114, 0.02698588, 0.99957748]";
+    assert!(rig_simulator::RIG_YAML.contains(measured));
+    let before = dressed(&rig_simulator::RIG_YAML.replace(measured, turned));
+    fs::write(&path, &before).unwrap();
+    let [bag, rig] = [bag.to_str().unwrap(), path.to_str().unwrap()];
+    done(&["calibrate", "rig", bag, "--rig", rig]);
+    let after = fs::read_to_string(&path).unwrap();
+    assert_ne!(before, after);
+    let changing = ["position:", "orientation:", "red: [", "green:", "blue:", "yellow:"];
+    assert_same_lines(&before, &after, &changing);
+    assert_eq!(fs::read_to_string(backup(&path)).unwrap(), before);
+    for node in ["/pose_fusion", "/climber_driver"] {
+        let own = |text: &str| -> Vec<_> {
+            let all = parameters(text, node);
+            all.into_iter().filter(|(name, _)| !name.starts_with(['c', 'i', 'm'])).collect()
+        };
+        assert_eq!(own(&before), own(&after));
+        assert!(!own(&after).is_empty());
+    }
+    assert_eq!(Rig::from_yaml(&after).unwrap().colors, Rig::from_yaml(&before).unwrap().colors);
+    // A new file instead, and never over another one.
+    let out = folder.path().join("refined.yaml");
+    let arguments = ["calibrate", "rig", bag, "--rig", rig, "--out", out.to_str().unwrap()];
+    done(&arguments);
+    assert_same_lines(&before, &fs::read_to_string(&out).unwrap(), &changing);
+    assert_eq!(fs::read_to_string(&path).unwrap(), after);
+    let again = volant(&arguments);
+    assert_eq!(again.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("--overwrite"));
+}
+
+#[test]
+fn colors_keeps_the_rest_of_the_rig_file() {
+    let Some(shared) = test_support::recordings() else { return };
+    let folder = TempDir::new().unwrap();
+    let bag = shared.join("bags/nominal/in.mcap");
+    let truth = fs::read_to_string(shared.join("bags/nominal/rig.yaml")).unwrap();
+    let path = folder.path().join("rig.yaml");
+    let before = dressed(&truth);
+    fs::write(&path, &before).unwrap();
+    let rig = path.to_str().unwrap();
+    done(&["calibrate", "colors", bag.to_str().unwrap(), "--rig", rig]);
+    let after = fs::read_to_string(&path).unwrap();
+    assert_same_lines(&before, &after, &["colors:"]);
+    assert!(after.contains("} # by eye"), "{after}");
+    assert_eq!(fs::read_to_string(backup(&path)).unwrap(), before);
+    let colors = Rig::from_yaml(&after).unwrap().colors;
+    assert!(colors.0.iter().all(Option::is_some), "{colors:?}");
+    // A file that exists is not replaced by the 190 bytes of the colors.
+    let output = volant(&["calibrate", "colors", bag.to_str().unwrap(), "--out", rig]);
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(fs::read_to_string(&path).unwrap(), after);
+}
+
+#[test]
+fn imu_writes_the_densities_and_a_figure_and_refuses_motion() {
+    let (folder, simulated) = (TempDir::new().unwrap(), Simulated::new(3));
+    let [bag, rig, plot] = ["rest.mcap", "rig.yaml", "allan.svg"].map(|n| folder.path().join(n));
+    simulated.write_rest(&bag);
+    let before = dressed(rig_simulator::RIG_YAML)
+        .replace("accelerometer_noise_density: 0.002", "accelerometer_noise_density: 0.5 # guess")
+        .replace("gyroscope_noise_density: 0.00087266", "gyroscope_noise_density: 0.5 # guess");
+    fs::write(&rig, &before).unwrap();
+    let [file, rig_file, svg] = [&bag, &rig, &plot].map(|p| p.to_str().unwrap());
+    let printed = done(&["calibrate", "imu", file, "--rig", rig_file, "--plot", svg]);
+    assert!(printed.contains("60.0 s at 100.0") && printed.contains("record longer"), "{printed}");
+    let after = fs::read_to_string(&rig).unwrap();
+    assert_same_lines(&before, &after, &["accelerometer_noise", "gyroscope_noise"]);
+    assert_eq!(after.matches("# guess").count(), 2);
+    assert_eq!(fs::read_to_string(backup(&rig)).unwrap(), before);
+    let imu = Rig::from_yaml(&after).unwrap().imu;
+    for (found, truth) in
+        [(imu.accelerometer_noise_density, 0.002), (imu.gyroscope_noise_density, 0.00087266)]
+    {
+        assert!((found / truth - 1.0).abs() < 0.05, "{found} {truth}");
+    }
+    let svg = fs::read_to_string(&plot).unwrap();
+    assert!(svg.contains("Allan deviation [rad/s]") && svg.contains("averaging time [s]"));
+    let moving = folder.path().join("swing.mcap");
+    simulated.write(&moving, &simulated.motion(30.0, true), false);
+    let output = volant(&["calibrate", "imu", moving.to_str().unwrap(), "--rig", rig_file]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("not at rest") && message.contains("swing.mcap"), "{message}");
+    assert_eq!(fs::read_to_string(&rig).unwrap(), after);
+}
+
+#[test]
+fn imu_finds_no_noise_in_the_motion_of_real_recordings() {
+    let Some(shared) = test_support::recordings() else { return };
+    let folder = TempDir::new().unwrap();
+    for name in ["real_slow", "real_tapping"] {
+        let recording = shared.join("bags").join(name);
+        let rig = folder.path().join("rig.yaml");
+        fs::write(&rig, fs::read(recording.join("rig.yaml")).unwrap()).unwrap();
+        let bag = recording.join("in.mcap");
+        let output =
+            volant(&["calibrate", "imu", bag.to_str().unwrap(), "--rig", rig.to_str().unwrap()]);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{name}: {message}");
+        assert!(message.contains("not at rest"), "{name}: {message}");
+    }
+}
+
+#[test]
+fn climber_finds_names_signs_scales_zeros_and_height() {
+    let (folder, simulated) = (TempDir::new().unwrap(), Simulated::new(4));
+    let [bag, rig] = ["jog.mcap", "rig.yaml"].map(|n| folder.path().join(n));
+    simulated.write_jog(&bag);
+    let before = dressed(rig_simulator::RIG_YAML);
+    fs::write(&rig, &before).unwrap();
+    let (file, rig_file) = (bag.to_str().unwrap(), rig.to_str().unwrap());
+    let printed = done(&["calibrate", "climber", file, "--rig", rig_file]);
+    assert!(printed.contains("zero.rail_x") && printed.contains("survey it"), "{printed}");
+    let after = fs::read_to_string(&rig).unwrap();
+    assert!(after.starts_with(&before), "the keys are added below the height: {after}");
+    let found = parameters(&after, "/climber_driver");
+    assert_eq!(found["height"].as_f64(), Some(2.5), "surveyed");
+    assert!(!found.contains_key("zero.rail_x"));
+
+    let t = resting().translation;
+    let platform = format!("{},{},{}", t.x, t.y, t.z);
+    done(&["calibrate", "climber", file, "--rig", rig_file, "--platform", &platform]);
+    let after = fs::read_to_string(&rig).unwrap();
+    let found = parameters(&after, "/climber_driver");
+    for (i, axis) in ["rail_x", "rail_y", "turn"].into_iter().enumerate() {
+        let e = &simulated.encoders;
+        assert_eq!(found[&format!("joints.{axis}")].to_string(), format!("{:?}", e.names[i]));
+        let value = |name: &str| found[&format!("{name}.{axis}")].as_f64().unwrap();
+        assert!((value("scale") / e.scale[i] - 1.0).abs() < 3e-3, "{axis} {}", value("scale"));
+        let off = (value("zero") - e.zero[i]) * e.scale[i];
+        assert!(off.abs() < 4e-3, "{axis} is off by {off}");
+    }
+    assert!((found["height"].as_f64().unwrap() - simulated.height).abs() < 0.01);
+    assert_same_lines(&before, &after, &["height", "joints", "scale", "zero", "rail_", "turn"]);
+    assert!(after.contains("# m\n"), "{after}");
+
+    // A parameter file of its own; the rig file stays.
+    let own = folder.path().join("encoders.yaml");
+    fs::write(&own, "# encoders\n").unwrap();
+    let arguments = ["--params-file", own.to_str().unwrap(), "--node", "/rig1/climber_driver"];
+    done(&[&["calibrate", "climber", file, "--rig", rig_file], &arguments[..]].concat());
+    let text = fs::read_to_string(&own).unwrap();
+    assert!(text.starts_with("# encoders\n/rig1/climber_driver:\n"), "{text}");
+    assert_eq!(fs::read_to_string(&rig).unwrap(), after);
+
+    // The platform hangs: nothing is written.
+    let swing = folder.path().join("swing.mcap");
+    simulated.write(&swing, &simulated.motion(15.0, true), false);
+    let output = volant(&["calibrate", "climber", swing.to_str().unwrap(), "--rig", rig_file]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("platform"), "{message}");
+    assert_eq!(fs::read_to_string(&rig).unwrap(), after);
+}

@@ -1,0 +1,130 @@
+//! Calibration of the rig: a wrong rig file is corrected, and a recording at rest is rejected.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
+
+use nalgebra::{Isometry3, Matrix2, Translation3, UnitQuaternion, Vector3};
+use rig_calibration::{Recording, Shot, refine_rig};
+use rig_model::{CameraModel, Distortion, MarkerColor, Rig};
+use std::fs;
+use volant::calibration::{Cores, refine_from_bag};
+
+use MarkerColor::{Blue, Green, Red, Yellow};
+
+const RIG: &str = "/**:
+  ros__parameters:
+    frames: {world: world, climber: climber, camera: camera_optical, imu: imu, volant: volant}
+    camera: {position: [0.0, 0.0, -0.10], orientation: [0.70710678, 0.70710678, 0.0, 0.0]}
+    imu: {position: [0.0, 0.0, 0.0], orientation: [0.0, 0.0, 0.0, 1.0]}
+    markers:
+      size: 0.076
+      red: [0.15, 0.15, 0.02]
+      green: [-0.15, 0.15, 0.02]
+      blue: [-0.15, -0.15, 0.02]
+      yellow: [0.15, -0.15, 0.02]
+";
+
+#[test]
+fn a_wrong_rig_file_is_corrected() {
+    let Some(shared) = test_support::recordings() else { return };
+    for (bag, sure) in [("nominal", 4.0), ("fast_swing", 5.0)] {
+        let folder = shared.join("bags").join(bag);
+        let truth = Rig::from_yaml(&fs::read_to_string(folder.join("rig.yaml")).unwrap()).unwrap();
+        let mut wrong = truth.clone();
+        let turn = |x: f64, y: f64, z: f64| {
+            UnitQuaternion::from_scaled_axis(Vector3::new(
+                x.to_radians(),
+                y.to_radians(),
+                z.to_radians(),
+            ))
+        };
+        wrong.climber_from_camera.rotation =
+            turn(1.0, -1.5, 0.0) * truth.climber_from_camera.rotation;
+        wrong.imu.volant_from_imu.rotation =
+            turn(2.0, 1.0, -2.5) * truth.imu.volant_from_imu.rotation;
+        wrong.imu.volant_from_imu.translation.vector += Vector3::new(0.01, -0.01, 0.01);
+        // One diagonal longer, the other shorter: no translation, rotation or scaling, which images
+        // do not determine.
+        for (color, x, y) in
+            [(Red, 2e-3, 2e-3), (Blue, -2e-3, -2e-3), (Green, 2e-3, -2e-3), (Yellow, -2e-3, 2e-3)]
+        {
+            wrong.markers.centres[color] += Vector3::new(x, y, 0.0);
+        }
+        let estimate =
+            refine_from_bag(&folder.join("in.mcap"), &wrong, &Cores::of(&wrong), &[]).unwrap();
+        println!("{bag}: {:?}", estimate.pixel_rms);
+        let found = &estimate.rig;
+        let deviation = |name: &str| {
+            let row = estimate.rows.iter().find(|r| r.name == name).unwrap();
+            assert!(row.determined, "{bag}: {name}");
+            row.deviation
+        };
+        let check = |name: &str, error: f64| {
+            let d = deviation(name);
+            assert!(error.abs() < sure * d, "{bag}: {name} is off by {error}, and says {d}");
+        };
+        let camera = (found.climber_from_camera.rotation
+            * truth.climber_from_camera.rotation.inverse())
+        .scaled_axis();
+        let imu = (found.imu.volant_from_imu.rotation
+            * truth.imu.volant_from_imu.rotation.inverse())
+        .scaled_axis();
+        let place = found.imu.volant_from_imu.translation.vector
+            - truth.imu.volant_from_imu.translation.vector;
+        for (i, axis) in ["x", "y", "z"].iter().enumerate() {
+            if i < 2 {
+                check(&format!("camera turn about climber {axis}"), camera[i].to_degrees());
+                assert!(camera[i].abs().to_degrees() < 0.15);
+            }
+            check(&format!("imu turn about volant {axis}"), imu[i].to_degrees());
+            assert!(imu[i].abs().to_degrees() < 0.3);
+            check(&format!("imu place along volant {axis}"), 1e3 * place[i]);
+        }
+        // The climber hardly accelerates: the camera's rotation about the vertical and its position
+        // stay undetermined.
+        for name in ["camera turn about climber z", "camera place along climber z"] {
+            assert!(
+                !estimate.rows.iter().find(|r| r.name == name).unwrap().determined,
+                "{bag}: {name}"
+            );
+        }
+        let side = |r: &Rig, a, b| (r.markers.centres[a] - r.markers.centres[b]).norm();
+        for (a, b, c, d) in [(Red, Blue, Green, Yellow), (Red, Green, Blue, Yellow)] {
+            let ratio = |r: &Rig| side(r, a, b) / side(r, c, d);
+            let off = ratio(found) / ratio(&truth) - 1.0;
+            println!("{bag}: {a} to {b} over {c} to {d}: off by {off:.1e}");
+            assert!(off.abs() < 1e-3, "{bag}: {a} to {b} is off by {off}");
+        }
+    }
+}
+
+#[test]
+fn a_recording_at_rest_is_rejected() {
+    let rig = Rig::from_yaml(RIG).unwrap();
+    let camera =
+        CameraModel::new(640, 480, [600.0, 600.0, 319.5, 239.5], Distortion::PlumbBob([0.0; 5]))
+            .unwrap();
+    let climber = Isometry3::translation(0.0, 0.0, 2.8);
+    let volant =
+        Isometry3::from_parts(Translation3::new(0.02, 0.01, 1.3), UnitQuaternion::identity());
+    let view = (climber * rig.climber_from_camera).inverse() * volant;
+    let pixels =
+        MarkerColor::ALL.map(|c| rig.markers.projected_centroid(c, &camera, &view).unwrap().pixel);
+    // Small pseudo-random noise avoids singular sums.
+    let wobble = |i: usize, k: f64| 0.02 * ((i as f64) * k).sin();
+    let shots = (0..150)
+        .map(|i| Shot {
+            time: 0.3 + i as f64 / 30.0,
+            pixels: pixels.map(|p| p + nalgebra::Vector2::new(wobble(i, 1.7), wobble(i, 2.9))),
+            covariances: [Matrix2::identity() * 4e-4; 4],
+        })
+        .collect();
+    let imu = (0..600)
+        .map(|i| {
+            let noise = Vector3::new(wobble(i, 3.3), wobble(i, 4.1), wobble(i, 5.7));
+            (i as f64 * 0.01, Vector3::new(0.0, 0.0, 9.80665) + noise, noise * 0.1)
+        })
+        .collect();
+    let line = (0..300).map(|i| (i as f64 * 0.02, Vector3::new(0.0, 0.0, 2.8), 0.0)).collect();
+    let recording = Recording { camera, shots, imu, climber: line };
+    let error = refine_rig(&recording, &rig).unwrap_err().to_string();
+    assert!(error.contains("determines neither"), "{error}");
+}

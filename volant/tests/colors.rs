@@ -1,0 +1,112 @@
+//! `volant calibrate colors`: from a bag with a rig file, from an image file without one, and its
+//! errors.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
+use rig_model::{MarkerColor, Rig};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+fn calibrate(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_volant"))
+        .args(["calibrate", "colors"])
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+/// Writes a PNG with four squares on gray; `None` leaves a square out.
+fn write_image(path: &Path, papers: [Option<[u8; 3]>; 4]) {
+    const SIDE: usize = 200;
+    let mut data = vec![110u8; 3 * SIDE * SIDE];
+    for (i, paper) in papers.iter().enumerate() {
+        let Some(paper) = paper else { continue };
+        let (x0, y0) = (30 + 90 * (i % 2), 30 + 90 * (i / 2));
+        for y in y0..y0 + 30 {
+            for x in x0..x0 + 30 {
+                data[3 * (y * SIDE + x)..][..3].copy_from_slice(paper);
+            }
+        }
+    }
+    let mut encoder = png::Encoder::new(fs::File::create(path).unwrap(), SIDE as u32, SIDE as u32);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.write_header().unwrap().write_image_data(&data).unwrap();
+}
+
+const PAPERS: [[u8; 3]; 4] = [[190, 40, 50], [60, 150, 80], [40, 90, 170], [200, 180, 60]];
+
+/// Reads the rig file with the calibrated lines.
+fn rig_with(colors: &str) -> Rig {
+    let rig = include_str!("../../launch_config/config/rig.yaml");
+    let lines: String = colors.lines().skip(3).map(|line| format!("{line}\n")).collect();
+    let (before, after) =
+        rig.split_at(rig.find("    markers:\n").unwrap() + "    markers:\n".len());
+    Rig::from_yaml(&format!("{before}{lines}{after}")).unwrap_or_else(|e| panic!("{e}: {colors}"))
+}
+
+#[test]
+fn an_image_files_colors_become_lines_of_the_rig_file() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let path = folder.path().join("papers.png");
+    write_image(&path, PAPERS.map(Some));
+    let output = calibrate(&[path.to_str().unwrap()]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let rig = rig_with(&String::from_utf8(output.stdout).unwrap());
+    for (color, paper) in MarkerColor::ALL.into_iter().zip(PAPERS) {
+        let found = rig.colors[color].unwrap();
+        for (a, b) in found.iter().zip(paper) {
+            assert!((a - f64::from(b)).abs() < 6.0, "{color}: {found:?} for {paper:?}");
+        }
+    }
+}
+
+#[test]
+fn missing_colors_are_named_in_one_line_and_a_pick_finds_them() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let path = folder.path().join("papers.png");
+    // Turquoise in blue's place is classified as green.
+    let papers = [PAPERS[0], PAPERS[1], [40, 160, 150], PAPERS[3]];
+    write_image(&path, papers.map(Some));
+    let output = calibrate(&[path.to_str().unwrap()]);
+    let printed = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{printed}");
+    assert_eq!(printed.trim_end().lines().count(), 1, "{printed}");
+    assert!(printed.contains("blue") && printed.contains("--pick"), "{printed}");
+    let output = calibrate(&[path.to_str().unwrap(), "--pick", "blue=45,135"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let rig = rig_with(&String::from_utf8(output.stdout).unwrap());
+    assert_eq!(rig.colors[MarkerColor::Blue], Some([40.0, 160.0, 150.0]));
+    let output = calibrate(&[path.to_str().unwrap(), "--pick", "pink=1,1"]);
+    assert_eq!(output.status.code(), Some(2));
+    let output = calibrate(&["no_such_file.png"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("no_such_file.png"));
+}
+
+#[test]
+fn a_recorded_bag_yields_its_markers_colors() {
+    let Some(shared) = test_support::recordings() else { return };
+    for bag in ["nominal", "clutter"] {
+        let folder: PathBuf = Path::new(&shared).join("bags").join(bag);
+        let own = tempfile::TempDir::new().unwrap();
+        let rig = own.path().join("rig.yaml");
+        fs::write(&rig, fs::read(folder.join("rig.yaml")).unwrap()).unwrap();
+        let output =
+            calibrate(&[folder.join("in.mcap").to_str().unwrap(), "--rig", rig.to_str().unwrap()]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let colors = Rig::from_yaml(&fs::read_to_string(&rig).unwrap()).unwrap().colors;
+        eprintln!("{bag}: {colors:?}");
+        for (color, strong, weak) in [
+            (MarkerColor::Red, 0, 1),
+            (MarkerColor::Green, 1, 0),
+            (MarkerColor::Blue, 2, 0),
+            (MarkerColor::Yellow, 0, 2),
+        ] {
+            let rgb = colors[color].unwrap();
+            assert!(rgb[strong] > 1.2 * rgb[weak], "{bag} {color}: {rgb:?}");
+        }
+    }
+}

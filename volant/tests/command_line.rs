@@ -1,0 +1,302 @@
+//! Exit status of `volant`, and its errors: one line on standard error with given words.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
+use bag::{BagReader, BagWriter, Compression, QosProfile, Topic, WriteOptions};
+use rig_model::topics;
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+use tempfile::TempDir;
+use volant_msgs::{
+    cdr,
+    geometry_msgs::msg::TransformStamped,
+    sensor_msgs::msg::{CameraInfo, CompressedImage, Imu},
+    std_msgs::msg::String as Text,
+};
+
+const RIG: &str = include_str!("../../launch_config/config/rig.yaml");
+
+fn volant(arguments: &[&Path]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_volant")).args(arguments).output().unwrap()
+}
+
+/// Asserts exit status 1 and one line with these words.
+fn fails(arguments: &[&Path], words: &[&str]) {
+    let output = volant(arguments);
+    let printed = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{arguments:?}: {printed}");
+    assert_eq!(printed.trim_end().lines().count(), 1, "{printed}");
+    for word in words {
+        assert!(printed.contains(word), "`{word}` is not in: {printed}");
+    }
+    assert!(!printed.contains("panicked"), "{printed}");
+}
+
+struct Place(TempDir);
+
+impl Place {
+    fn new() -> Self {
+        let place = Self(TempDir::new().unwrap());
+        place.file("rig.yaml", RIG.as_bytes());
+        place
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn file(&self, name: &str, bytes: &[u8]) -> PathBuf {
+        fs::write(self.path(name), bytes).unwrap();
+        self.path(name)
+    }
+
+    fn replay_fails(&self, bag: &Path, words: &[&str]) {
+        let (rig, out) = (self.path("rig.yaml"), self.path("out.mcap"));
+        fails(&["replay".as_ref(), bag, "--rig".as_ref(), &rig, "--out".as_ref(), &out], words);
+    }
+}
+
+/// Writes a bag with a message on each topic whose name does not end with `without`.
+fn bag(path: &Path, without: &str) {
+    let options = WriteOptions { compression: Compression::None, ..WriteOptions::default() };
+    let mut bag = BagWriter::create(path, options).unwrap();
+    let qos = QosProfile::RELIABLE;
+    let mut add = |topic: Topic, data: Vec<u8>| {
+        if !topic.name.ends_with(without) || without.is_empty() {
+            let id = bag.add_topic(topic);
+            bag.write(id, 1_000_000_000, 1_000_000_000, &data).unwrap();
+        }
+    };
+    add(
+        Topic::of::<CompressedImage>(topics::absolute::COMPRESSED_IMAGE, &qos),
+        cdr::to_bytes(&CompressedImage {
+            format: "jpeg".into(),
+            data: vec![1, 2, 3],
+            ..Default::default()
+        }),
+    );
+    add(
+        Topic::of::<CameraInfo>(topics::absolute::CAMERA_INFO, &qos),
+        cdr::to_bytes(&CameraInfo::default()),
+    );
+    add(Topic::of::<Imu>(topics::absolute::IMU, &qos), cdr::to_bytes(&Imu::default()));
+    add(
+        Topic::of::<TransformStamped>(topics::absolute::CLIMBER_TRANSFORM, &qos),
+        cdr::to_bytes(&TransformStamped::default()),
+    );
+    bag.finish().unwrap();
+}
+
+#[test]
+fn a_wrong_command_line_is_2() {
+    for arguments in [
+        &[][..],
+        &["replay"],
+        &["replay", "in.mcap", "--rig", "r.yaml"],
+        &["fly"],
+        &["evaluate", "x", "--bad"],
+    ] {
+        let output = Command::new(env!("CARGO_BIN_EXE_volant")).args(arguments).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(!output.stderr.is_empty());
+    }
+    let help = Command::new(env!("CARGO_BIN_EXE_volant")).arg("--help").output().unwrap();
+    assert_eq!(help.status.code(), Some(0));
+}
+
+#[test]
+fn no_letter_stands_for_two_options() {
+    for command in ["replay", "evaluate", "record", "play"] {
+        let output = volant(&[Path::new(command), Path::new("--help")]);
+        let help = String::from_utf8_lossy(&output.stdout).into_owned();
+        let mut letters: Vec<char> = help
+            .lines()
+            .filter_map(|line| line.trim_start().strip_prefix('-')?.chars().next())
+            .filter(char::is_ascii_alphabetic)
+            .collect();
+        assert!(letters.contains(&'h'), "{command}: {help}");
+        letters.sort_unstable();
+        let all = letters.len();
+        letters.dedup();
+        assert_eq!(letters.len(), all, "{command}: {help}");
+    }
+}
+
+#[test]
+fn bags_that_cannot_be_replayed() {
+    let place = Place::new();
+    place.replay_fails(&place.path("gone.mcap"), &["gone.mcap", "no such file", "give an .mcap"]);
+    place.replay_fails(&place.file("empty.mcap", b""), &["empty.mcap", "empty"]);
+    place.replay_fails(
+        &place.file("foreign.mcap", &[7; 4096]),
+        &["foreign.mcap", "not an MCAP file"],
+    );
+    fs::create_dir(place.path("folder")).unwrap();
+    place.replay_fails(&place.path("folder"), &["metadata.yaml", "missing"]);
+    for (topic, name) in [
+        ("compressed", "/climber/camera/image_raw/compressed (sensor_msgs/msg/CompressedImage)"),
+        ("camera_info", "/climber/camera/camera_info (sensor_msgs/msg/CameraInfo)"),
+        ("data", "/volant/imu/data (sensor_msgs/msg/Imu)"),
+        ("transform", "/climber/transform (geometry_msgs/msg/TransformStamped)"),
+    ] {
+        let path = place.path(&format!("without_{topic}.mcap"));
+        bag(&path, topic);
+        place.replay_fails(&path, &["no message on", name, "--remap"]);
+    }
+    // All topics, with unusable messages.
+    let path = place.path("useless.mcap");
+    bag(&path, "");
+    place.replay_fails(
+        &path,
+        &[
+            "the filter never started",
+            "an image is ignored",
+            "camera_info",
+            topics::CLIMBER_TRANSFORM,
+        ],
+    );
+    // A topic of another type.
+    let path = place.path("other.mcap");
+    let mut writer = BagWriter::create(&path, WriteOptions::default()).unwrap();
+    let topic = writer.add_topic(Topic::of::<Text>(topics::absolute::IMU, &QosProfile::RELIABLE));
+    writer.write_message(topic, 1, &Text::default()).unwrap();
+    let topic = writer.add_topic(Topic::of::<CompressedImage>(
+        topics::absolute::COMPRESSED_IMAGE,
+        &QosProfile::SENSOR,
+    ));
+    writer.write_message(topic, 1, &CompressedImage::default()).unwrap();
+    writer.finish().unwrap();
+    place.replay_fails(
+        &path,
+        &["/volant/imu/data is std_msgs/msg/String", "expected sensor_msgs/msg/Imu"],
+    );
+}
+
+#[test]
+fn a_rig_file_that_is_wrong_is_named_with_its_key() {
+    let place = Place::new();
+    let input = place.path("in.mcap");
+    bag(&input, "");
+    let out = place.path("out.mcap");
+    assert!(RIG.contains("size:"));
+    for (text, words) in [
+        (RIG.replace("size:", "sise:"), ["markers.sise", "markers.size"]),
+        (RIG.replace("size:", "size: [1, 2] #"), ["markers.size", "rig.yaml"]),
+        ("{".to_owned(), ["rig.yaml", "not a usable rig file"]),
+        (String::new(), ["rig.yaml", "not a usable rig file"]),
+    ] {
+        let rig = place.file("rig.yaml", text.as_bytes());
+        fails(&["replay".as_ref(), &input, "--rig".as_ref(), &rig, "--out".as_ref(), &out], &words);
+    }
+    let gone = place.path("gone.yaml");
+    fails(
+        &["replay".as_ref(), &input, "--rig".as_ref(), &gone, "--out".as_ref(), &out],
+        &["gone.yaml"],
+    );
+}
+
+#[test]
+fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
+    let place = Place::new();
+    let input = place.path("in.mcap");
+    bag(&input, "");
+    let (rig, out) = (place.path("rig.yaml"), place.path("out.mcap"));
+    let gone = place.path("gone.yaml");
+    let fails_with = |file: &Path, words: &[&str]| {
+        let words: Vec<&str> = words.iter().copied().chain(["params"]).collect();
+        let option = ["--params-file".as_ref(), file];
+        let rest =
+            ["replay".as_ref(), input.as_path(), "--rig".as_ref(), &rig, "--out".as_ref(), &out];
+        fails(
+            &[rest.as_slice(), &option].concat(),
+            &words[..words.len() - usize::from(file == gone)],
+        );
+    };
+    for (node, line, words) in [
+        ("pose_fusion", "markers: {gait: 9.0}", ["markers.gait", "markers.gate"]),
+        ("pose_fusion", "history: 60.0", ["history", "0.1"]),
+        (
+            "pose_fusion",
+            "pendulum: {climber_attachment: [0.0, 1.0]}",
+            ["pendulum.climber_attachment", "three"],
+        ),
+        ("marker_tracker", "max_predicted: six", ["max_predicted", "six"]),
+        ("/**", "no_node_has_this: 1", ["no_node_has_this", "params.yaml"]),
+    ] {
+        let text = format!("{node}:\n  ros__parameters:\n    {line}\n");
+        fails_with(&place.file("params.yaml", text.as_bytes()), &words);
+    }
+    fails_with(&gone, &["gone.yaml"]);
+}
+
+#[test]
+fn outputs_that_cannot_be_written() {
+    let place = Place::new();
+    let input = place.path("in.mcap");
+    bag(&input, "");
+    let rig = place.path("rig.yaml");
+    let replay = |out: &Path, words: &[&str]| {
+        fails(&["replay".as_ref(), &input, "--rig".as_ref(), &rig, "--out".as_ref(), out], words);
+    };
+    replay(&input, &["in.mcap", "the output is the input"]);
+    replay(&place.path("no/such/folder/out.mcap"), &["out.mcap"]);
+    fs::create_dir(place.path("there")).unwrap();
+    replay(&place.path("there"), &["there", "exists already"]);
+}
+
+#[test]
+fn evaluations_without_truth_or_estimates() {
+    let place = Place::new();
+    let input = place.path("in.mcap");
+    bag(&input, "");
+    fails(
+        &["evaluate".as_ref(), &input, "--truth".as_ref(), &input],
+        &[topics::GROUND_TRUTH, "--truth"],
+    );
+    let gone = place.path("gone.mcap");
+    fails(
+        &["evaluate".as_ref(), &input, "--truth".as_ref(), &gone],
+        &["gone.mcap", "no such file"],
+    );
+}
+
+#[test]
+fn a_damaged_bag_is_recovered() {
+    let place = Place::new();
+    let (whole, cut, recovered) =
+        (place.path("in.mcap"), place.path("cut.mcap"), place.path("recovered.mcap"));
+    bag(&whole, "");
+    let bytes = fs::read(&whole).unwrap();
+    // Without its closing records: all messages are there, but rosbag2 would not open it.
+    fs::write(&cut, &bytes[..bytes.len() - 100]).unwrap();
+    let info = volant(&["bag".as_ref(), "info".as_ref(), &cut]);
+    assert!(String::from_utf8_lossy(&info.stdout).contains("volant bag recover"));
+    let recover =
+        |to: &Path| volant(&["bag".as_ref(), "recover".as_ref(), &cut, "--out".as_ref(), to]);
+    let output = recover(&recovered);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let (before, after) =
+        (BagReader::summary(&whole).unwrap(), BagReader::summary(&recovered).unwrap());
+    assert_eq!(before.topics, after.topics);
+    assert!(after.complete);
+    // Cut within the messages: the loss is printed.
+    fs::write(&cut, &bytes[..bytes.len() * 3 / 10]).unwrap();
+    let output = recover(&place.path("part.mcap"));
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("cut.mcap: the file is cut off"));
+    // Cut before the first message.
+    fs::write(&cut, &bytes[..40]).unwrap();
+    let output = recover(&place.path("nothing.mcap"));
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("no readable message"));
+    let output = volant(&["bag".as_ref(), "info".as_ref(), &recovered]);
+    let printed = String::from_utf8_lossy(&output.stdout);
+    assert!(
+        output.status.success()
+            && printed.contains(topics::absolute::IMU)
+            && printed.contains("messages  4"),
+        "{printed}"
+    );
+}

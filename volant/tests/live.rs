@@ -1,0 +1,348 @@
+//! `volant play` and `volant record` together over DDS: a played bag is recorded byte for byte.
+#![cfg(feature = "nodes")]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::disallowed_methods)]
+
+mod simulated;
+
+use bag::{BagMessage, BagReader, BagWriter, QosProfile, Topic, WriteOptions};
+use rig_model::topics;
+use std::{
+    io::{BufRead, BufReader, Write},
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    time::{Duration, Instant},
+};
+use tempfile::TempDir;
+use volant_msgs::{
+    cdr,
+    sensor_msgs::msg::{CompressedImage, Imu},
+    std_msgs::msg::String as Text,
+    tf2_msgs::msg::TFMessage,
+};
+
+const START: u64 = 1_760_000_000_000_000_000;
+
+/// Writes two seconds of images at 30 Hz and IMU samples at 400 Hz, a latched message at the start,
+/// and an unknown type.
+fn bag(path: &Path) {
+    let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
+    let latched =
+        bag.add_topic(Topic::of::<TFMessage>(topics::absolute::TF_STATIC, &QosProfile::LATCHED));
+    bag.write_message(latched, START, &TFMessage::default()).unwrap();
+    let imu = bag.add_topic(Topic::of::<Imu>(topics::absolute::IMU, &QosProfile::RELIABLE));
+    let image =
+        bag.add_topic(Topic::of::<CompressedImage>("/image/compressed", &QosProfile::RELIABLE));
+    let unknown = bag.add_topic(Topic {
+        type_name: "unknown_msgs/msg/Thing".into(),
+        definition: String::new(),
+        type_hash: String::new(),
+        ..Topic::of::<Text>("/unknown", &QosProfile::RELIABLE)
+    });
+    for i in 0..800u64 {
+        let time = START + i * 2_500_000;
+        let mut sample = Imu::default();
+        sample.linear_acceleration.z = i as f64;
+        bag.write_message(imu, time, &sample).unwrap();
+        if i % 13 == 0 {
+            let frame = CompressedImage {
+                data: vec![(i % 251) as u8; 60_000],
+                ..CompressedImage::default()
+            };
+            bag.write_message(image, time, &frame).unwrap();
+        }
+        if i % 100 == 0 {
+            bag.write_message(unknown, time, &Text { data: format!("thing {i}") }).unwrap();
+        }
+    }
+    bag.finish().unwrap();
+}
+
+fn volant(domain: u8, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_volant"));
+    command
+        .args(arguments)
+        .env("ROS_DOMAIN_ID", domain.to_string())
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    command
+}
+
+/// Process that is killed on drop: processes left by a failed test would publish in the next one's
+/// domain.
+struct Running(Option<Child>);
+
+impl Running {
+    fn start(mut command: Command) -> Self {
+        Self(Some(command.spawn().unwrap()))
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        if let Some(child) = &mut self.0 {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+fn interrupt(running: &Running) {
+    let pid = running.0.as_ref().unwrap().id().to_string();
+    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+}
+
+fn finish(mut running: Running, what: &str) -> String {
+    let output = running.0.take().unwrap().wait_with_output().unwrap();
+    let printed = String::from_utf8_lossy(&output.stdout).into_owned()
+        + &String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{what}: {printed}");
+    printed
+}
+
+fn read(path: &Path, topic: &str) -> Vec<BagMessage> {
+    let mut bag = BagReader::open(path).unwrap();
+    let mut messages = vec![];
+    while let Some(message) = bag.next_message().unwrap() {
+        if message.topic.name == topic {
+            messages.push(message);
+        }
+    }
+    messages
+}
+
+struct Recorded {
+    dir: TempDir,
+    original: PathBuf,
+    copy: PathBuf,
+}
+
+/// Records a played bag; `during` gets the recorder before the end.
+fn copied(domain: u8, play: &[&str], record: &[&str], end: impl FnOnce(Running)) -> Recorded {
+    let dir = TempDir::new().unwrap();
+    let (original, copy) = (dir.path().join("original.mcap"), dir.path().join("copy"));
+    bag(&original);
+    let recorder = Running::start(volant(
+        domain,
+        &[&["record", "-o", copy.to_str().unwrap()], record].concat(),
+    ));
+    let player = Running::start(volant(
+        domain,
+        &[&["play", original.to_str().unwrap(), "--delay", "3"], play].concat(),
+    ));
+    let printed = finish(player, "play");
+    assert!(printed.contains("messages of"), "{printed}");
+    std::thread::sleep(Duration::from_millis(500));
+    end(recorder);
+    Recorded { dir, original, copy }
+}
+
+#[test]
+fn a_played_bag_is_recorded_byte_for_byte_and_at_its_pace() {
+    let end = |recorder: Running| {
+        interrupt(&recorder);
+        let started = Instant::now();
+        finish(recorder, "record");
+        assert!(started.elapsed() < Duration::from_secs(2), "the end took {:?}", started.elapsed());
+    };
+    let recorded =
+        copied(71, &["--clock"], &["--split-duration", "1", "--compression", "lz4"], end);
+    let summary = BagReader::summary(&recorded.copy).unwrap();
+    assert!(summary.complete && summary.files.len() >= 2, "{summary:?}");
+    for topic in
+        [topics::absolute::TF_STATIC, topics::absolute::IMU, "/image/compressed", "/unknown"]
+    {
+        let (before, after) = (read(&recorded.original, topic), read(&recorded.copy, topic));
+        assert_eq!(before.len(), after.len(), "{topic}");
+        for (before, after) in before.iter().zip(&after) {
+            // RTPS pads to a multiple of four bytes.
+            let (same, padding) = after.data.split_at(before.data.len());
+            assert!(
+                same == before.data && padding.len() < 4 && padding.iter().all(|b| *b == 0),
+                "{topic}"
+            );
+        }
+        assert_eq!(before[0].topic.type_name, after[0].topic.type_name);
+        assert_eq!(before[0].topic.type_hash, after[0].topic.type_hash);
+        assert_eq!(
+            QosProfile::from_yaml(&before[0].topic.offered_qos_profiles),
+            QosProfile::from_yaml(&after[0].topic.offered_qos_profiles),
+            "{topic}"
+        );
+    }
+    // The pace within a tenth: 800 samples in 2 s. Other programs may delay single samples.
+    let samples = read(&recorded.copy, topics::absolute::IMU);
+    let took = (samples[799].publish_time - samples[0].publish_time) as f64 * 1e-9;
+    assert!((1.9..3.0).contains(&took), "{took}");
+    assert!(samples.iter().all(|m| m.publish_time <= m.log_time + 1_000_000));
+    assert!(
+        summary.count(topics::absolute::CLOCK) >= 40,
+        "{}",
+        summary.count(topics::absolute::CLOCK)
+    );
+    drop(recorded.dir);
+}
+
+#[test]
+fn a_recorder_that_is_killed_leaves_a_bag_and_topics_can_be_chosen() {
+    let end = |recorder: Running| {
+        // The recorder flushes every second.
+        std::thread::sleep(Duration::from_millis(1500));
+        // Kills with SIGKILL.
+        drop(recorder);
+    };
+    let play = ["--rate", "2", "--remap", "volant/imu/data:=/imu", "--start-offset", "1"];
+    let recorded = copied(72, &play, &["/imu", "/missing"], end);
+    let samples = read(&recorded.copy, "/imu");
+    let first: Imu = cdr::from_bytes(&samples[0].data).unwrap();
+    assert_eq!(first.linear_acceleration.z, 400.0, "the second half");
+    assert_eq!(samples.len(), 400);
+    assert_eq!(read(&recorded.copy, "/image/compressed"), []);
+    // The recovered bag has its closing records.
+    let recovered = recorded.dir.path().join("recovered.mcap");
+    let recover = volant(
+        72,
+        &["bag", "recover", recorded.copy.to_str().unwrap(), "--out", recovered.to_str().unwrap()],
+    );
+    finish(Running::start(recover), "recover");
+    assert_eq!(BagReader::summary(&recovered).unwrap().count("/imu"), 400);
+}
+
+#[test]
+fn play_and_record_reject_wrong_arguments() {
+    let dir = TempDir::new().unwrap();
+    let original = dir.path().join("original.mcap");
+    bag(&original);
+    let (bag, there) = (original.to_str().unwrap(), dir.path().to_str().unwrap());
+    for (arguments, code, words) in [
+        (vec!["play", bag, "--topics", "/none"], 1, "it holds"),
+        (vec!["play", bag, "--start-offset", "60"], 1, "1.998 s long"),
+        (vec!["play", bag, "--rate", "0"], 2, "above 0"),
+        (vec!["play", "gone.mcap"], 1, "no such file"),
+        (vec!["record", "-o", there], 1, "exists already"),
+        (vec!["up", "warp_drive"], 2, "no node"),
+        (vec!["up", "--rig", "gone.yaml"], 1, "gone.yaml"),
+        (vec!["up", "climber_driver", "--foxglove=here"], 1, "ADDRESS:PORT"),
+        // A parameter of a node that is not started.
+        (
+            vec!["up", "climber_driver", "--ros-args", "-p", "image_transport:=raw"],
+            2,
+            "image_transport",
+        ),
+        (vec!["monitor", "--interval", "0"], 2, "from 0.1"),
+    ] {
+        let output = volant(73, &arguments).output().unwrap();
+        let printed = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {printed}");
+        assert!(printed.contains(words), "{arguments:?}: {printed}");
+    }
+    let output = volant(73, &["up", "--help"]).output().unwrap();
+    assert!(
+        output.status.success()
+            && String::from_utf8_lossy(&output.stdout).contains("marker_tracker")
+    );
+}
+
+/// An independent client of the player's services; one line per call.
+struct Caller(Child, std::io::Lines<BufReader<std::process::ChildStdout>>);
+
+impl Caller {
+    fn start(python: &Path, domain: u8) -> Self {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/player_peer.py");
+        let mut child = Command::new(python)
+            .arg(script)
+            .env("ROS_DOMAIN_ID", domain.to_string())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        assert_eq!(lines.next().unwrap().unwrap(), r#"{"ready": true}"#);
+        Self(child, lines)
+    }
+
+    fn call(&mut self, line: &str) -> serde_json::Value {
+        writeln!(self.0.stdin.as_mut().unwrap(), "{line}").unwrap();
+        serde_json::from_str(&self.1.next().unwrap().unwrap()).unwrap()
+    }
+}
+
+impl Drop for Caller {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn rosbag2_services_control_the_player() {
+    let Some(python) = test_support::python("cyclonedds") else { return };
+    let dir = TempDir::new().unwrap();
+    let (original, copy) = (dir.path().join("original.mcap"), dir.path().join("copy.mcap"));
+    bag(&original);
+    // The client uses more than the loopback.
+    let on_all = |arguments: &[&str]| {
+        let mut command = volant(74, arguments);
+        command
+            .env_remove("ROS_AUTOMATIC_DISCOVERY_RANGE")
+            .env("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp");
+        Running::start(command)
+    };
+    let recorder = on_all(&["record", topics::absolute::IMU, "-o", copy.to_str().unwrap()]);
+    let player = on_all(&["play", original.to_str().unwrap(), "--paused", "--delay", "3"]);
+    let mut caller = Caller::start(&python, 74);
+    std::thread::sleep(Duration::from_secs(3));
+    assert_eq!(caller.call("is_paused")["paused"], true);
+    assert_eq!(caller.call("play_next")["success"], true);
+    assert_eq!(caller.call("burst 20")["actually_burst"], 20);
+    assert_eq!(caller.call("get_rate")["rate"], 1.0);
+    assert_eq!(caller.call("set_rate 0")["success"], false);
+    assert_eq!(caller.call("set_rate 4")["success"], true);
+    assert_eq!(caller.call("get_rate")["rate"], 4.0);
+    let second = |s: u64| START / 1_000_000_000 + s;
+    assert_eq!(caller.call(&format!("seek {} 0", second(60)))["success"], false);
+    assert_eq!(caller.call(&format!("seek {} 0", second(1)))["success"], true);
+    caller.call("toggle_paused");
+    let mut printed = finish(player, "play");
+    assert!(printed.contains("messages of"), "{printed}");
+    std::thread::sleep(Duration::from_millis(500));
+    interrupt(&recorder);
+    printed += &finish(recorder, "record");
+    let samples = read(&copy, topics::absolute::IMU);
+    let numbers: Vec<f64> = samples
+        .iter()
+        .map(|m| cdr::from_bytes::<Imu>(&m.data).unwrap().linear_acceleration.z)
+        .collect();
+    // 21 messages of all topics at the beginning, then the second half, four times as fast.
+    let leap = numbers.iter().position(|n| *n == 400.0).unwrap();
+    assert!((15..21).contains(&leap), "{leap}");
+    assert!(numbers[..leap].iter().enumerate().all(|(i, n)| *n == i as f64));
+    assert_eq!(numbers[leap..], (400..800).map(f64::from).collect::<Vec<_>>(), "{printed}");
+    // By the player's clock: a delayed recorder receives several at once.
+    let took = (samples[samples.len() - 1].publish_time - samples[leap].publish_time) as f64 * 1e-9;
+    assert!((0.2..0.9).contains(&took), "{took}");
+}
+
+#[test]
+fn encoders_are_calibrated_from_live_topics() {
+    let dir = TempDir::new().unwrap();
+    let (jog, rig) = (dir.path().join("jog.mcap"), dir.path().join("rig.yaml"));
+    let simulated = simulated::Simulated::new(6);
+    simulated.write_jog(&jog);
+    std::fs::write(&rig, rig_simulator::RIG_YAML).unwrap();
+    let loops = ["play", jog.to_str().unwrap(), "--rate", "4", "--loop"];
+    let mut player = volant(75, &loops);
+    let _player = Running::start({
+        player.stdout(Stdio::null()).stderr(Stdio::null());
+        player
+    });
+    let rig_file = rig.to_str().unwrap();
+    let live = ["calibrate", "climber", "--live", "--duration", "10", "--rig", rig_file];
+    let printed = finish(Running::start(volant(75, &live)), "calibrate climber");
+    for joint in simulated.encoders.names {
+        assert!(printed.contains(joint), "{printed}");
+    }
+    let written = std::fs::read_to_string(&rig).unwrap();
+    assert!(written.contains("/climber_driver:\n  ros__parameters:\n    joints:"), "{written}");
+}

@@ -1,0 +1,325 @@
+//! `volant monitor`, and Foxglove's protocol with an independent client.
+#![cfg(feature = "nodes")]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::disallowed_methods)]
+
+use bag::{BagReader, BagWriter, QosProfile, Topic, WriteOptions};
+use rig_model::topics;
+use std::{
+    io::{BufRead, BufReader},
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    time::{Duration, Instant},
+};
+use tempfile::TempDir;
+use volant_msgs::{
+    builtin_interfaces::msg::Time,
+    cdr,
+    geometry_msgs::msg::TransformStamped,
+    msg::{MarkerObservation, MarkerObservations},
+    nav_msgs::msg::Odometry,
+    sensor_msgs::msg::{Image, JointState},
+};
+
+const START: u64 = 1_760_000_000_000_000_000;
+
+fn stamp(nanos: u64) -> Time {
+    Time { sec: (nanos / 1_000_000_000) as i32, nanosec: (nanos % 1_000_000_000) as u32 }
+}
+
+/// Writes three seconds of a rig: raw images, markers, encoders with `rail_x`, odometry at 100 Hz.
+fn bag(path: &Path, rail_x: f64) {
+    let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
+    let odometry =
+        bag.add_topic(Topic::of::<Odometry>(topics::absolute::ODOMETRY, &QosProfile::RELIABLE));
+    let image = bag.add_topic(Topic::of::<Image>(topics::absolute::IMAGE, &QosProfile::SENSOR));
+    let markers = bag.add_topic(Topic::of::<MarkerObservations>(
+        topics::absolute::MARKERS,
+        &QosProfile::RELIABLE,
+    ));
+    let joints = bag
+        .add_topic(Topic::of::<JointState>(topics::absolute::JOINT_STATES, &QosProfile::RELIABLE));
+    for i in 0..300u64 {
+        let time = START + i * 10_000_000;
+        let mut pose = Odometry::default();
+        pose.pose.pose.position.z = -1.25;
+        pose.pose.pose.orientation.w = 1.0;
+        pose.pose.covariance[14] = 1e-6;
+        bag.write_message(odometry, time, &pose).unwrap();
+        let mut encoders = JointState {
+            name: ["rail_x", "rail_y", "turn"].map(str::to_owned).to_vec(),
+            position: vec![rail_x, 0.5, 0.1],
+            ..JointState::default()
+        };
+        encoders.header.stamp = stamp(time);
+        bag.write_message(joints, time, &encoders).unwrap();
+        if i % 10 == 0 {
+            let frame = Image {
+                width: 64,
+                height: 48,
+                step: 192,
+                encoding: "rgb8".into(),
+                data: vec![(i / 10) as u8; 64 * 48 * 3],
+                ..Image::default()
+            };
+            bag.write_message(image, time, &frame).unwrap();
+            let marker = |color, state| MarkerObservation {
+                color,
+                state,
+                x: 100.0 + 50.0 * f64::from(color),
+                y: 200.0,
+                ..MarkerObservation::default()
+            };
+            let seen = (0..4).map(|c| marker(c, if c == 3 { 1 } else { 0 })).collect();
+            bag.write_message(
+                markers,
+                time,
+                &MarkerObservations { markers: seen, ..Default::default() },
+            )
+            .unwrap();
+        }
+    }
+    bag.finish().unwrap();
+}
+
+/// Process of `volant` that is ended on drop.
+struct Volant(Child);
+
+impl Drop for Volant {
+    fn drop(&mut self) {
+        let _ = Command::new("kill").args(["-TERM", &self.0.id().to_string()]).status();
+        let end = Instant::now() + Duration::from_secs(3);
+        while Instant::now() < end && self.0.try_wait().unwrap().is_none() {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn command(domain: u8, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_volant"));
+    command
+        .args(arguments)
+        .env("ROS_DOMAIN_ID", domain.to_string())
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .env_remove("RMW_IMPLEMENTATION")
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    command
+}
+
+fn start(domain: u8, arguments: &[&str]) -> Volant {
+    // Its messages are not read.
+    Volant(command(domain, arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
+}
+
+fn rig_file() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../launch_config/config/rig.yaml")
+}
+
+#[test]
+fn the_monitor_shows_poses_markers_rates_losses_and_missing_nodes() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("run.mcap");
+    bag(&path, 1.0);
+    // A parameter of one node may be given to all.
+    let rig = rig_file();
+    let nodes = [
+        "up",
+        "pose_fusion",
+        "climber_driver",
+        "--rig",
+        rig.to_str().unwrap(),
+        "--ros-args",
+        "-p",
+        "model:=tight",
+    ];
+    let _nodes = start(81, &nodes);
+    let _player = start(81, &["play", "--loop", path.to_str().unwrap()]);
+    let output = command(81, &["monitor", "--once", "--interval", "6"]).output().unwrap();
+    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{printed}{}", String::from_utf8_lossy(&output.stderr));
+    for needle in [
+        "rig /\n",
+        "z  -1.2500 ±1.00 mm",
+        "red     DETECTED  ( 100.00,  200.00) px",
+        "yellow  PREDICTED ( 250.00,  200.00) px",
+        "camera  nothing yet",
+        "not subscribed",
+        "WARN  /pose_fusion: inputs: nothing comes on ",
+        "/pose_fusion ← /climber/markers",
+    ] {
+        assert!(printed.contains(needle), "{needle} in\n{printed}");
+    }
+    let odometry =
+        printed.lines().find(|l| l.trim_start().starts_with(topics::absolute::ODOMETRY)).unwrap();
+    let rate: f64 = odometry.split_whitespace().nth(1).unwrap().parse().unwrap();
+    assert!((70.0..115.0).contains(&rate) && odometry.contains("0 lost"), "{odometry}");
+
+    // Another namespace has no topics.
+    let output =
+        command(81, &["monitor", "--once", "--interval", "3", "-n", "/other"]).output().unwrap();
+    assert!(!String::from_utf8_lossy(&output.stdout).contains("odometry"));
+    // Another domain has no topics, which is an error.
+    let output = command(82, &["monitor", "--once", "--interval", "1"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("ROS_DOMAIN_ID"));
+}
+
+#[test]
+fn a_foxglove_client_receives_topics_with_their_schemas() {
+    let Some(python) = test_support::python("websockets") else { return };
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("run.mcap");
+    bag(&path, 1.0);
+    let rig = rig_file();
+    let arguments =
+        ["up", "climber_driver", "--rig", rig.to_str().unwrap(), "--foxglove=127.0.0.1:0"];
+    let mut nodes = Volant(command(83, &arguments).stdout(Stdio::null()).spawn().unwrap());
+    let mut lines = BufReader::new(nodes.0.stderr.take().unwrap()).lines();
+    let url = lines
+        .by_ref()
+        .map_while(Result::ok)
+        .find_map(|l| Some(format!("ws://{}", l.split_once("ws://")?.1)))
+        .unwrap();
+    // Its later messages must be read, or it would block.
+    std::thread::spawn(move || lines.for_each(drop));
+    let _player = start(83, &["play", "--loop", path.to_str().unwrap()]);
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/foxglove_client.py");
+    let client = |protocol: &str, topics: &[&str]| {
+        let output = Command::new(&python)
+            .arg(&script)
+            .args([&url, protocol, "7"])
+            .args(topics)
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_str::<serde_json::Value>(&text).unwrap()
+    };
+    let all = [
+        topics::absolute::IMAGE,
+        topics::absolute::ODOMETRY,
+        topics::absolute::TF_STATIC,
+        topics::absolute::DIAGNOSTICS,
+    ];
+    let got = client("foxglove.websocket.v1", &all);
+    assert_eq!(got["op"], "serverInfo");
+    assert_eq!(got["protocol"], "foxglove.websocket.v1");
+    assert!(got["warnings"][0].as_str().unwrap().contains("not understood"), "{got}");
+    for (topic, schema) in [
+        (topics::absolute::ODOMETRY, "nav_msgs/msg/Odometry"),
+        (topics::absolute::MARKERS, "volant_msgs/msg/MarkerObservations"),
+        (topics::absolute::IMAGE, "sensor_msgs/msg/Image"),
+        (topics::absolute::TF_STATIC, "tf2_msgs/msg/TFMessage"),
+    ] {
+        assert_eq!(got["advertised"][topic], schema, "{got}");
+    }
+    let count = |topic: &str| got["counts"][topic].as_u64().unwrap_or(0);
+    assert!(
+        count(topics::absolute::ODOMETRY) > 200 && count(topics::absolute::IMAGE) > 20,
+        "{got}"
+    );
+    assert_eq!(got["image"][0], 64);
+    assert_eq!(got["image"][2], "rgb8");
+    assert_eq!(got["image"][3], 64 * 48 * 3);
+    assert_eq!(got["z"], -1.25);
+    assert_eq!(got["tf_static"][0][0], "climber");
+    // The player is a node, too.
+    let node = got["diagnostics"].as_str().unwrap();
+    assert!(
+        ["climber_driver", "rosbag2_player"].iter().any(|name| node.starts_with(name)),
+        "{node}"
+    );
+    assert!(got["counts"].get(topics::absolute::MARKERS).is_none(), "not subscribed: {got}");
+    // A late client gets latched messages, too.
+    let late = client("foxglove.sdk.v1", &[topics::absolute::TF_STATIC]);
+    assert_eq!(
+        (&late["protocol"], &late["counts"][topics::absolute::TF_STATIC]),
+        (&"foxglove.sdk.v1".into(), &1.into())
+    );
+    // A client without a supported protocol is rejected with a message.
+    let output =
+        Command::new(&python).arg(&script).args([&url, "something.else", "1"]).output().unwrap();
+    assert!(!output.status.success());
+}
+
+#[test]
+fn two_rigs_in_one_domain_are_separate() {
+    let dir = TempDir::new().unwrap();
+    let mut running = vec![];
+    for (rig, rail_x) in [("rig1", 1.0), ("rig2", 2.0)] {
+        let path = dir.path().join(format!("{rig}.mcap"));
+        bag(&path, rail_x);
+        let namespace = format!("__ns:=/{rig}");
+        running.push(start(
+            84,
+            &[
+                "up",
+                "climber_driver",
+                "--rig",
+                rig_file().to_str().unwrap(),
+                "--ros-args",
+                "-r",
+                &namespace,
+                "-r",
+                "/tf:=tf",
+                "-r",
+                "/tf_static:=tf_static",
+                // The bag's stamps are in the past: each rig has its own clock.
+                "-r",
+                "/clock:=clock",
+                "-p",
+                "use_sim_time:=true",
+            ],
+        ));
+        let remap = format!("climber/joint_states:=/{rig}/climber/joint_states");
+        let clock = format!("/clock:=/{rig}/clock");
+        running.push(start(
+            84,
+            &[
+                "play",
+                "--delay",
+                "3",
+                "--clock",
+                "100",
+                path.to_str().unwrap(),
+                "--topics",
+                topics::absolute::JOINT_STATES,
+                "--remap",
+                &remap,
+                "--remap",
+                &clock,
+            ],
+        ));
+    }
+    let copy = dir.path().join("copy.mcap");
+    let record = ["record", "--duration", "7", "-o", copy.to_str().unwrap()];
+    let output = command(84, &record).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let mut bag = BagReader::open(&copy).unwrap();
+    let mut counts = [0; 2];
+    let mut frames = [0; 2];
+    while let Some(message) = bag.next_message().unwrap() {
+        let name = &*message.topic.name;
+        assert!(
+            name != topics::absolute::TF
+                && name != topics::absolute::TF_STATIC
+                && name != topics::absolute::CLIMBER_TRANSFORM,
+            "{name}"
+        );
+        for (i, x) in [1.0, 2.0].into_iter().enumerate() {
+            if name == format!("/rig{}/climber/transform", i + 1) {
+                let transform: TransformStamped = cdr::from_bytes(&message.data).unwrap();
+                assert_eq!(transform.transform.translation.x, x, "{name}");
+                counts[i] += 1;
+            }
+            frames[i] += u32::from(name == format!("/rig{}/tf", i + 1));
+        }
+    }
+    assert!(
+        counts.iter().all(|n| *n > 100) && frames.iter().all(|n| *n > 100),
+        "{counts:?} {frames:?}"
+    );
+}

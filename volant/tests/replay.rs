@@ -1,0 +1,204 @@
+//! Replay of the recorded runs: the same bytes each time, and the tracked figures.
+//!
+//! The recordings are found through `VOLANT_SHARED`; without it these tests are skipped.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
+use rig_model::topics;
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+use tempfile::TempDir;
+use volant::{
+    evaluate::{EvaluateOptions, Quality, evaluate},
+    replay::TopicNames,
+};
+
+const BAGS: [&str; 4] = ["nominal", "occlude_two", "fast_swing", "clutter"];
+const MODELS: [&str; 2] = ["tight", "paper"];
+/// Variable that makes the test write the figures; the commit explains the change.
+const UPDATE: &str = "VOLANT_UPDATE_FIGURES";
+
+fn bags() -> Option<PathBuf> {
+    Some(test_support::recordings()?.join("bags"))
+}
+
+fn replay(bag: &Path, rig: &Path, out: &Path, more: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_volant"))
+        .arg("replay")
+        .args([bag, "--rig".as_ref(), rig, "--out".as_ref(), out])
+        .args(more)
+        .output()
+        .unwrap()
+}
+
+fn replayed(bags: &Path, name: &str, out: &Path, more: &[&str]) {
+    let output =
+        replay(&bags.join(name).join("in.mcap"), &bags.join(name).join("rig.yaml"), out, more);
+    assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn a_replay_writes_the_same_bytes_each_time_with_one_thread_or_many() {
+    let Some(bags) = bags() else { return };
+    let dir = TempDir::new().unwrap();
+    let outs = [("first", "1"), ("second", "1"), ("third", "5")].map(|(name, threads)| {
+        let out = dir.path().join(name).with_extension("mcap");
+        replayed(&bags, "occlude_two", &out, &["--threads", threads]);
+        fs::read(out).unwrap()
+    });
+    assert!(outs[0] == outs[1], "two replays differ");
+    assert!(outs[0] == outs[2], "the number of threads changes the result");
+}
+
+#[test]
+fn the_nodes_parameter_file_sets_the_replay_as_it_sets_the_nodes() {
+    let Some(bags) = bags() else { return };
+    let dir = TempDir::new().unwrap();
+    let written = |name: &str, more: &[&str]| {
+        let out = dir.path().join(name).with_extension("mcap");
+        replayed(&bags, "nominal", &out, more);
+        fs::read(out).unwrap()
+    };
+    let file = |name: &str, text: &str| {
+        let path = dir.path().join(name);
+        fs::write(&path, text).unwrap();
+        path.into_os_string().into_string().unwrap()
+    };
+    let usual = written("usual", &[]);
+    // Of another node, of the same node in another namespace, and defaults.
+    let others = file(
+        "others.yaml",
+        "imu_driver: {ros__parameters: {port: /dev/ttyS9}}\n/there/pose_fusion: {ros__parameters: \
+         {model: paper}}\n\
+         /**: {ros__parameters: {use_sim_time: false, port: /dev/ttyS8, max_predicted: 6, \
+         markers: {gate: 16.0}}}\n",
+    );
+    assert!(written("others", &["--params-file", &others]) == usual);
+    let paper = file("paper.yaml", "pose_fusion: {ros__parameters: {model: paper}}\n");
+    assert!(
+        written("file", &["--params-file", &paper]) == written("option", &["--model", "paper"])
+    );
+    assert!(written("both", &["--params-file", &paper, "--model", "tight"]) == usual);
+    assert!(written("over", &["--params-file", &others, "--params-file", &paper]) != usual);
+    let tracker =
+        file("tracker.yaml", "marker_tracker: {ros__parameters: {max_centroid_sigma: 0.02}}\n");
+    assert!(written("tracker", &["--params-file", &tracker]) != usual);
+}
+
+#[test]
+fn a_bag_that_is_cut_is_replayed_up_to_the_cut() {
+    let Some(bags) = bags() else { return };
+    let dir = TempDir::new().unwrap();
+    let bytes = fs::read(bags.join("nominal/in.mcap")).unwrap();
+    let cut = dir.path().join("cut.mcap");
+    fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
+    let out = dir.path().join("out.mcap");
+    let output = replay(&cut, &bags.join("nominal/rig.yaml"), &out, &[]);
+    let printed = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{printed}");
+    assert!(printed.lines().any(|l| l.contains("cut.mcap") && l.contains("cut off")), "{printed}");
+    let options = EvaluateOptions {
+        estimates: out,
+        truth: bags.join("nominal/truth.mcap"),
+        skip: 1.0,
+        names: TopicNames::default(),
+    };
+    let last = evaluate(&options).unwrap().estimates[0].last_s;
+    assert!((5.0..7.0).contains(&last), "half of 12 s: {last}");
+}
+
+/// One row of the tracked table.
+fn row(bag: &str, model: &str, q: &Quality) -> String {
+    let nees = |x: Option<f64>| x.map_or(String::new(), |x| format!("{x:.3}"));
+    format!(
+        "{bag},{model},{},{},{:.4},{:.4},{:.5},{:.5},{},{}",
+        q.estimate,
+        q.count,
+        q.position_mm.rmse,
+        q.position_mm.max,
+        q.rotation_deg.rmse,
+        q.rotation_deg.max,
+        nees(q.nees_position),
+        nees(q.nees_rotation)
+    )
+}
+
+/// Detects numeric changes: each figure is within 2 % (and the last digits) of the tracked one, and
+/// each count is equal. Another processor's rounding changes far less.
+#[test]
+fn the_figures_are_those_of_the_tracked_table() {
+    let Some(bags) = bags() else { return };
+    let dir = TempDir::new().unwrap();
+    let mut lines = vec![
+        "bag,model,estimate,count,position_rmse_mm,position_max_mm,\
+         rotation_rmse_deg,rotation_max_deg,nees_position,nees_rotation"
+            .to_owned(),
+    ];
+    for model in MODELS {
+        for bag in BAGS {
+            let out = dir.path().join(format!("{bag}_{model}.mcap"));
+            replayed(&bags, bag, &out, &["--model", model]);
+            let options = EvaluateOptions {
+                estimates: out,
+                truth: bags.join(bag).join("truth.mcap"),
+                skip: 1.0,
+                names: TopicNames::default(),
+            };
+            for quality in evaluate(&options).unwrap().estimates {
+                // The fused pose is the inverted odometry, which another test covers.
+                if quality.estimate != topics::FUSED_POSE {
+                    lines.push(row(bag, model, &quality));
+                }
+            }
+        }
+    }
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/replay_figures.csv");
+    let found = lines.join("\n") + "\n";
+    if std::env::var_os(UPDATE).is_some() {
+        fs::write(&path, found).unwrap();
+        return;
+    }
+    let tracked = fs::read_to_string(&path).unwrap();
+    let differences: Vec<String> = compare(&tracked, &found);
+    assert!(
+        differences.is_empty(),
+        "{}\nIf this is intended, run this test with {UPDATE}=1 and explain it in the \
+         commit.\n{found}",
+        differences.join("\n")
+    );
+}
+
+fn compare(tracked: &str, found: &str) -> Vec<String> {
+    let mut differences = vec![];
+    let (old, new): (Vec<&str>, Vec<&str>) = (tracked.lines().collect(), found.lines().collect());
+    if old.len() != new.len() || old.first() != new.first() {
+        differences.push(format!("{} rows, tracked are {}", new.len(), old.len()));
+    }
+    let names: Vec<&str> = new[0].split(',').collect();
+    for (old, new) in old.iter().zip(&new).skip(1) {
+        for (i, (a, b)) in old.split(',').zip(new.split(',')).enumerate() {
+            let same = match (a.parse::<f64>(), b.parse::<f64>()) {
+                (Ok(a), Ok(b)) if i > 3 => (a - b).abs() <= 0.02 * a.abs() + 2e-3,
+                _ => a == b,
+            };
+            if !same {
+                let row: Vec<&str> = new.split(',').take(3).collect();
+                differences.push(format!("{}: {} is {b}, tracked is {a}", row.join(" "), names[i]));
+            }
+        }
+    }
+    differences
+}
+
+#[test]
+fn the_comparison_detects_changes() {
+    let table =
+        "bag,model,estimate,count,position_rmse_mm\nnominal,tight,volant/odometry,1100,0.5000\n";
+    assert_eq!(compare(table, table), [] as [String; 0]);
+    assert_eq!(compare(table, &table.replace("0.5000", "0.5050")), [] as [String; 0]);
+    assert_eq!(compare(table, &table.replace("0.5000", "0.5200")).len(), 1);
+    assert_eq!(compare(table, &table.replace("1100", "1099")).len(), 1);
+    assert_eq!(compare(table, table.lines().next().unwrap()).len(), 1);
+}

@@ -1,0 +1,191 @@
+//! DDS security of the tools: `record`, `play`, `monitor` and `foxglove` join in their enclave, or
+//! not at all.
+#![cfg(feature = "nodes")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+use bag::{BagWriter, QosProfile, Topic, WriteOptions};
+use std::{
+    path::Path,
+    process::{Command, Stdio},
+};
+use tempfile::TempDir;
+use volant_msgs::std_msgs::msg::Header;
+
+const TOPIC: &str = "/secret";
+
+/// 8 s of messages at 20 Hz.
+fn write_bag(path: &Path) {
+    let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
+    let topic = bag.add_topic(Topic::of::<Header>(TOPIC, &QosProfile::RELIABLE));
+    for i in 0..160u64 {
+        let header = Header { frame_id: i.to_string(), ..Header::default() };
+        bag.write_message(topic, 1_760_000_000_000_000_000 + i * 50_000_000, &header).unwrap();
+    }
+    bag.finish().unwrap();
+}
+
+/// A `volant` in a DDS domain, in an enclave of a keystore that is enforced.
+fn volant(domain: u8, keystore: &Path, enclave: &str, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_volant"));
+    command
+        .args(arguments)
+        .env("ROS_DOMAIN_ID", domain.to_string())
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .env_remove("RMW_IMPLEMENTATION")
+        .env("ROS_SECURITY_ENABLE", "true")
+        .env("ROS_SECURITY_STRATEGY", "Enforce")
+        .env("ROS_SECURITY_KEYSTORE", keystore)
+        .env("ROS_SECURITY_ENCLAVE_OVERRIDE", enclave)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    command
+}
+
+#[test]
+fn without_its_enclave_no_tool_joins() {
+    let dir = TempDir::new().unwrap();
+    let (keystore, input) = (dir.path().join("keys"), dir.path().join("in.mcap"));
+    let out = dir.path().join("out.mcap");
+    write_bag(&input);
+    let (input, out_text) = (input.to_str().unwrap(), out.to_str().unwrap());
+    for arguments in [
+        &["record", "--out", out_text, "--duration", "1"][..],
+        &["play", input],
+        &["monitor", "--once", "--interval", "0.1"],
+        &["foxglove", "127.0.0.1:0"],
+        &["up", "climber_driver", "--foxglove=127.0.0.1:0"],
+    ] {
+        let mut child = volant(66, &keystore, "/rig/laptop", arguments).spawn().unwrap();
+        // A server that starts all the same would never end.
+        let end = std::thread::spawn({
+            let pid = child.id().to_string();
+            move || {
+                std::thread::sleep(std::time::Duration::from_secs(30));
+                let _ = Command::new("kill").args(["-KILL", &pid]).stderr(Stdio::null()).status();
+            }
+        });
+        let status = child.wait().unwrap();
+        drop(end);
+        let error = std::io::read_to_string(child.stderr.take().unwrap()).unwrap();
+        assert_eq!(status.code(), Some(1), "{arguments:?}: {error}");
+        let keystore = keystore.display();
+        for needle in [
+            format!("the enclave /rig/laptop of the keystore {keystore}"),
+            format!("{keystore}/enclaves/rig/laptop/cert.pem is missing"),
+            format!("make-keystore {keystore} /rig/laptop"),
+            "ROS_SECURITY_ENCLAVE_OVERRIDE".to_owned(),
+        ] {
+            assert!(error.contains(&needle), "{arguments:?}: {needle} in {error}");
+        }
+        assert_eq!(error.trim().lines().count(), 1, "{arguments:?}: {error}");
+    }
+    assert!(!out.exists(), "a recording that did not start leaves no file");
+}
+
+#[cfg(feature = "security")]
+mod with_keys {
+    use super::*;
+    use bag::BagReader;
+    use node_kit::{
+        Level, NodeContext, NodeError, NodeShell, Process, QosPreset, RosArguments,
+        environment::{DiscoveryRange, Network, Security},
+    };
+    use std::{
+        path::PathBuf,
+        sync::{
+            Arc,
+            atomic::{AtomicU64, Ordering},
+        },
+        time::Duration,
+    };
+
+    fn make_keystore(folder: &Path) -> PathBuf {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let script = script.join("../launch_config/setup/make-keystore");
+        let status = Command::new(script).arg(folder).args(["/rig/robot", "/rig/laptop"]).status();
+        assert!(status.unwrap().success());
+        folder.to_owned()
+    }
+
+    /// Publishes on [`TOPIC`] at 20 Hz and counts what it receives on `/back`.
+    struct Robot {
+        publisher: node_kit::Publisher<Header>,
+        received: Arc<AtomicU64>,
+    }
+
+    enum Input {
+        Beat,
+        Received,
+    }
+
+    impl NodeShell for Robot {
+        const NAME: &'static str = "robot";
+        type Parameters = ();
+        type Input = Input;
+
+        fn handle(&mut self, context: &mut NodeContext<Input>, input: Input) {
+            match input {
+                Input::Beat => self.publisher.publish(Header::default()),
+                Input::Received => {
+                    context.log(Level::Debug, "received");
+                    self.received.fetch_add(1, Ordering::Relaxed);
+                }
+            }
+        }
+    }
+
+    fn robot(network: Network, received: &Arc<AtomicU64>) -> Process {
+        let mut process = Process::new(network).unwrap();
+        let received = Arc::clone(received);
+        let start = move |context: &mut NodeContext<Input>, ()| -> Result<Robot, NodeError> {
+            context.timer(Duration::from_millis(50), || Input::Beat);
+            context.subscribe("/back", QosPreset::State, |_: Arc<Header>| Some(Input::Received))?;
+            let publisher = context.advertise(TOPIC, QosPreset::State)?;
+            Ok(Robot { publisher, received: Arc::clone(&received) })
+        };
+        process.start_with::<Robot>(&RosArguments::default(), start).unwrap();
+        process
+    }
+
+    #[test]
+    fn with_their_enclave_the_tools_exchange_data_with_the_robot() {
+        let dir = TempDir::new().unwrap();
+        let keystore = make_keystore(&dir.path().join("keys"));
+        let received = Arc::new(AtomicU64::new(0));
+        let network = Network {
+            domain_id: 67,
+            range: DiscoveryRange::Localhost,
+            security: Some(Security::enforced(&keystore, "/rig/robot")),
+            ..Network::default()
+        };
+        let robot = robot(network, &received);
+
+        let out = dir.path().join("out.mcap");
+        let record = ["record", "--out", out.to_str().unwrap(), "--duration", "12", TOPIC];
+        let output = volant(67, &keystore, "/rig/laptop", &record).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        let recorded = BagReader::summary(&out).unwrap().count(TOPIC);
+        assert!(recorded > 40, "{recorded} of some 200 messages recorded");
+
+        let monitor = ["monitor", "--once", "--interval", "8"];
+        let output = volant(67, &keystore, "/rig/laptop", &monitor).output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success() && text.contains(TOPIC), "{output:?}");
+
+        let input = dir.path().join("in.mcap");
+        write_bag(&input);
+        let remap = format!("{TOPIC}:=/back");
+        let play = ["play", input.to_str().unwrap(), "--delay", "6", "--remap", &remap];
+        let output = volant(67, &keystore, "/rig/laptop", &play).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        let played = received.load(Ordering::Relaxed);
+        assert!(played > 40, "{played} of 160 messages received");
+
+        // A tool without security sees nothing of a secure robot.
+        let mut open = volant(67, &keystore, "/rig/laptop", &monitor);
+        let output = open.env_remove("ROS_SECURITY_ENABLE").output().unwrap();
+        assert!(!String::from_utf8_lossy(&output.stdout).contains(TOPIC), "{output:?}");
+        drop(robot);
+    }
+}
