@@ -7,8 +7,8 @@ use crate::args::ArgumentError;
 use rustix::{
     io::Errno,
     mm::{MlockAllFlags, mlockall},
-    process::{Resource, geteuid, getrlimit},
-    thread::{CpuSet, sched_setaffinity},
+    process::{Resource, getrlimit},
+    thread::{CapabilitySet, CpuSet, capabilities, sched_setaffinity},
 };
 use std::io;
 use thiserror::Error;
@@ -129,12 +129,15 @@ impl Scheduling {
             })?;
         }
         if self.lock_memory {
-            // Below a finite limit the call succeeds and a later allocation fails; root has none.
-            let limited = getrlimit(Resource::Memlock).current.is_some() && !geteuid().is_root();
-            let locked = if limited {
-                Err(Errno::PERM)
-            } else {
+            // Below a finite limit the call succeeds and a later allocation fails. CAP_IPC_LOCK lifts
+            // the limit; root in a container may lack it.
+            let unlimited = getrlimit(Resource::Memlock).current.is_none()
+                || capabilities(None)
+                    .is_ok_and(|own| own.effective.contains(CapabilitySet::IPC_LOCK));
+            let locked = if unlimited {
                 mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE)
+            } else {
+                Err(Errno::PERM)
             };
             locked.map_err(|e| SchedulingError::Memory { source: e.into() })?;
         }

@@ -30,6 +30,7 @@ pub use config::{FusionConfig, Model, PaperConfig, PendulumConfig, TightConfig};
 pub use estimator::{Fusion, Input};
 pub use health::{
     pose_status::{PoseState, PoseStatus},
+    rig_check::RigCheck,
     status::Status,
 };
 pub use initialization::checkpoint::{Checkpoint, Refusal};

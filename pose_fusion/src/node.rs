@@ -2,7 +2,7 @@
 //! records and diagnostics out.
 
 use crate::{
-    Fusion, Input, Output, PoseStatus, Warning, messages,
+    Fusion, Input, Output, PoseStatus, RigCheck, Warning, messages,
     parameters::FusionParameters,
     services::{self, Request},
 };
@@ -43,6 +43,7 @@ pub struct FusionNode {
     gated_before: u64,
     camera_rejected: Option<String>,
     rejections: Rejections,
+    rig_check: RigCheck,
 }
 
 /// Inputs that were rejected since the last tick, and why the newest was.
@@ -161,6 +162,7 @@ impl NodeShell for FusionNode {
             gated_before: 0,
             camera_rejected: None,
             rejections: Rejections::default(),
+            rig_check: RigCheck::default(),
         })
     }
 
@@ -237,6 +239,19 @@ impl NodeShell for FusionNode {
         }
         let (health, message) = self.rejections.report(health, message);
         context.diagnose("filter", health, &message, &diagnostics::values(&s));
+        if self.parameters.model == "tight" {
+            let findings = self.rig_check.findings(&s);
+            let (health, message) = if findings.is_empty() {
+                (Health::Ok, "nothing contradicts the rig file".to_owned())
+            } else {
+                let found = findings.join("; ");
+                (
+                    Health::Warn,
+                    format!("{found}; find the cause with `volant check` in a recording"),
+                )
+            };
+            context.diagnose("rig file", health, &message, &[]);
+        }
     }
 }
 
@@ -266,6 +281,7 @@ impl FusionNode {
                 publishers.visual_pose.publish(messages::visual_pose(&p, frames))
             }
             Output::MarkerUpdate(record) => {
+                self.rig_check.note(&record);
                 if let (Some(updates), Some(message)) =
                     (&publishers.updates, self.gathered.add(record, frames))
                 {

@@ -11,7 +11,10 @@ use std::{
     path::Path,
     process::{Command, Output},
 };
-use volant_test::check::{Bench, FAULTS};
+use volant_test::{
+    check::{Bench, FAULTS, findings_while_running},
+    robustness::recording::Recording,
+};
 
 /// Faults of the short form; `make checks` has all of them, on recordings too.
 const KINDS: [&str; 12] = [
@@ -46,6 +49,38 @@ fn unchanged_runs_of_other_seeds_are_not_accused() {
         let bench = Bench::simulated(seed).unwrap();
         assert!(bench.clean().findings.is_empty(), "{seed}: {:?}", bench.clean().findings);
         assert!(bench.clean().rows.len() > 40);
+    }
+}
+
+/// Faults with a symptom in the running filter, and a word of it.
+const SYMPTOMS: [(&str, &str); 8] = [
+    ("red and green swapped", "no pose fits"),
+    ("red marker 20 cm off", "no pose fits"),
+    ("IMU tilt 5°", "rotated by"),
+    ("IMU yaw 5°", "gyroscope rotated by"),
+    ("accelerometer in g", "% of each marker rejected"),
+    ("gyroscope scale +2 %", "gyroscope scale factor 2"),
+    ("IMU stamps + 0.2 s", "differ by 2"),
+    ("distortion zeroed", "`camera_info`"),
+];
+
+#[test]
+fn the_running_filter_reports_symptoms_and_none_of_correct_files() {
+    let bench = Bench::simulated(1).unwrap();
+    for (kind, word) in SYMPTOMS {
+        let fault = FAULTS.iter().find(|f| f.name == kind).unwrap();
+        let found = bench.while_running(Some(fault)).join("; ");
+        assert!(found.contains(word), "{kind}: {found}");
+    }
+    for seed in 11..14 {
+        let found = Bench::simulated(seed).unwrap().while_running(None);
+        assert!(found.is_empty(), "{seed}: {found:?}");
+    }
+    let Some(shared) = test_support::recordings() else { return };
+    let bags = fs::read_dir(shared.join("bags")).unwrap().map(|entry| entry.unwrap().path());
+    for folder in bags.filter(|folder| folder.join("truth.mcap").is_file()) {
+        let found = findings_while_running(&Recording::read(&folder, None).unwrap());
+        assert!(found.is_empty(), "{}: {found:?}", folder.display());
     }
 }
 

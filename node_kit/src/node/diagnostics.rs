@@ -176,7 +176,7 @@ impl Diagnostics {
         } else if let Some(time) = self.held_up {
             let seconds = time.as_secs_f64();
             let why = "its process was stopped or is slow, or the computer is overloaded";
-            (Health::Warn, format!("the node stood still for {seconds:.1} s: {why}"))
+            (Health::Warn, format!("the node stalled for {seconds:.1} s: {why}"))
         } else if state != LifecycleState::Active {
             (Health::Ok, format!("the node is {}", state.label()))
         } else if !missing.is_empty() {

@@ -1,6 +1,6 @@
 //! A recording, its faults, and whether a check names them.
 
-use super::fault::Fault;
+use super::{fault::Fault, light::findings_while_running};
 use crate::robustness::recording::Recording;
 use marker_tracker::TrackerConfig;
 use nalgebra::Vector3;
@@ -125,6 +125,16 @@ impl Bench {
     /// Report of the unchanged recording.
     pub fn clean(&self) -> &Report {
         &self.clean
+    }
+
+    /// Applies a fault and returns what the nodes report while they run ([`findings_while_running`]);
+    /// without one, of the unchanged recording.
+    pub fn while_running(&self, fault: Option<&Fault>) -> Vec<String> {
+        let mut recording = self.recording.clone();
+        if let Some(fault) = fault {
+            (fault.apply)(&mut recording);
+        }
+        findings_while_running(&recording)
     }
 
     fn report(&self, recording: &Recording, retrack: bool) -> anyhow::Result<Report> {

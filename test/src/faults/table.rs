@@ -325,7 +325,7 @@ pub fn table() -> Vec<Row> {
             flow: Flow::Gaps,
             // After an interruption the domain is joined again, and the restart is reported
             // instead.
-            diagnostics: fusion(&["stood still for", "restarted"]),
+            diagnostics: fusion(&["stalled for", "restarted"]),
             ..stalled("pose_fusion stalled for 3 s", "pose_fusion")
         },
         Row {

@@ -1,0 +1,155 @@
+//! Light check of the rig file: what the filter finds while it runs and what a correct rig would
+//! not show.
+//!
+//! It names symptoms. The cause is found by `volant check` in a recording, which estimates the
+//! files' values in one batch. Many errors show no symptom here: a wrong focal length and a wrong
+//! layout scale move the pose and nothing else.
+//!
+//! The limits are several times the largest value of correct files (in brackets) on seven
+//! recordings, three of them with real IMU samples; `test/tests/check.rs` repeats it.
+
+use crate::{
+    health::status::Status,
+    output::{MarkerOutcome, MarkerUpdateRecord},
+};
+use nalgebra::Vector2;
+use rig_model::PerColor;
+
+/// Memory of the means, measured markers of one color: five seconds of a usual camera.
+const MEMORY: f64 = 150.0;
+/// Consecutive measured markers of which none is used before that is reported: ten seconds.
+const NO_POSE: u32 = 1200;
+
+/// Mean innovation of a marker, px (0.06 px).
+const MEAN_INNOVATION: f64 = 0.15;
+/// Share of a marker's measurements that are rejected (0.006).
+const REJECTED: f64 = 0.05;
+/// Factor on the claimed pixel variance (1.0).
+const PIXEL_NOISE: f64 = 1.5;
+/// Accelerometer bias, m/s² (0.10), and gyroscope bias, rad/s (0.02).
+const BIAS: [f64; 2] = [0.3, 0.06];
+/// Scale factors of gyroscope and accelerometer (0.005).
+const SCALE: [f64; 2] = [0.015, 0.02];
+/// Rotations of gyroscope and accelerometer against `imu.orientation`, rad (0.003, 0.013).
+const ROTATION: [f64; 2] = [0.03, 0.04];
+/// Camera time offset, s (0.001): more than the age of an image of a usual camera.
+const TIME_OFFSET: f64 = 0.05;
+
+/// Recent measurements of one marker.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Marker {
+    count: f64,
+    /// Mean innovation, px.
+    innovation: Vector2<f64>,
+    /// Share of rejected measurements.
+    rejected: f64,
+}
+
+/// Light check of the rig file.
+#[derive(Clone, Debug, Default)]
+pub struct RigCheck {
+    markers: PerColor<Marker>,
+    /// Measured markers since the last one that was used.
+    unused: u32,
+}
+
+impl RigCheck {
+    /// Adds a marker of an image.
+    pub fn note(&mut self, record: &MarkerUpdateRecord) {
+        let rejected = match record.outcome {
+            MarkerOutcome::Used => false,
+            MarkerOutcome::NotInitialized | MarkerOutcome::Gated | MarkerOutcome::Inconsistent => {
+                true
+            }
+            _ => return,
+        };
+        self.unused = if rejected { self.unused.saturating_add(1) } else { 0 };
+        let marker = &mut self.markers[record.color];
+        marker.count += 1.0;
+        let weight = (1.0 / marker.count).max(1.0 / MEMORY);
+        marker.rejected += (f64::from(u8::from(rejected)) - marker.rejected) * weight;
+        // A false marker far off says nothing about the layout; its share counts above.
+        if !rejected && record.innovation.norm().is_finite() {
+            marker.innovation += (record.innovation - marker.innovation) * weight;
+        }
+    }
+
+    /// Returns a sentence for each value that correct files would not show.
+    pub fn findings(&self, status: &Status) -> Vec<String> {
+        if self.unused > NO_POSE {
+            return vec![format!(
+                "no pose fits the last {} measured markers (order of `markers`, \
+                 `imu.orientation`, units, stamps)",
+                self.unused
+            )];
+        }
+        let mut found = Vec::new();
+        let rejected = self.markers.0.map(|m| if m.count < MEMORY { 0.0 } else { m.rejected });
+        let least = rejected.into_iter().fold(f64::INFINITY, f64::min);
+        if least > REJECTED {
+            found.push(format!(
+                "{:.0} % of each marker rejected (units, stamps, `imu.orientation`, \
+                 `camera.orientation`)",
+                100.0 * least
+            ));
+        }
+        for (color, marker) in self.markers.iter().filter(|(_, m)| m.count >= MEMORY) {
+            let (name, mean) = (color.name(), marker.innovation.norm());
+            if marker.rejected > REJECTED && least <= REJECTED {
+                let percent = 100.0 * marker.rejected;
+                found.push(format!(
+                    "{percent:.0} % of {name} rejected (`markers.{name}`, `camera_info`)"
+                ));
+            } else if marker.rejected <= REJECTED && mean > MEAN_INNOVATION {
+                found.push(format!(
+                    "{name} is {mean:.2} px beside its prediction on average (`markers.{name}`, \
+                     `camera.orientation`, `camera_info`)"
+                ));
+            }
+        }
+        let settled = self.markers.0.iter().map(|m| m.count).sum::<f64>() > 4.0 * MEMORY;
+        if settled && status.initialized && !status.time_offset.searching {
+            filter_findings(status, &mut found);
+        }
+        found
+    }
+}
+
+/// Adds what the filter's estimates show.
+fn filter_findings(status: &Status, found: &mut Vec<String>) {
+    let largest = |first: usize| status.imu_constants.fixed_rows::<3>(first).amax();
+    if status.pixel_noise_factor > PIXEL_NOISE {
+        found.push(format!(
+            "the pixel variance is {:.1} times that claimed (`markers`, `camera_info`)",
+            status.pixel_noise_factor
+        ));
+    }
+    let offset = status.time_offset.offset;
+    if offset.abs() > TIME_OFFSET {
+        found.push(format!(
+            "image time and IMU time differ by {:.0} ms (stamps of camera and IMU)",
+            1e3 * offset
+        ));
+    }
+    let names = ["accelerometer", "gyroscope"];
+    for (k, unit) in ["m/s^2", "rad/s"].into_iter().enumerate() {
+        let bias = status.biases[k].norm();
+        if bias > BIAS[k] {
+            found.push(format!(
+                "{} bias {bias:.2} {unit} (unit, `imu.orientation`, `camera.orientation`)",
+                names[k]
+            ));
+        }
+    }
+    for (k, name) in names.into_iter().rev().enumerate() {
+        let (scale, rotation) = (largest(3 * k), largest(6 + 3 * k));
+        if scale > SCALE[k] {
+            let percent = 100.0 * scale;
+            found.push(format!("{name} scale factor {percent:.1} % (calibration, unit, layout)"));
+        }
+        if rotation > ROTATION[k] {
+            let degrees = rotation.to_degrees();
+            found.push(format!("{name} rotated by {degrees:.1} deg (`imu.orientation`)"));
+        }
+    }
+}

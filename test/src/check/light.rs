@@ -1,0 +1,30 @@
+//! The light check that `pose_fusion` runs, over a recording.
+
+use crate::robustness::recording::Recording;
+use pose_fusion::{Fusion, FusionConfig, Output, RigCheck};
+
+/// Time between two looks at the findings, as in the node, s.
+const PERIOD: f64 = 1.0;
+
+/// Returns the newest findings that the node would report in `/diagnostics`; empty where there are
+/// none during the whole recording.
+pub fn findings_while_running(recording: &Recording) -> Vec<String> {
+    let mut fusion = Fusion::new(recording.rig.clone(), FusionConfig::default());
+    let (mut check, mut newest, mut last) = (RigCheck::default(), Vec::new(), None);
+    for (at, input) in &recording.inputs {
+        fusion.handle(input.clone());
+        while let Some(output) = fusion.poll() {
+            if let Output::MarkerUpdate(record) = output {
+                check.note(&record);
+            }
+        }
+        if at.seconds_since(*last.get_or_insert(*at)) >= PERIOD {
+            last = Some(*at);
+            let findings = check.findings(&fusion.status());
+            if !findings.is_empty() {
+                newest = findings;
+            }
+        }
+    }
+    newest
+}
