@@ -126,6 +126,9 @@ impl NodeShell for ClimberNode {
         let climber =
             Climber::new(parameters.config()).map_err(|e| NodeError::shell(e.to_string()))?;
         let transform = context.advertise(topics::CLIMBER_TRANSFORM, QosPreset::Measurement)?;
+        if parameters.publish_tf {
+            context.advertise_transforms()?;
+        }
         if parameters.publish_static_tf {
             context.send_static_transform(convert::transform_message(
                 &rig.frames.climber,

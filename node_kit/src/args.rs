@@ -8,100 +8,12 @@ use crate::{
     parameters::{ParameterError, ParameterSet, ParameterStore, common_descriptors},
 };
 use rig_model::rig::edit_distance;
-use ros_parameters::{
-    ParameterFile, ParameterFileError, ParameterMap, ParameterValue, parse_value,
-};
+use ros_parameters::{ParameterFile, ParameterMap, ParameterValue, parse_value};
 use std::{collections::BTreeSet, path::PathBuf};
-use thiserror::Error;
 
-/// An invalid command line (exit status 2), or an unusable parameter file (exit status 1; see
-/// [`ArgumentError::is_usage`]).
-#[derive(Debug, Error)]
-pub enum ArgumentError {
-    /// An option without a value.
-    #[error("`{option}` needs {expected} after it")]
-    MissingValue {
-        /// The option.
-        option: String,
-        /// The expected value.
-        expected: &'static str,
-    },
-    /// A malformed rule, assignment or level.
-    #[error("`{option} {text}` is not understood; expected {expected}")]
-    Malformed {
-        /// The option.
-        option: String,
-        /// The text after it.
-        text: String,
-        /// The expected value.
-        expected: &'static str,
-    },
-    /// An option that ROS 2 does not have.
-    #[error("`{option}` is not an option of --ros-args")]
-    UnknownOption {
-        /// The option.
-        option: String,
-    },
-    /// An unknown argument outside of `--ros-args`.
-    #[error("`{argument}` is not known{hint}")]
-    UnknownArgument {
-        /// The argument.
-        argument: String,
-        /// ` (did you mean …?)` or nothing.
-        hint: String,
-    },
-    /// A parameter file that cannot be read.
-    #[error("the parameter file {path}: {source}")]
-    Unreadable {
-        /// The path as given.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// A malformed parameter file.
-    #[error("the parameter file {path}: {source}")]
-    ParameterFile {
-        /// The path as given.
-        path: PathBuf,
-        /// What is wrong with it.
-        source: ParameterFileError,
-    },
-    /// A block of a parameter file whose node's name is a typing mistake.
-    #[error(
-        "the parameter file {path}: the block `{selector}` matches no node (did you mean \
-         `{name}`?); correct its spelling"
-    )]
-    UnknownNode {
-        /// The path as given.
-        path: PathBuf,
-        /// The node selector.
-        selector: String,
-        /// The node's name.
-        name: String,
-    },
-    /// A malformed value after `-p`.
-    #[error("`-p {text}`: {source}")]
-    ParameterValue {
-        /// The text after `-p`.
-        text: String,
-        /// What is wrong with it.
-        source: ParameterFileError,
-    },
-    /// An invalid node name or namespace.
-    #[error(transparent)]
-    Name(#[from] NameError),
-}
+mod error;
 
-impl ArgumentError {
-    /// Returns whether the command line itself is wrong (exit status 2) rather than a file that it
-    /// names (1).
-    pub fn is_usage(&self) -> bool {
-        !matches!(
-            self,
-            Self::Unreadable { .. } | Self::ParameterFile { .. } | Self::UnknownNode { .. }
-        )
-    }
-}
+pub use error::ArgumentError;
 
 /// One source of parameter values, in the order of the command line: later ones override earlier
 /// ones.
@@ -118,8 +30,20 @@ pub struct RosArguments {
     sources: Vec<ParameterSource>,
     levels: Vec<(Option<String>, Level)>,
     rosout: Option<bool>,
+    outputs: LogOutputs,
     of_others: BTreeSet<String>,
     enclave: Option<String>,
+}
+
+/// Where the log goes besides `/rosout`.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct LogOutputs {
+    /// `--disable-stdout-logs`: not to the console.
+    pub no_console: bool,
+    /// `--disable-external-lib-logs`: not to a file.
+    pub no_file: bool,
+    /// `--log-file-name`: beginning of the file's name.
+    pub file_name: Option<String>,
 }
 
 /// A parameter's value and its origin.
@@ -129,6 +53,8 @@ pub struct Override {
     pub value: ParameterValue,
     /// `-p` or the file's name, for messages.
     pub origin: String,
+    /// Given for all nodes in a file that others share: it may be another node's parameter.
+    pub shared: bool,
 }
 
 impl RosArguments {
@@ -168,13 +94,16 @@ impl RosArguments {
                 "--log-level" => ros.add_level(&argument, &value(LEVEL)?)?,
                 "--enable-rosout-logs" => ros.rosout = Some(true),
                 "--disable-rosout-logs" => ros.rosout = Some(false),
-                // Options of rcl without a counterpart here.
-                "--enable-stdout-logs"
-                | "--disable-stdout-logs"
-                | "--enable-external-lib-logs"
-                | "--disable-external-lib-logs" => {}
+                "--enable-stdout-logs" => ros.outputs.no_console = false,
+                "--disable-stdout-logs" => ros.outputs.no_console = true,
+                "--enable-external-lib-logs" => ros.outputs.no_file = false,
+                "--disable-external-lib-logs" => ros.outputs.no_file = true,
+                "--log-file-name" => {
+                    ros.outputs.file_name = Some(value("a file name's beginning")?)
+                }
                 "-e" | "--enclave" => ros.enclave = Some(value("the name of an enclave")?),
-                "--log-config-file" | "--log-file-name" => {
+                // A configuration of spdlog, which writes rcl's log file.
+                "--log-config-file" => {
                     value("a value")?;
                 }
                 _ => return Err(ArgumentError::UnknownOption { option: argument }),
@@ -186,6 +115,11 @@ impl RosArguments {
     /// The security enclave (`--enclave`), if given.
     pub fn enclave(&self) -> Option<&str> {
         self.enclave.as_deref()
+    }
+
+    /// Where the log goes besides `/rosout`.
+    pub(crate) fn log_outputs(&self) -> &LogOutputs {
+        &self.outputs
     }
 
     fn add_remap(&mut self, option: &str, text: &str) -> Result<(), ArgumentError> {
@@ -352,18 +286,23 @@ impl RosArguments {
         for source in &self.sources {
             match source {
                 ParameterSource::File { path, file } => {
-                    let origin = path.display().to_string();
-                    all.extend(
-                        file.for_node(&node.fully_qualified()).into_iter().map(|(name, value)| {
-                            (name, Override { value, origin: origin.clone() })
-                        }),
-                    );
+                    let (origin, node) = (path.display().to_string(), node.fully_qualified());
+                    // A rig file belongs to this project: what it does not know is a mistake.
+                    let of_rig = file.for_node(&node).contains_key(RIG_KEY);
+                    all.extend(file.for_node(&node).into_iter().map(|(name, value)| {
+                        let shared = !of_rig && file.is_for_all(&node, &name);
+                        (name, Override { value, origin: origin.clone(), shared })
+                    }));
                 }
                 ParameterSource::Value { node: only, name, value } => {
                     if only.as_deref().is_none_or(|n| n == node.base()) {
                         all.insert(
                             name.clone(),
-                            Override { value: value.clone(), origin: "-p".to_owned() },
+                            Override {
+                                value: value.clone(),
+                                origin: "-p".to_owned(),
+                                shared: false,
+                            },
                         );
                     }
                 }
@@ -378,6 +317,8 @@ impl RosArguments {
     }
 }
 
+/// Key that every rig file has.
+const RIG_KEY: &str = "markers.size";
 const REMAP: &str = "`from:=to` (or `__node:=name`, `__ns:=/namespace`)";
 const ASSIGNMENT: &str = "`name:=value`";
 const LEVEL: &str = "debug, info, warn, error or fatal (or `logger:=level`)";

@@ -98,6 +98,9 @@ impl Network {
     /// As [`Network::from_environment`].
     pub fn from_variables(get: impl Fn(&str) -> Option<String>) -> Result<Self, EnvironmentError> {
         let get = |name| get(name).filter(|value| !value.is_empty());
+        if let Some(error) = unsupported(get) {
+            return Err(error);
+        }
         let wrong = |name, value: String, expected| EnvironmentError { name, value, expected };
         let domain_id = match get("ROS_DOMAIN_ID") {
             None => 0,
@@ -145,6 +148,21 @@ impl Network {
         Ok(Self { domain_id, range, services, security })
     }
 
+    /// Returns a warning for each variable of other middleware that has no effect here.
+    pub fn ignored_variables() -> Vec<String> {
+        PROFILES
+            .into_iter()
+            .filter(|name| std::env::var_os(name).is_some_and(|value| !value.is_empty()))
+            .map(|name| {
+                format!(
+                    "{name} is set, but RustDDS reads no profile: its settings do not apply to this \
+                     process (QoS: parameters `qos_overrides.…`; network: ROS_LOCALHOST_ONLY, \
+                     ROS_AUTOMATIC_DISCOVERY_RANGE)"
+                )
+            })
+            .collect()
+    }
+
     /// Sets the enclave of the command line (`--ros-args --enclave /rig/climber`).
     #[must_use]
     pub fn with_enclave(mut self, enclave: Option<&str>) -> Self {
@@ -163,6 +181,41 @@ impl Network {
             DiscoveryRange::Subnet => None,
         }
     }
+}
+
+/// Profiles of Fast DDS, Cyclone DDS and Connext.
+const PROFILES: [&str; 4] = [
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+    "CYCLONEDDS_URI",
+    "NDDS_QOS_PROFILES",
+];
+
+/// Middleware that communicates by DDS.
+const DDS: [&str; 4] =
+    ["rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp", "rmw_connextdds"];
+
+/// Returns an error for settings with which this process would find nobody.
+fn unsupported(get: impl Fn(&'static str) -> Option<String>) -> Option<EnvironmentError> {
+    let set = |name, expected| get(name).map(|value| EnvironmentError { name, value, expected });
+    set(
+        "ROS_STATIC_PEERS",
+        "nothing: RustDDS 0.15.1 discovers by multicast only; unset it for this process, and connect \
+         networks without multicast by a bridge",
+    )
+    .or_else(|| {
+        set(
+            "ROS_DISCOVERY_SERVER",
+            "nothing: RustDDS 0.15.1 has no discovery server; unset it in all processes of the rig",
+        )
+    })
+    .or_else(|| {
+        set(
+            "RMW_IMPLEMENTATION",
+            "rmw_fastrtps_cpp, rmw_cyclonedds_cpp or rmw_connextdds: this process communicates by DDS",
+        )
+        .filter(|error| !DDS.contains(&error.value.as_str()))
+    })
 }
 
 #[cfg(test)]
@@ -220,6 +273,9 @@ mod tests {
             ("ROS_DOMAIN_ID", "233"),
             ("ROS_DOMAIN_ID", "x"),
             ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FAR"),
+            ("ROS_STATIC_PEERS", "192.168.0.2"),
+            ("ROS_DISCOVERY_SERVER", "192.168.0.2:11811"),
+            ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp"),
         ] {
             let error = network(&[(name, value)]).unwrap_err().to_string();
             assert!(error.contains(name) && error.contains(value), "{error}");

@@ -123,6 +123,9 @@ impl NodeShell for FusionNode {
                 None
             },
         };
+        if parameters.publish_tf {
+            context.advertise_transforms()?;
+        }
         context.timer(STATUS_PERIOD, || Event::StatusDue);
         context.subscribe(topics::IMU, QosPreset::Sensor, |m: Arc<sensor_msgs::msg::Imu>| {
             input(Input::Imu(convert::imu_sample(&m)))

@@ -100,6 +100,15 @@ pub enum ParameterFileError {
         /// The node selector.
         selector: String,
     },
+    /// A wildcard within a name, which rcl rejects too.
+    #[error(
+        "the block `{selector}`: a wildcard is a whole part of a name, `*` for one part or `**` for \
+         any number of them"
+    )]
+    Wildcard {
+        /// The node selector.
+        selector: String,
+    },
     /// A value that no ROS parameter can hold.
     #[error(
         "the parameter `{name}` is {what}; a parameter is a boolean, a number, a text or a list \
@@ -150,6 +159,14 @@ impl ParameterFile {
         map
     }
 
+    /// Returns whether a node's parameter comes from a block for all nodes of a namespace (`/**`,
+    /// `/ns/*`).
+    pub fn is_for_all(&self, fully_qualified_name: &str, parameter: &str) -> bool {
+        let blocks = self.matching(fully_qualified_name);
+        let last = blocks.iter().rev().find(|(_, block)| block.contains_key(parameter));
+        last.is_some_and(|(selector, _)| selector.ends_with('*'))
+    }
+
     /// The blocks that match a node, the most specific last.
     pub(crate) fn matching(&self, fully_qualified_name: &str) -> Vec<&(String, ParameterMap)> {
         let mut matching: Vec<_> = self
@@ -174,6 +191,9 @@ fn collect_blocks(
         let Value::String(key) = key else { return Err(no_parameters()) };
         any = true;
         if key == "ros__parameters" {
+            if selector.split('/').any(|part| part.contains('*') && part != "*" && part != "**") {
+                return Err(ParameterFileError::Wildcard { selector: selector.to_owned() });
+            }
             let mut map = ParameterMap::new();
             if !value.is_null() {
                 flatten("", value, &mut map)?;

@@ -131,6 +131,14 @@ impl NodeHandle {
         self.devices.spawn(name, work)
     }
 
+    /// Advertises `/tf` before the first transform.
+    ///
+    /// # Errors
+    /// As [`NodeHandle::advertise`].
+    pub fn advertise_transforms(&mut self) -> Result<(), NodeError> {
+        self.transforms.advertise(&mut self.endpoints)
+    }
+
     /// Publishes a transform on `/tf`.
     ///
     /// # Errors
@@ -176,11 +184,13 @@ impl NodeHandle {
     }
 
     /// Writes a line of the log.
+    #[track_caller]
     pub fn log(&self, level: Level, text: impl AsRef<str>) {
         self.endpoints.logger.log(level, text);
     }
 
     /// Writes a line of the log, at most once per `key` in 5 s.
+    #[track_caller]
     pub fn log_throttled(&self, level: Level, key: &str, text: impl AsRef<str>) {
         self.endpoints.logger.throttled(level, key, Duration::from_secs(5), text);
     }

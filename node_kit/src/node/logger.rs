@@ -1,11 +1,13 @@
-//! The log: on standard error in rclcpp's format, and on `/rosout`.
+//! The log: on standard error and in a file in rclcpp's format, and on `/rosout`.
 
 use super::{clock::Clock, publisher::Publisher};
 use crate::{inbox::now, level::Level};
 use parking_lot::Mutex;
 use std::{
     collections::HashMap,
+    fs::File,
     io::Write,
+    panic::Location,
     sync::{Arc, OnceLock},
     time::{Duration, Instant},
 };
@@ -15,8 +17,18 @@ use volant_msgs::{builtin_interfaces::msg::Time, rcl_interfaces::msg::Log};
 #[derive(Clone)]
 pub struct Logger(Arc<State>);
 
+/// Where a process's log goes besides `/rosout`. Clones share the file.
+#[derive(Clone, Default)]
+pub(crate) struct Sinks {
+    /// Not on standard error.
+    pub no_console: bool,
+    /// The log file.
+    pub file: Option<Arc<Mutex<File>>>,
+}
+
 struct State {
     name: String,
+    sinks: Sinks,
     level: Level,
     clock: Clock,
     rosout: OnceLock<Publisher<Log>>,
@@ -24,9 +36,10 @@ struct State {
 }
 
 impl Logger {
-    pub(crate) fn new(name: String, level: Level, clock: Clock) -> Self {
+    pub(crate) fn new(name: String, level: Level, clock: Clock, sinks: Sinks) -> Self {
         Self(Arc::new(State {
             name,
+            sinks,
             level,
             clock,
             rosout: OnceLock::new(),
@@ -38,28 +51,40 @@ impl Logger {
         let _ = self.0.rosout.set(rosout);
     }
 
-    /// Writes a line if `level` is at least the node's level.
+    /// Writes a line if `level` is at least the node's level. On `/rosout`, file and line are the
+    /// caller's; a function's name is not known at run time in Rust.
+    #[track_caller]
     pub fn log(&self, level: Level, text: impl AsRef<str>) {
         let (state, text) = (&*self.0, text.as_ref());
         if level < state.level {
             return;
         }
         let stamp = state.clock.now();
-        // A closed standard error does not end the node.
-        let _ = writeln!(std::io::stderr(), "[{level}] [{stamp}] [{}]: {text}", state.name);
+        let line = format!("[{level}] [{stamp}] [{}]: {text}\n", state.name);
+        // A closed standard error or a full disk does not end the node.
+        if !state.sinks.no_console {
+            let _ = std::io::stderr().write_all(line.as_bytes());
+        }
+        if let Some(file) = &state.sinks.file {
+            let _ = file.lock().write_all(line.as_bytes());
+        }
         if let Some(rosout) = state.rosout.get() {
             let (sec, nanosec) = stamp.to_sec_nanosec();
+            let caller = Location::caller();
             rosout.publish(Log {
                 stamp: Time { sec, nanosec },
                 level: level as u8,
                 name: state.name.clone(),
                 msg: text.to_owned(),
+                file: caller.file().to_owned(),
+                line: caller.line(),
                 ..Log::default()
             });
         }
     }
 
     /// [`Logger::log`], at most once per `key` and `period`.
+    #[track_caller]
     pub fn throttled(&self, level: Level, key: &str, period: Duration, text: impl AsRef<str>) {
         let now = now();
         {

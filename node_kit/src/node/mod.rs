@@ -14,6 +14,7 @@ mod graph;
 mod handle;
 mod intra_process;
 mod large_reply;
+mod log_file;
 mod logger;
 mod middleware;
 mod participant;

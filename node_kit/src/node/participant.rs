@@ -1,9 +1,15 @@
 //! The one place that creates a DDS participant, for nodes and for tools alike: security enclave,
 //! discovery range and the watch over the middleware's threads are the same everywhere.
 //!
-//! There are no static peers (`ROS_STATIC_PEERS`): RustDDS 0.15.1 discovers by multicast only.
+//! Static peers and a discovery server are rejected ([`Network::from_environment`]): RustDDS 0.15.1
+//! discovers by multicast only.
 
-use super::{clock::Clock, error::NodeError, logger::Logger, middleware::MiddlewareWatch};
+use super::{
+    clock::Clock,
+    error::NodeError,
+    logger::{Logger, Sinks},
+    middleware::MiddlewareWatch,
+};
 use crate::{
     environment::{Network, Security},
     level::Level,
@@ -36,7 +42,7 @@ pub fn join(network: &Network) -> Result<(DomainParticipant, MiddlewareWatch), N
 
 /// Log of what happens before a node exists, or besides the nodes.
 pub(crate) fn process_log() -> Logger {
-    Logger::new("volant".to_owned(), Level::Info, Clock::default())
+    Logger::new("volant".to_owned(), Level::Info, Clock::default(), Sinks::default())
 }
 
 /// Files of an enclave.

@@ -2,8 +2,16 @@
 //! shared as `Arc`s.
 
 use super::{
-    clock::Clock, context::NodeContext, domain::Domain, error::NodeError, event::Event,
-    handle::NodeParts, logger::Logger, middleware::Loss, participant::process_log, runner,
+    clock::Clock,
+    context::NodeContext,
+    domain::Domain,
+    error::NodeError,
+    event::Event,
+    handle::NodeParts,
+    log_file,
+    logger::{Logger, Sinks},
+    middleware::Loss,
+    runner,
     shell::NodeShell,
 };
 use crate::{
@@ -12,6 +20,7 @@ use crate::{
     inbox::{Inbox, now},
     level::Level,
 };
+use parking_lot::Mutex;
 use std::{
     sync::{
         Arc,
@@ -52,6 +61,7 @@ pub struct Process {
     ended: Receiver<Ended>,
     ended_sender: SyncSender<Ended>,
     log: Logger,
+    sinks: Sinks,
     domain: Arc<Domain>,
 }
 
@@ -107,7 +117,23 @@ impl Process {
     /// # Errors
     /// As [`Process::from_environment`].
     pub fn from_arguments(arguments: &RosArguments) -> Result<Self, NodeError> {
-        Self::new(Network::from_environment()?.with_enclave(arguments.enclave()))
+        let outputs = arguments.log_outputs();
+        let mut sinks = Sinks { no_console: outputs.no_console, file: None };
+        let mut trouble = Network::ignored_variables();
+        if !outputs.no_file {
+            match log_file::create(outputs.file_name.as_deref()) {
+                Ok(file) => sinks.file = file.map(|file| Arc::new(Mutex::new(file))),
+                Err((path, error)) => trouble.push(format!(
+                    "no log file: {}: {error}; set ROS_LOG_DIR to a folder that can be written, or \
+                     pass --disable-external-lib-logs",
+                    path.display()
+                )),
+            }
+        }
+        let network = Network::from_environment()?.with_enclave(arguments.enclave());
+        let process = Self::with_sinks(network, sinks)?;
+        trouble.iter().for_each(|line| process.log.log(Level::Warn, line));
+        Ok(process)
     }
 
     /// Joins a DDS domain.
@@ -115,10 +141,14 @@ impl Process {
     /// # Errors
     /// As [`join`](super::join).
     pub fn new(network: Network) -> Result<Self, NodeError> {
-        let log = process_log();
+        Self::with_sinks(network, Sinks::default())
+    }
+
+    fn with_sinks(network: Network, sinks: Sinks) -> Result<Self, NodeError> {
+        let log = Logger::new("volant".to_owned(), Level::Info, Clock::default(), sinks.clone());
         let (ended_sender, ended) = sync_channel(64);
         let domain = Arc::new(join_domain(network, &log, &ended_sender)?);
-        Ok(Self { nodes: Vec::new(), ended, ended_sender, log, domain })
+        Ok(Self { nodes: Vec::new(), ended, ended_sender, log, sinks, domain })
     }
 
     /// Starts a node; returns when its [`NodeShell::start`] has.
@@ -150,7 +180,17 @@ impl Process {
             name.fully_qualified().trim_start_matches('/').replace('/', "."),
             arguments.level(&name),
             clock.clone(),
+            self.sinks.clone(),
         );
+        for (parameter, origin) in store.ignored() {
+            logger.log(
+                Level::Warn,
+                format!(
+                    "{origin}: `{parameter}` is given for all nodes and is no parameter of this one; \
+                     it is ignored"
+                ),
+            );
+        }
         let parts = NodeParts {
             remaps: arguments.remaps(),
             rosout: arguments.rosout(),

@@ -14,6 +14,14 @@ pub(crate) struct Transforms {
 }
 
 impl Transforms {
+    /// Advertises `/tf` before the first transform, so that listeners know where it comes from.
+    pub fn advertise(&mut self, endpoints: &mut Endpoints) -> Result<(), NodeError> {
+        if self.moving.is_none() {
+            self.moving = Some(endpoints.advertise(topics::absolute::TF, QosPreset::State)?);
+        }
+        Ok(())
+    }
+
     /// Publishes on `/tf`, which the first call advertises.
     pub fn send(
         &mut self,

@@ -25,13 +25,16 @@ pub struct ParameterStore {
     values: ParameterMap,
     /// Overrides given at the start for topics that do not exist yet.
     pending: BTreeMap<String, Override>,
+    /// Names and origins of values for all nodes that this node does not have.
+    ignored: Vec<(String, String)>,
 }
 
 impl ParameterStore {
     /// Declares parameters and applies the values given at the start.
     ///
     /// # Errors
-    /// [`ParameterError`] of the first unknown or invalid value, in the order of the names.
+    /// [`ParameterError`] of the first unknown or invalid value, in the order of the names. An
+    /// unknown one of a file that several nodes share is ignored ([`Self::ignored`]).
     pub fn new(
         descriptors: Vec<Descriptor>,
         overrides: BTreeMap<String, Override>,
@@ -48,6 +51,8 @@ impl ParameterStore {
                 store.values.insert(name, descriptor.accept(&given.value)?);
             } else if name.starts_with(QOS_OVERRIDES) {
                 store.pending.insert(name, given);
+            } else if given.shared && did_you_mean(&name, store.names()).is_empty() {
+                store.ignored.push((name, given.origin));
             } else {
                 return Err(store.unknown(&name, &given.origin));
             }
@@ -55,10 +60,20 @@ impl ParameterStore {
         Ok(store)
     }
 
+    fn names(&self) -> impl Iterator<Item = &str> {
+        self.declared.keys().map(String::as_str)
+    }
+
+    /// Names and origins of the values for all nodes that this node does not have: another node's,
+    /// which rcl ignores too.
+    pub fn ignored(&self) -> &[(String, String)] {
+        &self.ignored
+    }
+
     fn unknown(&self, name: &str, origin: &str) -> ParameterError {
         ParameterError::Unknown {
             name: name.to_owned(),
-            hint: did_you_mean(name, self.declared.keys().map(String::as_str)),
+            hint: did_you_mean(name, self.names()),
             origin: origin.to_owned(),
         }
     }
@@ -171,7 +186,7 @@ mod tests {
     use crate::parameters::{ParameterKind, common_descriptors};
 
     fn given(name: &str, value: ParameterValue) -> (String, Override) {
-        (name.to_owned(), Override { value, origin: "rig.yaml".into() })
+        (name.to_owned(), Override { value, origin: "rig.yaml".into(), shared: false })
     }
 
     fn store() -> ParameterStore {
@@ -182,6 +197,19 @@ mod tests {
                 .live(),
         );
         ParameterStore::new(all, BTreeMap::new()).unwrap()
+    }
+
+    #[test]
+    fn an_unknown_name_of_a_shared_file_is_ignored_unless_it_is_nearly_one_of_ours() {
+        let shared = |name: &str| {
+            let value = ParameterValue::Double(0.1);
+            (name.to_owned(), Override { value, origin: "robot.yaml".into(), shared: true })
+        };
+        let of = |name| ParameterStore::new(common_descriptors(), [shared(name)].into());
+        let store = of("robot_description").unwrap();
+        assert_eq!(store.ignored(), [("robot_description".to_owned(), "robot.yaml".to_owned())]);
+        assert_eq!(store.get("robot_description"), None);
+        assert!(of("markers.sise").unwrap_err().to_string().contains("markers.size"));
     }
 
     #[test]

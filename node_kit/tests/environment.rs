@@ -1,0 +1,116 @@
+//! Environment and options of a process: log file, console, and settings that have no effect.
+#![allow(clippy::disallowed_methods, reason = "a test that waits")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+mod common;
+
+use common::{Running, example};
+use std::{path::Path, time::Duration};
+
+const LONG: Duration = Duration::from_secs(20);
+
+fn minimal(domain: u16, arguments: &[&str], environment: &[(&str, &str)]) -> Running {
+    Running::start(domain, &example("minimal_node"), arguments, environment)
+}
+
+/// Names and texts of the files of a folder.
+fn files(folder: &Path) -> Vec<(String, String)> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    entries
+        .map(|entry| {
+            let entry = entry.unwrap();
+            let text = std::fs::read_to_string(entry.path()).unwrap();
+            (entry.file_name().into_string().unwrap(), text)
+        })
+        .collect()
+}
+
+#[test]
+fn the_log_is_in_a_file_as_on_the_console() {
+    let folder = tempfile::tempdir().unwrap();
+    let logs = folder.path().join("logs");
+    let profile = ("CYCLONEDDS_URI", "file:///etc/cyclone.xml");
+    let environment = [("ROS_LOG_DIR", logs.to_str().unwrap()), profile];
+    let mut node = minimal(150, &[], &environment);
+    let line = node.line_with("CYCLONEDDS_URI is set", LONG);
+    assert!(line.starts_with("[WARN] ["), "{line}");
+    node.signal("INT");
+    assert!(node.wait(LONG).success());
+    let written = files(&logs);
+    let [(name, text)] = &written[..] else { panic!("{written:?}") };
+    let prefix = format!("minimal_node_{}_", node.id());
+    let milliseconds = name.strip_prefix(&prefix).and_then(|rest| rest.strip_suffix(".log"));
+    assert!(
+        milliseconds.is_some_and(|ms| ms.parse::<u64>().unwrap() > 1_700_000_000_000),
+        "{name}"
+    );
+    assert!(text.lines().any(|l| l == line), "{text}");
+}
+
+#[test]
+fn the_console_and_the_file_can_be_turned_off() {
+    let folder = tempfile::tempdir().unwrap();
+    let environment =
+        [("ROS_LOG_DIR", folder.path().to_str().unwrap()), ("CYCLONEDDS_URI", "file:///x")];
+    let quiet = ["--ros-args", "--disable-stdout-logs", "--log-file-name", "mine"];
+    let node = minimal(151, &quiet, &environment);
+    let deadline = std::time::Instant::now() + LONG;
+    while !files(folder.path()).iter().any(|(_, text)| text.contains("CYCLONEDDS_URI")) {
+        assert!(std::time::Instant::now() < deadline);
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    assert!(files(folder.path()).iter().all(|(name, _)| name.starts_with("mine_")));
+    node.signal("INT");
+    let (_, lines) = node.finish(LONG);
+    assert!(!lines.iter().any(|line| line.contains("CYCLONEDDS_URI")), "{lines:?}");
+
+    let folder = tempfile::tempdir().unwrap();
+    let environment =
+        [("ROS_LOG_DIR", folder.path().to_str().unwrap()), ("CYCLONEDDS_URI", "file:///x")];
+    let node = minimal(152, &["--ros-args", "--disable-external-lib-logs"], &environment);
+    node.line_with("CYCLONEDDS_URI", LONG);
+    assert_eq!(files(folder.path()), []);
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_is_named_and_the_node_runs() {
+    let node = minimal(153, &[], &[("ROS_LOG_DIR", "/proc/none")]);
+    let line = node.line_with("no log file", LONG);
+    assert!(line.contains("/proc/none") && line.contains("ROS_LOG_DIR"), "{line}");
+}
+
+#[test]
+fn settings_with_which_the_node_would_find_nobody_are_rejected() {
+    for (name, value) in [
+        ("ROS_DISCOVERY_SERVER", "127.0.0.1:11811"),
+        ("ROS_STATIC_PEERS", "127.0.0.1"),
+        ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp"),
+    ] {
+        let (status, lines) = minimal(154, &[], &[(name, value)]).finish(LONG);
+        assert_eq!(status.code(), Some(1), "{lines:?}");
+        assert!(lines.iter().any(|line| line.contains(name) && line.contains(value)), "{lines:?}");
+    }
+}
+
+#[test]
+fn parameters_of_other_nodes_in_a_shared_file_are_ignored_with_a_warning() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("robot.yaml");
+    let shared = "/**: {ros__parameters: {robot_description: x, use_sim_time: false}}\n";
+    std::fs::write(&file, shared).unwrap();
+    let arguments = ["--ros-args", "--params-file", file.to_str().unwrap()];
+    let node = minimal(155, &arguments, &[]);
+    let line = node.line_with("robot_description", LONG);
+    assert!(line.contains("[WARN]") && line.contains("robot.yaml"), "{line}");
+    drop(node);
+    for (text, word) in [
+        ("minimal: {ros__parameters: {robot_description: x}}\n", "robot_description"),
+        ("/**: {ros__parameters: {use_sim_tim: true}}\n", "use_sim_time"),
+        ("/rig*/minimal: {ros__parameters: {use_sim_time: true}}\n", "/rig*/minimal"),
+    ] {
+        std::fs::write(&file, text).unwrap();
+        let (status, lines) = minimal(155, &arguments, &[]).finish(LONG);
+        assert_eq!(status.code(), Some(1), "{text}: {lines:?}");
+        assert!(lines.iter().any(|line| line.contains(word)), "{text}: {lines:?}");
+    }
+}
