@@ -9,6 +9,7 @@
 # make checks      recordings whose files are wrong, and what `volant check` names: test/CHECK.md
 # make pages       generated pages (docs/src/parameters.md, figures.md, README.md)
 # make measured    what the tests measure: docs/src/measured.md (some minutes; VOLANT_SHARED)
+# make deb         Debian packages of the release: target/debian; make deb-test: one in a new Debian
 # make book        HTML of the book
 # make man         manual pages of all commands and shell completions: MAN=folder
 # make fuzz        hostile bytes into every parser: FUZZ="-s SECONDS -r RUNS TARGET…"
@@ -21,7 +22,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := build
 .PHONY: setup build demo test long lint bench peers \
   reproduce faults robustness checks pages measured book man \
-  fuzz audit security calibrate calibrate-test browser clean-setup
+  fuzz audit security calibrate calibrate-test browser clean-setup deb deb-test
 
 ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 export OPENCV_LINK_PATHS := /usr/lib/$(ARCH_LIB)
@@ -121,6 +122,15 @@ measured: setup
 book:
 	@command -v mdbook > /dev/null || { echo "make book: cargo install mdbook"; exit 1; }
 	mdbook build docs
+
+# For computers without a compiler: build on the oldest system and the architecture they have.
+deb: build
+	launch_config/setup/make-deb target/release target/debian
+
+# As root, with debootstrap: about a minute and 400 MB in target/debian/root.
+deb-test: deb
+	rm -rf target/debian/root
+	launch_config/setup/try-deb $(CURDIR)/target/debian/root $$(ls -t target/debian/volant_*.deb | head -n 1)
 
 # The manual pages of all commands, and the completions of bash, zsh and fish.
 MAN ?= target/man
