@@ -1,6 +1,6 @@
-//! `volant-rig`: what is done with the simulated rig and the real nodes: `volant checks`, `demo`, `faults`,
-//! `hosts`, `rigs`, `robustness`, `soak` and `reproduce`. One executable for all, so that their
-//! common code is built and linked once.
+//! `volant-rig`: what is done with the simulated rig and the real nodes: `volant checks`, `demo`,
+//! `faults`, `hosts`, `rigs`, `robustness`, `simulate`, `soak` and `reproduce`. One executable for
+//! all, so that their common code is built and linked once.
 //!
 //! Exit status: [`EXIT_STATUS`].
 
@@ -11,6 +11,7 @@ mod hosts;
 mod reproduce;
 mod rigs;
 mod robustness;
+mod simulate;
 mod soak;
 
 use anyhow::Result;
@@ -37,6 +38,7 @@ enum Action {
     Reproduce(reproduce::Arguments),
     Rigs(rigs::Arguments),
     Robustness(robustness::Arguments),
+    Simulate(simulate::Arguments),
     Soak(soak::Arguments),
     /// Writes the manual pages of these commands; `volant manual` calls it.
     #[command(hide = true)]
@@ -54,6 +56,7 @@ impl Action {
             Self::Reproduce(a) => ("reproduce", reproduce::run(a).map(|()| true)),
             Self::Rigs(a) => ("rigs", rigs::run(a).map(|()| true)),
             Self::Robustness(a) => ("robustness", robustness::run(a)),
+            Self::Simulate(a) => ("simulate", simulate::run(a).map(|()| true)),
             Self::Soak(a) => ("soak", soak::run(a)),
             Self::Manual(a) => {
                 let written = a.write(Arguments::command(), false);

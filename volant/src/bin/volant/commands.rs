@@ -26,7 +26,7 @@ const fn external(name: &'static str, executable: &'static str, about: &'static 
 }
 
 /// What needs the simulated rig or all of OpenCV does not weigh on the robot.
-const EXTERNAL: [External; 10] = [
+const EXTERNAL: [External; 11] = [
     external("imu", "volant-imu", "Find, inspect, configure and log Xsens IMUs; decode logs"),
     external(
         "calibrate",
@@ -40,6 +40,7 @@ const EXTERNAL: [External; 10] = [
     external("reproduce", "volant-rig", "Reproduce the paper's figures and tables"),
     external("rigs", "volant-rig", "Run more and more rigs until the machine is full"),
     external("robustness", "volant-rig", "Replay recordings with wrong rig files"),
+    external("simulate", "volant-rig", "Write simulated recordings with ground truth"),
     external("soak", "volant-rig", "Run the rig for hours with faults at random"),
 ];
 
@@ -50,7 +51,17 @@ const GROUPS: [(&str, &[&str]); 5] = [
     ("Recordings", &["replay", "evaluate", "bag"]),
     (
         "Simulated rig",
-        &["demo", "faults", "checks", "hosts", "rigs", "robustness", "soak", "reproduce"],
+        &[
+            "demo",
+            "faults",
+            "checks",
+            "hosts",
+            "rigs",
+            "robustness",
+            "simulate",
+            "soak",
+            "reproduce",
+        ],
     ),
     ("This command", &["completions", "manual", "help"]),
 ];

@@ -1,0 +1,49 @@
+//! `volant simulate`: recordings of ideal sensors on the simulated rig, with ground truth.
+
+use anyhow::{Context, Result};
+use clap::Args;
+use node_kit::{convert, files, outln};
+use rig_model::ClimberSample;
+use std::{fs, path::PathBuf};
+use volant_msgs::geometry_msgs::msg::TransformStamped;
+use volant_test::live::{Scenario, bag::from_sensors};
+
+/// Writes simulated runs: markers, IMU, climber and ground truth, without images and nodes.
+#[derive(Args)]
+pub(crate) struct Arguments {
+    /// Folder of the runs, each a folder NAME with in.mcap and rig.yaml
+    #[arg(long)]
+    out: PathBuf,
+    /// Number of runs
+    #[arg(long, default_value_t = 1)]
+    runs: u64,
+    /// Duration of each, s
+    #[arg(long, default_value_t = 10.0)]
+    seconds: f64,
+    /// Seed of the first run; the others follow
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Replace existing runs
+    #[arg(long)]
+    overwrite: bool,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<()> {
+    for seed in arguments.seed..arguments.seed + arguments.runs {
+        let folder = arguments.out.join(format!("run_{seed:05}"));
+        let (bag, rig) = (folder.join("in.mcap"), folder.join("rig.yaml"));
+        files::check_output(&bag, arguments.overwrite, &[])?;
+        fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        if bag.exists() {
+            fs::remove_file(&bag).with_context(|| bag.display().to_string())?;
+        }
+        let scenario = Scenario::swing(seed, arguments.seconds)?;
+        let frames = scenario.rig.frames.clone();
+        from_sensors::<TransformStamped>(&bag, &scenario, |sample: &ClimberSample| {
+            convert::climber_message(sample, &frames)
+        })?;
+        files::write(&rig, scenario.rig_yaml.as_bytes(), arguments.overwrite)?;
+    }
+    outln!("{} runs in {}", arguments.runs, arguments.out.display())?;
+    Ok(())
+}
