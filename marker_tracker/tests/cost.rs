@@ -14,13 +14,14 @@ use std::time::{Duration, Instant};
 #[ignore = "a measurement: `make bench`"]
 fn images_per_second_on_one_core() {
     let mut noise = Noise(1);
-    // Blue is hidden in a third of the images, two are in a sixth.
+    // Blue is hidden in a third of the images, two in a sixth, all in another sixth.
     let images: Vec<Vec<u8>> = (0..180)
         .map(|k| {
             let [red, green, _, yellow] = ALL;
             let paint = match k {
                 60..120 => [red, green, None, yellow],
                 120..150 => [None, green, None, yellow],
+                150..180 => [None; 4],
                 _ => ALL,
             };
             draw(&pose(0.033 * f64::from(k)), paint, &mut noise)
@@ -49,7 +50,7 @@ fn images_per_second_on_one_core() {
             times[times.len() / 2].as_secs_f64() * 1e3,
             times[times.len() - 1].as_secs_f64() * 1e3,
         );
-        // Of 600 visible ones.
-        assert!(detected > 500, "{name}: {detected} markers detected");
+        // Of 480 visible ones.
+        assert!(detected > 400, "{name}: {detected} markers detected");
     }
 }

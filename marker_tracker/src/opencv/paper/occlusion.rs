@@ -3,12 +3,13 @@
 use nalgebra::{Matrix2, Vector2};
 use rig_model::{MarkerObservation, MarkerState, PerColor};
 
-/// Standard deviation of a detected centroid, per axis, px.
+/// Standard deviation of a whole marker's centroid, per axis, px. On the recorded bags the RMS is
+/// 0.10 to 0.36 px from marker to marker; `tests/bags.rs` bounds the normalized squared error.
 const DETECTED_SIGMA: f64 = 0.25;
-/// Share of the area that noise may hide.
+/// Share of the area that noise may take away.
 const MISSING_NOISE: f64 = 0.05;
-/// Standard deviation of the place after each image in which it is predicted by eq. 3, per axis,
-/// px.
+/// Standard deviation that each predicted image adds, per axis, px: eq. 3 neglects the platform's
+/// rotation. Measured on the recorded bags as the above.
 const PREDICTED_SIGMA: f64 = 3.0;
 /// Number of hidden markers from which no visual pose is estimated.
 const TOO_MANY: usize = 2;

@@ -14,6 +14,9 @@ const KEEP: usize = 8;
 /// Largest number of corners of a region.
 const CORNERS: i32 = 8;
 
+/// Rim around a region in which its corners are found, px.
+pub(super) const RIM: i32 = 4;
+
 /// A connected region.
 #[derive(Clone, Debug)]
 pub(super) struct Region {
@@ -84,9 +87,8 @@ fn corners(
     bounds: Rect,
     origin: Point,
 ) -> opencv::Result<Vector<Point2f>> {
-    /// Rim that the corner detector needs, and side of the block that it sums over: wide enough
-    /// that the steps of an oblique edge are no corners, px.
-    const RIM: i32 = 4;
+    /// Side of the block that the detector sums over: wide enough that the steps of an oblique edge
+    /// are no corners, px.
     const BLOCK: i32 = 7;
     let around = grown(bounds, RIM, Rect::new(0, 0, labels.cols(), labels.rows()));
     let (value, mut mask) = (Scalar::all(f64::from(label)), Mat::default());
