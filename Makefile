@@ -2,7 +2,8 @@
 # make test        sets up what is missing and passes the tests; ends with a table (test/tier)
 # make long        tests that take minutes or need a quiet machine
 # make lint        what CI lints: format, clippy, cores without middleware
-# make bench       the tracker beside other methods, the filter beside its bound on 200 runs
+# make bench       the tracker beside other methods, images per second of each tracking method, the
+#                  filter beside its bound on 200 runs
 # make faults      every fault on real processes: test/FAULTS.md
 # make reproduce   the paper's figures and tables, and the report: OUT=folder
 # make robustness  recordings that differ from their rig file: test/ROBUSTNESS.md
@@ -92,6 +93,7 @@ peers: build .setup/debian-large
 
 bench: peers
 	target/release/volant-peers bench
+	$(CARGO) test --release -p marker_tracker --test cost -- --include-ignored --nocapture
 	VOLANT_RUNS=200 $(CARGO) test --release -p pose_fusion --test bounds -- --nocapture
 	$(CARGO) test --release -p pose_fusion --test cost -- --include-ignored --nocapture
 

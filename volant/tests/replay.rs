@@ -88,6 +88,39 @@ fn the_nodes_parameter_file_sets_the_replay_as_it_sets_the_nodes() {
 }
 
 #[test]
+fn the_published_system_is_replayed_by_its_parameter_file() {
+    let Some(bags) = bags() else { return };
+    let dir = TempDir::new().unwrap();
+    let paper = concat!(env!("CARGO_MANIFEST_DIR"), "/../launch_config/config/paper.yaml");
+    let written = |name: &str, more: &[&str]| {
+        let out = dir.path().join(name).with_extension("mcap");
+        replayed(&bags, "nominal", &out, more);
+        (fs::read(&out).unwrap(), out)
+    };
+    let (first, out) = written("first", &["--params-file", paper]);
+    let (second, _) = written("second", &["--params-file", paper, "--threads", "3"]);
+    assert!(first == second, "two replays of the published system differ");
+    let (filter, _) = written("filter", &["--model", "paper"]);
+    assert!(first != filter, "the file does not select the published tracker");
+    let options = EvaluateOptions {
+        estimates: out,
+        truth: bags.join("nominal/truth.mcap"),
+        skip: 1.0,
+        names: TopicNames::default(),
+    };
+    let estimates = evaluate(&options).unwrap().estimates;
+    let of = |name| estimates.iter().find(|q| q.estimate == name).unwrap();
+    let (fused, visual) = (of(topics::ODOMETRY), of(topics::VISUAL_POSE));
+    let (mm, visual_mm) = (fused.position_mm.rmse, visual.position_mm.rmse);
+    eprintln!(
+        "published system, nominal: {mm:.1} mm fused in {} images, {visual_mm:.1} mm visual",
+        fused.count
+    );
+    assert!(fused.count > 250, "{} poses in 11 s", fused.count);
+    assert!(mm < 100.0 && visual_mm < 60.0, "fused {mm} mm, visual {visual_mm} mm");
+}
+
+#[test]
 fn a_bag_that_is_cut_is_replayed_up_to_the_cut() {
     let Some(bags) = bags() else { return };
     let dir = TempDir::new().unwrap();
