@@ -96,13 +96,30 @@ pub struct Poses {
     pub visual: Track,
 }
 
-/// Runs the filter of `model` over a recording.
+/// The published tracker's settings; `None` where it is not part of this build.
+pub fn published_tracker() -> Option<TrackerConfig> {
+    None
+}
+
+/// Defaults of a filter, with the gravity of the scenario.
+pub fn filter(scenario: &Scenario, model: Model) -> FusionConfig {
+    let mut config = FusionConfig { model, ..FusionConfig::default() };
+    config.tight.gravity = scenario.sensors.gravity;
+    config.paper.gravity = scenario.sensors.gravity;
+    config
+}
+
+/// Runs a filter over a recording.
 ///
 /// # Errors
 /// It gave no pose.
-pub fn fuse(scenario: &Scenario, recording: &Recording, model: Model) -> Result<Poses, PaperError> {
-    let mut fusion =
-        Fusion::new(scenario.rig.clone(), FusionConfig { model, ..FusionConfig::default() });
+pub fn fuse(
+    scenario: &Scenario,
+    recording: &Recording,
+    config: FusionConfig,
+) -> Result<Poses, PaperError> {
+    let model = config.model;
+    let mut fusion = Fusion::new(scenario.rig.clone(), config);
     fusion.handle(pose_fusion::Input::Camera(scenario.camera.clone()));
     let mut poses = Poses { fused: Track::new(), visual: Track::new() };
     let mut warnings = Vec::new();
