@@ -32,6 +32,7 @@ mod debug_view;
 mod decode;
 mod edge;
 mod encoding;
+mod engine;
 mod flow;
 mod geometry;
 mod hue;
@@ -49,7 +50,9 @@ mod tracker;
 mod tracking;
 
 pub use colors::{CalibratedColor, ColorCalibration};
-pub use config::TrackerConfig;
+#[cfg(feature = "opencv")]
+pub use config::BinaryThreshold;
+pub use config::{Method, TrackerConfig};
 pub use debug_view::{MarkerView, SignalView};
 pub use decode::{decode_compressed, decode_compressed_into};
 pub use encoding::from_encoding;

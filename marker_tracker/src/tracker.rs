@@ -3,10 +3,13 @@
 use crate::{
     config::TrackerConfig,
     debug_view::{MarkerView, SignalView},
+    engine::Engine,
     image::{ImageError, ImageView},
-    tracking::{Outcome, Pipeline},
+    tracking::Outcome,
 };
-use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, PerColor, Stamp};
+use rig_model::{
+    CameraModel, MarkerColor, MarkerLayout, MarkerObservation, MarkerObservations, PerColor, Stamp,
+};
 use std::collections::VecDeque;
 use thiserror::Error;
 
@@ -75,6 +78,17 @@ pub enum Warning {
         /// Number of consecutive copies.
         images: u32,
     },
+    /// The image library failed.
+    #[error(
+        "image stamped {stamp} is ignored, because OpenCV failed: {reason}; report this with the \
+         image"
+    )]
+    Library {
+        /// Stamp of the image.
+        stamp: Stamp,
+        /// The library's reason.
+        reason: String,
+    },
 }
 
 impl Warning {
@@ -85,6 +99,7 @@ impl Warning {
             Warning::StampFromThePast { .. } => "stamp",
             Warning::CameraSize { .. } => "camera size",
             Warning::Repeated { .. } => "repeated image",
+            Warning::Library { .. } => "image library",
         }
     }
 }
@@ -92,7 +107,7 @@ impl Warning {
 /// Detects and tracks the four markers.
 #[derive(Debug)]
 pub struct Tracker {
-    pipeline: Pipeline,
+    engine: Box<dyn Engine>,
     last_stamp: Option<Stamp>,
     /// Image size (width, height; px) whose mismatch with the camera model has been reported.
     reported_size: Option<(usize, usize)>,
@@ -103,7 +118,7 @@ impl Tracker {
     /// Creates a tracker for markers at these places of the platform (volant frame, m).
     pub fn new(layout: MarkerLayout, config: TrackerConfig) -> Self {
         Self {
-            pipeline: Pipeline::new(layout, config),
+            engine: config.method.engine(layout, config),
             last_stamp: None,
             reported_size: None,
             outputs: VecDeque::with_capacity(8),
@@ -115,7 +130,7 @@ impl Tracker {
         match input {
             Input::Camera(camera) => {
                 self.reported_size = None;
-                self.pipeline.set_camera(camera);
+                self.engine.set_camera(camera);
             }
             Input::Image(image) => match self.check(&image) {
                 Ok(()) => self.process(&image),
@@ -136,47 +151,52 @@ impl Tracker {
 
     fn process(&mut self, image: &ImageView<'_>) {
         self.last_stamp = Some(image.stamp);
-        let observations = self.pipeline.process(image);
+        let observations = self.engine.process(image).unwrap_or_else(|reason| {
+            let warning = Warning::Library { stamp: image.stamp, reason };
+            self.outputs.push_back(Output::Warning(warning));
+            let markers = PerColor([MarkerObservation::lost(MarkerObservation::NEVER); 4]);
+            MarkerObservations { stamp: image.stamp, markers }
+        });
         self.outputs.push_back(Output::Observations(observations));
         let (width, height) = (image.width, image.height);
-        if let Some((camera_width, camera_height)) = self.pipeline.mismatched_camera_size(image)
+        if let Some((camera_width, camera_height)) = self.engine.mismatched_camera_size(image)
             && self.reported_size != Some((width, height))
         {
             self.reported_size = Some((width, height));
             let warning = Warning::CameraSize { camera_width, camera_height, width, height };
             self.outputs.push_back(Output::Warning(warning));
         }
-        let images = self.pipeline.repeated();
+        let images = self.engine.repeated();
         if images > 0 {
             let warning = Warning::Repeated { stamp: image.stamp, images };
             self.outputs.push_back(Output::Warning(warning));
         }
     }
 
-    /// Replaces the settings; all tracks are kept.
+    /// Replaces the settings, except for the method; all tracks are kept.
     pub fn set_config(&mut self, config: TrackerConfig) {
-        self.pipeline.set_config(config);
+        self.engine.set_config(config);
     }
 
     /// What a debug image of the last image shows, marker by marker.
     pub fn views(&self) -> PerColor<MarkerView> {
-        PerColor::from_fn(|c| self.pipeline.view(c))
+        PerColor::from_fn(|c| self.engine.view(c))
     }
 
     /// The color signal of a marker's window in `image`, which must be the last one processed;
     /// `None` until the marker's color is known.
     pub fn signal(&self, color: MarkerColor, image: &ImageView<'_>) -> Option<SignalView> {
-        self.pipeline.signal(color, image)
+        self.engine.signal(color, image)
     }
 
     /// A marker's adapted color, r, g, b of 0–255; `None` until it is known.
     pub fn color(&self, color: MarkerColor) -> Option<[f32; 3]> {
-        self.pipeline.color(color)
+        self.engine.color(color)
     }
 
     /// Outcome of the search for each marker in the last image.
     pub fn outcomes(&self) -> PerColor<Outcome> {
-        PerColor::from_fn(|c| self.pipeline.outcome(c))
+        PerColor::from_fn(|c| self.engine.outcome(c))
     }
 
     /// The next output, oldest first.

@@ -1,7 +1,10 @@
-//! OpenCV: conversion of Bayer and YUV images, and debug images. Nothing else uses it.
+//! OpenCV: conversion of Bayer and YUV images, debug images, and the published tracker. Nothing
+//! else uses it.
 
 mod convert;
 mod draw;
+mod paper;
 
 pub(crate) use convert::convert;
 pub use draw::draw;
+pub(crate) use paper::PaperTracker;

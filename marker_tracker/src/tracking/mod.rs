@@ -25,6 +25,7 @@ pub use outcome::Outcome;
 use crate::{
     config::TrackerConfig,
     debug_view::{MarkerView, SignalView},
+    engine::Engine,
     image::ImageView,
     outline::QuadFit,
     signal::Sampler,
@@ -86,66 +87,6 @@ impl Pipeline {
             unseen: 0,
             config,
         }
-    }
-
-    /// Replaces the settings and keeps all tracks.
-    pub fn set_config(&mut self, config: TrackerConfig) {
-        self.acquisition.set_colors(&config.start_colors);
-        self.config = config;
-    }
-
-    /// Sets the camera's intrinsic parameters.
-    pub fn set_camera(&mut self, camera: CameraModel) {
-        self.camera.set(camera);
-    }
-
-    /// Size (width, height; px) of the camera model where the image has another one.
-    pub fn mismatched_camera_size(&self, image: &ImageView<'_>) -> Option<(u32, u32)> {
-        self.camera.mismatched_size(image)
-    }
-
-    /// Number of consecutive images that were identical to their predecessor.
-    pub fn repeated(&self) -> u32 {
-        self.repeats.count
-    }
-
-    /// Outcome of the search for a marker in the last image.
-    pub fn outcome(&self, color: MarkerColor) -> Outcome {
-        self.markers[color].outcome
-    }
-
-    /// What a debug image shows of a marker.
-    pub fn view(&self, color: MarkerColor) -> MarkerView {
-        self.markers[color].view()
-    }
-
-    /// The color signal of a marker's window in the image processed last; `None` until the marker's
-    /// color is known.
-    pub fn signal(&self, color: MarkerColor, image: &ImageView<'_>) -> Option<SignalView> {
-        self.markers[color].signal(image)
-    }
-
-    /// A marker's adapted color, r, g, b of 0–255; `None` until it is known.
-    pub fn color(&self, color: MarkerColor) -> Option<[f32; 3]> {
-        self.markers[color].appearance.as_ref().map(|a| a.marker)
-    }
-
-    /// Processes one image, whose fields must have passed [`ImageView::check`].
-    pub fn process(&mut self, image: &ImageView<'_>) -> MarkerObservations {
-        if self.repeats.is_repeated(image, &self.markers) {
-            let max = self.config.max_predicted;
-            let markers = PerColor::from_fn(|color| self.markers[color].repeat(max));
-            return MarkerObservations { stamp: image.stamp, markers };
-        }
-        let ratio = self.interval.advance(image.stamp);
-        let before = PerColor::from_fn(|color| self.markers[color].centroid);
-        self.images = self.images.wrapping_add(1);
-        self.markers.0.iter_mut().for_each(MarkerTrack::begin_image);
-        let camera = self.camera.for_image(image);
-        if let Some(camera) = &camera {
-            self.update_pose(image, camera, ratio);
-        }
-        self.conclude(image, camera.as_ref(), &before, ratio)
     }
 
     /// Detects the markers by tracking or, with fewer than two, by acquisition, and updates the
@@ -323,5 +264,57 @@ impl Pipeline {
     /// The outline measurement with what is known of a marker.
     fn meter(&self, color: MarkerColor) -> OutlineMeter {
         OutlineMeter::new(&self.platform.markers[color], &self.markers[color].edges, &self.noise)
+    }
+}
+
+impl Engine for Pipeline {
+    fn process(&mut self, image: &ImageView<'_>) -> Result<MarkerObservations, String> {
+        if self.repeats.is_repeated(image, &self.markers) {
+            let max = self.config.max_predicted;
+            let markers = PerColor::from_fn(|color| self.markers[color].repeat(max));
+            return Ok(MarkerObservations { stamp: image.stamp, markers });
+        }
+        let ratio = self.interval.advance(image.stamp);
+        let before = PerColor::from_fn(|color| self.markers[color].centroid);
+        self.images = self.images.wrapping_add(1);
+        self.markers.0.iter_mut().for_each(MarkerTrack::begin_image);
+        let camera = self.camera.for_image(image);
+        if let Some(camera) = &camera {
+            self.update_pose(image, camera, ratio);
+        }
+        Ok(self.conclude(image, camera.as_ref(), &before, ratio))
+    }
+
+    fn set_config(&mut self, config: TrackerConfig) {
+        self.acquisition.set_colors(&config.start_colors);
+        self.config = config;
+    }
+
+    fn set_camera(&mut self, camera: CameraModel) {
+        self.camera.set(camera);
+    }
+
+    fn mismatched_camera_size(&self, image: &ImageView<'_>) -> Option<(u32, u32)> {
+        self.camera.mismatched_size(image)
+    }
+
+    fn repeated(&self) -> u32 {
+        self.repeats.count
+    }
+
+    fn outcome(&self, color: MarkerColor) -> Outcome {
+        self.markers[color].outcome
+    }
+
+    fn view(&self, color: MarkerColor) -> MarkerView {
+        self.markers[color].view()
+    }
+
+    fn signal(&self, color: MarkerColor, image: &ImageView<'_>) -> Option<SignalView> {
+        self.markers[color].signal(image)
+    }
+
+    fn color(&self, color: MarkerColor) -> Option<[f32; 3]> {
+        self.markers[color].appearance.as_ref().map(|a| a.marker)
     }
 }

@@ -8,7 +8,7 @@ pub enum Outcome {
     /// No outline near the predicted place, and no pose that predicts it better.
     #[default]
     NotFound,
-    /// Detected: all four edges were measured.
+    /// Detected: all four edges were measured, or a region of the whole square's area.
     Whole,
     /// Detected from the edges that are not covered.
     PartlyCovered,
@@ -22,6 +22,8 @@ pub enum Outcome {
     Displaced,
     /// The outline contradicts the geometry of the other markers.
     Inconsistent,
+    /// It moves as the surroundings do, or otherwise than the markers (published tracker).
+    OtherMotion,
     /// The image is a copy of its predecessor.
     RepeatedImage,
 }
@@ -38,6 +40,7 @@ impl Outcome {
             Self::OtherShape => "partly covered, and of another shape",
             Self::Displaced => "not where the other markers predict it",
             Self::Inconsistent => "contradicts the other markers' geometry",
+            Self::OtherMotion => "of another motion than the markers",
             Self::RepeatedImage => "the image is byte for byte the previous one",
         }
     }

@@ -1,0 +1,64 @@
+//! A tracking method behind [`Tracker`](crate::Tracker).
+
+use crate::{
+    config::{Method, TrackerConfig},
+    debug_view::{MarkerView, SignalView},
+    image::ImageView,
+    tracking::{Outcome, Pipeline},
+};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations};
+use std::fmt::Debug;
+
+/// A tracking method. What a method does not have is its default.
+pub(crate) trait Engine: Debug + Send + Sync {
+    /// Processes one image, whose fields must have passed [`ImageView::check`].
+    ///
+    /// # Errors
+    /// The reason why the image library failed.
+    fn process(&mut self, image: &ImageView<'_>) -> Result<MarkerObservations, String>;
+
+    /// Replaces the settings, except for the method, and keeps all tracks.
+    fn set_config(&mut self, config: TrackerConfig);
+
+    /// Sets the camera's intrinsic parameters.
+    fn set_camera(&mut self, _camera: CameraModel) {}
+
+    /// Size (width, height; px) of the camera model where the image has another one.
+    fn mismatched_camera_size(&self, _image: &ImageView<'_>) -> Option<(u32, u32)> {
+        None
+    }
+
+    /// Number of consecutive images that were identical to their predecessor.
+    fn repeated(&self) -> u32 {
+        0
+    }
+
+    /// Outcome of the search for a marker in the last image.
+    fn outcome(&self, color: MarkerColor) -> Outcome;
+
+    /// What a debug image shows of a marker.
+    fn view(&self, color: MarkerColor) -> MarkerView;
+
+    /// The color signal of a marker's window in the image processed last.
+    fn signal(&self, _color: MarkerColor, _image: &ImageView<'_>) -> Option<SignalView> {
+        None
+    }
+
+    /// A marker's adapted color, r, g, b of 0–255.
+    fn color(&self, _color: MarkerColor) -> Option<[f32; 3]> {
+        None
+    }
+}
+
+impl Method {
+    /// Creates the tracker of this method.
+    pub(crate) fn engine(self, layout: MarkerLayout, config: TrackerConfig) -> Box<dyn Engine> {
+        match self {
+            Self::Outline => Box::new(Pipeline::new(layout, config)),
+            #[cfg(feature = "opencv")]
+            Self::Paper(threshold) => {
+                Box::new(crate::opencv::PaperTracker::new(config, threshold))
+            }
+        }
+    }
+}

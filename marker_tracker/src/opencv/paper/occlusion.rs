@@ -1,0 +1,109 @@
+//! Occlusion (paper, II-D): a hidden marker moves with the visible ones, and the observations.
+
+use nalgebra::{Matrix2, Vector2};
+use rig_model::{MarkerObservation, MarkerState, PerColor};
+
+/// Standard deviation of a detected centroid, per axis, px.
+const DETECTED_SIGMA: f64 = 0.2;
+/// Share of the area that noise may hide.
+const MISSING_NOISE: f64 = 0.03;
+/// Standard deviation of the place after each image in which it is predicted by eq. 3, per axis,
+/// px.
+const PREDICTED_SIGMA: f64 = 2.0;
+/// Number of hidden markers from which no visual pose is estimated.
+const TOO_MANY: usize = 2;
+
+/// Where a marker was last seen or predicted.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Place {
+    /// Centroid, px; `None` while lost.
+    pub centroid: Option<Vector2<f64>>,
+    /// Displacement since the previous image, px.
+    pub flow: Vector2<f64>,
+    /// Images since the last detection; `None` before the first.
+    pub occluded: Option<u16>,
+}
+
+/// A marker's region in the current image.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sighting {
+    /// Area centroid, px.
+    pub centroid: Vector2<f64>,
+    /// px².
+    pub area: f64,
+    /// Share of the expected area that is missing.
+    pub missing: f64,
+    /// Displacement since the previous image, px; `None` where it was not visible there.
+    pub flow: Option<Vector2<f64>>,
+}
+
+impl Sighting {
+    /// Displacement of the centroid where the missing area is at one side, px.
+    fn displacement(&self) -> f64 {
+        0.5 * (self.missing - MISSING_NOISE).max(0.0) * self.area.sqrt()
+    }
+}
+
+/// Mean flow of the visible markers, px; `None` without any.
+pub(super) fn mean_flow(sightings: &PerColor<Option<Sighting>>) -> Option<Vector2<f64>> {
+    let flows = || sightings.0.iter().flatten().filter_map(|s| s.flow);
+    let count = flows().count();
+    (count > 0).then(|| flows().sum::<Vector2<f64>>() / count as f64)
+}
+
+/// Moves the places to the current image and returns the observations.
+///
+/// A visible marker is where it was measured; a hidden one moves by the mean flow of the visible
+/// ones (eq. 3) for at most `max_predicted` images. With two or more hidden ones no visual pose is
+/// estimated: they are published as lost, while their places move on for the search.
+pub(super) fn observe(
+    places: &mut PerColor<Place>,
+    sightings: &PerColor<Option<Sighting>>,
+    max_predicted: u16,
+) -> PerColor<MarkerObservation> {
+    let mean = mean_flow(sightings).unwrap_or_default();
+    let hidden = sightings.0.iter().filter(|s| s.is_none()).count();
+    let mut observations = PerColor([MarkerObservation::lost(MarkerObservation::NEVER); 4]);
+    for ((place, sighting), observation) in
+        places.0.iter_mut().zip(&sightings.0).zip(&mut observations.0)
+    {
+        *observation = match sighting {
+            Some(sighting) => {
+                *place = Place {
+                    centroid: Some(sighting.centroid),
+                    flow: sighting.flow.unwrap_or_default(),
+                    occluded: Some(0),
+                };
+                MarkerObservation {
+                    state: MarkerState::Detected,
+                    occluded_frames: 0,
+                    centroid: sighting.centroid,
+                    covariance: isotropic(DETECTED_SIGMA.hypot(sighting.displacement())),
+                    area: sighting.area as f32,
+                }
+            }
+            None => {
+                let Some(before) = place.occluded else { continue };
+                let since = before.saturating_add(1).min(MarkerObservation::NEVER - 1);
+                let centroid = place.centroid.filter(|_| since <= max_predicted).map(|c| c + mean);
+                *place = Place { centroid, flow: mean, occluded: Some(since) };
+                match centroid.filter(|_| hidden < TOO_MANY) {
+                    Some(centroid) => MarkerObservation {
+                        state: MarkerState::Predicted,
+                        occluded_frames: since,
+                        centroid,
+                        covariance: isotropic(PREDICTED_SIGMA * f64::from(since)),
+                        area: 0.0,
+                    },
+                    None => MarkerObservation::lost(since),
+                }
+            }
+        };
+    }
+    observations
+}
+
+/// Covariance of two independent coordinates with standard deviation `sigma`, px².
+fn isotropic(sigma: f64) -> Matrix2<f64> {
+    Matrix2::identity() * (sigma * sigma)
+}
