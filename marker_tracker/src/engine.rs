@@ -56,9 +56,7 @@ impl Method {
         match self {
             Self::Outline => Box::new(Pipeline::new(layout, config)),
             #[cfg(feature = "opencv")]
-            Self::Paper(threshold) => {
-                Box::new(crate::opencv::PaperTracker::new(config, threshold))
-            }
+            Self::Paper(threshold) => Box::new(crate::opencv::PaperTracker::new(config, threshold)),
         }
     }
 }

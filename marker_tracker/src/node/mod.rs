@@ -355,9 +355,9 @@ impl MarkerTrackerNode {
                 }
                 Output::Warning(warning) => {
                     match warning {
-                        Warning::Image(_) | Warning::StampFromThePast { .. } => {
-                            self.stages.rejected()
-                        }
+                        Warning::Image(_)
+                        | Warning::StampFromThePast { .. }
+                        | Warning::Library { .. } => self.stages.rejected(),
                         Warning::Repeated { .. } => self.stages.repeated(),
                         Warning::CameraSize { .. } => {}
                     }

@@ -1,6 +1,8 @@
 //! Parameters of the node.
 
-use crate::config::TrackerConfig;
+#[cfg(feature = "opencv")]
+use crate::config::BinaryThreshold;
+use crate::config::{Method, TrackerConfig};
 use rig_model::{Rig, topics};
 
 node_kit::parameters! {
@@ -27,6 +29,14 @@ node_kit::parameters! {
         device_stamp_offset: f64 = 0.0, unit("s"), range(-1.0..=1.0), name("device.stamp_offset");
         /// Video file (needs ffmpeg).
         file_path: String = "", name("file.path");
+        /// Tracking method: outline (outlines of the squares, checked against the layout) or paper
+        /// (the published tracker on OpenCV, without layout and camera model).
+        method: String = "outline", one_of(&["outline", "paper"]);
+        /// Threshold of the binary images, as a share of the range (method paper).
+        paper_threshold: f64 = 0.75, range(0.05..=0.99), live, name("paper.threshold");
+        /// The range is the maximum of a color layer; false: 255 as printed, which finds only
+        /// saturated colors (method paper).
+        paper_threshold_of_maximum: bool = true, live, name("paper.threshold_of_maximum");
         /// Use the optical flow, the paper's first criterion.
         use_flow: bool = true, live;
         /// Use the hue histogram, the paper's second criterion.
@@ -34,11 +44,24 @@ node_kit::parameters! {
         /// Number of consecutive images for which a hidden marker is predicted before it is lost.
         max_predicted: u16 = 6, range(0..=100), live;
         /// Move a hidden marker with the platform's rigid motion; false: with the others' mean flow
-        /// (eq. 3).
+        /// (eq. 3), as method paper does.
         rigid_prediction: bool = true, live;
-        /// Largest standard deviation of a measured centroid.
+        /// Largest standard deviation of a measured centroid (method outline).
         max_centroid_sigma: f64 = 0.5, unit("px"), range(0.01..=10.0), live;
     }
+    check(p) {
+        check_method(&p.method, cfg!(feature = "opencv"))
+    }
+}
+
+/// Whether a build with or without OpenCV has a method.
+fn check_method(method: &str, has_opencv: bool) -> Result<(), String> {
+    if method != "paper" || has_opencv {
+        return Ok(());
+    }
+    Err("the parameter `method` is paper, which runs on OpenCV, but this build omits OpenCV; build \
+         marker_tracker with feature `opencv`, or set `method` to outline"
+        .to_owned())
 }
 
 impl MarkerTrackerParameters {
@@ -52,15 +75,63 @@ impl MarkerTrackerParameters {
         }
     }
 
+    fn method(&self) -> Method {
+        #[cfg(feature = "opencv")]
+        if self.method == "paper" {
+            return Method::Paper(BinaryThreshold {
+                share: self.paper_threshold,
+                of_maximum: self.paper_threshold_of_maximum,
+            });
+        }
+        Method::Outline
+    }
+
     /// Settings of the core, with the calibrated colors of the rig file.
     pub fn config(&self, rig: &Rig) -> TrackerConfig {
         TrackerConfig {
+            method: self.method(),
             use_flow: self.use_flow,
             use_hue: self.use_hue,
             max_predicted: self.max_predicted,
             rigid_prediction: self.rigid_prediction,
             max_centroid_sigma: self.max_centroid_sigma,
             start_colors: rig.colors,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use node_kit::{
+        ParameterSet,
+        parameters::{ParameterMap, ParameterValue},
+    };
+
+    #[test]
+    fn the_published_method_is_rejected_by_a_build_without_opencv() {
+        assert_eq!(check_method("outline", false), Ok(()));
+        assert_eq!(check_method("paper", true), Ok(()));
+        let reason = check_method("paper", false).unwrap_err();
+        assert!(reason.contains("`method`") && reason.contains("`opencv`"), "{reason}");
+        let map = |value: &str| {
+            ParameterMap::from([("method".to_owned(), ParameterValue::String(value.to_owned()))])
+        };
+        let paper = MarkerTrackerParameters::from_map(&map("paper"));
+        assert_eq!(paper.is_ok(), cfg!(feature = "opencv"));
+        #[cfg(feature = "opencv")]
+        assert_eq!(paper.unwrap().method(), Method::Paper(BinaryThreshold::default()));
+        assert!(MarkerTrackerParameters::from_map(&map("papers")).is_err());
+        assert_eq!(MarkerTrackerParameters::default().method(), Method::Outline);
+    }
+
+    #[test]
+    fn the_method_does_not_change_while_the_node_runs() {
+        for descriptor in MarkerTrackerParameters::descriptors() {
+            let is_live = descriptor.name.starts_with("paper.") || descriptor.name.contains("use_");
+            if is_live || descriptor.name == "method" {
+                assert_eq!(descriptor.live, is_live, "{}", descriptor.name);
+            }
         }
     }
 }

@@ -163,7 +163,8 @@ mod tests {
     fn layers_are_those_of_the_paper_in_every_format() {
         let rgb = [[200, 40, 50], [40, 200, 50], [40, 50, 200], [220, 200, 60], [90, 200, 60]];
         // The last one is green: its yellow is R − B, since R − G is negative.
-        let wanted = [[160, 0, 0, 0], [0, 160, 0, 0], [0, 10, 160, 0], [20, 0, 0, 140], [0, 110, 0, 30]];
+        let wanted =
+            [[160, 0, 0, 0], [0, 160, 10, 0], [0, 10, 160, 0], [20, 0, 0, 140], [0, 110, 0, 30]];
         for format in [PixelFormat::Rgb8, PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8]
         {
             let layers = layers_of(&rgb, format);

@@ -26,6 +26,7 @@ use opencv::{
 };
 use regions::{Region, regions};
 use rig_model::{MarkerColor, MarkerObservation, MarkerObservations, MarkerState, PerColor};
+use std::sync::Once;
 
 /// Least half of the side of the window around a marker's previous center, px (paper, II-C), and
 /// in units of the square root of its area, so that a near marker fits in at any rotation.
@@ -38,9 +39,9 @@ const AREA_RATIO: (f64, f64) = (0.75, 1.6);
 /// Gains of the expected area where it rises and where it falls: what covers a marker makes it
 /// smaller, and nothing makes it larger than it is.
 const AREA_RISE: f64 = 0.2;
-const AREA_FALL: f64 = 0.05;
-/// Consecutive images after which a region that moves with the frame is no marker. A marker that
-/// turns does so for shorter times.
+const AREA_FALL: f64 = 0.02;
+/// Consecutive images after which a region that moves with the frame is no marker, and fewer where
+/// it has not been seen to move on its own before. A marker that turns does so for shorter times.
 const MAX_WITH_FRAME: u16 = 10;
 /// Most images for which the area and hue of a hidden marker are kept. A region that has not been
 /// seen to move on its own for as long may be something else, and is forgotten sooner.
@@ -94,7 +95,16 @@ struct Scene<'a> {
 
 impl PaperTracker {
     /// Creates a tracker that has seen no image.
+    ///
+    /// OpenCV uses one thread from then on, in the whole process: the cost is that of one core, and
+    /// no result depends on the number of cores.
     pub fn new(config: TrackerConfig, threshold: BinaryThreshold) -> Self {
+        // OpenCV's setting is not safe to change from two threads.
+        static ONE_THREAD: Once = Once::new();
+        ONE_THREAD.call_once(|| {
+            // It fails for no number of threads.
+            let _ = core::set_num_threads(1);
+        });
         let markers = PerColor::from_fn(|color| Marker {
             region: None,
             area: None,
@@ -116,9 +126,6 @@ impl PaperTracker {
     }
 
     fn track(&mut self, image: &ImageView<'_>) -> opencv::Result<PerColor<MarkerObservation>> {
-        // The process's setting. One thread: the node's cost is that of one core, and no result
-        // depends on the number of cores.
-        core::set_num_threads(1)?;
         let mut packed = std::mem::take(&mut self.packed);
         let pixels = Pixels::of(image, &mut packed)?;
         let gray = pixels.half_gray()?;
@@ -164,10 +171,7 @@ impl PaperTracker {
     }
 
     /// Flow of each marker that was visible in the previous image (eq. 1), px.
-    fn own_flows(
-        &self,
-        binary: &PerColor<Mat>,
-    ) -> opencv::Result<PerColor<Option<Vector2<f64>>>> {
+    fn own_flows(&self, binary: &PerColor<Mat>) -> opencv::Result<PerColor<Option<Vector2<f64>>>> {
         let mut flows = PerColor::default();
         let Some(previous) = self.previous.as_ref().filter(|_| self.config.use_flow) else {
             return Ok(flows);
@@ -181,11 +185,7 @@ impl PaperTracker {
     }
 
     /// The motions that flows are compared with.
-    fn motions(
-        &self,
-        gray: &Mat,
-        own: &PerColor<Option<Vector2<f64>>>,
-    ) -> opencv::Result<Motions> {
+    fn motions(&self, gray: &Mat, own: &PerColor<Option<Vector2<f64>>>) -> opencv::Result<Motions> {
         let Some(previous) = self.previous.as_ref().filter(|_| self.config.use_flow) else {
             return Ok(Motions::default());
         };
@@ -204,7 +204,7 @@ impl Marker {
         color: MarkerColor,
         scene: &Scene<'_>,
         place: &mut Place,
-        own: Option<Vector2<f64>>,
+        mut own: Option<Vector2<f64>>,
     ) -> opencv::Result<Option<Sighting>> {
         self.outcome = Outcome::NotFound;
         self.region = None;
@@ -214,8 +214,10 @@ impl Marker {
             self.moved = (self.moved + u16::from(scene.motions.is_distinct(flow))).min(MEMORY);
         }
         let memory = scene.config.max_predicted.saturating_add(self.moved);
-        if self.with_frame > MAX_WITH_FRAME || place.occluded.is_some_and(|n| n > memory) {
-            place.centroid = None;
+        if self.with_frame > self.moved.min(MAX_WITH_FRAME)
+            || place.occluded.is_some_and(|n| n > memory)
+        {
+            (place.centroid, own) = (None, None);
             (self.area, self.with_frame, self.moved) = (None, 0, 0);
             self.hue = HueModel::named(color, scene.config.start_colors[color]);
         }
@@ -244,7 +246,9 @@ impl Marker {
             centroid: region.centroid,
             area: region.area,
             missing: (1.0 - region.area / *area).max(0.0),
-            flow: flow.or_else(|| place.centroid.map(|before| region.centroid - before)),
+            flow: flow
+                .or(place.centroid.map(|c| region.centroid - c))
+                .filter(|_| scene.config.use_flow),
         };
         self.region = Some(region);
         Ok(Some(sighting))

@@ -4,12 +4,12 @@ use nalgebra::{Matrix2, Vector2};
 use rig_model::{MarkerObservation, MarkerState, PerColor};
 
 /// Standard deviation of a detected centroid, per axis, px.
-const DETECTED_SIGMA: f64 = 0.2;
+const DETECTED_SIGMA: f64 = 0.25;
 /// Share of the area that noise may hide.
-const MISSING_NOISE: f64 = 0.03;
+const MISSING_NOISE: f64 = 0.05;
 /// Standard deviation of the place after each image in which it is predicted by eq. 3, per axis,
 /// px.
-const PREDICTED_SIGMA: f64 = 2.0;
+const PREDICTED_SIGMA: f64 = 3.0;
 /// Number of hidden markers from which no visual pose is estimated.
 const TOO_MANY: usize = 2;
 
@@ -40,7 +40,7 @@ pub(super) struct Sighting {
 impl Sighting {
     /// Displacement of the centroid where the missing area is at one side, px.
     fn displacement(&self) -> f64 {
-        0.5 * (self.missing - MISSING_NOISE).max(0.0) * self.area.sqrt()
+        (self.missing - MISSING_NOISE).max(0.0) * self.area.sqrt()
     }
 }
 

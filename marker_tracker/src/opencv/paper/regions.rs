@@ -109,10 +109,6 @@ fn corners(
 
 /// A rectangle with a margin on each side, within `limits`, px.
 pub(super) fn grown(rect: Rect, margin: i32, limits: Rect) -> Rect {
-    Rect::new(
-        rect.x - margin,
-        rect.y - margin,
-        rect.width + 2 * margin,
-        rect.height + 2 * margin,
-    ) & limits
+    Rect::new(rect.x - margin, rect.y - margin, rect.width + 2 * margin, rect.height + 2 * margin)
+        & limits
 }
