@@ -122,7 +122,8 @@ impl Fusion {
         match &mut self.estimator {
             Estimator::TightlyCoupled(filter) => filter.publish_initializing(stamp, out),
             Estimator::Paper(paper) => {
-                let since = |last: Option<Stamp>| last.map_or(f64::INFINITY, |l| stamp.seconds_since(l));
+                let since =
+                    |last: Option<Stamp>| last.map_or(f64::INFINITY, |l| stamp.seconds_since(l));
                 let silent = since(paper.stamp());
                 let starved = silent > self.config.status.max_image_age;
                 if starved && !(0.0..STATUS_PERIOD).contains(&since(self.last_status)) {
@@ -262,7 +263,8 @@ fn paper_status(paper: &Paper, now: Stamp, config: &FusionConfig) -> PoseStatus 
     if paper.stamp().is_none() {
         return PoseStatus::initializing(now, paper.missing().to_owned());
     }
-    let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s).max(0.0));
+    let since =
+        |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s).max(0.0));
     let (position_sigma, rotation_sigma) = sigmas(paper);
     let image_age = since(paper.last_visual().map(|(stamp, _)| stamp));
     let imu_age = since(paper.newest_imu());

@@ -25,9 +25,7 @@ use crate::{
         single_image::Visual,
     },
 };
-use nalgebra::{
-    Isometry3, Matrix6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6,
-};
+use nalgebra::{Isometry3, Matrix6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 use rig_model::{ImuSample, MarkerLayout, Rig, Stamp, wrap_angle};
 use std::collections::VecDeque;
 

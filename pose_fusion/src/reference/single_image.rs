@@ -168,8 +168,7 @@ impl SingleImagePose {
                 let rotation = (world_from_camera * c.camera_from_volant).rotation;
                 let unlikely = match (up, last) {
                     (Some(up), _) => {
-                        let measured =
-                            rotation * self.rig.imu.volant_from_imu.rotation * up.in_imu;
+                        let measured = rotation * self.rig.imu.volant_from_imu.rotation * up.in_imu;
                         measured.angle(&Vector3::z()) / up.sigma
                     }
                     (None, Some((_, last))) => rotation.angle_to(&last.rotation) / PREVIOUS[1],
@@ -180,7 +179,11 @@ impl SingleImagePose {
             *found.iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))?
         };
         let pose = world_from_camera * found.camera_from_volant;
-        self.last = Some((stamp, pose));
+        // A position by eq. 3 may be pixels off: no start for the images with three markers.
+        let predicted = observations.markers.0.iter().any(|m| m.state == MarkerState::Predicted);
+        if self.solver != Solver::Published || !predicted {
+            self.last = Some((stamp, pose));
+        }
         let turn = world_from_camera.rotation.to_rotation_matrix();
         let mut jacobian = Matrix6::zeros();
         jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());

@@ -50,9 +50,8 @@ pub fn from_homography(
     let h = h * (2.0 * h[(2, 2)].signum() / (h.column(0).norm() + h.column(1).norm()));
     let (h1, h2) = (h.column(0).into_owned(), h.column(1).into_owned());
     let svd = Matrix3::from_columns(&[h1, h2, h1.cross(&h2)]).svd(true, true);
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(
-        svd.u? * svd.v_t?,
-    ));
+    let rotation =
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(svd.u? * svd.v_t?));
     let center = h.column(2) * size;
     let pose = Isometry3::from_parts(Translation3::from(center - rotation * mean), rotation);
     pose.translation.vector.iter().all(|v| v.is_finite()).then_some(pose)

@@ -6,7 +6,7 @@
 use crate::{
     bench,
     measure::{Record, mean_and_deviation},
-    methods::Carrier,
+    methods::{Carrier, Ours},
     progress::Progress,
     report::{Csv, number},
     scene::{Pinhole, Rng, Thing},
@@ -88,6 +88,7 @@ pub fn run(folder: &Path, images: usize, seed: u64, progress: &Progress) -> Resu
     let mut stage = Stage::new(camera, seed)?;
     let layout = bench::layout(&stage)?;
     let mut methods = bench::methods(&camera, &layout, seed)?;
+    methods.insert(1, Box::new(Ours::published(&camera, layout)));
     let mut rng = Rng::new(seed ^ 0x0cc1);
     let mut csv = Csv::new("hidden,method,images,successes,mean_mm,max_mm,mean_deg,max_deg");
     println!("success in %, mean error in mm and deg, of {images} images per row");

@@ -22,8 +22,19 @@ use volant::report::{ChartError, Table};
 /// What can be made, in the order of the paper: its figures and tables, and two statements of its
 /// text (`occlusion`: the rivals under occlusion; `ratio`: R/Q).
 pub const NAMES: [&str; 13] = [
-    "fig-2", "fig-4", "fig-5", "fig-6", "occlusion", "fig-7", "fig-9", "table-1", "fig-11",
-    "fig-12", "fig-13", "table-2", "ratio",
+    "fig-2",
+    "fig-4",
+    "fig-5",
+    "fig-6",
+    "occlusion",
+    "fig-7",
+    "fig-9",
+    "table-1",
+    "fig-11",
+    "fig-12",
+    "fig-13",
+    "table-2",
+    "ratio",
 ];
 
 /// A quantity as published and as found here.

@@ -109,8 +109,7 @@ pub fn figure_6(
         .find(|p| p.0 > to && p.1 == MarkerState::Detected)
         .map_or(f64::NAN, |p| p.0 - to);
     let cell = |rows: &[[f64; 3]]| format!("{:.2} mm, {:.3}°", rms(rows, 0), rms(rows, 1));
-    let visible =
-        format!("{:.2} mm, {:.3}°", before(&poses.with, 0), before(&poses.with, 1));
+    let visible = format!("{:.2} mm, {:.3}°", before(&poses.with, 0), before(&poses.with, 1));
     Ok(Made {
         name: "fig-6",
         title: "Fig. 6: an occluded marker",

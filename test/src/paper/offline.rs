@@ -6,7 +6,7 @@ use crate::{
     accuracy::Track,
     live::{ImageSequence, Scenario},
 };
-use marker_tracker::{Tracker, TrackerConfig};
+use marker_tracker::{BinaryThreshold, Method, Tracker, TrackerConfig};
 use pose_fusion::{Fusion, FusionConfig, Model, Output};
 use rig_model::{ImuSample, MarkerObservations, Stamp};
 use rig_simulator::{
@@ -96,9 +96,9 @@ pub struct Poses {
     pub visual: Track,
 }
 
-/// The published tracker's settings; `None` where it is not part of this build.
-pub fn published_tracker() -> Option<TrackerConfig> {
-    None
+/// Settings of the published tracker: binary images, flow and hue, eq. 3.
+pub fn published_tracker() -> TrackerConfig {
+    TrackerConfig { method: Method::Paper(BinaryThreshold::default()), ..TrackerConfig::default() }
 }
 
 /// Defaults of a filter, with the gravity of the scenario.

@@ -94,7 +94,11 @@ pub fn figure_9(seed: u64, folder: &Path) -> Result<Made, PaperError> {
             ],
         }),
         values: vec![
-            Value::new("threshold that holds the position [m/s]", "1e-5", format!("{smallest:.1e}")),
+            Value::new(
+                "threshold that holds the position [m/s]",
+                "1e-5",
+                format!("{smallest:.1e}"),
+            ),
             Value::new(
                 &format!("drift that the published threshold leaves after {SECONDS:.0} s"),
                 "most of it removed",

@@ -208,8 +208,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             }
             results
         });
-        let beside = peers.is_some()
-            && [Job::Sweep, Job::Boards, Job::Hidden].into_iter().any(&has);
+        let beside =
+            peers.is_some() && [Job::Sweep, Job::Boards, Job::Hidden].into_iter().any(&has);
         let threads = if beside { cores.saturating_sub(1).max(1) } else { cores.min(4) };
         let own = simulate(arguments, out, &wanted, &has, &bar, threads);
         (own, others.join())

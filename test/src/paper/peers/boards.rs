@@ -140,5 +140,14 @@ pub fn boards(which: &'static str, folder: &Path) -> Result<Made, PaperError> {
                 .to_owned(),
         )
     };
-    Ok(Made { name: which, title, csv: csv.path, svg, table: Some(table), values, shows, published })
+    Ok(Made {
+        name: which,
+        title,
+        csv: csv.path,
+        svg,
+        table: Some(table),
+        values,
+        shows,
+        published,
+    })
 }

@@ -137,6 +137,7 @@ fn label(method: &str) -> (String, Color) {
     let color = match method {
         m if m.starts_with("volant") || m.contains("default") => colors::FUSED,
         m if m.contains("recipe") => colors::PAPER,
+        m if m.contains("published") => colors::CAMERA,
         m if m.contains("ArUco") => colors::INERTIAL,
         m if m.contains("decimate 1") => colors::VIOLET,
         m if m.contains("decimate 2") => colors::BROWN,
@@ -147,6 +148,7 @@ fn label(method: &str) -> (String, Color) {
     let name = match method {
         m if m.starts_with("volant") => "four markers, default",
         m if m.starts_with("the paper's recipe") => "four markers, the paper's recipe",
+        m if m.starts_with("the published") => "four markers, published tracker and pose",
         m => m,
     };
     (name.to_owned(), color)

@@ -78,12 +78,13 @@ impl Stages {
                 tally.worst_flow
             ),
             published: format!(
-                "On paper as muted as here the published threshold leaves nothing in most layers, \
-                 so 0.75 of the layer's largest value replaces it. {} The tracker adapts the \
+                "On paper as muted as here the published threshold leaves nothing in {} of {layers} \
+                 layers, so 0.75 of the layer's largest value replaces it. {} The tracker adapts the \
                  direction in RGB in which each marker differs most from its surroundings, and \
                  keeps the signal linear, because rounding couples the center of mass to the pixel \
                  grid. The climber moves the camera, so the surroundings flow as well, as in the \
                  paper, which compares a marker's flow with the mean flow of the frame.",
+                tally.literal_none,
                 match tally.most_stray {
                     (count, Some(color)) => format!(
                         "It selects up to {count} pixels that belong to no marker in the {color} \
@@ -101,10 +102,8 @@ impl Stages {
         let (wide, left, top) = (526.0, 24.0, 88.0);
         let high = wide * self.0[0].image.height as f64 / self.0[0].image.width as f64;
         for (i, shot) in self.0.iter().enumerate() {
-            let corner = [
-                left + (wide + 20.0) * (i % 2) as f64,
-                top + (high + 40.0) * (i / 2) as f64,
-            ];
+            let corner =
+                [left + (wide + 20.0) * (i % 2) as f64, top + (high + 40.0) * (i / 2) as f64];
             let name = format!("{:.2} s: camera, outlines, flow × {ARROW:.0}", shot.seconds);
             d.text(corner[0], corner[1] - 14.0, 15.0, colors::INK, Anchor::Start, &name);
             shot.draw_camera(&mut d, corner, [wide, high])?;

@@ -5,8 +5,7 @@ use marker_tracker::OwnedImage;
 use nalgebra::Vector2;
 use opencv::{
     core::{Mat, Point2f, Size, TermCriteria, Vec3b, Vector},
-    imgproc,
-    video,
+    imgproc, video,
 };
 
 /// Distance of the grid's points, px.
@@ -64,11 +63,8 @@ fn flow(earlier: &OwnedImage, later: &OwnedImage) -> opencv::Result<Vec<[Vector2
 
 fn gray(image: &OwnedImage) -> opencv::Result<Mat> {
     let rgb = rgb_of(image);
-    let rows = Mat::new_rows_cols_with_bytes::<Vec3b>(
-        image.height as i32,
-        image.width as i32,
-        &rgb,
-    )?;
+    let rows =
+        Mat::new_rows_cols_with_bytes::<Vec3b>(image.height as i32, image.width as i32, &rgb)?;
     let mut gray = Mat::default();
     imgproc::cvt_color_def(&rows, &mut gray, imgproc::COLOR_RGB2GRAY)?;
     Ok(gray)

@@ -78,7 +78,6 @@ impl Stages {
                     .to_owned(),
         })
     }
-
 }
 
 impl Shot {
