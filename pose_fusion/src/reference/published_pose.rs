@@ -17,8 +17,8 @@ use rig_model::{
 /// Returns the published pose of four centroids (raw px, with covariances in px²).
 ///
 /// Three have no homography, and the paper has nothing for them: the minimization then starts from
-/// `previous`, the `camera_from_volant` of the newest image without a predicted marker. `None`
-/// without a start, or if the minimization does not converge in front of the camera.
+/// `previous`, the `camera_from_volant` of the image before. `None` without a start, or if the
+/// minimization does not converge in front of the camera.
 pub fn published_pose(
     layout: &MarkerLayout,
     camera: &CameraModel,

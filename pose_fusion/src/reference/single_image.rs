@@ -179,11 +179,7 @@ impl SingleImagePose {
             *found.iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))?
         };
         let pose = world_from_camera * found.camera_from_volant;
-        // A position by eq. 3 may be pixels off: no start for the images with three markers.
-        let predicted = observations.markers.0.iter().any(|m| m.state == MarkerState::Predicted);
-        if self.solver != Solver::Published || !predicted {
-            self.last = Some((stamp, pose));
-        }
+        self.last = Some((stamp, pose));
         let turn = world_from_camera.rotation.to_rotation_matrix();
         let mut jacobian = Matrix6::zeros();
         jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());

@@ -20,7 +20,7 @@ pub(super) fn draw_errors(errors: &[(&Column, Errors)]) -> String {
     let head = 50.0 + 26.0 * errors.len().div_ceil(3) as f64;
     let mut bottom = head;
     for (half, (axes, unit)) in [([3, 4, 5], "deg"), ([0, 1, 2], "mm")].into_iter().enumerate() {
-        let top = head + 34.0 + (HIGH + 70.0) * half as f64;
+        let top = head + 50.0 + (HIGH + 86.0) * half as f64;
         draw_panel(&mut d, top, errors, axes, unit);
         bottom = top + HIGH + 40.0;
     }
@@ -39,7 +39,7 @@ fn draw_panel(
     let y =
         |v: f64| base - HIGH * ((v.max(low).log10() - low.log10()) / (up.log10() - low.log10()));
     let name = format!("RMSE [{unit}], logarithmic");
-    d.text(x0, top - 14.0, 15.0, colors::INK, Anchor::Start, &name);
+    d.text(x0, top - 30.0, 15.0, colors::INK, Anchor::Start, &name);
     let mut tick = low;
     while tick <= up * 1.001 {
         d.line([x0, y(tick)], [x0 + wide, y(tick)], Ink(colors::GRID, 1.0));

@@ -140,11 +140,7 @@ impl Method for Ours {
         let start = Clock::start();
         let pose = self.solve(observed);
         let extrinsics = start.elapsed();
-        // As the node: a position by eq. 3 is no start for the images with three markers.
-        let predicted = observed.markers.0.iter().any(|m| m.state == MarkerState::Predicted);
-        if !(self.is_published() && predicted) {
-            self.pose = pose;
-        }
+        self.pose = pose;
         let points = observed
             .markers
             .iter()

@@ -100,10 +100,10 @@ fn draw(conditions: &[String], bars: &[(String, Color)], shares: &[Vec<Option<f6
         d.bar(x, y, 20.0, 14.0, *color);
         d.text(x + 28.0, y + 13.0, 15.0, colors::INK, Anchor::Start, name);
     }
-    let top = 90.0 + 26.0 * bars.len().div_ceil(3) as f64;
+    let top = 106.0 + 26.0 * bars.len().div_ceil(3) as f64;
     let (high, x0, wide) = (200.0, 84.0, 1000.0);
     let base = top + high;
-    d.text(x0, top - 16.0, 15.0, colors::INK, Anchor::Start, "success [%]; hidden is");
+    d.text(x0, top - 32.0, 15.0, colors::INK, Anchor::Start, "success [%]; hidden is");
     for tick in [0.0, 50.0, 100.0] {
         let y = base - high * tick / 100.0;
         let color = if tick == 0.0 { colors::AXIS } else { colors::GRID };
