@@ -185,12 +185,12 @@ impl Curves {
                  default tracker fits the edges of each square, which makes the camera's own \
                  rotations better than an IMU attitude with an error of half a degree. Nothing \
                  corrects the published filter's inertial velocity, so its position is {:.0} mm \
-                 off (RMSE; {:.0} mm with the published tracker) and drifts away from the camera's; \
-                 with the velocity from the fused poses (`paper.velocity_from_fused`) it is {:.1} \
+                 off (RMSE; {:.0} mm with the published tracker) and drifts away from the \
+                 camera's; with the velocity from the fused poses (`paper.velocity_from_fused`) it is {:.1} \
                  mm. With three visible markers the published pose has several solutions, and the \
                  noise of the published tracker's centers of mass can let it slip into another \
-                 one: {:.2}° of rotation for the whole system, {:.2}° on the default tracker's markers. The \
-                 default filter uses every visible marker's pixels and estimates velocity, biases \
+                 one: {:.2}° of rotation for the whole system, {:.2}° on the default tracker's \
+                 markers. The default filter uses every visible marker's pixels and estimates velocity, biases \
                  and clock offsets too: {:.2} mm, {:.3}°.",
                 paper.position_rmse,
                 whole.position_rmse,

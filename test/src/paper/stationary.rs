@@ -114,8 +114,8 @@ pub fn figure_9(seed: u64, folder: &Path) -> Result<Made, PaperError> {
             furthest(&literal) / 1e3,
         ),
         published: format!(
-            "The published control removes most of the drift. On raw samples at {:.0} Hz it cannot: \
-             1e-5 m/s a sample is {:.3} m/s², and a sample's noise, bias and the \
+            "The published control removes most of the drift. On raw samples at {:.0} Hz it \
+             does not: 1e-5 m/s a sample is {:.3} m/s², and a sample's noise, bias and the \
              attitude's error alone are tens of times larger, so it hardly ever triggers. The \
              smallest threshold that holds corresponds to {:.2} m/s² and hides slow motion as \
              well.",

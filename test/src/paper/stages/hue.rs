@@ -73,8 +73,8 @@ impl Stages {
                 "The published histograms are an image without numbers. The paper searches each \
                         marker's histogram in a window around its previous center, widened by the \
                         flow; the default tracker checks the histogram inside of each square that \
-                        it has measured, which needs no window. An object of another hue in a marker's place is rejected, \
-                        and geometry decides between objects of one hue."
+                        it has measured, which needs no window. An object of another hue in a \
+                        marker's place is rejected, and geometry decides between objects of one hue."
                     .to_owned(),
         })
     }
