@@ -16,6 +16,17 @@ pub enum Model {
     Paper,
 }
 
+/// Visual measurement of the published filter.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PaperMeasurement {
+    /// Pose from one image: three positions and three rotations.
+    #[default]
+    Pose,
+    /// The markers' coordinates reprojected to the world plane (eq. 8).
+    Markers,
+}
+
 /// Configuration of everything in this crate.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FusionConfig {
@@ -190,12 +201,15 @@ pub struct PendulumConfig {
 /// Configuration of the published filter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PaperConfig {
+    /// What corrects the prediction.
+    pub measurement: PaperMeasurement,
     /// R/Q, the ratio of measurement to process covariance (paper, section III-C: 10).
     pub ratio: f64,
-    /// Standard deviation of the visual position behind R, m. Only its ratio to Q matters for the
-    /// estimate.
+    /// Standard deviation behind R of the visual position, or of each marker coordinate, m. With
+    /// poses as measurement only the ratio to Q matters for the estimate.
     pub position_sigma: f64,
-    /// Standard deviation of the visual rotation behind R, rad.
+    /// Standard deviation of the visual rotation behind R, rad; with markers as measurement it
+    /// scales Q alone.
     pub rotation_sigma: f64,
     /// Gravity, m/s².
     pub gravity: f64,
@@ -305,6 +319,7 @@ impl PendulumConfig {
 impl PaperConfig {
     /// Defaults.
     pub const DEFAULT: Self = Self {
+        measurement: PaperMeasurement::Pose,
         ratio: 10.0,
         position_sigma: 0.005,
         rotation_sigma: 0.01,

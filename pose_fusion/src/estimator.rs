@@ -3,7 +3,10 @@
 use crate::{
     config::{FusionConfig, Model},
     filter::Filter,
-    health::{pose_status::PoseStatus, status::Status},
+    health::{
+        pose_status::{PoseState, PoseStatus},
+        status::{Counts, InputCounts, Status},
+    },
     initialization::checkpoint::{Checkpoint, Refusal},
     output::{Odometry, Output, PoseEstimate},
     reference::{paper::Paper, single_image::SingleImagePose},
@@ -15,6 +18,8 @@ use std::collections::VecDeque;
 const SMOOTHED: f64 = 60.0;
 /// Later data that a smoothed estimate knows at least, s: biases and time offset are found in less.
 const LAG: f64 = 20.0;
+/// Without images the published filter reports its status this often, s.
+const STATUS_PERIOD: f64 = 0.1;
 
 /// One input, in the order of arrival.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,18 +48,17 @@ pub struct Fusion {
     single_image: SingleImagePose,
     config: FusionConfig,
     outputs: VecDeque<Output>,
-    newest_image: Option<Stamp>,
+    /// Newest status of the published filter.
+    last_status: Option<Stamp>,
+    /// Inputs of the published filter.
+    inputs: InputCounts,
 }
 
 impl Fusion {
     /// Creates an estimator without an estimate.
     pub fn new(rig: Rig, config: FusionConfig) -> Self {
         Self {
-            single_image: SingleImagePose::new(
-                rig.clone(),
-                &config.tight,
-                config.visual_use_gravity,
-            ),
+            single_image: SingleImagePose::new(rig.clone(), &config),
             estimator: match config.model {
                 Model::Tight => Estimator::TightlyCoupled(Filter::new(
                     rig,
@@ -65,7 +69,8 @@ impl Fusion {
             },
             config,
             outputs: VecDeque::with_capacity(256),
-            newest_image: None,
+            last_status: None,
+            inputs: InputCounts::default(),
         }
     }
 
@@ -79,6 +84,7 @@ impl Fusion {
                     Estimator::TightlyCoupled(filter) => filter.imu(sample, out),
                     Estimator::Paper(paper) => paper.imu(sample),
                 }
+                self.inputs.imu += 1;
                 sample.stamp
             }
             Input::Markers(markers) => {
@@ -87,16 +93,15 @@ impl Fusion {
                     Estimator::TightlyCoupled(filter) => filter.markers(markers, out),
                     Estimator::Paper(paper) => {
                         if let Some(odometry) = paper.image(markers.stamp, visual.as_ref()) {
-                            let image_age = if visual.is_some() { 0.0 } else { f64::INFINITY };
-                            let status =
-                                paper_status(&odometry, image_age, paper.imu_age(), &self.config);
+                            let status = paper_status(paper, markers.stamp, &self.config);
                             out.push_back(Output::Odometry(odometry));
                             out.push_back(Output::Status(status));
-                            self.newest_image = Some(markers.stamp);
+                            self.last_status = Some(markers.stamp);
                         }
                     }
                 }
-                out.extend(visual.map(Output::VisualPose));
+                self.inputs.images += 1;
+                out.extend(visual.map(|v| Output::VisualPose(v.pose)));
                 markers.stamp
             }
             Input::Climber(sample) => {
@@ -114,8 +119,26 @@ impl Fusion {
                 return;
             }
         };
-        if let Estimator::TightlyCoupled(filter) = &mut self.estimator {
-            filter.publish_initializing(stamp, out);
+        match &mut self.estimator {
+            Estimator::TightlyCoupled(filter) => filter.publish_initializing(stamp, out),
+            Estimator::Paper(paper) => {
+                let since =
+                    |last: Option<Stamp>| last.map_or(f64::INFINITY, |l| stamp.seconds_since(l));
+                let silent = since(paper.stamp());
+                let starved = silent > self.config.status.max_image_age;
+                if starved && !(0.0..STATUS_PERIOD).contains(&since(self.last_status)) {
+                    self.last_status = Some(stamp);
+                    let mut status = paper_status(paper, stamp, &self.config);
+                    if paper.stamp().is_some() {
+                        (status.state, status.valid) = (PoseState::Lost, false);
+                        status.reason = format!(
+                            "no climber/markers for {silent:.1} s: the published filter gives a \
+                             pose with images only"
+                        );
+                    }
+                    out.push_back(Output::Status(status));
+                }
+            }
         }
     }
 
@@ -212,7 +235,6 @@ impl Fusion {
         match &self.estimator {
             Estimator::TightlyCoupled(filter) if filter.state().is_some() => String::new(),
             Estimator::TightlyCoupled(filter) => filter.missing(),
-            Estimator::Paper(_) if self.newest_image.is_some() => String::new(),
             Estimator::Paper(paper) => paper.missing().to_owned(),
         }
     }
@@ -221,10 +243,12 @@ impl Fusion {
     pub fn status(&self) -> Status {
         match &self.estimator {
             Estimator::TightlyCoupled(filter) => filter.status(),
-            Estimator::Paper(_) => Status {
-                initialized: self.newest_image.is_some(),
-                newest_imu: self.newest_image,
-                last_used_image: self.newest_image,
+            Estimator::Paper(paper) => Status {
+                initialized: paper.stamp().is_some(),
+                newest_imu: paper.newest_imu(),
+                last_used_image: paper.last_visual().map(|(stamp, _)| stamp),
+                position_sigma: sigmas(paper).0,
+                counts: Counts { inputs: self.inputs, ..Counts::default() },
                 ..Status::default()
             },
         }
@@ -234,24 +258,45 @@ impl Fusion {
 const NOT_OF_THE_PAPER: Refusal =
     Refusal::Invalid { what: "the request", why: "the published filter runs (parameter `model`)" };
 
-fn paper_status(
-    odometry: &Odometry,
-    image_age: f64,
-    imu_age: f64,
-    config: &FusionConfig,
-) -> PoseStatus {
-    let largest = |first: usize| {
-        let block = odometry.pose_covariance.fixed_view::<3, 3>(first, first).into_owned();
-        block.symmetric_eigenvalues().max().max(0.0).sqrt()
-    };
-    let vision_only = imu_age > crate::timeline::dropout::GAP;
-    PoseStatus {
-        position_sigma: largest(0),
-        rotation_sigma: largest(3),
+/// Status of the published filter at an instant.
+fn paper_status(paper: &Paper, now: Stamp, config: &FusionConfig) -> PoseStatus {
+    if paper.stamp().is_none() {
+        return PoseStatus::initializing(now, paper.missing().to_owned());
+    }
+    let since =
+        |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s).max(0.0));
+    let (position_sigma, rotation_sigma) = sigmas(paper);
+    let image_age = since(paper.last_visual().map(|(stamp, _)| stamp));
+    let imu_age = since(paper.newest_imu());
+    let mut status = PoseStatus {
+        position_sigma,
+        rotation_sigma,
         image_age,
         imu_age,
+        // A visual pose rests on an encoder reading of its instant.
         climber_age: image_age,
-        ..PoseStatus::initializing(odometry.stamp, String::new())
+        markers_used: paper.last_visual().map_or(0, |(_, markers)| markers),
+        ..PoseStatus::initializing(now, String::new())
     }
-    .judged(&config.status, vision_only)
+    .judged(&config.status, imu_age > crate::timeline::dropout::GAP);
+    if status.state == PoseState::Coasting {
+        status.reason = format!(
+            "two or more markers hidden, or no climber/transform: {}; the doubly integrated \
+             accelerations carry the pose",
+            status.reason
+        );
+    }
+    status
+}
+
+/// Largest standard deviations of position (m) and rotation (rad) of the published filter; infinite
+/// without an estimate.
+fn sigmas(paper: &Paper) -> (f64, f64) {
+    paper.covariance().map_or((f64::INFINITY, f64::INFINITY), |covariance| {
+        let largest = |first: usize| {
+            let block = covariance.fixed_view::<3, 3>(first, first).into_owned();
+            block.symmetric_eigenvalues().max().max(0.0).sqrt()
+        };
+        (largest(0), largest(3))
+    })
 }

@@ -26,7 +26,7 @@ pub mod reference;
 pub mod services;
 pub mod timeline;
 
-pub use config::{FusionConfig, Model, PaperConfig, PendulumConfig, TightConfig};
+pub use config::{FusionConfig, Model, PaperConfig, PaperMeasurement, PendulumConfig, TightConfig};
 pub use estimator::{Fusion, Input};
 pub use health::{
     pose_status::{PoseState, PoseStatus},

@@ -41,6 +41,7 @@ pub struct FusionNode {
     publishers: Publishers,
     gathered: messages::Gathered,
     gated_before: u64,
+    images_before: u64,
     camera_rejected: Option<String>,
     rejections: Rejections,
     rig_check: RigCheck,
@@ -163,6 +164,7 @@ impl NodeShell for FusionNode {
             publishers,
             gathered: messages::Gathered::default(),
             gated_before: 0,
+            images_before: 0,
             camera_rejected: None,
             rejections: Rejections::default(),
             rig_check: RigCheck::default(),
@@ -210,15 +212,24 @@ impl NodeShell for FusionNode {
         let (imu_age, image_age) = (age(s.newest_imu), age(s.last_used_image));
         let gated = s.counts.gated_markers - self.gated_before.min(s.counts.gated_markers);
         self.gated_before = s.counts.gated_markers;
+        let published = self.parameters.model == "paper";
+        let starved = s.counts.inputs.images == self.images_before;
+        self.images_before = s.counts.inputs.images;
         let limit = self.parameters.silence_timeout;
         let (health, message) = if let Some(why) = &self.camera_rejected {
             (Health::Error, why.clone())
-        } else if self.parameters.model != "tight" && s.initialized {
-            (Health::Ok, "the published filter runs".to_owned())
         } else if !s.initialized {
             (Health::Warn, format!("not initialized: {}", self.fusion.missing()))
         } else if imu_age > limit {
             (Health::Error, format!("no IMU sample for {imu_age:.1} s"))
+        } else if published && image_age > limit {
+            let what = if starved {
+                "starved: no climber/markers; the published filter gives no pose without images"
+            } else {
+                "coasting on doubly integrated accelerations: no image with three detected \
+                 markers and a climber/transform beside it"
+            };
+            (Health::Error, format!("{what}, for {image_age:.1} s"))
         } else if image_age > limit {
             let lost = s.position_sigma > self.parameters.lost_position;
             let health = if lost { Health::Error } else { Health::Warn };
@@ -234,7 +245,8 @@ impl NodeShell for FusionNode {
         } else if gated > 0 {
             (Health::Warn, format!("{gated} markers rejected in the last second"))
         } else {
-            (Health::Ok, "fusing".to_owned())
+            let what = if published { "the published filter runs" } else { "fusing" };
+            (Health::Ok, what.to_owned())
         };
         // Without IMU samples everything else is ahead of them, which is no fault of the clocks.
         if imu_age > limit {

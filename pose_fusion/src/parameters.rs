@@ -4,7 +4,7 @@ use crate::{
     FusionConfig, Model, PaperConfig, PendulumConfig, TightConfig,
     config::{
         CalibrationSigmas, ClimberConfig, ClockConfig, ImuConfig, LimitConfig, MarkerConfig,
-        StatusConfig,
+        PaperMeasurement, StatusConfig,
     },
 };
 use nalgebra::Vector3;
@@ -122,8 +122,8 @@ node_kit::parameters! {
             name("status.max_rotation_sigma");
         /// Position sigma above which the pose is LOST.
         lost_position: f64 = STATUS.lost_position_sigma, unit("m"), range(0.001..=100.0);
-        /// volant/visual_pose: choose between the two planar solutions with the IMU's direction of
-        /// gravity.
+        /// volant/visual_pose with model tight: choose between the two planar solutions with the
+        /// IMU's direction of gravity.
         visual_use_gravity: bool = false, name("visual_pose.use_gravity");
         /// Rope from the climber's attachment to the platform's, used while no marker is visible; 0
         /// disables it.
@@ -141,7 +141,17 @@ node_kit::parameters! {
         /// Lower end of the rope in the volant frame: x, y, z.
         platform_attachment: Vec<f64> = &[0.0, 0.0, 0.0], unit("m"), range(-100.0..=100.0),
             name("pendulum.platform_attachment");
-        /// R/Q of the published filter.
+        /// What corrects the published filter: pose (from one image) or markers (their coordinates
+        /// reprojected to the world plane, eq. 8).
+        paper_measurement: String = "pose", one_of(&["pose", "markers"]),
+            name("paper.measurement");
+        /// Visual position of the published filter, or each marker coordinate (1 sigma): R.
+        paper_position_sigma: f64 = PAPER.position_sigma, unit("m"), range(1e-6..=10.0),
+            name("paper.position_sigma");
+        /// Visual rotation of the published filter (1 sigma): R.
+        paper_rotation_sigma: f64 = PAPER.rotation_sigma, unit("rad"), range(1e-6..=3.2),
+            name("paper.rotation_sigma");
+        /// R/Q of the published filter: larger trusts the IMU more.
         paper_ratio: f64 = PAPER.ratio, range(1e-6..=1e6), name("paper.ratio");
         /// Threshold control of the published filter.
         paper_velocity_threshold: f64 = PAPER.velocity_threshold, unit("m/s"), range(0.0..=1.0),
@@ -172,11 +182,17 @@ impl FusionParameters {
             model: if self.model == "paper" { Model::Paper } else { Model::Tight },
             tight: self.tight()?,
             paper: PaperConfig {
+                measurement: if self.paper_measurement == "markers" {
+                    PaperMeasurement::Markers
+                } else {
+                    PaperMeasurement::Pose
+                },
                 ratio: self.paper_ratio,
+                position_sigma: self.paper_position_sigma,
+                rotation_sigma: self.paper_rotation_sigma,
                 gravity: self.gravity,
                 velocity_threshold: self.paper_velocity_threshold,
                 velocity_from_fused: self.paper_velocity_from_fused,
-                ..PaperConfig::default()
             },
             visual_use_gravity: self.visual_use_gravity,
             status: StatusConfig {

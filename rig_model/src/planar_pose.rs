@@ -8,6 +8,9 @@
 //! too late to choose between two solutions.
 
 mod closed_form;
+mod homography;
+
+pub use homography::from_homography;
 
 use crate::{
     camera::CameraModel,

@@ -55,8 +55,8 @@ impl Errors {
 
 /// IMU alone, as in the paper: its own attitude gives the rotation (the unknown heading is that of
 /// the first pose); accelerations, rotated into the world and without gravity, are integrated
-/// twice. Where the velocity changes by less than `threshold` (m/s) from one sample to the next,
-/// the IMU counts as stationary.
+/// twice, without `gravity` (m/s²). Where the velocity changes by less than `threshold` (m/s) from
+/// one sample to the next, the IMU counts as stationary.
 ///
 /// Samples before the first pose's stamp and samples without an attitude are passed over.
 pub fn inertial_alone(
@@ -64,10 +64,11 @@ pub fn inertial_alone(
     volant_from_imu: &Isometry3<f64>,
     first: &(Stamp, Isometry3<f64>),
     velocity: Vector3<f64>,
+    gravity: f64,
     threshold: f64,
 ) -> Track {
     let imu_from_volant = volant_from_imu.inverse();
-    let gravity = Vector3::new(0.0, 0.0, 9.81);
+    let gravity = Vector3::new(0.0, 0.0, gravity);
     let mut heading: Option<UnitQuaternion<f64>> = None;
     let (mut position, mut velocity, mut last) = (first.1.translation.vector, velocity, first.0);
     // The IMU is not in the platform's origin: it measures the motion of its own place.
@@ -145,6 +146,7 @@ mod tests {
             &rig.imu.volant_from_imu,
             &(start, truth(start)),
             k.velocity + lever,
+            config.gravity,
             1e-5,
         );
         let errors = |from, to| {

@@ -13,20 +13,21 @@ use std::path::{Path, PathBuf};
 use volant_test::{
     live::{ImageSequence, Scenario},
     paper::{
-        Made, NAMES, curves::Curves, occlusion::figure_6, peers, report::write_report,
-        stages::Stages, stationary::figure_9,
+        Made, NAMES, curves::Curves, occlusion::figure_6, peers, ratio::ratio,
+        report::write_report, stages::Stages, stationary::figure_9,
     },
 };
 
 /// What `volant-peers` wrote in a run of its own, so that its figures are drawn here without the
 /// large OpenCV.
-const PEERS: [(&str, &str); 6] = [
+const PEERS: [(&str, &str); 7] = [
     ("fig-2.csv", include_str!("data/fig-2.csv")),
     ("fig-7.csv", include_str!("data/fig-7.csv")),
     ("fig-11.csv", include_str!("data/fig-11.csv")),
     ("fig-12.csv", include_str!("data/fig-12.csv")),
     ("table-1.csv", include_str!("data/table-1.csv")),
     ("bench.csv", include_str!("data/bench.csv")),
+    ("occlusion.csv", include_str!("data/occlusion.csv")),
 ];
 
 /// Every figure, from runs that are as short as they may be.
@@ -44,6 +45,7 @@ fn make(folder: &Path) -> Vec<Made> {
         stages.figure_4(folder).unwrap(),
         stages.figure_5(folder).unwrap(),
         figure_6(1, folder, threads, |_| {}).unwrap(),
+        peers::occlusion(folder).unwrap(),
         peers::boards("fig-7", folder).unwrap(),
         figure_9(1, folder).unwrap(),
         peers::table_1(folder).unwrap(),
@@ -51,6 +53,7 @@ fn make(folder: &Path) -> Vec<Made> {
         peers::figure_12(folder).unwrap(),
         curves.figure_13(&scenario, folder).unwrap(),
         curves.table_2(&scenario, folder).unwrap(),
+        ratio(&scenario, &curves, folder).unwrap(),
     ];
     let facts = [("Command".to_owned(), "`cargo test -p volant_test --test report`".to_owned())];
     write_report(folder, &facts, &made, &[("nothing", "a reason why".to_owned())]).unwrap();
@@ -74,6 +77,8 @@ fn a_browser_renders_the_report_in_light_and_dark() {
                     m.shows,
                     m.published
                 );
+                assert!(!m.values.is_empty(), "{}: published values beside ours", m.name);
+                assert!(!m.values.iter().any(|v| v.here.contains("NaN")), "{:?}", m.values);
             }
             let html = std::fs::read_to_string(folder.join("report.html")).unwrap();
             for name in NAMES {

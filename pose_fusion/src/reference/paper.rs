@@ -8,19 +8,25 @@
 //!   translation is the acceleration (rotated to the world by the IMU's own attitude, without
 //!   gravity) integrated twice under the threshold control of section III-A; the rotation is the
 //!   IMU's own attitude, its heading aligned with the world at the first visual pose;
-//! - the correction (eq. 11–13) takes the visual pose as it is: `H = I`, `K = P⁻ (P⁻ + R)⁻¹`,
-//!   `x = x⁻ + K (z − x⁻)`, `P = (I − K) P⁻`, with R/Q = 10.
+//! - the correction (eq. 11–13) is `K = P⁻ Hᵀ (H P⁻ Hᵀ + R)⁻¹`, `x = x⁻ + K r`,
+//!   `P = (I − K H) P⁻`, with R/Q = 10. The measurement is the visual pose (`H = I`, `r = z − x⁻`),
+//!   or with `measurement: markers` the markers' coordinates on the world plane
+//!   ([`crate::reference::marker_measurement`], eq. 8).
 //!
 //! Output is at the image rate. With two or more markers hidden the output is the previous pose
 //! moved by the IMU. Nothing corrects the inertial velocity (the paper names nothing that would);
 //! `velocity_from_fused` takes it from the fused poses.
 
 use crate::{
-    config::PaperConfig,
-    output::{Odometry, PoseEstimate},
+    config::{PaperConfig, PaperMeasurement},
+    output::Odometry,
+    reference::{
+        marker_measurement::{plane_residual, world_rates},
+        single_image::Visual,
+    },
 };
-use nalgebra::{Isometry3, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
-use rig_model::{ImuSample, Rig, Stamp, wrap_angle};
+use nalgebra::{Isometry3, Matrix6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
+use rig_model::{ImuSample, MarkerLayout, Rig, Stamp, wrap_angle};
 use std::collections::VecDeque;
 
 /// Largest number of waiting IMU samples: ten seconds at 100 Hz.
@@ -31,6 +37,7 @@ const WAITING: usize = 1024;
 pub struct Paper {
     config: PaperConfig,
     volant_from_imu: Isometry3<f64>,
+    markers: MarkerLayout,
     waiting: VecDeque<ImuSample>,
     last_sample: Option<ImuSample>,
     /// Heading that rotates the IMU's east-north-up to the world, rad; known from the first visual
@@ -39,6 +46,8 @@ pub struct Paper {
     velocity: Vector3<f64>,
     moved: Vector3<f64>,
     state: Option<Estimate>,
+    /// Stamp of the newest image that gave a pose, and its number of markers.
+    last_visual: Option<(Stamp, u8)>,
 }
 
 #[derive(Clone, Debug)]
@@ -55,12 +64,14 @@ impl Paper {
         Self {
             config,
             volant_from_imu: rig.imu.volant_from_imu,
+            markers: rig.markers.clone(),
             waiting: VecDeque::with_capacity(WAITING),
             last_sample: None,
             heading: None,
             velocity: Vector3::zeros(),
             moved: Vector3::zeros(),
             state: None,
+            last_visual: None,
         }
     }
 
@@ -72,6 +83,7 @@ impl Paper {
         self.velocity = Vector3::zeros();
         self.moved = Vector3::zeros();
         self.state = None;
+        self.last_visual = None;
     }
 
     /// Takes in an IMU sample, which waits for the next image. A sample without the IMU's own
@@ -103,7 +115,7 @@ impl Paper {
 
     /// Takes in an image at `stamp` with its visual pose, where it has one, and returns the fused
     /// estimate.
-    pub fn image(&mut self, stamp: Stamp, visual: Option<&PoseEstimate>) -> Option<Odometry> {
+    pub fn image(&mut self, stamp: Stamp, visual: Option<&Visual>) -> Option<Odometry> {
         if self.state.as_ref().is_some_and(|s| s.stamp >= stamp) {
             return None;
         }
@@ -112,7 +124,8 @@ impl Paper {
         let Some(before) = self.state.clone() else {
             // The first visual pose initializes the filter and aligns the IMU's heading.
             let visual = visual?;
-            let pose = vector(&visual.pose);
+            self.last_visual = Some((stamp, visual.markers()));
+            let pose = vector(&visual.pose.pose);
             let measured = self.imu_attitude(&sample)?;
             self.heading = Some(wrap_angle(pose[5] - euler(&measured).z));
             self.velocity = Vector3::zeros();
@@ -136,17 +149,8 @@ impl Paper {
         self.moved = Vector3::zeros();
         let mut covariance = before.covariance + self.measurement_noise() / self.config.ratio;
         if let Some(visual) = visual {
-            let z = vector(&visual.pose);
-            let innovation = covariance + self.measurement_noise();
-            let mut difference = z - pose;
-            for i in 3..6 {
-                difference[i] = wrap_angle(difference[i]);
-            }
-            if let Some(cholesky) = innovation.cholesky() {
-                pose += covariance * cholesky.solve(&difference);
-                let gain_p = covariance * cholesky.solve(&covariance);
-                covariance -= (gain_p + gain_p.transpose()) * 0.5;
-            }
+            self.last_visual = Some((stamp, visual.markers()));
+            (pose, covariance) = self.corrected(pose, covariance, visual);
         }
         let dt = stamp.seconds_since(before.stamp);
         let speed = (pose - before.pose).fixed_rows::<3>(0) / dt;
@@ -158,21 +162,66 @@ impl Paper {
         Some(self.odometry(&state, &sample, speed, dt))
     }
 
-    /// Returns the time from the newest IMU sample to the estimate, s; infinite without one.
-    pub fn imu_age(&self) -> f64 {
-        match (&self.state, &self.last_sample) {
-            (Some(state), Some(sample)) => state.stamp.seconds_since(sample.stamp),
-            _ => f64::INFINITY,
+    /// Returns the stamp of the estimate.
+    pub fn stamp(&self) -> Option<Stamp> {
+        self.state.as_ref().map(|s| s.stamp)
+    }
+
+    /// Returns the stamp of the newest IMU sample with an attitude.
+    pub fn newest_imu(&self) -> Option<Stamp> {
+        self.waiting.back().or(self.last_sample.as_ref()).map(|s| s.stamp)
+    }
+
+    /// Returns the stamp of the newest image that gave a pose, and its number of markers.
+    pub fn last_visual(&self) -> Option<(Stamp, u8)> {
+        self.last_visual
+    }
+
+    /// Returns the covariance of x, y, z, roll, pitch and yaw; `None` without an estimate.
+    pub fn covariance(&self) -> Option<&Matrix6<f64>> {
+        self.state.as_ref().map(|s| &s.covariance)
+    }
+
+    /// Returns what the initialization waits for; empty where there is an estimate.
+    pub fn missing(&self) -> &'static str {
+        if self.state.is_some() {
+            ""
+        } else if self.newest_imu().is_none() {
+            "no volant/imu/data with the IMU's own attitude, which the published filter needs"
+        } else {
+            "no image that gives a pose: the published one needs climber/camera/camera_info, \
+             climber/transform and at least three detected markers"
         }
     }
 
-    /// Returns what the initialization waits for.
-    pub fn missing(&self) -> &'static str {
-        if self.last_sample.is_none() && self.waiting.is_empty() {
-            "no volant/imu/data with the IMU's own attitude, which the published filter needs"
-        } else {
-            "no image that gives a pose"
+    /// Correction (eq. 11–13) of a predicted pose and its covariance.
+    fn corrected(
+        &self,
+        mut pose: Vector6<f64>,
+        covariance: Matrix6<f64>,
+        visual: &Visual,
+    ) -> (Vector6<f64>, Matrix6<f64>) {
+        let corrected = match self.config.measurement {
+            PaperMeasurement::Pose => {
+                let mut residual = vector(&visual.pose.pose) - pose;
+                for i in 3..6 {
+                    residual[i] = wrap_angle(residual[i]);
+                }
+                let noise = self.measurement_noise();
+                correction(&covariance, &Matrix6::identity(), &noise, &residual)
+            }
+            PaperMeasurement::Markers => {
+                let found = plane_residual(&pose, &self.markers, &visual.lines);
+                let noise = SMatrix::identity() * self.config.position_sigma.powi(2);
+                correction(&covariance, &found.jacobian, &noise, &found.residual)
+            }
+        };
+        let Some((step, covariance)) = corrected else { return (pose, covariance) };
+        pose += step;
+        for i in 3..6 {
+            pose[i] = wrap_angle(pose[i]);
         }
+        (pose, covariance)
     }
 
     /// Double integration with the threshold control.
@@ -218,11 +267,8 @@ impl Paper {
         let rotation = UnitQuaternion::from_euler_angles(x[3], x[4], x[5]);
         // Roll, pitch and yaw are rotations about other axes than the world's: δθ = E δ(roll,
         // pitch, yaw).
-        let (sp, cp) = x[4].sin_cos();
-        let (sy, cy) = x[5].sin_cos();
-        let e = Matrix3::new(cy * cp, -sy, 0.0, sy * cp, cy, 0.0, -sp, 0.0, 1.0);
         let mut jacobian = Matrix6::identity();
-        jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&e);
+        jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&world_rates(x));
         let pose_covariance = jacobian * state.covariance * jacobian.transpose();
         let dt = dt.max(1e-3);
         Odometry {
@@ -244,6 +290,22 @@ impl Paper {
             )),
         }
     }
+}
+
+/// Step K r and covariance (I − K H) P of a Kalman correction; `None` where the innovation's
+/// covariance is not positive definite.
+fn correction<const N: usize>(
+    covariance: &Matrix6<f64>,
+    jacobian: &SMatrix<f64, N, 6>,
+    noise: &SMatrix<f64, N, N>,
+    residual: &SVector<f64, N>,
+) -> Option<(Vector6<f64>, Matrix6<f64>)> {
+    let innovation = jacobian * covariance * jacobian.transpose() + noise;
+    let cholesky = innovation.cholesky()?;
+    let cross = covariance * jacobian.transpose();
+    let reduction = cross * cholesky.solve(&cross.transpose());
+    let step = cross * cholesky.solve(residual);
+    Some((step, covariance - (reduction + reduction.transpose()) * 0.5))
 }
 
 /// x, y, z, roll, pitch, yaw.

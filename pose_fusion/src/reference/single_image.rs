@@ -1,24 +1,27 @@
 //! Pose from one image alone, by the paper's section II-E and eq. 4 (`volant/visual_pose`).
 //!
-//! The markers' centroids give the pose in the camera's frame ([`rig_model::planar_pose`]); the
-//! encoders, interpolated to the image's stamp, and the camera's mounting bring it to the world
-//! (eq. 4). With two or more markers hidden there is none. Where the image allows two poses, the
-//! previous visual pose decides, or with `visual_pose.use_gravity` the IMU's direction of "up"; the
-//! pixels alone place the pose that is chosen.
+//! The markers' centroids give the pose in the camera's frame; the encoders, interpolated to the
+//! image's stamp, and the camera's mounting bring it to the world (eq. 4). With two or more markers
+//! hidden there is none. The published filter has the published pose
+//! ([`crate::reference::published_pose`]). Else all poses that the image allows are found
+//! ([`rig_model::planar_pose`]); the previous visual pose chooses between them, or with
+//! `visual_pose.use_gravity` the IMU's direction of "up"; the pixels alone place the chosen one.
 
 use crate::{
-    config::{ClimberConfig, TightConfig},
+    config::{ClimberConfig, FusionConfig, Model},
     input::{
         climber_track::ClimberTrack,
         imu::{Up, nearest, up_of},
     },
     measurements::geometry::ClimberRest,
     output::PoseEstimate,
+    reference::{marker_measurement::SightLine, published_pose::published_pose},
 };
-use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix2, Matrix6, Point3, Vector3, Vector6};
 use rig_model::{
-    CameraModel, ClimberSample, ImuSample, MarkerObservations, MarkerState, PerColor, Rig, Stamp,
-    planar_pose,
+    CameraModel, ClimberSample, ImuSample, MarkerObservation, MarkerObservations, MarkerState,
+    PerColor, Rig, Stamp,
+    planar_pose::{self, MarkerPixels, PlanarPose},
 };
 use std::collections::VecDeque;
 
@@ -32,6 +35,33 @@ const ATTITUDE_FLOOR: f64 = 1e-3;
 /// rotation in between, rad.
 const PREVIOUS: [f64; 2] = [0.3, 0.2];
 
+/// How the pose is found in an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Solver {
+    /// As published.
+    Published,
+    /// Of all poses that the image allows, the one nearest to the previous visual pose.
+    Continuous,
+    /// The one that fits the IMU's direction of "up" best.
+    WithGravity,
+}
+
+/// Pose from one image, and what eq. 8 needs of it.
+#[derive(Clone, Debug)]
+pub struct Visual {
+    /// `world_from_volant`.
+    pub pose: PoseEstimate,
+    /// Lines from the camera through the markers that were used, world.
+    pub lines: PerColor<Option<SightLine>>,
+}
+
+impl Visual {
+    /// Returns the number of markers that were used.
+    pub fn markers(&self) -> u8 {
+        self.lines.0.iter().flatten().count() as u8
+    }
+}
+
 /// Poses from single images.
 #[derive(Debug)]
 pub struct SingleImagePose {
@@ -40,26 +70,32 @@ pub struct SingleImagePose {
     ups: VecDeque<(Stamp, Up)>,
     climber: ClimberTrack,
     climber_config: ClimberConfig,
-    last: Option<(Stamp, UnitQuaternion<f64>)>,
+    /// `world_from_volant` of the newest visual pose.
+    last: Option<(Stamp, Isometry3<f64>)>,
     floor: f64,
     max_range: f64,
-    use_gravity: bool,
+    solver: Solver,
 }
 
 impl SingleImagePose {
-    /// Creates an estimator for a rig. With `use_gravity` the IMU's direction of "up" decides
-    /// between two poses.
-    pub fn new(rig: Rig, config: &TightConfig, use_gravity: bool) -> Self {
+    /// Creates an estimator for a rig: of the published pose with `model: paper`, whatever
+    /// `visual_pose.use_gravity` is.
+    pub fn new(rig: Rig, config: &FusionConfig) -> Self {
+        let tight = &config.tight;
         Self {
             rig,
             camera: None,
             ups: VecDeque::with_capacity(KEPT),
-            climber: ClimberTrack::new(&config.climber),
-            climber_config: config.climber.clone(),
+            climber: ClimberTrack::new(&tight.climber),
+            climber_config: tight.climber.clone(),
             last: None,
-            floor: config.markers.pixel_floor,
-            max_range: config.limits.max_range,
-            use_gravity,
+            floor: tight.markers.pixel_floor,
+            max_range: tight.limits.max_range,
+            solver: match config.model {
+                Model::Paper => Solver::Published,
+                Model::Tight if config.visual_use_gravity => Solver::WithGravity,
+                Model::Tight => Solver::Continuous,
+            },
         }
     }
 
@@ -79,7 +115,10 @@ impl SingleImagePose {
 
     /// Takes in an IMU sample, for its attitude.
     pub fn imu(&mut self, sample: &ImuSample) {
-        if let Some(up) = up_of(sample, ATTITUDE_FLOOR).filter(|_| self.use_gravity) {
+        if self.solver != Solver::WithGravity {
+            return;
+        }
+        if let Some(up) = up_of(sample, ATTITUDE_FLOOR) {
             if self.ups.len() == KEPT {
                 self.ups.pop_front();
             }
@@ -108,65 +147,44 @@ impl SingleImagePose {
 
     /// Returns `world_from_volant` from one image. `None` with fewer than three detected markers,
     /// or without encoder readings within 0.1 s.
-    pub fn estimate(&mut self, observations: &MarkerObservations) -> Option<PoseEstimate> {
+    pub fn estimate(&mut self, observations: &MarkerObservations) -> Option<Visual> {
         let camera = self.camera.as_ref()?;
         let stamp = observations.stamp;
-        let usable = |state: MarkerState| {
-            observations
-                .markers
-                .0
-                .iter()
-                .filter(|m| m.state == state && m.centroid.iter().all(|x| x.is_finite()))
-                .count()
-        };
-        if usable(MarkerState::Detected) < 3 {
-            return None;
-        }
-        // One hidden marker may be placed by the flow of the others (eq. 3), with its covariance.
-        let with_predicted = usable(MarkerState::Predicted) == 1;
-        let floor = nalgebra::Matrix2::identity() * (self.floor * self.floor + 1e-4);
-        let pixels = PerColor::from_fn(|color| {
-            let m = &observations.markers[color];
-            let take = m.state == MarkerState::Detected
-                || (with_predicted && m.state == MarkerState::Predicted);
-            let fine = m.centroid.iter().chain(m.covariance.iter()).all(|x| x.is_finite());
-            (take && fine).then(|| (m.centroid, m.covariance + floor))
-        });
+        let pixels = self.pixels(observations)?;
         let (world_from_climber, climber_sigma) = self.climber_at(stamp)?;
         let world_from_camera = world_from_climber * self.rig.climber_from_camera;
-        let found = planar_pose::candidates(&self.rig.markers, camera, &pixels, None);
-        let up = nearest(&self.ups, stamp).filter(|_| self.use_gravity);
-        let mut best: Option<(f64, Isometry3<f64>, Matrix6<f64>)> = None;
         // A false marker may put the platform anywhere.
-        let within = |c: &&planar_pose::PlanarPose| {
-            c.camera_from_volant.translation.vector.norm() < self.max_range
-        };
-        for candidate in found.iter().filter(within) {
-            let world_from_volant = world_from_camera * candidate.camera_from_volant;
-            let unlikely = match (up, self.last) {
-                (Some(up), _) => {
-                    let measured = world_from_volant.rotation
-                        * self.rig.imu.volant_from_imu.rotation
-                        * up.in_imu;
-                    (measured.angle(&Vector3::z()) / up.sigma).powi(2)
-                }
-                (None, Some((last, rotation))) if stamp.seconds_since(last).abs() < PREVIOUS[0] => {
-                    (world_from_volant.rotation.angle_to(&rotation) / PREVIOUS[1]).powi(2)
-                }
-                _ => 0.0,
+        let within =
+            |c: &PlanarPose| c.camera_from_volant.translation.vector.norm() < self.max_range;
+        let last = self.last.filter(|(last, _)| stamp.seconds_since(*last).abs() < PREVIOUS[0]);
+        let found = if self.solver == Solver::Published {
+            let before = last.map(|(_, pose)| world_from_camera.inverse() * pose);
+            published_pose(&self.rig.markers, camera, &pixels, before.as_ref()).filter(within)?
+        } else {
+            let mut found = planar_pose::candidates(&self.rig.markers, camera, &pixels, None);
+            found.retain(within);
+            let up = nearest(&self.ups, stamp);
+            let cost = |c: &PlanarPose| {
+                let rotation = (world_from_camera * c.camera_from_volant).rotation;
+                let unlikely = match (up, last) {
+                    (Some(up), _) => {
+                        let measured = rotation * self.rig.imu.volant_from_imu.rotation * up.in_imu;
+                        measured.angle(&Vector3::z()) / up.sigma
+                    }
+                    (None, Some((_, last))) => rotation.angle_to(&last.rotation) / PREVIOUS[1],
+                    _ => 0.0,
+                };
+                c.cost + unlikely * unlikely
             };
-            let cost = candidate.cost + unlikely;
-            if best.as_ref().is_none_or(|(least, _, _)| cost < *least) {
-                best = Some((cost, world_from_volant, candidate.covariance));
-            }
-        }
-        let (_, pose, in_camera) = best?;
-        self.last = Some((stamp, pose.rotation));
+            *found.iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))?
+        };
+        let pose = world_from_camera * found.camera_from_volant;
+        self.last = Some((stamp, pose));
         let turn = world_from_camera.rotation.to_rotation_matrix();
         let mut jacobian = Matrix6::zeros();
         jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
         jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
-        let mut covariance = jacobian * in_camera * jacobian.transpose();
+        let mut covariance = jacobian * found.covariance * jacobian.transpose();
         let [place, angle] = climber_sigma.map(|s| s * s);
         covariance[(0, 0)] += place;
         covariance[(1, 1)] += place;
@@ -174,7 +192,34 @@ impl SingleImagePose {
         let by_turn = Vector6::new(-arm.y, arm.x, 0.0, 0.0, 0.0, 1.0);
         covariance += by_turn * by_turn.transpose() * angle;
         let covariance = (covariance + covariance.transpose()) * 0.5;
-        Some(PoseEstimate { stamp, pose, covariance })
+        let origin = Point3::from(world_from_camera.translation.vector);
+        let lines = pixels.0.map(|pixel| {
+            Some(SightLine { origin, direction: world_from_camera * camera.ray(&pixel?.0)? })
+        });
+        Some(Visual { pose: PoseEstimate { stamp, pose, covariance }, lines: PerColor(lines) })
+    }
+
+    /// Pixels of the markers that serve a pose, with covariances; `None` with fewer than three.
+    fn pixels(&self, observations: &MarkerObservations) -> Option<MarkerPixels> {
+        let count = |state: MarkerState| {
+            let usable = |m: &&MarkerObservation| {
+                m.state == state && m.centroid.iter().all(|x| x.is_finite())
+            };
+            observations.markers.0.iter().filter(usable).count()
+        };
+        if count(MarkerState::Detected) < 3 {
+            return None;
+        }
+        // One hidden marker may be placed by the flow of the others (eq. 3), with its covariance.
+        let with_predicted = count(MarkerState::Predicted) == 1;
+        let floor = Matrix2::identity() * (self.floor * self.floor + 1e-4);
+        Some(PerColor::from_fn(|color| {
+            let m = &observations.markers[color];
+            let take = m.state == MarkerState::Detected
+                || (with_predicted && m.state == MarkerState::Predicted);
+            let fine = m.centroid.iter().chain(m.covariance.iter()).all(|x| x.is_finite());
+            (take && fine).then(|| (m.centroid, m.covariance + floor))
+        }))
     }
 
     /// `world_from_climber` at an image's stamp with the standard deviations of its position (m)

@@ -64,9 +64,6 @@ pub struct Outcome {
     pub allocations: (u64, u64),
     /// Mean normalized squared error of our centroids (ideal 2).
     pub nees: f64,
-    /// Our tracker's time with both criteria, without the flow, without flow and hue: median µs on
-    /// the same images.
-    pub criteria_us: [f64; 3],
 }
 
 /// Runs the main sequence.
@@ -78,10 +75,6 @@ pub fn run(images: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
     let mut records = vec![Record::default(); methods.len()];
     let mut ours = Ours::new(&camera, layout.clone(), TrackerConfig::default());
     let (mut allocated, mut nees, mut detected) = (Vec::new(), 0.0, 0usize);
-    let without_flow = TrackerConfig { use_flow: false, ..TrackerConfig::default() };
-    let without_both = TrackerConfig { use_hue: false, ..without_flow.clone() };
-    let mut by_criteria = [TrackerConfig::default(), without_flow, without_both]
-        .map(|config| (Ours::new(&camera, layout.clone(), config), Vec::with_capacity(images)));
     let (mut first, mut again, mut acquired, mut tried) = (Vec::new(), Vec::new(), 0usize, 0usize);
     // Nine different gray images: repetitions of one image would be a frozen camera.
     let blanks: Vec<Frame> = (0..9)
@@ -115,11 +108,6 @@ pub fn run(images: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
                     cold.push(estimate.stages.iter().sum::<Duration>().as_secs_f64() * 1e6);
                 }
                 record.add(&estimate, pose, &truths[carrier]);
-            }
-        }
-        for (tracker, times) in &mut by_criteria {
-            for (_, _, shots, _) in &scenes {
-                times.push(tracker.track(&fresh(&shots[0])).as_secs_f64() * 1e6);
             }
         }
         for (number, _, shots, truths) in &scenes {
@@ -167,7 +155,6 @@ pub fn run(images: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
             allocated.last().copied().unwrap_or(0),
         ),
         nees: nees / detected as f64,
-        criteria_us: by_criteria.map(|(_, times)| median(times)),
     })
 }
 
@@ -288,23 +275,14 @@ impl Outcome {
         self.fig_12().write(&folder.join("fig-12.csv"))
     }
 
-    /// Table I. Our tracker's criteria are one pass over the windows; what the flow and the hue
-    /// take of it is the difference of its time with and without them, and the rest is finding and
-    /// measuring the squares.
+    /// Table I: each time is that of a timer around the stage. Our tracker does the first three
+    /// stages in one pass over each marker's window, so it has one time for them.
     pub fn table_1(&self) -> Csv {
         let (ours, recipe) = (&self.records[0].1, self.of("recipe"));
         let mut csv = Csv::new("stage,published_ms,plain_opencv_ms,ours_ms");
         let names = ["optical flow", "tracking", "feature extraction", "extrinsics"];
-        let [both, no_flow, neither] = self.criteria_us;
-        // Where a criterion saves as much time as it takes, it takes none.
-        let own = [
-            (both - no_flow).max(0.0),
-            (no_flow - neither).max(0.0),
-            neither.min(both),
-            ours.stage_us(1),
-        ];
         for (i, name) in names.iter().enumerate() {
-            let own = number(own[i] * 1e-3, 5);
+            let own = if i == 3 { number(ours.stage_us(1) * 1e-3, 5) } else { String::new() };
             csv.row(&[
                 (*name).into(),
                 number(PUBLISHED_MS[i], 2),

@@ -1,9 +1,9 @@
-//! Fig. 6: a marker is covered while the platform swings: its states in the tracker, and the effect
-//! on the pose.
+//! Fig. 6: a marker is covered while the platform swings: its states in the tracker, and the pose
+//! with and without its predicted position (eq. 3).
 
 use super::{
-    Made, PaperError,
-    offline::{fuse, record_observed, track_with},
+    Made, PaperError, Value,
+    offline::{filter, fuse, record_observed, track_with},
     stages::{chart_color, rgb_of},
     write,
 };
@@ -17,6 +17,9 @@ use volant::report::{Anchor, Axis, Drawing, Panel, Series, Shape, Sheet, colors,
 
 /// Length of the run, s.
 const SECONDS: f64 = 8.0;
+/// Names in the legend.
+const WITH: &str = "published pose with eq. 3";
+const WITHOUT: &str = "published pose without eq. 3";
 
 /// Makes `fig-6.csv` and `fig-6.svg`.
 ///
@@ -39,29 +42,30 @@ pub fn figure_6(
         &images,
         TrackerConfig { rigid_prediction: false, ..TrackerConfig::default() },
     )?;
-    let recording = record_observed(&scenario, observed.clone());
-    let poses = fuse(&scenario, &recording, Model::Tight)?;
     let cover = scenario
         .covers
         .first()
         .copied()
         .ok_or_else(|| PaperError::Image("nothing is covered".into()))?;
-
+    let run = |observed: &[MarkerObservations], model| {
+        let recording = record_observed(&scenario, observed.to_vec());
+        fuse(&scenario, &recording, filter(&scenario, model))
+    };
     let places = [&observed, &as_published].map(|o| place_errors(&scenario, o, cover.color));
-    let visual = errors(&scenario, &poses.visual);
-    let fused = errors(&scenario, &poses.fused);
+    let poses = PoseErrors {
+        with: errors(&scenario, &run(&as_published, Model::Paper)?.visual),
+        without: errors(&scenario, &run(&without_predicted(&as_published), Model::Paper)?.visual),
+        fused: errors(&scenario, &run(&observed, Model::Tight)?.fused),
+    };
     let mut csv = String::from(concat!(
         "seconds,state,place_error_px,place_error_mean_flow_px,",
-        "camera_mm,camera_deg,fused_mm,fused_deg\n"
+        "with_eq_3_mm,with_eq_3_deg,without_eq_3_mm,without_eq_3_deg,fused_mm,fused_deg\n"
     ));
-    let at = |rows: &[[f64; 3]], t: f64| -> [f64; 2] {
-        let near = rows.iter().min_by(|a, b| (a[0] - t).abs().total_cmp(&(b[0] - t).abs()));
-        near.filter(|r| (r[0] - t).abs() < 0.02).map_or([f64::NAN; 2], |r| [r[1], r[2]])
-    };
     for (ours, mean) in places[0].iter().zip(&places[1]) {
-        let (c, f) = (at(&visual, ours.0), at(&fused, ours.0));
         let _ = write!(csv, "{:.4},{}", ours.0, state_name(ours.1));
-        for v in [ours.2, mean.2, c[0], c[1], f[0], f[1]] {
+        let [with, without, fused] =
+            [&poses.with, &poses.without, &poses.fused].map(|rows| at(rows, ours.0));
+        for v in [ours.2, mean.2, with[0], with[1], without[0], without[1], fused[0], fused[1]] {
             if v.is_finite() {
                 let _ = write!(csv, ",{v:.4}");
             } else {
@@ -75,62 +79,103 @@ pub fn figure_6(
 
     let [from, to] = cover.seconds;
     let svg = folder.join("fig-6.svg");
-    write(&svg, &draw(&scenario, &images, &observed, &places, &visual, &fused)?)?;
-    let rms = |rows: &[[f64; 3]], column: usize, hidden: bool| -> f64 {
-        let inside = |t: f64| t >= from && t <= to;
-        let values: Vec<f64> = rows
-            .iter()
-            .filter(|r| r[0] > 1.0 && inside(r[0]) == hidden)
-            .map(|r| r[column] * r[column])
-            .collect();
-        (values.iter().sum::<f64>() / values.len() as f64).sqrt()
+    write(&svg, &draw(&scenario, &images, &observed, &places, &poses)?)?;
+    // Images whose hidden marker has a predicted position.
+    let predicted: Vec<&Place> =
+        places[1].iter().filter(|p| p.1 == MarkerState::Predicted && p.2.is_finite()).collect();
+    let times: Vec<f64> = predicted.iter().map(|p| p.0).collect();
+    let rms = |rows: &[[f64; 3]], column: usize| -> f64 {
+        let squares: Vec<f64> =
+            times.iter().map(|t| at(rows, *t)[column].powi(2)).filter(|v| v.is_finite()).collect();
+        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
-    let predicted = |rows: &[Place]| -> (f64, usize) {
-        let values: Vec<f64> = rows
+    let before = |rows: &[[f64; 3]], column: usize| -> f64 {
+        let squares: Vec<f64> = rows
             .iter()
-            .filter(|r| r.1 == MarkerState::Predicted && r.2.is_finite())
-            .map(|r| r.2)
+            .filter(|r| r[0] > 1.0 && r[0] < from - 0.4)
+            .map(|r| r[column + 1].powi(2))
             .collect();
-        (values.iter().copied().fold(0.0, f64::max), values.len())
+        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    };
+    let worst = |places: &[Place]| {
+        places
+            .iter()
+            .filter(|p| p.1 == MarkerState::Predicted && p.2.is_finite())
+            .map(|p| p.2)
+            .fold(0.0, f64::max)
     };
     let back = places[0]
         .iter()
         .find(|p| p.0 > to && p.1 == MarkerState::Detected)
         .map_or(f64::NAN, |p| p.0 - to);
-    let ((rigid, count), (mean, _)) = (predicted(&places[0]), predicted(&places[1]));
+    let cell = |rows: &[[f64; 3]]| format!("{:.2} mm, {:.3}°", rms(rows, 0), rms(rows, 1));
+    let visible = format!("{:.2} mm, {:.3}°", before(&poses.with, 0), before(&poses.with, 1));
     Ok(Made {
         name: "fig-6",
         title: "Fig. 6: an occluded marker",
         csv: path,
         svg,
         table: None,
+        values: vec![
+            Value::new("images with a predicted position", "6", times.len().to_string()),
+            Value::new("pose from one image, four visible markers (RMS)", "–", visible),
+            Value::new(
+                "the same in those images, with eq. 3 (RMS)",
+                "barely changed",
+                cell(&poses.with),
+            ),
+            Value::new("the same without eq. 3, three markers (RMS)", "–", cell(&poses.without)),
+            Value::new("default filter (RMS)", "–", cell(&poses.fused)),
+        ],
         shows: format!(
             "A plank slides over the {} marker for {:.1} s. The tracker reports it as PREDICTED in \
-             {count} images, placed by the others' flow, then LOST, and measures it again {:.0} ms \
-             after the plank begins to slide away (which takes 300 ms). Camera alone: {:.2} mm and \
-             {:.3}° RMS with four markers, {:.2} mm and {:.3}° with three. The filter: {:.2} mm \
-             and {:.3}° with four, {:.2} mm and {:.3}° with three.",
+             {} images, placed by the others' flow, then LOST, and measures it again {:.0} ms \
+             after the plank begins to slide away (which takes 300 ms). The panels compare the \
+             published pose with the predicted position as fourth marker and without it.",
             cover.color,
             to - from,
+            times.len(),
             1e3 * back,
-            rms(&visual, 1, false),
-            rms(&visual, 2, false),
-            rms(&visual, 1, true),
-            rms(&visual, 2, true),
-            rms(&fused, 1, false),
-            rms(&fused, 2, false),
-            rms(&fused, 1, true),
-            rms(&fused, 2, true),
         ),
         published: format!(
-            "The paper reports that occlusion of one marker barely changes the pose, which holds \
-             for the filter. It moves the hidden marker by the mean flow of the visible ones (eq. \
-             3), which leaves out the platform's turn: at worst {mean:.1} px off within six images \
-             here. The default carries the others' flow over as a rigid motion: {rigid:.1} px at \
-             worst. A predicted place is shown and never used as a measurement: the pose depends \
-             on visible markers only."
+            "Eq. 3 moves the hidden marker by the mean flow of the visible ones, which leaves out \
+             the platform's turn: at worst {:.1} px off within these images. The default tracker \
+             carries the others' flow over as a rigid motion: {:.1} px at worst. The published \
+             pose uses the predicted position as if it were measured, so its error goes into the \
+             pose, while three markers continue from the previous pose. The default filter never \
+             uses a predicted position; it uses the pixels of the three visible markers.",
+            worst(&places[1]),
+            worst(&places[0]),
         ),
     })
+}
+
+/// Errors of three poses: seconds, mm and degrees.
+struct PoseErrors {
+    /// Published pose with the predicted position.
+    with: Vec<[f64; 3]>,
+    /// Published pose without it.
+    without: Vec<[f64; 3]>,
+    /// Default filter.
+    fused: Vec<[f64; 3]>,
+}
+
+/// The error in mm and degrees at an image, NaN where there is no pose.
+fn at(rows: &[[f64; 3]], t: f64) -> [f64; 2] {
+    let near = rows.iter().min_by(|a, b| (a[0] - t).abs().total_cmp(&(b[0] - t).abs()));
+    near.filter(|r| (r[0] - t).abs() < 0.01).map_or([f64::NAN; 2], |r| [r[1], r[2]])
+}
+
+/// The same observations without the predicted positions.
+fn without_predicted(observed: &[MarkerObservations]) -> Vec<MarkerObservations> {
+    let mut observed = observed.to_vec();
+    for marker in observed.iter_mut().flat_map(|o| o.markers.0.iter_mut()) {
+        if marker.state == MarkerState::Predicted {
+            marker.state = MarkerState::Lost;
+            marker.centroid = Vector2::repeat(f64::NAN);
+        }
+    }
+    observed
 }
 
 /// Seconds, state and error of the reported place, px.
@@ -185,8 +230,7 @@ fn draw(
     images: &ImageSequence,
     observed: &[MarkerObservations],
     places: &[Vec<Place>; 2],
-    visual: &[[f64; 3]],
-    fused: &[[f64; 3]],
+    poses: &PoseErrors,
 ) -> Result<String, PaperError> {
     let cover = scenario.covers[0];
     let [from, to] = cover.seconds;
@@ -243,14 +287,15 @@ fn draw(
         points,
         spread: Vec::new(),
     };
-    let time = || axis("time [s]", [1.0, SECONDS], false);
+    let span = [from - 1.0, to + 0.7];
+    let time = || axis("time [s]", span, false);
     let of = |places: &[Place], state: MarkerState| -> Vec<(f64, f64)> {
         places.iter().map(|p| (p.0, if p.1 == state { p.2 } else { f64::NAN })).collect()
     };
     let column = |rows: &[[f64; 3]], c: usize, gap: f64| -> Vec<(f64, f64)> {
         let mut points = Vec::with_capacity(rows.len());
         let mut last = f64::NEG_INFINITY;
-        for r in rows.iter().filter(|r| r[0] >= 1.0) {
+        for r in rows.iter().filter(|r| r[0] >= span[0]) {
             if r[0] - last > gap && last.is_finite() {
                 points.push((r[0], f64::NAN));
             }
@@ -259,9 +304,12 @@ fn draw(
         }
         points
     };
-    // Space for the camera's largest error after the first second.
-    let top =
-        |c: usize| 1.2 * visual.iter().filter(|r| r[0] >= 1.0).map(|r| r[c]).fold(0.1, f64::max);
+    // Space for the largest error of the span.
+    let top = |c: usize| {
+        let within = |r: &&[f64; 3]| (span[0]..span[1]).contains(&r[0]);
+        let rows = poses.with.iter().chain(&poses.without).filter(within);
+        1.2 * rows.map(|r| r[c]).fold(0.1, f64::max)
+    };
     let covered = |high: f64, low: f64| Series {
         name: "covered".into(),
         color: colors::AXIS,
@@ -301,8 +349,14 @@ fn draw(
                 y: axis("error [mm]", [0.0, top(1)], false),
                 series: vec![
                     covered(top(1), 0.0),
-                    line("camera alone", colors::CAMERA, Shape::Dots, column(visual, 1, 0.08)),
-                    line("default filter", colors::FUSED, Shape::Line(2), column(fused, 1, 0.08)),
+                    line(WITHOUT, colors::CAMERA, Shape::Line(3), column(&poses.without, 1, 0.08)),
+                    line(WITH, colors::PAPER, Shape::Line(1), column(&poses.with, 1, 0.08)),
+                    line(
+                        "default filter",
+                        colors::FUSED,
+                        Shape::Line(2),
+                        column(&poses.fused, 1, 0.08),
+                    ),
                 ],
             },
             Panel {
@@ -311,8 +365,14 @@ fn draw(
                 y: axis("error [deg]", [0.0, top(2)], false),
                 series: vec![
                     covered(top(2), 0.0),
-                    line("camera alone", colors::CAMERA, Shape::Dots, column(visual, 2, 0.08)),
-                    line("default filter", colors::FUSED, Shape::Line(2), column(fused, 2, 0.08)),
+                    line(WITHOUT, colors::CAMERA, Shape::Line(3), column(&poses.without, 2, 0.08)),
+                    line(WITH, colors::PAPER, Shape::Line(1), column(&poses.with, 2, 0.08)),
+                    line(
+                        "default filter",
+                        colors::FUSED,
+                        Shape::Line(2),
+                        column(&poses.fused, 2, 0.08),
+                    ),
                 ],
             },
         ],

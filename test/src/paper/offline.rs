@@ -6,7 +6,7 @@ use crate::{
     accuracy::Track,
     live::{ImageSequence, Scenario},
 };
-use marker_tracker::{Tracker, TrackerConfig};
+use marker_tracker::{BinaryThreshold, Method, Tracker, TrackerConfig};
 use pose_fusion::{Fusion, FusionConfig, Model, Output};
 use rig_model::{ImuSample, MarkerObservations, Stamp};
 use rig_simulator::{
@@ -96,13 +96,30 @@ pub struct Poses {
     pub visual: Track,
 }
 
-/// Runs the filter of `model` over a recording.
+/// Settings of the published tracker: binary images, flow and hue, eq. 3.
+pub fn published_tracker() -> TrackerConfig {
+    TrackerConfig { method: Method::Paper(BinaryThreshold::default()), ..TrackerConfig::default() }
+}
+
+/// Defaults of a filter, with the gravity of the scenario.
+pub fn filter(scenario: &Scenario, model: Model) -> FusionConfig {
+    let mut config = FusionConfig { model, ..FusionConfig::default() };
+    config.tight.gravity = scenario.sensors.gravity;
+    config.paper.gravity = scenario.sensors.gravity;
+    config
+}
+
+/// Runs a filter over a recording.
 ///
 /// # Errors
 /// It gave no pose.
-pub fn fuse(scenario: &Scenario, recording: &Recording, model: Model) -> Result<Poses, PaperError> {
-    let mut fusion =
-        Fusion::new(scenario.rig.clone(), FusionConfig { model, ..FusionConfig::default() });
+pub fn fuse(
+    scenario: &Scenario,
+    recording: &Recording,
+    config: FusionConfig,
+) -> Result<Poses, PaperError> {
+    let model = config.model;
+    let mut fusion = Fusion::new(scenario.rig.clone(), config);
     fusion.handle(pose_fusion::Input::Camera(scenario.camera.clone()));
     let mut poses = Poses { fused: Track::new(), visual: Track::new() };
     let mut warnings = Vec::new();

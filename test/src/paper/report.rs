@@ -2,7 +2,7 @@
 
 use super::{Made, PaperError, read, write};
 use std::path::Path;
-use volant::report::{Block, Page, Section};
+use volant::report::{Block, Page, Section, Table};
 
 /// Title of the page.
 pub const TITLE: &str = "Published figures and tables, reproduced";
@@ -22,6 +22,15 @@ pub fn write_report(
         let mut blocks =
             vec![Block::labelled("What it shows.", &m.shows), Block::Figure(read(&m.svg)?)];
         blocks.extend(m.table.clone().map(Block::Table));
+        let cell = |text: &str| (text.to_owned(), false);
+        blocks.push(Block::Table(Table {
+            head: ["quantity", "published", "here"].map(String::from).to_vec(),
+            rows: m
+                .values
+                .iter()
+                .map(|v| vec![cell(&v.what), cell(&v.published), cell(&v.here)])
+                .collect(),
+        }));
         blocks.push(Block::labelled("Against the published one.", &m.published));
         let name =
             |p: &Path| p.file_name().map(|f| f.to_string_lossy().into_owned()).unwrap_or_default();
@@ -49,9 +58,10 @@ pub fn write_report(
         title: TITLE.into(),
         lead: "N. Kyriakoulis and A. Gasteratos, “Color-Based Monocular Visuoinertial 3-D Pose \
                Estimation of a Volant Robot”, IEEE Transactions on Instrumentation and Measurement \
-               59(10), 2010. Each figure and table below was made in one run by this program's own \
-               nodes on a simulated bench with exact truth, the peers beside it on the same \
-               footprint and under the same light. Where a peer is better, it is named."
+               59(10), 2010. Each figure and table below was made in one run by the cores of this \
+               program's nodes on a simulated bench with exact truth, the peers beside it on the \
+               same footprint and under the same light. Where a peer is better, it is named. A \
+               dash stands where nothing is published, or only as an image without numbers."
             .into(),
         facts: facts.to_vec(),
         sections,

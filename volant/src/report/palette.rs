@@ -22,6 +22,8 @@ pub mod colors {
     pub const PICTURE_DARK: RGBColor = RGBColor(16, 16, 18);
     /// Line on an image, the same in both schemes.
     pub const PICTURE_LIGHT: RGBColor = RGBColor(250, 250, 248);
+    /// Second kind of line on an image, the same in both schemes.
+    pub const PICTURE_YELLOW: RGBColor = RGBColor(255, 214, 64);
     /// Truth.
     pub const TRUTH: RGBColor = INK;
     /// Camera alone.

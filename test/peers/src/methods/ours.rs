@@ -1,13 +1,18 @@
 //! The project's own tracker, as a node drives it, and the pose by Gauss–Newton from the previous
-//! one.
+//! one; or the published tracker with the published pose.
 
 use super::{Carrier, Estimate, Method, gauss_newton, pose_from_centroids};
 use crate::clock::Clock;
 use crate::scene::{Frame, Pinhole};
 use anyhow::Result;
-use marker_tracker::{ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig};
+use marker_tracker::{
+    BinaryThreshold, ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig,
+};
 use nalgebra::{Isometry3, Vector2};
-use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState, Stamp};
+use pose_fusion::reference::published_pose::published_pose;
+use rig_model::{
+    CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState, PerColor, Stamp,
+};
 use std::time::Duration;
 
 /// Tracker and pose.
@@ -39,6 +44,39 @@ impl Ours {
         };
         ours.forget();
         ours
+    }
+
+    /// The published tracker and pose.
+    pub fn published(camera: &Pinhole, layout: MarkerLayout) -> Self {
+        let method = marker_tracker::Method::Paper(BinaryThreshold::default());
+        Self::new(camera, layout, TrackerConfig { method, ..TrackerConfig::default() })
+    }
+
+    fn is_published(&self) -> bool {
+        self.config.method != marker_tracker::Method::Outline
+    }
+
+    /// Pose of what was observed, from the previous one where it helps.
+    fn solve(&self, observed: &MarkerObservations) -> Option<Isometry3<f64>> {
+        let (layout, camera) = (&self.layout, &self.camera);
+        if self.is_published() {
+            let count = |state| observed.markers.0.iter().filter(|m| m.state == state).count();
+            // Two hidden markers leave no visual pose; eq. 3 places one.
+            if count(MarkerState::Detected) < 3 {
+                return None;
+            }
+            let pixels = PerColor::from_fn(|color| {
+                let m = &observed.markers[color];
+                (m.state != MarkerState::Lost).then_some((m.centroid, m.covariance))
+            });
+            let pose = published_pose(layout, camera, &pixels, self.pose.as_ref());
+            return pose.map(|p| p.camera_from_volant);
+        }
+        let prior = self.pose.as_ref();
+        prior
+            .and_then(|prior| gauss_newton(layout, camera, observed, prior))
+            .map(|p| p.0)
+            .or_else(|| pose_from_centroids(layout, camera, observed))
     }
 
     /// What became of a marker in the last frame, and the outline that was measured.
@@ -79,7 +117,11 @@ impl Ours {
 
 impl Method for Ours {
     fn name(&self) -> &'static str {
-        "volant: all criteria, and pose"
+        if self.is_published() {
+            "the published tracker and pose"
+        } else {
+            "volant: all criteria, and pose"
+        }
     }
 
     fn carrier(&self) -> Carrier {
@@ -96,14 +138,7 @@ impl Method for Ours {
             return Ok(Estimate { stages: vec![tracked], ..Estimate::default() });
         };
         let start = Clock::start();
-        let from_prior = self
-            .pose
-            .and_then(|prior| gauss_newton(&self.layout, &self.camera, observed, &prior))
-            .map(|p| p.0);
-        let pose = match from_prior {
-            Some(pose) => Some(pose),
-            None => pose_from_centroids(&self.layout, &self.camera, observed),
-        };
+        let pose = self.solve(observed);
         let extrinsics = start.elapsed();
         self.pose = pose;
         let points = observed

@@ -62,7 +62,7 @@ pub fn point2(p: &Vector2<f64>) -> core::Point2d {
 }
 
 /// Gauss–Newton on the centroids of the projected squares, weighted by their covariances, from a
-/// prior pose. Returns the pose and the weighted sum of squares; `None` with less than four markers
+/// prior pose. Returns the pose and the weighted sum of squares; `None` with less than three markers
 /// or without a solution.
 pub fn gauss_newton(
     layout: &MarkerLayout,
@@ -93,7 +93,7 @@ pub fn gauss_newton(
             cost += residual.dot(&(weight * residual));
             used += 1;
         }
-        if used < 4 {
+        if used < 3 {
             return None;
         }
         let step = normal.cholesky()?.solve(&right);
@@ -123,4 +123,42 @@ pub fn pose_from_centroids(
         return None;
     }
     planar_pose::candidates(layout, camera, &pixels, None).first().map(|c| c.camera_from_volant)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{scene::Rng, stage::Stage, trajectory};
+    use nalgebra::Matrix2;
+    use opencv::calib3d::SolvePnPMethod::SOLVEPNP_ITERATIVE;
+    use pose_fusion::reference::published_pose::published_pose;
+
+    #[test]
+    fn the_published_pose_is_that_of_opencv_s_solver() {
+        let camera = Pinhole::BENCH;
+        let layout = crate::bench::layout(&Stage::new(camera, 1).unwrap()).unwrap();
+        let matrix = camera_matrix(&camera).unwrap();
+        let object: core::Vector<core::Point3d> = layout.centres.0.iter().map(point3).collect();
+        let mut rng = Rng::new(5);
+        let (mut far, count) = (0, 200);
+        for i in 0..count {
+            let truth = trajectory::standard(&camera, f64::from(i) / 10.0);
+            let pixels = layout.centres.0.map(|c| {
+                camera.project(&(truth * c))
+                    + Vector2::new(rng.within(-0.2, 0.2), rng.within(-0.2, 0.2))
+            });
+            let image: core::Vector<core::Point2d> = pixels.iter().map(point2).collect();
+            let theirs = solve_pnp(&matrix, &object, &image, SOLVEPNP_ITERATIVE, false);
+            let theirs = theirs.unwrap().unwrap();
+            let measured = PerColor(pixels.map(|p| Some((p, Matrix2::identity() * 0.01))));
+            let ours = published_pose(&layout, &camera.model(), &measured, None).unwrap();
+            let error = theirs.inverse() * ours.camera_from_volant;
+            far += usize::from(
+                error.translation.vector.norm() > 1e-5 || error.rotation.angle() > 1e-4,
+            );
+        }
+        // Both minimize the same sum of squares from the same start; in a flat valley OpenCV stops
+        // after 20 iterations.
+        assert!(far <= count as usize / 20, "{far} of {count}");
+    }
 }

@@ -108,6 +108,7 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
         &scenario.rig.imu.volant_from_imu,
         first,
         nalgebra::Vector3::zeros(),
+        scenario.sensors.gravity,
         1e-5,
     );
     let errors = |track| Errors::of(track, from, to, truth);

@@ -18,6 +18,7 @@ use volant_test::{
         curves::Curves,
         occlusion::figure_6,
         peers,
+        ratio::ratio,
         report::{TITLE, write_report},
         stages::Stages,
         stationary::figure_9,
@@ -26,13 +27,14 @@ use volant_test::{
 
 /// Reproduces the paper's tables and figures with the program's own nodes on a simulated bench.
 ///
-/// fig-2, fig-7, fig-11, fig-12 and table-1 compare with peers, which need the large OpenCV: `make
+/// fig-2, fig-7, fig-11, fig-12, table-1 and occlusion compare with peers, which need the large OpenCV: `make
 /// reproduce` builds them and writes everything. Without them the other results are written, and
 /// the missing ones are named.
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// What to make (all without a name, or `all`): fig-2, fig-4, fig-5, fig-6, fig-7, fig-9,
-    /// fig-11, fig-12, fig-13, table-1, table-2
+    /// fig-11, fig-12, fig-13, table-1, table-2, occlusion (the rivals under occlusion), ratio (R/Q
+    /// of the published filter)
     #[arg(value_parser = name)]
     names: Vec<String>,
     /// Folder for NAME.csv, NAME.svg and report.html
@@ -45,7 +47,7 @@ pub(crate) struct Arguments {
     /// Everything random follows from it
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Length of the swing of fig-13 and table-2, s
+    /// Length of the swing of fig-13, table-2 and ratio, s
     #[arg(long, default_value_t = 20.0, value_parser = seconds)]
     seconds: f64,
 }
@@ -71,17 +73,19 @@ enum Job {
     Bench,
     Sweep,
     Boards,
+    Hidden,
     Swing,
     Occlusion,
     Stages,
     Rest,
 }
 
-const JOBS: [(Job, f64, &[&str]); 7] = [
+const JOBS: [(Job, f64, &[&str]); 8] = [
     (Job::Bench, 70.0, &["table-1", "fig-12"]),
     (Job::Sweep, 70.0, &["fig-11"]),
     (Job::Boards, 30.0, &["fig-2", "fig-7"]),
-    (Job::Swing, 45.0, &["fig-13", "table-2"]),
+    (Job::Hidden, 60.0, &["occlusion"]),
+    (Job::Swing, 60.0, &["fig-13", "table-2", "ratio"]),
     (Job::Occlusion, 18.0, &["fig-6"]),
     (Job::Stages, 5.0, &["fig-4", "fig-5"]),
     (Job::Rest, 2.0, &["fig-9"]),
@@ -199,9 +203,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
                     results.take(name, peers::boards(name, out));
                 }
             }
+            if run_peers(&mut results, Job::Hidden, "occlusion", "targets under occlusion") {
+                results.take("occlusion", peers::occlusion(out));
+            }
             results
         });
-        let beside = peers.is_some() && (has(Job::Sweep) || has(Job::Boards));
+        let beside =
+            peers.is_some() && [Job::Sweep, Job::Boards, Job::Hidden].into_iter().any(&has);
         let threads = if beside { cores.saturating_sub(1).max(1) } else { cores.min(4) };
         let own = simulate(arguments, out, &wanted, &has, &bar, threads);
         (own, others.join())
@@ -254,7 +262,7 @@ fn simulate(
         let images = ImageSequence::render(&scenario, threads, |done, of| {
             bar.report(Job::Swing, 0.9 * done as f64 / of.max(1) as f64, "rendering the camera");
         })?;
-        bar.report(Job::Swing, 0.9, "four estimators");
+        bar.report(Job::Swing, 0.9, "all estimators");
         let curves = Curves::of(&scenario, &images)?;
         if wanted("table-2") {
             results.take("table-2", curves.table_2(&scenario, out));
@@ -262,7 +270,11 @@ fn simulate(
         if wanted("fig-13") {
             results.take("fig-13", curves.figure_13(&scenario, out));
         }
-        bar.report(Job::Swing, 1.0, "four estimators");
+        if wanted("ratio") {
+            bar.report(Job::Swing, 0.95, "R/Q from 0.1 to 1000");
+            results.take("ratio", ratio(&scenario, &curves, out));
+        }
+        bar.report(Job::Swing, 1.0, "all estimators");
     }
     Ok(results)
 }

@@ -1,13 +1,131 @@
-//! Fig. 4: binary images and optical flow.
+//! Fig. 4: binary images and optical flow of four images.
 
-use super::{SHARE, Stages, chart_color, layer};
-use crate::paper::{Made, PaperError, write};
+use super::{SHARE, Shot, Stages, chart_color, layer};
+use crate::paper::{Made, PaperError, Value, write};
 use nalgebra::Vector2;
 use rig_model::MarkerColor;
 use std::{fmt::Write, path::Path};
 use volant::report::{Anchor, Drawing, Ink, colors};
 
+const TITLE: &str = "Fig. 4: binary images and optical flow";
+/// Arrows are longer than the flow by this factor.
+const ARROW: f64 = 5.0;
+
+/// Sums over the four images.
+#[derive(Default)]
+struct Tally {
+    worst_flow: f64,
+    /// Most pixels of a binary image that belong to no marker, and its color.
+    most_stray: (usize, Option<MarkerColor>),
+    /// Layers in which the literal threshold leaves nothing.
+    literal_none: usize,
+    /// Smallest difference of a marker's flow from its surroundings', px.
+    least_difference: f64,
+}
+
 impl Stages {
+    /// Fig. 4.
+    ///
+    /// # Errors
+    /// A drawing, or a folder that is not writable.
+    pub fn figure_4(&self, folder: &Path) -> Result<Made, PaperError> {
+        let mut csv = String::from(concat!(
+            "marker,x_px,y_px,flow_x_px,flow_y_px,true_flow_x_px,true_flow_y_px,",
+            "largest_layer_value,pixels_over_literal_0.75,",
+            "binary_pixels_on_marker,binary_pixels_elsewhere,signal_on_marker,signal_beside,",
+            "seconds,surroundings_flow_x_px,surroundings_flow_y_px\n"
+        ));
+        let mut tally = Tally { least_difference: f64::INFINITY, ..Tally::default() };
+        let binary: Vec<Vec<u8>> =
+            self.0.iter().map(|shot| shot.binary_image(&mut csv, &mut tally)).collect();
+        let svg = folder.join("fig-4.svg");
+        write(&svg, &self.draw_4(&binary)?)?;
+        let path = folder.join("fig-4.csv");
+        write(&path, &csv)?;
+        let layers = 4 * self.0.len();
+        Ok(Made {
+            name: "fig-4",
+            title: TITLE,
+            csv: path,
+            svg,
+            table: None,
+            values: vec![
+                Value::new(
+                    "threshold of a layer, as a share",
+                    "0.75 of the intensity range",
+                    "0.75 of the layer's largest value",
+                ),
+                Value::new(
+                    "layers in which 0.75 of the range leaves nothing",
+                    "–",
+                    format!("{} of {layers}", tally.literal_none),
+                ),
+                Value::new(
+                    "marker's flow minus the flow of its surroundings",
+                    "larger than 0",
+                    format!("{:.1} px at least", tally.least_difference),
+                ),
+            ],
+            shows: format!(
+                "Four images of a swing, a tenth of a second apart. Above what the camera sent: \
+                 the outlines that the tracker measured (white), each marker's flow since the \
+                 image before (white arrow) and the flow of the surroundings (yellow; \
+                 Lucas–Kanade on a grid, where there is texture), all arrows {ARROW:.0} times as \
+                 long. Below, the paper's four binary images in one, each layer cut at 0.75 of \
+                 its own largest value, and the tracker's color signal around each marker in the \
+                 last image: 1 on the marker, 0 beside it. The measured flow is within {:.2} px of \
+                 the true motion of the centroids.",
+                tally.worst_flow
+            ),
+            published: format!(
+                "On paper as muted as here the published threshold leaves nothing in {} of \
+                 {layers} layers, so 0.75 of the layer's largest value replaces it. {} The \
+                 tracker adapts the direction in RGB in which each marker differs most from its surroundings, and \
+                 keeps the signal linear, because rounding couples the center of mass to the pixel \
+                 grid. The climber moves the camera, so the surroundings flow as well, as in the \
+                 paper, which compares a marker's flow with the mean flow of the frame.",
+                tally.literal_none,
+                match tally.most_stray {
+                    (count, Some(color)) => format!(
+                        "It selects up to {count} pixels that belong to no marker in the {color} \
+                         layer: objects of that color on the floor."
+                    ),
+                    _ => "It selects no pixel beside the markers in these images.".to_owned(),
+                }
+            ),
+        })
+    }
+
+    fn draw_4(&self, binary: &[Vec<u8>]) -> Result<String, PaperError> {
+        let mut d = Drawing::new(1120.0);
+        d.text(24.0, 34.0, 20.0, colors::INK, Anchor::Start, TITLE);
+        let (wide, left, top) = (526.0, 24.0, 88.0);
+        let high = wide * self.0[0].image.height as f64 / self.0[0].image.width as f64;
+        for (i, shot) in self.0.iter().enumerate() {
+            let corner =
+                [left + (wide + 20.0) * (i % 2) as f64, top + (high + 40.0) * (i / 2) as f64];
+            let name = format!("{:.2} s: camera, outlines, flow × {ARROW:.0}", shot.seconds);
+            d.text(corner[0], corner[1] - 14.0, 15.0, colors::INK, Anchor::Start, &name);
+            shot.draw_camera(&mut d, corner, [wide, high])?;
+        }
+        let row = top + 2.0 * (high + 40.0) + 8.0;
+        let (wide, high) = (260.0, 260.0 * high / wide);
+        for (i, (shot, binary)) in self.0.iter().zip(binary).enumerate() {
+            let x = left + 272.0 * i as f64;
+            let name = format!("{:.2} s: binary images", shot.seconds);
+            d.text(x, row - 12.0, 15.0, colors::INK, Anchor::Start, &name);
+            d.image(x, row, wide, high, shot.image.width, binary, false)?;
+        }
+        let row = row + high + 48.0;
+        let [.., shot] = &self.0;
+        for (i, color) in MarkerColor::ALL.into_iter().enumerate() {
+            shot.draw_signal(&mut d, color, [left + 272.0 * i as f64, row])?;
+        }
+        Ok(d.finish(row + 256.0 + 24.0, TITLE))
+    }
+}
+
+impl Shot {
     /// The paper's binary image of a color: pixels where its layer reaches the threshold.
     fn binary(&self, color: MarkerColor) -> Vec<bool> {
         let values: Vec<u8> =
@@ -16,19 +134,11 @@ impl Stages {
         values.iter().map(|v| *v > 0 && f64::from(*v) >= limit).collect()
     }
 
-    /// Fig. 4.
-    ///
-    /// # Errors
-    /// A drawing, or a folder that is not writable.
-    pub fn figure_4(&self, folder: &Path) -> Result<Made, PaperError> {
-        let (w, h) = (self.image.width, self.image.height);
-        let mut csv = String::from(concat!(
-            "marker,x_px,y_px,flow_x_px,flow_y_px,true_flow_x_px,true_flow_y_px,",
-            "largest_layer_value,pixels_over_literal_0.75,",
-            "binary_pixels_on_marker,binary_pixels_elsewhere,signal_on_marker,signal_beside\n"
-        ));
-        let mut binary = vec![12u8; 3 * w * h];
-        let (mut worst_flow, mut most_stray, mut literal_none) = (0.0f64, (0, MarkerColor::Red), 0);
+    /// The four binary images in one, r, g, b; adds a row of the table for each.
+    fn binary_image(&self, csv: &mut String, tally: &mut Tally) -> Vec<u8> {
+        let w = self.image.width;
+        let mut binary = vec![12u8; 3 * w * self.image.height];
+        let around = self.surroundings();
         for color in MarkerColor::ALL {
             let m = &self.marks[color];
             let paint =
@@ -44,16 +154,20 @@ impl Stages {
             let values = || self.rgb.chunks_exact(3).map(|p| layer(color, [p[0], p[1], p[2]]));
             let largest = values().max().unwrap_or(0);
             let literal = values().filter(|v| f64::from(*v) >= SHARE * 255.0).count();
-            literal_none += usize::from(literal == 0);
-            if off > most_stray.0 {
-                most_stray = (off, color);
+            tally.literal_none += usize::from(literal == 0);
+            if off > tally.most_stray.0 {
+                tally.most_stray = (off, Some(color));
             }
             let truth = self.true_flow[color].unwrap_or(Vector2::repeat(f64::NAN));
-            worst_flow = worst_flow.max((m.flow - truth).norm());
+            tally.worst_flow = tally.worst_flow.max((m.flow - truth).norm());
+            tally.least_difference = tally.least_difference.min((m.flow - around).norm());
             let (inside, beside) = self.signal_levels(color);
             let _ = writeln!(
                 csv,
-                concat!("{},{:.3},{:.3},{:.3},{:.3},{:.3},{:.3},{},{},{},{},{:.3},{:.3}"),
+                concat!(
+                    "{},{:.3},{:.3},{:.3},{:.3},{:.3},{:.3},{},{},{},{},{:.3},{:.3},",
+                    "{:.4},{:.3},{:.3}"
+                ),
                 color,
                 m.centroid.x,
                 m.centroid.y,
@@ -66,45 +180,72 @@ impl Stages {
                 on,
                 off,
                 inside,
-                beside
+                beside,
+                self.seconds,
+                around.x,
+                around.y
             );
         }
-        let svg = folder.join("fig-4.svg");
-        write(&svg, &self.draw_4(&binary)?)?;
-        let path = folder.join("fig-4.csv");
-        write(&path, &csv)?;
-        Ok(Made {
-            name: "fig-4",
-            title: "Fig. 4: binary images and optical flow",
-            csv: path,
-            svg,
-            table: None,
-            shows: format!(
-                "One image of a swing. Top left what the camera sent, with the outlines that the \
-                 tracker measured and each marker's flow since the image before, drawn five times \
-                 as long; top right the paper's four binary images in one, each layer cut at 0.75 \
-                 of its own largest value. Below, the tracker's own color signal around each \
-                 marker: 1 on the marker, 0 beside it, not yet rounded. The flow is measured from \
-                 its edges. It is within {worst_flow:.2} px of the true motion of the centroids."
-            ),
-            published: format!(
-                "The paper makes each layer binary at 0.75 of the normalized intensity range. On \
-                 paper as muted as here the literal threshold leaves nothing in {literal_none} of \
-                 4 layers, so 0.75 of the layer's largest value replaces it. {} The tracker adapts \
-                 the direction in RGB in which each marker differs most from its surroundings, and \
-                 keeps the signal linear, because rounding couples the center of mass to the pixel \
-                 grid.",
-                if most_stray.0 == 0 {
-                    "It catches no pixel beside the markers in this image.".to_owned()
-                } else {
-                    format!(
-                        "It selects {} pixels that belong to no marker in the {} layer: objects of \
-                         that color on the floor.",
-                        most_stray.0, most_stray.1
-                    )
+        binary
+    }
+
+    /// Camera image with outlines and flow.
+    fn draw_camera(
+        &self,
+        d: &mut Drawing,
+        [left, top]: [f64; 2],
+        [wide, high]: [f64; 2],
+    ) -> Result<(), PaperError> {
+        d.image(left, top, wide, high, self.image.width, &self.rgb, false)?;
+        let scale = wide / self.image.width as f64;
+        let place = |p: Vector2<f64>| [left + (p.x + 0.5) * scale, top + (p.y + 0.5) * scale];
+        // Light on a dark rim: seen on any floor, in the light and in the dark.
+        let (rim, bright) = (colors::PICTURE_DARK, colors::PICTURE_LIGHT);
+        for [at, flow] in &self.field {
+            let from = at - flow * ARROW;
+            for ink in [Ink(rim, 2.6), Ink(colors::PICTURE_YELLOW, 1.2)] {
+                d.arrow(place(from), place(*at), ink);
+            }
+        }
+        for m in &self.marks.0 {
+            for ink in [Ink(rim, 4.0), Ink(bright, 1.8)] {
+                if let Some(corners) = m.outline {
+                    d.outline(&corners.map(place), ink);
                 }
-            ),
-        })
+                d.arrow(place(m.centroid), place(m.centroid + m.flow * ARROW), ink);
+            }
+        }
+        Ok(())
+    }
+
+    /// The tracker's color signal of a marker, 256 px wide.
+    fn draw_signal(
+        &self,
+        d: &mut Drawing,
+        color: MarkerColor,
+        [x, row]: [f64; 2],
+    ) -> Result<(), PaperError> {
+        let m = &self.marks[color];
+        let name = format!("{color}: signal, flow {:+.1} {:+.1} px", m.flow.x, m.flow.y);
+        d.text(x, row - 12.0, 15.0, colors::INK, Anchor::Start, &name);
+        let Some(seen) = self.seen[color].as_ref().filter(|s| s.width > 0) else { return Ok(()) };
+        let rows = seen.signal.len() / seen.width;
+        let level = |v: &f32| match v {
+            v if v.is_finite() => (40.0 + 190.0 * v.clamp(0.0, 1.1)).min(255.0) as u8,
+            _ => 12,
+        };
+        let gray: Vec<u8> = seen.signal.iter().flat_map(|v| [level(v); 3]).collect();
+        let edge = 256.0 / seen.width.max(rows) as f64;
+        let (wide, high) = (edge * seen.width as f64, edge * rows as f64);
+        d.image(x, row, wide, high, seen.width, &gray, true)?;
+        if let Some(corners) = m.outline {
+            let origin = seen.origin.map(f64::from);
+            let local = corners.map(|c| {
+                [x + (c.x - origin[0] + 0.5) * edge, row + (c.y - origin[1] + 0.5) * edge]
+            });
+            d.outline(&local, Ink(chart_color(color), 2.5));
+        }
+        Ok(())
     }
 
     /// Median of the color signal on the marker and at the window's rim.
@@ -122,84 +263,5 @@ impl Stages {
             values.get(values.len() / 2).copied().unwrap_or(f32::NAN)
         };
         (median(&mut on), median(&mut off))
-    }
-
-    fn draw_4(&self, binary: &[u8]) -> Result<String, PaperError> {
-        let (w, h) = (self.image.width as f64, self.image.height as f64);
-        let mut d = Drawing::new(1120.0);
-        d.text(
-            24.0,
-            34.0,
-            20.0,
-            colors::INK,
-            Anchor::Start,
-            "Fig. 4: binary images and optical flow",
-        );
-        let (wide, left, right, top) = (526.0, 24.0, 570.0, 88.0);
-        let high = wide * h / w;
-        d.text(left, top - 14.0, 15.0, colors::INK, Anchor::Start, "camera, outlines, flow × 5");
-        d.text(
-            right,
-            top - 14.0,
-            15.0,
-            colors::INK,
-            Anchor::Start,
-            "the paper's binary images, at 0.75 of the largest value",
-        );
-        d.image(left, top, wide, high, self.image.width, &self.rgb, false)?;
-        d.image(right, top, wide, high, self.image.width, binary, false)?;
-        let scale = wide / w;
-        let place = |x: f64, y: f64| [left + (x + 0.5) * scale, top + (y + 0.5) * scale];
-        // White on a dark rim: seen on any floor, in the light and in the dark.
-        let (rim, bright) = (Ink(colors::PICTURE_DARK, 4.0), Ink(colors::PICTURE_LIGHT, 1.8));
-        for m in &self.marks.0 {
-            for ink in [rim, bright] {
-                if let Some(corners) = m.outline {
-                    d.outline(&corners.map(|c| place(c.x, c.y)), ink);
-                }
-                let (from, to) = (m.centroid, m.centroid + m.flow * 5.0);
-                d.arrow(place(from.x, from.y), place(to.x, to.y), ink);
-            }
-        }
-        let row = top + high + 48.0;
-        for (i, color) in MarkerColor::ALL.into_iter().enumerate() {
-            let x = left + 272.0 * i as f64;
-            let m = &self.marks[color];
-            d.text(
-                x,
-                row - 12.0,
-                15.0,
-                colors::INK,
-                Anchor::Start,
-                &format!("{color}: signal, flow {:+.1} {:+.1} px", m.flow.x, m.flow.y),
-            );
-            let Some(seen) = self.seen[color].as_ref().filter(|s| s.width > 0) else { continue };
-            let rows = seen.signal.len() / seen.width;
-            let gray: Vec<u8> = seen
-                .signal
-                .iter()
-                .flat_map(|v| {
-                    let level = if v.is_finite() {
-                        (40.0 + 190.0 * v.clamp(0.0, 1.1)).min(255.0) as u8
-                    } else {
-                        12
-                    };
-                    [level; 3]
-                })
-                .collect();
-            let edge = 256.0 / seen.width.max(rows) as f64;
-            let (pw, ph) = (edge * seen.width as f64, edge * rows as f64);
-            d.image(x, row, pw, ph, seen.width, &gray, true)?;
-            if let Some(corners) = m.outline {
-                let local = corners.map(|c| {
-                    [
-                        x + (c.x - f64::from(seen.origin[0]) + 0.5) * edge,
-                        row + (c.y - f64::from(seen.origin[1]) + 0.5) * edge,
-                    ]
-                });
-                d.outline(&local, Ink(chart_color(color), 2.5));
-            }
-        }
-        Ok(d.finish(row + 256.0 + 24.0, "Fig. 4: binary images and optical flow"))
     }
 }

@@ -1,10 +1,13 @@
 //! Fig. 5: hue histograms of the markers.
 
-use super::Stages;
-use crate::paper::{Made, PaperError, write};
+use super::{Shot, Stages};
+use crate::paper::{Made, PaperError, Value, write};
 use rig_model::{MarkerColor, PerColor};
 use std::{fmt::Write, path::Path};
 use volant::report::{Anchor, Drawing, Ink, Table, colors};
+
+/// Where the default tracker searches.
+const WINDOW: &str = "4.5 px across the predicted edges";
 
 impl Stages {
     /// Fig. 5.
@@ -12,10 +15,11 @@ impl Stages {
     /// # Errors
     /// The folder is not writable.
     pub fn figure_5(&self, folder: &Path) -> Result<Made, PaperError> {
+        let [.., shot] = &self.0;
         let estimated: PerColor<Vec<f32>> =
-            PerColor::from_fn(|c| self.seen[c].as_ref().map(|s| s.hue.clone()).unwrap_or_default());
+            PerColor::from_fn(|c| shot.seen[c].as_ref().map(|s| s.hue.clone()).unwrap_or_default());
         let bins = estimated.0.iter().map(Vec::len).max().unwrap_or(0);
-        let around = self.hues_around(bins);
+        let around = shot.hues_around(bins);
         let mut csv = String::from("hue_deg,red,green,blue,yellow,rest_of_the_image\n");
         for (bin, rest) in around.iter().enumerate() {
             let _ = write!(csv, "{:.3}", (bin as f64 + 0.5) * 360.0 / bins as f64);
@@ -54,6 +58,10 @@ impl Stages {
             csv: path,
             svg,
             table: Some(table),
+            values: vec![
+                Value::new("search window around the previous center", "at least 25 px", WINDOW),
+                Value::new("bins of a histogram", "–", bins.to_string()),
+            ],
             shows:
                 "The hue histograms that the tracker has estimated from the insides of the four \
                     squares in that image, in bars of their own hue, beside the hues of the rest \
@@ -62,14 +70,17 @@ impl Stages {
                     one's hue: color alone does not distinguish a marker from its surroundings."
                     .to_owned(),
             published:
-                "The paper searches each marker's histogram in a window around its previous \
-                        center, as here; its own histograms are in an image without published \
-                        numbers. Here an object of another hue in a marker's place is rejected, \
-                        and geometry decides between objects of one hue."
+                "The published histograms are an image without numbers. The paper searches each \
+                        marker's histogram in a window around its previous center, widened by the \
+                        flow; the default tracker checks the histogram inside of each square that \
+                        it has measured, which needs no window. An object of another hue in a \
+                        marker's place is rejected, and geometry decides between objects of one hue."
                     .to_owned(),
         })
     }
+}
 
+impl Shot {
     /// Hues of all pixels that lie on no marker, weighted by saturation, sum 1.
     fn hues_around(&self, bins: usize) -> Vec<f32> {
         let mut sums = vec![0f32; bins];

@@ -2,6 +2,7 @@
 //! camera images.
 
 mod binary;
+mod flow_field;
 mod hue;
 
 use super::PaperError;
@@ -14,8 +15,11 @@ use volant::report::colors;
 
 /// The paper's threshold, as a share of the intensity range.
 const SHARE: f64 = 0.75;
-/// Images before the one that is shown.
-const LEAD: usize = 12;
+/// Images that the tracker follows before and between those that are shown.
+const LEAD: usize = 4;
+const STEP: usize = 3;
+/// Images that are shown.
+const SHOWN: usize = 4;
 
 /// Colors of the markers in charts.
 pub(super) fn chart_color(color: MarkerColor) -> volant::report::Color {
@@ -51,17 +55,24 @@ pub fn layer(color: MarkerColor, [r, g, b]: [u8; 3]) -> u8 {
 }
 
 /// What the tracker saw at one instant of a swing.
-pub struct Stages {
+struct Shot {
+    /// Time since the start of the swing, s.
+    seconds: f64,
     image: OwnedImage,
     rgb: Vec<u8>,
     marks: PerColor<MarkerView>,
     seen: PerColor<Option<SignalView>>,
-    /// Displacement of the centroids by the truth, px.
+    /// Displacement of the centroids by the truth since the image before, px.
     true_flow: PerColor<Option<Vector2<f64>>>,
+    /// Flow of the surroundings since the image before: place and displacement, px.
+    field: Vec<[Vector2<f64>; 2]>,
 }
 
+/// Four instants of a swing, a tenth of a second apart.
+pub struct Stages([Shot; SHOWN]);
+
 impl Stages {
-    /// Follows a swing for some images and keeps the stages of the last one.
+    /// Follows a swing for some images and keeps the stages of the last ones.
     ///
     /// # Errors
     /// The scenario or an image.
@@ -76,36 +87,62 @@ impl Stages {
             .map_err(|e| PaperError::Image(e.to_string()))?;
         let mut tracker = Tracker::new(scenario.rig.markers.clone(), TrackerConfig::default());
         tracker.handle(marker_tracker::Input::Camera(scenario.camera.clone()));
-        let first = images.frames.len().saturating_sub(LEAD);
-        let mut last = None;
-        for frame in &images.frames[first..] {
-            let image = marker_tracker::decode_compressed("jpeg", &frame.jpeg)
-                .map_err(|e| PaperError::Image(e.to_string()))?;
-            tracker.handle(marker_tracker::Input::Image(
-                image.view(scenario.sensors.epoch.plus_seconds(frame.seconds)),
-            ));
-            while tracker.poll().is_some() {}
-            last = Some((image, frame.seconds));
-        }
-        let (image, seconds) =
-            last.ok_or_else(|| PaperError::Image("there are no images".into()))?;
-        let before = images.frames[images.frames.len().saturating_sub(2)].seconds;
         let place = |color: MarkerColor, t: f64| {
             let camera = scenario.motion.world_from_camera(t, &scenario.rig);
             let pose = camera.inverse() * scenario.motion.world_from_volant(t);
             Some(scenario.rig.markers.projected_centroid(color, &scenario.camera, &pose)?.pixel)
         };
-        let seen = {
-            let view = image.view(scenario.sensors.epoch.plus_seconds(seconds));
-            PerColor::from_fn(|c| tracker.signal(c, &view))
+        let first = images.frames.len().saturating_sub(LEAD + STEP * SHOWN);
+        let mut shots = Vec::with_capacity(SHOWN);
+        let mut before: Option<(OwnedImage, f64)> = None;
+        for (i, frame) in images.frames[first..].iter().enumerate() {
+            let image = marker_tracker::decode_compressed("jpeg", &frame.jpeg)
+                .map_err(|e| PaperError::Image(e.to_string()))?;
+            let stamp = scenario.sensors.epoch.plus_seconds(frame.seconds);
+            tracker.handle(marker_tracker::Input::Image(image.view(stamp)));
+            while tracker.poll().is_some() {}
+            if let Some((earlier, seconds)) = &before
+                && i >= LEAD
+                && (i - LEAD) % STEP == STEP - 1
+            {
+                let marks = tracker.views();
+                let seen = PerColor::from_fn(|c| tracker.signal(c, &image.view(stamp)));
+                let mut shot = Shot {
+                    seconds: frame.seconds,
+                    rgb: rgb_of(&image),
+                    image: image.clone(),
+                    marks,
+                    seen,
+                    true_flow: PerColor::from_fn(|c| {
+                        Some(place(c, frame.seconds)? - place(c, *seconds)?)
+                    }),
+                    field: Vec::new(),
+                };
+                let field = flow_field::between(earlier, &image)?;
+                let on_marker = |p: &Vector2<f64>| {
+                    MarkerColor::ALL.iter().any(|c| shot.on_marker(*c, p.x, p.y))
+                };
+                shot.field = field.into_iter().filter(|[p, _]| !on_marker(p)).collect();
+                shots.push(shot);
+            }
+            before = Some((image, frame.seconds));
+        }
+        shots
+            .try_into()
+            .map(Self)
+            .map_err(|_| PaperError::Image("the swing has too few images".into()))
+    }
+}
+
+impl Shot {
+    /// Median flow of the surroundings, px.
+    fn surroundings(&self) -> Vector2<f64> {
+        let median = |axis: usize| {
+            let mut values: Vec<f64> = self.field.iter().map(|[_, flow]| flow[axis]).collect();
+            values.sort_by(f64::total_cmp);
+            values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
         };
-        Ok(Self {
-            rgb: rgb_of(&image),
-            image,
-            marks: tracker.views(),
-            seen,
-            true_flow: PerColor::from_fn(|c| Some(place(c, seconds)? - place(c, before)?)),
-        })
+        Vector2::new(median(0), median(1))
     }
 
     /// True inside of the square that was measured, grown by a pixel and a half for its blurred
@@ -149,14 +186,17 @@ mod tests {
         let stages = Stages::of(3, 2).unwrap();
         let made = stages.figure_4(&folder).unwrap();
         let csv = std::fs::read_to_string(&made.csv).unwrap();
+        assert_eq!(csv.lines().count(), 17, "four markers in four images");
         for line in csv.lines().skip(1) {
             let v: Vec<f64> = line.split(',').skip(1).map(|c| c.parse().unwrap()).collect();
             assert!((v[2] - v[4]).hypot(v[3] - v[5]) < 0.3, "flow: {line}");
             assert!(v[8] > 50.0 && v[10] > 0.8 && v[11] < 0.4, "{line}");
+            // The markers move against their surroundings in a swing.
+            assert!((v[2] - v[13]).hypot(v[3] - v[14]) > 1.0, "{line}");
         }
         assert_eq!(
             std::fs::read_to_string(&made.svg).unwrap().matches("data:image/png").count(),
-            6
+            12
         );
         let made = stages.figure_5(&folder).unwrap();
         let csv = std::fs::read_to_string(&made.csv).unwrap();

@@ -1,0 +1,119 @@
+//! The published visual measurement in its literal form: the markers' coordinates reprojected to
+//! the world plane (eq. 8).
+//!
+//! The paper leaves the height of that plane open. Here each marker's sight line is intersected
+//! with the horizontal plane at the height that the pose gives the marker, so that the residual
+//! vanishes where the marker lies on its line, and four markers determine all six numbers of the
+//! pose.
+
+use nalgebra::{Matrix3, Point3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
+use rig_model::{MarkerColor, MarkerLayout, PerColor};
+
+/// Line from the camera through a marker's pixel, in the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SightLine {
+    /// The camera's center, m.
+    pub origin: Point3<f64>,
+    /// Direction of view.
+    pub direction: Vector3<f64>,
+}
+
+/// Residual (m) of the eight marker coordinates [x_i, y_i] and its measurement matrix.
+#[derive(Clone, Debug)]
+pub struct PlaneResidual {
+    /// Measured minus predicted coordinates; 0 for a marker that is not used.
+    pub residual: SVector<f64, 8>,
+    /// Derivative of the predicted coordinates by the pose vector; 0 for such a marker.
+    pub jacobian: SMatrix<f64, 8, 6>,
+}
+
+/// Returns the residual of eq. 8 at the pose x, y, z, roll, pitch, yaw (m, rad).
+pub fn plane_residual(
+    pose: &Vector6<f64>,
+    layout: &MarkerLayout,
+    lines: &PerColor<Option<SightLine>>,
+) -> PlaneResidual {
+    let rotation = UnitQuaternion::from_euler_angles(pose[3], pose[4], pose[5]);
+    let rates = world_rates(pose);
+    let mut found = PlaneResidual { residual: SVector::zeros(), jacobian: SMatrix::zeros() };
+    for color in MarkerColor::ALL {
+        // A horizontal line meets no plane.
+        let Some(line) = lines[color].filter(|l| l.direction.z.abs() > 1e-3 * l.direction.norm())
+        else {
+            continue;
+        };
+        let arm = rotation * layout.centres[color].coords;
+        let marker = pose.fixed_rows::<3>(0) + arm;
+        let slope = line.direction.xy() / line.direction.z;
+        let reprojected = line.origin.coords.xy() + slope * (marker.z - line.origin.z);
+        let mut place = SMatrix::<f64, 3, 6>::zeros();
+        place.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
+        place.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-arm.cross_matrix() * rates));
+        let row = 2 * color.index();
+        found.residual.fixed_rows_mut::<2>(row).copy_from(&(reprojected - marker.xy()));
+        // The plane moves with the marker's height.
+        let jacobian = place.fixed_rows::<2>(0) - slope * place.row(2);
+        found.jacobian.fixed_rows_mut::<2>(row).copy_from(&jacobian);
+    }
+    found
+}
+
+/// Matrix E of δθ = E δ(roll, pitch, yaw): small rotations about the world's axes that follow from
+/// changes of the angles.
+pub fn world_rates(pose: &Vector6<f64>) -> Matrix3<f64> {
+    let (sp, cp) = pose[4].sin_cos();
+    let (sy, cy) = pose[5].sin_cos();
+    Matrix3::new(cy * cp, -sy, 0.0, sy * cp, cy, 0.0, -sp, 0.0, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn layout() -> MarkerLayout {
+        let at = |x, y| Point3::new(x, y, 0.02);
+        let centres = [at(0.15, 0.14), at(-0.15, 0.16), at(-0.16, -0.15), at(0.15, -0.14)];
+        MarkerLayout { side: 0.076, centres: PerColor(centres) }
+    }
+
+    fn lines(pose: &Vector6<f64>) -> PerColor<Option<SightLine>> {
+        let rotation = UnitQuaternion::from_euler_angles(pose[3], pose[4], pose[5]);
+        let origin = Point3::new(0.1, 0.2, 2.9);
+        PerColor::from_fn(|c| {
+            let marker = pose.fixed_rows::<3>(0) + rotation * layout().centres[c].coords;
+            Some(SightLine { origin, direction: (marker - origin.coords) * 0.7 })
+        })
+    }
+
+    #[test]
+    fn markers_on_their_lines_leave_no_residual_and_the_jacobian_is_the_difference_quotient() {
+        let truth = Vector6::new(0.2, 0.1, 1.4, 0.1, -0.2, 0.7);
+        let seen = lines(&truth);
+        let at_truth = plane_residual(&truth, &layout(), &seen);
+        assert!(at_truth.residual.norm() < 1e-12);
+        assert!(at_truth.jacobian.svd(false, false).singular_values.min() > 0.01, "observable");
+        let pose = truth + Vector6::new(0.01, -0.02, 0.03, 0.02, 0.01, -0.03);
+        let here = plane_residual(&pose, &layout(), &seen);
+        for i in 0..6 {
+            let mut step = Vector6::zeros();
+            step[i] = 1e-6;
+            let there = plane_residual(&(pose + step), &layout(), &seen);
+            let quotient = (here.residual - there.residual) / 1e-6;
+            assert!((quotient - here.jacobian.column(i)).norm() < 1e-5, "column {i}");
+        }
+    }
+
+    #[test]
+    fn a_marker_without_a_line_is_left_out() {
+        let truth = Vector6::new(0.2, 0.1, 1.4, 0.1, -0.2, 0.7);
+        let mut seen = lines(&truth);
+        seen.0[1] = None;
+        if let Some(line) = &mut seen.0[2] {
+            line.direction.z = 0.0;
+        }
+        let found = plane_residual(&(truth * 1.01), &layout(), &seen);
+        assert!(found.residual.rows(2, 4).iter().all(|v| *v == 0.0));
+        assert!(found.jacobian.rows(2, 4).iter().all(|v| *v == 0.0));
+        assert!(found.residual.norm() > 1e-4);
+    }
+}

@@ -1,0 +1,104 @@
+//! Pose of the camera's frame as published (section II-E): homography, singular value
+//! decomposition, then minimization of the reprojection error, from one image alone.
+//!
+//! The minimizer is [`planar_pose::refine`] with markers of no extent: each center of mass is taken
+//! as the image of the marker's center, and all pixels weigh alike, as in OpenCV's extrinsics
+//! (`solvePnP`, `SOLVEPNP_ITERATIVE`). OpenCV's own is not linked: `calib3d` adds 11 s to the build
+//! of the bindings (38 s instead of 26 s on two cores), but on Debian 12 `libopencv-calib3d-dev`
+//! brings 153 packages (83 MB to download, 304 MB installed; Qt, GDAL and video codecs among them)
+//! to a setup of 113 MB. A test of `test/peers` compares both minimizers.
+
+use nalgebra::{Isometry3, Matrix2};
+use rig_model::{
+    CameraModel, MarkerLayout, PerColor,
+    planar_pose::{self, MarkerPixels, PlanarPose},
+};
+
+/// Returns the published pose of four centroids (raw px, with covariances in px²).
+///
+/// Three have no homography, and the paper has nothing for them: the minimization then starts from
+/// `previous`, the `camera_from_volant` of the image before. `None` without a start, or if the
+/// minimization does not converge in front of the camera.
+pub fn published_pose(
+    layout: &MarkerLayout,
+    camera: &CameraModel,
+    pixels: &MarkerPixels,
+    previous: Option<&Isometry3<f64>>,
+) -> Option<PlanarPose> {
+    let points = MarkerLayout { side: 0.0, ..layout.clone() };
+    let measured = pixels.0.iter().flatten();
+    let variance = measured.clone().map(|(_, c)| c.trace() / 2.0).sum::<f64>()
+        / measured.clone().count().max(1) as f64;
+    let alike = PerColor(pixels.0.map(|p| p.map(|(at, _)| (at, Matrix2::identity() * variance))));
+    let start = if measured.count() == 4 {
+        planar_pose::from_homography(&points, camera, &alike)
+    } else {
+        previous.copied()
+    };
+    planar_pose::refine(&points, camera, &alike, None, &start?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Point3, Translation3, UnitQuaternion, Vector2, Vector3};
+    use rig_model::Distortion;
+
+    fn layout() -> MarkerLayout {
+        let at = |x, y| Point3::new(x, y, 0.02);
+        let centres = [at(0.15, 0.14), at(-0.15, 0.16), at(-0.16, -0.15), at(0.15, -0.14)];
+        MarkerLayout { side: 0.076, centres: PerColor(centres) }
+    }
+
+    fn camera() -> CameraModel {
+        let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
+        CameraModel::new(640, 480, [591.0, 589.0, 319.3, 235.2], lens).unwrap()
+    }
+
+    /// Platform at 1.2 m below the camera with this tilt, rad.
+    fn pose(tilt: f64) -> Isometry3<f64> {
+        let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+        let lean = UnitQuaternion::from_scaled_axis(Vector3::new(0.8, 0.6, 0.0) * tilt);
+        Isometry3::from_parts(Translation3::new(0.05, -0.04, 1.2), down * lean)
+    }
+
+    /// Images of the markers' centers.
+    fn centers(truth: &Isometry3<f64>) -> MarkerPixels {
+        let points = MarkerLayout { side: 0.0, ..layout() };
+        PerColor::from_fn(|c| {
+            let place = points.projected_centroid(c, &camera(), truth)?;
+            Some((place.pixel, Matrix2::identity() * 0.01))
+        })
+    }
+
+    #[test]
+    fn exact_centers_give_the_exact_pose_and_area_centroids_the_published_bias() {
+        let truth = pose(0.5);
+        let error = |pixels: &MarkerPixels| {
+            let found = published_pose(&layout(), &camera(), pixels, None).unwrap();
+            (truth.inverse() * found.camera_from_volant).translation.vector.norm()
+        };
+        assert!(error(&centers(&truth)) < 1e-7);
+        let areas = PerColor::from_fn(|c| {
+            let place = layout().projected_centroid(c, &camera(), &truth)?;
+            Some((place.pixel, Matrix2::identity() * 0.01))
+        });
+        let bias = error(&areas);
+        assert!((1e-4..1e-2).contains(&bias), "{bias} m");
+    }
+
+    #[test]
+    fn three_markers_continue_from_the_image_before() {
+        let truth = pose(0.4);
+        let mut pixels = centers(&truth);
+        pixels.0[1] = None;
+        assert!(published_pose(&layout(), &camera(), &pixels, None).is_none());
+        let before = pose(0.38);
+        let found = published_pose(&layout(), &camera(), &pixels, Some(&before)).unwrap();
+        assert!((truth.inverse() * found.camera_from_volant).rotation.angle() < 1e-6);
+        // A mirrored image is of no platform below the camera.
+        let mut mirrored = centers(&truth);
+        mirrored.0.iter_mut().flatten().for_each(|p| p.0 = Vector2::new(640.0 - p.0.x, p.0.y));
+        assert!(published_pose(&layout(), &camera(), &mirrored, None).is_none());
+    }
+}

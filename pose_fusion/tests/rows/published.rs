@@ -1,0 +1,104 @@
+//! The published filter: its measurements, and what its status reports of missing inputs.
+
+use super::{Outcome, common::simulated, follow_from};
+use pose_fusion::{
+    Fusion, FusionConfig, Input, Model, Output, PaperMeasurement, PoseState, PoseStatus,
+};
+use rig_model::{MarkerColor, Stamp};
+use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
+
+fn config(measurement: PaperMeasurement) -> FusionConfig {
+    let mut config = FusionConfig { model: Model::Paper, ..simulated::config() };
+    config.paper.measurement = measurement;
+    config.paper.velocity_from_fused = true;
+    config
+}
+
+fn run(measurement: PaperMeasurement, sensors: &SensorConfig) -> Outcome {
+    let motion = MotionConfig { duration: 10.0, ..MotionConfig::nominal(1) };
+    follow_from(motion, sensors, config(measurement), 2.0)
+}
+
+#[test]
+fn poses_and_marker_coordinates_correct_the_published_filter() {
+    for measurement in [PaperMeasurement::Pose, PaperMeasurement::Markers] {
+        let o = run(measurement, &SensorConfig::nominal(1));
+        println!("{measurement:?}: {}", o.score);
+        assert!(o.score.position_rmse() < 60.0 && o.score.rotation_rmse() < 1.5, "{}", o.score);
+    }
+}
+
+/// Statuses from 1 s after the inputs that `keep` selects from 4 s on.
+fn statuses(keep: impl Fn(&Input) -> bool) -> Vec<PoseStatus> {
+    let sensors = SensorConfig::nominal(1);
+    let motion = MotionConfig { duration: 6.0, ..MotionConfig::nominal(1) };
+    let run = simulated::run(motion, &sensors);
+    let mut fusion = Fusion::new(simulated::rig(), config(PaperMeasurement::Pose));
+    let since = |stamp: Stamp| stamp.seconds_since(sensors.epoch);
+    let mut statuses = Vec::new();
+    for (arrival, input) in run.inputs {
+        if since(arrival) < 4.0 || keep(&input) {
+            fusion.handle(input);
+        }
+        while let Some(output) = fusion.poll() {
+            if let Output::Status(status) = output
+                && since(status.stamp) > 5.0
+            {
+                statuses.push(status);
+            }
+        }
+    }
+    assert!(statuses.len() >= 9, "at 10 Hz at least: {}", statuses.len());
+    statuses
+}
+
+#[test]
+fn the_status_of_the_published_filter_names_what_is_missing() {
+    for status in statuses(|_| true) {
+        assert!(status.state == PoseState::Tracking && status.valid, "{status:?}");
+        assert!(status.image_age < 0.05 && status.markers_used == 4, "{status:?}");
+    }
+    for status in statuses(|input| !matches!(input, Input::Markers(_))) {
+        assert!(status.state == PoseState::Lost && !status.valid, "{status:?}");
+        assert!(status.reason.starts_with("no climber/markers for "), "{}", status.reason);
+        assert!(status.image_age > 0.9, "{status:?}");
+    }
+    for status in statuses(|input| !matches!(input, Input::Imu(_))) {
+        assert_eq!(status.state, PoseState::VisionOnly, "{status:?}");
+        assert!(status.reason.starts_with("no IMU sample for "), "{}", status.reason);
+    }
+    for status in statuses(|input| !matches!(input, Input::Climber(_))) {
+        assert_eq!(status.state, PoseState::Coasting, "{status:?}");
+        assert!(status.reason.contains("no climber/transform"), "{}", status.reason);
+    }
+}
+
+#[test]
+fn two_hidden_markers_leave_the_published_filter_coasting() {
+    let hidden = [MarkerColor::Red, MarkerColor::Blue].map(|m| (m, 4.0, 6.0)).to_vec();
+    let o = run(PaperMeasurement::Pose, &SensorConfig { hidden, ..SensorConfig::nominal(1) });
+    let epoch = SensorConfig::nominal(1).epoch;
+    let within = |s: &&PoseStatus| (4.4..5.9).contains(&s.stamp.seconds_since(epoch));
+    let coasting: Vec<&PoseStatus> = o.outputs.status.iter().filter(within).collect();
+    assert!(coasting.len() > 30);
+    for status in coasting {
+        assert_eq!(status.state, PoseState::Coasting, "{status:?}");
+        assert!(status.reason.contains("two or more markers hidden"), "{}", status.reason);
+    }
+    assert_eq!(o.outputs.status.last().map(|s| s.state), Some(PoseState::Tracking));
+}
+
+#[test]
+fn before_its_first_pose_the_published_filter_reports_what_it_waits_for() {
+    let sensors = SensorConfig::nominal(1);
+    let run = simulated::run(MotionConfig { duration: 1.0, ..MotionConfig::nominal(1) }, &sensors);
+    let mut fusion = Fusion::new(simulated::rig(), config(PaperMeasurement::Pose));
+    let inputs = run.inputs.into_iter().map(|(_, i)| i);
+    let without = inputs.filter(|i| !matches!(i, Input::Climber(_)));
+    let outputs = super::scoring::run(&mut fusion, without);
+    assert!(outputs.odometry.is_empty() && outputs.status.len() >= 9);
+    let last = outputs.status.last().unwrap();
+    assert_eq!(last.state, PoseState::Initializing);
+    assert!(last.reason.contains("climber/transform"), "{}", last.reason);
+    assert_eq!(fusion.missing(), last.reason);
+}
