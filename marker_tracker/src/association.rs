@@ -99,7 +99,7 @@ pub(crate) fn hypotheses(
     for [a, b, c, d] in seeds.into_iter().take(if by_threes { 4 } else { 1 }) {
         let mut threes = THREES;
         let (pa, pb, pc, pd) =
-            (layout.centres[a], layout.centres[b], layout.centres[c], layout.centres[d]);
+            (layout.centers[a], layout.centers[b], layout.centers[c], layout.centers[d]);
         let (u, v) = ((pb - pa).xy(), (pc - pa).xy());
         let twist = u.x * v.y - u.y * v.x;
         let side2 = layout.side * layout.side;

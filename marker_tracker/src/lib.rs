@@ -9,8 +9,8 @@
 //! # use rig_model::{MarkerLayout, PerColor, Stamp};
 //! # use nalgebra::Point3;
 //! # let corners = [(0.15, 0.15), (-0.15, 0.15), (-0.15, -0.15), (0.15, -0.15)];
-//! # let centres = PerColor(corners.map(|(x, y)| Point3::new(x, y, 0.0)));
-//! # let layout = MarkerLayout { side: 0.076, centres };
+//! # let centers = PerColor(corners.map(|(x, y)| Point3::new(x, y, 0.0)));
+//! # let layout = MarkerLayout { side: 0.076, centers };
 //! let mut tracker = Tracker::new(layout, TrackerConfig::default());
 //! let pixels = vec![0u8; 64 * 48 * 3];
 //! tracker.handle(Input::Image(ImageView {

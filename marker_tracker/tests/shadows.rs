@@ -59,7 +59,7 @@ impl Score {
 /// Share of a marker's area that the shadow darkens by more than half of its depth.
 fn shadowed(shadow: &Shadow, rig: &Rig, color: MarkerColor, at: &Instant, seconds: f64) -> f64 {
     const N: i32 = 40;
-    let center = rig.markers.centres[color];
+    let center = rig.markers.centers[color];
     let platform = at.world_from_volant.translation.vector.xy().cast::<f32>();
     let dark = (0..N * N)
         .filter(|i| {

@@ -138,9 +138,9 @@ fn an_error_of_the_layout_does_not_move_the_centroids() {
     // 2 mm are 0.96 px here.
     let mut wrong = layout();
     let shift = [[2.0, 0.0], [-1.0, 1.7], [-1.4, -1.4], [0.3, 2.0]];
-    for (centre, by) in wrong.centres.0.iter_mut().zip(shift) {
-        centre.x += 1e-3 * by[0];
-        centre.y += 1e-3 * by[1];
+    for (center, by) in wrong.centers.0.iter_mut().zip(shift) {
+        center.x += 1e-3 * by[0];
+        center.y += 1e-3 * by[1];
     }
     let mut other = Tracker::new(wrong, TrackerConfig::default());
     other.handle(Input::Camera(camera()));

@@ -131,9 +131,9 @@ impl Parameters {
         let imu = &mut next.rig.imu.volant_from_imu;
         imu.rotation = UnitQuaternion::from_scaled_axis(v(IMU_TURN)) * imu.rotation;
         imu.translation.vector += v(IMU_PLACE);
-        for (i, centre) in next.rig.markers.centres.0.iter_mut().enumerate() {
+        for (i, center) in next.rig.markers.centers.0.iter_mut().enumerate() {
             let at = MARKERS.start + 3 * i;
-            centre.coords += v(at..at + 3);
+            center.coords += v(at..at + 3);
         }
         next.sensor.force_bias += v(FORCE_BIAS);
         next.sensor.rate_bias += v(RATE_BIAS);
@@ -166,7 +166,7 @@ impl Parameters {
         put(IMU_PLACE, c.translation.vector - e.translation.vector);
         for i in 0..4 {
             let at = MARKERS.start + 3 * i;
-            let moved = self.rig.markers.centres.0[i] - other.rig.markers.centres.0[i];
+            let moved = self.rig.markers.centers.0[i] - other.rig.markers.centers.0[i];
             put(at..at + 3, moved);
         }
         let (s, o) = (&self.sensor, &other.sensor);
@@ -206,7 +206,7 @@ impl Parameters {
 fn scaled(layout: &MarkerLayout, factor: f64) -> MarkerLayout {
     let mut layout = layout.clone();
     layout.side *= factor;
-    layout.centres.0.iter_mut().for_each(|c| c.coords *= factor);
+    layout.centers.0.iter_mut().for_each(|c| c.coords *= factor);
     layout
 }
 

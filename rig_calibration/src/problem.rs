@@ -169,11 +169,11 @@ pub fn motion(change: &Change, p: &Parameters, from: &State, to: &State) -> SVec
 
 /// Rows that hold what images do not determine: mean position, rotation and size of the layout.
 pub fn layout_gauge(rig: &Rig) -> SMatrix<f64, 7, 12> {
-    let centres = &rig.markers.centres.0;
-    let mean = centres.iter().map(|c| c.coords).sum::<Vector3<f64>>() / 4.0;
+    let centers = &rig.markers.centers.0;
+    let mean = centers.iter().map(|c| c.coords).sum::<Vector3<f64>>() / 4.0;
     let mut rows = SMatrix::<f64, 7, 12>::zeros();
-    for (i, centre) in centres.iter().enumerate() {
-        let arm = centre.coords - mean;
+    for (i, center) in centers.iter().enumerate() {
+        let arm = center.coords - mean;
         rows.fixed_view_mut::<3, 3>(0, 3 * i).copy_from(&(Matrix3::identity() * 0.25));
         rows.fixed_view_mut::<3, 3>(3, 3 * i).copy_from(&arm.cross_matrix());
         rows.fixed_view_mut::<1, 3>(6, 3 * i).copy_from(&arm.transpose());

@@ -86,7 +86,7 @@ pub struct MarkerLayout {
     ///
     /// Each square lies in a plane of constant z of that frame; its rotation within the plane is
     /// unknown.
-    pub centres: PerColor<Point3<f64>>,
+    pub centers: PerColor<Point3<f64>>,
 }
 
 /// Centroid of a projected square, with its derivatives.
@@ -98,7 +98,7 @@ pub struct ProjectedCentroid {
     /// square.
     ///
     /// Neglects the change of the area weights, which is of the order of the centroid shift.
-    pub jacobian_by_centre: Matrix2x3<f64>,
+    pub jacobian_by_center: Matrix2x3<f64>,
     /// ∂pixel/∂(rotation about the square's center), px/rad, as a rotation vector in the camera
     /// frame.
     ///
@@ -128,7 +128,7 @@ impl MarkerLayout {
         camera_from_volant: &Isometry3<f64>,
     ) -> Option<ProjectedCentroid> {
         let offset = self.side / 2.0 / 3f64.sqrt();
-        let center = self.centres[color];
+        let center = self.centers[color];
         let u = camera_from_volant.rotation * Vector3::x();
         let v = camera_from_volant.rotation * Vector3::y();
         let center_camera = camera_from_volant * center;
@@ -143,14 +143,14 @@ impl MarkerLayout {
             jacobian += dp * density;
         }
         (weight > 0.0 && weight.is_finite()).then(|| {
-            let jacobian_by_centre = jacobian / weight;
+            let jacobian_by_center = jacobian / weight;
             let n = u.cross(&v);
             let n_cross = n.cross_matrix();
             let shift = self.side * self.side / (3.0 * center_camera.z);
             ProjectedCentroid {
                 pixel: pixel / weight,
-                jacobian_by_centre,
-                jacobian_by_turn: jacobian_by_centre
+                jacobian_by_center,
+                jacobian_by_turn: jacobian_by_center
                     * ((n_cross * n.z + n * n_cross.row(2)) * -shift),
                 area: weight / 4.0 * self.side * self.side,
             }
@@ -198,7 +198,7 @@ mod tests {
             Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]),
         )
         .unwrap();
-        let layout = MarkerLayout { side: 0.076, centres: PerColor([Point3::origin(); 4]) };
+        let layout = MarkerLayout { side: 0.076, centers: PerColor([Point3::origin(); 4]) };
         for (tilt, turn) in [(0.0, 0.2), (0.35, 0.0), (0.35, 0.7), (0.8, 0.4), (1.0, 1.2)] {
             let pose = Isometry3::from_parts(
                 Translation3::new(0.2, -0.15, 1.0),
@@ -219,7 +219,7 @@ mod tests {
     fn derivatives_equal_numerical_ones() {
         let lens = Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]);
         let camera = CameraModel::new(640, 480, [590.0, 590.0, 319.5, 239.5], lens).unwrap();
-        let layout = MarkerLayout { side: 0.076, centres: PerColor([Point3::origin(); 4]) };
+        let layout = MarkerLayout { side: 0.076, centers: PerColor([Point3::origin(); 4]) };
         for tilt in [0.0, 0.2, 0.6] {
             let pose = Isometry3::from_parts(
                 Translation3::new(0.15, -0.1, 1.1),
@@ -241,7 +241,7 @@ mod tests {
                     .pixel
                 };
                 let by_center = (shifted(1.0) - shifted(-1.0)) / (2.0 * h);
-                assert!((by_center - ours.jacobian_by_centre.column(axis)).norm() < 2.0, "{axis}");
+                assert!((by_center - ours.jacobian_by_center.column(axis)).norm() < 2.0, "{axis}");
                 let turned = |s: f64| {
                     let turn = UnitQuaternion::from_scaled_axis(step * s);
                     at(&Isometry3::from_parts(pose.translation, turn * pose.rotation)).pixel

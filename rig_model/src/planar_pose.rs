@@ -198,11 +198,11 @@ fn normal_equations(
         let predicted = layout.projected_centroid(color, camera, pose)?;
         let weight = covariance.try_inverse()?;
         let residual = measured - predicted.pixel;
-        let arm = pose.rotation * layout.centres[color].coords;
+        let arm = pose.rotation * layout.centers[color].coords;
         let mut jacobian = SMatrix::<f64, 2, 6>::zeros();
-        jacobian.fixed_view_mut::<2, 3>(0, 0).copy_from(&predicted.jacobian_by_centre);
+        jacobian.fixed_view_mut::<2, 3>(0, 0).copy_from(&predicted.jacobian_by_center);
         jacobian.fixed_view_mut::<2, 3>(0, 3).copy_from(
-            &(predicted.jacobian_by_turn - predicted.jacobian_by_centre * arm.cross_matrix()),
+            &(predicted.jacobian_by_turn - predicted.jacobian_by_center * arm.cross_matrix()),
         );
         let weighted = jacobian.transpose() * weight;
         n.matrix += weighted * jacobian;
@@ -236,7 +236,7 @@ mod tests {
         let at = |x, y| Point3::new(x, y, 0.0158);
         let layout = MarkerLayout {
             side: 0.076,
-            centres: PerColor([
+            centers: PerColor([
                 at(0.1483, 0.143),
                 at(-0.1505, 0.1567),
                 at(-0.1558, -0.1516),

@@ -157,7 +157,7 @@ impl Rig {
             },
             markers: MarkerLayout {
                 side: r.positive("markers.size")?,
-                centres: PerColor([
+                centers: PerColor([
                     center("markers.red")?,
                     center("markers.green")?,
                     center("markers.blue")?,
@@ -180,7 +180,7 @@ impl Rig {
     fn check_markers(&self) -> Result<(), RigError> {
         for (i, a) in MarkerColor::ALL.into_iter().enumerate() {
             for b in &MarkerColor::ALL[..i] {
-                let distance = (self.markers.centres[a] - self.markers.centres[*b]).norm();
+                let distance = (self.markers.centers[a] - self.markers.centers[*b]).norm();
                 if distance < self.markers.side {
                     return Err(RigError::value(
                         &format!("markers.{a}"),
@@ -191,7 +191,7 @@ impl Rig {
             }
         }
         // Collinear markers do not determine the rotation about their line.
-        let c = &self.markers.centres.0;
+        let c = &self.markers.centers.0;
         let spread = (1..4)
             .flat_map(|i| (1..4).map(move |j| (i, j)))
             .map(|(i, j)| (c[i] - c[0]).cross(&(c[j] - c[0])).norm())
@@ -318,7 +318,7 @@ mod tests {
         let r = rig.climber_from_camera.rotation.to_rotation_matrix();
         let eq6 = nalgebra::Matrix3::new(0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -1.0);
         assert!((r.matrix() - eq6).norm() < 1e-7);
-        assert_eq!(rig.markers.centres[MarkerColor::Yellow], Point3::new(0.15, -0.15, 0.02));
+        assert_eq!(rig.markers.centers[MarkerColor::Yellow], Point3::new(0.15, -0.15, 0.02));
         assert_eq!(rig.colors, PerColor([None; 4]));
     }
 

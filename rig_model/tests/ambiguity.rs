@@ -14,7 +14,7 @@ fn frames(seed: u64, count: u64) -> (u64, u64, f64) {
     let at = |x, y| Point3::new(x, y, 0.0158);
     let layout = MarkerLayout {
         side: 0.076,
-        centres: PerColor([
+        centers: PerColor([
             at(0.1483, 0.143),
             at(-0.1505, 0.1567),
             at(-0.1558, -0.1516),

@@ -157,15 +157,15 @@ impl Painter {
             self.cable(place(random), random);
         }
         for _ in 0..14 {
-            let (centre, turn) = (place(random), random.within(0.0, 6.3));
+            let (center, turn) = (place(random), random.within(0.0, 6.3));
             match random.index(3) {
-                0 => self.sheet(centre, turn, random),
-                1 => self.carton(centre, turn, random),
+                0 => self.sheet(center, turn, random),
+                1 => self.carton(center, turn, random),
                 _ => {
                     let grey = random.within(35.0, 90.0) as f32;
                     let tint = random.within(-12.0, 12.0) as f32;
                     let (a, b) = (random.within(0.1, 0.3), random.within(0.1, 0.3));
-                    self.paint(&[rectangle(centre, turn, a, b)], [grey + tint, grey, grey - tint]);
+                    self.paint(&[rectangle(center, turn, a, b)], [grey + tint, grey, grey - tint]);
                 }
             }
         }
@@ -174,18 +174,18 @@ impl Painter {
         }
         let Some(colours) = clutter else { return };
         for i in 0..44 {
-            let (centre, turn) = (place(random), random.within(0.0, 6.3));
+            let (center, turn) = (place(random), random.within(0.0, 6.3));
             let shade = random.within(0.75, 1.1) as f32;
             let colour = colours[i % 4]
                 .map(|v| (v * shade + random.within(-14.0, 14.0) as f32).clamp(0.0, 255.0));
             let size = random.within(0.02, 0.085);
             match random.index(4) {
-                0 => self.paint(&[circle(centre, size, 32)], colour),
+                0 => self.paint(&[circle(center, size, 32)], colour),
                 1 => self.paint(
-                    &[rectangle(centre, turn, size, size * random.within(0.3, 2.5))],
+                    &[rectangle(center, turn, size, size * random.within(0.3, 2.5))],
                     colour,
                 ),
-                _ => self.paint(&[rectangle(centre, turn, size, size)], colour),
+                _ => self.paint(&[rectangle(center, turn, size, size)], colour),
             }
         }
     }
@@ -209,50 +209,50 @@ impl Painter {
     }
 
     /// A sheet of paper with lines of print.
-    fn sheet(&mut self, centre: [f64; 2], turn: f64, random: &mut Random) {
-        self.paint(&[rectangle(centre, turn, 0.105, 0.1485)], [205.0, 205.0, 203.0]);
+    fn sheet(&mut self, center: [f64; 2], turn: f64, random: &mut Random) {
+        self.paint(&[rectangle(center, turn, 0.105, 0.1485)], [205.0, 205.0, 203.0]);
         for line in 0..14 {
             let across = 0.125 - 0.018 * f64::from(line);
             let length = random.within(0.03, 0.08);
             let start = -0.08 + length;
             let at = [
-                centre[0] + start * turn.cos() - across * turn.sin(),
-                centre[1] + start * turn.sin() + across * turn.cos(),
+                center[0] + start * turn.cos() - across * turn.sin(),
+                center[1] + start * turn.sin() + across * turn.cos(),
             ];
             self.paint(&[rectangle(at, turn, length, 0.0035)], [95.0, 95.0, 98.0]);
         }
     }
 
     /// A closed carton with its tape.
-    fn carton(&mut self, centre: [f64; 2], turn: f64, random: &mut Random) {
+    fn carton(&mut self, center: [f64; 2], turn: f64, random: &mut Random) {
         let (a, b) = (random.within(0.12, 0.24), random.within(0.1, 0.2));
         let shade = random.within(0.8, 1.1) as f32;
         self.paint(
-            &[rectangle([centre[0] + 0.02, centre[1] - 0.03], turn, a, b)],
+            &[rectangle([center[0] + 0.02, center[1] - 0.03], turn, a, b)],
             [48.0, 42.0, 38.0],
         );
-        self.paint(&[rectangle(centre, turn, a, b)], [126.0 * shade, 98.0 * shade, 70.0 * shade]);
+        self.paint(&[rectangle(center, turn, a, b)], [126.0 * shade, 98.0 * shade, 70.0 * shade]);
         self.paint(
-            &[rectangle(centre, turn, a, 0.025)],
+            &[rectangle(center, turn, a, 0.025)],
             [104.0 * shade, 82.0 * shade, 58.0 * shade],
         );
     }
 }
 
 /// A rectangle of half sides `a`, `b`.
-pub(super) fn rectangle(centre: [f64; 2], turn: f64, a: f64, b: f64) -> Vec<[f64; 2]> {
+pub(super) fn rectangle(center: [f64; 2], turn: f64, a: f64, b: f64) -> Vec<[f64; 2]> {
     let (s, c) = turn.sin_cos();
     [(-a, -b), (a, -b), (a, b), (-a, b)]
-        .map(|(x, y)| [centre[0] + c * x - s * y, centre[1] + s * x + c * y])
+        .map(|(x, y)| [center[0] + c * x - s * y, center[1] + s * x + c * y])
         .to_vec()
 }
 
 /// A circle as a polygon of `corners`.
-pub(super) fn circle(centre: [f64; 2], radius: f64, corners: usize) -> Vec<[f64; 2]> {
+pub(super) fn circle(center: [f64; 2], radius: f64, corners: usize) -> Vec<[f64; 2]> {
     (0..corners)
         .map(|i| {
             let angle = std::f64::consts::TAU * i as f64 / corners as f64;
-            [centre[0] + radius * angle.cos(), centre[1] + radius * angle.sin()]
+            [center[0] + radius * angle.cos(), center[1] + radius * angle.sin()]
         })
         .collect()
 }

@@ -61,7 +61,7 @@ fn frame(outer: Vec<[f64; 2]>, mut inner: Vec<[f64; 2]>) -> Vec<Vec<[f64; 2]>> {
 }
 
 /// A square of half side `a` whose corners are rounded by `r`.
-fn rounded(centre: [f64; 2], a: f64, r: f64) -> Vec<[f64; 2]> {
+fn rounded(center: [f64; 2], a: f64, r: f64) -> Vec<[f64; 2]> {
     let mut corners = Vec::new();
     for (quadrant, (sx, sy)) in
         [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)].into_iter().enumerate()
@@ -69,8 +69,8 @@ fn rounded(centre: [f64; 2], a: f64, r: f64) -> Vec<[f64; 2]> {
         for step in 0..=6 {
             let angle = std::f64::consts::FRAC_PI_2 * (quadrant as f64 + f64::from(step) / 6.0);
             corners.push([
-                centre[0] + sx * (a - r) + r * angle.cos(),
-                centre[1] + sy * (a - r) + r * angle.sin(),
+                center[0] + sx * (a - r) + r * angle.cos(),
+                center[1] + sy * (a - r) + r * angle.sin(),
             ]);
         }
     }
@@ -83,23 +83,23 @@ impl Platform {
     pub fn new(layout: &MarkerLayout, colours: &[Colour; 4], seed: u64) -> Self {
         let mut random = Random::fork(seed, "platform");
         let reach =
-            layout.centres.iter().map(|(_, c)| c.x.abs().max(c.y.abs())).fold(0.0, f64::max);
-        let top = layout.centres.iter().map(|(_, c)| c.z).fold(f64::INFINITY, f64::min);
+            layout.centers.iter().map(|(_, c)| c.x.abs().max(c.y.abs())).fold(0.0, f64::max);
+        let top = layout.centers.iter().map(|(_, c)| c.z).fold(f64::INFINITY, f64::min);
         let half = reach + layout.side / 2.0 + 0.035;
         let plate = random.within(138.0, 162.0) as f32;
         let grey = |v: f32| [v, v, v * 1.02];
         let mut pieces = Vec::new();
         for (x, y) in [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)] {
-            let centre = [x * (half + 0.05), y * (half + 0.05)];
-            let ring = frame(circle(centre, 0.085, 40), circle(centre, 0.076, 40));
+            let center = [x * (half + 0.05), y * (half + 0.05)];
+            let ring = frame(circle(center, 0.085, 40), circle(center, 0.076, 40));
             pieces.push(piece(ring, top - 0.06, grey(52.0), 0.0));
             pieces.push(piece(
-                vec![rectangle(centre, 0.9 * x + 0.3, 0.073, 0.007)],
+                vec![rectangle(center, 0.9 * x + 0.3, 0.073, 0.007)],
                 top - 0.06,
                 grey(64.0),
                 0.0,
             ));
-            pieces.push(piece(vec![circle(centre, 0.018, 20)], top - 0.06, grey(40.0), 0.0));
+            pieces.push(piece(vec![circle(center, 0.018, 20)], top - 0.06, grey(40.0), 0.0));
         }
         pieces.push(piece(vec![rounded([0.0; 2], half, 0.03)], top, grey(plate), 0.05));
         let border =
@@ -128,10 +128,10 @@ impl Platform {
             pieces.push(piece(vec![bar], top, grey(60.0), 0.0));
         }
         let marker_turns = PerColor::from_fn(|_| random.within(-0.12, 0.12));
-        for (color, centre) in layout.centres.iter() {
+        for (color, center) in layout.centers.iter() {
             let h = layout.side / 2.0;
-            let square = rectangle([centre.x, centre.y], marker_turns[color], h, h);
-            let mut square = piece(vec![square], centre.z, colours[color.index()], 0.012);
+            let square = rectangle([center.x, center.y], marker_turns[color], h, h);
+            let mut square = piece(vec![square], center.z, colours[color.index()], 0.012);
             square.marker = Some(color);
             pieces.push(square);
         }

@@ -238,12 +238,12 @@ impl Renderer {
         seconds: f64,
     ) {
         let angle = 0.8 * seconds;
-        let centre = [0.75 * angle.cos(), 0.75 * angle.sin()];
-        let light = self.light_at(centre[0] as f32, centre[1] as f32);
+        let center = [0.75 * angle.cos(), 0.75 * angle.sin()];
+        let light = self.light_at(center[0] as f32, center[1] as f32);
         let camera_from_world = world_from_camera.inverse();
         for (flat, colour) in [
-            (rectangle(centre, angle, 0.05, 0.075), self.marker_colours[0]),
-            (circle(centre, 0.03, 24), self.marker_colours[2]),
+            (rectangle(center, angle, 0.05, 0.075), self.marker_colours[0]),
+            (circle(center, 0.03, 24), self.marker_colours[2]),
         ] {
             let corners: Option<Vec<[f64; 2]>> = flat
                 .iter()

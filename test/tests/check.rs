@@ -139,7 +139,7 @@ fn the_command_names_an_exchanged_pair_of_colors_in_a_recording_with_images() {
     let wrong = temporary.path().join("wrong.yaml");
     fs::write(&wrong, &swapped).unwrap();
     let (a, b) = (Rig::from_yaml(&text).unwrap(), Rig::from_yaml(&swapped).unwrap());
-    assert_eq!(a.markers.centres[MarkerColor::Red], b.markers.centres[MarkerColor::Green]);
+    assert_eq!(a.markers.centers[MarkerColor::Red], b.markers.centers[MarkerColor::Green]);
     let output = check(&bag, &wrong, &temporary.path().join("wrong.json"));
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     assert_eq!(output.status.code(), Some(1), "{said}");

@@ -201,9 +201,9 @@ pub fn refine_from_bag(bag: &Path, rig: &Rig, cores: &Cores, held: &[&str]) -> R
         let estimate = Recording::new(&samples)
             .and_then(|recording| refine_rig_holding(&recording, rig, held))
             .with_context(|| format!("{}", bag.display()))?;
-        let centres = [&estimate.rig, &seen_with].map(|r| &r.markers.centres);
+        let centers = [&estimate.rig, &seen_with].map(|r| &r.markers.centers);
         let moved = MarkerColor::ALL
-            .map(|c| (centres[0][c] - centres[1][c]).norm())
+            .map(|c| (centers[0][c] - centers[1][c]).norm())
             .into_iter()
             .fold(0.0, f64::max);
         if moved < SETTLED || round == ROUNDS {

@@ -82,7 +82,7 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
     let rig = &simulated.rig;
     let mut answers = String::from("\n76\n");
     for color in MarkerColor::ALL {
-        writeln!(answers, "{}", tape(rig.markers.centres[color].coords)).unwrap();
+        writeln!(answers, "{}", tape(rig.markers.centers[color].coords)).unwrap();
     }
     let camera = rig.climber_from_camera.translation.vector + Vector3::new(0.004, -0.003, 0.002);
     let imu = rig.imu.volant_from_imu.translation.vector + Vector3::new(0.003, -0.002, 0.003);

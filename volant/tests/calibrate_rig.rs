@@ -46,7 +46,7 @@ fn a_wrong_rig_file_is_corrected() {
         for (color, x, y) in
             [(Red, 2e-3, 2e-3), (Blue, -2e-3, -2e-3), (Green, 2e-3, -2e-3), (Yellow, -2e-3, 2e-3)]
         {
-            wrong.markers.centres[color] += Vector3::new(x, y, 0.0);
+            wrong.markers.centers[color] += Vector3::new(x, y, 0.0);
         }
         let estimate =
             refine_from_bag(&folder.join("in.mcap"), &wrong, &Cores::of(&wrong), &[]).unwrap();
@@ -86,7 +86,7 @@ fn a_wrong_rig_file_is_corrected() {
                 "{bag}: {name}"
             );
         }
-        let side = |r: &Rig, a, b| (r.markers.centres[a] - r.markers.centres[b]).norm();
+        let side = |r: &Rig, a, b| (r.markers.centers[a] - r.markers.centers[b]).norm();
         for (a, b, c, d) in [(Red, Blue, Green, Yellow), (Red, Green, Blue, Yellow)] {
             let ratio = |r: &Rig| side(r, a, b) / side(r, c, d);
             let off = ratio(found) / ratio(&truth) - 1.0;

@@ -124,10 +124,10 @@ pub(crate) fn predict_centroid(
     covariance: &Matrix6<f64>,
 ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
     let predicted = layout.projected_centroid(color, camera, pose)?;
-    let arm = pose.rotation * layout.centres[color].coords;
+    let arm = pose.rotation * layout.centers[color].coords;
     let mut j = SMatrix::<f64, 2, 6>::zeros();
-    j.fixed_columns_mut::<3>(0).copy_from(&predicted.jacobian_by_centre);
-    j.fixed_columns_mut::<3>(3).copy_from(&(predicted.jacobian_by_centre * (-arm.cross_matrix())));
+    j.fixed_columns_mut::<3>(0).copy_from(&predicted.jacobian_by_center);
+    j.fixed_columns_mut::<3>(3).copy_from(&(predicted.jacobian_by_center * (-arm.cross_matrix())));
     Some((predicted.pixel, j * covariance * j.transpose()))
 }
 
@@ -157,8 +157,8 @@ fn evaluate(
         (0.0, Matrix6::zeros(), Vector6::zeros(), 0.0);
     for o in observations {
         let predicted = layout.projected_centroid(o.color, camera, pose)?;
-        let arm = pose.rotation * layout.centres[o.color].coords;
-        let by_point = predicted.jacobian_by_centre;
+        let arm = pose.rotation * layout.centers[o.color].coords;
+        let by_point = predicted.jacobian_by_center;
         let by_rotation = by_point * (-arm.cross_matrix());
         let mut j = SMatrix::<f64, 2, 6>::zeros();
         j.fixed_columns_mut::<3>(0).copy_from(&by_point);

@@ -8,7 +8,7 @@ use rig_model::{CameraModel, MarkerColor, MarkerLayout};
 pub(super) fn corners_of(layout: &MarkerLayout, color: MarkerColor, turn: f64) -> [Point3<f64>; 4] {
     let h = layout.side / 2.0;
     let (s, c) = turn.sin_cos();
-    let center = layout.centres[color];
+    let center = layout.centers[color];
     [(-h, -h), (h, -h), (h, h), (-h, h)]
         .map(|(u, v)| Point3::new(center.x + c * u - s * v, center.y + s * u + c * v, center.z))
 }

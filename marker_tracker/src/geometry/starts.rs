@@ -13,12 +13,12 @@ pub(crate) fn pose_from_four(
     camera: &CameraModel,
     pixels: &PerColor<Vector2<f64>>,
 ) -> Option<Isometry3<f64>> {
-    let mean_z = MarkerColor::ALL.map(|c| layout.centres[c].z).iter().sum::<f64>() / 4.0;
+    let mean_z = MarkerColor::ALL.map(|c| layout.centers[c].z).iter().sum::<f64>() / 4.0;
     let mut a = SMatrix::<f64, 8, 8>::zeros();
     let mut b = SMatrix::<f64, 8, 1>::zeros();
     for (i, color) in MarkerColor::ALL.into_iter().enumerate() {
         let n = camera.undistort(&pixels[color])?;
-        let (x, y) = (layout.centres[color].x, layout.centres[color].y);
+        let (x, y) = (layout.centers[color].x, layout.centers[color].y);
         let rows = [
             [x, y, 1.0, 0.0, 0.0, 0.0, -n.x * x, -n.x * y],
             [0.0, 0.0, 0.0, x, y, 1.0, -n.y * x, -n.y * y],
@@ -77,7 +77,7 @@ pub(crate) fn poses_from_three(
         camera.undistort(&observations[1].pixel)?,
         camera.undistort(&observations[2].pixel)?,
     ];
-    let p = observations.map(|s| layout.centres[s.color]);
+    let p = observations.map(|s| layout.centers[s.color]);
     // Affine map of the plane: n = t + A·(x, y).
     let (e, f) = (p[1] - p[0], p[2] - p[0]);
     let det = e.x * f.y - e.y * f.x;

@@ -6,7 +6,7 @@ use rig_model::Distortion;
 fn layout() -> MarkerLayout {
     MarkerLayout {
         side: 0.076,
-        centres: PerColor([
+        centers: PerColor([
             Point3::new(0.157, 0.145, 0.022),
             Point3::new(-0.154, 0.151, 0.022),
             Point3::new(-0.145, -0.142, 0.022),

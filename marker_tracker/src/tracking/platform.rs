@@ -187,7 +187,7 @@ impl PlatformModel {
         let adapted = known.edge_bias;
         let mut fresh = self.clone();
         fresh.markers[color] = MarkerGeometry::default();
-        fresh.layout.centres[color] = self.given.centres[color];
+        fresh.layout.centers[color] = self.given.centers[color];
         let Some(now) = fresh.compare(color, camera, pose, fit) else { return false };
         let more = [0, 1].map(|k| now.edge_bias[k] - adapted[k]);
         let limit = UNEVEN.0 + UNEVEN.1 * fit.area.sqrt();
@@ -247,7 +247,7 @@ impl PlatformModel {
     ) {
         let Some(p) = self.layout.projected_centroid(color, camera, pose) else { return };
         let plane = pose.rotation.to_rotation_matrix().matrix().fixed_columns::<2>(0).into_owned();
-        let Some(inverse) = (p.jacobian_by_centre * plane).try_inverse() else { return };
+        let Some(inverse) = (p.jacobian_by_center * plane).try_inverse() else { return };
         let off = fit.centroid - p.pixel;
         let m = &mut self.markers[color];
         // An outline that something touches must not move a known place.
@@ -258,7 +258,7 @@ impl PlatformModel {
         let by = inverse * off / f64::from(m.place_updates.min(SETTLED) + 1);
         m.place_updates = m.place_updates.saturating_add(1);
         let limit = MAX_MISPLACEMENT * self.layout.side;
-        let (given, place) = (self.given.centres[color], &mut self.layout.centres[color]);
+        let (given, place) = (self.given.centers[color], &mut self.layout.centers[color]);
         for i in 0..2 {
             place[i] = (place[i] + by[i]).clamp(given[i] - limit, given[i] + limit);
         }

@@ -20,7 +20,7 @@ pub const PAINT: [[f64; 3]; 4] =
 pub fn layout() -> MarkerLayout {
     MarkerLayout {
         side: 0.076,
-        centres: PerColor([
+        centers: PerColor([
             Point3::new(0.157, 0.145, 0.022),
             Point3::new(-0.154, 0.151, 0.022),
             Point3::new(-0.145, -0.142, 0.022),
@@ -69,10 +69,10 @@ pub fn draw(pose: &Isometry3<f64>, paint: [Option<[f64; 3]>; 4], noise: &mut Noi
         let ray = inverse.rotation * Vector3::new((u - 319.5) / 600.0, (v - 239.5) / 600.0, 1.0);
         let eye = inverse.translation.vector;
         let p = eye + ray * ((0.022 - eye.z) / ray.z);
-        for (color, centre) in layout.centres.iter() {
+        for (color, center) in layout.centers.iter() {
             let turn = 0.03 * (color.index() as f64 - 1.5);
             let (s, c) = turn.sin_cos();
-            let (dx, dy) = (p.x - centre.x, p.y - centre.y);
+            let (dx, dy) = (p.x - center.x, p.y - center.y);
             let (a, b) = (c * dx + s * dy, -s * dx + c * dy);
             if a.abs() < 0.038 && b.abs() < 0.038 {
                 return paint[color.index()].unwrap_or([125.0; 3]);

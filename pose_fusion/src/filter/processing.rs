@@ -339,7 +339,7 @@ impl Filter {
             None => 1.0,
         };
         let distance = (residual * height / geometry.camera.focal_lengths().x).min(0.5);
-        let centers = geometry.markers.centres.iter();
+        let centers = geometry.markers.centers.iter();
         let radius = centers.map(|(_, c)| c.coords.xy().norm()).fold(0.05, f64::max);
         (distance, (ROTATION_SHARE * distance / radius).min(0.5))
     }

@@ -65,8 +65,8 @@ pub fn linearize(state: &State, geometry: &Geometry, image: &Image) -> Lineariza
         linear.valid[i] = true;
         linear.projected[i] = Some(predicted);
         linear.residual.fixed_rows_mut::<2>(2 * i).copy_from(&(measured - predicted.pixel));
-        let center = world_from_volant * geometry.markers.centres[color];
-        let by_center: Matrix2x3<f64> = predicted.jacobian_by_centre * to_camera;
+        let center = world_from_volant * geometry.markers.centers[color];
+        let by_center: Matrix2x3<f64> = predicted.jacobian_by_center * to_camera;
         let by_turn: Matrix2x3<f64> = predicted.jacobian_by_turn * to_camera;
         let arm = center.coords - position;
         let by_attitude = by_turn - by_center * arm.cross_matrix();
@@ -93,11 +93,11 @@ pub fn by_calibration(
     for color in MarkerColor::ALL {
         let i = color.index();
         let (Some(predicted), true) = (&linear.projected[i], mask[i]) else { continue };
-        let in_volant = geometry.markers.centres[color];
+        let in_volant = geometry.markers.centers[color];
         let center = (pose * in_volant).coords;
-        let layout = predicted.jacobian_by_centre * (pose.rotation * in_volant.coords);
+        let layout = predicted.jacobian_by_center * (pose.rotation * in_volant.coords);
         let mounting =
-            predicted.jacobian_by_turn - predicted.jacobian_by_centre * center.cross_matrix();
+            predicted.jacobian_by_turn - predicted.jacobian_by_center * center.cross_matrix();
         let mut rows = by.fixed_rows_mut::<2>(2 * i);
         rows[(0, CENTROID + 2 * i)] = 1.0;
         rows[(1, CENTROID + 2 * i + 1)] = 1.0;
@@ -171,7 +171,7 @@ mod tests {
         );
         check(FOCAL, Geometry { camera: camera.unwrap(), ..geometry.clone() });
         let mut scaled = geometry.clone();
-        for center in &mut scaled.markers.centres.0 {
+        for center in &mut scaled.markers.centers.0 {
             center.coords *= 1.0 + h;
         }
         check(LAYOUT, scaled);

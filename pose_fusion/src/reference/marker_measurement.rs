@@ -42,7 +42,7 @@ pub fn plane_residual(
         else {
             continue;
         };
-        let arm = rotation * layout.centres[color].coords;
+        let arm = rotation * layout.centers[color].coords;
         let marker = pose.fixed_rows::<3>(0) + arm;
         let slope = line.direction.xy() / line.direction.z;
         let reprojected = line.origin.coords.xy() + slope * (marker.z - line.origin.z);
@@ -72,15 +72,15 @@ mod tests {
 
     fn layout() -> MarkerLayout {
         let at = |x, y| Point3::new(x, y, 0.02);
-        let centres = [at(0.15, 0.14), at(-0.15, 0.16), at(-0.16, -0.15), at(0.15, -0.14)];
-        MarkerLayout { side: 0.076, centres: PerColor(centres) }
+        let centers = [at(0.15, 0.14), at(-0.15, 0.16), at(-0.16, -0.15), at(0.15, -0.14)];
+        MarkerLayout { side: 0.076, centers: PerColor(centers) }
     }
 
     fn lines(pose: &Vector6<f64>) -> PerColor<Option<SightLine>> {
         let rotation = UnitQuaternion::from_euler_angles(pose[3], pose[4], pose[5]);
         let origin = Point3::new(0.1, 0.2, 2.9);
         PerColor::from_fn(|c| {
-            let marker = pose.fixed_rows::<3>(0) + rotation * layout().centres[c].coords;
+            let marker = pose.fixed_rows::<3>(0) + rotation * layout().centers[c].coords;
             Some(SightLine { origin, direction: (marker - origin.coords) * 0.7 })
         })
     }

@@ -46,8 +46,8 @@ mod tests {
 
     fn layout() -> MarkerLayout {
         let at = |x, y| Point3::new(x, y, 0.02);
-        let centres = [at(0.15, 0.14), at(-0.15, 0.16), at(-0.16, -0.15), at(0.15, -0.14)];
-        MarkerLayout { side: 0.076, centres: PerColor(centres) }
+        let centers = [at(0.15, 0.14), at(-0.15, 0.16), at(-0.16, -0.15), at(0.15, -0.14)];
+        MarkerLayout { side: 0.076, centers: PerColor(centers) }
     }
 
     fn camera() -> CameraModel {

@@ -239,7 +239,7 @@ fn file_value(cause: Cause, k: usize, file: &Parameters) -> f64 {
     match cause {
         Cause::CameraPlace => file.rig.climber_from_camera.translation.vector[k],
         Cause::ImuPlace => file.rig.imu.volant_from_imu.translation.vector[k],
-        Cause::Marker(m) => file.rig.markers.centres.0[m][k],
+        Cause::Marker(m) => file.rig.markers.centers.0[m][k],
         Cause::GyroScale | Cause::AccelerometerScale => 1.0,
         _ => 0.0,
     }

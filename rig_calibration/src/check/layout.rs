@@ -156,8 +156,8 @@ fn all_detected(m: &MarkerObservations) -> bool {
 /// Brings lengths in millimeters or centimeters to meters.
 fn units(state: &mut Corrected) {
     let layout = &mut state.rig.markers;
-    let mean = layout.centres.0.iter().map(|c| c.coords).sum::<Vector3<f64>>() / 4.0;
-    let reach = layout.centres.0.iter().map(|c| (c.coords - mean).norm()).fold(0.0, f64::max);
+    let mean = layout.centers.0.iter().map(|c| c.coords).sum::<Vector3<f64>>() / 4.0;
+    let reach = layout.centers.0.iter().map(|c| (c.coords - mean).norm()).fold(0.0, f64::max);
     let factor = |value: f64, [low, high]: [f64; 2]| {
         [1.0, 1e-2, 1e-3, 1e2, 1e3].into_iter().find(|f| (low..high).contains(&(value * f)))
     };
@@ -173,7 +173,7 @@ fn units(state: &mut Corrected) {
         if key == "markers.size" {
             layout.side *= factor;
         } else {
-            layout.centres.0.iter_mut().for_each(|c| c.coords *= factor);
+            layout.centers.0.iter_mut().for_each(|c| c.coords *= factor);
         }
         state.findings.push(Finding::wrong(
             key,
@@ -220,13 +220,13 @@ fn candidates(file: &MarkerLayout) -> Vec<Candidate> {
     let mut list = vec![of(file.clone(), "", String::new(), None)];
     let mirrored = |flip: Vector3<f64>| {
         let mut layout = file.clone();
-        layout.centres.0.iter_mut().for_each(|c| c.coords.component_mul_assign(&flip));
+        layout.centers.0.iter_mut().for_each(|c| c.coords.component_mul_assign(&flip));
         layout
     };
     for order in permutations().into_iter().skip(1) {
         let mut layout = file.clone();
         for (i, from) in order.iter().enumerate() {
-            layout.centres.0[i] = file.centres.0[*from];
+            layout.centers.0[i] = file.centers.0[*from];
         }
         let (key, text) = exchanged(&order);
         list.push(of(layout, &key, text, None));
@@ -241,10 +241,10 @@ fn candidates(file: &MarkerLayout) -> Vec<Candidate> {
         // The two neighbors of a marker are those that its opposite is not: try all three.
         let others: Vec<usize> = (0..4).filter(|k| *k != i).collect();
         for opposite in &others {
-            let c = |k: usize| file.centres.0[k].coords;
+            let c = |k: usize| file.centers.0[k].coords;
             let sum: Vector3<f64> = others.iter().filter(|k| *k != opposite).map(|k| c(*k)).sum();
             let mut layout = file.clone();
-            layout.centres.0[i].coords = sum - c(*opposite);
+            layout.centers.0[i].coords = sum - c(*opposite);
             list.push(of(layout, "", String::new(), Some(i)));
         }
     }

@@ -26,7 +26,7 @@ pub(super) fn closed_form(
     let (mut count, mut center) = (0usize, Vector3::zeros());
     for color in MarkerColor::ALL {
         let Some((pixel, _)) = &pixels[color] else { continue };
-        let point = layout.centres[color].coords;
+        let point = layout.centers[color].coords;
         used[color.index()] = Some((point, camera.undistort(pixel)?));
         center += point;
         count += 1;

@@ -24,12 +24,12 @@ pub fn from_homography(
     camera: &CameraModel,
     pixels: &MarkerPixels,
 ) -> Option<Isometry3<f64>> {
-    let mean = layout.centres.0.iter().map(|c| c.coords).sum::<Vector3<f64>>() / 4.0;
-    let size = layout.centres.0.iter().map(|c| (c.coords - mean).norm()).fold(0.0, f64::max);
+    let mean = layout.centers.0.iter().map(|c| c.coords).sum::<Vector3<f64>>() / 4.0;
+    let size = layout.centers.0.iter().map(|c| (c.coords - mean).norm()).fold(0.0, f64::max);
     let mut rows = SMatrix::<f64, 9, 9>::zeros();
     for color in MarkerColor::ALL {
         let image = camera.undistort(&pixels[color]?.0)?;
-        let place = (layout.centres[color].coords - mean) / size;
+        let place = (layout.centers[color].coords - mean) / size;
         let plane = Vector3::new(place.x, place.y, 1.0).transpose();
         for (axis, value) in [image.x, image.y].into_iter().enumerate() {
             let row = 2 * color.index() + axis;
@@ -71,8 +71,8 @@ mod tests {
             tilt in 0.0..0.9, direction in -3.1..3.1, yaw in -3.1..3.1,
         ) {
             let at = |x, y| Point3::new(x, y, 0.02);
-            let centres = [at(0.15, 0.14), at(-0.15, 0.16), at(-0.16, -0.15), at(0.15, -0.14)];
-            let layout = MarkerLayout { side: 0.0, centres: PerColor(centres) };
+            let centers = [at(0.15, 0.14), at(-0.15, 0.16), at(-0.16, -0.15), at(0.15, -0.14)];
+            let layout = MarkerLayout { side: 0.0, centers: PerColor(centers) };
             let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
             let camera = CameraModel::new(640, 480, [591.0, 589.0, 319.3, 235.2], lens).unwrap();
             let lean: UnitQuaternion<f64> = UnitQuaternion::from_scaled_axis(
@@ -99,7 +99,7 @@ mod tests {
     fn collinear_markers_have_no_pose() {
         let layout = MarkerLayout {
             side: 0.0,
-            centres: PerColor([0.0, 0.1, 0.2, 0.3].map(|x| Point3::new(x, 0.0, 0.0))),
+            centers: PerColor([0.0, 0.1, 0.2, 0.3].map(|x| Point3::new(x, 0.0, 0.0))),
         };
         let lens = Distortion::PlumbBob([0.0; 5]);
         let camera = CameraModel::new(640, 480, [600.0, 600.0, 319.5, 239.5], lens).unwrap();

@@ -52,16 +52,16 @@ impl Renderer {
 
     /// A plank above the marker, pushed in from outside.
     pub(super) fn plank(&self, color: MarkerColor, amount: f64) -> Piece {
-        let centre = self.layout.centres[color];
-        let outward = Vector2::new(centre.x, centre.y).try_normalize(1e-6).unwrap_or(Vector2::x());
+        let center = self.layout.centers[color];
+        let outward = Vector2::new(center.x, center.y).try_normalize(1e-6).unwrap_or(Vector2::x());
         let (half_width, half_length) = (0.85 * self.layout.side, 0.25);
         // Fully in, its end reaches beyond the square's inner corner.
         let along = half_length - 0.85 * self.layout.side
             + (1.0 - amount.clamp(0.0, 1.0)) * 2.4 * self.layout.side;
-        let middle = Vector2::new(centre.x, centre.y) + outward * along;
+        let middle = Vector2::new(center.x, center.y) + outward * along;
         let flat =
             rectangle([middle.x, middle.y], outward.y.atan2(outward.x), half_length, half_width);
-        let contour = flat.iter().map(|p| Point3::new(p[0], p[1], centre.z + 0.02)).collect();
+        let contour = flat.iter().map(|p| Point3::new(p[0], p[1], center.z + 0.02)).collect();
         Piece { contours: vec![contour], colour: [98.0, 84.0, 70.0], grain: 0.06, marker: None }
     }
 

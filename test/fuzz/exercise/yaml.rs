@@ -67,7 +67,7 @@ pub fn parameters(data: &[u8]) {
         assert!((rig.climber_from_camera.rotation.norm() - 1.0).abs() < 1e-9);
         assert!(
             rig.markers
-                .centres
+                .centers
                 .0
                 .iter()
                 .flat_map(|c| c.coords.iter().copied().collect::<Vec<_>>())

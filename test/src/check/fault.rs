@@ -91,8 +91,8 @@ pub const FAULTS: &[Fault] = &[
         &["markers.positions", "markers.size"],
         &[],
     ),
-    seen("red marker 20 cm off", |r| r.rig.markers.centres.0[0].x += 0.2, &["markers.red"], &[]),
-    seen("red and green swapped", |r| r.rig.markers.centres.0.swap(0, 1), &["markers.red"], &[]),
+    seen("red marker 20 cm off", |r| r.rig.markers.centers.0[0].x += 0.2, &["markers.red"], &[]),
+    seen("red and green swapped", |r| r.rig.markers.centers.0.swap(0, 1), &["markers.red"], &[]),
     seen(
         "layout mirrored",
         |r| each_center(&mut r.rig, |c| c.y = -c.y),
@@ -101,7 +101,7 @@ pub const FAULTS: &[Fault] = &[
     ),
     seen(
         "colors rotated one place",
-        |r| r.rig.markers.centres.0.rotate_left(1),
+        |r| r.rig.markers.centers.0.rotate_left(1),
         &["markers.colors", "imu.orientation"],
         &[],
     ),
@@ -272,7 +272,7 @@ fn wxyz(r: &mut Recording) {
 }
 
 fn each_center(rig: &mut Rig, f: impl FnMut(&mut nalgebra::Point3<f64>)) {
-    rig.markers.centres.0.iter_mut().for_each(f);
+    rig.markers.centers.0.iter_mut().for_each(f);
 }
 
 fn lens(r: &mut Recording, change: impl Fn([f64; 5]) -> [f64; 5]) {

@@ -159,7 +159,7 @@ impl Perturbation {
                 }
             }
             Self::Layout(x) => {
-                recording.rig.markers.centres.0.iter_mut().for_each(|c| c.coords *= 1.0 + x);
+                recording.rig.markers.centers.0.iter_mut().for_each(|c| c.coords *= 1.0 + x);
                 recording.rig.markers.side *= 1.0 + x;
             }
             Self::EncoderScale(x) => each_climber(recording, |s| {

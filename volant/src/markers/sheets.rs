@@ -134,7 +134,7 @@ fn squares(rig: &Rig, paper: &Paper) -> Result<Vec<Sheet>, SheetError> {
 fn drawing(rig: &Rig, paper: &Paper) -> Sheet {
     let mut sheet = Sheet::titled("Mounting: the platform from above, z towards you");
     let side = 1e3 * rig.markers.side;
-    let places = rig.markers.centres.0.map(|c| [1e3 * c.x, 1e3 * c.y, 1e3 * c.z]);
+    let places = rig.markers.centers.0.map(|c| [1e3 * c.x, 1e3 * c.y, 1e3 * c.z]);
     // The origin and all squares, with room for labels.
     let extent = |axis: usize| {
         let of = |sign: f64| {

@@ -82,11 +82,11 @@ pub fn gauss_newton(
             let predicted = layout.projected_centroid(color, camera, &pose)?;
             let weight = marker.covariance.try_inverse()?;
             let residual = marker.centroid - predicted.pixel;
-            let arm = pose.rotation * layout.centres[color].coords;
+            let arm = pose.rotation * layout.centers[color].coords;
             let mut motion = SMatrix::<f64, 3, 6>::zeros();
             motion.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
             motion.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-arm.cross_matrix()));
-            let jacobian = predicted.jacobian_by_centre * motion;
+            let jacobian = predicted.jacobian_by_center * motion;
             let weighted = jacobian.transpose() * weight;
             normal += weighted * jacobian;
             right += weighted * residual;
@@ -138,12 +138,12 @@ mod tests {
         let camera = Pinhole::BENCH;
         let layout = crate::bench::layout(&Stage::new(camera, 1).unwrap()).unwrap();
         let matrix = camera_matrix(&camera).unwrap();
-        let object: core::Vector<core::Point3d> = layout.centres.0.iter().map(point3).collect();
+        let object: core::Vector<core::Point3d> = layout.centers.0.iter().map(point3).collect();
         let mut rng = Rng::new(5);
         let (mut far, count) = (0, 200);
         for i in 0..count {
             let truth = trajectory::standard(&camera, f64::from(i) / 10.0);
-            let pixels = layout.centres.0.map(|c| {
+            let pixels = layout.centers.0.map(|c| {
                 camera.project(&(truth * c))
                     + Vector2::new(rng.within(-0.2, 0.2), rng.within(-0.2, 0.2))
             });

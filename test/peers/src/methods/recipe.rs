@@ -39,7 +39,7 @@ impl Recipe {
     pub fn new(camera: &Pinhole, layout: &MarkerLayout) -> Result<Self> {
         Ok(Self {
             matrix: camera_matrix(camera)?,
-            object: layout.centres.0.iter().map(point3).collect(),
+            object: layout.centers.0.iter().map(point3).collect(),
             hsv: Mat::default(),
             layers: Default::default(),
             binary: Default::default(),

@@ -59,7 +59,7 @@ impl Plate {
         let at = |x, y| Point3::new(x, y, 0.0);
         let layout = MarkerLayout {
             side: 0.076,
-            centres: PerColor([at(0.15, 0.15), at(-0.15, 0.15), at(-0.15, -0.15), at(0.15, -0.15)]),
+            centers: PerColor([at(0.15, 0.15), at(-0.15, 0.15), at(-0.15, -0.15), at(0.15, -0.15)]),
         };
         let turns = [0; 4].map(|_| rng.within(-0.06, 0.06));
         Self {
@@ -88,7 +88,7 @@ impl Plate {
             PlateKind::Markers { layout, colors, .. } => {
                 for (color, paint) in colors.iter() {
                     for pose in poses {
-                        let z = layout.centres[color].z;
+                        let z = layout.centers[color].z;
                         canvas.add(
                             &camera.polygon(pose, &self.square(color.index()), z),
                             *paint,
@@ -120,7 +120,7 @@ impl Plate {
     /// Corners of a marker in the plate's frame, m.
     fn square(&self, index: usize) -> [[f64; 2]; 4] {
         let PlateKind::Markers { layout, turns, .. } = &self.kind else { return [[0.0; 2]; 4] };
-        let (center, half) = (layout.centres.0[index], layout.side / 2.0);
+        let (center, half) = (layout.centers.0[index], layout.side / 2.0);
         let (sin, cos) = turns[index].sin_cos();
         [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| {
             [center.x + half * (cos * x - sin * y), center.y + half * (sin * x + cos * y)]
@@ -139,7 +139,7 @@ impl Plate {
             return [MarkerTruth { centroid: Vector2::zeros(), shown: 0.0 }; 4];
         };
         [0, 1, 2, 3].map(|i| {
-            let z = layout.centres.0[i].z;
+            let z = layout.centers.0[i].z;
             let images: Vec<_> =
                 poses.iter().map(|p| camera.polygon(p, &self.square(i), z)).collect();
             let centroid = images.iter().map(|p| polygon_centroid(p).1).sum::<Vector2<f64>>()

@@ -51,7 +51,7 @@ fn signature(view: &View, board: &Board) -> [f64; 5] {
     };
     let (a, b) = (at(0, 0), at(board.columns - 1, 0));
     let (c, d) = (at(board.columns - 1, board.rows - 1), at(0, board.rows - 1));
-    let centre = (a + b + c + d) / 4.0;
+    let center = (a + b + c + d) / 4.0;
     let diagonals = (c - a, d - b);
     let area = 0.5 * (diagonals.0.x * diagonals.1.y - diagonals.0.y * diagonals.1.x).abs();
     let inequality = |p: f64, q: f64| (p - q) / (0.5 * (p + q)).max(1e-9);
@@ -62,7 +62,7 @@ fn signature(view: &View, board: &Board) -> [f64; 5] {
     let down = ((d + c) - (a + b)).normalize_or_zero();
     let along = ((b + c) - (a + d)).normalize_or_zero();
     let gradient = down * rows + along * columns;
-    [centre.x / w, centre.y / h, (area / (w * h)).sqrt(), gradient.x, gradient.y]
+    [center.x / w, center.y / h, (area / (w * h)).sqrt(), gradient.x, gradient.y]
 }
 
 trait NormalizeOrZero {

@@ -64,7 +64,7 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
     outln!("  Print at 100 %, measure the bar, mount the squares, and measure their centers.")?;
     let mut settings = vec![];
     for color in MarkerColor::ALL {
-        let known = rig.markers.centres[color].coords * 1e3;
+        let known = rig.markers.centers[color].coords * 1e3;
         let center = dialog::numbers(&format!("  {color} x y z"), known.into())?;
         settings.push(Setting::rig(format!("markers.{color}"), list(&center.map(|c| c / 1e3))));
     }

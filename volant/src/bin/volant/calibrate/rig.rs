@@ -90,7 +90,7 @@ fn changes(estimate: &Estimate) -> Vec<Setting> {
         let orientation = pose.rotation.coords;
         set(&format!("{name} turn"), format!("{name}.orientation"), orientation.as_slice());
     }
-    for (color, center) in rig.markers.centres.iter() {
+    for (color, center) in rig.markers.centers.iter() {
         set(&format!("marker {color}"), format!("markers.{color}"), center.coords.as_slice());
     }
     settings
