@@ -32,6 +32,7 @@ pub struct RosArguments {
     rosout: Option<bool>,
     outputs: LogOutputs,
     of_others: BTreeSet<String>,
+    strict: bool,
     enclave: Option<String>,
 }
 
@@ -178,6 +179,11 @@ impl RosArguments {
         self.of_others.extend(names);
     }
 
+    /// Rejects what no node of this process declares, in files that other nodes share too.
+    pub fn reject_unknown(&mut self) {
+        self.strict = true;
+    }
+
     /// Adds a remap for every node, as `-r` does; `from` may be `__ns` or `__node`.
     pub fn remap(&mut self, from: &str, to: &str) {
         self.remaps.push(Remap { node: None, from: from.to_owned(), to: to.to_owned() });
@@ -288,7 +294,7 @@ impl RosArguments {
                 ParameterSource::File { path, file } => {
                     let (origin, node) = (path.display().to_string(), node.fully_qualified());
                     // A rig file belongs to this project: what it does not know is a mistake.
-                    let of_rig = file.for_node(&node).contains_key(RIG_KEY);
+                    let of_rig = self.strict || file.for_node(&node).contains_key(RIG_KEY);
                     all.extend(file.for_node(&node).into_iter().map(|(name, value)| {
                         let shared = !of_rig && file.is_for_all(&node, &name);
                         (name, Override { value, origin: origin.clone(), shared })

@@ -66,6 +66,7 @@ mod with_nodes {
             .with_context(|| format!("{}: not a usable rig file", path.display()))?;
         more.iter().try_for_each(|file| ros.add_file(file.clone()))?;
         ros.allow_of_others(up::parameters());
+        ros.reject_unknown();
         let paths = std::iter::once(path).chain(more.iter().map(PathBuf::as_path)).collect();
         let namespace = format!("/{}", namespace.trim_matches('/'));
         let files = Files { ros, paths, namespace };
