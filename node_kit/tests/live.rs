@@ -5,6 +5,7 @@ mod common;
 
 use common::{Running, example, python};
 use std::{process::Command, time::Duration};
+use volant_msgs::{Message, geometry_msgs::msg::PoseWithCovarianceStamped};
 
 const LONG: Duration = Duration::from_secs(20);
 
@@ -124,6 +125,23 @@ fn parameters_and_lifecycle_are_served() {
         Running::peer(6, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
     assert_eq!(lines, ["5"]);
     drop(node);
+}
+
+/// Without them, `ros2` on Cyclone DDS warns of every endpoint.
+#[test]
+fn participant_and_endpoints_announce_enclave_and_type_hash() {
+    let Some(python) = python() else { return };
+    let _node = minimal(9, &[], &[]);
+    let (_, lines) = Running::peer(9, &python, &["user_data", "3"]).finish(LONG);
+    let line = lines.last().unwrap();
+    assert!(line.starts_with(r#"{"participants": ["enclave=/;"], "#), "{line}");
+    let topics: Vec<&str> = line.split("[\"r").skip(1).collect();
+    assert!(topics.len() > 20, "{line}");
+    for topic in &topics {
+        assert!(topic.contains(r#", "typehash=RIHS01_"#), "{topic} in {line}");
+    }
+    let pose = PoseWithCovarianceStamped::RIHS01_HASH;
+    assert!(topics.contains(&format!(r#"t/pose", "typehash={pose};"], "#).as_str()), "{line}");
 }
 
 #[test]

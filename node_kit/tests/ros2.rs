@@ -6,8 +6,9 @@ mod common;
 use common::{Running, example};
 use std::{
     path::{Path, PathBuf},
-    time::Duration,
+    time::{Duration, Instant},
 };
+use volant_msgs::{Message, geometry_msgs::msg::PoseWithCovarianceStamped};
 
 const LONG: Duration = Duration::from_secs(40);
 
@@ -118,4 +119,62 @@ fn messages_arrive_at_their_rate_and_the_end_is_seen_at_once() {
         line.split(r#""seconds": "#).nth(1).unwrap().trim_end_matches('}').parse().unwrap();
     eprintln!("gone from the graph of Fast DDS after {seconds:.3} s");
     assert!(line.contains(r#""gone": true"#) && seconds < 1.0, "{line}");
+}
+
+/// The `ros2` daemon and every long-lived node keep a graph: it must not show what has ended.
+#[test]
+fn topics_and_services_are_gone_within_a_second_of_sigint() {
+    let Some(python) = rclpy() else { return };
+    for domain in [45, 46] {
+        let mut node = Running::start(domain, &example("minimal_node"), &[], &[]);
+        let watcher = peer(domain, &python, &["endpoints_gone", "/minimal", "30"]);
+        watcher.line_with("there", LONG);
+        let interrupted = Instant::now();
+        node.signal("INT");
+        let line = watcher.line_with("gone", LONG);
+        let seconds = interrupted.elapsed().as_secs_f64();
+        eprintln!("endpoints gone from the graph of Fast DDS {seconds:.3} s after SIGINT");
+        assert!(line.contains(r#""gone": true"#) && seconds < 1.0, "{seconds:.3} s: {line}");
+        assert!(node.wait(LONG).success());
+    }
+}
+
+/// `ros2 topic pub --once` lives for 0.1 s after its message; a script may end at once. The first
+/// publisher of each series waits for the node.
+#[test]
+fn a_single_message_of_a_short_lived_publisher_arrives() {
+    const TRIES: usize = 30;
+    let Some(python) = rclpy() else { return };
+    for (domain, alive) in [(47, "0.1"), (48, "0")] {
+        let publisher = peer(domain, &python, &["once", "/pose", &TRIES.to_string(), alive]);
+        std::thread::sleep(Duration::from_secs(1));
+        let talk = ["--talk", "true"];
+        let node = Running::start(domain, &example("minimal_node"), &talk, &[]);
+        let (status, lines) = publisher.finish(2 * LONG);
+        assert!(status.success(), "{lines:?}");
+        std::thread::sleep(Duration::from_millis(500));
+        let received = node.lines_so_far();
+        let lost: Vec<usize> = (0..TRIES)
+            .filter(|i| !received.iter().any(|line| line.contains(&format!("a pose in <{i}>"))))
+            .collect();
+        assert!(lost.is_empty(), "publishers alive for {alive} s; lost: {lost:?}: {received:?}");
+    }
+}
+
+/// What `ros2 topic info -v` prints: hashes as rosidl computes them, and the QoS of rclcpp.
+#[test]
+fn type_hashes_enclave_and_parameter_events_are_those_of_rclpy() {
+    let Some(python) = rclpy() else { return };
+    let _node = Running::start(49, &example("minimal_node"), &[], &[]);
+    let line = output(49, &python, &["announced", "/minimal"]);
+    for needle in [
+        r#""one_each": true"#,
+        r#""valid": true"#,
+        r#""enclaves": ["/"]"#,
+        r#""durability": ["VOLATILE"]"#,
+        r#""event": true"#,
+        PoseWithCovarianceStamped::RIHS01_HASH,
+    ] {
+        assert!(line.contains(needle), "{needle} in {line}");
+    }
 }

@@ -9,6 +9,11 @@ ros2_peer.py lifecycle NODE            lifecycle get, list, set deactivate, get,
 ros2_peer.py receive TOPIC PACKAGE/TYPE N
                                        topic echo of N messages, and their rate
 ros2_peer.py gone NODE SECONDS         seconds until the node has left the graph
+ros2_peer.py endpoints_gone NODE SECONDS
+                                       until its topics and services have left the graph too
+ros2_peer.py once TOPIC N SECONDS      topic pub --once of a pose, N times: a new participant each,
+                                       which ends SECONDS after its only message
+ros2_peer.py announced NODE            topic info -v, and an event of /parameter_events
 """
 
 import importlib
@@ -19,9 +24,11 @@ import time
 
 import rclpy
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
-from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.context import Context
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_parameter_events
 
 
 def say(**what):
@@ -134,6 +141,88 @@ def gone(node, name, seconds):
     say(gone=left, seconds=time.monotonic() - start)
 
 
+def endpoints_gone(node, name, seconds):
+    client = node.create_client(GetParameters, f"{name}/get_parameters")
+
+    def endpoints():
+        counts = [node.count_publishers(f"{name}/beats"), node.count_subscribers("/pose")]
+        return counts + [int(client.service_is_ready())]
+
+    assert until(node, lambda: endpoints() == [1, 1, 1]), f"{endpoints()}"
+    say(there=True)
+    left = until(node, lambda: endpoints() == [0, 0, 0], float(seconds))
+    say(gone=left, endpoints=endpoints())
+
+
+def once(_, topic, count, seconds):
+    for i in range(int(count)):
+        context = Context()
+        context.init(args=[])
+        node = rclpy.create_node("once", context=context)
+        publisher = node.create_publisher(PoseWithCovarianceStamped, topic, 10)
+        end = time.monotonic() + 10.0
+        while publisher.get_subscription_count() == 0:
+            assert time.monotonic() < end, "no subscriber"
+            time.sleep(0.001)
+        message = PoseWithCovarianceStamped()
+        message.header.frame_id = f"<{i}>"
+        publisher.publish(message)
+        time.sleep(float(seconds))
+        node.destroy_publisher(publisher)
+        node.destroy_node()
+        context.shutdown()
+
+
+def announced(node, name):
+    """Endpoints of this node tell which hashes rosidl gives the types."""
+    events = []
+    ours = [
+        node.create_publisher(PoseWithCovarianceStamped, "/pose", 10),
+        node.create_subscription(PoseWithCovarianceStamped, f"{name}/beats", lambda m: None, 10),
+        node.create_subscription(
+            ParameterEvent, "/parameter_events", events.append, qos_profile_parameter_events
+        ),
+        node.create_client(SetParameters, f"{name}/set_parameters"),
+    ]
+    topics = [
+        ("/pose", False),
+        (f"{name}/beats", False),
+        ("/parameter_events", False),
+        ("ros_discovery_info", True),
+        (f"rq{name}/set_parametersRequest", True),
+        (f"rr{name}/set_parametersReply", True),
+    ]
+
+    def infos(topic, no_mangle):
+        return node.get_publishers_info_by_topic(
+            topic, no_mangle=no_mangle
+        ) + node.get_subscriptions_info_by_topic(topic, no_mangle=no_mangle)
+
+    assert until(node, lambda: all(len(infos(*topic)) >= 2 for topic in topics)), "endpoints"
+    time.sleep(0.5)
+    hashes = {topic[0]: [str(info.topic_type_hash) for info in infos(*topic)] for topic in topics}
+    base, namespace = split(name)
+    until(node, lambda: node.count_publishers("/parameter_events") >= 2)
+    durability = [
+        info.qos_profile.durability.name
+        for info in node.get_publishers_info_by_topic("/parameter_events")
+        if info.node_name == base
+    ]
+    value = ParameterValue(type=1, bool_value=True)
+    request = SetParameters.Request(parameters=[Parameter(name="talk", value=value)])
+    call(node, SetParameters, f"{name}/set_parameters", request)
+    talk = lambda: any(p.name == "talk" for e in events if e.node == name for p in e.changed_parameters + e.new_parameters)
+    say(
+        hashes=hashes,
+        one_each=all(len(set(h)) == 1 for h in hashes.values()),
+        valid=all(h[0].startswith("RIHS01_") for h in hashes.values()),
+        enclaves=[e for n, _, e in node.get_node_names_and_namespaces_with_enclaves() if n == base],
+        durability=durability,
+        event=until(node, talk, 5.0),
+    )
+    del ours
+
+
 def main():
     rclpy.init(args=[])
     node = rclpy.create_node("peer")
@@ -144,6 +233,9 @@ def main():
         "lifecycle": lifecycle,
         "receive": receive,
         "gone": gone,
+        "endpoints_gone": endpoints_gone,
+        "once": once,
+        "announced": announced,
     }
     commands[sys.argv[1]](node, *sys.argv[2:])
     node.destroy_node()

@@ -134,7 +134,7 @@ impl Endpoints {
             .create_topic(
                 format!("rt{name}"),
                 dds_type_name(M::TYPE_NAME),
-                &policies(qos),
+                &with_type_hash(policies(qos), M::RIHS01_HASH),
                 TopicKind::NoKey,
             )
             .map_err(|e| NodeError::Middleware {
@@ -158,6 +158,16 @@ impl Endpoints {
             }
         }
         Ok(qos)
+    }
+}
+
+/// Adds a type's RIHS01 hash to the policies of a publisher or subscription, as every rmw announces
+/// it and `ros2 topic info -v` prints it. An empty hash, of an unknown type, adds nothing.
+#[must_use]
+pub fn with_type_hash(policies: QosPolicies, rihs01_hash: &str) -> QosPolicies {
+    match rihs01_hash {
+        "" => policies,
+        hash => policies.with_user_data(format!("typehash={hash};").into_bytes()),
     }
 }
 

@@ -3,7 +3,10 @@
 //! RustDDS reports publishers by GUID. Their nodes are in `ros_discovery_info`, in which every
 //! rmw announces them (`rmw_dds_common/msg/ParticipantEntitiesInfo`).
 
-use super::intra_process::TopicState;
+use super::{
+    endpoints::{policies, with_type_hash},
+    intra_process::TopicState,
+};
 use crate::{inbox::now, names::NodeName, qos::Qos};
 use parking_lot::RwLock;
 use ros2_client::Gid;
@@ -58,6 +61,10 @@ pub(crate) struct Graph {
     hosts: RwLock<BTreeMap<Prefix, String>>,
 }
 
+/// RIHS01 hash of `rmw_dds_common/msg/ParticipantEntitiesInfo`.
+const ANNOUNCEMENT_HASH: &str =
+    "RIHS01_91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e";
+
 /// Subscription of `ros_discovery_info`.
 pub(crate) struct Announcements(
     DataReader<ParticipantInfo, CDRDeserializerAdapter<ParticipantInfo>>,
@@ -67,12 +74,13 @@ impl Announcements {
     /// Subscribes; `None` where DDS refuses it, for instance because a security enclave does not
     /// permit the topic. Publishers have GUIDs without names then.
     pub fn subscribe(participant: &DomainParticipant) -> Option<Self> {
-        let qos = super::endpoints::policies(&Qos {
+        let qos = policies(&Qos {
             reliable: true,
             transient_local: true,
             depth: MOST_PARTICIPANTS,
             max_samples: MOST_PARTICIPANTS,
         });
+        let qos = with_type_hash(qos, ANNOUNCEMENT_HASH);
         let type_name = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_".to_owned();
         let name = "ros_discovery_info".to_owned();
         let topic = participant.create_topic(name, type_name, &qos, TopicKind::NoKey).ok()?;

@@ -25,7 +25,10 @@ use std::path::PathBuf;
 /// [`NodeError::Middleware`] if DDS cannot create the participant (no network interface, no ports).
 #[allow(clippy::disallowed_methods, reason = "the one place")]
 pub fn join(network: &Network) -> Result<(DomainParticipant, MiddlewareWatch), NodeError> {
-    let mut builder = DomainParticipantBuilder::new(network.domain_id);
+    // As every rmw announces it; `/` without security.
+    let enclave = network.security.as_ref().map_or("/", |security| security.enclave.as_str());
+    let mut builder = DomainParticipantBuilder::new(network.domain_id)
+        .with_user_data(format!("enclave={enclave};").into_bytes());
     if let Some(addresses) = network.only_addresses() {
         builder = builder.with_only_networks(addresses);
     }

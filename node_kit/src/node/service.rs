@@ -1,7 +1,7 @@
 //! Services.
 
 use super::{
-    endpoints::{Endpoints, policies},
+    endpoints::{Endpoints, policies, with_type_hash},
     error::NodeError,
     large_reply::{self, LargeReply},
     logger::Logger,
@@ -23,7 +23,7 @@ use std::{
     },
     time::Duration,
 };
-use volant_msgs::Service;
+use volant_msgs::{Message, Service};
 
 /// Replies to one request of a service. If it is dropped unused, the client gets no reply.
 pub struct Responder<S: Service>(async_channel::Sender<S::Response>);
@@ -67,7 +67,7 @@ impl Endpoints {
         type_name: &ServiceTypeName,
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
     ) -> Result<Task<()>, NodeError> {
-        let (requests, replies) = self.service_topics(&name, type_name)?;
+        let (requests, replies) = self.service_topics::<S>(&name, type_name)?;
         let requests = self
             .node
             .create_subscription::<S::Request>(&requests, None)
@@ -139,7 +139,7 @@ impl Endpoints {
         type_name: &ServiceTypeName,
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
     ) -> Result<Task<()>, NodeError> {
-        let (requests, replies) = self.service_topics(&name, type_name)?;
+        let (requests, replies) = self.service_topics::<S>(&name, type_name)?;
         let requests = self
             .node
             .create_subscription::<WithIdentity<S::Request>>(&requests, None)
@@ -171,12 +171,12 @@ impl Endpoints {
     }
 
     /// The DDS topics of requests and replies.
-    fn service_topics(
+    fn service_topics<S: Service>(
         &self,
         name: &str,
         type_name: &ServiceTypeName,
     ) -> Result<(Topic, Topic), NodeError> {
-        let topic = |dds_name: String, half: &str, qos: &Qos| {
+        let topic = |dds_name: String, half: &str, qos: &Qos, hash: &str| {
             let dds_type = format!(
                 "{}::srv::dds_::{}_{half}_",
                 type_name.package_name(),
@@ -185,12 +185,17 @@ impl Endpoints {
             self.domain
                 .context
                 .domain_participant()
-                .create_topic(dds_name, dds_type, &policies(qos), TopicKind::NoKey)
+                .create_topic(
+                    dds_name,
+                    dds_type,
+                    &with_type_hash(policies(qos), hash),
+                    TopicKind::NoKey,
+                )
                 .map_err(|e| failed(name, e))
         };
         Ok((
-            topic(format!("rq{name}Request"), "Request", &REQUESTS)?,
-            topic(format!("rr{name}Reply"), "Response", &REPLIES)?,
+            topic(format!("rq{name}Request"), "Request", &REQUESTS, S::Request::RIHS01_HASH)?,
+            topic(format!("rr{name}Reply"), "Response", &REPLIES, S::Response::RIHS01_HASH)?,
         ))
     }
 }

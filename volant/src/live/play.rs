@@ -6,7 +6,8 @@ use super::{
     raw::{Raw, RawAdapter, dds_type_name, policies},
 };
 use crate::{replay::TopicNames, stopwatch::Stopwatch};
-use bag::{BagReader, Durability, QosProfile};
+use bag::{BagReader, Durability, QosProfile, Topic};
+use node_kit::node::with_type_hash;
 use rig_model::topics;
 use rustdds::{Publisher, TopicKind, no_key::DataWriter};
 use std::{collections::BTreeMap, path::PathBuf, time::Duration};
@@ -23,8 +24,8 @@ const LAST_WAIT: Duration = Duration::from_secs(5);
 const STOPPED_WAIT: Duration = Duration::from_millis(500);
 
 /// How long it stays after that. A subscriber may have acknowledged samples that its program has
-/// not read yet, and RustDDS 0.15.1 drops unread samples when their publisher leaves: the topic's
-/// cache forgets up to where the writer was complete.
+/// not read yet, and RustDDS 0.15.1 as published drops unread samples when their publisher leaves
+/// (`forks/patches/rustdds-4-gone-writer.patch`).
 const LINGER: Duration = Duration::from_millis(500);
 
 /// Options of a playback.
@@ -109,7 +110,7 @@ fn play_all(
         }
         let qos = QosProfile::from_yaml(&topic.offered_qos_profiles);
         let name = options.names.resolve(&topic.name);
-        let writer = writer(&participant, &publisher, &name, &topic.type_name, &qos)?;
+        let writer = writer(&participant, &publisher, &name, topic, &qos)?;
         writers.insert(topic.name.clone(), writer);
     }
     if writers.is_empty() {
@@ -124,7 +125,8 @@ fn play_all(
         Some(hz) => {
             let name = options.names.resolve(topics::absolute::CLOCK);
             let qos = QosProfile::SENSOR;
-            Some((writer(&participant, &publisher, &name, Clock::TYPE_NAME, &qos)?, 1.0 / hz))
+            let topic = Topic::of::<Clock>(&name, &qos);
+            Some((writer(&participant, &publisher, &name, &topic, &qos)?, 1.0 / hz))
         }
         None => None,
     };
@@ -195,7 +197,7 @@ fn writer(
     participant: &rustdds::DomainParticipant,
     publisher: &Publisher,
     name: &str,
-    type_name: &str,
+    topic: &Topic,
     qos: &QosProfile,
 ) -> Result<Writer, LiveError> {
     let failed =
@@ -203,8 +205,10 @@ fn writer(
     let latched = qos.durability == Durability::TransientLocal;
     // A slow subscriber delays the player for a moment only.
     let policies = policies(qos, rustdds::Duration::from_millis(100));
+    let policies = with_type_hash(policies, &topic.type_hash);
+    let type_name = dds_type_name(&topic.type_name);
     let topic = participant
-        .create_topic(format!("rt{name}"), dds_type_name(type_name), &policies, TopicKind::NoKey)
+        .create_topic(format!("rt{name}"), type_name, &policies, TopicKind::NoKey)
         .map_err(|e| failed(e.to_string()))?;
     let writer = publisher
         .create_datawriter_no_key(&topic, Some(policies))

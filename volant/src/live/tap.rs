@@ -9,7 +9,7 @@ use super::{
 use async_executor::{Executor, Task};
 use bag::{Durability, QosProfile, Reliability, Topic};
 use futures_lite::{StreamExt, future::block_on};
-use node_kit::node::{Loss, MiddlewareWatch};
+use node_kit::node::{Loss, MiddlewareWatch, with_type_hash};
 use rustdds::{DomainParticipant, GUID, Subscriber, TopicKind, no_key::DataReader};
 use std::{
     collections::{BTreeMap, HashMap},
@@ -158,6 +158,7 @@ impl Tap {
         let large = ["Image", "PointCloud2"].iter().any(|t| topic.type_name.ends_with(t));
         let qos = QosProfile { depth: if large { 32 } else { 512 }, ..offer.qos };
         let qos = policies(&qos, rustdds::Duration::ZERO);
+        let qos = with_type_hash(qos, &topic.type_hash);
         let subscriber = match &self.subscriber {
             Some(subscriber) => subscriber.clone(),
             None => {
@@ -214,7 +215,8 @@ impl Drop for Tap {
 /// Type hash of REP-2016 in the endpoint's user data, as rmw writes it: `typehash=RIHS01_…;`.
 fn type_hash(user_data: &[u8]) -> Option<String> {
     let text = String::from_utf8_lossy(user_data);
-    let hash = text.split(';').find_map(|part| part.trim().strip_prefix("typehash="))?;
+    // RustDDS gives the parameter's value, which begins with the length.
+    let hash = text.split_once("typehash=")?.1.split(';').next()?;
     hash.starts_with("RIHS01_").then(|| hash.to_owned())
 }
 
@@ -232,6 +234,7 @@ mod tests {
     fn the_hash_of_a_type_that_is_not_built_in_comes_from_its_publisher() {
         assert_eq!(type_hash(b"typehash=RIHS01_ab12;").as_deref(), Some("RIHS01_ab12"));
         assert_eq!(type_hash(b"enclave=/;typehash=RIHS01_0;").as_deref(), Some("RIHS01_0"));
+        assert_eq!(type_hash(b"\x12\0\0\0typehash=RIHS01_0;\0\0").as_deref(), Some("RIHS01_0"));
         assert_eq!(type_hash(b"typehash=MD5_0;"), None);
         assert_eq!(type_hash(b""), None);
     }
