@@ -41,6 +41,8 @@ pub struct FusionConfig {
     pub visual_use_gravity: bool,
     /// When a pose is called valid.
     pub status: StatusConfig,
+    /// Largest rate of odometry, status and prediction, Hz; 0: that of the IMU.
+    pub publish_rate: f64,
 }
 
 /// Configuration of the error-state filter.

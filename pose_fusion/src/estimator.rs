@@ -8,7 +8,7 @@ use crate::{
         status::{Counts, InputCounts, Status},
     },
     initialization::checkpoint::{Checkpoint, Refusal},
-    output::{Odometry, Output, PoseEstimate},
+    output::{Odometry, Output, PoseEstimate, rate_limit::RateLimit},
     reference::{paper::Paper, single_image::SingleImagePose},
 };
 use rig_model::{CameraModel, ClimberSample, ImuSample, MarkerObservations, Rig, Stamp};
@@ -48,6 +48,7 @@ pub struct Fusion {
     single_image: SingleImagePose,
     config: FusionConfig,
     outputs: VecDeque<Output>,
+    rate_limit: RateLimit,
     /// Newest status of the published filter.
     last_status: Option<Stamp>,
     /// Inputs of the published filter.
@@ -69,6 +70,7 @@ impl Fusion {
             },
             config,
             outputs: VecDeque::with_capacity(256),
+            rate_limit: RateLimit::default(),
             last_status: None,
             inputs: InputCounts::default(),
         }
@@ -144,7 +146,13 @@ impl Fusion {
 
     /// Returns the next output, if any.
     pub fn poll(&mut self) -> Option<Output> {
-        self.outputs.pop_front()
+        let rate = self.config.publish_rate;
+        loop {
+            let output = self.outputs.pop_front()?;
+            if self.rate_limit.passes(&output, rate) {
+                return Some(output);
+            }
+        }
     }
 
     /// Discards the estimate; the next image initializes it.

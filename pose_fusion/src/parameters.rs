@@ -19,6 +19,9 @@ node_kit::parameters! {
     pub struct FusionParameters {
         /// The estimator: tight (error-state filter on pixels) or paper (the published filter).
         model: String = "tight", one_of(&["tight", "paper"]);
+        /// Largest rate of odometry, poses, status, tf and prediction, for slow links; 0: that of the
+        /// IMU.
+        publish_rate: f64 = 0.0, unit("Hz"), range(0.0..=1000.0);
         /// Gravity.
         gravity: f64 = TIGHT.gravity, unit("m/s^2"), range(9.0..=10.5);
         /// How far back delayed measurements are accepted.
@@ -179,6 +182,7 @@ impl FusionParameters {
     /// An attachment that is not three numbers.
     pub fn config(&self) -> Result<FusionConfig, String> {
         Ok(FusionConfig {
+            publish_rate: self.publish_rate,
             model: if self.model == "paper" { Model::Paper } else { Model::Tight },
             tight: self.tight()?,
             paper: PaperConfig {

@@ -5,6 +5,7 @@ pub mod continuity;
 pub mod messages;
 pub mod odometry;
 pub mod prediction;
+pub mod rate_limit;
 pub mod smoother;
 mod warning;
 
