@@ -1,5 +1,6 @@
 //! Nodes of `node_kit` against ROS 2 itself: rclpy on Fast DDS, as the `ros2` command line uses it.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+#![allow(clippy::disallowed_methods, reason = "tests")]
 
 mod common;
 

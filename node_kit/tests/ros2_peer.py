@@ -176,7 +176,7 @@ def once(_, topic, count, seconds):
 def announced(node, name):
     """Endpoints of this node tell which hashes rosidl gives the types."""
     events = []
-    ours = [
+    endpoints = [
         node.create_publisher(PoseWithCovarianceStamped, "/pose", 10),
         node.create_subscription(PoseWithCovarianceStamped, f"{name}/beats", lambda m: None, 10),
         node.create_subscription(
@@ -211,7 +211,11 @@ def announced(node, name):
     value = ParameterValue(type=1, bool_value=True)
     request = SetParameters.Request(parameters=[Parameter(name="talk", value=value)])
     call(node, SetParameters, f"{name}/set_parameters", request)
-    talk = lambda: any(p.name == "talk" for e in events if e.node == name for p in e.changed_parameters + e.new_parameters)
+
+    def talk():
+        ours = [e for e in events if e.node == name]
+        return any(p.name == "talk" for e in ours for p in [*e.changed_parameters, *e.new_parameters])
+
     say(
         hashes=hashes,
         one_each=all(len(set(h)) == 1 for h in hashes.values()),
@@ -220,7 +224,7 @@ def announced(node, name):
         durability=durability,
         event=until(node, talk, 5.0),
     )
-    del ours
+    del endpoints
 
 
 def main():
