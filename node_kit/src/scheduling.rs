@@ -1,7 +1,8 @@
 //! Scheduling of a node's process: real-time priority, processor affinity, memory lock.
 //!
 //! Threads inherit both from the thread that starts them, so that one call before the DDS domain is
-//! joined covers the nodes, their devices and the middleware.
+//! joined covers the nodes, their devices and the middleware. The allocator's own threads, which
+//! return memory to the system, start before `main` and keep the usual priority.
 
 use crate::args::ArgumentError;
 use rustix::{

@@ -144,8 +144,15 @@ fn two_drivers_and_then_two_rigs_in_one_namespace_are_named() {
     let ids = [&driver, &double].map(|node| format!("this computer, process {} ", node.id()));
     assert!(ids.iter().any(|id| named.contains(id)), "{named}");
     assert_eq!(named.matches("participant 01.12.").count(), 2, "{named}");
-    let published = observed.graph("/pose_fusion", WARN, &["2 publishers on /climber/transform"]);
-    assert_eq!(published.matches("/climber_driver at ").count(), 2, "{published}");
+    // A publisher is known a moment before its node's name.
+    let deadline = Instant::now() + LONG;
+    let published = loop {
+        let text = observed.graph("/pose_fusion", WARN, &["2 publishers on /climber/transform"]);
+        if text.matches("/climber_driver at ").count() == 2 {
+            break text;
+        }
+        assert!(Instant::now() < deadline, "{text}");
+    };
     assert_eq!(published.matches("GID 01.12.").count(), 2, "{published}");
     assert!(published.contains("-r FROM:=TO"), "{published}");
     observed.graph("/rig2/climber_driver", OK, &[]);

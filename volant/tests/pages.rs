@@ -226,7 +226,8 @@ fn the_table_in_the_readme_is_current() {
 }
 
 /// Folders without texts of this project.
-const SKIPPED: [&str; 6] = ["target", ".git", ".venv", ".setup", "demo_run", "book"];
+const SKIPPED: [&str; 8] =
+    ["target", ".git", ".venv", ".setup", "demo_run", "book", "rustdds", "ros2-client"];
 
 fn markdown_files(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap().map(Result::unwrap) {
