@@ -143,6 +143,11 @@ pub fn pose_message(parent_from_child: &Isometry3<f64>) -> geometry::Pose {
     }
 }
 
+/// Twist message: m/s, rad/s.
+pub fn twist_message(linear: &Vector3<f64>, angular: &Vector3<f64>) -> geometry::Twist {
+    geometry::Twist { linear: vector_message(linear), angular: vector_message(angular) }
+}
+
 /// Stamped transform message of `parent_from_child`, m.
 pub fn transform_message(
     parent: &str,
@@ -356,10 +361,7 @@ pub fn odometry_message(
             covariance: covariance6_message(pose_covariance),
         },
         twist: geometry::TwistWithCovariance {
-            twist: geometry::Twist {
-                linear: vector_message(linear_velocity),
-                angular: vector_message(angular_velocity),
-            },
+            twist: twist_message(linear_velocity, angular_velocity),
             covariance: covariance6_message(twist_covariance),
         },
     }

@@ -68,6 +68,8 @@ pub struct TightConfig {
     pub limits: LimitConfig,
     /// How far ahead the predicted odometry lies, s; 0 disables it.
     pub prediction_horizon: f64,
+    /// The swing relative to the climber is output.
+    pub swing: bool,
     /// Rope that the platform hangs on.
     pub pendulum: PendulumConfig,
 }
@@ -244,6 +246,7 @@ impl TightConfig {
         zero_velocity_sigma: 0.002,
         limits: LimitConfig { max_range: 20.0, max_speed: 10.0 },
         prediction_horizon: 0.0,
+        swing: true,
         pendulum: PendulumConfig::DEFAULT,
     };
 }

@@ -247,6 +247,12 @@ impl Fusion {
         }
     }
 
+    /// Whether the published filter runs with an IMU that outputs no attitude, so that it is
+    /// computed from the samples.
+    pub fn computes_attitude(&self) -> bool {
+        matches!(&self.estimator, Estimator::Paper(paper) if paper.computes_attitude())
+    }
+
     /// Returns counters and insights for diagnostics.
     pub fn status(&self) -> Status {
         match &self.estimator {

@@ -36,4 +36,6 @@ pub use health::{
 pub use initialization::checkpoint::{Checkpoint, Refusal};
 #[cfg(feature = "messages")]
 pub use output::messages;
-pub use output::{MarkerOutcome, MarkerUpdateRecord, Odometry, Output, PoseEstimate, Warning};
+pub use output::{
+    MarkerOutcome, MarkerUpdateRecord, Odometry, Output, PoseEstimate, Swing, Warning,
+};

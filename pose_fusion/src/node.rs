@@ -30,6 +30,7 @@ struct Publishers {
     visual_pose: Publisher<PoseWithCovarianceStamped>,
     status: Publisher<msg::PoseStatus>,
     predicted: Option<Publisher<nav_msgs::msg::Odometry>>,
+    swing: Option<Publisher<msg::Swing>>,
     updates: Option<Publisher<MarkerUpdates>>,
 }
 
@@ -115,6 +116,11 @@ impl NodeShell for FusionNode {
             status: context.advertise(topics::STATUS, QosPreset::State)?,
             predicted: if parameters.prediction_horizon > 0.0 {
                 Some(context.advertise(topics::PREDICTED_ODOMETRY, QosPreset::State)?)
+            } else {
+                None
+            },
+            swing: if parameters.publish_swing && parameters.model == "tight" {
+                Some(context.advertise(topics::SWING, QosPreset::State)?)
             } else {
                 None
             },
@@ -245,7 +251,14 @@ impl NodeShell for FusionNode {
         } else if gated > 0 {
             (Health::Warn, format!("{gated} markers rejected in the last second"))
         } else {
-            let what = if published { "the published filter runs" } else { "fusing" };
+            let what = match (published, self.fusion.computes_attitude()) {
+                (true, true) => {
+                    "the published filter runs; the IMU outputs no attitude, so it is computed \
+                     from its samples"
+                }
+                (true, false) => "the published filter runs",
+                _ => "fusing",
+            };
             (Health::Ok, what.to_owned())
         };
         // Without IMU samples everything else is ahead of them, which is no fault of the clocks.
@@ -290,6 +303,11 @@ impl FusionNode {
             Output::Predicted(o) => {
                 if let Some(predicted) = &publishers.predicted {
                     predicted.publish(messages::odometry(&o, frames));
+                }
+            }
+            Output::Swing(s) => {
+                if let Some(swing) = &publishers.swing {
+                    swing.publish(messages::swing(&s, frames));
                 }
             }
             Output::VisualPose(p) => {

@@ -114,6 +114,8 @@ node_kit::parameters! {
             name("limits.max_speed");
         /// How far ahead volant/predicted_odometry lies; 0 publishes nothing.
         prediction_horizon: f64 = TIGHT.prediction_horizon, unit("s"), range(0.0..=1.0);
+        /// With model tight: publish volant/swing.
+        publish_swing: bool = TIGHT.swing;
         /// Without a used image for this long the pose is COASTING.
         max_image_age: f64 = STATUS.max_image_age, unit("s"), range(0.01..=60.0),
             name("status.max_image_age");
@@ -257,6 +259,7 @@ impl FusionParameters {
             zero_velocity_sigma: self.zero_velocity_sigma,
             limits: LimitConfig { max_range: self.max_range, max_speed: self.max_speed },
             prediction_horizon: self.prediction_horizon,
+            swing: self.publish_swing,
             pendulum: PendulumConfig {
                 rope_length: self.rope_length,
                 rope_sigma: self.rope_sigma,

@@ -70,6 +70,27 @@ fn real_imu_samples_are_tracked_and_blows_are_followed() {
     }
 }
 
+/// The IMU of these recordings outputs no attitude. As published, nothing corrects the velocity of
+/// the double integration, so the position drifts.
+#[test]
+fn the_published_filter_runs_on_real_imu_samples() {
+    for name in ["real_slow", "real_fast", "real_tapping"] {
+        let Some(bag) = bags::read(name, 0.1, 1) else { return };
+        for velocity_from_fused in [false, true] {
+            let mut config = FusionConfig { model: Model::Paper, ..FusionConfig::default() };
+            config.paper.velocity_from_fused = velocity_from_fused;
+            let mut fusion = Fusion::new(bag.rig.clone(), config);
+            let outputs = scoring::run(&mut fusion, bag.inputs.iter().map(|(_, i)| i.clone()));
+            let score = scoring::score(&outputs.odometry, &bag.truth, 1.0);
+            println!("{name:12} {score}");
+            assert!(fusion.computes_attitude());
+            let bound = if velocity_from_fused { 20.0 } else { 2000.0 };
+            assert!(score.position_rmse() < bound, "{name} {score}");
+            assert!(score.rotation_rmse() < 0.5, "{name} {score}");
+        }
+    }
+}
+
 /// What one estimator has of a scenario.
 struct Row {
     score: Score,

@@ -43,6 +43,8 @@ topics! {
     STATUS = "volant/status";
     /// Odometry ahead by the prediction horizon, `nav_msgs/Odometry`.
     PREDICTED_ODOMETRY = "volant/predicted_odometry";
+    /// Rope length and swing relative to the climber, `volant_msgs/Swing`.
+    SWING = "volant/swing";
     /// Smoothed odometry of a replay, `nav_msgs/Odometry`.
     SMOOTHED_ODOMETRY = "volant/smoothed_odometry";
     /// Innovations of the marker measurements, `volant_msgs/MarkerUpdates`.

@@ -151,7 +151,7 @@ fn bags_that_cannot_be_replayed() {
     place.replay_fails(
         &path,
         &[
-            "the filter never started",
+            "the filter never started: no message on climber/camera/camera_info",
             "an image is ignored",
             "camera_info",
             topics::CLIMBER_TRANSFORM,

@@ -14,7 +14,7 @@ use crate::{
         MarkerOutcome, MarkerUpdateRecord, Odometry, Output, Warning,
         continuity::Continuity,
         odometry::{Settings, odometry},
-        prediction, smoother,
+        prediction, smoother, swing,
     },
     timeline::history::{Entry, Event},
 };
@@ -162,7 +162,7 @@ impl Publisher {
 }
 
 impl Filter {
-    /// Outputs the estimate at the end of the time line: odometry, status and prediction.
+    /// Outputs the estimate at the end of the time line: odometry, status, prediction and swing.
     pub(super) fn publish(&mut self, out: &mut VecDeque<Output>) {
         let (Some(end), true) = (self.arrival.end(), self.start.is_started()) else { return };
         let settings = self.settings();
@@ -207,6 +207,10 @@ impl Filter {
             let noise = self.process_noise();
             prediction::predicted(end, state, reading, horizon, &noise, geometry, &settings)
         });
+        let config = &self.setup.config;
+        let swing = self.climber.newest().filter(|_| config.swing).map(|(_, _, rest)| {
+            swing::swing(end, state, reading, rest, geometry, &config.pendulum, &settings)
+        });
         self.publisher.position_sigma = position_sigma;
         self.publisher.last_published = Some(end);
         self.publisher.silence.imu_lost &= silent;
@@ -223,6 +227,7 @@ impl Filter {
         out.push_back(Output::Odometry(limited));
         out.push_back(Output::Status(status));
         out.extend(predicted.map(Output::Predicted));
+        out.extend(swing.map(Output::Swing));
     }
 
     /// Outputs the status at 10 Hz where neither IMU samples nor images come and encoder readings

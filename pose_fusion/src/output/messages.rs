@@ -1,6 +1,6 @@
 //! ROS messages of the outputs, for the live node and for replay.
 
-use crate::{MarkerOutcome, MarkerUpdateRecord, Odometry, PoseEstimate, PoseStatus};
+use crate::{MarkerOutcome, MarkerUpdateRecord, Odometry, PoseEstimate, PoseStatus, Swing};
 use node_kit::convert;
 use rig_model::{Frames, MarkerColor};
 use std::sync::Arc;
@@ -59,6 +59,22 @@ pub fn status(s: &PoseStatus, frames: &Frames) -> msg::PoseStatus {
         markers_used: s.markers_used,
         camera_time_offset: s.time_offset,
         reason: s.reason.clone(),
+    }
+}
+
+/// `volant/swing`.
+pub fn swing(s: &Swing, frames: &Frames) -> msg::Swing {
+    msg::Swing {
+        header: convert::header(&frames.climber, s.stamp),
+        rope_length: s.rope_length,
+        angle_x: s.angles[0],
+        angle_y: s.angles[1],
+        rope_rate: s.rope_rate,
+        rate_x: s.rates[0],
+        rate_y: s.rates[1],
+        covariance: convert::covariance6_message(&s.covariance),
+        pose: convert::pose_message(&s.climber_from_volant),
+        twist: convert::twist_message(&s.linear_velocity, &s.angular_velocity),
     }
 }
 

@@ -7,8 +7,10 @@ pub mod odometry;
 pub mod prediction;
 pub mod rate_limit;
 pub mod smoother;
+pub mod swing;
 mod warning;
 
+pub use swing::Swing;
 pub use warning::Warning;
 
 use crate::health::pose_status::PoseStatus;
@@ -28,6 +30,8 @@ pub enum Output {
     Status(PoseStatus),
     /// Estimate `prediction_horizon` ahead, after each odometry.
     Predicted(Odometry),
+    /// The platform relative to the climber, after each odometry of `tight`.
+    Swing(Swing),
     /// `world_from_volant` from one image alone, rotation about world-fixed axes.
     VisualPose(PoseEstimate),
     /// Record of one marker of one image.

@@ -7,7 +7,7 @@ use rig_model::Stamp;
 /// Jitter of the stamps for which an estimate does not wait for the next one, s.
 const JITTER: f64 = 5e-4;
 
-/// Passes odometry, status and prediction at a limited rate, those of one stamp together.
+/// Passes odometry, status, prediction and swing at a limited rate, those of one state together.
 #[derive(Clone, Debug, Default)]
 pub struct RateLimit {
     /// Newest stamp, and whether it passed.
@@ -17,7 +17,7 @@ pub struct RateLimit {
 
 impl RateLimit {
     /// Returns whether an output is published at `rate` (Hz; 0: all). Everything but odometry,
-    /// status and prediction is.
+    /// status, prediction and swing is.
     pub fn passes(&mut self, output: &Output, rate: f64) -> bool {
         if rate <= 0.0 {
             return true;
@@ -25,8 +25,10 @@ impl RateLimit {
         let stamp = match output {
             Output::Odometry(odometry) => odometry.stamp,
             Output::Status(status) => status.stamp,
-            // It follows the odometry that it is predicted from.
-            Output::Predicted(_) => return self.newest.is_none_or(|(_, passed)| passed),
+            // They follow the odometry of the same state.
+            Output::Predicted(_) | Output::Swing(_) => {
+                return self.newest.is_none_or(|(_, passed)| passed);
+            }
             _ => return true,
         };
         if let Some((newest, passed)) = self.newest

@@ -7,7 +7,8 @@
 //!   change of translation and rotation since the last image: `x⁻ = x + u`, `P⁻ = P + Q`. The
 //!   translation is the acceleration (rotated to the world by the IMU's own attitude, without
 //!   gravity) integrated twice under the threshold control of section III-A; the rotation is the
-//!   IMU's own attitude, its heading aligned with the world at the first visual pose;
+//!   IMU's own attitude, its heading aligned with the world at the first visual pose. For an IMU
+//!   that outputs none it is computed from the samples ([`crate::reference::gyro_attitude`]);
 //! - the correction (eq. 11–13) is `K = P⁻ Hᵀ (H P⁻ Hᵀ + R)⁻¹`, `x = x⁻ + K r`,
 //!   `P = (I − K H) P⁻`, with R/Q = 10. The measurement is the visual pose (`H = I`, `r = z − x⁻`),
 //!   or with `measurement: markers` the markers' coordinates on the world plane
@@ -21,12 +22,13 @@ use crate::{
     config::{PaperConfig, PaperMeasurement},
     output::Odometry,
     reference::{
+        gyro_attitude::GyroAttitude,
         marker_measurement::{plane_residual, world_rates},
         single_image::Visual,
     },
 };
 use nalgebra::{Isometry3, Matrix6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
-use rig_model::{ImuSample, MarkerLayout, Rig, Stamp, wrap_angle};
+use rig_model::{ImuSample, MarkerLayout, OrientationSample, Rig, Stamp, wrap_angle};
 use std::collections::VecDeque;
 
 /// Largest number of waiting IMU samples: ten seconds at 100 Hz.
@@ -38,6 +40,9 @@ pub struct Paper {
     config: PaperConfig,
     volant_from_imu: Isometry3<f64>,
     markers: MarkerLayout,
+    /// The IMU outputs its own attitude.
+    own_attitude: bool,
+    computed_attitude: GyroAttitude,
     waiting: VecDeque<ImuSample>,
     last_sample: Option<ImuSample>,
     /// Heading that rotates the IMU's east-north-up to the world, rad; known from the first visual
@@ -65,6 +70,8 @@ impl Paper {
             config,
             volant_from_imu: rig.imu.volant_from_imu,
             markers: rig.markers.clone(),
+            own_attitude: false,
+            computed_attitude: GyroAttitude::default(),
             waiting: VecDeque::with_capacity(WAITING),
             last_sample: None,
             heading: None,
@@ -86,8 +93,8 @@ impl Paper {
         self.last_visual = None;
     }
 
-    /// Takes in an IMU sample, which waits for the next image. A sample without the IMU's own
-    /// attitude is not used.
+    /// Takes in an IMU sample, which waits for the next image. Once the IMU has output its own
+    /// attitude, a sample without it is not used.
     pub fn imu(&mut self, sample: &ImuSample) {
         let finite = sample
             .specific_force
@@ -97,7 +104,7 @@ impl Paper {
         let attitude = sample
             .orientation
             .as_ref()
-            .is_some_and(|o| o.enu_from_imu.coords.iter().all(|x| x.is_finite()));
+            .is_none_or(|o| o.enu_from_imu.coords.iter().all(|x| x.is_finite()));
         if !(finite && attitude) {
             return;
         }
@@ -107,10 +114,29 @@ impl Paper {
         } else if newest.is_some_and(|n| n >= sample.stamp) {
             return;
         }
+        let Some(sample) = self.with_attitude(sample) else { return };
         if self.waiting.len() == WAITING {
             self.waiting.pop_front();
         }
-        self.waiting.push_back(sample.clone());
+        self.waiting.push_back(sample);
+    }
+
+    /// The sample with the IMU's own attitude or, of an IMU that outputs none, a computed one.
+    fn with_attitude(&mut self, sample: &ImuSample) -> Option<ImuSample> {
+        let mut sample = sample.clone();
+        if sample.orientation.is_some() {
+            if !self.own_attitude {
+                // Both attitudes have a heading of their own.
+                self.reset();
+                self.own_attitude = true;
+            }
+        } else if self.own_attitude {
+            return None;
+        } else {
+            let enu_from_imu = self.computed_attitude.update(&sample)?;
+            sample.orientation = Some(OrientationSample { enu_from_imu, covariance: None });
+        }
+        Some(sample)
     }
 
     /// Takes in an image at `stamp` with its visual pose, where it has one, and returns the fused
@@ -167,9 +193,14 @@ impl Paper {
         self.state.as_ref().map(|s| s.stamp)
     }
 
-    /// Returns the stamp of the newest IMU sample with an attitude.
+    /// Returns the stamp of the newest IMU sample.
     pub fn newest_imu(&self) -> Option<Stamp> {
         self.waiting.back().or(self.last_sample.as_ref()).map(|s| s.stamp)
+    }
+
+    /// Whether the attitude is computed here, because the IMU outputs none.
+    pub fn computes_attitude(&self) -> bool {
+        !self.own_attitude && self.newest_imu().is_some()
     }
 
     /// Returns the stamp of the newest image that gave a pose, and its number of markers.
@@ -187,7 +218,7 @@ impl Paper {
         if self.state.is_some() {
             ""
         } else if self.newest_imu().is_none() {
-            "no volant/imu/data with the IMU's own attitude, which the published filter needs"
+            "no volant/imu/data"
         } else {
             "no image that gives a pose: the published one needs climber/camera/camera_info, \
              climber/transform and at least three detected markers"

@@ -38,6 +38,7 @@ pub fn run(fusion: &mut Fusion, inputs: impl IntoIterator<Item = Input>) -> Outp
                 Output::Warning(w) => outputs.warnings.push(w),
                 Output::Status(s) => outputs.status.push(s),
                 Output::Predicted(o) => outputs.predicted.push(o),
+                Output::Swing(_) => {}
             }
         }
     }

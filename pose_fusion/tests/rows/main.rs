@@ -3,6 +3,7 @@
 mod common;
 mod outliers;
 mod published;
+mod swing;
 
 use common::{
     scoring::{self, Outputs, Score},

@@ -1,6 +1,10 @@
 //! The published filter: its measurements, and what its status reports of missing inputs.
 
-use super::{Outcome, common::simulated, follow_from};
+use super::{
+    Outcome,
+    common::{scoring, simulated},
+    follow_from,
+};
 use pose_fusion::{
     Fusion, FusionConfig, Input, Model, Output, PaperMeasurement, PoseState, PoseStatus,
 };
@@ -26,6 +30,23 @@ fn poses_and_marker_coordinates_correct_the_published_filter() {
         println!("{measurement:?}: {}", o.score);
         assert!(o.score.position_rmse() < 60.0 && o.score.rotation_rmse() < 1.5, "{}", o.score);
     }
+}
+
+#[test]
+fn an_imu_without_attitude_serves_the_published_filter() {
+    let motion = MotionConfig { duration: 10.0, ..MotionConfig::nominal(1) };
+    let mut run = simulated::run(motion, &SensorConfig::nominal(1));
+    for (_, input) in &mut run.inputs {
+        if let Input::Imu(sample) = input {
+            sample.orientation = None;
+        }
+    }
+    let mut fusion = Fusion::new(simulated::rig(), config(PaperMeasurement::Pose));
+    let o = scoring::run(&mut fusion, run.inputs.into_iter().map(|(_, input)| input));
+    let score = scoring::score(&o.odometry, &run.truth, 2.0);
+    println!("{score}");
+    assert!(fusion.computes_attitude());
+    assert!(score.position_rmse() < 60.0 && score.rotation_rmse() < 1.5, "{score}");
 }
 
 /// Statuses from 1 s after the inputs that `keep` selects from 4 s on.

@@ -182,7 +182,7 @@ pub fn replay(
     if pipeline.counts.odometry == 0 {
         return Err(ReplayError::NoEstimate {
             path: input.clone(),
-            why: why_silent(&pipeline.counts, &losses),
+            why: why_silent(&pipeline, &losses),
         });
     }
     let (counts, spent) = pipeline.finish()?;
@@ -196,7 +196,8 @@ pub fn replay(
     })
 }
 
-fn why_silent(counts: &Counts, losses: &[String]) -> String {
+fn why_silent(pipeline: &Pipeline, losses: &[String]) -> String {
+    let counts = &pipeline.counts;
     let warnings: Vec<&str> = counts
         .warnings
         .values()
@@ -206,10 +207,14 @@ fn why_silent(counts: &Counts, losses: &[String]) -> String {
     let suffix =
         if warnings.is_empty() { String::new() } else { format!("; {}", warnings.join("; ")) };
     format!(
-        "{} markers measured in {} images, {} IMU samples, {} climber transforms{suffix}; \
+        "{}; {} markers measured in {} images, {} IMU samples, {} climber transforms{suffix}; \
          check the camera's view, \
          the markers in the rig file and the stamps",
-        counts.detected, counts.markers, counts.imu, counts.climber
+        pipeline.missing(),
+        counts.detected,
+        counts.markers,
+        counts.imu,
+        counts.climber
     )
 }
 

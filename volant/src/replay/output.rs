@@ -2,10 +2,14 @@
 
 use super::topic_names::TopicNames;
 use bag::{BagError, BagSummary, BagWriter, QosProfile, Topic, TopicId, WriteOptions};
-use pose_fusion::{MarkerUpdateRecord, Odometry, PoseEstimate, PoseStatus, messages};
+use pose_fusion::{MarkerUpdateRecord, Odometry, PoseEstimate, PoseStatus, Swing, messages};
 use rig_model::{ClimberSample, Frames, MarkerObservations, Rig, Stamp, topics};
 use std::{cmp::Reverse, collections::BinaryHeap, path::Path};
-use volant_msgs::{Message, cdr, geometry_msgs, msg, nav_msgs, tf2_msgs};
+use volant_msgs::{
+    Message, cdr,
+    geometry_msgs::{self, msg::PoseWithCovarianceStamped},
+    msg, nav_msgs, tf2_msgs,
+};
 
 /// Longest delay of an output after its stamp, s; outputs wait here to be sorted.
 const PATIENCE: f64 = 2.0;
@@ -34,12 +38,29 @@ struct Topics {
     pose: TopicId,
     status: TopicId,
     predicted: TopicId,
+    swing: TopicId,
     visual_pose: TopicId,
     updates: TopicId,
     tf: TopicId,
     tf_static: TopicId,
     /// `None` unless smoothing was requested.
     smoothed: Option<TopicId>,
+}
+
+/// Adds topics under their remapped names.
+struct Adding<'a> {
+    bag: &'a mut BagWriter,
+    names: &'a TopicNames,
+}
+
+impl Adding<'_> {
+    fn topic<M: Message>(&mut self, name: &str) -> TopicId {
+        self.bag.add_topic(Topic::of::<M>(&self.names.resolve(name), &QosProfile::RELIABLE))
+    }
+
+    fn latched<M: Message>(&mut self, name: &str) -> TopicId {
+        self.bag.add_topic(Topic::of::<M>(&self.names.resolve(name), &QosProfile::LATCHED))
+    }
 }
 
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -63,56 +84,22 @@ impl OutputBag {
         smooth: bool,
     ) -> Result<Self, BagError> {
         let mut bag = BagWriter::create(path, options)?;
-        let qos = QosProfile::RELIABLE;
+        let mut add = Adding { bag: &mut bag, names };
         let topics = Topics {
-            markers: bag.add_topic(Topic::of::<msg::MarkerObservations>(
-                &names.resolve(topics::MARKERS),
-                &qos,
-            )),
-            transform: bag.add_topic(Topic::of::<geometry_msgs::msg::TransformStamped>(
-                &names.resolve(topics::CLIMBER_TRANSFORM),
-                &qos,
-            )),
-            odometry: bag.add_topic(Topic::of::<nav_msgs::msg::Odometry>(
-                &names.resolve(topics::ODOMETRY),
-                &qos,
-            )),
-            fused_pose: bag.add_topic(Topic::of::<geometry_msgs::msg::PoseWithCovarianceStamped>(
-                &names.resolve(topics::FUSED_POSE),
-                &qos,
-            )),
-            pose: bag.add_topic(Topic::of::<geometry_msgs::msg::PoseWithCovarianceStamped>(
-                &names.resolve(topics::POSE),
-                &qos,
-            )),
-            status: bag
-                .add_topic(Topic::of::<msg::PoseStatus>(&names.resolve(topics::STATUS), &qos)),
-            predicted: bag.add_topic(Topic::of::<nav_msgs::msg::Odometry>(
-                &names.resolve(topics::PREDICTED_ODOMETRY),
-                &qos,
-            )),
-            visual_pose: bag.add_topic(Topic::of::<geometry_msgs::msg::PoseWithCovarianceStamped>(
-                &names.resolve(topics::VISUAL_POSE),
-                &qos,
-            )),
-            updates: bag.add_topic(Topic::of::<msg::MarkerUpdates>(
-                &names.resolve(topics::MARKER_UPDATES),
-                &qos,
-            )),
-            tf: bag.add_topic(Topic::of::<tf2_msgs::msg::TFMessage>(
-                &names.resolve(topics::absolute::TF),
-                &qos,
-            )),
-            tf_static: bag.add_topic(Topic::of::<tf2_msgs::msg::TFMessage>(
-                &names.resolve(topics::absolute::TF_STATIC),
-                &QosProfile::LATCHED,
-            )),
-            smoothed: smooth.then(|| {
-                bag.add_topic(Topic::of::<nav_msgs::msg::Odometry>(
-                    &names.resolve(topics::SMOOTHED_ODOMETRY),
-                    &qos,
-                ))
-            }),
+            markers: add.topic::<msg::MarkerObservations>(topics::MARKERS),
+            transform: add.topic::<geometry_msgs::msg::TransformStamped>(topics::CLIMBER_TRANSFORM),
+            odometry: add.topic::<nav_msgs::msg::Odometry>(topics::ODOMETRY),
+            fused_pose: add.topic::<PoseWithCovarianceStamped>(topics::FUSED_POSE),
+            pose: add.topic::<PoseWithCovarianceStamped>(topics::POSE),
+            status: add.topic::<msg::PoseStatus>(topics::STATUS),
+            predicted: add.topic::<nav_msgs::msg::Odometry>(topics::PREDICTED_ODOMETRY),
+            swing: add.topic::<msg::Swing>(topics::SWING),
+            visual_pose: add.topic::<PoseWithCovarianceStamped>(topics::VISUAL_POSE),
+            updates: add.topic::<msg::MarkerUpdates>(topics::MARKER_UPDATES),
+            tf: add.topic::<tf2_msgs::msg::TFMessage>(topics::absolute::TF),
+            tf_static: add.latched::<tf2_msgs::msg::TFMessage>(topics::absolute::TF_STATIC),
+            smoothed: smooth
+                .then(|| add.topic::<nav_msgs::msg::Odometry>(topics::SMOOTHED_ODOMETRY)),
         };
         let patience = if smooth { PATIENCE_SMOOTHED } else { PATIENCE };
         let mut output = Self {
@@ -181,6 +168,14 @@ impl OutputBag {
     /// As [`BagWriter::write`].
     pub fn predicted(&mut self, o: &Odometry) -> Result<(), BagError> {
         self.put(self.topics.predicted, o.stamp, &messages::odometry(o, &self.frames))
+    }
+
+    /// Writes `volant/swing`.
+    ///
+    /// # Errors
+    /// As [`BagWriter::write`].
+    pub fn swing(&mut self, swing: &Swing) -> Result<(), BagError> {
+        self.put(self.topics.swing, swing.stamp, &messages::swing(swing, &self.frames))
     }
 
     /// Writes `volant/smoothed_odometry`.

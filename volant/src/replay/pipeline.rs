@@ -113,6 +113,11 @@ impl Pipeline {
         }
     }
 
+    /// What the filter waits for; empty where there is an estimate.
+    pub fn missing(&self) -> String {
+        self.fusion.missing()
+    }
+
     /// Handles an IMU sample.
     ///
     /// # Errors
@@ -314,6 +319,7 @@ impl Pipeline {
                 }
                 pose_fusion::Output::Status(status) => self.output.status(&status)?,
                 pose_fusion::Output::Predicted(odometry) => self.output.predicted(&odometry)?,
+                pose_fusion::Output::Swing(swing) => self.output.swing(&swing)?,
                 pose_fusion::Output::VisualPose(pose) => {
                     self.counts.visual += 1;
                     self.output.visual_pose(&pose)?;

@@ -1,0 +1,105 @@
+//! Attitude of an IMU that does not compute one, for the published filter: the gyroscope
+//! integrated, its tilt corrected by the accelerometer.
+//!
+//! The passive complementary filter of Mahony, Hamel and Pflimlin ("Nonlinear complementary filters
+//! on the special orthogonal group", IEEE TAC 53(5), 2008, section IV-B) without a bias state:
+//! `Ω = ω + k (a × v)` with the measured direction `a` and the estimated direction `v` of up. The
+//! heading begins at 0 and drifts with the gyroscope's bias, as that of an IMU without a
+//! magnetometer does.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use rig_model::{ImuSample, Stamp};
+
+/// Gain of the tilt correction, 1/s. Ten seconds of averaging are many swings of a rope (2 to 4 s)
+/// and short against the drift of a MEMS gyroscope's bias.
+const GAIN: f64 = 0.1;
+/// A longer step between two samples begins anew, s.
+const LONGEST_STEP: f64 = 0.5;
+
+/// Attitude of an IMU, from its samples.
+#[derive(Clone, Debug, Default)]
+pub struct GyroAttitude {
+    newest: Option<(Stamp, Vector3<f64>, UnitQuaternion<f64>)>,
+}
+
+impl GyroAttitude {
+    /// Takes in a finite sample and returns the rotation from IMU axes to axes with z up whose
+    /// heading is arbitrary; `None` while the accelerometer reads nothing.
+    pub fn update(&mut self, sample: &ImuSample) -> Option<UnitQuaternion<f64>> {
+        let up = sample.specific_force.try_normalize(1e-3);
+        let step = |since: Stamp| sample.stamp.seconds_since(since);
+        let attitude = match &self.newest {
+            Some((stamp, rate, attitude)) if (0.0..LONGEST_STEP).contains(&step(*stamp)) => {
+                let dt = step(*stamp);
+                let mean = (rate + sample.angular_velocity) / 2.0;
+                let turned = attitude * UnitQuaternion::from_scaled_axis(mean * dt);
+                let estimated = turned.inverse() * Vector3::z();
+                let correction = up.map_or(Vector3::zeros(), |up| up.cross(&estimated)) * GAIN;
+                turned * UnitQuaternion::from_scaled_axis(correction * dt)
+            }
+            _ => UnitQuaternion::rotation_between(&up?, &Vector3::z()).unwrap_or_else(|| {
+                UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+            }),
+        };
+        self.newest = Some((sample.stamp, sample.angular_velocity, attitude));
+        Some(attitude)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rolled by `ROLL`, turning about its own z axis.
+    const ROLL: f64 = 0.3;
+    const RATE: f64 = 0.5;
+
+    fn sample(seconds: f64, bias: Vector3<f64>) -> (ImuSample, UnitQuaternion<f64>) {
+        let world_from_imu = UnitQuaternion::from_euler_angles(ROLL, 0.0, 0.0)
+            * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), RATE * seconds);
+        let sample = ImuSample {
+            stamp: Stamp::from_nanos(0).plus_seconds(seconds),
+            specific_force: world_from_imu.inverse() * Vector3::new(0.0, 0.0, 9.81),
+            angular_velocity: Vector3::new(0.0, 0.0, RATE) + bias,
+            orientation: None,
+        };
+        (sample, world_from_imu)
+    }
+
+    #[test]
+    fn a_turning_imu_keeps_its_tilt_and_its_heading() {
+        let mut filter = GyroAttitude::default();
+        for i in 0..1000 {
+            let (sample, truth) = sample(f64::from(i) * 0.01, Vector3::zeros());
+            let attitude = filter.update(&sample).unwrap();
+            assert!(attitude.angle_to(&truth) < 1e-6, "sample {i}: {attitude}, truth {truth}");
+        }
+    }
+
+    #[test]
+    fn gravity_bounds_the_tilt_that_a_bias_causes() {
+        let mut filter = GyroAttitude::default();
+        let bias = 0.002;
+        let mut error: f64 = 0.0;
+        for i in 0..10_000 {
+            let (sample, truth) = sample(f64::from(i) * 0.01, Vector3::new(bias, 0.0, 0.0));
+            let attitude = filter.update(&sample).unwrap();
+            let (up, true_up) = (attitude.inverse() * Vector3::z(), truth.inverse() * Vector3::z());
+            error = error.max(up.angle(&true_up));
+        }
+        assert!(error < 2.0 * bias / GAIN, "tilt error {error} rad");
+    }
+
+    #[test]
+    fn free_fall_at_the_start_is_no_attitude_and_a_gap_begins_anew() {
+        let mut filter = GyroAttitude::default();
+        let (mut first, _) = sample(0.0, Vector3::zeros());
+        first.specific_force = Vector3::zeros();
+        assert_eq!(filter.update(&first), None);
+        filter.update(&sample(1.0, Vector3::zeros()).0).unwrap();
+        let (late, truth) = sample(9.0, Vector3::zeros());
+        let attitude = filter.update(&late).unwrap();
+        let tilt = (attitude.inverse() * Vector3::z()).angle(&(truth.inverse() * Vector3::z()));
+        assert!(tilt < 1e-6, "{tilt}");
+    }
+}
