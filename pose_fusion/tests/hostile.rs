@@ -5,7 +5,7 @@ mod common;
 use common::{scoring, simulated};
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use pose_fusion::{Fusion, FusionConfig, Input, Odometry, Warning, config::CalibrationSigmas};
-use rig_model::{Stamp, score::PoseError};
+use rig_model::{ImuSample, Stamp, score::PoseError};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
 fn recording() -> simulated::Run {
@@ -204,4 +204,38 @@ fn the_fused_pose_is_the_inverse_with_the_covariance_in_its_own_axes() {
         "{spread} {}",
         fused.covariance
     );
+}
+
+/// A driver holds back the first IMU samples until just after an image alone has initialized the
+/// pose.
+#[test]
+fn imu_samples_from_before_the_first_pose_are_rejected() {
+    let run = recording();
+    let begin = scoring::start(&run.truth);
+    let held_until = |release: Stamp| {
+        let early = |s: &ImuSample| s.stamp.seconds_since(begin) < 0.3;
+        let mut inputs = run.inputs.clone();
+        inputs.retain(|(_, input)| !matches!(input, Input::Imu(s) if early(s)));
+        for (at, input) in &mut inputs {
+            if matches!(input, Input::Imu(_)) {
+                *at = release.max(*at);
+            }
+        }
+        inputs.sort_by_key(|(at, _)| *at);
+        inputs
+    };
+    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+    let (first, _) = held_until(begin.plus_seconds(2.0))
+        .into_iter()
+        .find(|(_, input)| {
+            fusion.handle(input.clone());
+            fusion.status().initialized
+        })
+        .unwrap();
+    let inputs = held_until(first.plus_seconds(1e-4));
+    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+    let outputs = scoring::run(&mut fusion, inputs.into_iter().map(|(_, input)| input));
+    let score = scoring::score(&outputs.odometry, &run.truth, 0.0);
+    println!("{score}");
+    assert!(outputs.odometry.len() > 400 && score.position.max() < 0.1, "{score}");
 }

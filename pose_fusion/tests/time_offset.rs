@@ -112,6 +112,36 @@ fn a_constant_offset_of_the_climber_is_configured() {
     assert!(ignored.position.max() < 1.3 * 0.42 * 0.06, "{ignored}");
 }
 
+/// The camera's computer is replaced, or its driver restarted with another latency.
+#[test]
+fn an_offset_that_changes_is_found_again() {
+    const CHANGE: f64 = 6.0;
+    for (by, seed) in [(0.06, 1), (-0.06, 2), (0.15, 3), (-0.15, 4)] {
+        let motion = MotionConfig { duration: 16.0, ..MotionConfig::nominal(seed) };
+        let run = simulated::run(motion, &SensorConfig::nominal(seed));
+        let change = scoring::start(&run.truth).plus_seconds(CHANGE);
+        let inputs = run.inputs.iter().map(|(_, input)| {
+            let mut input = input.clone();
+            match &mut input {
+                Input::Markers(m) if m.stamp > change => m.stamp = m.stamp.plus_seconds(by),
+                Input::Climber(c) if c.stamp > change => c.stamp = c.stamp.plus_seconds(by),
+                _ => {}
+            }
+            input
+        });
+        let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+        let outputs = scoring::run(&mut fusion, inputs);
+        for warning in &outputs.warnings {
+            println!("    {warning:?}");
+        }
+        let score = scoring::score(&outputs.odometry, &run.truth, CHANGE + 4.0);
+        let status = fusion.status();
+        print(&format!("changes by {by:+.2} s, seed {seed}"), &score, &status);
+        assert!((status.time_offset.offset + by).abs() < 2e-3, "{status:?}");
+        assert!(score.position_rmse() < 1.0 && score.nees().0 < 6.0, "{score}");
+    }
+}
+
 /// A rig that rests for a while after the start and then swings; everything arrives 5 ms after its
 /// instant, and where the computer is `held_up`, the IMU samples of 0.4 s arrive together, after
 /// the images. Returns the share of the odometry beyond the covariance's 1 in 10 000, and the error

@@ -50,6 +50,7 @@ pub struct ImuIntegrity {
     before: Option<ImuReading>,
     mean_force: Option<Vector3<f64>>,
     unchanged: f64,
+    hides_motion: bool,
     /// Largest magnitude of each axis, and how often it was repeated: force, rate.
     peaks: [[(f64, u32); 3]; 2],
 }
@@ -115,6 +116,7 @@ impl ImuIntegrity {
             self.is_saturated(0, &reading.specific_force),
             self.is_saturated(1, &reading.angular_velocity),
         ];
+        self.hides_motion = stuck || saturated[0] || saturated[1];
         if stuck || saturated[0] {
             more.force += HIDDEN[0].powi(2) * CORRELATION;
         }
@@ -133,6 +135,11 @@ impl ImuIntegrity {
             saturated |= *count + 1 >= REPEATED && magnitude > SATURATION[signal];
         }
         saturated
+    }
+
+    /// Returns whether the last reading was saturated or stuck.
+    pub fn hides_motion(&self) -> bool {
+        self.hides_motion
     }
 
     /// Discards the memory, after a gap.

@@ -77,6 +77,17 @@ impl Filter {
         dt: Option<f64>,
         out: &mut VecDeque<Output>,
     ) {
+        if let (Some(first), true) = (self.history.get(0), self.start.is_started())
+            && sample.stamp <= first.stamp
+        {
+            // Held back until after an image alone had initialized the pose.
+            let age_s = first.stamp.seconds_since(sample.stamp);
+            self.arrival.imu(sample.stamp, reading);
+            self.publisher.counts.rejected.imu += 1;
+            let stamp = sample.stamp;
+            out.push_back(Output::Warning(Warning::TooOld { source_name: IMU, stamp, age_s }));
+            return;
+        }
         let mut dt = dt;
         if let (Some(seconds), Some((from, _))) =
             (dt.filter(|dt| Arrival::is_gap(*dt)), self.arrival.newest_imu())
@@ -109,7 +120,11 @@ impl Filter {
         self.arrival.imu(sample.stamp, reading);
         self.publisher.counts.inputs.imu += 1;
         if let Some(search) = &mut self.search {
-            search.add_reading(sample.stamp, &reading);
+            if self.imu.hides_motion() {
+                search.clear();
+            } else {
+                search.add_reading(sample.stamp, &reading);
+            }
         }
         self.trim();
         if self.start.is_started() {

@@ -2,7 +2,10 @@
 
 use super::Filter;
 use crate::{
-    ekf::{propagation::ProcessNoise, state::TIME_OFFSET},
+    ekf::{
+        propagation::ProcessNoise,
+        state::{TIME_OFFSET, VELOCITY},
+    },
     health::{
         encoder_trust::Verdict,
         lock_out::{Response, SUSPECT},
@@ -40,6 +43,13 @@ const DISAGREEING: u32 = 3;
 /// Share of a residual that a shock explains by rotation: the IMU measures rotation without
 /// gravity's help, and better.
 const ROTATION_SHARE: f64 = 0.3;
+/// A time offset that is known worse than this explains a contradiction as well as a shock does, s,
+/// where the velocity is known to this, m/s.
+const OFFSET_KNOWN: f64 = 0.01;
+const VELOCITY_KNOWN: f64 = 0.1;
+/// Longest time that the IMU carries the state past such images, s: an alignment finds the offset
+/// of a platform that sets off within 0.2 s.
+const CARRIED: f64 = 0.25;
 /// The rope is compared from this time after the initialization on, s.
 const ROPE_COMPARED: f64 = 2.0;
 
@@ -211,7 +221,13 @@ impl Filter {
         }
         let Some(entry) = self.history.get(place) else { return false };
         let at = entry.stamp;
-        let excused = self.disturbances.is_climber_disturbed(at);
+        // While the time offset is unknown, it contradicts a platform that sets off; the IMU carries
+        // a state that it knows well until the offset is found.
+        let carried = self.lock_out.last_used().is_some_and(|l| stamp.seconds_since(l) < CARRIED);
+        let moves_off = carried
+            && self.offset_doubt() > OFFSET_KNOWN
+            && entry.state.sigmas(VELOCITY).max() < VELOCITY_KNOWN;
+        let excused = self.disturbances.is_climber_disturbed(at) || moves_off;
         let settled =
             self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > ROPE_COMPARED);
         if let (true, Some(geometry)) =
@@ -252,6 +268,9 @@ impl Filter {
         };
         if let (Some(internal), false) = (internal, excused) {
             self.imu.model_error().add(record.nis, internal);
+            if self.imu.model_error().factor() > SUDDEN {
+                self.search_again();
+            }
         }
         let limit = if agrees { limit } else { DISAGREEING * limit };
         match self.lock_out.note(stamp, image.detected(), record.used, limit, excused) {
@@ -281,6 +300,7 @@ impl Filter {
         let Some(entry) = self.history.get(place) else { return false };
         let at = entry.stamp;
         let repeated = self.lock_out.gives_way(stamp);
+        self.search_again();
         self.imu.model_error().contradicted();
         // Encoders that stopped at once while the images see the climber drive on are frozen.
         let stopped = self.disturbances.climber_since(at, SUSPECT);

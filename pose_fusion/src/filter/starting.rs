@@ -6,13 +6,16 @@ use crate::{
     adaptation::imu_noise::Densities,
     ekf::{
         propagation::ImuReading,
-        state::{ACCELEROMETER_BIAS, CLIMBER_RATE, GYROSCOPE_BIAS, POSITION, State, TIME_OFFSET},
+        state::{
+            ACCELEROMETER_BIAS, ATTITUDE, CLIMBER_RATE, GYROSCOPE_BIAS, POSITION, State,
+            TIME_OFFSET,
+        },
     },
     initialization::{
         from_image::{self, ClimberPrior},
         time_offset::TimeOffset,
     },
-    input::climber_track::SPEED,
+    input::{climber_track::SPEED, imu::Up},
     measurements::markers::{Image, Pixels},
     output::{MarkerOutcome, Output, Warning},
     timeline::{arrival::AHEAD, history::Event},
@@ -25,6 +28,10 @@ use std::collections::VecDeque;
 const REWEIGHED: f64 = 1.5;
 /// An encoder reading further from the image than this initializes nothing, s.
 const NEAR: f64 = 1.0;
+/// Smallest uncertainty of "up" of an estimate whose time offset is unknown, rad, and largest time
+/// to the state that serves an instant, s.
+const ESTIMATED_UP: f64 = 0.05;
+const ESTIMATED_NEAR: f64 = 0.05;
 /// Biases known before an outage or recovery are worth half afterwards.
 const REMEMBERED: f64 = 2.0;
 /// Smallest bias sigma after an outage, m/s² and rad/s.
@@ -43,6 +50,10 @@ pub(super) struct Start {
     /// Time of the kept state, where it may be resumed as a whole.
     kept_at: Option<Stamp>,
     pub(super) time_offset: Option<TimeOffset>,
+    /// Time offset with which the pose was initialized, s.
+    pub(super) initial_offset: f64,
+    /// The time offset was known before, and is searched because images contradict it.
+    pub(super) searches_again: bool,
     /// Uncertainty of the time offset while it is searched, s, once there is an alignment.
     pub(super) offset_doubt: Option<f64>,
     markers_seen: usize,
@@ -99,6 +110,15 @@ impl Filter {
         (self.start.started, self.start.awaited) = (false, None);
     }
 
+    /// What the estimate knows of "up" at an instant of the time line.
+    pub(super) fn up_of_estimate(&self, at: Stamp) -> Option<Up> {
+        let place = self.history.place_of(at).min(self.history.processed());
+        let entry = self.history.get(place.checked_sub(1)?)?;
+        let near = at.seconds_since(entry.stamp) < ESTIMATED_NEAR;
+        let sigma = (3.0 * entry.state.sigmas(ATTITUDE).max()).max(ESTIMATED_UP);
+        near.then(|| Up { in_imu: entry.state.attitude.inverse() * Vector3::z(), sigma })
+    }
+
     /// Drops everything that was estimated: it was unsound.
     pub(super) fn reset_estimate(&mut self) {
         self.restart();
@@ -141,7 +161,7 @@ impl Filter {
     ) {
         let at = stamp.plus_seconds(self.time_offset());
         if absent || self.arrival.newest_imu().is_some_and(|(newest, _)| at <= newest) {
-            return self.try_start(stamp, &pixels, absent, out);
+            return self.try_start(stamp, &pixels, absent, None, out);
         }
         // The first one is kept: were it replaced by each that follows, none would ever be reached.
         let stale =
@@ -158,15 +178,18 @@ impl Filter {
         let Some((image, pixels)) = self.start.awaited else { return };
         if image.plus_seconds(self.time_offset()) <= newest {
             self.start.awaited = None;
-            self.try_start(image, &pixels, false, out);
+            self.try_start(image, &pixels, false, None, out);
         }
     }
 
+    /// Initializes the pose from an image. `up` is what a former estimate knew of "up", where there
+    /// was one; the IMU's own attitude counts more.
     pub(super) fn try_start(
         &mut self,
         stamp: Stamp,
         pixels: &Pixels,
         absent: bool,
+        up: Option<Up>,
         out: &mut VecDeque<Output>,
     ) {
         let time_offset = self.time_offset();
@@ -190,7 +213,7 @@ impl Filter {
             reading: ImuReading::default(),
             rest: climber.rest,
         };
-        let up = self.imu.up_at(at, &self.history);
+        let up = self.imu.own_up_at(at).or(up).or_else(|| self.imu.up_at(at, &self.history));
         let prior = ClimberPrior::from_readings(&climber);
         let Some(start) =
             from_image::start(geometry, &self.setup.config, &image, up.as_ref(), &prior)
@@ -203,6 +226,7 @@ impl Filter {
         self.start.started = true;
         let mut state = start.state;
         self.remember(&mut state);
+        self.start.initial_offset = state.time_offset;
         self.begin(at, state, out);
     }
 
@@ -258,6 +282,7 @@ impl Filter {
         };
         let mut state = start.state;
         inherit(&mut state, &old);
+        self.start.initial_offset = state.time_offset;
         state.climber_acceleration = old.climber_acceleration;
         self.publisher.counts.resets.recoveries += 1;
         self.lock_out.initialized(stamp);
@@ -319,7 +344,7 @@ fn rigid(state: &State, axis: usize) -> crate::ekf::state::Error {
     let arm = state.position - Vector3::new(state.climber.x, state.climber.y, state.position.z);
     let carried = Vector3::new(unit.x, unit.y, 0.0) + Vector3::z().cross(&arm) * unit.z;
     moved.fixed_rows_mut::<3>(POSITION).copy_from(&carried);
-    moved[crate::ekf::state::ATTITUDE + 2] = unit.z;
+    moved[ATTITUDE + 2] = unit.z;
     moved[crate::ekf::state::CLIMBER + axis] = 1.0;
     moved
 }

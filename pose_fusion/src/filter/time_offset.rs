@@ -5,7 +5,7 @@ use super::{Filter, starting::OFFSET_SIGMA};
 use crate::{
     ekf::propagation::ImuReading,
     initialization::time_offset::{FINAL, TimeOffset, WINDOW},
-    input::imu::given,
+    input::imu::{Up, given},
     measurements::markers::Pixels,
     output::{Output, Warning},
     timeline::history::Event,
@@ -38,7 +38,10 @@ impl Filter {
         let (Some(geometry), Some(mut search)) = (&self.setup.geometry, self.search.take()) else {
             return;
         };
-        if let Some((pose, covariance)) = self.image_pose(stamp, pixels) {
+        if self.trust.is_suspended() && self.start.searches_again {
+            // Image poses are as wrong as the encoders that they are computed with.
+            search.clear();
+        } else if let Some((pose, covariance)) = self.image_pose(stamp, pixels) {
             search.add_pose(stamp, &pose, &covariance);
         }
         let c = &self.setup.config;
@@ -70,6 +73,16 @@ impl Filter {
         }
     }
 
+    /// Searches the time offset again, because images contradict the prediction: the camera's
+    /// latency may have changed. Until an alignment says otherwise the estimate counts.
+    pub(super) fn search_again(&mut self) {
+        if self.search.is_none() {
+            self.search = super::search(&self.setup.config);
+            self.start.offset_doubt = Some(0.0);
+            self.start.searches_again = true;
+        }
+    }
+
     /// Whether an alignment of images since the pose was initialized agrees with a filter that
     /// knows its time offset.
     fn confirms(&self, stamp: Stamp, found: &TimeOffset) -> bool {
@@ -98,7 +111,10 @@ impl Filter {
             return None;
         }
         let world_from_camera = climber.rest.join(&climber.values) * geometry.climber_from_camera;
-        let up = self.imu.up_at(stamp.plus_seconds(self.time_offset()), &self.history);
+        let at = stamp.plus_seconds(self.time_offset());
+        let up = (self.imu.own_up_at(at))
+            .or_else(|| self.up_of_estimate(at))
+            .or_else(|| self.imu.up_at(at, &self.history));
         // "Up" is of another instant as long as the offset is not known: it chooses between the
         // poses and moves none.
         let found =
@@ -128,33 +144,44 @@ impl Filter {
     /// Restarts with the time offset at the oldest image of the history, unless the filter has
     /// found the same.
     fn initialize_time_offset(&mut self, found: TimeOffset, out: &mut VecDeque<Output>) {
-        self.start.time_offset = Some(found);
-        self.publisher.counts.resets.time_offsets += 1;
-        out.push_back(Output::Warning(Warning::TimeOffset { offset_s: found.offset }));
+        let first = self.start.time_offset.replace(found).is_none();
         let away = (self.time_offset() - found.offset).abs();
         let sigma = (OFFSET_SIGMA[1] * found.sigma).hypot(self.time_offset_sigma().unwrap_or(0.0));
-        if away < OFFSET_LINEAR.min(AGREES * sigma) || !self.start.started {
+        // A filter that began far off and came here by itself has errors that its covariance does
+        // not contain. One that knew its offset restarts only where that is refuted.
+        let began_near = (self.start.initial_offset - found.offset).abs() < OFFSET_LINEAR;
+        let agrees = if self.start.searches_again {
+            !self.contradicts(&found)
+        } else {
+            began_near && away < OFFSET_LINEAR.min(AGREES * sigma)
+        };
+        if first || !agrees {
+            self.publisher.counts.resets.time_offsets += 1;
+            out.push_back(Output::Warning(Warning::TimeOffset { offset_s: found.offset }));
+        }
+        if agrees || !self.start.started {
             return;
         }
         self.archive_all();
-        let events: Vec<(Stamp, Event, ImuReading)> =
-            self.history.iter().map(|e| (e.stamp, e.event.clone(), e.reading)).collect();
+        let events: Vec<(Stamp, Event, ImuReading, Option<Up>)> = (self.history.iter())
+            .map(|e| (e.stamp, e.event.clone(), e.reading, self.up_of_estimate(e.stamp)))
+            .collect();
         self.history.clear();
         self.start.started = false;
         let is_imu = |event: &Event| matches!(event, Event::Imu { .. });
         let oldest = events
             .iter()
-            .find(|(_, event, _)| is_imu(event))
-            .map_or(Stamp::default(), |(at, _, _)| *at);
-        let mut first: Option<(Stamp, Pixels)> = None;
-        for (at, mut event, reading) in events {
+            .find(|(_, event, ..)| is_imu(event))
+            .map_or(Stamp::default(), |(at, ..)| *at);
+        let mut first: Option<(Stamp, Pixels, Option<Up>)> = None;
+        for (at, mut event, reading, up) in events {
             let moved = match &mut event {
                 Event::Set => continue,
                 Event::Imu { .. } => 0.0,
                 Event::Image { image, stamp, .. } => {
                     let measured = stamp.plus_seconds(found.offset) >= oldest;
                     if first.is_none() && image.detected() >= 3 && measured {
-                        first = Some((*stamp, image.pixels));
+                        first = Some((*stamp, image.pixels, up));
                     }
                     let moved = found.offset - image.time_offset;
                     image.time_offset = found.offset;
@@ -169,9 +196,9 @@ impl Filter {
             self.history.insert(at.plus_seconds(moved), event, reading);
         }
         self.start.kept = None;
-        if let Some((stamp, pixels)) = first {
+        if let Some((stamp, pixels, up)) = first {
             let absent = self.arrival.is_imu_absent();
-            self.try_start(stamp, &pixels, absent, out);
+            self.try_start(stamp, &pixels, absent, up, out);
         }
     }
 }

@@ -144,7 +144,7 @@ impl TimeOffsetSearch {
         }
     }
 
-    /// Discards everything.
+    /// Discards everything: image poses or readings are wrong.
     pub fn clear(&mut self) {
         *self = Self::default();
     }

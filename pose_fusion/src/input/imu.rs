@@ -16,8 +16,10 @@ use nalgebra::{UnitQuaternion, Vector3};
 use rig_model::{ImuMounting, ImuSample, Stamp};
 use std::collections::VecDeque;
 
-/// Number of attitudes kept.
-const KEPT: usize = 64;
+/// Attitudes are kept for the longest history with its delays, s, …
+const KEPT: f64 = 1.5;
+/// … at most one in this time, s: they change slowly against their error.
+const SPACING: f64 = 0.01;
 /// An attitude further from an instant does not serve it, s.
 const NEAR: f64 = 0.1;
 /// Tilt that a swing hides from the accelerometer, rad (1 sigma).
@@ -94,7 +96,11 @@ impl ImuInput {
     /// Remembers the IMU's own attitude, where the sample has a usable one.
     pub fn remember_attitude(&mut self, sample: &ImuSample, floor: f64) {
         if let Some(up) = up_of(sample, floor) {
-            if self.ups.len() == KEPT {
+            let since = |(at, _): &(Stamp, Up)| sample.stamp.seconds_since(*at);
+            if self.ups.back().is_some_and(|last| (0.0..SPACING).contains(&since(last))) {
+                return;
+            }
+            while self.ups.front().is_some_and(|first| !(0.0..KEPT).contains(&since(first))) {
                 self.ups.pop_front();
             }
             self.ups.push_back((sample.stamp, up));
@@ -129,6 +135,11 @@ impl ImuInput {
         &mut self.model_error
     }
 
+    /// Returns whether the last reading was saturated or stuck.
+    pub fn hides_motion(&self) -> bool {
+        self.integrity.hides_motion()
+    }
+
     /// Discards what a gap interrupts.
     pub fn interrupt(&mut self) {
         self.stationary.clear();
@@ -145,10 +156,15 @@ impl ImuInput {
         self.noise.period()
     }
 
+    /// Returns the IMU's own direction of "up" at an instant.
+    pub fn own_up_at(&self, stamp: Stamp) -> Option<Up> {
+        nearest(&self.ups, stamp)
+    }
+
     /// Returns what is known of "up" at an instant: the IMU's own attitude, else the mean direction
     /// of its specific force.
     pub fn up_at(&self, stamp: Stamp, history: &History) -> Option<Up> {
-        if let Some(up) = nearest(&self.ups, stamp) {
+        if let Some(up) = self.own_up_at(stamp) {
             return Some(up);
         }
         let near = history.iter().filter(|entry| {
