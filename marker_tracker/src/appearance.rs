@@ -3,7 +3,7 @@
 
 use crate::{
     hue::HueHistogram,
-    image::ImageView,
+    image::Pixels,
     quad::Quad,
     signal::{Discriminant, nearest, rgb_at},
 };
@@ -22,7 +22,7 @@ pub(crate) struct Appearance {
 impl Appearance {
     /// Samples the inside of an outline (px) and a band around it; `None` where too few pixels are
     /// in the image or the two colors are the same.
-    pub fn sample(image: &ImageView<'_>, quad: &Quad) -> Option<Self> {
+    pub fn sample(image: &Pixels<'_>, quad: &Quad) -> Option<Self> {
         let Sampled { marker, surroundings, hue } = Sampled::from(image, quad)?;
         let discriminant = Discriminant::between(marker, surroundings)?;
         Some(Self { marker, surroundings, discriminant, hue })
@@ -34,7 +34,7 @@ impl Appearance {
     }
 
     /// Moves the colors by the share `gain` towards those inside and around an outline.
-    pub fn adapt(&mut self, image: &ImageView<'_>, quad: &Quad, gain: f32) {
+    pub fn adapt(&mut self, image: &Pixels<'_>, quad: &Quad, gain: f32) {
         let Some(Sampled { marker, surroundings, hue }) = Sampled::from(image, quad) else {
             return;
         };
@@ -63,7 +63,7 @@ impl Sampled {
     const INSIDE: f64 = 2.5;
     const AROUND: f64 = 4.5;
 
-    fn from(image: &ImageView<'_>, quad: &Quad) -> Option<Self> {
+    fn from(image: &Pixels<'_>, quad: &Quad) -> Option<Self> {
         let (area, center) = quad.area_and_centroid();
         let thickness = quad.thickness_of(area);
         let inner = ((thickness - 2.0 * Self::INSIDE) / thickness).clamp(0.3, 0.8);

@@ -2,7 +2,7 @@
 
 use crate::{
     config::TrackerConfig,
-    image::{ImageError, ImageView},
+    image::{ImageError, ImageView, Pixels},
     patches::find_patches,
     signal::rgb_at,
     tracker::{Input, Output, Tracker},
@@ -80,7 +80,7 @@ impl ColorCalibration {
         }
         for color in MarkerColor::ALL {
             if let Some(place) = self.picks[color] {
-                found[color] = mean_about(image, place);
+                found[color] = mean_about(&Pixels::whole(*image, None), place);
             }
             self.samples[color].extend(found[color]);
         }
@@ -108,7 +108,7 @@ impl ColorCalibration {
 }
 
 /// Mean color of the square about a picked place (px).
-fn mean_about(image: &ImageView<'_>, place: Vector2<f64>) -> Option<[f64; 3]> {
+fn mean_about(image: &Pixels<'_>, place: Vector2<f64>) -> Option<[f64; 3]> {
     let (cx, cy) = (place.x.round() as i32, place.y.round() as i32);
     let (mut sum, mut n) = ([0.0; 3], 0.0);
     for y in cy.saturating_sub(PICK)..=cy.saturating_add(PICK) {

@@ -3,10 +3,10 @@
 use crate::{
     config::{Method, TrackerConfig},
     debug_view::{MarkerView, SignalView},
-    image::ImageView,
+    image::{ImageView, Pixels, Window},
     tracking::{Outcome, Pipeline},
 };
-use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Stamp};
 use std::fmt::Debug;
 
 /// A tracking method. What a method does not have is its default.
@@ -15,7 +15,18 @@ pub(crate) trait Engine: Debug + Send + Sync {
     ///
     /// # Errors
     /// The reason why the image library failed.
-    fn process(&mut self, image: &ImageView<'_>) -> Result<MarkerObservations, String>;
+    fn process(&mut self, image: &Pixels<'_>) -> Result<MarkerObservations, String>;
+
+    /// Where an image of this stamp will be read, px; `None` where all of it is needed.
+    fn windows(&self, _stamp: Stamp) -> Option<[Window; 4]> {
+        None
+    }
+
+    /// Processes one image of which only some windows are decoded. `None`, without any effect,
+    /// where anything else of it is needed.
+    fn process_windows(&mut self, _image: &Pixels<'_>) -> Option<MarkerObservations> {
+        None
+    }
 
     /// Replaces the settings, except for the method, and keeps all tracks.
     fn set_config(&mut self, config: TrackerConfig);
@@ -40,7 +51,7 @@ pub(crate) trait Engine: Debug + Send + Sync {
     fn view(&self, color: MarkerColor) -> MarkerView;
 
     /// The color signal of a marker's window in the image processed last.
-    fn signal(&self, _color: MarkerColor, _image: &ImageView<'_>) -> Option<SignalView> {
+    fn signal(&self, _color: MarkerColor, _image: &Pixels<'_>) -> Option<SignalView> {
         None
     }
 

@@ -1,7 +1,7 @@
 //! Hue histograms, the paper's second criterion.
 
 use crate::{
-    image::ImageView,
+    image::Pixels,
     quad::Quad,
     signal::{nearest, rgb_at},
 };
@@ -21,7 +21,7 @@ impl HueHistogram {
 
     /// Histogram of the inside of an outline (px), from 16 pixels; `None` with fewer than 5 of them
     /// in the image.
-    pub fn of(image: &ImageView<'_>, quad: &Quad) -> Option<Self> {
+    pub fn of(image: &Pixels<'_>, quad: &Quad) -> Option<Self> {
         const N: usize = 4;
         let (_, center) = quad.area_and_centroid();
         let mut hue = Self::default();

@@ -1,6 +1,7 @@
 //! Images: borrowed or owned pixels with their layout, and the errors of unusable ones.
 
 use rig_model::Stamp;
+use std::{cell::Cell, ops::Deref};
 use thiserror::Error;
 
 /// Order of the 8-bit channels in memory.
@@ -197,6 +198,78 @@ impl ImageView<'_> {
                 length: self.data.len(),
             })
         }
+    }
+}
+
+/// A rectangle: left, top, right, bottom (the last two excluded), px.
+pub(crate) type Window = [usize; 4];
+
+/// The windows of an image that are decoded, and whether anything else was read.
+#[derive(Debug, Default)]
+pub(crate) struct Coverage {
+    windows: [Window; 4],
+    missed: Cell<bool>,
+}
+
+impl Coverage {
+    /// Records that the pixels from column `x0` and row `y0` to `x1` and `y1` (both included, px)
+    /// are read.
+    #[inline(always)]
+    pub fn read(&self, [x0, y0]: [i32; 2], [x1, y1]: [i32; 2]) {
+        let within = |w: &Window| {
+            x0 >= w[0] as i32 && y0 >= w[1] as i32 && x1 < w[2] as i32 && y1 < w[3] as i32
+        };
+        if !self.windows.iter().any(within) {
+            self.missed.set(true);
+        }
+    }
+}
+
+/// An image as a tracker reads it: whole, or in part and watched for what is missing.
+#[derive(Debug)]
+pub(crate) struct Pixels<'a> {
+    view: ImageView<'a>,
+    coverage: Option<Coverage>,
+    /// The previous image as it was compressed, where only a part of it was decoded.
+    pub previous: Option<&'a [u8]>,
+}
+
+impl<'a> Pixels<'a> {
+    /// A whole image.
+    pub fn whole(view: ImageView<'a>, previous: Option<&'a [u8]>) -> Self {
+        Self { view, coverage: None, previous }
+    }
+
+    /// An image of which these windows are decoded.
+    pub fn partial(view: ImageView<'a>, windows: [Window; 4]) -> Self {
+        let coverage = Coverage { windows, missed: Cell::new(false) };
+        Self { view, coverage: Some(coverage), previous: None }
+    }
+
+    /// The windows, where the image is not decoded as a whole.
+    #[inline(always)]
+    pub fn coverage(&self) -> Option<&Coverage> {
+        self.coverage.as_ref()
+    }
+
+    /// Records that all of the image is needed.
+    pub fn need_all(&self) {
+        if let Some(coverage) = &self.coverage {
+            coverage.missed.set(true);
+        }
+    }
+
+    /// Whether anything was read that is not decoded.
+    pub fn is_missing(&self) -> bool {
+        self.coverage.as_ref().is_some_and(|c| c.missed.get())
+    }
+}
+
+impl<'a> Deref for Pixels<'a> {
+    type Target = ImageView<'a>;
+
+    fn deref(&self) -> &ImageView<'a> {
+        &self.view
     }
 }
 

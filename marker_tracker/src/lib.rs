@@ -54,7 +54,7 @@ pub use colors::{CalibratedColor, ColorCalibration};
 pub use config::BinaryThreshold;
 pub use config::{Method, TrackerConfig};
 pub use debug_view::{MarkerView, SignalView};
-pub use decode::{decode_compressed, decode_compressed_into};
+pub use decode::{Decoder, PartialImage, decode_compressed, decode_compressed_into};
 pub use encoding::from_encoding;
 pub use image::{ImageError, ImageView, OwnedImage, PixelFormat};
 #[cfg(feature = "opencv")]

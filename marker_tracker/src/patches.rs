@@ -9,7 +9,7 @@ use crate::{
     config::TrackerConfig,
     flow::FlowFeatures,
     hue::HueHistogram,
-    image::{ImageError, ImageView},
+    image::{ImageError, ImageView, Pixels},
     quad::Quad,
     scan::{Blob, Palette, ScanConfig, Scanner},
     signal::Sampler,
@@ -70,14 +70,14 @@ fn scan_config(stride: usize, min_area: f64, max_area: f64) -> ScanConfig {
 pub fn find_patches(image: &ImageView<'_>, min_area: f64) -> Result<Vec<Patch>, ImageError> {
     image.check()?;
     let mut scanner = Scanner::default();
-    scan_all(&mut scanner, image, min_area);
+    scan_all(&mut scanner, &Pixels::whole(*image, None), min_area);
     let mut patches: Vec<Patch> =
         scanner.blobs.iter().filter(|b| is_square(b)).map(|b| patch_of(b, 0)).collect();
     patches.sort_by(|a, b| b.area.total_cmp(&a.area));
     Ok(patches)
 }
 
-fn scan_all(scanner: &mut Scanner, image: &ImageView<'_>, min_area: f64) {
+fn scan_all(scanner: &mut Scanner, image: &Pixels<'_>, min_area: f64) {
     let (w, h) = (image.width as i32, image.height as i32);
     let stride = (image.width.max(image.height) / 640).clamp(1, 8);
     scanner.scan(
@@ -149,6 +149,7 @@ impl PatchTracker {
     /// [`ImageError::Size`] where the image's fields contradict each other.
     pub fn process(&mut self, image: &ImageView<'_>) -> Result<&[Patch], ImageError> {
         image.check()?;
+        let image = &Pixels::whole(*image, None);
         for i in 0..self.followed.len() {
             self.follow(image, i);
         }
@@ -167,7 +168,7 @@ impl PatchTracker {
         Ok(&self.patches)
     }
 
-    fn follow(&mut self, image: &ImageView<'_>, index: usize) {
+    fn follow(&mut self, image: &Pixels<'_>, index: usize) {
         let Self { config, scanner, followed, .. } = self;
         let f = &mut followed[index];
         if f.patch.state == MarkerState::Lost {
@@ -222,7 +223,7 @@ impl PatchTracker {
     }
 
     /// Adds new patches and recovers lost ones.
-    fn search(&mut self, image: &ImageView<'_>) {
+    fn search(&mut self, image: &Pixels<'_>) {
         scan_all(&mut self.scanner, image, self.min_area);
         let is_tracked = |followed: &[Followed], b: &Blob| {
             followed.iter().any(|f| {

@@ -1,6 +1,6 @@
 //! The color signal: the projection of a pixel onto one direction of RGB space.
 
-use crate::image::ImageView;
+use crate::image::{Coverage, Pixels};
 use nalgebra::Vector2;
 use wide::{f32x8, i16x16, u32x8};
 
@@ -62,6 +62,8 @@ pub(crate) struct Sampler<'a> {
     pub scale: f32,
     /// As in [`Discriminant`].
     pub saturated: bool,
+    /// What is decoded of the image, where that is not all.
+    coverage: Option<&'a Coverage>,
 }
 
 impl<'a> Sampler<'a> {
@@ -69,7 +71,7 @@ impl<'a> Sampler<'a> {
     const WEIGHT: f32 = 1024.0;
 
     /// Prepares the integer weights.
-    pub fn new(image: &ImageView<'a>, discriminant: &Discriminant) -> Self {
+    pub fn new(image: &'a Pixels<'_>, discriminant: &Discriminant) -> Self {
         let mut weights = discriminant.weights;
         if image.format.blue_first() {
             weights.swap(0, 2);
@@ -85,6 +87,7 @@ impl<'a> Sampler<'a> {
             middle: i16x16::ZERO,
             scale: 1.0,
             saturated: discriminant.saturated,
+            coverage: image.coverage(),
         };
         sampler.set_weights(weights);
         sampler
@@ -120,14 +123,23 @@ impl<'a> Sampler<'a> {
         if x < 0 || y < 0 || x >= self.width || y >= self.height {
             return None;
         }
-        let start = y as usize * self.step + x as usize * self.bytes;
+        let start = self.begin(x, y) as usize;
         Some(self.sum(self.data.get(start..start + 3)?) as f32 * self.scale)
     }
 
-    /// Index of a pixel's first byte. (No image has 4 GiB; of one that had, other pixels would be
+    /// Records that a line's pixels from (`x0`, `y0`) to (`x1`, `y1`) are read.
+    #[inline(always)]
+    pub fn read(&self, [x0, y0]: [i32; 2], [x1, y1]: [i32; 2]) {
+        if let Some(coverage) = self.coverage {
+            coverage.read([x0.min(x1), y0.min(y1)], [x0.max(x1), y0.max(y1)]);
+        }
+    }
+
+    /// Index of the first byte of a pixel, which is read. (No image has 4 GiB; of one that had, other pixels would be
     /// read.)
     #[inline(always)]
     pub fn begin(&self, x: i32, y: i32) -> u32 {
+        self.read([x, y], [x, y]);
         (y as usize * self.step + x as usize * self.bytes) as u32
     }
 
@@ -209,6 +221,7 @@ impl<'a> Sampler<'a> {
         if x1 >= self.width || y1 >= self.height {
             return None;
         }
+        self.read([x, y], [x1, y1]);
         let start = y as usize * self.step + x as usize * self.bytes;
         let hop = if axis == 0 { self.bytes } else { self.step } * stride as usize;
         Some((self.data.get(start..start + (count as usize - 1) * hop + 3)?, hop))
@@ -234,9 +247,12 @@ pub(crate) fn nearest(x: f64) -> i32 {
 
 /// One pixel as r, g, b; `None` outside of the image.
 #[inline(always)]
-pub(crate) fn rgb_at(image: &ImageView<'_>, x: i32, y: i32) -> Option<[u8; 3]> {
+pub(crate) fn rgb_at(image: &Pixels<'_>, x: i32, y: i32) -> Option<[u8; 3]> {
     if x < 0 || y < 0 || x as usize >= image.width || y as usize >= image.height {
         return None;
+    }
+    if let Some(coverage) = image.coverage() {
+        coverage.read([x, y], [x, y]);
     }
     let start = y as usize * image.step + x as usize * image.format.bytes_per_pixel();
     let p = image.data.get(start..start + 3)?;
@@ -245,7 +261,7 @@ pub(crate) fn rgb_at(image: &ImageView<'_>, x: i32, y: i32) -> Option<[u8; 3]> {
 
 /// Mean color (r, g, b of 0–255) of the square of side 2·`radius` + 1 about a place (px); `None`
 /// outside of the image.
-pub(crate) fn mean_rgb(image: &ImageView<'_>, at: Vector2<f64>, radius: i32) -> Option<[f32; 3]> {
+pub(crate) fn mean_rgb(image: &Pixels<'_>, at: Vector2<f64>, radius: i32) -> Option<[f32; 3]> {
     let (cx, cy) = (at.x.round() as i32, at.y.round() as i32);
     let mut sum = [0f32; 3];
     let mut n = 0f32;
@@ -265,7 +281,7 @@ pub(crate) fn mean_rgb(image: &ImageView<'_>, at: Vector2<f64>, radius: i32) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::PixelFormat;
+    use crate::image::{ImageView, PixelFormat};
     use rig_model::Stamp;
 
     #[test]
@@ -277,6 +293,7 @@ mod tests {
         {
             let stamp = Stamp::from_nanos(0);
             let view = ImageView { stamp, width: 14, height: 20, step: 60, format, data: &data };
+            let view = Pixels::whole(view, None);
             let sampler = Sampler::new(&view, &discriminant);
             for (x, y) in [(0, 0), (5, 7), (13, 19)] {
                 let rgb = rgb_at(&view, x, y).unwrap().map(f32::from);

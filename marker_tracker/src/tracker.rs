@@ -3,8 +3,9 @@
 use crate::{
     config::TrackerConfig,
     debug_view::{MarkerView, SignalView},
+    decode::PartialImage,
     engine::Engine,
-    image::{ImageError, ImageView},
+    image::{ImageError, ImageView, Pixels, Window},
     tracking::Outcome,
 };
 use rig_model::{
@@ -133,10 +134,38 @@ impl Tracker {
                 self.engine.set_camera(camera);
             }
             Input::Image(image) => match self.check(&image) {
-                Ok(()) => self.process(&image),
+                Ok(()) => self.process(&Pixels::whole(image, None)),
                 Err(warning) => self.outputs.push_back(Output::Warning(warning)),
             },
         }
+    }
+
+    /// Processes a compressed image as [`Input::Image`] of it, and decodes what is missing of it.
+    pub fn handle_partial(&mut self, image: &mut PartialImage<'_>) {
+        match self.check(&image.view()) {
+            Ok(()) => self.process_partial(image),
+            Err(warning) => self.outputs.push_back(Output::Warning(warning)),
+        }
+    }
+
+    /// Where an image of this stamp will probably be read, px; `None` where all of it is needed.
+    pub(crate) fn windows(&self, stamp: Stamp) -> Option<[Window; 4]> {
+        self.engine.windows(stamp)
+    }
+
+    fn process_partial(&mut self, image: &mut PartialImage<'_>) {
+        let observations =
+            image.windows().and_then(|windows| self.engine.process_windows(&windows));
+        match observations {
+            Some(observations) => self.finish(&image.view(), observations),
+            None => match image.whole() {
+                Ok(_) => self.process(&image.pixels()),
+                Err(error) => {
+                    return self.outputs.push_back(Output::Warning(Warning::Image(error)));
+                }
+            },
+        }
+        image.keep();
     }
 
     /// Rejects images with contradicting fields or an old stamp.
@@ -149,14 +178,18 @@ impl Tracker {
         }
     }
 
-    fn process(&mut self, image: &ImageView<'_>) {
-        self.last_stamp = Some(image.stamp);
+    fn process(&mut self, image: &Pixels<'_>) {
         let observations = self.engine.process(image).unwrap_or_else(|reason| {
             let warning = Warning::Library { stamp: image.stamp, reason };
             self.outputs.push_back(Output::Warning(warning));
             let markers = PerColor([MarkerObservation::lost(MarkerObservation::NEVER); 4]);
             MarkerObservations { stamp: image.stamp, markers }
         });
+        self.finish(image, observations);
+    }
+
+    fn finish(&mut self, image: &ImageView<'_>, observations: MarkerObservations) {
+        self.last_stamp = Some(image.stamp);
         self.outputs.push_back(Output::Observations(observations));
         let (width, height) = (image.width, image.height);
         if let Some((camera_width, camera_height)) = self.engine.mismatched_camera_size(image)
@@ -186,7 +219,7 @@ impl Tracker {
     /// The color signal of a marker's window in `image`, which must be the last one processed;
     /// `None` until the marker's color is known.
     pub fn signal(&self, color: MarkerColor, image: &ImageView<'_>) -> Option<SignalView> {
-        self.engine.signal(color, image)
+        self.engine.signal(color, &Pixels::whole(*image, None))
     }
 
     /// A marker's adapted color, r, g, b of 0–255; `None` until it is known.

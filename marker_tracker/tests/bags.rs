@@ -2,71 +2,27 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
 
+#[path = "common/recording.rs"]
+mod recording;
+
 use marker_tracker::{Input, Output, Tracker, TrackerConfig, decode_compressed};
 use nalgebra::Vector2;
-use rig_model::{
-    CameraModel, MarkerColor, MarkerObservations, MarkerState, PerColor, Rig, Stamp, topics,
-};
+use recording::Recorded;
+use rig_model::{MarkerColor, MarkerObservations, MarkerState, PerColor};
 use std::{collections::BTreeMap, path::Path};
-
-/// Cursor over little-endian CDR, as far as these two messages need it.
-struct Cdr<'a>(&'a [u8], usize);
-
-impl<'a> Cdr<'a> {
-    fn new(data: &'a [u8]) -> Self {
-        Self(&data[4..], 0)
-    }
-    fn bytes(&mut self, n: usize, align: usize) -> &'a [u8] {
-        self.1 = self.1.next_multiple_of(align);
-        let out = &self.0[self.1..self.1 + n];
-        self.1 += n;
-        out
-    }
-    fn u32(&mut self) -> u32 {
-        u32::from_le_bytes(self.bytes(4, 4).try_into().unwrap())
-    }
-    fn f64(&mut self) -> f64 {
-        f64::from_le_bytes(self.bytes(8, 8).try_into().unwrap())
-    }
-    fn text(&mut self) -> &'a str {
-        let n = self.u32() as usize;
-        std::str::from_utf8(&self.bytes(n, 1)[..n - 1]).unwrap()
-    }
-    fn stamp(&mut self) -> Stamp {
-        let (s, n) = (self.u32(), self.u32());
-        let _frame = self.text();
-        Stamp::from_sec_nanosec(s as i32, n)
-    }
-}
 
 /// Runs the tracker over a bag's compressed images.
 pub fn track_bag(folder: &Path, config: TrackerConfig) -> Vec<MarkerObservations> {
-    let rig = Rig::from_yaml(&std::fs::read_to_string(folder.join("rig.yaml")).unwrap()).unwrap();
+    let (rig, messages) = recording::read(folder);
     let mut tracker = Tracker::new(rig.markers, config);
-    let file = std::fs::read(folder.join("in.mcap")).unwrap();
     let mut out = Vec::new();
-    for message in mcap::MessageStream::new(&file).unwrap() {
-        let message = message.unwrap();
-        match message.channel.topic.as_str() {
-            topics::absolute::CAMERA_INFO => {
-                let mut c = Cdr::new(&message.data);
-                c.stamp();
-                let (h, w) = (c.u32(), c.u32());
-                let model = c.text().to_owned();
-                let d: Vec<f64> = (0..c.u32()).map(|_| c.f64()).collect();
-                let k: [f64; 9] = std::array::from_fn(|_| c.f64());
-                let camera = CameraModel::from_camera_info(w, h, &model, &d, &k).unwrap();
-                tracker.handle(Input::Camera(camera));
-            }
-            topics::absolute::COMPRESSED_IMAGE => {
-                let mut c = Cdr::new(&message.data);
-                let stamp = c.stamp();
-                let format = c.text().to_owned();
-                let n = c.u32() as usize;
-                let image = decode_compressed(&format, c.bytes(n, 1)).unwrap();
+    for message in messages {
+        match message {
+            Recorded::Camera(camera) => tracker.handle(Input::Camera(camera)),
+            Recorded::Image { stamp, format, data } => {
+                let image = decode_compressed(&format, &data).unwrap();
                 tracker.handle(Input::Image(image.view(stamp)));
             }
-            _ => {}
         }
         while let Some(output) = tracker.poll() {
             if let Output::Observations(o) = output {

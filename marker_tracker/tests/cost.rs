@@ -1,12 +1,16 @@
-//! Images per second of the tracking methods on one core, printed by `make bench`.
+//! Images per second of the tracking methods on one core, and the share of a JPEG's cost that is left
+//! where only the windows of the markers are decoded; printed by `make bench`.
 
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
 #![allow(clippy::disallowed_methods)] // measures time
 
 mod common;
+#[path = "common/recording.rs"]
+mod recording;
 
 use common::{ALL, HEIGHT, Noise, WIDTH, draw, new_tracker, observe, pose};
-use marker_tracker::{Method, TrackerConfig};
+use marker_tracker::{Decoder, Input, Method, Tracker, TrackerConfig};
+use recording::Recorded;
 use rig_model::MarkerState;
 use std::time::{Duration, Instant};
 
@@ -52,5 +56,45 @@ fn images_per_second_on_one_core() {
         );
         // Of 480 visible ones.
         assert!(detected > 400, "{name}: {detected} markers detected");
+    }
+}
+
+#[test]
+#[ignore = "a measurement: `make bench`"]
+fn jpeg_to_markers_by_windows_and_by_whole_images() {
+    let Some(shared) = test_support::recordings() else { return };
+    for bag in ["nominal", "occlude_two", "clutter", "fast_swing"] {
+        let (rig, messages) = recording::read(&shared.join("bags").join(bag));
+        // The same tracker twice, image by image in turn: one decodes windows, one whole images.
+        let mut trackers =
+            [(); 2].map(|()| Tracker::new(rig.markers.clone(), TrackerConfig::default()));
+        let mut decoders = [(); 2].map(|()| Decoder::default());
+        let mut times = [Vec::new(), Vec::new()];
+        for message in messages {
+            for k in [0, 1] {
+                let tracker = &mut trackers[k];
+                match &message {
+                    Recorded::Camera(camera) => tracker.handle(Input::Camera(camera.clone())),
+                    Recorded::Image { stamp, format, data } => {
+                        let start = Instant::now();
+                        let windows = (k == 0).then_some(&*tracker);
+                        let image = decoders[k].decode(*stamp, format, data, windows);
+                        tracker.handle_partial(&mut image.unwrap());
+                        times[k].push(start.elapsed());
+                    }
+                }
+                while tracker.poll().is_some() {}
+            }
+        }
+        let [windows, whole] = times.map(|mut times| {
+            times.sort_unstable();
+            times[times.len() / 2].as_secs_f64() * 1e3
+        });
+        let ratio = windows / whole;
+        eprintln!(
+            "{bag:12} JPEG to markers, median: {windows:.2} ms by windows, {whole:.2} ms by whole \
+             images: {ratio:.2}"
+        );
+        assert!(ratio <= 0.5, "{bag}: {ratio}");
     }
 }

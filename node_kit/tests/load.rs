@@ -1,10 +1,21 @@
-//! Resources of an idle node, and of a publisher whose subscriber is killed.
+//! Resources of an idle node, of a reliable topic, and of a publisher whose subscriber is killed.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod common;
 
 use common::{Running, example, python};
-use std::time::Duration;
+use node_kit::{
+    NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments,
+    environment::Network,
+};
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::Duration,
+};
+use volant_msgs::std_msgs::msg::Header;
 
 const LONG: Duration = Duration::from_secs(20);
 
@@ -57,4 +68,101 @@ fn a_subscriber_killed_while_images_flow_costs_neither_memory_nor_time() {
             "{reliability}: {held_up} of {published} blocked"
         );
     }
+}
+
+/// Publishes 200 messages per second on a reliable topic.
+struct Talker(Publisher<Header>, Arc<AtomicU64>);
+
+impl NodeShell for Talker {
+    const NAME: &'static str = "talker";
+    type Parameters = ();
+    type Input = ();
+
+    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
+        Self::new(context, Arc::default())
+    }
+
+    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
+        self.0.publish(Header::default());
+        self.1.fetch_add(1, Ordering::Relaxed);
+        assert_eq!(self.0.refused(), 0);
+    }
+}
+
+impl Talker {
+    fn new(context: &mut NodeContext<()>, count: Arc<AtomicU64>) -> Result<Self, NodeError> {
+        context.timer(Duration::from_millis(5), || ());
+        Ok(Self(context.advertise("talk", QosPreset::Measurement)?, count))
+    }
+}
+
+struct Listener(Arc<AtomicU64>);
+
+impl NodeShell for Listener {
+    const NAME: &'static str = "listener";
+    type Parameters = ();
+    type Input = Arc<Header>;
+
+    fn start(context: &mut NodeContext<Arc<Header>>, (): ()) -> Result<Self, NodeError> {
+        Self::new(context, Arc::default())
+    }
+
+    fn handle(&mut self, _: &mut NodeContext<Arc<Header>>, _: Arc<Header>) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+impl Listener {
+    fn new(
+        context: &mut NodeContext<Arc<Header>>,
+        count: Arc<AtomicU64>,
+    ) -> Result<Self, NodeError> {
+        context.subscribe("talk", QosPreset::Measurement, Some)?;
+        Ok(Self(count))
+    }
+}
+
+/// Wake-ups of the middleware's event loops of this process.
+fn wake_ups() -> u64 {
+    let tasks = std::fs::read_dir("/proc/self/task").unwrap().filter_map(Result::ok);
+    tasks
+        .filter_map(|task| {
+            let name = std::fs::read_to_string(task.path().join("comm")).ok()?;
+            let status = std::fs::read_to_string(task.path().join("status")).ok()?;
+            let count = status.lines().find_map(|l| l.strip_prefix("voluntary_ctxt_switches:"))?;
+            name.starts_with("RustDDS Partici").then(|| count.trim().parse::<u64>().ok())?
+        })
+        .sum()
+}
+
+#[test]
+fn a_reliable_message_wakes_each_event_loop_about_once() {
+    let network = || Network { domain_id: 14, ..Network::default() };
+    let (sent, received) = (Arc::<AtomicU64>::default(), Arc::<AtomicU64>::default());
+    let mut listener = Process::new(network()).unwrap();
+    let count = Arc::clone(&received);
+    listener
+        .start_with(&RosArguments::default(), move |context, ()| {
+            Listener::new(context, Arc::clone(&count))
+        })
+        .unwrap();
+    let mut talker = Process::new(network()).unwrap();
+    let count = Arc::clone(&sent);
+    talker
+        .start_with(&RosArguments::default(), move |context, ()| {
+            Talker::new(context, Arc::clone(&count))
+        })
+        .unwrap();
+    std::thread::sleep(Duration::from_secs(3));
+    let counts = || [&sent, &received].map(|c| c.load(Ordering::Relaxed));
+    let (before, woken) = (counts(), wake_ups());
+    std::thread::sleep(Duration::from_secs(3));
+    let (after, woken) = (counts(), wake_ups() - woken);
+    let [sent, received] = [0, 1].map(|i| after[i] - before[i]);
+    let per_message = woken as f64 / sent as f64;
+    eprintln!("{sent} messages, {received} received, {per_message:.2} wake-ups for each");
+    assert!(sent > 200 && sent.abs_diff(received) < 50, "{received} of {sent}");
+    // One to send and one to receive, and some for discovery. With an ACKNACK to each message it
+    // is twice as many, and with the loops waking themselves more.
+    assert!(per_message < 3.0, "{per_message}");
 }

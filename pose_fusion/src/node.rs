@@ -8,7 +8,7 @@ use crate::{
 };
 use node_kit::{
     Level, convert,
-    node::{Health, NodeContext, NodeError, NodeShell, Publisher},
+    node::{CameraChanges, Health, IfChanged, NodeContext, NodeError, NodeShell, Publisher},
     qos::QosPreset,
 };
 use rig_model::{Frames, Stamp, topics};
@@ -154,12 +154,15 @@ impl NodeShell for FusionNode {
                 Err(error) => Some(Event::Rejected(format!("climber/transform: {error}"))),
             },
         )?;
+        let cameras = CameraChanges::default();
         context.subscribe(
             topics::CAMERA_INFO,
             QosPreset::CameraInfo,
-            |m: Arc<sensor_msgs::msg::CameraInfo>| match convert::camera_model(&m) {
-                Ok(camera) => input(Input::Camera(camera)),
-                Err(error) => Some(Event::Rejected(error.to_string())),
+            move |m: Arc<sensor_msgs::msg::CameraInfo>| {
+                IfChanged(cameras.model(m).map(|camera| match camera {
+                    Ok(camera) => input(Input::Camera(camera)),
+                    Err(error) => Some(Event::Rejected(error.to_string())),
+                }))
             },
         )?;
         services::offer(context, &frames)?;

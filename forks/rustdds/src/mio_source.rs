@@ -10,7 +10,10 @@ macro_rules! socketpair_bridge {
       use std::{
         io,
         io::{Read, Write},
-        sync::{Arc, Mutex},
+        sync::{
+          atomic::{AtomicBool, Ordering},
+          Arc, Mutex,
+        },
       };
       #[cfg(not(target_os = "windows"))]
       use std::os::fd::OwnedFd;
@@ -24,11 +27,29 @@ macro_rules! socketpair_bridge {
 
       pub struct Source {
         rec: Mutex<$mio::net::TcpStream>,
+        signaled: Arc<AtomicBool>,
       }
 
       #[derive(Clone)]
       pub struct Sender {
         send: Arc<Mutex<$mio::net::TcpStream>>,
+        // A byte is in the socket: another one would say nothing new, and where nothing drains
+        // the socket, the attempts to write to it would go on for ever.
+        signaled: Arc<AtomicBool>,
+      }
+
+      fn pair(rec: $mio::net::TcpStream, send: $mio::net::TcpStream) -> (Source, Sender) {
+        let signaled = Arc::new(AtomicBool::new(false));
+        (
+          Source {
+            rec: Mutex::new(rec),
+            signaled: signaled.clone(),
+          },
+          Sender {
+            send: Arc::new(Mutex::new(send)),
+            signaled,
+          },
+        )
       }
 
       #[cfg(not(target_os = "windows"))]
@@ -47,14 +68,7 @@ macro_rules! socketpair_bridge {
         let rec = $mio::net::TcpStream::from_std(std::net::TcpStream::from(OwnedFd::from(rec_sps)));
         let send =
           $mio::net::TcpStream::from_std(std::net::TcpStream::from(OwnedFd::from(send_sps)));
-        Ok((
-          Source {
-            rec: Mutex::new(rec),
-          },
-          Sender {
-            send: Arc::new(Mutex::new(send)),
-          },
-        ))
+        Ok(pair(rec, send))
       }
 
       #[cfg(target_os = "windows")]
@@ -69,18 +83,14 @@ macro_rules! socketpair_bridge {
         }
         let (send, _addr_send) = accepted?;
         debug!("IPC socket: {addr:#?} <-> {_addr_send:#?}");
-        Ok((
-          Source {
-            rec: Mutex::new(rec),
-          },
-          Sender {
-            send: Arc::new(Mutex::new(send)),
-          },
-        ))
+        Ok(pair(rec, send))
       }
 
       impl Sender {
         pub fn send(&self) {
+          if self.signaled.swap(true, Ordering::SeqCst) {
+            return;
+          }
           match self.send.lock().unwrap().write(&[0xcc]) {
             Ok(_b) => {}
             Err(e) => info!("PollEventSender.send: {e}"),
@@ -98,6 +108,7 @@ macro_rules! socketpair_bridge {
               other_kind => info!("PollEventSource.drain(): {other_kind}"),
             },
           }
+          self.signaled.store(false, Ordering::SeqCst);
         }
       }
 

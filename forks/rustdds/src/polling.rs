@@ -10,7 +10,10 @@
 
 use std::{
   collections::BTreeMap,
-  sync::{mpsc, Arc, OnceLock},
+  sync::{
+    atomic::{AtomicBool, Ordering},
+    mpsc, Arc, OnceLock,
+  },
   time::{Duration, Instant},
 };
 
@@ -24,12 +27,15 @@ use crate::structure::guid::EntityId;
 #[derive(Clone)]
 pub(crate) struct LoopWaker {
   slot: Arc<OnceLock<Waker>>,
+  // The loop is awake, or a wake is on its way: it will drain its queues anyway.
+  awake: Arc<AtomicBool>,
 }
 
 impl LoopWaker {
   pub(crate) fn new() -> Self {
     Self {
       slot: Arc::new(OnceLock::new()),
+      awake: Arc::new(AtomicBool::new(false)),
     }
   }
 
@@ -40,10 +46,24 @@ impl LoopWaker {
     if self.slot.set(waker).is_err() {
       debug_assert!(false, "LoopWaker::install called twice for one poll");
     }
+    self.rearm();
     Ok(())
   }
 
+  /// The loop has returned from its poll: until [`rearm`](Self::rearm), wakes need no system call.
+  pub(crate) fn hold(&self) {
+    self.awake.store(true, Ordering::SeqCst);
+  }
+
+  /// The loop is about to drain its queues. What is enqueued from here on wakes it again.
+  pub(crate) fn rearm(&self) {
+    self.awake.store(false, Ordering::SeqCst);
+  }
+
   pub(crate) fn wake(&self) {
+    if self.awake.swap(true, Ordering::SeqCst) {
+      return;
+    }
     if let Some(waker) = self.slot.get() {
       if let Err(e) = waker.wake() {
         log::debug!("LoopWaker::wake: {e}");

@@ -1,9 +1,13 @@
 //! JPEG.
 
 use crate::{
-    decode::claim,
-    image::{ImageError, OwnedImage, PixelFormat},
+    decode::{
+        claim,
+        crop::{Cropper, Place},
+    },
+    image::{ImageError, OwnedImage, PixelFormat, Window},
 };
+use std::fmt::Debug;
 use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
 use zune_jpeg::JpegDecoder;
 
@@ -19,37 +23,92 @@ const MAX_SCANS: usize = 32;
 /// # Errors
 /// As [`decode_compressed`](super::decode_compressed).
 pub(super) fn decode(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
-    let failed = |reason: String| ImageError::Decode { format: "jpeg", reason };
+    let mut decoder = check(data, image)?;
+    decoder.decode_into(&mut image.data).map_err(failed)
+}
+
+/// Decodes some windows of images; its memory is reused.
+#[derive(Debug, Default)]
+pub(super) struct WindowDecoder {
+    cropper: Cropper,
+    pixels: Vec<u8>,
+}
+
+impl WindowDecoder {
+    /// Decodes at least the windows (px) of a JPEG into rgb8; the image's other pixels are
+    /// unspecified. Returns what is decoded, or `None` for everything.
+    ///
+    /// # Errors
+    /// As [`decode_compressed`](super::decode_compressed).
+    pub fn decode(
+        &mut self,
+        data: &[u8],
+        windows: &[Window; 4],
+        image: &mut OwnedImage,
+    ) -> Result<Option<[Window; 4]>, ImageError> {
+        let mut whole = check(data, image)?;
+        let Some(Place { bounds: [left, top, right, bottom], exact }) =
+            self.cropper.crop(data, windows)
+        else {
+            whole.decode_into(&mut image.data).map_err(failed)?;
+            return Ok(None);
+        };
+        let step = 3 * (right - left);
+        self.pixels.resize(step * (bottom - top), 0);
+        open(&self.cropper.jpeg).decode_into(&mut self.pixels).map_err(failed)?;
+        for [x0, y0, x1, y1] in exact {
+            for y in y0..y1 {
+                let (from, to) = ((y - top) * step + 3 * (x0 - left), y * image.step + 3 * x0);
+                let length = 3 * (x1 - x0);
+                image.data[to..to + length].copy_from_slice(&self.pixels[from..from + length]);
+            }
+        }
+        Ok(Some(exact))
+    }
+}
+
+fn failed(error: impl Debug) -> ImageError {
+    ImageError::Decode { format: "jpeg", reason: format!("{error:?}") }
+}
+
+fn open(data: &[u8]) -> JpegDecoder<ZCursor<&[u8]>> {
+    let options = DecoderOptions::default()
+        .jpeg_set_out_colorspace(ColorSpace::RGB)
+        .set_max_width(usize::from(u16::MAX))
+        .set_max_height(usize::from(u16::MAX));
+    JpegDecoder::new_with_options(ZCursor::new(data), options)
+}
+
+/// Checks all that is known before the pixels are decoded, and makes room for them.
+fn check<'a>(
+    data: &'a [u8],
+    image: &mut OwnedImage,
+) -> Result<JpegDecoder<ZCursor<&'a [u8]>>, ImageError> {
+    let invalid = |reason: &str| ImageError::Decode { format: "jpeg", reason: reason.to_owned() };
     // The decoder fills what is missing with gray and would cut off markers.
     if is_cut_off(data) {
-        return Err(failed("it is cut off".to_owned()));
+        return Err(invalid("it is cut off"));
     }
     let scans = count_scans(data);
     if scans > MAX_SCANS {
         return Err(ImageError::TooManyScans { scans, limit: MAX_SCANS });
     }
-    let options = DecoderOptions::default()
-        .jpeg_set_out_colorspace(ColorSpace::RGB)
-        .set_max_width(usize::from(u16::MAX))
-        .set_max_height(usize::from(u16::MAX));
-    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(data), options);
-    decoder.decode_headers().map_err(|e| failed(format!("{e:?}")))?;
+    let mut decoder = open(data);
+    decoder.decode_headers().map_err(failed)?;
     if decoder.input_colorspace() == Some(ColorSpace::Luma) {
         return Err(ImageError::NoColor { encoding: "gray jpeg".to_owned() });
     }
-    let (width, height) =
-        decoder.dimensions().ok_or_else(|| failed("it has no size".to_owned()))?;
+    let (width, height) = decoder.dimensions().ok_or_else(|| invalid("it has no size"))?;
     // No camera does this, and the decoder panics on some.
     if is_color_finer_than_luma(data, width, height) {
-        return Err(failed("its color is sampled finer than its brightness".to_owned()));
+        return Err(invalid("its color is sampled finer than its brightness"));
     }
     let most = data.len().saturating_mul(PIXELS_PER_BYTE);
     claim::check(width, height, width * height, most, data.len())?;
     image.data.resize(width * height * 3, 0);
-    decoder.decode_into(&mut image.data).map_err(|e| failed(format!("{e:?}")))?;
     (image.width, image.height, image.step, image.format) =
         (width, height, width * 3, PixelFormat::Rgb8);
-    Ok(())
+    Ok(decoder)
 }
 
 /// Whether no end of image follows the last scan. Within a scan 0xff is only followed by 0 or a

@@ -1,8 +1,12 @@
 //! Decoding of `sensor_msgs/CompressedImage`: JPEG and PNG.
 
 mod claim;
+mod crop;
 mod jpeg;
+mod partial;
 mod png;
+
+pub use partial::{Decoder, PartialImage};
 
 use crate::image::{ImageError, OwnedImage};
 
@@ -28,11 +32,15 @@ pub fn decode_compressed_into(
     data: &[u8],
     image: &mut OwnedImage,
 ) -> Result<(), ImageError> {
-    if data.starts_with(&[0xff, 0xd8, 0xff]) {
+    if is_jpeg(data) {
         jpeg::decode(data, image)
     } else if data.starts_with(&[0x89, b'P', b'N', b'G']) {
         png::decode(data, image)
     } else {
         Err(ImageError::UnknownCompression { format: format.to_owned() })
     }
+}
+
+fn is_jpeg(data: &[u8]) -> bool {
+    data.starts_with(&[0xff, 0xd8, 0xff])
 }

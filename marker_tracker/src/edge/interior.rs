@@ -197,6 +197,7 @@ fn plain(
         let far = sampler.hop(0) * hop as u32;
         let first = sampler.begin(x, y);
         let last = first + (count - 1) as u32 * far;
+        sampler.read([x, y], [x + (count - 1) * hop, y]);
         let mut begin: [u32; 8] = std::array::from_fn(|i| first + i as u32 * far);
         let (x, y, hop) = (f64::from(x - cx), f64::from(y - cy), f64::from(hop));
         let (one, j) = (f64::from(count), f64::from(count * (count - 1) / 2));

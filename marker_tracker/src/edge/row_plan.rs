@@ -17,6 +17,8 @@ const OUTSIDE_BOUNDS: (f64, f64) = (1.0, 3.0);
 const REACH: f64 = 0.22;
 /// Largest half-width of a band, in units of the square's width: opposite bands must not meet.
 const MAX_SHARE: f64 = 0.2;
+/// Pixels inside of the band whose level is the row's, in changing light.
+pub(super) const INNER: u32 = 3;
 /// Longest band that is read, px.
 pub(super) const MAX_BAND: i32 = 40;
 
@@ -166,6 +168,16 @@ impl RowPlan {
     /// Pixels before the band.
     pub fn lead(&self) -> i32 {
         if self.strip.outward { 0 } else { self.strip.beyond }
+    }
+
+    /// First and last pixel that are read on a row whose band begins at `from`.
+    pub fn ends(&self, from: i32) -> [i32; 2] {
+        let Strip { band, beyond, outward, .. } = self.strip;
+        if outward {
+            [from - INNER as i32, from + band + beyond - 1]
+        } else {
+            [from - beyond, from + band + INNER as i32 - 1]
+        }
     }
 
     /// Image coordinates of a place along a row.

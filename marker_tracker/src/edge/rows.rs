@@ -3,7 +3,7 @@
 use crate::{
     edge::{
         columns::{Column, MAX_ROWS},
-        row_plan::{MAX_BAND, RowPlan, Strip},
+        row_plan::{INNER, MAX_BAND, RowPlan, Strip},
     },
     signal::{Sampler, nearest},
 };
@@ -100,6 +100,8 @@ impl Rows {
                 let crossing = plan.crossing(line);
                 let from = plan.band_start(&crossing);
                 let (x, y) = plan.pixel(from - plan.lead(), line);
+                let [first, last] = plan.ends(from).map(|along| plan.pixel(along, line));
+                sampler.read(first.into(), last.into());
                 let place = (crossing.place - f64::from(from)) as f32;
                 let inner =
                     if strip.outward { place + 0.5 } else { strip.band as f32 - place - 0.5 };
@@ -121,8 +123,6 @@ impl Rows {
     /// marker's is not
     /// `expected`.
     pub(super) fn relight(&mut self, sampler: &Sampler<'_>, plan: &RowPlan, expected: f32) {
-        /// Pixels inside of the band whose level is the row's.
-        const INNER: u32 = 3;
         /// Largest relative deviation of the brightness's ratio: four standard deviations of two
         /// means of three pixels with a noise of 2 % each, and a shadow's tint.
         const TOLERANCE: f32 = 0.15;

@@ -7,6 +7,7 @@ mod camera_info;
 mod debug_image;
 mod device;
 mod health;
+mod images;
 mod incomplete;
 mod parameters;
 mod source;
@@ -17,14 +18,16 @@ pub use parameters::MarkerTrackerParameters;
 pub use source::Frame;
 
 use crate::{
-    decode::decode_compressed_into,
-    encoding::from_encoding,
-    image::{ImageError, ImageView, OwnedImage},
-    tracker::{Input, Output, Tracker, Warning},
+    decode::Decoder,
+    image::OwnedImage,
+    tracker::{Input, Tracker},
 };
 use incomplete::IncompleteImages;
-use node_kit::{Health, Level, NodeContext, NodeError, NodeShell, Publisher, QosPreset, convert};
-use rig_model::{CameraModel, CameraModelError, MarkerState, Rig, topics};
+use node_kit::{
+    Health, Level, NodeContext, NodeError, NodeShell, Publisher, QosPreset, convert,
+    node::{CameraChanges, IfChanged},
+};
+use rig_model::{CameraModel, Rig, topics};
 use stages::Stages;
 use std::sync::Arc;
 use volant_msgs::{
@@ -61,7 +64,8 @@ pub struct MarkerTrackerNode {
     rig: Rig,
     frame: String,
     markers: Publisher<MarkerObservations>,
-    decoded: OwnedImage,
+    converted: OwnedImage,
+    decoder: Decoder,
     stages: Stages,
     camera: Option<CameraModel>,
     republished: Option<Republished>,
@@ -101,7 +105,8 @@ impl NodeShell for MarkerTrackerNode {
             frame: rig.frames.camera.clone(),
             rig,
             markers,
-            decoded: OwnedImage::default(),
+            converted: OwnedImage::default(),
+            decoder: Decoder::default(),
             stages: Stages::default(),
             camera: None,
             republished: None,
@@ -191,16 +196,21 @@ impl MarkerTrackerNode {
         context: &mut NodeContext<Arrival>,
         parameters: &MarkerTrackerParameters,
     ) -> Result<(), NodeError> {
+        let is_compressed = parameters.image_transport == "compressed";
+        // Raw images are counted by the camera_info beside them.
+        let changes = is_compressed.then(CameraChanges::default);
         context.subscribe(
             topics::CAMERA_INFO,
             QosPreset::CameraInfo,
-            |message: Arc<CameraInfo>| {
-                convert::camera_model(&message)
-                    .map(Arrival::Camera)
-                    .map_err(|e: CameraModelError| e.to_string())
+            move |message: Arc<CameraInfo>| {
+                let model = match &changes {
+                    Some(changes) => changes.model(message),
+                    None => Some(convert::camera_model(&message)),
+                };
+                IfChanged(model.map(|model| model.map(Arrival::Camera)))
             },
         )?;
-        if parameters.image_transport == "compressed" {
+        if is_compressed {
             context.subscribe(COMPRESSED, QosPreset::Image, |message| {
                 Some(Arrival::Compressed(message))
             })
@@ -284,110 +294,6 @@ impl MarkerTrackerNode {
                 }
                 self.compressed(context, &message);
             }
-        }
-    }
-
-    fn raw(&mut self, context: &mut NodeContext<Arrival>, message: &Image) {
-        self.incomplete.count_received();
-        let mut scratch = std::mem::take(&mut self.decoded);
-        let clock = self.stages.start();
-        let view = from_encoding(
-            convert::stamp(&message.header.stamp),
-            message.width as usize,
-            message.height as usize,
-            &message.encoding,
-            message.is_bigendian != 0,
-            message.step as usize,
-            &message.data,
-            &mut scratch,
-        );
-        self.stages.converted(clock);
-        self.track(context, view);
-        self.decoded = scratch;
-    }
-
-    fn compressed(&mut self, context: &mut NodeContext<Arrival>, message: &CompressedImage) {
-        let mut scratch = std::mem::take(&mut self.decoded);
-        let clock = self.stages.start();
-        let decoded = decode_compressed_into(&message.format, &message.data, &mut scratch);
-        self.stages.converted(clock);
-        let stamp = convert::stamp(&message.header.stamp);
-        self.track(context, decoded.map(|()| scratch.view(stamp)));
-        self.decoded = scratch;
-    }
-
-    fn track(
-        &mut self,
-        context: &mut NodeContext<Arrival>,
-        view: Result<ImageView<'_>, ImageError>,
-    ) {
-        match view {
-            Ok(view) => {
-                let clock = self.stages.start();
-                self.tracker.handle(Input::Image(view));
-                self.stages.tracked(clock);
-                let unseen = self.stages.unseen();
-                self.publish(context);
-                self.stages.inspect(&view, unseen);
-                #[cfg(feature = "opencv")]
-                self.draw(context, &view);
-            }
-            Err(error) => {
-                self.stages.rejected();
-                let text = format!("{}: {error}", self.source);
-                context.log_throttled(Level::Warn, "image", text);
-            }
-        }
-    }
-
-    fn publish(&mut self, context: &mut NodeContext<Arrival>) {
-        while let Some(output) = self.tracker.poll() {
-            match output {
-                Output::Observations(observations) => {
-                    self.markers.publish(convert::markers_message(&self.frame, &observations));
-                    let detected = observations
-                        .markers
-                        .0
-                        .iter()
-                        .filter(|m| m.state == MarkerState::Detected)
-                        .count();
-                    self.stages.finished(detected);
-                }
-                Output::Warning(warning) => {
-                    match warning {
-                        Warning::Image(_)
-                        | Warning::StampFromThePast { .. }
-                        | Warning::Library { .. } => self.stages.rejected(),
-                        Warning::Repeated { .. } => self.stages.repeated(),
-                        Warning::CameraSize { .. } => {}
-                    }
-                    let text = format!("{}: {warning}", self.source);
-                    context.log_throttled(Level::Warn, warning.kind(), text);
-                }
-            }
-        }
-    }
-
-    /// Publishes a debug image if anything subscribes to it.
-    #[cfg(feature = "opencv")]
-    fn draw(&mut self, context: &mut NodeContext<Arrival>, view: &ImageView<'_>) {
-        if self.debug.subscribers() == 0 {
-            return;
-        }
-        let clock = self.stages.start();
-        let jpeg = debug_image::encode(view, &self.tracker.views());
-        self.stages.drawn(clock);
-        match jpeg {
-            Ok(data) => self.debug.publish(CompressedImage {
-                header: convert::header(&self.frame, view.stamp),
-                format: "rgb8; jpeg compressed rgb8".to_owned(),
-                data,
-            }),
-            Err(reason) => context.log_throttled(
-                Level::Warn,
-                "debug image",
-                format!("no debug image: {reason}"),
-            ),
         }
     }
 }

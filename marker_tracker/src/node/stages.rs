@@ -92,12 +92,14 @@ impl Stages {
         self.draw.add(since.elapsed());
     }
 
-    /// Records size and, without a marker, brightness of the last image.
-    pub fn inspect(&mut self, image: &ImageView<'_>, unseen_before: u32) {
-        self.size = (image.width, image.height);
-        if self.detected[0] > unseen_before {
-            self.brightness += brightness(image);
-        }
+    /// Records the size of the last image, px.
+    pub fn set_size(&mut self, size: (usize, usize)) {
+        self.size = size;
+    }
+
+    /// Records the brightness of an image without a marker.
+    pub fn add_brightness(&mut self, image: &ImageView<'_>) {
+        self.brightness += brightness(image);
     }
 
     /// Number of images without a marker.

@@ -2,7 +2,7 @@
 //! column.
 
 use crate::{
-    image::ImageView,
+    image::Pixels,
     scan::{
         blob::Blob,
         palette::Palette,
@@ -72,7 +72,7 @@ impl Scanner {
     }
 
     /// Finds the patches of the rectangle `[x0, x1) × [y0, y1)` (px) and stores them in `blobs`.
-    pub fn scan(&mut self, image: &ImageView<'_>, [x0, y0, x1, y1]: [i32; 4], config: &ScanConfig) {
+    pub fn scan(&mut self, image: &Pixels<'_>, [x0, y0, x1, y1]: [i32; 4], config: &ScanConfig) {
         self.blobs.clear();
         self.sums.clear();
         self.parent.clear();
@@ -84,6 +84,9 @@ impl Scanner {
             (x1.clamp(0, image.width as i32) as usize, y1.clamp(0, image.height as i32) as usize);
         if x1 <= x0 || y1 <= y0 {
             return;
+        }
+        if let Some(coverage) = image.coverage() {
+            coverage.read([x0, y0].map(|v| v as i32), [x1 - 1, y1 - 1].map(|v| v as i32));
         }
         self.mark_cells(image, [x0, y0, x1, y1], config);
         let bytes = image.format.bytes_per_pixel();
@@ -165,7 +168,7 @@ impl Scanner {
     /// neighbors. Most of an image is gray.
     fn mark_cells(
         &mut self,
-        image: &ImageView<'_>,
+        image: &Pixels<'_>,
         [x0, y0, x1, y1]: [usize; 4],
         config: &ScanConfig,
     ) {

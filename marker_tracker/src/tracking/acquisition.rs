@@ -4,7 +4,7 @@ use crate::{
     appearance::Appearance,
     association::{Extent, Hypothesis, Strictness, hypotheses},
     geometry::{PoseObservation, refine},
-    image::ImageView,
+    image::Pixels,
     outline::QuadFit,
     quad::Quad,
     scan::{CELL, Palette, ScanConfig, Scanner},
@@ -16,6 +16,9 @@ use crate::{
 };
 use nalgebra::{Isometry3, Vector2};
 use rig_model::{CameraModel, MarkerColor, PerColor};
+
+/// How far from its predicted outline a patch is searched at least, px: the paper's search window.
+pub(super) const PATCH_REACH: f64 = 25.0;
 
 /// A marker that an acquisition has measured.
 #[derive(Clone, Copy, Debug)]
@@ -81,10 +84,10 @@ impl Acquisition {
     }
 
     /// The outline moved to the nearest patch of the marker's color, size and shape, at most
-    /// `25 + reach` px away (25 px: the paper's search window).
+    /// [`PATCH_REACH`] + `reach` px away.
     pub fn nearest_patch(
         &mut self,
-        image: &ImageView<'_>,
+        image: &Pixels<'_>,
         color: MarkerColor,
         outline: &Quad,
         reach: f64,
@@ -98,7 +101,7 @@ impl Acquisition {
             min_area: 0.5 * area.abs(),
             max_area: 1.5 * area.abs(),
         };
-        self.scanner.scan(image, outline.bounds(25.0 + reach), &config);
+        self.scanner.scan(image, outline.bounds(PATCH_REACH + reach), &config);
         let patches = self.scanner.blobs.iter();
         let nearest = patches
             .filter(|b| b.color == color && !b.cut && (0.8..1.2).contains(&b.fill()))
@@ -109,7 +112,7 @@ impl Acquisition {
     /// Searches the whole image; `None` where no four markers, and no unambiguous three, are found.
     pub fn search(
         &mut self,
-        image: &ImageView<'_>,
+        image: &Pixels<'_>,
         camera: &CameraModel,
         known_camera: bool,
         platform: &PlatformModel,
@@ -164,7 +167,7 @@ impl Acquisition {
 
 /// Measures the outlines that hypotheses claim.
 struct Verification<'a, 'p> {
-    image: &'a ImageView<'p>,
+    image: &'a Pixels<'p>,
     camera: &'a CameraModel,
     known_camera: bool,
     platform: &'a PlatformModel,

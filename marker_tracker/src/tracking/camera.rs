@@ -44,6 +44,14 @@ impl ImageCamera {
         self.assumed.clone()
     }
 
+    /// The model of the last image.
+    pub fn latest(&self) -> Option<&CameraModel> {
+        match &self.fitted {
+            Some(Fitted { model: Some(model), .. }) => Some(model),
+            _ => self.assumed.as_ref(),
+        }
+    }
+
     /// Whether the model of the last image comes from a calibration.
     pub fn is_known(&self) -> bool {
         matches!(self.fitted, Some(Fitted { model: Some(_), .. }))

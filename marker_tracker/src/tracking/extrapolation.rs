@@ -90,7 +90,7 @@ impl State {
 }
 
 /// Extrapolates the platform's pose through images in which markers are hidden.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Extrapolator {
     state: Option<State>,
 }

@@ -6,7 +6,7 @@ use crate::{
     edge::Levels,
     flow::FlowFeatures,
     hue::HueHistogram,
-    image::ImageView,
+    image::Pixels,
     outline::QuadFit,
     quad::Quad,
     signal::Sampler,
@@ -67,13 +67,13 @@ impl MarkerTrack {
     }
 
     /// Whether the inside of an outline has the marker's hues.
-    pub fn has_hue(&self, image: &ImageView<'_>, outline: &Quad) -> bool {
+    pub fn has_hue(&self, image: &Pixels<'_>, outline: &Quad) -> bool {
         let Some(appearance) = &self.appearance else { return false };
         HueHistogram::of(image, outline).is_some_and(|h| h.is_like(&appearance.hue))
     }
 
     /// Adapts the levels, and where it `is_due` the colors, to a whole outline.
-    pub fn adapt(&mut self, image: &ImageView<'_>, fit: &QuadFit, is_due: bool) {
+    pub fn adapt(&mut self, image: &Pixels<'_>, fit: &QuadFit, is_due: bool) {
         if is_due && let Some(appearance) = &mut self.appearance {
             appearance.adapt(image, &fit.quad, Self::APPEARANCE_GAIN);
         }
@@ -96,7 +96,7 @@ impl MarkerTrack {
     }
 
     /// The color signal of the window in `image`.
-    pub fn signal(&self, image: &ImageView<'_>) -> Option<SignalView> {
+    pub fn signal(&self, image: &Pixels<'_>) -> Option<SignalView> {
         let appearance = self.appearance.as_ref()?;
         let [x0, y0, x1, y1] = self.window;
         let width = usize::try_from(x1 - x0).ok()?;

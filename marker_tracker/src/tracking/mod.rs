@@ -26,11 +26,11 @@ use crate::{
     config::TrackerConfig,
     debug_view::{MarkerView, SignalView},
     engine::Engine,
-    image::ImageView,
+    image::{ImageView, Pixels, Window},
     outline::QuadFit,
     signal::Sampler,
 };
-use acquisition::Acquisition;
+use acquisition::{Acquisition, PATCH_REACH};
 use camera::ImageCamera;
 use consistency::{Consistency, Fits};
 use extrapolation::Extrapolator;
@@ -42,7 +42,7 @@ use noise::NoiseModel;
 use partial::PartialSearch;
 use platform::PlatformModel;
 use repeat::RepeatDetector;
-use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, PerColor};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, PerColor, Stamp};
 use states::CommonFlow;
 
 /// Margin around the searched outline that a debug view shows, px.
@@ -51,17 +51,28 @@ const VIEW_MARGIN: f64 = 9.0;
 /// ([`meter::SEARCH_HALF_WIDTH`]) rounded up.
 const READ_MARGIN: f64 = 5.0;
 
-/// State of the tracker: one value per component.
+/// Margin around a predicted outline within which one image's measurements read as a rule, px: the
+/// band, the level beyond it and the error of the prediction. Where more is read, the whole image is
+/// decoded; `windows_suffice_for_most_images` of `tests/windows.rs` counts how often.
+const WINDOW_MARGIN: f64 = 10.0;
+
+/// The tracker: its settings, and one value per component.
 #[derive(Debug)]
 pub(crate) struct Pipeline {
     config: TrackerConfig,
     camera: ImageCamera,
+    acquisition: Acquisition,
+    state: State,
+}
+
+/// What the tracker knows from the images so far.
+#[derive(Clone, Debug)]
+struct State {
     platform: PlatformModel,
     motion: PlatformMotion,
     extrapolator: Extrapolator,
     interval: ImageInterval,
     markers: PerColor<MarkerTrack>,
-    acquisition: Acquisition,
     noise: NoiseModel,
     repeats: RepeatDetector,
     /// Processed images.
@@ -73,54 +84,53 @@ pub(crate) struct Pipeline {
 impl Pipeline {
     /// Creates a tracker that searches for markers at the places of `layout` (volant frame, m).
     pub fn new(layout: MarkerLayout, config: TrackerConfig) -> Self {
-        Self {
-            camera: ImageCamera::default(),
+        let state = State {
             platform: PlatformModel::new(layout),
             motion: PlatformMotion::default(),
             extrapolator: Extrapolator::default(),
             interval: ImageInterval::default(),
             markers: PerColor::default(),
-            acquisition: Acquisition::new(&config.start_colors),
             noise: NoiseModel::default(),
             repeats: RepeatDetector::default(),
             images: 0,
             unseen: 0,
-            config,
-        }
+        };
+        let acquisition = Acquisition::new(&config.start_colors);
+        Self { config, camera: ImageCamera::default(), acquisition, state }
     }
 
     /// Detects the markers by tracking or, with fewer than two, by acquisition, and updates the
     /// platform's pose and motion.
-    fn update_pose(&mut self, image: &ImageView<'_>, camera: &CameraModel, ratio: f64) {
-        let pose_before = self.motion.pose;
+    fn update_pose(&mut self, image: &Pixels<'_>, camera: &CameraModel, ratio: f64) {
+        let pose_before = self.state.motion.pose;
         let mut detected = if pose_before.is_some() { self.track(image, camera, ratio) } else { 0 };
         let followed = detected >= 3;
         if detected < 2 && self.acquire(image, camera) {
-            self.markers.0.iter_mut().for_each(MarkerTrack::forget_flow);
-            self.motion.last = None;
+            self.state.markers.0.iter_mut().for_each(MarkerTrack::forget_flow);
+            self.state.motion.last = None;
             detected = self.track(image, camera, 1.0);
         }
-        self.unseen = if detected >= 2 { 0 } else { self.unseen + 1 };
+        self.state.unseen = if detected >= 2 { 0 } else { self.state.unseen + 1 };
         // The outline of one marker constrains the pose; without any marker it only drifts.
         let patience = if detected == 1 { 10 } else { 1 };
-        if self.unseen > patience * u32::from(self.config.max_predicted) {
-            self.motion.pose = None;
+        if self.state.unseen > patience * u32::from(self.config.max_predicted) {
+            self.state.motion.pose = None;
         }
-        self.motion.update(pose_before.filter(|_| followed));
+        self.state.motion.update(pose_before.filter(|_| followed));
     }
 
     /// Searches the whole image for the markers; true where they were found, with the pose set.
-    fn acquire(&mut self, image: &ImageView<'_>, camera: &CameraModel) -> bool {
+    fn acquire(&mut self, image: &Pixels<'_>, camera: &CameraModel) -> bool {
         let meters = PerColor::from_fn(|color| self.meter(color));
         let known = self.camera.is_known();
-        let found = self.acquisition.search(image, camera, known, &self.platform, &meters);
+        let found = self.acquisition.search(image, camera, known, &self.state.platform, &meters);
         let Some(found) = found else { return false };
-        self.motion.pose = Some(found.pose);
+        self.state.motion.pose = Some(found.pose);
         for color in MarkerColor::ALL {
-            let track = &mut self.markers[color];
+            let track = &mut self.state.markers[color];
             if let Some(marker) = &found.markers[color] {
                 track.appearance = Some(marker.appearance);
-                self.platform.markers[color].init_turn(marker.turn);
+                self.state.platform.markers[color].init_turn(marker.turn);
             }
             track.edges.restart(found.markers[color].as_ref().map(|m| m.half_width));
         }
@@ -128,43 +138,45 @@ impl Pipeline {
     }
 
     /// Measures each marker near its predicted outline; returns the number of detected ones.
-    fn track(&mut self, image: &ImageView<'_>, camera: &CameraModel, ratio: f64) -> usize {
-        let Some(start) = self.motion.predicted(ratio, self.config.use_flow) else { return 0 };
+    fn track(&mut self, image: &Pixels<'_>, camera: &CameraModel, ratio: f64) -> usize {
+        let Some(start) = self.state.motion.predicted(ratio, self.config.use_flow) else {
+            return 0;
+        };
         let mut whole = self.measure_whole(image, camera, &start);
         let known = self.camera.is_known();
-        let check = Consistency::new(&self.platform, &self.markers, camera, known);
+        let check = Consistency::new(&self.state.platform, &self.state.markers, camera, known);
         let (pose, inconsistent) = check.pose(&start, &mut whole);
         for color in MarkerColor::ALL {
             if inconsistent[color] {
-                self.markers[color].outcome = Outcome::Inconsistent;
+                self.state.markers[color].outcome = Outcome::Inconsistent;
             }
         }
         let detected = self.measure_partial(image, camera, &pose, &whole);
         // Before the layout adapts to the noise of this image.
-        if known && self.images % 2 == 1 {
-            self.noise.adapt_excess(&self.platform, &self.markers, camera, &pose);
+        if known && self.state.images % 2 == 1 {
+            self.state.noise.adapt_excess(&self.state.platform, &self.state.markers, camera, &pose);
         }
         self.adapt(image, camera, &pose);
-        self.motion.pose = Some(pose);
+        self.state.motion.pose = Some(pose);
         detected
     }
 
     /// Measures each marker as a whole square near the outline that the pose `start` predicts.
     fn measure_whole(
         &mut self,
-        image: &ImageView<'_>,
+        image: &Pixels<'_>,
         camera: &CameraModel,
         start: &Isometry3<f64>,
     ) -> Fits {
         let outlines = PerColor::from_fn(|color| {
-            let outline = self.platform.outline(color, camera, start)?;
+            let outline = self.state.platform.outline(color, camera, start)?;
             image.prefetch(outline.window(image, READ_MARGIN));
             Some(outline)
         });
         let mut whole = Fits::default();
         for color in MarkerColor::ALL {
             let meter = self.meter(color);
-            let track = &mut self.markers[color];
+            let track = &mut self.state.markers[color];
             let Some(appearance) = &track.appearance else { continue };
             let sampler = Sampler::new(image, &appearance.discriminant);
             let Some(mut outline) = outlines[color] else { continue };
@@ -199,7 +211,7 @@ impl Pipeline {
     /// returns the number of detected markers.
     fn measure_partial(
         &mut self,
-        image: &ImageView<'_>,
+        image: &Pixels<'_>,
         camera: &CameraModel,
         pose: &Isometry3<f64>,
         whole: &Fits,
@@ -208,51 +220,84 @@ impl Pipeline {
         for color in MarkerColor::ALL {
             let meter = self.meter(color);
             if let Some(fit) = whole[color] {
-                self.markers[color].fit = Some(fit);
-                self.markers[color].outcome = Outcome::Whole;
+                self.state.markers[color].fit = Some(fit);
+                self.state.markers[color].outcome = Outcome::Whole;
             } else if search.is_possible() {
                 let palette = self.acquisition.palette();
-                let track = &mut self.markers[color];
-                track.outcome =
-                    search.run(color, track, &meter, &mut self.platform, palette, &self.config);
+                let track = &mut self.state.markers[color];
+                track.outcome = search.run(
+                    color,
+                    track,
+                    &meter,
+                    &mut self.state.platform,
+                    palette,
+                    &self.config,
+                );
             }
         }
         search.detected
     }
 
     /// Adapts noise, appearance and geometry to the markers that were measured as a whole.
-    fn adapt(&mut self, image: &ImageView<'_>, camera: &CameraModel, pose: &Isometry3<f64>) {
-        let detected = self.markers.0.iter().filter(|m| m.fit.is_some()).count();
+    fn adapt(&mut self, image: &Pixels<'_>, camera: &CameraModel, pose: &Isometry3<f64>) {
+        let detected = self.state.markers.0.iter().filter(|m| m.fit.is_some()).count();
         for color in MarkerColor::ALL {
-            let track = &mut self.markers[color];
+            let track = &mut self.state.markers[color];
             let Some(fit) = track.fit.filter(|f| f.is_whole() && !f.relit) else { continue };
-            self.noise.add_rows(&fit);
+            self.state.noise.add_rows(&fit);
             // Light drifts slowly: one marker's colors per image suffice.
-            let is_due = self.images % 4 == color.index() as u32;
+            let is_due = self.state.images % 4 == color.index() as u32;
             track.adapt(image, &fit, is_due);
-            self.platform.adapt(color, camera, pose, &fit, detected, is_due);
+            self.state.platform.adapt(color, camera, pose, &fit, detected, is_due);
         }
-        self.noise.forget_rows();
+        self.state.noise.forget_rows();
+    }
+
+    /// Processes one image.
+    fn observe(&mut self, image: &Pixels<'_>) -> MarkerObservations {
+        if self.state.repeats.is_repeated(image, &self.state.markers) {
+            let max = self.config.max_predicted;
+            let markers = PerColor::from_fn(|color| self.state.markers[color].repeat(max));
+            return MarkerObservations { stamp: image.stamp, markers };
+        }
+        let ratio = self.state.interval.advance(image.stamp);
+        let before = PerColor::from_fn(|color| self.state.markers[color].centroid);
+        self.state.images = self.state.images.wrapping_add(1);
+        self.state.markers.0.iter_mut().for_each(MarkerTrack::begin_image);
+        let camera = self.camera.for_image(image);
+        if let Some(camera) = &camera {
+            self.update_pose(image, camera, ratio);
+        }
+        self.conclude(image, camera.as_ref(), &before, ratio)
     }
 
     /// Turns the measurements into the markers' states (paper, eq. 3, for unmeasured ones).
     fn conclude(
         &mut self,
-        image: &ImageView<'_>,
+        image: &Pixels<'_>,
         camera: Option<&CameraModel>,
         before: &PerColor<Option<Vector2<f64>>>,
         ratio: f64,
     ) -> MarkerObservations {
-        let common = CommonFlow::of(&self.markers, before, ratio);
+        let common = CommonFlow::of(&self.state.markers, before, ratio);
         let extrapolated = self
+            .state
             .extrapolator
-            .advance(&self.motion, &self.platform, &self.markers, camera, ratio, &self.interval)
+            .advance(
+                &self.state.motion,
+                &self.state.platform,
+                &self.state.markers,
+                camera,
+                ratio,
+                &self.state.interval,
+            )
             .filter(|_| self.config.rigid_prediction);
-        let has_pose = self.motion.pose.is_some();
+        let has_pose = self.state.motion.pose.is_some();
         let markers = PerColor::from_fn(|color| {
-            let rigid =
-                extrapolated.as_ref().and_then(|e| e.centroid(&self.platform, color, camera?));
-            let track = &mut self.markers[color];
+            let rigid = extrapolated
+                .as_ref()
+                .and_then(|e| e.centroid(&self.state.platform, color, camera?));
+            let track = &mut self.state.markers[color];
             match track.fit {
                 Some(fit) => track.conclude_detected(image, &fit, common.of_marker(color)),
                 None => track.conclude_hidden(rigid, &common, &self.config, has_pose),
@@ -263,26 +308,47 @@ impl Pipeline {
 
     /// The outline measurement with what is known of a marker.
     fn meter(&self, color: MarkerColor) -> OutlineMeter {
-        OutlineMeter::new(&self.platform.markers[color], &self.markers[color].edges, &self.noise)
+        OutlineMeter::new(
+            &self.state.platform.markers[color],
+            &self.state.markers[color].edges,
+            &self.state.noise,
+        )
     }
 }
 
 impl Engine for Pipeline {
-    fn process(&mut self, image: &ImageView<'_>) -> Result<MarkerObservations, String> {
-        if self.repeats.is_repeated(image, &self.markers) {
-            let max = self.config.max_predicted;
-            let markers = PerColor::from_fn(|color| self.markers[color].repeat(max));
-            return Ok(MarkerObservations { stamp: image.stamp, markers });
+    fn windows(&self, stamp: Stamp) -> Option<[Window; 4]> {
+        // While the markers are searched, all of the image is needed.
+        let State { motion, interval, markers, platform, unseen: 0, .. } = &self.state else {
+            return None;
+        };
+        let pose = motion.predicted(interval.ratio(stamp), self.config.use_flow)?;
+        let camera = self.camera.latest()?;
+        let window = |color: MarkerColor| {
+            let outline = platform.outline(color, camera, &pose)?;
+            let track = &markers[color];
+            let margin = match track.fit {
+                Some(fit) if fit.is_whole() && !fit.relit => WINDOW_MARGIN,
+                // Its patch is searched, too.
+                _ => WINDOW_MARGIN + PATCH_REACH + track.flow.norm(),
+            };
+            Some(outline.bounds(margin).map(|v| usize::try_from(v).unwrap_or(0)))
+        };
+        Some(MarkerColor::ALL.map(|color| window(color).unwrap_or_default()))
+    }
+
+    fn process_windows(&mut self, image: &Pixels<'_>) -> Option<MarkerObservations> {
+        let before = self.state.clone();
+        let observations = self.observe(image);
+        if image.is_missing() {
+            self.state = before;
+            return None;
         }
-        let ratio = self.interval.advance(image.stamp);
-        let before = PerColor::from_fn(|color| self.markers[color].centroid);
-        self.images = self.images.wrapping_add(1);
-        self.markers.0.iter_mut().for_each(MarkerTrack::begin_image);
-        let camera = self.camera.for_image(image);
-        if let Some(camera) = &camera {
-            self.update_pose(image, camera, ratio);
-        }
-        Ok(self.conclude(image, camera.as_ref(), &before, ratio))
+        Some(observations)
+    }
+
+    fn process(&mut self, image: &Pixels<'_>) -> Result<MarkerObservations, String> {
+        Ok(self.observe(image))
     }
 
     fn set_config(&mut self, config: TrackerConfig) {
@@ -299,22 +365,22 @@ impl Engine for Pipeline {
     }
 
     fn repeated(&self) -> u32 {
-        self.repeats.count
+        self.state.repeats.count
     }
 
     fn outcome(&self, color: MarkerColor) -> Outcome {
-        self.markers[color].outcome
+        self.state.markers[color].outcome
     }
 
     fn view(&self, color: MarkerColor) -> MarkerView {
-        self.markers[color].view()
+        self.state.markers[color].view()
     }
 
-    fn signal(&self, color: MarkerColor, image: &ImageView<'_>) -> Option<SignalView> {
-        self.markers[color].signal(image)
+    fn signal(&self, color: MarkerColor, image: &Pixels<'_>) -> Option<SignalView> {
+        self.state.markers[color].signal(image)
     }
 
     fn color(&self, color: MarkerColor) -> Option<[f32; 3]> {
-        self.markers[color].appearance.as_ref().map(|a| a.marker)
+        self.state.markers[color].appearance.as_ref().map(|a| a.marker)
     }
 }

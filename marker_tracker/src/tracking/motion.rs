@@ -36,7 +36,7 @@ impl Motion {
 }
 
 /// Pose of the platform in the last image and its last motion.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct PlatformMotion {
     /// `camera_from_volant`; `None` before acquisition and after loss.
     pub pose: Option<Isometry3<f64>>,
@@ -61,7 +61,7 @@ impl PlatformMotion {
 }
 
 /// Time between images.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct ImageInterval {
     last: Option<Stamp>,
     /// Before the last image, s; 0 before the second image.
@@ -73,16 +73,20 @@ impl ImageInterval {
     /// a row stays within them; beyond, constant velocity is no better than standing still.
     const RATIO: (f64, f64) = (0.2, 4.0);
 
-    /// Advances to the stamp of a new image; returns this interval over the previous one.
-    pub fn advance(&mut self, stamp: Stamp) -> f64 {
-        let elapsed = self.last.map(|last| stamp.seconds_since(last));
-        let ratio = match elapsed {
+    /// The interval up to an image of this stamp over the previous one.
+    pub fn ratio(&self, stamp: Stamp) -> f64 {
+        match self.last.map(|last| stamp.seconds_since(last)) {
             Some(dt) if self.seconds > 0.0 => {
                 (dt / self.seconds).clamp(Self::RATIO.0, Self::RATIO.1)
             }
             _ => 1.0,
-        };
-        self.seconds = elapsed.unwrap_or(0.0);
+        }
+    }
+
+    /// Advances to the stamp of a new image; returns its [`ratio`](Self::ratio).
+    pub fn advance(&mut self, stamp: Stamp) -> f64 {
+        let ratio = self.ratio(stamp);
+        self.seconds = self.last.map_or(0.0, |last| stamp.seconds_since(last));
         self.last = Some(stamp);
         ratio
     }

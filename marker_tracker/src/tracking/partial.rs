@@ -4,7 +4,7 @@
 use crate::{
     appearance::Appearance,
     config::TrackerConfig,
-    image::ImageView,
+    image::Pixels,
     outline::QuadFit,
     scan::Palette,
     signal::Sampler,
@@ -28,7 +28,7 @@ const UNKNOWN: Tolerance = Tolerance { half_width: 5.0, slope: 0.1, rows: KNOWN.
 
 /// Search for the markers that were not measured as a whole.
 pub(super) struct PartialSearch<'a, 'p> {
-    image: &'a ImageView<'p>,
+    image: &'a Pixels<'p>,
     camera: &'a CameraModel,
     pose: &'a Isometry3<f64>,
     whole: &'a Fits,
@@ -40,7 +40,7 @@ pub(super) struct PartialSearch<'a, 'p> {
 impl<'a, 'p> PartialSearch<'a, 'p> {
     /// Prepares the search at `pose`, which the markers in `whole` determine.
     pub fn new(
-        image: &'a ImageView<'p>,
+        image: &'a Pixels<'p>,
         camera: &'a CameraModel,
         pose: &'a Isometry3<f64>,
         whole: &'a Fits,

@@ -1,7 +1,12 @@
 //! Detection of repeated images: a camera that hangs sends the same image again, byte for byte,
 //! including its noise. Such an image is no measurement.
 
-use crate::{image::ImageView, signal::Sampler, tracking::marker::MarkerTrack};
+use crate::{
+    decode::decode_compressed,
+    image::{ImageView, Pixels},
+    signal::Sampler,
+    tracking::marker::MarkerTrack,
+};
 use rig_model::PerColor;
 
 /// Number of places that are compared, and bytes of each. With sensor noise of one gray value the
@@ -12,7 +17,8 @@ const BYTES: usize = 48;
 /// Compares each image with its predecessor.
 #[derive(Clone, Debug)]
 pub(super) struct RepeatDetector {
-    /// Width, height and bytes per pixel of the sampled image.
+    /// Width, height and bytes per pixel of the sampled image; 0 where only a part of it was
+    /// decoded.
     size: [usize; 3],
     bytes: [[u8; BYTES]; PLACES],
     /// Number of consecutive repetitions.
@@ -28,12 +34,25 @@ impl Default for RepeatDetector {
 impl RepeatDetector {
     /// Whether the image is a copy of its predecessor: in places all over it and in every pixel of
     /// the tracked outlines. (A drawn scene without noise may stand still except for the markers.)
-    pub fn is_repeated(&mut self, image: &ImageView<'_>, tracks: &PerColor<MarkerTrack>) -> bool {
-        let repeated = self.is_sample_repeated(image)
-            && tracks.0.iter().all(|track| {
-                let Some(appearance) = &track.appearance else { return true };
-                track.features.is_unchanged(&Sampler::new(image, &appearance.discriminant))
-            });
+    pub fn is_repeated(&mut self, image: &Pixels<'_>, tracks: &PerColor<MarkerTrack>) -> bool {
+        let unchanged = tracks.0.iter().all(|track| {
+            let Some(appearance) = &track.appearance else { return true };
+            track.features.is_unchanged(&Sampler::new(image, &appearance.discriminant))
+        });
+        if image.coverage().is_some() {
+            if unchanged {
+                image.need_all();
+            }
+            (self.size, self.count) = ([0; 3], 0);
+            return false;
+        }
+        if unchanged
+            && self.size == [0; 3]
+            && let Some(previous) = image.previous.and_then(|p| decode_compressed("", p).ok())
+        {
+            self.is_sample_repeated(&previous.view(image.stamp));
+        }
+        let repeated = self.is_sample_repeated(image) && unchanged;
         self.count = if repeated { self.count.saturating_add(1) } else { 0 };
         repeated
     }

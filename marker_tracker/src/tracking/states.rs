@@ -3,7 +3,7 @@
 
 use crate::{
     config::TrackerConfig,
-    image::ImageView,
+    image::Pixels,
     outline::QuadFit,
     signal::Sampler,
     tracking::{marker::MarkerTrack, outcome::Outcome},
@@ -85,7 +85,7 @@ impl MarkerTrack {
     /// The observation of a measured marker; `flow`: its displacement since the last image, px.
     pub fn conclude_detected(
         &mut self,
-        image: &ImageView<'_>,
+        image: &Pixels<'_>,
         fit: &QuadFit,
         flow: Vector2<f64>,
     ) -> MarkerObservation {

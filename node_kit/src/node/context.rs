@@ -51,22 +51,32 @@ impl<I: Send + 'static> DerefMut for NodeContext<I> {
 
 /// Result of a subscription's closure.
 pub trait IntoInput<I> {
-    /// Returns the input.
+    /// Returns the input; `None` for a message that is only counted.
     ///
     /// # Errors
     /// Why the message is rejected; an empty text is not logged.
-    fn into_input(self) -> Result<I, String>;
+    fn into_input(self) -> Result<Option<I>, String>;
 }
 
 impl<I> IntoInput<I> for Option<I> {
-    fn into_input(self) -> Result<I, String> {
-        self.ok_or_else(String::new)
+    fn into_input(self) -> Result<Option<I>, String> {
+        self.map(Some).ok_or_else(String::new)
     }
 }
 
 impl<I, E: Display> IntoInput<I> for Result<I, E> {
-    fn into_input(self) -> Result<I, String> {
-        self.map_err(|e| e.to_string())
+    fn into_input(self) -> Result<Option<I>, String> {
+        self.map(Some).map_err(|e| e.to_string())
+    }
+}
+
+/// The input of a message that changes something; others are only counted.
+#[derive(Debug)]
+pub struct IfChanged<R>(pub Option<R>);
+
+impl<I, R: IntoInput<I>> IntoInput<I> for IfChanged<R> {
+    fn into_input(self) -> Result<Option<I>, String> {
+        self.0.map_or(Ok(None), R::into_input)
     }
 }
 
@@ -134,7 +144,8 @@ impl<I: Send + 'static> NodeContext<I> {
             preset.qos(Endpoint::Subscription),
             expected,
             move |source, name, m| match make(Arc::clone(m)).into_input() {
-                Ok(input) => inbox.put(source, Event::Input(input), now()),
+                Ok(Some(input)) => inbox.put(source, Event::Input(input), now()),
+                Ok(None) => inbox.touch(source, now()),
                 Err(reason) => {
                     inbox.refuse(source);
                     if !reason.is_empty() {

@@ -1,6 +1,7 @@
 //! Nodes on DDS: a node implements [`NodeShell`] and works with its [`NodeContext`]; [`run_node`]
 //! is a binary's whole `main`, and a [`Process`] holds several nodes.
 
+mod camera;
 mod clock;
 mod context;
 mod control_services;
@@ -32,8 +33,9 @@ mod tf;
 mod timers;
 mod wire;
 
+pub use camera::CameraChanges;
 pub use clock::{Clock, ClockWatch};
-pub use context::{IntoInput, NodeContext};
+pub use context::{IfChanged, IntoInput, NodeContext};
 pub use devices::DeviceSender;
 pub use diagnostics::Health;
 pub use endpoints::with_type_hash;

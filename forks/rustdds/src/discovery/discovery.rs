@@ -738,6 +738,7 @@ impl Discovery {
           return;
         }
       }
+      self.waker.rearm();
       if events.is_empty() {
         debug!("Discovery event loop idling.");
       }

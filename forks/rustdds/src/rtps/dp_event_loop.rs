@@ -310,6 +310,8 @@ impl DPEventLoop {
           break;
         }
       }
+      // Packets and timers enqueue for this same iteration.
+      ev_wrapper.waker.hold();
 
       // liveness watchdog
       let now = Instant::now();
@@ -371,6 +373,7 @@ impl DPEventLoop {
       }
 
       ev_wrapper.drain_timers(preparing_to_stop);
+      ev_wrapper.waker.rearm();
       if ev_wrapper.drain_queues(
         &mut readers_to_remove,
         &mut writers_to_remove,

@@ -5,6 +5,7 @@ use std::{
   ops::Bound::Included,
   rc::Rc,
   sync::{atomic, mpsc::TrySendError},
+  time::Instant,
 };
 
 #[allow(unused_imports)]
@@ -136,6 +137,8 @@ pub(crate) struct WriterIngredients {
 pub(crate) struct Writer {
   pub endianness: Endianness,
   pub heartbeat_message_counter: atomic::AtomicI32,
+  /// When a HEARTBEAT with a sample last requested ACKNACKs.
+  last_acknack_request: Option<Instant>,
   /// Configures the mode in which the
   /// Writer operates. If
   /// pushMode==true, then the Writer
@@ -333,6 +336,7 @@ impl Writer {
     Self {
       endianness: Endianness::LittleEndian,
       heartbeat_message_counter: atomic::AtomicI32::new(1),
+      last_acknack_request: None,
       push_mode: true,
       heartbeat_period,
       heartbeat_period_fast,
@@ -639,6 +643,32 @@ impl Writer {
     }
   }
 
+  // Whether readers may leave the ACKNACK of the next samples to a later HEARTBEAT. (A reader that
+  // misses a sample answers at once in any case.) An ACKNACK to each sample is as much traffic, and
+  // wakes both sides as often, as the samples themselves.
+  //
+  // One is requested per fast heartbeat period, with every sample of a slower topic, and while the
+  // window of unacknowledged samples is filled by a quarter, so that it never fills.
+  fn acknack_can_wait(&mut self) -> bool {
+    let now = Instant::now();
+    if self.was_acknack_requested(now)
+      && !self.my_guid.entity_id.kind().is_built_in()
+      && self.send_buffer.is_mostly_acked()
+    {
+      return true;
+    }
+    self.last_acknack_request = Some(now);
+    false
+  }
+
+  // Whether an ACKNACK was requested within the fast heartbeat period.
+  fn was_acknack_requested(&self, now: Instant) -> bool {
+    let period = std::time::Duration::from(HEARTBEAT_PERIOD_FAST);
+    self
+      .last_acknack_request
+      .is_some_and(|at| now.duration_since(at) < period)
+  }
+
   // Item 1: is this sample eligible for the DATA-coalescing fast path?
   // We only coalesce unfragmented samples that go to every matched reader
   // (multicast-to-all). Fragmented or single-reader samples keep the existing
@@ -742,6 +772,7 @@ impl Writer {
 
     // One trailing HEARTBEAT for the whole datagram (reliable writers only).
     if hb_reserve > 0 {
+      let acknack_can_wait = self.acknack_can_wait();
       builder = builder.heartbeat_msg(
         self.entity_id(),
         self.send_buffer.first_change_sequence_number(),
@@ -749,7 +780,7 @@ impl Writer {
         self.next_heartbeat_count(),
         self.endianness,
         EntityId::UNKNOWN, // to all readers
-        false,             // final_flag: request ACKNACK
+        acknack_can_wait,  // final_flag: false requests an ACKNACK
         false,             // liveliness_flag
       );
     }
@@ -1078,6 +1109,13 @@ impl Writer {
       .all(|rp| last_change < rp.all_acked_before)
     {
       trace!("heartbeat tick: all readers have all available data.");
+      false
+    } else if !is_manual_assertion
+      && !self.my_guid.entity_id.kind().is_built_in()
+      && self.was_acknack_requested(Instant::now())
+      && self.send_buffer.is_mostly_acked()
+    {
+      // Samples that were sent meanwhile. The next ones, or the next tick, request an ACKNACK.
       false
     } else {
       // the interface to .heartbeat_msg is silly: we give ref to ourself

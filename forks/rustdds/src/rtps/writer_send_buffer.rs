@@ -29,6 +29,8 @@ pub(crate) enum Admission {
 // i.e. whenever a previously-blocked producer (or a `wait_for_acknowledgments`
 // waiter) might be able to make progress.
 struct Inner {
+  // Threads that wait for `progress`.
+  parked: usize,
   // --- the send buffer proper (replaces the old HistoryBuffer) ---
   // Keyed by SequenceNumber, which is allocated here under the lock and is thus
   // strictly monotonic and unique. This is the single source of truth for the
@@ -121,6 +123,7 @@ impl WriterSendBuffer {
     Self {
       shared: Arc::new(Shared {
         inner: Mutex::new(Inner {
+          parked: 0,
           changes: BTreeMap::new(),
           first_seq: SequenceNumber::new(1),
           last_seq: SequenceNumber::new(0),
@@ -187,7 +190,10 @@ impl WriterSendBuffer {
     for w in inner.wakers.drain(..) {
       w.wake();
     }
-    progress.notify_all();
+    // Without a waiter this would still be a system call.
+    if inner.parked > 0 {
+      progress.notify_all();
+    }
   }
 
   // --- producer side ---
@@ -216,6 +222,7 @@ impl WriterSendBuffer {
         return Admission::Admitted(seq);
       }
       // Window full: wait for an acknowledgement to free up space.
+      inner.parked += 1;
       match deadline {
         None => {
           inner = shared.progress.wait(inner).unwrap();
@@ -223,6 +230,7 @@ impl WriterSendBuffer {
         Some(deadline) => {
           let now = Instant::now();
           if now >= deadline {
+            inner.parked -= 1;
             return Admission::WouldBlock;
           }
           let (guard, _timeout_result) =
@@ -230,6 +238,7 @@ impl WriterSendBuffer {
           inner = guard;
         }
       }
+      inner.parked -= 1;
     }
   }
 
@@ -351,6 +360,13 @@ impl WriterSendBuffer {
     }
   }
 
+  /// Whether less than a quarter of the window of unacknowledged samples is filled.
+  pub fn is_mostly_acked(&self) -> bool {
+    let inner = self.shared.inner.lock().unwrap();
+    let unacked = i64::from(inner.last_seq) - i64::from(inner.acked_before) + 1;
+    unacked * 4 < inner.window_limit as i64
+  }
+
   /// The sequence number of the latest allocated sample (0 if none yet).
   pub fn last_change_sequence_number(&self) -> SequenceNumber {
     self.shared.inner.lock().unwrap().last_seq
@@ -418,8 +434,10 @@ impl WriterSendBuffer {
       if now >= deadline {
         return false;
       }
+      inner.parked += 1;
       let (guard, _to) = shared.progress.wait_timeout(inner, deadline - now).unwrap();
       inner = guard;
+      inner.parked -= 1;
     }
   }
 

@@ -13,7 +13,7 @@ use crate::{
     config::{BinaryThreshold, Method, TrackerConfig},
     debug_view::MarkerView,
     engine::Engine,
-    image::ImageView,
+    image::{self, ImageView},
     tracking::Outcome,
 };
 use binary::{Binarizer, Pixels};
@@ -141,7 +141,7 @@ impl PaperTracker {
 }
 
 impl Engine for PaperTracker {
-    fn process(&mut self, image: &ImageView<'_>) -> Result<MarkerObservations, String> {
+    fn process(&mut self, image: &image::Pixels<'_>) -> Result<MarkerObservations, String> {
         let markers = self.track(image).map_err(|e| e.to_string())?;
         Ok(MarkerObservations { stamp: image.stamp, markers })
     }

@@ -1,0 +1,102 @@
+//! A compressed image, decoded as far as the tracker needs it.
+
+use crate::{
+    decode::{decode_compressed_into, is_jpeg, jpeg},
+    image::{ImageError, ImageView, OwnedImage, Pixels, Window},
+    tracker::Tracker,
+};
+use rig_model::Stamp;
+
+/// Decodes the compressed images of one camera; its memory is reused from image to image.
+#[derive(Debug, Default)]
+pub struct Decoder {
+    image: OwnedImage,
+    windows: jpeg::WindowDecoder,
+    /// The last image that the tracker has processed, as it was compressed, where only a part of it
+    /// was decoded.
+    previous: Vec<u8>,
+}
+
+/// A compressed image with the pixels that have been decoded.
+#[derive(Debug)]
+pub struct PartialImage<'a> {
+    stamp: Stamp,
+    format: &'a str,
+    data: &'a [u8],
+    decoder: &'a mut Decoder,
+    /// The decoded windows; `None` where everything is.
+    windows: Option<[Window; 4]>,
+}
+
+impl Decoder {
+    /// Decodes a compressed image: of a JPEG only what `tracker` will probably read, where one is
+    /// given. `stamp`: middle of the exposure; the others as in
+    /// [`decode_compressed`](crate::decode_compressed).
+    ///
+    /// # Errors
+    /// As [`decode_compressed`](crate::decode_compressed).
+    pub fn decode<'a>(
+        &'a mut self,
+        stamp: Stamp,
+        format: &'a str,
+        data: &'a [u8],
+        tracker: Option<&Tracker>,
+    ) -> Result<PartialImage<'a>, ImageError> {
+        let windows = match tracker.and_then(|t| t.windows(stamp)) {
+            Some(windows) if is_jpeg(data) => {
+                self.windows.decode(data, &windows, &mut self.image)?
+            }
+            _ => {
+                decode_compressed_into(format, data, &mut self.image)?;
+                None
+            }
+        };
+        Ok(PartialImage { stamp, format, data, decoder: self, windows })
+    }
+}
+
+impl PartialImage<'_> {
+    /// The whole image.
+    ///
+    /// # Errors
+    /// As [`decode_compressed`](crate::decode_compressed).
+    pub fn whole(&mut self) -> Result<ImageView<'_>, ImageError> {
+        if self.windows.take().is_some() {
+            decode_compressed_into(self.format, self.data, &mut self.decoder.image)?;
+        }
+        Ok(self.view())
+    }
+
+    /// Whether only some windows of it are decoded.
+    pub fn is_partial(&self) -> bool {
+        self.windows.is_some()
+    }
+
+    /// Width and height, px.
+    pub fn size(&self) -> (usize, usize) {
+        (self.decoder.image.width, self.decoder.image.height)
+    }
+
+    /// The image, of which only some windows may be decoded.
+    pub(crate) fn view(&self) -> ImageView<'_> {
+        self.decoder.image.view(self.stamp)
+    }
+
+    /// The windows, where the image is not decoded as a whole.
+    pub(crate) fn windows(&self) -> Option<Pixels<'_>> {
+        self.windows.map(|windows| Pixels::partial(self.view(), windows))
+    }
+
+    /// The pixels of an image that is decoded as a whole.
+    pub(crate) fn pixels(&self) -> Pixels<'_> {
+        Pixels::whole(self.view(), Some(&self.decoder.previous))
+    }
+
+    /// Makes this image the previous one.
+    pub(crate) fn keep(&mut self) {
+        self.decoder.previous.clear();
+        if self.windows.is_some() {
+            self.decoder.previous.extend_from_slice(self.data);
+        }
+    }
+}
