@@ -6,15 +6,12 @@ it: Gaussian, plus photon noise that grows with brightness.
 """
 
 import io
-import os
 
-os.environ.setdefault("MUJOCO_GL", "osmesa")  # before mujoco is imported: software, no display
-
-import mujoco
 import numpy as np
 from PIL import Image
 
 import crane as c
+from crane import mujoco
 
 READ_NOISE = 1.2  # gray values in the dark
 SHOT_NOISE = 0.02  # variance per gray value

@@ -9,8 +9,12 @@ Frames as in the contract: `world`, `climber`, `camera_optical`, `volant`, `imu`
 coordinates of b to a. Quaternions are w, x, y, z, as in MuJoCo.
 """
 
+import os
 from collections import deque
 from dataclasses import dataclass
+
+# Read when mujoco is imported: images in software, without a display.
+os.environ.setdefault("MUJOCO_GL", "osmesa")
 
 import mujoco
 import numpy as np
@@ -300,13 +304,24 @@ class Crane:
         down = from_vector(angle * np.array([np.sin(direction), -np.cos(direction), 0.0]))
         hook = np.array([0.0, 0.0, HEIGHT]) + CLIMBER_ATTACHMENT
         hook = hook + rotate(down, [0.0, 0.0, -(ROPE + stretch)])
+        # The center of mass hangs below the hook.
+        lever = self._center_of_mass() - PLATFORM_ATTACHMENT
+        lean = from_vector(np.cross(lever, [0.0, 0.0, -1.0]) / np.linalg.norm(lever))
+        posture = multiply(down, lean)
         q = self._platform
-        self.data.qpos[q : q + 3] = hook - rotate(down, PLATFORM_ATTACHMENT)
-        self.data.qpos[q + 3 : q + 7] = down
+        self.data.qpos[q : q + 3] = hook - rotate(posture, PLATFORM_ATTACHMENT)
+        self.data.qpos[q + 3 : q + 7] = posture
         self.data.mocap_pos[self._hand] = self.data.qpos[q : q + 3]
-        self.data.mocap_quat[self._hand] = down
+        self.data.mocap_quat[self._hand] = posture
         self.data.qvel[:] = 0.0
         mujoco.mj_forward(self.model, self.data)
+
+    def _center_of_mass(self):
+        """Center of mass of the platform with its payload, volant frame, m."""
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        turned = conjugate(self.data.xquat[self._body])
+        return rotate(turned, self.data.subtree_com[self._body] - self.data.xpos[self._body])
 
     def weight(self):
         """Weight of the platform with its payload, N."""
