@@ -69,6 +69,32 @@ class Processes:
             command += ["-r", "/tf:=truth/tf"]
         self.start("swing_control", command)
 
+    def settled(self, name):
+        """Whether a process has read all datagrams and all its threads sleep: it has processed
+        what was sent to it."""
+        process = f"/proc/{self.running[name].pid}"
+        sockets = set()
+        for entry in os.scandir(f"{process}/fd"):
+            try:
+                target = os.readlink(entry.path)
+            except FileNotFoundError:
+                continue
+            if target.startswith("socket:["):
+                sockets.add(target[8:-1])
+        with open(f"{process}/net/udp", encoding="ascii") as table:
+            for row in table.readlines()[1:]:
+                fields = row.split()
+                if fields[9] in sockets and not fields[4].endswith(":00000000"):
+                    return False
+        for task in os.listdir(f"{process}/task"):
+            try:
+                with open(f"{process}/task/{task}/stat", encoding="ascii") as stat:
+                    if stat.read().rpartition(")")[2].split()[0] == "R":
+                        return False
+            except FileNotFoundError:
+                continue  # the thread has ended
+        return True
+
     def check(self):
         """Raises if a process has ended."""
         for name, process in self.running.items():

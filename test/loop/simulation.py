@@ -207,17 +207,17 @@ class Simulation:
                 self.record.samples.append(at)
         while self.line and self.line[0][0] < now + c.STEP:
             arrival, data = self.line.popleft()
-            # Were the second message late, the arrival would be early by 0.1 ms only.
-            self.hardware.publish("clock", h.clock(arrival - 1e-4))
-            self.pause(0.0005)
             self.hardware.publish("clock", h.clock(arrival))
-            self.pause(0.001)
+            self.settle("imu_driver")
             self.port.write(data)
 
-    def pause(self, seconds):
-        """Real time for messages to arrive."""
-        time.sleep(seconds)
-        self.wall["waiting"] += seconds
+    def settle(self, name):
+        """Waits until a node has processed what was published. The driver fits its stamps to the
+        earliest arrivals: a single one on a /clock of before would move all of them."""
+        began = time.monotonic()
+        while not self.processes.settled(name) and time.monotonic() - began < PATIENCE:
+            time.sleep(0.0001)
+        self.wall["waiting"] += time.monotonic() - began
 
     # Loop
 
