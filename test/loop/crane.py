@@ -38,7 +38,7 @@ DRIVE_INTEGRAL = (6000.0, 4000.0, 300.0)  # N per m
 DRIVE_TIMEOUT = 0.1  # a drive without a new command stops after this, s
 THRUST_LIMIT = (8.0, 8.0, 1.5)  # N, N, N m in the volant frame
 THRUST_DEAD_TIME = 0.03  # from the command to the motor controllers' output, s
-THRUST_LAG = 0.04  # time constant of the propellers, s
+THRUST_LAG = 0.1  # time constant of the ducted fans, s
 
 COLORS = {  # muted paper, as on the rig
     "red": (0.77, 0.16, 0.23),

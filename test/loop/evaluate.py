@@ -102,3 +102,98 @@ def errors(record, name, truth):
         empty = np.zeros((0, 3))
         return Errors(np.zeros(0), empty, empty, np.zeros(0), np.zeros(0))
     return Errors(*(np.array(column) for column in zip(*rows)))
+
+
+def settling_time(record, truth):
+    """Time from the release, or from the push, until the swing stays below 1°, s."""
+    begin = record.episode.push[0] if record.episode.push else 0.0
+    late = truth.t[(truth.t >= begin) & (truth.swing > SETTLED)]
+    return float(late[-1] - begin) if len(late) else 0.0
+
+
+def waypoint_errors(record, truth):
+    """Distances of the platform's origin from its goal, m: over all legs, and after 4 s of each."""
+    goals = record.episode.goals
+    all_legs, arrived = [], []
+    for i, (begin, x, y, _) in enumerate(goals):
+        end = goals[i + 1][0] if i + 1 < len(goals) else record.episode.seconds
+        for wanted, errors_ in ((begin, all_legs), (begin + 4.0, arrived)):
+            keep = (truth.t >= wanted) & (truth.t < end)
+            errors_.append(np.hypot(truth.q[keep, 3] - x, truth.q[keep, 4] - y))
+    return np.concatenate(all_legs), np.concatenate(arrived)
+
+
+def rms(values):
+    """Root of the mean square; NaN of nothing."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else np.nan
+
+
+def command_steps(record, begin, end):
+    """Largest change of the commands from one cycle of 10 ms to the next: rails (m/s), thrust (N).
+    The cycles in which the controller stops or resumes are not counted."""
+    t = np.array([t for t, _ in record.commands])
+    u = np.array([u for _, u in record.commands])
+    change = np.abs(np.diff(u, axis=0))
+    keep = (t[1:] >= begin) & (t[1:] < end)
+    for stop, resumed in invalid_spans(record):
+        keep &= ~((t[1:] >= stop) & (t[1:] < resumed + 0.3))
+    change = change[keep]
+    return float(change[:, :2].max(initial=0)), float(change[:, 3:5].max(initial=0))
+
+
+def invalid_spans(record):
+    """Spans after the release in which the received status was not valid: (begin, end), s."""
+    spans, since = [], None
+    for t, message in record.received.get("status", []):
+        if t < 0:
+            continue
+        if not message.valid and since is None:
+            since = t
+        elif message.valid and since is not None:
+            spans.append((since, t))
+            since = None
+    if since is not None:
+        spans.append((since, record.episode.seconds))
+    return spans
+
+
+def stops(record):
+    """For each span without a valid pose: its length, the time until all commands are zero and,
+    after it, until one is not (s; NaN where that does not happen)."""
+    t = np.array([t for t, _ in record.commands])
+    u = np.array([u for _, u in record.commands])
+    moving = np.any(np.abs(u) > 1e-9, axis=1)
+    rows = []
+    for begin, end in invalid_spans(record):
+        zero = t[(t >= begin) & (t <= end + 0.02) & ~moving]
+        again = t[(t >= end) & moving]
+        rows.append((end - begin, zero[0] - begin if len(zero) else np.nan,
+                     again[0] - end if len(again) else np.nan))
+    return rows
+
+
+def stable(record):
+    """Whether the damping loop is stable: in the last 2 s the thrust is not that of a limit cycle
+    between its limits of 8 N (rms of the two axes below 3 N)."""
+    u = np.array([u for t, u in record.commands if t > record.episode.seconds - 2.0])
+    return rms(np.linalg.norm(u[:, 3:5], axis=1)) < 3.0
+
+
+def stamp_errors(record):
+    """Errors of the IMU driver's stamps, s: stamp minus the nearest sample's true time."""
+    true = np.array(record.samples)
+    stamps = [h.to_seconds(m.header.stamp) - record.released
+              for _, m in record.received.get("imu", [])]
+    return np.array([s - true[np.argmin(np.abs(true - s))] for s in stamps if s >= 0])
+
+
+def swing_errors(record, truth):
+    """Errors of `volant/swing`: angle of the rope against the vertical, degrees, and its length, m,
+    with the length of the loaded rope as truth."""
+    rows = []
+    for _, m in record.received.get("swing", []):
+        t = h.to_seconds(m.header.stamp) - record.released
+        if t >= 0:
+            angle = np.arctan(np.hypot(np.tan(m.angle_x), np.tan(m.angle_y)))
+            rows.append((np.degrees(angle) - truth.at(t, truth.swing), m.rope_length - c.ROPE))
+    return np.array(rows).reshape(-1, 2)

@@ -53,9 +53,9 @@ class Processes:
         self.start(name, command)
 
     def end(self, name):
-        """Ends one process by SIGINT."""
+        """Ends one process."""
         process = self.running.pop(name)
-        process.send_signal(signal.SIGINT)
+        process.terminate()
         process.wait(timeout=10)
 
     def start_controller(self, parameters, truth):
@@ -103,9 +103,10 @@ class Processes:
                 raise RuntimeError(f"{name} ended with status {process.returncode}; see {log}")
 
     def stop(self):
-        """Ends all processes by SIGINT; returns the exit status of each."""
-        for process in self.running.values():
-            process.send_signal(signal.SIGINT)
+        """Ends all processes; returns the exit status of each."""
+        for name, process in self.running.items():
+            # rclpy raises KeyboardInterrupt anywhere on SIGINT, and shuts down on SIGTERM.
+            process.send_signal(signal.SIGINT if name in NODES else signal.SIGTERM)
         status = {}
         for name, process in self.running.items():
             try:
