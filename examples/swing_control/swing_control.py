@@ -31,13 +31,15 @@ resumes by itself as soon as `valid` is true.
 """
 
 import math
+import signal
 
 import numpy as np
 import rclpy
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from nav_msgs.msg import Odometry
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 from tf2_msgs.msg import TFMessage
 from volant_msgs.msg import PoseStatus
@@ -63,8 +65,8 @@ PARAMETERS = {
     "heading_damping": 0.35,  # d_h, N m s/rad
     "torque_limit": 0.6,  # N m
     "torque_rate_limit": 8.0,  # N m/s
-    "status_timeout": 0.15,  # s; the status comes at 10 Hz at least
-    "odometry_timeout": 0.15,  # s; without IMU the odometry comes at the image rate
+    "status_timeout": 0.2,  # s; the status comes at 10 Hz at least
+    "odometry_timeout": 0.2,  # s; it pauses for 0.15 s where the IMU falls silent
     "tf_timeout": 0.3,  # s
 }
 
@@ -126,8 +128,8 @@ def wanted_commands(p, platform, climber, goal, rails):
     low, high = np.array(p["rail_ends"]) + [p["rail_margin"], -p["rail_margin"]]
     brake = lambda room: np.sqrt(2 * 0.5 * p["acceleration_limit"] * np.maximum(room, 0.0))
     speed = np.clip(speed, -brake(place - low), brake(high - place))
-    drift = world_from_volant @ velocity
-    force = np.array([*(-p["damping"] * (drift[:2] - rails)), 0.0])
+    drift = (world_from_volant @ velocity)[:2] - rails
+    force = np.array([*(-p["damping"] * drift), 0.0])
     error = wrapped(target_heading - heading(world_from_volant))
     return np.array([
         *speed,
@@ -191,8 +193,7 @@ class SwingControl(Node):
         self.control()
 
     def watch(self):
-        since = (self.get_clock().now() - self.commanded_at).nanoseconds * 1e-9
-        if since > 0.04:
+        if (self.get_clock().now() - self.commanded_at).nanoseconds > 40_000_000:
             self.control()
 
     def obstacle(self):
@@ -209,18 +210,17 @@ class SwingControl(Node):
         seconds = min(max((now - self.commanded_at).nanoseconds * 1e-9, 0.0), 0.05)
         self.commanded_at = now
         why = self.obstacle()
-        # The reason of a stop contains figures: only its begin and end are logged.
-        if bool(why) != bool(self.stopped_because):
+        if bool(why) != bool(self.stopped_because):  # its figures change all the time
             self.get_logger().info(f"stopped: {why}" if why else "in control")
         self.stopped_because = why
-        values = self.commands.approach(np.zeros(6) if why else self.wanted(), seconds)
-        twist = TwistStamped()
-        twist.header.stamp = now.to_msg()
-        twist.header.frame_id = "world"
+        self.publish(self.commands.approach(np.zeros(6) if why else self.wanted(), seconds))
+
+    def publish(self, values):
+        """Publishes the six commands."""
+        twist, wrench = TwistStamped(), WrenchStamped()
+        twist.header.stamp = wrench.header.stamp = self.get_clock().now().to_msg()
+        twist.header.frame_id, wrench.header.frame_id = "world", "volant"
         twist.twist.linear.x, twist.twist.linear.y, twist.twist.angular.z = map(float, values[:3])
-        wrench = WrenchStamped()
-        wrench.header.stamp = now.to_msg()
-        wrench.header.frame_id = "volant"
         wrench.wrench.force.x, wrench.wrench.force.y = map(float, values[3:5])
         wrench.wrench.torque.z = float(values[5])
         self.cmd_vel.publish(twist)
@@ -243,11 +243,16 @@ class SwingControl(Node):
 
 
 def main():
-    rclpy.init()
-    try:
-        rclpy.spin(SwingControl())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+    # Own handlers, so that zero commands are the last ones.
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node, executor, ending = SwingControl(), SingleThreadedExecutor(), []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ending.append(True))
+    executor.add_node(node)
+    while not ending:
+        executor.spin_once(timeout_sec=0.1)
+    node.publish(np.zeros(6))
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

@@ -129,16 +129,25 @@ def rms(values):
 
 
 def command_steps(record, begin, end):
-    """Largest change of the commands from one cycle of 10 ms to the next: rails (m/s), thrust (N).
-    The cycles in which the controller stops or resumes are not counted."""
-    t = np.array([t for t, _ in record.commands])
-    u = np.array([u for _, u in record.commands])
-    change = np.abs(np.diff(u, axis=0))
-    keep = (t[1:] >= begin) & (t[1:] < end)
-    for stop, resumed in invalid_spans(record):
-        keep &= ~((t[1:] >= stop) & (t[1:] < resumed + 0.3))
-    change = change[keep]
-    return float(change[:, :2].max(initial=0)), float(change[:, 3:5].max(initial=0))
+    """Largest change of the commands per 10 ms: rails (m/s), thrust (N). While the controller stops
+    and 0.3 s after it resumes no change is counted."""
+    spans = invalid_spans(record)
+    largest = []
+    for name, values in (
+        ("cmd_vel", lambda m: (m.twist.linear.x, m.twist.linear.y)),
+        ("cmd_thrust", lambda m: (m.wrench.force.x, m.wrench.force.y)),
+    ):
+        rows = {h.to_seconds(m.header.stamp) - record.released: values(m)
+                for _, m in record.received.get(name, [])}
+        t = np.array(sorted(rows))
+        u = np.array([rows[at] for at in t]).reshape(-1, 2)
+        # A command after a longer pause may change by as much more.
+        change = np.abs(np.diff(u, axis=0)) / np.maximum(np.diff(t) / 0.01, 1.0)[:, None]
+        keep = (t[1:] >= begin) & (t[1:] < end)
+        for stop, resumed in spans:
+            keep &= ~((t[1:] >= stop) & (t[1:] < resumed + 0.3))
+        largest.append(float(change[keep].max(initial=0)))
+    return tuple(largest)
 
 
 def invalid_spans(record):

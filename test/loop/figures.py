@@ -77,13 +77,15 @@ def fault_rows(truth, volant):
             "≤ 0.20 s, yes", f"{stop:.2f} s, {resume:.2f} s", bool(in_time and resume < 1.0)))
     if not e.stops(volant):
         rows.append(Row(f"{title}: the pose stays valid", "", "yes"))
-    # From the fault's begin until 2 s after its end.
-    ours, theirs = (e.command_steps(r, begin, end + 2.0) for r in (volant, truth))
     for k, what in enumerate(("rails, m/s", "thrust, N")):
-        ratio = ours[k] / theirs[k] if theirs[k] > 0 else np.nan
+        # In the whole episode; and from the fault's begin until 1 s after its end, where with the
+        # truth nothing happens.
+        ours, theirs = (e.command_steps(r, 0.0, np.inf)[k] for r in (volant, truth))
+        near, quiet = (e.command_steps(r, begin, end + 1.0)[k] for r in (volant, truth))
         rows.append(Row(
             f"{title}: largest command step in 10 ms ({what}), Volant over truth", "≤ 1.20",
-            f"{ratio:.2f} ({ours[k]:.3f} / {theirs[k]:.3f})", bool(ratio <= 1.2)))
+            f"{ours / theirs:.2f} ({ours:.3f} / {theirs:.3f}; about the fault {near:.3f} / "
+            f"{quiet:.3f})", ours <= 1.2 * theirs))
     return rows
 
 

@@ -132,8 +132,8 @@ class Mtx:
         if mid == REQ_CONFIGURATION:
             return self.configuration()
         if mid == GO_TO_MEASUREMENT:
-            # Samples lie on whole milliseconds of simulated time, as the physics do.
-            self.measuring_since = round(now + ACK_DELAY + 0.005, 3)
+            # Samples begin with a cycle of the simulation, so that its lock-step is simple.
+            self.measuring_since = np.ceil((now + ACK_DELAY + 0.005) * 100.0) / 100.0
             self.samples = 0
             return b""
         for setting, name, code in (

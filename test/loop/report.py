@@ -56,7 +56,8 @@ def ticks(low, high, count=4):
         if (high - low) / (step * factor) <= count + 0.5:
             step *= factor
             break
-    return np.arange(np.ceil(low / step) * step, high + step * 1e-6, step)
+    values = np.arange(np.ceil(low / step), np.floor(high / step + 1e-6) + 1) * step
+    return np.where(np.abs(values) < step * 1e-6, 0.0, values)  # no negative zero
 
 
 def panel(top, height, name, span, lines, shades, axis):
@@ -171,7 +172,7 @@ def film(record):
     columns = figures.series(record)
     keep = np.flatnonzero(columns["t"] >= 0)[::5]
     t = columns["t"][keep]
-    scale, ground = 105.0, 320.0
+    scale, ground = 98.0, 322.0
     side = lambda y, z: (240 + scale * y, ground - scale * z)
     above = lambda x, y: (720 + scale * y, 165 + scale * x)
     seconds = 2 * (t[-1] - t[0])
@@ -233,8 +234,8 @@ def film(record):
 {body_side.format(translated(low_side))}{ghost_side.format(translated(estimate_side))}
 {body_above.format(translated(low_above))}{ghost_above.format(translated(estimate_above))}
 {rope_line(tops_above, low_above)}
-<circle r="6" fill="var(--rope)">{translated(climber_above)}</circle>
-<text x="20" y="345">gray: truth; red outline: estimate; circles: goals; half speed</text></svg>"""
+<circle r="5" fill="var(--rope)">{translated(climber_above)}</circle>
+<text x="20" y="345">gray: truth; red outline: estimate; blue circles: goals; half speed</text></svg>"""
 
 
 def pictures(record):

@@ -45,6 +45,7 @@ class Record:
     received: dict = field(default_factory=dict)  # input → [(t of receipt, message)]
     samples: list = field(default_factory=list)  # times of IMU samples that were sent
     collided: bool = False
+    gaps: list = field(default_factory=list)  # when a node took longer than PATIENCE
     wall: dict = field(default_factory=dict)  # what took real time → s
     exits: dict = field(default_factory=dict)  # process → status
     restarts: list = field(default_factory=list)  # nodes that did not find /clock at once
@@ -248,6 +249,7 @@ class Simulation:
             if waited > PATIENCE:
                 for stream in late:
                     stream.give_up(now)
+                    self.record.gaps.append(now)
             time.sleep(0.0003)
 
     def command(self):
@@ -331,9 +333,10 @@ class Simulation:
             self.wall["physics"] += time.monotonic() - began
             if k == 6:
                 self.poll()
-        # A command follows each odometry; it is stamped with the time of its computation.
+        # A command follows each odometry. It is stamped with the time of its computation, which is
+        # later than the arrival of the IMU sample at 5 ms.
         for name in self.latest:
-            self.streams[name].expect(self.crane.time - 1e-6, self.crane.time - 0.008)
+            self.streams[name].expect(self.crane.time - 1e-6, self.crane.time - 0.0045)
         self.wait()
         self.command()
 
@@ -395,6 +398,7 @@ class Simulation:
         record.wall = self.wall | {"simulated": self.crane.time}
         record.truth = [(t - zero, q, v) for t, q, v in record.truth]
         record.commands = [(t - zero, u) for t, u in record.commands]
+        record.gaps = [t - zero for t in record.gaps]
         record.samples = [t - zero for t in record.samples]
         record.received = {
             name: [(t - zero, message) for t, message in messages]
