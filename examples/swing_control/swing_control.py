@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """Drives a platform on a rope to goals and damps its swing, with the pose that Volant estimates.
 
-An example to copy: it knows topics, /tf and `volant/status`, and nothing of the estimator.
+An example to copy: it knows topics, /tf and `volant/status`. Relative names: a namespace or a remap
+moves them.
 
-Subscriptions (relative names, so that a namespace or a remap moves them):
+Subscriptions:
     volant/odometry            nav_msgs/Odometry, world → volant; twist in volant axes
     volant/predicted_odometry  the same, ahead by pose_fusion's `prediction_horizon`; used instead
                                of volant/odometry with `use_prediction`
@@ -15,19 +16,16 @@ Publications:
     climber/cmd_vel            geometry_msgs/TwistStamped in world: speeds of the rails, linear.x
                                and linear.y (m/s), and of the turn, angular.z (rad/s)
     volant/cmd_thrust          geometry_msgs/WrenchStamped in volant: force.x, force.y (N) and
-                               torque.z (N m) of the platform's thrusters
-
+                               torque.z (N m) of the thrusters
 Control law, horizontal components in world axes:
     swing     d = p − h         platform minus the point h below the rope's upper end, m
     rails     u = k_p (g − h) + k_s d              limited in speed, acceleration and by the rails
     thrust    F = −D (v − u)                       v: velocity of the platform, m/s
     heading   τ = −k_h (ψ − ψ_g) − d_h ω_z         and the turn follows ψ_g
-Moving the rope's upper end after the swing (k_s) is damping of ratio k_s / 2ω for a pendulum of
-angular frequency ω; the thrusters add D / 2mω.
-
-Safety: while `valid` is false, or status, odometry or /tf are older than their timeouts, all
-commands go to zero with the same limits on their rates (0.4 m/s at 2.5 m/s² in 0.16 s). Control
-resumes by itself as soon as `valid` is true.
+Moving the rope's upper end after the swing damps a pendulum of angular frequency ω with the ratio
+k_s / 2ω; the thrusters add D / 2mω.
+Safety: while `valid` is false, or status, odometry or /tf are late, all commands go to zero within
+their limits on rates (0.4 m/s at 2.5 m/s² in 0.16 s). Control resumes when `valid` is true.
 """
 
 import math
@@ -47,8 +45,7 @@ from volant_msgs.msg import PoseStatus
 PARAMETERS = {
     "use_prediction": True,  # feedback from volant/predicted_odometry
     "climber_frame": "climber",
-    # Where the platform's origin hangs at rest, horizontally, in the climber frame, m.
-    "rest_offset": [0.0, 0.12],
+    "rest_offset": [0.0, 0.12],  # x, y of the platform at rest in the climber frame, m
     "rail_ends": [-1.2, 1.2],  # both rails, m
     "rail_margin": 0.05,  # kept from the ends, m
     "position_gain": 0.9,  # k_p, 1/s
@@ -86,11 +83,6 @@ def heading(matrix):
     return math.atan2(matrix[1, 0], matrix[0, 0])
 
 
-def wrapped(angle):
-    """The angle within ±π, rad."""
-    return math.remainder(angle, 2 * math.pi)
-
-
 class Commands:
     """Rail speeds, turn rate, forces and torque: five commands with limits and limited rates."""
 
@@ -114,26 +106,27 @@ def wanted_commands(p, platform, climber, goal, rails):
 
     platform: position (3,) and rotation (3, 3), world from volant; velocity and angular velocity
     (3,), volant axes. climber: position (2,), m, and heading, rad. goal: x, y (m), heading (rad)
-    or None. rails: speeds that are commanded now, (2,), m/s. Returns (6,): see [`Commands`].
+    or None. rails: speeds commanded now, (2,), m/s. Returns six commands as in `Commands`.
     """
     position, world_from_volant, velocity, angular_velocity = platform
     place, turn = climber
     c, s = math.cos(turn), math.sin(turn)
     below = place + np.array([[c, -s], [s, c]]) @ p["rest_offset"]
-    swing = position[:2] - below
     target, target_heading = (below, turn) if goal is None else (goal[:2], goal[2])
     travel = np.clip(p["position_gain"] * (target - below), -p["speed_limit"], p["speed_limit"])
-    speed = travel + p["swing_gain"] * swing
+    speed = travel + p["swing_gain"] * (position[:2] - below)
     # Never faster than what the acceleration limit stops before the end of a rail.
     low, high = np.array(p["rail_ends"]) + [p["rail_margin"], -p["rail_margin"]]
     brake = lambda room: np.sqrt(2 * 0.5 * p["acceleration_limit"] * np.maximum(room, 0.0))
     speed = np.clip(speed, -brake(place - low), brake(high - place))
-    drift = (world_from_volant @ velocity)[:2] - rails
-    force = np.array([*(-p["damping"] * drift), 0.0])
-    error = wrapped(target_heading - heading(world_from_volant))
+    force = np.zeros(3)
+    force[:2] = -p["damping"] * ((world_from_volant @ velocity)[:2] - rails)
+    # Within ±π: the short way.
+    error = math.remainder(target_heading - heading(world_from_volant), math.tau)
+    turn_error = math.remainder(target_heading - turn, math.tau)
     return np.array([
         *speed,
-        np.clip(p["turn_gain"] * wrapped(target_heading - turn), -1, 1),
+        p["turn_gain"] * turn_error,
         *(world_from_volant.T @ force)[:2],
         p["heading_gain"] * error - p["heading_damping"] * angular_velocity[2],
     ])
@@ -150,8 +143,7 @@ class SwingControl(Node):
         self.commands = Commands(self.p)
         self.odometry = self.status = self.climber = self.goal = None
         self.received = {}  # name of an input → time of its receipt
-        self.commanded_at = self.get_clock().now()
-        self.stopped_because = ""
+        self.commanded_at, self.stopped_because = self.get_clock().now(), ""
         odometry = "volant/predicted_odometry" if self.p["use_prediction"] else "volant/odometry"
         self.create_subscription(Odometry, odometry, self.on_odometry, 10)
         self.create_subscription(PoseStatus, "volant/status", self.on_status, 10)
@@ -163,7 +155,6 @@ class SwingControl(Node):
         self.create_timer(0.02, self.watch)
 
     def note(self, name):
-        """Notes that an input was received."""
         self.received[name] = self.get_clock().now()
 
     def age(self, name):
@@ -175,11 +166,11 @@ class SwingControl(Node):
         self.note("status")
         self.status = message
         if not message.valid:
-            self.control()  # do not wait for the next odometry
+            self.control()  # does not wait for the next odometry
 
     def on_goal(self, message):
-        pose = message.pose
-        self.goal = (pose.position.x, pose.position.y, heading(rotation(pose.orientation)))
+        place, attitude = message.pose.position, message.pose.orientation
+        self.goal = (place.x, place.y, heading(rotation(attitude)))
 
     def on_tf(self, message):
         for transform in message.transforms:

@@ -1,10 +1,10 @@
 """Closed loop of the live nodes on third-party physics: runs the episodes, writes the report.
 
-    python test/loop --out FOLDER [--only NAME,…] [--without-gains] [--seconds S]
+    python test/loop --out FOLDER [--only NAME,…] [--without-gains] [--seconds S] [--table FILE]
 
 Each episode runs with the truth as feedback and with Volant as feedback; the controller is the
-same (examples/swing_control). The folder gets report.html, figures.csv, one CSV per run, and the
-logs of all processes. A folder with anything else in it is refused; what an earlier run wrote is
+same (examples/swing_control). The folder gets report.html, figures.csv, per run a CSV and a film
+(SVG), and the logs of all processes. A folder with anything else in it is refused; what an earlier run wrote is
 removed. Exit status 0 when every figure is reached, 1 when one is not, 2 for a wrong command line.
 """
 
@@ -56,6 +56,8 @@ def main():
     parser.add_argument("--only", help="names of episodes, separated by commas")
     parser.add_argument("--without-gains", action="store_true",
                         help="leave out the search of the largest stable damping gains")
+    parser.add_argument("--table", help="also write the table of figures to this Markdown file; "
+                        "one that is there must have been written so")
     parser.add_argument("--seconds", type=float, help="shorten the episodes to this")
     parser.add_argument("--domain", type=int, default=20 + os.getpid() % 80,
                         help="DDS domain, below 102; by default it depends on the process")
@@ -66,6 +68,10 @@ def main():
         known = ", ".join(e.name for e in episodes.EPISODES)
         parser.error(f"no episode is named {', '.join(sorted(unknown))}; there are {known}")
     executables()
+    if options.table and not figures.replaceable(options.table):
+        print(f"test/loop: {options.table} was not written by this command; nothing is replaced: "
+              "give --table another name", file=sys.stderr)
+        return 1
     try:
         out = RunFolder(options.out)
     except (ForeignFile, OSError) as error:
@@ -84,9 +90,16 @@ def main():
             for predict in (False, True):
                 gains[predict] = largest_gain(predict, out.path, rig, options.domain, tried)
         rows = figures.table(pairs, gains)
+        for _, volant in pairs:
+            name = os.path.join(out.path, f"{volant.episode.name}.svg")
+            with open(name, "x", encoding="utf-8") as file:
+                file.write(report.film_file(volant))
         figures.write_table(rows, os.path.join(out.path, "figures.csv"))
         report.write(os.path.join(out.path, "report.html"), pairs, rows, gains, tried)
-        print(figures.as_text(rows))
+        text = figures.as_text(rows)
+        if options.table:
+            figures.write_page(options.table, text)
+        print(text)
         print(os.path.join(out.path, "report.html"))
     return 0 if all(row.holds is not False for row in rows) else 1
 

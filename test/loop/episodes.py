@@ -56,7 +56,7 @@ EPISODES = [
 
 def damping_episode(damping, predict):
     """Swing of 4° with this thruster damping (N s/m); the rails only hold their place."""
-    limits = {"damping": damping, "use_prediction": predict, "swing_gain": 0.0}
+    limits = {"damping": float(damping), "use_prediction": predict, "swing_gain": 0.0}
     return Episode(
         f"gain_{damping:.0f}_{'predicted' if predict else 'present'}",
         f"Damping {damping:.0f} N s/m", 6.0, angle=4.0,

@@ -238,6 +238,15 @@ def film(record):
 <text x="20" y="345">gray: truth; red outline: estimate; blue circles: goals; half speed</text></svg>"""
 
 
+def film_file(record):
+    """The film as an SVG file of its own."""
+    scheme = STYLE.split("body {")[0].replace(":root", "svg")
+    text = "text { font: 12px sans-serif; fill: var(--soft); } .name { fill: var(--ink); }"
+    return film(record).replace(
+        '<svg viewBox', '<svg xmlns="http://www.w3.org/2000/svg" viewBox', 1).replace(
+        ">", f"><style>{scheme}{text}</style>", 1)
+
+
 def pictures(record):
     """What the climber's camera saw, at 2 Hz."""
     out = []
