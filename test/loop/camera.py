@@ -1,8 +1,8 @@
 """Images of the climber's camera from MuJoCo's offscreen renderer.
 
 A pinhole camera without distortion, one instant per image (a short exposure, whose middle is the
-stamp), four samples a pixel and, with `SUPERSAMPLING` 2, sixteen. Noise is added as a sensor has
-it: Gaussian, plus photon noise that grows with brightness.
+stamp), four samples a pixel. Noise is added as a sensor has it: Gaussian, plus photon noise that
+grows with brightness.
 """
 
 import io
@@ -22,12 +22,9 @@ QUALITY = 90  # JPEG, color not subsampled
 class Camera:
     """Renders the crane."""
 
-    def __init__(self, crane, seed, supersampling=1):
+    def __init__(self, crane, seed):
         self.crane = crane
-        self.factor = supersampling
-        self.renderer = mujoco.Renderer(
-            crane.model, c.HEIGHT_PX * supersampling, c.WIDTH * supersampling
-        )
+        self.renderer = mujoco.Renderer(crane.model, c.HEIGHT_PX, c.WIDTH)
         flags = self.renderer.scene.flags
         flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
@@ -40,12 +37,7 @@ class Camera:
         self.crane.place_cover()
         mujoco.mj_forward(self.crane.model, self.crane.data)
         self.renderer.update_scene(self.crane.data, "climber_camera")
-        image = self.renderer.render()
-        if self.factor > 1:
-            f = self.factor
-            blocks = image.reshape(c.HEIGHT_PX, f, c.WIDTH, f, 3).astype(np.float32)
-            image = (blocks.mean(axis=(1, 3)) + 0.5).astype(np.uint8)
-        return image
+        return self.renderer.render()
 
     def shoot(self):
         """A JPEG of what the camera sees now."""

@@ -144,8 +144,8 @@ def model_xml(rig):
   <option timestep="{STEP}" integrator="RK4" gravity="0 0 -9.81" density="1.2"
     viscosity="1.8e-5"/>
   <visual>
-    <quality offsamples="4" shadowsize="0"/>
-    <global offwidth="1280" offheight="960"/>
+    <quality offsamples="4" shadowsize="0" numquads="1"/>
+    <global offwidth="{WIDTH}" offheight="{HEIGHT_PX}"/>
     <headlight ambient="0.55 0.55 0.55" diffuse="0 0 0" specular="0 0 0"/>
     <map znear="0.02" zfar="20"/>
     <scale framewidth="0.001"/>

@@ -25,7 +25,7 @@ IMAGE_BUDGET = 0.045  # from the exposure to the markers, s
 ENCODER_PERIOD = 20  # ms
 ENCODER_DELAY = 0.004  # s
 QUANTUM = (0.001, 0.001, np.radians(0.05))  # of the encoders: m, m, rad
-PATIENCE = 0.5  # real time that a stream may take before it counts as interrupted, s
+PATIENCE = 0.3  # real time that a stream may take before it counts as interrupted, s
 WARM_UP = 3.0  # without an estimator, s
 VALID_FOR = 1.5  # the pose must have been valid this long before the release, s
 LONGEST_WARM_UP = 20.0  # s
@@ -82,6 +82,11 @@ class Stream:
         self.give_up(now)
         return False
 
+    def miss(self, now):
+        """A message did not come: the next one in time counts again, a second miss is an outage."""
+        self.give_up(now)
+        self.streak = self.STREAK - 1
+
     def give_up(self, now):
         """The stream is interrupted: it is not waited for until it keeps pace again."""
         self.streak = 0
@@ -92,7 +97,7 @@ class Stream:
 class Simulation:
     """Runs one episode. `feedback` is "volant" or "truth"; with the truth no node runs."""
 
-    def __init__(self, episode, feedback, folder, rig, domain, seed=1, supersampling=1):
+    def __init__(self, episode, feedback, folder, rig, domain, seed=1):
         self.episode, self.feedback, self.rig = episode, feedback, rig
         self.random = np.random.default_rng(seed)
         self.crane = c.Crane(rig)
@@ -116,7 +121,7 @@ class Simulation:
         self.frozen = None
         self.wall = {"physics": 0.0, "images": 0.0, "waiting": 0.0, "pace": 0.0, "total": 0.0}
         if self.live:
-            self.camera = Camera(self.crane, seed, supersampling)
+            self.camera = Camera(self.crane, seed)
             self.port = mtx.Port(f"{folder}/mtx")
             self.mtx = mtx.Mtx(self.sample)
             self.biases = (
@@ -248,7 +253,7 @@ class Simulation:
                 return
             if waited > PATIENCE:
                 for stream in late:
-                    stream.give_up(now)
+                    stream.miss(now)
                     self.record.gaps.append(now)
             time.sleep(0.0003)
 
