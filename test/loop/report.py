@@ -2,8 +2,10 @@
 
 import base64
 import html
+import io
 
 import numpy as np
+from PIL import Image
 
 import crane as c
 import evaluate as e
@@ -251,7 +253,9 @@ def pictures(record):
     """What the climber's camera saw, at 2 Hz."""
     out = []
     for jpeg in record.film[:12]:
-        data = base64.b64encode(jpeg).decode()
+        small = io.BytesIO()
+        Image.open(io.BytesIO(jpeg)).reduce(2).save(small, "JPEG", quality=70)
+        data = base64.b64encode(small.getvalue()).decode()
         out.append(f'<img alt="image of the climber\'s camera" src="data:image/jpeg;base64,{data}">')
     return f'<div class="films">{"".join(out)}</div>'
 
