@@ -4,8 +4,8 @@
 
 Each episode runs with the truth as feedback and with Volant as feedback; the controller is the
 same (examples/swing_control). The folder gets report.html, figures.csv, per run a CSV and a film
-(SVG), and the logs of all processes. A folder with anything else in it is refused; what an earlier run wrote is
-removed. Exit status 0 when every figure is reached, 1 when one is not, 2 for a wrong command line.
+(SVG), and the logs of all processes. A folder with anything else in it is refused; what an earlier
+run wrote is removed. Exit status 0 when every figure is reached, 1 when one is not, 2 for a wrong command line.
 """
 
 import argparse

@@ -201,9 +201,9 @@ def film(record):
     low_side = [side(b, h) for b, h in zip(y, z)]
     low_above = [above(a, b) for a, b in zip(x, y)]
     hold = lambda values: np.where(np.isfinite(values), values, np.nan_to_num(values, nan=-9.0))
-    estimate_side = [side(b, h) for b, h in zip(hold(get("estimate_y")), hold(get("estimate_z")))]
-    estimate_above = [above(a, b) for a, b in zip(hold(get("estimate_x")),
-                                                  hold(get("estimate_y")))]
+    guess = {axis: hold(get(f"estimate_{axis}")) for axis in "xyz"}
+    estimate_side = [side(b, h) for b, h in zip(guess["y"], guess["z"])]
+    estimate_above = [above(a, b) for a, b in zip(guess["x"], guess["y"])]
     rope = lambda ends, k: [number(p[k]) for p in ends]
     tops_side = [side(b, c.HEIGHT) for b in top_y]
     tops_above = [above(a, b) for a, b in zip(top_x, top_y)]
@@ -237,7 +237,8 @@ def film(record):
 {body_above.format(translated(low_above))}{ghost_above.format(translated(estimate_above))}
 {rope_line(tops_above, low_above)}
 <circle r="5" fill="var(--rope)">{translated(climber_above)}</circle>
-<text x="20" y="345">gray: truth; red outline: estimate; blue circles: goals; half speed</text></svg>"""
+<text x="20" y="345">gray: truth; red outline: estimate; blue circles: goals; half speed</text>
+</svg>"""
 
 
 def film_file(record):
@@ -256,7 +257,8 @@ def pictures(record):
         small = io.BytesIO()
         Image.open(io.BytesIO(jpeg)).reduce(2).save(small, "JPEG", quality=70)
         data = base64.b64encode(small.getvalue()).decode()
-        out.append(f'<img alt="image of the climber\'s camera" src="data:image/jpeg;base64,{data}">')
+        out.append('<img alt="image of the climber\'s camera" '
+                   f'src="data:image/jpeg;base64,{data}">')
     return f'<div class="films">{"".join(out)}</div>'
 
 
@@ -303,7 +305,7 @@ def page(pairs, rows, gains, tried):
             f"<tr><td>{'predicted' if p else 'present'} odometry</td><td>{gain}</td>"
             f"<td>{'stable' if holds else 'limit cycle'}</td></tr>" for p, gain, holds in tried)
         parts.append("<h2>Largest stable damping gain</h2><table><thead><tr><th>feedback</th>"
-                     "<th>gain, N s/m</th><th></th></tr></thead><tbody>" + body + "</tbody></table>")
+                     f"<th>gain, N s/m</th><th></th></tr></thead><tbody>{body}</tbody></table>")
     for pair in pairs:
         parts.append(f"<h2>{html.escape(pair[0].episode.title)}</h2>")
         parts.append(film(pair[1]))
