@@ -5,11 +5,13 @@
 Each episode runs with the truth as feedback and with Volant as feedback; the controller is the
 same (examples/swing_control). The folder gets report.html, figures.csv, per run a CSV and a film
 (SVG), and the logs of all processes. A folder with anything else in it is refused; what an earlier
-run wrote is removed. Exit status 0 when every figure is reached, 1 when one is not, 2 for a wrong command line.
+run wrote is removed. Exit status 0 when every figure is reached, 1 when one is not, 2 for a wrong
+command line.
 """
 
 import argparse
 import os
+import signal
 import sys
 
 # Nodes and hardware are on this computer; also read by the nodes.
@@ -106,7 +108,17 @@ def main():
 
 if __name__ == "__main__":
     # The renderer's library hangs in its destructors on some systems; all files are written.
-    status = main()
+    # The nodes are ended then, as on SIGINT.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    try:
+        status = main()
+    except KeyboardInterrupt:
+        status = 130
+    except SystemExit as end:
+        status = end.code or 0
+    except RuntimeError as error:
+        print(f"test/loop: {error}", file=sys.stderr)
+        status = 1
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)
