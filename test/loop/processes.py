@@ -17,8 +17,8 @@ def executables():
     folder = os.environ.get("VOLANT_BIN") or os.path.join(ROOT, "target", "release")
     missing = [name for name in NODES if not os.path.isfile(os.path.join(folder, name))]
     if missing:
-        sys.exit(
-            f"test/loop: no {', '.join(missing)} in {folder}; build them with `cargo build "
+        raise RuntimeError(
+            f"no {', '.join(missing)} in {folder}; build them with `cargo build "
             "--release --workspace --bins`, or name their folder in VOLANT_BIN"
         )
     return folder
