@@ -129,6 +129,9 @@ def estimator_rows(pairs):
         rows.append(Row("real-time factor with the live nodes", "1, or lock-step",
                         f"{min(factors):.2f} to {max(factors):.2f}"
                         + ("" if min(factors) > 0.97 else ": lock-step")))
+        gaps = sum(len(v.gaps) for _, v in pairs)
+        rows.append(Row("messages that the lock-step waited for in vain (0.3 s of real time)", "",
+                        str(gaps)))
     return rows
 
 

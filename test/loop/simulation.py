@@ -69,12 +69,17 @@ class Stream:
     def note(self, stamp):
         """Notes a received stamp."""
         self.newest = max(self.newest, stamp)
+        self.settle()
+
+    def settle(self):
+        """Removes what has come; it may have come before it was expected."""
         while self.due and self.due[0][1] <= self.newest + 1e-3:
             self.due.popleft()
             self.streak += 1
 
     def late(self, now):
         """Whether to wait for a message. One that is missing without ends the streak."""
+        self.settle()
         if not self.due or self.due[0][0] > now:
             return False
         if self.streak >= self.STREAK:
