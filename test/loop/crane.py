@@ -367,6 +367,14 @@ class Crane:
         mujoco.mj_forward(self.model, self.data)
         return [self.data.sensordata[a : a + 3].copy() for a in self._sensors]
 
+    def attitude(self):
+        """Quaternion of the platform now, world from volant."""
+        return self.data.qpos[self._platform + 3 : self._platform + 7].copy()
+
+    def at_rail_end(self):
+        """Whether the climber touches the end of a rail."""
+        return bool(np.any(np.abs(self.data.qpos[self._q[:2]]) > RAIL - 1e-3))
+
     def truth(self):
         """Motion now."""
         data = self.data

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-import crane as c
 import evaluate as e
 
 # Figures of the recordings with truth (docs/src/figures.md, nominal, tight): mm, degrees, and the

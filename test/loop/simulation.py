@@ -148,8 +148,8 @@ class Simulation:
         keep = np.exp(-0.001)  # over 10 ms, with a time constant of 10 s
         self.wander = self.wander * keep + self.random.normal(size=3) * (
             ATTITUDE_ERROR * np.sqrt(1 - keep**2))
-        attitude = self.crane.data.qpos[self.crane._platform + 3 :][:4]
-        turned = c.multiply(self.heading, c.multiply(attitude, self.rig.imu[1]))
+        attitude = c.multiply(self.crane.attitude(), self.rig.imu[1])
+        turned = c.multiply(self.heading, attitude)
         return force, rate, c.multiply(c.from_vector(self.wander), turned)
 
     def within(self, interval):
@@ -337,8 +337,7 @@ class Simulation:
             if round(now * 1000) % 2 == 0:
                 data = self.crane.data
                 self.record.truth.append((now, data.qpos.copy(), data.qvel.copy()))
-                rails = data.qpos[self.crane._q[:2]]
-                self.record.collided |= bool(np.any(np.abs(rails) > c.RAIL - 1e-3))
+                self.record.collided |= self.crane.at_rail_end()
             self.crane.step()
             self.wall["physics"] += time.monotonic() - began
             if k == 6:

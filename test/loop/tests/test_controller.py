@@ -8,7 +8,6 @@ import numpy as np
 try:
     import rclpy
     import swing_control as sc
-    from rclpy.parameter import Parameter
     from volant_msgs.msg import PoseStatus
 except ImportError as error:
     raise unittest.SkipTest(f"{error}: test/loop/setup FOLDER makes an environment") from error
