@@ -28,8 +28,7 @@ ROPE_DAMPING = 60.0  # N s/m
 CLIMBER_ATTACHMENT = (0.0, 0.12, 0.0)  # climber frame, m
 PLATFORM_ATTACHMENT = (0.0, 0.0, 0.1)  # volant frame, m
 RAIL = 1.2  # the rails end at ± this, m
-# Weight and balance of the platform without the payload (volant frame).
-CENTER = (0.0, 0.0, -0.03)  # where the thrust acts, m
+CENTER = (0.0, 0.0, -0.03)  # where the thrust acts, near the center of mass, volant frame, m
 
 SPEED_LIMIT = (0.8, 0.8, 1.5)  # of the drives: m/s, m/s, rad/s
 FORCE_LIMIT = (250.0, 150.0, 15.0)  # of the motors: N, N, N m
