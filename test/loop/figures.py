@@ -12,6 +12,9 @@ import evaluate as e
 # range of NEES that the recordings' test accepts for 3 degrees of freedom.
 RECORDED = (0.4969, 0.06586)
 RATIO = 1.15
+# As `volant evaluate` does it for the recordings, errors are those without the first second, s: a
+# camera time offset is not observable at rest, and is found while the platform begins to move.
+FIRST = 1.0
 
 
 @dataclass
@@ -95,12 +98,13 @@ def estimator_rows(pairs):
     for _, volant in pairs:
         truth = e.TruthLine(volant)
         title, plain = volant.episode.title, not volant.episode.fault()
-        odometry = e.errors(volant, "odometry", truth).part(0.0, np.inf)
+        whole = e.errors(volant, "odometry", truth).part(0.0, np.inf)
+        odometry = whole.part(FIRST, np.inf)
         millimeters, degrees = odometry.rmse()
         position, rotation = odometry.nees()
         largest = odometry.largest()
         text = (f"{millimeters:.2f} mm, {degrees:.3f}° (largest {largest[0]:.1f} mm, "
-                f"{largest[1]:.2f}°)")
+                f"{largest[1]:.2f}°; with the first second {whole.rmse()[0]:.2f} mm)")
         near = millimeters <= RATIO * RECORDED[0] and degrees <= RATIO * RECORDED[1]
         rows.append(Row(
             f"{title}: RMSE of volant/odometry",
@@ -110,7 +114,7 @@ def estimator_rows(pairs):
         rows.append(Row(f"{title}: NEES of position, rotation", "0.5 to 6" if plain else "",
                         f"{position:.2f}, {rotation:.2f}", inside if plain else None))
         if plain:
-            ahead = e.errors(volant, "predicted", truth).part(0.0, np.inf)
+            ahead = e.errors(volant, "predicted", truth).part(FIRST, np.inf)
             position, rotation = ahead.nees()
             millimeters, degrees = ahead.rmse()
             rows.append(Row(
@@ -147,9 +151,10 @@ def write_table(rows, path):
 HEAD = """# Closed loop on third-party physics
 
 Written by `make loop TABLE=test/LOOP.md`. A crane in MuJoCo with the live nodes and
-`examples/swing_control`, each episode with the truth and with Volant as feedback. "Recorded" limits
-are 1.15 times the RMSE of the recording `nominal`, and the NEES that the tests of recordings allow
-(0.5 to 6); 3 is that of an exact covariance.
+`examples/swing_control`, each episode with the truth and with Volant as feedback. RMSE and NEES are
+required as in the recordings: 1.15 times the RMSE of `nominal`, and NEES from 0.5 to 6, where 3 is
+that of an exact covariance; without the first second after the release, in which the camera time
+offset is found.
 """
 
 
