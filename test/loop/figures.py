@@ -111,8 +111,8 @@ def estimator_rows(pairs):
             f"≤ {RATIO * RECORDED[0]:.2f} mm, {RATIO * RECORDED[1]:.3f}°" if plain else "",
             text, near if plain else None))
         inside = all(0.5 <= n <= 6.0 for n in (position, rotation))
-        rows.append(Row(f"{title}: NEES of position, rotation", "0.5 to 6" if plain else "",
-                        f"{position:.2f}, {rotation:.2f}", inside if plain else None))
+        rows.append(Row(f"{title}: NEES of position, rotation", "0.5 to 6",
+                        f"{position:.2f}, {rotation:.2f}", inside))
         if plain:
             ahead = e.errors(volant, "predicted", truth).part(FIRST, np.inf)
             position, rotation = ahead.nees()
