@@ -8,6 +8,7 @@
 # make reproduce   the paper's figures and tables, and the report: OUT=folder
 # make robustness  recordings that differ from their rig file: test/ROBUSTNESS.md
 # make checks      recordings whose files are wrong, and what `volant check` names: test/CHECK.md
+# make loop        a crane in MuJoCo in a closed loop with the nodes: OUT=folder; make loop-test
 # make pages       generated pages (docs/src/parameters.md, figures.md, README.md)
 # make measured    what the tests measure: docs/src/measured.md (some minutes; VOLANT_SHARED)
 # make deb         Debian packages of the release: target/debian; make deb-test: one in a new Debian
@@ -22,7 +23,7 @@
 SHELL := /bin/bash
 .DEFAULT_GOAL := build
 .PHONY: setup build demo test long lint bench peers \
-  reproduce faults robustness checks pages measured book man \
+  loop loop-test reproduce faults robustness checks pages measured book man \
   fuzz audit security calibrate calibrate-test browser clean-setup deb deb-test
 
 ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
@@ -159,6 +160,27 @@ browser: .setup/debian
 
 faults: setup build
 	target/release/volant faults
+
+# A crane in MuJoCo, the live nodes and examples/swing_control, in a Python environment of its own.
+LOOP := .setup/loop
+.setup/loop.done: test/loop/setup test/loop/requirements.txt $(wildcard msgs/msg/*.msg) \
+  launch_config/setup/debian-packages-loop.txt .setup/debian
+	@launch_config/setup/install-debian-packages launch_config/setup/debian-packages-loop.txt
+	@echo "setting up the closed loop's Python environment in $(LOOP)"
+	@test/loop/setup $(LOOP)
+	@touch $@
+
+loop: OUT = loop_run
+loop: build .setup/loop.done
+	$(LOOP)/bin/python test/loop --out $(OUT) $(if $(ONLY),--only $(ONLY) --without-gains) \
+	  $(if $(TABLE),--table $(TABLE))
+
+# The parts without nodes, then 4 s of one episode, which must end with a report; the figures are
+# those of `make loop`.
+loop-test: build .setup/loop.done
+	$(LOOP)/bin/python -m unittest discover -s test/loop/tests
+	$(LOOP)/bin/python test/loop --out target/loop-test --only swing --seconds 4 --without-gains \
+	  || [ -f target/loop-test/report.html ]
 
 fuzz: .setup/debian
 	@test/fuzz/run $(FUZZ)
