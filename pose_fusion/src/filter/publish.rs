@@ -14,7 +14,8 @@ use crate::{
         MarkerOutcome, MarkerUpdateRecord, Odometry, Output, Warning,
         continuity::Continuity,
         odometry::{Settings, odometry},
-        prediction, smoother, swing,
+        prediction::{self, Changes},
+        smoother, swing,
     },
     timeline::history::{Entry, Event},
 };
@@ -33,9 +34,11 @@ const RESUMING: f64 = 0.3;
 /// Without a pose for longer than this a status alone is published, s.
 const SILENT: f64 = 0.3;
 
-/// A silence of the IMU.
+/// What is missing.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Silence {
+    /// The pose is LOST.
+    pose_lost: bool,
     imu_lost: bool,
     /// First IMU sample after it, until an image follows.
     resumed: Option<Stamp>,
@@ -48,13 +51,13 @@ pub(super) struct Publisher {
     pub continuity: Continuity,
     pub rope: RopeIdentification,
     pub position_sigma: f64,
+    changes: Changes,
     calibration: ByParameter,
     last_published: Option<Stamp>,
     last_encoders: Option<Stamp>,
     markers_used: u8,
     last_status: Option<Stamp>,
     silence: Silence,
-    lost: bool,
     archive: Option<Vec<Entry>>,
 }
 
@@ -65,13 +68,13 @@ impl Publisher {
             continuity: Continuity::default(),
             rope: RopeIdentification::default(),
             position_sigma: f64::INFINITY,
+            changes: Changes::default(),
             calibration: consider::variances(&config.calibration),
             last_published: None,
             last_encoders: None,
             markers_used: 0,
             last_status: None,
             silence: Silence::default(),
-            lost: false,
             archive: None,
         }
     }
@@ -203,9 +206,18 @@ impl Filter {
         }
         .judged(&self.setup.status, silent);
         let horizon = self.setup.config.prediction_horizon;
+        let earlier = end.plus_seconds(-horizon);
+        let earlier = (self.history.place_of(earlier).checked_sub(1))
+            .and_then(|place| self.history.get(place))
+            .filter(|_| horizon > 0.0);
+        if let Some(earlier) = earlier {
+            self.publisher.changes.add(end, reading, &earlier.reading);
+        }
         let predicted = (horizon > 0.0).then(|| {
-            let noise = self.process_noise();
-            prediction::predicted(end, state, reading, horizon, &noise, geometry, &settings)
+            let (noise, changes) = (self.process_noise(), &self.publisher.changes);
+            prediction::predicted(
+                end, state, reading, horizon, &noise, changes, geometry, &settings,
+            )
         });
         let config = &self.setup.config;
         let swing = self.climber.newest().filter(|_| config.swing).map(|(_, _, rest)| {
@@ -217,13 +229,15 @@ impl Filter {
         self.publisher.silence.resumed = None;
         self.publisher.counts.odometry += 1;
         let lost = status.state == PoseState::Lost;
-        if let (true, false, Some(since)) = (lost, self.publisher.lost, self.lock_out.last_used()) {
+        if let (true, false, Some(since)) =
+            (lost, self.publisher.silence.pose_lost, self.lock_out.last_used())
+        {
             out.push_back(Output::Warning(Warning::VisionLost {
                 since,
                 position_sigma_m: position_sigma,
             }));
         }
-        self.publisher.lost = lost;
+        self.publisher.silence.pose_lost = lost;
         out.push_back(Output::Odometry(limited));
         out.push_back(Output::Status(status));
         out.extend(predicted.map(Output::Predicted));

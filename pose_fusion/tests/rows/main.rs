@@ -2,6 +2,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod outliers;
+mod prediction;
 mod published;
 mod swing;
 

@@ -1,0 +1,31 @@
+//! `volant/predicted_odometry` against the truth at its own stamp.
+
+use super::common::{scoring, simulated};
+use pose_fusion::Fusion;
+use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
+
+/// The covariance grows with the motion at hand, calm or fast, and with the horizon.
+#[test]
+fn predictions_are_consistent_in_calm_and_fast_motion() {
+    for (name, motion) in [
+        ("nominal", MotionConfig::nominal as fn(u64) -> MotionConfig),
+        ("fast", MotionConfig::fast_swing),
+    ] {
+        for horizon in [0.02, 0.05, 0.1, 0.2] {
+            let (mut position, mut rotation) = (0.0, 0.0);
+            for seed in 1..=4 {
+                let run = simulated::run(motion(seed), &SensorConfig::nominal(seed));
+                let mut config = simulated::config();
+                config.tight.prediction_horizon = horizon;
+                let mut fusion = Fusion::new(simulated::rig(), config);
+                let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+                let score = scoring::score(&outputs.predicted, &run.truth, 3.0);
+                println!("{name} {horizon} s, seed {seed}: {score}");
+                position += score.nees().0 / 4.0;
+                rotation += score.nees().1 / 4.0;
+            }
+            println!("{name} {horizon} s: NEES {position:.2} / {rotation:.2}");
+            assert!((1.0..6.0).contains(&position) && (1.0..6.0).contains(&rotation));
+        }
+    }
+}
