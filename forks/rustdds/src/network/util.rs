@@ -112,11 +112,6 @@ pub fn local_interface_table() -> Vec<IfAddr> {
 ///   reachable in one hop, so we use that interface's MTU (minus headers).
 ///   Loopback peers (e.g. `127.0.0.1`) naturally match `lo`/`lo0` and inherit
 ///   its (often large) MTU.
-/// * An address of this host is reached through the loopback interface, whatever
-///   interface it belongs to, so we use the loopback MTU. A remote peer can
-///   have one of our addresses too (a bridge of a container runtime has the
-///   same on every host), but it advertises others beside it, and the smallest
-///   budget counts (`RtpsReaderProxy::resolve_path_mtu`).
 /// * Otherwise the peer is behind a router (or IPv6 / unresolved), where the
 ///   real path MTU is unknown; fall back to
 ///   [`FALLBACK_MAX_AGGREGATED_DATAGRAM_SIZE`] (a conservative
@@ -125,12 +120,6 @@ pub fn local_interface_table() -> Vec<IfAddr> {
 /// An overestimate is a soft failure (IP fragmentation), never data loss, so
 /// this errs toward the safe default when unsure.
 pub fn path_mtu_payload_for_peer(ifaces: &[IfAddr], peer_ip: IpAddr) -> usize {
-  if ifaces.iter().any(|ifa| ifa.ip == peer_ip) {
-    let loopback = ifaces.iter().find(|ifa| ifa.ip.is_loopback());
-    if let Some(mtu) = loopback.and_then(|ifa| ifa.mtu) {
-      return payload_budget_for_mtu(mtu);
-    }
-  }
   if let IpAddr::V4(peer) = peer_ip {
     for ifa in ifaces {
       let (IpAddr::V4(local), Some(mask)) = (ifa.ip, ifa.netmask) else {
@@ -501,19 +490,6 @@ mod tests {
     ];
     assert_eq!(
       path_mtu_payload_for_peer(&ifaces, v4(127, 0, 0, 1)),
-      16384 - 48
-    );
-  }
-
-  // An address of this host is reached through the loopback interface.
-  #[test]
-  fn path_mtu_own_address_uses_loopback_mtu() {
-    let ifaces = vec![
-      iface_v4(192, 168, 1, 10, 24, 1500, false),
-      iface_v4(127, 0, 0, 1, 8, 16384, true),
-    ];
-    assert_eq!(
-      path_mtu_payload_for_peer(&ifaces, v4(192, 168, 1, 10)),
       16384 - 48
     );
   }
