@@ -225,6 +225,7 @@ impl Filter {
         // a state that it knows well until the offset is found.
         let carried = self.lock_out.last_used().is_some_and(|l| stamp.seconds_since(l) < CARRIED);
         let moves_off = carried
+            && !self.start.searches_again
             && self.offset_doubt() > OFFSET_KNOWN
             && entry.state.sigmas(VELOCITY).max() < VELOCITY_KNOWN;
         let excused = self.disturbances.is_climber_disturbed(at) || moves_off;
