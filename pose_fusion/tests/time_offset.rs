@@ -112,23 +112,32 @@ fn a_constant_offset_of_the_climber_is_configured() {
     assert!(ignored.position.max() < 1.3 * 0.42 * 0.06, "{ignored}");
 }
 
-/// The camera's computer is replaced, or its driver restarted with another latency.
+/// When the latency of the camera changes, s after the start: its computer is replaced, or its
+/// driver restarted.
+const CHANGE: f64 = 6.0;
+
+/// A run whose images and encoder readings are stamped `by` seconds later from [`CHANGE`] on.
+fn changing(seed: u64, by: f64) -> (simulated::Run, Vec<Input>) {
+    let motion = MotionConfig { duration: 16.0, ..MotionConfig::nominal(seed) };
+    let run = simulated::run(motion, &SensorConfig::nominal(seed));
+    let change = scoring::start(&run.truth).plus_seconds(CHANGE);
+    let inputs = run.inputs.iter().map(|(_, input)| {
+        let mut input = input.clone();
+        match &mut input {
+            Input::Markers(m) if m.stamp > change => m.stamp = m.stamp.plus_seconds(by),
+            Input::Climber(c) if c.stamp > change => c.stamp = c.stamp.plus_seconds(by),
+            _ => {}
+        }
+        input
+    });
+    let inputs = inputs.collect();
+    (run, inputs)
+}
+
 #[test]
 fn an_offset_that_changes_is_found_again() {
-    const CHANGE: f64 = 6.0;
     for (by, seed) in [(0.06, 1), (-0.06, 2), (0.15, 3), (-0.15, 4)] {
-        let motion = MotionConfig { duration: 16.0, ..MotionConfig::nominal(seed) };
-        let run = simulated::run(motion, &SensorConfig::nominal(seed));
-        let change = scoring::start(&run.truth).plus_seconds(CHANGE);
-        let inputs = run.inputs.iter().map(|(_, input)| {
-            let mut input = input.clone();
-            match &mut input {
-                Input::Markers(m) if m.stamp > change => m.stamp = m.stamp.plus_seconds(by),
-                Input::Climber(c) if c.stamp > change => c.stamp = c.stamp.plus_seconds(by),
-                _ => {}
-            }
-            input
-        });
+        let (run, inputs) = changing(seed, by);
         let mut fusion = Fusion::new(simulated::rig(), simulated::config());
         let outputs = scoring::run(&mut fusion, inputs);
         for warning in &outputs.warnings {
@@ -140,6 +149,34 @@ fn an_offset_that_changes_is_found_again() {
         assert!((status.time_offset.offset + by).abs() < 2e-3, "{status:?}");
         assert!(score.position_rmse() < 1.0 && score.nees().0 < 6.0, "{score}");
     }
+}
+
+/// Images that a frozen filter does not use cannot restart it either.
+#[test]
+fn a_frozen_filter_keeps_its_pose_when_the_offset_changes() {
+    let (run, inputs) = changing(1, 0.06);
+    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+    let (mut frozen, mut lost) = (0, 0);
+    for input in inputs {
+        fusion.handle(input);
+        while fusion.poll().is_some() {}
+        let searches = fusion.status().time_offset.searching;
+        let since = fusion.status().newest_imu.map(|at| at.seconds_since(scoring::start(&run.truth)));
+        if since.is_some_and(|s| s > CHANGE) && searches && frozen == 0 {
+            fusion.freeze(true);
+        }
+        if fusion.status().frozen {
+            frozen += 1;
+            lost += usize::from(!fusion.status().initialized);
+            if frozen == 400 {
+                fusion.freeze(false);
+            }
+        }
+    }
+    println!("{frozen} inputs while frozen, {lost} without a pose");
+    let status = fusion.status();
+    assert!(frozen == 400 && lost == 0, "{frozen} {lost}");
+    assert!((status.time_offset.offset + 0.06).abs() < 2e-3, "{status:?}");
 }
 
 /// A rig that rests for a while after the start and then swings; everything arrives 5 ms after its

@@ -222,7 +222,9 @@ impl Filter {
         let image = Image { pixels, time_offset, reading: ImuReading::default(), rest };
         self.history.insert(at, Event::Image { image, stamp, fresh: true }, ImuReading::default());
         self.process(out);
-        self.search_time_offset(stamp, &pixels, out);
+        if !self.setup.frozen {
+            self.search_time_offset(stamp, &pixels, out);
+        }
         if silent {
             self.trim();
             self.publish(out);
