@@ -61,7 +61,7 @@ fn example() -> (State, Geometry, Image) {
     let camera = rest.join(&state.climber) * geometry.climber_from_camera;
     let volant = nalgebra::Isometry3::from_parts(state.position.into(), state.attitude)
         * geometry.imu_from_volant;
-    let mut image = Image { pixels: [None; 4], time_offset: 0.0, reading: reading(0.0), rest };
+    let mut image = Image { pixels: [None; 4], time_offset: 0.0, rest };
     for color in rig_model::MarkerColor::ALL {
         let seen = geometry
             .markers
@@ -111,8 +111,16 @@ fn a_step_and_an_update_allocate_nothing() {
     let mut update_state = state.clone();
     let mut used = 0;
     let update_allocations = allocations(|| {
-        used = markers::update(black_box(&mut update_state), &geometry, &image, &GATES, 9.81, true)
-            .used;
+        used = markers::update(
+            black_box(&mut update_state),
+            &geometry,
+            &image,
+            &reading(0.0),
+            &GATES,
+            9.81,
+            true,
+        )
+        .used;
     });
     assert_eq!((used, step_allocations, update_allocations), (4, 0, 0));
 }
@@ -130,7 +138,15 @@ fn a_step_and_an_update_cost_a_few_dense_products() {
         let unit = median(&(dense, dense), |(a, b)| *a = black_box(&*a) * black_box(&*b));
         let step = median(&state, |s| propagate(black_box(s), &from, &to, 0.01, 9.81, &noise));
         let update = median(&state, |s| {
-            black_box(markers::update(black_box(s), &geometry, &image, &GATES, 9.81, true));
+            black_box(markers::update(
+                black_box(s),
+                &geometry,
+                &image,
+                &reading(0.0),
+                &GATES,
+                9.81,
+                true,
+            ));
         });
         for (least, now) in least.iter_mut().zip([unit, step, update]) {
             *least = least.min(now);

@@ -161,7 +161,8 @@ fn a_frozen_filter_keeps_its_pose_when_the_offset_changes() {
         fusion.handle(input);
         while fusion.poll().is_some() {}
         let searches = fusion.status().time_offset.searching;
-        let since = fusion.status().newest_imu.map(|at| at.seconds_since(scoring::start(&run.truth)));
+        let since =
+            fusion.status().newest_imu.map(|at| at.seconds_since(scoring::start(&run.truth)));
         if since.is_some_and(|s| s > CHANGE) && searches && frozen == 0 {
             fusion.freeze(true);
         }

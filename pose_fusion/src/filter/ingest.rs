@@ -219,7 +219,7 @@ impl Filter {
             return self.publisher.reject(stamp, &pixels, MarkerOutcome::Rejected, out);
         }
         let Some((_, _, rest)) = self.climber.newest().copied() else { return };
-        let image = Image { pixels, time_offset, reading: ImuReading::default(), rest };
+        let image = Image { pixels, time_offset, rest };
         self.history.insert(at, Event::Image { image, stamp, fresh: true }, ImuReading::default());
         self.process(out);
         if !self.setup.frozen {
@@ -304,7 +304,6 @@ impl Filter {
             variance: variance.component_mul(&multiplicity),
             multiplicity,
             time_offset,
-            reading: ImuReading::default(),
             rest,
         };
         let excluded = self.trust.is_suspended();

@@ -207,12 +207,7 @@ impl Filter {
         if !enough || !measured || self.setup.frozen {
             return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
         }
-        let image = Image {
-            pixels: *pixels,
-            time_offset,
-            reading: ImuReading::default(),
-            rest: climber.rest,
-        };
+        let image = Image { pixels: *pixels, time_offset, rest: climber.rest };
         let up = self.imu.own_up_at(at).or(up).or_else(|| self.imu.up_at(at, &self.history));
         let prior = ClimberPrior::from_readings(&climber);
         let Some(start) =
@@ -271,8 +266,7 @@ impl Filter {
             return false;
         };
         let at = stamp.plus_seconds(old.time_offset);
-        let image =
-            Image { time_offset: old.time_offset, reading: ImuReading::default(), ..*image };
+        let image = Image { time_offset: old.time_offset, ..*image };
         let up = self.imu.up_at(at, &self.history);
         let prior = ClimberPrior::from_state(&old);
         let Some(start) =

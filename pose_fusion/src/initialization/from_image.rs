@@ -9,6 +9,7 @@ use crate::{
     ekf::{
         consider::{ByParameter, Sensitivity},
         imu_calibration::ImuCalibration,
+        propagation::ImuReading,
         state::{
             ACCELEROMETER_BIAS, ATTITUDE, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_RATE,
             GYROSCOPE_BIAS, POSITION, State, TIME_OFFSET, VELOCITY,
@@ -127,7 +128,15 @@ pub fn start(
         // Prior and image together have their minimum at the candidate.
         (state.position, state.attitude) = (position, attitude);
     }
-    let record = markers::update(&mut state, geometry, image, &Gates::open(), config.gravity, true);
+    let record = markers::update(
+        &mut state,
+        geometry,
+        image,
+        &ImuReading::default(),
+        &Gates::open(),
+        config.gravity,
+        true,
+    );
     (state.position, state.attitude) = (position, attitude);
     (state.climber, state.climber_rate) = (climber.values, climber.rates);
     Some(Start { state, record })

@@ -34,8 +34,6 @@ pub struct EncoderReading {
     pub multiplicity: Vector3<f64>,
     /// Time offset with which the reading was placed on the IMU's time line, s.
     pub time_offset: f64,
-    /// IMU reading at that time.
-    pub reading: ImuReading,
     /// Height and tilt of the climber.
     pub rest: ClimberRest,
 }
@@ -63,8 +61,15 @@ pub fn innovation(state: &State, reading: &EncoderReading, climber_offset: f64) 
     Innovation { residual, covariance, nis, outcome: Outcome::Used }
 }
 
-/// Corrects `state` by a reading, axis by axis. `gravity` in m/s².
-pub fn update(state: &mut State, reading: &EncoderReading, climber_offset: f64, gravity: f64) {
+/// Corrects `state` by a reading, axis by axis. `imu` is the IMU's reading at that time, `gravity`
+/// in m/s².
+pub fn update(
+    state: &mut State,
+    reading: &EncoderReading,
+    imu: &ImuReading,
+    climber_offset: f64,
+    gravity: f64,
+) {
     let late = state.time_offset + climber_offset - reading.time_offset;
     let before = state.time_offset;
     for axis in 0..3 {
@@ -74,7 +79,7 @@ pub fn update(state: &mut State, reading: &EncoderReading, climber_offset: f64, 
         update::scalar(state, &h, residual, reading.variance[axis], &by);
     }
     let moved = state.time_offset - before;
-    state.shift_time(&reading.reading, moved, gravity);
+    state.shift_time(imu, moved, gravity);
 }
 
 /// Returns the derivative of an encoder's value by the consider parameters.
@@ -112,7 +117,6 @@ mod tests {
             variance: Vector3::repeat(1e-6),
             multiplicity: Vector3::repeat(1.0),
             time_offset: 0.0,
-            reading: ImuReading::default(),
             rest: ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() },
         };
         (state, reading)
@@ -123,7 +127,7 @@ mod tests {
         let (mut state, reading) = example();
         let i = innovation(&state, &reading, 0.0);
         assert!((i.residual - Vector3::new(0.01, 0.0, 0.0)).norm() < 1e-9, "{i:?}");
-        update(&mut state, &reading, 0.0, 9.81);
+        update(&mut state, &reading, &ImuReading::default(), 0.0, 9.81);
         assert!(
             (state.climber - Vector3::new(0.305, -0.2, 3.1)).norm() < 1e-9,
             "{}",

@@ -13,6 +13,7 @@ use super::{
 };
 use crate::ekf::{
     consider::{CENTROID, FOCAL, LAYOUT, MOUNTING},
+    propagation::ImuReading,
     state::{Error, State},
 };
 use nalgebra::{Isometry3, Matrix2x3, Matrix3, SVector, UnitQuaternion, Vector3};
@@ -33,10 +34,15 @@ pub struct Linearization {
     projected: [Option<ProjectedCentroid>; 4],
 }
 
-/// Linearizes the measurement of `image` at `state`.
-pub fn linearize(state: &State, geometry: &Geometry, image: &Image) -> Linearization {
+/// Linearizes the measurement of `image` at `state`. `reading` is the IMU's at the exposure.
+pub fn linearize(
+    state: &State,
+    geometry: &Geometry,
+    image: &Image,
+    reading: &ImuReading,
+) -> Linearization {
     let late = state.time_offset - image.time_offset;
-    let world_rate = state.attitude * state.motion(&image.reading).angular_velocity;
+    let world_rate = state.attitude * state.motion(reading).angular_velocity;
     let climber = state.climber + state.climber_rate * late;
     let position = state.position + state.velocity * late;
     let attitude = UnitQuaternion::from_scaled_axis(world_rate * late) * state.attitude;
@@ -125,12 +131,12 @@ pub fn times_error(h: &Jacobian, error: &Error) -> Residual {
 
 #[cfg(test)]
 mod tests {
-    use super::{super::markers::tests::example, *};
+    use super::{super::markers::tests::{READING, example}, *};
 
     #[test]
     fn the_jacobian_is_the_numerical_one() {
         let (state, geometry, image) = example();
-        let linear = linearize(&state, &geometry, &image);
+        let linear = linearize(&state, &geometry, &image, &READING);
         assert!(linear.residual.amax() < 1e-9);
         let h = 1e-5;
         for (k, &index) in SEEN.iter().enumerate() {
@@ -139,7 +145,7 @@ mod tests {
                 let mut e = Error::zeros();
                 e[index] = sign * h;
                 s.add(&e);
-                linearize(&s, &geometry, &image).residual
+                linearize(&s, &geometry, &image, &READING).residual
             };
             let numeric = -(at(1.0) - at(-1.0)) / (2.0 * h);
             let error = (numeric - linear.jacobian.column(k)).amax();
@@ -152,11 +158,11 @@ mod tests {
     #[test]
     fn the_derivatives_by_calibration_are_the_numerical_ones() {
         let (state, geometry, image) = example();
-        let linear = linearize(&state, &geometry, &image);
+        let linear = linearize(&state, &geometry, &image, &READING);
         let by = by_calibration(&linear, &geometry, &[true; 4]);
         let h = 1e-4;
         let check = |k: usize, changed: Geometry| {
-            let numeric = -linearize(&state, &changed, &image).residual / h;
+            let numeric = -linearize(&state, &changed, &image, &READING).residual / h;
             let error = (numeric - by.column(k)).amax();
             assert!(error < 0.02 * numeric.amax(), "{k}: {error} of {}", numeric.amax());
         };

@@ -7,6 +7,7 @@ use super::{
 };
 use crate::ekf::{
     consider::PARAMETERS,
+    propagation::ImuReading,
     state::{ATTITUDE, Covariance, Error, State},
 };
 use nalgebra::{Cholesky, Const, SMatrix};
@@ -35,6 +36,7 @@ pub fn solve(
     prior: &State,
     geometry: &Geometry,
     image: &Image,
+    reading: &ImuReading,
     at_prior: &Linearization,
     mask: &[bool; 4],
 ) -> Option<Solution> {
@@ -77,7 +79,7 @@ pub fn solve(
         if bends && iteration + 1 < ITERATIONS {
             let mut there = prior.clone();
             there.add(&step);
-            let linear = linearize(&there, geometry, image);
+            let linear = linearize(&there, geometry, image, reading);
             if (0..4).any(|i| mask[i] && !linear.valid[i]) {
                 return None;
             }

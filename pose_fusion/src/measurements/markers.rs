@@ -53,8 +53,6 @@ pub struct Image {
     pub pixels: Pixels,
     /// Camera time offset with which the image was placed on the IMU's time line, s.
     pub time_offset: f64,
-    /// IMU reading at the exposure.
-    pub reading: ImuReading,
     /// Height and tilt of the climber.
     pub rest: ClimberRest,
 }
@@ -109,12 +107,13 @@ impl ImageInnovation {
 
 /// Corrects `state` by the markers that pass the gates and returns what became of each.
 ///
-/// With `apply` false the state stays as it is and the records tell what would have happened.
-/// `gravity` in m/s².
+/// `reading` is the IMU's at the exposure, `gravity` in m/s². With `apply` false the state stays as
+/// it is and the records tell what would have happened.
 pub fn update(
     state: &mut State,
     geometry: &Geometry,
     image: &Image,
+    reading: &ImuReading,
     gates: &Gates,
     gravity: f64,
     apply: bool,
@@ -126,7 +125,7 @@ pub fn update(
         internal: None,
         against_prediction: None,
     };
-    let linear = linearize(state, geometry, image);
+    let linear = linearize(state, geometry, image, reading);
     let gain = covariance_times(&state.covariance, &linear.jacobian);
     let spread = innovation_spread(&linear.jacobian, &gain);
     let mut pass = [false; 4];
@@ -149,13 +148,13 @@ pub fn update(
     if linear.valid == [true; 4] {
         record.internal = internal_consistency(&linear, image);
     }
-    let mut best = solve(state, geometry, image, &linear, &pass);
+    let mut best = solve(state, geometry, image, reading, &linear, &pass);
     if count(&pass) >= 2 && exceeds(&best, &pass, gates) {
         let mut chosen = [false; 4];
         best = None;
-        if let Some((mask, solution)) =
-            largest_consistent(&pass, gates, |mask| solve(state, geometry, image, &linear, mask))
-        {
+        if let Some((mask, solution)) = largest_consistent(&pass, gates, |mask| {
+            solve(state, geometry, image, reading, &linear, mask)
+        }) {
             chosen = mask;
             best = Some(solution);
         }
@@ -181,7 +180,7 @@ pub fn update(
         }
         let learned = state.imu.correct(&solution.by_parameter, &solution.whitened);
         state.add(&(consider::of_imu(&state.sensitivity) * learned));
-        state.shift_time(&image.reading, state.time_offset - offset, gravity);
+        state.shift_time(reading, state.time_offset - offset, gravity);
         subtract_square(&mut state.covariance, &solution.root);
         state.since_marker = 0.0;
     }
@@ -264,6 +263,10 @@ pub(super) mod tests {
     use rig_model::{CameraModel, Distortion, Rig};
 
     const RIG: &str = rig_simulator::RIG_YAML;
+    pub const READING: ImuReading = ImuReading {
+        specific_force: Vector3::new(0.0, 0.0, 9.8),
+        angular_velocity: Vector3::new(0.5, -0.8, 0.3),
+    };
     const GATES: Gates = Gates { marker: 16.0, joint: 1.0 };
 
     pub(in super::super) fn example() -> (State, Geometry, Image) {
@@ -281,13 +284,9 @@ pub(super) mod tests {
         let mut image = Image {
             pixels: [Some((Vector2::zeros(), Matrix2::identity() * 0.01)); 4],
             time_offset: 0.001,
-            reading: ImuReading {
-                specific_force: Vector3::new(0.0, 0.0, 9.8),
-                angular_velocity: Vector3::new(0.5, -0.8, 0.3),
-            },
             rest: ClimberRest { height: 2.8, tilt: UnitQuaternion::identity() },
         };
-        let linear = linearize(&state, &geometry, &image);
+        let linear = linearize(&state, &geometry, &image, &READING);
         for i in 0..4 {
             let pixel = -linear.residual.fixed_rows::<2>(2 * i).into_owned();
             image.pixels[i] = Some((pixel, Matrix2::identity() * 0.01));
@@ -300,7 +299,7 @@ pub(super) mod tests {
     fn the_covariance_is_corrected_as_by_joseph_s_form() {
         let (mut state, geometry, image) = example();
         let p = state.covariance;
-        let linear = linearize(&state, &geometry, &image);
+        let linear = linearize(&state, &geometry, &image, &READING);
         let mut h = SMatrix::<f64, 8, N>::zeros();
         for (k, &index) in SEEN.iter().enumerate() {
             h.set_column(index, &linear.jacobian.column(k));
@@ -310,7 +309,7 @@ pub(super) mod tests {
         let k = p * h.transpose() * s.try_inverse().unwrap();
         let a = Covariance::identity() - k * h;
         let joseph = a * p * a.transpose() + k * r * k.transpose();
-        let record = update(&mut state, &geometry, &image, &GATES, 9.81, true);
+        let record = update(&mut state, &geometry, &image, &READING, &GATES, 9.81, true);
         assert_eq!(record.used, 4);
         assert!((state.covariance - joseph).amax() < 1e-12);
         assert_eq!(state.covariance, state.covariance.transpose());
@@ -338,8 +337,8 @@ pub(super) mod tests {
         };
         for step in 0..40 {
             let mut seen = image;
-            (seen.reading, seen.time_offset) = (reading, plain.time_offset);
-            let true_pixels = linearize(&plain, &geometry, &seen).residual;
+            seen.time_offset = plain.time_offset;
+            let true_pixels = linearize(&plain, &geometry, &seen, &reading).residual;
             for i in 0..4 {
                 if (10..20).contains(&step) && i == 1 {
                     seen.pixels[i] = None;
@@ -354,7 +353,8 @@ pub(super) mod tests {
                 }
             }
             for (state, image) in [(&mut plain, &seen), (&mut informed, &corrected)] {
-                assert!(update(state, &geometry, image, &GATES, 9.81, true).used >= 3);
+                let record = update(state, &geometry, image, &reading, &GATES, 9.81, true);
+                assert!(record.used >= 3);
                 propagate(state, &reading, &reading, 0.03, 9.81, &noise);
             }
         }
@@ -382,7 +382,7 @@ pub(super) mod tests {
         if let Some((pixel, _)) = &mut image.pixels[2] {
             pixel.x += 12.0;
         }
-        let record = update(&mut state, &geometry, &image, &GATES, 9.81, true);
+        let record = update(&mut state, &geometry, &image, &READING, &GATES, 9.81, true);
         assert_eq!(record.markers[2].outcome, Outcome::Inconsistent, "{record:?}");
         assert_eq!(record.used, 3);
         // The climber is as uncertain: compare what the camera measures, the platform against the

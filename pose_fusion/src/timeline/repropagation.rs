@@ -141,17 +141,16 @@ fn apply(entry: &mut Entry, unseen: f64, blind: bool, context: &Context<'_>) -> 
             Step::Inertial
         }
         Event::Image { image, stamp, fresh } => {
-            image.reading = *reading;
             let gates = Gates { marker: config.markers.gate, joint: 1.0 };
-            let record =
-                markers::update(state, context.geometry, image, &gates, gravity, !context.frozen);
+            let (geometry, apply) = (context.geometry, !context.frozen);
+            let record = markers::update(state, geometry, image, reading, &gates, gravity, apply);
             Step::Image { stamp: *stamp, image: *image, record, fresh: std::mem::take(fresh) }
         }
         Event::Encoders { reading: encoder, excluded, fresh } => {
-            encoder.reading = *reading;
-            let innovation = encoders::innovation(state, encoder, config.clock.climber_offset);
+            let offset = config.clock.climber_offset;
+            let innovation = encoders::innovation(state, encoder, offset);
             if !*excluded && innovation.nis <= CONTRADICTION {
-                encoders::update(state, encoder, config.clock.climber_offset, gravity);
+                encoders::update(state, encoder, reading, offset, gravity);
             }
             Step::Encoders { innovation, excluded: *excluded, fresh: std::mem::take(fresh) }
         }
