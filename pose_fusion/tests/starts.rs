@@ -139,10 +139,21 @@ fn starts_are_consistent_and_without_steps() {
     assert!(all.iter().all(|s| s.score.position_rmse() < RMSE));
 }
 
+/// Without the IMU's attitude, in a swing of 20° and more: of the two poses that one image allows
+/// the one is taken in which the specific force points along the rope.
+#[test]
+fn a_fast_swing_is_no_tilt_of_the_platform() {
+    for seed in [3085, 4151] {
+        let found = start(seed);
+        println!("seed {seed}: {}; {}", found.score, found.about);
+        assert!(found.holds());
+    }
+}
+
 #[test]
 #[ignore = "200 starts: a minute"]
 fn two_hundred_starts_are_consistent_and_without_steps() {
     let all = starts(1000..1200);
     // Before the time offset is known, little motion or much of it leaves errors of a second.
-    assert!(all.iter().filter(|s| !s.holds()).count() <= 4);
+    assert!(all.iter().filter(|s| !s.holds()).count() <= 2);
 }

@@ -8,13 +8,13 @@
 
 use super::{
     imu_calibration::CONSTANTS,
-    state::{Error, N},
+    state::{Error, N, TIME_OFFSET},
 };
 use crate::config::CalibrationSigmas;
 use nalgebra::{SMatrix, SVector};
 
 /// Number of consider parameters.
-pub const PARAMETERS: usize = 27;
+pub const PARAMETERS: usize = 28;
 /// First of eight constant centroid offsets: x and y of red, green, blue, yellow, px.
 pub const CENTROID: usize = 0;
 /// Relative error of the focal length.
@@ -27,8 +27,11 @@ pub const MOUNTING: usize = 10;
 pub const ENCODER_SCALE: usize = 13;
 /// Offset of the climber's stamps, s.
 pub const CLIMBER_OFFSET: usize = 14;
+/// Error of the camera time offset while it is searched, s. The gains assume a small one; the
+/// estimate may be built on a large one.
+pub const TIME_OFFSET_ERROR: usize = 15;
 /// First constant of the IMU; these are estimated ([`super::imu_calibration`]).
-pub const IMU: usize = 15;
+pub const IMU: usize = 16;
 
 /// Sensitivity of the error state to each parameter, transposed: one row for each parameter, one
 /// column for each entry of the error. Single precision: it widens a covariance and moves the state
@@ -71,4 +74,6 @@ pub fn correct(sensitivity: &mut Sensitivity, gain: &Error, residual: &ByParamet
     for (mut column, k) in sensitivity.column_iter_mut().zip(gain) {
         column.axpy(-(*k as f32), &residual, 1.0);
     }
+    // What the filter finds of a large error by itself counts once the alignment confirms it.
+    sensitivity[(TIME_OFFSET_ERROR, TIME_OFFSET)] = 1.0;
 }

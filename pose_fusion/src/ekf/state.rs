@@ -23,7 +23,11 @@
 //! filter", section 7): that is the convention of ROS pose covariances, and the error dynamics do
 //! not depend on the angular velocity.
 
-use super::{consider::Sensitivity, imu_calibration::ImuCalibration, propagation::ImuReading};
+use super::{
+    consider::{Sensitivity, TIME_OFFSET_ERROR},
+    imu_calibration::ImuCalibration,
+    propagation::ImuReading,
+};
 use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
 
 /// Dimension of the error state.
@@ -203,6 +207,12 @@ impl State {
         for i in 0..3 {
             self.set_sigma(first + i, sigmas[i]);
         }
+    }
+
+    /// Takes the time offset to be off by a new error, which nothing has been built on yet.
+    pub fn forget_time_offset_error(&mut self) {
+        self.sensitivity.row_mut(TIME_OFFSET_ERROR).fill(0.0);
+        self.sensitivity[(TIME_OFFSET_ERROR, TIME_OFFSET)] = 1.0;
     }
 
     /// Sets the standard deviation of one entry and clears its correlations and sensitivities.

@@ -3,7 +3,7 @@
 use super::Filter;
 use crate::{
     config::TightConfig,
-    ekf::consider::{self, ByParameter},
+    ekf::consider::{self, ByParameter, TIME_OFFSET_ERROR},
     health::{pose_status::PoseState, pose_status::PoseStatus, status::Counts},
     measurements::{
         Outcome,
@@ -310,12 +310,12 @@ impl Filter {
 
     fn settings(&self) -> Settings {
         let densities = self.imu.densities(&self.setup.rig.imu, &self.setup.config);
-        let doubt = self.offset_doubt();
+        let mut calibration = self.publisher.calibration;
+        calibration[TIME_OFFSET_ERROR] = self.offset_doubt().powi(2);
         Settings {
             rate_variance: densities.rate / self.imu.period(),
             gravity: self.setup.config.gravity,
-            calibration: self.publisher.calibration,
-            time_offset: doubt * doubt,
+            calibration,
             silent: self.arrival.is_imu_silent(),
         }
     }

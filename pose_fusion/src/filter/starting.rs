@@ -116,7 +116,8 @@ impl Filter {
         let entry = self.history.get(place.checked_sub(1)?)?;
         let near = at.seconds_since(entry.stamp) < ESTIMATED_NEAR;
         let sigma = (3.0 * entry.state.sigmas(ATTITUDE).max()).max(ESTIMATED_UP);
-        near.then(|| Up { in_imu: entry.state.attitude.inverse() * Vector3::z(), sigma })
+        let in_imu = entry.state.attitude.inverse() * Vector3::z();
+        near.then_some(Up { in_imu, sigma, is_specific_force: false })
     }
 
     /// Drops everything that was estimated: it was unsound.

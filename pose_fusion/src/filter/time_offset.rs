@@ -10,7 +10,7 @@ use crate::{
     output::{Output, Warning},
     timeline::history::Event,
 };
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Matrix6, Point3};
 use rig_model::{PerColor, Stamp, planar_pose};
 use std::collections::VecDeque;
 
@@ -83,6 +83,11 @@ impl Filter {
             self.search = super::search(&self.setup.config);
             self.start.offset_doubt = Some(0.0);
             self.start.searches_again = true;
+            for place in 0..self.history.len() {
+                if let Some(entry) = self.history.get_mut(place) {
+                    entry.state.forget_time_offset_error();
+                }
+            }
         }
     }
 
@@ -114,19 +119,24 @@ impl Filter {
         if climber.distance > 0.05 {
             return None;
         }
-        let world_from_camera = climber.rest.join(&climber.values) * geometry.climber_from_camera;
+        let world_from_climber = climber.rest.join(&climber.values);
+        let world_from_camera = world_from_climber * geometry.climber_from_camera;
         let at = stamp.plus_seconds(self.time_offset());
         let up = (self.imu.own_up_at(at))
             .or_else(|| self.up_of_estimate(at))
             .or_else(|| self.imu.up_at(at, &self.history));
         // "Up" is of another instant as long as the offset is not known: it chooses between the
         // poses and moves none.
+        let attachment = self.setup.config.pendulum.climber_attachment;
+        let attachment = world_from_climber * Point3::from(attachment);
         let found =
             planar_pose::candidates(&geometry.markers, &geometry.camera, &PerColor(*pixels), None);
         let tilted = |pose: &planar_pose::PlanarPose| {
-            let up = up.map_or(Vector3::z(), |up| geometry.volant_from_imu.rotation * up.in_imu);
-            let measured = world_from_camera.rotation * pose.camera_from_volant.rotation * up;
-            pose.pixel_cost + (measured.angle(&Vector3::z()) / TILT).powi(2)
+            let Some(up) = up else { return pose.pixel_cost };
+            let world_from_volant = world_from_camera * pose.camera_from_volant;
+            let measured = world_from_volant * (geometry.volant_from_imu * up.in_imu);
+            let expected = up.in_world(&(attachment.coords - world_from_volant.translation.vector));
+            pose.pixel_cost + (measured.angle(&expected) / TILT).powi(2)
         };
         let best = found
             .iter()

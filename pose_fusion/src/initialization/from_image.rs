@@ -7,7 +7,7 @@
 use crate::{
     config::TightConfig,
     ekf::{
-        consider::{ByParameter, Sensitivity},
+        consider::ByParameter,
         imu_calibration::ImuCalibration,
         propagation::ImuReading,
         state::{
@@ -26,7 +26,7 @@ use crate::{
         markers::{self, Gates, Image, ImageInnovation},
     },
 };
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rig_model::{
     PerColor,
     planar_pose::{self, TiltPrior},
@@ -92,15 +92,22 @@ pub fn start(
     up: Option<&Up>,
     climber: &ClimberPrior,
 ) -> Option<Start> {
-    let world_from_camera = image.rest.join(&climber.values) * geometry.climber_from_camera;
+    let world_from_climber = image.rest.join(&climber.values);
+    let world_from_camera = world_from_climber * geometry.climber_from_camera;
+    let pixels = PerColor(image.pixels);
+    let solve = |tilt: Option<&TiltPrior>| {
+        planar_pose::candidates(&geometry.markers, &geometry.camera, &pixels, tilt)
+    };
+    // All candidates of an image are nearly at one place.
+    let place = (world_from_camera * solve(None).first()?.camera_from_volant).translation.vector;
+    let attachment = world_from_climber * Point3::from(config.pendulum.climber_attachment);
+    let in_world = up.map_or(Vector3::z(), |up| up.in_world(&(attachment.coords - place)));
     let tilt = up.map(|up| TiltPrior {
         up_in_volant: geometry.volant_from_imu.rotation * up.in_imu,
-        up_in_camera: world_from_camera.rotation.inverse() * Vector3::z(),
+        up_in_camera: world_from_camera.rotation.inverse() * in_world,
         sigma: up.sigma,
     });
-    let pixels = PerColor(image.pixels);
-    let found =
-        planar_pose::candidates(&geometry.markers, &geometry.camera, &pixels, tilt.as_ref());
+    let found = solve(tilt.as_ref());
     let best = found.first().filter(|best| best.cost <= LARGEST_COST)?;
     let world_from_imu = world_from_camera * best.camera_from_volant * geometry.volant_from_imu;
     let (position, attitude): (Vector3<f64>, UnitQuaternion<f64>) =
@@ -113,18 +120,24 @@ pub fn start(
     state.set_sigmas(POSITION, &Vector3::repeat(OPEN[0]));
     state.set_sigmas(ATTITUDE, &Vector3::repeat(OPEN[1]));
     if let Some(up) = up {
-        // up = R u: its x and y in the world are zero; ∂(R u)/∂δθ = −[R u]×.
+        // R u is the known direction in the world; ∂(R u)/∂δθ = −[R u]×.
         let (variance, none) = (up.sigma * up.sigma, ByParameter::zeros());
         let v = state.attitude * up.in_imu;
         update::scalar(
             &mut state,
             &[(ATTITUDE + 1, v.z), (ATTITUDE + 2, -v.y)],
-            -v.x,
+            in_world.x - v.x,
             variance,
             &none,
         );
         let v = state.attitude * up.in_imu;
-        update::scalar(&mut state, &[(ATTITUDE, -v.z), (ATTITUDE + 2, v.x)], -v.y, variance, &none);
+        update::scalar(
+            &mut state,
+            &[(ATTITUDE, -v.z), (ATTITUDE + 2, v.x)],
+            in_world.y - v.y,
+            variance,
+            &none,
+        );
         // Prior and image together have their minimum at the candidate.
         (state.position, state.attitude) = (position, attitude);
     }
@@ -155,7 +168,6 @@ pub fn unknown(config: &TightConfig, climber: &ClimberPrior) -> State {
     state.set_sigmas(CLIMBER_RATE, &climber.rate_sigmas);
     state.set_sigmas(CLIMBER_ACCELERATION, &ACCELERATION.into());
     state.set_sigma(TIME_OFFSET, config.clock.camera_sigma.min(LINEAR_OFFSET));
-    state.sensitivity = Sensitivity::zeros();
     state.imu = ImuCalibration::new(&config.imu);
     for axis in 0..3 {
         let by = by_parameter(axis, climber.values[axis], climber.rates[axis]);

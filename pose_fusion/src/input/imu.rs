@@ -34,6 +34,24 @@ pub struct Up {
     pub in_imu: Vector3<f64>,
     /// Its uncertainty about each horizontal axis, rad.
     pub sigma: f64,
+    /// It is the mean specific force: of a platform that hangs and swings, the direction of the
+    /// rope.
+    pub is_specific_force: bool,
+}
+
+impl Up {
+    /// Returns the world's direction that it measures, unit vector. A specific force points along
+    /// the rope where the platform hangs and up where it is carried: half way between the two, as
+    /// it is not known which.
+    ///
+    /// `rope` is the vector from the platform to the climber's attachment, world.
+    pub fn in_world(&self, rope: &Vector3<f64>) -> Vector3<f64> {
+        let up = Vector3::z();
+        match rope.try_normalize(0.1) {
+            Some(rope) if self.is_specific_force && rope.z > 0.0 => (up + rope).normalize(),
+            _ => up,
+        }
+    }
 }
 
 /// State of the IMU input.
@@ -172,7 +190,11 @@ impl ImuInput {
                 && entry.stamp.seconds_since(stamp).abs() < MEAN_FORCE
         });
         let sum: Vector3<f64> = near.map(|entry| entry.reading.specific_force).sum();
-        sum.try_normalize(1e-3).map(|in_imu| Up { in_imu, sigma: SWING_TILT })
+        sum.try_normalize(1e-3).map(|in_imu| Up {
+            in_imu,
+            sigma: SWING_TILT,
+            is_specific_force: true,
+        })
     }
 }
 
@@ -195,7 +217,11 @@ pub fn up_of(sample: &ImuSample, floor: f64) -> Option<Up> {
     }
     let variance = orientation.covariance.map_or(0.0, |c| c[(0, 0)].max(c[(1, 1)]));
     let sigma = if variance.is_finite() { variance.max(0.0).sqrt() } else { 0.0 };
-    Some(Up { in_imu: enu_from_imu.inverse() * Vector3::z(), sigma: sigma.max(floor) })
+    Some(Up {
+        in_imu: enu_from_imu.inverse() * Vector3::z(),
+        sigma: sigma.max(floor),
+        is_specific_force: false,
+    })
 }
 
 /// Returns the entry of a series that is nearest to an instant, within 0.1 s.

@@ -131,7 +131,10 @@ pub fn times_error(h: &Jacobian, error: &Error) -> Residual {
 
 #[cfg(test)]
 mod tests {
-    use super::{super::markers::tests::{READING, example}, *};
+    use super::{
+        super::markers::tests::{READING, example},
+        *,
+    };
 
     #[test]
     fn the_jacobian_is_the_numerical_one() {

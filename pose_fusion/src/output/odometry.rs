@@ -7,7 +7,7 @@
 use super::Odometry;
 use crate::{
     ekf::{
-        consider::{self, ByParameter, IMU, PARAMETERS},
+        consider::{self, ByParameter, IMU, PARAMETERS, TIME_OFFSET_ERROR},
         imu_calibration::CONSTANTS,
         propagation::ImuReading,
         state::{ATTITUDE, GYROSCOPE_BIAS, POSITION, State, TIME_OFFSET, VELOCITY},
@@ -30,8 +30,6 @@ pub struct Settings {
     pub gravity: f64,
     /// Variances of the consider parameters.
     pub calibration: ByParameter,
-    /// Variance of the time offset beside the state's, while it is searched, s².
-    pub time_offset: f64,
     /// The IMU is silent: how fast the platform moves is known from images alone.
     pub silent: bool,
 }
@@ -115,11 +113,12 @@ fn covariance_at_imu_time(
     motion.fixed_rows_mut::<3>(0).copy_from(&state.velocity);
     motion.fixed_rows_mut::<3>(3).copy_from(&acceleration);
     motion.fixed_rows_mut::<3>(6).copy_from(&rate);
-    let offset = state.covariance[(TIME_OFFSET, TIME_OFFSET)] + settings.time_offset;
+    let offset = state.covariance[(TIME_OFFSET, TIME_OFFSET)];
     p += motion * motion.transpose() * offset
         - with_offset * motion.transpose()
         - motion * with_offset.transpose();
     if settings.silent {
+        let offset = offset + settings.calibration[TIME_OFFSET_ERROR];
         for axis in 0..3 {
             p[(axis, axis)] += UNSEEN_MOTION[0].powi(2) * offset;
             p[(6 + axis, 6 + axis)] += UNSEEN_MOTION[1].powi(2) * offset;

@@ -177,7 +177,7 @@ pub fn swing(
     let [ahead, behind] = [TIME_STEP, -TIME_STEP].map(|s| moved(s).values());
     let by_time = (ahead - behind) / (2.0 * TIME_STEP);
     jacobian.set_column(TIME_OFFSET, &-by_time);
-    let covariance = covariance(state, &jacobian, &by_time, settings);
+    let covariance = covariance(state, &jacobian, settings);
     let imu_from_volant = &geometry.imu_from_volant;
     let origin = imu_from_volant.translation.vector;
     let (position, linear_velocity) = motion.relative(&origin, &Vector3::zeros());
@@ -200,16 +200,10 @@ pub fn swing(
 }
 
 /// Covariance of the values, calibration errors and the gyroscope's noise included.
-fn covariance(
-    state: &State,
-    jacobian: &SMatrix<f64, 6, N>,
-    by_time: &Vector6<f64>,
-    settings: &Settings,
-) -> Matrix6<f64> {
+fn covariance(state: &State, jacobian: &SMatrix<f64, 6, N>, settings: &Settings) -> Matrix6<f64> {
     let by_rate = jacobian.fixed_columns::<3>(GYROSCOPE_BIAS);
     let mut p = jacobian * state.covariance * jacobian.transpose()
-        + by_rate * by_rate.transpose() * settings.rate_variance
-        + by_time * by_time.transpose() * settings.time_offset;
+        + by_rate * by_rate.transpose() * settings.rate_variance;
     let sensitivity: SMatrix<f64, 6, PARAMETERS> =
         jacobian * state.sensitivity.map(f64::from).transpose();
     let by_imu = sensitivity.fixed_columns::<CONSTANTS>(IMU);
