@@ -99,6 +99,12 @@ impl Arrival {
                 _ => 1,
             };
             self.jump = Some((stamp, count));
+            // Images have gone on to there without the IMU: they confirm it.
+            let followed = self.is_imu_silent()
+                && self.frontier.is_some_and(|end| stamp.seconds_since(end).abs() < JUMP);
+            if followed {
+                return ImuArrival::Outage;
+            }
             return match (count < CONFIRMED, ahead > 0.0) {
                 (true, _) => ImuArrival::Unconfirmed(ahead),
                 (false, true) => ImuArrival::Outage,
@@ -183,6 +189,20 @@ mod tests {
         assert_eq!(arrival.classify(at(-5000)), ImuArrival::Unconfirmed(-5.0));
         assert!(matches!(arrival.classify(at(-4990)), ImuArrival::Unconfirmed(_)));
         assert_eq!(arrival.classify(at(-4980)), ImuArrival::Back(4.98));
+    }
+
+    #[test]
+    fn images_confirm_the_first_sample_after_an_outage() {
+        let mut arrival = Arrival::default();
+        arrival.imu(at(0), ImuReading::default());
+        for ms in (33..2000).step_by(33) {
+            arrival.other(Source::Image, at(ms));
+            if arrival.is_imu_silent() {
+                arrival.image(at(ms));
+            }
+        }
+        assert!(matches!(arrival.classify(at(60_000)), ImuArrival::Unconfirmed(_)));
+        assert_eq!(arrival.classify(at(2000)), ImuArrival::Outage);
     }
 
     #[test]
