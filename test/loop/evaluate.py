@@ -6,6 +6,7 @@ import numpy as np
 
 import crane as c
 import hardware as h
+from quaternion import conjugate, from_vector, multiply, to_vector
 
 SETTLED = 1.0  # degrees
 PLATFORM = slice(3, 7 + 3)  # position and quaternion of the platform in qpos
@@ -25,9 +26,9 @@ class TruthLine:
         i = int(np.clip(np.searchsorted(self.t, t) - 1, 0, len(self.t) - 2))
         share = (t - self.t[i]) / (self.t[i + 1] - self.t[i])
         a, b = self.q[i], self.q[i + 1]
-        turned = c.to_vector(c.multiply(c.conjugate(a[6:10]), b[6:10]))
+        turned = to_vector(multiply(conjugate(a[6:10]), b[6:10]))
         position = a[3:6] + share * (b[3:6] - a[3:6])
-        return position, c.multiply(a[6:10], c.from_vector(share * turned))
+        return position, multiply(a[6:10], from_vector(share * turned))
 
     def at(self, t, values):
         """Any series of the truth at times t."""
@@ -94,7 +95,7 @@ def errors(record, name, truth):
         position, quaternion = truth.pose(t)
         e = np.array([p.x, p.y, p.z]) - position
         # world axes: estimate = exp(r) · truth
-        r = c.to_vector(c.multiply([o.w, o.x, o.y, o.z], c.conjugate(quaternion)))
+        r = to_vector(multiply([o.w, o.x, o.y, o.z], conjugate(quaternion)))
         covariance = np.array(message.pose.covariance).reshape(6, 6)
         rows.append((t, e, r, e @ np.linalg.solve(covariance[:3, :3], e),
                      r @ np.linalg.solve(covariance[3:, 3:], r)))

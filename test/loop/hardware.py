@@ -17,6 +17,7 @@ from tf2_msgs.msg import TFMessage
 from volant_msgs.msg import MarkerObservations, PoseStatus, Swing
 
 import crane as c
+from quaternion import conjugate, from_vector, multiply, rotate
 
 EPOCH = 1_000.0  # simulated time at the start, s: zero means "no time yet" to ROS nodes
 
@@ -157,12 +158,12 @@ def odometry(truth, ahead=0.0, acceleration=None):
     constant angular velocity."""
     message = Odometry(child_frame_id="volant")
     message.header.stamp, message.header.frame_id = to_time(truth.time + ahead), "world"
-    velocity = c.rotate(truth.quaternion, truth.linear)
+    velocity = rotate(truth.quaternion, truth.linear)
     position, quaternion, linear = truth.position, truth.quaternion, truth.linear
     if ahead:
         position = position + velocity * ahead + acceleration * ahead**2 / 2
-        quaternion = c.multiply(quaternion, c.from_vector(truth.angular * ahead))
-        linear = c.rotate(c.conjugate(quaternion), velocity + acceleration * ahead)
+        quaternion = multiply(quaternion, from_vector(truth.angular * ahead))
+        linear = rotate(conjugate(quaternion), velocity + acceleration * ahead)
     set_pose(message.pose.pose, position, quaternion)
     twist = message.twist.twist
     twist.linear.x, twist.linear.y, twist.linear.z = map(float, linear)

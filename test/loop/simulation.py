@@ -17,6 +17,8 @@ import hardware as h
 import mtx
 from camera import Camera
 from processes import NODES, Processes
+from quaternion import from_vector, multiply, rotate
+from stream import Stream
 
 CYCLE = 10  # steps of 1 ms: the IMU's period
 IMAGE_RATE = 30.0  # Hz
@@ -50,53 +52,6 @@ class Record:
     exits: dict = field(default_factory=dict)  # process → status
     restarts: list = field(default_factory=list)  # nodes that did not find /clock at once
     film: list = field(default_factory=list)  # JPEGs at 2 Hz
-
-
-class Stream:
-    """A stream that the simulation waits for while it keeps pace: stamps that are due."""
-
-    STREAK = 5  # messages in time before a stream counts as alive
-
-    def __init__(self):
-        self.due = deque()  # (time by which it is due, stamp)
-        self.newest = -np.inf
-        self.streak = 0
-
-    def expect(self, by, stamp):
-        """Adds a message that is due by a time."""
-        self.due.append((by, stamp))
-
-    def note(self, stamp):
-        """Notes a received stamp."""
-        self.newest = max(self.newest, stamp)
-        self.settle()
-
-    def settle(self):
-        """Removes what has come; it may have come before it was expected."""
-        while self.due and self.due[0][1] <= self.newest + 1e-3:
-            self.due.popleft()
-            self.streak += 1
-
-    def late(self, now):
-        """Whether to wait for a message. One that is missing without ends the streak."""
-        self.settle()
-        if not self.due or self.due[0][0] > now:
-            return False
-        if self.streak >= self.STREAK:
-            return True
-        self.give_up(now)
-        return False
-
-    def miss(self, now):
-        """A message did not come: the next one in time counts again, a second miss is an outage."""
-        self.give_up(now)
-        self.streak = self.STREAK - 1
-
-    def give_up(self, now):
-        """The stream is interrupted: it is not waited for until it keeps pace again."""
-        self.streak = 0
-        while self.due and self.due[0][0] <= now:
-            self.due.popleft()
 
 
 class Simulation:
@@ -133,7 +88,7 @@ class Simulation:
                 self.random.normal(size=3) * ACCELEROMETER_BIAS,
                 self.random.normal(size=3) * GYROSCOPE_BIAS,
             )
-            self.heading = c.from_vector([0, 0, self.random.uniform(-3, 3)])
+            self.heading = from_vector([0, 0, self.random.uniform(-3, 3)])
             self.wander = np.zeros(3)
 
     # Sensors
@@ -148,9 +103,9 @@ class Simulation:
         keep = np.exp(-0.001)  # over 10 ms, with a time constant of 10 s
         self.wander = self.wander * keep + self.random.normal(size=3) * (
             ATTITUDE_ERROR * np.sqrt(1 - keep**2))
-        attitude = c.multiply(self.crane.attitude(), self.rig.imu[1])
-        turned = c.multiply(self.heading, attitude)
-        return force, rate, c.multiply(c.from_vector(self.wander), turned)
+        attitude = multiply(self.crane.attitude(), self.rig.imu[1])
+        turned = multiply(self.heading, attitude)
+        return force, rate, multiply(from_vector(self.wander), turned)
 
     def within(self, interval):
         """Whether an interval of the episode contains the present time."""
@@ -308,7 +263,7 @@ class Simulation:
     def truth_feedback(self, now):
         """The truth as Volant would publish it, 6 ms after the sample."""
         truth = self.crane.truth()
-        velocity = c.rotate(truth.quaternion, truth.linear)
+        velocity = rotate(truth.quaternion, truth.linear)
         acceleration = (velocity - self.before) / (CYCLE * c.STEP) if hasattr(self, "before") \
             else np.zeros(3)
         self.before = velocity

@@ -6,6 +6,7 @@ import paths
 import numpy as np
 import crane as c
 import evaluate
+from quaternion import conjugate, multiply, rotate, to_vector
 
 RIG = c.load_rig(paths.RIG)
 
@@ -26,11 +27,11 @@ class Frames(unittest.TestCase):
         now = crane.truth()
         crane.step()
         after = crane.truth()
-        velocity = c.rotate(now.quaternion, now.linear)
+        velocity = rotate(now.quaternion, now.linear)
         np.testing.assert_allclose(
             (after.position - before.position) / (2 * c.STEP), velocity, atol=1e-4)
-        turned = c.multiply(c.conjugate(before.quaternion), after.quaternion)
-        np.testing.assert_allclose(c.to_vector(turned) / (2 * c.STEP), now.angular, atol=1e-3)
+        turned = multiply(conjugate(before.quaternion), after.quaternion)
+        np.testing.assert_allclose(to_vector(turned) / (2 * c.STEP), now.angular, atol=1e-3)
 
     def test_the_imu_measures_acceleration_minus_gravity_at_its_place(self):
         crane = released()
@@ -38,11 +39,11 @@ class Frames(unittest.TestCase):
         places, readings = [], []
         for _ in range(300):
             truth = crane.truth()
-            places.append(truth.position + c.rotate(truth.quaternion, lever))
+            places.append(truth.position + rotate(truth.quaternion, lever))
             force, rate = crane.imu()
-            attitude = c.multiply(truth.quaternion, mounting)
-            readings.append(c.rotate(attitude, force) - [0.0, 0.0, 9.81])
-            np.testing.assert_allclose(c.rotate(mounting, rate), truth.angular, atol=1e-9)
+            attitude = multiply(truth.quaternion, mounting)
+            readings.append(rotate(attitude, force) - [0.0, 0.0, 9.81])
+            np.testing.assert_allclose(rotate(mounting, rate), truth.angular, atol=1e-9)
             crane.step()
         places, readings = np.array(places), np.array(readings)
         acceleration = (places[2:] - 2 * places[1:-1] + places[:-2]) / c.STEP**2
@@ -103,7 +104,7 @@ class Images(unittest.TestCase):
 
     def project(self, point):
         place, attitude = self.crane.world_from_camera()
-        x, y, z = c.rotate(c.conjugate(attitude), point - place)
+        x, y, z = rotate(conjugate(attitude), point - place)
         return np.array([c.FOCAL[0] * x / z + c.PRINCIPAL[0], c.FOCAL[1] * y / z + c.PRINCIPAL[1]])
 
     def centroid(self, color, truth):
@@ -112,7 +113,7 @@ class Images(unittest.TestCase):
         cos, sin = np.cos(angle), np.sin(angle)
         corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
         x, y = np.array([
-            self.project(truth.position + c.rotate(truth.quaternion, RIG.markers[color] + [
+            self.project(truth.position + rotate(truth.quaternion, RIG.markers[color] + [
                 cos * u - sin * v, sin * u + cos * v, 0.0]))
             for u, v in corners]).T
         cross = x * np.roll(y, -1) - np.roll(x, -1) * y

@@ -13,10 +13,11 @@ try:
 except ImportError as error:
     raise unittest.SkipTest(f"{error}: test/loop/setup FOLDER makes an environment") from error
 import crane as c
+from quaternion import from_vector, multiply
 from episodes import Episode
 from simulation import Record
 
-ATTITUDE = c.from_vector([0.1, -0.05, 0.4])
+ATTITUDE = from_vector([0.1, -0.05, 0.4])
 
 
 def record(seconds=4.0, **episode):
@@ -33,7 +34,7 @@ def record(seconds=4.0, **episode):
 def odometry(t, error, turn, sigma):
     """The truth at t plus an error (m), turned by a rotation vector about the world's axes."""
     truth = c.Truth(t, np.array([0.5 * t, 0.12, 1.05]) + error,
-                    c.multiply(c.from_vector(turn), ATTITUDE), *[np.zeros(3)] * 4, 0.0)
+                    multiply(from_vector(turn), ATTITUDE), *[np.zeros(3)] * 4, 0.0)
     message = h.odometry(truth)
     message.pose.covariance = np.diag(np.square([sigma] * 6)).ravel().tolist()
     return message

@@ -5,7 +5,7 @@ import unittest
 import paths  # noqa: F401
 
 try:
-    from simulation import Stream
+    from stream import Stream
 except ImportError as error:
     raise unittest.SkipTest(f"{error}: test/loop/setup FOLDER makes an environment") from error
 
