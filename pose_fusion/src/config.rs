@@ -138,6 +138,9 @@ pub struct ClimberConfig {
 pub struct ClockConfig {
     /// Initial uncertainty of the camera time offset, s; 0 takes camera and IMU as synchronized.
     pub camera_sigma: f64,
+    /// Largest standard deviation of the image stamps that is identified from their intervals, s; 0
+    /// takes them as exact.
+    pub image_jitter: f64,
     /// Initial camera time offset, s (image time + offset = IMU time).
     pub camera_offset: f64,
     /// Random walk of the camera time offset, s/√s.
@@ -238,6 +241,7 @@ impl TightConfig {
         climber: ClimberConfig::DEFAULT,
         clock: ClockConfig {
             camera_sigma: 0.05,
+            image_jitter: 0.02,
             camera_offset: 0.0,
             offset_walk: 1e-5,
             climber_offset: 0.0,

@@ -78,6 +78,10 @@ node_kit::parameters! {
         /// synchronized.
         camera_clock: f64 = TIGHT.clock.camera_sigma, unit("s"), range(0.0..=0.2),
             name("clock.camera");
+        /// Largest jitter of the image stamps (1 sigma) that is identified from their intervals; 0
+        /// takes them as exact (a hardware trigger at varying intervals).
+        image_jitter: f64 = TIGHT.clock.image_jitter, unit("s"), range(0.0..=0.1),
+            name("clock.image_jitter");
         /// Initial camera time offset: image time + offset = IMU time.
         camera_clock_offset: f64 = TIGHT.clock.camera_offset, unit("s"), range(-1.0..=1.0),
             name("clock.camera_offset");
@@ -244,6 +248,7 @@ impl FusionParameters {
             },
             clock: ClockConfig {
                 camera_sigma: self.camera_clock,
+                image_jitter: self.image_jitter,
                 camera_offset: self.camera_clock_offset,
                 climber_offset: self.climber_offset,
                 ..default.clock

@@ -61,7 +61,7 @@ fn example() -> (State, Geometry, Image) {
     let camera = rest.join(&state.climber) * geometry.climber_from_camera;
     let volant = nalgebra::Isometry3::from_parts(state.position.into(), state.attitude)
         * geometry.imu_from_volant;
-    let mut image = Image { pixels: [None; 4], time_offset: 0.0, rest };
+    let mut image = Image { pixels: [None; 4], time_offset: 0.0, stamp_sigma: 1e-3, rest };
     for color in rig_model::MarkerColor::ALL {
         let seen = geometry
             .markers

@@ -16,7 +16,7 @@ use common::{
 };
 use pose_fusion::{Fusion, FusionConfig, Input, Status, Warning};
 use rig_model::Stamp;
-use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
+use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, random::Random};
 
 /// The score of a run from a time on, and what the filter knows at the end.
 fn follow(
@@ -178,6 +178,28 @@ fn a_frozen_filter_keeps_its_pose_when_the_offset_changes() {
     let status = fusion.status();
     assert!(frozen == 400 && lost == 0, "{frozen} {lost}");
     assert!((status.time_offset.offset + 0.06).abs() < 2e-3, "{status:?}");
+}
+
+/// Images stamped when they arrive: a USB camera's driver, by milliseconds.
+#[test]
+fn jitter_of_the_image_stamps_costs_little() {
+    for (jitter, seed) in [(0.002, 1), (0.005, 2), (0.010, 3)] {
+        let run = simulated::run(MotionConfig::nominal(seed), &SensorConfig::nominal(seed));
+        let mut random = Random::fork(seed, "stamps");
+        let inputs = run.inputs.iter().map(|(_, input)| {
+            let mut input = input.clone();
+            if let Input::Markers(m) = &mut input {
+                m.stamp = m.stamp.plus_seconds(random.within(-jitter, jitter));
+            }
+            input
+        });
+        let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+        let outputs = scoring::run(&mut fusion, inputs);
+        let score = scoring::score(&outputs.odometry, &run.truth, 4.0);
+        print(&format!("stamps off by up to {jitter} s"), &score, &fusion.status());
+        assert!(score.position_rmse() < 1.5 && score.position.max() < 6.0, "{score}");
+        assert!(score.nees().0 < 6.0 && score.nees().1 < 6.0, "{score}");
+    }
 }
 
 /// A rig that rests for a while after the start and then swings; everything arrives 5 ms after its

@@ -6,4 +6,5 @@ pub mod imu_integrity;
 pub mod imu_noise;
 pub mod model_error;
 pub mod pixel_noise;
+pub mod stamp_jitter;
 pub mod stationary;

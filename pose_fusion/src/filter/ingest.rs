@@ -219,7 +219,8 @@ impl Filter {
             return self.publisher.reject(stamp, &pixels, MarkerOutcome::Rejected, out);
         }
         let Some((_, _, rest)) = self.climber.newest().copied() else { return };
-        let image = Image { pixels, time_offset, rest };
+        let stamp_sigma = self.markers.stamp_sigma().min(self.setup.config.clock.image_jitter);
+        let image = Image { pixels, time_offset, stamp_sigma, rest };
         self.history.insert(at, Event::Image { image, stamp, fresh: true }, ImuReading::default());
         self.process(out);
         if !self.setup.frozen {

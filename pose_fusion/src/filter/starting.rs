@@ -208,7 +208,7 @@ impl Filter {
         if !enough || !measured || self.setup.frozen {
             return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
         }
-        let image = Image { pixels: *pixels, time_offset, rest: climber.rest };
+        let image = Image { pixels: *pixels, time_offset, stamp_sigma: 0.0, rest: climber.rest };
         let up = self.imu.own_up_at(at).or(up).or_else(|| self.imu.up_at(at, &self.history));
         let prior = ClimberPrior::from_readings(&climber);
         let Some(start) =

@@ -2,15 +2,18 @@
 //! below.
 
 use crate::{
-    adaptation::pixel_noise::PixelNoise, config::MarkerConfig, measurements::markers::Pixels,
+    adaptation::{
+        pixel_noise::PixelNoise,
+        stamp_jitter::{self, KEPT},
+    },
+    config::MarkerConfig,
+    measurements::markers::Pixels,
     output::Warning,
 };
 use nalgebra::Matrix2;
 use rig_model::{MarkerObservations, MarkerState, Stamp};
 use std::collections::VecDeque;
 
-/// Number of image stamps kept to recognize duplicates.
-const KEPT: usize = 64;
 /// Largest coordinate (px) and variance (px²) of a usable centroid.
 const LARGEST: [f64; 2] = [1e5, 1e6];
 
@@ -33,6 +36,11 @@ impl MarkerInput {
             self.stamps.pop_front();
         }
         self.stamps.push_back(stamp);
+    }
+
+    /// Returns the standard deviation of the image stamps, s.
+    pub fn stamp_sigma(&self) -> f64 {
+        stamp_jitter::sigma(&self.stamps)
     }
 
     /// Returns the pixel noise identified from the innovations.

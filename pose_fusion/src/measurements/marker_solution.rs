@@ -38,14 +38,14 @@ pub fn solve(
     image: &Image,
     reading: &ImuReading,
     at_prior: &Linearization,
+    noise: &Block,
     mask: &[bool; 4],
 ) -> Option<Solution> {
-    let mut noise = Block::identity();
-    for (i, pixel) in image.pixels.iter().enumerate() {
-        if let (true, Some((_, covariance))) = (mask[i], pixel) {
-            noise.fixed_view_mut::<2, 2>(2 * i, 2 * i).copy_from(covariance);
-        }
-    }
+    let used = |row: usize| mask[row / 2] && image.pixels[row / 2].is_some();
+    let noise = Block::from_fn(|i, j| match used(i) && used(j) {
+        true => noise[(i, j)],
+        false => f64::from(u8::from(i == j)),
+    });
     let masked = |linear: &Linearization| {
         let (mut r, mut h) = (linear.residual, linear.jacobian);
         for (i, kept) in mask.iter().enumerate() {

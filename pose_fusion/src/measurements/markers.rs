@@ -53,6 +53,8 @@ pub struct Image {
     pub pixels: Pixels,
     /// Camera time offset with which the image was placed on the IMU's time line, s.
     pub time_offset: f64,
+    /// Standard deviation of the stamp, s.
+    pub stamp_sigma: f64,
     /// Height and tilt of the climber.
     pub rest: ClimberRest,
 }
@@ -128,16 +130,18 @@ pub fn update(
     let linear = linearize(state, geometry, image, reading);
     let gain = covariance_times(&state.covariance, &linear.jacobian);
     let spread = innovation_spread(&linear.jacobian, &gain);
+    let noise = measurement_noise(state, &linear, image, reading);
     let mut pass = [false; 4];
     for (i, pixel) in image.pixels.iter().enumerate() {
-        let Some((_, noise)) = pixel else { continue };
+        let Some(_) = pixel else { continue };
         let marker = &mut record.markers[i];
         if !linear.valid[i] {
             marker.outcome = Outcome::NotPredictable;
             continue;
         }
         marker.residual = linear.residual.fixed_rows::<2>(2 * i).into_owned();
-        marker.covariance = spread.fixed_view::<2, 2>(2 * i, 2 * i) + noise;
+        marker.covariance =
+            spread.fixed_view::<2, 2>(2 * i, 2 * i) + noise.fixed_view::<2, 2>(2 * i, 2 * i);
         marker.nis = match Cholesky::new(marker.covariance) {
             Some(c) => marker.residual.dot(&c.solve(&marker.residual)),
             None => f64::INFINITY,
@@ -148,12 +152,12 @@ pub fn update(
     if linear.valid == [true; 4] {
         record.internal = internal_consistency(&linear, image);
     }
-    let mut best = solve(state, geometry, image, reading, &linear, &pass);
+    let mut best = solve(state, geometry, image, reading, &linear, &noise, &pass);
     if count(&pass) >= 2 && exceeds(&best, &pass, gates) {
         let mut chosen = [false; 4];
         best = None;
         if let Some((mask, solution)) = largest_consistent(&pass, gates, |mask| {
-            solve(state, geometry, image, reading, &linear, mask)
+            solve(state, geometry, image, reading, &linear, &noise, mask)
         }) {
             chosen = mask;
             best = Some(solution);
@@ -166,7 +170,7 @@ pub fn update(
         pass = chosen;
     }
     if record.internal.is_some() && count(&pass) < 4 {
-        record.against_prediction = joint_nis(&linear.residual, spread, image);
+        record.against_prediction = joint_nis(&linear.residual, &(spread + noise));
     }
     let (Some(solution), true) = (best, count(&pass) > 0) else { return record };
     record.used = count(&pass) as u32;
@@ -204,13 +208,31 @@ fn internal_consistency(linear: &Linearization, image: &Image) -> Option<f64> {
     Some((linear.residual.dot(&(information * linear.residual)) - right.dot(&solution)).max(0.0))
 }
 
-/// Returns `rᵀ (H P Hᵀ + R)⁻¹ r` of four markers; `spread` is `H P Hᵀ`.
-fn joint_nis(residual: &Residual, mut spread: Block, image: &Image) -> Option<f64> {
+/// Returns the covariance of the centroids of an image: their own, and what the motion makes of the
+/// error of its stamp. Of a marker that is absent it is the identity.
+fn measurement_noise(
+    state: &State,
+    linear: &Linearization,
+    image: &Image,
+    reading: &ImuReading,
+) -> Block {
+    let mut motion = SVector::<f64, 9>::zeros();
+    let rate = state.attitude * state.motion(reading).angular_velocity;
+    motion.fixed_rows_mut::<3>(0).copy_from(&state.velocity);
+    motion.fixed_rows_mut::<3>(3).copy_from(&rate);
+    motion.fixed_rows_mut::<3>(6).copy_from(&state.climber_rate);
+    let moved = linear.jacobian * motion * image.stamp_sigma;
+    let mut noise = moved * moved.transpose();
     for (i, pixel) in image.pixels.iter().enumerate() {
-        let mut own = spread.fixed_view_mut::<2, 2>(2 * i, 2 * i);
-        own += pixel.as_ref()?.1;
+        let mut own = noise.fixed_view_mut::<2, 2>(2 * i, 2 * i);
+        own += pixel.as_ref().map_or(Matrix2::identity(), |(_, covariance)| *covariance);
     }
-    Some(residual.dot(&Cholesky::new(spread)?.solve(residual)))
+    noise
+}
+
+/// Returns `rᵀ S⁻¹ r` of four markers with the innovation covariance `S`.
+fn joint_nis(residual: &Residual, covariance: &Block) -> Option<f64> {
+    Some(residual.dot(&Cholesky::new(*covariance)?.solve(residual)))
 }
 
 fn count(mask: &[bool; 4]) -> usize {
@@ -284,6 +306,7 @@ pub(super) mod tests {
         let mut image = Image {
             pixels: [Some((Vector2::zeros(), Matrix2::identity() * 0.01)); 4],
             time_offset: 0.001,
+            stamp_sigma: 0.0,
             rest: ClimberRest { height: 2.8, tilt: UnitQuaternion::identity() },
         };
         let linear = linearize(&state, &geometry, &image, &READING);

@@ -4,6 +4,7 @@ use super::recording::Recording;
 use nalgebra::{UnitQuaternion, Vector3};
 use pose_fusion::Input;
 use rig_model::{CameraModel, Stamp};
+use rig_simulator::random::Random;
 use std::fmt;
 
 /// Beginning of what lasts for a while, s after the first truth.
@@ -36,6 +37,8 @@ pub enum Perturbation {
     EncoderFrozen(f64),
     /// The IMU reads zero for so long, s.
     ImuZeros(f64),
+    /// The IMU repeats its last values for so long, s.
+    ImuStuck(f64),
     /// One IMU sample has this specific force, m/s².
     ImuSpike(f64),
     /// The gyroscope saturates at this, rad/s.
@@ -48,12 +51,14 @@ pub enum Perturbation {
     ImagesLost(f64),
     /// The camera's and encoders' stamps are late by this, s.
     CameraDelay(f64),
+    /// The images' stamps are off by up to this, each by another number, s.
+    ImageJitter(f64),
     /// A second publisher repeats every IMU sample.
     ImuTwice,
 }
 
 /// Perturbations of the table.
-pub const TABLE: [Perturbation; 29] = {
+pub const TABLE: [Perturbation; 31] = {
     use Perturbation::*;
     [
         GyroScale(0.002),
@@ -78,12 +83,14 @@ pub const TABLE: [Perturbation; 29] = {
         EncoderOff(10.0, 1.0),
         EncoderFrozen(2.0),
         ImuZeros(1.0),
+        ImuStuck(1.0),
         ImuSpike(1000.0),
         GyroSaturated(0.5),
         ImuLost(2.0),
         EncodersLost(2.0),
         ImagesLost(2.0),
         CameraDelay(0.1),
+        ImageJitter(0.005),
         ImuTwice,
     ]
 };
@@ -104,12 +111,14 @@ impl fmt::Display for Perturbation {
             Self::EncoderOff(x, t) => write!(f, "encoders {x} m off for {t} s"),
             Self::EncoderFrozen(t) => write!(f, "encoders frozen {t} s"),
             Self::ImuZeros(t) => write!(f, "IMU zeros {t} s"),
+            Self::ImuStuck(t) => write!(f, "IMU stuck {t} s"),
             Self::ImuSpike(x) => write!(f, "one IMU sample of {x} m/s²"),
             Self::GyroSaturated(x) => write!(f, "gyro saturated at {x} rad/s"),
             Self::ImuLost(t) => write!(f, "no IMU for {t} s"),
             Self::EncodersLost(t) => write!(f, "no encoders for {t} s"),
             Self::ImagesLost(t) => write!(f, "no images for {t} s"),
             Self::CameraDelay(t) => write!(f, "camera and encoder stamps {:+.0} ms", t * 1e3),
+            Self::ImageJitter(t) => write!(f, "image stamps off by up to {:.0} ms", t * 1e3),
             Self::ImuTwice => write!(f, "every IMU sample twice"),
         }
     }
@@ -122,6 +131,7 @@ impl Perturbation {
             Self::EncoderOff(_, t)
             | Self::EncoderFrozen(t)
             | Self::ImuZeros(t)
+            | Self::ImuStuck(t)
             | Self::ImuLost(t)
             | Self::EncodersLost(t)
             | Self::ImagesLost(t) => *t,
@@ -191,6 +201,15 @@ impl Perturbation {
                     (s.specific_force, s.angular_velocity) = (Vector3::zeros(), Vector3::zeros());
                 }
             }),
+            Self::ImuStuck(_) => {
+                let mut stuck = None;
+                each_imu(recording, |s| {
+                    if within(s.stamp) {
+                        (s.specific_force, s.angular_velocity) =
+                            *stuck.get_or_insert((s.specific_force, s.angular_velocity));
+                    }
+                });
+            }
             Self::ImuSpike(x) => {
                 let mut once = true;
                 each_imu(recording, |s| {
@@ -223,6 +242,14 @@ impl Perturbation {
                 for (_, input) in &mut recording.inputs {
                     if let Input::Markers(m) = input {
                         m.stamp = m.stamp.plus_seconds(x);
+                    }
+                }
+            }
+            Self::ImageJitter(most) => {
+                let mut random = Random::fork(1, "stamps");
+                for (_, input) in &mut recording.inputs {
+                    if let Input::Markers(m) = input {
+                        m.stamp = m.stamp.plus_seconds(random.within(-most, most));
                     }
                 }
             }

@@ -1,0 +1,74 @@
+//! Jitter of the image stamps, identified from the stamps themselves.
+//!
+//! A camera exposes at equal intervals; a driver that stamps on arrival adds the jitter of transfer
+//! and scheduling, milliseconds on USB. At 1 m/s a millisecond is a millimeter. An interval that is
+//! off its multiple of the median interval by `e` has the jitter of two stamps in it, so that the
+//! median of `|e|` is `0.6745 √2 σ` of a normal distribution. A single late stamp does not count:
+//! the gates reject it.
+
+use rig_model::Stamp;
+use std::collections::VecDeque;
+
+/// Number of stamps kept: two seconds at 30 Hz.
+pub const KEPT: usize = 64;
+/// Fewest intervals that say anything.
+const FEWEST: usize = 8;
+/// Median of the absolute value of a normal distribution, in standard deviations.
+const MEDIAN: f64 = 0.6745;
+
+/// Returns the standard deviation of the stamps, s; 0 as long as there are too few.
+pub fn sigma(stamps: &VecDeque<Stamp>) -> f64 {
+    let mut intervals = [0.0; KEPT];
+    let mut count = 0;
+    for (a, b) in stamps.iter().zip(stamps.iter().skip(1)) {
+        intervals[count] = b.seconds_since(*a);
+        count += 1;
+    }
+    let intervals = &mut intervals[..count];
+    if count < FEWEST {
+        return 0.0;
+    }
+    let period = median(intervals);
+    if period <= 0.0 {
+        return 0.0;
+    }
+    for interval in intervals.iter_mut() {
+        *interval = (*interval - (*interval / period).round().max(1.0) * period).abs();
+    }
+    median(intervals) / (MEDIAN * std::f64::consts::SQRT_2)
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stamps(offset: impl Fn(usize) -> f64, kept: impl Fn(usize) -> bool) -> VecDeque<Stamp> {
+        let at = |k: usize| Stamp::from_nanos(1_000_000_000).plus_seconds(k as f64 / 30.0);
+        (0..KEPT).filter(|k| kept(*k)).map(|k| at(k).plus_seconds(offset(k))).collect()
+    }
+
+    /// Between -1 and 1, standard deviation 0.58.
+    fn noise(k: usize) -> f64 {
+        ((k * 7919 + 13) % 101) as f64 / 50.0 - 1.0
+    }
+
+    #[test]
+    fn jitter_is_found_and_lost_images_or_one_late_stamp_are_none() {
+        let exact = stamps(|_| 0.0, |_| true);
+        assert!(sigma(&exact) < 1e-6);
+        assert_eq!(sigma(&exact.iter().take(5).copied().collect()), 0.0);
+        let lost = stamps(|_| 0.0, |k| k % 5 != 0 && k % 7 != 0);
+        assert!(sigma(&lost) < 1e-6);
+        let late = stamps(|k| if k == 30 { 0.012 } else { 0.0 }, |_| true);
+        assert!(sigma(&late) < 1e-6);
+        for jitter in [0.001, 0.005] {
+            let found = sigma(&stamps(|k| jitter * noise(k), |k| k % 9 != 0));
+            assert!((found / (0.58 * jitter) - 1.0).abs() < 0.5, "{jitter}: {found}");
+        }
+    }
+}
