@@ -13,20 +13,27 @@ use std::collections::VecDeque;
 pub const KEPT: usize = 64;
 /// Fewest intervals that say anything.
 const FEWEST: usize = 8;
+/// A smaller jitter may be one of the exposures, which the stamps tell rightly, s.
+const SMALLEST: f64 = 0.5e-3;
 /// Median of the absolute value of a normal distribution, in standard deviations.
 const MEDIAN: f64 = 0.6745;
 
-/// Returns the standard deviation of the stamps, s; 0 as long as there are too few.
+/// Returns the standard deviation of the stamps, s; 0 where it is below half a millisecond, and as
+/// long as there are too few.
 pub fn sigma(stamps: &VecDeque<Stamp>) -> f64 {
-    let mut intervals = [0.0; KEPT];
-    let mut count = 0;
-    for (a, b) in stamps.iter().zip(stamps.iter().skip(1)) {
-        intervals[count] = b.seconds_since(*a);
-        count += 1;
-    }
-    let intervals = &mut intervals[..count];
-    if count < FEWEST {
+    // In the order of the stamps: images may arrive late.
+    let mut sorted = [Stamp::default(); KEPT];
+    let count = stamps.len().min(KEPT);
+    sorted.iter_mut().zip(stamps).for_each(|(to, stamp)| *to = *stamp);
+    let sorted = &mut sorted[..count];
+    sorted.sort_unstable();
+    if count <= FEWEST {
         return 0.0;
+    }
+    let mut intervals = [0.0; KEPT];
+    let intervals = &mut intervals[..count - 1];
+    for (interval, pair) in intervals.iter_mut().zip(sorted.windows(2)) {
+        *interval = pair[1].seconds_since(pair[0]);
     }
     let period = median(intervals);
     if period <= 0.0 {
@@ -35,7 +42,8 @@ pub fn sigma(stamps: &VecDeque<Stamp>) -> f64 {
     for interval in intervals.iter_mut() {
         *interval = (*interval - (*interval / period).round().max(1.0) * period).abs();
     }
-    median(intervals) / (MEDIAN * std::f64::consts::SQRT_2)
+    let sigma = median(intervals) / (MEDIAN * std::f64::consts::SQRT_2);
+    if sigma < SMALLEST { 0.0 } else { sigma }
 }
 
 fn median(values: &mut [f64]) -> f64 {
@@ -46,15 +54,11 @@ fn median(values: &mut [f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rig_simulator::random::Random;
 
     fn stamps(offset: impl Fn(usize) -> f64, kept: impl Fn(usize) -> bool) -> VecDeque<Stamp> {
         let at = |k: usize| Stamp::from_nanos(1_000_000_000).plus_seconds(k as f64 / 30.0);
         (0..KEPT).filter(|k| kept(*k)).map(|k| at(k).plus_seconds(offset(k))).collect()
-    }
-
-    /// Between -1 and 1, standard deviation 0.58.
-    fn noise(k: usize) -> f64 {
-        ((k * 7919 + 13) % 101) as f64 / 50.0 - 1.0
     }
 
     #[test]
@@ -66,9 +70,15 @@ mod tests {
         assert!(sigma(&lost) < 1e-6);
         let late = stamps(|k| if k == 30 { 0.012 } else { 0.0 }, |_| true);
         assert!(sigma(&late) < 1e-6);
+        let mut random = Random::new(1);
+        let noise: Vec<f64> = (0..KEPT).map(|_| random.normal()).collect();
+        assert_eq!(sigma(&stamps(|k| 1e-4 * noise[k], |_| true)), 0.0);
         for jitter in [0.001, 0.005] {
-            let found = sigma(&stamps(|k| jitter * noise(k), |k| k % 9 != 0));
-            assert!((found / (0.58 * jitter) - 1.0).abs() < 0.5, "{jitter}: {found}");
+            let mut jittered = stamps(|k| jitter * noise[k], |k| k % 9 != 0);
+            let found = sigma(&jittered);
+            assert!((found / jitter - 1.0).abs() < 0.4, "{jitter}: {found}");
+            jittered.make_contiguous().swap(20, 22);
+            assert_eq!(sigma(&jittered), found, "the order of arrival does not count");
         }
     }
 }

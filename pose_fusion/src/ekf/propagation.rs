@@ -74,7 +74,7 @@ pub struct ProcessNoise {
     pub time_offset: f64,
     /// Share of the readings' changes that is noise and tells nothing of the time offset: specific
     /// force, angular velocity.
-    pub noise_of_changes: [f64; 2],
+    pub noise_of_changes: [f32; 2],
 }
 
 /// Propagates `state` by `dt` seconds with the readings at both ends. `gravity` in m/s².
@@ -155,7 +155,7 @@ impl Blocks {
         dt: f64,
         noise: &ProcessNoise,
     ) -> Self {
-        let [force_share, rate_share] = noise.noise_of_changes.map(|noise| 1.0 - noise);
+        let [force_share, rate_share] = noise.noise_of_changes.map(|noise| 1.0 - f64::from(noise));
         Self {
             by_attitude: -(force.cross_matrix() * dt),
             by_bias: -(rotation * dt),

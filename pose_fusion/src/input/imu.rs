@@ -143,9 +143,9 @@ impl ImuInput {
 
     /// Returns which share of the readings' changes between two images is noise: specific force,
     /// angular velocity.
-    pub fn noise_of_changes(&self) -> [f64; 2] {
+    pub fn noise_of_changes(&self) -> [f32; 2] {
         let share = self.noise.noise_of_changes();
-        [share.force, share.rate]
+        [share.force as f32, share.rate as f32]
     }
 
     /// Returns the model error identified from the images.
