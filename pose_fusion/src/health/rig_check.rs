@@ -89,7 +89,7 @@ impl RigCheck {
         if least > REJECTED {
             found.push(format!(
                 "{:.0} % of each marker rejected (units, stamps, `imu.orientation`, \
-                 `camera.orientation`)",
+                 `camera.orientation`, `camera_info`)",
                 100.0 * least
             ));
         }
