@@ -20,7 +20,7 @@ use pose_fusion::{
     filter::Filter,
     measurements::{
         geometry::{ClimberRest, Geometry},
-        markers::{self, Gates, Image},
+        markers::{self, Gates, Image, ImageInnovation},
     },
     timeline::history::Entry,
 };
@@ -100,6 +100,10 @@ fn median<T: Clone>(on: &T, mut work: impl FnMut(&mut T)) -> f64 {
 
 const GATES: Gates = Gates { marker: 16.0, joint: 1.0 };
 
+fn update(state: &mut State, geometry: &Geometry, image: &Image) -> ImageInnovation {
+    markers::update(state, geometry, image, &reading(0.0), &GATES, 9.81, true)
+}
+
 #[test]
 fn a_step_and_an_update_allocate_nothing() {
     let (state, geometry, image) = example();
@@ -111,16 +115,7 @@ fn a_step_and_an_update_allocate_nothing() {
     let mut update_state = state.clone();
     let mut used = 0;
     let update_allocations = allocations(|| {
-        used = markers::update(
-            black_box(&mut update_state),
-            &geometry,
-            &image,
-            &reading(0.0),
-            &GATES,
-            9.81,
-            true,
-        )
-        .used;
+        used = update(black_box(&mut update_state), &geometry, &image).used;
     });
     assert_eq!((used, step_allocations, update_allocations), (4, 0, 0));
 }
@@ -138,15 +133,7 @@ fn a_step_and_an_update_cost_a_few_dense_products() {
         let unit = median(&(dense, dense), |(a, b)| *a = black_box(&*a) * black_box(&*b));
         let step = median(&state, |s| propagate(black_box(s), &from, &to, 0.01, 9.81, &noise));
         let update = median(&state, |s| {
-            black_box(markers::update(
-                black_box(s),
-                &geometry,
-                &image,
-                &reading(0.0),
-                &GATES,
-                9.81,
-                true,
-            ));
+            black_box(update(black_box(s), &geometry, &image));
         });
         for (least, now) in least.iter_mut().zip([unit, step, update]) {
             *least = least.min(now);

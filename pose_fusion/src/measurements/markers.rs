@@ -132,8 +132,7 @@ pub fn update(
     let spread = innovation_spread(&linear.jacobian, &gain);
     let noise = measurement_noise(state, &linear, image, reading);
     let mut pass = [false; 4];
-    for (i, pixel) in image.pixels.iter().enumerate() {
-        let Some(_) = pixel else { continue };
+    for i in (0..4).filter(|i| image.pixels[*i].is_some()) {
         let marker = &mut record.markers[i];
         if !linear.valid[i] {
             marker.outcome = Outcome::NotPredictable;
