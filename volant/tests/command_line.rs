@@ -224,6 +224,14 @@ fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
         ),
         ("marker_tracker", "max_predicted: six", ["max_predicted", "six"]),
         ("/**", "no_node_has_this: 1", ["no_node_has_this", "params.yaml"]),
+        ("pose_fusion", "model: published", ["`model` is \"published\"", "one of tight, paper"]),
+        ("pose_fusion", "paper: {ratio: -10.0}", ["`paper.ratio` is -10", "between 0.000001"]),
+        ("pose_fusion", "paper: {ratio: .nan}", ["`paper.ratio`", "must be a number"]),
+        ("pose_fusion", "paper: {position_sigma: 0.0}", ["`paper.position_sigma`", "between"]),
+        ("pose_fusion", "paper: {measurement: marker}", ["`paper.measurement`", "pose, markers"]),
+        ("pose_fusion", "paper: {measurment: pose}", ["paper.measurment", "paper.measurement"]),
+        ("marker_tracker", "method: published", ["`method`", "one of outline, paper"]),
+        ("marker_tracker", "paper: {threshold: 75}", ["`paper.threshold` is 75", "0.05 and 0.99"]),
     ] {
         let text = format!("{node}:\n  ros__parameters:\n    {line}\n");
         fails_with(&place.file("params.yaml", text.as_bytes()), &words);

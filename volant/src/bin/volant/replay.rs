@@ -82,6 +82,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         !arguments.smooth || fusion.model == Model::Tight,
         "--smooth requires the error-state filter; remove --model paper"
     );
+    let model = fusion.model;
     let workers = arguments
         .threads
         .unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
@@ -111,12 +112,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let times = if *count > 1 { format!(" ({count} times)") } else { String::new() };
         terminal::line(&format!("volant: {sentence}{times}"));
     }
-    out!("{}", summary(&report, workers))?;
+    out!("{}", summary(&report, model, workers))?;
     outln!("wrote     {}", arguments.out.display())?;
     Ok(())
 }
 
-fn summary(report: &ReplayReport, workers: usize) -> String {
+fn summary(report: &ReplayReport, model: Model, workers: usize) -> String {
     let (c, s) = (&report.counts, &report.spent);
     let share = |part: u64, of: u64| if of == 0 { 0.0 } else { 100.0 * part as f64 / of as f64 };
     let seconds = |d: Duration| d.as_secs_f64();
@@ -129,12 +130,16 @@ fn summary(report: &ReplayReport, workers: usize) -> String {
         out += &format!("images    {}\n", c.images);
     }
     out += &format!(
-        "markers   {} detected of {} ({:.1} %), {} used by the filter ({:.1} %)\n",
+        "markers   {} detected of {} ({:.1} %){}\n",
         c.detected,
         4 * c.markers,
         share(c.detected, 4 * c.markers),
-        c.used,
-        share(c.used, 4 * c.markers)
+        match model {
+            Model::Tight =>
+                format!(", {} used by the filter ({:.1} %)", c.used, share(c.used, 4 * c.markers)),
+            // It uses visual poses, counted below.
+            Model::Paper => String::new(),
+        }
     );
     out += &format!("inputs    {} IMU samples, {} climber transforms\n", c.imu, c.climber);
     out += &format!(
