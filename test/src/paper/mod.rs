@@ -118,7 +118,7 @@ pub enum PaperError {
 /// Writes a file, and names it where that fails.
 ///
 /// # Errors
-/// Reading failed.
+/// Writing failed.
 pub(crate) fn write(path: &std::path::Path, text: &str) -> Result<(), PaperError> {
     std::fs::write(path, text).map_err(|source| PaperError::Io { path: path.to_owned(), source })
 }
@@ -126,7 +126,7 @@ pub(crate) fn write(path: &std::path::Path, text: &str) -> Result<(), PaperError
 /// Reads a file, and names it where that fails.
 ///
 /// # Errors
-/// Writing failed.
+/// Reading failed.
 pub(crate) fn read(path: &std::path::Path) -> Result<String, PaperError> {
     std::fs::read_to_string(path).map_err(|source| PaperError::Io { path: path.to_owned(), source })
 }

@@ -246,6 +246,23 @@ mod tests {
     }
 
     #[test]
+    fn stages_that_share_a_time_refer_to_its_row() {
+        let folder = folder("stages");
+        std::fs::write(
+            folder.join("table-1.csv"),
+            "stage,published_ms,plain_opencv_ms,ours_ms\noptical flow,1.5,2,\nflow, tracking and \
+             extraction,6.91,3,0.04\nextrinsics,0.36,0.1,0.002\ntotal,7.27,3.1,0.042\n"
+                .replace("flow, tracking and extraction", "\"flow, tracking and extraction\""),
+        )
+        .unwrap();
+        let rows = table_1(&folder).unwrap().table.unwrap().rows;
+        assert_eq!(rows[0][3].0, "in one pass, below");
+        assert_eq!(rows[1][0].0, "flow, tracking and extraction");
+        assert!(rows.iter().flatten().all(|cell| !cell.0.is_empty()));
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
     fn a_table_of_another_version_is_rejected_by_name() {
         let folder = folder("other");
         std::fs::write(folder.join("table-1.csv"), "stage,ours_ms\ntotal,1\n").unwrap();
