@@ -157,6 +157,22 @@ fn a_changed_image_size_and_tiny_images_are_no_error() {
     }
 }
 
+#[test]
+fn an_image_without_color_has_no_marker_and_the_next_colored_one_has_all() {
+    let mut tracker = new_tracker(paper());
+    let mut noise = Noise(5);
+    let mut gray = draw(&pose(0.0), ALL, &mut noise);
+    for pixel in gray.chunks_exact_mut(3) {
+        pixel.fill(pixel[1]);
+    }
+    for (k, image) in [&gray, &gray, &draw(&pose(0.0), ALL, &mut noise)].into_iter().enumerate() {
+        let state = if k < 2 { MarkerState::Lost } else { MarkerState::Detected };
+        for (color, m) in observe(&mut tracker, k as i64, image).markers.iter() {
+            assert_eq!(m.state, state, "{color} in image {k}");
+        }
+    }
+}
+
 /// Images of a flight over a floor on which things of the markers' colors lie: camera and platform
 /// move together. The red marker is hidden by a plank from the image `hidden` on.
 fn flight(seed: u64, count: usize, hidden: usize) -> Vec<(Vec<u8>, PerColor<Vector2<f64>>)> {
