@@ -76,3 +76,19 @@ fn convert<'a>(
     crate::opencv::convert(width, height, encoding, big_endian, step, data, scratch)?;
     Ok(scratch.view(stamp))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_encoding_without_color_is_rejected_with_the_remedy() {
+        for encoding in ["mono8", "mono16", "8UC1", "16UC1", "32FC1"] {
+            let (stamp, mut scratch) = (Stamp::from_nanos(0), OwnedImage::default());
+            let error = from_encoding(stamp, 2, 1, encoding, false, 8, &[0; 8], &mut scratch)
+                .unwrap_err()
+                .to_string();
+            assert!(error.contains(encoding) && error.contains("set the camera to"), "{error}");
+        }
+    }
+}

@@ -186,12 +186,14 @@ impl Curves {
                  rotations better than an IMU attitude with an error of half a degree. Nothing \
                  corrects the published filter's inertial velocity, so its position is {:.0} mm \
                  off (RMSE; {:.0} mm with the published tracker) and drifts away from the \
-                 camera's; with the velocity from the fused poses (`paper.velocity_from_fused`) it is {:.1} \
-                 mm. With three visible markers the published pose has several solutions, and the \
-                 noise of the published tracker's centers of mass can let it slip into another \
-                 one: {:.2}° of rotation for the whole system, {:.2}° on the default tracker's \
-                 markers. The default filter uses every visible marker's pixels and estimates velocity, biases \
-                 and clock offsets too: {:.2} mm, {:.3}°.",
+                 camera's; with the velocity from the fused poses (`paper.velocity_from_fused`) \
+                 it is {:.1} mm. What covers a part of a marker shifts its center of mass; eq. 3 \
+                 goes on from there without the platform's turn, and the published pose weighs all \
+                 pixels alike, so it tilts. Past six images three markers continue from that pose \
+                 and may stay in another of their solutions: {:.2}° of rotation for the whole \
+                 system, {:.2}° on the default tracker's markers, whose edges show what is \
+                 covered. The default filter uses every visible marker's pixels and estimates \
+                 velocity, biases and clock offsets too: {:.2} mm, {:.3}°.",
                 paper.position_rmse,
                 whole.position_rmse,
                 corrected.position_rmse,
