@@ -292,7 +292,7 @@ fn paper_status(paper: &Paper, now: Stamp, config: &FusionConfig) -> PoseStatus 
         markers_used: paper.last_visual().map_or(0, |(_, markers)| markers),
         ..PoseStatus::initializing(now, String::new())
     }
-    .judged(&config.status, imu_age > crate::timeline::dropout::GAP);
+    .judged(&config.status, imu_age > crate::timeline::dropout::GAP, false);
     if status.state == PoseState::Coasting {
         status.reason = format!(
             "two or more markers hidden, or no climber/transform: {}; the doubly integrated \

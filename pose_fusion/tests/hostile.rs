@@ -159,7 +159,7 @@ fn the_covariance_stays_consistent_without_vision() {
             last = Some(o);
         }
     }
-    assert!(outputs.warnings.iter().any(|w| matches!(w, Warning::VisionLost { .. })));
+    assert!(outputs.warnings.iter().any(|w| matches!(w, Warning::PoseLost { .. })));
     // Back within two images.
     let back = outputs.odometry.iter().find(|o| o.stamp.seconds_since(epoch) > 9.12).unwrap();
     let truth = scoring::pose_at(&run.truth, back.stamp).unwrap();

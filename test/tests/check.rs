@@ -58,7 +58,7 @@ const SYMPTOMS: [(&str, &str); 8] = [
     ("red marker 20 cm off", "no pose fits"),
     ("IMU tilt 5°", "rotated by"),
     ("IMU yaw 5°", "gyroscope rotated by"),
-    ("accelerometer in g", "% of each marker rejected"),
+    ("accelerometer in g", "linear_acceleration is 1.0"),
     ("gyroscope scale +2 %", "gyroscope scale factor 2"),
     ("IMU stamps + 0.2 s", "differ by 2"),
     ("distortion zeroed", "`camera_info`"),

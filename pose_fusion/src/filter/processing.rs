@@ -63,6 +63,7 @@ impl Filter {
             if !sanity::is_sound(&entry.state, &self.setup.config) {
                 out.push_back(Output::Warning(Warning::Diverged { stamp: at }));
                 self.publisher.counts.resets.divergences += 1;
+                self.lock_out.responded(at);
                 return self.reset_estimate();
             }
             let done = match step {
@@ -277,11 +278,11 @@ impl Filter {
         match self.lock_out.note(stamp, image.detected(), record.used, limit, excused) {
             Response::None => false,
             Response::GiveWay(since) => {
-                self.lock_out.answered();
+                self.lock_out.responded(stamp);
                 self.give_way(place, stamp, image, record, (last_used.unwrap_or(since), since), out)
             }
             Response::Reinitialize(since) => {
-                self.lock_out.answered();
+                self.lock_out.responded(stamp);
                 self.reinitialize(stamp, image, since, out)
             }
         }

@@ -204,7 +204,7 @@ impl Filter {
             time_offset: state.time_offset,
             ..PoseStatus::initializing(end, String::new())
         }
-        .judged(&self.setup.status, silent);
+        .judged(&self.setup.status, silent, self.lock_out.is_contradicted(end));
         let horizon = self.setup.config.prediction_horizon;
         let earlier = end.plus_seconds(-horizon);
         let earlier = (self.history.place_of(earlier).checked_sub(1))
@@ -229,13 +229,9 @@ impl Filter {
         self.publisher.silence.resumed = None;
         self.publisher.counts.odometry += 1;
         let lost = status.state == PoseState::Lost;
-        if let (true, false, Some(since)) =
-            (lost, self.publisher.silence.pose_lost, self.lock_out.last_used())
-        {
-            out.push_back(Output::Warning(Warning::VisionLost {
-                since,
-                position_sigma_m: position_sigma,
-            }));
+        if lost && !self.publisher.silence.pose_lost {
+            let reason = status.reason.clone();
+            out.push_back(Output::Warning(Warning::PoseLost { stamp: end, reason }));
         }
         self.publisher.silence.pose_lost = lost;
         out.push_back(Output::Odometry(limited));
@@ -292,7 +288,14 @@ impl Filter {
         ];
         let missing: Vec<&str> =
             missing.into_iter().filter(|(_, absent)| *absent).map(|(name, _)| name).collect();
-        if missing.is_empty() {
+        if let (true, Some(force)) = (missing.is_empty(), self.start.wrong_gravity) {
+            format!(
+                "{}: linear_acceleration is {force:.2} m/s^2 upward on average, not {:.2}: its \
+                 unit (not g), sign, orientation, gravity removed?",
+                topics::IMU,
+                self.setup.config.gravity
+            )
+        } else if missing.is_empty() {
             "no image with three markers that fit together".to_owned()
         } else {
             format!("no message on {}", missing.join(", "))

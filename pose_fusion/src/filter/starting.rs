@@ -56,6 +56,8 @@ pub(super) struct Start {
     pub(super) searches_again: bool,
     /// Uncertainty of the time offset while it is searched, s, once there is an alignment.
     pub(super) offset_doubt: Option<f64>,
+    /// Upward specific force of samples that cannot initialize the pose, m/s².
+    pub(super) wrong_gravity: Option<f64>,
     markers_seen: usize,
 }
 
@@ -106,7 +108,7 @@ impl Filter {
         self.arrival.reset();
         self.imu.interrupt();
         self.trust.reset();
-        self.lock_out.answered();
+        self.lock_out.clear();
         (self.start.started, self.start.awaited) = (false, None);
     }
 
@@ -206,6 +208,11 @@ impl Filter {
         };
         let enough = pixels.iter().flatten().count() >= 3;
         if !enough || !measured || self.setup.frozen {
+            return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
+        }
+        self.start.wrong_gravity =
+            self.imu.wrong_gravity(at, &self.history, self.setup.config.gravity);
+        if !absent && self.start.wrong_gravity.is_some() {
             return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
         }
         let image = Image { pixels: *pixels, time_offset, stamp_sigma: 0.0, rest: climber.rest };

@@ -6,6 +6,9 @@
 //! is re-propagated with the noise of a shock; shocks that follow each other mean that something
 //! else is wrong, and the pose is reinitialized from the image. The same happens where no image was
 //! used for [`STARVED`] seconds.
+//!
+//! Where that happens again and again, no shock explains it: a unit, a sign, a direction or a frame
+//! is wrong, and the pose must not be used.
 
 use rig_model::Stamp;
 
@@ -17,6 +20,10 @@ pub const SUSPECT: f64 = 0.5;
 /// another explanation is tried.
 const SHOCKS: u32 = 2;
 const REPEATED: f64 = 0.6;
+/// The pose is contradicted where the prediction gave way three times within this time, and until
+/// as much time has passed without a further time, s. Correct files and sensors do so at most once
+/// on any recording, wrong ones in every second (`--test robustness wrong_unit`).
+const CONTRADICTED: f64 = 3.0;
 
 /// What follows from an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,12 +45,16 @@ pub struct LockOut {
     initialized: Option<Stamp>,
     /// First of the times that the prediction gave way, and how often it did since.
     gave_way: Option<(Stamp, u32)>,
+    /// Images of the last three responses.
+    responses: [Option<Stamp>; 3],
 }
 
 impl LockOut {
     /// Notes that the pose was initialized from an image.
     pub fn initialized(&mut self, image: Stamp) {
-        *self = Self { last_used: Some(image), initialized: Some(image), ..Self::default() };
+        let responses = self.responses;
+        *self =
+            Self { last_used: Some(image), initialized: Some(image), responses, ..Self::default() };
     }
 
     /// Returns the newest image that was used.
@@ -100,10 +111,23 @@ impl LockOut {
         count > SHOCKS
     }
 
-    /// Starts counting again, after a response was carried out.
-    pub fn answered(&mut self) {
+    /// Notes that the filter responds to an image, and starts counting again.
+    pub fn responded(&mut self, image: Stamp) {
+        self.clear();
+        self.responses.rotate_left(1);
+        self.responses[2] = Some(image);
+    }
+
+    /// Starts counting again.
+    pub fn clear(&mut self) {
         self.contradictions = 0;
         self.since = None;
+    }
+
+    /// Returns whether images and prediction contradict each other again and again.
+    pub fn is_contradicted(&self, now: Stamp) -> bool {
+        matches!(self.responses, [Some(first), _, Some(last)]
+            if last.seconds_since(first) < CONTRADICTED && now.seconds_since(last) < CONTRADICTED)
     }
 }
 
@@ -122,9 +146,22 @@ mod tests {
         assert_eq!(lock_out.note(at(120), 4, 1, 2, true), Response::None);
         assert_eq!(lock_out.note(at(150), 4, 1, 2, false), Response::None);
         assert_eq!(lock_out.note(at(180), 4, 1, 2, false), Response::GiveWay(at(120)));
-        lock_out.answered();
+        lock_out.responded(at(180));
         assert_eq!(lock_out.note(at(210), 4, 0, 2, false), Response::None);
         assert_eq!(lock_out.note(at(800), 4, 0, 9, false), Response::Reinitialize(at(210)));
         assert_eq!(lock_out.last_used(), Some(at(180)));
+    }
+
+    #[test]
+    fn three_responses_within_three_seconds_are_a_contradiction_until_three_seconds_passed() {
+        let at = |s: i64| Stamp::from_nanos(s * 1_000_000_000);
+        let mut lock_out = LockOut::default();
+        for (second, contradicted) in [(0, false), (2, false), (5, false), (6, false), (7, true)] {
+            lock_out.responded(at(second));
+            // A new pose does not change what happened.
+            lock_out.initialized(at(second));
+            assert_eq!(lock_out.is_contradicted(at(second)), contradicted, "{second}");
+        }
+        assert!(lock_out.is_contradicted(at(9)) && !lock_out.is_contradicted(at(10)));
     }
 }

@@ -3,6 +3,9 @@
 use crate::config::StatusConfig;
 use rig_model::Stamp;
 
+const CONTRADICTED: &str = "images contradict the IMU or the encoders again and again: units, \
+                            signs, orientations and frames (`volant check` names the cause)";
+
 /// What carries the pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
@@ -66,14 +69,14 @@ impl PoseStatus {
     }
 
     /// Fills in state, validity and reason from the ages and sigmas. `vision_only` is whether IMU
-    /// samples are missing.
-    pub fn judged(mut self, config: &StatusConfig, vision_only: bool) -> Self {
+    /// samples are missing, `contradicted` whether images contradict the prediction again and again.
+    pub fn judged(mut self, config: &StatusConfig, vision_only: bool, contradicted: bool) -> Self {
         // A sigma that is no number is beyond every limit.
         let beyond = |sigma: f64, limit: f64| sigma.is_nan() || sigma > limit;
         let beyond_position = beyond(self.position_sigma, config.max_position_sigma);
         let beyond_rotation = beyond(self.rotation_sigma, config.max_rotation_sigma);
         let lost = beyond(self.position_sigma, config.lost_position_sigma);
-        self.state = if lost {
+        self.state = if lost || contradicted {
             PoseState::Lost
         } else if vision_only {
             PoseState::VisionOnly
@@ -82,8 +85,9 @@ impl PoseStatus {
         } else {
             PoseState::Tracking
         };
-        self.valid = !lost && !beyond_position && !beyond_rotation;
+        self.valid = !lost && !contradicted && !beyond_position && !beyond_rotation;
         self.reason = match self.state {
+            _ if contradicted => CONTRADICTED.to_owned(),
             PoseState::VisionOnly => format!("no IMU sample for {:.2} s", self.imu_age),
             PoseState::Coasting | PoseState::Lost if self.image_age > config.max_image_age => {
                 format!("no image used for {:.2} s", self.image_age)
@@ -114,7 +118,7 @@ mod tests {
         (status.position_sigma, status.rotation_sigma) = (0.001, 0.001);
         (status.image_age, status.imu_age, status.climber_age) = (0.04, 0.0, 0.01);
         change(&mut status);
-        status.judged(&StatusConfig::default(), vision_only)
+        status.judged(&StatusConfig::default(), vision_only, false)
     }
 
     #[test]
@@ -143,5 +147,8 @@ mod tests {
                 && lost.reason.contains("no image used for 3.00 s")
         );
         assert!(!judged(|s| s.position_sigma = f64::NAN, false).valid);
+        let contradicted = tracking.judged(&StatusConfig::default(), false, true);
+        assert!(!contradicted.valid && contradicted.state == PoseState::Lost);
+        assert!(contradicted.reason.contains("units"), "{}", contradicted.reason);
     }
 }

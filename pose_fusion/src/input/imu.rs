@@ -26,6 +26,8 @@ const NEAR: f64 = 0.1;
 const SWING_TILT: f64 = 0.15;
 /// The mean specific force over this time around an instant points up but for that, s.
 const MEAN_FORCE: f64 = 0.3;
+/// Its upward part in units of gravity: a swing of 60 degrees is within.
+const GRAVITY: std::ops::Range<f64> = 0.5..2.0;
 
 /// What is known of "up".
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -185,17 +187,36 @@ impl ImuInput {
         if let Some(up) = self.own_up_at(stamp) {
             return Some(up);
         }
-        let near = history.iter().filter(|entry| {
-            matches!(entry.event, Event::Imu { .. })
-                && entry.stamp.seconds_since(stamp).abs() < MEAN_FORCE
-        });
-        let sum: Vector3<f64> = near.map(|entry| entry.reading.specific_force).sum();
-        sum.try_normalize(1e-3).map(|in_imu| Up {
+        mean_force(stamp, history)?.try_normalize(1e-3).map(|in_imu| Up {
             in_imu,
             sigma: SWING_TILT,
             is_specific_force: true,
         })
     }
+
+    /// Returns the upward part (by its magnitude, without an attitude of the IMU) of the mean
+    /// specific force around an instant, m/s², where it is not that of `gravity`: of samples in g,
+    /// negated ones, ones without gravity.
+    pub fn wrong_gravity(&self, stamp: Stamp, history: &History, gravity: f64) -> Option<f64> {
+        let force = mean_force(stamp, history)?;
+        let upward = match self.own_up_at(stamp) {
+            Some(up) => force.dot(&up.in_imu),
+            None => force.norm(),
+        };
+        (!GRAVITY.contains(&(upward / gravity))).then_some(upward)
+    }
+}
+
+/// Mean specific force around an instant, IMU axes, m/s².
+fn mean_force(stamp: Stamp, history: &History) -> Option<Vector3<f64>> {
+    let near = history.iter().filter(|entry| {
+        matches!(entry.event, Event::Imu { .. })
+            && entry.stamp.seconds_since(stamp).abs() < MEAN_FORCE
+    });
+    let (count, sum) = near.fold((0.0, Vector3::zeros()), |(count, sum), entry| {
+        (count + 1.0, sum + entry.reading.specific_force)
+    });
+    (count > 0.0).then(|| sum / count)
 }
 
 /// Returns the noise densities of the rig file.

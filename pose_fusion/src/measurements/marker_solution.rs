@@ -1,9 +1,10 @@
-//! Iterated update of the state by a subset of an image's markers (Bell and Cathey 1993).
+//! Iterated update of the state by a subset of an image's markers (Bell and Cathey 1993), and the
+//! choice of the subset.
 
 use super::{
     geometry::Geometry,
     marker_prediction::{Linearization, by_calibration, innovation_spread, linearize, times_error},
-    markers::{Block, ByCalibration, Gain, Image, Jacobian, Residual, SEEN},
+    markers::{Block, ByCalibration, Gain, Gates, Image, Jacobian, Residual, SEEN},
 };
 use crate::ekf::{
     consider::PARAMETERS,
@@ -30,6 +31,38 @@ pub struct Solution {
 
 /// Largest number of linearizations; a fifth one changes nothing on any recorded bag.
 const ITERATIONS: usize = 5;
+/// χ² quantile (0.9999) for 0, 2, 4, 6, 8 degrees of freedom.
+const JOINT_LIMIT: [f64; 5] = [0.0, 18.42, 23.51, 27.86, 31.83];
+
+/// Returns the number of markers in a subset.
+pub fn count(mask: &[bool; 4]) -> usize {
+    mask.iter().filter(|m| **m).count()
+}
+
+/// Returns the largest subset of `pass` that is consistent, among equals the likeliest, and its
+/// solution; `None` where there is none. One marker alone is consistent with itself, which proves
+/// nothing: it is used only where it is alone.
+pub fn largest_consistent(
+    pass: &[bool; 4],
+    gates: &Gates,
+    solve: impl Fn(&[bool; 4]) -> Option<Solution>,
+) -> Option<([bool; 4], Solution)> {
+    if count(pass) == 1 {
+        return Some((*pass, solve(pass)?));
+    }
+    for size in (2..=count(pass)).rev() {
+        let masks = (1u8..16).map(|bits| std::array::from_fn(|i| bits >> i & 1 == 1));
+        let consistent = masks
+            .filter(|mask| count(mask) == size && (0..4).all(|i| pass[i] || !mask[i]))
+            .filter_map(|mask| Some((mask, solve(&mask)?)))
+            .filter(|(_, solution)| solution.cost <= gates.joint * JOINT_LIMIT[size])
+            .reduce(|best, next| if next.1.cost < best.1.cost { next } else { best });
+        if consistent.is_some() {
+            return consistent;
+        }
+    }
+    None
+}
 
 /// Computes the correction of `prior` by the markers in `mask`. `None` where it cannot be computed.
 pub fn solve(

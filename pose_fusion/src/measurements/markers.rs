@@ -8,7 +8,7 @@ use super::{
     Innovation, Outcome,
     geometry::{ClimberRest, Geometry},
     marker_prediction::{Linearization, innovation_spread, linearize},
-    marker_solution::{Solution, covariance_times, solve},
+    marker_solution::{count, covariance_times, largest_consistent, solve},
 };
 use crate::ekf::{
     consider::{self, PARAMETERS},
@@ -42,9 +42,6 @@ pub type Block = SMatrix<f64, 8, 8>;
 pub type ByCalibration = SMatrix<f64, 8, PARAMETERS>;
 /// Centroid (raw px) and covariance (px²) of each detected marker.
 pub type Pixels = [Option<(Vector2<f64>, Matrix2<f64>)>; 4];
-
-/// χ² quantile (0.9999) for 0, 2, 4, 6, 8 degrees of freedom.
-const JOINT_LIMIT: [f64; 5] = [0.0, 18.42, 23.51, 27.86, 31.83];
 
 /// Markers of one image as the update needs them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -151,28 +148,20 @@ pub fn update(
     if linear.valid == [true; 4] {
         record.internal = internal_consistency(&linear, image);
     }
-    let mut best = solve(state, geometry, image, reading, &linear, &noise, &pass);
-    if count(&pass) >= 2 && exceeds(&best, &pass, gates) {
-        let mut chosen = [false; 4];
-        best = None;
-        if let Some((mask, solution)) = largest_consistent(&pass, gates, |mask| {
-            solve(state, geometry, image, reading, &linear, &noise, mask)
-        }) {
-            chosen = mask;
-            best = Some(solution);
+    let best = largest_consistent(&pass, gates, |mask| {
+        solve(state, geometry, image, reading, &linear, &noise, mask)
+    });
+    let chosen = best.as_ref().map_or([false; 4], |(mask, _)| *mask);
+    for (i, marker) in record.markers.iter_mut().enumerate() {
+        if pass[i] && !chosen[i] {
+            marker.outcome = Outcome::Inconsistent;
         }
-        for i in 0..4 {
-            if pass[i] && !chosen[i] {
-                record.markers[i].outcome = Outcome::Inconsistent;
-            }
-        }
-        pass = chosen;
     }
-    if record.internal.is_some() && count(&pass) < 4 {
+    if record.internal.is_some() && count(&chosen) < 4 {
         record.against_prediction = joint_nis(&linear.residual, &(spread + noise));
     }
-    let (Some(solution), true) = (best, count(&pass) > 0) else { return record };
-    record.used = count(&pass) as u32;
+    let Some((_, solution)) = best else { return record };
+    record.used = count(&chosen) as u32;
     record.nis = solution.nis;
     if apply {
         let offset = state.time_offset;
@@ -232,45 +221,6 @@ fn measurement_noise(
 /// Returns `rᵀ S⁻¹ r` of four markers with the innovation covariance `S`.
 fn joint_nis(residual: &Residual, covariance: &Block) -> Option<f64> {
     Some(residual.dot(&Cholesky::new(*covariance)?.solve(residual)))
-}
-
-fn count(mask: &[bool; 4]) -> usize {
-    mask.iter().filter(|m| **m).count()
-}
-
-fn exceeds(solution: &Option<Solution>, mask: &[bool; 4], gates: &Gates) -> bool {
-    solution.as_ref().is_none_or(|s| s.cost > gates.joint * JOINT_LIMIT[count(mask)])
-}
-
-/// Returns the largest subset of `pass` that is consistent, among equals the likeliest. One marker
-/// alone is consistent with itself, which proves nothing.
-fn largest_consistent(
-    pass: &[bool; 4],
-    gates: &Gates,
-    solve: impl Fn(&[bool; 4]) -> Option<Solution>,
-) -> Option<([bool; 4], Solution)> {
-    for size in (2..count(pass)).rev() {
-        let mut best: Option<([bool; 4], Solution)> = None;
-        for bits in 1u8..16 {
-            let mask: [bool; 4] = std::array::from_fn(|i| bits >> i & 1 == 1 && pass[i]);
-            if bits.count_ones() as usize != size || count(&mask) != size {
-                continue;
-            }
-            let solution = solve(&mask);
-            if exceeds(&solution, &mask, gates) {
-                continue;
-            }
-            if let Some(solution) = solution
-                && best.as_ref().is_none_or(|(_, b)| solution.cost < b.cost)
-            {
-                best = Some((mask, solution));
-            }
-        }
-        if best.is_some() {
-            return best;
-        }
-    }
-    None
 }
 
 #[cfg(test)]

@@ -139,16 +139,13 @@ pub enum Warning {
         /// Reading.
         stamp: Stamp,
     },
-    /// The estimate is not worth much any more: no marker for too long.
-    #[error(
-        "no marker used since {since}: position uncertain by {position_sigma_m:.3} m (1 sigma, \
-         largest axis)"
-    )]
-    VisionLost {
-        /// Last image that was used.
-        since: Stamp,
-        /// Largest standard deviation of the position.
-        position_sigma_m: f64,
+    /// The pose must not be used any more.
+    #[error("the pose at {stamp} is lost: {reason}")]
+    PoseLost {
+        /// Time.
+        stamp: Stamp,
+        /// Why.
+        reason: String,
     },
     /// The state was not finite or beyond its bounds.
     #[error(
@@ -179,7 +176,7 @@ impl Warning {
             Self::EncodersSuspended { .. } => "encoders_suspended",
             Self::EncodersResumed { .. } => "encoders_resumed",
             Self::EncoderStep { .. } => "encoder_step",
-            Self::VisionLost { .. } => "vision_lost",
+            Self::PoseLost { .. } => "pose_lost",
             Self::Diverged { .. } => "diverged",
         }
     }

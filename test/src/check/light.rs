@@ -20,7 +20,11 @@ pub fn findings_while_running(recording: &Recording) -> Vec<String> {
         }
         if at.seconds_since(*last.get_or_insert(*at)) >= PERIOD {
             last = Some(*at);
-            let findings = check.findings(&fusion.status());
+            let status = fusion.status();
+            let mut findings = check.findings(&status);
+            if !findings.is_empty() && !status.initialized {
+                findings.push(format!("not initialized: {}", fusion.missing()));
+            }
             if !findings.is_empty() {
                 newest = findings;
             }
