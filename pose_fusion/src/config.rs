@@ -154,8 +154,8 @@ pub struct ClockConfig {
 /// the estimate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationSigmas {
-    /// Constant offset of each marker's centroid, each axis, px.
-    pub centroid: f64,
+    /// Place of each marker on the platform, x and y, m. Images that contradict it raise it.
+    pub marker: f64,
     /// Focal length, relative.
     pub focal_length: f64,
     /// Size of the marker layout, relative.
@@ -286,7 +286,7 @@ impl ClimberConfig {
 impl CalibrationSigmas {
     /// Sigmas of zero: every file is taken as exact.
     pub const NONE: Self = Self {
-        centroid: 0.0,
+        marker: 0.0,
         focal_length: 0.0,
         layout: 0.0,
         mounting: 0.0,
@@ -295,7 +295,7 @@ impl CalibrationSigmas {
     };
     /// Sigmas of a rig calibrated with `volant calibrate`.
     pub const DEFAULT: Self = Self {
-        centroid: 0.015,
+        marker: 0.000005,
         focal_length: 0.0003,
         layout: 0.0003,
         mounting: 0.00005,

@@ -355,7 +355,7 @@ mod diagnostics {
         let offset =
             format!("{:.2} +- {:.2}", s.time_offset.offset * 1e3, s.time_offset.sigma * 1e3);
         let three = |first: usize, factor: f64| {
-            let c = &s.imu_constants;
+            let c = &s.constants;
             let [x, y, z] = [0, 1, 2].map(|k| factor * c[first + k]);
             format!("{x:.2} {y:.2} {z:.2}")
         };
@@ -384,6 +384,7 @@ mod diagnostics {
             ("accelerometer scale factors (%)", three(3, 100.0)),
             ("gyroscope misalignment (deg)", three(6, 1f64.to_degrees())),
             ("accelerometer misalignment (deg)", three(9, 1f64.to_degrees())),
+            ("largest offset of a marker (mm)", format!("{:.2}", 1e3 * s.marker_offset())),
             ("pixel noise factor", format!("{:.2}", s.pixel_noise_factor)),
             ("rope (m)", rope),
             ("force across the rope (m/s^2)", side_force),

@@ -91,10 +91,10 @@ node_kit::parameters! {
         /// Uncertainty of that offset (1 sigma), which widens the covariance.
         climber_sigma: f64 = TIGHT.calibration.climber_offset, unit("s"), range(0.0..=0.1),
             name("clock.climber_sigma");
-        /// Constant offset of a marker's centroid, each axis (1 sigma), which widens the
-        /// covariance.
-        centroid_sigma: f64 = TIGHT.calibration.centroid, unit("px"), range(0.0..=10.0),
-            name("calibration.centroid_sigma");
+        /// Error of a marker's place, x and y on the platform (1 sigma). Images that contradict the
+        /// places raise it, and the filter estimates them; 0 takes them as exact.
+        marker_sigma: f64 = TIGHT.calibration.marker, unit("m"), range(0.0..=0.05),
+            name("calibration.marker_sigma");
         /// Relative error of the focal length (1 sigma), which widens the covariance.
         focal_length_sigma: f64 = TIGHT.calibration.focal_length, range(0.0..=0.1),
             name("calibration.focal_length_sigma");
@@ -254,7 +254,7 @@ impl FusionParameters {
                 ..default.clock
             },
             calibration: CalibrationSigmas {
-                centroid: self.centroid_sigma,
+                marker: self.marker_sigma,
                 focal_length: self.focal_length_sigma,
                 layout: self.layout_sigma,
                 mounting: self.mounting_sigma,

@@ -22,7 +22,7 @@ const REPEATED: u32 = 3;
 /// Specific force (m/s²) and angular velocity (rad/s) that a saturated or stuck axis may hide, 1
 /// sigma: a fast swing's.
 const HIDDEN: [f64; 2] = [3.0, 2.0];
-/// Scale error that the estimated constants ([`crate::ekf::imu_calibration`]) do not describe,
+/// Scale error that the estimated constants ([`crate::ekf::calibration`]) do not describe,
 /// relative: nonlinearity.
 const SCALE: f64 = 0.001;
 /// Correlation time of what is hidden and of scale errors in a swing, s.

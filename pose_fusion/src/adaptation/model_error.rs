@@ -1,5 +1,5 @@
 //! Model error of the prediction, identified from the images: what neither the noise of the IMU nor
-//! its estimated constants ([`crate::ekf::imu_calibration`]) describe.
+//! its estimated constants ([`crate::ekf::calibration`]) describe.
 //!
 //! An image's innovation has two parts. What no pose explains (2 of the 8 numbers of four markers)
 //! is pixel noise and nothing else ([`super::pixel_noise`]); what a pose explains (6 numbers) is

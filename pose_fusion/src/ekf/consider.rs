@@ -1,13 +1,14 @@
 //! Consider parameters: constant errors of the rig's calibration that widen the covariance.
 //!
-//! Twelve seconds of swing cannot tell most of these errors from tilt, bias or height, so the
-//! filter takes the files as exact when it computes its gains (Schmidt 1966). Beside the estimate
-//! it carries the sensitivity `V = ∂δx/∂θ` of the estimation error to each parameter θ (Friedland
-//! 1969): `V ← F V` in a propagation, `V ← V − K (H V + E)` in an update with `E = ∂z/∂θ`. The
-//! published covariance is `P + V Σ Vᵀ` with `Σ` the configured variances.
+//! Twelve seconds of swing cannot tell these errors from tilt, bias or height, so the filter takes
+//! the files as exact when it computes its gains (Schmidt 1966). Beside the estimate it carries the
+//! sensitivity `V = ∂δx/∂θ` of the estimation error to each parameter θ (Friedland 1969):
+//! `V ← F V` in a propagation, `V ← V − K (H V + E)` in an update with `E = ∂z/∂θ`. The published
+//! covariance is `P + V Σ Vᵀ` with `Σ` the configured variances. What images and IMU do tell is
+//! estimated with the same sensitivity ([`super::calibration`]).
 
 use super::{
-    imu_calibration::CONSTANTS,
+    calibration::{self, CONSTANTS},
     state::{Error, N, TIME_OFFSET},
 };
 use crate::config::CalibrationSigmas;
@@ -15,23 +16,23 @@ use nalgebra::{SMatrix, SVector};
 
 /// Number of consider parameters.
 pub const PARAMETERS: usize = 28;
-/// First of eight constant centroid offsets: x and y of red, green, blue, yellow, px.
-pub const CENTROID: usize = 0;
 /// Relative error of the focal length.
-pub const FOCAL: usize = 8;
+pub const FOCAL: usize = 0;
 /// Relative error of the marker layout's size.
-pub const LAYOUT: usize = 9;
+pub const LAYOUT: usize = 1;
 /// First of three rotations of the camera mounting about the camera's axes, rad.
-pub const MOUNTING: usize = 10;
+pub const MOUNTING: usize = 2;
 /// Relative error of the x and y encoders' scale.
-pub const ENCODER_SCALE: usize = 13;
+pub const ENCODER_SCALE: usize = 5;
 /// Offset of the climber's stamps, s.
-pub const CLIMBER_OFFSET: usize = 14;
+pub const CLIMBER_OFFSET: usize = 6;
 /// Error of the camera time offset while it is searched, s. The gains assume a small one; the
 /// estimate may be built on a large one.
-pub const TIME_OFFSET_ERROR: usize = 15;
-/// First constant of the IMU; these are estimated ([`super::imu_calibration`]).
-pub const IMU: usize = 16;
+pub const TIME_OFFSET_ERROR: usize = 7;
+/// First of the constants that are estimated ([`super::calibration`]): first those of the IMU.
+pub const ESTIMATED: usize = 8;
+/// First of eight constants of the marker layout: x and y of red, green, blue, yellow.
+pub const MARKERS: usize = ESTIMATED + calibration::MARKERS;
 
 /// Sensitivity of the error state to each parameter, transposed: one row for each parameter, one
 /// column for each entry of the error. Single precision: it widens a covariance and moves the state
@@ -43,9 +44,6 @@ pub type ByParameter = SVector<f64, PARAMETERS>;
 /// Variance of each consider parameter, in the order of the columns of [`Sensitivity`].
 pub fn variances(sigmas: &CalibrationSigmas) -> ByParameter {
     let mut variances = ByParameter::zeros();
-    for k in 0..8 {
-        variances[CENTROID + k] = sigmas.centroid.powi(2);
-    }
     variances[FOCAL] = sigmas.focal_length.powi(2);
     variances[LAYOUT] = sigmas.layout.powi(2);
     for axis in 0..3 {
@@ -61,9 +59,9 @@ pub fn of_entry(sensitivity: &Sensitivity, index: usize) -> ByParameter {
     sensitivity.column(index).map(f64::from)
 }
 
-/// Returns the sensitivity of the error to the constants of the IMU.
-pub fn of_imu(sensitivity: &Sensitivity) -> SMatrix<f64, N, CONSTANTS> {
-    sensitivity.fixed_rows::<CONSTANTS>(IMU).map(f64::from).transpose()
+/// Returns the sensitivity of the error to the estimated constants.
+pub fn of_constants(sensitivity: &Sensitivity) -> SMatrix<f64, N, CONSTANTS> {
+    sensitivity.fixed_rows::<CONSTANTS>(ESTIMATED).map(f64::from).transpose()
 }
 
 /// Corrects the sensitivity for a scalar update: `V ← V − k (h V + e)`.

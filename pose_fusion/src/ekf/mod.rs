@@ -1,7 +1,7 @@
 //! The error-state extended Kalman filter: state, propagation with inertial readings, and updates.
 
+pub mod calibration;
 pub mod consider;
-pub mod imu_calibration;
 pub mod propagation;
 pub mod state;
 pub mod update;

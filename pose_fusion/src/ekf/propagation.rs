@@ -17,8 +17,8 @@
 //! `δθ' += R (ω_to − ω_from) δτ`.
 
 use super::{
-    consider::{IMU, Sensitivity},
-    imu_calibration::ImuCalibration,
+    calibration::Calibration,
+    consider::{ESTIMATED, Sensitivity},
     state::{
         ACCELEROMETER_BIAS, ATTITUDE, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_RATE, Covariance,
         GYROSCOPE_BIAS, N, POSITION, State, TIME_OFFSET, VELOCITY,
@@ -49,7 +49,7 @@ impl ImuReading {
     pub fn of_uniform_motion(state: &State, gravity: f64) -> ImuReading {
         let specific_force = state.attitude.inverse() * Vector3::new(0.0, 0.0, gravity);
         let angular_velocity = Vector3::zeros();
-        let reading = state.imu.reading(&ImuReading { specific_force, angular_velocity });
+        let reading = state.calibration.reading(&ImuReading { specific_force, angular_velocity });
         ImuReading {
             specific_force: reading.specific_force + state.accelerometer_bias,
             angular_velocity: reading.angular_velocity + state.gyroscope_bias,
@@ -88,7 +88,8 @@ pub fn propagate(
 ) {
     let mean = from.lerp(to, 0.5);
     let measured = state.unbiased(&mean);
-    let ImuReading { specific_force: force, angular_velocity: rate } = state.imu.motion(&measured);
+    let ImuReading { specific_force: force, angular_velocity: rate } =
+        state.calibration.motion(&measured);
     let half = UnitQuaternion::from_scaled_axis(rate * (dt / 2.0));
     let middle = state.attitude * half;
     let rotation = middle.to_rotation_matrix();
@@ -241,13 +242,13 @@ fn drive_sensitivity(
     dt: f64,
 ) {
     let mut add = |row: usize, column: usize, by: Matrix3<f64>| {
-        let mut block = sensitivity.fixed_view_mut::<3, 3>(IMU + column, row);
+        let mut block = sensitivity.fixed_view_mut::<3, 3>(ESTIMATED + column, row);
         block += by.transpose().map(|x| x as f32);
     };
-    for (k, by) in ImuCalibration::derivative(0, rotation, &measured.angular_velocity) {
+    for (k, by) in Calibration::derivative(0, rotation, &measured.angular_velocity) {
         add(ATTITUDE, k, by * dt);
     }
-    for (k, by) in ImuCalibration::derivative(1, rotation, &measured.specific_force) {
+    for (k, by) in Calibration::derivative(1, rotation, &measured.specific_force) {
         add(VELOCITY, k, by * dt);
         add(POSITION, k, by * (0.5 * dt * dt));
     }
@@ -283,7 +284,7 @@ fn add_noise(p: &mut Covariance, dt: f64, noise: &ProcessNoise) {
 #[cfg(test)]
 mod tests {
     use super::{
-        super::{imu_calibration::CONSTANTS, state::Error},
+        super::{calibration::CONSTANTS, state::Error},
         *,
     };
 
@@ -357,24 +358,27 @@ mod tests {
         let mut s = start;
         s.covariance = p0;
         s.sensitivity = Sensitivity::from_fn(|i, j| 0.1 * ((7 * i + j) as f32).cos());
-        s.sensitivity.fixed_rows_mut::<CONSTANTS>(IMU).fill(0.0);
+        s.sensitivity.fixed_rows_mut::<CONSTANTS>(ESTIMATED).fill(0.0);
         let mut expected = s.sensitivity.map(f64::from)
             * transition(&s, &reading, &reading, dt, &noise).transpose();
         for k in 0..CONSTANTS {
             let moved = |sign: f64| {
                 let mut s = s.clone();
-                s.imu.move_constant(k, sign * h);
+                s.calibration.move_constant(k, sign * h);
                 propagate(&mut s, &reading, &reading, dt, 9.81, &noise);
                 s.minus(&end)
             };
-            expected.set_row(IMU + k, &((moved(1.0) - moved(-1.0)) / (2.0 * h)).transpose());
+            expected.set_row(ESTIMATED + k, &((moved(1.0) - moved(-1.0)) / (2.0 * h)).transpose());
         }
         propagate(&mut s, &reading, &reading, dt, 9.81, &noise);
         let wrong = (s.sensitivity.map(f64::from) - expected).abs();
-        assert!(wrong.rows(0, IMU).max() < 1e-6);
+        assert!(wrong.rows(0, ESTIMATED).max() < 1e-6);
         // First order in dt, as for the covariance.
-        let by_imu = expected.fixed_rows::<CONSTANTS>(IMU);
-        assert!(wrong.fixed_rows::<CONSTANTS>(IMU).norm() < 0.02 * by_imu.norm(), "{wrong}");
+        let by_constants = expected.fixed_rows::<CONSTANTS>(ESTIMATED);
+        assert!(
+            wrong.fixed_rows::<CONSTANTS>(ESTIMATED).norm() < 0.02 * by_constants.norm(),
+            "{wrong}"
+        );
         let expected = jacobian * p0 * jacobian.transpose();
         // First order in dt: the terms left out are those of δb_g on δv (dt²).
         assert!((s.covariance - expected).norm() / expected.norm() < 5e-4);

@@ -24,8 +24,8 @@
 //! not depend on the angular velocity.
 
 use super::{
+    calibration::Calibration,
     consider::{Sensitivity, TIME_OFFSET_ERROR},
-    imu_calibration::ImuCalibration,
     propagation::ImuReading,
 };
 use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
@@ -81,8 +81,8 @@ pub struct State {
     pub covariance: Covariance,
     /// Sensitivity of the error state to the consider parameters.
     pub sensitivity: Sensitivity,
-    /// Scale factors and misalignment of the IMU.
-    pub imu: ImuCalibration,
+    /// Estimated constants of the IMU and of the marker layout.
+    pub calibration: Calibration,
     /// Time since a marker last corrected the state, s.
     pub since_marker: f64,
 }
@@ -102,7 +102,7 @@ impl State {
             time_offset: 0.0,
             covariance: Covariance::zeros(),
             sensitivity: Sensitivity::zeros(),
-            imu: ImuCalibration::default(),
+            calibration: Calibration::default(),
             since_marker: 0.0,
         }
     }
@@ -118,7 +118,7 @@ impl State {
     /// Returns the specific force (m/s²) and angular velocity (rad/s) that a reading measures, IMU
     /// axes.
     pub fn motion(&self, reading: &ImuReading) -> ImuReading {
-        self.imu.motion(&self.unbiased(reading))
+        self.calibration.motion(&self.unbiased(reading))
     }
 
     /// Adds an error to the nominal state (⊞). The covariance stays.
@@ -188,7 +188,7 @@ impl State {
             && (0..N).all(|i| self.covariance[(i, i)] >= 0.0)
             && self.covariance.sum().is_finite()
             && self.sensitivity.sum().is_finite()
-            && self.imu.covariance().sum().is_finite()
+            && self.calibration.covariance().sum().is_finite()
     }
 
     /// Returns the standard deviation of one entry of the error.

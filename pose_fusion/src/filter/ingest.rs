@@ -220,7 +220,8 @@ impl Filter {
         }
         let Some((_, _, rest)) = self.climber.newest().copied() else { return };
         let stamp_sigma = self.markers.stamp_sigma().min(self.setup.config.clock.image_jitter);
-        let image = Image { pixels, time_offset, stamp_sigma, rest };
+        let layout_doubt = self.markers.take_layout_doubt();
+        let image = Image { pixels, time_offset, stamp_sigma, rest, layout_doubt };
         self.history.insert(at, Event::Image { image, stamp, fresh: true }, ImuReading::default());
         self.process(out);
         if !self.setup.frozen {

@@ -131,7 +131,7 @@ impl Filter {
                 searching: self.search.is_some(),
             };
             status.biases = [state.accelerometer_bias, state.gyroscope_bias];
-            status.imu_constants = *state.imu.constants();
+            status.constants = *state.calibration.constants();
             status.position_sigma = self.publisher.position_sigma;
         }
         status

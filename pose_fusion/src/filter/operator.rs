@@ -86,6 +86,7 @@ impl Filter {
                 let mut state =
                     from_image::unknown(&self.setup.config, &ClimberPrior::from_readings(&climber));
                 state.time_offset = self.time_offset();
+                state.calibration = self.calibration();
                 self.remember(&mut state);
                 state
             }

@@ -259,10 +259,13 @@ impl Filter {
         if strained && agrees && !excused && settled {
             self.strike(place, last_used.unwrap_or(stamp), record);
         }
-        let internal = match (record.internal, record.used) {
-            (Some(internal), 4) => {
-                self.markers.noise().add(internal);
-                Some(internal)
+        if let (Some(misfit), true) = (&record.misfit, self.setup.config.calibration.marker > 0.0) {
+            self.markers.compare_layout(&misfit.offsets);
+        }
+        let internal = match (&record.misfit, record.used) {
+            (Some(misfit), 4) => {
+                self.markers.noise().add(misfit.squared);
+                Some(misfit.squared)
             }
             // A pose explains whatever three markers show.
             (None, 3) => Some(0.0),

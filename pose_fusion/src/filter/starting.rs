@@ -5,6 +5,7 @@ use super::{Filter, search};
 use crate::{
     adaptation::imu_noise::Densities,
     ekf::{
+        calibration::Calibration,
         propagation::ImuReading,
         state::{
             ACCELEROMETER_BIAS, ATTITUDE, CLIMBER_RATE, GYROSCOPE_BIAS, POSITION, State,
@@ -129,6 +130,12 @@ impl Filter {
         self.search = search(&self.setup.config);
     }
 
+    /// Constants as a former pose knew them.
+    pub(super) fn calibration(&self) -> Calibration {
+        let kept = self.start.kept().map(|kept| kept.calibration);
+        kept.unwrap_or_else(|| Calibration::new(&self.setup.config))
+    }
+
     /// Offset and biases from before an outage.
     pub(super) fn remember(&mut self, state: &mut State) {
         if let Some(found) = self.start.time_offset {
@@ -215,11 +222,12 @@ impl Filter {
         if !absent && self.start.wrong_gravity.is_some() {
             return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
         }
-        let image = Image { pixels: *pixels, time_offset, stamp_sigma: 0.0, rest: climber.rest };
+        let (rest, layout_doubt) = (climber.rest, None);
+        let image = Image { pixels: *pixels, time_offset, stamp_sigma: 0.0, rest, layout_doubt };
         let up = self.imu.own_up_at(at).or(up).or_else(|| self.imu.up_at(at, &self.history));
         let prior = ClimberPrior::from_readings(&climber);
-        let Some(start) =
-            from_image::start(geometry, &self.setup.config, &image, up.as_ref(), &prior)
+        let (config, known) = (&self.setup.config, self.calibration());
+        let Some(start) = from_image::start(geometry, config, &image, up.as_ref(), &prior, &known)
         else {
             return self.publisher.reject(stamp, pixels, MarkerOutcome::Inconsistent, out);
         };
@@ -277,8 +285,9 @@ impl Filter {
         let image = Image { time_offset: old.time_offset, ..*image };
         let up = self.imu.up_at(at, &self.history);
         let prior = ClimberPrior::from_state(&old);
-        let Some(start) =
-            from_image::start(geometry, &self.setup.config, &image, up.as_ref(), &prior)
+        let config = &self.setup.config;
+        let known = &old.calibration;
+        let Some(start) = from_image::start(geometry, config, &image, up.as_ref(), &prior, known)
         else {
             return false;
         };
@@ -355,7 +364,6 @@ fn rigid(state: &State, axis: usize) -> crate::ekf::state::Error {
 fn inherit(state: &mut State, former: &State) {
     state.accelerometer_bias = former.accelerometer_bias;
     state.gyroscope_bias = former.gyroscope_bias;
-    state.imu = former.imu;
     state.time_offset = former.time_offset;
     state.set_sigma(TIME_OFFSET, former.sigma(TIME_OFFSET));
     for first in [ACCELEROMETER_BIAS, GYROSCOPE_BIAS] {

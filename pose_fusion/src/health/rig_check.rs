@@ -32,6 +32,8 @@ const BIAS: [f64; 2] = [0.3, 0.06];
 const SCALE: [f64; 2] = [0.015, 0.02];
 /// Rotations of gyroscope and accelerometer against `imu.orientation`, rad (0.003, 0.013).
 const ROTATION: [f64; 2] = [0.03, 0.04];
+/// Estimated offset of a marker from its place in the rig file, m (0.00002).
+const OFFSET: f64 = 0.0003;
 /// Camera time offset, s (0.001): more than the age of an image of a usual camera.
 const TIME_OFFSET: f64 = 0.05;
 
@@ -117,11 +119,18 @@ impl RigCheck {
 
 /// Adds what the filter's estimates show.
 fn filter_findings(status: &Status, found: &mut Vec<String>) {
-    let largest = |first: usize| status.imu_constants.fixed_rows::<3>(first).amax();
+    let largest = |first: usize| status.constants.fixed_rows::<3>(first).amax();
     if status.pixel_noise_factor > PIXEL_NOISE {
         found.push(format!(
             "the pixel variance is {:.1} times that claimed (`markers`, `camera_info`)",
             status.pixel_noise_factor
+        ));
+    }
+    if status.marker_offset() > OFFSET {
+        found.push(format!(
+            "the markers are {:.1} mm and more from their places (measure `markers`, or \
+             `volant calibrate rig`)",
+            1e3 * status.marker_offset()
         ));
     }
     let offset = status.time_offset.offset;

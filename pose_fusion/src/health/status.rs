@@ -1,7 +1,9 @@
 //! Counters and insights of the filter, for diagnostics.
 
 use crate::{
-    adaptation::imu_noise::Densities, ekf::imu_calibration::Constants, measurements::rope::Rope,
+    adaptation::imu_noise::Densities,
+    ekf::calibration::{Constants, MARKERS, OFFSETS},
+    measurements::rope::Rope,
 };
 use nalgebra::Vector3;
 use rig_model::Stamp;
@@ -91,8 +93,9 @@ pub struct Status {
     pub time_offset: TimeOffsetStatus,
     /// Accelerometer (m/s²) and gyroscope bias (rad/s), IMU axes.
     pub biases: [Vector3<f64>; 2],
-    /// Constants of the IMU: scale factors of gyroscope and accelerometer, rotations of both, rad.
-    pub imu_constants: Constants,
+    /// Estimated constants: scale factors of gyroscope and accelerometer, rotations of both, rad;
+    /// offsets of the markers, m.
+    pub constants: Constants,
     /// Noise densities identified: specific force (m/s²)²/Hz, angular velocity (rad/s)²/Hz.
     pub densities: Densities,
     /// Factor on the markers' claimed sigma that their innovations ask for.
@@ -101,6 +104,13 @@ pub struct Status {
     pub rope: Option<Rope>,
     /// Counters.
     pub counts: Counts,
+}
+
+impl Status {
+    /// Returns the largest estimated offset of a marker from its place in the rig file, one axis, m.
+    pub fn marker_offset(&self) -> f64 {
+        self.constants.fixed_rows::<OFFSETS>(MARKERS).amax()
+    }
 }
 
 /// What is known of the camera time offset.

@@ -1,8 +1,8 @@
 //! Checkpoint: everything the filter knows at an instant, as plain numbers.
 
 use crate::ekf::{
+    calibration::{CONSTANTS, Calibration},
     consider,
-    imu_calibration::{CONSTANTS, ImuCalibration, LARGEST},
     state::{N, State},
 };
 use nalgebra::{Cholesky, Const, Quaternion, SMatrix, UnitQuaternion, Vector3};
@@ -11,13 +11,13 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Version of the format.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// State and covariance in SI units (see [`crate::ekf::state`]).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Checkpoint {
-    /// Version of the format: 2.
+    /// Version of the format: 3.
     pub version: u32,
     /// IMU time, ns.
     pub stamp_ns: i64,
@@ -35,12 +35,13 @@ pub struct Checkpoint {
     pub climber: [[f64; 3]; 3],
     /// Camera time offset.
     pub time_offset: f64,
-    /// Covariance of the error, that of the IMU's constants included, row by row.
+    /// Covariance of the error, that of the constants included, row by row.
     pub covariance: Vec<f64>,
-    /// Scale factors of gyroscope and accelerometer, rotations of both, rad.
-    pub imu_constants: [f64; CONSTANTS],
+    /// Scale factors of gyroscope and accelerometer, rotations of both, rad; offsets of the markers'
+    /// centers, x and y of red, green, blue, yellow, m.
+    pub constants: [f64; CONSTANTS],
     /// Their covariance, row by row.
-    pub imu_covariance: Vec<f64>,
+    pub constants_covariance: Vec<f64>,
 }
 
 /// Why an operator's request is refused.
@@ -80,8 +81,9 @@ impl Checkpoint {
     /// Returns the checkpoint of a state at an instant.
     pub fn of(state: &State, stamp: Stamp) -> Self {
         let q = state.attitude.coords;
-        let by_imu = consider::of_imu(&state.sensitivity);
-        let covariance = state.covariance + by_imu * state.imu.covariance() * by_imu.transpose();
+        let by_constants = consider::of_constants(&state.sensitivity);
+        let covariance = state.covariance
+            + by_constants * state.calibration.covariance() * by_constants.transpose();
         let three = |v: &Vector3<f64>| [v.x, v.y, v.z];
         Self {
             version: VERSION,
@@ -94,8 +96,8 @@ impl Checkpoint {
             climber: [&state.climber, &state.climber_rate, &state.climber_acceleration].map(three),
             time_offset: state.time_offset,
             covariance: covariance.as_slice().to_vec(),
-            imu_constants: (*state.imu.constants()).into(),
-            imu_covariance: state.imu.covariance().as_slice().to_vec(),
+            constants: (*state.calibration.constants()).into(),
+            constants_covariance: state.calibration.covariance().as_slice().to_vec(),
         }
     }
 
@@ -118,8 +120,8 @@ impl Checkpoint {
                 .chain(&self.attitude)
                 .chain([&self.time_offset])
                 .chain(&self.covariance)
-                .chain(&self.imu_constants)
-                .chain(&self.imu_covariance);
+                .chain(&self.constants)
+                .chain(&self.constants_covariance);
         if !numbers.into_iter().all(|x| x.is_finite()) {
             return refuse("the checkpoint", "a number in it is not finite");
         }
@@ -128,13 +130,14 @@ impl Checkpoint {
         if (attitude.norm() - 1.0).abs() > 1e-3 {
             return refuse("the checkpoint's attitude", "its norm is not 1");
         }
-        if self.imu_constants.iter().any(|constant| constant.abs() > LARGEST) {
-            return refuse("the checkpoint's IMU calibration", "a constant is larger than 0.1");
+        if !Calibration::within_limits(&self.constants.into()) {
+            let why = "a constant is larger than 0.1, or a marker further off than 0.04 m";
+            return refuse("the checkpoint's calibration", why);
         }
         let covariance = positive::<N>("the checkpoint's covariance", &self.covariance, 1e-9)?;
         // Kept in single precision.
-        let of_imu = "the checkpoint's covariance of the IMU";
-        let of_imu = positive::<CONSTANTS>(of_imu, &self.imu_covariance, 1e-6)?;
+        let of_constants = "the checkpoint's covariance of the constants";
+        let of_constants = positive::<CONSTANTS>(of_constants, &self.constants_covariance, 1e-6)?;
         let [climber, rate, acceleration] = self.climber.map(Vector3::from);
         Ok(State {
             position: self.position.into(),
@@ -147,7 +150,7 @@ impl Checkpoint {
             climber_acceleration: acceleration,
             time_offset: self.time_offset,
             covariance,
-            imu: ImuCalibration::known(self.imu_constants.into(), &of_imu),
+            calibration: Calibration::known(self.constants.into(), &of_constants),
             ..State::zero()
         })
     }

@@ -5,10 +5,11 @@
 //! found. Without them the accelerometer serves, with the tilt that a swing can hide.
 
 use crate::{
+    adaptation::layout_misfit,
     config::TightConfig,
     ekf::{
+        calibration::{Calibration, OFFSETS},
         consider::ByParameter,
-        imu_calibration::ImuCalibration,
         propagation::ImuReading,
         state::{
             ACCELEROMETER_BIAS, ATTITUDE, CLIMBER, CLIMBER_ACCELERATION, CLIMBER_RATE,
@@ -23,10 +24,12 @@ use crate::{
     measurements::{
         encoders::by_parameter,
         geometry::Geometry,
-        markers::{self, Gates, Image, ImageInnovation},
+        marker_misfit::misfit,
+        marker_prediction::linearize,
+        markers::{self, Gates, Image, ImageInnovation, Offsets, Pixels},
     },
 };
-use nalgebra::{Point3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix2, Point3, UnitQuaternion, Vector3};
 use rig_model::{
     PerColor,
     planar_pose::{self, TiltPrior},
@@ -35,6 +38,9 @@ use rig_model::{
 /// Largest cost of an image whose markers fit together: 2n − 6 (+ 2 for the tilt) degrees of
 /// freedom.
 const LARGEST_COST: f64 = 40.0;
+/// Largest squared misfit of four markers that fit together: χ² quantile (0.9999) of 2 degrees of
+/// freedom.
+const LARGEST_MISFIT: f64 = 18.42;
 /// Initial position and attitude uncertainty, m and rad: so wide that the image decides.
 const OPEN: [f64; 2] = [2.0, 1.0];
 
@@ -83,23 +89,52 @@ impl ClimberPrior {
     }
 }
 
-/// Returns the most likely initial state that the image allows; `None` where its markers fit no
-/// pose.
+/// Returns the most likely initial state that the image allows, with the constants that are known;
+/// `None` where its markers fit no pose. Markers that fit one but for an error of their places make
+/// the places uncertain by as much.
 pub fn start(
     geometry: &Geometry,
     config: &TightConfig,
     image: &Image,
     up: Option<&Up>,
     climber: &ClimberPrior,
+    calibration: &Calibration,
 ) -> Option<Start> {
+    let misfit = match attempt(geometry, config, image, up, climber, calibration) {
+        Ok(start) => return Some(start),
+        Err(misfit) => misfit.filter(|_| config.calibration.marker > 0.0)?,
+    };
+    let mut calibration = *calibration;
+    calibration.open_layout(layout_misfit::sigma(&misfit)?);
+    attempt(geometry, config, image, up, climber, &calibration).ok()
+}
+
+/// Returns the start from the image.
+///
+/// # Errors
+/// The markers fit no pose, or not together: by how much, as offsets of their centers.
+fn attempt(
+    geometry: &Geometry,
+    config: &TightConfig,
+    image: &Image,
+    up: Option<&Up>,
+    climber: &ClimberPrior,
+    calibration: &Calibration,
+) -> Result<Start, Option<Offsets>> {
     let world_from_climber = image.rest.join(&climber.values);
     let world_from_camera = world_from_climber * geometry.climber_from_camera;
-    let pixels = PerColor(image.pixels);
-    let solve = |tilt: Option<&TiltPrior>| {
-        planar_pose::candidates(&geometry.markers, &geometry.camera, &pixels, tilt)
+    let layout = calibration.layout(&geometry.markers);
+    let solve = |pixels: &Pixels, tilt: Option<&TiltPrior>| {
+        planar_pose::candidates(&layout, &geometry.camera, &PerColor(*pixels), tilt)
     };
     // All candidates of an image are nearly at one place.
-    let place = (world_from_camera * solve(None).first()?.camera_from_volant).translation.vector;
+    let seen = solve(&image.pixels, None).first().ok_or(None)?.camera_from_volant;
+    let place = (world_from_camera * seen).translation.vector;
+    // What is not known of the markers' places counts as pixel noise.
+    let scale = geometry.camera.focal_lengths().x / seen.translation.z;
+    let doubt = calibration.offset_covariance().trace() / OFFSETS as f64 * scale * scale;
+    let more = Matrix2::identity() * doubt;
+    let pixels = image.pixels.map(|p| p.map(|(pixel, covariance)| (pixel, covariance + more)));
     let attachment = world_from_climber * Point3::from(config.pendulum.climber_attachment);
     let in_world = up.map_or(Vector3::z(), |up| up.in_world(&(attachment.coords - place)));
     let tilt = up.map(|up| TiltPrior {
@@ -107,8 +142,8 @@ pub fn start(
         up_in_camera: world_from_camera.rotation.inverse() * in_world,
         sigma: up.sigma,
     });
-    let found = solve(tilt.as_ref());
-    let best = found.first().filter(|best| best.cost <= LARGEST_COST)?;
+    let found = solve(&pixels, tilt.as_ref());
+    let best = found.first().ok_or(None)?;
     let world_from_imu = world_from_camera * best.camera_from_volant * geometry.volant_from_imu;
     let (position, attitude): (Vector3<f64>, UnitQuaternion<f64>) =
         (world_from_imu.translation.vector, world_from_imu.rotation);
@@ -116,6 +151,16 @@ pub fn start(
     state.position = position;
     state.attitude = attitude;
     state.time_offset = image.time_offset;
+    state.calibration = *calibration;
+    let none = ImuReading::default();
+    let linear = linearize(&state, geometry, image, &none);
+    let found = misfit(&state, geometry, image, &none, &linear);
+    if let Some(misfit) = found.filter(|misfit| misfit.squared > LARGEST_MISFIT) {
+        return Err(Some(misfit.offsets));
+    }
+    if best.cost > LARGEST_COST {
+        return Err(None);
+    }
     // The prior is centered on the image's own solution, so that nothing bends.
     state.set_sigmas(POSITION, &Vector3::repeat(OPEN[0]));
     state.set_sigmas(ATTITUDE, &Vector3::repeat(OPEN[1]));
@@ -152,7 +197,7 @@ pub fn start(
     );
     (state.position, state.attitude) = (position, attitude);
     (state.climber, state.climber_rate) = (climber.values, climber.rates);
-    Some(Start { state, record })
+    Ok(Start { state, record })
 }
 
 /// Returns a state with the climber as its encoders have it and everything else as unknown as the
@@ -168,7 +213,7 @@ pub fn unknown(config: &TightConfig, climber: &ClimberPrior) -> State {
     state.set_sigmas(CLIMBER_RATE, &climber.rate_sigmas);
     state.set_sigmas(CLIMBER_ACCELERATION, &ACCELERATION.into());
     state.set_sigma(TIME_OFFSET, config.clock.camera_sigma.min(LINEAR_OFFSET));
-    state.imu = ImuCalibration::new(&config.imu);
+    state.calibration = Calibration::new(config);
     for axis in 0..3 {
         let by = by_parameter(axis, climber.values[axis], climber.rates[axis]);
         state.sensitivity.set_column(CLIMBER + axis, &by.map(|x| -x as f32));

@@ -3,11 +3,12 @@
 
 use crate::{
     adaptation::{
+        layout_misfit::LayoutMisfit,
         pixel_noise::PixelNoise,
         stamp_jitter::{self, KEPT},
     },
     config::MarkerConfig,
-    measurements::markers::Pixels,
+    measurements::markers::{Offsets, Pixels},
     output::Warning,
 };
 use nalgebra::Matrix2;
@@ -22,6 +23,8 @@ const LARGEST: [f64; 2] = [1e5, 1e6];
 pub struct MarkerInput {
     stamps: VecDeque<Stamp>,
     noise: PixelNoise,
+    misfit: LayoutMisfit,
+    layout_doubt: Option<f64>,
 }
 
 impl MarkerInput {
@@ -41,6 +44,17 @@ impl MarkerInput {
     /// Returns the standard deviation of the image stamps, s.
     pub fn stamp_sigma(&self) -> f64 {
         stamp_jitter::sigma(&self.stamps)
+    }
+
+    /// Compares what no pose explains of an image with the layout.
+    pub fn compare_layout(&mut self, misfit: &Offsets) {
+        self.layout_doubt = self.misfit.add(misfit).or(self.layout_doubt);
+    }
+
+    /// Returns and forgets the standard deviation of the markers' places, m, where images
+    /// contradict the layout.
+    pub fn take_layout_doubt(&mut self) -> Option<f64> {
+        self.layout_doubt.take()
     }
 
     /// Returns the pixel noise identified from the innovations.

@@ -12,7 +12,7 @@ use super::{
     markers::{Block, ByCalibration, Image, Jacobian, Residual, SEEN},
 };
 use crate::ekf::{
-    consider::{CENTROID, FOCAL, LAYOUT, MOUNTING},
+    consider::{FOCAL, LAYOUT, MARKERS, MOUNTING},
     propagation::ImuReading,
     state::{Error, State},
 };
@@ -53,6 +53,7 @@ pub fn linearize(
     let camera_from_volant = world_from_camera.inverse() * world_from_volant;
     let to_camera = world_from_camera.rotation.inverse().to_rotation_matrix();
     let to_camera: &Matrix3<f64> = to_camera.matrix();
+    let markers = state.calibration.layout(&geometry.markers);
     let mut linear = Linearization {
         residual: Residual::zeros(),
         jacobian: Jacobian::zeros(),
@@ -64,14 +65,14 @@ pub fn linearize(
         let i = color.index();
         let Some((measured, _)) = &image.pixels[i] else { continue };
         let Some(predicted) =
-            geometry.markers.projected_centroid(color, &geometry.camera, &camera_from_volant)
+            markers.projected_centroid(color, &geometry.camera, &camera_from_volant)
         else {
             continue;
         };
         linear.valid[i] = true;
         linear.projected[i] = Some(predicted);
         linear.residual.fixed_rows_mut::<2>(2 * i).copy_from(&(measured - predicted.pixel));
-        let center = world_from_volant * geometry.markers.centers[color];
+        let center = world_from_volant * markers.centers[color];
         let by_center: Matrix2x3<f64> = predicted.jacobian_by_center * to_camera;
         let by_turn: Matrix2x3<f64> = predicted.jacobian_by_turn * to_camera;
         let arm = center.coords - position;
@@ -87,26 +88,22 @@ pub fn linearize(
     linear
 }
 
-/// Returns the derivative of the markers in `mask` by the consider parameters.
-pub fn by_calibration(
-    linear: &Linearization,
-    geometry: &Geometry,
-    mask: &[bool; 4],
-) -> ByCalibration {
+/// Returns the derivative of the markers by the consider parameters.
+pub fn by_calibration(linear: &Linearization, geometry: &Geometry) -> ByCalibration {
     let mut by = ByCalibration::zeros();
     let pose = &linear.camera_from_volant;
     let principal = geometry.camera.principal_point();
     for color in MarkerColor::ALL {
         let i = color.index();
-        let (Some(predicted), true) = (&linear.projected[i], mask[i]) else { continue };
+        let Some(predicted) = &linear.projected[i] else { continue };
         let in_volant = geometry.markers.centers[color];
         let center = (pose * in_volant).coords;
         let layout = predicted.jacobian_by_center * (pose.rotation * in_volant.coords);
         let mounting =
             predicted.jacobian_by_turn - predicted.jacobian_by_center * center.cross_matrix();
         let mut rows = by.fixed_rows_mut::<2>(2 * i);
-        rows[(0, CENTROID + 2 * i)] = 1.0;
-        rows[(1, CENTROID + 2 * i + 1)] = 1.0;
+        let by_center = predicted.jacobian_by_center * pose.rotation.to_rotation_matrix();
+        rows.fixed_columns_mut::<2>(MARKERS + 2 * i).copy_from(&by_center.fixed_columns::<2>(0));
         rows.fixed_columns_mut::<1>(FOCAL).copy_from(&(predicted.pixel - principal));
         rows.fixed_columns_mut::<1>(LAYOUT).copy_from(&layout);
         rows.fixed_columns_mut::<3>(MOUNTING).copy_from(&mounting);
@@ -162,7 +159,7 @@ mod tests {
     fn the_derivatives_by_calibration_are_the_numerical_ones() {
         let (state, geometry, image) = example();
         let linear = linearize(&state, &geometry, &image, &READING);
-        let by = by_calibration(&linear, &geometry, &[true; 4]);
+        let by = by_calibration(&linear, &geometry);
         let h = 1e-4;
         let check = |k: usize, changed: Geometry| {
             let numeric = -linearize(&state, &changed, &image, &READING).residual / h;
@@ -184,6 +181,11 @@ mod tests {
             center.coords *= 1.0 + h;
         }
         check(LAYOUT, scaled);
+        for k in 0..8 {
+            let mut moved = geometry.clone();
+            moved.markers.centers.0[k / 2].coords[k % 2] += h;
+            check(MARKERS + k, moved);
+        }
         for axis in 0..3 {
             // The scene turns about the camera: the camera turns the other way.
             let turn = UnitQuaternion::from_scaled_axis(Vector3::ith(axis, -h));

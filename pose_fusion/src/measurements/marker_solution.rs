@@ -3,15 +3,26 @@
 
 use super::{
     geometry::Geometry,
-    marker_prediction::{Linearization, by_calibration, innovation_spread, linearize, times_error},
+    marker_prediction::{Linearization, innovation_spread, linearize, times_error},
     markers::{Block, ByCalibration, Gain, Gates, Image, Jacobian, Residual, SEEN},
 };
 use crate::ekf::{
-    consider::PARAMETERS,
     propagation::ImuReading,
     state::{ATTITUDE, Covariance, Error, State},
 };
-use nalgebra::{Cholesky, Const, SMatrix};
+use nalgebra::{Cholesky, Const};
+
+/// What an image's update knows at the prior.
+pub struct Prediction {
+    /// Residuals and their derivatives by the state.
+    pub linear: Linearization,
+    /// Covariance of the centroids.
+    pub noise: Block,
+    /// `H V + E`.
+    pub by_parameter: ByCalibration,
+    /// Covariance that the uncertain places of the markers add to the residuals.
+    pub layout: Block,
+}
 
 /// Correction by the markers of a subset.
 pub struct Solution {
@@ -19,9 +30,10 @@ pub struct Solution {
     pub step: Error,
     /// `W = P Hᵀ L⁻ᵀ`.
     pub root: Gain,
-    /// Squared deviation from prior and pixels at the solution, in units of their covariances.
+    /// Squared deviation from prior, layout and pixels at the solution, in units of their
+    /// covariances.
     pub cost: f64,
-    /// Normalized innovation squared at the prior.
+    /// Normalized innovation squared at the prior, the layout's uncertainty included.
     pub nis: f64,
     /// Innovation `L⁻¹ r`.
     pub whitened: Residual,
@@ -70,14 +82,17 @@ pub fn solve(
     geometry: &Geometry,
     image: &Image,
     reading: &ImuReading,
-    at_prior: &Linearization,
-    noise: &Block,
+    at_prior: &Prediction,
     mask: &[bool; 4],
 ) -> Option<Solution> {
     let used = |row: usize| mask[row / 2] && image.pixels[row / 2].is_some();
     let noise = Block::from_fn(|i, j| match used(i) && used(j) {
-        true => noise[(i, j)],
+        true => at_prior.noise[(i, j)],
         false => f64::from(u8::from(i == j)),
+    });
+    let layout = Block::from_fn(|i, j| match used(i) && used(j) {
+        true => at_prior.layout[(i, j)],
+        false => 0.0,
     });
     let masked = |linear: &Linearization| {
         let (mut r, mut h) = (linear.residual, linear.jacobian);
@@ -89,7 +104,7 @@ pub fn solve(
         }
         (r, h)
     };
-    let (mut residual, mut jacobian) = masked(at_prior);
+    let (mut residual, mut jacobian) = masked(&at_prior.linear);
     let mut step = Error::zeros();
     let mut nis = f64::NAN;
     for iteration in 0..ITERATIONS {
@@ -99,8 +114,10 @@ pub fn solve(
         let seen = times_error(&jacobian, &step);
         let target = residual + seen;
         let weighted = cholesky.solve(&target);
+        let whole = Cholesky::<f64, Const<8>>::new(spread + noise + layout)?;
+        let cost = target.dot(&whole.solve(&target));
         if iteration == 0 {
-            nis = target.dot(&weighted);
+            nis = cost;
         }
         let next: Error = gain * weighted;
         let moved = times_error(&jacobian, &next);
@@ -122,15 +139,12 @@ pub fn solve(
                 continue;
             }
         }
-        let prior_cost = weighted.dot(&(spread * weighted));
-        let pixel_cost = left.dot(&Cholesky::<f64, Const<8>>::new(noise)?.solve(&left));
-        let cost = prior_cost + pixel_cost;
         let l = cholesky.l();
         let root = l.solve_lower_triangular(&gain.transpose())?.transpose();
-        let seen = SMatrix::<f64, 9, PARAMETERS>::from_fn(|k, j| {
-            f64::from(prior.sensitivity[(j, SEEN[k])])
-        });
-        let by_parameter = jacobian * seen + by_calibration(at_prior, geometry, mask);
+        let mut by_parameter = at_prior.by_parameter;
+        for (i, _) in mask.iter().enumerate().filter(|(_, kept)| !**kept) {
+            by_parameter.fixed_rows_mut::<2>(2 * i).fill(0.0);
+        }
         let by_parameter = l.solve_lower_triangular(&by_parameter)?;
         let whitened = l.solve_lower_triangular(&target)?;
         return cost.is_finite().then_some(Solution {

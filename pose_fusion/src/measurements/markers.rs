@@ -7,11 +7,13 @@
 use super::{
     Innovation, Outcome,
     geometry::{ClimberRest, Geometry},
-    marker_prediction::{Linearization, innovation_spread, linearize},
-    marker_solution::{count, covariance_times, largest_consistent, solve},
+    marker_misfit::{Misfit, misfit},
+    marker_prediction::{Linearization, by_calibration, innovation_spread, linearize},
+    marker_solution::{Prediction, count, covariance_times, largest_consistent, solve},
 };
 use crate::ekf::{
-    consider::{self, PARAMETERS},
+    calibration::OFFSETS,
+    consider::{self, MARKERS, PARAMETERS},
     propagation::ImuReading,
     state::{ATTITUDE, CLIMBER, N, POSITION, State},
     update::subtract_square,
@@ -40,6 +42,8 @@ pub type Gain = SMatrix<f64, N, 8>;
 pub type Block = SMatrix<f64, 8, 8>;
 /// Derivative of the measurement by the consider parameters.
 pub type ByCalibration = SMatrix<f64, 8, PARAMETERS>;
+/// Offsets of the markers' centers: x and y of red, green, blue, yellow, volant axes, m.
+pub type Offsets = SVector<f64, OFFSETS>;
 /// Centroid (raw px) and covariance (px²) of each detected marker.
 pub type Pixels = [Option<(Vector2<f64>, Matrix2<f64>)>; 4];
 
@@ -54,6 +58,9 @@ pub struct Image {
     pub stamp_sigma: f64,
     /// Height and tilt of the climber.
     pub rest: ClimberRest,
+    /// By how much the images before contradict the places of the markers (1 sigma), where that is
+    /// news, m.
+    pub layout_doubt: Option<f64>,
 }
 
 impl Image {
@@ -88,9 +95,8 @@ pub struct ImageInnovation {
     pub nis: f64,
     /// Number of markers used.
     pub used: u32,
-    /// Squared residuals that no pose explains, in units of their covariance (2 degrees of
-    /// freedom); only with four detected markers, used or not.
-    pub internal: Option<f64>,
+    /// What no pose explains; only with four detected markers, used or not.
+    pub misfit: Option<Misfit>,
     /// Normalized innovation squared of four detected markers of which not all are used (8 degrees
     /// of freedom).
     pub against_prediction: Option<f64>,
@@ -100,7 +106,7 @@ impl ImageInnovation {
     /// Returns whether four markers agree with each other, whatever the prediction (0.999
     /// quantile).
     pub fn agrees_with_itself(&self) -> bool {
-        self.internal.is_some_and(|internal| internal < 13.82)
+        self.misfit.is_some_and(|misfit| misfit.squared < 13.82)
     }
 }
 
@@ -121,13 +127,22 @@ pub fn update(
         markers: [Innovation::absent(); 4],
         nis: f64::NAN,
         used: 0,
-        internal: None,
+        misfit: None,
         against_prediction: None,
     };
+    if let (Some(sigma), true) = (image.layout_doubt, apply) {
+        state.calibration.open_layout(sigma);
+    }
     let linear = linearize(state, geometry, image, reading);
     let gain = covariance_times(&state.covariance, &linear.jacobian);
     let spread = innovation_spread(&linear.jacobian, &gain);
     let noise = measurement_noise(state, &linear, image, reading);
+    let seen =
+        SMatrix::<f64, 9, PARAMETERS>::from_fn(|k, j| f64::from(state.sensitivity[(j, SEEN[k])]));
+    let by_parameter = linear.jacobian * seen + by_calibration(&linear, geometry);
+    let layout = layout_spread(state, &by_parameter);
+    let at_prior = Prediction { linear, noise, by_parameter, layout };
+    let (linear, whole) = (&at_prior.linear, spread + noise + layout);
     let mut pass = [false; 4];
     for i in (0..4).filter(|i| image.pixels[*i].is_some()) {
         let marker = &mut record.markers[i];
@@ -136,8 +151,7 @@ pub fn update(
             continue;
         }
         marker.residual = linear.residual.fixed_rows::<2>(2 * i).into_owned();
-        marker.covariance =
-            spread.fixed_view::<2, 2>(2 * i, 2 * i) + noise.fixed_view::<2, 2>(2 * i, 2 * i);
+        marker.covariance = whole.fixed_view::<2, 2>(2 * i, 2 * i).into_owned();
         marker.nis = match Cholesky::new(marker.covariance) {
             Some(c) => marker.residual.dot(&c.solve(&marker.residual)),
             None => f64::INFINITY,
@@ -146,10 +160,10 @@ pub fn update(
         marker.outcome = if pass[i] { Outcome::Used } else { Outcome::Gated };
     }
     if linear.valid == [true; 4] {
-        record.internal = internal_consistency(&linear, image);
+        record.misfit = misfit(state, geometry, image, reading, linear);
     }
     let best = largest_consistent(&pass, gates, |mask| {
-        solve(state, geometry, image, reading, &linear, &noise, mask)
+        solve(state, geometry, image, reading, &at_prior, mask)
     });
     let chosen = best.as_ref().map_or([false; 4], |(mask, _)| *mask);
     for (i, marker) in record.markers.iter_mut().enumerate() {
@@ -157,8 +171,8 @@ pub fn update(
             marker.outcome = Outcome::Inconsistent;
         }
     }
-    if record.internal.is_some() && count(&chosen) < 4 {
-        record.against_prediction = joint_nis(&linear.residual, &(spread + noise));
+    if record.misfit.is_some() && count(&chosen) < 4 {
+        record.against_prediction = joint_nis(&linear.residual, &whole);
     }
     let Some((_, solution)) = best else { return record };
     record.used = count(&chosen) as u32;
@@ -170,8 +184,8 @@ pub fn update(
             let (gain, row) = (solution.root.column(k), solution.by_parameter.row(k));
             consider::correct(&mut state.sensitivity, &gain.into(), &row.transpose());
         }
-        let learned = state.imu.correct(&solution.by_parameter, &solution.whitened);
-        state.add(&(consider::of_imu(&state.sensitivity) * learned));
+        let learned = state.calibration.correct(&solution.by_parameter, &solution.whitened);
+        state.add(&(consider::of_constants(&state.sensitivity) * learned));
         state.shift_time(reading, state.time_offset - offset, gravity);
         subtract_square(&mut state.covariance, &solution.root);
         state.since_marker = 0.0;
@@ -179,21 +193,10 @@ pub fn update(
     record
 }
 
-/// Returns what is left of the residuals of four markers after the best pose, in units of their
-/// covariance: χ² with 8 − 6 degrees of freedom, whatever the error of the predicted pose.
-fn internal_consistency(linear: &Linearization, image: &Image) -> Option<f64> {
-    let mut information = Block::zeros();
-    for (i, pixel) in image.pixels.iter().enumerate() {
-        information
-            .fixed_view_mut::<2, 2>(2 * i, 2 * i)
-            .copy_from(&pixel.as_ref()?.1.try_inverse()?);
-    }
-    let by_pose = linear.jacobian.fixed_columns::<6>(0).into_owned();
-    let weighted = information * by_pose;
-    let normal = by_pose.transpose() * weighted;
-    let right = weighted.transpose() * linear.residual;
-    let solution = normal.cholesky()?.solve(&right);
-    Some((linear.residual.dot(&(information * linear.residual)) - right.dot(&solution)).max(0.0))
+/// Returns the covariance that the uncertain places of the markers add to the residuals.
+fn layout_spread(state: &State, by_parameter: &ByCalibration) -> Block {
+    let by_offset = by_parameter.fixed_columns::<OFFSETS>(MARKERS);
+    by_offset * state.calibration.offset_covariance() * by_offset.transpose()
 }
 
 /// Returns the covariance of the centroids of an image: their own, and what the motion makes of the
@@ -257,6 +260,7 @@ pub(super) mod tests {
             time_offset: 0.001,
             stamp_sigma: 0.0,
             rest: ClimberRest { height: 2.8, tilt: UnitQuaternion::identity() },
+            layout_doubt: None,
         };
         let linear = linearize(&state, &geometry, &image, &READING);
         for i in 0..4 {
@@ -288,7 +292,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn the_sensitivity_is_the_difference_to_a_filter_that_knows_the_centroid_offsets() {
+    fn the_sensitivity_is_the_difference_to_a_filter_that_knows_the_markers_places() {
         let (mut plain, geometry, image) = example();
         for i in [3, 4, 5, 9, 10, 11, 12, 13, 14] {
             plain.covariance[(i, i)] = 1e-3;
@@ -296,7 +300,12 @@ pub(super) mod tests {
         // A nominal state moves with its time offset, its error does not.
         plain.set_sigma(TIME_OFFSET, 0.0);
         let mut informed = plain.clone();
-        let offsets = Residual::from_fn(|i, _| 0.002 * ((3 * i + 1) as f64).sin());
+        let offsets = Offsets::from_fn(|i, _| 5e-6 * ((3 * i + 1) as f64).sin());
+        let mut known = geometry.clone();
+        for (i, center) in known.markers.centers.0.iter_mut().enumerate() {
+            center.x += offsets[2 * i];
+            center.y += offsets[2 * i + 1];
+        }
         let noise = ProcessNoise {
             force: 1e-5,
             rate: 1e-6,
@@ -318,21 +327,15 @@ pub(super) mod tests {
                     *pixel -= true_pixels.fixed_rows::<2>(2 * i);
                 }
             }
-            let mut corrected = seen;
-            for (i, pixel) in corrected.pixels.iter_mut().enumerate() {
-                if let Some((pixel, _)) = pixel {
-                    *pixel -= offsets.fixed_rows::<2>(2 * i);
-                }
-            }
-            for (state, image) in [(&mut plain, &seen), (&mut informed, &corrected)] {
-                let record = update(state, &geometry, image, &reading, &GATES, 9.81, true);
+            for (state, geometry) in [(&mut plain, &geometry), (&mut informed, &known)] {
+                let record = update(state, geometry, &seen, &reading, &GATES, 9.81, true);
                 assert!(record.used >= 3);
                 propagate(state, &reading, &reading, 0.03, 9.81, &noise);
             }
         }
         let moved = informed.minus(&plain);
-        let by_centroid = plain.sensitivity.fixed_rows::<8>(0).map(f64::from);
-        let claimed = by_centroid.transpose() * offsets;
+        let by_offset = plain.sensitivity.fixed_rows::<OFFSETS>(MARKERS).map(f64::from);
+        let claimed = by_offset.transpose() * offsets;
         assert!(moved.fixed_rows::<3>(ATTITUDE).norm() > 1e-5, "{moved}");
         for i in POSITION..POSITION + 9 {
             assert!(

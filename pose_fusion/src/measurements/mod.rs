@@ -2,7 +2,8 @@
 
 pub mod encoders;
 pub mod geometry;
-mod marker_prediction;
+pub mod marker_misfit;
+pub mod marker_prediction;
 mod marker_solution;
 pub mod markers;
 pub mod rope;

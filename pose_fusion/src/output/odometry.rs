@@ -7,8 +7,8 @@
 use super::Odometry;
 use crate::{
     ekf::{
-        consider::{self, ByParameter, IMU, PARAMETERS, TIME_OFFSET_ERROR},
-        imu_calibration::CONSTANTS,
+        calibration::CONSTANTS,
+        consider::{self, ByParameter, ESTIMATED, PARAMETERS, TIME_OFFSET_ERROR},
         propagation::ImuReading,
         state::{ATTITUDE, GYROSCOPE_BIAS, POSITION, State, TIME_OFFSET, VELOCITY},
     },
@@ -125,8 +125,8 @@ fn covariance_at_imu_time(
         }
     }
     sensitivity -= motion * consider::of_entry(&state.sensitivity, TIME_OFFSET).transpose();
-    let by_imu = sensitivity.fixed_columns::<CONSTANTS>(IMU);
-    p += by_imu * state.imu.covariance() * by_imu.transpose();
+    let by_constants = sensitivity.fixed_columns::<CONSTANTS>(ESTIMATED);
+    p += by_constants * state.calibration.covariance() * by_constants.transpose();
     for (k, column) in sensitivity.column_iter().enumerate() {
         if settings.calibration[k] > 0.0 {
             p += column * column.transpose() * settings.calibration[k];

@@ -14,8 +14,8 @@
 
 use crate::{
     ekf::{
+        calibration::Calibration,
         consider,
-        imu_calibration::ImuCalibration,
         propagation::{propagate, transition},
         state::{Covariance, Error, N, State, TIME_OFFSET},
     },
@@ -27,7 +27,9 @@ use nalgebra::{Cholesky, Const};
 /// is known before it. `gravity` in m/s².
 pub fn smooth(entries: &[Entry], gravity: f64) -> Vec<State> {
     let mut states: Vec<State> = Vec::with_capacity(entries.len());
-    let Some(calibration) = entries.last().map(|entry| entry.state.imu) else { return states };
+    let Some(calibration) = entries.last().map(|entry| entry.state.calibration) else {
+        return states;
+    };
     for (i, entry) in entries.iter().enumerate().rev() {
         let state = with_calibration(&entry.state, calibration);
         let smoothed = match (entries.get(i + 1), states.last()) {
@@ -42,13 +44,13 @@ pub fn smooth(entries: &[Entry], gravity: f64) -> Vec<State> {
     states
 }
 
-/// Returns the state that the filter would have had with the constants of the IMU that are known in
+/// Returns the state that the filter would have had with the constants that are known in
 /// the end, to first order.
-fn with_calibration(state: &State, calibration: ImuCalibration) -> State {
+fn with_calibration(state: &State, calibration: Calibration) -> State {
     let mut moved = state.clone();
-    let change = calibration.constants() - state.imu.constants();
-    moved.add(&(consider::of_imu(&state.sensitivity) * change));
-    moved.imu = calibration;
+    let change = calibration.constants() - state.calibration.constants();
+    moved.add(&(consider::of_constants(&state.sensitivity) * change));
+    moved.calibration = calibration;
     moved
 }
 

@@ -95,11 +95,11 @@ fn an_invalid_checkpoint_is_rejected() {
         |c| c.covariance.truncate(100),
         |c| c.covariance[1] += 1.0,
         |c| c.covariance[0] = -1.0,
-        |c| c.imu_constants[3] = f64::INFINITY,
-        |c| c.imu_constants[0] = 1.5,
-        |c| c.imu_covariance.truncate(12),
-        |c| c.imu_covariance[1] += 1.0,
-        |c| c.imu_covariance[13] = -1.0,
+        |c| c.constants[3] = f64::INFINITY,
+        |c| c.constants[0] = 1.5,
+        |c| c.constants_covariance.truncate(12),
+        |c| c.constants_covariance[1] += 1.0,
+        |c| c.constants_covariance[13] = -1.0,
     ];
     for corrupt in corruptions {
         let mut bad = good.clone();

@@ -273,6 +273,28 @@ fn a_swing_after_a_short_rest_is_consistent() {
     assert!(beyond as f64 <= 0.001 * all as f64, "{beyond} of {all}");
 }
 
+/// Meters on the platform for each pixel, in the middle of the simulated rig's height.
+const PER_PIXEL: f64 = 1.4 / 590.0;
+
+#[test]
+fn a_marker_off_its_place_is_found_and_the_pose_goes_on() {
+    for (seed, off) in [(0, 0.002), (1, 0.005), (2, -0.005), (3, 0.01)] {
+        let run = simulated::run(MotionConfig::nominal(seed), &SensorConfig::nominal(seed));
+        let mut rig = simulated::rig();
+        rig.markers.centers.0[seed as usize].y += off;
+        let mut fusion = Fusion::new(rig, FusionConfig::default());
+        let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+        let score = scoring::score(&outputs.odometry, &run.truth, 2.0);
+        let (position, rotation) = score.nees();
+        println!("{} mm: {score}", 1e3 * off);
+        // What four markers cannot tell is left: a scale error of an eighth of the offset's share.
+        assert!(score.position_rmse() < 3.0 * 1e3 * off.abs(), "{score}");
+        assert!(position < 30.0 && rotation < 30.0, "{score}");
+        let offsets = fusion.status().constants.fixed_rows::<8>(12).into_owned();
+        assert!(offsets.amax() > 0.1 * off.abs(), "{offsets}");
+    }
+}
+
 #[test]
 fn constant_centroid_offsets_are_in_the_covariance() {
     let bias = 0.03;
@@ -286,7 +308,7 @@ fn constant_centroid_offsets_are_in_the_covariance() {
         for (settings, nees) in [0.0, bias].into_iter().zip(&mut nees) {
             let mut config = simulated::config();
             config.tight.markers.pixel_floor = 0.0;
-            config.tight.calibration.centroid = settings;
+            config.tight.calibration.marker = settings * PER_PIXEL;
             let mut fusion = Fusion::new(simulated::rig(), config);
             let inputs = run.inputs.iter().map(|(_, i)| {
                 let mut input = i.clone();

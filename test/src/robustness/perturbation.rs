@@ -27,6 +27,8 @@ pub enum Perturbation {
     FocalLength(f64),
     /// Marker layout of the rig file, relative error.
     Layout(f64),
+    /// The red marker is off its place in the rig file by this, m.
+    MarkerOff(f64),
     /// Encoder scale, relative error.
     EncoderScale(f64),
     /// Encoder stamps are late by this, s.
@@ -58,7 +60,7 @@ pub enum Perturbation {
 }
 
 /// Perturbations of the table.
-pub const TABLE: [Perturbation; 31] = {
+pub const TABLE: [Perturbation; 33] = {
     use Perturbation::*;
     [
         GyroScale(0.002),
@@ -74,6 +76,8 @@ pub const TABLE: [Perturbation; 31] = {
         CameraMounting(0.2),
         FocalLength(0.01),
         Layout(0.01),
+        MarkerOff(0.002),
+        MarkerOff(0.005),
         EncoderScale(0.01),
         EncoderDelay(-0.15),
         EncoderDelay(0.15),
@@ -105,6 +109,7 @@ impl fmt::Display for Perturbation {
             Self::CameraMounting(x) => write!(f, "camera mounting off by {x}°"),
             Self::FocalLength(x) => write!(f, "focal length {:+.1} %", x * 100.0),
             Self::Layout(x) => write!(f, "layout {:+.1} %", x * 100.0),
+            Self::MarkerOff(x) => write!(f, "one marker {:.0} mm off", x * 1e3),
             Self::EncoderScale(x) => write!(f, "encoder scale {:+.1} %", x * 100.0),
             Self::EncoderDelay(x) => write!(f, "encoder stamps {:+.0} ms", x * 1e3),
             Self::EncoderOff(x, t) if *t == 0.0 => write!(f, "one encoder reading {x} m off"),
@@ -172,6 +177,7 @@ impl Perturbation {
                 recording.rig.markers.centers.0.iter_mut().for_each(|c| c.coords *= 1.0 + x);
                 recording.rig.markers.side *= 1.0 + x;
             }
+            Self::MarkerOff(x) => recording.rig.markers.centers.0[0].x += x,
             Self::EncoderScale(x) => each_climber(recording, |s| {
                 s.world_from_climber.translation.vector.x *= 1.0 + x;
                 s.world_from_climber.translation.vector.y *= 1.0 + x;

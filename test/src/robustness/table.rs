@@ -43,7 +43,7 @@ pub fn limits(perturbation: &Perturbation, recording: &Recording) -> Limits {
         GyroScale(_) => factor(6.0),
         AccelerometerScale(_) => factor(1.2),
         ImuMisaligned(_) | ImuYaw(_) => factor(1.4),
-        CameraMounting(_) | FocalLength(_) | Layout(_) | EncoderScale(_) => {
+        CameraMounting(_) | FocalLength(_) | Layout(_) | MarkerOff(_) | EncoderScale(_) => {
             Limits { nees: Some(60.0), ..Limits::default() }
         }
         EncoderDelay(delay) => Limits {

@@ -1,8 +1,10 @@
-//! Calibration of the IMU: scale factors and misalignment, estimated beside the state.
+//! Constants that are estimated beside the state: scale factors and misalignment of the IMU, and the
+//! places of the markers.
 //!
-//! Twelve constants θ: for gyroscope and accelerometer each three scale factors `s` and a rotation
-//! `ρ` of the triad against the mounting in the rig file. A reading `m`, less its bias, measures
-//! the motion `m − s ∘ m − ρ × m`.
+//! Of the constants θ twelve are the IMU's: for gyroscope and accelerometer each three scale factors
+//! `s` and a rotation `ρ` of the triad against the mounting in the rig file. A reading `m`, less its
+//! bias, measures the motion `m − s ∘ m − ρ × m`. Eight are offsets of the markers' centers from
+//! those in the rig file, x and y of the volant frame.
 //!
 //! They are estimated by Friedland's two-stage filter (1969, "Treatment of bias in recursive
 //! filtering"). The state is estimated as if they were known, with the sensitivity `V` of its error
@@ -14,19 +16,28 @@
 //! that grows with the number of constants instead of its square.
 
 use super::{
-    consider::{IMU, PARAMETERS},
+    consider::{ESTIMATED, PARAMETERS},
     propagation::ImuReading,
 };
-use crate::config::ImuConfig;
+use crate::config::TightConfig;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use rig_model::MarkerLayout;
 
-/// Number of constants: scale factors of gyroscope and accelerometer, rotations of both, rad.
-pub const CONSTANTS: usize = 12;
+/// Number of constants: scale factors of gyroscope and accelerometer, rotations of both, rad, and
+/// offsets of the markers, m.
+pub const CONSTANTS: usize = 20;
 /// First rotation.
 const ROTATION: usize = 6;
+/// First offset of a marker: x and y of red, green, blue, yellow, m.
+pub const MARKERS: usize = 12;
+/// Number of offsets.
+pub const OFFSETS: usize = 8;
 /// Largest scale factor and rotation, rad. An IMU beyond that has another range, or another
 /// mounting, than configured.
-pub const LARGEST: f64 = 0.1;
+const LARGEST: f64 = 0.1;
+/// Largest offset of a marker, m: half the side of the square that the paper used. A marker further
+/// off is another one.
+pub const LARGEST_OFFSET: f64 = 0.04;
 /// A constant this many standard deviations from zero was expected too close to it; its variance is
 /// opened by its square.
 const UNEXPECTED: f32 = 3.0;
@@ -74,18 +85,23 @@ impl Symmetric {
 
 /// Estimated constants with their covariance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ImuCalibration {
+pub struct Calibration {
     constants: Constants,
     covariance: Symmetric,
     /// Expected distance from zero, 1 sigma.
     expected: Single,
 }
 
-impl ImuCalibration {
+impl Calibration {
     /// Returns constants of zero with the configured standard deviations.
-    pub fn new(config: &ImuConfig) -> Self {
-        let sigmas = [config.gyroscope_scale, config.accelerometer_scale, config.misalignment];
-        let expected = Single::from_fn(|i, _| sigmas[(i / 3).min(2)] as f32);
+    pub fn new(config: &TightConfig) -> Self {
+        let imu = &config.imu;
+        let expected = Single::from_fn(|i, _| match i {
+            0..3 => imu.gyroscope_scale as f32,
+            3..ROTATION => imu.accelerometer_scale as f32,
+            ROTATION..MARKERS => imu.misalignment as f32,
+            _ => config.calibration.marker as f32,
+        });
         let covariance =
             Symmetric::of(&SMatrix::from_diagonal(&expected.map(|sigma| sigma * sigma)));
         Self { constants: Constants::zeros(), covariance, expected }
@@ -99,7 +115,7 @@ impl ImuCalibration {
     }
 
     /// Returns the constants: scale factors of gyroscope and accelerometer, rotations of both, rad,
-    /// IMU axes.
+    /// IMU axes; offsets of the markers, m, volant axes.
     pub fn constants(&self) -> &Constants {
         &self.constants
     }
@@ -107,6 +123,36 @@ impl ImuCalibration {
     /// Returns the covariance of the constants.
     pub fn covariance(&self) -> SMatrix<f64, CONSTANTS, CONSTANTS> {
         self.covariance.matrix().map(f64::from)
+    }
+
+    /// Returns the layout with the estimated places of the markers.
+    pub fn layout(&self, layout: &MarkerLayout) -> MarkerLayout {
+        let mut moved = layout.clone();
+        for (i, center) in moved.centers.0.iter_mut().enumerate() {
+            center.x += self.constants[MARKERS + 2 * i];
+            center.y += self.constants[MARKERS + 2 * i + 1];
+        }
+        moved
+    }
+
+    /// Returns the covariance of the markers' offsets, m².
+    pub fn offset_covariance(&self) -> SMatrix<f64, OFFSETS, OFFSETS> {
+        self.covariance().fixed_view::<OFFSETS, OFFSETS>(MARKERS, MARKERS).into_owned()
+    }
+
+    /// Opens the variance of the markers' offsets by the square of `sigma`, m.
+    pub fn open_layout(&mut self, sigma: f64) {
+        let mut covariance = self.covariance.matrix();
+        for i in MARKERS..CONSTANTS {
+            covariance[(i, i)] += (sigma * sigma) as f32;
+            self.expected[i] = self.expected[i].max(sigma as f32);
+        }
+        self.covariance = Symmetric::of(&covariance);
+    }
+
+    /// Returns whether every constant is finite and within its limit.
+    pub fn within_limits(constants: &Constants) -> bool {
+        (0..CONSTANTS).all(|i| constants[i].abs() <= limit(i))
     }
 
     /// Returns the motion that a reading measures, both without the biases.
@@ -118,7 +164,7 @@ impl ImuCalibration {
     }
 
     /// Returns the reading of a motion, both without the biases: the inverse of
-    /// [`ImuCalibration::motion`] to first order.
+    /// [`Calibration::motion`] to first order.
     pub fn reading(&self, motion: &ImuReading) -> ImuReading {
         ImuReading {
             angular_velocity: motion.angular_velocity + self.error(0, &motion.angular_velocity),
@@ -160,7 +206,7 @@ impl ImuCalibration {
         let mut covariance = self.covariance.matrix();
         // The rows are independent and have unit variance.
         for (row, innovation) in by_parameter.row_iter().zip(whitened) {
-            let b: Constants = row.fixed_columns::<CONSTANTS>(IMU).transpose();
+            let b: Constants = row.fixed_columns::<CONSTANTS>(ESTIMATED).transpose();
             let gain = covariance * b.map(|x| x as f32);
             let spread = 1.0 + b.dot(&gain.map(f64::from));
             let residual = innovation - b.dot(&step);
@@ -174,7 +220,10 @@ impl ImuCalibration {
             }
         }
         let before = self.constants;
-        self.constants = (before + step).map(|x| x.clamp(-LARGEST, LARGEST));
+        self.constants = before + step;
+        for i in 0..CONSTANTS {
+            self.constants[i] = self.constants[i].clamp(-limit(i), limit(i));
+        }
         for i in 0..CONSTANTS {
             let away = self.constants[i].abs() as f32;
             if away > UNEXPECTED * self.expected[i] {
@@ -187,17 +236,24 @@ impl ImuCalibration {
     }
 }
 
+/// Returns the largest magnitude of a constant.
+fn limit(index: usize) -> f64 {
+    if index < MARKERS { LARGEST } else { LARGEST_OFFSET }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn config() -> ImuConfig {
-        ImuConfig { gyroscope_scale: 0.003, accelerometer_scale: 0.002, ..ImuConfig::default() }
+    fn config() -> TightConfig {
+        let mut config = TightConfig::default();
+        (config.imu.gyroscope_scale, config.imu.accelerometer_scale) = (0.003, 0.002);
+        config
     }
 
     #[test]
     fn motion_and_reading_are_inverse_and_the_derivative_is_the_numerical_one() {
-        let mut calibration = ImuCalibration::new(&config());
+        let mut calibration = Calibration::new(&config());
         calibration.constants = Constants::from_fn(|i, _| 0.001 * ((i * 7) % 5) as f64 - 0.002);
         let reading = ImuReading {
             specific_force: Vector3::new(0.5, -1.0, 9.6),
@@ -210,7 +266,7 @@ mod tests {
         let turn = *nalgebra::Rotation3::from_euler_angles(0.3, -0.2, 1.1).matrix();
         for triad in 0..2 {
             let part = |r: &ImuReading| [r.angular_velocity, r.specific_force][triad];
-            for (first, by) in ImuCalibration::derivative(triad, &turn, &part(&reading)) {
+            for (first, by) in Calibration::derivative(triad, &turn, &part(&reading)) {
                 for k in 0..3 {
                     let mut moved = calibration;
                     moved.constants[first + k] += 1e-6;
@@ -224,15 +280,15 @@ mod tests {
     #[test]
     fn a_constant_is_found_within_its_sigma_and_a_surprising_one_opens_its_variance() {
         for (truth, images) in [(0.004, 200), (-0.05, 1000)] {
-            let mut calibration = ImuCalibration::new(&config());
+            let mut calibration = Calibration::new(&config());
             for k in 0..images {
                 let mut b = SMatrix::<f64, 2, PARAMETERS>::zeros();
-                b[(0, IMU)] = 20.0 * (0.1 * f64::from(k)).sin();
-                b[(1, IMU + 4)] = 20.0;
+                b[(0, ESTIMATED)] = 20.0 * (0.1 * f64::from(k)).sin();
+                b[(1, ESTIMATED + 4)] = 20.0;
                 let error = truth - calibration.constants[0];
                 // A deterministic stand-in for white noise of variance 1.
                 let noise = 1.2 * (f64::from(k) * 7919.0 * 0.618).sin();
-                let whitened = SVector::<f64, 2>::new(b[(0, IMU)] * error + noise, 0.0);
+                let whitened = SVector::<f64, 2>::new(b[(0, ESTIMATED)] * error + noise, 0.0);
                 calibration.correct(&b, &whitened);
             }
             let sigma = calibration.covariance()[(0, 0)].sqrt();
@@ -247,9 +303,9 @@ mod tests {
 
     #[test]
     fn a_constant_is_limited_and_a_number_that_is_not_finite_is_ignored() {
-        let mut calibration = ImuCalibration::new(&config());
+        let mut calibration = Calibration::new(&config());
         let mut b = SMatrix::<f64, 1, PARAMETERS>::zeros();
-        b[(0, IMU + 6)] = 1e6;
+        b[(0, ESTIMATED + 6)] = 1e6;
         for _ in 0..20 {
             calibration.correct(&b, &SVector::<f64, 1>::new(1e6));
         }
