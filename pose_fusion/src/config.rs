@@ -295,7 +295,7 @@ impl CalibrationSigmas {
     };
     /// Sigmas of a rig calibrated with `volant calibrate`.
     pub const DEFAULT: Self = Self {
-        marker: 0.000005,
+        marker: 0.000002,
         focal_length: 0.0003,
         layout: 0.0003,
         mounting: 0.00005,

@@ -3,7 +3,7 @@
 
 use super::{
     geometry::Geometry,
-    marker_prediction::{Linearization, by_calibration, linearize},
+    marker_prediction::{Linearization, by_calibration, linearize, times_error},
     markers::{Image, Offsets},
 };
 use crate::ekf::{
@@ -15,6 +15,8 @@ use crate::ekf::{
 
 /// Residual beyond which the projection bends so much that the misfit is found at the best pose, px.
 const FAR: f64 = 2.0;
+/// Largest number of linearizations; a best pose that is not found by then tells nothing.
+const ITERATIONS: usize = 4;
 
 /// What no pose explains of four markers.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,14 +36,21 @@ pub fn misfit(
     reading: &ImuReading,
     linear: &Linearization,
 ) -> Option<Misfit> {
-    let (mut found, step) = misfit_at(state, geometry, image, linear)?;
-    if linear.residual.amax() > FAR {
-        let mut there = state.clone();
+    let (found, mut step) = misfit_at(state, geometry, image, linear)?;
+    if linear.residual.amax() <= FAR {
+        return Some(found);
+    }
+    let mut there = state.clone();
+    for _ in 1..ITERATIONS {
         there.add(&step);
         let linear = linearize(&there, geometry, image, reading);
-        (found, _) = misfit_at(&there, geometry, image, &linear)?;
+        let (found, next) = misfit_at(&there, geometry, image, &linear)?;
+        if times_error(&linear.jacobian, &next).amax() <= FAR {
+            return Some(found);
+        }
+        step = next;
     }
-    Some(found)
+    None
 }
 
 /// Returns the misfit at a linearization, and the step of position and attitude to the best pose.
