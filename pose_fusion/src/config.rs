@@ -154,7 +154,8 @@ pub struct ClockConfig {
 /// the estimate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationSigmas {
-    /// Place of each marker on the platform, x and y, m. Images that contradict it raise it.
+    /// Place of each marker on the platform, x and y, m. Where images contradict it, it is estimated;
+    /// 0 takes it as exact.
     pub marker: f64,
     /// Focal length, relative.
     pub focal_length: f64,
@@ -295,7 +296,7 @@ impl CalibrationSigmas {
     };
     /// Sigmas of a rig calibrated with `volant calibrate`.
     pub const DEFAULT: Self = Self {
-        marker: 0.000002,
+        marker: 0.00004,
         focal_length: 0.0003,
         layout: 0.0003,
         mounting: 0.00005,

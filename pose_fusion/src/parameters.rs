@@ -91,8 +91,9 @@ node_kit::parameters! {
         /// Uncertainty of that offset (1 sigma), which widens the covariance.
         climber_sigma: f64 = TIGHT.calibration.climber_offset, unit("s"), range(0.0..=0.1),
             name("clock.climber_sigma");
-        /// Error of a marker's place, x and y on the platform (1 sigma). Images that contradict the
-        /// places raise it, and the filter estimates them; 0 takes them as exact.
+        /// Error of a marker's place, x and y on the platform (1 sigma), which widens the
+        /// covariance. Where images contradict the places, the filter estimates them; 0 takes them
+        /// as exact.
         marker_sigma: f64 = TIGHT.calibration.marker, unit("m"), range(0.0..=0.05),
             name("calibration.marker_sigma");
         /// Relative error of the focal length (1 sigma), which widens the covariance.

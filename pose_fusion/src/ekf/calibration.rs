@@ -19,7 +19,7 @@ use super::{
     consider::{ESTIMATED, PARAMETERS},
     propagation::ImuReading,
 };
-use crate::config::TightConfig;
+use crate::config::ImuConfig;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use rig_model::MarkerLayout;
 
@@ -93,14 +93,14 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Returns constants of zero with the configured standard deviations.
-    pub fn new(config: &TightConfig) -> Self {
-        let imu = &config.imu;
+    /// Returns constants of zero with the configured standard deviations. The markers are where the
+    /// rig file has them until images contradict that ([`Calibration::open_layout`]).
+    pub fn new(imu: &ImuConfig) -> Self {
         let expected = Single::from_fn(|i, _| match i {
             0..3 => imu.gyroscope_scale as f32,
             3..ROTATION => imu.accelerometer_scale as f32,
             ROTATION..MARKERS => imu.misalignment as f32,
-            _ => config.calibration.marker as f32,
+            _ => 0.0,
         });
         let covariance =
             Symmetric::of(&SMatrix::from_diagonal(&expected.map(|sigma| sigma * sigma)));
@@ -245,10 +245,8 @@ fn limit(index: usize) -> f64 {
 mod tests {
     use super::*;
 
-    fn config() -> TightConfig {
-        let mut config = TightConfig::default();
-        (config.imu.gyroscope_scale, config.imu.accelerometer_scale) = (0.003, 0.002);
-        config
+    fn config() -> ImuConfig {
+        ImuConfig { gyroscope_scale: 0.003, accelerometer_scale: 0.002, ..ImuConfig::default() }
     }
 
     #[test]

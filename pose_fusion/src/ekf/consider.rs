@@ -8,7 +8,7 @@
 //! estimated with the same sensitivity ([`super::calibration`]).
 
 use super::{
-    calibration::{self, CONSTANTS},
+    calibration::{self, CONSTANTS, OFFSETS},
     state::{Error, N, TIME_OFFSET},
 };
 use crate::config::CalibrationSigmas;
@@ -50,6 +50,9 @@ pub fn variances(sigmas: &CalibrationSigmas) -> ByParameter {
         variances[MOUNTING + axis] = sigmas.mounting.powi(2);
     }
     variances[ENCODER_SCALE] = sigmas.encoder_scale.powi(2);
+    for k in 0..OFFSETS {
+        variances[MARKERS + k] = sigmas.marker.powi(2);
+    }
     variances[CLIMBER_OFFSET] = sigmas.climber_offset.powi(2);
     variances
 }

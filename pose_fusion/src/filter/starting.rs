@@ -133,7 +133,7 @@ impl Filter {
     /// Constants as a former pose knew them.
     pub(super) fn calibration(&self) -> Calibration {
         let kept = self.start.kept().map(|kept| kept.calibration);
-        kept.unwrap_or_else(|| Calibration::new(&self.setup.config))
+        kept.unwrap_or_else(|| Calibration::new(&self.setup.config.imu))
     }
 
     /// Offset and biases from before an outage.

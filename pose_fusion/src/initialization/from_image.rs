@@ -213,7 +213,7 @@ pub fn unknown(config: &TightConfig, climber: &ClimberPrior) -> State {
     state.set_sigmas(CLIMBER_RATE, &climber.rate_sigmas);
     state.set_sigmas(CLIMBER_ACCELERATION, &ACCELERATION.into());
     state.set_sigma(TIME_OFFSET, config.clock.camera_sigma.min(LINEAR_OFFSET));
-    state.calibration = Calibration::new(config);
+    state.calibration = Calibration::new(&config.imu);
     for axis in 0..3 {
         let by = by_parameter(axis, climber.values[axis], climber.rates[axis]);
         state.sensitivity.set_column(CLIMBER + axis, &by.map(|x| -x as f32));
