@@ -2,6 +2,7 @@
 //! adapted as the light drifts, and its hue histogram.
 
 use crate::{
+    edge::Light,
     hue::HueHistogram,
     image::Pixels,
     quad::Quad,
@@ -28,9 +29,11 @@ impl Appearance {
         Some(Self { marker, surroundings, discriminant, hue })
     }
 
-    /// Brightness of the surroundings over that of the marker, which no light changes.
-    pub fn relative_brightness(&self) -> f32 {
-        self.surroundings.iter().sum::<f32>() / self.marker.iter().sum::<f32>().max(1.0)
+    /// Light that differs from row to row; no light changes the ratio of the two brightnesses.
+    pub fn light_by_row(&self) -> Light {
+        let [marker, surroundings] =
+            [self.marker, self.surroundings].map(|c| c.iter().sum::<f32>());
+        Light::ByRow { brightness: surroundings / marker.max(1.0) }
     }
 
     /// Moves the colors by the share `gain` towards those inside and around an outline.

@@ -34,6 +34,7 @@ mod edge;
 mod encoding;
 mod engine;
 mod flow;
+mod form;
 mod geometry;
 mod hue;
 mod image;

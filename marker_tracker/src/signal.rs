@@ -1,8 +1,11 @@
 //! The color signal: the projection of a pixel onto one direction of RGB space.
 
-use crate::image::{Coverage, Pixels};
+use crate::{
+    form::Form,
+    image::{Coverage, Pixels},
+};
 use nalgebra::Vector2;
-use wide::{f32x8, i16x16, u32x8};
+use wide::{f32x8, u32x8};
 
 /// A direction in RGB space along which a marker differs most from its surroundings.
 ///
@@ -13,6 +16,10 @@ use wide::{f32x8, i16x16, u32x8};
 pub(crate) struct Discriminant {
     /// Per channel r, g, b; `weights · (marker − surroundings) = 1` in the light of the samples.
     pub weights: [f32; 3],
+    /// Per channel r, g, b: the light on a pixel in units of that of the samples, `light · marker =
+    /// light · surroundings = 1`, whatever share of it the marker covers; `None` where paper and
+    /// surroundings differ too little in chromaticity, or one of them is too dark.
+    pub light: Option<[f32; 3]>,
     /// Whether a channel in which the two differ is saturated: it no longer measures the light, and
     /// an edge's blur is cut off in it.
     pub saturated: bool,
@@ -24,6 +31,9 @@ impl Discriminant {
     const SATURATED: f32 = 228.0;
     /// Smallest squared distance of the two colors: 5 gray values, a few times a camera's noise.
     const MIN_DISTANCE2: f32 = 25.0;
+    /// Least sine of the angle between the two colors that separates light from paper: 3°, with
+    /// which a pixel's noise of 1 % shifts the marker's share of it by 0.2.
+    const MIN_SINE2: f32 = 0.05 * 0.05;
 
     /// Between the mean colors (r, g, b of 0–255) of a marker and of its surroundings, for equal
     /// noise in the channels; `None` where the colors are the same.
@@ -32,8 +42,24 @@ impl Discriminant {
         let gain = d.iter().map(|d| d * d).sum::<f32>();
         let saturated = (0..3)
             .any(|i| d[i] * d[i] > 0.05 * gain && marker[i].max(surroundings[i]) > Self::SATURATED);
-        (gain.is_finite() && gain > Self::MIN_DISTANCE2)
-            .then(|| Self { weights: d.map(|d| d / gain), saturated })
+        (gain.is_finite() && gain > Self::MIN_DISTANCE2).then(|| Self {
+            weights: d.map(|d| d / gain),
+            light: Self::light(marker, d, gain),
+            saturated,
+        })
+    }
+
+    /// The shortest form that has the value 1 on both colors: the part of `marker` across the
+    /// difference `d` of the colors, whose square is `gain`.
+    fn light(marker: [f32; 3], d: [f32; 3], gain: f32) -> Option<[f32; 3]> {
+        let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        let along = dot(marker, d) / gain;
+        let across = [0, 1, 2].map(|i| marker[i] - along * d[i]);
+        let square = dot(across, across);
+        let surroundings = [0, 1, 2].map(|i| marker[i] - d[i]);
+        let product = dot(marker, marker) * dot(surroundings, surroundings);
+        (square > Self::MIN_DISTANCE2 && square * gain > Self::MIN_SINE2 * product)
+            .then(|| across.map(|v| v / square))
     }
 
     /// Signal of a color.
@@ -53,12 +79,12 @@ pub(crate) struct Sampler<'a> {
     /// Of the image, px.
     pub width: i32,
     pub height: i32,
-    /// In the order of the channels in memory; integers, so that sums are exact.
-    weights: [i32; 3],
-    /// The same in pairs of 16 bits: first and third channel, and the second alone.
-    outer: i16x16,
-    middle: i16x16,
-    /// Signal per unit of the weighted sum.
+    signal: Form,
+    /// As in [`Discriminant`].
+    light: Option<Form>,
+    /// Whether the signal is divided by the light.
+    in_any_light: bool,
+    /// Signal per unit of what [`Sampler::eight`] and [`Sampler::each`] return.
     pub scale: f32,
     /// As in [`Discriminant`].
     pub saturated: bool,
@@ -67,54 +93,64 @@ pub(crate) struct Sampler<'a> {
 }
 
 impl<'a> Sampler<'a> {
-    /// Largest weight: a sum of three channels stays below 2²⁰ and is exact in 32-bit floats.
-    const WEIGHT: f32 = 1024.0;
+    /// Units of a signal of 1 that is divided by the light.
+    const UNITS: f32 = 4096.0;
+    /// Least light that a signal is divided by, in units of that of the samples: a pixel of less is
+    /// noise.
+    const MIN_LIGHT: f32 = 0.03;
 
     /// Prepares the integer weights.
     pub fn new(image: &'a Pixels<'_>, discriminant: &Discriminant) -> Self {
-        let mut weights = discriminant.weights;
-        if image.format.blue_first() {
-            weights.swap(0, 2);
-        }
-        let mut sampler = Self {
+        let blue_first = image.format.blue_first();
+        let signal = Form::new(discriminant.weights, blue_first);
+        Self {
             data: image.data,
             step: image.step,
             bytes: image.format.bytes_per_pixel(),
             width: image.width as i32,
             height: image.height as i32,
-            weights: [0; 3],
-            outer: i16x16::ZERO,
-            middle: i16x16::ZERO,
-            scale: 1.0,
+            scale: signal.scale,
+            signal,
+            light: discriminant.light.map(|weights| Form::new(weights, blue_first)),
+            in_any_light: false,
             saturated: discriminant.saturated,
             coverage: image.coverage(),
-        };
-        sampler.set_weights(weights);
-        sampler
+        }
     }
 
-    /// Sets the weights in the order of the channels in memory.
-    #[inline(always)]
-    fn set_weights(&mut self, weights: [f32; 3]) {
-        let largest = weights.iter().fold(1e-12f32, |m, w| m.max(w.abs()));
-        self.weights = weights.map(|w| (w * (Self::WEIGHT / largest)).round() as i32);
-        let pairs = |low: i32, high: i32| {
-            i16x16::new(std::array::from_fn(|i| if i % 2 == 0 { low } else { high } as i16))
-        };
-        self.outer = pairs(self.weights[0], self.weights[2]);
-        self.middle = pairs(self.weights[1], 0);
-        self.scale = largest / Self::WEIGHT;
+    /// The same image with the signal of each pixel divided by the light on it: a light that
+    /// changes from pixel to pixel leaves no edge in it. Noisier, because the light is. `None`
+    /// where the light cannot be measured.
+    pub fn in_any_light(&self) -> Option<Self> {
+        self.light?;
+        Some(Self { in_any_light: true, scale: 1.0 / Self::UNITS, ..*self })
     }
 
+    /// What one unit of the signals' sums, divided by one of the light's, is in units of the scale.
     #[inline(always)]
-    fn weighted(&self, a: u8, b: u8, c: u8) -> i32 {
-        let w = self.weights;
-        w[0] * i32::from(a) + w[1] * i32::from(b) + w[2] * i32::from(c)
+    fn ratio(&self, light: &Form) -> f32 {
+        Self::UNITS * self.signal.scale / light.scale
     }
 
     #[inline(always)]
     fn sum(&self, pixel: &[u8]) -> i32 {
-        self.weighted(pixel[0], pixel[1], pixel[2])
+        let [a, b, c] = [pixel[0], pixel[1], pixel[2]];
+        let signal = self.signal.of(a, b, c);
+        match &self.light {
+            Some(light) if self.in_any_light => {
+                let least = Self::MIN_LIGHT / light.scale;
+                (signal as f32 * self.ratio(light) / (light.of(a, b, c) as f32).max(least)) as i32
+            }
+            _ => signal,
+        }
+    }
+
+    /// Light on a pixel, in units of that of the samples; 1 where it cannot be measured.
+    pub fn light(&self, pixel: &[u8]) -> f32 {
+        match &self.light {
+            Some(light) => light.of(pixel[0], pixel[1], pixel[2]) as f32 * light.scale,
+            None => 1.0,
+        }
     }
 
     /// Signal at a pixel; `None` outside of the image.
@@ -169,24 +205,50 @@ impl<'a> Sampler<'a> {
 
     /// The same image by its brightness (mean of the channels).
     pub fn brightness(&self) -> Self {
-        let mut other = *self;
-        other.set_weights([1.0 / 3.0; 3]);
-        other
+        let signal = Form::new([1.0 / 3.0; 3], false);
+        Self { signal, scale: signal.scale, ..*self }
     }
 
     /// Signal of the pixel with this first byte; 0 outside of the image.
     #[inline(always)]
     pub fn one(&self, begin: u32) -> f32 {
-        let [a, b, c, _] = self.word(begin).to_le_bytes();
-        self.weighted(a, b, c) as f32 * self.scale
+        self.sum(&self.word(begin).to_le_bytes()) as f32 * self.scale
     }
 
-    /// Weighted sums of eight pixels from their first bytes.
+    /// Signals of eight pixels from their first bytes, in units of the scale.
     #[inline(always)]
     pub fn eight(&self, begin: &[u32; 8]) -> f32x8 {
+        let words = self.words(begin);
+        let signal = self.signal.eight(words);
+        match &self.light {
+            Some(light) if self.in_any_light => self.divided(signal, light.eight(words), light),
+            _ => signal,
+        }
+    }
+
+    /// The same, and the light on these pixels; 1 where it cannot be measured.
+    #[inline(always)]
+    pub fn eight_with_light(&self, begin: &[u32; 8]) -> (f32x8, f32x8) {
+        let words = self.words(begin);
+        let signal = self.signal.eight(words);
+        let Some(form) = &self.light else { return (signal, f32x8::ONE) };
+        let light = form.eight(words);
+        let signal = if self.in_any_light { self.divided(signal, light, form) } else { signal };
+        (signal, light * f32x8::splat(form.scale))
+    }
+
+    /// Signals divided by the light, both as weighted sums.
+    #[inline(always)]
+    fn divided(&self, signal: f32x8, light: f32x8, form: &Form) -> f32x8 {
+        let least = f32x8::splat(Self::MIN_LIGHT / form.scale);
+        signal * f32x8::splat(self.ratio(form)) / light.fast_max(least)
+    }
+
+    #[inline(always)]
+    fn words(&self, begin: &[u32; 8]) -> u32x8 {
         // Written out: a map over the array is compiled to a call per pixel.
         let [a, b, c, d, e, f, g, h] = *begin;
-        let words = u32x8::new([
+        u32x8::new([
             self.word(a),
             self.word(b),
             self.word(c),
@@ -195,10 +257,7 @@ impl<'a> Sampler<'a> {
             self.word(f),
             self.word(g),
             self.word(h),
-        ]);
-        let outer: i16x16 = bytemuck::cast(words & u32x8::splat(0x00ff_00ff));
-        let middle: i16x16 = bytemuck::cast((words >> 8) & u32x8::splat(0xff));
-        (outer.dot(self.outer) + middle.dot(self.middle)).round_float()
+        ])
     }
 
     /// A line of `count` pixels from (`x`, `y`) on, every `stride`-th along x (`axis` 0) or y
@@ -288,7 +347,8 @@ mod tests {
     fn lines_and_single_pixels_agree_in_every_channel_order() {
         let data: Vec<u8> =
             (0..20 * 60u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
-        let discriminant = Discriminant { weights: [0.31, -0.72, 0.05], saturated: false };
+        let discriminant =
+            Discriminant { weights: [0.31, -0.72, 0.05], light: None, saturated: false };
         for format in [PixelFormat::Rgb8, PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8]
         {
             let stamp = Stamp::from_nanos(0);

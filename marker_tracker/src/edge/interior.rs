@@ -33,6 +33,8 @@ pub(crate) struct Interior {
     pub sigma: f64,
     /// Variance, in units of a pixel's, of the gradient times half the side.
     pub reach: f64,
+    /// Mean light, in units of that in which the colors were adapted.
+    pub light: f64,
 }
 
 /// Sums of a plane's normal equations, about a center and a reference level.
@@ -75,6 +77,7 @@ impl Interior {
             filled: 1.0,
             sigma: (self.sigma / scale).min(0.1),
             reach: self.reach,
+            light: self.light,
         }
     }
 
@@ -116,7 +119,7 @@ impl Interior {
         // Differences from any pixel inside are small numbers.
         let &Line { x, y, .. } = lines.get(lines.len() / 2)?;
         let reference = sampler.at(x, y)?;
-        let (mut sums, low, high) = plain(sampler, lines, middle, reference);
+        let (mut sums, low, high, light) = plain(sampler, lines, middle, reference);
         let mut offset = f64::from(reference);
         let all = sums.n;
         if all < 8.0 {
@@ -174,18 +177,19 @@ impl Interior {
             reach: 3.0
                 / (n * shrink * shrink)
                 / if before.is_some() { 2.0 * PRIOR_WEIGHT + 1.0 } else { 1.0 },
+            light: light / all,
         })
     }
 }
 
-/// Sums over all pixels of their difference from `reference`, and the lowest and highest
-/// difference.
+/// Sums over all pixels of their difference from `reference`, the lowest and highest difference,
+/// and the sum of the light.
 fn plain(
     sampler: &Sampler<'_>,
     lines: &[Line],
     (cx, cy): (i32, i32),
     reference: f32,
-) -> (Sums, f64, f64) {
+) -> (Sums, f64, f64, f64) {
     let numbers = f32x8::from([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
     let (scale, reference) = (f32x8::splat(sampler.scale), f32x8::splat(reference));
     let zero = f32x8::ZERO;
@@ -193,6 +197,7 @@ fn plain(
     let (mut n, mut sx, mut sy, mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     let (mut s, mut xs, mut ys, mut ss) = (zero, zero, zero, zero);
     let (mut low, mut high) = (f32x8::splat(f32::INFINITY), f32x8::splat(f32::NEG_INFINITY));
+    let mut light = zero;
     for &Line { x, y, count, hop } in lines {
         let far = sampler.hop(0) * hop as u32;
         let first = sampler.begin(x, y);
@@ -214,11 +219,12 @@ fn plain(
         let mut group = 0;
         while group < count {
             // The last pixel stands in for missing ones, so that the extremes are real.
-            let signal = sampler.eight(&begin.map(|b| b.min(last)));
+            let (signal, lights) = sampler.eight_with_light(&begin.map(|b| b.min(last)));
             let all = signal * scale - reference;
             (low, high) = (low.fast_min(all), high.fast_max(all));
             let there = (numbers + f32x8::splat(group as f32)).simd_lt(f32x8::splat(count as f32));
             let value = all & there;
+            light += lights & there;
             s += value;
             xs += place * value;
             ys += y * value;
@@ -233,7 +239,8 @@ fn plain(
     let (low, high) = (low.to_array(), high.to_array());
     let low = low.iter().fold(f32::INFINITY, |m, v| m.min(*v));
     let high = high.iter().fold(f32::NEG_INFINITY, |m, v| m.max(*v));
-    (Sums { n, x, y, xx, xy, yy, s, xs, ys, ss }, f64::from(low), f64::from(high))
+    let sums = Sums { n, x, y, xx, xy, yy, s, xs, ys, ss };
+    (sums, f64::from(low), f64::from(high), f64::from(light.reduce_add()))
 }
 
 /// Sums over the pixels less than `gate` off `median` of their difference from it.

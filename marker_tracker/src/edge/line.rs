@@ -239,6 +239,7 @@ impl LineSums {
                 outside: 0.0,
                 foreign: false,
                 blur: 0.0,
+                shade: 0.0,
                 lag,
             },
             gate,

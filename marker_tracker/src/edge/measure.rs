@@ -7,7 +7,7 @@ use crate::{
         interior::Interior,
         line::Places,
         outside::Outside,
-        prior::ShapePrior,
+        prior::{Light, ShapePrior},
         row_plan::{Band, RowPlan},
         rows::Rows,
         side::Side,
@@ -32,6 +32,14 @@ const NARROWER: f64 = 0.65;
 const TAIL: f64 = 0.03;
 /// Standard deviation of an edge's place in a saturated channel, in units of its blur.
 const SATURATED: f64 = 0.15;
+/// Largest [`EdgeFit::shade`] in even light, px: noise and JPEG leave 0.12 of the recorded bags'
+/// rows. Tuned; guarded by `tests/shadows.rs` and `tests/bags.rs`.
+pub(crate) const SHADE: f64 = 0.2;
+/// Standard deviation of an edge's place, in units of the shade: where the rows are normalized, of
+/// what is above [`SHADE`]; where the pixels are, because light and share of the marker do not
+/// factor within a pixel. Tuned; guarded by `tests/shadows.rs`.
+const BY_ROW: f64 = 0.3;
+const BY_PIXEL: f64 = 0.08;
 
 /// Measures one edge: offset and slope relative to the predicted side, and the level outside.
 ///
@@ -85,7 +93,7 @@ fn attempt(
     let plan = RowPlan::new(sampler, side, band, prior.rows)?;
     // While the edge is searched, rows that leave the image serve as far as they are in it.
     rows.read_plan(sampler, &plan, prior.edge_sigma >= 1.0);
-    if let Some(brightness) = prior.relit {
+    if let Light::ByRow { brightness } = prior.light {
         rows.relight(sampler, &plan, brightness);
     }
     let count = rows.count;
@@ -98,7 +106,7 @@ fn attempt(
     let Some(mut edge) = crossings.places.line(plan.possible as usize, side.length, prior) else {
         return Some(Attempt { edge: None, step });
     };
-    (edge.blur, edge.outside) = (crossings.blur, outside.level);
+    (edge.blur, edge.outside, edge.shade) = (crossings.blur, outside.level, crossings.shade);
     // The outside level's error moves the whole edge, by the outer share of the band; that of its
     // tilt turns the edge.
     let contrast = (interior.level - outside.level).max(min_contrast);
@@ -108,6 +116,12 @@ fn attempt(
     edge.covariance[(0, 0)] += by_level / outside.rows;
     edge.covariance[(1, 1)] += by_level * outside.tilt_variance;
     edge.covariance[(0, 0)] += (plan.half_width * (step - TAIL).max(0.0)).powi(2);
+    let by_shade = match prior.light {
+        Light::Even => 0.0,
+        Light::ByRow { .. } => BY_ROW * (edge.shade - SHADE).max(0.0),
+        Light::ByPixel => BY_PIXEL * edge.shade,
+    };
+    edge.covariance[(0, 0)] += by_shade.powi(2);
     if sampler.saturated {
         edge.covariance[(0, 0)] += (SATURATED * crossings.blur).powi(2);
     }
@@ -121,6 +135,8 @@ struct Crossings {
     blur: f64,
     /// Mean level at the band's rim, in units of the contrast.
     step: f64,
+    /// As in [`EdgeFit`].
+    shade: f64,
 }
 
 impl Crossings {
@@ -149,6 +165,8 @@ impl Crossings {
         let mut places = Places { count, along: rows.along, across: [0.0; MAX_ROWS] };
         let (mut good, mut blur) = ([0.0f32; MAX_ROWS], f32x8::ZERO);
         let mut all = f32x8::ZERO;
+        let light_inside = f32x8::splat((interior.light as f32).max(1e-3));
+        let mut excess: Column = [0.0; MAX_ROWS];
         for group in (0..count).step_by(8) {
             let of = |column: &Column| eight(column, group);
             let (along, pixels, s) = (of(&rows.along), of(&rows.pixels), of(&rows.s));
@@ -166,6 +184,12 @@ impl Crossings {
                 & across.abs().simd_lt(limit)
                 & across.simd_lt(of(&rows.room) - f32x8::splat(0.3))
                 & present(group, count);
+            // The light on the band, less what its two parts have at their outer ends.
+            let is_seen = difference.simd_ge(least) & present(group, count);
+            let part = covered.fast_max(f32x8::ZERO).fast_min(pixels);
+            let expected = part * light_inside + (pixels - part) * of(&rows.light_outside);
+            let here = is_seen & ((of(&rows.light) - expected) / light_inside * steep);
+            excess[group..group + 8].copy_from_slice(here.as_array());
             step += is_good & (rim / difference);
             valid += is_good & f32x8::ONE;
             let is_good = is_good & rim.abs().simd_le(rim_gate);
@@ -185,6 +209,9 @@ impl Crossings {
         if kept < count as f32 {
             places.keep(&good);
         }
-        Self { places, blur, step }
+        // The noise of neighboring rows is nearly independent.
+        let product: f32 = excess[..count].windows(2).map(|m| m[0] * m[1]).sum();
+        let shade = f64::from(product.max(0.0) / (count - 1) as f32).sqrt();
+        Self { places, blur, step, shade }
     }
 }

@@ -28,7 +28,23 @@ pub(crate) struct ShapePrior {
     pub gradient: Option<Vector2<f64>>,
     /// Recent levels inside and beside each edge.
     pub levels: Option<Levels>,
-    /// Brightness of the surroundings over that of the marker, where each row is normalized to the
-    /// light at its place: a shadow's edge crosses the marker.
-    pub relit: Option<f32>,
+    /// How the light on the outline is treated.
+    pub light: Light,
+}
+
+/// How the light on an outline is treated.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) enum Light {
+    /// One light on the whole marker: the most precise.
+    #[default]
+    Even,
+    /// Each row is normalized to the levels at its own ends, and left out where the light changes
+    /// along it: for covers, and shadows that leave enough rows.
+    ByRow {
+        /// Brightness of the surroundings over that of the marker.
+        brightness: f32,
+    },
+    /// The signal is divided by the light on each pixel: for shadows whose edge lies along the
+    /// marker's. A gray cover looks like the surroundings then.
+    ByPixel,
 }

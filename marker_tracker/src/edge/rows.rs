@@ -30,6 +30,9 @@ pub(crate) struct Rows {
     pub(super) outside: Column,
     /// Signal of the band's outermost pixel.
     pub(super) rim: Column,
+    /// Σ of the light on the band's pixels, and mean light beyond the band.
+    pub(super) light: Column,
+    pub(super) light_outside: Column,
     /// Reach of the band outside of the prediction, across the edge, px.
     pub(super) room: Column,
 }
@@ -50,6 +53,8 @@ impl Rows {
             ss: zero,
             outside: zero,
             rim: zero,
+            light: zero,
+            light_outside: zero,
             room: zero,
         }
     }
@@ -174,6 +179,8 @@ impl Rows {
             self.outside[kept] = 0.0;
             self.rim[kept] = scale * self.rim[n] + shift;
             self.room[kept] = self.room[n];
+            self.light[kept] = self.light[n];
+            self.light_outside[kept] = self.light_outside[n];
             kept += 1;
         }
         self.count = kept;
@@ -192,13 +199,16 @@ impl Rows {
             let mut along = 0;
             let (mut s, mut sj, mut ss, mut outside) =
                 (f32x8::ZERO, f32x8::ZERO, f32x8::ZERO, f32x8::ZERO);
-            let mut rim = f32x8::ZERO;
+            let (mut rim, mut light, mut light_outside) = (f32x8::ZERO, f32x8::ZERO, f32x8::ZERO);
             for _ in 0..before {
-                outside += next(sampler, &begin, &mut along, hop);
+                let (signals, lights) = next(sampler, &begin, &mut along, hop);
+                outside += signals;
+                light_outside += lights;
             }
             let mut j = f32x8::ZERO;
             for i in 0..band {
-                let signals = next(sampler, &begin, &mut along, hop);
+                let (signals, lights) = next(sampler, &begin, &mut along, hop);
+                light += lights;
                 if i == rim_at {
                     rim = signals;
                 }
@@ -208,7 +218,9 @@ impl Rows {
                 j += f32x8::ONE;
             }
             for _ in 0..after {
-                outside += next(sampler, &begin, &mut along, hop);
+                let (signals, lights) = next(sampler, &begin, &mut along, hop);
+                outside += signals;
+                light_outside += lights;
             }
             let put = |column: &mut Column, values: f32x8, scale: f32| {
                 column[group..group + 8].copy_from_slice((values * f32x8::splat(scale)).as_array());
@@ -218,14 +230,16 @@ impl Rows {
             put(&mut self.ss, ss, scale * scale);
             put(&mut self.outside, outside, share);
             put(&mut self.rim, rim, scale);
+            put(&mut self.light, light, 1.0);
+            put(&mut self.light_outside, light_outside, 1.0 / beyond as f32);
         }
     }
 }
 
-/// The next pixel's signals of eight rows.
+/// The next pixel's signals and light of eight rows.
 #[inline(always)]
-fn next(sampler: &Sampler<'_>, begin: &[u32; 8], along: &mut u32, hop: u32) -> f32x8 {
-    let signals = sampler.eight(&begin.map(|b| b.wrapping_add(*along)));
+fn next(sampler: &Sampler<'_>, begin: &[u32; 8], along: &mut u32, hop: u32) -> (f32x8, f32x8) {
+    let signals = sampler.eight_with_light(&begin.map(|b| b.wrapping_add(*along)));
     *along += hop;
     signals
 }
@@ -280,6 +294,7 @@ impl Rows {
             ss += value * value;
         });
         sampler.each(outer, hop, |_, value| outside += value as f32 * sampler.scale);
+        let light = |bytes: &[u8]| bytes.chunks(hop).map(|pixel| sampler.light(pixel)).sum::<f32>();
         let n = self.count;
         self.along[n] = (crossing.off * plan.per_row) as f32;
         let crossing = (crossing.place - f64::from(from)) as f32;
@@ -288,6 +303,7 @@ impl Rows {
         self.pixels[n] = band as f32;
         (self.s[n], self.sj[n], self.ss[n]) = (s, sj, ss);
         self.outside[n] = outside / beyond as f32;
+        (self.light[n], self.light_outside[n]) = (light(inner), light(outer) / beyond as f32);
         // The rim is unknown beyond the image; what is beside it stands in.
         self.rim[n] = self.outside[n];
         self.room[n] = (room * plan.steep) as f32;

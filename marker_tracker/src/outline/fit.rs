@@ -1,7 +1,7 @@
 //! Outline measurement from four edges.
 
 use crate::{
-    edge::{EdgeFit, Interior, MAX_ROWS, Rows, ShapePrior, Side, fit_edge},
+    edge::{EdgeFit, Interior, Light, MAX_ROWS, Rows, ShapePrior, Side, fit_edge},
     outline::{
         combine::{Estimate, combine},
         quad_fit::QuadFit,
@@ -39,7 +39,10 @@ pub(crate) fn fit(
     let half_width = prior.half_width.min(predicted.thickness_of(signed_area) * 0.25).max(1.0);
     let quick = prior.rows < MAX_ROWS;
     let interior = Interior::measure(sampler, predicted, half_width, quick, prior.gradient)?;
-    let interior = if prior.relit.is_some() { interior.relit() } else { interior };
+    let interior = match prior.light {
+        Light::ByRow { .. } => interior.relit(),
+        Light::Even | Light::ByPixel => interior,
+    };
     let sides = Side::of(predicted, center);
     let mut edges: [Option<EdgeFit>; 4] = [None; 4];
     let mut scratch = Rows::new();
@@ -48,7 +51,6 @@ pub(crate) fn fit(
     }
     if let Some(levels) = &prior.levels
         && !sampler.saturated
-        && prior.relit.is_none()
     {
         levels.mark_foreign(&mut edges, interior.level);
     }
@@ -60,7 +62,7 @@ pub(crate) fn fit(
     fit.covariance += Matrix2::identity()
         * (lever * lever * interior.reach * prior.inflation / prior.correlation);
     fit.inflation = prior.inflation;
-    fit.relit = prior.relit.is_some();
+    fit.relit = prior.light != Light::Even;
     Some(fit)
 }
 

@@ -1,6 +1,9 @@
 //! The measured outline.
 
-use crate::{edge::EdgeFit, quad::Quad};
+use crate::{
+    edge::{EdgeFit, SHADE},
+    quad::Quad,
+};
 use nalgebra::{Matrix2, Vector2};
 
 /// A measured outline.
@@ -27,7 +30,7 @@ pub(crate) struct QuadFit {
     pub inflation: f64,
     /// Largest distance of the outline from where it was predicted, px.
     pub miss: f64,
-    /// Whether the rows were normalized to the light at their places; the levels are then relative.
+    /// Whether the light was not taken to be even.
     pub relit: bool,
 }
 
@@ -69,7 +72,9 @@ impl QuadFit {
     pub fn in_changed_light(common: Option<Self>, relit: Option<Self>) -> Option<Self> {
         /// Share of the interior that has one level.
         const EVEN: f64 = 0.97;
-        let common = common.filter(|f| f.filled > EVEN);
+        let common = common.filter(|f| f.filled > EVEN && !f.is_shaded());
+        // A shadow along an edge leaves an edge of its own on all rows.
+        let relit = relit.filter(|f| !f.is_shaded());
         match (common, relit) {
             (Some(common), Some(relit)) => {
                 let off = (common.centroid - relit.centroid).norm();
@@ -77,6 +82,11 @@ impl QuadFit {
             }
             (common, relit) => relit.or(common),
         }
+    }
+
+    /// Whether the light changes within the band of an edge, which moves it.
+    pub fn is_shaded(&self) -> bool {
+        self.edges.iter().flatten().any(|e| e.shade > SHADE)
     }
 
     /// Standard deviation of the centroid per axis, px.

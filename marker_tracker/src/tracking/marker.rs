@@ -191,7 +191,10 @@ impl EdgeHistory {
         const EVEN: f64 = 0.95;
         const SUPPORT: f64 = 0.9;
         let changed = self.levels.is_none_or(|l| l.relative_change(fit.inside).abs() > CHANGE);
-        changed || fit.filled < EVEN || fit.edges.iter().flatten().any(|e| e.support < SUPPORT)
+        changed
+            || fit.is_shaded()
+            || fit.filled < EVEN
+            || fit.edges.iter().flatten().any(|e| e.support < SUPPORT)
     }
 
     fn adapt(&mut self, fit: &QuadFit) {

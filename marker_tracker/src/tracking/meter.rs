@@ -1,8 +1,7 @@
 //! Outline measurement of one marker with what is known of its shape, levels and noise.
 
 use crate::{
-    appearance::Appearance,
-    edge::{MAX_ROWS, ShapePrior},
+    edge::{Light, MAX_ROWS, ShapePrior},
     outline::{QuadFit, fit},
     quad::Quad,
     signal::Sampler,
@@ -106,14 +105,17 @@ impl OutlineMeter {
             gradient: tolerance.gradient,
             ..self.prior
         };
-        fit(sampler, predicted, &prior, MIN_CONTRAST)
+        match prior.light {
+            Light::ByPixel => fit(&sampler.in_any_light()?, predicted, &prior, MIN_CONTRAST),
+            Light::Even | Light::ByRow { .. } => fit(sampler, predicted, &prior, MIN_CONTRAST),
+        }
     }
 
-    /// The measurement with rows normalized to the light at their places, for a marker of this
-    /// appearance: for shadows.
-    pub fn relit(&self, appearance: &Appearance) -> Self {
-        let relit = Some(appearance.relative_brightness());
-        Self { prior: ShapePrior { relit, levels: None, ..self.prior } }
+    /// The same measurement with the light treated as `light`.
+    pub fn in_light(&self, light: Light) -> Self {
+        // A row's own levels are not those of other images.
+        let levels = self.prior.levels.filter(|_| !matches!(light, Light::ByRow { .. }));
+        Self { prior: ShapePrior { light, levels, ..self.prior } }
     }
 
     /// Measures a whole outline in two passes: with the tolerance `first`, then about the outline

@@ -192,7 +192,8 @@ impl Pipeline {
             let found = match found {
                 Some(fit) if !track.edges.has_changed_light(&fit) => Some(fit),
                 other => {
-                    let relit = meter.relit(appearance).whole(&sampler, &outline, meter::SEARCH);
+                    let meter = meter.in_light(appearance.light_by_row());
+                    let relit = meter.whole(&sampler, &outline, meter::SEARCH);
                     QuadFit::in_changed_light(other, relit)
                 }
             };

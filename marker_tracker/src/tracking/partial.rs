@@ -4,6 +4,7 @@
 use crate::{
     appearance::Appearance,
     config::TrackerConfig,
+    edge::Light,
     image::Pixels,
     outline::QuadFit,
     scan::Palette,
@@ -70,11 +71,13 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
         palette: &Palette,
         config: &TrackerConfig,
     ) -> Outcome {
-        // Rows with their own levels first: they bear a shadow's edge as well as a cover's.
-        let relit = track.appearance.map(|appearance| meter.relit(&appearance));
+        // Rows with their own levels first: they bear a shadow's edge as well as a cover's. Where
+        // too few are left, a shadow lies along an edge.
+        let by_row = track.appearance.map(|a| a.light_by_row());
         let mut outcome = Outcome::Covered;
-        for meter in relit.iter().chain([meter]) {
-            outcome = self.accept(color, track, meter, platform, palette, config);
+        for light in by_row.into_iter().chain([Light::ByPixel, Light::Even]) {
+            let meter = meter.in_light(light);
+            outcome = self.accept(color, track, &meter, platform, palette, config);
             if track.fit.is_some() {
                 return outcome;
             }
@@ -138,6 +141,9 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
         else {
             return Outcome::Covered;
         };
+        if !fit.relit && fit.is_shaded() {
+            return Outcome::Covered;
+        }
         if config.use_hue && !track.has_hue(self.image, &fit.quad) {
             return Outcome::OtherHue;
         }
@@ -149,9 +155,10 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
             let others = self.whole.0.iter().flatten().map(QuadFit::sigma).fold(0.0, f64::max);
             let sigma = fit.sigma() + others;
             (0.15 + 3.0 * sigma + 2.0 * geometry.misplacement, 2, 0.4)
-        } else if trusted && fit.relit {
-            // Rows with their own levels measure no cover's edge.
-            (3.0 * place_sigma, 3, 0.6)
+        } else if fit.relit {
+            // Rows with their own levels measure no cover's edge. Before the geometry is known, it
+            // takes more of them (tuned; guarded by `tests/shadows.rs` and `tests/bags.rs`).
+            (3.0 * place_sigma, 3, if trusted { 0.6 } else { 0.85 })
         } else {
             (3.0 * place_sigma, 3, 0.92)
         };
