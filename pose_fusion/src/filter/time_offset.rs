@@ -4,14 +4,17 @@
 use super::{Filter, starting::OFFSET_SIGMA};
 use crate::{
     ekf::{propagation::ImuReading, state::TIME_OFFSET},
-    initialization::time_offset::{FINAL, TimeOffset, WINDOW},
+    initialization::{
+        from_image,
+        time_offset::{FINAL, TimeOffset, WINDOW},
+    },
     input::imu::{Up, given},
     measurements::markers::Pixels,
     output::{Output, Warning},
     timeline::history::Event,
 };
 use nalgebra::{Matrix6, Point3};
-use rig_model::{PerColor, Stamp, planar_pose};
+use rig_model::{Stamp, planar_pose::PlanarPose};
 use std::collections::VecDeque;
 
 /// A filter whose time offset is no further off than this corrects it by itself, s.
@@ -129,9 +132,10 @@ impl Filter {
         // poses and moves none.
         let attachment = self.setup.config.pendulum.climber_attachment;
         let attachment = world_from_climber * Point3::from(attachment);
-        let found =
-            planar_pose::candidates(&geometry.markers, &geometry.camera, &PerColor(*pixels), None);
-        let tilted = |pose: &planar_pose::PlanarPose| {
+        let calibration =
+            self.state().map_or_else(|| self.calibration(), |state| state.calibration);
+        let found = from_image::candidates(geometry, &calibration, pixels, None);
+        let tilted = |pose: &PlanarPose| {
             let Some(up) = up else { return pose.pixel_cost };
             let world_from_volant = world_from_camera * pose.camera_from_volant;
             let measured = world_from_volant * (geometry.volant_from_imu * up.in_imu);

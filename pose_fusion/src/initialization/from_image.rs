@@ -32,7 +32,7 @@ use crate::{
 use nalgebra::{Matrix2, Point3, UnitQuaternion, Vector3};
 use rig_model::{
     PerColor,
-    planar_pose::{self, TiltPrior},
+    planar_pose::{self, PlanarPose, TiltPrior},
 };
 
 /// Largest cost of an image whose markers fit together: 2n − 6 (+ 2 for the tilt) degrees of
@@ -123,18 +123,10 @@ fn attempt(
 ) -> Result<Start, Option<Offsets>> {
     let world_from_climber = image.rest.join(&climber.values);
     let world_from_camera = world_from_climber * geometry.climber_from_camera;
-    let layout = calibration.layout(&geometry.markers);
-    let solve = |pixels: &Pixels, tilt: Option<&TiltPrior>| {
-        planar_pose::candidates(&layout, &geometry.camera, &PerColor(*pixels), tilt)
-    };
+    let solve = |tilt: Option<&TiltPrior>| candidates(geometry, calibration, &image.pixels, tilt);
     // All candidates of an image are nearly at one place.
-    let seen = solve(&image.pixels, None).first().ok_or(None)?.camera_from_volant;
+    let seen = solve(None).first().ok_or(None)?.camera_from_volant;
     let place = (world_from_camera * seen).translation.vector;
-    // What is not known of the markers' places counts as pixel noise.
-    let scale = geometry.camera.focal_lengths().x / seen.translation.z;
-    let doubt = calibration.offset_covariance().trace() / OFFSETS as f64 * scale * scale;
-    let more = Matrix2::identity() * doubt;
-    let pixels = image.pixels.map(|p| p.map(|(pixel, covariance)| (pixel, covariance + more)));
     let attachment = world_from_climber * Point3::from(config.pendulum.climber_attachment);
     let in_world = up.map_or(Vector3::z(), |up| up.in_world(&(attachment.coords - place)));
     let tilt = up.map(|up| TiltPrior {
@@ -142,7 +134,7 @@ fn attempt(
         up_in_camera: world_from_camera.rotation.inverse() * in_world,
         sigma: up.sigma,
     });
-    let found = solve(&pixels, tilt.as_ref());
+    let found = solve(tilt.as_ref());
     let best = found.first().ok_or(None)?;
     let world_from_imu = world_from_camera * best.camera_from_volant * geometry.volant_from_imu;
     let (position, attitude): (Vector3<f64>, UnitQuaternion<f64>) =
@@ -198,6 +190,31 @@ fn attempt(
     (state.position, state.attitude) = (position, attitude);
     (state.climber, state.climber_rate) = (climber.values, climber.rates);
     Ok(Start { state, record })
+}
+
+/// Returns the poses that an image allows, the likeliest first, with the markers where they are
+/// estimated to be. What is not known of their places counts as pixel noise.
+pub fn candidates(
+    geometry: &Geometry,
+    calibration: &Calibration,
+    pixels: &Pixels,
+    tilt: Option<&TiltPrior>,
+) -> Vec<PlanarPose> {
+    let layout = calibration.layout(&geometry.markers);
+    let solve = |pixels: &Pixels, tilt: Option<&TiltPrior>| {
+        planar_pose::candidates(&layout, &geometry.camera, &PerColor(*pixels), tilt)
+    };
+    let variance = calibration.offset_covariance().trace() / OFFSETS as f64;
+    if variance == 0.0 {
+        return solve(pixels, tilt);
+    }
+    let Some(distance) = solve(pixels, None).first().map(|p| p.camera_from_volant.translation.z)
+    else {
+        return Vec::new();
+    };
+    let more =
+        Matrix2::identity() * variance * (geometry.camera.focal_lengths().x / distance).powi(2);
+    solve(&pixels.map(|p| p.map(|(pixel, covariance)| (pixel, covariance + more))), tilt)
 }
 
 /// Returns a state with the climber as its encoders have it and everything else as unknown as the
