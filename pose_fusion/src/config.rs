@@ -154,8 +154,8 @@ pub struct ClockConfig {
 /// the estimate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationSigmas {
-    /// Place of each marker on the platform, x and y, m. Where images contradict it, it is estimated;
-    /// 0 takes it as exact.
+    /// Place of each marker on the platform, x and y, m. Where images contradict it, it is
+    /// estimated; 0 takes it as exact.
     pub marker: f64,
     /// Focal length, relative.
     pub focal_length: f64,

@@ -6,12 +6,17 @@
 
 use crate::measurements::markers::Offsets;
 
-/// Memory and fewest images before the mean counts: one second, and half a second of a usual camera.
+/// Memory, and fewest images before the mean counts: one second, and half a second of most cameras.
 const MEMORY: f64 = 30.0;
 const FEWEST: f64 = 15.0;
 /// Fewest images while none has confirmed the layout: the first pose is built on it.
 const FIRST: f64 = 3.0;
-/// Misfit of the fewest images that is an error of the layout, each axis, m: a quarter of a millimeter. Correct files
+/// Images after which a layout that they did not contradict is confirmed: three seconds.
+const CONFIRMED: f64 = 90.0;
+/// A confirmed layout must be contradicted by this many images in a row, five seconds, by more than
+/// twice [`MISFIT`]: a false marker is beside its place for a shorter time.
+const REFUTED: u32 = 150;
+/// Mean misfit of [`FEWEST`] images that is an error of the layout, each axis, m. Correct files
 /// have at most 0.15 mm on seven recordings.
 const MISFIT: f64 = 0.25e-3;
 /// Largest distance of what a layout measured by hand leaves; a larger one is a false marker, m.
@@ -26,6 +31,8 @@ pub struct LayoutMisfit {
     /// Images in the mean, and in all.
     count: f64,
     compared: f64,
+    /// Images in a row that contradict a confirmed layout.
+    contrary: u32,
 }
 
 /// Returns the standard deviation of the markers' places, each axis, m, of a misfit; `None` where
@@ -38,13 +45,18 @@ impl LayoutMisfit {
     /// Adds an image of four markers. Returns the standard deviation of the markers' places, each
     /// axis, m, where the images contradict the layout.
     pub fn add(&mut self, misfit: &Offsets) -> Option<f64> {
-        sigma(misfit)?;
+        let own = sigma(misfit)?;
         self.count += 1.0;
         self.compared += 1.0;
         self.mean += (misfit - self.mean) * (1.0 / self.count).max(1.0 / MEMORY);
         let fewest = if self.compared <= FEWEST { FIRST } else { FEWEST };
         let limit = MISFIT * (FEWEST / self.count).sqrt().max(1.0);
-        let found = sigma(&self.mean).filter(|sigma| self.count >= fewest && *sigma > limit);
+        self.contrary = if own > 2.0 * MISFIT { self.contrary + 1 } else { 0 };
+        let due = match self.count > CONFIRMED {
+            true => self.contrary >= REFUTED,
+            false => self.count >= fewest,
+        };
+        let found = sigma(&self.mean).filter(|sigma| due && *sigma > limit);
         if found.is_some() {
             *self = Self { compared: self.compared, ..Self::default() };
         }
@@ -60,10 +72,15 @@ mod tests {
     fn what_stays_is_found_and_noise_and_false_markers_are_not() {
         let noise = |k: usize| Offsets::from_fn(|i, _| 3e-4 * ((7 * k + 3 * i) as f64).sin());
         let mut misfit = LayoutMisfit::default();
-        assert!((0..300).all(|k| misfit.add(&noise(k)).is_none()));
         let off = Offsets::repeat(5e-4);
         let found = (0..30).find_map(|k| misfit.add(&(noise(k) + off)));
         assert!(found.is_some_and(|sigma| (2.5e-4..1.5e-3).contains(&sigma)), "{found:?}");
+        assert!((0..300).all(|k| misfit.add(&noise(k)).is_none()));
+        // A confirmed layout: a false marker for two seconds, and a marker that was moved.
+        let moved = Offsets::repeat(1e-3);
+        assert!((0..60).all(|k| misfit.add(&(noise(k) + moved)).is_none()));
+        assert!((0..60).all(|k| misfit.add(&noise(k)).is_none()));
+        assert!((0..200).any(|k| misfit.add(&(noise(k) + moved)).is_some()));
         let far = Offsets::repeat(0.05);
         assert!((0..300).all(|_| misfit.add(&far).is_none()));
         assert!((0..300).all(|_| misfit.add(&Offsets::repeat(f64::NAN)).is_none()));

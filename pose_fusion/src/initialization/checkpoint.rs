@@ -37,8 +37,8 @@ pub struct Checkpoint {
     pub time_offset: f64,
     /// Covariance of the error, that of the constants included, row by row.
     pub covariance: Vec<f64>,
-    /// Scale factors of gyroscope and accelerometer, rotations of both, rad; offsets of the markers'
-    /// centers, x and y of red, green, blue, yellow, m.
+    /// Scale factors of gyroscope and accelerometer, rotations of both, rad; offsets of the
+    /// markers' centers, x and y of red, green, blue, yellow, m.
     pub constants: [f64; CONSTANTS],
     /// Their covariance, row by row.
     pub constants_covariance: Vec<f64>,

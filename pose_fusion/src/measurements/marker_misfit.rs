@@ -1,5 +1,5 @@
-//! What no pose explains of four markers: pixel noise, a false marker, or an error of their places in
-//! the rig file.
+//! What no pose explains of four markers: pixel noise, a false marker, or an error of their places
+//! in the rig file.
 
 use super::{
     geometry::Geometry,
@@ -13,7 +13,7 @@ use crate::ekf::{
     state::{ATTITUDE, Error, POSITION, State},
 };
 
-/// Residual beyond which the projection bends so much that the misfit is found at the best pose, px.
+/// Residual beyond which the projection is not linear: the misfit is found at the best pose, px.
 const FAR: f64 = 2.0;
 /// Largest number of linearizations; a best pose that is not found by then tells nothing.
 const ITERATIONS: usize = 4;
