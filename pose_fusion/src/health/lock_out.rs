@@ -21,8 +21,8 @@ pub const SUSPECT: f64 = 0.5;
 const SHOCKS: u32 = 2;
 const REPEATED: f64 = 0.6;
 /// The pose is contradicted where the prediction gave way three times within this time, and until
-/// as much time has passed without a further response, s. With correct files it does not give way on
-/// any of seven recordings; with a wrong unit, sign or direction of the IMU several times in this
+/// as much time has passed without a further response, s. With correct files it gives way on none
+/// of seven recordings; with a wrong unit, sign or direction of the IMU several times in this
 /// time (`test/tests/robustness.rs`).
 const CONTRADICTED: f64 = 3.0;
 
