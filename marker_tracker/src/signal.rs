@@ -120,7 +120,7 @@ impl<'a> Sampler<'a> {
 
     /// The same image with the signal of each pixel divided by the light on it: a light that
     /// changes from pixel to pixel leaves no edge in it. Noisier, because the light is. `None`
-    /// where the light cannot be measured.
+    /// where nothing measures the light.
     pub fn in_any_light(&self) -> Option<Self> {
         self.light?;
         Some(Self { in_any_light: true, scale: 1.0 / Self::UNITS, ..*self })
@@ -145,7 +145,7 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Light on a pixel, in units of that of the samples; 1 where it cannot be measured.
+    /// Light on a pixel, in units of that of the samples; 1 where nothing measures it.
     pub fn light(&self, pixel: &[u8]) -> f32 {
         match &self.light {
             Some(light) => light.of(pixel[0], pixel[1], pixel[2]) as f32 * light.scale,
@@ -226,7 +226,7 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// The same, and the light on these pixels; 1 where it cannot be measured.
+    /// The same, and the light on these pixels; 1 where nothing measures it.
     #[inline(always)]
     pub fn eight_with_light(&self, begin: &[u32; 8]) -> (f32x8, f32x8) {
         let words = self.words(begin);

@@ -17,7 +17,7 @@ use std::{fmt::Write, path::Path, sync::Arc, time::Duration};
 pub struct LoadConfig {
     /// Until all is in flow, s.
     pub settle: f64,
-    /// Measured for so long, s.
+    /// Duration of the measurement, s.
     pub measure: f64,
     /// Each rig in a DDS domain of its own, from this one on; `None`: all in the one that the
     /// environment names.

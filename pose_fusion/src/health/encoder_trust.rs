@@ -15,7 +15,7 @@ const DISPUTED: f64 = 0.3;
 
 /// Consistent readings in a row that restore trust.
 const CONSISTENT: u32 = 3;
-/// Readings that do not change must be consistent for so long, s: frozen ones agree while the
+/// Readings that do not change must be consistent for this time, s: frozen ones agree while the
 /// climber comes by.
 const UNCHANGED: f64 = 1.0;
 /// A reading is consistent below this NIS (one degree of freedom; 3 sigma).

@@ -13,7 +13,7 @@ use rig_model::{ImuSample, Stamp};
 /// Gain of the tilt correction, 1/s. Ten seconds of averaging are many swings of a rope (2 to 4 s)
 /// and short against the drift of a MEMS gyroscope's bias.
 const GAIN: f64 = 0.1;
-/// A longer step between two samples begins anew, s.
+/// A longer step between two samples starts over, s.
 const LONGEST_STEP: f64 = 0.5;
 
 /// Attitude of an IMU, from its samples.

@@ -142,7 +142,7 @@ impl Arrival {
         self.others.iter().any(|since| since.is_longer_than(SILENCE))
     }
 
-    /// Returns whether the IMU has been silent for so long that a pose may be initialized without
+    /// Returns whether the IMU has been silent long enough that a pose may be initialized without
     /// it: samples that a computer held up have arrived by then.
     pub fn is_imu_absent(&self) -> bool {
         self.others.iter().any(|since| since.is_longer_than(ABSENCE))

@@ -75,7 +75,7 @@ pub struct Motion {
 
 /// Between two entries of a free swing, s.
 const STEP: f64 = 5e-3;
-/// It begins so long before 0 and ends as long after the run, s.
+/// Time by which it begins before 0 and ends after the run, s.
 const BEFORE: f64 = 0.2;
 
 impl Motion {

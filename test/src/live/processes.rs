@@ -279,7 +279,7 @@ impl Drop for Node {
 #[derive(Debug, Default)]
 pub struct Nodes(Vec<Node>);
 
-/// A node that was asked to end gets so long, s.
+/// A node that was asked to end is given this time, s.
 const GRACE: u64 = 5;
 
 impl Nodes {

@@ -33,23 +33,23 @@ pub enum Perturbation {
     EncoderScale(f64),
     /// Encoder stamps are late by this, s.
     EncoderDelay(f64),
-    /// The x encoder is off by this (m) for so long (s; 0: one reading).
+    /// The x encoder is off by this (m) for this time (s; 0: one reading).
     EncoderOff(f64, f64),
-    /// The encoders repeat their reading for so long, s.
+    /// The encoders repeat their reading for this time, s.
     EncoderFrozen(f64),
-    /// The IMU reads zero for so long, s.
+    /// The IMU reads zero for this time, s.
     ImuZeros(f64),
-    /// The IMU repeats its last values for so long, s.
+    /// The IMU repeats its last values for this time, s.
     ImuStuck(f64),
     /// One IMU sample has this specific force, m/s².
     ImuSpike(f64),
     /// The gyroscope saturates at this, rad/s.
     GyroSaturated(f64),
-    /// No IMU samples for so long, s.
+    /// No IMU samples for this time, s.
     ImuLost(f64),
-    /// No encoder readings for so long, s.
+    /// No encoder readings for this time, s.
     EncodersLost(f64),
-    /// No images for so long, s.
+    /// No images for this time, s.
     ImagesLost(f64),
     /// The camera's and encoders' stamps are late by this, s.
     CameraDelay(f64),

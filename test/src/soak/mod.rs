@@ -16,9 +16,9 @@ use rig_simulator::random::Random;
 pub struct Planned {
     /// Which one, of those that there are.
     pub which: usize,
-    /// It begins so long after the one before is over, s.
+    /// Time from the end of the one before to its beginning, s.
     pub calm: f64,
-    /// It lasts so long, s.
+    /// Duration, s.
     pub lasts: f64,
 }
 
