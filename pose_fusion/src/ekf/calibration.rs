@@ -34,7 +34,7 @@ pub const MARKERS: usize = 12;
 pub const OFFSETS: usize = 8;
 /// Largest scale factor and rotation, rad. An IMU beyond that has another range, or another
 /// mounting, than configured.
-const LARGEST: f64 = 0.1;
+const LARGEST: f32 = 0.1;
 /// Largest offset of a marker, m: half the side of the square that the paper used. A marker further
 /// off is another one.
 pub const LARGEST_OFFSET: f64 = 0.04;
@@ -47,8 +47,11 @@ const TRIANGLE: usize = CONSTANTS * (CONSTANTS + 1) / 2;
 
 /// One number for each constant.
 pub type Constants = SVector<f64, CONSTANTS>;
-/// The same in single precision, as covariances are stored: the history keeps one for each entry.
+/// The same in single precision, as they are stored: the history keeps one for each entry.
 type Single = SVector<f32, CONSTANTS>;
+
+/// Distance from zero that is expected, 1 sigma: of each constant of the IMU, and of all offsets.
+type Expected = SVector<f32, { MARKERS + 1 }>;
 
 /// Symmetric matrix, stored as its lower triangle, column by column.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,38 +89,42 @@ impl Symmetric {
 /// Estimated constants with their covariance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Calibration {
-    constants: Constants,
+    constants: Single,
     covariance: Symmetric,
-    /// Expected distance from zero, 1 sigma.
-    expected: Single,
+    expected: Expected,
 }
 
 impl Calibration {
     /// Returns constants of zero with the configured standard deviations. The markers are where the
     /// rig file has them until images contradict that ([`Calibration::open_layout`]).
     pub fn new(imu: &ImuConfig) -> Self {
-        let expected = Single::from_fn(|i, _| match i {
+        let expected = Expected::from_fn(|i, _| match i {
             0..3 => imu.gyroscope_scale as f32,
             3..ROTATION => imu.accelerometer_scale as f32,
             ROTATION..MARKERS => imu.misalignment as f32,
             _ => 0.0,
         });
-        let covariance =
-            Symmetric::of(&SMatrix::from_diagonal(&expected.map(|sigma| sigma * sigma)));
-        Self { constants: Constants::zeros(), covariance, expected }
+        let covariance = Symmetric::of(&SMatrix::from_diagonal(&Single::from_fn(|i, _| {
+            expected[of(i)].powi(2)
+        })));
+        Self { constants: Single::zeros(), covariance, expected }
     }
 
     /// Returns constants that are known with a covariance.
     pub fn known(constants: Constants, covariance: &SMatrix<f64, CONSTANTS, CONSTANTS>) -> Self {
-        let expected = constants.abs() + covariance.diagonal().map(|v| v.max(0.0).sqrt());
+        let mut expected = Expected::zeros();
+        for i in 0..CONSTANTS {
+            let away = constants[i].abs() + covariance[(i, i)].max(0.0).sqrt();
+            expected[of(i)] = expected[of(i)].max(away as f32);
+        }
         let covariance = Symmetric::of(&covariance.map(|x| x as f32));
-        Self { constants, covariance, expected: expected.map(|x| x as f32) }
+        Self { constants: constants.map(|x| x as f32), covariance, expected }
     }
 
     /// Returns the constants: scale factors of gyroscope and accelerometer, rotations of both, rad,
     /// IMU axes; offsets of the markers, m, volant axes.
-    pub fn constants(&self) -> &Constants {
-        &self.constants
+    pub fn constants(&self) -> Constants {
+        self.constants.map(f64::from)
     }
 
     /// Returns the covariance of the constants.
@@ -129,8 +136,8 @@ impl Calibration {
     pub fn layout(&self, layout: &MarkerLayout) -> MarkerLayout {
         let mut moved = layout.clone();
         for (i, center) in moved.centers.0.iter_mut().enumerate() {
-            center.x += self.constants[MARKERS + 2 * i];
-            center.y += self.constants[MARKERS + 2 * i + 1];
+            center.x += f64::from(self.constants[MARKERS + 2 * i]);
+            center.y += f64::from(self.constants[MARKERS + 2 * i + 1]);
         }
         moved
     }
@@ -143,16 +150,16 @@ impl Calibration {
     /// Opens the variance of the markers' offsets by the square of `sigma`, m.
     pub fn open_layout(&mut self, sigma: f64) {
         let mut covariance = self.covariance.matrix();
+        self.expected[MARKERS] = self.expected[MARKERS].max(sigma as f32);
         for i in MARKERS..CONSTANTS {
             covariance[(i, i)] += (sigma * sigma) as f32;
-            self.expected[i] = self.expected[i].max(sigma as f32);
         }
         self.covariance = Symmetric::of(&covariance);
     }
 
     /// Returns whether every constant is finite and within its limit.
     pub fn within_limits(constants: &Constants) -> bool {
-        (0..CONSTANTS).all(|i| constants[i].abs() <= limit(i))
+        (0..CONSTANTS).all(|i| constants[i].abs() as f32 <= limit(i))
     }
 
     /// Returns the motion that a reading measures, both without the biases.
@@ -175,12 +182,12 @@ impl Calibration {
     /// Moves one constant.
     #[cfg(test)]
     pub fn move_constant(&mut self, index: usize, by: f64) {
-        self.constants[index] += by;
+        self.constants[index] += by as f32;
     }
 
     /// `s ∘ m + ρ × m` of the gyroscope (`triad` 0) or the accelerometer (1).
     fn error(&self, triad: usize, m: &Vector3<f64>) -> Vector3<f64> {
-        let three = |first: usize| self.constants.fixed_rows::<3>(first).into_owned();
+        let three = |first: usize| self.constants.fixed_rows::<3>(first).map(f64::from);
         three(3 * triad).component_mul(m) + three(ROTATION + 3 * triad).cross(m)
     }
 
@@ -219,26 +226,29 @@ impl Calibration {
                 column.axpy(-scale, &root, 1.0);
             }
         }
-        let before = self.constants;
-        self.constants = before + step;
+        let before = self.constants();
         for i in 0..CONSTANTS {
-            self.constants[i] = self.constants[i].clamp(-limit(i), limit(i));
-        }
-        for i in 0..CONSTANTS {
-            let away = self.constants[i].abs() as f32;
-            if away > UNEXPECTED * self.expected[i] {
-                self.expected[i] = away;
+            let moved = (before[i] + step[i]) as f32;
+            self.constants[i] = moved.clamp(-limit(i), limit(i));
+            let away = self.constants[i].abs();
+            if away > UNEXPECTED * self.expected[of(i)] {
+                self.expected[of(i)] = away;
                 covariance[(i, i)] += away * away;
             }
         }
         self.covariance = Symmetric::of(&covariance);
-        self.constants - before
+        self.constants() - before
     }
 }
 
+/// Returns the place of a constant in [`Expected`].
+fn of(index: usize) -> usize {
+    index.min(MARKERS)
+}
+
 /// Returns the largest magnitude of a constant.
-fn limit(index: usize) -> f64 {
-    if index < MARKERS { LARGEST } else { LARGEST_OFFSET }
+fn limit(index: usize) -> f32 {
+    if index < MARKERS { LARGEST } else { LARGEST_OFFSET as f32 }
 }
 
 #[cfg(test)]
@@ -252,7 +262,7 @@ mod tests {
     #[test]
     fn motion_and_reading_are_inverse_and_the_derivative_is_the_numerical_one() {
         let mut calibration = Calibration::new(&config());
-        calibration.constants = Constants::from_fn(|i, _| 0.001 * ((i * 7) % 5) as f64 - 0.002);
+        calibration.constants = Single::from_fn(|i, _| 0.001 * ((i * 7) % 5) as f32 - 0.002);
         let reading = ImuReading {
             specific_force: Vector3::new(0.5, -1.0, 9.6),
             angular_velocity: Vector3::new(1.0, -2.0, 0.5),
@@ -267,8 +277,10 @@ mod tests {
             for (first, by) in Calibration::derivative(triad, &turn, &part(&reading)) {
                 for k in 0..3 {
                     let mut moved = calibration;
-                    moved.constants[first + k] += 1e-6;
-                    let change = turn * (part(&moved.motion(&reading)) - part(&motion)) / 1e-6;
+                    moved.constants[first + k] += 0.125;
+                    let by_step =
+                        f64::from(moved.constants[first + k]) - calibration.constants()[first + k];
+                    let change = turn * (part(&moved.motion(&reading)) - part(&motion)) / by_step;
                     assert!((change - by.column(k)).norm() < 1e-6, "{triad} {first} {k}");
                 }
             }
@@ -283,7 +295,7 @@ mod tests {
                 let mut b = SMatrix::<f64, 2, PARAMETERS>::zeros();
                 b[(0, ESTIMATED)] = 20.0 * (0.1 * f64::from(k)).sin();
                 b[(1, ESTIMATED + 4)] = 20.0;
-                let error = truth - calibration.constants[0];
+                let error = truth - calibration.constants()[0];
                 // A deterministic stand-in for white noise of variance 1.
                 let noise = 1.2 * (f64::from(k) * 7919.0 * 0.618).sin();
                 let whitened = SVector::<f64, 2>::new(b[(0, ESTIMATED)] * error + noise, 0.0);
@@ -291,9 +303,9 @@ mod tests {
             }
             let sigma = calibration.covariance()[(0, 0)].sqrt();
             assert!(
-                (calibration.constants[0] - truth).abs() < 3.0 * sigma && sigma < 0.006,
+                (calibration.constants()[0] - truth).abs() < 3.0 * sigma && sigma < 0.006,
                 "{truth}: {} +- {sigma}",
-                calibration.constants[0]
+                calibration.constants()[0]
             );
             assert_eq!(calibration.constants[4], 0.0);
         }

@@ -8,29 +8,28 @@
 //! estimated with the same sensitivity ([`super::calibration`]).
 
 use super::{
-    calibration::{self, CONSTANTS, OFFSETS},
+    calibration::{self, CONSTANTS, Calibration, OFFSETS},
     state::{Error, N, TIME_OFFSET},
 };
 use crate::config::CalibrationSigmas;
 use nalgebra::{SMatrix, SVector};
+use rig_model::MarkerLayout;
 
 /// Number of consider parameters.
-pub const PARAMETERS: usize = 28;
+pub const PARAMETERS: usize = 27;
 /// Relative error of the focal length.
 pub const FOCAL: usize = 0;
-/// Relative error of the marker layout's size.
-pub const LAYOUT: usize = 1;
 /// First of three rotations of the camera mounting about the camera's axes, rad.
-pub const MOUNTING: usize = 2;
+pub const MOUNTING: usize = 1;
 /// Relative error of the x and y encoders' scale.
-pub const ENCODER_SCALE: usize = 5;
+pub const ENCODER_SCALE: usize = 4;
 /// Offset of the climber's stamps, s.
-pub const CLIMBER_OFFSET: usize = 6;
+pub const CLIMBER_OFFSET: usize = 5;
 /// Error of the camera time offset while it is searched, s. The gains assume a small one; the
 /// estimate may be built on a large one.
-pub const TIME_OFFSET_ERROR: usize = 7;
+pub const TIME_OFFSET_ERROR: usize = 6;
 /// First of the constants that are estimated ([`super::calibration`]): first those of the IMU.
-pub const ESTIMATED: usize = 8;
+pub const ESTIMATED: usize = 7;
 /// First of eight constants of the marker layout: x and y of red, green, blue, yellow.
 pub const MARKERS: usize = ESTIMATED + calibration::MARKERS;
 
@@ -41,20 +40,46 @@ pub type Sensitivity = SMatrix<f32, PARAMETERS, N>;
 /// Derivative of a scalar measurement by each consider parameter.
 pub type ByParameter = SVector<f64, PARAMETERS>;
 
-/// Variance of each consider parameter, in the order of the columns of [`Sensitivity`].
-pub fn variances(sigmas: &CalibrationSigmas) -> ByParameter {
-    let mut variances = ByParameter::zeros();
-    variances[FOCAL] = sigmas.focal_length.powi(2);
-    variances[LAYOUT] = sigmas.layout.powi(2);
-    for axis in 0..3 {
-        variances[MOUNTING + axis] = sigmas.mounting.powi(2);
+/// Configured uncertainty of the consider parameters.
+#[derive(Clone, Copy, Debug)]
+pub struct Uncertainty {
+    /// Variance of each, in the order of the rows of [`Sensitivity`].
+    pub variances: ByParameter,
+    /// What an error of the layout's size, 1 sigma, moves the markers' centers by, m.
+    size: SVector<f64, OFFSETS>,
+}
+
+impl Uncertainty {
+    /// Returns the uncertainty of the parameters of a rig with these markers.
+    pub fn new(sigmas: &CalibrationSigmas, markers: &MarkerLayout) -> Self {
+        let mut variances = ByParameter::zeros();
+        variances[FOCAL] = sigmas.focal_length.powi(2);
+        variances.fixed_rows_mut::<3>(MOUNTING).fill(sigmas.mounting.powi(2));
+        variances[ENCODER_SCALE] = sigmas.encoder_scale.powi(2);
+        variances[CLIMBER_OFFSET] = sigmas.climber_offset.powi(2);
+        variances.fixed_rows_mut::<OFFSETS>(MARKERS).fill(sigmas.marker.powi(2));
+        let center = |k: usize| markers.centers.0[k / 2].coords[k % 2];
+        let size = SVector::from_fn(|k, _| sigmas.layout * center(k));
+        Self { variances, size }
     }
-    variances[ENCODER_SCALE] = sigmas.encoder_scale.powi(2);
-    for k in 0..OFFSETS {
-        variances[MARKERS + k] = sigmas.marker.powi(2);
+
+    /// Returns the covariance `V Σ Vᵀ` of values with the sensitivity `by` to the parameters, what
+    /// is known of the estimated ones included.
+    pub fn spread<const M: usize>(
+        &self,
+        by: &SMatrix<f64, M, PARAMETERS>,
+        calibration: &Calibration,
+    ) -> SMatrix<f64, M, M> {
+        let by_constants = by.fixed_columns::<CONSTANTS>(ESTIMATED);
+        let mut spread = by_constants * calibration.covariance() * by_constants.transpose();
+        for (column, variance) in by.column_iter().zip(&self.variances) {
+            if *variance > 0.0 {
+                spread += column * column.transpose() * *variance;
+            }
+        }
+        let by_size = by.fixed_columns::<OFFSETS>(MARKERS) * self.size;
+        spread + by_size * by_size.transpose()
     }
-    variances[CLIMBER_OFFSET] = sigmas.climber_offset.powi(2);
-    variances
 }
 
 /// Returns the sensitivity of one entry of the error to each parameter.

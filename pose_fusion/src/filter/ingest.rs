@@ -225,7 +225,9 @@ impl Filter {
             // The image poses that it has are tilted by the layout's error.
             search.clear();
         }
-        let image = Image { pixels, time_offset, stamp_sigma, rest, layout_doubt };
+        let mut image = Image::new(&pixels, time_offset, rest);
+        image.stamp_sigma = stamp_sigma as f32;
+        image.layout_doubt = layout_doubt.map(|sigma| sigma as f32);
         self.history.insert(at, Event::Image { image, stamp, fresh: true }, ImuReading::default());
         self.process(out);
         if !self.setup.frozen {

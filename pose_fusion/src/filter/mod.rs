@@ -71,7 +71,7 @@ impl Filter {
             lock_out: LockOut::default(),
             search: search(&config),
             start: Start::default(),
-            publisher: Publisher::new(&config),
+            publisher: Publisher::new(&config, &rig),
             setup: Setup { rig, config, status, geometry: None, frozen: false },
         }
     }
@@ -131,7 +131,7 @@ impl Filter {
                 searching: self.search.is_some(),
             };
             status.biases = [state.accelerometer_bias, state.gyroscope_bias];
-            status.constants = *state.calibration.constants();
+            status.constants = state.calibration.constants();
             status.position_sigma = self.publisher.position_sigma;
         }
         status

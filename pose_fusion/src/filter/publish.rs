@@ -3,7 +3,7 @@
 use super::Filter;
 use crate::{
     config::TightConfig,
-    ekf::consider::{self, ByParameter, TIME_OFFSET_ERROR},
+    ekf::consider::{TIME_OFFSET_ERROR, Uncertainty},
     health::{pose_status::PoseState, pose_status::PoseStatus, status::Counts},
     measurements::{
         Outcome,
@@ -20,7 +20,7 @@ use crate::{
     timeline::history::{Entry, Event},
 };
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3, Vector6};
-use rig_model::{MarkerColor, Stamp, topics};
+use rig_model::{MarkerColor, Rig, Stamp, topics};
 use std::collections::VecDeque;
 
 /// Time between two status messages while there is no pose, s.
@@ -52,7 +52,7 @@ pub(super) struct Publisher {
     pub rope: RopeIdentification,
     pub position_sigma: f64,
     changes: Changes,
-    calibration: ByParameter,
+    calibration: Uncertainty,
     last_published: Option<Stamp>,
     last_encoders: Option<Stamp>,
     markers_used: u8,
@@ -62,14 +62,14 @@ pub(super) struct Publisher {
 }
 
 impl Publisher {
-    pub fn new(config: &TightConfig) -> Self {
+    pub fn new(config: &TightConfig, rig: &Rig) -> Self {
         Self {
             counts: Counts::default(),
             continuity: Continuity::default(),
             rope: RopeIdentification::default(),
             position_sigma: f64::INFINITY,
             changes: Changes::default(),
-            calibration: consider::variances(&config.calibration),
+            calibration: Uncertainty::new(&config.calibration, &rig.markers),
             last_published: None,
             last_encoders: None,
             markers_used: 0,
@@ -314,7 +314,7 @@ impl Filter {
     fn settings(&self) -> Settings {
         let densities = self.imu.densities(&self.setup.rig.imu, &self.setup.config);
         let mut calibration = self.publisher.calibration;
-        calibration[TIME_OFFSET_ERROR] = self.offset_doubt().powi(2);
+        calibration.variances[TIME_OFFSET_ERROR] = self.offset_doubt().powi(2);
         Settings {
             rate_variance: densities.rate / self.imu.period(),
             gravity: self.setup.config.gravity,

@@ -222,8 +222,7 @@ impl Filter {
         if !absent && self.start.wrong_gravity.is_some() {
             return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
         }
-        let (rest, layout_doubt) = (climber.rest, None);
-        let image = Image { pixels: *pixels, time_offset, stamp_sigma: 0.0, rest, layout_doubt };
+        let image = Image::new(pixels, time_offset, climber.rest);
         let up = self.imu.own_up_at(at).or(up).or_else(|| self.imu.up_at(at, &self.history));
         let prior = ClimberPrior::from_readings(&climber);
         let (config, known) = (&self.setup.config, self.calibration());
@@ -282,7 +281,8 @@ impl Filter {
             return false;
         };
         let at = stamp.plus_seconds(old.time_offset);
-        let image = Image { time_offset: old.time_offset, ..*image };
+        let mut image = *image;
+        image.time_offset = old.time_offset;
         let up = self.imu.up_at(at, &self.history);
         let prior = ClimberPrior::from_state(&old);
         let config = &self.setup.config;

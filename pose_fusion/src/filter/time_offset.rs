@@ -206,7 +206,7 @@ impl Filter {
                 Event::Image { image, stamp, .. } => {
                     let measured = stamp.plus_seconds(found.offset) >= oldest;
                     if first.is_none() && image.detected() >= 3 && measured {
-                        first = Some((*stamp, image.pixels, up));
+                        first = Some((*stamp, image.pixels(), up));
                     }
                     let moved = found.offset - image.time_offset;
                     image.time_offset = found.offset;

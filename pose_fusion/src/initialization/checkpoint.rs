@@ -96,7 +96,7 @@ impl Checkpoint {
             climber: [&state.climber, &state.climber_rate, &state.climber_acceleration].map(three),
             time_offset: state.time_offset,
             covariance: covariance.as_slice().to_vec(),
-            constants: (*state.calibration.constants()).into(),
+            constants: state.calibration.constants().into(),
             constants_covariance: state.calibration.covariance().as_slice().to_vec(),
         }
     }

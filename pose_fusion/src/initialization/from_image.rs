@@ -123,7 +123,7 @@ fn attempt(
 ) -> Result<Start, Option<Offsets>> {
     let world_from_climber = image.rest.join(&climber.values);
     let world_from_camera = world_from_climber * geometry.climber_from_camera;
-    let solve = |tilt: Option<&TiltPrior>| candidates(geometry, calibration, &image.pixels, tilt);
+    let solve = |tilt: Option<&TiltPrior>| candidates(geometry, calibration, &image.pixels(), tilt);
     // All candidates of an image are nearly at one place.
     let seen = solve(None).first().ok_or(None)?.camera_from_volant;
     let place = (world_from_camera * seen).translation.vector;

@@ -63,7 +63,7 @@ fn misfit_at(
     let by_offset = by_calibration(linear, geometry);
     let by_offset = by_offset.fixed_columns::<OFFSETS>(MARKERS);
     let mut covariance = by_offset * state.calibration.offset_covariance() * by_offset.transpose();
-    for (i, pixel) in image.pixels.iter().enumerate() {
+    for (i, pixel) in image.pixels().iter().enumerate() {
         let mut own = covariance.fixed_view_mut::<2, 2>(2 * i, 2 * i);
         own += pixel.as_ref()?.1;
     }

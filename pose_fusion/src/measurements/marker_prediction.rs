@@ -12,7 +12,7 @@ use super::{
     markers::{Block, ByCalibration, Image, Jacobian, Residual, SEEN},
 };
 use crate::ekf::{
-    consider::{FOCAL, LAYOUT, MARKERS, MOUNTING},
+    consider::{FOCAL, MARKERS, MOUNTING},
     propagation::ImuReading,
     state::{Error, State},
 };
@@ -54,6 +54,7 @@ pub fn linearize(
     let to_camera = world_from_camera.rotation.inverse().to_rotation_matrix();
     let to_camera: &Matrix3<f64> = to_camera.matrix();
     let markers = state.calibration.layout(&geometry.markers);
+    let pixels = image.pixels();
     let mut linear = Linearization {
         residual: Residual::zeros(),
         jacobian: Jacobian::zeros(),
@@ -63,7 +64,7 @@ pub fn linearize(
     };
     for color in MarkerColor::ALL {
         let i = color.index();
-        let Some((measured, _)) = &image.pixels[i] else { continue };
+        let Some((measured, _)) = &pixels[i] else { continue };
         let Some(predicted) =
             markers.projected_centroid(color, &geometry.camera, &camera_from_volant)
         else {
@@ -96,16 +97,13 @@ pub fn by_calibration(linear: &Linearization, geometry: &Geometry) -> ByCalibrat
     for color in MarkerColor::ALL {
         let i = color.index();
         let Some(predicted) = &linear.projected[i] else { continue };
-        let in_volant = geometry.markers.centers[color];
-        let center = (pose * in_volant).coords;
-        let layout = predicted.jacobian_by_center * (pose.rotation * in_volant.coords);
+        let center = (pose * geometry.markers.centers[color]).coords;
         let mounting =
             predicted.jacobian_by_turn - predicted.jacobian_by_center * center.cross_matrix();
         let mut rows = by.fixed_rows_mut::<2>(2 * i);
         let by_center = predicted.jacobian_by_center * pose.rotation.to_rotation_matrix();
         rows.fixed_columns_mut::<2>(MARKERS + 2 * i).copy_from(&by_center.fixed_columns::<2>(0));
         rows.fixed_columns_mut::<1>(FOCAL).copy_from(&(predicted.pixel - principal));
-        rows.fixed_columns_mut::<1>(LAYOUT).copy_from(&layout);
         rows.fixed_columns_mut::<3>(MOUNTING).copy_from(&mounting);
     }
     by
@@ -176,11 +174,6 @@ mod tests {
             *geometry.camera.distortion(),
         );
         check(FOCAL, Geometry { camera: camera.unwrap(), ..geometry.clone() });
-        let mut scaled = geometry.clone();
-        for center in &mut scaled.markers.centers.0 {
-            center.coords *= 1.0 + h;
-        }
-        check(LAYOUT, scaled);
         for k in 0..8 {
             let mut moved = geometry.clone();
             moved.markers.centers.0[k / 2].coords[k % 2] += h;

@@ -85,7 +85,7 @@ pub fn solve(
     at_prior: &Prediction,
     mask: &[bool; 4],
 ) -> Option<Solution> {
-    let used = |row: usize| mask[row / 2] && image.pixels[row / 2].is_some();
+    let used = |row: usize| mask[row / 2] && image.has(row / 2);
     let noise = Block::from_fn(|i, j| match used(i) && used(j) {
         true => at_prior.noise[(i, j)],
         false => f64::from(u8::from(i == j)),

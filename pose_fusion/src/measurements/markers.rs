@@ -47,26 +47,58 @@ pub type Offsets = SVector<f64, OFFSETS>;
 /// Centroid (raw px) and covariance (px²) of each detected marker.
 pub type Pixels = [Option<(Vector2<f64>, Matrix2<f64>)>; 4];
 
+/// Detected marker as an [`Image`] keeps it: the history holds many.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Centroid {
+    /// Raw px.
+    pixel: [f64; 2],
+    /// Covariance: xx, xy, yy, px².
+    covariance: [f32; 3],
+}
+
 /// Markers of one image as the update needs them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Image {
-    /// Detected markers.
-    pub pixels: Pixels,
+    centroids: [Option<Centroid>; 4],
     /// Camera time offset with which the image was placed on the IMU's time line, s.
     pub time_offset: f64,
     /// Standard deviation of the stamp, s.
-    pub stamp_sigma: f64,
+    pub stamp_sigma: f32,
     /// Height and tilt of the climber.
     pub rest: ClimberRest,
     /// By how much the images before contradict the places of the markers (1 sigma), where that is
     /// news, m.
-    pub layout_doubt: Option<f64>,
+    pub layout_doubt: Option<f32>,
 }
 
 impl Image {
+    /// Returns an image that was placed on the IMU's time line with a camera time offset, s.
+    pub fn new(pixels: &Pixels, time_offset: f64, rest: ClimberRest) -> Self {
+        let centroids = pixels.map(|marker| {
+            let (pixel, c) = marker?;
+            let covariance = [c.m11, c.m21, c.m22].map(|x| x as f32);
+            Some(Centroid { pixel: pixel.into(), covariance })
+        });
+        Self { centroids, time_offset, stamp_sigma: 0.0, rest, layout_doubt: None }
+    }
+
+    /// Returns the detected markers.
+    pub fn pixels(&self) -> Pixels {
+        self.centroids.map(|marker| {
+            let Centroid { pixel, covariance } = marker?;
+            let [xx, xy, yy] = covariance.map(f64::from);
+            Some((pixel.into(), Matrix2::new(xx, xy, xy, yy)))
+        })
+    }
+
+    /// Returns whether a marker is detected.
+    pub fn has(&self, marker: usize) -> bool {
+        self.centroids[marker].is_some()
+    }
+
     /// Returns the number of detected markers.
     pub fn detected(&self) -> usize {
-        self.pixels.iter().flatten().count()
+        self.centroids.iter().flatten().count()
     }
 }
 
@@ -131,7 +163,7 @@ pub fn update(
         against_prediction: None,
     };
     if let (Some(sigma), true) = (image.layout_doubt, apply) {
-        state.calibration.open_layout(sigma);
+        state.calibration.open_layout(f64::from(sigma));
     }
     let linear = linearize(state, geometry, image, reading);
     let gain = covariance_times(&state.covariance, &linear.jacobian);
@@ -144,7 +176,7 @@ pub fn update(
     let at_prior = Prediction { linear, noise, by_parameter, layout };
     let (linear, whole) = (&at_prior.linear, spread + noise + layout);
     let mut pass = [false; 4];
-    for i in (0..4).filter(|i| image.pixels[*i].is_some()) {
+    for i in (0..4).filter(|i| image.has(*i)) {
         let marker = &mut record.markers[i];
         if !linear.valid[i] {
             marker.outcome = Outcome::NotPredictable;
@@ -212,9 +244,9 @@ fn measurement_noise(
     motion.fixed_rows_mut::<3>(0).copy_from(&state.velocity);
     motion.fixed_rows_mut::<3>(3).copy_from(&rate);
     motion.fixed_rows_mut::<3>(6).copy_from(&state.climber_rate);
-    let moved = linear.jacobian * motion * image.stamp_sigma;
+    let moved = linear.jacobian * motion * f64::from(image.stamp_sigma);
     let mut noise = moved * moved.transpose();
-    for (i, pixel) in image.pixels.iter().enumerate() {
+    for (i, pixel) in image.pixels().iter().enumerate() {
         let mut own = noise.fixed_view_mut::<2, 2>(2 * i, 2 * i);
         own += pixel.as_ref().map_or(Matrix2::identity(), |(_, covariance)| *covariance);
     }
@@ -255,18 +287,14 @@ pub(super) mod tests {
         state.climber = Vector3::new(0.05, -0.02, 0.3);
         state.climber_rate = Vector3::new(0.2, 0.1, 0.15);
         state.time_offset = 0.004;
-        let mut image = Image {
-            pixels: [Some((Vector2::zeros(), Matrix2::identity() * 0.01)); 4],
-            time_offset: 0.001,
-            stamp_sigma: 0.0,
-            rest: ClimberRest { height: 2.8, tilt: UnitQuaternion::identity() },
-            layout_doubt: None,
-        };
+        let variance = Matrix2::identity() * 0.01;
+        let rest = ClimberRest { height: 2.8, tilt: UnitQuaternion::identity() };
+        let image = Image::new(&[Some((Vector2::zeros(), variance)); 4], 0.001, rest);
         let linear = linearize(&state, &geometry, &image, &READING);
-        for i in 0..4 {
-            let pixel = -linear.residual.fixed_rows::<2>(2 * i).into_owned();
-            image.pixels[i] = Some((pixel, Matrix2::identity() * 0.01));
-        }
+        let pixels = std::array::from_fn(|i| {
+            Some((-linear.residual.fixed_rows::<2>(2 * i).into_owned(), variance))
+        });
+        let image = Image::new(&pixels, 0.001, rest);
         state.covariance = Covariance::identity() * 1e-4;
         (state, geometry, image)
     }
@@ -322,9 +350,10 @@ pub(super) mod tests {
             let true_pixels = linearize(&plain, &geometry, &seen, &reading).residual;
             for i in 0..4 {
                 if (10..20).contains(&step) && i == 1 {
-                    seen.pixels[i] = None;
-                } else if let Some((pixel, _)) = &mut seen.pixels[i] {
-                    *pixel -= true_pixels.fixed_rows::<2>(2 * i);
+                    seen.centroids[i] = None;
+                } else if let Some(centroid) = &mut seen.centroids[i] {
+                    centroid.pixel[0] -= true_pixels[2 * i];
+                    centroid.pixel[1] -= true_pixels[2 * i + 1];
                 }
             }
             for (state, geometry) in [(&mut plain, &geometry), (&mut informed, &known)] {
@@ -354,8 +383,8 @@ pub(super) mod tests {
         let mut off = Error::zeros();
         (off[0], off[7]) = (0.05, 0.05);
         state.add(&off);
-        if let Some((pixel, _)) = &mut image.pixels[2] {
-            pixel.x += 12.0;
+        if let Some(centroid) = &mut image.centroids[2] {
+            centroid.pixel[0] += 12.0;
         }
         let record = update(&mut state, &geometry, &image, &READING, &GATES, 9.81, true);
         assert_eq!(record.markers[2].outcome, Outcome::Inconsistent, "{record:?}");

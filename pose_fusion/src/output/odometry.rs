@@ -7,8 +7,7 @@
 use super::Odometry;
 use crate::{
     ekf::{
-        calibration::CONSTANTS,
-        consider::{self, ByParameter, ESTIMATED, PARAMETERS, TIME_OFFSET_ERROR},
+        consider::{self, PARAMETERS, TIME_OFFSET_ERROR, Uncertainty},
         propagation::ImuReading,
         state::{ATTITUDE, GYROSCOPE_BIAS, POSITION, State, TIME_OFFSET, VELOCITY},
     },
@@ -29,7 +28,7 @@ pub struct Settings {
     /// Gravity, m/s².
     pub gravity: f64,
     /// Variances of the consider parameters.
-    pub calibration: ByParameter,
+    pub calibration: Uncertainty,
     /// The IMU is silent: how fast the platform moves is known from images alone.
     pub silent: bool,
 }
@@ -118,19 +117,12 @@ fn covariance_at_imu_time(
         - with_offset * motion.transpose()
         - motion * with_offset.transpose();
     if settings.silent {
-        let offset = offset + settings.calibration[TIME_OFFSET_ERROR];
+        let offset = offset + settings.calibration.variances[TIME_OFFSET_ERROR];
         for axis in 0..3 {
             p[(axis, axis)] += UNSEEN_MOTION[0].powi(2) * offset;
             p[(6 + axis, 6 + axis)] += UNSEEN_MOTION[1].powi(2) * offset;
         }
     }
     sensitivity -= motion * consider::of_entry(&state.sensitivity, TIME_OFFSET).transpose();
-    let by_constants = sensitivity.fixed_columns::<CONSTANTS>(ESTIMATED);
-    p += by_constants * state.calibration.covariance() * by_constants.transpose();
-    for (k, column) in sensitivity.column_iter().enumerate() {
-        if settings.calibration[k] > 0.0 {
-            p += column * column.transpose() * settings.calibration[k];
-        }
-    }
-    p
+    p + settings.calibration.spread(&sensitivity, &state.calibration)
 }

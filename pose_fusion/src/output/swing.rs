@@ -11,8 +11,7 @@ use super::odometry::Settings;
 use crate::{
     config::PendulumConfig,
     ekf::{
-        calibration::CONSTANTS,
-        consider::{ESTIMATED, PARAMETERS},
+        consider::PARAMETERS,
         propagation::ImuReading,
         state::{
             ATTITUDE, CLIMBER, CLIMBER_RATE, GYROSCOPE_BIAS, N, POSITION, State, TIME_OFFSET,
@@ -206,12 +205,6 @@ fn covariance(state: &State, jacobian: &SMatrix<f64, 6, N>, settings: &Settings)
         + by_rate * by_rate.transpose() * settings.rate_variance;
     let sensitivity: SMatrix<f64, 6, PARAMETERS> =
         jacobian * state.sensitivity.map(f64::from).transpose();
-    let by_constants = sensitivity.fixed_columns::<CONSTANTS>(ESTIMATED);
-    p += by_constants * state.calibration.covariance() * by_constants.transpose();
-    for (k, column) in sensitivity.column_iter().enumerate() {
-        if settings.calibration[k] > 0.0 {
-            p += column * column.transpose() * settings.calibration[k];
-        }
-    }
+    p += settings.calibration.spread(&sensitivity, &state.calibration);
     (p + p.transpose()) * 0.5
 }

@@ -2,7 +2,7 @@
 //! reused.
 //!
 //! The history is trimmed to the configured length in time, so its size follows the rates of the
-//! sensors: 0.6 s at 100 Hz, 50 Hz and 30 Hz are 108 entries of about 9.5 kB. It never holds more
+//! sensors: 0.6 s at 100 Hz, 50 Hz and 30 Hz are 108 entries of about 9.2 kB. It never holds more
 //! than [`CAPACITY`] entries; what that drops is counted.
 
 use crate::{
