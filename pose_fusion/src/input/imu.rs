@@ -150,6 +150,11 @@ impl ImuInput {
         [share.force as f32, share.rate as f32]
     }
 
+    /// Returns the factor on the sigmas of the model error, at least 1.
+    pub fn model_error_factor(&self) -> f64 {
+        self.model_error.factor()
+    }
+
     /// Returns the model error identified from the images.
     pub fn model_error(&mut self) -> &mut ModelError {
         &mut self.model_error

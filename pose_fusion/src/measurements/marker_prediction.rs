@@ -109,6 +109,18 @@ pub fn by_calibration(linear: &Linearization, geometry: &Geometry) -> ByCalibrat
     by
 }
 
+/// Returns the derivative of the markers by the relative size of their layout.
+pub fn size_derivative(linear: &Linearization, geometry: &Geometry) -> Residual {
+    let mut by_size = Residual::zeros();
+    for (i, center) in geometry.markers.centers.0.iter().enumerate() {
+        if let Some(predicted) = &linear.projected[i] {
+            let arm = linear.camera_from_volant.rotation * center.coords;
+            by_size.fixed_rows_mut::<2>(2 * i).copy_from(&(predicted.jacobian_by_center * arm));
+        }
+    }
+    by_size
+}
+
 /// Returns `H P Hᵀ` from `P Hᵀ`.
 pub fn innovation_spread(h: &Jacobian, gain: &super::markers::Gain) -> Block {
     let mut rows = nalgebra::SMatrix::<f64, 9, 8>::zeros();

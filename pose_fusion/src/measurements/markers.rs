@@ -8,7 +8,9 @@ use super::{
     Innovation, Outcome,
     geometry::{ClimberRest, Geometry},
     marker_misfit::{Misfit, misfit},
-    marker_prediction::{Linearization, by_calibration, innovation_spread, linearize},
+    marker_prediction::{
+        Linearization, by_calibration, innovation_spread, linearize, size_derivative,
+    },
     marker_solution::{Prediction, count, covariance_times, largest_consistent, solve},
 };
 use crate::ekf::{
@@ -69,6 +71,8 @@ pub struct Image {
     /// By how much the images before contradict the places of the markers (1 sigma), where that is
     /// news, m.
     pub layout_doubt: Option<f32>,
+    /// No IMU sample carries the state to the image.
+    pub without_imu: bool,
 }
 
 impl Image {
@@ -79,7 +83,14 @@ impl Image {
             let covariance = [c.m11, c.m21, c.m22].map(|x| x as f32);
             Some(Centroid { pixel: pixel.into(), covariance })
         });
-        Self { centroids, time_offset, stamp_sigma: 0.0, rest, layout_doubt: None }
+        Self {
+            centroids,
+            time_offset,
+            stamp_sigma: 0.0,
+            rest,
+            layout_doubt: None,
+            without_imu: false,
+        }
     }
 
     /// Returns the detected markers.
@@ -168,7 +179,10 @@ pub fn update(
     let linear = linearize(state, geometry, image, reading);
     let gain = covariance_times(&state.covariance, &linear.jacobian);
     let spread = innovation_spread(&linear.jacobian, &gain);
-    let noise = measurement_noise(state, &linear, image, reading);
+    let mut noise = measurement_noise(state, &linear, image, reading);
+    if image.without_imu {
+        noise += curvature_noise(state, &size_derivative(&linear, geometry));
+    }
     let seen =
         SMatrix::<f64, 9, PARAMETERS>::from_fn(|k, j| f64::from(state.sensitivity[(j, SEEN[k])]));
     let by_parameter = linear.jacobian * seen + by_calibration(&linear, geometry);
@@ -251,6 +265,23 @@ fn measurement_noise(
         own += pixel.as_ref().map_or(Matrix2::identity(), |(_, covariance)| *covariance);
     }
     noise
+}
+
+/// Returns the covariance of what a first-order update leaves out of the attitude's error: turned by
+/// an angle `φ` of variance `σ²` a marker's arm is shorter by `φ²/2`, in the mean square by `¾ σ⁴`.
+/// The two directions in the image are shortened by two rotations.
+///
+/// Without an IMU an image is compared with an attitude that is known to ten degrees. From straight
+/// above, tilt shows in the second order only; the update would decide for one of two mirrored poses
+/// and be sure of it.
+fn curvature_noise(state: &State, by_size: &Residual) -> Block {
+    let variance = |i: usize| state.covariance[(ATTITUDE + i, ATTITUDE + i)];
+    let variance = variance(0).max(variance(1)).max(variance(2));
+    let along = |direction: usize| {
+        Residual::from_fn(|row, _| if row % 2 == direction { by_size[row] } else { 0.0 })
+    };
+    let [x, y] = [along(0), along(1)];
+    (x * x.transpose() + y * y.transpose()) * (0.75 * variance * variance)
 }
 
 /// Returns `rᵀ S⁻¹ r` of four markers with the innovation covariance `S`.
