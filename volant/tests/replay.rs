@@ -59,6 +59,32 @@ fn a_replay_writes_the_same_bytes_each_time_with_one_thread_or_many() {
 }
 
 #[test]
+fn a_replay_ends_with_what_is_wrong_in_the_rig_file() {
+    let Some(bags) = bags() else { return };
+    let dir = TempDir::new().unwrap();
+    let bag = bags.join("nominal");
+    let text = fs::read_to_string(bag.join("rig.yaml")).unwrap();
+    let line = text.lines().find(|line| line.trim().starts_with("red:")).unwrap();
+    let (before, x) = line.split_once('[').unwrap();
+    let (x, rest) = x.split_once(',').unwrap();
+    let x: f64 = x.trim().parse().unwrap();
+    let moved = format!("{before}[{:.4},{rest}", x + 0.005);
+    let wrong = dir.path().join("rig.yaml");
+    fs::write(&wrong, text.replace(line, &moved)).unwrap();
+    let out = dir.path().join("out.mcap");
+    for (rig, found) in [(&bag.join("rig.yaml"), false), (&wrong, true)] {
+        let output = replay(&bag.join("in.mcap"), rig, &out, &["--overwrite"]);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{said}");
+        let finding = said.lines().find(|line| line.contains("rig file:"));
+        let named = finding.is_some_and(|line| {
+            line.contains("`markers`") && line.contains("volant check") && line.contains("mm")
+        });
+        assert_eq!((finding.is_some(), named), (found, found), "{said}");
+    }
+}
+
+#[test]
 fn the_nodes_parameter_file_sets_the_replay_as_it_sets_the_nodes() {
     let Some(bags) = bags() else { return };
     let dir = TempDir::new().unwrap();

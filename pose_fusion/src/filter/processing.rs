@@ -162,7 +162,7 @@ impl Filter {
     ) -> bool {
         let timeout = self.setup.config.climber.step_timeout;
         let standing = self.climber.is_standing();
-        match self.trust.judge(at, innovation.nis, standing, timeout) {
+        match self.trust.judge(at, innovation.nis, &innovation.residual, standing, timeout) {
             Verdict::Exclude => false,
             Verdict::Resume => {
                 if let Some(entry) = self.history.get_mut(place)
@@ -314,7 +314,7 @@ impl Filter {
             self.exclude_since(from);
             let distance_m = 0.0;
             out.push_back(Output::Warning(Warning::EncodersSuspended { stamp, distance_m }));
-            self.trust.suspend(at);
+            self.trust.refute(at);
             return false;
         }
         if repeated {

@@ -19,7 +19,7 @@ use crate::{
     },
     timeline::history::{Entry, Event},
 };
-use nalgebra::{Matrix2, Matrix3, Vector2};
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3, Vector6};
 use rig_model::{MarkerColor, Rig, Stamp, topics};
 use std::collections::VecDeque;
 
@@ -186,8 +186,11 @@ impl Filter {
                 return;
             }
         }
-        let limited =
+        let mut limited =
             self.publisher.continuity.limit(odometry(end, state, reading, geometry, &settings));
+        if let Some(dispute) = self.trust.dispute() {
+            add_dispute(&mut limited, &dispute, &state.climber);
+        }
         let position_sigma = largest_sigma(&limited, 0);
         let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| end.seconds_since(s));
         let status = PoseStatus {
@@ -360,6 +363,16 @@ impl Filter {
         self.publisher.archive = Some(entries.into_iter().skip(ready).collect());
         smoothed
     }
+}
+
+/// Adds the distance between encoders and estimate (x, y, m; turn of the climber at `climber`, rad)
+/// to the covariance of a pose that moves with the climber.
+fn add_dispute(odometry: &mut Odometry, dispute: &Vector3<f64>, climber: &Vector3<f64>) {
+    let place = odometry.world_from_volant.translation.vector;
+    let arm = Vector3::new(place.x - climber.x, place.y - climber.y, 0.0);
+    let moved = Vector3::new(dispute.x, dispute.y, 0.0) + Vector3::z().cross(&arm) * dispute.z;
+    let off = Vector6::new(moved.x, moved.y, moved.z, 0.0, 0.0, dispute.z);
+    odometry.pose_covariance += off * off.transpose();
 }
 
 /// Largest standard deviation of the position (`first` 0, m) or rotation (`first` 3, rad) of an

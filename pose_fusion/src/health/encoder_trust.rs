@@ -4,9 +4,14 @@
 //! the climber then moves freely and is measured by images and IMU. Three consistent readings in a
 //! row restore trust. Readings that contradict the estimate for `climber.step_timeout` are adopted
 //! (the drive was homed, or a wheel slipped): the filter reinitializes with them, and the world
-//! frame moves with the encoders. Until then the pose keeps its frame.
+//! frame moves with the encoders. Until then the pose keeps its frame. Who of the two is wrong is
+//! not known: after [`DISPUTED`] the published covariance contains the distance between them.
 
+use nalgebra::Vector3;
 use rig_model::Stamp;
+
+/// Readings that contradict the estimate for longer than this cast doubt on it, s.
+const DISPUTED: f64 = 0.3;
 
 /// Consistent readings in a row that restore trust.
 const CONSISTENT: u32 = 3;
@@ -33,6 +38,11 @@ pub struct EncoderTrust {
     suspended: Option<Stamp>,
     consistent: u32,
     consistent_since: Option<Stamp>,
+    /// Newest reading minus estimate: x, y (m), turn (rad).
+    residual: Vector3<f64>,
+    newest: Option<Stamp>,
+    /// The images show that the encoders are wrong.
+    refuted: bool,
 }
 
 impl EncoderTrust {
@@ -47,10 +57,31 @@ impl EncoderTrust {
         (self.consistent, self.consistent_since) = (0, None);
     }
 
-    /// Judges a new reading at `at` with this NIS while the encoders are suspended; `standing`: the
-    /// newest readings are equal. `timeout` in s.
-    pub fn judge(&mut self, at: Stamp, nis: f64, standing: bool, timeout: f64) -> Verdict {
+    /// Suspends the encoders that images have shown to be wrong.
+    pub fn refute(&mut self, at: Stamp) {
+        self.suspend(at);
+        self.refuted = true;
+    }
+
+    /// Returns by how much encoders and estimate contradict each other, x, y (m) and turn (rad),
+    /// once it is not known which is wrong.
+    pub fn dispute(&self) -> Option<Vector3<f64>> {
+        let lasts = self.newest?.seconds_since(self.suspended?);
+        (lasts > DISPUTED && !self.refuted).then_some(self.residual)
+    }
+
+    /// Judges a new reading at `at` with this NIS and residual (x, y, m; turn, rad) while the
+    /// encoders are suspended; `standing`: the newest readings are equal. `timeout` in s.
+    pub fn judge(
+        &mut self,
+        at: Stamp,
+        nis: f64,
+        residual: &Vector3<f64>,
+        standing: bool,
+        timeout: f64,
+    ) -> Verdict {
         let Some(since) = self.suspended else { return Verdict::Resume };
+        (self.newest, self.residual) = (Some(at), *residual);
         if nis < GATE {
             self.consistent += 1;
             self.consistent_since.get_or_insert(at);
@@ -82,19 +113,24 @@ mod tests {
     #[test]
     fn three_consistent_readings_restore_trust_and_a_lasting_step_is_adopted() {
         let at = |ms: i64| Stamp::from_nanos(ms * 1_000_000);
+        let off = Vector3::new(0.5, 0.0, 0.0);
         let mut trust = EncoderTrust::default();
         trust.suspend(at(0));
-        let verdicts = [1.0, 1.0, 500.0, 1.0, 1.0].map(|nis| trust.judge(at(20), nis, false, 3.0));
+        let verdicts =
+            [1.0, 1.0, 500.0, 1.0, 1.0].map(|nis| trust.judge(at(20), nis, &off, false, 3.0));
         assert_eq!(verdicts, [Verdict::Exclude; 5]);
-        assert_eq!(trust.judge(at(60), 1.0, false, 3.0), Verdict::Resume);
+        assert_eq!(trust.judge(at(60), 1.0, &off, false, 3.0), Verdict::Resume);
         assert!(!trust.is_suspended());
         trust.suspend(at(70));
         let frozen: Vec<Verdict> =
-            (0..60).map(|k| trust.judge(at(80 + 20 * k), 1.0, true, 3.0)).collect();
+            (0..60).map(|k| trust.judge(at(80 + 20 * k), 1.0, &off, true, 3.0)).collect();
         assert_eq!(frozen.iter().position(|v| *v == Verdict::Resume), Some(51));
         trust.suspend(at(100));
         trust.suspend(at(2000));
-        assert_eq!(trust.judge(at(2100), 1e6, false, 3.0), Verdict::Exclude);
-        assert_eq!(trust.judge(at(3200), 1e6, false, 3.0), Verdict::Adopt);
+        assert_eq!(trust.judge(at(2100), 1e6, &off, false, 3.0), Verdict::Exclude);
+        assert_eq!(trust.dispute(), Some(off));
+        trust.refute(at(2200));
+        assert_eq!(trust.dispute(), None);
+        assert_eq!(trust.judge(at(3200), 1e6, &off, false, 3.0), Verdict::Adopt);
     }
 }

@@ -8,14 +8,13 @@ use super::{
     Innovation, Outcome,
     geometry::{ClimberRest, Geometry},
     marker_misfit::{Misfit, misfit},
-    marker_prediction::{
-        Linearization, by_calibration, innovation_spread, linearize, size_derivative,
-    },
+    marker_noise::{layout_spread, measurement_noise},
+    marker_prediction::{by_calibration, innovation_spread, linearize},
     marker_solution::{Prediction, count, covariance_times, largest_consistent, solve},
 };
 use crate::ekf::{
     calibration::OFFSETS,
-    consider::{self, MARKERS, PARAMETERS},
+    consider::{self, PARAMETERS},
     propagation::ImuReading,
     state::{ATTITUDE, CLIMBER, N, POSITION, State},
     update::subtract_square,
@@ -179,10 +178,7 @@ pub fn update(
     let linear = linearize(state, geometry, image, reading);
     let gain = covariance_times(&state.covariance, &linear.jacobian);
     let spread = innovation_spread(&linear.jacobian, &gain);
-    let mut noise = measurement_noise(state, &linear, image, reading);
-    if image.without_imu {
-        noise += curvature_noise(state, &size_derivative(&linear, geometry));
-    }
+    let noise = measurement_noise(state, geometry, &linear, image, reading);
     let seen =
         SMatrix::<f64, 9, PARAMETERS>::from_fn(|k, j| f64::from(state.sensitivity[(j, SEEN[k])]));
     let by_parameter = linear.jacobian * seen + by_calibration(&linear, geometry);
@@ -239,51 +235,6 @@ pub fn update(
     record
 }
 
-/// Returns the covariance that the uncertain places of the markers add to the residuals.
-fn layout_spread(state: &State, by_parameter: &ByCalibration) -> Block {
-    let by_offset = by_parameter.fixed_columns::<OFFSETS>(MARKERS);
-    by_offset * state.calibration.offset_covariance() * by_offset.transpose()
-}
-
-/// Returns the covariance of the centroids of an image: their own, and what the motion makes of the
-/// error of its stamp. Of a marker that is absent it is the identity.
-fn measurement_noise(
-    state: &State,
-    linear: &Linearization,
-    image: &Image,
-    reading: &ImuReading,
-) -> Block {
-    let mut motion = SVector::<f64, 9>::zeros();
-    let rate = state.attitude * state.motion(reading).angular_velocity;
-    motion.fixed_rows_mut::<3>(0).copy_from(&state.velocity);
-    motion.fixed_rows_mut::<3>(3).copy_from(&rate);
-    motion.fixed_rows_mut::<3>(6).copy_from(&state.climber_rate);
-    let moved = linear.jacobian * motion * f64::from(image.stamp_sigma);
-    let mut noise = moved * moved.transpose();
-    for (i, pixel) in image.pixels().iter().enumerate() {
-        let mut own = noise.fixed_view_mut::<2, 2>(2 * i, 2 * i);
-        own += pixel.as_ref().map_or(Matrix2::identity(), |(_, covariance)| *covariance);
-    }
-    noise
-}
-
-/// Returns the covariance of what a first-order update leaves out of the attitude's error: turned by
-/// an angle `φ` of variance `σ²` a marker's arm is shorter by `φ²/2`, in the mean square by `¾ σ⁴`.
-/// The two directions in the image are shortened by two rotations.
-///
-/// Without an IMU an image is compared with an attitude that is known to ten degrees. From straight
-/// above, tilt shows in the second order only; the update would decide for one of two mirrored poses
-/// and be sure of it.
-fn curvature_noise(state: &State, by_size: &Residual) -> Block {
-    let variance = |i: usize| state.covariance[(ATTITUDE + i, ATTITUDE + i)];
-    let variance = variance(0).max(variance(1)).max(variance(2));
-    let along = |direction: usize| {
-        Residual::from_fn(|row, _| if row % 2 == direction { by_size[row] } else { 0.0 })
-    };
-    let [x, y] = [along(0), along(1)];
-    (x * x.transpose() + y * y.transpose()) * (0.75 * variance * variance)
-}
-
 /// Returns `rᵀ S⁻¹ r` of four markers with the innovation covariance `S`.
 fn joint_nis(residual: &Residual, covariance: &Block) -> Option<f64> {
     Some(residual.dot(&Cholesky::new(*covariance)?.solve(residual)))
@@ -293,6 +244,7 @@ fn joint_nis(residual: &Residual, covariance: &Block) -> Option<f64> {
 pub(super) mod tests {
     use super::*;
     use crate::ekf::{
+        consider::MARKERS,
         propagation::{ProcessNoise, propagate},
         state::{Covariance, Error, TIME_OFFSET},
     };

@@ -198,11 +198,12 @@ pub fn replay(
 
 fn why_silent(pipeline: &Pipeline, losses: &[String]) -> String {
     let counts = &pipeline.counts;
+    let findings = pipeline.findings();
     let warnings: Vec<&str> = counts
         .warnings
         .values()
         .map(|(_, s)| s.as_str())
-        .chain(losses.iter().map(String::as_str))
+        .chain(losses.iter().chain(&findings).map(String::as_str))
         .collect();
     let suffix =
         if warnings.is_empty() { String::new() } else { format!("; {}", warnings.join("; ")) };

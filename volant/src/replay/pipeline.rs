@@ -6,7 +6,7 @@ use bag::BagError;
 use climber_driver::{Climber, JointReading};
 use marker_tracker::{OwnedImage, Tracker};
 use node_kit::convert;
-use pose_fusion::{Fusion, MarkerUpdateRecord};
+use pose_fusion::{Fusion, MarkerUpdateRecord, RigCheck};
 use rig_model::{CameraModel, MarkerObservations, MarkerState, Rig, Stamp, topics};
 use std::{collections::BTreeMap, time::Duration};
 use volant_msgs::{
@@ -37,6 +37,8 @@ pub struct Counts {
     pub used: u64,
     /// Warnings by kind: their number, and the first one.
     pub warnings: BTreeMap<String, (u64, String)>,
+    /// What the filter found that correct files would not show, at the end.
+    pub findings: Vec<String>,
     /// Stamps of the first IMU sample and of the odometries.
     pub first_imu: Option<Stamp>,
     /// IMU samples more than one second after the first.
@@ -84,6 +86,7 @@ pub struct Pipeline {
     /// The climber driver, where the bag holds its input and not its output.
     pub climber: Option<Climber>,
     records: Vec<MarkerUpdateRecord>,
+    rig_check: RigCheck,
     /// Counts so far.
     pub counts: Counts,
     /// CPU time so far.
@@ -108,9 +111,15 @@ impl Pipeline {
             smooth,
             climber: None,
             records: vec![],
+            rig_check: RigCheck::default(),
             counts: Counts::default(),
             spent: Spent::default(),
         }
+    }
+
+    /// What the filter found that correct files would not show.
+    pub fn findings(&self) -> Vec<String> {
+        self.rig_check.findings(&self.fusion.status())
     }
 
     /// What the filter waits for; empty where there is an estimate.
@@ -279,6 +288,7 @@ impl Pipeline {
     /// The output is not writable.
     pub fn finish(mut self) -> Result<(Counts, Spent), BagError> {
         self.write_smoothed(true)?;
+        self.counts.findings = self.findings();
         let mut spent = self.spent;
         WorkWatch::add_to(&mut spent.output, || self.output.finish())?;
         Ok((self.counts, spent))
@@ -330,6 +340,7 @@ impl Pipeline {
                     if self.records.first().is_some_and(|first| first.stamp != record.stamp) {
                         self.write_records()?;
                     }
+                    self.rig_check.note(&record);
                     self.records.push(record);
                 }
                 pose_fusion::Output::Warning(warning) => {

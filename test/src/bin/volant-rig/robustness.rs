@@ -10,9 +10,11 @@ use pose_fusion::FusionConfig;
 use std::{
     fs,
     path::{Path, PathBuf},
+    sync::atomic::{AtomicUsize, Ordering},
+    thread,
 };
 use volant_test::robustness::{
-    perturbation::TABLE,
+    perturbation::{Perturbation, TABLE},
     recording::Recording,
     table::{self, Bench},
 };
@@ -81,16 +83,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     let mut text = format!("{HEAD}{}", table::markdown(&benches, &rows));
     if arguments.pairs {
         let pairs = table::pairs();
-        let bar = ProgressBar::new((pairs.len() * benches.len()) as u64);
-        for (first, second) in &pairs {
-            for bench in &benches {
-                let found = bench.pair(first, second);
-                catastrophes
-                    .extend(found.map(|c| format!("{}: {first}, {second}: {c}", bench.name())));
-                bar.inc(1);
-            }
-        }
-        bar.finish_and_clear();
+        catastrophes.extend(of_pairs(&benches, &pairs));
         text.push_str(&format!(
             "\nPairs: {} of two perturbations on each recording. Non-finite numbers, or poses\n\
              more than 1 m wrong that are called valid: {}.\n",
@@ -106,6 +99,40 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         outln!("{catastrophe}")?;
     }
     Ok(catastrophes.is_empty())
+}
+
+/// Returns what never may happen of every pair on every recording, in their order.
+fn of_pairs(benches: &[Bench], pairs: &[(Perturbation, Perturbation)]) -> Vec<String> {
+    let jobs: Vec<_> =
+        pairs.iter().flat_map(|pair| benches.iter().map(move |bench| (bench, pair))).collect();
+    let bar = ProgressBar::new(jobs.len() as u64);
+    let next = AtomicUsize::new(0);
+    let work = || {
+        let mut found = Vec::new();
+        loop {
+            let job = next.fetch_add(1, Ordering::Relaxed);
+            let Some((bench, (first, second))) = jobs.get(job) else { return found };
+            let catastrophe = bench.pair(first, second);
+            found.extend(
+                catastrophe.map(|c| (job, format!("{}: {first}, {second}: {c}", bench.name()))),
+            );
+            bar.inc(1);
+        }
+    };
+    let threads = thread::available_parallelism().map_or(1, usize::from);
+    let mut found: Vec<_> =
+        thread::scope(|scope| {
+            let workers: Vec<_> = (1..threads).map(|_| scope.spawn(work)).collect();
+            let own = work();
+            own.into_iter()
+                .chain(workers.into_iter().flat_map(|w| {
+                    w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+                }))
+                .collect()
+        });
+    bar.finish_and_clear();
+    found.sort();
+    found.into_iter().map(|(_, text)| text).collect()
 }
 
 fn read(arguments: &Arguments) -> Result<Vec<Bench>> {

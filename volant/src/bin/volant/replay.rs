@@ -112,6 +112,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let times = if *count > 1 { format!(" ({count} times)") } else { String::new() };
         terminal::line(&format!("volant: {sentence}{times}"));
     }
+    for finding in &report.counts.findings {
+        terminal::line(&format!(
+            "volant: rig file: {finding}; find the cause with `volant check {} --rig {}`",
+            arguments.input.display(),
+            arguments.rig.display()
+        ));
+    }
     out!("{}", summary(&report, model, workers))?;
     outln!("wrote     {}", arguments.out.display())?;
     Ok(())
