@@ -63,3 +63,39 @@ fn curvature_noise(state: &State, by_size: &Residual) -> Block {
     let [x, y] = [along(0), along(1)];
     (x * x.transpose() + y * y.transpose()) * (0.75 * variance * variance)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{
+        super::{
+            marker_prediction::linearize,
+            markers::tests::{READING, example},
+        },
+        *,
+    };
+
+    #[test]
+    fn only_without_an_imu_a_wide_attitude_adds_noise_and_by_the_fourth_power_of_its_sigma() {
+        let (mut state, geometry, mut image) = example();
+        let mut noise = |sigma: f64, without_imu: bool| {
+            for i in 0..3 {
+                state.set_sigma(ATTITUDE + i, sigma);
+            }
+            image.without_imu = without_imu;
+            let linear = linearize(&state, &geometry, &image, &READING);
+            let arms = size_derivative(&linear, &geometry);
+            (measurement_noise(&state, &geometry, &linear, &image, &READING), arms)
+        };
+        let (plain, arms) = noise(0.2, false);
+        let (wide, _) = noise(0.2, true);
+        let (narrow, _) = noise(0.1, true);
+        for row in 0..8 {
+            let added = wide[(row, row)] - plain[(row, row)];
+            let expected = 0.75 * 0.2f64.powi(4) * arms[row] * arms[row];
+            assert!((added - expected).abs() < 1e-9 && added >= 0.0, "{row}: {added} {expected}");
+            let less = narrow[(row, row)] - plain[(row, row)];
+            assert!((added - 16.0 * less).abs() < 1e-6, "{row}: {added} {less}");
+        }
+        assert!((wide - plain).trace() > 1.0);
+    }
+}

@@ -186,6 +186,13 @@ mod tests {
             *geometry.camera.distortion(),
         );
         check(FOCAL, Geometry { camera: camera.unwrap(), ..geometry.clone() });
+        let mut scaled = geometry.clone();
+        for center in &mut scaled.markers.centers.0 {
+            center.coords *= 1.0 + h;
+        }
+        let by_size = size_derivative(&linear, &geometry);
+        let numeric = -linearize(&state, &scaled, &image, &READING).residual / h;
+        assert!((numeric - by_size).amax() < 0.02 * numeric.amax(), "{numeric}{by_size}");
         for k in 0..8 {
             let mut moved = geometry.clone();
             moved.markers.centers.0[k / 2].coords[k % 2] += h;
