@@ -12,6 +12,7 @@
 # make pages       generated pages (docs/src/parameters.md, figures.md, README.md)
 # make measured    what the tests measure: docs/src/measured.md (some minutes; VOLANT_SHARED)
 # make deb         Debian packages of the release: target/debian; make deb-test: one in a new Debian
+# make deb-arm64   the same for 64-bit ARM, cross-compiled; make arm64-test: tests in an emulator
 # make book        HTML of the book
 # make man         manual pages of all commands and shell completions: MAN=folder
 # make fuzz        hostile bytes into every parser: FUZZ="-s SECONDS -r RUNS TARGET…"
@@ -24,7 +25,8 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := build
 .PHONY: setup build demo test long lint bench peers \
   loop loop-test reproduce faults robustness checks pages measured book man \
-  fuzz audit security calibrate calibrate-test browser clean-setup deb deb-test
+  fuzz audit security calibrate calibrate-test browser clean-setup deb deb-test deb-arm64 \
+  arm64-test
 
 ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 export OPENCV_LINK_PATHS := /usr/lib/$(ARCH_LIB)
@@ -129,6 +131,25 @@ book:
 # For computers without a compiler: build on the oldest system and the architecture they have.
 deb: build
 	launch_config/setup/make-deb target/release target/debian
+
+# The same for 64-bit ARM, cross-compiled. As root the first time, for Debian's arm64 libraries in
+# target/arm64.
+ARM64 := target/arm64
+ARM64_BUILT := target/aarch64-unknown-linux-gnu/release
+.setup/debian-arm64: launch_config/setup/debian-packages-arm64.txt .setup/debian
+	@launch_config/setup/install-debian-packages $<
+	@touch $@
+
+deb-arm64: build .setup/debian-arm64
+	launch_config/setup/build-arm64 $(ARM64) build --workspace --bins
+	launch_config/setup/make-deb target/release target/debian $(ARM64_BUILT)
+
+# The tests of the cores in an emulator, and the recordings of VOLANT_SHARED replayed there and here.
+arm64-test: deb-arm64
+	launch_config/setup/build-arm64 $(ARM64) test --no-default-features --lib \
+	  $(addprefix -p ,$(CORES))
+	VOLANT_ARM64="qemu-aarch64-static -L $(ARM64) $(ARM64_BUILT)/volant" \
+	  $(CARGO) test --release --workspace --test arm64 -- --ignored --nocapture
 
 # As root, with debootstrap: about a minute and 400 MB in target/debian/root.
 deb-test: deb
