@@ -186,8 +186,10 @@ impl Filter {
                 return;
             }
         }
+        let odometry = odometry(end, state, reading, geometry, &settings);
+        let continuity = &mut self.publisher.continuity;
         let mut limited =
-            self.publisher.continuity.limit(odometry(end, state, reading, geometry, &settings));
+            if silent { continuity.follow(odometry) } else { continuity.limit(odometry) };
         if let Some(dispute) = self.trust.dispute() {
             add_dispute(&mut limited, &dispute, &state.climber);
         }

@@ -11,9 +11,8 @@ use rig_model::Stamp;
 
 /// Largest step of the position from one message to the next beside the motion, m (required: 3 mm).
 const STEP: f64 = 0.002;
-/// Messages further apart are no sequence, s: at the rate of images alone the velocity is not known
-/// well enough to tell a correction from the motion, and the position would lag behind.
-const SEQUENCE: f64 = 0.025;
+/// Messages further apart are no sequence, s: two periods and a half of the slowest IMU.
+const SEQUENCE: f64 = 0.05;
 /// A larger correction is a reinitialization, which a slow approach would only hide, m.
 const REINITIALIZED: f64 = 0.2;
 
@@ -27,6 +26,13 @@ impl Continuity {
     /// Discards the last message: the next one is published as it is.
     pub fn reset(&mut self) {
         self.last = None;
+    }
+
+    /// Takes a message as it is. For one at the rate of images alone: its velocity is not known well
+    /// enough to tell a correction from the motion, and a limited position would lag behind.
+    pub fn follow(&mut self, odometry: Odometry) -> Odometry {
+        self.last = Some((odometry.stamp, odometry.world_from_volant));
+        odometry
     }
 
     /// Limits the step from the last message to this one.
@@ -45,8 +51,7 @@ impl Continuity {
                 block += spread;
             }
         }
-        self.last = Some((odometry.stamp, odometry.world_from_volant));
-        odometry
+        self.follow(odometry)
     }
 }
 
@@ -85,7 +90,10 @@ mod tests {
         }
         let far = continuity.limit(at(210, 5.0));
         assert_eq!(x(&far), 5.0);
-        let at_image_rate = continuity.limit(at(243, 5.03));
-        assert_eq!(x(&at_image_rate), 5.03);
+        let after_a_lost_sample = continuity.limit(at(250, 5.03));
+        assert!((x(&after_a_lost_sample) - 5.022).abs() < 1e-9);
+        let at_image_rate = continuity.follow(at(283, 5.05));
+        assert_eq!(x(&at_image_rate), 5.05);
+        assert_eq!(x(&continuity.limit(at(293, 5.056))), 5.056);
     }
 }
