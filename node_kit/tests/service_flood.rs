@@ -11,9 +11,10 @@ use std::time::Duration;
 const DOMAIN: u16 = 14;
 /// Requests sent to each service.
 const REQUESTS: usize = 5000;
-/// Growth during the flood, kB: replies of a second, the newest requests, and up to 16 MiB that
-/// RustDDS 0.15.1 withholds (in two copies) while a fragment of an earlier request is missing.
-const LARGEST_GROWTH: u64 = 56 * 1024;
+/// Growth during the flood, kB: replies of a second, and for each service the newest requests and
+/// up to 4 MiB that RustDDS withholds (in two copies) while a fragment of an earlier request is
+/// missing.
+const LARGEST_GROWTH: u64 = 40 * 1024;
 /// Growth that stays, kB: the newest requests of each service.
 const LASTING_GROWTH: u64 = 16 * 1024;
 
