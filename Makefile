@@ -13,6 +13,7 @@
 # make measured    what the tests measure: docs/src/measured.md (some minutes; VOLANT_SHARED)
 # make deb         Debian packages of the release: target/debian; make deb-test: one in a new Debian
 # make deb-arm64   the same for 64-bit ARM, cross-compiled; make arm64-test: tests in an emulator
+# make bridge      Eclipse's Zenoh bridge to other sites, from crates.io
 # make book        HTML of the book
 # make man         manual pages of all commands and shell completions: MAN=folder
 # make fuzz        hostile bytes into every parser: FUZZ="-s SECONDS -r RUNS TARGET…"
@@ -26,7 +27,7 @@ SHELL := /bin/bash
 .PHONY: setup build demo test long lint bench peers \
   loop loop-test reproduce faults robustness checks pages measured book man \
   fuzz audit security calibrate calibrate-test browser clean-setup deb deb-test deb-arm64 \
-  arm64-test
+  arm64-test bridge
 
 ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 export OPENCV_LINK_PATHS := /usr/lib/$(ARCH_LIB)
@@ -143,6 +144,12 @@ ARM64_BUILT := target/aarch64-unknown-linux-gnu/release
 deb-arm64: build .setup/debian-arm64
 	launch_config/setup/build-arm64 $(ARM64) build --workspace --bins
 	launch_config/setup/make-deb target/release target/debian $(ARM64_BUILT)
+
+# Eclipse's bridge to other sites, where its release cannot be downloaded (docs/src/sites.md).
+bridge: .setup/debian
+	@launch_config/setup/install-debian-packages launch_config/setup/debian-packages-bridge.txt
+	cd test/bridge && $(CARGO) build --release --locked --target-dir $(CURDIR)/target/bridge
+	mkdir -p target/release && cp target/bridge/release/zenoh-bridge-ros2dds target/release/
 
 # The tests of the cores in an emulator, and the recordings of VOLANT_SHARED replayed there and here.
 arm64-test: deb-arm64
