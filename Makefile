@@ -155,7 +155,7 @@ bridge: .setup/debian
 arm64-test: deb-arm64
 	launch_config/setup/build-arm64 $(ARM64) test --no-default-features --lib \
 	  $(addprefix -p ,$(CORES))
-	VOLANT_ARM64="qemu-aarch64-static -L $(ARM64) $(ARM64_BUILT)/volant" \
+	VOLANT_ARM64="qemu-aarch64-static -L $(CURDIR)/$(ARM64) $(CURDIR)/$(ARM64_BUILT)/volant" \
 	  $(CARGO) test --release --workspace --test arm64 -- --ignored --nocapture
 
 # As root, with debootstrap: about a minute and 400 MB in target/debian/root.
