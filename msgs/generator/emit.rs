@@ -5,7 +5,7 @@ use super::{
     GenerateError, Interfaces, OWN_PACKAGE, describe,
     parse::{Base, Constant, Count, Field, Interface, Name, Primitive},
 };
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Source of all types, to be included at the crate root.
 ///
@@ -297,4 +297,47 @@ fn emit_registry(out: &mut String, set: &Interfaces) {
         );
     }
     line(out, "];");
+    emit_descriptions(out, set);
 }
+
+/// The fields and text of every type, sorted by name.
+fn emit_descriptions(out: &mut String, set: &Interfaces) {
+    let mut all = BTreeMap::new();
+    for (name, message) in &set.messages {
+        // The two halves of a service have no file of their own.
+        let source = if name.kind == "msg" { ("msg", message.text.clone()) } else { IMPLICIT };
+        all.insert(name.to_string(), (describe::message_fields(message), source));
+    }
+    for service in &set.services {
+        let [request, response, event] = describe::service_parts(service);
+        let half = |name| set.messages.get(name).map_or("", |m| m.text.as_str());
+        let text = format!("{}---\n{}", half(&request), half(&response));
+        all.insert(service.to_string(), (describe::service_fields(service), ("srv", text)));
+        all.insert(event.to_string(), (describe::event_fields(service), IMPLICIT));
+    }
+    doc(out, "Fields and text of all built-in types, sorted by name.");
+    line(out, "pub(crate) static TYPES: &[crate::description::Type] = &[");
+    for (name, (fields, (encoding, text))) in all {
+        line(out, format!("crate::description::Type {{ name: {name:?}, fields: &["));
+        for field in fields {
+            line(
+                out,
+                format!(
+                    "crate::description::Field {{ name: {:?}, type_id: {}, capacity: {}, \
+                     string_capacity: {}, nested: {:?}, default: {:?} }},",
+                    field.name,
+                    field.type_id,
+                    field.capacity,
+                    field.string_capacity,
+                    field.nested,
+                    field.default
+                ),
+            );
+        }
+        line(out, format!("], encoding: {encoding:?}, text: {text:?} }},"));
+    }
+    line(out, "];");
+}
+
+/// Encoding and text of a type without a file, as rosidl has it.
+const IMPLICIT: (&str, String) = ("implicit", String::new());

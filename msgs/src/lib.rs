@@ -14,6 +14,7 @@
 //! ```
 
 pub mod cdr;
+pub mod description;
 
 mod generated {
     // The documentation is copied from comments in .msg files, which are not rustdoc markup.

@@ -1,10 +1,17 @@
 //! Nodes of `node_kit` against a foreign DDS peer (PyPI `cyclonedds`), in processes of their own.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+#![allow(clippy::disallowed_methods, reason = "tests")]
 
 mod common;
 
-use common::{Running, example, python};
-use std::{process::Command, time::Duration};
+use common::{Announced, Running, example, python};
+use node_kit::{environment::Network, node::join};
+use rustdds::{GUID, RTPSEntity};
+use std::{
+    collections::BTreeSet,
+    process::Command,
+    time::{Duration, Instant},
+};
 use volant_msgs::{Message, geometry_msgs::msg::PoseWithCovarianceStamped};
 
 const LONG: Duration = Duration::from_secs(20);
@@ -142,6 +149,43 @@ fn participant_and_endpoints_announce_enclave_and_type_hash() {
     }
     let pose = PoseWithCovarianceStamped::RIHS01_HASH;
     assert!(topics.contains(&format!(r#"t/pose", "typehash={pose};"], "#).as_str()), "{line}");
+}
+
+/// A bridge forwards what `ros_discovery_info` lists only, the replies of services included.
+#[test]
+fn every_endpoint_is_announced_as_the_nodes() {
+    let _node = minimal(10, &[], &[]);
+    let network = Network { domain_id: 10, ..Network::default() };
+    let (participant, _watch) = join(&network).unwrap();
+    let announced = Announced::subscribe(&participant);
+    let by_participant = |key: GUID, topic: &str| {
+        let ours = key.prefix == participant.guid().prefix;
+        (!ours && topic.starts_with('r') && topic != "ros_discovery_info").then(|| key.to_bytes())
+    };
+    let deadline = Instant::now() + LONG;
+    loop {
+        let listed = announced.endpoints("minimal");
+        let mut there = BTreeSet::new();
+        for r in participant.discovered_readers() {
+            let data = &r.subscription_topic_data;
+            there.extend(by_participant(r.reader_proxy.remote_reader_guid, data.topic_name()));
+        }
+        for w in participant.discovered_writers() {
+            let data = &w.publication_topic_data;
+            there.extend(by_participant(data.key, &data.topic_name));
+        }
+        // Twelve services with two endpoints each, and the topics.
+        if there.len() > 30 && listed == there {
+            return;
+        }
+        assert!(
+            Instant::now() < deadline,
+            "not announced: {:?}; announced, not there: {:?}",
+            there.difference(&listed).collect::<Vec<_>>(),
+            listed.difference(&there).collect::<Vec<_>>()
+        );
+        std::thread::sleep(Duration::from_millis(100));
+    }
 }
 
 #[test]

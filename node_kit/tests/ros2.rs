@@ -9,7 +9,7 @@ use std::{
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
-use volant_msgs::{Message, geometry_msgs::msg::PoseWithCovarianceStamped};
+use volant_msgs::{Message, SERVICES, geometry_msgs::msg::PoseWithCovarianceStamped};
 
 const LONG: Duration = Duration::from_secs(40);
 
@@ -160,6 +160,23 @@ fn a_single_message_of_a_short_lived_publisher_arrives() {
             .collect();
         assert!(lost.is_empty(), "publishers alive for {alive} s; lost: {lost:?}: {received:?}");
     }
+}
+
+#[test]
+fn types_are_described_as_rclpy_describes_them() {
+    let Some(python) = rclpy() else { return };
+    let _node = Running::start(50, &example("minimal_node"), &[], &[]);
+    let service = SERVICES.iter().find(|(name, _)| name.ends_with("/SetParameters")).unwrap();
+    type Pose = PoseWithCovarianceStamped;
+    for (name, hash) in [(Pose::TYPE_NAME, Pose::RIHS01_HASH), *service] {
+        let line = output(50, &python, &["described", "/minimal", name, hash]);
+        assert!(line.contains(r#"{"equal": true, "texts_equal": true"#), "{line}");
+    }
+    let off = ["--ros-args", "-p", "start_type_description_service:=false", "-r", "__node:=off"];
+    let _off = Running::start(50, &example("minimal_node"), &off, &[]);
+    let line = output(50, &python, &["look", "/off"]);
+    assert!(line.contains("/off/get_parameters"), "{line}");
+    assert!(!line.contains("/off/get_type_description"), "{line}");
 }
 
 /// What `ros2 topic info -v` prints: hashes as rosidl computes them, and the QoS of rclcpp.

@@ -14,6 +14,7 @@ ros2_peer.py endpoints_gone NODE SECONDS
 ros2_peer.py once TOPIC N SECONDS      topic pub --once of a pose, N times: a new participant each,
                                        which ends SECONDS after its only message
 ros2_peer.py announced NODE            topic info -v, and an event of /parameter_events
+ros2_peer.py described NODE TYPE HASH  get_type_description, compared with rclpy's own
 """
 
 import importlib
@@ -28,6 +29,8 @@ from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from type_description_interfaces.srv import GetTypeDescription
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_parameter_events
 
 
@@ -227,6 +230,40 @@ def announced(node, name):
     del endpoints
 
 
+def described(node, name, kind, type_hash):
+    """A node of rclpy tells what rcl answers about the types that it uses."""
+    rcl = rclpy.create_node("described")
+    keep = rcl.create_publisher(PoseWithCovarianceStamped, "/another_pose", 10)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    executor.add_node(rcl)
+    request = GetTypeDescription.Request(type_name=kind, type_hash=type_hash, include_type_sources=True)
+
+    def answer(of):
+        client = node.create_client(GetTypeDescription, f"{of}/get_type_description")
+        assert client.wait_for_service(10.0), f"no service of {of}"
+        future = client.call_async(request)
+        executor.spin_until_future_complete(future, timeout_sec=5.0)
+        assert future.done() and future.result().successful, f"{of}: {future.result()}"
+        return future.result()
+
+    def code(text):
+        """Without comments, which our copies of the standard interfaces leave out."""
+        lines = (" ".join(line.split("#")[0].split()) for line in text.splitlines())
+        return [line for line in lines if line]
+
+    answers = [answer(name), answer("/described")]
+    texts = [[(s.type_name, s.encoding, code(s.raw_file_contents)) for s in a.type_sources] for a in answers]
+    say(
+        equal=answers[0].type_description == answers[1].type_description,
+        texts_equal=texts[0] == texts[1],
+        different=[pair for pair in zip(*texts) if pair[0] != pair[1]],
+        counts=[len(t) for t in texts],
+    )
+    rcl.destroy_node()
+    del keep
+
+
 def main():
     rclpy.init(args=[])
     node = rclpy.create_node("peer")
@@ -240,6 +277,7 @@ def main():
         "endpoints_gone": endpoints_gone,
         "once": once,
         "announced": announced,
+        "described": described,
     }
     commands[sys.argv[1]](node, *sys.argv[2:])
     node.destroy_node()

@@ -209,6 +209,59 @@ fn a_recorder_that_is_killed_leaves_a_bag_and_topics_can_be_chosen() {
     assert_eq!(BagReader::summary(&recovered).unwrap().count("/imu"), 400);
 }
 
+/// As `ros2 node info` prints them: a bridge forwards the topics of nodes only.
+#[test]
+fn player_and_recorder_own_their_topics_in_the_graph() {
+    let Some(python) = test_support::python("rclpy") else { return };
+    let dir = TempDir::new().unwrap();
+    let (original, copy) = (dir.path().join("original.mcap"), dir.path().join("copy"));
+    bag(&original);
+    let original = original.to_str().unwrap();
+    let recorder = Running::start(volant(75, &["record", "-o", copy.to_str().unwrap()]));
+    let player = Running::start(volant(75, &["play", original, "--loop", "--clock"]));
+    let script = r#"
+import json, time, rclpy
+rclpy.init()
+node = rclpy.create_node("looker")
+end = time.monotonic() + 20
+ask = {
+    "player": lambda: node.get_publisher_names_and_types_by_node("rosbag2_player", "/"),
+    "recorder": lambda: node.get_subscriber_names_and_types_by_node("rosbag2_recorder", "/"),
+}
+while time.monotonic() < end:
+    found = {}
+    for name, topics in ask.items():
+        try:
+            found[name] = [t for t, _ in topics()]
+        except rclpy._rclpy_pybind11.NodeNameNonExistentError:
+            found[name] = []
+    if all("/image/compressed" in topics and "/unknown" in topics for topics in found.values()):
+        break
+    time.sleep(0.1)
+print(json.dumps(found))
+"#;
+    let looker = Command::new(python)
+        .args(["-c", script])
+        .env("ROS_DOMAIN_ID", "75")
+        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&looker.stdout);
+    let found: serde_json::Value = serde_json::from_str(&text)
+        .unwrap_or_else(|_| panic!("{text} {}", String::from_utf8_lossy(&looker.stderr)));
+    for node in ["player", "recorder"] {
+        let topics: Vec<_> = found[node].as_array().unwrap().iter().map(|t| t.as_str()).collect();
+        for topic in [topics::absolute::IMU, "/image/compressed", "/unknown", "/tf_static"] {
+            assert!(topics.contains(&Some(topic)), "{node}: {topic} in {topics:?}");
+        }
+        assert!(topics.contains(&Some("/clock")), "{node}: {topics:?}");
+    }
+    for running in [player, recorder] {
+        interrupt(&running);
+        finish(running, "the end");
+    }
+}
+
 #[test]
 fn play_and_record_reject_wrong_arguments() {
     let dir = TempDir::new().unwrap();

@@ -400,10 +400,7 @@ impl ContextInner {
   }
 
   // Adds new NodeEntitiesInfo and updates our ContextInfo to ROS2 network
-  fn update_node(&mut self, mut node_info: NodeEntitiesInfo) {
-    // Each node connects also to the ROS discovery topic
-    node_info.add_writer(Gid::from(self.node_writer.guid()));
-
+  fn update_node(&mut self, node_info: NodeEntitiesInfo) {
     self
       .local_nodes
       .insert(node_info.fully_qualified_name(), node_info);

@@ -772,14 +772,26 @@ impl Node {
     }
   }
 
-  fn add_reader(&mut self, reader: Gid) {
+  /// Announces a reader of this `Node` that was created with the
+  /// `DomainParticipant` itself.
+  pub fn add_reader(&mut self, reader: Gid) {
     self.readers.insert(reader);
     if !self.suppress_node_info_updates {
       self.ros_context.update_node(self.generate_node_info());
     }
   }
 
-  fn add_writer(&mut self, writer: Gid) {
+  /// Ends the announcement of a reader that no longer exists.
+  pub fn remove_reader(&mut self, reader: Gid) {
+    self.readers.remove(&reader);
+    if !self.suppress_node_info_updates {
+      self.ros_context.update_node(self.generate_node_info());
+    }
+  }
+
+  /// Announces a writer of this `Node` that was created with the
+  /// `DomainParticipant` itself.
+  pub fn add_writer(&mut self, writer: Gid) {
     self.writers.insert(writer);
     if !self.suppress_node_info_updates {
       self.ros_context.update_node(self.generate_node_info());

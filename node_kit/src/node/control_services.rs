@@ -1,10 +1,10 @@
 //! Services that every node offers: parameters and lifecycle.
 
-use super::{endpoints::Endpoints, error::NodeError, event::Control};
+use super::{endpoints::Endpoints, error::NodeError, event::Control, type_description};
 use crate::{
     lifecycle::{LifecycleState, Transition},
     parameters::{
-        ParameterKind,
+        ParameterKind, ParameterValue, START_TYPE_DESCRIPTION_SERVICE,
         messages::{descriptor_message, value, value_message},
     },
 };
@@ -59,13 +59,18 @@ pub(crate) fn transition_description(transition: Transition) -> TransitionDescri
     }
 }
 
-/// Offers the services that every node has: six for parameters, five for the lifecycle.
+/// Offers the services that every node has: six for parameters, five for the lifecycle, and the
+/// description of its types.
 pub(crate) fn offer(
     endpoints: &mut Endpoints,
     state: &SharedState,
 ) -> Result<Vec<Task<()>>, NodeError> {
     let mut tasks = Vec::from(offer_parameters(endpoints)?);
     tasks.extend(offer_lifecycle(endpoints, state)?);
+    let described = endpoints.store.lock().get(START_TYPE_DESCRIPTION_SERVICE).cloned();
+    if described == Some(ParameterValue::Bool(true)) {
+        tasks.push(type_description::offer(endpoints)?);
+    }
     Ok(tasks)
 }
 

@@ -117,6 +117,17 @@ impl NodeHandle {
         self.endpoints.resolve(name)
     }
 
+    /// The process's participant, for publishers of bytes; [`NodeHandle::announce_writer`] makes
+    /// them this node's.
+    pub fn participant(&self) -> rustdds::DomainParticipant {
+        self.endpoints.domain.context.domain_participant()
+    }
+
+    /// Announces a publisher of the participant as this node's.
+    pub fn announce_writer(&mut self, writer: rustdds::GUID) {
+        self.endpoints.node.add_writer(writer.into());
+    }
+
     /// Starts a named thread for a device. It must end soon after
     /// [`DeviceSender::is_open`](super::DeviceSender::is_open) becomes false, because the node's
     /// end waits for it.

@@ -1,6 +1,7 @@
 //! Nodes on DDS: a node implements [`NodeShell`] and works with its [`NodeContext`]; [`run_node`]
 //! is a binary's whole `main`, and a [`Process`] holds several nodes.
 
+mod bare;
 mod camera;
 mod clock;
 mod context;
@@ -31,8 +32,10 @@ mod subscription;
 mod supervisor;
 mod tf;
 mod timers;
+mod type_description;
 mod wire;
 
+pub use bare::{AnnouncedReader, BareNode};
 pub use camera::CameraChanges;
 pub use clock::{Clock, ClockWatch};
 pub use context::{IfChanged, IntoInput, NodeContext};

@@ -12,7 +12,7 @@ use crate::{environment::ServiceFlavour, inbox::now, level::Level, qos::Qos};
 use async_executor::Task;
 use futures_lite::StreamExt;
 use ros2_client::{MessageInfo, RmwRequestId, ServiceTypeName};
-use rustdds::{SampleIdentity, SequenceNumber, Topic, TopicKind, WriteOptionsBuilder};
+use rustdds::{RTPSEntity, SampleIdentity, SequenceNumber, Topic, TopicKind, WriteOptionsBuilder};
 use serde::{Deserialize, Serialize};
 use std::{
     fmt::Display,
@@ -83,6 +83,7 @@ impl Endpoints {
                 )
             })
             .map_err(|e| failed(&name, e))?;
+        self.node.add_writer(writer.guid().into());
         let writer = Arc::new(writer);
         let log = ServiceLog { logger: self.logger.clone(), name: name.clone() };
         let mut budget = ReplyBudget::new();

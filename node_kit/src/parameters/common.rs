@@ -4,7 +4,11 @@ use super::descriptor::{Descriptor, ParameterKind};
 use rig_model::rig::rig_keys;
 use ros_parameters::ParameterValue;
 
-/// Parameters of every node: `use_sim_time`, `autostart` and the keys of the rig file.
+/// Name of rcl's parameter that switches `~/get_type_description` on.
+pub(crate) const START_TYPE_DESCRIPTION_SERVICE: &str = "start_type_description_service";
+
+/// Parameters of every node: `use_sim_time`, `autostart`, `start_type_description_service` and the
+/// keys of the rig file.
 pub fn common_descriptors() -> Vec<Descriptor> {
     let mut all = vec![
         Descriptor::new(
@@ -19,6 +23,12 @@ pub fn common_descriptors() -> Vec<Descriptor> {
             ParameterKind::Bool,
             Some(ParameterValue::Bool(true)),
             "Start active; false waits for the lifecycle services.",
+        ),
+        Descriptor::new(
+            START_TYPE_DESCRIPTION_SERVICE,
+            ParameterKind::Bool,
+            Some(ParameterValue::Bool(true)),
+            "Offer ~/get_type_description.",
         ),
     ];
     all.extend(rig_keys().into_iter().map(|key| {

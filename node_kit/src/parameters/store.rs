@@ -282,6 +282,6 @@ mod tests {
         assert_eq!(names.len(), 5);
         assert_eq!(prefixes, ["markers"]);
         let (top, _) = store.list(&[], 1);
-        assert_eq!(top, ["autostart", "use_sim_time"]);
+        assert_eq!(top, ["autostart", "start_type_description_service", "use_sim_time"]);
     }
 }

@@ -264,7 +264,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// Reads a live topic. At most one image waits, so that the next one is always recent.
 fn from_topic(name: &str, take: &mut impl FnMut(Frame) -> Result<bool>) -> Result<usize> {
     let name = if name.starts_with('/') { name.to_owned() } else { format!("/{name}") };
-    let mut tap = Tap::join().with_context(|| format!("{name}: subscribing fails"))?;
+    let mut tap = Tap::join("_volant_calibrate").with_context(|| format!("{name}: subscribing fails"))?;
     let mut found = None;
     for _ in 0..50 {
         let offers = tap.offers();

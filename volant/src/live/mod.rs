@@ -11,11 +11,7 @@ pub mod record;
 pub mod tap;
 
 use bag::BagError;
-use node_kit::{
-    environment::{EnvironmentError, Network},
-    node::{MiddlewareWatch, NodeError},
-};
-use rustdds::DomainParticipant;
+use node_kit::{environment::EnvironmentError, node::NodeError};
 use thiserror::Error;
 
 /// Why live topics are not accessible.
@@ -66,15 +62,6 @@ pub enum LiveError {
         /// Why no message is left.
         why: String,
     },
-}
-
-/// Joins the domain that the environment names, with its discovery range and security.
-///
-/// # Errors
-/// [`LiveError::Environment`] for a variable with an invalid value; [`LiveError::Join`] as
-/// [`node_kit::node::join`].
-pub(crate) fn join() -> Result<(DomainParticipant, MiddlewareWatch), LiveError> {
-    Ok(node_kit::node::join(&Network::from_environment()?)?)
 }
 
 /// Time of the system clock, ns since the epoch: when a message was received.

@@ -1,16 +1,16 @@
 //! Plays a bag to live topics, at the pace of its log times.
 
-pub use super::player::{PlayControl, serve};
+pub use super::player::PlayControl;
 use super::{
-    LiveError, join,
+    LiveError, player,
     raw::{Raw, RawAdapter, dds_type_name, policies},
 };
 use crate::{replay::TopicNames, stopwatch::Stopwatch};
 use bag::{BagReader, Durability, QosProfile, Topic};
-use node_kit::node::with_type_hash;
+use node_kit::node::{NodeHandle, with_type_hash};
 use rig_model::topics;
-use rustdds::{Publisher, TopicKind, no_key::DataWriter};
-use std::{collections::BTreeMap, path::PathBuf, time::Duration};
+use rustdds::{RTPSEntity, TopicKind, no_key::DataWriter};
+use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Duration};
 use volant_msgs::{Message, builtin_interfaces::msg::Time, cdr, rosgraph_msgs::msg::Clock};
 
 /// Longest sleep between two checks of the controls.
@@ -64,13 +64,14 @@ struct Writer {
     latched: bool,
 }
 
-/// Plays a bag. `progress` is called with the bag's time and its span, ns.
+/// Plays a bag as the node `rosbag2_player`, with rosbag2's services over `control`. `progress` is
+/// called with the bag's time and its span, ns.
 ///
 /// # Errors
-/// The bag is unreadable or holds nothing to play, or DDS creates no publisher.
+/// The bag is unreadable or holds nothing to play, or DDS creates no node or publisher.
 pub fn play(
     options: &PlayOptions,
-    control: &PlayControl,
+    control: &Arc<PlayControl>,
     progress: impl FnMut(u64, (u64, u64)),
 ) -> Result<PlayReport, LiveError> {
     let result = play_all(options, control, progress);
@@ -81,7 +82,7 @@ pub fn play(
 
 fn play_all(
     options: &PlayOptions,
-    control: &PlayControl,
+    control: &Arc<PlayControl>,
     mut progress: impl FnMut(u64, (u64, u64)),
 ) -> Result<PlayReport, LiveError> {
     let summary = BagReader::summary(&options.input)?;
@@ -95,25 +96,18 @@ fn play_all(
     if start > last {
         return Err(nothing(format!(": it is {:.3} s long", (last - first) as f64 * 1e-9)));
     }
-    let (participant, _) = join()?;
-    let failed =
-        |what: &str, reason: String| LiveError::Middleware { what: what.to_owned(), reason };
-    let publisher = participant
-        .create_publisher(&policies(&QosProfile::RELIABLE, rustdds::Duration::ZERO))
-        .map_err(|e| failed("a publisher", e.to_string()))?;
-    let mut writers = BTreeMap::new();
+    let mut chosen = BTreeMap::new();
     for (topic, count) in &summary.topics {
         let selected = options.topics.is_empty() || options.topics.contains(&topic.name);
         let clock = options.clock_hz.is_some() && topic.type_name == Clock::TYPE_NAME;
-        if *count == 0 || !selected || clock || writers.contains_key(&topic.name) {
-            continue;
+        if *count > 0 && selected && !clock {
+            let qos = QosProfile::from_yaml(&topic.offered_qos_profiles);
+            let name = options.names.resolve(&topic.name);
+            let published = Published { name, topic: topic.clone(), qos };
+            chosen.entry(topic.name.clone()).or_insert(published);
         }
-        let qos = QosProfile::from_yaml(&topic.offered_qos_profiles);
-        let name = options.names.resolve(&topic.name);
-        let writer = writer(&participant, &publisher, &name, topic, &qos)?;
-        writers.insert(topic.name.clone(), writer);
     }
-    if writers.is_empty() {
+    if chosen.is_empty() {
         let known: Vec<&str> = summary.topics.iter().map(|(t, _)| t.name.as_str()).collect();
         return Err(nothing(format!(
             " on {}; it holds {}",
@@ -121,15 +115,22 @@ fn play_all(
             known.join(", ")
         )));
     }
-    let clock = match options.clock_hz {
-        Some(hz) => {
-            let name = options.names.resolve(topics::absolute::CLOCK);
-            let qos = QosProfile::SENSOR;
-            let topic = Topic::of::<Clock>(&name, &qos);
-            Some((writer(&participant, &publisher, &name, &topic, &qos)?, 1.0 / hz))
+    let clock = options.clock_hz.map(|hz| {
+        let (name, qos) = (options.names.resolve(topics::absolute::CLOCK), QosProfile::SENSOR);
+        let topic = Topic::of::<Clock>(&name, &qos);
+        (Published { name, topic, qos }, 1.0 / hz)
+    });
+    let (_node, (writers, clock)) = player::start(control, move |node| {
+        let mut writers = BTreeMap::new();
+        for (name, published) in chosen {
+            writers.insert(name, published.advertise(node)?);
         }
-        None => None,
-    };
+        let clock = match clock {
+            Some((published, period)) => Some((published.advertise(node)?, period)),
+            None => None,
+        };
+        Ok((writers, clock))
+    })?;
     control.begin((first, last));
     let mut report = PlayReport::default();
     let mut pace = Pace {
@@ -193,27 +194,38 @@ fn play_all(
     Ok(report)
 }
 
-fn writer(
-    participant: &rustdds::DomainParticipant,
-    publisher: &Publisher,
-    name: &str,
-    topic: &Topic,
-    qos: &QosProfile,
-) -> Result<Writer, LiveError> {
-    let failed =
-        |reason: String| LiveError::Middleware { what: format!("the publisher of {name}"), reason };
-    let latched = qos.durability == Durability::TransientLocal;
-    // A slow subscriber delays the player for a moment only.
-    let policies = policies(qos, rustdds::Duration::from_millis(100));
-    let policies = with_type_hash(policies, &topic.type_hash);
-    let type_name = dds_type_name(&topic.type_name);
-    let topic = participant
-        .create_topic(format!("rt{name}"), type_name, &policies, TopicKind::NoKey)
-        .map_err(|e| failed(e.to_string()))?;
-    let writer = publisher
-        .create_datawriter_no_key(&topic, Some(policies))
-        .map_err(|e| failed(e.to_string()))?;
-    Ok(Writer { writer, latched })
+/// A topic to publish, with its resolved name.
+struct Published {
+    name: String,
+    topic: Topic,
+    qos: QosProfile,
+}
+
+impl Published {
+    fn advertise(&self, node: &mut NodeHandle) -> Result<Writer, LiveError> {
+        let failed = |reason: String| LiveError::Middleware {
+            what: format!("the publisher of {}", self.name),
+            reason,
+        };
+        // A slow subscriber delays the player for a moment only.
+        let policies = policies(&self.qos, rustdds::Duration::from_millis(100));
+        let policies = with_type_hash(policies, &self.topic.type_hash);
+        let participant = node.participant();
+        let topic = participant
+            .create_topic(
+                format!("rt{}", self.name),
+                dds_type_name(&self.topic.type_name),
+                &policies,
+                TopicKind::NoKey,
+            )
+            .map_err(|e| failed(e.to_string()))?;
+        let writer = participant
+            .create_publisher(&policies)
+            .and_then(|publisher| publisher.create_datawriter_no_key(&topic, Some(policies)))
+            .map_err(|e| failed(e.to_string()))?;
+        node.announce_writer(writer.guid());
+        Ok(Writer { writer, latched: self.qos.durability == Durability::TransientLocal })
+    }
 }
 
 /// What to do with the next message.

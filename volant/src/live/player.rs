@@ -1,11 +1,12 @@
 //! Controls of a player: [`PlayControl`], and rosbag2's services over it, on a node with rosbag2's
 //! name.
 
+use super::LiveError;
 use node_kit::{
     RosArguments,
-    node::{NodeContext, NodeError, NodeShell, Process, Responder},
+    node::{NodeContext, NodeError, NodeHandle, NodeShell, Process, Responder},
 };
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc::sync_channel};
 use volant_msgs::rosbag2_interfaces::srv::{
     Burst, BurstResponse, GetRate, GetRateResponse, IsPaused, IsPausedResponse, Pause,
     PauseResponse, PlayNext, PlayNextResponse, Resume, ResumeResponse, Seek, SeekResponse, SetRate,
@@ -261,18 +262,31 @@ impl NodeShell for Player {
     }
 }
 
-/// Starts the node `rosbag2_player` with rosbag2's services over `control`; dropping the returned
-/// process ends it.
+/// Starts the node `rosbag2_player` with rosbag2's services over `control`, and with what `publish`
+/// creates on it; dropping the returned process ends it.
 ///
 /// # Errors
-/// An invalid variable of the environment, or DDS creates no participant or service.
-pub fn serve(control: &Arc<PlayControl>) -> Result<Process, NodeError> {
+/// An invalid variable of the environment, DDS creates no participant or service, or the error of
+/// `publish`.
+pub(super) fn start<T: Send + 'static>(
+    control: &Arc<PlayControl>,
+    publish: impl FnOnce(&mut NodeHandle) -> Result<T, LiveError> + Send + 'static,
+) -> Result<(Process, T), LiveError> {
     let mut process = Process::from_environment()?;
     let control = Arc::clone(control);
+    let (made, publishers) = sync_channel(1);
+    let mut publish = Some(publish);
     process.start_with(&RosArguments::default(), move |context, ()| {
+        // Once: the publishers stay when the node is configured again.
+        if let Some(publish) = publish.take() {
+            // The receiver is there until this has returned.
+            let _ = made.send(publish(context));
+        }
         Player::offer(context, Arc::clone(&control))
     })?;
-    Ok(process)
+    let publishers =
+        publishers.recv().map_err(|_| LiveError::Thread { what: "the player's node" })??;
+    Ok((process, publishers))
 }
 
 #[cfg(test)]

@@ -20,6 +20,9 @@ use std::{
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
+/// Name of the node.
+const NODE: &str = "rosbag2_recorder";
+
 /// Messages that may wait for the disk: 4 s of 30 raw images/s and 400 Hz of IMU samples.
 const QUEUE: usize = 2048;
 /// Period of flushing: a recorder that is killed loses at most this time.
@@ -96,7 +99,7 @@ pub fn record(
     mut progress: impl FnMut(&RecordStatus),
 ) -> Result<RecordReport, LiveError> {
     // Joined first: a recording that cannot start leaves no file.
-    let tap = Tap::join()?;
+    let tap = Tap::join(NODE)?;
     let bag = BagWriter::create(&options.output, options.write)?;
     let status = Arc::new(RecordStatus::default());
     let (items, queue) = sync_channel(QUEUE);
@@ -190,7 +193,7 @@ impl Takers<'_> {
     /// Joins again; the topics keep their numbers, and discovery finds them again.
     fn join_anew(&mut self) -> Result<(), LiveError> {
         self.subscriptions.clear();
-        self.tap = Tap::join()?;
+        self.tap = Tap::join(NODE)?;
         self.status.joined_anew.fetch_add(1, Ordering::Relaxed);
         Ok(())
     }

@@ -2,15 +2,18 @@
 //! A [`Tap`] lists [`Offer`]s from discovery and passes [`Sample`]s on its own thread.
 
 use super::{
-    LiveError, join,
+    LiveError,
     raw::{Raw, RawAdapter, dds_type_name, policies, ros_type_name},
     system_nanos,
 };
 use async_executor::{Executor, Task};
 use bag::{Durability, QosProfile, Reliability, Topic};
 use futures_lite::{StreamExt, future::block_on};
-use node_kit::node::{Loss, MiddlewareWatch, with_type_hash};
-use rustdds::{DomainParticipant, GUID, Subscriber, TopicKind, no_key::DataReader};
+use node_kit::{
+    environment::Network,
+    node::{AnnouncedReader, BareNode, Loss, MiddlewareWatch, with_type_hash},
+};
+use rustdds::{GUID, RTPSEntity, Subscriber, TopicKind, no_key::DataReader};
 use std::{
     collections::{BTreeMap, HashMap},
     pin::pin,
@@ -46,9 +49,9 @@ pub struct Sample {
     pub data: Vec<u8>,
 }
 
-/// Participant that subscribes to topics as bytes; dropping it ends its subscriptions.
+/// Node that subscribes to topics as bytes; dropping it ends its subscriptions.
 pub struct Tap {
-    participant: DomainParticipant,
+    node: BareNode,
     middleware: MiddlewareWatch,
     subscriber: Option<Subscriber>,
     executor: Arc<Executor<'static>>,
@@ -58,15 +61,17 @@ pub struct Tap {
 
 /// A subscription; dropping it ends it.
 #[must_use]
-pub struct Subscription(#[allow(dead_code, reason = "held for its drop")] Task<()>);
+#[allow(dead_code, reason = "held for their drop")]
+pub struct Subscription(Task<()>, AnnouncedReader);
 
 impl Tap {
-    /// Joins the domain that the environment names, with its discovery range and security.
+    /// Joins the domain that the environment names, with its discovery range and security, as a
+    /// node of this name. `ros2 node list` hides one that begins with `_`.
     ///
     /// # Errors
-    /// As [`node_kit::node::join`], and [`LiveError::Environment`] for an invalid variable.
-    pub fn join() -> Result<Self, LiveError> {
-        let (participant, middleware) = join()?;
+    /// As [`BareNode::join`], and [`LiveError::Environment`] for an invalid variable.
+    pub fn join(name: &str) -> Result<Self, LiveError> {
+        let (node, middleware) = BareNode::join(&Network::from_environment()?, name)?;
         let executor = Arc::new(Executor::new());
         let (end, ended) = async_channel::bounded::<()>(1);
         let thread = std::thread::Builder::new()
@@ -79,7 +84,7 @@ impl Tap {
                 }
             })
             .map_err(|_| LiveError::Thread { what: "the thread that receives samples" })?;
-        Ok(Self { participant, middleware, subscriber: None, executor, end, thread: Some(thread) })
+        Ok(Self { node, middleware, subscriber: None, executor, end, thread: Some(thread) })
     }
 
     /// Why the middleware has failed, if it has: the caller drops the subscriptions and joins
@@ -91,7 +96,7 @@ impl Tap {
     /// Topics with a publisher, sorted by name.
     pub fn offers(&self) -> Vec<Offer> {
         let mut offers: BTreeMap<String, Offer> = BTreeMap::new();
-        for writer in self.participant.discovered_writers() {
+        for writer in self.node.participant().discovered_writers() {
             let data = &writer.publication_topic_data;
             let (Some(name), Some(type_name)) =
                 (data.topic_name.strip_prefix("rt"), ros_type_name(&data.type_name))
@@ -162,13 +167,17 @@ impl Tap {
         let subscriber = match &self.subscriber {
             Some(subscriber) => subscriber.clone(),
             None => {
-                let made =
-                    self.participant.create_subscriber(&qos).map_err(|e| failed(e.to_string()))?;
+                let made = self
+                    .node
+                    .participant()
+                    .create_subscriber(&qos)
+                    .map_err(|e| failed(e.to_string()))?;
                 self.subscriber.insert(made).clone()
             }
         };
         let dds_topic = self
-            .participant
+            .node
+            .participant()
             .create_topic(
                 format!("rt{}", topic.name),
                 dds_type_name(&topic.type_name),
@@ -179,7 +188,8 @@ impl Tap {
         let reader: DataReader<Raw, RawAdapter> = subscriber
             .create_datareader_no_key(&dds_topic, Some(qos))
             .map_err(|e| failed(e.to_string()))?;
-        Ok(Subscription(self.executor.spawn(async move {
+        let announced = self.node.announce_reader(reader.guid());
+        let task = self.executor.spawn(async move {
             let mut numbers = HashMap::<GUID, i64>::new();
             let mut samples = pin!(reader.async_sample_stream());
             while let Some(sample) = samples.next().await {
@@ -198,7 +208,8 @@ impl Tap {
                 let Raw(data) = sample.into_value();
                 take(Sample { log_time, publish_time, writer: writer.to_bytes(), lost, data });
             }
-        })))
+        });
+        Ok(Subscription(task, announced))
     }
 }
 

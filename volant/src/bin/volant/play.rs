@@ -4,7 +4,7 @@ use crate::{signals, terminal};
 use node_kit::outln;
 use std::{io::Read, path::PathBuf, sync::Arc, time::Duration};
 use volant::{
-    live::play::{PlayControl, PlayOptions, play, serve},
+    live::play::{PlayControl, PlayOptions, play},
     replay::TopicNames,
 };
 
@@ -66,7 +66,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         names: TopicNames::new("", &arguments.remap)?,
     };
     let control = Arc::new(PlayControl::new(arguments.rate, arguments.paused));
-    let services = serve(&control)?;
     signals::on_stop({
         let control = control.clone();
         move || control.stop()
@@ -83,7 +82,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         bar.set_message(format!("playing {:.1} of {:.1} s{hint}", at(time), at(last)));
     });
     bar.finish_and_clear();
-    drop((keys, services));
+    drop(keys);
     let report = result?;
     for loss in &report.losses {
         terminal::line(&format!("volant: {loss}"));

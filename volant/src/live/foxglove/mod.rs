@@ -26,6 +26,9 @@ use std::{
 };
 use tungstenite::Message;
 
+/// Name of the node.
+const NODE: &str = "_volant_foxglove";
+
 /// Foxglove's default port.
 pub const PORT: u16 = 8765;
 /// Period of polling for new topics and clients.
@@ -67,7 +70,7 @@ impl Foxglove {
         let listener = TcpListener::bind(address).map_err(failed)?;
         listener.set_nonblocking(true).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
-        let tap = Tap::join()?;
+        let tap = Tap::join(NODE)?;
         let stop = Arc::<AtomicBool>::default();
         let thread = std::thread::Builder::new()
             .name("foxglove".into())
@@ -128,7 +131,7 @@ fn run(listener: &TcpListener, mut tap: Tap, stop: &AtomicBool) {
         if lost {
             topics.values_mut().for_each(|topic| topic.subscription = None);
             // Retried in the next poll.
-            if let Ok(another) = Tap::join() {
+            if let Ok(another) = Tap::join(NODE) {
                 tap = another;
                 lost = false;
             }

@@ -22,6 +22,9 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
+/// Name of the node.
+const NODE: &str = "_volant_monitor";
+
 /// Which topics are watched.
 #[derive(Clone, Debug, Default)]
 pub struct WatchOptions {
@@ -49,7 +52,7 @@ impl Watch {
     pub fn start(options: WatchOptions) -> Result<Self, LiveError> {
         Ok(Self {
             subscriptions: BTreeMap::new(),
-            tap: Tap::join()?,
+            tap: Tap::join(NODE)?,
             monitor: Arc::default(),
             options,
         })
@@ -62,7 +65,7 @@ impl Watch {
     pub fn poll(&mut self) -> Result<(), LiveError> {
         if self.tap.loss().is_some() {
             self.subscriptions.clear();
-            self.tap = Tap::join()?;
+            self.tap = Tap::join(NODE)?;
         }
         let offers = self.tap.offers();
         for offer in &offers {
