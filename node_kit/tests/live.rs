@@ -188,6 +188,25 @@ fn every_endpoint_is_announced_as_the_nodes() {
     }
 }
 
+/// As rmw_cyclonedds configures Cyclone DDS for `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`: RViz or
+/// a bridge that runs before the rig starts.
+#[test]
+fn a_cyclone_process_without_multicast_sees_a_new_node() {
+    let Some(python) = python() else { return };
+    let uri = "<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast></General>\
+               <Discovery><ParticipantIndex>auto</ParticipantIndex>\
+               <MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>\
+               <Peers><Peer address=\"localhost\"/></Peers></Discovery></Domain></CycloneDDS>";
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peer.py");
+    let arguments = [script, "graph", "15", "rt/pose"];
+    for (domain, range) in [(28, "LOCALHOST"), (29, "SUBNET")] {
+        let peer = Running::start(domain, &python, &arguments, &[("CYCLONEDDS_URI", uri)]);
+        peer.line_with(r#""pub": []"#, LONG);
+        let _node = minimal(domain, &[], &[("ROS_AUTOMATIC_DISCOVERY_RANGE", range)]);
+        peer.line_with("PoseWithCovarianceStamped", LONG);
+    }
+}
+
 #[test]
 fn a_node_without_autostart_waits_without_topics() {
     let Some(python) = python() else { return };

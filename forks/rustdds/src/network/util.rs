@@ -177,6 +177,27 @@ pub fn localhost_spdp_peer_locators(
     .collect()
 }
 
+/// [`localhost_spdp_peer_locators`], and the same ports at this host's other
+/// IPv4 addresses: Cyclone DDS without multicast listens on one of those and
+/// ignores what comes in by loopback.
+pub fn same_host_spdp_peer_locators(
+  ifaces: &[IfAddr],
+  domain_id: u16,
+  own_participant_id: u16,
+  max_participants: u16,
+) -> Vec<Locator> {
+  let localhost = localhost_spdp_peer_locators(domain_id, own_participant_id, max_participants);
+  let others = ifaces.iter().filter(|i| !i.is_loopback && i.ip.is_ipv4());
+  let others: Vec<Locator> = others
+    .flat_map(|i| {
+      localhost
+        .iter()
+        .map(|l| Locator::from(SocketAddr::new(i.ip, SocketAddr::from(*l).port())))
+    })
+    .collect();
+  localhost.into_iter().chain(others).collect()
+}
+
 pub fn get_local_unicast_locators_filtered(
   port: u16,
   only_networks: Option<&[IpAddr]>,

@@ -27,7 +27,7 @@ use crate::{
     constant::SPDP_LOCALHOST_PEER_COUNT,
     udp_listener::UDPListener,
     udp_sender::UDPSender,
-    util::{local_interface_table, localhost_spdp_peer_locators, IfAddr},
+    util::{local_interface_table, same_host_spdp_peer_locators, IfAddr},
   },
   polling::{
     new_shared_timer, timeout_until, wake_channel, LoopWaker, ReadyReceiver, SharedTimer,
@@ -1125,7 +1125,8 @@ impl DPEventLoop {
     if self.same_host_loopback
       && new_writer.guid().entity_id == EntityId::SPDP_BUILTIN_PARTICIPANT_WRITER
     {
-      new_writer.set_extra_unicast_destinations(localhost_spdp_peer_locators(
+      new_writer.set_extra_unicast_destinations(same_host_spdp_peer_locators(
+        &local_interface_table(),
         self.domain_info.domain_id,
         self.domain_info.participant_id,
         SPDP_LOCALHOST_PEER_COUNT,
