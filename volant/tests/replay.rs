@@ -69,16 +69,25 @@ fn a_replay_ends_with_what_is_wrong_in_the_rig_file() {
     let (x, rest) = x.split_once(',').unwrap();
     let x: f64 = x.trim().parse().unwrap();
     let moved = format!("{before}[{:.4},{rest}", x + 0.005);
-    let wrong = dir.path().join("rig.yaml");
+    let wrong = dir.path().join("my rig.yaml");
     fs::write(&wrong, text.replace(line, &moved)).unwrap();
     let out = dir.path().join("out.mcap");
+    let more = dir.path().join("more.yaml");
+    fs::write(&more, "pose_fusion: {ros__parameters: {max_predicted: 6}}\n").unwrap();
+    let more = more.to_str().unwrap();
+    let command = format!(
+        "`volant check {} --rig '{}' --params-file {more}`",
+        bag.join("in.mcap").display(),
+        wrong.display()
+    );
     for (rig, found) in [(&bag.join("rig.yaml"), false), (&wrong, true)] {
-        let output = replay(&bag.join("in.mcap"), rig, &out, &["--overwrite"]);
+        let options = ["--overwrite", "--params-file", more];
+        let output = replay(&bag.join("in.mcap"), rig, &out, &options);
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "{said}");
         let finding = said.lines().find(|line| line.contains("rig file:"));
         let named = finding.is_some_and(|line| {
-            line.contains("`markers`") && line.contains("volant check") && line.contains("mm")
+            line.contains("`markers`") && line.contains(&command) && line.contains("mm")
         });
         assert_eq!((finding.is_some(), named), (found, found), "{said}");
     }

@@ -114,14 +114,25 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     for finding in &report.counts.findings {
         terminal::line(&format!(
-            "volant: rig file: {finding}; find the cause with `volant check {} --rig {}`",
-            arguments.input.display(),
-            arguments.rig.display()
+            "volant: rig file: {finding}; find the cause with `{}`",
+            check_command(&arguments.input, &arguments.rig, more)
         ));
     }
     out!("{}", summary(&report, model, workers))?;
     outln!("wrote     {}", arguments.out.display())?;
     Ok(())
+}
+
+/// The `volant check` of the same files, quoted for a shell.
+fn check_command(bag: &Path, rig: &Path, parameter_files: &[PathBuf]) -> String {
+    let mut words = vec!["volant".to_owned(), "check".to_owned(), bag.display().to_string()];
+    let rig = std::iter::once(("--rig", rig));
+    let more = parameter_files.iter().map(|file| ("--params-file", file.as_path()));
+    for (option, file) in rig.chain(more) {
+        words.extend([option.to_owned(), file.display().to_string()]);
+    }
+    // No path contains a NUL byte.
+    shlex::try_join(words.iter().map(String::as_str)).unwrap_or_else(|_| words.join(" "))
 }
 
 fn summary(report: &ReplayReport, model: Model, workers: usize) -> String {
