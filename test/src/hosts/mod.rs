@@ -2,10 +2,11 @@
 //! them.
 //!
 //! [`Hosts`] creates and removes them; [`impairment`] decides what happens to a frame, [`link`]
-//! carries it; [`trial`] runs the live rig over it.
+//! carries it; [`trial`] runs the live rig over it, [`sites`] rigs and an operator with bridges.
 
 pub mod impairment;
 pub mod link;
+pub mod sites;
 pub mod trial;
 
 pub use impairment::Impairment;

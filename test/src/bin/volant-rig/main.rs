@@ -1,6 +1,6 @@
 //! `volant-rig`: what is done with the simulated rig and the real nodes: `volant checks`, `demo`,
-//! `faults`, `hosts`, `rigs`, `robustness`, `simulate`, `soak` and `reproduce`. One executable for
-//! all, so that their common code is built and linked once.
+//! `faults`, `hosts`, `rigs`, `robustness`, `simulate`, `sites`, `soak` and `reproduce`. One
+//! executable for all, so that their common code is built and linked once.
 //!
 //! Exit status: [`EXIT_STATUS`].
 
@@ -12,6 +12,7 @@ mod reproduce;
 mod rigs;
 mod robustness;
 mod simulate;
+mod sites;
 mod soak;
 
 use anyhow::Result;
@@ -39,6 +40,7 @@ enum Action {
     Rigs(rigs::Arguments),
     Robustness(robustness::Arguments),
     Simulate(simulate::Arguments),
+    Sites(sites::Arguments),
     Soak(soak::Arguments),
     /// Writes the manual pages of these commands; `volant manual` calls it.
     #[command(hide = true)]
@@ -57,6 +59,7 @@ impl Action {
             Self::Rigs(a) => ("rigs", rigs::run(a).map(|()| true)),
             Self::Robustness(a) => ("robustness", robustness::run(a)),
             Self::Simulate(a) => ("simulate", simulate::run(a).map(|()| true)),
+            Self::Sites(a) => ("sites", sites::run(a).map(|()| true)),
             Self::Soak(a) => ("soak", soak::run(a)),
             Self::Manual(a) => {
                 let written = a.write(Arguments::command(), false);

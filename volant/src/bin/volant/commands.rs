@@ -26,7 +26,7 @@ const fn external(name: &'static str, executable: &'static str, about: &'static 
 }
 
 /// What needs the simulated rig or all of OpenCV does not weigh on the robot.
-const EXTERNAL: [External; 11] = [
+const EXTERNAL: [External; 12] = [
     external("imu", "volant-imu", "Find, inspect, configure and log Xsens IMUs; decode logs"),
     external(
         "calibrate",
@@ -41,6 +41,7 @@ const EXTERNAL: [External; 11] = [
     external("rigs", "volant-rig", "Run more and more rigs until the machine is full"),
     external("robustness", "volant-rig", "Replay recordings with wrong rig files"),
     external("simulate", "volant-rig", "Write simulated recordings with ground truth"),
+    external("sites", "volant-rig", "Run rigs and an operator on two sites with bridges (as root)"),
     external("soak", "volant-rig", "Run the rig for hours with faults at random"),
 ];
 
@@ -59,6 +60,7 @@ const GROUPS: [(&str, &[&str]); 5] = [
             "rigs",
             "robustness",
             "simulate",
+            "sites",
             "soak",
             "reproduce",
         ],

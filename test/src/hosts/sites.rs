@@ -1,0 +1,326 @@
+//! Several rigs and an operator on two sites: a DDS domain each, Zenoh bridges with the product's
+//! configurations, and an impaired link between the sites.
+
+use super::{Hosts, Impairment};
+use crate::live::quantile;
+use anyhow::{Context, Result, ensure};
+use bag::BagReader;
+use std::{
+    fmt::Write as _,
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    sync::atomic::Ordering::Relaxed,
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
+use volant_msgs::{cdr, nav_msgs::msg::Odometry};
+
+/// Domains: the operator's, and the first rig's.
+const DOMAINS: [u16; 2] = [90, 91];
+/// Address of the operator's site and Zenoh's port.
+const OPERATOR: &str = "tcp/10.77.0.2:7447";
+/// Length of a row, and what is left out at its start, s.
+const ROW: f64 = 12.0;
+const SETTLE: f64 = 2.0;
+/// Rate of the odometry across the link (`bridge_rig.json5`), Hz.
+const RATE: f64 = 10.0;
+/// By how much the rigs swing longer, because one may be ready before the other, s.
+const SPARE: f64 = 25.0;
+/// Longest time for the rigs' images to be drawn.
+const DRAWING: Duration = Duration::from_secs(600);
+
+/// What is run.
+pub struct Trial<'a> {
+    /// The two sites.
+    pub hosts: &'a Hosts,
+    /// The executable `zenoh-bridge-ros2dds`.
+    pub bridge: &'a Path,
+    /// Folder with `bridge_rig.json5` and `bridge_operator.json5`.
+    pub config: &'a Path,
+    /// For logs and bags.
+    pub folder: &'a Path,
+    /// Number of rigs.
+    pub rigs: usize,
+    /// Everything random in the rigs follows from it.
+    pub seed: u64,
+}
+
+/// State of the link by row; the first is the clean link.
+pub fn rows() -> [(&'static str, Impairment); 7] {
+    let clean = Impairment::default();
+    let far = Impairment { delay: 0.05, spread: 0.02, ..clean };
+    [
+        ("clean", clean),
+        ("1 % lost", Impairment { loss: 0.01, ..clean }),
+        ("5 % lost", Impairment { loss: 0.05, ..clean }),
+        ("50 ± 20 ms delay", far),
+        ("5 % lost and 50 ± 20 ms delay", Impairment { loss: 0.05, ..far }),
+        ("cut", Impairment { cut: true, ..clean }),
+        ("clean again", clean),
+    ]
+}
+
+/// A span of the system's time with one state of the link.
+struct Span {
+    name: &'static str,
+    /// s since the epoch.
+    from: f64,
+    to: f64,
+    bytes: u64,
+}
+
+/// Odometry of one rig at one place: stamp and reception, s since the epoch.
+type Received = Vec<[f64; 2]>;
+
+/// One row of the table, over all rigs.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// State of the link.
+    pub name: &'static str,
+    /// Messages at the operator's site over those due.
+    pub share: f64,
+    /// From stamp to reception at the operator's site, median and p99, s.
+    pub latency: [f64; 2],
+    /// The same at the rig's site.
+    pub at_rig: [f64; 2],
+    /// Both directions, bytes/s of Ethernet frames.
+    pub bytes_per_second: f64,
+    /// Longest time without a message of a rig, s.
+    pub longest_gap: f64,
+}
+
+/// A process that ends with this.
+struct Process(Child);
+
+impl Process {
+    /// Starts a process whose outputs go to `log`.
+    fn start(command: &mut Command, log: &Path) -> Result<Self> {
+        let file = std::fs::File::create(log).with_context(|| log.display().to_string())?;
+        let child = command
+            .stdin(Stdio::null())
+            .stdout(file.try_clone()?)
+            .stderr(file)
+            .spawn()
+            .with_context(|| format!("{command:?} does not start"))?;
+        Ok(Self(child))
+    }
+
+    fn interrupt(mut self) -> Result<()> {
+        if let Some(pid) = rustix::process::Pid::from_raw(self.0.id().cast_signed()) {
+            rustix::process::kill_process(pid, rustix::process::Signal::INT)?;
+        }
+        self.0.wait()?;
+        Ok(())
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Trial<'_> {
+    fn command(&self, site: &str, domain: u16, program: &Path) -> Command {
+        let mut command = Command::new("ip");
+        command
+            .args(["netns", "exec", site])
+            .arg(program)
+            .env("ROS_DOMAIN_ID", domain.to_string())
+            .env("ROS_DISTRO", "jazzy")
+            // DDS stays within the site: the link carries the bridges' connection only.
+            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+        command
+    }
+
+    fn record(&self, site: &str, domain: u16, bag: &Path, topics: &[String]) -> Result<Process> {
+        let mut command = self.command(site, domain, &sibling("volant"));
+        command.arg("record").arg("-o").arg(bag).args(topics);
+        Process::start(&mut command, &bag.with_extension("log"))
+    }
+
+    /// Runs all rows one after the other.
+    ///
+    /// # Errors
+    /// A process does not start, a rig gives no pose, or a bag is not readable.
+    pub fn run(&self) -> Result<Vec<Row>> {
+        let [rig_site, operator_site] =
+            [&self.hosts.namespaces.climber, &self.hosts.namespaces.platform];
+        let mut running = vec![];
+        let mut command = self.command(operator_site, DOMAINS[0], self.bridge);
+        command.arg("-c").arg(self.config.join("bridge_operator.json5"));
+        command.args(["-d", &DOMAINS[0].to_string(), "-l", OPERATOR]);
+        running.push(Process::start(&mut command, &self.folder.join("bridge_operator.log"))?);
+        let mut recorders = vec![];
+        let odometry = |name: &str| format!("{name}/volant/odometry");
+        let names: Vec<String> = (1..=self.rigs).map(|i| format!("/rig{i}")).collect();
+        let at_operator = self.folder.join("operator");
+        let topics: Vec<String> = names.iter().map(|n| odometry(n)).collect();
+        recorders.push(self.record(operator_site, DOMAINS[0], &at_operator, &topics)?);
+        let mut demos = vec![];
+        for (i, name) in (0u16..).zip(&names) {
+            let domain = DOMAINS[1] + i;
+            let mut command = self.command(rig_site, domain, self.bridge);
+            command.arg("-c").arg(self.config.join("bridge_rig.json5")).args(["-n", name]);
+            command.args(["-d", &domain.to_string(), "-e", OPERATOR]);
+            let log = self.folder.join(format!("bridge_rig{i}.log"));
+            running.push(Process::start(&mut command, &log)?);
+            let bag = self.folder.join(format!("rig{i}"));
+            recorders.push(self.record(rig_site, domain, &bag, &[odometry("")])?);
+            demos.push(self.start_rig(rig_site, domain, i)?);
+        }
+        for number in 0..demos.len() as u16 {
+            self.wait_for_rig(number)?;
+        }
+        let spans = self.go_through_rows();
+        for process in recorders.into_iter().chain(demos).chain(running) {
+            process.interrupt()?;
+        }
+        let mut received = vec![];
+        for (i, topic) in topics.iter().enumerate() {
+            let rig = read(&self.folder.join(format!("rig{i}")), &odometry(""))?;
+            received.push([read(&at_operator, topic)?, rig]);
+        }
+        Ok(spans.iter().map(|span| row(span, &received)).collect())
+    }
+
+    /// Starts a rig that swings for as long as all rows take.
+    fn start_rig(&self, site: &str, domain: u16, number: u16) -> Result<Process> {
+        let mut command = self.command(site, domain, &sibling("volant-rig"));
+        command
+            .arg("demo")
+            .args(["--seconds", &(ROW * rows().len() as f64 + SPARE).to_string()])
+            .args(["--seed", &(self.seed + u64::from(number)).to_string()])
+            .arg("--out")
+            .arg(self.folder.join(format!("demo{number}")));
+        Process::start(&mut command, &self.rig_log(number))
+    }
+
+    fn rig_log(&self, number: u16) -> PathBuf {
+        self.folder.join(format!("demo{number}.log"))
+    }
+
+    /// Waits until the nodes of a rig run: its images are drawn before.
+    #[allow(clippy::disallowed_methods, reason = "it waits for another process")]
+    fn wait_for_rig(&self, number: u16) -> Result<()> {
+        let log = self.rig_log(number);
+        let deadline = std::time::Instant::now() + DRAWING;
+        while !std::fs::read_to_string(&log)?.contains("four nodes") {
+            ensure!(std::time::Instant::now() < deadline, "{}: no rig", log.display());
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        Ok(())
+    }
+
+    fn go_through_rows(&self) -> Vec<Span> {
+        let traffic = self.hosts.link.traffic();
+        let spans = rows().map(|(name, impairment)| {
+            self.hosts.link.set(impairment);
+            std::thread::sleep(Duration::from_secs_f64(SETTLE));
+            let (from, before) = (system_seconds(), traffic.bytes.load(Relaxed));
+            std::thread::sleep(Duration::from_secs_f64(ROW - SETTLE));
+            Span { name, from, to: system_seconds(), bytes: traffic.bytes.load(Relaxed) - before }
+        });
+        self.hosts.link.set(Impairment::default());
+        spans.into()
+    }
+}
+
+/// An executable beside this one.
+fn sibling(name: &str) -> PathBuf {
+    std::env::current_exe().unwrap_or_default().with_file_name(name)
+}
+
+#[allow(clippy::disallowed_methods, reason = "it is compared with stamps of other processes")]
+fn system_seconds() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
+}
+
+fn read(bag: &Path, topic: &str) -> Result<Received> {
+    let mut reader = BagReader::open(bag)?;
+    let mut received = vec![];
+    while let Some(message) = reader.next_message()? {
+        if message.topic.name == topic {
+            let stamp = cdr::from_bytes::<Odometry>(&message.data)?.header.stamp;
+            let stamp = f64::from(stamp.sec) + f64::from(stamp.nanosec) * 1e-9;
+            received.push([stamp, message.log_time as f64 * 1e-9]);
+        }
+    }
+    Ok(received)
+}
+
+/// Figures of one span; `received` has each rig at the operator's site and at its own.
+fn row(span: &Span, received: &[[Received; 2]]) -> Row {
+    let within = |all: &Received| -> Received {
+        all.iter().filter(|m| (span.from..span.to).contains(&m[1])).copied().collect()
+    };
+    let latency = |place: usize| {
+        let all: Vec<f64> =
+            received.iter().flat_map(|r| within(&r[place])).map(|[stamp, at]| at - stamp).collect();
+        [quantile(&all, 0.5), quantile(&all, 0.99)]
+    };
+    let length = span.to - span.from;
+    let (mut count, mut longest_gap) = (0, 0.0_f64);
+    for [at_operator, _] in received {
+        let mut before = span.from;
+        for [_, at] in within(at_operator).into_iter().chain([[span.to; 2]]) {
+            longest_gap = longest_gap.max(at - before);
+            before = at;
+        }
+        count += within(at_operator).len();
+    }
+    Row {
+        name: span.name,
+        share: count as f64 / (RATE * length * received.len() as f64),
+        latency: latency(0),
+        at_rig: latency(1),
+        bytes_per_second: span.bytes as f64 / length,
+        longest_gap,
+    }
+}
+
+/// The table as Markdown.
+pub fn markdown(rows: &[Row]) -> String {
+    let mut text = String::from(
+        "| link | odometry of those due | stamp to operator, median / p99 | at the rig | longest \
+         gap | both ways |\n| --- | --- | --- | --- | --- | --- |\n",
+    );
+    for row in rows {
+        let ms = |[median, p99]: [f64; 2]| match median.is_nan() {
+            true => "–".to_owned(),
+            false => format!("{:.1} / {:.1} ms", median * 1e3, p99 * 1e3),
+        };
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "| {} | {:.0} % | {} | {} | {:.2} s | {:.1} kB/s |",
+            row.name,
+            row.share * 1e2,
+            ms(row.latency),
+            ms(row.at_rig),
+            row.longest_gap,
+            row.bytes_per_second * 1e-3
+        );
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_counts_what_arrives_within_it() {
+        let span = Span { name: "x", from: 10.0, to: 12.0, bytes: 5000 };
+        // 10 Hz, 20 ms old; from 11 s on nothing comes.
+        let operator: Received =
+            (0..20).map(|i| [9.0 + f64::from(i) * 0.1, 9.02 + f64::from(i) * 0.1]).collect();
+        let row = row(&span, &[[operator, vec![]]]);
+        assert!((row.share - 0.5).abs() < 0.06, "{row:?}");
+        assert!((row.latency[0] - 0.02).abs() < 1e-9);
+        assert!((row.longest_gap - 1.08).abs() < 1e-6, "{row:?}");
+        assert_eq!(row.bytes_per_second, 2500.0);
+        let text = markdown(&[row]);
+        assert!(text.contains("20.0 / 20.0 ms") && text.contains("| – |"), "{text}");
+    }
+}
