@@ -10,6 +10,7 @@ mod set;
 mod store;
 mod tables;
 
+#[cfg(feature = "dds")]
 pub(crate) use common::START_TYPE_DESCRIPTION_SERVICE;
 pub use common::common_descriptors;
 pub use descriptor::{Descriptor, ParameterError, ParameterKind};

@@ -203,7 +203,15 @@ type Announcement = (String, BTreeSet<[u8; 16]>);
 #[derive(Deserialize)]
 struct Entities {
     gid: [u8; 16],
-    nodes: Vec<(String, String, Vec<[u8; 16]>, Vec<[u8; 16]>)>,
+    nodes: Vec<EntitiesOfNode>,
+}
+
+#[derive(Deserialize)]
+struct EntitiesOfNode {
+    _namespace: String,
+    name: String,
+    readers: Vec<[u8; 16]>,
+    writers: Vec<[u8; 16]>,
 }
 
 impl Announced {
@@ -229,9 +237,9 @@ impl Announced {
         let mut all = self.1.borrow_mut();
         for sample in self.0.borrow_mut().take(1000, ReadCondition::any()).unwrap() {
             let Entities { gid, nodes } = sample.into_value();
-            let nodes = nodes.into_iter().map(|(_, name, readers, writers)| {
-                (name, readers.into_iter().chain(writers).collect())
-            });
+            let nodes = nodes
+                .into_iter()
+                .map(|n| (n.name, n.readers.into_iter().chain(n.writers).collect()));
             all.insert(gid, nodes.collect());
         }
         let of_node = all.values().flatten().filter(|(name, _)| name == node);
