@@ -13,6 +13,7 @@
 # make measured    what the tests measure: docs/src/measured.md (some minutes; VOLANT_SHARED)
 # make deb         Debian packages of the release: target/debian; make deb-test: one in a new Debian
 # make deb-arm64   the same for 64-bit ARM, cross-compiled; make arm64-test: tests in an emulator
+# make tarball     statically linked programs for any amd64 Linux: target/tarball; make tarball-test
 # make bridge      Eclipse's Zenoh bridge to other sites, from crates.io
 # make book        HTML of the book
 # make man         manual pages of all commands and shell completions: MAN=folder
@@ -27,7 +28,7 @@ SHELL := /bin/bash
 .PHONY: setup build demo test long lint bench peers \
   loop loop-test reproduce faults robustness checks pages measured book man \
   fuzz audit security calibrate calibrate-test browser clean-setup deb deb-test deb-arm64 \
-  arm64-test bridge
+  arm64-test tarball tarball-test bridge
 
 ARCH_LIB := $(shell gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 export OPENCV_LINK_PATHS := /usr/lib/$(ARCH_LIB)
@@ -145,6 +146,21 @@ deb-arm64: build .setup/debian-arm64
 	launch_config/setup/build-arm64 $(ARM64) build --workspace --bins
 	launch_config/setup/make-deb target/release target/debian $(ARM64_BUILT)
 
+# Statically linked, for any amd64 Linux.
+TARBALL := target/tarball
+tarball: .setup/debian
+	@launch_config/setup/install-debian-packages launch_config/setup/debian-packages-tarball.txt
+	launch_config/setup/make-tarball $(TARBALL)
+
+# The unpacked programs replay recordings as this build does, and are the nodes of a demo.
+tarball-test: build tarball
+	rm -rf $(TARBALL)/unpacked && mkdir $(TARBALL)/unpacked
+	tar -C $(TARBALL)/unpacked --strip-components 1 -xzf \
+	  $$(ls -t $(TARBALL)/volant-*.tar.gz | head -n 1)
+	VOLANT_OTHER=$(CURDIR)/$(TARBALL)/unpacked/bin/volant VOLANT_OTHER_WITHIN=1e-4 \
+	  $(CARGO) test --release --workspace --test other_build -- --ignored --nocapture
+	VOLANT_BIN=$(TARBALL)/unpacked/bin target/release/volant demo --out $(TARBALL)/demo
+
 # Eclipse's bridge to other sites, where its release cannot be downloaded (docs/src/sites.md).
 bridge: .setup/debian
 	@launch_config/setup/install-debian-packages launch_config/setup/debian-packages-bridge.txt
@@ -155,8 +171,8 @@ bridge: .setup/debian
 arm64-test: deb-arm64
 	launch_config/setup/build-arm64 $(ARM64) test --no-default-features --lib \
 	  $(addprefix -p ,$(CORES))
-	VOLANT_ARM64="qemu-aarch64-static -L $(CURDIR)/$(ARM64) $(CURDIR)/$(ARM64_BUILT)/volant" \
-	  $(CARGO) test --release --workspace --test arm64 -- --ignored --nocapture
+	VOLANT_OTHER="qemu-aarch64-static -L $(CURDIR)/$(ARM64) $(CURDIR)/$(ARM64_BUILT)/volant" \
+	  $(CARGO) test --release --workspace --test other_build -- --ignored --nocapture
 
 # As root, with debootstrap: about a minute and 400 MB in target/debian/root.
 deb-test: deb

@@ -216,7 +216,20 @@ fn unsupported(get: impl Fn(&'static str) -> Option<String>) -> Option<Environme
         )
         .filter(|error| !DDS.contains(&error.value.as_str()))
     })
+    .or_else(|| {
+        set(
+            "ROS_DISTRO",
+            "iron, jazzy or a later one: Humble and older announce nodes in another format, and \
+             neither side could read the other's; run this process where that ROS is not sourced, \
+             and exchange bags or connect newer computers",
+        )
+        .filter(|error| OLD_DISTROS.contains(&error.value.as_str()))
+    })
 }
+
+/// Distributions whose `ros_discovery_info` has ids of 24 bytes instead of 16.
+const OLD_DISTROS: [&str; 8] =
+    ["ardent", "bouncy", "crystal", "dashing", "eloquent", "foxy", "galactic", "humble"];
 
 #[cfg(test)]
 mod tests {
@@ -240,6 +253,9 @@ mod tests {
             (vec![("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")], DiscoveryRange::Subnet),
         ] {
             assert_eq!(network(&variables).unwrap().range, range, "{variables:?}");
+        }
+        for distro in ["iron", "jazzy", "kilted", "rolling"] {
+            assert_eq!(network(&[("ROS_DISTRO", distro)]), Ok(Network::default()));
         }
         let cyclone = network(&[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]).unwrap();
         assert_eq!(cyclone.services, ServiceFlavour::Cyclone);
@@ -276,6 +292,7 @@ mod tests {
             ("ROS_STATIC_PEERS", "192.168.0.2"),
             ("ROS_DISCOVERY_SERVER", "192.168.0.2:11811"),
             ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp"),
+            ("ROS_DISTRO", "humble"),
         ] {
             let error = network(&[(name, value)]).unwrap_err().to_string();
             assert!(error.contains(name) && error.contains(value), "{error}");

@@ -150,11 +150,13 @@ impl Scheduling {
 }
 
 /// Sets the calling thread to `SCHED_FIFO`.
-#[allow(unsafe_code, reason = "rustix has no sched_setscheduler")]
+#[allow(unsafe_code, reason = "rustix has no sched_setscheduler, and musl's returns ENOSYS")]
 fn set_fifo(priority: u8) -> io::Result<()> {
-    let parameter = libc::sched_param { sched_priority: priority.into() };
-    // SAFETY: the structure is initialized and outlives the call, which only reads it.
-    match unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameter) } {
+    // The only field of the kernel's `sched_param`.
+    let parameter = libc::c_int::from(priority);
+    let (call, policy) = (libc::SYS_sched_setscheduler, libc::SCHED_FIFO);
+    // SAFETY: the parameter is initialized and outlives the call, which only reads it.
+    match unsafe { libc::syscall(call, 0, policy, &raw const parameter) } {
         0 => Ok(()),
         _ => Err(io::Error::last_os_error()),
     }

@@ -85,6 +85,7 @@ fn settings_with_which_the_node_would_find_nobody_are_rejected() {
         ("ROS_DISCOVERY_SERVER", "127.0.0.1:11811"),
         ("ROS_STATIC_PEERS", "127.0.0.1"),
         ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp"),
+        ("ROS_DISTRO", "humble"),
     ] {
         let (status, lines) = minimal(154, &[], &[(name, value)]).finish(LONG);
         assert_eq!(status.code(), Some(1), "{lines:?}");

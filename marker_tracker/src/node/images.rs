@@ -82,7 +82,7 @@ impl MarkerTrackerNode {
         #[cfg(feature = "opencv")]
         let is_drawn = self.debug.subscribers() > 0;
         #[cfg(not(feature = "opencv"))]
-        let is_drawn = false;
+        let (is_drawn, _) = (false, context);
         if unseen || is_drawn {
             let view = view()?;
             if unseen {

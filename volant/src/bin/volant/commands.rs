@@ -130,7 +130,8 @@ pub fn other(words: &[OsString]) -> ExitCode {
             format!("`{name}` needs {executable}; build it with `make calibrate`")
         }
         _ => format!(
-            "`{name}` needs {executable}; build it with `cargo build --release --workspace --bins`"
+            "`{name}` needs {executable}; the Debian package has it, and `cargo build --release \
+             --workspace --bins` builds it"
         ),
     };
     let mut command =

@@ -1,6 +1,7 @@
-//! The programs for 64-bit ARM give the poses of those for this computer: `make arm64-test`.
+//! Programs of another build (64-bit ARM, statically linked) give the poses of those for this
+//! computer: `make arm64-test`, `make tarball-test`.
 //!
-//! `VOLANT_ARM64` is the command line of that `volant`, an emulator first if need be.
+//! `VOLANT_OTHER` is the command line of that `volant`, an emulator first if need be.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
 use bag::BagReader;
@@ -11,8 +12,9 @@ use std::{path::Path, process::Command};
 use volant_msgs::{cdr, nav_msgs::msg::Odometry};
 use volant_test::live::processes::executables;
 
-/// Largest difference of a position, m, and of a rotation, rad. The two differ in their elementary
-/// functions and in fused multiplications.
+/// Largest difference of a position, m, and of a rotation, rad, unless `VOLANT_OTHER_WITHIN` is
+/// set. Builds differ in their elementary functions and in fused multiplications; with another C
+/// library a decision at a threshold can differ (`real_tapping`, musl: 0.085 mm).
 const EQUAL: f64 = 1e-9;
 
 fn replay(volant: &[&str], bag: &Path, out: &Path) {
@@ -44,13 +46,14 @@ fn poses(path: &Path) -> Vec<Isometry3<f64>> {
 }
 
 #[test]
-#[ignore = "needs programs for arm64, and minutes in an emulator: make arm64-test"]
-fn a_replay_on_arm64_gives_the_poses_of_a_replay_here() {
+#[ignore = "needs programs of another build: make arm64-test, make tarball-test"]
+fn another_build_gives_the_poses_of_this_one() {
     let Some(recordings) = test_support::recordings() else { return };
-    let Ok(arm64) = std::env::var("VOLANT_ARM64") else {
-        test_support::skip("VOLANT_ARM64 is not set: make arm64-test");
+    let Ok(other) = std::env::var("VOLANT_OTHER") else {
+        test_support::skip("VOLANT_OTHER is not set: make arm64-test");
         return;
     };
+    let within = std::env::var("VOLANT_OTHER_WITHIN").map_or(EQUAL, |text| text.parse().unwrap());
     let here = executables().join("volant");
     let folder = tempfile::tempdir().unwrap();
     let mut bags: Vec<_> =
@@ -59,14 +62,14 @@ fn a_replay_on_arm64_gives_the_poses_of_a_replay_here() {
     bags.sort();
     assert!(!bags.is_empty());
     for bag in bags {
-        let [here_out, arm64_out] =
-            ["here", "arm64"].map(|name| folder.path().join(name).with_extension("mcap"));
+        let [here_out, other_out] =
+            ["here", "other"].map(|name| folder.path().join(name).with_extension("mcap"));
         replay(&[here.to_str().unwrap()], &bag, &here_out);
-        replay(&arm64.split_whitespace().collect::<Vec<_>>(), &bag, &arm64_out);
-        let [here, arm64] = [&here_out, &arm64_out].map(|path| poses(path));
-        assert!(here.len() > 500 && here.len() == arm64.len(), "{} {}", here.len(), arm64.len());
+        replay(&other.split_whitespace().collect::<Vec<_>>(), &bag, &other_out);
+        let [here, other] = [&here_out, &other_out].map(|path| poses(path));
+        assert!(here.len() > 500 && here.len() == other.len(), "{} {}", here.len(), other.len());
         let mut most = (0.0_f64, 0.0_f64);
-        for (a, b) in here.iter().zip(&arm64) {
+        for (a, b) in here.iter().zip(&other) {
             let between = a.inv_mul(b);
             most.0 = most.0.max(between.translation.vector.norm());
             most.1 = most.1.max(between.rotation.angle());
@@ -78,8 +81,8 @@ fn a_replay_on_arm64_gives_the_poses_of_a_replay_here() {
             most.0,
             most.1
         );
-        assert!(most.0 < EQUAL && most.1 < EQUAL, "{name}: {most:?}");
-        for out in [here_out, arm64_out] {
+        assert!(most.0 < within && most.1 < within, "{name}: {most:?}");
+        for out in [here_out, other_out] {
             std::fs::remove_file(out).unwrap();
         }
     }
