@@ -34,6 +34,7 @@ fn the_log_is_in_a_file_as_on_the_console() {
     let mut node = minimal(150, &[], &environment);
     let line = node.line_with("CYCLONEDDS_URI is set", LONG);
     assert!(line.starts_with("[WARN] ["), "{line}");
+    node.wait_for_signal_handler();
     node.signal("INT");
     assert!(node.wait(LONG).success());
     let written = files(&logs);

@@ -151,6 +151,20 @@ impl Running {
         }
     }
 
+    /// Waits until a signal ends it in order: the handler's thread runs.
+    pub fn wait_for_signal_handler(&self) {
+        let deadline = Instant::now() + Duration::from_secs(20);
+        let threads = format!("/proc/{}/task", self.id());
+        let name = |task: std::fs::DirEntry| std::fs::read_to_string(task.path().join("comm")).ok();
+        while !std::fs::read_dir(&threads)
+            .unwrap()
+            .any(|task| task.ok().and_then(name).is_some_and(|name| name.trim() == "signals"))
+        {
+            assert!(Instant::now() < deadline, "it handles no signals");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+
     /// Its process id.
     pub fn id(&self) -> u32 {
         self.child.id()
