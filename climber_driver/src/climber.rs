@@ -198,6 +198,9 @@ impl Climber {
                 return Err(Rejection::NotFinite { joint: joint.name.clone(), value });
             }
         }
+        if reading.stamp.is_unset() {
+            return Err(Rejection::NoStamp);
+        }
         let age = received.seconds_since(reading.stamp);
         if age > self.config.max_age {
             return Err(Rejection::Stale { age, limit: self.config.max_age });

@@ -42,6 +42,9 @@ pub enum Rejection {
         /// The position in the message.
         value: f64,
     },
+    /// The stamp is zero.
+    #[error("joint_states: the stamp is zero; its publisher must set header.stamp")]
+    NoStamp,
     /// The stamp is not later than the last accepted one.
     #[error(
         "joint_states: stamp {stamp} is not after the last accepted one, {last}; \
@@ -101,6 +104,7 @@ impl Rejection {
             Self::MissingJoint { .. } => "missing joint",
             Self::DuplicateJoint { .. } => "duplicate joint",
             Self::NotFinite { .. } => "not finite",
+            Self::NoStamp => "no stamp",
             Self::NotNewer { .. } => "not newer",
             Self::Stale { .. } => "stale",
             Self::FromTheFuture { .. } => "from the future",

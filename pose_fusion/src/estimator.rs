@@ -8,10 +8,10 @@ use crate::{
         status::{Counts, InputCounts, Status},
     },
     initialization::checkpoint::{Checkpoint, Refusal},
-    output::{Odometry, Output, PoseEstimate, rate_limit::RateLimit},
+    output::{Odometry, Output, PoseEstimate, Warning, rate_limit::RateLimit},
     reference::{paper::Paper, single_image::SingleImagePose},
 };
-use rig_model::{CameraModel, ClimberSample, ImuSample, MarkerObservations, Rig, Stamp};
+use rig_model::{CameraModel, ClimberSample, ImuSample, MarkerObservations, Rig, Stamp, topics};
 use std::collections::VecDeque;
 
 /// Length of a batch of smoothed odometry, s.
@@ -32,6 +32,19 @@ pub enum Input {
     Climber(ClimberSample),
     /// Calibration of the camera.
     Camera(CameraModel),
+}
+
+impl Input {
+    /// Its topic, if its stamp is zero.
+    fn without_stamp(&self) -> Option<&'static str> {
+        let (stamp, topic) = match self {
+            Self::Imu(sample) => (sample.stamp, topics::IMU),
+            Self::Markers(markers) => (markers.stamp, topics::MARKERS),
+            Self::Climber(sample) => (sample.stamp, topics::CLIMBER_TRANSFORM),
+            Self::Camera(_) => return None,
+        };
+        stamp.is_unset().then_some(topic)
+    }
 }
 
 #[derive(Debug)]
@@ -78,6 +91,19 @@ impl Fusion {
 
     /// Takes in one input.
     pub fn handle(&mut self, input: Input) {
+        if let Some(source_name) = input.without_stamp() {
+            if let Estimator::TightlyCoupled(filter) = &mut self.estimator {
+                let rejected = filter.rejected_counts();
+                match input {
+                    Input::Imu(_) => rejected.imu += 1,
+                    Input::Markers(_) => rejected.images += 1,
+                    Input::Climber(_) => rejected.climber += 1,
+                    Input::Camera(_) => {}
+                }
+            }
+            self.outputs.push_back(Output::Warning(Warning::NoStamp { source_name }));
+            return;
+        }
         let out = &mut self.outputs;
         let stamp = match &input {
             Input::Imu(sample) => {

@@ -59,7 +59,10 @@ impl Rejections {
     fn note(&mut self, warning: &Warning) {
         if matches!(
             warning,
-            Warning::Ahead { .. } | Warning::TooOld { .. } | Warning::NotFinite { .. }
+            Warning::Ahead { .. }
+                | Warning::TooOld { .. }
+                | Warning::NotFinite { .. }
+                | Warning::NoStamp { .. }
         ) {
             self.count += 1;
             self.newest = warning.to_string();

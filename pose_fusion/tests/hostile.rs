@@ -5,7 +5,7 @@ mod common;
 use common::{scoring, simulated};
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use pose_fusion::{Fusion, FusionConfig, Input, Odometry, Warning, config::CalibrationSigmas};
-use rig_model::{ImuSample, Stamp, score::PoseError};
+use rig_model::{ImuSample, Stamp, score::PoseError, topics};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
 fn recording() -> simulated::Run {
@@ -34,6 +34,36 @@ fn the_same_inputs_give_the_same_outputs() {
         scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone())).odometry
     };
     assert_eq!(once(), once());
+}
+
+#[test]
+fn an_input_without_a_stamp_is_named_and_has_no_effect() {
+    let run = recording();
+    let with_copies = |copies: bool| {
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        let inputs = run.inputs.iter().flat_map(|(at, input)| {
+            let mut unset = input.clone();
+            match &mut unset {
+                Input::Imu(s) => s.stamp = Stamp::from_nanos(0),
+                Input::Markers(s) => s.stamp = Stamp::from_nanos(0),
+                Input::Climber(s) => s.stamp = Stamp::from_nanos(0),
+                Input::Camera(_) => {}
+            }
+            let copy = copies && !matches!(input, Input::Camera(_)) && at.as_nanos() % 3 != 0;
+            copy.then_some(unset).into_iter().chain([input.clone()])
+        });
+        let outputs = scoring::run(&mut fusion, inputs);
+        (outputs, fusion.status().counts.rejected)
+    };
+    let (clean, _) = with_copies(false);
+    let (outputs, rejected) = with_copies(true);
+    assert_eq!(outputs.odometry, clean.odometry);
+    assert!(rejected.imu > 100 && rejected.images > 20 && rejected.climber > 50, "{rejected:?}");
+    for topic in [topics::IMU, topics::MARKERS, topics::CLIMBER_TRANSFORM] {
+        let named =
+            |w: &Warning| matches!(w, Warning::NoStamp { source_name } if *source_name == topic);
+        assert!(outputs.warnings.iter().any(named), "{topic}");
+    }
 }
 
 #[test]

@@ -28,6 +28,11 @@ impl Stamp {
         self.0
     }
 
+    /// Whether it is zero: its publisher does not set it.
+    pub const fn is_unset(self) -> bool {
+        self.0 == 0
+    }
+
     /// Returns `self - earlier`, s; negative if `earlier` is later. Saturates.
     pub fn seconds_since(self, earlier: Stamp) -> f64 {
         self.0.saturating_sub(earlier.0) as f64 * 1e-9

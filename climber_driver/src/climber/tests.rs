@@ -98,6 +98,8 @@ fn stale_and_future_readings_are_rejected_by_their_time_of_receipt() {
         climber.poll(),
         Some(Output::Warning(Warning::Rejected(Rejection::Stale { .. })))
     ));
+    climber.handle(&JointReading { stamp: Stamp::from_nanos(0), ..r.clone() }, T0);
+    assert!(matches!(climber.poll(), Some(Output::Warning(Warning::Rejected(Rejection::NoStamp)))));
     climber.handle(&r, T0.plus_seconds(-0.3));
     assert!(matches!(climber.poll(), Some(Output::Sample(_))));
     climber.handle(&reading(1.0, 0.0, 0.0, 0.0), T0.plus_seconds(0.4));

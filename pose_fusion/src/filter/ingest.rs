@@ -4,6 +4,7 @@ use super::Filter;
 use crate::{
     adaptation::imu_integrity::Implausible,
     ekf::{propagation::ImuReading, state::ATTITUDE},
+    health::status::RejectedCounts,
     input::imu::ImuInput,
     measurements::{encoders::EncoderReading, geometry::ClimberRest, markers::Image},
     output::{MarkerOutcome, Output, Warning},
@@ -22,6 +23,11 @@ const LARGEST_ATTITUDE: f64 = 0.2;
 const IMU: &str = "IMU sample";
 
 impl Filter {
+    /// Counters of rejected inputs, for what is rejected before it comes here.
+    pub fn rejected_counts(&mut self) -> &mut RejectedCounts {
+        &mut self.publisher.counts.rejected
+    }
+
     /// Takes in an IMU sample: moves the estimate to its stamp and publishes it.
     pub fn imu(&mut self, sample: &ImuSample, out: &mut VecDeque<Output>) {
         let stamp = sample.stamp;

@@ -31,6 +31,12 @@ pub enum Warning {
         /// Age against the newest IMU sample.
         age_s: f64,
     },
+    /// No stamp.
+    #[error("{source_name}: the stamp is zero; its publisher must set header.stamp; rejected")]
+    NoStamp {
+        /// Input.
+        source_name: &'static str,
+    },
     /// The same stamp twice.
     #[error(
         "{source_name} at {stamp} arrived twice; the second is rejected: look for a second \
@@ -164,6 +170,7 @@ impl Warning {
         match self {
             Self::NotFinite { .. } => "not_finite",
             Self::TooOld { .. } => "too_old",
+            Self::NoStamp { .. } => "no_stamp",
             Self::Duplicate { .. } => "duplicate",
             Self::Ahead { .. } => "ahead",
             Self::TimeJump { .. } => "time_jump",
