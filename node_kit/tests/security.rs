@@ -9,10 +9,11 @@ use node_kit::{
     qos::QosPreset,
 };
 use parking_lot::Mutex;
+use rustdds::{DomainParticipant, QosPolicyBuilder, TopicKind};
 use std::{
     path::{Path, PathBuf},
     process::Command,
-    sync::Arc,
+    sync::{Arc, mpsc::channel},
     time::Duration,
 };
 use volant_msgs::std_msgs::msg::Header;
@@ -97,7 +98,7 @@ fn a_participant_without_a_key_receives_and_injects_nothing() {
     let platform = join("platform", Some(Security::enforced(&ours, "/rig/platform")), &messages);
     let nobody = join("nobody", None, &messages);
     let stranger = join("stranger", Some(Security::enforced(&theirs, "/rig/climber")), &messages);
-    for _ in 0..100 {
+    for _ in 0..20 {
         if received("platform_listener", "climber_talker") > 20
             && received("climber_listener", "platform_talker") > 20
         {
@@ -139,5 +140,53 @@ fn without_its_keys_an_enforced_process_does_not_start() {
         "make-keystore /nowhere /rig/climber",
     ] {
         assert!(error.contains(needle), "{error}");
+    }
+}
+
+/// RustDDS as published locks the participant and the security plugins in both orders, so that a
+/// node hung at its start now and then (`forks/patches/rustdds-11-security-lock-order.patch`).
+#[test]
+fn topics_and_endpoints_are_created_at_once_without_a_deadlock() {
+    let network = Network {
+        domain_id: 68,
+        security: Some(Security::enforced(keystore("lock-order"), "/rig/climber")),
+        ..Network::default()
+    };
+    let (participant, _watch) = node_kit::node::join(&network).unwrap();
+    let qos = QosPolicyBuilder::new().build();
+    let topic = move |participant: &DomainParticipant, name: String| {
+        let qos = QosPolicyBuilder::new().build();
+        participant.create_topic(name, "T".to_owned(), &qos, TopicKind::NoKey).unwrap()
+    };
+    let (done, ended) = channel();
+    let running = Arc::new(());
+    let other = Arc::clone(&running);
+    // Until the other thread has ended.
+    std::thread::spawn({
+        let (participant, done) = (participant.clone(), done.clone());
+        move || {
+            let mut numbers = 0..;
+            while Arc::strong_count(&running) > 1 {
+                let number = numbers.next().unwrap_or_default() % 100;
+                drop(topic(&participant, format!("rt/topic{number}")));
+                // The lock is not fair.
+                std::thread::sleep(Duration::from_micros(20));
+            }
+            let _ = done.send(());
+        }
+    });
+    std::thread::spawn(move || {
+        let topic = topic(&participant, "rt/endpoint".to_owned());
+        let subscriber = participant.create_subscriber(&qos).unwrap();
+        let publisher = participant.create_publisher(&qos).unwrap();
+        for _ in 0..20 {
+            drop(subscriber.create_datareader_no_key_cdr::<u8>(&topic, None).unwrap());
+            drop(publisher.create_datawriter_no_key_cdr::<u8>(&topic, None).unwrap());
+        }
+        drop(other);
+        let _ = done.send(());
+    });
+    for _ in 0..2 {
+        ended.recv_timeout(Duration::from_secs(60)).expect("a deadlock");
     }
 }
