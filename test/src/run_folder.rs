@@ -56,7 +56,7 @@ impl RunFolder {
         let list = fs::read_to_string(path.join(LIST)).unwrap_or_default();
         let listed: BTreeSet<&str> = list.lines().collect();
         let (mut files, mut folders) = (vec![], vec![]);
-        walk(path, &mut files, &mut folders).map_err(failed(path))?;
+        walk_run(path, &mut files, &mut folders).map_err(failed(path))?;
         if let Some(foreign) =
             files.iter().find(|f| !entry(path, f).is_some_and(|e| listed.contains(e.as_str())))
         {
@@ -94,7 +94,7 @@ fn running() -> std::sync::MutexGuard<'static, BTreeSet<PathBuf>> {
 /// Writes the list of a folder. Where that fails, the next run finds files without a list.
 fn write_list(folder: &Path) {
     let (mut files, mut text) = (vec![], String::new());
-    if walk(folder, &mut files, &mut vec![]).is_ok() {
+    if walk_run(folder, &mut files, &mut vec![]).is_ok() {
         for line in files.iter().filter_map(|file| entry(folder, file)) {
             let _ = writeln!(text, "{line}");
         }
@@ -109,7 +109,14 @@ fn entry(folder: &Path, file: &Path) -> Option<String> {
     Some(format!("{} {}.{:09} {name}", there.len(), there.mtime(), there.mtime_nsec()))
 }
 
-/// Collects files and folders below `folder`, without the list; links are files.
+/// Collects files and folders below `folder`, without its own list; links are files.
+fn walk_run(folder: &Path, files: &mut Vec<PathBuf>, folders: &mut Vec<PathBuf>) -> io::Result<()> {
+    walk(folder, files, folders)?;
+    // A folder in it can be that of a run that this one has started.
+    files.retain(|file| *file != folder.join(LIST));
+    Ok(())
+}
+
 fn walk(folder: &Path, files: &mut Vec<PathBuf>, folders: &mut Vec<PathBuf>) -> io::Result<()> {
     for item in fs::read_dir(folder)? {
         let item = item?;
@@ -117,7 +124,7 @@ fn walk(folder: &Path, files: &mut Vec<PathBuf>, folders: &mut Vec<PathBuf>) -> 
         if item.file_type()?.is_dir() {
             folders.push(path.clone());
             walk(&path, files, folders)?;
-        } else if item.file_name() != LIST {
+        } else {
             files.push(path);
         }
     }
@@ -137,10 +144,11 @@ mod tests {
             fs::create_dir(run.path().join("bag")).unwrap();
             fs::write(run.path().join("bag/metadata.yaml"), "").unwrap();
             fs::write(run.path().join("node.log"), "log").unwrap();
+            drop(RunFolder::create(&run.path().join("inner")).unwrap());
             Ok::<_, RunFolderError>(())
         };
         run().unwrap();
-        assert_eq!(fs::read_to_string(folder.join(LIST)).unwrap().lines().count(), 2);
+        assert_eq!(fs::read_to_string(folder.join(LIST)).unwrap().lines().count(), 3);
         run().unwrap();
         // A file of the user's, in any depth, and a file that was changed.
         for (name, text) in

@@ -5,11 +5,13 @@ use super::{Hosts, Impairment};
 use crate::live::quantile;
 use anyhow::{Context, Result, ensure};
 use bag::BagReader;
+use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
 use std::{
+    collections::BTreeSet,
     fmt::Write as _,
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
-    sync::atomic::Ordering::Relaxed,
+    sync::{Mutex, MutexGuard, PoisonError, atomic::Ordering::Relaxed},
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 use volant_msgs::{cdr, nav_msgs::msg::Odometry};
@@ -27,6 +29,9 @@ const RATE: f64 = 10.0;
 const SPARE: f64 = 25.0;
 /// Longest time for the rigs' images to be drawn.
 const DRAWING: Duration = Duration::from_secs(600);
+/// How often something is looked for, and how many times a process is waited for at its end.
+const STEP: Duration = Duration::from_millis(100);
+const GRACE_STEPS: u32 = 100;
 
 /// What is run.
 pub struct Trial<'a> {
@@ -88,8 +93,39 @@ pub struct Row {
     pub longest_gap: f64,
 }
 
-/// A process that ends with this.
-struct Process(Child);
+/// A process that ends with this, with those that it has started itself.
+struct Process {
+    child: Child,
+    log: PathBuf,
+}
+
+/// Processes that run, for [`interrupt_all`].
+static RUNNING: Mutex<BTreeSet<u32>> = Mutex::new(BTreeSet::new());
+
+fn running() -> MutexGuard<'static, BTreeSet<u32>> {
+    RUNNING.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn interrupt(id: u32) {
+    if let Some(pid) = Pid::from_raw(id.cast_signed()) {
+        // One that has ended is a zombie until it is waited for: its id belongs to no other.
+        let _ = kill_process(pid, Signal::INT);
+    }
+}
+
+/// Interrupts all processes and waits for their files, before this one ends without their [`Drop`].
+pub fn interrupt_all() {
+    let all = running().clone();
+    all.iter().copied().for_each(interrupt);
+    for pid in all.iter().filter_map(|id| Pid::from_raw(id.cast_signed())) {
+        for _ in 0..GRACE_STEPS {
+            if !matches!(waitpid(Some(pid), WaitOptions::NOHANG), Ok(None)) {
+                break;
+            }
+            std::thread::sleep(STEP);
+        }
+    }
+}
 
 impl Process {
     /// Starts a process whose outputs go to `log`.
@@ -101,22 +137,31 @@ impl Process {
             .stderr(file)
             .spawn()
             .with_context(|| format!("{command:?} does not start"))?;
-        Ok(Self(child))
+        running().insert(child.id());
+        Ok(Self { child, log: log.to_owned() })
     }
 
-    fn interrupt(mut self) -> Result<()> {
-        if let Some(pid) = rustix::process::Pid::from_raw(self.0.id().cast_signed()) {
-            rustix::process::kill_process(pid, rustix::process::Signal::INT)?;
-        }
-        self.0.wait()?;
+    /// Fails if it has ended.
+    fn check(&mut self) -> Result<()> {
+        let ended = self.child.try_wait()?;
+        ensure!(ended.is_none(), "a process ended too early, see {}", self.log.display());
         Ok(())
     }
 }
 
 impl Drop for Process {
     fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        // A rig that is killed would leave its nodes, a recorder an incomplete bag.
+        interrupt(self.child.id());
+        for _ in 0..GRACE_STEPS {
+            if !matches!(self.child.try_wait(), Ok(None)) {
+                break;
+            }
+            std::thread::sleep(STEP);
+        }
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        running().remove(&self.child.id());
     }
 }
 
@@ -169,13 +214,12 @@ impl Trial<'_> {
             recorders.push(self.record(rig_site, domain, &bag, &[odometry("")])?);
             demos.push(self.start_rig(rig_site, domain, i)?);
         }
-        for number in 0..demos.len() as u16 {
-            self.wait_for_rig(number)?;
-        }
+        demos.iter_mut().try_for_each(wait_for_rig)?;
         let spans = self.go_through_rows();
-        for process in recorders.into_iter().chain(demos).chain(running) {
-            process.interrupt()?;
-        }
+        let all = recorders.iter_mut().chain(&mut demos).chain(&mut running);
+        all.into_iter().try_for_each(Process::check)?;
+        // The recorders first, so that they see no end of the rigs.
+        drop((recorders, demos, running));
         let mut received = vec![];
         for (i, topic) in topics.iter().enumerate() {
             let rig = read(&self.folder.join(format!("rig{i}")), &odometry(""))?;
@@ -193,23 +237,7 @@ impl Trial<'_> {
             .args(["--seed", &(self.seed + u64::from(number)).to_string()])
             .arg("--out")
             .arg(self.folder.join(format!("demo{number}")));
-        Process::start(&mut command, &self.rig_log(number))
-    }
-
-    fn rig_log(&self, number: u16) -> PathBuf {
-        self.folder.join(format!("demo{number}.log"))
-    }
-
-    /// Waits until the nodes of a rig run: its images are drawn before.
-    #[allow(clippy::disallowed_methods, reason = "it waits for another process")]
-    fn wait_for_rig(&self, number: u16) -> Result<()> {
-        let log = self.rig_log(number);
-        let deadline = std::time::Instant::now() + DRAWING;
-        while !std::fs::read_to_string(&log)?.contains("four nodes") {
-            ensure!(std::time::Instant::now() < deadline, "{}: no rig", log.display());
-            std::thread::sleep(Duration::from_millis(100));
-        }
-        Ok(())
+        Process::start(&mut command, &self.folder.join(format!("demo{number}.log")))
     }
 
     fn go_through_rows(&self) -> Vec<Span> {
@@ -224,6 +252,18 @@ impl Trial<'_> {
         self.hosts.link.set(Impairment::default());
         spans.into()
     }
+}
+
+/// Waits until the nodes of a rig run: its images are drawn before.
+#[allow(clippy::disallowed_methods, reason = "it waits for another process")]
+fn wait_for_rig(rig: &mut Process) -> Result<()> {
+    let deadline = std::time::Instant::now() + DRAWING;
+    while !std::fs::read_to_string(&rig.log)?.contains("four nodes") {
+        rig.check()?;
+        ensure!(std::time::Instant::now() < deadline, "{}: no rig", rig.log.display());
+        std::thread::sleep(STEP);
+    }
+    Ok(())
 }
 
 /// An executable beside this one.
