@@ -144,7 +144,8 @@ fn without_its_keys_an_enforced_process_does_not_start() {
 }
 
 /// RustDDS as published locks the participant and the security plugins in both orders, so that a
-/// node hung at its start now and then (`forks/patches/rustdds-11-security-lock-order.patch`).
+/// node hung at its start now and then, and its two threads wait for each other's queues
+/// (`rustdds-11-security-lock-order` and `rustdds-12-discovery-commands` in `forks/patches`).
 #[test]
 fn topics_and_endpoints_are_created_at_once_without_a_deadlock() {
     let network = Network {
@@ -179,7 +180,7 @@ fn topics_and_endpoints_are_created_at_once_without_a_deadlock() {
         let topic = topic(&participant, "rt/endpoint".to_owned());
         let subscriber = participant.create_subscriber(&qos).unwrap();
         let publisher = participant.create_publisher(&qos).unwrap();
-        for _ in 0..20 {
+        for _ in 0..100 {
             drop(subscriber.create_datareader_no_key_cdr::<u8>(&topic, None).unwrap());
             drop(publisher.create_datawriter_no_key_cdr::<u8>(&topic, None).unwrap());
         }

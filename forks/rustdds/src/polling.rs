@@ -163,11 +163,19 @@ pub(crate) fn wake_channel<T>(
   )
 }
 
-/// Unbounded queue whose send wakes `waker`'s poll. Used for stop commands.
-#[derive(Clone)]
+/// Unbounded queue whose send wakes `waker`'s poll. Used for commands to stop and to Discovery.
 pub(crate) struct WakeUnboundedSender<T> {
   tx: mpsc::Sender<T>,
   waker: LoopWaker,
+}
+
+impl<T> Clone for WakeUnboundedSender<T> {
+  fn clone(&self) -> Self {
+    Self {
+      tx: self.tx.clone(),
+      waker: self.waker.clone(),
+    }
+  }
 }
 
 impl<T> WakeUnboundedSender<T> {

@@ -312,14 +312,10 @@ impl DomainParticipantBuilder {
     // * Participant commands Discovery to assert liveness, i.e. send liveness
     // message to remote participants.
     // * Discovery commands Discovery (thread) to terminate on exit.
-    // Capacity 1024 absorbs a few hundred endpoints created while Discovery is
-    // busy, including while it blocks on the 32-slot notification channel back
-    // to the event loop. Each create_datareader / create_datawriter enqueues
-    // AddTopic plus AddLocalReader or AddLocalWriter, and try_send drops a
-    // command that does not fit, so Discovery never announces that endpoint.
-    // A still larger burst is dropped.
+    // Unbounded: the event loop sends commands, and Discovery waits for the event
+    // loop in the queue above. Were both bounded, both could wait for each other.
     let (discovery_command_sender, discovery_command_receiver) =
-      wake_channel::<DiscoveryCommand>(1024, &discovery_waker);
+      wake_channel_unbounded::<DiscoveryCommand>(&discovery_waker);
 
     // Built-in discovery readers report new samples here. The token says which
     // reader. User readers do not use this queue.
@@ -963,7 +959,7 @@ impl RTPSEntity for DomainParticipantWeak {
 pub(crate) struct DomainParticipantDisc {
   dpi: DomainParticipantInner,
   // Discovery control
-  discovery_command_sender: WakeSender<DiscoveryCommand>,
+  discovery_command_sender: WakeUnboundedSender<DiscoveryCommand>,
   discovery_join_handle: std::sync::mpsc::Receiver<JoinHandle<()>>,
   // This allows deterministic generation of EntityIds for DataReader, DataWriter, etc.
   entity_id_generator: atomic::AtomicU32,
@@ -977,7 +973,7 @@ impl DomainParticipantDisc {
     qos_policies: QosPolicies,
     discovery_join_handle: std::sync::mpsc::Receiver<JoinHandle<()>>,
     discovery_update_notification_receiver: WakeReceiver<DiscoveryNotificationType>,
-    discovery_command_sender: WakeSender<DiscoveryCommand>,
+    discovery_command_sender: WakeUnboundedSender<DiscoveryCommand>,
     spdp_liveness_sender: WakeSender<GuidPrefix>,
     status_sender: StatusChannelSender<DomainParticipantStatusEvent>,
     status_receiver: StatusChannelReceiver<DomainParticipantStatusEvent>,
@@ -1234,7 +1230,7 @@ impl DomainParticipantInner {
     participant_guid: GUID,
     qos_policies: QosPolicies,
     discovery_update_notification_receiver: WakeReceiver<DiscoveryNotificationType>,
-    discovery_command_sender: WakeSender<DiscoveryCommand>,
+    discovery_command_sender: WakeUnboundedSender<DiscoveryCommand>,
     spdp_liveness_sender: WakeSender<GuidPrefix>,
     status_sender: StatusChannelSender<DomainParticipantStatusEvent>,
     status_receiver: StatusChannelReceiver<DomainParticipantStatusEvent>,
@@ -1491,7 +1487,7 @@ impl DomainParticipantInner {
     &self,
     domain_participant: &DomainParticipantWeak,
     qos: &QosPolicies,
-    discovery_command: WakeSender<DiscoveryCommand>,
+    discovery_command: WakeUnboundedSender<DiscoveryCommand>,
   ) -> CreateResult<Publisher> {
     Ok(Publisher::new(
       domain_participant.clone(),
@@ -1510,7 +1506,7 @@ impl DomainParticipantInner {
     &self,
     domain_participant: &DomainParticipantWeak,
     qos: &QosPolicies,
-    discovery_command: WakeSender<DiscoveryCommand>,
+    discovery_command: WakeUnboundedSender<DiscoveryCommand>,
   ) -> CreateResult<Subscriber> {
     Ok(Subscriber::new(
       domain_participant.clone(),

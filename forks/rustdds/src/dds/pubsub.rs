@@ -32,7 +32,7 @@ use crate::{
     discovery::DiscoveryCommand, discovery_db::DiscoveryDB, sedp_messages::DiscoveredWriterData,
   },
   mio_source,
-  polling::{wake_channel, BoundSender, Doorbell, ReadySender, WakeSender},
+  polling::{wake_channel, BoundSender, Doorbell, ReadySender, WakeSender, WakeUnboundedSender},
   rtps::{
     constant::DEFAULT_WRITER_MAX_SAMPLES, reader::ReaderIngredients, writer::WriterIngredients,
     writer_send_buffer::WriterSendBuffer,
@@ -105,7 +105,7 @@ impl Publisher {
     default_dw_qos: QosPolicies,
     add_writer_sender: WakeSender<WriterIngredients>,
     remove_writer_sender: WakeSender<GUID>,
-    discovery_command: WakeSender<DiscoveryCommand>,
+    discovery_command: WakeUnboundedSender<DiscoveryCommand>,
     security_plugins_handle: Option<SecurityPluginsHandle>,
     writer_ready: ReadySender<EntityId>,
   ) -> Self {
@@ -429,7 +429,7 @@ struct InnerPublisher {
   default_datawriter_qos: QosPolicies, // used when creating a new DataWriter
   add_writer_sender: WakeSender<WriterIngredients>,
   remove_writer_sender: WakeSender<GUID>,
-  discovery_command: WakeSender<DiscoveryCommand>,
+  discovery_command: WakeUnboundedSender<DiscoveryCommand>,
   security_plugins_handle: Option<SecurityPluginsHandle>,
   writer_ready: ReadySender<EntityId>,
 }
@@ -444,7 +444,7 @@ impl InnerPublisher {
     default_dw_qos: QosPolicies,
     add_writer_sender: WakeSender<WriterIngredients>,
     remove_writer_sender: WakeSender<GUID>,
-    discovery_command: WakeSender<DiscoveryCommand>,
+    discovery_command: WakeUnboundedSender<DiscoveryCommand>,
     writer_ready: ReadySender<EntityId>,
     security_plugins_handle: Option<SecurityPluginsHandle>,
   ) -> Self {
@@ -676,7 +676,7 @@ impl InnerPublisher {
       db.update_topic_data_p(topic);
 
       // Inform Discovery about the topic
-      if let Err(e) = self.discovery_command.try_send(DiscoveryCommand::AddTopic {
+      if let Err(e) = self.discovery_command.send(DiscoveryCommand::AddTopic {
         topic_name: topic.name(),
       }) {
         // Log the error but don't quit, failing to inform Discovery about the topic
@@ -828,7 +828,7 @@ impl Subscriber {
     qos: QosPolicies,
     sender_add_reader: WakeSender<ReaderIngredients>,
     sender_remove_reader: WakeSender<GUID>,
-    discovery_command: WakeSender<DiscoveryCommand>,
+    discovery_command: WakeUnboundedSender<DiscoveryCommand>,
     security_plugins_handle: Option<SecurityPluginsHandle>,
     reader_ready: ReadySender<EntityId>,
     discovery_samples: ReadySender<mio1::Token>,
@@ -1059,7 +1059,7 @@ pub struct InnerSubscriber {
   qos: QosPolicies,
   sender_add_reader: WakeSender<ReaderIngredients>,
   sender_remove_reader: WakeSender<GUID>,
-  discovery_command: WakeSender<DiscoveryCommand>,
+  discovery_command: WakeUnboundedSender<DiscoveryCommand>,
   security_plugins_handle: Option<SecurityPluginsHandle>,
   reader_ready: ReadySender<EntityId>,
   discovery_samples: ReadySender<mio1::Token>,
@@ -1073,7 +1073,7 @@ impl InnerSubscriber {
     qos: QosPolicies,
     sender_add_reader: WakeSender<ReaderIngredients>,
     sender_remove_reader: WakeSender<GUID>,
-    discovery_command: WakeSender<DiscoveryCommand>,
+    discovery_command: WakeUnboundedSender<DiscoveryCommand>,
     security_plugins_handle: Option<SecurityPluginsHandle>,
     reader_ready: ReadySender<EntityId>,
     discovery_samples: ReadySender<mio1::Token>,
@@ -1291,7 +1291,7 @@ impl InnerSubscriber {
       db.update_topic_data_p(topic);
 
       // Inform Discovery about the topic
-      if let Err(e) = self.discovery_command.try_send(DiscoveryCommand::AddTopic {
+      if let Err(e) = self.discovery_command.send(DiscoveryCommand::AddTopic {
         topic_name: topic.name(),
       }) {
         // Log the error but don't quit, failing to inform Discovery about the topic
