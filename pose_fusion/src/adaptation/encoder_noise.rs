@@ -71,10 +71,8 @@ impl EncoderNoise {
                     // Mean of the first differences, then a memory of a hundred; one jump counts
                     // ten times at most.
                     self.weight[axis] = (self.weight[axis] + 1.0).min(100.0);
-                    let mut square = d * d / norm;
-                    if self.weight[axis] > 10.0 {
-                        square = square.min(10.0 * self.variance[axis].max(self.floor[axis]));
-                    }
+                    let most = 10.0 * self.variance[axis].max(self.floor[axis]);
+                    let square = (d * d / norm).min(most);
                     self.variance[axis] += (square - self.variance[axis]) / self.weight[axis];
                 }
             }
@@ -180,6 +178,23 @@ mod tests {
         assert!((found.x.sqrt() / 0.002 - 1.0).abs() < 0.25, "{}", found.x.sqrt());
         assert!((found.y - 1e-6 / 12.0).abs() < 1e-12);
         assert!(!noise.is_young());
+    }
+
+    #[test]
+    fn one_wrong_reading_of_a_climber_that_has_just_set_off_is_not_taken_for_noise() {
+        let step = 0.001;
+        for wrong in [100.0, 1e6] {
+            let mut noise = EncoderNoise::new(Vector3::repeat(step));
+            for i in 0..150 {
+                let t = f64::from(i - 50) * 0.02;
+                let x = ((0.1 * t.max(0.0)) / step).round() * step;
+                let wrong = if i == 53 { wrong } else { 0.0 };
+                let stamp = Stamp::default().plus_seconds(f64::from(i) * 0.02);
+                noise.add(stamp, &Vector3::new(x + wrong, 0.0, 0.0));
+            }
+            let sigma = noise.variance().x.sqrt() * 12.0_f64.sqrt() / step;
+            assert!(sigma < 10.0, "{sigma} steps after 2 s");
+        }
     }
 
     #[test]
