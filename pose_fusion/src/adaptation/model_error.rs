@@ -36,15 +36,17 @@ impl Default for ModelError {
 
 impl ModelError {
     /// Adds an image of four markers (`internal` of whose NIS no pose explains) or three (0: a pose
-    /// explains all).
-    pub fn add(&mut self, nis: f64, internal: f64) {
+    /// explains all). Returns whether the sigmas grow.
+    pub fn add(&mut self, nis: f64, internal: f64) -> bool {
         let ratio = ((nis - internal) / POSE).clamp(0.0, 6.0);
         self.ratio += (ratio - self.ratio) / MEMORY;
-        if self.ratio > LARGE {
+        let grows = self.ratio > LARGE;
+        if grows {
             self.factor = (self.factor * GROWTH).min(LIMIT);
         } else if self.ratio < SMALL {
             self.factor = (self.factor * DECAY).max(1.0);
         }
+        grows
     }
 
     /// Notes that the prediction had to give way to images that contradict it.
@@ -65,11 +67,11 @@ mod tests {
     #[test]
     fn it_answers_to_what_a_pose_explains_and_not_to_pixel_noise() {
         let mut error = ModelError::default();
-        (0..100).for_each(|_| error.add(26.0, 20.0));
+        assert_eq!((0..100).filter(|_| error.add(26.0, 20.0)).count(), 0);
         assert_eq!(error.factor(), 1.0);
-        (0..60).for_each(|_| error.add(20.0, 2.0));
+        assert!((0..60).filter(|_| error.add(20.0, 2.0)).count() > 30);
         assert!(error.factor() > 20.0, "{}", error.factor());
-        (0..500).for_each(|_| error.add(8.0, 2.0));
+        assert!((0..500).filter(|_| error.add(8.0, 2.0)).count() < 20);
         assert_eq!(error.factor(), 1.0);
     }
 }

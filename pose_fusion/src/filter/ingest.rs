@@ -327,6 +327,7 @@ impl Filter {
             ImuReading::default(),
         );
         if self.start.is_started() {
+            self.suspend_frozen_encoders(at, out);
             self.process(out);
         }
         self.publish_silence(out);

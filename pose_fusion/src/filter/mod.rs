@@ -5,6 +5,7 @@
 //! processed up to its end ([`processing`]), and the newest state is published ([`publish`]). The
 //! parts are values of their own: this type only connects them.
 
+mod encoders;
 mod ingest;
 mod operator;
 mod processing;

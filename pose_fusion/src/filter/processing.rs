@@ -1,4 +1,4 @@
-//! Processing of the time line, and the responses to measurements that contradict the prediction.
+//! Processing of the time line, and the responses to images that contradict the prediction.
 
 use super::Filter;
 use crate::{
@@ -7,27 +7,20 @@ use crate::{
         state::{TIME_OFFSET, VELOCITY},
     },
     health::{
-        encoder_trust::Verdict,
         lock_out::{Response, SUSPECT},
         sanity,
     },
     measurements::{
-        Innovation, Outcome,
-        encoders::{self, CONTRADICTION},
+        Outcome,
         markers::{Image, ImageInnovation},
     },
     output::{Output, Warning},
-    timeline::{
-        history::Event,
-        repropagation::{self, Context, Step},
-    },
+    timeline::repropagation::{self, Context, Step},
 };
 use nalgebra::Vector3;
 use rig_model::Stamp;
 use std::collections::VecDeque;
 
-/// A disturbance of the climber began at most this many readings before the one that reveals it.
-const DISTURBED_READINGS: usize = 2;
 /// Jerk of a climber whose encoders are not trusted, in units of the configured density.
 const FREE_JERK: f64 = 1000.0;
 /// NIS of four markers (8 degrees of freedom) above which the platform was struck: where all passed
@@ -114,98 +107,6 @@ impl Filter {
         }
     }
 
-    /// Responds to an encoder reading. Returns whether the time line was replaced.
-    fn on_encoders(
-        &mut self,
-        place: usize,
-        at: Stamp,
-        innovation: &Innovation<3>,
-        excluded: bool,
-        fresh: bool,
-        out: &mut VecDeque<Output>,
-    ) -> bool {
-        if excluded {
-            self.publisher.counts.excluded_readings += u64::from(fresh);
-            return fresh
-                && self.trust.is_suspended()
-                && self.judge_encoders(place, at, innovation, out);
-        }
-        if innovation.nis <= CONTRADICTION {
-            if fresh {
-                self.climber.adapt_jerk(innovation.nis);
-                self.publisher.note_encoders(at);
-            }
-            return false;
-        }
-        let first = self.history.get(0).map_or(at, |first| first.stamp);
-        let (since, from) =
-            self.history.reading_before(place, DISTURBED_READINGS).unwrap_or((0, first));
-        if encoders::is_impossible(innovation, at.seconds_since(from)) {
-            self.exclude(place);
-            self.suspend_encoders(at, innovation, out);
-        } else if self.disturbances.add_jerk(from, at, innovation) {
-            self.climber.adapt_jerk(innovation.nis);
-            self.history.rewind(since + 1);
-        } else {
-            self.exclude(place);
-        }
-        false
-    }
-
-    /// Judges a reading of encoders that are suspended. Returns whether the time line was replaced.
-    fn judge_encoders(
-        &mut self,
-        place: usize,
-        at: Stamp,
-        innovation: &Innovation<3>,
-        out: &mut VecDeque<Output>,
-    ) -> bool {
-        let timeout = self.setup.config.climber.step_timeout;
-        let standing = self.climber.is_standing();
-        match self.trust.judge(at, innovation.nis, &innovation.residual, standing, timeout) {
-            Verdict::Exclude => false,
-            Verdict::Resume => {
-                if let Some(entry) = self.history.get_mut(place)
-                    && let Event::Encoders { excluded, .. } = &mut entry.event
-                {
-                    *excluded = false;
-                }
-                self.history.rewind(place);
-                out.push_back(Output::Warning(Warning::EncodersResumed { stamp: at }));
-                false
-            }
-            Verdict::Adopt => {
-                self.publisher.counts.resets.encoder_steps += 1;
-                out.push_back(Output::Warning(Warning::EncoderStep { stamp: at }));
-                self.restart();
-                self.publisher.continuity.reset();
-                true
-            }
-        }
-    }
-
-    fn exclude(&mut self, place: usize) {
-        if let Some(entry) = self.history.get_mut(place)
-            && let Event::Encoders { excluded, .. } = &mut entry.event
-        {
-            *excluded = true;
-            self.publisher.counts.excluded_readings += 1;
-        }
-    }
-
-    fn suspend_encoders(
-        &mut self,
-        at: Stamp,
-        innovation: &Innovation<3>,
-        out: &mut VecDeque<Output>,
-    ) {
-        if !self.trust.is_suspended() {
-            let distance_m = innovation.residual.xy().norm();
-            out.push_back(Output::Warning(Warning::EncodersSuspended { stamp: at, distance_m }));
-        }
-        self.trust.suspend(at);
-    }
-
     /// Responds to an image that is processed for the first time. Returns whether the time line was
     /// replaced.
     fn on_image(
@@ -272,7 +173,11 @@ impl Filter {
             _ => None,
         };
         if let (Some(internal), false) = (internal, excused) {
-            self.imu.model_error().add(record.nis, internal);
+            if self.imu.model_error().add(record.nis, internal)
+                && self.try_without_encoders(at, out)
+            {
+                return false;
+            }
             if self.imu.model_error().factor() > SUDDEN {
                 self.search_again();
             }
@@ -312,8 +217,7 @@ impl Filter {
         let disturbed = stopped.filter(|_| self.climber.is_standing());
         if let (false, Some(from)) = (self.trust.is_suspended(), disturbed) {
             self.exclude_since(from);
-            let distance_m = 0.0;
-            out.push_back(Output::Warning(Warning::EncodersSuspended { stamp, distance_m }));
+            out.push_back(Output::Warning(Warning::EncodersFrozen { since: from }));
             self.trust.refute(at);
             return false;
         }
@@ -337,14 +241,6 @@ impl Filter {
         let (distance, angle) = self.shock_size(place, record);
         self.disturbances.add_shock(from, at, distance, angle);
         let first = self.history.place_of(from);
-        self.history.rewind(first);
-    }
-
-    fn exclude_since(&mut self, from: Stamp) {
-        let first = self.history.place_of(from);
-        for place in first..self.history.len() {
-            self.exclude(place);
-        }
         self.history.rewind(first);
     }
 

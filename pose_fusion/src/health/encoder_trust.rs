@@ -6,6 +6,7 @@
 //! (the drive was homed, or a wheel slipped): the filter reinitializes with them, and the world
 //! frame moves with the encoders. Until then the pose keeps its frame. Who of the two is wrong is
 //! not known: after [`DISPUTED`] the published covariance contains the distance between them.
+//! Encoders that are known to be frozen are not adopted before they move again.
 
 use nalgebra::Vector3;
 use rig_model::Stamp;
@@ -18,6 +19,11 @@ const CONSISTENT: u32 = 3;
 /// Readings that do not change must be consistent for this time, s: frozen ones agree while the
 /// climber comes by.
 const UNCHANGED: f64 = 1.0;
+/// Readings that were frozen and contradict the estimate for this time afterwards are right, s: the
+/// climber drove on unseen.
+const RELEASED: f64 = 0.1;
+/// Readings that have been equal for this time may be frozen, s.
+const STOOD: f64 = 0.2;
 /// A reading is consistent below this NIS (one degree of freedom; 3 sigma).
 const GATE: f64 = 9.0;
 
@@ -41,8 +47,12 @@ pub struct EncoderTrust {
     /// Newest reading minus estimate: x, y (m), turn (rad).
     residual: Vector3<f64>,
     newest: Option<Stamp>,
-    /// The images show that the encoders are wrong.
+    /// It is known that the encoders are wrong, and not the estimate: they are frozen …
     refuted: bool,
+    /// … until this reading.
+    released: Option<Stamp>,
+    /// Last time that readings which stand were tried without.
+    tried: Option<Stamp>,
 }
 
 impl EncoderTrust {
@@ -57,7 +67,8 @@ impl EncoderTrust {
         (self.consistent, self.consistent_since) = (0, None);
     }
 
-    /// Suspends the encoders that images have shown to be wrong.
+    /// Suspends encoders that are wrong, and not the estimate: images have shown it, or one froze
+    /// while the climber drove.
     pub fn refute(&mut self, at: Stamp) {
         self.suspend(at);
         self.refuted = true;
@@ -82,6 +93,9 @@ impl EncoderTrust {
     ) -> Verdict {
         let Some(since) = self.suspended else { return Verdict::Resume };
         (self.newest, self.residual) = (Some(at), *residual);
+        if self.refuted && !standing {
+            (self.refuted, self.released) = (false, Some(at));
+        }
         if nis < GATE {
             self.consistent += 1;
             self.consistent_since.get_or_insert(at);
@@ -90,10 +104,14 @@ impl EncoderTrust {
         }
         let lasts = self.consistent_since.map_or(0.0, |since| at.seconds_since(since));
         if self.consistent >= CONSISTENT && (!standing || lasts > UNCHANGED) {
-            *self = Self::default();
+            self.reset();
             Verdict::Resume
-        } else if self.consistent == 0 && at.seconds_since(since) > timeout {
-            *self = Self::default();
+        } else if self.consistent == 0
+            && !self.refuted
+            && (at.seconds_since(since) > timeout
+                || self.released.is_some_and(|released| at.seconds_since(released) > RELEASED))
+        {
+            self.reset();
             Verdict::Adopt
         } else {
             Verdict::Exclude
@@ -102,7 +120,21 @@ impl EncoderTrust {
 
     /// Trusts the encoders again, after a reinitialization.
     pub fn reset(&mut self) {
-        *self = Self::default();
+        *self = Self { tried: self.tried, ..Self::default() };
+    }
+
+    /// Suspends encoders that have stood since `since` while the prediction contradicts the images,
+    /// to see whether they are what is wrong. Returns false where they are suspended, have stood
+    /// for less than [`STOOD`], or have stood through such a trial.
+    pub fn tries_without(&mut self, since: Stamp, at: Stamp) -> bool {
+        let tries = !self.is_suspended()
+            && at.seconds_since(since) > STOOD
+            && self.tried.is_none_or(|tried| tried < since);
+        if tries {
+            self.tried = Some(at);
+            self.refute(at);
+        }
+        tries
     }
 }
 
@@ -131,6 +163,18 @@ mod tests {
         assert_eq!(trust.dispute(), Some(off));
         trust.refute(at(2200));
         assert_eq!(trust.dispute(), None);
-        assert_eq!(trust.judge(at(3200), 1e6, &off, false, 3.0), Verdict::Adopt);
+        // Frozen readings are never adopted; those that move again are right.
+        assert_eq!(trust.judge(at(9000), 1e6, &off, true, 3.0), Verdict::Exclude);
+        assert_eq!(trust.judge(at(9020), 1e6, &off, false, 30.0), Verdict::Exclude);
+        assert_eq!(trust.judge(at(9140), 1e6, &off, false, 30.0), Verdict::Adopt);
+        // Readings that stand are tried without once.
+        assert!(
+            !trust.tries_without(at(9900), at(10_000)) && trust.tries_without(at(9500), at(10_000))
+        );
+        trust.reset();
+        assert!(
+            !trust.tries_without(at(9500), at(12_000))
+                && trust.tries_without(at(11_000), at(12_000))
+        );
     }
 }

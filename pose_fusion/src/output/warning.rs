@@ -130,6 +130,16 @@ pub enum Warning {
         /// Distance.
         distance_m: f64,
     },
+    /// The encoders have repeated one reading while the climber drove, or stopped harder than a
+    /// drive brakes.
+    #[error(
+        "the encoders have stood since {since}, harder than a drive brakes or while the images show \
+         the climber move: frozen? they are not used until they agree again"
+    )]
+    EncodersFrozen {
+        /// Beginning of the equal readings.
+        since: Stamp,
+    },
     /// The encoders agree with the estimate again.
     #[error("the encoders agree with the estimate again at {stamp}")]
     EncodersResumed {
@@ -138,8 +148,8 @@ pub enum Warning {
     },
     /// The encoders have contradicted the estimate for too long and are adopted.
     #[error(
-        "the encoders at {stamp} have contradicted the estimate for climber.step_timeout; they \
-         are adopted and the pose reinitializes: were they homed?"
+        "the encoders at {stamp} contradict the estimate still, after climber.step_timeout or after \
+         they were frozen; they are adopted and the pose reinitializes: were they homed?"
     )]
     EncoderStep {
         /// Reading.
@@ -181,6 +191,7 @@ impl Warning {
             Self::Shock { .. } => "shock",
             Self::LockOutRecovered { .. } => "lock_out_recovered",
             Self::EncodersSuspended { .. } => "encoders_suspended",
+            Self::EncodersFrozen { .. } => "encoders_frozen",
             Self::EncodersResumed { .. } => "encoders_resumed",
             Self::EncoderStep { .. } => "encoder_step",
             Self::PoseLost { .. } => "pose_lost",

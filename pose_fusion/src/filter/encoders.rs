@@ -1,0 +1,148 @@
+//! The responses to encoder readings that contradict the prediction.
+
+use super::Filter;
+use crate::{
+    health::encoder_trust::Verdict,
+    measurements::{
+        Innovation,
+        encoders::{self, CONTRADICTION},
+    },
+    output::{Output, Warning},
+    timeline::history::Event,
+};
+use rig_model::Stamp;
+use std::collections::VecDeque;
+
+/// A disturbance of the climber began at most this many readings before the one that reveals it.
+const DISTURBED_READINGS: usize = 2;
+
+impl Filter {
+    /// Responds to an encoder reading. Returns whether the time line was replaced.
+    pub(super) fn on_encoders(
+        &mut self,
+        place: usize,
+        at: Stamp,
+        innovation: &Innovation<3>,
+        excluded: bool,
+        fresh: bool,
+        out: &mut VecDeque<Output>,
+    ) -> bool {
+        if excluded {
+            self.publisher.counts.excluded_readings += u64::from(fresh);
+            return fresh
+                && self.trust.is_suspended()
+                && self.judge_encoders(place, at, innovation, out);
+        }
+        if innovation.nis <= CONTRADICTION {
+            if fresh {
+                self.climber.adapt_jerk(innovation.nis);
+                self.publisher.note_encoders(at);
+            }
+            return false;
+        }
+        let first = self.history.get(0).map_or(at, |first| first.stamp);
+        let (since, from) =
+            self.history.reading_before(place, DISTURBED_READINGS).unwrap_or((0, first));
+        if encoders::is_impossible(innovation, at.seconds_since(from)) {
+            self.exclude(place);
+            self.suspend_encoders(at, innovation, out);
+        } else if self.disturbances.add_jerk(from, at, innovation) {
+            self.climber.adapt_jerk(innovation.nis);
+            self.history.rewind(since + 1);
+        } else {
+            self.exclude(place);
+        }
+        false
+    }
+
+    /// Judges a reading of encoders that are suspended. Returns whether the time line was replaced.
+    fn judge_encoders(
+        &mut self,
+        place: usize,
+        at: Stamp,
+        innovation: &Innovation<3>,
+        out: &mut VecDeque<Output>,
+    ) -> bool {
+        let timeout = self.setup.config.climber.step_timeout;
+        let standing = self.climber.is_standing() || self.climber.stopped_at_once().is_some();
+        match self.trust.judge(at, innovation.nis, &innovation.residual, standing, timeout) {
+            Verdict::Exclude => false,
+            Verdict::Resume => {
+                if let Some(entry) = self.history.get_mut(place)
+                    && let Event::Encoders { excluded, .. } = &mut entry.event
+                {
+                    *excluded = false;
+                }
+                self.history.rewind(place);
+                out.push_back(Output::Warning(Warning::EncodersResumed { stamp: at }));
+                false
+            }
+            Verdict::Adopt => {
+                self.publisher.counts.resets.encoder_steps += 1;
+                out.push_back(Output::Warning(Warning::EncoderStep { stamp: at }));
+                self.restart();
+                self.publisher.continuity.reset();
+                true
+            }
+        }
+    }
+
+    /// Suspends encoders of which one stopped harder than a drive brakes, with their newest reading
+    /// at `at`. Where the climber has indeed run into something, images and IMU see it stand, and
+    /// the encoders are trusted again.
+    pub(super) fn suspend_frozen_encoders(&mut self, at: Stamp, out: &mut VecDeque<Output>) {
+        let (false, Some(since)) = (self.trust.is_suspended(), self.climber.stopped_at_once())
+        else {
+            return;
+        };
+        let time_offset = self.time_offset() + self.setup.config.clock.climber_offset;
+        self.exclude_since(since.plus_seconds(time_offset));
+        out.push_back(Output::Warning(Warning::EncodersFrozen { since }));
+        self.trust.refute(at);
+    }
+
+    /// Continues without encoders that stand, where the images contradict the prediction: they may
+    /// be frozen while the climber drives. Returns whether it does.
+    pub(super) fn try_without_encoders(&mut self, at: Stamp, out: &mut VecDeque<Output>) -> bool {
+        let Some(since) = self.climber.standing_since() else { return false };
+        let climber_offset = self.setup.config.clock.climber_offset;
+        let from = since.plus_seconds(self.time_offset() + climber_offset);
+        if !self.trust.tries_without(from, at) {
+            return false;
+        }
+        *self.imu.model_error() = Default::default();
+        self.exclude_since(from);
+        out.push_back(Output::Warning(Warning::EncodersFrozen { since }));
+        true
+    }
+
+    fn exclude(&mut self, place: usize) {
+        if let Some(entry) = self.history.get_mut(place)
+            && let Event::Encoders { excluded, .. } = &mut entry.event
+        {
+            *excluded = true;
+            self.publisher.counts.excluded_readings += 1;
+        }
+    }
+
+    fn suspend_encoders(
+        &mut self,
+        at: Stamp,
+        innovation: &Innovation<3>,
+        out: &mut VecDeque<Output>,
+    ) {
+        if !self.trust.is_suspended() {
+            let distance_m = innovation.residual.xy().norm();
+            out.push_back(Output::Warning(Warning::EncodersSuspended { stamp: at, distance_m }));
+        }
+        self.trust.suspend(at);
+    }
+
+    pub(super) fn exclude_since(&mut self, from: Stamp) {
+        let first = self.history.place_of(from);
+        for place in first..self.history.len() {
+            self.exclude(place);
+        }
+        self.history.rewind(first);
+    }
+}
