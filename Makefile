@@ -6,6 +6,7 @@
 #                  filter beside its bound on 200 runs
 # make faults      every fault on real processes: test/FAULTS.md
 # make reproduce   the paper's figures and tables, and the report: OUT=folder
+# make broad       recordings with real IMU samples (BROAD=its folder data_mat): test/BROAD.md
 # make robustness  recordings that differ from their rig file: test/ROBUSTNESS.md
 # make checks      recordings whose files are wrong, and what `volant check` names: test/CHECK.md
 # make loop        a crane in MuJoCo in a closed loop with the nodes: OUT=folder; make loop-test
@@ -26,7 +27,7 @@
 SHELL := /bin/bash
 .DEFAULT_GOAL := build
 .PHONY: setup build demo test long lint bench peers \
-  loop loop-test reproduce faults robustness checks pages measured book man \
+  loop loop-test reproduce faults broad robustness checks pages measured book man \
   fuzz audit security calibrate calibrate-test browser clean-setup deb deb-test deb-arm64 \
   arm64-test tarball tarball-test bridge
 
@@ -112,6 +113,19 @@ robustness: build
 	  target/release/volant replay $$bag/in.mcap --rig $$bag/rig.yaml --out target/robustness/$$name.mcap --overwrite > /dev/null || exit 1; \
 	done
 	target/release/volant robustness --bags $(VOLANT_SHARED)/bags --markers target/robustness --pairs --table test/ROBUSTNESS.md --overwrite
+
+# The estimator on recordings with real IMU samples (test/broad): BROAD=…/data_mat of
+# https://github.com/dlaidig/broad.
+BROAD_PYTHON := .setup/broad
+.setup/broad.done: test/broad/requirements.txt .setup/debian
+	@python3 -m venv $(BROAD_PYTHON)
+	@$(BROAD_PYTHON)/bin/python -m pip install --quiet --disable-pip-version-check -r $<
+	@touch $@
+
+broad: build .setup/broad.done
+	@[ -n "$(BROAD)" ] || { echo "make broad: set BROAD to the folder data_mat of https://github.com/dlaidig/broad"; exit 1; }
+	$(BROAD_PYTHON)/bin/python test/broad $(BROAD) --out target/broad \
+	  --volant target/release/volant --table test/BROAD.md
 
 # Recordings whose files or messages are wrong in one thing, and what `volant check` names.
 checks: build

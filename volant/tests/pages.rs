@@ -168,6 +168,7 @@ fn figures() -> String {
         row("| none"),
     )
     .unwrap();
+    text += &real_imu(&read("test/BROAD.md"));
     writeln!(
         text,
         "## Marker tracker beside other methods\n\n\
@@ -182,6 +183,36 @@ fn figures() -> String {
         writeln!(text, "| {} |", row.join(" | ")).unwrap();
     }
     text
+}
+
+/// Summary of the table of `make broad`: the range of each of its numbers.
+fn real_imu(table: &str) -> String {
+    let rows: Vec<Vec<f64>> = table
+        .lines()
+        .filter(|l| l.starts_with("| ") && l.contains('_'))
+        .map(|l| {
+            let numbers = l.split(['|', ',']).skip(2).filter_map(|cell| cell.trim().parse().ok());
+            numbers.collect()
+        })
+        .collect();
+    let range = |column: usize| {
+        let values = || rows.iter().filter_map(|row| row.get(column));
+        let (least, most) = values()
+            .fold((f64::INFINITY, 0.0_f64), |(least, most), v| (least.min(*v), most.max(*v)));
+        format!("{least} to {most}")
+    };
+    format!(
+        "## Real IMU samples\n\n\
+         {} recordings of 30 s with the IMU samples and the motion of the public BROAD data set,\n\
+         and a virtual camera; [the whole table](table-broad.md) is written by `make broad`.\n\n\
+         | position RMSE, mm | rotation RMSE, ° | NEES of position (3) | NEES of rotation (3) |\n\
+         | --- | --- | --- | --- |\n| {} | {} | {} | {} |\n\n",
+        rows.len(),
+        range(0),
+        range(2),
+        range(4),
+        range(5),
+    )
 }
 
 fn parameters() -> String {
