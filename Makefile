@@ -125,7 +125,7 @@ BROAD_PYTHON := .setup/broad
 broad: build .setup/broad.done
 	@[ -n "$(BROAD)" ] || { echo "make broad: set BROAD to the folder data_mat of https://github.com/dlaidig/broad"; exit 1; }
 	$(BROAD_PYTHON)/bin/python test/broad $(BROAD) --out target/broad \
-	  --volant target/release/volant --table test/BROAD.md
+	  --volant target/release/volant --table test/BROAD.md --overwrite
 
 # Recordings whose files or messages are wrong in one thing, and what `volant check` names.
 checks: build

@@ -237,6 +237,44 @@ fn encoders_that_freeze_while_the_climber_moves_do_not_take_the_pose_with_them()
     assert!(far < FROZEN_FAR && beyond / count < FROZEN_BEYOND);
 }
 
+/// A climber that runs into its stop stands at once as frozen encoders do: images and IMU see it
+/// stand, and the encoders are used again.
+#[test]
+fn a_climber_that_runs_into_its_stop_keeps_its_encoders() {
+    for seed in 1..=8 {
+        for stop in [6.0, 7.0, 8.0] {
+            let motion = MotionConfig {
+                duration: stop + 6.0,
+                still_from: stop,
+                ramp: 0.02,
+                ..MotionConfig::nominal(seed)
+            };
+            let sensors = SensorConfig::nominal(seed);
+            let run = simulated::run(motion, &sensors);
+            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+            let inputs = run.inputs.iter().map(|(_, i)| i.clone());
+            let outputs = scoring::run(&mut fusion, inputs);
+            let doubted = |w: &&Warning| {
+                matches!(w, Warning::EncodersFrozen { .. } | Warning::EncodersSuspended { .. })
+            };
+            let count = outputs.warnings.iter().filter(doubted).count();
+            let (p, r, position, rotation) = judge(&outputs, &run, stop, stop + 5.0);
+            println!(
+                "seed {seed}, stop at {stop} s: suspended {count} times, beyond {:.1} % {:.1} %, \
+                 {:.2} mm {:.3}°",
+                100.0 * p,
+                100.0 * r,
+                position * 1e3,
+                rotation.to_degrees()
+            );
+            // The platform stands as suddenly: the IMU does not resolve it.
+            assert!(!fusion.status().encoders_suspended, "not used again");
+            assert!((1..=2).contains(&count), "suspended {count} times");
+            assert!(position < 0.003 && rotation < 0.3_f64.to_radians());
+        }
+    }
+}
+
 #[test]
 fn images_from_the_future_are_rejected_with_a_reason() {
     row(

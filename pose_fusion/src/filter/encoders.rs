@@ -2,6 +2,7 @@
 
 use super::Filter;
 use crate::{
+    ekf::state::CLIMBER_RATE,
     health::encoder_trust::Verdict,
     measurements::{
         Innovation,
@@ -15,6 +16,8 @@ use std::collections::VecDeque;
 
 /// A disturbance of the climber began at most this many readings before the one that reveals it.
 const DISTURBED_READINGS: usize = 2;
+/// A climber moves where its estimated rate is this many sigma from zero.
+const MOVES: f64 = 5.0;
 
 impl Filter {
     /// Responds to an encoder reading. Returns whether the time line was replaced.
@@ -65,9 +68,15 @@ impl Filter {
     ) -> bool {
         let timeout = self.setup.config.climber.step_timeout;
         let standing = self.climber.is_standing() || self.climber.stopped_at_once().is_some();
-        match self.trust.judge(at, innovation.nis, &innovation.residual, standing, timeout) {
+        let moves = self.history.get(place).is_some_and(|entry| {
+            let sigmas = entry.state.sigmas(CLIMBER_RATE);
+            (0..3).any(|i| entry.state.climber_rate[i].abs() > MOVES * sigmas[i])
+        });
+        let seen = (standing, moves);
+        match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {
             Verdict::Exclude => false,
             Verdict::Resume => {
+                self.climber.forget_stop();
                 if let Some(entry) = self.history.get_mut(place)
                     && let Event::Encoders { excluded, .. } = &mut entry.event
                 {
@@ -78,6 +87,7 @@ impl Filter {
                 false
             }
             Verdict::Adopt => {
+                self.climber.forget_stop();
                 self.publisher.counts.resets.encoder_steps += 1;
                 out.push_back(Output::Warning(Warning::EncoderStep { stamp: at }));
                 self.restart();
@@ -89,24 +99,22 @@ impl Filter {
 
     /// Suspends encoders of which one stopped harder than a drive brakes, with their newest reading
     /// at `at`. Where the climber has indeed run into something, images and IMU see it stand, and
-    /// the encoders are trusted again.
+    /// the encoders are trusted again; where they see it move, the encoders are refuted.
     pub(super) fn suspend_frozen_encoders(&mut self, at: Stamp, out: &mut VecDeque<Output>) {
         let (false, Some(since)) = (self.trust.is_suspended(), self.climber.stopped_at_once())
         else {
             return;
         };
-        let time_offset = self.time_offset() + self.setup.config.clock.climber_offset;
-        self.exclude_since(since.plus_seconds(time_offset));
+        self.exclude_since(since.plus_seconds(self.encoder_offset()));
         out.push_back(Output::Warning(Warning::EncodersFrozen { since }));
-        self.trust.refute(at);
+        self.trust.suspend(at);
     }
 
     /// Continues without encoders that stand, where the images contradict the prediction: they may
     /// be frozen while the climber drives. Returns whether it does.
     pub(super) fn try_without_encoders(&mut self, at: Stamp, out: &mut VecDeque<Output>) -> bool {
         let Some(since) = self.climber.standing_since() else { return false };
-        let climber_offset = self.setup.config.clock.climber_offset;
-        let from = since.plus_seconds(self.time_offset() + climber_offset);
+        let from = since.plus_seconds(self.encoder_offset());
         if !self.trust.tries_without(from, at) {
             return false;
         }
@@ -114,6 +122,11 @@ impl Filter {
         self.exclude_since(from);
         out.push_back(Output::Warning(Warning::EncodersFrozen { since }));
         true
+    }
+
+    /// Returns the offset to place an encoder reading on the IMU's time line with, s.
+    pub(super) fn encoder_offset(&self) -> f64 {
+        self.time_offset() + self.setup.config.clock.climber_offset
     }
 
     fn exclude(&mut self, place: usize) {
@@ -138,6 +151,7 @@ impl Filter {
         self.trust.suspend(at);
     }
 
+    /// Excludes the readings from an instant of the IMU's time line on, and processes it again.
     pub(super) fn exclude_since(&mut self, from: Stamp) {
         let first = self.history.place_of(from);
         for place in first..self.history.len() {

@@ -302,7 +302,7 @@ impl Filter {
         if self.climber.is_young() {
             self.reweigh_readings(&variance);
         }
-        let time_offset = self.time_offset() + self.setup.config.clock.climber_offset;
+        let time_offset = self.encoder_offset();
         let at = stamp.plus_seconds(time_offset);
         if self.start.is_started() && self.history.get(0).is_none_or(|first| at <= first.stamp) {
             self.publisher.counts.rejected.climber += 1;

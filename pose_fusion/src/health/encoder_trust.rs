@@ -82,17 +82,21 @@ impl EncoderTrust {
     }
 
     /// Judges a new reading at `at` with this NIS and residual (x, y, m; turn, rad) while the
-    /// encoders are suspended; `standing`: the newest readings are equal. `timeout` in s.
+    /// encoders are suspended; `standing`: the newest readings are equal, `moves`: the estimate of
+    /// the climber moves. `timeout` in s.
     pub fn judge(
         &mut self,
         at: Stamp,
         nis: f64,
         residual: &Vector3<f64>,
-        standing: bool,
+        (standing, moves): (bool, bool),
         timeout: f64,
     ) -> Verdict {
         let Some(since) = self.suspended else { return Verdict::Resume };
         (self.newest, self.residual) = (Some(at), *residual);
+        if standing && moves && at.seconds_since(since) > DISPUTED {
+            self.refuted = true;
+        }
         if self.refuted && !standing {
             (self.refuted, self.released) = (false, Some(at));
         }
@@ -129,7 +133,8 @@ impl EncoderTrust {
     pub fn tries_without(&mut self, since: Stamp, at: Stamp) -> bool {
         let tries = !self.is_suspended()
             && at.seconds_since(since) > STOOD
-            && self.tried.is_none_or(|tried| tried < since);
+            // A clock that was set back leaves a trial in the future.
+            && self.tried.is_none_or(|tried| tried < since || tried > at);
         if tries {
             self.tried = Some(at);
             self.refute(at);
@@ -148,25 +153,33 @@ mod tests {
         let off = Vector3::new(0.5, 0.0, 0.0);
         let mut trust = EncoderTrust::default();
         trust.suspend(at(0));
-        let verdicts =
-            [1.0, 1.0, 500.0, 1.0, 1.0].map(|nis| trust.judge(at(20), nis, &off, false, 3.0));
+        let verdicts = [1.0, 1.0, 500.0, 1.0, 1.0]
+            .map(|nis| trust.judge(at(20), nis, &off, (false, false), 3.0));
         assert_eq!(verdicts, [Verdict::Exclude; 5]);
-        assert_eq!(trust.judge(at(60), 1.0, &off, false, 3.0), Verdict::Resume);
+        assert_eq!(trust.judge(at(60), 1.0, &off, (false, false), 3.0), Verdict::Resume);
         assert!(!trust.is_suspended());
         trust.suspend(at(70));
         let frozen: Vec<Verdict> =
-            (0..60).map(|k| trust.judge(at(80 + 20 * k), 1.0, &off, true, 3.0)).collect();
+            (0..60).map(|k| trust.judge(at(80 + 20 * k), 1.0, &off, (true, false), 3.0)).collect();
         assert_eq!(frozen.iter().position(|v| *v == Verdict::Resume), Some(51));
         trust.suspend(at(100));
         trust.suspend(at(2000));
-        assert_eq!(trust.judge(at(2100), 1e6, &off, false, 3.0), Verdict::Exclude);
+        assert_eq!(trust.judge(at(2100), 1e6, &off, (false, false), 3.0), Verdict::Exclude);
         assert_eq!(trust.dispute(), Some(off));
         trust.refute(at(2200));
         assert_eq!(trust.dispute(), None);
+        // A climber that stands is adopted, one that moves has frozen encoders.
+        let mut stopped = EncoderTrust::default();
+        stopped.suspend(at(0));
+        let mut moving = stopped.clone();
+        assert_eq!(stopped.judge(at(4000), 1e6, &off, (true, false), 3.0), Verdict::Adopt);
+        assert_eq!(moving.judge(at(200), 1e6, &off, (true, true), 3.0), Verdict::Exclude);
+        assert_eq!(moving.judge(at(400), 1e6, &off, (true, true), 3.0), Verdict::Exclude);
+        assert_eq!(moving.judge(at(4000), 1e6, &off, (true, false), 3.0), Verdict::Exclude);
         // Frozen readings are never adopted; those that move again are right.
-        assert_eq!(trust.judge(at(9000), 1e6, &off, true, 3.0), Verdict::Exclude);
-        assert_eq!(trust.judge(at(9020), 1e6, &off, false, 30.0), Verdict::Exclude);
-        assert_eq!(trust.judge(at(9140), 1e6, &off, false, 30.0), Verdict::Adopt);
+        assert_eq!(trust.judge(at(9000), 1e6, &off, (true, false), 3.0), Verdict::Exclude);
+        assert_eq!(trust.judge(at(9020), 1e6, &off, (false, false), 30.0), Verdict::Exclude);
+        assert_eq!(trust.judge(at(9140), 1e6, &off, (false, false), 30.0), Verdict::Adopt);
         // Readings that stand are tried without once.
         assert!(
             !trust.tries_without(at(9900), at(10_000)) && trust.tries_without(at(9500), at(10_000))
@@ -176,5 +189,7 @@ mod tests {
             !trust.tries_without(at(9500), at(12_000))
                 && trust.tries_without(at(11_000), at(12_000))
         );
+        trust.reset();
+        assert!(trust.tries_without(at(5000), at(6000)), "the clock was set back");
     }
 }

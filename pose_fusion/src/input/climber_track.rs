@@ -163,6 +163,11 @@ impl ClimberTrack {
         self.stopped.iter().flatten().min().copied()
     }
 
+    /// Forgets that an axis stopped at once: the climber has been seen to stand.
+    pub fn forget_stop(&mut self) {
+        self.stopped = [None; 3];
+    }
+
     /// Looks for an axis that stopped at once, given a reading that is newer than the others: the
     /// third of equal ones, after two that moved the same way.
     fn note_stop(&mut self, newest: Stamp, values: &Vector3<f64>) {

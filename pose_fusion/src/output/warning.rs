@@ -130,11 +130,11 @@ pub enum Warning {
         /// Distance.
         distance_m: f64,
     },
-    /// The encoders have repeated one reading while the climber drove, or stopped harder than a
-    /// drive brakes.
+    /// The encoders repeat one reading while the images show that the climber moves, or one stopped
+    /// harder than a drive brakes.
     #[error(
-        "the encoders have stood since {since}, harder than a drive brakes or while the images show \
-         the climber move: frozen? they are not used until they agree again"
+        "the encoders repeat one reading since {since}: they stopped harder than a drive brakes, or \
+         the images show that the climber moves; frozen? they are not used until they agree again"
     )]
     EncodersFrozen {
         /// Beginning of the equal readings.
@@ -148,7 +148,7 @@ pub enum Warning {
     },
     /// The encoders have contradicted the estimate for too long and are adopted.
     #[error(
-        "the encoders at {stamp} contradict the estimate still, after climber.step_timeout or after \
+        "the encoders at {stamp} still contradict the estimate, after climber.step_timeout or after \
          they were frozen; they are adopted and the pose reinitializes: were they homed?"
     )]
     EncoderStep {
