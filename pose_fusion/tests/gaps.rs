@@ -17,47 +17,8 @@ use common::{
 use pose_fusion::{
     Fusion, FusionConfig, Input, MarkerOutcome, Output, PendulumConfig, PoseState, Warning,
 };
-use rig_model::{
-    MarkerColor,
-    score::{Nees, PoseError},
-};
+use rig_model::MarkerColor;
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
-
-/// 0.9999 quantile of χ² with 3 degrees of freedom.
-const BEYOND: f64 = 21.1;
-
-/// Largest error (m) while encoders are frozen and until two seconds later, and share of the odometry
-/// beyond the gate: they are found after half a second at the latest.
-const FROZEN_FAR: f64 = 0.1;
-const FROZEN_BEYOND: f64 = 0.02;
-
-/// Share of the odometry from `from` to `to` beyond the gate (position, rotation), and the errors
-/// at the end (m, rad).
-fn judge(outputs: &Outputs, run: &simulated::Run, from: f64, to: f64) -> (f64, f64, f64, f64) {
-    let epoch = SensorConfig::nominal(0).epoch;
-    let (mut count, mut beyond, mut last) = (0.0, [0.0; 2], (0.0, 0.0));
-    for o in &outputs.odometry {
-        let t = o.stamp.seconds_since(epoch);
-        if !(from..to).contains(&t) {
-            continue;
-        }
-        let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
-        let error = PoseError::new(&o.world_from_volant, &truth);
-        count += 1.0;
-        for (k, nees) in Nees::pair(&error, &o.pose_covariance).into_iter().enumerate() {
-            beyond[k] += f64::from(u8::from(nees > BEYOND));
-        }
-        last = (error.position.norm(), error.rotation.norm());
-    }
-    assert!(count > 0.0, "no output");
-    (beyond[0] / count, beyond[1] / count, last.0, last.1)
-}
-
-fn motions() -> Vec<(u64, MotionConfig)> {
-    let n = |seed| MotionConfig { duration: 14.0, ..MotionConfig::nominal(seed) };
-    let f = |seed| MotionConfig { duration: 14.0, ..MotionConfig::fast_swing(seed) };
-    (1..=3).flat_map(|seed| [(seed, n(seed)), (seed + 10, f(seed))]).collect()
-}
 
 /// The inputs go through `change` with their times of arrival (s); checks the second after `end`,
 /// and the state after two.
@@ -68,7 +29,7 @@ fn row(
     also: impl Fn(&Outputs, &Fusion),
 ) {
     let mut shares = [0.0; 2];
-    let motions = motions();
+    let motions = simulated::motions();
     for (seed, motion) in &motions {
         let sensors = SensorConfig::nominal(*seed);
         let run = simulated::run(motion.clone(), &sensors);
@@ -76,8 +37,8 @@ fn row(
             run.inputs.iter().map(|(at, i)| (at.seconds_since(sensors.epoch), i.clone())).collect();
         let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
         let outputs = scoring::run(&mut fusion, change(inputs).into_iter().map(|(_, i)| i));
-        let (p, r, _, _) = judge(&outputs, &run, end, end + 1.0);
-        let (_, _, position, rotation) = judge(&outputs, &run, end + 1.0, end + 2.0);
+        let (p, r, _, _) = scoring::judge(&outputs, &run, end, end + 1.0);
+        let (_, _, position, rotation) = scoring::judge(&outputs, &run, end + 1.0, end + 2.0);
         println!(
             "{name} seed {seed}: beyond {:.1} % {:.1} %, two seconds later {:.2} mm {:.3}°",
             100.0 * p,
@@ -179,99 +140,6 @@ fn three_seconds_without_encoders_stay_consistent() {
             },
             |_, _| {},
         );
-    }
-}
-
-/// The encoders repeat one reading for two seconds, from instants at which the climber drives, turns
-/// around or stands.
-#[test]
-fn encoders_that_freeze_while_the_climber_moves_do_not_take_the_pose_with_them() {
-    let (mut far, mut count, mut beyond) = (0.0_f64, 0.0, 0.0);
-    for begin in [3.0, 4.0, 5.0, 6.0, 7.0, 8.0] {
-        let frozen = begin..begin + 2.0;
-        let freeze = |inputs: Vec<(f64, Input)>| {
-            let mut held = None;
-            let one = |(at, mut input): (f64, Input)| {
-                if let (Input::Climber(sample), true) = (&mut input, frozen.contains(&at)) {
-                    sample.world_from_climber = *held.get_or_insert(sample.world_from_climber);
-                }
-                (at, input)
-            };
-            inputs.into_iter().map(one).collect::<Vec<_>>()
-        };
-        for (seed, motion) in motions() {
-            let sensors = SensorConfig::nominal(seed);
-            let run = simulated::run(motion, &sensors);
-            let inputs =
-                run.inputs.iter().map(|(at, i)| (at.seconds_since(sensors.epoch), i.clone()));
-            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-            let inputs = freeze(inputs.collect());
-            let outputs = scoring::run(&mut fusion, inputs.into_iter().map(|(_, i)| i));
-            let (mut worst, mut wrong) = (0.0_f64, 0.0);
-            for o in &outputs.odometry {
-                let t = o.stamp.seconds_since(sensors.epoch);
-                if !(begin..begin + 4.0).contains(&t) {
-                    continue;
-                }
-                let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
-                let error = PoseError::new(&o.world_from_volant, &truth);
-                let nees = Nees::pair(&error, &o.pose_covariance);
-                worst = worst.max(error.position.norm());
-                wrong += f64::from(u8::from(nees.iter().any(|n| *n > BEYOND)));
-                count += 1.0;
-            }
-            let (_, _, position, rotation) = judge(&outputs, &run, begin + 3.0, begin + 4.0);
-            println!(
-                "frozen from {begin} s, seed {seed}: at most {:.0} mm off, {:.2} s beyond the gate, two seconds \
-                 later {:.2} mm {:.3}°",
-                worst * 1e3,
-                wrong * 0.01,
-                position * 1e3,
-                rotation.to_degrees()
-            );
-            assert!(position < 0.01 && rotation < 1.0_f64.to_radians(), "not back");
-            (far, beyond) = (far.max(worst), beyond + wrong);
-        }
-    }
-    println!("at most {:.0} mm off, {:.1} % beyond the gate", far * 1e3, 100.0 * beyond / count);
-    assert!(far < FROZEN_FAR && beyond / count < FROZEN_BEYOND);
-}
-
-/// A climber that runs into its stop stands at once as frozen encoders do: images and IMU see it
-/// stand, and the encoders are used again.
-#[test]
-fn a_climber_that_runs_into_its_stop_keeps_its_encoders() {
-    for seed in 1..=8 {
-        for stop in [6.0, 7.0, 8.0] {
-            let motion = MotionConfig {
-                duration: stop + 6.0,
-                still_from: stop,
-                ramp: 0.02,
-                ..MotionConfig::nominal(seed)
-            };
-            let sensors = SensorConfig::nominal(seed);
-            let run = simulated::run(motion, &sensors);
-            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-            let inputs = run.inputs.iter().map(|(_, i)| i.clone());
-            let outputs = scoring::run(&mut fusion, inputs);
-            let doubted = |w: &&Warning| {
-                matches!(w, Warning::EncodersFrozen { .. } | Warning::EncodersSuspended { .. })
-            };
-            let count = outputs.warnings.iter().filter(doubted).count();
-            let (p, r, position, rotation) = judge(&outputs, &run, stop, stop + 5.0);
-            println!(
-                "seed {seed}, stop at {stop} s: suspended {count} times, beyond {:.1} % {:.1} %, \
-                 {:.2} mm {:.3}°",
-                100.0 * p,
-                100.0 * r,
-                position * 1e3,
-                rotation.to_degrees()
-            );
-            // The platform stands as suddenly: the IMU does not resolve it.
-            assert!(!fusion.status().encoders_suspended, "not used again");
-            assert!((1..=2).contains(&count), "suspended {count} times");
-            assert!(position < 0.003 && rotation < 0.3_f64.to_radians());
-        }
     }
 }
 

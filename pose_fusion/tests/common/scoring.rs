@@ -58,3 +58,30 @@ pub fn score(odometry: &[Odometry], truth: &Truth, from: f64) -> Score {
     }
     score
 }
+
+/// Share of the odometry from `from` to `to` beyond the gate (position, rotation), and the errors
+/// at the end (m, rad).
+pub fn judge(
+    outputs: &Outputs,
+    run: &super::simulated::Run,
+    from: f64,
+    to: f64,
+) -> (f64, f64, f64, f64) {
+    let epoch = rig_simulator::inertial::SensorConfig::nominal(0).epoch;
+    let (mut count, mut beyond, mut last) = (0.0, [0.0; 2], (0.0, 0.0));
+    for o in &outputs.odometry {
+        let t = o.stamp.seconds_since(epoch);
+        if !(from..to).contains(&t) {
+            continue;
+        }
+        let truth = pose_at(&run.truth, o.stamp).unwrap();
+        let error = PoseError::new(&o.world_from_volant, &truth);
+        count += 1.0;
+        for (k, nees) in Nees::pair(&error, &o.pose_covariance).into_iter().enumerate() {
+            beyond[k] += f64::from(u8::from(nees > super::laps::BEYOND));
+        }
+        last = (error.position.norm(), error.rotation.norm());
+    }
+    assert!(count > 0.0, "no output");
+    (beyond[0] / count, beyond[1] / count, last.0, last.1)
+}

@@ -59,3 +59,10 @@ pub fn run(motion: MotionConfig, sensors: &SensorConfig) -> Run {
         .collect();
     Run { motion, inputs, truth: Truth::new(truth) }
 }
+
+/// Six motions of 14 s, each with its seed: a swing and a fast swing in turns.
+pub fn motions() -> Vec<(u64, MotionConfig)> {
+    let n = |seed| MotionConfig { duration: 14.0, ..MotionConfig::nominal(seed) };
+    let f = |seed| MotionConfig { duration: 14.0, ..MotionConfig::fast_swing(seed) };
+    (1..=3).flat_map(|seed| [(seed, n(seed)), (seed + 10, f(seed))]).collect()
+}

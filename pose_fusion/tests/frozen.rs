@@ -1,0 +1,113 @@
+//! Encoders that freeze, and a climber that runs into its stop and looks like that.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::panic,
+    reason = "a test"
+)]
+mod common;
+
+use common::{laps, scoring, simulated};
+use pose_fusion::{Fusion, FusionConfig, Input, Warning};
+use rig_model::score::{Nees, PoseError};
+use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
+
+/// Largest error (m) while encoders are frozen and until two seconds later, and share of the odometry
+/// beyond the gate: they are found after half a second at the latest.
+const FROZEN_FAR: f64 = 0.1;
+const FROZEN_BEYOND: f64 = 0.02;
+
+/// The encoders repeat one reading for two seconds, from instants at which the climber drives, turns
+/// around or stands.
+#[test]
+fn encoders_that_freeze_while_the_climber_moves_do_not_take_the_pose_with_them() {
+    let (mut far, mut count, mut beyond) = (0.0_f64, 0.0, 0.0);
+    for begin in [3.0, 4.0, 5.0, 6.0, 7.0, 8.0] {
+        let frozen = begin..begin + 2.0;
+        let freeze = |inputs: Vec<(f64, Input)>| {
+            let mut held = None;
+            let one = |(at, mut input): (f64, Input)| {
+                if let (Input::Climber(sample), true) = (&mut input, frozen.contains(&at)) {
+                    sample.world_from_climber = *held.get_or_insert(sample.world_from_climber);
+                }
+                (at, input)
+            };
+            inputs.into_iter().map(one).collect::<Vec<_>>()
+        };
+        for (seed, motion) in simulated::motions() {
+            let sensors = SensorConfig::nominal(seed);
+            let run = simulated::run(motion, &sensors);
+            let inputs =
+                run.inputs.iter().map(|(at, i)| (at.seconds_since(sensors.epoch), i.clone()));
+            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+            let inputs = freeze(inputs.collect());
+            let outputs = scoring::run(&mut fusion, inputs.into_iter().map(|(_, i)| i));
+            let (mut worst, mut wrong) = (0.0_f64, 0.0);
+            for o in &outputs.odometry {
+                let t = o.stamp.seconds_since(sensors.epoch);
+                if !(begin..begin + 4.0).contains(&t) {
+                    continue;
+                }
+                let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
+                let error = PoseError::new(&o.world_from_volant, &truth);
+                let nees = Nees::pair(&error, &o.pose_covariance);
+                worst = worst.max(error.position.norm());
+                wrong += f64::from(u8::from(nees.iter().any(|n| *n > laps::BEYOND)));
+                count += 1.0;
+            }
+            let (_, _, position, rotation) =
+                scoring::judge(&outputs, &run, begin + 3.0, begin + 4.0);
+            println!(
+                "frozen from {begin} s, seed {seed}: at most {:.0} mm off, {:.2} s beyond the gate, two seconds \
+                 later {:.2} mm {:.3}°",
+                worst * 1e3,
+                wrong * 0.01,
+                position * 1e3,
+                rotation.to_degrees()
+            );
+            assert!(position < 0.01 && rotation < 1.0_f64.to_radians(), "not back");
+            (far, beyond) = (far.max(worst), beyond + wrong);
+        }
+    }
+    println!("at most {:.0} mm off, {:.1} % beyond the gate", far * 1e3, 100.0 * beyond / count);
+    assert!(far < FROZEN_FAR && beyond / count < FROZEN_BEYOND);
+}
+
+/// A climber that runs into its stop stands at once as frozen encoders do: images and IMU see it
+/// stand, and the encoders are used again.
+#[test]
+fn a_climber_that_runs_into_its_stop_keeps_its_encoders() {
+    for seed in 1..=8 {
+        for stop in [6.0, 7.0, 8.0] {
+            let motion = MotionConfig {
+                duration: stop + 6.0,
+                still_from: stop,
+                ramp: 0.02,
+                ..MotionConfig::nominal(seed)
+            };
+            let sensors = SensorConfig::nominal(seed);
+            let run = simulated::run(motion, &sensors);
+            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+            let inputs = run.inputs.iter().map(|(_, i)| i.clone());
+            let outputs = scoring::run(&mut fusion, inputs);
+            let doubted = |w: &&Warning| {
+                matches!(w, Warning::EncodersFrozen { .. } | Warning::EncodersSuspended { .. })
+            };
+            let count = outputs.warnings.iter().filter(doubted).count();
+            let (p, r, position, rotation) = scoring::judge(&outputs, &run, stop, stop + 5.0);
+            println!(
+                "seed {seed}, stop at {stop} s: suspended {count} times, beyond {:.1} % {:.1} %, \
+                 {:.2} mm {:.3}°",
+                100.0 * p,
+                100.0 * r,
+                position * 1e3,
+                rotation.to_degrees()
+            );
+            // The platform stands as suddenly: the IMU does not resolve it.
+            assert!(!fusion.status().encoders_suspended, "not used again");
+            assert!((1..=2).contains(&count), "suspended {count} times");
+            assert!(position < 0.003 && rotation < 0.3_f64.to_radians());
+        }
+    }
+}
