@@ -1,7 +1,7 @@
 //! A recording, its faults, and whether a check names them.
 
 use super::{fault::Fault, light::findings_while_running};
-use crate::robustness::recording::Recording;
+use crate::robustness::recording::{PERTURBED_FROM, Recording};
 use marker_tracker::TrackerConfig;
 use nalgebra::Vector3;
 use pose_fusion::Input;
@@ -108,7 +108,8 @@ impl Bench {
             linear_velocity: Vector3::zeros(),
             angular_velocity: Vector3::zeros(),
         }]);
-        Self::new(Recording { name: format!("simulated {seed}"), rig, inputs, truth }, None)
+        let name = format!("simulated {seed}");
+        Self::new(Recording { name, rig, inputs, truth, perturbed_from: PERTURBED_FROM }, None)
     }
 
     fn new(recording: Recording, images: Option<PathBuf>) -> anyhow::Result<Self> {

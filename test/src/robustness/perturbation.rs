@@ -7,10 +7,7 @@ use rig_model::{CameraModel, Stamp};
 use rig_simulator::random::Random;
 use std::fmt;
 
-/// Beginning of what lasts for a while, s after the first truth.
-pub const FROM: f64 = 5.0;
-
-/// One change. Intervals begin [`FROM`] seconds after the first truth.
+/// One change. What lasts for a while begins at [`Recording::perturbed_from`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Perturbation {
     /// Gyroscope scale error, relative.
@@ -147,7 +144,7 @@ impl Perturbation {
 
     /// Applies the change to a recording.
     pub fn apply(&self, recording: &mut Recording) {
-        let from = recording.start().plus_seconds(FROM);
+        let from = recording.start().plus_seconds(recording.perturbed_from);
         let lasts = self.duration();
         let within = |stamp: Stamp| (0.0..lasts.max(1e-9)).contains(&stamp.seconds_since(from));
         let radians = |degrees: f64| degrees.to_radians();

@@ -18,7 +18,12 @@ pub struct Recording {
     pub inputs: Vec<(Stamp, Input)>,
     /// True motion.
     pub truth: Truth,
+    /// When a perturbation that lasts for a while begins, s after the first truth.
+    pub perturbed_from: f64,
 }
+
+/// When a perturbation begins unless another instant is asked for, s after the first truth.
+pub const PERTURBED_FROM: f64 = 5.0;
 
 impl Recording {
     /// Reads a folder with `in.mcap`, `rig.yaml`, `truth.mcap` and `truth_markers.csv`.
@@ -46,7 +51,13 @@ impl Recording {
             (at, input)
         };
         let name = folder.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned());
-        Ok(Self { name, rig, inputs: samples.into_iter().map(input).collect(), truth })
+        Ok(Self {
+            name,
+            rig,
+            inputs: samples.into_iter().map(input).collect(),
+            truth,
+            perturbed_from: PERTURBED_FROM,
+        })
     }
 
     /// Returns the stamp of the first truth.

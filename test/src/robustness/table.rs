@@ -2,7 +2,7 @@
 //! allowed error.
 
 use super::{
-    perturbation::{FROM, Perturbation, TABLE},
+    perturbation::{Perturbation, TABLE},
     recording::Recording,
     score::{self, Figures, Scored},
 };
@@ -87,7 +87,8 @@ fn begin(recording: &Recording) -> f64 {
 fn figures(scored: &Scored, recording: &Recording, perturbation: &Perturbation) -> [Figures; 2] {
     let from = begin(recording);
     let duration = Some(perturbation.duration()).filter(|d| d.is_finite()).unwrap_or(0.0);
-    [scored.figures(from, f64::INFINITY), scored.figures(FROM + duration + SETTLED, f64::INFINITY)]
+    let settled = recording.perturbed_from + duration + SETTLED;
+    [scored.figures(from, f64::INFINITY), scored.figures(settled, f64::INFINITY)]
 }
 
 fn catastrophe(scored: &Scored, whole: &Figures) -> Option<String> {

@@ -15,7 +15,7 @@ use std::{
 };
 use volant_test::robustness::{
     perturbation::{Perturbation, TABLE},
-    recording::Recording,
+    recording::{PERTURBED_FROM, Recording},
     table::{self, Bench},
 };
 
@@ -32,6 +32,9 @@ pub(crate) struct Arguments {
     /// Only recordings whose name contains this text
     #[arg(long)]
     only: Option<String>,
+    /// When what lasts for a while begins, s after the first truth
+    #[arg(long, default_value_t = PERTURBED_FROM)]
+    from: f64,
     /// Also every pair of perturbations
     #[arg(long)]
     pairs: bool,
@@ -150,8 +153,13 @@ fn read(arguments: &Arguments) -> Result<Vec<Bench>> {
         let replay =
             |markers: &PathBuf| Some(markers.join(folder.file_name()?).with_extension("mcap"));
         let markers = arguments.markers.as_ref().and_then(replay).filter(|path| path.is_file());
-        let recording = Recording::read(folder, markers.as_deref())
+        let mut recording = Recording::read(folder, markers.as_deref())
             .map_err(|e| anyhow::anyhow!("{}: {e}", folder.display()))?;
+        let end = recording.truth.span().map_or(0.0, |(first, last)| last.seconds_since(first));
+        if !(0.0..end).contains(&arguments.from) {
+            bail!("--from {}: {} lasts from 0 to {end:.1} s", arguments.from, folder.display());
+        }
+        recording.perturbed_from = arguments.from;
         benches.push(Bench::new(recording, FusionConfig::default()));
     }
     if benches.is_empty() {
