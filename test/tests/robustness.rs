@@ -61,6 +61,29 @@ fn one_perturbation_stays_within_its_bound() {
     }
 }
 
+/// Wrong readings while the filter initializes and while it finds the camera's time offset.
+#[test]
+fn an_encoder_that_is_wrong_while_the_filter_starts_stays_within_its_bound() {
+    let wrong = |p: &Perturbation| matches!(p, Perturbation::EncoderOff(..));
+    for name in BAGS {
+        let Some(folder) = test_support::recordings() else { return };
+        let recording = Recording::read(&folder.join("bags").join(name), None).unwrap();
+        for from in [0.5, 1.0, 1.5, 2.0, 2.5] {
+            let recording = Recording { perturbed_from: from, ..recording.clone() };
+            let bench = Bench::new(recording, FusionConfig::default());
+            for perturbation in TABLE.iter().filter(|p| wrong(p)) {
+                let cell = bench.single(perturbation);
+                assert_eq!(cell.catastrophe, None, "{name}: {perturbation} from {from} s");
+                assert!(
+                    cell.failures.is_empty(),
+                    "{name}: {perturbation} from {from} s: {:?}",
+                    cell.failures
+                );
+            }
+        }
+    }
+}
+
 #[test]
 fn two_perturbations_keep_the_pose_bounded() {
     for name in ["nominal", "fast_swing"] {

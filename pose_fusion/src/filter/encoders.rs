@@ -3,7 +3,7 @@
 use super::Filter;
 use crate::{
     ekf::state::CLIMBER_RATE,
-    health::encoder_trust::Verdict,
+    health::encoder_trust::{Cause, Verdict},
     measurements::{
         Innovation,
         encoders::{self, CONTRADICTION},
@@ -107,7 +107,7 @@ impl Filter {
         };
         self.exclude_since(since.plus_seconds(self.encoder_offset()));
         out.push_back(Output::Warning(Warning::EncodersFrozen { since }));
-        self.trust.suspend(at);
+        self.trust.suspend(at, Cause::Stop);
     }
 
     /// Continues without encoders that stand, where the images contradict the prediction: they may
@@ -148,7 +148,8 @@ impl Filter {
             let distance_m = innovation.residual.xy().norm();
             out.push_back(Output::Warning(Warning::EncodersSuspended { stamp: at, distance_m }));
         }
-        self.trust.suspend(at);
+        let leap = self.climber.leaps_near(at.plus_seconds(-self.encoder_offset()));
+        self.trust.suspend(at, if leap { Cause::Leap } else { Cause::Contradiction });
     }
 
     /// Excludes the readings from an instant of the IMU's time line on, and processes it again.

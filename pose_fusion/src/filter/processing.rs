@@ -7,6 +7,7 @@ use crate::{
         state::{TIME_OFFSET, VELOCITY},
     },
     health::{
+        encoder_trust::Cause,
         lock_out::{Response, SUSPECT},
         sanity,
     },
@@ -218,7 +219,7 @@ impl Filter {
         if let (false, Some(from)) = (self.trust.is_suspended(), disturbed) {
             self.exclude_since(from);
             out.push_back(Output::Warning(Warning::EncodersFrozen { since: from }));
-            self.trust.refute(at);
+            self.trust.suspend(at, Cause::Frozen);
             return false;
         }
         if repeated {

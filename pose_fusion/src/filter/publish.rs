@@ -297,11 +297,21 @@ impl Filter {
                 topics::IMU,
                 self.setup.config.gravity
             )
+        } else if missing.is_empty() && self.leaps() {
+            format!(
+                "{}: the readings leap further than a climber moves: encoder, scale, second \
+                 publisher?",
+                topics::CLIMBER_TRANSFORM
+            )
         } else if missing.is_empty() {
             "no image with three markers that fit together".to_owned()
         } else {
             format!("no message on {}", missing.join(", "))
         }
+    }
+
+    fn leaps(&self) -> bool {
+        self.climber.newest().is_some_and(|(newest, _, _)| self.climber.leaps_near(*newest))
     }
 
     /// Returns the uncertainty of the time offset beside the state's, while it is searched, s.

@@ -208,8 +208,9 @@ impl Filter {
             matches!(e.event, Event::Imu { .. }) && e.stamp <= at
         };
         let measured = absent || self.history.iter().any(is_imu_before);
-        let climber = self.climber.at(stamp.plus_seconds(self.setup.config.clock.climber_offset));
-        let climber = climber.filter(|c| c.distance <= NEAR);
+        let read = stamp.plus_seconds(self.setup.config.clock.climber_offset);
+        let climber = self.climber.at(read).filter(|c| c.distance <= NEAR);
+        let climber = climber.filter(|_| !self.climber.leaps_near(read));
         let (Some(climber), Some(geometry)) = (climber, &self.setup.geometry) else {
             return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
         };

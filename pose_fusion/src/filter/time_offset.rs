@@ -4,6 +4,7 @@
 use super::{Filter, starting::OFFSET_SIGMA};
 use crate::{
     ekf::{propagation::ImuReading, state::TIME_OFFSET},
+    health::encoder_trust::Cause,
     initialization::{
         from_image,
         time_offset::{FINAL, TimeOffset, WINDOW},
@@ -44,8 +45,9 @@ impl Filter {
         let (Some(geometry), Some(mut search)) = (&self.setup.geometry, self.search.take()) else {
             return;
         };
-        if self.trust.is_suspended() && self.start.searches_again {
-            // Image poses are as wrong as the encoders that they are computed with.
+        if self.trust.cause().is_some_and(|cause| cause != Cause::Contradiction) {
+            // Image poses are as wrong as the encoders that they are computed with. A contradiction
+            // may as well come from the time offset.
             search.clear();
         } else if let Some((pose, covariance)) = self.image_pose(stamp, pixels) {
             search.add_pose(stamp, &pose, &covariance);
@@ -118,8 +120,9 @@ impl Filter {
         pixels: &Pixels,
     ) -> Option<(nalgebra::Isometry3<f64>, Matrix6<f64>)> {
         let geometry = self.setup.geometry.as_ref()?;
-        let climber = self.climber.at(stamp.plus_seconds(self.setup.config.clock.climber_offset))?;
-        if climber.distance > 0.05 {
+        let read = stamp.plus_seconds(self.setup.config.clock.climber_offset);
+        let climber = self.climber.at(read)?;
+        if climber.distance > 0.05 || self.climber.leaps_near(read) {
             return None;
         }
         let world_from_climber = climber.rest.join(&climber.values);

@@ -38,18 +38,29 @@ pub enum Verdict {
     Adopt,
 }
 
+/// Why the encoders are suspended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cause {
+    /// They and the estimate contradict each other; which of the two is wrong is not known.
+    Contradiction,
+    /// Their readings leapt further than a climber moves.
+    Leap,
+    /// One stopped harder than a drive brakes: it is frozen, or the climber ran into something.
+    Stop,
+    /// They are frozen while the climber drives: the estimate is right.
+    Frozen,
+}
+
 /// Whether the encoders are trusted.
 #[derive(Clone, Debug, Default)]
 pub struct EncoderTrust {
-    suspended: Option<Stamp>,
+    suspended: Option<(Stamp, Cause)>,
     consistent: u32,
     consistent_since: Option<Stamp>,
     /// Newest reading minus estimate: x, y (m), turn (rad).
     residual: Vector3<f64>,
     newest: Option<Stamp>,
-    /// It is known that the encoders are wrong, and not the estimate: they are frozen …
-    refuted: bool,
-    /// … until this reading.
+    /// First reading that moves again after they were frozen.
     released: Option<Stamp>,
     /// Last time that readings which stand were tried without.
     tried: Option<Stamp>,
@@ -61,24 +72,26 @@ impl EncoderTrust {
         self.suspended.is_some()
     }
 
-    /// Suspends the encoders at a reading.
-    pub fn suspend(&mut self, at: Stamp) {
-        self.suspended.get_or_insert(at);
-        (self.consistent, self.consistent_since) = (0, None);
+    /// Returns why the encoders are suspended.
+    pub fn cause(&self) -> Option<Cause> {
+        self.suspended.map(|(_, cause)| cause)
     }
 
-    /// Suspends encoders that are wrong, and not the estimate: images have shown it, or one froze
-    /// while the climber drove.
-    pub fn refute(&mut self, at: Stamp) {
-        self.suspend(at);
-        self.refuted = true;
+    /// Suspends the encoders at a reading. Suspended ones keep their cause unless they are frozen.
+    pub fn suspend(&mut self, at: Stamp, cause: Cause) {
+        let suspended = self.suspended.get_or_insert((at, cause));
+        if cause == Cause::Frozen {
+            suspended.1 = cause;
+        }
+        (self.consistent, self.consistent_since) = (0, None);
     }
 
     /// Returns by how much encoders and estimate contradict each other, x, y (m) and turn (rad),
     /// once it is not known which is wrong.
     pub fn dispute(&self) -> Option<Vector3<f64>> {
-        let lasts = self.newest?.seconds_since(self.suspended?);
-        (lasts > DISPUTED && !self.refuted).then_some(self.residual)
+        let (since, cause) = self.suspended?;
+        let lasts = self.newest?.seconds_since(since);
+        (lasts > DISPUTED && cause != Cause::Frozen).then_some(self.residual)
     }
 
     /// Judges a new reading at `at` with this NIS and residual (x, y, m; turn, rad) while the
@@ -92,14 +105,17 @@ impl EncoderTrust {
         (standing, moves): (bool, bool),
         timeout: f64,
     ) -> Verdict {
-        let Some(since) = self.suspended else { return Verdict::Resume };
+        let Some((since, cause)) = &mut self.suspended else { return Verdict::Resume };
         (self.newest, self.residual) = (Some(at), *residual);
+        let since = *since;
         if standing && moves && at.seconds_since(since) > DISPUTED {
-            self.refuted = true;
+            *cause = Cause::Frozen;
         }
-        if self.refuted && !standing {
-            (self.refuted, self.released) = (false, Some(at));
+        if *cause == Cause::Frozen && !standing {
+            *cause = Cause::Stop;
+            self.released = Some(at);
         }
+        let frozen = *cause == Cause::Frozen;
         if nis < GATE {
             self.consistent += 1;
             self.consistent_since.get_or_insert(at);
@@ -111,7 +127,7 @@ impl EncoderTrust {
             self.reset();
             Verdict::Resume
         } else if self.consistent == 0
-            && !self.refuted
+            && !frozen
             && (at.seconds_since(since) > timeout
                 || self.released.is_some_and(|released| at.seconds_since(released) > RELEASED))
         {
@@ -137,7 +153,7 @@ impl EncoderTrust {
             && self.tried.is_none_or(|tried| tried < since || tried > at);
         if tries {
             self.tried = Some(at);
-            self.refute(at);
+            self.suspend(at, Cause::Frozen);
         }
         tries
     }
@@ -152,25 +168,25 @@ mod tests {
         let at = |ms: i64| Stamp::from_nanos(ms * 1_000_000);
         let off = Vector3::new(0.5, 0.0, 0.0);
         let mut trust = EncoderTrust::default();
-        trust.suspend(at(0));
+        trust.suspend(at(0), Cause::Contradiction);
         let verdicts = [1.0, 1.0, 500.0, 1.0, 1.0]
             .map(|nis| trust.judge(at(20), nis, &off, (false, false), 3.0));
         assert_eq!(verdicts, [Verdict::Exclude; 5]);
         assert_eq!(trust.judge(at(60), 1.0, &off, (false, false), 3.0), Verdict::Resume);
         assert!(!trust.is_suspended());
-        trust.suspend(at(70));
+        trust.suspend(at(70), Cause::Contradiction);
         let frozen: Vec<Verdict> =
             (0..60).map(|k| trust.judge(at(80 + 20 * k), 1.0, &off, (true, false), 3.0)).collect();
         assert_eq!(frozen.iter().position(|v| *v == Verdict::Resume), Some(51));
-        trust.suspend(at(100));
-        trust.suspend(at(2000));
+        trust.suspend(at(100), Cause::Contradiction);
+        trust.suspend(at(2000), Cause::Contradiction);
         assert_eq!(trust.judge(at(2100), 1e6, &off, (false, false), 3.0), Verdict::Exclude);
         assert_eq!(trust.dispute(), Some(off));
-        trust.refute(at(2200));
+        trust.suspend(at(2200), Cause::Frozen);
         assert_eq!(trust.dispute(), None);
         // A climber that stands is adopted, one that moves has frozen encoders.
         let mut stopped = EncoderTrust::default();
-        stopped.suspend(at(0));
+        stopped.suspend(at(0), Cause::Contradiction);
         let mut moving = stopped.clone();
         assert_eq!(stopped.judge(at(4000), 1e6, &off, (true, false), 3.0), Verdict::Adopt);
         assert_eq!(moving.judge(at(200), 1e6, &off, (true, true), 3.0), Verdict::Exclude);

@@ -28,6 +28,8 @@ const STANDING: usize = 3;
 const BRAKES: [f64; 3] = [3.0, 3.0, 2.0];
 /// A climber stops at once where it would have moved by more encoder steps than this.
 const STOPPED_STEPS: f64 = 3.0;
+/// Readings leap where they differ by more than this (m, m, rad) beside three sigma of the speed.
+const LEAP: f64 = 0.05;
 /// NIS above which the climber's jerk is larger than assumed.
 const LARGE_JERK: f64 = 10.0;
 /// Factor on the jerk of a climber that stands: it will set off.
@@ -155,6 +157,19 @@ impl ClimberTrack {
         let (_, last, _) = self.readings.back()?;
         let equal = self.readings.iter().rev().take_while(|(_, values, _)| values == last);
         equal.last().map(|(at, _, _)| *at)
+    }
+
+    /// Returns whether readings near an instant leap further than a climber moves: neither places
+    /// nor rates follow from them.
+    pub fn leaps_near(&self, stamp: Stamp) -> bool {
+        let near = |at: &Stamp| at.seconds_since(stamp).abs() < NEAR;
+        let pairs = self.readings.iter().zip(self.readings.iter().skip(1));
+        pairs.filter(|(a, b)| near(&a.0) || near(&b.0)).any(|(a, b)| {
+            let mut way = b.1 - a.1;
+            way.z = wrap_angle(way.z);
+            let lasts = b.0.seconds_since(a.0);
+            (0..3).any(|i| way[i].abs() > LEAP + 3.0 * SPEED[i] * lasts)
+        })
     }
 
     /// Returns since when an encoder has repeated one value at which a moving climber stopped
@@ -341,6 +356,29 @@ mod tests {
         assert_eq!(stopped(&|t| 0.3 * (t / 0.1).floor() * 0.1, &still), None);
         // Encoders that are set to another value while the climber stands.
         assert_eq!(stopped(&|t| if t < 1.0 { 0.3 } else { 1.3 }, &still), None);
+    }
+
+    #[test]
+    fn readings_that_leap_are_told_from_those_of_a_fast_climber() {
+        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
+        // Readings every 20 ms, and instants near which they leap.
+        let leaps = |values: &dyn Fn(f64) -> Vector3<f64>| {
+            let mut track = ClimberTrack::new(&ClimberConfig::default());
+            for i in 0..100 {
+                let t = f64::from(i) * 0.02;
+                track.add(start.plus_seconds(t), values(t), rest);
+            }
+            let found = |i: &i32| track.leaps_near(start.plus_seconds(f64::from(*i) * 0.02));
+            (0..100).filter(found).collect::<Vec<_>>()
+        };
+        let fast = |t: f64| Vector3::new(1.4 * t, -1.4 * t, wrap_angle(3.0 + t));
+        assert_eq!(leaps(&fast), Vec::<i32>::new());
+        // One reading at 1 s, a step of the turn at 1 s.
+        let wrong = |t: f64| if (t - 1.0).abs() < 1e-6 { 100.0 } else { 0.0 };
+        assert_eq!(leaps(&|t| fast(t) + Vector3::x() * wrong(t)), (37..=63).collect::<Vec<_>>());
+        let step = |t: f64| if t > 0.99 { 0.5 } else { 0.0 };
+        assert_eq!(leaps(&|t| fast(t) + Vector3::z() * step(t)), (37..=62).collect::<Vec<_>>());
     }
 
     #[test]
