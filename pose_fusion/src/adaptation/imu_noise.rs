@@ -72,9 +72,11 @@ impl ImuNoise {
             self.samples.interrupt();
             self.blocks.interrupt();
             (self.sum, self.weights, self.filled) = (ImuReading::default(), 0.0, 0.0);
+            // The reading begins a block.
+            return self.samples.add(reading);
         }
         self.samples.add(reading);
-        self.period += (dt.clamp(0.0, INTERRUPTED) - self.period) / self.samples.weight.max(10.0);
+        self.period += (dt - self.period) / self.samples.weight.max(10.0);
         let weight = 1.0 - (2.0 * (self.filled + 0.5 * dt) / BLOCK - 1.0).abs().min(1.0);
         self.sum.specific_force += reading.specific_force * weight;
         self.sum.angular_velocity += reading.angular_velocity * weight;
@@ -230,6 +232,26 @@ mod tests {
         assert!((found.rate.sqrt() / 0.0087 - 1.0).abs() < 0.3, "{}", found.rate.sqrt());
         let loud = Densities { force: 3.5e-4, rate: 7.6e-7 };
         assert_eq!(noise.densities(&loud, 30.0).force, 3.5e-4);
+    }
+
+    #[test]
+    fn a_platform_that_sets_off_during_a_gap_is_seen_to_move() {
+        let (mut noise, mut normal) = (ImuNoise::default(), normal());
+        let mut add = |swing: f64, dt: f64| {
+            let mut white = |s: f64| Vector3::new(normal(), normal(), normal()) * s;
+            let reading = ImuReading {
+                specific_force: Vector3::new(3.0 * swing, 1.0, 9.8) + white(0.02),
+                angular_velocity: Vector3::new(3.0 * swing, 0.0, 0.0) + white(0.0087),
+            };
+            noise.add(&reading, dt);
+            noise.noise_of_changes()
+        };
+        let rest = (0..300).map(|_| add(0.0, 0.01)).last().unwrap();
+        assert!(rest.force > 0.5 && rest.rate > 0.5, "{rest:?}");
+        add(0.0, 2.0);
+        let swing = |i: i32| (std::f64::consts::TAU * f64::from(i) * 0.01).sin();
+        let moving = (1..50).map(|i| add(swing(i), 0.01)).last().unwrap();
+        assert!(moving.force < 0.2 && moving.rate < 0.2, "{moving:?}");
     }
 
     #[test]

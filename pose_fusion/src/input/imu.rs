@@ -93,6 +93,7 @@ impl ImuInput {
     ) -> Event {
         let given = given(mounting);
         let Some(dt) = dt else {
+            self.noise.add(reading, 0.0);
             return Event::Imu {
                 noise: self.noise.densities(&given, config.imu.noise_limit),
                 at_rest: None,
