@@ -148,8 +148,15 @@ impl Filter {
             let distance_m = innovation.residual.xy().norm();
             out.push_back(Output::Warning(Warning::EncodersSuspended { stamp: at, distance_m }));
         }
-        let leap = self.climber.leaps_near(at.plus_seconds(-self.encoder_offset()));
-        self.trust.suspend(at, if leap { Cause::Leap } else { Cause::Contradiction });
+        let read = at.plus_seconds(-self.encoder_offset());
+        let cause = if self.climber.moves_on(read) {
+            Cause::MovedOn
+        } else if self.climber.leaps_near(read) {
+            Cause::Leap
+        } else {
+            Cause::Contradiction
+        };
+        self.trust.suspend(at, cause);
     }
 
     /// Excludes the readings from an instant of the IMU's time line on, and processes it again.

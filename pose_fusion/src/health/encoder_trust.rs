@@ -6,8 +6,11 @@
 //! (the drive was homed, or a wheel slipped): the filter reinitializes with them, and the world
 //! frame moves with the encoders. Until then the pose keeps its frame. Who of the two is wrong is
 //! not known: after [`DISPUTED`] the published covariance contains the distance between them.
-//! Encoders that are known to be frozen are not adopted before they move again.
+//! Encoders that are known to be frozen are not adopted before they move again. Readings that stood,
+//! leapt to where a climber may have driven meanwhile and go on moving were frozen unnoticed: they
+//! are adopted at once.
 
+use crate::input::climber_track::doubts::STOOD;
 use nalgebra::Vector3;
 use rig_model::Stamp;
 
@@ -22,8 +25,10 @@ const UNCHANGED: f64 = 1.0;
 /// Readings that were frozen and contradict the estimate for this time afterwards are right, s: the
 /// climber drove on unseen.
 const RELEASED: f64 = 0.1;
-/// Readings that have been equal for this time may be frozen, s.
-const STOOD: f64 = 0.2;
+/// Readings that stood, leapt and move for this time afterwards were frozen, s …
+const MOVED_ON: f64 = 0.2;
+/// … unless they stand within this time: the climber stood, and its encoders were set.
+const SET: f64 = 0.3;
 /// A reading is consistent below this NIS (one degree of freedom; 3 sigma).
 const GATE: f64 = 9.0;
 
@@ -49,6 +54,8 @@ pub enum Cause {
     Stop,
     /// They are frozen while the climber drives: the estimate is right.
     Frozen,
+    /// They moved on after they stood, from a place to which a climber may have driven meanwhile.
+    MovedOn,
 }
 
 /// Whether the encoders are trusted.
@@ -115,7 +122,7 @@ impl EncoderTrust {
             *cause = Cause::Stop;
             self.released = Some(at);
         }
-        let frozen = *cause == Cause::Frozen;
+        let (frozen, moved_on) = (*cause == Cause::Frozen, *cause == Cause::MovedOn);
         if nis < GATE {
             self.consistent += 1;
             self.consistent_since.get_or_insert(at);
@@ -123,14 +130,13 @@ impl EncoderTrust {
             (self.consistent, self.consistent_since) = (0, None);
         }
         let lasts = self.consistent_since.map_or(0.0, |since| at.seconds_since(since));
+        let contradicts = at.seconds_since(since);
+        let were_frozen = moved_on && !standing && (MOVED_ON..SET).contains(&contradicts)
+            || self.released.is_some_and(|released| at.seconds_since(released) > RELEASED);
         if self.consistent >= CONSISTENT && (!standing || lasts > UNCHANGED) {
             self.reset();
             Verdict::Resume
-        } else if self.consistent == 0
-            && !frozen
-            && (at.seconds_since(since) > timeout
-                || self.released.is_some_and(|released| at.seconds_since(released) > RELEASED))
-        {
+        } else if !frozen && (were_frozen || self.consistent == 0 && contradicts > timeout) {
             self.reset();
             Verdict::Adopt
         } else {
@@ -192,6 +198,17 @@ mod tests {
         assert_eq!(moving.judge(at(200), 1e6, &off, (true, true), 3.0), Verdict::Exclude);
         assert_eq!(moving.judge(at(400), 1e6, &off, (true, true), 3.0), Verdict::Exclude);
         assert_eq!(moving.judge(at(4000), 1e6, &off, (true, false), 3.0), Verdict::Exclude);
+        // Readings that stood, leapt and move are right, those that stand again were set.
+        let mut moved_on = EncoderTrust::default();
+        moved_on.suspend(at(0), Cause::MovedOn);
+        let mut set = moved_on.clone();
+        let first_adopted = |trust: &mut EncoderTrust, standing: bool| {
+            let mut verdicts =
+                (1..200).map(|k| trust.judge(at(20 * k), 500.0, &off, (standing, false), 3.0));
+            verdicts.position(|v| v == Verdict::Adopt).map(|k| 20 * (k + 1))
+        };
+        assert_eq!(first_adopted(&mut moved_on, false), Some(200));
+        assert_eq!(first_adopted(&mut set, true), Some(3020));
         // Frozen readings are never adopted; those that move again are right.
         assert_eq!(trust.judge(at(9000), 1e6, &off, (true, false), 3.0), Verdict::Exclude);
         assert_eq!(trust.judge(at(9020), 1e6, &off, (false, false), 30.0), Verdict::Exclude);

@@ -1,0 +1,196 @@
+//! Readings that tell of encoders that are frozen or wrong, or of a climber that ran into something.
+
+use super::{ClimberTrack, NEAR, SPEED};
+use nalgebra::Vector3;
+use rig_model::{Stamp, wrap_angle};
+
+/// Number of equal readings of encoders that stand.
+const STANDING: usize = 3;
+/// No drive brakes harder than this (m/s², m/s², rad/s²): a climber that stops at once has run into
+/// something, or its encoder is frozen.
+const BRAKES: [f64; 3] = [3.0, 3.0, 2.0];
+/// A climber stops at once where it would have moved by more encoder steps than this.
+const STOPPED_STEPS: f64 = 3.0;
+/// Readings that have been equal for this time may be frozen, s.
+pub const STOOD: f64 = 0.2;
+/// Readings leap where they differ by more than this (m, m, rad) beside three sigma of the speed.
+const LEAP: f64 = 0.05;
+impl ClimberTrack {
+    /// Returns whether the newest readings are equal on all axes: a climber at rest, or frozen
+    /// encoders.
+    pub fn is_standing(&self) -> bool {
+        let Some((_, last, _)) = self.readings.back() else { return false };
+        self.readings.iter().rev().take(STANDING).all(|(_, values, _)| values == last)
+    }
+
+    /// Returns since when the readings have been equal on all axes, s.
+    pub fn standing_since(&self) -> Option<Stamp> {
+        let (_, last, _) = self.readings.back()?;
+        let equal = self.readings.iter().rev().take_while(|(_, values, _)| values == last);
+        equal.last().map(|(at, _, _)| *at)
+    }
+
+    /// Returns whether readings near an instant leap further than a climber moves: neither places
+    /// nor rates follow from them.
+    pub fn leaps_near(&self, stamp: Stamp) -> bool {
+        let near = |at: &Stamp| at.seconds_since(stamp).abs() < NEAR;
+        let pairs = self.readings.iter().zip(self.readings.iter().skip(1));
+        pairs.filter(|(a, b)| near(&a.0) || near(&b.0)).any(|(a, b)| {
+            let mut way = b.1 - a.1;
+            way.z = wrap_angle(way.z);
+            let lasts = b.0.seconds_since(a.0);
+            (0..3).any(|i| way[i].abs() > LEAP + 3.0 * SPEED[i] * lasts)
+        })
+    }
+
+    /// Returns whether the reading at an instant is the first of another value after equal ones, and
+    /// within reach of a climber that drove while they stood.
+    pub fn moves_on(&self, stamp: Stamp) -> bool {
+        let after = self.readings.partition_point(|(at, _, _)| at.seconds_since(stamp) < -1e-6);
+        let mut before = self.readings.iter().take(after).rev().peekable();
+        let (Some((_, values, _)), Some((_, stood, _))) =
+            (self.readings.get(after), before.peek().copied())
+        else {
+            return false;
+        };
+        let since = before.take_while(|(_, v, _)| v == stood).last().map(|(at, _, _)| *at);
+        let lasts = since.map_or(0.0, |since| stamp.seconds_since(since));
+        let mut way = values - stood;
+        way.z = wrap_angle(way.z);
+        values != stood && lasts > STOOD && (0..3).all(|i| way[i].abs() <= 3.0 * SPEED[i] * lasts)
+    }
+
+    /// Returns since when an encoder has repeated one value at which a moving climber stopped
+    /// harder than a drive brakes: it is frozen, or the climber has run into something.
+    pub fn stopped_at_once(&self) -> Option<Stamp> {
+        self.stopped.iter().flatten().min().copied()
+    }
+
+    /// Forgets that an axis stopped at once: the climber has been seen to stand.
+    pub fn forget_stop(&mut self) {
+        self.stopped = [None; 3];
+    }
+
+    /// Looks for an axis that stopped at once, given a reading that is newer than the others: the
+    /// third of equal ones, after two that moved the same way.
+    pub(super) fn note_stop(&mut self, newest: Stamp, values: &Vector3<f64>) {
+        let steps = self.noise.variance().map(|v| (12.0 * v).sqrt());
+        let before = |k: usize| self.readings.get(self.readings.len().checked_sub(k)?);
+        let earlier = [before(1), before(2), before(3), before(4)];
+        for axis in 0..3 {
+            let change = |a: f64, b: f64| if axis == 2 { wrap_angle(a - b) } else { a - b };
+            if earlier[0].is_none_or(|(_, last, _)| last[axis] != values[axis]) {
+                self.stopped[axis] = None;
+            }
+            let [Some(copy), Some(first), Some(a), Some(b)] = earlier else { continue };
+            if copy.1[axis] != values[axis] || first.1[axis] != values[axis] {
+                continue;
+            }
+            let speed = |to: &(Stamp, Vector3<f64>, _), from: &(Stamp, Vector3<f64>, _)| {
+                change(to.1[axis], from.1[axis]) / to.0.seconds_since(from.0)
+            };
+            let (last, previous) = (speed(first, a), speed(a, b));
+            // A drive that brakes already goes on braking.
+            let next = 2.0 * last - previous;
+            let slower = last.abs().min(previous.abs()).min(next.abs());
+            if last * previous > 0.0
+                && last * next > 0.0
+                && slower * newest.seconds_since(first.0) > STOPPED_STEPS * steps[axis]
+                && slower > BRAKES[axis] * copy.0.seconds_since(first.0)
+            {
+                let half = copy.0.seconds_since(first.0) / 2.0;
+                self.stopped[axis] = Some(first.0.plus_seconds(half));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{config::ClimberConfig, measurements::geometry::ClimberRest};
+
+    #[test]
+    fn an_encoder_that_freezes_on_one_axis_is_told_from_brakes_and_from_slow_readings() {
+        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
+        let period = 0.02;
+        // Readings whose position (m) and turn (rad) are functions of the time; y always moves.
+        let stopped = |x: &dyn Fn(f64) -> f64, turn: &dyn Fn(f64) -> f64| {
+            let mut track = ClimberTrack::new(&ClimberConfig::default());
+            let mut found = None;
+            for i in 0..100 {
+                let t = f64::from(i) * period;
+                let stepped = |v: f64| (v * 1e3).round() * 1e-3;
+                let values = Vector3::new(stepped(x(t)), stepped(0.2 * t), wrap_angle(turn(t)));
+                track.add(start.plus_seconds(t), values, rest);
+                found = found.or(track.stopped_at_once().map(|at| at.seconds_since(start)));
+            }
+            found
+        };
+        let still = |_: f64| 3.1;
+        // 0.2 m/s, frozen from 1 s on.
+        let frozen = stopped(&|t| 0.2 * t.min(1.0), &still);
+        assert!(frozen.is_some_and(|at| (at - 1.01).abs() < 1e-6), "{frozen:?}");
+        // The turn passes from pi to -pi and freezes.
+        let frozen = stopped(&|_| 0.3, &|t| 3.1 + 0.2 * t.min(1.0));
+        assert!(frozen.is_some_and(|at| (at - 1.01).abs() < 1e-6), "{frozen:?}");
+        // A drive that brakes with 2 m/s², one that creeps, and an encoder that is read every 0.1 s.
+        let braked = |t: f64| {
+            if t < 1.0 {
+                0.3 * t
+            } else {
+                0.3 + 0.0225 * (1.0 - (1.0 - (t - 1.0) / 0.15).max(0.0).powi(2))
+            }
+        };
+        assert_eq!(stopped(&braked, &still), None);
+        assert_eq!(stopped(&|t| 0.02 * t, &still), None);
+        assert_eq!(stopped(&|t| 1.5 * (t - 1.007).powi(2), &still), None);
+        assert_eq!(stopped(&|t| 0.3 * (t / 0.1).floor() * 0.1, &still), None);
+        // Encoders that are set to another value while the climber stands.
+        assert_eq!(stopped(&|t| if t < 1.0 { 0.3 } else { 1.3 }, &still), None);
+    }
+
+    #[test]
+    fn readings_that_leap_are_told_from_those_of_a_fast_climber() {
+        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
+        // Readings every 20 ms, and instants near which they leap.
+        let leaps = |values: &dyn Fn(f64) -> Vector3<f64>| {
+            let mut track = ClimberTrack::new(&ClimberConfig::default());
+            for i in 0..100 {
+                let t = f64::from(i) * 0.02;
+                track.add(start.plus_seconds(t), values(t), rest);
+            }
+            let found = |i: &i32| track.leaps_near(start.plus_seconds(f64::from(*i) * 0.02));
+            (0..100).filter(found).collect::<Vec<_>>()
+        };
+        let fast = |t: f64| Vector3::new(1.4 * t, -1.4 * t, wrap_angle(3.0 + t));
+        assert_eq!(leaps(&fast), Vec::<i32>::new());
+        // One reading at 1 s, a step of the turn at 1 s.
+        let wrong = |t: f64| if (t - 1.0).abs() < 1e-6 { 100.0 } else { 0.0 };
+        assert_eq!(leaps(&|t| fast(t) + Vector3::x() * wrong(t)), (37..=63).collect::<Vec<_>>());
+        let step = |t: f64| if t > 0.99 { 0.5 } else { 0.0 };
+        assert_eq!(leaps(&|t| fast(t) + Vector3::z() * step(t)), (37..=62).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn readings_that_move_on_after_they_stood_are_told_from_those_that_were_set_far_away() {
+        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
+        // Equal readings until 1 s from `since` on, then others `off`, every 20 ms.
+        let moves_on = |since: f64, off: f64| {
+            let mut track = ClimberTrack::new(&ClimberConfig::default());
+            for i in 0..=51 {
+                let t = f64::from(i) * 0.02;
+                let x = 0.1 * t.min(since) + if t > 0.99 { off } else { 0.0 };
+                track.add(start.plus_seconds(t), Vector3::new(x, 0.3, wrap_angle(3.1)), rest);
+            }
+            [0.98, 1.0, 1.02].map(|t| track.moves_on(start.plus_seconds(t)))
+        };
+        assert_eq!(moves_on(0.5, 0.2), [false, true, false]);
+        assert_eq!(moves_on(0.5, 10.0), [false; 3], "out of reach");
+        assert_eq!(moves_on(0.9, 0.05), [false; 3], "stood for a moment");
+        assert_eq!(moves_on(1.0, 0.05), [false; 3], "a jump while it drove");
+    }
+}
