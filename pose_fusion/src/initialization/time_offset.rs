@@ -23,6 +23,8 @@ use std::collections::VecDeque;
 
 /// Largest offset that is looked for, s.
 pub const REACH: f64 = 0.3;
+/// An offset that is closer to the end of the candidates, s, is not a minimum.
+const EDGE: f64 = 0.003;
 /// Distance of the candidates, s.
 const STEP: f64 = 0.01;
 /// The newest image poses of this time are aligned, s: longer, and the IMU's scale errors count.
@@ -51,7 +53,7 @@ const APART: f64 = 0.02;
 /// … must fit worse by this (χ²).
 const REFUTED: f64 = 16.0;
 /// Largest χ² per degree of freedom of an alignment that means anything.
-const LARGEST: f64 = 9.0;
+const LARGEST: f64 = 1.2;
 /// Smallest χ² per degree of freedom that is accepted: the poses' own covariances are cautious.
 const SMALLEST: f64 = 0.6;
 /// Uncertainty of the initial velocity, m/s, and attitude, rad.
@@ -218,7 +220,8 @@ impl TimeOffsetSearch {
         let refuted = usable.filter(|(at, _)| (at - offset).abs() > APART).all(|(_, cost)| {
             (mean(cost) - mean(&best)) * best.rows.min(cost.rows) > REFUTED * scale
         });
-        let accepted = sigma < ACCEPTED && scale < LARGEST && refuted && offset.abs() < REACH;
+        let accepted =
+            sigma < ACCEPTED && scale < LARGEST && refuted && offset.abs() < REACH - EDGE;
         Some((accepted.then_some(TimeOffset { offset, sigma }), best.biases))
     }
 
