@@ -101,13 +101,15 @@ impl Filter {
             self.publisher.counts.inputs.imu_gaps += 1;
             out.push_back(Output::Warning(Warning::ImuGap { from, to: sample.stamp }));
             self.imu.interrupt();
-            let covered = self
-                .arrival
-                .end()
-                .is_some_and(|end| sample.stamp.seconds_since(end) < INTERPOLATED);
-            // What neither images nor samples have followed is not bridged where an image can
-            // reinitialize the pose, and an attitude that is hardly known is no point to linearize
-            // at.
+            if let (Some(search), true) = (&mut self.search, seconds > INTERPOLATED) {
+                search.clear();
+            }
+            let covered = self.publisher.markers_used == 4
+                && (self.arrival.end())
+                    .is_some_and(|end| sample.stamp.seconds_since(end) < INTERPOLATED);
+            // What neither samples nor images with four markers have followed is not bridged where
+            // an image can reinitialize the pose (three markers may have followed the mirrored
+            // tilt), and an attitude that is hardly known is no point to linearize at.
             let unknown = self.state().is_some_and(|s| s.sigmas(ATTITUDE).max() > LARGEST_ATTITUDE);
             let unfollowed = seconds > INTERPOLATED && !covered && self.start.markers_seen() >= 3;
             if self.start.is_started() && (unfollowed || unknown) {

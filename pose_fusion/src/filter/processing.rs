@@ -11,6 +11,7 @@ use crate::{
         lock_out::{Response, SUSPECT},
         sanity,
     },
+    initialization::from_image,
     measurements::{
         Outcome,
         markers::{Image, ImageInnovation},
@@ -37,6 +38,9 @@ const DISAGREEING: u32 = 3;
 /// Share of a residual that a shock explains by rotation: the IMU measures rotation without
 /// gravity's help, and better.
 const ROTATION_SHARE: f64 = 0.3;
+/// Density of the angular velocity's noise, (rad/s)²/Hz, above which no IMU carries the attitude from
+/// one image to the next: a gap of 0.15 s, samples that are wrong, a shock.
+const UNCARRIED: f64 = 0.01;
 /// A time offset that is known worse than this explains a contradiction as well as a shock does, s,
 /// where the velocity is known to this, m/s.
 const OFFSET_KNOWN: f64 = 0.01;
@@ -122,7 +126,12 @@ impl Filter {
         if self.setup.frozen {
             return false;
         }
-        let Some(entry) = self.history.get(place) else { return false };
+        let (Some(entry), Some(geometry)) = (self.history.get(place), &self.setup.geometry) else {
+            return false;
+        };
+        if entry.noise.rate > UNCARRIED && from_image::is_mirrored(geometry, &entry.state, image) {
+            return self.reinitialize(stamp, image, stamp, true, out);
+        }
         let at = entry.stamp;
         // While the time offset is unknown, it contradicts a platform that sets off; the IMU carries
         // a state that it knows well until the offset is found.
@@ -134,9 +143,7 @@ impl Filter {
         let excused = self.disturbances.is_climber_disturbed(at) || moves_off;
         let settled =
             self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > ROPE_COMPARED);
-        if let (true, Some(geometry)) =
-            (record.used >= 3 && !excused && settled, &self.setup.geometry)
-        {
+        if record.used >= 3 && !excused && settled {
             let c = &self.setup.config;
             self.publisher.rope.compare(
                 &c.pendulum,
@@ -192,7 +199,7 @@ impl Filter {
             }
             Response::Reinitialize(since) => {
                 self.lock_out.responded(stamp);
-                self.reinitialize(stamp, image, since, out)
+                self.reinitialize(stamp, image, since, false, out)
             }
         }
     }
@@ -223,7 +230,7 @@ impl Filter {
             return false;
         }
         if repeated {
-            return self.reinitialize(stamp, image, since, out);
+            return self.reinitialize(stamp, image, since, false, out);
         }
         self.strike(place, last_used, record);
         self.publisher.counts.resets.shocks += 1;

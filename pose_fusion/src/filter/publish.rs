@@ -55,7 +55,7 @@ pub(super) struct Publisher {
     calibration: Uncertainty,
     last_published: Option<Stamp>,
     last_encoders: Option<Stamp>,
-    markers_used: u8,
+    pub(super) markers_used: u8,
     last_status: Option<Stamp>,
     silence: Silence,
     archive: Option<Vec<Entry>>,

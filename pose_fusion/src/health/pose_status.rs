@@ -3,6 +3,7 @@
 use crate::config::StatusConfig;
 use rig_model::Stamp;
 
+const MIRRORED: &str = "three markers and no IMU: two tilts look alike";
 const CONTRADICTED: &str = "images contradict the IMU or the encoders again and again: units, \
                             signs, orientations and frames (`volant check` names the cause)";
 
@@ -76,7 +77,8 @@ impl PoseStatus {
         let beyond_position = beyond(self.position_sigma, config.max_position_sigma);
         let beyond_rotation = beyond(self.rotation_sigma, config.max_rotation_sigma);
         let lost = beyond(self.position_sigma, config.lost_position_sigma);
-        self.state = if lost || contradicted {
+        let mirrored = vision_only && self.markers_used < 4;
+        self.state = if lost || contradicted || mirrored {
             PoseState::Lost
         } else if vision_only {
             PoseState::VisionOnly
@@ -85,9 +87,10 @@ impl PoseStatus {
         } else {
             PoseState::Tracking
         };
-        self.valid = !lost && !contradicted && !beyond_position && !beyond_rotation;
+        self.valid = self.state != PoseState::Lost && !beyond_position && !beyond_rotation;
         self.reason = match self.state {
             _ if contradicted => CONTRADICTED.to_owned(),
+            _ if mirrored => MIRRORED.to_owned(),
             PoseState::VisionOnly => format!("no IMU sample for {:.2} s", self.imu_age),
             PoseState::Coasting | PoseState::Lost if self.image_age > config.max_image_age => {
                 format!("no image used for {:.2} s", self.image_age)
@@ -117,6 +120,7 @@ mod tests {
         let mut status = PoseStatus::initializing(Stamp::from_nanos(0), String::new());
         (status.position_sigma, status.rotation_sigma) = (0.001, 0.001);
         (status.image_age, status.imu_age, status.climber_age) = (0.04, 0.0, 0.01);
+        status.markers_used = 4;
         change(&mut status);
         status.judged(&StatusConfig::default(), vision_only, false)
     }
@@ -137,6 +141,10 @@ mod tests {
         assert!(
             vision.valid && vision.state == PoseState::VisionOnly && vision.reason.contains("IMU")
         );
+        let mirrored = judged(|s| s.markers_used = 3, true);
+        assert!(!mirrored.valid && mirrored.state == PoseState::Lost, "{mirrored:?}");
+        assert!(mirrored.reason.contains("two tilts"), "{mirrored:?}");
+        assert!(judged(|s| s.markers_used = 3, false).valid);
         let vague = judged(|s| s.rotation_sigma = 0.3, false);
         assert!(!vague.valid && vague.state == PoseState::Tracking, "{vague:?}");
         assert!(vague.reason.contains("status.max_rotation_sigma"), "{}", vague.reason);
