@@ -354,8 +354,7 @@ fn the_status_reports_that_only_encoder_readings_arrive() {
     assert!(again.is_some_and(|t| t < 5.3), "{again:?}");
 }
 
-/// A swing of 30° without an IMU, of four markers and of three. Before, the pose could be the
-/// mirrored tilt, 60° off, and valid.
+/// A swing of 30° without an IMU, of four markers and of three: two tilts look alike.
 #[test]
 fn a_pose_without_an_imu_is_not_the_mirrored_tilt_and_valid() {
     for (hidden, least) in [(None, 0.3), (Some(MarkerColor::Red), 0.0)] {
