@@ -143,7 +143,7 @@ pub fn table() -> Vec<Row> {
             })
         }),
         Row {
-            diagnostics: tracker(&["no image came"]),
+            diagnostics: tracker(&["no image arrived"]),
             ..sensor_fault("camera silent", || images(|_| Vec::new()))
         },
         Row {
