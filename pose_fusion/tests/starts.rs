@@ -13,7 +13,7 @@ use common::{
     simulated,
 };
 use nalgebra::Vector3;
-use pose_fusion::{Fusion, FusionConfig};
+use pose_fusion::{Fusion, FusionConfig, Input};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, random::Random};
 use std::thread;
 
@@ -156,4 +156,41 @@ fn two_hundred_starts_are_consistent_and_without_steps() {
     let all = starts(1000..1200);
     // Before the time offset is known, little motion or much of it leaves errors of a second.
     assert!(all.iter().filter(|s| !s.holds()).count() <= 2);
+}
+
+/// Two publishers 10 m apart, and positions in millimeters: readings that no climber reaches one after
+/// another initialize nothing, and the status names them.
+#[test]
+fn encoder_readings_that_leap_initialize_no_pose_and_are_reported() {
+    // Of a position, and the number of the reading.
+    type Change = fn(&mut Vector3<f64>, usize);
+    let changes: [(&str, Change); 2] = [
+        ("two publishers", |position, k| position.x += if k % 2 == 0 { 10.0 } else { 0.0 }),
+        ("millimeters", |position, _| position.x *= 1e3),
+    ];
+    for (name, change) in changes {
+        let motion = MotionConfig {
+            duration: 4.0,
+            still_until: -10.0,
+            climber_speed: 0.3,
+            ..MotionConfig::nominal(1)
+        };
+        let run = simulated::run(motion, &SensorConfig::nominal(1));
+        let mut count = 0;
+        let inputs = run.inputs.iter().map(|(_, input)| {
+            let mut input = input.clone();
+            if let Input::Climber(sample) = &mut input {
+                change(&mut sample.world_from_climber.translation.vector, count);
+                count += 1;
+            }
+            input
+        });
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        let outputs = scoring::run(&mut fusion, inputs);
+        let valid = outputs.status.iter().filter(|status| status.valid).count();
+        let named = outputs.status.iter().filter(|s| s.reason.contains("second publisher")).count();
+        println!("{name}: {valid} of {} valid, {named} name the encoders", outputs.status.len());
+        assert_eq!(valid, 0, "{name}");
+        assert!(named > 10, "{name}");
+    }
 }

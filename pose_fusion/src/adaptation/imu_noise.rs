@@ -66,13 +66,14 @@ impl Default for ImuNoise {
 }
 
 impl ImuNoise {
-    /// Adds a reading that came `dt` seconds after the previous one.
+    /// Adds a reading that came `dt` seconds after the previous one; zero or a gap interrupts the
+    /// differences.
     pub fn add(&mut self, reading: &ImuReading, dt: f64) {
         if !(dt > 0.0 && dt < INTERRUPTED) {
             self.samples.interrupt();
             self.blocks.interrupt();
             (self.sum, self.weights, self.filled) = (ImuReading::default(), 0.0, 0.0);
-            // The reading begins a block.
+            // The first reading of a block has no weight.
             return self.samples.add(reading);
         }
         self.samples.add(reading);

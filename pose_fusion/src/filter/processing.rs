@@ -38,8 +38,8 @@ const DISAGREEING: u32 = 3;
 /// Share of a residual that a shock explains by rotation: the IMU measures rotation without
 /// gravity's help, and better.
 const ROTATION_SHARE: f64 = 0.3;
-/// Density of the angular velocity's noise, (rad/s)²/Hz, above which no IMU carries the attitude from
-/// one image to the next: a gap of 0.15 s, samples that are wrong, a shock.
+/// Density of the angular velocity's process noise, (rad/s)²/Hz, above which the IMU does not
+/// propagate the attitude from one image to the next: a gap of 0.15 s, invalid samples, a shock.
 const UNCARRIED: f64 = 0.01;
 /// A time offset that is known worse than this explains a contradiction as well as a shock does, s,
 /// where the velocity is known to this, m/s.
@@ -130,7 +130,7 @@ impl Filter {
             return false;
         };
         if entry.noise.rate > UNCARRIED && from_image::is_mirrored(geometry, &entry.state, image) {
-            return self.reinitialize(stamp, image, stamp, true, out);
+            return self.reinitialize(stamp, image, stamp, false, out);
         }
         let at = entry.stamp;
         // While the time offset is unknown, it contradicts a platform that sets off; the IMU carries
@@ -199,7 +199,7 @@ impl Filter {
             }
             Response::Reinitialize(since) => {
                 self.lock_out.responded(stamp);
-                self.reinitialize(stamp, image, since, false, out)
+                self.reinitialize(stamp, image, since, true, out)
             }
         }
     }
@@ -230,7 +230,7 @@ impl Filter {
             return false;
         }
         if repeated {
-            return self.reinitialize(stamp, image, since, false, out);
+            return self.reinitialize(stamp, image, since, true, out);
         }
         self.strike(place, last_used, record);
         self.publisher.counts.resets.shocks += 1;

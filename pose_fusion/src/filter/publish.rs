@@ -297,7 +297,7 @@ impl Filter {
                 topics::IMU,
                 self.setup.config.gravity
             )
-        } else if missing.is_empty() && self.leaps() {
+        } else if missing.is_empty() && self.climber.leaps_now() {
             format!(
                 "{}: the readings leap further than a climber moves: encoder, scale, second \
                  publisher?",
@@ -308,10 +308,6 @@ impl Filter {
         } else {
             format!("no message on {}", missing.join(", "))
         }
-    }
-
-    fn leaps(&self) -> bool {
-        self.climber.newest().is_some_and(|(newest, _, _)| self.climber.leaps_near(*newest))
     }
 
     /// Returns the uncertainty of the time offset beside the state's, while it is searched, s.

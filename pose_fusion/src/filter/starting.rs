@@ -269,14 +269,14 @@ impl Filter {
         self.process(out);
     }
 
-    /// Reinitializes the pose from an image whose markers agree with each other, with what the IMU
-    /// tells of "up" unless the image is clear. Returns whether the time line was replaced.
+    /// Reinitializes the pose from an image whose markers agree with each other; `uses_up`: with the
+    /// IMU's direction of "up" as a prior. Returns whether the time line was replaced.
     pub(super) fn reinitialize(
         &mut self,
         stamp: Stamp,
         image: &Image,
         since: Stamp,
-        is_clear: bool,
+        uses_up: bool,
         out: &mut VecDeque<Output>,
     ) -> bool {
         let (Some(geometry), Some(old)) = (&self.setup.geometry, self.state().cloned()) else {
@@ -285,7 +285,7 @@ impl Filter {
         let at = stamp.plus_seconds(old.time_offset);
         let mut image = *image;
         image.time_offset = old.time_offset;
-        let up = self.imu.up_at(at, &self.history).filter(|_| !is_clear);
+        let up = self.imu.up_at(at, &self.history).filter(|_| uses_up);
         let prior = ClimberPrior::from_state(&old);
         let config = &self.setup.config;
         let known = &old.calibration;

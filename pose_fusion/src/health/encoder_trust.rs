@@ -6,11 +6,11 @@
 //! (the drive was homed, or a wheel slipped): the filter reinitializes with them, and the world
 //! frame moves with the encoders. Until then the pose keeps its frame. Who of the two is wrong is
 //! not known: after [`DISPUTED`] the published covariance contains the distance between them.
-//! Encoders that are known to be frozen are not adopted before they move again. Readings that stood,
-//! leapt to where a climber may have driven meanwhile and go on moving were frozen unnoticed: they
-//! are adopted at once.
+//! Encoders that are known to be frozen are not adopted before they move again. Readings that were
+//! equal, leapt no further than a climber drives meanwhile and go on moving were frozen unnoticed:
+//! they are adopted after [`MOVED_ON`].
 
-use crate::input::climber_track::doubts::STOOD;
+use crate::input::climber_track::faults::STOOD;
 use nalgebra::Vector3;
 use rig_model::Stamp;
 
@@ -25,9 +25,9 @@ const UNCHANGED: f64 = 1.0;
 /// Readings that were frozen and contradict the estimate for this time afterwards are right, s: the
 /// climber drove on unseen.
 const RELEASED: f64 = 0.1;
-/// Readings that stood, leapt and move for this time afterwards were frozen, s …
+/// Readings that resumed with a leap were frozen if they still move after this time, s …
 const MOVED_ON: f64 = 0.2;
-/// … unless they stand within this time: the climber stood, and its encoders were set.
+/// … and before this one: a climber that stood, and whose encoders were reset, may set off later.
 const SET: f64 = 0.3;
 /// A reading is consistent below this NIS (one degree of freedom; 3 sigma).
 const GATE: f64 = 9.0;
@@ -54,7 +54,7 @@ pub enum Cause {
     Stop,
     /// They are frozen while the climber drives: the estimate is right.
     Frozen,
-    /// They moved on after they stood, from a place to which a climber may have driven meanwhile.
+    /// They changed after they were equal, by no more than a climber drives meanwhile.
     MovedOn,
 }
 
@@ -119,6 +119,7 @@ impl EncoderTrust {
             *cause = Cause::Frozen;
         }
         if *cause == Cause::Frozen && !standing {
+            // No longer frozen; wrong until they are adopted or consistent.
             *cause = Cause::Stop;
             self.released = Some(at);
         }
@@ -131,12 +132,14 @@ impl EncoderTrust {
         }
         let lasts = self.consistent_since.map_or(0.0, |since| at.seconds_since(since));
         let contradicts = at.seconds_since(since);
-        let were_frozen = moved_on && !standing && (MOVED_ON..SET).contains(&contradicts)
+        // The state may be too uncertain by now for readings to contradict it.
+        let were_frozen = moved_on && !standing && (MOVED_ON..SET).contains(&contradicts);
+        let outlasts = contradicts > timeout
             || self.released.is_some_and(|released| at.seconds_since(released) > RELEASED);
         if self.consistent >= CONSISTENT && (!standing || lasts > UNCHANGED) {
             self.reset();
             Verdict::Resume
-        } else if !frozen && (were_frozen || self.consistent == 0 && contradicts > timeout) {
+        } else if !frozen && (were_frozen || self.consistent == 0 && outlasts) {
             self.reset();
             Verdict::Adopt
         } else {
@@ -198,7 +201,7 @@ mod tests {
         assert_eq!(moving.judge(at(200), 1e6, &off, (true, true), 3.0), Verdict::Exclude);
         assert_eq!(moving.judge(at(400), 1e6, &off, (true, true), 3.0), Verdict::Exclude);
         assert_eq!(moving.judge(at(4000), 1e6, &off, (true, false), 3.0), Verdict::Exclude);
-        // Readings that stood, leapt and move are right, those that stand again were set.
+        // Readings that resumed with a leap and move are adopted early, those of a reset are not.
         let mut moved_on = EncoderTrust::default();
         moved_on.suspend(at(0), Cause::MovedOn);
         let mut set = moved_on.clone();

@@ -3,7 +3,7 @@
 use crate::config::StatusConfig;
 use rig_model::Stamp;
 
-const MIRRORED: &str = "three markers and no IMU: two tilts look alike";
+const MIRRORED: &str = "no IMU sample, and fewer than four markers: they fit two tilts";
 const CONTRADICTED: &str = "images contradict the IMU or the encoders again and again: units, \
                             signs, orientations and frames (`volant check` names the cause)";
 

@@ -219,11 +219,14 @@ pub fn candidates(
     solve(&pixels.map(|p| p.map(|(pixel, covariance)| (pixel, covariance + more))), tilt)
 }
 
-/// Returns whether four markers show clearly which of the poses that look alike from above is
-/// right, and `state` is nearer to another.
+/// Returns whether four markers reject the pose that `state` is nearest to in favor of another.
 ///
-/// Where no IMU carries the attitude through a swing, a filter may follow the mirrored tilt.
+/// A planar target seen from above has two poses that differ by a mirrored tilt (Schweighofer and
+/// Pinz 2006). Where no IMU measures the rotation of a swing, a filter may follow the wrong one.
 pub fn is_mirrored(geometry: &Geometry, state: &State, image: &Image) -> bool {
+    if image.detected() < 4 {
+        return false;
+    }
     let found = candidates(geometry, &state.calibration, &image.pixels(), None);
     let [best, others @ ..] = found.as_slice() else { return false };
     let world_from_camera = image.rest.join(&state.climber) * geometry.climber_from_camera;
@@ -232,8 +235,7 @@ pub fn is_mirrored(geometry: &Geometry, state: &State, image: &Image) -> bool {
         seen.rotation.angle_to(&state.attitude)
     };
     let nearer = |other: &&PlanarPose| away(other) < away(best);
-    image.detected() == 4
-        && best.cost < LARGEST_COST
+    best.cost < LARGEST_COST
         && others.iter().find(nearer).is_some_and(|other| other.cost - best.cost > CLEAR)
 }
 

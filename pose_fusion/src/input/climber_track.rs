@@ -1,6 +1,6 @@
 //! Newest encoder readings: the climber at any instant between them and shortly beyond.
 
-pub mod doubts;
+pub mod faults;
 
 use crate::{
     adaptation::encoder_noise::EncoderNoise, config::ClimberConfig,

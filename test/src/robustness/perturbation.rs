@@ -7,7 +7,7 @@ use rig_model::{CameraModel, Stamp};
 use rig_simulator::random::Random;
 use std::fmt;
 
-/// One change. What lasts for a while begins at [`Recording::perturbed_from`].
+/// One change. One of limited duration begins at [`Recording::perturbed_from`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Perturbation {
     /// Gyroscope scale error, relative.

@@ -18,11 +18,11 @@ pub struct Recording {
     pub inputs: Vec<(Stamp, Input)>,
     /// True motion.
     pub truth: Truth,
-    /// When a perturbation that lasts for a while begins, s after the first truth.
+    /// Beginning of a perturbation of limited duration, s after the first truth.
     pub perturbed_from: f64,
 }
 
-/// When a perturbation begins unless another instant is asked for, s after the first truth.
+/// Default beginning of a perturbation of limited duration, s after the first truth.
 pub const PERTURBED_FROM: f64 = 5.0;
 
 impl Recording {

@@ -32,7 +32,7 @@ pub(crate) struct Arguments {
     /// Only recordings whose name contains this text
     #[arg(long)]
     only: Option<String>,
-    /// When what lasts for a while begins, s after the first truth
+    /// Beginning of a perturbation of limited duration, s after the first truth
     #[arg(long, default_value_t = PERTURBED_FROM)]
     from: f64,
     /// Also every pair of perturbations
@@ -54,6 +54,9 @@ const HEAD: &str = "\
     recording, the largest position error, and the mean NEES of position and rotation (3\n\
     each where the covariance is right).\n\n\
     Bold: more than the perturbation may cost (`test/src/robustness/table.rs`).\n\n";
+
+/// Longest perturbation of limited duration, until it has settled, and a second to measure, s.
+const MEASURED: f64 = 4.0;
 
 pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     if let Some(path) = &arguments.table {
@@ -83,7 +86,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         rows.push((perturbation, cells));
     }
     bar.finish_and_clear();
-    let mut text = format!("{HEAD}{}", table::markdown(&benches, &rows));
+    let from = arguments.from;
+    let beginning = if from == PERTURBED_FROM {
+        String::new()
+    } else {
+        format!("Perturbations of limited duration begin at {from} s (`--from {from}`).\n\n")
+    };
+    let mut text = format!("{HEAD}{beginning}{}", table::markdown(&benches, &rows));
     if arguments.pairs {
         let pairs = table::pairs();
         catastrophes.extend(of_pairs(&benches, &pairs));
@@ -156,8 +165,14 @@ fn read(arguments: &Arguments) -> Result<Vec<Bench>> {
         let mut recording = Recording::read(folder, markers.as_deref())
             .map_err(|e| anyhow::anyhow!("{}: {e}", folder.display()))?;
         let end = recording.truth.span().map_or(0.0, |(first, last)| last.seconds_since(first));
-        if !(0.0..end).contains(&arguments.from) {
-            bail!("--from {}: {} lasts from 0 to {end:.1} s", arguments.from, folder.display());
+        let latest = end - MEASURED;
+        if !(0.0..=latest).contains(&arguments.from) {
+            bail!(
+                "--from {}: not between 0 and {latest:.1} s; {} lasts {end:.1} s, the longest \
+                 perturbation and what is measured after it {MEASURED} s",
+                arguments.from,
+                folder.display()
+            );
         }
         recording.perturbed_from = arguments.from;
         benches.push(Bench::new(recording, FusionConfig::default()));

@@ -1,4 +1,4 @@
-//! Readings that tell of encoders that are frozen or wrong, or of a climber that ran into something.
+//! Detection of encoder readings that are frozen or leap, and of a climber that hit an obstacle.
 
 use super::{ClimberTrack, NEAR, SPEED};
 use nalgebra::Vector3;
@@ -15,6 +15,7 @@ const STOPPED_STEPS: f64 = 3.0;
 pub const STOOD: f64 = 0.2;
 /// Readings leap where they differ by more than this (m, m, rad) beside three sigma of the speed.
 const LEAP: f64 = 0.05;
+
 impl ClimberTrack {
     /// Returns whether the newest readings are equal on all axes: a climber at rest, or frozen
     /// encoders.
@@ -30,8 +31,8 @@ impl ClimberTrack {
         equal.last().map(|(at, _, _)| *at)
     }
 
-    /// Returns whether readings near an instant leap further than a climber moves: neither places
-    /// nor rates follow from them.
+    /// Returns whether two neighboring readings within [`NEAR`] of `stamp` differ by more than a
+    /// climber moves between them: neither position nor rate can be derived from them.
     pub fn leaps_near(&self, stamp: Stamp) -> bool {
         let near = |at: &Stamp| at.seconds_since(stamp).abs() < NEAR;
         let pairs = self.readings.iter().zip(self.readings.iter().skip(1));
@@ -43,8 +44,13 @@ impl ClimberTrack {
         })
     }
 
-    /// Returns whether the reading at an instant is the first of another value after equal ones, and
-    /// within reach of a climber that drove while they stood.
+    /// Returns whether the newest readings leap.
+    pub fn leaps_now(&self) -> bool {
+        self.readings.back().is_some_and(|(newest, _, _)| self.leaps_near(*newest))
+    }
+
+    /// Returns whether the reading at `stamp` is the first that differs after equal ones, by no more
+    /// than a climber drives (3 sigma of [`SPEED`]) in the time for which they were equal.
     pub fn moves_on(&self, stamp: Stamp) -> bool {
         let after = self.readings.partition_point(|(at, _, _)| at.seconds_since(stamp) < -1e-6);
         let mut before = self.readings.iter().take(after).rev().peekable();
@@ -152,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn readings_that_leap_are_told_from_those_of_a_fast_climber() {
+    fn leaping_readings_are_distinguished_from_a_fast_climber() {
         let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
         let start = Stamp::from_nanos(1_760_001_000_000_000_000);
         // Readings every 20 ms, and instants near which they leap.
@@ -175,10 +181,10 @@ mod tests {
     }
 
     #[test]
-    fn readings_that_move_on_after_they_stood_are_told_from_those_that_were_set_far_away() {
+    fn resumed_readings_are_distinguished_from_a_reset_out_of_reach() {
         let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
         let start = Stamp::from_nanos(1_760_001_000_000_000_000);
-        // Equal readings until 1 s from `since` on, then others `off`, every 20 ms.
+        // A reading every 20 ms: equal from `since` until 1 s, then offset by `off`.
         let moves_on = |since: f64, off: f64| {
             let mut track = ClimberTrack::new(&ClimberConfig::default());
             for i in 0..=51 {
