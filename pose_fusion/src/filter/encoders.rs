@@ -3,7 +3,7 @@
 use super::Filter;
 use crate::{
     ekf::state::CLIMBER_RATE,
-    health::encoder_trust::{Cause, Verdict},
+    health::encoder_trust::{Cause, Seen, Verdict},
     measurements::{
         Innovation,
         encoders::{self, CONTRADICTION},
@@ -72,7 +72,8 @@ impl Filter {
             let sigmas = entry.state.sigmas(CLIMBER_RATE);
             (0..3).any(|i| entry.state.climber_rate[i].abs() > MOVES * sigmas[i])
         });
-        let seen = (standing, moves);
+        let leap = self.climber.leap_at(at.plus_seconds(-self.encoder_offset()));
+        let seen = Seen { standing, moves, leap };
         match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {
             Verdict::Exclude => false,
             Verdict::Resume => {
@@ -107,7 +108,7 @@ impl Filter {
         };
         self.exclude_since(since.plus_seconds(self.encoder_offset()));
         out.push_back(Output::Warning(Warning::EncodersFrozen { since }));
-        self.trust.suspend(at, Cause::Stop);
+        self.trust.suspend(at, Cause::Stop, false);
     }
 
     /// Continues without encoders that stand, where the images contradict the prediction: they may
@@ -149,14 +150,10 @@ impl Filter {
             out.push_back(Output::Warning(Warning::EncodersSuspended { stamp: at, distance_m }));
         }
         let read = at.plus_seconds(-self.encoder_offset());
-        let cause = if self.climber.moves_on(read) {
-            Cause::MovedOn
-        } else if self.climber.leaps_near(read) {
-            Cause::Leap
-        } else {
-            Cause::Contradiction
-        };
-        self.trust.suspend(at, cause);
+        let returns = self.climber.moves_on(read);
+        let leaps = returns || self.climber.leaps_near(read);
+        let cause = if leaps { Cause::Leap } else { Cause::Contradiction };
+        self.trust.suspend(at, cause, returns);
     }
 
     /// Excludes the readings from an instant of the IMU's time line on, and processes it again.

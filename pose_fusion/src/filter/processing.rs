@@ -226,7 +226,7 @@ impl Filter {
         if let (false, Some(from)) = (self.trust.is_suspended(), disturbed) {
             self.exclude_since(from);
             out.push_back(Output::Warning(Warning::EncodersFrozen { since: from }));
-            self.trust.suspend(at, Cause::Frozen);
+            self.trust.suspend(at, Cause::Frozen, false);
             return false;
         }
         if repeated {

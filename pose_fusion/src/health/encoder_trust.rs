@@ -6,9 +6,10 @@
 //! (the drive was homed, or a wheel slipped): the filter reinitializes with them, and the world
 //! frame moves with the encoders. Until then the pose keeps its frame. Who of the two is wrong is
 //! not known: after [`DISPUTED`] the published covariance contains the distance between them.
-//! Encoders that are known to be frozen are not adopted before they move again. Readings that were
-//! equal, leapt no further than a climber drives meanwhile and go on moving were frozen unnoticed:
-//! they are adopted after [`MOVED_ON`].
+//! Encoders that are known to be frozen are not adopted before they move again. Readings that
+//! return from a fault and go on moving are right: they are adopted after [`RETURNED`]. They return
+//! where frozen ones move again, or where they leap to where a climber can have moved to since they
+//! were equal or leapt before.
 
 use crate::input::climber_track::faults::STOOD;
 use nalgebra::Vector3;
@@ -22,13 +23,9 @@ const CONSISTENT: u32 = 3;
 /// Readings that do not change must be consistent for this time, s: frozen ones agree while the
 /// climber comes by.
 const UNCHANGED: f64 = 1.0;
-/// Readings that were frozen and contradict the estimate for this time afterwards are right, s: the
-/// climber drove on unseen.
-const RELEASED: f64 = 0.1;
-/// Readings that resumed with a leap were frozen if they still move after this time, s …
-const MOVED_ON: f64 = 0.2;
-/// … and before this one: a climber that stood, and whose encoders were reset, may set off later.
-const SET: f64 = 0.3;
+/// Readings that returned from a fault and contradict the estimate for this time afterwards are
+/// right, s: the climber drove on unseen.
+const RETURNED: f64 = 0.2;
 /// A reading is consistent below this NIS (one degree of freedom; 3 sigma).
 const GATE: f64 = 9.0;
 
@@ -54,8 +51,17 @@ pub enum Cause {
     Stop,
     /// They are frozen while the climber drives: the estimate is right.
     Frozen,
-    /// They changed after they were equal, by no more than a climber drives meanwhile.
-    MovedOn,
+}
+
+/// What is seen of the encoders at a reading.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Seen {
+    /// The newest readings are equal.
+    pub standing: bool,
+    /// The estimate of the climber moves.
+    pub moves: bool,
+    /// The reading leaps; whether to where a climber can have moved to since it leapt before.
+    pub leap: Option<bool>,
 }
 
 /// Whether the encoders are trusted.
@@ -67,8 +73,8 @@ pub struct EncoderTrust {
     /// Newest reading minus estimate: x, y (m), turn (rad).
     residual: Vector3<f64>,
     newest: Option<Stamp>,
-    /// First reading that moves again after they were frozen.
-    released: Option<Stamp>,
+    /// First reading after a fault.
+    returned: Option<Stamp>,
     /// Last time that readings which stand were tried without.
     tried: Option<Stamp>,
 }
@@ -85,11 +91,13 @@ impl EncoderTrust {
     }
 
     /// Suspends the encoders at a reading. Suspended ones keep their cause unless they are frozen.
-    pub fn suspend(&mut self, at: Stamp, cause: Cause) {
+    /// `returns`: the reading returns from a fault that was not noticed.
+    pub fn suspend(&mut self, at: Stamp, cause: Cause, returns: bool) {
         let suspended = self.suspended.get_or_insert((at, cause));
         if cause == Cause::Frozen {
             suspended.1 = cause;
         }
+        self.returned = returns.then_some(at);
         (self.consistent, self.consistent_since) = (0, None);
     }
 
@@ -102,28 +110,31 @@ impl EncoderTrust {
     }
 
     /// Judges a new reading at `at` with this NIS and residual (x, y, m; turn, rad) while the
-    /// encoders are suspended; `standing`: the newest readings are equal, `moves`: the estimate of
-    /// the climber moves. `timeout` in s.
+    /// encoders are suspended. `timeout` in s.
     pub fn judge(
         &mut self,
         at: Stamp,
         nis: f64,
         residual: &Vector3<f64>,
-        (standing, moves): (bool, bool),
+        seen: Seen,
         timeout: f64,
     ) -> Verdict {
         let Some((since, cause)) = &mut self.suspended else { return Verdict::Resume };
         (self.newest, self.residual) = (Some(at), *residual);
-        let since = *since;
-        if standing && moves && at.seconds_since(since) > DISPUTED {
-            *cause = Cause::Frozen;
-        }
-        if *cause == Cause::Frozen && !standing {
-            // No longer frozen; wrong until they are adopted or consistent.
+        let contradicts = at.seconds_since(*since);
+        if seen.standing {
+            self.returned = None;
+            if seen.moves && contradicts > DISPUTED {
+                *cause = Cause::Frozen;
+            }
+        } else if *cause == Cause::Frozen {
+            // Wrong until they are adopted or consistent.
             *cause = Cause::Stop;
-            self.released = Some(at);
+            self.returned = Some(at);
+        } else if let Some(returns) = seen.leap {
+            self.returned = returns.then_some(at);
         }
-        let (frozen, moved_on) = (*cause == Cause::Frozen, *cause == Cause::MovedOn);
+        let frozen = *cause == Cause::Frozen;
         if nis < GATE {
             self.consistent += 1;
             self.consistent_since.get_or_insert(at);
@@ -131,15 +142,11 @@ impl EncoderTrust {
             (self.consistent, self.consistent_since) = (0, None);
         }
         let lasts = self.consistent_since.map_or(0.0, |since| at.seconds_since(since));
-        let contradicts = at.seconds_since(since);
-        // The state may be too uncertain by now for readings to contradict it.
-        let were_frozen = moved_on && !standing && (MOVED_ON..SET).contains(&contradicts);
-        let outlasts = contradicts > timeout
-            || self.released.is_some_and(|released| at.seconds_since(released) > RELEASED);
-        if self.consistent >= CONSISTENT && (!standing || lasts > UNCHANGED) {
+        let returned = self.returned.is_some_and(|since| at.seconds_since(since) > RETURNED);
+        if self.consistent >= CONSISTENT && (!seen.standing || lasts > UNCHANGED) {
             self.reset();
             Verdict::Resume
-        } else if !frozen && (were_frozen || self.consistent == 0 && outlasts) {
+        } else if !frozen && self.consistent == 0 && (returned || contradicts > timeout) {
             self.reset();
             Verdict::Adopt
         } else {
@@ -162,7 +169,7 @@ impl EncoderTrust {
             && self.tried.is_none_or(|tried| tried < since || tried > at);
         if tries {
             self.tried = Some(at);
-            self.suspend(at, Cause::Frozen);
+            self.suspend(at, Cause::Frozen, false);
         }
         tries
     }
@@ -172,50 +179,58 @@ impl EncoderTrust {
 mod tests {
     use super::*;
 
+    const STRANGE: Seen = Seen { standing: false, moves: false, leap: None };
+    const STANDS: Seen = Seen { standing: true, ..STRANGE };
+    const FROZEN: Seen = Seen { moves: true, ..STANDS };
+
     #[test]
     fn three_consistent_readings_restore_trust_and_a_lasting_step_is_adopted() {
         let at = |ms: i64| Stamp::from_nanos(ms * 1_000_000);
         let off = Vector3::new(0.5, 0.0, 0.0);
         let mut trust = EncoderTrust::default();
-        trust.suspend(at(0), Cause::Contradiction);
-        let verdicts = [1.0, 1.0, 500.0, 1.0, 1.0]
-            .map(|nis| trust.judge(at(20), nis, &off, (false, false), 3.0));
+        trust.suspend(at(0), Cause::Contradiction, false);
+        let verdicts =
+            [1.0, 1.0, 500.0, 1.0, 1.0].map(|nis| trust.judge(at(20), nis, &off, STRANGE, 3.0));
         assert_eq!(verdicts, [Verdict::Exclude; 5]);
-        assert_eq!(trust.judge(at(60), 1.0, &off, (false, false), 3.0), Verdict::Resume);
+        assert_eq!(trust.judge(at(60), 1.0, &off, STRANGE, 3.0), Verdict::Resume);
         assert!(!trust.is_suspended());
-        trust.suspend(at(70), Cause::Contradiction);
+        trust.suspend(at(70), Cause::Contradiction, false);
         let frozen: Vec<Verdict> =
-            (0..60).map(|k| trust.judge(at(80 + 20 * k), 1.0, &off, (true, false), 3.0)).collect();
+            (0..60).map(|k| trust.judge(at(80 + 20 * k), 1.0, &off, STANDS, 3.0)).collect();
         assert_eq!(frozen.iter().position(|v| *v == Verdict::Resume), Some(51));
-        trust.suspend(at(100), Cause::Contradiction);
-        trust.suspend(at(2000), Cause::Contradiction);
-        assert_eq!(trust.judge(at(2100), 1e6, &off, (false, false), 3.0), Verdict::Exclude);
+        trust.suspend(at(100), Cause::Contradiction, false);
+        trust.suspend(at(2000), Cause::Contradiction, false);
+        assert_eq!(trust.judge(at(2100), 1e6, &off, STRANGE, 3.0), Verdict::Exclude);
         assert_eq!(trust.dispute(), Some(off));
-        trust.suspend(at(2200), Cause::Frozen);
+        trust.suspend(at(2200), Cause::Frozen, false);
         assert_eq!(trust.dispute(), None);
         // A climber that stands is adopted, one that moves has frozen encoders.
         let mut stopped = EncoderTrust::default();
-        stopped.suspend(at(0), Cause::Contradiction);
+        stopped.suspend(at(0), Cause::Contradiction, false);
         let mut moving = stopped.clone();
-        assert_eq!(stopped.judge(at(4000), 1e6, &off, (true, false), 3.0), Verdict::Adopt);
-        assert_eq!(moving.judge(at(200), 1e6, &off, (true, true), 3.0), Verdict::Exclude);
-        assert_eq!(moving.judge(at(400), 1e6, &off, (true, true), 3.0), Verdict::Exclude);
-        assert_eq!(moving.judge(at(4000), 1e6, &off, (true, false), 3.0), Verdict::Exclude);
-        // Readings that resumed with a leap and move are adopted early, those of a reset are not.
-        let mut moved_on = EncoderTrust::default();
-        moved_on.suspend(at(0), Cause::MovedOn);
-        let mut set = moved_on.clone();
-        let first_adopted = |trust: &mut EncoderTrust, standing: bool| {
-            let mut verdicts =
-                (1..200).map(|k| trust.judge(at(20 * k), 500.0, &off, (standing, false), 3.0));
-            verdicts.position(|v| v == Verdict::Adopt).map(|k| 20 * (k + 1))
+        assert_eq!(stopped.judge(at(4000), 1e6, &off, STANDS, 3.0), Verdict::Adopt);
+        assert_eq!(moving.judge(at(200), 1e6, &off, FROZEN, 3.0), Verdict::Exclude);
+        assert_eq!(moving.judge(at(400), 1e6, &off, FROZEN, 3.0), Verdict::Exclude);
+        assert_eq!(moving.judge(at(4000), 1e6, &off, STANDS, 3.0), Verdict::Exclude);
+        // Readings that return from a fault and move are adopted early, those of a reset are not.
+        let first_adopted = |returns: bool, leaps: &[(i64, bool)], stands: i64| {
+            let mut trust = EncoderTrust::default();
+            trust.suspend(at(0), Cause::Leap, returns);
+            (1..200).map(|k| 20 * k).find(|&ms| {
+                let leap = leaps.iter().find(|(at, _)| *at == ms).map(|(_, returns)| *returns);
+                let seen = Seen { standing: ms > stands, leap, ..STRANGE };
+                trust.judge(at(ms), 500.0, &off, seen, 3.0) == Verdict::Adopt
+            })
         };
-        assert_eq!(first_adopted(&mut moved_on, false), Some(200));
-        assert_eq!(first_adopted(&mut set, true), Some(3020));
+        assert_eq!(first_adopted(true, &[], 9000), Some(220));
+        assert_eq!(first_adopted(true, &[], 60), Some(3020), "set while the climber stood");
+        assert_eq!(first_adopted(false, &[(1000, true)], 9000), Some(1220));
+        let alternating: Vec<_> = (1..100).map(|k| (40 * k, k % 2 == 0)).collect();
+        assert_eq!(first_adopted(false, &alternating, 9000), Some(3020));
         // Frozen readings are never adopted; those that move again are right.
-        assert_eq!(trust.judge(at(9000), 1e6, &off, (true, false), 3.0), Verdict::Exclude);
-        assert_eq!(trust.judge(at(9020), 1e6, &off, (false, false), 30.0), Verdict::Exclude);
-        assert_eq!(trust.judge(at(9140), 1e6, &off, (false, false), 30.0), Verdict::Adopt);
+        assert_eq!(trust.judge(at(9000), 1e6, &off, STANDS, 3.0), Verdict::Exclude);
+        assert_eq!(trust.judge(at(9020), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
+        assert_eq!(trust.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Adopt);
         // Readings that stand are tried without once.
         assert!(
             !trust.tries_without(at(9900), at(10_000)) && trust.tries_without(at(9500), at(10_000))

@@ -10,8 +10,8 @@ use nalgebra::Vector3;
 use rig_model::{Stamp, wrap_angle};
 use std::collections::VecDeque;
 
-/// Number of readings kept: a second at 200 Hz.
-const KEPT: usize = 200;
+/// Number of readings kept: 0.4 s at 1 kHz, more than encoders must stand to be tried without.
+const KEPT: usize = 400;
 /// Readings within this time of an instant give the rates, s.
 const NEAR: f64 = 0.25;
 /// Shortest span of readings that gives rates, s.

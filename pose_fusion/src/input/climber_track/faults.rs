@@ -1,6 +1,7 @@
 //! Detection of encoder readings that are frozen or leap, and of a climber that hit an obstacle.
 
 use super::{ClimberTrack, NEAR, SPEED};
+use crate::measurements::geometry::ClimberRest;
 use nalgebra::Vector3;
 use rig_model::{Stamp, wrap_angle};
 
@@ -15,6 +16,17 @@ const STOPPED_STEPS: f64 = 3.0;
 pub const STOOD: f64 = 0.2;
 /// Readings leap where they differ by more than this (m, m, rad) beside three sigma of the speed.
 const LEAP: f64 = 0.05;
+
+type Reading = (Stamp, Vector3<f64>, ClimberRest);
+
+/// Returns whether a climber can have moved from one reading to a later one: by `slack` (m, m, rad)
+/// beside three sigma of [`SPEED`].
+fn is_in_reach(to: &Reading, from: &Reading, slack: f64) -> bool {
+    let mut way = to.1 - from.1;
+    way.z = wrap_angle(way.z);
+    let lasts = to.0.seconds_since(from.0);
+    (0..3).all(|i| way[i].abs() <= slack + 3.0 * SPEED[i] * lasts)
+}
 
 impl ClimberTrack {
     /// Returns whether the newest readings are equal on all axes: a climber at rest, or frozen
@@ -36,12 +48,21 @@ impl ClimberTrack {
     pub fn leaps_near(&self, stamp: Stamp) -> bool {
         let near = |at: &Stamp| at.seconds_since(stamp).abs() < NEAR;
         let pairs = self.readings.iter().zip(self.readings.iter().skip(1));
-        pairs.filter(|(a, b)| near(&a.0) || near(&b.0)).any(|(a, b)| {
-            let mut way = b.1 - a.1;
-            way.z = wrap_angle(way.z);
-            let lasts = b.0.seconds_since(a.0);
-            (0..3).any(|i| way[i].abs() > LEAP + 3.0 * SPEED[i] * lasts)
-        })
+        pairs.filter(|(a, b)| near(&a.0) || near(&b.0)).any(|(a, b)| !is_in_reach(b, a, LEAP))
+    }
+
+    /// Returns whether the reading at `stamp` leaps, and if so, whether to where a climber can have
+    /// moved to since the leap before.
+    pub fn leap_at(&self, stamp: Stamp) -> Option<bool> {
+        let place = self.place_of(stamp);
+        let reading = self.readings.get(place)?;
+        let before = |k: usize| self.readings.get(place.checked_sub(k)?);
+        if is_in_reach(reading, before(1)?, LEAP) {
+            return None;
+        }
+        let pairs = (1..place).filter_map(|k| Some((before(k + 1)?, before(k)?)));
+        let last = pairs.into_iter().find(|(a, b)| !is_in_reach(b, a, LEAP));
+        Some(last.is_some_and(|(anchor, _)| is_in_reach(reading, anchor, LEAP)))
     }
 
     /// Returns whether the newest readings leap.
@@ -52,18 +73,20 @@ impl ClimberTrack {
     /// Returns whether the reading at `stamp` is the first that differs after equal ones, by no more
     /// than a climber drives (3 sigma of [`SPEED`]) in the time for which they were equal.
     pub fn moves_on(&self, stamp: Stamp) -> bool {
-        let after = self.readings.partition_point(|(at, _, _)| at.seconds_since(stamp) < -1e-6);
-        let mut before = self.readings.iter().take(after).rev().peekable();
-        let (Some((_, values, _)), Some((_, stood, _))) =
-            (self.readings.get(after), before.peek().copied())
+        let place = self.place_of(stamp);
+        let mut before = self.readings.iter().take(place).rev().peekable();
+        let (Some(reading), Some(stood)) = (self.readings.get(place), before.peek().copied())
         else {
             return false;
         };
-        let since = before.take_while(|(_, v, _)| v == stood).last().map(|(at, _, _)| *at);
-        let lasts = since.map_or(0.0, |since| stamp.seconds_since(since));
-        let mut way = values - stood;
-        way.z = wrap_angle(way.z);
-        values != stood && lasts > STOOD && (0..3).all(|i| way[i].abs() <= 3.0 * SPEED[i] * lasts)
+        before.take_while(|(_, v, _)| *v == stood.1).last().is_some_and(|first| {
+            let lasts = stamp.seconds_since(first.0);
+            reading.1 != stood.1 && lasts > STOOD && is_in_reach(reading, first, 0.0)
+        })
+    }
+
+    fn place_of(&self, stamp: Stamp) -> usize {
+        self.readings.partition_point(|(at, _, _)| at.seconds_since(stamp) < -1e-6)
     }
 
     /// Returns since when an encoder has repeated one value at which a moving climber stopped
@@ -178,6 +201,24 @@ mod tests {
         assert_eq!(leaps(&|t| fast(t) + Vector3::x() * wrong(t)), (37..=63).collect::<Vec<_>>());
         let step = |t: f64| if t > 0.99 { 0.5 } else { 0.0 };
         assert_eq!(leaps(&|t| fast(t) + Vector3::z() * step(t)), (37..=62).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_leap_back_is_distinguished_from_a_leap_away() {
+        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
+        // 0.3 m/s, off by `off` from 0.5 s until 1.5 s and by `after` from then on.
+        let leaps = |off: f64, after: f64| {
+            let mut track = ClimberTrack::new(&ClimberConfig::default());
+            for i in 0..100 {
+                let t = f64::from(i) * 0.02;
+                let wrong = [0.0, off, after][usize::from(t > 0.49) + usize::from(t > 1.49)];
+                track.add(start.plus_seconds(t), Vector3::new(0.3 * t + wrong, 0.0, 0.0), rest);
+            }
+            [0.48, 0.5, 0.52, 1.5, 1.52].map(|t| track.leap_at(start.plus_seconds(t)))
+        };
+        assert_eq!(leaps(10.0, 0.0), [None, Some(false), None, Some(true), None]);
+        assert_eq!(leaps(10.0, 5.0), [None, Some(false), None, Some(false), None]);
     }
 
     #[test]
