@@ -3,11 +3,9 @@
 //! Standard deviations are 1 sigma. Each default names its origin.
 
 use nalgebra::Vector3;
-use serde::{Deserialize, Serialize};
 
 /// Which estimator runs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Model {
     /// Tightly coupled error-state filter on marker pixels.
     #[default]
@@ -17,8 +15,7 @@ pub enum Model {
 }
 
 /// Visual measurement of the published filter.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PaperMeasurement {
     /// Pose from one image: three positions and three rotations.
     #[default]

@@ -256,14 +256,6 @@ impl Fusion {
         filter.smoothed(if end { 0.0 } else { LAG })
     }
 
-    /// Returns the error-state filter, where it runs.
-    pub fn filter(&self) -> Option<&Filter> {
-        match &self.estimator {
-            Estimator::TightlyCoupled(filter) => Some(filter),
-            Estimator::Paper(_) => None,
-        }
-    }
-
     /// Returns why there is no estimate yet; empty where there is one.
     pub fn missing(&self) -> String {
         match &self.estimator {

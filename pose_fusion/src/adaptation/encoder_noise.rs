@@ -129,6 +129,7 @@ impl EncoderNoise {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rig_simulator::random::Random;
 
     /// A poor link leaves the readings of a moving climber unevenly spaced.
     #[test]
@@ -158,21 +159,11 @@ mod tests {
     fn noise_is_separated_from_motion() {
         let steps = Vector3::new(0.001, 0.001, 0.00087);
         let mut noise = EncoderNoise::new(steps);
-        let mut state = 1u64;
-        let mut normal = || {
-            let mut sum = 0.0;
-            for _ in 0..12 {
-                state = state
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1_442_695_040_888_963_407);
-                sum += (state >> 11) as f64 * 2f64.powi(-53);
-            }
-            sum - 6.0
-        };
+        let mut random = Random::new(1);
         let mut found = Vector3::zeros();
         for i in 0..200 {
             let t = f64::from(i) * 0.02;
-            let x = 0.4 * t.sin() + 0.002 * normal();
+            let x = 0.4 * t.sin() + 0.002 * random.normal();
             (found, _) = noise.add(Stamp::default().plus_seconds(t), &Vector3::new(x, 0.3, 0.0));
         }
         assert!((found.x.sqrt() / 0.002 - 1.0).abs() < 0.25, "{}", found.x.sqrt());

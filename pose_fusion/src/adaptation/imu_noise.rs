@@ -199,29 +199,16 @@ impl Differences {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn normal() -> impl FnMut() -> f64 {
-        let mut state = 3u64;
-        move || {
-            let mut sum = 0.0;
-            for _ in 0..12 {
-                state = state
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1_442_695_040_888_963_407);
-                sum += (state >> 11) as f64 * 2f64.powi(-53);
-            }
-            sum - 6.0
-        }
-    }
+    use rig_simulator::random::Random;
 
     const GIVEN: Densities = Densities { force: 4e-6, rate: 7.6e-7 };
 
     #[test]
     fn ten_times_the_noise_is_found_within_a_second_of_swing() {
-        let (mut noise, mut normal) = (ImuNoise::default(), normal());
+        let (mut noise, mut random) = (ImuNoise::default(), Random::new(3));
         for i in 0..100 {
             let swing = (std::f64::consts::TAU * f64::from(i) * 0.01).sin();
-            let mut white = |s: f64| Vector3::new(normal(), normal(), normal()) * s;
+            let mut white = |s: f64| Vector3::from_fn(|_, _| random.normal()) * s;
             let reading = ImuReading {
                 specific_force: Vector3::new(3.0 * swing, 1.0, 9.8) + white(0.2),
                 angular_velocity: Vector3::new(3.0 * swing, 0.0, 0.0) + white(0.087),
@@ -237,9 +224,9 @@ mod tests {
 
     #[test]
     fn a_platform_that_sets_off_during_a_gap_is_seen_to_move() {
-        let (mut noise, mut normal) = (ImuNoise::default(), normal());
+        let (mut noise, mut random) = (ImuNoise::default(), Random::new(3));
         let mut add = |swing: f64, dt: f64| {
-            let mut white = |s: f64| Vector3::new(normal(), normal(), normal()) * s;
+            let mut white = |s: f64| Vector3::from_fn(|_, _| random.normal()) * s;
             let reading = ImuReading {
                 specific_force: Vector3::new(3.0 * swing, 1.0, 9.8) + white(0.02),
                 angular_velocity: Vector3::new(3.0 * swing, 0.0, 0.0) + white(0.0087),
@@ -257,12 +244,12 @@ mod tests {
 
     #[test]
     fn vibration_between_samples_is_not_taken_for_noise_that_is_integrated() {
-        let (mut noise, mut normal) = (ImuNoise::default(), normal());
+        let (mut noise, mut random) = (ImuNoise::default(), Random::new(3));
         for i in 0..2000 {
             let t = f64::from(i) / 286.0;
             let vibration = (std::f64::consts::TAU * 93.0 * t).sin()
                 + (std::f64::consts::TAU * 118.0 * t).sin();
-            let mut white = |s: f64| Vector3::new(normal(), normal(), normal()) * s;
+            let mut white = |s: f64| Vector3::from_fn(|_, _| random.normal()) * s;
             let reading = ImuReading {
                 specific_force: Vector3::new(2.0 * vibration, vibration, 9.8)
                     + white(0.002 * 286f64.sqrt()),

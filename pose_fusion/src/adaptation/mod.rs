@@ -2,10 +2,9 @@
 
 pub mod disturbances;
 pub mod encoder_noise;
+pub mod excess;
 pub mod imu_integrity;
 pub mod imu_noise;
 pub mod layout_misfit;
-pub mod model_error;
-pub mod pixel_noise;
 pub mod stamp_jitter;
 pub mod stationary;

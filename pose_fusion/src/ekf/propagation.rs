@@ -77,6 +77,14 @@ pub struct ProcessNoise {
     pub noise_of_changes: [f32; 2],
 }
 
+impl ProcessNoise {
+    /// Returns the noise with more of the specific force, (m/s²)²/Hz, and angular velocity,
+    /// (rad/s)²/Hz.
+    pub fn plus(&self, force: f64, rate: f64) -> Self {
+        Self { force: self.force + force, rate: self.rate + rate, ..*self }
+    }
+}
+
 /// Propagates `state` by `dt` seconds with the readings at both ends. `gravity` in m/s².
 pub fn propagate(
     state: &mut State,

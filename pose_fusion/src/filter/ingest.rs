@@ -320,7 +320,6 @@ impl Filter {
             variance: variance.component_mul(&multiplicity),
             multiplicity,
             time_offset,
-            rest,
         };
         let excluded = self.trust.is_suspended();
         self.history.insert(

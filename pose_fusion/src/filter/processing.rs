@@ -2,6 +2,7 @@
 
 use super::Filter;
 use crate::{
+    adaptation::excess::{MODEL_ERROR, PIXEL_NOISE},
     ekf::{
         propagation::ProcessNoise,
         state::{TIME_OFFSET, VELOCITY},
@@ -49,7 +50,7 @@ const VELOCITY_KNOWN: f64 = 0.1;
 /// of a platform that sets off within 0.2 s.
 const CARRIED: f64 = 0.25;
 /// The rope is compared from this time after the initialization on, s.
-const ROPE_COMPARED: f64 = 2.0;
+const SETTLED: f64 = 2.0;
 
 impl Filter {
     /// Processes everything on the time line up to its end.
@@ -142,7 +143,7 @@ impl Filter {
             && entry.state.sigmas(VELOCITY).max() < VELOCITY_KNOWN;
         let excused = self.disturbances.is_climber_disturbed(at) || moves_off;
         let settled =
-            self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > ROPE_COMPARED);
+            self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > SETTLED);
         if record.used >= 3 && !excused && settled {
             let c = &self.setup.config;
             self.publisher.rope.compare(
@@ -173,7 +174,7 @@ impl Filter {
         }
         let internal = match (&record.misfit, record.used) {
             (Some(misfit), 4) => {
-                self.markers.noise().add(misfit.squared);
+                self.markers.noise().add(misfit.squared, &PIXEL_NOISE);
                 Some(misfit.squared)
             }
             // A pose explains whatever three markers show.
@@ -181,7 +182,7 @@ impl Filter {
             _ => None,
         };
         if let (Some(internal), false) = (internal, excused) {
-            if self.imu.model_error().add(record.nis, internal)
+            if self.imu.model_error().add(record.nis - internal, &MODEL_ERROR)
                 && self.try_without_encoders(at, out)
             {
                 return false;
@@ -219,7 +220,7 @@ impl Filter {
         let at = entry.stamp;
         let repeated = self.lock_out.gives_way(stamp);
         self.search_again();
-        self.imu.model_error().contradicted();
+        self.imu.model_error().contradicted(&MODEL_ERROR);
         // Encoders that stopped at once while the images see the climber drive on are frozen.
         let stopped = self.disturbances.climber_since(at, SUSPECT);
         let disturbed = stopped.filter(|_| self.climber.is_standing());

@@ -3,9 +3,9 @@
 
 use crate::{
     adaptation::{
+        excess::Excess,
         imu_integrity::{Implausible, ImuIntegrity},
         imu_noise::{Densities, ImuNoise},
-        model_error::ModelError,
         stationary::Stationary,
     },
     config::TightConfig,
@@ -63,7 +63,7 @@ pub struct ImuInput {
     noise: ImuNoise,
     stationary: Stationary,
     ups: VecDeque<(Stamp, Up)>,
-    model_error: ModelError,
+    model_error: Excess,
     /// The noise was known at some time.
     known: bool,
 }
@@ -157,7 +157,7 @@ impl ImuInput {
     }
 
     /// Returns the model error identified from the images.
-    pub fn model_error(&mut self) -> &mut ModelError {
+    pub fn model_error(&mut self) -> &mut Excess {
         &mut self.model_error
     }
 

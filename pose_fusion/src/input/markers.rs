@@ -3,8 +3,8 @@
 
 use crate::{
     adaptation::{
+        excess::Excess,
         layout_misfit::LayoutMisfit,
-        pixel_noise::PixelNoise,
         stamp_jitter::{self, KEPT},
     },
     config::MarkerConfig,
@@ -22,7 +22,7 @@ const LARGEST: [f64; 2] = [1e5, 1e6];
 #[derive(Clone, Debug, Default)]
 pub struct MarkerInput {
     stamps: VecDeque<Stamp>,
-    noise: PixelNoise,
+    noise: Excess,
     misfit: LayoutMisfit,
     layout_doubt: Option<f64>,
 }
@@ -58,7 +58,7 @@ impl MarkerInput {
     }
 
     /// Returns the pixel noise identified from the innovations.
-    pub fn noise(&mut self) -> &mut PixelNoise {
+    pub fn noise(&mut self) -> &mut Excess {
         &mut self.noise
     }
 

@@ -5,7 +5,7 @@
 //! equal readings so far (see [`crate::adaptation::encoder_noise`]). A climber at rest is therefore
 //! never known much better than its encoders' step.
 
-use super::{Innovation, Outcome, geometry::ClimberRest};
+use super::{Innovation, Outcome};
 use crate::ekf::{
     consider::{ByParameter, CLIMBER_OFFSET, ENCODER_SCALE},
     propagation::ImuReading,
@@ -34,8 +34,6 @@ pub struct EncoderReading {
     pub multiplicity: Vector3<f64>,
     /// Time offset with which the reading was placed on the IMU's time line, s.
     pub time_offset: f64,
-    /// Height and tilt of the climber.
-    pub rest: ClimberRest,
 }
 
 /// Returns the innovation of a reading and its derivative rows without changing the state.
@@ -117,7 +115,6 @@ mod tests {
             variance: Vector3::repeat(1e-6),
             multiplicity: Vector3::repeat(1.0),
             time_offset: 0.0,
-            rest: ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() },
         };
         (state, reading)
     }

@@ -109,18 +109,6 @@ pub fn by_calibration(linear: &Linearization, geometry: &Geometry) -> ByCalibrat
     by
 }
 
-/// Returns the derivative of the markers by the relative size of their layout.
-pub fn size_derivative(linear: &Linearization, geometry: &Geometry) -> Residual {
-    let mut by_size = Residual::zeros();
-    for (i, center) in geometry.markers.centers.0.iter().enumerate() {
-        if let Some(predicted) = &linear.projected[i] {
-            let arm = linear.camera_from_volant.rotation * center.coords;
-            by_size.fixed_rows_mut::<2>(2 * i).copy_from(&(predicted.jacobian_by_center * arm));
-        }
-    }
-    by_size
-}
-
 /// Returns `H P Hᵀ` from `P Hᵀ`.
 pub fn innovation_spread(h: &Jacobian, gain: &super::markers::Gain) -> Block {
     let mut rows = nalgebra::SMatrix::<f64, 9, 8>::zeros();
@@ -186,13 +174,6 @@ mod tests {
             *geometry.camera.distortion(),
         );
         check(FOCAL, Geometry { camera: camera.unwrap(), ..geometry.clone() });
-        let mut scaled = geometry.clone();
-        for center in &mut scaled.markers.centers.0 {
-            center.coords *= 1.0 + h;
-        }
-        let by_size = size_derivative(&linear, &geometry);
-        let numeric = -linearize(&state, &scaled, &image, &READING).residual / h;
-        assert!((numeric - by_size).amax() < 0.02 * numeric.amax(), "{numeric}{by_size}");
         for k in 0..8 {
             let mut moved = geometry.clone();
             moved.markers.centers.0[k / 2].coords[k % 2] += h;

@@ -70,8 +70,6 @@ pub struct Image {
     /// By how much the images before contradict the places of the markers (1 sigma), where that is
     /// news, m.
     pub layout_doubt: Option<f32>,
-    /// No IMU sample carries the state to the image.
-    pub without_imu: bool,
 }
 
 impl Image {
@@ -82,14 +80,7 @@ impl Image {
             let covariance = [c.m11, c.m21, c.m22].map(|x| x as f32);
             Some(Centroid { pixel: pixel.into(), covariance })
         });
-        Self {
-            centroids,
-            time_offset,
-            stamp_sigma: 0.0,
-            rest,
-            layout_doubt: None,
-            without_imu: false,
-        }
+        Self { centroids, time_offset, stamp_sigma: 0.0, rest, layout_doubt: None }
     }
 
     /// Returns the detected markers.
@@ -178,7 +169,7 @@ pub fn update(
     let linear = linearize(state, geometry, image, reading);
     let gain = covariance_times(&state.covariance, &linear.jacobian);
     let spread = innovation_spread(&linear.jacobian, &gain);
-    let noise = measurement_noise(state, geometry, &linear, image, reading);
+    let noise = measurement_noise(state, &linear, image, reading);
     let seen =
         SMatrix::<f64, 9, PARAMETERS>::from_fn(|k, j| f64::from(state.sensitivity[(j, SEEN[k])]));
     let by_parameter = linear.jacobian * seen + by_calibration(&linear, geometry);

@@ -62,11 +62,7 @@ impl Changes {
         if self.measured < MEASURED {
             return dropout::extrapolated(usual, horizon);
         }
-        ProcessNoise {
-            force: usual.force + self.force / 4.0 * horizon,
-            rate: usual.rate + self.rate / 4.0 * horizon,
-            ..*usual
-        }
+        usual.plus(self.force / 4.0 * horizon, self.rate / 4.0 * horizon)
     }
 }
 

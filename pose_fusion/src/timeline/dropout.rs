@@ -25,36 +25,26 @@ const FREQUENCY: f64 = std::f64::consts::TAU;
 /// How long the missed part keeps its sign, s.
 pub const CORRELATION: f64 = 0.3;
 
+/// Returns the process noise of a motion of which the share `missed` is not measured for `seconds`.
+fn missed(usual: &ProcessNoise, missed: f64, seconds: f64) -> ProcessNoise {
+    let (missed, span) = (missed.min(1.0), seconds.min(CORRELATION));
+    usual.plus((missed * FORCE).powi(2) * span, (missed * RATE).powi(2) * span)
+}
+
 /// Returns the process noise within a gap of `seconds` that is interpolated.
 pub fn interpolated(usual: &ProcessNoise, seconds: f64) -> ProcessNoise {
-    let missed = (FREQUENCY * FREQUENCY * seconds * seconds / 8.0).min(1.0);
-    let span = seconds.min(CORRELATION);
-    ProcessNoise {
-        force: usual.force + (missed * FORCE).powi(2) * span,
-        rate: usual.rate + (missed * RATE).powi(2) * span,
-        ..*usual
-    }
+    missed(usual, FREQUENCY * FREQUENCY * seconds * seconds / 8.0, seconds)
 }
 
 /// Returns the process noise of a motion that goes on for `seconds` with the last reading: a motion
 /// of angular frequency ω and amplitude A is missed by `A ω T/2` in the mean.
 pub fn extrapolated(usual: &ProcessNoise, seconds: f64) -> ProcessNoise {
-    let missed = (FREQUENCY * seconds / 2.0).min(1.0);
-    let span = seconds.min(CORRELATION);
-    ProcessNoise {
-        force: usual.force + (missed * FORCE).powi(2) * span,
-        rate: usual.rate + (missed * RATE).powi(2) * span,
-        ..*usual
-    }
+    missed(usual, FREQUENCY * seconds / 2.0, seconds)
 }
 
 /// Returns the process noise of uniform motion without any IMU sample.
 pub fn blind(usual: &ProcessNoise) -> ProcessNoise {
-    ProcessNoise {
-        force: usual.force + FORCE.powi(2) * CORRELATION,
-        rate: usual.rate + RATE.powi(2) * CORRELATION,
-        ..*usual
-    }
+    missed(usual, 1.0, CORRELATION)
 }
 
 #[cfg(test)]

@@ -143,7 +143,6 @@ fn apply(entry: &mut Entry, unseen: f64, blind: bool, context: &Context<'_>) -> 
         Event::Image { image, stamp, fresh } => {
             let gates = Gates { marker: config.markers.gate, joint: 1.0 };
             let (geometry, apply) = (context.geometry, !context.frozen);
-            image.without_imu = blind;
             let record = markers::update(state, geometry, image, reading, &gates, gravity, apply);
             Step::Image { stamp: *stamp, image: *image, record, fresh: std::mem::take(fresh) }
         }

@@ -200,22 +200,6 @@ fn delays_jitter_and_reordering_reach_the_bound() {
     );
 }
 
-#[test]
-fn a_link_between_the_computers_reaches_the_bound() {
-    // Messages of the climber's computer are 50 ± 20 ms late: images and encoders.
-    row(
-        "images and encoders 30 to 70 ms late",
-        1.05,
-        runs(),
-        |seed| MotionConfig { duration: 16.0, ..MotionConfig::nominal(seed) },
-        |seed| SensorConfig {
-            image_delay: [0.03, 0.07],
-            climber_delay: [0.03, 0.07],
-            ..SensorConfig::nominal(seed)
-        },
-    );
-}
-
 /// The runs of `volant hosts` over the clean link and over the late one: whatever is known, the
 /// pose now is that of 60 ms ago and the inertial samples since, and the better the centroids, the
 /// more that shows.
@@ -249,7 +233,7 @@ fn a_late_link_between_two_hosts_and_its_bound() {
             late[0] / clean[0],
             late[1] / clean[1]
         );
-        assert!(late[0] < 1.1 * late[1], "{pixel_noise} px");
+        assert!(late[0] < 1.05 * late[1], "{pixel_noise} px");
     }
 }
 

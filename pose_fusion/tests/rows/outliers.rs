@@ -24,22 +24,6 @@ fn false_markers_are_rejected_with_a_reason() {
 }
 
 #[test]
-fn a_noisy_late_climber_is_smoothed() {
-    for seed in [1, 2] {
-        let sensors = SensorConfig {
-            climber_noise: [0.002, 0.2_f64.to_radians()],
-            climber_delay: [0.05, 0.055],
-            ..SensorConfig::nominal(seed)
-        };
-        let motion =
-            MotionConfig { climber_speed: 0.5, duration: 20.0, ..MotionConfig::nominal(seed) };
-        let o = follow_from(motion, &sensors, simulated::config(), 5.0);
-        println!("{}", o.score);
-        assert!(o.score.position_rmse() < 2.0 && consistent(&o.score, 1.0, 6.0), "{}", o.score);
-    }
-}
-
-#[test]
 fn rest_and_departure_are_tracked() {
     for seed in [0, 1] {
         let rest = follow(MotionConfig::rest(seed), &SensorConfig::nominal(seed));

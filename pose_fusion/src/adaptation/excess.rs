@@ -1,0 +1,113 @@
+//! Excess of the images' innovations over their covariance.
+//!
+//! An image's innovation has two parts. What no pose explains (2 of the 8 numbers of four markers)
+//! is pixel noise and nothing else. What a pose explains (6 numbers) is the error of the
+//! prediction: what neither the noise of the IMU nor its estimated constants
+//! ([`crate::ekf::calibration`]) describe. Where a part is larger than its covariance, its factor
+//! grows, and returns slowly.
+
+/// How fast a factor follows the excess.
+#[derive(Debug)]
+pub struct Tuning {
+    /// Degrees of freedom of this part of an innovation.
+    freedom: f64,
+    /// Images over which the mean square is taken.
+    memory: f64,
+    /// Mean square per degree of freedom above which the factor grows …
+    large: f64,
+    /// … and below which it returns.
+    small: f64,
+    /// Growth per image.
+    growth: f64,
+    /// Decay per image.
+    decay: f64,
+    limit: f64,
+}
+
+/// Factor on the sigmas of the noise that grows with rate and specific force: tenfold within half a
+/// second, back within five, at most 5 % of both.
+pub const MODEL_ERROR: Tuning = Tuning {
+    freedom: 6.0,
+    memory: 15.0,
+    large: 1.8,
+    small: 1.25,
+    growth: 1.15,
+    decay: 0.985,
+    limit: 50.0,
+};
+
+/// Factor on the pixel variance that the images claim.
+pub const PIXEL_NOISE: Tuning = Tuning {
+    freedom: 2.0,
+    memory: 40.0,
+    large: 1.4,
+    small: 1.05,
+    growth: 1.02,
+    decay: 0.99,
+    limit: 100.0,
+};
+
+/// Factor where the images contradict the prediction.
+const CONTRADICTED: f64 = 3.0;
+
+/// Factor that follows the excess.
+#[derive(Clone, Debug)]
+pub struct Excess {
+    ratio: f64,
+    factor: f64,
+}
+
+impl Default for Excess {
+    fn default() -> Self {
+        Self { ratio: 1.0, factor: 1.0 }
+    }
+}
+
+impl Excess {
+    /// Adds this part of an image's NIS. Returns whether the factor grows.
+    pub fn add(&mut self, nis: f64, tuning: &Tuning) -> bool {
+        let ratio = (nis / tuning.freedom).clamp(0.0, 6.0);
+        self.ratio += (ratio - self.ratio) / tuning.memory;
+        let grows = self.ratio > tuning.large;
+        if grows {
+            self.factor = (self.factor * tuning.growth).min(tuning.limit);
+        } else if self.ratio < tuning.small {
+            self.factor = (self.factor * tuning.decay).max(1.0);
+        }
+        grows
+    }
+
+    /// Notes that the prediction had to give way to images that contradict it.
+    pub fn contradicted(&mut self, tuning: &Tuning) {
+        self.factor = (self.factor * CONTRADICTED).min(tuning.limit);
+    }
+
+    /// Returns the factor, at least 1.
+    pub fn factor(&self) -> f64 {
+        self.factor
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn factors_grow_with_an_excess_and_return() {
+        // The part's NIS where it is as expected, at most; where it exceeds; where it is small.
+        for (tuning, expected, large, small) in
+            [(MODEL_ERROR, 6.0, 18.0, 6.0), (PIXEL_NOISE, 2.0, 10.0, 1.5)]
+        {
+            let mut excess = Excess::default();
+            let mut grown = |n: usize, nis: f64| {
+                let count = (0..n).filter(|_| excess.add(nis, &tuning)).count();
+                (count, excess.factor())
+            };
+            assert_eq!(grown(200, expected), (0, 1.0));
+            let (count, factor) = grown(200, large);
+            assert!(count > 150 && factor > 5.0, "{count} {factor}");
+            let (count, factor) = grown(1000, small);
+            assert!(count < 100 && factor == 1.0, "{count} {factor}");
+        }
+    }
+}

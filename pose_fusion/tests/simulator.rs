@@ -1,2 +1,0 @@
-//! The simulated rig's own tests run here too: all that is asserted about the filter rests on them.
-mod common;
