@@ -2,13 +2,19 @@
 
 use super::topic_names::TopicNames;
 use bag::{BagError, BagSummary, BagWriter, QosProfile, Topic, TopicId, WriteOptions};
-use pose_fusion::{MarkerUpdateRecord, Odometry, PoseEstimate, PoseStatus, Swing, messages};
-use rig_model::{ClimberSample, Frames, MarkerObservations, Rig, Stamp, topics};
-use std::{cmp::Reverse, collections::BinaryHeap, path::Path};
+use pose_fusion::{MarkerUpdateRecord, Output, messages};
+use rig_model::{Frames, Rig, Stamp, topics};
+use std::{
+    cmp::Reverse,
+    collections::{BinaryHeap, HashMap},
+    path::Path,
+};
 use volant_msgs::{
     Message, cdr,
-    geometry_msgs::{self, msg::PoseWithCovarianceStamped},
-    msg, nav_msgs, tf2_msgs,
+    geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
+    msg,
+    nav_msgs::msg::Odometry,
+    tf2_msgs::msg::TFMessage,
 };
 
 /// Longest delay of an output after its stamp, s; outputs wait here to be sorted.
@@ -19,47 +25,28 @@ const PATIENCE_SMOOTHED: f64 = 90.0;
 
 /// Writer of the outputs.
 #[derive(Debug)]
-pub struct OutputBag {
+pub(super) struct OutputBag {
     bag: BagWriter,
     frames: Frames,
-    topics: Topics,
+    /// By their names before remapping.
+    topics: HashMap<&'static str, TopicId>,
     waiting: BinaryHeap<Reverse<(u64, u64, Entry)>>,
     count: u64,
     newest: u64,
     patience: f64,
 }
 
-#[derive(Debug)]
-struct Topics {
-    markers: TopicId,
-    transform: TopicId,
-    odometry: TopicId,
-    fused_pose: TopicId,
-    pose: TopicId,
-    status: TopicId,
-    predicted: TopicId,
-    swing: TopicId,
-    visual_pose: TopicId,
-    updates: TopicId,
-    tf: TopicId,
-    tf_static: TopicId,
-    /// `None` unless smoothing was requested.
-    smoothed: Option<TopicId>,
-}
-
-/// Adds topics under their remapped names.
+/// Topics of a bag that is being created.
 struct Adding<'a> {
     bag: &'a mut BagWriter,
     names: &'a TopicNames,
+    topics: HashMap<&'static str, TopicId>,
 }
 
 impl Adding<'_> {
-    fn topic<M: Message>(&mut self, name: &str) -> TopicId {
-        self.bag.add_topic(Topic::of::<M>(&self.names.resolve(name), &QosProfile::RELIABLE))
-    }
-
-    fn latched<M: Message>(&mut self, name: &str) -> TopicId {
-        self.bag.add_topic(Topic::of::<M>(&self.names.resolve(name), &QosProfile::LATCHED))
+    fn add<M: Message>(&mut self, name: &'static str, qos: &QosProfile) {
+        let id = self.bag.add_topic(Topic::of::<M>(&self.names.resolve(name), qos));
+        self.topics.insert(name, id);
     }
 }
 
@@ -72,10 +59,7 @@ struct Entry {
 impl OutputBag {
     /// Creates the bag. `first` is the start of the run; `smooth`: smoothed odometry will be
     /// written.
-    ///
-    /// # Errors
-    /// As [`BagWriter::create`].
-    pub fn create(
+    pub(super) fn create(
         path: &Path,
         options: WriteOptions,
         names: &TopicNames,
@@ -84,24 +68,24 @@ impl OutputBag {
         smooth: bool,
     ) -> Result<Self, BagError> {
         let mut bag = BagWriter::create(path, options)?;
-        let mut add = Adding { bag: &mut bag, names };
-        let topics = Topics {
-            markers: add.topic::<msg::MarkerObservations>(topics::MARKERS),
-            transform: add.topic::<geometry_msgs::msg::TransformStamped>(topics::CLIMBER_TRANSFORM),
-            odometry: add.topic::<nav_msgs::msg::Odometry>(topics::ODOMETRY),
-            fused_pose: add.topic::<PoseWithCovarianceStamped>(topics::FUSED_POSE),
-            pose: add.topic::<PoseWithCovarianceStamped>(topics::POSE),
-            status: add.topic::<msg::PoseStatus>(topics::STATUS),
-            predicted: add.topic::<nav_msgs::msg::Odometry>(topics::PREDICTED_ODOMETRY),
-            swing: add.topic::<msg::Swing>(topics::SWING),
-            visual_pose: add.topic::<PoseWithCovarianceStamped>(topics::VISUAL_POSE),
-            updates: add.topic::<msg::MarkerUpdates>(topics::MARKER_UPDATES),
-            tf: add.topic::<tf2_msgs::msg::TFMessage>(topics::absolute::TF),
-            tf_static: add.latched::<tf2_msgs::msg::TFMessage>(topics::absolute::TF_STATIC),
-            smoothed: smooth
-                .then(|| add.topic::<nav_msgs::msg::Odometry>(topics::SMOOTHED_ODOMETRY)),
-        };
-        let patience = if smooth { PATIENCE_SMOOTHED } else { PATIENCE };
+        let mut adding = Adding { bag: &mut bag, names, topics: HashMap::new() };
+        let qos = &QosProfile::RELIABLE;
+        adding.add::<msg::MarkerObservations>(topics::MARKERS, qos);
+        adding.add::<TransformStamped>(topics::CLIMBER_TRANSFORM, qos);
+        adding.add::<Odometry>(topics::ODOMETRY, qos);
+        adding.add::<PoseWithCovarianceStamped>(topics::FUSED_POSE, qos);
+        adding.add::<PoseWithCovarianceStamped>(topics::POSE, qos);
+        adding.add::<msg::PoseStatus>(topics::STATUS, qos);
+        adding.add::<Odometry>(topics::PREDICTED_ODOMETRY, qos);
+        adding.add::<msg::Swing>(topics::SWING, qos);
+        adding.add::<PoseWithCovarianceStamped>(topics::VISUAL_POSE, qos);
+        adding.add::<msg::MarkerUpdates>(topics::MARKER_UPDATES, qos);
+        adding.add::<TFMessage>(topics::absolute::TF, qos);
+        adding.add::<TFMessage>(topics::absolute::TF_STATIC, &QosProfile::LATCHED);
+        if smooth {
+            adding.add::<Odometry>(topics::SMOOTHED_ODOMETRY, qos);
+        }
+        let topics = adding.topics;
         let mut output = Self {
             bag,
             frames: rig.frames.clone(),
@@ -109,118 +93,68 @@ impl OutputBag {
             waiting: BinaryHeap::new(),
             count: 0,
             newest: 0,
-            patience,
+            patience: if smooth { PATIENCE_SMOOTHED } else { PATIENCE },
         };
-        output.put(
-            output.topics.tf_static,
-            first,
-            &node_kit::convert::static_transforms(rig, first),
-        )?;
+        let transforms = node_kit::convert::static_transforms(rig, first);
+        output.put(topics::absolute::TF_STATIC, first, &transforms)?;
         Ok(output)
     }
 
-    /// Writes `climber/markers`.
-    ///
-    /// # Errors
-    /// As [`BagWriter::write`].
-    pub fn markers(&mut self, observations: &MarkerObservations) -> Result<(), BagError> {
-        let message = node_kit::convert::markers_message(&self.frames.camera, observations);
-        self.put(self.topics.markers, observations.stamp, &message)
-    }
-
-    /// Writes `climber/transform` and its `/tf`.
-    ///
-    /// # Errors
-    /// As [`BagWriter::write`].
-    pub fn climber(&mut self, sample: &ClimberSample) -> Result<(), BagError> {
-        let message = node_kit::convert::climber_message(sample, &self.frames);
-        self.put(self.topics.transform, sample.stamp, &message)?;
-        self.put(
-            self.topics.tf,
-            sample.stamp,
-            &tf2_msgs::msg::TFMessage { transforms: vec![message] },
-        )
-    }
-
-    /// Writes `volant/odometry`, `volant/fused_pose`, `volant/pose` and `/tf`.
-    ///
-    /// # Errors
-    /// As [`BagWriter::write`].
-    pub fn odometry(&mut self, o: &Odometry) -> Result<(), BagError> {
-        self.put(self.topics.odometry, o.stamp, &messages::odometry(o, &self.frames))?;
-        self.put(self.topics.fused_pose, o.stamp, &messages::fused_pose(o, &self.frames))?;
-        self.put(self.topics.pose, o.stamp, &messages::pose(o, &self.frames))?;
-        let transforms = vec![messages::transform(o, &self.frames)];
-        self.put(self.topics.tf, o.stamp, &tf2_msgs::msg::TFMessage { transforms })
-    }
-
-    /// Writes `volant/status`.
-    ///
-    /// # Errors
-    /// As [`BagWriter::write`].
-    pub fn status(&mut self, status: &PoseStatus) -> Result<(), BagError> {
-        self.put(self.topics.status, status.stamp, &messages::status(status, &self.frames))
-    }
-
-    /// Writes `volant/predicted_odometry`.
-    ///
-    /// # Errors
-    /// As [`BagWriter::write`].
-    pub fn predicted(&mut self, o: &Odometry) -> Result<(), BagError> {
-        self.put(self.topics.predicted, o.stamp, &messages::odometry(o, &self.frames))
-    }
-
-    /// Writes `volant/swing`.
-    ///
-    /// # Errors
-    /// As [`BagWriter::write`].
-    pub fn swing(&mut self, swing: &Swing) -> Result<(), BagError> {
-        self.put(self.topics.swing, swing.stamp, &messages::swing(swing, &self.frames))
-    }
-
-    /// Writes `volant/smoothed_odometry`.
-    ///
-    /// # Errors
-    /// As [`BagWriter::write`].
-    pub fn smoothed(&mut self, o: &Odometry) -> Result<(), BagError> {
-        let Some(topic) = self.topics.smoothed else { return Ok(()) };
-        let message = messages::odometry(o, &self.frames);
-        self.put(topic, o.stamp, &message)
-    }
-
-    /// Writes `volant/visual_pose`.
-    ///
-    /// # Errors
-    /// As [`BagWriter::write`].
-    pub fn visual_pose(&mut self, pose: &PoseEstimate) -> Result<(), BagError> {
-        self.put(self.topics.visual_pose, pose.stamp, &messages::visual_pose(pose, &self.frames))
+    /// Writes an output of the filter, except for warnings and for marker updates, which
+    /// [`Self::marker_updates`] writes image by image.
+    pub(super) fn fused(&mut self, output: &Output) -> Result<(), BagError> {
+        match output {
+            Output::Odometry(o) => {
+                self.put(topics::ODOMETRY, o.stamp, &messages::odometry(o, &self.frames))?;
+                self.put(topics::FUSED_POSE, o.stamp, &messages::fused_pose(o, &self.frames))?;
+                self.put(topics::POSE, o.stamp, &messages::pose(o, &self.frames))?;
+                self.transform(o.stamp, messages::transform(o, &self.frames))
+            }
+            Output::Status(s) => {
+                self.put(topics::STATUS, s.stamp, &messages::status(s, &self.frames))
+            }
+            Output::Predicted(o) => {
+                self.put(topics::PREDICTED_ODOMETRY, o.stamp, &messages::odometry(o, &self.frames))
+            }
+            Output::Swing(s) => self.put(topics::SWING, s.stamp, &messages::swing(s, &self.frames)),
+            Output::VisualPose(p) => {
+                self.put(topics::VISUAL_POSE, p.stamp, &messages::visual_pose(p, &self.frames))
+            }
+            Output::MarkerUpdate(_) | Output::Warning(_) => Ok(()),
+        }
     }
 
     /// Writes `volant/marker_updates`, the records of one image.
-    ///
-    /// # Errors
-    /// As [`BagWriter::write`].
-    pub fn marker_updates(&mut self, records: &[MarkerUpdateRecord]) -> Result<(), BagError> {
-        let (Some(first), Some(message)) =
-            (records.first(), messages::marker_updates(records, &self.frames))
-        else {
-            return Ok(());
-        };
-        self.put(self.topics.updates, first.stamp, &message)
+    pub(super) fn marker_updates(
+        &mut self,
+        records: &[MarkerUpdateRecord],
+    ) -> Result<(), BagError> {
+        match (records.first(), messages::marker_updates(records, &self.frames)) {
+            (Some(first), Some(message)) => self.put(topics::MARKER_UPDATES, first.stamp, &message),
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes a transform to `/tf`.
+    pub(super) fn transform(&mut self, at: Stamp, to: TransformStamped) -> Result<(), BagError> {
+        self.put(topics::absolute::TF, at, &TFMessage { transforms: vec![to] })
     }
 
     /// Closes the bag.
-    ///
-    /// # Errors
-    /// As [`BagWriter::write`].
-    pub fn finish(mut self) -> Result<BagSummary, BagError> {
+    pub(super) fn finish(mut self) -> Result<BagSummary, BagError> {
         self.write_until(u64::MAX)?;
         self.bag.finish()
     }
 
-    fn put<M: Message>(&mut self, topic: TopicId, at: Stamp, message: &M) -> Result<(), BagError> {
+    /// Writes a message to a topic that [`Self::create`] added, by its name before remapping.
+    pub(super) fn put<M: Message>(
+        &mut self,
+        topic: &'static str,
+        at: Stamp,
+        message: &M,
+    ) -> Result<(), BagError> {
         let time = u64::try_from(at.as_nanos()).unwrap_or(0);
-        let entry = Entry { topic, data: cdr::to_bytes(message) };
+        let entry = Entry { topic: self.topics[topic], data: cdr::to_bytes(message) };
         self.waiting.push(Reverse((time, self.count, entry)));
         self.count += 1;
         if time > self.newest {

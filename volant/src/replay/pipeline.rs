@@ -6,7 +6,7 @@ use bag::BagError;
 use climber_driver::{Climber, JointReading};
 use marker_tracker::{OwnedImage, Tracker};
 use node_kit::convert;
-use pose_fusion::{Fusion, MarkerUpdateRecord, RigCheck};
+use pose_fusion::{Fusion, MarkerOutcome, MarkerUpdateRecord, Output, RigCheck, messages};
 use rig_model::{CameraModel, MarkerObservations, MarkerState, Rig, Stamp, topics};
 use std::{collections::BTreeMap, time::Duration};
 use volant_msgs::{
@@ -76,7 +76,7 @@ pub struct Spent {
 
 /// The cores and the output.
 #[derive(Debug)]
-pub struct Pipeline {
+pub(super) struct Pipeline {
     rig: Rig,
     tracker: Tracker,
     fusion: Fusion,
@@ -84,18 +84,18 @@ pub struct Pipeline {
     output: OutputBag,
     smooth: bool,
     /// The climber driver, where the bag holds its input and not its output.
-    pub climber: Option<Climber>,
+    pub(super) climber: Option<Climber>,
     records: Vec<MarkerUpdateRecord>,
     rig_check: RigCheck,
     /// Counts so far.
-    pub counts: Counts,
+    pub(super) counts: Counts,
     /// CPU time so far.
-    pub spent: Spent,
+    pub(super) spent: Spent,
 }
 
 impl Pipeline {
     /// Creates the cores from their configuration.
-    pub fn new(
+    pub(super) fn new(
         rig: Rig,
         tracker: Tracker,
         fusion: Fusion,
@@ -118,20 +118,17 @@ impl Pipeline {
     }
 
     /// What the filter found that correct files would not show.
-    pub fn findings(&self) -> Vec<String> {
+    pub(super) fn findings(&self) -> Vec<String> {
         self.rig_check.findings(&self.fusion.status())
     }
 
     /// What the filter waits for; empty where there is an estimate.
-    pub fn missing(&self) -> String {
+    pub(super) fn missing(&self) -> String {
         self.fusion.missing()
     }
 
     /// Handles an IMU sample.
-    ///
-    /// # Errors
-    /// The output is not writable.
-    pub fn imu(&mut self, message: &sensor::Imu) -> Result<(), BagError> {
+    pub(super) fn imu(&mut self, message: &sensor::Imu) -> Result<(), BagError> {
         let sample = convert::imu_sample(message);
         self.counts.imu += 1;
         let first = *self.counts.first_imu.get_or_insert(sample.stamp);
@@ -140,15 +137,16 @@ impl Pipeline {
     }
 
     /// Handles a climber transform.
-    ///
-    /// # Errors
-    /// The output is not writable.
-    pub fn climber(&mut self, message: &TransformStamped) -> Result<(), BagError> {
+    pub(super) fn climber(&mut self, message: &TransformStamped) -> Result<(), BagError> {
         match convert::climber_sample(message, &self.rig.frames) {
             Ok(sample) => {
                 self.counts.climber += 1;
-                let output = &mut self.output;
-                WorkWatch::add_to(&mut self.spent.output, || output.climber(&sample))?;
+                let (output, frames) = (&mut self.output, &self.rig.frames);
+                WorkWatch::add_to(&mut self.spent.output, || {
+                    let message = convert::climber_message(&sample, frames);
+                    output.put(topics::CLIMBER_TRANSFORM, sample.stamp, &message)?;
+                    output.transform(sample.stamp, message)
+                })?;
                 self.fuse(pose_fusion::Input::Climber(sample))
             }
             Err(error) => {
@@ -162,10 +160,11 @@ impl Pipeline {
 
     /// Handles the climber's encoder readings as its driver does; `received` is when the bag logged
     /// them.
-    ///
-    /// # Errors
-    /// The output is not writable.
-    pub fn joints(&mut self, message: sensor::JointState, received: Stamp) -> Result<(), BagError> {
+    pub(super) fn joints(
+        &mut self,
+        message: sensor::JointState,
+        received: Stamp,
+    ) -> Result<(), BagError> {
         let Some(climber) = &mut self.climber else { return Ok(()) };
         let reading = JointReading {
             stamp: convert::stamp(&message.header.stamp),
@@ -188,10 +187,7 @@ impl Pipeline {
     }
 
     /// Handles a camera info.
-    ///
-    /// # Errors
-    /// The output is not writable.
-    pub fn camera(&mut self, message: &sensor::CameraInfo) -> Result<(), BagError> {
+    pub(super) fn camera(&mut self, message: &sensor::CameraInfo) -> Result<(), BagError> {
         match convert::camera_model(message) {
             Ok(model) if self.camera.as_ref() == Some(&model) => Ok(()),
             Ok(model) => {
@@ -207,10 +203,7 @@ impl Pipeline {
     }
 
     /// Handles an image.
-    ///
-    /// # Errors
-    /// The output is not writable.
-    pub fn image(&mut self, stamp: Stamp, image: &OwnedImage) -> Result<(), BagError> {
+    pub(super) fn image(&mut self, stamp: Stamp, image: &OwnedImage) -> Result<(), BagError> {
         let tracker = &mut self.tracker;
         WorkWatch::add_to(&mut self.spent.tracker, || {
             tracker.handle(marker_tracker::Input::Image(image.view(stamp)));
@@ -231,15 +224,12 @@ impl Pipeline {
     }
 
     /// Counts an unusable image.
-    pub fn bad_image(&mut self, reason: &str) {
+    pub(super) fn bad_image(&mut self, reason: &str) {
         self.counts.warn("image", || format!("an image is ignored: {reason}"));
     }
 
     /// Handles marker observations of a live tracker.
-    ///
-    /// # Errors
-    /// The output is not writable.
-    pub fn markers(&mut self, message: &msg::MarkerObservations) -> Result<(), BagError> {
+    pub(super) fn markers(&mut self, message: &msg::MarkerObservations) -> Result<(), BagError> {
         match convert::marker_observations(message) {
             Ok(observations) => self.observations(observations),
             Err(error) => {
@@ -250,7 +240,7 @@ impl Pipeline {
     }
 
     /// Compares `/tf_static` with the rig file, which takes precedence, and warns of differences.
-    pub fn tf_static(&mut self, message: &TFMessage) {
+    pub(super) fn tf_static(&mut self, message: &TFMessage) {
         for ours in convert::static_transforms(&self.rig, Stamp::default()).transforms {
             let (parent, child) = (&ours.header.frame_id, &ours.child_frame_id);
             let theirs = message
@@ -283,10 +273,7 @@ impl Pipeline {
     }
 
     /// Closes the output.
-    ///
-    /// # Errors
-    /// The output is not writable.
-    pub fn finish(mut self) -> Result<(Counts, Spent), BagError> {
+    pub(super) fn finish(mut self) -> Result<(Counts, Spent), BagError> {
         self.write_smoothed(true)?;
         self.counts.findings = self.findings();
         let mut spent = self.spent;
@@ -300,7 +287,8 @@ impl Pipeline {
             let smoothed = WorkWatch::add_to(&mut self.spent.fusion, || fusion.smoothed(end));
             for odometry in &smoothed {
                 self.counts.smoothed += 1;
-                self.output.smoothed(odometry)?;
+                let message = messages::odometry(odometry, &self.rig.frames);
+                self.output.put(topics::SMOOTHED_ODOMETRY, odometry.stamp, &message)?;
             }
         }
         Ok(())
@@ -311,8 +299,11 @@ impl Pipeline {
             observations.markers.iter().filter(|(_, m)| m.state == MarkerState::Detected).count();
         self.counts.markers += 1;
         self.counts.detected += detected as u64;
-        let output = &mut self.output;
-        WorkWatch::add_to(&mut self.spent.output, || output.markers(&observations))?;
+        let (output, frame) = (&mut self.output, &self.rig.frames.camera);
+        WorkWatch::add_to(&mut self.spent.output, || {
+            let message = convert::markers_message(frame, &observations);
+            output.put(topics::MARKERS, observations.stamp, &message)
+        })?;
         self.fuse(pose_fusion::Input::Markers(observations))?;
         self.write_smoothed(false)
     }
@@ -322,30 +313,22 @@ impl Pipeline {
         WorkWatch::add_to(&mut self.spent.fusion, || fusion.handle(input));
         let watch = WorkWatch::start();
         while let Some(output) = self.fusion.poll() {
+            self.output.fused(&output)?;
             match output {
-                pose_fusion::Output::Odometry(odometry) => {
-                    self.count_odometry(odometry.stamp);
-                    self.output.odometry(&odometry)?;
-                }
-                pose_fusion::Output::Status(status) => self.output.status(&status)?,
-                pose_fusion::Output::Predicted(odometry) => self.output.predicted(&odometry)?,
-                pose_fusion::Output::Swing(swing) => self.output.swing(&swing)?,
-                pose_fusion::Output::VisualPose(pose) => {
-                    self.counts.visual += 1;
-                    self.output.visual_pose(&pose)?;
-                }
-                pose_fusion::Output::MarkerUpdate(record) => {
-                    self.counts.used +=
-                        u64::from(record.outcome == pose_fusion::MarkerOutcome::Used);
+                Output::Odometry(odometry) => self.count_odometry(odometry.stamp),
+                Output::VisualPose(_) => self.counts.visual += 1,
+                Output::MarkerUpdate(record) => {
+                    self.counts.used += u64::from(record.outcome == MarkerOutcome::Used);
                     if self.records.first().is_some_and(|first| first.stamp != record.stamp) {
                         self.write_records()?;
                     }
                     self.rig_check.note(&record);
                     self.records.push(record);
                 }
-                pose_fusion::Output::Warning(warning) => {
+                Output::Warning(warning) => {
                     self.counts.warn(&kind_of("filter", &warning), || format!("filter: {warning}"));
                 }
+                Output::Status(_) | Output::Predicted(_) | Output::Swing(_) => {}
             }
         }
         self.write_records()?;
