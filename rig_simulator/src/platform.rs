@@ -5,7 +5,7 @@ use crate::{
     random::Random,
 };
 use nalgebra::Point3;
-use rig_model::{MarkerColor, MarkerLayout, PerColor};
+use rig_model::{MarkerLayout, PerColor};
 
 /// A flat piece of one color, bordered by closed contours (m, volant frame); holes have the
 /// opposite orientation.
@@ -17,8 +17,6 @@ pub struct Piece {
     pub colour: Colour,
     /// How much the surface varies, relative.
     pub grain: f32,
-    /// The marker that it is, if it is one.
-    pub marker: Option<MarkerColor>,
 }
 
 /// The platform.
@@ -28,8 +26,6 @@ pub struct Platform {
     pub pieces: Vec<Piece>,
     /// Attachment point of the rope, volant frame.
     pub hook: Point3<f64>,
-    /// How each square is turned in its plane, rad: a few degrees that nobody measured.
-    pub marker_turns: PerColor<f64>,
 }
 
 /// No edge is longer than this, m.
@@ -52,7 +48,7 @@ fn piece(flat: Vec<Vec<[f64; 2]>>, z: f64, colour: Colour, grain: f32) -> Piece 
             fine
         })
         .collect();
-    Piece { contours, colour, grain, marker: None }
+    Piece { contours, colour, grain }
 }
 
 fn frame(outer: Vec<[f64; 2]>, mut inner: Vec<[f64; 2]>) -> Vec<Vec<[f64; 2]>> {
@@ -127,13 +123,12 @@ impl Platform {
             let bar = rectangle([x, 0.131 + 0.002 * (i % 2) as f64], -0.04, w, 0.011);
             pieces.push(piece(vec![bar], top, grey(60.0), 0.0));
         }
-        let marker_turns = PerColor::from_fn(|_| random.within(-0.12, 0.12));
+        // How each square is turned in its plane, rad: a few degrees that nobody measured.
+        let turns = PerColor::from_fn(|_| random.within(-0.12, 0.12));
         for (color, center) in layout.centers.iter() {
             let h = layout.side / 2.0;
-            let square = rectangle([center.x, center.y], marker_turns[color], h, h);
-            let mut square = piece(vec![square], center.z, colours[color.index()], 0.012);
-            square.marker = Some(color);
-            pieces.push(square);
+            let square = rectangle([center.x, center.y], turns[color], h, h);
+            pieces.push(piece(vec![square], center.z, colours[color.index()], 0.012));
         }
         let hook = Point3::new(0.0, 0.0, top + 0.09);
         for turn in [0.4, 0.4 + std::f64::consts::FRAC_PI_2] {
@@ -146,6 +141,6 @@ impl Platform {
         }
         pieces.push(piece(vec![circle([0.0; 2], 0.026, 32)], top + 0.05, grey(96.0), 0.0));
         pieces.push(piece(vec![circle([0.0; 2], 0.012, 24)], hook.z, grey(120.0), 0.0));
-        Self { pieces, hook, marker_turns }
+        Self { pieces, hook }
     }
 }

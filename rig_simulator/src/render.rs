@@ -21,8 +21,6 @@ use rig_model::{CameraModel, MarkerColor, MarkerLayout, PerColor, Rig};
 pub struct SceneConfig {
     /// Seed of everything that no other field determines.
     pub seed: u64,
-    /// The floor; `None`: by the seed.
-    pub floor: Option<Material>,
     /// Puts objects in the markers' colors on the floor, one of which moves.
     pub clutter: bool,
     /// Colors of the squares in full light; `None`: muted paper, by the seed.
@@ -45,7 +43,6 @@ impl Default for SceneConfig {
     fn default() -> Self {
         Self {
             seed: 1,
-            floor: None,
             clutter: false,
             colours: None,
             read_noise: 1.2,
@@ -139,7 +136,7 @@ impl Renderer {
         let marker_colours = scene.marker_colours();
         let mut random = Random::fork(scene.seed, "light");
         let materials = [Material::Carpet, Material::Wood, Material::Concrete];
-        let material = scene.floor.unwrap_or(materials[random.index(3)]);
+        let material = materials[random.index(3)];
         let light = [random.within(-0.8, 0.8) as f32, random.within(-0.8, 0.8) as f32];
         let mut rays = Vec::with_capacity((width * height) as usize);
         let mut vignette = Vec::with_capacity(rays.capacity());
@@ -177,11 +174,6 @@ impl Renderer {
     /// The lens.
     pub fn camera(&self) -> &CameraModel {
         &self.camera
-    }
-
-    /// The platform as it is drawn.
-    pub fn platform(&self) -> &Platform {
-        &self.platform
     }
 
     /// Renders an image. An exposure without instants is black.

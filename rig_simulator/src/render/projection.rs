@@ -62,7 +62,7 @@ impl Renderer {
         let flat =
             rectangle([middle.x, middle.y], outward.y.atan2(outward.x), half_length, half_width);
         let contour = flat.iter().map(|p| Point3::new(p[0], p[1], center.z + 0.02)).collect();
-        Piece { contours: vec![contour], colour: [98.0, 84.0, 70.0], grain: 0.06, marker: None }
+        Piece { contours: vec![contour], colour: [98.0, 84.0, 70.0], grain: 0.06 }
     }
 
     /// The rope as a band of its apparent width at each point.

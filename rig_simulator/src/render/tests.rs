@@ -79,14 +79,40 @@ fn centroid(
     sum / weight
 }
 
-#[test]
-fn rendered_centroids_are_the_projected_ones_to_a_hundredth_of_a_pixel() {
-    let rig = Rig::from_yaml(RIG).unwrap();
-    let mut renderer = Renderer::new(camera(), &rig, plain());
-    // No grain on the plate: it would weigh the pixels.
+fn rig() -> Rig {
+    Rig::from_yaml(RIG).unwrap()
+}
+
+/// A renderer of the plain scene without grain on the plate, which would weigh the pixels.
+fn without_grain() -> Renderer {
+    let mut renderer = Renderer::new(camera(), &rig(), plain());
     for piece in &mut renderer.platform.pieces {
         piece.grain = 0.0;
     }
+    renderer
+}
+
+/// An exposure without covers and noise.
+fn exposure(instants: Vec<Instant>) -> Exposure {
+    Exposure { instants, covers: Covers::default(), seconds: 0.0, noise: None }
+}
+
+/// Asserts that each marker's centroid in the canvas is at most `limit` px off the projected one.
+fn assert_centroids(renderer: &Renderer, at: &Instant, limit: f64) {
+    let rig = rig();
+    let camera_from_volant =
+        (at.world_from_climber * rig.climber_from_camera).inverse() * at.world_from_volant;
+    for color in MarkerColor::ALL {
+        let truth =
+            rig.markers.projected_centroid(color, renderer.camera(), &camera_from_volant).unwrap();
+        let off = (centroid(renderer, color, truth.pixel, truth.area) - truth.pixel).norm();
+        assert!(off < limit, "{color} at {}: {off} px off", at.world_from_volant);
+    }
+}
+
+#[test]
+fn rendered_centroids_are_the_projected_ones_to_a_hundredth_of_a_pixel() {
+    let mut renderer = without_grain();
     for (x, y, z, roll, pitch, yaw) in [
         (0.1, -0.2, 1.5, 0.0, 0.0, 0.0),
         (0.2, -0.1, 1.4, 0.3, -0.2, 0.5),
@@ -94,61 +120,27 @@ fn rendered_centroids_are_the_projected_ones_to_a_hundredth_of_a_pixel() {
         (0.3, 0.0, 0.9, 0.1, 0.5, 0.2),
     ] {
         let at = instant(x, y, z, roll, pitch, yaw);
-        let _ = renderer.render(&Exposure {
-            instants: vec![at],
-            covers: Covers::default(),
-            seconds: 0.0,
-            noise: None,
-        });
-        let camera_from_volant =
-            (at.world_from_climber * rig.climber_from_camera).inverse() * at.world_from_volant;
-        for color in MarkerColor::ALL {
-            let truth = rig
-                .markers
-                .projected_centroid(color, renderer.camera(), &camera_from_volant)
-                .unwrap();
-            let off = (centroid(&renderer, color, truth.pixel, truth.area) - truth.pixel).norm();
-            assert!(off < 0.01, "{color} at {x} {y} {z}: {off} px off");
-        }
+        let _ = renderer.render(&exposure(vec![at]));
+        assert_centroids(&renderer, &at, 0.01);
     }
 }
 
 #[test]
 fn blur_keeps_the_centroid_of_the_middle_of_the_exposure() {
-    let rig = Rig::from_yaml(RIG).unwrap();
-    let mut renderer = Renderer::new(camera(), &rig, plain());
-    for piece in &mut renderer.platform.pieces {
-        piece.grain = 0.0;
-    }
+    let mut renderer = without_grain();
     let at = |t: f64| instant(0.1 + 0.008 * t, -0.2, 1.4, 0.1, 0.0, 0.3);
     let instants = (-2..=2).map(|i| at(f64::from(i) / 4.0)).collect();
-    let _ = renderer.render(&Exposure {
-        instants,
-        covers: Covers::default(),
-        seconds: 0.0,
-        noise: None,
-    });
-    let middle = at(0.0);
-    let camera_from_volant =
-        (middle.world_from_climber * rig.climber_from_camera).inverse() * middle.world_from_volant;
-    for color in MarkerColor::ALL {
-        let truth =
-            rig.markers.projected_centroid(color, renderer.camera(), &camera_from_volant).unwrap();
-        let off = (centroid(&renderer, color, truth.pixel, truth.area) - truth.pixel).norm();
-        assert!(off < 0.01, "{color}: {off} px off");
-    }
+    let _ = renderer.render(&exposure(instants));
+    assert_centroids(&renderer, &at(0.0), 0.01);
 }
 
 #[test]
 fn a_plank_hides_its_marker_and_no_other() {
-    let rig = Rig::from_yaml(RIG).unwrap();
-    let mut renderer = Renderer::new(camera(), &rig, plain());
-    let at = instant(0.15, -0.15, 1.4, 0.1, 0.05, 0.3);
-    let mut covers = Covers::default();
-    let bare = renderer.render(&Exposure { instants: vec![at], covers, seconds: 0.0, noise: None });
-    covers[MarkerColor::Green] = 1.0;
-    let covered =
-        renderer.render(&Exposure { instants: vec![at], covers, seconds: 0.0, noise: None });
+    let mut renderer = Renderer::new(camera(), &rig(), plain());
+    let mut exposure = exposure(vec![instant(0.15, -0.15, 1.4, 0.1, 0.05, 0.3)]);
+    let bare = renderer.render(&exposure);
+    exposure.covers[MarkerColor::Green] = 1.0;
+    let covered = renderer.render(&exposure);
     let strength = |image: &RgbImage, color: MarkerColor| {
         let count = image
             .data
@@ -173,22 +165,20 @@ fn a_plank_hides_its_marker_and_no_other() {
 
 #[test]
 fn the_same_seed_gives_the_same_bytes_and_the_configured_noise() {
-    let rig = Rig::from_yaml(RIG).unwrap();
     let scene = || SceneConfig {
         read_noise: 2.0,
         shot_noise: 0.0,
         clutter: true,
         ..SceneConfig::default()
     };
-    let mut renderer = Renderer::new(camera(), &rig, scene());
+    let mut renderer = Renderer::new(camera(), &rig(), scene());
     let mut exposure = Exposure {
-        instants: vec![instant(0.1, -0.2, 1.4, 0.2, 0.1, 0.3)],
-        covers: Covers::default(),
         seconds: 1.0,
         noise: Some(5),
+        ..exposure(vec![instant(0.1, -0.2, 1.4, 0.2, 0.1, 0.3)])
     };
     let noisy = renderer.render(&exposure);
-    assert_eq!(noisy, Renderer::new(camera(), &rig, scene()).render(&exposure));
+    assert_eq!(noisy, Renderer::new(camera(), &rig(), scene()).render(&exposure));
     exposure.noise = None;
     let clean = renderer.render(&exposure);
     let n = clean.data.len() as f64;
@@ -206,28 +196,12 @@ fn the_same_seed_gives_the_same_bytes_and_the_configured_noise() {
 
 #[test]
 fn a_jpeg_keeps_the_centroids() {
-    let rig = Rig::from_yaml(RIG).unwrap();
-    let mut renderer = Renderer::new(camera(), &rig, plain());
-    for piece in &mut renderer.platform.pieces {
-        piece.grain = 0.0;
-    }
+    let mut renderer = without_grain();
     let at = instant(0.1, -0.2, 1.5, 0.1, 0.05, 0.3);
-    let image = renderer.render(&Exposure {
-        instants: vec![at],
-        covers: Covers::default(),
-        seconds: 0.0,
-        noise: None,
-    });
+    let image = renderer.render(&exposure(vec![at]));
     let decoded = marker_tracker::decode_compressed("jpeg", &image.to_jpeg(90).unwrap()).unwrap();
     for (to, from) in renderer.canvas.iter_mut().zip(decoded.data.chunks_exact(3)) {
         *to = [f32::from(from[0]), f32::from(from[1]), f32::from(from[2])];
     }
-    let camera_from_volant =
-        (at.world_from_climber * rig.climber_from_camera).inverse() * at.world_from_volant;
-    for color in MarkerColor::ALL {
-        let truth =
-            rig.markers.projected_centroid(color, renderer.camera(), &camera_from_volant).unwrap();
-        let off = (centroid(&renderer, color, truth.pixel, truth.area) - truth.pixel).norm();
-        assert!(off < 0.06, "{color}: {off} px off");
-    }
+    assert_centroids(&renderer, &at, 0.06);
 }
