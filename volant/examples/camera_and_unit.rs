@@ -1,21 +1,19 @@
-//! What a recorder has to take: images at 30 Hz (`raw`: 640×480 rgb8, 0.92 MB; else as JPEG, 60 kB)
-//! and inertial samples at 400 Hz, each numbered in its frame id. A large image keeps its thread
-//! for longer than a sample may wait, so each is a process, as on a rig.
+//! What a recorder has to take: images at 30 Hz (640×480 rgb8, 0.92 MB) and inertial samples at
+//! 400 Hz, each numbered in its frame id. A large image keeps its thread for longer than a sample
+//! may wait, so each is a process, as on a rig.
 //!
-//! `cargo run --release -p volant --example camera_and_unit -- --raw true --samples false`, and `--
+//! `cargo run --release -p volant --example camera_and_unit -- --samples false`, and `--
 //! --images false`
 
 use node_kit::{
     Level, NodeContext, NodeError, NodeShell, Publisher, QosPreset, convert, parameters, run_node,
 };
 use std::{process::ExitCode, time::Duration};
-use volant_msgs::sensor_msgs::msg::{CompressedImage, Image, Imu};
+use volant_msgs::sensor_msgs::msg::{Image, Imu};
 
 parameters! {
     /// Parameters of the example.
     pub struct Parameters {
-        /// Raw images instead of JPEG.
-        raw: bool = false;
         /// Publish images.
         images: bool = true;
         /// Publish inertial samples.
@@ -29,8 +27,7 @@ enum Input {
 }
 
 struct Source {
-    raw: Option<Publisher<Image>>,
-    jpeg: Publisher<CompressedImage>,
+    images: Publisher<Image>,
     samples: Publisher<Imu>,
     counts: [u64; 2],
 }
@@ -48,12 +45,8 @@ impl NodeShell for Source {
         if parameters.samples {
             context.timer(Duration::from_micros(2500), || Input::Sample);
         }
-        let raw =
-            parameters.raw.then(|| context.advertise("image_raw", QosPreset::Image)).transpose()?;
-        let jpeg = context.advertise("image_raw/compressed", QosPreset::Image)?;
         Ok(Self {
-            raw,
-            jpeg,
+            images: context.advertise("image_raw", QosPreset::Image)?,
             samples: context.advertise("imu", QosPreset::Sensor)?,
             counts: [0; 2],
         })
@@ -64,23 +57,15 @@ impl NodeShell for Source {
         match input {
             Input::Image => {
                 let header = convert::header(&images.to_string(), context.now());
-                if let Some(publisher) = &self.raw {
-                    publisher.publish(Image {
-                        header,
-                        height: 480,
-                        width: 640,
-                        step: 1920,
-                        encoding: "rgb8".into(),
-                        data: vec![128; 480 * 1920],
-                        ..Image::default()
-                    });
-                } else {
-                    self.jpeg.publish(CompressedImage {
-                        header,
-                        format: "jpeg".into(),
-                        data: vec![7; 60_000],
-                    });
-                }
+                self.images.publish(Image {
+                    header,
+                    height: 480,
+                    width: 640,
+                    step: 1920,
+                    encoding: "rgb8".into(),
+                    data: vec![128; 480 * 1920],
+                    ..Image::default()
+                });
                 *images += 1;
             }
             Input::Sample => {

@@ -2,23 +2,22 @@
 //! `pose_fusion` gives the pose, all in one process. Images pass as the same `Arc`, and nothing is
 //! serialized without an external subscriber.
 //!
-//! `cargo run --release -p volant --example embedded_nodes -- together|apart RUN.mcap rig.yaml`
-//! plays the bag's images as raw ones at their own pace and measures from each image's publication
-//! to its `volant/visual_pose`. `together` is one process; `apart` gives each node a DDS
-//! participant of its own, so that everything passes over loopback.
+//! `cargo run --release -p volant --example embedded_nodes -- RUN.mcap rig.yaml` plays the bag's
+//! images as raw ones at their own pace and prints the pose of each.
 #![allow(clippy::print_stdout, reason = "an example")]
-#![allow(clippy::disallowed_methods, reason = "it measures on the wall clock")]
+#![allow(clippy::disallowed_methods, reason = "it plays at the pace of the wall clock")]
 
 use anyhow::Context;
 use bag::BagReader;
 use marker_tracker::{decode_compressed, node::MarkerTrackerNode};
-use node_kit::{NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments};
+use node_kit::{
+    NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments, convert,
+};
 use pose_fusion::node::FusionNode;
 use rig_model::topics;
 use std::{
-    collections::HashMap,
     path::Path,
-    sync::{Arc, Mutex, PoisonError},
+    sync::Arc,
     time::{Duration, Instant},
 };
 use volant_msgs::{
@@ -26,17 +25,6 @@ use volant_msgs::{
     geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
     sensor_msgs::msg::{CameraInfo, CompressedImage, Image, Imu},
 };
-
-/// Latency from image to pose.
-#[derive(Default)]
-struct Latency {
-    /// When each image was published, by its stamp (s, ns).
-    published: HashMap<(i32, u32), Instant>,
-    durations: Vec<Duration>,
-}
-
-/// Shared by the program's nodes and `main`.
-type SharedLatency = Arc<Mutex<Latency>>;
 
 enum Message {
     Image(Image),
@@ -46,17 +34,20 @@ enum Message {
     End,
 }
 
-/// The program's own source; here it reads a bag that `main` names in the environment.
+/// The program's own source; here it reads the bag of the command line.
 struct Source {
     image: Publisher<Image>,
     camera: Publisher<CameraInfo>,
     imu: Publisher<Imu>,
     climber: Publisher<TransformStamped>,
-    latency: SharedLatency,
 }
 
-impl Source {
-    fn new(context: &mut NodeContext<Message>, latency: SharedLatency) -> Result<Self, NodeError> {
+impl NodeShell for Source {
+    const NAME: &'static str = "source";
+    type Parameters = ();
+    type Input = Message;
+
+    fn start(context: &mut NodeContext<Message>, (): ()) -> Result<Self, NodeError> {
         let sender = context.device_sender("bag", 100);
         context.spawn("bag", move || {
             let played = play(|message| sender.send(message));
@@ -70,25 +61,12 @@ impl Source {
             camera: context.advertise(topics::CAMERA_INFO, QosPreset::CameraInfo)?,
             imu: context.advertise(topics::IMU, QosPreset::Sensor)?,
             climber: context.advertise(topics::CLIMBER_TRANSFORM, QosPreset::State)?,
-            latency,
         })
     }
-}
-
-impl NodeShell for Source {
-    const NAME: &'static str = "source";
-    type Parameters = ();
-    type Input = Message;
 
     fn handle(&mut self, context: &mut NodeContext<Message>, message: Message) {
         match message {
-            Message::Image(image) => {
-                let stamp = (image.header.stamp.sec, image.header.stamp.nanosec);
-                let mut latency = self.latency.lock().unwrap_or_else(PoisonError::into_inner);
-                latency.published.insert(stamp, Instant::now());
-                drop(latency);
-                self.image.publish(image);
-            }
+            Message::Image(image) => self.image.publish(image),
             Message::Camera(camera) => self.camera.publish(camera),
             Message::Imu(imu) => self.imu.publish(imu),
             Message::Climber(climber) => self.climber.publish(climber),
@@ -99,7 +77,7 @@ impl NodeShell for Source {
 
 /// The bag's messages at the pace of their log times.
 fn play(mut send: impl FnMut(Message) -> bool) -> anyhow::Result<()> {
-    let path = std::env::args().nth(2).context("no bag")?;
+    let path = std::env::args().nth(1).context("no bag")?;
     let mut bag = BagReader::open(Path::new(&path))?;
     // Subscriptions find each other meanwhile.
     std::thread::sleep(Duration::from_secs(2));
@@ -139,79 +117,39 @@ fn play(mut send: impl FnMut(Message) -> bool) -> anyhow::Result<()> {
 }
 
 /// What the larger program does with the pose.
-struct User(SharedLatency);
+struct User;
 
 impl NodeShell for User {
     const NAME: &'static str = "user";
     type Parameters = ();
     type Input = Arc<PoseWithCovarianceStamped>;
 
-    fn handle(&mut self, _: &mut NodeContext<Self::Input>, pose: Self::Input) {
-        let now = Instant::now();
-        let stamp = (pose.header.stamp.sec, pose.header.stamp.nanosec);
-        let mut latency = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(at) = latency.published.get(&stamp).copied() {
-            latency.durations.push(now.duration_since(at));
-        }
+    fn start(context: &mut NodeContext<Self::Input>, (): ()) -> Result<Self, NodeError> {
+        context.subscribe(topics::VISUAL_POSE, QosPreset::State, Some)?;
+        Ok(Self)
     }
-}
 
-/// Where the next node goes.
-fn place<'a>(
-    apart: bool,
-    first: &'a mut Process,
-    others: &'a mut Vec<Process>,
-) -> Result<&'a mut Process, NodeError> {
-    if apart {
-        others.push(Process::from_environment()?);
+    fn handle(&mut self, _: &mut NodeContext<Self::Input>, pose: Self::Input) {
+        let (at, p) = (convert::stamp(&pose.header.stamp), &pose.pose.pose.position);
+        println!("{at}: {:.4} {:.4} {:.4} m in {}", p.x, p.y, p.z, pose.header.frame_id);
     }
-    Ok(others.last_mut().unwrap_or(first))
 }
 
 fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [mode, _, rig] = arguments.as_slice() else {
-        anyhow::bail!("usage: embedded_nodes together|apart RUN.mcap rig.yaml")
+    let [_, rig] = arguments.as_slice() else {
+        anyhow::bail!("usage: embedded_nodes RUN.mcap rig.yaml")
     };
     // The same that a command line says; `RosArguments::set` and `remap` do it one by one.
     let mut ros = RosArguments::default();
     ros.add_file(rig.into())?;
-    let mut first = Process::from_environment()?;
-    first.stop_on_signals()?;
-    let mut others = vec![];
-    let apart = mode == "apart";
-    let latency = SharedLatency::default();
-    let shared = Arc::clone(&latency);
-    place(apart, &mut first, &mut others)?.start_with(
-        &RosArguments::default(),
-        move |context, ()| {
-            context.subscribe(topics::VISUAL_POSE, QosPreset::State, Some)?;
-            Ok(User(Arc::clone(&shared)))
-        },
-    )?;
-    place(apart, &mut first, &mut others)?.start::<FusionNode>(&ros)?;
-    place(apart, &mut first, &mut others)?.start::<MarkerTrackerNode>(&ros)?;
+    let mut process = Process::from_environment()?;
+    process.stop_on_signals()?;
+    process.start::<User>(&RosArguments::default())?;
+    process.start::<FusionNode>(&ros)?;
+    process.start::<MarkerTrackerNode>(&ros)?;
     // The source ends the process when the bag has ended.
-    let shared = Arc::clone(&latency);
-    first.start_with(&RosArguments::default(), move |context, ()| {
-        Source::new(context, Arc::clone(&shared))
-    })?;
-    first.wait()?;
-    drop(others);
-
-    let mut latency = latency.lock().unwrap_or_else(PoisonError::into_inner);
-    let images = latency.published.len();
-    let took = &mut latency.durations;
-    took.sort_unstable();
-    anyhow::ensure!(!took.is_empty(), "no pose came of {images} images");
-    let at = |q: f64| took[((took.len() - 1) as f64 * q) as usize].as_secs_f64() * 1e3;
-    println!(
-        "{mode}: image to visual pose, {} poses of {images} images: median {:.2} ms, p90 {:.2} \
-         ms, p99 {:.2} ms",
-        took.len(),
-        at(0.5),
-        at(0.9),
-        at(0.99)
-    );
+    process.start::<Source>(&RosArguments::default())?;
+    process.wait()?;
     Ok(())
 }

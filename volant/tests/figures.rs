@@ -12,7 +12,7 @@ use std::{
 use tempfile::TempDir;
 use volant_msgs::{
     Message, cdr,
-    sensor_msgs::msg::{CompressedImage, Image, Imu},
+    sensor_msgs::msg::{Image, Imu},
 };
 
 fn in_domain(domain: u8, program: &Path) -> Command {
@@ -61,24 +61,19 @@ fn numbers<M: Message>(bag: &Path, topic: &str, frame: impl Fn(M) -> String) -> 
     numbers
 }
 
-fn recorded(domain: u8, raw: bool, seconds: u64) {
+#[test]
+#[ignore = "takes a minute on a quiet machine"]
+fn a_minute_of_raw_images_and_samples_is_recorded_without_loss() {
+    let (domain, seconds) = (85, 60);
     let dir = TempDir::new().unwrap();
     let bag = dir.path().join("bag");
     let mut recorder = in_domain(domain, Path::new(env!("CARGO_BIN_EXE_volant")))
-        .args([
-            "record",
-            "/image_raw",
-            "/image_raw/compressed",
-            "/imu",
-            "-o",
-            bag.to_str().unwrap(),
-        ])
+        .args(["record", "/image_raw", "/imu", "-o", bag.to_str().unwrap()])
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
     std::thread::sleep(Duration::from_secs(1));
-    let raw_flag = raw.to_string();
-    let camera = ["--raw", &raw_flag, "--samples", "false"];
+    let camera = ["--samples", "false"];
     let unit = ["--images", "false", "--ros-args", "-r", "__node:=unit"];
     let mut sources = [&camera[..], &unit[..]].map(|arguments| {
         in_domain(domain, &example("camera_and_unit"))
@@ -99,17 +94,12 @@ fn recorded(domain: u8, raw: bool, seconds: u64) {
         source.wait().unwrap();
     }
 
-    let images = if raw {
-        numbers::<Image>(&bag, "/image_raw", |m| m.header.frame_id)
-    } else {
-        numbers::<CompressedImage>(&bag, "/image_raw/compressed", |m| m.header.frame_id)
-    };
+    let images = numbers::<Image>(&bag, "/image_raw", |m| m.header.frame_id);
     let samples = numbers::<Imu>(&bag, "/imu", |m| m.header.frame_id);
     let lost = |numbers: &[u64]| numbers[numbers.len() - 1] - numbers[0] + 1 - numbers.len() as u64;
     eprintln!(
-        "{} for {seconds} s: {} images, {} lost; {} samples, {} lost; \
+        "raw 640×480 for {seconds} s: {} images, {} lost; {} samples, {} lost; \
          the recorder used {:.1} % of a core",
-        if raw { "raw 640×480" } else { "JPEG" },
         images.len(),
         lost(&images),
         samples.len(),
@@ -119,16 +109,4 @@ fn recorded(domain: u8, raw: bool, seconds: u64) {
     assert!(images.len() as u64 >= 29 * seconds && samples.len() as u64 >= 390 * seconds);
     assert_eq!((lost(&images), lost(&samples)), (0, 0));
     assert!(used < 0.25, "{used}");
-}
-
-#[test]
-#[ignore = "takes a minute on a quiet machine"]
-fn a_minute_of_raw_images_and_samples_is_recorded_without_loss() {
-    recorded(85, true, 60);
-}
-
-#[test]
-#[ignore = "takes a minute on a quiet machine"]
-fn a_minute_of_jpeg_images_and_samples_is_recorded_without_loss() {
-    recorded(86, false, 60);
 }
