@@ -1,12 +1,10 @@
 //! Library of the `volant` command: replay of recorded runs through the nodes' cores, evaluation of
-//! estimates against the truth and, with the feature `nodes`, recording, playing and monitoring of
-//! live topics.
+//! estimates against the truth, and recording, playing and monitoring of live topics.
 
 pub mod calibration;
 pub mod camera_info_file;
 pub mod command_line;
 pub mod evaluate;
-#[cfg(feature = "nodes")]
 pub mod live;
 pub mod markers;
 pub mod parameter_update;

@@ -1,6 +1,5 @@
 //! Measurements that need a quiet minute:
 //! `cargo test --release -p volant --test figures -- --ignored --nocapture`.
-#![cfg(feature = "nodes")]
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::disallowed_methods)]
 
 use bag::BagReader;

@@ -1,5 +1,4 @@
 //! `volant play` and `volant record` together over DDS: a played bag is recorded byte for byte.
-#![cfg(feature = "nodes")]
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::disallowed_methods)]
 
 mod simulated;

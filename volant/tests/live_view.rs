@@ -1,5 +1,4 @@
 //! `volant monitor`, and Foxglove's protocol with an independent client.
-#![cfg(feature = "nodes")]
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::disallowed_methods)]
 
 use bag::{BagReader, BagWriter, QosProfile, Topic, WriteOptions};

@@ -1,7 +1,6 @@
 //! Generated pages: `docs/src/parameters.md` from the nodes' declarations, `docs/src/figures.md`
 //! and the table in `README.md` from the files that tests and tools write. `make pages` writes
 //! them; these tests compare.
-#![cfg(feature = "nodes")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use climber_driver::node::ClimberNode;

@@ -1,6 +1,5 @@
 //! DDS security of the tools: `record`, `play`, `monitor` and `foxglove` join in their enclave, or
 //! not at all.
-#![cfg(feature = "nodes")]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use bag::{BagWriter, QosProfile, Topic, WriteOptions};

@@ -52,7 +52,7 @@ fn standard_output_that_is_closed_or_full_ends_a_command_without_a_panic() {
     let folder = tempfile::tempdir().unwrap();
     let (run, csv) = (folder.path().join("run.mcap"), folder.path().join("run.csv"));
     write_run(&run);
-    let mut commands: Vec<Vec<&OsStr>> = vec![
+    let commands: Vec<Vec<&OsStr>> = vec![
         vec!["bag".as_ref(), "info".as_ref(), run.as_ref()],
         vec!["--help".as_ref()],
         vec!["--version".as_ref()],
@@ -67,10 +67,8 @@ fn standard_output_that_is_closed_or_full_ends_a_command_without_a_panic() {
             csv.as_ref(),
             "--overwrite".as_ref(),
         ],
+        vec!["up".as_ref(), "--help".as_ref()],
     ];
-    if cfg!(feature = "nodes") {
-        commands.push(vec!["up".as_ref(), "--help".as_ref()]);
-    }
     for command in commands {
         let closed = without_reader(&command);
         assert_eq!(closed.status.code(), Some(141), "{command:?}: {closed:?}");
@@ -87,7 +85,7 @@ fn standard_output_that_is_closed_or_full_ends_a_command_without_a_panic() {
 #[test]
 fn an_argument_that_is_not_utf_8_is_a_wrong_command_line() {
     let odd = OsStr::from_bytes(b"\xff\xfe");
-    let mut commands: Vec<Vec<&OsStr>> = vec![
+    let commands: Vec<Vec<&OsStr>> = vec![
         vec![odd],
         vec![
             "evaluate".as_ref(),
@@ -99,11 +97,9 @@ fn an_argument_that_is_not_utf_8_is_a_wrong_command_line() {
         ],
         vec!["replay".as_ref(), "x".as_ref(), "--namespace".as_ref(), odd],
         vec!["calibrate".as_ref(), "colors".as_ref(), odd],
+        vec!["up".as_ref(), odd],
+        vec!["record".as_ref(), "--out".as_ref(), "x".as_ref(), odd],
     ];
-    if cfg!(feature = "nodes") {
-        commands.push(vec!["up".as_ref(), odd]);
-        commands.push(vec!["record".as_ref(), "--out".as_ref(), "x".as_ref(), odd]);
-    }
     for command in commands {
         let output = Command::new(env!("CARGO_BIN_EXE_volant")).args(&command).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{command:?}: {output:?}");

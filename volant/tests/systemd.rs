@@ -1,5 +1,4 @@
 //! systemd's units: `systemd-analyze verify` accepts them, and the options that they give exist.
-#![cfg(feature = "nodes")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::{

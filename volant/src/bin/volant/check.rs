@@ -19,7 +19,6 @@ pub struct Arguments {
     /// Rig file
     #[arg(long, value_name = "FILE")]
     rig: PathBuf,
-    #[cfg(feature = "nodes")]
     /// ROS 2 parameter file of the nodes, in addition to the rig file; repeatable
     #[arg(long, value_name = "FILE")]
     params_file: Vec<PathBuf>,
@@ -36,11 +35,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<bool> {
     if let Some(path) = &arguments.json {
         files::check_output(path, arguments.overwrite, &[&arguments.bag, &arguments.rig])?;
     }
-    #[cfg(feature = "nodes")]
-    let settings = settings::read(&arguments.rig, &arguments.params_file, "")?;
-    #[cfg(not(feature = "nodes"))]
-    let settings = settings::read(&arguments.rig)?;
-    let Settings { rig, tracker, climber, .. } = settings;
+    let Settings { rig, tracker, climber, .. } =
+        settings::read(&arguments.rig, &arguments.params_file, "")?;
     let report = check_bag(&arguments.bag, &rig, &Cores { tracker, climber }).context("check")?;
     if let Some(path) = &arguments.json {
         let text = serde_json::to_string_pretty(&as_json(&report))? + "\n";

@@ -168,10 +168,7 @@ fn whole() -> Command {
     if whole.find_subcommand("calibrate").is_none() {
         whole = whole.subcommand(calibrate);
     }
-    #[cfg(feature = "nodes")]
-    {
-        whole = whole.subcommand(imu_driver::tool::Arguments::command().name("imu"));
-    }
+    whole = whole.subcommand(imu_driver::tool::Arguments::command().name("imu"));
     for external in EXTERNAL {
         if whole.find_subcommand(external.name).is_none() {
             let words = Arg::new("words").num_args(0..).value_hint(ValueHint::AnyPath);

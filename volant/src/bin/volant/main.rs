@@ -8,28 +8,21 @@ mod calibrate;
 mod check;
 mod commands;
 mod evaluate;
-#[cfg(feature = "nodes")]
 mod foxglove;
 mod markers;
-#[cfg(feature = "nodes")]
 mod monitor;
-#[cfg(feature = "nodes")]
 mod play;
-#[cfg(feature = "nodes")]
 mod record;
 mod replay;
 mod settings;
-#[cfg(feature = "nodes")]
 mod signals;
 mod terminal;
-#[cfg(feature = "nodes")]
 mod up;
 
 use clap::{Parser, Subcommand};
 use std::{ffi::OsString, process::ExitCode};
 use volant::command_line;
 
-#[cfg(feature = "nodes")]
 #[global_allocator]
 static ALLOCATOR: node_kit::Allocator = node_kit::Allocator;
 
@@ -63,7 +56,6 @@ enum Action {
     #[command(subcommand)]
     Bag(bag::Action),
     /// Run any of the nodes in one process
-    #[cfg(feature = "nodes")]
     #[command(disable_help_flag = true)]
     Up {
         /// Nodes, --rig FILE, --ros-args …
@@ -71,16 +63,12 @@ enum Action {
         words: Vec<String>,
     },
     /// Record live topics to a bag
-    #[cfg(feature = "nodes")]
     Record(record::Arguments),
     /// Play a bag to live topics
-    #[cfg(feature = "nodes")]
     Play(play::Arguments),
     /// Show live topics on a terminal: poses, markers, rates, delays, losses, diagnostics
-    #[cfg(feature = "nodes")]
     Monitor(monitor::Arguments),
     /// Serve live topics to Foxglove over its WebSocket protocol, without ROS
-    #[cfg(feature = "nodes")]
     Foxglove(foxglove::Arguments),
     /// Print completions for a shell
     Completions {
@@ -112,15 +100,10 @@ fn main() -> ExitCode {
             Err(error) => Err(error),
         },
         Action::Bag(action) => bag::run(&action),
-        #[cfg(feature = "nodes")]
         Action::Up { words } => return up::run(words),
-        #[cfg(feature = "nodes")]
         Action::Record(arguments) => record::run(&arguments),
-        #[cfg(feature = "nodes")]
         Action::Play(arguments) => play::run(&arguments),
-        #[cfg(feature = "nodes")]
         Action::Monitor(arguments) => monitor::run(&arguments),
-        #[cfg(feature = "nodes")]
         Action::Foxglove(arguments) => foxglove::run(&arguments),
         Action::Completions { shell } => commands::completions(shell),
         Action::Manual(arguments) => commands::manual(&arguments),
@@ -143,11 +126,12 @@ impl Action {
     /// Ends the commands on SIGINT and SIGTERM that do not handle them themselves.
     fn end_on_signals(&self) -> std::io::Result<()> {
         match self {
-            #[cfg(feature = "nodes")]
-            Self::Up { .. } | Self::Record(_) | Self::Play(_) => Ok(()),
-            #[cfg(feature = "nodes")]
-            Self::Monitor(_) | Self::Foxglove(_) => Ok(()),
-            Self::Other(_) => Ok(()),
+            Self::Up { .. }
+            | Self::Record(_)
+            | Self::Play(_)
+            | Self::Monitor(_)
+            | Self::Foxglove(_)
+            | Self::Other(_) => Ok(()),
             _ => node_kit::console::end_on_signals("volant", || {}),
         }
     }

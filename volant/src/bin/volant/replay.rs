@@ -27,7 +27,6 @@ pub struct Arguments {
     /// Replace an existing .mcap file
     #[arg(long)]
     overwrite: bool,
-    #[cfg(feature = "nodes")]
     /// ROS 2 parameter file of the nodes, in addition to the rig file; repeatable
     #[arg(long, value_name = "FILE")]
     params_file: Vec<PathBuf>,
@@ -61,18 +60,12 @@ enum ModelName {
 }
 
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    #[cfg(feature = "nodes")]
     let more = &arguments.params_file;
-    #[cfg(not(feature = "nodes"))]
-    let more: &[PathBuf] = &[];
     let inputs: Vec<&Path> =
         [&arguments.input, &arguments.rig].into_iter().chain(more).map(PathBuf::as_path).collect();
     files::check_output(&arguments.out, arguments.overwrite, &inputs)?;
-    #[cfg(feature = "nodes")]
-    let settings = settings::read(&arguments.rig, &arguments.params_file, &arguments.namespace)?;
-    #[cfg(not(feature = "nodes"))]
-    let settings = settings::read(&arguments.rig)?;
-    let Settings { rig, tracker, mut fusion, climber } = settings;
+    let Settings { rig, tracker, mut fusion, climber } =
+        settings::read(&arguments.rig, more, &arguments.namespace)?;
     match arguments.model {
         Some(ModelName::Tight) => fusion.model = Model::Tight,
         Some(ModelName::Paper) => fusion.model = Model::Paper,

@@ -1,11 +1,21 @@
 //! Configuration of a replay's cores: that of the nodes with the same files.
 
-use climber_driver::ClimberConfig;
-use marker_tracker::TrackerConfig;
-use pose_fusion::FusionConfig;
+use crate::up;
+use anyhow::Context;
+use climber_driver::{
+    ClimberConfig,
+    node::{ClimberNode, ClimberParameters},
+};
+use imu_driver::node::ImuNode;
+use marker_tracker::{TrackerConfig, node::MarkerTrackerNode};
+use node_kit::{
+    NodeName, ParameterSet, RosArguments,
+    node::NodeShell,
+    parameters::{ParameterError, ParameterMap, ParameterStore},
+};
+use pose_fusion::{FusionConfig, node::FusionNode};
 use rig_model::Rig;
-#[cfg(feature = "nodes")]
-pub use with_nodes::read;
+use std::path::{Path, PathBuf};
 
 /// Configuration from the rig file and parameter files.
 pub struct Settings {
@@ -16,95 +26,62 @@ pub struct Settings {
     pub climber: Result<ClimberConfig, String>,
 }
 
-/// Reads the rig file.
-///
-/// # Errors
-/// An unreadable or invalid file.
-#[cfg(not(feature = "nodes"))]
-pub fn read(path: &std::path::Path) -> anyhow::Result<Settings> {
-    use anyhow::Context;
-    let rig = node_kit::files::read_text(path)
-        .map_err(anyhow::Error::from)
-        .and_then(|text| Ok(Rig::from_yaml(&text)?))
-        .with_context(|| format!("{}: not a usable rig file", path.display()))?;
-    let tracker = TrackerConfig { start_colors: rig.colors, ..TrackerConfig::default() };
-    let climber = Ok(ClimberConfig::default());
-    Ok(Settings { rig, tracker, fusion: FusionConfig::default(), climber })
+/// The files of a rig's nodes, for the nodes of one namespace.
+struct Files<'a> {
+    ros: RosArguments,
+    paths: Vec<&'a Path>,
+    namespace: String,
 }
 
-#[cfg(feature = "nodes")]
-mod with_nodes {
-    use super::{Rig, Settings};
-    use crate::up;
-    use anyhow::Context;
-    use climber_driver::node::{ClimberNode, ClimberParameters};
-    use imu_driver::node::ImuNode;
-    use marker_tracker::node::MarkerTrackerNode;
-    use node_kit::{
-        NodeName, ParameterSet, RosArguments,
-        node::NodeShell,
-        parameters::{ParameterError, ParameterMap, ParameterStore},
+/// Reads the configuration of a namespace's nodes; later files override earlier ones.
+///
+/// # Errors
+/// What a live node rejects, in its words: an unreadable file, a block for a mistyped node's
+/// name, an unknown or invalid parameter. Of `imu_driver` too, whose output is in the bag.
+pub fn read(path: &Path, more: &[PathBuf], namespace: &str) -> anyhow::Result<Settings> {
+    let mut ros = RosArguments::default();
+    ros.add_file(path.to_owned())
+        .with_context(|| format!("{}: not a usable rig file", path.display()))?;
+    more.iter().try_for_each(|file| ros.add_file(file.clone()))?;
+    ros.allow_of_others(up::parameters());
+    ros.reject_unknown();
+    let paths = std::iter::once(path).chain(more.iter().map(PathBuf::as_path)).collect();
+    let namespace = format!("/{}", namespace.trim_matches('/'));
+    let files = Files { ros, paths, namespace };
+    let (tracker, _) = files.of::<MarkerTrackerNode>()?;
+    let (fusion, values) = files.of::<FusionNode>()?;
+    let climber = ClimberParameters::from_map(files.store::<ClimberNode>()?.values());
+    files.of::<ImuNode>()?;
+    let rig = Rig::from_parameters(&values).with_context(|| files.names())?;
+    let fusion = fusion.config().map_err(anyhow::Error::msg)?;
+    let climber = match climber {
+        Err(error) if !matches!(error, ParameterError::Missing { .. }) => {
+            return Err(error).with_context(|| files.context::<ClimberNode>());
+        }
+        climber => climber.map(|c| c.config()).map_err(|e| e.to_string()),
     };
-    use pose_fusion::node::FusionNode;
-    use std::path::{Path, PathBuf};
+    Ok(Settings { tracker: tracker.config(&rig), rig, fusion, climber })
+}
 
-    /// The files of a rig's nodes, for the nodes of one namespace.
-    struct Files<'a> {
-        ros: RosArguments,
-        paths: Vec<&'a Path>,
-        namespace: String,
+impl Files<'_> {
+    fn of<S: NodeShell>(&self) -> anyhow::Result<(S::Parameters, ParameterMap)> {
+        let store = self.store::<S>()?;
+        let set = S::Parameters::from_map(store.values());
+        Ok((set.with_context(|| self.context::<S>())?, store.values().clone()))
     }
 
-    /// Reads the configuration of a namespace's nodes; later files override earlier ones.
-    ///
-    /// # Errors
-    /// What a live node rejects, in its words: an unreadable file, a block for a mistyped node's
-    /// name, an unknown or invalid parameter. Of `imu_driver` too, whose output is in the bag.
-    pub fn read(path: &Path, more: &[PathBuf], namespace: &str) -> anyhow::Result<Settings> {
-        let mut ros = RosArguments::default();
-        ros.add_file(path.to_owned())
-            .with_context(|| format!("{}: not a usable rig file", path.display()))?;
-        more.iter().try_for_each(|file| ros.add_file(file.clone()))?;
-        ros.allow_of_others(up::parameters());
-        ros.reject_unknown();
-        let paths = std::iter::once(path).chain(more.iter().map(PathBuf::as_path)).collect();
-        let namespace = format!("/{}", namespace.trim_matches('/'));
-        let files = Files { ros, paths, namespace };
-        let (tracker, _) = files.of::<MarkerTrackerNode>()?;
-        let (fusion, values) = files.of::<FusionNode>()?;
-        let climber = ClimberParameters::from_map(files.store::<ClimberNode>()?.values());
-        files.of::<ImuNode>()?;
-        let rig = Rig::from_parameters(&values).with_context(|| files.names())?;
-        let fusion = fusion.config().map_err(anyhow::Error::msg)?;
-        let climber = match climber {
-            Err(error) if !matches!(error, ParameterError::Missing { .. }) => {
-                return Err(error).with_context(|| files.context::<ClimberNode>());
-            }
-            climber => climber.map(|c| c.config()).map_err(|e| e.to_string()),
-        };
-        Ok(Settings { tracker: tracker.config(&rig), rig, fusion, climber })
+    fn store<S: NodeShell>(&self) -> anyhow::Result<ParameterStore> {
+        let name = NodeName::new(&self.namespace, S::NAME)?;
+        self.ros.check_node_names(&name, S::NAME)?;
+        self.ros.declare::<S::Parameters>(&name).with_context(|| self.context::<S>())
     }
 
-    impl Files<'_> {
-        fn of<S: NodeShell>(&self) -> anyhow::Result<(S::Parameters, ParameterMap)> {
-            let store = self.store::<S>()?;
-            let set = S::Parameters::from_map(store.values());
-            Ok((set.with_context(|| self.context::<S>())?, store.values().clone()))
-        }
+    fn context<S: NodeShell>(&self) -> String {
+        format!("{}: {}", self.names(), S::NAME)
+    }
 
-        fn store<S: NodeShell>(&self) -> anyhow::Result<ParameterStore> {
-            let name = NodeName::new(&self.namespace, S::NAME)?;
-            self.ros.check_node_names(&name, S::NAME)?;
-            self.ros.declare::<S::Parameters>(&name).with_context(|| self.context::<S>())
-        }
-
-        fn context<S: NodeShell>(&self) -> String {
-            format!("{}: {}", self.names(), S::NAME)
-        }
-
-        fn names(&self) -> String {
-            let names: Vec<_> = self.paths.iter().map(|p| p.display().to_string()).collect();
-            names.join(", ")
-        }
+    fn names(&self) -> String {
+        let names: Vec<_> = self.paths.iter().map(|p| p.display().to_string()).collect();
+        names.join(", ")
     }
 }

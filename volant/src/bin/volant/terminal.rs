@@ -37,7 +37,6 @@ pub fn name(path: &Path) -> String {
 }
 
 /// Status line; drawn on a terminal only.
-#[cfg(feature = "nodes")]
 pub fn spinner() -> ProgressBar {
     let bar = ProgressBar::new_spinner();
     bar.enable_steady_tick(std::time::Duration::from_millis(200));

@@ -27,10 +27,7 @@ pub fn acceptance(walk: &mut Walk) -> Result<()> {
         topics::IMU,
     ];
     let bag = walk.recording("acceptance", &topics, 30.0)?;
-    #[cfg(feature = "nodes")]
     let settings = crate::settings::read(&walk.rig, &[], "")?;
-    #[cfg(not(feature = "nodes"))]
-    let settings = crate::settings::read(&walk.rig)?;
     let output = walk.file("acceptance_replay.mcap");
     let options = ReplayOptions {
         input: bag.clone(),

@@ -156,7 +156,6 @@ impl Walk {
     }
 }
 
-#[cfg(feature = "nodes")]
 fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
     use std::time::Duration;
     use volant::live::record::{RecordOptions, record};
@@ -180,11 +179,6 @@ fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
         outln!("  {topic}: no publisher")?;
     }
     Ok(())
-}
-
-#[cfg(not(feature = "nodes"))]
-fn record(_: &Path, _: &[&str], _: f64) -> Result<()> {
-    bail!("this build has no live topics; name a bag")
 }
 
 /// Runs the command.

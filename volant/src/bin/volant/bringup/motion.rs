@@ -39,9 +39,7 @@ pub fn encoders(walk: &mut Walk) -> Result<()> {
     let bag = walk.recording("jog", &MOTION[..4], 60.0)?;
     let found = calibrate::climber::run(&calibrate::climber::Arguments {
         bag: Some(bag),
-        #[cfg(feature = "nodes")]
         live: false,
-        #[cfg(feature = "nodes")]
         duration: 0.0,
         rig: walk.rig.clone(),
         params_file: None,

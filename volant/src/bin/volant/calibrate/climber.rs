@@ -23,14 +23,12 @@ pub struct Arguments {
     /// rests on the floor in view of the camera, the climber starts turned to within 45 degrees of
     /// zero, and one axis after the other is jogged to and fro, as far as the platform stays in
     /// view (0.3 m or 20 degrees at least)
-    #[cfg_attr(feature = "nodes", arg(required_unless_present = "live"))]
+    #[arg(required_unless_present = "live")]
     pub bag: Option<PathBuf>,
     /// Record live topics instead of reading a bag
-    #[cfg(feature = "nodes")]
     #[arg(long, conflicts_with = "bag")]
     pub live: bool,
     /// Duration of the live recording, s (Ctrl-C ends it earlier)
-    #[cfg(feature = "nodes")]
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
     pub duration: f64,
     /// Rig file: marker layout and camera mounting
@@ -138,7 +136,6 @@ fn read_joints(path: &Path) -> Result<Vec<JointReadings>> {
 }
 
 /// Records the jog. Markers of a running tracker are preferred to raw images, which are large.
-#[cfg(feature = "nodes")]
 fn live(arguments: &Arguments, rig: &Rig, present: &ParameterMap) -> Result<ClimberCalibration> {
     use rig_model::topics::absolute;
     let topics = [
@@ -162,11 +159,6 @@ fn live(arguments: &Arguments, rig: &Rig, present: &ParameterMap) -> Result<Clim
         );
     }
     from_bag(recorded.path(), arguments, rig, present)
-}
-
-#[cfg(not(feature = "nodes"))]
-fn live(_: &Arguments, _: &Rig, _: &ParameterMap) -> Result<ClimberCalibration> {
-    bail!("name a bag: this build has no live topics")
 }
 
 fn settings(found: &ClimberCalibration, node: &str) -> Vec<Setting> {

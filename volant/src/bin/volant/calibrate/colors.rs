@@ -190,7 +190,6 @@ fn bag(path: &Path, topic: Option<&str>, calibration: &mut ColorCalibration) -> 
 }
 
 /// Records the topic for a short time and evaluates the recording.
-#[cfg(feature = "nodes")]
 fn topic(arguments: &Arguments, calibration: &mut ColorCalibration) -> anyhow::Result<()> {
     let name = match arguments.source.strip_prefix('/') {
         Some(_) => arguments.source.clone(),
@@ -206,9 +205,4 @@ fn topic(arguments: &Arguments, calibration: &mut ColorCalibration) -> anyhow::R
         );
     }
     bag(recorded.path(), Some(&name), calibration)
-}
-
-#[cfg(not(feature = "nodes"))]
-fn topic(arguments: &Arguments, _: &mut ColorCalibration) -> anyhow::Result<()> {
-    bail!("{}: no such file, and this build has no live topics", arguments.source)
 }

@@ -4,7 +4,6 @@
 pub mod climber;
 pub mod colors;
 pub mod imu;
-#[cfg(feature = "nodes")]
 mod live;
 pub mod rig;
 
@@ -88,7 +87,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.action {
         // A signal ends the recording of live topics.
         Action::Colors(_) => {}
-        #[cfg(feature = "nodes")]
         Action::Climber(arguments) if arguments.live => {}
         _ => node_kit::console::end_on_signals("volant", || {})?,
     }

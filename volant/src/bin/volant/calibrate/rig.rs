@@ -32,11 +32,7 @@ pub struct Arguments {
 /// # Errors
 /// See the messages, which name the remedy.
 pub fn run(arguments: &Arguments) -> Result<Estimate> {
-    #[cfg(feature = "nodes")]
-    let settings = settings::read(&arguments.rig, &[], "")?;
-    #[cfg(not(feature = "nodes"))]
-    let settings = settings::read(&arguments.rig)?;
-    let Settings { rig, tracker, climber, .. } = settings;
+    let Settings { rig, tracker, climber, .. } = settings::read(&arguments.rig, &[], "")?;
     let held: &[&str] = if arguments.hold_camera { &["camera turn", "camera place"] } else { &[] };
     let estimate = refine_from_bag(&arguments.bag, &rig, &Cores { tracker, climber }, held)?;
     print(&estimate)?;
