@@ -84,18 +84,10 @@ fn traits() -> Vec<Trait> {
     list
 }
 
-/// Refines a rig with a recording.
-///
-/// # Errors
-/// No pose fits the recording, or its motion determines neither mounting.
-pub fn refine_rig(recording: &Recording, rig: &Rig) -> Result<Estimate, CalibrationError> {
-    refine_rig_holding(recording, rig, &[])
-}
-
 /// Refines a rig with a recording, but for the parameters whose names begin with one of `held`.
 ///
 /// # Errors
-/// As [`refine_rig`].
+/// No pose fits the recording, or its motion determines neither mounting.
 pub fn refine_rig_holding(
     recording: &Recording,
     rig: &Rig,

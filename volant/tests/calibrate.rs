@@ -4,7 +4,8 @@
 
 mod simulated;
 
-use rig_model::Rig;
+use rig_model::{MarkerColor, Rig};
+use rig_simulator::motion::{Motion, MotionConfig};
 use ros_parameters::{ParameterFile, ParameterMap};
 use simulated::{Simulated, resting};
 use std::{
@@ -91,26 +92,50 @@ fn rig_keeps_colors_comments_and_the_nodes_parameters() {
 }
 
 #[test]
-fn colors_keeps_the_rest_of_the_rig_file() {
+fn rig_rejects_a_recording_at_rest() {
+    let (folder, simulated) = (TempDir::new().unwrap(), Simulated::new(5));
+    let [bag, rig] = ["rest.mcap", "rig.yaml"].map(|n| folder.path().join(n));
+    simulated.write(&bag, &Motion::new(MotionConfig::rest(5)), true);
+    fs::write(&rig, rig_simulator::RIG_YAML).unwrap();
+    let output =
+        volant(&["calibrate", "rig", bag.to_str().unwrap(), "--rig", rig.to_str().unwrap()]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("determines neither"), "{message}");
+    assert_eq!(fs::read_to_string(&rig).unwrap(), rig_simulator::RIG_YAML);
+}
+
+#[test]
+fn colors_are_those_of_the_markers_and_the_rest_of_the_rig_file_stays() {
     let Some(shared) = test_support::recordings() else { return };
     let folder = TempDir::new().unwrap();
-    let bag = shared.join("bags/nominal/in.mcap");
-    let truth = fs::read_to_string(shared.join("bags/nominal/rig.yaml")).unwrap();
-    let path = folder.path().join("rig.yaml");
-    let before = dressed(&truth);
-    fs::write(&path, &before).unwrap();
-    let rig = path.to_str().unwrap();
-    done(&["calibrate", "colors", bag.to_str().unwrap(), "--rig", rig]);
-    let after = fs::read_to_string(&path).unwrap();
-    assert_same_lines(&before, &after, &["colors:"]);
-    assert!(after.contains("} # by eye"), "{after}");
-    assert_eq!(fs::read_to_string(backup(&path)).unwrap(), before);
-    let colors = Rig::from_yaml(&after).unwrap().colors;
-    assert!(colors.0.iter().all(Option::is_some), "{colors:?}");
-    // A file that exists is not replaced by the 190 bytes of the colors.
-    let output = volant(&["calibrate", "colors", bag.to_str().unwrap(), "--out", rig]);
-    assert_eq!(output.status.code(), Some(1));
-    assert_eq!(fs::read_to_string(&path).unwrap(), after);
+    for name in ["nominal", "clutter"] {
+        let recording = shared.join("bags").join(name);
+        let bag = recording.join("in.mcap");
+        let path = folder.path().join(name).with_extension("yaml");
+        let before = dressed(&fs::read_to_string(recording.join("rig.yaml")).unwrap());
+        fs::write(&path, &before).unwrap();
+        let rig = path.to_str().unwrap();
+        done(&["calibrate", "colors", bag.to_str().unwrap(), "--rig", rig]);
+        let after = fs::read_to_string(&path).unwrap();
+        assert_same_lines(&before, &after, &["colors:"]);
+        assert!(after.contains("} # by eye"), "{after}");
+        assert_eq!(fs::read_to_string(backup(&path)).unwrap(), before);
+        let colors = Rig::from_yaml(&after).unwrap().colors;
+        for (color, strong, weak) in [
+            (MarkerColor::Red, 0, 1),
+            (MarkerColor::Green, 1, 0),
+            (MarkerColor::Blue, 2, 0),
+            (MarkerColor::Yellow, 0, 2),
+        ] {
+            let rgb = colors[color].unwrap();
+            assert!(rgb[strong] > 1.2 * rgb[weak], "{name} {color}: {rgb:?}");
+        }
+        // A file that exists is not replaced by the 190 bytes of the colors.
+        let output = volant(&["calibrate", "colors", bag.to_str().unwrap(), "--out", rig]);
+        assert_eq!(output.status.code(), Some(1));
+        assert_eq!(fs::read_to_string(&path).unwrap(), after);
+    }
 }
 
 #[test]
