@@ -20,7 +20,7 @@ impl<E: std::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for Chart
 }
 
 /// Font of `size` px; plotters expects points of 1.24 px.
-pub(super) fn font(size: f64) -> FontDesc<'static> {
+fn font(size: f64) -> FontDesc<'static> {
     ("sans-serif", 1.24 * size).into_font()
 }
 
@@ -37,6 +37,20 @@ pub enum Shape {
     Dotted,
     /// A line of this width with a whisker of the series' `spread` at each value.
     Whiskers(u32),
+    /// Shaded spans of the x axis, below the grid: a point is a span's start and end.
+    Spans,
+}
+
+impl Shape {
+    /// Width of its line, px.
+    fn width(self) -> u32 {
+        match self {
+            Self::Line(width) | Self::Whiskers(width) => width,
+            Self::Dotted => 2,
+            Self::Dots => 0,
+            Self::Spans => 12,
+        }
+    }
 }
 
 /// Series of values.
@@ -114,18 +128,14 @@ pub fn panels(sheet: Sheet<'_>, panels: &[Panel]) -> Result<String, ChartError> 
 }
 
 /// Entry of the legend.
-pub(super) struct Entry<'a> {
-    pub name: &'a str,
-    pub color: RGBColor,
-    pub shape: Shape,
+struct Entry<'a> {
+    name: &'a str,
+    color: RGBColor,
+    shape: Shape,
 }
 
 /// Draws title and legend, in the lines they need; returns the area below.
-pub(super) fn headed<'a>(
-    root: &Area<'a>,
-    title: &str,
-    entries: &[Entry<'_>],
-) -> Result<Area<'a>, ChartError> {
+fn headed<'a>(root: &Area<'a>, title: &str, entries: &[Entry<'_>]) -> Result<Area<'a>, ChartError> {
     const LINE: i32 = 26;
     let width = root.dim_in_pixel().0 as i32;
     // A generous mean width of the letters keeps entries apart in any font.
@@ -150,19 +160,13 @@ pub(super) fn headed<'a>(
                     head.draw(&Circle::new((x + 4 + 8 * i, y), 2, entry.color.filled()))?;
                 }
             }
-            Shape::Dotted => {
-                head.draw(&PathElement::new(
-                    vec![(x, y), (x + 24, y)],
-                    entry.color.stroke_width(2),
-                ))?;
-                head.draw(&Circle::new((x + 12, y), 4, entry.color.filled()))?;
+            shape => {
+                let style = entry.color.stroke_width(shape.width());
+                head.draw(&PathElement::new(vec![(x, y), (x + 24, y)], style))?;
             }
-            Shape::Line(w) | Shape::Whiskers(w) => {
-                head.draw(&PathElement::new(
-                    vec![(x, y), (x + 24, y)],
-                    entry.color.stroke_width(w),
-                ))?;
-            }
+        }
+        if entry.shape == Shape::Dotted {
+            head.draw(&Circle::new((x + 12, y), 4, entry.color.filled()))?;
         }
         let text = font(15.0).color(&colors::INK);
         head.draw(&Text::new(entry.name.to_owned(), (x + 32, y - 8), text))?;
@@ -194,7 +198,8 @@ where
     X: Ranged<ValueType = f64> + ValueFormatter<f64>,
     Y: Ranged<ValueType = f64> + ValueFormatter<f64>,
 {
-    let span = panel.y.range[1] - panel.y.range[0];
+    let [low, high] = panel.y.range;
+    let span = high - low;
     let digits = if span < 0.05 {
         3
     } else if span < 0.6 {
@@ -207,6 +212,13 @@ where
     let label = |v: &f64| {
         if panel.y.log { number(*v) } else { format!("{v:.digits$}") }
     };
+    for spans in panel.series.iter().filter(|s| s.shape == Shape::Spans) {
+        chart.draw_series(
+            spans.points.iter().map(|(from, to)| {
+                Rectangle::new([(*from, low), (*to, high)], spans.color.filled())
+            }),
+        )?;
+    }
     let across = panel.x.range[1] - panel.x.range[0];
     let x_digits = usize::from(across < 6.0);
     chart
@@ -223,15 +235,10 @@ where
         .x_label_formatter(&|v| if panel.x.log { number(*v) } else { format!("{v:.x_digits$}") })
         .y_label_formatter(&label)
         .draw()?;
-    for series in &panel.series {
-        let [low, high] = panel.y.range;
+    for series in panel.series.iter().filter(|s| s.shape != Shape::Spans) {
         // Values outside of the range are drawn at its border.
         let clip = |v: f64| v.clamp(low, high);
-        let width = match series.shape {
-            Shape::Line(w) | Shape::Whiskers(w) => w,
-            Shape::Dotted => 2,
-            Shape::Dots => 0,
-        };
+        let width = series.shape.width();
         let [first, last] = panel.x.range;
         let points: Vec<(f64, f64)> = series
             .points
@@ -254,7 +261,7 @@ where
             }
         }
         match series.shape {
-            Shape::Line(_) => {}
+            Shape::Line(_) | Shape::Spans => {}
             Shape::Dots => {
                 chart.draw_series(
                     finite().map(|p| Circle::new((p.0, clip(p.1)), 2, series.color.filled())),

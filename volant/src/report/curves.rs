@@ -1,11 +1,11 @@
 //! Curves of x, y, z, roll, pitch and yaw over time, as in the paper's Fig. 13.
 
 use super::{
-    chart::{ChartError, Entry, Shape, font, headed},
-    palette::{colors, finished},
+    chart::{Axis, ChartError, Panel, Series, Shape, Sheet, panels},
+    palette::colors,
 };
 use nalgebra::Isometry3;
-use plotters::prelude::*;
+use plotters::prelude::RGBColor;
 use rig_model::Stamp;
 
 /// Poses `world_from_volant` with their stamps, sorted.
@@ -57,96 +57,70 @@ pub struct Run<'a> {
 /// # Errors
 /// plotters fails.
 pub fn six_curves(run: &Run<'_>, curves: &[Curve<'_>]) -> Result<String, ChartError> {
-    let mut svg = String::new();
-    draw(&mut svg, run, curves)?;
-    Ok(finished(&svg, run.title))
-}
-
-fn draw(svg: &mut String, run: &Run<'_>, curves: &[Curve<'_>]) -> Result<(), ChartError> {
-    let seconds = run.seconds;
-    let root = SVGBackend::with_string(svg, (1120, 960)).into_drawing_area();
-    root.fill(&colors::BACK)?;
-    let mut entries = vec![Entry { name: "truth", color: colors::TRUTH, shape: Shape::Line(1) }];
-    for c in curves {
-        let shape = if c.width == 0 { Shape::Dots } else { Shape::Line(c.width) };
-        entries.push(Entry { name: c.name, color: c.color, shape });
-    }
-    if !run.shaded.is_empty() {
-        entries.push(Entry {
-            name: "a marker is covered",
-            color: colors::SHADE,
-            shape: Shape::Line(12),
-        });
-    }
-    let body = headed(&root, run.title, &entries)?;
-    let count = (seconds * 50.0) as usize;
+    let count = (run.seconds * 50.0) as usize;
     let truth: Vec<(f64, [f64; 6])> = (0..=count)
         .map(|i| i as f64 / 50.0)
         .filter_map(|t| Some((t, six(&(run.truth)(t)?))))
         .collect();
-    for (place, area) in body.split_evenly((3, 2)).iter().enumerate() {
-        // Positions in the left column, rotations in the right one.
-        let axis = (place % 2) * 3 + place / 2;
+    // Positions in the left column, rotations in the right one.
+    let drawn = [0, 3, 1, 4, 2, 5].map(|axis| {
         let values = truth.iter().map(|(_, v)| v[axis]);
         let (low, high) =
             values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         let (low, high) = if low <= high { (low, high) } else { (0.0, 0.0) };
         let margin = (0.25 * (high - low)).max(if axis < 3 { 5.0 } else { 0.5 });
-        let (low, high) = (low - margin, high + margin);
-        let mut chart = ChartBuilder::on(area)
-            .margin(10)
-            .margin_right(18)
-            .x_label_area_size(46)
-            .y_label_area_size(70)
-            .build_cartesian_2d(0.0..seconds, low..high)?;
-        chart.draw_series(run.shaded.iter().map(|[from, to]| {
-            Rectangle::new([(*from, low), (*to, high)], colors::SHADE.filled())
-        }))?;
-        chart
-            .configure_mesh()
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(colors::GRID)
-            .axis_style(colors::AXIS)
-            .x_labels(6)
-            .y_labels(6)
-            .x_desc("time [s]")
-            .y_desc(format!("{} [{}]", AXES[axis], UNITS[axis]))
-            .axis_desc_style(font(14.0).color(&colors::INK))
-            .label_style(font(13.0).color(&colors::SOFT))
-            .x_label_formatter(&|t| format!("{t:.0}"))
-            .y_label_formatter(&|v| {
-                if high - low < 4.0 { format!("{v:.1}") } else { format!("{v:.0}") }
-            })
-            .draw()?;
-        for curve in curves {
-            let points = curve
-                .track
-                .iter()
-                .map(|(at, pose)| (at.seconds_since(run.epoch), six(pose)[axis]))
-                .filter(|(t, v)| (0.0..=seconds).contains(t) && (low..=high).contains(v));
-            if curve.width == 0 {
-                chart.draw_series(points.map(|p| Circle::new(p, 2, curve.color.filled())))?;
-                continue;
-            }
-            // A curve that leaves the panel and returns is drawn in parts.
-            let mut part: Vec<(f64, f64)> = Vec::new();
-            let style = curve.color.stroke_width(curve.width);
-            for point in points {
-                if part.last().is_some_and(|last| point.0 - last.0 > 0.15) {
-                    chart.draw_series(LineSeries::new(std::mem::take(&mut part), style))?;
-                }
-                // No finer than the image's pixels.
-                if part.last().is_none_or(|last| point.0 - last.0 > seconds / 1200.0) {
-                    part.push(point);
-                }
-            }
-            chart.draw_series(LineSeries::new(part, style))?;
+        let range = [low - margin, high + margin];
+        let line = |name: &str, color, shape, points| Series {
+            name: name.to_owned(),
+            color,
+            shape,
+            points,
+            spread: Vec::new(),
+        };
+        let mut series = Vec::new();
+        if !run.shaded.is_empty() {
+            let spans = run.shaded.iter().map(|[from, to]| (*from, *to)).collect();
+            series.push(line("a marker is covered", colors::SHADE, Shape::Spans, spans));
         }
-        let line = truth.iter().map(|(t, v)| (*t, v[axis]));
-        chart.draw_series(LineSeries::new(line, colors::TRUTH.stroke_width(1)))?;
+        series.extend(curves.iter().map(|curve| {
+            let shape = if curve.width == 0 { Shape::Dots } else { Shape::Line(curve.width) };
+            line(curve.name, curve.color, shape, points(run, curve, axis, range))
+        }));
+        let exact = truth.iter().map(|(t, v)| (*t, v[axis])).collect();
+        series.push(line("truth", colors::TRUTH, Shape::Line(1), exact));
+        let name = format!("{} [{}]", AXES[axis], UNITS[axis]);
+        Panel {
+            title: String::new(),
+            x: Axis { name: "time [s]".into(), range: [0.0, run.seconds], log: false },
+            y: Axis { name, range, log: false },
+            series,
+        }
+    });
+    panels(Sheet { title: run.title, size: (1120, 960), grid: (3, 2) }, &drawn)
+}
+
+/// Points of a curve inside its panel. A line is thinned to the image's pixels, and has a gap where
+/// the curve leaves the panel or pauses.
+fn points(run: &Run<'_>, curve: &Curve<'_>, axis: usize, [low, high]: [f64; 2]) -> Vec<(f64, f64)> {
+    let inside = curve
+        .track
+        .iter()
+        .map(|(at, pose)| (at.seconds_since(run.epoch), six(pose)[axis]))
+        .filter(|(t, v)| (0.0..=run.seconds).contains(t) && (low..=high).contains(v));
+    if curve.width == 0 {
+        return inside.collect();
     }
-    root.present()?;
-    Ok(())
+    let (mut points, mut before): (Vec<(f64, f64)>, f64) = (Vec::new(), f64::NEG_INFINITY);
+    for (t, v) in inside {
+        if t - before > 0.15 {
+            points.push((t, f64::NAN));
+        }
+        if points.last().is_some_and(|p| p.1.is_nan() || t - p.0 > run.seconds / 1200.0) {
+            points.push((t, v));
+        }
+        before = t;
+    }
+    points
 }
 
 #[cfg(test)]
