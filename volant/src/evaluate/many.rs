@@ -1,7 +1,7 @@
 //! Evaluation of a folder of bags against a folder with their truths.
 
 use super::{EvaluateError, EvaluateOptions, Evaluation, Quality, evaluate};
-use crate::replay::TopicNames;
+use crate::{replay::TopicNames, report::Table};
 use std::{
     fmt::Write,
     path::{Path, PathBuf},
@@ -111,29 +111,31 @@ pub fn evaluate_many(
     results.into_iter().map(|(_, r)| r).collect()
 }
 
-/// Formats a table: one row per run and estimate, and the worst of each estimate.
+/// Formats a text table: one row per run and estimate, and the worst of each estimate.
 pub fn table_of_many(results: &[RunResult]) -> String {
-    let mut rows: Vec<Vec<String>> = vec![
-        [
-            "run",
-            "estimate",
-            "mm RMSE",
-            "mm max",
-            "deg RMSE",
-            "deg max",
-            "NEES pos",
-            "NEES rot",
-            "Hz",
-            "longest gap ms",
-        ]
-        .map(String::from)
-        .to_vec(),
+    rows(results).to_text(2)
+}
+
+/// Makes the table of [`table_of_many`].
+pub(super) fn rows(results: &[RunResult]) -> Table {
+    let head = [
+        "run",
+        "estimate",
+        "mm RMSE",
+        "mm max",
+        "deg RMSE",
+        "deg max",
+        "NEES pos",
+        "NEES rot",
+        "Hz",
+        "longest gap ms",
     ];
+    let mut table = Table { head: head.map(String::from).to_vec(), rows: vec![] };
     let number = |x: Option<f64>| x.map_or("-".into(), |x| format!("{x:.2}"));
     let mut worst: Vec<(String, [f64; 4])> = Vec::new();
     for (name, result) in results {
         let Ok(evaluation) = result else {
-            rows.push(vec![name.clone(), "failed".into()]);
+            table.push(vec![name.clone(), "failed".into()]);
             continue;
         };
         for q in &evaluation.estimates {
@@ -147,7 +149,7 @@ pub fn table_of_many(results: &[RunResult]) -> String {
                 format!("{:.2}", q.rate_hz),
                 format!("{:.1}", q.longest_gap_ms),
             ]);
-            rows.push(row);
+            table.push(row);
             match worst.iter_mut().find(|w| w.0 == q.estimate) {
                 Some((_, w)) => w.iter_mut().zip(figures).for_each(|(w, f)| *w = w.max(f)),
                 None => worst.push((q.estimate.clone(), figures)),
@@ -157,21 +159,9 @@ pub fn table_of_many(results: &[RunResult]) -> String {
     for (estimate, figures) in worst {
         let mut row = vec!["worst".into(), estimate];
         row.extend(figures.map(|v| format!("{v:.3}")));
-        rows.push(row);
+        table.push(row);
     }
-    let columns = rows[0].len();
-    let width = |i: usize| rows.iter().filter_map(|r| r.get(i)).map(String::len).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..columns).map(width).collect();
-    let mut text = String::new();
-    for row in &rows {
-        for (i, cell) in row.iter().enumerate() {
-            let w = widths[i];
-            let _ = if i < 2 { write!(text, "{cell:<w$}  ") } else { write!(text, "{cell:>w$}  ") };
-        }
-        text.truncate(text.trim_end().len());
-        text.push('\n');
-    }
-    text
+    table
 }
 
 /// Formats CSV: the rows of [`super::csv`] with the run in the first column.

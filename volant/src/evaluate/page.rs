@@ -1,9 +1,9 @@
 //! HTML page of an evaluation: table of errors, curves of the poses and of their errors.
 
-use super::{EvaluateOptions, Evaluation, Quality, RunResult, Truth, many::qualities};
+use super::{EvaluateOptions, Evaluation, Quality, RunResult, Truth, many, report};
 use crate::report::{
-    Axis, Block, ChartError, Color, Curve, Page, Panel, Run, Section, Series, Shape, Sheet, Table,
-    Track, colors, panels, six_curves,
+    Axis, Block, ChartError, Color, Curve, Page, Panel, Run, Section, Series, Shape, Sheet, Track,
+    colors, panels, six_curves,
 };
 use nalgebra::Isometry3;
 use rig_model::{Stamp, topics};
@@ -46,7 +46,7 @@ pub fn page(evaluation: &Evaluation, options: &EvaluateOptions) -> Result<Page, 
     let six = six_curves(&run, &curves)?;
     let words =
         |losses: &[String]| losses.iter().map(|l| Block::Note(l.clone())).collect::<Vec<_>>();
-    let mut blocks = vec![Block::Table(table(&evaluation.estimates))];
+    let mut blocks = vec![Block::Table(report::rows(&evaluation.estimates))];
     blocks.extend(words(&evaluation.losses));
     let mut facts = vec![
         ("Made by".into(), format!("volant {}", env!("CARGO_PKG_VERSION"))),
@@ -107,29 +107,8 @@ pub fn page(evaluation: &Evaluation, options: &EvaluateOptions) -> Result<Page, 
 /// # Errors
 /// A figure cannot be drawn.
 pub fn page_of_many(results: &[RunResult], command: &str) -> Result<Page, ChartError> {
-    let all = qualities(results);
-    let head = [
-        "run",
-        "estimate",
-        "position RMSE / largest [mm]",
-        "rotation RMSE / largest [deg]",
-        "NEES",
-        "rate [Hz]",
-    ];
-    let mut table = Table { head: head.map(String::from).to_vec(), rows: Vec::new() };
-    let number = |x: Option<f64>| x.map_or("–".into(), |x| format!("{x:.2}"));
-    for (name, q) in &all {
-        let cells = [
-            (*name).to_owned(),
-            q.estimate.clone(),
-            format!("{:.3} / {:.3}", q.position_mm.rmse, q.position_mm.max),
-            format!("{:.3} / {:.3}", q.rotation_deg.rmse, q.rotation_deg.max),
-            format!("{}, {}", number(q.nees_position), number(q.nees_rotation)),
-            format!("{:.2}", q.rate_hz),
-        ];
-        table.rows.push(cells.map(|c| (c, false)).to_vec());
-    }
-    let mut blocks = vec![Block::Table(table)];
+    let all = many::qualities(results);
+    let mut blocks = vec![Block::Table(many::rows(results))];
     for (name, result) in results {
         if let Err(e) = result {
             blocks.push(Block::labelled(&format!("{name} failed:"), e.to_string()));
@@ -189,31 +168,6 @@ pub fn page_of_many(results: &[RunResult], command: &str) -> Result<Page, ChartE
         ],
         sections: vec![Section { id: "runs".into(), title: "Errors of all runs".into(), blocks }],
     })
-}
-
-fn table(estimates: &[Quality]) -> Table {
-    let mut table = Table { head: vec!["RMSE / largest".into()], rows: Vec::new() };
-    table.head.extend(estimates.iter().map(|q| q.estimate.clone()));
-    let mut row = |name: &str, cell: &dyn Fn(&Quality) -> String| {
-        let mut cells = vec![(name.to_owned(), false)];
-        cells.extend(estimates.iter().map(|q| (cell(q), false)));
-        table.rows.push(cells);
-    };
-    let spread = |s: super::Spread| format!("{:.3} / {:.3}", s.rmse, s.max);
-    let number = |x: Option<f64>| x.map_or("–".into(), |x| format!("{x:.2}"));
-    row("position [mm]", &|q| spread(q.position_mm));
-    row("rotation [deg]", &|q| spread(q.rotation_deg));
-    for (i, name) in ["x [mm]", "y [mm]", "z [mm]"].into_iter().enumerate() {
-        row(name, &|q| spread(q.axes_mm[i]));
-    }
-    for (i, name) in ["roll [deg]", "pitch [deg]", "yaw [deg]"].into_iter().enumerate() {
-        row(name, &|q| spread(q.angles_deg[i]));
-    }
-    row("NEES of the position", &|q| number(q.nees_position));
-    row("NEES of the rotation", &|q| number(q.nees_rotation));
-    row("compared", &|q| q.count.to_string());
-    row("rate [Hz]", &|q| format!("{:.2}", q.rate_hz));
-    table
 }
 
 fn distances(

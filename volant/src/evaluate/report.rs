@@ -1,19 +1,24 @@
-//! Formats an evaluation as a text table and as CSV.
+//! Formats an evaluation as a table and as CSV.
 
 use super::{Evaluation, Quality, Spread};
+use crate::report::Table;
 use std::fmt::Write;
 
 /// Formats a text table with one column per estimate.
 pub fn table(evaluation: &Evaluation) -> String {
-    let q = &evaluation.estimates;
+    rows(&evaluation.estimates).to_text(1)
+}
+
+/// Makes a table with one column per estimate.
+pub(super) fn rows(q: &[Quality]) -> Table {
     let spread = |s: Spread| format!("{:.3} / {:.3}", s.rmse, s.max);
     let number = |x: Option<f64>| x.map_or("-".into(), |x| format!("{x:.2}"));
     let optional = |s: Option<Spread>| s.map_or("-".into(), spread);
-    let mut rows: Vec<(String, Vec<String>)> = vec![];
-    let mut row = |name: &str, cell: &dyn Fn(&Quality) -> String| {
-        rows.push((name.to_owned(), q.iter().map(cell).collect()));
+    let cells = |name: &str, cell: &dyn Fn(&Quality) -> String| {
+        std::iter::once(name.to_owned()).chain(q.iter().map(cell)).collect()
     };
-    row("", &|q| q.estimate.clone());
+    let mut table = Table { head: cells("", &|q| q.estimate.clone()), rows: vec![] };
+    let mut row = |name: &str, cell: &dyn Fn(&Quality) -> String| table.push(cells(name, cell));
     row("RMSE / max", &|_| String::new());
     row("position (mm)", &|q| spread(q.position_mm));
     row("rotation (deg)", &|q| spread(q.rotation_deg));
@@ -44,22 +49,7 @@ pub fn table(evaluation: &Evaluation) -> String {
             row(name, &|q| get(q).to_string());
         }
     }
-    let first = rows.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..q.len())
-        .map(|i| rows.iter().map(|(_, cells)| cells[i].len()).max().unwrap_or(0))
-        .collect();
-    let mut out = String::new();
-    for (name, cells) in &rows {
-        let _ = write!(out, "{name:first$}");
-        for (cell, width) in cells.iter().zip(&widths) {
-            let _ = write!(out, "  {cell:>width$}");
-        }
-        while out.ends_with(' ') {
-            out.pop();
-        }
-        out.push('\n');
-    }
-    out
+    table
 }
 
 /// Formats CSV with one row per estimate.

@@ -109,6 +109,34 @@ impl Table {
             .collect();
         Self { head, rows }
     }
+
+    /// Adds a row without a best cell.
+    pub fn push(&mut self, cells: Vec<String>) {
+        self.rows.push(cells.into_iter().map(|cell| (cell, false)).collect());
+    }
+
+    /// Formats the table as text with aligned columns: the first `left` to the left, the others to
+    /// the right.
+    pub fn to_text(&self, left: usize) -> String {
+        let rows = self.rows.iter().map(|row| row.iter().map(|(cell, _)| cell).collect());
+        let rows: Vec<Vec<&String>> =
+            std::iter::once(self.head.iter().collect()).chain(rows).collect();
+        let width = |i: usize| rows.iter().filter_map(|r| r.get(i)).map(|c| c.len()).max();
+        let widths: Vec<usize> = (0..self.head.len()).map_while(width).collect();
+        let mut text = String::new();
+        for row in &rows {
+            for (i, (cell, w)) in row.iter().zip(&widths).enumerate() {
+                let _ = if i < left {
+                    write!(text, "{cell:<w$}  ")
+                } else {
+                    write!(text, "{cell:>w$}  ")
+                };
+            }
+            text.truncate(text.trim_end_matches(' ').len());
+            text.push('\n');
+        }
+        text
+    }
 }
 
 /// Splits a line of CSV into cells; quoted cells may hold commas.
