@@ -10,6 +10,7 @@ mod state;
 
 use crate::terminal;
 use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
 use dialog::{Paused, ask};
 use node_kit::{files, outln};
 use ros_parameters::ParameterFile;
@@ -39,7 +40,7 @@ pub struct Arguments {
 }
 
 /// Steps, in their order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Step {
     /// Measure the rig, print the marker squares
     Markers,
@@ -60,28 +61,9 @@ enum Step {
 }
 
 impl Step {
-    const ALL: [Self; 8] = [
-        Self::Markers,
-        Self::Imu,
-        Self::Camera,
-        Self::Intrinsics,
-        Self::Encoders,
-        Self::Mounting,
-        Self::Offsets,
-        Self::Acceptance,
-    ];
-
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Markers => "markers",
-            Self::Imu => "imu",
-            Self::Camera => "camera",
-            Self::Intrinsics => "intrinsics",
-            Self::Encoders => "encoders",
-            Self::Mounting => "mounting",
-            Self::Offsets => "offsets",
-            Self::Acceptance => "acceptance",
-        }
+    /// The name on the command line.
+    fn name(self) -> String {
+        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
     fn run(self, walk: &mut Walk) -> Result<()> {
@@ -203,10 +185,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Some(step) => vec![step],
         None => {
             let done = |s: &Step| {
-                let record = walk.state.steps.get(s.name());
+                let record = walk.state.steps.get(&s.name());
                 record.is_some_and(|r| r.outcome != Outcome::Failed)
             };
-            Step::ALL.into_iter().filter(|s| !done(s)).collect()
+            Step::value_variants().iter().copied().filter(|s| !done(s)).collect()
         }
     };
     for step in steps {
@@ -218,10 +200,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         files::write(path, page.as_bytes(), arguments.overwrite)?;
         terminal::line(&format!("{}: written", path.display()));
     }
-    let failed: Vec<&str> = Step::ALL
-        .into_iter()
-        .map(Step::name)
-        .filter(|n| walk.state.steps.get(*n).is_some_and(|r| r.outcome == Outcome::Failed))
+    let failed: Vec<String> = Step::value_variants()
+        .iter()
+        .map(|step| step.name())
+        .filter(|n| walk.state.steps.get(n).is_some_and(|r| r.outcome == Outcome::Failed))
         .collect();
     if !failed.is_empty() {
         bail!(
@@ -235,8 +217,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// Runs a step until it is done, skipped or given up, and keeps its result.
 fn take(step: Step, walk: &mut Walk, state_file: &Path) -> Result<()> {
-    let number = Step::ALL.iter().position(|s| *s == step).unwrap_or(0) + 1;
-    outln!("\n{number}/{} {}", Step::ALL.len(), step.name())?;
+    let (steps, name) = (Step::value_variants(), step.name());
+    let number = steps.iter().position(|s| *s == step).unwrap_or(0) + 1;
+    outln!("\n{number}/{} {name}", steps.len())?;
     loop {
         let before = fs::read_to_string(&walk.rig).unwrap_or_default();
         (walk.items, walk.wrote) = (vec![], vec![]);
@@ -250,7 +233,7 @@ fn take(step: Step, walk: &mut Walk, state_file: &Path) -> Result<()> {
                     walk.state.write(state_file)?;
                     return Err(error);
                 }
-                Err(error) => walk.item(Verdict::Fail, step.name(), format!("{error:#}"))?,
+                Err(error) => walk.item(Verdict::Fail, &name, format!("{error:#}"))?,
             }
             let fails = walk.items.iter().any(|i| i.verdict == Verdict::Fail);
             if fails { Outcome::Failed } else { Outcome::Done }
@@ -264,7 +247,7 @@ fn take(step: Step, walk: &mut Walk, state_file: &Path) -> Result<()> {
             outln!("  wrote {wrote}")?;
         }
         let record = Record { outcome, items: walk.items.clone(), wrote: walk.wrote.clone() };
-        walk.state.steps.insert(step.name().to_owned(), record);
+        walk.state.steps.insert(name.clone(), record);
         walk.state.write(state_file)?;
         if outcome != Outcome::Failed || ask("  r: repeat this step, Enter: go on", "")? != "r" {
             return Ok(());
@@ -290,17 +273,12 @@ fn changed(before: &str, after: &str) -> Vec<String> {
 
 fn summary(state: &State) -> Result<()> {
     outln!("")?;
-    for step in Step::ALL {
-        let Some(record) = state.steps.get(step.name()) else {
-            outln!("{:<12}not done", step.name())?;
+    for name in Step::value_variants().iter().map(|step| step.name()) {
+        let Some(record) = state.steps.get(&name) else {
+            outln!("{name:<12}not done")?;
             continue;
         };
-        let word = match record.outcome {
-            Outcome::Done => "PASS",
-            Outcome::Failed => "FAIL",
-            Outcome::Skipped => "skipped",
-        };
-        outln!("{:<12}{word}", step.name())?;
+        outln!("{name:<12}{}", record.outcome.word())?;
         for item in record.items.iter().filter(|i| i.verdict == Verdict::Fail) {
             outln!("            {}: {}", item.name, item.text)?;
         }

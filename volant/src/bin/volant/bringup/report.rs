@@ -4,19 +4,16 @@ use super::{
     Step,
     state::{Outcome, State},
 };
+use clap::ValueEnum;
 use std::path::Path;
 use volant::report::{Block, Page, Section, Table};
 
 /// Lays out the page.
 pub fn page(rig: &Path, state: &State) -> Page {
-    let word = |outcome| match outcome {
-        Outcome::Done => "PASS",
-        Outcome::Failed => "FAIL",
-        Outcome::Skipped => "skipped",
-    };
-    let sections = Step::ALL.into_iter().enumerate().map(|(i, step)| {
-        let record = state.steps.get(step.name());
-        let outcome = record.map_or("not done", |r| word(r.outcome));
+    let sections = Step::value_variants().iter().enumerate().map(|(i, step)| {
+        let name = step.name();
+        let record = state.steps.get(&name);
+        let outcome = record.map_or("not done", |r| r.outcome.word());
         let mut blocks = vec![];
         if let Some(record) = record {
             let head = ["", "item", "result"].map(str::to_owned).to_vec();
@@ -31,11 +28,7 @@ pub fn page(rig: &Path, state: &State) -> Page {
                 blocks.push(Block::labelled("Written:", wrote.clone()));
             }
         }
-        Section {
-            id: step.name().to_owned(),
-            title: format!("{}. {}: {outcome}", i + 1, step.name()),
-            blocks,
-        }
+        Section { title: format!("{}. {name}: {outcome}", i + 1), id: name, blocks }
     });
     let recordings = state.recordings.iter();
     let mut facts = vec![
@@ -46,7 +39,7 @@ pub fn page(rig: &Path, state: &State) -> Page {
         recordings.map(|(name, path)| (format!("Recording {name}"), path.display().to_string())),
     );
     let failed = state.steps.values().any(|r| r.outcome == Outcome::Failed);
-    let accepted = state.steps.get(Step::Acceptance.name());
+    let accepted = state.steps.get(&Step::Acceptance.name());
     let accepted = accepted.is_some_and(|r| r.outcome == Outcome::Done) && !failed;
     Page {
         over: "Volant: pose of a robot that hangs from a ceiling crane".into(),

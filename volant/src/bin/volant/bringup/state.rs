@@ -45,6 +45,17 @@ pub enum Outcome {
     Skipped,
 }
 
+impl Outcome {
+    /// PASS, FAIL or skipped.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Done => "PASS",
+            Self::Failed => "FAIL",
+            Self::Skipped => "skipped",
+        }
+    }
+}
+
 /// A step that was run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Record {
