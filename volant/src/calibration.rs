@@ -18,14 +18,6 @@ use volant_msgs::{
 const SETTLED: f64 = 3e-5;
 const ROUNDS: usize = 4;
 
-/// First topic with images of a bag, raw ones preferred.
-fn image_topic(summary: &BagSummary) -> Option<ImageTopic> {
-    let first = |kind: &str| names(summary, kind).into_iter().next();
-    first(msg::Image::TYPE_NAME)
-        .map(ImageTopic::Raw)
-        .or_else(|| first(msg::CompressedImage::TYPE_NAME).map(ImageTopic::Compressed))
-}
-
 /// Topics of a type that have messages.
 fn names(summary: &BagSummary, kind: &str) -> Vec<String> {
     let found = summary.topics.iter().filter(|(t, n)| *n > 0 && t.type_name == kind);
@@ -74,7 +66,7 @@ pub fn read_samples(path: &Path, rig: &Rig) -> Result<Samples> {
 fn read_with(path: &Path, rig: &Rig, cores: &Cores) -> Result<Samples> {
     let shown = path.display();
     let summary = BagReader::summary(path)?;
-    let images = image_topic(&summary);
+    let images = ImageTopic::of(&summary, None);
     let wanted = [
         msg::CameraInfo::TYPE_NAME,
         MarkersMessage::TYPE_NAME,
@@ -155,7 +147,7 @@ pub fn track_bag(
     camera: &CameraModel,
     limit: Option<usize>,
 ) -> Result<Vec<MarkerObservations>> {
-    let images = image_topic(&BagReader::summary(path)?);
+    let images = ImageTopic::of(&BagReader::summary(path)?, None);
     let mut feed = Feed::start(path, images, vec![], workers())?;
     let mut tracker = Tracker::new(layout.clone(), config.clone());
     tracker.handle(Input::Camera(camera.clone()));
@@ -178,7 +170,7 @@ pub fn track_bag(
 /// As [`read_samples`] and [`rig_calibration::check`].
 pub fn check_bag(bag: &Path, rig: &Rig, cores: &Cores) -> Result<Report> {
     let samples = read_with(bag, rig, cores)?;
-    let has_images = image_topic(&BagReader::summary(bag)?).is_some();
+    let has_images = ImageTopic::of(&BagReader::summary(bag)?, None).is_some();
     let mut track = |layout: &MarkerLayout, camera: &CameraModel, limit| {
         track_bag(bag, layout, &cores.tracker, camera, limit).unwrap_or_default()
     };

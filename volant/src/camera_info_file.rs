@@ -1,7 +1,7 @@
 //! The camera_info file that ROS's camera drivers read (`camera_info_url`): written, or updated in
 //! place.
 
-use crate::parameter_update::replace;
+use crate::parameter_update::{list, replace};
 use anyhow::{Context, Result};
 use node_kit::files;
 use rig_model::{CameraModel, Distortion};
@@ -45,10 +45,6 @@ fn updated(text: &str, camera: &CameraModel, name: Option<&str>) -> Result<Strin
         Distortion::PlumbBob(d) => ("plumb_bob", d),
         Distortion::RationalPolynomial(d) => ("rational_polynomial", d),
         Distortion::Equidistant(d) => ("equidistant", d),
-    };
-    let list = |values: &[f64]| {
-        let rounded = values.iter().map(|v| (v * 1e9).round() / 1e9 + 0.0);
-        ParameterValue::DoubleArray(rounded.collect())
     };
     let entries: [(&[&str], ParameterValue); 7] = [
         (&["image_width"], Integer(width.into())),

@@ -2,7 +2,7 @@
 //! the bag's order.
 
 use crate::stopwatch::WorkWatch;
-use bag::{BagError, BagMessage, BagReader};
+use bag::{BagError, BagMessage, BagReader, BagSummary};
 use marker_tracker::{ImageError, OwnedImage, decode_compressed, from_encoding};
 use rig_model::Stamp;
 use std::{
@@ -16,7 +16,7 @@ use std::{
     time::Duration,
 };
 use volant_msgs::{
-    cdr,
+    Message, cdr,
     sensor_msgs::msg::{CompressedImage, Image},
 };
 
@@ -33,7 +33,20 @@ pub enum ImageTopic {
 }
 
 impl ImageTopic {
-    fn name(&self) -> &str {
+    /// First topic with images of a bag, raw ones preferred; with `name`, only that topic.
+    pub fn of(bag: &BagSummary, name: Option<&str>) -> Option<Self> {
+        let first = |kind: &str| {
+            let mut topics = bag.topics.iter().filter(|(_, count)| *count > 0).map(|(t, _)| t);
+            let found = topics.find(|t| t.type_name == kind && name.is_none_or(|n| n == t.name));
+            found.map(|topic| topic.name.clone())
+        };
+        first(Image::TYPE_NAME)
+            .map(Self::Raw)
+            .or_else(|| first(CompressedImage::TYPE_NAME).map(Self::Compressed))
+    }
+
+    /// Name of the topic.
+    pub fn name(&self) -> &str {
         match self {
             Self::Raw(name) | Self::Compressed(name) => name,
         }

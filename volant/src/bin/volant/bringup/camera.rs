@@ -29,16 +29,14 @@ struct Stream {
 
 fn read(path: &Path) -> Result<Stream> {
     let summary = BagReader::summary(path)?;
-    let first = |kind: &str| {
-        let mut found = summary.topics.iter().filter(|(t, n)| *n > 0 && t.type_name == kind);
-        found.next().map(|(t, _)| t.name.clone())
-    };
-    let images = first(CompressedImage::TYPE_NAME)
-        .map(ImageTopic::Compressed)
-        .or_else(|| first(Image::TYPE_NAME).map(ImageTopic::Raw));
+    let images = ImageTopic::of(&summary, None);
     let timed = match &images {
-        Some(ImageTopic::Compressed(name) | ImageTopic::Raw(name)) => Some(name.clone()),
-        None => first(MarkerObservations::TYPE_NAME),
+        Some(images) => Some(images.name().to_owned()),
+        None => {
+            let mut topics = summary.topics.iter().filter(|(_, count)| *count > 0);
+            let markers = topics.find(|(t, _)| t.type_name == MarkerObservations::TYPE_NAME);
+            markers.map(|(topic, _)| topic.name.clone())
+        }
     };
     let mut stream = Stream { images, ..Stream::default() };
     let mut bag = BagReader::open(path)?;

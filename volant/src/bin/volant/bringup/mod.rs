@@ -141,16 +141,13 @@ impl Walk {
 fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
     use std::time::Duration;
     use volant::live::record::{RecordOptions, record};
-    // Of an earlier try of this step.
-    if path.exists() {
-        fs::remove_file(path).with_context(|| path.display().to_string())?;
-    }
     outln!("  recording {seconds} s …")?;
     let options = RecordOptions {
         output: path.to_owned(),
         topics: topics.iter().map(|t| format!("/{t}")).collect(),
         exclude: vec![],
-        write: bag::WriteOptions::default(),
+        // The recording of an earlier try of this step.
+        write: bag::WriteOptions { replace: true, ..bag::WriteOptions::default() },
         duration: Some(Duration::try_from_secs_f64(seconds)?),
     };
     let report = record(&options, &std::sync::atomic::AtomicBool::new(false), |_| {})?;

@@ -138,23 +138,10 @@ fn image_file(path: &Path, calibration: &mut ColorCalibration) -> anyhow::Result
 
 fn bag(path: &Path, topic: Option<&str>, calibration: &mut ColorCalibration) -> anyhow::Result<()> {
     let summary = BagReader::summary(path)?;
-    let named = |t: &&bag::Topic| topic.is_none_or(|name| t.name == name);
-    let images = |kind: &str| {
-        summary
-            .topics
-            .iter()
-            .map(|(t, _)| t)
-            .filter(named)
-            .find(|t| t.type_name == kind)
-            .map(|t| t.name.clone())
-    };
-    let source = images("sensor_msgs/msg/Image")
-        .map(ImageTopic::Raw)
-        .or_else(|| images("sensor_msgs/msg/CompressedImage").map(ImageTopic::Compressed))
-        .ok_or_else(|| match topic {
-            Some(name) => anyhow!("{}: no images on {name}", path.display()),
-            None => anyhow!("{}: no images", path.display()),
-        })?;
+    let source = ImageTopic::of(&summary, topic).ok_or_else(|| match topic {
+        Some(name) => anyhow!("{}: no images on {name}", path.display()),
+        None => anyhow!("{}: no images", path.display()),
+    })?;
     let cameras: Vec<String> = summary
         .topics
         .iter()
