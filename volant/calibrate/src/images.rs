@@ -75,8 +75,7 @@ pub fn each(
     ensure!(
         kind == Kind::Topic || source.exists(),
         "{shown}: no such source; name a folder with images, an image, a bag, a video file, \
-         a device such as /dev/video0, or a \
-         live topic"
+         a device such as /dev/video0, or a live topic"
     );
     let count = match kind {
         Kind::Files => from_files(source, &mut take)?,
@@ -264,7 +263,8 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// Reads a live topic. At most one image waits, so that the next one is always recent.
 fn from_topic(name: &str, take: &mut impl FnMut(Frame) -> Result<bool>) -> Result<usize> {
     let name = if name.starts_with('/') { name.to_owned() } else { format!("/{name}") };
-    let mut tap = Tap::join("_volant_calibrate").with_context(|| format!("{name}: subscribing fails"))?;
+    let mut tap =
+        Tap::join("_volant_calibrate").with_context(|| format!("{name}: subscribing fails"))?;
     let mut found = None;
     for _ in 0..50 {
         let offers = tap.offers();

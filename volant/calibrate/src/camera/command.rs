@@ -5,7 +5,7 @@ use super::{
 };
 use crate::images::{self, Kind};
 use anyhow::{Context, Result, ensure};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use indicatif::ProgressBar;
 use node_kit::outln;
 use rig_model::Distortion;
@@ -17,15 +17,6 @@ use std::{
     },
 };
 use volant::camera_info_file;
-
-/// Lens models by their names in camera_info.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Lens {
-    #[value(name = "plumb_bob")]
-    PlumbBob,
-    #[value(name = "rational_polynomial")]
-    RationalPolynomial,
-}
 
 /// Calibrate the camera from images of a chessboard; writes a standard camera_info file
 #[derive(Args, Debug)]
@@ -51,7 +42,7 @@ pub struct CameraArguments {
     topic: Option<String>,
     /// Lens model
     #[arg(long, value_enum, default_value = "plumb_bob")]
-    model: Lens,
+    model: LensModel,
     /// Hold fx = fy
     #[arg(long)]
     fix_aspect_ratio: bool,
@@ -121,10 +112,7 @@ pub fn run(arguments: &CameraArguments) -> Result<()> {
         outln!("missing: {sentence}")?;
     }
     let options = Options {
-        lens: match arguments.model {
-            Lens::PlumbBob => LensModel::PlumbBob,
-            Lens::RationalPolynomial => LensModel::RationalPolynomial,
-        },
+        lens: arguments.model,
         fix_aspect_ratio: arguments.fix_aspect_ratio,
         reject: arguments.reject.unwrap_or(f64::INFINITY),
     };

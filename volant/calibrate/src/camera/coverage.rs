@@ -59,20 +59,10 @@ fn signature(view: &View, board: &Board) -> [f64; 5] {
         (inequality((b - a).norm(), (c - d).norm()), inequality((c - b).norm(), (d - a).norm()));
     // In the image's directions, independent of the board's rotation in the image: the rows'
     // lengths change along the board's columns, the columns' lengths along its rows.
-    let down = ((d + c) - (a + b)).normalize_or_zero();
-    let along = ((b + c) - (a + d)).normalize_or_zero();
+    let unit = |v: Vector2<f64>| v.try_normalize(1e-9).unwrap_or_default();
+    let (down, along) = (unit((d + c) - (a + b)), unit((b + c) - (a + d)));
     let gradient = down * rows + along * columns;
     [center.x / w, center.y / h, (area / (w * h)).sqrt(), gradient.x, gradient.y]
-}
-
-trait NormalizeOrZero {
-    fn normalize_or_zero(self) -> Self;
-}
-
-impl NormalizeOrZero for Vector2<f64> {
-    fn normalize_or_zero(self) -> Self {
-        self.try_normalize(1e-9).unwrap_or_else(Vector2::zeros)
-    }
 }
 
 impl Coverage {

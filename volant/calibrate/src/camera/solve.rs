@@ -2,6 +2,7 @@
 
 use super::board::{Board, View};
 use anyhow::{Context, Result, ensure};
+use clap::ValueEnum;
 use opencv::{
     calib3d,
     core::{self, Mat, Point2f, Point3f, Size, TermCriteria, Vector},
@@ -9,8 +10,9 @@ use opencv::{
 };
 use rig_model::{CameraModel, Distortion};
 
-/// Lens model by its coefficients.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Lens model by its coefficients, with its name in camera_info.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
 pub enum LensModel {
     /// k1, k2, p1, p2, k3.
     PlumbBob,
