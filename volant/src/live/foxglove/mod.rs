@@ -2,6 +2,11 @@
 //! ([`Tap`]) are sent unchanged, with their `.msg` text as schema, so that Foxglove shows them as
 //! it does from a bag. A topic is subscribed to only while a client subscribes to it. Clients
 //! cannot publish, call services or set parameters.
+//!
+//! Written by hand instead of with the crate `foxglove` (0.30.3, feature `websocket` only): its
+//! server accepts `foxglove.sdk.v1` and `foxglove.sdk.v1.1`, and answers a client that offers only
+//! `foxglove.websocket.v1` with status 400; this one accepts both names. It would also add fifteen
+//! crates to `Cargo.lock`, among them tokio, a second executor, and prost, for protobuf.
 
 mod client;
 mod protocol;
