@@ -81,20 +81,6 @@ fn a_folder_that_cannot_be_written_is_named_and_the_node_runs() {
 }
 
 #[test]
-fn settings_with_which_the_node_would_find_nobody_are_rejected() {
-    for (name, value) in [
-        ("ROS_DISCOVERY_SERVER", "127.0.0.1:11811"),
-        ("ROS_STATIC_PEERS", "127.0.0.1"),
-        ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp"),
-        ("ROS_DISTRO", "humble"),
-    ] {
-        let (status, lines) = minimal(154, &[], &[(name, value)]).finish(LONG);
-        assert_eq!(status.code(), Some(1), "{lines:?}");
-        assert!(lines.iter().any(|line| line.contains(name) && line.contains(value)), "{lines:?}");
-    }
-}
-
-#[test]
 fn parameters_of_other_nodes_in_a_shared_file_are_ignored_with_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("robot.yaml");

@@ -78,10 +78,6 @@ impl NodeShell for Talker {
     type Parameters = ();
     type Input = ();
 
-    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
-        Self::new(context, Arc::default())
-    }
-
     fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
         self.0.publish(Header::default());
         self.1.fetch_add(1, Ordering::Relaxed);
@@ -102,10 +98,6 @@ impl NodeShell for Listener {
     const NAME: &'static str = "listener";
     type Parameters = ();
     type Input = Arc<Header>;
-
-    fn start(context: &mut NodeContext<Arc<Header>>, (): ()) -> Result<Self, NodeError> {
-        Self::new(context, Arc::default())
-    }
 
     fn handle(&mut self, _: &mut NodeContext<Arc<Header>>, _: Arc<Header>) {
         self.0.fetch_add(1, Ordering::Relaxed);

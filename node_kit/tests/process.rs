@@ -2,8 +2,6 @@
 //! message once.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-mod common;
-
 use node_kit::{
     NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments,
     environment::Network,
@@ -12,7 +10,7 @@ use std::{
     sync::{Arc, mpsc},
     time::Duration,
 };
-use volant_msgs::{sensor_msgs::msg::Image, std_msgs::msg::Header};
+use volant_msgs::sensor_msgs::msg::Image;
 
 /// Name of the node, and the image that it published or received.
 type Report = (&'static str, Arc<Image>);
@@ -97,21 +95,6 @@ impl NodeShell for Broken {
     }
 }
 
-struct OtherType;
-
-impl NodeShell for OtherType {
-    const NAME: &'static str = "other_type";
-    type Parameters = ();
-    type Input = Arc<Header>;
-
-    fn start(context: &mut NodeContext<Arc<Header>>, (): ()) -> Result<Self, NodeError> {
-        context.subscribe("image", QosPreset::State, Some)?;
-        Ok(Self)
-    }
-
-    fn handle(&mut self, _: &mut NodeContext<Arc<Header>>, _: Arc<Header>) {}
-}
-
 fn network(domain_id: u16) -> Network {
     Network { domain_id, ..Network::default() }
 }
@@ -166,14 +149,6 @@ fn a_node_that_breaks_is_named_and_ends_the_process_in_order() {
 }
 
 #[test]
-fn a_topic_has_one_type_in_a_process() {
-    let mut process = Process::new(network(23)).unwrap();
-    process.start::<Source>(&RosArguments::default()).unwrap();
-    let error = process.start::<OtherType>(&RosArguments::default()).unwrap_err().to_string();
-    assert!(error.contains("/image") && error.contains("sensor_msgs/msg/Image"), "{error}");
-}
-
-#[test]
 fn a_stopper_ends_all_nodes() {
     let mut process = Process::new(network(24)).unwrap();
     process.start::<Source>(&RosArguments::default()).unwrap();
@@ -185,33 +160,4 @@ fn a_stopper_ends_all_nodes() {
     });
     process.wait().unwrap();
     stopping.join().unwrap();
-}
-
-/// ros2-client's own client has the wire format of Fast DDS: a request's identity beside it.
-#[test]
-fn services_answer_clients_of_fast_dds_too() {
-    use ros2_client::rcl_interfaces::{GetParametersRequest, GetParametersResponse};
-    let mut process = Process::new(network(25)).unwrap();
-    process.start::<Source>(&RosArguments::default()).unwrap();
-
-    let mut node = common::client_node(25);
-    let client = common::client::<GetParametersRequest, GetParametersResponse>(
-        &mut node,
-        "/source/get_parameters",
-        "GetParameters",
-    );
-    let names = vec!["autostart".to_owned(), "frames.world".to_owned(), "no_such".to_owned()];
-    let answer = (0..100).find_map(|round| {
-        // Until both sides have found each other, requests go nowhere.
-        if round % 10 == 0 {
-            client.send_request(GetParametersRequest { names: names.clone() }).unwrap();
-        }
-        std::thread::sleep(Duration::from_millis(50));
-        client.receive_response().unwrap()
-    });
-    let (_, answer) = answer.expect("an answer within 5 s");
-    assert_eq!(answer.values.len(), 3);
-    assert!(answer.values[0].boolean_value);
-    assert_eq!(answer.values[1].string_value, "world");
-    assert_eq!(answer.values[2].ptype, 0);
 }

@@ -101,9 +101,9 @@ fn the_lifecycle_changes_state() {
 }
 
 #[test]
-fn messages_arrive_at_their_rate_and_the_end_is_seen_at_once() {
+fn messages_arrive_at_their_rate() {
     let Some(python) = rclpy() else { return };
-    let node = Running::start(44, &example("minimal_node"), &["--beat", "50"], &[]);
+    let _node = Running::start(44, &example("minimal_node"), &["--beat", "50"], &[]);
     let line = output(
         44,
         &python,
@@ -112,29 +112,21 @@ fn messages_arrive_at_their_rate_and_the_end_is_seen_at_once() {
     let rate: f64 =
         line.split(r#""rate": "#).nth(1).unwrap().split(',').next().unwrap().parse().unwrap();
     assert!((45.0..55.0).contains(&rate), "{line}");
-    let watcher = peer(44, &python, &["gone", "/minimal", "20"]);
-    watcher.line_with("there", LONG);
-    node.signal("TERM");
-    let line = watcher.line_with("gone", LONG);
-    let seconds: f64 =
-        line.split(r#""seconds": "#).nth(1).unwrap().trim_end_matches('}').parse().unwrap();
-    eprintln!("gone from the graph of Fast DDS after {seconds:.3} s");
-    assert!(line.contains(r#""gone": true"#) && seconds < 1.0, "{line}");
 }
 
 /// The `ros2` daemon and every long-lived node keep a graph: it must not show what has ended.
 #[test]
-fn topics_and_services_are_gone_within_a_second_of_sigint() {
+fn topics_and_services_are_gone_within_a_second_of_a_signal() {
     let Some(python) = rclpy() else { return };
-    for domain in [45, 46] {
+    for (domain, signal) in [(45, "INT"), (46, "TERM")] {
         let mut node = Running::start(domain, &example("minimal_node"), &[], &[]);
         let watcher = peer(domain, &python, &["endpoints_gone", "/minimal", "30"]);
         watcher.line_with("there", LONG);
         let interrupted = Instant::now();
-        node.signal("INT");
+        node.signal(signal);
         let line = watcher.line_with("gone", LONG);
         let seconds = interrupted.elapsed().as_secs_f64();
-        eprintln!("endpoints gone from the graph of Fast DDS {seconds:.3} s after SIGINT");
+        eprintln!("endpoints gone from the graph of Fast DDS {seconds:.3} s after SIG{signal}");
         assert!(line.contains(r#""gone": true"#) && seconds < 1.0, "{seconds:.3} s: {line}");
         assert!(node.wait(LONG).success());
     }

@@ -8,9 +8,8 @@ ros2_peer.py set NODE NAME true|false  param set
 ros2_peer.py lifecycle NODE            lifecycle get, list, set deactivate, get, set activate
 ros2_peer.py receive TOPIC PACKAGE/TYPE N
                                        topic echo of N messages, and their rate
-ros2_peer.py gone NODE SECONDS         seconds until the node has left the graph
 ros2_peer.py endpoints_gone NODE SECONDS
-                                       until its topics and services have left the graph too
+                                       until its topics and services have left the graph
 ros2_peer.py once TOPIC N SECONDS      topic pub --once of a pose, N times: a new participant each,
                                        which ends SECONDS after its only message
 ros2_peer.py announced NODE            topic info -v, and an event of /parameter_events
@@ -133,15 +132,6 @@ def receive(node, topic, kind, count):
     # Of the median interval: what else runs on the machine holds some of them up.
     interval = statistics.median(after[0] - before[0] for before, after in zip(got, got[1:]))
     say(count=len(got), rate=1 / interval, first=str(got[0][1]))
-
-
-def gone(node, name, seconds):
-    base, namespace = split(name)
-    assert until(node, lambda: (base, namespace) in node.get_node_names_and_namespaces()), "never there"
-    say(there=True)
-    start = time.monotonic()
-    left = until(node, lambda: (base, namespace) not in node.get_node_names_and_namespaces(), float(seconds))
-    say(gone=left, seconds=time.monotonic() - start)
 
 
 def endpoints_gone(node, name, seconds):
@@ -273,7 +263,6 @@ def main():
         "set": set_parameter,
         "lifecycle": lifecycle,
         "receive": receive,
-        "gone": gone,
         "endpoints_gone": endpoints_gone,
         "once": once,
         "announced": announced,

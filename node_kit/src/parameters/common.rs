@@ -41,17 +41,3 @@ pub fn common_descriptors() -> Vec<Descriptor> {
     }));
     all
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_common_parameters_accept_their_defaults() {
-        for descriptor in common_descriptors() {
-            if let Some(default) = &descriptor.default {
-                assert_eq!(descriptor.accept(default).as_ref(), Ok(default), "{}", descriptor.name);
-            }
-        }
-    }
-}

@@ -213,20 +213,6 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_name_is_rejected_with_a_suggestion() {
-        let error = ParameterStore::new(
-            common_descriptors(),
-            [given("markers.sise", ParameterValue::Double(0.1))].into(),
-        )
-        .unwrap_err()
-        .to_string();
-        assert!(
-            error.contains("did you mean `markers.size`") && error.contains("rig.yaml"),
-            "{error}"
-        );
-    }
-
-    #[test]
     fn changes_are_validated_as_a_whole() {
         let mut store = store();
         let live = ("a.gain".to_owned(), ParameterValue::Integer(2));
