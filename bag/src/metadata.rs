@@ -1,6 +1,7 @@
 //! rosbag2's `metadata.yaml` (version 9): which files a folder holds, and what is in them.
 
 use super::Topic;
+use ros_parameters::ParameterValue;
 use serde::Deserialize;
 use std::fmt::Write;
 
@@ -130,26 +131,7 @@ pub(super) fn to_yaml<'a>(
 
 /// Names come from the network: quoted where YAML could misread them.
 fn quoted(text: &str) -> String {
-    let plain = text.starts_with(|c: char| c == '/' || c.is_ascii_alphabetic())
-        && text.chars().all(|c| c.is_ascii_alphanumeric() || "/_.-".contains(c));
-    if plain {
-        text.to_owned()
-    } else {
-        let mut out = String::from("\"");
-        for c in text.chars() {
-            match c {
-                '"' | '\\' => {
-                    out.push('\\');
-                    out.push(c);
-                }
-                c if c.is_control() => {
-                    let _ = write!(out, "\\u{:04x}", c as u32);
-                }
-                c => out.push(c),
-            }
-        }
-        out + "\""
-    }
+    ParameterValue::String(text.to_owned()).to_yaml()
 }
 
 #[cfg(test)]

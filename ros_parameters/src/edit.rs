@@ -51,7 +51,7 @@ pub fn set(
         Some(root) if !root.is_null() => ParameterFile::parse(text)?,
         _ => ParameterFile::default(),
     };
-    let written = yaml(value);
+    let written = value.to_yaml();
     let form = || EditError::Form { key: name.to_owned(), value: written.clone() };
     let selector = before.selector_of(node, name).unwrap_or_else(|| node.to_owned());
     let edit = Edit { text, newline: if text.contains("\r\n") { "\r\n" } else { "\n" } };
@@ -72,7 +72,7 @@ pub fn set(
 /// # Errors
 /// As [`set`].
 pub fn set_entry(text: &str, keys: &[&str], value: &ParameterValue) -> Result<String, EditError> {
-    let written = yaml(value);
+    let written = value.to_yaml();
     let form = || EditError::Form { key: keys.join("."), value: written.clone() };
     let edit = Edit { text, newline: if text.contains("\r\n") { "\r\n" } else { "\n" } };
     let root = parse(text)?.ok_or_else(form)?;
@@ -109,38 +109,39 @@ impl ParameterFile {
     }
 }
 
-/// The value as flow-style YAML.
-fn yaml(value: &ParameterValue) -> String {
-    use ParameterValue as P;
-    let double = |x: f64| match x {
-        _ if x.is_nan() => ".nan".to_owned(),
-        _ if x.is_infinite() => format!("{}.inf", if x < 0.0 { "-" } else { "" }),
-        _ => format!("{x:?}"),
-    };
-    // JSON's escapes are a part of YAML's.
-    let quoted = |s: &String| {
-        let escaped = s.chars().map(|c| match c {
-            '"' | '\\' => format!("\\{c}"),
-            c if c.is_control() => format!("\\u{:04x}", u32::from(c)),
-            c => c.to_string(),
-        });
-        format!("\"{}\"", escaped.collect::<String>())
-    };
-    let list = |items: Vec<String>| format!("[{}]", items.join(", "));
-    match value {
-        P::Bool(x) => x.to_string(),
-        P::Integer(x) => x.to_string(),
-        P::Double(x) => double(*x),
-        P::String(s) => {
-            let plain = s.starts_with(|c: char| c.is_ascii_alphabetic())
-                && s.chars().all(|c| c.is_ascii_alphanumeric() || "_-/.".contains(c))
-                && crate::parse_value("", s).is_ok_and(|v| v == *value);
-            if plain { s.clone() } else { quoted(s) }
+impl ParameterValue {
+    /// Formats the value as flow-style YAML; a text is quoted where YAML could misread it.
+    pub fn to_yaml(&self) -> String {
+        let double = |x: f64| match x {
+            _ if x.is_nan() => ".nan".to_owned(),
+            _ if x.is_infinite() => format!("{}.inf", if x < 0.0 { "-" } else { "" }),
+            _ => format!("{x:?}"),
+        };
+        // JSON's escapes are a part of YAML's.
+        let quoted = |s: &String| {
+            let escaped = s.chars().map(|c| match c {
+                '"' | '\\' => format!("\\{c}"),
+                c if c.is_control() => format!("\\u{:04x}", u32::from(c)),
+                c => c.to_string(),
+            });
+            format!("\"{}\"", escaped.collect::<String>())
+        };
+        let list = |items: Vec<String>| format!("[{}]", items.join(", "));
+        match self {
+            Self::Bool(x) => x.to_string(),
+            Self::Integer(x) => x.to_string(),
+            Self::Double(x) => double(*x),
+            Self::String(s) => {
+                let plain = s.starts_with(|c: char| c.is_ascii_alphabetic())
+                    && s.chars().all(|c| c.is_ascii_alphanumeric() || "_-/.".contains(c))
+                    && crate::parse_value("", s).is_ok_and(|v| v == *self);
+                if plain { s.clone() } else { quoted(s) }
+            }
+            Self::BoolArray(a) => list(a.iter().map(bool::to_string).collect()),
+            Self::IntegerArray(a) => list(a.iter().map(i64::to_string).collect()),
+            Self::DoubleArray(a) => list(a.iter().copied().map(double).collect()),
+            Self::StringArray(a) => list(a.iter().map(quoted).collect()),
         }
-        P::BoolArray(a) => list(a.iter().map(bool::to_string).collect()),
-        P::IntegerArray(a) => list(a.iter().map(i64::to_string).collect()),
-        P::DoubleArray(a) => list(a.iter().copied().map(double).collect()),
-        P::StringArray(a) => list(a.iter().map(quoted).collect()),
     }
 }
 

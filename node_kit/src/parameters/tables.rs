@@ -1,7 +1,6 @@
 //! Descriptors as text: Markdown table, YAML file, terminal help.
 
 use super::descriptor::Descriptor;
-use ros_parameters::ParameterValue;
 use std::fmt::Write;
 
 /// Markdown table, one row for each parameter.
@@ -37,16 +36,11 @@ pub fn yaml_file(selector: &str, descriptors: &[Descriptor]) -> String {
             if constraint.is_empty() { constraint } else { format!(" ({constraint})") };
         let _ = writeln!(text, "    # {}{unit}{constraint}", d.description);
         let _ = match &d.default {
-            Some(value) => writeln!(text, "    {}: {}", d.name, yaml_value(value)),
+            Some(value) => writeln!(text, "    {}: {}", d.name, value.to_yaml()),
             None => writeln!(text, "    # {}:", d.name),
         };
     }
     text
-}
-
-fn yaml_value(value: &ParameterValue) -> String {
-    // Rust writes lists, numbers and quoted texts in YAML's flow style, except infinities.
-    value.to_string().replace("inf", ".inf")
 }
 
 /// Lines for a terminal: name, description, type, default, unit, constraint.
@@ -74,12 +68,23 @@ pub fn help_table(descriptors: &[Descriptor]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::parameters::common_descriptors;
-    use ros_parameters::ParameterFile;
+    use crate::parameters::{ParameterKind, common_descriptors};
+    use ros_parameters::{ParameterFile, ParameterValue};
 
     #[test]
     fn the_yaml_file_reads_back_as_the_defaults() {
-        let all = common_descriptors();
+        use ParameterValue as V;
+        let mut all = common_descriptors();
+        for (name, default) in [
+            ("text.word", V::String("info".into())),
+            ("text.number", V::String("1e3".into())),
+            ("text.quotes", V::String("a \"b\" \\ #\n".into())),
+            ("text.list", V::StringArray(vec!["inf".into(), "-".into()])),
+            ("double.infinite", V::Double(f64::NEG_INFINITY)),
+            ("double.list", V::DoubleArray(vec![f64::INFINITY, 1e-9])),
+        ] {
+            all.push(Descriptor::new(name, ParameterKind::of(&default), Some(default), ""));
+        }
         let map = ParameterFile::parse(&yaml_file("/**", &all)).unwrap().for_node("/x");
         for d in &all {
             assert_eq!(
