@@ -4,8 +4,28 @@
 //! *same* source and is counted, so that a burst of images never costs an inertial sample and a
 //! producer never waits.
 
+use crate::parameters::ParameterValue;
+use async_channel::Sender;
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::{collections::VecDeque, sync::Arc, time::Instant};
+
+/// Entry of a node's inbox.
+pub(crate) enum Event<I> {
+    /// For the shell.
+    Input(I),
+    /// For the node's runner.
+    Control(Control),
+    /// Time has moved: due timers run.
+    Wake,
+}
+
+/// Request that the node's own thread answers.
+pub(crate) enum Control {
+    /// Sets all of the parameters or none.
+    Set { changes: Vec<(String, ParameterValue)>, reply: Sender<Result<(), String>> },
+    /// Changes the lifecycle state.
+    Transition { id: u8, label: String, reply: Sender<bool> },
+}
 
 /// Index of a source in its inbox.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,39 +55,38 @@ pub struct SourceCount {
     queued: usize,
 }
 
-struct State<T> {
-    queue: VecDeque<(usize, T)>,
+struct State<I> {
+    queue: VecDeque<(usize, Event<I>)>,
     sources: Vec<SourceCount>,
     closed: bool,
     accepting: bool,
 }
 
-struct Shared<T> {
-    state: Mutex<State<T>>,
+struct Shared<I> {
+    state: Mutex<State<I>>,
     ready: Condvar,
 }
 
-/// Inbox of entries `T`; clones share it.
-pub(crate) struct Inbox<T>(Arc<Shared<T>>);
+/// Inbox of a node whose inputs are `I`; clones share it.
+pub(crate) struct Inbox<I>(Arc<Shared<I>>);
 
-impl<T> Clone for Inbox<T> {
+impl<I> Clone for Inbox<I> {
     fn clone(&self) -> Self {
         Self(Arc::clone(&self.0))
     }
 }
 
 /// Result of [`Inbox::take`].
-#[derive(Debug, PartialEq)]
-pub(crate) enum Taken<T> {
+pub(crate) enum Taken<I> {
     /// An entry.
-    Entry(T),
+    Entry(Event<I>),
     /// The deadline passed without an entry.
     Deadline,
     /// The inbox was closed; its entries are dropped.
     Closed,
 }
 
-impl<T> Inbox<T> {
+impl<I> Inbox<I> {
     pub(crate) fn new() -> Self {
         Self(Arc::new(Shared {
             state: Mutex::new(State {
@@ -80,38 +99,12 @@ impl<T> Inbox<T> {
         }))
     }
 
-    fn lock(&self) -> MutexGuard<'_, State<T>> {
+    fn lock(&self) -> MutexGuard<'_, State<I>> {
         self.0.state.lock()
     }
 
-    /// Adds a source of which at most `depth` entries wait.
-    pub(crate) fn add_source(&self, name: &str, depth: usize, expected: bool) -> SourceId {
-        let mut state = self.lock();
-        state.sources.push(SourceCount {
-            name: name.to_owned(),
-            received: 0,
-            dropped: 0,
-            refused: 0,
-            lost: 0,
-            latest: None,
-            expected,
-            control: false,
-            retired: false,
-            depth: depth.max(1),
-            queued: 0,
-        });
-        SourceId(state.sources.len() - 1)
-    }
-
-    /// Adds a source whose entries pass even while the inbox does not accept.
-    pub(crate) fn add_control(&self, name: &str, depth: usize) -> SourceId {
-        let SourceId(index) = self.add_source(name, depth, false);
-        self.lock().sources[index].control = true;
-        SourceId(index)
-    }
-
     /// Puts an entry in without waiting. `now` is the time of arrival.
-    pub(crate) fn put(&self, SourceId(source): SourceId, entry: T, now: Instant) {
+    pub(crate) fn put(&self, SourceId(source): SourceId, entry: Event<I>, now: Instant) {
         let mut state = self.lock();
         if state.closed || state.sources[source].retired {
             return;
@@ -136,47 +129,13 @@ impl<T> Inbox<T> {
         self.0.ready.notify_one();
     }
 
-    /// Counts a message that could not be used.
-    pub(crate) fn refuse(&self, SourceId(source): SourceId) {
-        self.lock().sources[source].refused += 1;
-    }
-
-    /// Counts a message that needs no handling.
-    pub(crate) fn touch(&self, SourceId(source): SourceId, now: Instant) {
-        let mut state = self.lock();
-        state.sources[source].received += 1;
-        state.sources[source].latest = Some(now);
-    }
-
-    /// Counts messages that were lost in transport.
-    pub(crate) fn lose(&self, SourceId(source): SourceId, count: u64) {
-        self.lock().sources[source].lost += count;
-    }
-
-    /// Ends a source: drops its entries and removes it from the counts.
-    pub(crate) fn retire(&self, SourceId(source): SourceId) {
-        let mut state = self.lock();
-        state.sources[source].retired = true;
-        state.sources[source].queued = 0;
-        let queue = std::mem::take(&mut state.queue);
-        let (gone, kept) = queue.into_iter().partition(|(s, _)| *s == source);
-        state.queue = kept;
-        drop(state);
-        drop::<VecDeque<_>>(gone);
-    }
-
-    /// Sets whether entries are kept; an inactive node counts and drops them.
-    pub(crate) fn set_accepting(&self, accepting: bool) {
-        self.lock().accepting = accepting;
-    }
-
     /// Returns whether the inbox has been closed.
     pub(crate) fn is_closed(&self) -> bool {
         self.lock().closed
     }
 
     /// Takes the next entry, waiting for it until `deadline`.
-    pub(crate) fn take(&self, deadline: Option<Instant>) -> Taken<T> {
+    pub(crate) fn take(&self, deadline: Option<Instant>) -> Taken<I> {
         let mut state = self.lock();
         loop {
             if state.closed {
@@ -195,9 +154,101 @@ impl<T> Inbox<T> {
             }
         }
     }
+}
 
+/// A node's inbox, whatever its inputs are.
+pub(crate) trait Sources: Send + Sync {
+    /// Adds a source of which at most `depth` entries wait.
+    fn add_source(&self, name: &str, depth: usize, expected: bool) -> SourceId;
+    /// Adds a source whose entries pass even while the inbox does not accept.
+    fn add_control(&self, name: &str, depth: usize) -> SourceId;
+    /// Puts in a request for the node's runner.
+    fn put_control(&self, source: SourceId, control: Control);
+    /// Makes the node's runner check its timers.
+    fn wake(&self, source: SourceId);
+    /// Counts a message that could not be used.
+    fn refuse(&self, source: SourceId);
+    /// Counts a message that needs no handling.
+    fn touch(&self, source: SourceId);
+    /// Counts messages that were lost in transport.
+    fn lose(&self, source: SourceId, count: u64);
+    /// Ends a source: drops its entries and removes it from the counts.
+    fn retire(&self, source: SourceId);
+    /// Sets whether entries are kept; an inactive node counts and drops them.
+    fn set_accepting(&self, accepting: bool);
+    /// Counts of all sources.
+    fn counts(&self) -> Vec<SourceCount>;
     /// Closes the inbox: wakes the reader, drops all entries and ignores later ones.
-    pub(crate) fn close(&self) {
+    fn close(&self);
+}
+
+impl<I: Send + 'static> Sources for Inbox<I> {
+    fn add_source(&self, name: &str, depth: usize, expected: bool) -> SourceId {
+        let mut state = self.lock();
+        state.sources.push(SourceCount {
+            name: name.to_owned(),
+            received: 0,
+            dropped: 0,
+            refused: 0,
+            lost: 0,
+            latest: None,
+            expected,
+            control: false,
+            retired: false,
+            depth: depth.max(1),
+            queued: 0,
+        });
+        SourceId(state.sources.len() - 1)
+    }
+
+    fn add_control(&self, name: &str, depth: usize) -> SourceId {
+        let SourceId(index) = self.add_source(name, depth, false);
+        self.lock().sources[index].control = true;
+        SourceId(index)
+    }
+
+    fn put_control(&self, source: SourceId, control: Control) {
+        self.put(source, Event::Control(control), now());
+    }
+
+    fn wake(&self, source: SourceId) {
+        self.put(source, Event::Wake, now());
+    }
+
+    fn refuse(&self, SourceId(source): SourceId) {
+        self.lock().sources[source].refused += 1;
+    }
+
+    fn touch(&self, SourceId(source): SourceId) {
+        let mut state = self.lock();
+        state.sources[source].received += 1;
+        state.sources[source].latest = Some(now());
+    }
+
+    fn lose(&self, SourceId(source): SourceId, count: u64) {
+        self.lock().sources[source].lost += count;
+    }
+
+    fn retire(&self, SourceId(source): SourceId) {
+        let mut state = self.lock();
+        state.sources[source].retired = true;
+        state.sources[source].queued = 0;
+        let queue = std::mem::take(&mut state.queue);
+        let (gone, kept) = queue.into_iter().partition(|(s, _)| *s == source);
+        state.queue = kept;
+        drop(state);
+        drop::<VecDeque<_>>(gone);
+    }
+
+    fn set_accepting(&self, accepting: bool) {
+        self.lock().accepting = accepting;
+    }
+
+    fn counts(&self) -> Vec<SourceCount> {
+        self.lock().sources.iter().filter(|s| !s.control && !s.retired).cloned().collect()
+    }
+
+    fn close(&self) {
         let mut state = self.lock();
         state.closed = true;
         let queued = std::mem::take(&mut state.queue);
@@ -205,11 +256,6 @@ impl<T> Inbox<T> {
         // Outside of the lock, because dropping an entry may put in another one.
         drop(queued);
         self.0.ready.notify_all();
-    }
-
-    /// Counts of all sources.
-    pub(crate) fn counts(&self) -> Vec<SourceCount> {
-        self.lock().sources.iter().filter(|s| !s.control && !s.retired).cloned().collect()
     }
 }
 
@@ -230,11 +276,11 @@ mod tests {
         let images = inbox.add_source("/image", 2, true);
         let samples = inbox.add_source("/imu", 3, true);
         for i in 0..4 {
-            inbox.put(images, ("image", i), now());
-            inbox.put(samples, ("imu", i), now());
+            inbox.put(images, Event::Input(("image", i)), now());
+            inbox.put(samples, Event::Input(("imu", i)), now());
         }
         let mut taken = Vec::new();
-        while let Taken::Entry(entry) = inbox.take(Some(now())) {
+        while let Taken::Entry(Event::Input(entry)) = inbox.take(Some(now())) {
             taken.push(entry);
         }
         assert_eq!(taken, [("imu", 1), ("image", 2), ("imu", 2), ("image", 3), ("imu", 3)]);
@@ -252,8 +298,8 @@ mod tests {
             move || inbox.take(None)
         });
         inbox.close();
-        assert_eq!(reader.join().unwrap(), Taken::Closed);
-        inbox.put(source, 1, now());
+        assert!(matches!(reader.join().unwrap(), Taken::Closed));
+        inbox.put(source, Event::Input(1), now());
         assert_eq!(inbox.counts()[0].received, 0);
     }
 
@@ -262,8 +308,9 @@ mod tests {
         let inbox = Inbox::new();
         let source = inbox.add_source("/x", 1, true);
         inbox.set_accepting(false);
-        inbox.put(source, 1, now());
-        assert_eq!(inbox.take(Some(now() + Duration::from_millis(1))), Taken::Deadline);
+        inbox.put(source, Event::Input(1), now());
+        let deadline = now() + Duration::from_millis(1);
+        assert!(matches!(inbox.take(Some(deadline)), Taken::Deadline));
         assert_eq!(inbox.counts()[0].received, 1);
     }
 }

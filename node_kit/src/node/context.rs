@@ -5,13 +5,12 @@ use super::{
     diagnostics::Health,
     domain::Domain,
     error::NodeError,
-    event::Event,
     handle::{NodeHandle, NodeParts},
     service::Responder,
     timers::Timers,
 };
 use crate::{
-    inbox::{Inbox, now},
+    inbox::{Event, Inbox, Sources, now},
     level::Level,
     qos::{Endpoint, QosPreset},
 };
@@ -32,7 +31,7 @@ use volant_msgs::{Message, Service, geometry_msgs::msg::TransformStamped};
 pub struct NodeContext<I: Send + 'static> {
     handle: NodeHandle,
     timers: Timers<I>,
-    pub(crate) inbox: Inbox<Event<I>>,
+    pub(crate) inbox: Inbox<I>,
 }
 
 impl<I: Send + 'static> Deref for NodeContext<I> {
@@ -83,7 +82,7 @@ impl<I, R: IntoInput<I>> IntoInput<I> for IfChanged<R> {
 impl<I: Send + 'static> NodeContext<I> {
     pub(crate) fn new(
         domain: Arc<Domain>,
-        inbox: Inbox<Event<I>>,
+        inbox: Inbox<I>,
         parts: NodeParts,
     ) -> Result<Self, NodeError> {
         let handle = NodeHandle::new(domain, Arc::new(inbox.clone()), parts)?;
@@ -145,7 +144,7 @@ impl<I: Send + 'static> NodeContext<I> {
             expected,
             move |source, name, m| match make(Arc::clone(m)).into_input() {
                 Ok(Some(input)) => inbox.put(source, Event::Input(input), now()),
-                Ok(None) => inbox.touch(source, now()),
+                Ok(None) => inbox.touch(source),
                 Err(reason) => {
                     inbox.refuse(source);
                     if !reason.is_empty() {

@@ -1,7 +1,8 @@
 //! Services that every node offers: parameters and lifecycle.
 
-use super::{endpoints::Endpoints, error::NodeError, event::Control, type_description};
+use super::{endpoints::Endpoints, error::NodeError, type_description};
 use crate::{
+    inbox::Control,
     lifecycle::{LifecycleState, Transition},
     parameters::{
         ParameterKind, ParameterValue, START_TYPE_DESCRIPTION_SERVICE,

@@ -1,10 +1,7 @@
 //! Threads of a node's devices, and how they hand events to the node.
 
-use super::{
-    error::NodeError,
-    event::{Event, Sources},
-};
-use crate::inbox::{Inbox, SourceId, now};
+use super::error::NodeError;
+use crate::inbox::{Event, Inbox, SourceId, Sources, now};
 use std::{
     sync::{
         Arc,
@@ -41,9 +38,9 @@ impl Devices {
         Ok(())
     }
 
-    pub fn sender<I>(
+    pub fn sender<I: Send + 'static>(
         &mut self,
-        inbox: &Inbox<Event<I>>,
+        inbox: &Inbox<I>,
         name: &str,
         depth: usize,
     ) -> DeviceSender<I> {
@@ -66,7 +63,7 @@ impl Devices {
 /// Puts a device's events into the node's inbox, in order with the messages. Clones share one
 /// source.
 pub struct DeviceSender<I> {
-    inbox: Inbox<Event<I>>,
+    inbox: Inbox<I>,
     source: SourceId,
     open: Arc<AtomicBool>,
 }
@@ -77,7 +74,7 @@ impl<I> Clone for DeviceSender<I> {
     }
 }
 
-impl<I> DeviceSender<I> {
+impl<I: Send + 'static> DeviceSender<I> {
     /// Puts an event into the inbox without waiting. Returns false when the node has ended and the
     /// device's thread should end too.
     pub fn send(&self, input: I) -> bool {

@@ -3,13 +3,13 @@
 use super::{
     domain::{Domain, dds_type_name},
     error::NodeError,
-    event::Sources,
     logger::Logger,
     publisher::{Publisher, Publishing},
     reactor::Reactor,
     wire::Shared,
 };
 use crate::{
+    inbox::Sources,
     names::{NodeName, Remap, resolve},
     parameters::ParameterStore,
     qos::{Endpoint, Qos, QosPreset},

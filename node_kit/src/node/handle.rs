@@ -8,13 +8,13 @@ use super::{
     domain::Domain,
     endpoints::Endpoints,
     error::NodeError,
-    event::Sources,
     logger::Logger,
     publisher::Publisher,
     subscription::Subscription,
     tf::Transforms,
 };
 use crate::{
+    inbox::Sources,
     level::Level,
     lifecycle::LifecycleState,
     names::{NodeName, Remap},

@@ -11,7 +11,6 @@ mod diagnostics;
 mod domain;
 mod endpoints;
 mod error;
-mod event;
 mod graph;
 mod handle;
 mod intra_process;

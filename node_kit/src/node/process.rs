@@ -6,7 +6,6 @@ use super::{
     context::NodeContext,
     domain::Domain,
     error::NodeError,
-    event::Event,
     handle::NodeParts,
     log_file,
     logger::{Logger, Sinks},
@@ -17,7 +16,7 @@ use super::{
 use crate::{
     args::RosArguments,
     environment::Network,
-    inbox::{Inbox, now},
+    inbox::{Inbox, Sources, now},
     level::Level,
 };
 use parking_lot::Mutex;
@@ -199,7 +198,7 @@ impl Process {
             clock,
             logger,
         };
-        let inbox = Inbox::<Event<S::Input>>::new();
+        let inbox = Inbox::<S::Input>::new();
         let close = Box::new({
             let inbox = inbox.clone();
             move || inbox.close()

@@ -5,13 +5,12 @@ use super::{
     control_services::{SharedState, transition_description},
     domain::Domain,
     error::NodeError,
-    event::{Control, Event},
     handle::NodeParts,
     publisher::Publisher,
     shell::NodeShell,
 };
 use crate::{
-    inbox::{Inbox, Taken, now},
+    inbox::{Control, Event, Inbox, Sources, Taken, now},
     level::Level,
     lifecycle::{LifecycleState, Transition},
     parameters::{ParameterSet, ParameterValue},
@@ -52,7 +51,7 @@ struct NodeRunner<S: NodeShell> {
 /// Why the node cannot start, or why it ended on its own.
 pub(crate) fn run<S: NodeShell>(
     domain: Arc<Domain>,
-    inbox: Inbox<Event<S::Input>>,
+    inbox: Inbox<S::Input>,
     parts: NodeParts,
     start: Start<S>,
     started: &SyncSender<()>,

@@ -3,11 +3,10 @@
 use super::{
     endpoints::Endpoints,
     error::NodeError,
-    event::Sources,
     intra_process::{Deliver, SubscriberGuard},
 };
 use crate::{
-    inbox::{SourceId, now},
+    inbox::{SourceId, Sources, now},
     qos::{Endpoint, Qos},
 };
 use async_executor::Task;
