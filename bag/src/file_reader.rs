@@ -13,7 +13,7 @@ use crate::{
 use mcap::records::op;
 use std::{
     collections::HashMap,
-    fs::File,
+    fs::{self, File},
     io::{self, BufReader, Read},
     path::{Path, PathBuf},
     sync::Arc,
@@ -362,6 +362,11 @@ pub(crate) fn io_error(path: &Path, source: io::Error) -> BagError {
     } else {
         BagError::Io { path: path.to_owned(), source }
     }
+}
+
+/// Size of the file at `path`, bytes.
+pub(crate) fn file_size(path: &Path) -> Result<u64, BagError> {
+    Ok(fs::metadata(path).map_err(|source| io_error(path, source))?.len())
 }
 
 fn foreign(path: &Path, magic: &[u8]) -> BagError {

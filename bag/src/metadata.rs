@@ -66,16 +66,17 @@ pub(super) struct FileContents {
     pub count: u64,
 }
 
+/// The span that covers two spans of log times.
+pub(super) fn join(a: Option<(u64, u64)>, b: Option<(u64, u64)>) -> Option<(u64, u64)> {
+    a.into_iter().chain(b).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+}
+
 /// Formats `metadata.yaml`.
 pub(super) fn to_yaml<'a>(
     files: &[FileContents],
     topics: impl Iterator<Item = (&'a Topic, u64)>,
 ) -> String {
-    let span = files
-        .iter()
-        .filter_map(|f| f.span)
-        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
-        .unwrap_or_default();
+    let span = files.iter().map(|f| f.span).fold(None, join).unwrap_or_default();
     let count: u64 = files.iter().map(|f| f.count).sum();
     let times = |indent: &str, (start, end): (u64, u64)| {
         format!(

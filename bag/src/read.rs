@@ -1,6 +1,11 @@
 //! Reads a bag from its first message to its last, in the order in which they were logged.
 
-use super::{BagError, BagMessage, Topic, file_reader::FileReader, metadata::Folder, summary};
+use super::{
+    BagError, BagMessage, Topic,
+    file_reader::{FileReader, file_size, io_error},
+    metadata::{Folder, join},
+    summary,
+};
 use std::{
     cmp::Reverse,
     collections::{BTreeMap, BinaryHeap, VecDeque},
@@ -127,14 +132,7 @@ impl BagReader {
     /// Reads the closing records of an MCAP file of `size` bytes; `None` where they are missing or
     /// damaged.
     pub fn closing_records(file: &mut (impl Read + Seek), size: u64) -> Option<BagSummary> {
-        let found = summary::summary_of(file, size)?;
-        Some(BagSummary {
-            topics: found.topics,
-            span: found.span,
-            bytes: size,
-            files: vec![],
-            complete: true,
-        })
+        summary::summary_of(file, size)
     }
 
     /// Summarizes a bag from the files' closing records, or by reading all of it where they are
@@ -146,25 +144,20 @@ impl BagReader {
         let files = files_of(path)?;
         let mut topics: BTreeMap<Topic, u64> = BTreeMap::new();
         let mut summary = BagSummary { complete: true, ..BagSummary::default() };
-        let join =
-            |a: Option<(u64, u64)>, b: (u64, u64)| a.map_or(b, |a| (a.0.min(b.0), a.1.max(b.1)));
         for file in &files {
-            let bytes = fs::metadata(file)
-                .map_err(|source| BagError::Io { path: file.clone(), source })?
-                .len();
-            summary.bytes += bytes;
+            summary.bytes += file_size(file)?;
             if let Some(found) = summary::read_summary(file) {
                 for (topic, count) in found.topics {
                     let sum = topics.entry(topic).or_default();
                     *sum = sum.saturating_add(count);
                 }
-                summary.span = found.span.map(|s| join(summary.span, s)).or(summary.span);
+                summary.span = join(summary.span, found.span);
             } else {
                 let mut reader = FileReader::open(file)?;
                 while let Some(group) = reader.next_group()? {
                     for message in group {
-                        summary.span =
-                            Some(join(summary.span, (message.log_time, message.log_time)));
+                        let time = message.log_time;
+                        summary.span = join(summary.span, Some((time, time)));
                         if let Some(count) = topics.get_mut(&*message.topic) {
                             *count += 1;
                         } else {
@@ -297,14 +290,7 @@ fn own_files(folder: Folder) -> Result<Vec<String>, String> {
 
 /// The `.mcap` files of a bag in their order.
 fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
-    let io = |source: std::io::Error| {
-        if source.kind() == std::io::ErrorKind::NotFound {
-            BagError::NotFound { path: path.to_owned() }
-        } else {
-            BagError::Io { path: path.to_owned(), source }
-        }
-    };
-    if !fs::metadata(path).map_err(io)?.is_dir() {
+    if !fs::metadata(path).map_err(|source| io_error(path, source))?.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
     let yaml = path.join("metadata.yaml");

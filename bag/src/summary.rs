@@ -4,7 +4,7 @@
 //! whatever length a text claims (see [`crate::records`]).
 
 use crate::{
-    Topic,
+    BagSummary,
     file_reader::{Channels, LARGEST_RECORD},
     records::{self, Channel, Statistics},
 };
@@ -16,24 +16,16 @@ use std::{
     path::Path,
 };
 
-/// Contents of a file according to its closing records.
-pub(crate) struct Summary {
-    /// Topics and how many messages each has.
-    pub topics: Vec<(Topic, u64)>,
-    /// First and last log time, ns, if there is a message.
-    pub span: Option<(u64, u64)>,
-}
-
 /// Reads the closing records of a file; `None` where they are missing or damaged (then the whole
 /// file must be read).
-pub(crate) fn read_summary(path: &Path) -> Option<Summary> {
+pub(crate) fn read_summary(path: &Path) -> Option<BagSummary> {
     let mut file = File::open(path).ok()?;
     let size = file.metadata().ok()?.len();
     summary_of(&mut file, size)
 }
 
 /// Reads the closing records of an input of `size` bytes; see [`read_summary`].
-pub(crate) fn summary_of(file: &mut (impl Read + Seek), size: u64) -> Option<Summary> {
+pub(crate) fn summary_of(file: &mut (impl Read + Seek), size: u64) -> Option<BagSummary> {
     /// Footer record (head, two positions, checksum) and the magic after it.
     const CLOSING: u64 = 9 + 20 + 8;
     let footer_at = size.checked_sub(CLOSING)?;
@@ -67,7 +59,8 @@ pub(crate) fn summary_of(file: &mut (impl Read + Seek), size: u64) -> Option<Sum
     let count = |id: u16| counts.get(&id).copied().unwrap_or(0);
     let topics =
         listed.values().map(|channel| (channels.topic_of(channel), count(channel.id))).collect();
-    Some(Summary { topics, span: (messages > 0).then_some((start, end)) })
+    let span = (messages > 0).then_some((start, end));
+    Some(BagSummary { topics, span, bytes: size, files: vec![], complete: true })
 }
 
 fn read_at(file: &mut (impl Read + Seek), at: u64, length: u64) -> Option<Vec<u8>> {

@@ -3,8 +3,9 @@
 
 use super::{
     BagError, BagSummary, Topic,
+    file_reader::file_size,
     file_writer::{Compression, FileWriter},
-    metadata::{self, FileContents},
+    metadata::{self, FileContents, join},
 };
 use node_kit::files::{self, FileError, OutputFile, Pending};
 use std::{
@@ -162,9 +163,7 @@ impl BagWriter {
         self.topics[topic.0].1 += 1;
         if let Some(file) = self.files.last_mut() {
             file.count += 1;
-            file.span = Some(
-                file.span.map_or((log_time, log_time), |(a, b)| (a.min(log_time), b.max(log_time))),
-            );
+            file.span = join(file.span, Some((log_time, log_time)));
         }
         Ok(())
     }
@@ -215,12 +214,9 @@ impl BagWriter {
         let files: Vec<PathBuf> = files.collect();
         let mut bytes = 0;
         for file in &files {
-            bytes += fs::metadata(file)
-                .map_err(|source| BagError::Io { path: file.clone(), source })?
-                .len();
+            bytes += file_size(file)?;
         }
-        let span =
-            self.files.iter().filter_map(|f| f.span).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+        let span = self.files.iter().map(|f| f.span).fold(None, join);
         Ok(BagSummary { topics: self.topics, span, bytes, files, complete: true })
     }
 
