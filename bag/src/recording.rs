@@ -8,8 +8,7 @@ use crate::{BagError, BagReader};
 use nalgebra::{Matrix2, Vector2, Vector3};
 use node_kit::convert;
 use rig_model::{
-    CameraModel, ClimberSample, ImuSample, MarkerObservation, MarkerObservations, MarkerState,
-    PerColor, Rig, Stamp,
+    MarkerObservation, MarkerObservations, MarkerState, PerColor, Rig, Sample, Stamp,
     score::{Truth, TruthSample},
     topics::absolute as topics,
 };
@@ -22,19 +21,6 @@ use volant_msgs::{Message, cdr, geometry_msgs, msg, nav_msgs, sensor_msgs};
 
 /// Marker observations of images, by their stamps.
 pub type Markers = HashMap<Stamp, MarkerObservations>;
-
-/// One message for the estimator.
-#[derive(Clone, Debug)]
-pub enum Sample {
-    /// Intrinsics of the camera.
-    Camera(CameraModel),
-    /// Pose of the climber unit.
-    Climber(ClimberSample),
-    /// IMU sample.
-    Imu(ImuSample),
-    /// Markers of one image.
-    Markers(MarkerObservations),
-}
 
 /// Recording of one run.
 #[derive(Clone, Debug)]

@@ -11,7 +11,9 @@ use crate::{
     output::{Odometry, Output, PoseEstimate, Warning, rate_limit::RateLimit},
     reference::{paper::Paper, single_image::SingleImagePose},
 };
-use rig_model::{CameraModel, ClimberSample, ImuSample, MarkerObservations, Rig, Stamp, topics};
+/// One input, in the order of arrival.
+pub use rig_model::Sample as Input;
+use rig_model::{Rig, Stamp, topics};
 use std::collections::VecDeque;
 
 /// Length of a batch of smoothed odometry, s.
@@ -21,30 +23,15 @@ const LAG: f64 = 20.0;
 /// Without images the published filter reports its status this often, s.
 const STATUS_PERIOD: f64 = 0.1;
 
-/// One input, in the order of arrival.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Input {
-    /// IMU sample.
-    Imu(ImuSample),
-    /// Markers of one image.
-    Markers(MarkerObservations),
-    /// Pose of the climber.
-    Climber(ClimberSample),
-    /// Calibration of the camera.
-    Camera(CameraModel),
-}
-
-impl Input {
-    /// Its topic, if its stamp is zero.
-    fn without_stamp(&self) -> Option<&'static str> {
-        let (stamp, topic) = match self {
-            Self::Imu(sample) => (sample.stamp, topics::IMU),
-            Self::Markers(markers) => (markers.stamp, topics::MARKERS),
-            Self::Climber(sample) => (sample.stamp, topics::CLIMBER_TRANSFORM),
-            Self::Camera(_) => return None,
-        };
-        stamp.is_unset().then_some(topic)
-    }
+/// Topic of an input whose stamp is zero.
+fn without_stamp(input: &Input) -> Option<&'static str> {
+    let (stamp, topic) = match input {
+        Input::Imu(sample) => (sample.stamp, topics::IMU),
+        Input::Markers(markers) => (markers.stamp, topics::MARKERS),
+        Input::Climber(sample) => (sample.stamp, topics::CLIMBER_TRANSFORM),
+        Input::Camera(_) => return None,
+    };
+    stamp.is_unset().then_some(topic)
 }
 
 #[derive(Debug)]
@@ -91,7 +78,7 @@ impl Fusion {
 
     /// Takes in one input.
     pub fn handle(&mut self, input: Input) {
-        if let Some(source_name) = input.without_stamp() {
+        if let Some(source_name) = without_stamp(&input) {
             if let Estimator::TightlyCoupled(filter) = &mut self.estimator {
                 let rejected = filter.rejected_counts();
                 match input {

@@ -28,7 +28,7 @@ fn bags_give_millimeters_and_a_consistent_covariance() {
     ] {
         let Some(bag) = bags::read(name, 0.1, 1) else { return };
         let mut fusion = Fusion::new(bag.rig.clone(), FusionConfig::default());
-        let outputs = scoring::run(&mut fusion, bag.inputs.iter().map(|(_, i)| i.clone()));
+        let outputs = scoring::run(&mut fusion, bag.samples.iter().map(|(_, i)| i.clone()));
         let score = scoring::score(&outputs.odometry, &bag.truth, 1.0);
         println!("{name:12} {score}");
         let s = fusion.status();
@@ -60,7 +60,7 @@ fn real_imu_samples_are_tracked_and_blows_are_followed() {
     {
         let Some(bag) = bags::read(name, 0.1, 1) else { return };
         let mut fusion = Fusion::new(bag.rig.clone(), FusionConfig::default());
-        let outputs = scoring::run(&mut fusion, bag.inputs.iter().map(|(_, i)| i.clone()));
+        let outputs = scoring::run(&mut fusion, bag.samples.iter().map(|(_, i)| i.clone()));
         let score = scoring::score(&outputs.odometry, &bag.truth, 1.0);
         println!("{name:12} {score}");
         let (np, nr) = score.nees();
@@ -80,7 +80,7 @@ fn the_published_filter_runs_on_real_imu_samples() {
             let mut config = FusionConfig { model: Model::Paper, ..FusionConfig::default() };
             config.paper.velocity_from_fused = velocity_from_fused;
             let mut fusion = Fusion::new(bag.rig.clone(), config);
-            let outputs = scoring::run(&mut fusion, bag.inputs.iter().map(|(_, i)| i.clone()));
+            let outputs = scoring::run(&mut fusion, bag.samples.iter().map(|(_, i)| i.clone()));
             let score = scoring::score(&outputs.odometry, &bag.truth, 1.0);
             println!("{name:12} {score}");
             assert!(fusion.computes_attitude());
@@ -153,7 +153,7 @@ fn table_of_the_filter_beside_the_published_one_visual_and_inertial_alone() {
         .into_iter()
         .filter_map(|name| {
             let bag = bags::read(name, 0.1, 1)?;
-            let inputs = bag.inputs.into_iter().map(|(_, i)| i).collect();
+            let inputs = bag.samples.into_iter().map(|(_, i)| i).collect();
             Some(Scenario { name: format!("bag: {name}"), rig: bag.rig, inputs, truth: bag.truth })
         })
         .collect();

@@ -268,7 +268,7 @@ fn a_recording_with_shifted_camera_and_climber_is_tracked() {
     for name in ["nominal", "occlude_two", "clutter", "fast_swing"] {
         for ahead in [0.0, 0.04, -0.03, 0.2] {
             let Some(mut bag) = bags::read(name, 0.1, 1) else { return };
-            for (_, input) in &mut bag.inputs {
+            for (_, input) in &mut bag.samples {
                 let shift = |stamp: &mut Stamp| *stamp = stamp.plus_seconds(ahead);
                 match input {
                     Input::Markers(m) => shift(&mut m.stamp),
@@ -277,7 +277,7 @@ fn a_recording_with_shifted_camera_and_climber_is_tracked() {
                 }
             }
             let mut fusion = Fusion::new(bag.rig.clone(), FusionConfig::default());
-            let outputs = scoring::run(&mut fusion, bag.inputs.iter().map(|(_, i)| i.clone()));
+            let outputs = scoring::run(&mut fusion, bag.samples.iter().map(|(_, i)| i.clone()));
             let (score, status) =
                 (scoring::score(&outputs.odometry, &bag.truth, 6.0), fusion.status());
             print(&format!("{name} {ahead:+.2}"), &score, &status);

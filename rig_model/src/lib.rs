@@ -34,6 +34,7 @@ pub use camera::{CameraModel, CameraModelError, Distortion};
 pub use marker::{MarkerColor, MarkerLayout, PerColor};
 pub use rig::{Frames, ImuMounting, Rig, RigError};
 pub use samples::{
-    ClimberSample, ImuSample, MarkerObservation, MarkerObservations, MarkerState, OrientationSample,
+    ClimberSample, ImuSample, MarkerObservation, MarkerObservations, MarkerState,
+    OrientationSample, Sample,
 };
 pub use stamp::Stamp;

@@ -2,7 +2,7 @@
 //!
 //! `node_kit::convert` converts them from and to ROS messages.
 
-use crate::{marker::PerColor, stamp::Stamp};
+use crate::{camera::CameraModel, marker::PerColor, stamp::Stamp};
 use nalgebra::{Isometry3, Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
 /// Sample of the IMU, in the frame `imu`.
@@ -86,4 +86,17 @@ pub struct MarkerObservations {
     pub stamp: Stamp,
     /// One observation per color, in the order of [`crate::MarkerColor::ALL`].
     pub markers: PerColor<MarkerObservation>,
+}
+
+/// One input of the estimator.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Sample {
+    /// IMU sample.
+    Imu(ImuSample),
+    /// Markers of one image.
+    Markers(MarkerObservations),
+    /// Pose of the climber.
+    Climber(ClimberSample),
+    /// Calibration of the camera.
+    Camera(CameraModel),
 }

@@ -1,6 +1,6 @@
 //! Recordings with ground truth as inputs of the estimator.
 
-use bag::recording::{self, RecordingError, Sample, read_markers, true_centroids};
+use bag::recording::{self, RecordingError, read_markers, true_centroids};
 use nalgebra::Isometry3;
 use pose_fusion::Input;
 use rig_model::{CameraModel, Rig, Stamp, score::Truth};
@@ -41,23 +41,8 @@ impl Recording {
         }
         let recording::Recording { rig, samples, truth } =
             recording::Recording::read(folder, &images)?;
-        let input = |(at, sample)| {
-            let input = match sample {
-                Sample::Camera(camera) => Input::Camera(camera),
-                Sample::Climber(sample) => Input::Climber(sample),
-                Sample::Imu(sample) => Input::Imu(sample),
-                Sample::Markers(observations) => Input::Markers(observations),
-            };
-            (at, input)
-        };
         let name = folder.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned());
-        Ok(Self {
-            name,
-            rig,
-            inputs: samples.into_iter().map(input).collect(),
-            truth,
-            perturbed_from: PERTURBED_FROM,
-        })
+        Ok(Self { name, rig, inputs: samples, truth, perturbed_from: PERTURBED_FROM })
     }
 
     /// Returns the stamp of the first truth.
