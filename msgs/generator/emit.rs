@@ -219,13 +219,6 @@ fn emit_message(
     line(out, format!("const TYPE_NAME: &'static str = \"{ros}\";"));
     line(
         out,
-        format!(
-            "const DDS_TYPE_NAME: &'static str = \"{}::{}::dds_::{}_\";",
-            ros.package, ros.kind, ros.name
-        ),
-    );
-    line(
-        out,
         format!("const DEFINITION: &'static str = {:?};", describe::definition(set, message)?),
     );
     line(

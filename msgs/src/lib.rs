@@ -42,8 +42,6 @@ pub trait Message:
 {
     /// ROS name, `package/msg/Type`.
     const TYPE_NAME: &'static str;
-    /// DDS name, `package::msg::dds_::Type_`.
-    const DDS_TYPE_NAME: &'static str;
     /// `.msg` text with those of all nested messages: the `ros2msg` schema of a bag.
     const DEFINITION: &'static str;
     /// RIHS01 hash of the type (REP-2016).
@@ -67,8 +65,6 @@ pub trait Service: 'static {
 pub struct MessageInfo {
     /// [`Message::TYPE_NAME`].
     pub type_name: &'static str,
-    /// [`Message::DDS_TYPE_NAME`].
-    pub dds_type_name: &'static str,
     /// [`Message::DEFINITION`].
     pub definition: &'static str,
     /// [`Message::RIHS01_HASH`].
@@ -78,12 +74,7 @@ pub struct MessageInfo {
 impl MessageInfo {
     /// Description of `M`.
     pub const fn of<M: Message>() -> Self {
-        Self {
-            type_name: M::TYPE_NAME,
-            dds_type_name: M::DDS_TYPE_NAME,
-            definition: M::DEFINITION,
-            rihs01_hash: M::RIHS01_HASH,
-        }
+        Self { type_name: M::TYPE_NAME, definition: M::DEFINITION, rihs01_hash: M::RIHS01_HASH }
     }
 
     /// Description of the built-in message with this name (`package/msg/Type`).

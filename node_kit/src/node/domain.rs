@@ -5,6 +5,7 @@
 //! two of them on one participant take each other's events.
 
 use super::{
+    endpoints::dds_type_name,
     error::NodeError,
     graph::{Announcements, Graph},
     intra_process::IntraProcess,
@@ -291,13 +292,5 @@ fn read_endpoints(view: &View, logged: &mut HashSet<(GUID, GUID)>) {
         }
         *state.remote_writers.write() = matching;
         *state.foreign_writers.write() = foreign;
-    }
-}
-
-/// DDS type name of a ROS type: `sensor_msgs::msg::dds_::Imu_` for `sensor_msgs/msg/Imu`.
-pub(crate) fn dds_type_name(type_name: &str) -> String {
-    match type_name.rsplit_once('/') {
-        Some((package, name)) => format!("{}::dds_::{name}_", package.replace('/', "::")),
-        None => type_name.to_owned(),
     }
 }

@@ -1,7 +1,7 @@
 //! A node's presence in DDS: creates its publishers, subscriptions and services.
 
 use super::{
-    domain::{Domain, dds_type_name},
+    domain::Domain,
     error::NodeError,
     logger::Logger,
     publisher::{Publisher, Publishing},
@@ -16,7 +16,7 @@ use crate::{
 };
 use parking_lot::Mutex;
 use rustdds::{
-    QosPolicies, QosPolicyBuilder, Topic, TopicKind,
+    DomainParticipant, QosPolicies, QosPolicyBuilder, Topic, TopicKind,
     policy::{Durability, History, Reliability, ResourceLimits},
 };
 use std::sync::{Arc, Weak, atomic::AtomicBool};
@@ -128,19 +128,9 @@ impl Endpoints {
 
     /// DDS topic of a ROS topic with an absolute name.
     pub fn dds_topic<M: Message>(&self, name: &str, qos: &Qos) -> Result<Topic, NodeError> {
-        self.domain
-            .context
-            .domain_participant()
-            .create_topic(
-                format!("rt{name}"),
-                dds_type_name(M::TYPE_NAME),
-                &with_type_hash(policies(qos), M::RIHS01_HASH),
-                TopicKind::NoKey,
-            )
-            .map_err(|e| NodeError::Middleware {
-                what: format!("the topic {name}"),
-                reason: e.to_string(),
-            })
+        let participant = &self.domain.context.domain_participant();
+        let policies = with_type_hash(policies(qos), M::RIHS01_HASH);
+        ros_topic(participant, name, M::TYPE_NAME, &policies)
     }
 
     /// The QoS with the parameters `qos_overrides.…` applied.
@@ -159,6 +149,32 @@ impl Endpoints {
         }
         Ok(qos)
     }
+}
+
+/// DDS type name of a ROS type: `sensor_msgs::msg::dds_::Imu_` for `sensor_msgs/msg/Imu`.
+pub fn dds_type_name(type_name: &str) -> String {
+    match type_name.rsplit_once('/') {
+        Some((package, name)) => format!("{}::dds_::{name}_", package.replace('/', "::")),
+        None => type_name.to_owned(),
+    }
+}
+
+/// Creates the DDS topic of a ROS topic with an absolute name.
+///
+/// # Errors
+/// [`NodeError::Middleware`]: DDS does not create it.
+pub fn ros_topic(
+    participant: &DomainParticipant,
+    name: &str,
+    type_name: &str,
+    policies: &QosPolicies,
+) -> Result<Topic, NodeError> {
+    participant
+        .create_topic(format!("rt{name}"), dds_type_name(type_name), policies, TopicKind::NoKey)
+        .map_err(|e| NodeError::Middleware {
+            what: format!("the topic {name}"),
+            reason: e.to_string(),
+        })
 }
 
 /// Adds a type's RIHS01 hash to the policies of a publisher or subscription, as every rmw announces

@@ -3,13 +3,13 @@
 pub use super::player::PlayControl;
 use super::{
     LiveError, player,
-    raw::{Raw, RawAdapter, dds_type_name, policies},
+    raw::{Raw, RawAdapter, policies},
 };
 use crate::{replay::TopicNames, stopwatch::Stopwatch};
 use bag::{BagReader, Durability, QosProfile, Topic};
-use node_kit::node::{NodeHandle, with_type_hash};
+use node_kit::node::{NodeHandle, ros_topic, with_type_hash};
 use rig_model::topics;
-use rustdds::{RTPSEntity, TopicKind, no_key::DataWriter};
+use rustdds::{RTPSEntity, no_key::DataWriter};
 use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Duration};
 use volant_msgs::{Message, builtin_interfaces::msg::Time, cdr, rosgraph_msgs::msg::Clock};
 
@@ -211,14 +211,7 @@ impl Published {
         let policies = policies(&self.qos, rustdds::Duration::from_millis(100));
         let policies = with_type_hash(policies, &self.topic.type_hash);
         let participant = node.participant();
-        let topic = participant
-            .create_topic(
-                format!("rt{}", self.name),
-                dds_type_name(&self.topic.type_name),
-                &policies,
-                TopicKind::NoKey,
-            )
-            .map_err(|e| failed(e.to_string()))?;
+        let topic = ros_topic(&participant, &self.name, &self.topic.type_name, &policies)?;
         let writer = participant
             .create_publisher(&policies)
             .and_then(|publisher| publisher.create_datawriter_no_key(&topic, Some(policies)))

@@ -82,15 +82,7 @@ pub fn policies(qos: &QosProfile, blocking: rustdds::Duration) -> QosPolicies {
         .build()
 }
 
-/// Converts `sensor_msgs/msg/Imu` to `sensor_msgs::msg::dds_::Imu_`.
-pub fn dds_type_name(type_name: &str) -> String {
-    match type_name.rsplit_once('/') {
-        Some((package, name)) => format!("{}::dds_::{name}_", package.replace('/', "::")),
-        None => type_name.to_owned(),
-    }
-}
-
-/// The inverse of [`dds_type_name`]; `None` for a type that is not a ROS message.
+/// The inverse of [`node_kit::node::dds_type_name`]; `None` for a type that is not a ROS message.
 pub fn ros_type_name(dds: &str) -> Option<String> {
     let (package, name) = dds.strip_suffix('_')?.split_once("::dds_::")?;
     Some(format!("{}/{name}", package.replace("::", "/")))
@@ -99,12 +91,20 @@ pub fn ros_type_name(dds: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use node_kit::node::dds_type_name;
 
     #[test]
     fn type_names_go_both_ways() {
-        let dds = dds_type_name("sensor_msgs/msg/Imu");
-        assert_eq!(dds, "sensor_msgs::msg::dds_::Imu_");
-        assert_eq!(ros_type_name(&dds).as_deref(), Some("sensor_msgs/msg/Imu"));
+        for (ros, dds) in [
+            ("sensor_msgs/msg/Imu", "sensor_msgs::msg::dds_::Imu_"),
+            (
+                "rcl_interfaces/srv/GetParameters_Request",
+                "rcl_interfaces::srv::dds_::GetParameters_Request_",
+            ),
+        ] {
+            assert_eq!(dds_type_name(ros), dds);
+            assert_eq!(ros_type_name(dds).as_deref(), Some(ros));
+        }
         assert_eq!(ros_type_name("HelloWorld"), None);
     }
 

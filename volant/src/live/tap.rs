@@ -3,7 +3,7 @@
 
 use super::{
     LiveError,
-    raw::{Raw, RawAdapter, dds_type_name, policies, ros_type_name},
+    raw::{Raw, RawAdapter, policies, ros_type_name},
     system_nanos,
 };
 use async_executor::{Executor, Task};
@@ -11,9 +11,9 @@ use bag::{Durability, QosProfile, Reliability, Topic};
 use futures_lite::{StreamExt, future::block_on};
 use node_kit::{
     environment::Network,
-    node::{AnnouncedReader, BareNode, Loss, MiddlewareWatch, with_type_hash},
+    node::{AnnouncedReader, BareNode, Loss, MiddlewareWatch, ros_topic, with_type_hash},
 };
-use rustdds::{GUID, RTPSEntity, Subscriber, TopicKind, no_key::DataReader};
+use rustdds::{GUID, RTPSEntity, Subscriber, no_key::DataReader};
 use std::{
     collections::{BTreeMap, HashMap},
     pin::pin,
@@ -175,16 +175,7 @@ impl Tap {
                 self.subscriber.insert(made).clone()
             }
         };
-        let dds_topic = self
-            .node
-            .participant()
-            .create_topic(
-                format!("rt{}", topic.name),
-                dds_type_name(&topic.type_name),
-                &qos,
-                TopicKind::NoKey,
-            )
-            .map_err(|e| failed(e.to_string()))?;
+        let dds_topic = ros_topic(self.node.participant(), &topic.name, &topic.type_name, &qos)?;
         let reader: DataReader<Raw, RawAdapter> = subscriber
             .create_datareader_no_key(&dds_topic, Some(qos))
             .map_err(|e| failed(e.to_string()))?;
