@@ -15,7 +15,8 @@ mod summary;
 mod write;
 
 pub use file_writer::Compression;
-pub use qos::{Durability, QosProfile, Reliability};
+pub use node_kit::qos::Qos;
+pub use qos::{qos_from_yaml, qos_to_yaml};
 pub use read::{BagReader, BagSummary, files_named_by};
 pub use write::{BagWriter, TopicId, WriteOptions};
 
@@ -41,14 +42,14 @@ pub struct Topic {
 
 impl Topic {
     /// Describes a topic of a built-in type.
-    pub fn of<M: volant_msgs::Message>(name: &str, qos: &QosProfile) -> Self {
+    pub fn of<M: volant_msgs::Message>(name: &str, qos: &Qos) -> Self {
         Self {
             name: name.to_owned(),
             type_name: M::TYPE_NAME.to_owned(),
             definition: M::DEFINITION.to_owned(),
             message_encoding: "cdr".to_owned(),
             type_hash: M::RIHS01_HASH.to_owned(),
-            offered_qos_profiles: qos.to_yaml(),
+            offered_qos_profiles: qos_to_yaml(qos),
         }
     }
 }

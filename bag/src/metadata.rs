@@ -137,13 +137,13 @@ fn quoted(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{super::QosProfile, *};
+    use super::{super::Qos, *};
 
     #[test]
     fn written_metadata_is_yaml_and_names_its_files() {
         let topic = Topic {
             name: "/odd: \"name\"".into(),
-            ..Topic::of::<volant_msgs::std_msgs::msg::String>("/x", &QosProfile::LATCHED)
+            ..Topic::of::<volant_msgs::std_msgs::msg::String>("/x", &Qos::LATCHED)
         };
         let files = [FileContents { path: "run 1_0.mcap".into(), span: Some((5, 9)), count: 2 }];
         let text = to_yaml(&files, [(&topic, 2)].into_iter());

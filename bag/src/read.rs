@@ -317,7 +317,7 @@ fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{BagWriter, QosProfile, WriteOptions};
+    use crate::{BagWriter, Qos, WriteOptions};
     use volant_msgs::std_msgs::msg::String as Text;
 
     /// Writes a bag in which an early message follows each late one, so that no message is ever
@@ -325,7 +325,7 @@ mod tests {
     fn without_order(path: &Path) -> u64 {
         let options = WriteOptions { chunk_bytes: 1000, ..WriteOptions::default() };
         let mut bag = BagWriter::create(path, options).unwrap();
-        let topic = bag.add_topic(Topic::of::<Text>("/text", &QosProfile::RELIABLE));
+        let topic = bag.add_topic(Topic::of::<Text>("/text", &Qos::RELIABLE));
         for k in 0..500_u64 {
             bag.write(topic, 1_000_000 - k, 0, &[0; 200]).unwrap();
         }

@@ -1,9 +1,7 @@
 //! Written bags are read by this crate and by independent readers; damaged bags yield what is left.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
-use bag::{
-    BagError, BagMessage, BagReader, BagWriter, Compression, QosProfile, Topic, WriteOptions,
-};
+use bag::{BagError, BagMessage, BagReader, BagWriter, Compression, Qos, Topic, WriteOptions};
 use node_kit::files::FileError;
 use proptest::prelude::*;
 use std::{
@@ -22,9 +20,9 @@ const START: u64 = 1_760_000_000_000_000_000;
 /// Texts and images that fill several chunks.
 fn write(path: &Path, options: WriteOptions) {
     let mut bag = BagWriter::create(path, options).unwrap();
-    let text = bag.add_topic(Topic::of::<Text>("/text", &QosProfile::RELIABLE));
-    let image = bag.add_topic(Topic::of::<Image>("/image", &QosProfile::SENSOR));
-    let markers = bag.add_topic(Topic::of::<MarkerObservations>("/markers", &QosProfile::LATCHED));
+    let text = bag.add_topic(Topic::of::<Text>("/text", &Qos::RELIABLE));
+    let image = bag.add_topic(Topic::of::<Image>("/image", &Qos::SENSOR));
+    let markers = bag.add_topic(Topic::of::<MarkerObservations>("/markers", &Qos::LATCHED));
     for i in 0..COUNT {
         let time = START + i * 10_000_000;
         bag.write_message(text, time, &Text { data: format!("message {i}") }).unwrap();
@@ -237,7 +235,7 @@ fn messages_come_in_the_order_of_their_log_times() {
     let mut bag =
         BagWriter::create(&path, WriteOptions { chunk_bytes: 1000, ..WriteOptions::default() })
             .unwrap();
-    let topic = bag.add_topic(Topic::of::<Text>("/text", &QosProfile::RELIABLE));
+    let topic = bag.add_topic(Topic::of::<Text>("/text", &Qos::RELIABLE));
     // Each pair is exchanged, and each tenth comes twice with the same time.
     for i in 0..500u64 {
         let time = (i ^ 1) * 100;
@@ -307,7 +305,7 @@ proptest! {
         let compression = if compressed { Compression::Zstd } else { Compression::None };
         let options = WriteOptions { compression, chunk_bytes: 400, ..WriteOptions::default() };
         let mut bag = BagWriter::create(&path, options).unwrap();
-        let topic = bag.add_topic(Topic::of::<Text>("/text", &QosProfile::RELIABLE));
+        let topic = bag.add_topic(Topic::of::<Text>("/text", &Qos::RELIABLE));
         for i in 0..40u64 {
             let text = Text { data: "some text that is written again and again".into() };
             bag.write_message(topic, i, &text).unwrap();
@@ -358,7 +356,7 @@ fn a_bag_appears_when_it_is_finished_and_a_recording_from_its_start() {
         let _ = fs::remove_dir_all(&path).or_else(|_| fs::remove_file(&path));
         let mut recording =
             BagWriter::create(&path, WriteOptions { in_place: true, ..usual }).unwrap();
-        let topic = recording.add_topic(Topic::of::<Text>("/text", &QosProfile::RELIABLE));
+        let topic = recording.add_topic(Topic::of::<Text>("/text", &Qos::RELIABLE));
         recording.write_message(topic, START, &Text { data: "one".into() }).unwrap();
         recording.flush().unwrap();
         drop(recording);

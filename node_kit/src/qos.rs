@@ -96,6 +96,15 @@ impl QosPreset {
 }
 
 impl Qos {
+    /// Reliable, volatile, keep last 10.
+    pub const RELIABLE: Self =
+        Self { reliable: true, transient_local: false, depth: 10, max_samples: 10 };
+    /// Best effort, volatile, keep last 10: images and IMU samples.
+    pub const SENSOR: Self = Self { reliable: false, ..Self::RELIABLE };
+    /// Reliable and latched: `/tf_static`.
+    pub const LATCHED: Self =
+        Self { reliable: true, transient_local: true, depth: 1, max_samples: 1 };
+
     /// Descriptors of the parameters that override this QoS for a topic (absolute name); the
     /// defaults are the values of `self`.
     pub fn descriptors(&self, topic: &str, endpoint: Endpoint) -> Vec<Descriptor> {

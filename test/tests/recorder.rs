@@ -2,7 +2,7 @@
 //! continued. RustDDS receives nothing after either; the recording continues.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test")]
 
-use bag::{BagReader, BagWriter, QosProfile, Topic, WriteOptions};
+use bag::{BagReader, BagWriter, Qos, Topic, WriteOptions};
 use rig_model::topics;
 use rustix::process::{Pid, Signal, kill_process};
 use std::{
@@ -20,7 +20,7 @@ const TOPIC: &str = topics::absolute::IMU;
 /// Samples that carry their number.
 fn bag(path: &Path) {
     let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
-    let topic = bag.add_topic(Topic::of::<Imu>(TOPIC, &QosProfile::RELIABLE));
+    let topic = bag.add_topic(Topic::of::<Imu>(TOPIC, &Qos::RELIABLE));
     for i in 0..RATE * SECONDS {
         let mut sample = Imu::default();
         sample.linear_acceleration.z = i as f64;

@@ -1,7 +1,7 @@
 //! Exit status of `volant`, and its errors: one line on standard error with given words.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
-use bag::{BagReader, BagWriter, Compression, QosProfile, Topic, WriteOptions};
+use bag::{BagReader, BagWriter, Compression, Qos, Topic, WriteOptions};
 use rig_model::topics;
 use std::{
     fs,
@@ -62,7 +62,7 @@ impl Place {
 fn bag(path: &Path, without: &str) {
     let options = WriteOptions { compression: Compression::None, ..WriteOptions::default() };
     let mut bag = BagWriter::create(path, options).unwrap();
-    let qos = QosProfile::RELIABLE;
+    let qos = Qos::RELIABLE;
     let mut add = |topic: Topic, data: Vec<u8>| {
         if !topic.name.ends_with(without) || without.is_empty() {
             let id = bag.add_topic(topic);
@@ -160,12 +160,10 @@ fn bags_that_cannot_be_replayed() {
     // A topic of another type.
     let path = place.path("other.mcap");
     let mut writer = BagWriter::create(&path, WriteOptions::default()).unwrap();
-    let topic = writer.add_topic(Topic::of::<Text>(topics::absolute::IMU, &QosProfile::RELIABLE));
+    let topic = writer.add_topic(Topic::of::<Text>(topics::absolute::IMU, &Qos::RELIABLE));
     writer.write_message(topic, 1, &Text::default()).unwrap();
-    let topic = writer.add_topic(Topic::of::<CompressedImage>(
-        topics::absolute::COMPRESSED_IMAGE,
-        &QosProfile::SENSOR,
-    ));
+    let topic = writer
+        .add_topic(Topic::of::<CompressedImage>(topics::absolute::COMPRESSED_IMAGE, &Qos::SENSOR));
     writer.write_message(topic, 1, &CompressedImage::default()).unwrap();
     writer.finish().unwrap();
     place.replay_fails(

@@ -3,7 +3,7 @@
 
 mod simulated;
 
-use bag::{BagMessage, BagReader, BagWriter, QosProfile, Topic, WriteOptions};
+use bag::{BagMessage, BagReader, BagWriter, Qos, Topic, WriteOptions, qos_from_yaml};
 use rig_model::topics;
 use std::{
     io::{BufRead, BufReader, Write},
@@ -25,17 +25,15 @@ const START: u64 = 1_760_000_000_000_000_000;
 /// and an unknown type.
 fn bag(path: &Path) {
     let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
-    let latched =
-        bag.add_topic(Topic::of::<TFMessage>(topics::absolute::TF_STATIC, &QosProfile::LATCHED));
+    let latched = bag.add_topic(Topic::of::<TFMessage>(topics::absolute::TF_STATIC, &Qos::LATCHED));
     bag.write_message(latched, START, &TFMessage::default()).unwrap();
-    let imu = bag.add_topic(Topic::of::<Imu>(topics::absolute::IMU, &QosProfile::RELIABLE));
-    let image =
-        bag.add_topic(Topic::of::<CompressedImage>("/image/compressed", &QosProfile::RELIABLE));
+    let imu = bag.add_topic(Topic::of::<Imu>(topics::absolute::IMU, &Qos::RELIABLE));
+    let image = bag.add_topic(Topic::of::<CompressedImage>("/image/compressed", &Qos::RELIABLE));
     let unknown = bag.add_topic(Topic {
         type_name: "unknown_msgs/msg/Thing".into(),
         definition: String::new(),
         type_hash: String::new(),
-        ..Topic::of::<Text>("/unknown", &QosProfile::RELIABLE)
+        ..Topic::of::<Text>("/unknown", &Qos::RELIABLE)
     });
     for i in 0..800u64 {
         let time = START + i * 2_500_000;
@@ -165,8 +163,8 @@ fn a_played_bag_is_recorded_byte_for_byte_and_at_its_pace() {
         assert_eq!(before[0].topic.type_name, after[0].topic.type_name);
         assert_eq!(before[0].topic.type_hash, after[0].topic.type_hash);
         assert_eq!(
-            QosProfile::from_yaml(&before[0].topic.offered_qos_profiles),
-            QosProfile::from_yaml(&after[0].topic.offered_qos_profiles),
+            qos_from_yaml(&before[0].topic.offered_qos_profiles),
+            qos_from_yaml(&after[0].topic.offered_qos_profiles),
             "{topic}"
         );
     }

@@ -1,7 +1,7 @@
 //! `volant monitor`, and Foxglove's protocol with an independent client.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::disallowed_methods)]
 
-use bag::{BagReader, BagWriter, QosProfile, Topic, WriteOptions};
+use bag::{BagReader, BagWriter, Qos, Topic, WriteOptions};
 use rig_model::topics;
 use std::{
     io::{BufRead, BufReader},
@@ -28,15 +28,12 @@ fn stamp(nanos: u64) -> Time {
 /// Writes three seconds of a rig: raw images, markers, encoders with `rail_x`, odometry at 100 Hz.
 fn bag(path: &Path, rail_x: f64) {
     let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
-    let odometry =
-        bag.add_topic(Topic::of::<Odometry>(topics::absolute::ODOMETRY, &QosProfile::RELIABLE));
-    let image = bag.add_topic(Topic::of::<Image>(topics::absolute::IMAGE, &QosProfile::SENSOR));
-    let markers = bag.add_topic(Topic::of::<MarkerObservations>(
-        topics::absolute::MARKERS,
-        &QosProfile::RELIABLE,
-    ));
-    let joints = bag
-        .add_topic(Topic::of::<JointState>(topics::absolute::JOINT_STATES, &QosProfile::RELIABLE));
+    let odometry = bag.add_topic(Topic::of::<Odometry>(topics::absolute::ODOMETRY, &Qos::RELIABLE));
+    let image = bag.add_topic(Topic::of::<Image>(topics::absolute::IMAGE, &Qos::SENSOR));
+    let markers =
+        bag.add_topic(Topic::of::<MarkerObservations>(topics::absolute::MARKERS, &Qos::RELIABLE));
+    let joints =
+        bag.add_topic(Topic::of::<JointState>(topics::absolute::JOINT_STATES, &Qos::RELIABLE));
     for i in 0..300u64 {
         let time = START + i * 10_000_000;
         let mut pose = Odometry::default();

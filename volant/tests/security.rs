@@ -2,7 +2,7 @@
 //! not at all.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-use bag::{BagWriter, QosProfile, Topic, WriteOptions};
+use bag::{BagWriter, Qos, Topic, WriteOptions};
 use std::{
     path::Path,
     process::{Command, Stdio},
@@ -15,7 +15,7 @@ const TOPIC: &str = "/secret";
 /// 8 s of messages at 20 Hz.
 fn write_bag(path: &Path) {
     let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
-    let topic = bag.add_topic(Topic::of::<Header>(TOPIC, &QosProfile::RELIABLE));
+    let topic = bag.add_topic(Topic::of::<Header>(TOPIC, &Qos::RELIABLE));
     for i in 0..160u64 {
         let header = Header { frame_id: i.to_string(), ..Header::default() };
         bag.write_message(topic, 1_760_000_000_000_000_000 + i * 50_000_000, &header).unwrap();

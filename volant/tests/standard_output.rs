@@ -1,7 +1,7 @@
 //! Executables whose standard output is closed or full, and arguments that are not UTF-8.
 #![allow(clippy::unwrap_used)]
 
-use bag::{BagWriter, QosProfile, Topic, WriteOptions};
+use bag::{BagWriter, Qos, Topic, WriteOptions};
 use rig_model::topics::absolute::{GROUND_TRUTH, ODOMETRY};
 use std::{
     ffi::OsStr,
@@ -31,7 +31,7 @@ fn on_full_disk(arguments: &[&OsStr]) -> Output {
 fn write_run(path: &Path) {
     let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
     let topics = [ODOMETRY, GROUND_TRUTH]
-        .map(|name| bag.add_topic(Topic::of::<Odometry>(name, &QosProfile::RELIABLE)));
+        .map(|name| bag.add_topic(Topic::of::<Odometry>(name, &Qos::RELIABLE)));
     for k in 0..300_u32 {
         let mut message = Odometry::default();
         (message.header.stamp.sec, message.header.stamp.nanosec) =

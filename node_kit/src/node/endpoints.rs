@@ -187,13 +187,26 @@ pub fn with_type_hash(policies: QosPolicies, rihs01_hash: &str) -> QosPolicies {
     }
 }
 
-/// DDS policies of a QoS.
+/// DDS policies of a QoS, with its limit of samples. A full window of a reliable publisher fails at
+/// once: waiting would hold up the sensor's loop.
 pub(crate) fn policies(qos: &Qos) -> QosPolicies {
-    let count = |n: usize| i32::try_from(n).unwrap_or(i32::MAX);
+    let max_samples = count(qos.max_samples);
+    unlimited_policies(qos, rustdds::Duration::ZERO)
+        .resource_limits(ResourceLimits {
+            max_samples,
+            max_instances: 1,
+            max_samples_per_instance: max_samples,
+        })
+        .build()
+}
+
+/// DDS policies of a QoS, with RustDDS's own limits of samples in place of `max_samples`.
+///
+/// A reliable publisher with a full window blocks for at most `max_blocking_time`.
+pub fn unlimited_policies(qos: &Qos, max_blocking_time: rustdds::Duration) -> QosPolicyBuilder {
     QosPolicyBuilder::new()
         .reliability(if qos.reliable {
-            // Zero: a full window fails at once. Waiting would hold up the sensor's loop.
-            Reliability::Reliable { max_blocking_time: rustdds::Duration::ZERO }
+            Reliability::Reliable { max_blocking_time }
         } else {
             Reliability::BestEffort
         })
@@ -203,10 +216,8 @@ pub(crate) fn policies(qos: &Qos) -> QosPolicies {
             Durability::Volatile
         })
         .history(History::KeepLast { depth: count(qos.depth) })
-        .resource_limits(ResourceLimits {
-            max_samples: count(qos.max_samples),
-            max_instances: 1,
-            max_samples_per_instance: count(qos.max_samples),
-        })
-        .build()
+}
+
+fn count(n: usize) -> i32 {
+    i32::try_from(n).unwrap_or(i32::MAX)
 }

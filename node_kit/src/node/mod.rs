@@ -40,7 +40,7 @@ pub use clock::{Clock, ClockWatch};
 pub use context::{IfChanged, IntoInput, NodeContext};
 pub use devices::DeviceSender;
 pub use diagnostics::Health;
-pub use endpoints::{dds_type_name, ros_topic, with_type_hash};
+pub use endpoints::{dds_type_name, ros_topic, unlimited_policies, with_type_hash};
 pub use error::NodeError;
 pub use handle::NodeHandle;
 pub use logger::Logger;

@@ -1,6 +1,6 @@
 //! Bags: MCAP, whole, cut and damaged, from its beginning and from its closing records.
 
-use bag::{BagReader, BagWriter, Compression, QosProfile, Topic, WriteOptions};
+use bag::{BagReader, BagWriter, Compression, Qos, Topic, WriteOptions, qos_from_yaml};
 use std::{io::Cursor, path::Path};
 use volant_msgs::{nav_msgs::msg::Odometry, std_msgs::msg::String as Text};
 
@@ -38,7 +38,7 @@ fn read(data: &[u8]) {
     }
     let Ok(mut bag) = BagReader::from_reader(name, Cursor::new(data.to_vec())) else { return };
     while let Ok(Some(message)) = bag.next_message() {
-        let _ = QosProfile::from_yaml(&message.topic.offered_qos_profiles);
+        let _ = qos_from_yaml(&message.topic.offered_qos_profiles);
         let _ = volant_msgs::cdr::from_bytes::<Odometry>(&message.data);
     }
     assert!(bag.bytes_read() <= data.len() as u64);
@@ -88,11 +88,11 @@ pub fn seeds() -> Vec<Vec<u8>> {
         let mut bag = BagWriter::create(&path, options).expect("a bag");
         let odometry = bag.add_topic(Topic {
             definition: "x".into(),
-            ..Topic::of::<Odometry>("/odometry", &QosProfile::SENSOR)
+            ..Topic::of::<Odometry>("/odometry", &Qos::SENSOR)
         });
         let text = bag.add_topic(Topic {
             definition: String::new(),
-            ..Topic::of::<Text>("/text", &QosProfile::LATCHED)
+            ..Topic::of::<Text>("/text", &Qos::LATCHED)
         });
         for k in 0..3_u64 {
             let message = volant_msgs::cdr::to_bytes(&Odometry::default());

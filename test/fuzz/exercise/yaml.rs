@@ -1,6 +1,6 @@
 //! Text files: parameters and the rig, a camera's calibration, a bag folder's metadata.
 
-use bag::{QosProfile, files_named_by};
+use bag::{Qos, files_named_by, qos_from_yaml, qos_to_yaml};
 use rig_model::{CameraModel, Rig};
 use ros_parameters::{ParameterFile, ParameterValue, parse_value, yaml};
 
@@ -187,9 +187,9 @@ pub fn metadata(data: &[u8]) {
             );
         }
     }
-    let profile = QosProfile::from_yaml(text);
+    let profile = qos_from_yaml(text);
     assert!((1..=1000).contains(&profile.depth));
-    assert_eq!(QosProfile::from_yaml(&profile.to_yaml()), profile);
+    assert_eq!(qos_from_yaml(&qos_to_yaml(&profile)), profile);
 }
 
 pub fn metadata_seeds() -> Vec<Vec<u8>> {
@@ -205,7 +205,7 @@ pub fn metadata_seeds() -> Vec<Vec<u8>> {
         b"rosbag2_bagfile_information: {storage_identifier: sqlite3, relative_file_paths: \
           [../x.db3]}"
             .to_vec(),
-        QosProfile::LATCHED.to_yaml().into_bytes(),
+        qos_to_yaml(&Qos::LATCHED).into_bytes(),
         b"- history: 3\n  depth: 0\n  reliability: 2\n  durability: 1\n".to_vec(),
     ]
 }

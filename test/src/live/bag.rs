@@ -7,7 +7,7 @@ use super::{
     received::{Received, TopicLog},
     scenario::Scenario,
 };
-use bag::{BagError, BagWriter, Compression, QosProfile, Topic, WriteOptions};
+use bag::{BagError, BagWriter, Compression, Qos, Topic, WriteOptions};
 use node_kit::convert;
 use rig_model::{ClimberSample, Stamp, topics};
 use rig_simulator::inertial::{Message as Sensed, Sensors};
@@ -35,15 +35,15 @@ pub fn write(
     let mut bag = BagWriter::create(path, options)?;
     let mut entries = Vec::new();
     let e = &mut entries;
-    put(&mut bag, e, topics::absolute::COMPRESSED_IMAGE, &QosProfile::SENSOR, &sent.images);
-    put(&mut bag, e, topics::absolute::CAMERA_INFO, &QosProfile::SENSOR, &sent.camera_info);
-    put(&mut bag, e, topics::absolute::JOINT_STATES, &QosProfile::RELIABLE, &sent.joints);
-    write_received(&mut bag, e, topics::absolute::IMU, &QosProfile::SENSOR, begin, &received.imu);
+    put(&mut bag, e, topics::absolute::COMPRESSED_IMAGE, &Qos::SENSOR, &sent.images);
+    put(&mut bag, e, topics::absolute::CAMERA_INFO, &Qos::SENSOR, &sent.camera_info);
+    put(&mut bag, e, topics::absolute::JOINT_STATES, &Qos::RELIABLE, &sent.joints);
+    write_received(&mut bag, e, topics::absolute::IMU, &Qos::SENSOR, begin, &received.imu);
     write_received(
         &mut bag,
         e,
         topics::absolute::CLIMBER_TRANSFORM,
-        &QosProfile::RELIABLE,
+        &Qos::RELIABLE,
         begin,
         &received.climber,
     );
@@ -51,7 +51,7 @@ pub fn write(
         &mut bag,
         e,
         topics::absolute::MARKERS,
-        &QosProfile::RELIABLE,
+        &Qos::RELIABLE,
         begin,
         &received.markers,
     );
@@ -59,7 +59,7 @@ pub fn write(
         &mut bag,
         e,
         topics::absolute::ODOMETRY,
-        &QosProfile::RELIABLE,
+        &Qos::RELIABLE,
         begin,
         &received.odometry,
     );
@@ -67,7 +67,7 @@ pub fn write(
         &mut bag,
         e,
         topics::absolute::FUSED_POSE,
-        &QosProfile::RELIABLE,
+        &Qos::RELIABLE,
         begin,
         &received.fused_pose,
     );
@@ -75,7 +75,7 @@ pub fn write(
         &mut bag,
         e,
         topics::absolute::VISUAL_POSE,
-        &QosProfile::RELIABLE,
+        &Qos::RELIABLE,
         begin,
         &received.visual_pose,
     );
@@ -83,23 +83,23 @@ pub fn write(
         &mut bag,
         e,
         topics::absolute::MARKER_UPDATES,
-        &QosProfile::RELIABLE,
+        &Qos::RELIABLE,
         begin,
         &received.marker_updates,
     );
-    write_received(&mut bag, e, topics::absolute::TF, &QosProfile::RELIABLE, begin, &received.tf);
+    write_received(&mut bag, e, topics::absolute::TF, &Qos::RELIABLE, begin, &received.tf);
     write_received(
         &mut bag,
         e,
         topics::absolute::DIAGNOSTICS,
-        &QosProfile::RELIABLE,
+        &Qos::RELIABLE,
         begin,
         &received.diagnostics,
     );
     // Latched: received before the run, belonging into it.
     let fixed: Vec<_> =
         received.tf_static.iter().map(|(at, m)| ((*at).max(begin), m.as_ref().clone())).collect();
-    put(&mut bag, e, topics::absolute::TF_STATIC, &QosProfile::LATCHED, &fixed);
+    put(&mut bag, e, topics::absolute::TF_STATIC, &Qos::LATCHED, &fixed);
     let poses: Vec<_> = (0..=((scenario.duration() + LEAD) * TRUTH_RATE) as usize)
         .map(|i| {
             let t = i as f64 / TRUTH_RATE - LEAD;
@@ -107,7 +107,7 @@ pub fn write(
             (stamp, truth(scenario, t, stamp))
         })
         .collect();
-    put(&mut bag, e, topics::absolute::GROUND_TRUTH, &QosProfile::RELIABLE, &poses);
+    put(&mut bag, e, topics::absolute::GROUND_TRUTH, &Qos::RELIABLE, &poses);
     entries.sort_by_key(|(time, ..)| *time);
     for (time, topic, data) in &entries {
         bag.write(*topic, *time, *time, data)?;
@@ -147,11 +147,11 @@ pub fn from_sensors<M: ClimberMessage>(
         truths.push((epoch.plus_seconds(t), truth(scenario, t, epoch.plus_seconds(t))));
     }
     let e = &mut entries;
-    put(&mut bag, e, topics::absolute::CAMERA_INFO, &QosProfile::SENSOR, &[(epoch, info)]);
-    put(&mut bag, e, topics::absolute::IMU, &QosProfile::SENSOR, &imu);
-    put(&mut bag, e, M::TOPIC, &QosProfile::RELIABLE, &poses);
-    put(&mut bag, e, topics::absolute::MARKERS, &QosProfile::RELIABLE, &markers);
-    put(&mut bag, e, topics::absolute::GROUND_TRUTH, &QosProfile::RELIABLE, &truths);
+    put(&mut bag, e, topics::absolute::CAMERA_INFO, &Qos::SENSOR, &[(epoch, info)]);
+    put(&mut bag, e, topics::absolute::IMU, &Qos::SENSOR, &imu);
+    put(&mut bag, e, M::TOPIC, &Qos::RELIABLE, &poses);
+    put(&mut bag, e, topics::absolute::MARKERS, &Qos::RELIABLE, &markers);
+    put(&mut bag, e, topics::absolute::GROUND_TRUTH, &Qos::RELIABLE, &truths);
     entries.sort_by_key(|(time, ..)| *time);
     for (time, topic, data) in &entries {
         bag.write(*topic, *time, *time, data)?;
@@ -180,7 +180,7 @@ fn put<M: Message>(
     bag: &mut BagWriter,
     entries: &mut Vec<Entry>,
     name: &str,
-    qos: &QosProfile,
+    qos: &Qos,
     messages: &[(Stamp, M)],
 ) {
     let topic = bag.add_topic(Topic::of::<M>(name, qos));
@@ -193,7 +193,7 @@ fn write_received<M: Message>(
     bag: &mut BagWriter,
     entries: &mut Vec<Entry>,
     name: &str,
-    qos: &QosProfile,
+    qos: &Qos,
     from: Stamp,
     messages: &TopicLog<M>,
 ) {

@@ -1,7 +1,7 @@
 //! Calibration of the camera on rendered boards with truth, and on real boards against OpenCV's
 //! published result.
 
-use bag::{BagWriter, QosProfile, Topic, WriteOptions};
+use bag::{BagWriter, Qos, Topic, WriteOptions};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use node_kit::{
     NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments,
@@ -89,7 +89,7 @@ fn calibrate(folder: &Path, arguments: &[&str]) -> (bool, String, String) {
 /// Writes the images of a folder as messages of a topic.
 fn write_bag(path: &Path, folder: &Path) {
     let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
-    let topic = |name: &str| Topic::of::<CompressedImage>(name, &QosProfile::SENSOR);
+    let topic = |name: &str| Topic::of::<CompressedImage>(name, &Qos::SENSOR);
     let boards = bag.add_topic(topic("/camera/image_raw/compressed"));
     for i in 0..40u64 {
         let data = std::fs::read(folder.join(format!("board{i:02}.png"))).unwrap();

@@ -3,11 +3,11 @@
 pub use super::player::PlayControl;
 use super::{
     LiveError, player,
-    raw::{Raw, RawAdapter, policies},
+    raw::{Raw, RawAdapter},
 };
 use crate::{replay::TopicNames, stopwatch::Stopwatch};
-use bag::{BagReader, Durability, QosProfile, Topic};
-use node_kit::node::{NodeHandle, ros_topic, with_type_hash};
+use bag::{BagReader, Qos, Topic, qos_from_yaml};
+use node_kit::node::{NodeHandle, ros_topic, unlimited_policies, with_type_hash};
 use rig_model::topics;
 use rustdds::{RTPSEntity, no_key::DataWriter};
 use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Duration};
@@ -101,7 +101,7 @@ fn play_all(
         let selected = options.topics.is_empty() || options.topics.contains(&topic.name);
         let clock = options.clock_hz.is_some() && topic.type_name == Clock::TYPE_NAME;
         if *count > 0 && selected && !clock {
-            let qos = QosProfile::from_yaml(&topic.offered_qos_profiles);
+            let qos = qos_from_yaml(&topic.offered_qos_profiles);
             let name = options.names.resolve(&topic.name);
             let published = Published { name, topic: topic.clone(), qos };
             chosen.entry(topic.name.clone()).or_insert(published);
@@ -116,7 +116,7 @@ fn play_all(
         )));
     }
     let clock = options.clock_hz.map(|hz| {
-        let (name, qos) = (options.names.resolve(topics::absolute::CLOCK), QosProfile::SENSOR);
+        let (name, qos) = (options.names.resolve(topics::absolute::CLOCK), Qos::SENSOR);
         let topic = Topic::of::<Clock>(&name, &qos);
         (Published { name, topic, qos }, 1.0 / hz)
     });
@@ -198,7 +198,7 @@ fn play_all(
 struct Published {
     name: String,
     topic: Topic,
-    qos: QosProfile,
+    qos: Qos,
 }
 
 impl Published {
@@ -208,7 +208,7 @@ impl Published {
             reason,
         };
         // A slow subscriber delays the player for a moment only.
-        let policies = policies(&self.qos, rustdds::Duration::from_millis(100));
+        let policies = unlimited_policies(&self.qos, rustdds::Duration::from_millis(100)).build();
         let policies = with_type_hash(policies, &self.topic.type_hash);
         let participant = node.participant();
         let topic = ros_topic(&participant, &self.name, &self.topic.type_name, &policies)?;
@@ -217,7 +217,7 @@ impl Published {
             .and_then(|publisher| publisher.create_datawriter_no_key(&topic, Some(policies)))
             .map_err(|e| failed(e.to_string()))?;
         node.announce_writer(writer.guid());
-        Ok(Writer { writer, latched: self.qos.durability == Durability::TransientLocal })
+        Ok(Writer { writer, latched: self.qos.transient_local })
     }
 }
 

@@ -1,11 +1,9 @@
 //! Serialized messages: DDS payloads with the encapsulation header of four bytes that bags have.
 
-use bag::{Durability, QosProfile, Reliability};
 use rustdds::{
-    QosPolicies, QosPolicyBuilder, RepresentationIdentifier,
+    RepresentationIdentifier,
     bytes::Bytes,
     no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter},
-    policy,
 };
 use std::convert::Infallible;
 
@@ -64,22 +62,6 @@ impl SerializerAdapter<Raw> for RawAdapter {
     fn to_bytes(value: &Raw) -> Result<Bytes, Infallible> {
         Ok(Bytes::copy_from_slice(value.0.get(4..).unwrap_or_default()))
     }
-}
-
-/// QoS policies in RustDDS's types.
-pub fn policies(qos: &QosProfile, blocking: rustdds::Duration) -> QosPolicies {
-    let depth = i32::try_from(qos.depth).unwrap_or(i32::MAX);
-    QosPolicyBuilder::new()
-        .reliability(match qos.reliability {
-            Reliability::Reliable => policy::Reliability::Reliable { max_blocking_time: blocking },
-            Reliability::BestEffort => policy::Reliability::BestEffort,
-        })
-        .durability(match qos.durability {
-            Durability::Volatile => policy::Durability::Volatile,
-            Durability::TransientLocal => policy::Durability::TransientLocal,
-        })
-        .history(policy::History::KeepLast { depth })
-        .build()
 }
 
 /// The inverse of [`node_kit::node::dds_type_name`]; `None` for a type that is not a ROS message.

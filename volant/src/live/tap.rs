@@ -3,15 +3,18 @@
 
 use super::{
     LiveError,
-    raw::{Raw, RawAdapter, policies, ros_type_name},
+    raw::{Raw, RawAdapter, ros_type_name},
     system_nanos,
 };
 use async_executor::{Executor, Task};
-use bag::{Durability, QosProfile, Reliability, Topic};
+use bag::{Qos, Topic, qos_to_yaml};
 use futures_lite::{StreamExt, future::block_on};
 use node_kit::{
     environment::Network,
-    node::{AnnouncedReader, BareNode, Loss, MiddlewareWatch, ros_topic, with_type_hash},
+    node::{
+        AnnouncedReader, BareNode, Loss, MiddlewareWatch, ros_topic, unlimited_policies,
+        with_type_hash,
+    },
 };
 use rustdds::{GUID, RTPSEntity, Subscriber, no_key::DataReader};
 use std::{
@@ -28,7 +31,7 @@ pub struct Offer {
     /// Description for a bag.
     pub topic: Topic,
     /// QoS that is compatible with all of its publishers.
-    pub qos: QosProfile,
+    pub qos: Qos,
     /// Number of publishers.
     pub publishers: usize,
 }
@@ -121,14 +124,14 @@ impl Tap {
                     message_encoding: "cdr".to_owned(),
                     offered_qos_profiles: String::new(),
                 };
-                Offer { topic, qos: QosProfile::LATCHED, publishers: 0 }
+                Offer { topic, qos: Qos::LATCHED, publishers: 0 }
             });
             offer.publishers += 1;
             if !reliable {
-                offer.qos.reliability = Reliability::BestEffort;
+                offer.qos.reliable = false;
             }
             if !latched {
-                offer.qos.durability = Durability::Volatile;
+                offer.qos.transient_local = false;
             }
         }
         offers
@@ -136,8 +139,8 @@ impl Tap {
             .map(|mut offer| {
                 // The offered QoS; the depth, which discovery does not transmit, is a guess for
                 // players.
-                let depth = if offer.qos.durability == Durability::TransientLocal { 1 } else { 10 };
-                offer.topic.offered_qos_profiles = QosProfile { depth, ..offer.qos }.to_yaml();
+                let depth = if offer.qos.transient_local { 1 } else { 10 };
+                offer.topic.offered_qos_profiles = qos_to_yaml(&Qos { depth, ..offer.qos });
                 offer
             })
             .collect()
@@ -161,8 +164,8 @@ impl Tap {
         // second, and samples beyond the depth are then lost (30 images of up to a megabyte, or 400
         // IMU samples).
         let large = ["Image", "PointCloud2"].iter().any(|t| topic.type_name.ends_with(t));
-        let qos = QosProfile { depth: if large { 32 } else { 512 }, ..offer.qos };
-        let qos = policies(&qos, rustdds::Duration::ZERO);
+        let qos = Qos { depth: if large { 32 } else { 512 }, ..offer.qos };
+        let qos = unlimited_policies(&qos, rustdds::Duration::ZERO).build();
         let qos = with_type_hash(qos, &topic.type_hash);
         let subscriber = match &self.subscriber {
             Some(subscriber) => subscriber.clone(),

@@ -1,7 +1,7 @@
 //! The bag that a replay writes: each message logged at its stamp, sorted by stamp.
 
 use super::topic_names::TopicNames;
-use bag::{BagError, BagSummary, BagWriter, QosProfile, Topic, TopicId, WriteOptions};
+use bag::{BagError, BagSummary, BagWriter, Qos, Topic, TopicId, WriteOptions};
 use pose_fusion::{MarkerUpdateRecord, Output, messages};
 use rig_model::{Frames, Rig, Stamp, topics};
 use std::{
@@ -44,7 +44,7 @@ struct Adding<'a> {
 }
 
 impl Adding<'_> {
-    fn add<M: Message>(&mut self, name: &'static str, qos: &QosProfile) {
+    fn add<M: Message>(&mut self, name: &'static str, qos: &Qos) {
         let id = self.bag.add_topic(Topic::of::<M>(&self.names.resolve(name), qos));
         self.topics.insert(name, id);
     }
@@ -69,7 +69,7 @@ impl OutputBag {
     ) -> Result<Self, BagError> {
         let mut bag = BagWriter::create(path, options)?;
         let mut adding = Adding { bag: &mut bag, names, topics: HashMap::new() };
-        let qos = &QosProfile::RELIABLE;
+        let qos = &Qos::RELIABLE;
         adding.add::<msg::MarkerObservations>(topics::MARKERS, qos);
         adding.add::<TransformStamped>(topics::CLIMBER_TRANSFORM, qos);
         adding.add::<Odometry>(topics::ODOMETRY, qos);
@@ -81,7 +81,7 @@ impl OutputBag {
         adding.add::<PoseWithCovarianceStamped>(topics::VISUAL_POSE, qos);
         adding.add::<msg::MarkerUpdates>(topics::MARKER_UPDATES, qos);
         adding.add::<TFMessage>(topics::absolute::TF, qos);
-        adding.add::<TFMessage>(topics::absolute::TF_STATIC, &QosProfile::LATCHED);
+        adding.add::<TFMessage>(topics::absolute::TF_STATIC, &Qos::LATCHED);
         if smooth {
             adding.add::<Odometry>(topics::SMOOTHED_ODOMETRY, qos);
         }

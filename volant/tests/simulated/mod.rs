@@ -3,7 +3,7 @@
 
 #![allow(dead_code)]
 
-use bag::{BagWriter, QosProfile, Topic, TopicId, WriteOptions};
+use bag::{BagWriter, Qos, Topic, TopicId, WriteOptions};
 use nalgebra::{Isometry3, Matrix2, Matrix6, Translation3, UnitQuaternion, Vector2, Vector3};
 use node_kit::convert;
 use rig_model::{
@@ -61,7 +61,7 @@ struct Writer {
 impl Writer {
     fn create(path: &Path) -> Self {
         let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
-        let quality = &QosProfile::RELIABLE;
+        let quality = &Qos::RELIABLE;
         Self {
             imu: bag.add_topic(Topic::of::<Imu>(absolute::IMU, quality)),
             markers: bag
@@ -167,8 +167,7 @@ impl Simulated {
     /// Writes the ground truth of a motion.
     pub fn write_truth(&self, path: &Path, motion: &Motion) {
         let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
-        let topic =
-            bag.add_topic(Topic::of::<Odometry>(absolute::GROUND_TRUTH, &QosProfile::RELIABLE));
+        let topic = bag.add_topic(Topic::of::<Odometry>(absolute::GROUND_TRUTH, &Qos::RELIABLE));
         let (epoch, none) = (SensorConfig::nominal(self.seed).epoch, Matrix6::zeros());
         for i in 0..(motion.duration() * 200.0) as usize {
             let t = i as f64 / 200.0;

@@ -15,7 +15,6 @@ use super::{
     LiveError,
     tap::{Offer, Sample, Subscription, Tap},
 };
-use bag::Durability;
 use client::Client;
 use protocol::{Channel, FromClient, advertise, message_data, server_info, unadvertise, warning};
 use std::{
@@ -295,7 +294,7 @@ fn follow(tap: &mut Tap, shared: &Arc<Shared>, topics: &mut BTreeMap<String, Top
                 lock(&shared.latched).retain(|(channel, _), _| *channel != id);
             }
         } else if topic.subscription.is_none() {
-            let latched = topic.offer.qos.durability == Durability::TransientLocal;
+            let latched = topic.offer.qos.transient_local;
             let shared = Arc::clone(shared);
             // Retried in the next poll.
             topic.subscription =

@@ -233,7 +233,7 @@ fn inputs(status: &DiagnosticStatus) -> Vec<InputLine> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use bag::QosProfile;
+    use bag::Qos;
     use volant_msgs::diagnostic_msgs::msg::KeyValue;
 
     const SECOND: u64 = 1_000_000_000;
@@ -250,7 +250,7 @@ mod tests {
 
     #[test]
     fn rates_delays_and_losses_are_those_of_the_last_seconds() {
-        let topic = Topic::of::<Odometry>("/rig1/volant/odometry", &QosProfile::RELIABLE);
+        let topic = Topic::of::<Odometry>("/rig1/volant/odometry", &Qos::RELIABLE);
         let mut monitor = Monitor::default();
         monitor.discover(&topic.name, &topic.type_name, 1, true);
         let mut message = Odometry::default();
@@ -282,7 +282,7 @@ mod tests {
 
     #[test]
     fn a_stamp_of_another_clock_is_no_delay() {
-        let topic = Topic::of::<Odometry>(topics::absolute::ODOMETRY, &QosProfile::RELIABLE);
+        let topic = Topic::of::<Odometry>(topics::absolute::ODOMETRY, &Qos::RELIABLE);
         let mut monitor = Monitor::default();
         monitor.add(&topic, &sample(100_000 * SECOND, 0, &Odometry::default()));
         assert_eq!(monitor.snapshot(100_000 * SECOND).topics[0].flow.unwrap().delay, None);
@@ -290,8 +290,7 @@ mod tests {
 
     #[test]
     fn diagnostics_are_sorted_and_go_stale() {
-        let topic =
-            Topic::of::<DiagnosticArray>(topics::absolute::DIAGNOSTICS, &QosProfile::RELIABLE);
+        let topic = Topic::of::<DiagnosticArray>(topics::absolute::DIAGNOSTICS, &Qos::RELIABLE);
         let pair = |key: &str, value: &str| KeyValue { key: key.into(), value: value.into() };
         let status = |name: &str, level| DiagnosticStatus {
             level,
@@ -334,8 +333,7 @@ mod tests {
 
     #[test]
     fn undecodable_messages_are_only_counted() {
-        let topic =
-            Topic::of::<MarkerObservations>(topics::absolute::MARKERS, &QosProfile::RELIABLE);
+        let topic = Topic::of::<MarkerObservations>(topics::absolute::MARKERS, &Qos::RELIABLE);
         let mut monitor = Monitor::default();
         for data in
             [vec![], vec![0, 1, 0, 0], vec![0, 1, 0, 0, 255, 255, 255, 255, 255], vec![0xff; 40]]
