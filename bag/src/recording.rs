@@ -107,20 +107,36 @@ impl Recording {
     }
 }
 
+/// Reads the messages on a topic; `map` gets the log time, ns, and the message of each.
+///
+/// # Errors
+/// An unreadable bag, or an undecodable message.
+pub fn map_messages<M: Message, T>(
+    path: &Path,
+    topic: &str,
+    mut map: impl FnMut(u64, M) -> T,
+) -> Result<Vec<T>, RecordingError> {
+    let mut bag = BagReader::open(path)?;
+    let mut mapped = Vec::new();
+    while let Some(message) = bag.next_message()? {
+        if message.topic.name == topic {
+            let wrong =
+                |e: cdr::CdrError| RecordingError::file(path, format!("a message on {topic}: {e}"));
+            let decoded = cdr::from_bytes(&message.data).map_err(wrong)?;
+            mapped.push(map(message.log_time, decoded));
+        }
+    }
+    Ok(mapped)
+}
+
 /// Reads the marker observations of a bag.
 ///
 /// # Errors
 /// An unreadable bag, or an undecodable message.
 pub fn read_markers(path: &Path) -> Result<Markers, RecordingError> {
-    let mut markers = Markers::new();
-    let mut bag = BagReader::open(path)?;
-    while let Some(message) = bag.next_message()? {
-        if message.topic.name == topics::MARKERS {
-            let observed = observations(path, &message.data)?;
-            markers.insert(observed.stamp, observed);
-        }
-    }
-    Ok(markers)
+    let observed = map_messages(path, topics::MARKERS, |_, m| convert::marker_observations(&m))?;
+    let by_stamp = observed.into_iter().map(|m| m.map(|m| (m.stamp, m)));
+    by_stamp.collect::<Result<_, _>>().map_err(|e| RecordingError::file(path, e))
 }
 
 /// Reads the true centroids from a folder's `truth_markers.csv`, with noise of `sigma` px.

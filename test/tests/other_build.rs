@@ -4,12 +4,12 @@
 //! `VOLANT_OTHER` is the command line of that `volant`, an emulator first if need be.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
-use bag::BagReader;
+use bag::recording::map_messages;
 use nalgebra::Isometry3;
 use node_kit::convert;
 use rig_model::topics::absolute::ODOMETRY;
 use std::{path::Path, process::Command};
-use volant_msgs::{cdr, nav_msgs::msg::Odometry};
+use volant_msgs::nav_msgs::msg::Odometry;
 use volant_test::live::processes::executables;
 
 /// Largest difference of a position, m, and of a rotation, rad, unless `VOLANT_OTHER_WITHIN` is
@@ -34,15 +34,10 @@ fn replay(volant: &[&str], bag: &Path, out: &Path) {
 
 /// `world_from_volant` of the odometry.
 fn poses(path: &Path) -> Vec<Isometry3<f64>> {
-    let mut bag = BagReader::open(path).unwrap();
-    let mut poses = vec![];
-    while let Some(message) = bag.next_message().unwrap() {
-        if message.topic.name == ODOMETRY {
-            let odometry: Odometry = cdr::from_bytes(&message.data).unwrap();
-            poses.push(convert::pose(&odometry.pose.pose, "odometry").unwrap());
-        }
-    }
-    poses
+    map_messages(path, ODOMETRY, |_, odometry: Odometry| {
+        convert::pose(&odometry.pose.pose, "odometry").unwrap()
+    })
+    .unwrap()
 }
 
 #[test]

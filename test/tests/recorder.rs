@@ -2,7 +2,7 @@
 //! continued. RustDDS receives nothing after either; the recording continues.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test")]
 
-use bag::{BagReader, BagWriter, Qos, Topic, WriteOptions};
+use bag::{BagWriter, Qos, Topic, WriteOptions, recording::map_messages};
 use rig_model::topics;
 use rustix::process::{Pid, Signal, kill_process};
 use std::{
@@ -10,7 +10,7 @@ use std::{
     process::{Child, Command, Stdio},
     time::Duration,
 };
-use volant_msgs::{cdr, sensor_msgs::msg::Imu};
+use volant_msgs::sensor_msgs::msg::Imu;
 use volant_test::live::{SettableClock, processes::executables};
 
 const RATE: u64 = 50;
@@ -31,14 +31,8 @@ fn bag(path: &Path) {
 }
 
 fn numbers(path: &Path) -> Vec<u64> {
-    let mut bag = BagReader::open(path).unwrap();
-    let mut numbers = vec![];
-    while let Some(message) = bag.next_message().unwrap() {
-        if message.topic.name == TOPIC {
-            numbers
-                .push(cdr::from_bytes::<Imu>(&message.data).unwrap().linear_acceleration.z as u64);
-        }
-    }
+    let number = |_, sample: Imu| sample.linear_acceleration.z as u64;
+    let mut numbers = map_messages(path, TOPIC, number).unwrap();
     // A bag is read by the time of receipt, and that was set back.
     numbers.sort_unstable();
     numbers

@@ -2,7 +2,7 @@
 //! `cargo test --release -p volant --test figures -- --ignored --nocapture`.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::disallowed_methods)]
 
-use bag::BagReader;
+use bag::recording::map_messages;
 use std::{
     path::Path,
     process::{Child, Command, Stdio},
@@ -10,7 +10,7 @@ use std::{
 };
 use tempfile::TempDir;
 use volant_msgs::{
-    Message, cdr,
+    Message,
     sensor_msgs::msg::{Image, Imu},
 };
 
@@ -50,14 +50,7 @@ fn signal(child: &Child, name: &str) {
 
 /// The numbers in the frame ids of a topic.
 fn numbers<M: Message>(bag: &Path, topic: &str, frame: impl Fn(M) -> String) -> Vec<u64> {
-    let mut reader = BagReader::open(bag).unwrap();
-    let mut numbers = vec![];
-    while let Some(message) = reader.next_message().unwrap() {
-        if message.topic.name == topic {
-            numbers.push(frame(cdr::from_bytes(&message.data).unwrap()).parse().unwrap());
-        }
-    }
-    numbers
+    map_messages(bag, topic, |_, message| frame(message).parse().unwrap()).unwrap()
 }
 
 #[test]

@@ -4,7 +4,7 @@
 use super::{Hosts, Impairment};
 use crate::live::quantile;
 use anyhow::{Context, Result, ensure};
-use bag::BagReader;
+use bag::recording::map_messages;
 use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
 use std::{
     collections::BTreeSet,
@@ -14,7 +14,7 @@ use std::{
     sync::{Mutex, MutexGuard, PoisonError, atomic::Ordering::Relaxed},
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
-use volant_msgs::{cdr, nav_msgs::msg::Odometry};
+use volant_msgs::nav_msgs::msg::Odometry;
 
 /// Domains: the operator's, and the first rig's.
 const DOMAINS: [u16; 2] = [90, 91];
@@ -277,16 +277,10 @@ fn system_seconds() -> f64 {
 }
 
 fn read(bag: &Path, topic: &str) -> Result<Received> {
-    let mut reader = BagReader::open(bag)?;
-    let mut received = vec![];
-    while let Some(message) = reader.next_message()? {
-        if message.topic.name == topic {
-            let stamp = cdr::from_bytes::<Odometry>(&message.data)?.header.stamp;
-            let stamp = f64::from(stamp.sec) + f64::from(stamp.nanosec) * 1e-9;
-            received.push([stamp, message.log_time as f64 * 1e-9]);
-        }
-    }
-    Ok(received)
+    Ok(map_messages(bag, topic, |log_time, odometry: Odometry| {
+        let stamp = odometry.header.stamp;
+        [f64::from(stamp.sec) + f64::from(stamp.nanosec) * 1e-9, log_time as f64 * 1e-9]
+    })?)
 }
 
 /// Figures of one span; `received` has each rig at the operator's site and at its own.

@@ -2,7 +2,7 @@
 
 use super::Output;
 use anyhow::{Context, Result, bail};
-use bag::BagReader;
+use bag::{BagReader, recording::map_messages};
 use node_kit::{convert, outln};
 use rig_calibration::allan::{ImuNoise, Sensor, imu_noise};
 use rig_model::ImuSample;
@@ -11,7 +11,7 @@ use volant::{
     parameter_update::{Setting, number},
     report::{Axis, Color, Panel, Series, Shape, Sheet, colors, panels},
 };
-use volant_msgs::{Message, cdr, sensor_msgs::msg::Imu};
+use volant_msgs::{Message, sensor_msgs::msg::Imu};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -70,15 +70,7 @@ pub fn read(path: &Path, topic: Option<&str>) -> Result<Vec<ImuSample>> {
         (None, []) => bail!("{shown}: no IMU samples; record volant/imu/data"),
         (None, _) => bail!("{shown}: IMU samples on {}; name one with --topic", known.join(", ")),
     };
-    let mut bag = BagReader::open(path)?;
-    let mut samples = vec![];
-    while let Some(message) = bag.next_message()? {
-        if message.topic.name == name {
-            let what = || format!("{shown}: a message on {name}");
-            samples.push(convert::imu_sample(&cdr::from_bytes(&message.data).with_context(what)?));
-        }
-    }
-    Ok(samples)
+    Ok(map_messages(path, name, |_, m: Imu| convert::imu_sample(&m))?)
 }
 
 fn print(noise: &ImuNoise) -> Result<()> {
