@@ -14,7 +14,6 @@ mod error;
 mod graph;
 mod handle;
 mod intra_process;
-mod large_reply;
 mod log_file;
 mod logger;
 mod middleware;

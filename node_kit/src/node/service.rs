@@ -3,7 +3,6 @@
 use super::{
     endpoints::{Endpoints, policies, with_type_hash},
     error::NodeError,
-    large_reply::{self, LargeReply},
     logger::Logger,
     reply_budget::ReplyBudget,
     wire::Half,
@@ -14,15 +13,7 @@ use futures_lite::StreamExt;
 use ros2_client::{MessageInfo, RmwRequestId, ServiceTypeName};
 use rustdds::{RTPSEntity, SampleIdentity, SequenceNumber, Topic, TopicKind, WriteOptionsBuilder};
 use serde::{Deserialize, Serialize};
-use std::{
-    fmt::Display,
-    future::Future,
-    sync::{
-        Arc,
-        atomic::{AtomicUsize, Ordering},
-    },
-    time::Duration,
-};
+use std::{fmt::Display, future::Future, time::Duration};
 use volant_msgs::{Message, Service};
 
 /// Replies to one request of a service. If it is dropped unused, the client gets no reply.
@@ -84,10 +75,8 @@ impl Endpoints {
             })
             .map_err(|e| failed(&name, e))?;
         self.node.add_writer(writer.guid().into());
-        let writer = Arc::new(writer);
-        let log = ServiceLog { logger: self.logger.clone(), name: name.clone() };
+        let log = ServiceLog { logger: self.logger.clone(), name };
         let mut budget = ReplyBudget::new();
-        let resenders = Arc::<AtomicUsize>::default();
         Ok(self.reactor.spawn(async move {
             let mut stream = std::pin::pin!(requests.async_stream());
             while let Some(request) = stream.next().await {
@@ -100,12 +89,7 @@ impl Endpoints {
                 };
                 let identity = identity_of(&info);
                 let Some(response) = answer(request).await else { continue };
-                let payload = volant_msgs::cdr::to_bytes(&response);
-                if payload.len() > large_reply::LONGEST {
-                    log.too_long(payload.len());
-                    continue;
-                }
-                if !budget.take(payload.len(), now()) {
+                if !budget.take(volant_msgs::cdr::to_bytes(&response).len(), now()) {
                     log.over_budget();
                     continue;
                 }
@@ -113,21 +97,8 @@ impl Endpoints {
                     .source_timestamp(rustdds::Timestamp::now())
                     .related_sample_identity(identity)
                     .build();
-                let sample = match writer.write_with_options(Half(response), options) {
-                    Ok(sample) => sample,
-                    Err(error) => {
-                        log.unsent(error.forget_data());
-                        continue;
-                    }
-                };
-                if payload.len() > large_reply::FITS {
-                    let topic = format!("rr{name}Reply");
-                    match LargeReply::new(&participant, &topic, &sample, &identity, &payload) {
-                        Ok(reply) => {
-                            send_until_acknowledged(reply, Arc::clone(&writer), &resenders);
-                        }
-                        Err(error) => log.unsent(error),
-                    }
+                if let Err(error) = writer.write_with_options(Half(response), options) {
+                    log.unsent(error.forget_data());
                 }
             }
         }))
@@ -206,8 +177,6 @@ impl Endpoints {
 const REQUESTS: Qos = Qos { reliable: true, transient_local: false, depth: 10, max_samples: 32 };
 /// rmw's default for services; [`ReplyBudget`] bounds the bytes.
 const REPLIES: Qos = Qos { reliable: true, transient_local: false, depth: 10, max_samples: 1000 };
-/// Threads that resend large replies of one service.
-const MAX_RESENDERS: usize = 4;
 
 /// Identity of a request, by which a client recognizes the reply.
 fn identity_of(info: &MessageInfo) -> SampleIdentity {
@@ -220,36 +189,6 @@ fn identity_of(info: &MessageInfo) -> SampleIdentity {
     }
     SampleIdentity::from(id)
 }
-
-/// Sends a large reply, and again from a thread of its own until it is acknowledged, at most 5
-/// times.
-fn send_until_acknowledged<M: Serialize + Send + Sync + 'static>(
-    reply: LargeReply,
-    writer: Arc<ReplyWriter<M>>,
-    resenders: &Arc<AtomicUsize>,
-) {
-    reply.send();
-    // Without a thread the reply was sent once.
-    if resenders.fetch_add(1, Ordering::AcqRel) >= MAX_RESENDERS {
-        resenders.fetch_sub(1, Ordering::AcqRel);
-        return;
-    }
-    let running = Arc::clone(resenders);
-    let spawned = std::thread::Builder::new().name("large_reply".into()).spawn(move || {
-        for _ in 0..4 {
-            if let Ok(true) = writer.wait_for_acknowledgments(Duration::from_millis(50)) {
-                break;
-            }
-            reply.send();
-        }
-        running.fetch_sub(1, Ordering::AcqRel);
-    });
-    if spawned.is_err() {
-        resenders.fetch_sub(1, Ordering::AcqRel);
-    }
-}
-
-type ReplyWriter<M> = rustdds::no_key::DataWriter<Half<M>, rustdds::CDRSerializerAdapter<Half<M>>>;
 
 /// Request or reply with the header that rmw_cyclonedds puts before it.
 #[derive(Serialize, Deserialize)]
@@ -294,17 +233,6 @@ impl ServiceLog {
         self.warn(
             5,
             format!("{name} gets more requests than it can answer; some replies are not sent"),
-        );
-    }
-
-    fn too_long(&self, bytes: usize) {
-        let name = &self.name;
-        self.warn(
-            5,
-            format!(
-                "an answer of {name} has {bytes} bytes, more than a datagram holds; ask for less \
-                 at a time, or use RMW_IMPLEMENTATION=rmw_cyclonedds_cpp"
-            ),
         );
     }
 }
