@@ -4,8 +4,9 @@
 
 mod common;
 
-use common::{Running, example};
+use common::start;
 use std::{path::Path, process::Command, time::Duration};
+use test_support::process::{Running, example};
 
 const LONG: Duration = Duration::from_secs(20);
 const SPAN: Duration = Duration::from_secs(10);
@@ -83,19 +84,19 @@ fn a_rigs_topics_beside_cyclone_dds() {
     for turn in 0..2u16 {
         for (which, total) in totals.iter_mut().enumerate() {
             let domain = 160 + 2 * turn + which as u16;
-            let start = |role: &str| {
+            let role = |role: &str| {
                 if which == 0 {
                     let source = format!("source:={}", role == "source");
                     let node = format!("__node:={role}");
                     let all = ["--ros-args", "-r", &node, "-p", &source, "-p", &topics];
-                    return Running::start(domain, &own, &all, &[]);
+                    return start(domain, &own, &all, &[]);
                 }
                 let mut all = vec![role];
                 all.extend(words.iter().map(String::as_str));
                 let uri = format!("<CycloneDDS><Domain Id=\"{domain}\"/></CycloneDDS>");
-                Running::start(domain, &theirs, &all, &[("CYCLONEDDS_URI", &uri)])
+                start(domain, &theirs, &all, &[("CYCLONEDDS_URI", &uri)])
             };
-            let (sink, source) = (start("sink"), start("source"));
+            let (sink, source) = (role("sink"), role("source"));
             let (used, arrived) = measure(&source, &sink);
             println!(
                 "{}: source {:.1} %, sink {:.1} % of a processor, {:.1} % of the messages arrive",

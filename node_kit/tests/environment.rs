@@ -4,13 +4,14 @@
 
 mod common;
 
-use common::{Running, example};
+use common::start;
 use std::{path::Path, time::Duration};
+use test_support::process::{Running, example};
 
 const LONG: Duration = Duration::from_secs(20);
 
 fn minimal(domain: u16, arguments: &[&str], environment: &[(&str, &str)]) -> Running {
-    Running::start(domain, &example("minimal_node"), arguments, environment)
+    start(domain, &example("minimal_node"), arguments, environment)
 }
 
 /// Names and texts of the files of a folder.

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Announced, Running, example, python};
+use common::{Announced, peer, python, start};
 use node_kit::{environment::Network, node::join};
 use rustdds::{GUID, RTPSEntity};
 use std::{
@@ -12,12 +12,13 @@ use std::{
     process::Command,
     time::{Duration, Instant},
 };
+use test_support::process::{Running, example};
 use volant_msgs::{Message, geometry_msgs::msg::PoseWithCovarianceStamped};
 
 const LONG: Duration = Duration::from_secs(20);
 
 fn minimal(domain: u16, arguments: &[&str], environment: &[(&str, &str)]) -> Running {
-    Running::start(domain, &example("minimal_node"), arguments, environment)
+    start(domain, &example("minimal_node"), arguments, environment)
 }
 
 #[test]
@@ -25,7 +26,7 @@ fn messages_cross_both_ways_unchanged() {
     let Some(python) = python() else { return };
     let _node = minimal(1, &[], &[]);
     for (from, to, kind) in [("/pose", "/echo", "pose"), ("/imu", "/imu_echo", "imu")] {
-        let (_, lines) = Running::peer(1, &python, &["echo", from, to, kind, "20"]).finish(LONG);
+        let (_, lines) = peer(1, &python, &["echo", from, to, kind, "20"]).finish(LONG);
         assert_eq!(lines, ["20"], "{kind}");
     }
 }
@@ -35,8 +36,7 @@ fn a_late_joiner_gets_the_static_transform_once() {
     let Some(python) = python() else { return };
     let _node = minimal(2, &[], &[]);
     std::thread::sleep(Duration::from_millis(500));
-    let (_, lines) =
-        Running::peer(2, &python, &["receive", "/tf_static", "tf", "5", "1.5"]).finish(LONG);
+    let (_, lines) = peer(2, &python, &["receive", "/tf_static", "tf", "5", "1.5"]).finish(LONG);
     assert_eq!(lines.len(), 1, "{lines:?}");
     assert!(lines[0].contains(r#""child_frame_id": "minimal""#), "{lines:?}");
 }
@@ -45,7 +45,7 @@ fn a_late_joiner_gets_the_static_transform_once() {
 fn sigterm_and_sigint_end_a_node_at_once_and_leave_no_ghost() {
     let Some(python) = python() else { return };
     for (domain, signal) in [(3, "TERM"), (4, "INT")] {
-        let graph = Running::peer(domain, &python, &["graph", "30", "rt/"]);
+        let graph = peer(domain, &python, &["graph", "30", "rt/"]);
         let mut node = minimal(
             domain,
             &["--ros-args", "-r", "__ns:=/rig1", "-r", "pose:=/elsewhere/pose"],
@@ -76,13 +76,12 @@ fn sigterm_and_sigint_end_a_node_at_once_and_leave_no_ghost() {
 fn a_node_that_was_stopped_and_continued_publishes_again() {
     let Some(python) = python() else { return };
     let node = minimal(39, &[], &[]);
-    let _ = Running::peer(39, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
+    let _ = peer(39, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
     node.signal("STOP");
     std::thread::sleep(Duration::from_millis(300));
     node.signal("CONT");
     node.line_with("rejoining the DDS domain", Duration::from_secs(5));
-    let (_, lines) =
-        Running::peer(39, &python, &["echo", "/pose", "/echo", "pose", "20"]).finish(LONG);
+    let (_, lines) = peer(39, &python, &["echo", "/pose", "/echo", "pose", "20"]).finish(LONG);
     assert_eq!(lines, ["20"]);
 }
 
@@ -91,8 +90,7 @@ fn diagnostics_name_the_topic_that_is_missing() {
     let Some(python) = python() else { return };
     let _node = minimal(5, &[], &[]);
     let (_, lines) =
-        Running::peer(5, &python, &["receive", "/diagnostics", "diagnostics", "1", "5"])
-            .finish(LONG);
+        peer(5, &python, &["receive", "/diagnostics", "diagnostics", "1", "5"]).finish(LONG);
     assert!(
         lines[0].contains("nothing comes on /pose") && !lines[0].contains("nothing comes on /imu"),
         "{lines:?}"
@@ -103,7 +101,7 @@ fn diagnostics_name_the_topic_that_is_missing() {
 fn parameters_and_lifecycle_are_served() {
     let Some(python) = python() else { return };
     let node = minimal(6, &[], &[("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")]);
-    let peer = Running::peer(6, &python, &["calls", "/minimal"]);
+    let caller = peer(6, &python, &["calls", "/minimal"]);
     for (what, needles) in [
         ("list", vec![r#""beat""#, r#""use_sim_time""#, r#""markers.size""#, r#""markers""#]),
         ("get", vec![r#""type": 3"#, r#""double_value": 10.0"#, r#""type": 0"#]),
@@ -122,14 +120,13 @@ fn parameters_and_lifecycle_are_served() {
         ("configure", vec![r#""success": true"#]),
         ("activate", vec![r#""success": true"#]),
     ] {
-        let line = peer.line_with(&format!("\"{what}\": "), LONG);
+        let line = caller.line_with(&format!("\"{what}\": "), LONG);
         for needle in needles {
             assert!(line.contains(needle), "{what}: {needle} in {line}");
         }
     }
     // The topics work again afterwards.
-    let (_, lines) =
-        Running::peer(6, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
+    let (_, lines) = peer(6, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
     assert_eq!(lines, ["5"]);
     drop(node);
 }
@@ -139,7 +136,7 @@ fn parameters_and_lifecycle_are_served() {
 fn participant_and_endpoints_announce_enclave_and_type_hash() {
     let Some(python) = python() else { return };
     let _node = minimal(9, &[], &[]);
-    let (_, lines) = Running::peer(9, &python, &["user_data", "3"]).finish(LONG);
+    let (_, lines) = peer(9, &python, &["user_data", "3"]).finish(LONG);
     let line = lines.last().unwrap();
     assert!(line.starts_with(r#"{"participants": ["enclave=/;"], "#), "{line}");
     let topics: Vec<&str> = line.split("[\"r").skip(1).collect();
@@ -200,7 +197,7 @@ fn a_cyclone_process_without_multicast_sees_a_new_node() {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peer.py");
     let arguments = [script, "graph", "15", "rt/pose"];
     for (domain, range) in [(28, "LOCALHOST"), (29, "SUBNET")] {
-        let peer = Running::start(domain, &python, &arguments, &[("CYCLONEDDS_URI", uri)]);
+        let peer = start(domain, &python, &arguments, &[("CYCLONEDDS_URI", uri)]);
         peer.line_with(r#""pub": []"#, LONG);
         let _node = minimal(domain, &[], &[("ROS_AUTOMATIC_DISCOVERY_RANGE", range)]);
         peer.line_with("PoseWithCovarianceStamped", LONG);
@@ -211,7 +208,7 @@ fn a_cyclone_process_without_multicast_sees_a_new_node() {
 fn a_node_without_autostart_waits_without_topics() {
     let Some(python) = python() else { return };
     let _node = minimal(7, &["--ros-args", "-p", "autostart:=false"], &[]);
-    let graph = Running::peer(7, &python, &["graph", "2", "rt/"]);
+    let graph = peer(7, &python, &["graph", "2", "rt/"]);
     let (_, lines) = graph.finish(LONG);
     let last = lines.last().unwrap();
     assert!(
@@ -224,10 +221,10 @@ fn a_node_without_autostart_waits_without_topics() {
 fn simulated_time_drives_stamps_and_timers() {
     let Some(python) = python() else { return };
     let _node = minimal(8, &["--ros-args", "-p", "use_sim_time:=true", "-p", "beat:=2.0"], &[]);
-    let beats = Running::peer(8, &python, &["receive", "/minimal/beats", "pose", "3", "15"]);
+    let beats = peer(8, &python, &["receive", "/minimal/beats", "pose", "3", "15"]);
     std::thread::sleep(Duration::from_millis(500));
     // 6 s of simulated time in 1.2 s.
-    Running::peer(8, &python, &["clock", "1000", "60"]).finish(LONG);
+    peer(8, &python, &["clock", "1000", "60"]).finish(LONG);
     let (_, lines) = beats.finish(LONG);
     assert_eq!(lines.len(), 3, "{lines:?}");
     for line in lines {

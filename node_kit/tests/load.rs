@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Running, example, python};
+use common::{peer, python, start};
 use node_kit::{
     NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments,
     environment::Network,
@@ -15,13 +15,14 @@ use std::{
     },
     time::Duration,
 };
+use test_support::process::example;
 use volant_msgs::std_msgs::msg::Header;
 
 const LONG: Duration = Duration::from_secs(20);
 
 #[test]
 fn an_idle_node_needs_little() {
-    let node = Running::start(11, &example("minimal_node"), &["--beat", "0.1"], &[]);
+    let node = start(11, &example("minimal_node"), &["--beat", "0.1"], &[]);
     std::thread::sleep(Duration::from_secs(2));
     let before = node.processor_time();
     std::thread::sleep(Duration::from_secs(4));
@@ -37,9 +38,8 @@ fn a_subscriber_killed_while_images_flow_costs_neither_memory_nor_time() {
     let Some(python) = python() else { return };
     for (domain, reliability) in [(12, "best_effort"), (13, "reliable")] {
         let setting = format!("qos_overrides./image.publisher.reliability:={reliability}");
-        let source =
-            Running::start(domain, &example("image_source"), &["--ros-args", "-p", &setting], &[]);
-        let watcher = Running::peer(domain, &python, &["watch", "/image", "image", reliability]);
+        let source = start(domain, &example("image_source"), &["--ros-args", "-p", &setting], &[]);
+        let watcher = peer(domain, &python, &["watch", "/image", "image", reliability]);
         watcher.line_with("first", LONG);
         source.line_with("subscribers=1", LONG);
         std::thread::sleep(Duration::from_millis(500));

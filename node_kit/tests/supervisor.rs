@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Running, example};
+use common::start;
 use node_kit::{
     NodeContext, NodeError, NodeShell, Process, RosArguments, environment::Network,
     scheduling::Scheduling,
@@ -17,6 +17,7 @@ use std::{
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
+use test_support::process::{Running, example};
 
 /// Watchdog period of the tests, µs: a beat at least every 200 ms.
 const PERIOD: &str = "400000";
@@ -71,7 +72,7 @@ impl Drop for Manager {
 }
 
 fn minimal(domain: u16, arguments: &[&str], environment: &[(&str, &str)]) -> Running {
-    Running::start(domain, &example("minimal_node"), arguments, environment)
+    start(domain, &example("minimal_node"), arguments, environment)
 }
 
 #[test]
@@ -166,7 +167,7 @@ fn process_with_a_node_that_hangs() {
 #[test]
 fn one_hanging_event_loop_stops_the_beat_of_its_process() {
     let manager = Manager::new("hang");
-    let _process = Running::start(
+    let _process = start(
         143,
         &std::env::current_exe().unwrap(),
         &["--exact", "process_with_a_node_that_hangs", "--ignored"],
@@ -233,7 +234,7 @@ fn what_the_system_does_not_permit_is_named_with_its_remedy() {
         let mut words = vec!["--reuid=65534", "--regid=65534", "--clear-groups", "--"];
         words.push(node.to_str().unwrap());
         words.extend(option);
-        let (status, lines) = Running::start(145, Path::new("setpriv"), &words, &[]).finish(LONG);
+        let (status, lines) = start(145, Path::new("setpriv"), &words, &[]).finish(LONG);
         assert_eq!(status.code(), Some(1), "{lines:?}");
         assert!(lines.len() == 1 && lines[0].contains(remedy), "{lines:?}");
     }

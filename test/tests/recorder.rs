@@ -4,17 +4,14 @@
 
 use bag::{BagWriter, Qos, Topic, WriteOptions, recording::map_messages};
 use rig_model::topics;
-use rustix::process::{Pid, Signal, kill_process};
-use std::{
-    path::Path,
-    process::{Child, Command, Stdio},
-    time::Duration,
-};
+use std::{path::Path, process::Command, time::Duration};
+use test_support::process::{Running, in_domain};
 use volant_msgs::sensor_msgs::msg::Imu;
 use volant_test::live::{SettableClock, processes::executables};
 
 const RATE: u64 = 50;
 const SECONDS: u64 = 7;
+const LONG: Duration = Duration::from_secs(60);
 const TOPIC: &str = topics::absolute::IMU;
 
 /// Samples that carry their number.
@@ -38,46 +35,35 @@ fn numbers(path: &Path) -> Vec<u64> {
     numbers
 }
 
-fn volant(domain: u8, arguments: &[&str]) -> Command {
-    let mut command = Command::new(executables().join("volant"));
+fn volant(domain: u16, arguments: &[&str]) -> Command {
+    let mut command = in_domain(domain, executables().join("volant"));
+    command.args(arguments);
     command
-        .args(arguments)
-        .env("ROS_DOMAIN_ID", domain.to_string())
-        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped());
-    command
-}
-
-fn signal(child: &Child, signal: Signal) {
-    let pid = Pid::from_raw(i32::try_from(child.id()).unwrap()).unwrap();
-    kill_process(pid, signal).unwrap();
 }
 
 /// Records what is played for seven seconds, with an interruption after about three of them.
-/// Returns the recorded numbers and the recorder's standard error.
+/// Returns the recorded numbers and what the recorder printed.
 fn recorded(
-    domain: u8,
+    domain: u16,
     clock: Option<&SettableClock>,
-    interrupt: impl FnOnce(&Child),
+    interrupt: impl FnOnce(&Running),
 ) -> (Vec<u64>, String) {
     let folder = tempfile::tempdir().unwrap();
     let (original, copy) = (folder.path().join("original.mcap"), folder.path().join("copy.mcap"));
     bag(&original);
     let mut recorder = volant(domain, &["record", TOPIC, "-o", copy.to_str().unwrap()]);
     recorder.envs(clock.iter().flat_map(|clock| clock.environment()));
-    let recorder = recorder.spawn().unwrap();
+    let recorder = Running::start(&mut recorder);
     let mut player =
-        volant(domain, &["play", original.to_str().unwrap(), "--delay", "2"]).spawn().unwrap();
+        Running::start(&mut volant(domain, &["play", original.to_str().unwrap(), "--delay", "2"]));
     std::thread::sleep(Duration::from_secs(5));
     interrupt(&recorder);
-    assert!(player.wait().unwrap().success());
+    assert!(player.wait(LONG).success());
     std::thread::sleep(Duration::from_millis(300));
-    signal(&recorder, Signal::INT);
-    let output = recorder.wait_with_output().unwrap();
-    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{stderr}");
+    recorder.signal("INT");
+    let (status, lines) = recorder.finish(LONG);
+    let stderr = lines.join("\n");
+    assert!(status.success(), "{stderr}");
     (numbers(&copy), stderr)
 }
 
@@ -109,9 +95,9 @@ fn a_clock_that_is_set_back_does_not_end_a_recording() {
 #[test]
 fn a_stopped_and_continued_recorder_goes_on() {
     let (numbers, stderr) = recorded(94, None, |recorder| {
-        signal(recorder, Signal::STOP);
+        recorder.signal("STOP");
         std::thread::sleep(Duration::from_millis(300));
-        signal(recorder, Signal::CONT);
+        recorder.signal("CONT");
     });
     // It is not always that RustDDS notices; where it does not, nothing is missing.
     let words = if numbers.len() as u64 == RATE * SECONDS { "" } else { "joined again" };

@@ -6,12 +6,12 @@ mod simulated;
 use bag::{BagMessage, BagReader, BagWriter, Qos, Topic, WriteOptions, qos_from_yaml};
 use rig_model::topics;
 use std::{
-    io::{BufRead, BufReader, Write},
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    process::{Command, Stdio},
     time::{Duration, Instant},
 };
 use tempfile::TempDir;
+use test_support::process::{Running, in_domain};
 use volant_msgs::{
     cdr,
     sensor_msgs::msg::{CompressedImage, Imu},
@@ -20,6 +20,8 @@ use volant_msgs::{
 };
 
 const START: u64 = 1_760_000_000_000_000_000;
+/// Longest wait for a reply of a client.
+const REPLY: Duration = Duration::from_secs(60);
 
 /// Writes two seconds of images at 30 Hz and IMU samples at 400 Hz, a latched message at the start,
 /// and an unknown type.
@@ -54,47 +56,21 @@ fn bag(path: &Path) {
     bag.finish().unwrap();
 }
 
-fn volant(domain: u8, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_volant"));
-    command
-        .args(arguments)
-        .env("ROS_DOMAIN_ID", domain.to_string())
-        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped());
+fn volant(domain: u16, arguments: &[&str]) -> Command {
+    let mut command = in_domain(domain, env!("CARGO_BIN_EXE_volant"));
+    command.args(arguments);
     command
 }
 
-/// Process that is killed on drop: processes left by a failed test would publish in the next one's
-/// domain.
-struct Running(Option<Child>);
-
-impl Running {
-    fn start(mut command: Command) -> Self {
-        Self(Some(command.spawn().unwrap()))
-    }
+fn start(domain: u16, arguments: &[&str]) -> Running {
+    Running::start(&mut volant(domain, arguments))
 }
 
-impl Drop for Running {
-    fn drop(&mut self) {
-        if let Some(child) = &mut self.0 {
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-    }
-}
-
-fn interrupt(running: &Running) {
-    let pid = running.0.as_ref().unwrap().id().to_string();
-    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
-}
-
-fn finish(mut running: Running, what: &str) -> String {
-    let output = running.0.take().unwrap().wait_with_output().unwrap();
-    let printed = String::from_utf8_lossy(&output.stdout).into_owned()
-        + &String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{what}: {printed}");
+/// Waits for the end of a process that must succeed, and returns what it printed.
+fn finish(running: Running, what: &str) -> String {
+    let (status, lines) = running.finish(Duration::from_secs(60));
+    let printed = lines.join("\n");
+    assert!(status.success(), "{what}: {printed}");
     printed
 }
 
@@ -116,18 +92,13 @@ struct Recorded {
 }
 
 /// Records a played bag; `during` gets the recorder before the end.
-fn copied(domain: u8, play: &[&str], record: &[&str], end: impl FnOnce(Running)) -> Recorded {
+fn copied(domain: u16, play: &[&str], record: &[&str], end: impl FnOnce(Running)) -> Recorded {
     let dir = TempDir::new().unwrap();
     let (original, copy) = (dir.path().join("original.mcap"), dir.path().join("copy"));
     bag(&original);
-    let recorder = Running::start(volant(
-        domain,
-        &[&["record", "-o", copy.to_str().unwrap()], record].concat(),
-    ));
-    let player = Running::start(volant(
-        domain,
-        &[&["play", original.to_str().unwrap(), "--delay", "3"], play].concat(),
-    ));
+    let recorder = start(domain, &[&["record", "-o", copy.to_str().unwrap()], record].concat());
+    let player =
+        start(domain, &[&["play", original.to_str().unwrap(), "--delay", "3"], play].concat());
     let printed = finish(player, "play");
     assert!(printed.contains("messages of"), "{printed}");
     std::thread::sleep(Duration::from_millis(500));
@@ -138,7 +109,7 @@ fn copied(domain: u8, play: &[&str], record: &[&str], end: impl FnOnce(Running))
 #[test]
 fn a_played_bag_is_recorded_byte_for_byte_and_at_its_pace() {
     let end = |recorder: Running| {
-        interrupt(&recorder);
+        recorder.signal("INT");
         let started = Instant::now();
         finish(recorder, "record");
         assert!(started.elapsed() < Duration::from_secs(2), "the end took {:?}", started.elapsed());
@@ -198,11 +169,11 @@ fn a_recorder_that_is_killed_leaves_a_bag_and_topics_can_be_chosen() {
     assert_eq!(read(&recorded.copy, "/image/compressed"), []);
     // The recovered bag has its closing records.
     let recovered = recorded.dir.path().join("recovered.mcap");
-    let recover = volant(
+    let recover = start(
         72,
         &["bag", "recover", recorded.copy.to_str().unwrap(), "--out", recovered.to_str().unwrap()],
     );
-    finish(Running::start(recover), "recover");
+    finish(recover, "recover");
     assert_eq!(BagReader::summary(&recovered).unwrap().count("/imu"), 400);
 }
 
@@ -214,8 +185,8 @@ fn player_and_recorder_own_their_topics_in_the_graph() {
     let (original, copy) = (dir.path().join("original.mcap"), dir.path().join("copy"));
     bag(&original);
     let original = original.to_str().unwrap();
-    let recorder = Running::start(volant(75, &["record", "-o", copy.to_str().unwrap()]));
-    let player = Running::start(volant(75, &["play", original, "--loop", "--clock"]));
+    let recorder = start(75, &["record", "-o", copy.to_str().unwrap()]);
+    let player = start(75, &["play", original, "--loop", "--clock"]);
     let script = r#"
 import json, time, rclpy
 rclpy.init()
@@ -254,7 +225,7 @@ print(json.dumps(found))
         assert!(topics.contains(&Some("/clock")), "{node}: {topics:?}");
     }
     for running in [player, recorder] {
-        interrupt(&running);
+        running.signal("INT");
         finish(running, "the end");
     }
 }
@@ -295,33 +266,24 @@ fn play_and_record_reject_wrong_arguments() {
 }
 
 /// An independent client of the player's services; one line per call.
-struct Caller(Child, std::io::Lines<BufReader<std::process::ChildStdout>>);
+struct Caller(Running);
 
 impl Caller {
-    fn start(python: &Path, domain: u8) -> Self {
+    fn start(python: &Path, domain: u16) -> Self {
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/player_peer.py");
-        let mut child = Command::new(python)
-            .arg(script)
-            .env("ROS_DOMAIN_ID", domain.to_string())
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        assert_eq!(lines.next().unwrap().unwrap(), r#"{"ready": true}"#);
-        Self(child, lines)
+        let caller = Running::start(
+            in_domain(domain, python)
+                .arg(script)
+                .env_remove("ROS_AUTOMATIC_DISCOVERY_RANGE")
+                .stdin(Stdio::piped()),
+        );
+        caller.line_with(r#"{"ready": true}"#, REPLY);
+        Self(caller)
     }
 
     fn call(&mut self, line: &str) -> serde_json::Value {
-        writeln!(self.0.stdin.as_mut().unwrap(), "{line}").unwrap();
-        serde_json::from_str(&self.1.next().unwrap().unwrap()).unwrap()
-    }
-}
-
-impl Drop for Caller {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        self.0.write_line(line);
+        serde_json::from_str(&self.0.line_with("{", REPLY)).unwrap()
     }
 }
 
@@ -337,7 +299,7 @@ fn rosbag2_services_control_the_player() {
         command
             .env_remove("ROS_AUTOMATIC_DISCOVERY_RANGE")
             .env("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp");
-        Running::start(command)
+        Running::start(&mut command)
     };
     let recorder = on_all(&["record", topics::absolute::IMU, "-o", copy.to_str().unwrap()]);
     let player = on_all(&["play", original.to_str().unwrap(), "--paused", "--delay", "3"]);
@@ -357,7 +319,7 @@ fn rosbag2_services_control_the_player() {
     let mut printed = finish(player, "play");
     assert!(printed.contains("messages of"), "{printed}");
     std::thread::sleep(Duration::from_millis(500));
-    interrupt(&recorder);
+    recorder.signal("INT");
     printed += &finish(recorder, "record");
     let samples = read(&copy, topics::absolute::IMU);
     let numbers: Vec<f64> = samples
@@ -382,14 +344,10 @@ fn encoders_are_calibrated_from_live_topics() {
     simulated.write_jog(&jog);
     std::fs::write(&rig, rig_simulator::RIG_YAML).unwrap();
     let loops = ["play", jog.to_str().unwrap(), "--rate", "4", "--loop"];
-    let mut player = volant(75, &loops);
-    let _player = Running::start({
-        player.stdout(Stdio::null()).stderr(Stdio::null());
-        player
-    });
+    let _player = start(75, &loops);
     let rig_file = rig.to_str().unwrap();
     let live = ["calibrate", "climber", "--live", "--duration", "10", "--rig", rig_file];
-    let printed = finish(Running::start(volant(75, &live)), "calibrate climber");
+    let printed = finish(start(75, &live), "calibrate climber");
     for joint in simulated.encoders.names {
         assert!(printed.contains(joint), "{printed}");
     }

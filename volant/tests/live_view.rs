@@ -4,12 +4,12 @@
 use bag::{BagReader, BagWriter, Qos, Topic, WriteOptions};
 use rig_model::topics;
 use std::{
-    io::{BufRead, BufReader},
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
-    time::{Duration, Instant},
+    process::Command,
+    time::Duration,
 };
 use tempfile::TempDir;
+use test_support::process::{Running, in_domain};
 use volant_msgs::{
     builtin_interfaces::msg::Time,
     cdr,
@@ -77,37 +77,14 @@ fn bag(path: &Path, rail_x: f64) {
     bag.finish().unwrap();
 }
 
-/// Process of `volant` that is ended on drop.
-struct Volant(Child);
-
-impl Drop for Volant {
-    fn drop(&mut self) {
-        let _ = Command::new("kill").args(["-TERM", &self.0.id().to_string()]).status();
-        let end = Instant::now() + Duration::from_secs(3);
-        while Instant::now() < end && self.0.try_wait().unwrap().is_none() {
-            std::thread::sleep(Duration::from_millis(10));
-        }
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-fn command(domain: u8, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_volant"));
-    command
-        .args(arguments)
-        .env("ROS_DOMAIN_ID", domain.to_string())
-        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        .env_remove("RMW_IMPLEMENTATION")
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped());
+fn command(domain: u16, arguments: &[&str]) -> Command {
+    let mut command = in_domain(domain, env!("CARGO_BIN_EXE_volant"));
+    command.args(arguments);
     command
 }
 
-fn start(domain: u8, arguments: &[&str]) -> Volant {
-    // Its messages are not read.
-    Volant(command(domain, arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
+fn start(domain: u16, arguments: &[&str]) -> Running {
+    Running::start(&mut command(domain, arguments))
 }
 
 fn rig_file() -> PathBuf {
@@ -172,15 +149,9 @@ fn a_foxglove_client_receives_topics_with_their_schemas() {
     let rig = rig_file();
     let arguments =
         ["up", "climber_driver", "--rig", rig.to_str().unwrap(), "--foxglove=127.0.0.1:0"];
-    let mut nodes = Volant(command(83, &arguments).stdout(Stdio::null()).spawn().unwrap());
-    let mut lines = BufReader::new(nodes.0.stderr.take().unwrap()).lines();
-    let url = lines
-        .by_ref()
-        .map_while(Result::ok)
-        .find_map(|l| Some(format!("ws://{}", l.split_once("ws://")?.1)))
-        .unwrap();
-    // Its later messages must be read, or it would block.
-    std::thread::spawn(move || lines.for_each(drop));
+    let nodes = start(83, &arguments);
+    let line = nodes.line_with("ws://", Duration::from_secs(20));
+    let url = format!("ws://{}", line.split_once("ws://").unwrap().1);
     let _player = start(83, &["play", "--loop", path.to_str().unwrap()]);
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/foxglove_client.py");
     let client = |protocol: &str, topics: &[&str]| {

@@ -3,11 +3,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 use bag::{BagWriter, Qos, Topic, WriteOptions};
-use std::{
-    path::Path,
-    process::{Command, Stdio},
-};
+use std::{path::Path, process::Command, time::Duration};
 use tempfile::TempDir;
+use test_support::process::{Running, in_domain};
 use volant_msgs::std_msgs::msg::Header;
 
 const TOPIC: &str = "/secret";
@@ -24,20 +22,14 @@ fn write_bag(path: &Path) {
 }
 
 /// A `volant` in a DDS domain, in an enclave of a keystore that is enforced.
-fn volant(domain: u8, keystore: &Path, enclave: &str, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_volant"));
+fn volant(domain: u16, keystore: &Path, enclave: &str, arguments: &[&str]) -> Command {
+    let mut command = in_domain(domain, env!("CARGO_BIN_EXE_volant"));
     command
         .args(arguments)
-        .env("ROS_DOMAIN_ID", domain.to_string())
-        .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        .env_remove("RMW_IMPLEMENTATION")
         .env("ROS_SECURITY_ENABLE", "true")
         .env("ROS_SECURITY_STRATEGY", "Enforce")
         .env("ROS_SECURITY_KEYSTORE", keystore)
-        .env("ROS_SECURITY_ENCLAVE_OVERRIDE", enclave)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped());
+        .env("ROS_SECURITY_ENCLAVE_OVERRIDE", enclave);
     command
 }
 
@@ -55,18 +47,10 @@ fn without_its_enclave_no_tool_joins() {
         &["foxglove", "127.0.0.1:0"],
         &["up", "climber_driver", "--foxglove=127.0.0.1:0"],
     ] {
-        let mut child = volant(66, &keystore, "/rig/laptop", arguments).spawn().unwrap();
+        let tool = Running::start(&mut volant(66, &keystore, "/rig/laptop", arguments));
         // A server that starts all the same would never end.
-        let end = std::thread::spawn({
-            let pid = child.id().to_string();
-            move || {
-                std::thread::sleep(std::time::Duration::from_secs(30));
-                let _ = Command::new("kill").args(["-KILL", &pid]).stderr(Stdio::null()).status();
-            }
-        });
-        let status = child.wait().unwrap();
-        drop(end);
-        let error = std::io::read_to_string(child.stderr.take().unwrap()).unwrap();
+        let (status, lines) = tool.finish(Duration::from_secs(30));
+        let error = lines.join("\n");
         assert_eq!(status.code(), Some(1), "{arguments:?}: {error}");
         let keystore = keystore.display();
         for needle in [
@@ -96,7 +80,6 @@ mod with_keys {
             Arc,
             atomic::{AtomicU64, Ordering},
         },
-        time::Duration,
     };
 
     fn make_keystore(folder: &Path) -> PathBuf {

@@ -214,13 +214,6 @@ fn a_missing_port_ends_the_node_with_one_line_or_is_waited_for() {
     let _ = std::fs::remove_dir_all(folder);
 }
 
-/// Resident memory of a process, KiB.
-fn resident(pid: u32) -> u64 {
-    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
-    let line = status.lines().find(|l| l.starts_with("VmRSS")).unwrap();
-    line.split_whitespace().nth(1).unwrap().parse().unwrap()
-}
-
 #[test]
 #[ignore = "takes ten minutes"]
 fn ten_minutes_at_400_hz_lose_nothing_at_constant_memory() {
@@ -240,7 +233,7 @@ fn ten_minutes_at_400_hz_lose_nothing_at_constant_memory() {
     let mut last: Option<Stamp> = None;
     while now().seconds_since(start) < seconds {
         std::thread::sleep(Duration::from_secs(1));
-        memory.push(resident(harness.node.id()));
+        memory.push(test_support::process::memory(harness.node.id()).unwrap());
         sent += harness.imu.take_sent().len();
         let messages = received(|r| std::mem::take(&mut r.imu));
         count += messages.len();

@@ -1,4 +1,4 @@
-//! Starts nodes and peers as processes and ends them when the test ends.
+//! Nodes, peers and clients of the tests.
 #![allow(dead_code, reason = "each test uses a part")]
 #![allow(clippy::unwrap_used, clippy::panic, clippy::disallowed_methods, reason = "tests")]
 
@@ -16,23 +16,13 @@ use serde::Deserialize;
 use std::{
     cell::RefCell,
     collections::{BTreeMap, BTreeSet},
-    io::{BufRead, BufReader, Read},
     path::{Path, PathBuf},
-    process::{Child, Command, ExitStatus, Stdio},
-    sync::mpsc::{Receiver, channel},
-    time::{Duration, Instant},
 };
+use test_support::process::{Running, in_domain};
 
 /// The Python that has `cyclonedds`, else a skip.
 pub fn python() -> Option<PathBuf> {
     test_support::python("cyclonedds")
-}
-
-/// An example of this crate; cargo builds them with the tests.
-pub fn example(name: &str) -> PathBuf {
-    let test = std::env::current_exe().unwrap();
-    let folder = test.parent().and_then(Path::parent).unwrap();
-    folder.join("examples").join(name)
 }
 
 /// A ROS 2 node of another participant in this process, for clients of services.
@@ -62,150 +52,27 @@ pub fn client<Request: Message + Clone + 'static, Response: Message + 'static>(
     .unwrap()
 }
 
-pub struct Running {
-    child: Child,
-    lines: Receiver<String>,
-}
-
-impl Running {
-    /// Runs a command in a DDS domain; both of its outputs can be read line by line.
-    pub fn start(
-        domain: u16,
-        program: &Path,
-        arguments: &[&str],
-        environment: &[(&str, &str)],
-    ) -> Self {
-        let mut child = Command::new(program)
+/// Starts a program in a DDS domain that is not limited to this computer.
+pub fn start(
+    domain: u16,
+    program: &Path,
+    arguments: &[&str],
+    environment: &[(&str, &str)],
+) -> Running {
+    Running::start(
+        in_domain(domain, program)
             .args(arguments)
-            .env("ROS_DOMAIN_ID", domain.to_string())
-            .env_remove("ROS_LOCALHOST_ONLY")
             .env_remove("ROS_AUTOMATIC_DISCOVERY_RANGE")
-            .env_remove("RMW_IMPLEMENTATION")
-            .envs(environment.iter().copied())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap_or_else(|e| panic!("{}: {e}", program.display()));
-        let (sender, lines) = channel();
-        let outputs: [Box<dyn Read + Send>; 2] =
-            [Box::new(child.stdout.take().unwrap()), Box::new(child.stderr.take().unwrap())];
-        for output in outputs {
-            let sender = sender.clone();
-            std::thread::spawn(move || {
-                for line in BufReader::new(output).lines().map_while(Result::ok) {
-                    if sender.send(line).is_err() {
-                        return;
-                    }
-                }
-            });
-        }
-        Self { child, lines }
-    }
-
-    pub fn peer(domain: u16, python: &Path, arguments: &[&str]) -> Self {
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peer.py");
-        let mut all = vec![script.to_str().unwrap()];
-        all.extend(arguments);
-        Self::start(domain, python, &all, &[])
-    }
-
-    /// The next line that contains `text`.
-    pub fn line_with(&self, text: &str, within: Duration) -> String {
-        self.line_with_all(&[text], within)
-    }
-
-    /// The next line that contains each of `texts`.
-    pub fn line_with_all(&self, texts: &[&str], within: Duration) -> String {
-        let deadline = Instant::now() + within;
-        let mut before = Vec::new();
-        loop {
-            let left = deadline.saturating_duration_since(Instant::now());
-            match self.lines.recv_timeout(left) {
-                Ok(line) if texts.iter().all(|text| line.contains(text)) => return line,
-                Ok(line) => before.push(line),
-                Err(_) => panic!("no line with {texts:?} within {within:?}; there was {before:?}"),
-            }
-        }
-    }
-
-    /// Lines received so far.
-    pub fn lines_so_far(&self) -> Vec<String> {
-        self.lines.try_iter().collect()
-    }
-
-    /// All lines until its end.
-    pub fn finish(mut self, within: Duration) -> (ExitStatus, Vec<String>) {
-        let status = self.wait(within);
-        // The channel closes when the readers have read everything.
-        (status, self.lines.iter().collect())
-    }
-
-    pub fn wait(&mut self, within: Duration) -> ExitStatus {
-        let deadline = Instant::now() + within;
-        loop {
-            if let Some(status) = self.child.try_wait().unwrap() {
-                return status;
-            }
-            assert!(Instant::now() < deadline, "it still runs after {within:?}");
-            std::thread::sleep(Duration::from_millis(2));
-        }
-    }
-
-    /// Waits until a signal ends it in order: the handler's thread runs.
-    pub fn wait_for_signal_handler(&self) {
-        let deadline = Instant::now() + Duration::from_secs(20);
-        let threads = format!("/proc/{}/task", self.id());
-        let name = |task: std::fs::DirEntry| std::fs::read_to_string(task.path().join("comm")).ok();
-        while !std::fs::read_dir(&threads)
-            .unwrap()
-            .any(|task| task.ok().and_then(name).is_some_and(|name| name.trim() == "signals"))
-        {
-            assert!(Instant::now() < deadline, "it handles no signals");
-            std::thread::sleep(Duration::from_millis(2));
-        }
-    }
-
-    /// Its process id.
-    pub fn id(&self) -> u32 {
-        self.child.id()
-    }
-
-    pub fn signal(&self, name: &str) {
-        let pid = self.child.id().to_string();
-        assert!(Command::new("kill").args(["-s", name, &pid]).status().unwrap().success());
-    }
-
-    /// Resident memory, kB.
-    pub fn memory(&self) -> u64 {
-        self.status("VmRSS:")
-    }
-
-    /// Threads of the process.
-    pub fn threads(&self) -> u64 {
-        self.status("Threads:")
-    }
-
-    /// The number in a line of `/proc/PID/status`.
-    fn status(&self, key: &str) -> u64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
-        let line = status.lines().find(|l| l.starts_with(key)).unwrap();
-        line.split_whitespace().nth(1).unwrap().parse().unwrap()
-    }
-
-    /// Processor time of all threads.
-    pub fn processor_time(&self) -> Duration {
-        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.child.id())).unwrap();
-        let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
-        let ticks: u64 = fields[11].parse::<u64>().unwrap() + fields[12].parse::<u64>().unwrap();
-        Duration::from_millis(ticks * 10)
-    }
+            .envs(environment.iter().copied()),
+    )
 }
 
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+/// Starts a command of `tests/peer.py`.
+pub fn peer(domain: u16, python: &Path, arguments: &[&str]) -> Running {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peer.py");
+    let mut all = vec![script.to_str().unwrap()];
+    all.extend(arguments);
+    start(domain, python, &all, &[])
 }
 
 /// Subscription of `ros_discovery_info`: which node has which endpoint.

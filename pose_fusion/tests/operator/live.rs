@@ -11,13 +11,14 @@ use node_kit::{
 use rig_model::Stamp;
 use serde_json::Value;
 use std::{
-    io::{BufRead, BufReader, Lines, Write},
+    ffi::OsStr,
     path::Path,
-    process::{Child, ChildStdout, Command, Stdio},
+    process::{Command, Stdio},
     sync::{Arc, Mutex, OnceLock},
     thread::sleep,
     time::{Duration, Instant},
 };
+use test_support::process::{Running, in_domain};
 use volant_msgs::{
     geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
     msg::{MarkerObservations, MarkerUpdate, MarkerUpdates},
@@ -106,37 +107,27 @@ fn feed(run: &simulated::Run, epoch: Stamp) {
     }
 }
 
-struct Ended(Child);
-
-impl Drop for Ended {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+/// A program in the domain; the client uses more than the loopback.
+fn on_all_interfaces(program: impl AsRef<OsStr>) -> Command {
+    let mut command = in_domain(DOMAIN, program);
+    command.env_remove("ROS_AUTOMATIC_DISCOVERY_RANGE");
+    command
 }
 
-struct Caller(Ended, Lines<BufReader<ChildStdout>>);
+struct Caller(Running);
 
 impl Caller {
     fn start(python: &Path) -> Self {
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/operator/caller.py");
-        let mut child = Command::new(python)
-            .arg(script)
-            .env("ROS_DOMAIN_ID", DOMAIN.to_string())
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        Self(Ended(child), lines)
+        Self(Running::start(on_all_interfaces(python).arg(script).stdin(Stdio::piped())))
     }
 
     fn reply(&mut self) -> Value {
-        serde_json::from_str(&self.1.next().unwrap().unwrap()).unwrap()
+        serde_json::from_str(&self.0.line_with("{", Duration::from_secs(60))).unwrap()
     }
 
     fn call(&mut self, line: &str) -> (bool, String) {
-        writeln!(self.0.0.stdin.as_mut().unwrap(), "{line}").unwrap();
+        self.0.write_line(line);
         let reply = self.reply();
         println!("{line}: {reply}");
         (reply["success"] == true, reply["message"].as_str().unwrap().to_owned())
@@ -184,14 +175,12 @@ fn the_operator_s_services_and_topic_work_over_dds() {
     let network = Network { domain_id: DOMAIN, ..Network::default() };
     let mut others = Process::new(network).unwrap();
     others.start::<Others>(&RosArguments::default()).unwrap();
-    let node = Command::new(env!("CARGO_BIN_EXE_pose_fusion"))
-        .args(["--ros-args", "--params-file", rig.to_str().unwrap()])
-        .args(["-p", &format!("checkpoint_file:={}", kept.display())])
-        .env("ROS_DOMAIN_ID", DOMAIN.to_string())
-        .env("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
-        .spawn()
-        .unwrap();
-    let _node = Ended(node);
+    let _node = Running::start(
+        on_all_interfaces(env!("CARGO_BIN_EXE_pose_fusion"))
+            .args(["--ros-args", "--params-file", rig.to_str().unwrap()])
+            .args(["-p", &format!("checkpoint_file:={}", kept.display())])
+            .env("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp"),
+    );
     let mut caller = Caller::start(&python);
     assert_eq!(caller.reply()["ready"], true);
     let (ok, why) = caller.call("save_checkpoint 0");

@@ -11,6 +11,7 @@ use std::{
     sync::{Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
+use test_support::process;
 use thiserror::Error;
 
 /// What can go wrong with a node's process.
@@ -234,25 +235,17 @@ impl Node {
 
     /// Resident memory, bytes; 0 if it is unknown.
     pub fn resident_bytes(&self) -> u64 {
-        let status =
-            std::fs::read_to_string(format!("/proc/{}/status", self.id())).unwrap_or_default();
-        let line = status.lines().find(|l| l.starts_with("VmRSS:")).unwrap_or_default();
-        line.split_whitespace().nth(1).and_then(|kb| kb.parse::<u64>().ok()).unwrap_or(0) * 1024
+        process::memory(self.id()).unwrap_or(0) * 1024
     }
 
     /// Number of threads; 0 if it is unknown.
     pub fn threads(&self) -> usize {
-        std::fs::read_dir(format!("/proc/{}/task", self.id())).map_or(0, Iterator::count)
+        process::threads(self.id()).unwrap_or(0)
     }
 
     /// Processor time used so far, s; 0 if it is unknown.
     pub fn processor_seconds(&self) -> f64 {
-        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.id())).unwrap_or_default();
-        let fields: Vec<&str> =
-            stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
-        let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(0.0);
-        // utime and stime are fields 14 and 15 of the line, in ticks of 1/100 s on every Linux.
-        (ticks(11) + ticks(12)) / 100.0
+        process::processor_time(self.id()).unwrap_or_default().as_secs_f64()
     }
 
     #[allow(clippy::disallowed_methods)] // a shell: it waits for a process
