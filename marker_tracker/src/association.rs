@@ -2,7 +2,7 @@
 //! can be an image of the layout, best first. Colored things on the floor do not stand so.
 
 use crate::{
-    geometry::{PoseObservation, pose_from_four, poses_from_three, refine},
+    geometry::{Geometry, PoseObservation, pose_from_four, poses_from_three},
     scan::Blob,
 };
 use nalgebra::{Isometry3, Vector2};
@@ -256,7 +256,8 @@ fn score(
     handicap: f64,
     found: &mut Vec<Hypothesis>,
 ) {
-    let Some((pose, rms)) = refine(layout, camera, observations, start, None, 15) else { return };
+    let geometry = Geometry { layout, camera };
+    let Some((pose, rms)) = geometry.refine(observations, start, None, 15) else { return };
     // Beyond 78° a square is a line.
     let up = pose.rotation * nalgebra::Vector3::z();
     if -up.dot(&pose.translation.vector.normalize()) < 0.2 {

@@ -51,84 +51,147 @@ pub(crate) struct PosePrior {
     pub rotation_sigma: f64,
 }
 
-/// Refines a pose (`camera_from_volant`) by Levenberg–Marquardt on the reprojected centroids and
-/// corners, from `start`, in at most `iterations` steps.
-///
-/// Returns the pose and the RMS of the centroids' residuals, px. With a prior any number of
-/// observations suffices; without one, three. `None` where a marker leaves the camera model's
-/// range.
-pub(crate) fn refine(
-    layout: &MarkerLayout,
-    camera: &CameraModel,
-    observations: &[PoseObservation],
-    start: &Isometry3<f64>,
-    prior: Option<&PosePrior>,
-    iterations: usize,
-) -> Option<(Isometry3<f64>, f64)> {
-    let mut pose = *start;
-    let mut now = evaluate(layout, camera, observations, &pose, prior)?;
-    let mut damping = 1e-6;
-    for _ in 0..iterations {
-        let mut damped = now.normal;
-        for i in 0..6 {
-            damped[(i, i)] *= 1.0 + damping;
-            damped[(i, i)] += 1e-9;
-        }
-        let step = damped.cholesky()?.solve(&now.gradient);
-        // Predicted decrease of the cost.
-        let gain = step.dot(&now.gradient);
-        if gain < 1e-4 * now.cost.min(1.0) {
-            break;
-        }
-        let candidate = moved(&pose, &step);
-        // A step this short ends at the minimum of its quadratic; another would gain nothing.
-        let last = gain < 1e-2;
-        match evaluate(layout, camera, observations, &candidate, prior) {
-            Some(new) if new.cost <= now.cost * (1.0 + 1e-9) => {
-                (pose, now) = (candidate, new);
-                if last {
-                    break;
-                }
-                damping = (damping * 0.1).max(1e-9);
+/// What a pose is estimated with: the markers' layout (volant frame) and the camera.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Geometry<'a> {
+    pub layout: &'a MarkerLayout,
+    pub camera: &'a CameraModel,
+}
+
+impl Geometry<'_> {
+    /// Refines a pose (`camera_from_volant`) by Levenberg–Marquardt on the reprojected centroids and
+    /// corners, from `start`, in at most `iterations` steps.
+    ///
+    /// Returns the pose and the RMS of the centroids' residuals, px. With a prior any number of
+    /// observations suffices; without one, three. `None` where a marker leaves the camera model's
+    /// range.
+    pub fn refine(
+        &self,
+        observations: &[PoseObservation],
+        start: &Isometry3<f64>,
+        prior: Option<&PosePrior>,
+        iterations: usize,
+    ) -> Option<(Isometry3<f64>, f64)> {
+        let mut pose = *start;
+        let mut now = self.evaluate(observations, &pose, prior)?;
+        let mut damping = 1e-6;
+        for _ in 0..iterations {
+            let mut damped = now.normal;
+            for i in 0..6 {
+                damped[(i, i)] *= 1.0 + damping;
+                damped[(i, i)] += 1e-9;
             }
-            _ => {
-                damping = (damping * 100.0).max(1e-4);
-                if damping > 1e6 {
-                    break;
+            let step = damped.cholesky()?.solve(&now.gradient);
+            // Predicted decrease of the cost.
+            let gain = step.dot(&now.gradient);
+            if gain < 1e-4 * now.cost.min(1.0) {
+                break;
+            }
+            let candidate = moved(&pose, &step);
+            // A step this short ends at the minimum of its quadratic; another would gain nothing.
+            let last = gain < 1e-2;
+            match self.evaluate(observations, &candidate, prior) {
+                Some(new) if new.cost <= now.cost * (1.0 + 1e-9) => {
+                    (pose, now) = (candidate, new);
+                    if last {
+                        break;
+                    }
+                    damping = (damping * 0.1).max(1e-9);
+                }
+                _ => {
+                    damping = (damping * 100.0).max(1e-4);
+                    if damping > 1e6 {
+                        break;
+                    }
                 }
             }
         }
+        Some((pose, (now.square / (observations.len().max(1) as f64)).sqrt()))
     }
-    Some((pose, (now.square / (observations.len().max(1) as f64)).sqrt()))
-}
 
-/// Covariance of a pose (position, rotation about the camera's axes; m², m·rad, rad²) from
-/// observations and a prior: the inverse of the Gauss–Newton matrix.
-pub(crate) fn covariance(
-    layout: &MarkerLayout,
-    camera: &CameraModel,
-    observations: &[PoseObservation],
-    pose: &Isometry3<f64>,
-    prior: &PosePrior,
-) -> Option<Matrix6<f64>> {
-    Some(evaluate(layout, camera, observations, pose, Some(prior))?.normal.cholesky()?.inverse())
-}
+    /// Covariance of a pose (position, rotation about the camera's axes; m², m·rad, rad²) from
+    /// observations and a prior: the inverse of the Gauss–Newton matrix.
+    pub fn covariance(
+        &self,
+        observations: &[PoseObservation],
+        pose: &Isometry3<f64>,
+        prior: &PosePrior,
+    ) -> Option<Matrix6<f64>> {
+        Some(self.evaluate(observations, pose, Some(prior))?.normal.cholesky()?.inverse())
+    }
 
-/// Predicts a marker's centroid (px) and its covariance (px²) from a pose with its covariance (as
-/// [`covariance`]).
-pub(crate) fn predict_centroid(
-    layout: &MarkerLayout,
-    color: MarkerColor,
-    camera: &CameraModel,
-    pose: &Isometry3<f64>,
-    covariance: &Matrix6<f64>,
-) -> Option<(Vector2<f64>, Matrix2<f64>)> {
-    let predicted = layout.projected_centroid(color, camera, pose)?;
-    let arm = pose.rotation * layout.centers[color].coords;
-    let mut j = SMatrix::<f64, 2, 6>::zeros();
-    j.fixed_columns_mut::<3>(0).copy_from(&predicted.jacobian_by_center);
-    j.fixed_columns_mut::<3>(3).copy_from(&(predicted.jacobian_by_center * (-arm.cross_matrix())));
-    Some((predicted.pixel, j * covariance * j.transpose()))
+    /// Predicts a marker's centroid (px) and its covariance (px²) from a pose with its covariance (as
+    /// [`Self::covariance`]).
+    pub fn predict_centroid(
+        &self,
+        color: MarkerColor,
+        pose: &Isometry3<f64>,
+        covariance: &Matrix6<f64>,
+    ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+        let predicted = self.layout.projected_centroid(color, self.camera, pose)?;
+        let arm = pose.rotation * self.layout.centers[color].coords;
+        let mut j = SMatrix::<f64, 2, 6>::zeros();
+        j.fixed_columns_mut::<3>(0).copy_from(&predicted.jacobian_by_center);
+        j.fixed_columns_mut::<3>(3)
+            .copy_from(&(predicted.jacobian_by_center * (-arm.cross_matrix())));
+        Some((predicted.pixel, j * covariance * j.transpose()))
+    }
+
+    /// The normal equations at `pose`; `None` where a marker leaves the camera model's range.
+    fn evaluate(
+        &self,
+        observations: &[PoseObservation],
+        pose: &Isometry3<f64>,
+        prior: Option<&PosePrior>,
+    ) -> Option<Normal> {
+        let (mut cost, mut normal, mut gradient, mut square) =
+            (0.0, Matrix6::zeros(), Vector6::zeros(), 0.0);
+        for o in observations {
+            let predicted = self.layout.projected_centroid(o.color, self.camera, pose)?;
+            let arm = pose.rotation * self.layout.centers[o.color].coords;
+            let by_point = predicted.jacobian_by_center;
+            let by_rotation = by_point * (-arm.cross_matrix());
+            let mut j = SMatrix::<f64, 2, 6>::zeros();
+            j.fixed_columns_mut::<3>(0).copy_from(&by_point);
+            j.fixed_columns_mut::<3>(3).copy_from(&by_rotation);
+            let w = o.sigma.powi(-2);
+            let residual = o.pixel - predicted.pixel;
+            square += residual.norm_squared();
+            cost += w * residual.norm_squared();
+            normal += j.transpose() * j * w;
+            gradient += j.transpose() * residual * w;
+            if let Some((outline, turn)) = &o.outline {
+                let w = CORNER_SIGMA.powi(-2);
+                for (point, corner) in
+                    corners_of(self.layout, o.color, *turn).iter().zip(&outline.0)
+                {
+                    let arm = pose.rotation * point.coords;
+                    let (pixel, by_point) = self
+                        .camera
+                        .project_with_jacobian(&Point3::from(arm + pose.translation.vector))?;
+                    j.fixed_columns_mut::<3>(0).copy_from(&by_point);
+                    j.fixed_columns_mut::<3>(3).copy_from(&(by_point * (-arm.cross_matrix())));
+                    let residual = corner - pixel;
+                    cost += w * residual.norm_squared();
+                    normal += j.transpose() * j * w;
+                    gradient += j.transpose() * residual * w;
+                }
+            }
+        }
+        if let Some(p) = prior {
+            let dt = p.camera_from_volant.translation.vector - pose.translation.vector;
+            let dr = (p.camera_from_volant.rotation * pose.rotation.inverse()).scaled_axis();
+            let (wt, wr) = (p.position_sigma.powi(-2), p.rotation_sigma.powi(-2));
+            cost += wt * dt.norm_squared() + wr * dr.norm_squared();
+            for i in 0..3 {
+                normal[(i, i)] += wt;
+                normal[(3 + i, 3 + i)] += wr;
+                gradient[i] += wt * dt[i];
+                gradient[3 + i] += wr * dr[i];
+            }
+        }
+        cost.is_finite().then_some(Normal { cost, normal, gradient, square })
+    }
 }
 
 /// Moves a pose by (translation, rotation vector about the camera's axes), m and rad.
@@ -144,57 +207,4 @@ struct Normal {
     normal: Matrix6<f64>,
     gradient: Vector6<f64>,
     square: f64,
-}
-
-fn evaluate(
-    layout: &MarkerLayout,
-    camera: &CameraModel,
-    observations: &[PoseObservation],
-    pose: &Isometry3<f64>,
-    prior: Option<&PosePrior>,
-) -> Option<Normal> {
-    let (mut cost, mut normal, mut gradient, mut square) =
-        (0.0, Matrix6::zeros(), Vector6::zeros(), 0.0);
-    for o in observations {
-        let predicted = layout.projected_centroid(o.color, camera, pose)?;
-        let arm = pose.rotation * layout.centers[o.color].coords;
-        let by_point = predicted.jacobian_by_center;
-        let by_rotation = by_point * (-arm.cross_matrix());
-        let mut j = SMatrix::<f64, 2, 6>::zeros();
-        j.fixed_columns_mut::<3>(0).copy_from(&by_point);
-        j.fixed_columns_mut::<3>(3).copy_from(&by_rotation);
-        let w = o.sigma.powi(-2);
-        let residual = o.pixel - predicted.pixel;
-        square += residual.norm_squared();
-        cost += w * residual.norm_squared();
-        normal += j.transpose() * j * w;
-        gradient += j.transpose() * residual * w;
-        if let Some((outline, turn)) = &o.outline {
-            let w = CORNER_SIGMA.powi(-2);
-            for (point, corner) in corners_of(layout, o.color, *turn).iter().zip(&outline.0) {
-                let arm = pose.rotation * point.coords;
-                let (pixel, by_point) =
-                    camera.project_with_jacobian(&Point3::from(arm + pose.translation.vector))?;
-                j.fixed_columns_mut::<3>(0).copy_from(&by_point);
-                j.fixed_columns_mut::<3>(3).copy_from(&(by_point * (-arm.cross_matrix())));
-                let residual = corner - pixel;
-                cost += w * residual.norm_squared();
-                normal += j.transpose() * j * w;
-                gradient += j.transpose() * residual * w;
-            }
-        }
-    }
-    if let Some(p) = prior {
-        let dt = p.camera_from_volant.translation.vector - pose.translation.vector;
-        let dr = (p.camera_from_volant.rotation * pose.rotation.inverse()).scaled_axis();
-        let (wt, wr) = (p.position_sigma.powi(-2), p.rotation_sigma.powi(-2));
-        cost += wt * dt.norm_squared() + wr * dr.norm_squared();
-        for i in 0..3 {
-            normal[(i, i)] += wt;
-            normal[(3 + i, 3 + i)] += wr;
-            gradient[i] += wt * dt[i];
-            gradient[3 + i] += wr * dr[i];
-        }
-    }
-    cost.is_finite().then_some(Normal { cost, normal, gradient, square })
 }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::geometry::refine::refine;
+use crate::geometry::Geometry;
 use nalgebra::Point3;
 use rig_model::Distortion;
 
@@ -48,7 +48,9 @@ fn four_centroids_determine_the_pose() {
             sigma: 0.1,
             outline: None,
         });
-        let (pose, rms) = refine(&layout(), &camera(), &observations, &start, None, 20).unwrap();
+        let (pose, rms) = Geometry { layout: &layout(), camera: &camera() }
+            .refine(&observations, &start, None, 20)
+            .unwrap();
         assert!(rms < 1e-4, "{rms}");
         assert!((pose.translation.vector - truth.translation.vector).norm() < 1e-5);
         assert!(pose.rotation.angle_to(&truth.rotation) < 1e-5);
@@ -84,7 +86,9 @@ fn one_of_the_starts_from_three_centroids_converges_to_the_pose() {
         let best = poses_from_three(&layout(), &camera(), &observations)
             .unwrap()
             .iter()
-            .filter_map(|s| refine(&layout(), &camera(), &observations, s, None, 30))
+            .filter_map(|s| {
+                Geometry { layout: &layout(), camera: &camera() }.refine(&observations, s, None, 30)
+            })
             .map(|(pose, _)| pose.rotation.angle_to(&truth.rotation))
             .fold(f64::INFINITY, f64::min);
         assert!(best < 1e-4, "{best}");

@@ -3,13 +3,14 @@
 use crate::{
     appearance::Appearance,
     association::{Extent, Hypothesis, Strictness, hypotheses},
-    geometry::{PoseObservation, refine},
+    geometry::PoseObservation,
     image::Pixels,
     outline::QuadFit,
     quad::Quad,
     scan::{CELL, Palette, ScanConfig, Scanner},
     signal::{Sampler, mean_rgb},
     tracking::{
+        camera::View,
         meter::{ONE_PASS_ROWS, OutlineMeter, SEARCH_ROWS, Tolerance},
         platform::{MAX_TURN, PlatformModel},
     },
@@ -197,7 +198,11 @@ impl Verification<'_, '_> {
 
     /// Measures the outlines of one hypothesis and refines its pose.
     fn verify(&self, hypothesis: &Hypothesis, scanner: &Scanner) -> Option<Acquired> {
-        let start = &hypothesis.camera_from_volant;
+        let start = View {
+            camera: self.camera,
+            is_known: self.known_camera,
+            pose: hypothesis.camera_from_volant,
+        };
         let mut markers = PerColor([None; 4]);
         let mut observations = [PoseObservation::NONE; 4];
         let (mut count, mut side, mut shape_error) = (0, 0.0, 0.0);
@@ -205,9 +210,7 @@ impl Verification<'_, '_> {
             let Some(blob) = hypothesis.blobs[color].and_then(|i| scanner.blobs.get(i)) else {
                 continue;
             };
-            let Some(predicted) = self.platform.outline(color, self.camera, start) else {
-                continue;
-            };
+            let Some(predicted) = self.platform.outline(color, &start) else { continue };
             let (_, place) = predicted.area_and_centroid();
             let predicted = predicted.shifted(blob.centroid - place);
             let Some(mut appearance) = Appearance::sample(self.image, &predicted) else { continue };
@@ -218,7 +221,7 @@ impl Verification<'_, '_> {
             }
             let Some(fit) = self.measure(color, &appearance, &predicted) else { continue };
             appearance.adapt(self.image, &fit.quad, 1.0);
-            let turn = self.platform.turn_of(color, self.camera, start, &fit)?;
+            let turn = self.platform.turn_of(color, &start, &fit)?;
             if turn.abs() > MAX_TURN {
                 continue;
             }
@@ -237,8 +240,8 @@ impl Verification<'_, '_> {
             return None;
         }
         let observations = &observations[..count];
-        let (pose, rms) =
-            refine(&self.platform.layout, self.camera, observations, start, None, 20)?;
+        let geometry = self.platform.geometry(self.camera);
+        let (pose, rms) = geometry.refine(observations, &start.pose, None, 20)?;
         side /= count as f64;
         let shape = (shape_error / count as f64).sqrt();
         // Largest RMS errors of position and size, px: of a layout measured by hand and, with an

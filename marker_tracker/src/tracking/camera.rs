@@ -1,7 +1,18 @@
 //! The camera model for the size of the images.
 
 use crate::image::ImageView;
+use nalgebra::Isometry3;
 use rig_model::{CameraModel, Distortion};
+
+/// From where and how the platform is seen.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct View<'a> {
+    pub camera: &'a CameraModel,
+    /// Whether the camera model comes from a calibration.
+    pub is_known: bool,
+    /// `camera_from_volant`.
+    pub pose: Isometry3<f64>,
+}
 
 /// The camera model as it was given, and as it fits the images.
 #[derive(Debug, Default)]

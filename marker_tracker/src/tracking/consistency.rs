@@ -1,13 +1,13 @@
 //! Consistency check: whether outlines can be the markers of one platform.
 
 use crate::{
-    geometry::{PoseObservation, PosePrior, refine},
+    geometry::{PoseObservation, PosePrior},
     outline::QuadFit,
     quad::Quad,
-    tracking::{marker::MarkerTrack, platform::PlatformModel},
+    tracking::{camera::View, marker::MarkerTrack, platform::PlatformModel},
 };
 use nalgebra::Isometry3;
-use rig_model::{CameraModel, MarkerColor, PerColor};
+use rig_model::{MarkerColor, PerColor};
 
 /// Measured outlines.
 pub(super) type Fits = PerColor<Option<QuadFit>>;
@@ -51,15 +51,13 @@ pub(super) fn misfit(
     platform: &PlatformModel,
     color: MarkerColor,
     fit: &QuadFit,
-    camera: &CameraModel,
-    pose: &Isometry3<f64>,
+    view: &View<'_>,
     count: usize,
-    known_camera: bool,
 ) -> f64 {
-    let Some(expected) = platform.outline(color, camera, pose) else { return f64::INFINITY };
+    let Some(expected) = platform.outline(color, view) else { return f64::INFINITY };
     let geometry = &platform.markers[color];
     let side = fit.area.sqrt();
-    let tolerance = ShapeTolerance::new(known_camera, geometry.is_shape_known(), count, side);
+    let tolerance = ShapeTolerance::new(view.is_known, geometry.is_shape_known(), count, side);
     // While the layout is still adapting, so is the shape.
     let misplacement = platform.largest_misplacement();
     let width = tolerance.width + 1.5 * misplacement;
@@ -92,40 +90,25 @@ pub(super) fn misfit(
 
 /// Checks whole outlines against one pose.
 pub(super) struct Consistency<'a> {
-    platform: &'a PlatformModel,
-    tracks: &'a PerColor<MarkerTrack>,
-    camera: &'a CameraModel,
-    known_camera: bool,
+    pub platform: &'a PlatformModel,
+    /// With their last motion.
+    pub tracks: &'a PerColor<MarkerTrack>,
 }
 
-impl<'a> Consistency<'a> {
-    /// Collects what the check needs: the learned geometry, the tracks' last motion, the camera.
-    pub fn new(
-        platform: &'a PlatformModel,
-        tracks: &'a PerColor<MarkerTrack>,
-        camera: &'a CameraModel,
-        known_camera: bool,
-    ) -> Self {
-        Self { platform, tracks, camera, known_camera }
-    }
-
+impl Consistency<'_> {
     /// The pose (`camera_from_volant`) that the whole outlines determine, and which of them were
-    /// removed from `whole` because they contradict the others. `start`: the predicted pose.
+    /// removed from `whole` because they contradict the others. `start`: with the predicted pose.
     ///
     /// Four centroids over-determine the pose by two, and each square has the widths that the pose
     /// gives it: what does not fit is no marker, or has an edge hidden behind something straight.
-    pub fn pose(
-        &self,
-        start: &Isometry3<f64>,
-        whole: &mut Fits,
-    ) -> (Isometry3<f64>, PerColor<bool>) {
+    pub fn pose(&self, start: &View<'_>, whole: &mut Fits) -> (Isometry3<f64>, PerColor<bool>) {
         let prior =
-            PosePrior { camera_from_volant: *start, position_sigma: 0.1, rotation_sigma: 0.1 };
+            PosePrior { camera_from_volant: start.pose, position_sigma: 0.1, rotation_sigma: 0.1 };
         let mut removed = PerColor([false; 4]);
         loop {
             let count = whole.0.iter().flatten().count();
             if count == 0 {
-                return (*start, removed);
+                return (start.pose, removed);
             }
             let mut observations = [PoseObservation::NONE; 4];
             for ((color, fit), slot) in
@@ -134,23 +117,23 @@ impl<'a> Consistency<'a> {
                 *slot = self.platform.observation(color, fit, count < 4);
             }
             let observations = &observations[..count];
-            let refined =
-                refine(&self.platform.layout, self.camera, observations, start, Some(&prior), 8);
-            let Some((pose, rms)) = refined else { return (*start, removed) };
+            let geometry = self.platform.geometry(start.camera);
+            let refined = geometry.refine(observations, &start.pose, Some(&prior), 8);
+            let Some((pose, rms)) = refined else { return (start.pose, removed) };
             if count < 2 {
                 return (pose, removed);
             }
+            let view = View { pose, ..*start };
             let (mut worst, mut culprit) = (0.0, None);
             for (color, fit) in whole.iter() {
                 let Some(fit) = fit else { continue };
-                let off =
-                    misfit(self.platform, color, fit, self.camera, &pose, count, self.known_camera);
+                let off = misfit(self.platform, color, fit, &view, count);
                 if off > worst {
                     (worst, culprit) = (off, Some(color));
                 }
             }
             if worst < 1.0 {
-                if count == 2 || rms <= self.reprojection_tolerance(whole) {
+                if count == 2 || rms <= self.reprojection_tolerance(start.is_known, whole) {
                     return (pose, removed);
                 }
                 culprit = self.strangest(whole);
@@ -163,9 +146,9 @@ impl<'a> Consistency<'a> {
 
     /// Largest RMS reprojection error of consistent centroids, px: the error of the layout until it
     /// has been adapted, then that of the measurements.
-    fn reprojection_tolerance(&self, whole: &Fits) -> f64 {
+    fn reprojection_tolerance(&self, known_camera: bool, whole: &Fits) -> f64 {
         let placed = self.platform.markers.0.iter().all(|m| m.is_placed());
-        match (self.known_camera, placed) {
+        match (known_camera, placed) {
             (true, true) => {
                 let variance = |f: &QuadFit| f.covariance.trace() / 2.0;
                 let sigma = whole.0.iter().flatten().map(variance).fold(0.0, f64::max).sqrt();

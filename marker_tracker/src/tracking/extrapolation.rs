@@ -2,7 +2,7 @@
 //! still visible.
 
 use crate::{
-    geometry::{PoseObservation, PosePrior, covariance, predict_centroid, refine},
+    geometry::{Geometry, PoseObservation, PosePrior},
     tracking::{
         marker::MarkerTrack,
         motion::{ImageInterval, Motion, PlatformMotion},
@@ -40,17 +40,10 @@ impl ExtrapolatedPose {
     /// A marker's centroid (px) and its covariance (px²).
     pub fn centroid(
         &self,
-        platform: &PlatformModel,
+        geometry: &Geometry<'_>,
         color: MarkerColor,
-        camera: &CameraModel,
     ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
-        predict_centroid(
-            &platform.layout,
-            color,
-            camera,
-            &self.camera_from_volant,
-            &self.covariance,
-        )
+        geometry.predict_centroid(color, &self.camera_from_volant, &self.covariance)
     }
 }
 
@@ -160,7 +153,8 @@ fn combine(
     });
     let start = if n < 3 { prior.camera_from_volant } else { *pose };
     let observations = &observations[..n];
-    let (pose, _) = refine(&platform.layout, camera, observations, &start, Some(&prior), 8)?;
-    let covariance = covariance(&platform.layout, camera, observations, &pose, &prior)?;
+    let geometry = platform.geometry(camera);
+    let (pose, _) = geometry.refine(observations, &start, Some(&prior), 8)?;
+    let covariance = geometry.covariance(observations, &pose, &prior)?;
     Some(ExtrapolatedPose { camera_from_volant: pose, covariance })
 }

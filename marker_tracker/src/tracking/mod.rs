@@ -31,13 +31,13 @@ use crate::{
     signal::Sampler,
 };
 use acquisition::{Acquisition, PATCH_REACH};
-use camera::ImageCamera;
+use camera::{ImageCamera, View};
 use consistency::{Consistency, Fits};
 use extrapolation::Extrapolator;
 use marker::MarkerTrack;
 use meter::OutlineMeter;
 use motion::{ImageInterval, PlatformMotion};
-use nalgebra::{Isometry3, Vector2};
+use nalgebra::Vector2;
 use noise::NoiseModel;
 use partial::PartialSearch;
 use platform::PlatformModel;
@@ -139,37 +139,33 @@ impl Pipeline {
 
     /// Measures each marker near its predicted outline; returns the number of detected ones.
     fn track(&mut self, image: &Pixels<'_>, camera: &CameraModel, ratio: f64) -> usize {
-        let Some(start) = self.state.motion.predicted(ratio, self.config.use_flow) else {
+        let Some(pose) = self.state.motion.predicted(ratio, self.config.use_flow) else {
             return 0;
         };
-        let mut whole = self.measure_whole(image, camera, &start);
-        let known = self.camera.is_known();
-        let check = Consistency::new(&self.state.platform, &self.state.markers, camera, known);
+        let start = View { camera, is_known: self.camera.is_known(), pose };
+        let mut whole = self.measure_whole(image, &start);
+        let check = Consistency { platform: &self.state.platform, tracks: &self.state.markers };
         let (pose, inconsistent) = check.pose(&start, &mut whole);
         for color in MarkerColor::ALL {
             if inconsistent[color] {
                 self.state.markers[color].outcome = Outcome::Inconsistent;
             }
         }
-        let detected = self.measure_partial(image, camera, &pose, &whole);
+        let view = View { pose, ..start };
+        let detected = self.measure_partial(image, &view, &whole);
         // Before the layout adapts to the noise of this image.
-        if known && self.state.images % 2 == 1 {
-            self.state.noise.adapt_excess(&self.state.platform, &self.state.markers, camera, &pose);
+        if view.is_known && self.state.images % 2 == 1 {
+            self.state.noise.adapt_excess(&self.state.platform, &self.state.markers, &view);
         }
-        self.adapt(image, camera, &pose);
+        self.adapt(image, &view);
         self.state.motion.pose = Some(pose);
         detected
     }
 
-    /// Measures each marker as a whole square near the outline that the pose `start` predicts.
-    fn measure_whole(
-        &mut self,
-        image: &Pixels<'_>,
-        camera: &CameraModel,
-        start: &Isometry3<f64>,
-    ) -> Fits {
+    /// Measures each marker as a whole square near the outline that the predicted view has.
+    fn measure_whole(&mut self, image: &Pixels<'_>, predicted: &View<'_>) -> Fits {
         let outlines = PerColor::from_fn(|color| {
-            let outline = self.state.platform.outline(color, camera, start)?;
+            let outline = self.state.platform.outline(color, predicted)?;
             image.prefetch(outline.window(image, READ_MARGIN));
             Some(outline)
         });
@@ -208,22 +204,16 @@ impl Pipeline {
         whole
     }
 
-    /// Measures the markers that are not whole at the places that the other markers' pose predicts;
+    /// Measures the markers that are not whole at the places that the other markers' pose gives;
     /// returns the number of detected markers.
-    fn measure_partial(
-        &mut self,
-        image: &Pixels<'_>,
-        camera: &CameraModel,
-        pose: &Isometry3<f64>,
-        whole: &Fits,
-    ) -> usize {
-        let mut search = PartialSearch::new(image, camera, pose, whole, self.camera.is_known());
+    fn measure_partial(&mut self, image: &Pixels<'_>, view: &View<'_>, whole: &Fits) -> usize {
+        let mut search = PartialSearch::new(image, view, whole);
         for color in MarkerColor::ALL {
             let meter = self.meter(color);
             if let Some(fit) = whole[color] {
                 self.state.markers[color].fit = Some(fit);
                 self.state.markers[color].outcome = Outcome::Whole;
-            } else if search.is_possible() {
+            } else if search.determining > 0 {
                 let palette = self.acquisition.palette();
                 let track = &mut self.state.markers[color];
                 track.outcome = search.run(
@@ -240,7 +230,7 @@ impl Pipeline {
     }
 
     /// Adapts noise, appearance and geometry to the markers that were measured as a whole.
-    fn adapt(&mut self, image: &Pixels<'_>, camera: &CameraModel, pose: &Isometry3<f64>) {
+    fn adapt(&mut self, image: &Pixels<'_>, view: &View<'_>) {
         let detected = self.state.markers.0.iter().filter(|m| m.fit.is_some()).count();
         for color in MarkerColor::ALL {
             let track = &mut self.state.markers[color];
@@ -249,7 +239,7 @@ impl Pipeline {
             // Light drifts slowly: one marker's colors per image suffice.
             let is_due = self.state.images % 4 == color.index() as u32;
             track.adapt(image, &fit, is_due);
-            self.state.platform.adapt(color, camera, pose, &fit, detected, is_due);
+            self.state.platform.adapt(color, view, &fit, detected, is_due);
         }
         self.state.noise.forget_rows();
     }
@@ -296,8 +286,7 @@ impl Pipeline {
         let has_pose = self.state.motion.pose.is_some();
         let markers = PerColor::from_fn(|color| {
             let rigid = extrapolated
-                .as_ref()
-                .and_then(|e| e.centroid(&self.state.platform, color, camera?));
+                .and_then(|e| e.centroid(&self.state.platform.geometry(camera?), color));
             let track = &mut self.state.markers[color];
             match track.fit {
                 Some(fit) => track.conclude_detected(image, &fit, common.of_marker(color)),
@@ -323,10 +312,13 @@ impl Engine for Pipeline {
         let State { motion, interval, markers, platform, unseen: 0, .. } = &self.state else {
             return None;
         };
-        let pose = motion.predicted(interval.ratio(stamp), self.config.use_flow)?;
-        let camera = self.camera.latest()?;
+        let view = View {
+            camera: self.camera.latest()?,
+            is_known: self.camera.is_known(),
+            pose: motion.predicted(interval.ratio(stamp), self.config.use_flow)?,
+        };
         let window = |color: MarkerColor| {
-            let outline = platform.outline(color, camera, &pose)?;
+            let outline = platform.outline(color, &view)?;
             let track = &markers[color];
             let margin = match track.fit {
                 Some(fit) if fit.is_whole() && !fit.relit => WINDOW_MARGIN,

@@ -2,12 +2,12 @@
 
 use crate::{
     edge::LAGS,
-    geometry::{PoseObservation, refine},
+    geometry::PoseObservation,
     outline::QuadFit,
-    tracking::{marker::MarkerTrack, platform::PlatformModel},
+    tracking::{camera::View, marker::MarkerTrack, platform::PlatformModel},
 };
-use nalgebra::{Isometry3, Matrix2};
-use rig_model::{CameraModel, MarkerColor, PerColor};
+use nalgebra::Matrix2;
+use rig_model::{MarkerColor, PerColor};
 
 /// Noise of the edges: correlation of neighboring rows, and what the rows do not show.
 #[derive(Clone, Debug, Default)]
@@ -73,13 +73,12 @@ impl NoiseModel {
 
     /// Adapts the excess to the residuals of four whole outlines about their best pose, which they
     /// over-determine by two degrees of freedom. It covers what an edge's rows cannot show: JPEG
-    /// blocks, demosaicing, paper that is not flat. `pose`: start, `camera_from_volant`.
+    /// blocks, demosaicing, paper that is not flat. `view`: with the pose to start from.
     pub fn adapt_excess(
         &mut self,
         platform: &PlatformModel,
         tracks: &PerColor<MarkerTrack>,
-        camera: &CameraModel,
-        pose: &Isometry3<f64>,
+        view: &View<'_>,
     ) {
         let mut observations = [PoseObservation::NONE; 4];
         let mut covariances = [Matrix2::identity(); 4];
@@ -94,11 +93,11 @@ impl NoiseModel {
             // Without the excess itself.
             covariances[color.index()] = fit.covariance * (self.correlation() / fit.inflation);
         }
-        let refined = refine(&platform.layout, camera, &observations, pose, None, 4);
+        let refined = platform.geometry(view.camera).refine(&observations, &view.pose, None, 4);
         let Some((best, _)) = refined else { return };
         let mut chi2 = 0.0;
         for (o, covariance) in observations.iter().zip(&covariances) {
-            let Some(p) = platform.layout.projected_centroid(o.color, camera, &best) else {
+            let Some(p) = platform.layout.projected_centroid(o.color, view.camera, &best) else {
                 return;
             };
             let Some(inverse) = covariance.try_inverse() else { return };

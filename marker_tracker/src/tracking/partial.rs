@@ -10,6 +10,7 @@ use crate::{
     scan::Palette,
     signal::Sampler,
     tracking::{
+        camera::View,
         consistency::{Fits, misfit},
         marker::MarkerTrack,
         meter::{KNOWN, OutlineMeter, SEARCH, Tolerance},
@@ -17,8 +18,7 @@ use crate::{
         platform::PlatformModel,
     },
 };
-use nalgebra::Isometry3;
-use rig_model::{CameraModel, MarkerColor};
+use rig_model::MarkerColor;
 
 /// Sum of the four edges' supports from which on a square is only touched by a cover: each edge was
 /// measured along 83 % of its length on average.
@@ -30,35 +30,19 @@ const UNKNOWN: Tolerance = Tolerance { half_width: 5.0, slope: 0.1, rows: KNOWN.
 /// Search for the markers that were not measured as a whole.
 pub(super) struct PartialSearch<'a, 'p> {
     image: &'a Pixels<'p>,
-    camera: &'a CameraModel,
-    pose: &'a Isometry3<f64>,
+    view: &'a View<'a>,
     whole: &'a Fits,
-    known_camera: bool,
+    /// Number of markers that determine the pose: those in `whole`.
+    pub determining: usize,
     /// Detected markers so far.
     pub detected: usize,
 }
 
 impl<'a, 'p> PartialSearch<'a, 'p> {
-    /// Prepares the search at `pose`, which the markers in `whole` determine.
-    pub fn new(
-        image: &'a Pixels<'p>,
-        camera: &'a CameraModel,
-        pose: &'a Isometry3<f64>,
-        whole: &'a Fits,
-        known_camera: bool,
-    ) -> Self {
-        let detected = whole.0.iter().flatten().count();
-        Self { image, camera, pose, whole, known_camera, detected }
-    }
-
-    /// Whether any marker was measured as a whole.
-    pub fn is_possible(&self) -> bool {
-        self.whole.0.iter().any(Option::is_some)
-    }
-
-    /// Number of markers that determine the pose.
-    fn determining(&self) -> usize {
-        self.whole.0.iter().flatten().count()
+    /// Prepares the search where the markers in `whole` determine the view.
+    pub fn new(image: &'a Pixels<'p>, view: &'a View<'a>, whole: &'a Fits) -> Self {
+        let determining = whole.0.iter().flatten().count();
+        Self { image, view, whole, determining, detected: determining }
     }
 
     /// Searches one marker; stores its measurement in the track where it is accepted.
@@ -96,20 +80,18 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
         track: &mut MarkerTrack,
         platform: &mut PlatformModel,
     ) -> bool {
-        if self.determining() < 3 || !self.known_camera {
+        if self.determining < 3 || !self.view.is_known {
             return false;
         }
         let mut restarted = || {
-            let outline = platform.nominal_outline(color, self.camera, self.pose)?;
+            let outline = platform.nominal_outline(color, self.view)?;
             let appearance = Appearance::sample(self.image, &outline)?;
             if !appearance.hue.is_like(&track.appearance.as_ref()?.hue) {
                 return None;
             }
             let sampler = Sampler::new(self.image, &appearance.discriminant);
             let fit = OutlineMeter::default().whole(&sampler, &outline, UNKNOWN)?;
-            platform
-                .restart_covered(color, self.camera, self.pose, &fit)
-                .then_some((appearance, fit))
+            platform.restart_covered(color, self.view, &fit).then_some((appearance, fit))
         };
         let Some((appearance, fit)) = restarted() else { return false };
         track.appearance = Some(appearance);
@@ -131,7 +113,7 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
     ) -> Outcome {
         // Standard deviations of place and edges, px: what one, two or three markers leave of a
         // pose's uncertainty at the place of another.
-        let (place_sigma, edge_sigma) = match self.determining() {
+        let (place_sigma, edge_sigma) = match self.determining {
             1 => (3.0, 0.4),
             2 => (2.0, 0.25),
             _ => (0.8, 0.1),
@@ -149,9 +131,9 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
         }
         let geometry = &platform.markers[color];
         let trusted =
-            self.known_camera && geometry.is_shape_known() && geometry.is_roughly_placed();
+            self.view.is_known && geometry.is_shape_known() && geometry.is_roughly_placed();
         // Two markers constrain the pose too little to tell a cover's edge from the marker's.
-        let (reach, edges, support) = if trusted && self.determining() == 3 {
+        let (reach, edges, support) = if trusted && self.determining == 3 {
             let others = self.whole.0.iter().flatten().map(QuadFit::sigma).fold(0.0, f64::max);
             let sigma = fit.sigma() + others;
             (0.15 + 3.0 * sigma + 2.0 * geometry.misplacement, 2, 0.4)
@@ -171,10 +153,10 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
             return Outcome::Covered;
         }
         let count = self.detected.min(3);
-        if misfit(platform, color, &fit, self.camera, self.pose, count, self.known_camera) > 1.0 {
+        if misfit(platform, color, &fit, self.view, count) > 1.0 {
             return Outcome::OtherShape;
         }
-        match platform.layout.projected_centroid(color, self.camera, self.pose) {
+        match platform.layout.projected_centroid(color, self.view.camera, &self.view.pose) {
             Some(expected) if (expected.pixel - fit.centroid).norm() < reach => {
                 track.fit = Some(fit);
                 self.detected += 1;
@@ -196,7 +178,7 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
         config: &TrackerConfig,
         tolerance: Tolerance,
     ) -> Option<QuadFit> {
-        let outline = platform.outline(color, self.camera, self.pose)?;
+        let outline = platform.outline(color, self.view)?;
         let appearance = match track.appearance {
             Some(appearance) => appearance,
             None => Appearance::sample(self.image, &outline)

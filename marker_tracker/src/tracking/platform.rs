@@ -2,11 +2,12 @@
 //! plane, and how far their edges lie outside of the nominal square.
 
 use crate::{
-    geometry::{PoseObservation, project_square},
+    geometry::{Geometry, PoseObservation, project_square},
     outline::QuadFit,
     quad::Quad,
+    tracking::camera::View,
 };
-use nalgebra::{Isometry3, Vector2};
+use nalgebra::Vector2;
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, PerColor};
 
 /// Largest turn of a square in its plane, rad (20°): markers are mounted "a few degrees" off.
@@ -100,14 +101,14 @@ impl PlatformModel {
         Self { given: layout.clone(), layout, markers: PerColor::default() }
     }
 
-    /// The outline (px) that a pose gives a marker; `None` outside of the camera model's range.
-    pub fn outline(
-        &self,
-        color: MarkerColor,
-        camera: &CameraModel,
-        pose: &Isometry3<f64>,
-    ) -> Option<Quad> {
-        project_square(&self.layout, color, self.markers[color].turn, camera, pose)
+    /// The adapted layout and a camera, to estimate poses.
+    pub fn geometry<'a>(&'a self, camera: &'a CameraModel) -> Geometry<'a> {
+        Geometry { layout: &self.layout, camera }
+    }
+
+    /// The outline (px) of a marker that is seen from a pose; `None` outside of the camera model's range.
+    pub fn outline(&self, color: MarkerColor, view: &View<'_>) -> Option<Quad> {
+        project_square(&self.layout, color, self.markers[color].turn, view.camera, &view.pose)
     }
 
     /// What a whole outline says about the pose. Its corners only enter `with_outline`, where the
@@ -135,25 +136,14 @@ impl PlatformModel {
         self.markers.0.iter().map(|m| m.misplacement).fold(0.0, f64::max)
     }
 
-    /// Turn (rad) in its plane of an outline that is seen from `pose`.
-    pub fn turn_of(
-        &self,
-        color: MarkerColor,
-        camera: &CameraModel,
-        pose: &Isometry3<f64>,
-        fit: &QuadFit,
-    ) -> Option<f64> {
-        Some(self.markers[color].turn + self.compare(color, camera, pose, fit)?.turn)
+    /// Turn (rad) of an outline in its plane.
+    pub fn turn_of(&self, color: MarkerColor, view: &View<'_>, fit: &QuadFit) -> Option<f64> {
+        Some(self.markers[color].turn + self.compare(color, view, fit)?.turn)
     }
 
     /// The outline (px) of a marker as the rig file has it, not turned.
-    pub fn nominal_outline(
-        &self,
-        color: MarkerColor,
-        camera: &CameraModel,
-        pose: &Isometry3<f64>,
-    ) -> Option<Quad> {
-        project_square(&self.given, color, 0.0, camera, pose)
+    pub fn nominal_outline(&self, color: MarkerColor, view: &View<'_>) -> Option<Quad> {
+        project_square(&self.given, color, 0.0, view.camera, &view.pose)
     }
 
     /// Restarts the adaptation of a marker whose geometry was adapted while something covered it,
@@ -163,13 +153,7 @@ impl PlatformModel {
     /// wider than that by more than its noise, and as wide as the other markers, which share paper,
     /// scissors and blooming. Settled geometry is kept: something of the marker's color beside it
     /// would widen the outline as well.
-    pub fn restart_covered(
-        &mut self,
-        color: MarkerColor,
-        camera: &CameraModel,
-        pose: &Isometry3<f64>,
-        fit: &QuadFit,
-    ) -> bool {
+    pub fn restart_covered(&mut self, color: MarkerColor, view: &View<'_>, fit: &QuadFit) -> bool {
         /// Smallest excess of the two widths' sum, px, and largest deficit of either: 4 and 3 times
         /// an edge's noise of 0.05 px.
         const EXCESS: f64 = 0.2;
@@ -188,7 +172,7 @@ impl PlatformModel {
         let mut fresh = self.clone();
         fresh.markers[color] = MarkerGeometry::default();
         fresh.layout.centers[color] = self.given.centers[color];
-        let Some(now) = fresh.compare(color, camera, pose, fit) else { return false };
+        let Some(now) = fresh.compare(color, view, fit) else { return false };
         let more = [0, 1].map(|k| now.edge_bias[k] - adapted[k]);
         let limit = UNEVEN.0 + UNEVEN.1 * fit.area.sqrt();
         // With few updates the levels beside the edges may be the cover's, too.
@@ -204,13 +188,11 @@ impl PlatformModel {
         false
     }
 
-    /// Adapts one marker to a whole outline, seen from `pose` together with `detected` markers in
-    /// all. A marker whose geometry has settled adapts only where it `is_due`.
+    /// Adapts one marker to a whole outline, one of `detected` markers that determine the view. A marker whose geometry has settled adapts only where it `is_due`.
     pub fn adapt(
         &mut self,
         color: MarkerColor,
-        camera: &CameraModel,
-        pose: &Isometry3<f64>,
+        view: &View<'_>,
         fit: &QuadFit,
         detected: usize,
         is_due: bool,
@@ -221,7 +203,7 @@ impl PlatformModel {
         if (m.is_settled() && !is_due) || !determined {
             return;
         }
-        let Some(difference) = self.compare(color, camera, pose, fit) else { return };
+        let Some(difference) = self.compare(color, view, fit) else { return };
         let m = &mut self.markers[color];
         m.turn = (m.turn + gain(m.turn_updates) * difference.turn).clamp(-MAX_TURN, MAX_TURN);
         m.turn_updates = m.turn_updates.saturating_add(1);
@@ -233,20 +215,17 @@ impl PlatformModel {
             *known += gain * (now - *known).clamp(-1.0, 1.0);
         }
         m.edge_bias_updates = m.edge_bias_updates.saturating_add(1);
-        self.adapt_place(color, camera, pose, fit);
+        self.adapt_place(color, view, fit);
     }
 
     /// Moves a marker on the platform towards where it is seen. The four centroids over-determine
     /// the pose by two; what remains, pose after pose, is the error of the layout.
-    fn adapt_place(
-        &mut self,
-        color: MarkerColor,
-        camera: &CameraModel,
-        pose: &Isometry3<f64>,
-        fit: &QuadFit,
-    ) {
-        let Some(p) = self.layout.projected_centroid(color, camera, pose) else { return };
-        let plane = pose.rotation.to_rotation_matrix().matrix().fixed_columns::<2>(0).into_owned();
+    fn adapt_place(&mut self, color: MarkerColor, view: &View<'_>, fit: &QuadFit) {
+        let Some(p) = self.layout.projected_centroid(color, view.camera, &view.pose) else {
+            return;
+        };
+        let plane =
+            view.pose.rotation.to_rotation_matrix().matrix().fixed_columns::<2>(0).into_owned();
         let Some(inverse) = (p.jacobian_by_center * plane).try_inverse() else { return };
         let off = fit.centroid - p.pixel;
         let m = &mut self.markers[color];
@@ -264,19 +243,18 @@ impl PlatformModel {
         }
     }
 
-    /// Difference of a measured outline from the one that `pose` predicts.
+    /// Difference of a measured outline from the predicted one.
     fn compare(
         &self,
         color: MarkerColor,
-        camera: &CameraModel,
-        pose: &Isometry3<f64>,
+        view: &View<'_>,
         fit: &QuadFit,
     ) -> Option<OutlineDifference> {
         /// Step of the numerical derivative, rad.
         const STEP: f64 = 0.01;
         let turn = self.markers[color].turn;
-        let here = project_square(&self.layout, color, turn, camera, pose)?;
-        let turned = project_square(&self.layout, color, turn + STEP, camera, pose)?;
+        let here = project_square(&self.layout, color, turn, view.camera, &view.pose)?;
+        let turned = project_square(&self.layout, color, turn + STEP, view.camera, &view.pose)?;
         let (mut gain, mut sum, mut edge_bias) = (0.0, 0.0, [0.0; 2]);
         let (_, here_center) = here.area_and_centroid();
         for i in 0..4 {
