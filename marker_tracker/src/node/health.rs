@@ -1,6 +1,6 @@
 //! Explanations for the diagnostics.
 
-use crate::node::stages::Report;
+use crate::node::stages::Stages;
 use rig_model::CameraModel;
 
 /// Mean values (0–255) below and above which an image shows nothing: 5 % from either end.
@@ -8,9 +8,9 @@ const NEARLY_BLACK: f64 = 12.0;
 const NEARLY_WHITE: f64 = 243.0;
 
 /// Explains from the images why no marker was detected for a second.
-pub(super) fn why_none(report: &Report, camera: Option<&CameraModel>) -> String {
-    let mean = report.brightness;
-    let (width, height) = report.size;
+pub(super) fn why_none(stages: &Stages, camera: Option<&CameraModel>) -> String {
+    let mean = stages.mean_brightness();
+    let (width, height) = stages.size;
     let other_size = camera.map(CameraModel::size).filter(|size| {
         (usize::try_from(size.0), usize::try_from(size.1)) != (Ok(width), Ok(height))
     });

@@ -28,7 +28,7 @@ impl MarkerTrackerNode {
             &message.data,
             &mut scratch,
         );
-        self.stages.converted(clock);
+        self.stages.convert.end(clock);
         let result = view.and_then(|view| {
             let unseen = self.track(context, |tracker| tracker.handle(Input::Image(view)));
             self.inspect(context, unseen, (view.width, view.height), || Ok(view))
@@ -47,7 +47,7 @@ impl MarkerTrackerNode {
         let stamp = convert::stamp(&message.header.stamp);
         let clock = self.stages.start();
         let image = decoder.decode(stamp, &message.format, &message.data, Some(&self.tracker));
-        self.stages.converted(clock);
+        self.stages.convert.end(clock);
         let result = image.and_then(|mut image| {
             let unseen = self.track(context, |tracker| tracker.handle_partial(&mut image));
             self.inspect(context, unseen, image.size(), || image.whole())
@@ -62,11 +62,11 @@ impl MarkerTrackerNode {
         context: &mut NodeContext<Arrival>,
         handle: impl FnOnce(&mut Tracker),
     ) -> bool {
-        let (clock, before) = (self.stages.start(), self.stages.unseen());
+        let (clock, before) = (self.stages.start(), self.stages.detected[0]);
         handle(&mut self.tracker);
-        self.stages.tracked(clock);
+        self.stages.track.end(clock);
         self.publish(context);
-        self.stages.unseen() > before
+        self.stages.detected[0] > before
     }
 
     /// Records the size (px) of the last image, its brightness where it is `unseen`, and publishes
@@ -78,7 +78,7 @@ impl MarkerTrackerNode {
         size: (usize, usize),
         view: impl FnOnce() -> Result<ImageView<'a>, ImageError>,
     ) -> Result<(), ImageError> {
-        self.stages.set_size(size);
+        self.stages.size = size;
         #[cfg(feature = "opencv")]
         let is_drawn = self.debug.subscribers() > 0;
         #[cfg(not(feature = "opencv"))]
@@ -100,7 +100,7 @@ impl MarkerTrackerNode {
         result: Result<(), ImageError>,
     ) {
         if let Err(error) = result {
-            self.stages.rejected();
+            self.stages.rejected += 1;
             let text = format!("{}: {error}", self.source);
             context.log_throttled(Level::Warn, "image", text);
         }
@@ -117,14 +117,14 @@ impl MarkerTrackerNode {
                         .iter()
                         .filter(|m| m.state == MarkerState::Detected)
                         .count();
-                    self.stages.finished(detected);
+                    self.stages.detected[detected] += 1;
                 }
                 Output::Warning(warning) => {
                     match warning {
                         Warning::Image(_)
                         | Warning::StampFromThePast { .. }
-                        | Warning::Library { .. } => self.stages.rejected(),
-                        Warning::Repeated { .. } => self.stages.repeated(),
+                        | Warning::Library { .. } => self.stages.rejected += 1,
+                        Warning::Repeated { .. } => self.stages.repeated += 1,
                         Warning::CameraSize { .. } => {}
                     }
                     let text = format!("{}: {warning}", self.source);
@@ -138,7 +138,7 @@ impl MarkerTrackerNode {
     fn draw(&mut self, context: &mut NodeContext<Arrival>, view: &ImageView<'_>) {
         let clock = self.stages.start();
         let jpeg = debug_image::encode(view, &self.tracker.views());
-        self.stages.drawn(clock);
+        self.stages.draw.end(clock);
         match jpeg {
             Ok(data) => self.debug.publish(CompressedImage {
                 header: convert::header(&self.frame, view.stamp),

@@ -144,35 +144,35 @@ impl NodeShell for MarkerTrackerNode {
     }
 
     fn tick(&mut self, context: &mut NodeContext<Arrival>) {
-        let report = self.stages.report();
-        let (health, message) = if report.images == 0 {
+        let stages = std::mem::take(&mut self.stages);
+        let (health, message) = if stages.convert.count == 0 {
             (Health::Error, self.incomplete.why_none())
-        } else if report.accepted == 0 {
+        } else if stages.accepted() == 0 {
             (
                 Health::Error,
                 "every image of the last second was rejected; see the log for the reason"
                     .to_owned(),
             )
-        } else if report.repeated == report.accepted {
+        } else if stages.repeated == stages.accepted() {
             let message = "every image of the last second is byte for byte the previous one: the \
                            camera or its driver hangs";
             (Health::Error, message.to_owned())
-        } else if report.rejected > 0 {
+        } else if stages.rejected > 0 {
             (
                 Health::Warn,
                 format!(
                     "{} images of the last second were rejected; see the log for the reason",
-                    report.rejected
+                    stages.rejected
                 ),
             )
         } else if self.camera.is_none() {
             (Health::Warn, "no camera_info yet: geometry is only checked coarsely".to_owned())
-        } else if report.detected[0] == 0 {
-            (Health::Warn, health::why_none(&report, self.camera.as_ref()))
+        } else if stages.detected[0] == stages.accepted() {
+            (Health::Warn, health::why_none(&stages, self.camera.as_ref()))
         } else {
             (Health::Ok, "tracking".to_owned())
         };
-        let mut values = report.values;
+        let mut values = stages.values();
         values.push(("incomplete images dropped", self.incomplete.dropped.to_string()));
         let outcomes = self.tracker.outcomes();
         values.extend(outcomes.iter().map(|(color, o)| (color.name(), o.to_string())));
