@@ -5,8 +5,8 @@ use crate::{
     geometry::{Geometry, PoseObservation, pose_from_four, poses_from_three},
     scan::Blob,
 };
-use nalgebra::{Isometry3, Vector2};
-use rig_model::{CameraModel, MarkerColor, MarkerLayout, PerColor};
+use nalgebra::Isometry3;
+use rig_model::{MarkerColor, PerColor};
 
 /// A set of patches that can be an image of the layout.
 #[derive(Clone, Copy, Debug)]
@@ -52,51 +52,64 @@ const THREES: usize = 32;
 const BATCH: usize = 4;
 const GOOD: f64 = 0.12;
 
+/// Items by their rank, lowest first, of which the first `N` are kept; of equal ones the earlier
+/// comes first.
+struct Ranked<T, const N: usize> {
+    items: [(f64, T); N],
+    count: usize,
+}
+
+impl<T: Copy + Default, const N: usize> Ranked<T, N> {
+    fn new() -> Self {
+        Self { items: [(0.0, T::default()); N], count: 0 }
+    }
+
+    fn insert(&mut self, rank: f64, item: T) {
+        if self.count < N {
+            self.count += 1;
+        } else if self.items[N - 1].0 <= rank {
+            return;
+        }
+        let mut k = self.count - 1;
+        while k > 0 && self.items[k - 1].0 > rank {
+            self.items[k] = self.items[k - 1];
+            k -= 1;
+        }
+        self.items[k] = (rank, item);
+    }
+
+    fn iter(&self) -> impl Iterator<Item = T> {
+        self.items[..self.count].iter().map(|(_, item)| *item)
+    }
+}
+
 /// All hypotheses of four patches (or of three, each three in turn) worth a closer look, best
 /// first, into `found` (cleared before).
 pub(crate) fn hypotheses(
-    layout: &MarkerLayout,
-    camera: &CameraModel,
+    geometry: Geometry<'_>,
     blobs: &[Blob],
     strictness: Strictness,
     extent: Extent,
     found: &mut Vec<Hypothesis>,
 ) {
     found.clear();
+    let layout = geometry.layout;
+    let mut search = Search { geometry, blobs, strictness, found };
     let by_threes = extent == Extent::Threes;
     // The most colourful and most square patches first; of wood and cardboard there may be
     // hundreds.
-    let mut of: PerColor<([(usize, f64); PER_COLOR], usize)> =
-        PerColor([([(0, 0.0); PER_COLOR], 0); 4]);
+    let mut of = PerColor::from_fn(|_| Ranked::<usize, PER_COLOR>::new());
     for (i, blob) in blobs.iter().enumerate() {
         let fill = blob.fill();
         if !(0.55..1.35).contains(&fill) || blob.elongation() >= 5.0 {
             continue;
         }
         let merit = f64::from(blob.saturation()) * (-2.0 * fill.ln().abs()).exp();
-        let (list, n) = &mut of[blob.color];
-        if *n < PER_COLOR {
-            *n += 1;
-        } else if list[PER_COLOR - 1].1 >= merit {
-            continue;
-        }
-        let mut k = *n - 1;
-        while k > 0 && list[k - 1].1 < merit {
-            list[k] = list[k - 1];
-            k -= 1;
-        }
-        list[k] = (i, merit);
+        of[blob.color].insert(-merit, i);
     }
-    let list = |c: MarkerColor| &of[c].0[..of[c].1];
-    let seeds = [
-        [MarkerColor::Red, MarkerColor::Green, MarkerColor::Blue, MarkerColor::Yellow],
-        [MarkerColor::Green, MarkerColor::Blue, MarkerColor::Yellow, MarkerColor::Red],
-        [MarkerColor::Blue, MarkerColor::Yellow, MarkerColor::Red, MarkerColor::Green],
-        [MarkerColor::Yellow, MarkerColor::Red, MarkerColor::Green, MarkerColor::Blue],
-    ];
-    let mut fours = [(0.0, [0usize; 4]); RANKED_FOURS];
-    let mut kept = 0;
-    for [a, b, c, d] in seeds.into_iter().take(if by_threes { 4 } else { 1 }) {
+    let mut fours = Ranked::<[usize; 4], RANKED_FOURS>::new();
+    for first in 0..(if by_threes { 4 } else { 1 }) {
+        let [a, b, c, d] = std::array::from_fn(|i| MarkerColor::ALL[(first + i) % 4]);
         let mut threes = THREES;
         let (pa, pb, pc, pd) =
             (layout.centers[a], layout.centers[b], layout.centers[c], layout.centers[d]);
@@ -113,15 +126,15 @@ pub(crate) fn hypotheses(
         let w = (pd - pa).xy();
         let (s, t) = ((w.x * v.y - w.y * v.x) / twist, (u.x * w.y - u.y * w.x) / twist);
         let reach = u.norm().max(v.norm()) / layout.side;
-        for &(ia, _) in list(a) {
-            for &(ib, _) in list(b) {
+        for ia in of[a].iter() {
+            for ib in of[b].iter() {
                 let (ba, bb) = (&blobs[ia], &blobs[ib]);
                 let side = (ba.area * bb.area).sqrt().sqrt();
                 let limit = 2.6 * side * reach + 10.0;
                 if (ba.centroid - bb.centroid).norm() > limit || !like_areas(ba.area, bb.area) {
                     continue;
                 }
-                for &(ic, _) in list(c) {
+                for ic in of[c].iter() {
                     let bc = &blobs[ic];
                     if !like_areas(ba.area, bc.area) || !like_areas(bb.area, bc.area) {
                         continue;
@@ -134,7 +147,7 @@ pub(crate) fn hypotheses(
                     }
                     if !by_threes {
                         let guess = ba.centroid + iu * s + iv * t;
-                        for &(id, _) in list(d) {
+                        for id in of[d].iter() {
                             let bd = &blobs[id];
                             let off = (bd.centroid - guess).norm();
                             if off >= 0.35 * reach * side + 3.0 || !like_areas(area, bd.area) {
@@ -147,36 +160,24 @@ pub(crate) fn hypotheses(
                             let colorful: f64 =
                                 [ba, bb, bc, bd].iter().map(|b| f64::from(b.saturation())).sum();
                             let rank = off / (reach * side) + 0.2 * uneven - 0.2 * colorful;
-                            let mut k = if kept < RANKED_FOURS {
-                                kept += 1;
-                                kept - 1
-                            } else if fours[RANKED_FOURS - 1].0 <= rank {
-                                continue;
-                            } else {
-                                RANKED_FOURS - 1
-                            };
-                            while k > 0 && fours[k - 1].0 > rank {
-                                fours[k] = fours[k - 1];
-                                k -= 1;
-                            }
-                            fours[k] = (rank, [ia, ib, ic, id]);
+                            fours.insert(rank, [ia, ib, ic, id]);
                         }
                     }
                     if by_threes && threes > 0 {
                         threes -= 1;
-                        three(layout, camera, blobs, [ia, ib, ic], [a, b, c], strictness, found);
+                        search.three([ia, ib, ic], [a, b, c]);
                     }
                 }
             }
         }
     }
-    for batch in fours[..kept.min(FOURS)].chunks(BATCH) {
-        for (_, indices) in batch {
-            four(layout, camera, blobs, *indices, seeds[0], strictness, found);
-        }
-        if extent == Extent::Quick && found.iter().any(|h| h.score < GOOD) {
+    for (count, indices) in fours.iter().take(FOURS).enumerate() {
+        // Where a quick search has found a good one, the rest of the ranking is left out.
+        let is_good = |h: &Hypothesis| h.score < GOOD;
+        if extent == Extent::Quick && count % BATCH == 0 && search.found.iter().any(is_good) {
             break;
         }
+        search.four(indices);
     }
     found.sort_unstable_by(|a, b| a.score.total_cmp(&b.score));
     found.truncate(KEEP * 2);
@@ -188,105 +189,100 @@ fn like_areas(a: f64, b: f64) -> bool {
     (0.38..2.6).contains(&r)
 }
 
-fn four(
-    layout: &MarkerLayout,
-    camera: &CameraModel,
-    blobs: &[Blob],
-    indices: [usize; 4],
-    colors: [MarkerColor; 4],
+/// A search for hypotheses.
+struct Search<'a> {
+    geometry: Geometry<'a>,
+    blobs: &'a [Blob],
     strictness: Strictness,
-    found: &mut Vec<Hypothesis>,
-) {
-    let mut pixels = PerColor([Vector2::zeros(); 4]);
-    let mut chosen = PerColor([None; 4]);
-    for (&i, c) in indices.iter().zip(colors) {
-        pixels[c] = blobs[i].centroid;
-        chosen[c] = Some(i);
-    }
-    let Some(start) = pose_from_four(layout, camera, &pixels) else { return };
-    let observations = colors.map(|color| PoseObservation {
-        color,
-        pixel: pixels[color],
-        sigma: 1.0,
-        outline: None,
-    });
-    score(layout, camera, blobs, &observations, &start, chosen, strictness, 0.0, found);
+    found: &'a mut Vec<Hypothesis>,
 }
 
-fn three(
-    layout: &MarkerLayout,
-    camera: &CameraModel,
-    blobs: &[Blob],
-    indices: [usize; 3],
-    colors: [MarkerColor; 3],
-    strictness: Strictness,
-    found: &mut Vec<Hypothesis>,
-) {
-    let mut chosen = PerColor([None; 4]);
-    for (&i, c) in indices.iter().zip(colors) {
-        if blobs[i].cut || !(0.8..1.2).contains(&blobs[i].fill()) {
-            return;
-        }
-        chosen[c] = Some(i);
+impl Search<'_> {
+    /// Adds the hypothesis that these patches are the markers, in the order of the colors.
+    fn four(&mut self, indices: [usize; 4]) {
+        let Geometry { layout, camera } = self.geometry;
+        let pixels = PerColor(indices.map(|i| self.blobs[i].centroid));
+        let Some(start) = pose_from_four(layout, camera, &pixels) else { return };
+        let observations = self.observations(indices, MarkerColor::ALL);
+        let chosen = PerColor(indices.map(Some));
+        self.score(&observations, &start, chosen, self.strictness, 0.0);
     }
-    let observations: [PoseObservation; 3] = std::array::from_fn(|k| PoseObservation {
-        color: colors[k],
-        pixel: blobs[indices[k]].centroid,
-        sigma: 1.0,
-        outline: None,
-    });
-    let Some(starts) = poses_from_three(layout, camera, &observations) else { return };
-    for start in &starts {
-        // Three observations are explained by many poses, so they come after every four, and their
-        // areas must be right.
-        let strict = Strictness { area: strictness.area.min(1.45), ..strictness };
-        score(layout, camera, blobs, &observations, start, chosen, strict, 1.0, found);
-    }
-}
 
-#[allow(clippy::too_many_arguments)]
-fn score(
-    layout: &MarkerLayout,
-    camera: &CameraModel,
-    blobs: &[Blob],
-    observations: &[PoseObservation],
-    start: &Isometry3<f64>,
-    chosen: PerColor<Option<usize>>,
-    strictness: Strictness,
-    handicap: f64,
-    found: &mut Vec<Hypothesis>,
-) {
-    let geometry = Geometry { layout, camera };
-    let Some((pose, rms)) = geometry.refine(observations, start, None, 15) else { return };
-    // Beyond 78° a square is a line.
-    let up = pose.rotation * nalgebra::Vector3::z();
-    if -up.dot(&pose.translation.vector.normalize()) < 0.2 {
-        return;
-    }
-    let mut disagreement = 0.0;
-    let mut side = 0.0;
-    for (color, index) in chosen.iter() {
-        let Some(index) = *index else { continue };
-        let Some(predicted) = layout.projected_centroid(color, camera, &pose) else { return };
-        // The scan loses a rim of blurred pixels, and covers cost area, so less is forgiven sooner
-        // than more.
-        let ratio = blobs[index].area / predicted.area;
-        let side_here = predicted.area.sqrt();
-        let rim = ((side_here - 2.0) / side_here).max(0.3).powi(2);
-        let off = (ratio / rim.sqrt()).ln();
-        if off > strictness.area.ln() || -off > 2.2 * strictness.area.ln() {
+    /// Adds the hypotheses that these patches are markers of these colors.
+    fn three(&mut self, indices: [usize; 3], colors: [MarkerColor; 3]) {
+        let is_whole = |blob: &Blob| !blob.cut && (0.8..1.2).contains(&blob.fill());
+        if !indices.iter().all(|i| is_whole(&self.blobs[*i])) {
             return;
         }
-        disagreement += off.abs();
-        side += side_here / observations.len() as f64;
+        let Geometry { layout, camera } = self.geometry;
+        let observations = self.observations(indices, colors);
+        let Some(starts) = poses_from_three(layout, camera, &observations) else { return };
+        let mut chosen = PerColor([None; 4]);
+        for (i, color) in indices.into_iter().zip(colors) {
+            chosen[color] = Some(i);
+        }
+        for start in &starts {
+            // Three observations are explained by many poses, so they come after every four, and
+            // their areas must be right.
+            let strict = Strictness { area: self.strictness.area.min(1.45), ..self.strictness };
+            self.score(&observations, start, chosen, strict, 1.0);
+        }
     }
-    if rms > strictness.reprojection * side + 1.0 {
-        return;
+
+    fn observations<const N: usize>(
+        &self,
+        indices: [usize; N],
+        colors: [MarkerColor; N],
+    ) -> [PoseObservation; N] {
+        std::array::from_fn(|k| PoseObservation {
+            color: colors[k],
+            pixel: self.blobs[indices[k]].centroid,
+            sigma: 1.0,
+            outline: None,
+        })
     }
-    let score = handicap + rms / side + 0.1 * disagreement;
-    if found.len() >= 4 * KEEP {
-        found.sort_unstable_by(|a, b| a.score.total_cmp(&b.score));
-        found.truncate(2 * KEEP);
+
+    /// Refines a pose and adds its hypothesis where place and size of its patches are right.
+    fn score(
+        &mut self,
+        observations: &[PoseObservation],
+        start: &Isometry3<f64>,
+        chosen: PerColor<Option<usize>>,
+        strictness: Strictness,
+        handicap: f64,
+    ) {
+        let Geometry { layout, camera } = self.geometry;
+        let Some((pose, rms)) = self.geometry.refine(observations, start, None, 15) else { return };
+        // Beyond 78° a square is a line.
+        let up = pose.rotation * nalgebra::Vector3::z();
+        if -up.dot(&pose.translation.vector.normalize()) < 0.2 {
+            return;
+        }
+        let mut disagreement = 0.0;
+        let mut side = 0.0;
+        for (color, index) in chosen.iter() {
+            let Some(index) = *index else { continue };
+            let Some(predicted) = layout.projected_centroid(color, camera, &pose) else { return };
+            // The scan loses a rim of blurred pixels, and covers cost area, so less is forgiven sooner
+            // than more.
+            let ratio = self.blobs[index].area / predicted.area;
+            let side_here = predicted.area.sqrt();
+            let rim = ((side_here - 2.0) / side_here).max(0.3).powi(2);
+            let off = (ratio / rim.sqrt()).ln();
+            if off > strictness.area.ln() || -off > 2.2 * strictness.area.ln() {
+                return;
+            }
+            disagreement += off.abs();
+            side += side_here / observations.len() as f64;
+        }
+        if rms > strictness.reprojection * side + 1.0 {
+            return;
+        }
+        let score = handicap + rms / side + 0.1 * disagreement;
+        if self.found.len() >= 4 * KEEP {
+            self.found.sort_unstable_by(|a, b| a.score.total_cmp(&b.score));
+            self.found.truncate(2 * KEEP);
+        }
+        self.found.push(Hypothesis { camera_from_volant: pose, blobs: chosen, score });
     }
-    found.push(Hypothesis { camera_from_volant: pose, blobs: chosen, score });
 }

@@ -154,8 +154,8 @@ impl Acquisition {
         ] {
             self.scanner.scan(image, full, &config);
             for extent in extents {
-                let (layout, blobs) = (&platform.layout, &self.scanner.blobs);
-                hypotheses(layout, camera, blobs, strictness, *extent, &mut self.found);
+                let (geometry, blobs) = (platform.geometry(camera), &self.scanner.blobs);
+                hypotheses(geometry, blobs, strictness, *extent, &mut self.found);
                 let best = verification.best_of(&self.found, &self.scanner);
                 if best.is_some() {
                     return best;
