@@ -30,51 +30,26 @@ pub fn from_encoding<'a>(
         {
             return Err(ImageError::NoColor { encoding: encoding.to_owned() });
         }
-        _ => return convert(stamp, width, height, encoding, big_endian, step, data, scratch),
+        #[cfg(feature = "opencv")]
+        _ => {
+            crate::opencv::convert(width, height, encoding, big_endian, step, data, scratch)?;
+            return Ok(scratch.view(stamp));
+        }
+        #[cfg(not(feature = "opencv"))]
+        _ => {
+            let _ = (big_endian, scratch);
+            let is_known = ["bayer_", "yuv422"].iter().any(|start| encoding.starts_with(start))
+                || ["uyvy", "yuyv"].contains(&encoding);
+            let encoding = encoding.to_owned();
+            return Err(match is_known {
+                true => ImageError::NeedsOpencv { encoding },
+                false => ImageError::UnknownEncoding { encoding },
+            });
+        }
     };
     let view = ImageView { stamp, width, height, step, format, data };
     view.check()?;
     Ok(view)
-}
-
-#[cfg(not(feature = "opencv"))]
-#[allow(clippy::too_many_arguments)]
-fn convert<'a>(
-    _: Stamp,
-    _: usize,
-    _: usize,
-    encoding: &str,
-    _: bool,
-    _: usize,
-    _: &'a [u8],
-    _: &'a mut OwnedImage,
-) -> Result<ImageView<'a>, ImageError> {
-    let encoding = encoding.to_owned();
-    if encoding.starts_with("bayer_")
-        || encoding.starts_with("yuv422")
-        || encoding == "uyvy"
-        || encoding == "yuyv"
-    {
-        Err(ImageError::NeedsOpencv { encoding })
-    } else {
-        Err(ImageError::UnknownEncoding { encoding })
-    }
-}
-
-#[cfg(feature = "opencv")]
-#[allow(clippy::too_many_arguments)]
-fn convert<'a>(
-    stamp: Stamp,
-    width: usize,
-    height: usize,
-    encoding: &str,
-    big_endian: bool,
-    step: usize,
-    data: &'a [u8],
-    scratch: &'a mut OwnedImage,
-) -> Result<ImageView<'a>, ImageError> {
-    crate::opencv::convert(width, height, encoding, big_endian, step, data, scratch)?;
-    Ok(scratch.view(stamp))
 }
 
 #[cfg(test)]

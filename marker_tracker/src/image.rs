@@ -167,28 +167,31 @@ impl ImageView<'_> {
     /// bytes.)
     pub const MAX_PIXELS: usize = 1 << 25;
 
+    /// Whether size (px), step, bytes of a row's pixels and bytes of data agree.
+    pub(crate) fn fits(w: usize, h: usize, step: usize, row: usize, length: usize) -> bool {
+        let sides = 1..=Self::MAX_SIDE;
+        let needed = step.checked_mul(h.saturating_sub(1)).and_then(|n| n.checked_add(row));
+        sides.contains(&w)
+            && sides.contains(&h)
+            && step >= row
+            && needed.is_some_and(|needed| length >= needed)
+    }
+
+    /// The pixels as r, g, b without padding; fields that contradict each other panic.
+    pub fn to_rgb(&self) -> Vec<u8> {
+        let bytes = self.format.bytes_per_pixel();
+        let order = if self.format.blue_first() { [2, 1, 0] } else { [0, 1, 2] };
+        let rows = (0..self.height).map(|y| &self.data[y * self.step..][..self.width * bytes]);
+        rows.flat_map(|row| row.chunks_exact(bytes).flat_map(|p| order.map(|c| p[c]))).collect()
+    }
+
     /// Checks that size, step and data agree.
     ///
     /// # Errors
     /// [`ImageError::Size`] where they do not.
     pub fn check(&self) -> Result<(), ImageError> {
-        let row = self.width.checked_mul(self.format.bytes_per_pixel());
-        let fits = match row {
-            Some(row)
-                if self.width > 0
-                    && self.height > 0
-                    && self.width <= Self::MAX_SIDE
-                    && self.height <= Self::MAX_SIDE =>
-            {
-                self.step >= row
-                    && (self.height - 1)
-                        .checked_mul(self.step)
-                        .and_then(|n| n.checked_add(row))
-                        .is_some_and(|needed| self.data.len() >= needed)
-            }
-            _ => false,
-        };
-        if fits {
+        let row = self.width.saturating_mul(self.format.bytes_per_pixel());
+        if Self::fits(self.width, self.height, self.step, row, self.data.len()) {
             Ok(())
         } else {
             Err(ImageError::Size {

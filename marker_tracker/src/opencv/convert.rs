@@ -48,19 +48,11 @@ pub(crate) fn convert(
 ) -> Result<(), ImageError> {
     let layout = layout(encoding)
         .ok_or_else(|| ImageError::UnknownEncoding { encoding: encoding.to_owned() })?;
-    let contradiction = ImageError::Size { width, height, step, length: data.len() };
-    let row = width.checked_mul(layout.bytes_per_pixel).ok_or_else(|| contradiction.clone())?;
-    let limit = 1..=ImageView::MAX_SIDE;
-    let enough = step.checked_mul(height.saturating_sub(1)).and_then(|n| n.checked_add(row));
-    if !limit.contains(&width)
-        || !limit.contains(&height)
-        || step < row
-        || enough.is_none_or(|n| data.len() < n)
-        // Both patterns repeat every two pixels.
-        || !width.is_multiple_of(2)
-        || height < 2
-    {
-        return Err(contradiction);
+    let row = width.saturating_mul(layout.bytes_per_pixel);
+    // Both patterns repeat every two pixels.
+    let holds_pattern = width.is_multiple_of(2) && height >= 2;
+    if !holds_pattern || !ImageView::fits(width, height, step, row, data.len()) {
+        return Err(ImageError::Size { width, height, step, length: data.len() });
     }
     let yuv = encoding.starts_with('y') || encoding.starts_with('u');
     let packed: Vec<u8>;
@@ -83,19 +75,12 @@ pub(crate) fn convert(
         (width, height, width * 3, PixelFormat::Rgb8);
     let converted = (|| {
         let mut out = Mat::new_rows_cols_with_bytes_mut::<Vec3b>(h, w, &mut scratch.data)?;
-        if yuv {
-            imgproc::cvt_color_def(
-                &Mat::new_rows_cols_with_bytes::<Vec2b>(h, w, bytes)?,
-                &mut out,
-                layout.code,
-            )
+        let pixels = if yuv {
+            Mat::new_rows_cols_with_bytes::<Vec2b>(h, w, bytes)
         } else {
-            imgproc::cvt_color_def(
-                &Mat::new_rows_cols_with_bytes::<u8>(h, w, bytes)?,
-                &mut out,
-                layout.code,
-            )
-        }
+            Mat::new_rows_cols_with_bytes::<u8>(h, w, bytes)
+        };
+        imgproc::cvt_color_def(&pixels?, &mut out, layout.code)
     })();
     converted.map_err(|e| ImageError::Decode { format: "Bayer or YUV", reason: e.to_string() })
 }
