@@ -71,10 +71,10 @@ impl Segment {
             for _ in 0..2 {
                 let step = ac.skip(bits.next);
                 // Bits after the last coefficient are the next block's.
-                let last = if step.bits() > 0 && count + step.coefficients() < 64 {
-                    count += step.coefficients();
-                    bits.drop(step.bits());
-                    step.is_last()
+                let last = if step.bits > 0 && count + u32::from(step.coefficients) < 64 {
+                    count += u32::from(step.coefficients);
+                    bits.drop(step.bits.into());
+                    step.is_last
                 } else {
                     let (length, symbol) = ac.first(bits.next)?;
                     let (coefficients, size) = Codes::ac(symbol)?;

@@ -5,28 +5,13 @@ const INDEX: u32 = 12;
 
 /// What the next bits of a block's AC coefficients say, for a reader that needs no values.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Step(u32);
-
-impl Step {
-    const LAST: u32 = 1 << 16;
-
+pub(super) struct Step {
     /// Bits of the symbols and of the values after them; 0 where no code fits in the index.
-    #[inline(always)]
-    pub fn bits(self) -> u32 {
-        self.0 & 0xff
-    }
-
+    pub bits: u8,
     /// Coefficients that they account for.
-    #[inline(always)]
-    pub fn coefficients(self) -> u32 {
-        (self.0 >> 8) & 0xff
-    }
-
+    pub coefficients: u8,
     /// Whether the block ends with them.
-    #[inline(always)]
-    pub fn is_last(self) -> bool {
-        self.0 & Self::LAST != 0
-    }
+    pub is_last: bool,
 }
 
 /// The codes of one table.
@@ -88,17 +73,12 @@ impl Codes {
     /// The code of a value, and its length; `None` where it has none.
     pub fn code_of(&self, value: u8) -> Option<(u64, u32)> {
         let index = self.values.iter().position(|v| *v == value)? as i32;
-        // The last length whose codes begin at or before the value's.
-        let (mut first, mut result) = (0, None);
-        for length in 1..17 {
-            let count =
-                ((self.bounds[length] >> (16 - length)) as i32 + self.offsets[length]) - first;
-            if (first..first + count).contains(&index) {
-                result = Some(((index - self.offsets[length]) as u64, length as u32));
-            }
-            first += count;
-        }
-        result
+        // For every shorter length it would be at or beyond the bound of the codes.
+        (1..17).find_map(|length| {
+            let code = (index - self.offsets[length]) as u32;
+            (code << (16 - length) < self.bounds[length])
+                .then_some((u64::from(code), length as u32))
+        })
     }
 
     /// Coefficients and bits of the value of an AC symbol, both 0 for the end of a block; `None`
@@ -115,20 +95,18 @@ impl Codes {
 
     /// The AC symbols whose codes are in the first [`INDEX`] bits.
     fn step(&self, bits: u64) -> Step {
-        let (mut used, mut count) = (0, 0);
-        while used < INDEX {
+        let (mut used, mut count, mut is_last) = (0, 0, false);
+        while used < INDEX && !is_last {
             let Some((length, symbol)) = self.first(bits << (48 + used)) else { break };
             if used + length > INDEX {
                 break;
             }
-            if symbol == 0 {
-                return Step((used + length) | (count << 8) | Step::LAST);
-            }
             let Some((coefficients, size)) = Self::ac(symbol) else { break };
             used += length + size;
             count += coefficients;
+            is_last = symbol == 0;
         }
-        Step(used | (count << 8))
+        Step { bits: used as u8, coefficients: count as u8, is_last }
     }
 
     /// The step at the start of `bits` (64 bits).
