@@ -4,7 +4,7 @@ use crate::{
     config::TrackerConfig,
     image::{ImageError, ImageView, Pixels},
     patches::find_patches,
-    signal::rgb_at,
+    signal::mean_rgb,
     tracker::{Input, Output, Tracker},
 };
 use nalgebra::Vector2;
@@ -80,7 +80,7 @@ impl ColorCalibration {
         }
         for color in MarkerColor::ALL {
             if let Some(place) = self.picks[color] {
-                found[color] = mean_about(&Pixels::whole(*image, None), place);
+                found[color] = mean_rgb(&Pixels::whole(*image, None), place, PICK);
             }
             self.samples[color].extend(found[color]);
         }
@@ -105,21 +105,4 @@ impl ColorCalibration {
             Some(CalibratedColor { rgb, spread, images: samples.len() })
         })
     }
-}
-
-/// Mean color of the square about a picked place (px).
-fn mean_about(image: &Pixels<'_>, place: Vector2<f64>) -> Option<[f64; 3]> {
-    let (cx, cy) = (place.x.round() as i32, place.y.round() as i32);
-    let (mut sum, mut n) = ([0.0; 3], 0.0);
-    for y in cy.saturating_sub(PICK)..=cy.saturating_add(PICK) {
-        for x in cx.saturating_sub(PICK)..=cx.saturating_add(PICK) {
-            if let Some(rgb) = rgb_at(image, x, y) {
-                for (s, v) in sum.iter_mut().zip(rgb) {
-                    *s += f64::from(v);
-                }
-                n += 1.0;
-            }
-        }
-    }
-    (n > 0.0).then(|| sum.map(|s| s / n))
 }

@@ -5,6 +5,7 @@
 //! 1).
 
 use crate::{
+    edge::eight,
     quad::Quad,
     signal::{Sampler, nearest},
 };
@@ -205,11 +206,7 @@ impl FlowFeatures {
                     seen += 1;
                 }
             }
-            let of = |column: &[f32; MAX_POINTS]| {
-                let mut values = [0.0; 8];
-                values.copy_from_slice(&column[group..group + 8]);
-                f32x8::from(values)
-            };
+            let of = |column: &[f32; MAX_POINTS]| eight(column, group);
             let difference = (sampler.eight(&begin) * scale - of(&self.value)) * f32x8::from(there);
             square += difference * difference;
             bx += of(&self.gx) * difference;

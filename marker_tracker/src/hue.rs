@@ -89,8 +89,8 @@ impl HueHistogram {
     }
 }
 
-/// Hue (degrees) and saturation (0–1) of a pixel; `None` for gray.
-pub(crate) fn hue([r, g, b]: [u8; 3]) -> Option<(f32, f32)> {
+/// Hue (degrees) and saturation (0–1) of a pixel (r, g, b); `None` for gray.
+pub fn hue([r, g, b]: [u8; 3]) -> Option<(f32, f32)> {
     let (r, g, b) = (f32::from(r), f32::from(g), f32::from(b));
     let max = r.max(g).max(b);
     let delta = max - r.min(g).min(b);

@@ -57,6 +57,7 @@ pub use config::{Method, TrackerConfig};
 pub use debug_view::{MarkerView, SignalView};
 pub use decode::{Decoder, PartialImage, decode_compressed, decode_compressed_into};
 pub use encoding::from_encoding;
+pub use hue::hue;
 pub use image::{ImageError, ImageView, OwnedImage, PixelFormat};
 #[cfg(feature = "opencv")]
 pub use opencv::draw;

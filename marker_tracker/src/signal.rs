@@ -320,15 +320,14 @@ pub(crate) fn rgb_at(image: &Pixels<'_>, x: i32, y: i32) -> Option<[u8; 3]> {
 
 /// Mean color (r, g, b of 0–255) of the square of side 2·`radius` + 1 about a place (px); `None`
 /// outside of the image.
-pub(crate) fn mean_rgb(image: &Pixels<'_>, at: Vector2<f64>, radius: i32) -> Option<[f32; 3]> {
+pub(crate) fn mean_rgb(image: &Pixels<'_>, at: Vector2<f64>, radius: i32) -> Option<[f64; 3]> {
     let (cx, cy) = (at.x.round() as i32, at.y.round() as i32);
-    let mut sum = [0f32; 3];
-    let mut n = 0f32;
-    for y in cy - radius..=cy + radius {
-        for x in cx - radius..=cx + radius {
-            if let Some(p) = rgb_at(image, x, y) {
-                for c in 0..3 {
-                    sum[c] += f32::from(p[c]);
+    let (mut sum, mut n) = ([0.0; 3], 0.0);
+    for y in cy.saturating_sub(radius)..=cy.saturating_add(radius) {
+        for x in cx.saturating_sub(radius)..=cx.saturating_add(radius) {
+            if let Some(rgb) = rgb_at(image, x, y) {
+                for (s, v) in sum.iter_mut().zip(rgb) {
+                    *s += f64::from(v);
                 }
                 n += 1.0;
             }

@@ -172,12 +172,8 @@ fn the_patches_of_a_still_image_are_found() {
     marker_tracker::decode_compressed_into("png", &bytes, &mut image).unwrap();
     let view = image.view(Stamp::from_nanos(0));
     let patches = find_patches(&view, 40.0).unwrap();
-    let rgb: Vec<u8> = match image.format {
-        PixelFormat::Rgb8 => image.data.clone(),
-        _ => image.data.chunks(4).flat_map(|p| [p[0], p[1], p[2]]).collect(),
-    };
     let out = out();
-    draw(&out.join("field.png"), &rgb, image.width, image.height, &patches);
+    draw(&out.join("field.png"), &view.to_rgb(), image.width, image.height, &patches);
     eprintln!("debug image: {}", out.join("field.png").display());
     for color in [MarkerColor::Blue, MarkerColor::Green, MarkerColor::Yellow] {
         let count = patches.iter().filter(|p| p.color == color).count();

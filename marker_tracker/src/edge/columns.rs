@@ -10,7 +10,7 @@ pub(super) type Column = [f32; MAX_ROWS];
 
 /// Eight rows of a quantity.
 #[inline(always)]
-pub(super) fn eight(column: &Column, group: usize) -> f32x8 {
+pub(crate) fn eight<const N: usize>(column: &[f32; N], group: usize) -> f32x8 {
     let mut values = [0.0; 8];
     values.copy_from_slice(&column[group..group + 8]);
     f32x8::from(values)

@@ -12,7 +12,7 @@ mod row_plan;
 mod rows;
 mod side;
 
-pub(crate) use columns::MAX_ROWS;
+pub(crate) use columns::{MAX_ROWS, eight};
 pub(crate) use edge_fit::{EdgeFit, LAGS};
 pub(crate) use interior::Interior;
 pub(crate) use levels::Levels;

@@ -6,8 +6,8 @@
 
 use crate::{geometry::square::corners_of, quad::Quad};
 use nalgebra::{
-    Isometry3, Matrix2, Matrix6, Point3, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3,
-    Vector6,
+    Isometry3, Matrix2, Matrix2x3, Matrix2x6, Matrix6, Point3, Translation3, UnitQuaternion,
+    Vector2, Vector3, Vector6,
 };
 use rig_model::{CameraModel, MarkerColor, MarkerLayout};
 
@@ -59,8 +59,8 @@ pub(crate) struct Geometry<'a> {
 }
 
 impl Geometry<'_> {
-    /// Refines a pose (`camera_from_volant`) by Levenberg–Marquardt on the reprojected centroids and
-    /// corners, from `start`, in at most `iterations` steps.
+    /// Refines a pose (`camera_from_volant`) by Levenberg–Marquardt on the reprojected centroids
+    /// and corners, from `start`, in at most `iterations` steps.
     ///
     /// Returns the pose and the RMS of the centroids' residuals, px. With a prior any number of
     /// observations suffices; without one, three. `None` where a marker leaves the camera model's
@@ -87,7 +87,11 @@ impl Geometry<'_> {
             if gain < 1e-4 * now.cost.min(1.0) {
                 break;
             }
-            let candidate = moved(&pose, &step);
+            let candidate = moved(
+                &pose,
+                &step.fixed_rows::<3>(0).into_owned(),
+                &step.fixed_rows::<3>(3).into_owned(),
+            );
             // A step this short ends at the minimum of its quadratic; another would gain nothing.
             let last = gain < 1e-2;
             match self.evaluate(observations, &candidate, prior) {
@@ -120,8 +124,8 @@ impl Geometry<'_> {
         Some(self.evaluate(observations, pose, Some(prior))?.normal.cholesky()?.inverse())
     }
 
-    /// Predicts a marker's centroid (px) and its covariance (px²) from a pose with its covariance (as
-    /// [`Self::covariance`]).
+    /// Predicts a marker's centroid (px) and its covariance (px²) from a pose with its covariance
+    /// (as [`Self::covariance`]).
     pub fn predict_centroid(
         &self,
         color: MarkerColor,
@@ -130,10 +134,7 @@ impl Geometry<'_> {
     ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
         let predicted = self.layout.projected_centroid(color, self.camera, pose)?;
         let arm = pose.rotation * self.layout.centers[color].coords;
-        let mut j = SMatrix::<f64, 2, 6>::zeros();
-        j.fixed_columns_mut::<3>(0).copy_from(&predicted.jacobian_by_center);
-        j.fixed_columns_mut::<3>(3)
-            .copy_from(&(predicted.jacobian_by_center * (-arm.cross_matrix())));
+        let j = by_pose(&predicted.jacobian_by_center, &arm);
         Some((predicted.pixel, j * covariance * j.transpose()))
     }
 
@@ -149,11 +150,7 @@ impl Geometry<'_> {
         for o in observations {
             let predicted = self.layout.projected_centroid(o.color, self.camera, pose)?;
             let arm = pose.rotation * self.layout.centers[o.color].coords;
-            let by_point = predicted.jacobian_by_center;
-            let by_rotation = by_point * (-arm.cross_matrix());
-            let mut j = SMatrix::<f64, 2, 6>::zeros();
-            j.fixed_columns_mut::<3>(0).copy_from(&by_point);
-            j.fixed_columns_mut::<3>(3).copy_from(&by_rotation);
+            let j = by_pose(&predicted.jacobian_by_center, &arm);
             let w = o.sigma.powi(-2);
             let residual = o.pixel - predicted.pixel;
             square += residual.norm_squared();
@@ -169,8 +166,7 @@ impl Geometry<'_> {
                     let (pixel, by_point) = self
                         .camera
                         .project_with_jacobian(&Point3::from(arm + pose.translation.vector))?;
-                    j.fixed_columns_mut::<3>(0).copy_from(&by_point);
-                    j.fixed_columns_mut::<3>(3).copy_from(&(by_point * (-arm.cross_matrix())));
+                    let j = by_pose(&by_point, &arm);
                     let residual = corner - pixel;
                     cost += w * residual.norm_squared();
                     normal += j.transpose() * j * w;
@@ -194,11 +190,25 @@ impl Geometry<'_> {
     }
 }
 
-/// Moves a pose by (translation, rotation vector about the camera's axes), m and rad.
-fn moved(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
-    let t = Vector3::new(step[0], step[1], step[2]);
-    let r = UnitQuaternion::from_scaled_axis(Vector3::new(step[3], step[4], step[5]));
-    Isometry3::from_parts(Translation3::from(pose.translation.vector + t), r * pose.rotation)
+/// Derivative of a pixel by (translation, rotation vector about the camera's axes) of a pose, from
+/// that by the point (camera frame) at the end of `arm`.
+fn by_pose(by_point: &Matrix2x3<f64>, arm: &Vector3<f64>) -> Matrix2x6<f64> {
+    let mut j = Matrix2x6::zeros();
+    j.fixed_columns_mut::<3>(0).copy_from(by_point);
+    j.fixed_columns_mut::<3>(3).copy_from(&(by_point * (-arm.cross_matrix())));
+    j
+}
+
+/// Moves a pose by a translation (m) and a rotation vector (rad) along the camera's axes.
+pub(crate) fn moved(
+    pose: &Isometry3<f64>,
+    translation: &Vector3<f64>,
+    rotation: &Vector3<f64>,
+) -> Isometry3<f64> {
+    Isometry3::from_parts(
+        Translation3::from(pose.translation.vector + translation),
+        UnitQuaternion::from_scaled_axis(*rotation) * pose.rotation,
+    )
 }
 
 /// Weighted cost, its normal equations, and the sum of the centroids' squared residuals (px²).

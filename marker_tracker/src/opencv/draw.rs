@@ -23,14 +23,8 @@ pub fn draw(view: &ImageView<'_>, markers: &PerColor<MarkerView>) -> Result<Owne
         height: view.height,
         step: view.width * 3,
         format: PixelFormat::Rgb8,
-        data: Vec::with_capacity(view.width * view.height * 3),
+        data: view.to_rgb(),
     };
-    let bytes = view.format.bytes_per_pixel();
-    let order = if view.format.blue_first() { [2, 1, 0] } else { [0, 1, 2] };
-    for y in 0..view.height {
-        let row = &view.data[y * view.step..y * view.step + view.width * bytes];
-        image.data.extend(row.chunks_exact(bytes).flat_map(|p| order.map(|c| p[c])));
-    }
     let mut draw = || -> opencv::Result<()> {
         let mut out = Mat::new_rows_cols_with_bytes_mut::<Vec3b>(
             view.height as i32,

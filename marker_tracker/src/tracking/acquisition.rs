@@ -215,7 +215,7 @@ impl Verification<'_, '_> {
             let predicted = predicted.shifted(blob.centroid - place);
             let Some(mut appearance) = Appearance::sample(self.image, &predicted) else { continue };
             if mean_rgb(self.image, blob.centroid, 1)
-                .is_some_and(|rgb| scanner.palette.classify_mean(rgb).is_none())
+                .is_some_and(|rgb| scanner.palette.classify_mean(rgb.map(|v| v as f32)).is_none())
             {
                 continue;
             }

@@ -1,6 +1,7 @@
 //! The platform's pose and its motion from image to image.
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use crate::geometry::moved;
+use nalgebra::{Isometry3, Vector3};
 use rig_model::Stamp;
 
 /// Displacement of the platform over one image interval.
@@ -28,10 +29,7 @@ impl Motion {
 
     /// Moves a pose.
     pub fn apply(&self, pose: &Isometry3<f64>) -> Isometry3<f64> {
-        Isometry3::from_parts(
-            Translation3::from(pose.translation.vector + self.translation),
-            UnitQuaternion::from_scaled_axis(self.rotation) * pose.rotation,
-        )
+        moved(pose, &self.translation, &self.rotation)
     }
 }
 

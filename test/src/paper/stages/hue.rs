@@ -2,6 +2,7 @@
 
 use super::{Shot, Stages};
 use crate::paper::{Made, PaperError, Value, write};
+use marker_tracker::hue;
 use rig_model::{MarkerColor, PerColor};
 use std::{fmt::Write, path::Path};
 use volant::report::{Anchor, Drawing, Ink, Table, colors};
@@ -101,24 +102,6 @@ impl Shot {
         }
         sums
     }
-}
-
-/// Hue, degrees, and saturation; `None` for gray.
-fn hue([r, g, b]: [u8; 3]) -> Option<(f32, f32)> {
-    let [r, g, b] = [r, g, b].map(f32::from);
-    let max = r.max(g).max(b);
-    let delta = max - r.min(g).min(b);
-    if delta < 1.0 {
-        return None;
-    }
-    let sextant = if max == r {
-        (g - b) / delta
-    } else if max == g {
-        2.0 + (b - r) / delta
-    } else {
-        4.0 + (r - g) / delta
-    };
-    Some(((sextant * 60.0).rem_euclid(360.0), delta / max))
 }
 
 fn draw_5(estimated: &PerColor<Vec<f32>>, around: &[f32]) -> String {

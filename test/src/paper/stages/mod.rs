@@ -7,9 +7,9 @@ mod hue;
 
 use super::PaperError;
 use crate::live::{ImageSequence, Scenario};
-use marker_tracker::{MarkerView, OwnedImage, PixelFormat, SignalView, Tracker, TrackerConfig};
+use marker_tracker::{MarkerView, OwnedImage, SignalView, Tracker, TrackerConfig};
 use nalgebra::Vector2;
-use rig_model::{MarkerColor, PerColor};
+use rig_model::{MarkerColor, PerColor, Stamp};
 use rig_simulator::motion::MotionConfig;
 use volant::report::colors;
 
@@ -33,15 +33,7 @@ pub(super) fn chart_color(color: MarkerColor) -> volant::report::Color {
 
 /// Pixels as r, g, b, without padding.
 pub(super) fn rgb_of(image: &OwnedImage) -> Vec<u8> {
-    let n = image.format.bytes_per_pixel();
-    let mut rgb = Vec::with_capacity(3 * image.width * image.height);
-    let blue_first = matches!(image.format, PixelFormat::Bgr8 | PixelFormat::Bgra8);
-    for row in image.data.chunks(image.step).take(image.height) {
-        for p in row.chunks_exact(n).take(image.width) {
-            rgb.extend(if blue_first { [p[2], p[1], p[0]] } else { [p[0], p[1], p[2]] });
-        }
-    }
-    rgb
+    image.view(Stamp::from_nanos(0)).to_rgb()
 }
 
 /// The paper's layers (II-B): red R − G, green G − R, blue B − R, yellow R − red − B.
