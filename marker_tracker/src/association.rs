@@ -263,8 +263,8 @@ impl Search<'_> {
         for (color, index) in chosen.iter() {
             let Some(index) = *index else { continue };
             let Some(predicted) = layout.projected_centroid(color, camera, &pose) else { return };
-            // The scan loses a rim of blurred pixels, and covers cost area, so less is forgiven sooner
-            // than more.
+            // The scan loses a rim of blurred pixels, and covers cost area, so less is forgiven
+            // sooner than more.
             let ratio = self.blobs[index].area / predicted.area;
             let side_here = predicted.area.sqrt();
             let rim = ((side_here - 2.0) / side_here).max(0.3).powi(2);

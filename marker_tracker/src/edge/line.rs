@@ -67,7 +67,7 @@ impl Places {
         if count < 3 {
             return None;
         }
-        let lean = 2.0 * prior.slope_sigma * length / 2.0;
+        let lean = 2.0 * prior.tolerance.slope * length / 2.0;
         // Where all rows agree, one pass suffices.
         let zero = f32x8::ZERO;
         let (mut st, mut stt, mut sa, mut sta) = (zero, zero, zero, zero);
@@ -140,7 +140,7 @@ impl Places {
         let mut gate = reach as f32;
         let mut used = [false; MAX_ROWS];
         // Sampled rows are no neighbors.
-        let neighbors = possible < prior.rows;
+        let neighbors = possible < prior.tolerance.rows;
         let mut before = usize::MAX;
         let mut result = None;
         for round in 0..3 {
@@ -195,7 +195,7 @@ impl LineSums {
     /// Σ along² with the prior of the direction, whose weight assumes a row's usual noise of 0.1
     /// px.
     fn stt(&self, prior: &ShapePrior) -> f64 {
-        self.stt + 0.01 / (prior.slope_sigma * prior.slope_sigma)
+        self.stt + 0.01 / (prior.tolerance.slope * prior.tolerance.slope)
     }
 
     /// Offset and slope.

@@ -90,9 +90,9 @@ fn attempt(
     min_contrast: f64,
     rows: &mut Rows,
 ) -> Option<Attempt> {
-    let plan = RowPlan::new(sampler, side, band, prior.rows)?;
+    let plan = RowPlan::new(sampler, side, band, prior.tolerance.rows)?;
     // While the edge is searched, rows that leave the image serve as far as they are in it.
-    rows.read_plan(sampler, &plan, prior.edge_sigma >= 1.0);
+    rows.read_plan(sampler, &plan, prior.tolerance.edge >= 1.0);
     if let Light::ByRow { brightness } = prior.light {
         rows.relight(sampler, &plan, brightness);
     }

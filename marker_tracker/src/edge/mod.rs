@@ -17,6 +17,6 @@ pub(crate) use edge_fit::{EdgeFit, LAGS};
 pub(crate) use interior::Interior;
 pub(crate) use levels::Levels;
 pub(crate) use measure::{SHADE, fit_edge};
-pub(crate) use prior::{Light, ShapePrior};
+pub(crate) use prior::{Light, ShapePrior, Tolerance};
 pub(crate) use rows::Rows;
 pub(crate) use side::Side;

@@ -86,7 +86,7 @@ fn leave_out_a_cover(sides: &[Side; 4], edges: &mut Edges, prior: &ShapePrior) {
     let Some(estimate) = solve(sides, &others, prior) else { return };
     let expected = sides[i].normal.dot(&estimate.shift) + prior.edge_bias[i % 2];
     let rows = (edge.covariance[(0, 0)] - Levels::FOREIGN_SIGMA.powi(2)).max(0.0);
-    if edge.offset - expected < -COVERED * (prior.edge_sigma.powi(2) + rows).sqrt() {
+    if edge.offset - expected < -COVERED * (prior.tolerance.edge.powi(2) + rows).sqrt() {
         *edges = others;
     }
 }
@@ -106,11 +106,12 @@ fn contradiction(
     prior: &ShapePrior,
 ) -> Contradiction {
     let (mut worst, mut total) =
-        (0.0f64, estimate.shift.norm_squared() / prior.place_sigma.powi(2));
+        (0.0f64, estimate.shift.norm_squared() / prior.tolerance.place.powi(2));
     for (i, (side, e)) in sides.iter().zip(edges).enumerate() {
         let Some(e) = e else { continue };
         let expected = side.normal.dot(&estimate.shift) + prior.edge_bias[i % 2];
-        let z2 = (e.offset - expected).powi(2) / (prior.edge_sigma.powi(2) + e.covariance[(0, 0)]);
+        let z2 =
+            (e.offset - expected).powi(2) / (prior.tolerance.edge.powi(2) + e.covariance[(0, 0)]);
         worst = worst.max(z2.sqrt());
         total += z2;
     }
@@ -133,14 +134,14 @@ fn measured(sides: &[Side; 4], edges: &Edges, prior: &ShapePrior) -> Option<Esti
 }
 
 /// Least squares over the common shift (2), the edges' offsets (4) and slopes (4): an offset is the
-/// shift's normal part plus the bias within `edge_sigma`, a slope is zero within `slope_sigma`, and
-/// both are what was measured.
+/// shift's normal part plus the bias and a slope is zero, each within its tolerance, and both are what
+/// was measured.
 fn solve(sides: &[Side; 4], edges: &Edges, prior: &ShapePrior) -> Option<Estimate> {
     let mut information = SMatrix::<f64, 10, 10>::zeros();
     let mut right = SVector::<f64, 10>::zeros();
     information[(0, 0)] = 1e-4;
     information[(1, 1)] = 1e-4;
-    let (we, ws) = (prior.edge_sigma.powi(-2), prior.slope_sigma.powi(-2));
+    let (we, ws) = (prior.tolerance.edge.powi(-2), prior.tolerance.slope.powi(-2));
     for i in 0..4 {
         let n = sides[i].normal;
         let a = 2 + i;

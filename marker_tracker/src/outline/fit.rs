@@ -36,9 +36,11 @@ pub(crate) fn fit(
     if signed_area.is_nan() || signed_area.abs() < MIN_AREA {
         return None;
     }
-    let half_width = prior.half_width.min(predicted.thickness_of(signed_area) * 0.25).max(1.0);
-    let quick = prior.rows < MAX_ROWS;
-    let interior = Interior::measure(sampler, predicted, half_width, quick, prior.gradient)?;
+    let half_width =
+        prior.tolerance.half_width.min(predicted.thickness_of(signed_area) * 0.25).max(1.0);
+    let quick = prior.tolerance.rows < MAX_ROWS;
+    let interior =
+        Interior::measure(sampler, predicted, half_width, quick, prior.tolerance.gradient)?;
     let interior = match prior.light {
         Light::ByRow { .. } => interior.relit(),
         Light::Even | Light::ByPixel => interior,
@@ -58,7 +60,7 @@ pub(crate) fn fit(
     let mut fit = finish(predicted, center, &sides, edges, &estimate, &interior);
     let contrast = (fit.inside - fit.outside).abs().max(1e-3);
     // (A band is whole pixels, some 0.4 px more on either side.)
-    let lever = (prior.half_width + 0.4) * interior.sigma / contrast * prior.correlation;
+    let lever = (prior.tolerance.half_width + 0.4) * interior.sigma / contrast * prior.correlation;
     fit.covariance += Matrix2::identity()
         * (lever * lever * interior.reach * prior.inflation / prior.correlation);
     fit.inflation = prior.inflation;

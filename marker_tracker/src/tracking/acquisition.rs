@@ -3,6 +3,7 @@
 use crate::{
     appearance::Appearance,
     association::{Extent, Hypothesis, Strictness, hypotheses},
+    edge::Tolerance,
     geometry::PoseObservation,
     image::Pixels,
     outline::QuadFit,
@@ -11,7 +12,7 @@ use crate::{
     signal::{Sampler, mean_rgb},
     tracking::{
         camera::View,
-        meter::{ONE_PASS_ROWS, OutlineMeter, SEARCH_ROWS, Tolerance},
+        meter::{ONE_PASS_ROWS, OutlineMeter, SEARCH_ROWS},
         platform::{MAX_TURN, PlatformModel},
     },
 };

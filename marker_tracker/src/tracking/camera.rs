@@ -19,14 +19,16 @@ pub(super) struct View<'a> {
 pub(super) struct ImageCamera {
     given: Option<CameraModel>,
     fitted: Option<Fitted>,
-    assumed: Option<CameraModel>,
 }
 
-/// The given model scaled to a size; no model where the aspect ratio differs.
+/// The model for images of one size.
 #[derive(Debug)]
 struct Fitted {
     size: (u32, u32),
+    /// `None` where the size admits no model.
     model: Option<CameraModel>,
+    /// Whether it comes from a calibration.
+    is_known: bool,
 }
 
 impl ImageCamera {
@@ -43,29 +45,22 @@ impl ImageCamera {
     pub fn for_image(&mut self, image: &ImageView<'_>) -> Option<CameraModel> {
         let size = size_of(image);
         if self.fitted.as_ref().is_none_or(|f| f.size != size) {
-            let model = self.given.as_ref().and_then(|c| c.resized(size.0, size.1));
-            self.fitted = Some(Fitted { size, model });
+            let scaled = self.given.as_ref().and_then(|c| c.resized(size.0, size.1));
+            let is_known = scaled.is_some();
+            let model = scaled.or_else(|| assumed_camera(image.width, image.height));
+            self.fitted = Some(Fitted { size, model, is_known });
         }
-        if let Some(Fitted { model: Some(model), .. }) = &self.fitted {
-            return Some(model.clone());
-        }
-        if self.assumed.as_ref().is_none_or(|c| c.size() != size) {
-            self.assumed = assumed_camera(image.width, image.height);
-        }
-        self.assumed.clone()
+        self.latest().cloned()
     }
 
-    /// The model of the last image.
+    /// The model of the last image; `None` between a new calibration and the next image.
     pub fn latest(&self) -> Option<&CameraModel> {
-        match &self.fitted {
-            Some(Fitted { model: Some(model), .. }) => Some(model),
-            _ => self.assumed.as_ref(),
-        }
+        self.fitted.as_ref()?.model.as_ref()
     }
 
     /// Whether the model of the last image comes from a calibration.
     pub fn is_known(&self) -> bool {
-        matches!(self.fitted, Some(Fitted { model: Some(_), .. }))
+        self.fitted.as_ref().is_some_and(|f| f.is_known)
     }
 
     /// Size (width, height; px) of the given model where the image has another one.

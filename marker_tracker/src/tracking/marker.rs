@@ -3,7 +3,7 @@
 use crate::{
     appearance::Appearance,
     debug_view::{MarkerView, SignalView},
-    edge::Levels,
+    edge::{Levels, Tolerance},
     flow::FlowFeatures,
     hue::HueHistogram,
     image::Pixels,
@@ -11,7 +11,7 @@ use crate::{
     quad::Quad,
     signal::Sampler,
     tracking::{
-        meter::{KNOWN, MAX_HALF_WIDTH, ONE_PASS_ROWS, OutlineMeter, SEARCH, Tolerance},
+        meter::{KNOWN, MAX_HALF_WIDTH, ONE_PASS_ROWS, OutlineMeter, SEARCH},
         outcome::Outcome,
     },
 };

@@ -1,13 +1,12 @@
 //! Outline measurement of one marker with what is known of its shape, levels and noise.
 
 use crate::{
-    edge::{Light, MAX_ROWS, ShapePrior},
+    edge::{Light, MAX_ROWS, ShapePrior, Tolerance},
     outline::{QuadFit, fit},
     quad::Quad,
     signal::Sampler,
     tracking::{marker::EdgeHistory, noise::NoiseModel, platform::MarkerGeometry},
 };
-use nalgebra::Vector2;
 
 /// Half-width of the band across an edge while it is searched, px: tuned; guarded by
 /// the fast_swing bag of `tests/bags.rs`.
@@ -18,23 +17,6 @@ pub(super) const MAX_HALF_WIDTH: f64 = SEARCH_HALF_WIDTH - 0.1;
 /// bench` bounds the time, `tests/synthetic.rs` the accuracy.
 pub(super) const SEARCH_ROWS: usize = 16;
 pub(super) const ONE_PASS_ROWS: usize = 32;
-
-/// How precisely an outline's edges are known before a measurement.
-#[derive(Clone, Copy)]
-pub(super) struct Tolerance {
-    /// Half-width of the band across the edges that is read, px.
-    pub half_width: f64,
-    /// Standard deviation of an edge's distance from the predicted shape, px.
-    pub edge: f64,
-    /// Standard deviation of the predicted place, px.
-    pub place: f64,
-    /// Standard deviation of an edge's direction, rad.
-    pub slope: f64,
-    /// Signal gradient inside, 1/px, where it is known.
-    pub gradient: Option<Vector2<f64>>,
-    /// Maximum number of rows of an edge that are read.
-    pub rows: usize,
-}
 
 /// While an outline is searched.
 pub(super) const SEARCH: Tolerance = Tolerance {
@@ -96,15 +78,7 @@ impl OutlineMeter {
         predicted: &Quad,
         tolerance: Tolerance,
     ) -> Option<QuadFit> {
-        let prior = ShapePrior {
-            edge_sigma: tolerance.edge,
-            place_sigma: tolerance.place,
-            slope_sigma: tolerance.slope,
-            half_width: tolerance.half_width,
-            rows: tolerance.rows,
-            gradient: tolerance.gradient,
-            ..self.prior
-        };
+        let prior = ShapePrior { tolerance, ..self.prior };
         match prior.light {
             Light::ByPixel => fit(&sampler.in_any_light()?, predicted, &prior, MIN_CONTRAST),
             Light::Even | Light::ByRow { .. } => fit(sampler, predicted, &prior, MIN_CONTRAST),

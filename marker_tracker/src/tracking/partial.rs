@@ -4,7 +4,7 @@
 use crate::{
     appearance::Appearance,
     config::TrackerConfig,
-    edge::Light,
+    edge::{Light, Tolerance},
     image::Pixels,
     outline::QuadFit,
     scan::Palette,
@@ -13,7 +13,7 @@ use crate::{
         camera::View,
         consistency::{Fits, misfit},
         marker::MarkerTrack,
-        meter::{KNOWN, OutlineMeter, SEARCH, Tolerance},
+        meter::{KNOWN, OutlineMeter, SEARCH},
         outcome::Outcome,
         platform::PlatformModel,
     },

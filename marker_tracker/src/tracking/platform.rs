@@ -106,7 +106,7 @@ impl PlatformModel {
         Geometry { layout: &self.layout, camera }
     }
 
-    /// The outline (px) of a marker that is seen from a pose; `None` outside of the camera model's range.
+    /// The outline (px) of a marker; `None` outside of the camera model's range.
     pub fn outline(&self, color: MarkerColor, view: &View<'_>) -> Option<Quad> {
         project_square(&self.layout, color, self.markers[color].turn, view.camera, &view.pose)
     }
@@ -188,7 +188,8 @@ impl PlatformModel {
         false
     }
 
-    /// Adapts one marker to a whole outline, one of `detected` markers that determine the view. A marker whose geometry has settled adapts only where it `is_due`.
+    /// Adapts one marker to a whole outline, one of `detected` markers that determine the view. A
+    /// marker whose geometry has settled adapts only where it `is_due`.
     pub fn adapt(
         &mut self,
         color: MarkerColor,
