@@ -136,6 +136,21 @@ fn bags() {
 }
 
 #[test]
+fn streams_of_the_imu() {
+    run("stream");
+}
+
+#[test]
+fn logs_of_the_imu() {
+    run("log");
+}
+
+#[test]
+fn conversations_with_the_imu() {
+    run("driver");
+}
+
+#[test]
 fn the_seeds_are_valid_inputs() {
     // Without this the runs above could be shut out at the first check.
     for seed in exercise::yaml::parameter_seeds() {
@@ -163,6 +178,10 @@ fn the_seeds_are_valid_inputs() {
         assert!(messages == 6 || messages == 1, "{messages}");
         assert!(bag.losses().is_empty(), "{:?}", bag.losses());
     }
+    let seeds = exercise::imu::seeds();
+    let frames: u64 = seeds[..10].iter().map(|seed| exercise::imu::stream(seed)).sum();
+    assert_eq!(frames, 6 * 3 + 4 * 2);
+    assert_eq!(exercise::imu::driver(&seeds[10]), 3);
 }
 
 #[test]

@@ -5,6 +5,7 @@
 pub mod bag;
 pub mod cdr;
 pub mod image;
+pub mod imu;
 pub mod mutate;
 pub mod yaml;
 
@@ -21,7 +22,7 @@ pub struct Target {
 }
 
 /// All of them.
-pub const TARGETS: [Target; 6] = [
+pub const TARGETS: [Target; 9] = [
     Target { name: "cdr", run: cdr::run, seeds: cdr::seeds, words: cdr::WORDS },
     Target {
         name: "parameters",
@@ -43,4 +44,22 @@ pub const TARGETS: [Target; 6] = [
     },
     Target { name: "image", run: image::run, seeds: image::seeds, words: image::WORDS },
     Target { name: "bag", run: bag::run, seeds: bag::seeds, words: bag::WORDS },
+    Target {
+        name: "stream",
+        run: |data| imu::run(imu::stream, data),
+        seeds: imu::seeds,
+        words: imu::WORDS,
+    },
+    Target {
+        name: "log",
+        run: |data| imu::run(imu::log, data),
+        seeds: imu::seeds,
+        words: imu::WORDS,
+    },
+    Target {
+        name: "driver",
+        run: |data| imu::run(imu::driver, data),
+        seeds: imu::seeds,
+        words: imu::WORDS,
+    },
 ];

@@ -1,4 +1,4 @@
-//! The fuzz targets of all parsers but the IMU's, which are in `imu_driver/fuzz`.
+//! The fuzz targets of all parsers of external bytes.
 
 #[path = "../exercise/mod.rs"]
 pub mod exercise;

@@ -1,0 +1,3 @@
+#![no_main]
+
+volant_fuzz::target!("log");
