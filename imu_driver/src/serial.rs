@@ -7,7 +7,6 @@ use serialport::{
     ClearBuffer, DataBits, FlowControl, Parity, SerialPort, SerialPortType, StopBits, TTYPort,
 };
 use std::{
-    fmt,
     io::{ErrorKind, Read, Write},
     os::fd::AsRawFd,
     time::Duration,
@@ -64,12 +63,6 @@ pub struct Port {
     tty: TTYPort,
     /// The adapter forwards bytes without a latency timer.
     pub low_latency: bool,
-}
-
-impl fmt::Debug for Port {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Port").field("low_latency", &self.low_latency).finish()
-    }
 }
 
 impl Port {
@@ -207,7 +200,6 @@ pub enum Report {
 }
 
 /// Connects a driver to a port.
-#[derive(Debug)]
 pub struct Runner {
     /// Path of the port.
     pub port: String,

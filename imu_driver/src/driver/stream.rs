@@ -25,8 +25,6 @@ pub struct Statistics {
     pub repeated: u64,
     /// Valid frames that could not be decoded.
     pub unreadable: u64,
-    /// Samples with clipping, according to the status.
-    pub clipped: u64,
     /// Number of times that the measurement state was entered.
     pub connections: u64,
     /// Counts of the frame parser.
@@ -165,8 +163,6 @@ impl Driver {
         let statistics = &mut stream.statistics;
         statistics.lost += placed.lost;
         statistics.status = sample.status.or(statistics.status);
-        statistics.clipped +=
-            u64::from(sample.status.is_some_and(|s| s.intersects(Status::CLIPPING)));
         let missing = if sample.imu.is_some() {
             statistics.samples += 1;
             stream.inertial_missing = 0;

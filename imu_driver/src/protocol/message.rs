@@ -27,12 +27,8 @@ messages! {
     REQ_DEVICE_ID = 0x00, "ReqDID";
     /// Sampling period, u16, ticks of 1/115200 s.
     PERIOD = 0x04, "SetPeriod";
-    /// Requests the length of the data of an MTData message.
-    REQ_DATA_LENGTH = 0x0A, "ReqDataLength";
     /// Requests the Configuration (118 bytes).
     REQ_CONFIGURATION = 0x0C, "ReqConfiguration";
-    /// Restores the factory settings (config state only).
-    RESTORE_FACTORY = 0x0E, "RestoreFactoryDef";
     /// Enters the measurement state.
     GO_TO_MEASUREMENT = 0x10, "GoToMeasurement";
     /// Requests the firmware revision.
@@ -41,8 +37,6 @@ messages! {
     BAUD_RATE = 0x18, "SetBaudrate";
     /// Requests the product code.
     REQ_PRODUCT_CODE = 0x1C, "ReqProductCode";
-    /// Requests the hardware version.
-    REQ_HARDWARE = 0x1E, "ReqHWVersion";
     /// Enters the config state.
     GO_TO_CONFIG = 0x30, "GoToConfig";
     /// Data of a legacy device.

@@ -80,8 +80,6 @@ pub struct SimulatedImuConfig {
     pub first_counter: u16,
     /// Clock error of the device, ppm, positive if it is fast.
     pub clock_ppm: f64,
-    /// Time from a sample to the start of its message on the line, s.
-    pub processing: f64,
     /// Delay of an acknowledgement, s.
     pub ack_delay: f64,
     /// Delay of the acknowledgement of GoToConfig, s (manual: 0.1 to 0.2).
@@ -116,7 +114,6 @@ impl Default for SimulatedImuConfig {
             outputs: None,
             first_counter: 0,
             clock_ppm: 0.0,
-            processing: 0.0,
             ack_delay: 0.002,
             config_ack_delay: 0.1,
             boot: 0.2,

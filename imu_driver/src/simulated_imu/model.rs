@@ -11,7 +11,6 @@ use crate::{
         OrientationForm, Status,
         configuration::TICKS_PER_SECOND,
         frame::write_frame,
-        measurement::RawInertial,
         mtdata2::{self, xdi},
     },
 };
@@ -76,15 +75,6 @@ pub struct SimulatedImu {
     truth: Truth,
     pub(super) flash_writes: u32,
     ignored_requests: u32,
-}
-
-impl std::fmt::Debug for SimulatedImu {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("SimulatedImu")
-            .field("state", &self.state)
-            .field("counter", &self.counter)
-            .finish()
-    }
 }
 
 impl SimulatedImu {
@@ -206,11 +196,6 @@ impl SimulatedImu {
         &self.config
     }
 
-    /// Configuration for changes during a test, e.g. of delays.
-    pub fn config_mut(&mut self) -> &mut SimulatedImuConfig {
-        &mut self.config
-    }
-
     fn sample_time(&self, since: Stamp, n: u64) -> Stamp {
         let ticks = self.config.configuration().ticks_per_message().unwrap_or(u32::MAX);
         let seconds = n as f64 * f64::from(ticks) / TICKS_PER_SECOND;
@@ -275,8 +260,7 @@ impl SimulatedImu {
         };
         let mut bytes = Vec::with_capacity(data.len() + 7);
         write_frame(0xFF, message, &data, &mut bytes);
-        let sent =
-            self.transmit(bytes, at.plus_seconds(self.config.processing), Some(self.truth.count));
+        let sent = self.transmit(bytes, at, Some(self.truth.count));
         self.truth.count += 1;
         if self.truth.sent.len() >= 1 << 20 {
             self.truth.sent.pop_front();
@@ -306,8 +290,6 @@ impl SimulatedImu {
             None => self.config.format.settings.orientation_form(),
         };
         let ticks = (at.as_nanos() as f64 * (1.0 + self.config.clock_ppm * 1e-6) / 1e5).round();
-        let raw =
-            |v: [f64; 3], scale: f64| v.map(|x| (32_768.0 + x * scale).clamp(0.0, 65_535.0) as u16);
         Measurement {
             counter: sends(xdi::COUNTER).then_some(self.counter),
             sample_time_fine: sends(xdi::SAMPLE_TIME_FINE)
@@ -323,12 +305,6 @@ impl SimulatedImu {
             },
             status: sends(xdi::STATUS_WORD)
                 .then_some(Status::SELF_TEST_PASSED | Status::FILTER_VALID),
-            raw: Some(RawInertial {
-                acceleration: raw(s.specific_force.into(), 1000.0),
-                angular_velocity: raw(s.angular_velocity.into(), 5000.0),
-                magnetic_field: raw(s.magnetic_field.into(), 10_000.0),
-                temperature: (s.temperature * 256.0).clamp(0.0, 65_535.0) as u16,
-            }),
             ..Measurement::default()
         }
     }

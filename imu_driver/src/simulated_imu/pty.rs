@@ -36,12 +36,6 @@ pub struct PtyImu {
     thread: Option<JoinHandle<()>>,
 }
 
-impl std::fmt::Debug for PtyImu {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("PtyImu").field("link", &self.link).finish()
-    }
-}
-
 impl PtyImu {
     /// Starts a simulated IMU whose port is the symbolic link `link`, which is replaced if it
     /// exists.

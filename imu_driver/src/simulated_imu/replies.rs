@@ -52,11 +52,7 @@ impl SimulatedImu {
                 Ok(format!("{:<20}", self.config.product_code).into_bytes())
             }
             MessageId::REQ_FIRMWARE => Ok(self.config.firmware.to_vec()),
-            MessageId::REQ_HARDWARE => Ok(vec![1, 0]),
             MessageId::REQ_CONFIGURATION => Ok(self.config.configuration().to_data()),
-            MessageId::REQ_DATA_LENGTH => {
-                Ok((self.config.format.data_length() as u16).to_be_bytes().to_vec())
-            }
             MessageId::GO_TO_MEASUREMENT => {
                 if !self.line_carries_stream() {
                     return Err(TOO_MUCH_DATA);
@@ -123,13 +119,6 @@ impl SimulatedImu {
                 }
                 _ => Err(PARAMETER_INVALID),
             },
-            MessageId::RESTORE_FACTORY => {
-                let factory = super::SimulatedImuConfig::default();
-                (self.config.period, self.config.skip) = (factory.period, factory.skip);
-                self.config.format = factory.format;
-                self.flash_writes += 1;
-                Ok(vec![])
-            }
             _ => Err(INVALID_MESSAGE),
         }
     }

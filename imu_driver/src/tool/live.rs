@@ -2,7 +2,7 @@
 
 use super::Failure;
 use crate::{
-    driver::{Driver, DriverConfig, Event, Identity, Sample, Severity},
+    driver::{Driver, DriverConfig, Event, Identity, Severity},
     protocol::{MessageId, OrientationForm, message::baud_from_code, mtdata2},
     serial::{Port, Report, Runner, candidates},
 };
@@ -105,13 +105,6 @@ fn instant() -> Instant {
 /// Flag of a conversation that no signal ends.
 static NEVER: AtomicBool = AtomicBool::new(false);
 
-/// Output of the driver.
-enum Received<'a> {
-    Sample(&'a Sample),
-    Event(&'a Event),
-    Bytes(&'a [u8]),
-}
-
 /// Runs a driver for at most `seconds`, until `stop` is set or `handle` returns false; returns
 /// whether it did.
 fn converse(
@@ -120,7 +113,7 @@ fn converse(
     seconds: f64,
     raw: bool,
     stop: &AtomicBool,
-    mut handle: impl FnMut(Received<'_>) -> bool,
+    mut handle: impl FnMut(&Report) -> bool,
 ) -> Result<bool, Failure> {
     let config = DriverConfig { baud: line.baud, two_stop_bits: line.two_stop_bits, ..config };
     let driver = Driver::new(config).map_err(|e| e.to_string())?;
@@ -130,12 +123,7 @@ fn converse(
     let end = instant() + Duration::from_secs_f64(seconds.clamp(0.0, 1e9));
     let ended = AtomicBool::new(false);
     let on_report = |report: Report| {
-        let go_on = match &report {
-            Report::Sample(sample) => handle(Received::Sample(sample)),
-            Report::Event(event) => handle(Received::Event(event)),
-            Report::Bytes(bytes) => handle(Received::Bytes(bytes)),
-            Report::Status(_) => true,
-        };
+        let go_on = handle(&report);
         ended.store(!go_on, Ordering::Relaxed);
         go_on
     };
@@ -151,8 +139,8 @@ fn read_only() -> DriverConfig {
 fn identify(line: &Line, config: DriverConfig, verbose: bool) -> Result<Identity, Failure> {
     let mut found = None;
     let mut problem = None;
-    let done = converse(line, config, line.timeout, false, &NEVER, |received| {
-        if let Received::Event(event) = received {
+    let done = converse(line, config, line.timeout, false, &NEVER, |report| {
+        if let Report::Event(event) = report {
             if verbose && (event.severity() > Severity::Info || matches!(event, Event::Set { .. }))
             {
                 errln!("{event}");
@@ -279,8 +267,8 @@ fn set_baud(line: &Line, baud: u32) -> Result<(), Failure> {
         .ok_or_else(|| format!("{baud} baud is not supported by the IMU"))?;
     let config = DriverConfig { set_baud: Some(code), ..read_only() };
     let mut set = false;
-    converse(line, config, line.timeout, false, &NEVER, |received| {
-        if let Received::Event(event) = received {
+    converse(line, config, line.timeout, false, &NEVER, |report| {
+        if let Report::Event(event) = report {
             errln!("{event}");
             set |= *event == Event::Set { what: MessageId::BAUD_RATE };
             if set {
@@ -313,9 +301,9 @@ pub(super) fn log(arguments: &Log) -> Result<(), Failure> {
     let mut failed = None;
     let forever = 1e9;
     let wait = arguments.duration.map_or(forever, |d| d + arguments.line.timeout);
-    converse(&arguments.line, config, wait, true, &stop, |received| {
-        match received {
-            Received::Bytes(bytes) => {
+    converse(&arguments.line, config, wait, true, &stop, |report| {
+        match report {
+            Report::Bytes(bytes) => {
                 // Unbuffered, so that the file is complete after a kill.
                 if let Err(source) = file.write_all(bytes) {
                     failed = Some(FileError::Io { path: out.clone(), source });
@@ -323,8 +311,9 @@ pub(super) fn log(arguments: &Log) -> Result<(), Failure> {
                 }
                 bytes_written += bytes.len() as u64;
             }
-            Received::Event(event) => errln!("{event}"),
-            Received::Sample(sample) => {
+            Report::Event(event) => errln!("{event}"),
+            Report::Status(_) => {}
+            Report::Sample(sample) => {
                 samples += 1;
                 let start = *first.get_or_insert(sample.stamp);
                 if samples % 100 == 0 {
