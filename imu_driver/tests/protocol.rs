@@ -241,18 +241,6 @@ proptest! {
         };
         prop_assert_eq!(mtdata2::decode(&data), Ok(expected));
     }
-
-    #[test]
-    fn decoders_never_panic(data in vec(any::<u8>(), 0..400), mode: u16, settings: u32) {
-        let format = legacy(mode, settings);
-        let _ = format.decode(&data);
-        let mut fitting = data.clone();
-        fitting.resize(format.data_length(), 0x5A);
-        prop_assert!(format.decode(&fitting).is_ok());
-        let _ = mtdata2::decode(&data);
-        let _ = Configuration::from_data(&data);
-        let _ = imu_driver::log::saved_configuration(&data);
-    }
 }
 
 #[test]

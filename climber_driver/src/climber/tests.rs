@@ -72,7 +72,7 @@ fn each_rejection_is_named_and_the_next_valid_reading_is_accepted() {
         ("duplicate joint", |r| r.names[0] = "rail_y".into()),
         ("jump", |r| r.positions[2] += 0.5),
         ("jump", |r| r.positions[1] += 3.2),
-        ("not newer", |r| r.stamp = T0.plus_seconds(-0.1)),
+        ("not newer", |r| r.stamp = T0),
     ];
     for (kind, inject) in faults {
         let mut climber = climber();
@@ -110,15 +110,6 @@ fn stale_and_future_readings_are_rejected_by_their_time_of_receipt() {
     // The rejected reading did not advance the last accepted stamp.
     climber.handle(&reading(0.41, 0.0, 0.0, 0.0), T0.plus_seconds(0.41));
     assert!(matches!(climber.poll(), Some(Output::Sample(_))));
-}
-
-#[test]
-fn a_repeated_message_counts_once() {
-    let mut climber = climber();
-    let r = reading(0.0, 0.1, 0.2, 0.3);
-    assert!(matches!(process(&mut climber, &r)[..], [Output::Sample(_)]));
-    assert_eq!(rejection(&mut climber, &r).kind(), "not newer");
-    assert_eq!(climber.counts().accepted, 1);
 }
 
 #[test]
