@@ -166,30 +166,18 @@ impl LegacyFormat {
     /// [`DecodeError::Length`] if the data do not have the length of the format.
     #[inline]
     pub fn decode(&self, data: &[u8]) -> Result<Measurement, DecodeError> {
-        let mut m = Measurement::default();
-        self.decode_into(data, &mut m)?;
-        Ok(m)
-    }
-
-    /// [`LegacyFormat::decode`] into an existing measurement: moving one costs more than decoding
-    /// it.
-    ///
-    /// # Errors
-    /// As [`LegacyFormat::decode`].
-    #[inline]
-    pub fn decode_into(&self, data: &[u8], m: &mut Measurement) -> Result<(), DecodeError> {
-        *m = Measurement::default();
         let expected = self.data_length();
         if data.len() != expected {
             return Err(DecodeError::Length { found: data.len(), expected });
         }
         // The length was checked, so no field can be missing.
-        self.read(data, m).ok_or(DecodeError::Length { found: data.len(), expected })
+        self.read(data).ok_or(DecodeError::Length { found: data.len(), expected })
     }
 
-    fn read(&self, data: &[u8], m: &mut Measurement) -> Option<()> {
+    fn read(&self, data: &[u8]) -> Option<Measurement> {
         use OutputMode as M;
         use OutputSettings as S;
+        let mut m = Measurement::default();
         let r = &mut Reader::new(data);
         let format = self.settings.number_format();
         if self.mode.contains(M::RAW_INERTIAL) {
@@ -254,7 +242,7 @@ impl LegacyFormat {
         if self.settings.contains(S::UTC) {
             m.utc = Some(read_utc(r)?);
         }
-        Some(())
+        Some(m)
     }
 
     /// Appends the data of one MTData message: the inverse of [`LegacyFormat::decode`].

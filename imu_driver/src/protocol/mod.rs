@@ -75,31 +75,17 @@ impl Decoder {
     /// As [`LegacyFormat::decode`] and [`mtdata2::decode`], and [`DecodeError::NoConfiguration`].
     #[inline]
     pub fn decode(&mut self, frame: &Frame<'_>) -> Result<Option<Measurement>, DecodeError> {
-        let mut m = Measurement::default();
-        Ok(self.decode_into(frame, &mut m)?.then_some(m))
-    }
-
-    /// [`Decoder::decode`] into an existing measurement; `Ok(false)` if it is not a data message.
-    ///
-    /// # Errors
-    /// As [`Decoder::decode`].
-    #[inline]
-    pub fn decode_into(
-        &mut self,
-        frame: &Frame<'_>,
-        m: &mut Measurement,
-    ) -> Result<bool, DecodeError> {
         match frame.message {
             MessageId::MT_DATA => match &self.format {
-                Some(format) => format.decode_into(frame.data, m).map(|()| true),
+                Some(format) => format.decode(frame.data).map(Some),
                 None => Err(DecodeError::NoConfiguration),
             },
-            MessageId::MT_DATA2 => mtdata2::decode_into(frame.data, m).map(|()| true),
+            MessageId::MT_DATA2 => mtdata2::decode(frame.data).map(Some),
             other => {
                 if other == MessageId::REQ_CONFIGURATION.ack() {
                     self.format = Some(Configuration::from_data(frame.data)?.format);
                 }
-                Ok(false)
+                Ok(None)
             }
         }
     }

@@ -62,17 +62,6 @@ pub mod xdi {
 #[inline]
 pub fn decode(data: &[u8]) -> Result<Measurement, DecodeError> {
     let mut m = Measurement::default();
-    decode_into(data, &mut m)?;
-    Ok(m)
-}
-
-/// [`decode`] into an existing measurement.
-///
-/// # Errors
-/// As [`decode`]; `m` contains the items before the error.
-#[inline]
-pub fn decode_into(data: &[u8], m: &mut Measurement) -> Result<(), DecodeError> {
-    *m = Measurement::default();
     let r = &mut Reader::new(data);
     while !r.rest().is_empty() {
         let offset = data.len() - r.rest().len();
@@ -84,11 +73,11 @@ pub fn decode_into(data: &[u8], m: &mut Measurement) -> Result<(), DecodeError> 
             return Err(overrun);
         };
         let mut item_reader = Reader::new(item);
-        if read_item(m, id, &mut item_reader).is_none() || !item_reader.rest().is_empty() {
+        if read_item(&mut m, id, &mut item_reader).is_none() || !item_reader.rest().is_empty() {
             return Err(DecodeError::ItemSize { id, size });
         }
     }
-    Ok(())
+    Ok(m)
 }
 
 fn read_item(m: &mut Measurement, id: u16, r: &mut Reader<'_>) -> Option<()> {
