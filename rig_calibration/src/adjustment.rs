@@ -177,7 +177,7 @@ impl<'a> Adjustment<'a> {
                 }
                 let r = whitened(p, state)?;
                 let r = DVector::from_column_slice(r.as_slice());
-                arrow.add_one(k, &by_state, &by_parameters, &r);
+                arrow.add(k, &[&by_state], &by_parameters, &r);
             }
             if k + 1 < shots.len() {
                 let next = &self.states[k + 1];
@@ -206,7 +206,7 @@ impl<'a> Adjustment<'a> {
                     by_parameters.column_mut(i).copy_from(&((a - b) / (2.0 * H)));
                 }
                 let r = DVector::from_column_slice(at(state, next).as_slice());
-                arrow.add_two(k, &first, &second, &by_parameters, &r);
+                arrow.add(k, &[&first, &second], &by_parameters, &r);
             }
         }
         Some(arrow)

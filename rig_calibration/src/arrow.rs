@@ -49,38 +49,24 @@ impl Arrow {
         }
     }
 
-    /// Adds whitened residuals `r` of image `k`, with their derivatives by its state and by the
-    /// parameters.
-    pub fn add_one(
+    /// Adds whitened residuals `r` of one image `first` or of two consecutive ones, with their
+    /// derivatives by the state of each and by the parameters.
+    pub fn add(
         &mut self,
-        k: usize,
-        by_state: &DMatrix<f64>,
+        first: usize,
+        by_states: &[&DMatrix<f64>],
         by_parameters: &DMatrix<f64>,
         r: &DVector<f64>,
     ) {
-        self.diagonal[k] += (by_state.transpose() * by_state).fixed_view::<STATE, STATE>(0, 0);
-        self.border[k] += by_state.transpose() * by_parameters;
-        self.right[k] -= (by_state.transpose() * r).fixed_rows::<STATE>(0);
-        self.add_parameters(by_parameters, r);
-    }
-
-    /// Adds whitened residuals between images `k` and `k + 1`.
-    pub fn add_two(
-        &mut self,
-        k: usize,
-        by_first: &DMatrix<f64>,
-        by_second: &DMatrix<f64>,
-        by_parameters: &DMatrix<f64>,
-        r: &DVector<f64>,
-    ) {
-        self.diagonal[k] += (by_first.transpose() * by_first).fixed_view::<STATE, STATE>(0, 0);
-        self.diagonal[k + 1] +=
-            (by_second.transpose() * by_second).fixed_view::<STATE, STATE>(0, 0);
-        self.next[k] += (by_first.transpose() * by_second).fixed_view::<STATE, STATE>(0, 0);
-        self.border[k] += by_first.transpose() * by_parameters;
-        self.border[k + 1] += by_second.transpose() * by_parameters;
-        self.right[k] -= (by_first.transpose() * r).fixed_rows::<STATE>(0);
-        self.right[k + 1] -= (by_second.transpose() * r).fixed_rows::<STATE>(0);
+        for (k, by_state) in (first..).zip(by_states) {
+            self.diagonal[k] += (by_state.transpose() * *by_state).fixed_view::<STATE, STATE>(0, 0);
+            self.border[k] += by_state.transpose() * by_parameters;
+            self.right[k] -= (by_state.transpose() * r).fixed_rows::<STATE>(0);
+        }
+        if let [by_first, by_second] = by_states {
+            self.next[first] +=
+                (by_first.transpose() * *by_second).fixed_view::<STATE, STATE>(0, 0);
+        }
         self.add_parameters(by_parameters, r);
     }
 
@@ -152,13 +138,8 @@ mod tests {
     #[test]
     fn the_elimination_solves_the_full_system() {
         let (images, parameters) = (4, 3);
-        let mut seed = 1u64;
-        let mut random = move || {
-            seed = seed
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (seed >> 33) as f64 / (1u64 << 31) as f64 - 0.5
-        };
+        let mut source = rig_simulator::random::Random::new(1);
+        let mut random = || source.within(-0.5, 0.5);
         let total = images * STATE + parameters;
         let mut arrow = Arrow::new(images, parameters);
         let (mut dense, mut right) =
@@ -173,9 +154,9 @@ mod tests {
             if k + 1 < images {
                 let b = DMatrix::from_fn(12, STATE, |_, _| random());
                 row.view_mut((0, (k + 1) * STATE), (12, STATE)).copy_from(&b);
-                arrow.add_two(k, &a, &b, &by_parameters, &r);
+                arrow.add(k, &[&a, &b], &by_parameters, &r);
             } else {
-                arrow.add_one(k, &a, &by_parameters, &r);
+                arrow.add(k, &[&a], &by_parameters, &r);
             }
             dense += row.transpose() * &row;
             right -= row.transpose() * r;

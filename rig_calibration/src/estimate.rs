@@ -88,7 +88,7 @@ fn traits() -> Vec<Trait> {
 ///
 /// # Errors
 /// No pose fits the recording, or its motion determines neither mounting.
-pub fn refine_rig_holding(
+pub fn refine_rig(
     recording: &Recording,
     rig: &Rig,
     held: &[&str],

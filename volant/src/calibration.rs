@@ -6,7 +6,7 @@ use bag::{BagReader, BagSummary};
 use climber_driver::{Climber, ClimberConfig, JointReading};
 use marker_tracker::{Input, Output, Tracker, TrackerConfig};
 use node_kit::convert;
-use rig_calibration::{Estimate, Recording, Report, Samples, Track, refine_rig_holding};
+use rig_calibration::{Estimate, Recording, Report, Samples, Track, refine_rig};
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Rig, Stamp};
 use std::path::Path;
 use volant_msgs::{
@@ -178,20 +178,20 @@ pub fn check_bag(bag: &Path, rig: &Rig, cores: &Cores) -> Result<Report> {
     rig_calibration::check(&samples, rig, track).with_context(|| format!("{}", bag.display()))
 }
 
-/// Refines a rig with a bag; `held`: see [`refine_rig_holding`].
+/// Refines a rig with a bag; `held`: see [`refine_rig`].
 /// The tracker's measurements depend slightly on the marker positions, so the images are tracked
 /// again with the refined positions until these converge. The rig file stays the prior of what the
 /// motion does not determine.
 ///
 /// # Errors
-/// As [`read_samples`] and [`refine_rig_holding`].
+/// As [`read_samples`] and [`refine_rig`].
 pub fn refine_from_bag(bag: &Path, rig: &Rig, cores: &Cores, held: &[&str]) -> Result<Estimate> {
     let mut seen_with = rig.clone();
     let mut round = 1;
     loop {
         let samples = read_with(bag, &seen_with, cores)?;
         let estimate = Recording::new(&samples)
-            .and_then(|recording| refine_rig_holding(&recording, rig, held))
+            .and_then(|recording| refine_rig(&recording, rig, held))
             .with_context(|| format!("{}", bag.display()))?;
         let centers = [&estimate.rig, &seen_with].map(|r| &r.markers.centers);
         let moved = MarkerColor::ALL
