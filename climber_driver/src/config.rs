@@ -138,14 +138,12 @@ pub enum ConfigError {
 }
 
 impl ClimberConfig {
-    /// Checks every value.
+    /// Checks joint names, scales and zeros; the declaration of the node's parameters limits the
+    /// other values.
     ///
     /// # Errors
     /// The first invalid parameter.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let check = |ok: bool, name: String, value: f64, requirement: &'static str| {
-            if ok { Ok(()) } else { Err(ConfigError::Value { name, value, requirement }) }
-        };
         for (i, axis) in Axis::ALL.into_iter().enumerate() {
             let joint = &self.joints[i];
             if joint.name.is_empty() {
@@ -158,56 +156,17 @@ impl ClimberConfig {
                     second: axis,
                 });
             }
-            let positive = |x: f64| x.is_finite() && x > 0.0;
-            check(
-                joint.scale.is_finite() && joint.scale != 0.0,
-                format!("scale.{axis}"),
-                joint.scale,
-                "it must be a finite number other than zero",
-            )?;
-            check(
-                joint.zero.is_finite(),
-                format!("zero.{axis}"),
-                joint.zero,
-                "it must be a finite number",
-            )?;
-            check(
-                joint.uncertainty.is_finite() && joint.uncertainty >= 0.0,
-                format!("uncertainty.{axis}"),
-                joint.uncertainty,
-                "it must not be negative",
-            )?;
-            check(
-                positive(joint.max_speed),
-                format!("max_speed.{axis}"),
-                joint.max_speed,
-                "it must be greater than zero",
-            )?;
+            let invalid = |name: &str, value, requirement| {
+                Err(ConfigError::Value { name: format!("{name}.{axis}"), value, requirement })
+            };
+            if !joint.scale.is_finite() || joint.scale == 0.0 {
+                return invalid("scale", joint.scale, "it must be a finite number other than zero");
+            }
+            if !joint.zero.is_finite() {
+                return invalid("zero", joint.zero, "it must be a finite number");
+            }
         }
-        check(
-            self.height.is_finite() && self.height.abs() <= 100.0,
-            "height".into(),
-            self.height,
-            "it must be in meters and within ±100 m",
-        )?;
-        for (name, value) in [
-            ("max_age", self.max_age),
-            ("max_ahead", self.max_ahead),
-            ("silence_timeout", self.silence_timeout),
-        ] {
-            check(
-                value.is_finite() && value > 0.0,
-                name.into(),
-                value,
-                "it must be greater than zero",
-            )?;
-        }
-        check(
-            self.jump_patience >= 2,
-            "jump_patience".into(),
-            f64::from(self.jump_patience),
-            "it must be at least 2",
-        )
+        Ok(())
     }
 }
 
@@ -219,14 +178,9 @@ mod tests {
     fn defaults_are_valid_and_each_error_names_its_parameter() {
         assert_eq!(ClimberConfig::default().validate(), Ok(()));
         type Fault = fn(&mut ClimberConfig);
-        let mistakes: [(&str, Fault); 9] = [
+        let mistakes: [(&str, Fault); 4] = [
             ("scale.rail_y", |c| c.joints[1].scale = 0.0),
             ("zero.turn", |c| c.joints[2].zero = f64::NAN),
-            ("uncertainty.rail_x", |c| c.joints[0].uncertainty = -1.0),
-            ("max_speed.rail_x", |c| c.joints[0].max_speed = 0.0),
-            ("height", |c| c.height = 2800.0),
-            ("max_age", |c| c.max_age = f64::NAN),
-            ("jump_patience", |c| c.jump_patience = 1),
             ("joints.turn", |c| c.joints[2].name.clear()),
             ("`joints.rail_x` and `joints.turn` are both `rail_x`", |c| {
                 c.joints[2].name = "rail_x".into()
