@@ -112,7 +112,7 @@ fn four_processes_turn_frames_bytes_and_encoders_into_the_pose() {
     assert!(errors.position_rmse <= 2.0 && errors.rotation_rmse <= 0.3, "{errors:?}");
     let nees = received.nees(from, to, truth);
     for k in 0..2 {
-        let mean = nees.iter().map(|n| n[k]).sum::<f64>() / nees.len() as f64;
+        let mean = nees.iter().map(|(_, n)| n[k]).sum::<f64>() / nees.len() as f64;
         assert!(mean > 0.05 && mean < 12.0, "NEES {k}: {mean}");
     }
     for (name, status) in &ended.ends {

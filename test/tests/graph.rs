@@ -109,7 +109,7 @@ fn node(domain: u16, label: &str, name: &str, arguments: &[&str]) -> Node {
     words.extend(arguments);
     let words: Vec<String> = words.into_iter().map(str::to_owned).collect();
     let environment = [("ROS_DOMAIN_ID".to_owned(), domain.to_string())];
-    Node::start(name, &words, &environment, &folder).unwrap()
+    Node::start(None, name, &words, &environment, &folder).unwrap()
 }
 
 fn end(mut node: Node) {
@@ -177,7 +177,8 @@ fn a_publisher_that_was_killed_is_no_second_one() {
     let mut driver = node(DOMAIN, "killed", "climber_driver", &[]);
     let _fusion = node(DOMAIN, "killed", "pose_fusion", &[]);
     observed.graph("/pose_fusion", OK, &[]);
-    driver.kill_and_restart().unwrap();
+    driver.kill().unwrap();
+    driver.restart().unwrap();
     // Over the time for which the killed one counts as sending, and far below its lease (50 s).
     std::thread::sleep(Duration::from_secs(5));
     observed.graph("/pose_fusion", OK, &[]);

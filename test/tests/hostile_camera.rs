@@ -102,7 +102,8 @@ fn a_jpeg_with_hundreds_of_scans_is_refused_and_the_tracker_goes_on() {
     let rig = concat!(env!("CARGO_MANIFEST_DIR"), "/../launch_config/config/rig.yaml");
     let words = ["--rig", rig, "--image_transport", "compressed"].map(str::to_owned);
     let environment = [("ROS_DOMAIN_ID".to_owned(), DOMAIN.to_string())];
-    let mut tracker = Node::start("marker_tracker", &words, &environment, folder.path()).unwrap();
+    let mut tracker =
+        Node::start(None, "marker_tracker", &words, &environment, folder.path()).unwrap();
 
     let (sender, reports) = mpsc::sync_channel(10_000);
     let mut process = Process::new(Network { domain_id: DOMAIN, ..Network::default() }).unwrap();

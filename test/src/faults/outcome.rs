@@ -233,7 +233,7 @@ pub(crate) fn contradicted(
     to: Stamp,
     truth: impl Fn(Stamp) -> Isometry3<f64> + Copy,
 ) -> Option<String> {
-    let nees = received.nees_by_stamp(from, to, truth);
+    let nees = received.nees(from, to, truth);
     let beyond: Vec<_> =
         nees.iter().filter(|(_, n)| n[0] > NEES_LIMIT || n[1] > NEES_LIMIT).collect();
     let share = beyond.len() as f64 / nees.len().max(1) as f64;

@@ -101,25 +101,12 @@ pub struct Node {
 }
 
 impl Node {
-    /// Starts the executable `name` with `arguments`; its output is appended to
-    /// `folder`/`name`.log.
+    /// Starts the executable `name` with `arguments` in the network namespace `place`, `None` for
+    /// this process's; its output is appended to `folder`/`name`.log.
     ///
     /// # Errors
     /// The executable is missing, or it cannot be started.
     pub fn start(
-        name: &str,
-        arguments: &[String],
-        environment: &[(String, String)],
-        folder: &Path,
-    ) -> Result<Self, ProcessError> {
-        Self::start_in(None, name, arguments, environment, folder)
-    }
-
-    /// [`Node::start`] in the network namespace `place`.
-    ///
-    /// # Errors
-    /// As [`Node::start`].
-    pub fn start_in(
         place: Option<&str>,
         name: &str,
         arguments: &[String],
@@ -191,15 +178,6 @@ impl Node {
         self.status
     }
 
-    /// Kills it (as `kill -9` does) and restarts it with the same arguments.
-    ///
-    /// # Errors
-    /// As [`Node::start`].
-    pub fn kill_and_restart(&mut self) -> Result<(), ProcessError> {
-        self.kill()?;
-        self.restart()
-    }
-
     /// Kills it, as `kill -9` does.
     ///
     /// # Errors
@@ -222,7 +200,7 @@ impl Node {
     /// As [`Node::start`].
     pub fn restart(&mut self) -> Result<(), ProcessError> {
         let folder = self.log.parent().unwrap_or(Path::new(".")).to_owned();
-        let next = Self::start_in(
+        let next = Self::start(
             self.place.as_deref(),
             &self.name,
             &self.arguments,

@@ -105,18 +105,9 @@ impl Received {
     }
 
     /// NEES of position and of rotation (3 degrees of freedom each) of the fused poses stamped in
-    /// `from ..= to`, against the truth; infinite where a covariance is not positive definite.
+    /// `from ..= to`, with their stamps, against the truth; infinite where a covariance is not
+    /// positive definite.
     pub fn nees(
-        &self,
-        from: Stamp,
-        to: Stamp,
-        truth: impl Fn(Stamp) -> Isometry3<f64>,
-    ) -> Vec<[f64; 2]> {
-        self.nees_by_stamp(from, to, truth).into_iter().map(|(_, nees)| nees).collect()
-    }
-
-    /// [`Received::nees`] with the stamps.
-    pub fn nees_by_stamp(
         &self,
         from: Stamp,
         to: Stamp,

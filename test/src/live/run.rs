@@ -134,7 +134,7 @@ impl Run {
                 vec![("ROS_DOMAIN_ID".to_owned(), site.network.domain_id.to_string())];
             environment.extend(clock.iter().flat_map(SettableClock::environment));
             let place = site.namespace_of(Host::of(name));
-            nodes.push(Node::start_in(place, name, &arguments, &environment, folder)?);
+            nodes.push(Node::start(place, name, &arguments, &environment, folder)?);
         }
         let domain = site.network.domain_id;
         Ok(Self { hardware, nodes, folder: folder.to_owned(), domain, epoch: None, clock })

@@ -4,7 +4,7 @@
 use super::{
     Made, PaperError, Value,
     bars::draw_errors,
-    offline::{Recording, filter, fuse, published_tracker, record, record_observed, track_with},
+    offline::{Recording, filter, fuse, published_tracker, record, record_observed, track},
     write,
 };
 use crate::{
@@ -57,8 +57,7 @@ impl Curves {
     /// An invalid image, or a filter without output.
     pub fn of(scenario: &Scenario, images: &ImageSequence) -> Result<Self, PaperError> {
         let recording = record(scenario, images)?;
-        let published =
-            record_observed(scenario, track_with(scenario, images, published_tracker())?);
+        let published = record_observed(scenario, track(scenario, images, published_tracker())?);
         let epoch = scenario.sensors.epoch;
         let tight = fuse(scenario, &recording, filter(scenario, Model::Tight))?;
         let fused = |recording: &Recording, velocity_from_fused: bool| {

@@ -3,7 +3,7 @@
 
 use super::{
     Made, PaperError, Value,
-    offline::{filter, fuse, record_observed, track_with},
+    offline::{filter, fuse, record_observed, track},
     stages::{chart_color, rgb_of},
     write,
 };
@@ -36,8 +36,8 @@ pub fn figure_6(
         progress(done as f64 / of.max(1) as f64)
     })
     .map_err(|e| PaperError::Image(e.to_string()))?;
-    let observed = track_with(&scenario, &images, TrackerConfig::default())?;
-    let as_published = track_with(
+    let observed = track(&scenario, &images, TrackerConfig::default())?;
+    let as_published = track(
         &scenario,
         &images,
         TrackerConfig { rigid_prediction: false, ..TrackerConfig::default() },

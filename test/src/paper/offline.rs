@@ -22,22 +22,11 @@ pub struct Recording {
     pub samples: Vec<ImuSample>,
 }
 
-/// Tracks the images's markers with the tracker's defaults.
+/// Tracks the images' markers.
 ///
 /// # Errors
 /// An unreadable image.
 pub fn track(
-    scenario: &Scenario,
-    images: &ImageSequence,
-) -> Result<Vec<MarkerObservations>, PaperError> {
-    track_with(scenario, images, TrackerConfig::default())
-}
-
-/// Tracks the images's markers.
-///
-/// # Errors
-/// An unreadable image.
-pub fn track_with(
     scenario: &Scenario,
     images: &ImageSequence,
     config: TrackerConfig,
@@ -65,7 +54,7 @@ pub fn track_with(
 /// # Errors
 /// An unreadable image.
 pub fn record(scenario: &Scenario, images: &ImageSequence) -> Result<Recording, PaperError> {
-    Ok(record_observed(scenario, track(scenario, images)?))
+    Ok(record_observed(scenario, track(scenario, images, TrackerConfig::default())?))
 }
 
 /// The same with markers that were tracked already.

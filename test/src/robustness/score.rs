@@ -2,7 +2,7 @@
 
 use super::recording::Recording;
 use nalgebra::Vector3;
-use pose_fusion::{Fusion, FusionConfig, Output, PoseStatus, Status, Warning};
+use pose_fusion::{Fusion, FusionConfig, Output, PoseStatus};
 use rig_model::score::{Nees, PoseError, SpreadSum};
 
 /// One published pose against the truth.
@@ -20,8 +20,6 @@ pub struct Sample {
     pub sigmas: [f64; 2],
     /// The pose was called valid.
     pub valid: bool,
-    /// Time since the newest used image, s.
-    pub image_age: f64,
 }
 
 /// All published poses of a run.
@@ -29,12 +27,6 @@ pub struct Sample {
 pub struct Scored {
     /// Poses in the order of publication.
     pub samples: Vec<Sample>,
-    /// Warnings.
-    pub warnings: Vec<Warning>,
-    /// Arrival of each warning, s after the first truth.
-    pub warning_times: Vec<f64>,
-    /// Status at the end.
-    pub status: Status,
     /// A number that is not finite was published.
     pub non_finite: bool,
 }
@@ -44,7 +36,7 @@ pub fn run(recording: &Recording, config: &FusionConfig) -> Scored {
     let mut fusion = Fusion::new(recording.rig.clone(), config.clone());
     let mut scored = Scored::default();
     let start = recording.start();
-    for (at, input) in &recording.inputs {
+    for (_, input) in &recording.inputs {
         fusion.handle(input.clone());
         while let Some(output) = fusion.poll() {
             match output {
@@ -67,24 +59,18 @@ pub fn run(recording: &Recording, config: &FusionConfig) -> Scored {
                         nees: Nees::pair(&error, &o.pose_covariance),
                         sigmas: [sigma(0), sigma(3)],
                         valid: true,
-                        image_age: 0.0,
                     });
                 }
-                Output::Status(PoseStatus { stamp, valid, image_age, .. }) => {
+                Output::Status(PoseStatus { stamp, valid, .. }) => {
                     let time = stamp.seconds_since(start);
                     if let Some(last) = scored.samples.last_mut().filter(|s| s.time == time) {
-                        (last.valid, last.image_age) = (valid, image_age);
+                        last.valid = valid;
                     }
-                }
-                Output::Warning(warning) => {
-                    scored.warning_times.push(at.seconds_since(start));
-                    scored.warnings.push(warning);
                 }
                 _ => {}
             }
         }
     }
-    scored.status = fusion.status();
     scored
 }
 
@@ -99,8 +85,6 @@ pub struct Figures {
     pub rotation: [f64; 2],
     /// Mean NEES of position and rotation.
     pub nees: [f64; 2],
-    /// Largest step of the position error from one message to the next, mm, while images are used.
-    pub jump: f64,
     /// Largest position error of a pose that was called valid, m.
     pub worst_valid: f64,
     /// Share of the valid poses whose position error exceeds three times the largest sigma.
@@ -113,7 +97,6 @@ impl Scored {
         let mut f = Figures::default();
         let (mut valid, mut beyond) = (0usize, 0usize);
         let (mut position, mut rotation) = (SpreadSum::default(), SpreadSum::default());
-        let mut last: Option<&Sample> = None;
         for s in self.samples.iter().filter(|s| (from..to).contains(&s.time)) {
             f.count += 1;
             let (p, r) = (s.position.norm(), s.rotation.norm());
@@ -121,13 +104,6 @@ impl Scored {
             rotation.add(r);
             f.nees[0] += s.nees[0];
             f.nees[1] += s.nees[1];
-            if let Some(before) = last
-                && s.time - before.time < 0.12
-                && s.image_age < 0.1
-                && before.image_age < 0.1
-            {
-                f.jump = f.jump.max((s.position - before.position).norm() * 1e3);
-            }
             if s.valid {
                 valid += 1;
                 beyond += usize::from(
@@ -135,7 +111,6 @@ impl Scored {
                 );
                 f.worst_valid = f.worst_valid.max(p);
             }
-            last = Some(s);
         }
         let n = f.count.max(1) as f64;
         let pair = |sum: SpreadSum, scale| {

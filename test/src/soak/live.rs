@@ -136,7 +136,7 @@ fn judge(
     let fused = received.fused();
     let end = fused.last().map_or(epoch, |(stamp, _)| *stamp);
     let [gate, _] = outcome::GATE;
-    let nees = received.nees_by_stamp(Stamp::default(), end, truth);
+    let nees = received.nees(Stamp::default(), end, truth);
     seen.odometry += nees.len() as u64;
     let beyond: Vec<_> = nees.iter().filter(|(_, n)| n[0] > gate || n[1] > gate).collect();
     if let (Some((first, _)), Some((last, _))) = (beyond.first(), beyond.last()) {

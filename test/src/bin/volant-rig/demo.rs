@@ -134,7 +134,7 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
         gap * 1e3
     )?;
     let nees = received.nees(from, to, truth);
-    let mean = |k: usize| nees.iter().map(|n| n[k]).sum::<f64>() / nees.len() as f64;
+    let mean = |k: usize| nees.iter().map(|(_, n)| n[k]).sum::<f64>() / nees.len() as f64;
     outln!("consistency: NEES of position {:.2}, of rotation {:.2} (ideal 3)", mean(0), mean(1))?;
     let latencies = received.latencies(from, to);
     outln!(

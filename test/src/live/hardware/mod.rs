@@ -27,7 +27,7 @@ use std::{
     thread::JoinHandle,
     time::Duration,
 };
-use topics::{Publishers, RigPublisher, RigSubscriber};
+use topics::{RigPublisher, RigSubscriber};
 use volant_msgs::sensor_msgs::msg::{CameraInfo, CompressedImage, JointState};
 
 /// A sensor message before its publication, for a fault injector.
@@ -120,7 +120,6 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 /// The live hardware. It ends when dropped.
 pub struct SimulatedHardware {
     shared: Arc<Shared>,
-    publishers: Publishers,
     imu: PtyImu,
     threads: Vec<JoinHandle<()>>,
     processes: Vec<Process>,
@@ -190,11 +189,11 @@ impl SimulatedHardware {
                 Box::new(move || devices::camera(&shared, &publishers, &images))
             })?,
             thread("encoders", {
-                let (shared, publishers) = (Arc::clone(&shared), publishers.clone());
+                let shared = Arc::clone(&shared);
                 Box::new(move || devices::encoders(&shared, &publishers))
             })?,
         ];
-        Ok(Self { shared, publishers, imu, threads, processes })
+        Ok(Self { shared, imu, threads, processes })
     }
 
     /// Lets the scenario begin `seconds` from now; gives the stamp of its zero.
@@ -247,11 +246,6 @@ impl SimulatedHardware {
     /// fault.
     pub fn middleware_ended(&self) -> bool {
         self.processes.iter().any(Process::middleware_ended)
-    }
-
-    /// How many nodes listen to camera, and encoders.
-    pub fn listeners(&self) -> [usize; 2] {
-        [self.publishers.image.subscribers(), self.publishers.joints.subscribers()]
     }
 }
 

@@ -27,16 +27,11 @@ use volant::report::{Axis, Color, Table, cells, colors};
 /// What the peers' executable is called.
 pub const PEERS: &str = "volant-peers";
 
-/// Where it is: `VOLANT_PEERS`, beside this program, or where a plain `cargo build --release` in
-/// `test/peers` leaves it.
+/// Where it is: `VOLANT_PEERS`, or beside this program.
 pub fn find_peers(executables: &Path) -> Option<PathBuf> {
     let named = std::env::var_os("VOLANT_PEERS").map(PathBuf::from);
     let beside = executables.join(PEERS);
-    let in_tree = executables
-        .ancestors()
-        .nth(2)
-        .map(|root| root.join("test/peers/target/release").join(PEERS));
-    named.into_iter().chain([beside]).chain(in_tree).find(|p| p.is_file())
+    named.into_iter().chain([beside]).find(|p| p.is_file())
 }
 
 /// Runs one of its commands; `progress` is given the share that is done.
