@@ -14,8 +14,7 @@ use common::{
 };
 use nalgebra::Vector3;
 use pose_fusion::{Fusion, FusionConfig, Input};
-use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, random::Random};
-use std::thread;
+use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, parallel, random::Random};
 
 /// Length of a run, s, and of its beginning that does not count.
 const LENGTH: f64 = 8.0;
@@ -112,17 +111,8 @@ fn start(seed: u64) -> Start {
 
 /// Runs the starts of all seeds on all processors and prints those that do not hold.
 fn starts(seeds: std::ops::Range<u64>) -> Vec<Start> {
-    let workers = thread::available_parallelism().map_or(1, usize::from);
-    let mut all: Vec<Start> = thread::scope(|scope| {
-        let handles: Vec<_> = (0..workers)
-            .map(|w| {
-                let mine = seeds.clone().skip(w).step_by(workers);
-                scope.spawn(move || mine.map(start).collect::<Vec<_>>())
-            })
-            .collect();
-        handles.into_iter().flat_map(|h| h.join().unwrap()).collect()
-    });
-    all.sort_by_key(|s| s.seed);
+    let seeds: Vec<u64> = seeds.collect();
+    let all = parallel::map(parallel::processors(), seeds.len(), || (), |(), i| start(seeds[i]));
     for s in all.iter().filter(|s| !s.holds()) {
         println!("seed {:3}: step {:.1} mm, {}; {}", s.seed, s.step * 1e3, s.score, s.about);
     }

@@ -4,6 +4,7 @@ pub mod coverage;
 pub mod floor;
 pub mod inertial;
 pub mod motion;
+pub mod parallel;
 pub mod platform;
 pub mod random;
 pub mod render;

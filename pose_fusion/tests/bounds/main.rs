@@ -25,9 +25,9 @@ use rig_model::{
 use rig_simulator::{
     inertial::{Message, SensorConfig, Sensors},
     motion::{Motion, MotionConfig},
+    parallel,
     random::Random,
 };
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Squared errors of the filter and what the bound has for them, over a run.
 #[derive(Clone, Copy, Debug, Default)]
@@ -59,28 +59,8 @@ impl Against {
 }
 
 fn in_parallel<T: Send>(seeds: std::ops::Range<u64>, work: impl Fn(u64) -> T + Sync) -> Vec<T> {
-    let next = AtomicUsize::new(seeds.start as usize);
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..threads)
-            .map(|_| {
-                scope.spawn(|| {
-                    let mut found = Vec::new();
-                    loop {
-                        let seed = next.fetch_add(1, Ordering::Relaxed) as u64;
-                        if seed >= seeds.end {
-                            return found;
-                        }
-                        found.push((seed, work(seed)));
-                    }
-                })
-            })
-            .collect();
-        let mut found: Vec<(u64, T)> =
-            workers.into_iter().flat_map(|w| w.join().unwrap()).collect();
-        found.sort_by_key(|(seed, _)| *seed);
-        found.into_iter().map(|(_, t)| t).collect()
-    })
+    let seeds: Vec<u64> = seeds.collect();
+    parallel::map(parallel::processors(), seeds.len(), || (), |(), i| work(seeds[i]))
 }
 
 /// One run against its bound, from `from` seconds on.

@@ -1,11 +1,8 @@
 //! Images of a run, rendered in advance: rendering is too slow for a live rig.
 
 use super::scenario::{EXPOSURE, IMAGE_RATE, Scenario};
-use rig_simulator::{Exposure, Renderer, random::Random};
-use std::sync::{
-    Mutex,
-    atomic::{AtomicUsize, Ordering},
-};
+use rig_simulator::{Exposure, Renderer, parallel, random::Random};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// One image.
 #[derive(Clone, Debug)]
@@ -43,33 +40,15 @@ impl ImageSequence {
         let times: Vec<f64> = (0..still + count)
             .map(|i| (i as f64 - still as f64 + 0.5) / IMAGE_RATE + 1e-4 * random.normal())
             .collect();
-        let next = AtomicUsize::new(0);
         let done = AtomicUsize::new(0);
-        let images = Mutex::new(Vec::with_capacity(times.len()));
-        std::thread::scope(|scope| {
-            for _ in 0..threads.max(1) {
-                scope.spawn(|| {
-                    let mut renderer = Renderer::new(
-                        scenario.camera.clone(),
-                        &scenario.rig,
-                        scenario.scene.clone(),
-                    );
-                    loop {
-                        let index = next.fetch_add(1, Ordering::Relaxed);
-                        let Some(&seconds) = times.get(index) else { break };
-                        let image = take(scenario, &mut renderer, index, seconds);
-                        if let Ok(mut images) = images.lock() {
-                            images.push((index, image));
-                        }
-                        progress(done.fetch_add(1, Ordering::Relaxed) + 1, times.len());
-                    }
-                });
-            }
+        let renderer =
+            || Renderer::new(scenario.camera.clone(), &scenario.rig, scenario.scene.clone());
+        let images = parallel::map(threads, times.len(), renderer, |renderer, index| {
+            let image = take(scenario, renderer, index, times[index]);
+            progress(done.fetch_add(1, Ordering::Relaxed) + 1, times.len());
+            image
         });
-        let mut images = images.into_inner().unwrap_or_default();
-        images.sort_by_key(|(index, _)| *index);
-        let mut frames =
-            images.into_iter().map(|(_, image)| image).collect::<Result<Vec<_>, _>>()?;
+        let mut frames = images.into_iter().collect::<Result<Vec<_>, _>>()?;
         let moving = frames.split_off(still.min(frames.len()));
         Ok(Self { still: frames, frames: moving })
     }

@@ -7,11 +7,10 @@ use clap::Args;
 use indicatif::ProgressBar;
 use node_kit::{files, outln};
 use pose_fusion::FusionConfig;
+use rig_simulator::parallel;
 use std::{
     fs,
     path::{Path, PathBuf},
-    sync::atomic::{AtomicUsize, Ordering},
-    thread,
 };
 use volant_test::robustness::{
     perturbation::{Perturbation, TABLE},
@@ -118,33 +117,19 @@ fn of_pairs(benches: &[Bench], pairs: &[(Perturbation, Perturbation)]) -> Vec<St
     let jobs: Vec<_> =
         pairs.iter().flat_map(|pair| benches.iter().map(move |bench| (bench, pair))).collect();
     let bar = ProgressBar::new(jobs.len() as u64);
-    let next = AtomicUsize::new(0);
-    let work = || {
-        let mut found = Vec::new();
-        loop {
-            let job = next.fetch_add(1, Ordering::Relaxed);
-            let Some((bench, (first, second))) = jobs.get(job) else { return found };
+    let found = parallel::map(
+        parallel::processors(),
+        jobs.len(),
+        || (),
+        |(), job| {
+            let (bench, (first, second)) = jobs[job];
             let catastrophe = bench.pair(first, second);
-            found.extend(
-                catastrophe.map(|c| (job, format!("{}: {first}, {second}: {c}", bench.name()))),
-            );
             bar.inc(1);
-        }
-    };
-    let threads = thread::available_parallelism().map_or(1, usize::from);
-    let mut found: Vec<_> =
-        thread::scope(|scope| {
-            let workers: Vec<_> = (1..threads).map(|_| scope.spawn(work)).collect();
-            let own = work();
-            own.into_iter()
-                .chain(workers.into_iter().flat_map(|w| {
-                    w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-                }))
-                .collect()
-        });
+            catastrophe.map(|c| format!("{}: {first}, {second}: {c}", bench.name()))
+        },
+    );
     bar.finish_and_clear();
-    found.sort();
-    found.into_iter().map(|(_, text)| text).collect()
+    found.into_iter().flatten().collect()
 }
 
 fn read(arguments: &Arguments) -> Result<Vec<Bench>> {
