@@ -6,37 +6,55 @@ use rig_simulator::{RgbImage, random::Random};
 use std::time::Duration;
 use volant_msgs::sensor_msgs::msg::{CompressedImage, JointState};
 
-fn as_it_is(message: SensorMessage) -> Vec<(Duration, SensorMessage)> {
-    vec![(Duration::ZERO, message)]
+/// Messages that replace one message, each with a delay.
+type Replaced<M> = Vec<(Duration, M)>;
+
+fn wrapped<M>(messages: Replaced<M>, wrap: fn(M) -> SensorMessage) -> Replaced<SensorMessage> {
+    messages.into_iter().map(|(delay, m)| (delay, wrap(m))).collect()
 }
 
-/// Images go through `f`; the rest is as it is.
-pub fn images(
-    mut f: impl FnMut(CompressedImage) -> Vec<(Duration, CompressedImage)> + Send + 'static,
+/// Replaces images by others; `replace` gets the number of the image, from 1 on.
+pub fn images_as(
+    mut replace: impl FnMut(u64, CompressedImage) -> Replaced<CompressedImage> + Send + 'static,
 ) -> FaultInjector {
+    let mut number = 0;
     Box::new(move |message| match message {
         SensorMessage::Image(m) => {
-            f(m).into_iter().map(|(delay, m)| (delay, SensorMessage::Image(m))).collect()
+            number += 1;
+            wrapped(replace(number, m), SensorMessage::Image)
         }
-        other => as_it_is(other),
+        other => vec![(Duration::ZERO, other)],
     })
 }
 
-/// Encoder readings go through `f`; the rest is as it is.
-pub fn joints(
-    mut f: impl FnMut(JointState) -> Vec<(Duration, JointState)> + Send + 'static,
+/// Replaces encoder readings by others; `replace` gets the number of the reading, from 1 on.
+pub fn joints_as(
+    mut replace: impl FnMut(u64, JointState) -> Replaced<JointState> + Send + 'static,
 ) -> FaultInjector {
+    let mut number = 0;
     Box::new(move |message| match message {
         SensorMessage::Joints(m) => {
-            f(m).into_iter().map(|(delay, m)| (delay, SensorMessage::Joints(m))).collect()
+            number += 1;
+            wrapped(replace(number, m), SensorMessage::Joints)
         }
-        other => as_it_is(other),
+        other => vec![(Duration::ZERO, other)],
     })
 }
 
-/// One message, changed.
-pub fn one<M>(message: M) -> Vec<(Duration, M)> {
-    vec![(Duration::ZERO, message)]
+/// Changes images.
+pub fn images(mut change: impl FnMut(&mut CompressedImage) + Send + 'static) -> FaultInjector {
+    images_as(move |_, mut m| {
+        change(&mut m);
+        vec![(Duration::ZERO, m)]
+    })
+}
+
+/// Changes encoder readings.
+pub fn joints(mut change: impl FnMut(&mut JointState) + Send + 'static) -> FaultInjector {
+    joints_as(move |_, mut m| {
+        change(&mut m);
+        vec![(Duration::ZERO, m)]
+    })
 }
 
 /// Replaces every image by a uniform one of this size and brightness, with a little sensor noise.
@@ -47,11 +65,8 @@ pub fn uniform_images(width: u32, height: u32, value: u8) -> FaultInjector {
             (0..width * height * 3).map(|_| value.saturating_add(random.within(0.0, 6.0) as u8));
         RgbImage { width, height, data: data.collect() }.to_jpeg(90).unwrap_or_default()
     });
-    let mut count = 0;
-    images(move |m| {
-        count += 1;
-        one(CompressedImage { data: jpegs[count % jpegs.len()].clone(), ..m })
-    })
+    let mut following = jpegs.into_iter().cycle();
+    images(move |m| m.data = following.next().unwrap_or_default())
 }
 
 /// Moves a header's stamp by `seconds`.

@@ -1,6 +1,9 @@
 //! A disk that fills up during a recording: `volant record` writes to a file system of 2 MiB.
 
-use super::{Action, Bench, Flow, Row, table::action};
+use super::{
+    Action, Bench, Row,
+    table::{action, row},
+};
 use crate::live::{RunError, processes::executables};
 use bag::{BagError, BagReader};
 use std::{
@@ -65,16 +68,7 @@ pub(super) fn disk_full() -> Row {
         }
         Ok(())
     });
-    Row {
-        fault: "disk full while `volant record` writes",
-        begin,
-        end,
-        flow: Flow::Unbroken,
-        diagnostics: None,
-        back_within: 0.2,
-        kills: None,
-        clock_ahead: 0.0,
-    }
+    row("disk full while `volant record` writes", None, begin, end, 0.2)
 }
 
 fn start(b: &mut Bench<'_>) -> Result<Recorder, RunError> {

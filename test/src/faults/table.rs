@@ -3,36 +3,54 @@
 
 use super::{
     Action, Bench, Flow, Row,
-    injectors::{images, joints, one, shift, uniform_images},
+    injectors::{images, images_as, joints, joints_as, shift, uniform_images},
     recording,
 };
-use crate::live::{FaultInjector, ProcessError, RunError, processes::Signal};
+use crate::live::{FaultInjector, Node, ProcessError, RunError, processes::Signal};
+use imu_driver::simulated_imu::SimulatedImu;
+use rig_model::Stamp;
 use std::time::Duration;
 
 type Words = &'static [&'static str];
+/// Node that reports the fault, and the words: see [`Row::diagnostics`].
+type Report = Option<(&'static str, Words)>;
 
 pub(super) fn action(f: impl Fn(&mut Bench<'_>) -> Result<(), RunError> + 'static) -> Action {
     Box::new(f)
 }
 
+/// An action that cannot fail.
+fn simply(f: impl Fn(&mut Bench<'_>) + 'static) -> Action {
+    action(move |b| {
+        f(b);
+        Ok(())
+    })
+}
+
+fn ms(milliseconds: u64) -> Duration {
+    Duration::from_millis(milliseconds)
+}
+
+/// A row in which the odometry is unbroken, no node is killed and the clock is left alone.
+pub(super) fn row(
+    fault: &'static str,
+    diagnostics: Report,
+    begin: Action,
+    end: Action,
+    back_within: f64,
+) -> Row {
+    let (flow, kills, clock_ahead) = (Flow::Unbroken, None, 0.0);
+    Row { fault, begin, end, flow, diagnostics, back_within, kills, clock_ahead }
+}
+
 /// A row in which `make` changes the data of camera or encoders until the window ends.
-fn sensor_fault(fault: &'static str, make: impl Fn() -> FaultInjector + 'static) -> Row {
-    Row {
-        fault,
-        begin: action(move |b| {
-            b.run.hardware.inject(Some(make()));
-            Ok(())
-        }),
-        end: action(|b| {
-            b.run.hardware.inject(None);
-            Ok(())
-        }),
-        flow: Flow::Unbroken,
-        diagnostics: None,
-        back_within: 1.0,
-        kills: None,
-        clock_ahead: 0.0,
-    }
+fn sensor(
+    fault: &'static str,
+    diagnostics: Report,
+    make: impl Fn() -> FaultInjector + 'static,
+) -> Row {
+    let begin = simply(move |b| b.run.hardware.inject(Some(make())));
+    row(fault, diagnostics, begin, simply(|b| b.run.hardware.inject(None)), 1.0)
 }
 
 /// A row in which the inertial unit is treated with `begin`, and with `end` when the window ends.
@@ -42,220 +60,119 @@ fn unit(
     begin: impl Fn(&mut Bench<'_>) + 'static,
     end: impl Fn(&mut Bench<'_>) + 'static,
 ) -> Row {
-    Row {
-        fault,
-        begin: action(move |b| {
-            begin(b);
-            Ok(())
-        }),
-        end: action(move |b| {
-            end(b);
-            Ok(())
-        }),
-        flow: Flow::Stops,
-        diagnostics: Some(("imu_driver", report)),
-        back_within: 2.0,
-        kills: None,
-        clock_ahead: 0.0,
+    let row = row(fault, Some(("imu_driver", report)), simply(begin), simply(end), 2.0);
+    Row { flow: Flow::Stops, ..row }
+}
+
+/// Something that is done to the simulated IMU.
+fn with_imu(f: fn(&mut SimulatedImu, Stamp)) -> impl Fn(&mut Bench<'_>) {
+    move |b| {
+        let _ = b.run.hardware.imu().with(f);
     }
+}
+
+/// An action on the named node.
+fn on(name: &'static str, f: fn(&mut Node) -> Result<(), ProcessError>) -> Action {
+    let missing = move || ProcessError::NotBuilt { name: name.into(), path: name.into() };
+    action(move |b| Ok(f(b.run.nodes.get(name).ok_or_else(missing)?)?))
 }
 
 /// The named node is killed as by `kill -9`, and started again when the window ends.
-fn killed(fault: &'static str, name: &'static str) -> Row {
-    let missing =
-        move || RunError::Process(ProcessError::NotBuilt { name: name.into(), path: name.into() });
-    Row {
-        fault,
-        begin: action(move |b| Ok(b.run.nodes.get(name).ok_or_else(missing)?.kill()?)),
-        end: action(move |b| Ok(b.run.nodes.get(name).ok_or_else(missing)?.restart()?)),
-        flow: Flow::Unbroken,
-        diagnostics: None,
-        back_within: 2.5,
-        kills: Some(name),
-        clock_ahead: 0.0,
-    }
+fn killed(fault: &'static str, name: &'static str, flow: Flow, diagnostics: Report) -> Row {
+    let row = row(fault, diagnostics, on(name, Node::kill), on(name, Node::restart), 2.5);
+    Row { flow, kills: Some(name), ..row }
 }
 
 /// Stops the named node for the window (SIGSTOP, SIGCONT), as on an overloaded computer.
-fn stalled(fault: &'static str, name: &'static str) -> Row {
-    let missing =
-        move || RunError::Process(ProcessError::NotBuilt { name: name.into(), path: name.into() });
+fn stalled(fault: &'static str, name: &'static str, flow: Flow, diagnostics: Report) -> Row {
     Row {
-        begin: action(move |b| {
-            Ok(b.run.nodes.get(name).ok_or_else(missing)?.signal(Signal::STOP)?)
-        }),
-        end: action(move |b| {
-            Ok(b.run.nodes.get(name).ok_or_else(missing)?.signal(Signal::CONT)?)
-        }),
-        ..killed(fault, name)
+        begin: on(name, |n| n.signal(Signal::STOP)),
+        end: on(name, |n| n.signal(Signal::CONT)),
+        ..killed(fault, name, flow, diagnostics)
     }
 }
 
 /// The clock of the nodes' computer is set ahead, and set right when the window ends.
 fn clock_set(fault: &'static str, ahead: f64) -> Row {
-    Row {
-        begin: action(move |b| b.run.set_clock(ahead)),
-        end: action(|b| b.run.set_clock(0.0)),
-        flow: Flow::Gaps,
-        // One of the two steps leads back.
-        diagnostics: Some(("pose_fusion", &["clock was set back"])),
-        back_within: 1.5,
-        clock_ahead: ahead,
-        ..sensor_fault(fault, || images(one))
-    }
+    let (begin, end) = (action(move |b| b.run.set_clock(ahead)), action(|b| b.run.set_clock(0.0)));
+    // One of the two steps leads back.
+    let row = row(fault, Some(("pose_fusion", &["clock was set back"])), begin, end, 1.5);
+    Row { flow: Flow::Gaps, clock_ahead: ahead, ..row }
 }
 
 /// Every fault.
 pub fn table() -> Vec<Row> {
+    use Flow::{Gaps, Stops, Unbroken};
     let tracker = |words: Words| Some(("marker_tracker", words));
     let fusion = |words: Words| Some(("pose_fusion", words));
     let climber = |words: Words| Some(("climber_driver", words));
-    let mut rows = vec![
-        Row {
-            flow: Flow::Unbroken,
-            diagnostics: None,
-            back_within: 0.2,
-            ..sensor_fault("no fault (reference)", || images(one))
-        },
-        Row {
-            diagnostics: tracker(&["byte for byte"]),
-            ..sensor_fault("camera frozen: the same image with new stamps", || {
+    vec![
+        Row { back_within: 0.2, ..sensor("no fault (reference)", None, || images(|_| ())) },
+        sensor(
+            "camera frozen: the same image with new stamps",
+            tracker(&["byte for byte"]),
+            || {
                 let mut first: Option<Vec<u8>> = None;
-                images(move |mut m| {
-                    m.data = first.get_or_insert(m.data).clone();
-                    one(m)
-                })
-            })
-        },
-        Row {
-            diagnostics: tracker(&["nearly black"]),
-            ..sensor_fault("camera dark", || uniform_images(640, 480, 0))
-        },
-        Row {
-            diagnostics: tracker(&["nearly white"]),
-            ..sensor_fault("camera over-exposed", || uniform_images(640, 480, 250))
-        },
-        sensor_fault("camera drops two images of three", || {
-            let mut count = 0;
-            images(move |m| {
-                count += 1;
-                if count % 3 == 0 { one(m) } else { Vec::new() }
+                images(move |m| m.data = first.get_or_insert_with(|| m.data.clone()).clone())
+            },
+        ),
+        sensor("camera dark", tracker(&["nearly black"]), || uniform_images(640, 480, 0)),
+        sensor("camera over-exposed", tracker(&["nearly white"]), || uniform_images(640, 480, 250)),
+        sensor("camera drops two images of three", None, || {
+            images_as(|i, m| if i % 3 == 0 { vec![(ms(0), m)] } else { vec![] })
+        }),
+        sensor("camera silent", tracker(&["no image arrived"]), || images_as(|_, _| vec![])),
+        sensor(
+            "camera sends another size",
+            tracker(&["the images are 320x240, camera_info is for 640x480"]),
+            || uniform_images(320, 240, 90),
+        ),
+        sensor("images cut off in the middle", tracker(&["rejected"]), || {
+            images(|m| m.data.truncate(m.data.len() / 2))
+        }),
+        sensor("images doubled", None, || images_as(|_, m| vec![(ms(0), m.clone()), (ms(0), m)])),
+        sensor("images late by 150 ms", None, || images_as(|_, m| vec![(ms(150), m)])),
+        sensor("images out of order", None, || images_as(|i, m| vec![(ms(50 * (i % 2)), m)])),
+        sensor("images stamped 10 s ahead", fusion(&["ahead of the IMU samples"]), || {
+            images(|m| shift(&mut m.header, 10.0))
+        }),
+        sensor(
+            "images stamped 10 s in the past",
+            fusion(&["older than the newest IMU sample"]),
+            || images(|m| shift(&mut m.header, -10.0)),
+        ),
+        sensor("encoder: every second reading off by 0.5 m", climber(&["jumped by"]), || {
+            joints_as(|i, mut m| {
+                m.position[0] += if i % 2 == 0 { 0.5 } else { 0.0 };
+                vec![(ms(0), m)]
             })
         }),
-        Row {
-            diagnostics: tracker(&["no image arrived"]),
-            ..sensor_fault("camera silent", || images(|_| Vec::new()))
-        },
-        Row {
-            diagnostics: tracker(&["the images are 320x240, camera_info is for 640x480"]),
-            ..sensor_fault("camera sends another size", || uniform_images(320, 240, 90))
-        },
-        Row {
-            diagnostics: tracker(&["rejected"]),
-            ..sensor_fault("images cut off in the middle", || {
-                images(|mut m| {
-                    m.data.truncate(m.data.len() / 2);
-                    one(m)
-                })
-            })
-        },
-        sensor_fault("images doubled", || {
-            images(|m| vec![(Duration::ZERO, m.clone()), (Duration::ZERO, m)])
+        sensor("encoder: NaN", climber(&["is NaN"]), || joints(|m| m.position[1] = f64::NAN)),
+        sensor("encoders stale: stamped 2 s ago", climber(&["old on arrival"]), || {
+            joints(|m| shift(&mut m.header, -2.0))
         }),
-        sensor_fault("images late by 150 ms", || images(|m| vec![(Duration::from_millis(150), m)])),
-        sensor_fault("images out of order", || {
-            let mut late = false;
-            images(move |m| {
-                late = !late;
-                vec![(Duration::from_millis(if late { 50 } else { 0 }), m)]
+        sensor("encoders silent", climber(&["no reading was accepted"]), || {
+            joints_as(|_, _| vec![])
+        }),
+        sensor("encoder: a joint is missing", climber(&["is missing"]), || {
+            joints(|m| {
+                m.name.pop();
+                m.position.pop();
             })
         }),
-        Row {
-            diagnostics: fusion(&["ahead of the IMU samples"]),
-            ..sensor_fault("images stamped 10 s ahead", || {
-                images(|mut m| {
-                    shift(&mut m.header, 10.0);
-                    one(m)
-                })
-            })
-        },
-        Row {
-            diagnostics: fusion(&["older than the newest IMU sample"]),
-            ..sensor_fault("images stamped 10 s in the past", || {
-                images(|mut m| {
-                    shift(&mut m.header, -10.0);
-                    one(m)
-                })
-            })
-        },
-        Row {
-            diagnostics: climber(&["jumped by"]),
-            ..sensor_fault("encoder: every second reading off by 0.5 m", || {
-                let mut count = 0;
-                joints(move |mut m| {
-                    count += 1;
-                    if count % 2 == 0 {
-                        m.position[0] += 0.5;
-                    }
-                    one(m)
-                })
-            })
-        },
-        Row {
-            diagnostics: climber(&["is NaN"]),
-            ..sensor_fault("encoder: NaN", || {
-                joints(|mut m| {
-                    m.position[1] = f64::NAN;
-                    one(m)
-                })
-            })
-        },
-        Row {
-            diagnostics: climber(&["old on arrival"]),
-            ..sensor_fault("encoders stale: stamped 2 s ago", || {
-                joints(|mut m| {
-                    shift(&mut m.header, -2.0);
-                    one(m)
-                })
-            })
-        },
-        Row {
-            diagnostics: climber(&["no reading was accepted"]),
-            ..sensor_fault("encoders silent", || joints(|_| Vec::new()))
-        },
-        Row {
-            diagnostics: climber(&["is missing"]),
-            ..sensor_fault("encoder: a joint is missing", || {
-                joints(|mut m| {
-                    m.name.pop();
-                    m.position.pop();
-                    one(m)
-                })
-            })
-        },
-        Row {
-            diagnostics: climber(&["after its receipt"]),
-            ..sensor_fault("encoders from the future: stamped 2 s ahead", || {
-                joints(|mut m| {
-                    shift(&mut m.header, 2.0);
-                    one(m)
-                })
-            })
-        },
-        sensor_fault("encoder readings out of order", || {
-            let mut late = false;
-            joints(move |m| {
-                late = !late;
-                vec![(Duration::from_millis(if late { 40 } else { 0 }), m)]
-            })
+        sensor(
+            "encoders from the future: stamped 2 s ahead",
+            climber(&["after its receipt"]),
+            || joints(|m| shift(&mut m.header, 2.0)),
+        ),
+        sensor("encoder readings out of order", None, || {
+            joints_as(|i, m| vec![(ms(40 * (i % 2)), m)])
         }),
-        sensor_fault("encoder readings doubled and late by 60 ms", || {
-            joints(|m| vec![(Duration::from_millis(60), m.clone()), (Duration::from_millis(60), m)])
+        sensor("encoder readings doubled and late by 60 ms", None, || {
+            joints_as(|_, m| vec![(ms(60), m.clone()), (ms(60), m)])
         }),
-    ];
-    rows.extend([
         Row {
-            flow: Flow::Gaps,
+            flow: Gaps,
             ..unit(
                 "serial garbage: 400 bytes, ten times",
                 &["belonged to no message"],
@@ -265,7 +182,7 @@ pub fn table() -> Vec<Row> {
                             (0..400_u32).map(|k| (k as u8).wrapping_mul(37) ^ i | 0xC0).collect();
                         let _ =
                             b.run.hardware.imu().with(move |unit, now| unit.inject(&garbage, now));
-                        std::thread::sleep(Duration::from_millis(100));
+                        std::thread::sleep(ms(100));
                     }
                 },
                 |_| {},
@@ -274,12 +191,8 @@ pub fn table() -> Vec<Row> {
         unit(
             "serial silence (a broken wire)",
             &["no message for"],
-            |b| {
-                let _ = b.run.hardware.imu().with(|unit, _| unit.set_mute(true));
-            },
-            |b| {
-                let _ = b.run.hardware.imu().with(|unit, _| unit.set_mute(false));
-            },
+            with_imu(|imu, _| imu.set_mute(true)),
+            with_imu(|imu, _| imu.set_mute(false)),
         ),
         unit(
             "serial adapter unplugged",
@@ -289,58 +202,56 @@ pub fn table() -> Vec<Row> {
         ),
         // A power cycle takes a fraction of the window: the IMU is back before the window ends.
         Row {
-            flow: Flow::Gaps,
+            flow: Gaps,
             ..unit(
                 "IMU off and on again",
                 &["was set up again"],
-                |b| {
-                    let _ = b.run.hardware.imu().with(|unit, now| unit.power_cycle(now));
-                },
+                with_imu(|imu, now| imu.power_cycle(now)),
                 |_| {},
             )
         },
-        Row {
-            flow: Flow::Stops,
-            diagnostics: None,
-            ..killed("kill -9 pose_fusion, started 3 s later", "pose_fusion")
-        },
-        Row {
-            diagnostics: fusion(&["nothing comes on /climber/markers"]),
-            ..killed("kill -9 marker_tracker, started 3 s later", "marker_tracker")
-        },
-        Row {
-            flow: Flow::Stops,
-            diagnostics: fusion(&["no IMU sample for"]),
-            ..killed("kill -9 imu_driver, started 3 s later", "imu_driver")
-        },
-        Row {
-            diagnostics: fusion(&["nothing comes on /climber/transform"]),
-            ..killed("kill -9 climber_driver, started 3 s later", "climber_driver")
-        },
-        Row {
-            diagnostics: fusion(&["nothing comes on /climber/markers"]),
-            ..stalled("marker_tracker stalled for 3 s", "marker_tracker")
-        },
-        Row {
-            flow: Flow::Gaps,
-            // After an interruption the domain is joined again, and the restart is reported
-            // instead.
-            diagnostics: fusion(&["stalled for", "restarted"]),
-            ..stalled("pose_fusion stalled for 3 s", "pose_fusion")
-        },
-        Row {
-            flow: Flow::Stops,
-            diagnostics: fusion(&["no IMU sample for"]),
-            ..stalled("imu_driver stalled for 3 s", "imu_driver")
-        },
-        Row {
-            diagnostics: fusion(&["nothing comes on /climber/transform"]),
-            ..stalled("climber_driver stalled for 3 s", "climber_driver")
-        },
+        killed("kill -9 pose_fusion, started 3 s later", "pose_fusion", Stops, None),
+        killed(
+            "kill -9 marker_tracker, started 3 s later",
+            "marker_tracker",
+            Unbroken,
+            fusion(&["nothing comes on /climber/markers"]),
+        ),
+        killed(
+            "kill -9 imu_driver, started 3 s later",
+            "imu_driver",
+            Stops,
+            fusion(&["no IMU sample for"]),
+        ),
+        killed(
+            "kill -9 climber_driver, started 3 s later",
+            "climber_driver",
+            Unbroken,
+            fusion(&["nothing comes on /climber/transform"]),
+        ),
+        stalled(
+            "marker_tracker stalled for 3 s",
+            "marker_tracker",
+            Unbroken,
+            fusion(&["nothing comes on /climber/markers"]),
+        ),
+        // After an interruption the domain is joined again, and the restart is reported instead.
+        stalled(
+            "pose_fusion stalled for 3 s",
+            "pose_fusion",
+            Gaps,
+            fusion(&["stalled for", "restarted"]),
+        ),
+        stalled("imu_driver stalled for 3 s", "imu_driver", Stops, fusion(&["no IMU sample for"])),
+        stalled(
+            "climber_driver stalled for 3 s",
+            "climber_driver",
+            Unbroken,
+            fusion(&["nothing comes on /climber/transform"]),
+        ),
         clock_set("system clock set 5 s ahead, and corrected", 5.0),
         clock_set("system clock set 5 s back, and corrected", -5.0),
         clock_set("system clock set 0.3 s ahead, and corrected", 0.3),
         recording::disk_full(),
-    ]);
-    rows
+    ]
 }
