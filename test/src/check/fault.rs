@@ -1,10 +1,13 @@
 //! Faults: one thing wrong with a rig's files or its messages, by name, and how a check must name
 //! it.
 
-use crate::robustness::{perturbation::Perturbation, recording::Recording};
+use crate::robustness::{
+    perturbation::{Perturbation as P, each_imu},
+    recording::Recording,
+};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use pose_fusion::Input;
-use rig_model::{CameraModel, ClimberSample, Distortion, ImuSample, Rig};
+use rig_model::{CameraModel, ClimberSample, Distortion, Rig};
 
 /// One fault.
 #[derive(Clone, Copy)]
@@ -27,93 +30,75 @@ const fn fault(
     name: &'static str,
     apply: fn(&mut Recording),
     keys: &'static [&'static str],
-    rows: &'static [&'static str],
 ) -> Fault {
-    Fault { name, apply, keys, rows, offset: None, retrack: false }
+    Fault { name, apply, keys, rows: &[], offset: None, retrack: false }
 }
 
+/// A fault on which the tracker's result depends.
 const fn seen(
     name: &'static str,
     apply: fn(&mut Recording),
     keys: &'static [&'static str],
-    rows: &'static [&'static str],
 ) -> Fault {
-    Fault { retrack: true, ..fault(name, apply, keys, rows) }
+    Fault { retrack: true, ..fault(name, apply, keys) }
+}
+
+/// The fault, with rows of which one may be `unobservable` instead.
+const fn or(fault: Fault, rows: &'static [&'static str]) -> Fault {
+    Fault { rows, ..fault }
 }
 
 const fn late(name: &'static str, apply: fn(&mut Recording), row: &'static str, ms: f64) -> Fault {
     let keys: &'static [&'static str] = &["imu clock", "climber clock"];
-    Fault { offset: Some((row, ms, 2.0)), ..fault(name, apply, keys, &[]) }
+    Fault { offset: Some((row, ms, 2.0)), ..fault(name, apply, keys) }
 }
 
 /// All faults.
 pub const FAULTS: &[Fault] = &[
-    fault(
-        "camera 10 cm off",
-        |r| r.rig.climber_from_camera.translation.vector.x += 0.1,
-        &["camera.position"],
+    or(
+        fault(
+            "camera 10 cm off",
+            |r| r.rig.climber_from_camera.translation.vector.x += 0.1,
+            &["camera.position"],
+        ),
         &["camera.position x"],
     ),
-    fault("camera tilt 2°", |r| turn_camera(r, [2.0, 0.0, 0.0]), &["camera.orientation"], &[]),
-    fault(
-        "camera yaw 90°",
-        |r| turn_camera(r, [0.0, 0.0, 90.0]),
-        &["camera.orientation"],
-        &["camera.orientation about z"],
-    ),
-    fault(
-        "camera yaw 180°",
-        |r| turn_camera(r, [0.0, 0.0, 180.0]),
-        &["camera.orientation"],
-        &["camera.orientation about z"],
-    ),
-    seen("focal length +1 %", |r| Perturbation::FocalLength(0.01).apply(r), FOCAL, &[FX]),
-    seen("focal length +5 %", |r| Perturbation::FocalLength(0.05).apply(r), FOCAL, &[]),
-    seen("focal length +20 %", |r| Perturbation::FocalLength(0.2).apply(r), FOCAL, &[]),
-    seen("focal length halved", |r| Perturbation::FocalLength(-0.5).apply(r), FOCAL, &[]),
-    seen("distortion zeroed", |r| lens(r, |_| [0.0; 5]), LENS, &[]),
+    fault("camera tilt 2°", |r| turn_camera(r, [2.0, 0.0, 0.0]), CAMERA),
+    or(fault("camera yaw 90°", |r| turn_camera(r, [0.0, 0.0, 90.0]), CAMERA), CAMERA_YAW),
+    or(fault("camera yaw 180°", |r| turn_camera(r, [0.0, 0.0, 180.0]), CAMERA), CAMERA_YAW),
+    or(seen("focal length +1 %", |r| P::FocalLength(0.01).apply(r), FOCAL), &["camera_info: fx"]),
+    seen("focal length +5 %", |r| P::FocalLength(0.05).apply(r), FOCAL),
+    seen("focal length +20 %", |r| P::FocalLength(0.2).apply(r), FOCAL),
+    seen("focal length halved", |r| P::FocalLength(-0.5).apply(r), FOCAL),
+    seen("distortion zeroed", |r| lens(r, |_| [0.0; 5]), LENS),
     seen(
         "distortion order swapped",
         |r| lens(r, |[k1, k2, p1, p2, k3]| [k1, k2, k3, p1, p2]),
         LENS,
-        &[],
     ),
-    seen(
-        "layout × 1.01",
-        |r| Perturbation::Layout(0.01).apply(r),
-        &["markers: scale"],
-        &["markers: scale"],
-    ),
-    seen("layout × 1.1", |r| Perturbation::Layout(0.1).apply(r), &["markers: scale"], &[]),
-    seen(
-        "layout in cm",
-        |r| Perturbation::Layout(99.0).apply(r),
-        &["markers.positions", "markers.size"],
-        &[],
-    ),
-    seen("red marker 20 cm off", |r| r.rig.markers.centers.0[0].x += 0.2, &["markers.red"], &[]),
-    seen("red and green swapped", |r| r.rig.markers.centers.0.swap(0, 1), &["markers.red"], &[]),
+    or(seen("layout × 1.01", |r| P::Layout(0.01).apply(r), SCALE), SCALE),
+    seen("layout × 1.1", |r| P::Layout(0.1).apply(r), SCALE),
+    seen("layout in cm", |r| P::Layout(99.0).apply(r), &["markers.positions", "markers.size"]),
+    seen("red marker 20 cm off", |r| r.rig.markers.centers.0[0].x += 0.2, &["markers.red"]),
+    seen("red and green swapped", |r| r.rig.markers.centers.0.swap(0, 1), &["markers.red"]),
     seen(
         "layout mirrored",
         |r| each_center(&mut r.rig, |c| c.y = -c.y),
         &["markers.mirrored", "markers.exchanged"],
-        &[],
     ),
     seen(
         "colors rotated one place",
         |r| r.rig.markers.centers.0.rotate_left(1),
         &["markers.colors", "imu.orientation"],
-        &[],
     ),
-    fault("IMU yaw 5°", |r| turn_imu(r, [0.0, 0.0, 5.0]), IMU, &[]),
-    fault("IMU tilt 5°", |r| turn_imu(r, [5.0, 0.0, 0.0]), IMU, &[]),
-    fault("IMU upside down", |r| turn_imu(r, [180.0, 0.0, 0.0]), IMU, &[]),
-    fault("IMU quaternion as w, x, y, z", wxyz, IMU, &[]),
+    fault("IMU yaw 5°", |r| turn_imu(r, [0.0, 0.0, 5.0]), IMU),
+    fault("IMU tilt 5°", |r| turn_imu(r, [5.0, 0.0, 0.0]), IMU),
+    fault("IMU upside down", |r| turn_imu(r, [180.0, 0.0, 0.0]), IMU),
+    fault("IMU quaternion as w, x, y, z", wxyz, IMU),
     fault(
         "IMU lever arm in mm",
         |r| r.rig.imu.volant_from_imu.translation.vector *= 1e3,
         &["imu.position"],
-        &[],
     ),
     fault(
         "IMU noise × 0.001",
@@ -122,58 +107,43 @@ pub const FAULTS: &[Fault] = &[
             r.rig.imu.gyroscope_noise_density *= 1e-3;
         },
         &["imu.accelerometer_noise", "imu.gyroscope_noise"],
-        &[],
     ),
     fault(
         "accelerometer in g",
         |r| each_imu(r, |s| s.specific_force /= 9.806_65),
         &["imu.accelerometer.unit"],
-        &[],
     ),
     fault(
         "accelerometer negated",
         |r| each_imu(r, |s| s.specific_force = -s.specific_force),
         &["imu.accelerometer.sign"],
-        &[],
     ),
     fault(
         "gyroscope in deg/s",
         |r| each_imu(r, |s| s.angular_velocity *= 57.295_78),
         &["imu.gyroscope.unit"],
-        &[],
     ),
-    fault(
-        "gyroscope scale +2 %",
-        |r| Perturbation::GyroScale(0.02).apply(r),
-        &["gyroscope scale"],
-        &[],
+    fault("gyroscope scale +2 %", |r| P::GyroScale(0.02).apply(r), &["gyroscope scale"]),
+    or(fault("encoder x reversed", |r| each_climber(r, |p, _| p.x = -p.x), RAIL_X), RAIL_X),
+    or(
+        fault(
+            "encoders x and y exchanged",
+            |r| each_climber(r, |p, _| *p = Vector3::new(p.y, p.x, p.z)),
+            RAIL,
+        ),
+        RAIL_X,
     ),
-    fault(
-        "encoder x reversed",
-        |r| each_climber(r, |p, _| p.x = -p.x),
-        &["climber.rail_x"],
-        &[RAIL_X],
-    ),
-    fault(
-        "encoders x and y exchanged",
-        |r| each_climber(r, |p, _| *p = Vector3::new(p.y, p.x, p.z)),
-        &["climber.rail"],
-        &[RAIL_X],
-    ),
-    fault(
-        "encoder scale 1.01",
-        |r| Perturbation::EncoderScale(0.01).apply(r),
-        &["climber.rail"],
-        &[RAIL_X],
-    ),
-    fault(
-        "encoder x frozen",
-        |r| {
-            let mut first = None;
-            each_climber(r, |p, _| p.x = *first.get_or_insert(p.x));
-        },
-        &["climber.rail_x"],
-        &[RAIL_X],
+    or(fault("encoder scale 1.01", |r| P::EncoderScale(0.01).apply(r), RAIL), RAIL_X),
+    or(
+        fault(
+            "encoder x frozen",
+            |r| {
+                let mut first = None;
+                each_climber(r, |p, _| p.x = *first.get_or_insert(p.x));
+            },
+            RAIL_X,
+        ),
+        RAIL_X,
     ),
     fault(
         "encoders frozen",
@@ -182,73 +152,35 @@ pub const FAULTS: &[Fault] = &[
             each_climber(r, |p, t| (*p, *t) = *first.get_or_insert((*p, *t)));
         },
         &["climber"],
-        &[],
     ),
-    fault("height + 0.5 m", |r| each_climber(r, |p, _| p.z += 0.5), &[], &["climber.height"]),
-    fault("height 0", |r| each_climber(r, |p, _| p.z = 0.0), &[], &["climber.height"]),
-    fault(
-        "turn reversed",
-        |r| each_climber(r, |_, t| *t = -*t),
-        &["climber.turn"],
-        &["climber.turn"],
+    or(fault("height + 0.5 m", |r| each_climber(r, |p, _| p.z += 0.5), &[]), HEIGHT),
+    or(fault("height 0", |r| each_climber(r, |p, _| p.z = 0.0), &[]), HEIGHT),
+    or(fault("turn reversed", |r| each_climber(r, |_, t| *t = -*t), TURN), TURN),
+    or(
+        fault("turn + 10°", |r| each_climber(r, |_, t| *t += 10f64.to_radians()), CAMERA),
+        CAMERA_YAW,
     ),
-    fault(
-        "turn + 10°",
-        |r| each_climber(r, |_, t| *t += 10f64.to_radians()),
-        &["camera.orientation"],
-        &["camera.orientation about z"],
-    ),
-    fault(
-        "turn × 1.05",
-        |r| each_climber(r, |_, t| *t *= 1.05),
-        &["climber.turn"],
-        &["climber.turn"],
-    ),
-    late(
-        "IMU stamps + 0.2 s",
-        |r| each_imu(r, |s| s.stamp = s.stamp.plus_seconds(0.2)),
-        "imu",
-        200.0,
-    ),
-    late(
-        "IMU stamps - 0.2 s",
-        |r| each_imu(r, |s| s.stamp = s.stamp.plus_seconds(-0.2)),
-        "imu",
-        -200.0,
-    ),
-    late(
-        "IMU stamps + 1 s",
-        |r| each_imu(r, |s| s.stamp = s.stamp.plus_seconds(1.0)),
-        "imu",
-        1000.0,
-    ),
-    late(
-        "IMU stamps - 1 s",
-        |r| each_imu(r, |s| s.stamp = s.stamp.plus_seconds(-1.0)),
-        "imu",
-        -1000.0,
-    ),
-    late(
-        "encoder stamps + 0.2 s",
-        |r| Perturbation::EncoderDelay(0.2).apply(r),
-        "climber clock",
-        -200.0,
-    ),
-    late(
-        "encoder stamps - 0.2 s",
-        |r| Perturbation::EncoderDelay(-0.2).apply(r),
-        "climber clock",
-        200.0,
-    ),
-    fault("every IMU sample twice", |r| Perturbation::ImuTwice.apply(r), &["volant/imu"], &[]),
-    fault("two climbers on one topic", two_climbers, &["climber/transform"], &[]),
+    or(fault("turn × 1.05", |r| each_climber(r, |_, t| *t *= 1.05), TURN), TURN),
+    late("IMU stamps + 0.2 s", |r| imu_late(r, 0.2), "imu", 200.0),
+    late("IMU stamps - 0.2 s", |r| imu_late(r, -0.2), "imu", -200.0),
+    late("IMU stamps + 1 s", |r| imu_late(r, 1.0), "imu", 1000.0),
+    late("IMU stamps - 1 s", |r| imu_late(r, -1.0), "imu", -1000.0),
+    late("encoder stamps + 0.2 s", |r| P::EncoderDelay(0.2).apply(r), "climber clock", -200.0),
+    late("encoder stamps - 0.2 s", |r| P::EncoderDelay(-0.2).apply(r), "climber clock", 200.0),
+    fault("every IMU sample twice", |r| P::ImuTwice.apply(r), &["volant/imu"]),
+    fault("two climbers on one topic", two_climbers, &["climber/transform"]),
 ];
 
-const FX: &str = "camera_info: fx";
+const CAMERA: &[&str] = &["camera.orientation"];
+const CAMERA_YAW: &[&str] = &["camera.orientation about z"];
 const FOCAL: &[&str] = &["camera_info: focal"];
 const LENS: &[&str] = &["camera_info"];
+const SCALE: &[&str] = &["markers: scale"];
 const IMU: &[&str] = &["imu.orientation"];
-const RAIL_X: &str = "climber.rail_x";
+const RAIL: &[&str] = &["climber.rail"];
+const RAIL_X: &[&str] = &["climber.rail_x"];
+const TURN: &[&str] = &["climber.turn"];
+const HEIGHT: &[&str] = &["climber.height"];
 
 fn degrees(axis: [f64; 3]) -> UnitQuaternion<f64> {
     UnitQuaternion::from_scaled_axis(Vector3::from(axis.map(f64::to_radians)))
@@ -289,12 +221,8 @@ fn lens(r: &mut Recording, change: impl Fn([f64; 5]) -> [f64; 5]) {
     }
 }
 
-fn each_imu(r: &mut Recording, mut change: impl FnMut(&mut ImuSample)) {
-    for (_, input) in &mut r.inputs {
-        if let Input::Imu(sample) = input {
-            change(sample);
-        }
-    }
+fn imu_late(r: &mut Recording, seconds: f64) {
+    each_imu(r, |s| s.stamp = s.stamp.plus_seconds(seconds));
 }
 
 fn moved(sample: &mut ClimberSample, change: &mut impl FnMut(&mut Vector3<f64>, &mut f64)) {

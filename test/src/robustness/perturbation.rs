@@ -267,7 +267,11 @@ impl Perturbation {
     }
 }
 
-fn each_imu(recording: &mut Recording, mut change: impl FnMut(&mut rig_model::ImuSample)) {
+/// Changes each IMU sample.
+pub(crate) fn each_imu(
+    recording: &mut Recording,
+    mut change: impl FnMut(&mut rig_model::ImuSample),
+) {
     for (_, input) in &mut recording.inputs {
         if let Input::Imu(sample) = input {
             change(sample);
