@@ -3,6 +3,7 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::disallowed_methods)]
 
 use node_kit::convert;
+use rig_model::topics;
 use rustix::process::{Pid, Signal, kill_process};
 use std::{
     fs,
@@ -31,7 +32,8 @@ impl Place {
     fn new(seconds: f64) -> Self {
         let place = Self(TempDir::new().unwrap());
         let scenario = Scenario::swing(3, seconds).unwrap();
-        from_sensors(&place.path("in.mcap"), &scenario, |sample| {
+        let topic = topics::absolute::CLIMBER_TRANSFORM;
+        from_sensors(&place.path("in.mcap"), &scenario, topic, |sample| {
             convert::climber_message(sample, &scenario.rig.frames)
         })
         .unwrap();

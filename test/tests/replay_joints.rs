@@ -65,11 +65,12 @@ fn encoder_readings_give_the_pose_of_the_drivers_transforms() {
     let dir = TempDir::new().unwrap();
     let path = |name: &str| dir.path().join(name);
     let scenario = Scenario::swing(7, 5.0).unwrap();
-    from_sensors(&path("joints.mcap"), &scenario, joints).unwrap();
+    from_sensors(&path("joints.mcap"), &scenario, topics::absolute::JOINT_STATES, joints).unwrap();
     // The driver's core over the same readings, received when they were logged.
     let mut driver = Climber::new(config()).unwrap();
     let mut transforms = 0;
-    from_sensors(&path("transforms.mcap"), &scenario, |sample| -> TransformStamped {
+    let topic = topics::absolute::CLIMBER_TRANSFORM;
+    from_sensors(&path("transforms.mcap"), &scenario, topic, |sample| {
         let m = joints(sample);
         let reading = JointReading { stamp: sample.stamp, names: m.name, positions: m.position };
         driver.handle(&reading, sample.stamp);
@@ -122,7 +123,7 @@ fn a_check_names_a_reversed_joint_of_the_parameter_file() {
     let dir = TempDir::new().unwrap();
     let path = |name: &str| dir.path().join(name);
     let scenario = Scenario::swing(7, 14.0).unwrap();
-    from_sensors(&path("joints.mcap"), &scenario, joints).unwrap();
+    from_sensors(&path("joints.mcap"), &scenario, topics::absolute::JOINT_STATES, joints).unwrap();
     fs::write(path("rig.yaml"), &scenario.rig_yaml).unwrap();
     let right = PARAMETERS.replace("HEIGHT", &format!("{:?}", config().height));
     for (text, status, said) in [
@@ -158,7 +159,7 @@ fn a_replay_rejects_what_a_live_node_rejects() {
     let (bag, out, rig) =
         (dir.path().join("in.mcap"), dir.path().join("out.mcap"), dir.path().join("rig.yaml"));
     let scenario = Scenario::swing(7, 3.0).unwrap();
-    from_sensors(&bag, &scenario, joints).unwrap();
+    from_sensors(&bag, &scenario, topics::absolute::JOINT_STATES, joints).unwrap();
     for (node, block) in [
         ("pose_fusion", "/pose_fusoin: {ros__parameters: {model: paper}}"),
         ("climber_driver", "/rig/climber_drvier: {ros__parameters: {height: 1.0}}"),

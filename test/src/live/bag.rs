@@ -9,15 +9,69 @@ use super::{
 };
 use bag::{BagError, BagWriter, Compression, Qos, Topic, WriteOptions};
 use node_kit::convert;
-use rig_model::{ClimberSample, Stamp, topics};
+use rig_model::{ClimberSample, Stamp, topics::absolute as topics};
 use rig_simulator::inertial::{Message as Sensed, Sensors};
-use std::path::Path;
-use volant_msgs::{
-    Message, cdr, geometry_msgs::msg::TransformStamped, sensor_msgs::msg::JointState,
-};
+use std::{path::Path, sync::Arc};
+use volant_msgs::{Message, cdr};
 
 /// Poses of the truth per second.
 const TRUTH_RATE: f64 = 200.0;
+const SENSOR: &Qos = &Qos::SENSOR;
+const RELIABLE: &Qos = &Qos::RELIABLE;
+
+/// A bag whose messages are written in order of receipt at the end.
+struct Run {
+    bag: BagWriter,
+    entries: Vec<(u64, bag::TopicId, Vec<u8>)>,
+    /// Messages before it are left out.
+    begin: Stamp,
+}
+
+impl Run {
+    fn create(path: &Path, compression: Compression, begin: Stamp) -> Result<Self, BagError> {
+        let options = WriteOptions { compression, ..WriteOptions::default() };
+        Ok(Self { bag: BagWriter::create(path, options)?, entries: Vec::new(), begin })
+    }
+
+    fn put_each<'m, M: Message + 'm>(
+        &mut self,
+        name: &str,
+        qos: &Qos,
+        messages: impl Iterator<Item = (Stamp, &'m M)>,
+    ) {
+        let topic = self.bag.add_topic(Topic::of::<M>(name, qos));
+        let kept = messages.filter(|(at, _)| *at >= self.begin);
+        self.entries
+            .extend(kept.map(|(at, m)| (at.as_nanos().unsigned_abs(), topic, cdr::to_bytes(m))));
+    }
+
+    fn put<M: Message>(&mut self, name: &str, qos: &Qos, messages: &[(Stamp, M)]) {
+        self.put_each(name, qos, messages.iter().map(|(at, m)| (*at, m)));
+    }
+
+    fn put_log<M: Message>(&mut self, name: &str, qos: &Qos, log: &TopicLog<M>) {
+        self.put_each(name, qos, log.iter().map(|(at, m)| (*at, m.as_ref())));
+    }
+
+    fn put_truth(&mut self, scenario: &Scenario, epoch: Stamp, lead: f64) {
+        let count = ((scenario.duration() + lead) * TRUTH_RATE) as usize;
+        let times = (0..=count).map(|i| i as f64 / TRUTH_RATE - lead);
+        let poses: Vec<_> = times
+            .map(|t| (t, epoch.plus_seconds(t)))
+            .map(|(t, stamp)| (stamp, truth(scenario, t, stamp)))
+            .collect();
+        self.put(topics::GROUND_TRUTH, RELIABLE, &poses);
+    }
+
+    fn finish(mut self) -> Result<(), BagError> {
+        self.entries.sort_by_key(|(time, ..)| *time);
+        for (time, topic, data) in &self.entries {
+            self.bag.write(*topic, *time, *time, data)?;
+        }
+        self.bag.finish()?;
+        Ok(())
+    }
+}
 
 /// Writes the run, from half a second before `epoch` (the scenario's zero) on, as a rosbag2 folder.
 ///
@@ -31,105 +85,41 @@ pub fn write(
     received: &Received,
 ) -> Result<(), BagError> {
     let begin = epoch.plus_seconds(-LEAD);
-    let options = WriteOptions { compression: Compression::None, ..WriteOptions::default() };
-    let mut bag = BagWriter::create(path, options)?;
-    let mut entries = Vec::new();
-    let e = &mut entries;
-    put(&mut bag, e, topics::absolute::COMPRESSED_IMAGE, &Qos::SENSOR, &sent.images);
-    put(&mut bag, e, topics::absolute::CAMERA_INFO, &Qos::SENSOR, &sent.camera_info);
-    put(&mut bag, e, topics::absolute::JOINT_STATES, &Qos::RELIABLE, &sent.joints);
-    write_received(&mut bag, e, topics::absolute::IMU, &Qos::SENSOR, begin, &received.imu);
-    write_received(
-        &mut bag,
-        e,
-        topics::absolute::CLIMBER_TRANSFORM,
-        &Qos::RELIABLE,
-        begin,
-        &received.climber,
-    );
-    write_received(
-        &mut bag,
-        e,
-        topics::absolute::MARKERS,
-        &Qos::RELIABLE,
-        begin,
-        &received.markers,
-    );
-    write_received(
-        &mut bag,
-        e,
-        topics::absolute::ODOMETRY,
-        &Qos::RELIABLE,
-        begin,
-        &received.odometry,
-    );
-    write_received(
-        &mut bag,
-        e,
-        topics::absolute::FUSED_POSE,
-        &Qos::RELIABLE,
-        begin,
-        &received.fused_pose,
-    );
-    write_received(
-        &mut bag,
-        e,
-        topics::absolute::VISUAL_POSE,
-        &Qos::RELIABLE,
-        begin,
-        &received.visual_pose,
-    );
-    write_received(
-        &mut bag,
-        e,
-        topics::absolute::MARKER_UPDATES,
-        &Qos::RELIABLE,
-        begin,
-        &received.marker_updates,
-    );
-    write_received(&mut bag, e, topics::absolute::TF, &Qos::RELIABLE, begin, &received.tf);
-    write_received(
-        &mut bag,
-        e,
-        topics::absolute::DIAGNOSTICS,
-        &Qos::RELIABLE,
-        begin,
-        &received.diagnostics,
-    );
+    let mut run = Run::create(path, Compression::None, begin)?;
+    run.put(topics::COMPRESSED_IMAGE, SENSOR, &sent.images);
+    run.put(topics::CAMERA_INFO, SENSOR, &sent.camera_info);
+    run.put(topics::JOINT_STATES, RELIABLE, &sent.joints);
+    run.put_log(topics::IMU, SENSOR, &received.imu);
+    run.put_log(topics::CLIMBER_TRANSFORM, RELIABLE, &received.climber);
+    run.put_log(topics::MARKERS, RELIABLE, &received.markers);
+    run.put_log(topics::ODOMETRY, RELIABLE, &received.odometry);
+    run.put_log(topics::FUSED_POSE, RELIABLE, &received.fused_pose);
+    run.put_log(topics::VISUAL_POSE, RELIABLE, &received.visual_pose);
+    run.put_log(topics::MARKER_UPDATES, RELIABLE, &received.marker_updates);
+    run.put_log(topics::TF, RELIABLE, &received.tf);
+    run.put_log(topics::DIAGNOSTICS, RELIABLE, &received.diagnostics);
     // Latched: received before the run, belonging into it.
     let fixed: Vec<_> =
-        received.tf_static.iter().map(|(at, m)| ((*at).max(begin), m.as_ref().clone())).collect();
-    put(&mut bag, e, topics::absolute::TF_STATIC, &Qos::LATCHED, &fixed);
-    let poses: Vec<_> = (0..=((scenario.duration() + LEAD) * TRUTH_RATE) as usize)
-        .map(|i| {
-            let t = i as f64 / TRUTH_RATE - LEAD;
-            let stamp = epoch.plus_seconds(t);
-            (stamp, truth(scenario, t, stamp))
-        })
-        .collect();
-    put(&mut bag, e, topics::absolute::GROUND_TRUTH, &Qos::RELIABLE, &poses);
-    entries.sort_by_key(|(time, ..)| *time);
-    for (time, topic, data) in &entries {
-        bag.write(*topic, *time, *time, data)?;
-    }
-    bag.finish()?;
-    Ok(())
+        received.tf_static.iter().map(|(at, m)| ((*at).max(begin), Arc::clone(m))).collect();
+    run.put_log(topics::TF_STATIC, &Qos::LATCHED, &fixed);
+    run.put_truth(scenario, epoch, LEAD);
+    run.finish()
 }
 
 /// Writes what ideal sensors record of a scenario, without nodes: markers, IMU samples, the truth,
-/// and the climber as the messages that `climber` makes of it, on the topic of their type.
+/// and the climber on `topic` as the messages that `climber` makes of it.
 ///
 /// # Errors
 /// The file exists or is not writable.
-pub fn from_sensors<M: ClimberMessage>(
+pub fn from_sensors<M: Message>(
     path: &Path,
     scenario: &Scenario,
+    topic: &str,
     mut climber: impl FnMut(&ClimberSample) -> M,
 ) -> Result<(), BagError> {
-    let mut bag = BagWriter::create(path, WriteOptions::default())?;
-    let frames = &scenario.rig.frames;
-    let mut entries = Vec::new();
-    let (mut imu, mut markers, mut poses, mut truths) = (vec![], vec![], vec![], vec![]);
+    let (frames, epoch) = (&scenario.rig.frames, scenario.sensors.epoch);
+    let mut run = Run::create(path, WriteOptions::default().compression, Stamp::default())?;
+    let (mut imu, mut markers, mut poses) = (vec![], vec![], vec![]);
     let sensors =
         Sensors::new(&scenario.motion, &scenario.rig, &scenario.camera, &scenario.sensors);
     for (at, message) in sensors.record() {
@@ -140,66 +130,11 @@ pub fn from_sensors<M: ClimberMessage>(
             Sensed::Climber(s) => poses.push((s.stamp, climber(&s))),
         }
     }
-    let epoch = scenario.sensors.epoch;
     let info = convert::camera_message(&frames.camera, epoch, &scenario.camera);
-    for i in 0..=(scenario.duration() * TRUTH_RATE) as usize {
-        let t = i as f64 / TRUTH_RATE;
-        truths.push((epoch.plus_seconds(t), truth(scenario, t, epoch.plus_seconds(t))));
-    }
-    let e = &mut entries;
-    put(&mut bag, e, topics::absolute::CAMERA_INFO, &Qos::SENSOR, &[(epoch, info)]);
-    put(&mut bag, e, topics::absolute::IMU, &Qos::SENSOR, &imu);
-    put(&mut bag, e, M::TOPIC, &Qos::RELIABLE, &poses);
-    put(&mut bag, e, topics::absolute::MARKERS, &Qos::RELIABLE, &markers);
-    put(&mut bag, e, topics::absolute::GROUND_TRUTH, &Qos::RELIABLE, &truths);
-    entries.sort_by_key(|(time, ..)| *time);
-    for (time, topic, data) in &entries {
-        bag.write(*topic, *time, *time, data)?;
-    }
-    bag.finish()?;
-    Ok(())
-}
-
-/// Message with the climber's pose.
-pub trait ClimberMessage: Message {
-    /// Its topic.
-    const TOPIC: &'static str;
-}
-
-impl ClimberMessage for JointState {
-    const TOPIC: &'static str = topics::absolute::JOINT_STATES;
-}
-
-impl ClimberMessage for TransformStamped {
-    const TOPIC: &'static str = topics::absolute::CLIMBER_TRANSFORM;
-}
-
-type Entry = (u64, bag::TopicId, Vec<u8>);
-
-fn put<M: Message>(
-    bag: &mut BagWriter,
-    entries: &mut Vec<Entry>,
-    name: &str,
-    qos: &Qos,
-    messages: &[(Stamp, M)],
-) {
-    let topic = bag.add_topic(Topic::of::<M>(name, qos));
-    entries.extend(
-        messages.iter().map(|(at, m)| (at.as_nanos().unsigned_abs(), topic, cdr::to_bytes(m))),
-    );
-}
-
-fn write_received<M: Message>(
-    bag: &mut BagWriter,
-    entries: &mut Vec<Entry>,
-    name: &str,
-    qos: &Qos,
-    from: Stamp,
-    messages: &TopicLog<M>,
-) {
-    let topic = bag.add_topic(Topic::of::<M>(name, qos));
-    let kept = messages.iter().filter(|(at, _)| *at >= from);
-    entries.extend(
-        kept.map(|(at, m)| (at.as_nanos().unsigned_abs(), topic, cdr::to_bytes(m.as_ref()))),
-    );
+    run.put(topics::CAMERA_INFO, SENSOR, &[(epoch, info)]);
+    run.put(topics::IMU, SENSOR, &imu);
+    run.put(topic, RELIABLE, &poses);
+    run.put(topics::MARKERS, RELIABLE, &markers);
+    run.put_truth(scenario, epoch, 0.0);
+    run.finish()
 }

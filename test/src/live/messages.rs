@@ -1,12 +1,11 @@
 //! Data of the simulated hardware as ROS messages.
 
 use super::scenario::Scenario;
-use nalgebra::Vector3;
+use nalgebra::Matrix6;
 use node_kit::convert;
 use rig_model::Stamp;
 use rig_simulator::random::Random;
 use volant_msgs::{
-    geometry_msgs::msg::{PoseWithCovariance, Twist, TwistWithCovariance},
     nav_msgs::msg::Odometry,
     sensor_msgs::msg::{CompressedImage, JointState},
 };
@@ -47,15 +46,7 @@ pub fn joint_state(
 /// The truth, as bags hold it.
 pub fn truth(scenario: &Scenario, seconds: f64, stamp: Stamp) -> Odometry {
     let (pose, velocity, rate) = scenario.truth(seconds);
-    let vector =
-        |v: Vector3<f64>| volant_msgs::geometry_msgs::msg::Vector3 { x: v.x, y: v.y, z: v.z };
-    Odometry {
-        header: convert::header(&scenario.rig.frames.world, stamp),
-        child_frame_id: scenario.rig.frames.volant.clone(),
-        pose: PoseWithCovariance { pose: convert::pose_message(&pose), covariance: [0.0; 36] },
-        twist: TwistWithCovariance {
-            twist: Twist { linear: vector(velocity), angular: vector(rate) },
-            covariance: [0.0; 36],
-        },
-    }
+    let (frames, none) = (&scenario.rig.frames, Matrix6::zeros());
+    let (world, volant) = (&frames.world, &frames.volant);
+    convert::odometry_message(world, volant, stamp, &pose, &none, &velocity, &rate, &none)
 }

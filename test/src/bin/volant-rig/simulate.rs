@@ -3,9 +3,8 @@
 use anyhow::{Context, Result};
 use clap::Args;
 use node_kit::{convert, files, outln};
-use rig_model::ClimberSample;
+use rig_model::topics;
 use std::{fs, path::PathBuf};
-use volant_msgs::geometry_msgs::msg::TransformStamped;
 use volant_test::live::{Scenario, bag::from_sensors};
 
 /// Writes simulated runs: markers, IMU, climber and ground truth, without images and nodes.
@@ -39,9 +38,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         }
         let scenario = Scenario::swing(seed, arguments.seconds)?;
         let frames = scenario.rig.frames.clone();
-        from_sensors::<TransformStamped>(&bag, &scenario, |sample: &ClimberSample| {
-            convert::climber_message(sample, &frames)
-        })?;
+        let topic = topics::absolute::CLIMBER_TRANSFORM;
+        from_sensors(&bag, &scenario, topic, |sample| convert::climber_message(sample, &frames))?;
         files::write(&rig, scenario.rig_yaml.as_bytes(), arguments.overwrite)?;
     }
     outln!("{} runs in {}", arguments.runs, arguments.out.display())?;
