@@ -2,11 +2,7 @@
 //! frames.
 
 use rig_simulator::random::Random;
-use std::{
-    cmp::{Ordering, Reverse},
-    collections::BinaryHeap,
-    time::Duration,
-};
+use std::{cmp::Reverse, collections::BinaryHeap, time::Duration};
 
 /// How bad a link is, each way.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -39,33 +35,9 @@ impl Impairment {
     }
 }
 
-struct Frame {
-    due: Duration,
-    /// Frames that are due at one instant leave in the order in which they came.
-    number: u64,
-    to: usize,
-    bytes: Vec<u8>,
-}
-
-impl PartialEq for Frame {
-    fn eq(&self, other: &Self) -> bool {
-        self.number == other.number
-    }
-}
-
-impl Eq for Frame {}
-
-impl PartialOrd for Frame {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Frame {
-    fn cmp(&self, other: &Self) -> Ordering {
-        (self.due, self.number).cmp(&(other.due, other.number))
-    }
-}
+/// A frame in transit: when it is due; its number, because frames that are due at one instant leave
+/// in the order in which they came; the end that it comes out of; its bytes.
+type Frame = (Duration, u64, usize, Vec<u8>);
 
 /// Frames in transit by time of arrival. Bounded as a router's buffer is.
 #[derive(Default)]
@@ -84,13 +56,13 @@ impl Queue {
             return false;
         }
         self.count += 1;
-        self.frames.push(Reverse(Frame { due, number: self.count, to, bytes }));
+        self.frames.push(Reverse((due, self.count, to, bytes)));
         true
     }
 
     /// When the next one arrives.
     pub fn next(&self) -> Option<Duration> {
-        self.frames.peek().map(|Reverse(f)| f.due)
+        self.frames.peek().map(|Reverse((due, ..))| *due)
     }
 
     /// One that has arrived by `now`, with the end that it comes out of.
@@ -98,7 +70,7 @@ impl Queue {
         if self.next()? > now {
             return None;
         }
-        self.frames.pop().map(|Reverse(f)| (f.to, f.bytes))
+        self.frames.pop().map(|Reverse((.., to, bytes))| (to, bytes))
     }
 }
 

@@ -97,6 +97,7 @@ pub fn trials() -> Vec<Trial> {
         back_within: None,
     };
     let clean = Impairment::default();
+    let ending = |name, trouble| Trial { trouble, back_within: Some(2.0), ..link(name, clean) };
     let lossy = |loss| Impairment { loss, ..clean };
     let far = Impairment { delay: 0.05, spread: 0.02, ..clean };
     vec![
@@ -111,37 +112,15 @@ pub fn trials() -> Vec<Trial> {
             rigs: COMPARED,
             ..link("5 % lost and 50 ± 20 ms delay", Impairment { loss: 0.05, ..far })
         },
+        ending("cut for 5 s", Trouble::Cut),
+        ending("climber's side killed, started 1 s later", Trouble::Restart(Host::Climber)),
         Trial {
-            name: "cut for 5 s",
-            trouble: Trouble::Cut,
-            unbroken: true,
-            at_most: None,
-            rigs: 1,
-            back_within: Some(2.0),
-        },
-        Trial {
-            name: "climber's side killed, started 1 s later",
-            trouble: Trouble::Restart(Host::Climber),
-            unbroken: true,
-            at_most: None,
-            rigs: 1,
-            back_within: Some(2.0),
-        },
-        Trial {
-            name: "platform's side killed, started 1 s later",
-            trouble: Trouble::Restart(Host::Platform),
             unbroken: false,
-            at_most: None,
-            rigs: 1,
-            back_within: Some(2.0),
+            ..ending("platform's side killed, started 1 s later", Trouble::Restart(Host::Platform))
         },
         Trial {
-            name: "climber's clock 20 ms ahead and 50 ppm fast",
             trouble: Trouble::Clock(ClockError { offset: 0.02, ppm: 50.0 }),
-            unbroken: true,
-            at_most: None,
-            rigs: 1,
-            back_within: None,
+            ..link("climber's clock 20 ms ahead and 50 ppm fast", clean)
         },
     ]
 }
