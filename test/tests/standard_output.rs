@@ -1,44 +1,7 @@
-//! `volant-rig` whose standard output is closed or full, and an argument that is not UTF-8.
+//! Commands and manual of all executables together.
 #![allow(clippy::unwrap_used)]
 
-use std::{
-    ffi::OsStr,
-    fs::File,
-    os::unix::ffi::OsStrExt,
-    process::{Command, Stdio},
-};
-
-fn rig(arguments: &[&OsStr]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_volant-rig"));
-    command.args(arguments).stderr(Stdio::piped());
-    command
-}
-
-#[test]
-fn standard_output_that_is_closed_or_full_ends_a_command_without_a_panic() {
-    for arguments in [&["--help".as_ref()][..], &["demo".as_ref(), "--help".as_ref()]] {
-        let (reader, writer) = std::io::pipe().unwrap();
-        drop(reader);
-        let closed = rig(arguments).stdout(writer).output().unwrap();
-        assert_eq!((closed.status.code(), closed.stderr.len()), (Some(141), 0), "{closed:?}");
-        let full = File::options().write(true).open("/dev/full").unwrap();
-        let full = rig(arguments).stdout(full).output().unwrap();
-        let message = String::from_utf8_lossy(&full.stderr);
-        assert_eq!(full.status.code(), Some(1), "{message}");
-        assert!(message.starts_with("volant: standard output"), "{message}");
-    }
-}
-
-#[test]
-fn an_argument_that_is_not_utf_8_is_a_wrong_command_line() {
-    let odd = OsStr::from_bytes(b"\xff");
-    for arguments in [&[odd][..], &["demo".as_ref(), "--seconds".as_ref(), odd]] {
-        let output = rig(arguments).output().unwrap();
-        let message = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{message}");
-        assert!(!message.is_empty());
-    }
-}
+use std::process::Command;
 
 #[test]
 fn the_help_of_volant_lists_the_commands_of_all_executables() {
