@@ -1,6 +1,6 @@
 //! What happens in a run: how the rig moves, what its sensors are like, when a marker is covered.
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Vector2, Vector3};
 use rig_model::{CameraModel, CameraModelError, Distortion, MarkerColor, Rig, RigError};
 use rig_simulator::{
     Covers, Instant, RIG_YAML, SceneConfig,
@@ -113,6 +113,13 @@ impl Scenario {
             k.world_from_volant.rotation.inverse() * k.velocity,
             k.angular_velocity,
         )
+    }
+
+    /// True centroid of a marker in the image at `t`, px; `None` where the camera cannot project it.
+    pub fn true_centroid(&self, color: MarkerColor, t: f64) -> Option<Vector2<f64>> {
+        let camera = self.motion.world_from_camera(t, &self.rig);
+        let pose = camera.inverse() * self.motion.world_from_volant(t);
+        Some(self.rig.markers.projected_centroid(color, &self.camera, &pose)?.pixel)
     }
 
     /// How far the planks are in at `t`.

@@ -126,10 +126,8 @@ impl Curves {
             }
             csv.push('\n');
         }
-        let path = folder.join("table-2.csv");
-        write(&path, &csv)?;
-        let svg = folder.join("table-2.svg");
-        write(&svg, &draw_errors(&errors))?;
+        let path = write(folder, "table-2.csv", &csv)?;
+        let svg = write(folder, "table-2.svg", &draw_errors(&errors))?;
         let of = |key: &str| errors.iter().find(|(c, _)| c.key == key).map(|(_, e)| e);
         let default = Errors::default();
         let [camera, inertial, paper, tight, whole, corrected] =
@@ -230,9 +228,7 @@ impl Curves {
                 line(at.seconds_since(self.epoch), column.key, six(pose));
             }
         }
-        let path = folder.join("fig-13.csv");
-        write(&path, &csv)?;
-        let svg = folder.join("fig-13.svg");
+        let path = write(folder, "fig-13.csv", &csv)?;
         let shaded: Vec<[f64; 2]> = scenario.covers.iter().map(|c| c.seconds).collect();
         let curves: Vec<Curve<'_>> = self
             .columns
@@ -249,7 +245,7 @@ impl Curves {
             },
             &curves,
         )?;
-        write(&svg, &drawn)?;
+        let svg = write(folder, "fig-13.svg", &drawn)?;
         let left = |track: &Track| {
             let off = |p: &&(Stamp, nalgebra::Isometry3<f64>)| {
                 let truth = scenario.motion.world_from_volant(p.0.seconds_since(self.epoch));

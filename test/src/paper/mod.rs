@@ -16,7 +16,7 @@ pub mod report;
 pub mod stages;
 pub mod stationary;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use volant::report::{ChartError, Table};
 
 /// What can be made, in the order of the paper: its figures and tables, and two statements of its
@@ -115,18 +115,22 @@ pub enum PaperError {
     },
 }
 
-/// Writes a file, and names it where that fails.
+/// Writes a file in a folder and returns its path; names it where that fails.
 ///
 /// # Errors
 /// Writing failed.
-pub(crate) fn write(path: &std::path::Path, text: &str) -> Result<(), PaperError> {
-    std::fs::write(path, text).map_err(|source| PaperError::Io { path: path.to_owned(), source })
+pub(crate) fn write(folder: &Path, name: &str, text: &str) -> Result<PathBuf, PaperError> {
+    let path = folder.join(name);
+    match std::fs::write(&path, text) {
+        Ok(()) => Ok(path),
+        Err(source) => Err(PaperError::Io { path, source }),
+    }
 }
 
 /// Reads a file, and names it where that fails.
 ///
 /// # Errors
 /// Reading failed.
-pub(crate) fn read(path: &std::path::Path) -> Result<String, PaperError> {
+pub(crate) fn read(path: &Path) -> Result<String, PaperError> {
     std::fs::read_to_string(path).map_err(|source| PaperError::Io { path: path.to_owned(), source })
 }

@@ -74,12 +74,10 @@ pub fn figure_6(
         }
         csv.push('\n');
     }
-    let path = folder.join("fig-6.csv");
-    write(&path, &csv)?;
+    let path = write(folder, "fig-6.csv", &csv)?;
 
     let [from, to] = cover.seconds;
-    let svg = folder.join("fig-6.svg");
-    write(&svg, &draw(&scenario, &images, &observed, &places, &poses)?)?;
+    let svg = write(folder, "fig-6.svg", &draw(&scenario, &images, &observed, &places, &poses)?)?;
     // Images whose hidden marker has a predicted position.
     let predicted: Vec<&Place> =
         places[1].iter().filter(|p| p.1 == MarkerState::Predicted && p.2.is_finite()).collect();
@@ -192,16 +190,10 @@ fn place_errors(
             let t = o.stamp.seconds_since(scenario.sensors.epoch);
             let m = &o.markers[color];
             let error =
-                true_place(scenario, color, t).map_or(f64::NAN, |p| (m.centroid - p).norm());
+                scenario.true_centroid(color, t).map_or(f64::NAN, |p| (m.centroid - p).norm());
             (t, m.state, error)
         })
         .collect()
-}
-
-fn true_place(scenario: &Scenario, color: MarkerColor, t: f64) -> Option<Vector2<f64>> {
-    let camera = scenario.motion.world_from_camera(t, &scenario.rig);
-    let pose = camera.inverse() * scenario.motion.world_from_volant(t);
-    Some(scenario.rig.markers.projected_centroid(color, &scenario.camera, &pose)?.pixel)
 }
 
 /// Seconds, mm and degrees.

@@ -61,10 +61,8 @@ pub fn ratio(scenario: &Scenario, curves: &Curves, folder: &Path) -> Result<Made
         }
     }
     csv.push('\n');
-    let path = folder.join("ratio.csv");
-    write(&path, &csv)?;
-    let svg = folder.join("ratio.svg");
-    write(&svg, &draw(&ratios, &lines)?)?;
+    let path = write(folder, "ratio.csv", &csv)?;
+    let svg = write(folder, "ratio.svg", &draw(&ratios, &lines)?)?;
 
     let best = |l: &Line<'_>, value: fn(&Errors) -> f64| {
         (0..ratios.len())

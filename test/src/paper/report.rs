@@ -66,5 +66,5 @@ pub fn write_report(
         facts: facts.to_vec(),
         sections,
     };
-    write(&folder.join("report.html"), &page.render())
+    write(folder, "report.html", &page.render()).map(drop)
 }

@@ -73,10 +73,8 @@ pub fn figure_9(seed: u64, folder: &Path) -> Result<Made, PaperError> {
     for ((a, b), c) in without.iter().zip(&literal).zip(&held) {
         let _ = writeln!(csv, "{:.4},{:.4},{:.4},{:.4},{smallest:.3e}", a.0, a.1, b.1, c.1);
     }
-    let path = folder.join("fig-9.csv");
-    write(&path, &csv)?;
-    let svg = folder.join("fig-9.svg");
-    write(&svg, &draw(&without, &literal, &held, smallest)?)?;
+    let path = write(folder, "fig-9.csv", &csv)?;
+    let svg = write(folder, "fig-9.svg", &draw(&without, &literal, &held, smallest)?)?;
     let row = |threshold: &str, curve: &[(f64, f64)]| {
         vec![(threshold.to_owned(), false), (format!("{:.1}", furthest(curve)), false)]
     };

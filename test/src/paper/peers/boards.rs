@@ -68,8 +68,7 @@ pub fn boards(which: &'static str, folder: &Path) -> Result<Made, PaperError> {
             },
         ],
     )?;
-    let svg = folder.join(format!("{which}.svg"));
-    write(&svg, &drawn)?;
+    let svg = write(folder, &format!("{which}.svg"), &drawn)?;
     // Over all angles, each weighted by the poses it has.
     let mut table = Table {
         head: ["from", "found", "mean [mm]", "mean [deg]"].map(String::from).to_vec(),

@@ -87,8 +87,7 @@ pub fn figure_12(folder: &Path) -> Result<Made, PaperError> {
             }
         }
     }
-    let svg = folder.join("fig-12.svg");
-    write(&svg, &d.finish(base + 40.0, title))?;
+    let svg = write(folder, "fig-12.svg", &d.finish(base + 40.0, title))?;
     let best = |values: &[f64]| {
         (0..values.len())
             .filter(|i| values[*i].is_finite())

@@ -40,8 +40,7 @@ pub fn occlusion(folder: &Path) -> Result<Made, PaperError> {
     let shares: Vec<Vec<Option<f64>>> =
         conditions.iter().map(|c| names.iter().map(|m| row(c, m).map(percent)).collect()).collect();
     let drawn = draw(&conditions, &bars, &shares);
-    let svg = folder.join("occlusion.svg");
-    write(&svg, &drawn)?;
+    let svg = write(folder, "occlusion.svg", &drawn)?;
     let best = |condition: &str| -> String {
         let top = names.iter().filter_map(|m| row(condition, m).map(percent)).fold(0.0, f64::max);
         let of = |m: &&String| row(condition, m).map(percent) == Some(top);

@@ -46,8 +46,7 @@ pub fn figure_11(folder: &Path) -> Result<Made, PaperError> {
             panel("distance_m", "over the distance, at 20°", "distance [m]", [0.4, 3.1]),
         ],
     )?;
-    let svg = folder.join("fig-11.svg");
-    write(&svg, &drawn)?;
+    let svg = write(folder, "fig-11.svg", &drawn)?;
     let mut table = Table {
         head: ["method", "over the angle", "over the distance", "all"].map(String::from).to_vec(),
         rows: Vec::new(),

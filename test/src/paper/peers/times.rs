@@ -86,8 +86,7 @@ pub fn table_1(folder: &Path) -> Result<Made, PaperError> {
             );
         }
     }
-    let svg = folder.join("table-1.svg");
-    write(&svg, &d.finish(base + 58.0, title))?;
+    let svg = write(folder, "table-1.svg", &d.finish(base + 58.0, title))?;
     let [published, plain, ours] = values.map(|v| v[total]);
     let mut table = named(
         Table::from_csv(&read(&csv.path)?, 3, false),

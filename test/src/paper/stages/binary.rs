@@ -38,10 +38,8 @@ impl Stages {
         let mut tally = Tally { least_difference: f64::INFINITY, ..Tally::default() };
         let binary: Vec<Vec<u8>> =
             self.0.iter().map(|shot| shot.binary_image(&mut csv, &mut tally)).collect();
-        let svg = folder.join("fig-4.svg");
-        write(&svg, &self.draw_4(&binary)?)?;
-        let path = folder.join("fig-4.csv");
-        write(&path, &csv)?;
+        let svg = write(folder, "fig-4.svg", &self.draw_4(&binary)?)?;
+        let path = write(folder, "fig-4.csv", &csv)?;
         let layers = 4 * self.0.len();
         Ok(Made {
             name: "fig-4",

@@ -29,10 +29,8 @@ impl Stages {
             }
             let _ = writeln!(csv, ",{rest:.5}");
         }
-        let path = folder.join("fig-5.csv");
-        write(&path, &csv)?;
-        let svg = folder.join("fig-5.svg");
-        write(&svg, &draw_5(&estimated, &around))?;
+        let path = write(folder, "fig-5.csv", &csv)?;
+        let svg = write(folder, "fig-5.svg", &draw_5(&estimated, &around))?;
         let mut table = Table {
             head: ["marker", "peak [deg]", "share within 30 deg of it", "rest of the image there"]
                 .map(String::from)

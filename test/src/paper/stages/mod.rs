@@ -79,11 +79,7 @@ impl Stages {
             .map_err(|e| PaperError::Image(e.to_string()))?;
         let mut tracker = Tracker::new(scenario.rig.markers.clone(), TrackerConfig::default());
         tracker.handle(marker_tracker::Input::Camera(scenario.camera.clone()));
-        let place = |color: MarkerColor, t: f64| {
-            let camera = scenario.motion.world_from_camera(t, &scenario.rig);
-            let pose = camera.inverse() * scenario.motion.world_from_volant(t);
-            Some(scenario.rig.markers.projected_centroid(color, &scenario.camera, &pose)?.pixel)
-        };
+        let place = |color: MarkerColor, t: f64| scenario.true_centroid(color, t);
         let first = images.frames.len().saturating_sub(LEAD + STEP * SHOWN);
         let mut shots = Vec::with_capacity(SHOWN);
         let mut before: Option<(OwnedImage, f64)> = None;
