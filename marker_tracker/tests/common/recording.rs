@@ -2,8 +2,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
 
-use rig_model::{CameraModel, Rig, Stamp, topics};
+use bag::BagReader;
+use node_kit::convert;
+use rig_model::{CameraModel, Rig, Stamp, topics::absolute as topics};
 use std::path::Path;
+use volant_msgs::{
+    cdr,
+    sensor_msgs::msg::{CameraInfo, CompressedImage},
+};
 
 /// A message of the camera.
 pub enum Recorded {
@@ -14,58 +20,22 @@ pub enum Recorded {
 /// The rig file of a bag's folder, and the camera's messages in the order of the bag.
 pub fn read(folder: &Path) -> (Rig, Vec<Recorded>) {
     let rig = Rig::from_yaml(&std::fs::read_to_string(folder.join("rig.yaml")).unwrap()).unwrap();
-    let file = std::fs::read(folder.join("in.mcap")).unwrap();
-    let messages = mcap::MessageStream::new(&file).unwrap().filter_map(|message| {
-        let message = message.unwrap();
-        let mut c = Cdr::new(&message.data);
-        match message.channel.topic.as_str() {
-            topics::absolute::CAMERA_INFO => {
-                c.stamp();
-                let (h, w) = (c.u32(), c.u32());
-                let model = c.text().to_owned();
-                let d: Vec<f64> = (0..c.u32()).map(|_| c.f64()).collect();
-                let k: [f64; 9] = std::array::from_fn(|_| c.f64());
-                let camera = CameraModel::from_camera_info(w, h, &model, &d, &k).unwrap();
-                Some(Recorded::Camera(camera))
+    let mut bag = BagReader::open(&folder.join("in.mcap")).unwrap();
+    let mut messages = Vec::new();
+    while let Some(message) = bag.next_message().unwrap() {
+        match message.topic.name.as_str() {
+            topics::CAMERA_INFO => {
+                let info = cdr::from_bytes::<CameraInfo>(&message.data).unwrap();
+                messages.push(Recorded::Camera(convert::camera_model(&info).unwrap()));
             }
-            topics::absolute::COMPRESSED_IMAGE => {
-                let stamp = c.stamp();
-                let format = c.text().to_owned();
-                let n = c.u32() as usize;
-                Some(Recorded::Image { stamp, format, data: c.bytes(n, 1).to_vec() })
+            topics::COMPRESSED_IMAGE => {
+                let image = cdr::from_bytes::<CompressedImage>(&message.data).unwrap();
+                let stamp = convert::stamp(&image.header.stamp);
+                let CompressedImage { format, data, .. } = image;
+                messages.push(Recorded::Image { stamp, format, data: data.to_vec() });
             }
-            _ => None,
+            _ => {}
         }
-    });
-    (rig, messages.collect())
-}
-
-/// Cursor over little-endian CDR, as far as these two messages need it.
-struct Cdr<'a>(&'a [u8], usize);
-
-impl<'a> Cdr<'a> {
-    fn new(data: &'a [u8]) -> Self {
-        Self(&data[4..], 0)
     }
-    fn bytes(&mut self, n: usize, align: usize) -> &'a [u8] {
-        self.1 = self.1.next_multiple_of(align);
-        let out = &self.0[self.1..self.1 + n];
-        self.1 += n;
-        out
-    }
-    fn u32(&mut self) -> u32 {
-        u32::from_le_bytes(self.bytes(4, 4).try_into().unwrap())
-    }
-    fn f64(&mut self) -> f64 {
-        f64::from_le_bytes(self.bytes(8, 8).try_into().unwrap())
-    }
-    fn text(&mut self) -> &'a str {
-        let n = self.u32() as usize;
-        std::str::from_utf8(&self.bytes(n, 1)[..n - 1]).unwrap()
-    }
-    fn stamp(&mut self) -> Stamp {
-        let (s, n) = (self.u32(), self.u32());
-        let _frame = self.text();
-        Stamp::from_sec_nanosec(s as i32, n)
-    }
+    (rig, messages)
 }
