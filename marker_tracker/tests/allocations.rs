@@ -5,9 +5,9 @@
 mod common;
 
 use allocation_counter::measure;
-use common::{ALL, HEIGHT, Noise, WIDTH, draw, new_tracker, pose};
-use marker_tracker::{ImageView, Input, Output, PixelFormat, TrackerConfig};
-use rig_model::{MarkerState, Stamp};
+use common::{ALL, Noise, draw, image, new_tracker, pose};
+use marker_tracker::{Input, Output, TrackerConfig};
+use rig_model::MarkerState;
 
 #[test]
 fn a_tracked_image_allocates_nothing() {
@@ -17,14 +17,7 @@ fn a_tracked_image_allocates_nothing() {
         // Including images in which a marker is hidden.
         let paint = if (12..18).contains(&k) { [ALL[0], None, ALL[2], ALL[3]] } else { ALL };
         let data = draw(&pose(0.033 * k as f64), paint, &mut noise);
-        let image = ImageView {
-            stamp: Stamp::from_nanos(k * 33_333_333),
-            width: WIDTH,
-            height: HEIGHT,
-            step: 3 * WIDTH,
-            format: PixelFormat::Rgb8,
-            data: &data,
-        };
+        let image = image(k, &data);
         let mut output = None;
         let allocated = measure(|| {
             tracker.handle(Input::Image(image));

@@ -5,12 +5,12 @@
 
 mod common;
 
-use common::{ALL, HEIGHT, Noise, WIDTH, camera, draw, new_tracker, observe, pose, truth};
-use marker_tracker::{
-    BinaryThreshold, ImageView, Input, Method, Outcome, Output, PixelFormat, TrackerConfig,
+use common::{
+    ALL, Noise, WIDTH, camera, draw, image, in_other_formats, new_tracker, observe, pose, truth,
 };
+use marker_tracker::{BinaryThreshold, ImageView, Input, Method, Outcome, Output, TrackerConfig};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2};
-use rig_model::{MarkerColor, MarkerObservations, MarkerState, PerColor, Rig, Stamp};
+use rig_model::{MarkerColor, MarkerObservations, MarkerState, PerColor, Rig};
 use rig_simulator::{Covers, Exposure, Instant, RIG_YAML, Renderer, SceneConfig};
 
 fn paper() -> TrackerConfig {
@@ -123,24 +123,9 @@ fn the_printed_threshold_finds_no_muted_paper() {
 #[test]
 fn every_pixel_format_gives_the_same_observations() {
     let rgb = draw(&pose(0.0), ALL, &mut Noise(5));
-    let reference = observe(&mut new_tracker(paper()), 0, &rgb);
-    for format in [PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8] {
-        let n = format.bytes_per_pixel();
-        let step = n * WIDTH + 5;
-        let mut data = vec![0; step * HEIGHT];
-        for (i, p) in rgb.chunks_exact(3).enumerate() {
-            let mut p = [p[0], p[1], p[2]];
-            if format.blue_first() {
-                p.reverse();
-            }
-            data[i / WIDTH * step + i % WIDTH * n..][..3].copy_from_slice(&p);
-        }
-        let mut tracker = new_tracker(paper());
-        let stamp = Stamp::from_nanos(0);
-        let view = ImageView { stamp, width: WIDTH, height: HEIGHT, step, format, data: &data };
-        tracker.handle(Input::Image(view));
-        assert_eq!(tracker.poll(), Some(Output::Observations(reference.clone())), "{format:?}");
-    }
+    in_other_formats(&paper(), &rgb, |format, reference, found| {
+        assert_eq!(found, reference, "{format:?}");
+    });
 }
 
 #[test]
@@ -149,8 +134,7 @@ fn a_changed_image_size_and_tiny_images_are_no_error() {
     let data = draw(&pose(0.0), ALL, &mut Noise(5));
     let sizes = [(640, 480), (320, 480), (1, 1), (2, 300), (300, 2), (640, 480)];
     for (i, (width, height)) in sizes.into_iter().enumerate() {
-        let (stamp, format) = (Stamp::from_nanos(i as i64), PixelFormat::Rgb8);
-        let view = ImageView { stamp, width, height, step: 3 * WIDTH, format, data: &data };
+        let view = ImageView { width, height, ..image(i as i64, &data) };
         tracker.handle(Input::Image(view));
         assert!(matches!(tracker.poll(), Some(Output::Observations(_))), "{width}x{height}");
         assert!(tracker.poll().is_none(), "{width}x{height}");

@@ -4,7 +4,9 @@
 
 mod common;
 
-use common::{ALL, HEIGHT, Noise, WIDTH, camera, draw, layout, new_tracker, observe, pose, truth};
+use common::{
+    ALL, Noise, camera, draw, image, in_other_formats, layout, new_tracker, observe, pose, truth,
+};
 use marker_tracker::{
     ImageView, Input, Outcome, Output, PixelFormat, Tracker, TrackerConfig, Warning,
 };
@@ -179,10 +181,7 @@ fn the_signal_is_1_on_a_marker_and_0_beside_it_and_the_histogram_has_its_hue() {
     let mut tracker = new_tracker(TrackerConfig::default());
     let pose = pose(0.0);
     let data = draw(&pose, ALL, &mut Noise(5));
-    let stamp = Stamp::from_nanos(0);
-    let format = PixelFormat::Rgb8;
-    let image =
-        ImageView { stamp, width: WIDTH, height: HEIGHT, step: 3 * WIDTH, format, data: &data };
+    let image = image(0, &data);
     assert!(tracker.signal(MarkerColor::Red, &image).is_none());
     tracker.handle(Input::Image(image));
     for (color, degrees) in MarkerColor::ALL.into_iter().zip([359.0, 119.0, 210.0, 47.0]) {
@@ -244,15 +243,7 @@ fn a_camera_model_of_another_size_is_scaled_and_reported_once() {
     let mut noise = Noise(7);
     for k in 0..2 {
         let data = draw(&pose(0.03 * k as f64), ALL, &mut noise);
-        tracker.handle(Input::Image(ImageView {
-            stamp: Stamp::from_nanos(k * 33_333_333),
-            width: WIDTH,
-            height: HEIGHT,
-            step: 3 * WIDTH,
-            format: PixelFormat::Rgb8,
-            data: &data,
-        }));
-        let Some(Output::Observations(o)) = tracker.poll() else { panic!("image {k}") };
+        let o = observe(&mut tracker, k, &data);
         assert!(o.markers.0.iter().all(|m| m.state == MarkerState::Detected));
         if k == 0 {
             let warned = tracker.poll();
@@ -275,42 +266,12 @@ fn a_camera_model_of_another_size_is_scaled_and_reported_once() {
 #[test]
 fn every_channel_order_gives_the_same_centroids() {
     let rgb = draw(&pose(0.0), ALL, &mut Noise(5));
-    let reference = observe(&mut new_tracker(TrackerConfig::default()), 0, &rgb);
-    for format in [PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8] {
-        let n = format.bytes_per_pixel();
-        let step = n * WIDTH + 5;
-        let mut data = vec![0; step * HEIGHT];
-        for y in 0..HEIGHT {
-            for x in 0..WIDTH {
-                let mut p = [
-                    rgb[3 * (y * WIDTH + x)],
-                    rgb[3 * (y * WIDTH + x) + 1],
-                    rgb[3 * (y * WIDTH + x) + 2],
-                ];
-                if format.blue_first() {
-                    p.reverse();
-                }
-                data[y * step + n * x..y * step + n * x + 3].copy_from_slice(&p);
-            }
+    in_other_formats(&TrackerConfig::default(), &rgb, |format, reference, found| {
+        for (color, m) in found.markers.iter() {
+            let apart = (m.centroid - reference.markers[color].centroid).norm();
+            assert!(apart < 1e-3, "{format:?} {color}: {apart} px apart");
         }
-        let mut tracker = new_tracker(TrackerConfig::default());
-        let stamp = Stamp::from_nanos(0);
-        tracker.handle(Input::Image(ImageView {
-            stamp,
-            width: WIDTH,
-            height: HEIGHT,
-            step,
-            format,
-            data: &data,
-        }));
-        let Some(Output::Observations(o)) = tracker.poll() else { panic!("{format:?}") };
-        for (color, m) in o.markers.iter() {
-            assert!(
-                (m.centroid - reference.markers[color].centroid).norm() < 1e-3,
-                "{format:?} {color}"
-            );
-        }
-    }
+    });
 }
 
 #[test]

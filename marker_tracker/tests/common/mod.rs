@@ -110,16 +110,49 @@ pub fn draw(pose: &Isometry3<f64>, paint: [Option<[f64; 3]>; 4], noise: &mut Noi
 pub const ALL: [Option<[f64; 3]>; 4] =
     [Some(PAINT[0]), Some(PAINT[1]), Some(PAINT[2]), Some(PAINT[3])];
 
-/// The observations of the image number `k`.
-pub fn observe(tracker: &mut Tracker, k: i64, data: &[u8]) -> MarkerObservations {
-    tracker.handle(Input::Image(ImageView {
+/// The image number `k` in rgb8.
+pub fn image(k: i64, data: &[u8]) -> ImageView<'_> {
+    ImageView {
         stamp: Stamp::from_nanos(k * 33_333_333),
         width: WIDTH,
         height: HEIGHT,
         step: 3 * WIDTH,
         format: PixelFormat::Rgb8,
         data,
-    }));
+    }
+}
+
+/// Calls `check` with the observations of an rgb8 image and of the same one in each other format,
+/// with padded rows, by new trackers.
+pub fn in_other_formats(
+    config: &TrackerConfig,
+    rgb: &[u8],
+    check: impl Fn(PixelFormat, &MarkerObservations, &MarkerObservations),
+) {
+    let reference = observe(&mut new_tracker(config.clone()), 0, rgb);
+    for format in [PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8] {
+        let n = format.bytes_per_pixel();
+        let step = n * WIDTH + 5;
+        let mut data = vec![0; step * HEIGHT];
+        for (i, p) in rgb.chunks_exact(3).enumerate() {
+            let mut p = [p[0], p[1], p[2]];
+            if format.blue_first() {
+                p.reverse();
+            }
+            data[i / WIDTH * step + i % WIDTH * n..][..3].copy_from_slice(&p);
+        }
+        let view = ImageView { step, format, data: &data, ..image(0, rgb) };
+        check(format, &reference, &observe_view(&mut new_tracker(config.clone()), view));
+    }
+}
+
+/// The observations of the image number `k`.
+pub fn observe(tracker: &mut Tracker, k: i64, data: &[u8]) -> MarkerObservations {
+    observe_view(tracker, image(k, data))
+}
+
+fn observe_view(tracker: &mut Tracker, view: ImageView<'_>) -> MarkerObservations {
+    tracker.handle(Input::Image(view));
     match tracker.poll() {
         Some(Output::Observations(o)) => o,
         other => panic!("{other:?}"),
