@@ -6,7 +6,8 @@
 mod common;
 
 use common::{
-    ALL, Noise, WIDTH, camera, draw, image, in_other_formats, new_tracker, observe, pose, truth,
+    ALL, Noise, WIDTH, camera, draw, errors::Errors, image, in_other_formats, new_tracker, observe,
+    pose, truth,
 };
 use marker_tracker::{BinaryThreshold, ImageView, Input, Method, Outcome, Output, TrackerConfig};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2};
@@ -32,19 +33,16 @@ fn drawn(
 
 #[test]
 fn markers_are_detected_within_a_pixel_with_an_honest_covariance() {
-    let (mut square, mut nes, mut count) = (0.0, 0.0, 0.0);
+    let mut errors = Errors::default();
     for (k, o) in drawn(&paper(), 45, |_| ALL).iter().enumerate() {
         for (color, m) in o.markers.iter() {
             assert_eq!(m.state, MarkerState::Detected, "{color} in image {k}");
-            let error = m.centroid - truth(color, &pose(0.033 * k as f64));
-            square += error.norm_squared() / 2.0;
-            nes += error.dot(&(m.covariance.try_inverse().unwrap() * error));
-            count += 1.0;
+            errors.add(m, truth(color, &pose(0.033 * k as f64)));
             assert!((500.0..2500.0).contains(&m.area), "{color}: {} px²", m.area);
         }
     }
-    let (rms, nes) = (f64::sqrt(square / count), nes / count);
-    eprintln!("published tracker, drawn scene: RMS {rms:.3} px, normalized squared error {nes:.2}");
+    let (rms, nes) = (errors.rms_per_axis(), errors.nes());
+    eprintln!("published tracker, drawn scene: {errors}");
     assert!(rms < 0.5 && nes < 3.0, "RMS {rms} px, normalized squared error {nes}");
 }
 

@@ -2,9 +2,13 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
 
+#[path = "common/errors.rs"]
+mod errors;
+
+use errors::Errors;
 use marker_tracker::{Input, Output, Tracker, TrackerConfig, decode_compressed};
 use nalgebra::{Point3, Vector2};
-use rig_model::{CameraModel, Distortion, MarkerColor, MarkerState, PerColor, Rig, Stamp};
+use rig_model::{CameraModel, Distortion, MarkerColor, PerColor, Rig, Stamp};
 use rig_simulator::{
     Exposure, Instant, RIG_YAML, Renderer, SceneConfig, Shadow,
     motion::{Motion, MotionConfig},
@@ -19,48 +23,6 @@ const CLASSES: [(f64, &str); 6] = [
     (0.98, "70-98 %"),
     (2.0, "all"),
 ];
-
-#[derive(Clone, Copy, Default)]
-struct Score {
-    markers: usize,
-    detected: usize,
-    /// Σ of the squared errors of both coordinates, px².
-    square: f64,
-    variance: f64,
-    /// Σ of the normalized squared errors.
-    nes: f64,
-}
-
-impl Score {
-    fn add(&mut self, other: &Self) {
-        self.markers += other.markers;
-        self.detected += other.detected;
-        self.square += other.square;
-        self.variance += other.variance;
-        self.nes += other.nes;
-    }
-    fn share(&self) -> f64 {
-        self.detected as f64 / self.markers.max(1) as f64
-    }
-    fn rms(&self) -> f64 {
-        (self.square / (2 * self.detected.max(1)) as f64).sqrt()
-    }
-    fn normalized(&self) -> f64 {
-        self.nes / self.detected.max(1) as f64
-    }
-    fn text(&self) -> String {
-        let n = self.detected.max(1) as f64;
-        format!(
-            "{:5} markers, {:5.1} % detected, {:.3} px RMS per axis, sigma {:.3} px, \
-             normalized squared error {:.2}",
-            self.markers,
-            100.0 * self.share(),
-            self.rms(),
-            (self.variance / n).sqrt(),
-            self.normalized(),
-        )
-    }
-}
 
 /// Share of a marker's area that the shadow darkens by more than half of its depth.
 fn shadowed(shadow: &Shadow, rig: &Rig, color: MarkerColor, at: &Instant, seconds: f64) -> f64 {
@@ -80,7 +42,7 @@ fn shadowed(shadow: &Shadow, rig: &Rig, color: MarkerColor, at: &Instant, second
 }
 
 /// Tracks 60 images (30 Hz) of a swing under a shadow; scores by the shadowed share.
-fn sweep(seed: u64, shadow: Shadow) -> [Score; CLASSES.len()] {
+fn sweep(seed: u64, shadow: Shadow) -> [Errors; CLASSES.len()] {
     let rig = Rig::from_yaml(RIG_YAML).unwrap();
     let lens = Distortion::PlumbBob([-0.23, 0.08, 7e-4, -4e-4, -0.006]);
     let camera = CameraModel::new(640, 480, [590.0, 588.0, 319.3, 235.2], lens).unwrap();
@@ -91,7 +53,7 @@ fn sweep(seed: u64, shadow: Shadow) -> [Score; CLASSES.len()] {
     let mut renderer = Renderer::new(camera.clone(), &rig, scene);
     let mut tracker = Tracker::new(rig.markers.clone(), TrackerConfig::default());
     tracker.handle(Input::Camera(camera.clone()));
-    let mut scores = [Score::default(); CLASSES.len()];
+    let mut scores = [Errors::default(); CLASSES.len()];
     for k in 0..60u32 {
         let seconds = f64::from(k) / 30.0;
         let instant = |t: f64| Instant {
@@ -117,69 +79,42 @@ fn sweep(seed: u64, shadow: Shadow) -> [Score; CLASSES.len()] {
             }
             let share = shadowed(&shadow, &rig, color, &at, seconds);
             let class = CLASSES.iter().position(|(limit, _)| share < *limit).unwrap();
-            let score = &mut scores[class];
-            score.markers += 1;
-            if m.state == MarkerState::Detected {
-                let e = m.centroid - truth;
-                score.detected += 1;
-                score.square += e.norm_squared();
-                score.variance += m.covariance.trace() / 2.0;
-                score.nes += (e.transpose() * m.covariance.try_inverse().unwrap() * e)[0];
-            }
-            if std::env::var("VERBOSE").is_ok() {
-                let e = m.centroid - truth;
-                eprintln!(
-                    "{seed} {k:3} {color:6} {share:.2} {:?} {:.3} {:.3} sigma {:.3} {}",
-                    m.state,
-                    e.x,
-                    e.y,
-                    (m.covariance.trace() / 2.0).sqrt(),
-                    tracker.outcomes()[color]
-                );
-            }
+            scores[class].show(m, truth);
         }
     }
     scores
 }
 
-fn total(name: &str, shadows: impl Iterator<Item = (u64, Shadow)>) -> [Score; CLASSES.len()] {
-    let mut scores = [Score::default(); CLASSES.len()];
-    for (seed, shadow) in shadows {
-        for (sum, score) in scores.iter_mut().zip(sweep(seed, shadow)) {
-            sum.add(&score);
+/// Asserts that under eight shadows the markers of each class are detected, precisely and
+/// consistently. `shadow`: of a light and a direction (rad).
+fn assert_measured(name: &str, lights: [f32; 3], shadow: impl Fn(f32, f32) -> Shadow) {
+    let mut scores = [Errors::default(); CLASSES.len()];
+    for seed in 0..8u64 {
+        let shadow = shadow(lights[seed as usize % 3], seed as f32 * 0.7);
+        for (sum, score) in scores.iter_mut().zip(sweep(seed + 1, shadow)) {
+            *sum = *sum + score;
         }
     }
     for ((_, class), score) in CLASSES.iter().zip(&scores) {
-        eprintln!("{name:5} {class:8} {}", score.text());
+        eprintln!("{name:5} {class:8} {score}");
     }
-    scores
-}
-
-/// Asserts that the markers of each class are detected, precisely and consistently.
-fn assert_measured(scores: &[Score]) {
-    for ((_, class), score) in CLASSES.iter().zip(scores).filter(|(_, s)| s.markers > 0) {
-        assert!(score.share() >= 0.97, "{class}: {}", score.text());
-        assert!(score.rms() <= 0.12, "{class}: {}", score.text());
-        assert!(score.normalized() <= 2.8, "{class}: {}", score.text());
+    for ((_, class), score) in CLASSES.iter().zip(scores).filter(|(_, s)| s.shown > 0) {
+        assert!(score.share() >= 0.97, "{class}: {score}");
+        assert!(score.rms_per_axis() <= 0.12, "{class}: {score}");
+        assert!(score.nes() <= 2.8, "{class}: {score}");
     }
 }
 
 #[test]
 fn markers_under_the_edge_of_a_walls_shadow_are_measured() {
-    let walls = (0..8u64).map(|seed| {
-        let light = [0.35, 0.5, 0.65][seed as usize % 3];
-        let direction = seed as f32 * 0.7;
-        (seed + 1, Shadow::half_plane(light, direction, -0.45, 0.45))
+    assert_measured("wall", [0.35, 0.5, 0.65], |light, direction| {
+        Shadow::half_plane(light, direction, -0.45, 0.45)
     });
-    assert_measured(&total("wall", walls));
 }
 
 #[test]
 fn markers_under_the_ropes_shadow_are_measured() {
-    let ropes = (0..8u64).map(|seed| {
-        let light = [0.6, 0.75, 0.85][seed as usize % 3];
-        let direction = seed as f32 * 0.7;
-        (seed + 1, Shadow::rope(light, direction, -0.22, 0.22))
+    assert_measured("rope", [0.6, 0.75, 0.85], |light, direction| {
+        Shadow::rope(light, direction, -0.22, 0.22)
     });
-    assert_measured(&total("rope", ropes));
 }

@@ -5,7 +5,8 @@
 mod common;
 
 use common::{
-    ALL, Noise, camera, draw, image, in_other_formats, layout, new_tracker, observe, pose, truth,
+    ALL, Noise, camera, draw, errors::Errors, image, in_other_formats, layout, new_tracker,
+    observe, pose, truth,
 };
 use marker_tracker::{
     ImageView, Input, Outcome, Output, PixelFormat, Tracker, TrackerConfig, Warning,
@@ -16,27 +17,19 @@ use rig_model::{MarkerColor, MarkerState, Stamp};
 #[test]
 fn clean_scenes_are_measured_to_0_015_px_from_the_first_image_on() {
     let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(1));
-    let (mut square, mut nes, mut n) = (Vector2::zeros(), 0.0, 0.0);
+    let mut errors = Errors::default();
     for k in 0..12 {
         let pose = pose(0.033 * k as f64 * 3.0);
         let o = observe(&mut tracker, k, &draw(&pose, ALL, &mut noise));
         for (color, m) in o.markers.iter() {
             assert_eq!(m.state, MarkerState::Detected, "{color} in image {k}");
-            let e = m.centroid - truth(color, &pose);
-            square += e.component_mul(&e);
-            nes += (e.transpose() * m.covariance.try_inverse().unwrap() * e)[0];
-            n += 1.0;
+            errors.add(m, truth(color, &pose));
         }
     }
-    let rms = (square / n).map(f64::sqrt);
-    eprintln!(
-        "clean scenes: rms {:.4} {:.4} px, normalized squared error {:.2}",
-        rms.x,
-        rms.y,
-        nes / n
-    );
+    let (rms, nes) = (errors.rms(), errors.nes());
+    eprintln!("clean scenes: {errors}");
     assert!(rms.x < 0.015 && rms.y < 0.015, "{rms}");
-    assert!((1.2..=3.2).contains(&(nes / n)), "{}", nes / n);
+    assert!((1.2..=3.2).contains(&nes), "{nes}");
 }
 
 #[test]
@@ -65,7 +58,7 @@ fn a_hidden_marker_is_predicted_for_six_images_then_lost_then_detected_at_once()
 #[test]
 fn predictions_are_consistent_however_many_markers_are_hidden() {
     for hidden in [&[1][..], &[1, 2], &[0, 2], &[1, 2, 3], &[0, 1, 2, 3]] {
-        let (mut nes, mut worst, mut n) = (0.0, 0.0f64, 0.0);
+        let mut errors = Errors::default();
         for start in 0..6 {
             let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(4));
             for k in 0..18i64 {
@@ -79,17 +72,12 @@ fn predictions_are_consistent_however_many_markers_are_hidden() {
                     let color = MarkerColor::ALL[i];
                     let m = &o.markers[color];
                     assert_eq!(m.state, MarkerState::Predicted, "{hidden:?} {start} {k}");
-                    let e = m.centroid - truth(color, &pose);
-                    nes += (e.transpose() * m.covariance.try_inverse().unwrap() * e)[0];
-                    worst = worst.max(e.norm());
-                    n += 1.0;
+                    errors.add(m, truth(color, &pose));
                 }
             }
         }
-        nes /= n;
-        eprintln!(
-            "{hidden:?} hidden: at most {worst:.2} px off, normalized squared error {nes:.2}"
-        );
+        let (nes, worst) = (errors.nes(), errors.worst);
+        eprintln!("{hidden:?} hidden: {errors}");
         assert!(nes < 4.0, "{hidden:?}: {nes}");
         assert!(worst < if hidden.len() < 3 { 1.5 } else { 12.0 }, "{hidden:?}: {worst}");
     }
@@ -147,7 +135,7 @@ fn an_error_of_the_layout_does_not_move_the_centroids() {
     let mut other = Tracker::new(wrong, TrackerConfig::default());
     other.handle(Input::Camera(camera()));
     let (mut exact, mut noise) = (new_tracker(TrackerConfig::default()), Noise(8));
-    let (mut square, mut largest, mut nes, mut n) = (0.0, 0.0f64, 0.0, 0.0);
+    let (mut apart, mut errors) = (Errors::default(), Errors::default());
     for k in 0..60 {
         let pose = pose(0.033 * k as f64 * 4.0);
         let data = draw(&pose, ALL, &mut noise);
@@ -160,15 +148,11 @@ fn an_error_of_the_layout_does_not_move_the_centroids() {
                 "{color} in image {k}: {:?}",
                 other.outcomes()
             );
-            let apart = m.centroid - a.markers[color].centroid;
-            square += apart.norm_squared() / 2.0;
-            largest = largest.max(apart.norm());
-            let e = m.centroid - truth(color, &pose);
-            nes += (e.transpose() * m.covariance.try_inverse().unwrap() * e)[0];
-            n += 1.0;
+            apart.add(m, a.markers[color].centroid);
+            errors.add(m, truth(color, &pose));
         }
     }
-    let (rms, nes) = ((square / n).sqrt(), nes / n);
+    let (rms, largest, nes) = (apart.rms_per_axis(), apart.worst, errors.nes());
     eprintln!(
         "layout 2 mm off: centroids {rms:.4} px apart, at most {largest:.3}, normalized squared error {nes:.2}"
     );

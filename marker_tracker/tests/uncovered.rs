@@ -37,7 +37,6 @@ fn a_marker_first_seen_in_part_is_detected_as_soon_as_it_is_whole() {
         let offset = [0.0, 0.15, 0.8][case as usize % 3];
         let first = -14.0 + 4.0 * f64::from(case % 8);
         let speed = [0.9, 1.5, 5.0][case as usize / 8];
-        let mut line = String::new();
         for k in 0..40u32 {
             let pose = pose(1.7 * f64::from(case) + 0.033 * f64::from(k));
             let center = truth(MarkerColor::Red, &pose);
@@ -52,21 +51,11 @@ fn a_marker_first_seen_in_part_is_detected_as_soon_as_it_is_whole() {
             // The cover is also clear of the band beside the edges in which the level is measured.
             let reach = HALF * ((offset + 0.1).cos() + (offset + 0.1).sin()).max(1.1);
             let is_whole = edge > reach + 5.0;
-            line.push(match (is_whole, detected) {
-                (false, true) => 'p',
-                (false, false) => '.',
-                (true, true) => 'W',
-                (true, false) => '!',
-            });
             if is_whole {
                 whole += 1;
                 missed += usize::from(!detected);
             }
-            if std::env::var("VERBOSE").is_ok() && !detected {
-                eprintln!("{case} {k} edge {edge:.1} {}", tracker.outcomes()[MarkerColor::Red]);
-            }
         }
-        eprintln!("case {case:2}: {line}");
     }
     eprintln!("{missed} of {whole} images of the whole marker missed");
     // One case of 24 remains, in which an acquisition of three markers precedes: 1.5 % of the

@@ -2,6 +2,8 @@
 
 #![allow(dead_code, clippy::unwrap_used, clippy::panic)] // each test uses a part
 
+pub mod errors;
+
 use marker_tracker::{ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 use rig_model::{
