@@ -2,11 +2,11 @@
 //! can be an image of the layout, best first. Colored things on the floor do not stand so.
 
 use crate::{
-    geometry::{Geometry, PoseObservation, pose_from_four, poses_from_three},
+    geometry::{Geometry, PoseObservation},
     scan::Blob,
 };
-use nalgebra::Isometry3;
-use rig_model::{MarkerColor, PerColor};
+use nalgebra::{Isometry3, Matrix2, Vector3};
+use rig_model::{MarkerColor, PerColor, planar_pose::closed_form};
 
 /// A set of patches that can be an image of the layout.
 #[derive(Clone, Copy, Debug)]
@@ -165,7 +165,7 @@ pub(crate) fn hypotheses(
                     }
                     if by_threes && threes > 0 {
                         threes -= 1;
-                        search.three([ia, ib, ic], [a, b, c]);
+                        search.claim([ia, ib, ic], [a, b, c]);
                     }
                 }
             }
@@ -177,7 +177,7 @@ pub(crate) fn hypotheses(
         if extent == Extent::Quick && count % BATCH == 0 && search.found.iter().any(is_good) {
             break;
         }
-        search.four(indices);
+        search.claim(indices, MarkerColor::ALL);
     }
     found.sort_unstable_by(|a, b| a.score.total_cmp(&b.score));
     found.truncate(KEEP * 2);
@@ -198,48 +198,49 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Adds the hypothesis that these patches are the markers, in the order of the colors.
-    fn four(&mut self, indices: [usize; 4]) {
+    /// Adds the hypothesis that four patches are the markers, or those of three patches, with which
+    /// both of their poses are possible.
+    fn claim<const N: usize>(&mut self, indices: [usize; N], colors: [MarkerColor; N]) {
         let Geometry { layout, camera } = self.geometry;
-        let pixels = PerColor(indices.map(|i| self.blobs[i].centroid));
-        let Some(start) = pose_from_four(layout, camera, &pixels) else { return };
-        let observations = self.observations(indices, MarkerColor::ALL);
-        let chosen = PerColor(indices.map(Some));
-        self.score(&observations, &start, chosen, self.strictness, 0.0);
-    }
-
-    /// Adds the hypotheses that these patches are markers of these colors.
-    fn three(&mut self, indices: [usize; 3], colors: [MarkerColor; 3]) {
+        let is_three = N == 3;
         let is_whole = |blob: &Blob| !blob.cut && (0.8..1.2).contains(&blob.fill());
-        if !indices.iter().all(|i| is_whole(&self.blobs[*i])) {
+        if is_three && !indices.iter().all(|i| is_whole(&self.blobs[*i])) {
             return;
         }
-        let Geometry { layout, camera } = self.geometry;
-        let observations = self.observations(indices, colors);
-        let Some(starts) = poses_from_three(layout, camera, &observations) else { return };
-        let mut chosen = PerColor([None; 4]);
+        let (mut chosen, mut pixels) = (PerColor([None; 4]), PerColor([None; 4]));
         for (i, color) in indices.into_iter().zip(colors) {
             chosen[color] = Some(i);
+            pixels[color] = Some((self.blobs[i].centroid, Matrix2::identity()));
         }
-        for start in &starts {
-            // Three observations are explained by many poses, so they come after every four, and
-            // their areas must be right.
-            let strict = Strictness { area: self.strictness.area.min(1.45), ..self.strictness };
-            self.score(&observations, start, chosen, strict, 1.0);
-        }
-    }
-
-    fn observations<const N: usize>(
-        &self,
-        indices: [usize; N],
-        colors: [MarkerColor; N],
-    ) -> [PoseObservation; N] {
-        std::array::from_fn(|k| PoseObservation {
+        let Some(mut starts) = closed_form(layout, camera, &pixels) else { return };
+        let observations: [PoseObservation; N] = std::array::from_fn(|k| PoseObservation {
             color: colors[k],
             pixel: self.blobs[indices[k]].centroid,
             sigma: 1.0,
             outline: None,
-        })
+        });
+        let error = |pose: &Isometry3<f64>| {
+            let off = |o: &PoseObservation| {
+                let predicted = layout.projected_centroid(o.color, camera, pose);
+                predicted.map_or(f64::INFINITY, |p| (p.pixel - o.pixel).norm_squared())
+            };
+            observations.iter().map(off).sum::<f64>()
+        };
+        starts.sort_unstable_by(|a, b| error(a).total_cmp(&error(b)));
+        let is_in_front = |pose: &&Isometry3<f64>| {
+            (pose.rotation * Vector3::z()).dot(&pose.translation.vector) < 0.0
+        };
+        // Three observations are explained by many poses, so they come after every four, and their
+        // areas must be right.
+        let (strictness, handicap, count) = if is_three {
+            let area = self.strictness.area.min(1.45);
+            (Strictness { area, ..self.strictness }, 1.0, 2)
+        } else {
+            (self.strictness, 0.0, 1)
+        };
+        for start in starts.iter().filter(is_in_front).take(count) {
+            self.score(&observations, start, chosen, strictness, handicap);
+        }
     }
 
     /// Refines a pose and adds its hypothesis where place and size of its patches are right.
@@ -254,7 +255,7 @@ impl Search<'_> {
         let Geometry { layout, camera } = self.geometry;
         let Some((pose, rms)) = self.geometry.refine(observations, start, None, 15) else { return };
         // Beyond 78° a square is a line.
-        let up = pose.rotation * nalgebra::Vector3::z();
+        let up = pose.rotation * Vector3::z();
         if -up.dot(&pose.translation.vector.normalize()) < 0.2 {
             return;
         }

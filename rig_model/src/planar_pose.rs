@@ -10,13 +10,13 @@
 mod closed_form;
 mod homography;
 
+pub use closed_form::closed_form;
 pub use homography::from_homography;
 
 use crate::{
     camera::CameraModel,
     marker::{MarkerLayout, PerColor},
 };
-use closed_form::closed_form;
 use nalgebra::{
     Isometry3, Matrix2, Matrix3, Matrix6, SMatrix, Translation3, UnitQuaternion, Vector2, Vector3,
     Vector6,

@@ -3,8 +3,6 @@
 
 mod refine;
 mod square;
-mod starts;
 
 pub(crate) use refine::{Geometry, PoseObservation, PosePrior, moved};
 pub(crate) use square::project_square;
-pub(crate) use starts::{pose_from_four, poses_from_three};

@@ -17,7 +17,7 @@ use nalgebra::{
 /// coordinates is solved linearly. Seen by a camera turned towards the center, its derivative is
 /// the upper left 2×2 block of the rotation divided by the depth, which leaves two rotations.
 /// `None` with fewer than three markers or a degenerate layout.
-pub(super) fn closed_form(
+pub fn closed_form(
     layout: &MarkerLayout,
     camera: &CameraModel,
     pixels: &MarkerPixels,
