@@ -24,10 +24,13 @@ fn a_minute_of_raw_images_and_samples_is_recorded_without_loss() {
     let (domain, seconds) = (85, 60);
     let dir = TempDir::new().unwrap();
     let bag = dir.path().join("bag");
-    let mut recorder = Running::start(
-        in_domain(domain, env!("CARGO_BIN_EXE_volant"))
-            .args(["record", "/image_raw", "/imu", "-o", bag.to_str().unwrap()]),
-    );
+    let mut recorder = Running::start(in_domain(domain, env!("CARGO_BIN_EXE_volant")).args([
+        "record",
+        "/image_raw",
+        "/imu",
+        "-o",
+        bag.to_str().unwrap(),
+    ]));
     std::thread::sleep(Duration::from_secs(1));
     let camera = ["--samples", "false"];
     let unit = ["--images", "false", "--ros-args", "-r", "__node:=unit"];
