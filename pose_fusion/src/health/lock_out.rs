@@ -58,7 +58,7 @@ impl LockOut {
             Self { last_used: Some(image), initialized: Some(image), responses, ..Self::default() };
     }
 
-    /// Returns the newest image that was used.
+    /// Returns the newest image that was used and did not contradict.
     pub fn last_used(&self) -> Option<Stamp> {
         self.last_used
     }
@@ -79,12 +79,10 @@ impl LockOut {
         limit: u32,
         excused: bool,
     ) -> Response {
-        if used > 0 {
-            self.last_used = Some(self.last_used.map_or(image, |last| last.max(image)));
-        }
         let used = used as usize;
         if detected < 2 || used * 2 > detected {
             if used > 0 {
+                self.last_used = Some(self.last_used.map_or(image, |last| last.max(image)));
                 self.contradictions = 0;
                 self.since = None;
             }
@@ -92,7 +90,8 @@ impl LockOut {
         }
         let since = *self.since.get_or_insert(image);
         self.contradictions += u32::from(!excused);
-        let starved = self.last_used.is_none_or(|last| image.seconds_since(last) > STARVED);
+        let starved =
+            self.last_used.is_none_or(|last| image.seconds_since(last) > STARVED) && since < image;
         if starved && detected >= 3 {
             Response::Reinitialize(since)
         } else if self.contradictions >= limit {
@@ -150,7 +149,7 @@ mod tests {
         lock_out.responded(at(180));
         assert_eq!(lock_out.note(at(210), 4, 0, 2, false), Response::None);
         assert_eq!(lock_out.note(at(800), 4, 0, 9, false), Response::Reinitialize(at(210)));
-        assert_eq!(lock_out.last_used(), Some(at(180)));
+        assert_eq!(lock_out.last_used(), Some(at(90)));
     }
 
     #[test]
