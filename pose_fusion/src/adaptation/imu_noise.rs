@@ -109,17 +109,19 @@ impl ImuNoise {
         Densities { force: choose(|d| d.force, given.force), rate: choose(|d| d.rate, given.rate) }
     }
 
-    /// Returns which share of a change of the readings between two images is noise: of specific
-    /// force and angular velocity.
+    /// Returns which share of a change of the motion between two images is noise, where the motion
+    /// is the triangular mean of the readings up to `half_width` seconds before and after: of
+    /// specific force and angular velocity.
     ///
     /// An image measures the time offset by how much the motion changed since the image before. The
-    /// noise of single samples is part of that change and tells nothing of the offset.
-    pub fn noise_of_changes(&self) -> Densities {
+    /// noise of the readings is part of that change and tells nothing of the offset.
+    pub fn noise_of_changes(&self, half_width: f64) -> Densities {
         if self.blocks.weight < FEWEST_CHANGES {
             return Densities::default();
         }
+        let samples = (1.5 * half_width / self.period()).max(1.0);
         let share = |block: f64, change: f64, sample: f64| {
-            let noise = 2.0 * sample;
+            let noise = 2.0 * sample / samples;
             noise / (noise + (change - 2.0 * block).max(0.0) + f64::MIN_POSITIVE)
         };
         let (blocks, samples) = (&self.blocks, &self.samples);
@@ -232,7 +234,7 @@ mod tests {
                 angular_velocity: Vector3::new(3.0 * swing, 0.0, 0.0) + white(0.0087),
             };
             noise.add(&reading, dt);
-            noise.noise_of_changes()
+            noise.noise_of_changes(0.0)
         };
         let rest = (0..300).map(|_| add(0.0, 0.01)).last().unwrap();
         assert!(rest.force > 0.5 && rest.rate > 0.5, "{rest:?}");

@@ -57,6 +57,33 @@ impl ImuReading {
     }
 }
 
+/// Specific force (m/s²) and angular velocity (rad/s) to act on a time offset: no digits, but
+/// space, count.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Motion {
+    force: Vector3<f32>,
+    rate: Vector3<f32>,
+}
+
+impl From<ImuReading> for Motion {
+    fn from(reading: ImuReading) -> Self {
+        Self {
+            force: reading.specific_force.map(|x| x as f32),
+            rate: reading.angular_velocity.map(|x| x as f32),
+        }
+    }
+}
+
+impl Motion {
+    /// Returns the change since `before`, less the shares of it that are noise.
+    pub fn change_since(&self, before: &Motion, [force, rate]: [f64; 2]) -> Motion {
+        Motion {
+            force: (self.force - before.force) * (1.0 - force) as f32,
+            rate: (self.rate - before.rate) * (1.0 - rate) as f32,
+        }
+    }
+}
+
 /// Power spectral densities of the process noise.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ProcessNoise {
@@ -72,9 +99,9 @@ pub struct ProcessNoise {
     pub jerk: Vector3<f64>,
     /// Of the time offset's random walk, s²/s.
     pub time_offset: f64,
-    /// Share of the readings' changes that is noise and tells nothing of the time offset: specific
-    /// force, angular velocity.
-    pub noise_of_changes: [f32; 2],
+    /// By how much the motion changes in the step, noise left out: an error of the time offset acts
+    /// by it.
+    pub change: Motion,
 }
 
 impl ProcessNoise {
@@ -118,7 +145,7 @@ pub fn propagate(
     state.climber += state.climber_rate * dt + state.climber_acceleration * (dt * dt / 2.0);
     state.climber_rate += state.climber_acceleration * dt;
     state.since_marker += dt;
-    let blocks = Blocks::new(rotation, &force, from, to, dt, noise);
+    let blocks = Blocks::new(rotation, &force, dt, &noise.change);
     // F P Fᵀ as ((P Fᵀ)ᵀ Fᵀ): columns only, which are contiguous in memory; P is symmetric.
     times_transition(&mut state.covariance, &blocks, dt);
     state.covariance.transpose_mut();
@@ -144,7 +171,7 @@ pub fn transition(
     let rotation: &Matrix3<f64> = rotation.matrix();
     let force = rotation * motion.specific_force;
     let mut f = Covariance::identity();
-    times_transition(&mut f, &Blocks::new(rotation, &force, from, to, dt, noise), dt);
+    times_transition(&mut f, &Blocks::new(rotation, &force, dt, &noise.change), dt);
     f.transpose()
 }
 
@@ -156,21 +183,13 @@ struct Blocks {
 }
 
 impl Blocks {
-    fn new(
-        rotation: &Matrix3<f64>,
-        force: &Vector3<f64>,
-        from: &ImuReading,
-        to: &ImuReading,
-        dt: f64,
-        noise: &ProcessNoise,
-    ) -> Self {
-        let [force_share, rate_share] = noise.noise_of_changes.map(|noise| 1.0 - f64::from(noise));
+    fn new(rotation: &Matrix3<f64>, force: &Vector3<f64>, dt: f64, change: &Motion) -> Self {
         Self {
             by_attitude: -(force.cross_matrix() * dt),
             by_bias: -(rotation * dt),
             by_offset: [
-                rotation * (to.specific_force - from.specific_force) * force_share,
-                rotation * (to.angular_velocity - from.angular_velocity) * rate_share,
+                rotation * change.force.map(f64::from),
+                rotation * change.rate.map(f64::from),
             ],
         }
     }

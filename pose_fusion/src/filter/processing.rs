@@ -4,7 +4,7 @@ use super::Filter;
 use crate::{
     adaptation::excess::{MODEL_ERROR, PIXEL_NOISE},
     ekf::{
-        propagation::ProcessNoise,
+        propagation::{Motion, ProcessNoise},
         state::{TIME_OFFSET, VELOCITY},
     },
     health::{
@@ -70,7 +70,8 @@ impl Filter {
                 Step::Encoders { innovation, excluded, fresh } => {
                     self.on_encoders(place, at, &innovation, excluded, fresh, out)
                 }
-                Step::Image { stamp, image, record, fresh: true } => {
+                Step::Image { stamp, image, record, fresh: true, smoothing } => {
+                    self.imu.note_smoothing(smoothing);
                     self.on_image(place, stamp, &image, &record, out)
                 }
                 Step::Image { .. } => false,
@@ -91,6 +92,7 @@ impl Filter {
             noise: self.process_noise(),
             disturbances: &self.disturbances,
             rope: rope.zip(self.climber.newest().map(|(_, _, rest)| *rest)),
+            noise_of_changes: self.imu.noise_of_changes(),
             imu_period: self.imu.period(),
             frozen: self.setup.frozen,
         };
@@ -109,7 +111,7 @@ impl Filter {
             gyroscope_bias: c.imu.gyroscope_bias_walk.powi(2),
             jerk: Vector3::new(c.climber.jerk, c.climber.jerk, c.climber.turn_jerk) * factor,
             time_offset: if c.clock.camera_sigma > 0.0 { c.clock.offset_walk.powi(2) } else { 0.0 },
-            noise_of_changes: self.imu.noise_of_changes(),
+            change: Motion::default(),
         }
     }
 

@@ -53,6 +53,9 @@ pub(super) struct Start {
     pub(super) time_offset: Option<TimeOffset>,
     /// Time offset with which the pose was initialized, s.
     pub(super) initial_offset: f64,
+    /// Since when the filter's time offset is within reach of a linear correction, and where it was
+    /// then, s.
+    pub(super) settled: (Stamp, f64),
     /// The time offset was known before, and is searched because images contradict it.
     pub(super) searches_again: bool,
     /// Uncertainty of the time offset while it is searched, s, once there is an alignment.
@@ -143,7 +146,7 @@ impl Filter {
             state.set_sigma(TIME_OFFSET, (OFFSET_SIGMA[1] * found.sigma).max(OFFSET_SIGMA[0]));
         }
         if let Some(kept) = self.start.kept.take() {
-            inherit(state, &kept);
+            inherit(state, &kept, self.start.searches_again);
         }
     }
 
@@ -237,12 +240,13 @@ impl Filter {
         self.start.started = true;
         let mut state = start.state;
         self.remember(&mut state);
-        self.start.initial_offset = state.time_offset;
         self.begin(at, state, out);
     }
 
     /// Puts a state at an instant of the time line and processes what is behind it.
     pub(super) fn begin(&mut self, at: Stamp, state: State, out: &mut VecDeque<Output>) {
+        self.start.initial_offset = state.time_offset;
+        self.start.settled = (at, state.time_offset);
         let place = self.history.place_of(at);
         let before = place.checked_sub(1).and_then(|p| self.history.get(p));
         let reading = match (before, self.history.next_imu(place)) {
@@ -294,8 +298,7 @@ impl Filter {
             return false;
         };
         let mut state = start.state;
-        inherit(&mut state, &old);
-        self.start.initial_offset = state.time_offset;
+        inherit(&mut state, &old, self.start.searches_again);
         state.climber_acceleration = old.climber_acceleration;
         self.publisher.counts.resets.recoveries += 1;
         self.lock_out.initialized(stamp);
@@ -362,12 +365,14 @@ fn rigid(state: &State, axis: usize) -> crate::ekf::state::Error {
     moved
 }
 
-/// Takes over time offset and biases of a former state; the biases are worth half.
-fn inherit(state: &mut State, former: &State) {
+/// Takes over time offset and biases of a former state; the biases are worth half, and so is an
+/// offset that is doubted.
+fn inherit(state: &mut State, former: &State, offset_doubted: bool) {
     state.accelerometer_bias = former.accelerometer_bias;
     state.gyroscope_bias = former.gyroscope_bias;
     state.time_offset = former.time_offset;
-    state.set_sigma(TIME_OFFSET, former.sigma(TIME_OFFSET));
+    let doubt = if offset_doubted { REMEMBERED } else { 1.0 };
+    state.set_sigma(TIME_OFFSET, doubt * former.sigma(TIME_OFFSET));
     for first in [ACCELEROMETER_BIAS, GYROSCOPE_BIAS] {
         let sigmas = former.sigmas(first).map(|sigma| (REMEMBERED * sigma).max(BIAS_FLOOR));
         state.set_sigmas(first, &sigmas);

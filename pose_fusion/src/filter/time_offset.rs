@@ -54,6 +54,10 @@ impl Filter {
         }
         let c = &self.setup.config;
         let noise = self.imu.densities(&self.setup.rig.imu, c);
+        let offset = self.time_offset();
+        if (offset - self.start.settled.1).abs() > OFFSET_LINEAR {
+            self.start.settled = (stamp, offset);
+        }
         let found = search.find(
             &geometry.volant_from_imu,
             c.gravity,
@@ -69,12 +73,12 @@ impl Filter {
         }
         match found {
             Some(found) if found.sigma < FINAL || self.confirms(stamp, &found) => {
-                self.initialize_time_offset(found, out);
+                self.initialize_time_offset(stamp, found, out);
             }
             // Known well enough to see that the filter is far off: it restarts, and the search goes
             // on.
             Some(found) if self.contradicts(&found) => {
-                self.initialize_time_offset(found, out);
+                self.initialize_time_offset(stamp, found, out);
                 self.search = Some(search);
             }
             _ => self.search = Some(search),
@@ -164,17 +168,24 @@ impl Filter {
 
     /// Restarts with the time offset at the oldest image of the history, unless the filter has
     /// found the same.
-    fn initialize_time_offset(&mut self, found: TimeOffset, out: &mut VecDeque<Output>) {
+    fn initialize_time_offset(
+        &mut self,
+        stamp: Stamp,
+        found: TimeOffset,
+        out: &mut VecDeque<Output>,
+    ) {
         let first = self.start.time_offset.replace(found).is_none();
         let away = (self.time_offset() - found.offset).abs();
         let sigma = (OFFSET_SIGMA[1] * found.sigma).hypot(self.time_offset_sigma().unwrap_or(0.0));
-        // A filter that began far off and came here by itself has errors that its covariance does
-        // not contain. One that knew its offset restarts only where that is refuted.
-        let began_near = (self.start.initial_offset - found.offset).abs() < OFFSET_LINEAR;
+        // A filter that came here from far off has errors that its covariance does not contain; they
+        // are gone after a while. One that knew its offset restarts only where that is refuted.
+        let near = (self.start.initial_offset - found.offset).abs().max(away) < OFFSET_LINEAR;
+        let settled = stamp.seconds_since(self.start.settled.0) > WINDOW
+            && self.time_offset_sigma().is_some_and(|own| own < KNOWN);
         let agrees = if self.start.searches_again {
             !self.contradicts(&found)
         } else {
-            began_near && away < OFFSET_LINEAR.min(AGREES * sigma)
+            (near || settled) && away < AGREES * sigma
         };
         if first || !agrees {
             self.publisher.counts.resets.time_offsets += 1;

@@ -11,8 +11,9 @@
 //! `p_i = p₀ + v₀ s + g s²/2 + R₀ (Δp_i + J_p b) + [θ₀]× R₀ Δp_i − R_i t`
 //!
 //! (`t`: lever arm). The weighted squares that are left, `J(τ)`, have their minimum at the offset.
-//! It is accepted where the curvature says that it is known and every other minimum is refuted.
-//! Without motion `J` is flat and nothing is accepted. The image poses come on the climber's clock,
+//! It is accepted where the curvature says that it is known and every other minimum is refuted;
+//! where one window does not tell, the costs of several are added up. Without motion `J` is flat and
+//! nothing is accepted. The image poses come on the climber's clock,
 //! which is the camera's, so that nothing else depends on τ.
 
 use super::preintegration::Preintegrated;
@@ -27,6 +28,8 @@ pub const REACH: f64 = 0.3;
 const EDGE: f64 = 0.003;
 /// Distance of the candidates, s.
 const STEP: f64 = 0.01;
+/// Number of candidates.
+const CANDIDATES: usize = 61;
 /// The newest image poses of this time are aligned, s: longer, and the IMU's scale errors count.
 pub const WINDOW: f64 = 1.5;
 /// Images closer together than this add nothing, s.
@@ -60,6 +63,7 @@ const SMALLEST: f64 = 0.6;
 const OPEN: [f64; 2] = [2.0, 0.5];
 
 const UNKNOWNS: usize = 15;
+type Jacobian = SMatrix<f64, 6, UNKNOWNS>;
 type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 type Unknowns = SVector<f64, UNKNOWNS>;
 
@@ -87,6 +91,73 @@ pub struct TimeOffsetSearch {
     poses: VecDeque<VisualPose>,
     readings: VecDeque<(Stamp, ImuReading)>,
     added: usize,
+    windows: Windows,
+}
+
+/// Costs of the candidates, added up over windows that do not overlap.
+#[derive(Clone, Debug, Default)]
+struct Windows {
+    /// χ² of each candidate above the best of its window.
+    costs: Option<[f64; CANDIDATES]>,
+    /// Newest image of the last window.
+    until: Option<Stamp>,
+}
+
+impl Windows {
+    /// Returns whether a window is due with the image at `newest`: it begins behind the last one.
+    fn is_due(&mut self, newest: Stamp) -> bool {
+        let until = *self.until.get_or_insert(newest);
+        let due = newest.seconds_since(until) >= WINDOW;
+        if due {
+            self.until = Some(newest);
+        }
+        due
+    }
+
+    /// Adds a window.
+    fn add(&mut self, aligned: &Aligned) {
+        if aligned.scale < LARGEST {
+            let sum = self.costs.get_or_insert([0.0; CANDIDATES]);
+            sum.iter_mut().zip(&aligned.costs).for_each(|(sum, cost)| *sum += cost);
+        }
+    }
+
+    /// Returns the offset, where all windows together show it.
+    fn offset(&self) -> Option<TimeOffset> {
+        let costs = self.costs.as_ref()?;
+        let best = (0..CANDIDATES).min_by(|&a, &b| costs[a].total_cmp(&costs[b]))?;
+        let (low, high) = (costs.get(best.checked_sub(1)?)?, costs.get(best + 1)?);
+        let curvature = low + high - 2.0 * costs[best];
+        let offset = candidate(best) + STEP * (low - high) / (2.0 * curvature);
+        let sigma = STEP * (2.0 / curvature).sqrt();
+        let refuted = (0..CANDIDATES)
+            .filter(|&i| (candidate(i) - offset).abs() > apart(sigma) && !costs[i].is_nan())
+            .all(|i| costs[i] - costs[best] > REFUTED);
+        (sigma < ACCEPTED && refuted).then_some(TimeOffset { offset, sigma })
+    }
+}
+
+/// Offset of a candidate, s.
+fn candidate(index: usize) -> f64 {
+    index as f64 * STEP - REACH
+}
+
+/// Distance from an offset of this standard deviation from which on candidates must be refuted, s.
+fn apart(sigma: f64) -> f64 {
+    APART.max(REFUTED.sqrt() * sigma)
+}
+
+/// What the alignment of a window found.
+struct Aligned {
+    /// Best offset, where it is known.
+    found: Option<TimeOffset>,
+    /// Biases that go with it.
+    biases: Biases,
+    /// χ² per degree of freedom.
+    scale: f64,
+    /// χ² of each candidate above the best, in units of what noise leaves; NaN where the readings
+    /// do not reach.
+    costs: [f64; CANDIDATES],
 }
 
 impl TimeOffsetSearch {
@@ -110,7 +181,7 @@ impl TimeOffsetSearch {
         if self.poses.back().is_some_and(|p| stamp.seconds_since(p.stamp) < SPACING) {
             return;
         }
-        while self.poses.front().is_some_and(|p| stamp.seconds_since(p.stamp) > WINDOW) {
+        while self.poses.front().is_some_and(|p| stamp.seconds_since(p.stamp) > WINDOW + REACH) {
             self.poses.pop_front();
         }
         self.poses.push_back(VisualPose {
@@ -163,83 +234,85 @@ impl TimeOffsetSearch {
         noise: &Densities,
         given: &Densities,
     ) -> Option<TimeOffset> {
-        if self.poses.len() < FEWEST || self.added < EVERY {
+        if self.added < EVERY {
             return None;
         }
         self.added = 0;
         self.weigh(noise, given);
+        let newest = self.poses.back()?.stamp;
+        let age = |pose: &VisualPose| newest.seconds_since(pose.stamp);
+        let poses = self.poses.make_contiguous();
+        let recent = &poses[poses.partition_point(|pose| age(pose) > WINDOW)..];
+        if recent.len() < FEWEST {
+            return None;
+        }
+        let settings = (volant_from_imu, gravity, imu, noise);
         // The second time with the biases that the first one found: over the window they turn by
         // several degrees.
-        let first = self.align(volant_from_imu, gravity, imu, &Biases::default())?;
-        let (found, _) = self.align(volant_from_imu, gravity, imu, &first.1)?;
-        found
-    }
-
-    /// Best offset, where it is known, and the biases that go with it. Linearized at `biases`.
-    fn align(
-        &self,
-        volant_from_imu: &Isometry3<f64>,
-        gravity: f64,
-        imu: &ImuConfig,
-        biases: &Biases,
-    ) -> Option<(Option<TimeOffset>, Biases)> {
-        let track = self.preintegrate(biases);
-        let alignment =
-            Alignment { track: &track, poses: &self.poses, volant_from_imu, gravity, imu, biases };
-        let steps = (REACH / STEP).round() as i32;
-        let costs: Vec<(f64, Option<Cost>)> = (-steps..=steps)
-            .map(|i| (f64::from(i) * STEP, alignment.cost(f64::from(i) * STEP)))
-            .collect();
-        let mean = |c: &Cost| c.square / c.rows;
-        let usable = costs.iter().filter_map(|(offset, cost)| Some((*offset, cost.as_ref()?)));
-        let (start, _) = usable.clone().min_by(|a, b| mean(a.1).total_cmp(&mean(b.1)))?;
-        // Refine by parabolas through candidates a step apart: closer ones differ by the noise of
-        // single readings.
-        let (mut offset, h) = (start, STEP);
-        let (mut best, mut curvature) = (alignment.cost(offset)?, 0.0);
-        for _ in 0..3 {
-            let (low, high) = (alignment.cost(offset - h)?, alignment.cost(offset + h)?);
-            if low.rows != best.rows || high.rows != best.rows {
-                // An image at the edge of the readings: take the mean cost per row.
-                let (l, b, u) = (mean(&low), mean(&best), mean(&high));
-                curvature = (l + u - 2.0 * b) / (h * h) * best.rows;
-                offset += (h * (l - u) / (2.0 * (l + u - 2.0 * b))).clamp(-h, h);
-            } else {
-                curvature = (low.square + high.square - 2.0 * best.square) / (h * h);
-                offset += (h * (low.square - high.square)
-                    / (2.0 * (low.square + high.square - 2.0 * best.square)))
-                    .clamp(-h, h);
-            }
-            if !(curvature > 0.0 && offset.is_finite()) {
-                return Some((None, best.biases));
-            }
-            best = alignment.cost(offset)?;
+        let first = align(recent, &self.readings, settings, &Biases::default())?;
+        let aligned = align(recent, &self.readings, settings, &first.biases)?;
+        // A window in which every image counts for every candidate.
+        let covered = &poses[..poses.partition_point(|pose| age(pose) >= REACH)];
+        if self.windows.is_due(newest)
+            && covered.len() >= FEWEST
+            && let Some(window) = align(covered, &self.readings, settings, &first.biases)
+        {
+            self.windows.add(&window);
         }
-        let scale = (best.square / (best.rows - UNKNOWNS as f64).max(1.0)).max(SMALLEST);
-        let sigma = (2.0 * scale / curvature).sqrt();
-        let refuted = usable.filter(|(at, _)| (at - offset).abs() > APART).all(|(_, cost)| {
-            (mean(cost) - mean(&best)) * best.rows.min(cost.rows) > REFUTED * scale
-        });
-        let accepted =
-            sigma < ACCEPTED && scale < LARGEST && refuted && offset.abs() < REACH - EDGE;
-        Some((accepted.then_some(TimeOffset { offset, sigma }), best.biases))
+        let of_all = self.windows.offset();
+        [aligned.found, of_all].into_iter().flatten().min_by(|a, b| a.sigma.total_cmp(&b.sigma))
     }
+}
 
-    fn preintegrate(&self, biases: &Biases) -> Vec<Preintegrated> {
-        let mut track: Vec<Preintegrated> = Vec::with_capacity(self.readings.len());
-        for (stamp, reading) in &self.readings {
-            let reading = &ImuReading {
-                specific_force: reading.specific_force - biases.accelerometer,
-                angular_velocity: reading.angular_velocity - biases.gyroscope,
-            };
-            let next = match track.last() {
-                Some(last) => last.to(*stamp, reading),
-                None => Preintegrated::first(*stamp, *reading),
-            };
-            track.push(next);
-        }
-        track
+type Settings<'a> = (&'a Isometry3<f64>, f64, &'a ImuConfig, &'a Densities);
+
+/// Aligns the window, linearized at `biases`.
+fn align(
+    poses: &[VisualPose],
+    readings: &VecDeque<(Stamp, ImuReading)>,
+    (volant_from_imu, gravity, imu, noise): Settings<'_>,
+    biases: &Biases,
+) -> Option<Aligned> {
+    let track = preintegrate(readings, biases);
+    let alignment = Alignment { track: &track, poses, volant_from_imu, gravity, imu, biases };
+    let costs: [Option<Cost>; CANDIDATES] = std::array::from_fn(|i| alignment.cost(candidate(i)));
+    let usable = costs.iter().enumerate().filter_map(|(i, cost)| Some((i, cost.as_ref()?)));
+    let (start, coarse) = usable.min_by(|a, b| a.1.mean().total_cmp(&b.1.mean()))?;
+    let refined = alignment.refine(candidate(start));
+    let (offset, best, curvature) = refined.unwrap_or((candidate(start), *coarse, 0.0));
+    let scale = (best.square / (best.rows - UNKNOWNS as f64).max(1.0)).max(SMALLEST);
+    let unit = scale * alignment.excess(offset, noise, scale)?;
+    let costs = costs.map(|cost| match cost {
+        Some(cost) => (cost.mean() - best.mean()) * best.rows.min(cost.rows) / unit,
+        None => f64::NAN,
+    });
+    let sigma = (2.0 * unit / curvature).sqrt();
+    let refuted = (costs.iter().enumerate())
+        .filter(|(i, cost)| (candidate(*i) - offset).abs() > apart(sigma) && !cost.is_nan())
+        .all(|(_, cost)| *cost > REFUTED);
+    let known = curvature > 0.0 && sigma < ACCEPTED && refuted && offset.abs() < REACH - EDGE;
+    Some(Aligned {
+        found: (known && scale < LARGEST).then_some(TimeOffset { offset, sigma }),
+        biases: best.biases,
+        scale,
+        costs,
+    })
+}
+
+fn preintegrate(readings: &VecDeque<(Stamp, ImuReading)>, biases: &Biases) -> Vec<Preintegrated> {
+    let mut track: Vec<Preintegrated> = Vec::with_capacity(readings.len());
+    for (stamp, reading) in readings {
+        let reading = &ImuReading {
+            specific_force: reading.specific_force - biases.accelerometer,
+            angular_velocity: reading.angular_velocity - biases.gyroscope,
+        };
+        let next = match track.last() {
+            Some(last) => last.to(*stamp, reading),
+            None => Preintegrated::first(*stamp, *reading),
+        };
+        track.push(next);
     }
+    track
 }
 
 /// What is left of an alignment, and the biases that it found.
@@ -248,6 +321,12 @@ struct Cost {
     square: f64,
     rows: f64,
     biases: Biases,
+}
+
+impl Cost {
+    fn mean(&self) -> f64 {
+        self.square / self.rows
+    }
 }
 
 /// Biases of the IMU, its axes: m/s², rad/s.
@@ -259,7 +338,7 @@ struct Biases {
 
 struct Alignment<'a> {
     track: &'a [Preintegrated],
-    poses: &'a VecDeque<VisualPose>,
+    poses: &'a [VisualPose],
     volant_from_imu: &'a Isometry3<f64>,
     gravity: f64,
     imu: &'a ImuConfig,
@@ -270,19 +349,72 @@ impl Alignment<'_> {
     /// Cost of an offset; `None` where fewer than half of the images (and [`FEWEST`]) have IMU
     /// readings around them.
     fn cost(&self, offset: f64) -> Option<Cost> {
-        let first = self.track.first()?;
-        let motions: Vec<(&VisualPose, Preintegrated)> = self
-            .poses
-            .iter()
+        let motions = self.motions(offset)?;
+        let (first, start) = self.origin(&motions)?;
+        let rows = motions.iter().map(|(pose, motion)| {
+            let (residual, jacobian) = self.row(&start, first, pose, motion);
+            (pose.information, residual, jacobian)
+        });
+        let (solution, square) = self.fit(rows, self.biases)?;
+        let biases = Biases {
+            accelerometer: self.biases.accelerometer + solution.fixed_rows::<3>(9),
+            gyroscope: self.biases.gyroscope + solution.fixed_rows::<3>(12),
+        };
+        Some(Cost { square, rows: 6.0 * motions.len() as f64, biases })
+    }
+
+    /// Refines an offset by parabolas through candidates a step apart: closer ones differ by the
+    /// noise of single readings. Returns offset, cost and curvature.
+    fn refine(&self, start: f64) -> Option<(f64, Cost, f64)> {
+        let (mut offset, h) = (start, STEP);
+        let (mut best, mut curvature) = (self.cost(offset)?, 0.0);
+        for _ in 0..3 {
+            let (low, high) = (self.cost(offset - h)?, self.cost(offset + h)?);
+            // With an image at the edge of the readings: the mean cost per row.
+            let rows = best.rows;
+            let [low, here, high] = if low.rows == rows && high.rows == rows {
+                [low.square, best.square, high.square]
+            } else {
+                [&low, &best, &high].map(|cost| cost.mean() * rows)
+            };
+            let bend = low + high - 2.0 * here;
+            curvature = bend / (h * h);
+            offset += (h * (low - high) / (2.0 * bend)).clamp(-h, h);
+            if !(curvature > 0.0 && offset.is_finite()) {
+                return None;
+            }
+            best = self.cost(offset)?;
+        }
+        Some((offset, best, curvature))
+    }
+
+    /// Images with the motion at their instants.
+    fn motions(&self, offset: f64) -> Option<Vec<(&VisualPose, Preintegrated)>> {
+        let motions: Vec<_> = (self.poses.iter())
             .filter_map(|p| Some((p, self.at(p.stamp.plus_seconds(offset))?)))
             .collect();
-        if motions.len() < FEWEST.max(self.poses.len() / 2) {
-            return None;
-        }
+        (motions.len() >= FEWEST.max(self.poses.len() / 2)).then_some(motions)
+    }
+
+    /// First instant, and the attitude there at which the fit is linearized: that which the image in
+    /// the middle gives.
+    fn origin(
+        &self,
+        motions: &[(&VisualPose, Preintegrated)],
+    ) -> Option<(Stamp, UnitQuaternion<f64>)> {
         let (pose, motion) = motions.get(motions.len() / 2)?;
-        // Linearized at the attitude that the image in the middle gives.
         let imu_rotation = self.volant_from_imu.rotation;
         let start = pose.world_from_volant.rotation * imu_rotation * motion.rotation.inverse();
+        Some((self.track.first()?.stamp, start))
+    }
+
+    /// Unknowns that fit rows of information, residual and derivative, and the squares that are
+    /// left; `known` are the biases at which the rows are linearized.
+    fn fit(
+        &self,
+        rows: impl Iterator<Item = (Matrix6<f64>, Vector6<f64>, Jacobian)>,
+        known: &Biases,
+    ) -> Option<(Unknowns, f64)> {
         let mut normal = Normal::zeros();
         let mut right = Unknowns::zeros();
         let mut square = 0.0;
@@ -293,28 +425,68 @@ impl Alignment<'_> {
                 normal[(index, index)] += 1.0 / (sigma * sigma);
             }
         }
-        let known = [self.biases.accelerometer, self.biases.gyroscope];
-        for (k, bias) in known.iter().enumerate() {
+        for (k, bias) in [known.accelerometer, known.gyroscope].iter().enumerate() {
             for i in 0..3 {
                 let (index, weight) = (9 + 3 * k + i, prior[2 + k].powi(-2));
                 right[index] -= bias[i] * weight;
                 square += bias[i] * bias[i] * weight;
             }
         }
-        for (pose, motion) in &motions {
-            let (residual, jacobian) = self.row(&start, first.stamp, pose, motion);
-            let weighted = pose.information * jacobian;
+        for (information, residual, jacobian) in rows {
+            let weighted = information * jacobian;
             normal += jacobian.transpose() * weighted;
             right += weighted.transpose() * residual;
-            square += residual.dot(&(pose.information * residual));
+            square += residual.dot(&(information * residual));
         }
         let solution = normal.cholesky()?.solve(&right);
-        let biases = Biases {
-            accelerometer: self.biases.accelerometer + solution.fixed_rows::<3>(9),
-            gyroscope: self.biases.gyroscope + solution.fixed_rows::<3>(12),
-        };
-        let square = (square - right.dot(&solution)).max(0.0);
-        Some(Cost { square, rows: 6.0 * motions.len() as f64, biases })
+        Some((solution, (square - right.dot(&solution)).max(0.0)))
+    }
+
+    /// Factor by which the variance of an offset exceeds what independent errors of the images leave.
+    ///
+    /// The IMU's noise adds up: the error of the attitude (a random walk), and the velocity and
+    /// position that follow from it, are common to all later images, and many images do not average
+    /// them. The offset of a least-squares fit is a weighted sum of the images' errors; the weights
+    /// tell what each step's noise contributes.
+    fn excess(&self, offset: f64, noise: &Densities, scale: f64) -> Option<f64> {
+        let motions = self.motions(offset)?;
+        let (first, start) = self.origin(&motions)?;
+        // By a change of the offset: derivative of the residual, and that by the unknowns.
+        let rows: Vec<_> = motions
+            .iter()
+            .filter_map(|(pose, motion)| {
+                let at = |by: f64| self.at(pose.stamp.plus_seconds(offset + by));
+                let (later, earlier) = (at(STEP)?, at(-STEP)?);
+                let residual = |motion| self.row(&start, first, pose, motion).0;
+                let by_offset = (residual(&later) - residual(&earlier)) / (2.0 * STEP);
+                let (_, jacobian) = self.row(&start, first, pose, motion);
+                Some((motion.stamp, pose.information, by_offset, jacobian))
+            })
+            .collect();
+        let (solution, information) =
+            self.fit(rows.iter().map(|(_, w, r, j)| (*w, *r, *j)), &Biases::default())?;
+        // Backwards: what an error of attitude, position, velocity and tilt moves in all images
+        // behind it.
+        let [mut turn, mut shift, mut speed, mut tilt] = [Vector3::zeros(); 4];
+        let mut variance = 0.0;
+        for (k, (at, weight, by_offset, jacobian)) in rows.iter().enumerate().rev() {
+            if let Some((next, ..)) = rows.get(k + 1) {
+                let dt = next.seconds_since(*at);
+                tilt += speed * dt + shift * (dt * dt / 2.0);
+                speed += shift * dt;
+            }
+            let share = weight * (by_offset - jacobian * solution);
+            shift += share.fixed_rows::<3>(0);
+            turn += share.fixed_rows::<3>(3);
+            if let Some((before, ..)) = k.checked_sub(1).and_then(|k| rows.get(k)) {
+                // A tilt turns the specific force, which is about gravity.
+                let by_tilt = Vector3::new(-tilt.y, tilt.x, 0.0) * self.gravity;
+                let (by_rate, by_force) = ((turn + by_tilt).norm_squared(), speed.norm_squared());
+                let dt = at.seconds_since(*before);
+                variance += dt * (noise.rate * by_rate + noise.force * by_force);
+            }
+        }
+        Some(1.0 + variance / (information.max(f64::MIN_POSITIVE) * scale))
     }
 
     /// Residual of an image (position, rotation) and its derivative by p₀, v₀, θ₀, b_a, b_g.

@@ -64,6 +64,8 @@ pub struct ImuInput {
     stationary: Stationary,
     ups: VecDeque<(Stamp, Up)>,
     model_error: Excess,
+    /// Half the width of the mean that is the motion at an image, s.
+    smoothing: f64,
     /// The noise was known at some time.
     known: bool,
 }
@@ -146,9 +148,13 @@ impl ImuInput {
 
     /// Returns which share of the readings' changes between two images is noise: specific force,
     /// angular velocity.
-    pub fn noise_of_changes(&self) -> [f32; 2] {
-        let share = self.noise.noise_of_changes();
-        [share.force as f32, share.rate as f32]
+    pub fn noise_of_changes(&self) -> Densities {
+        self.noise.noise_of_changes(self.smoothing)
+    }
+
+    /// Notes over how many seconds before and after an image its motion is a mean.
+    pub fn note_smoothing(&mut self, half_width: f64) {
+        self.smoothing = half_width;
     }
 
     /// Returns the factor on the sigmas of the model error, at least 1.

@@ -48,19 +48,14 @@ pub type Offsets = SVector<f64, OFFSETS>;
 /// Centroid (raw px) and covariance (px²) of each detected marker.
 pub type Pixels = [Option<(Vector2<f64>, Matrix2<f64>)>; 4];
 
-/// Detected marker as an [`Image`] keeps it: the history holds many.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Centroid {
-    /// Raw px.
-    pixel: [f64; 2],
-    /// Covariance: xx, xy, yy, px².
-    covariance: [f32; 3],
-}
-
-/// Markers of one image as the update needs them.
+/// Markers of one image as the update needs them; small, because the history holds many.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Image {
-    centroids: [Option<Centroid>; 4],
+    /// Centroid of each marker, raw px.
+    centroids: [[f64; 2]; 4],
+    /// Their covariances: xx, xy, yy, px².
+    covariances: [[f32; 3]; 4],
+    detected: [bool; 4],
     /// Camera time offset with which the image was placed on the IMU's time line, s.
     pub time_offset: f64,
     /// Standard deviation of the stamp, s.
@@ -75,31 +70,34 @@ pub struct Image {
 impl Image {
     /// Returns an image that was placed on the IMU's time line with a camera time offset, s.
     pub fn new(pixels: &Pixels, time_offset: f64, rest: ClimberRest) -> Self {
-        let centroids = pixels.map(|marker| {
-            let (pixel, c) = marker?;
-            let covariance = [c.m11, c.m21, c.m22].map(|x| x as f32);
-            Some(Centroid { pixel: pixel.into(), covariance })
-        });
-        Self { centroids, time_offset, stamp_sigma: 0.0, rest, layout_doubt: None }
+        let covariance = |c: Matrix2<f64>| [c.m11, c.m21, c.m22].map(|x| x as f32);
+        Self {
+            centroids: pixels.map(|marker| marker.map_or([0.0; 2], |(pixel, _)| pixel.into())),
+            covariances: pixels.map(|marker| marker.map_or([0.0; 3], |(_, c)| covariance(c))),
+            detected: pixels.map(|marker| marker.is_some()),
+            time_offset,
+            stamp_sigma: 0.0,
+            rest,
+            layout_doubt: None,
+        }
     }
 
     /// Returns the detected markers.
     pub fn pixels(&self) -> Pixels {
-        self.centroids.map(|marker| {
-            let Centroid { pixel, covariance } = marker?;
-            let [xx, xy, yy] = covariance.map(f64::from);
-            Some((pixel.into(), Matrix2::new(xx, xy, xy, yy)))
+        std::array::from_fn(|i| {
+            let [xx, xy, yy] = self.covariances[i].map(f64::from);
+            self.detected[i].then(|| (self.centroids[i].into(), Matrix2::new(xx, xy, xy, yy)))
         })
     }
 
     /// Returns whether a marker is detected.
     pub fn has(&self, marker: usize) -> bool {
-        self.centroids[marker].is_some()
+        self.detected[marker]
     }
 
     /// Returns the number of detected markers.
     pub fn detected(&self) -> usize {
-        self.centroids.iter().flatten().count()
+        self.detected.iter().filter(|detected| **detected).count()
     }
 }
 
@@ -324,10 +322,10 @@ pub(super) mod tests {
             let true_pixels = linearize(&plain, &geometry, &seen, &reading).residual;
             for i in 0..4 {
                 if (10..20).contains(&step) && i == 1 {
-                    seen.centroids[i] = None;
-                } else if let Some(centroid) = &mut seen.centroids[i] {
-                    centroid.pixel[0] -= true_pixels[2 * i];
-                    centroid.pixel[1] -= true_pixels[2 * i + 1];
+                    seen.detected[i] = false;
+                } else {
+                    seen.centroids[i][0] -= true_pixels[2 * i];
+                    seen.centroids[i][1] -= true_pixels[2 * i + 1];
                 }
             }
             for (state, geometry) in [(&mut plain, &geometry), (&mut informed, &known)] {
@@ -357,9 +355,7 @@ pub(super) mod tests {
         let mut off = Error::zeros();
         (off[0], off[7]) = (0.05, 0.05);
         state.add(&off);
-        if let Some(centroid) = &mut image.centroids[2] {
-            centroid.pixel[0] += 12.0;
-        }
+        image.centroids[2][0] += 12.0;
         let record = update(&mut state, &geometry, &image, &READING, &GATES, 9.81, true);
         assert_eq!(record.markers[2].outcome, Outcome::Inconsistent, "{record:?}");
         assert_eq!(record.used, 3);

@@ -136,6 +136,7 @@ mod tests {
             stamp: Stamp::from_nanos(0),
             event: Event::Set,
             reading,
+            motion: reading.into(),
             noise,
             state: first.clone(),
         }];
@@ -157,6 +158,7 @@ mod tests {
                 stamp,
                 event: Event::Imu { noise: Densities::default(), at_rest: None },
                 reading,
+                motion: reading.into(),
                 noise,
                 state,
             });

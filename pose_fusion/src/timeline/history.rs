@@ -8,7 +8,7 @@
 use crate::{
     adaptation::imu_noise::Densities,
     ekf::{
-        propagation::{ImuReading, ProcessNoise},
+        propagation::{ImuReading, Motion, ProcessNoise},
         state::State,
     },
     measurements::{encoders::EncoderReading, markers::Image},
@@ -20,6 +20,9 @@ use std::collections::VecDeque;
 /// Largest number of entries: 1 s of 1,000 IMU samples, 200 encoder readings and 200 images per
 /// second.
 pub const CAPACITY: usize = 1400;
+
+/// Half the width of the mean of the readings that is the motion at an image, s.
+const SMOOTHING: f64 = 0.03;
 
 /// What happened at an instant.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,6 +66,8 @@ pub struct Entry {
     pub event: Event,
     /// IMU reading at that time, interpolated unless the event is an IMU sample.
     pub reading: ImuReading,
+    /// The same with less noise at images, see [`History::motion`]; valid where processed.
+    pub motion: Motion,
     /// Process noise of the step to this entry; valid where processed.
     pub noise: ProcessNoise,
     /// State after the event; valid where processed.
@@ -153,7 +158,8 @@ impl History {
             if self.store.len() < CAPACITY {
                 self.free.push(self.store.len());
                 let (noise, state) = (ProcessNoise::default(), State::zero());
-                self.store.push(Entry { stamp, event: Event::Set, reading, noise, state });
+                let (event, motion) = (Event::Set, Motion::from(reading));
+                self.store.push(Entry { stamp, event, reading, motion, noise, state });
             } else {
                 self.overflows += 1;
                 self.drop_first();
@@ -165,6 +171,7 @@ impl History {
                 entry.stamp = stamp;
                 entry.event = event;
                 entry.reading = reading;
+                entry.motion = reading.into();
             }
             self.order.insert(place, slot);
             self.processed = self.processed.min(place);
@@ -205,6 +212,36 @@ impl History {
         (place..self.order.len())
             .filter_map(|i| self.get(i))
             .find(|n| matches!(n.event, Event::Imu { .. }))
+    }
+
+    /// Returns the motion at an entry with less noise than a single reading, and half the width of
+    /// the mean that it is, s: the triangular mean of the readings before and after it.
+    ///
+    /// It reaches as far before the entry as after it. A mean of past readings alone would have the
+    /// noise in common with the attitude that they were integrated to.
+    pub fn motion(&self, place: usize) -> Option<(Motion, f64)> {
+        let at = self.get(place)?.stamp;
+        let imu = |p: &usize| self.get(*p).filter(|entry| matches!(entry.event, Event::Imu { .. }));
+        let distance = |entry: &Entry| entry.stamp.seconds_since(at);
+        let newest = (place..self.order.len()).rev().find_map(|p| imu(&p))?;
+        let half = SMOOTHING.min(distance(newest));
+        let before = (0..place).rev().filter_map(|p| imu(&p));
+        let after = (place..self.order.len()).filter_map(|p| imu(&p));
+        let near = |entry: &&Entry| distance(entry).abs() < half;
+        let mut sum = ImuReading::default();
+        let (mut weights, mut sides) = (0.0, [0; 2]);
+        for entry in before.take_while(near).chain(after.take_while(near)) {
+            let weight = 1.0 - distance(entry).abs() / half;
+            sum.specific_force += entry.reading.specific_force * weight;
+            sum.angular_velocity += entry.reading.angular_velocity * weight;
+            weights += weight;
+            sides[usize::from(distance(entry) > 0.0)] += 1;
+        }
+        let mean = ImuReading {
+            specific_force: sum.specific_force / weights,
+            angular_velocity: sum.angular_velocity / weights,
+        };
+        (sides[0] > 0 && sides[1] > 0).then(|| (mean.into(), half))
     }
 
     /// Returns the last IMU sample, or set state, before a place.

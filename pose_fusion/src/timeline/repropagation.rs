@@ -5,7 +5,7 @@ use super::{
     history::{Entry, Event, History},
 };
 use crate::{
-    adaptation::disturbances::Disturbances,
+    adaptation::{disturbances::Disturbances, imu_noise::Densities},
     config::TightConfig,
     ekf::propagation::{ImuReading, ProcessNoise, propagate},
     measurements::{
@@ -31,6 +31,8 @@ pub struct Context<'a> {
     pub disturbances: &'a Disturbances,
     /// Rope with the climber's height and tilt, where it is known.
     pub rope: Option<(Rope, ClimberRest)>,
+    /// Share of the motion's changes between images that is noise.
+    pub noise_of_changes: Densities,
     /// Mean time between IMU samples, s.
     pub imu_period: f64,
     /// Markers are compared and not used.
@@ -56,6 +58,8 @@ pub enum Step {
         record: ImageInnovation,
         /// Processed for the first time.
         fresh: bool,
+        /// Half the width of the mean that its motion is, s.
+        smoothing: f64,
     },
     /// Encoder reading.
     Encoders {
@@ -79,6 +83,8 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
         return None;
     }
     let drive = Drive::of(history, place);
+    let is_image = matches!(history.get(place)?.event, Event::Image { .. });
+    let smoothed = if is_image { history.motion(place) } else { None };
     let (from, to) = history.step(place)?;
     let gravity = context.config.gravity;
     let dt = to.stamp.seconds_since(from.stamp);
@@ -93,6 +99,7 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
                 to.reading = uniform;
             }
             noise = dropout::blind(&noise);
+            to.motion = to.reading.into();
             (uniform, uniform)
         }
         Source::Held { reading, seconds } => {
@@ -100,6 +107,7 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
                 to.reading = reading;
             }
             noise = dropout::extrapolated(&noise, seconds);
+            to.motion = to.reading.into();
             (reading, reading)
         }
         Source::Interpolated { share, next, gap } => {
@@ -109,6 +117,9 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
             if let Some(seconds) = gap {
                 noise = dropout::interpolated(&noise, seconds);
             }
+            to.motion = smoothed.map_or(to.reading.into(), |(motion, _)| motion);
+            let Densities { force, rate } = context.noise_of_changes;
+            noise.change = to.motion.change_since(&from.motion, [force, rate]);
             (from.reading, to.reading)
         }
     };
@@ -117,7 +128,10 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
     propagate(&mut to.state, &start.0, &start.1, dt, gravity, &noise);
     let unseen = from.state.since_marker;
     let blind = !matches!(drive.source, Source::Interpolated { gap: None, .. });
-    let step = apply(to, unseen, blind, context);
+    let mut step = apply(to, unseen, blind, context);
+    if let (Step::Image { smoothing, .. }, Some((_, half_width))) = (&mut step, smoothed) {
+        *smoothing = half_width;
+    }
     history.set_processed(place + 1);
     Some((place, step))
 }
@@ -144,7 +158,13 @@ fn apply(entry: &mut Entry, unseen: f64, blind: bool, context: &Context<'_>) -> 
             let gates = Gates { marker: config.markers.gate, joint: 1.0 };
             let (geometry, apply) = (context.geometry, !context.frozen);
             let record = markers::update(state, geometry, image, reading, &gates, gravity, apply);
-            Step::Image { stamp: *stamp, image: *image, record, fresh: std::mem::take(fresh) }
+            Step::Image {
+                stamp: *stamp,
+                image: *image,
+                record,
+                fresh: std::mem::take(fresh),
+                smoothing: 0.0,
+            }
         }
         Event::Encoders { reading: encoder, excluded, fresh } => {
             let offset = config.clock.climber_offset;
@@ -160,7 +180,7 @@ fn apply(entry: &mut Entry, unseen: f64, blind: bool, context: &Context<'_>) -> 
 /// Where the readings of a step come from, and the IMU's noise in it.
 struct Drive {
     source: Source,
-    noise: crate::adaptation::imu_noise::Densities,
+    noise: Densities,
 }
 
 enum Source {
