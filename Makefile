@@ -190,8 +190,9 @@ arm64-test: deb-arm64
 	VOLANT_OTHER="qemu-aarch64-static -L $(CURDIR)/$(ARM64) $(CURDIR)/$(ARM64_BUILT)/volant" \
 	  $(CARGO) test --release --workspace --test other_build -- --ignored --nocapture
 
-# As root, with debootstrap: about a minute and 400 MB in target/debian/root.
+# As root: about a minute and 400 MB in target/debian/root.
 deb-test: deb
+	@launch_config/setup/install-debian-packages launch_config/setup/debian-packages-deb.txt
 	rm -rf target/debian/root
 	launch_config/setup/try-deb $(CURDIR)/target/debian/root $$(ls -t target/debian/volant_*.deb | head -n 1)
 
