@@ -119,6 +119,7 @@ impl RosArguments {
     }
 
     /// Where the log goes besides `/rosout`.
+    #[cfg(feature = "dds")]
     pub(crate) fn log_outputs(&self) -> &LogOutputs {
         &self.outputs
     }

@@ -291,3 +291,46 @@ fn every_relative_link_leads_to_a_file() {
     }
     assert!(broken.is_empty(), "{}", broken.join("\n"));
 }
+
+/// Functions below a crate's `tests` that are tests, each as `path::name`.
+fn tests_below(folder: &Path, found: &mut Vec<String>) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    for path in entries.map(|entry| entry.unwrap().path()) {
+        if path.is_dir() {
+            tests_below(&path, found);
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            let text = fs::read_to_string(&path).unwrap();
+            let after = text.split("#[test]").skip(1).filter_map(|t| t.split_once("fn "));
+            let names = after.filter_map(|(_, t)| t.split_once('('));
+            found.extend(names.map(|(name, _)| format!("{}::{name}", path.display())));
+        }
+    }
+}
+
+/// `cargo test` with a filter that selects nothing succeeds.
+#[test]
+fn every_command_of_the_verification_page_selects_a_test() {
+    let mut all = Vec::new();
+    for entry in fs::read_dir(root()).unwrap() {
+        tests_below(&entry.unwrap().path().join("tests"), &mut all);
+    }
+    let page = read("docs/src/verification.md");
+    let mut commands = 0;
+    for command in page.split('`').skip(1).step_by(2) {
+        for selected in command.split("--test ").skip(1) {
+            let mut words = selected.split_whitespace().take_while(|word| !word.starts_with('-'));
+            let target = words.next().unwrap();
+            let filter = words.next().unwrap_or_default();
+            let of_target = |test: &&String| {
+                let test = test.replace('\\', "/");
+                let file = format!("/tests/{target}.rs::");
+                test.contains(&file) || test.contains(&format!("/tests/{target}/"))
+            };
+            let selects =
+                |test: &String| test.rsplit("::").next().is_some_and(|t| t.contains(filter));
+            assert!(all.iter().filter(of_target).any(selects), "`{command}` selects no test");
+            commands += 1;
+        }
+    }
+    assert!(commands > 40, "{commands}");
+}

@@ -13,8 +13,8 @@
 //! white jerk.
 //!
 //! The error is that at the camera's instant (see [`super::state`]): an error of the time offset
-//! means that other readings should have been integrated, `δv' += R (f_to − f_from) δτ` and
-//! `δθ' += R (ω_to − ω_from) δτ`.
+//! means that other readings should have been integrated, `δv' += R Δf δτ` and `δθ' += R Δω δτ`. The
+//! changes `Δf` and `Δω` come with the noise taken out ([`ProcessNoise::change`]).
 
 use super::{
     calibration::Calibration,
@@ -57,12 +57,14 @@ impl ImuReading {
     }
 }
 
-/// Specific force (m/s²) and angular velocity (rad/s) to act on a time offset: no digits, but
-/// space, count.
+/// Specific force (m/s²) and angular velocity (rad/s), IMU axes, whose changes make an error of the
+/// time offset observable. In single precision: the history holds many.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
-    force: Vector3<f32>,
-    rate: Vector3<f32>,
+    /// Specific force, m/s².
+    pub force: Vector3<f32>,
+    /// Angular velocity, rad/s.
+    pub rate: Vector3<f32>,
 }
 
 impl From<ImuReading> for Motion {
@@ -99,8 +101,8 @@ pub struct ProcessNoise {
     pub jerk: Vector3<f64>,
     /// Of the time offset's random walk, s²/s.
     pub time_offset: f64,
-    /// By how much the motion changes in the step, noise left out: an error of the time offset acts
-    /// by it.
+    /// Change of the motion over the step without the share that is noise: the derivative of
+    /// velocity and attitude by the time offset.
     pub change: Motion,
 }
 

@@ -53,9 +53,8 @@ pub(super) struct Start {
     pub(super) time_offset: Option<TimeOffset>,
     /// Time offset with which the pose was initialized, s.
     pub(super) initial_offset: f64,
-    /// Since when the filter's time offset is within reach of a linear correction, and where it was
-    /// then, s.
-    pub(super) settled: (Stamp, f64),
+    /// Where the filter's time offset has stayed since when.
+    pub(super) settled: SettledOffset,
     /// The time offset was known before, and is searched because images contradict it.
     pub(super) searches_again: bool,
     /// Uncertainty of the time offset while it is searched, s, once there is an alignment.
@@ -63,6 +62,14 @@ pub(super) struct Start {
     /// Upward specific force of samples that cannot initialize the pose, m/s².
     pub(super) wrong_gravity: Option<f64>,
     markers_seen: usize,
+}
+
+/// Time offset from which the filter has not moved further than it corrects linearly.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct SettledOffset {
+    pub since: Stamp,
+    /// Offset then, s.
+    pub offset: f64,
 }
 
 impl Start {
@@ -246,7 +253,7 @@ impl Filter {
     /// Puts a state at an instant of the time line and processes what is behind it.
     pub(super) fn begin(&mut self, at: Stamp, state: State, out: &mut VecDeque<Output>) {
         self.start.initial_offset = state.time_offset;
-        self.start.settled = (at, state.time_offset);
+        self.start.settled = SettledOffset { since: at, offset: state.time_offset };
         let place = self.history.place_of(at);
         let before = place.checked_sub(1).and_then(|p| self.history.get(p));
         let reading = match (before, self.history.next_imu(place)) {

@@ -1,7 +1,10 @@
 //! Camera time offset of the filter: searched by alignment ([`crate::initialization::time_offset`])
 //! until it is known.
 
-use super::{Filter, starting::OFFSET_SIGMA};
+use super::{
+    Filter,
+    starting::{OFFSET_SIGMA, SettledOffset},
+};
 use crate::{
     ekf::{propagation::ImuReading, state::TIME_OFFSET},
     health::encoder_trust::Cause,
@@ -55,8 +58,8 @@ impl Filter {
         let c = &self.setup.config;
         let noise = self.imu.densities(&self.setup.rig.imu, c);
         let offset = self.time_offset();
-        if (offset - self.start.settled.1).abs() > OFFSET_LINEAR {
-            self.start.settled = (stamp, offset);
+        if (offset - self.start.settled.offset).abs() > OFFSET_LINEAR {
+            self.start.settled = SettledOffset { since: stamp, offset };
         }
         let found = search.find(
             &geometry.volant_from_imu,
@@ -180,7 +183,7 @@ impl Filter {
         // A filter that came here from far off has errors that its covariance does not contain; they
         // are gone after a while. One that knew its offset restarts only where that is refuted.
         let near = (self.start.initial_offset - found.offset).abs().max(away) < OFFSET_LINEAR;
-        let settled = stamp.seconds_since(self.start.settled.0) > WINDOW
+        let settled = stamp.seconds_since(self.start.settled.since) > WINDOW
             && self.time_offset_sigma().is_some_and(|own| own < KNOWN);
         let agrees = if self.start.searches_again {
             !self.contradicts(&found)

@@ -4,15 +4,17 @@
 //! them in a row the prediction gives way, by the mildest explanation first: encoders that jumped
 //! just before are suspended; else the platform was struck, and the time since the last used image
 //! is re-propagated with the noise of a shock; shocks that follow each other mean that something
-//! else is wrong, and the pose is reinitialized from the image. The same happens where no image was
-//! used for [`STARVED`] seconds.
+//! else is wrong, and the pose is reinitialized from the image. The same happens where images have
+//! done nothing but contradict for [`STARVED`] seconds: a single marker that still passes its gate
+//! keeps no pose that the others contradict.
 //!
 //! Where that happens again and again, no shock explains it: a unit, a sign, a direction or a frame
 //! is wrong, and the pose must not be used.
 
 use rig_model::Stamp;
 
-/// Without a used image for this long a usable image reinitializes the pose, s.
+/// Without an image that did not contradict for this long, the second one in a row that does
+/// reinitializes the pose, s.
 const STARVED: f64 = 0.5;
 /// Encoders that jumped within this time before an image may be what contradicts it, s.
 pub const SUSPECT: f64 = 0.5;
@@ -150,6 +152,27 @@ mod tests {
         assert_eq!(lock_out.note(at(210), 4, 0, 2, false), Response::None);
         assert_eq!(lock_out.note(at(800), 4, 0, 9, false), Response::Reinitialize(at(210)));
         assert_eq!(lock_out.last_used(), Some(at(90)));
+    }
+
+    #[test]
+    fn one_marker_of_three_keeps_no_pose_that_two_contradict() {
+        let at = |image: i64| Stamp::from_nanos(image * 33_000_000);
+        let mut lock_out = LockOut::default();
+        lock_out.initialized(at(0));
+        // Excused, as where the time offset is unknown.
+        let responses = (1..30).map(|image| (image, lock_out.note(at(image), 3, 1, 6, true)));
+        let first = responses.into_iter().find(|(_, response)| *response != Response::None);
+        assert_eq!(first, Some((16, Response::Reinitialize(at(1)))));
+    }
+
+    #[test]
+    fn one_contradiction_after_a_gap_reinitializes_nothing() {
+        let at = |ms: i64| Stamp::from_nanos(ms * 1_000_000);
+        let mut lock_out = LockOut::default();
+        lock_out.initialized(at(0));
+        assert_eq!(lock_out.note(at(600), 4, 1, 6, true), Response::None);
+        assert_eq!(lock_out.note(at(633), 4, 4, 6, true), Response::None);
+        assert_eq!(lock_out.note(at(666), 4, 1, 6, true), Response::None);
     }
 
     #[test]

@@ -12,9 +12,9 @@
 //!
 //! (`t`: lever arm). The weighted squares that are left, `J(τ)`, have their minimum at the offset.
 //! It is accepted where the curvature says that it is known and every other minimum is refuted;
-//! where one window does not tell, the costs of several are added up. Without motion `J` is flat and
-//! nothing is accepted. The image poses come on the climber's clock,
-//! which is the camera's, so that nothing else depends on τ.
+//! where one window does not suffice, the costs of several are added up. Without motion `J` is flat
+//! and nothing is accepted. The image poses come on the climber's clock, which is the camera's, so
+//! that nothing else depends on τ.
 
 use super::preintegration::Preintegrated;
 use crate::{adaptation::imu_noise::Densities, config::ImuConfig, ekf::propagation::ImuReading};
@@ -264,9 +264,10 @@ impl TimeOffsetSearch {
     }
 }
 
+/// `volant_from_imu`, gravity (m/s²), errors of the IMU and its noise.
 type Settings<'a> = (&'a Isometry3<f64>, f64, &'a ImuConfig, &'a Densities);
 
-/// Aligns the window, linearized at `biases`.
+/// Aligns image poses with the IMU's motion, linearized at `biases`.
 fn align(
     poses: &[VisualPose],
     readings: &VecDeque<(Stamp, ImuReading)>,
@@ -299,6 +300,7 @@ fn align(
     })
 }
 
+/// Motion from reading to reading, without the biases.
 fn preintegrate(readings: &VecDeque<(Stamp, ImuReading)>, biases: &Biases) -> Vec<Preintegrated> {
     let mut track: Vec<Preintegrated> = Vec::with_capacity(readings.len());
     for (stamp, reading) in readings {
@@ -529,5 +531,58 @@ impl Alignment<'_> {
         let span = next.stamp.seconds_since(before.stamp);
         let share = stamp.seconds_since(before.stamp) / span;
         Some(before.to(stamp, &before.reading.lerp(&next.reading, share)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A window whose cost is a parabola about `offset` with the standard deviation `sigma`, s.
+    fn window(offset: f64, sigma: f64, scale: f64) -> Aligned {
+        let costs = std::array::from_fn(|i| ((candidate(i) - offset) / sigma).powi(2));
+        Aligned { found: None, biases: Biases::default(), scale, costs }
+    }
+
+    #[test]
+    fn windows_that_do_not_suffice_one_by_one_do_together() {
+        let mut windows = Windows::default();
+        for (k, offset) in [0.052, 0.038, 0.049, 0.041].into_iter().enumerate() {
+            assert_eq!(windows.offset().is_some(), k > 2, "{k}");
+            windows.add(&window(offset, 0.015, 1.0));
+        }
+        let found = windows.offset().unwrap();
+        assert!((found.offset - 0.045).abs() < 1e-6, "{found:?}");
+        assert!((found.sigma - 0.0075).abs() < 1e-6, "{found:?}");
+    }
+
+    #[test]
+    fn flat_costs_bad_fits_and_two_minima_give_no_offset() {
+        // At rest; a bad fit; a minimum beyond the candidates; two minima that fit alike.
+        let flat = window(0.0, 1.0, 1.0);
+        let bad = window(0.05, 0.002, 1.3);
+        let beyond = window(0.31, 0.005, 1.0);
+        let mut two = window(-0.1, 0.005, 1.0);
+        for i in 0..CANDIDATES {
+            two.costs[i] = two.costs[i].min(window(0.1, 0.005, 1.0).costs[i] + 10.0);
+        }
+        // Readings that do not reach some candidates.
+        let mut short = window(0.29, 0.005, 1.0);
+        short.costs[CANDIDATES - 1] = f64::NAN;
+        for (name, wrong) in
+            [("flat", flat), ("bad", bad), ("beyond", beyond), ("two", two), ("short", short)]
+        {
+            let mut windows = Windows::default();
+            windows.add(&wrong);
+            assert_eq!(windows.offset(), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn windows_do_not_overlap() {
+        let mut windows = Windows::default();
+        let due: Vec<i64> =
+            (0..100).filter(|k| windows.is_due(Stamp::from_nanos(k * 100_000_000))).collect();
+        assert_eq!(due, [15, 30, 45, 60, 75, 90]);
     }
 }

@@ -275,6 +275,41 @@ mod tests {
         assert_eq!(history.processed(), 1);
     }
 
+    /// A mean of past readings alone would lag behind a ramp, and share its noise with the attitude.
+    #[test]
+    fn the_motion_at_an_image_reaches_as_far_back_as_samples_follow() {
+        let reading = |ms: i64| ImuReading {
+            specific_force: Vector3::new(0.1 * ms as f64, 0.0, 9.8),
+            angular_velocity: Vector3::new(0.0, 1.0 - 0.02 * ms as f64, 0.0),
+        };
+        for (period, follow, expected) in [
+            (1, 40, Some(0.03)),
+            (10, 40, Some(0.03)),
+            (1, 20, Some(0.02)),
+            (5, 10, Some(0.01)),
+            (1, 0, None),
+            (50, 40, None),
+        ] {
+            let mut history = History::default();
+            for ms in (0..=100 + follow).step_by(period) {
+                let event = Event::Imu { noise: Densities::default(), at_rest: None };
+                history.insert(at(ms), event, reading(ms));
+            }
+            let place = history.insert(at(100), Event::Set, reading(100));
+            let motion = history.motion(place);
+            let half_width = motion.map(|(_, half_width)| half_width);
+            assert_eq!(half_width, expected, "{period} ms, {follow} ms");
+            if let Some((motion, _)) = motion {
+                let exact = Motion::from(reading(100));
+                assert!(
+                    (motion.force - exact.force).amax() < 1e-5,
+                    "{period} {follow}: {motion:?}"
+                );
+                assert!((motion.rate - exact.rate).amax() < 1e-6, "{period} {follow}: {motion:?}");
+            }
+        }
+    }
+
     #[test]
     fn a_full_history_drops_the_oldest_and_counts_it() {
         let mut history = History::default();

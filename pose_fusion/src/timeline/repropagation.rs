@@ -85,6 +85,7 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
     let drive = Drive::of(history, place);
     let is_image = matches!(history.get(place)?.event, Event::Image { .. });
     let smoothed = if is_image { history.motion(place) } else { None };
+    let smoothing = smoothed.map_or(0.0, |(_, half_width)| half_width);
     let (from, to) = history.step(place)?;
     let gravity = context.config.gravity;
     let dt = to.stamp.seconds_since(from.stamp);
@@ -128,16 +129,19 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
     propagate(&mut to.state, &start.0, &start.1, dt, gravity, &noise);
     let unseen = from.state.since_marker;
     let blind = !matches!(drive.source, Source::Interpolated { gap: None, .. });
-    let mut step = apply(to, unseen, blind, context);
-    if let (Step::Image { smoothing, .. }, Some((_, half_width))) = (&mut step, smoothed) {
-        *smoothing = half_width;
-    }
+    let step = apply(to, unseen, blind, smoothing, context);
     history.set_processed(place + 1);
     Some((place, step))
 }
 
 /// Applies the event of an entry whose state has been propagated to it.
-fn apply(entry: &mut Entry, unseen: f64, blind: bool, context: &Context<'_>) -> Step {
+fn apply(
+    entry: &mut Entry,
+    unseen: f64,
+    blind: bool,
+    smoothing: f64,
+    context: &Context<'_>,
+) -> Step {
     let (config, gravity) = (context.config, context.config.gravity);
     let Entry { event, state, reading, noise, .. } = entry;
     match event {
@@ -163,7 +167,7 @@ fn apply(entry: &mut Entry, unseen: f64, blind: bool, context: &Context<'_>) -> 
                 image: *image,
                 record,
                 fresh: std::mem::take(fresh),
-                smoothing: 0.0,
+                smoothing,
             }
         }
         Event::Encoders { reading: encoder, excluded, fresh } => {

@@ -33,7 +33,7 @@ struct Case {
 
 fn case(seed: u64) -> Case {
     let mut r = Random::fork(seed, "rig");
-    // From the camera down to the platform, m; the layout fills a fifth to a half of the image's height.
+    // From the camera down to the platform, m. The layout fills a fifth to a half of the image.
     let distance = logarithmic(&mut r, 0.6, 4.0);
     let (width, height) = pick(&mut r, [(320u32, 240u32), (640, 480), (1280, 720), (1920, 1080)]);
     let focal = f64::from(height) * r.within(0.7, 1.3);
@@ -67,13 +67,27 @@ fn case(seed: u64) -> Case {
     };
     let corners = [corner(1.0, 1.0), corner(-1.0, 1.0), corner(-1.0, -1.0), corner(1.0, -1.0)];
     let q = |q: UnitQuaternion<f64>| format!("[{}, {}, {}, {}]", q.i, q.j, q.k, q.w);
+    let camera_position = [r.within(-0.03, 0.03), r.within(-0.03, 0.03)].map(|x| x * distance);
     let text = format!(
-        "/**:\n  ros__parameters:\n    camera:\n      position: [{:.3}, {:.3}, -{below:.3}]\n      \
-         orientation: {}\n    imu:\n      position: [{:.4}, {:.4}, {:.4}]\n      orientation: {}\n      \
-         accelerometer_noise_density: {accelerometer}\n      gyroscope_noise_density: {gyroscope}\n    \
-         markers:\n      size: {:.4}\n      red: {}\n      green: {}\n      blue: {}\n      yellow: {}\n",
-        0.1 * distance * r.within(-0.3, 0.3),
-        0.1 * distance * r.within(-0.3, 0.3),
+        "/**:
+  ros__parameters:
+    camera:
+      position: [{:.3}, {:.3}, -{below:.3}]
+      orientation: {}
+    imu:
+      position: [{:.4}, {:.4}, {:.4}]
+      orientation: {}
+      accelerometer_noise_density: {accelerometer}
+      gyroscope_noise_density: {gyroscope}
+    markers:
+      size: {:.4}
+      red: {}
+      green: {}
+      blue: {}
+      yellow: {}
+",
+        camera_position[0],
+        camera_position[1],
         q(camera_turn),
         lever.x,
         lever.y,
@@ -110,7 +124,6 @@ fn case(seed: u64) -> Case {
         image_rate,
         climber_rate,
         accelerometer_bias: nominal.accelerometer_bias * 2.0,
-        gyroscope_bias: nominal.gyroscope_bias,
         attitude_error: if r.unit() < 0.5 { 0.0 } else { nominal.attitude_error },
         pixel_noise: logarithmic(&mut r, 0.03, 0.4),
         image_delay: [image_delay, image_delay * 1.3],
@@ -118,16 +131,15 @@ fn case(seed: u64) -> Case {
         imu_delay: [0.001, 0.001 + 0.5 / imu_rate],
         climber_noise: pick(&mut r, [[0.0, 0.0], [5e-4, 5e-4], [2e-3, 2e-3]]),
         climber_delay: [0.002, r.within(0.003, 0.05)],
-        camera_clock_ahead: nominal.camera_clock_ahead,
         ..nominal
     };
     let ahead = r.within(-0.1, 0.1);
     let sensors = SensorConfig { camera_clock_ahead: ahead, climber_clock_ahead: ahead, ..sensors };
     let fisheye = matches!(lens, Distortion::Equidistant(_));
     let about = format!(
-        "{distance:.1} m, {width} px wide, f {focal:.0}{}, {image_rate} Hz, {:.2} px; IMU {imu_rate} \
-         Hz, {accelerometer:.1e}, {gyroscope:.1e}; climber {climber_rate} Hz, {:.2} m/s; offset \
-         {:+.0} ms, swing {:.2}",
+        "{distance:.1} m, {width} px wide, f {focal:.0}{}, {image_rate} Hz, {:.2} px; \
+         IMU {imu_rate} Hz, {accelerometer:.1e}, {gyroscope:.1e}; climber {climber_rate} Hz, \
+         {:.2} m/s; offset {:+.0} ms, swing {:.2}",
         if fisheye { " fisheye" } else { "" },
         sensors.pixel_noise,
         motion.climber_speed,

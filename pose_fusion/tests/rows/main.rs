@@ -159,7 +159,7 @@ fn ten_times_the_noise_and_large_biases_are_estimated() {
         let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
         let best = scoring::score(&outputs.odometry, &run.truth, 10.0);
         println!(
-            "{}  densities {:.4} {:.5}\ntold {best}",
+            "{}  densities {:.4} {:.5}\nwith known densities {best}",
             o.score,
             o.status.densities.force.sqrt(),
             o.status.densities.rate.sqrt()
