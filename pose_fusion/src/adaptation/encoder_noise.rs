@@ -11,6 +11,11 @@ use rig_model::{Stamp, wrap_angle};
 const SMOOTH: f64 = 0.2;
 /// After this time the noise is known, s.
 const YOUNG: f64 = 1.0;
+/// Noise that is assumed beforehand where the steps are finer (m, m, rad; 1 sigma), that of steps of
+/// 1 mm: readings of fine steps may be noisy …
+const ASSUMED: [f64; 3] = [3e-4, 3e-4, 3e-4];
+/// … with the weight of this many differences.
+const ASSUMED_WEIGHT: f64 = 2.0;
 /// Equal readings in a row count as one, up to this number.
 pub const STANDING: f64 = 8.0;
 
@@ -36,8 +41,8 @@ impl EncoderNoise {
             count: 0,
             first: None,
             newest: Stamp::default(),
-            variance: Vector3::zeros(),
-            weight: Vector3::zeros(),
+            variance: Vector3::from(ASSUMED).map(|s| s * s),
+            weight: Vector3::repeat(ASSUMED_WEIGHT),
             floor: steps.map(|q| q * q / 12.0),
             equal: [1.0; 3],
         }
@@ -116,7 +121,7 @@ impl EncoderNoise {
             // The estimate scatters, most while it has few differences; what may be scatter is
             // quantization.
             let scatter = if count >= 15.0 { 1.5 } else { 1.0 + 7.5 / count };
-            if count > 0.0 && found > scatter * self.floor[axis] { found } else { self.floor[axis] }
+            if found > scatter * self.floor[axis] { found } else { self.floor[axis] }
         })
     }
 
@@ -169,6 +174,24 @@ mod tests {
         assert!((found.x.sqrt() / 0.002 - 1.0).abs() < 0.25, "{}", found.x.sqrt());
         assert!((found.y - 1e-6 / 12.0).abs() < 1e-12);
         assert!(!noise.is_young());
+    }
+
+    #[test]
+    fn encoders_of_fine_steps_are_not_trusted_before_their_noise_is_known() {
+        let step = 1e-5;
+        let mut noise = EncoderNoise::new(Vector3::repeat(step));
+        assert!(noise.variance().min() > 8.9e-8, "{}", noise.variance());
+        let mut random = Random::new(2);
+        for (readings, least, most) in [(6, 0.0005, 0.006), (300, 0.0016, 0.0024)] {
+            for i in noise.count..readings {
+                let x = 0.002 * random.normal();
+                let stamp = Stamp::default().plus_seconds(i as f64 * 0.02);
+                noise.add(stamp, &Vector3::new(x, 0.001 * i as f64, 0.0));
+            }
+            let sigmas = noise.variance().map(f64::sqrt);
+            assert!(sigmas.x > least && sigmas.x < most, "{readings}: {sigmas}");
+        }
+        assert!(noise.variance().y.sqrt() < 1e-4, "no noise: {}", noise.variance());
     }
 
     #[test]

@@ -18,7 +18,10 @@ use common::{
     scoring, simulated,
 };
 use nalgebra::{Matrix3, Vector3};
-use pose_fusion::{Fusion, FusionConfig, Input, Odometry};
+use pose_fusion::{
+    Fusion, FusionConfig, Input, Odometry,
+    Warning::{EncoderStep, EncodersFrozen, EncodersSuspended},
+};
 use rig_model::{
     CameraModel, Rig, Stamp,
     score::{Nees, PoseError},
@@ -39,6 +42,8 @@ struct Against {
     nees: [f64; 2],
     /// Instants of the bound without an output.
     missing: usize,
+    /// Warnings that the encoders are wrong.
+    encoder_warnings: usize,
     /// How many squares were summed up.
     samples: f64,
     /// Largest time from an inertial sample's arrival to the newest odometry's stamp, in steps from
@@ -116,6 +121,13 @@ fn against_rig(
             sample_before = Some(s.stamp);
         }
         odometry.extend(outputs.odometry);
+        against.encoder_warnings += outputs
+            .warnings
+            .iter()
+            .filter(|w| {
+                matches!(w, EncodersFrozen { .. } | EncodersSuspended { .. } | EncoderStep { .. })
+            })
+            .count();
     }
     let scene = Scene { motion: &motion, rig, camera, sensors };
     for best in bound::bound(&scene, &recording, &config.tight, 10) {

@@ -10,8 +10,8 @@ const STANDING: usize = 3;
 /// No drive brakes harder than this (m/s², m/s², rad/s²): a climber that stops at once has run into
 /// something, or its encoder is frozen.
 const BRAKES: [f64; 3] = [3.0, 3.0, 2.0];
-/// A climber stops at once where it would have moved by more encoder steps than this.
-const STOPPED_STEPS: f64 = 3.0;
+/// The speed before a stop is that of readings at least this far apart, s.
+const SPEED_SPAN: f64 = 0.03;
 /// Readings that have been equal for this time may be frozen, s.
 pub const STOOD: f64 = 0.2;
 /// Readings leap where they differ by more than this (m, m, rad) beside three sigma of the speed.
@@ -100,34 +100,40 @@ impl ClimberTrack {
         self.stopped = [None; 3];
     }
 
-    /// Looks for an axis that stopped at once, given a reading that is newer than the others: the
-    /// third of equal ones, after two that moved the same way.
+    /// Looks for an axis that stopped at once, given a reading that is newer than the others and at
+    /// least the third of equal ones: every motion that agrees with the readings within one encoder
+    /// step has braked harder than [`BRAKES`], averaged from the middle of the time for which the
+    /// readings moved to the middle of the time for which they are equal.
     pub(super) fn note_stop(&mut self, newest: Stamp, values: &Vector3<f64>) {
         let steps = self.noise.variance().map(|v| (12.0 * v).sqrt());
-        let before = |k: usize| self.readings.get(self.readings.len().checked_sub(k)?);
-        let earlier = [before(1), before(2), before(3), before(4)];
         for axis in 0..3 {
-            let change = |a: f64, b: f64| if axis == 2 { wrap_angle(a - b) } else { a - b };
-            if earlier[0].is_none_or(|(_, last, _)| last[axis] != values[axis]) {
+            let readings = || self.readings.iter().rev();
+            let equal = readings().take_while(|(_, v, _)| v[axis] == values[axis]).count();
+            if equal == 0 {
                 self.stopped[axis] = None;
             }
-            let [Some(copy), Some(first), Some(a), Some(b)] = earlier else { continue };
-            if copy.1[axis] != values[axis] || first.1[axis] != values[axis] {
+            if equal + 1 < STANDING || self.stopped[axis].is_some() {
                 continue;
             }
-            let speed = |to: &(Stamp, Vector3<f64>, _), from: &(Stamp, Vector3<f64>, _)| {
-                change(to.1[axis], from.1[axis]) / to.0.seconds_since(from.0)
+            let before = |later: &Reading| {
+                readings().find(|(at, _, _)| later.0.seconds_since(*at) >= SPEED_SPAN)
             };
-            let (last, previous) = (speed(first, a), speed(a, b));
-            // A drive that brakes already goes on braking.
-            let next = 2.0 * last - previous;
-            let slower = last.abs().min(previous.abs()).min(next.abs());
-            if last * previous > 0.0
-                && last * next > 0.0
-                && slower * newest.seconds_since(first.0) > STOPPED_STEPS * steps[axis]
-                && slower > BRAKES[axis] * copy.0.seconds_since(first.0)
-            {
-                let half = copy.0.seconds_since(first.0) / 2.0;
+            let mut standing = readings().take(equal).rev();
+            let (Some(first), Some(second)) = (standing.next(), standing.next()) else { continue };
+            let Some(moving) = before(first) else { continue };
+            let Some(earlier) = before(moving) else { continue };
+            // The lowest speed between two readings, 0 where they may be equal.
+            let speed = |to: &Reading, from: &Reading| {
+                let way = to.1[axis] - from.1[axis];
+                let way = if axis == 2 { wrap_angle(way) } else { way };
+                way.signum() * (way.abs() - steps[axis]).max(0.0) / to.0.seconds_since(from.0)
+            };
+            let (last, previous) = (speed(first, moving), speed(moving, earlier));
+            let stands = newest.seconds_since(first.0);
+            let braked = last.abs().min(previous.abs()) - steps[axis] / stands;
+            let lasts = newest.seconds_since(moving.0) / 2.0;
+            if last * previous > 0.0 && braked > BRAKES[axis] * lasts {
+                let half = second.0.seconds_since(first.0) / 2.0;
                 self.stopped[axis] = Some(first.0.plus_seconds(half));
             }
         }
@@ -178,6 +184,30 @@ mod tests {
         assert_eq!(stopped(&|t| 0.3 * (t / 0.1).floor() * 0.1, &still), None);
         // Encoders that are set to another value while the climber stands.
         assert_eq!(stopped(&|t| if t < 1.0 { 0.3 } else { 1.3 }, &still), None);
+    }
+
+    #[test]
+    fn a_climber_that_turns_around_has_not_stopped_at_once() {
+        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
+        let mut found = Vec::new();
+        // It brakes as hard as a drive can, or less, and drives back; at each phase of the encoder.
+        for (rate, decel) in [(50, 3.0), (50, 2.0), (100, 2.0), (500, 1.0), (500, 0.2)] {
+            for phase in 0..50 {
+                let turns = 1.0 + f64::from(phase) / 50.0 / f64::from(rate);
+                let mut track = ClimberTrack::new(&ClimberConfig::default());
+                for i in 0..2 * rate {
+                    let t = f64::from(i) / f64::from(rate);
+                    let x = -0.5 * decel * (t - turns).powi(2) + 2e-5 * f64::from(phase);
+                    let values = Vector3::new((x * 1e3).round() * 1e-3, 0.0, 0.0);
+                    track.add(start.plus_seconds(t), values, rest);
+                    if track.stopped_at_once().is_some() {
+                        found.push((rate, decel, phase, t));
+                    }
+                }
+            }
+        }
+        assert_eq!(found, []);
     }
 
     #[test]
