@@ -13,7 +13,7 @@ use common::{
     simulated,
 };
 use nalgebra::Vector3;
-use pose_fusion::{Fusion, FusionConfig, Input};
+use pose_fusion::{Fusion, FusionConfig, Input, Warning};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, parallel, random::Random};
 
 /// Length of a run, s, and of its beginning that does not count.
@@ -150,6 +150,28 @@ fn two_hundred_starts_are_consistent_and_without_steps() {
 
 /// Two publishers 10 m apart, and positions in millimeters: readings that no climber reaches one after
 /// another initialize nothing, and the status names them.
+/// With the first image the velocity is unknown: until the second, the position may become too
+/// uncertain.
+#[test]
+fn a_pose_that_no_second_image_confirmed_is_not_reported_as_lost() {
+    for image_rate in [5.0, 10.0, 25.0] {
+        let sensors = SensorConfig { image_rate, ..SensorConfig::nominal(3) };
+        let run =
+            simulated::run(MotionConfig { duration: 10.0, ..MotionConfig::nominal(3) }, &sensors);
+        for lost_from in [f64::INFINITY, 4.0] {
+            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+            let inputs = run.inputs.iter().map(|(_, input)| input.clone()).filter(|input| {
+                !matches!(input, Input::Markers(m)
+                    if m.stamp.seconds_since(sensors.epoch) > lost_from)
+            });
+            let outputs = scoring::run(&mut fusion, inputs);
+            let lost = |w: &&Warning| matches!(w, Warning::PoseLost { .. });
+            let reported = outputs.warnings.iter().filter(lost).count();
+            assert_eq!(reported, usize::from(lost_from < 5.0), "{image_rate} {lost_from}");
+        }
+    }
+}
+
 #[test]
 fn encoder_readings_that_leap_initialize_no_pose_and_are_reported() {
     // Of a position, and the number of the reading.

@@ -37,8 +37,10 @@ const SILENT: f64 = 0.3;
 /// What is missing.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Silence {
-    /// The pose is LOST.
-    pose_lost: bool,
+    /// A second image confirmed a pose that is not LOST: losing it is worth a warning.
+    confirmed: bool,
+    /// Image from which that pose began.
+    first_image: Option<Stamp>,
     imu_lost: bool,
     /// First IMU sample after it, until an image follows.
     resumed: Option<Stamp>,
@@ -230,12 +232,18 @@ impl Filter {
         self.publisher.silence.imu_lost &= silent;
         self.publisher.silence.resumed = None;
         self.publisher.counts.odometry += 1;
-        let lost = status.state == PoseState::Lost;
-        if lost && !self.publisher.silence.pose_lost {
-            let reason = status.reason.clone();
-            out.push_back(Output::Warning(Warning::PoseLost { stamp: end, reason }));
+        let newest_image = self.lock_out.last_used();
+        let silence = &mut self.publisher.silence;
+        if status.state != PoseState::Lost {
+            silence.first_image = silence.first_image.or(newest_image);
+            silence.confirmed |= status.valid && newest_image != silence.first_image;
+        } else {
+            if silence.confirmed {
+                let reason = status.reason.clone();
+                out.push_back(Output::Warning(Warning::PoseLost { stamp: end, reason }));
+            }
+            (silence.confirmed, silence.first_image) = (false, None);
         }
-        self.publisher.silence.pose_lost = lost;
         out.push_back(Output::Odometry(limited));
         out.push_back(Output::Status(status));
         out.extend(predicted.map(Output::Predicted));
