@@ -1,13 +1,13 @@
 //! Reads a bag into the samples of the batch estimators, refines a rig with them, and checks it.
 
-use crate::replay::{Fed, Feed, ImageTopic};
+use crate::replay::{Fed, Feed, ImageTopic, TopicNames};
 use anyhow::{Context, Result, bail};
 use bag::{BagReader, BagSummary};
 use climber_driver::{Climber, ClimberConfig, JointReading};
 use marker_tracker::{Input, Output, Tracker, TrackerConfig};
 use node_kit::convert;
 use rig_calibration::{Estimate, Recording, Report, Samples, Track, refine_rig};
-use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Rig, Stamp};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Rig, Stamp, topics};
 use std::path::Path;
 use volant_msgs::{
     Message, cdr, geometry_msgs, msg::MarkerObservations as MarkersMessage, sensor_msgs::msg,
@@ -17,12 +17,6 @@ use volant_msgs::{
 /// accuracy of a good recording.
 const SETTLED: f64 = 3e-5;
 const ROUNDS: usize = 4;
-
-/// Topics of a type that have messages.
-fn names(summary: &BagSummary, kind: &str) -> Vec<String> {
-    let found = summary.topics.iter().filter(|(t, n)| *n > 0 && t.type_name == kind);
-    found.map(|(t, _)| t.name.clone()).collect()
-}
 
 fn workers() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
@@ -37,7 +31,7 @@ fn collect(tracker: &mut Tracker, markers: &mut Vec<MarkerObservations>) {
     }
 }
 
-/// Configuration of the cores that a bag is read with.
+/// Configuration of the cores that a bag is read with, and the names of its topics.
 #[derive(Clone, Debug)]
 pub struct Cores {
     /// The tracker's.
@@ -45,46 +39,71 @@ pub struct Cores {
     /// The climber driver's, for a bag with `climber/joint_states` and without
     /// `climber/transform`; or why there is none.
     pub climber: Result<ClimberConfig, String>,
+    /// Names of the topics in the bag.
+    pub names: TopicNames,
 }
 
 impl Cores {
     /// The defaults with a rig file.
     pub fn of(rig: &Rig) -> Self {
         let tracker = TrackerConfig { start_colors: rig.colors, ..TrackerConfig::default() };
-        Self { tracker, climber: Ok(ClimberConfig::default()) }
+        Self { tracker, climber: Ok(ClimberConfig::default()), names: TopicNames::default() }
     }
 }
 
-/// Reads a bag; the markers are tracked again if it holds images.
-///
-/// # Errors
-/// A missing topic, an undecodable message, or an unreadable bag.
-pub fn read_samples(path: &Path, rig: &Rig) -> Result<Samples> {
-    read_with(path, rig, &Cores::of(rig))
+/// Returns the topic of a bag's images.
+fn images_of(bag: &BagSummary, names: &TopicNames) -> Result<Option<ImageTopic>> {
+    let alternatives = [
+        (topics::IMAGE, msg::Image::TYPE_NAME),
+        (topics::COMPRESSED_IMAGE, msg::CompressedImage::TYPE_NAME),
+    ];
+    let found = names.choose(bag, &alternatives)?;
+    let kinds = [ImageTopic::Raw, ImageTopic::Compressed];
+    Ok(found.map(|(place, name)| kinds[place](name)))
 }
 
-fn read_with(path: &Path, rig: &Rig, cores: &Cores) -> Result<Samples> {
+/// Reads camera and markers of a bag; the markers are tracked again if it holds images.
+///
+/// # Errors
+/// No `camera_info`, several topics of a type of which none has the rig's name, an undecodable
+/// message, or an unreadable bag.
+pub fn read_markers(
+    path: &Path,
+    rig: &Rig,
+    cores: &Cores,
+) -> Result<(CameraModel, Vec<MarkerObservations>)> {
+    let samples = read(path, rig, cores, false)?;
+    Ok((samples.camera, samples.markers))
+}
+
+/// Reads a bag; with `motion`, also what IMU and encoders measured.
+fn read(path: &Path, rig: &Rig, cores: &Cores, motion: bool) -> Result<Samples> {
     let shown = path.display();
     let summary = BagReader::summary(path)?;
-    let images = ImageTopic::of(&summary, None);
-    let wanted = [
-        msg::CameraInfo::TYPE_NAME,
-        MarkersMessage::TYPE_NAME,
-        msg::Imu::TYPE_NAME,
-        geometry_msgs::msg::TransformStamped::TYPE_NAME,
-        msg::JointState::TYPE_NAME,
-    ];
-    let has_transforms =
-        !names(&summary, geometry_msgs::msg::TransformStamped::TYPE_NAME).is_empty();
-    let has_joints = !has_transforms && !names(&summary, msg::JointState::TYPE_NAME).is_empty();
-    let mut driver = match &cores.climber {
-        _ if !has_joints => None,
-        Ok(config) => Some(Climber::new(config.clone()).with_context(|| format!("{shown}"))?),
-        Err(reason) => {
-            bail!("{shown}: climber/joint_states is converted by climber_driver: {reason}")
-        }
+    let choose = |alternatives: &[_]| {
+        cores.names.choose(&summary, alternatives).with_context(|| shown.to_string())
     };
-    let wanted = wanted.iter().flat_map(|kind| names(&summary, kind)).collect();
+    let images = images_of(&summary, &cores.names).with_context(|| shown.to_string())?;
+    let mut wanted = vec![
+        choose(&[(topics::CAMERA_INFO, msg::CameraInfo::TYPE_NAME)])?,
+        choose(&[(topics::MARKERS, MarkersMessage::TYPE_NAME)])?,
+    ];
+    let mut driver = None;
+    if motion {
+        let climber = choose(&[
+            (topics::CLIMBER_TRANSFORM, geometry_msgs::msg::TransformStamped::TYPE_NAME),
+            (topics::JOINT_STATES, msg::JointState::TYPE_NAME),
+        ])?;
+        driver = match &cores.climber {
+            _ if !matches!(climber, Some((1, _))) => None,
+            Ok(config) => Some(Climber::new(config.clone()).with_context(|| shown.to_string())?),
+            Err(reason) => {
+                bail!("{shown}: climber/joint_states is converted by climber_driver: {reason}")
+            }
+        };
+        wanted.extend([choose(&[(topics::IMU, msg::Imu::TYPE_NAME)])?, climber]);
+    }
+    let wanted = wanted.into_iter().flatten().map(|(_, name)| name).collect();
     let has_images = images.is_some();
     let mut feed = Feed::start(path, images, wanted, workers())?;
     let mut tracker = Tracker::new(rig.markers.clone(), cores.tracker.clone());
@@ -139,15 +158,16 @@ fn read_with(path: &Path, rig: &Rig, cores: &Cores) -> Result<Samples> {
 /// Tracks the markers in the images of a bag, or in its first `limit` images.
 ///
 /// # Errors
-/// An unreadable bag.
+/// An unreadable bag, or several topics with images of which none has the rig's name.
 pub fn track_bag(
     path: &Path,
     layout: &MarkerLayout,
     config: &TrackerConfig,
     camera: &CameraModel,
     limit: Option<usize>,
+    names: &TopicNames,
 ) -> Result<Vec<MarkerObservations>> {
-    let images = ImageTopic::of(&BagReader::summary(path)?, None);
+    let images = images_of(&BagReader::summary(path)?, names)?;
     let mut feed = Feed::start(path, images, vec![], workers())?;
     let mut tracker = Tracker::new(layout.clone(), config.clone());
     tracker.handle(Input::Camera(camera.clone()));
@@ -167,12 +187,12 @@ pub fn track_bag(
 /// Checks a rig's files against a bag.
 ///
 /// # Errors
-/// As [`read_samples`] and [`rig_calibration::check`].
+/// As [`read_markers`] and [`rig_calibration::check`].
 pub fn check_bag(bag: &Path, rig: &Rig, cores: &Cores) -> Result<Report> {
-    let samples = read_with(bag, rig, cores)?;
-    let has_images = ImageTopic::of(&BagReader::summary(bag)?, None).is_some();
+    let samples = read(bag, rig, cores, true)?;
+    let has_images = images_of(&BagReader::summary(bag)?, &cores.names)?.is_some();
     let mut track = |layout: &MarkerLayout, camera: &CameraModel, limit| {
-        track_bag(bag, layout, &cores.tracker, camera, limit).unwrap_or_default()
+        track_bag(bag, layout, &cores.tracker, camera, limit, &cores.names).unwrap_or_default()
     };
     let track: Option<&mut Track<'_>> = if has_images { Some(&mut track) } else { None };
     rig_calibration::check(&samples, rig, track).with_context(|| format!("{}", bag.display()))
@@ -184,12 +204,12 @@ pub fn check_bag(bag: &Path, rig: &Rig, cores: &Cores) -> Result<Report> {
 /// motion does not determine.
 ///
 /// # Errors
-/// As [`read_samples`] and [`refine_rig`].
+/// As [`read_markers`] and [`refine_rig`].
 pub fn refine_from_bag(bag: &Path, rig: &Rig, cores: &Cores, held: &[&str]) -> Result<Estimate> {
     let mut seen_with = rig.clone();
     let mut round = 1;
     loop {
-        let samples = read_with(bag, &seen_with, cores)?;
+        let samples = read(bag, &seen_with, cores, true)?;
         let estimate = Recording::new(&samples)
             .and_then(|recording| refine_rig(&recording, rig, held))
             .with_context(|| format!("{}", bag.display()))?;

@@ -4,11 +4,13 @@
 
 mod simulated;
 
+use bag::{BagReader, BagWriter, WriteOptions};
 use rig_model::{MarkerColor, Rig};
 use rig_simulator::motion::{Motion, MotionConfig};
 use ros_parameters::{ParameterFile, ParameterMap};
 use simulated::{Simulated, resting};
 use std::{
+    collections::HashMap,
     fs,
     path::{Path, PathBuf},
     process::{Command, Output},
@@ -238,4 +240,43 @@ fn climber_finds_names_signs_scales_zeros_and_height() {
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(message.contains("platform"), "{message}");
     assert_eq!(fs::read_to_string(&rig).unwrap(), after);
+}
+
+/// A bag of two rigs: each is read by its namespace, and none is guessed.
+#[test]
+fn a_bag_of_two_rigs_is_checked_by_namespace_and_never_mixed() {
+    let folder = TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let mut bag = BagWriter::create(&path("both.mcap"), WriteOptions::default()).unwrap();
+    for seed in [5, 6] {
+        let simulated = Simulated::new(seed);
+        let alone = path(&format!("{seed}.mcap"));
+        simulated.write(&alone, &simulated.motion(9.0, true), true);
+        let mut reader = BagReader::open(&alone).unwrap();
+        let mut topics = HashMap::new();
+        while let Some(message) = reader.next_message().unwrap() {
+            let mut topic = (*message.topic).clone();
+            topic.name = format!("/rig{seed}{}", topic.name);
+            let id = *topics.entry(topic.name.clone()).or_insert_with(|| bag.add_topic(topic));
+            bag.write(id, message.log_time, message.log_time, &message.data).unwrap();
+        }
+    }
+    bag.finish().unwrap();
+    fs::write(path("rig.yaml"), rig_simulator::RIG_YAML).unwrap();
+    let [both, alone, rig] =
+        ["both.mcap", "6.mcap", "rig.yaml"].map(|n| path(n).display().to_string());
+    for command in
+        [&["check", &both, "--rig", &rig][..], &["calibrate", "rig", &both, "--rig", &rig]]
+    {
+        let output = volant(command);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success(), "{command:?}");
+        assert!(said.contains("/rig5/climber") && said.contains("--namespace"), "{said}");
+        assert!(said.contains("both.mcap"), "{said}");
+    }
+    let expected = volant(&["check", &alone, "--rig", &rig]);
+    let found = volant(&["check", &both, "--rig", &rig, "--namespace", "rig6"]);
+    assert!(!expected.stdout.is_empty());
+    assert_eq!(String::from_utf8_lossy(&found.stdout), String::from_utf8_lossy(&expected.stdout));
+    assert_eq!(found.status.code(), expected.status.code());
 }

@@ -15,7 +15,7 @@ use rig_simulator::{
     motion::{Motion, MotionConfig},
 };
 use std::path::{Path, PathBuf};
-use volant::calibration::track_bag;
+use volant::{calibration::track_bag, replay::TopicNames};
 
 /// A recording with what is needed to track its images again.
 #[derive(Clone, Debug)]
@@ -54,7 +54,8 @@ impl Bench {
         let mut images = None;
         if let Some(camera) = camera {
             let rig = &recording.rig;
-            let markers = track_bag(&bag, &rig.markers, &tracker(rig), &camera, None)?;
+            let names = TopicNames::default();
+            let markers = track_bag(&bag, &rig.markers, &tracker(rig), &camera, None, &names)?;
             if !markers.is_empty() {
                 recording.inputs.retain(|(_, i)| !matches!(i, Input::Markers(_)));
                 let inputs = markers.into_iter().map(|m| (m.stamp, Input::Markers(m)));
@@ -153,7 +154,8 @@ impl Bench {
         let config = tracker(&recording.rig);
         let mut track = |layout: &MarkerLayout, camera: &CameraModel, limit: Option<usize>| {
             let images = self.images.as_deref().unwrap_or(Path::new(""));
-            track_bag(images, layout, &config, camera, limit).unwrap_or_default()
+            track_bag(images, layout, &config, camera, limit, &TopicNames::default())
+                .unwrap_or_default()
         };
         if self.images.is_some() && retrack {
             samples.markers = track(&recording.rig.markers, &samples.camera, None);

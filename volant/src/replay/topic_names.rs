@@ -1,5 +1,6 @@
 //! Names of topics after namespace and remapping.
 
+use bag::BagSummary;
 use std::collections::BTreeMap;
 use thiserror::Error;
 
@@ -10,7 +11,7 @@ pub struct TopicNames {
     remaps: BTreeMap<String, String>,
 }
 
-/// Why a remapping rule is invalid.
+/// Why no topic is chosen.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum TopicNameError {
     /// Not `from:=to`.
@@ -20,6 +21,22 @@ pub enum TopicNameError {
     Remap {
         /// The rule as given.
         text: String,
+    },
+    /// Several topics of a type, and none has the rig's name.
+    #[error(
+        "several topics of {kind}: {}, and none is {resolved}; choose one with --namespace or \
+         --remap {name}:=TOPIC",
+        found.join(", ")
+    )]
+    Several {
+        /// The rig's relative name.
+        name: &'static str,
+        /// Its absolute name.
+        resolved: String,
+        /// Type of the topics.
+        kind: &'static str,
+        /// The topics.
+        found: Vec<String>,
     },
 }
 
@@ -48,6 +65,41 @@ impl TopicNames {
         self.remaps.get(&absolute).cloned().unwrap_or(absolute)
     }
 
+    /// Returns which of a bag's topics with messages serves as one of `alternatives`, given by
+    /// relative name and type: the first that has its name, or else the only one of the first type
+    /// of which there are any. With it, the place of the alternative.
+    ///
+    /// # Errors
+    /// Several topics of that type, and none has a name of `alternatives`.
+    pub fn choose(
+        &self,
+        bag: &BagSummary,
+        alternatives: &[(&'static str, &'static str)],
+    ) -> Result<Option<(usize, String)>, TopicNameError> {
+        let of = |kind: &str| {
+            let topics = bag.topics.iter().filter(|(t, n)| *n > 0 && t.type_name == kind);
+            topics.map(|(t, _)| t.name.clone()).collect::<Vec<_>>()
+        };
+        for (place, (name, kind)) in alternatives.iter().enumerate() {
+            let resolved = self.resolve(name);
+            if of(kind).contains(&resolved) {
+                return Ok(Some((place, resolved)));
+            }
+        }
+        for (place, &(name, kind)) in alternatives.iter().enumerate() {
+            let mut found = of(kind);
+            match found.len() {
+                0 => {}
+                1 => return Ok(found.pop().map(|only| (place, only))),
+                _ => {
+                    let resolved = self.resolve(name);
+                    return Err(TopicNameError::Several { name, resolved, kind, found });
+                }
+            }
+        }
+        Ok(None)
+    }
+
     fn absolute(&self, name: &str) -> String {
         if name.starts_with('/') {
             name.to_owned()
@@ -71,5 +123,39 @@ mod tests {
         assert_eq!(names.resolve("climber/transform"), "/crane");
         assert_eq!(TopicNames::default().resolve("volant/odometry"), "/volant/odometry");
         assert!(TopicNames::new("", &["a=b".into()]).is_err());
+    }
+
+    #[test]
+    fn a_topic_of_another_name_is_chosen_only_where_there_is_one() {
+        let bag = |topics: &[(&str, &str, u64)]| BagSummary {
+            topics: topics.iter().map(|(name, kind, count)| (topic(name, kind), *count)).collect(),
+            ..BagSummary::default()
+        };
+        fn topic(name: &str, kind: &str) -> bag::Topic {
+            bag::Topic {
+                name: name.to_owned(),
+                type_name: kind.to_owned(),
+                definition: String::new(),
+                message_encoding: "cdr".to_owned(),
+                type_hash: String::new(),
+                offered_qos_profiles: String::new(),
+            }
+        }
+        let alternatives = [("camera/image_raw", "Image"), ("camera/compressed", "Compressed")];
+        let choose = |names: &TopicNames, topics: &[(&str, &str, u64)]| {
+            names.choose(&bag(topics), &alternatives)
+        };
+        let names = TopicNames::default();
+        let rig1 = TopicNames::new("rig1", &[]).unwrap();
+        let two = [("/rig1/camera/image_raw", "Image", 9), ("/rig2/camera/image_raw", "Image", 9)];
+        assert_eq!(choose(&names, &[("/camera/image_raw", "Image", 0)]), Ok(None));
+        assert_eq!(choose(&names, &two[1..]), Ok(Some((0, two[1].0.to_owned()))));
+        assert_eq!(choose(&rig1, &two), Ok(Some((0, two[0].0.to_owned()))));
+        let error = choose(&names, &two).unwrap_err().to_string();
+        assert!(error.contains("/rig1/camera/image_raw, /rig2/camera/image_raw"), "{error}");
+        assert!(error.contains("--remap camera/image_raw:=TOPIC"), "{error}");
+        // The rig's own compressed images count before another's raw ones.
+        let other = [("/other", "Image", 9), ("/camera/compressed", "Compressed", 9)];
+        assert_eq!(choose(&names, &other), Ok(Some((1, other[1].0.to_owned()))));
     }
 }

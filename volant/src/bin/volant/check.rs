@@ -1,7 +1,7 @@
 //! `volant check`.
 
 use crate::{
-    settings::{self, Settings},
+    settings::{self, BagTopics, Settings},
     terminal,
 };
 use anyhow::Context;
@@ -22,6 +22,8 @@ pub struct Arguments {
     /// ROS 2 parameter file of the nodes, in addition to the rig file; repeatable
     #[arg(long, value_name = "FILE")]
     params_file: Vec<PathBuf>,
+    #[command(flatten)]
+    topics: BagTopics,
     /// Write the result as JSON
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -36,8 +38,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<bool> {
         files::check_output(path, arguments.overwrite, &[&arguments.bag, &arguments.rig])?;
     }
     let Settings { rig, tracker, climber, .. } =
-        settings::read(&arguments.rig, &arguments.params_file, "")?;
-    let report = check_bag(&arguments.bag, &rig, &Cores { tracker, climber }).context("check")?;
+        settings::read(&arguments.rig, &arguments.params_file, &arguments.topics.namespace)?;
+    let cores = Cores { tracker, climber, names: arguments.topics.names()? };
+    let report = check_bag(&arguments.bag, &rig, &cores).context("check")?;
     if let Some(path) = &arguments.json {
         let text = serde_json::to_string_pretty(&as_json(&report))? + "\n";
         files::write(path, text.as_bytes(), arguments.overwrite)?;

@@ -1,6 +1,6 @@
 //! `volant evaluate`.
 
-use crate::terminal;
+use crate::{settings::BagTopics, terminal};
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
 use node_kit::{files, out};
@@ -8,12 +8,9 @@ use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
 };
-use volant::{
-    evaluate::{
-        EvaluateOptions, csv, csv_of_many, evaluate, evaluate_many, page, page_of_many, pairs,
-        table, table_of_many,
-    },
-    replay::TopicNames,
+use volant::evaluate::{
+    EvaluateOptions, csv, csv_of_many, evaluate, evaluate_many, page, page_of_many, pairs, table,
+    table_of_many,
 };
 
 #[derive(clap::Args)]
@@ -39,12 +36,8 @@ pub struct Arguments {
     /// Time to skip at the start, s
     #[arg(long, value_name = "SECONDS", default_value_t = 1.0)]
     skip: f64,
-    /// Namespace of the rig's topics
-    #[arg(long, default_value = "")]
-    namespace: String,
-    /// Remap a topic, FROM:=TO; repeatable
-    #[arg(long, value_name = "FROM:=TO")]
-    remap: Vec<String>,
+    #[command(flatten)]
+    topics: BagTopics,
 }
 
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
@@ -56,7 +49,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         estimates: arguments.estimates.clone(),
         truth: arguments.truth.clone(),
         skip: arguments.skip,
-        names: TopicNames::new(&arguments.namespace, &arguments.remap)?,
+        names: arguments.topics.names()?,
     };
     let evaluation = evaluate(&options).context("evaluate")?;
     for loss in &evaluation.losses {
@@ -91,7 +84,7 @@ impl Arguments {
 
 /// Evaluates a folder of runs, in parallel.
 fn run_many(arguments: &Arguments) -> anyhow::Result<()> {
-    let names = TopicNames::new(&arguments.namespace, &arguments.remap)?;
+    let names = arguments.topics.names()?;
     let runs = pairs(&arguments.estimates, &arguments.truth).context("evaluate")?;
     let inputs: Vec<&Path> =
         runs.iter().flat_map(|run| [run.estimates.as_path(), &run.truth]).collect();

@@ -1,7 +1,7 @@
 //! `volant replay`.
 
 use crate::{
-    settings::{self, Settings},
+    settings::{self, BagTopics, Settings},
     terminal,
 };
 use anyhow::Context;
@@ -12,7 +12,7 @@ use std::{
     path::{Path, PathBuf},
     time::Duration,
 };
-use volant::replay::{ReplayOptions, ReplayReport, TopicNames, replay};
+use volant::replay::{ReplayOptions, ReplayReport, replay};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -33,12 +33,8 @@ pub struct Arguments {
     /// Estimator; overrides the parameter files [default: tight]
     #[arg(long, value_enum)]
     model: Option<ModelName>,
-    /// Namespace of the rig's topics in the bag
-    #[arg(long, default_value = "")]
-    namespace: String,
-    /// Remap a topic, FROM:=TO; repeatable
-    #[arg(long, value_name = "FROM:=TO")]
-    remap: Vec<String>,
+    #[command(flatten)]
+    topics: BagTopics,
     /// Compression of the output
     #[arg(long, value_enum, default_value = "zstd")]
     compression: Compression,
@@ -65,7 +61,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         [&arguments.input, &arguments.rig].into_iter().chain(more).map(PathBuf::as_path).collect();
     files::check_output(&arguments.out, arguments.overwrite, &inputs)?;
     let Settings { rig, tracker, mut fusion, climber } =
-        settings::read(&arguments.rig, more, &arguments.namespace)?;
+        settings::read(&arguments.rig, more, &arguments.topics.namespace)?;
     match arguments.model {
         Some(ModelName::Tight) => fusion.model = Model::Tight,
         Some(ModelName::Paper) => fusion.model = Model::Paper,
@@ -88,7 +84,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         output: arguments.out.clone(),
         overwrite: arguments.overwrite,
         fusion,
-        names: TopicNames::new(&arguments.namespace, &arguments.remap)?,
+        names: arguments.topics.names()?,
         compression: arguments.compression,
         workers,
         smooth: arguments.smooth,
@@ -108,7 +104,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     for finding in &report.counts.findings {
         terminal::line(&format!(
             "volant: rig file: {finding}; find the cause with `{}`",
-            check_command(&arguments.input, &arguments.rig, more)
+            check_command(arguments)
         ));
     }
     out!("{}", summary(&report, model, workers))?;
@@ -116,15 +112,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The `volant check` of the same files, quoted for a shell.
-fn check_command(bag: &Path, rig: &Path, parameter_files: &[PathBuf]) -> String {
-    let mut words = vec!["volant".to_owned(), "check".to_owned(), bag.display().to_string()];
-    let rig = std::iter::once(("--rig", rig));
-    let more = parameter_files.iter().map(|file| ("--params-file", file.as_path()));
-    for (option, file) in rig.chain(more) {
-        words.extend([option.to_owned(), file.display().to_string()]);
+/// The `volant check` of the same files and topics, quoted for a shell.
+fn check_command(arguments: &Arguments) -> String {
+    let mut words = vec!["volant".to_owned(), "check".to_owned()];
+    words.push(arguments.input.display().to_string());
+    let mut add = |option: &str, value: String| words.extend([option.to_owned(), value]);
+    add("--rig", arguments.rig.display().to_string());
+    arguments.params_file.iter().for_each(|f| add("--params-file", f.display().to_string()));
+    let topics = &arguments.topics;
+    if !topics.namespace.is_empty() {
+        add("--namespace", topics.namespace.clone());
     }
-    // No path contains a NUL byte.
+    topics.remap.iter().for_each(|remap| add("--remap", remap.clone()));
+    // No argument contains a NUL byte.
     shlex::try_join(words.iter().map(String::as_str)).unwrap_or_else(|_| words.join(" "))
 }
 

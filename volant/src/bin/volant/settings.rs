@@ -16,6 +16,7 @@ use node_kit::{
 use pose_fusion::{FusionConfig, node::FusionNode};
 use rig_model::Rig;
 use std::path::{Path, PathBuf};
+use volant::replay::{TopicNameError, TopicNames};
 
 /// Configuration from the rig file and parameter files.
 pub struct Settings {
@@ -24,6 +25,27 @@ pub struct Settings {
     pub fusion: FusionConfig,
     /// The climber driver's, or why it would not start: a replay may do without it.
     pub climber: Result<ClimberConfig, String>,
+}
+
+/// Where the rig's topics are in a bag.
+#[derive(clap::Args, Default)]
+pub struct BagTopics {
+    /// Namespace of the rig's topics in the bag
+    #[arg(long, default_value = "")]
+    pub namespace: String,
+    /// Remap a topic, FROM:=TO; repeatable
+    #[arg(long, value_name = "FROM:=TO")]
+    pub remap: Vec<String>,
+}
+
+impl BagTopics {
+    /// Returns the names.
+    ///
+    /// # Errors
+    /// A remap without `:=`.
+    pub fn names(&self) -> Result<TopicNames, TopicNameError> {
+        TopicNames::new(&self.namespace, &self.remap)
+    }
 }
 
 /// The files of a rig's nodes, for the nodes of one namespace.

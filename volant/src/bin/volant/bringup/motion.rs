@@ -1,7 +1,10 @@
 //! Steps in which the rig moves: encoders, mountings, clocks.
 
 use super::{Walk, dialog, setup};
-use crate::calibrate::{self, Output};
+use crate::{
+    calibrate::{self, Output},
+    settings::BagTopics,
+};
 use anyhow::Result;
 use nalgebra::Vector3;
 use node_kit::outln;
@@ -90,6 +93,7 @@ pub fn mounting(walk: &mut Walk) -> Result<()> {
         bag,
         rig: walk.rig.clone(),
         hold_camera: jogged,
+        topics: BagTopics::default(),
         output: Output::default(),
     })?;
     let clock = |name: &str| {

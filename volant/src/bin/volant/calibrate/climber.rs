@@ -12,7 +12,7 @@ use rig_model::Rig;
 use ros_parameters::{ParameterFile, ParameterMap, ParameterValue};
 use std::path::{Path, PathBuf};
 use volant::{
-    calibration::read_samples,
+    calibration::{Cores, read_markers},
     parameter_update::{Setting, list, number},
 };
 use volant_msgs::{Message, cdr, sensor_msgs::msg::JointState};
@@ -100,16 +100,16 @@ fn from_bag(
     if joints.is_empty() {
         bail!("{shown}: no sensor_msgs/JointState in it; record climber/joint_states");
     }
-    let samples = read_samples(path, rig)?;
+    let (camera, markers) = read_markers(path, rig, &Cores::of(rig))?;
     // Joints to prefer where two measure the same axis: those in use.
     let names = AXES.map(|axis| match present.get(&format!("joints.{axis}")) {
         Some(ParameterValue::String(name)) => name.as_str(),
         _ => axis,
     });
     let jog = Jog {
-        camera: &samples.camera,
+        camera: &camera,
         rig,
-        markers: &samples.markers,
+        markers: &markers,
         joints: &joints,
         preferred: names,
         platform: arguments.platform,

@@ -1,7 +1,7 @@
 //! `volant calibrate rig`.
 
 use super::Output;
-use crate::settings::{self, Settings};
+use crate::settings::{self, BagTopics, Settings};
 use anyhow::Result;
 use node_kit::outln;
 use rig_calibration::Estimate;
@@ -24,6 +24,8 @@ pub struct Arguments {
     #[arg(long)]
     pub hold_camera: bool,
     #[command(flatten)]
+    pub topics: BagTopics,
+    #[command(flatten)]
     pub output: Output,
 }
 
@@ -32,9 +34,11 @@ pub struct Arguments {
 /// # Errors
 /// See the messages, which name the remedy.
 pub fn run(arguments: &Arguments) -> Result<Estimate> {
-    let Settings { rig, tracker, climber, .. } = settings::read(&arguments.rig, &[], "")?;
+    let namespace = &arguments.topics.namespace;
+    let Settings { rig, tracker, climber, .. } = settings::read(&arguments.rig, &[], namespace)?;
+    let cores = Cores { tracker, climber, names: arguments.topics.names()? };
     let held: &[&str] = if arguments.hold_camera { &["camera turn", "camera place"] } else { &[] };
-    let estimate = refine_from_bag(&arguments.bag, &rig, &Cores { tracker, climber }, held)?;
+    let estimate = refine_from_bag(&arguments.bag, &rig, &cores, held)?;
     print(&estimate)?;
     arguments.output.update(&arguments.rig, &changes(&estimate))?;
     Ok(estimate)
