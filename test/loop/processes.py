@@ -39,8 +39,10 @@ class Processes:
     def start(self, name, command):
         """Starts a process; its output goes to NAME.log."""
         with open(os.path.join(self.folder, f"{name}.log"), "ab") as log:
+            # In a session of its own: Ctrl-C reaches the loop only, which then calls `stop`.
             self.running[name] = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=self.environment
+                command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=self.environment,
+                start_new_session=True,
             )
 
     def start_node(self, name, port):
@@ -71,8 +73,17 @@ class Processes:
 
     def settled(self, name):
         """Whether a process has read all datagrams and all its threads sleep: it has processed
-        what was sent to it."""
-        process = f"/proc/{self.running[name].pid}"
+        what was sent to it. Raises if it has ended."""
+        try:
+            return self._sleeps(f"/proc/{self.running[name].pid}")
+        except (FileNotFoundError, ProcessLookupError):
+            self.running[name].wait(timeout=1)
+            self.check()
+            raise
+
+    @staticmethod
+    def _sleeps(process):
+        """`settled` for a process given by its folder in /proc."""
         sockets = set()
         for entry in os.scandir(f"{process}/fd"):
             try:
