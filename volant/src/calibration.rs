@@ -84,10 +84,11 @@ fn read(path: &Path, rig: &Rig, cores: &Cores, motion: bool) -> Result<Samples> 
         cores.names.choose(&summary, alternatives).with_context(|| shown.to_string())
     };
     let images = images_of(&summary, &cores.names).with_context(|| shown.to_string())?;
-    let mut wanted = vec![
-        choose(&[(topics::CAMERA_INFO, msg::CameraInfo::TYPE_NAME)])?,
-        choose(&[(topics::MARKERS, MarkersMessage::TYPE_NAME)])?,
-    ];
+    let has_images = images.is_some();
+    let mut wanted = vec![choose(&[(topics::CAMERA_INFO, msg::CameraInfo::TYPE_NAME)])?];
+    if !has_images {
+        wanted.push(choose(&[(topics::MARKERS, MarkersMessage::TYPE_NAME)])?);
+    }
     let mut driver = None;
     if motion {
         let climber = choose(&[
@@ -104,7 +105,6 @@ fn read(path: &Path, rig: &Rig, cores: &Cores, motion: bool) -> Result<Samples> 
         wanted.extend([choose(&[(topics::IMU, msg::Imu::TYPE_NAME)])?, climber]);
     }
     let wanted = wanted.into_iter().flatten().map(|(_, name)| name).collect();
-    let has_images = images.is_some();
     let mut feed = Feed::start(path, images, wanted, workers())?;
     let mut tracker = Tracker::new(rig.markers.clone(), cores.tracker.clone());
     let (mut camera, mut markers) = (None, vec![]);
@@ -121,7 +121,7 @@ fn read(path: &Path, rig: &Rig, cores: &Cores, motion: bool) -> Result<Samples> 
                     let model = convert::camera_model(&info).with_context(what)?;
                     tracker.handle(Input::Camera(model.clone()));
                     camera = Some(model);
-                } else if kind == MarkersMessage::TYPE_NAME && !has_images {
+                } else if kind == MarkersMessage::TYPE_NAME {
                     let observed: MarkersMessage = cdr::from_bytes(data).with_context(what)?;
                     markers.push(convert::marker_observations(&observed).with_context(what)?);
                 } else if kind == msg::Imu::TYPE_NAME {
@@ -150,7 +150,11 @@ fn read(path: &Path, rig: &Rig, cores: &Cores, motion: bool) -> Result<Samples> 
         collect(&mut tracker, &mut markers);
     }
     let camera = camera.with_context(|| {
-        format!("{shown}: no camera_info in it; record climber/camera/camera_info too")
+        let topic = cores.names.resolve(topics::CAMERA_INFO);
+        format!(
+            "{shown}: no camera_info in it; record {topic} too, or name the rig's topics with \
+             --namespace or --remap"
+        )
     })?;
     Ok(Samples { camera, markers, imu, climber })
 }

@@ -265,15 +265,19 @@ fn a_bag_of_two_rigs_is_checked_by_namespace_and_never_mixed() {
     fs::write(path("rig.yaml"), rig_simulator::RIG_YAML).unwrap();
     let [both, alone, rig] =
         ["both.mcap", "6.mcap", "rig.yaml"].map(|n| path(n).display().to_string());
-    for command in
-        [&["check", &both, "--rig", &rig][..], &["calibrate", "rig", &both, "--rig", &rig]]
-    {
-        let output = volant(command);
+    for command in [&["check"][..], &["calibrate", "rig"], &["calibrate", "climber"]] {
+        let output = volant(&[command, &[&both, "--rig", &rig]].concat());
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!output.status.success(), "{command:?}");
         assert!(said.contains("/rig5/climber") && said.contains("--namespace"), "{said}");
         assert!(said.contains("both.mcap"), "{said}");
     }
+    let missing = volant(&["check", &both, "--rig", &rig, "--namespace", "rig7"]);
+    let said = String::from_utf8_lossy(&missing.stderr).into_owned();
+    assert!(
+        !missing.status.success() && said.contains("/rig7/climber/camera/camera_info"),
+        "{said}"
+    );
     let expected = volant(&["check", &alone, "--rig", &rig]);
     let found = volant(&["check", &both, "--rig", &rig, "--namespace", "rig6"]);
     assert!(!expected.stdout.is_empty());

@@ -34,13 +34,14 @@ const RESUMING: f64 = 0.3;
 /// Without a pose for longer than this a status alone is published, s.
 const SILENT: f64 = 0.3;
 
+/// A pose is not reported as lost while its second image is expected, s.
+const SECOND_IMAGE: f64 = 1.0;
+
 /// What is missing.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Silence {
-    /// A second image confirmed a pose that is not LOST: losing it is worth a warning.
-    confirmed: bool,
-    /// Image from which that pose began.
-    first_image: Option<Stamp>,
+    /// That the pose is LOST was reported.
+    pose_lost: bool,
     imu_lost: bool,
     /// First IMU sample after it, until an image follows.
     resumed: Option<Stamp>,
@@ -232,18 +233,15 @@ impl Filter {
         self.publisher.silence.imu_lost &= silent;
         self.publisher.silence.resumed = None;
         self.publisher.counts.odometry += 1;
-        let newest_image = self.lock_out.last_used();
-        let silence = &mut self.publisher.silence;
-        if status.state != PoseState::Lost {
-            silence.first_image = silence.first_image.or(newest_image);
-            silence.confirmed |= status.valid && newest_image != silence.first_image;
-        } else {
-            if silence.confirmed {
-                let reason = status.reason.clone();
-                out.push_back(Output::Warning(Warning::PoseLost { stamp: end, reason }));
-            }
-            (silence.confirmed, silence.first_image) = (false, None);
+        let lost = status.state == PoseState::Lost;
+        // Between the first image and the second the velocity is not known yet.
+        let second_due = self.lock_out.last_used() == self.lock_out.initialized_at()
+            && status.image_age < SECOND_IMAGE;
+        if lost && !second_due && !self.publisher.silence.pose_lost {
+            let reason = status.reason.clone();
+            out.push_back(Output::Warning(Warning::PoseLost { stamp: end, reason }));
         }
+        self.publisher.silence.pose_lost = lost && !second_due;
         out.push_back(Output::Odometry(limited));
         out.push_back(Output::Status(status));
         out.extend(predicted.map(Output::Predicted));

@@ -67,7 +67,8 @@ impl TopicNames {
 
     /// Returns which of a bag's topics with messages serves as one of `alternatives`, given by
     /// relative name and type: the first that has its name, or else the only one of the first type
-    /// of which there are any. With it, the place of the alternative.
+    /// of which there are any. With it, the place of the alternative. Where the user gave a
+    /// namespace, or another name for the topic, no other topic serves.
     ///
     /// # Errors
     /// Several topics of that type, and none has a name of `alternatives`.
@@ -87,6 +88,9 @@ impl TopicNames {
             }
         }
         for (place, &(name, kind)) in alternatives.iter().enumerate() {
+            if !self.namespace.is_empty() || self.remaps.contains_key(&self.absolute(name)) {
+                continue;
+            }
             let mut found = of(kind);
             match found.len() {
                 0 => {}
@@ -151,6 +155,11 @@ mod tests {
         assert_eq!(choose(&names, &[("/camera/image_raw", "Image", 0)]), Ok(None));
         assert_eq!(choose(&names, &two[1..]), Ok(Some((0, two[1].0.to_owned()))));
         assert_eq!(choose(&rig1, &two), Ok(Some((0, two[0].0.to_owned()))));
+        // What the user named is not replaced by another rig's.
+        let renamed = TopicNames::new("", &["camera/image_raw:=/front/image_raw".into()]).unwrap();
+        for names in [&rig1, &renamed] {
+            assert_eq!(choose(names, &two[1..]), Ok(None), "{names:?}");
+        }
         let error = choose(&names, &two).unwrap_err().to_string();
         assert!(error.contains("/rig1/camera/image_raw, /rig2/camera/image_raw"), "{error}");
         assert!(error.contains("--remap camera/image_raw:=TOPIC"), "{error}");

@@ -108,7 +108,8 @@ impl ClimberTrack {
         let steps = self.noise.variance().map(|v| (12.0 * v).sqrt());
         for axis in 0..3 {
             let readings = || self.readings.iter().rev();
-            let equal = readings().take_while(|(_, v, _)| v[axis] == values[axis]).count();
+            let recent = readings().take_while(|(at, _, _)| newest.seconds_since(*at) < STOOD);
+            let equal = recent.take_while(|(_, v, _)| v[axis] == values[axis]).count();
             if equal == 0 {
                 self.stopped[axis] = None;
             }

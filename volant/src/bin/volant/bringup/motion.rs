@@ -49,6 +49,7 @@ pub fn encoders(walk: &mut Walk) -> Result<()> {
         node: "/climber_driver".to_owned(),
         platform: Some(platform),
         camera: true,
+        topics: BagTopics::default(),
         output: Output::default(),
     })?;
     for (axis, name) in found.axes.iter().zip(AXES) {

@@ -1,6 +1,7 @@
 //! `volant calibrate climber`: the encoders' names, signs, scales, zeros and height from a jog.
 
 use super::Output;
+use crate::settings::BagTopics;
 use anyhow::{Context, Result, bail};
 use bag::BagReader;
 use nalgebra::{UnitQuaternion, Vector3};
@@ -8,12 +9,13 @@ use node_kit::{convert, outln};
 use rig_calibration::climber::{
     AXES, ClimberCalibration, Jog, JointReadings, Value, calibrate_climber,
 };
-use rig_model::Rig;
+use rig_model::{Rig, topics};
 use ros_parameters::{ParameterFile, ParameterMap, ParameterValue};
 use std::path::{Path, PathBuf};
 use volant::{
     calibration::{Cores, read_markers},
     parameter_update::{Setting, list, number},
+    replay::TopicNames,
 };
 use volant_msgs::{Message, cdr, sensor_msgs::msg::JointState};
 
@@ -50,6 +52,8 @@ pub struct Arguments {
     #[arg(long)]
     pub camera: bool,
     #[command(flatten)]
+    pub topics: BagTopics,
+    #[command(flatten)]
     pub output: Output,
 }
 
@@ -74,7 +78,7 @@ pub fn run(arguments: &Arguments) -> Result<ClimberCalibration> {
     // The update rejects an invalid file; one of comments only is a valid start.
     let present = ParameterFile::parse(&text).unwrap_or_default().for_node(&arguments.node);
     let found = match &arguments.bag {
-        Some(bag) => from_bag(bag, arguments, &rig, &present)?,
+        Some(bag) => from_bag(bag, arguments, &arguments.topics.names()?, &rig, &present)?,
         None => live(arguments, &rig, &present)?,
     };
     print(&found, &present)?;
@@ -92,17 +96,22 @@ pub fn run(arguments: &Arguments) -> Result<ClimberCalibration> {
 fn from_bag(
     path: &Path,
     arguments: &Arguments,
+    names: &TopicNames,
     rig: &Rig,
     present: &ParameterMap,
 ) -> Result<ClimberCalibration> {
     let shown = path.display();
-    let joints = read_joints(path)?;
-    if joints.is_empty() {
-        bail!("{shown}: no sensor_msgs/JointState in it; record climber/joint_states");
-    }
-    let (camera, markers) = read_markers(path, rig, &Cores::of(rig))?;
+    let summary = BagReader::summary(path)?;
+    let topic = names.choose(&summary, &[(topics::JOINT_STATES, JointState::TYPE_NAME)]);
+    let Some((_, topic)) = topic.with_context(|| shown.to_string())? else {
+        let topic = names.resolve(topics::JOINT_STATES);
+        bail!("{shown}: no sensor_msgs/JointState in it; record {topic}");
+    };
+    let joints = read_joints(path, &topic)?;
+    let cores = Cores { names: names.clone(), ..Cores::of(rig) };
+    let (camera, markers) = read_markers(path, rig, &cores)?;
     // Joints to prefer where two measure the same axis: those in use.
-    let names = AXES.map(|axis| match present.get(&format!("joints.{axis}")) {
+    let preferred = AXES.map(|axis| match present.get(&format!("joints.{axis}")) {
         Some(ParameterValue::String(name)) => name.as_str(),
         _ => axis,
     });
@@ -111,20 +120,20 @@ fn from_bag(
         rig,
         markers: &markers,
         joints: &joints,
-        preferred: names,
+        preferred,
         platform: arguments.platform,
     };
     calibrate_climber(&jog).with_context(|| shown.to_string())
 }
 
-fn read_joints(path: &Path) -> Result<Vec<JointReadings>> {
+fn read_joints(path: &Path, topic: &str) -> Result<Vec<JointReadings>> {
     let mut bag = BagReader::open(path)?;
     let mut joints = vec![];
     while let Some(message) = bag.next_message()? {
-        if message.topic.type_name != JointState::TYPE_NAME {
+        if message.topic.name != topic {
             continue;
         }
-        let what = || format!("{}: a message on {}", path.display(), message.topic.name);
+        let what = || format!("{}: a message on {topic}", path.display());
         let state: JointState = cdr::from_bytes(&message.data).with_context(what)?;
         joints.push(JointReadings {
             stamp: convert::stamp(&state.header.stamp),
@@ -158,7 +167,7 @@ fn live(arguments: &Arguments, rig: &Rig, present: &ParameterMap) -> Result<Clim
             absolute::COMPRESSED_IMAGE
         );
     }
-    from_bag(recorded.path(), arguments, rig, present)
+    from_bag(recorded.path(), arguments, &TopicNames::default(), rig, present)
 }
 
 fn settings(found: &ClimberCalibration, node: &str) -> Vec<Setting> {
