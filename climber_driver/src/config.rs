@@ -58,44 +58,38 @@ pub struct JointCalibration {
     pub max_speed: f64,
 }
 
-/// Configuration of [`crate::Climber`].
-#[derive(Clone, Debug, PartialEq)]
-pub struct ClimberConfig {
-    /// One calibration per axis, in the order of [`Axis::ALL`].
-    pub joints: [JointCalibration; 3],
-    /// Height of the climber's origin above the world's, m.
-    pub height: f64,
-    /// Maximum age of a reading on receipt, s.
-    pub max_age: f64,
-    /// Maximum time from receipt to a later stamp, s.
-    pub max_ahead: f64,
-    /// Time without an accepted reading after which the climber counts as silent, s.
-    pub silence_timeout: f64,
-    /// Number of consecutive readings that must be consistent with each other before they are
-    /// accepted after a jump (the encoders were re-zeroed).
-    pub jump_patience: u32,
+ros_parameters::parameters! {
+    /// Configuration of [`crate::Climber`]; each row is a parameter of the node.
+    #[derive(PartialEq)]
+    pub struct ClimberConfig {
+        /// Height of the climber's frame above the world's origin: measure it with a tape, or run
+        /// `volant calibrate climber --platform X,Y,Z`.
+        height: f64 = 0.0, required, unit("m"), range(-100.0..=100.0), live;
+        /// Maximum age of a reading on receipt; an older one is rejected.
+        max_age: f64 = 0.5, unit("s"), range(0.001..=60.0), live;
+        /// Maximum time from receipt to a later stamp; a reading further ahead is rejected.
+        max_ahead: f64 = 0.5, unit("s"), range(0.001..=60.0), live;
+        /// Time without an accepted reading after which the diagnostics report an error.
+        silence_timeout: f64 = 0.5, unit("s"), range(0.01..=60.0), live;
+        /// Number of consecutive readings that must be consistent with each other before they are
+        /// accepted after a jump (the encoders were re-zeroed).
+        jump_patience: u32 = 25, range(2..=100000), live;
+        plain {
+            /// One calibration per axis, in the order of [`Axis::ALL`].
+            joints: [JointCalibration; 3] = Axis::ALL.map(JointCalibration::of);
+        }
+    }
 }
 
-impl Default for ClimberConfig {
-    fn default() -> Self {
-        let joint = |axis: Axis, uncertainty, max_speed| JointCalibration {
+impl JointCalibration {
+    /// Returns the default of an axis: readings in its unit, and its own name.
+    fn of(axis: Axis) -> Self {
+        Self {
             name: axis.name().to_owned(),
             scale: 1.0,
             zero: 0.0,
-            uncertainty,
-            max_speed,
-        };
-        Self {
-            joints: [
-                joint(Axis::RailX, 0.001, 2.0),
-                joint(Axis::RailY, 0.001, 2.0),
-                joint(Axis::Turn, 0.001, 3.0),
-            ],
-            height: 0.0,
-            max_age: 0.5,
-            max_ahead: 0.5,
-            silence_timeout: 0.5,
-            jump_patience: 25,
+            uncertainty: 0.001,
+            max_speed: if axis == Axis::Turn { 3.0 } else { 2.0 },
         }
     }
 }

@@ -31,9 +31,6 @@ node_kit::parameters! {
         zero_y: f64 = 0.0, name("zero.rail_y"), live;
         /// Reading at which the climber's x axis is parallel to the world's.
         zero_turn: f64 = 0.0, name("zero.turn"), live;
-        /// Height of the climber's frame above the world's origin: measure it with a tape, or run
-        /// `volant calibrate climber --platform X,Y,Z`.
-        height: f64 = 0.0, required, unit("m"), range(-100.0..=100.0), live;
         /// Standard deviation of the encoders on x and y; the jump check allows three of them on
         /// top of the speed limit.
         uncertainty: f64 = 0.001,
@@ -47,19 +44,14 @@ node_kit::parameters! {
         /// Limit of the rotation rate; a faster change is rejected.
         max_speed_turn: f64 = 3.0,
             unit("rad/s"), range(0.001..=100.0), name("max_speed.turn"), live;
-        /// Maximum age of a reading on receipt; an older one is rejected.
-        max_age: f64 = 0.5, unit("s"), range(0.001..=60.0), live;
-        /// Maximum time from receipt to a later stamp; a reading further ahead is rejected.
-        max_ahead: f64 = 0.5, unit("s"), range(0.001..=60.0), live;
-        /// Time without an accepted reading after which the diagnostics report an error.
-        silence_timeout: f64 = 0.5, unit("s"), range(0.01..=60.0), live;
-        /// Number of consecutive readings that must be consistent with each other before they are
-        /// accepted after a jump (the encoders were re-zeroed).
-        jump_patience: u32 = 25, range(2..=100000), live;
         /// Publish climber -> camera_optical on /tf_static; false if robot_state_publisher does.
         publish_static_tf: bool = true;
         /// Publish world -> climber on /tf.
         publish_tf: bool = true;
+        groups {
+            /// Configuration of the core, without the joints.
+            core: ClimberConfig;
+        }
     }
     check(p) { p.config().validate().map_err(|e| e.to_string()) }
 }
@@ -86,11 +78,7 @@ impl ClimberParameters {
                     self.max_speed_turn,
                 ),
             ],
-            height: self.height,
-            max_age: self.max_age,
-            max_ahead: self.max_ahead,
-            silence_timeout: self.silence_timeout,
-            jump_patience: self.jump_patience,
+            ..self.core.clone()
         }
     }
 }

@@ -4,7 +4,7 @@
 use crate::{
     clock_fit::ClockFitConfig,
     driver::{Driver, DriverConfig, Event, Sample, Severity, Statistics},
-    protocol::{NumberFormat, Status},
+    protocol::Status,
     serial::{DriverStatus, Port, Report, Runner},
 };
 use nalgebra::Matrix3;
@@ -26,35 +26,12 @@ use volant_msgs::{
 const PATIENCE: f64 = 10.0;
 
 node_kit::parameters! {
-    /// Parameters of the node `imu_driver`, one field each.
+    /// Parameters of the node: those of the core, and what only the node needs.
     pub struct ImuParameters {
         /// Serial port of the IMU; `volant imu find` lists ports.
         port: String = "/dev/ttyUSB0";
-        /// Baud rate; 0 searches at the usual ones.
-        baud: u32 = 115200, range(0..=4000000);
         /// Wait for a port that does not exist at the start, instead of exiting with status 1.
         wait_for_device: bool = false;
-        /// Send two stop bits, which an MTx from before 2008 requires.
-        two_stop_bits: bool = false;
-        /// Sampling rate.
-        rate: f64 = 100.0, unit("Hz"), range(0.01..=512.0);
-        /// Output the orientation estimated by the IMU.
-        orientation: bool = true, name("outputs.orientation");
-        /// Output the magnetic field and publish imu/mag.
-        magnetic_field: bool = true, name("outputs.magnetic_field");
-        /// Output the temperature and publish imu/temperature.
-        temperature: bool = false, name("outputs.temperature");
-        /// Output the status bits: self-test, filter, clipping.
-        status: bool = false, name("outputs.status");
-        /// Number format of the messages: float32, fp12.20, fp16.32 or double.
-        number_format: String = "float32", name("outputs.number_format");
-        /// Do not change the settings of the IMU.
-        leave_settings: bool = false;
-        /// Time from a sample to the arrival of its last bit; negative: transmission time at the
-        /// baud rate.
-        transmission_delay: f64 = -1.0, unit("s"), range(-1.0..=1.0);
-        /// Longest pause between two attempts to find the IMU.
-        longest_pause: f64 = 1.0, unit("s"), range(0.1..=60.0);
         /// Standard deviation of one sample; 0: the rig's noise density times the square root of
         /// the rate.
         accelerometer_stddev: f64 = 0.0, unit("m/s^2"), range(0.0..=100.0), live;
@@ -77,42 +54,10 @@ node_kit::parameters! {
         gyroscope_range: f64 = 0.0, unit("rad/s"), range(0.0..=1000.0), live;
         /// Publish volant -> imu on /tf_static; false if robot_state_publisher does.
         publish_static_tf: bool = true;
-    }
-    check(p) { p.config().and_then(|c| c.check().map_err(|e| e.to_string())) }
-}
-
-impl ImuParameters {
-    /// Configuration of the driver with these values.
-    ///
-    /// # Errors
-    /// `outputs.number_format` is unknown.
-    pub fn config(&self) -> Result<DriverConfig, String> {
-        let number_format = match self.number_format.as_str() {
-            "float32" => NumberFormat::Float32,
-            "fp12.20" => NumberFormat::Fp1220,
-            "fp16.32" => NumberFormat::Fp1632,
-            "double" => NumberFormat::Float64,
-            other => {
-                return Err(format!(
-                    "outputs.number_format is `{other}`; use float32, fp12.20, fp16.32 or double"
-                ));
-            }
-        };
-        Ok(DriverConfig {
-            baud: (self.baud != 0).then_some(self.baud),
-            rate: self.rate,
-            orientation: self.orientation,
-            magnetic_field: self.magnetic_field,
-            temperature: self.temperature,
-            status: self.status,
-            number_format,
-            leave_settings: self.leave_settings,
-            two_stop_bits: self.two_stop_bits,
-            transmission_delay: (self.transmission_delay >= 0.0).then_some(self.transmission_delay),
-            longest_pause: self.longest_pause,
-            clock: ClockFitConfig { patience: PATIENCE, ..ClockFitConfig::default() },
-            ..DriverConfig::default()
-        })
+        groups {
+            /// Configuration of the core.
+            core: DriverConfig;
+        }
     }
 }
 
@@ -143,13 +88,14 @@ impl NodeShell for ImuNode {
         parameters: ImuParameters,
     ) -> Result<Self, NodeError> {
         let rig = context.rig()?;
-        let config = parameters.config().map_err(NodeError::shell)?;
+        let clock = ClockFitConfig { patience: PATIENCE, ..ClockFitConfig::default() };
+        let config = DriverConfig { clock, ..parameters.core.clone() };
+        let (first_baud, two_stop_bits) = (config.first_baud(), config.two_stop_bits);
         let driver = Driver::new(config).map_err(|e| NodeError::shell(e.to_string()))?;
         let data = context.advertise(topics::IMU, QosPreset::Sensor)?;
         let magnetic_field = context.advertise("imu/mag", QosPreset::Sensor)?;
         let temperature = context.advertise("imu/temperature", QosPreset::Sensor)?;
-        let first_baud = if parameters.baud == 0 { 115_200 } else { parameters.baud };
-        let opened = match Port::open(&parameters.port, first_baud, parameters.two_stop_bits) {
+        let opened = match Port::open(&parameters.port, first_baud, two_stop_bits) {
             Ok(port) => Some(port),
             Err(_) if parameters.wait_for_device => None,
             Err(error) => {
@@ -179,7 +125,7 @@ impl NodeShell for ImuNode {
                 || alive.is_open(),
             );
         })?;
-        let per_sample = |density: f64| density * density * parameters.rate;
+        let per_sample = |density: f64| density * density * parameters.core.rate;
         let variances = (
             per_sample(rig.imu.accelerometer_noise_density),
             per_sample(rig.imu.gyroscope_noise_density),

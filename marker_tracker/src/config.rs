@@ -30,38 +30,28 @@ impl Default for BinaryThreshold {
     }
 }
 
-/// Settings of the tracker. The defaults suit any camera and light in which the markers' colors
-/// differ.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TrackerConfig {
-    /// Method; that of a running tracker does not change.
-    pub method: Method,
-    /// Whether the optical flow is used (the paper's first criterion).
-    pub use_flow: bool,
-    /// Whether the hue histogram is used (the paper's second criterion).
-    pub use_hue: bool,
-    /// Number of consecutive images for which a hidden marker is predicted before it is lost.
-    pub max_predicted: u16,
-    /// Whether a hidden marker moves with the platform's rigid motion, or with the mean flow of the
-    /// others (paper, eq. 3).
-    pub rigid_prediction: bool,
-    /// Largest standard deviation of a measured centroid, px.
-    pub max_centroid_sigma: f64,
-    /// Calibrated mean color of each marker's paper, r, g, b of 0–255 (`markers.colors` of the rig
-    /// file); without one, the hue of the marker's name.
-    pub start_colors: PerColor<Option<[f64; 3]>>,
-}
-
-impl Default for TrackerConfig {
-    fn default() -> Self {
-        Self {
-            method: Method::default(),
-            use_flow: true,
-            use_hue: true,
-            max_predicted: 6,
-            rigid_prediction: true,
-            max_centroid_sigma: 0.5,
-            start_colors: PerColor([None; 4]),
+ros_parameters::parameters! {
+    /// Settings of the tracker; each row is a parameter of the node. The defaults suit any camera
+    /// and light in which the markers' colors differ.
+    #[derive(PartialEq)]
+    pub struct TrackerConfig {
+        /// Use the optical flow, the paper's first criterion.
+        use_flow: bool = true, live;
+        /// Use the hue histogram, the paper's second criterion.
+        use_hue: bool = true, live;
+        /// Number of consecutive images for which a hidden marker is predicted before it is lost.
+        max_predicted: u16 = 6, range(0..=100), live;
+        /// Move a hidden marker with the platform's rigid motion; false: with the others' mean flow
+        /// (eq. 3), as method paper does.
+        rigid_prediction: bool = true, live;
+        /// Largest standard deviation of a measured centroid (method outline).
+        max_centroid_sigma: f64 = 0.5, unit("px"), range(0.01..=10.0), live;
+        plain {
+            /// Method; that of a running tracker does not change.
+            method: Method = Method::default();
+            /// Calibrated mean color of each marker's paper, r, g, b of 0–255 (`markers.colors` of
+            /// the rig file); without one, the hue of the marker's name.
+            start_colors: PerColor<Option<[f64; 3]>> = PerColor([None; 4]);
         }
     }
 }

@@ -1,353 +1,270 @@
-//! Configuration of the estimators: every number that is not in the rig file, with its unit.
+//! Configuration of the estimators: every number that is not in the rig file. Each row declares a
+//! ROS parameter of the node and the field that holds it.
 //!
 //! Standard deviations are 1 sigma. Each default names its origin.
 
-use nalgebra::Vector3;
+use ros_parameters::{choices, parameters};
 
-/// Which estimator runs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Model {
-    /// Tightly coupled error-state filter on marker pixels.
-    #[default]
-    Tight,
-    /// Loosely coupled extended Kalman filter as published in 2010.
-    Paper,
-}
-
-/// Visual measurement of the published filter.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum PaperMeasurement {
-    /// Pose from one image: three positions and three rotations.
-    #[default]
-    Pose,
-    /// The markers' coordinates reprojected to the world plane (eq. 8).
-    Markers,
-}
-
-/// Configuration of everything in this crate.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct FusionConfig {
+choices! {
     /// Which estimator runs.
-    pub model: Model,
-    /// Error-state filter.
-    pub tight: TightConfig,
-    /// Published filter.
-    pub paper: PaperConfig,
-    /// Single-image pose: choose between the two planar solutions with the IMU's direction of
-    /// gravity.
-    pub visual_use_gravity: bool,
-    /// When a pose is called valid.
-    pub status: StatusConfig,
-    /// Largest rate of odometry, status and prediction, Hz; 0: that of the IMU.
-    pub publish_rate: f64,
+    pub enum Model {
+        /// Tightly coupled error-state filter on marker pixels.
+        Tight = "tight",
+        /// Loosely coupled extended Kalman filter as published in 2010.
+        Paper = "paper",
+    }
 }
 
-/// Configuration of the error-state filter.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TightConfig {
-    /// Gravity, m/s².
-    pub gravity: f64,
-    /// How far back delayed measurements are accepted, s.
-    pub history: f64,
-    /// IMU errors.
-    pub imu: ImuConfig,
+choices! {
+    /// Visual measurement of the published filter.
+    pub enum PaperMeasurement {
+        /// Pose from one image: three positions and three rotations.
+        Pose = "pose",
+        /// The markers' coordinates reprojected to the world plane (eq. 8).
+        Markers = "markers",
+    }
+}
+
+parameters! {
+    /// Configuration of everything in this crate.
+    #[derive(PartialEq)]
+    pub struct FusionConfig {
+        /// The estimator: tight (error-state filter on pixels) or paper (the published filter).
+        model: Model = Model::Tight;
+        /// Largest rate of odometry, poses, status, tf and prediction, for slow links; 0: that of the
+        /// IMU.
+        publish_rate: f64 = 0.0, unit("Hz"), range(0.0..=1000.0);
+        /// volant/visual_pose with model tight: choose between the two planar solutions with the
+        /// IMU's direction of gravity.
+        visual_use_gravity: bool = false, name("visual_pose.use_gravity");
+        groups {
+            /// Error-state filter.
+            tight: TightConfig;
+            /// When a pose is called valid.
+            status: StatusConfig;
+            /// Published filter.
+            paper: PaperConfig;
+        }
+    }
+}
+
+parameters! {
+    /// Configuration of the error-state filter.
+    #[derive(PartialEq)]
+    pub struct TightConfig {
+        /// Gravity.
+        gravity: f64 = 9.80665, unit("m/s^2"), range(9.0..=10.5);
+        /// How far back delayed measurements are accepted.
+        history: f64 = 0.6, unit("s"), range(0.1..=1.0);
+        /// Velocity of a platform at rest for the zero-velocity update (1 sigma); 0 disables it.
+        zero_velocity_sigma: f64 = 0.002, unit("m/s"), range(0.0..=1.0);
+        /// How far ahead volant/predicted_odometry lies; 0 publishes nothing.
+        prediction_horizon: f64 = 0.0, unit("s"), range(0.0..=1.0);
+        /// With model tight: publish volant/swing.
+        swing: bool = true, name("publish_swing");
+        groups {
+            /// Errors of the IMU.
+            imu: ImuConfig;
+            /// Marker measurements.
+            markers: MarkerConfig;
+            /// Encoders and motion of the climber.
+            climber: ClimberConfig;
+            /// Time offsets.
+            clock: ClockConfig;
+            /// Calibration errors that widen the covariance.
+            calibration: CalibrationSigmas;
+            /// Values beyond which a state is unsound.
+            limits: LimitConfig;
+            /// Rope that the platform hangs on.
+            pendulum: PendulumConfig;
+        }
+    }
+}
+
+parameters! {
+    /// Errors of the IMU.
+    #[derive(PartialEq)]
+    pub struct ImuConfig {
+        // MTx data sheet: 0.02; ten times that for a unit that is not calibrated.
+        /// Initial accelerometer bias (1 sigma).
+        accelerometer_bias: f64 = 0.2, unit("m/s^2"), range(0.0..=10.0),
+            name("imu_bias.accelerometer");
+        /// Random walk of the accelerometer bias.
+        accelerometer_bias_walk: f64 = 3e-4, unit("m/s^2/sqrt(s)"), range(0.0..=1.0),
+            name("imu_bias.accelerometer_walk");
+        // 5°/s, five times the MTx data sheet.
+        /// Initial gyroscope bias (1 sigma).
+        gyroscope_bias: f64 = 0.09, unit("rad/s"), range(0.0..=1.0), name("imu_bias.gyroscope");
+        /// Random walk of the gyroscope bias.
+        gyroscope_bias_walk: f64 = 5e-5, unit("rad/s/sqrt(s)"), range(0.0..=1.0),
+            name("imu_bias.gyroscope_walk");
+        // MTx data sheet: 0.0003.
+        /// Initial scale factor of each axis of the accelerometer, relative (1 sigma).
+        accelerometer_scale: f64 = 0.002, range(0.0..=0.1), name("imu_scale.accelerometer");
+        /// Initial scale factor of each axis of the gyroscope, relative (1 sigma).
+        gyroscope_scale: f64 = 0.003, range(0.0..=0.1), name("imu_scale.gyroscope");
+        // MTx data sheet: 0.1°.
+        /// Initial rotation of gyroscope and accelerometer against the mounting, each axis (1
+        /// sigma).
+        misalignment: f64 = 0.0015, unit("rad"), range(0.0..=0.1), name("imu_scale.misalignment");
+    }
+}
+
+parameters! {
     /// Marker measurements.
-    pub markers: MarkerConfig,
+    #[derive(PartialEq)]
+    pub struct MarkerConfig {
+        /// Pixel error of the lens and marker model, beside the observation's covariance.
+        pixel_floor: f64 = 0.03, unit("px"), range(0.0..=10.0), name("markers.pixel_floor");
+        // 16: 0.9997 quantile of χ².
+        /// Largest normalized innovation squared (2 degrees of freedom) of a marker that is used.
+        gate: f64 = 16.0, range(1.0..=1000.0), name("markers.gate");
+        /// Consecutive images that contradict the prediction, but not themselves, before the
+        /// prediction gives way.
+        lock_out_images: u32 = 2, range(1..=1000), name("markers.lock_out_images");
+    }
+}
+
+parameters! {
     /// Encoders and motion of the climber.
-    pub climber: ClimberConfig,
-    /// Time offsets.
-    pub clock: ClockConfig,
-    /// Calibration errors that widen the covariance.
-    pub calibration: CalibrationSigmas,
-    /// Velocity of a platform at rest (zero-velocity update), m/s; 0 disables the update.
-    pub zero_velocity_sigma: f64,
-    /// Values beyond which a state is unsound.
-    pub limits: LimitConfig,
-    /// How far ahead the predicted odometry lies, s; 0 disables it.
-    pub prediction_horizon: f64,
-    /// The swing relative to the climber is output.
-    pub swing: bool,
-    /// Rope that the platform hangs on.
-    pub pendulum: PendulumConfig,
+    #[derive(PartialEq)]
+    pub struct ClimberConfig {
+        /// Step of the climber's x and y encoders.
+        quantum: f64 = 0.001, unit("m"), range(1e-6..=0.1), name("climber.quantum");
+        /// Step of the climber's turn encoder.
+        turn_quantum: f64 = 0.05 * std::f64::consts::PI / 180.0, unit("rad"), range(1e-7..=0.1),
+            name("climber.turn_quantum");
+        /// Power spectral density of the climber's jerk.
+        jerk: f64 = 0.05, unit("m^2/s^5"), range(1e-9..=1e6), name("climber.jerk");
+        /// Power spectral density of the jerk of the climber's turn.
+        turn_jerk: f64 = 0.01, unit("rad^2/s^5"), range(1e-9..=1e6), name("climber.turn_jerk");
+        /// Encoders that contradict the estimate for this long are adopted (re-homed or slipped).
+        step_timeout: f64 = 3.0, unit("s"), range(0.1..=3600.0), name("climber.step_timeout");
+    }
 }
 
-/// Errors of the IMU.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ImuConfig {
-    /// Initial accelerometer bias, m/s² (MTx data sheet: 0.02; ten times that for a unit that is
-    /// not calibrated).
-    pub accelerometer_bias: f64,
-    /// Random walk of the accelerometer bias, m/s²/√s.
-    pub accelerometer_bias_walk: f64,
-    /// Initial gyroscope bias, rad/s (5°/s, five times the MTx data sheet).
-    pub gyroscope_bias: f64,
-    /// Random walk of the gyroscope bias, rad/s/√s.
-    pub gyroscope_bias_walk: f64,
-    /// Initial scale factor of each axis of the accelerometer, relative (MTx data sheet: 0.0003).
-    pub accelerometer_scale: f64,
-    /// Initial scale factor of each axis of the gyroscope, relative.
-    pub gyroscope_scale: f64,
-    /// Initial rotation of gyroscope and accelerometer against the mounting, each axis, rad (MTx
-    /// data sheet: 0.1°).
-    pub misalignment: f64,
-    /// Smallest uncertainty of the IMU's own roll and pitch, rad.
-    pub attitude_floor: f64,
-    /// Largest factor by which the identified noise may exceed the rig file's density.
-    pub noise_limit: f64,
-    /// Specific force beyond which a reading is rejected, m/s² (largest range of an MTx: 18 g).
-    pub max_force: f64,
-    /// Angular velocity beyond which a reading is rejected, rad/s (largest range of an MTx:
-    /// 2000°/s).
-    pub max_rate: f64,
+parameters! {
+    /// Time offsets between the sensors.
+    #[derive(PartialEq)]
+    pub struct ClockConfig {
+        /// Initial uncertainty of the camera time offset (1 sigma); 0 takes camera and IMU as
+        /// synchronized.
+        camera_sigma: f64 = 0.05, unit("s"), range(0.0..=0.2), name("clock.camera");
+        /// Largest jitter of the image stamps (1 sigma) that is identified from their intervals; 0
+        /// takes them as exact (a hardware trigger at varying intervals).
+        image_jitter: f64 = 0.02, unit("s"), range(0.0..=0.1), name("clock.image_jitter");
+        /// Initial camera time offset: image time + offset = IMU time.
+        camera_offset: f64 = 0.0, unit("s"), range(-1.0..=1.0), name("clock.camera_offset");
+        /// Constant offset of the climber's stamps: encoder time + camera offset + this = IMU time.
+        climber_offset: f64 = 0.0, unit("s"), range(-1.0..=1.0), name("clock.climber_offset");
+    }
 }
 
-/// Marker measurements.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MarkerConfig {
-    /// Pixel error of the lens and marker model beside the observation's covariance, px.
-    pub pixel_floor: f64,
-    /// Smallest pixel sigma accepted from an observation, px.
-    pub pixel_minimum: f64,
-    /// Largest NIS (2 degrees of freedom) of a marker that is used (16: 0.9997 quantile of χ²).
-    pub gate: f64,
-    /// Consecutive images that contradict the prediction, but not themselves, before the prediction
-    /// gives way.
-    pub lock_out_images: u32,
-}
-
-/// Encoders and motion of the climber.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ClimberConfig {
-    /// Step of the x and y encoders, m.
-    pub quantum: f64,
-    /// Step of the turn encoder, rad.
-    pub turn_quantum: f64,
-    /// Power spectral density of the climber's jerk, m²/s⁵.
-    pub jerk: f64,
-    /// Power spectral density of the turn's jerk, rad²/s⁵.
-    pub turn_jerk: f64,
-    /// Encoders that contradict the estimate for this long are adopted (re-homed or slipped), s.
-    pub step_timeout: f64,
-}
-
-/// Time offsets between the sensors.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ClockConfig {
-    /// Initial uncertainty of the camera time offset, s; 0 takes camera and IMU as synchronized.
-    pub camera_sigma: f64,
-    /// Largest standard deviation of the image stamps that is identified from their intervals, s; 0
-    /// takes them as exact.
-    pub image_jitter: f64,
-    /// Initial camera time offset, s (image time + offset = IMU time).
-    pub camera_offset: f64,
-    /// Random walk of the camera time offset, s/√s.
-    pub offset_walk: f64,
-    /// Constant offset of the climber's stamps against the camera's, s (encoder time + camera
-    /// offset + this = IMU time).
-    pub climber_offset: f64,
-}
-
-/// Standard deviations of calibration errors. They widen the published covariance and do not change
-/// the estimate.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CalibrationSigmas {
-    /// Place of each marker on the platform, x and y, m. Where images contradict it, it is
-    /// estimated; 0 takes it as exact.
-    pub marker: f64,
-    /// Focal length, relative.
-    pub focal_length: f64,
-    /// Size of the marker layout, relative.
-    pub layout: f64,
-    /// Orientation of the camera on the climber, each axis, rad.
-    pub mounting: f64,
-    /// Scale of the x and y encoders, relative.
-    pub encoder_scale: f64,
-    /// Time offset of the climber's stamps, s.
-    pub climber_offset: f64,
-}
-
-/// Values beyond which a state is unsound and the filter reinitializes.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LimitConfig {
-    /// Distance of the platform from the climber, m.
-    pub max_range: f64,
-    /// Speed of the platform, m/s.
-    pub max_speed: f64,
-}
-
-/// When a pose is called valid.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StatusConfig {
-    /// Without a used image for this long the pose is COASTING, s.
-    pub max_image_age: f64,
-    /// Largest position sigma of a valid pose, m.
-    pub max_position_sigma: f64,
-    /// Largest rotation sigma of a valid pose, rad.
-    pub max_rotation_sigma: f64,
-    /// Position sigma above which the pose is LOST, m.
-    pub lost_position_sigma: f64,
-}
-
-/// Rope between climber and platform; used while no marker is visible.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PendulumConfig {
-    /// Length from the climber's attachment to the platform's, m; 0 disables the measurement.
-    pub rope_length: f64,
-    /// Uncertainty of the length until images have measured it, m.
-    pub rope_sigma: f64,
-    /// Smallest disturbance of the platform across the rope, each axis, m/s².
-    pub side_force: f64,
-    /// Upper end in the climber's frame, m.
-    pub climber_attachment: Vector3<f64>,
-    /// Lower end in the volant frame, m.
-    pub platform_attachment: Vector3<f64>,
-}
-
-/// Configuration of the published filter.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PaperConfig {
-    /// What corrects the prediction.
-    pub measurement: PaperMeasurement,
-    /// R/Q, the ratio of measurement to process covariance (paper, section III-C: 10).
-    pub ratio: f64,
-    /// Standard deviation behind R of the visual position, or of each marker coordinate, m. With
-    /// poses as measurement only the ratio to Q matters for the estimate.
-    pub position_sigma: f64,
-    /// Standard deviation of the visual rotation behind R, rad; with markers as measurement it
-    /// scales Q alone.
-    pub rotation_sigma: f64,
-    /// Gravity, m/s².
-    pub gravity: f64,
-    /// Threshold control: smaller velocity changes count as none, m/s (paper, section III-A).
-    pub velocity_threshold: f64,
-    /// Takes the inertial velocity from the fused poses; the paper names nothing that corrects it.
-    pub velocity_from_fused: bool,
-}
-
-impl TightConfig {
-    /// Defaults.
-    pub const DEFAULT: Self = Self {
-        gravity: 9.80665,
-        history: 0.6,
-        imu: ImuConfig::DEFAULT,
-        markers: MarkerConfig {
-            pixel_floor: 0.03,
-            pixel_minimum: 0.01,
-            gate: 16.0,
-            lock_out_images: 2,
-        },
-        climber: ClimberConfig::DEFAULT,
-        clock: ClockConfig {
-            camera_sigma: 0.05,
-            image_jitter: 0.02,
-            camera_offset: 0.0,
-            offset_walk: 1e-5,
-            climber_offset: 0.0,
-        },
-        calibration: CalibrationSigmas::DEFAULT,
-        zero_velocity_sigma: 0.002,
-        limits: LimitConfig { max_range: 20.0, max_speed: 10.0 },
-        prediction_horizon: 0.0,
-        swing: true,
-        pendulum: PendulumConfig::DEFAULT,
-    };
-}
-
-impl ImuConfig {
-    /// Defaults.
-    pub const DEFAULT: Self = Self {
-        accelerometer_bias: 0.2,
-        accelerometer_bias_walk: 3e-4,
-        gyroscope_bias: 0.09,
-        gyroscope_bias_walk: 5e-5,
-        accelerometer_scale: 0.002,
-        gyroscope_scale: 0.003,
-        misalignment: 0.0015,
-        attitude_floor: 0.01,
-        noise_limit: 30.0,
-        max_force: 180.0,
-        max_rate: 40.0,
-    };
-}
-
-impl ClimberConfig {
-    /// Defaults.
-    pub const DEFAULT: Self = Self {
-        quantum: 0.001,
-        turn_quantum: 0.05 * std::f64::consts::PI / 180.0,
-        jerk: 0.05,
-        turn_jerk: 0.01,
-        step_timeout: 3.0,
-    };
+parameters! {
+    /// Standard deviations of calibration errors. They widen the published covariance and do not
+    /// change the estimate. The defaults are those of a rig calibrated with `volant calibrate`.
+    #[derive(PartialEq)]
+    pub struct CalibrationSigmas {
+        /// Uncertainty of clock.climber_offset (1 sigma), which widens the covariance.
+        climber_offset: f64 = 0.002, unit("s"), range(0.0..=0.1), name("clock.climber_sigma");
+        /// Error of a marker's place, x and y on the platform (1 sigma), which widens the
+        /// covariance. Where images contradict the places, the filter estimates them; 0 takes them
+        /// as exact.
+        marker: f64 = 0.00004, unit("m"), range(0.0..=0.05), name("calibration.marker_sigma");
+        /// Relative error of the focal length (1 sigma), which widens the covariance.
+        focal_length: f64 = 0.0003, range(0.0..=0.1), name("calibration.focal_length_sigma");
+        /// Relative error of the marker layout's size (1 sigma), which widens the covariance.
+        layout: f64 = 0.0003, range(0.0..=0.1), name("calibration.layout_sigma");
+        /// Orientation error of the camera mounting, each axis (1 sigma), which widens the
+        /// covariance.
+        mounting: f64 = 0.00005, unit("rad"), range(0.0..=0.1), name("calibration.mounting_sigma");
+        /// Relative error of the x and y encoders' scale (1 sigma), which widens the covariance.
+        encoder_scale: f64 = 0.0002, range(0.0..=0.1), name("calibration.encoder_scale_sigma");
+    }
 }
 
 impl CalibrationSigmas {
     /// Sigmas of zero: every file is taken as exact.
     pub const NONE: Self = Self {
+        climber_offset: 0.0,
         marker: 0.0,
         focal_length: 0.0,
         layout: 0.0,
         mounting: 0.0,
         encoder_scale: 0.0,
-        climber_offset: 0.0,
-    };
-    /// Sigmas of a rig calibrated with `volant calibrate`.
-    pub const DEFAULT: Self = Self {
-        marker: 0.00004,
-        focal_length: 0.0003,
-        layout: 0.0003,
-        mounting: 0.00005,
-        encoder_scale: 0.0002,
-        climber_offset: 0.002,
     };
 }
 
-impl StatusConfig {
-    /// Defaults.
-    pub const DEFAULT: Self = Self {
-        max_image_age: 0.2,
-        max_position_sigma: 0.1,
-        max_rotation_sigma: 0.1,
-        lost_position_sigma: 0.2,
-    };
+parameters! {
+    /// Values beyond which a state is unsound and the filter reinitializes.
+    #[derive(PartialEq)]
+    pub struct LimitConfig {
+        /// Distance of the platform from the climber beyond which the estimate is unsound.
+        max_range: f64 = 20.0, unit("m"), range(0.1..=1000.0), name("limits.max_range");
+        /// Speed of the platform beyond which the estimate is unsound.
+        max_speed: f64 = 10.0, unit("m/s"), range(0.1..=100.0), name("limits.max_speed");
+    }
 }
 
-impl PendulumConfig {
-    /// Defaults.
-    pub const DEFAULT: Self = Self {
-        rope_length: 0.0,
-        rope_sigma: 0.02,
-        side_force: 0.1,
-        climber_attachment: Vector3::new(0.0, 0.0, 0.0),
-        platform_attachment: Vector3::new(0.0, 0.0, 0.0),
-    };
+parameters! {
+    /// When a pose is called valid.
+    #[derive(PartialEq)]
+    pub struct StatusConfig {
+        /// Without a used image for this long the pose is COASTING.
+        max_image_age: f64 = 0.2, unit("s"), range(0.01..=60.0), name("status.max_image_age");
+        /// Largest position sigma of a valid pose.
+        max_position_sigma: f64 = 0.1, unit("m"), range(1e-4..=100.0),
+            name("status.max_position_sigma");
+        /// Largest rotation sigma of a valid pose.
+        max_rotation_sigma: f64 = 0.1, unit("rad"), range(1e-4..=3.2),
+            name("status.max_rotation_sigma");
+        /// Position sigma above which the pose is LOST.
+        lost_position_sigma: f64 = 0.2, unit("m"), range(0.001..=100.0), name("lost_position");
+    }
 }
 
-impl PaperConfig {
-    /// Defaults.
-    pub const DEFAULT: Self = Self {
-        measurement: PaperMeasurement::Pose,
-        ratio: 10.0,
-        position_sigma: 0.005,
-        rotation_sigma: 0.01,
-        gravity: 9.80665,
-        velocity_threshold: 1e-5,
-        velocity_from_fused: false,
-    };
+parameters! {
+    /// Rope between climber and platform; used while no marker is visible.
+    #[derive(PartialEq)]
+    pub struct PendulumConfig {
+        /// Rope from the climber's attachment to the platform's, used while no marker is visible; 0
+        /// disables it.
+        rope_length: f64 = 0.0, unit("m"), range(0.0..=100.0), name("pendulum.rope_length");
+        /// Uncertainty of the rope's length (1 sigma) until images have measured it.
+        rope_sigma: f64 = 0.02, unit("m"), range(1e-4..=10.0), name("pendulum.rope_sigma");
+        /// Smallest disturbance of the platform across the rope, each axis (1 sigma).
+        side_force: f64 = 0.1, unit("m/s^2"), range(1e-3..=10.0), name("pendulum.side_force");
+        /// Upper end of the rope in the climber's frame: x, y, z.
+        climber_attachment: [f64; 3] = [0.0; 3], unit("m"), range(-100.0..=100.0),
+            name("pendulum.climber_attachment");
+        /// Lower end of the rope in the volant frame: x, y, z.
+        platform_attachment: [f64; 3] = [0.0; 3], unit("m"), range(-100.0..=100.0),
+            name("pendulum.platform_attachment");
+    }
 }
 
-macro_rules! default_is_const {
-    ($($config:ident)*) => {
-        $(
-            impl Default for $config {
-                fn default() -> Self {
-                    Self::DEFAULT
-                }
-            }
-        )*
-    };
-}
-
-default_is_const! {
-    TightConfig ImuConfig ClimberConfig CalibrationSigmas StatusConfig PendulumConfig PaperConfig
+parameters! {
+    /// Configuration of the published filter.
+    #[derive(PartialEq)]
+    pub struct PaperConfig {
+        /// What corrects the published filter: pose (from one image) or markers (their coordinates
+        /// reprojected to the world plane, eq. 8).
+        measurement: PaperMeasurement = PaperMeasurement::Pose, name("paper.measurement");
+        // With poses as measurement only the ratio to Q matters for the estimate.
+        /// Visual position of the published filter, or each marker coordinate (1 sigma): R.
+        position_sigma: f64 = 0.005, unit("m"), range(1e-6..=10.0), name("paper.position_sigma");
+        // With markers as measurement it scales Q alone.
+        /// Visual rotation of the published filter (1 sigma): R.
+        rotation_sigma: f64 = 0.01, unit("rad"), range(1e-6..=3.2), name("paper.rotation_sigma");
+        // Paper, section III-C.
+        /// R/Q of the published filter: larger trusts the IMU more.
+        ratio: f64 = 10.0, range(1e-6..=1e6), name("paper.ratio");
+        // Paper, section III-A: smaller velocity changes count as none.
+        /// Threshold control of the published filter.
+        velocity_threshold: f64 = 1e-5, unit("m/s"), range(0.0..=1.0),
+            name("paper.velocity_threshold");
+        // The paper names nothing that corrects the inertial velocity.
+        /// Takes the published filter's inertial velocity from the fused poses.
+        velocity_from_fused: bool = false, name("paper.velocity_from_fused");
+    }
 }

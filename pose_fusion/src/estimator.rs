@@ -66,7 +66,9 @@ impl Fusion {
                     config.tight.clone(),
                     config.status.clone(),
                 )),
-                Model::Paper => Estimator::Paper(Paper::new(&rig, config.paper.clone())),
+                Model::Paper => {
+                    Estimator::Paper(Paper::new(&rig, config.paper.clone(), config.tight.gravity))
+                }
             },
             config,
             outputs: VecDeque::with_capacity(256),

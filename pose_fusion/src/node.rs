@@ -2,7 +2,7 @@
 //! records and diagnostics out.
 
 use crate::{
-    Fusion, Input, Output, PoseStatus, RigCheck, Warning, messages,
+    Fusion, Input, Model, Output, PoseStatus, RigCheck, Warning, messages,
     parameters::FusionParameters,
     services::{self, Request},
 };
@@ -117,12 +117,12 @@ impl NodeShell for FusionNode {
             pose: context.advertise(topics::POSE, QosPreset::State)?,
             visual_pose: context.advertise(topics::VISUAL_POSE, QosPreset::State)?,
             status: context.advertise(topics::STATUS, QosPreset::State)?,
-            predicted: if parameters.prediction_horizon > 0.0 {
+            predicted: if parameters.core.tight.prediction_horizon > 0.0 {
                 Some(context.advertise(topics::PREDICTED_ODOMETRY, QosPreset::State)?)
             } else {
                 None
             },
-            swing: if parameters.publish_swing && parameters.model == "tight" {
+            swing: if parameters.core.tight.swing && parameters.core.model == Model::Tight {
                 Some(context.advertise(topics::SWING, QosPreset::State)?)
             } else {
                 None
@@ -170,7 +170,7 @@ impl NodeShell for FusionNode {
         )?;
         services::offer(context, &frames)?;
         Ok(Self {
-            fusion: Fusion::new(rig, parameters.config().map_err(NodeError::shell)?),
+            fusion: Fusion::new(rig, parameters.core.clone()),
             frames,
             parameters,
             publishers,
@@ -224,7 +224,7 @@ impl NodeShell for FusionNode {
         let (imu_age, image_age) = (age(s.newest_imu), age(s.last_used_image));
         let gated = s.counts.gated_markers - self.gated_before.min(s.counts.gated_markers);
         self.gated_before = s.counts.gated_markers;
-        let published = self.parameters.model == "paper";
+        let published = self.parameters.core.model == Model::Paper;
         let starved = s.counts.inputs.images == self.images_before;
         self.images_before = s.counts.inputs.images;
         let limit = self.parameters.silence_timeout;
@@ -243,7 +243,7 @@ impl NodeShell for FusionNode {
             };
             (Health::Error, format!("{what}, for {image_age:.1} s"))
         } else if image_age > limit {
-            let lost = s.position_sigma > self.parameters.lost_position;
+            let lost = s.position_sigma > self.parameters.core.status.lost_position_sigma;
             let health = if lost { Health::Error } else { Health::Warn };
             (
                 health,
@@ -273,7 +273,7 @@ impl NodeShell for FusionNode {
         }
         let (health, message) = self.rejections.report(health, message);
         context.diagnose("filter", health, &message, &diagnostics::values(&s));
-        if self.parameters.model == "tight" {
+        if self.parameters.core.model == Model::Tight {
             let findings = self.rig_check.findings(&s);
             let (health, message) = if findings.is_empty() {
                 (Health::Ok, "nothing contradicts the rig file".to_owned())

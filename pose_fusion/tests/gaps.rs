@@ -256,7 +256,8 @@ fn blind_for(seconds: f64, motion: Swing, ropes: &[(&str, Rope)]) -> Vec<Score> 
             let mut config = FusionConfig::default();
             let pendulum = &mut config.tight.pendulum;
             set(pendulum, rope);
-            pendulum.climber_attachment.z = heights.platform_height + rope - heights.climber_height;
+            pendulum.climber_attachment[2] =
+                heights.platform_height + rope - heights.climber_height;
             let mut fusion = Fusion::new(simulated::rig(), config);
             let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
             for o in outputs.odometry.iter().filter(|o| o.stamp.seconds_since(sensors.epoch) > 12.0)

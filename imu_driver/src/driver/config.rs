@@ -11,58 +11,41 @@ use crate::{
 };
 use thiserror::Error;
 
-/// Configuration of the driver.
-///
-/// One field per parameter of the node, hence their number.
-#[derive(Clone, Debug, PartialEq)]
-pub struct DriverConfig {
-    /// Baud rate; `None`: search at the usual ones.
-    pub baud: Option<u32>,
-    /// Sampling rate, Hz.
-    pub rate: f64,
-    /// Output the orientation estimated by the device.
-    pub orientation: bool,
-    /// Output the magnetic field.
-    pub magnetic_field: bool,
-    /// Output the temperature.
-    pub temperature: bool,
-    /// Output the status bits.
-    pub status: bool,
-    /// Number format of the messages.
-    pub number_format: NumberFormat,
-    /// Do not change the settings of the device.
-    pub leave_settings: bool,
-    /// Only set the device to the baud rate of this code, followed by a reset.
-    pub set_baud: Option<u8>,
-    /// Send two stop bits, which an MTx from before 2008 requires.
-    pub two_stop_bits: bool,
-    /// Time from a sample to the arrival of its last bit, s; `None`: transmission time at the baud
-    /// rate.
-    pub transmission_delay: Option<f64>,
-    /// Longest pause between two attempts to find the device, s.
-    pub longest_pause: f64,
-    /// Parameters of the clock fit.
-    pub clock: ClockFitConfig,
-}
-
-impl Default for DriverConfig {
-    fn default() -> Self {
-        Self {
-            baud: Some(115_200),
-            rate: 100.0,
-            orientation: true,
-            magnetic_field: true,
-            temperature: false,
-            status: false,
-            number_format: NumberFormat::Float32,
-            leave_settings: false,
-            set_baud: None,
-            two_stop_bits: false,
-            transmission_delay: None,
-            longest_pause: 1.0,
-            clock: ClockFitConfig::default(),
+ros_parameters::parameters! {
+    /// Configuration of the driver; each row is a parameter of the node.
+    #[derive(PartialEq)]
+    pub struct DriverConfig {
+        /// Baud rate; 0 searches at the usual ones.
+        baud: u32 = 115200, range(0..=4000000);
+        /// Send two stop bits, which an MTx from before 2008 requires.
+        two_stop_bits: bool = false;
+        /// Sampling rate.
+        rate: f64 = 100.0, unit("Hz"), range(0.01..=512.0);
+        /// Output the orientation estimated by the IMU.
+        orientation: bool = true, name("outputs.orientation");
+        /// Output the magnetic field and publish imu/mag.
+        magnetic_field: bool = true, name("outputs.magnetic_field");
+        /// Output the temperature and publish imu/temperature.
+        temperature: bool = false, name("outputs.temperature");
+        /// Output the status bits: self-test, filter, clipping.
+        status: bool = false, name("outputs.status");
+        /// Number format of the messages: float32, fp12.20, fp16.32 or double.
+        number_format: NumberFormat = NumberFormat::Float32, name("outputs.number_format");
+        /// Do not change the settings of the IMU.
+        leave_settings: bool = false;
+        /// Time from a sample to the arrival of its last bit; negative: transmission time at the
+        /// baud rate.
+        transmission_delay: f64 = -1.0, unit("s"), range(-1.0..=1.0);
+        /// Longest pause between two attempts to find the IMU.
+        longest_pause: f64 = 1.0, unit("s"), range(0.1..=60.0);
+        plain {
+            /// Only set the device to the baud rate of this code, followed by a reset.
+            set_baud: Option<u8> = None;
+            /// Parameters of the clock fit.
+            clock: ClockFitConfig = ClockFitConfig::default();
         }
     }
+    check(config) { config.check().map_err(|e| e.to_string()) }
 }
 
 /// Invalid configuration.
@@ -110,7 +93,7 @@ impl DriverConfig {
         if period_and_skip(self.rate).is_none() {
             return Err(ConfigError::Rate { rate: self.rate });
         }
-        let Some(baud) = self.baud else {
+        let Some(baud) = self.known_baud() else {
             return Ok(());
         };
         if crate::protocol::message::baud_code(baud).is_none() {
@@ -126,7 +109,16 @@ impl DriverConfig {
 
     /// Baud rates in the order of the search.
     pub(super) fn bauds(&self) -> Vec<u32> {
-        self.baud.map_or_else(|| BAUD_SCAN.to_vec(), |baud| vec![baud])
+        self.known_baud().map_or_else(|| BAUD_SCAN.to_vec(), |baud| vec![baud])
+    }
+
+    fn known_baud(&self) -> Option<u32> {
+        (self.baud != 0).then_some(self.baud)
+    }
+
+    /// Baud rate to open the port with.
+    pub fn first_baud(&self) -> u32 {
+        self.known_baud().unwrap_or(115_200)
     }
 
     /// Format to set on a legacy device; always with calibrated data and counter.
@@ -189,7 +181,7 @@ mod tests {
         let error = config.check().unwrap_err().to_string();
         assert!(error.contains("236000 baud"), "{error}");
         assert!(DriverConfig { rate: f64::NAN, ..DriverConfig::default() }.check().is_err());
-        let error = DriverConfig { baud: Some(12_345), ..config }.check().unwrap_err().to_string();
+        let error = DriverConfig { baud: 12_345, ..config }.check().unwrap_err().to_string();
         assert!(error.contains("12345") && error.contains("115200"), "{error}");
     }
 }

@@ -137,7 +137,8 @@ impl Driver {
             return stream.time.pass(&m);
         }
         // With a delay below the transmission time, the begin of the message is not known.
-        let delay = self.config.transmission_delay.unwrap_or(on_the_wire);
+        let given = self.config.transmission_delay;
+        let delay = if given < 0.0 { on_the_wire } else { given };
         let ready = match begun {
             Some(begun) if delay >= on_the_wire => begun.plus_seconds(on_the_wire - delay),
             _ => arrival.plus_seconds(-delay),

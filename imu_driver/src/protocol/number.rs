@@ -1,17 +1,18 @@
 //! The four number formats of the protocol, and a bounds-checked reader.
 
-/// Number format: OutputSettings bits 9:8, MTData2 identifier bits 1:0.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum NumberFormat {
-    /// IEEE 754 single.
-    #[default]
-    Float32,
-    /// Signed fixed point, 32 bits with 20 fractional bits.
-    Fp1220,
-    /// Signed fixed point: 32 fractional bits, followed on the wire by 16 integer bits.
-    Fp1632,
-    /// IEEE 754 double.
-    Float64,
+ros_parameters::choices! {
+    /// Number format: OutputSettings bits 9:8, MTData2 identifier bits 1:0.
+    #[derive(Hash)]
+    pub enum NumberFormat {
+        /// IEEE 754 single.
+        Float32 = "float32",
+        /// Signed fixed point, 32 bits with 20 fractional bits.
+        Fp1220 = "fp12.20",
+        /// Signed fixed point: 32 fractional bits, followed on the wire by 16 integer bits.
+        Fp1632 = "fp16.32",
+        /// IEEE 754 double.
+        Float64 = "double",
+    }
 }
 
 impl NumberFormat {

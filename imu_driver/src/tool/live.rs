@@ -115,10 +115,12 @@ fn converse(
     stop: &AtomicBool,
     mut handle: impl FnMut(&Report) -> bool,
 ) -> Result<bool, Failure> {
-    let config = DriverConfig { baud: line.baud, two_stop_bits: line.two_stop_bits, ..config };
+    let config =
+        DriverConfig { baud: line.baud.unwrap_or(0), two_stop_bits: line.two_stop_bits, ..config };
+    let first_baud = config.first_baud();
     let driver = Driver::new(config).map_err(|e| e.to_string())?;
-    let opened = Port::open(&line.port, line.baud.unwrap_or(115_200), line.two_stop_bits)
-        .map_err(|e| e.to_string())?;
+    let opened =
+        Port::open(&line.port, first_baud, line.two_stop_bits).map_err(|e| e.to_string())?;
     let runner = Runner { port: line.port.clone(), driver, raw, opened: Some(opened) };
     let end = instant() + Duration::from_secs_f64(seconds.clamp(0.0, 1e9));
     let ended = AtomicBool::new(false);
@@ -257,7 +259,9 @@ pub(super) fn configure(arguments: &Configure) -> Result<(), Failure> {
         set_baud(&line, baud)?;
         line.baud = Some(baud);
     }
-    DriverConfig { baud: line.baud, ..config.clone() }.check().map_err(|e| e.to_string())?;
+    DriverConfig { baud: line.baud.unwrap_or(0), ..config.clone() }
+        .check()
+        .map_err(|e| e.to_string())?;
     show(&identify(&line, config, true)?)
 }
 

@@ -115,11 +115,8 @@ pub(super) fn playback(arguments: &Playback) -> Result<(), Failure> {
         }
     };
     write("stamp,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z,q_w,q_x,q_y,q_z".into())?;
-    let config = DriverConfig {
-        leave_settings: true,
-        transmission_delay: Some(0.0),
-        ..DriverConfig::default()
-    };
+    let config =
+        DriverConfig { leave_settings: true, transmission_delay: 0.0, ..DriverConfig::default() };
     let mut driver = Driver::new(config).map_err(|e| e.to_string())?;
     let period = log.configuration.ticks_per_message().map_or(0.01, |t| f64::from(t) / 115_200.0);
     let mut at = Stamp::default();

@@ -44,9 +44,9 @@ fn every_setting_is_applied() {
         (DriverConfig { orientation: false, temperature: true, status: true, ..default() }, 100.0),
         (DriverConfig { rate: 50.0, magnetic_field: false, ..default() }, 50.0),
         (DriverConfig { number_format: NumberFormat::Fp1632, ..default() }, 100.0),
-        (DriverConfig { rate: 400.0, baud: Some(460_800), ..default() }, 400.0),
+        (DriverConfig { rate: 400.0, baud: 460_800, ..default() }, 400.0),
     ] {
-        let baud = driver.baud.unwrap();
+        let baud = driver.baud;
         let imu = SimulatedImuConfig { baud, period: 2304, ..SimulatedImuConfig::default() };
         let mut bench = Bench::new(driver.clone(), imu);
         bench.run(3.0);
@@ -64,7 +64,7 @@ fn every_setting_is_applied() {
 
 #[test]
 fn a_device_at_another_baud_rate_is_found_by_scanning() {
-    let driver = DriverConfig { baud: None, ..DriverConfig::default() };
+    let driver = DriverConfig { baud: 0, ..DriverConfig::default() };
     let imu = SimulatedImuConfig { baud: 460_800, ..SimulatedImuConfig::default() };
     let mut bench = Bench::new(driver, imu);
     bench.run(4.0);
@@ -252,7 +252,7 @@ fn stamps_behind_bursts_with_drift_and_jitter_are_accurate() {
     for (rate, baud, ppm) in
         [(100.0, 115_200, -30.0), (100.0, 115_200, 30.0), (400.0, 460_800, -30.0)]
     {
-        let driver = DriverConfig { rate, baud: Some(baud), ..DriverConfig::default() };
+        let driver = DriverConfig { rate, baud, ..DriverConfig::default() };
         let imu = SimulatedImuConfig {
             baud,
             clock_ppm: ppm,

@@ -6,7 +6,7 @@ use crate::config::{Method, TrackerConfig};
 use rig_model::{Rig, topics};
 
 node_kit::parameters! {
-    /// Parameters of the marker tracker: one field per ROS parameter, whatever their number.
+    /// Parameters of the node: those of the core, and what only the node needs.
     pub struct MarkerTrackerParameters {
         /// Where images come from: a topic, a V4L2 camera device or a video file.
         source: String = "topic", one_of(&["topic", "device", "file"]);
@@ -37,17 +37,10 @@ node_kit::parameters! {
         /// The range is the maximum of a color layer; false: 255 as printed, which finds only
         /// saturated colors (method paper).
         paper_threshold_of_maximum: bool = true, live, name("paper.threshold_of_maximum");
-        /// Use the optical flow, the paper's first criterion.
-        use_flow: bool = true, live;
-        /// Use the hue histogram, the paper's second criterion.
-        use_hue: bool = true, live;
-        /// Number of consecutive images for which a hidden marker is predicted before it is lost.
-        max_predicted: u16 = 6, range(0..=100), live;
-        /// Move a hidden marker with the platform's rigid motion; false: with the others' mean flow
-        /// (eq. 3), as method paper does.
-        rigid_prediction: bool = true, live;
-        /// Largest standard deviation of a measured centroid (method outline).
-        max_centroid_sigma: f64 = 0.5, unit("px"), range(0.01..=10.0), live;
+        groups {
+            /// Configuration of the core, without the method.
+            core: TrackerConfig;
+        }
     }
     check(p) {
         check_method(&p.method, cfg!(feature = "opencv"))
@@ -88,15 +81,7 @@ impl MarkerTrackerParameters {
 
     /// Settings of the core, with the calibrated colors of the rig file.
     pub fn config(&self, rig: &Rig) -> TrackerConfig {
-        TrackerConfig {
-            method: self.method(),
-            use_flow: self.use_flow,
-            use_hue: self.use_hue,
-            max_predicted: self.max_predicted,
-            rigid_prediction: self.rigid_prediction,
-            max_centroid_sigma: self.max_centroid_sigma,
-            start_colors: rig.colors,
-        }
+        TrackerConfig { method: self.method(), start_colors: rig.colors, ..self.core.clone() }
     }
 }
 

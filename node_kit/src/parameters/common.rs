@@ -1,6 +1,6 @@
 //! Parameters of every node.
 
-use super::descriptor::{Descriptor, ParameterKind};
+use super::{Descriptor, ParameterKind};
 use rig_model::rig::rig_keys;
 use ros_parameters::ParameterValue;
 

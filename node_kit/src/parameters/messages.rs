@@ -1,6 +1,6 @@
 //! Parameters as messages of `rcl_interfaces`.
 
-use super::descriptor::{Descriptor, ParameterKind};
+use super::{Descriptor, ParameterKind};
 use ros_parameters::ParameterValue;
 use volant_msgs::rcl_interfaces::msg;
 

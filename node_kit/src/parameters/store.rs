@@ -1,6 +1,6 @@
 //! A node's parameters at run time: declarations and current values.
 
-use super::descriptor::{Descriptor, ParameterError};
+use super::{Descriptor, ParameterError};
 use crate::args::Override;
 use rig_model::rig::did_you_mean;
 use ros_parameters::{ParameterMap, ParameterValue};

@@ -1,6 +1,6 @@
 //! Descriptors as text: Markdown table, YAML file, terminal help.
 
-use super::descriptor::Descriptor;
+use super::Descriptor;
 use std::fmt::Write;
 
 /// Markdown table, one row for each parameter.

@@ -1,7 +1,7 @@
 //! Integrity of IMU samples: rejection of impossible samples, and additional noise for suspicious
 //! ones.
 
-use crate::{config::ImuConfig, ekf::propagation::ImuReading};
+use crate::ekf::propagation::ImuReading;
 use nalgebra::Vector3;
 
 use super::imu_noise::Densities;
@@ -31,6 +31,10 @@ const CORRELATION: f64 = 0.3;
 const STUCK: f64 = 0.05;
 /// Time constant of the mean specific force, whose scale error the bias absorbs, s.
 const MEAN_FORCE: f64 = 5.0;
+/// Largest specific force (m/s²) and angular velocity (rad/s) of a reading: the ranges of an MTx,
+/// 18 g and 2000°/s.
+const LARGEST_FORCE: f64 = 180.0;
+const LARGEST_RATE: f64 = 40.0;
 
 /// Why a sample is rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,13 +64,13 @@ impl ImuIntegrity {
     ///
     /// # Errors
     /// See [`Implausible`].
-    pub fn check(reading: &ImuReading, config: &ImuConfig) -> Result<(), Implausible> {
+    pub fn check(reading: &ImuReading) -> Result<(), Implausible> {
         let within =
             |v: &Vector3<f64>, most: f64| v.iter().all(|x| x.is_finite() && x.abs() <= most);
-        if !within(&reading.specific_force, config.max_force) {
+        if !within(&reading.specific_force, LARGEST_FORCE) {
             return Err(Implausible::Force);
         }
-        if !within(&reading.angular_velocity, config.max_rate) {
+        if !within(&reading.angular_velocity, LARGEST_RATE) {
             return Err(Implausible::Rate);
         }
         if *reading == ImuReading::default() {
@@ -163,12 +167,11 @@ mod tests {
 
     #[test]
     fn impossible_samples_are_rejected() {
-        let config = ImuConfig::default();
-        assert_eq!(ImuIntegrity::check(&reading(1.0, 0.3), &config), Ok(()));
-        assert_eq!(ImuIntegrity::check(&reading(1000.0, 0.3), &config), Err(Implausible::Force));
-        assert_eq!(ImuIntegrity::check(&reading(f64::NAN, 0.3), &config), Err(Implausible::Force));
-        assert_eq!(ImuIntegrity::check(&reading(1.0, 50.0), &config), Err(Implausible::Rate));
-        assert_eq!(ImuIntegrity::check(&ImuReading::default(), &config), Err(Implausible::AllZero));
+        assert_eq!(ImuIntegrity::check(&reading(1.0, 0.3)), Ok(()));
+        assert_eq!(ImuIntegrity::check(&reading(1000.0, 0.3)), Err(Implausible::Force));
+        assert_eq!(ImuIntegrity::check(&reading(f64::NAN, 0.3)), Err(Implausible::Force));
+        assert_eq!(ImuIntegrity::check(&reading(1.0, 50.0)), Err(Implausible::Rate));
+        assert_eq!(ImuIntegrity::check(&ImuReading::default()), Err(Implausible::AllZero));
     }
 
     #[test]

@@ -27,6 +27,8 @@ const CHANGE_MEMORY: f64 = 50.0;
 const SETS_OFF: f64 = 0.2;
 /// An estimate within this factor of the rig file's density confirms it: it scatters by a fifth.
 const CONFIRMED: f64 = 1.5;
+/// Largest factor by which the identified noise may exceed the rig file's density.
+const LARGEST: f64 = 30.0;
 
 /// Densities of specific force, (m/s²)²/Hz, and angular velocity, (rad/s)²/Hz.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -92,16 +94,15 @@ impl ImuNoise {
         }
     }
 
-    /// Returns the densities to assume, given those of the rig file and the largest factor `limit`
-    /// on their roots.
-    pub fn densities(&self, given: &Densities, limit: f64) -> Densities {
+    /// Returns the densities to assume, given those of the rig file.
+    pub fn densities(&self, given: &Densities) -> Densities {
         let choose = |of: fn(&Differences) -> f64, given: f64| {
             let samples = of(&self.samples) * self.period;
             let blocks = of(&self.blocks) * BLOCK / TRIANGULAR;
             let found = if self.blocks.weight >= FEWEST { samples.min(blocks) } else { samples };
             let known = self.samples.weight >= FEWEST;
             if known && found > CONFIRMED * given {
-                found.min(given * limit * limit)
+                found.min(given * LARGEST * LARGEST)
             } else {
                 given
             }
@@ -217,11 +218,11 @@ mod tests {
             };
             noise.add(&reading, 0.01);
         }
-        let found = noise.densities(&GIVEN, 30.0);
+        let found = noise.densities(&GIVEN);
         assert!((found.force.sqrt() / 0.02 - 1.0).abs() < 0.3, "{}", found.force.sqrt());
         assert!((found.rate.sqrt() / 0.0087 - 1.0).abs() < 0.3, "{}", found.rate.sqrt());
         let loud = Densities { force: 3.5e-4, rate: 7.6e-7 };
-        assert_eq!(noise.densities(&loud, 30.0).force, 3.5e-4);
+        assert_eq!(noise.densities(&loud).force, 3.5e-4);
     }
 
     #[test]
@@ -259,7 +260,7 @@ mod tests {
             };
             noise.add(&reading, 1.0 / 286.0);
         }
-        let found = noise.densities(&GIVEN, 30.0);
+        let found = noise.densities(&GIVEN);
         assert!(noise.sample_variances().force > 1.0, "{:?}", noise.sample_variances());
         assert!(found.force.sqrt() < 0.02, "{}", found.force.sqrt());
     }

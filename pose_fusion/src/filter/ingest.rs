@@ -19,6 +19,8 @@ use std::collections::VecDeque;
 
 /// Largest standard deviation of the attitude with which the pose goes on after a gap, rad.
 const LARGEST_ATTITUDE: f64 = 0.2;
+/// Smallest uncertainty of the IMU's own roll and pitch, rad.
+const SMALLEST_ATTITUDE: f64 = 0.01;
 
 const IMU: &str = "IMU sample";
 
@@ -31,7 +33,7 @@ impl Filter {
     /// Takes in an IMU sample: moves the estimate to its stamp and publishes it.
     pub fn imu(&mut self, sample: &ImuSample, out: &mut VecDeque<Output>) {
         let stamp = sample.stamp;
-        let reading = match ImuInput::reading(sample, &self.setup.config) {
+        let reading = match ImuInput::reading(sample) {
             Ok(reading) => reading,
             Err(why) => {
                 let what = match why {
@@ -117,13 +119,12 @@ impl Filter {
                 dt = None;
             }
         }
-        let (config, mounting) = (&self.setup.config, &self.setup.rig.imu);
-        let event = self.imu.event(&reading, dt, mounting, config);
-        if let Some(more) = self.imu.newly_known_noise(mounting, config) {
+        let mounting = &self.setup.rig.imu;
+        let event = self.imu.event(&reading, dt, mounting);
+        if let Some(more) = self.imu.newly_known_noise(mounting) {
             self.reweigh_samples(&more);
         }
-        let config = &self.setup.config;
-        self.imu.remember_attitude(sample, config.imu.attitude_floor);
+        self.imu.remember_attitude(sample, SMALLEST_ATTITUDE);
         self.history.insert(sample.stamp, event, reading);
         self.arrival.imu(sample.stamp, reading);
         self.publisher.counts.inputs.imu += 1;
@@ -162,7 +163,7 @@ impl Filter {
             }));
         }
         self.publisher.counts.inputs.late_imu += 1;
-        let noise = self.imu.densities(&self.setup.rig.imu, &self.setup.config);
+        let noise = self.imu.densities(&self.setup.rig.imu);
         let place = self.history.insert(stamp, Event::Imu { noise, at_rest: None }, reading);
         // What was interpolated over this sample's place is interpolated again: back to the sample
         // before.

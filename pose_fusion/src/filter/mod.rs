@@ -118,7 +118,7 @@ impl Filter {
             encoders_suspended: self.trust.is_suspended(),
             newest_imu: self.arrival.newest_imu().map(|(stamp, _)| stamp),
             last_used_image: self.lock_out.last_used(),
-            densities: self.imu.densities(imu, config),
+            densities: self.imu.densities(imu),
             pixel_noise_factor: self.markers.noise_factor().sqrt(),
             rope: geometry.and_then(|g| self.publisher.rope.rope(&config.pendulum, g)),
             counts: self.publisher.counts,

@@ -49,6 +49,8 @@ const VELOCITY_KNOWN: f64 = 0.1;
 /// Longest time that the IMU carries the state past such images, s: an alignment finds the offset
 /// of a platform that sets off within 0.2 s.
 const CARRIED: f64 = 0.25;
+/// Random walk of the camera time offset, s/√s.
+const OFFSET_WALK: f64 = 1e-5;
 /// The rope is compared from this time after the initialization on, s.
 const SETTLED: f64 = 2.0;
 
@@ -103,14 +105,14 @@ impl Filter {
     pub(super) fn process_noise(&self) -> ProcessNoise {
         let c = &self.setup.config;
         let factor = if self.trust.is_suspended() { FREE_JERK } else { self.climber.jerk_factor() };
-        let densities = self.imu.densities(&self.setup.rig.imu, c);
+        let densities = self.imu.densities(&self.setup.rig.imu);
         ProcessNoise {
             force: densities.force,
             rate: densities.rate,
             accelerometer_bias: c.imu.accelerometer_bias_walk.powi(2),
             gyroscope_bias: c.imu.gyroscope_bias_walk.powi(2),
             jerk: Vector3::new(c.climber.jerk, c.climber.jerk, c.climber.turn_jerk) * factor,
-            time_offset: if c.clock.camera_sigma > 0.0 { c.clock.offset_walk.powi(2) } else { 0.0 },
+            time_offset: if c.clock.camera_sigma > 0.0 { OFFSET_WALK.powi(2) } else { 0.0 },
             change: Motion::default(),
         }
     }

@@ -326,7 +326,7 @@ impl Filter {
     }
 
     fn settings(&self) -> Settings {
-        let densities = self.imu.densities(&self.setup.rig.imu, &self.setup.config);
+        let densities = self.imu.densities(&self.setup.rig.imu);
         let mut calibration = self.publisher.calibration;
         // Images that contradict the prediction throughout mean that the rig's files are wrong by
         // more than their sigmas.

@@ -56,7 +56,7 @@ impl Filter {
             search.add_pose(stamp, &pose, &covariance);
         }
         let c = &self.setup.config;
-        let noise = self.imu.densities(&self.setup.rig.imu, c);
+        let noise = self.imu.densities(&self.setup.rig.imu);
         let offset = self.time_offset();
         if (offset - self.start.settled.offset).abs() > OFFSET_LINEAR {
             self.start.settled = SettledOffset { since: stamp, offset };

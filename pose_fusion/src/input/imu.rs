@@ -8,7 +8,6 @@ use crate::{
         imu_noise::{Densities, ImuNoise},
         stationary::Stationary,
     },
-    config::TightConfig,
     ekf::propagation::ImuReading,
     timeline::history::{Event, History},
 };
@@ -75,12 +74,12 @@ impl ImuInput {
     ///
     /// # Errors
     /// A value that no IMU measures, see [`Implausible`].
-    pub fn reading(sample: &ImuSample, config: &TightConfig) -> Result<ImuReading, Implausible> {
+    pub fn reading(sample: &ImuSample) -> Result<ImuReading, Implausible> {
         let reading = ImuReading {
             specific_force: sample.specific_force,
             angular_velocity: sample.angular_velocity,
         };
-        ImuIntegrity::check(&reading, &config.imu)?;
+        ImuIntegrity::check(&reading)?;
         Ok(reading)
     }
 
@@ -91,18 +90,14 @@ impl ImuInput {
         reading: &ImuReading,
         dt: Option<f64>,
         mounting: &ImuMounting,
-        config: &TightConfig,
     ) -> Event {
         let given = given(mounting);
         let Some(dt) = dt else {
             self.noise.add(reading, 0.0);
-            return Event::Imu {
-                noise: self.noise.densities(&given, config.imu.noise_limit),
-                at_rest: None,
-            };
+            return Event::Imu { noise: self.noise.densities(&given), at_rest: None };
         };
         self.noise.add(reading, dt);
-        let mut noise = self.noise.densities(&given, config.imu.noise_limit);
+        let mut noise = self.noise.densities(&given);
         let period = self.noise.period();
         let found = self.noise.sample_variances();
         let variances = Densities {
@@ -132,16 +127,12 @@ impl ImuInput {
 
     /// Returns by how much the noise exceeds the rig file's, once, when it becomes known: the
     /// samples before were weighed with the rig file's.
-    pub fn newly_known_noise(
-        &mut self,
-        mounting: &ImuMounting,
-        config: &TightConfig,
-    ) -> Option<Densities> {
+    pub fn newly_known_noise(&mut self, mounting: &ImuMounting) -> Option<Densities> {
         if self.known || !self.noise.is_known() {
             return None;
         }
         self.known = true;
-        let (now, given) = (self.densities(mounting, config), given(mounting));
+        let (now, given) = (self.densities(mounting), given(mounting));
         let more = Densities { force: now.force - given.force, rate: now.rate - given.rate };
         (more.force > 0.0 || more.rate > 0.0).then_some(more)
     }
@@ -179,8 +170,8 @@ impl ImuInput {
     }
 
     /// Returns the densities identified now, those of the rig file at least.
-    pub fn densities(&self, mounting: &ImuMounting, config: &TightConfig) -> Densities {
-        self.noise.densities(&given(mounting), config.imu.noise_limit)
+    pub fn densities(&self, mounting: &ImuMounting) -> Densities {
+        self.noise.densities(&given(mounting))
     }
 
     /// Returns the mean time between samples, s.

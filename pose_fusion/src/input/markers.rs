@@ -17,6 +17,8 @@ use std::collections::VecDeque;
 
 /// Largest coordinate (px) and variance (px²) of a usable centroid.
 const LARGEST: [f64; 2] = [1e5, 1e6];
+/// Smallest sigma accepted from an observation, px.
+const SMALLEST_SIGMA: f64 = 0.01;
 
 /// State of the marker input.
 #[derive(Clone, Debug, Default)]
@@ -76,7 +78,7 @@ impl MarkerInput {
         mut reject: impl FnMut(Warning),
     ) -> Pixels {
         let floor = Matrix2::identity() * config.pixel_floor.powi(2);
-        let minimum = config.pixel_minimum.powi(2);
+        let minimum = SMALLEST_SIGMA.powi(2);
         let mut pixels = [None; 4];
         for (color, marker) in observations.markers.iter() {
             if marker.state != MarkerState::Detected {

@@ -255,7 +255,7 @@ impl RopeIdentification {
             },
             stretch_variance: self.scatter,
             side_variance: self.side.max(config.side_force.powi(2)),
-            climber_attachment: config.climber_attachment,
+            climber_attachment: config.climber_attachment.into(),
             platform_attachment: geometry.imu_from_volant
                 * nalgebra::Point3::from(config.platform_attachment)
                 - nalgebra::Point3::origin(),

@@ -149,7 +149,7 @@ pub fn swing(
         platform_attachment: (geometry.imu_from_volant
             * Point3::from(pendulum.platform_attachment))
         .coords,
-        climber_attachment: pendulum.climber_attachment,
+        climber_attachment: pendulum.climber_attachment.into(),
     };
     let values = motion.values();
     let gravity = Vector3::new(0.0, 0.0, settings.gravity);

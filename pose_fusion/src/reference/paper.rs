@@ -38,6 +38,8 @@ const WAITING: usize = 1024;
 #[derive(Debug)]
 pub struct Paper {
     config: PaperConfig,
+    /// m/s².
+    gravity: f64,
     volant_from_imu: Isometry3<f64>,
     markers: MarkerLayout,
     /// The IMU outputs its own attitude.
@@ -64,10 +66,11 @@ struct Estimate {
 }
 
 impl Paper {
-    /// Creates a filter without an estimate.
-    pub fn new(rig: &Rig, config: PaperConfig) -> Self {
+    /// Creates a filter without an estimate; `gravity` in m/s².
+    pub fn new(rig: &Rig, config: PaperConfig, gravity: f64) -> Self {
         Self {
             config,
+            gravity,
             volant_from_imu: rig.imu.volant_from_imu,
             markers: rig.markers.clone(),
             own_attitude: false,
@@ -262,7 +265,7 @@ impl Paper {
             if let (Some(last), Some(attitude)) = (&self.last_sample, self.imu_attitude(&sample)) {
                 let dt = sample.stamp.seconds_since(last.stamp);
                 let world_from_imu = attitude * self.volant_from_imu.rotation;
-                let gravity = Vector3::new(0.0, 0.0, self.config.gravity);
+                let gravity = Vector3::new(0.0, 0.0, self.gravity);
                 let acceleration = world_from_imu * sample.specific_force - gravity;
                 let velocity = self.velocity + acceleration * dt;
                 if (velocity - self.velocity).norm() >= self.config.velocity_threshold {

@@ -35,7 +35,8 @@ fn values(s: &Swing) -> Vector6<f64> {
 
 fn config() -> FusionConfig {
     let mut config = simulated::config();
-    [config.tight.pendulum.climber_attachment, config.tight.pendulum.platform_attachment] = ENDS;
+    let pendulum = &mut config.tight.pendulum;
+    [pendulum.climber_attachment, pendulum.platform_attachment] = ENDS.map(Into::into);
     config
 }
 

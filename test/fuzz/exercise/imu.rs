@@ -69,7 +69,7 @@ pub fn log(data: &[u8]) {
 ///
 /// Asserts that stamps increase and that all values are finite. Returns the number of samples.
 pub fn driver(data: &[u8]) -> u32 {
-    let Ok(mut driver) = Driver::new(DriverConfig { baud: None, ..DriverConfig::default() }) else {
+    let Ok(mut driver) = Driver::new(DriverConfig { baud: 0, ..DriverConfig::default() }) else {
         return 0;
     };
     let mut at = Stamp::from_nanos(1_760_001_000_000_000_000);

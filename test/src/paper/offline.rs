@@ -94,7 +94,6 @@ pub fn published_tracker() -> TrackerConfig {
 pub fn filter(scenario: &Scenario, model: Model) -> FusionConfig {
     let mut config = FusionConfig { model, ..FusionConfig::default() };
     config.tight.gravity = scenario.sensors.gravity;
-    config.paper.gravity = scenario.sensors.gravity;
     config
 }
 

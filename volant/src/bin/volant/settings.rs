@@ -75,14 +75,13 @@ pub fn read(path: &Path, more: &[PathBuf], namespace: &str) -> anyhow::Result<Se
     let climber = ClimberParameters::from_map(files.store::<ClimberNode>()?.values());
     files.of::<ImuNode>()?;
     let rig = Rig::from_parameters(&values).with_context(|| files.names())?;
-    let fusion = fusion.config().map_err(anyhow::Error::msg)?;
     let climber = match climber {
         Err(error) if !matches!(error, ParameterError::Missing { .. }) => {
             return Err(error).with_context(|| files.context::<ClimberNode>());
         }
         climber => climber.map(|c| c.config()).map_err(|e| e.to_string()),
     };
-    Ok(Settings { tracker: tracker.config(&rig), rig, fusion, climber })
+    Ok(Settings { tracker: tracker.config(&rig), rig, fusion: fusion.core, climber })
 }
 
 impl Files<'_> {

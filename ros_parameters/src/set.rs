@@ -1,7 +1,6 @@
 //! A node's parameters as plain data.
 
-use super::descriptor::{Descriptor, ParameterError, ParameterKind};
-use ros_parameters::{ParameterMap, ParameterValue};
+use crate::{Descriptor, ParameterError, ParameterKind, ParameterMap, ParameterValue};
 
 /// A plain struct whose fields are parameters, declared with [`parameters!`](crate::parameters!).
 pub trait ParameterSet: Clone + Send + 'static {
@@ -32,10 +31,14 @@ pub trait ParameterType: Sized {
     type Literal;
     /// The ROS type.
     const KIND: ParameterKind;
+    /// Allowed texts; empty for any.
+    const CHOICES: &'static [&'static str] = &[];
+    /// What is wrong with a value of that ROS type that is none of this type.
+    const REQUIREMENT: &'static str = "it is too large, or negative";
 
     /// Converts the default of the declaration.
     fn from_literal(literal: Self::Literal) -> Self;
-    /// Converts a value that the descriptor has accepted; `None` if it is out of this type's range.
+    /// Converts a value that the descriptor has accepted; `None` if it is none of this type.
     fn from_value(value: &ParameterValue) -> Option<Self>;
     /// Converts to a value.
     fn to_value(&self) -> ParameterValue;
@@ -96,3 +99,23 @@ macro_rules! integer {
 }
 
 integer!(i64, i32, u32, u16, u8, usize);
+
+/// A vector: x, y, z.
+impl ParameterType for [f64; 3] {
+    type Literal = Self;
+    const KIND: ParameterKind = ParameterKind::DoubleArray;
+    const REQUIREMENT: &'static str = "it must have three numbers: x, y, z";
+
+    fn from_literal(literal: Self) -> Self {
+        literal
+    }
+
+    fn from_value(value: &ParameterValue) -> Option<Self> {
+        let ParameterValue::DoubleArray(numbers) = value else { return None };
+        numbers.as_slice().try_into().ok()
+    }
+
+    fn to_value(&self) -> ParameterValue {
+        ParameterValue::DoubleArray(self.to_vec())
+    }
+}

@@ -1,6 +1,6 @@
 //! Declaration of one parameter: type, default, constraints.
 
-use ros_parameters::ParameterValue;
+use crate::ParameterValue;
 use std::ops::RangeInclusive;
 use thiserror::Error;
 
