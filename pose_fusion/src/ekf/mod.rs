@@ -4,4 +4,5 @@ pub mod calibration;
 pub mod consider;
 pub mod propagation;
 pub mod state;
+mod transition;
 pub mod update;

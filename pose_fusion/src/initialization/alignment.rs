@@ -1,0 +1,360 @@
+//! Alignment of the visual poses of single images with the motion that the IMU measured.
+//!
+//! For a candidate offset τ the image stamped `t` was taken at `t + τ` on the IMU's time line; there
+//! the IMU's motion is known but for its initial position, velocity and attitude and the biases (15
+//! numbers), which enter linearly:
+//!
+//! `R_i = Exp(θ₀ + R₀ J_R b_g) R₀ ΔR_i`,
+//! `p_i = p₀ + v₀ s + g s²/2 + R₀ (Δp_i + J_p b) + [θ₀]× R₀ Δp_i − R_i t`
+//!
+//! (`t`: lever arm). The weighted squares that are left, `J(τ)`, have their minimum at the offset.
+//! It is accepted where the curvature says that it is known and every other minimum is refuted.
+//! Without motion `J` is flat and nothing is accepted.
+
+use super::preintegration::Preintegrated;
+use crate::{adaptation::imu_noise::Densities, config::ImuConfig, ekf::propagation::ImuReading};
+use nalgebra::{Isometry3, Matrix6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
+use rig_model::Stamp;
+use std::collections::VecDeque;
+
+/// Largest offset that is looked for, s.
+pub const REACH: f64 = 0.3;
+/// The newest image poses of this time are aligned, s: longer, and the IMU's scale errors count.
+pub const WINDOW: f64 = 1.5;
+/// An offset that is closer to the end of the candidates, s, is not a minimum.
+const EDGE: f64 = 0.003;
+/// Distance of the candidates, s.
+pub(super) const STEP: f64 = 0.01;
+/// Number of candidates.
+pub(super) const CANDIDATES: usize = 61;
+/// Fewest images of an alignment.
+pub(super) const FEWEST: usize = 12;
+/// Largest standard deviation of an offset that is returned, s.
+pub(super) const ACCEPTED: f64 = 0.010;
+/// Every other candidate further away than this, s …
+const APART: f64 = 0.02;
+/// … must fit worse by this (χ²).
+pub(super) const REFUTED: f64 = 16.0;
+/// Largest χ² per degree of freedom of an alignment that means anything.
+pub(super) const LARGEST: f64 = 1.2;
+/// Smallest χ² per degree of freedom that is accepted: the poses' own covariances are cautious.
+const SMALLEST: f64 = 0.6;
+/// Uncertainty of the initial velocity, m/s, and attitude, rad.
+const OPEN: [f64; 2] = [2.0, 0.5];
+
+const UNKNOWNS: usize = 15;
+type Jacobian = SMatrix<f64, 6, UNKNOWNS>;
+type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+type Unknowns = SVector<f64, UNKNOWNS>;
+
+/// Camera time offset with its standard deviation, s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimeOffset {
+    /// Image time + offset = IMU time.
+    pub offset: f64,
+    /// Standard deviation.
+    pub sigma: f64,
+}
+
+/// Pose of one image.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct VisualPose {
+    pub(super) stamp: Stamp,
+    pub(super) world_from_volant: Isometry3<f64>,
+    pub(super) covariance: Matrix6<f64>,
+    /// Inverse covariance, the IMU's noise included; of the alignment that runs.
+    pub(super) information: Matrix6<f64>,
+}
+
+/// Offset of a candidate, s.
+pub(super) fn candidate(index: usize) -> f64 {
+    index as f64 * STEP - REACH
+}
+
+/// Distance from an offset of this standard deviation from which on candidates must be refuted, s.
+pub(super) fn apart(sigma: f64) -> f64 {
+    APART.max(REFUTED.sqrt() * sigma)
+}
+
+/// What the alignment of a window found.
+pub(super) struct Aligned {
+    /// Best offset, where it is known.
+    pub(super) found: Option<TimeOffset>,
+    /// Biases that go with it.
+    pub(super) biases: Biases,
+    /// χ² per degree of freedom.
+    pub(super) scale: f64,
+    /// χ² of each candidate above the best, in units of what noise leaves; NaN where the readings
+    /// do not reach.
+    pub(super) costs: [f64; CANDIDATES],
+}
+
+/// `volant_from_imu`, gravity (m/s²), errors of the IMU and its noise.
+pub(super) type Settings<'a> = (&'a Isometry3<f64>, f64, &'a ImuConfig, &'a Densities);
+
+/// Aligns image poses with the IMU's motion, linearized at `biases`.
+pub(super) fn align(
+    poses: &[VisualPose],
+    readings: &VecDeque<(Stamp, ImuReading)>,
+    (volant_from_imu, gravity, imu, noise): Settings<'_>,
+    biases: &Biases,
+) -> Option<Aligned> {
+    let track = preintegrate(readings, biases);
+    let alignment = Alignment { track: &track, poses, volant_from_imu, gravity, imu, biases };
+    let costs: [Option<Cost>; CANDIDATES] = std::array::from_fn(|i| alignment.cost(candidate(i)));
+    let usable = costs.iter().enumerate().filter_map(|(i, cost)| Some((i, cost.as_ref()?)));
+    let (start, coarse) = usable.min_by(|a, b| a.1.mean().total_cmp(&b.1.mean()))?;
+    let refined = alignment.refine(candidate(start));
+    let (offset, best, curvature) = refined.unwrap_or((candidate(start), *coarse, 0.0));
+    let scale = (best.square / (best.rows - UNKNOWNS as f64).max(1.0)).max(SMALLEST);
+    let unit = scale * alignment.excess(offset, noise, scale)?;
+    let costs = costs.map(|cost| match cost {
+        Some(cost) => (cost.mean() - best.mean()) * best.rows.min(cost.rows) / unit,
+        None => f64::NAN,
+    });
+    let sigma = (2.0 * unit / curvature).sqrt();
+    let refuted = (costs.iter().enumerate())
+        .filter(|(i, cost)| (candidate(*i) - offset).abs() > apart(sigma) && !cost.is_nan())
+        .all(|(_, cost)| *cost > REFUTED);
+    let known = curvature > 0.0 && sigma < ACCEPTED && refuted && offset.abs() < REACH - EDGE;
+    Some(Aligned {
+        found: (known && scale < LARGEST).then_some(TimeOffset { offset, sigma }),
+        biases: best.biases,
+        scale,
+        costs,
+    })
+}
+
+/// Motion from reading to reading, without the biases.
+fn preintegrate(readings: &VecDeque<(Stamp, ImuReading)>, biases: &Biases) -> Vec<Preintegrated> {
+    let mut track: Vec<Preintegrated> = Vec::with_capacity(readings.len());
+    for (stamp, reading) in readings {
+        let reading = &ImuReading {
+            specific_force: reading.specific_force - biases.accelerometer,
+            angular_velocity: reading.angular_velocity - biases.gyroscope,
+        };
+        let next = match track.last() {
+            Some(last) => last.to(*stamp, reading),
+            None => Preintegrated::first(*stamp, *reading),
+        };
+        track.push(next);
+    }
+    track
+}
+
+/// What is left of an alignment, and the biases that it found.
+#[derive(Clone, Copy, Debug)]
+struct Cost {
+    square: f64,
+    rows: f64,
+    biases: Biases,
+}
+
+impl Cost {
+    fn mean(&self) -> f64 {
+        self.square / self.rows
+    }
+}
+
+/// Biases of the IMU, its axes: m/s², rad/s.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Biases {
+    accelerometer: Vector3<f64>,
+    gyroscope: Vector3<f64>,
+}
+
+struct Alignment<'a> {
+    track: &'a [Preintegrated],
+    poses: &'a [VisualPose],
+    volant_from_imu: &'a Isometry3<f64>,
+    gravity: f64,
+    imu: &'a ImuConfig,
+    biases: &'a Biases,
+}
+
+impl Alignment<'_> {
+    /// Cost of an offset; `None` where fewer than half of the images (and [`FEWEST`]) have IMU
+    /// readings around them.
+    fn cost(&self, offset: f64) -> Option<Cost> {
+        let motions = self.motions(offset)?;
+        let (first, start) = self.origin(&motions)?;
+        let rows = motions.iter().map(|(pose, motion)| {
+            let (residual, jacobian) = self.row(&start, first, pose, motion);
+            (pose.information, residual, jacobian)
+        });
+        let (solution, square) = self.fit(rows, self.biases)?;
+        let biases = Biases {
+            accelerometer: self.biases.accelerometer + solution.fixed_rows::<3>(9),
+            gyroscope: self.biases.gyroscope + solution.fixed_rows::<3>(12),
+        };
+        Some(Cost { square, rows: 6.0 * motions.len() as f64, biases })
+    }
+
+    /// Refines an offset by parabolas through candidates a step apart: closer ones differ by the
+    /// noise of single readings. Returns offset, cost and curvature.
+    fn refine(&self, start: f64) -> Option<(f64, Cost, f64)> {
+        let (mut offset, h) = (start, STEP);
+        let (mut best, mut curvature) = (self.cost(offset)?, 0.0);
+        for _ in 0..3 {
+            let (low, high) = (self.cost(offset - h)?, self.cost(offset + h)?);
+            // With an image at the edge of the readings: the mean cost per row.
+            let rows = best.rows;
+            let [low, here, high] = if low.rows == rows && high.rows == rows {
+                [low.square, best.square, high.square]
+            } else {
+                [&low, &best, &high].map(|cost| cost.mean() * rows)
+            };
+            let bend = low + high - 2.0 * here;
+            curvature = bend / (h * h);
+            offset += (h * (low - high) / (2.0 * bend)).clamp(-h, h);
+            if !(curvature > 0.0 && offset.is_finite()) {
+                return None;
+            }
+            best = self.cost(offset)?;
+        }
+        Some((offset, best, curvature))
+    }
+
+    /// Images with the motion at their instants.
+    fn motions(&self, offset: f64) -> Option<Vec<(&VisualPose, Preintegrated)>> {
+        let motions: Vec<_> = (self.poses.iter())
+            .filter_map(|p| Some((p, self.at(p.stamp.plus_seconds(offset))?)))
+            .collect();
+        (motions.len() >= FEWEST.max(self.poses.len() / 2)).then_some(motions)
+    }
+
+    /// First instant, and the attitude there at which the fit is linearized: that which the image in
+    /// the middle gives.
+    fn origin(
+        &self,
+        motions: &[(&VisualPose, Preintegrated)],
+    ) -> Option<(Stamp, UnitQuaternion<f64>)> {
+        let (pose, motion) = motions.get(motions.len() / 2)?;
+        let imu_rotation = self.volant_from_imu.rotation;
+        let start = pose.world_from_volant.rotation * imu_rotation * motion.rotation.inverse();
+        Some((self.track.first()?.stamp, start))
+    }
+
+    /// Unknowns that fit rows of information, residual and derivative, and the squares that are
+    /// left; `known` are the biases at which the rows are linearized.
+    fn fit(
+        &self,
+        rows: impl Iterator<Item = (Matrix6<f64>, Vector6<f64>, Jacobian)>,
+        known: &Biases,
+    ) -> Option<(Unknowns, f64)> {
+        let mut normal = Normal::zeros();
+        let mut right = Unknowns::zeros();
+        let mut square = 0.0;
+        let prior = [OPEN[0], OPEN[1], self.imu.accelerometer_bias, self.imu.gyroscope_bias];
+        for (k, sigma) in prior.into_iter().enumerate() {
+            for i in 0..3 {
+                let index = 3 * (k + 1) + i;
+                normal[(index, index)] += 1.0 / (sigma * sigma);
+            }
+        }
+        for (k, bias) in [known.accelerometer, known.gyroscope].iter().enumerate() {
+            for i in 0..3 {
+                let (index, weight) = (9 + 3 * k + i, prior[2 + k].powi(-2));
+                right[index] -= bias[i] * weight;
+                square += bias[i] * bias[i] * weight;
+            }
+        }
+        for (information, residual, jacobian) in rows {
+            let weighted = information * jacobian;
+            normal += jacobian.transpose() * weighted;
+            right += weighted.transpose() * residual;
+            square += residual.dot(&(information * residual));
+        }
+        let solution = normal.cholesky()?.solve(&right);
+        Some((solution, (square - right.dot(&solution)).max(0.0)))
+    }
+
+    /// Factor by which the variance of an offset exceeds what independent errors of the images leave.
+    ///
+    /// The IMU's noise adds up: the error of the attitude (a random walk), and the velocity and
+    /// position that follow from it, are common to all later images, and many images do not average
+    /// them. The offset of a least-squares fit is a weighted sum of the images' errors; the weights
+    /// tell what each step's noise contributes.
+    fn excess(&self, offset: f64, noise: &Densities, scale: f64) -> Option<f64> {
+        let motions = self.motions(offset)?;
+        let (first, start) = self.origin(&motions)?;
+        // By a change of the offset: derivative of the residual, and that by the unknowns.
+        let rows: Vec<_> = motions
+            .iter()
+            .filter_map(|(pose, motion)| {
+                let at = |by: f64| self.at(pose.stamp.plus_seconds(offset + by));
+                let (later, earlier) = (at(STEP)?, at(-STEP)?);
+                let residual = |motion| self.row(&start, first, pose, motion).0;
+                let by_offset = (residual(&later) - residual(&earlier)) / (2.0 * STEP);
+                let (_, jacobian) = self.row(&start, first, pose, motion);
+                Some((motion.stamp, pose.information, by_offset, jacobian))
+            })
+            .collect();
+        let (solution, information) =
+            self.fit(rows.iter().map(|(_, w, r, j)| (*w, *r, *j)), &Biases::default())?;
+        // Backwards: what an error of attitude, position, velocity and tilt moves in all images
+        // behind it.
+        let [mut turn, mut shift, mut speed, mut tilt] = [Vector3::zeros(); 4];
+        let mut variance = 0.0;
+        for (k, (at, weight, by_offset, jacobian)) in rows.iter().enumerate().rev() {
+            if let Some((next, ..)) = rows.get(k + 1) {
+                let dt = next.seconds_since(*at);
+                tilt += speed * dt + shift * (dt * dt / 2.0);
+                speed += shift * dt;
+            }
+            let share = weight * (by_offset - jacobian * solution);
+            shift += share.fixed_rows::<3>(0);
+            turn += share.fixed_rows::<3>(3);
+            if let Some((before, ..)) = k.checked_sub(1).and_then(|k| rows.get(k)) {
+                // A tilt turns the specific force, which is about gravity.
+                let by_tilt = Vector3::new(-tilt.y, tilt.x, 0.0) * self.gravity;
+                let (by_rate, by_force) = ((turn + by_tilt).norm_squared(), speed.norm_squared());
+                let dt = at.seconds_since(*before);
+                variance += dt * (noise.rate * by_rate + noise.force * by_force);
+            }
+        }
+        Some(1.0 + variance / (information.max(f64::MIN_POSITIVE) * scale))
+    }
+
+    /// Residual of an image (position, rotation) and its derivative by p₀, v₀, θ₀, b_a, b_g.
+    fn row(
+        &self,
+        start: &UnitQuaternion<f64>,
+        origin: Stamp,
+        pose: &VisualPose,
+        motion: &Preintegrated,
+    ) -> (Vector6<f64>, SMatrix<f64, 6, UNKNOWNS>) {
+        let s = motion.stamp.seconds_since(origin);
+        let r0 = start.to_rotation_matrix();
+        let r0 = r0.matrix();
+        let world_from_imu = start * motion.rotation;
+        let world_from_volant = world_from_imu * self.volant_from_imu.rotation.inverse();
+        let lever = world_from_volant * self.volant_from_imu.translation.vector;
+        let moved = start * motion.position;
+        let position = moved - Vector3::z() * (self.gravity * s * s / 2.0) - lever;
+        let rotation =
+            (pose.world_from_volant.rotation * world_from_volant.inverse()).scaled_axis();
+        let shift = pose.world_from_volant.translation.vector - position;
+        let residual = Vector6::new(shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z);
+        let mut j = SMatrix::<f64, 6, UNKNOWNS>::zeros();
+        let by_gyroscope = r0 * motion.rotation_by_gyroscope;
+        j.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
+        j.fixed_view_mut::<3, 3>(0, 3).fill_diagonal(s);
+        j.fixed_view_mut::<3, 3>(0, 6).copy_from(&(lever - moved).cross_matrix());
+        j.fixed_view_mut::<3, 3>(0, 9).copy_from(&(r0 * motion.position_by[1]));
+        j.fixed_view_mut::<3, 3>(0, 12)
+            .copy_from(&(r0 * motion.position_by[0] + lever.cross_matrix() * by_gyroscope));
+        j.fixed_view_mut::<3, 3>(3, 6).fill_with_identity();
+        j.fixed_view_mut::<3, 3>(3, 12).copy_from(&by_gyroscope);
+        (residual, j)
+    }
+
+    /// Motion at an instant between two readings.
+    fn at(&self, stamp: Stamp) -> Option<Preintegrated> {
+        let after = self.track.partition_point(|p| p.stamp <= stamp);
+        let (before, next) = (self.track.get(after.checked_sub(1)?)?, self.track.get(after)?);
+        let span = next.stamp.seconds_since(before.stamp);
+        let share = stamp.seconds_since(before.stamp) / span;
+        Some(before.to(stamp, &before.reading.lerp(&next.reading, share)))
+    }
+}
