@@ -28,7 +28,7 @@ use crate::{
     },
 };
 use nalgebra::{Isometry3, Matrix6, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
-use rig_model::{ImuSample, MarkerLayout, OrientationSample, Rig, Stamp, wrap_angle};
+use rig_model::{ImuSample, OrientationSample, Rig, Stamp, wrap_angle};
 use std::collections::VecDeque;
 
 /// Largest number of waiting IMU samples: ten seconds at 100 Hz.
@@ -40,8 +40,7 @@ pub struct Paper {
     config: PaperConfig,
     /// m/s².
     gravity: f64,
-    volant_from_imu: Isometry3<f64>,
-    markers: MarkerLayout,
+    rig: Rig,
     /// The IMU outputs its own attitude.
     own_attitude: bool,
     computed_attitude: GyroAttitude,
@@ -71,8 +70,7 @@ impl Paper {
         Self {
             config,
             gravity,
-            volant_from_imu: rig.imu.volant_from_imu,
-            markers: rig.markers.clone(),
+            rig: rig.clone(),
             own_attitude: false,
             computed_attitude: GyroAttitude::default(),
             waiting: VecDeque::with_capacity(WAITING),
@@ -245,7 +243,7 @@ impl Paper {
                 correction(&covariance, &Matrix6::identity(), &noise, &residual)
             }
             PaperMeasurement::Markers => {
-                let found = plane_residual(&pose, &self.markers, &visual.lines);
+                let found = plane_residual(&pose, &self.rig.markers, &visual.lines);
                 let noise = SMatrix::identity() * self.config.position_sigma.powi(2);
                 correction(&covariance, &found.jacobian, &noise, &found.residual)
             }
@@ -264,7 +262,7 @@ impl Paper {
             let Some(sample) = self.waiting.pop_front() else { return };
             if let (Some(last), Some(attitude)) = (&self.last_sample, self.imu_attitude(&sample)) {
                 let dt = sample.stamp.seconds_since(last.stamp);
-                let world_from_imu = attitude * self.volant_from_imu.rotation;
+                let world_from_imu = attitude * self.rig.imu.volant_from_imu.rotation;
                 let gravity = Vector3::new(0.0, 0.0, self.gravity);
                 let acceleration = world_from_imu * sample.specific_force - gravity;
                 let velocity = self.velocity + acceleration * dt;
@@ -282,7 +280,7 @@ impl Paper {
         let enu_from_imu = sample.orientation.as_ref()?.enu_from_imu;
         let heading =
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.heading.unwrap_or(0.0));
-        Some(heading * enu_from_imu * self.volant_from_imu.rotation.inverse())
+        Some(heading * enu_from_imu * self.rig.imu.volant_from_imu.rotation.inverse())
     }
 
     fn measurement_noise(&self) -> Matrix6<f64> {
@@ -313,7 +311,7 @@ impl Paper {
             ),
             pose_covariance: (pose_covariance + pose_covariance.transpose()) * 0.5,
             linear_velocity: rotation.inverse() * speed,
-            angular_velocity: self.volant_from_imu.rotation * sample.angular_velocity,
+            angular_velocity: self.rig.imu.volant_from_imu.rotation * sample.angular_velocity,
             twist_covariance: Matrix6::from_diagonal(&Vector6::new(
                 2.0 * state.covariance[(0, 0)] / (dt * dt),
                 2.0 * state.covariance[(1, 1)] / (dt * dt),
