@@ -220,7 +220,7 @@ fn text(path: &Path) -> Result<String, RecordingError> {
     node_kit::files::read_text(path).map_err(|e| RecordingError::file(path, e))
 }
 
-fn decode<T: cdr::Cdr>(path: &Path, data: &[u8]) -> Result<T, RecordingError> {
+fn decode<T: volant_msgs::Message>(path: &Path, data: &[u8]) -> Result<T, RecordingError> {
     cdr::from_bytes(data).map_err(|e| RecordingError::file(path, e))
 }
 

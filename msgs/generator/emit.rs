@@ -183,37 +183,6 @@ fn emit_message(
     }
     line(out, "} } }");
 
-    line(out, format!("impl crate::cdr::Cdr for {name} {{"));
-    let sizes: Vec<String> = message
-        .fields
-        .iter()
-        .map(|f| format!("<{} as crate::cdr::Cdr>::MIN_SIZE", field_type(f)))
-        .collect();
-    line(out, format!("const MIN_SIZE: usize = {};", sizes.join(" + ")));
-    line(out, "fn write(&self, to: &mut crate::cdr::Writer) {");
-    for field in &message.fields {
-        line(out, format!("crate::cdr::Cdr::write(&self.{}, to);", field_name(&field.name)));
-    }
-    line(out, "}");
-    line(
-        out,
-        "fn read(from: &mut crate::cdr::Reader<'_>) \
-         -> ::std::result::Result<Self, crate::cdr::CdrError> {",
-    );
-    line(out, "::std::result::Result::Ok(Self {");
-    for field in &message.fields {
-        let read = match field.count {
-            Count::Bounded(n) => format!("crate::cdr::read_bounded(from, {n})"),
-            _ => "crate::cdr::Cdr::read(from)".to_owned(),
-        };
-        let place = format!("{}.{}", message.name, field.name);
-        line(
-            out,
-            format!("{}: {read}.map_err(|e| e.inside({place:?}))?,", field_name(&field.name)),
-        );
-    }
-    line(out, "}) } }");
-
     let ros = &message.name;
     line(out, format!("impl crate::Message for {name} {{"));
     line(out, format!("const TYPE_NAME: &'static str = \"{ros}\";"));

@@ -29,16 +29,7 @@ use std::fmt::Debug;
 
 /// A ROS message, or the request or response of a service.
 pub trait Message:
-    cdr::Cdr
-    + Clone
-    + Debug
-    + Default
-    + PartialEq
-    + Serialize
-    + DeserializeOwned
-    + Send
-    + Sync
-    + 'static
+    Clone + Debug + Default + PartialEq + Serialize + DeserializeOwned + Send + Sync + 'static
 {
     /// ROS name, `package/msg/Type`.
     const TYPE_NAME: &'static str;
