@@ -1,7 +1,7 @@
 //! Inbox of a node: messages and device events in order of arrival, bounded source by source.
 //!
 //! At most `depth` entries of a source (a topic, a device) wait. One more drops the oldest of the
-//! *same* source and is counted, so that a burst of images never costs an inertial sample and a
+//! *same* source and is counted, so that a burst of images never costs an IMU sample and a
 //! producer never waits.
 
 use crate::parameters::ParameterValue;

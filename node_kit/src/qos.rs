@@ -31,7 +31,7 @@ pub enum QosPreset {
     Image,
     /// Camera info, sent with the images: as [`Image`](Self::Image).
     CameraInfo,
-    /// Inertial samples and other fast streams in which a new value is worth more than a repeated
+    /// IMU samples and other fast streams in which a new value is worth more than a repeated
     /// one: best effort, the last 100 (0.25 s at 400 Hz).
     Sensor,
     /// Poses, transforms, diagnostics: reliable, the last 10 (a subscription queues 100).

@@ -101,7 +101,7 @@ fn input(input: Input) -> Option<Event> {
 impl NodeShell for FusionNode {
     const NAME: &'static str = "pose_fusion";
     const ABOUT: &'static str =
-        "markers, inertial samples and the climber's transform in, the platform's pose out";
+        "markers, IMU samples and the climber's transform in, the platform's pose out";
     type Parameters = FusionParameters;
     type Input = Event;
 

@@ -118,7 +118,7 @@ impl Scenario {
         Row { score: scoring::score(&outputs.odometry, &self.truth, from), share: 1.0 }
     }
 
-    /// tight; paper; paper with the velocity from the fused poses; visual alone; inertial alone.
+    /// tight; paper; paper with the velocity from the fused poses; visual alone; IMU alone.
     fn rows(&self) -> [Row; 5] {
         let all = || self.inputs.iter().cloned();
         let paper = |velocity_from_fused| {
@@ -138,7 +138,7 @@ impl Scenario {
         let images = all().filter(|i| matches!(i, Input::Markers(_))).count();
         visual.share = outputs.visual.len() as f64 / images as f64;
         let tight = Row { score: scoring::score(&outputs.odometry, &self.truth, 1.0), share: 1.0 };
-        // The inertial unit alone: biases, clocks and pose of the first three seconds, and no
+        // The IMU alone: biases, clocks and pose of the first three seconds, and no
         // marker from then on.
         let blind = scoring::start(&self.truth).plus_seconds(3.0);
         let without = all().filter(|i| !matches!(i, Input::Markers(m) if m.stamp > blind));
@@ -189,12 +189,12 @@ fn table_of_the_filter_beside_the_published_one_visual_and_inertial_alone() {
         scenarios.push(Scenario::simulated(name, motion, &sensors));
     }
     println!(
-        "RMSE of position (mm) and rotation (deg), from 1 s on (inertial alone: from 3 s on, blind \
+        "RMSE of position (mm) and rotation (deg), from 1 s on (IMU alone: from 3 s on, blind \
          from there)"
     );
     println!(
         "| scenario | tight | paper | paper, velocity from the fused | visual alone (share of \
-         images) | inertial alone |"
+         images) | IMU alone |"
     );
     println!("| --- | --- | --- | --- | --- | --- |");
     for scenario in &scenarios {
@@ -213,7 +213,7 @@ fn table_of_the_filter_beside_the_published_one_visual_and_inertial_alone() {
             100.0 * visual.share,
             cell(inertial),
         );
-        // With so noisy an inertial unit the estimate of now is worse than an image's pose of
+        // With so noisy an IMU the estimate of now is worse than an image's pose of
         // itself, which comes 25 to 45 ms later.
         let noisy = scenario.name.ends_with("inertial noise");
         let peers =

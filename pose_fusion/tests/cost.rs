@@ -180,7 +180,7 @@ fn a_run_allocates_nothing_after_initialization() {
             worst[kind] = worst[kind].max(count);
         }
     }
-    println!("most allocations of an inertial sample, an image, a reading: {worst:?}");
+    println!("most allocations of an IMU sample, an image, a reading: {worst:?}");
     assert_eq!(worst, [0; 3]);
 }
 

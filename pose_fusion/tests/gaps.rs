@@ -58,7 +58,7 @@ fn row(
 fn the_odometry_is_consistent_after_an_imu_dropout() {
     for gap in [0.1, 0.3, 0.6, 0.9, 1.5, 3.0] {
         row(
-            &format!("no inertial sample for {gap} s"),
+            &format!("no IMU sample for {gap} s"),
             6.0 + gap,
             |inputs| {
                 let silent = |at: f64, i: &Input| {
@@ -172,7 +172,7 @@ fn images_from_the_future_are_rejected_with_a_reason() {
                 _ => false,
             };
             assert!(outputs.warnings.iter().any(ahead));
-            // One odometry with every inertial sample all the time.
+            // One odometry with every IMU sample all the time.
             let gap = |w: &[pose_fusion::Odometry]| w[1].stamp.seconds_since(w[0].stamp) < 0.03;
             assert!(outputs.odometry.windows(2).all(gap));
         },

@@ -91,7 +91,7 @@ impl SensorConfig {
 /// One message of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Message {
-    /// Of the inertial unit.
+    /// Of the IMU.
     Imu(ImuSample),
     /// Of the marker tracker.
     Markers(MarkerObservations),
@@ -162,7 +162,7 @@ impl<'a> Sensors<'a> {
         inside.then_some((c.pixel, c.area))
     }
 
-    /// Every inertial sample with its arrival.
+    /// Every IMU sample with its arrival.
     pub fn imu(&self) -> Recording {
         let c = self.config;
         let mut r = Random::fork(c.seed, "imu");

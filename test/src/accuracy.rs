@@ -1,5 +1,5 @@
 //! How far a track is from the truth, axis by axis: the rows of the paper's Table II; and the
-//! inertial unit alone.
+//! IMU alone.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rig_model::{

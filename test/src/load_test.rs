@@ -39,7 +39,7 @@ pub struct Load {
     pub memory: [f64; 4],
     /// Bytes per second and rig on the wire.
     pub wire: f64,
-    /// Odometry per inertial sample that was due: of the worst rig.
+    /// Odometry per IMU sample that was due: of the worst rig.
     pub rate: f64,
     /// From an image's stamp to the odometry that contains it, 50 % and 99 %: of the worst rig, ms.
     pub latency: [f64; 2],

@@ -154,7 +154,7 @@ fn odometry_contains_an_image_within_50_ms() {
     assert!(best < 0.05, "{latencies:?}");
 }
 
-/// Odometry and fused pose with every inertial sample, and bearing its stamp.
+/// Odometry and fused pose with every IMU sample, and bearing its stamp.
 fn check_rates(received: &Received, from: Stamp, to: Stamp) {
     let within = |at: Stamp| at >= from && at <= to;
     let odometry: Vec<Stamp> = received
@@ -165,11 +165,7 @@ fn check_rates(received: &Received, from: Stamp, to: Stamp) {
         .collect();
     let samples: Vec<Stamp> =
         received.imu.iter().map(|(_, m)| stamp(&m.header.stamp)).filter(|s| within(*s)).collect();
-    assert!(
-        samples.len() as f64 > 0.97 * 100.0 * (SECONDS - 1.1),
-        "{} inertial samples",
-        samples.len()
-    );
+    assert!(samples.len() as f64 > 0.97 * 100.0 * (SECONDS - 1.1), "{} IMU samples", samples.len());
     assert!(
         odometry.len() as f64 >= 0.97 * samples.len() as f64,
         "{} of {}",

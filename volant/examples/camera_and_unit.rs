@@ -1,4 +1,4 @@
-//! What a recorder has to take: images at 30 Hz (640×480 rgb8, 0.92 MB) and inertial samples at
+//! What a recorder has to take: images at 30 Hz (640×480 rgb8, 0.92 MB) and IMU samples at
 //! 400 Hz, each numbered in its frame id. A large image keeps its thread for longer than a sample
 //! may wait, so each is a process, as on a rig.
 //!
@@ -16,7 +16,7 @@ parameters! {
     pub struct Parameters {
         /// Publish images.
         images: bool = true;
-        /// Publish inertial samples.
+        /// Publish IMU samples.
         samples: bool = true;
     }
 }
@@ -34,7 +34,7 @@ struct Source {
 
 impl NodeShell for Source {
     const NAME: &'static str = "camera_and_unit";
-    const ABOUT: &'static str = "publishes images at 30 Hz and inertial samples at 400 Hz";
+    const ABOUT: &'static str = "publishes images at 30 Hz and IMU samples at 400 Hz";
     type Parameters = Parameters;
     type Input = Input;
 

@@ -1,4 +1,4 @@
-//! The fusion's node: markers, inertial samples and the climber's transform in, the platform's pose
+//! The fusion's node: markers, IMU samples and the climber's transform in, the platform's pose
 //! out.
 
 use std::process::ExitCode;

@@ -82,7 +82,7 @@ pub struct Rope {
     pub side_variance: f64,
     /// Upper end in the climber's frame, m.
     pub climber_attachment: Vector3<f64>,
-    /// Lower end from the inertial unit, its axes, m.
+    /// Lower end from the IMU, its axes, m.
     pub platform_attachment: Vector3<f64>,
 }
 

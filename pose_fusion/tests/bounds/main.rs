@@ -46,7 +46,7 @@ struct Against {
     encoder_warnings: usize,
     /// How many squares were summed up.
     samples: f64,
-    /// Largest time from an inertial sample's arrival to the newest odometry's stamp, in steps from
+    /// Largest time from an IMU sample's arrival to the newest odometry's stamp, in steps from
     /// the sample before: 1 is "as old as that sample".
     age: f64,
 }
@@ -216,7 +216,7 @@ fn delays_jitter_and_reordering_reach_the_bound() {
 }
 
 /// The runs of `volant hosts` over the clean link and over the late one: whatever is known, the
-/// pose now is that of 60 ms ago and the inertial samples since, and the better the centroids, the
+/// pose now is that of 60 ms ago and the IMU samples since, and the better the centroids, the
 /// more that shows.
 #[test]
 fn a_late_link_between_two_hosts_and_its_bound() {

@@ -22,7 +22,7 @@ type Square = SMatrix<f64, N, N>;
 const CLIMBER: usize = 15;
 const CLOCK: usize = 24;
 
-/// The bound at an inertial sample.
+/// The bound at an IMU sample.
 #[derive(Clone, Debug)]
 pub struct Best {
     /// Since the epoch, s.
@@ -154,7 +154,7 @@ fn transition(
     (f, q)
 }
 
-/// The bound at every `every`-th inertial sample of a recording.
+/// The bound at every `every`-th IMU sample of a recording.
 pub fn bound(
     scene: &Scene<'_>,
     recording: &Recording,

@@ -55,7 +55,7 @@ fn a_tenth_of_a_pixel_gives_a_millimeter_and_a_consistent_covariance() {
             assert!(o.score.position_rmse() < 1.0 && o.score.rotation_rmse() < 0.15, "{}", o.score);
             assert!(consistent(&o.score, 1.0, 6.0), "{}", o.score);
             assert_eq!(o.status.counts.resets.recoveries, 0);
-            // One odometry with every inertial sample once it runs, in order.
+            // One odometry with every IMU sample once it runs, in order.
             assert!(o.outputs.odometry.windows(2).all(|w| {
                 let gap = w[1].stamp.seconds_since(w[0].stamp);
                 gap > 0.0 && gap < 0.03

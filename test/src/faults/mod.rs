@@ -47,7 +47,7 @@ type Action = Box<dyn Fn(&mut Bench<'_>) -> Result<(), RunError>>;
 /// What the odometry does while the fault lasts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flow {
-    /// It comes with every inertial sample.
+    /// It comes with every IMU sample.
     Unbroken,
     /// It stops, because no pose can be estimated.
     Stops,

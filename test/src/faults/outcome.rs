@@ -24,7 +24,7 @@ pub enum Verdict {
 /// What was seen.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// Odometry per inertial sample that was due while the fault lasted.
+    /// Odometry per IMU sample that was due while the fault lasted.
     pub rate: f64,
     /// Longest time without odometry while it lasted, s.
     pub longest_gap: f64,

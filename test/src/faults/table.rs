@@ -53,7 +53,7 @@ fn sensor(
     row(fault, diagnostics, begin, simply(|b| b.run.hardware.inject(None)), 1.0)
 }
 
-/// A row in which the inertial unit is treated with `begin`, and with `end` when the window ends.
+/// A row in which the IMU is treated with `begin`, and with `end` when the window ends.
 fn unit(
     fault: &'static str,
     report: Words,

@@ -76,7 +76,7 @@ pub struct Trial {
     pub name: &'static str,
     /// The same.
     pub trouble: Trouble,
-    /// The odometry must come with every inertial sample, all the time.
+    /// The odometry must come with every IMU sample, all the time.
     pub unbroken: bool,
     /// Largest ratio of the position RMSE to that of the clean link.
     pub at_most: Option<f64>,
@@ -134,7 +134,7 @@ pub struct Seen {
     pub position: f64,
     /// Rotation error, degrees (the same).
     pub rotation: f64,
-    /// Odometry per inertial sample that was due.
+    /// Odometry per IMU sample that was due.
     pub rate: f64,
     /// Longest time without odometry, s.
     pub longest_gap: f64,

@@ -79,7 +79,7 @@ impl Received {
         Self { odometry: self.odometry.iter().map(as_it_is).collect(), ..self.clone() }
     }
 
-    /// The inertial samples.
+    /// The IMU samples.
     pub fn inertial(&self) -> Vec<ImuSample> {
         self.imu.iter().map(|(_, m)| convert::imu_sample(m)).collect()
     }

@@ -12,7 +12,7 @@ use std::{fs::File, io, os::fd::AsFd};
 pub enum Host {
     /// With camera and encoders.
     Climber,
-    /// With the inertial unit.
+    /// With the IMU.
     Platform,
 }
 

@@ -1,4 +1,4 @@
-//! Fig. 13 and Table II: six curves, and the errors of camera, inertial unit, the published filter
+//! Fig. 13 and Table II: six curves, and the errors of camera, IMU, the published filter
 //! and the default one, all with the same gravity.
 
 use super::{
@@ -76,7 +76,7 @@ impl Curves {
         let column = |key, name, color, width, track| Column { key, name, color, width, track };
         let columns = vec![
             column("camera", "camera alone", colors::CAMERA, 0, tight.visual),
-            column("inertial", "inertial alone", colors::INERTIAL, 2, inertial),
+            column("inertial", "IMU alone", colors::INERTIAL, 2, inertial),
             column(
                 "paper",
                 "published filter, our tracker",
@@ -162,7 +162,7 @@ impl Curves {
         ];
         Ok(Made {
             name: "table-2",
-            title: "Table II: errors of camera, inertial unit, EKF and the default filter",
+            title: "Table II: errors of camera, IMU, EKF and the default filter",
             table: Some(Table::from_csv(&csv, 3, true)),
             csv: path,
             svg,

@@ -1,5 +1,5 @@
 //! The nodes' cores over a scenario, without middleware and clock: images through the tracker, its
-//! observations, the inertial samples and the encoders through the filter, in order of arrival.
+//! observations, the IMU samples and the encoders through the filter, in order of arrival.
 
 use super::PaperError;
 use crate::{
@@ -18,7 +18,7 @@ use rig_simulator::{
 pub struct Recording {
     /// Arrival and message, in order of arrival.
     pub messages: Vec<(Stamp, Message)>,
-    /// The inertial samples alone.
+    /// The IMU samples alone.
     pub samples: Vec<ImuSample>,
 }
 

@@ -113,8 +113,7 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
     );
     let errors = |track| Errors::of(track, from, to, truth);
     let (of_camera, of_inertial, of_fused) = (errors(&camera), errors(&inertial), errors(&fused));
-    let rows =
-        [("camera alone", &of_camera), ("inertial alone", &of_inertial), ("fused", &of_fused)];
+    let rows = [("camera alone", &of_camera), ("IMU alone", &of_inertial), ("fused", &of_fused)];
     outln!(
         "\nerrors against the truth, {} s to {} s (the paper's Table II)\n",
         1,
@@ -129,7 +128,7 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
         .map(|w| w[1].0.seconds_since(w[0].0))
         .fold(0.0, f64::max);
     outln!(
-        "odometry: {} of {expected} inertial samples, longest gap {:.0} ms",
+        "odometry: {} of {expected} IMU samples, longest gap {:.0} ms",
         of_fused.count,
         gap * 1e3
     )?;
@@ -158,7 +157,7 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
     let shaded: Vec<[f64; 2]> = scenario.covers.iter().map(|c| c.seconds).collect();
     let svg = six_curves(
         &Drawn {
-            title: "Pose of the platform: camera alone, inertial unit alone, fused (the paper's \
+            title: "Pose of the platform: camera alone, IMU alone, fused (the paper's \
                     Fig. 13)",
             epoch,
             seconds: scenario.duration(),
@@ -167,7 +166,7 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
         },
         &[
             Curve { name: "camera alone", track: &camera, color: colors::CAMERA, width: 0 },
-            Curve { name: "inertial alone", track: &inertial, color: colors::INERTIAL, width: 2 },
+            Curve { name: "IMU alone", track: &inertial, color: colors::INERTIAL, width: 2 },
             Curve { name: "fused", track: &fused, color: colors::FUSED, width: 3 },
         ],
     )?;
@@ -176,7 +175,7 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
         (
             "odometry".to_owned(),
             format!(
-                "{} of {expected} inertial samples, longest gap {:.0} ms",
+                "{} of {expected} IMU samples, longest gap {:.0} ms",
                 of_fused.count,
                 gap * 1e3
             ),
@@ -240,7 +239,7 @@ fn demo_page(
     facts.extend(numbers.iter().cloned());
     let words = "Position in millimeters and rotation in degrees, against the truth (thin line). \
                  What leaves a panel has left the \
-                 range of the truth: the inertial unit's doubly integrated acceleration drifts. \
+                 range of the truth: the IMU's doubly integrated acceleration drifts. \
                  The camera alone is shown \
                  where one image determines a pose.";
     Page {
