@@ -171,8 +171,8 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Index of the first byte of a pixel, which is read. (No image has 4 GiB; of one that had, other pixels would be
-    /// read.)
+    /// Index of the first byte of a pixel, which is read. (No image has 4 GiB; of one that had,
+    /// other pixels would be read.)
     #[inline(always)]
     pub fn begin(&self, x: i32, y: i32) -> u32 {
         self.read([x, y], [x, y]);

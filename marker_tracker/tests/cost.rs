@@ -1,5 +1,5 @@
-//! Images per second of the tracking methods on one core, and the share of a JPEG's cost that is left
-//! where only the windows of the markers are decoded; printed by `make bench`.
+//! Images per second of the tracking methods on one core, and the share of a JPEG's cost that is
+//! left where only the windows of the markers are decoded; printed by `make bench`.
 
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
 #![allow(clippy::disallowed_methods)] // measures time

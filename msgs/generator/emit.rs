@@ -93,13 +93,20 @@ fn field_type(field: &Field) -> String {
     }
 }
 
-fn serde_attribute(field: &Field) -> Option<&'static str> {
+fn serde_attribute(field: &Field) -> Option<String> {
     let bytes = matches!(&field.base, Base::Primitive(p) if p.rust() == "u8");
     match field.count {
         // Same bytes on the wire; serializing element by element is 100 times slower.
-        Count::Bounded(_) | Count::Unbounded if bytes => Some("#[serde(with = \"serde_bytes\")]"),
+        Count::Bounded(_) | Count::Unbounded if bytes => {
+            Some("#[serde(with = \"serde_bytes\")]".to_owned())
+        }
+        Count::Bounded(n) => {
+            Some(format!("#[serde(deserialize_with = \"crate::cdr::bounded::<_, _, {n}>\")]"))
+        }
         // Serde implements arrays up to 32 elements.
-        Count::Fixed(n) if n > 32 => Some("#[serde(with = \"serde_big_array::BigArray\")]"),
+        Count::Fixed(n) if n > 32 => {
+            Some("#[serde(with = \"serde_big_array::BigArray\")]".to_owned())
+        }
         _ => None,
     }
 }

@@ -1,4 +1,5 @@
-//! Descriptions of the built-in types as messages: what `~/get_type_description` answers (REP-2016).
+//! Descriptions of the built-in types as messages: what `~/get_type_description` answers
+//! (REP-2016).
 
 use crate::type_description_interfaces::msg::{
     self as messages, FieldType, IndividualTypeDescription, TypeDescription, TypeSource,

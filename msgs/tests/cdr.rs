@@ -9,7 +9,7 @@ use volant_msgs::{
     Message,
     cdr::{self, CdrError},
     diagnostic_msgs::msg::DiagnosticArray,
-    rcl_interfaces::msg::ParameterEvent,
+    rcl_interfaces::msg::{ParameterDescriptor, ParameterEvent},
     sensor_msgs::msg::{Image, Imu, JointState},
 };
 
@@ -75,7 +75,7 @@ fn every_type_equals_rosbags_and_cyclonedds() {
 }
 
 #[test]
-fn an_error_names_the_type() {
+fn an_error_names_type_and_place() {
     let mut image = Image { data: vec![7; 12], ..Image::default() };
     image.encoding = "rgb8".into();
     let good = cdr::to_bytes(&image);
@@ -85,7 +85,9 @@ fn an_error_names_the_type() {
     bad[at..at + 4].copy_from_slice(&[0xff; 4]);
     let error = cdr::from_bytes::<Image>(&bad).unwrap_err();
     assert!(matches!(&error, CdrError::Malformed { .. }), "{error}");
-    assert!(error.to_string().contains("sensor_msgs/msg/Image"), "{error}");
+    let said = error.to_string();
+    assert!(said.contains("sensor_msgs/msg/Image"), "{said}");
+    assert!(said.contains(&format!("byte {} of {}", at + 4, bad.len())), "{said}");
 
     let mut xcdr2 = good.clone();
     xcdr2[1] = 7;
@@ -97,6 +99,15 @@ fn an_error_names_the_type() {
         cdr::from_bytes::<volant_msgs::std_msgs::msg::Header>(&imu),
         Err(CdrError::Trailing { .. })
     ));
+
+    let three = ParameterDescriptor {
+        integer_range: vec![Default::default(); 3],
+        ..ParameterDescriptor::default()
+    };
+    let said = cdr::from_bytes::<ParameterDescriptor>(&cdr::to_bytes(&three)).unwrap_err();
+    let expected = "rcl_interfaces/msg/ParameterDescriptor: a sequence of 3 elements, more than \
+                    its bound of 1";
+    assert!(said.to_string().contains(expected), "{said}");
 }
 
 proptest! {

@@ -242,8 +242,8 @@ impl RosArguments {
     }
 
     /// Checks the node selectors of all parameter files for mistyped forms of `kind`, the name of a
-    /// node's program. Other names are those of other nodes: longer ones (`pose_fusion_2`), and those
-    /// with a digit.
+    /// node's program. Other names are those of other nodes: longer ones (`pose_fusion_2`), and
+    /// those with a digit.
     ///
     /// # Errors
     /// [`ArgumentError::UnknownNode`]

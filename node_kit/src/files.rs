@@ -124,8 +124,8 @@ pub fn write(path: &Path, bytes: &[u8], overwrite: bool) -> Result<(), FileError
 }
 
 /// File that is written under a temporary name, `NAME.PID.partial`, in its target's folder and
-/// renamed by [`OutputFile::commit`]. Dropped without it, the temporary file is removed. A device or
-/// pipe is written directly.
+/// renamed by [`OutputFile::commit`]. Dropped without it, the temporary file is removed. A device
+/// or pipe is written directly.
 #[derive(Debug)]
 pub struct OutputFile {
     file: File,

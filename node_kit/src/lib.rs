@@ -38,7 +38,7 @@ pub use node::{
 pub use parameters::{ParameterError, ParameterSet};
 pub use qos::QosPreset;
 pub use rig_model::Stamp;
-pub use ros_parameters::{choices, parameters};
+pub use ros_parameters::parameters;
 
 /// The allocator of the executables (`#[global_allocator]`); a larger program that embeds a node
 /// chooses its own.

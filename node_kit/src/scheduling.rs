@@ -130,8 +130,8 @@ impl Scheduling {
             })?;
         }
         if self.lock_memory {
-            // Below a finite limit the call succeeds and a later allocation fails. CAP_IPC_LOCK lifts
-            // the limit; root in a container may lack it.
+            // Below a finite limit the call succeeds and a later allocation fails. CAP_IPC_LOCK
+            // lifts the limit; root in a container may lack it.
             let unlimited = getrlimit(Resource::Memlock).current.is_none()
                 || capabilities(None)
                     .is_ok_and(|own| own.effective.contains(CapabilitySet::IPC_LOCK));

@@ -31,8 +31,8 @@ parameters! {
     pub struct FusionConfig {
         /// The estimator: tight (error-state filter on pixels) or paper (the published filter).
         model: Model = Model::Tight;
-        /// Largest rate of odometry, poses, status, tf and prediction, for slow links; 0: that of the
-        /// IMU.
+        /// Largest rate of odometry, poses, status, tf and prediction, for slow links; 0: that of
+        /// the IMU.
         publish_rate: f64 = 0.0, unit("Hz"), range(0.0..=1000.0);
         /// volant/visual_pose with model tight: choose between the two planar solutions with the
         /// IMU's direction of gravity.

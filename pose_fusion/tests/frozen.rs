@@ -13,13 +13,13 @@ use pose_fusion::{Fusion, FusionConfig, Input, Warning};
 use rig_model::score::{Nees, PoseError};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
-/// Largest error (m) while encoders are frozen and until two seconds later, and share of the odometry
-/// beyond the gate: they are found after half a second at the latest.
+/// Largest error (m) while encoders are frozen and until two seconds later, and share of the
+/// odometry beyond the gate: they are found after half a second at the latest.
 const FROZEN_FAR: f64 = 0.1;
 const FROZEN_BEYOND: f64 = 0.02;
 
-/// The encoders repeat one reading for two seconds, from instants at which the climber drives, turns
-/// around or stands.
+/// The encoders repeat one reading for two seconds, from instants at which the climber drives,
+/// turns around or stands.
 #[test]
 fn encoders_that_freeze_while_the_climber_moves_do_not_take_the_pose_with_them() {
     let (mut far, mut count, mut beyond) = (0.0_f64, 0.0, 0.0);

@@ -23,8 +23,8 @@ const WRONG: f64 = 0.3;
 /// A pose: time, s; rotation error, rad; status.
 type Pose = (f64, f64, PoseStatus);
 
-/// Poses from a second after [`LOST`] on, of four runs with a swing of 30°. The red marker is hidden
-/// at the times (s) for which `hidden` is true.
+/// Poses from a second after [`LOST`] on, of four runs with a swing of 30°. The red marker is
+/// hidden at the times (s) for which `hidden` is true.
 fn poses(hidden: fn(f64) -> bool) -> Vec<Pose> {
     let run = |seed: u64| {
         let motion = MotionConfig {

@@ -1,7 +1,8 @@
 //! Noise of an IMU at rest: the overlapping Allan deviation (IEEE Std 952-1997, annex C).
 //!
 //! A sensor's white noise of density N has the deviation N/√τ over averaging times τ, its bias
-//! instability B a flat minimum of 0.664 B, and the random walk of its bias, of density K, K √(τ/3).
+//! instability B a flat minimum of 0.664 B, and the random walk of its bias, of density K, K
+//! √(τ/3).
 
 use nalgebra::Vector3;
 use rig_model::ImuSample;

@@ -10,8 +10,8 @@ type Block = SMatrix<f64, STATE, STATE>;
 type StateVector = SVector<f64, STATE>;
 type Factor = Cholesky<f64, nalgebra::Const<STATE>>;
 
-/// Share of the damping that acts on the states: a slow motion of the whole track is some 1e-7 times
-/// as stiff as one state, and must follow the parameters.
+/// Share of the damping that acts on the states: a slow motion of the whole track is some 1e-7
+/// times as stiff as one state, and must follow the parameters.
 const OF_STATES: f64 = 1e-8;
 
 /// Normal equations H·x = b.
@@ -77,7 +77,8 @@ impl Arrow {
     }
 
     /// Eliminates image by image, then the parameters. `damping` is Levenberg's, relative to the
-    /// diagonal of the parameters' equations after the elimination. `None` where the matrix is not positive definite.
+    /// diagonal of the parameters' equations after the elimination. `None` where the matrix is not
+    /// positive definite.
     pub fn solve(mut self, damping: f64) -> Option<Solution> {
         let n = self.diagonal.len();
         let factors = self.eliminate(damping * OF_STATES)?;

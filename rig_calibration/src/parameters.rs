@@ -76,8 +76,8 @@ pub struct Parameters {
     pub turn_scale: f64,
     /// Climber axes (x, y, turn) whose readings are not used.
     pub ignored: [bool; 3],
-    /// Readings (x, y, turn) about which the encoders' scales act: of the rails, whose origin is free,
-    /// their mean.
+    /// Readings (x, y, turn) about which the encoders' scales act: of the rails, whose origin is
+    /// free, their mean.
     pub pivot: Vector3<f64>,
 }
 

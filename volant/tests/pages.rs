@@ -237,6 +237,23 @@ fn parameters() -> String {
     .concat()
 }
 
+/// Groups of a table may come from several crates.
+#[test]
+fn a_node_declares_each_parameter_once() {
+    fn check<S: NodeShell>() {
+        let all = [S::Parameters::descriptors(), common_descriptors()].concat();
+        let mut names: Vec<&str> = all.iter().map(|descriptor| descriptor.name.as_str()).collect();
+        names.sort_unstable();
+        for pair in names.windows(2) {
+            assert_ne!(pair[0], pair[1], "{}", S::NAME);
+        }
+    }
+    check::<MarkerTrackerNode>();
+    check::<ImuNode>();
+    check::<ClimberNode>();
+    check::<FusionNode>();
+}
+
 #[test]
 fn the_parameters_page_is_current() {
     check("docs/src/parameters.md", &parameters());

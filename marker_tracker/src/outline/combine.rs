@@ -134,8 +134,8 @@ fn measured(sides: &[Side; 4], edges: &Edges, prior: &ShapePrior) -> Option<Esti
 }
 
 /// Least squares over the common shift (2), the edges' offsets (4) and slopes (4): an offset is the
-/// shift's normal part plus the bias and a slope is zero, each within its tolerance, and both are what
-/// was measured.
+/// shift's normal part plus the bias and a slope is zero, each within its tolerance, and both are
+/// what was measured.
 fn solve(sides: &[Side; 4], edges: &Edges, prior: &ShapePrior) -> Option<Estimate> {
     let mut information = SMatrix::<f64, 10, 10>::zeros();
     let mut right = SVector::<f64, 10>::zeros();

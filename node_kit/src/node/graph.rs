@@ -211,7 +211,8 @@ impl Graph {
         let bytes = gid.to_bytes16();
         let prefix = prefix(&bytes);
         let nodes = self.nodes.read();
-        // A participant announces a publisher after it is discovered; of one node it is that node's.
+        // A participant announces a publisher after it is discovered; of one node it is that
+        // node's.
         let name = nodes.get(&prefix).and_then(|all| {
             let only = all.first().filter(|_| all.len() == 1);
             all.iter().find(|n| n.writers.contains(&bytes)).or(only).map(NodeInfo::full_name)

@@ -3,8 +3,8 @@
 //!
 //! Twelve of the constants θ are the IMU's: for gyroscope and accelerometer each three scale
 //! factors `s` and a rotation `ρ` of the triad against the mounting in the rig file. A reading `m`,
-//! less its bias, measures the motion `m − s ∘ m − ρ × m`. Eight are offsets of the markers' centers
-//! from those in the rig file, x and y of the volant frame.
+//! less its bias, measures the motion `m − s ∘ m − ρ × m`. Eight are offsets of the markers'
+//! centers from those in the rig file, x and y of the volant frame.
 //!
 //! They are estimated by Friedland's two-stage filter (1969, "Treatment of bias in recursive
 //! filtering"). The state is estimated as if they were known, with the sensitivity `V` of its error

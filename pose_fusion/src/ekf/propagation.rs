@@ -13,8 +13,8 @@
 //! white jerk.
 //!
 //! The error is that at the camera's instant (see [`super::state`]): an error of the time offset
-//! means that other readings should have been integrated, `δv' += R Δf δτ` and `δθ' += R Δω δτ`. The
-//! changes `Δf` and `Δω` come with the noise taken out ([`ProcessNoise::change`]).
+//! means that other readings should have been integrated, `δv' += R Δf δτ` and `δθ' += R Δω δτ`.
+//! The changes `Δf` and `Δω` come with the noise taken out ([`ProcessNoise::change`]).
 
 use super::{
     calibration::Calibration,

@@ -138,8 +138,8 @@ impl Filter {
             return self.reinitialize(stamp, image, stamp, false, out);
         }
         let at = entry.stamp;
-        // While the time offset is unknown, it contradicts a platform that sets off; the IMU carries
-        // a state that it knows well until the offset is found.
+        // While the time offset is unknown, it contradicts a platform that sets off; the IMU
+        // carries a state that it knows well until the offset is found.
         let carried = self.lock_out.last_used().is_some_and(|l| stamp.seconds_since(l) < CARRIED);
         let moves_off = carried
             && !self.start.searches_again

@@ -280,8 +280,8 @@ impl Filter {
         self.process(out);
     }
 
-    /// Reinitializes the pose from an image whose markers agree with each other; `uses_up`: with the
-    /// IMU's direction of "up" as a prior. Returns whether the time line was replaced.
+    /// Reinitializes the pose from an image whose markers agree with each other; `uses_up`: with
+    /// the IMU's direction of "up" as a prior. Returns whether the time line was replaced.
     pub(super) fn reinitialize(
         &mut self,
         stamp: Stamp,

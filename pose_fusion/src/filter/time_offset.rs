@@ -180,8 +180,9 @@ impl Filter {
         let first = self.start.time_offset.replace(found).is_none();
         let away = (self.time_offset() - found.offset).abs();
         let sigma = (OFFSET_SIGMA[1] * found.sigma).hypot(self.time_offset_sigma().unwrap_or(0.0));
-        // A filter that came here from far off has errors that its covariance does not contain; they
-        // are gone after a while. One that knew its offset restarts only where that is refuted.
+        // A filter that came here from far off has errors that its covariance does not contain;
+        // they are gone after a while. One that knew its offset restarts only where that is
+        // refuted.
         let near = (self.start.initial_offset - found.offset).abs().max(away) < OFFSET_LINEAR;
         let settled = stamp.seconds_since(self.start.settled.since) > WINDOW
             && self.time_offset_sigma().is_some_and(|own| own < KNOWN);

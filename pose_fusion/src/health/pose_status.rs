@@ -70,7 +70,8 @@ impl PoseStatus {
     }
 
     /// Fills in state, validity and reason from the ages and sigmas. `vision_only` is whether IMU
-    /// samples are missing, `contradicted` whether images contradict the prediction again and again.
+    /// samples are missing, `contradicted` whether images contradict the prediction again and
+    /// again.
     pub fn judged(mut self, config: &StatusConfig, vision_only: bool, contradicted: bool) -> Self {
         // A sigma that is no number is beyond every limit.
         let beyond = |sigma: f64, limit: f64| sigma.is_nan() || sigma > limit;

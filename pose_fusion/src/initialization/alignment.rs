@@ -1,8 +1,8 @@
 //! Alignment of the visual poses of single images with the motion that the IMU measured.
 //!
-//! For a candidate offset τ the image stamped `t` was taken at `t + τ` on the IMU's time line; there
-//! the IMU's motion is known but for its initial position, velocity and attitude and the biases (15
-//! numbers), which enter linearly:
+//! For a candidate offset τ the image stamped `t` was taken at `t + τ` on the IMU's time line;
+//! there the IMU's motion is known but for its initial position, velocity and attitude and the
+//! biases (15 numbers), which enter linearly:
 //!
 //! `R_i = Exp(θ₀ + R₀ J_R b_g) R₀ ΔR_i`,
 //! `p_i = p₀ + v₀ s + g s²/2 + R₀ (Δp_i + J_p b) + [θ₀]× R₀ Δp_i − R_i t`
@@ -223,8 +223,8 @@ impl Alignment<'_> {
         (motions.len() >= FEWEST.max(self.poses.len() / 2)).then_some(motions)
     }
 
-    /// First instant, and the attitude there at which the fit is linearized: that which the image in
-    /// the middle gives.
+    /// First instant, and the attitude there at which the fit is linearized: that which the image
+    /// in the middle gives.
     fn origin(
         &self,
         motions: &[(&VisualPose, Preintegrated)],
@@ -269,7 +269,8 @@ impl Alignment<'_> {
         Some((solution, (square - right.dot(&solution)).max(0.0)))
     }
 
-    /// Factor by which the variance of an offset exceeds what independent errors of the images leave.
+    /// Factor by which the variance of an offset exceeds what independent errors of the images
+    /// leave.
     ///
     /// The IMU's noise adds up: the error of the attitude (a random walk), and the velocity and
     /// position that follow from it, are common to all later images, and many images do not average

@@ -28,8 +28,8 @@ impl Continuity {
         self.last = None;
     }
 
-    /// Takes a message as it is. For one at the rate of images alone: its velocity is not known well
-    /// enough to tell a correction from the motion, and a limited position would lag behind.
+    /// Takes a message as it is. For one at the rate of images alone: its velocity is not known
+    /// well enough to tell a correction from the motion, and a limited position would lag behind.
     pub fn follow(&mut self, odometry: Odometry) -> Odometry {
         self.last = Some((odometry.stamp, odometry.world_from_volant));
         odometry

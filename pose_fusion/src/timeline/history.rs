@@ -275,7 +275,8 @@ mod tests {
         assert_eq!(history.processed(), 1);
     }
 
-    /// A mean of past readings alone would lag behind a ramp, and share its noise with the attitude.
+    /// A mean of past readings alone would lag behind a ramp, and share its noise with the
+    /// attitude.
     #[test]
     fn the_motion_at_an_image_reaches_as_far_back_as_samples_follow() {
         let reading = |ms: i64| ImuReading {

@@ -112,12 +112,14 @@ impl Group {
         self.first..self.first + self.count
     }
 
-    /// Factor on priors and sizes of a parameter: tangential coefficients act more than radial ones.
+    /// Factor on priors and sizes of a parameter: tangential coefficients act more than radial
+    /// ones.
     pub fn scale(&self, i: usize) -> f64 {
         if self.cause == Cause::Distortion && i >= self.first + 2 { 0.03 } else { 1.0 }
     }
 
-    /// Cost that it must explain to count, in units of the noise. χ² of one degree of freedom exceeds
+    /// Cost that it must explain to count, in units of the noise. χ² of one degree of freedom
+    /// exceeds
     /// 8 + 5 with a probability of 3e-4. Encoders count in steps, which are no white noise, and a
     /// wrong camera position resembles the drift of an IMU: they must explain more.
     pub fn least(&self) -> f64 {

@@ -68,7 +68,8 @@ pub(crate) fn examine(
                 })
                 .collect();
             let most = trials.iter().map(|t| t.0).fold(0.0, f64::max);
-            // A turned layout is nearly the same: of those that find the markers, the one that fits.
+            // A turned layout is nearly the same: of those that find the markers, the one that
+            // fits.
             let found = trials.iter().filter(|t| t.0 > TRACKED && t.0 > 0.5 * most);
             if let Some((_, _, candidate)) = found.min_by(|a, b| a.1.total_cmp(&b.1)) {
                 state.samples.markers = track(&candidate.layout, &camera, None);

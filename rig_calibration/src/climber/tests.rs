@@ -48,7 +48,8 @@ struct Recorded {
     joints: Vec<JointReadings>,
 }
 
-/// Records a jog of the axes that move, with stamps of the readings that are `late` by some seconds.
+/// Records a jog of the axes that move, with stamps of the readings that are `late` by some
+/// seconds.
 fn record(
     truth: &Rig,
     moving: [bool; 3],

@@ -120,7 +120,8 @@ pub fn driver(data: &[u8]) -> u32 {
     }
 }
 
-/// Valid inputs: ten streams with frames in all formats, and a conversation that leads to measuring.
+/// Valid inputs: ten streams with frames in all formats, and a conversation that leads to
+/// measuring.
 pub fn seeds() -> Vec<Vec<u8>> {
     let m = Measurement {
         counter: Some(65_535),

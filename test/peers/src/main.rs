@@ -3,8 +3,8 @@
 //!
 //! `bench` prints the main table (time, accuracy, success) and the targets of the tracker; `sweep`
 //! the success over viewing angle and distance; `boards` compares markers with chessboards;
-//! `occlusion` hides a part of the targets; `trials` what the tracker does in scenes that are made to
-//! mislead it.
+//! `occlusion` hides a part of the targets; `trials` what the tracker does in scenes that are made
+//! to mislead it.
 
 mod bench;
 mod boards;

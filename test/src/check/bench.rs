@@ -129,8 +129,8 @@ impl Bench {
         &self.clean
     }
 
-    /// Applies a fault and returns what the nodes report while they run ([`findings_while_running`]);
-    /// without one, of the unchanged recording.
+    /// Applies a fault and returns what the nodes report while they run
+    /// ([`findings_while_running`]); without one, of the unchanged recording.
     pub fn while_running(&self, fault: Option<&Fault>) -> Vec<String> {
         let mut recording = self.recording.clone();
         if let Some(fault) = fault {

@@ -115,7 +115,8 @@ impl Scenario {
         )
     }
 
-    /// True centroid of a marker in the image at `t`, px; `None` where the camera cannot project it.
+    /// True centroid of a marker in the image at `t`, px; `None` where the camera cannot project
+    /// it.
     pub fn true_centroid(&self, color: MarkerColor, t: f64) -> Option<Vector2<f64>> {
         let camera = self.motion.world_from_camera(t, &self.rig);
         let pose = camera.inverse() * self.motion.world_from_volant(t);

@@ -121,8 +121,8 @@ impl Bits {
     }
 }
 
-/// The value of `size` bits (ITU-T T.81, F.2.2.1) at the start of `bits`; `None` where an image of 8
-/// bits has no such value.
+/// The value of `size` bits (ITU-T T.81, F.2.2.1) at the start of `bits`; `None` where an image of
+/// 8 bits has no such value.
 fn value(bits: u64, size: u8) -> Option<i32> {
     match size {
         0 => Some(0),

@@ -98,8 +98,8 @@ impl PaperTracker {
         Ok(self.observations)
     }
 
-    /// Scales the expected areas as the areas of the visible markers have changed since the previous
-    /// image: by their median, so that one of them may be partly covered.
+    /// Scales the expected areas as the areas of the visible markers have changed since the
+    /// previous image: by their median, so that one of them may be partly covered.
     fn scale_areas(
         &mut self,
         before: &PerColor<Option<f64>>,

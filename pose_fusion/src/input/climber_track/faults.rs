@@ -70,8 +70,8 @@ impl ClimberTrack {
         self.readings.back().is_some_and(|(newest, _, _)| self.leaps_near(*newest))
     }
 
-    /// Returns whether the reading at `stamp` is the first that differs after equal ones, by no more
-    /// than a climber drives (3 sigma of [`SPEED`]) in the time for which they were equal.
+    /// Returns whether the reading at `stamp` is the first that differs after equal ones, by no
+    /// more than a climber drives (3 sigma of [`SPEED`]) in the time for which they were equal.
     pub fn moves_on(&self, stamp: Stamp) -> bool {
         let place = self.place_of(stamp);
         let mut before = self.readings.iter().take(place).rev().peekable();
@@ -171,7 +171,8 @@ mod tests {
         // The turn passes from pi to -pi and freezes.
         let frozen = stopped(&|_| 0.3, &|t| 3.1 + 0.2 * t.min(1.0));
         assert!(frozen.is_some_and(|at| (at - 1.01).abs() < 1e-6), "{frozen:?}");
-        // A drive that brakes with 2 m/s², one that creeps, and an encoder that is read every 0.1 s.
+        // A drive that brakes with 2 m/s², one that creeps, and an encoder that is read every 0.1
+        // s.
         let braked = |t: f64| {
             if t < 1.0 {
                 0.3 * t

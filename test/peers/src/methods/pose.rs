@@ -62,8 +62,8 @@ pub fn point2(p: &Vector2<f64>) -> core::Point2d {
 }
 
 /// Gauss–Newton on the centroids of the projected squares, weighted by their covariances, from a
-/// prior pose. Returns the pose and the weighted sum of squares; `None` with less than three markers
-/// or without a solution.
+/// prior pose. Returns the pose and the weighted sum of squares; `None` with less than three
+/// markers or without a solution.
 pub fn gauss_newton(
     layout: &MarkerLayout,
     camera: &CameraModel,

@@ -18,8 +18,8 @@ pub(crate) struct Arguments {
     /// Only rows whose fault contains this text
     #[arg(long)]
     only: Option<String>,
-    /// Folder for the nodes' logs, one in it for each run: new, empty or of an earlier run, which is
-    /// replaced
+    /// Folder for the nodes' logs, one in it for each run: new, empty or of an earlier run, which
+    /// is replaced
     #[arg(long, default_value = "target/faults")]
     out: PathBuf,
     /// Also write the table, as Markdown, to this file

@@ -21,8 +21,8 @@ pub(crate) struct Arguments {
     /// Only rows whose name contains this text; the clean link is run in any case, to compare with
     #[arg(long)]
     only: Option<String>,
-    /// Folder for the nodes' logs, one in it for each run: new, empty or of an earlier run, which is
-    /// replaced
+    /// Folder for the nodes' logs, one in it for each run: new, empty or of an earlier run, which
+    /// is replaced
     #[arg(long, default_value = "target/hosts")]
     out: PathBuf,
     /// Also write the table, as Markdown, to this file

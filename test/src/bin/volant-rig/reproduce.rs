@@ -27,9 +27,9 @@ use volant_test::{
 
 /// Reproduces the paper's tables and figures with the program's own nodes on a simulated bench.
 ///
-/// fig-2, fig-7, fig-11, fig-12, table-1 and occlusion compare with peers, which need the large OpenCV: `make
-/// reproduce` builds them and writes everything. Without them the other results are written, and
-/// the missing ones are named.
+/// fig-2, fig-7, fig-11, fig-12, table-1 and occlusion compare with peers, which need the large
+/// OpenCV: `make reproduce` builds them and writes everything. Without them the other results are
+/// written, and the missing ones are named.
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// What to make (all without a name, or `all`): fig-2, fig-4, fig-5, fig-6, fig-7, fig-9,
@@ -40,8 +40,8 @@ pub(crate) struct Arguments {
     /// Folder for NAME.csv, NAME.svg and report.html
     #[arg(long)]
     out: PathBuf,
-    /// Replace existing files NAME.csv and NAME.svg; without it only the report of an earlier run is
-    /// replaced
+    /// Replace existing files NAME.csv and NAME.svg; without it only the report of an earlier run
+    /// is replaced
     #[arg(long)]
     overwrite: bool,
     /// Everything random follows from it

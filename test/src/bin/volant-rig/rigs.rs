@@ -28,8 +28,8 @@ pub(crate) struct Arguments {
     /// Goes on though the machine is full
     #[arg(long)]
     beyond: bool,
-    /// Folder for the nodes' logs, one in it for each run: new, empty or of an earlier run, which is
-    /// replaced
+    /// Folder for the nodes' logs, one in it for each run: new, empty or of an earlier run, which
+    /// is replaced
     #[arg(long, default_value = "target/rigs")]
     out: PathBuf,
     /// Also write the table, as Markdown, to this file

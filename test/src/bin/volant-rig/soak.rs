@@ -22,7 +22,8 @@ pub(crate) struct Arguments {
     /// in the rest
     #[arg(long, default_value_t = 0.3)]
     kills: f64,
-    /// Folder for the nodes' logs: an empty or new one, or that of an earlier run, which is replaced
+    /// Folder for the nodes' logs: an empty or new one, or that of an earlier run, which is
+    /// replaced
     #[arg(long, default_value = "target/soak")]
     out: PathBuf,
     /// DDS domain to run on, so that a rig on the usual one is not disturbed

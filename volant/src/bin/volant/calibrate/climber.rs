@@ -47,8 +47,8 @@ pub struct Arguments {
     /// height Z of the platform's origin above the floor
     #[arg(long, value_name = "X,Y,Z", value_parser = position, allow_hyphen_values = true)]
     pub platform: Option<Vector3<f64>>,
-    /// Also correct camera.position (x, y) and the tilt in camera.orientation of the rig file, where
-    /// the jog shows them
+    /// Also correct camera.position (x, y) and the tilt in camera.orientation of the rig file,
+    /// where the jog shows them
     #[arg(long)]
     pub camera: bool,
     #[command(flatten)]
