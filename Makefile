@@ -1,7 +1,7 @@
 # make demo        sets up what is missing, builds, and runs the four nodes on a simulated rig
 # make test        sets up what is missing and passes the tests; ends with a table (test/tier)
 # make long        tests that take minutes or need a quiet machine
-# make lint        what CI lints: format, clippy, cores without middleware
+# make lint        what CI lints: format, clippy, cores without middleware, docs
 # make bench       the tracker beside other methods, images per second of each tracking method, the
 #                  filter beside its bound on 200 runs
 # make faults      every fault on real processes: test/FAULTS.md
@@ -83,6 +83,7 @@ lint: .setup/debian
 	    echo "$$core: its core depends on middleware or a device"; exit 1; fi; \
 	done
 	$(CARGO) clippy --release --workspace --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --quiet --release --workspace --no-deps
 
 # The peers and the calibration need the large OpenCV, so they are workspaces of their own that
 # `make test` never builds. They share a folder, because both build the same bindings, and their

@@ -2,7 +2,7 @@
 //! `--ros-args`, parameters with descriptors, lifecycle, clock, tf, diagnostics, intra-process
 //! transport.
 //!
-//! A node implements [`NodeShell`](node::NodeShell): it declares its parameters ([`parameters!`]),
+//! A node implements [`NodeShell`]: it declares its parameters ([`parameters!`]),
 //! subscribes and advertises in `start`, and receives every message and device event in order of
 //! arrival in `handle`. [`node::join`] is the only function that creates a DDS participant.
 //!

@@ -4,8 +4,8 @@
 //! follows from it. Time comes with the data; nothing in the core reads a clock, logs, sleeps or
 //! panics.
 //!
-//! [`filter`] is the tightly coupled error-state filter (the default), [`reference`] the published
-//! filter and the pose from one image alone. The ROS 2 node is in `node` (feature `node`).
+//! [`filter`] is the tightly coupled error-state filter (the default), [`mod@reference`] the
+//! published filter and the pose from one image alone. The ROS 2 node is in `node` (feature `node`).
 
 pub mod adaptation;
 pub mod config;

@@ -9,7 +9,8 @@ use crate::{Descriptor, ParameterError, ParameterMap, ParameterType, ParameterVa
 /// (else read-only), `required` (else the default holds where the parameter is not given). Types:
 /// `bool`, `f64`, whole numbers, `String`, `[f64; 3]`, `Vec` of `bool`, `i64`, `f64`, `String`, and
 /// enums declared with [`choices!`](crate::choices!). `groups` are fields that are such structs
-/// themselves, `plain` fields that are no parameters; a `check` validates the whole struct.
+/// themselves, `plain` fields that are no parameters; a `check` validates the whole struct. The
+/// documentation of a field shows its attributes.
 ///
 /// ```
 /// ros_parameters::choices! {
@@ -88,7 +89,13 @@ macro_rules! parameters {
         $(#[$meta])*
         #[derive(Clone, Debug)]
         $vis struct $Name {
-            $( $(#[doc = $doc])+ pub $field: $type, )*
+            $(
+                $(#[doc = $doc])+
+                $( #[doc = concat!(
+                    "- `", stringify!($attribute), $( "(", $(stringify!($argument),)* ")", )? "`"
+                )] )*
+                pub $field: $type,
+            )*
             $($( $(#[doc = $group_doc])+ pub $group: $Group, )+)?
             $($( $(#[doc = $plain_doc])+ pub $plain: $Plain, )+)?
         }

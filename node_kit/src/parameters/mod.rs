@@ -1,4 +1,4 @@
-//! Declared parameters of a node ([`parameters!`](crate::parameters!)): store, messages and text.
+//! Declared parameters of a node ([`parameters!`](macro@crate::parameters)): store, messages and text.
 
 mod common;
 pub mod messages;

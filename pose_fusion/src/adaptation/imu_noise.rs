@@ -2,7 +2,7 @@
 //!
 //! Third differences cancel any motion that is smooth over four samples (a 1 Hz swing of 35° leaves
 //! a tenth of an MTx's noise at 100 Hz), and white noise of variance σ² leaves 20 σ² in their
-//! square. They are taken at two time scales: of single samples, and of means over [`BLOCK`]
+//! square. They are taken at two time scales: of single samples, and of means over `BLOCK`
 //! seconds. White noise has the same density at both. Vibration is strong between samples and
 //! averages out over a block, where it no longer moves the platform; fast motion is seen by the
 //! blocks and not between samples. So the smaller density is that of the noise which the filter

@@ -1,8 +1,8 @@
 //! Tightly coupled error-state filter: marker pixels, encoders and IMU samples, each at its own
 //! time.
 //!
-//! Inputs arrive in any order ([`ingest`]) and go to their place on the time line; the time line is
-//! processed up to its end ([`processing`]), and the newest state is published ([`publish`]). The
+//! Inputs arrive in any order (`ingest`) and go to their place on the time line; the time line is
+//! processed up to its end (`processing`), and the newest state is published (`publish`). The
 //! parts are values of their own: this type only connects them.
 
 mod encoders;

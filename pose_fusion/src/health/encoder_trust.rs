@@ -5,9 +5,9 @@
 //! row restore trust. Readings that contradict the estimate for `climber.step_timeout` are adopted
 //! (the drive was homed, or a wheel slipped): the filter reinitializes with them, and the world
 //! frame moves with the encoders. Until then the pose keeps its frame. Who of the two is wrong is
-//! not known: after [`DISPUTED`] the published covariance contains the distance between them.
+//! not known: after `DISPUTED` the published covariance contains the distance between them.
 //! Encoders that are known to be frozen are not adopted before they move again. Readings that
-//! return from a fault and go on moving are right: they are adopted after [`RETURNED`]. They return
+//! return from a fault and go on moving are right: they are adopted after `RETURNED`. They return
 //! where frozen ones move again, or where they leap to where a climber can have moved to since they
 //! were equal or leapt before.
 

@@ -5,7 +5,7 @@
 //! just before are suspended; else the platform was struck, and the time since the last used image
 //! is re-propagated with the noise of a shock; shocks that follow each other mean that something
 //! else is wrong, and the pose is reinitialized from the image. The same happens where images have
-//! done nothing but contradict for [`STARVED`] seconds: a single marker that still passes its gate
+//! done nothing but contradict for `STARVED` seconds: a single marker that still passes its gate
 //! keeps no pose that the others contradict.
 //!
 //! Where that happens again and again, no shock explains it: a unit, a sign, a direction or a frame

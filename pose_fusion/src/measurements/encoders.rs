@@ -91,7 +91,7 @@ pub fn by_parameter(axis: usize, value: f64, rate: f64) -> ByParameter {
 }
 
 /// Returns whether no climber can have caused the innovation within `span` seconds: its distance,
-/// less five sigma, asks for more than [`ACCELERATION`].
+/// less five sigma, asks for more than `ACCELERATION`.
 pub fn is_impossible(innovation: &Innovation<3>, span: f64) -> bool {
     let reach = ACCELERATION * span.min(LONGEST).powi(2) / 2.0;
     (0..3).any(|i| {

@@ -2,7 +2,7 @@
 //!
 //! All markers are used together. Each must pass its own gate, and those that pass must be
 //! consistent with each other: otherwise the largest consistent subset is used. The prediction is
-//! in [`super::marker_prediction`], the iterated update in [`super::marker_solution`].
+//! in [`super::marker_prediction`], the iterated update in `marker_solution.rs`.
 
 use super::{
     Innovation, Outcome,

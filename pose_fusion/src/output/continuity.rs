@@ -2,7 +2,7 @@
 //!
 //! A correction of the filter (a shock, a new time offset) may move its estimate by centimeters at
 //! once, which a controller would answer with a jerk. The published position follows the filter's
-//! with at most [`STEP`] per message beside its own motion, and its covariance contains the
+//! with at most `STEP` per message beside its own motion, and its covariance contains the
 //! distance that is left.
 
 use super::Odometry;

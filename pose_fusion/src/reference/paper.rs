@@ -8,7 +8,7 @@
 //!   translation is the acceleration (rotated to the world by the IMU's own attitude, without
 //!   gravity) integrated twice under the threshold control of section III-A; the rotation is the
 //!   IMU's own attitude, its heading aligned with the world at the first visual pose. For an IMU
-//!   that outputs none it is computed from the samples ([`crate::reference::gyro_attitude`]);
+//!   that outputs none it is computed from the samples (`gyro_attitude.rs`);
 //! - the correction (eq. 11–13) is `K = P⁻ Hᵀ (H P⁻ Hᵀ + R)⁻¹`, `x = x⁻ + K r`,
 //!   `P = (I − K H) P⁻`, with R/Q = 10. The measurement is the visual pose (`H = I`, `r = z − x⁻`),
 //!   or with `measurement: markers` the markers' coordinates on the world plane

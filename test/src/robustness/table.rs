@@ -74,7 +74,7 @@ pub struct Cell {
     pub after: Figures,
     /// What does not hold, in words.
     pub failures: Vec<String>,
-    /// What never may happen: a number that is not finite, or a valid pose that is [`WRONG`].
+    /// What never may happen: a number that is not finite, or a valid pose that is `WRONG`.
     pub catastrophe: Option<String>,
 }
 

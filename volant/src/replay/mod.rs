@@ -1,7 +1,7 @@
 //! Replay of a bag through the nodes' cores: deterministic, and as fast as possible. A bag and the
 //! rig file are read, and a bag with what the nodes would have published is written, each message
-//! logged at its stamp. One thread reads, some decode images ([`feed`]), and this thread drives the
-//! cores in the bag's order ([`pipeline`]): the result does not depend on the threads.
+//! logged at its stamp. One thread reads, some decode images (`feed`), and this thread drives the
+//! cores in the bag's order (`pipeline`): the result does not depend on the threads.
 
 mod feed;
 mod output;

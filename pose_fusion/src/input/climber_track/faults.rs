@@ -43,7 +43,7 @@ impl ClimberTrack {
         equal.last().map(|(at, _, _)| *at)
     }
 
-    /// Returns whether two neighboring readings within [`NEAR`] of `stamp` differ by more than a
+    /// Returns whether two neighboring readings within `NEAR` of `stamp` differ by more than a
     /// climber moves between them: neither position nor rate can be derived from them.
     pub fn leaps_near(&self, stamp: Stamp) -> bool {
         let near = |at: &Stamp| at.seconds_since(stamp).abs() < NEAR;
