@@ -154,7 +154,7 @@ fn summary(report: &ReplayReport, model: Model, workers: usize) -> String {
     );
     out += &format!("inputs    {} IMU samples, {} climber transforms\n", c.imu, c.climber);
     out += &format!(
-        "outputs   {} odometries, {} visual poses; after the first second {:.2} % of the inertial \
+        "outputs   {} odometries, {} visual poses; after the first second {:.2} % of the IMU \
          samples, longest gap {:.1} ms\n",
         c.odometry,
         c.visual,
