@@ -17,7 +17,7 @@ use common::{
 use pose_fusion::{
     Fusion, FusionConfig, Input, MarkerOutcome, Output, PendulumConfig, PoseState, Warning,
 };
-use rig_model::MarkerColor;
+use rig_model::{MarkerColor, MarkerObservation};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
 /// The inputs go through `change` with their times of arrival (s); checks the second after `end`,
@@ -353,4 +353,51 @@ fn the_status_reports_that_only_encoder_readings_arrive() {
     }
     assert!((14..=18).contains(&alone.len()), "{alone:?}");
     assert!(again.is_some_and(|t| t < 5.3), "{again:?}");
+}
+
+/// Three markers are hidden and the fourth is somewhere else: the IMU carries the pose, and is
+/// right.
+#[test]
+fn a_single_false_marker_moves_no_pose_that_is_known() {
+    const END: f64 = 7.5;
+    // Offset (px) and how far the pose may be off (m).
+    for (offset, farthest) in [(20.0, 0.05), (60.0, 0.02)] {
+        for (seed, motion) in simulated::motions() {
+            let sensors = SensorConfig::nominal(seed);
+            let run = simulated::run(motion, &sensors);
+            let inputs = run.inputs.iter().map(|(at, input)| match input {
+                Input::Markers(m) if (6.0..END).contains(&at.seconds_since(sensors.epoch)) => {
+                    let mut markers = m.clone();
+                    for color in MarkerColor::ALL {
+                        match color {
+                            MarkerColor::Red => markers.markers[color].centroid.x += offset,
+                            _ => markers.markers[color] = MarkerObservation::lost(1),
+                        }
+                    }
+                    Input::Markers(markers)
+                }
+                input => input.clone(),
+            });
+            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+            let outputs = scoring::run(&mut fusion, inputs);
+            let error = |o: &&pose_fusion::Odometry| {
+                let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
+                (o.world_from_volant.translation.vector - truth.translation.vector).norm()
+            };
+            let hidden = |o: &&pose_fusion::Odometry| {
+                (6.0..END).contains(&o.stamp.seconds_since(scoring::start(&run.truth)))
+            };
+            let worst =
+                outputs.odometry.iter().filter(hidden).map(|o| error(&o)).fold(0.0, f64::max);
+            let (p, r, position, rotation) = scoring::judge(&outputs, &run, END + 0.1, END + 1.0);
+            println!(
+                "{offset} px, seed {seed}: {:.1} mm, then {:.2} mm {:.3}°, beyond {p:.3} {r:.3}",
+                worst * 1e3,
+                position * 1e3,
+                rotation.to_degrees()
+            );
+            assert!(worst < farthest, "{offset} px, seed {seed}: {worst} m");
+            assert!(p < 0.02 && r < 0.02 && position < 0.001 && rotation < 3e-3, "seed {seed}");
+        }
+    }
 }

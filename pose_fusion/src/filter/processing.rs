@@ -5,7 +5,7 @@ use crate::{
     adaptation::excess::{MODEL_ERROR, PIXEL_NOISE},
     ekf::{
         propagation::{Motion, ProcessNoise},
-        state::{TIME_OFFSET, VELOCITY},
+        state::{ATTITUDE, TIME_OFFSET, VELOCITY},
     },
     health::{
         encoder_trust::Cause,
@@ -46,6 +46,8 @@ const UNCARRIED: f64 = 0.01;
 /// where the velocity is known to this, m/s.
 const OFFSET_KNOWN: f64 = 0.01;
 const VELOCITY_KNOWN: f64 = 0.1;
+/// An attitude that is known worse than this may be what a single marker contradicts, rad.
+const ATTITUDE_KNOWN: f64 = 0.02;
 /// Longest time that the IMU carries the state past such images, s: an alignment finds the offset
 /// of a platform that sets off within 0.2 s.
 const CARRIED: f64 = 0.25;
@@ -145,6 +147,11 @@ impl Filter {
             && !self.start.searches_again
             && self.offset_doubt() > OFFSET_KNOWN
             && entry.state.sigmas(VELOCITY).max() < VELOCITY_KNOWN;
+        // A single marker may be false: it contradicts only an attitude that is not known.
+        let seen = match image.detected() {
+            1 if entry.state.sigmas(ATTITUDE).max() < ATTITUDE_KNOWN => record.used as usize,
+            detected => detected,
+        };
         let excused = self.disturbances.is_climber_disturbed(at) || moves_off;
         let settled =
             self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > SETTLED);
@@ -196,7 +203,7 @@ impl Filter {
             }
         }
         let limit = if agrees { limit } else { DISAGREEING * limit };
-        match self.lock_out.note(stamp, image.detected(), record.used, limit, excused) {
+        match self.lock_out.note(stamp, seen, record.used, limit, excused) {
             Response::None => false,
             Response::GiveWay(since) => {
                 self.lock_out.responded(stamp);

@@ -16,7 +16,10 @@ use crate::{
         from_image::{self, ClimberPrior},
         time_offset::TimeOffset,
     },
-    input::{climber_track::SPEED, imu::Up},
+    input::{
+        climber_track::{ClimberAt, SPEED},
+        imu::Up,
+    },
     measurements::markers::{Image, Pixels},
     output::{MarkerOutcome, Output, Warning},
     timeline::{arrival::AHEAD, history::Event},
@@ -218,10 +221,7 @@ impl Filter {
             matches!(e.event, Event::Imu { .. }) && e.stamp <= at
         };
         let measured = absent || self.history.iter().any(is_imu_before);
-        let read = stamp.plus_seconds(self.setup.config.clock.climber_offset);
-        let climber = self.climber.at(read).filter(|c| c.distance <= NEAR);
-        let climber = climber.filter(|_| !self.climber.leaps_near(read));
-        let (Some(climber), Some(geometry)) = (climber, &self.setup.geometry) else {
+        let (Some(climber), Some(geometry)) = (self.climber_at(stamp), &self.setup.geometry) else {
             return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
         };
         let enough = pixels.iter().flatten().count() >= 3;
@@ -248,6 +248,14 @@ impl Filter {
         let mut state = start.state;
         self.remember(&mut state);
         self.begin(at, state, out);
+    }
+
+    /// Returns the climber by its encoders at an image, where they have readings near it and do not
+    /// leap.
+    fn climber_at(&self, image: Stamp) -> Option<ClimberAt> {
+        let read = image.plus_seconds(self.setup.config.clock.climber_offset);
+        let climber = self.climber.at(read).filter(|climber| climber.distance <= NEAR);
+        climber.filter(|_| !self.climber.leaps_near(read))
     }
 
     /// Puts a state at an instant of the time line and processes what is behind it.
@@ -297,7 +305,10 @@ impl Filter {
         let mut image = *image;
         image.time_offset = old.time_offset;
         let up = self.imu.up_at(at, &self.history).filter(|_| uses_up);
-        let prior = ClimberPrior::from_state(&old);
+        // What contradicted the images has moved the climber of the state, too.
+        let trusted = (!self.trust.is_suspended()).then(|| self.climber_at(stamp)).flatten();
+        let prior = trusted
+            .map_or_else(|| ClimberPrior::from_state(&old), |at| ClimberPrior::from_readings(&at));
         let config = &self.setup.config;
         let known = &old.calibration;
         let Some(start) = from_image::start(geometry, config, &image, up.as_ref(), &prior, known)

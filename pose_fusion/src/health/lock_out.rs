@@ -82,7 +82,7 @@ impl LockOut {
         excused: bool,
     ) -> Response {
         let used = used as usize;
-        if detected < 2 || used * 2 > detected {
+        if detected == 0 || used * 2 > detected {
             if used > 0 {
                 self.last_used = Some(self.last_used.map_or(image, |last| last.max(image)));
                 self.contradictions = 0;
@@ -163,6 +163,16 @@ mod tests {
         let responses = (1..30).map(|image| (image, lock_out.note(at(image), 3, 1, 6, true)));
         let first = responses.into_iter().find(|(_, response)| *response != Response::None);
         assert_eq!(first, Some((16, Response::Reinitialize(at(1)))));
+    }
+
+    #[test]
+    fn a_single_marker_contradicts_and_an_image_without_markers_does_not() {
+        let at = |image: i64| Stamp::from_nanos(image * 33_000_000);
+        let mut lock_out = LockOut::default();
+        lock_out.initialized(at(0));
+        assert_eq!(lock_out.note(at(1), 1, 0, 2, false), Response::None);
+        assert_eq!(lock_out.note(at(2), 0, 0, 2, false), Response::None);
+        assert_eq!(lock_out.note(at(3), 1, 0, 2, false), Response::GiveWay(at(1)));
     }
 
     #[test]
