@@ -39,3 +39,4 @@ pub use output::messages;
 pub use output::{
     MarkerOutcome, MarkerUpdateRecord, Odometry, Output, PoseEstimate, Swing, Warning,
 };
+pub use timeline::arrival::Source;

@@ -12,7 +12,7 @@ mod common;
 use common::simulated;
 use nalgebra::SMatrix;
 use pose_fusion::{
-    FusionConfig, Input, Output,
+    FusionConfig, Input,
     ekf::{
         propagation::{ImuReading, ProcessNoise, propagate},
         state::State,
@@ -25,7 +25,7 @@ use pose_fusion::{
     timeline::history::Entry,
 };
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
-use std::{collections::VecDeque, hint::black_box, time::Instant};
+use std::{hint::black_box, time::Instant};
 
 fn allocations(work: impl FnOnce()) -> u64 {
     allocation_counter::measure(work).count_total
@@ -159,18 +159,12 @@ fn a_run_allocates_nothing_after_initialization() {
     let run = simulated::run(MotionConfig::nominal(1), &sensors);
     let config = FusionConfig::default();
     let mut filter = Filter::new(simulated::rig(), config.tight, config.status);
-    let mut out: VecDeque<Output> = VecDeque::with_capacity(4096);
     let mut worst = [0; 3];
     for (at, input) in &run.inputs {
         let settled =
             at.seconds_since(sensors.epoch) > 9.0 && !filter.status().time_offset.searching;
-        let count = allocations(|| match input {
-            Input::Imu(s) => filter.imu(s, &mut out),
-            Input::Markers(s) => filter.markers(s, &mut out),
-            Input::Climber(s) => filter.climber(s, &mut out),
-            Input::Camera(c) => filter.camera(c),
-        });
-        out.clear();
+        let count = allocations(|| filter.handle(input));
+        filter.outputs().clear();
         let kind = match input {
             Input::Imu(_) => 0,
             Input::Markers(_) => 1,

@@ -15,7 +15,7 @@ use common::{
     simulated,
 };
 use pose_fusion::{
-    Fusion, FusionConfig, Input, MarkerOutcome, Output, PendulumConfig, PoseState, Warning,
+    Fusion, FusionConfig, Input, MarkerOutcome, Output, PendulumConfig, PoseState, Source, Warning,
 };
 use rig_model::{MarkerColor, MarkerObservation};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
@@ -166,9 +166,7 @@ fn images_from_the_future_are_rejected_with_a_reason() {
                 outputs.records.iter().filter(|r| r.outcome == MarkerOutcome::Rejected).count();
             assert!(rejected as u64 >= status.counts.rejected.images);
             let ahead = |w: &Warning| match w {
-                Warning::Ahead { source_name, ahead_s, .. } => {
-                    *source_name == "image" && *ahead_s > 9.0
-                }
+                Warning::Ahead { from, ahead_s, .. } => *from == Source::Image && *ahead_s > 9.0,
                 _ => false,
             };
             assert!(outputs.warnings.iter().any(ahead));

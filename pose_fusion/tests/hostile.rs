@@ -4,7 +4,9 @@ mod common;
 
 use common::{scoring, simulated};
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
-use pose_fusion::{Fusion, FusionConfig, Input, Odometry, Warning, config::CalibrationSigmas};
+use pose_fusion::{
+    Fusion, FusionConfig, Input, Odometry, Source, Warning, config::CalibrationSigmas,
+};
 use rig_model::{ImuSample, Stamp, score::PoseError, topics};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
@@ -59,10 +61,13 @@ fn an_input_without_a_stamp_is_named_and_has_no_effect() {
     let (outputs, rejected) = with_copies(true);
     assert_eq!(outputs.odometry, clean.odometry);
     assert!(rejected.imu > 100 && rejected.images > 20 && rejected.climber > 50, "{rejected:?}");
-    for topic in [topics::IMU, topics::MARKERS, topics::CLIMBER_TRANSFORM] {
-        let named =
-            |w: &Warning| matches!(w, Warning::NoStamp { source_name } if *source_name == topic);
-        assert!(outputs.warnings.iter().any(named), "{topic}");
+    for (source, topic) in [
+        (Source::Imu, topics::IMU),
+        (Source::Image, topics::MARKERS),
+        (Source::Encoders, topics::CLIMBER_TRANSFORM),
+    ] {
+        let expected = Warning::NoStamp { from: source };
+        assert!(expected.to_string().contains(topic) && outputs.warnings.contains(&expected));
     }
 }
 

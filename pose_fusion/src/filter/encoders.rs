@@ -8,11 +8,10 @@ use crate::{
         Innovation,
         encoders::{self, CONTRADICTION},
     },
-    output::{Output, Warning},
+    output::Warning,
     timeline::history::Event,
 };
 use rig_model::Stamp;
-use std::collections::VecDeque;
 
 /// A disturbance of the climber began at most this many readings before the one that reveals it.
 const DISTURBED_READINGS: usize = 2;
@@ -28,13 +27,12 @@ impl Filter {
         innovation: &Innovation<3>,
         excluded: bool,
         fresh: bool,
-        out: &mut VecDeque<Output>,
     ) -> bool {
         if excluded {
             self.publisher.counts.excluded_readings += u64::from(fresh);
             return fresh
                 && self.trust.is_suspended()
-                && self.judge_encoders(place, at, innovation, out);
+                && self.judge_encoders(place, at, innovation);
         }
         if innovation.nis <= CONTRADICTION {
             if fresh {
@@ -48,7 +46,7 @@ impl Filter {
             self.history.reading_before(place, DISTURBED_READINGS).unwrap_or((0, first));
         if encoders::is_impossible(innovation, at.seconds_since(from)) {
             self.exclude(place);
-            self.suspend_encoders(at, innovation, out);
+            self.suspend_encoders(at, innovation);
         } else if self.disturbances.add_jerk(from, at, innovation) {
             self.climber.adapt_jerk(innovation.nis);
             self.history.rewind(since + 1);
@@ -59,13 +57,7 @@ impl Filter {
     }
 
     /// Judges a reading of encoders that are suspended. Returns whether the time line was replaced.
-    fn judge_encoders(
-        &mut self,
-        place: usize,
-        at: Stamp,
-        innovation: &Innovation<3>,
-        out: &mut VecDeque<Output>,
-    ) -> bool {
+    fn judge_encoders(&mut self, place: usize, at: Stamp, innovation: &Innovation<3>) -> bool {
         let timeout = self.setup.config.climber.step_timeout;
         let standing = self.climber.is_standing() || self.climber.stopped_at_once().is_some();
         let moves = self.history.get(place).is_some_and(|entry| {
@@ -84,13 +76,13 @@ impl Filter {
                     *excluded = false;
                 }
                 self.history.rewind(place);
-                out.push_back(Output::Warning(Warning::EncodersResumed { stamp: at }));
+                self.publisher.warn(Warning::EncodersResumed { stamp: at });
                 false
             }
             Verdict::Adopt => {
                 self.climber.forget_stop();
                 self.publisher.counts.resets.encoder_steps += 1;
-                out.push_back(Output::Warning(Warning::EncoderStep { stamp: at }));
+                self.publisher.warn(Warning::EncoderStep { stamp: at });
                 self.restart();
                 self.publisher.continuity.reset();
                 true
@@ -101,19 +93,19 @@ impl Filter {
     /// Suspends encoders of which one stopped harder than a drive brakes, with their newest reading
     /// at `at`. Where the climber has indeed run into something, images and IMU see it stand, and
     /// the encoders are trusted again; where they see it move, the encoders are refuted.
-    pub(super) fn suspend_frozen_encoders(&mut self, at: Stamp, out: &mut VecDeque<Output>) {
+    pub(super) fn suspend_frozen_encoders(&mut self, at: Stamp) {
         let (false, Some(since)) = (self.trust.is_suspended(), self.climber.stopped_at_once())
         else {
             return;
         };
         self.exclude_since(since.plus_seconds(self.encoder_offset()));
-        out.push_back(Output::Warning(Warning::EncodersFrozen { since }));
+        self.publisher.warn(Warning::EncodersFrozen { since });
         self.trust.suspend(at, Cause::Stop, false);
     }
 
     /// Continues without encoders that stand, where the images contradict the prediction: they may
     /// be frozen while the climber drives. Returns whether it does.
-    pub(super) fn try_without_encoders(&mut self, at: Stamp, out: &mut VecDeque<Output>) -> bool {
+    pub(super) fn try_without_encoders(&mut self, at: Stamp) -> bool {
         let Some(since) = self.climber.standing_since() else { return false };
         let from = since.plus_seconds(self.encoder_offset());
         if !self.trust.tries_without(from, at) {
@@ -121,7 +113,7 @@ impl Filter {
         }
         *self.imu.model_error() = Default::default();
         self.exclude_since(from);
-        out.push_back(Output::Warning(Warning::EncodersFrozen { since }));
+        self.publisher.warn(Warning::EncodersFrozen { since });
         true
     }
 
@@ -139,15 +131,10 @@ impl Filter {
         }
     }
 
-    fn suspend_encoders(
-        &mut self,
-        at: Stamp,
-        innovation: &Innovation<3>,
-        out: &mut VecDeque<Output>,
-    ) {
+    fn suspend_encoders(&mut self, at: Stamp, innovation: &Innovation<3>) {
         if !self.trust.is_suspended() {
             let distance_m = innovation.residual.xy().norm();
-            out.push_back(Output::Warning(Warning::EncodersSuspended { stamp: at, distance_m }));
+            self.publisher.warn(Warning::EncodersSuspended { stamp: at, distance_m });
         }
         let read = at.plus_seconds(-self.encoder_offset());
         let returns = self.climber.moves_on(read);

@@ -4,34 +4,40 @@ use super::Filter;
 use crate::{
     adaptation::imu_integrity::Implausible,
     ekf::{propagation::ImuReading, state::ATTITUDE},
-    health::status::RejectedCounts,
     input::imu::ImuInput,
     measurements::{encoders::EncoderReading, geometry::ClimberRest, markers::Image},
-    output::{MarkerOutcome, Output, Warning},
+    output::{MarkerOutcome, Warning},
     timeline::{
         arrival::{AHEAD, Arrival, ImuArrival, Source},
         dropout::INTERPOLATED,
         history::Event,
     },
 };
-use rig_model::{ClimberSample, ImuSample, MarkerObservations, Stamp, topics};
-use std::collections::VecDeque;
+use rig_model::{ClimberSample, ImuSample, MarkerObservations, Sample, Stamp};
 
 /// Largest standard deviation of the attitude with which the pose goes on after a gap, rad.
 const LARGEST_ATTITUDE: f64 = 0.2;
 /// Smallest uncertainty of the IMU's own roll and pitch, rad.
 const SMALLEST_ATTITUDE: f64 = 0.01;
 
-const IMU: &str = "IMU sample";
-
 impl Filter {
-    /// Counters of rejected inputs, for what is rejected before it comes here.
-    pub fn rejected_counts(&mut self) -> &mut RejectedCounts {
-        &mut self.publisher.counts.rejected
+    /// Takes in one input.
+    pub fn handle(&mut self, input: &Sample) {
+        match input {
+            Sample::Imu(sample) => self.imu(sample),
+            Sample::Markers(observations) => self.markers(observations),
+            Sample::Climber(sample) => self.climber(sample),
+            Sample::Camera(camera) => self.camera(camera),
+        }
+    }
+
+    /// Counts an input that is rejected, and outputs why.
+    pub fn refuse(&mut self, why: Warning) {
+        self.publisher.refuse(why);
     }
 
     /// Takes in an IMU sample: moves the estimate to its stamp and publishes it.
-    pub fn imu(&mut self, sample: &ImuSample, out: &mut VecDeque<Output>) {
+    fn imu(&mut self, sample: &ImuSample) {
         let stamp = sample.stamp;
         let reading = match ImuInput::reading(sample) {
             Ok(reading) => reading,
@@ -41,59 +47,49 @@ impl Filter {
                     Implausible::Rate => "angular_velocity",
                     Implausible::AllZero => "every value is zero: linear_acceleration",
                 };
-                self.publisher.counts.rejected.imu += 1;
-                return out.push_back(Output::Warning(Warning::NotFinite {
-                    source_name: IMU,
+                return self.publisher.refuse(Warning::NotFinite {
+                    from: Source::Imu,
                     stamp,
                     what,
-                }));
+                });
             }
         };
         match self.arrival.classify(stamp) {
-            ImuArrival::First => self.next_imu(sample, reading, None, out),
-            ImuArrival::Next(dt) => self.next_imu(sample, reading, Some(dt), out),
-            ImuArrival::Late => self.late_imu(stamp, reading, out),
+            ImuArrival::First => self.next_imu(sample, reading, None),
+            ImuArrival::Next(dt) => self.next_imu(sample, reading, Some(dt)),
+            ImuArrival::Late => self.late_imu(stamp, reading),
             ImuArrival::Duplicate => {
-                self.publisher.counts.inputs.duplicates += 1;
-                out.push_back(Output::Warning(Warning::Duplicate { source_name: IMU, stamp }));
+                self.publisher.refuse(Warning::Duplicate { from: Source::Imu, stamp });
             }
             ImuArrival::Unconfirmed(ahead_s) => {
-                self.publisher.counts.rejected.imu += 1;
-                out.push_back(Output::Warning(if ahead_s < 0.0 {
-                    Warning::TooOld { source_name: IMU, stamp, age_s: -ahead_s }
+                self.publisher.refuse(if ahead_s < 0.0 {
+                    Warning::TooOld { from: Source::Imu, stamp, age_s: -ahead_s }
                 } else {
-                    Warning::Ahead { source_name: IMU, stamp, ahead_s }
-                }));
+                    Warning::Ahead { from: Source::Imu, stamp, ahead_s }
+                });
             }
             ImuArrival::Outage => {
                 let dt = self.arrival.newest_imu().map(|(newest, _)| stamp.seconds_since(newest));
-                self.next_imu(sample, reading, dt, out);
+                self.next_imu(sample, reading, dt);
             }
             ImuArrival::Back(by_s) => {
-                out.push_back(Output::Warning(Warning::TimeJump { by_s }));
+                self.publisher.warn(Warning::TimeJump { by_s });
                 self.publisher.counts.resets.time_jumps += 1;
                 self.reset();
-                self.next_imu(sample, reading, None, out);
+                self.next_imu(sample, reading, None);
             }
         }
     }
 
-    fn next_imu(
-        &mut self,
-        sample: &ImuSample,
-        reading: ImuReading,
-        dt: Option<f64>,
-        out: &mut VecDeque<Output>,
-    ) {
+    fn next_imu(&mut self, sample: &ImuSample, reading: ImuReading, dt: Option<f64>) {
         if let (Some(first), true) = (self.history.get(0), self.start.is_started())
             && sample.stamp <= first.stamp
         {
             // Held back until after an image alone had initialized the pose.
             let age_s = first.stamp.seconds_since(sample.stamp);
             self.arrival.imu(sample.stamp, reading);
-            self.publisher.counts.rejected.imu += 1;
             let stamp = sample.stamp;
-            out.push_back(Output::Warning(Warning::TooOld { source_name: IMU, stamp, age_s }));
+            self.publisher.refuse(Warning::TooOld { from: Source::Imu, stamp, age_s });
             return;
         }
         let mut dt = dt;
@@ -101,7 +97,7 @@ impl Filter {
             (dt.filter(|dt| Arrival::is_gap(*dt)), self.arrival.newest_imu())
         {
             self.publisher.counts.inputs.imu_gaps += 1;
-            out.push_back(Output::Warning(Warning::ImuGap { from, to: sample.stamp }));
+            self.publisher.warn(Warning::ImuGap { from, to: sample.stamp });
             self.imu.interrupt();
             if let (Some(search), true) = (&mut self.search, seconds > INTERPOLATED) {
                 search.clear();
@@ -137,30 +133,24 @@ impl Filter {
         }
         self.trim();
         if self.start.is_started() {
-            self.process(out);
-            self.publish(out);
-        } else if self.resume(sample.stamp, out) {
-            self.publish(out);
+            self.process();
+            self.publish();
+        } else if self.resume(sample.stamp) {
+            self.publish();
         } else {
-            self.start_from_awaited(sample.stamp, out);
+            self.start_from_awaited(sample.stamp);
         }
     }
 
-    fn late_imu(&mut self, stamp: Stamp, reading: ImuReading, out: &mut VecDeque<Output>) {
+    fn late_imu(&mut self, stamp: Stamp, reading: ImuReading) {
         let place = self.history.place_of(stamp);
         let before = place.checked_sub(1).and_then(|p| self.history.get(p));
         if before.is_some_and(|n| n.stamp == stamp && matches!(n.event, Event::Imu { .. })) {
-            self.publisher.counts.inputs.duplicates += 1;
-            return out.push_back(Output::Warning(Warning::Duplicate { source_name: IMU, stamp }));
+            return self.publisher.refuse(Warning::Duplicate { from: Source::Imu, stamp });
         }
         if before.is_none() {
-            self.publisher.counts.rejected.imu += 1;
             let age_s = self.age(stamp);
-            return out.push_back(Output::Warning(Warning::TooOld {
-                source_name: IMU,
-                stamp,
-                age_s,
-            }));
+            return self.publisher.refuse(Warning::TooOld { from: Source::Imu, stamp, age_s });
         }
         self.publisher.counts.inputs.late_imu += 1;
         let noise = self.imu.densities(&self.setup.rig.imu);
@@ -178,54 +168,46 @@ impl Filter {
         }
         self.history.rewind(from);
         if self.start.is_started() {
-            self.process(out);
+            self.process();
         }
     }
 
     /// Takes in the markers of an image.
-    pub fn markers(&mut self, observations: &MarkerObservations, out: &mut VecDeque<Output>) {
+    fn markers(&mut self, observations: &MarkerObservations) {
         let stamp = observations.stamp;
         self.publisher.counts.inputs.images += 1;
         let mut unusable = 0;
         let pixels = self.markers.pixels(observations, &self.setup.config.markers, |warning| {
             unusable += 1;
-            out.push_back(Output::Warning(warning));
+            self.publisher.warn(warning);
         });
         self.publisher.counts.rejected.markers += unusable;
         self.start.note_markers(pixels.iter().flatten().count());
         if self.markers.is_duplicate(stamp) {
-            self.publisher.counts.inputs.duplicates += 1;
-            return out
-                .push_back(Output::Warning(Warning::Duplicate { source_name: "image", stamp }));
+            return self.publisher.refuse(Warning::Duplicate { from: Source::Image, stamp });
         }
         let newest = self.arrival.newest_imu().map(|(newest, _)| newest);
         let ahead_s = newest.map_or(0.0, |newest| stamp.seconds_since(newest));
         self.arrival.other(Source::Image, stamp);
         let silent = self.arrival.is_imu_silent();
         if self.setup.geometry.is_none() || (newest.is_none() && !silent) {
-            return self.publisher.reject(stamp, &pixels, MarkerOutcome::NotInitialized, out);
+            return self.publisher.reject(stamp, &pixels, MarkerOutcome::NotInitialized);
         }
         if ahead_s > AHEAD && !silent {
-            self.publisher.counts.rejected.images += 1;
-            out.push_back(Output::Warning(Warning::Ahead { source_name: "image", stamp, ahead_s }));
-            return self.publisher.reject(stamp, &pixels, MarkerOutcome::Rejected, out);
+            self.publisher.refuse(Warning::Ahead { from: Source::Image, stamp, ahead_s });
+            return self.publisher.reject(stamp, &pixels, MarkerOutcome::Rejected);
         }
         self.markers.remember(stamp);
-        self.follow_without_imu(stamp, silent, out);
+        self.follow_without_imu(stamp, silent);
         if !self.start.is_started() {
             let absent = self.arrival.is_imu_absent();
-            return self.start_or_wait(stamp, pixels, absent, out);
+            return self.start_or_wait(stamp, pixels, absent);
         }
         let time_offset = self.time_offset();
         let at = stamp.plus_seconds(time_offset);
         if self.history.get(0).is_none_or(|first| at <= first.stamp) {
-            self.publisher.counts.rejected.images += 1;
-            out.push_back(Output::Warning(Warning::TooOld {
-                source_name: "image",
-                stamp,
-                age_s: -ahead_s,
-            }));
-            return self.publisher.reject(stamp, &pixels, MarkerOutcome::Rejected, out);
+            self.publisher.refuse(Warning::TooOld { from: Source::Image, stamp, age_s: -ahead_s });
+            return self.publisher.reject(stamp, &pixels, MarkerOutcome::Rejected);
         }
         let Some((_, _, rest)) = self.climber.newest().copied() else { return };
         let stamp_sigma = self.markers.stamp_sigma().min(self.setup.config.clock.image_jitter);
@@ -238,18 +220,18 @@ impl Filter {
         image.stamp_sigma = stamp_sigma as f32;
         image.layout_doubt = layout_doubt.map(|sigma| sigma as f32);
         self.history.insert(at, Event::Image { image, stamp, fresh: true }, ImuReading::default());
-        self.process(out);
+        self.process();
         if !self.setup.frozen {
-            self.search_time_offset(stamp, &pixels, out);
+            self.search_time_offset(stamp, &pixels);
         }
         if silent {
             self.trim();
-            self.publish(out);
+            self.publish();
         }
     }
 
     /// While the IMU is silent images move the end of the time line.
-    fn follow_without_imu(&mut self, stamp: Stamp, silent: bool, out: &mut VecDeque<Output>) {
+    fn follow_without_imu(&mut self, stamp: Stamp, silent: bool) {
         if !silent {
             return;
         }
@@ -263,24 +245,22 @@ impl Filter {
         if let (Some((since, _)), true) =
             (self.arrival.newest_imu(), self.publisher.note_imu_lost())
         {
-            out.push_back(Output::Warning(Warning::ImuLost { since }));
+            self.publisher.warn(Warning::ImuLost { since });
         }
         self.arrival.image(at);
     }
 
     /// Takes in an encoder reading.
-    pub fn climber(&mut self, sample: &ClimberSample, out: &mut VecDeque<Output>) {
-        const SOURCE: &str = topics::CLIMBER_TRANSFORM;
+    fn climber(&mut self, sample: &ClimberSample) {
         let (pose, stamp) = (&sample.world_from_climber, sample.stamp);
         if !pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|x| x.is_finite())
         {
-            self.publisher.counts.rejected.climber += 1;
             let what = "the pose";
-            return out.push_back(Output::Warning(Warning::NotFinite {
-                source_name: SOURCE,
+            return self.publisher.refuse(Warning::NotFinite {
+                from: Source::Encoders,
                 stamp,
                 what,
-            }));
+            });
         }
         self.arrival.other(Source::Encoders, stamp);
         if let (Some((newest, _)), false) =
@@ -288,19 +268,16 @@ impl Filter {
         {
             let ahead_s = stamp.seconds_since(newest);
             if ahead_s > AHEAD {
-                self.publisher.counts.rejected.climber += 1;
-                return out.push_back(Output::Warning(Warning::Ahead {
-                    source_name: SOURCE,
+                return self.publisher.refuse(Warning::Ahead {
+                    from: Source::Encoders,
                     stamp,
                     ahead_s,
-                }));
+                });
             }
         }
         let (values, rest) = ClimberRest::split(pose);
         let Some((variance, multiplicity)) = self.climber.add(stamp, values, rest) else {
-            self.publisher.counts.inputs.duplicates += 1;
-            return out
-                .push_back(Output::Warning(Warning::Duplicate { source_name: SOURCE, stamp }));
+            return self.publisher.refuse(Warning::Duplicate { from: Source::Encoders, stamp });
         };
         if self.climber.is_young() {
             self.reweigh_readings(&variance);
@@ -308,13 +285,8 @@ impl Filter {
         let time_offset = self.encoder_offset();
         let at = stamp.plus_seconds(time_offset);
         if self.start.is_started() && self.history.get(0).is_none_or(|first| at <= first.stamp) {
-            self.publisher.counts.rejected.climber += 1;
             let age_s = self.age(stamp);
-            return out.push_back(Output::Warning(Warning::TooOld {
-                source_name: SOURCE,
-                stamp,
-                age_s,
-            }));
+            return self.publisher.refuse(Warning::TooOld { from: Source::Encoders, stamp, age_s });
         }
         let reading = EncoderReading {
             values,
@@ -329,10 +301,10 @@ impl Filter {
             ImuReading::default(),
         );
         if self.start.is_started() {
-            self.suspend_frozen_encoders(at, out);
-            self.process(out);
+            self.suspend_frozen_encoders(at);
+            self.process();
         }
-        self.publish_silence(out);
+        self.publish_silence();
     }
 
     /// Time from a stamp to the newest IMU sample, s.

@@ -78,7 +78,7 @@ impl Filter {
     }
 
     /// Sets the camera's calibration; a changed one counts from the next image on.
-    pub fn camera(&mut self, camera: &CameraModel) {
+    fn camera(&mut self, camera: &CameraModel) {
         if self.setup.geometry.as_ref().is_none_or(|g| g.camera != *camera) {
             self.setup.geometry = Some(Geometry::new(&self.setup.rig, camera.clone()));
         }

@@ -7,12 +7,11 @@ use crate::{
         checkpoint::{Checkpoint, Refusal},
         from_image::{self, ClimberPrior, INITIAL_VELOCITY},
     },
-    output::{Output, PoseEstimate},
+    output::PoseEstimate,
     timeline::arrival::AHEAD,
 };
 use nalgebra::{Matrix6, Vector3};
 use rig_model::Stamp;
-use std::collections::VecDeque;
 
 /// A restored time offset that is better known than this needs no search, s.
 const OFFSET_KNOWN: f64 = 5e-3;
@@ -50,11 +49,7 @@ impl Filter {
     /// # Errors
     /// No camera model, IMU sample or encoder reading yet; a stamp that the history does not reach;
     /// invalid numbers.
-    pub fn set_pose(
-        &mut self,
-        pose: &PoseEstimate,
-        out: &mut VecDeque<Output>,
-    ) -> Result<(), Refusal> {
+    pub fn set_pose(&mut self, pose: &PoseEstimate) -> Result<(), Refusal> {
         let Some(geometry) = self.setup.geometry.clone() else {
             return Err(Refusal::Missing { what: "camera_info" });
         };
@@ -113,7 +108,7 @@ impl Filter {
         state.since_marker = 0.0;
         self.publisher.continuity.reset();
         self.start.set_started();
-        self.begin(at, state, out);
+        self.begin(at, state);
         Ok(())
     }
 }

@@ -17,12 +17,11 @@ use crate::{
         Outcome,
         markers::{Image, ImageInnovation},
     },
-    output::{Output, Warning},
+    output::Warning,
     timeline::repropagation::{self, Context, Step},
 };
 use nalgebra::Vector3;
 use rig_model::Stamp;
-use std::collections::VecDeque;
 
 /// Jerk of a climber whose encoders are not trusted, in units of the configured density.
 const FREE_JERK: f64 = 1000.0;
@@ -58,13 +57,13 @@ const SETTLED: f64 = 2.0;
 
 impl Filter {
     /// Processes everything on the time line up to its end.
-    pub(super) fn process(&mut self, out: &mut VecDeque<Output>) {
+    pub(super) fn process(&mut self) {
         let Some(end) = self.arrival.end() else { return };
         while let Some((place, step)) = self.step(end) {
             let Some(entry) = self.history.get(place) else { return };
             let at = entry.stamp;
             if !sanity::is_sound(&entry.state, &self.setup.config) {
-                out.push_back(Output::Warning(Warning::Diverged { stamp: at }));
+                self.publisher.warn(Warning::Diverged { stamp: at });
                 self.publisher.counts.resets.divergences += 1;
                 self.lock_out.responded(at);
                 return self.reset_estimate();
@@ -72,11 +71,11 @@ impl Filter {
             let done = match step {
                 Step::Inertial => false,
                 Step::Encoders { innovation, excluded, fresh } => {
-                    self.on_encoders(place, at, &innovation, excluded, fresh, out)
+                    self.on_encoders(place, at, &innovation, excluded, fresh)
                 }
                 Step::Image { stamp, image, record, fresh: true, smoothing } => {
                     self.imu.note_smoothing(smoothing);
-                    self.on_image(place, stamp, &image, &record, out)
+                    self.on_image(place, stamp, &image, &record)
                 }
                 Step::Image { .. } => false,
             };
@@ -127,9 +126,8 @@ impl Filter {
         stamp: Stamp,
         image: &Image,
         record: &ImageInnovation,
-        out: &mut VecDeque<Output>,
     ) -> bool {
-        self.publisher.record(stamp, record, self.setup.frozen, out);
+        self.publisher.record(stamp, record, self.setup.frozen);
         if self.setup.frozen {
             return false;
         }
@@ -137,7 +135,7 @@ impl Filter {
             return false;
         };
         if entry.noise.rate > UNCARRIED && from_image::is_mirrored(geometry, &entry.state, image) {
-            return self.reinitialize(stamp, image, stamp, false, out);
+            return self.reinitialize(stamp, image, stamp, false);
         }
         let at = entry.stamp;
         // While the time offset is unknown, it contradicts a platform that sets off; the IMU
@@ -194,7 +192,7 @@ impl Filter {
         };
         if let (Some(internal), false) = (internal, excused) {
             if self.imu.model_error().add(record.nis - internal, &MODEL_ERROR)
-                && self.try_without_encoders(at, out)
+                && self.try_without_encoders(at)
             {
                 return false;
             }
@@ -207,11 +205,11 @@ impl Filter {
             Response::None => false,
             Response::GiveWay(since) => {
                 self.lock_out.responded(stamp);
-                self.give_way(place, stamp, image, record, (last_used.unwrap_or(since), since), out)
+                self.give_way(place, stamp, image, record, (last_used.unwrap_or(since), since))
             }
             Response::Reinitialize(since) => {
                 self.lock_out.responded(stamp);
-                self.reinitialize(stamp, image, since, true, out)
+                self.reinitialize(stamp, image, since, true)
             }
         }
     }
@@ -225,7 +223,6 @@ impl Filter {
         image: &Image,
         record: &ImageInnovation,
         (last_used, since): (Stamp, Stamp),
-        out: &mut VecDeque<Output>,
     ) -> bool {
         let Some(entry) = self.history.get(place) else { return false };
         let at = entry.stamp;
@@ -237,16 +234,16 @@ impl Filter {
         let disturbed = stopped.filter(|_| self.climber.is_standing());
         if let (false, Some(from)) = (self.trust.is_suspended(), disturbed) {
             self.exclude_since(from);
-            out.push_back(Output::Warning(Warning::EncodersFrozen { since: from }));
+            self.publisher.warn(Warning::EncodersFrozen { since: from });
             self.trust.suspend(at, Cause::Frozen, false);
             return false;
         }
         if repeated {
-            return self.reinitialize(stamp, image, since, true, out);
+            return self.reinitialize(stamp, image, since, true);
         }
         self.strike(place, last_used, record);
         self.publisher.counts.resets.shocks += 1;
-        out.push_back(Output::Warning(Warning::Shock { since, stamp }));
+        self.publisher.warn(Warning::Shock { since, stamp });
         false
     }
 

@@ -17,7 +17,10 @@ use crate::{
         prediction::{self, Changes},
         smoother, swing,
     },
-    timeline::history::{Entry, Event},
+    timeline::{
+        arrival::Source,
+        history::{Entry, Event},
+    },
 };
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3, Vector6};
 use rig_model::{MarkerColor, Rig, Stamp, topics};
@@ -62,6 +65,7 @@ pub(super) struct Publisher {
     last_status: Option<Stamp>,
     silence: Silence,
     archive: Option<Vec<Entry>>,
+    out: VecDeque<Output>,
 }
 
 impl Publisher {
@@ -79,13 +83,38 @@ impl Publisher {
             last_status: None,
             silence: Silence::default(),
             archive: None,
+            out: VecDeque::with_capacity(256),
         }
+    }
+
+    /// Outputs a warning.
+    pub fn warn(&mut self, warning: Warning) {
+        self.out.push_back(Output::Warning(warning));
+    }
+
+    /// Counts an input that is rejected, and outputs why.
+    pub fn refuse(&mut self, why: Warning) {
+        let Counts { inputs, rejected, .. } = &mut self.counts;
+        match &why {
+            Warning::Duplicate { .. } => inputs.duplicates += 1,
+            Warning::NotFinite { from, .. }
+            | Warning::TooOld { from, .. }
+            | Warning::NoStamp { from }
+            | Warning::Ahead { from, .. } => match from {
+                Source::Imu => rejected.imu += 1,
+                Source::Image => rejected.images += 1,
+                Source::Encoders => rejected.climber += 1,
+            },
+            _ => {}
+        }
+        self.warn(why);
     }
 
     /// Takes over what a reset keeps.
     pub fn keep_from(&mut self, former: &mut Publisher) {
         self.counts = former.counts;
         self.archive = former.archive.take();
+        self.out = std::mem::take(&mut former.out);
     }
 
     /// Notes the IMU time of an encoder reading that was used.
@@ -106,17 +135,11 @@ impl Publisher {
     }
 
     /// Outputs the records of an image that is not processed.
-    pub fn reject(
-        &self,
-        stamp: Stamp,
-        pixels: &Pixels,
-        outcome: MarkerOutcome,
-        out: &mut VecDeque<Output>,
-    ) {
+    pub fn reject(&mut self, stamp: Stamp, pixels: &Pixels, outcome: MarkerOutcome) {
         for color in MarkerColor::ALL {
             let outcome =
                 if pixels[color.index()].is_some() { outcome } else { MarkerOutcome::NotDetected };
-            out.push_back(Output::MarkerUpdate(MarkerUpdateRecord {
+            self.out.push_back(Output::MarkerUpdate(MarkerUpdateRecord {
                 stamp,
                 color,
                 innovation: Vector2::repeat(f64::NAN),
@@ -128,13 +151,7 @@ impl Publisher {
     }
 
     /// Outputs the records of an image and counts its markers.
-    pub fn record(
-        &mut self,
-        stamp: Stamp,
-        record: &ImageInnovation,
-        frozen: bool,
-        out: &mut VecDeque<Output>,
-    ) {
+    pub fn record(&mut self, stamp: Stamp, record: &ImageInnovation, frozen: bool) {
         for color in MarkerColor::ALL {
             let marker = &record.markers[color.index()];
             let outcome = match marker.outcome {
@@ -152,7 +169,7 @@ impl Publisher {
                 }
                 _ => {}
             }
-            out.push_back(Output::MarkerUpdate(MarkerUpdateRecord {
+            self.out.push_back(Output::MarkerUpdate(MarkerUpdateRecord {
                 stamp,
                 color,
                 innovation: marker.residual,
@@ -169,7 +186,7 @@ impl Publisher {
 
 impl Filter {
     /// Outputs the estimate at the end of the time line: odometry, status, prediction and swing.
-    pub(super) fn publish(&mut self, out: &mut VecDeque<Output>) {
+    pub(super) fn publish(&mut self) {
         let (Some(end), true) = (self.arrival.end(), self.start.is_started()) else { return };
         let settings = self.settings();
         let (Some(geometry), Some(entry)) = (&self.setup.geometry, self.history.newest_processed())
@@ -239,18 +256,18 @@ impl Filter {
             && status.image_age < SECOND_IMAGE;
         if lost && !second_due && !self.publisher.silence.pose_lost {
             let reason = status.reason.clone();
-            out.push_back(Output::Warning(Warning::PoseLost { stamp: end, reason }));
+            self.publisher.warn(Warning::PoseLost { stamp: end, reason });
         }
         self.publisher.silence.pose_lost = lost && !second_due;
-        out.push_back(Output::Odometry(limited));
-        out.push_back(Output::Status(status));
-        out.extend(predicted.map(Output::Predicted));
-        out.extend(swing.map(Output::Swing));
+        self.publisher.out.push_back(Output::Odometry(limited));
+        self.publisher.out.push_back(Output::Status(status));
+        self.publisher.out.extend(predicted.map(Output::Predicted));
+        self.publisher.out.extend(swing.map(Output::Swing));
     }
 
     /// Outputs the status at 10 Hz where neither IMU samples nor images come and encoder readings
     /// do.
-    pub(super) fn publish_silence(&mut self, out: &mut VecDeque<Output>) {
+    pub(super) fn publish_silence(&mut self) {
         let (Some((newest, _, _)), true) = (self.climber.newest(), self.start.is_started()) else {
             return;
         };
@@ -262,7 +279,7 @@ impl Filter {
         }
         self.publisher.last_status = Some(now);
         let image = self.lock_out.last_used().map(|image| image.plus_seconds(self.time_offset()));
-        out.push_back(Output::Status(PoseStatus {
+        self.publisher.out.push_back(Output::Status(PoseStatus {
             state: PoseState::Lost,
             image_age: since(image),
             imu_age: since(self.arrival.newest_imu().map(|(stamp, _)| stamp)),
@@ -272,8 +289,13 @@ impl Filter {
         }));
     }
 
+    /// Returns the outputs that wait to be taken.
+    pub fn outputs(&mut self) -> &mut VecDeque<Output> {
+        &mut self.publisher.out
+    }
+
     /// Outputs the status at 10 Hz of data time while there is no pose.
-    pub fn publish_initializing(&mut self, now: Stamp, out: &mut VecDeque<Output>) {
+    pub fn publish_initializing(&mut self, now: Stamp) {
         if self.start.is_started() {
             return;
         }
@@ -283,7 +305,8 @@ impl Filter {
         });
         if due {
             self.publisher.last_published = Some(now);
-            out.push_back(Output::Status(PoseStatus::initializing(now, self.missing())));
+            let status = PoseStatus::initializing(now, self.missing());
+            self.publisher.out.push_back(Output::Status(status));
         }
     }
 

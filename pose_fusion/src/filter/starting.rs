@@ -21,12 +21,11 @@ use crate::{
         imu::Up,
     },
     measurements::markers::{Image, Pixels},
-    output::{MarkerOutcome, Output, Warning},
+    output::{MarkerOutcome, Warning},
     timeline::{arrival::AHEAD, history::Event},
 };
 use nalgebra::Vector3;
 use rig_model::Stamp;
-use std::collections::VecDeque;
 
 /// The encoders' noise is another one from this factor of the variance on.
 const REWEIGHED: f64 = 1.5;
@@ -161,7 +160,7 @@ impl Filter {
     }
 
     /// Resumes a restored state, where it is so recent that an IMU sample at `stamp` continues it.
-    pub(super) fn resume(&mut self, stamp: Stamp, out: &mut VecDeque<Output>) -> bool {
+    pub(super) fn resume(&mut self, stamp: Stamp) -> bool {
         let Some(at) = self.start.kept_at.take() else { return false };
         let recent =
             (0.0..crate::timeline::dropout::INTERPOLATED).contains(&stamp.seconds_since(at));
@@ -170,21 +169,15 @@ impl Filter {
         }
         let Some(state) = self.start.kept.take() else { return false };
         self.start.started = true;
-        self.begin(at, *state, out);
+        self.begin(at, *state);
         true
     }
 
     /// Starts from an image, or keeps it until the IMU samples have come to its time.
-    pub(super) fn start_or_wait(
-        &mut self,
-        stamp: Stamp,
-        pixels: Pixels,
-        absent: bool,
-        out: &mut VecDeque<Output>,
-    ) {
+    pub(super) fn start_or_wait(&mut self, stamp: Stamp, pixels: Pixels, absent: bool) {
         let at = stamp.plus_seconds(self.time_offset());
         if absent || self.arrival.newest_imu().is_some_and(|(newest, _)| at <= newest) {
-            return self.try_start(stamp, &pixels, absent, None, out);
+            return self.try_start(stamp, &pixels, absent, None);
         }
         // The first one is kept: were it replaced by each that follows, none would ever be reached.
         let stale =
@@ -192,16 +185,16 @@ impl Filter {
         if stale && pixels.iter().flatten().count() >= 3 {
             self.start.awaited = Some((stamp, pixels));
         } else {
-            self.publisher.reject(stamp, &pixels, MarkerOutcome::NotInitialized, out);
+            self.publisher.reject(stamp, &pixels, MarkerOutcome::NotInitialized);
         }
     }
 
     /// Starts from the awaited image where the IMU samples have come to its time.
-    pub(super) fn start_from_awaited(&mut self, newest: Stamp, out: &mut VecDeque<Output>) {
+    pub(super) fn start_from_awaited(&mut self, newest: Stamp) {
         let Some((image, pixels)) = self.start.awaited else { return };
         if image.plus_seconds(self.time_offset()) <= newest {
             self.start.awaited = None;
-            self.try_start(image, &pixels, false, None, out);
+            self.try_start(image, &pixels, false, None);
         }
     }
 
@@ -213,7 +206,6 @@ impl Filter {
         pixels: &Pixels,
         absent: bool,
         up: Option<Up>,
-        out: &mut VecDeque<Output>,
     ) {
         let time_offset = self.time_offset();
         let at = stamp.plus_seconds(time_offset);
@@ -222,16 +214,16 @@ impl Filter {
         };
         let measured = absent || self.history.iter().any(is_imu_before);
         let (Some(climber), Some(geometry)) = (self.climber_at(stamp), &self.setup.geometry) else {
-            return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
+            return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized);
         };
         let enough = pixels.iter().flatten().count() >= 3;
         if !enough || !measured || self.setup.frozen {
-            return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
+            return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized);
         }
         self.start.wrong_gravity =
             self.imu.wrong_gravity(at, &self.history, self.setup.config.gravity);
         if !absent && self.start.wrong_gravity.is_some() {
-            return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized, out);
+            return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized);
         }
         let image = Image::new(pixels, time_offset, climber.rest);
         let up = self.imu.own_up_at(at).or(up).or_else(|| self.imu.up_at(at, &self.history));
@@ -239,15 +231,15 @@ impl Filter {
         let (config, known) = (&self.setup.config, self.calibration());
         let Some(start) = from_image::start(geometry, config, &image, up.as_ref(), &prior, &known)
         else {
-            return self.publisher.reject(stamp, pixels, MarkerOutcome::Inconsistent, out);
+            return self.publisher.reject(stamp, pixels, MarkerOutcome::Inconsistent);
         };
-        self.publisher.record(stamp, &start.record, false, out);
+        self.publisher.record(stamp, &start.record, false);
         self.lock_out.initialized(stamp);
-        out.push_back(Output::Warning(Warning::Initialized { stamp }));
+        self.publisher.warn(Warning::Initialized { stamp });
         self.start.started = true;
         let mut state = start.state;
         self.remember(&mut state);
-        self.begin(at, state, out);
+        self.begin(at, state);
     }
 
     /// Returns the climber by its encoders at an image, where they have readings near it and do not
@@ -259,7 +251,7 @@ impl Filter {
     }
 
     /// Puts a state at an instant of the time line and processes what is behind it.
-    pub(super) fn begin(&mut self, at: Stamp, state: State, out: &mut VecDeque<Output>) {
+    pub(super) fn begin(&mut self, at: Stamp, state: State) {
         self.start.initial_offset = state.time_offset;
         self.start.settled = SettledOffset { since: at, offset: state.time_offset };
         let place = self.history.place_of(at);
@@ -285,7 +277,7 @@ impl Filter {
             entry.state = state;
         }
         self.history.set_processed(1);
-        self.process(out);
+        self.process();
     }
 
     /// Reinitializes the pose from an image whose markers agree with each other; `uses_up`: with
@@ -296,7 +288,6 @@ impl Filter {
         image: &Image,
         since: Stamp,
         uses_up: bool,
-        out: &mut VecDeque<Output>,
     ) -> bool {
         let (Some(geometry), Some(old)) = (&self.setup.geometry, self.state().cloned()) else {
             return false;
@@ -320,8 +311,8 @@ impl Filter {
         state.climber_acceleration = old.climber_acceleration;
         self.publisher.counts.resets.recoveries += 1;
         self.lock_out.initialized(stamp);
-        out.push_back(Output::Warning(Warning::LockOutRecovered { since, stamp }));
-        self.begin(at, state, out);
+        self.publisher.warn(Warning::LockOutRecovered { since, stamp });
+        self.begin(at, state);
         true
     }
 

@@ -14,12 +14,11 @@ use crate::{
     },
     input::imu::{Up, given},
     measurements::markers::Pixels,
-    output::{Output, Warning},
+    output::Warning,
     timeline::history::Event,
 };
 use nalgebra::{Matrix6, Point3};
 use rig_model::{Stamp, planar_pose::PlanarPose};
-use std::collections::VecDeque;
 
 /// A filter whose time offset is no further off than this corrects it by itself, s.
 const OFFSET_LINEAR: f64 = 0.008;
@@ -39,12 +38,7 @@ const TILT: f64 = 0.1;
 
 impl Filter {
     /// Aligns image poses with the IMU until the camera time offset is known, then initializes it.
-    pub(super) fn search_time_offset(
-        &mut self,
-        stamp: Stamp,
-        pixels: &Pixels,
-        out: &mut VecDeque<Output>,
-    ) {
+    pub(super) fn search_time_offset(&mut self, stamp: Stamp, pixels: &Pixels) {
         let (Some(geometry), Some(mut search)) = (&self.setup.geometry, self.search.take()) else {
             return;
         };
@@ -76,12 +70,12 @@ impl Filter {
         }
         match found {
             Some(found) if found.sigma < FINAL || self.confirms(stamp, &found) => {
-                self.initialize_time_offset(stamp, found, out);
+                self.initialize_time_offset(stamp, found);
             }
             // Known well enough to see that the filter is far off: it restarts, and the search goes
             // on.
             Some(found) if self.contradicts(&found) => {
-                self.initialize_time_offset(stamp, found, out);
+                self.initialize_time_offset(stamp, found);
                 self.search = Some(search);
             }
             _ => self.search = Some(search),
@@ -171,12 +165,7 @@ impl Filter {
 
     /// Restarts with the time offset at the oldest image of the history, unless the filter has
     /// found the same.
-    fn initialize_time_offset(
-        &mut self,
-        stamp: Stamp,
-        found: TimeOffset,
-        out: &mut VecDeque<Output>,
-    ) {
+    fn initialize_time_offset(&mut self, stamp: Stamp, found: TimeOffset) {
         let first = self.start.time_offset.replace(found).is_none();
         let away = (self.time_offset() - found.offset).abs();
         let sigma = (OFFSET_SIGMA[1] * found.sigma).hypot(self.time_offset_sigma().unwrap_or(0.0));
@@ -193,7 +182,7 @@ impl Filter {
         };
         if first || !agrees {
             self.publisher.counts.resets.time_offsets += 1;
-            out.push_back(Output::Warning(Warning::TimeOffset { offset_s: found.offset }));
+            self.publisher.warn(Warning::TimeOffset { offset_s: found.offset });
         }
         if agrees || !self.start.started {
             return;
@@ -241,7 +230,7 @@ impl Filter {
         self.start.kept = kept.map(Box::new);
         if let Some((stamp, pixels, up)) = first {
             let absent = self.arrival.is_imu_absent();
-            self.try_start(stamp, &pixels, absent, up, out);
+            self.try_start(stamp, &pixels, absent, up);
         }
     }
 }

@@ -10,6 +10,7 @@ use crate::{
     config::MarkerConfig,
     measurements::markers::{Offsets, Pixels},
     output::Warning,
+    timeline::arrival::Source,
 };
 use nalgebra::Matrix2;
 use rig_model::{MarkerObservations, MarkerState, Stamp};
@@ -91,7 +92,7 @@ impl MarkerInput {
                 && c.trace() >= 0.0;
             if !usable {
                 let (stamp, what) = (observations.stamp, color.name());
-                reject(Warning::NotFinite { source_name: "marker", stamp, what });
+                reject(Warning::NotFinite { from: Source::Image, stamp, what });
                 continue;
             }
             let symmetric = (c + c.transpose()) * 0.5;

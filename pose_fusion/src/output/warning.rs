@@ -1,177 +1,99 @@
 //! Events that an operator should know of.
 
+use crate::timeline::arrival::Source;
 use rig_model::Stamp;
 use thiserror::Error;
 
 /// Event that an operator should know of.
 #[derive(Clone, Debug, Error, PartialEq)]
+#[allow(missing_docs, reason = "the message names each field")]
 pub enum Warning {
     /// A number that is not finite or out of the sensor's range.
-    #[error(
-        "{source_name} at {stamp}: {what} is not finite or out of range; the sample is rejected"
-    )]
-    NotFinite {
-        /// Input.
-        source_name: &'static str,
-        /// Its stamp.
-        stamp: Stamp,
-        /// Field.
-        what: &'static str,
-    },
+    #[error("{from} at {stamp}: {what} is not finite or out of range; the sample is rejected")]
+    NotFinite { from: Source, stamp: Stamp, what: &'static str },
     /// An input older than the history.
     #[error(
-        "{source_name} at {stamp} is {age_s:.3} s older than the newest IMU sample; the parameter \
+        "{from} at {stamp} is {age_s:.3} s older than the newest IMU sample; the parameter \
          `history` does not reach back so far, it is rejected"
     )]
-    TooOld {
-        /// Input.
-        source_name: &'static str,
-        /// Its stamp.
-        stamp: Stamp,
-        /// Age against the newest IMU sample.
-        age_s: f64,
-    },
+    TooOld { from: Source, stamp: Stamp, age_s: f64 },
     /// No stamp.
-    #[error("{source_name}: the stamp is zero; its publisher must set header.stamp; rejected")]
-    NoStamp {
-        /// Input.
-        source_name: &'static str,
-    },
+    #[error("{from}: the stamp is zero; its publisher must set header.stamp; rejected")]
+    NoStamp { from: Source },
     /// The same stamp twice.
     #[error(
-        "{source_name} at {stamp} arrived twice; the second is rejected: look for a second \
+        "{from} at {stamp} arrived twice; the second is rejected: look for a second \
          publisher"
     )]
-    Duplicate {
-        /// Input.
-        source_name: &'static str,
-        /// Its stamp.
-        stamp: Stamp,
-    },
+    Duplicate { from: Source, stamp: Stamp },
     /// An input far ahead of all others.
     #[error(
-        "{source_name} at {stamp} is {ahead_s:.3} s ahead of the IMU samples; rejected: \
+        "{from} at {stamp} is {ahead_s:.3} s ahead of the IMU samples; rejected: \
          synchronize the clocks"
     )]
-    Ahead {
-        /// Input.
-        source_name: &'static str,
-        /// Its stamp.
-        stamp: Stamp,
-        /// Distance.
-        ahead_s: f64,
-    },
+    Ahead { from: Source, stamp: Stamp, ahead_s: f64 },
     /// Time went backwards (a looped bag, a restarted simulation).
     #[error("time jumped back by {by_s:.3} s; the filter reinitializes")]
-    TimeJump {
-        /// Distance.
-        by_s: f64,
-    },
+    TimeJump { by_s: f64 },
     /// No IMU sample for a while.
     #[error("no IMU sample between {from} and {to}")]
-    ImuGap {
-        /// Last sample before the gap.
-        from: Stamp,
-        /// First sample after it.
-        to: Stamp,
-    },
+    ImuGap { from: Stamp, to: Stamp },
     /// No IMU samples while images arrive.
     #[error(
         "no IMU sample since {since}; the pose continues from images: check the IMU's cable and \
          driver"
     )]
-    ImuLost {
-        /// Last sample.
-        since: Stamp,
-    },
+    ImuLost { since: Stamp },
     /// The filter was initialized.
     #[error("initialized from the image at {stamp}")]
-    Initialized {
-        /// Image.
-        stamp: Stamp,
-    },
+    Initialized { stamp: Stamp },
     /// The camera time offset was initialized.
     #[error("camera time offset {offset_s:+.4} s (image time + offset = IMU time)")]
-    TimeOffset {
-        /// Offset.
-        offset_s: f64,
-    },
+    TimeOffset { offset_s: f64 },
     /// The platform was struck between two IMU samples.
     #[error(
         "the images since {since} contradict the prediction: a shock that the IMU missed; the \
          prediction gives way at {stamp}"
     )]
-    Shock {
-        /// First image that contradicted.
-        since: Stamp,
-        /// Image that is followed.
-        stamp: Stamp,
-    },
+    Shock { since: Stamp, stamp: Stamp },
     /// Most markers contradicted the estimate for several images and were consistent with each
     /// other.
     #[error(
         "the markers contradict the estimate since {since} and agree with each other; \
          reinitialized from the image at {stamp}"
     )]
-    LockOutRecovered {
-        /// First image that contradicted.
-        since: Stamp,
-        /// Image of the reinitialization.
-        stamp: Stamp,
-    },
+    LockOutRecovered { since: Stamp, stamp: Stamp },
     /// The encoders contradict images and IMU.
     #[error(
         "the encoder reading at {stamp} contradicts the estimate by {distance_m:.3} m; the \
          encoders are not used until they agree again"
     )]
-    EncodersSuspended {
-        /// Reading.
-        stamp: Stamp,
-        /// Distance.
-        distance_m: f64,
-    },
+    EncodersSuspended { stamp: Stamp, distance_m: f64 },
     /// The encoders repeat one reading while the images show that the climber moves, or one stopped
     /// harder than a drive brakes.
     #[error(
         "the encoders repeat one reading since {since}: they stopped harder than a drive brakes, or \
          the images show that the climber moves; frozen? they are not used until they agree again"
     )]
-    EncodersFrozen {
-        /// Beginning of the equal readings.
-        since: Stamp,
-    },
+    EncodersFrozen { since: Stamp },
     /// The encoders agree with the estimate again.
     #[error("the encoders agree with the estimate again at {stamp}")]
-    EncodersResumed {
-        /// Reading.
-        stamp: Stamp,
-    },
+    EncodersResumed { stamp: Stamp },
     /// The encoders have contradicted the estimate for too long and are adopted.
     #[error(
         "the encoders at {stamp} still contradict the estimate, after climber.step_timeout or after \
          they were frozen; they are adopted and the pose reinitializes: were they homed?"
     )]
-    EncoderStep {
-        /// Reading.
-        stamp: Stamp,
-    },
+    EncoderStep { stamp: Stamp },
     /// The pose must not be used any more.
     #[error("the pose at {stamp} is lost: {reason}")]
-    PoseLost {
-        /// Time.
-        stamp: Stamp,
-        /// Why.
-        reason: String,
-    },
+    PoseLost { stamp: Stamp, reason: String },
     /// The state was not finite or beyond its bounds.
     #[error(
         "the estimate at {stamp} is not finite or beyond limits.max_range or limits.max_speed; \
          the filter reinitializes"
     )]
-    Diverged {
-        /// Time.
-        stamp: Stamp,
-    },
+    Diverged { stamp: Stamp },
 }
 
 impl Warning {

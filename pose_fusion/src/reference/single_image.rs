@@ -20,7 +20,7 @@ use crate::{
 use nalgebra::{Isometry3, Matrix2, Matrix6, Point3, Vector3, Vector6};
 use rig_model::{
     CameraModel, ClimberSample, ImuSample, MarkerObservation, MarkerObservations, MarkerState,
-    PerColor, Rig, Stamp,
+    PerColor, Rig, Sample, Stamp,
     planar_pose::{self, MarkerPixels, PlanarPose},
 };
 use std::collections::VecDeque;
@@ -106,15 +106,26 @@ impl SingleImagePose {
         self.last = None;
     }
 
+    /// Takes in one input; of an image returns the pose.
+    pub fn handle(&mut self, input: &Sample) -> Option<Visual> {
+        match input {
+            Sample::Imu(sample) => self.imu(sample),
+            Sample::Markers(markers) => return self.estimate(markers),
+            Sample::Climber(sample) => self.climber(sample),
+            Sample::Camera(camera) => self.camera(camera),
+        }
+        None
+    }
+
     /// Sets the camera's calibration.
-    pub fn camera(&mut self, camera: &CameraModel) {
+    fn camera(&mut self, camera: &CameraModel) {
         if self.camera.as_ref() != Some(camera) {
             self.camera = Some(camera.clone());
         }
     }
 
     /// Takes in an IMU sample, for its attitude.
-    pub fn imu(&mut self, sample: &ImuSample) {
+    fn imu(&mut self, sample: &ImuSample) {
         if self.solver != Solver::WithGravity {
             return;
         }
@@ -127,7 +138,7 @@ impl SingleImagePose {
     }
 
     /// Takes in an encoder reading.
-    pub fn climber(&mut self, sample: &ClimberSample) {
+    fn climber(&mut self, sample: &ClimberSample) {
         let pose = &sample.world_from_climber;
         if !pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|x| x.is_finite())
         {
@@ -147,7 +158,7 @@ impl SingleImagePose {
 
     /// Returns `world_from_volant` from one image. `None` with fewer than three detected markers,
     /// or without encoder readings within 0.1 s.
-    pub fn estimate(&mut self, observations: &MarkerObservations) -> Option<Visual> {
+    fn estimate(&mut self, observations: &MarkerObservations) -> Option<Visual> {
         let camera = self.camera.as_ref()?;
         let stamp = observations.stamp;
         let pixels = self.pixels(observations)?;

@@ -3,7 +3,8 @@
 
 use super::dropout::GAP;
 use crate::ekf::propagation::ImuReading;
-use rig_model::Stamp;
+use rig_model::{Stamp, topics};
+use std::fmt;
 
 /// Further ahead of the IMU samples than this, a message is rejected, s.
 pub const AHEAD: f64 = 0.5;
@@ -42,7 +43,7 @@ pub enum ImuArrival {
 pub struct Arrival {
     newest_imu: Option<(Stamp, ImuReading)>,
     jump: Option<(Stamp, u32)>,
-    /// Images and encoder readings since the newest IMU sample.
+    /// Images and encoder readings since the newest IMU sample, by [`Source`].
     others: [Since; 2],
     frontier: Option<Stamp>,
 }
@@ -77,13 +78,25 @@ impl Since {
     }
 }
 
-/// Source of a message other than the IMU.
+/// Source of an input; displayed as its topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
-    /// Image.
+    /// Images.
     Image,
-    /// Encoder reading.
+    /// Encoder readings.
     Encoders,
+    /// IMU samples.
+    Imu,
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Image => topics::MARKERS,
+            Self::Encoders => topics::CLIMBER_TRANSFORM,
+            Self::Imu => topics::IMU,
+        })
+    }
 }
 
 impl Arrival {

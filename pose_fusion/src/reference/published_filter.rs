@@ -1,0 +1,144 @@
+//! The published filter as an estimator: inputs in, odometry and status out.
+
+use super::{paper::Paper, single_image::Visual};
+use crate::{
+    config::{FusionConfig, StatusConfig},
+    health::{
+        pose_status::{PoseState, PoseStatus},
+        status::{Counts, InputCounts, Status},
+    },
+    output::Output,
+    timeline::dropout::GAP,
+};
+use rig_model::{Rig, Sample, Stamp};
+
+/// Without images the status is reported this often, s.
+const STATUS_PERIOD: f64 = 0.1;
+
+/// Published filter with its status.
+#[derive(Debug)]
+pub struct PublishedFilter {
+    filter: Paper,
+    limits: StatusConfig,
+    inputs: InputCounts,
+    last_status: Option<Stamp>,
+}
+
+impl PublishedFilter {
+    /// Creates a filter without an estimate.
+    pub fn new(rig: &Rig, config: &FusionConfig) -> Self {
+        Self {
+            filter: Paper::new(rig, config.paper.clone(), config.tight.gravity),
+            limits: config.status.clone(),
+            inputs: InputCounts::default(),
+            last_status: None,
+        }
+    }
+
+    /// Discards the estimate.
+    pub fn reset(&mut self) {
+        self.filter.reset();
+    }
+
+    /// Takes in one input with its visual pose, if it is an image that has one, and returns what
+    /// follows: of an image odometry and status.
+    pub fn handle(&mut self, input: &Sample, visual: Option<&Visual>) -> Vec<Output> {
+        match input {
+            Sample::Imu(sample) => {
+                self.filter.imu(sample);
+                self.inputs.imu += 1;
+            }
+            Sample::Markers(markers) => {
+                self.inputs.images += 1;
+                if let Some(odometry) = self.filter.image(markers.stamp, visual) {
+                    self.last_status = Some(markers.stamp);
+                    let status = self.pose_status(markers.stamp);
+                    return vec![Output::Odometry(odometry), Output::Status(status)];
+                }
+            }
+            Sample::Climber(_) | Sample::Camera(_) => {}
+        }
+        Vec::new()
+    }
+
+    /// Returns the status at 10 Hz of data time while no image gives a pose.
+    pub fn silence(&mut self, now: Stamp) -> Option<Output> {
+        let since = |last: Option<Stamp>| last.map_or(f64::INFINITY, |l| now.seconds_since(l));
+        let silent = since(self.filter.stamp());
+        let due = !(0.0..STATUS_PERIOD).contains(&since(self.last_status));
+        if silent <= self.limits.max_image_age || !due {
+            return None;
+        }
+        self.last_status = Some(now);
+        let mut status = self.pose_status(now);
+        if self.filter.stamp().is_some() {
+            (status.state, status.valid) = (PoseState::Lost, false);
+            status.reason = format!(
+                "no climber/markers for {silent:.1} s: the published filter gives a pose with \
+                 images only"
+            );
+        }
+        Some(Output::Status(status))
+    }
+
+    /// Returns what the initialization waits for; empty where there is an estimate.
+    pub fn missing(&self) -> &'static str {
+        self.filter.missing()
+    }
+
+    /// Whether the attitude is computed here, because the IMU outputs none.
+    pub fn computes_attitude(&self) -> bool {
+        self.filter.computes_attitude()
+    }
+
+    /// Returns counters and insights for diagnostics.
+    pub fn status(&self) -> Status {
+        Status {
+            initialized: self.filter.stamp().is_some(),
+            newest_imu: self.filter.newest_imu(),
+            last_used_image: self.filter.last_visual().map(|(stamp, _)| stamp),
+            position_sigma: self.sigma(0),
+            counts: Counts { inputs: self.inputs, ..Counts::default() },
+            ..Status::default()
+        }
+    }
+
+    fn pose_status(&self, now: Stamp) -> PoseStatus {
+        if self.filter.stamp().is_none() {
+            return PoseStatus::initializing(now, self.filter.missing().to_owned());
+        }
+        let since =
+            |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s).max(0.0));
+        let last_visual = self.filter.last_visual();
+        let image_age = since(last_visual.map(|(stamp, _)| stamp));
+        let imu_age = since(self.filter.newest_imu());
+        let mut status = PoseStatus {
+            position_sigma: self.sigma(0),
+            rotation_sigma: self.sigma(3),
+            image_age,
+            imu_age,
+            // A visual pose rests on an encoder reading of its instant.
+            climber_age: image_age,
+            markers_used: last_visual.map_or(0, |(_, markers)| markers),
+            ..PoseStatus::initializing(now, String::new())
+        }
+        .judged(&self.limits, imu_age > GAP, false);
+        if status.state == PoseState::Coasting {
+            status.reason = format!(
+                "two or more markers hidden, or no climber/transform: {}; the doubly integrated \
+                 accelerations carry the pose",
+                status.reason
+            );
+        }
+        status
+    }
+
+    /// Largest standard deviation of the position (`first` 0, m) or of roll, pitch and yaw (3, rad);
+    /// infinite without an estimate.
+    fn sigma(&self, first: usize) -> f64 {
+        self.filter.covariance().map_or(f64::INFINITY, |covariance| {
+            let block = covariance.fixed_view::<3, 3>(first, first).into_owned();
+            block.symmetric_eigenvalues().max().max(0.0).sqrt()
+        })
+    }
+}
