@@ -34,9 +34,8 @@ pub use health::{
     status::Status,
 };
 pub use initialization::checkpoint::{Checkpoint, Refusal};
+pub use measurements::Outcome;
 #[cfg(feature = "messages")]
 pub use output::messages;
-pub use output::{
-    MarkerOutcome, MarkerUpdateRecord, Odometry, Output, PoseEstimate, Swing, Warning,
-};
+pub use output::{MarkerUpdates, Odometry, Output, PoseEstimate, Swing, Warning};
 pub use timeline::arrival::Source;

@@ -40,7 +40,6 @@ pub struct FusionNode {
     frames: Frames,
     parameters: FusionParameters,
     publishers: Publishers,
-    gathered: messages::Gathered,
     gated_before: u64,
     images_before: u64,
     camera_rejected: Option<String>,
@@ -174,7 +173,6 @@ impl NodeShell for FusionNode {
             frames,
             parameters,
             publishers,
-            gathered: messages::Gathered::default(),
             gated_before: 0,
             images_before: 0,
             camera_rejected: None,
@@ -319,12 +317,10 @@ impl FusionNode {
             Output::VisualPose(p) => {
                 publishers.visual_pose.publish(messages::visual_pose(&p, frames))
             }
-            Output::MarkerUpdate(record) => {
-                self.rig_check.note(&record);
-                if let (Some(updates), Some(message)) =
-                    (&publishers.updates, self.gathered.add(record, frames))
-                {
-                    updates.publish_shared(message);
+            Output::MarkerUpdates(image) => {
+                self.rig_check.note(&image);
+                if let Some(updates) = &publishers.updates {
+                    updates.publish(messages::marker_updates(&image, frames));
                 }
             }
             Output::Warning(warning) => {

@@ -15,7 +15,7 @@ use common::{
     simulated,
 };
 use pose_fusion::{
-    Fusion, FusionConfig, Input, MarkerOutcome, Output, PendulumConfig, PoseState, Source, Warning,
+    Fusion, FusionConfig, Input, Outcome, Output, PendulumConfig, PoseState, Source, Warning,
 };
 use rig_model::{MarkerColor, MarkerObservation};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
@@ -162,8 +162,7 @@ fn images_from_the_future_are_rejected_with_a_reason() {
         |outputs, fusion| {
             let status = fusion.status();
             assert!((85..95).contains(&status.counts.rejected.images), "{status:?}");
-            let rejected =
-                outputs.records.iter().filter(|r| r.outcome == MarkerOutcome::Rejected).count();
+            let rejected = outputs.records().filter(|r| r.outcome == Outcome::Rejected).count();
             assert!(rejected as u64 >= status.counts.rejected.images);
             let ahead = |w: &Warning| match w {
                 Warning::Ahead { from, ahead_s, .. } => *from == Source::Image && *ahead_s > 9.0,

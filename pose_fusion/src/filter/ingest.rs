@@ -5,8 +5,8 @@ use crate::{
     adaptation::imu_integrity::Implausible,
     ekf::{propagation::ImuReading, state::ATTITUDE},
     input::imu::ImuInput,
-    measurements::{encoders::EncoderReading, geometry::ClimberRest, markers::Image},
-    output::{MarkerOutcome, Warning},
+    measurements::{Outcome, encoders::EncoderReading, geometry::ClimberRest, markers::Image},
+    output::Warning,
     timeline::{
         arrival::{AHEAD, Arrival, ImuArrival, Source},
         dropout::INTERPOLATED,
@@ -191,11 +191,11 @@ impl Filter {
         self.arrival.other(Source::Image, stamp);
         let silent = self.arrival.is_imu_silent();
         if self.setup.geometry.is_none() || (newest.is_none() && !silent) {
-            return self.publisher.reject(stamp, &pixels, MarkerOutcome::NotInitialized);
+            return self.publisher.reject(stamp, &pixels, Outcome::NotInitialized);
         }
         if ahead_s > AHEAD && !silent {
             self.publisher.refuse(Warning::Ahead { from: Source::Image, stamp, ahead_s });
-            return self.publisher.reject(stamp, &pixels, MarkerOutcome::Rejected);
+            return self.publisher.reject(stamp, &pixels, Outcome::Rejected);
         }
         self.markers.remember(stamp);
         self.follow_without_imu(stamp, silent);
@@ -207,7 +207,7 @@ impl Filter {
         let at = stamp.plus_seconds(time_offset);
         if self.history.get(0).is_none_or(|first| at <= first.stamp) {
             self.publisher.refuse(Warning::TooOld { from: Source::Image, stamp, age_s: -ahead_s });
-            return self.publisher.reject(stamp, &pixels, MarkerOutcome::Rejected);
+            return self.publisher.reject(stamp, &pixels, Outcome::Rejected);
         }
         let Some((_, _, rest)) = self.climber.newest().copied() else { return };
         let stamp_sigma = self.markers.stamp_sigma().min(self.setup.config.clock.image_jitter);

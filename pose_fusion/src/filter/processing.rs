@@ -270,7 +270,7 @@ impl Filter {
         let measured = record
             .markers
             .iter()
-            .filter(|m| !matches!(m.outcome, Outcome::Absent | Outcome::NotPredictable));
+            .filter(|m| !matches!(m.outcome, Outcome::NotDetected | Outcome::NotPredictable));
         let residual = measured.map(|m| m.residual.norm()).fold(0.0, f64::max);
         let height = match self.climber.newest() {
             Some((_, _, rest)) => (rest.height - entry.state.position.z).abs(),

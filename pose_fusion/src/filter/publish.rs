@@ -6,12 +6,12 @@ use crate::{
     ekf::consider::{TIME_OFFSET_ERROR, Uncertainty},
     health::{pose_status::PoseState, pose_status::PoseStatus, status::Counts},
     measurements::{
-        Outcome,
+        Innovation, Outcome,
         markers::{ImageInnovation, Pixels},
         rope::RopeIdentification,
     },
     output::{
-        MarkerOutcome, MarkerUpdateRecord, Odometry, Output, Warning,
+        MarkerUpdates, Odometry, Output, Warning,
         continuity::Continuity,
         odometry::{Settings, odometry},
         prediction::{self, Changes},
@@ -22,8 +22,8 @@ use crate::{
         history::{Entry, Event},
     },
 };
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3, Vector6};
-use rig_model::{MarkerColor, Rig, Stamp, topics};
+use nalgebra::{Matrix3, Vector3, Vector6};
+use rig_model::{PerColor, Rig, Stamp, topics};
 use std::collections::VecDeque;
 
 /// Time between two status messages while there is no pose, s.
@@ -135,49 +135,26 @@ impl Publisher {
     }
 
     /// Outputs the records of an image that is not processed.
-    pub fn reject(&mut self, stamp: Stamp, pixels: &Pixels, outcome: MarkerOutcome) {
-        for color in MarkerColor::ALL {
-            let outcome =
-                if pixels[color.index()].is_some() { outcome } else { MarkerOutcome::NotDetected };
-            self.out.push_back(Output::MarkerUpdate(MarkerUpdateRecord {
-                stamp,
-                color,
-                innovation: Vector2::repeat(f64::NAN),
-                covariance: Matrix2::repeat(f64::NAN),
-                nis: f64::NAN,
-                outcome,
-            }));
-        }
+    pub fn reject(&mut self, stamp: Stamp, pixels: &Pixels, outcome: Outcome) {
+        let markers = pixels.map(|pixel| {
+            Innovation::without_values(if pixel.is_some() { outcome } else { Outcome::NotDetected })
+        });
+        let markers = PerColor(markers);
+        self.out.push_back(Output::MarkerUpdates(MarkerUpdates { stamp, markers }));
     }
 
     /// Outputs the records of an image and counts its markers.
     pub fn record(&mut self, stamp: Stamp, record: &ImageInnovation, frozen: bool) {
-        for color in MarkerColor::ALL {
-            let marker = &record.markers[color.index()];
-            let outcome = match marker.outcome {
-                Outcome::Absent => MarkerOutcome::NotDetected,
-                Outcome::Used if frozen => MarkerOutcome::Frozen,
-                Outcome::Used => MarkerOutcome::Used,
-                Outcome::Gated => MarkerOutcome::Gated,
-                Outcome::Inconsistent => MarkerOutcome::Inconsistent,
-                Outcome::NotPredictable => MarkerOutcome::NotPredictable,
-            };
-            match outcome {
-                MarkerOutcome::Used => self.counts.used_markers += 1,
-                MarkerOutcome::Gated | MarkerOutcome::Inconsistent => {
-                    self.counts.gated_markers += 1
-                }
+        let mut markers = PerColor(record.markers);
+        for marker in &mut markers.0 {
+            match marker.outcome {
+                Outcome::Used if frozen => marker.outcome = Outcome::Frozen,
+                Outcome::Used => self.counts.used_markers += 1,
+                Outcome::Gated | Outcome::Inconsistent => self.counts.gated_markers += 1,
                 _ => {}
             }
-            self.out.push_back(Output::MarkerUpdate(MarkerUpdateRecord {
-                stamp,
-                color,
-                innovation: marker.residual,
-                covariance: marker.covariance,
-                nis: marker.nis,
-                outcome,
-            }));
         }
+        self.out.push_back(Output::MarkerUpdates(MarkerUpdates { stamp, markers }));
         if record.used > 0 && !frozen {
             self.markers_used = record.used as u8;
         }

@@ -20,8 +20,11 @@ use crate::{
         climber_track::{ClimberAt, SPEED},
         imu::Up,
     },
-    measurements::markers::{Image, Pixels},
-    output::{MarkerOutcome, Warning},
+    measurements::{
+        Outcome,
+        markers::{Image, Pixels},
+    },
+    output::Warning,
     timeline::{arrival::AHEAD, history::Event},
 };
 use nalgebra::Vector3;
@@ -185,7 +188,7 @@ impl Filter {
         if stale && pixels.iter().flatten().count() >= 3 {
             self.start.awaited = Some((stamp, pixels));
         } else {
-            self.publisher.reject(stamp, &pixels, MarkerOutcome::NotInitialized);
+            self.publisher.reject(stamp, &pixels, Outcome::NotInitialized);
         }
     }
 
@@ -214,16 +217,16 @@ impl Filter {
         };
         let measured = absent || self.history.iter().any(is_imu_before);
         let (Some(climber), Some(geometry)) = (self.climber_at(stamp), &self.setup.geometry) else {
-            return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized);
+            return self.publisher.reject(stamp, pixels, Outcome::NotInitialized);
         };
         let enough = pixels.iter().flatten().count() >= 3;
         if !enough || !measured || self.setup.frozen {
-            return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized);
+            return self.publisher.reject(stamp, pixels, Outcome::NotInitialized);
         }
         self.start.wrong_gravity =
             self.imu.wrong_gravity(at, &self.history, self.setup.config.gravity);
         if !absent && self.start.wrong_gravity.is_some() {
-            return self.publisher.reject(stamp, pixels, MarkerOutcome::NotInitialized);
+            return self.publisher.reject(stamp, pixels, Outcome::NotInitialized);
         }
         let image = Image::new(pixels, time_offset, climber.rest);
         let up = self.imu.own_up_at(at).or(up).or_else(|| self.imu.up_at(at, &self.history));
@@ -231,7 +234,7 @@ impl Filter {
         let (config, known) = (&self.setup.config, self.calibration());
         let Some(start) = from_image::start(geometry, config, &image, up.as_ref(), &prior, &known)
         else {
-            return self.publisher.reject(stamp, pixels, MarkerOutcome::Inconsistent);
+            return self.publisher.reject(stamp, pixels, Outcome::Inconsistent);
         };
         self.publisher.record(stamp, &start.record, false);
         self.lock_out.initialized(stamp);

@@ -10,10 +10,11 @@
 
 use crate::{
     health::status::Status,
-    output::{MarkerOutcome, MarkerUpdateRecord},
+    measurements::{Innovation, Outcome},
+    output::MarkerUpdates,
 };
 use nalgebra::Vector2;
-use rig_model::PerColor;
+use rig_model::{MarkerColor, PerColor};
 
 /// Memory of the means, measured markers of one color: five seconds of a usual camera.
 const MEMORY: f64 = 150.0;
@@ -56,23 +57,27 @@ pub struct RigCheck {
 }
 
 impl RigCheck {
-    /// Adds a marker of an image.
-    pub fn note(&mut self, record: &MarkerUpdateRecord) {
+    /// Adds the markers of an image.
+    pub fn note(&mut self, image: &MarkerUpdates) {
+        for (color, marker) in image.markers.iter() {
+            self.note_marker(color, marker);
+        }
+    }
+
+    fn note_marker(&mut self, color: MarkerColor, record: &Innovation<2>) {
         let rejected = match record.outcome {
-            MarkerOutcome::Used => false,
-            MarkerOutcome::NotInitialized | MarkerOutcome::Gated | MarkerOutcome::Inconsistent => {
-                true
-            }
+            Outcome::Used => false,
+            Outcome::NotInitialized | Outcome::Gated | Outcome::Inconsistent => true,
             _ => return,
         };
         self.unused = if rejected { self.unused.saturating_add(1) } else { 0 };
-        let marker = &mut self.markers[record.color];
+        let marker = &mut self.markers[color];
         marker.count += 1.0;
         let weight = (1.0 / marker.count).max(1.0 / MEMORY);
         marker.rejected += (f64::from(u8::from(rejected)) - marker.rejected) * weight;
         // A false marker far off says nothing about the layout; its share counts above.
-        if !rejected && record.innovation.norm().is_finite() {
-            marker.innovation += (record.innovation - marker.innovation) * weight;
+        if !rejected && record.residual.norm().is_finite() {
+            marker.innovation += (record.residual - marker.innovation) * weight;
         }
     }
 

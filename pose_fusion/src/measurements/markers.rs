@@ -155,7 +155,7 @@ pub fn update(
     apply: bool,
 ) -> ImageInnovation {
     let mut record = ImageInnovation {
-        markers: [Innovation::absent(); 4],
+        markers: [Innovation::without_values(Outcome::NotDetected); 4],
         nis: f64::NAN,
         used: 0,
         misfit: None,

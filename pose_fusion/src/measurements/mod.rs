@@ -12,19 +12,26 @@ pub mod zero_velocity;
 
 use nalgebra::{SMatrix, SVector};
 
-/// What became of a measurement.
+/// What became of a measurement; with the numbers of `MarkerUpdate.msg`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
 pub enum Outcome {
-    /// Not measured.
-    Absent,
-    /// Corrected the state.
+    /// It corrected the state.
     Used,
-    /// Rejected: its own NIS exceeds the gate.
+    /// It was not measured (a marker that the tracker predicted or lost).
+    NotDetected,
+    /// Its own NIS exceeds the gate.
     Gated,
-    /// Rejected: it contradicts the other measurements of the same image.
+    /// It contradicts the other measurements of the same image.
     Inconsistent,
-    /// Not used: it cannot be predicted.
+    /// It cannot be predicted: outside of what the lens model covers.
     NotPredictable,
+    /// The filter is not initialized.
+    NotInitialized,
+    /// The image is too old, too far ahead, or arrived twice.
+    Rejected,
+    /// The filter is frozen: compared, but not used.
+    Frozen,
 }
 
 /// Record of one measurement of dimension `D`, used or not.
@@ -41,13 +48,13 @@ pub struct Innovation<const D: usize> {
 }
 
 impl<const D: usize> Innovation<D> {
-    /// Returns the record of a measurement that is not there.
-    pub fn absent() -> Self {
+    /// Returns the record of a measurement that was compared with nothing.
+    pub fn without_values(outcome: Outcome) -> Self {
         Self {
             residual: SVector::repeat(f64::NAN),
             covariance: SMatrix::repeat(f64::NAN),
             nis: f64::NAN,
-            outcome: Outcome::Absent,
+            outcome,
         }
     }
 }

@@ -1,9 +1,8 @@
 //! ROS messages of the outputs, for the live node and for replay.
 
-use crate::{MarkerOutcome, MarkerUpdateRecord, Odometry, PoseEstimate, PoseStatus, Swing};
+use crate::{Odometry, PoseEstimate, PoseStatus, Swing, measurements::Innovation};
 use node_kit::convert;
 use rig_model::{Frames, MarkerColor};
-use std::sync::Arc;
 use volant_msgs::{
     geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
     msg::{self, MarkerUpdate, MarkerUpdates},
@@ -84,53 +83,47 @@ pub fn transform(o: &Odometry, frames: &Frames) -> TransformStamped {
 }
 
 /// `volant/marker_updates`: the records of one image.
-pub fn marker_updates(records: &[MarkerUpdateRecord], frames: &Frames) -> Option<MarkerUpdates> {
-    let stamp = records.first()?.stamp;
-    Some(MarkerUpdates {
-        header: convert::header(&frames.camera, stamp),
-        markers: records.iter().map(marker_update).collect(),
-    })
-}
-
-fn marker_update(r: &MarkerUpdateRecord) -> MarkerUpdate {
-    MarkerUpdate {
-        color: r.color as u8,
-        outcome: match r.outcome {
-            MarkerOutcome::Used => MarkerUpdate::USED,
-            MarkerOutcome::NotDetected => MarkerUpdate::NOT_DETECTED,
-            MarkerOutcome::Gated => MarkerUpdate::GATED,
-            MarkerOutcome::Inconsistent => MarkerUpdate::INCONSISTENT,
-            MarkerOutcome::NotPredictable => MarkerUpdate::NOT_PREDICTABLE,
-            MarkerOutcome::NotInitialized => MarkerUpdate::NOT_INITIALISED,
-            MarkerOutcome::Rejected => MarkerUpdate::REFUSED,
-            MarkerOutcome::Frozen => MarkerUpdate::FROZEN,
-        },
-        innovation: [r.innovation.x, r.innovation.y],
-        covariance: convert::covariance2_message(&r.covariance),
-        nis: r.nis,
+pub fn marker_updates(u: &crate::MarkerUpdates, frames: &Frames) -> MarkerUpdates {
+    let marker = |(color, m): (MarkerColor, &Innovation<2>)| MarkerUpdate {
+        color: color as u8,
+        outcome: m.outcome as u8,
+        innovation: [m.residual.x, m.residual.y],
+        covariance: convert::covariance2_message(&m.covariance),
+        nis: m.nis,
+    };
+    MarkerUpdates {
+        header: convert::header(&frames.camera, u.stamp),
+        markers: u.markers.iter().map(marker).collect(),
     }
 }
 
-/// Gathers the records of one image, which come marker by marker.
-#[derive(Debug, Default)]
-pub struct Gathered(Vec<MarkerUpdateRecord>);
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Outcome;
 
-impl Gathered {
-    /// Adds a record and returns the message with the fourth.
-    pub fn add(
-        &mut self,
-        record: MarkerUpdateRecord,
-        frames: &Frames,
-    ) -> Option<Arc<MarkerUpdates>> {
-        if self.0.first().is_some_and(|f| f.stamp != record.stamp) {
-            self.0.clear();
-        }
-        self.0.push(record);
-        if self.0.len() < MarkerColor::ALL.len() {
-            return None;
-        }
-        let message = marker_updates(&self.0, frames).map(Arc::new);
-        self.0.clear();
-        message
+    #[test]
+    fn outcomes_have_the_numbers_of_the_message() {
+        let ours = [
+            Outcome::Used,
+            Outcome::NotDetected,
+            Outcome::Gated,
+            Outcome::Inconsistent,
+            Outcome::NotPredictable,
+            Outcome::NotInitialized,
+            Outcome::Rejected,
+            Outcome::Frozen,
+        ];
+        let theirs = [
+            MarkerUpdate::USED,
+            MarkerUpdate::NOT_DETECTED,
+            MarkerUpdate::GATED,
+            MarkerUpdate::INCONSISTENT,
+            MarkerUpdate::NOT_PREDICTABLE,
+            MarkerUpdate::NOT_INITIALISED,
+            MarkerUpdate::REFUSED,
+            MarkerUpdate::FROZEN,
+        ];
+        assert_eq!(ours.map(|outcome| outcome as u8), theirs);
     }
 }

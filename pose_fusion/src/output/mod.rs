@@ -13,10 +13,9 @@ mod warning;
 pub use swing::Swing;
 pub use warning::Warning;
 
-use crate::health::pose_status::PoseStatus;
-use nalgebra::{Isometry3, Matrix2, Matrix3, Matrix6, Vector2, Vector3};
-use rig_model::{MarkerColor, Stamp};
-use std::fmt;
+use crate::{health::pose_status::PoseStatus, measurements::Innovation};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3};
+use rig_model::{PerColor, Stamp};
 
 /// One output.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,8 +33,8 @@ pub enum Output {
     Swing(Swing),
     /// `world_from_volant` from one image alone, rotation about world-fixed axes.
     VisualPose(PoseEstimate),
-    /// Record of one marker of one image.
-    MarkerUpdate(MarkerUpdateRecord),
+    /// Records of the markers of one image.
+    MarkerUpdates(MarkerUpdates),
     /// Event that an operator should know of; counted in [`crate::Status`] as well.
     Warning(Warning),
 }
@@ -91,62 +90,11 @@ pub struct PoseEstimate {
     pub covariance: Matrix6<f64>,
 }
 
-/// What became of a marker of an image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum MarkerOutcome {
-    /// It corrected the state.
-    Used,
-    /// The tracker did not measure it in this image (predicted or lost).
-    NotDetected,
-    /// Its NIS exceeds the gate.
-    Gated,
-    /// It contradicts the other markers of the image.
-    Inconsistent,
-    /// The predicted marker is outside of what the lens model covers.
-    NotPredictable,
-    /// The filter is not initialized.
-    NotInitialized,
-    /// The image is too old, too far ahead, or arrived twice.
-    Rejected,
-    /// The filter is frozen: compared, but not used.
-    Frozen,
-}
-
-impl MarkerOutcome {
-    /// Returns a short name for messages and logs.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Used => "used",
-            Self::NotDetected => "not detected",
-            Self::Gated => "gated",
-            Self::Inconsistent => "contradicts the others",
-            Self::NotPredictable => "outside the lens model",
-            Self::NotInitialized => "filter not initialized",
-            Self::Rejected => "rejected",
-            Self::Frozen => "frozen",
-        }
-    }
-}
-
-impl fmt::Display for MarkerOutcome {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-/// Record of one marker of one image, used or not.
+/// Records of the markers of one image, used or not.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MarkerUpdateRecord {
+pub struct MarkerUpdates {
     /// Stamp of the image.
     pub stamp: Stamp,
-    /// Which marker.
-    pub color: MarkerColor,
-    /// Measured minus predicted centroid, px; NaN where there is none.
-    pub innovation: Vector2<f64>,
-    /// Covariance of the innovation, px²; NaN where there is none.
-    pub covariance: Matrix2<f64>,
-    /// Normalized innovation squared (2 degrees of freedom); NaN where there is none.
-    pub nis: f64,
-    /// What became of it.
-    pub outcome: MarkerOutcome,
+    /// Innovations (measured minus predicted centroid, px) and what became of them.
+    pub markers: PerColor<Innovation<2>>,
 }

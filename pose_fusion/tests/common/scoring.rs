@@ -20,10 +20,17 @@ pub fn start(truth: &Truth) -> Stamp {
 pub struct Outputs {
     pub odometry: Vec<Odometry>,
     pub visual: Vec<PoseEstimate>,
-    pub records: Vec<pose_fusion::MarkerUpdateRecord>,
+    pub images: Vec<pose_fusion::MarkerUpdates>,
     pub warnings: Vec<pose_fusion::Warning>,
     pub status: Vec<pose_fusion::PoseStatus>,
     pub predicted: Vec<Odometry>,
+}
+
+impl Outputs {
+    /// The records of all markers of all images.
+    pub fn records(&self) -> impl Iterator<Item = &pose_fusion::measurements::Innovation<2>> {
+        self.images.iter().flat_map(|image| &image.markers.0)
+    }
 }
 
 pub fn run(fusion: &mut Fusion, inputs: impl IntoIterator<Item = Input>) -> Outputs {
@@ -34,7 +41,7 @@ pub fn run(fusion: &mut Fusion, inputs: impl IntoIterator<Item = Input>) -> Outp
             match output {
                 Output::Odometry(o) => outputs.odometry.push(o),
                 Output::VisualPose(p) => outputs.visual.push(p),
-                Output::MarkerUpdate(r) => outputs.records.push(r),
+                Output::MarkerUpdates(image) => outputs.images.push(image),
                 Output::Warning(w) => outputs.warnings.push(w),
                 Output::Status(s) => outputs.status.push(s),
                 Output::Predicted(o) => outputs.predicted.push(o),

@@ -163,10 +163,7 @@ fn a_frozen_filter_ignores_markers_and_a_reset_reinitializes() {
     let outputs = scoring::run(&mut fusion, while_frozen.to_vec());
     assert_eq!(fusion.status().counts.used_markers, used);
     assert!(
-        outputs
-            .records
-            .iter()
-            .any(|r| r.outcome == pose_fusion::MarkerOutcome::Frozen && r.nis.is_finite())
+        outputs.records().any(|r| r.outcome == pose_fusion::Outcome::Frozen && r.nis.is_finite())
     );
     fusion.freeze(false);
     fusion.reset();

@@ -11,13 +11,13 @@ fn false_markers_are_rejected_with_a_reason() {
         println!("clean {clean}\nfalse {}  rejected {}", o.score, o.status.counts.gated_markers);
         assert!(o.score.position_rmse() < 1.2 * clean.position_rmse(), "{}", o.score);
         assert_eq!(o.status.counts.resets.recoveries, 0);
-        let rejected = o.outputs.records.iter().filter(|r| {
-            matches!(r.outcome, MarkerOutcome::Gated | MarkerOutcome::Inconsistent)
+        let rejected = o.outputs.records().filter(|r| {
+            matches!(r.outcome, pose_fusion::Outcome::Gated | pose_fusion::Outcome::Inconsistent)
                 && r.nis.is_finite()
         });
         assert_eq!(rejected.count() as u64, o.status.counts.gated_markers);
         assert!(
-            o.outputs.records.len() as u64
+            o.outputs.records().count() as u64
                 >= 4 * (o.status.counts.inputs.images - o.status.counts.inputs.duplicates) - 8
         );
     }

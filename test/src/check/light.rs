@@ -14,8 +14,8 @@ pub fn findings_while_running(recording: &Recording) -> Vec<String> {
     for (at, input) in &recording.inputs {
         fusion.handle(input.clone());
         while let Some(output) = fusion.poll() {
-            if let Output::MarkerUpdate(record) = output {
-                check.note(&record);
+            if let Output::MarkerUpdates(image) = output {
+                check.note(&image);
             }
         }
         if at.seconds_since(*last.get_or_insert(*at)) >= PERIOD {

@@ -2,7 +2,7 @@
 
 use super::topic_names::TopicNames;
 use bag::{BagError, BagSummary, BagWriter, Qos, Topic, TopicId, WriteOptions};
-use pose_fusion::{MarkerUpdateRecord, Output, messages};
+use pose_fusion::{Output, messages};
 use rig_model::{Frames, Rig, Stamp, topics};
 use std::{
     cmp::Reverse,
@@ -100,8 +100,7 @@ impl OutputBag {
         Ok(output)
     }
 
-    /// Writes an output of the filter, except for warnings and for marker updates, which
-    /// [`Self::marker_updates`] writes image by image.
+    /// Writes an output of the filter, except for warnings.
     pub(super) fn fused(&mut self, output: &Output) -> Result<(), BagError> {
         match output {
             Output::Odometry(o) => {
@@ -120,18 +119,11 @@ impl OutputBag {
             Output::VisualPose(p) => {
                 self.put(topics::VISUAL_POSE, p.stamp, &messages::visual_pose(p, &self.frames))
             }
-            Output::MarkerUpdate(_) | Output::Warning(_) => Ok(()),
-        }
-    }
-
-    /// Writes `volant/marker_updates`, the records of one image.
-    pub(super) fn marker_updates(
-        &mut self,
-        records: &[MarkerUpdateRecord],
-    ) -> Result<(), BagError> {
-        match (records.first(), messages::marker_updates(records, &self.frames)) {
-            (Some(first), Some(message)) => self.put(topics::MARKER_UPDATES, first.stamp, &message),
-            _ => Ok(()),
+            Output::MarkerUpdates(u) => {
+                let message = messages::marker_updates(u, &self.frames);
+                self.put(topics::MARKER_UPDATES, u.stamp, &message)
+            }
+            Output::Warning(_) => Ok(()),
         }
     }
 

@@ -6,7 +6,7 @@ use bag::BagError;
 use climber_driver::{Climber, JointReading};
 use marker_tracker::{OwnedImage, Tracker};
 use node_kit::convert;
-use pose_fusion::{Fusion, MarkerOutcome, MarkerUpdateRecord, Output, RigCheck, messages};
+use pose_fusion::{Fusion, Outcome, Output, RigCheck, messages};
 use rig_model::{CameraModel, MarkerObservations, MarkerState, Rig, Stamp, topics};
 use std::{collections::BTreeMap, time::Duration};
 use volant_msgs::{
@@ -85,7 +85,6 @@ pub(super) struct Pipeline {
     smooth: bool,
     /// The climber driver, where the bag holds its input and not its output.
     pub(super) climber: Option<Climber>,
-    records: Vec<MarkerUpdateRecord>,
     rig_check: RigCheck,
     /// Counts so far.
     pub(super) counts: Counts,
@@ -110,7 +109,6 @@ impl Pipeline {
             output,
             smooth,
             climber: None,
-            records: vec![],
             rig_check: RigCheck::default(),
             counts: Counts::default(),
             spent: Spent::default(),
@@ -317,13 +315,10 @@ impl Pipeline {
             match output {
                 Output::Odometry(odometry) => self.count_odometry(odometry.stamp),
                 Output::VisualPose(_) => self.counts.visual += 1,
-                Output::MarkerUpdate(record) => {
-                    self.counts.used += u64::from(record.outcome == MarkerOutcome::Used);
-                    if self.records.first().is_some_and(|first| first.stamp != record.stamp) {
-                        self.write_records()?;
-                    }
-                    self.rig_check.note(&record);
-                    self.records.push(record);
+                Output::MarkerUpdates(image) => {
+                    let used = image.markers.0.iter().filter(|m| m.outcome == Outcome::Used);
+                    self.counts.used += used.count() as u64;
+                    self.rig_check.note(&image);
                 }
                 Output::Warning(warning) => {
                     self.counts.warn(&kind_of("filter", &warning), || format!("filter: {warning}"));
@@ -331,14 +326,7 @@ impl Pipeline {
                 Output::Status(_) | Output::Predicted(_) | Output::Swing(_) => {}
             }
         }
-        self.write_records()?;
         self.spent.output += watch.elapsed();
-        Ok(())
-    }
-
-    fn write_records(&mut self) -> Result<(), BagError> {
-        self.output.marker_updates(&self.records)?;
-        self.records.clear();
         Ok(())
     }
 
