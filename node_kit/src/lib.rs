@@ -47,4 +47,4 @@ pub use ros_parameters::parameters;
 /// over (50 s). glibc's allocator keeps that memory for good, because newer allocations lie behind
 /// it; this one returns it.
 #[cfg(feature = "dds")]
-pub use tikv_jemallocator::Jemalloc as Allocator;
+pub use mimalloc::MiMalloc as Allocator;

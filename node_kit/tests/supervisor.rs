@@ -182,15 +182,13 @@ fn one_hanging_event_loop_stops_the_beat_of_its_process() {
     assert_eq!(manager.beats(Duration::from_secs(2)), 0);
 }
 
-/// Scheduling policy of each thread of a process (`man 5 proc`: field 41 of `stat`; 1 is FIFO), but
-/// of those that jemalloc starts before `main` to return memory.
+/// Scheduling policy of each thread of a process (`man 5 proc`: field 41 of `stat`; 1 is FIFO).
 fn policies(id: u32) -> Vec<String> {
     let tasks = std::fs::read_dir(Path::new("/proc").join(id.to_string()).join("task")).unwrap();
     // A thread may end between the listing and the reading.
     let stats =
         tasks.filter_map(|task| std::fs::read_to_string(task.ok()?.path().join("stat")).ok());
     stats
-        .filter(|stat| !stat.contains("(jemalloc_bg_thd)"))
         .map(|stat| {
             let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
             format!("{} {}", fields[38], fields[37])
