@@ -3,7 +3,10 @@
 use crate::{
     config::{FusionConfig, Model},
     filter::Filter,
-    health::status::Status,
+    health::{
+        pose_status::{PoseState, PoseStatus},
+        status::Status,
+    },
     initialization::checkpoint::{Checkpoint, Refusal},
     output::{Odometry, Output, PoseEstimate, Warning, rate_limit::RateLimit},
     reference::{published_filter::PublishedFilter, single_image::SingleImagePose},
@@ -192,6 +195,20 @@ impl Fusion {
             Estimator::TightlyCoupled(filter) if filter.state().is_some() => String::new(),
             Estimator::TightlyCoupled(filter) => filter.missing(),
             Estimator::Paper(paper) => paper.missing().to_owned(),
+        }
+    }
+
+    /// Returns the status at `now` where no input has come for `silence` seconds.
+    pub fn silent_status(&self, now: Stamp, silence: f64) -> PoseStatus {
+        let status = self.status();
+        let age = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
+        PoseStatus {
+            state: PoseState::Lost,
+            image_age: age(status.last_used_image),
+            imu_age: age(status.newest_imu),
+            climber_age: silence,
+            time_offset: status.time_offset.offset,
+            ..PoseStatus::initializing(now, format!("no input for {silence:.1} s"))
         }
     }
 

@@ -21,6 +21,9 @@ use volant_msgs::{
 
 /// Time between two status messages while there is no pose.
 const STATUS_PERIOD: Duration = Duration::from_millis(100);
+/// This long without a status of the estimator, and longer than two periods of `publish_rate`, its
+/// inputs have ended, s.
+const ENDED: f64 = 0.35;
 
 /// Publishers of the estimate.
 struct Publishers {
@@ -45,6 +48,8 @@ pub struct FusionNode {
     camera_rejected: Option<String>,
     rejections: Rejections,
     rig_check: RigCheck,
+    /// Periods since the estimator's newest status.
+    quiet: u32,
 }
 
 /// Inputs that were rejected since the last tick, and why the newest was.
@@ -178,6 +183,7 @@ impl NodeShell for FusionNode {
             camera_rejected: None,
             rejections: Rejections::default(),
             rig_check: RigCheck::default(),
+            quiet: 0,
         })
     }
 
@@ -190,11 +196,16 @@ impl NodeShell for FusionNode {
                 self.fusion.handle(*input);
             }
             Event::StatusDue => {
-                let missing = self.fusion.missing();
-                if !missing.is_empty() {
-                    let status = PoseStatus::initializing(context.now(), missing);
-                    self.publishers.status.publish(messages::status(&status, &self.frames));
-                }
+                self.quiet = self.quiet.saturating_add(1);
+                let (now, missing) = (context.now(), self.fusion.missing());
+                let status = if !missing.is_empty() {
+                    PoseStatus::initializing(now, missing)
+                } else if self.silence() > ENDED + 2.0 * self.period() {
+                    self.fusion.silent_status(now, self.silence())
+                } else {
+                    return;
+                };
+                self.publishers.status.publish(messages::status(&status, &self.frames));
             }
             Event::Request(request) => {
                 let done =
@@ -232,6 +243,9 @@ impl NodeShell for FusionNode {
             (Health::Warn, format!("not initialized: {}", self.fusion.missing()))
         } else if imu_age > limit {
             (Health::Error, format!("no IMU sample for {imu_age:.1} s"))
+        } else if self.silence() > limit + 2.0 * self.period() {
+            // With simulated time no age grows once the clock has ended, too.
+            (Health::Error, format!("no input for {:.1} s", self.silence()))
         } else if published && image_age > limit {
             let what = if starved {
                 "starved: no climber/markers; the published filter gives no pose without images"
@@ -288,6 +302,17 @@ impl NodeShell for FusionNode {
 }
 
 impl FusionNode {
+    /// Time between two odometry messages of a limited rate, s.
+    fn period(&self) -> f64 {
+        let rate = self.parameters.core.publish_rate;
+        if rate > 0.0 { 1.0 / rate } else { 0.0 }
+    }
+
+    /// Time since the estimator's newest status, s.
+    fn silence(&self) -> f64 {
+        f64::from(self.quiet) * STATUS_PERIOD.as_secs_f64()
+    }
+
     fn publish(&mut self, context: &mut NodeContext<Event>, output: Output) {
         let (frames, publishers) = (&self.frames, &self.publishers);
         match output {
@@ -303,7 +328,10 @@ impl FusionNode {
             }
             // Without a pose the timer publishes the status.
             Output::Status(s) if s.state == crate::PoseState::Initializing => {}
-            Output::Status(s) => publishers.status.publish(messages::status(&s, frames)),
+            Output::Status(s) => {
+                self.quiet = 0;
+                publishers.status.publish(messages::status(&s, frames));
+            }
             Output::Predicted(o) => {
                 if let Some(predicted) = &publishers.predicted {
                     predicted.publish(messages::odometry(&o, frames));

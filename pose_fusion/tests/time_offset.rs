@@ -165,8 +165,8 @@ fn a_frozen_filter_keeps_its_pose_when_the_offset_changes() {
             fusion.status().newest_imu.map(|at| at.seconds_since(scoring::start(&run.truth)));
         if since.is_some_and(|s| s > CHANGE) && searches && frozen == 0 {
             fusion.freeze(true);
-        }
-        if fusion.status().frozen {
+            frozen = 1;
+        } else if (1..400).contains(&frozen) {
             frozen += 1;
             lost += usize::from(!fusion.status().initialized);
             if frozen == 400 {

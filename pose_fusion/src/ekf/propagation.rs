@@ -151,7 +151,6 @@ pub fn propagate(
     state.attitude.renormalize_fast();
     state.climber += state.climber_rate * dt + state.climber_acceleration * (dt * dt / 2.0);
     state.climber_rate += state.climber_acceleration * dt;
-    state.since_marker += dt;
     let blocks = Blocks::new(rotation, &force, dt, noise.change.vectors());
     // F P Fᵀ as ((P Fᵀ)ᵀ Fᵀ): columns only, which are contiguous in memory; P is symmetric.
     times_transition(&mut state.covariance, &blocks, dt);

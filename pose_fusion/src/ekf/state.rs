@@ -83,8 +83,6 @@ pub struct State {
     pub sensitivity: Sensitivity,
     /// Estimated constants of the IMU and of the marker layout.
     pub calibration: Calibration,
-    /// Time since a marker last corrected the state, s.
-    pub since_marker: f64,
 }
 
 impl State {
@@ -103,7 +101,6 @@ impl State {
             covariance: Covariance::zeros(),
             sensitivity: Sensitivity::zeros(),
             calibration: Calibration::default(),
-            since_marker: 0.0,
         }
     }
 

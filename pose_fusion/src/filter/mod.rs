@@ -114,7 +114,6 @@ impl Filter {
         let geometry = self.setup.geometry.as_ref();
         let mut status = Status {
             initialized: self.start.is_started(),
-            frozen: self.setup.frozen,
             encoders_suspended: self.trust.is_suspended(),
             newest_imu: self.arrival.newest_imu().map(|(stamp, _)| stamp),
             last_used_image: self.lock_out.last_used(),

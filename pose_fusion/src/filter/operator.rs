@@ -105,7 +105,6 @@ impl Filter {
                 state.covariance.fixed_view_mut::<3, 3>(i, j).copy_from(&block);
             }
         }
-        state.since_marker = 0.0;
         self.publisher.continuity.reset();
         self.start.set_started();
         self.begin(at, state);

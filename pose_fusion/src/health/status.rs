@@ -79,8 +79,6 @@ pub struct ResetCounts {
 pub struct Status {
     /// There is an estimate.
     pub initialized: bool,
-    /// Markers are compared and not used.
-    pub frozen: bool,
     /// The encoders contradict the estimate and are not used.
     pub encoders_suspended: bool,
     /// Newest IMU stamp.

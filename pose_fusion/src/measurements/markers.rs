@@ -219,7 +219,6 @@ pub fn update(
         state.add(&(consider::of_constants(&state.sensitivity) * learned));
         state.shift_time(reading, state.time_offset - offset, gravity);
         subtract_square(&mut state.covariance, &solution.root);
-        state.since_marker = 0.0;
     }
     record
 }

@@ -139,6 +139,7 @@ mod tests {
             motion: reading.into(),
             noise,
             state: first.clone(),
+            unseen: 0.0,
         }];
         for i in 1..=n {
             let mut state = entries[i - 1].state.clone();
@@ -161,6 +162,7 @@ mod tests {
                 motion: reading.into(),
                 noise,
                 state,
+                unseen: 0.0,
             });
         }
         let smoothed = smooth(&entries, 9.81);

@@ -72,6 +72,8 @@ pub struct Entry {
     pub noise: ProcessNoise,
     /// State after the event; valid where processed.
     pub state: State,
+    /// Time since a marker last corrected the state, s; valid where processed.
+    pub unseen: f64,
 }
 
 /// Entries in the order of time.
@@ -159,7 +161,7 @@ impl History {
                 self.free.push(self.store.len());
                 let (noise, state) = (ProcessNoise::default(), State::zero());
                 let (event, motion) = (Event::Set, Motion::from(reading));
-                self.store.push(Entry { stamp, event, reading, motion, noise, state });
+                self.store.push(Entry { stamp, event, reading, motion, noise, state, unseen: 0.0 });
             } else {
                 self.overflows += 1;
                 self.drop_first();
@@ -170,6 +172,7 @@ impl History {
             if let Some(entry) = self.store.get_mut(slot) {
                 entry.stamp = stamp;
                 entry.event = event;
+                entry.unseen = 0.0;
                 entry.reading = reading;
                 entry.motion = reading.into();
             }

@@ -127,7 +127,8 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
     context.disturbances.add_to(&mut noise, to.stamp);
     to.noise = noise;
     propagate(&mut to.state, &start.0, &start.1, dt, gravity, &noise);
-    let unseen = from.state.since_marker;
+    let unseen = from.unseen;
+    to.unseen = unseen + dt;
     let blind = !matches!(drive.source, Source::Interpolated { gap: None, .. });
     let step = apply(to, unseen, blind, smoothing, context);
     history.set_processed(place + 1);
@@ -143,7 +144,7 @@ fn apply(
     context: &Context<'_>,
 ) -> Step {
     let (config, gravity) = (context.config, context.config.gravity);
-    let Entry { event, state, reading, noise, .. } = entry;
+    let Entry { event, state, reading, noise, unseen: still_unseen, .. } = entry;
     match event {
         Event::Set => Step::Inertial,
         Event::Imu { at_rest, .. } => {
@@ -152,7 +153,7 @@ fn apply(
                 zero_velocity::update(state, rate, config.zero_velocity_sigma, variance);
             }
             if let (Some((rope, rest)), false) = (&context.rope, blind)
-                && rope::is_due(unseen, state.since_marker)
+                && rope::is_due(unseen, *still_unseen)
             {
                 rope.update(state, reading, rest, noise.force / context.imu_period, gravity);
             }
@@ -162,6 +163,9 @@ fn apply(
             let gates = Gates { marker: config.markers.gate, joint: 1.0 };
             let (geometry, apply) = (context.geometry, !context.frozen);
             let record = markers::update(state, geometry, image, reading, &gates, gravity, apply);
+            if apply && record.used > 0 {
+                *still_unseen = 0.0;
+            }
             Step::Image {
                 stamp: *stamp,
                 image: *image,

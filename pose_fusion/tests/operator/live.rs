@@ -21,7 +21,7 @@ use std::{
 use test_support::process::{Running, in_domain};
 use volant_msgs::{
     geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
-    msg::{MarkerObservations, MarkerUpdate, MarkerUpdates},
+    msg::{MarkerObservations, MarkerUpdate, MarkerUpdates, PoseStatus},
     nav_msgs::msg::Odometry,
     sensor_msgs::msg::{CameraInfo, Imu},
 };
@@ -39,6 +39,7 @@ struct RigPublishers {
 
 static PUBLISHERS: OnceLock<RigPublishers> = OnceLock::new();
 static RECEIVED: Mutex<Vec<Arc<Odometry>>> = Mutex::new(Vec::new());
+static STATUS: Mutex<Vec<Arc<PoseStatus>>> = Mutex::new(Vec::new());
 static UPDATES: Mutex<Vec<Arc<MarkerUpdates>>> = Mutex::new(Vec::new());
 
 /// The rest of the rig.
@@ -63,6 +64,14 @@ impl NodeShell for Others {
             QosPreset::State,
             |m: Arc<MarkerUpdates>| -> Option<()> {
                 UPDATES.lock().unwrap().push(m);
+                None
+            },
+        )?;
+        context.subscribe(
+            topics::STATUS,
+            QosPreset::State,
+            |m: Arc<PoseStatus>| -> Option<()> {
+                STATUS.lock().unwrap().push(m);
                 None
             },
         )?;
@@ -235,4 +244,37 @@ fn the_operator_s_services_and_topic_work_over_dds() {
     let (_, error, _) = last(&after(1.0, &run));
     assert!(error < 0.01, "{error} m");
     let _ = std::fs::remove_dir_all(&folder);
+}
+
+/// A controller that reads `volant/status` must see that the pose is old, whatever has ended.
+#[test]
+fn the_status_is_lost_once_all_inputs_have_ended() {
+    let sensors = SensorConfig::nominal(1);
+    let motion = MotionConfig { duration: 5.0, ..MotionConfig::nominal(1) };
+    let run = simulated::run(motion, &sensors);
+    let folder = tempfile::tempdir().unwrap();
+    let rig = folder.path().join("rig.yaml");
+    std::fs::write(&rig, RIG).unwrap();
+    let network = Network { domain_id: DOMAIN, ..Network::default() };
+    let mut others = Process::new(network).unwrap();
+    others.start::<Others>(&RosArguments::default()).unwrap();
+    let _node = Running::start(on_all_interfaces(env!("CARGO_BIN_EXE_pose_fusion")).args([
+        "--ros-args",
+        "--params-file",
+        rig.to_str().unwrap(),
+    ]));
+    let waiting = Instant::now();
+    while STATUS.lock().unwrap().is_empty() {
+        assert!(waiting.elapsed().as_secs() < 20, "the node does not report that it waits");
+        sleep(Duration::from_millis(10));
+    }
+    feed(&run, sensors.epoch);
+    assert!(STATUS.lock().unwrap().iter().any(|s| s.valid), "the pose was never valid");
+    sleep(Duration::from_millis(700));
+    STATUS.lock().unwrap().clear();
+    sleep(Duration::from_secs(2));
+    let since = STATUS.lock().unwrap();
+    assert!((12..=24).contains(&since.len()), "{} status messages in two seconds", since.len());
+    assert!(since.iter().all(|s| s.state == PoseStatus::LOST && !s.valid), "{since:?}");
+    assert!(since.iter().all(|s| s.reason.contains("no input for")), "{since:?}");
 }
