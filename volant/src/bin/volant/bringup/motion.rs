@@ -8,7 +8,7 @@ use crate::{
 use anyhow::Result;
 use nalgebra::Vector3;
 use node_kit::outln;
-use rig_calibration::climber::AXES;
+use rig_calibration::{Refinement, climber::AXES};
 use rig_model::topics;
 use volant::parameter_update::{Setting, number};
 
@@ -110,10 +110,12 @@ pub fn mounting(walk: &mut Walk) -> Result<()> {
         if !mounting || row.name.contains("clock") {
             continue;
         }
-        let text = if row.determined {
-            format!("changed by {:+.3} +- {:.3} {}", row.change, row.deviation, row.unit)
-        } else {
-            "unobservable in this motion: as measured".to_owned()
+        let text = match row.refinement {
+            Refinement::Refined => {
+                format!("changed by {:+.3} +- {:.3} {}", row.change, row.deviation, row.unit)
+            }
+            Refinement::Agrees => "agrees with this motion: as measured".to_owned(),
+            Refinement::Undetermined => "unobservable in this motion: as measured".to_owned(),
         };
         walk.note(&row.name, text)?;
     }

@@ -4,7 +4,7 @@ use super::Output;
 use crate::settings::{self, BagTopics, Settings};
 use anyhow::Result;
 use node_kit::outln;
-use rig_calibration::Estimate;
+use rig_calibration::{Estimate, Refinement};
 use std::path::PathBuf;
 use volant::{
     calibration::{Cores, refine_from_bag},
@@ -46,26 +46,31 @@ pub fn run(arguments: &Arguments) -> Result<Estimate> {
 
 fn print(estimate: &Estimate) -> Result<()> {
     outln!(
-        "{} images with all four markers ({} rejected as outliers); pixel residual {:.3} -> {:.3} \
-         px RMS; squared residual \
-         per degree of freedom {:.2}",
+        "{} images with all four markers ({} rejected as outliers); pixel residual {:.3} px RMS; \
+         squared residual per degree of freedom {:.2}",
         estimate.images.0,
         estimate.images.1,
-        estimate.pixel_rms.0,
         estimate.pixel_rms.1,
         estimate.reduced
     )?;
     outln!("{:<30} {:>10} {:>10}", "", "change", "std dev")?;
     for row in &estimate.rows {
-        if row.determined {
-            outln!("{:<30} {:>10.3} {:>10.3}  {}", row.name, row.change, row.deviation, row.unit)?;
-        } else {
-            outln!(
+        let (change, deviation) = (row.change, row.deviation);
+        match row.refinement {
+            Refinement::Refined => {
+                outln!("{:<30} {change:>10.3} {deviation:>10.3}  {}", row.name, row.unit)?;
+            }
+            Refinement::Agrees => outln!(
+                "{:<30} {change:>10.3} {deviation:>10.3}  {}, agrees: as in the rig file",
+                row.name,
+                row.unit
+            )?,
+            Refinement::Undetermined => outln!(
                 "{:<30} {:>10} {:>10}  not determined by this motion: as in the rig file",
                 row.name,
                 "held",
                 ""
-            )?;
+            )?,
         }
     }
     outln!(
@@ -80,7 +85,7 @@ fn changes(estimate: &Estimate) -> Vec<Setting> {
     let (rig, mut settings) = (&estimate.rig, vec![]);
     let mut set = |parameters: &str, name: String, value: &[f64]| {
         let mut rows = estimate.rows.iter().filter(|r| r.name.starts_with(parameters));
-        if rows.any(|r| r.determined) {
+        if rows.any(|r| r.refinement == Refinement::Refined) {
             settings.push(Setting::rig(name, list(value)));
         }
     };
