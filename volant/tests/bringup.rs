@@ -150,3 +150,27 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
     assert!(printed.contains("not accepted: encoders failed"), "{printed}");
     assert_eq!(fs::read(&rig_file).unwrap(), before);
 }
+
+#[test]
+fn a_misspelled_key_is_named_and_nothing_is_written_before_an_answer() {
+    let folder = TempDir::new().unwrap();
+    let rig = folder.path().join("v.yaml");
+    let shown = rig.display().to_string();
+    let here = || fs::read_dir(folder.path()).unwrap().count();
+    let text = rig_simulator::RIG_YAML.replacen("position:", "postion:", 1);
+    fs::write(&rig, &text).unwrap();
+    let (output, printed) = bringup(&["--rig", &shown], "q\n");
+    assert_eq!(output.status.code(), Some(1), "{printed}");
+    let named = "the parameter `camera.postion` is not known (did you mean `camera.position`?)";
+    assert!(printed.contains("v.yaml: ") && printed.contains(named), "{printed}");
+    assert_eq!((fs::read_to_string(&rig).unwrap(), here()), (text, 1));
+    // A file without the key is completed at the first answer only.
+    let text = "/**:\n  ros__parameters:\n    markers: {size: 0.08}\n";
+    fs::write(&rig, text).unwrap();
+    let (_, printed) = bringup(&["--rig", &shown], "q\n");
+    assert_eq!((fs::read_to_string(&rig).unwrap().as_str(), here()), (text, 1), "{printed}");
+    let (_, printed) = bringup(&["--rig", &shown], "\nq\n");
+    assert!(printed.contains("side [80]"), "{printed}");
+    let rig = Rig::from_yaml(&fs::read_to_string(&rig).unwrap()).unwrap();
+    assert_eq!(rig.markers.side, 0.08);
+}

@@ -174,8 +174,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         files::check_output(path, arguments.overwrite, &[&arguments.rig])?;
     }
     let (state_file, folder) = (beside(".bringup.json"), beside(".bringup"));
-    fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-    setup::complete(&arguments.rig)?;
+    // Nothing is written before the first answer.
+    setup::read(&arguments.rig)?;
     let state = if arguments.restart { State::default() } else { State::read(&state_file)? };
     let mut walk = Walk { rig: arguments.rig.clone(), folder, state, items: vec![], wrote: vec![] };
     let steps: Vec<Step> = match arguments.step {
@@ -218,12 +218,14 @@ fn take(step: Step, walk: &mut Walk, state_file: &Path) -> Result<()> {
     let number = steps.iter().position(|s| *s == step).unwrap_or(0) + 1;
     outln!("\n{number}/{} {name}", steps.len())?;
     loop {
-        let before = fs::read_to_string(&walk.rig).unwrap_or_default();
         (walk.items, walk.wrote) = (vec![], vec![]);
         let answer = ask("  Enter: begin, s: skip, q: quit", "")?;
+        let before = fs::read_to_string(&walk.rig).unwrap_or_default();
         let outcome = if answer == "s" {
             Outcome::Skipped
         } else {
+            fs::create_dir_all(&walk.folder).with_context(|| walk.folder.display().to_string())?;
+            setup::complete(&walk.rig)?;
             match step.run(walk) {
                 Ok(()) => {}
                 Err(error) if error.is::<Paused>() => {

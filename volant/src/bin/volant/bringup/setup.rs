@@ -3,11 +3,11 @@
 use super::{Walk, dialog};
 use crate::{
     calibrate::{self, Output, read_rig},
-    markers,
+    markers, settings,
 };
 use anyhow::{Context, Result};
 use nalgebra::UnitQuaternion;
-use node_kit::outln;
+use node_kit::{files, outln};
 use rig_calibration::allan::Sensor;
 use rig_model::{MarkerColor, topics};
 use ros_parameters::ParameterFile;
@@ -22,16 +22,25 @@ fn template() -> &'static str {
     TEMPLATE.split_once("/**/climber_driver").map_or(TEMPLATE, |(rig, _)| rig)
 }
 
+/// The text of the rig file, without unknown keys: a misspelled one is not a missing one. Empty
+/// where there is no file yet.
+pub fn read(path: &Path) -> Result<String> {
+    if !path.exists() {
+        return Ok(String::new());
+    }
+    let text = files::read_text(path).with_context(|| path.display().to_string())?;
+    if !text.trim().is_empty() {
+        settings::check_given(path)?;
+    }
+    Ok(text)
+}
+
 /// Creates the rig file, or adds the keys that it lacks with the values of a common rig.
 pub fn complete(path: &Path) -> Result<()> {
     let shown = || path.display().to_string();
-    let text = if path.exists() {
-        node_kit::files::read_text(path).with_context(shown)?
-    } else {
-        String::new()
-    };
+    let text = read(path)?;
     if text.trim().is_empty() {
-        return Ok(node_kit::files::write(path, template().as_bytes(), true)?);
+        return Ok(files::write(path, template().as_bytes(), true)?);
     }
     let present = ParameterFile::parse(&text).with_context(shown)?.for_node(RIG);
     let missing: Vec<Setting> = ParameterFile::parse(template())?
