@@ -152,6 +152,27 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
 }
 
 #[test]
+fn lengths_in_meters_are_rejected_at_the_prompts_for_millimeters() {
+    let folder = TempDir::new().unwrap();
+    let rig = folder.path().join("rig.yaml");
+    let centers = "0.15 0.15 0.02\n150 150 20\n-150 150 20\n-150 -150 20\n150 -150 20\n";
+    let mountings = "0 0 -100\n0 0 0 0\n0.7071 0.7071 0 0\n0 0 0\n0 0 0 1\n";
+    let answers = format!("\n0.076\n76000\n80\n{centers}{mountings}");
+    let (_, printed) = bringup(&["markers", "--rig", &rig.display().to_string()], &answers);
+    for needle in [
+        "the side is 0.076 mm: give it in millimeters",
+        "the side is 76000 mm",
+        "the position is 0.15 0.15 0.02 mm: give it in millimeters",
+        "its length is 0.000",
+        "markers     PASS",
+    ] {
+        assert!(printed.contains(needle), "{needle} in\n{printed}");
+    }
+    let rig = Rig::from_yaml(&fs::read_to_string(&rig).unwrap()).unwrap();
+    assert_eq!((rig.markers.side, rig.markers.centers[MarkerColor::Red].x), (0.08, 0.15));
+}
+
+#[test]
 fn a_misspelled_key_is_named_and_nothing_is_written_before_an_answer() {
     let folder = TempDir::new().unwrap();
     let rig = folder.path().join("v.yaml");

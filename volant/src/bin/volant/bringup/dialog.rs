@@ -32,11 +32,16 @@ pub fn ask(question: &str, default: &str) -> Result<String> {
     }
 }
 
-/// Asks for numbers, separated by spaces or commas, until the answer is valid.
+/// Asks for numbers, separated by spaces or commas, until the answer is valid: `check` returns what
+/// is wrong with it, and the remedy.
 ///
 /// # Errors
 /// As [`ask`].
-pub fn numbers<const N: usize>(question: &str, default: [f64; N]) -> Result<[f64; N]> {
+pub fn numbers<const N: usize>(
+    question: &str,
+    default: [f64; N],
+    check: impl Fn(&[f64; N]) -> Result<(), String>,
+) -> Result<[f64; N]> {
     let shown = default.map(|x| format!("{}", (x * 1e4).round() / 1e4)).join(" ");
     loop {
         let answer = ask(question, &shown)?;
@@ -46,8 +51,11 @@ pub fn numbers<const N: usize>(question: &str, default: [f64; N]) -> Result<[f64
         let words = answer.split([' ', ',']).filter(|w| !w.is_empty());
         let found: Vec<f64> =
             words.filter_map(|w| w.parse().ok()).filter(|x: &f64| x.is_finite()).collect();
-        match found.try_into() {
-            Ok(numbers) => return Ok(numbers),
+        match <[f64; N]>::try_from(found) {
+            Ok(numbers) => match check(&numbers) {
+                Ok(()) => return Ok(numbers),
+                Err(wrong) => outln!("  {wrong}")?,
+            },
             Err(_) => outln!("  write {N} numbers, such as {shown}")?,
         }
     }

@@ -17,6 +17,9 @@ use volant::parameter_update::{Destination, RIG, Setting, list, number, update};
 /// Rig file of a common rig.
 const TEMPLATE: &str = include_str!("../../../../../launch_config/config/rig.yaml");
 
+/// Sides of the squares, mm: those that the rig file accepts.
+const SIDES: std::ops::RangeInclusive<f64> = 5.0..=500.0;
+
 /// The template without what must be measured: the climber's height.
 fn template() -> &'static str {
     TEMPLATE.split_once("/**/climber_driver").map_or(TEMPLATE, |(rig, _)| rig)
@@ -64,7 +67,10 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
          are yours to choose, z up. Lengths in mm."
     )?;
     let rig = read_rig(&walk.rig)?;
-    let [side] = dialog::numbers("  side", [1e3 * rig.markers.side])?;
+    let [side] = dialog::numbers("  side", [1e3 * rig.markers.side], |[side]| {
+        let remedy = "give it in millimeters, 5 to 500";
+        if SIDES.contains(side) { Ok(()) } else { Err(format!("the side is {side} mm: {remedy}")) }
+    })?;
     set(walk, &[Setting::rig("markers.size", number(side / 1e3, 6))])?;
     let out = walk.file("markers.pdf");
     let (rig_file, page) = (walk.rig.clone(), markers::Page::A4);
@@ -74,7 +80,7 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
     let mut settings = vec![];
     for color in MarkerColor::ALL {
         let known = rig.markers.centers[color].coords * 1e3;
-        let center = dialog::numbers(&format!("  {color} x y z"), known.into())?;
+        let center = dialog::numbers(&format!("  {color} x y z"), known.into(), millimeters)?;
         settings.push(Setting::rig(format!("markers.{color}"), list(&center.map(|c| c / 1e3))));
     }
     outln!("  The camera in the climber's frame: x y z of the lens, mm; rotation as quaternion.")?;
@@ -86,6 +92,16 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
     walk.note("diagonal", format!("red - blue {:.1} mm: compare with a tape", 1e3 * (a - b).norm()))
 }
 
+/// Rejects a position that is in meters, or beyond the rig file's limit of 100 m.
+fn millimeters(position: &[f64; 3]) -> Result<(), String> {
+    let largest = position.iter().map(|x| x.abs()).fold(0.0, f64::max);
+    if largest == 0.0 || (1.0..=1e5).contains(&largest) {
+        return Ok(());
+    }
+    let [x, y, z] = position;
+    Err(format!("the position is {x} {y} {z} mm: give it in millimeters"))
+}
+
 fn read_center(settings: &[Setting], color: MarkerColor) -> nalgebra::Vector3<f64> {
     let name = format!("markers.{color}");
     let values = settings.iter().find(|s| s.name == name).and_then(|s| s.value.as_f64_array());
@@ -94,11 +110,15 @@ fn read_center(settings: &[Setting], color: MarkerColor) -> nalgebra::Vector3<f6
 
 /// Asks for a mounting: position (mm) and quaternion.
 fn mounting(name: &str, known: &nalgebra::Isometry3<f64>) -> Result<[Setting; 2]> {
-    let position =
-        dialog::numbers(&format!("  {name} x y z"), (known.translation.vector * 1e3).into())?;
+    let place = (known.translation.vector * 1e3).into();
+    let position = dialog::numbers(&format!("  {name} x y z"), place, millimeters)?;
     let q = known.rotation.coords;
-    let mut orientation =
-        dialog::numbers(&format!("  {name} quaternion x y z w"), [q.x, q.y, q.z, q.w])?;
+    let question = format!("  {name} quaternion x y z w");
+    let mut orientation = dialog::numbers(&question, [q.x, q.y, q.z, q.w], |q| {
+        let length = nalgebra::Vector4::from(*q).norm();
+        let unit = (0.9..1.1).contains(&length);
+        if unit { Ok(()) } else { Err(format!("its length is {length:.3}: a rotation has 1")) }
+    })?;
     let [x, y, z, w] = orientation;
     let unit = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
     orientation.copy_from_slice(unit.coords.as_slice());
