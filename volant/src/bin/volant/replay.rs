@@ -97,9 +97,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     for loss in &report.losses {
         terminal::line(&format!("volant: {loss}"));
     }
-    for (count, sentence) in report.counts.warnings.values() {
-        let times = if *count > 1 { format!(" ({count} times)") } else { String::new() };
-        terminal::line(&format!("volant: {sentence}{times}"));
+    for warning in report.counts.warning_lines() {
+        terminal::line(&format!("volant: {warning}"));
     }
     for finding in &report.counts.findings {
         terminal::line(&format!(

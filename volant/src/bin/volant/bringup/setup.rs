@@ -76,6 +76,7 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
     let (rig_file, page) = (walk.rig.clone(), markers::Page::A4);
     let sheets = markers::Arguments { rig: rig_file, out, overwrite: true, page, camera: None };
     markers::run(&sheets)?;
+    walk.wrote(&sheets.out);
     outln!("  Print at 100 %, measure the bar, mount the squares, and measure their centers.")?;
     let mut settings = vec![];
     for color in MarkerColor::ALL {
@@ -134,9 +135,8 @@ pub fn imu(walk: &mut Walk) -> Result<()> {
         "  Connect the IMU (udev rule: imu_driver/udev/60-volant-imu.rules). imu_driver configures \
          it at its start."
     )?;
-    if dialog::ask("  f: find an Xsens IMU, Enter: its samples are published or recorded", "")?
-        == "f"
-    {
+    let question = "  f: find an Xsens IMU, Enter: its samples are published or recorded";
+    if dialog::choose(question, &["", "f"])? == "f" {
         let found = Command::new(std::env::current_exe()?).args(["imu", "find"]).status();
         let fine = found.is_ok_and(|s| s.success());
         walk.check(fine, "port", "volant imu find: start imu_driver with -p port:=PORT")?;
@@ -172,9 +172,10 @@ pub fn imu(walk: &mut Walk) -> Result<()> {
         bag,
         rig: walk.rig.clone(),
         topic: None,
-        plot: Some(plot),
+        plot: Some(plot.clone()),
         output: Output { out: None, overwrite: true },
     })?;
+    walk.wrote(&plot);
     walk.check(noise.rate > 45.0, "rate", format!("{:.1} Hz", noise.rate))?;
     for sensor in Sensor::ALL {
         let (density, unit) = (noise.density(sensor), sensor.unit());
