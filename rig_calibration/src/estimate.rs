@@ -63,10 +63,10 @@ fn traits() -> Vec<Trait> {
             list.push(Trait { name: format!("{what} {axis}"), unit, scale, prior, limit });
         }
     };
-    three("camera turn about climber", "deg", 1.0 / deg, 5.0 * deg, 0.3 * deg);
-    three("camera place along climber", "mm", 1e3, 0.1, 0.005);
-    three("imu turn about volant", "deg", 1.0 / deg, 10.0 * deg, 0.3 * deg);
-    three("imu place along volant", "mm", 1e3, 0.05, 0.005);
+    three("camera rotation about climber", "deg", 1.0 / deg, 5.0 * deg, 0.3 * deg);
+    three("camera position along climber", "mm", 1e3, 0.1, 0.005);
+    three("imu rotation about volant", "deg", 1.0 / deg, 10.0 * deg, 0.3 * deg);
+    three("imu position along volant", "mm", 1e3, 0.05, 0.005);
     for color in ["red", "green", "blue", "yellow"] {
         three(&format!("marker {color}"), "mm", 1e3, 0.005, 0.001);
     }

@@ -39,6 +39,9 @@ pub fn run_node_with<S: NodeShell>(arguments: impl IntoIterator<Item = String>) 
     if rest.iter().any(|a| a == "--help" || a == "-h") {
         return print::<S>(&help::<S>(&own));
     }
+    if rest.iter().any(|a| a == "--version" || a == "-V") {
+        return print::<S>(&format!("{} {}\n", S::NAME, env!("CARGO_PKG_VERSION")));
+    }
     if let Some(form) = rest.iter().find_map(|a| a.strip_prefix("--print-parameters=")) {
         let mut all = own;
         all.extend(common_descriptors());
@@ -79,7 +82,7 @@ fn own_arguments(
                 argument.trim_start_matches('-'),
                 own.iter()
                     .map(|d| d.name.as_str())
-                    .chain(["rig", "help", "ros-args"])
+                    .chain(["rig", "help", "version", "ros-args"])
                     .chain(scheduling::OPTIONS),
             ),
         };
@@ -118,7 +121,7 @@ fn help<S: NodeShell>(own: &[Descriptor]) -> String {
     format!(
         "{name}: {about}\n\n\
          usage: {name} [--rig rig.yaml] [--PARAMETER VALUE]… [--ros-args …]\n       \
-         {name} --print-parameters=yaml|markdown\n\n\
+         {name} --print-parameters=yaml|markdown | --version\n\n\
          --ros-args takes what ROS 2 gives every node: -r from:=to, -r __node:=name,\n\
          -r __ns:=/namespace, -p parameter:=value, --params-file file.yaml,\n\
          --log-level debug|info|warn|error|fatal.\n\n\

@@ -30,7 +30,7 @@ pub struct Arguments {
     /// ROS 2 parameter file of the nodes, in addition to the rig file; repeatable
     #[arg(long, value_name = "FILE")]
     params_file: Vec<PathBuf>,
-    /// Estimator; overrides the parameter files [default: tight]
+    /// Estimator [default: that of the parameter files, else tight]
     #[arg(long, value_enum)]
     model: Option<ModelName>,
     #[command(flatten)]
