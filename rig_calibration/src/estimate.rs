@@ -85,10 +85,10 @@ fn traits() -> Vec<Trait> {
             list.push(Trait { name: format!("{what} {axis}"), unit, scale, prior, limit, floor });
         }
     };
-    three("camera turn about climber", "deg", 1.0 / deg, [5.0 * deg, 0.3 * deg, 0.12 * deg]);
-    three("camera place along climber", "mm", 1e3, [0.1, 0.005, 1e-3]);
-    three("imu turn about volant", "deg", 1.0 / deg, [10.0 * deg, 0.3 * deg, 0.05 * deg]);
-    three("imu place along volant", "mm", 1e3, [0.05, 0.005, 1e-3]);
+    three("camera rotation about climber", "deg", 1.0 / deg, [5.0 * deg, 0.3 * deg, 0.12 * deg]);
+    three("camera position along climber", "mm", 1e3, [0.1, 0.005, 1e-3]);
+    three("imu rotation about volant", "deg", 1.0 / deg, [10.0 * deg, 0.3 * deg, 0.05 * deg]);
+    three("imu position along volant", "mm", 1e3, [0.05, 0.005, 1e-3]);
     for color in ["red", "green", "blue", "yellow"] {
         three(&format!("marker {color}"), "mm", 1e3, [0.005, 0.001, 5e-5]);
     }

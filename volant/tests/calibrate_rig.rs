@@ -58,16 +58,16 @@ fn a_wrong_rig_file_is_corrected() {
             - truth.imu.volant_from_imu.translation.vector;
         for (i, axis) in ["x", "y", "z"].iter().enumerate() {
             if i < 2 {
-                check(&format!("camera turn about climber {axis}"), camera[i].to_degrees());
+                check(&format!("camera rotation about climber {axis}"), camera[i].to_degrees());
                 assert!(camera[i].abs().to_degrees() < 0.15);
             }
-            check(&format!("imu turn about volant {axis}"), imu[i].to_degrees());
+            check(&format!("imu rotation about volant {axis}"), imu[i].to_degrees());
             assert!(imu[i].abs().to_degrees() < 0.3);
-            check(&format!("imu place along volant {axis}"), 1e3 * place[i]);
+            check(&format!("imu position along volant {axis}"), 1e3 * place[i]);
         }
         // The climber hardly accelerates: the camera's rotation about the vertical and its position
         // stay undetermined.
-        for name in ["camera turn about climber z", "camera place along climber z"] {
+        for name in ["camera rotation about climber z", "camera position along climber z"] {
             let row = estimate.rows.iter().find(|r| r.name == name).unwrap();
             assert_eq!(row.refinement, Refinement::Undetermined, "{bag}: {name}");
         }

@@ -37,7 +37,8 @@ pub fn run(arguments: &Arguments) -> Result<Estimate> {
     let namespace = &arguments.topics.namespace;
     let Settings { rig, tracker, climber, .. } = settings::read(&arguments.rig, &[], namespace)?;
     let cores = Cores { tracker, climber, names: arguments.topics.names()? };
-    let held: &[&str] = if arguments.hold_camera { &["camera turn", "camera place"] } else { &[] };
+    let camera: &[&str] = &["camera rotation", "camera position"];
+    let held = if arguments.hold_camera { camera } else { &[] };
     let estimate = refine_from_bag(&arguments.bag, &rig, &cores, held)?;
     print(&estimate)?;
     arguments.output.update(&arguments.rig, &changes(&estimate))?;
@@ -53,20 +54,20 @@ fn print(estimate: &Estimate) -> Result<()> {
         estimate.pixel_rms.1,
         estimate.reduced
     )?;
-    outln!("{:<30} {:>10} {:>10}", "", "change", "std dev")?;
+    outln!("{:<32} {:>10} {:>10}", "", "change", "std dev")?;
     for row in &estimate.rows {
         let (change, deviation) = (row.change, row.deviation);
         match row.refinement {
             Refinement::Refined => {
-                outln!("{:<30} {change:>10.3} {deviation:>10.3}  {}", row.name, row.unit)?;
+                outln!("{:<32} {change:>10.3} {deviation:>10.3}  {}", row.name, row.unit)?;
             }
             Refinement::Agrees => outln!(
-                "{:<30} {change:>10.3} {deviation:>10.3}  {}, agrees: as in the rig file",
+                "{:<32} {change:>10.3} {deviation:>10.3}  {}, agrees: as in the rig file",
                 row.name,
                 row.unit
             )?,
             Refinement::Undetermined => outln!(
-                "{:<30} {:>10} {:>10}  not determined by this motion: as in the rig file",
+                "{:<32} {:>10} {:>10}  not determined by this motion: as in the rig file",
                 row.name,
                 "held",
                 ""
@@ -91,9 +92,9 @@ fn changes(estimate: &Estimate) -> Vec<Setting> {
     };
     for (name, pose) in [("camera", &rig.climber_from_camera), ("imu", &rig.imu.volant_from_imu)] {
         let position = pose.translation.vector;
-        set(&format!("{name} place"), format!("{name}.position"), position.as_slice());
+        set(&format!("{name} position"), format!("{name}.position"), position.as_slice());
         let orientation = pose.rotation.coords;
-        set(&format!("{name} turn"), format!("{name}.orientation"), orientation.as_slice());
+        set(&format!("{name} rotation"), format!("{name}.orientation"), orientation.as_slice());
     }
     for (color, center) in rig.markers.centers.iter() {
         set(&format!("marker {color}"), format!("markers.{color}"), center.coords.as_slice());
