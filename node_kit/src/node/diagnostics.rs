@@ -153,14 +153,14 @@ impl Diagnostics {
             ));
             values.push(pair(format!("{name} received"), received));
             values.push(pair(format!("{name} dropped"), dropped));
-            values.push(pair(format!("{name} refused"), refused));
-            values.push(pair(format!("{name} lost on the way"), lost));
+            values.push(pair(format!("{name} rejected"), refused));
+            values.push(pair(format!("{name} lost in transport"), lost));
             let counts = (dropped, refused, lost);
             let previous = self.previous.insert(name.clone(), counts).unwrap_or_default();
             for (what, now, previous) in [
                 ("dropped", dropped, previous.0),
-                ("refused", refused, previous.1),
-                ("lost", lost, previous.2),
+                ("rejected", refused, previous.1),
+                ("lost in transport", lost, previous.2),
             ] {
                 if now > previous {
                     trouble.push(format!("{} {what} on {name}", now - previous));
