@@ -4,6 +4,7 @@
 use super::{
     endpoints::Endpoints,
     error::NodeError,
+    graph::without_conflicts,
     intra_process::TopicState,
     publisher::{Publisher, Rate},
 };
@@ -206,11 +207,7 @@ impl Diagnostics {
         }
         self.conflicts.clone_from(&conflicts);
         let (health, message) = if conflicts.is_empty() {
-            (
-                Health::Ok,
-                "no other node has its name, and each topic that it receives has one publisher"
-                    .to_owned(),
-            )
+            (Health::Ok, without_conflicts(&topics))
         } else {
             (Health::Warn, conflicts)
         };
