@@ -48,6 +48,8 @@ pub struct SourceCount {
     pub latest: Option<Instant>,
     /// Whether the diagnostics report the source while it is missing.
     pub expected: bool,
+    /// Requests of a service rather than a topic or device.
+    pub service: bool,
     /// Entries pass even while the inbox does not accept: control of the node itself.
     control: bool,
     retired: bool,
@@ -160,6 +162,8 @@ impl<I> Inbox<I> {
 pub(crate) trait Sources: Send + Sync {
     /// Adds a source of which at most `depth` entries wait.
     fn add_source(&self, name: &str, depth: usize, expected: bool) -> SourceId;
+    /// Adds the requests of a service.
+    fn add_service(&self, name: &str, depth: usize) -> SourceId;
     /// Adds a source whose entries pass even while the inbox does not accept.
     fn add_control(&self, name: &str, depth: usize) -> SourceId;
     /// Puts in a request for the node's runner.
@@ -193,6 +197,7 @@ impl<I: Send + 'static> Sources for Inbox<I> {
             lost: 0,
             latest: None,
             expected,
+            service: false,
             control: false,
             retired: false,
             depth: depth.max(1),
@@ -201,8 +206,14 @@ impl<I: Send + 'static> Sources for Inbox<I> {
         SourceId(state.sources.len() - 1)
     }
 
-    fn add_control(&self, name: &str, depth: usize) -> SourceId {
+    fn add_service(&self, name: &str, depth: usize) -> SourceId {
         let SourceId(index) = self.add_source(name, depth, false);
+        self.lock().sources[index].service = true;
+        SourceId(index)
+    }
+
+    fn add_control(&self, name: &str, depth: usize) -> SourceId {
+        let SourceId(index) = self.add_service(name, depth);
         self.lock().sources[index].control = true;
         SourceId(index)
     }

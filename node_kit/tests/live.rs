@@ -246,6 +246,7 @@ fn errors_of_the_command_line_name_the_mistake_and_the_remedy() {
         (vec!["--beat", "5000"], 1, "between 0.1 and 1000 Hz"),
         (vec!["--rig", "/no/such/rig.yaml"], 1, "/no/such/rig.yaml"),
         (vec!["--help"], 0, "Beats per second."),
+        (vec!["--version"], 0, concat!("minimal ", env!("CARGO_PKG_VERSION"))),
     ] {
         let output = Command::new(example("minimal_node"))
             .args(&arguments)

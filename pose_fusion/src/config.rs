@@ -119,8 +119,8 @@ parameters! {
         // 16: 0.9997 quantile of χ².
         /// Largest normalized innovation squared (2 degrees of freedom) of a marker that is used.
         gate: f64 = 16.0, range(1.0..=1000.0), name("markers.gate");
-        /// Consecutive images that contradict the prediction, but not themselves, before the
-        /// prediction gives way.
+        /// Consecutive rejected but self-consistent images before the state is re-propagated with
+        /// extra process noise.
         lock_out_images: u32 = 2, range(1..=1000), name("markers.lock_out_images");
     }
 }

@@ -1,5 +1,6 @@
 //! Bundle adjustment: first with all parameters free under weak priors, to detect which the motion
-//! determines, then with the others held.
+//! determines, then with the others held. What then agrees with the rig file is held, too: an exact
+//! file is not replaced by an estimate of it.
 
 use crate::{
     CalibrationError,
@@ -9,7 +10,14 @@ use crate::{
     problem::{CLIMBER_NOISE, layout_gauge},
     recording::Recording,
 };
+use nalgebra::DMatrix;
 use rig_model::Rig;
+use std::ops::Range;
+
+/// 0.99 quantiles of χ² with 3 degrees of freedom, and with the 5 that the gauge leaves of the
+/// markers' 12.
+const SIGNIFICANT: [(Range<usize>, f64); 5] =
+    [(0..3, 11.34), (3..6, 11.34), (6..9, 11.34), (9..12, 11.34), (12..24, 15.09)];
 
 /// Number of parameters that are refined; the others keep the files' values.
 const REFINED: usize = 32;
@@ -22,12 +30,23 @@ pub struct Row {
     /// Change against the rig file: degrees or millimeters (milliseconds for clocks, SI for
     /// biases).
     pub change: f64,
-    /// Standard deviation in the same unit.
+    /// Standard deviation in the same unit, with what the model lacks.
     pub deviation: f64,
     /// The unit.
     pub unit: &'static str,
-    /// Whether the motion determines it; otherwise the rig file's value is kept.
-    pub determined: bool,
+    /// What became of it.
+    pub refinement: Refinement,
+}
+
+/// What became of a parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refinement {
+    /// It was refined.
+    Refined,
+    /// It agrees with the rig file, whose value is kept.
+    Agrees,
+    /// The motion does not determine it; the rig file's value is kept.
+    Undetermined,
 }
 
 /// Result of the adjustment.
@@ -45,33 +64,36 @@ pub struct Estimate {
     pub reduced: f64,
 }
 
-/// Name, unit, factor from SI to the unit, standard deviation of the prior, and standard deviation
-/// below which a parameter counts as determined (SI).
+/// Name, unit, factor from SI to the unit, standard deviation of the prior, standard deviation
+/// below which a parameter counts as determined, and what the model lacks (SI): an accelerometer's
+/// slow errors of 0.02 m/s² (MTx data sheet) tilt the camera, its axes and the gyroscope's are
+/// aligned to 0.05°, its sensors are millimeters apart, and centroids are off by 0.02 px.
 struct Trait {
     name: String,
     unit: &'static str,
     scale: f64,
     prior: f64,
     limit: f64,
+    floor: f64,
 }
 
 fn traits() -> Vec<Trait> {
     let deg = 1f64.to_radians();
     let mut list = Vec::with_capacity(REFINED);
-    let mut three = |what: &str, unit, scale, prior, limit| {
+    let mut three = |what: &str, unit, scale, [prior, limit, floor]: [f64; 3]| {
         for axis in ["x", "y", "z"] {
-            list.push(Trait { name: format!("{what} {axis}"), unit, scale, prior, limit });
+            list.push(Trait { name: format!("{what} {axis}"), unit, scale, prior, limit, floor });
         }
     };
-    three("camera turn about climber", "deg", 1.0 / deg, 5.0 * deg, 0.3 * deg);
-    three("camera place along climber", "mm", 1e3, 0.1, 0.005);
-    three("imu turn about volant", "deg", 1.0 / deg, 10.0 * deg, 0.3 * deg);
-    three("imu place along volant", "mm", 1e3, 0.05, 0.005);
+    three("camera rotation about climber", "deg", 1.0 / deg, [5.0 * deg, 0.3 * deg, 0.12 * deg]);
+    three("camera position along climber", "mm", 1e3, [0.1, 0.005, 1e-3]);
+    three("imu rotation about volant", "deg", 1.0 / deg, [10.0 * deg, 0.3 * deg, 0.05 * deg]);
+    three("imu position along volant", "mm", 1e3, [0.05, 0.005, 1e-3]);
     for color in ["red", "green", "blue", "yellow"] {
-        three(&format!("marker {color}"), "mm", 1e3, 0.005, 0.001);
+        three(&format!("marker {color}"), "mm", 1e3, [0.005, 0.001, 5e-5]);
     }
-    three("accelerometer bias", "m/s2", 1.0, 0.3, f64::INFINITY);
-    three("gyroscope bias", "deg/s", 1.0 / deg, 0.02, f64::INFINITY);
+    three("accelerometer bias", "m/s2", 1.0, [0.3, f64::INFINITY, 0.0]);
+    three("gyroscope bias", "deg/s", 1.0 / deg, [0.02, f64::INFINITY, 0.0]);
     for clock in ["camera clock against imu", "climber clock against camera"] {
         list.push(Trait {
             name: clock.to_owned(),
@@ -79,6 +101,7 @@ fn traits() -> Vec<Trait> {
             scale: 1e3,
             prior: 0.03,
             limit: f64::INFINITY,
+            floor: 0.0,
         });
     }
     list
@@ -102,44 +125,57 @@ pub fn refine_rig(
     work.gauge = Some(layout_gauge(rig));
     let before = work.pixel_rms();
     let (covariance, _) = work.solve()?;
-    let determined: Vec<bool> = (0..REFINED)
+    let mut verdicts: Vec<Refinement> = (0..REFINED)
         .map(|i| {
             let deviation = covariance[(i, i)].sqrt();
             let shown = deviation < traits[i].limit && deviation < 0.5 * traits[i].prior
                 || traits[i].limit.is_infinite();
-            shown && !held.iter().any(|prefix| traits[i].name.starts_with(prefix))
+            match shown && !held.iter().any(|prefix| traits[i].name.starts_with(prefix)) {
+                true => Refinement::Refined,
+                false => Refinement::Undetermined,
+            }
         })
         .collect();
-    if !determined[..12].iter().any(|d| *d) {
+    if verdicts[..12].iter().all(|verdict| *verdict == Refinement::Undetermined) {
         return Err(CalibrationError::Undetermined);
     }
-    // Undetermined parameters return to the rig file's values gradually: all poses move with them,
-    // and one stiff step would leave the valley of the cost.
-    let mut outcome = None;
-    for stiffness in [0.1, 0.01, 1e-3, 1e-4, 1e-5] {
-        for i in (0..REFINED).filter(|i| !determined[*i]) {
-            work.priors[i] = traits[i].prior * stiffness;
-        }
-        outcome = Some(work.solve()?);
-    }
-    let (covariance, cost) = outcome.ok_or(CalibrationError::Diverged)?;
+    let mut found = hold(&mut work, &traits, &verdicts)?;
     let used = work.used.iter().filter(|u| **u).count();
     // Per image 8 pixels and 9 motion residuals against 9 unknowns.
-    let freedom = (8 * used) as f64 - determined.iter().filter(|d| **d).count() as f64;
-    let reduced = cost / freedom.max(1.0);
+    let free = verdicts.iter().filter(|verdict| **verdict == Refinement::Refined).count();
+    let reduced = found.1 / ((8 * used) as f64 - free as f64).max(1.0);
     let inflation = reduced.max(1.0).sqrt();
-    let change = work.parameters.minus(&work.start);
-    let rows = traits
-        .iter()
-        .enumerate()
-        .map(|(i, t)| Row {
-            name: t.name.clone(),
-            change: change[i] * t.scale,
-            deviation: covariance[(i, i)].sqrt() * inflation * t.scale,
-            unit: t.unit,
-            determined: determined[i],
-        })
-        .collect();
+    let mut rows: Vec<Row> = vec![];
+    // Twice: what is held then no longer explains what the others must.
+    for _ in 0..2 {
+        let change = work.parameters.minus(&work.start);
+        let deviation = |i: usize| (found.0[(i, i)].sqrt() * inflation).hypot(traits[i].floor);
+        rows = (traits.iter().zip(&verdicts).enumerate())
+            .map(|(i, (t, verdict))| Row {
+                name: t.name.clone(),
+                change: change[i] * t.scale,
+                deviation: deviation(i) * t.scale,
+                unit: t.unit,
+                refinement: *verdict,
+            })
+            .collect();
+        let agree = SIGNIFICANT.into_iter().filter(|(group, least)| {
+            let refined = group.clone().filter(|i| verdicts[*i] == Refinement::Refined);
+            let squares: Vec<f64> = refined.map(|i| (change[i] / deviation(i)).powi(2)).collect();
+            !squares.is_empty() && squares.iter().sum::<f64>() < *least
+        });
+        let agree: Vec<usize> = agree.flat_map(|(group, _)| group).collect();
+        if agree.is_empty() {
+            break;
+        }
+        for i in agree {
+            if verdicts[i] == Refinement::Refined {
+                verdicts[i] = Refinement::Agrees;
+                rows[i].refinement = Refinement::Agrees;
+            }
+        }
+        found = hold(&mut work, &traits, &verdicts)?;
+    }
     Ok(Estimate {
         rig: work.parameters.rig.clone(),
         rows,
@@ -147,4 +183,24 @@ pub fn refine_rig(
         pixel_rms: (before, work.pixel_rms()),
         reduced,
     })
+}
+
+/// Solves with everything but the refined parameters at the rig file's values. They return to them
+/// gradually: all poses move with them, and one stiff step would leave the valley of the cost.
+/// Returns the covariance of the parameters and the cost.
+fn hold(
+    work: &mut Adjustment<'_>,
+    traits: &[Trait],
+    verdicts: &[Refinement],
+) -> Result<(DMatrix<f64>, f64), CalibrationError> {
+    let mut outcome = None;
+    for stiffness in [0.1, 0.01, 1e-3, 1e-4, 1e-5] {
+        for (i, t) in traits.iter().enumerate() {
+            if verdicts[i] != Refinement::Refined {
+                work.priors[i] = t.prior * stiffness;
+            }
+        }
+        outcome = Some(work.solve()?);
+    }
+    outcome.ok_or(CalibrationError::Diverged)
 }

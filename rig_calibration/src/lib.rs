@@ -22,5 +22,5 @@ mod recording;
 
 pub use check::{CheckRow, Finding, Report, Track, Verdict, check};
 pub use error::CalibrationError;
-pub use estimate::{Estimate, Row, refine_rig};
+pub use estimate::{Estimate, Refinement, Row, refine_rig};
 pub use recording::{Recording, Samples, Shot};

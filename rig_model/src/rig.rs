@@ -156,7 +156,7 @@ impl Rig {
                 gyroscope_noise_density: r.positive("imu.gyroscope_noise_density")?,
             },
             markers: MarkerLayout {
-                side: r.positive("markers.size")?,
+                side: r.marker_size()?,
                 centers: PerColor([
                     center("markers.red")?,
                     center("markers.green")?,
@@ -343,6 +343,8 @@ mod tests {
             ("size: 0.076", "size: big", "markers.size"),
             ("size: 0.076", "size: -1.0", "markers.size"),
             ("size: 0.076", "size: .nan", "markers.size"),
+            ("size: 0.076", "size: 76.0", "`markers.size` is 76 m; valid: 0.005 to 0.5 m"),
+            ("size: 0.076", "size: 0.000076", "`markers.size` is 0.000076 m"),
             ("red: [0.15, 0.15, 0.02]", "red: [0.15, 0.15]", "markers.red"),
             ("red: [0.15, 0.15, 0.02]", "red: [-0.15, 0.15, 0.02]", "markers.green"),
             ("red: [0.15, 0.15, 0.02]", "red: [150.0, 150.0, 20.0]", "markers.red"),

@@ -10,4 +10,4 @@ pub mod markers;
 pub mod parameter_update;
 pub mod replay;
 pub mod report;
-mod stopwatch;
+pub mod stopwatch;

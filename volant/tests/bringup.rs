@@ -1,6 +1,6 @@
 //! `volant bringup` on a simulated rig with a scripted terminal: from an empty rig file and lengths
 //! measured with a tape to a rig file that is as good as the true one.
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, clippy::disallowed_methods)]
 
 mod simulated;
 
@@ -15,6 +15,7 @@ use std::{
     process::{Command, Output, Stdio},
 };
 use tempfile::TempDir;
+use test_support::process::in_domain;
 use volant::{
     evaluate::{EvaluateOptions, evaluate},
     replay::TopicNames,
@@ -22,7 +23,7 @@ use volant::{
 
 /// Runs `volant bringup` with the answers of an operator.
 fn bringup(arguments: &[&str], answers: &str) -> (Output, String) {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_volant"))
+    let mut child = in_domain(92, env!("CARGO_BIN_EXE_volant"))
         .arg("bringup")
         .args(arguments)
         .stdin(Stdio::piped())
@@ -91,7 +92,7 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
     writeln!(answers, "\n\n{}", shown("rest.mcap")).unwrap();
     let rig_file = shown("rig.yaml");
     let (output, printed) = bringup(&["--rig", &rig_file], &answers);
-    assert_eq!(output.status.code(), Some(1), "{printed}");
+    assert!(output.status.success(), "a pause without a failed step: {printed}");
     assert!(printed.contains("3/8 camera") && printed.contains("paused"), "{printed}");
     assert!(!printed.contains("FAIL"), "{printed}");
 
@@ -106,6 +107,7 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
     eprintln!("{printed}");
     assert!(output.status.success(), "{printed}");
     assert!(!printed.contains("1/8 markers"), "resumed: {printed}");
+    assert!(!printed.contains("TimeOffset") && !printed.contains("(1 times)"), "{printed}");
     for step in ["camera", "intrinsics", "encoders", "mounting", "offsets", "acceptance"] {
         assert!(printed.contains(&format!("{step:<12}PASS")), "{step}: {printed}");
     }
@@ -149,4 +151,99 @@ fn an_empty_rig_file_becomes_as_good_as_the_true_one() {
     assert!(printed.contains("FAIL encoders") && printed.contains("onto the floor"), "{printed}");
     assert!(printed.contains("not accepted: encoders failed"), "{printed}");
     assert_eq!(fs::read(&rig_file).unwrap(), before);
+}
+
+#[test]
+fn only_offered_answers_count_and_a_pause_writes_the_report() {
+    let folder = TempDir::new().unwrap();
+    let shown = |name: &str| folder.path().join(name).display().to_string();
+    let (rig, page) = (shown("rig.yaml"), shown("page.html"));
+    let arguments = ["--rig", &rig, "--report", &page];
+    // `abc` begins no step; `s` skips the markers, and the IMU has no recording.
+    let (output, printed) = bringup(&arguments, "abc\ns\nx\nq\n");
+    assert!(output.status.success(), "nothing has failed: {printed}");
+    assert!(printed.contains("`abc` is none of the answers") && !printed.contains("side"));
+    assert!(printed.contains("2/8 imu") && !printed.contains("Connect the IMU"), "{printed}");
+    assert!(fs::read_to_string(&page).unwrap().contains("1. markers: skipped"));
+
+    // The skipped step is offered again, and the report of the pause is replaced.
+    fs::write(shown("not_a_bag.mcap"), "text").unwrap();
+    let bag = shown("not_a_bag.mcap");
+    let answers = format!("s\n\nno\n\n60\nlive 2m\n{bag}\nabc\nq\n");
+    let (output, printed) = bringup(&arguments, &answers);
+    assert_eq!(output.status.code(), Some(1), "a step has failed: {printed}");
+    for needle in [
+        "1/8 markers",
+        "`no` is none of the answers",
+        "60: no such file; `live 60` records 60 s",
+        "`2m` is no duration",
+        "FAIL imu",
+        "`abc` is none of the answers",
+        "paused",
+        "not accepted: imu failed",
+    ] {
+        assert!(printed.contains(needle), "{needle} in\n{printed}");
+    }
+    for absent in ["allan.svg", "3/8 camera", "rest.mcap"] {
+        assert!(!printed.contains(absent), "{absent} in\n{printed}");
+    }
+    assert!(fs::read_to_string(&page).unwrap().contains("2. imu: FAIL"));
+}
+
+#[test]
+fn a_topic_that_nobody_publishes_is_named_within_seconds() {
+    let folder = TempDir::new().unwrap();
+    let rig = folder.path().join("rig.yaml");
+    let begun = std::time::Instant::now();
+    let (_, printed) = bringup(&["imu", "--rig", &rig.display().to_string()], "\n\nlive 100s\n\n");
+    assert!(begun.elapsed().as_secs() < 30, "{printed}");
+    assert!(printed.contains("recording 100 s"), "{printed}");
+    assert!(printed.contains("nobody publishes /volant/imu/data"), "{printed}");
+    assert!(!printed.contains("wrote ") || !printed.contains("rest.mcap"), "{printed}");
+    assert!(!folder.path().join("rig.yaml.bringup/rest.mcap").exists());
+}
+
+#[test]
+fn lengths_in_meters_are_rejected_at_the_prompts_for_millimeters() {
+    let folder = TempDir::new().unwrap();
+    let rig = folder.path().join("rig.yaml");
+    let centers = "0.15 0.15 0.02\n150 150 20\n-150 150 20\n-150 -150 20\n150 -150 20\n";
+    let mountings = "0 0 -100\n0 0 0 0\n0.7071 0.7071 0 0\n0 0 0\n0 0 0 1\n";
+    let answers = format!("\n0.076\n76000\n80\n{centers}{mountings}");
+    let (_, printed) = bringup(&["markers", "--rig", &rig.display().to_string()], &answers);
+    for needle in [
+        "the side is 0.076 mm: give it in millimeters",
+        "the side is 76000 mm",
+        "the position is 0.15 0.15 0.02 mm: give it in millimeters",
+        "its length is 0.000",
+        "markers     PASS",
+    ] {
+        assert!(printed.contains(needle), "{needle} in\n{printed}");
+    }
+    let rig = Rig::from_yaml(&fs::read_to_string(&rig).unwrap()).unwrap();
+    assert_eq!((rig.markers.side, rig.markers.centers[MarkerColor::Red].x), (0.08, 0.15));
+}
+
+#[test]
+fn a_misspelled_key_is_named_and_nothing_is_written_before_an_answer() {
+    let folder = TempDir::new().unwrap();
+    let rig = folder.path().join("v.yaml");
+    let shown = rig.display().to_string();
+    let here = || fs::read_dir(folder.path()).unwrap().count();
+    let text = rig_simulator::RIG_YAML.replacen("position:", "postion:", 1);
+    fs::write(&rig, &text).unwrap();
+    let (output, printed) = bringup(&["--rig", &shown], "q\n");
+    assert_eq!(output.status.code(), Some(1), "{printed}");
+    let named = "the parameter `camera.postion` is not known (did you mean `camera.position`?)";
+    assert!(printed.contains("v.yaml: ") && printed.contains(named), "{printed}");
+    assert_eq!((fs::read_to_string(&rig).unwrap(), here()), (text, 1));
+    // A file without the key is completed at the first answer only.
+    let text = "/**:\n  ros__parameters:\n    markers: {size: 0.08}\n";
+    fs::write(&rig, text).unwrap();
+    let (_, printed) = bringup(&["--rig", &shown], "q\n");
+    assert_eq!((fs::read_to_string(&rig).unwrap().as_str(), here()), (text, 1), "{printed}");
+    let (_, printed) = bringup(&["--rig", &shown], "\nq\n");
+    assert!(printed.contains("side [80]"), "{printed}");
+    let rig = Rig::from_yaml(&fs::read_to_string(&rig).unwrap()).unwrap();
+    assert_eq!(rig.markers.side, 0.08);
 }

@@ -115,6 +115,45 @@ fn launch_files_use_known_tags_and_declared_arguments() {
     assert!(files >= 4, "{files}");
 }
 
+/// A `param` after the rig file would override the block of a node in it, also by a default.
+#[test]
+fn arguments_override_the_rig_file_only_where_they_are_given() {
+    for (name, arguments) in [
+        ("climber.launch.xml", &["source", "image_transport"] as &[&str]),
+        ("platform.launch.xml", &["port", "model"]),
+        ("replay.launch.xml", &["model"]),
+    ] {
+        let all = elements(&folder().join(name));
+        for argument in arguments {
+            let passed = format!("--{argument}=$(var {argument})");
+            let nodes = all.iter().filter(|(e, _)| e.0 == "node");
+            let passes = |(e, _): &&(Element, _)| {
+                attribute(e, "args").is_some_and(|args| args.contains(&passed))
+            };
+            assert_eq!(nodes.filter(passes).count(), 1, "{name}: {passed}");
+            for (element, _) in &all {
+                let named = attribute(element, "name") == Some(argument);
+                assert!(!(named && element.0 == "param"), "{name}: {element:?}");
+            }
+        }
+    }
+    for (name, arguments) in [
+        ("climber.launch.xml", &["source", "image_transport"] as &[&str]),
+        ("platform.launch.xml", &["port", "model"]),
+        ("rig.launch.xml", &["source", "image_transport", "port", "model"]),
+        ("replay.launch.xml", &["model"]),
+    ] {
+        for argument in arguments {
+            let all = elements(&folder().join(name));
+            let declared = |(e, inside): &&(Element, Option<String>)| {
+                e.0 == "arg" && inside.is_none() && attribute(e, "name") == Some(argument)
+            };
+            let (element, _) = all.iter().find(declared).unwrap();
+            assert_eq!(attribute(element, "default"), Some(""), "{name}: {argument}");
+        }
+    }
+}
+
 #[test]
 fn the_nodes_of_a_rig_respawn_and_the_launch_can_record() {
     for name in ["climber.launch.xml", "platform.launch.xml"] {

@@ -122,9 +122,15 @@ fn the_monitor_shows_poses_markers_rates_losses_and_missing_nodes() {
         "not subscribed",
         "WARN  /pose_fusion: inputs: nothing comes on ",
         "/pose_fusion ← /climber/markers",
+        "status  INITIALIZING, NOT VALID  ",
     ] {
         assert!(printed.contains(needle), "{needle} in\n{printed}");
     }
+    for service in ["/pose_fusion/reset", "rosbag2_player/", "← lifecycle", "← parameters"] {
+        assert!(!printed.contains(service), "{service} in\n{printed}");
+    }
+    let latched = printed.lines().find(|l| l.trim_start().starts_with("/tf_static ")).unwrap();
+    assert!(latched.contains(" latched ") && !latched.contains("Hz"), "{latched}");
     let odometry =
         printed.lines().find(|l| l.trim_start().starts_with(topics::absolute::ODOMETRY)).unwrap();
     let rate: f64 = odometry.split_whitespace().nth(1).unwrap().parse().unwrap();
@@ -137,7 +143,12 @@ fn the_monitor_shows_poses_markers_rates_losses_and_missing_nodes() {
     // Another domain has no topics, which is an error.
     let output = command(82, &["monitor", "--once", "--interval", "1"]).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&output.stderr).contains("ROS_DOMAIN_ID"));
+    let nothing = "nothing is published in DDS domain 82 on ";
+    let printed = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(printed.contains(nothing) && printed.contains("ROS_DOMAIN_ID"), "{printed}");
+    // Without `--once` it waits, and says so.
+    let waiting = start(82, &["monitor", "--plain", "--interval", "1"]);
+    waiting.line_with(nothing, Duration::from_secs(10));
 }
 
 #[test]

@@ -173,7 +173,7 @@ impl<I: Send + 'static> NodeContext<I> {
         make: impl Fn(S::Request, Responder<S>) -> I + Send + Sync + 'static,
     ) -> Result<(), NodeError> {
         let inbox = self.inbox.clone();
-        let source = inbox.add_source(&self.resolve(name)?, 16, false);
+        let source = inbox.add_service(&self.resolve(name)?, 16);
         let task = self.endpoints.serve::<S, _>(name, move |request| {
             let (responder, response) = Responder::new();
             inbox.put(source, Event::Input(make(request, responder)), now());

@@ -147,15 +147,16 @@ impl Diagnostics {
             sources.iter().filter(|s| is_missing(s)).map(|s| s.name.clone()).collect();
         let mut values = Vec::new();
         let mut trouble = Vec::new();
-        for SourceCount { name, received, dropped, refused, lost, .. } in sources {
-            values.push(pair(
-                format!("{name} rate [Hz]"),
-                format!("{:.1}", self.rate(&name, received)),
-            ));
-            values.push(pair(format!("{name} received"), received));
-            values.push(pair(format!("{name} dropped"), dropped));
-            values.push(pair(format!("{name} rejected"), refused));
-            values.push(pair(format!("{name} lost in transport"), lost));
+        for SourceCount { name, received, dropped, refused, lost, service, .. } in sources {
+            // Monitors show these rows as topics and devices.
+            if !service {
+                let rate = self.rate(&name, received);
+                values.push(pair(format!("{name} rate [Hz]"), format!("{rate:.1}")));
+                values.push(pair(format!("{name} received"), received));
+                values.push(pair(format!("{name} dropped"), dropped));
+                values.push(pair(format!("{name} rejected"), refused));
+                values.push(pair(format!("{name} lost in transport"), lost));
+            }
             let counts = (dropped, refused, lost);
             let previous = self.previous.insert(name.clone(), counts).unwrap_or_default();
             for (what, now, previous) in [

@@ -16,7 +16,8 @@ use std::{ffi::OsString, process::ExitCode};
 /// standard error), 2 wrong command line.
 ///
 /// Besides `--ros-args …`, each parameter of the node can be given as `--name value`, and
-/// `--rig rig.yaml` stands for `--ros-args --params-file rig.yaml`.
+/// `--rig rig.yaml` stands for `--ros-args --params-file rig.yaml`. A launch file passes its
+/// arguments with `--name=…`: an empty value is not given.
 pub fn run_node<S: NodeShell>() -> ExitCode {
     let words: Result<Vec<_>, _> = std::env::args_os().skip(1).map(OsString::into_string).collect();
     match words {
@@ -37,6 +38,9 @@ pub fn run_node_with<S: NodeShell>(arguments: impl IntoIterator<Item = String>) 
     };
     if rest.iter().any(|a| a == "--help" || a == "-h") {
         return print::<S>(&help::<S>(&own));
+    }
+    if rest.iter().any(|a| a == "--version" || a == "-V") {
+        return print::<S>(&format!("{} {}\n", S::NAME, env!("CARGO_PKG_VERSION")));
     }
     if let Some(form) = rest.iter().find_map(|a| a.strip_prefix("--print-parameters=")) {
         let mut all = own;
@@ -78,7 +82,7 @@ fn own_arguments(
                 argument.trim_start_matches('-'),
                 own.iter()
                     .map(|d| d.name.as_str())
-                    .chain(["rig", "help", "ros-args"])
+                    .chain(["rig", "help", "version", "ros-args"])
                     .chain(scheduling::OPTIONS),
             ),
         };
@@ -95,6 +99,9 @@ fn own_arguments(
             option: argument.clone(),
             expected: "a value",
         })?;
+        if known && value.is_empty() {
+            continue;
+        }
         if known {
             let value = parse_value(name, &value).map_err(|source| {
                 ArgumentError::ParameterValue { text: argument.clone(), source }
@@ -114,7 +121,7 @@ fn help<S: NodeShell>(own: &[Descriptor]) -> String {
     format!(
         "{name}: {about}\n\n\
          usage: {name} [--rig rig.yaml] [--PARAMETER VALUE]… [--ros-args …]\n       \
-         {name} --print-parameters=yaml|markdown\n\n\
+         {name} --print-parameters=yaml|markdown | --version\n\n\
          --ros-args takes what ROS 2 gives every node: -r from:=to, -r __node:=name,\n\
          -r __ns:=/namespace, -p parameter:=value, --params-file file.yaml,\n\
          --log-level debug|info|warn|error|fatal.\n\n\
@@ -139,5 +146,30 @@ fn report<S: NodeShell>(error: &NodeError) -> ExitCode {
     } else {
         crate::errln!("{}: {error}", S::NAME);
         ExitCode::FAILURE
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::names::NodeName;
+    use ros_parameters::{ParameterKind, ParameterValue};
+
+    /// Launch files pass `--port=$(var port)`, whose default is empty.
+    #[test]
+    fn an_argument_overrides_the_file_only_where_it_is_given() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let file = folder.path().join("rig.yaml");
+        std::fs::write(&file, "/imu_driver: {ros__parameters: {port: /dev/imu}}").unwrap();
+        let own = [Descriptor::new("port", ParameterKind::String, None, "")];
+        let node = NodeName::new("/", "imu_driver").unwrap();
+        let port = |argument: &str| {
+            let mut ros = RosArguments::default();
+            ros.add_file(file.clone()).unwrap();
+            own_arguments(ros, vec![argument.to_owned()], &own).unwrap().values(&node)["port"]
+                .clone()
+        };
+        assert_eq!(port("--port="), ParameterValue::String("/dev/imu".into()));
+        assert_eq!(port("--port=/dev/ttyUSB1"), ParameterValue::String("/dev/ttyUSB1".into()));
     }
 }

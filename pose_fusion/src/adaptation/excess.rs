@@ -17,8 +17,8 @@ pub struct Tuning {
     large: f64,
     /// … and below which it returns.
     small: f64,
-    /// Growth per image.
-    growth: f64,
+    /// Growth per image at a mean square.
+    growth: fn(f64) -> f64,
     /// Decay per image.
     decay: f64,
     limit: f64,
@@ -31,18 +31,18 @@ pub const MODEL_ERROR: Tuning = Tuning {
     memory: 15.0,
     large: 1.8,
     small: 1.25,
-    growth: 1.15,
+    growth: |_| 1.15,
     decay: 0.985,
     limit: 50.0,
 };
 
-/// Factor on the pixel variance that the images claim.
+/// Factor on the pixel variance that the images claim: it follows the excess within a second.
 pub const PIXEL_NOISE: Tuning = Tuning {
     freedom: 2.0,
     memory: 40.0,
     large: 1.4,
     small: 1.05,
-    growth: 1.02,
+    growth: |ratio| ratio.powf(1.0 / 15.0),
     decay: 0.99,
     limit: 100.0,
 };
@@ -70,7 +70,7 @@ impl Excess {
         self.ratio += (ratio - self.ratio) / tuning.memory;
         let grows = self.ratio > tuning.large;
         if grows {
-            self.factor = (self.factor * tuning.growth).min(tuning.limit);
+            self.factor = (self.factor * (tuning.growth)(self.ratio)).min(tuning.limit);
         } else if self.ratio < tuning.small {
             self.factor = (self.factor * tuning.decay).max(1.0);
         }

@@ -21,6 +21,9 @@ const REFUTED: u32 = 150;
 const MISFIT: f64 = 0.25e-3;
 /// Largest distance of what a layout measured by hand leaves; a larger one is a false marker, m.
 const LARGEST: f64 = 0.005;
+/// An error of the layout stays from image to image: the square of the mean exceeds what the
+/// images' scatter gives it by this factor (χ² of two degrees of freedom: 1e-4).
+const LASTING: f64 = 9.0;
 /// Two of eight offsets are not explained by a pose.
 const SEEN: f64 = 2.0;
 
@@ -28,6 +31,8 @@ const SEEN: f64 = 2.0;
 #[derive(Clone, Debug, Default)]
 pub struct LayoutMisfit {
     mean: Offsets,
+    /// Mean square, m².
+    square: f64,
     /// Images in the mean, and in all.
     count: f64,
     compared: f64,
@@ -48,7 +53,11 @@ impl LayoutMisfit {
         let own = sigma(misfit)?;
         self.count += 1.0;
         self.compared += 1.0;
-        self.mean += (misfit - self.mean) * (1.0 / self.count).max(1.0 / MEMORY);
+        let weight = (1.0 / self.count).max(1.0 / MEMORY);
+        self.mean += (misfit - self.mean) * weight;
+        self.square += (misfit.norm_squared() - self.square) * weight;
+        let mean = self.mean.norm_squared();
+        let lasts = mean > LASTING * (self.square - mean) * weight;
         let fewest = if self.compared <= FEWEST { FIRST } else { FEWEST };
         let limit = MISFIT * (FEWEST / self.count).sqrt().max(1.0);
         self.contrary = if own > 2.0 * MISFIT { self.contrary + 1 } else { 0 };
@@ -56,7 +65,7 @@ impl LayoutMisfit {
             true => self.contrary >= REFUTED,
             false => self.count >= fewest,
         };
-        let found = sigma(&self.mean).filter(|sigma| due && *sigma > limit);
+        let found = sigma(&self.mean).filter(|sigma| due && lasts && *sigma > limit);
         if found.is_some() {
             *self = Self { compared: self.compared, ..Self::default() };
         }

@@ -2,7 +2,7 @@
 
 use super::Filter;
 use crate::{
-    adaptation::excess::{MODEL_ERROR, PIXEL_NOISE},
+    adaptation::excess::MODEL_ERROR,
     ekf::{
         propagation::{Motion, ProcessNoise},
         state::{ATTITUDE, TIME_OFFSET, VELOCITY},
@@ -168,8 +168,15 @@ impl Filter {
         let limit = self.setup.config.markers.lock_out_images;
         let agrees = record.agrees_with_itself();
         // Encoders that just jumped may be what the image contradicts (see `give_way`), and a shock
-        // breaks a prediction that held until then.
-        let sudden = self.disturbances.climber_since(at, SUSPECT).is_none()
+        // breaks a prediction that held until then: a marker that has been beside its prediction
+        // is itself what is wrong.
+        let rejects = self.lock_out.rejects(
+            record
+                .markers
+                .map(|marker| matches!(marker.outcome, Outcome::Gated | Outcome::Inconsistent)),
+        );
+        let sudden = rejects
+            && self.disturbances.climber_since(at, SUSPECT).is_none()
             && self.imu.model_error().factor() <= SUDDEN;
         let strained = match record.used {
             4 => record.nis > STRAINED,
@@ -183,8 +190,12 @@ impl Filter {
         }
         let internal = match (&record.misfit, record.used) {
             (Some(misfit), 4) => {
-                self.markers.noise().add(misfit.squared, &PIXEL_NOISE);
-                Some(misfit.squared)
+                self.markers.add_misfit(&misfit.whitened, false);
+                Some(misfit.squared())
+            }
+            (Some(misfit), _) => {
+                self.markers.add_misfit(&misfit.whitened, true);
+                None
             }
             // A pose explains whatever three markers show.
             (None, 3) => Some(0.0),

@@ -44,6 +44,8 @@ pub enum Response {
 pub struct LockOut {
     contradictions: u32,
     since: Option<Stamp>,
+    /// Markers of the newest image that were rejected.
+    rejected: [bool; 4],
     last_used: Option<Stamp>,
     initialized: Option<Stamp>,
     /// First of the times that the prediction gave way, and how often it did since.
@@ -63,6 +65,13 @@ impl LockOut {
     /// Returns the newest image that was used and did not contradict.
     pub fn last_used(&self) -> Option<Stamp> {
         self.last_used
+    }
+
+    /// Notes the markers of an image that are rejected, and returns whether one was not rejected in
+    /// the image before.
+    pub fn rejects(&mut self, rejected: [bool; 4]) -> bool {
+        let before = std::mem::replace(&mut self.rejected, rejected);
+        (0..4).any(|i| rejected[i] && !before[i])
     }
 
     /// Returns the image that the pose was initialized from.

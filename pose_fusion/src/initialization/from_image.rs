@@ -149,7 +149,7 @@ fn attempt(
     let none = ImuReading::default();
     let linear = linearize(&state, geometry, image, &none);
     let found = misfit(&state, geometry, image, &none, &linear);
-    if let Some(misfit) = found.filter(|misfit| misfit.squared > LARGEST_MISFIT) {
+    if let Some(misfit) = found.filter(|misfit| misfit.squared() > LARGEST_MISFIT) {
         return Err(Some(misfit.offsets));
     }
     if best.cost > LARGEST_COST {

@@ -3,12 +3,12 @@
 
 use crate::{
     adaptation::{
-        excess::Excess,
+        excess::{Excess, PIXEL_NOISE},
         layout_misfit::LayoutMisfit,
         stamp_jitter::{self, KEPT},
     },
     config::MarkerConfig,
-    measurements::markers::{Offsets, Pixels},
+    measurements::markers::{Offsets, Pixels, Residual},
     output::Warning,
     timeline::arrival::Source,
 };
@@ -28,6 +28,8 @@ pub struct MarkerInput {
     noise: Excess,
     misfit: LayoutMisfit,
     layout_doubt: Option<f64>,
+    /// Misfit of the newest image with four markers, in units of its covariance.
+    whitened: Residual,
 }
 
 impl MarkerInput {
@@ -60,9 +62,13 @@ impl MarkerInput {
         self.layout_doubt.take()
     }
 
-    /// Returns the pixel noise identified from the innovations.
-    pub fn noise(&mut self) -> &mut Excess {
-        &mut self.noise
+    /// Identifies the pixel noise from what no pose explains of an image, in units of its
+    /// covariance. Where markers were rejected, only what changes from image to image counts: what
+    /// stays is a false marker.
+    pub fn add_misfit(&mut self, whitened: &Residual, rejected: bool) {
+        let stays = if rejected { whitened.dot(&self.whitened) } else { 0.0 };
+        self.noise.add(whitened.norm_squared() - stays, &PIXEL_NOISE);
+        self.whitened = *whitened;
     }
 
     /// Returns the factor on the claimed pixel variance.

@@ -4,7 +4,7 @@
 use super::{
     geometry::Geometry,
     marker_prediction::{Linearization, by_calibration, linearize, times_error},
-    markers::{Image, Offsets},
+    markers::{Image, Offsets, Residual},
 };
 use crate::ekf::{
     calibration::OFFSETS,
@@ -21,11 +21,18 @@ const ITERATIONS: usize = 4;
 /// What no pose explains of four markers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Misfit {
-    /// Squared residuals after the best pose, in units of their covariance: χ² with 8 − 6 degrees
-    /// of freedom, whatever the error of the predicted pose.
-    pub squared: f64,
+    /// Residuals after the best pose, in units of their covariance.
+    pub whitened: Residual,
     /// The residuals as offsets of the markers' centers.
     pub offsets: Offsets,
+}
+
+impl Misfit {
+    /// Returns the squared residuals: χ² with 8 − 6 degrees of freedom, whatever the error of the
+    /// predicted pose.
+    pub fn squared(&self) -> f64 {
+        self.whitened.norm_squared()
+    }
 }
 
 /// Returns what no pose explains of an image; `None` without four markers.
@@ -82,5 +89,6 @@ fn misfit_at(
     let mut step = Error::zeros();
     step.fixed_rows_mut::<3>(POSITION).copy_from(&pose.fixed_rows::<3>(0));
     step.fixed_rows_mut::<3>(ATTITUDE).copy_from(&pose.fixed_rows::<3>(3));
-    Some((Misfit { squared: left.dot(&covariance.solve(&left)), offsets }, step))
+    let whitened = covariance.l().solve_lower_triangular(&left)?;
+    Some((Misfit { whitened, offsets }, step))
 }

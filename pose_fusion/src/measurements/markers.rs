@@ -137,7 +137,7 @@ impl ImageInnovation {
     /// Returns whether four markers agree with each other, whatever the prediction (0.999
     /// quantile).
     pub fn agrees_with_itself(&self) -> bool {
-        self.misfit.is_some_and(|misfit| misfit.squared < 13.82)
+        self.misfit.is_some_and(|misfit| misfit.squared() < 13.82)
     }
 }
 

@@ -1,6 +1,7 @@
 //! Outliers, a noisy climber, rest, and the other estimators.
 
 use super::*;
+use nalgebra::Vector2;
 
 #[test]
 fn false_markers_are_rejected_with_a_reason() {
@@ -20,6 +21,61 @@ fn false_markers_are_rejected_with_a_reason() {
             o.outputs.records().count() as u64
                 >= 4 * (o.status.counts.inputs.images - o.status.counts.inputs.duplicates) - 8
         );
+    }
+}
+
+/// A marker a pixel beside its place for two seconds is rejected, and is no shock.
+#[test]
+fn a_marker_beside_its_place_is_rejected_and_no_shock() {
+    for (seed, color, offset) in [
+        (1, MarkerColor::Red, Vector2::new(1.0, 0.0)),
+        (2, MarkerColor::Blue, Vector2::new(0.0, 2.0)),
+        (3, MarkerColor::Yellow, Vector2::new(-0.8, 0.8)),
+    ] {
+        let sensors = SensorConfig::nominal(seed);
+        let run = simulated::run(MotionConfig::nominal(seed), &sensors);
+        let inputs = run.inputs.iter().map(|(at, input)| match input {
+            Input::Markers(m) if (5.0..7.0).contains(&at.seconds_since(sensors.epoch)) => {
+                let mut markers = m.clone();
+                markers.markers[color].centroid += offset;
+                Input::Markers(markers)
+            }
+            input => input.clone(),
+        });
+        let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+        let outputs = scoring::run(&mut fusion, inputs);
+        let score = scoring::score(&outputs.odometry, &run.truth, 4.0);
+        println!("{color} {offset:?}: {score}");
+        assert!(score.position_rmse() < 2.0, "{color}: {score}");
+        assert_eq!(fusion.status().counts.resets.shocks, 0, "{color}");
+        assert!(outputs.status.iter().skip(500).all(|s| s.valid), "{color}");
+    }
+}
+
+/// Centroids four times as noisy as the tracker says: the filter finds it, and is not much worse
+/// than one image alone.
+#[test]
+fn noise_beyond_the_claimed_covariance_is_found() {
+    for seed in [1, 2, 3, 4] {
+        let sensors = SensorConfig::nominal(seed);
+        let run = simulated::run(MotionConfig::nominal(seed), &sensors);
+        let mut random = rig_simulator::random::Random::new(seed);
+        let inputs = run.inputs.iter().map(|(_, input)| match input {
+            Input::Markers(m) => {
+                let mut markers = m.clone();
+                for marker in &mut markers.markers.0 {
+                    marker.centroid += Vector2::from_fn(|_, _| 0.35 * random.normal());
+                }
+                Input::Markers(markers)
+            }
+            input => input.clone(),
+        });
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        let outputs = scoring::run(&mut fusion, inputs);
+        let score = scoring::score(&outputs.odometry, &run.truth, 4.0);
+        println!("seed {seed}: {score}");
+        assert!(score.position_rmse() < 10.0, "seed {seed}: {score}");
+        assert!(fusion.status().pixel_noise_factor > 2.0, "{:?}", fusion.status());
     }
 }
 

@@ -20,6 +20,10 @@ const COLOR: &str = "three numbers r, g, b of 0 to 255";
 /// Largest coordinate of a position, m: rejects values in millimeters.
 const LARGEST_POSITION: f64 = 100.0;
 
+/// Limits of the markers' size, m: reject one in millimeters or centimeters, and meters at a prompt
+/// for millimeters.
+const MARKER_SIZES: std::ops::RangeInclusive<f64> = 0.005..=0.5;
+
 /// All keys of the rig file, which each node declares among its parameters.
 pub fn rig_keys() -> Vec<RigKey> {
     let text = |s: &str| Some(ParameterValue::String(s.to_owned()));
@@ -110,6 +114,17 @@ impl<'a> Reader<'a> {
             return Ok(x);
         }
         Err(RigError::value(key, x.to_string(), "it must be greater than zero"))
+    }
+
+    /// `markers.size`.
+    pub(super) fn marker_size(&self) -> Result<f64, RigError> {
+        let key = "markers.size";
+        let size = self.positive(key)?;
+        if MARKER_SIZES.contains(&size) {
+            return Ok(size);
+        }
+        let requirement = "0.005 to 0.5 m; the size is in meters, not millimeters";
+        Err(RigError::value(key, format!("{size} m"), requirement))
     }
 
     /// Three numbers of 0–255; `None` for an empty list.

@@ -13,7 +13,7 @@ use std::{
     collections::BTreeMap,
     path::PathBuf,
     sync::{
-        Arc,
+        Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicU64, Ordering},
         mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel},
     },
@@ -58,6 +58,8 @@ pub struct RecordStatus {
     pub lost: AtomicU64,
     /// Recorded topics.
     pub topics: AtomicU64,
+    /// Requested topics without a publisher so far.
+    pub unpublished: Mutex<Vec<String>>,
     /// How often the DDS domain was joined again.
     pub joined_anew: AtomicU64,
 }
@@ -136,11 +138,12 @@ pub fn record(
                 takers.add(offer)?;
             }
         }
+        let unpublished = takers.unpublished(&options.topics);
+        *status.unpublished.lock().unwrap_or_else(PoisonError::into_inner) = unpublished;
         progress(&status);
         std::thread::sleep(LOOK);
     }
-    let unpublished =
-        options.topics.iter().filter(|t| !takers.topics.contains_key(*t)).cloned().collect();
+    let unpublished = takers.unpublished(&options.topics);
     // Dropping the subscriptions and the tap closes the queue, and the writer closes the bag.
     drop(takers);
     let bag = writer.join().map_err(|_| LiveError::Thread { what: "the bag's writer" })??;
@@ -196,6 +199,11 @@ impl Takers<'_> {
         self.tap = Tap::join(NODE)?;
         self.status.joined_anew.fetch_add(1, Ordering::Relaxed);
         Ok(())
+    }
+
+    /// Those of the requested topics that had no publisher yet.
+    fn unpublished(&self, requested: &[String]) -> Vec<String> {
+        requested.iter().filter(|t| !self.topics.contains_key(*t)).cloned().collect()
     }
 
     fn add(&mut self, offer: Offer) -> Result<(), LiveError> {

@@ -61,6 +61,14 @@ impl Counts {
             }
         }
     }
+
+    /// The first warning of each kind, with their number.
+    pub fn warning_lines(&self) -> impl Iterator<Item = String> {
+        self.warnings.values().map(|(count, sentence)| {
+            let times = if *count > 1 { format!(" ({count} times)") } else { String::new() };
+            format!("{sentence}{times}")
+        })
+    }
 }
 
 /// CPU time, without decoding.

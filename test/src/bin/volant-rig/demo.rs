@@ -19,7 +19,7 @@ use volant_test::{
 ///
 /// A rendered camera, an Xsens IMU on a pseudo-terminal and encoders feed marker_tracker,
 /// imu_driver, climber_driver and pose_fusion as hardware would. Ends with a table of errors
-/// against the truth, a bag and a image of the run.
+/// against the truth, a bag and an image of the run.
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// Folder for bag, image and logs: an empty or new one, or that of an earlier run, which is
@@ -29,10 +29,10 @@ pub(crate) struct Arguments {
     /// Length of the swing, s
     #[arg(long, default_value_t = 20.0, value_parser = seconds)]
     seconds: f64,
-    /// Everything random follows from it
+    /// Random seed
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Strew things of the markers' colors over the floor
+    /// Add distractors in the markers' colors
     #[arg(long)]
     clutter: bool,
 }

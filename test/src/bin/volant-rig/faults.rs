@@ -34,7 +34,7 @@ pub(crate) struct Arguments {
     /// DDS domain to run on, so that a rig on the usual one is not disturbed
     #[arg(long, default_value_t = 91)]
     domain: u16,
-    /// Everything random follows from it
+    /// Random seed
     #[arg(long, default_value_t = 5)]
     seed: u64,
 }

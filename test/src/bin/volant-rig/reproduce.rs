@@ -44,7 +44,7 @@ pub(crate) struct Arguments {
     /// is replaced
     #[arg(long)]
     overwrite: bool,
-    /// Everything random follows from it
+    /// Random seed
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Length of the swing of fig-13, table-2 and ratio, s

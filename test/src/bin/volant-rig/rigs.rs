@@ -12,7 +12,7 @@ use volant_test::{
     run_folder::RunFolder,
 };
 
-/// Runs more and more simulated rigs, each with its four nodes, until the machine is full, and
+/// Load test: adds simulated rigs, each with its four nodes, until the computer is saturated, and
 /// reports the cost of one.
 #[derive(Args)]
 pub(crate) struct Arguments {
@@ -38,7 +38,7 @@ pub(crate) struct Arguments {
     /// Replace an existing table
     #[arg(long)]
     overwrite: bool,
-    /// Everything random follows from it
+    /// Random seed
     #[arg(long, default_value_t = 5)]
     seed: u64,
 }

@@ -34,7 +34,7 @@ pub(crate) struct Arguments {
     /// Replace an existing table
     #[arg(long)]
     overwrite: bool,
-    /// Everything random follows from it
+    /// Random seed
     #[arg(long, default_value_t = 5)]
     seed: u64,
 }

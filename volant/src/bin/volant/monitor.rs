@@ -52,11 +52,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     loop {
         listen(&mut watch, &stop, Duration::from_secs_f64(arguments.interval))?;
         let snapshot = watch.snapshot();
-        anyhow::ensure!(
-            !arguments.once || !snapshot.topics.is_empty(),
-            "nothing is published{}; check that the nodes run with the same ROS_DOMAIN_ID",
-            if arguments.namespace.is_empty() { "" } else { " in this namespace" }
-        );
+        anyhow::ensure!(!arguments.once || !snapshot.topics.is_empty(), plain::nothing(&snapshot));
         // A closed pipe ends it.
         let written = write!(
             std::io::stdout(),

@@ -30,7 +30,7 @@ pub struct Arguments {
     /// ROS 2 parameter file of the nodes, in addition to the rig file; repeatable
     #[arg(long, value_name = "FILE")]
     params_file: Vec<PathBuf>,
-    /// Estimator; overrides the parameter files [default: tight]
+    /// Estimator [default: that of the parameter files, else tight]
     #[arg(long, value_enum)]
     model: Option<ModelName>,
     #[command(flatten)]
@@ -97,9 +97,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     for loss in &report.losses {
         terminal::line(&format!("volant: {loss}"));
     }
-    for (count, sentence) in report.counts.warnings.values() {
-        let times = if *count > 1 { format!(" ({count} times)") } else { String::new() };
-        terminal::line(&format!("volant: {sentence}{times}"));
+    for warning in report.counts.warning_lines() {
+        terminal::line(&format!("volant: {warning}"));
     }
     for finding in &report.counts.findings {
         terminal::line(&format!(

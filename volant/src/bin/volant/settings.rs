@@ -61,15 +61,7 @@ struct Files<'a> {
 /// What a live node rejects, in its words: an unreadable file, a block for a mistyped node's
 /// name, an unknown or invalid parameter. Of `imu_driver` too, whose output is in the bag.
 pub fn read(path: &Path, more: &[PathBuf], namespace: &str) -> anyhow::Result<Settings> {
-    let mut ros = RosArguments::default();
-    ros.add_file(path.to_owned())
-        .with_context(|| format!("{}: not a usable rig file", path.display()))?;
-    more.iter().try_for_each(|file| ros.add_file(file.clone()))?;
-    ros.allow_of_others(up::parameters());
-    ros.reject_unknown();
-    let paths = std::iter::once(path).chain(more.iter().map(PathBuf::as_path)).collect();
-    let namespace = format!("/{}", namespace.trim_matches('/'));
-    let files = Files { ros, paths, namespace };
+    let files = Files::read(path, more, namespace)?;
     let (tracker, _) = files.of::<MarkerTrackerNode>()?;
     let (fusion, values) = files.of::<FusionNode>()?;
     let climber = ClimberParameters::from_map(files.store::<ClimberNode>()?.values());
@@ -84,7 +76,30 @@ pub fn read(path: &Path, more: &[PathBuf], namespace: &str) -> anyhow::Result<Se
     Ok(Settings { tracker: tracker.config(&rig), rig, fusion: fusion.core, climber })
 }
 
-impl Files<'_> {
+/// Rejects what a live node rejects in a rig file, except for missing keys.
+///
+/// # Errors
+/// As [`read`].
+pub fn check_given(path: &Path) -> anyhow::Result<()> {
+    let files = Files::read(path, &[], "")?;
+    files.store::<MarkerTrackerNode>()?;
+    files.store::<FusionNode>()?;
+    files.store::<ClimberNode>()?;
+    files.store::<ImuNode>().map(drop)
+}
+
+impl<'a> Files<'a> {
+    fn read(path: &'a Path, more: &'a [PathBuf], namespace: &str) -> anyhow::Result<Self> {
+        let mut ros = RosArguments::default();
+        ros.add_file(path.to_owned())
+            .with_context(|| format!("{}: not a usable rig file", path.display()))?;
+        more.iter().try_for_each(|file| ros.add_file(file.clone()))?;
+        ros.allow_of_others(up::parameters());
+        ros.reject_unknown();
+        let paths = std::iter::once(path).chain(more.iter().map(PathBuf::as_path)).collect();
+        Ok(Self { ros, paths, namespace: format!("/{}", namespace.trim_matches('/')) })
+    }
+
     fn of<S: NodeShell>(&self) -> anyhow::Result<(S::Parameters, ParameterMap)> {
         let store = self.store::<S>()?;
         let set = S::Parameters::from_map(store.values());

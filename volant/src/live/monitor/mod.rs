@@ -8,7 +8,7 @@ mod snapshot;
 mod state;
 
 pub use snapshot::{
-    Flow, InputLine, MarkerState, PoseState, RigState, Snapshot, StatusLine, TopicLine,
+    FilterState, Flow, InputLine, MarkerState, PoseState, RigState, Snapshot, StatusLine, TopicLine,
 };
 pub use state::Monitor;
 
@@ -16,6 +16,7 @@ use super::{
     LiveError, system_nanos,
     tap::{Subscription, Tap},
 };
+use node_kit::environment::{DiscoveryRange, Network};
 use rig_model::topics;
 use std::{
     collections::BTreeMap,
@@ -42,6 +43,8 @@ pub struct Watch {
     tap: Tap,
     monitor: Arc<Mutex<Monitor>>,
     options: WatchOptions,
+    /// [`Snapshot::place`].
+    place: String,
 }
 
 impl Watch {
@@ -50,11 +53,21 @@ impl Watch {
     /// # Errors
     /// A variable of the environment is invalid, or the domain cannot be joined.
     pub fn start(options: WatchOptions) -> Result<Self, LiveError> {
+        let network = Network::from_environment()?;
+        let range = match network.range {
+            DiscoveryRange::Localhost => "this host alone",
+            DiscoveryRange::Subnet => "the local network",
+        };
+        let mut place = format!("DDS domain {} on {range}", network.domain_id);
+        if !options.namespace.is_empty() {
+            place += &format!(" in the namespace {}", options.namespace);
+        }
         Ok(Self {
             subscriptions: BTreeMap::new(),
             tap: Tap::join(NODE)?,
             monitor: Arc::default(),
             options,
+            place,
         })
     }
 
@@ -77,7 +90,7 @@ impl Watch {
                 matches!(&**type_name, "sensor_msgs/msg/Image" | "sensor_msgs/msg/CompressedImage");
             let known = !offer.topic.definition.is_empty();
             let subscribed = known && (!image || self.options.images);
-            lock(&self.monitor).discover(name, type_name, offer.publishers, subscribed);
+            lock(&self.monitor).discover(offer, subscribed);
             if subscribed && !self.subscriptions.contains_key(name) {
                 let (monitor, topic) = (Arc::clone(&self.monitor), offer.topic.clone());
                 let subscription =
@@ -91,7 +104,7 @@ impl Watch {
 
     /// Summarizes what was received until now.
     pub fn snapshot(&self) -> Snapshot {
-        lock(&self.monitor).snapshot(system_nanos())
+        Snapshot { place: self.place.clone(), ..lock(&self.monitor).snapshot(system_nanos()) }
     }
 
     fn concerns(&self, topic: &str) -> bool {

@@ -1,6 +1,8 @@
 //! Formats a snapshot as text, for pipes, logs and tests; the screen uses the same cells.
 
-use super::snapshot::{Flow, InputLine, MarkerState, PoseState, RigState, Snapshot, StatusLine};
+use super::snapshot::{
+    FilterState, Flow, InputLine, MarkerState, PoseState, RigState, Snapshot, StatusLine,
+};
 use std::fmt::Write;
 
 /// Names of the levels of diagnostics.
@@ -11,8 +13,20 @@ pub fn level(status: &StatusLine) -> &'static str {
     LEVELS.get(usize::from(status.level)).copied().unwrap_or("?")
 }
 
+/// What to check where no topic is found.
+pub fn nothing(snapshot: &Snapshot) -> String {
+    format!(
+        "nothing is published in {}: check that the nodes run, and that ROS_DOMAIN_ID, \
+         ROS_AUTOMATIC_DISCOVERY_RANGE and ROS_LOCALHOST_ONLY are the same for them",
+        snapshot.place
+    )
+}
+
 /// Formats a snapshot.
 pub fn text(snapshot: &Snapshot) -> String {
+    if snapshot.topics.is_empty() {
+        return nothing(snapshot) + "\n";
+    }
     let mut out = String::new();
     for (name, rig) in &snapshot.rigs {
         let _ = writeln!(out, "rig {}", if name.is_empty() { "/" } else { name });
@@ -56,9 +70,12 @@ pub fn text(snapshot: &Snapshot) -> String {
     out
 }
 
-/// Formats poses and markers, one line each.
+/// Formats status, poses and markers, one line each.
 pub fn rig_lines(rig: &RigState, now: u64) -> Vec<String> {
-    let mut lines = vec![];
+    let mut lines = vec![match &rig.status {
+        Some(status) => format!("status  {}{}", status_line(status), old(status.at, now)),
+        None => "status  nothing yet".to_owned(),
+    }];
     for (what, pose) in [("fused ", &rig.odometry), ("camera", &rig.visual)] {
         match pose {
             Some(pose) => {
@@ -84,6 +101,19 @@ pub fn rig_lines(rig: &RigState, now: u64) -> Vec<String> {
         ));
     }
     lines
+}
+
+/// Formats state, validity, standard deviations and reason.
+pub fn status_line(status: &FilterState) -> String {
+    format!(
+        "{}, {}  ±{:.2} mm  ±{:.2} °{}{}",
+        status.state,
+        if status.valid { "valid" } else { "NOT VALID" },
+        1e3 * status.position_sigma,
+        status.rotation_sigma,
+        if status.reason.is_empty() { "" } else { ": " },
+        status.reason
+    )
 }
 
 /// Formats position and rotation with their standard deviations.
@@ -136,7 +166,11 @@ pub fn marker_line(marker: &MarkerState) -> String {
 /// Formats rate, delay, messages and losses.
 pub fn flow_cells(flow: &Flow) -> [String; 4] {
     [
-        if flow.rate > 0.0 { format!("{:7.1} Hz", flow.rate) } else { "  silent  ".to_owned() },
+        match flow.rate {
+            None => "  latched ".to_owned(),
+            Some(rate) if rate > 0.0 => format!("{rate:7.1} Hz"),
+            Some(_) => "  silent  ".to_owned(),
+        },
         flow.delay.map_or_else(
             || format!("{:24}", ""),
             |(mean, max)| format!("delay {:6.1} max {:6.1} ms", mean * 1e3, max * 1e3),
@@ -163,7 +197,7 @@ fn old(at: u64, now: u64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{super::TopicLine, *};
     use nalgebra::Vector3;
     use rig_model::MarkerColor;
 
@@ -193,12 +227,31 @@ mod tests {
                 marker("PREDICTED", 9.0, Some(2)),
             ],
             markers_at: 0,
+            status: Some(FilterState {
+                at: 7_000_000_000,
+                state: "LOST",
+                valid: false,
+                position_sigma: 0.25,
+                rotation_sigma: 1.5,
+                reason: "no image for 3.0 s".to_owned(),
+            }),
+        };
+        let flow = Flow { rate: None, delay: None, count: 2, lost: 0 };
+        let topic = TopicLine {
+            name: "/tf_static".to_owned(),
+            type_name: String::new(),
+            publishers: 1,
+            flow: Some(flow),
         };
         let snapshot = Snapshot {
             rigs: vec![(String::new(), rig)],
+            topics: vec![topic],
             now: 7_000_000_000,
             ..Snapshot::default()
         };
+        let empty = Snapshot { place: "DDS domain 7".to_owned(), ..Snapshot::default() };
+        let nothing = super::text(&empty);
+        assert!(nothing.contains("DDS domain 7") && nothing.contains("ROS_DOMAIN_ID"), "{nothing}");
         let text = text(&snapshot);
         for needle in [
             "x   0.1000 ±0.40 mm",
@@ -206,6 +259,8 @@ mod tests {
             "0.250 m/s, 12.0 °/s",
             "(7 s ago)",
             "camera  nothing yet",
+            "status  LOST, NOT VALID  ±250.00 mm  ±1.50 °: no image for 3.0 s\n",
+            "/tf_static    latched ",
             "DETECTED  ( 320.00,  240.00) px ±0.020, 0.030",
             "LOST      never seen",
             "±0.020, 0.030, hidden for 2 images",

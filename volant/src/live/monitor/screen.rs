@@ -1,7 +1,7 @@
 //! Draws a snapshot on a terminal.
 
 use super::{
-    plain::{flow_cells, input_line, level, marker_line, pose_lines},
+    plain::{flow_cells, input_line, level, marker_line, nothing, pose_lines, status_line},
     snapshot::{RigState, Snapshot},
 };
 use ratatui::{
@@ -9,7 +9,7 @@ use ratatui::{
     layout::{Constraint, Layout, Rect},
     style::{Color, Modifier, Style},
     text::{Line, Span},
-    widgets::{Block, Paragraph, Row, Table, canvas::Canvas},
+    widgets::{Block, Paragraph, Row, Table, Wrap, canvas::Canvas},
 };
 use rig_model::MarkerColor;
 
@@ -19,7 +19,7 @@ pub fn draw(frame: &mut Frame<'_>, snapshot: &Snapshot, chosen: usize) {
     // Two lines of border and one of headings.
     let rows = |n: usize, most: u16| u16::try_from(n).unwrap_or(most).min(most) + 3;
     let [top, topics, inputs, diagnostics] = Layout::vertical([
-        Constraint::Length(11),
+        Constraint::Length(13),
         Constraint::Length(rows(snapshot.topics.len(), 16)),
         Constraint::Length(rows(snapshot.inputs.len(), 8) - 1),
         Constraint::Min(4),
@@ -87,7 +87,16 @@ fn draw_rig(
         Some((name, _)) if name.is_empty() => "rig /".to_owned(),
         Some((name, _)) => format!("rig {name}"),
     };
+    if snapshot.topics.is_empty() {
+        lines.push(Line::styled(nothing(snapshot), Style::new().fg(Color::Yellow)));
+    }
     if let Some((_, rig)) = rig {
+        let (status, good) = rig.status.as_ref().map_or(("nothing yet".to_owned(), false), |s| {
+            let current = snapshot.now.saturating_sub(s.at) <= 2_000_000_000;
+            (status_line(s), s.valid && current)
+        });
+        let status_color = if good { Color::Green } else { Color::Red };
+        lines.push(Line::styled(format!("status  {status}"), Style::new().fg(status_color)));
         for (what, pose) in [("fused ", &rig.odometry), ("camera", &rig.visual)] {
             match pose {
                 None => lines.push(Line::styled(
@@ -119,7 +128,8 @@ fn draw_rig(
             ]));
         }
     }
-    frame.render_widget(Paragraph::new(lines).block(titled(&title)), area);
+    let text = Paragraph::new(lines).wrap(Wrap { trim: false });
+    frame.render_widget(text.block(titled(&title)), area);
 }
 
 /// Draws the markers' positions in the image. The image size is unknown here, so the frame grows
@@ -182,7 +192,7 @@ fn color(marker: MarkerColor) -> Color {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::live::monitor::{Flow, MarkerState, StatusLine, TopicLine};
+    use crate::live::monitor::{FilterState, Flow, MarkerState, StatusLine, TopicLine};
     use ratatui::{Terminal, backend::TestBackend};
 
     fn screen(snapshot: &Snapshot, width: u16, height: u16) -> String {
@@ -200,13 +210,29 @@ mod tests {
             sigma: [0.02, 0.02],
             hidden_for: Some(0),
         };
+        let status = FilterState {
+            at: 1,
+            state: "COASTING",
+            valid: true,
+            position_sigma: 0.002,
+            rotation_sigma: 0.1,
+            reason: "no image for 0.5 s".to_owned(),
+        };
         let snapshot = Snapshot {
-            rigs: vec![("/rig1".into(), RigState { markers: vec![marker], ..RigState::default() })],
+            rigs: vec![(
+                "/rig1".into(),
+                RigState { markers: vec![marker], status: Some(status), ..RigState::default() },
+            )],
             topics: vec![TopicLine {
                 name: "/rig1/climber/markers".into(),
                 type_name: String::new(),
                 publishers: 1,
-                flow: Some(Flow { rate: 30.0, delay: Some((0.01, 0.02)), count: 77, lost: 3 }),
+                flow: Some(Flow {
+                    rate: Some(30.0),
+                    delay: Some((0.01, 0.02)),
+                    count: 77,
+                    lost: 3,
+                }),
             }],
             inputs: vec![],
             statuses: vec![StatusLine {
@@ -216,6 +242,7 @@ mod tests {
                 message: "unplugged".into(),
             }],
             now: 1,
+            place: String::new(),
         };
         let shown = screen(&snapshot, 120, 40);
         for needle in [
@@ -228,6 +255,7 @@ mod tests {
             "WARN",
             "unplugged",
             "nothing yet",
+            "COASTING, valid  ±2.00 mm  ±0.10 °: no image for 0.5 s",
         ] {
             assert!(shown.contains(needle), "{needle} in\n{shown}");
         }
@@ -235,6 +263,8 @@ mod tests {
             screen(&snapshot, width, height);
             screen(&Snapshot::default(), width, height);
         }
-        assert!(screen(&Snapshot::default(), 100, 30).contains("no rig"));
+        let empty = Snapshot { place: "DDS domain 7".to_owned(), ..Snapshot::default() };
+        let shown = screen(&empty, 110, 30);
+        assert!(shown.contains("no rig") && shown.contains("in DDS domain 7: check"), "{shown}");
     }
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Vector3};
 use rig_model::MarkerColor;
-use volant_msgs::msg::MarkerObservation;
+use volant_msgs::msg::{MarkerObservation, PoseStatus};
 
 /// The estimates and measurements of one rig.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -15,6 +15,25 @@ pub struct RigState {
     pub markers: Vec<MarkerState>,
     /// Arrival of the markers, ns.
     pub markers_at: u64,
+    /// `volant/status`.
+    pub status: Option<FilterState>,
+}
+
+/// The status of the estimator.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FilterState {
+    /// Time of arrival, ns.
+    pub at: u64,
+    /// `TRACKING`, `COASTING`, …, or `?`.
+    pub state: &'static str,
+    /// Whether the pose may be used.
+    pub valid: bool,
+    /// Largest standard deviation of the position, m.
+    pub position_sigma: f64,
+    /// Largest standard deviation of the rotation, degrees.
+    pub rotation_sigma: f64,
+    /// Why it is not TRACKING or not valid; empty otherwise.
+    pub reason: String,
 }
 
 /// A pose with its standard deviations.
@@ -62,6 +81,8 @@ pub struct Snapshot {
     pub statuses: Vec<StatusLine>,
     /// Time of the snapshot, ns.
     pub now: u64,
+    /// Where topics are searched: domain, discovery range, namespace.
+    pub place: String,
 }
 
 /// A published topic.
@@ -80,8 +101,8 @@ pub struct TopicLine {
 /// Rate and delay of a topic.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Flow {
-    /// Rate over the last 5 s, Hz; 0 where it is silent.
-    pub rate: f64,
+    /// Rate over the last 5 s, Hz; 0 where it is silent, `None` for a latched topic.
+    pub rate: Option<f64>,
     /// Mean and largest time from stamp to arrival, s.
     pub delay: Option<(f64, f64)>,
     /// Messages received since the start.
@@ -137,6 +158,27 @@ impl PoseState {
             position_sigma: [sigma(0), sigma(1), sigma(2)],
             angle_sigma: [sigma(3), sigma(4), sigma(5)].map(f64::to_degrees),
             speed,
+        }
+    }
+}
+
+impl FilterState {
+    /// Converts a received status; `at` in ns.
+    pub(super) fn new(at: u64, status: PoseStatus) -> Self {
+        Self {
+            at,
+            state: match status.state {
+                PoseStatus::INITIALIZING => "INITIALIZING",
+                PoseStatus::TRACKING => "TRACKING",
+                PoseStatus::COASTING => "COASTING",
+                PoseStatus::VISION_ONLY => "VISION_ONLY",
+                PoseStatus::LOST => "LOST",
+                _ => "?",
+            },
+            valid: status.valid,
+            position_sigma: status.position_sigma,
+            rotation_sigma: status.rotation_sigma.to_degrees(),
+            reason: status.reason,
         }
     }
 }

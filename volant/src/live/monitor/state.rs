@@ -1,9 +1,9 @@
 //! State of the monitor: samples in, [`Snapshot`]s out. No clock, thread or terminal.
 
 use super::snapshot::{
-    Flow, InputLine, MarkerState, PoseState, RigState, Snapshot, StatusLine, TopicLine,
+    FilterState, Flow, InputLine, MarkerState, PoseState, RigState, Snapshot, StatusLine, TopicLine,
 };
-use crate::live::tap::Sample;
+use crate::live::tap::{Offer, Sample};
 use bag::Topic;
 use node_kit::convert;
 use rig_model::topics;
@@ -12,7 +12,7 @@ use volant_msgs::{
     Message, cdr,
     diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus},
     geometry_msgs::msg::PoseWithCovarianceStamped,
-    msg::MarkerObservations,
+    msg::{MarkerObservations, PoseStatus},
     nav_msgs::msg::Odometry,
 };
 
@@ -40,6 +40,8 @@ struct TopicState {
     type_name: String,
     publishers: usize,
     subscribed: bool,
+    /// Its messages are kept for late subscribers, and not periodic.
+    latched: bool,
     count: u64,
     lost: u64,
     /// Time of each arrival, ns, and the age of its stamp, s.
@@ -47,11 +49,12 @@ struct TopicState {
 }
 
 impl Monitor {
-    /// Sets a topic's type and number of publishers, and whether the monitor subscribes.
-    pub fn discover(&mut self, name: &str, type_name: &str, publishers: usize, subscribed: bool) {
-        let topic = self.topics.entry(name.to_owned()).or_default();
-        type_name.clone_into(&mut topic.type_name);
-        (topic.publishers, topic.subscribed) = (publishers, subscribed);
+    /// Sets a topic's type, QoS and number of publishers, and whether the monitor subscribes.
+    pub fn discover(&mut self, offer: &Offer, subscribed: bool) {
+        let topic = self.topics.entry(offer.topic.name.clone()).or_default();
+        topic.type_name.clone_from(&offer.topic.type_name);
+        (topic.publishers, topic.subscribed) = (offer.publishers, subscribed);
+        topic.latched = offer.qos.transient_local;
     }
 
     /// Clears the publishers of all topics for which `published` returns false.
@@ -108,6 +111,14 @@ impl Monitor {
                     rig.markers_at = sample.log_time;
                 }
             }
+            PoseStatus::TYPE_NAME => {
+                if let (Some(rig), Ok(m)) =
+                    (rig(topics::absolute::STATUS), cdr::from_bytes::<PoseStatus>(&sample.data))
+                {
+                    self.rigs.entry(rig).or_default().status =
+                        Some(FilterState::new(sample.log_time, m));
+                }
+            }
             DiagnosticArray::TYPE_NAME => {
                 for status in
                     cdr::from_bytes::<DiagnosticArray>(&sample.data).unwrap_or_default().status
@@ -157,6 +168,7 @@ impl Monitor {
             inputs: self.statuses.values().flat_map(|(_, status)| inputs(status)).collect(),
             statuses,
             now,
+            place: String::new(),
         }
     }
 }
@@ -173,6 +185,7 @@ impl TopicState {
             }
             _ => 0.0,
         };
+        let rate = (!self.latched).then_some(rate);
         let ages: Vec<f64> = recent.iter().filter_map(|(_, age)| *age).collect();
         let delay = (!ages.is_empty()).then(|| {
             (
@@ -234,7 +247,7 @@ fn inputs(status: &DiagnosticStatus) -> Vec<InputLine> {
 mod tests {
     use super::*;
     use bag::Qos;
-    use volant_msgs::diagnostic_msgs::msg::KeyValue;
+    use volant_msgs::{diagnostic_msgs::msg::KeyValue, tf2_msgs::msg::TFMessage};
 
     const SECOND: u64 = 1_000_000_000;
 
@@ -252,7 +265,8 @@ mod tests {
     fn rates_delays_and_losses_are_those_of_the_last_seconds() {
         let topic = Topic::of::<Odometry>("/rig1/volant/odometry", &Qos::RELIABLE);
         let mut monitor = Monitor::default();
-        monitor.discover(&topic.name, &topic.type_name, 1, true);
+        let offer = |topic: &Topic, qos| Offer { topic: topic.clone(), qos, publishers: 1 };
+        monitor.discover(&offer(&topic, Qos::RELIABLE), true);
         let mut message = Odometry::default();
         message.pose.pose.position.z = -1.5;
         message.pose.covariance[14] = 4e-6;
@@ -266,7 +280,7 @@ mod tests {
         let now = 110 * SECOND;
         let snapshot = monitor.snapshot(now);
         let flow = snapshot.topics[0].flow.unwrap();
-        assert!((flow.rate - 100.0).abs() < 0.01, "{flow:?}");
+        assert!((flow.rate.unwrap() - 100.0).abs() < 0.01, "{flow:?}");
         assert_eq!((flow.count, flow.lost), (1000, 1));
         let (mean, max) = flow.delay.unwrap();
         assert!((mean - 0.002).abs() < 1e-9 && (max - 0.002).abs() < 1e-9);
@@ -275,7 +289,18 @@ mod tests {
         assert_eq!((name.as_str(), pose.position.z), ("/rig1", -1.5));
         assert!((pose.position_sigma[2] - 0.002).abs() < 1e-12 && pose.speed == Some([0.3, 0.0]));
         // Three seconds later it is silent.
-        assert_eq!(monitor.snapshot(now + 3 * SECOND).topics[0].flow.unwrap().rate, 0.0);
+        assert_eq!(monitor.snapshot(now + 3 * SECOND).topics[0].flow.unwrap().rate, Some(0.0));
+        // Two latched messages have no rate.
+        let latched = Topic::of::<TFMessage>(topics::absolute::TF_STATIC, &Qos::LATCHED);
+        monitor.discover(&offer(&latched, Qos::LATCHED), true);
+        for at in [now, now + 30_000] {
+            monitor.add(&latched, &sample(at, 0, &TFMessage::default()));
+        }
+        let flow = |s: Snapshot| s.topics.iter().find(|t| t.name == "/tf_static").unwrap().flow;
+        assert_eq!(
+            flow(monitor.snapshot(now + SECOND)).map(|f| (f.rate, f.count)),
+            Some((None, 2))
+        );
         monitor.retain_published(|_| false);
         assert_eq!(monitor.snapshot(now).topics[0].publishers, 0);
     }

@@ -43,12 +43,13 @@ pub fn acceptance(walk: &mut Walk) -> Result<()> {
         smooth: false,
     };
     let report = replay(&options, |_, _| {})?;
+    walk.wrote(&output);
     let counts = &report.counts;
     let share = 100.0 * counts.detected as f64 / (4 * counts.markers).max(1) as f64;
     walk.check(share > 90.0, "markers", format!("{share:.1} % detected (90 at least)"))?;
     judge(walk, &output)?;
-    for (kind, (count, sentence)) in &counts.warnings {
-        walk.note(kind, format!("{sentence} ({count} times)"))?;
+    for warning in counts.warning_lines() {
+        walk.note("replay", warning)?;
     }
     // 0: nothing is wrong, 1: something is.
     let mut check = Command::new(std::env::current_exe()?);

@@ -197,10 +197,11 @@ pub fn intrinsics(walk: &mut Walk) -> Result<()> {
         let square = dialog::ask("  Edge of its squares, m", "0.025")?;
         command.args(["--board", &board, "--square", &square]);
         let fine = command.status()?.success();
-        walk.check(fine, "calibration", format!("{}: give it to the driver", out.display()))?;
         if !fine {
-            return Ok(());
+            return walk.check(false, "calibration", "no result; see the messages above");
         }
+        walk.wrote(&out);
+        walk.check(true, "calibration", format!("{}: give it to the driver", out.display()))?;
         outln!("  Give the file to the camera's driver (camera_info_url) and restart it.")?;
     }
     let bag = walk.recording("camera_info", &[topics::CAMERA_INFO, topics::IMAGE], 3.0)?;

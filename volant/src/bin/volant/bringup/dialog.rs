@@ -2,7 +2,10 @@
 
 use anyhow::Result;
 use node_kit::{out, outln};
-use std::{io::BufRead, path::Path};
+use std::{
+    io::BufRead,
+    path::{Path, PathBuf},
+};
 use thiserror::Error;
 
 /// The operator quits, or standard input ends.
@@ -32,11 +35,30 @@ pub fn ask(question: &str, default: &str) -> Result<String> {
     }
 }
 
-/// Asks for numbers, separated by spaces or commas, until the answer is valid.
+/// Asks until the answer is one of `answers`; the empty one is Enter alone.
 ///
 /// # Errors
 /// As [`ask`].
-pub fn numbers<const N: usize>(question: &str, default: [f64; N]) -> Result<[f64; N]> {
+pub fn choose(question: &str, answers: &[&str]) -> Result<String> {
+    loop {
+        let answer = ask(question, "")?;
+        if answers.contains(&answer.as_str()) {
+            return Ok(answer);
+        }
+        outln!("  `{answer}` is none of the answers")?;
+    }
+}
+
+/// Asks for numbers, separated by spaces or commas, until the answer is valid: `check` returns what
+/// is wrong with it, and the remedy.
+///
+/// # Errors
+/// As [`ask`].
+pub fn numbers<const N: usize>(
+    question: &str,
+    default: [f64; N],
+    check: impl Fn(&[f64; N]) -> Result<(), String>,
+) -> Result<[f64; N]> {
     let shown = default.map(|x| format!("{}", (x * 1e4).round() / 1e4)).join(" ");
     loop {
         let answer = ask(question, &shown)?;
@@ -46,24 +68,78 @@ pub fn numbers<const N: usize>(question: &str, default: [f64; N]) -> Result<[f64
         let words = answer.split([' ', ',']).filter(|w| !w.is_empty());
         let found: Vec<f64> =
             words.filter_map(|w| w.parse().ok()).filter(|x: &f64| x.is_finite()).collect();
-        match found.try_into() {
-            Ok(numbers) => return Ok(numbers),
+        match <[f64; N]>::try_from(found) {
+            Ok(numbers) => match check(&numbers) {
+                Ok(()) => return Ok(numbers),
+                Err(wrong) => outln!("  {wrong}")?,
+            },
             Err(_) => outln!("  write {N} numbers, such as {shown}")?,
         }
     }
 }
 
-/// Asks for an existing file, or one of the other answers.
+/// Messages of a step: recorded now, or in a bag.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Source {
+    /// Seconds to record.
+    Live(f64),
+    Bag(PathBuf),
+}
+
+/// Longest live recording, s.
+const LONGEST: f64 = 86_400.0;
+
+impl Source {
+    /// Parses the name of a bag, `live`, or `live 60` (`live 60s`).
+    fn parse(answer: &str, seconds: f64) -> Result<Self, String> {
+        let remedy = format!("`live {seconds:.0}` records {seconds:.0} s");
+        match answer.split_once(' ').unwrap_or((answer, "")) {
+            _ if Path::new(answer).exists() => Ok(Self::Bag(answer.into())),
+            ("live", "") => Ok(Self::Live(seconds)),
+            ("live", time) => {
+                let number = time.trim().trim_end_matches('s').trim_end().parse().ok();
+                let valid = number.filter(|s| (0.1..=LONGEST).contains(s));
+                valid.map(Self::Live).ok_or_else(|| format!("`{time}` is no duration: {remedy}"))
+            }
+            _ => Err(format!("{answer}: no such file; {remedy}")),
+        }
+    }
+}
+
+/// Asks for a bag, or for the seconds to record; `known` is the default.
 ///
 /// # Errors
 /// As [`ask`].
-pub fn file_or(question: &str, default: &str, others: &[&str]) -> Result<String> {
+pub fn source(known: Option<&Path>, seconds: f64) -> Result<Source> {
+    let question = format!("  Bag, or `live SECONDS` to record (about {seconds:.0})");
+    let default =
+        known.map_or_else(|| format!("live {seconds:.0}"), |path| path.display().to_string());
     loop {
-        let answer = ask(question, default)?;
-        let first = answer.split(' ').next().unwrap_or_default();
-        if others.contains(&first) || Path::new(&answer).exists() {
-            return Ok(answer);
+        match Source::parse(&ask(&question, &default)?, seconds) {
+            Ok(source) => return Ok(source),
+            Err(wrong) => outln!("  {wrong}")?,
         }
-        outln!("  {answer}: no such file")?;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_duration_is_understood_or_rejected() {
+        for (answer, seconds) in
+            [("live", 60.0), ("live 2", 2.0), ("live 2s", 2.0), ("live  2.5 s", 2.5)]
+        {
+            assert_eq!(Source::parse(answer, 60.0), Ok(Source::Live(seconds)), "{answer}");
+        }
+        for answer in ["live 2m", "live 0", "live -3", "live inf", "live 1e9", "live2", "60"] {
+            let error = Source::parse(answer, 60.0).unwrap_err();
+            assert!(error.contains("`live 60` records 60 s"), "{answer}: {error}");
+        }
+        // A bag whose name begins with the word.
+        let bag = tempfile::Builder::new().prefix("live ").tempfile().unwrap();
+        let path = bag.path().display().to_string();
+        assert_eq!(Source::parse(&path, 60.0), Ok(Source::Bag(path.into())));
     }
 }

@@ -11,13 +11,22 @@ mod state;
 use crate::terminal;
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use dialog::{Paused, ask};
+use dialog::{Paused, Source, choose};
 use node_kit::{files, outln};
 use ros_parameters::ParameterFile;
 use state::{Item, Outcome, Record, State, Verdict};
 use std::{
     fs,
     path::{Path, PathBuf},
+    sync::{
+        PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+use volant::{
+    live::record::{self as live, RecordOptions},
+    stopwatch::Stopwatch,
 };
 
 #[derive(clap::Args)]
@@ -108,39 +117,39 @@ impl Walk {
         self.item(Verdict::Note, name, text)
     }
 
-    /// A file of this bring-up.
-    fn file(&mut self, name: &str) -> PathBuf {
-        let path = self.folder.join(name);
+    /// Path of a file of this bring-up.
+    fn file(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    /// Notes a file that the step has written.
+    fn wrote(&mut self, path: &Path) {
         self.wrote.push(path.display().to_string());
-        path
     }
 
     /// The recording of some topics under a name: a bag of the operator's, or a new one.
     fn recording(&mut self, name: &str, topics: &[&str], seconds: f64) -> Result<PathBuf> {
         // A live recording is made again: its step is repeated because the rig has changed.
         let known = self.state.recordings.get(name).filter(|p| !p.starts_with(&self.folder));
-        let known = known.map(|p| p.display().to_string());
         outln!("  Topics: {}", topics.join(", "))?;
-        let question = format!("  Bag, or `live SECONDS` to record (about {seconds:.0})");
-        let default = known.unwrap_or_else(|| format!("live {seconds:.0}"));
-        let answer = dialog::file_or(&question, &default, &["live"])?;
-        let path = match answer.strip_prefix("live") {
-            Some(duration) => {
-                let duration = duration.trim().parse().unwrap_or(seconds);
+        let path = match dialog::source(known.map(PathBuf::as_path), seconds)? {
+            Source::Live(seconds) => {
                 let path = self.file(&format!("{name}.mcap"));
-                record(&path, topics, duration)?;
+                record(&path, topics, seconds)?;
+                self.wrote(&path);
                 path
             }
-            None => PathBuf::from(answer),
+            Source::Bag(path) => path,
         };
         self.state.recordings.insert(name.to_owned(), path.clone());
         Ok(path)
     }
 }
 
+/// Time in which the publishers of a recording's topics are discovered.
+const DISCOVERY: Duration = Duration::from_secs(5);
+
 fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
-    use std::time::Duration;
-    use volant::live::record::{RecordOptions, record};
     outln!("  recording {seconds} s …")?;
     let options = RecordOptions {
         output: path.to_owned(),
@@ -150,9 +159,26 @@ fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
         write: bag::WriteOptions { replace: true, ..bag::WriteOptions::default() },
         duration: Some(Duration::try_from_secs_f64(seconds)?),
     };
-    let report = record(&options, &std::sync::atomic::AtomicBool::new(false), |_| {})?;
+    let (stop, watch, mut told) = (AtomicBool::new(false), Stopwatch::start(), false);
+    let report = live::record(&options, &stop, |status| {
+        let unpublished = status.unpublished.lock().unwrap_or_else(PoisonError::into_inner);
+        if told || unpublished.is_empty() || watch.elapsed() < DISCOVERY {
+            return;
+        }
+        told = true;
+        if unpublished.len() == topics.len() {
+            stop.store(true, Ordering::Release);
+        } else {
+            // A closed pipe ends the next question.
+            let _ = outln!("  no publisher so far: {}", unpublished.join(", "));
+        }
+    })?;
     if report.unpublished.len() == topics.len() {
-        bail!("none of {} has a publisher; start the drivers and the nodes", topics.join(", "));
+        fs::remove_file(path)?;
+        bail!(
+            "nobody publishes {}; start the drivers and the nodes, and check ROS_DOMAIN_ID",
+            report.unpublished.join(" or ")
+        );
     }
     for topic in report.unpublished {
         outln!("  {topic}: no publisher")?;
@@ -163,44 +189,50 @@ fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
 /// Runs the command.
 ///
 /// # Errors
-/// See the messages, which name the remedy; a pause; a failed step at the end.
+/// See the messages, which name the remedy; a failed step at the end or before a pause.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let beside = |suffix: &str| {
         let mut name = arguments.rig.as_os_str().to_owned();
         name.push(suffix);
         PathBuf::from(name)
     };
-    if let Some(path) = &arguments.report {
-        files::check_output(path, arguments.overwrite, &[&arguments.rig])?;
-    }
     let (state_file, folder) = (beside(".bringup.json"), beside(".bringup"));
-    fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-    setup::complete(&arguments.rig)?;
     let state = if arguments.restart { State::default() } else { State::read(&state_file)? };
+    // The report of an earlier part of this bring-up is replaced.
+    let overwrite =
+        arguments.overwrite || state.report.is_some() && state.report == arguments.report;
+    if let Some(path) = &arguments.report {
+        files::check_output(path, overwrite, &[&arguments.rig])?;
+    }
+    // Nothing is written before the first answer.
+    setup::read(&arguments.rig)?;
     let mut walk = Walk { rig: arguments.rig.clone(), folder, state, items: vec![], wrote: vec![] };
     let steps: Vec<Step> = match arguments.step {
         Some(step) => vec![step],
         None => {
-            let done = |s: &Step| {
-                let record = walk.state.steps.get(&s.name());
-                record.is_some_and(|r| r.outcome != Outcome::Failed)
-            };
+            let done = |s: &Step| walk.state.outcome(&s.name()) == Some(Outcome::Done);
             Step::value_variants().iter().copied().filter(|s| !done(s)).collect()
         }
     };
-    for step in steps {
-        take(step, &mut walk, &state_file)?;
+    let paused = match steps.into_iter().try_for_each(|step| take(step, &mut walk, &state_file)) {
+        Err(error) if error.is::<Paused>() => Some(error),
+        walked => walked.map(|()| None)?,
+    };
+    match &paused {
+        Some(paused) => outln!("{paused}")?,
+        None => summary(&walk.state)?,
     }
-    summary(&walk.state)?;
     if let Some(path) = &arguments.report {
         let page = report::page(&arguments.rig, &walk.state).render();
-        files::write(path, page.as_bytes(), arguments.overwrite)?;
+        files::write(path, page.as_bytes(), overwrite)?;
         terminal::line(&format!("{}: written", path.display()));
+        walk.state.report = Some(path.clone());
+        walk.state.write(&state_file)?;
     }
     let failed: Vec<String> = Step::value_variants()
         .iter()
         .map(|step| step.name())
-        .filter(|n| walk.state.steps.get(n).is_some_and(|r| r.outcome == Outcome::Failed))
+        .filter(|n| walk.state.outcome(n) == Some(Outcome::Failed))
         .collect();
     if !failed.is_empty() {
         bail!(
@@ -218,12 +250,14 @@ fn take(step: Step, walk: &mut Walk, state_file: &Path) -> Result<()> {
     let number = steps.iter().position(|s| *s == step).unwrap_or(0) + 1;
     outln!("\n{number}/{} {name}", steps.len())?;
     loop {
-        let before = fs::read_to_string(&walk.rig).unwrap_or_default();
         (walk.items, walk.wrote) = (vec![], vec![]);
-        let answer = ask("  Enter: begin, s: skip, q: quit", "")?;
+        let answer = choose("  Enter: begin, s: skip, q: quit", &["", "s"])?;
+        let before = fs::read_to_string(&walk.rig).unwrap_or_default();
         let outcome = if answer == "s" {
             Outcome::Skipped
         } else {
+            fs::create_dir_all(&walk.folder).with_context(|| walk.folder.display().to_string())?;
+            setup::complete(&walk.rig)?;
             match step.run(walk) {
                 Ok(()) => {}
                 Err(error) if error.is::<Paused>() => {
@@ -246,7 +280,8 @@ fn take(step: Step, walk: &mut Walk, state_file: &Path) -> Result<()> {
         let record = Record { outcome, items: walk.items.clone(), wrote: walk.wrote.clone() };
         walk.state.steps.insert(name.clone(), record);
         walk.state.write(state_file)?;
-        if outcome != Outcome::Failed || ask("  r: repeat this step, Enter: go on", "")? != "r" {
+        let question = "  r: repeat this step, Enter: go on, q: quit";
+        if outcome != Outcome::Failed || choose(question, &["", "r"])? != "r" {
             return Ok(());
         }
     }

@@ -8,12 +8,15 @@ use crate::{
 use anyhow::Result;
 use nalgebra::Vector3;
 use node_kit::outln;
-use rig_calibration::climber::AXES;
+use rig_calibration::{Refinement, climber::AXES};
 use rig_model::topics;
 use volant::parameter_update::{Setting, number};
 
 /// Position of a platform on the floor, m: the origin below it.
 const RESTING: [f64; 3] = [0.0, 0.0, 0.1];
+
+/// Largest coordinate of that position, m: rejects millimeters.
+const LARGEST_POSITION: f64 = 50.0;
 
 /// Item of a jog that has determined the camera's mounting.
 const CORRECTED: &str = "camera mounting corrected";
@@ -38,7 +41,12 @@ pub fn encoders(walk: &mut Walk) -> Result<()> {
         "  Where is the platform's origin in the world while it rests, m? For an origin on the \
          floor below it: 0 0 Z with its height Z above the floor."
     )?;
-    let platform: Vector3<f64> = dialog::numbers("  x y z", RESTING)?.into();
+    let platform: Vector3<f64> = dialog::numbers("  x y z", RESTING, |platform| {
+        let near = platform.iter().all(|x| x.abs() <= LARGEST_POSITION);
+        let [x, y, z] = platform;
+        if near { Ok(()) } else { Err(format!("the position is {x} {y} {z} m: give it in meters")) }
+    })?
+    .into();
     let bag = walk.recording("jog", &MOTION[..4], 60.0)?;
     let found = calibrate::climber::run(&calibrate::climber::Arguments {
         bag: Some(bag),
@@ -110,10 +118,12 @@ pub fn mounting(walk: &mut Walk) -> Result<()> {
         if !mounting || row.name.contains("clock") {
             continue;
         }
-        let text = if row.determined {
-            format!("changed by {:+.3} +- {:.3} {}", row.change, row.deviation, row.unit)
-        } else {
-            "unobservable in this motion: as measured".to_owned()
+        let text = match row.refinement {
+            Refinement::Refined => {
+                format!("changed by {:+.3} +- {:.3} {}", row.change, row.deviation, row.unit)
+            }
+            Refinement::Agrees => "agrees with this motion: as measured".to_owned(),
+            Refinement::Undetermined => "unobservable in this motion: as measured".to_owned(),
         };
         walk.note(&row.name, text)?;
     }

@@ -3,11 +3,11 @@
 use super::{Walk, dialog};
 use crate::{
     calibrate::{self, Output, read_rig},
-    markers,
+    markers, settings,
 };
 use anyhow::{Context, Result};
 use nalgebra::UnitQuaternion;
-use node_kit::outln;
+use node_kit::{files, outln};
 use rig_calibration::allan::Sensor;
 use rig_model::{MarkerColor, topics};
 use ros_parameters::ParameterFile;
@@ -17,21 +17,33 @@ use volant::parameter_update::{Destination, RIG, Setting, list, number, update};
 /// Rig file of a common rig.
 const TEMPLATE: &str = include_str!("../../../../../launch_config/config/rig.yaml");
 
+/// Sides of the squares, mm: those that the rig file accepts.
+const SIDES: std::ops::RangeInclusive<f64> = 5.0..=500.0;
+
 /// The template without what must be measured: the climber's height.
 fn template() -> &'static str {
     TEMPLATE.split_once("/**/climber_driver").map_or(TEMPLATE, |(rig, _)| rig)
 }
 
+/// The text of the rig file, without unknown keys: a misspelled one is not a missing one. Empty
+/// where there is no file yet.
+pub fn read(path: &Path) -> Result<String> {
+    if !path.exists() {
+        return Ok(String::new());
+    }
+    let text = files::read_text(path).with_context(|| path.display().to_string())?;
+    if !text.trim().is_empty() {
+        settings::check_given(path)?;
+    }
+    Ok(text)
+}
+
 /// Creates the rig file, or adds the keys that it lacks with the values of a common rig.
 pub fn complete(path: &Path) -> Result<()> {
     let shown = || path.display().to_string();
-    let text = if path.exists() {
-        node_kit::files::read_text(path).with_context(shown)?
-    } else {
-        String::new()
-    };
+    let text = read(path)?;
     if text.trim().is_empty() {
-        return Ok(node_kit::files::write(path, template().as_bytes(), true)?);
+        return Ok(files::write(path, template().as_bytes(), true)?);
     }
     let present = ParameterFile::parse(&text).with_context(shown)?.for_node(RIG);
     let missing: Vec<Setting> = ParameterFile::parse(template())?
@@ -55,17 +67,21 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
          are yours to choose, z up. Lengths in mm."
     )?;
     let rig = read_rig(&walk.rig)?;
-    let [side] = dialog::numbers("  side", [1e3 * rig.markers.side])?;
+    let [side] = dialog::numbers("  side", [1e3 * rig.markers.side], |[side]| {
+        let remedy = "give it in millimeters, 5 to 500";
+        if SIDES.contains(side) { Ok(()) } else { Err(format!("the side is {side} mm: {remedy}")) }
+    })?;
     set(walk, &[Setting::rig("markers.size", number(side / 1e3, 6))])?;
     let out = walk.file("markers.pdf");
     let (rig_file, page) = (walk.rig.clone(), markers::Page::A4);
     let sheets = markers::Arguments { rig: rig_file, out, overwrite: true, page, camera: None };
     markers::run(&sheets)?;
+    walk.wrote(&sheets.out);
     outln!("  Print at 100 %, measure the bar, mount the squares, and measure their centers.")?;
     let mut settings = vec![];
     for color in MarkerColor::ALL {
         let known = rig.markers.centers[color].coords * 1e3;
-        let center = dialog::numbers(&format!("  {color} x y z"), known.into())?;
+        let center = dialog::numbers(&format!("  {color} x y z"), known.into(), millimeters)?;
         settings.push(Setting::rig(format!("markers.{color}"), list(&center.map(|c| c / 1e3))));
     }
     outln!("  The camera in the climber's frame: x y z of the lens, mm; rotation as quaternion.")?;
@@ -77,6 +93,16 @@ pub fn markers(walk: &mut Walk) -> Result<()> {
     walk.note("diagonal", format!("red - blue {:.1} mm: compare with a tape", 1e3 * (a - b).norm()))
 }
 
+/// Rejects a position that is in meters, or beyond the rig file's limit of 100 m.
+fn millimeters(position: &[f64; 3]) -> Result<(), String> {
+    let largest = position.iter().map(|x| x.abs()).fold(0.0, f64::max);
+    if largest == 0.0 || (1.0..=1e5).contains(&largest) {
+        return Ok(());
+    }
+    let [x, y, z] = position;
+    Err(format!("the position is {x} {y} {z} mm: give it in millimeters"))
+}
+
 fn read_center(settings: &[Setting], color: MarkerColor) -> nalgebra::Vector3<f64> {
     let name = format!("markers.{color}");
     let values = settings.iter().find(|s| s.name == name).and_then(|s| s.value.as_f64_array());
@@ -85,11 +111,15 @@ fn read_center(settings: &[Setting], color: MarkerColor) -> nalgebra::Vector3<f6
 
 /// Asks for a mounting: position (mm) and quaternion.
 fn mounting(name: &str, known: &nalgebra::Isometry3<f64>) -> Result<[Setting; 2]> {
-    let position =
-        dialog::numbers(&format!("  {name} x y z"), (known.translation.vector * 1e3).into())?;
+    let place = (known.translation.vector * 1e3).into();
+    let position = dialog::numbers(&format!("  {name} x y z"), place, millimeters)?;
     let q = known.rotation.coords;
-    let mut orientation =
-        dialog::numbers(&format!("  {name} quaternion x y z w"), [q.x, q.y, q.z, q.w])?;
+    let question = format!("  {name} quaternion x y z w");
+    let mut orientation = dialog::numbers(&question, [q.x, q.y, q.z, q.w], |q| {
+        let length = nalgebra::Vector4::from(*q).norm();
+        let unit = (0.9..1.1).contains(&length);
+        if unit { Ok(()) } else { Err(format!("its length is {length:.3}: a rotation has 1")) }
+    })?;
     let [x, y, z, w] = orientation;
     let unit = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
     orientation.copy_from_slice(unit.coords.as_slice());
@@ -105,9 +135,8 @@ pub fn imu(walk: &mut Walk) -> Result<()> {
         "  Connect the IMU (udev rule: imu_driver/udev/60-volant-imu.rules). imu_driver configures \
          it at its start."
     )?;
-    if dialog::ask("  f: find an Xsens IMU, Enter: its samples are published or recorded", "")?
-        == "f"
-    {
+    let question = "  f: find an Xsens IMU, Enter: its samples are published or recorded";
+    if dialog::choose(question, &["", "f"])? == "f" {
         let found = Command::new(std::env::current_exe()?).args(["imu", "find"]).status();
         let fine = found.is_ok_and(|s| s.success());
         walk.check(fine, "port", "volant imu find: start imu_driver with -p port:=PORT")?;
@@ -143,9 +172,10 @@ pub fn imu(walk: &mut Walk) -> Result<()> {
         bag,
         rig: walk.rig.clone(),
         topic: None,
-        plot: Some(plot),
+        plot: Some(plot.clone()),
         output: Output { out: None, overwrite: true },
     })?;
+    walk.wrote(&plot);
     walk.check(noise.rate > 45.0, "rate", format!("{:.1} Hz", noise.rate))?;
     for sensor in Sensor::ALL {
         let (density, unit) = (noise.density(sensor), sensor.unit());

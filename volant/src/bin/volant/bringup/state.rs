@@ -73,6 +73,9 @@ pub struct State {
     /// Clocks of the camera against the IMU's and of the climber against the camera's, and their
     /// standard deviations, ms.
     pub clocks: Option<[(f64, f64); 2]>,
+    /// The page that was written.
+    #[serde(default)]
+    pub report: Option<PathBuf>,
 }
 
 impl State {
@@ -85,6 +88,11 @@ impl State {
         serde_json::from_str(&text).with_context(|| {
             format!("{}: not the state of a bring-up; move it away to begin again", path.display())
         })
+    }
+
+    /// Outcome of a step; `None` where it was not run.
+    pub fn outcome(&self, step: &str) -> Option<Outcome> {
+        self.steps.get(step).map(|record| record.outcome)
     }
 
     /// Writes the state.

@@ -50,7 +50,7 @@ pub struct Output {
     /// Write this file instead of updating the given one
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Replace the files of --out and --plot where they exist
+    /// Replace existing output files
     #[arg(long)]
     pub overwrite: bool,
 }

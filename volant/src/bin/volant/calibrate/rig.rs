@@ -4,7 +4,7 @@ use super::Output;
 use crate::settings::{self, BagTopics, Settings};
 use anyhow::Result;
 use node_kit::outln;
-use rig_calibration::Estimate;
+use rig_calibration::{Estimate, Refinement};
 use std::path::PathBuf;
 use volant::{
     calibration::{Cores, refine_from_bag},
@@ -37,7 +37,8 @@ pub fn run(arguments: &Arguments) -> Result<Estimate> {
     let namespace = &arguments.topics.namespace;
     let Settings { rig, tracker, climber, .. } = settings::read(&arguments.rig, &[], namespace)?;
     let cores = Cores { tracker, climber, names: arguments.topics.names()? };
-    let held: &[&str] = if arguments.hold_camera { &["camera turn", "camera place"] } else { &[] };
+    let camera: &[&str] = &["camera rotation", "camera position"];
+    let held = if arguments.hold_camera { camera } else { &[] };
     let estimate = refine_from_bag(&arguments.bag, &rig, &cores, held)?;
     print(&estimate)?;
     arguments.output.update(&arguments.rig, &changes(&estimate))?;
@@ -46,26 +47,31 @@ pub fn run(arguments: &Arguments) -> Result<Estimate> {
 
 fn print(estimate: &Estimate) -> Result<()> {
     outln!(
-        "{} images with all four markers ({} rejected as outliers); pixel residual {:.3} -> {:.3} \
-         px RMS; squared residual \
-         per degree of freedom {:.2}",
+        "{} images with all four markers ({} rejected as outliers); pixel residual {:.3} px RMS; \
+         squared residual per degree of freedom {:.2}",
         estimate.images.0,
         estimate.images.1,
-        estimate.pixel_rms.0,
         estimate.pixel_rms.1,
         estimate.reduced
     )?;
-    outln!("{:<30} {:>10} {:>10}", "", "change", "std dev")?;
+    outln!("{:<32} {:>10} {:>10}", "", "change", "std dev")?;
     for row in &estimate.rows {
-        if row.determined {
-            outln!("{:<30} {:>10.3} {:>10.3}  {}", row.name, row.change, row.deviation, row.unit)?;
-        } else {
-            outln!(
-                "{:<30} {:>10} {:>10}  not determined by this motion: as in the rig file",
+        let (change, deviation) = (row.change, row.deviation);
+        match row.refinement {
+            Refinement::Refined => {
+                outln!("{:<32} {change:>10.3} {deviation:>10.3}  {}", row.name, row.unit)?;
+            }
+            Refinement::Agrees => outln!(
+                "{:<32} {change:>10.3} {deviation:>10.3}  {}, agrees: as in the rig file",
+                row.name,
+                row.unit
+            )?,
+            Refinement::Undetermined => outln!(
+                "{:<32} {:>10} {:>10}  not determined by this motion: as in the rig file",
                 row.name,
                 "held",
                 ""
-            )?;
+            )?,
         }
     }
     outln!(
@@ -80,15 +86,15 @@ fn changes(estimate: &Estimate) -> Vec<Setting> {
     let (rig, mut settings) = (&estimate.rig, vec![]);
     let mut set = |parameters: &str, name: String, value: &[f64]| {
         let mut rows = estimate.rows.iter().filter(|r| r.name.starts_with(parameters));
-        if rows.any(|r| r.determined) {
+        if rows.any(|r| r.refinement == Refinement::Refined) {
             settings.push(Setting::rig(name, list(value)));
         }
     };
     for (name, pose) in [("camera", &rig.climber_from_camera), ("imu", &rig.imu.volant_from_imu)] {
         let position = pose.translation.vector;
-        set(&format!("{name} place"), format!("{name}.position"), position.as_slice());
+        set(&format!("{name} position"), format!("{name}.position"), position.as_slice());
         let orientation = pose.rotation.coords;
-        set(&format!("{name} turn"), format!("{name}.orientation"), orientation.as_slice());
+        set(&format!("{name} rotation"), format!("{name}.orientation"), orientation.as_slice());
     }
     for (color, center) in rig.markers.centers.iter() {
         set(&format!("marker {color}"), format!("markers.{color}"), center.coords.as_slice());
