@@ -198,6 +198,14 @@ impl Fusion {
         }
     }
 
+    /// Whether the initialization waits for a topic without a usable message.
+    pub fn waits_for_messages(&self) -> bool {
+        match &self.estimator {
+            Estimator::TightlyCoupled(filter) => !filter.absent().is_empty(),
+            Estimator::Paper(_) => false,
+        }
+    }
+
     /// Returns the status at `now` where no input has come for `silence` seconds.
     pub fn silent_status(&self, now: Stamp, silence: f64) -> PoseStatus {
         let status = self.status();

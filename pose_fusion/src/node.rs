@@ -1,6 +1,9 @@
 //! Node: markers, IMU samples and the climber's transform in; odometry, poses, status, tf, marker
 //! records and diagnostics out.
 
+mod diagnostics;
+mod rejections;
+
 use crate::{
     Fusion, Input, Model, Output, PoseStatus, RigCheck, Warning, messages,
     parameters::FusionParameters,
@@ -11,6 +14,7 @@ use node_kit::{
     node::{CameraChanges, Health, IfChanged, NodeContext, NodeError, NodeShell, Publisher},
     qos::QosPreset,
 };
+use rejections::Rejections;
 use rig_model::{Frames, Stamp, topics};
 use std::{sync::Arc, time::Duration};
 use volant_msgs::{
@@ -45,45 +49,10 @@ pub struct FusionNode {
     publishers: Publishers,
     gated_before: u64,
     images_before: u64,
-    camera_rejected: Option<String>,
     rejections: Rejections,
     rig_check: RigCheck,
     /// Periods since the estimator's newest status.
     quiet: u32,
-}
-
-/// Inputs that were rejected since the last tick, and why the newest was.
-#[derive(Debug, Default)]
-struct Rejections {
-    count: u64,
-    newest: String,
-}
-
-impl Rejections {
-    fn note(&mut self, warning: &Warning) {
-        if matches!(
-            warning,
-            Warning::Ahead { .. }
-                | Warning::TooOld { .. }
-                | Warning::NotFinite { .. }
-                | Warning::NoStamp { .. }
-        ) {
-            self.count += 1;
-            self.newest = warning.to_string();
-        }
-    }
-
-    /// Adds them to the state of the last second.
-    fn report(&mut self, health: Health, message: String) -> (Health, String) {
-        let Self { count, newest } = std::mem::take(self);
-        if count == 0 {
-            return (health, message);
-        }
-        let report = format!(
-            "{message}; {count} inputs of the last second were rejected, the newest: {newest}"
-        );
-        (health.max(Health::Warn), report)
-    }
 }
 
 /// Input of the node.
@@ -149,7 +118,7 @@ impl NodeShell for FusionNode {
             QosPreset::Measurement,
             |m: Arc<MarkerObservations>| match convert::marker_observations(&m) {
                 Ok(markers) => input(Input::Markers(markers)),
-                Err(error) => Some(Event::Rejected(format!("climber/markers: {error}"))),
+                Err(error) => Some(Event::Rejected(error.to_string())),
             },
         )?;
         let names = frames.clone();
@@ -158,7 +127,7 @@ impl NodeShell for FusionNode {
             QosPreset::Measurement,
             move |m: Arc<TransformStamped>| match convert::climber_sample(&m, &names) {
                 Ok(sample) => input(Input::Climber(sample)),
-                Err(error) => Some(Event::Rejected(format!("climber/transform: {error}"))),
+                Err(error) => Some(Event::Rejected(error.to_string())),
             },
         )?;
         let cameras = CameraChanges::default();
@@ -180,7 +149,6 @@ impl NodeShell for FusionNode {
             publishers,
             gated_before: 0,
             images_before: 0,
-            camera_rejected: None,
             rejections: Rejections::default(),
             rig_check: RigCheck::default(),
             quiet: 0,
@@ -191,13 +159,13 @@ impl NodeShell for FusionNode {
         match event {
             Event::Input(input) => {
                 if matches!(*input, Input::Camera(_)) {
-                    self.camera_rejected = None;
+                    self.rejections.camera = None;
                 }
                 self.fusion.handle(*input);
             }
             Event::StatusDue => {
                 self.quiet = self.quiet.saturating_add(1);
-                let (now, missing) = (context.now(), self.fusion.missing());
+                let (now, missing) = (context.now(), self.missing());
                 let status = if !missing.is_empty() {
                     PoseStatus::initializing(now, missing)
                 } else if self.silence() > ENDED + 2.0 * self.period() {
@@ -216,9 +184,7 @@ impl NodeShell for FusionNode {
             }
             Event::Rejected(why) => {
                 context.log_throttled(Level::Warn, "rejected", &why);
-                if why.starts_with("camera_info") {
-                    self.camera_rejected = Some(why);
-                }
+                self.rejections.note_message(why);
             }
         }
         while let Some(output) = self.fusion.poll() {
@@ -237,12 +203,14 @@ impl NodeShell for FusionNode {
         let starved = s.counts.inputs.images == self.images_before;
         self.images_before = s.counts.inputs.images;
         let limit = self.parameters.silence_timeout;
-        let (health, message) = if let Some(why) = &self.camera_rejected {
+        self.rejections.end_second();
+        let (health, message) = if let Some(why) = &self.rejections.camera {
             (Health::Error, why.clone())
         } else if !s.initialized {
-            (Health::Warn, format!("not initialized: {}", self.fusion.missing()))
+            (Health::Warn, format!("not initialized: {}", self.missing()))
         } else if imu_age > limit {
-            (Health::Error, format!("no IMU sample for {imu_age:.1} s"))
+            let why = self.rejections.unusable().map(str::to_owned);
+            (Health::Error, why.unwrap_or_else(|| no_imu(imu_age)))
         } else if self.silence() > limit + 2.0 * self.period() {
             // With simulated time no age grows once the clock has ended, too.
             (Health::Error, format!("no input for {:.1} s", self.silence()))
@@ -279,14 +247,19 @@ impl NodeShell for FusionNode {
             };
             (Health::Ok, what.to_owned())
         };
-        // Without IMU samples everything else is ahead of them, which is no fault of the clocks.
-        if imu_age > limit {
-            self.rejections = Rejections::default();
-        }
-        let (health, message) = self.rejections.report(health, message);
+        // Without a pose, a rejection is the message. Without IMU samples everything else is ahead of
+        // them, which is no fault of the clocks.
+        let (health, message) = if !s.initialized || imu_age > limit {
+            self.rejections.drop_report();
+            (health, message)
+        } else {
+            self.rejections.report(health, message)
+        };
         context.diagnose("filter", health, &message, &diagnostics::values(&s));
         if self.parameters.core.model == Model::Tight {
-            let findings = self.rig_check.findings(&s);
+            // Markers are not used either while other inputs are missing.
+            let starved = !s.initialized && self.fusion.waits_for_messages();
+            let findings = if starved { vec![] } else { self.rig_check.findings(&s) };
             let (health, message) = if findings.is_empty() {
                 (Health::Ok, "nothing contradicts the rig file".to_owned())
             } else {
@@ -301,7 +274,25 @@ impl NodeShell for FusionNode {
     }
 }
 
+/// Describes an IMU that is silent for `age` seconds, or has never been received.
+fn no_imu(age: f64) -> String {
+    if age.is_finite() {
+        format!("no IMU sample for {age:.1} s")
+    } else {
+        format!("no message on {}", topics::IMU)
+    }
+}
+
 impl FusionNode {
+    /// What the filter waits for, or why its inputs are rejected; empty where there is a pose.
+    fn missing(&self) -> String {
+        let missing = self.fusion.missing();
+        match self.rejections.camera.as_deref().or_else(|| self.rejections.unusable()) {
+            Some(why) if !missing.is_empty() => why.to_owned(),
+            _ => missing,
+        }
+    }
+
     /// Time between two odometry messages of a limited rate, s.
     fn period(&self) -> f64 {
         let rate = self.parameters.core.publish_rate;
@@ -363,58 +354,5 @@ impl FusionNode {
                 context.log_throttled(level, warning.kind(), warning.to_string());
             }
         }
-    }
-}
-
-/// Values of the diagnostics.
-mod diagnostics {
-    use crate::Status;
-
-    /// Returns counters and insights by name.
-    pub fn values(s: &Status) -> Vec<(&'static str, String)> {
-        let c = &s.counts;
-        let (inputs, rejected, resets) = (&c.inputs, &c.rejected, &c.resets);
-        let rope = s.rope.map_or("none".to_owned(), |r| {
-            format!("{:.4} +- {:.4}", r.length, (r.length_variance + r.stretch_variance).sqrt())
-        });
-        let side_force =
-            s.rope.map_or("none".to_owned(), |r| format!("{:.3}", r.side_variance.sqrt()));
-        let offset =
-            format!("{:.2} +- {:.2}", s.time_offset.offset * 1e3, s.time_offset.sigma * 1e3);
-        let three = |first: usize, factor: f64| {
-            let c = &s.constants;
-            let [x, y, z] = [0, 1, 2].map(|k| factor * c[first + k]);
-            format!("{x:.2} {y:.2} {z:.2}")
-        };
-        vec![
-            ("position sigma (m)", format!("{:.5}", s.position_sigma)),
-            ("markers used", c.used_markers.to_string()),
-            ("markers rejected", c.gated_markers.to_string()),
-            ("shocks", resets.shocks.to_string()),
-            ("reinitializations from contradicting markers", resets.recoveries.to_string()),
-            ("reinitializations from unsound states", resets.divergences.to_string()),
-            ("encoder readings excluded", c.excluded_readings.to_string()),
-            ("encoder steps adopted", resets.encoder_steps.to_string()),
-            ("IMU samples rejected", rejected.imu.to_string()),
-            ("IMU samples late", inputs.late_imu.to_string()),
-            ("IMU gaps", inputs.imu_gaps.to_string()),
-            ("images rejected", rejected.images.to_string()),
-            ("climber samples rejected", rejected.climber.to_string()),
-            ("duplicates", inputs.duplicates.to_string()),
-            ("history overflows", inputs.overflows.to_string()),
-            ("jumps of time", resets.time_jumps.to_string()),
-            ("camera time offset (ms)", offset),
-            ("camera time offset known", (!s.time_offset.searching).to_string()),
-            ("accelerometer noise density", format!("{:.5}", s.densities.force.sqrt())),
-            ("gyroscope noise density", format!("{:.6}", s.densities.rate.sqrt())),
-            ("gyroscope scale factors (%)", three(0, 100.0)),
-            ("accelerometer scale factors (%)", three(3, 100.0)),
-            ("gyroscope misalignment (deg)", three(6, 1f64.to_degrees())),
-            ("accelerometer misalignment (deg)", three(9, 1f64.to_degrees())),
-            ("largest offset of a marker (mm)", format!("{:.2}", 1e3 * s.marker_offset())),
-            ("pixel noise factor", format!("{:.2}", s.pixel_noise_factor)),
-            ("rope (m)", rope),
-            ("force across the rope (m/s^2)", side_force),
-        ]
     }
 }

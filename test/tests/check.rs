@@ -17,11 +17,12 @@ use volant_test::{
 };
 
 /// Faults of the short form; `make checks` has all of them, on recordings too.
-const KINDS: [&str; 12] = [
+const KINDS: [&str; 13] = [
     "camera tilt 2°",
     "camera yaw 180°",
     "focal length +20 %",
     "distortion zeroed",
+    "layout in cm",
     "red and green swapped",
     "IMU quaternion as w, x, y, z",
     "accelerometer negated",

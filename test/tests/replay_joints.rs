@@ -144,6 +144,46 @@ fn a_check_names_a_reversed_joint_of_the_parameter_file() {
     }
 }
 
+/// Scales the quaternion.
+fn scale(message: &mut TransformStamped, factor: f64) {
+    let q = &mut message.transform.rotation;
+    for value in [&mut q.x, &mut q.y, &mut q.z, &mut q.w] {
+        *value *= factor;
+    }
+}
+
+/// `volant check` and `volant replay` name why a climber transform cannot be used.
+#[test]
+fn rejected_transforms_are_named_by_check_and_replay() {
+    let dir = TempDir::new().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    let scenario = Scenario::swing(7, 6.0).unwrap();
+    fs::write(path("rig.yaml"), &scenario.rig_yaml).unwrap();
+    let rig = path("rig.yaml");
+    let wrong: [(&str, fn(&mut TransformStamped), &str); 3] = [
+        ("parent", |m| m.header.frame_id = "map".into(), "the frames are `map` and `climber`"),
+        ("child", |m| m.child_frame_id = "base_link".into(), "the frames are `world` and `base"),
+        ("zero", |m| scale(m, 0.0), "a quaternion of length 0 is no"),
+    ];
+    for (name, change, said) in wrong {
+        let bag = path(&format!("{name}.mcap"));
+        from_sensors(&bag, &scenario, topics::absolute::CLIMBER_TRANSFORM, |sample| {
+            let mut message = convert::climber_message(sample, &scenario.rig.frames);
+            change(&mut message);
+            message
+        })
+        .unwrap();
+        let mut check = Command::new(executables().join("volant"));
+        check.arg("check").arg(&bag).arg("--rig").arg(&rig);
+        for output in [replay(&bag, &path("out.mcap"), &rig, &[]), check.output().unwrap()] {
+            let printed = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.code(), Some(1), "{printed}");
+            assert!(printed.contains(said), "{printed}");
+            assert!(!printed.contains("no message on"), "{printed}");
+        }
+    }
+}
+
 fn messages(path: &Path) -> Vec<Vec<u8>> {
     let mut bag = BagReader::open(path).unwrap();
     std::iter::from_fn(|| bag.next_message().unwrap())

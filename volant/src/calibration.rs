@@ -108,7 +108,7 @@ fn read(path: &Path, rig: &Rig, cores: &Cores, motion: bool) -> Result<Samples> 
     let mut feed = Feed::start(path, images, wanted, workers())?;
     let mut tracker = Tracker::new(rig.markers.clone(), cores.tracker.clone());
     let (mut camera, mut markers) = (None, vec![]);
-    let (mut imu, mut climber) = (vec![], vec![]);
+    let (mut imu, mut climber, mut rejected) = (vec![], vec![], vec![]);
     while let Some(fed) = feed.take()? {
         match fed {
             Fed::Image(Ok((stamp, image))) => tracker.handle(Input::Image(image.view(stamp))),
@@ -128,7 +128,10 @@ fn read(path: &Path, rig: &Rig, cores: &Cores, motion: bool) -> Result<Samples> 
                     imu.push(convert::imu_sample(&cdr::from_bytes(data).with_context(what)?));
                 } else if kind == geometry_msgs::msg::TransformStamped::TYPE_NAME {
                     let transform = cdr::from_bytes(data).with_context(what)?;
-                    climber.extend(convert::climber_sample(&transform, &rig.frames));
+                    match convert::climber_sample(&transform, &rig.frames) {
+                        Ok(sample) => climber.push(sample),
+                        Err(error) => rejected.push(error),
+                    }
                 } else if let Some(driver) = &mut driver
                     && kind == msg::JointState::TYPE_NAME
                 {
@@ -148,6 +151,12 @@ fn read(path: &Path, rig: &Rig, cores: &Cores, motion: bool) -> Result<Samples> 
             }
         }
         collect(&mut tracker, &mut markers);
+    }
+    if let Some(error) = rejected.first()
+        && rejected.len() > climber.len()
+    {
+        let all = rejected.len() + climber.len();
+        bail!("{shown}: {} of {all} climber transforms are rejected: {error}", rejected.len());
     }
     let camera = camera.with_context(|| {
         let topic = cores.names.resolve(topics::CAMERA_INFO);

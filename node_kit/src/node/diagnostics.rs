@@ -4,6 +4,7 @@
 use super::{
     endpoints::Endpoints,
     error::NodeError,
+    graph::without_conflicts,
     intra_process::TopicState,
     publisher::{Publisher, Rate},
 };
@@ -153,15 +154,15 @@ impl Diagnostics {
                 values.push(pair(format!("{name} rate [Hz]"), format!("{rate:.1}")));
                 values.push(pair(format!("{name} received"), received));
                 values.push(pair(format!("{name} dropped"), dropped));
-                values.push(pair(format!("{name} refused"), refused));
-                values.push(pair(format!("{name} lost on the way"), lost));
+                values.push(pair(format!("{name} rejected"), refused));
+                values.push(pair(format!("{name} lost in transport"), lost));
             }
             let counts = (dropped, refused, lost);
             let previous = self.previous.insert(name.clone(), counts).unwrap_or_default();
             for (what, now, previous) in [
                 ("dropped", dropped, previous.0),
-                ("refused", refused, previous.1),
-                ("lost", lost, previous.2),
+                ("rejected", refused, previous.1),
+                ("lost in transport", lost, previous.2),
             ] {
                 if now > previous {
                     trouble.push(format!("{} {what} on {name}", now - previous));
@@ -207,11 +208,7 @@ impl Diagnostics {
         }
         self.conflicts.clone_from(&conflicts);
         let (health, message) = if conflicts.is_empty() {
-            (
-                Health::Ok,
-                "no other node has its name, and each topic that it receives has one publisher"
-                    .to_owned(),
-            )
+            (Health::Ok, without_conflicts(&topics))
         } else {
             (Health::Warn, conflicts)
         };

@@ -224,6 +224,23 @@ impl Graph {
     }
 }
 
+/// Describes a graph without conflicts; each topic with whether messages are expected on it.
+pub(crate) fn without_conflicts(topics: &[(String, &TopicState, bool)]) -> String {
+    let is_silent = |state: &TopicState| {
+        state.own_writers.read().is_empty() && state.remote_writers.read().is_empty()
+    };
+    let silent: Vec<&str> = topics
+        .iter()
+        .filter(|(_, state, expected)| *expected && is_silent(state))
+        .map(|(name, ..)| name.as_str())
+        .collect();
+    if silent.is_empty() {
+        "no other node has its name, and each topic that it receives has one publisher".to_owned()
+    } else {
+        format!("no other node has its name; no publisher on {}", silent.join(", "))
+    }
+}
+
 fn prefix(gid: &[u8; 16]) -> Prefix {
     std::array::from_fn(|i| gid[i])
 }
@@ -283,6 +300,17 @@ mod tests {
             assert_eq!(text.is_some(), count.is_some(), "{writers:?}: {text:?}");
             assert!(starts.is_none_or(|starts| text.unwrap().starts_with(&starts)), "{writers:?}");
         }
+    }
+
+    #[test]
+    fn a_topic_without_a_publisher_is_named() {
+        let (with, without) = (topic(&[(gid(1, 1), None)]), topic(&[]));
+        let of = |name: &str, state, expected| (name.to_owned(), state, expected);
+        let imu = of("/imu", &with, true);
+        let text = without_conflicts(&[imu.clone(), of("/image", &without, true)]);
+        assert_eq!(text, "no other node has its name; no publisher on /image");
+        let text = without_conflicts(&[imu, of("/clock", &without, false)]);
+        assert!(text.ends_with("each topic that it receives has one publisher"), "{text}");
     }
 
     #[test]

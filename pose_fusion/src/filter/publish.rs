@@ -287,15 +287,17 @@ impl Filter {
         }
     }
 
+    /// Returns the topics without a usable message, which the initialization waits for.
+    pub fn absent(&self) -> Vec<&'static str> {
+        let camera = self.setup.geometry.is_none().then_some(topics::CAMERA_INFO);
+        let imu = self.arrival.newest_imu().is_none().then_some(topics::IMU);
+        let climber = self.climber.newest().is_none().then_some(topics::CLIMBER_TRANSFORM);
+        [camera, imu, climber].into_iter().flatten().collect()
+    }
+
     /// Returns what the initialization waits for.
     pub fn missing(&self) -> String {
-        let missing = [
-            (topics::CAMERA_INFO, self.setup.geometry.is_none()),
-            (topics::IMU, self.arrival.newest_imu().is_none()),
-            (topics::CLIMBER_TRANSFORM, self.climber.newest().is_none()),
-        ];
-        let missing: Vec<&str> =
-            missing.into_iter().filter(|(_, absent)| *absent).map(|(name, _)| name).collect();
+        let missing = self.absent();
         if let (true, Some(force)) = (missing.is_empty(), self.start.wrong_gravity) {
             format!(
                 "{}: linear_acceleration is {force:.2} m/s^2 upward on average, not {:.2}: its \

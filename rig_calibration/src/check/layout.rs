@@ -167,9 +167,15 @@ fn units(state: &mut Corrected) {
         1e-3 => "in millimeters instead of meters",
         _ => "too small by a factor of 100 or 1000",
     };
-    for (key, value, limits) in
-        [("markers.positions", reach, REACH), ("markers.size", layout.side, SIDE)]
-    {
+    for (key, what, value, limits) in [
+        (
+            "markers.red",
+            "markers.red, markers.green, markers.blue and markers.yellow are",
+            reach,
+            REACH,
+        ),
+        ("markers.size", "markers.size is", layout.side, SIDE),
+    ] {
         let Some(factor) = factor(value, limits).filter(|f| *f != 1.0) else { continue };
         if key == "markers.size" {
             layout.side *= factor;
@@ -178,7 +184,7 @@ fn units(state: &mut Corrected) {
         }
         state.findings.push(Finding::wrong(
             key,
-            format!("{key} is {}: {value:.3} as a length in m is impossible", unit(factor)),
+            format!("{what} {}: {value:.3} as a length in m is impossible", unit(factor)),
             "write the marker positions and their size in meters".to_owned(),
         ));
     }

@@ -23,19 +23,38 @@ pub(crate) fn examine(samples: &Samples) -> Vec<Finding> {
         .map(|s| (s.stamp, s.world_from_climber.translation.vector))
         .collect();
     let images: Vec<_> = samples.markers.iter().map(|m| (m.stamp, Vector3::zeros())).collect();
-    let topics = [
-        (topics::IMU, &imu),
-        (topics::CLIMBER_TRANSFORM, &climber),
-        (topics::COMPRESSED_IMAGE, &images),
+    let mut topics = [
+        (topics::IMU, imu),
+        (topics::CLIMBER_TRANSFORM, climber),
+        (topics::COMPRESSED_IMAGE, images),
     ];
     let mut found: Vec<Finding> =
-        topics.iter().flat_map(|(topic, readings)| of_topic(topic, readings)).collect();
-    found.extend(disjoint(&imu, &images));
+        topics.iter_mut().filter_map(|(topic, readings)| unset(topic, readings)).collect();
+    found.extend(topics.iter().flat_map(|(topic, readings)| of_topic(topic, readings)));
+    let [(_, imu), _, (_, images)] = &topics;
+    found.extend(disjoint(imu, images));
     found
 }
 
-/// Sorts each topic by its stamps and removes repeated ones.
+/// Removes the readings without a stamp, which the filter rejects.
+fn unset(topic: &str, readings: &mut Vec<(Stamp, Vector3<f64>)>) -> Option<Finding> {
+    let all = readings.len();
+    readings.retain(|(stamp, _)| !stamp.is_unset());
+    let count = all - readings.len();
+    (count > 0).then(|| Finding {
+        key: topic.to_owned(),
+        verdict: Verdict::Wrong,
+        text: format!("the stamps of {count} of {all} messages on {topic} are zero"),
+        remedy: "set header.stamp in its publisher".to_owned(),
+        blocks: 2 * count > all,
+    })
+}
+
+/// Sorts each topic by its stamps and removes repeated and zero ones.
 pub(crate) fn repair(samples: &mut Samples) {
+    samples.imu.retain(|s| !s.stamp.is_unset());
+    samples.climber.retain(|s| !s.stamp.is_unset());
+    samples.markers.retain(|s| !s.stamp.is_unset());
     samples.imu.sort_by_key(|s| s.stamp);
     samples.imu.dedup_by_key(|s| s.stamp);
     samples.climber.sort_by_key(|s| s.stamp);
@@ -114,6 +133,7 @@ fn disjoint(imu: &[(Stamp, Vector3<f64>)], images: &[(Stamp, Vector3<f64>)]) -> 
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test")]
 mod tests {
     use super::*;
 
@@ -132,6 +152,17 @@ mod tests {
         let two = readings(100, |i| i as f64 * 1e-3 + if i % 2 == 0 { 0.0 } else { 2.0 });
         let found = of_topic("t", &two);
         assert!(found[0].text.contains("contradict") && found[0].blocks, "{found:?}");
+    }
+
+    #[test]
+    fn zero_stamps_are_named_as_such() {
+        let mut all: Vec<_> = readings(100, |i| i as f64 * 1e-3);
+        all.iter_mut().for_each(|r| r.0 = r.0.plus_seconds(1.0));
+        assert!(unset("t", &mut all.clone()).is_none());
+        all[1..].iter_mut().for_each(|r| r.0 = Stamp::default());
+        let found = unset("t", &mut all).unwrap();
+        assert_eq!(found.text, "the stamps of 99 of 100 messages on t are zero");
+        assert!(found.blocks && all.len() == 1);
     }
 
     #[test]

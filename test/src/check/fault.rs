@@ -78,7 +78,7 @@ pub const FAULTS: &[Fault] = &[
     ),
     or(seen("layout × 1.01", |r| P::Layout(0.01).apply(r), SCALE), SCALE),
     seen("layout × 1.1", |r| P::Layout(0.1).apply(r), SCALE),
-    seen("layout in cm", |r| P::Layout(99.0).apply(r), &["markers.positions", "markers.size"]),
+    seen("layout in cm", |r| P::Layout(99.0).apply(r), &["markers.red", "markers.size"]),
     seen("red marker 20 cm off", |r| r.rig.markers.centers.0[0].x += 0.2, &["markers.red"]),
     seen("red and green swapped", |r| r.rig.markers.centers.0.swap(0, 1), &["markers.red"]),
     seen(

@@ -78,20 +78,15 @@ pub enum ReplayError {
     /// A bag is not readable or writable.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// A required topic has no message.
-    #[error("{}: no message on {topic} ({type_name}){hint}; record it, or name it with --remap \
-             {name}:=OTHER", path.display())]
+    /// A required topic, or each of its alternatives, has no message.
+    #[error("{}: no message on {topics}; {remedy}", path.display())]
     MissingTopic {
         /// Bag to replay.
         path: PathBuf,
-        /// Name of the topic after remapping.
-        topic: String,
-        /// Its name before remapping.
-        name: &'static str,
-        /// Its type.
-        type_name: &'static str,
-        /// Hint to a topic of that type in the bag.
-        hint: String,
+        /// Names of the topics after remapping, with their types.
+        topics: String,
+        /// What to do: the namespace or the remap with which the bag has one of them.
+        remedy: String,
     },
     /// A topic has another type.
     #[error("{}: {topic} is {found}, expected {expected}; name the right topic with \
@@ -197,25 +192,19 @@ pub fn replay(
 }
 
 fn why_silent(pipeline: &Pipeline, losses: &[String]) -> String {
-    let counts = &pipeline.counts;
-    let findings = pipeline.findings();
-    let warnings: Vec<&str> = counts
-        .warnings
-        .values()
-        .map(|(_, s)| s.as_str())
-        .chain(losses.iter().chain(&findings).map(String::as_str))
-        .collect();
-    let suffix =
-        if warnings.is_empty() { String::new() } else { format!("; {}", warnings.join("; ")) };
+    let (counts, missing) = (&pipeline.counts, pipeline.missing());
+    if let Some((count, sentence)) = pipeline.rejected_input() {
+        let times = if *count > 1 { format!(" ({count} times)") } else { String::new() };
+        return format!("{sentence}{times}");
+    }
+    let cause = losses.first().cloned().or_else(|| pipeline.findings().into_iter().next());
+    if let Some(cause) = cause {
+        return format!("{missing}; {cause}");
+    }
     format!(
-        "{}; {} markers measured in {} images, {} IMU samples, {} climber transforms{suffix}; \
-         check the camera's view, \
-         the markers in the rig file and the stamps",
-        pipeline.missing(),
-        counts.detected,
-        counts.markers,
-        counts.imu,
-        counts.climber
+        "{missing}; {} markers measured in {} images, {} IMU samples, {} climber transforms; \
+         check the camera's view, the markers in the rig file and the stamps",
+        counts.detected, counts.markers, counts.imu, counts.climber
     )
 }
 
@@ -264,28 +253,13 @@ impl Plan {
                 }
                 Ok(Some(topic))
             };
-        let missing = |name: &'static str, type_name: &'static str| {
-            let others: Vec<&str> = bag
-                .topics
-                .iter()
-                .filter(|(t, count)| t.type_name == type_name && *count > 0)
-                .map(|(t, _)| t.name.as_str())
-                .collect();
-            let hint = if others.is_empty() {
-                String::new()
-            } else {
-                format!("; the bag has {}", others.join(", "))
-            };
-            ReplayError::MissingTopic {
-                path: path.to_owned(),
-                topic: names.resolve(name),
-                name,
-                type_name,
-                hint,
-            }
+        let missing = |wanted: &[(&'static str, &'static str)]| ReplayError::MissingTopic {
+            path: path.to_owned(),
+            topics: names.list(wanted),
+            remedy: names.remedy(bag, wanted),
         };
         let need = |name: &'static str, type_name: &'static str| {
-            find(name, type_name)?.ok_or_else(|| missing(name, type_name))
+            find(name, type_name)?.ok_or_else(|| missing(&[(name, type_name)]))
         };
         let raw = find(topics::IMAGE, sensor_msgs::msg::Image::TYPE_NAME)?.map(ImageTopic::Raw);
         let images = match raw {
@@ -298,10 +272,11 @@ impl Plan {
             None => match find(topics::MARKERS, msg::MarkerObservations::TYPE_NAME)? {
                 Some(markers) => Some(markers),
                 None => {
-                    return Err(missing(
-                        topics::COMPRESSED_IMAGE,
-                        sensor_msgs::msg::CompressedImage::TYPE_NAME,
-                    ));
+                    return Err(missing(&[
+                        (topics::IMAGE, sensor_msgs::msg::Image::TYPE_NAME),
+                        (topics::COMPRESSED_IMAGE, sensor_msgs::msg::CompressedImage::TYPE_NAME),
+                        (topics::MARKERS, msg::MarkerObservations::TYPE_NAME),
+                    ]));
                 }
             },
         };
@@ -312,7 +287,12 @@ impl Plan {
             Some(transform) => ClimberTopic::Transform(transform),
             None => match find(topics::JOINT_STATES, joints)? {
                 Some(joints) => ClimberTopic::Joints(joints),
-                None => return Err(missing(topics::CLIMBER_TRANSFORM, transform)),
+                None => {
+                    return Err(missing(&[
+                        (topics::CLIMBER_TRANSFORM, transform),
+                        (topics::JOINT_STATES, joints),
+                    ]));
+                }
             },
         };
         Ok(Self {

@@ -133,6 +133,30 @@ impl Pipeline {
         self.fusion.missing()
     }
 
+    /// The warning about an input of which the filter has not received a single usable message: how
+    /// often, and the first one.
+    pub(super) fn rejected_input(&self) -> Option<&(u64, String)> {
+        let counts = &self.counts;
+        let warning = |kind: &str| counts.warnings.get(kind);
+        let no_markers = counts.markers == 0;
+        let unstamped = warning("filter NoStamp").map_or(0, |(count, _)| *count);
+        let least = counts.markers.min(counts.imu).min(counts.climber);
+        [
+            ("camera_info", self.camera.is_none()),
+            (topics::CLIMBER_TRANSFORM, counts.climber == 0),
+            (topics::MARKERS, no_markers),
+            ("image", no_markers),
+            ("filter NoStamp", unstamped >= least),
+        ]
+        .into_iter()
+        .find_map(|(kind, unusable)| warning(kind).filter(|_| unusable))
+        .or_else(|| {
+            // Undecodable messages are counted by their topic.
+            let undecodable = |kind: &str| kind.starts_with('/') && !kind.contains(' ');
+            counts.warnings.iter().find(|(kind, _)| undecodable(kind)).map(|(_, warning)| warning)
+        })
+    }
+
     /// Handles an IMU sample.
     pub(super) fn imu(&mut self, message: &sensor::Imu) -> Result<(), BagError> {
         let sample = convert::imu_sample(message);

@@ -104,6 +104,47 @@ impl TopicNames {
         Ok(None)
     }
 
+    /// Lists topics by absolute name and type, where all or one of them are missing.
+    pub(super) fn list(&self, wanted: &[(&'static str, &'static str)]) -> String {
+        let all: Vec<String> =
+            wanted.iter().map(|(name, kind)| format!("{} ({kind})", self.resolve(name))).collect();
+        all.join(" or ")
+    }
+
+    /// Returns what to do where a bag has none of the topics `wanted`, by relative name and type:
+    /// give the namespace in which it has one, rename a topic of that type, or record it.
+    pub(super) fn remedy(
+        &self,
+        bag: &BagSummary,
+        wanted: &[(&'static str, &'static str)],
+    ) -> String {
+        let of = |kind: &str| {
+            let topics = bag.topics.iter().filter(|(t, n)| *n > 0 && t.type_name == kind);
+            topics.map(|(t, _)| t.name.as_str()).collect::<Vec<_>>()
+        };
+        let namespaces = wanted.iter().flat_map(|(name, kind)| {
+            let suffix = format!("/{name}");
+            of(kind)
+                .into_iter()
+                .filter_map(move |topic| Some((topic, topic.strip_suffix(&suffix)?.to_owned())))
+        });
+        if let Some((topic, namespace)) = namespaces.into_iter().next() {
+            let namespace = if namespace.is_empty() { "/" } else { &namespace };
+            return format!("the bag has {topic}: give --namespace {namespace}");
+        }
+        let renamed = wanted.iter().find_map(|(name, kind)| {
+            let found = of(kind);
+            (!found.is_empty()).then(|| {
+                let found = found.join(", ");
+                format!("the bag has {found}: name the right topic with --remap {name}:=TOPIC")
+            })
+        });
+        renamed.unwrap_or_else(|| match wanted.len() {
+            1 => "record it".to_owned(),
+            _ => "record one of them".to_owned(),
+        })
+    }
+
     fn absolute(&self, name: &str) -> String {
         if name.starts_with('/') {
             name.to_owned()
@@ -119,6 +160,17 @@ impl TopicNames {
 mod tests {
     use super::*;
 
+    fn topic(name: &str, kind: &str) -> bag::Topic {
+        bag::Topic {
+            name: name.to_owned(),
+            type_name: kind.to_owned(),
+            definition: String::new(),
+            message_encoding: "cdr".to_owned(),
+            type_hash: String::new(),
+            offered_qos_profiles: String::new(),
+        }
+    }
+
     #[test]
     fn namespaces_and_remaps_move_relative_names_only() {
         let names = TopicNames::new("/rig1/", &["climber/transform:=/crane".into()]).unwrap();
@@ -130,21 +182,34 @@ mod tests {
     }
 
     #[test]
+    fn the_remedy_names_the_namespace_or_the_remap() {
+        let wanted = [("camera/image_raw", "Image"), ("climber/markers", "Markers")];
+        let remedy = |topics: &[(&str, &str)]| {
+            let topics = topics.iter().map(|(name, kind)| (topic(name, kind), 9)).collect();
+            let bag = BagSummary { topics, ..BagSummary::default() };
+            TopicNames::default().remedy(&bag, &wanted)
+        };
+        assert_eq!(
+            remedy(&[("/other", "Image"), ("/rig1/climber/markers", "Markers")]),
+            "the bag has /rig1/climber/markers: give --namespace /rig1"
+        );
+        assert_eq!(
+            remedy(&[("/spots", "Markers"), ("/tf", "Tf")]),
+            "the bag has /spots: name the right topic with --remap climber/markers:=TOPIC"
+        );
+        assert_eq!(remedy(&[("/tf", "Tf")]), "record one of them");
+        assert_eq!(
+            TopicNames::default().list(&wanted),
+            "/camera/image_raw (Image) or /climber/markers (Markers)"
+        );
+    }
+
+    #[test]
     fn a_topic_of_another_name_is_chosen_only_where_there_is_one() {
         let bag = |topics: &[(&str, &str, u64)]| BagSummary {
             topics: topics.iter().map(|(name, kind, count)| (topic(name, kind), *count)).collect(),
             ..BagSummary::default()
         };
-        fn topic(name: &str, kind: &str) -> bag::Topic {
-            bag::Topic {
-                name: name.to_owned(),
-                type_name: kind.to_owned(),
-                definition: String::new(),
-                message_encoding: "cdr".to_owned(),
-                type_hash: String::new(),
-                offered_qos_profiles: String::new(),
-            }
-        }
         let alternatives = [("camera/image_raw", "Image"), ("camera/compressed", "Compressed")];
         let choose = |names: &TopicNames, topics: &[(&str, &str, u64)]| {
             names.choose(&bag(topics), &alternatives)

@@ -220,7 +220,7 @@ fn inputs(status: &DiagnosticStatus) -> Vec<InputLine> {
         return vec![];
     }
     for pair in &status.values {
-        let Some((input, what)) = ["rate [Hz]", "dropped", "refused", "lost on the way"]
+        let Some((input, what)) = ["rate [Hz]", "dropped", "rejected", "lost in transport"]
             .into_iter()
             .find_map(|what| Some((pair.key.strip_suffix(what)?.strip_suffix(' ')?, what)))
         else {
@@ -235,8 +235,8 @@ fn inputs(status: &DiagnosticStatus) -> Vec<InputLine> {
         match what {
             "rate [Hz]" => line.rate = pair.value.parse().unwrap_or(0.0),
             "dropped" => line.dropped = count(),
-            "refused" => line.rejected = count(),
-            "lost on the way" => line.lost = count(),
+            "rejected" => line.rejected = count(),
+            "lost in transport" => line.lost = count(),
             _ => {}
         }
     }
@@ -325,8 +325,8 @@ mod tests {
             values: vec![
                 pair("/image rate [Hz]", "29.9"),
                 pair("/image dropped", "4"),
-                pair("/image refused", "1"),
-                pair("/image lost on the way", "2"),
+                pair("/image rejected", "1"),
+                pair("/image lost in transport", "2"),
             ],
         };
         let array = DiagnosticArray {
