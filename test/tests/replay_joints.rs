@@ -160,7 +160,8 @@ fn rejected_transforms_are_named_by_check_and_replay() {
     let scenario = Scenario::swing(7, 6.0).unwrap();
     fs::write(path("rig.yaml"), &scenario.rig_yaml).unwrap();
     let rig = path("rig.yaml");
-    let wrong: [(&str, fn(&mut TransformStamped), &str); 3] = [
+    type Change = fn(&mut TransformStamped);
+    let wrong: [(&str, Change, &str); 3] = [
         ("parent", |m| m.header.frame_id = "map".into(), "the frames are `map` and `climber`"),
         ("child", |m| m.child_frame_id = "base_link".into(), "the frames are `world` and `base"),
         ("zero", |m| scale(m, 0.0), "a quaternion of length 0 is no"),
