@@ -21,6 +21,7 @@ use std::collections::VecDeque;
 const SMOOTHED: f64 = 60.0;
 /// Later data that a smoothed estimate knows at least, s: biases and time offset are found in less.
 const LAG: f64 = 20.0;
+
 /// Source and stamp of an input that has one.
 fn stamp_of(input: &Input) -> Option<(Source, Stamp)> {
     Some(match input {

@@ -28,7 +28,7 @@ pub struct Row {
     /// Name, with its axis.
     pub name: String,
     /// Change against the rig file: degrees or millimeters (milliseconds for clocks, SI for
-    /// biases).
+    /// biases); where it agrees with the file, the one that the motion alone would give.
     pub change: f64,
     /// Standard deviation in the same unit, with what the model lacks.
     pub deviation: f64,
@@ -58,8 +58,8 @@ pub struct Estimate {
     pub rows: Vec<Row>,
     /// Numbers of used images and of images rejected as outliers.
     pub images: (usize, usize),
-    /// RMS of the pixel residuals per axis before and after, px.
-    pub pixel_rms: (f64, f64),
+    /// RMS of the pixel residuals per axis, px.
+    pub pixel_rms: f64,
     /// Whitened squared residual per degree of freedom (ideal 1).
     pub reduced: f64,
 }
@@ -123,7 +123,6 @@ pub fn refine_rig(
     priors.iter_mut().zip(&traits).for_each(|(prior, t)| *prior = t.prior);
     let mut work = Adjustment::new(recording, start, states, priors, CLIMBER_NOISE);
     work.gauge = Some(layout_gauge(rig));
-    let before = work.pixel_rms();
     let (covariance, _) = work.solve()?;
     let mut verdicts: Vec<Refinement> = (0..REFINED)
         .map(|i| {
@@ -145,44 +144,58 @@ pub fn refine_rig(
     let free = verdicts.iter().filter(|verdict| **verdict == Refinement::Refined).count();
     let reduced = found.1 / ((8 * used) as f64 - free as f64).max(1.0);
     let inflation = reduced.max(1.0).sqrt();
-    let mut rows: Vec<Row> = vec![];
+    let mut rows = rows_of(&work, &traits, &verdicts, &found.0, inflation);
     // Twice: what is held then no longer explains what the others must.
     for _ in 0..2 {
-        let change = work.parameters.minus(&work.start);
-        let deviation = |i: usize| (found.0[(i, i)].sqrt() * inflation).hypot(traits[i].floor);
-        rows = (traits.iter().zip(&verdicts).enumerate())
-            .map(|(i, (t, verdict))| Row {
-                name: t.name.clone(),
-                change: change[i] * t.scale,
-                deviation: deviation(i) * t.scale,
-                unit: t.unit,
-                refinement: *verdict,
-            })
-            .collect();
-        let agree = SIGNIFICANT.into_iter().filter(|(group, least)| {
-            let refined = group.clone().filter(|i| verdicts[*i] == Refinement::Refined);
-            let squares: Vec<f64> = refined.map(|i| (change[i] / deviation(i)).powi(2)).collect();
-            !squares.is_empty() && squares.iter().sum::<f64>() < *least
-        });
-        let agree: Vec<usize> = agree.flat_map(|(group, _)| group).collect();
+        let mut agree: Vec<usize> = vec![];
+        for (group, least) in SIGNIFICANT {
+            let refined = group.filter(|i| verdicts[*i] == Refinement::Refined);
+            let refined: Vec<usize> = refined.collect();
+            let square = |i: &usize| (rows[*i].change / rows[*i].deviation).powi(2);
+            if refined.iter().map(square).sum::<f64>() < least {
+                agree.extend(refined);
+            }
+        }
         if agree.is_empty() {
             break;
         }
-        for i in agree {
-            if verdicts[i] == Refinement::Refined {
-                verdicts[i] = Refinement::Agrees;
-                rows[i].refinement = Refinement::Agrees;
+        agree.iter().for_each(|i| verdicts[*i] = Refinement::Agrees);
+        found = hold(&mut work, &traits, &verdicts)?;
+        let held = rows;
+        rows = rows_of(&work, &traits, &verdicts, &found.0, inflation);
+        for (row, before) in rows.iter_mut().zip(held) {
+            if row.refinement == Refinement::Agrees {
+                (row.change, row.deviation) = (before.change, before.deviation);
             }
         }
-        found = hold(&mut work, &traits, &verdicts)?;
     }
     Ok(Estimate {
         rig: work.parameters.rig.clone(),
         rows,
         images: (used, work.used.len() - used),
-        pixel_rms: (before, work.pixel_rms()),
+        pixel_rms: work.pixel_rms(),
         reduced,
     })
+}
+
+/// Changes and standard deviations, with the covariance of the parameters.
+fn rows_of(
+    work: &Adjustment<'_>,
+    traits: &[Trait],
+    verdicts: &[Refinement],
+    covariance: &DMatrix<f64>,
+    inflation: f64,
+) -> Vec<Row> {
+    let change = work.parameters.minus(&work.start);
+    (traits.iter().zip(verdicts).enumerate())
+        .map(|(i, (t, refinement))| Row {
+            name: t.name.clone(),
+            change: change[i] * t.scale,
+            deviation: (covariance[(i, i)].sqrt() * inflation).hypot(t.floor) * t.scale,
+            unit: t.unit,
+            refinement: *refinement,
+        })
+        .collect()
 }
 
 /// Solves with everything but the refined parameters at the rig file's values. They return to them

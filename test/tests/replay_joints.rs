@@ -152,7 +152,7 @@ fn scale(message: &mut TransformStamped, factor: f64) {
     }
 }
 
-/// `volant check` and `volant replay` name why a climber transform cannot be used.
+/// `volant check` and `volant replay` name why a climber transform is rejected.
 #[test]
 fn rejected_transforms_are_named_by_check_and_replay() {
     let dir = TempDir::new().unwrap();

@@ -162,7 +162,7 @@ fn only_offered_answers_count_and_a_pause_writes_the_report() {
     // `abc` begins no step; `s` skips the markers, and the IMU has no recording.
     let (output, printed) = bringup(&arguments, "abc\ns\nx\nq\n");
     assert!(output.status.success(), "nothing has failed: {printed}");
-    assert!(printed.contains("`abc` is none of the answers") && !printed.contains("side"));
+    assert!(printed.contains("`abc` is not one of the answers") && !printed.contains("side"));
     assert!(printed.contains("2/8 imu") && !printed.contains("Connect the IMU"), "{printed}");
     assert!(fs::read_to_string(&page).unwrap().contains("1. markers: skipped"));
 
@@ -174,11 +174,11 @@ fn only_offered_answers_count_and_a_pause_writes_the_report() {
     assert_eq!(output.status.code(), Some(1), "a step has failed: {printed}");
     for needle in [
         "1/8 markers",
-        "`no` is none of the answers",
+        "`no` is not one of the answers",
         "60: no such file; `live 60` records 60 s",
         "`2m` is no duration",
         "FAIL imu",
-        "`abc` is none of the answers",
+        "`abc` is not one of the answers",
         "paused",
         "not accepted: imu failed",
     ] {
@@ -191,16 +191,25 @@ fn only_offered_answers_count_and_a_pause_writes_the_report() {
 }
 
 #[test]
-fn a_topic_that_nobody_publishes_is_named_within_seconds() {
+fn a_topic_that_nobody_publishes_is_named_within_seconds_and_a_former_recording_stays() {
     let folder = TempDir::new().unwrap();
-    let rig = folder.path().join("rig.yaml");
-    let begun = std::time::Instant::now();
-    let (_, printed) = bringup(&["imu", "--rig", &rig.display().to_string()], "\n\nlive 100s\n\n");
-    assert!(begun.elapsed().as_secs() < 30, "{printed}");
-    assert!(printed.contains("recording 100 s"), "{printed}");
-    assert!(printed.contains("nobody publishes /volant/imu/data"), "{printed}");
-    assert!(!printed.contains("wrote ") || !printed.contains("rest.mcap"), "{printed}");
-    assert!(!folder.path().join("rig.yaml.bringup/rest.mcap").exists());
+    let rig = folder.path().join("rig.yaml").display().to_string();
+    let recording = folder.path().join("rig.yaml.bringup/rest.mcap");
+    let record = || {
+        let begun = std::time::Instant::now();
+        let (_, printed) = bringup(&["imu", "--rig", &rig], "\n\nlive 100s\n\n");
+        assert!(begun.elapsed().as_secs() < 30, "{printed}");
+        assert!(printed.contains("recording 100 s"), "{printed}");
+        assert!(printed.contains("nobody publishes /volant/imu/data"), "{printed}");
+        assert!(!printed.contains("wrote ") || !printed.contains("rest.mcap"), "{printed}");
+    };
+    record();
+    assert!(!recording.exists());
+    fs::write(&recording, "an hour at rest").unwrap();
+    record();
+    assert_eq!(fs::read_to_string(&recording).unwrap(), "an hour at rest");
+    let files: Vec<_> = fs::read_dir(recording.parent().unwrap()).unwrap().collect();
+    assert_eq!(files.len(), 1, "{files:?}");
 }
 
 #[test]

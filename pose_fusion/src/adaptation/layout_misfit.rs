@@ -90,6 +90,9 @@ mod tests {
         assert!((0..60).all(|k| misfit.add(&(noise(k) + moved)).is_none()));
         assert!((0..60).all(|k| misfit.add(&noise(k)).is_none()));
         assert!((0..200).any(|k| misfit.add(&(noise(k) + moved)).is_some()));
+        // Noise as large as a layout's error, from the first image on.
+        let mut noisy = LayoutMisfit::default();
+        assert!((0..80).all(|k| noisy.add(&(noise(k) * 6.0)).is_none()));
         let far = Offsets::repeat(0.05);
         assert!((0..300).all(|_| misfit.add(&far).is_none()));
         assert!((0..300).all(|_| misfit.add(&Offsets::repeat(f64::NAN)).is_none()));

@@ -185,6 +185,15 @@ mod tests {
     }
 
     #[test]
+    fn a_marker_is_newly_rejected_once() {
+        let mut lock_out = LockOut::default();
+        let image = |rejected: &[usize]| std::array::from_fn(|i| rejected.contains(&i));
+        let images: [&[usize]; 6] = [&[], &[0], &[0], &[0, 2], &[], &[0]];
+        let new = images.map(|rejected| lock_out.rejects(image(rejected)));
+        assert_eq!(new, [false, true, false, true, false, true]);
+    }
+
+    #[test]
     fn one_contradiction_after_a_gap_reinitializes_nothing() {
         let at = |ms: i64| Stamp::from_nanos(ms * 1_000_000);
         let mut lock_out = LockOut::default();

@@ -24,7 +24,7 @@ pub enum Outcome {
     Gated,
     /// It contradicts the other measurements of the same image.
     Inconsistent,
-    /// It cannot be predicted: outside of what the lens model covers.
+    /// The prediction lies outside of what the lens model covers.
     NotPredictable,
     /// The filter is not initialized.
     NotInitialized,

@@ -16,7 +16,7 @@ pub(super) struct Rejections {
 }
 
 impl Rejections {
-    /// Notes a message that cannot be used, whatever its stamp is.
+    /// Notes a message that is unusable, whatever its stamp is.
     pub fn note_message(&mut self, why: String) {
         if why.starts_with("camera_info") {
             self.camera = Some(why);
@@ -41,7 +41,7 @@ impl Rejections {
         }
     }
 
-    /// Returns why an input of the last second cannot be used, whatever its stamp is.
+    /// Returns why an input of the last second is unusable, whatever its stamp is.
     pub fn unusable(&self) -> Option<&str> {
         self.unusable.as_ref().or(self.last_unusable.as_ref()).map(String::as_str)
     }

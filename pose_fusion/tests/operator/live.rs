@@ -20,6 +20,7 @@ use std::{
 };
 use test_support::process::{Running, in_domain};
 use volant_msgs::{
+    Message,
     geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
     msg::{MarkerObservations, MarkerUpdate, MarkerUpdates, PoseStatus},
     nav_msgs::msg::Odometry,
@@ -42,6 +43,18 @@ static RECEIVED: Mutex<Vec<Arc<Odometry>>> = Mutex::new(Vec::new());
 static STATUS: Mutex<Vec<Arc<PoseStatus>>> = Mutex::new(Vec::new());
 static UPDATES: Mutex<Vec<Arc<MarkerUpdates>>> = Mutex::new(Vec::new());
 
+/// Subscribes to a topic whose messages are kept.
+fn keep<M: Message>(
+    context: &mut NodeContext<()>,
+    topic: &str,
+    kept: &'static Mutex<Vec<Arc<M>>>,
+) -> Result<(), NodeError> {
+    context.subscribe(topic, QosPreset::State, |m: Arc<M>| -> Option<()> {
+        kept.lock().unwrap().push(m);
+        None
+    })
+}
+
 /// The rest of the rig.
 struct Others;
 
@@ -51,30 +64,9 @@ impl NodeShell for Others {
     type Input = ();
 
     fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
-        context.subscribe(
-            topics::ODOMETRY,
-            QosPreset::State,
-            |m: Arc<Odometry>| -> Option<()> {
-                RECEIVED.lock().unwrap().push(m);
-                None
-            },
-        )?;
-        context.subscribe(
-            topics::MARKER_UPDATES,
-            QosPreset::State,
-            |m: Arc<MarkerUpdates>| -> Option<()> {
-                UPDATES.lock().unwrap().push(m);
-                None
-            },
-        )?;
-        context.subscribe(
-            topics::STATUS,
-            QosPreset::State,
-            |m: Arc<PoseStatus>| -> Option<()> {
-                STATUS.lock().unwrap().push(m);
-                None
-            },
-        )?;
+        keep(context, topics::ODOMETRY, &RECEIVED)?;
+        keep(context, topics::MARKER_UPDATES, &UPDATES)?;
+        keep(context, topics::STATUS, &STATUS)?;
         let publishers = RigPublishers {
             imu: context.advertise(topics::IMU, QosPreset::Sensor)?,
             climber: context.advertise(topics::CLIMBER_TRANSFORM, QosPreset::State)?,

@@ -2,6 +2,7 @@
 
 use super::*;
 use nalgebra::Vector2;
+use rig_model::{MarkerObservation, PerColor};
 
 #[test]
 fn false_markers_are_rejected_with_a_reason() {
@@ -24,6 +25,26 @@ fn false_markers_are_rejected_with_a_reason() {
     }
 }
 
+/// A swing whose markers go through `change` with their time, s; the score is from 4 s on.
+fn with_markers(
+    seed: u64,
+    mut change: impl FnMut(f64, &mut PerColor<MarkerObservation>),
+) -> Outcome {
+    let sensors = SensorConfig::nominal(seed);
+    let run = simulated::run(MotionConfig::nominal(seed), &sensors);
+    let inputs = run.inputs.iter().map(|(at, input)| {
+        let mut input = input.clone();
+        if let Input::Markers(image) = &mut input {
+            change(at.seconds_since(sensors.epoch), &mut image.markers);
+        }
+        input
+    });
+    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+    let outputs = scoring::run(&mut fusion, inputs);
+    let score = scoring::score(&outputs.odometry, &run.truth, 4.0);
+    Outcome { score, outputs, status: fusion.status() }
+}
+
 /// A marker a pixel beside its place for two seconds is rejected, and is no shock.
 #[test]
 fn a_marker_beside_its_place_is_rejected_and_no_shock() {
@@ -32,22 +53,14 @@ fn a_marker_beside_its_place_is_rejected_and_no_shock() {
         (2, MarkerColor::Blue, Vector2::new(0.0, 2.0)),
         (3, MarkerColor::Yellow, Vector2::new(-0.8, 0.8)),
     ] {
-        let sensors = SensorConfig::nominal(seed);
-        let run = simulated::run(MotionConfig::nominal(seed), &sensors);
-        let inputs = run.inputs.iter().map(|(at, input)| match input {
-            Input::Markers(m) if (5.0..7.0).contains(&at.seconds_since(sensors.epoch)) => {
-                let mut markers = m.clone();
-                markers.markers[color].centroid += offset;
-                Input::Markers(markers)
+        let Outcome { score, outputs, status } = with_markers(seed, |t, markers| {
+            if (5.0..7.0).contains(&t) {
+                markers[color].centroid += offset;
             }
-            input => input.clone(),
         });
-        let mut fusion = Fusion::new(simulated::rig(), simulated::config());
-        let outputs = scoring::run(&mut fusion, inputs);
-        let score = scoring::score(&outputs.odometry, &run.truth, 4.0);
         println!("{color} {offset:?}: {score}");
         assert!(score.position_rmse() < 2.0, "{color}: {score}");
-        assert_eq!(fusion.status().counts.resets.shocks, 0, "{color}");
+        assert_eq!(status.counts.resets.shocks, 0, "{color}");
         assert!(outputs.status.iter().skip(500).all(|s| s.valid), "{color}");
     }
 }
@@ -57,25 +70,15 @@ fn a_marker_beside_its_place_is_rejected_and_no_shock() {
 #[test]
 fn noise_beyond_the_claimed_covariance_is_found() {
     for seed in [1, 2, 3, 4] {
-        let sensors = SensorConfig::nominal(seed);
-        let run = simulated::run(MotionConfig::nominal(seed), &sensors);
         let mut random = rig_simulator::random::Random::new(seed);
-        let inputs = run.inputs.iter().map(|(_, input)| match input {
-            Input::Markers(m) => {
-                let mut markers = m.clone();
-                for marker in &mut markers.markers.0 {
-                    marker.centroid += Vector2::from_fn(|_, _| 0.35 * random.normal());
-                }
-                Input::Markers(markers)
+        let Outcome { score, status, .. } = with_markers(seed, |_, markers| {
+            for marker in &mut markers.0 {
+                marker.centroid += Vector2::from_fn(|_, _| 0.35 * random.normal());
             }
-            input => input.clone(),
         });
-        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-        let outputs = scoring::run(&mut fusion, inputs);
-        let score = scoring::score(&outputs.odometry, &run.truth, 4.0);
         println!("seed {seed}: {score}");
         assert!(score.position_rmse() < 10.0, "seed {seed}: {score}");
-        assert!(fusion.status().pixel_noise_factor > 2.0, "{:?}", fusion.status());
+        assert!(status.pixel_noise_factor > 2.0, "{status:?}");
     }
 }
 

@@ -45,7 +45,7 @@ pub fn choose(question: &str, answers: &[&str]) -> Result<String> {
         if answers.contains(&answer.as_str()) {
             return Ok(answer);
         }
-        outln!("  `{answer}` is none of the answers")?;
+        outln!("  `{answer}` is not one of the answers")?;
     }
 }
 

@@ -151,21 +151,23 @@ const DISCOVERY: Duration = Duration::from_secs(5);
 
 fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
     outln!("  recording {seconds} s …")?;
+    // A former recording stays where nobody publishes.
+    let new = path.with_extension("new.mcap");
     let options = RecordOptions {
-        output: path.to_owned(),
+        output: new.clone(),
         topics: topics.iter().map(|t| format!("/{t}")).collect(),
         exclude: vec![],
         // The recording of an earlier try of this step.
         write: bag::WriteOptions { replace: true, ..bag::WriteOptions::default() },
         duration: Some(Duration::try_from_secs_f64(seconds)?),
     };
-    let (stop, watch, mut told) = (AtomicBool::new(false), Stopwatch::start(), false);
+    let (stop, watch, mut reported) = (AtomicBool::new(false), Stopwatch::start(), false);
     let report = live::record(&options, &stop, |status| {
         let unpublished = status.unpublished.lock().unwrap_or_else(PoisonError::into_inner);
-        if told || unpublished.is_empty() || watch.elapsed() < DISCOVERY {
+        if reported || unpublished.is_empty() || watch.elapsed() < DISCOVERY {
             return;
         }
-        told = true;
+        reported = true;
         if unpublished.len() == topics.len() {
             stop.store(true, Ordering::Release);
         } else {
@@ -174,12 +176,13 @@ fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
         }
     })?;
     if report.unpublished.len() == topics.len() {
-        fs::remove_file(path)?;
+        fs::remove_file(new)?;
         bail!(
             "nobody publishes {}; start the drivers and the nodes, and check ROS_DOMAIN_ID",
             report.unpublished.join(" or ")
         );
     }
+    fs::rename(new, path)?;
     for topic in report.unpublished {
         outln!("  {topic}: no publisher")?;
     }

@@ -111,8 +111,8 @@ pub fn mounting(walk: &mut Walk) -> Result<()> {
     };
     let clocks = clock("camera clock against imu").zip(clock("climber clock against camera"));
     walk.state.clocks = clocks.map(|(camera, climber)| [camera, climber]);
-    let text = format!("{:.3} px RMS, before {:.3}", found.pixel_rms.1, found.pixel_rms.0);
-    walk.check(found.pixel_rms.1 < 1.0, "residual", text)?;
+    let text = format!("{:.3} px RMS", found.pixel_rms);
+    walk.check(found.pixel_rms < 1.0, "residual", text)?;
     for row in &found.rows {
         let mounting = row.name.starts_with("camera ") || row.name.starts_with("imu ");
         if !mounting || row.name.contains("clock") {

@@ -51,7 +51,7 @@ fn print(estimate: &Estimate) -> Result<()> {
          squared residual per degree of freedom {:.2}",
         estimate.images.0,
         estimate.images.1,
-        estimate.pixel_rms.1,
+        estimate.pixel_rms,
         estimate.reduced
     )?;
     outln!("{:<32} {:>10} {:>10}", "", "change", "std dev")?;
