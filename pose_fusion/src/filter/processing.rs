@@ -38,6 +38,9 @@ const DISAGREEING: u32 = 3;
 /// Share of a residual that a shock explains by rotation: the IMU measures rotation without
 /// gravity's help, and better.
 const ROTATION_SHARE: f64 = 0.3;
+/// Largest distance (m) and angle (rad) by which a shock moves the platform from one image to the
+/// next. Markers that contradict by more are false more often than true.
+const LARGEST_SHOCK: (f64, f64) = (0.2, 0.1);
 /// Density of the angular velocity's process noise, (rad/s)²/Hz, above which the IMU does not
 /// propagate the attitude from one image to the next: a gap of 0.15 s, invalid samples, a shock.
 const UNCARRIED: f64 = 0.01;
@@ -287,10 +290,10 @@ impl Filter {
             Some((_, _, rest)) => (rest.height - entry.state.position.z).abs(),
             None => 1.0,
         };
-        let distance = (residual * height / geometry.camera.focal_lengths().x).min(0.5);
+        let distance = (residual * height / geometry.camera.focal_lengths().x).min(LARGEST_SHOCK.0);
         let centers = geometry.markers.centers.iter();
         let radius = centers.map(|(_, c)| c.coords.xy().norm()).fold(0.05, f64::max);
-        (distance, (ROTATION_SHARE * distance / radius).min(0.5))
+        (distance, (ROTATION_SHARE * distance / radius).min(LARGEST_SHOCK.1))
     }
 
     /// Returns the camera time offset to place an image with, s.
