@@ -4,6 +4,7 @@ use super::Filter;
 use crate::{
     ekf::state::CLIMBER_RATE,
     health::encoder_trust::{Cause, Seen, Verdict},
+    input::climber_track::faults::STOOD,
     measurements::{
         Innovation,
         encoders::{self, CONTRADICTION},
@@ -59,11 +60,13 @@ impl Filter {
     /// Judges a reading of encoders that are suspended. Returns whether the time line was replaced.
     fn judge_encoders(&mut self, place: usize, at: Stamp, innovation: &Innovation<3>) -> bool {
         let timeout = self.setup.config.climber.step_timeout;
-        let standing = self.climber.is_standing() || self.climber.stopped_at_once().is_some();
+        let stands = self.climber.standing();
         let moves = self.history.get(place).is_some_and(|entry| {
             let sigmas = entry.state.sigmas(CLIMBER_RATE);
-            (0..3).any(|i| entry.state.climber_rate[i].abs() > MOVES * sigmas[i])
+            (0..3).any(|i| stands[i] && entry.state.climber_rate[i].abs() > MOVES * sigmas[i])
         });
+        let standing =
+            moves || stands == [true; 3] || self.climber.stopped_at_once().is_some();
         let leap = self.climber.leap_at(at.plus_seconds(-self.encoder_offset()));
         let seen = Seen { standing, moves, leap };
         match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {
@@ -103,14 +106,17 @@ impl Filter {
         self.trust.suspend(at, Cause::Stop, false);
     }
 
-    /// Continues without encoders that stand, where the images contradict the prediction: they may
-    /// be frozen while the climber drives. Returns whether it does.
+    /// Continues without encoders of which one stands, where the images contradict the prediction:
+    /// it may be frozen while the climber drives. Returns whether it does.
     pub(super) fn try_without_encoders(&mut self, at: Stamp) -> bool {
-        let Some(since) = self.climber.standing_since() else { return false };
+        let stood = |since: &Stamp| at.seconds_since(*since) > STOOD;
+        let standing = self.climber.standing_since().map(|since| since.filter(stood));
+        let Some(since) = standing.into_iter().flatten().max() else { return false };
         let from = since.plus_seconds(self.encoder_offset());
         if !self.trust.tries_without(from, at) {
             return false;
         }
+        self.climber.suspect_frozen(standing);
         *self.imu.model_error() = Default::default();
         self.exclude_since(from);
         self.publisher.warn(Warning::EncodersFrozen { since });

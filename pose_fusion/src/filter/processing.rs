@@ -243,12 +243,15 @@ impl Filter {
         let repeated = self.lock_out.gives_way(stamp);
         self.search_again();
         self.imu.model_error().contradicted(&MODEL_ERROR);
-        // Encoders that stopped at once while the images see the climber drive on are frozen.
-        let stopped = self.disturbances.climber_since(at, SUSPECT);
-        let disturbed = stopped.filter(|_| self.climber.is_standing());
-        if let (false, Some(from)) = (self.trust.is_suspended(), disturbed) {
-            self.exclude_since(from);
-            self.publisher.warn(Warning::EncodersFrozen { since: from });
+        // An encoder that stopped while the images see the climber drive on is frozen.
+        let earliest = at.plus_seconds(-self.encoder_offset() - SUSPECT);
+        let stopped = self.climber.stopped_since().map(|axis| axis.filter(|s| *s > earliest));
+        if let (false, Some(since)) =
+            (self.trust.is_suspended(), stopped.into_iter().flatten().min())
+        {
+            self.climber.suspect_frozen(stopped);
+            self.exclude_since(since.plus_seconds(self.encoder_offset()));
+            self.publisher.warn(Warning::EncodersFrozen { since });
             self.trust.suspend(at, Cause::Frozen, false);
             return false;
         }

@@ -1,6 +1,6 @@
 //! Detection of encoder readings that are frozen or leap, and of a climber that hit an obstacle.
 
-use super::{ClimberTrack, NEAR, SPEED};
+use super::{ClimberTrack, MOVING_SPAN, MOVING_STEPS, NEAR, SPEED};
 use crate::measurements::geometry::ClimberRest;
 use nalgebra::Vector3;
 use rig_model::{Stamp, wrap_angle};
@@ -29,18 +29,46 @@ fn is_in_reach(to: &Reading, from: &Reading, slack: f64) -> bool {
 }
 
 impl ClimberTrack {
-    /// Returns whether the newest readings are equal on all axes: a climber at rest, or frozen
-    /// encoders.
-    pub fn is_standing(&self) -> bool {
-        let Some((_, last, _)) = self.readings.back() else { return false };
-        self.readings.iter().rev().take(STANDING).all(|(_, values, _)| values == last)
+    /// Returns for each axis whether the newest readings are equal: it is at rest, or its encoder is
+    /// frozen.
+    pub fn standing(&self) -> [bool; 3] {
+        let newest = || self.readings.iter().rev().take(STANDING).map(|(_, values, _)| values);
+        std::array::from_fn(|i| {
+            newest().next().is_some_and(|last| newest().all(|values| values[i] == last[i]))
+        })
     }
 
-    /// Returns since when the readings have been equal on all axes, s.
-    pub fn standing_since(&self) -> Option<Stamp> {
-        let (_, last, _) = self.readings.back()?;
-        let equal = self.readings.iter().rev().take_while(|(_, values, _)| values == last);
-        equal.last().map(|(at, _, _)| *at)
+    /// Returns since when the readings of each axis have been equal.
+    pub fn standing_since(&self) -> [Option<Stamp>; 3] {
+        std::array::from_fn(|i| {
+            let (_, last, _) = self.readings.back()?;
+            let equal = self.readings.iter().rev().take_while(|(_, v, _)| v[i] == last[i]);
+            equal.last().map(|(at, _, _)| *at)
+        })
+    }
+
+    /// Returns since when each axis has stood that moved before.
+    pub fn stopped_since(&self) -> [Option<Stamp>; 3] {
+        let least = self.noise.variance().map(|v| MOVING_STEPS * (12.0 * v).sqrt());
+        let (since, standing) = (self.standing_since(), self.standing());
+        std::array::from_fn(|i| {
+            let since = since[i].filter(|_| standing[i])?;
+            let (_, last, _) = self.readings.back()?;
+            let before = self.readings.iter().rev().filter(|(at, _, _)| *at < since);
+            let mut recent =
+                before.take_while(|(at, _, _)| since.seconds_since(*at) < MOVING_SPAN);
+            let moved = recent.any(|(_, values, _)| {
+                let way = last[i] - values[i];
+                let way = if i == 2 { wrap_angle(way) } else { way };
+                way.abs() > least[i]
+            });
+            moved.then_some(since)
+        })
+    }
+
+    /// Notes the axes whose encoders may have been frozen since an instant, until they move.
+    pub fn suspect_frozen(&mut self, since: [Option<Stamp>; 3]) {
+        self.stopped = std::array::from_fn(|i| self.stopped[i].or(since[i]));
     }
 
     /// Returns whether two neighboring readings within `NEAR` of `stamp` differ by more than a
