@@ -98,18 +98,19 @@ impl ClimberTrack {
         self.readings.back().is_some_and(|(newest, _, _)| self.leaps_near(*newest))
     }
 
-    /// Returns whether the reading at `stamp` is the first that differs after equal ones, by no
-    /// more than a climber drives (3 sigma of [`SPEED`]) in the time for which they were equal.
+    /// Returns whether the reading at `stamp` is the first of an axis that differs after equal ones,
+    /// by no more than a climber drives (3 sigma of [`SPEED`]) in the time for which they were
+    /// equal.
     pub fn moves_on(&self, stamp: Stamp) -> bool {
         let place = self.place_of(stamp);
-        let mut before = self.readings.iter().take(place).rev().peekable();
-        let (Some(reading), Some(stood)) = (self.readings.get(place), before.peek().copied())
-        else {
-            return false;
-        };
-        before.take_while(|(_, v, _)| *v == stood.1).last().is_some_and(|first| {
-            let lasts = stamp.seconds_since(first.0);
-            reading.1 != stood.1 && lasts > STOOD && is_in_reach(reading, first, 0.0)
+        let Some(reading) = self.readings.get(place) else { return false };
+        let before = || self.readings.iter().take(place).rev();
+        (0..3).any(|i| {
+            let Some((_, stood, _)) = before().next() else { return false };
+            before().take_while(|(_, v, _)| v[i] == stood[i]).last().is_some_and(|first| {
+                let lasts = stamp.seconds_since(first.0);
+                reading.1[i] != stood[i] && lasts > STOOD && is_in_reach(reading, first, 0.0)
+            })
         })
     }
 
