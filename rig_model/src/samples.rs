@@ -6,7 +6,7 @@ use crate::{camera::CameraModel, marker::PerColor, stamp::Stamp};
 use nalgebra::{Isometry3, Matrix2, Matrix3, UnitQuaternion, Vector2, Vector3};
 
 /// Sample of the IMU, in the frame `imu`.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuSample {
     /// Time of measurement.
     pub stamp: Stamp,
@@ -19,7 +19,7 @@ pub struct ImuSample {
 }
 
 /// Orientation estimated by the IMU itself.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrientationSample {
     /// Rotation from `imu` to east-north-up; its heading relative to `world` is unknown.
     pub enu_from_imu: UnitQuaternion<f64>,

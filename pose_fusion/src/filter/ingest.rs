@@ -4,7 +4,7 @@ use super::Filter;
 use crate::{
     adaptation::imu_integrity::Implausible,
     ekf::{propagation::ImuReading, state::ATTITUDE},
-    input::imu::ImuInput,
+    input::{imu::ImuInput, imu_stamps::Bursts},
     measurements::{Outcome, encoders::EncoderReading, geometry::ClimberRest, markers::Image},
     output::Warning,
     timeline::{
@@ -24,7 +24,10 @@ impl Filter {
     /// Takes in one input.
     pub fn handle(&mut self, input: &Sample) {
         match input {
-            Sample::Imu(sample) => self.imu(sample),
+            Sample::Imu(sample) => {
+                let stamp = self.imu_stamp(sample.stamp);
+                self.imu(&ImuSample { stamp, ..*sample });
+            }
             Sample::Markers(observations) => self.markers(observations),
             Sample::Climber(sample) => self.climber(sample),
             Sample::Camera(camera) => self.camera(camera),
@@ -34,6 +37,21 @@ impl Filter {
     /// Counts an input that is rejected, and outputs why.
     pub fn refuse(&mut self, why: Warning) {
         self.publisher.refuse(why);
+    }
+
+    /// Returns the stamp with which an IMU sample counts. Where it turns out that the samples come
+    /// in bursts, everything is identified again with their right stamps.
+    fn imu_stamp(&mut self, arrived: Stamp) -> Stamp {
+        let known = self.imu.bursts().is_some();
+        let stamp = self.imu.stamp(arrived);
+        if let (false, Some(Bursts { period, samples })) = (known, self.imu.bursts()) {
+            self.publisher.warn(Warning::ImuBursts { samples, every_s: samples * period });
+            let mut imu = std::mem::take(&mut self.imu);
+            imu.keep_stamps_only();
+            self.reset();
+            self.imu = imu;
+        }
+        stamp
     }
 
     /// Takes in an IMU sample: moves the estimate to its stamp and publishes it.

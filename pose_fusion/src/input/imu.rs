@@ -9,6 +9,7 @@ use crate::{
         stationary::Stationary,
     },
     ekf::propagation::ImuReading,
+    input::imu_stamps::{Bursts, ImuStamps},
     timeline::history::{Event, History},
 };
 use nalgebra::{UnitQuaternion, Vector3};
@@ -58,6 +59,7 @@ impl Up {
 /// State of the IMU input.
 #[derive(Clone, Debug, Default)]
 pub struct ImuInput {
+    stamps: ImuStamps,
     integrity: ImuIntegrity,
     noise: ImuNoise,
     stationary: Stationary,
@@ -81,6 +83,21 @@ impl ImuInput {
         };
         ImuIntegrity::check(&reading)?;
         Ok(reading)
+    }
+
+    /// Returns the stamp with which a sample counts.
+    pub fn stamp(&mut self, arrived: Stamp) -> Stamp {
+        self.stamps.add(arrived)
+    }
+
+    /// Returns the bursts in which the samples come, if they do.
+    pub fn bursts(&self) -> Option<Bursts> {
+        self.stamps.bursts()
+    }
+
+    /// Discards what was identified with stamps of which it is now known that they were wrong.
+    pub fn keep_stamps_only(&mut self) {
+        *self = Self { stamps: std::mem::take(&mut self.stamps), ..Self::default() };
     }
 
     /// Takes in a reading that came `dt` seconds after the previous one (`None`: the first one) and

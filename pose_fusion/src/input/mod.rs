@@ -2,4 +2,5 @@
 
 pub mod climber_track;
 pub mod imu;
+pub mod imu_stamps;
 pub mod markers;

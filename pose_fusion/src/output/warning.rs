@@ -38,6 +38,13 @@ pub enum Warning {
     /// No IMU sample for a while.
     #[error("no IMU sample between {from} and {to}")]
     ImuGap { from: Stamp, to: Stamp },
+    /// IMU samples have the stamps of their arrival.
+    #[error(
+        "the IMU samples come in bursts of {samples:.1} every {every_s:.3} s with the stamps of their \
+         arrival; they count as equally spaced: let the driver stamp each sample when it is taken, \
+         or set the serial adapter's latency timer to 1 ms"
+    )]
+    ImuBursts { samples: f64, every_s: f64 },
     /// No IMU samples while images arrive.
     #[error(
         "no IMU sample since {since}; the pose continues from images: check the IMU's cable and \
@@ -107,6 +114,7 @@ impl Warning {
             Self::Ahead { .. } => "ahead",
             Self::TimeJump { .. } => "time_jump",
             Self::ImuGap { .. } => "imu_gap",
+            Self::ImuBursts { .. } => "imu_bursts",
             Self::ImuLost { .. } => "imu_lost",
             Self::Initialized { .. } => "initialized",
             Self::TimeOffset { .. } => "time_offset",
