@@ -214,7 +214,7 @@ impl Fusion {
         PoseStatus {
             state: PoseState::Lost,
             image_age: age(status.last_used_image),
-            imu_age: age(status.newest_imu),
+            imu_age: age(status.imu.newest),
             climber_age: silence,
             time_offset: status.time_offset.offset,
             ..PoseStatus::initializing(now, format!("no input for {silence:.1} s"))

@@ -196,7 +196,7 @@ impl NodeShell for FusionNode {
         let s = self.fusion.status();
         let now: Stamp = context.now();
         let age = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
-        let (imu_age, image_age) = (age(s.newest_imu), age(s.last_used_image));
+        let (imu_age, image_age) = (age(s.imu.newest), age(s.last_used_image));
         let gated = s.counts.gated_markers - self.gated_before.min(s.counts.gated_markers);
         self.gated_before = s.counts.gated_markers;
         let published = self.parameters.core.model == Model::Paper;

@@ -162,7 +162,7 @@ fn a_frozen_filter_keeps_its_pose_when_the_offset_changes() {
         while fusion.poll().is_some() {}
         let searches = fusion.status().time_offset.searching;
         let since =
-            fusion.status().newest_imu.map(|at| at.seconds_since(scoring::start(&run.truth)));
+            fusion.status().imu.newest.map(|at| at.seconds_since(scoring::start(&run.truth)));
         if since.is_some_and(|s| s > CHANGE) && searches && frozen == 0 {
             fusion.freeze(true);
             frozen = 1;

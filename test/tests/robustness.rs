@@ -33,8 +33,8 @@ fn holds(name: &str, perturbation: &Perturbation) -> bool {
         GyroScale(x) => x.abs() < 0.003 || (real && name != "real_tapping"),
         EncoderOff(..) | ImuTwice => true,
         EncoderDelay(_) => !real,
-        EncoderFrozen(_) | ImuZeros(_) | ImuSpike(_) | ImuLost(_) | EncodersLost(_)
-        | ImagesLost(_) => name != "real_tapping",
+        EncoderFrozen(_) | AxisFrozen(_) | ImuZeros(_) | ImuSpike(_) | ImuLost(_)
+        | EncodersLost(_) | ImagesLost(_) | ImuBursts(_) | Exchanged(_) => name != "real_tapping",
         _ => false,
     }
 }

@@ -65,8 +65,7 @@ impl Filter {
             let sigmas = entry.state.sigmas(CLIMBER_RATE);
             (0..3).any(|i| stands[i] && entry.state.climber_rate[i].abs() > MOVES * sigmas[i])
         });
-        let standing =
-            moves || stands == [true; 3] || self.climber.stopped_at_once().is_some();
+        let standing = moves || stands == [true; 3] || self.climber.stopped_at_once().is_some();
         let leap = self.climber.leap_at(at.plus_seconds(-self.encoder_offset()));
         let seen = Seen { standing, moves, leap };
         match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {

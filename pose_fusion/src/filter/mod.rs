@@ -20,7 +20,7 @@ use crate::{
     health::{
         encoder_trust::EncoderTrust,
         lock_out::LockOut,
-        status::{Status, TimeOffsetStatus},
+        status::{ImuStatus, Status, TimeOffsetStatus},
     },
     initialization::time_offset::TimeOffsetSearch,
     input::{climber_track::ClimberTrack, imu::ImuInput, markers::MarkerInput},
@@ -115,9 +115,12 @@ impl Filter {
         let mut status = Status {
             initialized: self.start.is_started(),
             encoders_suspended: self.trust.is_suspended(),
-            newest_imu: self.arrival.newest_imu().map(|(stamp, _)| stamp),
+            imu: ImuStatus {
+                newest: self.arrival.newest_imu().map(|(stamp, _)| stamp),
+                densities: self.imu.densities(imu),
+                bursts: self.imu.bursts(),
+            },
             last_used_image: self.lock_out.last_used(),
-            densities: self.imu.densities(imu),
             pixel_noise_factor: self.markers.noise_factor().sqrt(),
             rope: geometry.and_then(|g| self.publisher.rope.rope(&config.pendulum, g)),
             counts: self.publisher.counts,

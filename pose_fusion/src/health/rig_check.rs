@@ -10,6 +10,7 @@
 
 use crate::{
     health::status::Status,
+    input::imu_stamps::Bursts,
     measurements::{Innovation, Outcome},
     output::MarkerUpdates,
 };
@@ -91,6 +92,13 @@ impl RigCheck {
             )];
         }
         let mut found = Vec::new();
+        if let Some(Bursts { period, samples }) = status.imu.bursts {
+            found.push(format!(
+                "the IMU samples come in bursts of {samples:.1} every {:.0} ms with the stamps of \
+                 their arrival (driver of the IMU, latency timer of its serial adapter)",
+                1e3 * samples * period
+            ));
+        }
         let rejected = self.markers.0.map(|m| if m.count < MEMORY { 0.0 } else { m.rejected });
         let least = rejected.into_iter().fold(f64::INFINITY, f64::min);
         if least > REJECTED {

@@ -3,6 +3,7 @@
 use crate::{
     adaptation::imu_noise::Densities,
     ekf::calibration::{Constants, MARKERS, OFFSETS},
+    input::imu_stamps::Bursts,
     measurements::rope::Rope,
 };
 use nalgebra::Vector3;
@@ -81,8 +82,8 @@ pub struct Status {
     pub initialized: bool,
     /// The encoders contradict the estimate and are not used.
     pub encoders_suspended: bool,
-    /// Newest IMU stamp.
-    pub newest_imu: Option<Stamp>,
+    /// IMU samples.
+    pub imu: ImuStatus,
     /// Newest image that was used.
     pub last_used_image: Option<Stamp>,
     /// Largest standard deviation of the position, m.
@@ -94,8 +95,6 @@ pub struct Status {
     /// Estimated constants: scale factors of gyroscope and accelerometer, rotations of both, rad;
     /// offsets of the markers, m.
     pub constants: Constants,
-    /// Noise densities identified: specific force (m/s²)²/Hz, angular velocity (rad/s)²/Hz.
-    pub densities: Densities,
     /// Factor on the markers' claimed sigma that their innovations ask for.
     pub pixel_noise_factor: f64,
     /// Rope as identified, where one is configured.
@@ -110,6 +109,17 @@ impl Status {
     pub fn marker_offset(&self) -> f64 {
         self.constants.fixed_rows::<OFFSETS>(MARKERS).amax()
     }
+}
+
+/// What is known of the IMU samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ImuStatus {
+    /// Newest stamp.
+    pub newest: Option<Stamp>,
+    /// Noise densities identified: specific force (m/s²)²/Hz, angular velocity (rad/s)²/Hz.
+    pub densities: Densities,
+    /// The bursts in which they come, where they have the stamps of their arrival.
+    pub bursts: Option<Bursts>,
 }
 
 /// What is known of the camera time offset.

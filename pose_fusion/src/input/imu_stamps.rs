@@ -128,9 +128,8 @@ mod tests {
             if k % burst == 0 {
                 delay = jitter * random.unit();
             }
-            let arrives = (k / burst * burst + burst - 1) as f64 * PERIOD
-                + 1e-4 * (k % burst) as f64
-                + delay;
+            let arrives =
+                (k / burst * burst + burst - 1) as f64 * PERIOD + 1e-4 * (k % burst) as f64 + delay;
             if lost(k) {
                 continue;
             }

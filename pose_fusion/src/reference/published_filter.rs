@@ -5,7 +5,7 @@ use crate::{
     config::{FusionConfig, StatusConfig},
     health::{
         pose_status::{PoseState, PoseStatus},
-        status::{Counts, InputCounts, Status},
+        status::{Counts, ImuStatus, InputCounts, Status},
     },
     output::Output,
     timeline::dropout::GAP,
@@ -95,7 +95,7 @@ impl PublishedFilter {
     pub fn status(&self) -> Status {
         Status {
             initialized: self.filter.stamp().is_some(),
-            newest_imu: self.filter.newest_imu(),
+            imu: ImuStatus { newest: self.filter.newest_imu(), ..ImuStatus::default() },
             last_used_image: self.filter.last_visual().map(|(stamp, _)| stamp),
             position_sigma: self.sigma(0),
             counts: Counts { inputs: self.inputs, ..Counts::default() },

@@ -20,9 +20,8 @@ pub const HELD: f64 = 0.15;
 pub const FORCE: f64 = 3.0;
 /// Its angular velocity, rad/s (1 sigma).
 pub const RATE: f64 = 2.0;
-/// Factor on the density of the climber's jerk: with the default, 0.25 m within 0.9 s without
-/// encoders (1 sigma).
-const CLIMBER: f64 = 50.0;
+/// Density of the climber's jerk, m²/s⁵ and rad²/s⁵: 0.25 m within 0.9 s without encoders (1 sigma).
+const JERK: [f64; 3] = [2.5, 2.5, 0.5];
 /// 1 Hz, rad/s.
 const FREQUENCY: f64 = std::f64::consts::TAU;
 /// How long the missed part keeps its sign, s.
@@ -49,7 +48,7 @@ pub fn extrapolated(usual: &ProcessNoise, seconds: f64) -> ProcessNoise {
 /// tell the climber's acceleration from the platform's, and the climber may set off or stop.
 pub fn blind(usual: &ProcessNoise) -> ProcessNoise {
     let missed = missed(usual, 1.0, CORRELATION);
-    ProcessNoise { jerk: usual.jerk * CLIMBER, ..missed }
+    ProcessNoise { jerk: usual.jerk.sup(&JERK.into()), ..missed }
 }
 
 #[cfg(test)]

@@ -161,15 +161,15 @@ fn ten_times_the_noise_and_large_biases_are_estimated() {
         println!(
             "{}  densities {:.4} {:.5}\nwith known densities {best}",
             o.score,
-            o.status.densities.force.sqrt(),
-            o.status.densities.rate.sqrt()
+            o.status.imu.densities.force.sqrt(),
+            o.status.imu.densities.rate.sqrt()
         );
         println!(
             "time offset {:+.2} ms, searching {}",
             o.status.time_offset.offset * 1e3,
             o.status.time_offset.searching
         );
-        assert!((o.status.densities.force.sqrt() / 0.02 - 1.0).abs() < 0.25);
+        assert!((o.status.imu.densities.force.sqrt() / 0.02 - 1.0).abs() < 0.25);
         let ratios = (
             o.score.position_rmse() / best.position_rmse(),
             o.score.rotation_rmse() / best.rotation_rmse(),

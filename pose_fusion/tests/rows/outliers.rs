@@ -65,6 +65,27 @@ fn a_marker_beside_its_place_is_rejected_and_no_shock() {
     }
 }
 
+/// Two markers are exchanged for half a second while a third is hidden, so that no fourth one
+/// contradicts them: the pose moves by no more than a shock may. Before, 0.6 m and 59°.
+#[test]
+fn exchanged_markers_that_no_fourth_one_contradicts_move_the_pose_within_its_sigma() {
+    for seed in [1, 2, 3] {
+        let Outcome { score, outputs, .. } = with_markers(seed, |t, markers| {
+            if (6.0..8.0).contains(&t) {
+                markers[MarkerColor::Red] = MarkerObservation::lost(1);
+            }
+            if (6.5..7.0).contains(&t) {
+                markers.0.swap(1, 2);
+            }
+        });
+        let valid = outputs.status.iter().skip(500).filter(|s| s.valid).count();
+        println!("{score}, {valid} of {} valid", outputs.status.len() - 500);
+        assert!(score.position.max() < 0.25 && score.rotation.max() < 0.1, "{score}");
+        let (position, rotation) = score.nees();
+        assert!(position < 4.0 && rotation < 4.0, "{score}");
+    }
+}
+
 /// Centroids four times as noisy as the tracker says: the filter finds it, and is not much worse
 /// than one image alone.
 #[test]

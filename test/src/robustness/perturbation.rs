@@ -3,7 +3,7 @@
 use super::recording::Recording;
 use nalgebra::{UnitQuaternion, Vector3};
 use pose_fusion::Input;
-use rig_model::{CameraModel, Stamp};
+use rig_model::{CameraModel, ImuSample, MarkerObservation, Stamp};
 use rig_simulator::random::Random;
 use std::fmt;
 
@@ -34,6 +34,8 @@ pub enum Perturbation {
     EncoderOff(f64, f64),
     /// The encoders repeat their reading for this time, s.
     EncoderFrozen(f64),
+    /// The encoder of the y axis repeats its reading for this time, s.
+    AxisFrozen(f64),
     /// The IMU reads zero for this time, s.
     ImuZeros(f64),
     /// The IMU repeats its last values for this time, s.
@@ -54,10 +56,14 @@ pub enum Perturbation {
     ImageJitter(f64),
     /// A second publisher repeats every IMU sample.
     ImuTwice,
+    /// The IMU's samples arrive in bursts of this many, with the stamps of their arrival.
+    ImuBursts(usize),
+    /// Red is hidden, and green and blue are exchanged for this time, s.
+    Exchanged(f64),
 }
 
 /// Perturbations of the table.
-pub const TABLE: [Perturbation; 33] = {
+pub const TABLE: [Perturbation; 36] = {
     use Perturbation::*;
     [
         GyroScale(0.002),
@@ -83,6 +89,7 @@ pub const TABLE: [Perturbation; 33] = {
         EncoderOff(1.0, 0.1),
         EncoderOff(10.0, 1.0),
         EncoderFrozen(2.0),
+        AxisFrozen(2.0),
         ImuZeros(1.0),
         ImuStuck(1.0),
         ImuSpike(1000.0),
@@ -93,6 +100,8 @@ pub const TABLE: [Perturbation; 33] = {
         CameraDelay(0.1),
         ImageJitter(0.005),
         ImuTwice,
+        ImuBursts(5),
+        Exchanged(0.5),
     ]
 };
 
@@ -112,6 +121,7 @@ impl fmt::Display for Perturbation {
             Self::EncoderOff(x, t) if *t == 0.0 => write!(f, "one encoder reading {x} m off"),
             Self::EncoderOff(x, t) => write!(f, "encoders {x} m off for {t} s"),
             Self::EncoderFrozen(t) => write!(f, "encoders frozen {t} s"),
+            Self::AxisFrozen(t) => write!(f, "y encoder frozen {t} s"),
             Self::ImuZeros(t) => write!(f, "IMU zeros {t} s"),
             Self::ImuStuck(t) => write!(f, "IMU stuck {t} s"),
             Self::ImuSpike(x) => write!(f, "one IMU sample of {x} m/s²"),
@@ -122,6 +132,8 @@ impl fmt::Display for Perturbation {
             Self::CameraDelay(t) => write!(f, "camera and encoder stamps {:+.0} ms", t * 1e3),
             Self::ImageJitter(t) => write!(f, "image stamps off by up to {:.0} ms", t * 1e3),
             Self::ImuTwice => write!(f, "every IMU sample twice"),
+            Self::ImuBursts(n) => write!(f, "IMU stamped on arrival in bursts of {n}"),
+            Self::Exchanged(t) => write!(f, "red hidden, green and blue exchanged {t} s"),
         }
     }
 }
@@ -132,6 +144,8 @@ impl Perturbation {
         match self {
             Self::EncoderOff(_, t)
             | Self::EncoderFrozen(t)
+            | Self::AxisFrozen(t)
+            | Self::Exchanged(t)
             | Self::ImuZeros(t)
             | Self::ImuStuck(t)
             | Self::ImuLost(t)
@@ -199,6 +213,15 @@ impl Perturbation {
                     }
                 });
             }
+            Self::AxisFrozen(_) => {
+                let mut frozen = None;
+                each_climber(recording, |s| {
+                    if within(s.stamp) {
+                        let y = &mut s.world_from_climber.translation.y;
+                        *y = *frozen.get_or_insert(*y);
+                    }
+                });
+            }
             Self::ImuZeros(_) => each_imu(recording, |s| {
                 if within(s.stamp) {
                     (s.specific_force, s.angular_velocity) = (Vector3::zeros(), Vector3::zeros());
@@ -263,15 +286,23 @@ impl Perturbation {
                 });
                 recording.inputs = twice.collect();
             }
+            Self::ImuBursts(count) => arrive_in_bursts(recording, count),
+            Self::Exchanged(_) => {
+                for (_, input) in &mut recording.inputs {
+                    if let Input::Markers(m) = input
+                        && within(m.stamp)
+                    {
+                        m.markers.0[0] = MarkerObservation::lost(1);
+                        m.markers.0.swap(1, 2);
+                    }
+                }
+            }
         }
     }
 }
 
 /// Changes each IMU sample.
-pub(crate) fn each_imu(
-    recording: &mut Recording,
-    mut change: impl FnMut(&mut rig_model::ImuSample),
-) {
+pub(crate) fn each_imu(recording: &mut Recording, mut change: impl FnMut(&mut ImuSample)) {
     for (_, input) in &mut recording.inputs {
         if let Input::Imu(sample) = input {
             change(sample);
@@ -285,6 +316,26 @@ fn each_climber(recording: &mut Recording, mut change: impl FnMut(&mut rig_model
             change(sample);
         }
     }
+}
+
+/// Holds back the IMU's samples until `count` are there, and stamps them then, 0.1 ms apart.
+fn arrive_in_bursts(recording: &mut Recording, count: usize) {
+    let (mut held, mut inputs) = (Vec::new(), Vec::new());
+    for (at, input) in recording.inputs.drain(..) {
+        let Input::Imu(sample) = input else {
+            inputs.push((at, input));
+            continue;
+        };
+        held.push(sample);
+        if held.len() == count {
+            let arrives = sample.stamp;
+            inputs.extend(held.drain(..).enumerate().map(|(k, held)| {
+                let back = 1e-4 * (count - 1 - k) as f64;
+                (at, Input::Imu(ImuSample { stamp: arrives.plus_seconds(-back), ..held }))
+            }));
+        }
+    }
+    recording.inputs = inputs;
 }
 
 fn rotate_imu(recording: &mut Recording, turn: UnitQuaternion<f64>) {

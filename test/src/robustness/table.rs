@@ -54,7 +54,7 @@ pub fn limits(perturbation: &Perturbation, recording: &Recording) -> Limits {
         EncoderOff(_, 0.0) => factor(1.2),
         EncoderOff(_, duration) if duration < 0.5 => factor(2.0),
         EncoderOff(..) => Limits { worst: Some(100.0), after: Some(1.2), ..Limits::default() },
-        EncoderFrozen(_) | ImuZeros(_) | ImuStuck(_) | ImuSpike(_) | ImuLost(_)
+        EncoderFrozen(_) | AxisFrozen(_) | ImuZeros(_) | ImuStuck(_) | ImuSpike(_) | ImuLost(_)
         | EncodersLost(_) | ImagesLost(_) => bounded,
         GyroSaturated(_) => Limits { beyond: Some(BEYOND), ..Limits::default() },
         // The offset is found while the platform moves, within some seconds.
@@ -62,6 +62,9 @@ pub fn limits(perturbation: &Perturbation, recording: &Recording) -> Limits {
         // Each image is worth less, and the IMU goes on between them.
         ImageJitter(_) => Limits { after: Some(2.5), ..Limits::default() },
         ImuTwice => factor(1.01),
+        ImuBursts(_) => Limits { factor: Some(1.3), beyond: Some(BEYOND), ..Limits::default() },
+        // An exchange that no fourth marker contradicts may move the pose, within its sigma.
+        Exchanged(_) => Limits { after: Some(1.2), beyond: Some(BEYOND), ..Limits::default() },
     }
 }
 

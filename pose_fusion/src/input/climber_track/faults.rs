@@ -55,8 +55,7 @@ impl ClimberTrack {
             let since = since[i].filter(|_| standing[i])?;
             let (_, last, _) = self.readings.back()?;
             let before = self.readings.iter().rev().filter(|(at, _, _)| *at < since);
-            let mut recent =
-                before.take_while(|(at, _, _)| since.seconds_since(*at) < MOVING_SPAN);
+            let mut recent = before.take_while(|(at, _, _)| since.seconds_since(*at) < MOVING_SPAN);
             let moved = recent.any(|(_, values, _)| {
                 let way = last[i] - values[i];
                 let way = if i == 2 { wrap_angle(way) } else { way };

@@ -1,0 +1,60 @@
+//! IMU samples that arrive in bursts, with the stamps of their arrival.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::panic,
+    reason = "a test"
+)]
+mod common;
+
+use common::{scoring, simulated};
+use pose_fusion::{Fusion, FusionConfig, Input, Warning};
+use rig_model::ImuSample;
+use rig_simulator::inertial::SensorConfig;
+
+/// Position RMSE over that of the same run with right stamps. With the stamps as they are it is 13
+/// and more.
+const FACTOR: f64 = 1.3;
+
+/// Holds back the IMU's samples until `count` are there, and stamps them then, 0.1 ms apart.
+fn arrive_in_bursts(inputs: &[Input], count: usize) -> Vec<Input> {
+    let (mut held, mut arrived) = (Vec::new(), Vec::new());
+    for input in inputs {
+        let Input::Imu(sample) = input else {
+            arrived.push(input.clone());
+            continue;
+        };
+        held.push(*sample);
+        if held.len() == count {
+            arrived.extend(held.drain(..).enumerate().map(|(k, held)| {
+                let stamp = sample.stamp.plus_seconds(-1e-4 * (count - 1 - k) as f64);
+                Input::Imu(ImuSample { stamp, ..held })
+            }));
+        }
+    }
+    arrived
+}
+
+#[test]
+fn samples_that_arrive_in_bursts_cost_no_accuracy_and_are_named() {
+    for (seed, motion) in simulated::motions() {
+        let run = simulated::run(motion, &SensorConfig::nominal(seed));
+        let inputs: Vec<Input> = run.inputs.iter().map(|(_, input)| input.clone()).collect();
+        let follow = |inputs: Vec<Input>| {
+            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+            let outputs = scoring::run(&mut fusion, inputs);
+            let named = outputs.warnings.iter().any(|w| matches!(w, Warning::ImuBursts { .. }));
+            assert_eq!(fusion.status().imu.bursts.is_some(), named);
+            (scoring::score(&outputs.odometry, &run.truth, 2.0), named)
+        };
+        let (usual, named) = follow(inputs.clone());
+        assert!(!named, "seed {seed}: right stamps");
+        for count in [2, 5, 8] {
+            let (score, named) = follow(arrive_in_bursts(&inputs, count));
+            let factor = score.position_rmse() / usual.position_rmse();
+            println!("seed {seed}, {count} samples: {factor:.2} x, {score}");
+            assert!(named && factor < FACTOR);
+        }
+    }
+}
