@@ -82,6 +82,11 @@ impl Excess {
         self.factor = (self.factor * CONTRADICTED).min(tuning.limit);
     }
 
+    /// Returns the mean square per degree of freedom.
+    pub fn ratio(&self) -> f64 {
+        self.ratio
+    }
+
     /// Returns the factor, at least 1.
     pub fn factor(&self) -> f64 {
         self.factor

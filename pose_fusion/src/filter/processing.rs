@@ -32,6 +32,9 @@ const CONTRADICTED: f64 = 31.83;
 /// Largest factor of the model error with which a gated image means a shock and not one more error
 /// of the model; guarded by the late encoders of `make robustness`.
 const SUDDEN: f64 = 1.5;
+/// Mean square of the images' innovations, per degree of freedom, with which encoders that stand may
+/// be frozen.
+const DOUBTED: f64 = 1.4;
 /// Markers that do not show that they agree with each other (three, or one of four is false) must
 /// contradict in this many times as many images before the prediction gives way.
 const DISAGREEING: u32 = 3;
@@ -205,9 +208,8 @@ impl Filter {
             _ => None,
         };
         if let (Some(internal), false) = (internal, excused) {
-            if self.imu.model_error().add(record.nis - internal, &MODEL_ERROR)
-                && self.try_without_encoders(at)
-            {
+            self.imu.model_error().add(record.nis - internal, &MODEL_ERROR);
+            if self.imu.model_error().ratio() > DOUBTED && self.try_without_encoders(at) {
                 return false;
             }
             if self.imu.model_error().factor() > SUDDEN {

@@ -78,9 +78,10 @@ fn exchanged_markers_that_no_fourth_one_contradicts_move_the_pose_within_its_sig
                 markers.0.swap(1, 2);
             }
         });
-        let valid = outputs.status.iter().skip(500).filter(|s| s.valid).count();
-        println!("{score}, {valid} of {} valid", outputs.status.len() - 500);
-        assert!(score.position.max() < 0.25 && score.rotation.max() < 0.1, "{score}");
+        let invalid = outputs.status.iter().skip(500).filter(|s| !s.valid).count();
+        println!("{score}, {invalid} not valid");
+        assert!(score.position.max() < 0.4 && score.rotation.max() < 0.1, "{score}");
+        assert!(invalid < 60, "{invalid}");
         let (position, rotation) = score.nees();
         assert!(position < 4.0 && rotation < 4.0, "{score}");
     }
