@@ -36,10 +36,11 @@ Exit status:
   0    done; all that the command checks holds
   1    the work failed, with one line on standard error; or what the command checks does not hold
   2    the command line is wrong
+  129  the terminal was closed (SIGHUP); existing files are unchanged
   130  interrupted by SIGINT (ctrl-c); existing files are unchanged
   141  the reader of standard output has gone
   143  ended by SIGTERM; existing files are unchanged
-Nodes, record, play, monitor and foxglove run until SIGINT or SIGTERM and end with 0 on either.";
+Nodes, record, play, monitor and foxglove run until one of these signals and end with 0.";
 
 /// Exit status of a program whose reader has gone: what a shell reports for SIGPIPE (128 + 13).
 const READER_GONE: u8 = 141;
@@ -73,8 +74,23 @@ pub fn write_error_line(text: fmt::Arguments<'_>) {
     let _ = writeln!(io::stderr(), "{text}");
 }
 
-/// Ends the process on SIGINT and SIGTERM with the status that a shell reports for the signal (130,
-/// 143). Incomplete outputs are removed and named on standard error; `first` is called before.
+/// Returns the signals that end a program: SIGINT, SIGTERM, and SIGHUP (the terminal was closed)
+/// unless it was started to ignore that one, as `nohup` does.
+#[cfg(feature = "signals")]
+pub fn stop_signals() -> Vec<i32> {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let ignored = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    let mut signals = vec![SIGINT, SIGTERM];
+    if ignored & 1 << (SIGHUP - 1) == 0 {
+        signals.push(SIGHUP);
+    }
+    signals
+}
+
+/// Ends the process on [`stop_signals`] with the status that a shell reports for the signal (130,
+/// 143, 129). Incomplete outputs are removed and named on standard error; `first` is called before.
 ///
 /// # Errors
 /// The system does not deliver the signals.
@@ -84,8 +100,7 @@ pub fn end_on_signals(
     program: &'static str,
     first: impl FnOnce() + Send + 'static,
 ) -> io::Result<()> {
-    use signal_hook::consts::{SIGINT, SIGTERM};
-    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM])?;
+    let mut signals = signal_hook::iterator::Signals::new(stop_signals())?;
     std::thread::spawn(move || {
         let Some(signal) = signals.forever().next() else { return };
         first();
@@ -102,19 +117,15 @@ pub fn end_on_signals(
     Ok(())
 }
 
-/// Flag that SIGINT and SIGTERM set.
+/// Flag that [`stop_signals`] set.
 ///
 /// # Errors
 /// The system does not deliver the signals.
 #[cfg(feature = "signals")]
 pub fn stop_flag() -> io::Result<std::sync::Arc<std::sync::atomic::AtomicBool>> {
-    use signal_hook::{
-        consts::{SIGINT, SIGTERM},
-        flag::register,
-    };
     let flag = std::sync::Arc::default();
-    for signal in [SIGINT, SIGTERM] {
-        register(signal, std::sync::Arc::clone(&flag))?;
+    for signal in stop_signals() {
+        signal_hook::flag::register(signal, std::sync::Arc::clone(&flag))?;
     }
     Ok(flag)
 }

@@ -191,6 +191,10 @@ fn an_interrupted_replay_leaves_the_former_file_and_reports_it() {
     assert_eq!(status, Some(143), "{stderr}");
     assert!(stderr.contains("interrupted") && stderr.contains("out.mcap was not written"));
     assert_eq!(place.names(), ["in.mcap", "rig.yaml"]);
+    // A terminal that is closed.
+    let (status, stderr) = interrupted(&place, Signal::HUP, &["--smooth"]);
+    assert_eq!(status, Some(129), "{stderr}");
+    assert_eq!(place.names(), ["in.mcap", "rig.yaml"]);
     fs::write(place.path("out.mcap"), "former").unwrap();
     let (status, stderr) = interrupted(&place, Signal::INT, &["--smooth", "--overwrite"]);
     assert_eq!(status, Some(130), "{stderr}");

@@ -9,7 +9,7 @@ use node_kit::{
     files::{self, FileError},
     out,
 };
-use std::{ffi::OsString, io::Write, path::PathBuf, process::ExitCode};
+use std::{ffi::OsString, io::Write, ops::RangeInclusive, path::PathBuf, process::ExitCode};
 
 /// Parses the command line of the process.
 ///
@@ -38,6 +38,16 @@ pub fn parse_from<P: Parser>(words: impl IntoIterator<Item = OsString>) -> Resul
             ExitCode::from(2)
         }
     })
+}
+
+/// Returns a parser of numbers within a range, for arguments.
+pub fn number(
+    range: RangeInclusive<f64>,
+) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let number = text.parse().ok().filter(|x| range.contains(x));
+        number.ok_or_else(|| format!("must be a number from {} to {}", range.start(), range.end()))
+    }
 }
 
 /// Reports why `program` failed, in one line on standard error, and returns its exit status.

@@ -97,6 +97,12 @@ fn a_wrong_command_line_is_2() {
         &["replay", "in.mcap", "--rig", "r.yaml"],
         &["fly"],
         &["evaluate", "x", "--bad"],
+        &["evaluate", "x", "--skip", "nan"],
+        &["replay", "x", "--rig", "r.yaml", "--out", "y", "--remap", "climber/transform"],
+        &["replay", "x", "--rig", "r.yaml", "--out", "y", "--threads", "0"],
+        &["play", "x", "--remap", "a=b"],
+        &["play", "x", "--delay", "-1"],
+        &["markers", "--rig", "r.yaml", "--out", "markers.png"],
     ] {
         let output = Command::new(env!("CARGO_BIN_EXE_volant")).args(arguments).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");

@@ -15,6 +15,7 @@ use super::{
 };
 use crate::{
     args::RosArguments,
+    console,
     environment::Network,
     inbox::{Inbox, Sources, now},
     level::Level,
@@ -237,20 +238,16 @@ impl Process {
         Stopper(self.ended_sender.clone())
     }
 
-    /// Stops the process in order on SIGINT and SIGTERM. A signal that arrives 3 s after the first
+    /// Stops the process in order on SIGINT, SIGTERM and SIGHUP ([`console::stop_signals`]). A signal that arrives 3 s after the first
     /// or later ends it at once; earlier ones are ignored, because Ctrl-C in a terminal sends a
     /// launched node two in a row, one of the terminal and one of `ros2 launch`.
     ///
     /// # Errors
     /// The system refuses the handler.
     pub fn stop_on_signals(&self) -> Result<(), NodeError> {
-        use signal_hook::{
-            consts::{SIGINT, SIGTERM},
-            iterator::Signals,
-            low_level::emulate_default_handler,
-        };
+        use signal_hook::{iterator::Signals, low_level::emulate_default_handler};
         let refused = |source| NodeError::System { what: "a signal handler".into(), source };
-        let mut signals = Signals::new([SIGINT, SIGTERM]).map_err(refused)?;
+        let mut signals = Signals::new(console::stop_signals()).map_err(refused)?;
         let stopper = self.stopper();
         std::thread::Builder::new()
             .name("signals".into())

@@ -107,7 +107,7 @@ impl Run {
         };
         std::fs::create_dir_all(folder).map_err(io(folder))?;
         let rig_file = folder.join("rig.yaml");
-        std::fs::write(&rig_file, &scenario.rig_yaml).map_err(io(&rig_file))?;
+        std::fs::write(&rig_file, scenario.rig_file()).map_err(io(&rig_file))?;
         let port = folder.join("mtx");
         let clock = site.settable_clock.then(|| SettableClock::new(folder)).transpose()?;
         let hardware = SimulatedHardware::start(scenario, images, site, &port)?;
@@ -117,9 +117,6 @@ impl Run {
             let rig = rig_file.display().to_string();
             arguments.extend(["--ros-args".into(), "--params-file".into(), rig]);
             let own = match name {
-                "climber_driver" => {
-                    Some(format!("height:={}", scenario.motion.config().climber_height))
-                }
                 "imu_driver" => Some(format!("port:={}", port.display())),
                 "marker_tracker" => Some("image_transport:=compressed".to_owned()),
                 _ => None,

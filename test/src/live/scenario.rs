@@ -92,6 +92,15 @@ impl Scenario {
         })
     }
 
+    /// The rig file with the height of the climber, for all nodes.
+    pub fn rig_file(&self) -> String {
+        let height = self.motion.config().climber_height;
+        format!(
+            "{}\n/**/climber_driver:\n  ros__parameters:\n    height: {height:?}\n",
+            self.rig_yaml
+        )
+    }
+
     /// Seconds that the run takes.
     pub fn duration(&self) -> f64 {
         self.motion.duration()

@@ -10,7 +10,7 @@ mod topic_names;
 
 pub use feed::{Fed, Feed, ImageTopic};
 pub use pipeline::{Counts, Spent};
-pub use topic_names::{TopicNameError, TopicNames};
+pub use topic_names::{Remap, TopicNameError, TopicNames};
 
 use crate::stopwatch::Stopwatch;
 use bag::{BagError, BagMessage, BagReader, BagSummary, Compression, WriteOptions};

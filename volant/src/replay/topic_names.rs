@@ -1,7 +1,7 @@
 //! Names of topics after namespace and remapping.
 
 use bag::BagSummary;
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, fmt, str::FromStr};
 use thiserror::Error;
 
 /// A namespace and remapping rules.
@@ -11,17 +11,33 @@ pub struct TopicNames {
     remaps: BTreeMap<String, String>,
 }
 
+/// A remapping rule, `from:=to`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Remap {
+    from: String,
+    to: String,
+}
+
+impl FromStr for Remap {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once(":=").filter(|(from, to)| !from.is_empty() && !to.is_empty());
+        let (from, to) =
+            parts.ok_or("write it as from:=to, such as climber/transform:=/crane/pose")?;
+        Ok(Self { from: from.to_owned(), to: to.to_owned() })
+    }
+}
+
+impl fmt::Display for Remap {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:={}", self.from, self.to)
+    }
+}
+
 /// Why no topic is chosen.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum TopicNameError {
-    /// Not `from:=to`.
-    #[error(
-        "`{text}` is not a remap; write it as from:=to, such as climber/transform:=/crane/pose"
-    )]
-    Remap {
-        /// The rule as given.
-        text: String,
-    },
     /// Several topics of a type, and none has the rig's name.
     #[error(
         "several topics of {kind}: {}, and none is {resolved}; choose one with --namespace or \
@@ -41,22 +57,14 @@ pub enum TopicNameError {
 }
 
 impl TopicNames {
-    /// Parses a namespace (empty or `/`: none) and rules `from:=to`.
-    ///
-    /// # Errors
-    /// A rule without `:=`.
-    pub fn new(namespace: &str, remaps: &[String]) -> Result<Self, TopicNameError> {
-        let mut names =
-            Self { namespace: namespace.trim_matches('/').to_owned(), remaps: BTreeMap::new() };
-        for text in remaps {
-            let (from, to) = text
-                .split_once(":=")
-                .filter(|(from, to)| !from.is_empty() && !to.is_empty())
-                .ok_or_else(|| TopicNameError::Remap { text: text.clone() })?;
-            let (from, to) = (names.absolute(from), names.absolute(to));
-            names.remaps.insert(from, to);
+    /// Creates the names of a namespace (empty or `/`: none) and rules.
+    pub fn new(namespace: &str, remaps: &[Remap]) -> Self {
+        let namespace = namespace.trim_matches('/').to_owned();
+        let mut names = Self { namespace, remaps: BTreeMap::new() };
+        for Remap { from, to } in remaps {
+            names.remaps.insert(names.absolute(from), names.absolute(to));
         }
-        Ok(names)
+        names
     }
 
     /// Returns the absolute name of a relative topic.
@@ -173,12 +181,12 @@ mod tests {
 
     #[test]
     fn namespaces_and_remaps_move_relative_names_only() {
-        let names = TopicNames::new("/rig1/", &["climber/transform:=/crane".into()]).unwrap();
+        let names = TopicNames::new("/rig1/", &["climber/transform:=/crane".parse().unwrap()]);
         assert_eq!(names.resolve("volant/odometry"), "/rig1/volant/odometry");
         assert_eq!(names.resolve("/tf"), "/tf");
         assert_eq!(names.resolve("climber/transform"), "/crane");
         assert_eq!(TopicNames::default().resolve("volant/odometry"), "/volant/odometry");
-        assert!(TopicNames::new("", &["a=b".into()]).is_err());
+        assert!("a=b".parse::<Remap>().is_err() && ":=b".parse::<Remap>().is_err());
     }
 
     #[test]
@@ -215,13 +223,13 @@ mod tests {
             names.choose(&bag(topics), &alternatives)
         };
         let names = TopicNames::default();
-        let rig1 = TopicNames::new("rig1", &[]).unwrap();
+        let rig1 = TopicNames::new("rig1", &[]);
         let two = [("/rig1/camera/image_raw", "Image", 9), ("/rig2/camera/image_raw", "Image", 9)];
         assert_eq!(choose(&names, &[("/camera/image_raw", "Image", 0)]), Ok(None));
         assert_eq!(choose(&names, &two[1..]), Ok(Some((0, two[1].0.to_owned()))));
         assert_eq!(choose(&rig1, &two), Ok(Some((0, two[0].0.to_owned()))));
         // What the user named is not replaced by another rig's.
-        let renamed = TopicNames::new("", &["camera/image_raw:=/front/image_raw".into()]).unwrap();
+        let renamed = TopicNames::new("", &["camera/image_raw:=/front/image_raw".parse().unwrap()]);
         for names in [&rig1, &renamed] {
             assert_eq!(choose(names, &two[1..]), Ok(None), "{names:?}");
         }

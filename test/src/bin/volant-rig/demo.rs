@@ -7,6 +7,7 @@ use node_kit::environment::Network;
 use node_kit::{files, outln};
 use rig_model::Stamp;
 use std::{path::PathBuf, sync::Arc};
+use volant::command_line::number;
 use volant::report::{Block, Curve, Page, Run as Drawn, Section, Table, colors, six_curves};
 use volant_test::{
     accuracy::{AXES, Errors, UNITS, inertial_alone},
@@ -27,7 +28,7 @@ pub(crate) struct Arguments {
     #[arg(long, default_value = "demo_run")]
     out: PathBuf,
     /// Length of the swing, s
-    #[arg(long, default_value_t = 20.0, value_parser = seconds)]
+    #[arg(long, default_value_t = 20.0, value_parser = number(4.0..=600.0))]
     seconds: f64,
     /// Random seed
     #[arg(long, default_value_t = 1)]
@@ -35,13 +36,6 @@ pub(crate) struct Arguments {
     /// Add distractors in the markers' colors
     #[arg(long)]
     clutter: bool,
-}
-
-fn seconds(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(s) if (4.0..=600.0).contains(&s) => Ok(s),
-        _ => Err("a number from 4 to 600".to_owned()),
-    }
 }
 
 fn bar(length: u64, what: &str) -> ProgressBar {

@@ -11,6 +11,7 @@ use std::{
     path::{Path, PathBuf},
     sync::Mutex,
 };
+use volant::command_line::number;
 use volant_test::{
     live::{ImageSequence, Scenario, processes::executables},
     paper::{
@@ -48,7 +49,7 @@ pub(crate) struct Arguments {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Length of the swing of fig-13, table-2 and ratio, s
-    #[arg(long, default_value_t = 20.0, value_parser = seconds)]
+    #[arg(long, default_value_t = 20.0, value_parser = number(4.0..=120.0))]
     seconds: f64,
 }
 
@@ -57,13 +58,6 @@ fn name(text: &str) -> Result<String, String> {
         Ok(text.to_owned())
     } else {
         Err(format!("known are all, {}", NAMES.join(", ")))
-    }
-}
-
-fn seconds(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(s) if (4.0..=120.0).contains(&s) => Ok(s),
-        _ => Err("a number from 4 to 120".to_owned()),
     }
 }
 

@@ -5,6 +5,7 @@ use clap::Args;
 use node_kit::environment::Network;
 use node_kit::{errln, files, outln};
 use std::{path::PathBuf, sync::Arc};
+use volant::command_line::number;
 use volant_test::{
     hosts::Island,
     live::{ImageSequence, Scenario},
@@ -20,7 +21,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_delimiter = ',', default_values_t = [1, 2, 4, 8, 16, 32])]
     rigs: Vec<usize>,
     /// Duration of the measurement, s
-    #[arg(long, default_value_t = 10.0)]
+    #[arg(long, default_value_t = 10.0, value_parser = number(1.0..=3600.0))]
     seconds: f64,
     /// Each rig in a DDS domain of its own, from this one on, instead of all in one domain
     #[arg(long)]

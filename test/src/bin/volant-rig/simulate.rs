@@ -5,6 +5,7 @@ use clap::Args;
 use node_kit::{convert, files, outln};
 use rig_model::topics;
 use std::{fs, path::PathBuf};
+use volant::command_line::number;
 use volant_test::live::{Scenario, bag::from_sensors};
 
 /// Writes simulated runs: markers, IMU, climber and ground truth, without images and nodes.
@@ -17,7 +18,7 @@ pub(crate) struct Arguments {
     #[arg(long, default_value_t = 1)]
     runs: u64,
     /// Duration of each, s
-    #[arg(long, default_value_t = 10.0)]
+    #[arg(long, default_value_t = 10.0, value_parser = number(1.0..=3600.0))]
     seconds: f64,
     /// Seed of the first run; the others follow
     #[arg(long, default_value_t = 1)]
@@ -40,7 +41,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         let frames = scenario.rig.frames.clone();
         let topic = topics::absolute::CLIMBER_TRANSFORM;
         from_sensors(&bag, &scenario, topic, |sample| convert::climber_message(sample, &frames))?;
-        files::write(&rig, scenario.rig_yaml.as_bytes(), arguments.overwrite)?;
+        files::write(&rig, scenario.rig_file().as_bytes(), arguments.overwrite)?;
     }
     outln!("{} runs in {}", arguments.runs, arguments.out.display())?;
     Ok(())

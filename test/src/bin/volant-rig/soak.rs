@@ -5,6 +5,7 @@ use clap::Args;
 use node_kit::environment::Network;
 use node_kit::{errln, outln};
 use std::{path::PathBuf, sync::Arc};
+use volant::command_line::number;
 use volant_test::{
     live::{ImageSequence, Scenario},
     run_folder::RunFolder,
@@ -16,11 +17,11 @@ use volant_test::{
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// For how long
-    #[arg(long, default_value_t = 60.0)]
+    #[arg(long, default_value_t = 60.0, value_parser = number(0.1..=1e6))]
     minutes: f64,
     /// Nodes are killed in the first part of the run only, so that memory can be watched for long
     /// in the rest
-    #[arg(long, default_value_t = 0.3)]
+    #[arg(long, default_value_t = 0.3, value_parser = number(0.0..=1.0))]
     kills: f64,
     /// Folder for the nodes' logs: an empty or new one, or that of an earlier run, which is
     /// replaced

@@ -39,7 +39,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<bool> {
     }
     let Settings { rig, tracker, climber, .. } =
         settings::read(&arguments.rig, &arguments.params_file, &arguments.topics.namespace)?;
-    let cores = Cores { tracker, climber, names: arguments.topics.names()? };
+    let cores = Cores { tracker, climber, names: arguments.topics.names() };
     let report = check_bag(&arguments.bag, &rig, &cores).context("check")?;
     if let Some(path) = &arguments.json {
         let text = serde_json::to_string_pretty(&as_json(&report))? + "\n";

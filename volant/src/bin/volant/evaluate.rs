@@ -8,6 +8,7 @@ use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
 };
+use volant::command_line::number;
 use volant::evaluate::{
     EvaluateOptions, csv, csv_of_many, evaluate, evaluate_many, page, page_of_many, pairs, table,
     table_of_many,
@@ -34,7 +35,7 @@ pub struct Arguments {
     #[arg(long)]
     overwrite: bool,
     /// Time to skip at the start, s
-    #[arg(long, value_name = "SECONDS", default_value_t = 1.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = number(0.0..=1e9))]
     skip: f64,
     #[command(flatten)]
     topics: BagTopics,
@@ -49,7 +50,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         estimates: arguments.estimates.clone(),
         truth: arguments.truth.clone(),
         skip: arguments.skip,
-        names: arguments.topics.names()?,
+        names: arguments.topics.names(),
     };
     let evaluation = evaluate(&options).context("evaluate")?;
     for loss in &evaluation.losses {
@@ -84,7 +85,7 @@ impl Arguments {
 
 /// Evaluates a folder of runs, in parallel.
 fn run_many(arguments: &Arguments) -> anyhow::Result<()> {
-    let names = arguments.topics.names()?;
+    let names = arguments.topics.names();
     let runs = pairs(&arguments.estimates, &arguments.truth).context("evaluate")?;
     let inputs: Vec<&Path> =
         runs.iter().flat_map(|run| [run.estimates.as_path(), &run.truth]).collect();

@@ -1,9 +1,12 @@
 //! `volant markers`: the sheets to print.
 
 use crate::{calibrate::read_rig, terminal};
-use anyhow::{Context, bail};
+use anyhow::Context;
 use rig_model::CameraModel;
-use std::path::PathBuf;
+use std::{
+    ffi::OsString,
+    path::{Path, PathBuf},
+};
 use volant::markers::{Paper, pdf, sheets, svg};
 
 #[derive(clap::Args)]
@@ -12,7 +15,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     pub rig: PathBuf,
     /// File to write: .pdf, or .svg (all sheets one below the other)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = sheets_file)]
     pub out: PathBuf,
     /// Replace an existing file
     #[arg(long)]
@@ -33,16 +36,25 @@ pub enum Page {
     Letter,
 }
 
+fn ending(path: &Path) -> OsString {
+    path.extension().unwrap_or_default().to_ascii_lowercase()
+}
+
+fn sheets_file(name: &str) -> Result<PathBuf, &'static str> {
+    let path = PathBuf::from(name);
+    if ending(&path) == "pdf" || ending(&path) == "svg" {
+        Ok(path)
+    } else {
+        Err("name it .pdf or .svg")
+    }
+}
+
 /// Runs the command.
 ///
 /// # Errors
 /// See the messages, which name the remedy.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let ending = arguments.out.extension().unwrap_or_default().to_ascii_lowercase();
-    let is_pdf = ending == "pdf";
-    if !is_pdf && ending != "svg" {
-        bail!("{}: name it .pdf or .svg", arguments.out.display());
-    }
+    let is_pdf = ending(&arguments.out) == "pdf";
     let rig = read_rig(&arguments.rig)?;
     let focal_length = arguments.camera.as_ref().map(|path| {
         node_kit::files::read_text(path)

@@ -6,6 +6,7 @@ use std::{
     sync::atomic::{AtomicBool, Ordering},
     time::Duration,
 };
+use volant::command_line::number;
 use volant::live::{
     LiveError,
     monitor::{Snapshot, Watch, WatchOptions, plain, screen},
@@ -26,15 +27,8 @@ pub struct Arguments {
     #[arg(long, conflicts_with = "once")]
     plain: bool,
     /// Time before the first snapshot and between two, s
-    #[arg(long, value_name = "SECONDS", default_value_t = 3.0, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0, value_parser = number(0.1..=3600.0))]
     interval: f64,
-}
-
-fn seconds(text: &str) -> Result<f64, String> {
-    text.parse()
-        .ok()
-        .filter(|x| (0.1..=3600.0).contains(x))
-        .ok_or("must be a number from 0.1 to 3600".into())
 }
 
 /// Period of discovery.

@@ -3,9 +3,10 @@
 use crate::{signals, terminal};
 use node_kit::outln;
 use std::{io::Read, path::PathBuf, sync::Arc, time::Duration};
+use volant::command_line::number;
 use volant::{
     live::play::{PlayControl, PlayOptions, play},
-    replay::TopicNames,
+    replay::{Remap, TopicNames},
 };
 
 #[derive(clap::Args)]
@@ -13,16 +14,16 @@ pub struct Arguments {
     /// Bag: an .mcap file or a rosbag2 folder
     input: PathBuf,
     /// Playback rate; 2 is twice as fast as recorded
-    #[arg(short, long, default_value_t = 1.0, value_parser = positive)]
+    #[arg(short, long, default_value_t = 1.0, value_parser = number(1e-3..=1e3))]
     rate: f64,
     /// Restart at the end
     #[arg(short = 'l', long = "loop")]
     repeat: bool,
     /// Time to skip at the start, s
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = number(0.0..=1e9))]
     start_offset: f64,
     /// Time to wait for subscribers before the first message, s
-    #[arg(short, long, value_name = "SECONDS", default_value_t = 0.5)]
+    #[arg(short, long, value_name = "SECONDS", default_value_t = 0.5, value_parser = number(0.0..=3600.0))]
     delay: f64,
     /// Start paused; the space bar, SIGUSR1 and rosbag2's services on /rosbag2_player resume and
     /// pause
@@ -34,7 +35,7 @@ pub struct Arguments {
         value_name = "HZ",
         num_args = 0..=1,
         default_missing_value = "40",
-        value_parser = positive
+        value_parser = number(1e-3..=1e3)
     )]
     clock: Option<f64>,
     /// Play only these topics
@@ -42,14 +43,7 @@ pub struct Arguments {
     topics: Vec<String>,
     /// Remap a topic, FROM:=TO; repeatable
     #[arg(short = 'm', long, value_name = "FROM:=TO", num_args = 1..)]
-    remap: Vec<String>,
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    text.parse()
-        .ok()
-        .filter(|x: &f64| x.is_finite() && *x > 0.0)
-        .ok_or("must be a number above 0".into())
+    remap: Vec<Remap>,
 }
 
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
@@ -63,7 +57,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         delay: seconds(arguments.delay),
         clock_hz: arguments.clock,
         topics: arguments.topics.iter().map(absolute).collect(),
-        names: TopicNames::new("", &arguments.remap)?,
+        names: TopicNames::new("", &arguments.remap),
     };
     let control = Arc::new(PlayControl::new(arguments.rate, arguments.paused));
     signals::on_stop({

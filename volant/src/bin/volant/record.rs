@@ -8,6 +8,7 @@ use std::{
     sync::atomic::Ordering,
     time::{Duration, SystemTime},
 };
+use volant::command_line::number;
 use volant::live::record::{RecordOptions, bag_name, record};
 
 #[derive(clap::Args)]
@@ -36,13 +37,13 @@ pub struct Arguments {
     #[arg(long, value_name = "MIB")]
     split_size: Option<u64>,
     /// Start a new file after this time, s (folders only)
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = number(0.1..=1e9))]
     split_duration: Option<f64>,
     /// Keep this many files and remove the oldest of this recording when a new one starts
     #[arg(long, value_name = "FILES", value_parser = clap::value_parser!(u32).range(1..))]
     keep: Option<u32>,
     /// Stop after this time, s
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = number(0.0..=1e9))]
     duration: Option<f64>,
 }
 
@@ -113,6 +114,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         ));
     }
     let bag = report.bag;
+    anyhow::ensure!(
+        bag.messages() > 0,
+        "no message was recorded in {}: see `ros2 topic list`, and check ROS_DOMAIN_ID",
+        output.display()
+    );
     outln!(
         "{} messages, {}, in {}",
         bag.messages(),

@@ -43,8 +43,8 @@ pub struct Arguments {
     #[arg(long)]
     smooth: bool,
     /// Threads that decode images [default: number of cores]
-    #[arg(long, value_name = "N")]
-    threads: Option<usize>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
+    threads: Option<u16>,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -74,6 +74,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let model = fusion.model;
     let workers = arguments
         .threads
+        .map(usize::from)
         .unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
         .clamp(1, 64);
     let options = ReplayOptions {
@@ -84,7 +85,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         output: arguments.out.clone(),
         overwrite: arguments.overwrite,
         fusion,
-        names: arguments.topics.names()?,
+        names: arguments.topics.names(),
         compression: arguments.compression,
         workers,
         smooth: arguments.smooth,
@@ -122,7 +123,7 @@ fn check_command(arguments: &Arguments) -> String {
     if !topics.namespace.is_empty() {
         add("--namespace", topics.namespace.clone());
     }
-    topics.remap.iter().for_each(|remap| add("--remap", remap.clone()));
+    topics.remap.iter().for_each(|remap| add("--remap", remap.to_string()));
     // No argument contains a NUL byte.
     shlex::try_join(words.iter().map(String::as_str)).unwrap_or_else(|_| words.join(" "))
 }

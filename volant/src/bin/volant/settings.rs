@@ -16,7 +16,7 @@ use node_kit::{
 use pose_fusion::{FusionConfig, node::FusionNode};
 use rig_model::Rig;
 use std::path::{Path, PathBuf};
-use volant::replay::{TopicNameError, TopicNames};
+use volant::replay::{Remap, TopicNames};
 
 /// Configuration from the rig file and parameter files.
 pub struct Settings {
@@ -35,15 +35,12 @@ pub struct BagTopics {
     pub namespace: String,
     /// Remap a topic, FROM:=TO; repeatable
     #[arg(long, value_name = "FROM:=TO")]
-    pub remap: Vec<String>,
+    pub remap: Vec<Remap>,
 }
 
 impl BagTopics {
     /// Returns the names.
-    ///
-    /// # Errors
-    /// A remap without `:=`.
-    pub fn names(&self) -> Result<TopicNames, TopicNameError> {
+    pub fn names(&self) -> TopicNames {
         TopicNames::new(&self.namespace, &self.remap)
     }
 }

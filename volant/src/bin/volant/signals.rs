@@ -1,13 +1,11 @@
-//! Signals: SIGINT and SIGTERM stop a command, SIGUSR1 pauses one.
+//! Signals: SIGINT, SIGTERM and SIGHUP stop a command, SIGUSR1 pauses one.
 
-use signal_hook::{
-    consts::{SIGINT, SIGTERM, SIGUSR1},
-    iterator::Signals,
-};
+use node_kit::console::stop_signals;
+use signal_hook::{consts::SIGUSR1, iterator::Signals};
 
-/// Calls `call` on SIGINT and SIGTERM.
+/// Calls `call` on each of [`stop_signals`].
 pub fn on_stop(call: impl Fn() + Send + 'static) -> std::io::Result<()> {
-    on(&[SIGINT, SIGTERM], call)
+    on(&stop_signals(), call)
 }
 
 /// Calls `call` on SIGUSR1.

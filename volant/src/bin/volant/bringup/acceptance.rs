@@ -37,7 +37,7 @@ pub fn acceptance(walk: &mut Walk) -> Result<()> {
         tracker: settings.tracker,
         climber: settings.climber,
         fusion: settings.fusion,
-        names: TopicNames::new("", &[])?,
+        names: TopicNames::new("", &[]),
         compression: Compression::default(),
         workers: std::thread::available_parallelism().map_or(1, usize::from),
         smooth: false,

@@ -31,7 +31,7 @@ pub struct Arguments {
     #[arg(long, conflicts_with = "bag")]
     pub live: bool,
     /// Duration of the live recording, s (Ctrl-C ends it earlier)
-    #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = volant::command_line::number(0.1..=1e6))]
     pub duration: f64,
     /// Rig file: marker layout and camera mounting
     #[arg(long, value_name = "FILE")]
@@ -78,7 +78,7 @@ pub fn run(arguments: &Arguments) -> Result<ClimberCalibration> {
     // The update rejects an invalid file; one of comments only is a valid start.
     let present = ParameterFile::parse(&text).unwrap_or_default().for_node(&arguments.node);
     let found = match &arguments.bag {
-        Some(bag) => from_bag(bag, arguments, &arguments.topics.names()?, &rig, &present)?,
+        Some(bag) => from_bag(bag, arguments, &arguments.topics.names(), &rig, &present)?,
         None => live(arguments, &rig, &present)?,
     };
     print(&found, &present)?;

@@ -13,6 +13,7 @@ use std::{
     fs,
     path::{Path, PathBuf},
 };
+use volant::command_line::number;
 use volant::{
     parameter_update::{Setting, list},
     replay::{Fed, Feed, ImageTopic},
@@ -38,7 +39,7 @@ pub struct Arguments {
     #[arg(long, value_name = "TOPIC")]
     pub topic: Option<String>,
     /// Duration of recording from a live topic, s
-    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0, value_parser = number(0.1..=1e6))]
     pub duration: f64,
     #[command(flatten)]
     pub output: Output,

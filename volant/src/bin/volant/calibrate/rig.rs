@@ -36,7 +36,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<Estimate> {
     let namespace = &arguments.topics.namespace;
     let Settings { rig, tracker, climber, .. } = settings::read(&arguments.rig, &[], namespace)?;
-    let cores = Cores { tracker, climber, names: arguments.topics.names()? };
+    let cores = Cores { tracker, climber, names: arguments.topics.names() };
     let camera: &[&str] = &["camera rotation", "camera position"];
     let held = if arguments.hold_camera { camera } else { &[] };
     let estimate = refine_from_bag(&arguments.bag, &rig, &cores, held)?;
