@@ -239,7 +239,7 @@ fn play_and_record_reject_wrong_arguments() {
     for (arguments, code, words) in [
         (vec!["play", bag, "--topics", "/none"], 1, "it holds"),
         (vec!["play", bag, "--start-offset", "60"], 1, "1.998 s long"),
-        (vec!["play", bag, "--rate", "0"], 2, "above 0"),
+        (vec!["play", bag, "--rate", "0"], 2, "from 0.001"),
         (vec!["play", "gone.mcap"], 1, "no such file"),
         (vec!["record", "-o", there], 1, "exists already"),
         (vec!["up", "warp_drive"], 2, "no node"),

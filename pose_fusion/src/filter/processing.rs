@@ -33,7 +33,7 @@ const CONTRADICTED: f64 = 31.83;
 /// of the model; guarded by the late encoders of `make robustness`.
 const SUDDEN: f64 = 1.5;
 /// Mean square of the images' innovations, per degree of freedom, with which encoders that stand may
-/// be frozen.
+/// be frozen, once the time offset is known.
 const DOUBTED: f64 = 1.4;
 /// Markers that do not show that they agree with each other (three, or one of four is false) must
 /// contradict in this many times as many images before the prediction gives way.
@@ -208,8 +208,11 @@ impl Filter {
             _ => None,
         };
         if let (Some(internal), false) = (internal, excused) {
-            self.imu.model_error().add(record.nis - internal, &MODEL_ERROR);
-            if self.imu.model_error().ratio() > DOUBTED && self.try_without_encoders(at) {
+            let grows = self.imu.model_error().add(record.nis - internal, &MODEL_ERROR);
+            let doubted = self.imu.model_error().ratio() > DOUBTED
+                && self.offset_doubt() <= OFFSET_KNOWN
+                && self.search.is_none();
+            if (grows || doubted) && self.try_without_encoders(at) {
                 return false;
             }
             if self.imu.model_error().factor() > SUDDEN {

@@ -47,21 +47,21 @@ impl ClimberTrack {
         })
     }
 
-    /// Returns since when each axis has stood that moved before.
+    /// Returns since when each axis has stood that moved before, so fast that by now it would have
+    /// moved on by several steps.
     pub fn stopped_since(&self) -> [Option<Stamp>; 3] {
         let least = self.noise.variance().map(|v| MOVING_STEPS * (12.0 * v).sqrt());
         let (since, standing) = (self.standing_since(), self.standing());
         std::array::from_fn(|i| {
             let since = since[i].filter(|_| standing[i])?;
-            let (_, last, _) = self.readings.back()?;
+            let (newest, last, _) = self.readings.back()?;
             let before = self.readings.iter().rev().filter(|(at, _, _)| *at < since);
-            let mut recent = before.take_while(|(at, _, _)| since.seconds_since(*at) < MOVING_SPAN);
-            let moved = recent.any(|(_, values, _)| {
-                let way = last[i] - values[i];
-                let way = if i == 2 { wrap_angle(way) } else { way };
-                way.abs() > least[i]
-            });
-            moved.then_some(since)
+            let recent = before.take_while(|(at, _, _)| since.seconds_since(*at) < MOVING_SPAN);
+            let (first, values, _) = recent.last()?;
+            let way = last[i] - values[i];
+            let way = if i == 2 { wrap_angle(way) } else { way }.abs();
+            let missed = way / since.seconds_since(*first) * newest.seconds_since(since);
+            (way > least[i] && missed > least[i]).then_some(since)
         })
     }
 

@@ -12,7 +12,6 @@ use std::{
     fs,
     path::{Path, PathBuf},
 };
-use volant::command_line::number;
 use volant_test::robustness::{
     perturbation::{Perturbation, TABLE},
     recording::{PERTURBED_FROM, Recording},
@@ -33,7 +32,7 @@ pub(crate) struct Arguments {
     #[arg(long)]
     only: Option<String>,
     /// Beginning of a perturbation of limited duration, s after the first truth
-    #[arg(long, default_value_t = PERTURBED_FROM, value_parser = number(0.0..=1e6))]
+    #[arg(long, default_value_t = PERTURBED_FROM)]
     from: f64,
     /// Also every pair of perturbations
     #[arg(long)]

@@ -114,11 +114,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         ));
     }
     let bag = report.bag;
-    anyhow::ensure!(
-        bag.messages() > 0,
-        "no message was recorded in {}: see `ros2 topic list`, and check ROS_DOMAIN_ID",
-        output.display()
-    );
+    if bag.messages() == 0 {
+        terminal::line(
+            "volant: no message was recorded; see `ros2 topic list`, and check ROS_DOMAIN_ID",
+        );
+    }
     outln!(
         "{} messages, {}, in {}",
         bag.messages(),
