@@ -248,9 +248,12 @@ impl Filter {
         let repeated = self.lock_out.gives_way(stamp);
         self.search_again();
         self.imu.model_error().contradicted(&MODEL_ERROR);
-        // An encoder that stopped while the images see the climber drive on is frozen.
+        // An encoder that stopped while the images see the climber drive on is frozen, unless the time
+        // offset is what they contradict.
+        let known = self.offset_doubt() <= OFFSET_KNOWN;
         let earliest = at.plus_seconds(-self.encoder_offset() - SUSPECT);
-        let stopped = self.climber.stopped_since().map(|axis| axis.filter(|s| *s > earliest));
+        let stopped =
+            self.climber.stopped_since().map(|axis| axis.filter(|s| known && *s > earliest));
         if let (false, Some(since)) =
             (self.trust.is_suspended(), stopped.into_iter().flatten().min())
         {
