@@ -124,7 +124,7 @@ impl Paper {
 
     /// The sample with the IMU's own attitude or, of an IMU that outputs none, a computed one.
     fn with_attitude(&mut self, sample: &ImuSample) -> Option<ImuSample> {
-        let mut sample = sample.clone();
+        let mut sample = *sample;
         if sample.orientation.is_some() {
             if !self.own_attitude {
                 // Both attitudes have a heading of their own.
@@ -147,7 +147,7 @@ impl Paper {
             return None;
         }
         self.integrate_to(stamp);
-        let sample = self.last_sample.clone()?;
+        let sample = self.last_sample?;
         let Some(before) = self.state.clone() else {
             // The first visual pose initializes the filter and aligns the IMU's heading.
             let visual = visual?;

@@ -146,7 +146,7 @@ impl Bench {
         for (_, input) in &recording.inputs {
             match input {
                 Input::Markers(m) => samples.markers.push(m.clone()),
-                Input::Imu(s) => samples.imu.push(s.clone()),
+                Input::Imu(s) => samples.imu.push(*s),
                 Input::Climber(s) => samples.climber.push(s.clone()),
                 _ => {}
             }

@@ -64,7 +64,7 @@ pub fn record_observed(scenario: &Scenario, observed: Vec<MarkerObservations>) -
     let mut messages = sensors.imu();
     let samples = messages
         .iter()
-        .filter_map(|(_, m)| if let Message::Imu(s) = m { Some(s.clone()) } else { None })
+        .filter_map(|(_, m)| if let Message::Imu(s) = m { Some(*s) } else { None })
         .collect();
     messages.extend(sensors.climber());
     let mut random = Random::fork(scenario.sensors.seed, "image delay");
@@ -113,7 +113,7 @@ pub fn fuse(
     let mut warnings = Vec::new();
     for (_, message) in &recording.messages {
         fusion.handle(match message {
-            Message::Imu(s) => pose_fusion::Input::Imu(s.clone()),
+            Message::Imu(s) => pose_fusion::Input::Imu(*s),
             Message::Markers(m) => pose_fusion::Input::Markers(m.clone()),
             Message::Climber(c) => pose_fusion::Input::Climber(c.clone()),
         });
