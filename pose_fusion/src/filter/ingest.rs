@@ -139,7 +139,8 @@ impl Filter {
             self.reweigh_samples(&more);
         }
         self.imu.remember_attitude(sample, SMALLEST_ATTITUDE);
-        self.history.insert(sample.stamp, event, reading);
+        let place = self.history.insert(sample.stamp, event, reading);
+        self.interpolate_again(place);
         self.arrival.imu(sample.stamp, reading);
         self.publisher.counts.inputs.imu += 1;
         if let Some(search) = &mut self.search {
@@ -160,6 +161,21 @@ impl Filter {
         }
     }
 
+    /// Processes again what was interpolated over the place of a new IMU sample, or followed without
+    /// it: back to the sample before.
+    fn interpolate_again(&mut self, place: usize) {
+        let mut from = place;
+        while from > 1
+            && self
+                .history
+                .get(from - 1)
+                .is_some_and(|n| !matches!(n.event, Event::Imu { .. } | Event::Set))
+        {
+            from -= 1;
+        }
+        self.history.rewind(from);
+    }
+
     fn late_imu(&mut self, stamp: Stamp, reading: ImuReading) {
         let place = self.history.place_of(stamp);
         let before = place.checked_sub(1).and_then(|p| self.history.get(p));
@@ -173,18 +189,7 @@ impl Filter {
         self.publisher.counts.inputs.late_imu += 1;
         let noise = self.imu.densities(&self.setup.rig.imu);
         let place = self.history.insert(stamp, Event::Imu { noise, at_rest: None }, reading);
-        // What was interpolated over this sample's place is interpolated again: back to the sample
-        // before.
-        let mut from = place;
-        while from > 1
-            && self
-                .history
-                .get(from - 1)
-                .is_some_and(|n| !matches!(n.event, Event::Imu { .. } | Event::Set))
-        {
-            from -= 1;
-        }
-        self.history.rewind(from);
+        self.interpolate_again(place);
         if self.start.is_started() {
             self.process();
         }
