@@ -1,6 +1,6 @@
 //! Inputs of the filter: each message is checked and put in its place on the time line.
 
-use super::Filter;
+use super::{Filter, processing::OFFSET_KNOWN};
 use crate::{
     adaptation::imu_integrity::Implausible,
     ekf::{propagation::ImuReading, state::ATTITUDE},
@@ -140,7 +140,10 @@ impl Filter {
         }
         self.imu.remember_attitude(sample, SMALLEST_ATTITUDE);
         let place = self.history.insert(sample.stamp, event, reading);
-        self.interpolate_again(place);
+        // While the time offset is not known, images lie at wrong places between the samples.
+        if self.offset_doubt() <= OFFSET_KNOWN {
+            self.interpolate_again(place);
+        }
         self.arrival.imu(sample.stamp, reading);
         self.publisher.counts.inputs.imu += 1;
         if let Some(search) = &mut self.search {

@@ -49,7 +49,7 @@ const LARGEST_SHOCK: (f64, f64) = (0.2, 0.1);
 const UNCARRIED: f64 = 0.01;
 /// A time offset that is known worse than this explains a contradiction as well as a shock does, s,
 /// where the velocity is known to this, m/s.
-const OFFSET_KNOWN: f64 = 0.01;
+pub(super) const OFFSET_KNOWN: f64 = 0.01;
 const VELOCITY_KNOWN: f64 = 0.1;
 /// An attitude that is known worse than this may be what a single marker contradicts, rad.
 const ATTITUDE_KNOWN: f64 = 0.02;
