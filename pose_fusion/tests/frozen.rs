@@ -69,8 +69,8 @@ fn freeze(axes: [bool; 3]) -> (f64, f64) {
             let (_, _, position, rotation) =
                 scoring::judge(&outputs, &run, begin + 3.0, begin + 4.0);
             println!(
-                "{axes:?} frozen from {begin} s, seed {seed}: at most {:.0} mm off, {:.2} s beyond the gate, two seconds \
-                 later {:.2} mm {:.3}°",
+                "{axes:?} frozen from {begin} s, seed {seed}: at most {:.0} mm off, {:.2} s beyond \
+                 the gate, two seconds later {:.2} mm {:.3}°",
                 worst * 1e3,
                 wrong * 0.01,
                 position * 1e3,

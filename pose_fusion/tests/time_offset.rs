@@ -15,7 +15,7 @@ use common::{
     simulated,
 };
 use pose_fusion::{Fusion, FusionConfig, Input, Status, Warning};
-use rig_model::Stamp;
+use rig_model::{ClimberSample, MarkerObservations, Stamp};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, random::Random};
 
 /// The score of a run from a time on, and what the filter knows at the end.
@@ -241,6 +241,32 @@ fn after_a_rest(seed: u64, ahead: f64, held_up: bool) -> (f64, f64) {
     });
     let share = beyond.count() as f64 / outputs.odometry.len() as f64;
     (share, fusion.status().time_offset.offset + ahead)
+}
+
+/// The clock of camera and climber runs 200 ppm fast against the IMU's.
+#[test]
+fn clocks_that_drift_apart_are_followed() {
+    const DRIFT: f64 = 2e-4;
+    for (seed, motion) in simulated::motions() {
+        let sensors = SensorConfig::nominal(seed);
+        let run = simulated::run(MotionConfig { duration: 60.0, ..motion }, &sensors);
+        let inputs = run.inputs.iter().map(|(_, input)| {
+            let mut input = input.clone();
+            if let Input::Climber(ClimberSample { stamp, .. })
+            | Input::Markers(MarkerObservations { stamp, .. }) = &mut input
+            {
+                *stamp = stamp.plus_seconds(DRIFT * stamp.seconds_since(sensors.epoch));
+            }
+            input
+        });
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        let outputs = scoring::run(&mut fusion, inputs);
+        let (score, status) = (scoring::score(&outputs.odometry, &run.truth, 3.0), fusion.status());
+        print(&format!("seed {seed}"), &score, &status);
+        // A random walk follows a drift with a lag.
+        assert!((status.time_offset.offset + DRIFT * 60.0).abs() < 4e-3, "{status:?}");
+        assert!(score.nees().0 < 7.0 && score.nees().1 < 7.0, "{score}");
+    }
 }
 
 #[test]

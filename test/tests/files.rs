@@ -9,7 +9,7 @@ use std::{
     fs,
     os::unix::fs::symlink,
     path::{Path, PathBuf},
-    process::{Command, Output, Stdio},
+    process::{Child, Command, Output, Stdio},
     time::{Duration, Instant},
 };
 use tempfile::TempDir;
@@ -170,9 +170,27 @@ fn a_full_disk_leaves_the_former_file() {
     assert_eq!(output.stdout, b"former\n", "nothing else is left");
 }
 
+/// `nohup` ignores SIGHUP, and so does what it starts.
+#[test]
+fn a_replay_that_was_started_to_ignore_a_hangup_goes_on() {
+    let place = Place::new(60.0);
+    let replay = place.replay("out.mcap", &["--smooth"]);
+    let mut command = Command::new("sh");
+    command.args(["-c", "trap '' HUP; exec \"$@\"", "sh"]).arg(replay.get_program());
+    command.args(replay.get_args()).stdout(Stdio::null()).stderr(Stdio::piped());
+    let child = command.spawn().unwrap();
+    let (status, stderr) = signaled(&place, child, Signal::HUP);
+    assert_eq!(status, Some(0), "{stderr}");
+    assert_eq!(place.names(), ["in.mcap", "out.mcap", "rig.yaml"]);
+}
+
 /// Interrupts a replay as soon as it writes, and returns its exit status and standard error.
 fn interrupted(place: &Place, signal: Signal, more: &[&str]) -> (Option<i32>, String) {
     let child = place.replay("out.mcap", more).spawn().unwrap();
+    signaled(place, child, signal)
+}
+
+fn signaled(place: &Place, child: Child, signal: Signal) -> (Option<i32>, String) {
     let deadline = Instant::now() + Duration::from_secs(20);
     while !place.names().iter().any(|name| name.ends_with(".partial")) {
         assert!(Instant::now() < deadline, "it does not write");

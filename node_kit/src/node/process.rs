@@ -238,9 +238,9 @@ impl Process {
         Stopper(self.ended_sender.clone())
     }
 
-    /// Stops the process in order on SIGINT, SIGTERM and SIGHUP ([`console::stop_signals`]). A signal that arrives 3 s after the first
-    /// or later ends it at once; earlier ones are ignored, because Ctrl-C in a terminal sends a
-    /// launched node two in a row, one of the terminal and one of `ros2 launch`.
+    /// Stops the process in order on each of [`console::stop_signals`]. A signal that arrives 3 s
+    /// after the first or later ends it at once; earlier ones are ignored, because Ctrl-C in a
+    /// terminal sends a launched node two in a row, one of the terminal and one of `ros2 launch`.
     ///
     /// # Errors
     /// The system refuses the handler.

@@ -140,7 +140,8 @@ impl Filter {
         }
         self.imu.remember_attitude(sample, SMALLEST_ATTITUDE);
         let place = self.history.insert(sample.stamp, event, reading);
-        // While the time offset is not known, images lie at wrong places between the samples.
+        // While the time offset is not known, images contradict the samples, and an image that was
+        // first processed without them is not judged again.
         if self.offset_doubt() <= OFFSET_KNOWN {
             self.interpolate_again(place);
         }

@@ -209,9 +209,7 @@ impl Filter {
         };
         if let (Some(internal), false) = (internal, excused) {
             let grows = self.imu.model_error().add(record.nis - internal, &MODEL_ERROR);
-            let doubted = self.imu.model_error().ratio() > DOUBTED
-                && self.offset_doubt() <= OFFSET_KNOWN
-                && self.search.is_none();
+            let doubted = self.imu.model_error().ratio() > DOUBTED && self.search.is_none();
             if (grows || doubted) && self.try_without_encoders(at) {
                 return false;
             }

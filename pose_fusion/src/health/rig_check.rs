@@ -95,7 +95,7 @@ impl RigCheck {
         if let Some(Bursts { period, samples }) = status.imu.bursts {
             found.push(format!(
                 "the IMU samples come in bursts of {samples:.1} every {:.0} ms with the stamps of \
-                 their arrival (driver of the IMU, latency timer of its serial adapter)",
+                 their arrival (driver of the IMU, latency timer of its serial adapter, second publisher)",
                 1e3 * samples * period
             ));
         }

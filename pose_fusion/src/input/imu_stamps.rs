@@ -12,11 +12,13 @@ use std::collections::VecDeque;
 const KEPT: usize = 200;
 /// … and the fewest that say anything.
 const FEWEST: usize = 24;
-/// An interval below this share of the mean is one within a burst, above it one between two.
+/// An interval below this multiple of the mean is one within a burst …
 const SHORT: f64 = 0.25;
-/// Share of short intervals from which on the samples come in bursts, and below which they no
-/// longer do.
-const BURSTS: [f64; 2] = [0.3, 0.1];
+/// … and one above this multiple is one between two.
+const LONG: f64 = 1.5;
+/// Share of short intervals from which on the samples come in bursts. A driver that has delivered
+/// bursts once stamps on arrival from then on.
+const BURSTS: f64 = 0.3;
 /// Share of the time by which the last sample of a burst counts too early, after a lost one, that
 /// the next burst makes up for.
 const CATCH_UP: f64 = 0.5;
@@ -60,8 +62,8 @@ impl ImuStamps {
         }
         // The sample before the first of a burst has the right stamp.
         let mean = self.mean_interval();
-        if interval.is_some_and(|interval| interval > mean) {
-            (self.bursts, self.early) = (self.find(mean), early);
+        if interval.is_some_and(|interval| interval > LONG * mean) {
+            (self.bursts, self.early) = (self.find(mean).or(self.bursts), early);
         }
         self.newest = match self.bursts {
             Some(Bursts { period, samples }) => {
@@ -88,20 +90,21 @@ impl ImuStamps {
         }
     }
 
+    /// Returns the bursts of the stamps that are kept. `mean` is their mean interval, s.
     fn find(&self, mean: f64) -> Option<Bursts> {
         let count = self.arrived.len() - 1;
         if count < FEWEST {
-            return self.bursts;
+            return None;
         }
         let intervals = || {
             self.arrived.iter().zip(self.arrived.iter().skip(1)).map(|(a, b)| b.seconds_since(*a))
         };
         let short = intervals().filter(|interval| *interval < SHORT * mean).count();
-        if (short as f64) < BURSTS[usize::from(self.bursts.is_some())] * count as f64 {
+        if self.bursts.is_none() && (short as f64) < BURSTS * count as f64 {
             return None;
         }
         // From the end of one burst to the end of another.
-        let mut ends = intervals().enumerate().filter(|(_, interval)| *interval > mean);
+        let mut ends = intervals().enumerate().filter(|(_, interval)| *interval > LONG * mean);
         let between = ends.clone().count();
         let (first, last) = (ends.next()?.0, ends.next_back()?.0);
         let span = self.arrived.get(last)?.seconds_since(*self.arrived.get(first)?);
@@ -157,6 +160,27 @@ mod tests {
             let error = largest_error(burst, 0.0, |k| k == 500 || (600..630).contains(&k));
             assert!(error < 0.04, "{burst}, lost: {error}");
         }
+    }
+
+    /// Bursts that stop and come again: the filter identifies everything again once, not each time.
+    #[test]
+    fn bursts_that_stop_stay_known_and_single_samples_keep_their_stamps() {
+        let mut stamps = ImuStamps::default();
+        let (mut found, mut worst) = (0, 0.0f64);
+        for k in 0..3000 {
+            let burst = if k / 500 % 2 == 0 { 5 } else { 1 };
+            let arrives = (k / burst * burst + burst - 1) as f64 * PERIOD;
+            let at = Stamp::from_nanos(1).plus_seconds(arrives + 1e-4 * (k % burst) as f64);
+            let known = stamps.bursts().is_some();
+            let counts = stamps.add(at);
+            found += usize::from(!known && stamps.bursts().is_some());
+            if k % 500 > 300 && k > 500 {
+                worst = worst
+                    .max((counts.seconds_since(Stamp::from_nanos(1)) - k as f64 * PERIOD).abs());
+            }
+        }
+        assert_eq!(found, 1);
+        assert!(worst < 0.0025, "{worst}");
     }
 
     #[test]

@@ -42,7 +42,7 @@ pub enum Warning {
     #[error(
         "the IMU samples come in bursts of {samples:.1} every {every_s:.3} s with the stamps of their \
          arrival; they count as equally spaced: let the driver stamp each sample when it is taken, \
-         or set the serial adapter's latency timer to 1 ms"
+         or set the serial adapter's latency timer to 1 ms; look for a second publisher"
     )]
     ImuBursts { samples: f64, every_s: f64 },
     /// No IMU samples while images arrive.

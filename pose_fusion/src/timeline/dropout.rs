@@ -77,5 +77,10 @@ mod tests {
             );
         }
         assert_eq!(interpolated(&usual, 2.0).force, blind(&usual).force);
+        // Without IMU and encoders a climber of 0.5 m/s may stop within a second.
+        let second = (blind(&usual).jerk.x / 20.0).sqrt();
+        assert!((0.3..0.5).contains(&second), "{second}");
+        let lively = ProcessNoise { jerk: nalgebra::Vector3::repeat(50.0), ..usual };
+        assert_eq!(blind(&lively).jerk, lively.jerk);
     }
 }

@@ -217,6 +217,34 @@ mod tests {
     }
 
     #[test]
+    fn an_axis_that_stopped_is_distinguished_from_one_that_stood_and_from_one_that_creeps() {
+        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
+        let mut track = ClimberTrack::new(&ClimberConfig::default());
+        let mut frozen = None;
+        for i in 0..60 {
+            let t = f64::from(i) * 0.02;
+            // x freezes after 1 s, y stands, and the turn goes on.
+            let x = (0.12 * t.min(1.0) * 1e3).round() * 1e-3;
+            track.add(start.plus_seconds(t), Vector3::new(x, 0.5, 0.3 * t), rest);
+            let [stopped, stood, turning] = track.stopped_since();
+            assert_eq!((stood, turning), (None, None));
+            frozen = frozen.or(stopped.map(|at| (t, at.seconds_since(start))));
+        }
+        let (found, since) = frozen.unwrap();
+        assert!((since - 1.0).abs() < 0.021 && found < 1.09, "since {since}, found at {found}");
+        assert_eq!(track.standing(), [true, true, false]);
+        // At 10 mm/s three readings may be equal.
+        let mut creeping = ClimberTrack::new(&ClimberConfig::default());
+        for i in 0..200 {
+            let t = f64::from(i) * 0.02;
+            let x = (0.01 * t * 1e3).round() * 1e-3;
+            creeping.add(start.plus_seconds(t), Vector3::new(x, 0.5, 0.3 * t), rest);
+            assert_eq!(creeping.stopped_since(), [None; 3]);
+        }
+    }
+
+    #[test]
     fn a_climber_that_turns_around_has_not_stopped_at_once() {
         let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
         let start = Stamp::from_nanos(1_760_001_000_000_000_000);

@@ -7,8 +7,10 @@ use node_kit::environment::Network;
 use node_kit::{files, outln};
 use rig_model::Stamp;
 use std::{path::PathBuf, sync::Arc};
-use volant::command_line::number;
-use volant::report::{Block, Curve, Page, Run as Drawn, Section, Table, colors, six_curves};
+use volant::{
+    command_line::number,
+    report::{Block, Curve, Page, Run as Drawn, Section, Table, colors, six_curves},
+};
 use volant_test::{
     accuracy::{AXES, Errors, UNITS, inertial_alone},
     live::{Ended, ImageSequence, Run, Scenario, Site, bag, quantile, scenario::IMAGE_RATE},

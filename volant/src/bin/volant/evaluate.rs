@@ -8,10 +8,12 @@ use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
 };
-use volant::command_line::number;
-use volant::evaluate::{
-    EvaluateOptions, csv, csv_of_many, evaluate, evaluate_many, page, page_of_many, pairs, table,
-    table_of_many,
+use volant::{
+    command_line::number,
+    evaluate::{
+        EvaluateOptions, csv, csv_of_many, evaluate, evaluate_many, page, page_of_many, pairs,
+        table, table_of_many,
+    },
 };
 
 #[derive(clap::Args)]

@@ -6,10 +6,12 @@ use std::{
     sync::atomic::{AtomicBool, Ordering},
     time::Duration,
 };
-use volant::command_line::number;
-use volant::live::{
-    LiveError,
-    monitor::{Snapshot, Watch, WatchOptions, plain, screen},
+use volant::{
+    command_line::number,
+    live::{
+        LiveError,
+        monitor::{Snapshot, Watch, WatchOptions, plain, screen},
+    },
 };
 
 #[derive(clap::Args)]

@@ -3,8 +3,8 @@
 use crate::{signals, terminal};
 use node_kit::outln;
 use std::{io::Read, path::PathBuf, sync::Arc, time::Duration};
-use volant::command_line::number;
 use volant::{
+    command_line::number,
     live::play::{PlayControl, PlayOptions, play},
     replay::{Remap, TopicNames},
 };
@@ -23,7 +23,13 @@ pub struct Arguments {
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = number(0.0..=1e9))]
     start_offset: f64,
     /// Time to wait for subscribers before the first message, s
-    #[arg(short, long, value_name = "SECONDS", default_value_t = 0.5, value_parser = number(0.0..=3600.0))]
+    #[arg(
+        short,
+        long,
+        value_name = "SECONDS",
+        default_value_t = 0.5,
+        value_parser = number(0.0..=3600.0)
+    )]
     delay: f64,
     /// Start paused; the space bar, SIGUSR1 and rosbag2's services on /rosbag2_player resume and
     /// pause

@@ -8,8 +8,10 @@ use std::{
     sync::atomic::Ordering,
     time::{Duration, SystemTime},
 };
-use volant::command_line::number;
-use volant::live::record::{RecordOptions, bag_name, record};
+use volant::{
+    command_line::number,
+    live::record::{RecordOptions, bag_name, record},
+};
 
 #[derive(clap::Args)]
 pub struct Arguments {

@@ -31,7 +31,12 @@ pub struct Arguments {
     #[arg(long, conflicts_with = "bag")]
     pub live: bool,
     /// Duration of the live recording, s (Ctrl-C ends it earlier)
-    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = volant::command_line::number(0.1..=1e6))]
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        default_value_t = 60.0,
+        value_parser = volant::command_line::number(0.1..=1e6)
+    )]
     pub duration: f64,
     /// Rig file: marker layout and camera mounting
     #[arg(long, value_name = "FILE")]

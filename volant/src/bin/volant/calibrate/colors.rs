@@ -13,8 +13,8 @@ use std::{
     fs,
     path::{Path, PathBuf},
 };
-use volant::command_line::number;
 use volant::{
+    command_line::number,
     parameter_update::{Setting, list},
     replay::{Fed, Feed, ImageTopic},
 };
