@@ -241,24 +241,24 @@ impl RosArguments {
         self.rosout.unwrap_or(true)
     }
 
-    /// Checks the node selectors of all parameter files for mistyped forms of `kind`, the name of a
-    /// node's program. Other names are those of other nodes: longer ones (`pose_fusion_2`), and
-    /// those with a digit.
+    /// Checks the node selectors of parameter files, of `-p` and of `-r` for mistyped forms of
+    /// `kind`, the name of a node's program. Other names are those of other nodes: longer ones
+    /// (`pose_fusion_2`), and those with a digit.
     ///
     /// # Errors
-    /// [`ArgumentError::UnknownNode`]
+    /// [`ArgumentError::UnknownNode`], [`ArgumentError::UnknownSelector`]
     pub fn check_node_names(&self, node: &NodeName, kind: &str) -> Result<(), ArgumentError> {
         // Two letters exchanged are two edits; short names differ by as much from each other.
         let limit = (kind.len() / 4).min(2);
+        let mistyped = |selector: &&str| {
+            let name = selector.rsplit('/').next().unwrap_or_default();
+            name != node.base()
+                && !name.starts_with(kind)
+                && !name.contains(|c: char| c.is_ascii_digit() || c == '*')
+                && edit_distance(&name.to_ascii_lowercase(), kind) <= limit
+        };
         for source in &self.sources {
             let ParameterSource::File { path, file } = source else { continue };
-            let mistyped = |selector: &&str| {
-                let name = selector.rsplit('/').next().unwrap_or_default();
-                name != node.base()
-                    && !name.starts_with(kind)
-                    && !name.contains(|c: char| c.is_ascii_digit() || c == '*')
-                    && edit_distance(&name.to_ascii_lowercase(), kind) <= limit
-            };
             if let Some(selector) = file.selectors().find(mistyped) {
                 return Err(ArgumentError::UnknownNode {
                     path: path.clone(),
@@ -267,7 +267,18 @@ impl RosArguments {
                 });
             }
         }
-        Ok(())
+        let of_values = self.sources.iter().filter_map(|source| match source {
+            ParameterSource::Value { node, .. } => node.as_deref(),
+            ParameterSource::File { .. } => None,
+        });
+        let of_remaps = self.remaps.iter().filter_map(|remap| remap.node.as_deref());
+        match of_values.chain(of_remaps).find(mistyped) {
+            Some(selector) => Err(ArgumentError::UnknownSelector {
+                selector: selector.to_owned(),
+                name: kind.to_owned(),
+            }),
+            None => Ok(()),
+        }
     }
 
     /// Declares a node's parameters, those of every node among them, with the values given for it.

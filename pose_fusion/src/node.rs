@@ -16,7 +16,13 @@ use node_kit::{
 };
 use rejections::Rejections;
 use rig_model::{Frames, Stamp, topics};
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
 use volant_msgs::{
     geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
     msg::{self, MarkerObservations, MarkerUpdates},
@@ -51,6 +57,8 @@ pub struct FusionNode {
     images_before: u64,
     rejections: Rejections,
     rig_check: RigCheck,
+    /// What is wrong with the frame of the IMU samples.
+    imu_frame: Option<String>,
     /// Periods since the estimator's newest status.
     quiet: u32,
 }
@@ -59,6 +67,8 @@ pub struct FusionNode {
 pub enum Event {
     /// Input of the estimator.
     Input(Box<Input>),
+    /// First IMU sample in a frame that is not the rig file's, with the frame.
+    OtherFrame(Box<Input>, String),
     /// Request of an operator.
     Request(Request),
     /// Message that cannot be used, and why.
@@ -110,9 +120,18 @@ impl NodeShell for FusionNode {
             context.advertise_transforms()?;
         }
         context.timer(STATUS_PERIOD, || Event::StatusDue);
-        context.subscribe(topics::IMU, QosPreset::Sensor, |m: Arc<sensor_msgs::msg::Imu>| {
-            input(Input::Imu(convert::imu_sample(&m)))
-        })?;
+        let (imu_frame, reported) = (frames.imu.clone(), AtomicBool::new(false));
+        context.subscribe(
+            topics::IMU,
+            QosPreset::Sensor,
+            move |m: Arc<sensor_msgs::msg::Imu>| {
+                let sample = Input::Imu(convert::imu_sample(&m));
+                if m.header.frame_id == imu_frame || reported.swap(true, Ordering::Relaxed) {
+                    return input(sample);
+                }
+                Some(Event::OtherFrame(Box::new(sample), m.header.frame_id.clone()))
+            },
+        )?;
         context.subscribe(
             topics::MARKERS,
             QosPreset::Measurement,
@@ -151,6 +170,7 @@ impl NodeShell for FusionNode {
             images_before: 0,
             rejections: Rejections::default(),
             rig_check: RigCheck::default(),
+            imu_frame: None,
             quiet: 0,
         })
     }
@@ -161,6 +181,17 @@ impl NodeShell for FusionNode {
                 if matches!(*input, Input::Camera(_)) {
                     self.rejections.camera = None;
                 }
+                self.fusion.handle(*input);
+            }
+            Event::OtherFrame(input, frame) => {
+                let why = format!(
+                    "{} is in the frame `{frame}`, and frames.imu of the rig file is `{}`: its \
+                     mounting is used; make the two agree",
+                    topics::IMU,
+                    self.frames.imu
+                );
+                context.log(Level::Warn, &why);
+                self.imu_frame = Some(why);
                 self.fusion.handle(*input);
             }
             Event::StatusDue => {
@@ -259,15 +290,15 @@ impl NodeShell for FusionNode {
         if self.parameters.core.model == Model::Tight {
             // Markers are not used either while other inputs are missing.
             let starved = !s.initialized && self.fusion.waits_for_messages();
-            let findings = if starved { vec![] } else { self.rig_check.findings(&s) };
+            let mut findings = if starved { vec![] } else { self.rig_check.findings(&s) };
+            if !findings.is_empty() {
+                findings.push("find the cause with `volant check` in a recording".to_owned());
+            }
+            findings.extend(self.imu_frame.clone());
             let (health, message) = if findings.is_empty() {
                 (Health::Ok, "nothing contradicts the rig file".to_owned())
             } else {
-                let found = findings.join("; ");
-                (
-                    Health::Warn,
-                    format!("{found}; find the cause with `volant check` in a recording"),
-                )
+                (Health::Warn, findings.join("; "))
             };
             context.diagnose("rig file", health, &message, &[]);
         }

@@ -7,6 +7,9 @@ macro_rules! topics {
     ($($(#[$doc:meta])* $name:ident = $text:literal;)*) => {
         $($(#[$doc])* pub const $name: &str = $text;)*
 
+        /// All of them.
+        pub const ALL: &[&str] = &[$($name),*];
+
         /// The names below the root namespace.
         pub mod absolute {
             $($(#[$doc])* pub const $name: &str = concat!("/", $text);)*

@@ -60,16 +60,12 @@ impl ParameterKind {
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ParameterError {
     /// An undeclared parameter.
-    #[error(
-        "the parameter `{name}` is not known{hint}; remove it or correct its spelling ({origin})"
-    )]
+    #[error("the parameter `{name}` is not known{hint}; remove it or correct its spelling")]
     Unknown {
         /// The flat name.
         name: String,
         /// ` (did you mean …?)` or nothing.
         hint: String,
-        /// Origin of the value.
-        origin: String,
     },
     /// A value of another type.
     #[error("the parameter `{name}` is a {expected}, but {value} is a {found}")]
@@ -118,6 +114,14 @@ pub enum ParameterError {
     Rule {
         /// The violated rule, with the names of the parameters.
         requirement: String,
+    },
+    /// A value that was given at the start.
+    #[error("{error} ({origin})")]
+    Given {
+        /// What is wrong with it.
+        error: Box<Self>,
+        /// The file, or `-p`.
+        origin: String,
     },
 }
 

@@ -22,7 +22,7 @@ use rig_model::{
     topics::{self, frames},
 };
 use std::{
-    collections::HashMap,
+    collections::{HashMap, HashSet},
     io::{BufRead, BufReader, Write},
     path::Path,
     process::{Child, Command, Stdio},
@@ -236,6 +236,17 @@ fn check_frames(received: &Received) {
         compared += 1;
     }
     assert!(compared > 300, "{compared}");
+    // Each odometry message has a status, and the same pose on `volant/pose`.
+    let with_status: HashSet<Stamp> =
+        received.status.iter().map(|(_, m)| stamp(&m.header.stamp)).collect();
+    let poses: HashMap<Stamp, _> =
+        received.pose.iter().map(|(_, m)| (stamp(&m.header.stamp), m)).collect();
+    let both = received.odometry.iter().filter(|(_, odometry)| {
+        let at = stamp(&odometry.header.stamp);
+        with_status.contains(&at) && poses.get(&at).is_some_and(|p| p.pose == odometry.pose)
+    });
+    let (both, all) = (both.count(), received.odometry.len());
+    assert!(both + 5 >= all, "{both} of {all} odometry messages with status and pose");
 }
 
 /// Detected where it can be seen, never detected while it is covered.

@@ -99,6 +99,7 @@ fn a_wrong_command_line_is_2() {
         &["evaluate", "x", "--bad"],
         &["evaluate", "x", "--skip", "nan"],
         &["replay", "x", "--rig", "r.yaml", "--out", "y", "--remap", "climber/transform"],
+        &["replay", "x", "--rig", "r.yaml", "--out", "y", "--remap", "climber/transfrom:=/crane"],
         &["replay", "x", "--rig", "r.yaml", "--out", "y", "--threads", "0"],
         &["play", "x", "--remap", "a=b"],
         &["play", "x", "--delay", "-1"],

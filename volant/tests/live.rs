@@ -238,6 +238,8 @@ fn play_and_record_reject_wrong_arguments() {
     let (bag, there) = (original.to_str().unwrap(), dir.path().to_str().unwrap());
     for (arguments, code, words) in [
         (vec!["play", bag, "--topics", "/none"], 1, "it holds"),
+        (vec!["play", bag, "--topics", "/volant/imu/data", "/none"], 1, "on /none; it holds"),
+        (vec!["play", bag, "-m", "volant/imu:=/imu"], 1, "on /volant/imu; it holds"),
         (vec!["play", bag, "--start-offset", "60"], 1, "1.998 s long"),
         (vec!["play", bag, "--rate", "0"], 2, "from 0.001"),
         (vec!["play", "gone.mcap"], 1, "no such file"),

@@ -70,6 +70,14 @@ pub enum ArgumentError {
         /// The node's name.
         name: String,
     },
+    /// A node's name in `-p` or `-r` that is a typing mistake.
+    #[error("`{selector}:` matches no node (did you mean `{name}:`?); correct its spelling")]
+    UnknownSelector {
+        /// The node's name as given.
+        selector: String,
+        /// The node's name.
+        name: String,
+    },
     /// A malformed value after `-p`.
     #[error("`-p {text}`: {source}")]
     ParameterValue {

@@ -89,5 +89,17 @@ fn a_mistyped_node_name_is_rejected_and_that_of_another_node_is_not() {
     for selector in ["imu2_driver", "climber_driver", "robot_state_publisher"] {
         check(selector, "imu1_driver", "imu_driver").unwrap();
     }
+    for (rule, right) in [
+        ("-p pose_fusio:x:=1", false),
+        ("-r posefusion:imu/data:=imu", false),
+        ("-p pose_fusion:x:=1", true),
+        ("-r imu_driver:imu/data:=imu", true),
+    ] {
+        let (ros, _) = RosArguments::parse(words(&format!("--ros-args {rule}"))).unwrap();
+        let name = NodeName::new("/", "pose_fusion").unwrap();
+        let result = ros.check_node_names(&name, "pose_fusion");
+        assert_eq!(result.is_ok(), right, "{rule}: {result:?}");
+        assert!(result.is_ok() || result.is_err_and(|error| error.is_usage()), "{rule}");
+    }
     std::fs::remove_dir_all(&folder).unwrap();
 }

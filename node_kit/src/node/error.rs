@@ -106,7 +106,7 @@ impl NodeError {
             || matches!(self, Self::Name(_))
             || matches!(
                 self,
-                Self::Parameter(ParameterError::Unknown { origin, .. }) if origin == "-p"
+                Self::Parameter(ParameterError::Given { origin, .. }) if origin == "-p"
             )
     }
 }

@@ -48,13 +48,13 @@ impl ParameterStore {
         }
         for (name, given) in overrides {
             if let Some(descriptor) = store.declared.get(&name) {
-                store.values.insert(name, descriptor.accept(&given.value)?);
+                store.values.insert(name, accept(descriptor, &given)?);
             } else if name.starts_with(QOS_OVERRIDES) {
                 store.pending.insert(name, given);
             } else if given.shared && did_you_mean(&name, store.names()).is_empty() {
                 store.ignored.push((name, given.origin));
             } else {
-                return Err(store.unknown(&name, &given.origin));
+                return Err(given_in(store.unknown(&name), &given.origin));
             }
         }
         Ok(store)
@@ -70,12 +70,8 @@ impl ParameterStore {
         &self.ignored
     }
 
-    fn unknown(&self, name: &str, origin: &str) -> ParameterError {
-        ParameterError::Unknown {
-            name: name.to_owned(),
-            hint: did_you_mean(name, self.names()),
-            origin: origin.to_owned(),
-        }
+    fn unknown(&self, name: &str) -> ParameterError {
+        ParameterError::Unknown { name: name.to_owned(), hint: did_you_mean(name, self.names()) }
     }
 
     /// Declares a parameter if a value was given for it at the start, and returns that value.
@@ -88,7 +84,7 @@ impl ParameterStore {
         descriptor: Descriptor,
     ) -> Result<Option<ParameterValue>, ParameterError> {
         if let Some(given) = self.pending.remove(&descriptor.name) {
-            let value = descriptor.accept(&given.value)?;
+            let value = accept(&descriptor, &given)?;
             self.values.insert(descriptor.name.clone(), value);
             self.declared.insert(descriptor.name.clone(), descriptor.clone());
         }
@@ -97,7 +93,9 @@ impl ParameterStore {
 
     /// Overrides given at the start for topics that the node does not have: typing mistakes.
     pub fn left_over(&self) -> Vec<ParameterError> {
-        self.pending.iter().map(|(name, given)| self.unknown(name, &given.origin)).collect()
+        let unknown =
+            |(name, given): (&String, &Override)| given_in(self.unknown(name), &given.origin);
+        self.pending.iter().map(unknown).collect()
     }
 
     /// All current values.
@@ -132,8 +130,7 @@ impl ParameterStore {
         let mut values = self.values.clone();
         let mut made = Vec::new();
         for (name, value) in changes {
-            let descriptor =
-                self.declared.get(name).ok_or_else(|| self.unknown(name, "set_parameters"))?;
+            let descriptor = self.declared.get(name).ok_or_else(|| self.unknown(name))?;
             let value = descriptor.accept(value)?;
             if !descriptor.live && values.get(name) != Some(&value) {
                 return Err(ParameterError::ReadOnly { name: name.clone() });
@@ -178,6 +175,14 @@ impl ParameterStore {
         parents.dedup();
         (names, parents)
     }
+}
+
+fn accept(descriptor: &Descriptor, given: &Override) -> Result<ParameterValue, ParameterError> {
+    descriptor.accept(&given.value).map_err(|error| given_in(error, &given.origin))
+}
+
+fn given_in(error: ParameterError, origin: &str) -> ParameterError {
+    ParameterError::Given { error: Box::new(error), origin: origin.to_owned() }
 }
 
 #[cfg(test)]

@@ -238,19 +238,20 @@ fn the_operator_s_services_and_topic_work_over_dds() {
     let _ = std::fs::remove_dir_all(&folder);
 }
 
-/// A controller that reads `volant/status` must see that the pose is old, whatever has ended.
+/// A controller that reads `volant/status` must see that the pose is old, whatever has ended. The
+/// rig file of this run names the IMU's frame otherwise than its samples do.
 #[test]
-fn the_status_is_lost_once_all_inputs_have_ended() {
+fn the_status_is_lost_once_all_inputs_have_ended_and_another_imu_frame_is_named() {
     let sensors = SensorConfig::nominal(1);
     let motion = MotionConfig { duration: 5.0, ..MotionConfig::nominal(1) };
     let run = simulated::run(motion, &sensors);
     let folder = tempfile::tempdir().unwrap();
     let rig = folder.path().join("rig.yaml");
-    std::fs::write(&rig, RIG).unwrap();
+    std::fs::write(&rig, RIG.replace("imu: imu", "imu: imu_link")).unwrap();
     let network = Network { domain_id: DOMAIN, ..Network::default() };
     let mut others = Process::new(network).unwrap();
     others.start::<Others>(&RosArguments::default()).unwrap();
-    let _node = Running::start(on_all_interfaces(env!("CARGO_BIN_EXE_pose_fusion")).args([
+    let node = Running::start(on_all_interfaces(env!("CARGO_BIN_EXE_pose_fusion")).args([
         "--ros-args",
         "--params-file",
         rig.to_str().unwrap(),
@@ -262,6 +263,8 @@ fn the_status_is_lost_once_all_inputs_have_ended() {
     }
     feed(&run, sensors.epoch);
     assert!(STATUS.lock().unwrap().iter().any(|s| s.valid), "the pose was never valid");
+    let named = ["is in the frame `imu`", "frames.imu of the rig file is `imu_link`"];
+    node.line_with_all(&named, Duration::from_secs(5));
     sleep(Duration::from_millis(700));
     STATUS.lock().unwrap().clear();
     sleep(Duration::from_secs(2));

@@ -93,6 +93,8 @@ pub fn write(
     run.put_log(topics::CLIMBER_TRANSFORM, RELIABLE, &received.climber);
     run.put_log(topics::MARKERS, RELIABLE, &received.markers);
     run.put_log(topics::ODOMETRY, RELIABLE, &received.odometry);
+    run.put_log(topics::POSE, RELIABLE, &received.pose);
+    run.put_log(topics::STATUS, RELIABLE, &received.status);
     run.put_log(topics::FUSED_POSE, RELIABLE, &received.fused_pose);
     run.put_log(topics::VISUAL_POSE, RELIABLE, &received.visual_pose);
     run.put_log(topics::MARKER_UPDATES, RELIABLE, &received.marker_updates);

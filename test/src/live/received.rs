@@ -11,7 +11,7 @@ use std::sync::Arc;
 use volant_msgs::{
     diagnostic_msgs::msg::DiagnosticArray,
     geometry_msgs::msg::{PoseWithCovarianceStamped, TransformStamped},
-    msg::{MarkerObservations, MarkerUpdate, MarkerUpdates},
+    msg::{MarkerObservations, MarkerUpdate, MarkerUpdates, PoseStatus},
     nav_msgs::msg::Odometry,
     sensor_msgs::msg::Imu,
     tf2_msgs::msg::TFMessage,
@@ -25,6 +25,10 @@ pub type TopicLog<M> = Vec<(Stamp, Arc<M>)>;
 pub struct Received {
     /// `volant/odometry`.
     pub odometry: TopicLog<Odometry>,
+    /// `volant/pose`.
+    pub pose: TopicLog<PoseWithCovarianceStamped>,
+    /// `volant/status`.
+    pub status: TopicLog<PoseStatus>,
     /// `volant/fused_pose`.
     pub fused_pose: TopicLog<PoseWithCovarianceStamped>,
     /// `volant/visual_pose`.

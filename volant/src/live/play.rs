@@ -96,6 +96,12 @@ fn play_all(
     if start > last {
         return Err(nothing(format!(": it is {:.3} s long", (last - first) as f64 * 1e-9)));
     }
+    let known = summary.topics.iter().map(|(t, _)| t.name.as_str()).collect::<Vec<_>>();
+    let mut named = options.topics.iter().map(String::as_str).chain(options.names.remapped());
+    let absent = named.find(|name| *name != topics::absolute::CLOCK && !known.contains(name));
+    if let Some(name) = absent {
+        return Err(nothing(format!(" on {name}; it holds {}", known.join(", "))));
+    }
     let mut chosen = BTreeMap::new();
     for (topic, count) in &summary.topics {
         let selected = options.topics.is_empty() || options.topics.contains(&topic.name);
@@ -108,12 +114,7 @@ fn play_all(
         }
     }
     if chosen.is_empty() {
-        let known: Vec<&str> = summary.topics.iter().map(|(t, _)| t.name.as_str()).collect();
-        return Err(nothing(format!(
-            " on {}; it holds {}",
-            options.topics.join(", "),
-            known.join(", ")
-        )));
+        return Err(nothing(format!(" on {}: they are empty", options.topics.join(", "))));
     }
     let clock = options.clock_hz.map(|hz| {
         let (name, qos) = (options.names.resolve(topics::absolute::CLOCK), Qos::SENSOR);

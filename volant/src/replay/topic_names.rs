@@ -29,6 +29,13 @@ impl FromStr for Remap {
     }
 }
 
+impl Remap {
+    /// Returns the name that is remapped.
+    pub fn from(&self) -> &str {
+        &self.from
+    }
+}
+
 impl fmt::Display for Remap {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}:={}", self.from, self.to)
@@ -71,6 +78,11 @@ impl TopicNames {
     pub fn resolve(&self, name: &str) -> String {
         let absolute = self.absolute(name);
         self.remaps.get(&absolute).cloned().unwrap_or(absolute)
+    }
+
+    /// Returns the absolute names that are remapped.
+    pub fn remapped(&self) -> impl Iterator<Item = &str> {
+        self.remaps.keys().map(String::as_str)
     }
 
     /// Returns which of a bag's topics with messages serves as one of `alternatives`, given by

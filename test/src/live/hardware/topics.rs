@@ -82,6 +82,8 @@ impl RigSubscriber {
         if subscriptions == Subscriptions::Few {
             return Ok(Self);
         }
+        subscribe(context, topics::POSE, QosPreset::State, received, |h| &mut h.pose)?;
+        subscribe(context, topics::STATUS, QosPreset::State, received, |h| &mut h.status)?;
         subscribe(context, topics::FUSED_POSE, QosPreset::State, received, |h| &mut h.fused_pose)?;
         subscribe(context, topics::IMU, QosPreset::Sensor, received, |h| &mut h.imu)?;
         subscribe(context, topics::MARKERS, QosPreset::State, received, |h| &mut h.markers)?;

@@ -14,7 +14,7 @@ use node_kit::{
     parameters::{ParameterError, ParameterMap, ParameterStore},
 };
 use pose_fusion::{FusionConfig, node::FusionNode};
-use rig_model::Rig;
+use rig_model::{Rig, rig::did_you_mean, topics};
 use std::path::{Path, PathBuf};
 use volant::replay::{Remap, TopicNames};
 
@@ -34,8 +34,21 @@ pub struct BagTopics {
     #[arg(long, default_value = "")]
     pub namespace: String,
     /// Remap a topic, FROM:=TO; repeatable
-    #[arg(long, value_name = "FROM:=TO")]
+    #[arg(long, value_name = "FROM:=TO", value_parser = remap)]
     pub remap: Vec<Remap>,
+}
+
+/// Parses a remap of one of the rig's topics.
+fn remap(text: &str) -> Result<Remap, String> {
+    let remap: Remap = text.parse()?;
+    let from = remap.from().trim_start_matches('/');
+    let is_ours =
+        |topic: &&str| from.strip_suffix(*topic).is_some_and(|n| n.is_empty() || n.ends_with('/'));
+    if topics::ALL.iter().any(|topic| is_ours(topic)) {
+        return Ok(remap);
+    }
+    let hint = did_you_mean(from, topics::ALL.iter().copied());
+    Err(format!("`{from}` is no topic of a rig{hint}; write the rig's name first"))
 }
 
 impl BagTopics {

@@ -58,6 +58,8 @@ fn pick(text: &str) -> Result<(MarkerColor, Vector2<f64>), String> {
 }
 
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let inputs = arguments.rig.as_deref().into_iter().chain([Path::new(&arguments.source)]);
+    arguments.output.check(&inputs.collect::<Vec<_>>())?;
     let rig = arguments.rig.as_deref().map(super::read_rig);
     let layout = rig.transpose()?.map(|rig| rig.markers);
     let with_layout = layout.is_some();

@@ -37,6 +37,7 @@ pub struct Arguments {
 /// See the messages, which name the remedy.
 pub fn run(arguments: &Arguments) -> Result<ImuNoise> {
     super::read_rig(&arguments.rig)?;
+    arguments.output.check(&[&arguments.rig, &arguments.bag])?;
     if let Some(plot) = &arguments.plot {
         node_kit::files::check_output(plot, arguments.output.overwrite, &[&arguments.bag])?;
     }

@@ -56,6 +56,15 @@ pub struct Output {
 }
 
 impl Output {
+    /// Fails before the work where the result could not be written after it; `inputs` are never
+    /// replaced.
+    pub fn check(&self, inputs: &[&Path]) -> anyhow::Result<()> {
+        if let Some(out) = &self.out {
+            node_kit::files::check_output(out, self.overwrite, inputs)?;
+        }
+        Ok(())
+    }
+
     /// Changes parameters of a file and reports what was written.
     pub fn update(&self, file: &Path, settings: &[Setting]) -> anyhow::Result<()> {
         let destination = Destination { out: self.out.as_deref(), overwrite: self.overwrite };

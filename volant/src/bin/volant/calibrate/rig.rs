@@ -34,6 +34,7 @@ pub struct Arguments {
 /// # Errors
 /// See the messages, which name the remedy.
 pub fn run(arguments: &Arguments) -> Result<Estimate> {
+    arguments.output.check(&[&arguments.rig, &arguments.bag])?;
     let namespace = &arguments.topics.namespace;
     let Settings { rig, tracker, climber, .. } = settings::read(&arguments.rig, &[], namespace)?;
     let cores = Cores { tracker, climber, names: arguments.topics.names() };
