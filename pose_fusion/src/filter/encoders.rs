@@ -66,8 +66,9 @@ impl Filter {
             (0..3).any(|i| stands[i] && entry.state.climber_rate[i].abs() > MOVES * sigmas[i])
         });
         let standing = moves || stands == [true; 3] || self.climber.stopped_at_once().is_some();
-        let leap = self.climber.leap_at(at.plus_seconds(-self.encoder_offset()));
-        let seen = Seen { standing, moves, leap };
+        let read = at.plus_seconds(-self.encoder_offset());
+        let (moves_on, leap) = (self.climber.moves_on(read), self.climber.leap_at(read));
+        let seen = Seen { standing, moves, moves_on, leap };
         match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {
             Verdict::Exclude => false,
             Verdict::Resume => {

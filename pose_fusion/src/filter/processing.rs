@@ -15,7 +15,7 @@ use crate::{
     initialization::from_image,
     measurements::{
         Outcome,
-        markers::{Image, ImageInnovation},
+        markers::{ATTITUDE_KNOWN, Image, ImageInnovation},
     },
     output::Warning,
     timeline::repropagation::{self, Context, Step},
@@ -51,8 +51,6 @@ const UNCARRIED: f64 = 0.01;
 /// where the velocity is known to this, m/s.
 pub(super) const OFFSET_KNOWN: f64 = 0.01;
 const VELOCITY_KNOWN: f64 = 0.1;
-/// An attitude that is known worse than this may be what a single marker contradicts, rad.
-const ATTITUDE_KNOWN: f64 = 0.02;
 /// Longest time that the IMU carries the state past such images, s: an alignment finds the offset
 /// of a platform that sets off within 0.2 s.
 const CARRIED: f64 = 0.25;

@@ -60,6 +60,8 @@ pub struct Seen {
     pub standing: bool,
     /// The estimate of the climber moves.
     pub moves: bool,
+    /// The reading is the first that differs after equal ones, and a climber can have moved there.
+    pub moves_on: bool,
     /// The reading leaps; whether to where a climber can have moved to since it leapt before.
     pub leap: Option<bool>,
 }
@@ -130,7 +132,7 @@ impl EncoderTrust {
         } else if *cause == Cause::Frozen {
             // Wrong until they are adopted or consistent.
             *cause = Cause::Stop;
-            self.returned = Some(at);
+            self.returned = seen.moves_on.then_some(at);
         } else if let Some(returns) = seen.leap {
             self.returned = returns.then_some(at);
         }
@@ -179,7 +181,8 @@ impl EncoderTrust {
 mod tests {
     use super::*;
 
-    const STRANGE: Seen = Seen { standing: false, moves: false, leap: None };
+    const STRANGE: Seen = Seen { standing: false, moves: false, moves_on: false, leap: None };
+    const RETURNS: Seen = Seen { moves_on: true, ..STRANGE };
     const STANDS: Seen = Seen { standing: true, ..STRANGE };
     const FROZEN: Seen = Seen { moves: true, ..STANDS };
 
@@ -229,7 +232,10 @@ mod tests {
         assert_eq!(first_adopted(false, &alternating, 9000), Some(3020));
         // Frozen readings are never adopted; those that move again are right.
         assert_eq!(trust.judge(at(9000), 1e6, &off, STANDS, 3.0), Verdict::Exclude);
-        assert_eq!(trust.judge(at(9020), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
+        let mut unclear = trust.clone();
+        assert_eq!(unclear.judge(at(9020), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
+        assert_eq!(unclear.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
+        assert_eq!(trust.judge(at(9020), 1e6, &off, RETURNS, 30.0), Verdict::Exclude);
         assert_eq!(trust.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Adopt);
         // Readings that stand are tried without once.
         assert!(

@@ -45,6 +45,9 @@ pub type Block = SMatrix<f64, 8, 8>;
 pub type ByCalibration = SMatrix<f64, 8, PARAMETERS>;
 /// Offsets of the markers' centers: x and y of red, green, blue, yellow, volant axes, m.
 pub type Offsets = SVector<f64, OFFSETS>;
+/// Where the attitude is known worse than this, rad, two markers fit whatever they are: they are
+/// not used where more are seen. A single one may contradict it there.
+pub const ATTITUDE_KNOWN: f64 = 0.02;
 /// Centroid (raw px) and covariance (px²) of each detected marker.
 pub type Pixels = [Option<(Vector2<f64>, Matrix2<f64>)>; 4];
 
@@ -193,8 +196,10 @@ pub fn update(
     if linear.valid == [true; 4] {
         record.misfit = misfit(state, geometry, image, reading, linear);
     }
+    let two = image.detected() == 2 || state.sigmas(ATTITUDE).max() < ATTITUDE_KNOWN;
     let best = largest_consistent(&pass, gates, |mask| {
-        solve(state, geometry, image, reading, &at_prior, mask)
+        let solution = || solve(state, geometry, image, reading, &at_prior, mask);
+        if count(mask) == 2 && !two { None } else { solution() }
     });
     let chosen = best.as_ref().map_or([false; 4], |(mask, _)| *mask);
     for (i, marker) in record.markers.iter_mut().enumerate() {
@@ -342,6 +347,22 @@ pub(super) mod tests {
                 (moved[i] - claimed[i]).abs() < 0.1 * moved.fixed_rows::<9>(0).amax(),
                 "{moved}{claimed}"
             );
+        }
+    }
+
+    #[test]
+    fn two_markers_beside_a_rejected_one_count_only_with_a_known_attitude() {
+        for (sigma, used) in [(0.01, 2), (0.1, 0)] {
+            let (mut state, geometry, mut image) = example();
+            state.set_sigmas(ATTITUDE, &Vector3::repeat(sigma));
+            image.detected[3] = false;
+            image.centroids[2][0] += 300.0;
+            let record = update(&mut state, &geometry, &image, &READING, &GATES, 9.81, true);
+            assert_eq!(record.used, used, "{sigma}: {record:?}");
+            // Where only two are seen, they are used.
+            image.detected[2] = false;
+            let record = update(&mut state, &geometry, &image, &READING, &GATES, 9.81, true);
+            assert_eq!(record.used, 2, "{sigma}: {record:?}");
         }
     }
 
