@@ -10,6 +10,7 @@ mod ingest;
 mod operator;
 mod processing;
 mod publish;
+mod reweighing;
 mod starting;
 mod time_offset;
 

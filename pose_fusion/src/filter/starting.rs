@@ -3,23 +3,16 @@
 
 use super::{Filter, search};
 use crate::{
-    adaptation::imu_noise::Densities,
     ekf::{
         calibration::Calibration,
         propagation::ImuReading,
-        state::{
-            ACCELEROMETER_BIAS, ATTITUDE, CLIMBER_RATE, GYROSCOPE_BIAS, POSITION, State,
-            TIME_OFFSET,
-        },
+        state::{ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, State, TIME_OFFSET},
     },
     initialization::{
         from_image::{self, ClimberPrior},
         time_offset::TimeOffset,
     },
-    input::{
-        climber_track::{ClimberAt, SPEED},
-        imu::Up,
-    },
+    input::{climber_track::ClimberAt, imu::Up},
     measurements::{
         Outcome,
         markers::{Image, Pixels},
@@ -30,8 +23,6 @@ use crate::{
 use nalgebra::Vector3;
 use rig_model::Stamp;
 
-/// The encoders' noise is another one from this factor of the variance on.
-const REWEIGHED: f64 = 1.5;
 /// An encoder reading further from the image than this initializes nothing, s.
 const NEAR: f64 = 1.0;
 /// Smallest uncertainty of "up" of an estimate whose time offset is unknown, rad, and largest time
@@ -318,63 +309,6 @@ impl Filter {
         self.begin(at, state);
         true
     }
-
-    /// The first readings identify the encoders' noise and were weighed before that: where it is
-    /// found to be another than was assumed, they and the initial state are weighed again.
-    pub(super) fn reweigh_readings(&mut self, variance: &Vector3<f64>) {
-        let before = *self.climber.assumed_variance();
-        let factor = variance.component_div(&before);
-        if factor.iter().all(|f| (1.0 / REWEIGHED..REWEIGHED).contains(f)) {
-            return;
-        }
-        *self.climber.assumed_variance() = *variance;
-        let more = (variance - before).map(|more| more.max(0.0));
-        for place in 0..self.history.len() {
-            let Some(entry) = self.history.get_mut(place) else { continue };
-            match &mut entry.event {
-                Event::Encoders { reading, .. } => {
-                    reading.variance = variance.component_mul(&reading.multiplicity)
-                }
-                // Everything that the image measured moves with the climber.
-                Event::Set if place == 0 => {
-                    for axis in (0..3).filter(|axis| more[*axis] > 0.0) {
-                        let moved = rigid(&entry.state, axis);
-                        entry.state.covariance.ger(more[axis], &moved, &moved, 1.0);
-                        let rate = CLIMBER_RATE + axis;
-                        entry.state.covariance[(rate, rate)] += SPEED[axis].powi(2);
-                    }
-                }
-                _ => {}
-            }
-        }
-        self.history.set_processed(self.history.processed().min(1));
-    }
-
-    /// Adds noise to the IMU samples on the time line and processes them again.
-    pub(super) fn reweigh_samples(&mut self, more: &Densities) {
-        for place in 0..self.history.len() {
-            if let Some(entry) = self.history.get_mut(place)
-                && let Event::Imu { noise, .. } = &mut entry.event
-            {
-                noise.force += more.force;
-                noise.rate += more.rate;
-            }
-        }
-        self.history.set_processed(self.history.processed().min(1));
-    }
-}
-
-/// By how much everything differs per meter or radian of a climber's axis, where nothing is known
-/// of the platform but what the camera sees of it: it moves rigidly with the climber.
-fn rigid(state: &State, axis: usize) -> crate::ekf::state::Error {
-    let mut moved = crate::ekf::state::Error::zeros();
-    let unit = Vector3::ith(axis, 1.0);
-    let arm = state.position - Vector3::new(state.climber.x, state.climber.y, state.position.z);
-    let carried = Vector3::new(unit.x, unit.y, 0.0) + Vector3::z().cross(&arm) * unit.z;
-    moved.fixed_rows_mut::<3>(POSITION).copy_from(&carried);
-    moved[ATTITUDE + 2] = unit.z;
-    moved[crate::ekf::state::CLIMBER + axis] = 1.0;
-    moved
 }
 
 /// Takes over time offset and biases of a former state; the biases are worth half, and so is an
