@@ -12,7 +12,7 @@ use common::{
     scoring::{self, Outputs, Score},
     simulated,
 };
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use pose_fusion::{Fusion, FusionConfig, Input, Warning};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, parallel, random::Random};
 
@@ -205,5 +205,41 @@ fn encoder_readings_that_leap_initialize_no_pose_and_are_reported() {
         println!("{name}: {valid} of {} valid, {named} name the encoders", outputs.status.len());
         assert_eq!(valid, 0, "{name}");
         assert!(named > 10, "{name}");
+    }
+}
+
+/// The attitude that an IMU estimates is off by far more than it claims while the platform swings:
+/// named, and not used. Before, from 5° on, the filter never started.
+#[test]
+fn an_attitude_that_the_imu_claims_wrongly_is_named_and_costs_nothing() {
+    for seed in 0..6 {
+        let (motion, sensors) = scene(seed);
+        let sensors = SensorConfig { attitude_error: 0.0096, ..sensors };
+        let run = simulated::run(motion, &sensors);
+        let score = |degrees: f64| {
+            let axis = Vector3::new((seed as f64).cos(), (seed as f64).sin(), 0.0);
+            let error = UnitQuaternion::new(axis * degrees.to_radians());
+            let inputs = run.inputs.iter().map(|(_, input)| match input {
+                Input::Imu(sample) => {
+                    let mut sample = *sample;
+                    let orientation = sample.orientation.as_mut().unwrap();
+                    orientation.enu_from_imu = error * orientation.enu_from_imu;
+                    Input::Imu(sample)
+                }
+                other => other.clone(),
+            });
+            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+            let outputs = scoring::run(&mut fusion, inputs);
+            let named = outputs.warnings.iter().any(|w| matches!(w, Warning::ImuAttitude { .. }));
+            (scoring::score(&outputs.odometry, &run.truth, 4.0), named)
+        };
+        let (clean, false) = score(0.0) else { panic!("named without an error") };
+        for degrees in [8.0, 15.0] {
+            let (off, named) = score(degrees);
+            println!("seed {seed}, {degrees}°: {off} (clean {clean})");
+            assert!(named, "seed {seed}, {degrees}°");
+            assert!(off.position_rmse() < 1.3 * clean.position_rmse(), "seed {seed}: {off}");
+            assert!(off.rotation_rmse() < 1.3 * clean.rotation_rmse(), "seed {seed}: {off}");
+        }
     }
 }

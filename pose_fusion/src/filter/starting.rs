@@ -12,7 +12,10 @@ use crate::{
         from_image::{self, ClimberPrior},
         time_offset::TimeOffset,
     },
-    input::{climber_track::ClimberAt, imu::Up},
+    input::{
+        climber_track::ClimberAt,
+        imu::{SWING_TILT, Up},
+    },
     measurements::{
         Outcome,
         markers::{Image, Pixels},
@@ -29,6 +32,9 @@ const NEAR: f64 = 1.0;
 /// to the state that serves an instant, s.
 const ESTIMATED_UP: f64 = 0.05;
 const ESTIMATED_NEAR: f64 = 0.05;
+/// The IMU's own attitude is what is wrong where another "up" is off by less than this share of its
+/// angle.
+const OWN_WORSE: f64 = 0.5;
 /// Biases known before an outage or recovery are worth half afterwards.
 const REMEMBERED: f64 = 2.0;
 /// Smallest bias sigma after an outage, m/s² and rad/s.
@@ -207,7 +213,7 @@ impl Filter {
             matches!(e.event, Event::Imu { .. }) && e.stamp <= at
         };
         let measured = absent || self.history.iter().any(is_imu_before);
-        let (Some(climber), Some(geometry)) = (self.climber_at(stamp), &self.setup.geometry) else {
+        let Some(climber) = self.climber_at(stamp) else {
             return self.publisher.reject(stamp, pixels, Outcome::NotInitialized);
         };
         let enough = pixels.iter().flatten().count() >= 3;
@@ -220,11 +226,11 @@ impl Filter {
             return self.publisher.reject(stamp, pixels, Outcome::NotInitialized);
         }
         let image = Image::new(pixels, time_offset, climber.rest);
-        let up = self.imu.own_up_at(at).or(up).or_else(|| self.imu.up_at(at, &self.history));
+        let up = up.or_else(|| self.imu.force_up_at(at, &self.history));
+        let ups = [self.imu.own_up_at(at), up];
         let prior = ClimberPrior::from_readings(&climber);
-        let (config, known) = (&self.setup.config, self.calibration());
-        let Some(start) = from_image::start(geometry, config, &image, up.as_ref(), &prior, &known)
-        else {
+        let known = self.calibration();
+        let Some(start) = self.likeliest_start(at, &image, ups, &prior, &known) else {
             return self.publisher.reject(stamp, pixels, Outcome::Inconsistent);
         };
         self.publisher.record(stamp, &start.record, false);
@@ -234,6 +240,38 @@ impl Filter {
         let mut state = start.state;
         self.remember(&mut state);
         self.begin(at, state);
+    }
+
+    /// Returns the initial state from an image. `ups` are the IMU's own attitude, and what else is
+    /// known of "up". Where the markers reject the IMU's own attitude and agree better with the
+    /// other, it is not used any more: on a platform that swings it may be off by far more than the
+    /// IMU claims. It still chooses between two poses that are mirrored.
+    fn likeliest_start(
+        &mut self,
+        at: Stamp,
+        image: &Image,
+        ups: [Option<Up>; 2],
+        climber: &ClimberPrior,
+        known: &Calibration,
+    ) -> Option<from_image::Start> {
+        let (geometry, config) = (self.setup.geometry.as_ref()?, &self.setup.config);
+        let start =
+            |up: Option<&Up>| from_image::start(geometry, config, image, up, climber, known);
+        let [own, other] = ups;
+        if let Some(found) = start(own.or(other).as_ref()) {
+            return Some(found);
+        }
+        let (own, other) = (own?, other?);
+        let found = start(Some(&Up { sigma: SWING_TILT.max(own.sigma), ..own }))?;
+        let angle = |up: &Up| (found.state.attitude * up.in_imu).angle(&Vector3::z());
+        let angle_rad = angle(&own);
+        // An IMU that is mounted otherwise has both off by the same angle.
+        if angle(&other) > OWN_WORSE * angle_rad {
+            return None;
+        }
+        self.imu.ignore_attitude();
+        self.publisher.warn(Warning::ImuAttitude { stamp: at, angle_rad });
+        Some(found)
     }
 
     /// Returns the climber by its encoders at an image, where they have readings near it and do not
@@ -283,21 +321,17 @@ impl Filter {
         since: Stamp,
         uses_up: bool,
     ) -> bool {
-        let (Some(geometry), Some(old)) = (&self.setup.geometry, self.state().cloned()) else {
-            return false;
-        };
+        let Some(old) = self.state().cloned() else { return false };
         let at = stamp.plus_seconds(old.time_offset);
         let mut image = *image;
         image.time_offset = old.time_offset;
-        let up = self.imu.up_at(at, &self.history).filter(|_| uses_up);
+        let ups = [self.imu.own_up_at(at), self.imu.force_up_at(at, &self.history)];
+        let ups = ups.map(|up| up.filter(|_| uses_up));
         // What contradicted the images has moved the climber of the state, too.
         let trusted = (!self.trust.is_suspended()).then(|| self.climber_at(stamp)).flatten();
         let prior = trusted
             .map_or_else(|| ClimberPrior::from_state(&old), |at| ClimberPrior::from_readings(&at));
-        let config = &self.setup.config;
-        let known = &old.calibration;
-        let Some(start) = from_image::start(geometry, config, &image, up.as_ref(), &prior, known)
-        else {
+        let Some(start) = self.likeliest_start(at, &image, ups, &prior, &old.calibration) else {
             return false;
         };
         let mut state = start.state;

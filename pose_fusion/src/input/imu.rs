@@ -23,7 +23,7 @@ const SPACING: f64 = 0.01;
 /// An attitude further from an instant does not serve it, s.
 const NEAR: f64 = 0.1;
 /// Tilt that a swing hides from the accelerometer, rad (1 sigma).
-const SWING_TILT: f64 = 0.15;
+pub const SWING_TILT: f64 = 0.15;
 /// The mean specific force over this time around an instant points up but for that, s.
 const MEAN_FORCE: f64 = 0.3;
 /// Its upward part in units of gravity: a swing of 60 degrees is within.
@@ -64,6 +64,7 @@ pub struct ImuInput {
     noise: ImuNoise,
     stationary: Stationary,
     ups: VecDeque<(Stamp, Up)>,
+    ignores_attitude: bool,
     model_error: Excess,
     /// Half the width of the mean that is the motion at an image, s.
     smoothing: f64,
@@ -128,9 +129,15 @@ impl ImuInput {
         Event::Imu { noise, at_rest }
     }
 
+    /// Ignores the IMU's own attitude from now on.
+    pub fn ignore_attitude(&mut self) {
+        self.ignores_attitude = true;
+        self.ups.clear();
+    }
+
     /// Remembers the IMU's own attitude, where the sample has a usable one.
     pub fn remember_attitude(&mut self, sample: &ImuSample, floor: f64) {
-        if let Some(up) = up_of(sample, floor) {
+        if let (Some(up), false) = (up_of(sample, floor), self.ignores_attitude) {
             let since = |(at, _): &(Stamp, Up)| sample.stamp.seconds_since(*at);
             if self.ups.back().is_some_and(|last| (0.0..SPACING).contains(&since(last))) {
                 return;
@@ -204,9 +211,11 @@ impl ImuInput {
     /// Returns what is known of "up" at an instant: the IMU's own attitude, else the mean direction
     /// of its specific force.
     pub fn up_at(&self, stamp: Stamp, history: &History) -> Option<Up> {
-        if let Some(up) = self.own_up_at(stamp) {
-            return Some(up);
-        }
+        self.own_up_at(stamp).or_else(|| self.force_up_at(stamp, history))
+    }
+
+    /// Returns the mean direction of the specific force around an instant.
+    pub fn force_up_at(&self, stamp: Stamp, history: &History) -> Option<Up> {
         mean_force(stamp, history)?.try_normalize(1e-3).map(|in_imu| Up {
             in_imu,
             sigma: SWING_TILT,

@@ -45,8 +45,8 @@ pub type Block = SMatrix<f64, 8, 8>;
 pub type ByCalibration = SMatrix<f64, 8, PARAMETERS>;
 /// Offsets of the markers' centers: x and y of red, green, blue, yellow, volant axes, m.
 pub type Offsets = SVector<f64, OFFSETS>;
-/// Where the attitude is known worse than this, rad, two markers fit whatever they are: they are
-/// not used where more are seen. A single one may contradict it there.
+/// Where the attitude is known worse than this, rad, one or two markers fit whatever they are: they
+/// are not used where more are seen. A single one that is seen may contradict it there.
 pub const ATTITUDE_KNOWN: f64 = 0.02;
 /// Centroid (raw px) and covariance (px²) of each detected marker.
 pub type Pixels = [Option<(Vector2<f64>, Matrix2<f64>)>; 4];
@@ -196,10 +196,10 @@ pub fn update(
     if linear.valid == [true; 4] {
         record.misfit = misfit(state, geometry, image, reading, linear);
     }
-    let two = image.detected() == 2 || state.sigmas(ATTITUDE).max() < ATTITUDE_KNOWN;
+    let few = image.detected() <= 2 || state.sigmas(ATTITUDE).max() < ATTITUDE_KNOWN;
     let best = largest_consistent(&pass, gates, |mask| {
         let solution = || solve(state, geometry, image, reading, &at_prior, mask);
-        if count(mask) == 2 && !two { None } else { solution() }
+        if count(mask) > 2 || few { solution() } else { None }
     });
     let chosen = best.as_ref().map_or([false; 4], |(mask, _)| *mask);
     for (i, marker) in record.markers.iter_mut().enumerate() {

@@ -45,6 +45,14 @@ pub enum Warning {
          or set the serial adapter's latency timer to 1 ms; look for a second publisher"
     )]
     ImuBursts { samples: f64, every_s: f64 },
+    /// The IMU's own attitude is off by more than it claims.
+    #[error(
+        "the IMU's own attitude at {stamp} is {:.1}° beside what the markers show and is not used: \
+         let its driver claim a covariance that holds while the platform swings \
+         (orientation_stddev.tilt), and compare imu.orientation",
+        angle_rad.to_degrees()
+    )]
+    ImuAttitude { stamp: Stamp, angle_rad: f64 },
     /// No IMU samples while images arrive.
     #[error(
         "no IMU sample since {since}; the pose continues from images: check the IMU's cable and \
@@ -115,6 +123,7 @@ impl Warning {
             Self::TimeJump { .. } => "time_jump",
             Self::ImuGap { .. } => "imu_gap",
             Self::ImuBursts { .. } => "imu_bursts",
+            Self::ImuAttitude { .. } => "imu_attitude",
             Self::ImuLost { .. } => "imu_lost",
             Self::Initialized { .. } => "initialized",
             Self::TimeOffset { .. } => "time_offset",
