@@ -216,7 +216,14 @@ impl Filter {
             }
         }
         let limit = if agrees { limit } else { DISAGREEING * limit };
-        match self.lock_out.note(stamp, seen, record.used, limit, excused) {
+        let response = self.lock_out.note(stamp, seen, record.used, limit, excused);
+        if response != Response::None && self.trust.acquit(at) {
+            self.climber.forget_stop();
+            self.publisher.warn(Warning::EncodersResumed { stamp: at });
+            self.lock_out.responded(stamp);
+            return self.reinitialize(stamp, image, stamp, true);
+        }
+        match response {
             Response::None => false,
             Response::GiveWay(since) => {
                 self.lock_out.responded(stamp);
@@ -250,8 +257,8 @@ impl Filter {
         let earliest = at.plus_seconds(-self.encoder_offset() - SUSPECT);
         let stopped =
             self.climber.stopped_since().map(|axis| axis.filter(|s| known && *s > earliest));
-        if let (false, Some(since)) =
-            (self.trust.is_suspended(), stopped.into_iter().flatten().min())
+        if let Some(since) = stopped.into_iter().flatten().min()
+            && self.trust.may_suspect(since.plus_seconds(self.encoder_offset()), at)
         {
             self.climber.suspect_frozen(stopped);
             self.exclude_since(since.plus_seconds(self.encoder_offset()));

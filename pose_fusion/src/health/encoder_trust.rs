@@ -26,6 +26,8 @@ const UNCHANGED: f64 = 1.0;
 /// Readings that returned from a fault and contradict the estimate for this time afterwards are
 /// right, s: the climber drove on unseen.
 const RETURNED: f64 = 0.2;
+/// This long after encoders were suspended, images should not contradict the prediction any more, s.
+const EXPLAINED: f64 = 0.2;
 /// A reading is consistent below this NIS (one degree of freedom; 3 sigma).
 const GATE: f64 = 9.0;
 
@@ -77,7 +79,7 @@ pub struct EncoderTrust {
     newest: Option<Stamp>,
     /// First reading after a fault.
     returned: Option<Stamp>,
-    /// Last time that readings which stand were tried without.
+    /// Last time that readings which stand were tried without, or were found not to be frozen.
     tried: Option<Stamp>,
 }
 
@@ -161,14 +163,31 @@ impl EncoderTrust {
         *self = Self { tried: self.tried, ..Self::default() };
     }
 
+    /// Returns whether encoders that have stood since `since` may be frozen: not where they are
+    /// suspended, or stood already when they were tried without.
+    pub fn may_suspect(&self, since: Stamp, at: Stamp) -> bool {
+        // A clock that was set back leaves a trial in the future.
+        !self.is_suspended() && self.tried.is_none_or(|tried| tried < since || tried > at)
+    }
+
+    /// Trusts encoders again that have not leapt, where images contradict the prediction without
+    /// them as well: something else is wrong. Returns whether it does.
+    pub fn acquit(&mut self, at: Stamp) -> bool {
+        let suspected = self.suspended.is_some_and(|(since, cause)| {
+            cause != Cause::Leap && at.seconds_since(since) > EXPLAINED
+        });
+        if suspected {
+            self.tried = Some(at);
+            self.reset();
+        }
+        suspected
+    }
+
     /// Suspends encoders that have stood since `since` while the prediction contradicts the images,
-    /// to see whether they are what is wrong. Returns false where they are suspended, have stood
-    /// for less than [`STOOD`], or have stood through such a trial.
+    /// to see whether they are what is wrong. Returns false where they have stood for less than
+    /// [`STOOD`], or cannot be suspected.
     pub fn tries_without(&mut self, since: Stamp, at: Stamp) -> bool {
-        let tries = !self.is_suspended()
-            && at.seconds_since(since) > STOOD
-            // A clock that was set back leaves a trial in the future.
-            && self.tried.is_none_or(|tried| tried < since || tried > at);
+        let tries = at.seconds_since(since) > STOOD && self.may_suspect(since, at);
         if tries {
             self.tried = Some(at);
             self.suspend(at, Cause::Frozen, false);
@@ -237,6 +256,17 @@ mod tests {
         assert_eq!(unclear.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Exclude);
         assert_eq!(trust.judge(at(9020), 1e6, &off, RETURNS, 30.0), Verdict::Exclude);
         assert_eq!(trust.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Adopt);
+        // What contradicts without them as well is not theirs, unless they have leapt.
+        for (cause, acquitted) in
+            [(Cause::Contradiction, true), (Cause::Frozen, true), (Cause::Leap, false)]
+        {
+            let mut suspect = EncoderTrust::default();
+            suspect.suspend(at(5000), cause, false);
+            assert!(!suspect.acquit(at(5100)));
+            assert_eq!(suspect.acquit(at(5300)), acquitted);
+            assert!(!suspect.may_suspect(at(5200), at(5400)));
+            assert_eq!(suspect.may_suspect(at(5350), at(5400)), acquitted);
+        }
         // Readings that stand are tried without once.
         assert!(
             !trust.tries_without(at(9900), at(10_000)) && trust.tries_without(at(9500), at(10_000))
