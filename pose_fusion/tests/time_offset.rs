@@ -118,7 +118,10 @@ const CHANGE: f64 = 6.0;
 
 /// A run whose images and encoder readings are stamped `by` seconds later from [`CHANGE`] on.
 fn changing(seed: u64, by: f64) -> (simulated::Run, Vec<Input>) {
-    let motion = MotionConfig { duration: 16.0, ..MotionConfig::nominal(seed) };
+    changing_in(MotionConfig { duration: 16.0, ..MotionConfig::nominal(seed) }, seed, by)
+}
+
+fn changing_in(motion: MotionConfig, seed: u64, by: f64) -> (simulated::Run, Vec<Input>) {
     let run = simulated::run(motion, &SensorConfig::nominal(seed));
     let change = scoring::start(&run.truth).plus_seconds(CHANGE);
     let inputs = run.inputs.iter().map(|(_, input)| {
@@ -148,6 +151,24 @@ fn an_offset_that_changes_is_found_again() {
         print(&format!("changes by {by:+.2} s, seed {seed}"), &score, &status);
         assert!((status.time_offset.offset + by).abs() < 2e-3, "{status:?}");
         assert!(score.position_rmse() < 1.0 && score.nees().0 < 6.0, "{score}");
+    }
+}
+
+/// Another exposure time moves the middle of the exposure by milliseconds: too little for an
+/// alignment, and enough to contradict a fast motion.
+#[test]
+fn an_offset_that_changes_by_milliseconds_is_followed() {
+    for (by, seed) in [(0.008, 1), (-0.008, 2), (0.015, 3), (-0.015, 4)] {
+        let motion = MotionConfig { duration: 16.0, ..MotionConfig::fast_swing(seed) };
+        let (run, inputs) = changing_in(motion, seed, by);
+        let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+        let outputs = scoring::run(&mut fusion, inputs);
+        let score = scoring::score(&outputs.odometry, &run.truth, CHANGE + 1.0);
+        let status = fusion.status();
+        print(&format!("{by:+} s"), &score, &status);
+        assert!(score.position_rmse() < 2.0 && score.position.max() < 0.02, "{by}: {score}");
+        let lost = outputs.status.iter().filter(|s| !s.valid).count();
+        assert!(lost < 100, "{by}: {lost} poses not valid");
     }
 }
 

@@ -32,6 +32,9 @@ const AGREES: f64 = 3.0;
 const GROSS: f64 = 4.0;
 /// A filter that knows its time offset to this, s, and agrees with an alignment, needs no other.
 const KNOWN: f64 = 0.003;
+/// Uncertainty that is added to the time offset where images contradict the prediction, s: a smaller
+/// change the filter finds by itself.
+const REOPENED: f64 = 0.005;
 /// Tilt by which the image poses that are aligned may miss "up", rad: a swing within the offset
 /// that is not known yet.
 const TILT: f64 = 0.1;
@@ -92,6 +95,7 @@ impl Filter {
             for place in 0..self.history.len() {
                 if let Some(entry) = self.history.get_mut(place) {
                     entry.state.forget_time_offset_error();
+                    entry.state.covariance[(TIME_OFFSET, TIME_OFFSET)] += REOPENED * REOPENED;
                 }
             }
         }
