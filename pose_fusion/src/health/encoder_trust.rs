@@ -5,7 +5,8 @@
 //! row restore trust. Readings that contradict the estimate for `climber.step_timeout` are adopted
 //! (the drive was homed, or a wheel slipped): the filter reinitializes with them, and the world
 //! frame moves with the encoders. Until then the pose keeps its frame. Who of the two is wrong is
-//! not known: after `DISPUTED` the published covariance contains the distance between them.
+//! not known: after `DISPUTED`, and at once where one stopped, the published covariance contains the
+//! distance between them; where they seem to be frozen, until that has been `CONFIRMED`.
 //! Encoders that are known to be frozen are not adopted before they move again. Readings that
 //! return from a fault and go on moving are right: they are adopted after `RETURNED`. They return
 //! where frozen ones move again, or where they leap to where a climber can have moved to since they
@@ -17,6 +18,9 @@ use rig_model::Stamp;
 
 /// Readings that contradict the estimate for longer than this cast doubt on it, s.
 const DISPUTED: f64 = 0.3;
+
+/// Encoders that seem to be frozen are, where nothing contradicted that for this time, s.
+const CONFIRMED: f64 = 1.0;
 
 /// Consistent readings in a row that restore trust.
 const CONSISTENT: u32 = 3;
@@ -106,11 +110,16 @@ impl EncoderTrust {
     }
 
     /// Returns by how much encoders and estimate contradict each other, x, y (m) and turn (rad),
-    /// once it is not known which is wrong.
+    /// while it is not known which is wrong.
     pub fn dispute(&self) -> Option<Vector3<f64>> {
         let (since, cause) = self.suspended?;
         let lasts = self.newest?.seconds_since(since);
-        (lasts > DISPUTED && cause != Cause::Frozen).then_some(self.residual)
+        let disputed = match cause {
+            Cause::Frozen => lasts < CONFIRMED,
+            Cause::Stop => true,
+            Cause::Contradiction | Cause::Leap => lasts > DISPUTED,
+        };
+        disputed.then_some(self.residual)
     }
 
     /// Judges a new reading at `at` with this NIS and residual (x, y, m; turn, rad) while the
