@@ -13,8 +13,9 @@ use std::collections::VecDeque;
 pub const KEPT: usize = 64;
 /// Fewest intervals that say anything.
 const FEWEST: usize = 8;
-/// Intervals of more periods than this are gaps, which do not measure the period.
-const FAR: f64 = 3.0;
+/// Intervals of so many median ones measure the period: shorter ones are an image twice, longer ones
+/// gaps.
+const MEASURES: std::ops::Range<f64> = 0.5..3.5;
 /// A smaller jitter may be one of the exposures, which the stamps tell rightly, s.
 const SMALLEST: f64 = 0.5e-3;
 /// Median of the absolute value of a normal distribution, in standard deviations.
@@ -45,7 +46,7 @@ pub fn sigma(stamps: &VecDeque<Stamp>) -> f64 {
     let periods = |interval: f64| (interval / typical).round().max(1.0);
     let (time, count) = intervals
         .iter()
-        .filter(|interval| periods(**interval) <= FAR)
+        .filter(|interval| MEASURES.contains(&(**interval / typical)))
         .fold((0.0, 0.0), |(time, count), interval| (time + interval, count + periods(*interval)));
     let period = time / count;
     for interval in intervals.iter_mut() {
@@ -79,6 +80,10 @@ mod tests {
         assert!(sigma(&lost) < 1e-6);
         let late = stamps(|k| if k == 30 { 0.012 } else { 0.0 }, |_| true);
         assert!(sigma(&late) < 1e-6);
+        let mut twice = exact.clone();
+        twice.extend(exact.iter().step_by(5).map(|stamp| stamp.plus_seconds(1e-6)));
+        twice.drain(..twice.len() - KEPT);
+        assert!(sigma(&twice) < 1e-6, "{}", sigma(&twice));
         for grid in [0.01, 0.004] {
             let cut = |k: usize| -((k as f64 / 30.0) % grid);
             let found = sigma(&stamps(cut, |k| k % 9 != 0));

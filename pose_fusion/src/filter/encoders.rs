@@ -68,7 +68,8 @@ impl Filter {
         let standing = moves || stands == [true; 3] || self.climber.stopped_at_once().is_some();
         let read = at.plus_seconds(-self.encoder_offset());
         let (moves_on, leap) = (self.climber.moves_on(read), self.climber.leap_at(read));
-        let seen = Seen { standing, moves, moves_on, leap };
+        let axis_stands = stands.contains(&true);
+        let seen = Seen { standing, axis_stands, moves, moves_on, leap };
         match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {
             Verdict::Exclude => false,
             Verdict::Resume => {

@@ -212,7 +212,7 @@ impl Filter {
                 return false;
             }
             if self.imu.model_error().factor() > SUDDEN {
-                self.search_again();
+                self.search_again(agrees && grows);
             }
         }
         let limit = if agrees { limit } else { DISAGREEING * limit };
@@ -249,7 +249,7 @@ impl Filter {
         let Some(entry) = self.history.get(place) else { return false };
         let at = entry.stamp;
         let repeated = self.lock_out.gives_way(stamp);
-        self.search_again();
+        self.search_again(record.agrees_with_itself());
         self.imu.model_error().contradicted(&MODEL_ERROR);
         // An encoder that stopped while the images see the climber drive on is frozen, unless the time
         // offset is what they contradict.

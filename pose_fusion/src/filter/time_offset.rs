@@ -86,8 +86,10 @@ impl Filter {
     }
 
     /// Searches the time offset again, because images contradict the prediction: the camera's
-    /// latency may have changed. Until an alignment says otherwise the estimate counts.
-    pub(super) fn search_again(&mut self) {
+    /// latency may have changed. Until an alignment says otherwise the estimate counts; where the
+    /// image's markers agree with each other (`agrees`), it may follow a small change.
+    pub(super) fn search_again(&mut self, agrees: bool) {
+        let reopened = if agrees { REOPENED * REOPENED } else { 0.0 };
         if self.search.is_none() {
             self.search = super::search(&self.setup.config);
             self.start.offset_doubt = Some(0.0);
@@ -95,7 +97,7 @@ impl Filter {
             for place in 0..self.history.len() {
                 if let Some(entry) = self.history.get_mut(place) {
                     entry.state.forget_time_offset_error();
-                    entry.state.covariance[(TIME_OFFSET, TIME_OFFSET)] += REOPENED * REOPENED;
+                    entry.state.covariance[(TIME_OFFSET, TIME_OFFSET)] += reopened;
                 }
             }
         }

@@ -27,6 +27,8 @@ const CONSISTENT: u32 = 3;
 /// Readings that do not change must be consistent for this time, s: frozen ones agree while the
 /// climber comes by.
 const UNCHANGED: f64 = 1.0;
+/// The same where only one axis stands, which may be at rest, s.
+const PASSED: f64 = 0.3;
 /// Readings that returned from a fault and contradict the estimate for this time afterwards are
 /// right, s: the climber drove on unseen.
 const RETURNED: f64 = 0.2;
@@ -62,8 +64,10 @@ pub enum Cause {
 /// What is seen of the encoders at a reading.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Seen {
-    /// The newest readings are equal.
+    /// The newest readings are equal, or those of an axis that may be frozen.
     pub standing: bool,
+    /// The newest readings of an axis are equal.
+    pub axis_stands: bool,
     /// The estimate of the climber moves.
     pub moves: bool,
     /// The reading is the first that differs after equal ones, and a climber can have moved there.
@@ -155,8 +159,13 @@ impl EncoderTrust {
             (self.consistent, self.consistent_since) = (0, None);
         }
         let lasts = self.consistent_since.map_or(0.0, |since| at.seconds_since(since));
+        let due = match (seen.standing, seen.axis_stands) {
+            (true, _) => UNCHANGED,
+            (false, true) => PASSED,
+            (false, false) => 0.0,
+        };
         let returned = self.returned.is_some_and(|since| at.seconds_since(since) > RETURNED);
-        if self.consistent >= CONSISTENT && (!seen.standing || lasts > UNCHANGED) {
+        if self.consistent >= CONSISTENT && lasts >= due {
             self.reset();
             Verdict::Resume
         } else if !frozen && self.consistent == 0 && (returned || contradicts > timeout) {
@@ -209,7 +218,8 @@ impl EncoderTrust {
 mod tests {
     use super::*;
 
-    const STRANGE: Seen = Seen { standing: false, moves: false, moves_on: false, leap: None };
+    const STRANGE: Seen =
+        Seen { standing: false, axis_stands: false, moves: false, moves_on: false, leap: None };
     const RETURNS: Seen = Seen { moves_on: true, ..STRANGE };
     const STANDS: Seen = Seen { standing: true, ..STRANGE };
     const FROZEN: Seen = Seen { moves: true, ..STANDS };
