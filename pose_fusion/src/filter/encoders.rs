@@ -47,7 +47,7 @@ impl Filter {
             self.history.reading_before(place, DISTURBED_READINGS).unwrap_or((0, first));
         if encoders::is_impossible(innovation, at.seconds_since(from)) {
             self.exclude(place);
-            self.suspend_encoders(at, innovation);
+            self.suspend_encoders(place, at, innovation);
         } else if self.disturbances.add_jerk(from, at, innovation) {
             self.climber.adapt_jerk(innovation.nis);
             self.history.rewind(since + 1);
@@ -66,7 +66,7 @@ impl Filter {
             (0..3).any(|i| stands[i] && entry.state.climber_rate[i].abs() > MOVES * sigmas[i])
         });
         let standing = moves || stands == [true; 3] || self.climber.stopped_at_once().is_some();
-        let read = at.plus_seconds(-self.encoder_offset());
+        let read = self.read_at(place).unwrap_or(at);
         let (moves_on, leap) = (self.climber.moves_on(read), self.climber.leap_at(read));
         let axis_stands = stands.contains(&true);
         let seen = Seen { standing, axis_stands, moves, moves_on, leap };
@@ -138,12 +138,20 @@ impl Filter {
         }
     }
 
-    fn suspend_encoders(&mut self, at: Stamp, innovation: &Innovation<3>) {
+    /// Returns the stamp of the encoder reading at a place; the time offset may have changed since it
+    /// was placed there.
+    fn read_at(&self, place: usize) -> Option<Stamp> {
+        let entry = self.history.get(place)?;
+        let Event::Encoders { reading, .. } = &entry.event else { return None };
+        Some(entry.stamp.plus_seconds(-reading.time_offset))
+    }
+
+    fn suspend_encoders(&mut self, place: usize, at: Stamp, innovation: &Innovation<3>) {
         if !self.trust.is_suspended() {
             let distance_m = innovation.residual.xy().norm();
             self.publisher.warn(Warning::EncodersSuspended { stamp: at, distance_m });
         }
-        let read = at.plus_seconds(-self.encoder_offset());
+        let read = self.read_at(place).unwrap_or(at);
         let returns = self.climber.moves_on(read);
         let leaps = returns || self.climber.leaps_near(read);
         let cause = if leaps { Cause::Leap } else { Cause::Contradiction };

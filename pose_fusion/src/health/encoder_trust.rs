@@ -165,7 +165,7 @@ impl EncoderTrust {
             (false, false) => 0.0,
         };
         let returned = self.returned.is_some_and(|since| at.seconds_since(since) > RETURNED);
-        if self.consistent >= CONSISTENT && lasts >= due {
+        if self.consistent >= CONSISTENT && lasts > due {
             self.reset();
             Verdict::Resume
         } else if !frozen && self.consistent == 0 && (returned || contradicts > timeout) {
