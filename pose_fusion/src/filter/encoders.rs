@@ -1,6 +1,6 @@
 //! The responses to encoder readings that contradict the prediction.
 
-use super::Filter;
+use super::{Filter, processing::OFFSET_KNOWN};
 use crate::{
     ekf::state::CLIMBER_RATE,
     health::encoder_trust::{Cause, Seen, Verdict},
@@ -152,7 +152,9 @@ impl Filter {
             self.publisher.warn(Warning::EncodersSuspended { stamp: at, distance_m });
         }
         let read = self.read_at(place).unwrap_or(at);
-        let returns = self.climber.moves_on(read);
+        // While the time offset is unknown, a climber that sets off contradicts by as much.
+        let known = self.offset_doubt() <= OFFSET_KNOWN;
+        let returns = known && self.climber.moves_on(read);
         let leaps = returns || self.climber.leaps_near(read);
         let cause = if leaps { Cause::Leap } else { Cause::Contradiction };
         self.trust.suspend(at, cause, returns);
