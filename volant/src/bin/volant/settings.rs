@@ -44,7 +44,7 @@ fn remap(text: &str) -> Result<Remap, String> {
     let from = remap.from().trim_start_matches('/');
     let is_ours =
         |topic: &&str| from.strip_suffix(*topic).is_some_and(|n| n.is_empty() || n.ends_with('/'));
-    if topics::ALL.iter().any(|topic| is_ours(topic)) {
+    if topics::ALL.iter().any(is_ours) {
         return Ok(remap);
     }
     let hint = did_you_mean(from, topics::ALL.iter().copied());
