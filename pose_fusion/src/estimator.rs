@@ -88,7 +88,7 @@ impl Fusion {
         self.outputs.extend(visual.map(|visual| Output::VisualPose(visual.pose)));
         let Some((_, stamp)) = stamp else { return };
         match &mut self.estimator {
-            Estimator::TightlyCoupled(filter) => filter.publish_initializing(stamp),
+            Estimator::TightlyCoupled(filter) => filter.publish_status(),
             Estimator::Paper(paper) => self.outputs.extend(paper.silence(stamp)),
         }
         self.take_outputs();
@@ -185,7 +185,7 @@ impl Fusion {
             return Vec::new();
         }
         if end {
-            filter.archive_all();
+            filter.archive_until(None);
         }
         filter.smoothed(if end { 0.0 } else { LAG })
     }

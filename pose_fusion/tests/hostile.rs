@@ -7,7 +7,7 @@ use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use pose_fusion::{
     Fusion, FusionConfig, Input, Odometry, Source, Warning, config::CalibrationSigmas,
 };
-use rig_model::{ImuSample, Stamp, score::PoseError, topics};
+use rig_model::{ClimberSample, ImuSample, Stamp, score::PoseError, topics};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
 fn recording() -> simulated::Run {
@@ -273,4 +273,78 @@ fn imu_samples_from_before_the_first_pose_are_rejected() {
     let score = scoring::score(&outputs.odometry, &run.truth, 0.0);
     println!("{score}");
     assert!(outputs.odometry.len() > 400 && score.position.max() < 0.1, "{score}");
+}
+
+/// Messages are stamped an hour ahead, before the first IMU sample or while the IMU is silent: no
+/// sample contradicts them then.
+#[test]
+fn stamps_an_hour_ahead_have_no_lasting_effect_without_the_imu() {
+    let run = recording();
+    let begin = scoring::start(&run.truth);
+    let at = |seconds: f64| begin.plus_seconds(seconds);
+    let silent = |stamp: Stamp| (at(3.0)..at(3.6)).contains(&stamp);
+    let found = |wrong: &dyn Fn(&Input) -> bool, when: f64, imu_from: f64, wrong_ones: u32| {
+        let (mut done, mut inputs) = (false, Vec::new());
+        for (arrived, input) in &run.inputs {
+            let is_imu = matches!(input, Input::Imu(_));
+            if is_imu && (silent(*arrived) || *arrived < at(imu_from)) {
+                continue;
+            }
+            inputs.push(input.clone());
+            if !done && *arrived > at(when) && wrong(input) {
+                done = true;
+                inputs.extend((0..wrong_ones).map(|k| {
+                    shifted(input, 3600.0 + 0.03 * f64::from(k))
+                }));
+            }
+        }
+        assert!(done);
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        scoring::run(&mut fusion, inputs)
+    };
+    let is_image = |input: &Input| matches!(input, Input::Markers(_));
+    let is_climber = |input: &Input| matches!(input, Input::Climber(_));
+    for (what, wrong, when, imu_from) in [
+        ("encoders before the IMU", &is_climber as &dyn Fn(&Input) -> bool, 0.0, 1.0),
+        ("image before the IMU", &is_image, 0.0, 1.0),
+        ("encoders while the IMU is silent", &is_climber, 3.4, 0.0),
+        ("image while the IMU is silent", &is_image, 3.4, 0.0),
+    ] {
+        for count in [1, 3] {
+            let outputs = found(wrong, when, imu_from, count);
+            let score = scoring::score(&outputs.odometry, &run.truth, 4.2);
+            let poses = outputs.odometry.len();
+            println!("{count} {what}: {poses} poses, {score}");
+            assert!(poses > 380 && score.position_rmse() < 1.5, "{count} {what}: {score}");
+            let ahead = outputs.status.iter().any(|s| s.stamp > at(100.0));
+            assert!(count > 1 || !ahead, "{what}: a status an hour ahead");
+        }
+    }
+}
+
+/// A second publisher of encoder readings has another clock from the start.
+#[test]
+fn messages_of_another_clock_delay_no_odometry() {
+    let run = recording();
+    let reading = run.inputs.iter().find_map(|(_, input)| match input {
+        Input::Climber(c) => Some(c),
+        _ => None,
+    });
+    let reading = reading.unwrap();
+    let followed = |ahead: Option<f64>| {
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        let inputs = run.inputs.iter().flat_map(|(_, input)| {
+            let wrong = match (input, ahead) {
+                (Input::Imu(s), Some(ahead)) => {
+                    let stamp = s.stamp.plus_seconds(ahead);
+                    Some(Input::Climber(ClimberSample { stamp, ..reading.clone() }))
+                }
+                _ => None,
+            };
+            wrong.into_iter().chain([input.clone()])
+        });
+        scoring::run(&mut fusion, inputs).odometry.len()
+    };
+    let (clean, other) = (followed(None), followed(Some(3600.0)));
+    assert_eq!(clean, other);
 }

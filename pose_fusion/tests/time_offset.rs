@@ -103,13 +103,47 @@ fn a_constant_offset_of_the_climber_is_configured() {
     let sensors = SensorConfig { climber_clock_ahead: 0.06, ..SensorConfig::nominal(2) };
     let mut config = simulated::config();
     config.tight.clock.climber_offset = -0.06;
-    let (configured, status) = follow(MotionConfig::nominal(2), &sensors, config, 3.0);
+    let (configured, status) = follow(MotionConfig::nominal(2), &sensors, config.clone(), 0.3);
     print("configured", &configured, &status);
     let (ignored, _) = follow(MotionConfig::nominal(2), &sensors, simulated::config(), 3.0);
     println!("{:34} {ignored}", "not configured");
-    assert!(configured.position_rmse() < 1.0, "{configured}");
+    assert!(configured.position_rmse() < 1.0 && configured.position.max() < 6.0, "{configured}");
     // Not applied, and bounded: the climber's speed (0.42 m/s at most) times the delay.
     assert!(ignored.position.max() < 1.3 * 0.42 * 0.06, "{ignored}");
+
+    let run = simulated::run(MotionConfig::nominal(2), &sensors);
+    let mut fusion = Fusion::new(simulated::rig(), config);
+    let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    let mut visual = Score::default();
+    for p in &outputs.visual {
+        visual.add(&p.pose, &p.covariance, &scoring::pose_at(&run.truth, p.stamp).unwrap());
+    }
+    println!("{:34} {visual}", "visual pose");
+    assert!(visual.position_rmse() < 5.0, "{visual}");
+}
+
+#[test]
+fn a_large_configured_offset_is_the_middle_of_what_is_searched() {
+    for (ahead, configured) in [(-0.5, 0.5), (0.6, -0.6), (-0.7, 0.6)] {
+        let mut config = simulated::config();
+        config.tight.clock.camera_offset = configured;
+        let (score, status) = follow(MotionConfig::nominal(3), &shared(ahead, 3), config, 3.0);
+        print(&format!("{ahead:+.2} s, configured {configured:+.2} s"), &score, &status);
+        assert!((status.time_offset.offset + ahead).abs() < 1.5e-3, "{status:?}");
+        assert!(score.position_rmse() < 1.5 && score.nees().0 < 6.0, "{score}");
+    }
+}
+
+#[test]
+fn what_is_smoothed_advances_over_a_restart_with_another_offset() {
+    let run = simulated::run(MotionConfig::nominal(3), &shared(0.2, 3));
+    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+    fusion.keep_for_smoothing();
+    let _ = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    assert!(fusion.status().counts.resets.time_offsets > 0);
+    let smoothed = fusion.smoothed(true);
+    let back = smoothed.windows(2).filter(|w| w[1].stamp <= w[0].stamp).count();
+    assert!(smoothed.len() > 500 && back == 0, "{back} of {} go back", smoothed.len());
 }
 
 /// When the latency of the camera changes, s after the start: its computer is replaced, or its

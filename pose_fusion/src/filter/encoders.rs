@@ -110,7 +110,8 @@ impl Filter {
     /// Continues without encoders of which one stands, where the images contradict the prediction:
     /// it may be frozen while the climber drives. Returns whether it does.
     pub(super) fn try_without_encoders(&mut self, at: Stamp) -> bool {
-        let stood = |since: &Stamp| at.seconds_since(*since) > STOOD;
+        let read = at.plus_seconds(-self.encoder_offset());
+        let stood = |since: &Stamp| read.seconds_since(*since) > STOOD;
         let standing = self.climber.standing_since().map(|since| since.filter(stood));
         let Some(since) = standing.into_iter().flatten().max() else { return false };
         let from = since.plus_seconds(self.encoder_offset());

@@ -4,11 +4,11 @@ use super::{Filter, processing::OFFSET_KNOWN};
 use crate::{
     adaptation::imu_integrity::Implausible,
     ekf::{propagation::ImuReading, state::ATTITUDE},
-    input::{imu::ImuInput, imu_stamps::Bursts},
+    input::{climber_track::ClimberTrack, imu::ImuInput, imu_stamps::Bursts},
     measurements::{Outcome, encoders::EncoderReading, geometry::ClimberRest, markers::Image},
     output::Warning,
     timeline::{
-        arrival::{AHEAD, Arrival, ImuArrival, Source},
+        arrival::{AHEAD, Arrival, ImuArrival, JUMP, Source},
         dropout::INTERPOLATED,
         history::Event,
     },
@@ -46,10 +46,7 @@ impl Filter {
         let stamp = self.imu.stamp(arrived);
         if let (false, Some(Bursts { period, samples })) = (known, self.imu.bursts()) {
             self.publisher.warn(Warning::ImuBursts { samples, every_s: samples * period });
-            let mut imu = std::mem::take(&mut self.imu);
-            imu.keep_stamps_only();
             self.reset();
-            self.imu = imu;
         }
         stamp
     }
@@ -140,6 +137,7 @@ impl Filter {
         }
         self.imu.remember_attitude(sample, SMALLEST_ATTITUDE);
         let place = self.history.insert(sample.stamp, event, reading);
+        self.publisher.note_now(sample.stamp);
         // While the time offset is not known, images contradict the samples, and an image that was
         // first processed without them is not judged again.
         if self.offset_doubt() <= OFFSET_KNOWN {
@@ -154,7 +152,7 @@ impl Filter {
                 search.add_reading(sample.stamp, &reading);
             }
         }
-        self.trim();
+        self.trim(self.arrival.end().unwrap_or(sample.stamp));
         if self.start.is_started() {
             self.process();
             self.publish();
@@ -213,18 +211,24 @@ impl Filter {
         if self.markers.is_duplicate(stamp) {
             return self.publisher.refuse(Warning::Duplicate { from: Source::Image, stamp });
         }
-        let newest = self.arrival.newest_imu().map(|(newest, _)| newest);
-        let ahead_s = newest.map_or(0.0, |newest| stamp.seconds_since(newest));
-        self.arrival.other(Source::Image, stamp);
+        if let Some(by_s) = self.arrival.other(Source::Image, stamp) {
+            self.publisher.refuse(Warning::Jump { from: Source::Image, stamp, by_s });
+            return self.publisher.reject(stamp, &pixels, Outcome::Rejected);
+        }
         let silent = self.arrival.is_imu_silent();
+        let newest = self.arrival.newest_imu().map(|(newest, _)| newest);
         if self.setup.geometry.is_none() || (newest.is_none() && !silent) {
             return self.publisher.reject(stamp, &pixels, Outcome::NotInitialized);
         }
+        let camera_offset = self.setup.config.clock.camera_offset;
+        let ahead_s =
+            newest.map_or(0.0, |newest| stamp.plus_seconds(camera_offset).seconds_since(newest));
         if ahead_s > AHEAD && !silent {
             self.publisher.refuse(Warning::Ahead { from: Source::Image, stamp, ahead_s });
             return self.publisher.reject(stamp, &pixels, Outcome::Rejected);
         }
         self.markers.remember(stamp);
+        self.publisher.note_now(stamp.plus_seconds(self.time_offset()));
         self.follow_without_imu(stamp, silent);
         if !self.start.is_started() {
             let absent = self.arrival.is_imu_absent();
@@ -252,7 +256,7 @@ impl Filter {
             self.search_time_offset(stamp, &pixels);
         }
         if silent {
-            self.trim();
+            self.trim(self.arrival.end().unwrap_or(at));
             self.publish();
         }
     }
@@ -263,16 +267,16 @@ impl Filter {
             return;
         }
         let at = stamp.plus_seconds(self.time_offset());
+        if let (Some((since, _)), true) =
+            (self.arrival.newest_imu(), self.publisher.note_imu_lost())
+        {
+            self.publisher.warn(Warning::ImuLost { since });
+        }
         if self.arrival.end().is_some_and(|end| at.seconds_since(end) > AHEAD)
             && self.start.is_started()
         {
             // Neither images nor samples for a while: the image initializes the pose.
             self.restart();
-        }
-        if let (Some((since, _)), true) =
-            (self.arrival.newest_imu(), self.publisher.note_imu_lost())
-        {
-            self.publisher.warn(Warning::ImuLost { since });
         }
         self.arrival.image(at);
     }
@@ -289,18 +293,23 @@ impl Filter {
                 what,
             });
         }
-        self.arrival.other(Source::Encoders, stamp);
-        if let (Some((newest, _)), false) =
-            (self.arrival.newest_imu(), self.arrival.is_imu_silent())
-        {
-            let ahead_s = stamp.seconds_since(newest);
-            if ahead_s > AHEAD {
-                return self.publisher.refuse(Warning::Ahead {
-                    from: Source::Encoders,
-                    stamp,
-                    ahead_s,
-                });
-            }
+        let from = Source::Encoders;
+        if let Some(by_s) = self.arrival.other(from, stamp) {
+            return self.publisher.refuse(Warning::Jump { from, stamp, by_s });
+        }
+        let config = &self.setup.config;
+        let offset = config.clock.camera_offset + config.clock.climber_offset;
+        let imu = self.arrival.newest_imu().filter(|_| !self.arrival.is_imu_silent());
+        let ahead = |at: Stamp| imu.map(|(imu, _)| at.plus_seconds(offset).seconds_since(imu));
+        if let Some(ahead_s) = ahead(stamp).filter(|ahead_s| *ahead_s > AHEAD) {
+            return self.publisher.refuse(Warning::Ahead { from, stamp, ahead_s });
+        }
+        let newest = self.climber.newest().map(|(newest, _, _)| *newest);
+        let from_the_future = |newest: &Stamp| {
+            newest.seconds_since(stamp) > JUMP && ahead(*newest).is_none_or(|by| by > JUMP)
+        };
+        if newest.as_ref().is_some_and(from_the_future) {
+            self.climber = ClimberTrack::new(&config.climber);
         }
         let (values, rest) = ClimberRest::split(pose);
         let Some((variance, multiplicity)) = self.climber.add(stamp, values, rest) else {
@@ -321,6 +330,12 @@ impl Filter {
             multiplicity,
             time_offset,
         };
+        self.publisher.note_now(at);
+        let end = self.arrival.end().unwrap_or(at);
+        if at > end && self.history.is_crowded() {
+            // For a long time neither IMU samples nor images have come, which would process it.
+            return;
+        }
         let excluded = self.trust.is_suspended();
         self.history.insert(
             at,
@@ -330,8 +345,9 @@ impl Filter {
         if self.start.is_started() {
             self.suspend_frozen_encoders(at);
             self.process();
+        } else {
+            self.trim(at.max(end));
         }
-        self.publish_silence();
     }
 
     /// Time from a stamp to the newest IMU sample, s.
@@ -339,10 +355,9 @@ impl Filter {
         self.arrival.newest_imu().map_or(0.0, |(newest, _)| newest.seconds_since(stamp))
     }
 
-    /// Drops what is older than the configured history.
-    fn trim(&mut self) {
-        let Some(end) = self.arrival.end() else { return };
-        let oldest = end.plus_seconds(-self.setup.config.history);
+    /// Drops what is older than the configured history before `newest`.
+    fn trim(&mut self, newest: Stamp) {
+        let oldest = newest.plus_seconds(-self.setup.config.history);
         let started = self.start.is_started();
         while self.history.len() > 2
             && (!started || self.history.processed() > 1)

@@ -90,13 +90,16 @@ impl Filter {
         self.setup.frozen = frozen;
     }
 
-    /// Discards the estimate and everything identified; the next image initializes it. Counters and
-    /// camera stay.
+    /// Discards the estimate and everything identified; the next image initializes it. Counters,
+    /// camera and whether the IMU samples come in bursts stay.
     pub fn reset(&mut self) {
-        self.archive_all();
+        self.archive_until(None);
         let Setup { rig, config, status, geometry, frozen } = self.setup.clone();
         let mut fresh = Self::new(rig, config, status);
+        self.imu.keep_stamps_only();
+        fresh.imu = std::mem::take(&mut self.imu);
         (fresh.setup.geometry, fresh.setup.frozen) = (geometry, frozen);
+        self.publisher.counts.inputs.overflows += self.history.overflows();
         fresh.publisher.keep_from(&mut self.publisher);
         *self = fresh;
     }
@@ -127,7 +130,7 @@ impl Filter {
             counts: self.publisher.counts,
             ..Status::default()
         };
-        status.counts.inputs.overflows = self.history.overflows();
+        status.counts.inputs.overflows += self.history.overflows();
         if let Some(state) = self.state() {
             status.time_offset = TimeOffsetStatus {
                 offset: state.time_offset,

@@ -39,6 +39,7 @@ impl Filter {
         self.publisher.continuity.reset();
         let known = state.sigma(TIME_OFFSET) < OFFSET_KNOWN;
         self.search = super::search(&self.setup.config).filter(|_| !known);
+        self.start.offset_doubt = None;
         self.start.resume_from(state, Stamp::from_nanos(checkpoint.stamp_ns));
         Ok(())
     }
@@ -75,8 +76,16 @@ impl Filter {
         if !(0.0..limit_s).contains(&away_s) {
             return Err(Refusal::OutOfReach { away_s, limit_s });
         }
-        let mut state = match (self.state().cloned(), self.climber.at(at)) {
-            (Some(state), _) => state,
+        let read = at.plus_seconds(-self.encoder_offset());
+        let before = self.history.place_of(at).min(self.history.processed()).checked_sub(1);
+        let before = before.filter(|_| self.start.is_started());
+        let before = before.and_then(|place| self.history.get(place));
+        let mut state = match (before, self.climber.at(read)) {
+            (Some(entry), _) => {
+                let mut state = entry.state.clone();
+                state.climber += state.climber_rate * at.seconds_since(entry.stamp);
+                state
+            }
             (None, Some(climber)) => {
                 let mut state =
                     from_image::unknown(&self.setup.config, &ClimberPrior::from_readings(&climber));

@@ -18,7 +18,7 @@ use crate::{
         smoother, swing,
     },
     timeline::{
-        arrival::Source,
+        arrival::{JUMP, Source},
         history::{Entry, Event},
     },
 };
@@ -59,6 +59,8 @@ pub(super) struct Publisher {
     pub position_sigma: f64,
     changes: Changes,
     calibration: Uncertainty,
+    /// Newest instant of the inputs, IMU time.
+    now: Option<Stamp>,
     last_published: Option<Stamp>,
     last_encoders: Option<Stamp>,
     pub(super) markers_used: u8,
@@ -77,6 +79,7 @@ impl Publisher {
             position_sigma: f64::INFINITY,
             changes: Changes::default(),
             calibration: Uncertainty::new(&config.calibration, &rig.markers),
+            now: None,
             last_published: None,
             last_encoders: None,
             markers_used: 0,
@@ -100,6 +103,7 @@ impl Publisher {
             Warning::NotFinite { from, .. }
             | Warning::TooOld { from, .. }
             | Warning::NoStamp { from }
+            | Warning::Jump { from, .. }
             | Warning::Ahead { from, .. } => match from {
                 Source::Imu => rejected.imu += 1,
                 Source::Image => rejected.images += 1,
@@ -125,6 +129,12 @@ impl Publisher {
     /// Notes that the IMU is silent; true the first time.
     pub fn note_imu_lost(&mut self) -> bool {
         !std::mem::replace(&mut self.silence.imu_lost, true)
+    }
+
+    /// Notes the instant of an input, IMU time.
+    pub fn note_now(&mut self, at: Stamp) {
+        let behind = self.now.filter(|now| (0.0..JUMP).contains(&now.seconds_since(at)));
+        self.now = behind.or(Some(at));
     }
 
     /// Keeps an entry for the smoother.
@@ -242,49 +252,40 @@ impl Filter {
         self.publisher.out.extend(swing.map(Output::Swing));
     }
 
-    /// Outputs the status at 10 Hz where neither IMU samples nor images come and encoder readings
-    /// do.
-    pub(super) fn publish_silence(&mut self) {
-        let (Some((newest, _, _)), true) = (self.climber.newest(), self.start.is_started()) else {
-            return;
-        };
-        let now = newest.plus_seconds(self.time_offset());
-        let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
-        let silent = since(self.publisher.last_published);
-        if silent < SILENT || (0.0..STATUS_PERIOD).contains(&since(self.publisher.last_status)) {
-            return;
-        }
-        self.publisher.last_status = Some(now);
-        let image = self.lock_out.last_used().map(|image| image.plus_seconds(self.time_offset()));
-        self.publisher.out.push_back(Output::Status(PoseStatus {
-            state: PoseState::Lost,
-            image_age: since(image),
-            imu_age: since(self.arrival.newest_imu().map(|(stamp, _)| stamp)),
-            climber_age: 0.0,
-            time_offset: self.time_offset(),
-            ..PoseStatus::initializing(now, format!("no IMU sample and no image for {silent:.1} s"))
-        }));
-    }
-
     /// Returns the outputs that wait to be taken.
     pub fn outputs(&mut self) -> &mut VecDeque<Output> {
         &mut self.publisher.out
     }
 
     /// Outputs the status at 10 Hz of data time while there is no pose.
-    pub fn publish_initializing(&mut self, now: Stamp) {
-        if self.start.is_started() {
+    pub fn publish_status(&mut self) {
+        let Some(now) = self.publisher.now else { return };
+        let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
+        let (started, silent) = (self.start.is_started(), since(self.publisher.last_published));
+        let due = !(0.0..STATUS_PERIOD).contains(&since(self.publisher.last_status));
+        if !due || (started && silent < SILENT) {
             return;
         }
-        let due = self.publisher.last_published.is_none_or(|last| {
-            let since = now.seconds_since(last);
-            !(0.0..STATUS_PERIOD).contains(&since)
-        });
-        if due {
-            self.publisher.last_published = Some(now);
-            let status = PoseStatus::initializing(now, self.missing());
-            self.publisher.out.push_back(Output::Status(status));
-        }
+        self.publisher.last_status = Some(now);
+        let status = if started {
+            let offset = self.time_offset();
+            let image = self.lock_out.last_used().map(|image| image.plus_seconds(offset));
+            let encoders = self.climber.newest().map(|(newest, _, _)| *newest);
+            PoseStatus {
+                state: PoseState::Lost,
+                image_age: since(image),
+                imu_age: since(self.arrival.newest_imu().map(|(stamp, _)| stamp)),
+                climber_age: since(encoders.map(|read| read.plus_seconds(self.encoder_offset()))),
+                time_offset: offset,
+                ..PoseStatus::initializing(
+                    now,
+                    format!("no IMU sample and no image with markers for {silent:.1} s"),
+                )
+            }
+        } else {
+            PoseStatus::initializing(now, self.missing())
+        };
+        self.publisher.out.push_back(Output::Status(status));
     }
 
     /// Returns the topics without a usable message, which the initialization waits for.
@@ -353,11 +354,12 @@ impl Filter {
         ends.map_or(0.0, |(first, last)| last.stamp.seconds_since(first.stamp))
     }
 
-    /// Keeps all processed entries, at the end of an estimate.
-    pub fn archive_all(&mut self) {
+    /// Keeps the processed entries at the end of an estimate: those before `until`, if given.
+    pub fn archive_until(&mut self, until: Option<Stamp>) {
         if self.start.is_started() {
             for place in 0..self.history.processed() {
-                self.publisher.archive(self.history.get(place));
+                let entry = self.history.get(place);
+                self.publisher.archive(entry.filter(|e| until.is_none_or(|u| e.stamp < u)));
             }
         }
     }

@@ -116,7 +116,7 @@ impl Filter {
         if let Some(state) = self.state().cloned() {
             self.start.kept = Some(Box::new(state));
         }
-        self.archive_all();
+        self.archive_until(None);
         self.history.clear();
         self.arrival.reset();
         self.imu.interrupt();
@@ -276,8 +276,8 @@ impl Filter {
 
     /// Returns the climber by its encoders at an image, where they have readings near it and do not
     /// leap.
-    fn climber_at(&self, image: Stamp) -> Option<ClimberAt> {
-        let read = image.plus_seconds(self.setup.config.clock.climber_offset);
+    pub(super) fn climber_at(&self, image: Stamp) -> Option<ClimberAt> {
+        let read = image.plus_seconds(-self.setup.config.clock.climber_offset);
         let climber = self.climber.at(read).filter(|climber| climber.distance <= NEAR);
         climber.filter(|_| !self.climber.leaps_near(read))
     }

@@ -12,10 +12,10 @@ use crate::{
         from_image,
         time_offset::{FINAL, TimeOffset, WINDOW},
     },
-    input::imu::{Up, given},
+    input::imu::given,
     measurements::markers::Pixels,
     output::Warning,
-    timeline::history::Event,
+    timeline::history::{Entry, Event},
 };
 use nalgebra::{Matrix6, Point3};
 use rig_model::{Stamp, planar_pose::PlanarPose};
@@ -38,19 +38,22 @@ const REOPENED: f64 = 0.005;
 /// Tilt by which the image poses that are aligned may miss "up", rad: a swing within the offset
 /// that is not known yet.
 const TILT: f64 = 0.1;
+/// An image further from its nearest encoder reading than this is not aligned, s.
+const CLIMBER_NEAR: f64 = 0.05;
 
 impl Filter {
     /// Aligns image poses with the IMU until the camera time offset is known, then initializes it.
     pub(super) fn search_time_offset(&mut self, stamp: Stamp, pixels: &Pixels) {
-        let (Some(geometry), Some(mut search)) = (&self.setup.geometry, self.search.take()) else {
-            return;
-        };
+        let Some(geometry) = &self.setup.geometry else { return };
+        let Some(mut search) = self.search.take() else { return };
+        // What is searched is the rest beside the configured offset.
+        let middle = self.setup.config.clock.camera_offset;
         if self.trust.cause().is_some_and(|cause| cause != Cause::Contradiction) {
             // Image poses are as wrong as the encoders that they are computed with. A contradiction
             // may as well come from the time offset.
             search.clear();
         } else if let Some((pose, covariance)) = self.image_pose(stamp, pixels) {
-            search.add_pose(stamp, &pose, &covariance);
+            search.add_pose(stamp.plus_seconds(middle), &pose, &covariance);
         }
         let c = &self.setup.config;
         let noise = self.imu.densities(&self.setup.rig.imu);
@@ -65,6 +68,7 @@ impl Filter {
             &noise,
             &given(&self.setup.rig.imu),
         );
+        let found = found.map(|rest| TimeOffset { offset: middle + rest.offset, ..rest });
         if let Some(found) = found {
             let away = (self.time_offset() - found.offset).abs();
             let agrees = away < found.sigma;
@@ -83,6 +87,7 @@ impl Filter {
             }
             _ => self.search = Some(search),
         }
+        self.start.searches_again &= self.search.is_some();
     }
 
     /// Searches the time offset again, because images contradict the prediction: the camera's
@@ -127,11 +132,7 @@ impl Filter {
         pixels: &Pixels,
     ) -> Option<(nalgebra::Isometry3<f64>, Matrix6<f64>)> {
         let geometry = self.setup.geometry.as_ref()?;
-        let read = stamp.plus_seconds(self.setup.config.clock.climber_offset);
-        let climber = self.climber.at(read)?;
-        if climber.distance > 0.05 || self.climber.leaps_near(read) {
-            return None;
-        }
+        let climber = self.climber_at(stamp).filter(|climber| climber.distance <= CLIMBER_NEAR)?;
         let world_from_climber = climber.rest.join(&climber.values);
         let world_from_camera = world_from_climber * geometry.climber_from_camera;
         let at = stamp.plus_seconds(self.time_offset());
@@ -193,7 +194,6 @@ impl Filter {
         if agrees || !self.start.started {
             return;
         }
-        self.archive_all();
         // Biases and constants of the IMU from before the offset was known are worth nothing.
         let kept = self.state().filter(|_| self.start.searches_again).map(|state| {
             let mut kept = state.clone();
@@ -201,34 +201,32 @@ impl Filter {
             kept.set_sigma(TIME_OFFSET, sigma.max(OFFSET_SIGMA[0]));
             kept
         });
-        let events: Vec<(Stamp, Event, ImuReading, Option<Up>)> = (self.history.iter())
-            .map(|e| (e.stamp, e.event.clone(), e.reading, self.up_of_estimate(e.stamp)))
-            .collect();
+        let is_imu = |entry: &&Entry| matches!(entry.event, Event::Imu { .. });
+        let oldest = self.history.iter().find(is_imu).map_or(Stamp::default(), |e| e.stamp);
+        let first = self.history.iter().find_map(|entry| match &entry.event {
+            Event::Image { image, stamp, .. }
+                if image.detected() >= 3 && stamp.plus_seconds(found.offset) >= oldest =>
+            {
+                Some((*stamp, image.pixels(), self.up_of_estimate(entry.stamp)))
+            }
+            _ => None,
+        });
+        self.archive_until(first.as_ref().map(|(stamp, ..)| stamp.plus_seconds(found.offset)));
+        let events: Vec<(Stamp, Event, ImuReading)> =
+            self.history.iter().map(|e| (e.stamp, e.event.clone(), e.reading)).collect();
         self.history.clear();
         self.start.started = false;
-        let is_imu = |event: &Event| matches!(event, Event::Imu { .. });
-        let oldest = events
-            .iter()
-            .find(|(_, event, ..)| is_imu(event))
-            .map_or(Stamp::default(), |(at, ..)| *at);
-        let mut first: Option<(Stamp, Pixels, Option<Up>)> = None;
-        for (at, mut event, reading, up) in events {
+        for (at, mut event, reading) in events {
             let moved = match &mut event {
                 Event::Set => continue,
                 Event::Imu { .. } => 0.0,
-                Event::Image { image, stamp, .. } => {
-                    let measured = stamp.plus_seconds(found.offset) >= oldest;
-                    if first.is_none() && image.detected() >= 3 && measured {
-                        first = Some((*stamp, image.pixels(), up));
-                    }
-                    let moved = found.offset - image.time_offset;
-                    image.time_offset = found.offset;
-                    moved
+                Event::Image { image, .. } => {
+                    let before = std::mem::replace(&mut image.time_offset, found.offset);
+                    found.offset - before
                 }
                 Event::Encoders { reading, .. } => {
-                    let before = reading.time_offset;
-                    reading.time_offset = found.offset + self.setup.config.clock.climber_offset;
-                    reading.time_offset - before
+                    let offset = found.offset + self.setup.config.clock.climber_offset;
+                    offset - std::mem::replace(&mut reading.time_offset, offset)
                 }
             };
             self.history.insert(at.plus_seconds(moved), event, reading);

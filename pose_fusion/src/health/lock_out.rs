@@ -57,9 +57,12 @@ pub struct LockOut {
 impl LockOut {
     /// Notes that the pose was initialized from an image.
     pub fn initialized(&mut self, image: Stamp) {
-        let responses = self.responses;
-        *self =
-            Self { last_used: Some(image), initialized: Some(image), responses, ..Self::default() };
+        *self = Self {
+            last_used: self.last_used.max(Some(image)),
+            initialized: Some(image),
+            responses: self.responses,
+            ..Self::default()
+        };
     }
 
     /// Returns the newest image that was used and did not contradict.

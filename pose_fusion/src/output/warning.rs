@@ -32,6 +32,12 @@ pub enum Warning {
          synchronize the clocks"
     )]
     Ahead { from: Source, stamp: Stamp, ahead_s: f64 },
+    /// An image or encoder reading far from the one before, while there are no IMU samples.
+    #[error(
+        "{from} at {stamp} is {by_s:.3} s from the message before; rejected until another confirms \
+         it: check its clock, or look for a second publisher"
+    )]
+    Jump { from: Source, stamp: Stamp, by_s: f64 },
     /// Time went backwards (a looped bag, a restarted simulation).
     #[error("time jumped back by {by_s:.3} s; the filter reinitializes")]
     TimeJump { by_s: f64 },
@@ -120,6 +126,7 @@ impl Warning {
             Self::NoStamp { .. } => "no_stamp",
             Self::Duplicate { .. } => "duplicate",
             Self::Ahead { .. } => "ahead",
+            Self::Jump { .. } => "jump",
             Self::TimeJump { .. } => "time_jump",
             Self::ImuGap { .. } => "imu_gap",
             Self::ImuBursts { .. } => "imu_bursts",

@@ -74,6 +74,8 @@ pub struct SingleImagePose {
     last: Option<(Stamp, Isometry3<f64>)>,
     floor: f64,
     max_range: f64,
+    /// Encoder time + this = camera time, s.
+    climber_offset: f64,
     solver: Solver,
 }
 
@@ -91,6 +93,7 @@ impl SingleImagePose {
             last: None,
             floor: tight.markers.pixel_floor,
             max_range: tight.limits.max_range,
+            climber_offset: tight.clock.climber_offset,
             solver: match config.model {
                 Model::Paper => Solver::Published,
                 Model::Tight if config.visual_use_gravity => Solver::WithGravity,
@@ -236,7 +239,8 @@ impl SingleImagePose {
     /// `world_from_climber` at an image's stamp with the standard deviations of its position (m)
     /// and turn (rad).
     fn climber_at(&self, stamp: Stamp) -> Option<(Isometry3<f64>, [f64; 2])> {
-        let at = self.climber.at(stamp).filter(|at| at.distance < NEAR)?;
+        let read = stamp.plus_seconds(-self.climber_offset);
+        let at = self.climber.at(read).filter(|at| at.distance < NEAR)?;
         let sigma = |axis: usize| at.noise[axis].hypot(at.growth[axis]);
         Some((at.rest.join(&at.values), [sigma(0).max(sigma(1)), sigma(2)]))
     }

@@ -9,7 +9,9 @@ use std::fmt;
 /// Further ahead of the IMU samples than this, a message is rejected, s.
 pub const AHEAD: f64 = 0.5;
 /// An IMU stamp further from its predecessor than this must be confirmed by others, s.
-const JUMP: f64 = 1.0;
+pub const JUMP: f64 = 1.0;
+/// IMU samples are held up for less than this, s.
+const HELD_UP: f64 = 10.0;
 /// Number of consecutive samples that confirm a jump.
 const CONFIRMED: u32 = 3;
 /// Images or encoder readings that advance by this, in at least [`MESSAGES`] messages, without an
@@ -53,22 +55,37 @@ pub struct Arrival {
 #[derive(Clone, Copy, Debug, Default)]
 struct Since {
     first: Option<Stamp>,
-    newest: Option<Stamp>,
     count: u32,
+    /// Newest message, before the newest IMU sample as well.
+    newest: Option<Stamp>,
+    /// A message that jumped, which no other has followed yet.
+    jumped: Option<Stamp>,
 }
 
 impl Since {
-    /// Counts a message that continues the ones before; one that jumps restarts the count, and a
-    /// duplicate is not counted.
-    fn note(&mut self, stamp: Stamp) {
-        match self.newest.map(|newest| stamp.seconds_since(newest)) {
+    /// Counts a message that continues the ones before; a duplicate is not counted. A jump must be
+    /// confirmed by a second message; until then returns by how many seconds the message jumps.
+    fn note(&mut self, stamp: Stamp) -> Option<f64> {
+        let from = |before: Option<Stamp>| before.map(|before| stamp.seconds_since(before));
+        match from(self.newest) {
             Some(step) if step.abs() <= JUMP => {
-                if step > 0.0 {
-                    (self.newest, self.count) = (Some(stamp), self.count + 1);
+                self.jumped = None;
+                if step <= 0.0 {
+                    return None;
                 }
+                self.count += 1;
             }
-            _ => *self = Self { first: Some(stamp), newest: Some(stamp), count: 1 },
+            Some(step) if !from(self.jumped).is_some_and(|s| (0.0..JUMP).contains(&s)) => {
+                self.jumped = Some(stamp);
+                return Some(step);
+            }
+            _ => (self.jumped, self.count) = (None, 1),
         }
+        self.newest = Some(stamp);
+        if self.count == 1 {
+            self.first = Some(stamp);
+        }
+        None
     }
 
     fn is_longer_than(&self, seconds: f64) -> bool {
@@ -135,14 +152,22 @@ impl Arrival {
     /// Notes the newest IMU sample.
     pub fn imu(&mut self, stamp: Stamp, reading: ImuReading) {
         self.newest_imu = Some((stamp, reading));
-        self.others = [Since::default(); 2];
-        self.frontier = self.frontier.max(Some(stamp));
+        for since in &mut self.others {
+            since.count = 0;
+        }
+        // Images whose clock jumped may have moved the end far ahead; a stalled computer holds
+        // samples up for less.
+        let near = self.frontier.filter(|end| end.seconds_since(stamp) < HELD_UP);
+        self.frontier = near.max(Some(stamp));
         self.jump = None;
     }
 
-    /// Notes the stamp of an image or encoder reading.
-    pub fn other(&mut self, source: Source, stamp: Stamp) {
-        self.others[source as usize].note(stamp);
+    /// Notes the stamp of an image or encoder reading. While there are no IMU samples to compare it
+    /// with, returns by how many seconds it jumps from the one before, until a second message
+    /// confirms that.
+    pub fn other(&mut self, source: Source, stamp: Stamp) -> Option<f64> {
+        let jump = self.others[source as usize].note(stamp);
+        jump.filter(|_| self.newest_imu.is_none() || self.is_imu_silent())
     }
 
     /// Moves the end of the time line to an image while the IMU is silent (IMU time).

@@ -98,9 +98,10 @@ impl History {
         self.order.len()
     }
 
-    /// Returns whether there is no entry.
-    pub fn is_empty(&self) -> bool {
-        self.order.is_empty()
+    /// Returns whether more than half of the store is in use: encoder readings that nothing
+    /// processes must not push out the newest state.
+    pub fn is_crowded(&self) -> bool {
+        self.order.len() > CAPACITY / 2
     }
 
     /// Returns how many of the first entries hold a valid state.

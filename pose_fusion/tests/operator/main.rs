@@ -151,6 +151,33 @@ fn a_set_pose_is_used_and_an_invalid_one_rejected() {
 }
 
 #[test]
+fn a_pose_set_at_an_older_stamp_finds_the_climber_where_it_was() {
+    let sensors = SensorConfig::nominal(2);
+    let run = simulated::run(MotionConfig::nominal(2), &sensors);
+    let mut worst = 0.0_f64;
+    for at in [3.0, 5.0, 7.0, 9.0] {
+        let (before, after) = cut(&run, &sensors, at);
+        let mut fusion = fusion();
+        scoring::run(&mut fusion, before);
+        let stamp = sensors.epoch.plus_seconds(at - 0.4);
+        let pose = scoring::pose_at(&run.truth, stamp).unwrap();
+        let covariance = Matrix6::identity() * 1e-6;
+        fusion.set_pose(&PoseEstimate { stamp, pose, covariance }).unwrap();
+        let outputs = scoring::run(&mut fusion, after);
+        let suspended = (outputs.warnings.iter())
+            .filter(|w| matches!(w, pose_fusion::Warning::EncodersSuspended { .. }));
+        assert_eq!(suspended.count(), 0, "{at}");
+        let early: Vec<_> = (outputs.odometry.into_iter())
+            .filter(|o| o.stamp < sensors.epoch.plus_seconds(at + 1.0))
+            .collect();
+        let score = scoring::score(&early, &run.truth, 0.0);
+        println!("{at} s: {score}");
+        worst = worst.max(score.position.max());
+    }
+    assert!(worst < 5.0, "{worst:.1} mm");
+}
+
+#[test]
 fn a_frozen_filter_ignores_markers_and_a_reset_reinitializes() {
     let sensors = SensorConfig::nominal(1);
     let run = simulated::run(MotionConfig { duration: 8.0, ..MotionConfig::nominal(1) }, &sensors);
