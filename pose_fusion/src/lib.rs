@@ -7,18 +7,18 @@
 //! [`filter`] is the tightly coupled error-state filter (the default), [`mod@reference`] the
 //! published filter and the pose from one image alone. The ROS 2 node is in `node` (feature `node`).
 
-pub mod adaptation;
+mod adaptation;
 pub mod config;
 pub mod ekf;
 mod estimator;
 pub mod filter;
-pub mod health;
-pub mod initialization;
-pub mod input;
+mod health;
+mod initialization;
+mod input;
 pub mod measurements;
 #[cfg(feature = "node")]
 pub mod node;
-pub mod output;
+mod output;
 #[cfg(feature = "node")]
 pub mod parameters;
 pub mod reference;

@@ -20,7 +20,7 @@ use pose_fusion::{
     filter::Filter,
     measurements::{
         geometry::{ClimberRest, Geometry},
-        markers::{self, Gates, Image, ImageInnovation},
+        markers::{self, Image, ImageInnovation},
     },
     timeline::history::Entry,
 };
@@ -98,10 +98,10 @@ fn median<T: Clone>(on: &T, mut work: impl FnMut(&mut T)) -> f64 {
     times[times.len() / 2]
 }
 
-const GATES: Gates = Gates { marker: 16.0, joint: 1.0 };
+const GATE: f64 = 16.0;
 
 fn update(state: &mut State, geometry: &Geometry, image: &Image) -> ImageInnovation {
-    markers::update(state, geometry, image, &reading(0.0), &GATES, 9.81, true)
+    markers::update(state, geometry, image, &reading(0.0), GATE, 9.81, true)
 }
 
 #[test]

@@ -293,9 +293,8 @@ fn stamps_an_hour_ahead_have_no_lasting_effect_without_the_imu() {
             inputs.push(input.clone());
             if !done && *arrived > at(when) && wrong(input) {
                 done = true;
-                inputs.extend((0..wrong_ones).map(|k| {
-                    shifted(input, 3600.0 + 0.03 * f64::from(k))
-                }));
+                inputs
+                    .extend((0..wrong_ones).map(|k| shifted(input, 3600.0 + 0.03 * f64::from(k))));
             }
         }
         assert!(done);

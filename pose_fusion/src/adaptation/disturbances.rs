@@ -17,7 +17,7 @@ use std::collections::VecDeque;
 /// Number of disturbances remembered; each is over when it leaves the history.
 const REMEMBERED: usize = 32;
 /// After a disturbance of the climber images do not count as contradictions, s.
-const SETTLING: f64 = 0.05;
+pub const SETTLING: f64 = 0.05;
 /// Largest acceleration that a disturbance of the climber explains, m/s² and rad/s².
 const ACCELERATION: f64 = 30.0;
 
@@ -89,18 +89,11 @@ impl Disturbances {
         }
     }
 
-    /// Returns the beginning of the newest disturbance of the climber within `span` seconds before
-    /// `at`, and whether there is one.
-    pub fn climber_since(&self, at: Stamp, span: f64) -> Option<Stamp> {
-        let recent = |d: &&Disturbance| {
-            d.jerk != Vector3::zeros() && d.from <= at && at.seconds_since(d.to) <= span
-        };
-        self.0.iter().filter(recent).map(|d| d.from).min()
-    }
-
-    /// Returns whether the climber is disturbed at `at`, or was just before.
-    pub fn is_climber_disturbed(&self, at: Stamp) -> bool {
-        self.climber_since(at, SETTLING).is_some()
+    /// Returns whether the climber is disturbed at `at`, or was within `span` seconds before.
+    pub fn is_climber_disturbed(&self, at: Stamp, span: f64) -> bool {
+        self.0
+            .iter()
+            .any(|d| d.jerk != Vector3::zeros() && d.from <= at && at.seconds_since(d.to) <= span)
     }
 
     /// Returns whether a shock of the platform ends at `to`.
@@ -143,8 +136,8 @@ mod tests {
         assert_eq!(density(&disturbances, 41).jerk.x, 0.0);
         assert!(!disturbances.add_jerk(at(80), at(120), &innovation(Vector3::zeros(), 1.0)));
         assert!(
-            disturbances.is_climber_disturbed(at(80))
-                && !disturbances.is_climber_disturbed(at(100))
+            disturbances.is_climber_disturbed(at(80), SETTLING)
+                && !disturbances.is_climber_disturbed(at(100), SETTLING)
         );
         disturbances.add_shock(at(200), at(260), 0.005, 0.02);
         let noise = density(&disturbances, 250);

@@ -37,7 +37,7 @@ pub const OFFSETS: usize = 8;
 const LARGEST: f32 = 0.1;
 /// Largest offset of a marker, m: half the side of the square that the paper used. A marker further
 /// off is another one.
-pub const LARGEST_OFFSET: f64 = 0.04;
+const LARGEST_OFFSET: f64 = 0.04;
 /// A constant this many standard deviations from zero was expected too close to it; its variance is
 /// opened by its square.
 const UNEXPECTED: f32 = 3.0;

@@ -114,15 +114,30 @@ impl Filter {
         let stood = |since: &Stamp| read.seconds_since(*since) > STOOD;
         let standing = self.climber.standing_since().map(|since| since.filter(stood));
         let Some(since) = standing.into_iter().flatten().max() else { return false };
-        let from = since.plus_seconds(self.encoder_offset());
-        if !self.trust.tries_without(from, at) {
-            return false;
+        let suspected = self.suspect_frozen(standing, since, at);
+        if suspected {
+            *self.imu.model_error() = Default::default();
         }
-        self.climber.suspect_frozen(standing);
-        *self.imu.model_error() = Default::default();
-        self.exclude_since(from);
-        self.publisher.warn(Warning::EncodersFrozen { since });
-        true
+        suspected
+    }
+
+    /// Suspends encoders whose `axes` have stood since then, the one in question since `since`, at
+    /// an image's instant: they may be frozen. Returns false where they cannot be suspected.
+    pub(super) fn suspect_frozen(
+        &mut self,
+        axes: [Option<Stamp>; 3],
+        since: Stamp,
+        at: Stamp,
+    ) -> bool {
+        let from = since.plus_seconds(self.encoder_offset());
+        let suspected = self.trust.may_suspect(from, at);
+        if suspected {
+            self.climber.suspect_frozen(axes);
+            self.exclude_since(from);
+            self.publisher.warn(Warning::EncodersFrozen { since });
+            self.trust.suspend(at, Cause::Frozen, false);
+        }
+        suspected
     }
 
     /// Returns the offset to place an encoder reading on the IMU's time line with, s.

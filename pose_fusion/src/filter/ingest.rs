@@ -8,8 +8,8 @@ use crate::{
     measurements::{Outcome, encoders::EncoderReading, geometry::ClimberRest, markers::Image},
     output::Warning,
     timeline::{
-        arrival::{AHEAD, Arrival, ImuArrival, JUMP, Source},
-        dropout::INTERPOLATED,
+        arrival::{AHEAD, ImuArrival, JUMP, Source},
+        dropout::{GAP, INTERPOLATED},
         history::Event,
     },
 };
@@ -97,7 +97,7 @@ impl Filter {
     }
 
     fn next_imu(&mut self, sample: &ImuSample, reading: ImuReading, dt: Option<f64>) {
-        if let (Some(first), true) = (self.history.get(0), self.start.is_started())
+        if let (Some(first), true) = (self.history.get(0), self.start.started)
             && sample.stamp <= first.stamp
         {
             // Held back until after an image alone had initialized the pose.
@@ -109,7 +109,7 @@ impl Filter {
         }
         let mut dt = dt;
         if let (Some(seconds), Some((from, _))) =
-            (dt.filter(|dt| Arrival::is_gap(*dt)), self.arrival.newest_imu())
+            (dt.filter(|dt| *dt > GAP), self.arrival.newest_imu())
         {
             self.publisher.counts.inputs.imu_gaps += 1;
             self.publisher.warn(Warning::ImuGap { from, to: sample.stamp });
@@ -124,8 +124,8 @@ impl Filter {
             // an image can reinitialize the pose (three markers may have followed the mirrored
             // tilt), and an attitude that is hardly known is no point to linearize at.
             let unknown = self.state().is_some_and(|s| s.sigmas(ATTITUDE).max() > LARGEST_ATTITUDE);
-            let unfollowed = seconds > INTERPOLATED && !covered && self.start.markers_seen() >= 3;
-            if self.start.is_started() && (unfollowed || unknown) {
+            let unfollowed = seconds > INTERPOLATED && !covered && self.start.markers_seen >= 3;
+            if self.start.started && (unfollowed || unknown) {
                 self.restart();
                 dt = None;
             }
@@ -153,7 +153,7 @@ impl Filter {
             }
         }
         self.trim(self.arrival.end().unwrap_or(sample.stamp));
-        if self.start.is_started() {
+        if self.start.started {
             self.process();
             self.publish();
         } else if self.resume(sample.stamp) {
@@ -192,7 +192,7 @@ impl Filter {
         let noise = self.imu.densities(&self.setup.rig.imu);
         let place = self.history.insert(stamp, Event::Imu { noise, at_rest: None }, reading);
         self.interpolate_again(place);
-        if self.start.is_started() {
+        if self.start.started {
             self.process();
         }
     }
@@ -207,7 +207,7 @@ impl Filter {
             self.publisher.warn(warning);
         });
         self.publisher.counts.rejected.markers += unusable;
-        self.start.note_markers(pixels.iter().flatten().count());
+        self.start.markers_seen = pixels.iter().flatten().count();
         if self.markers.is_duplicate(stamp) {
             return self.publisher.refuse(Warning::Duplicate { from: Source::Image, stamp });
         }
@@ -230,7 +230,7 @@ impl Filter {
         self.markers.remember(stamp);
         self.publisher.note_now(stamp.plus_seconds(self.time_offset()));
         self.follow_without_imu(stamp, silent);
-        if !self.start.is_started() {
+        if !self.start.started {
             let absent = self.arrival.is_imu_absent();
             return self.start_or_wait(stamp, pixels, absent);
         }
@@ -272,8 +272,7 @@ impl Filter {
         {
             self.publisher.warn(Warning::ImuLost { since });
         }
-        if self.arrival.end().is_some_and(|end| at.seconds_since(end) > AHEAD)
-            && self.start.is_started()
+        if self.arrival.end().is_some_and(|end| at.seconds_since(end) > AHEAD) && self.start.started
         {
             // Neither images nor samples for a while: the image initializes the pose.
             self.restart();
@@ -320,7 +319,7 @@ impl Filter {
         }
         let time_offset = self.encoder_offset();
         let at = stamp.plus_seconds(time_offset);
-        if self.start.is_started() && self.history.get(0).is_none_or(|first| at <= first.stamp) {
+        if self.start.started && self.history.get(0).is_none_or(|first| at <= first.stamp) {
             let age_s = self.age(stamp);
             return self.publisher.refuse(Warning::TooOld { from: Source::Encoders, stamp, age_s });
         }
@@ -342,7 +341,7 @@ impl Filter {
             Event::Encoders { reading, excluded, fresh: true },
             ImuReading::default(),
         );
-        if self.start.is_started() {
+        if self.start.started {
             self.suspend_frozen_encoders(at);
             self.process();
         } else {
@@ -358,7 +357,7 @@ impl Filter {
     /// Drops what is older than the configured history before `newest`.
     fn trim(&mut self, newest: Stamp) {
         let oldest = newest.plus_seconds(-self.setup.config.history);
-        let started = self.start.is_started();
+        let started = self.start.started;
         while self.history.len() > 2
             && (!started || self.history.processed() > 1)
             && self.history.get(1).is_some_and(|n| n.stamp < oldest)

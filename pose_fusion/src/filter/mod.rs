@@ -106,7 +106,7 @@ impl Filter {
 
     /// Returns the newest state, once initialized.
     pub fn state(&self) -> Option<&State> {
-        if !self.start.is_started() {
+        if !self.start.started {
             return None;
         }
         self.history.newest_processed().map(|entry| &entry.state)
@@ -117,7 +117,7 @@ impl Filter {
         let (config, imu) = (&self.setup.config, &self.setup.rig.imu);
         let geometry = self.setup.geometry.as_ref();
         let mut status = Status {
-            initialized: self.start.is_started(),
+            initialized: self.start.started,
             encoders_suspended: self.trust.is_suspended(),
             imu: ImuStatus {
                 newest: self.arrival.newest_imu().map(|(stamp, _)| stamp),

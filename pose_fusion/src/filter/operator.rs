@@ -23,7 +23,7 @@ impl Filter {
     /// There is no estimate.
     pub fn checkpoint(&self) -> Result<Checkpoint, Refusal> {
         match self.history.newest_processed() {
-            Some(entry) if self.start.is_started() => Ok(Checkpoint::of(&entry.state, entry.stamp)),
+            Some(entry) if self.start.started => Ok(Checkpoint::of(&entry.state, entry.stamp)),
             _ => Err(Refusal::NotInitialized),
         }
     }
@@ -40,7 +40,8 @@ impl Filter {
         let known = state.sigma(TIME_OFFSET) < OFFSET_KNOWN;
         self.search = super::search(&self.setup.config).filter(|_| !known);
         self.start.offset_doubt = None;
-        self.start.resume_from(state, Stamp::from_nanos(checkpoint.stamp_ns));
+        self.start.kept = Some(Box::new(state));
+        self.start.kept_at = Some(Stamp::from_nanos(checkpoint.stamp_ns));
         Ok(())
     }
 
@@ -78,7 +79,7 @@ impl Filter {
         }
         let read = at.plus_seconds(-self.encoder_offset());
         let before = self.history.place_of(at).min(self.history.processed()).checked_sub(1);
-        let before = before.filter(|_| self.start.is_started());
+        let before = before.filter(|_| self.start.started);
         let before = before.and_then(|place| self.history.get(place));
         let mut state = match (before, self.climber.at(read)) {
             (Some(entry), _) => {
@@ -115,7 +116,7 @@ impl Filter {
             }
         }
         self.publisher.continuity.reset();
-        self.start.set_started();
+        self.start.started = true;
         self.begin(at, state);
         Ok(())
     }

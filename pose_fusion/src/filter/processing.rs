@@ -2,13 +2,12 @@
 
 use super::Filter;
 use crate::{
-    adaptation::excess::MODEL_ERROR,
+    adaptation::{disturbances::SETTLING, excess::MODEL_ERROR},
     ekf::{
         propagation::{Motion, ProcessNoise},
         state::{ATTITUDE, TIME_OFFSET, VELOCITY},
     },
     health::{
-        encoder_trust::Cause,
         lock_out::{Response, SUSPECT},
         sanity,
     },
@@ -154,7 +153,7 @@ impl Filter {
             1 if entry.state.sigmas(ATTITUDE).max() < ATTITUDE_KNOWN => record.used as usize,
             detected => detected,
         };
-        let excused = self.disturbances.is_climber_disturbed(at) || moves_off;
+        let excused = self.disturbances.is_climber_disturbed(at, SETTLING) || moves_off;
         let settled =
             self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > SETTLED);
         if record.used >= 3 && !excused && settled {
@@ -180,7 +179,7 @@ impl Filter {
                 .map(|marker| matches!(marker.outcome, Outcome::Gated | Outcome::Inconsistent)),
         );
         let sudden = rejects
-            && self.disturbances.climber_since(at, SUSPECT).is_none()
+            && !self.disturbances.is_climber_disturbed(at, SUSPECT)
             && self.imu.model_error().factor() <= SUDDEN;
         let strained = match record.used {
             4 => record.nis > STRAINED,
@@ -258,12 +257,8 @@ impl Filter {
         let stopped =
             self.climber.stopped_since().map(|axis| axis.filter(|s| known && *s > earliest));
         if let Some(since) = stopped.into_iter().flatten().min()
-            && self.trust.may_suspect(since.plus_seconds(self.encoder_offset()), at)
+            && self.suspect_frozen(stopped, since, at)
         {
-            self.climber.suspect_frozen(stopped);
-            self.exclude_since(since.plus_seconds(self.encoder_offset()));
-            self.publisher.warn(Warning::EncodersFrozen { since });
-            self.trust.suspend(at, Cause::Frozen, false);
             return false;
         }
         if repeated {
@@ -312,8 +307,8 @@ impl Filter {
 
     /// Returns the camera time offset to place an image with, s.
     pub(super) fn time_offset(&self) -> f64 {
-        let known = self.state().or(self.start.kept());
-        match (known, self.start.time_offset()) {
+        let known = self.state().or(self.start.kept.as_deref());
+        match (known, self.start.time_offset) {
             (Some(state), _) => state.time_offset,
             (None, Some(found)) => found.offset,
             (None, None) => self.setup.config.clock.camera_offset,

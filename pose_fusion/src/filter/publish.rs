@@ -174,7 +174,7 @@ impl Publisher {
 impl Filter {
     /// Outputs the estimate at the end of the time line: odometry, status, prediction and swing.
     pub(super) fn publish(&mut self) {
-        let (Some(end), true) = (self.arrival.end(), self.start.is_started()) else { return };
+        let (Some(end), true) = (self.arrival.end(), self.start.started) else { return };
         let settings = self.settings();
         let (Some(geometry), Some(entry)) = (&self.setup.geometry, self.history.newest_processed())
         else {
@@ -261,7 +261,7 @@ impl Filter {
     pub fn publish_status(&mut self) {
         let Some(now) = self.publisher.now else { return };
         let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
-        let (started, silent) = (self.start.is_started(), since(self.publisher.last_published));
+        let (started, silent) = (self.start.started, since(self.publisher.last_published));
         let due = !(0.0..STATUS_PERIOD).contains(&since(self.publisher.last_status));
         if !due || (started && silent < SILENT) {
             return;
@@ -322,7 +322,7 @@ impl Filter {
     /// Returns the uncertainty of the time offset beside the state's, while it is searched, s.
     pub(super) fn offset_doubt(&self) -> f64 {
         if self.search.is_some() {
-            self.start.offset_doubt().unwrap_or(self.setup.config.clock.camera_sigma)
+            self.start.offset_doubt.unwrap_or(self.setup.config.clock.camera_sigma)
         } else {
             0.0
         }
@@ -356,7 +356,7 @@ impl Filter {
 
     /// Keeps the processed entries at the end of an estimate: those before `until`, if given.
     pub fn archive_until(&mut self, until: Option<Stamp>) {
-        if self.start.is_started() {
+        if self.start.started {
             for place in 0..self.history.processed() {
                 let entry = self.history.get(place);
                 self.publisher.archive(entry.filter(|e| until.is_none_or(|u| e.stamp < u)));

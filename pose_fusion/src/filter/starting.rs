@@ -51,7 +51,7 @@ pub(super) struct Start {
     /// Last state before an outage: its offset and biases serve the next start.
     pub(super) kept: Option<Box<State>>,
     /// Time of the kept state, where it may be resumed as a whole.
-    kept_at: Option<Stamp>,
+    pub(super) kept_at: Option<Stamp>,
     pub(super) time_offset: Option<TimeOffset>,
     /// Time offset with which the pose was initialized, s.
     pub(super) initial_offset: f64,
@@ -63,7 +63,8 @@ pub(super) struct Start {
     pub(super) offset_doubt: Option<f64>,
     /// Upward specific force of samples that cannot initialize the pose, m/s².
     pub(super) wrong_gravity: Option<f64>,
-    markers_seen: usize,
+    /// Markers detected in the newest image.
+    pub(super) markers_seen: usize,
 }
 
 /// Time offset from which the filter has not moved further than it corrects linearly.
@@ -72,42 +73,6 @@ pub(super) struct SettledOffset {
     pub since: Stamp,
     /// Offset then, s.
     pub offset: f64,
-}
-
-impl Start {
-    pub fn is_started(&self) -> bool {
-        self.started
-    }
-
-    pub fn set_started(&mut self) {
-        self.started = true;
-    }
-
-    pub fn kept(&self) -> Option<&State> {
-        self.kept.as_deref()
-    }
-
-    pub fn time_offset(&self) -> Option<TimeOffset> {
-        self.time_offset
-    }
-
-    pub fn offset_doubt(&self) -> Option<f64> {
-        self.offset_doubt
-    }
-
-    pub fn markers_seen(&self) -> usize {
-        self.markers_seen
-    }
-
-    pub fn note_markers(&mut self, count: usize) {
-        self.markers_seen = count;
-    }
-
-    /// Keeps a state to be resumed at the next IMU sample.
-    pub fn resume_from(&mut self, state: State, at: Stamp) {
-        self.kept = Some(Box::new(state));
-        self.kept_at = Some(at);
-    }
 }
 
 impl Filter {
@@ -144,7 +109,7 @@ impl Filter {
 
     /// Constants as a former pose knew them.
     pub(super) fn calibration(&self) -> Calibration {
-        let kept = self.start.kept().map(|kept| kept.calibration);
+        let kept = self.start.kept.as_deref().map(|kept| kept.calibration);
         kept.unwrap_or_else(|| Calibration::new(&self.setup.config.imu))
     }
 

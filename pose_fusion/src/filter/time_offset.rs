@@ -138,7 +138,7 @@ impl Filter {
         let at = stamp.plus_seconds(self.time_offset());
         let up = (self.imu.own_up_at(at))
             .or_else(|| self.up_of_estimate(at))
-            .or_else(|| self.imu.up_at(at, &self.history));
+            .or_else(|| self.imu.force_up_at(at, &self.history));
         // "Up" is of another instant as long as the offset is not known: it chooses between the
         // poses and moves none.
         let attachment = self.setup.config.pendulum.climber_attachment;

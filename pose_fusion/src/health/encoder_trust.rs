@@ -12,7 +12,6 @@
 //! where frozen ones move again, or where they leap to where a climber can have moved to since they
 //! were equal or leapt before.
 
-use crate::input::climber_track::faults::STOOD;
 use nalgebra::Vector3;
 use rig_model::Stamp;
 
@@ -108,6 +107,7 @@ impl EncoderTrust {
         let suspended = self.suspended.get_or_insert((at, cause));
         if cause == Cause::Frozen {
             suspended.1 = cause;
+            self.tried = Some(at);
         }
         self.returned = returns.then_some(at);
         (self.consistent, self.consistent_since) = (0, None);
@@ -200,18 +200,6 @@ impl EncoderTrust {
         }
         suspected
     }
-
-    /// Suspends encoders that have stood since `since` while the prediction contradicts the images,
-    /// to see whether they are what is wrong. Returns false where they have stood for less than
-    /// [`STOOD`], or cannot be suspected.
-    pub fn tries_without(&mut self, since: Stamp, at: Stamp) -> bool {
-        let tries = at.seconds_since(since) > STOOD && self.may_suspect(since, at);
-        if tries {
-            self.tried = Some(at);
-            self.suspend(at, Cause::Frozen, false);
-        }
-        tries
-    }
 }
 
 #[cfg(test)]
@@ -287,15 +275,12 @@ mod tests {
             assert_eq!(suspect.may_suspect(at(5350), at(5400)), acquitted);
         }
         // Readings that stand are tried without once.
-        assert!(
-            !trust.tries_without(at(9900), at(10_000)) && trust.tries_without(at(9500), at(10_000))
-        );
+        assert!(trust.may_suspect(at(9500), at(10_000)));
+        trust.suspend(at(10_000), Cause::Frozen, false);
+        assert!(!trust.may_suspect(at(11_000), at(12_000)));
         trust.reset();
-        assert!(
-            !trust.tries_without(at(9500), at(12_000))
-                && trust.tries_without(at(11_000), at(12_000))
-        );
-        trust.reset();
-        assert!(trust.tries_without(at(5000), at(6000)), "the clock was set back");
+        assert!(!trust.may_suspect(at(9500), at(12_000)));
+        assert!(trust.may_suspect(at(11_000), at(12_000)));
+        assert!(trust.may_suspect(at(5000), at(6000)), "the clock was set back");
     }
 }

@@ -26,7 +26,7 @@ use crate::{
         geometry::Geometry,
         marker_misfit::misfit,
         marker_prediction::linearize,
-        markers::{self, Gates, Image, ImageInnovation, Offsets, Pixels},
+        markers::{self, Image, ImageInnovation, Offsets, Pixels},
     },
 };
 use nalgebra::{Matrix2, Point3, UnitQuaternion, Vector3};
@@ -185,7 +185,7 @@ fn attempt(
         geometry,
         image,
         &ImuReading::default(),
-        &Gates::open(),
+        f64::INFINITY,
         config.gravity,
         true,
     );

@@ -110,11 +110,6 @@ impl ClimberTrack {
         self.readings.back()
     }
 
-    /// Returns the variance of a moving climber's reading, m², m², rad².
-    pub fn variance(&self) -> Vector3<f64> {
-        self.noise.variance()
-    }
-
     /// Returns the variance with which the readings on the time line were weighed, to be replaced
     /// when they are weighed again.
     pub fn assumed_variance(&mut self) -> &mut Vector3<f64> {

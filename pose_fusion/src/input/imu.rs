@@ -208,12 +208,6 @@ impl ImuInput {
         nearest(&self.ups, stamp)
     }
 
-    /// Returns what is known of "up" at an instant: the IMU's own attitude, else the mean direction
-    /// of its specific force.
-    pub fn up_at(&self, stamp: Stamp, history: &History) -> Option<Up> {
-        self.own_up_at(stamp).or_else(|| self.force_up_at(stamp, history))
-    }
-
     /// Returns the mean direction of the specific force around an instant.
     pub fn force_up_at(&self, stamp: Stamp, history: &History) -> Option<Up> {
         mean_force(stamp, history)?.try_normalize(1e-3).map(|in_imu| Up {

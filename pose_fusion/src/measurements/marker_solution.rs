@@ -4,7 +4,7 @@
 use super::{
     geometry::Geometry,
     marker_prediction::{Linearization, innovation_spread, linearize, times_error},
-    markers::{Block, ByCalibration, Gain, Gates, Image, Jacobian, Residual, SEEN},
+    markers::{Block, ByCalibration, Gain, Image, Jacobian, Residual, SEEN},
 };
 use crate::ekf::{
     propagation::ImuReading,
@@ -51,12 +51,12 @@ pub fn count(mask: &[bool; 4]) -> usize {
     mask.iter().filter(|m| **m).count()
 }
 
-/// Returns the largest subset of `pass` that is consistent, among equals the likeliest, and its
-/// solution; `None` where there is none. One marker alone is consistent with itself, which proves
+/// Returns the largest subset of `pass` that is consistent (`any`: whether or not it is), among
+/// equals the likeliest, and its solution; `None` where there is none. One marker alone is consistent with itself, which proves
 /// nothing: it is used only where it is alone.
 pub fn largest_consistent(
     pass: &[bool; 4],
-    gates: &Gates,
+    any: bool,
     solve: impl Fn(&[bool; 4]) -> Option<Solution>,
 ) -> Option<([bool; 4], Solution)> {
     if count(pass) == 1 {
@@ -67,7 +67,7 @@ pub fn largest_consistent(
         let consistent = masks
             .filter(|mask| count(mask) == size && (0..4).all(|i| pass[i] || !mask[i]))
             .filter_map(|mask| Some((mask, solve(&mask)?)))
-            .filter(|(_, solution)| solution.cost <= gates.joint * JOINT_LIMIT[size])
+            .filter(|(_, solution)| any || solution.cost <= JOINT_LIMIT[size])
             .reduce(|best, next| if next.1.cost < best.1.cost { next } else { best });
         if consistent.is_some() {
             return consistent;

@@ -104,22 +104,6 @@ impl Image {
     }
 }
 
-/// Gates of the update.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Gates {
-    /// Largest normalized innovation squared of one marker (2 degrees of freedom).
-    pub marker: f64,
-    /// Factor on the 0.9999 quantile of the joint cost.
-    pub joint: f64,
-}
-
-impl Gates {
-    /// Returns gates that reject nothing.
-    pub fn open() -> Self {
-        Self { marker: f64::INFINITY, joint: f64::INFINITY }
-    }
-}
-
 /// Records of one image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageInnovation {
@@ -144,7 +128,8 @@ impl ImageInnovation {
     }
 }
 
-/// Corrects `state` by the markers that pass the gates and returns what became of each.
+/// Corrects `state` by the markers that pass the gates and returns what became of each. `gate` is
+/// the largest NIS of one marker (2 degrees of freedom); infinite, nothing is rejected.
 ///
 /// `reading` is the IMU's at the exposure, `gravity` in m/s². With `apply` false the state stays as
 /// it is and the records tell what would have happened.
@@ -153,7 +138,7 @@ pub fn update(
     geometry: &Geometry,
     image: &Image,
     reading: &ImuReading,
-    gates: &Gates,
+    gate: f64,
     gravity: f64,
     apply: bool,
 ) -> ImageInnovation {
@@ -190,14 +175,14 @@ pub fn update(
             Some(c) => marker.residual.dot(&c.solve(&marker.residual)),
             None => f64::INFINITY,
         };
-        pass[i] = marker.nis <= gates.marker;
+        pass[i] = marker.nis <= gate;
         marker.outcome = if pass[i] { Outcome::Used } else { Outcome::Gated };
     }
     if linear.valid == [true; 4] {
         record.misfit = misfit(state, geometry, image, reading, linear);
     }
     let few = image.detected() <= 2 || state.sigmas(ATTITUDE).max() < ATTITUDE_KNOWN;
-    let best = largest_consistent(&pass, gates, |mask| {
+    let best = largest_consistent(&pass, gate.is_infinite(), |mask| {
         let solution = || solve(state, geometry, image, reading, &at_prior, mask);
         if count(mask) > 2 || few { solution() } else { None }
     });
@@ -249,7 +234,7 @@ pub(super) mod tests {
         specific_force: Vector3::new(0.0, 0.0, 9.8),
         angular_velocity: Vector3::new(0.5, -0.8, 0.3),
     };
-    const GATES: Gates = Gates { marker: 16.0, joint: 1.0 };
+    const GATE: f64 = 16.0;
 
     pub(in super::super) fn example() -> (State, Geometry, Image) {
         let rig = Rig::from_yaml(RIG).unwrap();
@@ -289,7 +274,7 @@ pub(super) mod tests {
         let k = p * h.transpose() * s.try_inverse().unwrap();
         let a = Covariance::identity() - k * h;
         let joseph = a * p * a.transpose() + k * r * k.transpose();
-        let record = update(&mut state, &geometry, &image, &READING, &GATES, 9.81, true);
+        let record = update(&mut state, &geometry, &image, &READING, GATE, 9.81, true);
         assert_eq!(record.used, 4);
         assert!((state.covariance - joseph).amax() < 1e-12);
         assert_eq!(state.covariance, state.covariance.transpose());
@@ -333,7 +318,7 @@ pub(super) mod tests {
                 }
             }
             for (state, geometry) in [(&mut plain, &geometry), (&mut informed, &known)] {
-                let record = update(state, geometry, &seen, &reading, &GATES, 9.81, true);
+                let record = update(state, geometry, &seen, &reading, GATE, 9.81, true);
                 assert!(record.used >= 3);
                 propagate(state, &reading, &reading, 0.03, 9.81, &noise);
             }
@@ -357,11 +342,11 @@ pub(super) mod tests {
             state.set_sigmas(ATTITUDE, &Vector3::repeat(sigma));
             image.detected[3] = false;
             image.centroids[2][0] += 300.0;
-            let record = update(&mut state, &geometry, &image, &READING, &GATES, 9.81, true);
+            let record = update(&mut state, &geometry, &image, &READING, GATE, 9.81, true);
             assert_eq!(record.used, used, "{sigma}: {record:?}");
             // Where only two are seen, they are used.
             image.detected[2] = false;
-            let record = update(&mut state, &geometry, &image, &READING, &GATES, 9.81, true);
+            let record = update(&mut state, &geometry, &image, &READING, GATE, 9.81, true);
             assert_eq!(record.used, 2, "{sigma}: {record:?}");
         }
     }
@@ -376,7 +361,7 @@ pub(super) mod tests {
         (off[0], off[7]) = (0.05, 0.05);
         state.add(&off);
         image.centroids[2][0] += 12.0;
-        let record = update(&mut state, &geometry, &image, &READING, &GATES, 9.81, true);
+        let record = update(&mut state, &geometry, &image, &READING, GATE, 9.81, true);
         assert_eq!(record.markers[2].outcome, Outcome::Inconsistent, "{record:?}");
         assert_eq!(record.used, 3);
         // The climber is as uncertain: compare what the camera measures, the platform against the

@@ -1,7 +1,6 @@
 //! Arrival of the inputs: order, gaps and jumps of the IMU's stamps, and IMU samples that stay
 //! away.
 
-use super::dropout::GAP;
 use crate::ekf::propagation::ImuReading;
 use rig_model::{Stamp, topics};
 use std::fmt;
@@ -194,11 +193,6 @@ impl Arrival {
     /// Returns the end of the time line: the newest IMU sample, or image while the IMU is silent.
     pub fn end(&self) -> Option<Stamp> {
         self.frontier
-    }
-
-    /// Returns whether an interval between samples is a gap.
-    pub fn is_gap(dt: f64) -> bool {
-        dt > GAP
     }
 
     /// Forgets everything, after a jump of time or an outage.

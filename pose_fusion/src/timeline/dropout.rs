@@ -17,15 +17,15 @@ pub const INTERPOLATED: f64 = 0.4;
 pub const HELD: f64 = 0.15;
 /// Specific force of a swinging platform away from its mean, m/s² (1 sigma): 35° at 1 Hz below 0.25
 /// m of rope.
-pub const FORCE: f64 = 3.0;
+const FORCE: f64 = 3.0;
 /// Its angular velocity, rad/s (1 sigma).
-pub const RATE: f64 = 2.0;
+const RATE: f64 = 2.0;
 /// Density of the climber's jerk, m²/s⁵ and rad²/s⁵: 0.25 m within 0.9 s without encoders (1 sigma).
 const JERK: [f64; 3] = [2.5, 2.5, 0.5];
 /// 1 Hz, rad/s.
 const FREQUENCY: f64 = std::f64::consts::TAU;
 /// How long the missed part keeps its sign, s.
-pub const CORRELATION: f64 = 0.3;
+const CORRELATION: f64 = 0.3;
 
 /// Returns the process noise of a motion of which the share `missed` is not measured for `seconds`.
 fn missed(usual: &ProcessNoise, missed: f64, seconds: f64) -> ProcessNoise {

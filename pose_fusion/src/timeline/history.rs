@@ -86,6 +86,7 @@ pub struct History {
     overflows: u64,
 }
 
+#[allow(clippy::len_without_is_empty, reason = "nobody asks")]
 impl History {
     /// Removes all entries.
     pub fn clear(&mut self) {

@@ -12,7 +12,7 @@ use crate::{
         Innovation,
         encoders::{self, CONTRADICTION},
         geometry::{ClimberRest, Geometry},
-        markers::{self, Gates, Image, ImageInnovation},
+        markers::{self, Image, ImageInnovation},
         rope::{self, Rope},
         zero_velocity,
     },
@@ -160,9 +160,8 @@ fn apply(
             Step::Inertial
         }
         Event::Image { image, stamp, fresh } => {
-            let gates = Gates { marker: config.markers.gate, joint: 1.0 };
-            let (geometry, apply) = (context.geometry, !context.frozen);
-            let record = markers::update(state, geometry, image, reading, &gates, gravity, apply);
+            let (gate, geometry, apply) = (config.markers.gate, context.geometry, !context.frozen);
+            let record = markers::update(state, geometry, image, reading, gate, gravity, apply);
             if apply && record.used > 0 {
                 *still_unseen = 0.0;
             }
