@@ -4,7 +4,7 @@
 # make lint        what CI lints: format, clippy, cores without middleware, docs
 # make bench       the tracker beside other methods, images per second of each tracking method, the
 #                  filter beside its bound on 200 runs
-# make faults      every fault on real processes: test/FAULTS.md
+# make faults      every fault on real processes; prints the table of test/FAULTS.md
 # make reproduce   the paper's figures and tables, and the report: OUT=folder
 # make broad       recordings with real IMU samples (BROAD=its folder data_mat): test/BROAD.md
 # make robustness  recordings that differ from their rig file: test/ROBUSTNESS.md
@@ -71,8 +71,8 @@ long: setup
 	test/tier long
 
 # A core knows no middleware, device or OpenCV: it must build without its default features.
-CORES := ros_parameters rig_model rig_simulator node_kit marker_tracker imu_driver \
-  climber_driver pose_fusion rig_calibration
+# On one line: CI reads it.
+CORES := ros_parameters rig_model rig_simulator node_kit marker_tracker imu_driver climber_driver pose_fusion rig_calibration
 
 lint: .setup/debian
 	$(CARGO) fmt --all --check
@@ -178,7 +178,7 @@ tarball-test: build tarball
 	  $(CARGO) test --release --workspace --test other_build -- --ignored --nocapture
 	VOLANT_BIN=$(TARBALL)/unpacked/bin target/release/volant demo --out $(TARBALL)/demo
 
-# Eclipse's bridge to other sites, where its release cannot be downloaded (docs/src/sites.md).
+# Eclipse's bridge to other sites, built from crates.io (docs/src/sites.md).
 bridge: .setup/debian
 	@launch_config/setup/install-debian-packages launch_config/setup/debian-packages-bridge.txt
 	cd test/bridge && $(CARGO) build --release --locked --target-dir $(CURDIR)/target/bridge

@@ -28,6 +28,14 @@ impl Axis {
         }
     }
 
+    /// Name of the axis in `max_speed.*` and `uncertainty.*`, which the two rails share.
+    pub const fn limit_name(self) -> &'static str {
+        match self {
+            Axis::RailX | Axis::RailY => "position",
+            Axis::Turn => "turn",
+        }
+    }
+
     /// Unit of the axis after scaling.
     pub const fn unit(self) -> &'static str {
         match self {

@@ -31,8 +31,8 @@ node_kit::parameters! {
         zero_y: f64 = 0.0, name("zero.rail_y"), live;
         /// Reading at which the climber's x axis is parallel to the world's.
         zero_turn: f64 = 0.0, name("zero.turn"), live;
-        /// Standard deviation of the encoders on x and y; the jump check allows three of them on
-        /// top of the speed limit.
+        /// Standard deviation of the encoders on x and y; the jump check allows three standard
+        /// deviations of the difference of two readings on top of the speed limit.
         uncertainty: f64 = 0.001,
             unit("m"), range(0.0..=1.0), name("uncertainty.position"), live;
         /// Standard deviation of the encoder of the rotation.
@@ -194,8 +194,8 @@ impl NodeShell for ClimberNode {
                     "no reading was accepted yet; check the publisher of climber/joint_states{why}"
                 ),
             ),
-            None if new > 0 => (Health::Warn, format!("readings flow{why}")),
-            None => (Health::Ok, "readings flow".to_owned()),
+            None if new > 0 => (Health::Warn, format!("readings are received{why}")),
+            None => (Health::Ok, "readings are received".to_owned()),
         };
         self.rejected_before = rejected;
         context.diagnose("encoders", health, &message, &values);

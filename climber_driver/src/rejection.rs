@@ -81,7 +81,9 @@ pub enum Rejection {
     /// An axis moved faster than the crane can.
     #[error(
         "joint_states: {axis} jumped by {jump:.4} {} in {seconds:.3} s, \
-         faster than max_speed.{axis} = {limit}; check the encoder",
+         faster than `max_speed.{}` = {limit} {}/s; check the encoder, or raise the limit",
+        axis.unit(),
+        axis.limit_name(),
         axis.unit()
     )]
     Jump {

@@ -40,7 +40,8 @@ Exit status:
   130  interrupted by SIGINT (ctrl-c); existing files are unchanged
   141  the reader of standard output has gone
   143  ended by SIGTERM; existing files are unchanged
-Nodes, record, play, monitor and foxglove run until one of these signals and end with 0.";
+Nodes, record, play, monitor, foxglove and imu log run until one of these signals (play: or the end
+of the bag) and end with 0.";
 
 /// Exit status of a program whose reader has gone: what a shell reports for SIGPIPE (128 + 13).
 const READER_GONE: u8 = 141;

@@ -92,7 +92,7 @@ fn diagnostics_name_the_topic_that_is_missing() {
     let (_, lines) =
         peer(5, &python, &["receive", "/diagnostics", "diagnostics", "1", "5"]).finish(LONG);
     assert!(
-        lines[0].contains("nothing comes on /pose") && !lines[0].contains("nothing comes on /imu"),
+        lines[0].contains("no messages on /pose") && !lines[0].contains("no messages on /imu"),
         "{lines:?}"
     );
 }

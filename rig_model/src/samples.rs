@@ -41,8 +41,8 @@ pub struct ClimberSample {
 pub enum MarkerState {
     /// Measured in this image, and valid for the centroid of the whole square.
     Detected,
-    /// Occluded; predicted from the flow of the other markers (paper, eq. 3), for six images at
-    /// most.
+    /// Occluded; predicted from the platform's rigid motion (or the other markers' mean flow,
+    /// paper, eq. 3) for at most `max_predicted` images.
     Predicted,
     /// Unknown; the coordinates are NaN.
     Lost,

@@ -29,7 +29,7 @@ pub struct Floor {
 }
 
 impl Floor {
-    /// Generates the floor from a seed; `clutter` adds objects in the markers' colors.
+    /// Generates the floor from a seed; `clutter` adds distractors in these colors.
     pub fn new(seed: u64, material: Material, clutter: Option<&[Colour; 4]>) -> Self {
         let n = (SIDE / CELL) as usize;
         let mut painter =

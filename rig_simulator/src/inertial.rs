@@ -59,7 +59,7 @@ pub struct SensorConfig {
 }
 
 impl SensorConfig {
-    /// As the developer bags have it, with marker coordinates of 0.1 px.
+    /// As in the recordings with ground truth, with marker coordinates of 0.1 px.
     pub fn nominal(seed: u64) -> Self {
         let mut r = Random::fork(seed, "biases");
         let mut bias = |sigma: f64| Vector3::new(r.normal(), r.normal(), r.normal()) * sigma;

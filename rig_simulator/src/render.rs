@@ -21,7 +21,7 @@ use rig_model::{CameraModel, MarkerColor, MarkerLayout, PerColor, Rig};
 pub struct SceneConfig {
     /// Seed of everything that no other field determines.
     pub seed: u64,
-    /// Puts objects in the markers' colors on the floor, one of which moves.
+    /// Puts distractors in the markers' colors on the floor, one of which moves.
     pub clutter: bool,
     /// Colors of the squares in full light; `None`: muted paper, by the seed.
     pub colours: Option<[Colour; 4]>,

@@ -120,7 +120,7 @@ fn the_monitor_shows_poses_markers_rates_losses_and_missing_nodes() {
         "yellow  PREDICTED ( 250.00,  200.00) px",
         "camera  nothing yet",
         "not subscribed",
-        "WARN  /pose_fusion: inputs: nothing comes on ",
+        "WARN  /pose_fusion: inputs: no messages on ",
         "/pose_fusion ← /climber/markers",
         "status  INITIALIZING, NOT VALID  ",
     ] {

@@ -29,7 +29,7 @@ const RUNS: [(&str, &str); 4] = [
     ("nominal", "nominal"),
     ("occlude_two", "two markers hidden for 1.5 s, twice"),
     ("fast_swing", "swing of up to 35° at 1 Hz"),
-    ("clutter", "objects in the markers' colors on the floor"),
+    ("clutter", "distractors in the markers' colors on the floor"),
 ];
 
 fn root() -> PathBuf {
@@ -143,12 +143,15 @@ fn figures() -> String {
         let fields = fields.join(" | ");
         writeln!(text, "| {run} | {model} | `{estimate}` | {fields} |").unwrap();
     }
+    let old = read("test/HOSTS.md").contains("measured with version 0.1.0");
+    let dated = if old { " (version 0.1.0)" } else { "" };
     write!(
         text,
         "\n## Tables with a verdict\n\n\
          | table | rows that hold | written by |\n| --- | --- | --- |\n\
-         | [faults on live processes](table-faults.md) | {} | `make faults` |\n\
-         | [two computers with a bad link](table-hosts.md) | {} | `volant hosts` |\n\
+         | [faults on live processes](table-faults.md) | {} | `volant faults --table \
+         test/FAULTS.md --overwrite` |\n\
+         | [two computers with a bad link](table-hosts.md) | {} | `volant hosts`{dated} |\n\
          | [many rigs on one machine](table-rigs.md) | {} | `volant rigs` |\n\n",
         holds("test/FAULTS.md"),
         holds("test/HOSTS.md"),
@@ -226,7 +229,10 @@ fn parameters() -> String {
          the same list, `NODE --print-parameters=yaml` a parameter file with all defaults. An \
          unknown\n\
          parameter is an error. Parameters marked \"live\" can be changed while the node runs\n\
-         (`ros2 param set`).\n\n",
+         (`ros2 param set`).\n\n\
+         QoS: `qos_overrides.<topic>.<publisher|subscription>.<reliability|durability|depth>` \
+         as in\n\
+         rclcpp, with the absolute topic.\n\n",
         &section::<MarkerTrackerNode>(),
         &section::<ImuNode>(),
         &section::<ClimberNode>(),

@@ -180,7 +180,9 @@ impl fmt::Display for Event {
                     )
                 }
             }
-            Self::Silent { seconds } => write!(f, "no message for {seconds:.1} s; calling the IMU"),
+            Self::Silent { seconds } => {
+                write!(f, "no message for {seconds:.1} s; querying the IMU")
+            }
             Self::Found(identity) => write!(f, "found {identity}"),
             Self::WokeUp => f.write_str("the IMU has started"),
             Self::Set { what } => write!(f, "{what}: written to the IMU"),

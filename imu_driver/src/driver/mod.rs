@@ -231,7 +231,7 @@ impl Driver {
     pub fn state(&self) -> &'static str {
         match self.phase {
             Phase::Closed { .. } | Phase::Opening => "waiting for the port",
-            Phase::Settling { .. } | Phase::Calling(_) => "calling the IMU",
+            Phase::Settling { .. } | Phase::Calling(_) => "querying the IMU",
             Phase::Asking(_) => "configuring the IMU",
             Phase::Measuring => "measuring",
         }

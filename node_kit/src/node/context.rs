@@ -152,7 +152,7 @@ impl<I: Send + 'static> NodeContext<I> {
                             Level::Warn,
                             name,
                             Duration::from_secs(5),
-                            format!("a message on {name} is refused: {reason}"),
+                            format!("a message on {name} is rejected: {reason}"),
                         );
                     }
                 }

@@ -182,11 +182,11 @@ impl Diagnostics {
         } else if state != LifecycleState::Active {
             (Health::Ok, format!("the node is {}", state.label()))
         } else if !missing.is_empty() {
-            (Health::Warn, format!("nothing comes on {}", missing.join(", ")))
+            (Health::Warn, format!("no messages on {}", missing.join(", ")))
         } else if !trouble.is_empty() {
             (Health::Warn, trouble.join(", "))
         } else {
-            (Health::Ok, "all inputs come".to_owned())
+            (Health::Ok, "all inputs are received".to_owned())
         };
         status(&endpoints.name, "inputs", health, message, values)
     }
@@ -236,7 +236,7 @@ impl Diagnostics {
             }
         }
         let (health, message) = if trouble.is_empty() {
-            (Health::Ok, "all outputs go out".to_owned())
+            (Health::Ok, "all outputs are sent".to_owned())
         } else {
             (Health::Warn, trouble.join(", "))
         };

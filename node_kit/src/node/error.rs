@@ -60,7 +60,7 @@ pub enum NodeError {
     /// The middleware's threads are gone.
     #[error(
         "the DDS middleware ended: it was interrupted (the process was stopped and continued), \
-         the computer slept, or its clock was set back; start again"
+         the computer was suspended, or its clock was set back; start again"
     )]
     MiddlewareEnded,
     /// Priority, affinity or memory lock of the process.

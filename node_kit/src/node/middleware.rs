@@ -24,13 +24,14 @@ impl fmt::Display for Loss {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Ended => f.write_str(
-                "the DDS middleware had ended: its process was stopped, or the computer slept",
+                "the DDS middleware had ended: its process was stopped, or the computer was \
+                 suspended",
             ),
             Self::ClockSetBack { seconds } => {
                 write!(
                     f,
                     "the system's clock was set back by {seconds:.3} s, and the DDS middleware \
-                     is deaf for as long"
+                     receives nothing until the clock has caught up"
                 )
             }
         }

@@ -293,7 +293,7 @@ fn finding(
                 "camera.orientation is turned by {:+.1}° about the vertical, or the zero of the joint `turn` is off by it",
                 of(0)
             ),
-            "correct camera.orientation in the rig file, or the offset of `turn`",
+            "correct camera.orientation in the rig file, or `zero.turn` of climber_driver",
         ),
         Cause::CameraPlace => (
             format!("camera.position is off by {}", vector()),

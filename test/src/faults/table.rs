@@ -215,7 +215,7 @@ pub fn table() -> Vec<Row> {
             "kill -9 marker_tracker, started 3 s later",
             "marker_tracker",
             Unbroken,
-            fusion(&["nothing comes on /climber/markers"]),
+            fusion(&["no messages on /climber/markers"]),
         ),
         killed(
             "kill -9 imu_driver, started 3 s later",
@@ -227,13 +227,13 @@ pub fn table() -> Vec<Row> {
             "kill -9 climber_driver, started 3 s later",
             "climber_driver",
             Unbroken,
-            fusion(&["nothing comes on /climber/transform"]),
+            fusion(&["no messages on /climber/transform"]),
         ),
         stalled(
             "marker_tracker stalled for 3 s",
             "marker_tracker",
             Unbroken,
-            fusion(&["nothing comes on /climber/markers"]),
+            fusion(&["no messages on /climber/markers"]),
         ),
         // After an interruption the domain is joined again, and the restart is reported instead.
         stalled(
@@ -247,7 +247,7 @@ pub fn table() -> Vec<Row> {
             "climber_driver stalled for 3 s",
             "climber_driver",
             Unbroken,
-            fusion(&["nothing comes on /climber/transform"]),
+            fusion(&["no messages on /climber/transform"]),
         ),
         clock_set("system clock set 5 s ahead, and corrected", 5.0),
         clock_set("system clock set 5 s back, and corrected", -5.0),

@@ -11,7 +11,7 @@ use std::{
 };
 use volant_test::check::{Bench, FAULTS};
 
-/// Makes the files and messages of recordings wrong in one thing, and checks them.
+/// Make the files and messages of recordings wrong in one thing, and check them.
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// Folder of recordings, each a folder with in.mcap, rig.yaml, truth.mcap and truth_markers.csv

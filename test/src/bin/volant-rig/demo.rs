@@ -18,11 +18,11 @@ use volant_test::{
     run_folder::RunFolder,
 };
 
-/// Runs the main job on a simulated rig: four separate nodes, live over DDS.
+/// Run the four nodes as separate processes, live over DDS, on a simulated rig.
 ///
 /// A rendered camera, an Xsens IMU on a pseudo-terminal and encoders feed marker_tracker,
-/// imu_driver, climber_driver and pose_fusion as hardware would. Ends with a table of errors
-/// against the truth, a bag and an image of the run.
+/// imu_driver, climber_driver and pose_fusion as hardware would. The run ends with a table of
+/// errors against the truth, a bag and a figure.
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// Folder for bag, image and logs: an empty or new one, or that of an earlier run, which is
@@ -243,9 +243,8 @@ fn demo_page(
         title: "A live run on the simulated rig".into(),
         lead: "Four nodes as processes of their own, live over DDS: marker_tracker, imu_driver, \
                climber_driver and pose_fusion. \
-               They were fed by a rendered camera, an Xsens unit's protocol on a pseudo-terminal \
-               and encoder readings, which they \
-               know only as hardware."
+               They were fed by a rendered camera, an emulated Xsens IMU on a pseudo-terminal and \
+               encoder readings; the nodes cannot distinguish them from hardware."
             .into(),
         facts,
         sections: vec![

@@ -12,7 +12,7 @@ use volant_test::{
     run_folder::RunFolder,
 };
 
-/// Breaks a live simulated rig in every way of the table and asserts on what the nodes publish.
+/// Break a live simulated rig in every way of the table and assert on what the nodes publish.
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// Only rows whose fault contains this text

@@ -14,8 +14,8 @@ use volant_test::{
     run_folder::RunFolder,
 };
 
-/// Runs the climber's and the platform's nodes in two network namespaces (as root), with loss,
-/// delay, reordering, a cut and restarts between them, and asserts on what the nodes publish.
+/// Run the climber's and the platform's nodes in two network namespaces (as root), with loss,
+/// delay, reordering, a cut and restarts between them, and assert on what the nodes publish.
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// Only rows whose name contains this text; the clean link is run in any case, to compare with

@@ -26,7 +26,7 @@ use volant_test::{
     },
 };
 
-/// Reproduces the paper's tables and figures with the program's own nodes on a simulated bench.
+/// Reproduce the paper's tables and figures with the program's own nodes on a simulated bench.
 ///
 /// fig-2, fig-7, fig-11, fig-12, table-1 and occlusion compare with peers, which need the large
 /// OpenCV: `make reproduce` builds them and writes everything. Without them the other results are

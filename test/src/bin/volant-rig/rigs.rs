@@ -13,8 +13,8 @@ use volant_test::{
     run_folder::RunFolder,
 };
 
-/// Load test: adds simulated rigs, each with its four nodes, until the computer is saturated, and
-/// reports the cost of one.
+/// Load test: add simulated rigs, each with its four nodes, until the computer is saturated, and
+/// report the cost of one.
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// How many, one load after the other
@@ -26,7 +26,7 @@ pub(crate) struct Arguments {
     /// Each rig in a DDS domain of its own, from this one on, instead of all in one domain
     #[arg(long)]
     domains: Option<u16>,
-    /// Goes on though the machine is full
+    /// Go on though the machine is full
     #[arg(long)]
     beyond: bool,
     /// Folder for the nodes' logs, one in it for each run: new, empty or of an earlier run, which

@@ -18,7 +18,7 @@ use volant_test::robustness::{
     table::{self, Bench},
 };
 
-/// Changes recordings in one thing, or in two, and compares the pose with the truth.
+/// Change recordings in one thing, or in two, and compare the pose with the truth.
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// Folder of recordings, each a folder with in.mcap, rig.yaml, truth.mcap and truth_markers.csv

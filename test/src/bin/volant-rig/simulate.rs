@@ -8,7 +8,7 @@ use std::{fs, path::PathBuf};
 use volant::command_line::number;
 use volant_test::live::{Scenario, bag::from_sensors};
 
-/// Writes simulated runs: markers, IMU, climber and ground truth, without images and nodes.
+/// Write simulated runs: markers, IMU, climber and ground truth, without images and nodes.
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// Folder of the runs, each a folder NAME with in.mcap and rig.yaml

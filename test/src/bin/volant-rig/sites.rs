@@ -12,7 +12,7 @@ use volant_test::{
     run_folder::RunFolder,
 };
 
-/// Runs simulated rigs at one site and an operator at another (network namespaces, as root), each
+/// Run simulated rigs at one site and an operator at another (network namespaces, as root), each
 /// in a DDS domain of its own, with Zenoh bridges over a link that loses, delays and is cut.
 #[derive(Args)]
 pub(crate) struct Arguments {

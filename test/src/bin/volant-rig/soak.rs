@@ -12,7 +12,7 @@ use volant_test::{
     soak::live::{self, Seen, SoakConfig},
 };
 
-/// Runs the live rig lap by lap with faults at random, and watches memory, threads, numbers and
+/// Run the live rig lap by lap with faults at random, and watch memory, threads, numbers and
 /// covariances.
 #[derive(Args)]
 pub(crate) struct Arguments {

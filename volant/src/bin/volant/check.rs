@@ -14,7 +14,8 @@ use volant::calibration::{Cores, check_bag};
 /// Bag and files to compare.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Bag with images (or climber/markers), camera_info, climber/transform and volant/imu/data
+    /// Bag with images (or climber/markers), camera_info, climber/transform (or
+    /// climber/joint_states) and volant/imu/data
     bag: PathBuf,
     /// Rig file
     #[arg(long, value_name = "FILE")]

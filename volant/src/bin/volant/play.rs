@@ -35,7 +35,7 @@ pub struct Arguments {
     /// pause
     #[arg(short, long)]
     paused: bool,
-    /// Publish /clock at this rate, Hz
+    /// Publish /clock at this rate, Hz [without a value: 40]
     #[arg(
         long,
         value_name = "HZ",

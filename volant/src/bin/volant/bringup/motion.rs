@@ -34,8 +34,8 @@ const MOTION: [&str; 6] = [
 pub fn encoders(walk: &mut Walk) -> Result<()> {
     outln!(
         "  Lower the platform onto the floor, in view of the camera. Turn the climber to within 45 \
-         degrees of where its turn shall be zero. Then jog one axis after the other to and fro, as \
-         far as the platform stays in view."
+         degrees of where its turn shall be zero. Then jog one axis after the other back and \
+         forth, as far as the platform stays in view."
     )?;
     outln!(
         "  Where is the platform's origin in the world while it rests, m? For an origin on the \
@@ -91,8 +91,8 @@ pub fn encoders(walk: &mut Walk) -> Result<()> {
 pub fn mounting(walk: &mut Walk) -> Result<()> {
     outln!(
         "  Lift the platform. With the new encoder parameters, record a minute of free motion: let \
-         it swing by 15 degrees about both horizontal axes and turn it to and fro, while the climber \
-         drives along both rails and turns."
+         it swing by 15 degrees about both horizontal axes and turn it back and forth, while the \
+         climber drives along both rails and turns."
     )?;
     let bag = walk.recording("swing", &MOTION, 60.0)?;
     // The jog has determined the camera's mounting.

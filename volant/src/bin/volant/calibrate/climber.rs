@@ -23,7 +23,7 @@ use volant_msgs::{Message, cdr, sensor_msgs::msg::JointState};
 pub struct Arguments {
     /// Bag with climber/joint_states, images (or climber/markers) and camera_info: the platform
     /// rests on the floor in view of the camera, the climber starts turned to within 45 degrees of
-    /// zero, and one axis after the other is jogged to and fro, as far as the platform stays in
+    /// zero, and one axis after the other is jogged back and forth, as far as the platform stays in
     /// view (0.3 m or 20 degrees at least)
     #[arg(required_unless_present = "live")]
     pub bag: Option<PathBuf>,
