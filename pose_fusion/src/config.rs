@@ -31,8 +31,8 @@ parameters! {
     pub struct FusionConfig {
         /// The estimator: tight (error-state filter on pixels) or paper (the published filter).
         model: Model = Model::Tight;
-        /// Largest rate of odometry, poses, status, tf and prediction, for slow links; 0: that of
-        /// the IMU.
+        /// Largest rate of odometry, pose, fused_pose, status, tf, predicted_odometry and swing, for
+        /// slow links; 0: that of the IMU.
         publish_rate: f64 = 0.0, unit("Hz"), range(0.0..=1000.0);
         /// volant/visual_pose with model tight: choose between the two planar solutions with the
         /// IMU's direction of gravity.
@@ -199,7 +199,8 @@ parameters! {
     /// Values beyond which a state is unsound and the filter reinitializes.
     #[derive(PartialEq)]
     pub struct LimitConfig {
-        /// Distance of the platform from the climber beyond which the estimate is unsound.
+        /// Horizontal distance of the platform from the climber beyond which the estimate is
+        /// unsound.
         max_range: f64 = 20.0, unit("m"), range(0.1..=1000.0), name("limits.max_range");
         /// Speed of the platform beyond which the estimate is unsound.
         max_speed: f64 = 10.0, unit("m/s"), range(0.1..=100.0), name("limits.max_speed");
@@ -259,8 +260,8 @@ parameters! {
         // Paper, section III-C.
         /// R/Q of the published filter: larger trusts the IMU more.
         ratio: f64 = 10.0, range(1e-6..=1e6), name("paper.ratio");
-        // Paper, section III-A: smaller velocity changes count as none.
-        /// Threshold control of the published filter.
+        // Paper, section III-A.
+        /// Velocity changes below this count as zero (threshold control of the published filter).
         velocity_threshold: f64 = 1e-5, unit("m/s"), range(0.0..=1.0),
             name("paper.velocity_threshold");
         // The paper names nothing that corrects the inertial velocity.

@@ -247,7 +247,7 @@ impl NodeShell for FusionNode {
             (Health::Error, format!("no input for {:.1} s", self.silence()))
         } else if published && image_age > limit {
             let what = if starved {
-                "starved: no climber/markers; the published filter gives no pose without images"
+                "no messages on climber/markers; the published filter outputs no pose without images"
             } else {
                 "coasting on doubly integrated accelerations: no image with three detected \
                  markers and a climber/transform beside it"

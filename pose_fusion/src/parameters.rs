@@ -12,7 +12,7 @@ node_kit::parameters! {
         publish_tf: bool = true;
         /// Publish innovation, NIS and gating outcome of each marker on volant/marker_updates.
         publish_marker_updates: bool = true;
-        /// Without IMU samples or used images for this long the diagnostics say so.
+        /// Time without IMU samples or used images after which the diagnostics report it.
         silence_timeout: f64 = 0.5, unit("s"), range(0.01..=60.0);
         groups {
             /// Configuration of the core.

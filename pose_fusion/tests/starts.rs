@@ -148,10 +148,8 @@ fn two_hundred_starts_are_consistent_and_without_steps() {
     assert!(all.iter().filter(|s| !s.holds()).count() <= 2);
 }
 
-/// Two publishers 10 m apart, and positions in millimeters: readings that no climber reaches one
-/// after another initialize nothing, and the status names them. With the first image the velocity
-/// is unknown: until the second, the position may become too uncertain. One that never comes is
-/// reported.
+/// With the first image the velocity is unknown: until the second, the position may become too
+/// uncertain. One that never comes is reported.
 #[test]
 fn a_pose_is_not_reported_as_lost_while_its_second_image_is_due() {
     for image_rate in [5.0, 10.0, 25.0] {
@@ -173,6 +171,8 @@ fn a_pose_is_not_reported_as_lost_while_its_second_image_is_due() {
     }
 }
 
+/// Two publishers 10 m apart, and positions in millimeters: readings that no climber reaches one
+/// after another initialize nothing, and the status names them.
 #[test]
 fn encoder_readings_that_leap_initialize_no_pose_and_are_reported() {
     // Of a position, and the number of the reading.

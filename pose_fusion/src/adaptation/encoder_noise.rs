@@ -12,8 +12,7 @@ const SMOOTH: f64 = 0.2;
 /// After this time the noise is known, s.
 const YOUNG: f64 = 1.0;
 /// Noise that is assumed beforehand where the steps are finer (m, m, rad; 1 sigma), that of steps
-/// of
-/// 1 mm: readings of fine steps may be noisy …
+/// of 1 mm: readings of fine steps may be noisy …
 const ASSUMED: [f64; 3] = [3e-4, 3e-4, 3e-4];
 /// … with the weight of this many differences.
 const ASSUMED_WEIGHT: f64 = 2.0;

@@ -170,7 +170,7 @@ impl Filter {
         let last_used = self.lock_out.last_used();
         let limit = self.setup.config.markers.lock_out_images;
         let agrees = record.agrees_with_itself();
-        // Encoders that just jumped may be what the image contradicts (see `give_way`), and a shock
+        // Encoders that just jumped may be what the image contradicts, and a shock
         // breaks a prediction that held until then: a marker that has been beside its prediction
         // is itself what is wrong.
         let rejects = self.lock_out.rejects(

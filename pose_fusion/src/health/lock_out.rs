@@ -1,8 +1,8 @@
 //! Recovery where images contradict the prediction.
 //!
 //! An image contradicts where most of its markers are rejected. After `markers.lock_out_images` of
-//! them in a row the prediction gives way, by the mildest explanation first: encoders that jumped
-//! just before are suspended; else the platform was struck, and the time since the last used image
+//! them in a row the prediction gives way, by the mildest explanation first: encoders that
+//! stopped while the images see the climber drive on are suspended; else the platform was struck, and the time since the last used image
 //! is re-propagated with the noise of a shock; shocks that follow each other mean that something
 //! else is wrong, and the pose is reinitialized from the image. The same happens where images have
 //! done nothing but contradict for `STARVED` seconds: a single marker that still passes its gate

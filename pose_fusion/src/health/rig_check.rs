@@ -117,7 +117,7 @@ impl RigCheck {
                 ));
             } else if marker.rejected <= REJECTED && mean > MEAN_INNOVATION {
                 found.push(format!(
-                    "{name} is {mean:.2} px beside its prediction on average (`markers.{name}`, \
+                    "{name} has a mean innovation of {mean:.2} px (`markers.{name}`, \
                      `camera.orientation`, `camera_info`)"
                 ));
             }

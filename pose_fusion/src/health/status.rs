@@ -95,7 +95,7 @@ pub struct Status {
     /// Estimated constants: scale factors of gyroscope and accelerometer, rotations of both, rad;
     /// offsets of the markers, m.
     pub constants: Constants,
-    /// Factor on the markers' claimed sigma that their innovations ask for.
+    /// Factor on the markers' claimed sigma that their innovations require.
     pub pixel_noise_factor: f64,
     /// Rope as identified, where one is configured.
     pub rope: Option<Rope>,

@@ -2,7 +2,7 @@
 //! (`alignment.rs`) until the offset is known.
 //!
 //! An error-state filter corrects its time offset well while it is off by a few milliseconds, and
-//! loses its way where it is off by more than an image period. So the offset is first found by a
+//! diverges where it is off by more than an image period. So the offset is first found by a
 //! batch alignment of the newest window; where one window does not suffice, the costs of several
 //! are added up (`windows.rs`). The image poses come on the climber's clock, which is the
 //! camera's, so that nothing else depends on the offset.

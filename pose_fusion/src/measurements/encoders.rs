@@ -36,7 +36,7 @@ pub struct EncoderReading {
     pub time_offset: f64,
 }
 
-/// Returns the innovation of a reading and its derivative rows without changing the state.
+/// Returns the innovation of a reading without changing the state.
 ///
 /// `climber_offset` is the configured offset of the climber's stamps against the camera's, s.
 pub fn innovation(state: &State, reading: &EncoderReading, climber_offset: f64) -> Innovation<3> {

@@ -52,7 +52,9 @@ pub fn count(mask: &[bool; 4]) -> usize {
 }
 
 /// Returns the largest subset of `pass` that is consistent (`any`: whether or not it is), among
-/// equals the likeliest, and its solution; `None` where there is none. One marker alone is consistent with itself, which proves
+/// equals the likeliest, and its solution; `None` where there is none.
+///
+/// One marker alone is consistent with itself, which proves
 /// nothing: it is used only where it is alone.
 pub fn largest_consistent(
     pass: &[bool; 4],

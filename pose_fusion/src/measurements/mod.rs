@@ -28,7 +28,7 @@ pub enum Outcome {
     NotPredictable,
     /// The filter is not initialized.
     NotInitialized,
-    /// The image is too old, too far ahead, or arrived twice.
+    /// The image is too old or too far ahead.
     Rejected,
     /// The filter is frozen: compared, but not used.
     Frozen,

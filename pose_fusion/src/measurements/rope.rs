@@ -93,7 +93,7 @@ struct Pull {
     span: Vector3<f64>,
     /// Specific force, world, m/s².
     force: Vector3<f64>,
-    /// Lower end from the unit, upper end from the climber's axis, world axes, m.
+    /// Lower end from the IMU, upper end from the climber's axis, world axes, m.
     arms: [Vector3<f64>; 2],
 }
 

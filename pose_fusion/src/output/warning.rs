@@ -13,8 +13,8 @@ pub enum Warning {
     NotFinite { from: Source, stamp: Stamp, what: &'static str },
     /// An input older than the history.
     #[error(
-        "{from} at {stamp} is {age_s:.3} s older than the newest IMU sample; the parameter \
-         `history` does not reach back so far, it is rejected"
+        "{from} at {stamp} is {age_s:.3} s older than the newest IMU sample and is rejected; check \
+         latency and clocks, or increase `history`"
     )]
     TooOld { from: Source, stamp: Stamp, age_s: f64 },
     /// No stamp.
@@ -42,20 +42,23 @@ pub enum Warning {
     #[error("time jumped back by {by_s:.3} s; the filter reinitializes")]
     TimeJump { by_s: f64 },
     /// No IMU sample for a while.
-    #[error("no IMU sample between {from} and {to}")]
+    #[error(
+        "no IMU sample between {from} and {to}; check the IMU's cable and driver and the computer's \
+         load"
+    )]
     ImuGap { from: Stamp, to: Stamp },
     /// IMU samples have the stamps of their arrival.
     #[error(
-        "the IMU samples come in bursts of {samples:.1} every {every_s:.3} s with the stamps of their \
-         arrival; they count as equally spaced: let the driver stamp each sample when it is taken, \
-         or set the serial adapter's latency timer to 1 ms; look for a second publisher"
+        "the IMU samples are stamped on arrival, in bursts of {samples:.1} every {every_s:.3} s, and \
+         are treated as equally spaced: stamp each sample when it is taken, or set the serial \
+         adapter's latency timer to 1 ms; a second publisher looks the same"
     )]
     ImuBursts { samples: f64, every_s: f64 },
     /// The IMU's own attitude is off by more than it claims.
     #[error(
         "the IMU's own attitude at {stamp} is {:.1}° beside what the markers show and is not used: \
-         let its driver claim a covariance that holds while the platform swings \
-         (orientation_stddev.tilt), and compare imu.orientation",
+         increase the driver's orientation covariance (orientation_stddev.tilt) to what holds \
+         during a swing, and check imu.orientation",
         angle_rad.to_degrees()
     )]
     ImuAttitude { stamp: Stamp, angle_rad: f64 },
@@ -73,8 +76,8 @@ pub enum Warning {
     TimeOffset { offset_s: f64 },
     /// The platform was struck between two IMU samples.
     #[error(
-        "the images since {since} contradict the prediction: a shock that the IMU missed; the \
-         prediction gives way at {stamp}"
+        "the images since {since} contradict the prediction: a shock that the IMU missed; process \
+         noise is added from the last used image to {stamp}"
     )]
     Shock { since: Stamp, stamp: Stamp },
     /// Most markers contradicted the estimate for several images and were consistent with each
@@ -94,7 +97,8 @@ pub enum Warning {
     /// harder than a drive brakes.
     #[error(
         "the encoders repeat one reading since {since}: they stopped harder than a drive brakes, or \
-         the images show that the climber moves; frozen? they are not used until they agree again"
+         the images show that the climber moves. They may be frozen and are not used until they are \
+         consistent with the estimate again"
     )]
     EncodersFrozen { since: Stamp },
     /// The encoders agree with the estimate again.

@@ -1,4 +1,4 @@
-//! The developer bags (folder in the environment variable VOLANT_SHARED) with the true marker
+//! The recordings with ground truth (folder in the environment variable VOLANT_SHARED) with the true marker
 //! centroids plus noise in place of a tracker.
 
 use bag::recording::{Recording, true_centroids};
