@@ -1,6 +1,6 @@
 //! The responses to encoder readings that contradict the prediction.
 
-use super::{Filter, processing::OFFSET_KNOWN};
+use super::Filter;
 use crate::{
     ekf::state::CLIMBER_RATE,
     health::encoder_trust::{Cause, Seen, Verdict},
@@ -116,6 +116,7 @@ impl Filter {
         let Some(since) = standing.into_iter().flatten().max() else { return false };
         let suspected = self.suspect_frozen(standing, since, at);
         if suspected {
+            self.trust.note_trial(at);
             *self.imu.model_error() = Default::default();
         }
         suspected
@@ -168,9 +169,7 @@ impl Filter {
             self.publisher.warn(Warning::EncodersSuspended { stamp: at, distance_m });
         }
         let read = self.read_at(place).unwrap_or(at);
-        // While the time offset is unknown, a climber that sets off contradicts by as much.
-        let known = self.offset_doubt() <= OFFSET_KNOWN;
-        let returns = known && self.climber.moves_on(read);
+        let returns = self.climber.moves_on(read);
         let leaps = returns || self.climber.leaps_near(read);
         let cause = if leaps { Cause::Leap } else { Cause::Contradiction };
         self.trust.suspend(at, cause, returns);

@@ -107,7 +107,6 @@ impl EncoderTrust {
         let suspended = self.suspended.get_or_insert((at, cause));
         if cause == Cause::Frozen {
             suspended.1 = cause;
-            self.tried = Some(at);
         }
         self.returned = returns.then_some(at);
         (self.consistent, self.consistent_since) = (0, None);
@@ -186,6 +185,11 @@ impl EncoderTrust {
     pub fn may_suspect(&self, since: Stamp, at: Stamp) -> bool {
         // A clock that was set back leaves a trial in the future.
         !self.is_suspended() && self.tried.is_none_or(|tried| tried < since || tried > at)
+    }
+
+    /// Notes that encoders which stand are tried without.
+    pub fn note_trial(&mut self, at: Stamp) {
+        self.tried = Some(at);
     }
 
     /// Trusts encoders again that have not leapt, where images contradict the prediction without
@@ -277,6 +281,7 @@ mod tests {
         // Readings that stand are tried without once.
         assert!(trust.may_suspect(at(9500), at(10_000)));
         trust.suspend(at(10_000), Cause::Frozen, false);
+        trust.note_trial(at(10_000));
         assert!(!trust.may_suspect(at(11_000), at(12_000)));
         trust.reset();
         assert!(!trust.may_suspect(at(9500), at(12_000)));

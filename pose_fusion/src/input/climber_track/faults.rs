@@ -7,7 +7,7 @@ use rig_model::{Stamp, wrap_angle};
 
 /// Number of equal readings of encoders that stand.
 const STANDING: usize = 3;
-/// No drive brakes harder than this (m/s², m/s², rad/s²): a climber that stops at once has run into
+/// No drive brakes or sets off harder than this (m/s², m/s², rad/s²): a climber that stops at once has run into
 /// something, or its encoder is frozen.
 const BRAKES: [f64; 3] = [3.0, 3.0, 2.0];
 /// The speed before a stop is that of readings at least this far apart, s.
@@ -99,16 +99,21 @@ impl ClimberTrack {
 
     /// Returns whether the reading at `stamp` is the first of an axis that differs after equal ones,
     /// by no more than a climber drives (3 sigma of [`SPEED`]) in the time for which they were
-    /// equal.
+    /// equal, and by more than one that sets off.
     pub fn moves_on(&self, stamp: Stamp) -> bool {
         let place = self.place_of(stamp);
         let Some(reading) = self.readings.get(place) else { return false };
         let before = || self.readings.iter().take(place).rev();
+        let steps = self.noise.variance().map(|v| (12.0 * v).sqrt());
         (0..3).any(|i| {
-            let Some((_, stood, _)) = before().next() else { return false };
+            let Some((last, stood, _)) = before().next() else { return false };
+            let interval = stamp.seconds_since(*last);
+            let sets_off = 2.0 * steps[i] + BRAKES[i] * interval * interval / 2.0;
+            let mut way = reading.1 - stood;
+            way.z = wrap_angle(way.z);
             before().take_while(|(_, v, _)| v[i] == stood[i]).last().is_some_and(|first| {
                 let lasts = stamp.seconds_since(first.0);
-                reading.1[i] != stood[i] && lasts > STOOD && is_in_reach(reading, first, 0.0)
+                way[i].abs() > sets_off && lasts > STOOD && is_in_reach(reading, first, 0.0)
             })
         })
     }
