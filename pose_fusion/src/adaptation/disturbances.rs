@@ -96,6 +96,17 @@ impl Disturbances {
             .any(|d| d.jerk != Vector3::zeros() && d.from <= at && at.seconds_since(d.to) <= span)
     }
 
+    /// Forgets the disturbances of the climber that reach into the `span` seconds before `at`, and
+    /// returns when the first of them began.
+    pub fn forget_climber(&mut self, at: Stamp, span: f64) -> Option<Stamp> {
+        let recent = |d: &Disturbance| {
+            d.jerk != Vector3::zeros() && d.from <= at && at.seconds_since(d.to) <= span
+        };
+        let from = self.0.iter().filter(|d| recent(d)).map(|d| d.from).min();
+        self.0.retain(|d| !recent(d));
+        from
+    }
+
     /// Returns whether a shock of the platform ends at `to`.
     pub fn has_shock(&self, to: Stamp) -> bool {
         self.0.iter().any(|d| d.force > 0.0 && d.to == to)

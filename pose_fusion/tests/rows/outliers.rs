@@ -53,6 +53,30 @@ fn with_inputs(seed: u64, mut change: impl FnMut(f64, &mut Input)) -> Outcome {
     Outcome { score, outputs, status: fusion.status() }
 }
 
+/// One reading of the encoders is off by as much as a climber that is jerked would just reach, while
+/// two markers are hidden: the readings after it say that it was wrong.
+#[test]
+fn one_encoder_reading_a_few_centimeters_off_is_no_jerk_of_the_climber() {
+    for (seed, off) in (1..=4).flat_map(|seed| [0.024, 0.028, 0.03, 0.033].map(|off| (seed, off))) {
+        let mut wrong = false;
+        let o = with_inputs(seed, |t, input| match input {
+            Input::Climber(c) if t > 5.0 && !wrong => {
+                wrong = true;
+                c.world_from_climber.translation.vector.x += off;
+            }
+            Input::Markers(image) if (4.5..7.0).contains(&t) => {
+                for marker in &mut image.markers.0[..2] {
+                    *marker = MarkerObservation::lost(1);
+                }
+            }
+            _ => {}
+        });
+        println!("seed {seed}, {off} m: {}", o.score);
+        assert!(o.score.position_rmse() < 1.5 && o.score.position.max() < 10.0, "{}", o.score);
+        assert!(consistent(&o.score, 0.2, 5.0), "{}", o.score);
+    }
+}
+
 /// A marker a pixel beside its place for two seconds is rejected, and is no shock.
 #[test]
 fn a_marker_beside_its_place_is_rejected_and_no_shock() {
