@@ -16,6 +16,8 @@ const YOUNG: f64 = 1.0;
 const ASSUMED: [f64; 3] = [3e-4, 3e-4, 3e-4];
 /// … with the weight of this many differences.
 const ASSUMED_WEIGHT: f64 = 2.0;
+/// Encoders are not noisier than this (m, m, rad; 1 sigma): a second publisher, say, is no noise.
+const NOISIEST: f64 = 0.02;
 /// Equal readings in a row count as one, up to this number.
 pub const STANDING: f64 = 8.0;
 
@@ -77,6 +79,7 @@ impl EncoderNoise {
                     // ten times at most.
                     self.weight[axis] = (self.weight[axis] + 1.0).min(100.0);
                     let most = 10.0 * self.variance[axis].max(self.floor[axis]);
+                    let most = most.min(NOISIEST * NOISIEST).max(self.floor[axis]);
                     let square = (d * d / norm).min(most);
                     self.variance[axis] += (square - self.variance[axis]) / self.weight[axis];
                 }
@@ -135,6 +138,19 @@ impl EncoderNoise {
 mod tests {
     use super::*;
     use rig_simulator::random::Random;
+
+    #[test]
+    fn a_second_publisher_a_meter_away_is_no_noise() {
+        let mut noise = EncoderNoise::new(Vector3::repeat(1e-3));
+        for i in 0..500 {
+            let away = if (200..400).contains(&i) && i % 2 == 0 { 1.0 } else { 0.0 };
+            let at = Stamp::from_nanos(i * 10_000_000);
+            let x = (4e-3 * i as f64 * 1e3).round() * 1e-3;
+            noise.add(at, &Vector3::new(x + away, 0.0, 0.0));
+            assert!(noise.variance().x.sqrt() <= NOISIEST, "{i}");
+        }
+        assert!(noise.variance().x.sqrt() < 0.015, "{}", noise.variance().x.sqrt());
+    }
 
     /// A poor link leaves the readings of a moving climber unevenly spaced.
     #[test]
