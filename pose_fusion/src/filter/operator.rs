@@ -46,7 +46,7 @@ impl Filter {
     }
 
     /// Puts the platform at a pose with its covariance (position and rotation about world axes).
-    /// Its velocity becomes the climber's within [`INITIAL_VELOCITY`]; time offset and biases stay.
+    /// Its velocity becomes the climber's within `INITIAL_VELOCITY`; time offset and biases stay.
     ///
     /// # Errors
     /// No camera model, IMU sample or encoder reading yet; a stamp that the history does not reach;

@@ -2,7 +2,7 @@
 //!
 //! A reading of a moving climber has an error like white noise (variance step²/12). While the
 //! reading stands still its error stands still too: its variance is multiplied by the number of
-//! equal readings so far (see [`crate::adaptation::encoder_noise`]). A climber at rest is therefore
+//! equal readings so far (see `adaptation::encoder_noise`). A climber at rest is therefore
 //! never known much better than its encoders' step.
 
 use super::{Innovation, Outcome};

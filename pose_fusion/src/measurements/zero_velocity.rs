@@ -1,6 +1,6 @@
 //! Zero-velocity update: a platform at rest has no velocity and no angular velocity.
 //!
-//! Applied where the IMU's samples of a window show no motion ([`crate::adaptation::stationary`])
+//! Applied where the IMU's samples of a window show no motion (`adaptation::stationary`)
 //! and the state does not contradict it. A slow swing that hides in the IMU's noise contradicts by
 //! its velocity.
 

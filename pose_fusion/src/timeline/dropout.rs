@@ -3,7 +3,7 @@
 //! Across a gap of `T` seconds between two samples the readings are interpolated. A motion of
 //! angular frequency ω and amplitude A is then missed by at most `A ω² T²/8` (the remainder of the
 //! interpolation), and by A where the gap is longer than that reaches. The error is nearly constant
-//! over [`CORRELATION`] at most, so it acts as white noise of the density
+//! over `CORRELATION` at most, so it acts as white noise of the density
 //! `error² · min(T, CORRELATION)` on velocity and attitude. Without a later sample the state moves
 //! uniformly, with the noise of a motion that is missed altogether.
 
