@@ -51,8 +51,8 @@ pub fn count(mask: &[bool; 4]) -> usize {
     mask.iter().filter(|m| **m).count()
 }
 
-/// Returns the largest subset of `pass` that is consistent (`any`: whether or not it is), among
-/// equals the likeliest, and its solution; `None` where there is none.
+/// Returns the largest consistent subset of `pass`, among equals the likeliest, and its solution;
+/// `None` where there is none. With `any` every subset counts as consistent.
 ///
 /// One marker alone is consistent with itself, which proves
 /// nothing: it is used only where it is alone.
