@@ -283,7 +283,7 @@ fn stamps_an_hour_ahead_have_no_lasting_effect_without_the_imu() {
     let begin = scoring::start(&run.truth);
     let at = |seconds: f64| begin.plus_seconds(seconds);
     let silent = |stamp: Stamp| (at(3.0)..at(3.6)).contains(&stamp);
-    let found = |wrong: &dyn Fn(&Input) -> bool, when: f64, imu_from: f64, wrong_ones: u32| {
+    let found = |wrong: &dyn Fn(&Input) -> bool, when: f64, imu_from: f64, aheads: &[f64]| {
         let (mut done, mut inputs) = (false, Vec::new());
         for (arrived, input) in &run.inputs {
             let is_imu = matches!(input, Input::Imu(_));
@@ -293,8 +293,7 @@ fn stamps_an_hour_ahead_have_no_lasting_effect_without_the_imu() {
             inputs.push(input.clone());
             if !done && *arrived > at(when) && wrong(input) {
                 done = true;
-                inputs
-                    .extend((0..wrong_ones).map(|k| shifted(input, 3600.0 + 0.03 * f64::from(k))));
+                inputs.extend(aheads.iter().map(|ahead| shifted(input, *ahead)));
             }
         }
         assert!(done);
@@ -309,14 +308,16 @@ fn stamps_an_hour_ahead_have_no_lasting_effect_without_the_imu() {
         ("encoders while the IMU is silent", &is_climber, 3.4, 0.0),
         ("image while the IMU is silent", &is_image, 3.4, 0.0),
     ] {
-        for count in [1, 3] {
-            let outputs = found(wrong, when, imu_from, count);
+        // One, the same one twice, and a second one that confirms the first.
+        for aheads in [&[3600.0][..], &[3600.0, 3600.0], &[3600.0, 3600.03, 3600.06]] {
+            let count = aheads.len();
+            let outputs = found(wrong, when, imu_from, aheads);
             let score = scoring::score(&outputs.odometry, &run.truth, 4.2);
             let poses = outputs.odometry.len();
             println!("{count} {what}: {poses} poses, {score}");
             assert!(poses > 380 && score.position_rmse() < 1.5, "{count} {what}: {score}");
             let ahead = outputs.status.iter().any(|s| s.stamp > at(100.0));
-            assert!(count > 1 || !ahead, "{what}: a status an hour ahead");
+            assert!(count > 2 || !ahead, "{count} {what}: a status an hour ahead");
         }
     }
 }
@@ -346,4 +347,25 @@ fn messages_of_another_clock_delay_no_odometry() {
     };
     let (clean, other) = (followed(None), followed(Some(3600.0)));
     assert_eq!(clean, other);
+}
+
+/// Between the start and the first odometry nothing is lost, whatever the order of the inputs.
+#[test]
+fn no_start_is_reported_as_lost() {
+    for ahead in (-10..=40).map(|k| 0.005 * f64::from(k)) {
+        for seed in 1..=2 {
+            let sensors = SensorConfig {
+                camera_clock_ahead: ahead,
+                climber_clock_ahead: ahead,
+                ..SensorConfig::nominal(seed)
+            };
+            let motion = MotionConfig { duration: 1.0, ..MotionConfig::nominal(seed) };
+            let run = simulated::run(motion, &sensors);
+            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+            let outputs = scoring::run(&mut fusion, run.inputs.into_iter().map(|(_, i)| i));
+            let lost: Vec<_> =
+                outputs.status.iter().filter(|s| s.reason.contains("no IMU sample")).collect();
+            assert!(outputs.odometry.len() > 50 && lost.is_empty(), "{ahead} {seed}: {lost:?}");
+        }
+    }
 }

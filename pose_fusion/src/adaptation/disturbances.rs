@@ -31,6 +31,13 @@ struct Disturbance {
     rate: f64,
 }
 
+impl Disturbance {
+    /// Whether this is one of the climber that lasts at `at` or ended within `span` seconds before.
+    fn jerks_climber(&self, at: Stamp, span: f64) -> bool {
+        self.jerk != Vector3::zeros() && self.from <= at && at.seconds_since(self.to) <= span
+    }
+}
+
 /// The newest disturbances.
 #[derive(Clone, Debug)]
 pub struct Disturbances(VecDeque<Disturbance>);
@@ -91,19 +98,14 @@ impl Disturbances {
 
     /// Returns whether the climber is disturbed at `at`, or was within `span` seconds before.
     pub fn is_climber_disturbed(&self, at: Stamp, span: f64) -> bool {
-        self.0
-            .iter()
-            .any(|d| d.jerk != Vector3::zeros() && d.from <= at && at.seconds_since(d.to) <= span)
+        self.0.iter().any(|d| d.jerks_climber(at, span))
     }
 
     /// Forgets the disturbances of the climber that reach into the `span` seconds before `at`, and
     /// returns when the first of them began.
     pub fn forget_climber(&mut self, at: Stamp, span: f64) -> Option<Stamp> {
-        let recent = |d: &Disturbance| {
-            d.jerk != Vector3::zeros() && d.from <= at && at.seconds_since(d.to) <= span
-        };
-        let from = self.0.iter().filter(|d| recent(d)).map(|d| d.from).min();
-        self.0.retain(|d| !recent(d));
+        let from = self.0.iter().filter(|d| d.jerks_climber(at, span)).map(|d| d.from).min();
+        self.0.retain(|d| !d.jerks_climber(at, span));
         from
     }
 

@@ -16,7 +16,7 @@ use rig_model::Stamp;
 
 /// A disturbance of the climber began at most this many readings before the one that reveals it.
 const DISTURBED_READINGS: usize = 2;
-/// A jerk that the reading after it makes impossible began at most this long before that, s.
+/// An impossible reading withdraws a jerk of the climber that ended at most this long before it, s.
 const JERKED: f64 = 0.1;
 /// A climber moves where its estimated rate is this many sigma from zero.
 const MOVES: f64 = 5.0;
@@ -125,8 +125,10 @@ impl Filter {
         suspected
     }
 
-    /// Suspends encoders whose `axes` have stood since then, the one in question since `since`, at
-    /// an image's instant: they may be frozen. Returns false where they cannot be suspected.
+    /// Suspends encoders that may be frozen: `axes` has since when each axis has stood, `since` is the
+    /// one from which readings are excluded (encoder time), `at` the instant of the image that
+    /// contradicts (IMU time). Returns whether they are suspended: not if they already were, or were
+    /// tried without for the same stop.
     pub(super) fn suspect_frozen(
         &mut self,
         axes: [Option<Stamp>; 3],
@@ -144,8 +146,8 @@ impl Filter {
         suspected
     }
 
-    /// Withdraws a jerk of the climber that readings shortly before an impossible one at `at` asked
-    /// for: those readings were wrong, too.
+    /// Withdraws the process noise of a jerk of the climber shortly before an impossible reading at
+    /// `at`, and excludes the readings that it explained: they were wrong, too.
     fn withdraw_jerk(&mut self, at: Stamp) {
         if let Some(from) = self.disturbances.forget_climber(at, JERKED) {
             self.exclude_since(from);
@@ -161,8 +163,8 @@ impl Filter {
         if let Some(entry) = self.history.get_mut(place)
             && let Event::Encoders { excluded, .. } = &mut entry.event
         {
+            self.publisher.counts.excluded_readings += u64::from(!*excluded);
             *excluded = true;
-            self.publisher.counts.excluded_readings += 1;
         }
     }
 

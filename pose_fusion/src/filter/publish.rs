@@ -13,6 +13,7 @@ use crate::{
     output::{
         MarkerUpdates, Odometry, Output, Warning,
         continuity::Continuity,
+        largest_sigma,
         odometry::{Settings, odometry},
         prediction::{self, Changes},
         smoother, swing,
@@ -22,7 +23,6 @@ use crate::{
         history::{Entry, Event},
     },
 };
-use nalgebra::{Matrix3, Vector3, Vector6};
 use rig_model::{PerColor, Rig, Stamp, topics};
 use std::collections::VecDeque;
 
@@ -62,6 +62,8 @@ pub(super) struct Publisher {
     /// Newest instant of the inputs, IMU time.
     now: Option<Stamp>,
     last_published: Option<Stamp>,
+    /// When the filter last had no pose, until the first odometry after that.
+    awaited: Option<Stamp>,
     last_encoders: Option<Stamp>,
     pub(super) markers_used: u8,
     last_status: Option<Stamp>,
@@ -81,6 +83,7 @@ impl Publisher {
             calibration: Uncertainty::new(&config.calibration, &rig.markers),
             now: None,
             last_published: None,
+            awaited: None,
             last_encoders: None,
             markers_used: 0,
             last_status: None,
@@ -198,14 +201,14 @@ impl Filter {
         let mut limited =
             if silent { continuity.follow(odometry) } else { continuity.limit(odometry) };
         if let Some(dispute) = self.trust.dispute() {
-            add_dispute(&mut limited, &dispute, &state.climber);
+            limited.add_dispute(&dispute, &state.climber);
         }
-        let position_sigma = largest_sigma(&limited, 0);
+        let position_sigma = largest_sigma(&limited.pose_covariance, 0);
         let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| end.seconds_since(s));
         let status = PoseStatus {
             stamp: end,
             position_sigma,
-            rotation_sigma: largest_sigma(&limited, 3),
+            rotation_sigma: largest_sigma(&limited.pose_covariance, 3),
             image_age: since(image),
             imu_age: since(self.arrival.newest_imu().map(|(stamp, _)| stamp)),
             climber_age: since(self.publisher.last_encoders),
@@ -234,6 +237,7 @@ impl Filter {
         });
         self.publisher.position_sigma = position_sigma;
         self.publisher.last_published = Some(end);
+        self.publisher.awaited = None;
         self.publisher.silence.imu_lost &= silent;
         self.publisher.silence.resumed = None;
         self.publisher.counts.odometry += 1;
@@ -261,7 +265,11 @@ impl Filter {
     pub fn publish_status(&mut self) {
         let Some(now) = self.publisher.now else { return };
         let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
-        let (started, silent) = (self.start.started, since(self.publisher.last_published));
+        let started = self.start.started;
+        if !started {
+            self.publisher.awaited = Some(now);
+        }
+        let silent = since(self.publisher.awaited.or(self.publisher.last_published));
         let due = !(0.0..STATUS_PERIOD).contains(&since(self.publisher.last_status));
         if !due || (started && silent < SILENT) {
             return;
@@ -381,22 +389,4 @@ impl Filter {
         self.publisher.archive = Some(entries.into_iter().skip(ready).collect());
         smoothed
     }
-}
-
-/// Adds the distance between encoders and estimate (x, y, m; turn of the climber at `climber`, rad)
-/// to the covariance of a pose that moves with the climber.
-fn add_dispute(odometry: &mut Odometry, dispute: &Vector3<f64>, climber: &Vector3<f64>) {
-    let place = odometry.world_from_volant.translation.vector;
-    let arm = Vector3::new(place.x - climber.x, place.y - climber.y, 0.0);
-    let moved = Vector3::new(dispute.x, dispute.y, 0.0) + Vector3::z().cross(&arm) * dispute.z;
-    let off = Vector6::new(moved.x, moved.y, moved.z, 0.0, 0.0, dispute.z);
-    odometry.pose_covariance += off * off.transpose();
-}
-
-/// Largest standard deviation of the position (`first` 0, m) or rotation (`first` 3, rad) of an
-/// odometry.
-fn largest_sigma(odometry: &Odometry, first: usize) -> f64 {
-    let block: Matrix3<f64> =
-        odometry.pose_covariance.fixed_view::<3, 3>(first, first).into_owned();
-    block.symmetric_eigenvalues().max().max(0.0).sqrt()
 }

@@ -14,7 +14,7 @@ pub use swing::Swing;
 pub use warning::Warning;
 
 use crate::{health::pose_status::PoseStatus, measurements::Innovation};
-use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3, Vector6};
 use rig_model::{PerColor, Stamp};
 
 /// One output.
@@ -77,6 +77,23 @@ impl Odometry {
             covariance: (covariance + covariance.transpose()) * 0.5,
         }
     }
+
+    /// Adds the distance between encoders and estimate (x, y, m; turn, rad) to the covariance of a
+    /// pose that moves with a climber at `climber` (x, y, m; turn, rad).
+    pub(crate) fn add_dispute(&mut self, dispute: &Vector3<f64>, climber: &Vector3<f64>) {
+        let place = self.world_from_volant.translation.vector;
+        let arm = Vector3::new(place.x - climber.x, place.y - climber.y, 0.0);
+        let moved = Vector3::new(dispute.x, dispute.y, 0.0) + Vector3::z().cross(&arm) * dispute.z;
+        let off = Vector6::new(moved.x, moved.y, moved.z, 0.0, 0.0, dispute.z);
+        self.pose_covariance += off * off.transpose();
+    }
+}
+
+/// Returns the largest standard deviation of the position (`first` 0, m) or rotation (`first` 3,
+/// rad) of a pose's covariance.
+pub(crate) fn largest_sigma(covariance: &Matrix6<f64>, first: usize) -> f64 {
+    let block = covariance.fixed_view::<3, 3>(first, first).into_owned();
+    block.symmetric_eigenvalues().max().max(0.0).sqrt()
 }
 
 /// Pose with its covariance.

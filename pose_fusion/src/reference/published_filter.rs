@@ -7,7 +7,7 @@ use crate::{
         pose_status::{PoseState, PoseStatus},
         status::{Counts, ImuStatus, InputCounts, Status},
     },
-    output::Output,
+    output::{Output, largest_sigma},
     timeline::dropout::GAP,
 };
 use rig_model::{Rig, Sample, Stamp};
@@ -136,9 +136,8 @@ impl PublishedFilter {
     /// Largest standard deviation of the position (`first` 0, m) or of roll, pitch and yaw (3, rad);
     /// infinite without an estimate.
     fn sigma(&self, first: usize) -> f64 {
-        self.filter.covariance().map_or(f64::INFINITY, |covariance| {
-            let block = covariance.fixed_view::<3, 3>(first, first).into_owned();
-            block.symmetric_eigenvalues().max().max(0.0).sqrt()
-        })
+        self.filter
+            .covariance()
+            .map_or(f64::INFINITY, |covariance| largest_sigma(covariance, first))
     }
 }

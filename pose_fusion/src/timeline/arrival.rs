@@ -74,7 +74,7 @@ impl Since {
                 }
                 self.count += 1;
             }
-            Some(step) if !from(self.jumped).is_some_and(|s| (0.0..JUMP).contains(&s)) => {
+            Some(step) if !from(self.jumped).is_some_and(|s| s > 0.0 && s < JUMP) => {
                 self.jumped = Some(stamp);
                 return Some(step);
             }
