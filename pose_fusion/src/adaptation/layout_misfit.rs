@@ -9,8 +9,6 @@ use crate::measurements::markers::Offsets;
 /// Memory, and fewest images before the mean counts: one second, and half a second of most cameras.
 const MEMORY: f64 = 30.0;
 const FEWEST: f64 = 15.0;
-/// Fewest images while none has confirmed the layout: the first pose is built on it.
-const FIRST: f64 = 3.0;
 /// Images after which a layout that they did not contradict is confirmed: three seconds.
 const CONFIRMED: f64 = 90.0;
 /// A confirmed layout must be contradicted by this many images in a row, five seconds, by more than
@@ -33,9 +31,8 @@ pub struct LayoutMisfit {
     mean: Offsets,
     /// Mean square, m².
     square: f64,
-    /// Images in the mean, and in all.
+    /// Images in the mean.
     count: f64,
-    compared: f64,
     /// Images in a row that contradict a confirmed layout.
     contrary: u32,
 }
@@ -52,22 +49,19 @@ impl LayoutMisfit {
     pub fn add(&mut self, misfit: &Offsets) -> Option<f64> {
         let own = sigma(misfit)?;
         self.count += 1.0;
-        self.compared += 1.0;
         let weight = (1.0 / self.count).max(1.0 / MEMORY);
         self.mean += (misfit - self.mean) * weight;
         self.square += (misfit.norm_squared() - self.square) * weight;
         let mean = self.mean.norm_squared();
         let lasts = mean > LASTING * (self.square - mean) * weight;
-        let fewest = if self.compared <= FEWEST { FIRST } else { FEWEST };
-        let limit = MISFIT * (FEWEST / self.count).sqrt().max(1.0);
         self.contrary = if own > 2.0 * MISFIT { self.contrary + 1 } else { 0 };
         let due = match self.count > CONFIRMED {
             true => self.contrary >= REFUTED,
-            false => self.count >= fewest,
+            false => self.count >= FEWEST,
         };
-        let found = sigma(&self.mean).filter(|sigma| due && lasts && *sigma > limit);
+        let found = sigma(&self.mean).filter(|sigma| due && lasts && *sigma > MISFIT);
         if found.is_some() {
-            *self = Self { compared: self.compared, ..Self::default() };
+            *self = Self::default();
         }
         found
     }

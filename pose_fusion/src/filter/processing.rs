@@ -169,7 +169,7 @@ impl Filter {
         }
         let last_used = self.lock_out.last_used();
         let limit = self.setup.config.markers.lock_out_images;
-        let agrees = record.agrees_with_itself();
+        let agrees = record.agrees_with_itself() && self.markers.agreed_before();
         // Encoders that just jumped may be what the image contradicts, and a shock
         // breaks a prediction that held until then: a marker that has been beside its prediction
         // is itself what is wrong.
@@ -221,6 +221,14 @@ impl Filter {
             self.publisher.warn(Warning::EncodersResumed { stamp: at });
             self.lock_out.responded(stamp);
             return self.reinitialize(stamp, image, stamp, true);
+        }
+        // Markers that contradict each other as well are noisier than they claim.
+        if let (Response::GiveWay(_), Some(misfit), false) =
+            (response, &record.misfit, record.agrees_with_itself())
+        {
+            self.markers.raise_noise(self.markers.noise_factor() * misfit.noise_factor());
+            self.lock_out.clear();
+            return false;
         }
         match response {
             Response::None => false,

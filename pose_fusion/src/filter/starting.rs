@@ -202,6 +202,7 @@ impl Filter {
         self.lock_out.initialized(stamp);
         self.publisher.warn(Warning::Initialized { stamp });
         self.start.started = true;
+        self.markers.raise_noise(start.noise_factor);
         let mut state = start.state;
         self.remember(&mut state);
         self.begin(at, state);
@@ -299,6 +300,7 @@ impl Filter {
         let Some(start) = self.likeliest_start(at, &image, ups, &prior, &old.calibration) else {
             return false;
         };
+        self.markers.raise_noise(start.noise_factor);
         let mut state = start.state;
         inherit(&mut state, &old, self.start.searches_again);
         state.climber_acceleration = old.climber_acceleration;

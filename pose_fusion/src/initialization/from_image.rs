@@ -24,9 +24,9 @@ use crate::{
     measurements::{
         encoders::by_parameter,
         geometry::Geometry,
-        marker_misfit::misfit,
+        marker_misfit::{Misfit, misfit},
         marker_prediction::linearize,
-        markers::{self, Image, ImageInnovation, Offsets, Pixels},
+        markers::{self, Image, ImageInnovation, Pixels},
     },
 };
 use nalgebra::{Matrix2, Point3, UnitQuaternion, Vector3};
@@ -53,6 +53,8 @@ pub struct Start {
     pub state: State,
     /// Records of the image's markers.
     pub record: ImageInnovation,
+    /// Factor on the claimed pixel variance with which the markers fit together.
+    pub noise_factor: f64,
 }
 
 /// Climber at the image with the uncertainty that an initial state is given.
@@ -92,8 +94,9 @@ impl ClimberPrior {
 }
 
 /// Returns the most likely initial state that the image allows, with the constants that are known;
-/// `None` where its markers fit no pose. Markers that fit one but for an error of their places make
-/// the places uncertain by as much.
+/// `None` where its markers fit no pose. Markers that fit one but for some millimeters count as
+/// noisier than they claim by as much: an error of their places stays, and is found from more
+/// images ([`layout_misfit`]).
 pub fn start(
     geometry: &Geometry,
     config: &TightConfig,
@@ -104,17 +107,19 @@ pub fn start(
 ) -> Option<Start> {
     let misfit = match attempt(geometry, config, image, up, climber, calibration) {
         Ok(start) => return Some(start),
-        Err(misfit) => misfit.filter(|_| config.calibration.marker > 0.0)?,
+        Err(misfit) => misfit?,
     };
-    let mut calibration = *calibration;
-    calibration.open_layout(layout_misfit::sigma(&misfit)?);
-    attempt(geometry, config, image, up, climber, &calibration).ok()
+    layout_misfit::sigma(&misfit.offsets)?;
+    let noise_factor = misfit.noise_factor();
+    let image = image.with_noise(noise_factor);
+    let start = attempt(geometry, config, &image, up, climber, calibration).ok()?;
+    Some(Start { noise_factor, ..start })
 }
 
 /// Returns the start from the image.
 ///
 /// # Errors
-/// The markers fit no pose, or not together: by how much, as offsets of their centers.
+/// The markers fit no pose, or not together: by how much.
 fn attempt(
     geometry: &Geometry,
     config: &TightConfig,
@@ -122,7 +127,7 @@ fn attempt(
     up: Option<&Up>,
     climber: &ClimberPrior,
     calibration: &Calibration,
-) -> Result<Start, Option<Offsets>> {
+) -> Result<Start, Option<Misfit>> {
     let world_from_climber = image.rest.join(&climber.values);
     let world_from_camera = world_from_climber * geometry.climber_from_camera;
     let solve = |tilt: Option<&TiltPrior>| candidates(geometry, calibration, &image.pixels(), tilt);
@@ -150,7 +155,7 @@ fn attempt(
     let linear = linearize(&state, geometry, image, &none);
     let found = misfit(&state, geometry, image, &none, &linear);
     if let Some(misfit) = found.filter(|misfit| misfit.squared() > LARGEST_MISFIT) {
-        return Err(Some(misfit.offsets));
+        return Err(Some(misfit));
     }
     if best.cost > LARGEST_COST {
         return Err(None);
@@ -191,7 +196,7 @@ fn attempt(
     );
     (state.position, state.attitude) = (position, attitude);
     (state.climber, state.climber_rate) = (climber.values, climber.rates);
-    Ok(Start { state, record })
+    Ok(Start { state, record, noise_factor: 1.0 })
 }
 
 /// Returns the poses that an image allows, the likeliest first, with the markers where they are

@@ -8,7 +8,7 @@ use crate::{
         stamp_jitter::{self, KEPT},
     },
     config::MarkerConfig,
-    measurements::markers::{Offsets, Pixels, Residual},
+    measurements::markers::{AGREEING, Offsets, Pixels, Residual},
     output::Warning,
     timeline::arrival::Source,
 };
@@ -69,6 +69,16 @@ impl MarkerInput {
         let stays = if rejected { whitened.dot(&self.whitened) } else { 0.0 };
         self.noise.add(whitened.norm_squared() - stays, &PIXEL_NOISE);
         self.whitened = *whitened;
+    }
+
+    /// Raises the factor on the claimed pixel variance to at least `factor`.
+    pub fn raise_noise(&mut self, factor: f64) {
+        self.noise.raise(factor, &PIXEL_NOISE);
+    }
+
+    /// Returns whether the markers of the image before agreed with each other.
+    pub fn agreed_before(&self) -> bool {
+        self.whitened.norm_squared() < AGREEING
     }
 
     /// Returns the factor on the claimed pixel variance.

@@ -33,6 +33,11 @@ impl Misfit {
     pub fn squared(&self) -> f64 {
         self.whitened.norm_squared()
     }
+
+    /// Returns the factor on the pixels' variance with which the residuals are as expected.
+    pub fn noise_factor(&self) -> f64 {
+        self.squared() / 2.0
+    }
 }
 
 /// Returns what no pose explains of an image; `None` without four markers.

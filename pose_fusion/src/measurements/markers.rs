@@ -48,6 +48,9 @@ pub type Offsets = SVector<f64, OFFSETS>;
 /// Where the attitude is known worse than this, rad, one or two markers fit whatever they are: they
 /// are not used where more are seen. A single one that is seen may contradict it there.
 pub const ATTITUDE_KNOWN: f64 = 0.02;
+/// Largest squared misfit of markers that agree with each other: 0.999 quantile of χ² with two
+/// degrees of freedom.
+pub const AGREEING: f64 = 13.82;
 /// Centroid (raw px) and covariance (px²) of each detected marker.
 pub type Pixels = [Option<(Vector2<f64>, Matrix2<f64>)>; 4];
 
@@ -93,6 +96,12 @@ impl Image {
         })
     }
 
+    /// Returns the image with the variance of its pixels times `factor`.
+    pub fn with_noise(&self, factor: f64) -> Self {
+        let covariances = self.covariances.map(|c| c.map(|x| x * factor as f32));
+        Self { covariances, ..*self }
+    }
+
     /// Returns whether a marker is detected.
     pub fn has(&self, marker: usize) -> bool {
         self.detected[marker]
@@ -121,10 +130,9 @@ pub struct ImageInnovation {
 }
 
 impl ImageInnovation {
-    /// Returns whether four markers agree with each other, whatever the prediction (0.999
-    /// quantile).
+    /// Returns whether four markers agree with each other, whatever the prediction.
     pub fn agrees_with_itself(&self) -> bool {
-        self.misfit.is_some_and(|misfit| misfit.squared() < 13.82)
+        self.misfit.is_some_and(|misfit| misfit.squared() < AGREEING)
     }
 }
 
