@@ -148,6 +148,41 @@ fn reordered_imu_samples_are_sorted() {
     assert!(outputs.odometry.windows(2).all(|w| w[1].stamp > w[0].stamp));
 }
 
+/// The IMU's clock is set back by less than a second: its samples are no late ones. A second stream
+/// of samples with older stamps is rejected, and no clock was set.
+#[test]
+fn an_imu_clock_that_is_set_back_restarts_the_filter_and_a_second_stream_does_not() {
+    let run = recording();
+    let begin = scoring::start(&run.truth);
+    for back in [0.05, 0.2, 0.6] {
+        let inputs = run.inputs.iter().map(|(_, input)| match input {
+            Input::Imu(s) if s.stamp.seconds_since(begin) > 5.0 => {
+                Input::Imu(ImuSample { stamp: s.stamp.plus_seconds(-back), ..*s })
+            }
+            other => other.clone(),
+        });
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        let outputs = scoring::run(&mut fusion, inputs);
+        assert_eq!(fusion.status().counts.resets.time_jumps, 1, "{back} s");
+        let jump =
+            |w: &Warning| matches!(w, Warning::TimeJump { by_s } if (by_s - back).abs() < 0.05);
+        assert!(outputs.warnings.iter().any(jump), "{back} s: {:?}", outputs.warnings);
+    }
+    let inputs = run.inputs.iter().flat_map(|(_, input)| match input {
+        Input::Imu(s) => {
+            let old = ImuSample { stamp: s.stamp.plus_seconds(-0.033), ..*s };
+            vec![input.clone(), Input::Imu(old)]
+        }
+        other => vec![other.clone()],
+    });
+    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+    let outputs = scoring::run(&mut fusion, inputs);
+    let score = scoring::score(&outputs.odometry, &run.truth, 1.0);
+    println!("second stream: {score}");
+    assert_eq!(fusion.status().counts.resets.time_jumps, 0);
+    assert!(score.position_rmse() < 1.2 && score.rotation_rmse() < 0.2, "{score}");
+}
+
 #[test]
 fn a_looped_recording_reinitializes() {
     let run = recording();

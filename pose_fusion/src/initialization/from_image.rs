@@ -127,7 +127,7 @@ fn attempt(
     up: Option<&Up>,
     climber: &ClimberPrior,
     calibration: &Calibration,
-) -> Result<Start, Option<Misfit>> {
+) -> Result<Start, Option<Box<Misfit>>> {
     let world_from_climber = image.rest.join(&climber.values);
     let world_from_camera = world_from_climber * geometry.climber_from_camera;
     let solve = |tilt: Option<&TiltPrior>| candidates(geometry, calibration, &image.pixels(), tilt);
@@ -155,7 +155,7 @@ fn attempt(
     let linear = linearize(&state, geometry, image, &none);
     let found = misfit(&state, geometry, image, &none, &linear);
     if let Some(misfit) = found.filter(|misfit| misfit.squared() > LARGEST_MISFIT) {
-        return Err(Some(misfit));
+        return Err(Some(Box::new(misfit)));
     }
     if best.cost > LARGEST_COST {
         return Err(None);
