@@ -148,38 +148,25 @@ fn reordered_imu_samples_are_sorted() {
     assert!(outputs.odometry.windows(2).all(|w| w[1].stamp > w[0].stamp));
 }
 
-/// The IMU's clock is set back by less than a second: its samples are no late ones. A second stream
-/// of samples with older stamps is rejected, and no clock was set.
+/// Each IMU sample is delivered up to 0.2 s late, so that they come in any order: every one of them
+/// still counts, and none is taken for a clock that was set.
 #[test]
-fn an_imu_clock_that_is_set_back_restarts_the_filter_and_a_second_stream_does_not() {
+fn imu_samples_in_any_order_within_a_fifth_of_a_second_cost_no_accuracy() {
     let run = recording();
-    let begin = scoring::start(&run.truth);
-    for back in [0.05, 0.2, 0.6] {
-        let inputs = run.inputs.iter().map(|(_, input)| match input {
-            Input::Imu(s) if s.stamp.seconds_since(begin) > 5.0 => {
-                Input::Imu(ImuSample { stamp: s.stamp.plus_seconds(-back), ..*s })
-            }
-            other => other.clone(),
-        });
-        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-        let outputs = scoring::run(&mut fusion, inputs);
-        assert_eq!(fusion.status().counts.resets.time_jumps, 1, "{back} s");
-        let jump =
-            |w: &Warning| matches!(w, Warning::TimeJump { by_s } if (by_s - back).abs() < 0.05);
-        assert!(outputs.warnings.iter().any(jump), "{back} s: {:?}", outputs.warnings);
-    }
-    let inputs = run.inputs.iter().flat_map(|(_, input)| match input {
-        Input::Imu(s) => {
-            let old = ImuSample { stamp: s.stamp.plus_seconds(-0.033), ..*s };
-            vec![input.clone(), Input::Imu(old)]
+    let mut random = rig_simulator::random::Random::new(7);
+    let mut inputs = run.inputs.clone();
+    for (at, input) in &mut inputs {
+        if matches!(input, Input::Imu(_)) {
+            *at = at.plus_seconds((0.1 + 0.05 * random.normal()).clamp(0.0, 0.2));
         }
-        other => vec![other.clone()],
-    });
+    }
+    inputs.sort_by_key(|(at, _)| *at);
     let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-    let outputs = scoring::run(&mut fusion, inputs);
+    let outputs = scoring::run(&mut fusion, inputs.into_iter().map(|(_, input)| input));
     let score = scoring::score(&outputs.odometry, &run.truth, 1.0);
-    println!("second stream: {score}");
-    assert_eq!(fusion.status().counts.resets.time_jumps, 0);
+    let counts = fusion.status().counts;
+    println!("{score}, {} late", counts.inputs.late_imu);
+    assert!(counts.inputs.late_imu > 200 && counts.resets.time_jumps == 0);
     assert!(score.position_rmse() < 1.2 && score.rotation_rmse() < 0.2, "{score}");
 }
 

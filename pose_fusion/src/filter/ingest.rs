@@ -17,8 +17,6 @@ use rig_model::{ClimberSample, ImuSample, MarkerObservations, Sample, Stamp};
 
 /// Largest standard deviation of the attitude with which the pose goes on after a gap, rad.
 const LARGEST_ATTITUDE: f64 = 0.2;
-/// IMU samples less than this many periods apart have none between them that is late.
-const COMPLETE: f64 = 1.5;
 /// Smallest uncertainty of the IMU's own roll and pitch, rad.
 const SMALLEST_ATTITUDE: f64 = 0.01;
 
@@ -74,7 +72,7 @@ impl Filter {
         match self.arrival.classify(stamp) {
             ImuArrival::First => self.next_imu(sample, reading, None),
             ImuArrival::Next(dt) => self.next_imu(sample, reading, Some(dt)),
-            ImuArrival::Late => self.late_imu(sample, reading),
+            ImuArrival::Late => self.late_imu(stamp, reading),
             ImuArrival::Duplicate => {
                 self.publisher.refuse(Warning::Duplicate { from: Source::Imu, stamp });
             }
@@ -89,16 +87,13 @@ impl Filter {
                 let dt = self.arrival.newest_imu().map(|(newest, _)| stamp.seconds_since(newest));
                 self.next_imu(sample, reading, dt);
             }
-            ImuArrival::Back(by_s) => self.imu_set_back(sample, reading, by_s),
+            ImuArrival::Back(by_s) => {
+                self.publisher.warn(Warning::TimeJump { by_s });
+                self.publisher.counts.resets.time_jumps += 1;
+                self.reset();
+                self.next_imu(sample, reading, None);
+            }
         }
-    }
-
-    /// Starts anew with a sample of an IMU whose clock was set back.
-    fn imu_set_back(&mut self, sample: &ImuSample, reading: ImuReading, by_s: f64) {
-        self.publisher.warn(Warning::TimeJump { by_s });
-        self.publisher.counts.resets.time_jumps += 1;
-        self.reset();
-        self.next_imu(sample, reading, None);
     }
 
     fn next_imu(&mut self, sample: &ImuSample, reading: ImuReading, dt: Option<f64>) {
@@ -183,9 +178,7 @@ impl Filter {
         self.history.rewind(from);
     }
 
-    /// Takes in a sample that is older than the newest one, where it fills a gap.
-    fn late_imu(&mut self, sample: &ImuSample, reading: ImuReading) {
-        let stamp = sample.stamp;
+    fn late_imu(&mut self, stamp: Stamp, reading: ImuReading) {
         let place = self.history.place_of(stamp);
         let before = place.checked_sub(1).and_then(|p| self.history.get(p));
         if before.is_some_and(|n| n.stamp == stamp && matches!(n.event, Event::Imu { .. })) {
@@ -194,12 +187,6 @@ impl Filter {
         if before.is_none() {
             let age_s = self.age(stamp);
             return self.publisher.refuse(Warning::TooOld { from: Source::Imu, stamp, age_s });
-        }
-        if self.history.imu_interval(place).is_some_and(|s| s < COMPLETE * self.imu.period()) {
-            if let Some(by_s) = self.arrival.note_surplus(stamp) {
-                return self.imu_set_back(sample, reading, by_s);
-            }
-            return self.publisher.refuse(Warning::Duplicate { from: Source::Imu, stamp });
         }
         self.publisher.counts.inputs.late_imu += 1;
         let noise = self.imu.densities(&self.setup.rig.imu);

@@ -226,7 +226,7 @@ impl Filter {
         if let (Response::GiveWay(_), Some(misfit), false) =
             (response, &record.misfit, record.agrees_with_itself())
         {
-            self.markers.raise_noise(self.markers.noise_factor() * misfit.noise_factor());
+            self.markers.raise_noise(misfit.noise_factor());
             self.lock_out.clear();
             return false;
         }

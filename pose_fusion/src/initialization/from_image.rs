@@ -53,7 +53,7 @@ pub struct Start {
     pub state: State,
     /// Records of the image's markers.
     pub record: ImageInnovation,
-    /// Factor on the claimed pixel variance with which the markers fit together.
+    /// Factor on the variance of the image's pixels with which the markers fit together.
     pub noise_factor: f64,
 }
 
@@ -109,6 +109,7 @@ pub fn start(
         Ok(start) => return Some(start),
         Err(misfit) => misfit?,
     };
+    // A marker that is further off is a false one.
     layout_misfit::sigma(&misfit.offsets)?;
     let noise_factor = misfit.noise_factor();
     let image = image.with_noise(noise_factor);

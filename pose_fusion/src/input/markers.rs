@@ -71,9 +71,9 @@ impl MarkerInput {
         self.whitened = *whitened;
     }
 
-    /// Raises the factor on the claimed pixel variance to at least `factor`.
-    pub fn raise_noise(&mut self, factor: f64) {
-        self.noise.raise(factor, &PIXEL_NOISE);
+    /// Multiplies the factor on the claimed pixel variance: an image that contains it says so.
+    pub fn raise_noise(&mut self, by: f64) {
+        self.noise.raise(by, &PIXEL_NOISE);
     }
 
     /// Returns whether the markers of the image before agreed with each other.

@@ -11,7 +11,7 @@ pub const AHEAD: f64 = 0.5;
 pub const JUMP: f64 = 1.0;
 /// IMU samples are held up for less than this, s.
 const HELD_UP: f64 = 10.0;
-/// Number of consecutive samples that confirm a jump of the clock.
+/// Number of consecutive samples that confirm a jump.
 const CONFIRMED: u32 = 3;
 /// Images or encoder readings that advance by this, in at least [`MESSAGES`] messages, without an
 /// IMU sample in between mean that the IMU is lost, s.
@@ -44,8 +44,6 @@ pub enum ImuArrival {
 pub struct Arrival {
     newest_imu: Option<(Stamp, ImuReading)>,
     jump: Option<(Stamp, u32)>,
-    /// Late IMU samples since the newest one where there is none missing.
-    surplus: u32,
     /// Images and encoder readings since the newest IMU sample, by [`Source`].
     others: [Since; 2],
     frontier: Option<Stamp>,
@@ -161,15 +159,6 @@ impl Arrival {
         let near = self.frontier.filter(|end| end.seconds_since(stamp) < HELD_UP);
         self.frontier = near.max(Some(stamp));
         self.jump = None;
-        self.surplus = 0;
-    }
-
-    /// Notes a late IMU sample where none is missing. Returns by how many seconds the IMU's clock
-    /// was set back, where several of them, and none that continues the others, show that.
-    pub fn note_surplus(&mut self, stamp: Stamp) -> Option<f64> {
-        self.surplus += 1;
-        let (newest, _) = self.newest_imu?;
-        (self.surplus >= CONFIRMED).then(|| newest.seconds_since(stamp))
     }
 
     /// Notes the stamp of an image or encoder reading. While there are no IMU samples to compare it

@@ -219,13 +219,6 @@ impl History {
             .find(|n| matches!(n.event, Event::Imu { .. }))
     }
 
-    /// Returns the time between the IMU samples before and behind a place, s.
-    pub fn imu_interval(&self, place: usize) -> Option<f64> {
-        let is_imu = |n: &&Entry| matches!(n.event, Event::Imu { .. });
-        let before = (0..place).rev().filter_map(|i| self.get(i)).find(is_imu)?;
-        Some(self.next_imu(place)?.stamp.seconds_since(before.stamp))
-    }
-
     /// Returns the motion at an entry with less noise than a single reading, and half the width of
     /// the mean that it is, s: the triangular mean of the readings before and after it.
     ///
