@@ -1,5 +1,6 @@
 //! Adaptation: noise levels and disturbances identified from the measurements themselves.
 
+pub mod camera_shake;
 pub mod disturbances;
 pub mod encoder_noise;
 pub mod excess;

@@ -249,6 +249,7 @@ impl Filter {
         }
         let mut image = Image::new(&pixels, time_offset, rest);
         image.stamp_sigma = stamp_sigma as f32;
+        image.shake = self.markers.shake.variance().map(|v| v as f32).into();
         image.layout_doubt = layout_doubt.map(|sigma| sigma as f32);
         self.history.insert(at, Event::Image { image, stamp, fresh: true }, ImuReading::default());
         self.process();

@@ -80,7 +80,10 @@ impl Filter {
                     self.imu.note_smoothing(smoothing);
                     self.on_image(place, stamp, &image, &record)
                 }
-                Step::Image { .. } => false,
+                Step::Image { stamp, record, .. } => {
+                    self.markers.shake.corrected(stamp, &record);
+                    false
+                }
             };
             if done {
                 return;
@@ -134,6 +137,7 @@ impl Filter {
         if self.setup.frozen {
             return false;
         }
+        self.markers.shake.add(stamp, record);
         let (Some(entry), Some(geometry)) = (self.history.get(place), &self.setup.geometry) else {
             return false;
         };

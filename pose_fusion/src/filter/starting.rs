@@ -190,7 +190,8 @@ impl Filter {
         if !absent && self.start.wrong_gravity.is_some() {
             return self.publisher.reject(stamp, pixels, Outcome::NotInitialized);
         }
-        let image = Image::new(pixels, time_offset, climber.rest);
+        let mut image = Image::new(pixels, time_offset, climber.rest);
+        image.shake = self.markers.shake.variance().map(|v| v as f32).into();
         let up = up.or_else(|| self.imu.force_up_at(at, &self.history));
         let ups = [self.imu.own_up_at(at), up];
         let prior = ClimberPrior::from_readings(&climber);
@@ -203,6 +204,7 @@ impl Filter {
         self.publisher.warn(Warning::Initialized { stamp });
         self.start.started = true;
         self.markers.raise_noise(start.noise_factor);
+        self.markers.shake.interrupt(stamp, &start.record);
         let mut state = start.state;
         self.remember(&mut state);
         self.begin(at, state);
@@ -301,6 +303,7 @@ impl Filter {
             return false;
         };
         self.markers.raise_noise(start.noise_factor);
+        self.markers.shake.interrupt(stamp, &start.record);
         let mut state = start.state;
         inherit(&mut state, &old, self.start.searches_again);
         state.climber_acceleration = old.climber_acceleration;

@@ -161,7 +161,12 @@ impl Filter {
         let mut to_world = Matrix6::zeros();
         to_world.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
         to_world.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
-        let mut covariance = to_world * best.covariance * to_world.transpose();
+        let mut covariance = best.covariance;
+        let distance = best.camera_from_volant.translation.z / geometry.camera.focal_lengths().x;
+        for (axis, variance) in self.markers.shake.variance().iter().enumerate() {
+            covariance[(axis, axis)] += variance * distance * distance;
+        }
+        let mut covariance = to_world * covariance * to_world.transpose();
         let noise = climber.noise + climber.growth;
         for axis in 0..2 {
             covariance[(axis, axis)] += noise[axis] * noise[axis];

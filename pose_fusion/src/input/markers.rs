@@ -3,6 +3,7 @@
 
 use crate::{
     adaptation::{
+        camera_shake::CameraShake,
         excess::{Excess, PIXEL_NOISE},
         layout_misfit::LayoutMisfit,
         stamp_jitter::{self, KEPT},
@@ -26,6 +27,8 @@ const SMALLEST_SIGMA: f64 = 0.01;
 pub struct MarkerInput {
     stamps: VecDeque<Stamp>,
     noise: Excess,
+    /// Shake of the camera.
+    pub shake: CameraShake,
     misfit: LayoutMisfit,
     layout_doubt: Option<f64>,
     /// Misfit of the newest image with four markers, in units of its covariance.

@@ -8,8 +8,8 @@ use super::{
     Innovation, Outcome,
     geometry::{ClimberRest, Geometry},
     marker_misfit::{Misfit, misfit},
-    marker_noise::{layout_spread, measurement_noise},
-    marker_prediction::{by_calibration, innovation_spread, linearize},
+    marker_noise::{layout_spread, mean_variance, measurement_noise},
+    marker_prediction::{by_calibration, innovation_spread, linearize, times_error},
     marker_solution::{Prediction, count, covariance_times, largest_consistent, solve},
 };
 use crate::ekf::{
@@ -66,6 +66,8 @@ pub struct Image {
     pub time_offset: f64,
     /// Standard deviation of the stamp, s.
     pub stamp_sigma: f32,
+    /// Variance of the error that its markers share, x and y of the image, px².
+    pub shake: [f32; 2],
     /// Height and tilt of the climber.
     pub rest: ClimberRest,
     /// By how much the images before contradict the places of the markers (1 sigma), where that is
@@ -83,6 +85,7 @@ impl Image {
             detected: pixels.map(|marker| marker.is_some()),
             time_offset,
             stamp_sigma: 0.0,
+            shake: [0.0; 2],
             rest,
             layout_doubt: None,
         }
@@ -127,6 +130,10 @@ pub struct ImageInnovation {
     /// Normalized innovation squared of four detected markers of which not all are used (8 degrees
     /// of freedom).
     pub against_prediction: Option<f64>,
+    /// Variance of the mean marker without the shake of the camera, x and y of the image, px².
+    pub mean_variance: Vector2<f64>,
+    /// What the correction leaves of each marker's residual, px; NaN where there is none.
+    pub left: [Vector2<f64>; 4],
 }
 
 impl ImageInnovation {
@@ -156,6 +163,8 @@ pub fn update(
         used: 0,
         misfit: None,
         against_prediction: None,
+        mean_variance: Vector2::zeros(),
+        left: [Vector2::repeat(f64::NAN); 4],
     };
     if let (Some(sigma), true) = (image.layout_doubt, apply) {
         state.calibration.open_layout(f64::from(sigma));
@@ -164,6 +173,7 @@ pub fn update(
     let gain = covariance_times(&state.covariance, &linear.jacobian);
     let spread = innovation_spread(&linear.jacobian, &gain);
     let noise = measurement_noise(state, &linear, image, reading);
+    record.mean_variance = mean_variance(&noise, image);
     let seen =
         SMatrix::<f64, 9, PARAMETERS>::from_fn(|k, j| f64::from(state.sensitivity[(j, SEEN[k])]));
     let by_parameter = linear.jacobian * seen + by_calibration(&linear, geometry);
@@ -178,6 +188,7 @@ pub fn update(
             continue;
         }
         marker.residual = linear.residual.fixed_rows::<2>(2 * i).into_owned();
+        record.left[i] = marker.residual;
         marker.covariance = whole.fixed_view::<2, 2>(2 * i, 2 * i).into_owned();
         marker.nis = match Cholesky::new(marker.covariance) {
             Some(c) => marker.residual.dot(&c.solve(&marker.residual)),
@@ -214,7 +225,12 @@ pub fn update(
             consider::correct(&mut state.sensitivity, &gain.into(), &row.transpose());
         }
         let learned = state.calibration.correct(&solution.by_parameter, &solution.whitened);
-        state.add(&(consider::of_constants(&state.sensitivity) * learned));
+        let learned = consider::of_constants(&state.sensitivity) * learned;
+        state.add(&learned);
+        let moved = times_error(&linear.jacobian, &(solution.step + learned));
+        for (i, left) in record.left.iter_mut().enumerate() {
+            *left -= moved.fixed_rows::<2>(2 * i);
+        }
         state.shift_time(reading, state.time_offset - offset, gravity);
         subtract_square(&mut state.covariance, &solution.root);
     }
