@@ -5,8 +5,11 @@ use crate::{
     rejection::Rejection,
 };
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use rig_model::{ClimberSample, Stamp};
-use std::collections::{BTreeMap, VecDeque};
+use rig_model::{ClimberSample, Stamp, wrap_angle};
+use std::{
+    collections::{BTreeMap, VecDeque},
+    f64::consts::{SQRT_2, TAU},
+};
 use thiserror::Error;
 
 /// Joint positions at one instant: `sensor_msgs/JointState` without velocity and effort.
@@ -250,9 +253,8 @@ impl Climber {
     fn jump(&self, before: &Accepted, after: &Accepted) -> Option<Rejection> {
         let seconds = after.stamp.seconds_since(before.stamp);
         Axis::ALL.into_iter().zip(&self.config.joints).enumerate().find_map(|(i, (axis, joint))| {
-            let jump = after.axes[i] - before.axes[i];
-            let allowed =
-                joint.max_speed * seconds + 3.0 * std::f64::consts::SQRT_2 * joint.uncertainty;
+            let jump = change(axis, before.axes[i], after.axes[i]);
+            let allowed = joint.max_speed * seconds + 3.0 * SQRT_2 * joint.uncertainty;
             (jump.abs() > allowed).then_some(Rejection::Jump {
                 axis,
                 jump,
@@ -280,7 +282,10 @@ impl Climber {
             self.candidate = Some(Candidate { last: now, consistent });
             return Err(rejection);
         }
-        let change = std::array::from_fn(|i| now.axes[i] - last.axes[i]);
+        let change = Axis::ALL.map(|axis| {
+            let i = axis as usize;
+            change(axis, last.axes[i], now.axes[i])
+        });
         self.outputs
             .push_back(Output::Warning(Warning::Relocated { change, rejected: consistent - 1 }));
         Ok(now)
@@ -295,6 +300,17 @@ impl Climber {
                 UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn),
             ),
         }
+    }
+}
+
+/// Change of an axis from one reading to a later one, m (rad).
+///
+/// An encoder of the turn may wrap, by one turn at a time; a larger change is an outlier.
+fn change(axis: Axis, before: f64, after: f64) -> f64 {
+    let change = after - before;
+    match axis {
+        Axis::Turn if change.abs() <= 1.5 * TAU => wrap_angle(change),
+        _ => change,
     }
 }
 

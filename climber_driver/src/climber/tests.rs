@@ -3,6 +3,7 @@
 use super::*;
 use crate::config::JointCalibration;
 use proptest::prelude::*;
+use std::f64::consts::PI;
 
 const T0: Stamp = Stamp::from_nanos(1_760_000_000_000_000_000);
 
@@ -145,6 +146,40 @@ fn spikes_are_rejected_and_a_lasting_step_is_accepted_after_the_patience() {
             other => panic!("{other:?}"),
         }
         assert!(i < 300);
+    }
+}
+
+#[test]
+fn an_encoder_of_the_turn_may_wrap() {
+    // At the upper end of its range (0 to 2π, and ±π), forwards and backwards.
+    for end in [TAU, PI] {
+        for rate in [1.0, -1.0] {
+            let mut climber = climber();
+            for k in -50..50 {
+                let seconds = 0.02 * f64::from(k);
+                let turn = end - TAU + (rate * seconds).rem_euclid(TAU);
+                let out = process(&mut climber, &reading(seconds, 0.0, 0.0, turn));
+                let [Output::Sample(sample)] = out.as_slice() else { panic!("{turn}: {out:?}") };
+                let expected = wrap_angle(end + rate * seconds);
+                let yaw = sample.world_from_climber.rotation.euler_angles().2;
+                assert!(wrap_angle(yaw - expected).abs() < 1e-9, "{yaw} {expected}");
+            }
+        }
+    }
+    // A step across the end is reported by its size, and several turns are an outlier.
+    let mut climber = climber();
+    let _ = process(&mut climber, &reading(0.0, 0.0, 0.0, 3.0));
+    let step = rejection(&mut climber, &reading(0.02, 0.0, 0.0, -2.0));
+    assert!(step.to_string().contains("turn jumped by 1.2832 rad"), "{step}");
+    let step = rejection(&mut climber, &reading(0.04, 0.0, 0.0, 3.0 + 5.0 * TAU));
+    assert!(step.to_string().contains("turn jumped by 31.4159 rad"), "{step}");
+    for k in 0.. {
+        let out = process(&mut climber, &reading(0.06 + 0.02 * f64::from(k), 0.0, 0.0, -2.0));
+        if let [Output::Warning(Warning::Relocated { change, .. }), _] = out.as_slice() {
+            assert!((change[2] - (TAU - 5.0)).abs() < 1e-9, "{change:?}");
+            break;
+        }
+        assert!(k < 100, "{out:?}");
     }
 }
 
