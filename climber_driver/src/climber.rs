@@ -126,12 +126,17 @@ impl Climber {
         })
     }
 
-    /// Replaces the configuration and keeps the state.
+    /// Replaces the configuration and keeps the state, except for positions in another calibration.
     ///
     /// # Errors
     /// [`ConfigError`] if a value is invalid; the previous configuration remains in force.
     pub fn set_config(&mut self, config: ClimberConfig) -> Result<(), ConfigError> {
         config.validate()?;
+        if config.joints != self.config.joints {
+            // The last position with another zero or scale is no reference for a jump.
+            self.last = None;
+            self.candidate = None;
+        }
         self.config = config;
         Ok(())
     }

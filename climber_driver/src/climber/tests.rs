@@ -184,6 +184,22 @@ fn an_encoder_of_the_turn_may_wrap() {
 }
 
 #[test]
+fn readings_are_accepted_at_once_in_another_calibration() {
+    let mut climber = climber();
+    let _ = process(&mut climber, &reading(0.0, 0.5, 0.0, 0.0));
+    let mut config = ClimberConfig::default();
+    config.joints[0].zero = -2.0;
+    config.joints[1].scale = -1.0;
+    climber.set_config(config.clone()).unwrap();
+    let out = process(&mut climber, &reading(0.02, 0.5, 0.0, 0.0));
+    let [Output::Sample(sample)] = out.as_slice() else { panic!("{out:?}") };
+    assert_eq!(sample.world_from_climber.translation.x, 2.5);
+    // Any other parameter keeps the reference.
+    climber.set_config(ClimberConfig { height: 3.0, ..config }).unwrap();
+    assert_eq!(rejection(&mut climber, &reading(0.04, 1.5, 0.0, 0.0)).kind(), "jump");
+}
+
+#[test]
 fn a_restarted_replay_resets_the_state() {
     let mut climber = climber();
     assert!(matches!(
