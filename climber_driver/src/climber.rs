@@ -38,6 +38,18 @@ pub enum Warning {
     /// A reading was rejected.
     #[error(transparent)]
     Rejected(Rejection),
+    /// No message so far contains a configured joint.
+    #[error(
+        "joint_states: the messages have {found}, but none of {configured}; \
+         set the parameters joints.rail_x, joints.rail_y and joints.turn to the names in the \
+         messages"
+    )]
+    OtherJoints {
+        /// Joint names in the last message.
+        found: String,
+        /// Configured joint names.
+        configured: String,
+    },
     /// Readings after a jump were consistent with each other and are accepted again.
     #[error(
         "position changed by {:+.3} m, {:+.3} m, {:+.4} rad and accepted after {rejected} \
@@ -63,6 +75,7 @@ impl Warning {
     pub const fn kind(&self) -> &'static str {
         match self {
             Self::Rejected(rejection) => rejection.kind(),
+            Self::OtherJoints { .. } => "other joints",
             Self::Relocated { .. } => "relocated",
             Self::TimeWentBack { .. } => "time went back",
         }
@@ -107,6 +120,11 @@ pub struct Climber {
 
 /// Step back of the receiver's clock that resets the state, s; smaller ones are NTP corrections.
 const CLOCK_STEP: f64 = 1.0;
+/// Messages without a configured joint before a warning: another publisher on the topic may be the
+/// first.
+const FOREIGN_PATIENCE: u64 = 10;
+/// Largest number of joint names in a warning: a message may have hundreds.
+const MOST_NAMES: usize = 8;
 
 impl Climber {
     /// Creates the core in its initial state.
@@ -154,7 +172,7 @@ impl Climber {
         }
         self.last_received = Some(received);
         match self.examine(reading, received) {
-            Ok(None) => self.counts.foreign += 1,
+            Ok(None) => self.foreign(reading),
             Ok(Some(accepted)) => {
                 self.counts.accepted += 1;
                 self.last = Some(accepted);
@@ -185,6 +203,22 @@ impl Climber {
     pub fn silent_for(&self, now: Stamp) -> Option<f64> {
         let silence = self.last_accepted_at.map_or(f64::INFINITY, |last| now.seconds_since(last));
         (silence > self.config.silence_timeout).then_some(silence)
+    }
+
+    /// Counts a message without a configured joint; warns if none of many had one.
+    fn foreign(&mut self, reading: &JointReading) {
+        self.counts.foreign += 1;
+        let counts = &self.counts;
+        let any = counts.accepted > 0 || !counts.rejected.is_empty();
+        if !any && counts.foreign >= FOREIGN_PATIENCE {
+            let found = if reading.names.is_empty() {
+                "no joint names".to_owned()
+            } else {
+                format!("the joints {}", listed(reading.names.iter()))
+            };
+            let configured = listed(self.config.joints.iter().map(|joint| &joint.name));
+            self.outputs.push_back(Output::Warning(Warning::OtherJoints { found, configured }));
+        }
     }
 
     /// Checks a reading; `Ok(None)` if it contains none of the configured joints.
@@ -306,6 +340,16 @@ impl Climber {
             ),
         }
     }
+}
+
+/// Names in backquotes, [`MOST_NAMES`] at most.
+fn listed<'a>(names: impl ExactSizeIterator<Item = &'a String>) -> String {
+    let more = names.len().saturating_sub(MOST_NAMES);
+    let mut list = names.take(MOST_NAMES).map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ");
+    if more > 0 {
+        list.push_str(&format!(" and {more} more"));
+    }
+    list
 }
 
 /// Change of an axis from one reading to a later one, m (rad).

@@ -98,6 +98,8 @@ pub struct ClimberNode {
     /// Number of rejections at the last tick.
     rejected_before: u64,
     last_rejection: String,
+    /// The warning that no message has a configured joint.
+    other_joints: Option<String>,
 }
 
 impl NodeShell for ClimberNode {
@@ -147,6 +149,7 @@ impl NodeShell for ClimberNode {
             transform,
             rejected_before: 0,
             last_rejection: String::new(),
+            other_joints: None,
         })
     }
 
@@ -164,8 +167,14 @@ impl NodeShell for ClimberNode {
                     self.transform.publish(message);
                 }
                 Output::Warning(warning) => {
-                    if let Warning::Rejected(rejection) = &warning {
-                        self.last_rejection = rejection.to_string();
+                    match &warning {
+                        Warning::Rejected(rejection) => {
+                            self.last_rejection = rejection.to_string();
+                        }
+                        Warning::OtherJoints { .. } => {
+                            self.other_joints = Some(warning.to_string());
+                        }
+                        Warning::Relocated { .. } | Warning::TimeWentBack { .. } => {}
                     }
                     report(context, &warning);
                 }
@@ -178,25 +187,15 @@ impl NodeShell for ClimberNode {
         let rejected: u64 = counts.rejected.values().sum();
         let mut values = vec![("accepted", counts.accepted.to_string())];
         values.extend(counts.rejected.iter().map(|(kind, n)| (*kind, n.to_string())));
+        values.push(("messages of other joints", counts.foreign.to_string()));
         let new = rejected - self.rejected_before;
         let why = if new == 0 {
             String::new()
         } else {
             format!("; {new} readings rejected in the last second, last: {}", self.last_rejection)
         };
-        let (health, message) = match self.climber.silent_for(context.now()) {
-            Some(seconds) if seconds.is_finite() => {
-                (Health::Error, format!("no reading was accepted for {seconds:.1} s{why}"))
-            }
-            Some(_) => (
-                Health::Error,
-                format!(
-                    "no reading was accepted yet; check the publisher of climber/joint_states{why}"
-                ),
-            ),
-            None if new > 0 => (Health::Warn, format!("readings are received{why}")),
-            None => (Health::Ok, "readings are received".to_owned()),
-        };
+        let silence = self.climber.silent_for(context.now());
+        let (health, message) = summary(silence, &why, self.other_joints.as_deref());
         self.rejected_before = rejected;
         context.diagnose("encoders", health, &message, &values);
     }
@@ -210,13 +209,54 @@ impl NodeShell for ClimberNode {
     }
 }
 
+/// Health and message of the diagnostics.
+///
+/// `silence`: as [`Climber::silent_for`]; `why`: rejections of the last second, or empty.
+fn summary(silence: Option<f64>, why: &str, other_joints: Option<&str>) -> (Health, String) {
+    match (silence, other_joints) {
+        (Some(seconds), _) if seconds.is_finite() => {
+            (Health::Error, format!("no reading was accepted for {seconds:.1} s{why}"))
+        }
+        (Some(_), Some(found)) if why.is_empty() => {
+            (Health::Error, format!("no reading was accepted yet; {found}"))
+        }
+        (Some(_), _) => (
+            Health::Error,
+            format!(
+                "no reading was accepted yet; check the publisher of climber/joint_states{why}"
+            ),
+        ),
+        (None, _) if !why.is_empty() => (Health::Warn, format!("readings are received{why}")),
+        (None, _) => (Health::Ok, "readings are received".to_owned()),
+    }
+}
+
 fn report(context: &mut NodeContext<Received>, warning: &Warning) {
     match warning {
         Warning::Rejected(rejection) => {
             context.log_throttled(Level::Warn, rejection.kind(), rejection.to_string())
         }
+        Warning::OtherJoints { .. } => {
+            context.log_throttled(Level::Warn, warning.kind(), warning.to_string());
+        }
         Warning::Relocated { .. } | Warning::TimeWentBack { .. } => {
             context.log(Level::Warn, warning.to_string());
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_diagnostics_name_joints_that_are_not_configured() {
+        let found = "joint_states: the messages have the joints `bridge`";
+        let (health, message) = summary(Some(f64::INFINITY), "", Some(found));
+        assert!(health == Health::Error && message.contains("`bridge`"), "{message}");
+        // What was rejected since is more specific.
+        let (_, message) = summary(Some(f64::INFINITY), "; 9 readings rejected", Some(found));
+        assert!(message.contains("9 readings") && !message.contains("`bridge`"), "{message}");
+        assert!(summary(None, "", Some(found)).0 == Health::Ok);
     }
 }

@@ -20,7 +20,7 @@ pub enum Rejection {
     /// One configured joint is missing while another one is present.
     #[error(
         "joint_states: the joint `{joint}` ({axis}) is missing; \
-         set the parameter joints.{axis} to its name"
+         publish all three joints in one message, or set the parameter joints.{axis} to its name"
     )]
     MissingJoint {
         /// Configured joint name.

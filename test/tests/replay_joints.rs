@@ -185,6 +185,23 @@ fn rejected_transforms_are_named_by_check_and_replay() {
     }
 }
 
+/// `volant replay` names why no encoder reading was accepted.
+#[test]
+fn encoder_readings_of_other_joints_are_named_by_replay() {
+    let dir = TempDir::new().unwrap();
+    let path = |name: &str| dir.path().join(name);
+    let scenario = Scenario::swing(7, 3.0).unwrap();
+    from_sensors(&path("joints.mcap"), &scenario, topics::absolute::JOINT_STATES, joints).unwrap();
+    // The joints are not named in the parameters.
+    let block = "climber_driver: {ros__parameters: {height: 3.0}}";
+    fs::write(path("rig.yaml"), format!("{}\n{block}\n", scenario.rig_yaml)).unwrap();
+    let output = replay(&path("joints.mcap"), &path("out.mcap"), &path("rig.yaml"), &[]);
+    let printed = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{printed}");
+    assert!(printed.contains("the joints `long`, `cross`, `yaw`"), "{printed}");
+    assert!(printed.contains("joints.rail_x"), "{printed}");
+}
+
 fn messages(path: &Path) -> Vec<Vec<u8>> {
     let mut bag = BagReader::open(path).unwrap();
     std::iter::from_fn(|| bag.next_message().unwrap())

@@ -122,6 +122,36 @@ fn messages_without_configured_joints_are_ignored() {
 }
 
 #[test]
+fn messages_with_other_joints_only_are_named_and_so_is_the_parameter() {
+    let named = |k: u32, names: &[&str]| JointReading {
+        stamp: T0.plus_seconds(0.02 * f64::from(k)),
+        names: names.iter().map(|n| (*n).to_owned()).collect(),
+        positions: vec![0.0; names.len()],
+    };
+    for (names, found) in [
+        (&["bridge", "trolley", "slew"][..], "the joints `bridge`, `trolley`, `slew`"),
+        (&["a"; 12][..], "`a` and 4 more"),
+        (&[][..], "no joint names"),
+    ] {
+        let mut climber = climber();
+        let out: Vec<_> = (0..20).flat_map(|k| process(&mut climber, &named(k, names))).collect();
+        assert!(!out.is_empty() && out.len() < 20, "{out:?}");
+        let Some(Output::Warning(warning)) = out.last() else { panic!("{out:?}") };
+        let text = warning.to_string();
+        for part in [found, "none of `rail_x`, `rail_y`, `turn`;", "joints.rail_x"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        // Not beside readings of the climber.
+        let _ = process(&mut climber, &reading(1.0, 0.0, 0.0, 0.0));
+        assert!(process(&mut climber, &named(60, names)).is_empty());
+    }
+    // One joint per message: another name does not help.
+    let mut climber = climber();
+    let missing = rejection(&mut climber, &named(0, &["rail_x", "rail_y"])).to_string();
+    assert!(missing.contains("all three joints in one message"), "{missing}");
+}
+
+#[test]
 fn spikes_are_rejected_and_a_lasting_step_is_accepted_after_the_patience() {
     let mut climber = climber();
     let patience = ClimberConfig::default().jump_patience;

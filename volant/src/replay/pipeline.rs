@@ -151,6 +151,13 @@ impl Pipeline {
         .into_iter()
         .find_map(|(kind, unusable)| warning(kind).filter(|_| unusable))
         .or_else(|| {
+            // Every encoder reading was rejected: most of them for this reason.
+            let of_encoders =
+                counts.warnings.iter().filter(|(kind, _)| kind.starts_with("climber "));
+            let most = of_encoders.map(|(_, warning)| warning).max_by_key(|(number, _)| *number);
+            most.filter(|_| counts.climber == 0)
+        })
+        .or_else(|| {
             // Undecodable messages are counted by their topic.
             let undecodable = |kind: &str| kind.starts_with('/') && !kind.contains(' ');
             counts.warnings.iter().find(|(kind, _)| undecodable(kind)).map(|(_, warning)| warning)
