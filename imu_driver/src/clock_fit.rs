@@ -83,6 +83,10 @@ struct Origin {
     host: Stamp,
 }
 
+/// Number of points, one per [`BUCKET`], from which on a drift beyond the limit is no jitter of the
+/// arrivals: 1.5 ms of it over 10 s are the default limit.
+const DRIFT_POINTS: usize = 20;
+
 /// Largest number of samples until the fit counts as settled.
 const MOST_SETTLING: usize = 512;
 
@@ -122,6 +126,8 @@ pub struct ClockFit {
     hull: Vec<Point>,
     /// Offset at the origin (s) and drift (s/s).
     line: (f64, f64),
+    /// The drift of the points exceeds [`ClockFitConfig::max_drift`].
+    limited: bool,
     /// Correction of the last stamp, s, which follows the line with a limited slew.
     applied: f64,
     /// Device time of the last stamp since the restart, ns.
@@ -143,6 +149,7 @@ impl ClockFit {
             points: VecDeque::with_capacity(capacity),
             hull: Vec::with_capacity(capacity),
             line: (0.0, 0.0),
+            limited: false,
             applied: 0.0,
             last_device: None,
             last_stamp: None,
@@ -157,6 +164,7 @@ impl ClockFit {
         self.origin = None;
         self.points.clear();
         self.line = (0.0, 0.0);
+        self.limited = false;
         self.applied = 0.0;
         self.last_device = None;
         self.suspicious = None;
@@ -166,6 +174,12 @@ impl ClockFit {
     /// Drift of the device's clock, s/s, positive if it is slow; `None` in the first seconds.
     pub fn drift(&self) -> Option<f64> {
         (self.points.len() >= 10).then_some(self.line.1)
+    }
+
+    /// Whether the clocks drift by more than [`ClockFitConfig::max_drift`]: the rate of messages is
+    /// not the assumed one, or a clock is wrong. Stamps do not follow.
+    pub fn drift_exceeded(&self) -> bool {
+        self.limited && self.points.len() >= DRIFT_POINTS
     }
 
     /// Detects a step of a clock and returns its size, s; [`ClockFit::step`] must follow then.
@@ -310,6 +324,7 @@ impl ClockFit {
         });
         let drift = edge.map_or(0.0, |(_, slope)| slope);
         let drift = if drift.is_finite() { drift } else { 0.0 };
+        self.limited = drift.abs() > self.config.max_drift;
         let drift = drift.clamp(-self.config.max_drift, self.config.max_drift);
         // The highest line of that drift below all points.
         let offset = self.hull.iter().map(|p| p.y - drift * p.x).fold(f64::INFINITY, f64::min);

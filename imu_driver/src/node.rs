@@ -193,6 +193,13 @@ impl NodeShell for ImuNode {
                     "{skipped} bytes in the last second belonged to no message: check the cable"
                 ),
             )
+        } else if now.drift_exceeded {
+            (
+                Health::Warn,
+                "the clocks of IMU and host drift too fast for the clock fit: stamps are wrong; \
+                 see the log"
+                    .to_owned(),
+            )
         } else if clipped > 0 {
             (Health::Warn, format!("{clipped} samples clipped in the last second"))
         } else {
@@ -302,6 +309,7 @@ impl ImuNode {
             Event::ClockSet { .. } | Event::ClockStepped { .. } | Event::DeviceRestarted => {
                 context.log_throttled(level, "clock", line)
             }
+            Event::DriftExceeded { .. } => context.log_throttled(level, "drift", line),
             _ => context.log(level, line),
         }
     }

@@ -136,6 +136,11 @@ pub enum Event {
         /// Change of the offset, s.
         seconds: f64,
     },
+    /// The clocks of device and host drift by more than the limit; reported repeatedly.
+    DriftExceeded {
+        /// The limit, ppm.
+        limit_ppm: f64,
+    },
 }
 
 impl Event {
@@ -207,6 +212,12 @@ impl fmt::Display for Event {
                 f,
                 "samples arrive {seconds:+.3} s later than the clock of the IMU indicates: \
                  one of the two clocks was set, or its data are delayed"
+            ),
+            Self::DriftExceeded { limit_ppm } => write!(
+                f,
+                "the clocks of IMU and host drift by more than {limit_ppm:.0} ppm, so that stamps \
+                 are wrong: let the driver set the rate (leave_settings: false), and check whether \
+                 the host's clock is being corrected (chrony, ntpd)"
             ),
         }
     }

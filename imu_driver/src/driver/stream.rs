@@ -13,6 +13,8 @@ use std::collections::VecDeque;
 const UNREADABLE_LIMIT: u32 = 5;
 /// Time without data after which the device counts as silent, s; at least five message periods.
 const SILENCE: f64 = 0.5;
+/// Interval at which a drift beyond the limit is reported, s.
+const DRIFT_INTERVAL: f64 = 10.0;
 
 /// Counts since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -33,6 +35,8 @@ pub struct Statistics {
     pub status: Option<Status>,
     /// Drift of the device's clock, ppm, positive if it is slow; `None` until it is known.
     pub drift_ppm: Option<f64>,
+    /// The drift exceeds the largest one of the clock fit: stamps are wrong.
+    pub drift_exceeded: bool,
     /// Configured message rate, Hz.
     pub rate: f64,
 }
@@ -48,6 +52,7 @@ pub(super) struct Stream {
     unreadable_in_a_row: u32,
     reported_no_inertial: bool,
     inertial_missing: u32,
+    drift_reported_at: f64,
     statistics: Statistics,
     /// Output configuration written and read back; writing it again would wear the flash.
     settled: Option<(Vec<OutputEntry>, Vec<OutputEntry>)>,
@@ -64,19 +69,21 @@ impl Stream {
             unreadable_in_a_row: 0,
             reported_no_inertial: false,
             inertial_missing: 0,
+            drift_reported_at: f64::NEG_INFINITY,
             statistics: Statistics::default(),
             settled: None,
         }
     }
 
     pub(super) fn begin(&mut self, identity: &Identity, now: f64) {
-        self.time = match (&identity.outputs, &identity.configuration) {
-            (Some(outputs), _) => {
-                let rates = outputs.iter().filter(|o| o.rate != u16::MAX).map(|o| o.rate);
-                DeviceTime::new(1, u32::from(rates.max().unwrap_or(100).max(1)))
-            }
-            (None, Some(c)) => DeviceTime::new(c.ticks_per_message().unwrap_or(1152), 115_200),
-            (None, None) => DeviceTime::new(1152, 115_200),
+        // Without outputs an MTi-10 or 100 sends legacy messages, at the rate of its Configuration.
+        // A rate of zero or FFFF is that of every message.
+        let outputs = identity.outputs.iter().flatten().map(|output| output.rate);
+        let rate = outputs.filter(|rate| (1..u16::MAX).contains(rate)).max();
+        let ticks = identity.configuration.and_then(|c| c.ticks_per_message());
+        self.time = match rate {
+            Some(rate) => DeviceTime::new(1, u32::from(rate)),
+            None => DeviceTime::new(ticks.unwrap_or(1152), 115_200),
         };
         self.decoder.format = identity.configuration.map(|c| c.format);
         self.clock.restart();
@@ -88,7 +95,12 @@ impl Stream {
     }
 
     pub(super) fn statistics(&self, parser: ParserCounts) -> Statistics {
-        Statistics { parser, drift_ppm: self.clock.drift().map(|d| d * 1e6), ..self.statistics }
+        Statistics {
+            parser,
+            drift_ppm: self.clock.drift().map(|d| d * 1e6),
+            drift_exceeded: self.clock.drift_exceeded(),
+            ..self.statistics
+        }
     }
 
     /// Time without data, s, if it exceeds the limit.
@@ -186,6 +198,12 @@ impl Driver {
         }
         if missing {
             self.event(Event::NoInertialData);
+        }
+        let (now, stream) = (self.time.now, &mut self.stream);
+        if stream.clock.drift_exceeded() && now - stream.drift_reported_at >= DRIFT_INTERVAL {
+            stream.drift_reported_at = now;
+            let limit_ppm = self.config.clock.max_drift * 1e6;
+            self.event(Event::DriftExceeded { limit_ppm });
         }
         self.stream.waiting.push_back((placed.device, sample));
         if self.stream.clock.is_settled() {

@@ -74,7 +74,8 @@ pub struct SimulatedImuConfig {
     pub skip: u16,
     /// Output format in flash.
     pub format: LegacyFormat,
-    /// Output configuration of an MTi-1, 10, 100, 600; `None`: legacy device.
+    /// Output configuration of an MTi-1, 10, 100, 600; `None`: legacy device. Empty: an MTi-10 or
+    /// 100 that sends legacy messages.
     pub outputs: Option<Vec<OutputEntry>>,
     /// Counter of the first message.
     pub first_counter: u16,
@@ -126,6 +127,11 @@ impl Default for SimulatedImuConfig {
 }
 
 impl SimulatedImuConfig {
+    /// Outputs of MTData2; `None` if the device sends legacy messages.
+    pub(super) fn mtdata2(&self) -> Option<&[OutputEntry]> {
+        self.outputs.as_deref().filter(|outputs| !outputs.is_empty())
+    }
+
     /// Content of the Configuration message.
     pub fn configuration(&self) -> Configuration {
         Configuration {

@@ -249,7 +249,7 @@ impl SimulatedImu {
         let sample = (self.source)(at);
         let measurement = self.measurement(&sample, at);
         let mut data = Vec::with_capacity(256);
-        let message = if let Some(outputs) = &self.config.outputs {
+        let message = if let Some(outputs) = self.config.mtdata2() {
             let bits = outputs.iter().map(|o| o.id).find(|id| *id >= 0x2000).unwrap_or(0);
             let format = NumberFormat::from_bits(u32::from(bits));
             mtdata2::encode(&measurement, format, &mut data);
@@ -275,17 +275,17 @@ impl SimulatedImu {
     }
 
     fn measurement(&self, s: &SimulatedSample, at: Stamp) -> Measurement {
-        let sends = |id: u16| match &self.config.outputs {
+        let sends = |id: u16| match self.config.mtdata2() {
             Some(outputs) => outputs.iter().any(|o| o.id & 0xFFF0 == id),
             None => true,
         };
-        let frame = if self.config.outputs.is_some() {
+        let frame = if self.config.mtdata2().is_some() {
             GlobalFrame::EastNorthUp
         } else {
             self.config.format.settings.global_frame()
         };
         let q = enu_from_global(frame).inverse() * s.enu_from_imu;
-        let form = match self.config.outputs {
+        let form = match self.config.mtdata2() {
             Some(_) => Some(OrientationForm::Quaternion),
             None => self.config.format.settings.orientation_form(),
         };

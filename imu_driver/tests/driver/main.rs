@@ -8,6 +8,7 @@
 )]
 
 mod bench;
+mod devices;
 
 use bench::{Bench, rms_and_worst};
 use imu_driver::{

@@ -1,0 +1,41 @@
+//! Devices with unusual settings: rates, lines and clocks.
+
+use crate::bench::Bench;
+use imu_driver::{
+    driver::{DriverConfig, Event},
+    simulated_imu::SimulatedImuConfig,
+};
+
+#[test]
+fn an_mti_100_with_legacy_messages_has_the_rate_of_its_configuration() {
+    let imu = SimulatedImuConfig {
+        outputs: Some(vec![]),
+        product_code: "MTi-100".into(),
+        format: DriverConfig::default().legacy_format(),
+        baud: 460_800,
+        period: 288,
+        ..SimulatedImuConfig::default()
+    };
+    let driver = DriverConfig { leave_settings: true, baud: 460_800, ..DriverConfig::default() };
+    let mut bench = Bench::new(driver, imu);
+    bench.run(12.0);
+    assert_eq!(bench.driver.identity().outputs, Some(vec![]), "{:?}", bench.events);
+    assert!((bench.driver.statistics().rate - 400.0).abs() < 1e-9);
+    assert_eq!(bench.imu.flash_writes(), 0);
+    assert!(bench.samples.len() > 4000, "{}", bench.samples.len());
+    bench.check_truth(0.3e-3);
+}
+
+#[test]
+fn a_drift_beyond_the_limit_is_reported() {
+    for (ppm, exceeded) in [(-400.0, true), (400.0, true), (-100.0, false), (100.0, false)] {
+        let imu = SimulatedImuConfig { clock_ppm: ppm, ..SimulatedImuConfig::default() };
+        let mut bench = Bench::new(DriverConfig::default(), imu);
+        bench.host.lateness = 1e-3;
+        bench.run(40.0);
+        let is_drift = |e: &&Event| matches!(e, Event::DriftExceeded { .. });
+        let reports = bench.events.iter().filter(is_drift).count();
+        assert_eq!(bench.driver.statistics().drift_exceeded, exceeded, "{ppm}");
+        assert!(if exceeded { (2..5).contains(&reports) } else { reports == 0 }, "{reports}");
+    }
+}
