@@ -65,8 +65,8 @@ node_kit::parameters! {
 pub struct ImuNode {
     parameters: ImuParameters,
     frames: Frames,
-    /// Variances of one sample from the rig's noise densities, (m/s²)² and (rad/s)².
-    variances: (f64, f64),
+    /// The rig's noise densities, m/s²/√Hz and rad/s/√Hz.
+    noise_densities: (f64, f64),
     data: Publisher<Imu>,
     magnetic_field: Publisher<MagneticField>,
     temperature: Publisher<Temperature>,
@@ -125,14 +125,9 @@ impl NodeShell for ImuNode {
                 || alive.is_open(),
             );
         })?;
-        let per_sample = |density: f64| density * density * parameters.core.rate;
-        let variances = (
-            per_sample(rig.imu.accelerometer_noise_density),
-            per_sample(rig.imu.gyroscope_noise_density),
-        );
         Ok(Self {
             frames: rig.frames,
-            variances,
+            noise_densities: (rig.imu.accelerometer_noise_density, rig.imu.gyroscope_noise_density),
             data,
             magnetic_field,
             temperature,
@@ -248,6 +243,12 @@ fn exceeds(range: f64, v: &nalgebra::Vector3<f64>) -> bool {
     range > 0.0 && v.amax() >= range
 }
 
+/// Rate of the samples, Hz: the device's (its settings may have been left as they are), and the
+/// configured one until that is known.
+fn sample_rate(statistics: Option<&Statistics>, configured: f64) -> f64 {
+    statistics.map(|s| s.rate).filter(|rate| *rate > 0.0).unwrap_or(configured)
+}
+
 impl ImuNode {
     fn publish(&mut self, sample: Sample) {
         let p = &self.parameters;
@@ -264,15 +265,16 @@ impl ImuNode {
                 let diagonal = nalgebra::Vector3::new(tilt, tilt, heading);
                 orientation.covariance = Some(Matrix3::from_diagonal(&diagonal));
             }
-            let variance = |stddev: f64, from_rig: f64| {
-                let v = if stddev > 0.0 { stddev * stddev } else { from_rig };
+            let rate = sample_rate(self.status.as_ref().map(|s| &s.statistics), p.core.rate);
+            let variance = |stddev: f64, density: f64| {
+                let v = if stddev > 0.0 { stddev * stddev } else { density * density * rate };
                 (v > 0.0).then_some(v)
             };
             self.data.publish(convert::imu_message(
                 &self.frames.imu,
                 &imu,
-                variance(p.accelerometer_stddev, self.variances.0),
-                variance(p.gyroscope_stddev, self.variances.1),
+                variance(p.accelerometer_stddev, self.noise_densities.0),
+                variance(p.gyroscope_stddev, self.noise_densities.1),
             ));
         }
         let header = || convert::header(&self.frames.imu, sample.stamp);
@@ -312,5 +314,19 @@ impl ImuNode {
             Event::DriftExceeded { .. } => context.log_throttled(level, "drift", line),
             _ => context.log(level, line),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_covariance_is_that_of_the_devices_rate() {
+        assert_eq!(sample_rate(None, 100.0), 100.0);
+        let mut statistics = Statistics::default();
+        assert_eq!(sample_rate(Some(&statistics), 100.0), 100.0, "before the device measures");
+        statistics.rate = 400.0;
+        assert_eq!(sample_rate(Some(&statistics), 100.0), 400.0);
     }
 }

@@ -231,7 +231,13 @@ impl Runner {
             while let Some(output) = self.driver.poll() {
                 let go_on = match output {
                     Output::Sample(sample) => report(Report::Sample(sample)),
-                    Output::Event(event) => report(Report::Event(event)),
+                    Output::Event(event) => {
+                        if matches!(event, Event::Measuring(_)) {
+                            // The status contains the rate, which is needed with the first sample.
+                            status_at = Stamp::default();
+                        }
+                        report(Report::Event(event))
+                    }
                     Output::Close => {
                         port = None;
                         true

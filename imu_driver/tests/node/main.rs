@@ -135,6 +135,18 @@ fn messages_are_published_without_delay_and_with_accurate_stamps() {
 }
 
 #[test]
+fn with_settings_left_as_they_are_the_covariance_has_the_rate_of_the_imu() {
+    let config = SimulatedImuConfig { period: 2304, ..SimulatedImuConfig::default() };
+    let harness = Harness::start("covariance", 76, config, &["-p", "leave_settings:=true"]);
+    assert!(harness.wait_for_samples(20, 30.0) >= 20);
+    // 0.002² · 50 Hz, from the first sample on.
+    for (_, message) in received(|r| std::mem::take(&mut r.imu)) {
+        let variance = message.linear_acceleration_covariance[0];
+        assert!((variance - 2e-4).abs() < 1e-9, "{variance}");
+    }
+}
+
+#[test]
 fn the_node_recovers_from_unplugging_slow_replies_garbage_and_power_loss() {
     let config = SimulatedImuConfig { ack_delay: 0.02, ..SimulatedImuConfig::default() };
     let harness = Harness::start("replug", 72, config, &[]);
