@@ -8,7 +8,10 @@
     clippy::print_stdout
 )]
 
-use imu_driver::protocol::{Configuration, LegacyFormat, Measurement, MessageId, frame};
+use imu_driver::protocol::{
+    Configuration, LegacyFormat, Measurement, MessageId, NumberFormat, OutputEntry,
+    configuration::output_configuration_to_data, frame, mtdata2,
+};
 use std::{
     path::PathBuf,
     process::{Command, Output},
@@ -81,6 +84,60 @@ fn a_corrupted_legacy_log_is_decoded_and_its_losses_are_counted() {
     assert!(played.status.success(), "{}", last_line(&played));
     assert_eq!(last_line(&played), "9 messages, 9 samples, 1 lost, 0 unreadable");
     assert_eq!(std::fs::read_to_string(path("played.csv")).unwrap().lines().count(), 10);
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+/// A log of MTData2 messages.
+fn mtdata2_log(rate: u32, messages: u32, with_time: bool) -> Vec<u8> {
+    let mut log = Vec::new();
+    for k in 0..messages {
+        let m = Measurement {
+            counter: Some(k as u16),
+            sample_time_fine: with_time.then_some(k * 10_000 / rate),
+            acceleration: Some([0.0, 0.0, 9.81]),
+            angular_velocity: Some([0.01, 0.02, 0.03]),
+            ..Measurement::default()
+        };
+        let mut data = Vec::new();
+        mtdata2::encode(&m, NumberFormat::Float32, &mut data);
+        log.extend(frame(MessageId::MT_DATA2, &data));
+    }
+    log
+}
+
+#[test]
+fn the_time_axis_of_an_mtdata2_log_has_the_rate_of_its_output_configuration() {
+    let folder = folder("rate");
+    let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    let outputs = [(0x1020, 0xFFFF), (0x4020, 400), (0x8020, 400)];
+    let outputs = outputs.map(|(id, rate)| OutputEntry { id, rate });
+    let recorded =
+        frame(MessageId::OUTPUT_CONFIGURATION.ack(), &output_configuration_to_data(&outputs));
+    let (nothing, no_option): (&[u8], &[&str]) = (&[], &[]);
+    for (head, rate, with_time, more) in [
+        (&recorded[..], 400, false, no_option),
+        (&recorded[..], 400, true, no_option),
+        (nothing, 400, false, &["--rate", "400"][..]),
+        (nothing, 100, false, no_option),
+    ] {
+        let messages = 3000;
+        let log = [head, &mtdata2_log(rate, messages, with_time)].concat();
+        std::fs::write(path("log.bin"), log).unwrap();
+        let (log, csv) = (path("log.bin"), path("out.csv"));
+        let arguments = ["playback", &log, "--csv", &csv, "--overwrite"];
+        let done = volant_imu(&[&arguments[..], more].concat());
+        assert!(done.status.success(), "{}", last_line(&done));
+        let table = std::fs::read_to_string(&csv).unwrap();
+        let times: Vec<f64> = table
+            .lines()
+            .skip(1)
+            .map(|line| line.split(',').next().unwrap().parse().unwrap())
+            .collect();
+        let expected = f64::from(messages - 1) / f64::from(rate);
+        let span = times[times.len() - 1] - times[0];
+        assert_eq!(times.len(), messages as usize);
+        assert!((span - expected).abs() < 2e-3, "{rate} {with_time}: {span} {expected}");
+    }
     std::fs::remove_dir_all(folder).unwrap();
 }
 

@@ -128,10 +128,11 @@ fn messages_with_other_joints_only_are_named_and_so_is_the_parameter() {
         names: names.iter().map(|n| (*n).to_owned()).collect(),
         positions: vec![0.0; names.len()],
     };
+    let no_names: &[&str] = &[];
     for (names, found) in [
         (&["bridge", "trolley", "slew"][..], "the joints `bridge`, `trolley`, `slew`"),
         (&["a"; 12][..], "`a` and 4 more"),
-        (&[][..], "no joint names"),
+        (no_names, "no joint names"),
     ] {
         let mut climber = climber();
         let out: Vec<_> = (0..20).flat_map(|k| process(&mut climber, &named(k, names))).collect();

@@ -4,7 +4,13 @@ use super::{Failure, read_configuration, read_log};
 use crate::{
     driver::{Driver, DriverConfig, Event, Input, Output, Severity},
     log::{configuration_in, frames_of},
-    protocol::{Configuration, LegacyFormat, MessageId, frame, write_frame},
+    protocol::{
+        Configuration, LegacyFormat, MessageId, OutputEntry,
+        configuration::{output_configuration_from_data, output_configuration_to_data},
+        frame,
+        mtdata2::xdi,
+        write_frame,
+    },
 };
 use node_kit::{
     errln,
@@ -24,7 +30,7 @@ pub struct Playback {
     /// Configuration of the IMU, if the log contains none
     #[arg(long)]
     config: Option<PathBuf>,
-    /// Message rate in Hz, if the Configuration does not contain it
+    /// Message rate in Hz, if the log contains no configuration with it
     #[arg(long, default_value_t = 100.0)]
     rate: f64,
     /// CSV to write, as published by the node: stamp, specific force, angular velocity, orientation
@@ -39,19 +45,24 @@ pub struct Playback {
 /// Frames of a log, and the answers of its device.
 struct Replayed {
     configuration: Configuration,
-    modern: bool,
+    /// Output configuration of a log with MTData2.
+    outputs: Option<Vec<OutputEntry>>,
     data: Vec<Vec<u8>>,
 }
 
 fn read(arguments: &Playback) -> Result<Replayed, Failure> {
     let log = read_log(&arguments.log)?;
     let named = |reason: &str| Failure::from(format!("{}: {reason}", arguments.log.display()));
-    let mut configuration = None;
+    let mut configuration: Option<Configuration> = None;
     let mut data = Vec::new();
     let mut modern = false;
+    let mut outputs: Option<Vec<OutputEntry>> = None;
     frames_of(&log, |f| {
         if f.message == MessageId::REQ_CONFIGURATION.ack() {
             configuration = Configuration::from_data(f.data).ok().or(configuration);
+        }
+        if f.message == MessageId::OUTPUT_CONFIGURATION.ack() && !f.data.is_empty() {
+            outputs = output_configuration_from_data(f.data).ok().or(outputs.take());
         }
         if f.message.is_data() {
             modern |= f.message == MessageId::MT_DATA2;
@@ -70,12 +81,17 @@ fn read(arguments: &Playback) -> Result<Replayed, Failure> {
             "legacy MTData without a Configuration; give one with --config CONFIGURATION.bin",
         ));
     }
+    let rate = configuration.and_then(|c| c.rate()).unwrap_or(arguments.rate);
+    let outputs = modern.then(|| {
+        let rate = rate.round().clamp(1.0, 2000.0) as u16;
+        outputs.unwrap_or_else(|| vec![OutputEntry { id: xdi::ACCELERATION, rate }])
+    });
     let mut configuration = configuration.unwrap_or_else(|| Configuration {
         period: (115_200.0 / arguments.rate.clamp(2.0, 512.0)).round() as u16,
         ..Configuration::default()
     });
     configuration.format = format.unwrap_or(LegacyFormat::STANDARD);
-    Ok(Replayed { configuration, modern, data })
+    Ok(Replayed { configuration, outputs, data })
 }
 
 impl Replayed {
@@ -89,7 +105,10 @@ impl Replayed {
             MessageId::REQ_PRODUCT_CODE => b"recorded".to_vec(),
             MessageId::REQ_FIRMWARE => vec![0, 0, 0],
             MessageId::REQ_CONFIGURATION => self.configuration.to_data(),
-            MessageId::OUTPUT_CONFIGURATION if self.modern => vec![],
+            MessageId::OUTPUT_CONFIGURATION => match &self.outputs {
+                Some(outputs) => output_configuration_to_data(outputs),
+                None => return Some(frame(MessageId::ERROR, &[4])),
+            },
             _ => return Some(frame(MessageId::ERROR, &[4])),
         };
         Some(frame(message.ack(), &data))
@@ -118,13 +137,16 @@ pub(super) fn playback(arguments: &Playback) -> Result<(), Failure> {
     let config =
         DriverConfig { leave_settings: true, transmission_delay: 0.0, ..DriverConfig::default() };
     let mut driver = Driver::new(config).map_err(|e| e.to_string())?;
-    let period = log.configuration.ticks_per_message().map_or(0.01, |t| f64::from(t) / 115_200.0);
+    let mut period =
+        log.configuration.ticks_per_message().map_or(0.01, |t| f64::from(t) / 115_200.0);
     let mut at = Stamp::default();
     let mut data = log.data.iter();
     let (mut samples, mut ended) = (0_u64, false);
     while !ended {
         at = at.plus_seconds(period);
         if driver.is_measuring() {
+            // Messages arrive at the rate that the driver has read.
+            period = 1.0 / driver.statistics().rate;
             match data.next() {
                 Some(bytes) => driver.handle(Input::Bytes { bytes, arrival: at }),
                 None => {
