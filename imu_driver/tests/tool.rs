@@ -180,6 +180,11 @@ fn errors_are_one_line_with_file_and_remedy() {
         let done = volant_imu(&arguments);
         assert_eq!(done.status.code(), Some(1));
     }
+    // Before the baud rate of the IMU is changed.
+    let line = ["configure", "--port", "/nowhere/tty", "--rate", "400", "--set-baud", "115200"];
+    let done = volant_imu(&line);
+    assert_eq!(done.status.code(), Some(1));
+    assert!(last_line(&done).contains("236000 baud"), "{}", last_line(&done));
     assert_eq!(volant_imu(&["decode"]).status.code(), Some(2));
     assert_eq!(volant_imu(&["nonsense"]).status.code(), Some(2));
     std::fs::remove_dir_all(folder).unwrap();

@@ -99,6 +99,14 @@ impl DriverConfig {
         if crate::protocol::message::baud_code(baud).is_none() {
             return Err(ConfigError::Baud { baud });
         }
+        self.check_line(baud)
+    }
+
+    /// Checks that a line of `baud` carries the messages, unless the settings of the IMU remain.
+    ///
+    /// # Errors
+    /// [`ConfigError::LineTooSlow`].
+    pub(super) fn check_line(&self, baud: u32) -> Result<(), ConfigError> {
         let bytes = self.legacy_format().data_length() + 5;
         let needed = (bytes as f64 * 10.0 * self.rate).ceil() as u32;
         if needed > baud && !self.leave_settings {

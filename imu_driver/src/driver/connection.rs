@@ -1,6 +1,6 @@
 //! Opening the port and calling the device until it acknowledges GoToConfig.
 
-use super::{Driver, DriverConfig, Event, Output, Phase};
+use super::{ConfigError, Driver, DriverConfig, Event, Output, Phase};
 use crate::protocol::MessageId;
 
 /// Bytes received within this time after opening belong to the previous stream, s.
@@ -27,6 +27,7 @@ pub(super) struct Connection {
     longest_pause: f64,
     reported_missing: Option<String>,
     reported_no_answer: bool,
+    reported_too_slow: bool,
 }
 
 impl Connection {
@@ -38,6 +39,7 @@ impl Connection {
             longest_pause: config.longest_pause.max(FIRST_PAUSE),
             reported_missing: None,
             reported_no_answer: false,
+            reported_too_slow: false,
         }
     }
 
@@ -57,12 +59,14 @@ impl Connection {
         let baud = self.bauds.remove(self.index.min(self.bauds.len() - 1));
         self.bauds.insert(0, baud);
         self.index = 0;
-        self.restart();
+        self.reported_no_answer = false;
     }
 
-    fn restart(&mut self) {
+    /// Resets the pauses and what was reported: the device measures, or the port was lost.
+    pub(super) fn restart(&mut self) {
         self.pause = FIRST_PAUSE;
         self.reported_no_answer = false;
+        self.reported_too_slow = false;
     }
 }
 
@@ -120,13 +124,25 @@ impl Driver {
     /// Calls the device, the first time after `delay` seconds.
     pub(super) fn call(&mut self, delay: f64) {
         self.release();
+        let first_call = self.time.now + delay;
         self.phase = Phase::Calling(Calling {
-            since: self.time.now,
-            next_call: self.time.now + delay,
+            since: first_call,
+            next_call: first_call,
             frame_seen: false,
             skipped_before: self.parser.counts().skipped_bytes,
             reset_at: None,
         });
+    }
+
+    /// Reports that the line is too slow for the settings, which are not written, and calls the
+    /// device again after a pause.
+    pub(super) fn line_too_slow(&mut self, error: ConfigError) {
+        if !std::mem::replace(&mut self.connection.reported_too_slow, true) {
+            self.event(Event::Found(self.identity.clone()));
+            self.event(Event::LineTooSlow(error));
+        }
+        let pause = self.connection.grow_pause();
+        self.call(pause);
     }
 
     pub(super) fn tick_calling(&mut self, mut calling: Calling) {

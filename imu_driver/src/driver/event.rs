@@ -1,5 +1,6 @@
 //! Events of the driver, for the log and the diagnostics of its shell.
 
+use super::ConfigError;
 use crate::protocol::{Configuration, DeviceError, DeviceId, MessageId, OutputEntry};
 use std::fmt;
 
@@ -105,6 +106,8 @@ pub enum Event {
         /// Value read back.
         found: String,
     },
+    /// The line on which the device was found is too slow for the settings; none was written.
+    LineTooSlow(ConfigError),
     /// The device entered the measurement state.
     Measuring(Identity),
     /// The device reported an error while measuring.
@@ -154,6 +157,7 @@ impl Event {
             | Self::PortLost { .. }
             | Self::NoAnswer { .. }
             | Self::Silent { .. }
+            | Self::LineTooSlow(_)
             | Self::NoInertialData => Severity::Error,
             _ => Severity::Warning,
         }
@@ -198,6 +202,7 @@ impl fmt::Display for Event {
             Self::NotApplied { what, wanted, found } => {
                 write!(f, "{what}: {wanted} was written, but the IMU has {found}, which is used")
             }
+            Self::LineTooSlow(error) => write!(f, "no setting was written: {error}"),
             Self::Measuring(identity) => write!(f, "measuring: {identity}"),
             Self::DeviceFault { error } => write!(f, "the IMU reports {error}"),
             Self::Unreadable { reason } => write!(f, "messages cannot be decoded: {reason}"),

@@ -271,6 +271,11 @@ impl Driver {
         {
             // Everything is read.
             let settings = self.differences();
+            if !settings.is_empty()
+                && let Err(error) = self.config.check_line(self.connection.baud())
+            {
+                return self.line_too_slow(error);
+            }
             self.event(Event::Found(self.identity.clone()));
             if let Phase::Asking(inquiry) = &mut self.phase {
                 inquiry.to_set = settings.into();
@@ -376,6 +381,7 @@ impl Driver {
     }
 
     pub(super) fn begin_measuring(&mut self) {
+        self.connection.restart();
         self.stream.begin(&self.identity, self.time.now);
         self.phase = Phase::Measuring;
         self.event(Event::Measuring(self.identity.clone()));

@@ -141,8 +141,14 @@ fn read_only() -> DriverConfig {
 fn identify(line: &Line, config: DriverConfig, verbose: bool) -> Result<Identity, Failure> {
     let mut found = None;
     let mut problem = None;
+    let mut too_slow = None;
     let done = converse(line, config, line.timeout, false, &NEVER, |report| {
         if let Report::Event(event) = report {
+            if matches!(event, Event::LineTooSlow(_)) {
+                // No later attempt will have another result.
+                too_slow = Some(event.to_string());
+                return false;
+            }
             if verbose && (event.severity() > Severity::Info || matches!(event, Event::Set { .. }))
             {
                 errln!("{event}");
@@ -159,6 +165,9 @@ fn identify(line: &Line, config: DriverConfig, verbose: bool) -> Result<Identity
         }
         true
     })?;
+    if let Some(reason) = too_slow {
+        return Err(format!("{}: {reason}", line.port).into());
+    }
     match (done, found) {
         (true, Some(identity)) => Ok(identity),
         (_, Some(identity)) if !verbose => Ok(identity),
@@ -255,13 +264,13 @@ pub(super) fn configure(arguments: &Configure) -> Result<(), Failure> {
         ..DriverConfig::default()
     };
     let mut line = arguments.line.clone();
+    // Before anything is written: the line must carry the messages at its last baud rate.
+    let baud = arguments.set_baud.or(line.baud).unwrap_or(0);
+    DriverConfig { baud, ..config.clone() }.check().map_err(|e| e.to_string())?;
     if let Some(baud) = arguments.set_baud {
         set_baud(&line, baud)?;
         line.baud = Some(baud);
     }
-    DriverConfig { baud: line.baud.unwrap_or(0), ..config.clone() }
-        .check()
-        .map_err(|e| e.to_string())?;
     show(&identify(&line, config, true)?)
 }
 

@@ -27,6 +27,25 @@ fn an_mti_100_with_legacy_messages_has_the_rate_of_its_configuration() {
 }
 
 #[test]
+fn settings_that_the_line_found_cannot_carry_are_not_written() {
+    let driver = DriverConfig { baud: 0, rate: 400.0, ..DriverConfig::default() };
+    let mut bench = Bench::new(driver.clone(), SimulatedImuConfig::default());
+    bench.run(8.0);
+    assert_eq!(bench.imu.flash_writes(), 0, "{:?}", bench.events);
+    assert!(!bench.driver.is_measuring());
+    let is_slow = |e: &&Event| matches!(e, Event::LineTooSlow(_));
+    let reports: Vec<_> = bench.events.iter().filter(is_slow).map(Event::to_string).collect();
+    assert!(matches!(&reports[..], [text] if text.contains("the line has 115200")), "{reports:?}");
+    // The device is called again, at the baud rate at which it answers.
+    assert!(bench.bauds.is_empty(), "{:?}", bench.bauds);
+    // A line that carries them.
+    let imu = SimulatedImuConfig { baud: 460_800, ..SimulatedImuConfig::default() };
+    let mut bench = Bench::new(driver, imu);
+    bench.run(4.0);
+    assert!(bench.driver.is_measuring(), "{:?}", bench.events);
+}
+
+#[test]
 fn a_drift_beyond_the_limit_is_reported() {
     for (ppm, exceeded) in [(-400.0, true), (400.0, true), (-100.0, false), (100.0, false)] {
         let imu = SimulatedImuConfig { clock_ppm: ppm, ..SimulatedImuConfig::default() };
