@@ -28,6 +28,8 @@ pub(super) struct Connection {
     reported_missing: Option<String>,
     reported_no_answer: bool,
     reported_too_slow: bool,
+    /// Baud rate of this search at which valid frames were received, but no answer.
+    heard_at: Option<u32>,
 }
 
 impl Connection {
@@ -40,6 +42,7 @@ impl Connection {
             reported_missing: None,
             reported_no_answer: false,
             reported_too_slow: false,
+            heard_at: None,
         }
     }
 
@@ -60,6 +63,7 @@ impl Connection {
         self.bauds.insert(0, baud);
         self.index = 0;
         self.reported_no_answer = false;
+        self.heard_at = None;
     }
 
     /// Resets the pauses and what was reported: the device measures, or the port was lost.
@@ -176,17 +180,21 @@ impl Driver {
     /// Tries the next baud rate; after the last one, closes the port and pauses.
     fn no_answer(&mut self, calling: Calling) {
         let connection = &mut self.connection;
+        if calling.frame_seen {
+            connection.heard_at = Some(connection.baud());
+        }
         connection.index = (connection.index + 1) % connection.bauds.len().max(1);
         if connection.index > 0 {
             self.outputs.push_back(Output::SetBaud(connection.baud()));
             self.parser.reset();
             return self.call(0.02);
         }
+        let heard_at = connection.heard_at.take();
         if !connection.reported_no_answer {
             connection.reported_no_answer = true;
             let bauds = connection.bauds.clone();
             let garbage = self.parser.counts().skipped_bytes > calling.skipped_before;
-            self.event(Event::NoAnswer { bauds, garbage });
+            self.event(Event::NoAnswer { bauds, heard_at, garbage });
         }
         // Closed, because the adapter may have been replaced by another one with the same name.
         self.outputs.push_back(Output::Close);

@@ -68,6 +68,8 @@ pub enum Event {
     NoAnswer {
         /// Baud rates tried.
         bauds: Vec<u32>,
+        /// Baud rate at which valid frames were received.
+        heard_at: Option<u32>,
         /// Bytes are received, but no valid frames (wrong baud rate, other device).
         garbage: bool,
     },
@@ -174,7 +176,12 @@ impl fmt::Display for Event {
                 write!(f, "the port was lost ({reason}); reconnect the adapter")
             }
             Self::PortOpened { baud } => write!(f, "port open at {baud} baud"),
-            Self::NoAnswer { bauds, garbage } => {
+            Self::NoAnswer { heard_at: Some(baud), .. } => write!(
+                f,
+                "valid messages at {baud} baud, but no answer to requests: set two_stop_bits: true \
+                 (an MTx from before 2008 requires it), or check the line from host to IMU"
+            ),
+            Self::NoAnswer { bauds, garbage, .. } => {
                 let bauds: Vec<String> = bauds.iter().map(u32::to_string).collect();
                 write!(f, "no IMU answers at {} baud; ", bauds.join(", "))?;
                 if *garbage {

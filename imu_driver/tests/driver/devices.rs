@@ -46,6 +46,21 @@ fn settings_that_the_line_found_cannot_carry_are_not_written() {
 }
 
 #[test]
+fn a_device_that_sends_but_does_not_answer_is_no_wrong_baud_rate() {
+    // The last baud rates of the search yield garbage only.
+    for baud in [0, 115_200] {
+        let driver = DriverConfig { baud, ..DriverConfig::default() };
+        let imu = SimulatedImuConfig { needs_two_stop_bits: true, ..SimulatedImuConfig::default() };
+        let mut bench = Bench::new(driver, imu);
+        bench.run(12.0);
+        let event = bench.events.iter().find(|e| matches!(e, Event::NoAnswer { .. })).unwrap();
+        let text = event.to_string();
+        assert!(text.contains("valid messages at 115200 baud"), "{text}");
+        assert!(text.contains("set two_stop_bits: true"), "{text}");
+    }
+}
+
+#[test]
 fn a_drift_beyond_the_limit_is_reported() {
     for (ppm, exceeded) in [(-400.0, true), (400.0, true), (-100.0, false), (100.0, false)] {
         let imu = SimulatedImuConfig { clock_ppm: ppm, ..SimulatedImuConfig::default() };
