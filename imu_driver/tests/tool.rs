@@ -185,6 +185,16 @@ fn errors_are_one_line_with_file_and_remedy() {
     let done = volant_imu(&line);
     assert_eq!(done.status.code(), Some(1));
     assert!(last_line(&done).contains("236000 baud"), "{}", last_line(&done));
+    for time in ["nan", "inf", "-1", "soon"] {
+        for arguments in [
+            ["info", "--port", "/nowhere/tty", "--timeout"],
+            ["find", "--port", "/nowhere/tty", "--timeout"],
+            ["log", "--port=/nowhere/tty", "--out=/nowhere/log.bin", "--duration"],
+        ] {
+            let done = volant_imu(&[&arguments[..], &[time]].concat());
+            assert_eq!(done.status.code(), Some(2), "{arguments:?} {time}: {done:?}");
+        }
+    }
     assert_eq!(volant_imu(&["decode"]).status.code(), Some(2));
     assert_eq!(volant_imu(&["nonsense"]).status.code(), Some(2));
     std::fs::remove_dir_all(folder).unwrap();

@@ -1,6 +1,6 @@
 //! Subcommands that communicate with an IMU.
 
-use super::Failure;
+use super::{Failure, seconds};
 use crate::{
     driver::{Driver, DriverConfig, Event, Identity, Severity},
     protocol::{MessageId, OrientationForm, message::baud_from_code, mtdata2},
@@ -32,7 +32,7 @@ pub struct Line {
     #[arg(long)]
     two_stop_bits: bool,
     /// Time limit in seconds
-    #[arg(long, default_value_t = 10.0)]
+    #[arg(long, default_value_t = 10.0, value_parser = seconds)]
     timeout: f64,
 }
 
@@ -43,7 +43,7 @@ pub struct Find {
     #[arg(long)]
     port: Vec<String>,
     /// Time limit per port in seconds
-    #[arg(long, default_value_t = 7.0)]
+    #[arg(long, default_value_t = 7.0, value_parser = seconds)]
     timeout: f64,
 }
 
@@ -84,7 +84,7 @@ pub struct Log {
     #[arg(long)]
     overwrite: bool,
     /// Duration of the samples in seconds; without it, until ctrl-c
-    #[arg(long)]
+    #[arg(long, value_parser = seconds)]
     duration: Option<f64>,
     /// Set the standard outputs first; without it the settings remain
     #[arg(long)]

@@ -61,6 +61,14 @@ struct Decode {
     overwrite: bool,
 }
 
+/// Parses a time in seconds: clap accepts NaN and negative numbers.
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds.is_finite() && seconds >= 0.0 => Ok(seconds),
+        _ => Err("give a time in seconds, such as 10".to_owned()),
+    }
+}
+
 /// Why a command failed.
 #[derive(Debug, Error)]
 pub(crate) enum Failure {
