@@ -46,7 +46,8 @@ impl Stamp {
 
 impl fmt::Display for Stamp {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}.{:09}", self.0.div_euclid(1_000_000_000), self.0.rem_euclid(1_000_000_000))
+        let (sign, nanos) = (if self.0 < 0 { "-" } else { "" }, self.0.unsigned_abs());
+        write!(f, "{sign}{}.{:09}", nanos / 1_000_000_000, nanos % 1_000_000_000)
     }
 }
 
@@ -61,6 +62,19 @@ mod tests {
         {
             let (sec, nanosec) = Stamp::from_nanos(nanos).to_sec_nanosec();
             assert_eq!(Stamp::from_sec_nanosec(sec, nanosec), Stamp::from_nanos(nanos));
+        }
+    }
+
+    #[test]
+    fn the_text_is_in_seconds_also_before_the_epoch() {
+        for (nanos, text) in [
+            (1_760_001_000_062_293_974, "1760001000.062293974"),
+            (0, "0.000000000"),
+            (-594_857_500, "-0.594857500"),
+            (-1_000_000_001, "-1.000000001"),
+            (i64::MIN, "-9223372036.854775808"),
+        ] {
+            assert_eq!(Stamp::from_nanos(nanos).to_string(), text);
         }
     }
 
