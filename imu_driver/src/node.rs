@@ -167,7 +167,8 @@ impl NodeShell for ImuNode {
         } else if self_test == Some(false) {
             (Health::Error, "the self-test of the IMU failed: have it repaired".to_owned())
         } else if now.samples == before.samples {
-            (Health::Error, "no samples in the last second".to_owned())
+            let reason = self.last_error.as_deref().unwrap_or("no samples in the last second");
+            (Health::Error, reason.to_owned())
         } else if before.connections > 0 && now.connections > before.connections {
             (
                 Health::Warn,
@@ -311,6 +312,12 @@ impl ImuNode {
             Event::ClockSet { .. } | Event::ClockStepped { .. } | Event::DeviceRestarted => {
                 context.log_throttled(level, "clock", line)
             }
+            // Repeated with every attempt to start a device that does not measure.
+            Event::Silent { .. } => context.log_throttled(level, "silent", line),
+            Event::Found(_)
+            | Event::Measuring(_)
+            | Event::Rejected { .. }
+            | Event::Unanswered { .. } => context.log_throttled(level, &line, &line),
             Event::DriftExceeded { .. } => context.log_throttled(level, "drift", line),
             _ => context.log(level, line),
         }

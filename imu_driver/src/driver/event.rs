@@ -112,6 +112,8 @@ pub enum Event {
     LineTooSlow(ConfigError),
     /// The device entered the measurement state.
     Measuring(Identity),
+    /// The device sends on request only: no samples will come.
+    OnRequestOnly,
     /// The device reported an error while measuring.
     DeviceFault {
         /// The error.
@@ -160,6 +162,7 @@ impl Event {
             | Self::NoAnswer { .. }
             | Self::Silent { .. }
             | Self::LineTooSlow(_)
+            | Self::OnRequestOnly
             | Self::NoInertialData => Severity::Error,
             _ => Severity::Warning,
         }
@@ -211,6 +214,10 @@ impl fmt::Display for Event {
             }
             Self::LineTooSlow(error) => write!(f, "no setting was written: {error}"),
             Self::Measuring(identity) => write!(f, "measuring: {identity}"),
+            Self::OnRequestOnly => f.write_str(
+                "the IMU sends on request only (OutputSkipFactor FFFF); \
+                 let the driver set its rate (leave_settings: false)",
+            ),
             Self::DeviceFault { error } => write!(f, "the IMU reports {error}"),
             Self::Unreadable { reason } => write!(f, "messages cannot be decoded: {reason}"),
             Self::NoInertialData => f.write_str(

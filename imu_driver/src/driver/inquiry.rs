@@ -385,6 +385,9 @@ impl Driver {
         self.stream.begin(&self.identity, self.time.now);
         self.phase = Phase::Measuring;
         self.event(Event::Measuring(self.identity.clone()));
+        if self.stream.is_on_request() {
+            self.event(Event::OnRequestOnly);
+        }
     }
 }
 

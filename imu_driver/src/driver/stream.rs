@@ -49,6 +49,8 @@ pub(super) struct Stream {
     /// Device time (ns) and sample, until the clock fit has settled.
     waiting: VecDeque<(i64, Sample)>,
     last_data: f64,
+    /// The device sends on request only: silence is no fault of the connection.
+    on_request: bool,
     unreadable_in_a_row: u32,
     reported_no_inertial: bool,
     inertial_missing: u32,
@@ -66,6 +68,7 @@ impl Stream {
             clock: ClockFit::new(clock),
             waiting: VecDeque::new(),
             last_data: 0.0,
+            on_request: false,
             unreadable_in_a_row: 0,
             reported_no_inertial: false,
             inertial_missing: 0,
@@ -85,6 +88,8 @@ impl Stream {
             Some(rate) => DeviceTime::new(1, u32::from(rate)),
             None => DeviceTime::new(ticks.unwrap_or(1152), 115_200),
         };
+        let legacy = identity.outputs.as_ref().is_none_or(Vec::is_empty);
+        self.on_request = legacy && identity.configuration.is_some_and(|c| c.is_on_request());
         self.decoder.format = identity.configuration.map(|c| c.format);
         self.clock.restart();
         self.last_data = now;
@@ -103,10 +108,15 @@ impl Stream {
         }
     }
 
+    /// Whether the device sends on request only, which the driver never makes.
+    pub(super) fn is_on_request(&self) -> bool {
+        self.on_request
+    }
+
     /// Time without data, s, if it exceeds the limit.
     pub(super) fn silent_for(&self, now: f64) -> Option<f64> {
         let silent = now - self.last_data;
-        (silent > SILENCE.max(5.0 * self.time.period())).then_some(silent)
+        (!self.on_request && silent > SILENCE.max(5.0 * self.time.period())).then_some(silent)
     }
 
     pub(super) fn settled_outputs(&self, wanted: &[OutputEntry]) -> Option<&Vec<OutputEntry>> {

@@ -108,11 +108,16 @@ impl Configuration {
         data
     }
 
+    /// Whether the device sends on request only.
+    pub fn is_on_request(&self) -> bool {
+        self.skip == u16::MAX
+    }
+
     /// Ticks of 1/115200 s between two messages.
     ///
     /// `None` if the device sends on request only, or if the period is zero.
     pub fn ticks_per_message(&self) -> Option<u32> {
-        if self.skip == u16::MAX || self.period == 0 {
+        if self.is_on_request() || self.period == 0 {
             return None;
         }
         Some(u32::from(self.period) * (u32::from(self.skip) + 1))

@@ -197,7 +197,10 @@ impl SimulatedImu {
     }
 
     fn sample_time(&self, since: Stamp, n: u64) -> Stamp {
-        let ticks = self.config.configuration().ticks_per_message().unwrap_or(u32::MAX);
+        let Some(ticks) = self.config.configuration().ticks_per_message() else {
+            // On request only.
+            return Stamp::from_nanos(i64::MAX);
+        };
         let seconds = n as f64 * f64::from(ticks) / TICKS_PER_SECOND;
         since.plus_seconds(seconds / (1.0 + self.config.clock_ppm * 1e-6))
     }

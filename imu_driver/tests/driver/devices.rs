@@ -61,6 +61,34 @@ fn a_device_that_sends_but_does_not_answer_is_no_wrong_baud_rate() {
 }
 
 #[test]
+fn a_device_that_sends_on_request_only_is_named_once() {
+    let imu = SimulatedImuConfig { skip: u16::MAX, ..SimulatedImuConfig::default() };
+    let driver = DriverConfig { leave_settings: true, ..DriverConfig::default() };
+    let mut bench = Bench::new(driver, imu.clone());
+    bench.run(10.0);
+    assert!(bench.samples.is_empty());
+    assert!(!bench.has(|e| matches!(e, Event::Silent { .. })), "{:?}", bench.events);
+    let named = bench.events.iter().filter(|e| **e == Event::OnRequestOnly).count();
+    assert_eq!(named, 1, "{:?}", bench.events);
+    // The driver sets the skip factor.
+    let mut bench = Bench::new(DriverConfig::default(), imu);
+    bench.run(3.0);
+    assert!(bench.samples.len() > 150, "{:?}", bench.events);
+    assert!(!bench.has(|e| *e == Event::OnRequestOnly));
+}
+
+#[test]
+fn rejected_requests_are_repeated_after_growing_pauses() {
+    // Error 0x29: the baud rate is too low for the data.
+    let driver = DriverConfig { leave_settings: true, ..DriverConfig::default() };
+    let imu = SimulatedImuConfig { period: 288, ..SimulatedImuConfig::default() };
+    let mut bench = Bench::new(driver, imu);
+    bench.run(30.0);
+    let rejected = bench.events.iter().filter(|e| matches!(e, Event::Rejected { .. })).count();
+    assert!((20..35).contains(&rejected), "{rejected}");
+}
+
+#[test]
 fn a_drift_beyond_the_limit_is_reported() {
     for (ppm, exceeded) in [(-400.0, true), (400.0, true), (-100.0, false), (100.0, false)] {
         let imu = SimulatedImuConfig { clock_ppm: ppm, ..SimulatedImuConfig::default() };
