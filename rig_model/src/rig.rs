@@ -2,7 +2,8 @@
 //!
 //! A ROS 2 parameter file with the keys `frames`, `camera`, `imu` and `markers`. Each node declares
 //! them among its parameters ([`rig_keys`]); tools read the file with [`Rig::from_yaml`]. An
-//! unknown key is an error, because it is a typing mistake.
+//! unknown key is an error, because it is a typing mistake; parameters of every node
+//! (`use_sim_time`, …) are ignored.
 
 mod keys;
 
@@ -125,7 +126,8 @@ impl Rig {
         // No node has this name: only the wildcard blocks match.
         let map = ParameterFile::parse(text)?.for_node("/_rig_file_");
         let known = rig_keys();
-        if let Some(key) = map.keys().find(|k| !known.iter().any(|r| r.name == k.as_str())) {
+        let is_known = |key: &str| is_of_every_node(key) || known.iter().any(|r| r.name == key);
+        if let Some(key) = map.keys().find(|key| !is_known(key)) {
             return Err(RigError::Unknown {
                 key: key.clone(),
                 hint: did_you_mean(key, known.iter().map(|r| r.name)),
@@ -263,6 +265,12 @@ impl RigError {
     }
 }
 
+/// Whether a parameter is one that every node has beside the rig: a block for all nodes may set it.
+fn is_of_every_node(key: &str) -> bool {
+    let names = ["use_sim_time", "autostart", "start_type_description_service"];
+    names.contains(&key) || key.starts_with("qos_overrides.")
+}
+
 /// Number of characters to insert, remove or replace to get from `a` to `b`.
 pub fn edit_distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
@@ -333,6 +341,19 @@ mod tests {
             colors,
             PerColor([None, Some([30.0, 180.0, 60.0]), Some([20.5, 60.0, 190.0]), None])
         );
+    }
+
+    #[test]
+    fn parameters_of_every_node_are_ignored() {
+        let more = "    use_sim_time: true
+    autostart: false
+    start_type_description_service: false
+    qos_overrides: {/volant/imu/data: {publisher: {depth: 20}}}
+";
+        let rig = Rig::from_yaml(&format!("{RIG}{more}")).unwrap();
+        assert_eq!(rig, Rig::from_yaml(RIG).unwrap());
+        let error = Rig::from_yaml(&format!("{RIG}    use_sim_tim: true\n")).unwrap_err();
+        assert!(error.to_string().contains("`use_sim_tim` is unknown"), "{error}");
     }
 
     #[test]
