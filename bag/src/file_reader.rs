@@ -6,17 +6,12 @@
 //! `IndexedReader` and `MessageStream` need the closing records, which a cut file lacks. A
 //! recording whose recorder lost power must give all messages before, and after, the damage.
 
-use crate::{
-    BagError, BagMessage, Topic,
-    records::{Channel, Chunk, Message, Schema},
-};
+use crate::{BagError, BagMessage, channels::Channels, records::Chunk, summary};
 use mcap::records::op;
 use std::{
-    collections::HashMap,
     fs::{self, File},
-    io::{self, BufReader, Read},
+    io::{self, BufReader, Read, Seek},
     path::{Path, PathBuf},
-    sync::Arc,
 };
 
 /// Longest record and decompressed chunk, bytes; longer ones are damage. An uncompressed 8K image
@@ -37,13 +32,6 @@ pub(crate) struct FileReader {
     finished: bool,
 }
 
-/// Schemas and channels that the file has announced, by identifier.
-#[derive(Default)]
-pub(crate) struct Channels {
-    schemas: HashMap<u16, (String, String)>,
-    topics: HashMap<u16, Arc<Topic>>,
-}
-
 impl std::fmt::Debug for FileReader {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("FileReader")
@@ -55,24 +43,25 @@ impl std::fmt::Debug for FileReader {
 
 impl FileReader {
     /// Opens a file and checks its magic. A file whose name ends with `.zstd` or `.zst` is
-    /// decompressed while it is read.
+    /// decompressed while it is read; of others the closing records are read first, because a
+    /// damaged chunk may be the only other place that announces a channel.
     ///
     /// # Errors
     /// A missing, empty, unreadable or foreign file.
     pub fn open(path: &Path) -> Result<Self, BagError> {
         let error = |source| io_error(path, source);
-        let file = File::open(path).map_err(error)?;
+        let mut file = File::open(path).map_err(error)?;
         let length = file.metadata().map_err(error)?.len();
         if length == 0 {
             return Err(BagError::Empty { path: path.to_owned() });
         }
-        let input: Box<dyn Read + Send> =
-            if path.extension().is_some_and(|e| e == "zstd" || e == "zst") {
-                Box::new(zstd::Decoder::new(file).map_err(error)?)
-            } else {
-                Box::new(BufReader::with_capacity(1 << 16, file))
-            };
-        Self::of(path, input)
+        if path.extension().is_some_and(|e| e == "zstd" || e == "zst") {
+            return Self::of(path, Box::new(zstd::Decoder::new(file).map_err(error)?));
+        }
+        let channels = summary::channels_of(&mut file, length);
+        file.rewind().map_err(error)?;
+        let input = Box::new(BufReader::with_capacity(1 << 16, file));
+        Ok(Self { channels, ..Self::of(path, input)? })
     }
 
     /// Checks the magic of an input; errors name it `path`.
@@ -229,7 +218,7 @@ impl FileReader {
         cut: bool,
         group: &mut Vec<BagMessage>,
     ) -> Result<(), String> {
-        let (expanded, outcome): (_, Result<(), String>);
+        let (expanded, mut outcome): (_, Result<(), String>);
         let records = if chunk.compression.is_empty() {
             outcome = Ok(());
             chunk.records
@@ -239,25 +228,18 @@ impl FileReader {
         };
         // The checksum covers the complete chunk.
         if !cut && chunk.checksum != 0 {
-            outcome.clone()?;
-            if crc32fast::hash(records) != chunk.checksum {
-                return Err("its checksum is wrong".to_owned());
+            if outcome.is_ok() && crc32fast::hash(records) != chunk.checksum {
+                outcome = Err("its checksum is wrong".to_owned());
+            }
+            if outcome.is_err() {
+                // Its messages are not trusted, but later chunks may need its channels.
+                let mut found = Channels::default();
+                let _ = found.records(records, &mut vec![]);
+                self.channels.supplement(found);
+                return outcome;
             }
         }
-        let mut rest = records;
-        while !rest.is_empty() {
-            let record =
-                rest.split_first_chunk::<9>().and_then(|([opcode, length @ ..], after)| {
-                    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
-                    Some((*opcode, after.split_at_checked(length)?))
-                });
-            let Some((opcode, (record, next))) = record else {
-                return Err("a record in it is longer than the chunk".to_owned());
-            };
-            self.channels.record(opcode, record, group)?;
-            rest = next;
-        }
-        outcome
+        self.channels.records(records, group).and(outcome)
     }
 }
 
@@ -287,72 +269,6 @@ fn expand(chunk: &Chunk<'_>) -> (Vec<u8>, Result<(), String>) {
         Ok(_) => Ok(()),
     };
     (records, outcome)
-}
-
-impl Channels {
-    /// Applies a schema, channel or message record; a message is appended to `group`.
-    ///
-    /// # Errors
-    /// The record is damaged, or its channel is unknown.
-    pub fn record(
-        &mut self,
-        opcode: u8,
-        data: &[u8],
-        group: &mut Vec<BagMessage>,
-    ) -> Result<(), String> {
-        let damaged = || "a length in it is wrong, or a text is not UTF-8".to_owned();
-        match opcode {
-            op::SCHEMA => {
-                let schema = Schema::parse(data).ok_or_else(damaged)?;
-                self.schemas.insert(schema.id, (schema.name.to_owned(), definition_of(&schema)));
-            }
-            op::CHANNEL => {
-                let channel = Channel::parse(data).ok_or_else(damaged)?;
-                let topic = self.topic_of(&channel);
-                // Writers repeat a channel in each chunk.
-                if self.topics.get(&channel.id).is_none_or(|known| **known != topic) {
-                    self.topics.insert(channel.id, Arc::new(topic));
-                }
-            }
-            op::MESSAGE => {
-                let message = Message::parse(data).ok_or_else(damaged)?;
-                let topic = self.topics.get(&message.channel).ok_or_else(|| {
-                    format!("a message of the unknown channel {}", message.channel)
-                })?;
-                group.push(BagMessage {
-                    topic: topic.clone(),
-                    log_time: message.log_time,
-                    publish_time: message.publish_time,
-                    data: message.data.to_vec(),
-                });
-            }
-            _ => {}
-        }
-        Ok(())
-    }
-
-    /// The topic of a channel record.
-    pub fn topic_of(&self, channel: &Channel<'_>) -> Topic {
-        let (type_name, definition) =
-            self.schemas.get(&channel.schema).cloned().unwrap_or_default();
-        Topic {
-            type_name,
-            definition,
-            type_hash: channel.entry("topic_type_hash"),
-            offered_qos_profiles: channel.entry("offered_qos_profiles"),
-            name: channel.topic.to_owned(),
-            message_encoding: channel.message_encoding.to_owned(),
-        }
-    }
-}
-
-/// The `.msg` text of a schema; empty for another encoding.
-fn definition_of(schema: &Schema<'_>) -> String {
-    if schema.encoding == "ros2msg" {
-        String::from_utf8_lossy(schema.data).into_owned()
-    } else {
-        String::new()
-    }
 }
 
 /// The error of an operation on the file at `path`.

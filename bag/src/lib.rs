@@ -4,6 +4,7 @@
 //! [`BagReader`] reads [`BagMessage`]s in the order in which they were logged; [`BagWriter`] writes
 //! bags that `ros2 bag`, Foxglove and other readers accept. Only [`recording`] decodes messages.
 
+mod channels;
 mod file_reader;
 mod file_writer;
 mod metadata;

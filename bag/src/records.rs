@@ -38,6 +38,15 @@ impl<'a> Fields<'a> {
     }
 }
 
+/// Splits the first record off: operation code, content and what follows it. `None` where the
+/// record is longer than the rest.
+pub(super) fn split_first(bytes: &[u8]) -> Option<(u8, &[u8], &[u8])> {
+    let ([opcode, length @ ..], after) = bytes.split_first_chunk::<9>()?;
+    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+    let (record, rest) = after.split_at_checked(length)?;
+    Some((*opcode, record, rest))
+}
+
 /// Message type of a topic.
 pub(super) struct Schema<'a> {
     pub id: u16,

@@ -5,7 +5,8 @@
 
 use crate::{
     BagSummary,
-    file_reader::{Channels, LARGEST_RECORD},
+    channels::Channels,
+    file_reader::LARGEST_RECORD,
     records::{self, Channel, Statistics},
 };
 use mcap::records::op;
@@ -26,22 +27,11 @@ pub(crate) fn read_summary(path: &Path) -> Option<BagSummary> {
 
 /// Reads the closing records of an input of `size` bytes; see [`read_summary`].
 pub(crate) fn summary_of(file: &mut (impl Read + Seek), size: u64) -> Option<BagSummary> {
-    /// Footer record (head, two positions, checksum) and the magic after it.
-    const CLOSING: u64 = 9 + 20 + 8;
-    let footer_at = size.checked_sub(CLOSING)?;
-    let closing = read_at(file, footer_at, CLOSING)?;
-    let footer = closing
-        .strip_prefix(&[op::FOOTER])?
-        .strip_suffix(mcap::MAGIC)?
-        .strip_prefix(&20_u64.to_le_bytes())?;
-    let start = records::summary_start(footer).filter(|start| (1..=footer_at).contains(start))?;
-    let section = read_at(file, start, (footer_at - start).min(LARGEST_RECORD as u64))?;
+    let section = closing_section(file, size)?;
     let mut rest = section.as_slice();
     let (mut channels, mut listed, mut statistics) = (Channels::default(), BTreeMap::new(), None);
-    while let Some((head, after)) = rest.split_first_chunk::<9>() {
-        let [opcode, length @ ..] = *head;
-        let (record, next) =
-            after.split_at_checked(usize::try_from(u64::from_le_bytes(length)).ok()?)?;
+    while rest.len() >= 9 {
+        let (opcode, record, next) = records::split_first(rest)?;
         match opcode {
             op::SCHEMA => channels.record(opcode, record, &mut vec![]).ok()?,
             op::CHANNEL => {
@@ -61,6 +51,36 @@ pub(crate) fn summary_of(file: &mut (impl Read + Seek), size: u64) -> Option<Bag
         listed.values().map(|channel| (channels.topic_of(channel), count(channel.id))).collect();
     let span = (messages > 0).then_some((start, end));
     Some(BagSummary { topics, span, bytes: size, files: vec![], complete: true })
+}
+
+/// Reads the schemas and channels that the closing records of an input of `size` bytes repeat; none
+/// where the closing records are missing.
+pub(crate) fn channels_of(file: &mut (impl Read + Seek), size: u64) -> Channels {
+    let section = closing_section(file, size).unwrap_or_default();
+    let mut rest = section.as_slice();
+    let mut channels = Channels::default();
+    while let Some((opcode, record, next)) = records::split_first(rest) {
+        if matches!(opcode, op::SCHEMA | op::CHANNEL) {
+            // A damaged one is left out: the chunks have it too.
+            let _ = channels.record(opcode, record, &mut vec![]);
+        }
+        rest = next;
+    }
+    channels
+}
+
+/// The bytes of the closing records.
+fn closing_section(file: &mut (impl Read + Seek), size: u64) -> Option<Vec<u8>> {
+    /// Footer record (head, two positions, checksum) and the magic after it.
+    const CLOSING: u64 = 9 + 20 + 8;
+    let footer_at = size.checked_sub(CLOSING)?;
+    let closing = read_at(file, footer_at, CLOSING)?;
+    let footer = closing
+        .strip_prefix(&[op::FOOTER])?
+        .strip_suffix(mcap::MAGIC)?
+        .strip_prefix(&20_u64.to_le_bytes())?;
+    let start = records::summary_start(footer).filter(|start| (1..=footer_at).contains(start))?;
+    read_at(file, start, (footer_at - start).min(LARGEST_RECORD as u64))
 }
 
 fn read_at(file: &mut (impl Read + Seek), at: u64, length: u64) -> Option<Vec<u8>> {

@@ -206,26 +206,28 @@ fn a_bag_that_is_cut_yields_all_before_the_cut_and_reports_the_loss() {
     }
 }
 
+/// The first chunk alone announces the channels; the closing records repeat them.
 #[test]
 fn a_damaged_chunk_costs_its_own_messages_only() {
     let dir = TempDir::new().unwrap();
     let path = dir.path().join("bag.mcap");
-    write(&path, WriteOptions { chunk_bytes: 200_000, ..WriteOptions::default() });
-    let (all, _) = read(&path);
-    let mut bytes = fs::read(&path).unwrap();
-    let middle = bytes.len() / 2;
-    bytes[middle..middle + 20].fill(0xa5);
-    fs::write(&path, bytes).unwrap();
-    let (messages, losses) = read(&path);
-    assert_eq!(losses.len(), 1, "{losses:?}");
-    assert!(losses[0].contains("damaged"), "{losses:?}");
-    assert!(
-        messages.len() < all.len() && messages.len() > all.len() / 2,
-        "{} of {}",
-        messages.len(),
-        all.len()
-    );
-    assert_eq!(messages.last(), all.last());
+    let (none, zstd) = (Compression::None, Compression::Zstd);
+    for (compression, at, cut) in [(zstd, 0.5, 1.0), (none, 0.01, 1.0), (none, 0.01, 0.8)] {
+        let _ = fs::remove_file(&path);
+        write(&path, WriteOptions { compression, chunk_bytes: 200_000, ..WriteOptions::default() });
+        let (all, _) = read(&path);
+        let mut bytes = fs::read(&path).unwrap();
+        let at = (at * bytes.len() as f64) as usize;
+        bytes[at..at + 20].fill(0xa5);
+        bytes.truncate((cut * bytes.len() as f64) as usize);
+        fs::write(&path, bytes).unwrap();
+        let (messages, losses) = read(&path);
+        assert_eq!(losses.len(), if cut < 1.0 { 2 } else { 1 }, "{losses:?}");
+        assert!(losses[0].contains("damaged"), "{losses:?}");
+        let (count, all_count) = (messages.len(), all.len());
+        assert!(count < all_count && count > all_count / 2, "{at}: {count} of {all_count}");
+        assert!(cut < 1.0 || messages.last() == all.last());
+    }
 }
 
 #[test]
