@@ -14,6 +14,9 @@ use nalgebra::{DMatrix, DVector, SMatrix};
 const OUTLIER: [f64; 2] = [60.0, 34.0];
 /// Medians of χ² with 8 and with 9 degrees of freedom.
 const MEDIANS: [f64; 2] = [7.34, 8.34];
+/// Largest relative change of the cost by the last step of an adjustment that has converged: it moves
+/// the result by a fraction of its standard deviation.
+const CONVERGED: f64 = 1e-3;
 /// Step of the numerical derivatives, in the parameters' units.
 const H: f64 = 1e-6;
 
@@ -37,6 +40,8 @@ pub(crate) struct Adjustment<'a> {
     pub weights: Vec<f64>,
     /// Limit of iterations.
     pub iterations: usize,
+    /// Whether the last solution has converged.
+    pub converged: bool,
 }
 
 /// Rows of a residual, and its derivatives by the parameters.
@@ -62,6 +67,7 @@ impl<'a> Adjustment<'a> {
             weights: vec![1.0; states.len()],
             states,
             iterations: 40,
+            converged: false,
         }
     }
 
@@ -212,11 +218,16 @@ impl<'a> Adjustment<'a> {
         Some(arrow)
     }
 
-    /// Minimizes the cost; returns the parameters' covariance and the cost.
+    /// Minimizes the cost; returns the parameters' covariance and the cost. `converged` says
+    /// whether that is the minimum.
     pub fn solve(&mut self) -> Result<(DMatrix<f64>, f64), CalibrationError> {
         let failed = CalibrationError::Diverged;
         let mut damping = 1e-4;
         let mut whiteners = self.whiteners().ok_or(failed.clone())?;
+        // The first steps are nearly undamped: outliers would lead them astray.
+        let [images, _] = self.squares(&whiteners, &self.parameters, &self.states);
+        self.leave_out_images(&images);
+        self.converged = false;
         let mut cost = self.cost(&whiteners, &self.parameters, &self.states, true);
         if !cost.is_finite() {
             return Err(failed);
@@ -231,6 +242,8 @@ impl<'a> Adjustment<'a> {
             let states: Vec<State> = steps.map(|(s, step)| s.moved(step.as_slice())).collect();
             let new = self.cost(&whiteners, &parameters, &states, true);
             let gain = (cost - new) / cost;
+            // A strongly damped step changes little anywhere.
+            self.converged = gain.abs() < CONVERGED && damping < 1.0;
             if new < cost {
                 (self.parameters, self.states) = (parameters, states);
                 damping = (damping * 0.1).max(1e-12);
@@ -259,22 +272,20 @@ impl<'a> Adjustment<'a> {
         self.linearise(&self.whiteners()?, false)?.reduce()
     }
 
-    /// Leaves out images, and weights down intervals, that exceed the quantile; where most
-    /// residuals do, the limit grows with their median.
+    /// Leaves out images, and weights down intervals, that exceed the quantile.
     fn leave_out_outliers(&mut self, whiteners: &[SMatrix<f64, 8, 8>]) {
         let [images, intervals] = self.squares(whiteners, &self.parameters, &self.states);
-        let limit = |squares: &[f64], kind: usize| {
-            let mut sorted = squares.to_vec();
-            sorted.sort_by(f64::total_cmp);
-            let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-            OUTLIER[kind] * f64::max(1.0, median / MEDIANS[kind])
-        };
-        let most = limit(&images, 0);
-        self.used.iter_mut().zip(&images).for_each(|(used, s)| *used = *s < most);
+        self.leave_out_images(&images);
         let most = limit(&intervals, 1);
         for (weight, square) in self.weights.iter_mut().zip(&intervals) {
             *weight = (most / square.max(1e-9)).min(1.0);
         }
+    }
+
+    /// Leaves out images whose squared residuals exceed the quantile.
+    fn leave_out_images(&mut self, squares: &[f64]) {
+        let most = limit(squares, 0);
+        self.used.iter_mut().zip(squares).for_each(|(used, s)| *used = *s < most);
     }
 
     /// Takes a climber axis (x, y, turn) as unknown.
@@ -305,4 +316,13 @@ impl<'a> Adjustment<'a> {
         }
         (sum / f64::max(count, 1.0)).sqrt()
     }
+}
+
+/// Square beyond which a residual of a kind is an outlier; where most exceed the quantile, it grows
+/// with their median.
+fn limit(squares: &[f64], kind: usize) -> f64 {
+    let mut sorted = squares.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    OUTLIER[kind] * f64::max(1.0, median / MEDIANS[kind])
 }

@@ -110,7 +110,8 @@ fn traits() -> Vec<Trait> {
 /// Refines a rig with a recording, but for the parameters whose names begin with one of `held`.
 ///
 /// # Errors
-/// No pose fits the recording, or its motion determines neither mounting.
+/// No pose fits the recording, its motion determines neither mounting, or the adjustment does not
+/// converge.
 pub fn refine_rig(
     recording: &Recording,
     rig: &Rig,
@@ -168,6 +169,9 @@ pub fn refine_rig(
                 (row.change, row.deviation) = (before.change, before.deviation);
             }
         }
+    }
+    if !work.converged {
+        return Err(CalibrationError::Diverged);
     }
     Ok(Estimate {
         rig: work.parameters.rig.clone(),

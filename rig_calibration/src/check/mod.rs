@@ -9,6 +9,8 @@ mod layout;
 mod rates;
 mod select;
 mod stamps;
+#[cfg(test)]
+mod tests;
 
 pub use findings::{CheckRow, Finding, Report, Verdict};
 
