@@ -6,7 +6,7 @@ use bag::{BagReader, BagSummary};
 use climber_driver::{Climber, ClimberConfig, JointReading};
 use marker_tracker::{Input, Output, Tracker, TrackerConfig};
 use node_kit::convert;
-use rig_calibration::{Estimate, Recording, Report, Samples, Track, refine_rig};
+use rig_calibration::{Estimate, Recording, Report, Samples, Track, examine_stamps, refine_rig};
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Rig, Stamp, topics};
 use std::path::Path;
 use volant_msgs::{
@@ -217,12 +217,15 @@ pub fn check_bag(bag: &Path, rig: &Rig, cores: &Cores) -> Result<Report> {
 /// motion does not determine.
 ///
 /// # Errors
-/// As [`read_markers`] and [`refine_rig`].
+/// As [`read_markers`] and [`refine_rig`]; stamps with which nothing can be estimated.
 pub fn refine_from_bag(bag: &Path, rig: &Rig, cores: &Cores, held: &[&str]) -> Result<Estimate> {
     let mut seen_with = rig.clone();
     let mut round = 1;
     loop {
         let samples = read(bag, &seen_with, cores, true)?;
+        if let Some(finding) = examine_stamps(&samples).iter().find(|f| f.blocks) {
+            bail!("{}: {}; {}", bag.display(), finding.text, finding.remedy);
+        }
         let estimate = Recording::new(&samples)
             .and_then(|recording| refine_rig(&recording, rig, held))
             .with_context(|| format!("{}", bag.display()))?;

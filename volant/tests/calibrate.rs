@@ -5,6 +5,7 @@
 mod simulated;
 
 use bag::{BagReader, BagWriter, WriteOptions};
+use node_kit::convert;
 use rig_model::{MarkerColor, Rig};
 use rig_simulator::motion::{Motion, MotionConfig};
 use ros_parameters::{ParameterFile, ParameterMap};
@@ -16,6 +17,7 @@ use std::{
     process::{Command, Output},
 };
 use tempfile::TempDir;
+use volant_msgs::{Message, cdr, sensor_msgs::msg::Imu};
 
 fn volant(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_volant")).args(arguments).output().unwrap()
@@ -105,6 +107,46 @@ fn rig_rejects_a_recording_at_rest() {
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(message.contains("determines neither"), "{message}");
     assert_eq!(fs::read_to_string(&rig).unwrap(), rig_simulator::RIG_YAML);
+}
+
+/// Copies a bag in which the IMU's clock steps after 4.5 s.
+fn step_imu_clock(from: &Path, to: &Path, seconds: f64) {
+    let mut reader = BagReader::open(from).unwrap();
+    let mut bag = BagWriter::create(to, WriteOptions::default()).unwrap();
+    let mut topics = HashMap::new();
+    while let Some(message) = reader.next_message().unwrap() {
+        let (topic, at) = (&message.topic, message.log_time);
+        let id =
+            *topics.entry(topic.name.clone()).or_insert_with(|| bag.add_topic((**topic).clone()));
+        if topic.type_name == Imu::TYPE_NAME && at > 1_700_000_004_500_000_000 {
+            let mut imu: Imu = cdr::from_bytes(&message.data).unwrap();
+            let stamp = convert::stamp(&imu.header.stamp).plus_seconds(seconds);
+            imu.header = convert::header(&imu.header.frame_id, stamp);
+            bag.write_message(id, at, &imu).unwrap();
+        } else {
+            bag.write(id, at, at, &message.data).unwrap();
+        }
+    }
+    bag.finish().unwrap();
+}
+
+#[test]
+fn rig_writes_nothing_where_a_clock_steps() {
+    let (folder, simulated) = (TempDir::new().unwrap(), Simulated::new(5));
+    let [bag, path] = ["swing.mcap", "rig.yaml"].map(|n| folder.path().join(n));
+    simulated.write(&bag, &simulated.motion(9.0, true), true);
+    fs::write(&path, rig_simulator::RIG_YAML).unwrap();
+    for (seconds, word) in [(0.3, "volant check")] {
+        let stepped = folder.path().join(format!("{seconds}.mcap"));
+        step_imu_clock(&bag, &stepped, seconds);
+        let [bag, rig] = [&stepped, &path].map(|p| p.to_str().unwrap());
+        let output = volant(&["calibrate", "rig", bag, "--rig", rig]);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{message}");
+        let diverged = message.contains("does not converge");
+        assert!(message.contains(word) || diverged, "{seconds}: {message}");
+        assert_eq!(fs::read_to_string(&path).unwrap(), rig_simulator::RIG_YAML);
+    }
 }
 
 #[test]

@@ -13,6 +13,8 @@ mod stamps;
 mod tests;
 
 pub use findings::{CheckRow, Finding, Report, Verdict};
+pub use select::MISFIT;
+pub use stamps::examine as examine_stamps;
 
 use crate::{
     CalibrationError, Samples,

@@ -25,7 +25,7 @@ const NOT_FOLLOWING: f64 = 0.5;
 /// costs one.
 const MOVES: f64 = 3.0;
 /// Squared residual per degree of freedom beyond which the model does not fit.
-pub(crate) const MISFIT: f64 = 6.0;
+pub const MISFIT: f64 = 6.0;
 
 /// One freed group.
 #[derive(Clone, Debug)]

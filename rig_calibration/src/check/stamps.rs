@@ -15,7 +15,7 @@ const ALTERNATING: f64 = 5.0;
 const GAP: f64 = 1.0;
 
 /// Examines the stamps of each topic.
-pub(crate) fn examine(samples: &Samples) -> Vec<Finding> {
+pub fn examine(samples: &Samples) -> Vec<Finding> {
     let imu: Vec<_> = samples.imu.iter().map(|s| (s.stamp, s.specific_force)).collect();
     let climber: Vec<_> = samples
         .climber

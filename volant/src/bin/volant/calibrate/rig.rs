@@ -2,9 +2,9 @@
 
 use super::Output;
 use crate::settings::{self, BagTopics, Settings};
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use node_kit::outln;
-use rig_calibration::{Estimate, Refinement};
+use rig_calibration::{Estimate, MISFIT, Refinement};
 use std::path::PathBuf;
 use volant::{
     calibration::{Cores, refine_from_bag},
@@ -42,6 +42,14 @@ pub fn run(arguments: &Arguments) -> Result<Estimate> {
     let held = if arguments.hold_camera { camera } else { &[] };
     let estimate = refine_from_bag(&arguments.bag, &rig, &cores, held)?;
     print(&estimate)?;
+    ensure!(
+        estimate.reduced <= MISFIT,
+        "{}: the recording does not fit the rig (squared residual per degree of freedom {:.1}, at \
+         most {MISFIT}), so {} is not changed; `volant check` names the cause",
+        arguments.bag.display(),
+        estimate.reduced,
+        arguments.rig.display()
+    );
     arguments.output.update(&arguments.rig, &changes(&estimate))?;
     Ok(estimate)
 }
