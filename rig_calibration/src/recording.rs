@@ -19,6 +19,35 @@ pub struct Samples {
     pub climber: Vec<ClimberSample>,
 }
 
+impl Samples {
+    /// Sorts each topic by its stamps; removes messages that are repeated, have no stamp or are not
+    /// finite, which the filter rejects, too.
+    pub(crate) fn repair(&mut self) {
+        self.imu.retain(|s| {
+            !s.stamp.is_unset() && finite(s.specific_force.iter().chain(&s.angular_velocity))
+        });
+        self.imu.sort_by_key(|s| s.stamp);
+        self.imu.dedup_by_key(|s| s.stamp);
+        self.climber.retain(|s| {
+            let pose = &s.world_from_climber;
+            let values = pose.translation.vector.iter().chain(&pose.rotation.coords);
+            !s.stamp.is_unset() && finite(values)
+        });
+        self.climber.sort_by_key(|s| s.stamp);
+        self.climber.dedup_by_key(|s| s.stamp);
+        self.markers.retain(|o| {
+            let mut detected = o.markers.0.iter().filter(|m| m.state == MarkerState::Detected);
+            !o.stamp.is_unset() && detected.all(|m| finite(m.centroid.iter().chain(&m.covariance)))
+        });
+        self.markers.sort_by_key(|o| o.stamp);
+        self.markers.dedup_by_key(|o| o.stamp);
+    }
+}
+
+fn finite<'a>(mut values: impl Iterator<Item = &'a f64>) -> bool {
+    values.all(|value| value.is_finite())
+}
+
 /// One image in which all four markers were measured.
 #[derive(Clone, Debug)]
 pub struct Shot {
@@ -49,11 +78,14 @@ pub struct Recording {
 const CLIMBER_WINDOW: f64 = 0.2;
 
 impl Recording {
-    /// Selects the images with all four markers and converts stamps to seconds.
+    /// Sorts the samples, without those that are repeated or invalid, selects the images with all
+    /// four markers, and converts stamps to seconds.
     ///
     /// # Errors
     /// Too few images, IMU samples or climber poses.
     pub fn new(samples: &Samples) -> Result<Self, CalibrationError> {
+        let mut samples = samples.clone();
+        samples.repair();
         let (imu, climber) = (&samples.imu, &samples.climber);
         for (count, topic) in [(imu.len(), topics::IMU), (climber.len(), topics::CLIMBER_TRANSFORM)]
         {
@@ -80,12 +112,11 @@ impl Recording {
             // The IMU samples must extend beyond both ends, also with different clocks.
             .filter(|s| s.time > 0.2 && s.time < end - 0.2)
             .collect();
-        shots.sort_by(|a, b| a.time.total_cmp(&b.time));
         shots.dedup_by(|a, b| a.time - b.time < 1e-4);
         if shots.len() < 60 {
             return Err(CalibrationError::FewImages { count: shots.len() });
         }
-        Ok(Self { camera: samples.camera.clone(), shots, imu, climber })
+        Ok(Self { camera: samples.camera, shots, imu, climber })
     }
 
     /// Keeps the consecutive images, at most `count`, in which the climber moves most; of more than
@@ -157,9 +188,6 @@ fn climber_line(samples: &[ClimberSample], start: Stamp) -> Vec<(f64, Vector3<f6
         let mut turn = along.y.atan2(along.x);
         let time = sample.stamp.seconds_since(start);
         if let Some(last) = line.last() {
-            if time <= last.0 {
-                continue;
-            }
             turn += ((last.2 - turn) / std::f64::consts::TAU).round() * std::f64::consts::TAU;
         }
         line.push((time, pose.translation.vector, turn));

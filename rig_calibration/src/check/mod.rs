@@ -81,7 +81,7 @@ pub fn check(
     if state.findings.iter().any(|f| f.blocks) {
         return Ok(Report { findings: state.findings, ..Report::default() });
     }
-    stamps::repair(&mut state.samples);
+    state.samples.repair();
     inertial::examine_units(&mut state);
     layout::examine_places(&mut state);
     layout::examine(&mut state, track)?;

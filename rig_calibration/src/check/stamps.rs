@@ -50,19 +50,6 @@ fn unset(topic: &str, readings: &mut Vec<(Stamp, Vector3<f64>)>) -> Option<Findi
     })
 }
 
-/// Sorts each topic by its stamps and removes repeated and zero ones.
-pub(crate) fn repair(samples: &mut Samples) {
-    samples.imu.retain(|s| !s.stamp.is_unset());
-    samples.climber.retain(|s| !s.stamp.is_unset());
-    samples.markers.retain(|s| !s.stamp.is_unset());
-    samples.imu.sort_by_key(|s| s.stamp);
-    samples.imu.dedup_by_key(|s| s.stamp);
-    samples.climber.sort_by_key(|s| s.stamp);
-    samples.climber.dedup_by_key(|s| s.stamp);
-    samples.markers.sort_by_key(|s| s.stamp);
-    samples.markers.dedup_by_key(|s| s.stamp);
-}
-
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)

@@ -1,6 +1,6 @@
 use super::*;
 use nalgebra::Vector2;
-use rig_model::Distortion;
+use rig_model::{Distortion, ImuSample, Stamp};
 use rig_simulator::{
     RIG_YAML,
     inertial::{Message, SensorConfig, Sensors},
@@ -48,4 +48,31 @@ fn some_wrong_images_accuse_nobody() {
         let report = check(&samples, &rig, None).unwrap();
         assert!(report.findings.is_empty(), "{seed}: {:?}", report.findings);
     }
+}
+
+#[test]
+fn repeated_and_invalid_messages_are_left_out() {
+    let (samples, rig) = recorded();
+    let right = Recording::new(&samples).unwrap();
+    let mut wrong = samples.clone();
+    wrong.imu.insert(500, wrong.imu[499]);
+    wrong.imu.swap(600, 601);
+    wrong.climber.insert(300, wrong.climber[299].clone());
+    let mut imu = wrong.imu[700];
+    imu.angular_velocity.x = f64::NAN;
+    wrong.imu.insert(700, imu);
+    wrong.imu.insert(0, ImuSample { stamp: Stamp::default(), ..imu });
+    let mut climber = wrong.climber[400].clone();
+    climber.world_from_climber.translation.x = f64::INFINITY;
+    wrong.climber.insert(400, climber);
+    let mut image = wrong.markers[200].clone();
+    image.markers.0[1].centroid.x = f64::NAN;
+    wrong.markers.insert(200, image);
+    let repaired = Recording::new(&wrong).unwrap();
+    assert_eq!((&repaired.imu, &repaired.climber), (&right.imu, &right.climber));
+    assert_eq!(repaired.shots.len(), right.shots.len());
+    let report = check(&wrong, &rig, None).unwrap();
+    // Only the unset stamp is named.
+    let keys: Vec<&str> = report.findings.iter().map(|f| f.key.as_str()).collect();
+    assert_eq!(keys, ["volant/imu/data"]);
 }
