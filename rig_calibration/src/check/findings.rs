@@ -105,6 +105,9 @@ pub(crate) fn report(
     change: &DVector<f64>,
 ) -> Report {
     let mut findings = state.findings.clone();
+    // A model that does not fit has no right values.
+    let fits = outcome.noise <= MISFIT;
+    let worst_possible = if fits { Verdict::Wrong } else { Verdict::Suspect };
     let mut rows = vec![];
     let total = |i: usize| {
         let known = if i == CAMERA_CLOCK { state.imu_clock } else { 0.0 };
@@ -119,7 +122,7 @@ pub(crate) fn report(
             let value = total(i) + if freed { 0.0 } else { further };
             let significant = value.abs() > SIGNIFICANT * deviation;
             let verdict = match value.abs() / group.scale(i) {
-                v if freed && significant && v > group.sizes[1] => Verdict::Wrong,
+                v if freed && significant && v > group.sizes[1] => worst_possible,
                 v if freed && significant && v > group.sizes[0] => Verdict::Suspect,
                 _ if group.detectable() * deviation > group.sizes[1] * group.scale(i) => {
                     Verdict::Unobservable
@@ -147,13 +150,13 @@ pub(crate) fn report(
             },
         ),
     );
-    if outcome.noise > MISFIT && findings.is_empty() {
+    if !fits && findings.iter().all(|f| f.verdict != Verdict::Wrong) {
         findings.push(Finding {
             key: "recording".to_owned(),
             verdict: Verdict::Suspect,
             text: format!(
                 "the recording does not fit the files, and no single cause explains it (squared \
-                 residual per degree of freedom {:.0})",
+                 residual per degree of freedom {:.1})",
                 outcome.noise
             ),
             remedy: "record again with a calmer motion; check that nothing was moved meanwhile"

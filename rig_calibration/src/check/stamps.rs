@@ -13,6 +13,10 @@ const TWICE: f64 = 0.05;
 const ALTERNATING: f64 = 5.0;
 /// A gap longer than this, s, is reported.
 const GAP: f64 = 1.0;
+/// A step back by more sample periods is one of the clock, where the messages after it stay behind:
+/// a network reorders less.
+const PERIODS: f64 = 5.0;
+const STAY: usize = 3;
 
 /// Examines the stamps of each topic.
 pub fn examine(samples: &Samples) -> Vec<Finding> {
@@ -30,7 +34,11 @@ pub fn examine(samples: &Samples) -> Vec<Finding> {
     ];
     let mut found: Vec<Finding> =
         topics.iter_mut().filter_map(|(topic, readings)| unset(topic, readings)).collect();
-    found.extend(topics.iter().flat_map(|(topic, readings)| of_topic(topic, readings)));
+    let spans = topics.each_ref().map(|(_, readings)| span(readings));
+    for (i, (topic, readings)) in topics.iter().enumerate() {
+        let others = (0..3).filter(|k| *k != i).map(|k| spans[k]).fold(0.0, f64::max);
+        found.extend(of_topic(topic, readings, others));
+    }
     let [(_, imu), _, (_, images)] = &topics;
     found.extend(disjoint(imu, images));
     found
@@ -55,7 +63,16 @@ fn median(mut values: Vec<f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
-fn of_topic(topic: &str, readings: &[(Stamp, Vector3<f64>)]) -> Vec<Finding> {
+/// Time from the first stamp to the last, s.
+fn span(readings: &[(Stamp, Vector3<f64>)]) -> f64 {
+    match readings {
+        [first, .., last] => last.0.seconds_since(first.0),
+        _ => 0.0,
+    }
+}
+
+/// Examines one topic; `others` is the longest span of the other ones, s.
+fn of_topic(topic: &str, readings: &[(Stamp, Vector3<f64>)], others: f64) -> Vec<Finding> {
     if readings.len() < 20 {
         return vec![];
     }
@@ -84,18 +101,35 @@ fn of_topic(topic: &str, readings: &[(Stamp, Vector3<f64>)]) -> Vec<Finding> {
         });
         return found;
     }
-    if let Some((at, jump)) = steps.iter().enumerate().find(|(_, dt)| **dt < -GAP || **dt > GAP) {
-        let since = readings[at].0.seconds_since(readings[0].0);
+    let period = median(steps.clone());
+    let back = |at: usize| {
+        let before = readings[at.saturating_sub(STAY - 1)..=at].iter().map(|r| r.0).min();
+        let behind = |r: &(Stamp, Vector3<f64>)| Some(r.0) < before;
+        at + 1 >= STAY
+            && steps[at] < -PERIODS * period
+            && readings[at + 1..].iter().take(STAY).all(behind)
+    };
+    let step = (0..steps.len()).find(|at| steps[*at].abs() > GAP || back(*at));
+    if let Some(at) = step {
+        let (jump, since) = (steps[at], readings[at].0.seconds_since(readings[0].0));
+        // Lost messages do not make a topic longer than the others.
+        let ahead = others > 0.0 && span(readings) - others > 0.5 * jump.abs();
+        let clock = back(at) || jump > 0.0 && ahead;
         found.push(Finding {
             key: topic.to_owned(),
-            verdict: if *jump < 0.0 { Verdict::Wrong } else { Verdict::Suspect },
+            verdict: if clock || jump < 0.0 { Verdict::Wrong } else { Verdict::Suspect },
             text: format!(
                 "the stamps of {topic} step by {jump:+.3} s, {since:.1} s after their start"
             ),
-            remedy: "let the clocks be slewed, not stepped, while the rig runs; where messages \
-                     were lost, look at the network or the recorder"
-                .to_owned(),
-            blocks: false,
+            remedy: if clock {
+                "let the clocks be slewed, not stepped, while the rig runs, and record again"
+            } else {
+                "let the clocks be slewed, not stepped, while the rig runs; where messages were \
+                 lost, look at the network or the recorder"
+            }
+            .to_owned(),
+            // No time offset holds for all of the recording.
+            blocks: clock,
         });
     }
     found
@@ -132,12 +166,12 @@ mod tests {
     #[test]
     fn two_publishers_are_found_by_their_stamps_or_by_their_contradictions() {
         let one = readings(100, |i| i as f64 * 1e-3);
-        assert!(of_topic("t", &one).is_empty());
+        assert!(of_topic("t", &one, 2.0).is_empty());
         let twice: Vec<_> = one.iter().flat_map(|r| [*r, *r]).collect();
-        let found = of_topic("t", &twice);
+        let found = of_topic("t", &twice, 2.0);
         assert!(found[0].text.contains("two publishers") && !found[0].blocks, "{found:?}");
         let two = readings(100, |i| i as f64 * 1e-3 + if i % 2 == 0 { 0.0 } else { 2.0 });
-        let found = of_topic("t", &two);
+        let found = of_topic("t", &two, 2.0);
         assert!(found[0].text.contains("contradict") && found[0].blocks, "{found:?}");
     }
 
@@ -153,13 +187,27 @@ mod tests {
     }
 
     #[test]
-    fn a_backward_step_is_wrong_and_a_gap_suspect() {
-        let mut stepped = readings(100, |i| i as f64 * 1e-3);
-        stepped[50..].iter_mut().for_each(|r| r.0 = r.0.plus_seconds(-3.0));
-        assert_eq!(of_topic("t", &stepped)[0].verdict, Verdict::Wrong);
-        let mut gap = readings(100, |i| i as f64 * 1e-3);
-        gap[50..].iter_mut().for_each(|r| r.0 = r.0.plus_seconds(2.0));
-        assert_eq!(of_topic("t", &gap)[0].verdict, Verdict::Suspect);
+    fn a_step_of_the_clock_is_wrong_and_a_gap_suspect() {
+        let after = |seconds: f64| {
+            let mut stepped = readings(100, |i| i as f64 * 1e-3);
+            stepped[50..].iter_mut().for_each(|r| r.0 = r.0.plus_seconds(seconds));
+            stepped
+        };
+        let judge = |readings: &[_], others| {
+            of_topic("t", readings, others).first().map(|f| (f.verdict, f.blocks))
+        };
+        for seconds in [-3.0, -0.3, -0.15] {
+            assert_eq!(judge(&after(seconds), 2.0), Some((Verdict::Wrong, true)), "{seconds}");
+        }
+        // The other topics last as long, or not.
+        assert_eq!(judge(&after(2.0), 4.0), Some((Verdict::Suspect, false)));
+        assert_eq!(judge(&after(2.0), 2.0), Some((Verdict::Wrong, true)));
+        // Messages that overtook others, and one stamp that is far ahead.
+        let mut reordered = after(0.0);
+        reordered[40..44].reverse();
+        assert_eq!(judge(&reordered, 2.0), None);
+        reordered[60].0 = reordered[60].0.plus_seconds(0.5);
+        assert_eq!(judge(&reordered, 2.0), None);
     }
 
     #[test]

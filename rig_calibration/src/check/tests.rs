@@ -76,3 +76,18 @@ fn repeated_and_invalid_messages_are_left_out() {
     let keys: Vec<&str> = report.findings.iter().map(|f| f.key.as_str()).collect();
     assert_eq!(keys, ["volant/imu/data"]);
 }
+
+#[test]
+fn a_step_of_the_clock_accuses_nothing_else() {
+    for seconds in [-3.0, -0.3, 2.0] {
+        let (mut samples, rig) = recorded();
+        let half = samples.imu.len() / 2;
+        for sample in &mut samples.imu[half..] {
+            sample.stamp = sample.stamp.plus_seconds(seconds);
+        }
+        let report = check(&samples, &rig, None).unwrap();
+        let found: Vec<_> = report.findings.iter().map(|f| (f.key.as_str(), f.verdict)).collect();
+        assert_eq!(found, [("volant/imu/data", Verdict::Wrong)], "{seconds}");
+        assert!(examine_stamps(&samples)[0].blocks);
+    }
+}
