@@ -243,11 +243,16 @@ impl RosArguments {
 
     /// Checks the node selectors of parameter files, of `-p` and of `-r` for mistyped forms of
     /// `kind`, the name of a node's program. Other names are those of other nodes: longer ones
-    /// (`pose_fusion_2`), and those with a digit.
+    /// (`pose_fusion_2`), and those with a digit. Returns those in files that other programs share:
+    /// `ins_driver` may be another node beside `imu_driver`.
     ///
     /// # Errors
     /// [`ArgumentError::UnknownNode`], [`ArgumentError::UnknownSelector`]
-    pub fn check_node_names(&self, node: &NodeName, kind: &str) -> Result<(), ArgumentError> {
+    pub fn check_node_names(
+        &self,
+        node: &NodeName,
+        kind: &str,
+    ) -> Result<Vec<ArgumentError>, ArgumentError> {
         // Two letters exchanged are two edits; short names differ by as much from each other.
         let limit = (kind.len() / 4).min(2);
         let mistyped = |selector: &&str| {
@@ -257,14 +262,19 @@ impl RosArguments {
                 && !name.contains(|c: char| c.is_ascii_digit() || c == '*')
                 && edit_distance(&name.to_ascii_lowercase(), kind) <= limit
         };
+        let mut doubtful = vec![];
         for source in &self.sources {
             let ParameterSource::File { path, file } = source else { continue };
-            if let Some(selector) = file.selectors().find(mistyped) {
-                return Err(ArgumentError::UnknownNode {
+            for selector in file.selectors().filter(mistyped) {
+                let unknown = ArgumentError::UnknownNode {
                     path: path.clone(),
                     selector: selector.to_owned(),
                     name: kind.to_owned(),
-                });
+                };
+                if self.is_own(file, node) {
+                    return Err(unknown);
+                }
+                doubtful.push(unknown);
             }
         }
         let of_values = self.sources.iter().filter_map(|source| match source {
@@ -277,8 +287,14 @@ impl RosArguments {
                 selector: selector.to_owned(),
                 name: kind.to_owned(),
             }),
-            None => Ok(()),
+            None => Ok(doubtful),
         }
+    }
+
+    /// Whether a file belongs to this project, as a rig file does: what it does not know is a
+    /// mistake.
+    fn is_own(&self, file: &ParameterFile, node: &NodeName) -> bool {
+        self.strict || file.for_node(&node.fully_qualified()).contains_key(RIG_KEY)
     }
 
     /// Declares a node's parameters, those of every node among them, with the values given for it.
@@ -304,11 +320,10 @@ impl RosArguments {
         for source in &self.sources {
             match source {
                 ParameterSource::File { path, file } => {
+                    let own = self.is_own(file, node);
                     let (origin, node) = (path.display().to_string(), node.fully_qualified());
-                    // A rig file belongs to this project: what it does not know is a mistake.
-                    let of_rig = self.strict || file.for_node(&node).contains_key(RIG_KEY);
                     all.extend(file.for_node(&node).into_iter().map(|(name, value)| {
-                        let shared = !of_rig && file.is_for_all(&node, &name);
+                        let shared = !own && file.is_for_all(&node, &name);
                         (name, Override { value, origin: origin.clone(), shared })
                     }));
                 }

@@ -68,12 +68,15 @@ fn a_mistyped_node_name_is_rejected_and_that_of_another_node_is_not() {
     let folder = std::env::temp_dir().join(format!("volant_selectors_{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let path = folder.join("params.yaml");
-    let check = |selector: &str, node: &str, kind: &str| {
-        std::fs::write(&path, format!("{selector}: {{ros__parameters: {{x: 1}}}}")).unwrap();
+    let check_in = |file: &str, selector: &str, node: &str, kind: &str| {
+        let text = format!("{file}\n{selector}: {{ros__parameters: {{x: 1}}}}");
+        std::fs::write(&path, text).unwrap();
         let mut ros = RosArguments::default();
         ros.add_file(path.clone()).unwrap();
         ros.check_node_names(&NodeName::new("/", node).unwrap(), kind)
     };
+    let rig = "/**: {ros__parameters: {markers: {size: 0.076}}}";
+    let check = |selector: &str, node: &str, kind: &str| check_in(rig, selector, node, kind);
     for selector in
         ["/pose_fusoin", "pose_fusio", "/rig1/posefusion", "/Pose_Fusion", "/**/pose_fusin"]
     {
@@ -82,12 +85,18 @@ fn a_mistyped_node_name_is_rejected_and_that_of_another_node_is_not() {
         assert!(!error.is_usage());
     }
     for selector in
-        ["/**", "/*", "/pose_fusion", "/rig1/pose_fusion", "pose_fusion_b", "imu_driver", "est"]
+        ["/rig1/*", "/pose_fusion", "/rig1/pose_fusion", "pose_fusion_b", "imu_driver", "est"]
     {
         check(selector, "est", "pose_fusion").unwrap();
     }
     for selector in ["imu2_driver", "climber_driver", "robot_state_publisher"] {
         check(selector, "imu1_driver", "imu_driver").unwrap();
+    }
+    // Other programs' nodes, in a file that is no rig's.
+    for selector in ["ins_driver", "mpu_driver", "icm_driver"] {
+        let doubtful = check_in("", selector, "imu_driver", "imu_driver").unwrap();
+        assert_eq!(doubtful.len(), 1, "{selector}");
+        assert!(doubtful[0].to_string().contains(selector), "{doubtful:?}");
     }
     for (rule, right) in [
         ("-p pose_fusio:x:=1", false),

@@ -173,7 +173,7 @@ impl Process {
         + 'static,
     ) -> Result<(), NodeError> {
         let name = arguments.node_name(S::NAME)?;
-        arguments.check_node_names(&name, S::NAME)?;
+        let doubtful = arguments.check_node_names(&name, S::NAME)?;
         let store = arguments.declare::<S::Parameters>(&name)?;
         let clock = Clock::default();
         let logger = Logger::new(
@@ -182,12 +182,16 @@ impl Process {
             clock.clone(),
             self.sinks.clone(),
         );
+        for block in doubtful {
+            logger.log(Level::Warn, format!("{block}, if it is not another node's"));
+        }
         for (parameter, origin) in store.ignored() {
+            let hint = store.hint(parameter);
             logger.log(
                 Level::Warn,
                 format!(
-                    "{origin}: `{parameter}` is given for all nodes and is no parameter of this one; \
-                     it is ignored"
+                    "{origin}: `{parameter}` is given for all nodes and is no parameter of this \
+                     one{hint}; it is ignored"
                 ),
             );
         }

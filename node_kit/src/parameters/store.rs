@@ -51,7 +51,7 @@ impl ParameterStore {
                 store.values.insert(name, accept(descriptor, &given)?);
             } else if name.starts_with(QOS_OVERRIDES) {
                 store.pending.insert(name, given);
-            } else if given.shared && did_you_mean(&name, store.names()).is_empty() {
+            } else if given.shared {
                 store.ignored.push((name, given.origin));
             } else {
                 return Err(given_in(store.unknown(&name), &given.origin));
@@ -70,8 +70,13 @@ impl ParameterStore {
         &self.ignored
     }
 
+    /// ` (did you mean …?)` for an unknown name, or nothing.
+    pub fn hint(&self, name: &str) -> String {
+        did_you_mean(name, self.names())
+    }
+
     fn unknown(&self, name: &str) -> ParameterError {
-        ParameterError::Unknown { name: name.to_owned(), hint: did_you_mean(name, self.names()) }
+        ParameterError::Unknown { name: name.to_owned(), hint: self.hint(name) }
     }
 
     /// Declares a parameter if a value was given for it at the start, and returns that value.
@@ -205,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_name_of_a_shared_file_is_ignored_unless_it_is_nearly_one_of_ours() {
+    fn an_unknown_name_is_ignored_only_in_a_shared_file() {
         let shared = |name: &str| {
             let value = ParameterValue::Double(0.1);
             (name.to_owned(), Override { value, origin: "robot.yaml".into(), shared: true })
@@ -214,7 +219,13 @@ mod tests {
         let store = of("robot_description").unwrap();
         assert_eq!(store.ignored(), [("robot_description".to_owned(), "robot.yaml".to_owned())]);
         assert_eq!(store.get("robot_description"), None);
-        assert!(of("markers.sise").unwrap_err().to_string().contains("markers.size"));
+        // Nearly one of ours, and that of another node all the same.
+        let store = of("frames.base").unwrap();
+        assert_eq!(store.ignored().len(), 1);
+        assert!(of("markers.sise").unwrap().hint("markers.sise").contains("markers.size"));
+        let own = given("markers.sise", ParameterValue::Double(0.1));
+        let error = ParameterStore::new(common_descriptors(), [own].into()).unwrap_err();
+        assert!(error.to_string().contains("markers.size"), "{error}");
     }
 
     #[test]
