@@ -176,10 +176,16 @@ impl Series {
 /// # Errors
 /// [`ClimberError`]
 pub fn calibrate_climber(jog: &Jog<'_>) -> Result<ClimberCalibration, ClimberError> {
-    let (series, start) = series(jog.joints);
-    let (shots, seen) = shots(jog, &series, start);
+    let images = images(jog.markers);
+    let (mut series, start) = series(jog.joints);
+    let covered =
+        |s: &Series| images.iter().filter(|o| s.at(o.stamp.seconds_since(start)).is_some()).count();
+    // A joint that is published rarely or in part is another device's, and costs no images.
+    let most = series.iter().map(covered).max().unwrap_or(0);
+    series.retain(|s| 2 * covered(s) >= most);
+    let shots = shots(jog, &images, &series, start);
     if shots.len() < FEWEST {
-        return Err(ClimberError::FewImages { count: seen.min(shots.len()) });
+        return Err(ClimberError::FewImages { count: shots.len() });
     }
     let assigned = assign::assign(&shots, &series, &jog.preferred)?;
     fit::fit(jog, &shots, &series, &assigned)
@@ -209,14 +215,23 @@ fn series(joints: &[JointReadings]) -> (Vec<Series>, Stamp) {
     (series, start)
 }
 
-/// Images that show all four markers while every joint has readings, and the number of those that
-/// show them at all.
-fn shots(jog: &Jog<'_>, series: &[Series], start: Stamp) -> (Vec<Shot>, usize) {
+/// Images that show all four markers, sorted by time, at most [`MOST`].
+fn images(markers: &[MarkerObservations]) -> Vec<&MarkerObservations> {
     let whole =
         |o: &&MarkerObservations| o.markers.0.iter().all(|m| m.state == MarkerState::Detected);
-    let mut seen: Vec<_> = jog.markers.iter().filter(whole).collect();
+    let mut seen: Vec<_> = markers.iter().filter(whole).collect();
     seen.sort_by_key(|o| o.stamp);
     let step = seen.len().div_ceil(MOST).max(1);
+    seen.into_iter().step_by(step).collect()
+}
+
+/// Images during which every joint has readings.
+fn shots(
+    jog: &Jog<'_>,
+    images: &[&MarkerObservations],
+    series: &[Series],
+    start: Stamp,
+) -> Vec<Shot> {
     // The platform rests, and the camera looks down as the rig file says: this decides between the
     // two poses that fit an image of four points in a plane.
     let tilt = TiltPrior {
@@ -224,7 +239,7 @@ fn shots(jog: &Jog<'_>, series: &[Series], start: Stamp) -> (Vec<Shot>, usize) {
         up_in_camera: jog.rig.climber_from_camera.rotation.inverse() * Vector3::z(),
         sigma: 0.005,
     };
-    let shots = seen.iter().step_by(step).filter_map(|o| {
+    let shots = images.iter().filter_map(|o| {
         let time = o.stamp.seconds_since(start);
         series.iter().all(|s| s.at(time).is_some()).then_some(())?;
         let measured = PerColor(o.markers.0.map(|m| Some((m.centroid, m.covariance))));
@@ -236,5 +251,5 @@ fn shots(jog: &Jog<'_>, series: &[Series], start: Stamp) -> (Vec<Shot>, usize) {
             climber_from_volant: jog.rig.climber_from_camera * poses.first()?.camera_from_volant,
         })
     });
-    (shots.collect(), seen.len())
+    shots.collect()
 }

@@ -187,6 +187,21 @@ fn an_axis_that_does_not_move_is_unobservable() {
 }
 
 #[test]
+fn a_joint_that_is_published_once_a_second_does_not_matter() {
+    let mut recorded = record(&rig(), [true; 3], |_| platform(), 0.0);
+    let slow: Vec<_> = (recorded.joints.iter().step_by(50))
+        .map(|readings| JointReadings {
+            stamp: readings.stamp.plus_seconds(1e-3),
+            names: vec!["wrist".into()],
+            positions: vec![readings.positions[0]],
+        })
+        .collect();
+    recorded.joints.extend(slow);
+    let found = calibrate(&recorded, &rig(), None).unwrap();
+    assert_eq!(found.axes.map(|a| a.unwrap().joint), ENCODERS.names.map(str::to_owned));
+}
+
+#[test]
 fn a_moved_platform_and_a_missing_encoder_are_refused() {
     let pushed = |t: f64| Translation3::new(0.05 * (t / 3.0).sin(), 0.0, 0.0) * platform();
     let error = calibrate(&record(&rig(), [true; 3], pushed, 0.0), &rig(), None).unwrap_err();
