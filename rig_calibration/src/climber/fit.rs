@@ -21,6 +21,8 @@ const PRIOR: [f64; SIZE] =
     [0.1, 0.1, 10.0, 10.0, 10.0, 10.0, 10.0, 0.5, 0.5, 0.5, 0.05, 0.05, 0.1, 0.1, 0.1];
 /// Steps of the numerical derivatives.
 const STEP: f64 = 1e-6;
+/// Largest last step of a fit that has converged, in standard deviations.
+const CONVERGED: f64 = 0.1;
 /// Assumed standard deviation of a centroid, px; the residuals scale the result.
 const PIXEL: f64 = 0.1;
 /// Largest standard deviation at which the camera's tilt (rad) and offset (m) count as determined.
@@ -34,6 +36,14 @@ struct Problem<'a> {
     /// Reading of each axis that counts as the first.
     first: [f64; 3],
     start: [f64; SIZE],
+}
+
+struct Solution {
+    parameters: DVector<f64>,
+    /// Normal matrix.
+    normal: DMatrix<f64>,
+    residuals: DVector<f64>,
+    converged: bool,
 }
 
 impl Problem<'_> {
@@ -76,10 +86,10 @@ impl Problem<'_> {
         Some(DVector::from_vec(all))
     }
 
-    /// Gauss–Newton with priors; the parameters, the normal matrix and the residuals.
-    fn solve(&self, mut p: DVector<f64>) -> Option<(DVector<f64>, DMatrix<f64>, DVector<f64>)> {
+    /// Gauss–Newton with priors, in at most `rounds` steps.
+    fn solve(&self, mut p: DVector<f64>, rounds: usize) -> Option<Solution> {
         let start = DVector::from_row_slice(&self.start);
-        for round in 0..40 {
+        for round in 1..=rounds {
             let residuals = self.residuals(&p)?;
             let mut jacobian = DMatrix::zeros(residuals.len(), SIZE);
             for i in 0..SIZE {
@@ -95,8 +105,10 @@ impl Problem<'_> {
             }
             let step = normal.clone().cholesky()?.solve(&right);
             p += &step;
-            if step.amax() < 1e-9 || round == 39 {
-                return Some((p.clone(), normal, self.residuals(&p)?));
+            if step.amax() < 1e-9 || round == rounds {
+                let converged = step.dot(&(&normal * &step)) < CONVERGED * CONVERGED;
+                let residuals = self.residuals(&p)?;
+                return Some(Solution { parameters: p, normal, residuals, converged });
             }
         }
         None
@@ -108,6 +120,7 @@ pub(super) fn fit(
     shots: &[Shot],
     series: &[Series],
     assigned: &Assigned,
+    rounds: usize,
 ) -> Result<ClimberCalibration, ClimberError> {
     let axes = assigned.axes.map(|axis| axis.map(|(joint, scale)| (&series[joint], scale)));
     let first = axes.map(|a| a.and_then(|(s, _)| s.at(shots[0].time)).unwrap_or(0.0));
@@ -116,8 +129,8 @@ pub(super) fn fit(
     start[2] = assigned.platform_yaw;
     start[3..7].copy_from_slice(&[assigned.position.x, assigned.position.y, height, assigned.turn]);
     let mut problem = Problem { jog, shots: shots.iter().collect(), axes, first, start };
-    let solve = |problem: &Problem<'_>, p| problem.solve(p).ok_or(ClimberError::Diverged);
-    let (p, _, residuals) = solve(&problem, DVector::from_row_slice(&start))?;
+    let solve = |problem: &Problem<'_>, p| problem.solve(p, rounds).ok_or(ClimberError::Diverged);
+    let Solution { parameters, residuals, .. } = solve(&problem, DVector::from_row_slice(&start))?;
     // Images in which the tracker measured something else.
     let size = |i: usize| residuals.rows(8 * i, 8).norm();
     let mut sizes: Vec<f64> = (0..shots.len()).map(size).collect();
@@ -125,15 +138,18 @@ pub(super) fn fit(
     let limit = 4.0 * sizes[sizes.len() / 2];
     problem.shots =
         shots.iter().enumerate().filter(|(i, _)| size(*i) <= limit).map(|s| s.1).collect();
-    let (p, normal, residuals) = solve(&problem, p)?;
+    let Solution { parameters, normal, residuals, converged } = solve(&problem, parameters)?;
     let pixel_rms = PIXEL * (residuals.norm_squared() / residuals.len() as f64).sqrt();
     if pixel_rms > RESIDUAL {
         let millimeters = 1e3 * pixel_rms * height / jog.camera.focal_lengths().mean();
         return Err(ClimberError::Moved { pixels: pixel_rms, millimeters });
     }
+    if !converged {
+        return Err(ClimberError::Diverged);
+    }
     let covariance =
         normal.try_inverse().ok_or(ClimberError::Diverged)? * (pixel_rms / PIXEL).powi(2).max(1.0);
-    Ok(problem.result(&p, &covariance, pixel_rms))
+    Ok(problem.result(&parameters, &covariance, pixel_rms))
 }
 
 impl Problem<'_> {

@@ -28,6 +28,8 @@ const FEWEST: usize = 60;
 const MOST: usize = 600;
 /// Largest gap between readings that is interpolated, s.
 const GAP: f64 = 0.3;
+/// Largest number of steps of the fit.
+const ROUNDS: usize = 40;
 /// Largest RMS of the pixel residuals, px: several times that of a rig file measured with a tape.
 const RESIDUAL: f64 = 4.0;
 
@@ -176,6 +178,10 @@ impl Series {
 /// # Errors
 /// [`ClimberError`]
 pub fn calibrate_climber(jog: &Jog<'_>) -> Result<ClimberCalibration, ClimberError> {
+    calibrate_within(jog, ROUNDS)
+}
+
+fn calibrate_within(jog: &Jog<'_>, rounds: usize) -> Result<ClimberCalibration, ClimberError> {
     let images = images(jog.markers);
     let (mut series, start) = series(jog.joints);
     let covered =
@@ -188,7 +194,7 @@ pub fn calibrate_climber(jog: &Jog<'_>) -> Result<ClimberCalibration, ClimberErr
         return Err(ClimberError::FewImages { count: shots.len() });
     }
     let assigned = assign::assign(&shots, &series, &jog.preferred)?;
-    fit::fit(jog, &shots, &series, &assigned)
+    fit::fit(jog, &shots, &series, &assigned, rounds)
 }
 
 /// Readings per joint that varies, and the stamp of the first message.

@@ -109,14 +109,19 @@ fn calibrate(
     rig: &Rig,
     at: Option<Vector3<f64>>,
 ) -> Result<ClimberCalibration, ClimberError> {
-    calibrate_climber(&Jog {
-        camera: &camera(),
-        rig,
-        markers: &recorded.markers,
-        joints: &recorded.joints,
-        preferred: AXES,
-        platform: at,
-    })
+    calibrate_in(recorded, rig, at, ROUNDS)
+}
+
+fn calibrate_in(
+    recorded: &Recorded,
+    rig: &Rig,
+    at: Option<Vector3<f64>>,
+    rounds: usize,
+) -> Result<ClimberCalibration, ClimberError> {
+    let (markers, joints) = (&recorded.markers, &recorded.joints);
+    let camera = &camera();
+    let jog = Jog { camera, rig, markers, joints, preferred: AXES, platform: at };
+    calibrate_within(&jog, rounds)
 }
 
 fn assert_near(what: &str, (value, sigma): Value, truth: f64, largest: f64) {
@@ -164,6 +169,8 @@ fn a_wrong_camera_mounting_is_found_where_the_turn_shows_it() {
     assert_near("tilt y", y, -0.02, 2e-3);
     assert_near("scale", found.axes[0].as_ref().unwrap().scale, ENCODERS.scale[0], 2e-7);
     assert_near("height", found.height.unwrap(), 2.4, 5e-3);
+    // A fit that has not converged is none.
+    assert!(calibrate_in(&recorded, &rig(), Some(at), 1).is_err());
 }
 
 #[test]
