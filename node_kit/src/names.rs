@@ -61,8 +61,9 @@ impl NodeName {
         if name.is_empty() {
             return Err(wrong("it is empty"));
         }
+        // As rcl's `rcl_expand_topic_name`: the namespace with its slash.
         let name = name.replace("{node}", &self.name);
-        let name = name.replace("{ns}", self.namespace.trim_start_matches('/'));
+        let name = name.replace("{ns}", &self.namespace).replace("{namespace}", &self.namespace);
         let absolute = if let Some(private) = name.strip_prefix('~') {
             match private.strip_prefix('/') {
                 Some(rest) => join(&self.fully_qualified(), rest),
@@ -93,9 +94,6 @@ fn check_token(whole: &str, token: &str) -> Result<(), NameError> {
     }
     if !token.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') {
         return wrong("only letters, digits, `_` and `/` may be in it");
-    }
-    if token.contains("__") {
-        return wrong("two `_` in a row are reserved");
     }
     Ok(())
 }
@@ -157,17 +155,23 @@ mod tests {
             (&rig, "~", "/rig1/imu"),
             (&rig, "~/get_parameters", "/rig1/imu/get_parameters"),
             (&root, "~/x", "/imu/x"),
-            (&rig, "{ns}/{node}", "/rig1/rig1/imu"),
+            (&rig, "{ns}/{node}", "/rig1/imu"),
+            (&rig, "{namespace}/x", "/rig1/x"),
+            (&rig, "a__b", "/rig1/a__b"),
         ] {
             assert_eq!(node.expand(name).unwrap(), expected, "{name}");
         }
         assert_eq!(NodeName::new("rig1", "imu").unwrap(), rig);
+        assert_eq!(
+            NodeName::new("/rig__1", "my__imu").unwrap().fully_qualified(),
+            "/rig__1/my__imu"
+        );
     }
 
     #[test]
     fn invalid_names_are_rejected() {
         let node = NodeName::new("/", "imu").unwrap();
-        for name in ["", "/", "a//b", "a/", "1a", "a b", "a__b", "~x", "ä"] {
+        for name in ["", "/", "a//b", "a/", "1a", "a b", "{ns}/a", "~x", "ä"] {
             assert!(node.expand(name).is_err(), "{name}");
         }
         assert!(NodeName::new("/a/", "x").is_err());
