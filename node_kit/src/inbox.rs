@@ -48,9 +48,10 @@ pub struct SourceCount {
     pub latest: Option<Instant>,
     /// Whether the diagnostics report the source while it is missing.
     pub expected: bool,
-    /// Requests of a service rather than a topic or device.
+    /// Requests of a service rather than a topic or device. They pass even while the inbox does not
+    /// accept: a client waits for the reply.
     pub service: bool,
-    /// Entries pass even while the inbox does not accept: control of the node itself.
+    /// Control of the node itself.
     control: bool,
     retired: bool,
     depth: usize,
@@ -62,6 +63,20 @@ struct State<I> {
     sources: Vec<SourceCount>,
     closed: bool,
     accepting: bool,
+}
+
+impl<I> State<I> {
+    /// Takes entries out of the queue by their source. They are dropped outside of the lock,
+    /// because that may put in another one.
+    fn remove(
+        &mut self,
+        which: impl Fn(usize, &[SourceCount]) -> bool,
+    ) -> VecDeque<(usize, Event<I>)> {
+        let queue = std::mem::take(&mut self.queue);
+        let (gone, kept) = queue.into_iter().partition(|(s, _)| which(*s, &self.sources));
+        self.queue = kept;
+        gone
+    }
 }
 
 struct Shared<I> {
@@ -115,7 +130,7 @@ impl<I> Inbox<I> {
         let count = &mut state.sources[source];
         count.received += 1;
         count.latest = Some(now);
-        if !accepting && !count.control {
+        if !accepting && !count.service {
             return;
         }
         if count.queued == count.depth {
@@ -164,7 +179,7 @@ pub(crate) trait Sources: Send + Sync {
     fn add_source(&self, name: &str, depth: usize, expected: bool) -> SourceId;
     /// Adds the requests of a service.
     fn add_service(&self, name: &str, depth: usize) -> SourceId;
-    /// Adds a source whose entries pass even while the inbox does not accept.
+    /// Adds the requests that control the node itself, which are not among the counts.
     fn add_control(&self, name: &str, depth: usize) -> SourceId;
     /// Puts in a request for the node's runner.
     fn put_control(&self, source: SourceId, control: Control);
@@ -178,7 +193,7 @@ pub(crate) trait Sources: Send + Sync {
     fn lose(&self, source: SourceId, count: u64);
     /// Ends a source: drops its entries and removes it from the counts.
     fn retire(&self, source: SourceId);
-    /// Sets whether entries are kept; an inactive node counts and drops them.
+    /// Sets whether entries are kept; an inactive node counts and drops them, those that wait too.
     fn set_accepting(&self, accepting: bool);
     /// Counts of all sources.
     fn counts(&self) -> Vec<SourceCount>;
@@ -244,15 +259,20 @@ impl<I: Send + 'static> Sources for Inbox<I> {
         let mut state = self.lock();
         state.sources[source].retired = true;
         state.sources[source].queued = 0;
-        let queue = std::mem::take(&mut state.queue);
-        let (gone, kept) = queue.into_iter().partition(|(s, _)| *s == source);
-        state.queue = kept;
+        let gone = state.remove(|s, _| s == source);
         drop(state);
-        drop::<VecDeque<_>>(gone);
+        drop(gone);
     }
 
     fn set_accepting(&self, accepting: bool) {
-        self.lock().accepting = accepting;
+        let mut state = self.lock();
+        state.accepting = accepting;
+        if !accepting {
+            state.sources.iter_mut().filter(|s| !s.service).for_each(|s| s.queued = 0);
+            let gone = state.remove(|s, sources| !sources[s].service);
+            drop(state);
+            drop(gone);
+        }
     }
 
     fn counts(&self) -> Vec<SourceCount> {
@@ -315,13 +335,27 @@ mod tests {
     }
 
     #[test]
-    fn an_inbox_that_does_not_accept_still_counts() {
+    fn an_inbox_that_does_not_accept_still_counts_and_serves() {
         let inbox = Inbox::new();
         let source = inbox.add_source("/x", 1, true);
-        inbox.set_accepting(false);
+        let service = inbox.add_service("/reset", 16);
         inbox.put(source, Event::Input(1), now());
+        inbox.put(service, Event::Input(2), now());
+        inbox.set_accepting(false);
+        inbox.put(source, Event::Input(3), now());
+        inbox.put(service, Event::Input(4), now());
+        for expected in [2, 4] {
+            let taken = inbox.take(Some(now()));
+            assert!(matches!(taken, Taken::Entry(Event::Input(i)) if i == expected));
+        }
         let deadline = now() + Duration::from_millis(1);
         assert!(matches!(inbox.take(Some(deadline)), Taken::Deadline));
-        assert_eq!(inbox.counts()[0].received, 1);
+        let counts = inbox.counts();
+        assert_eq!((counts[0].received, counts[0].dropped), (2, 0));
+        // The queue of the topic is empty.
+        inbox.set_accepting(true);
+        inbox.put(source, Event::Input(5), now());
+        assert!(matches!(inbox.take(Some(now())), Taken::Entry(Event::Input(5))));
+        assert_eq!(inbox.counts()[0].dropped, 0);
     }
 }
