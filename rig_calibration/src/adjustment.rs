@@ -3,6 +3,7 @@
 use crate::{
     CalibrationError,
     arrow::{Arrow, STATE},
+    median::median,
     parameters::{self, PARAMETERS, Parameters},
     problem::{State, integrated, motion, pixel_whitener, pixels},
     recording::Recording,
@@ -321,8 +322,6 @@ impl<'a> Adjustment<'a> {
 /// Square beyond which a residual of a kind is an outlier; where most exceed the quantile, it grows
 /// with their median.
 fn limit(squares: &[f64], kind: usize) -> f64 {
-    let mut sorted = squares.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    let median = median(squares.to_vec()).unwrap_or(0.0);
     OUTLIER[kind] * f64::max(1.0, median / MEDIANS[kind])
 }

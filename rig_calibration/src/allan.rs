@@ -4,6 +4,7 @@
 //! instability B a flat minimum of 0.664 B, and the random walk of its bias, of density K, K
 //! √(τ/3).
 
+use crate::median::median;
 use nalgebra::Vector3;
 use rig_model::ImuSample;
 use std::fmt;
@@ -192,10 +193,8 @@ pub fn imu_noise(samples: &[ImuSample]) -> Result<ImuNoise, NoiseError> {
 
 /// The longest stretch without a gap, and the mean period of the samples in it, s.
 fn without_gap(samples: &[ImuSample]) -> (&[ImuSample], f64) {
-    let mut steps: Vec<f64> =
-        samples.windows(2).map(|w| w[1].stamp.seconds_since(w[0].stamp)).collect();
-    steps.sort_by(f64::total_cmp);
-    let usual = steps.get(steps.len() / 2).copied().unwrap_or(0.0);
+    let steps = samples.windows(2).map(|w| w[1].stamp.seconds_since(w[0].stamp));
+    let usual = median(steps.collect()).unwrap_or(0.0);
     let whole = |a: &ImuSample, b: &ImuSample| {
         let step = b.stamp.seconds_since(a.stamp);
         step > 0.0 && step < 1.5 * usual

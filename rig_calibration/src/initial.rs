@@ -6,7 +6,7 @@ use crate::{
     problem::{State, camera_from_volant},
     recording::Recording,
 };
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Vector3};
 use rig_model::{PerColor, planar_pose};
 
 /// Estimates a pose per image, with "up" from the mean specific force around it, and velocities by
@@ -50,12 +50,11 @@ pub(super) fn first_states(
             State { pose: poses[k], velocity }
         })
         .collect();
-    let upright = states.iter().zip(&recording.shots).filter(|(s, shot)| {
+    let in_front = states.iter().zip(&recording.shots).filter(|(s, shot)| {
         let camera = camera_from_volant(recording, shot, p, s);
         camera.translation.vector.z > 0.0
-            && s.pose.rotation.angle_to(&UnitQuaternion::identity()) < 3.2
     });
-    if upright.count() * 2 <= states.len() {
+    if in_front.count() * 2 <= states.len() {
         return Err(CalibrationError::Behind);
     }
     Ok(states)

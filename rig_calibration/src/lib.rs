@@ -16,6 +16,7 @@ mod error;
 mod estimate;
 mod inertial;
 mod initial;
+mod median;
 mod parameters;
 mod problem;
 mod recording;

@@ -1,7 +1,7 @@
 //! Units and noise of the IMU.
 
 use super::{Corrected, findings::Finding};
-use crate::recording::Recording;
+use crate::{median::median, recording::Recording};
 use nalgebra::Vector3;
 use rig_model::topics;
 
@@ -14,9 +14,8 @@ const NOISE: f64 = 10.0;
 
 /// Compares the median norm of the specific force with gravity.
 pub(crate) fn examine_units(state: &mut Corrected) {
-    let mut norms: Vec<f64> = state.samples.imu.iter().map(|s| s.specific_force.norm()).collect();
-    norms.sort_by(f64::total_cmp);
-    let Some(norm) = norms.get(norms.len() / 2).copied().filter(|n| *n > 0.0) else { return };
+    let norms = state.samples.imu.iter().map(|s| s.specific_force.norm()).collect();
+    let Some(norm) = median(norms).filter(|n| *n > 0.0) else { return };
     if (norm / GRAVITY - 1.0).abs() < TOLERANCE {
         return;
     }
@@ -47,15 +46,14 @@ pub(crate) fn examine_noise(state: &mut Corrected, recording: &Recording) {
     }
     let rate = (samples.len() - 1) as f64 / (samples[samples.len() - 1].0 - samples[0].0);
     let density = |of: &dyn Fn(usize) -> Vector3<f64>| {
-        let mut sizes: Vec<f64> = (0..samples.len() - 3)
+        let sizes = (0..samples.len() - 3)
             .flat_map(|i| {
                 let d = of(i + 3) - of(i + 2) * 3.0 + of(i + 1) * 3.0 - of(i);
                 [d.x.abs(), d.y.abs(), d.z.abs()]
             })
             .collect();
-        sizes.sort_by(f64::total_cmp);
         // The median of |x| is 0.6745 sigma.
-        sizes[sizes.len() / 2] / 0.6745 / 20f64.sqrt() / rate.sqrt()
+        median(sizes).unwrap_or(0.0) / 0.6745 / 20f64.sqrt() / rate.sqrt()
     };
     let measured = [density(&|i| samples[i].1), density(&|i| samples[i].2)];
     let imu = &mut state.rig.imu;

@@ -2,7 +2,7 @@
 //! camera that looks elsewhere.
 
 use super::{Corrected, Track, findings::Finding};
-use crate::{CalibrationError, recording::Recording};
+use crate::{CalibrationError, median::median, recording::Recording};
 use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
 use rig_model::{
     CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState, PerColor, planar_pose,
@@ -296,7 +296,7 @@ fn exchanged(order: &[usize; 4]) -> (String, String) {
 /// Median squared residual of the best pose of each image; infinite where most have none.
 fn cost(layout: &MarkerLayout, camera: &CameraModel, shots: &[PerColor<Vector2<f64>>]) -> f64 {
     let covariance = Matrix2::identity() * (PIXEL * PIXEL);
-    let mut costs: Vec<f64> = shots
+    let costs = shots
         .iter()
         .map(|shot| {
             let measured = PerColor(shot.0.map(|pixel| Some((pixel, covariance))));
@@ -304,8 +304,7 @@ fn cost(layout: &MarkerLayout, camera: &CameraModel, shots: &[PerColor<Vector2<f
             poses.first().map_or(f64::INFINITY, |p| p.pixel_cost)
         })
         .collect();
-    costs.sort_by(f64::total_cmp);
-    costs.get(costs.len() / 2).copied().unwrap_or(f64::INFINITY)
+    median(costs).unwrap_or(f64::INFINITY)
 }
 
 /// Compares the platform's mean normal with the vertical of the rig file's camera.

@@ -1,7 +1,7 @@
 //! Stamps: two publishers on one topic, clocks that jump, and clocks without a common time.
 
 use super::findings::{Finding, Verdict};
-use crate::Samples;
+use crate::{Samples, median::median};
 use nalgebra::Vector3;
 use rig_model::{Stamp, topics};
 
@@ -58,11 +58,6 @@ fn unset(topic: &str, readings: &mut Vec<(Stamp, Vector3<f64>)>) -> Option<Findi
     })
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
-}
-
 /// Time from the first stamp to the last, s.
 fn span(readings: &[(Stamp, Vector3<f64>)]) -> f64 {
     match readings {
@@ -79,7 +74,8 @@ fn of_topic(topic: &str, readings: &[(Stamp, Vector3<f64>)], others: f64) -> Vec
     let steps: Vec<f64> = readings.windows(2).map(|w| w[1].0.seconds_since(w[0].0)).collect();
     let not_later = steps.iter().filter(|dt| **dt < 1e-6).count() as f64 / steps.len() as f64;
     let apart = |n: usize| {
-        median(readings.iter().zip(&readings[n..]).map(|(a, b)| (b.1 - a.1).norm()).collect())
+        let steps = readings.iter().zip(&readings[n..]).map(|(a, b)| (b.1 - a.1).norm());
+        median(steps.collect()).unwrap_or(0.0)
     };
     let alternating = apart(1) > ALTERNATING * apart(2) && apart(1) > 0.01;
     let mut found = vec![];
@@ -101,7 +97,7 @@ fn of_topic(topic: &str, readings: &[(Stamp, Vector3<f64>)], others: f64) -> Vec
         });
         return found;
     }
-    let period = median(steps.clone());
+    let period = median(steps.clone()).unwrap_or(0.0);
     let back = |at: usize| {
         let before = readings[at.saturating_sub(STAY - 1)..=at].iter().map(|r| r.0).min();
         let behind = |r: &(Stamp, Vector3<f64>)| Some(r.0) < before;

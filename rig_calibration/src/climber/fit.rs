@@ -4,6 +4,7 @@ use super::{
     AxisCalibration, ClimberCalibration, ClimberError, Jog, RESIDUAL, Series, Shot, Value,
     assign::Assigned,
 };
+use crate::median::median;
 use nalgebra::{DMatrix, DVector, Isometry3, Translation3, UnitQuaternion, Vector3};
 use rig_model::MarkerColor;
 
@@ -133,9 +134,7 @@ pub(super) fn fit(
     let Solution { parameters, residuals, .. } = solve(&problem, DVector::from_row_slice(&start))?;
     // Images in which the tracker measured something else.
     let size = |i: usize| residuals.rows(8 * i, 8).norm();
-    let mut sizes: Vec<f64> = (0..shots.len()).map(size).collect();
-    sizes.sort_by(f64::total_cmp);
-    let limit = 4.0 * sizes[sizes.len() / 2];
+    let limit = 4.0 * median((0..shots.len()).map(size).collect()).unwrap_or(0.0);
     problem.shots =
         shots.iter().enumerate().filter(|(i, _)| size(*i) <= limit).map(|s| s.1).collect();
     let Solution { parameters, normal, residuals, converged } = solve(&problem, parameters)?;
