@@ -55,8 +55,8 @@ pub enum Warning {
     },
     /// The camera model is for another image size.
     #[error(
-        "camera_info is for {camera_width}x{camera_height}, but images are {width}x{height}; it is \
-         scaled where the aspect ratio is the same, otherwise ignored"
+        "camera_info is for {camera_width}x{camera_height}, but images are {width}x{height}; no \
+         marker is detected in them: set the camera to the calibrated size or calibrate at this one"
     )]
     CameraSize {
         /// Of the camera model, px.

@@ -12,7 +12,7 @@ use marker_tracker::{
     ImageView, Input, Outcome, Output, PixelFormat, Tracker, TrackerConfig, Warning,
 };
 use nalgebra::Vector2;
-use rig_model::{MarkerColor, MarkerState, Stamp};
+use rig_model::{CameraModel, Distortion, MarkerColor, MarkerState, Stamp};
 
 #[test]
 fn clean_scenes_are_measured_to_0_015_px_from_the_first_image_on() {
@@ -221,15 +221,22 @@ fn a_repeated_image_is_no_measurement_and_is_reported() {
 }
 
 #[test]
-fn a_camera_model_of_another_size_is_scaled_and_reported_once() {
-    let mut tracker = Tracker::new(layout(), TrackerConfig::default());
-    tracker.handle(Input::Camera(camera().resized(1280, 960).unwrap()));
+fn with_a_camera_model_of_another_size_every_marker_is_lost_and_that_is_reported_once() {
+    let mut tracker = new_tracker(TrackerConfig::default());
+    let twice = [1200.0, 1200.0, 639.5, 479.5];
+    let twice = CameraModel::new(1280, 960, twice, Distortion::PlumbBob([0.0; 5])).unwrap();
     let mut noise = Noise(7);
-    for k in 0..2 {
+    for k in 0..6 {
+        match k {
+            2 => tracker.handle(Input::Camera(twice.clone())),
+            4 => tracker.handle(Input::Camera(camera())),
+            _ => {}
+        }
         let data = draw(&pose(0.03 * k as f64), ALL, &mut noise);
         let o = observe(&mut tracker, k, &data);
-        assert!(o.markers.0.iter().all(|m| m.state == MarkerState::Detected));
-        if k == 0 {
+        let wanted = if (2..4).contains(&k) { MarkerState::Lost } else { MarkerState::Detected };
+        assert!(o.markers.0.iter().all(|m| m.state == wanted), "image {k}: {:?}", o.markers);
+        if k == 2 {
             let warned = tracker.poll();
             assert!(
                 matches!(

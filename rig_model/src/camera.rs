@@ -147,30 +147,6 @@ impl CameraModel {
         Self::new(width, height, [k[0], k[4], k[2], k[5]], distortion)
     }
 
-    /// Returns the same lens for scaled images of `width` × `height` px.
-    ///
-    /// `None` if the aspect ratio differs by more than 1 %: then the images are cropped.
-    pub fn resized(&self, width: u32, height: u32) -> Option<Self> {
-        if (width, height) == (self.width, self.height) {
-            return Some(self.clone());
-        }
-        let (x, y) =
-            (f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
-        if !(0.99..=1.01).contains(&(x / y)) {
-            return None;
-        }
-        // The center of the top left pixel is (0, 0), its corner (−½, −½).
-        Some(Self {
-            width,
-            height,
-            fx: self.fx * x,
-            fy: self.fy * y,
-            cx: (self.cx + 0.5) * x - 0.5,
-            cy: (self.cy + 0.5) * y - 0.5,
-            ..self.clone()
-        })
-    }
-
     /// Image size (width, height), px.
     pub fn size(&self) -> (u32, u32) {
         (self.width, self.height)
@@ -346,20 +322,6 @@ mod tests {
         assert!(strong.project(&Point3::new(1.0, 0.0, 1.0)).is_some());
         assert_eq!(strong.project(&Point3::new(1.2, 0.0, 1.0)), None);
         assert_eq!(strong.project(&Point3::new(f64::NAN, 0.0, 1.0)), None);
-    }
-
-    #[test]
-    fn a_resized_camera_projects_to_scaled_pixels() {
-        for camera in cameras() {
-            let half = camera.resized(320, 240).unwrap();
-            let p = Point3::new(0.21, -0.13, 1.1);
-            let (whole, half) = (camera.project(&p).unwrap(), half.project(&p).unwrap());
-            assert!(
-                ((whole + Vector2::repeat(0.5)) / 2.0 - (half + Vector2::repeat(0.5))).norm()
-                    < 1e-9
-            );
-            assert!(camera.resized(640, 360).is_none());
-        }
     }
 
     #[test]

@@ -14,7 +14,7 @@ pub(super) struct View<'a> {
     pub pose: Isometry3<f64>,
 }
 
-/// The camera model as it was given, and as it fits the images.
+/// The camera model as it was given, and the one of the images.
 #[derive(Debug, Default)]
 pub(super) struct ImageCamera {
     given: Option<CameraModel>,
@@ -25,10 +25,8 @@ pub(super) struct ImageCamera {
 #[derive(Debug)]
 struct Fitted {
     size: (u32, u32),
-    /// `None` where the size admits no model.
+    /// `None` where the given model is for another size, or the size admits no model.
     model: Option<CameraModel>,
-    /// Whether it comes from a calibration.
-    is_known: bool,
 }
 
 impl ImageCamera {
@@ -40,15 +38,18 @@ impl ImageCamera {
         }
     }
 
-    /// The model for an image: the given one, scaled to the image's size where that has the same
-    /// aspect ratio; otherwise an assumed one. `None` where the size admits no model.
+    /// The model for an image: the given one, or an assumed one until one is given.
+    ///
+    /// `None` where the given one is for another image size: whether the images are scaled or
+    /// cropped is unknown, and the filter estimates the pose with the given one.
     pub fn for_image(&mut self, image: &ImageView<'_>) -> Option<CameraModel> {
         let size = size_of(image);
         if self.fitted.as_ref().is_none_or(|f| f.size != size) {
-            let scaled = self.given.as_ref().and_then(|c| c.resized(size.0, size.1));
-            let is_known = scaled.is_some();
-            let model = scaled.or_else(|| assumed_camera(image.width, image.height));
-            self.fitted = Some(Fitted { size, model, is_known });
+            let model = match &self.given {
+                Some(given) => Some(given.clone()).filter(|c| c.size() == size),
+                None => assumed_camera(image.width, image.height),
+            };
+            self.fitted = Some(Fitted { size, model });
         }
         self.latest().cloned()
     }
@@ -58,9 +59,9 @@ impl ImageCamera {
         self.fitted.as_ref()?.model.as_ref()
     }
 
-    /// Whether the model of the last image comes from a calibration.
+    /// Whether the model comes from a calibration.
     pub fn is_known(&self) -> bool {
-        self.fitted.as_ref().is_some_and(|f| f.is_known)
+        self.given.is_some()
     }
 
     /// Size (width, height; px) of the given model where the image has another one.

@@ -256,8 +256,10 @@ impl Pipeline {
         self.state.images = self.state.images.wrapping_add(1);
         self.state.markers.0.iter_mut().for_each(MarkerTrack::begin_image);
         let camera = self.camera.for_image(image);
-        if let Some(camera) = &camera {
-            self.update_pose(image, camera, ratio);
+        match &camera {
+            Some(camera) => self.update_pose(image, camera, ratio),
+            // A pose places no marker in such an image.
+            None => self.state.motion.pose = None,
         }
         self.conclude(image, camera.as_ref(), &before, ratio)
     }
