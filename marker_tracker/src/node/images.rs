@@ -89,7 +89,9 @@ impl MarkerTrackerNode {
                 self.stages.add_brightness(&view);
             }
             #[cfg(feature = "opencv")]
-            self.draw(context, &view);
+            if is_drawn {
+                self.draw(context, &view);
+            }
         }
         Ok(())
     }
