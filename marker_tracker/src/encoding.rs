@@ -8,7 +8,8 @@ use rig_model::Stamp;
 ///
 /// # Errors
 /// [`ImageError::NoColor`], [`ImageError::UnknownEncoding`] or [`ImageError::NeedsOpencv`] for the
-/// encoding; [`ImageError::Size`] where size, step and data contradict each other.
+/// encoding; [`ImageError::Size`] where size, step and data contradict each other;
+/// [`ImageError::LowBits`] where 16-bit values use the low bits only.
 #[allow(clippy::too_many_arguments)] // the fields of the message, in its order
 pub fn from_encoding<'a>(
     stamp: Stamp,

@@ -72,6 +72,18 @@ pub enum ImageError {
         /// As in the message.
         encoding: String,
     },
+    /// 16-bit values of which the upper bits are not used.
+    #[error(
+        "image encoding `{encoding}` with values up to {largest} of 65535: they are in the low \
+         bits, or the image is black; set the camera to 8 bits or to values in the high bits, or \
+         raise the exposure"
+    )]
+    LowBits {
+        /// As in the message.
+        encoding: String,
+        /// Largest value in the image.
+        largest: u16,
+    },
     /// An invalid width, height or step.
     #[error(
         "image of {width}x{height} with step {step} and {length} bytes of data: the sender's fields \

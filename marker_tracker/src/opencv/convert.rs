@@ -32,11 +32,17 @@ fn layout(encoding: &str) -> Option<Layout> {
     Some(Layout { code, bytes_per_pixel })
 }
 
+/// Largest value of 14 bits, those of the deepest common sensors. Some drivers leave 10, 12 or 14
+/// bits in the low bits of 16, whose upper byte is then nearly black. An image of all 16 bits stays
+/// below this only where its exposure uses less than a quarter of the range.
+const LOW_BITS: u16 = (1 << 14) - 1;
+
 /// Converts Bayer or YUV 4:2:2 into rgb8.
 ///
 /// # Errors
 /// [`ImageError::UnknownEncoding`], [`ImageError::Size`] where size, step and data contradict each
-/// other, [`ImageError::Decode`] with OpenCV's reason.
+/// other, [`ImageError::LowBits`] where 16-bit values use the low bits only,
+/// [`ImageError::Decode`] with OpenCV's reason.
 pub(crate) fn convert(
     width: usize,
     height: usize,
@@ -57,6 +63,15 @@ pub(crate) fn convert(
     let yuv = encoding.starts_with('y') || encoding.starts_with('u');
     let packed: Vec<u8>;
     let bytes: &[u8] = if layout.bytes_per_pixel == 2 && !yuv {
+        let value = if big_endian { u16::from_be_bytes } else { u16::from_le_bytes };
+        let largest = (0..height)
+            .flat_map(|y| data[y * step..y * step + row].chunks_exact(2))
+            .map(|pair| value([pair[0], pair[1]]))
+            .max()
+            .unwrap_or(0);
+        if largest <= LOW_BITS {
+            return Err(ImageError::LowBits { encoding: encoding.to_owned(), largest });
+        }
         // The upper byte of each 16-bit value.
         let upper = usize::from(!big_endian);
         packed = (0..height)
@@ -130,6 +145,24 @@ mod tests {
                             );
                         }
                     }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn values_in_the_low_bits_are_rejected_with_the_remedy() {
+        for big_endian in [false, true] {
+            for (bits, is_rejected) in [(10, true), (12, true), (14, true), (16, false)] {
+                let largest = ((1u32 << bits) - 1) as u16;
+                let bytes = if big_endian { largest.to_be_bytes() } else { largest.to_le_bytes() };
+                let data = bytes.repeat(8 * 8);
+                let mut image = OwnedImage::default();
+                let result = convert(8, 8, "bayer_rggb16", big_endian, 16, &data, &mut image);
+                assert_eq!(result.is_err(), is_rejected, "{bits} bits: {result:?}");
+                if let Err(error) = result {
+                    let text = error.to_string();
+                    assert!(text.contains("bayer_rggb16") && text.contains("set the camera"));
                 }
             }
         }
