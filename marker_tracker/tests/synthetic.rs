@@ -255,6 +255,36 @@ fn with_a_camera_model_of_another_size_every_marker_is_lost_and_that_is_reported
 }
 
 #[test]
+fn covariances_do_not_depend_on_a_former_camera_model() {
+    let lens = Distortion::PlumbBob([-0.2, 0.0, 0.0, 0.0, 0.0]);
+    let wrong = CameraModel::new(640, 480, [600.0, 600.0, 319.5, 239.5], lens).unwrap();
+    for former in [None, Some(wrong)] {
+        let mut late = Tracker::new(layout(), TrackerConfig::default());
+        let name = if former.is_some() { "wrong" } else { "none" };
+        if let Some(camera) = former {
+            late.handle(Input::Camera(camera));
+        }
+        let (mut known, mut noise) = (new_tracker(TrackerConfig::default()), Noise(9));
+        for k in 0..80 {
+            if k == 40 {
+                late.handle(Input::Camera(camera()));
+            }
+            let data = draw(&pose(0.1 * k as f64), ALL, &mut noise);
+            let (a, b) = (observe(&mut known, k, &data), observe(&mut late, k, &data));
+            if k < 60 {
+                continue;
+            }
+            for color in MarkerColor::ALL {
+                let (a, b) = (&a.markers[color], &b.markers[color]);
+                assert_eq!(b.state, MarkerState::Detected, "{name}, image {k}, {color}");
+                let ratio = b.covariance.trace() / a.covariance.trace();
+                assert!((0.67..1.5).contains(&ratio), "{name}, image {k}, {color}: {ratio}");
+            }
+        }
+    }
+}
+
+#[test]
 fn every_channel_order_gives_the_same_centroids() {
     let rgb = draw(&pose(0.0), ALL, &mut Noise(5));
     in_other_formats(&TrackerConfig::default(), &rgb, |format, reference, found| {

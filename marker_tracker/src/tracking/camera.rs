@@ -30,12 +30,14 @@ struct Fitted {
 }
 
 impl ImageCamera {
-    /// Sets the model from the camera's calibration.
-    pub fn set(&mut self, camera: CameraModel) {
-        if self.given.as_ref() != Some(&camera) {
+    /// Sets the model from the camera's calibration; returns whether it is another one.
+    pub fn set(&mut self, camera: CameraModel) -> bool {
+        let is_new = self.given.as_ref() != Some(&camera);
+        if is_new {
             self.given = Some(camera);
             self.fitted = None;
         }
+        is_new
     }
 
     /// The model for an image: the given one, or an assumed one until one is given.

@@ -352,7 +352,11 @@ impl Engine for Pipeline {
     }
 
     fn set_camera(&mut self, camera: CameraModel) {
-        self.camera.set(camera);
+        if self.camera.set(camera) {
+            // They have adapted to the errors of the former model.
+            self.state.platform.restart();
+            self.state.noise = NoiseModel::default();
+        }
     }
 
     fn mismatched_camera_size(&self, image: &ImageView<'_>) -> Option<(u32, u32)> {

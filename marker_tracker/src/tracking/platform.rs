@@ -101,6 +101,20 @@ impl PlatformModel {
         Self { given: layout.clone(), layout, markers: PerColor::default() }
     }
 
+    /// Restarts the adaptation with another camera model; the turns, which hardly depend on it, are
+    /// kept as a start.
+    pub fn restart(&mut self) {
+        let turns = PerColor::from_fn(|color| {
+            let mut fresh = MarkerGeometry::default();
+            let known = &self.markers[color];
+            if known.turn_updates > 0 {
+                fresh.init_turn(known.turn);
+            }
+            fresh
+        });
+        *self = Self { markers: turns, ..Self::new(self.given.clone()) };
+    }
+
     /// The adapted layout and a camera, to estimate poses.
     pub fn geometry<'a>(&'a self, camera: &'a CameraModel) -> Geometry<'a> {
         Geometry { layout: &self.layout, camera }
@@ -208,7 +222,8 @@ impl PlatformModel {
         let m = &mut self.markers[color];
         m.turn = (m.turn + gain(m.turn_updates) * difference.turn).clamp(-MAX_TURN, MAX_TURN);
         m.turn_updates = m.turn_updates.saturating_add(1);
-        if detected < 4 {
+        // With an assumed camera model, sizes and places would adapt to its errors.
+        if detected < 4 || !view.is_known {
             return;
         }
         let gain = gain(m.edge_bias_updates);
