@@ -4,6 +4,7 @@ use crate::{
     decode::{
         claim,
         crop::{Cropper, Place},
+        tables::with_tables,
     },
     image::{ImageError, OwnedImage, PixelFormat, Window},
 };
@@ -23,7 +24,8 @@ const MAX_SCANS: usize = 32;
 /// # Errors
 /// As [`decode_compressed`](super::decode_compressed).
 pub(super) fn decode(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageError> {
-    let mut decoder = check(data, image)?;
+    let data = with_tables(data);
+    let mut decoder = check(&data, image)?;
     decoder.decode_into(&mut image.data).map_err(failed)
 }
 
@@ -46,6 +48,7 @@ impl WindowDecoder {
         windows: &[Window; 4],
         image: &mut OwnedImage,
     ) -> Result<Option<[Window; 4]>, ImageError> {
+        let data = &*with_tables(data);
         let mut whole = check(data, image)?;
         let Some(Place { bounds: [left, top, right, bottom], exact }) =
             self.cropper.crop(data, windows)

@@ -5,6 +5,7 @@ mod crop;
 mod jpeg;
 mod partial;
 mod png;
+mod tables;
 
 pub use partial::{Decoder, PartialImage};
 
