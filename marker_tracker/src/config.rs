@@ -44,7 +44,8 @@ ros_parameters::parameters! {
         /// Move a hidden marker with the platform's rigid motion; false: with the others' mean flow
         /// (eq. 3), as method paper does.
         rigid_prediction: bool = true, live;
-        /// Largest standard deviation of a measured centroid (method outline).
+        /// Largest standard deviation of the centroid of a partly covered marker; a whole one is
+        /// always measured (method outline).
         max_centroid_sigma: f64 = 0.5, unit("px"), range(0.01..=10.0), live;
         plain {
             /// Method; that of a running tracker does not change.
