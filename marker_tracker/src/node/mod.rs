@@ -24,7 +24,7 @@ use crate::{
 };
 use incomplete::IncompleteImages;
 use node_kit::{
-    Health, Level, NodeContext, NodeError, NodeShell, Publisher, QosPreset, convert,
+    Level, NodeContext, NodeError, NodeShell, Publisher, QosPreset, convert,
     node::{CameraChanges, IfChanged},
 };
 use rig_model::{CameraModel, Rig, topics};
@@ -145,33 +145,7 @@ impl NodeShell for MarkerTrackerNode {
 
     fn tick(&mut self, context: &mut NodeContext<Arrival>) {
         let stages = std::mem::take(&mut self.stages);
-        let (health, message) = if stages.convert.count == 0 {
-            (Health::Error, self.incomplete.why_none())
-        } else if stages.accepted() == 0 {
-            (
-                Health::Error,
-                "every image of the last second was rejected; see the log for the reason"
-                    .to_owned(),
-            )
-        } else if stages.repeated == stages.accepted() {
-            let message = "every image of the last second is byte for byte the previous one: the \
-                           camera or its driver hangs";
-            (Health::Error, message.to_owned())
-        } else if stages.rejected > 0 {
-            (
-                Health::Warn,
-                format!(
-                    "{} images of the last second were rejected; see the log for the reason",
-                    stages.rejected
-                ),
-            )
-        } else if self.camera.is_none() {
-            (Health::Warn, "no camera_info yet: geometry is only checked coarsely".to_owned())
-        } else if stages.detected[0] == stages.accepted() {
-            (Health::Warn, health::why_none(&stages, self.camera.as_ref()))
-        } else {
-            (Health::Ok, "tracking".to_owned())
-        };
+        let (health, message) = health::assess(&stages, self.camera.as_ref(), &self.incomplete);
         let mut values = stages.values();
         values.push(("incomplete images dropped", self.incomplete.dropped.to_string()));
         let outcomes = self.tracker.outcomes();
