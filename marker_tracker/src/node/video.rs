@@ -3,8 +3,9 @@
 use super::{Arrival, MarkerTrackerParameters, source::Frame};
 use node_kit::{Clock, DeviceSender};
 use std::{
-    io::{self, Read},
-    process::{Child, Command, Stdio},
+    io::{self, BufRead, BufReader, Read},
+    process::{Child, ChildStdout, Command, Stdio},
+    thread::JoinHandle,
     time::Duration,
 };
 
@@ -31,7 +32,7 @@ pub(crate) fn probe(path: &str) -> Result<Video, String> {
             "-select_streams",
             "v:0",
             "-show_entries",
-            "stream=width,height,r_frame_rate",
+            "stream=width,height,r_frame_rate,avg_frame_rate",
         ])
         .args(["-of", "csv=p=0", path])
         .output()
@@ -50,17 +51,25 @@ fn not_installed(program: &str, error: &io::Error) -> String {
     format!("{program} did not start ({error}); video files need it: apt-get install ffmpeg")
 }
 
-/// Parses ffprobe's `640,480,30000/1001`.
+/// Parses ffprobe's `640,480,30000/1001,30000/1001`: size, base rate and mean rate.
+///
+/// The base rate is exact for a constant rate. Of a variable one it is the common multiple of all
+/// intervals, such as 1000 Hz.
 fn parse(line: &str) -> Option<Video> {
     let mut parts = line.lines().next()?.split(',');
     let (width, height) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
-    let (over, under) = parts.next()?.split_once('/')?;
-    let rate = over.parse::<f64>().ok()? / under.parse::<f64>().ok()?;
-    let plausible = (1..=16_384).contains(&width)
-        && (1..=16_384).contains(&height)
-        && rate.is_finite()
-        && rate > 0.0;
+    let base = ratio(parts.next()?)?;
+    let mean = parts.next().and_then(ratio).unwrap_or(base);
+    let rate = if (base / mean - 1.0).abs() < 0.01 { base } else { mean };
+    let plausible = (1..=16_384).contains(&width) && (1..=16_384).contains(&height);
     plausible.then_some(Video { width, height, rate })
+}
+
+/// A rate, Hz; `None` for an unknown one (0/0).
+fn ratio(text: &str) -> Option<f64> {
+    let (over, under) = text.split_once('/')?;
+    let rate = over.parse::<f64>().ok()? / under.parse::<f64>().ok()?;
+    (rate.is_finite() && rate > 0.0).then_some(rate)
 }
 
 /// Kills the process on drop.
@@ -73,6 +82,55 @@ impl Drop for Killed {
     }
 }
 
+/// Frames that a process writes.
+struct Frames {
+    child: Killed,
+    pipe: ChildStdout,
+    /// The last line of its messages, read on a thread of its own so that their pipe never fills.
+    reason: JoinHandle<Option<String>>,
+}
+
+impl Frames {
+    fn start(command: &mut Command) -> Result<Self, String> {
+        let piped = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let child = piped.spawn().map_err(|e| not_installed("ffmpeg", &e))?;
+        let mut child = Killed(child);
+        let (Some(pipe), Some(errors)) = (child.0.stdout.take(), child.0.stderr.take()) else {
+            return Err("ffmpeg has no output".to_owned());
+        };
+        let reason = std::thread::spawn(move || {
+            let lines = BufReader::new(errors).split(b'\n').map_while(Result::ok);
+            let lines = lines.map(|line| String::from_utf8_lossy(&line).trim().to_owned());
+            lines.filter(|line| !line.is_empty()).last()
+        });
+        Ok(Self { child, pipe, reason })
+    }
+
+    /// The next frame of `size` bytes; `None` at the end.
+    fn next(&mut self, size: usize) -> Result<Option<Vec<u8>>, String> {
+        let mut data = vec![0; size];
+        match self.pipe.read_exact(&mut data) {
+            Ok(()) => Ok(Some(data)),
+            Err(e) if e.kind() == io::ErrorKind::UnexpectedEof => Ok(None),
+            Err(e) => Err(e.to_string()),
+        }
+    }
+
+    /// Waits for the process after its last frame.
+    ///
+    /// # Errors
+    /// Its reason, where it failed or `number` is 0.
+    fn finish(mut self, number: u32) -> Result<(), String> {
+        let is_done = self.child.0.wait().is_ok_and(|status| status.success());
+        if is_done && number > 0 {
+            return Ok(());
+        }
+        let reason = self.reason.join().ok().flatten();
+        let reason = reason.unwrap_or_else(|| "no reason given".to_owned());
+        Err(format!("ffmpeg failed after {number} frames ({reason}); convert it to another format"))
+    }
+}
+
 /// Thread of the file: sends each frame at its time, then [`Arrival::Ended`].
 pub(crate) fn run(
     parameters: &MarkerTrackerParameters,
@@ -81,7 +139,8 @@ pub(crate) fn run(
     clock: &Clock,
 ) {
     let end = play(parameters, video, sender, clock);
-    sender.send(Arrival::Ended(end));
+    let named = |reason: String| format!("video file {}: {reason}", parameters.file_path);
+    sender.send(Arrival::Ended(end.map_err(named)));
 }
 
 fn play(
@@ -90,26 +149,17 @@ fn play(
     sender: &DeviceSender<Arrival>,
     clock: &Clock,
 ) -> Result<(), String> {
-    let child = Command::new("ffmpeg")
-        .args(["-v", "error", "-nostdin", "-i", &parameters.file_path])
-        .args(["-f", "rawvideo", "-pix_fmt", "rgb24", "-vsync", "passthrough", "pipe:1"])
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .map_err(|e| not_installed("ffmpeg", &e))?;
-    let mut child = Killed(child);
-    let mut pipe = child.0.stdout.take().ok_or_else(|| "ffmpeg has no output".to_owned())?;
+    // The size is that before a rotation, and the stamps are those of a constant rate.
+    let mut frames = Frames::start(
+        Command::new("ffmpeg")
+            .args(["-v", "error", "-nostdin", "-noautorotate", "-i", &parameters.file_path])
+            .args(["-f", "rawvideo", "-pix_fmt", "rgb24", "-r", &video.rate.to_string(), "pipe:1"]),
+    )?;
     let size = video.width as usize * video.height as usize * 3;
     let start = clock.now();
     let mut number = 0u32;
     while sender.is_open() {
-        let mut data = vec![0; size];
-        match pipe.read_exact(&mut data) {
-            Ok(()) => {}
-            Err(e) if e.kind() == io::ErrorKind::UnexpectedEof => break,
-            Err(e) => return Err(format!("video file {}: {e}", parameters.file_path)),
-        }
+        let Some(data) = frames.next(size)? else { return frames.finish(number) };
         let stamp = start.plus_seconds(f64::from(number) / video.rate);
         loop {
             let early = stamp.seconds_since(clock.now());
@@ -130,9 +180,6 @@ fn play(
         sender.send(Arrival::Frame(Box::new(frame)));
         number += 1;
     }
-    if number == 0 {
-        return Err(format!("video file {}: ffmpeg decoded no frame", parameters.file_path));
-    }
     Ok(())
 }
 
@@ -143,8 +190,31 @@ mod tests {
     #[test]
     fn the_output_of_ffprobe_is_parsed() {
         assert_eq!(parse("632,468,30/1"), Some(Video { width: 632, height: 468, rate: 30.0 }));
-        assert_eq!(parse("632,468,0/0"), None);
+        assert_eq!(parse("632,468,0/0,0/0"), None);
+        let rate = |line| parse(line).map(|video| video.rate);
+        assert_eq!(rate("632,468,25/1,0/0"), Some(25.0));
+        assert_eq!(rate("632,468,30/1,20120/671,"), Some(30.0));
+        assert_eq!(rate("632,468,1000/1,24/1"), Some(24.0));
         assert_eq!(parse(""), None);
         assert!(probe("/does/not/exist.mp4").unwrap_err().contains("/does/not/exist.mp4"));
+    }
+
+    #[test]
+    fn a_decoder_that_fails_is_reported_with_its_reason() {
+        let played = |script: &str| {
+            let mut frames = Frames::start(Command::new("sh").args(["-c", script])).unwrap();
+            let mut number = 0;
+            while frames.next(3).unwrap().is_some() {
+                number += 1;
+            }
+            (number, frames.finish(number))
+        };
+        assert_eq!(played("printf 123456789"), (3, Ok(())));
+        let (number, end) = played("printf 1234567; echo 'Invalid data' >&2; exit 1");
+        assert!(number == 2 && end.unwrap_err().contains("after 2 frames (Invalid data)"));
+        assert!(played("true").1.is_err());
+        // More messages than a pipe holds do not block it.
+        let (number, end) = played("head -c 1000000 /dev/zero | tr '\\0' '\\n' >&2; printf 123");
+        assert_eq!((number, end), (1, Ok(())));
     }
 }
