@@ -15,7 +15,6 @@ use volant_msgs::sensor_msgs::msg::{CompressedImage, Image};
 impl MarkerTrackerNode {
     /// Processes a raw image.
     pub(super) fn raw(&mut self, context: &mut NodeContext<Arrival>, message: &Image) {
-        self.incomplete.count_received();
         let mut scratch = std::mem::take(&mut self.converted);
         let clock = self.stages.start();
         let view = from_encoding(

@@ -6,7 +6,10 @@
 //! neither reports nor limits them. A camera announces each image by a small camera_info, so that
 //! the missing ones are known; renewing the subscription frees their buffers.
 
-use std::fs;
+use std::{
+    fs,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
 
 /// Memory of incomplete images at which the subscription is renewed, bytes: four of the largest
 /// images of common 8 MP cameras, and 13 of 2048×1536.
@@ -26,14 +29,15 @@ pub(super) struct IncompleteImages {
 }
 
 impl IncompleteImages {
-    /// Counts a complete image.
+    /// Counts a complete image, whether the node processes it or not.
     pub fn count_received(&mut self) {
         self.received += 1;
     }
 
     /// Counts an announced image of this size (width, height; px). True where the missing images
     /// occupy more than the limit, which the memory of the process confirms: a camera may also
-    /// announce more images than it sends.
+    /// announce more images than it sends. They then count as dropped: the subscription is to be
+    /// renewed.
     pub fn is_full_after(&mut self, size: (u32, u32)) -> bool {
         self.is_full_with(size, resident)
     }
@@ -42,14 +46,15 @@ impl IncompleteImages {
         let base = *self.resident.get_or_insert_with(|| resident().unwrap_or(0));
         self.announced += 1;
         let missing = self.announced.saturating_sub(self.received);
-        let bytes = missing * size.0 as usize * size.1 as usize * BYTES_PER_PIXEL;
-        bytes > LIMIT && resident().is_none_or(|now| now > base + LIMIT / 2)
-    }
-
-    /// Counts the missing images as dropped, since the subscription is renewed.
-    pub fn drop_all(&mut self) {
-        self.dropped += self.announced.saturating_sub(self.received) as u64;
-        (self.announced, self.received) = (0, 0);
+        let bytes = [size.0 as usize, size.1 as usize, BYTES_PER_PIXEL]
+            .into_iter()
+            .fold(missing, usize::saturating_mul);
+        let is_full = bytes > LIMIT && resident().is_none_or(|now| now > base + LIMIT / 2);
+        if is_full {
+            self.dropped += missing as u64;
+            (self.announced, self.received) = (0, 0);
+        }
+        is_full
     }
 
     /// Explains a second without images.
@@ -66,6 +71,17 @@ impl IncompleteImages {
     }
 }
 
+/// The counts, which the threads that receive the messages share with the node: it may drop a
+/// message before it handles it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct SharedCounts(Arc<Mutex<IncompleteImages>>);
+
+impl SharedCounts {
+    pub fn lock(&self) -> MutexGuard<'_, IncompleteImages> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 /// Resident memory of the process, bytes.
 fn resident() -> Option<usize> {
     const PAGE: usize = 4096;
@@ -76,7 +92,9 @@ fn resident() -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::node::{Arrival, CameraChanges, IfChanged, camera_info_input, image_input};
     use std::cell::Cell;
+    use volant_msgs::sensor_msgs::msg::{CameraInfo, Image};
 
     const SIZE: (u32, u32) = (2048, 1536);
     const IMAGE: usize = 2048 * 1536 * 3;
@@ -94,7 +112,6 @@ mod tests {
             }
             most = most.max(held.get());
             if images.is_full_with(SIZE, || Some((33 << 20) + held.get())) {
-                images.drop_all();
                 held.set(0);
                 renewals += 1;
             }
@@ -122,8 +139,22 @@ mod tests {
         let mut images = IncompleteImages::default();
         assert!(images.why_none().contains("no image"));
         while !images.is_full_with(SIZE, || None) {}
-        images.drop_all();
         assert_eq!(images.dropped as usize, LIMIT / IMAGE + 1);
         assert!(images.why_none().contains("rmem_max"));
+    }
+
+    #[test]
+    fn images_are_counted_as_they_arrive_whether_their_camera_info_is_usable_or_not() {
+        let (counts, changes) = (SharedCounts::default(), CameraChanges::default());
+        let uncalibrated =
+            Arc::new(CameraInfo { width: 640, height: 480, ..CameraInfo::default() });
+        let IfChanged(first) = camera_info_input(Some(&counts), &changes, uncalibrated.clone());
+        assert!(matches!(first, Some(Err(_))));
+        let _ = camera_info_input(Some(&counts), &changes, uncalibrated);
+        // Nothing handles it.
+        let image = image_input(&counts, Arc::new(Image::default()));
+        assert!(matches!(image, Some(Arrival::Image(_))));
+        let counts = counts.lock();
+        assert_eq!((counts.announced, counts.received), (2, 1));
     }
 }

@@ -22,12 +22,12 @@ use crate::{
     image::OwnedImage,
     tracker::{Input, Tracker},
 };
-use incomplete::IncompleteImages;
+use incomplete::SharedCounts;
 use node_kit::{
     Level, NodeContext, NodeError, NodeShell, Publisher, QosPreset, convert,
     node::{CameraChanges, IfChanged},
 };
-use rig_model::{CameraModel, Rig, topics};
+use rig_model::{CameraModel, CameraModelError, Rig, topics};
 use stages::Stages;
 use std::sync::Arc;
 use volant_msgs::{
@@ -41,8 +41,10 @@ pub enum Arrival {
     Image(Arc<Image>),
     /// A compressed image from the topic.
     Compressed(Arc<CompressedImage>),
-    /// The camera model, sent with each image.
+    /// The camera model.
     Camera(CameraModel),
+    /// Incomplete images occupy too much memory.
+    Incomplete,
     /// A frame from the device or the file.
     Frame(Box<Frame>),
     /// The end of the file, or the reason why it cannot be read on.
@@ -71,7 +73,7 @@ pub struct MarkerTrackerNode {
     republished: Option<Republished>,
     /// Topic or file that the images come from, for messages.
     source: String,
-    incomplete: IncompleteImages,
+    incomplete: SharedCounts,
     #[cfg(feature = "opencv")]
     debug: Publisher<CompressedImage>,
 }
@@ -80,8 +82,29 @@ pub struct MarkerTrackerNode {
 const RAW: &str = topics::IMAGE;
 const COMPRESSED: &str = topics::COMPRESSED_IMAGE;
 
-fn subscribe_raw(context: &mut NodeContext<Arrival>) -> Result<(), NodeError> {
-    context.subscribe(RAW, QosPreset::Image, |message| Some(Arrival::Image(message)))
+fn subscribe_raw(
+    context: &mut NodeContext<Arrival>,
+    counts: SharedCounts,
+) -> Result<(), NodeError> {
+    context.subscribe(RAW, QosPreset::Image, move |message| image_input(&counts, message))
+}
+
+fn image_input(counts: &SharedCounts, message: Arc<Image>) -> Option<Arrival> {
+    counts.lock().count_received();
+    Some(Arrival::Image(message))
+}
+
+/// Input of a camera_info, which announces a raw image even if its model is unusable.
+fn camera_info_input(
+    raw: Option<&SharedCounts>,
+    changes: &CameraChanges,
+    message: Arc<CameraInfo>,
+) -> IfChanged<Result<Arrival, CameraModelError>> {
+    let size = (message.width, message.height);
+    if raw.is_some_and(|counts| counts.lock().is_full_after(size)) {
+        return IfChanged(Some(Ok(Arrival::Incomplete)));
+    }
+    IfChanged(changes.model(message).map(|model| model.map(Arrival::Camera)))
 }
 
 impl NodeShell for MarkerTrackerNode {
@@ -111,7 +134,7 @@ impl NodeShell for MarkerTrackerNode {
             camera: None,
             republished: None,
             source: parameters.source_name().to_owned(),
-            incomplete: IncompleteImages::default(),
+            incomplete: SharedCounts::default(),
             #[cfg(feature = "opencv")]
             debug,
         };
@@ -126,12 +149,12 @@ impl NodeShell for MarkerTrackerNode {
     fn handle(&mut self, context: &mut NodeContext<Arrival>, arrival: Arrival) {
         match arrival {
             Arrival::Camera(camera) => {
-                self.count_announced(context, camera.size());
                 if self.camera.as_ref() != Some(&camera) {
                     self.camera = Some(camera.clone());
                     self.tracker.handle(Input::Camera(camera));
                 }
             }
+            Arrival::Incomplete => self.renew_raw(context),
             Arrival::Image(message) => self.raw(context, &message),
             Arrival::Compressed(message) => self.compressed(context, &message),
             Arrival::Frame(frame) => self.frame(context, *frame),
@@ -145,9 +168,11 @@ impl NodeShell for MarkerTrackerNode {
 
     fn tick(&mut self, context: &mut NodeContext<Arrival>) {
         let stages = std::mem::take(&mut self.stages);
-        let (health, message) = health::assess(&stages, self.camera.as_ref(), &self.incomplete);
+        let incomplete = self.incomplete.lock();
+        let (health, message) = health::assess(&stages, self.camera.as_ref(), &incomplete);
         let mut values = stages.values();
-        values.push(("incomplete images dropped", self.incomplete.dropped.to_string()));
+        values.push(("incomplete images dropped", incomplete.dropped.to_string()));
+        drop(incomplete);
         let outcomes = self.tracker.outcomes();
         values.extend(outcomes.iter().map(|(color, o)| (color.name(), o.to_string())));
         context.diagnose("tracking", health, &message, &values);
@@ -171,38 +196,25 @@ impl MarkerTrackerNode {
         parameters: &MarkerTrackerParameters,
     ) -> Result<(), NodeError> {
         let is_compressed = parameters.image_transport == "compressed";
-        // Raw images are counted by the camera_info beside them.
-        let changes = is_compressed.then(CameraChanges::default);
-        context.subscribe(
-            topics::CAMERA_INFO,
-            QosPreset::CameraInfo,
-            move |message: Arc<CameraInfo>| {
-                let model = match &changes {
-                    Some(changes) => changes.model(message),
-                    None => Some(convert::camera_model(&message)),
-                };
-                IfChanged(model.map(|model| model.map(Arrival::Camera)))
-            },
-        )?;
+        let raw = (!is_compressed).then(|| self.incomplete.clone());
+        let changes = CameraChanges::default();
+        context.subscribe(topics::CAMERA_INFO, QosPreset::CameraInfo, move |message| {
+            camera_info_input(raw.as_ref(), &changes, message)
+        })?;
         if is_compressed {
             context.subscribe(COMPRESSED, QosPreset::Image, |message| {
                 Some(Arrival::Compressed(message))
             })
         } else {
-            subscribe_raw(context)
+            subscribe_raw(context, self.incomplete.clone())
         }
     }
 
-    /// Counts an image that the camera has announced by its camera_info (`size`: width, height;
-    /// px), and renews the subscription where incomplete images occupy too much memory.
-    fn count_announced(&mut self, context: &mut NodeContext<Arrival>, size: (u32, u32)) {
-        if self.source != RAW || !self.incomplete.is_full_after(size) {
-            return;
-        }
+    /// Renews the subscription to raw images, which frees the buffers of incomplete ones.
+    fn renew_raw(&mut self, context: &mut NodeContext<Arrival>) {
         context.unsubscribe(RAW);
-        self.incomplete.drop_all();
-        context.log_throttled(Level::Warn, "incomplete", self.incomplete.why_none());
-        if let Err(error) = subscribe_raw(context) {
+        context.log_throttled(Level::Warn, "incomplete", self.incomplete.lock().why_none());
+        if let Err(error) = subscribe_raw(context, self.incomplete.clone()) {
             context.fail(error);
         }
     }
