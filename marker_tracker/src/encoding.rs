@@ -22,7 +22,7 @@ pub fn from_encoding<'a>(
     scratch: &'a mut OwnedImage,
 ) -> Result<ImageView<'a>, ImageError> {
     let format = match encoding {
-        "rgb8" | "8UC3_rgb" => PixelFormat::Rgb8,
+        "rgb8" => PixelFormat::Rgb8,
         "bgr8" | "8UC3" => PixelFormat::Bgr8,
         "rgba8" => PixelFormat::Rgba8,
         "bgra8" | "8UC4" => PixelFormat::Bgra8,

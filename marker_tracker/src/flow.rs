@@ -116,31 +116,6 @@ impl FlowFeatures {
         }
     }
 
-    /// Extracts the pixels with a gradient of a patch whose outline is unknown, `reach` px around
-    /// its center.
-    pub fn extract_patch(&mut self, sampler: &Sampler<'_>, center: Vector2<f64>, reach: f64) {
-        self.count = 0;
-        self.normal = [0.0; 3];
-        const SIDE: i32 = 16;
-        for i in 0..SIDE * SIDE {
-            let at = |k: i32| (f64::from(k) / f64::from(SIDE - 1) - 0.5) * 2.0 * reach;
-            let (x, y) = (nearest(center.x + at(i % SIDE)), nearest(center.y + at(i / SIDE)));
-            let (Some(value), Some(l), Some(r), Some(u), Some(v)) = (
-                sampler.at(x, y),
-                sampler.at(x - 1, y),
-                sampler.at(x + 1, y),
-                sampler.at(x, y - 1),
-                sampler.at(x, y + 1),
-            ) else {
-                continue;
-            };
-            let (gx, gy) = ((r - l) / 2.0, (v - u) / 2.0);
-            if gx * gx + gy * gy > 0.02 && self.count < MAX_POINTS {
-                self.add((x, y), value, gx, gy);
-            }
-        }
-    }
-
     /// Whether every pixel still has exactly its signal.
     pub fn is_unchanged(&self, sampler: &Sampler<'_>) -> bool {
         (0..self.count).all(|i| sampler.at(self.x[i], self.y[i]) == Some(self.value[i]))

@@ -61,6 +61,6 @@ pub use hue::hue;
 pub use image::{ImageError, ImageView, OwnedImage, PixelFormat};
 #[cfg(feature = "opencv")]
 pub use opencv::draw;
-pub use patches::{Patch, PatchTracker, find_patches};
+pub use patches::{Patch, find_patches};
 pub use tracker::{Input, Output, Tracker, Warning};
 pub use tracking::Outcome;

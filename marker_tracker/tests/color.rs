@@ -1,13 +1,11 @@
-//! Real images of a ceiling camera: patches of red, green, blue and yellow paper, tracked through
-//! the video. The test prints the folder of its debug images.
+//! Real images of a ceiling camera: patches of red, green, blue and yellow paper, found in a video.
+//! The test prints the folder of its debug images.
 
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
 
-use marker_tracker::{
-    ImageView, OwnedImage, Patch, PatchTracker, PixelFormat, TrackerConfig, find_patches,
-};
+use marker_tracker::{ImageView, OwnedImage, Patch, PixelFormat, find_patches};
 use nalgebra::Vector2;
-use rig_model::{MarkerColor, MarkerState, Stamp};
+use rig_model::{MarkerColor, Stamp};
 use std::{
     fs::File,
     io::{BufWriter, Read},
@@ -33,7 +31,7 @@ fn view(data: &[u8], width: usize, height: usize) -> ImageView<'_> {
     ImageView { stamp, width, height, step: 3 * width, format: PixelFormat::Rgb8, data }
 }
 
-/// Draws a box around each patch, gray where it was predicted.
+/// Draws a box around each patch.
 fn draw(path: &Path, data: &[u8], width: usize, height: usize, patches: &[Patch]) {
     let mut data = data.to_vec();
     let mut put = |x: i32, y: i32, rgb: [u8; 3]| {
@@ -42,13 +40,12 @@ fn draw(path: &Path, data: &[u8], width: usize, height: usize, patches: &[Patch]
             data[i..i + 3].copy_from_slice(&rgb);
         }
     };
-    for p in patches.iter().filter(|p| p.state != MarkerState::Lost) {
-        let rgb = match (p.state, p.color) {
-            (MarkerState::Predicted, _) => [128; 3],
-            (_, MarkerColor::Red) => [255, 0, 0],
-            (_, MarkerColor::Green) => [0, 255, 0],
-            (_, MarkerColor::Blue) => [0, 160, 255],
-            (_, MarkerColor::Yellow) => [255, 255, 0],
+    for p in patches {
+        let rgb = match p.color {
+            MarkerColor::Red => [255, 0, 0],
+            MarkerColor::Green => [0, 255, 0],
+            MarkerColor::Blue => [0, 160, 255],
+            MarkerColor::Yellow => [255, 255, 0],
         };
         let (cx, cy) = (p.centroid.x.round() as i32, p.centroid.y.round() as i32);
         let h = (p.area.sqrt() / 2.0) as i32 + 3;
@@ -56,10 +53,6 @@ fn draw(path: &Path, data: &[u8], width: usize, height: usize, patches: &[Patch]
             for (x, y) in [(i, -h), (i, h), (-h, i), (h, i)] {
                 put(cx + x, cy + y, rgb);
             }
-        }
-        for i in 0..=10 {
-            let tip = p.centroid + p.flow * (f64::from(i) / 2.0);
-            put(tip.x.round() as i32, tip.y.round() as i32, [255; 3]);
         }
     }
     let mut encoder =
@@ -85,8 +78,14 @@ const FIRST: [(MarkerColor, f64, f64); 8] = [
 /// Centers (px) in image 450 of the two patches that a rod pushes.
 const MOVED: [(usize, f64, f64); 2] = [(0, 336.0, 112.0), (1, 327.0, 125.0)];
 
+/// Whether a patch of this color is at most `reach` px from a place.
+fn is_found(patches: &[Patch], color: MarkerColor, (x, y): (f64, f64), reach: f64) -> bool {
+    let place = Vector2::new(x, y);
+    patches.iter().any(|p| p.color == color && (p.centroid - place).norm() < reach)
+}
+
 #[test]
-fn every_patch_is_tracked_through_the_video() {
+fn every_patch_is_found_throughout_the_video() {
     let Some(folder) = folder() else { return };
     let video = folder.join("robot_move.mp4");
     let child = Command::new("ffmpeg")
@@ -101,66 +100,40 @@ fn every_patch_is_tracked_through_the_video() {
     };
     let mut pipe = child.stdout.take().unwrap();
     let out = out();
-    let mut tracker = PatchTracker::new(TrackerConfig::default(), 60.0);
     let mut data = vec![0u8; 3 * WIDTH * HEIGHT];
-    let mut ids = [u32::MAX; FIRST.len()];
-    let mut detected = [0usize; FIRST.len()];
-    let mut wrong = [0usize; FIRST.len()];
-    let mut last: Vec<Vector2<f64>> = Vec::new();
+    let mut found = [0usize; FIRST.len()];
     let mut images = 0;
     while pipe.read_exact(&mut data).is_ok() {
-        let patches = tracker.process(&view(&data, WIDTH, HEIGHT)).unwrap();
-        if images == 0 {
-            for (id, (color, x, y)) in ids.iter_mut().zip(FIRST) {
-                let near =
-                    |p: &&Patch| (p.centroid - Vector2::new(x, y)).norm() < 4.0 && p.color == color;
-                let found = patches.iter().find(near);
-                *id = found
-                    .unwrap_or_else(|| panic!("{color} at ({x}, {y}) is not among {patches:?}"))
-                    .id;
-                last.push(Vector2::new(x, y));
-            }
-        }
-        for (k, id) in ids.iter().enumerate() {
-            let p = patches.iter().find(|p| p.id == *id).unwrap();
-            if p.state == MarkerState::Detected {
-                detected[k] += 1;
-                // A patch at rest must not move (its shade does a little), and a pushed one must
-                // not jump, except while it is covered.
-                let still = !MOVED.iter().any(|m| m.0 == k);
-                let limit = if still { 5.0 } else { 25.0 };
-                wrong[k] += usize::from((p.centroid - last[k]).norm() > limit);
-                if !still {
-                    last[k] = p.centroid;
-                }
-            }
+        let patches = find_patches(&view(&data, WIDTH, HEIGHT), 60.0).unwrap();
+        for (count, (color, x, y)) in found.iter_mut().zip(FIRST) {
+            assert!(
+                images > 0 || is_found(&patches, color, (x, y), 4.0),
+                "{color} at ({x}, {y}) is not among {patches:?}"
+            );
+            // A patch at rest does not move, but its shade does a little.
+            *count += usize::from(is_found(&patches, color, (x, y), 5.0));
         }
         if images == 450 {
             for (k, x, y) in MOVED {
-                let p = patches.iter().find(|p| p.id == ids[k]).unwrap();
-                assert_eq!(p.state, MarkerState::Detected, "{p:?} of {patches:?}");
-                assert!((p.centroid - Vector2::new(x, y)).norm() < 3.0, "{p:?}");
+                let color = FIRST[k].0;
+                let is_there = is_found(&patches, color, (x, y), 3.0);
+                assert!(is_there, "{color} at ({x}, {y}) is not among {patches:?}");
             }
         }
         if images % 50 == 0 {
-            draw(&out.join(format!("robot_move_{images:03}.png")), &data, WIDTH, HEIGHT, patches);
+            draw(&out.join(format!("robot_move_{images:03}.png")), &data, WIDTH, HEIGHT, &patches);
         }
         images += 1;
     }
     child.wait().unwrap();
     eprintln!("debug images: {}", out.display());
-    for (k, (color, x, y)) in FIRST.iter().enumerate() {
-        eprintln!(
-            "{color} at ({x}, {y}): measured in {} of {images} images, {} astray",
-            detected[k], wrong[k]
-        );
-    }
     assert_eq!(images, 502);
     for (k, (color, x, y)) in FIRST.iter().enumerate() {
-        let share = detected[k] as f64 / images as f64;
-        assert_eq!(wrong[k], 0, "{color} at ({x}, {y}) went astray");
-        // The rod covers the two that it pushes, the hand the ones that it passes.
-        assert!(share > 0.8, "{color} at ({x}, {y}) was measured in {share:.3} of the images");
+        let share = found[k] as f64 / images as f64;
+        eprintln!("{color} at ({x}, {y}): found in {share:.3} of the images");
+        // The hand covers the ones that it passes.
+        let is_still = !MOVED.iter().any(|m| m.0 == k);
+        assert!(!is_still || share > 0.8, "{color} at ({x}, {y}): {share:.3}");
     }
 }
 
