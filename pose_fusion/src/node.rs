@@ -179,6 +179,7 @@ impl NodeShell for FusionNode {
         match event {
             Event::Input(input) => {
                 if matches!(*input, Input::Camera(_)) {
+                    self.rig_check.note_camera();
                     self.rejections.camera = None;
                 }
                 self.fusion.handle(*input);

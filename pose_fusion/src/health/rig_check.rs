@@ -52,14 +52,23 @@ struct Marker {
 /// Light check of the rig file.
 #[derive(Clone, Debug, Default)]
 pub struct RigCheck {
+    has_camera: bool,
     markers: PerColor<Marker>,
     /// Measured markers since the last one that was used.
     unused: u32,
 }
 
 impl RigCheck {
+    /// Records that a camera model has arrived. Before it, every marker is rejected.
+    pub fn note_camera(&mut self) {
+        self.has_camera = true;
+    }
+
     /// Adds the markers of an image.
     pub fn note(&mut self, image: &MarkerUpdates) {
+        if !self.has_camera {
+            return;
+        }
         for (color, marker) in image.markers.iter() {
             self.note_marker(color, marker);
         }
@@ -173,5 +182,32 @@ fn filter_findings(status: &Status, found: &mut Vec<String>) {
             let degrees = rotation.to_degrees();
             found.push(format!("{name} rotated by {degrees:.1} deg (`imu.orientation`)"));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rig_model::Stamp;
+
+    #[test]
+    fn images_before_the_camera_model_are_no_finding() {
+        let mut check = RigCheck::default();
+        let note = |check: &mut RigCheck, outcome: Outcome, images: u32| {
+            for _ in 0..images {
+                let record = Innovation::<2>::without_values(outcome);
+                check.note(&MarkerUpdates {
+                    stamp: Stamp::default(),
+                    markers: PerColor([record; 4]),
+                });
+            }
+        };
+        note(&mut check, Outcome::NotInitialized, 90);
+        assert_eq!((check.unused, check.markers[MarkerColor::Red].count), (0, 0.0));
+        check.note_camera();
+        note(&mut check, Outcome::Used, 200);
+        assert_eq!(check.markers[MarkerColor::Red].rejected, 0.0);
+        note(&mut check, Outcome::Gated, 20);
+        assert!(check.markers[MarkerColor::Red].rejected > REJECTED);
     }
 }

@@ -229,6 +229,7 @@ impl Pipeline {
             Ok(model) if self.camera.as_ref() == Some(&model) => Ok(()),
             Ok(model) => {
                 self.camera = Some(model.clone());
+                self.rig_check.note_camera();
                 self.tracker.handle(marker_tracker::Input::Camera(model.clone()));
                 self.fuse(pose_fusion::Input::Camera(model))
             }
