@@ -124,6 +124,25 @@ fn either_criterion_switched_off_changes_the_result() {
 }
 
 #[test]
+fn a_marker_whose_color_has_changed_is_found_again_after_30_images() {
+    let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(10));
+    let changed = [Some([150.0, 40.0, 90.0]), ALL[1], ALL[2], ALL[3]];
+    for k in 0..56 {
+        let pose = pose(0.033 * k as f64);
+        let paint = if k < 10 { ALL } else { changed };
+        let o = observe(&mut tracker, k, &draw(&pose, paint, &mut noise));
+        let m = &o.markers[MarkerColor::Red];
+        let outcome = tracker.outcomes()[MarkerColor::Red];
+        let is_detected = m.state == MarkerState::Detected;
+        assert_eq!(is_detected, !(10..40).contains(&k), "image {k}: {outcome}");
+        if is_detected {
+            let off = (m.centroid - truth(MarkerColor::Red, &pose)).norm();
+            assert!(off < 0.1, "image {k}: {off} px");
+        }
+    }
+}
+
+#[test]
 fn an_error_of_the_layout_does_not_move_the_centroids() {
     // 2 mm are 0.96 px here.
     let mut wrong = layout();

@@ -92,6 +92,11 @@ impl OutlineMeter {
         Self { prior: ShapePrior { light, levels, ..self.prior } }
     }
 
+    /// The same measurement where nothing is known of what is beside the edges.
+    pub fn without_levels(&self) -> Self {
+        Self { prior: ShapePrior { levels: None, ..self.prior } }
+    }
+
     /// Measures a whole outline in two passes: with the tolerance `first`, then about the outline
     /// that was found, with the half-width that its blur needs.
     pub fn whole(

@@ -24,6 +24,10 @@ use rig_model::MarkerColor;
 /// measured along 83 % of its length on average.
 const TOUCHED: f64 = 3.3;
 
+/// Undetected images in a row from which on a marker's known colors may be out of date (white
+/// balance, another light): one second of a usual camera, in which most covers pass.
+const COLORS_AGE: u16 = 30;
+
 /// Around an outline of unknown turn, known to a few pixels.
 const UNKNOWN: Tolerance = Tolerance { half_width: 5.0, slope: 0.1, rows: KNOWN.rows, ..SEARCH };
 
@@ -69,7 +73,30 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
         if track.fit.is_none() && self.restart(color, track, platform) {
             return Outcome::Whole;
         }
+        let is_old = track.occluded.is_some_and(|images| images >= COLORS_AGE);
+        if is_old && self.resample(color, track, meter, platform, palette, config) {
+            return Outcome::Whole;
+        }
         outcome
+    }
+
+    /// Measures a marker as a whole in the colors that its place has now, where they are of its
+    /// class; the known colors are kept where that fails.
+    fn resample(
+        &mut self,
+        color: MarkerColor,
+        track: &mut MarkerTrack,
+        meter: &OutlineMeter,
+        platform: &PlatformModel,
+        palette: &Palette,
+        config: &TrackerConfig,
+    ) -> bool {
+        let known = (track.appearance.take(), track.edges.levels.take());
+        self.accept(color, track, &meter.without_levels(), platform, palette, config);
+        if track.fit.is_none() {
+            (track.appearance, track.edges.levels) = known;
+        }
+        track.fit.is_some()
     }
 
     /// Measures a marker without its adapted geometry where three others determine the pose, and
@@ -185,7 +212,8 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
                 .filter(|a| palette.classify_mean(a.marker) == Some(color))?,
         };
         let sampler = Sampler::new(self.image, &appearance.discriminant);
-        let fit = if platform.markers[color].is_turn_known() {
+        // New colors may be those of a cover, which is no whole square.
+        let fit = if track.appearance.is_some() && platform.markers[color].is_turn_known() {
             let (_, place) = outline.area_and_centroid();
             let wide = Tolerance { half_width: 3.5, slope: 0.012, ..tolerance };
             let first = meter.measure(&sampler, &outline, wide)?;
