@@ -197,18 +197,19 @@ pub fn track_bag(
     Ok(markers)
 }
 
-/// Checks a rig's files against a bag.
+/// Checks a rig's files against a bag; `climber_offset`: see [`rig_calibration::check`].
 ///
 /// # Errors
 /// As [`read_markers`] and [`rig_calibration::check`].
-pub fn check_bag(bag: &Path, rig: &Rig, cores: &Cores) -> Result<Report> {
+pub fn check_bag(bag: &Path, rig: &Rig, cores: &Cores, climber_offset: f64) -> Result<Report> {
     let samples = read(bag, rig, cores, true)?;
     let has_images = images_of(&BagReader::summary(bag)?, &cores.names)?.is_some();
     let mut track = |layout: &MarkerLayout, camera: &CameraModel, limit| {
         track_bag(bag, layout, &cores.tracker, camera, limit, &cores.names).unwrap_or_default()
     };
     let track: Option<&mut Track<'_>> = if has_images { Some(&mut track) } else { None };
-    rig_calibration::check(&samples, rig, track).with_context(|| format!("{}", bag.display()))
+    rig_calibration::check(&samples, rig, climber_offset, track)
+        .with_context(|| bag.display().to_string())
 }
 
 /// Refines a rig with a bag; `held`: see [`refine_rig`].

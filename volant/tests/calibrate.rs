@@ -326,3 +326,34 @@ fn a_bag_of_two_rigs_is_checked_by_namespace_and_never_mixed() {
     assert_eq!(String::from_utf8_lossy(&found.stdout), String::from_utf8_lossy(&expected.stdout));
     assert_eq!(found.status.code(), expected.status.code());
 }
+
+/// Encoder stamps that are off by a constant are right where the file has it, and only there.
+#[test]
+fn check_judges_the_encoders_stamps_with_the_configured_offset() {
+    let folder = TempDir::new().unwrap();
+    let [bag, rig] = ["swing.mcap", "rig.yaml"].map(|n| folder.path().join(n));
+    let row = |ahead: f64, offset: &str| {
+        let simulated = Simulated { climber_clock_ahead: ahead, ..Simulated::new(5) };
+        let _ = fs::remove_file(&bag);
+        simulated.write(&bag, &simulated.motion(20.0, true), true);
+        let block = format!("/pose_fusion:\n  ros__parameters: {{clock: {{{offset}}}}}\n");
+        fs::write(&rig, format!("{}{block}", rig_simulator::RIG_YAML)).unwrap();
+        let output = volant(&["check", bag.to_str().unwrap(), "--rig", rig.to_str().unwrap()]);
+        let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+        let row = printed.lines().find(|line| line.starts_with("climber clock"));
+        let row = row.unwrap_or_else(|| panic!("{printed}"));
+        let mut words = row.split_whitespace().skip(2);
+        let mut next = || words.next().unwrap().to_owned();
+        let [file, estimate] = [next(), next()].map(|value| value.parse::<f64>().unwrap());
+        (output.status.code(), file, estimate, row.split_whitespace().last().unwrap().to_owned())
+    };
+    let (code, file, estimate, verdict) = row(-0.03, "climber_offset: 0.0");
+    assert_eq!((code, file, verdict.as_str()), (Some(1), 0.0, "wrong"));
+    assert!((estimate - 30.0).abs() < 3.0, "{estimate}");
+    let (code, file, estimate, verdict) = row(-0.03, "climber_offset: 0.03");
+    assert_eq!((code, file, verdict.as_str()), (Some(0), 30.0, "ok"));
+    assert!((estimate - 30.0).abs() < 3.0, "{estimate}");
+    let (code, file, estimate, verdict) = row(0.0, "climber_offset: -0.03");
+    assert_eq!((code, file, verdict.as_str()), (Some(1), -30.0, "wrong"));
+    assert!(estimate.abs() < 3.0, "{estimate}");
+}

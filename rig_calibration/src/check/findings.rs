@@ -135,7 +135,7 @@ pub(crate) fn report(
         let named = state.findings.iter().any(|f| f.key == name(group.cause));
         if worst >= Verdict::Suspect && !named {
             let alternatives = freed.map(|e| e.alternatives.clone()).unwrap_or_default();
-            findings.push(finding(group, worst, &total, &alternatives));
+            findings.push(finding(group, worst, file, &total, &alternatives));
         }
     }
     rows.extend(
@@ -244,6 +244,7 @@ fn file_value(cause: Cause, k: usize, file: &Parameters) -> f64 {
         Cause::ImuPlace => file.rig.imu.volant_from_imu.translation.vector[k],
         Cause::Marker(m) => file.rig.markers.centers.0[m][k],
         Cause::GyroScale | Cause::AccelerometerScale => 1.0,
+        Cause::ClimberClock => file.climber_clock,
         _ => 0.0,
     }
 }
@@ -276,6 +277,7 @@ fn name(cause: Cause) -> &'static str {
 fn finding(
     group: &Group,
     verdict: Verdict,
+    file: &Parameters,
     total: &dyn Fn(usize) -> f64,
     alternatives: &[Cause],
 ) -> Finding {
@@ -359,8 +361,13 @@ fn finding(
             "check the IMU's unit and range; have it calibrated",
         ),
         Cause::ClimberClock => (
-            format!("the encoders' stamps are {:+.1} ms from the images'", -of(0)),
-            "stamp the encoders when they are sampled, or set clock.climber_offset",
+            format!(
+                "the encoders' stamps are {:+.1} ms from the images', and clock.climber_offset is \
+                 {} s",
+                -(of(0) + group.unit.1 * file.climber_clock),
+                file.climber_clock
+            ),
+            "stamp the encoders when they are sampled, or correct clock.climber_offset",
         ),
         Cause::ImuClock => (
             format!("the IMU's stamps are {:+.1} ms from the images'", of(0)),

@@ -60,13 +60,15 @@ pub(crate) struct Corrected {
 /// Checks a rig's files against a recording.
 ///
 /// `samples.markers` are those tracked with the rig's layout, or those of the recording; `track`
-/// tracks the images again with another one, where the recording has images.
+/// tracks the images again with another one, where the recording has images. `climber_offset` is
+/// the configured offset of the climber's stamps, s: climber stamp + offset = camera time.
 ///
 /// # Errors
 /// The recording is too short, or no pose fits it.
 pub fn check(
     samples: &Samples,
     rig: &Rig,
+    climber_offset: f64,
     track: Option<&mut Track<'_>>,
 ) -> Result<Report, CalibrationError> {
     let mut state = Corrected {
@@ -81,7 +83,10 @@ pub fn check(
     if state.findings.iter().any(|f| f.blocks) {
         return Ok(Report { findings: state.findings, ..Report::default() });
     }
-    state.samples.repair();
+state.samples.repair();
+    for sample in &mut state.samples.climber {
+        sample.stamp = sample.stamp.plus_seconds(climber_offset);
+    }
     inertial::examine_units(&mut state);
     layout::examine_places(&mut state);
     layout::examine(&mut state, track)?;
@@ -99,7 +104,7 @@ pub fn check(
         recording = Recording::new(&state.samples)?;
         recording.keep_liveliest(SPAN, EVERY);
     }
-    let file = Parameters::new(rig, &recording);
+    let mut file = Parameters::new(rig, &recording);
     let start = Parameters::new(&state.rig, &recording);
     let states = first_states(&recording, &start)?;
     let priors = vec![0.0; PARAMETERS];
@@ -112,5 +117,7 @@ pub fn check(
         }
     };
     let change: DVector<f64> = outcome.parameters.minus(&file);
+    // The samples are shifted by it, so that the change is relative to it.
+    file.climber_clock = climber_offset;
     Ok(findings::report(&state, &file, &outcome, &change))
 }

@@ -162,7 +162,7 @@ impl Bench {
         }
         let track: Option<&mut Track<'_>> =
             if self.images.is_some() && retrack { Some(&mut track) } else { None };
-        Ok(check(&samples, &recording.rig, track)?)
+        Ok(check(&samples, &recording.rig, 0.0, track)?)
     }
 
     /// Applies a fault and checks the recording.

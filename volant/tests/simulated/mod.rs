@@ -38,6 +38,8 @@ pub struct Simulated {
     pub encoders: Encoders,
     pub height: f64,
     pub seed: u64,
+    /// The climber's clock minus that of a rig with synchronized stamps, s.
+    pub climber_clock_ahead: f64,
 }
 
 /// Where the platform rests on the floor.
@@ -95,6 +97,7 @@ impl Simulated {
             },
             height: 2.8,
             seed,
+            climber_clock_ahead: 0.0,
         }
     }
 
@@ -111,7 +114,8 @@ impl Simulated {
     /// Writes the sensors of a motion; `transform`: whether the climber's pose too.
     pub fn write(&self, path: &Path, motion: &Motion, transform: bool) {
         let mut writer = Writer::create(path);
-        let config = SensorConfig::nominal(self.seed);
+        let mut config = SensorConfig::nominal(self.seed);
+        config.climber_clock_ahead += self.climber_clock_ahead;
         let frames = Frames::default();
         let at = nanos(config.epoch);
         let info = convert::camera_message(&frames.camera, config.epoch, &self.camera);

@@ -38,10 +38,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<bool> {
     if let Some(path) = &arguments.json {
         files::check_output(path, arguments.overwrite, &[&arguments.bag, &arguments.rig])?;
     }
-    let Settings { rig, tracker, climber, .. } =
+    let Settings { rig, tracker, fusion, climber } =
         settings::read(&arguments.rig, &arguments.params_file, &arguments.topics.namespace)?;
     let cores = Cores { tracker, climber, names: arguments.topics.names() };
-    let report = check_bag(&arguments.bag, &rig, &cores).context("check")?;
+    let climber_offset = fusion.tight.clock.climber_offset;
+    let report = check_bag(&arguments.bag, &rig, &cores, climber_offset).context("check")?;
     if let Some(path) = &arguments.json {
         let text = serde_json::to_string_pretty(&as_json(&report))? + "\n";
         files::write(path, text.as_bytes(), arguments.overwrite)?;
