@@ -1,9 +1,13 @@
 //! `volant monitor`.
 
+use crate::signals;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
 use std::{
     io::{IsTerminal, Write},
-    sync::atomic::{AtomicBool, Ordering},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
     time::Duration,
 };
 use volant::{
@@ -37,12 +41,15 @@ pub struct Arguments {
 const DISCOVERY: Duration = Duration::from_millis(50);
 /// Period of the screen.
 const FRAME: Duration = Duration::from_millis(250);
+/// Time in which the screen's loop ends after a signal.
+const LAST_FRAME: Duration = Duration::from_secs(1);
 
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let options = WatchOptions { namespace: arguments.namespace.clone(), images: arguments.images };
     let mut watch = Watch::start(options)?;
     let stop = node_kit::console::stop_flag()?;
     if !arguments.once && !arguments.plain && std::io::stdout().is_terminal() {
+        end_after(stop.clone())?;
         return Ok(on_screen(&mut watch, &stop)?);
     }
     loop {
@@ -74,6 +81,19 @@ fn listen(watch: &mut Watch, stop: &AtomicBool, time: Duration) -> Result<(), Li
     Ok(())
 }
 
+/// Ends the process on a signal where the screen's loop does not: crossterm polls a terminal that
+/// was closed forever.
+#[allow(clippy::disallowed_methods, reason = "the main thread hangs")]
+fn end_after(stop: Arc<AtomicBool>) -> std::io::Result<()> {
+    signals::on_stop(move || {
+        stop.store(true, Ordering::Release);
+        std::thread::sleep(LAST_FRAME);
+        // The terminal may be gone.
+        let _ = ratatui::try_restore();
+        std::process::exit(0);
+    })
+}
+
 fn on_screen(watch: &mut Watch, stop: &AtomicBool) -> Result<(), LiveError> {
     let failed = |source| LiveError::Terminal { source };
     // Its panic hook restores the terminal too.
@@ -96,7 +116,8 @@ fn on_screen(watch: &mut Watch, stop: &AtomicBool) -> Result<(), LiveError> {
             break Ok(());
         }
     };
-    ratatui::restore();
+    // Fails where the terminal was closed.
+    let _ = ratatui::try_restore();
     result
 }
 
