@@ -41,7 +41,7 @@ pub struct PlayOptions {
     pub delay: Duration,
     /// Rate of `/clock`, Hz; `None`: not published.
     pub clock_hz: Option<f64>,
-    /// Topics to play, by their names in the bag; empty: all.
+    /// Topics to play, by their names in the bag; empty: all. Those that it lacks are left out.
     pub topics: Vec<String>,
     /// Remapping of names in the bag.
     pub names: TopicNames,
@@ -68,7 +68,7 @@ struct Writer {
 /// called with the bag's time and its span, ns.
 ///
 /// # Errors
-/// The bag is unreadable or holds nothing to play, or DDS creates no node or publisher.
+/// The bag is unreadable, holds nothing to play or lacks a remapped topic, or DDS creates no node or publisher.
 pub fn play(
     options: &PlayOptions,
     control: &Arc<PlayControl>,
@@ -97,10 +97,13 @@ fn play_all(
         return Err(nothing(format!(": it is {:.3} s long", (last - first) as f64 * 1e-9)));
     }
     let known = summary.topics.iter().map(|(t, _)| t.name.as_str()).collect::<Vec<_>>();
-    let mut named = options.topics.iter().map(String::as_str).chain(options.names.remapped());
-    let absent = named.find(|name| *name != topics::absolute::CLOCK && !known.contains(name));
-    if let Some(name) = absent {
-        return Err(nothing(format!(" on {name}; it holds {}", known.join(", "))));
+    let holds = |name: &str| name == topics::absolute::CLOCK || known.contains(&name);
+    let absent = |names: &str| nothing(format!(" on {names}; it holds {}", known.join(", ")));
+    if let Some(name) = options.names.remapped().find(|name| !holds(name)) {
+        return Err(absent(name));
+    }
+    if !options.topics.is_empty() && !options.topics.iter().any(|name| holds(name)) {
+        return Err(absent(&options.topics.join(", ")));
     }
     let mut chosen = BTreeMap::new();
     for (topic, count) in &summary.topics {

@@ -1,7 +1,9 @@
 //! `volant play`.
 
 use crate::{signals, terminal};
+use bag::BagReader;
 use node_kit::outln;
+use rig_model::topics::absolute::CLOCK;
 use std::{io::Read, path::PathBuf, sync::Arc, time::Duration};
 use volant::{
     command_line::number,
@@ -65,6 +67,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         topics: arguments.topics.iter().map(absolute).collect(),
         names: TopicNames::new("", &arguments.remap),
     };
+    let known = BagReader::summary(&options.input)?.topics;
+    let (present, absent): (Vec<_>, Vec<_>) =
+        options.topics.iter().partition(|name| known.iter().any(|(t, _)| t.name == **name));
+    // Without any of them, playing fails.
+    for name in absent.iter().filter(|name| !present.is_empty() && **name != CLOCK) {
+        let bag = arguments.input.display();
+        terminal::line(&format!("volant: {bag}: no topic {name}; see `volant bag info {bag}`"));
+    }
     let control = Arc::new(PlayControl::new(arguments.rate, arguments.paused));
     signals::on_stop({
         let control = control.clone();
