@@ -61,6 +61,12 @@ pub enum FileError {
         /// The input as given, or the member of an input folder.
         input: PathBuf,
     },
+    /// Two outputs of the command are one file, by whatever name.
+    #[error("{}: two outputs have this name; give each its own", path.display())]
+    Twice {
+        /// The output.
+        path: PathBuf,
+    },
     /// An operation of the operating system failed.
     #[error("{}: cannot be written: {source}; check its folder, the permissions and the space on \
              the disk", path.display())]
@@ -111,6 +117,38 @@ pub fn check_output(path: &Path, overwrite: bool, inputs: &[&Path]) -> Result<()
         (false, false) => Err(FileError::Exists { path: path.to_owned() }),
         (false, true) => Ok(()),
     }
+}
+
+/// Checks all files that a command writes before the work for them starts, as [`check_output`]
+/// does, and that their folders exist.
+///
+/// # Errors
+/// As [`check_output`]; [`FileError::Twice`]; [`FileError::Io`] for a folder that does not exist.
+pub fn check_outputs(
+    outputs: &[&Path],
+    overwrite: bool,
+    inputs: &[&Path],
+) -> Result<(), FileError> {
+    let mut places = vec![];
+    for &path in outputs {
+        check_output(path, overwrite, inputs)?;
+        if fs::metadata(path).is_ok_and(|there| is_special(&there)) {
+            continue;
+        }
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let folder = fs::canonicalize(folder.unwrap_or(Path::new(".")))
+            .map_err(|e| FileError::io(path, e))?;
+        if !folder.is_dir() {
+            return Err(FileError::io(path, ErrorKind::NotADirectory.into()));
+        }
+        let new = folder.join(path.file_name().unwrap_or_default());
+        let place = fs::canonicalize(path).unwrap_or(new);
+        if places.contains(&place) {
+            return Err(FileError::Twice { path: path.to_owned() });
+        }
+        places.push(place);
+    }
+    Ok(())
 }
 
 /// Writes a whole file as [`OutputFile`] does.

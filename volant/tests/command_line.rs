@@ -307,3 +307,45 @@ fn a_damaged_bag_is_recovered() {
         "{printed}"
     );
 }
+
+#[test]
+fn an_input_is_no_output_and_two_outputs_have_two_names() {
+    let place = Place::new();
+    let (input, rig) = (place.path("in.mcap"), place.path("rig.yaml"));
+    bag(&input, "");
+    let params = place.file("params.yaml", b"pose_fusion: {ros__parameters: {history: 0.5}}\n");
+    let camera = place.file("camera.svg", b"image_width: 640\n");
+    let new = place.path("new.svg");
+    let word = |text: &'static str| Path::new(text);
+    let [rig_is, overwrite] = ["--rig", "--overwrite"].map(word);
+    let is_input = ["the output is the input"];
+    for arguments in [
+        vec![word("calibrate"), word("imu"), &input, rig_is, &rig, word("--plot"), &rig],
+        vec![word("calibrate"), word("climber"), &input, rig_is, &rig, word("--out"), &input],
+        vec![
+            word("check"),
+            &input,
+            rig_is,
+            &rig,
+            word("--params-file"),
+            &params,
+            word("--json"),
+            &params,
+        ],
+        vec![word("markers"), rig_is, &rig, word("--camera"), &camera, word("--out"), &camera],
+    ] {
+        let before: Vec<_> = [&input, &rig, &params, &camera].map(|f| fs::read(f).unwrap()).into();
+        fails(&[arguments, vec![overwrite]].concat(), &is_input);
+        let after: Vec<_> = [&input, &rig, &params, &camera].map(|f| fs::read(f).unwrap()).into();
+        assert!(before == after);
+    }
+    let two = ["two outputs have this name"];
+    let (plot, out) = (word("--plot"), word("--out"));
+    let imu = [word("calibrate"), word("imu"), &input, rig_is, &rig, plot, &new, out, &new];
+    fails(&imu, &two);
+    let (csv, json) = (word("--csv"), word("--json"));
+    fails(&[word("evaluate"), &input, word("--truth"), &input, csv, &new, json, &new], &two);
+    let nowhere = place.path("none/x.json");
+    fails(&[word("check"), &input, rig_is, &rig, json, &nowhere], &["x.json", "folder"]);
+    assert!(!new.exists());
+}

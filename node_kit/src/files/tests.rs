@@ -110,6 +110,31 @@ fn an_input_is_found_under_any_name() {
 }
 
 #[test]
+fn outputs_need_a_folder_and_names_of_their_own() {
+    let folder = Folder::new("outputs");
+    let (a, b) = (folder.0.join("a"), folder.0.join("b"));
+    let dotted = folder.0.join("./a");
+    assert!(check_outputs(&[&a, &b], false, &[]).is_ok());
+    assert!(
+        check_outputs(
+            &[Path::new("a"), Path::new("/dev/null"), Path::new("/dev/null")],
+            false,
+            &[]
+        )
+        .is_ok()
+    );
+    assert!(matches!(check_outputs(&[&a, &dotted], false, &[]), Err(FileError::Twice { .. })));
+    folder.file("a", "text");
+    symlink(&a, &b).unwrap();
+    assert!(matches!(check_outputs(&[&a, &b], true, &[]), Err(FileError::Twice { .. })));
+    assert!(matches!(check_outputs(&[&a], true, &[&a]), Err(FileError::Input { .. })));
+    for nowhere in [folder.0.join("none/c"), a.join("c")] {
+        let error = check_outputs(&[&nowhere], false, &[]).unwrap_err().to_string();
+        assert!(error.contains("/c: cannot be written") && error.contains("folder"), "{error}");
+    }
+}
+
+#[test]
 fn a_full_disk_and_a_folder_that_is_not_there_are_named() {
     let error = write(Path::new("/dev/full"), b"text", false).unwrap_err().to_string();
     assert!(error.contains("/dev/full") && error.contains("space on the disk"), "{error}");

@@ -8,7 +8,7 @@ use anyhow::Context;
 use node_kit::{files, outln};
 use rig_calibration::{Report, Verdict};
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use volant::calibration::{Cores, check_bag};
 
 /// Bag and files to compare.
@@ -35,11 +35,12 @@ pub struct Arguments {
 
 /// Returns whether nothing is wrong.
 pub fn run(arguments: &Arguments) -> anyhow::Result<bool> {
-    if let Some(path) = &arguments.json {
-        files::check_output(path, arguments.overwrite, &[&arguments.bag, &arguments.rig])?;
-    }
+    let more = &arguments.params_file;
+    let inputs = [&arguments.bag, &arguments.rig].into_iter().chain(more).map(PathBuf::as_path);
+    let outputs: Vec<&Path> = arguments.json.as_deref().into_iter().collect();
+    files::check_outputs(&outputs, arguments.overwrite, &inputs.collect::<Vec<_>>())?;
     let Settings { rig, tracker, fusion, climber } =
-        settings::read(&arguments.rig, &arguments.params_file, &arguments.topics.namespace)?;
+        settings::read(&arguments.rig, more, &arguments.topics.namespace)?;
     let cores = Cores { tracker, climber, names: arguments.topics.names() };
     let climber_offset = fusion.tight.clock.climber_offset;
     let report = check_bag(&arguments.bag, &rig, &cores, climber_offset).context("check")?;

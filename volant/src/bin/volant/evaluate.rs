@@ -74,10 +74,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 impl Arguments {
     /// Finds before the work what would not be written after it.
     fn check_outputs(&self, inputs: &[&Path]) -> anyhow::Result<()> {
-        for path in [&self.csv, &self.json, &self.report].into_iter().flatten() {
-            files::check_output(path, self.overwrite, inputs)?;
-        }
-        Ok(())
+        let outputs = [&self.csv, &self.json, &self.report].into_iter().flatten();
+        let outputs: Vec<&Path> = outputs.map(PathBuf::as_path).collect();
+        Ok(files::check_outputs(&outputs, self.overwrite, inputs)?)
     }
 
     fn write(&self, path: &Path, text: &str) -> anyhow::Result<()> {

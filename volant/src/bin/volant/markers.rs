@@ -54,6 +54,9 @@ fn sheets_file(name: &str) -> Result<PathBuf, &'static str> {
 /// # Errors
 /// See the messages, which name the remedy.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let inputs = [&arguments.rig].into_iter().chain(&arguments.camera).map(PathBuf::as_path);
+    let inputs: Vec<&Path> = inputs.collect();
+    node_kit::files::check_outputs(&[&arguments.out], arguments.overwrite, &inputs)?;
     let is_pdf = ending(&arguments.out) == "pdf";
     let rig = read_rig(&arguments.rig)?;
     let focal_length = arguments.camera.as_ref().map(|path| {
@@ -69,7 +72,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     let sheets = sheets(&rig, &paper, focal_length.transpose()?)?;
     let bytes = if is_pdf { pdf(&sheets, &paper) } else { svg(&sheets, &paper).into_bytes() };
-    node_kit::files::check_output(&arguments.out, arguments.overwrite, &[&arguments.rig])?;
     node_kit::files::write(&arguments.out, &bytes, arguments.overwrite)?;
     terminal::line(&format!(
         "{}: {} sheets of {}; print at 100 % and measure the bar",

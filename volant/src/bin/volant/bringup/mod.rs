@@ -205,7 +205,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let overwrite =
         arguments.overwrite || state.report.is_some() && state.report == arguments.report;
     if let Some(path) = &arguments.report {
-        files::check_output(path, overwrite, &[&arguments.rig])?;
+        files::check_outputs(&[path], overwrite, &[&arguments.rig, &state_file])?;
     }
     // Nothing is written before the first answer.
     setup::read(&arguments.rig)?;

@@ -78,7 +78,8 @@ pub fn run(arguments: &Arguments) -> Result<ClimberCalibration> {
     let rig = super::read_rig(&arguments.rig)?;
     let file = arguments.params_file.as_ref().unwrap_or(&arguments.rig);
     let shown = file.display();
-    arguments.output.check(&[&arguments.rig, file])?;
+    let inputs = [&arguments.rig, file].into_iter().chain(&arguments.bag);
+    arguments.output.check(&inputs.map(PathBuf::as_path).collect::<Vec<_>>())?;
     let text =
         node_kit::files::read_text(file).with_context(|| format!("{shown}: not readable"))?;
     // The update rejects an invalid file; one of comments only is a valid start.

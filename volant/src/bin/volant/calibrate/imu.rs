@@ -37,10 +37,8 @@ pub struct Arguments {
 /// See the messages, which name the remedy.
 pub fn run(arguments: &Arguments) -> Result<ImuNoise> {
     super::read_rig(&arguments.rig)?;
-    arguments.output.check(&[&arguments.rig, &arguments.bag])?;
-    if let Some(plot) = &arguments.plot {
-        node_kit::files::check_output(plot, arguments.output.overwrite, &[&arguments.bag])?;
-    }
+    let inputs: [&Path; 2] = [&arguments.rig, &arguments.bag];
+    arguments.output.check_with(arguments.plot.as_deref(), &inputs)?;
     let mut samples = read(&arguments.bag, arguments.topic.as_deref())?;
     samples.sort_by_key(|s| s.stamp);
     let noise = imu_noise(&samples).with_context(|| arguments.bag.display().to_string())?;

@@ -59,10 +59,13 @@ impl Output {
     /// Fails before the work where the result could not be written after it; `inputs` are never
     /// replaced.
     pub fn check(&self, inputs: &[&Path]) -> anyhow::Result<()> {
-        if let Some(out) = &self.out {
-            node_kit::files::check_output(out, self.overwrite, inputs)?;
-        }
-        Ok(())
+        self.check_with(None, inputs)
+    }
+
+    /// The same with a further output.
+    pub fn check_with(&self, further: Option<&Path>, inputs: &[&Path]) -> anyhow::Result<()> {
+        let outputs: Vec<&Path> = further.into_iter().chain(self.out.as_deref()).collect();
+        Ok(node_kit::files::check_outputs(&outputs, self.overwrite, inputs)?)
     }
 
     /// Changes parameters of a file and reports what was written.
