@@ -182,10 +182,11 @@ pub fn evaluate(options: &EvaluateOptions) -> Result<Evaluation, EvaluateError> 
     };
     let topics: Vec<String> = ESTIMATES.iter().map(|name| options.names.resolve(name)).collect();
     let mut collected: [(Vec<Estimate>, u64); ESTIMATES.len()] = Default::default();
-    let mut began: Option<Stamp> = None;
+    let (mut first_logged, mut logged_early) = (None, None);
     let mut bag = BagReader::open(&options.estimates)?;
     while let Some(message) = bag.next_message()? {
-        began.get_or_insert(Stamp::from_nanos(i64::try_from(message.log_time).unwrap_or(0)));
+        let logged = i64::try_from(message.log_time).unwrap_or(0);
+        first_logged.get_or_insert(logged);
         let Some(which) = topics.iter().position(|t| *t == message.topic.name) else { continue };
         let estimate = match which {
             0 | 3 => read_odometry(&message.data),
@@ -196,7 +197,10 @@ pub fn evaluate(options: &EvaluateOptions) -> Result<Evaluation, EvaluateError> 
             _ => read_pose(&message.data),
         };
         match estimate {
-            Some(estimate) => collected[which].0.push(estimate),
+            Some(estimate) => {
+                logged_early.get_or_insert(estimate.stamp.as_nanos().saturating_sub(logged));
+                collected[which].0.push(estimate);
+            }
             None => collected[which].1 += 1,
         }
     }
@@ -204,7 +208,10 @@ pub fn evaluate(options: &EvaluateOptions) -> Result<Evaluation, EvaluateError> 
     if collected.iter().all(|(estimates, unusable)| estimates.is_empty() && *unusable == 0) {
         return Err(EvaluateError::NoEstimate { path: options.estimates.clone(), topics });
     }
-    let began = began.unwrap_or(from).max(from);
+    // The bag's start in the time of the stamps: a played bag is recorded at another time.
+    let began = first_logged.zip(logged_early);
+    let began = began.map_or(from, |(at, early)| Stamp::from_nanos(at.saturating_add(early)));
+    let began = began.max(from);
     let mut tracks = Tracks { began, estimates: Vec::new(), truth: truth.clone() };
     let estimates: Vec<Quality> = ESTIMATES
         .iter()
@@ -330,3 +337,6 @@ fn read_pose(data: &[u8]) -> Option<Estimate> {
 fn finite(estimate: Estimate) -> Option<Estimate> {
     estimate.pose.translation.vector.iter().all(|x| x.is_finite()).then_some(estimate)
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,39 @@
+use super::*;
+use bag::{BagWriter, Qos, Topic, WriteOptions};
+use std::path::Path;
+
+const START: i64 = 1_700_000_000_000_000_000;
+
+/// Writes odometry at 100 Hz, stamped from [`START`] on, which was logged `late` s after its stamps.
+fn odometry(path: &Path, topic: &str, seconds: f64, late: f64) {
+    let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
+    let topic = bag.add_topic(Topic::of::<Odometry>(topic, &Qos::RELIABLE));
+    for i in 0..(100.0 * seconds) as u32 {
+        let stamp = Stamp::from_nanos(START).plus_seconds(f64::from(i) * 0.01);
+        let mut message =
+            Odometry { header: convert::header("world", stamp), ..Odometry::default() };
+        message.pose.pose.orientation.w = 1.0;
+        let logged = u64::try_from(stamp.plus_seconds(late).as_nanos()).unwrap();
+        bag.write_message(topic, logged, &message).unwrap();
+    }
+    bag.finish().unwrap();
+}
+
+fn options(folder: &Path) -> EvaluateOptions {
+    let [estimates, truth] = ["out.mcap", "truth.mcap"].map(|name| folder.join(name));
+    EvaluateOptions { estimates, truth, skip: 1.0, names: TopicNames::default() }
+}
+
+#[test]
+fn a_recording_of_a_played_bag_is_evaluated_by_its_stamps() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = options(folder.path());
+    odometry(&options.truth, topics::absolute::GROUND_TRUTH, 3.0, 0.0);
+    for late in [0.0, 3600.0, -3600.0] {
+        let _ = std::fs::remove_file(&options.estimates);
+        odometry(&options.estimates, topics::absolute::ODOMETRY, 3.0, late);
+        let evaluation = evaluate(&options).unwrap();
+        assert_eq!(evaluation.estimates[0].count, 200, "logged {late} s late");
+        assert_eq!(evaluation.tracks.began, Stamp::from_nanos(START));
+    }
+}
