@@ -45,10 +45,10 @@ impl SpreadSum {
         self.max
     }
 
-    /// The result, multiplied; zeros without numbers.
+    /// The result, multiplied; NaN without numbers.
     pub fn spread(&self, scale: f64) -> Spread {
-        let rmse = if self.count == 0 { 0.0 } else { self.rmse() };
-        Spread { rmse: rmse * scale, max: self.max * scale }
+        let max = if self.count == 0 { f64::NAN } else { self.max };
+        Spread { rmse: self.rmse() * scale, max: max * scale }
     }
 }
 
@@ -270,8 +270,9 @@ mod tests {
     }
 
     #[test]
-    fn a_spread_of_nothing_is_zero() {
-        assert_eq!(SpreadSum::default().spread(1.0), Spread::default());
+    fn a_spread_of_nothing_is_no_number() {
+        let nothing = SpreadSum::default().spread(1.0);
+        assert!(nothing.rmse.is_nan() && nothing.max.is_nan());
         let mut sum = SpreadSum::default();
         sum.add(3.0);
         sum.add(-4.0);

@@ -1,6 +1,6 @@
 //! Evaluation of a folder of bags against a folder with their truths.
 
-use super::{EvaluateError, EvaluateOptions, Evaluation, Quality, evaluate};
+use super::{EvaluateError, EvaluateOptions, Evaluation, Quality, evaluate, report::figure};
 use crate::{replay::TopicNames, report::Table};
 use std::{
     fmt::Write,
@@ -142,7 +142,7 @@ pub(super) fn rows(results: &[RunResult]) -> Table {
             let figures =
                 [q.position_mm.rmse, q.position_mm.max, q.rotation_deg.rmse, q.rotation_deg.max];
             let mut row = vec![name.clone(), q.estimate.clone()];
-            row.extend(figures.map(|v| format!("{v:.3}")));
+            row.extend(figures.map(figure));
             row.extend([
                 number(q.nees_position),
                 number(q.nees_rotation),
@@ -158,7 +158,7 @@ pub(super) fn rows(results: &[RunResult]) -> Table {
     }
     for (estimate, figures) in worst {
         let mut row = vec!["worst".into(), estimate];
-        row.extend(figures.map(|v| format!("{v:.3}")));
+        row.extend(figures.map(figure));
         table.push(row);
     }
     table

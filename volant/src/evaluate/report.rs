@@ -9,9 +9,14 @@ pub fn table(evaluation: &Evaluation) -> String {
     rows(&evaluation.estimates).to_text(1)
 }
 
+/// Formats a figure to three decimals; `-` where nothing was compared.
+pub(super) fn figure(value: f64) -> String {
+    if value.is_nan() { "-".to_owned() } else { format!("{value:.3}") }
+}
+
 /// Makes a table with one column per estimate.
 pub(super) fn rows(q: &[Quality]) -> Table {
-    let spread = |s: Spread| format!("{:.3} / {:.3}", s.rmse, s.max);
+    let spread = |s: Spread| format!("{} / {}", figure(s.rmse), figure(s.max));
     let number = |x: Option<f64>| x.map_or("-".into(), |x| format!("{x:.2}"));
     let optional = |s: Option<Spread>| s.map_or("-".into(), spread);
     let cells = |name: &str, cell: &dyn Fn(&Quality) -> String| {
@@ -52,7 +57,7 @@ pub(super) fn rows(q: &[Quality]) -> Table {
     table
 }
 
-/// Formats CSV with one row per estimate.
+/// Formats CSV with one row per estimate; a figure is empty where nothing was compared.
 pub fn csv(evaluation: &Evaluation) -> String {
     let mut out = String::from("estimate,count");
     for axis in ["position", "x", "y", "z"] {
@@ -70,7 +75,12 @@ pub fn csv(evaluation: &Evaluation) -> String {
             .chain(std::iter::once(&q.rotation_deg))
             .chain(&q.angles_deg);
         for s in spreads {
-            let _ = write!(out, ",{:.6},{:.6}", s.rmse, s.max);
+            for value in [s.rmse, s.max] {
+                out.push(',');
+                if !value.is_nan() {
+                    let _ = write!(out, "{value:.6}");
+                }
+            }
         }
         for nees in [q.nees_position, q.nees_rotation, q.nees_pose] {
             out.push(',');

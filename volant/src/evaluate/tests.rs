@@ -37,3 +37,37 @@ fn a_recording_of_a_played_bag_is_evaluated_by_its_stamps() {
         assert_eq!(evaluation.tracks.began, Stamp::from_nanos(START));
     }
 }
+
+#[test]
+fn an_estimate_of_which_nothing_was_compared_has_no_figures() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = options(folder.path());
+    odometry(&options.truth, topics::absolute::GROUND_TRUTH, 3.0, 0.0);
+    // The smoothed odometry ends within the first second.
+    let mut bag = BagWriter::create(&options.estimates, WriteOptions::default()).unwrap();
+    for (name, last) in [(topics::absolute::ODOMETRY, 2.0), ("/volant/smoothed_odometry", 0.5)] {
+        let topic = bag.add_topic(Topic::of::<Odometry>(name, &Qos::RELIABLE));
+        for at in [0.0, last] {
+            let stamp = Stamp::from_nanos(START).plus_seconds(at);
+            let mut message =
+                Odometry { header: convert::header("world", stamp), ..Odometry::default() };
+            message.pose.pose.orientation.w = 1.0;
+            let logged = u64::try_from(stamp.as_nanos()).unwrap();
+            bag.write_message(topic, logged, &message).unwrap();
+        }
+    }
+    bag.finish().unwrap();
+    let evaluation = evaluate(&options).unwrap();
+    let [compared, nothing] = &evaluation.estimates[..] else { panic!("{evaluation:?}") };
+    assert_eq!((compared.count, compared.position_mm.max, nothing.count), (1, 0.0, 0));
+    assert!(nothing.position_mm.rmse.is_nan() && nothing.axes_mm[0].max.is_nan());
+    let text = table(&evaluation);
+    let position = text.lines().find(|line| line.starts_with("position")).unwrap();
+    assert!(position.contains("0.000 / 0.000") && position.ends_with("- / -"), "{text}");
+    assert!(csv(&evaluation).contains("\nvolant/smoothed_odometry,0,,,"));
+    let json = serde_json::to_value(&evaluation).unwrap();
+    assert!(json["estimates"][1]["position_mm"]["rmse"].is_null());
+    let many = table_of_many(&[("run".to_owned(), Ok(evaluation))]);
+    let row = many.lines().find(|line| line.contains("smoothed")).unwrap();
+    assert_eq!(row.split_whitespace().nth(2), Some("-"), "{many}");
+}
