@@ -256,3 +256,35 @@ fn a_misspelled_key_is_named_and_nothing_is_written_before_an_answer() {
     let rig = Rig::from_yaml(&fs::read_to_string(&rig).unwrap()).unwrap();
     assert_eq!(rig.markers.side, 0.08);
 }
+
+/// Writes a rig file and the state of a bring-up.
+fn bring_up_of(folder: &TempDir, rig: &str, state: &str) -> String {
+    let path = folder.path().join("rig.yaml").display().to_string();
+    fs::write(&path, rig).unwrap();
+    fs::write(format!("{path}.bringup.json"), state).unwrap();
+    path
+}
+
+#[test]
+fn a_changed_rig_file_puts_the_later_steps_out_of_date() {
+    let folder = TempDir::new().unwrap();
+    let done = r#"{"outcome": "done", "items": [], "wrote": []}"#;
+    let steps = ["markers", "imu", "acceptance"].map(|step| format!("\"{step}\": {done}"));
+    let state = format!(r#"{{"steps": {{{}}}, "recordings": {{}}}}"#, steps.join(", "));
+    let rig = bring_up_of(&folder, rig_simulator::RIG_YAML, &state);
+    let page = folder.path().join("page.html").display().to_string();
+    let arguments = ["markers", "--rig", &rig, "--report", &page];
+    let accepted = || fs::read_to_string(&page).unwrap().contains("Bring-up: accepted");
+    // Nothing changes.
+    let (output, printed) = bringup(&arguments, "s\n");
+    assert!(output.status.success() && printed.contains("acceptance  PASS"), "{printed}");
+    assert!(accepted());
+    // The side of the squares changes, and the step is paused after it.
+    let (_, printed) = bringup(&arguments, "\n81\nq\n");
+    assert!(printed.contains("paused") && !accepted(), "{printed}");
+    // The skipped steps are offered again.
+    let (_, printed) = bringup(&["--rig", &rig], "s\nq\n");
+    assert!(printed.contains("1/8 markers") && printed.contains("2/8 imu"), "{printed}");
+    let (_, printed) = bringup(&["offsets", "--rig", &rig], "s\n");
+    assert!(printed.contains("acceptance  out of date"), "{printed}");
+}

@@ -122,6 +122,11 @@ impl Walk {
         self.folder.join(name)
     }
 
+    /// Names of the rig file's parameters that differ from a former text.
+    fn changed_since(&self, before: &str) -> Vec<String> {
+        changed(before, &fs::read_to_string(&self.rig).unwrap_or_default())
+    }
+
     /// Notes a file that the step has written.
     fn wrote(&mut self, path: &Path) {
         self.wrote.push(path.display().to_string());
@@ -210,14 +215,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     // Nothing is written before the first answer.
     setup::read(&arguments.rig)?;
     let mut walk = Walk { rig: arguments.rig.clone(), folder, state, items: vec![], wrote: vec![] };
-    let steps: Vec<Step> = match arguments.step {
-        Some(step) => vec![step],
-        None => {
-            let done = |s: &Step| walk.state.outcome(&s.name()) == Some(Outcome::Done);
-            Step::value_variants().iter().copied().filter(|s| !done(s)).collect()
-        }
+    let mut steps = Step::value_variants().iter().copied();
+    let walked = match arguments.step {
+        Some(step) => take(step, &mut walk, &state_file),
+        // A step may put later ones out of date.
+        None => steps.try_for_each(|step| match walk.state.outcome(&step.name()) {
+            Some(Outcome::Done) => Ok(()),
+            _ => take(step, &mut walk, &state_file),
+        }),
     };
-    let paused = match steps.into_iter().try_for_each(|step| take(step, &mut walk, &state_file)) {
+    let paused = match walked {
         Err(error) if error.is::<Paused>() => Some(error),
         walked => walked.map(|()| None)?,
     };
@@ -251,6 +258,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 fn take(step: Step, walk: &mut Walk, state_file: &Path) -> Result<()> {
     let (steps, name) = (Step::value_variants(), step.name());
     let number = steps.iter().position(|s| *s == step).unwrap_or(0) + 1;
+    let from = |first: usize| steps.iter().skip(first).map(|s| s.name());
     outln!("\n{number}/{} {name}", steps.len())?;
     loop {
         (walk.items, walk.wrote) = (vec![], vec![]);
@@ -264,6 +272,9 @@ fn take(step: Step, walk: &mut Walk, state_file: &Path) -> Result<()> {
             match step.run(walk) {
                 Ok(()) => {}
                 Err(error) if error.is::<Paused>() => {
+                    if !walk.changed_since(&before).is_empty() {
+                        walk.state.outdate(from(number - 1));
+                    }
                     walk.state.write(state_file)?;
                     return Err(error);
                 }
@@ -272,13 +283,18 @@ fn take(step: Step, walk: &mut Walk, state_file: &Path) -> Result<()> {
             let fails = walk.items.iter().any(|i| i.verdict == Verdict::Fail);
             if fails { Outcome::Failed } else { Outcome::Done }
         };
-        let after = fs::read_to_string(&walk.rig).unwrap_or_default();
-        let changed = changed(&before, &after);
+        let changed = walk.changed_since(&before);
         if !changed.is_empty() {
             walk.wrote.push(format!("{}: {}", walk.rig.display(), changed.join(", ")));
         }
         for wrote in &walk.wrote {
             outln!("  wrote {wrote}")?;
+        }
+        if !changed.is_empty() {
+            let outdated = walk.state.outdate(from(number));
+            if !outdated.is_empty() {
+                outln!("  out of date: {}", outdated.join(", "))?;
+            }
         }
         let record = Record { outcome, items: walk.items.clone(), wrote: walk.wrote.clone() };
         walk.state.steps.insert(name.clone(), record);

@@ -43,15 +43,18 @@ pub enum Outcome {
     Done,
     Failed,
     Skipped,
+    /// Done before an earlier step changed the rig file.
+    Outdated,
 }
 
 impl Outcome {
-    /// PASS, FAIL or skipped.
+    /// PASS, FAIL, skipped or out of date.
     pub fn word(self) -> &'static str {
         match self {
             Self::Done => "PASS",
             Self::Failed => "FAIL",
             Self::Skipped => "skipped",
+            Self::Outdated => "out of date",
         }
     }
 }
@@ -93,6 +96,18 @@ impl State {
     /// Outcome of a step; `None` where it was not run.
     pub fn outcome(&self, step: &str) -> Option<Outcome> {
         self.steps.get(step).map(|record| record.outcome)
+    }
+
+    /// Marks those of the steps that are done as out of date; returns their names.
+    pub fn outdate(&mut self, steps: impl IntoIterator<Item = String>) -> Vec<String> {
+        let mut outdated = vec![];
+        for step in steps {
+            if let Some(record) = self.steps.get_mut(&step).filter(|r| r.outcome == Outcome::Done) {
+                record.outcome = Outcome::Outdated;
+                outdated.push(step);
+            }
+        }
+        outdated
     }
 
     /// Writes the state.
