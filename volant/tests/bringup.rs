@@ -6,6 +6,7 @@ mod simulated;
 
 use nalgebra::Vector3;
 use rig_model::{MarkerColor, Rig};
+use ros_parameters::{ParameterFile, ParameterValue};
 use simulated::{Simulated, resting};
 use std::{
     fmt::Write as _,
@@ -287,4 +288,28 @@ fn a_changed_rig_file_puts_the_later_steps_out_of_date() {
     assert!(printed.contains("1/8 markers") && printed.contains("2/8 imu"), "{printed}");
     let (_, printed) = bringup(&["offsets", "--rig", &rig], "s\n");
     assert!(printed.contains("acceptance  out of date"), "{printed}");
+}
+
+#[test]
+fn the_climbers_offset_is_that_of_the_last_bring_up() {
+    let folder = TempDir::new().unwrap();
+    let state = |apart: f64| {
+        format!(r#"{{"steps": {{}}, "recordings": {{}}, "clocks": [[0, 0.1], [{apart}, 0.1]]}}"#)
+    };
+    let offset = |path: &str, node: &str| {
+        let parameters = ParameterFile::parse(&fs::read_to_string(path).unwrap()).unwrap();
+        parameters.for_node(node).get("clock.climber_offset").and_then(ParameterValue::as_f64)
+    };
+    let former = "/pose_fusion: {ros__parameters: {clock: {climber_offset: 0.03}}}\n";
+    let text = format!("{}{former}", rig_simulator::RIG_YAML);
+    let rig = bring_up_of(&folder, &text, &state(0.5));
+    let (_, printed) = bringup(&["offsets", "--rig", &rig], "\n");
+    assert!(printed.contains("offsets     PASS"), "{printed}");
+    assert_eq!(offset(&rig, "/pose_fusion"), Some(0.0), "{printed}");
+    for (apart, expected) in [(0.5, None), (30.0, Some(0.03))] {
+        let rig = bring_up_of(&folder, rig_simulator::RIG_YAML, &state(apart));
+        let (_, printed) = bringup(&["offsets", "--rig", &rig], "\n");
+        assert!(printed.contains("offsets     PASS"), "{printed}");
+        assert_eq!(offset(&rig, "/pose_fusion"), expected, "{printed}");
+    }
 }

@@ -10,6 +10,7 @@ use nalgebra::Vector3;
 use node_kit::outln;
 use rig_calibration::{Refinement, climber::AXES};
 use rig_model::topics;
+use ros_parameters::ParameterFile;
 use volant::parameter_update::{Setting, number};
 
 /// Position of a platform on the floor, m: the origin below it.
@@ -20,6 +21,10 @@ const LARGEST_POSITION: f64 = 50.0;
 
 /// Item of a jog that has determined the camera's mounting.
 const CORRECTED: &str = "camera mounting corrected";
+
+/// Node and parameter of the climber's time offset.
+const FUSION: &str = "/pose_fusion";
+const OFFSET: &str = "clock.climber_offset";
 
 const MOTION: [&str; 6] = [
     topics::COMPRESSED_IMAGE,
@@ -149,11 +154,14 @@ pub fn offsets(walk: &mut Walk) -> Result<()> {
     if sigma > 3.0 {
         return walk.note("encoders", format!("{text}: unobservable, the climber hardly moved"));
     }
-    if apart.abs() > (3.0 * sigma).max(2.0) {
-        let name = "clock.climber_offset".to_owned();
-        let value = number(apart / 1e3, 4);
-        setup::set(walk, &[Setting { node: "/pose_fusion".to_owned(), name, value }])?;
-        return walk.check(true, "encoders", format!("{text}: set as clock.climber_offset"));
+    let needed = apart.abs() > (3.0 * sigma).max(2.0);
+    let known = ParameterFile::parse(&setup::read(&walk.rig)?)?.for_node(FUSION);
+    // An offset that was needed before is not kept.
+    if !needed && !known.contains_key(OFFSET) {
+        return walk.check(true, "encoders", text);
     }
+    let value = number(if needed { apart / 1e3 } else { 0.0 }, 4);
+    let text = format!("{text}: {OFFSET} is {value} s");
+    setup::set(walk, &[Setting { node: FUSION.to_owned(), name: OFFSET.to_owned(), value }])?;
     walk.check(true, "encoders", text)
 }
