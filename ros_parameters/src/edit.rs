@@ -36,7 +36,7 @@ pub enum EditError {
 ///
 /// The value is replaced in the block from which the node takes it, else added to the most specific
 /// block that matches the node, else to a new block `node` at the end of the file. The name `/**`
-/// means every node. A text without any block is a valid start.
+/// means every node, and `/**/node` that node whatever its namespace. A text without any block is a valid start.
 ///
 /// # Errors
 /// [`EditError`]; the form of the text does not allow an edit that changes nothing else.
@@ -56,8 +56,16 @@ pub fn set(
     let selector = before.selector_of(node, name).unwrap_or_else(|| node.to_owned());
     let edit = Edit { text, newline: if text.contains("\r\n") { "\r\n" } else { "\n" } };
     let path = format!("{selector}\nros__parameters\n{name}");
+    let known = before.selectors().any(|known| known == selector);
     let edited = match &root {
-        Some(root) if !root.is_null() => edit.set(root, &path, &written).ok_or_else(form)?,
+        Some(root) if !root.is_null() => match &root.content {
+            // Not below the block `/**`, whose name begins as that of `/**/node`.
+            Content::Mapping(blocks) if !known && selector.contains('*') => {
+                edit.added(root, blocks, &path, &written)
+            }
+            _ => edit.set(root, &path, &written),
+        }
+        .ok_or_else(form)?,
         _ => edit.with_lines(text.len(), 0, &path, &written),
     };
     let mut expected = before;

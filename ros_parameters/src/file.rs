@@ -150,7 +150,8 @@ impl ParameterFile {
     }
 
     /// Collects the parameters of a node by its fully qualified name (`/ns/node`); more specific
-    /// blocks override wildcards.
+    /// blocks override wildcards. The name `/**/node` means that node whatever its namespace: the
+    /// parameters that it has without one.
     pub fn for_node(&self, fully_qualified_name: &str) -> ParameterMap {
         let mut map = ParameterMap::new();
         for (_, block) in self.matching(fully_qualified_name) {
@@ -169,6 +170,8 @@ impl ParameterFile {
 
     /// The blocks that match a node, the most specific last.
     pub(crate) fn matching(&self, fully_qualified_name: &str) -> Vec<&(String, ParameterMap)> {
+        let of_any = fully_qualified_name.strip_prefix("/**").filter(|node| !node.is_empty());
+        let fully_qualified_name = of_any.unwrap_or(fully_qualified_name);
         let mut matching: Vec<_> = self
             .blocks
             .iter()

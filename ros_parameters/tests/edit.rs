@@ -87,6 +87,17 @@ fn a_value_is_replaced_in_the_style_of_the_file() {
         at("/imu_driver", "port", P::String("/dev/ttyUSB0".into())),
         format!("{RIG}/imu_driver:\n  ros__parameters:\n    port: \"/dev/ttyUSB0\"\n"),
     );
+    // A node in any namespace: a block of its own, where none applies.
+    let any = |text: &str, port: &str| {
+        set(text, "/**/imu_driver", "port", &P::String(port.into())).unwrap()
+    };
+    let added = any(RIG, "/dev/a");
+    let block = |node: &str, port: &str| {
+        format!("{RIG}{node}:\n  ros__parameters:\n    port: \"/dev/{port}\"\n")
+    };
+    assert_eq!(added, block("/**/imu_driver", "a"));
+    assert_eq!(any(&added, "/dev/b"), block("/**/imu_driver", "b"));
+    assert_eq!(any(&block("/imu_driver", "a"), "/dev/b"), block("/imu_driver", "b"));
     let windows = RIG.replace('\n', "\r\n");
     let edited = set(&windows, "/**", "markers.colors.red", &three(1.0, 2.0, 3.0)).unwrap();
     assert_eq!(edited.matches('\n').count(), edited.matches("\r\n").count());

@@ -310,6 +310,9 @@ fn the_climbers_offset_is_that_of_the_last_bring_up() {
         let rig = bring_up_of(&folder, rig_simulator::RIG_YAML, &state(apart));
         let (_, printed) = bringup(&["offsets", "--rig", &rig], "\n");
         assert!(printed.contains("offsets     PASS"), "{printed}");
-        assert_eq!(offset(&rig, "/pose_fusion"), expected, "{printed}");
+        // In any namespace.
+        for node in ["/pose_fusion", "/rig1/pose_fusion"] {
+            assert_eq!(offset(&rig, node), expected, "{printed}");
+        }
     }
 }

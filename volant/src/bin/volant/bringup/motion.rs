@@ -22,8 +22,8 @@ const LARGEST_POSITION: f64 = 50.0;
 /// Item of a jog that has determined the camera's mounting.
 const CORRECTED: &str = "camera mounting corrected";
 
-/// Node and parameter of the climber's time offset.
-const FUSION: &str = "/pose_fusion";
+/// Node, in any namespace, and parameter of the climber's time offset.
+const FUSION: &str = "/**/pose_fusion";
 const OFFSET: &str = "clock.climber_offset";
 
 const MOTION: [&str; 6] = [
@@ -59,7 +59,7 @@ pub fn encoders(walk: &mut Walk) -> Result<()> {
         duration: 0.0,
         rig: walk.rig.clone(),
         params_file: None,
-        node: "/climber_driver".to_owned(),
+        node: calibrate::climber::NODE.to_owned(),
         platform: Some(platform),
         camera: true,
         topics: BagTopics::default(),

@@ -19,6 +19,9 @@ use volant::{
 };
 use volant_msgs::{Message, cdr, sensor_msgs::msg::JointState};
 
+/// The node whose parameters are found, in any namespace.
+pub const NODE: &str = "/**/climber_driver";
+
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Bag with climber/joint_states, images (or climber/markers) and camera_info: the platform
@@ -44,8 +47,8 @@ pub struct Arguments {
     /// Parameter file of climber_driver to update [default: the rig file]
     #[arg(long, value_name = "FILE")]
     pub params_file: Option<PathBuf>,
-    /// Node whose parameters are updated
-    #[arg(long, value_name = "NAME", default_value = "/climber_driver")]
+    /// Node whose parameters are updated; `/**/` stands for any namespace
+    #[arg(long, value_name = "NAME", default_value = NODE)]
     pub node: String,
     /// Where the platform's origin is in the world while it rests, m: gives the readings at the
     /// world's origin and the height. For an origin on the floor below the platform: 0,0,Z with the
