@@ -10,6 +10,7 @@ use node_kit::{
     out,
 };
 use std::{ffi::OsString, io::Write, ops::RangeInclusive, path::PathBuf, process::ExitCode};
+use thiserror::Error;
 
 /// Parses the command line of the process.
 ///
@@ -50,15 +51,18 @@ pub fn number(
     }
 }
 
+/// Options of a command that are valid alone and not together.
+#[derive(Debug, Error)]
+#[error("{0}")]
+pub struct UsageError(pub String);
+
 /// Reports why `program` failed, in one line on standard error, and returns its exit status.
 pub fn failure(program: &str, error: &anyhow::Error) -> ExitCode {
-    match error.downcast_ref::<OutputError>() {
-        Some(output) => output.report(program),
-        None => {
-            errln!("{program}: {}", one_line(&causes(error)));
-            ExitCode::FAILURE
-        }
+    if let Some(output) = error.downcast_ref::<OutputError>() {
+        return output.report(program);
     }
+    errln!("{program}: {}", one_line(&causes(error)));
+    if error.is::<UsageError>() { ExitCode::from(2) } else { ExitCode::FAILURE }
 }
 
 /// Replaces line breaks by spaces.

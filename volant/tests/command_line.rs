@@ -104,6 +104,18 @@ fn a_wrong_command_line_is_2() {
         &["play", "x", "--remap", "a=b"],
         &["play", "x", "--delay", "-1"],
         &["markers", "--rig", "r.yaml", "--out", "markers.png"],
+        &[
+            "calibrate",
+            "climber",
+            "x",
+            "--rig",
+            "r",
+            "--params-file",
+            "p",
+            "--camera",
+            "--out",
+            "o",
+        ],
     ] {
         let output = Command::new(env!("CARGO_BIN_EXE_volant")).args(arguments).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");

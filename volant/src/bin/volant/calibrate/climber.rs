@@ -14,6 +14,7 @@ use ros_parameters::{ParameterFile, ParameterMap, ParameterValue};
 use std::path::{Path, PathBuf};
 use volant::{
     calibration::{Cores, read_markers},
+    command_line::UsageError,
     parameter_update::{Setting, list, number},
     replay::TopicNames,
 };
@@ -78,6 +79,11 @@ fn position(text: &str) -> Result<Vector3<f64>, String> {
 /// # Errors
 /// See the messages, which name the remedy.
 pub fn run(arguments: &Arguments) -> Result<ClimberCalibration> {
+    if arguments.params_file.is_some() && arguments.camera && arguments.output.out.is_some() {
+        let text = "--camera changes the rig file and --params-file another one: leave --out out, \
+                    which is one file";
+        return Err(UsageError(text.to_owned()).into());
+    }
     let rig = super::read_rig(&arguments.rig)?;
     let file = arguments.params_file.as_ref().unwrap_or(&arguments.rig);
     let shown = file.display();
