@@ -1,6 +1,7 @@
 //! Commands on a terminal that is closed, and in the background of one.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::disallowed_methods)]
 
+use bag::{BagWriter, Qos, Topic, WriteOptions};
 use rustix::{
     event::{PollFd, PollFlags, Timespec, poll},
     pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, unlockpt},
@@ -13,6 +14,7 @@ use std::{
     time::{Duration, Instant},
 };
 use test_support::process::in_domain;
+use volant_msgs::std_msgs::msg::String as Text;
 
 const VOLANT: &str = env!("CARGO_BIN_EXE_volant");
 
@@ -91,4 +93,18 @@ fn the_monitor_ends_when_its_terminal_is_closed_and_on_sigterm() {
     let id = ended.child.id().to_string();
     assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
     assert_eq!(ended.status(), Some(0));
+}
+
+#[test]
+fn a_player_in_the_background_is_not_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let mut bag = BagWriter::create(&path, WriteOptions::default()).unwrap();
+    let topic = bag.add_topic(Topic::of::<Text>("/text", &Qos::RELIABLE));
+    bag.write_message(topic, 1, &Text::default()).unwrap();
+    bag.finish().unwrap();
+    let script = format!("{VOLANT} play {} & wait $!; echo ended: $?", path.display());
+    // Job control: the command has a process group of its own.
+    let mut shell = Terminal::start(&["sh", "-m", "-c", &script]);
+    shell.wait_for("ended: 0");
 }

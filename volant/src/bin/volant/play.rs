@@ -113,8 +113,13 @@ struct Keys(rustix::termios::Termios);
 
 impl Keys {
     fn listen(control: &Arc<PlayControl>) -> Option<Self> {
-        use rustix::termios::{LocalModes, OptionalActions, tcgetattr, tcsetattr};
+        use rustix::{
+            process::getpgrp,
+            termios::{LocalModes, OptionalActions, tcgetattr, tcgetpgrp, tcsetattr},
+        };
         let stdin = std::io::stdin();
+        // A terminal stops a process of its background that reads or changes it.
+        tcgetpgrp(&stdin).ok().filter(|group| *group == getpgrp())?;
         let before = tcgetattr(&stdin).ok()?;
         let mut keys = before.clone();
         keys.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
