@@ -104,6 +104,9 @@ fn a_wrong_command_line_is_2() {
         &["play", "x", "--remap", "a=b"],
         &["play", "x", "--delay", "-1"],
         &["markers", "--rig", "r.yaml", "--out", "markers.png"],
+        &["record", "--out", "run.mcap", "--split-duration", "10"],
+        &["record", "--out", "run", "--split-size", "0"],
+        &["record", "--out", "run", "--keep", "3"],
         &[
             "calibrate",
             "climber",

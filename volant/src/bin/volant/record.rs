@@ -2,6 +2,7 @@
 
 use crate::terminal;
 use bag::{Compression, WriteOptions};
+use clap::ArgGroup;
 use node_kit::outln;
 use std::{
     path::PathBuf,
@@ -9,11 +10,12 @@ use std::{
     time::{Duration, SystemTime},
 };
 use volant::{
-    command_line::number,
+    command_line::{UsageError, number},
     live::record::{RecordOptions, bag_name, record},
 };
 
 #[derive(clap::Args)]
+#[command(group(ArgGroup::new("split").args(["split_size", "split_duration"]).multiple(true)))]
 pub struct Arguments {
     /// Topics [default: all]
     topics: Vec<String>,
@@ -36,13 +38,18 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value = "none")]
     compression: Compression,
     /// Start a new file after this many MiB (folders only)
-    #[arg(long, value_name = "MIB")]
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..=1 << 20))]
     split_size: Option<u64>,
     /// Start a new file after this time, s (folders only)
     #[arg(long, value_name = "SECONDS", value_parser = number(0.1..=1e9))]
     split_duration: Option<f64>,
-    /// Keep this many files and remove the oldest of this recording when a new one starts
-    #[arg(long, value_name = "FILES", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Keep this many files of a split recording, and remove the oldest when a new one starts
+    #[arg(
+        long,
+        value_name = "FILES",
+        requires = "split",
+        value_parser = clap::value_parser!(u32).range(1..)
+    )]
     keep: Option<u32>,
     /// Stop after this time, s
     #[arg(long, value_name = "SECONDS", value_parser = number(0.0..=1e9))]
@@ -58,6 +65,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         (None, Some(folder)) => folder.join(bag_name(SystemTime::now())),
         (out, _) => out.clone().unwrap_or_default(),
     };
+    let is_split = arguments.split_size.is_some() || arguments.split_duration.is_some();
+    if is_split && output.extension().is_some_and(|ending| ending == "mcap") {
+        let text = format!(
+            "{}: a recording with --split-size or --split-duration is a folder; name it without \
+             .mcap",
+            output.display()
+        );
+        return Err(UsageError(text).into());
+    }
     let options = RecordOptions {
         output: output.clone(),
         topics: arguments.topics.iter().map(absolute).collect(),
