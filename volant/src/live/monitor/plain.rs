@@ -188,7 +188,8 @@ pub fn input_line(input: &InputLine) -> String {
     )
 }
 
-fn old(at: u64, now: u64) -> String {
+/// Formats the age of a value that is older than two seconds.
+pub(super) fn old(at: u64, now: u64) -> String {
     match now.saturating_sub(at) / 1_000_000_000 {
         0 | 1 => String::new(),
         seconds => format!("  ({seconds} s ago)"),

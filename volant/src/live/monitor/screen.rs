@@ -1,7 +1,7 @@
 //! Draws a snapshot on a terminal.
 
 use super::{
-    plain::{flow_cells, input_line, level, marker_line, nothing, pose_lines, status_line},
+    plain::{flow_cells, input_line, level, marker_line, nothing, old, pose_lines, status_line},
     snapshot::{RigState, Snapshot},
 };
 use ratatui::{
@@ -41,10 +41,9 @@ pub fn draw(frame: &mut Frame<'_>, snapshot: &Snapshot, chosen: usize) {
             )
         })
         .collect();
-    frame.render_widget(
-        Paragraph::new(lines).block(titled("inputs, as the nodes count them")),
-        inputs,
-    );
+    let hidden = lines.len().saturating_sub(rows_in(inputs));
+    let title = with_hidden("inputs, as the nodes count them", hidden);
+    frame.render_widget(Paragraph::new(lines).block(titled(&title)), inputs);
     let lines: Vec<Line<'_>> = snapshot
         .statuses
         .iter()
@@ -64,10 +63,26 @@ pub fn draw(frame: &mut Frame<'_>, snapshot: &Snapshot, chosen: usize) {
             ])
         })
         .collect();
-    frame.render_widget(
-        Paragraph::new(lines).block(titled("diagnostics (q: quit, tab: next rig)")),
-        diagnostics,
-    );
+    let width = usize::from(diagnostics.width.saturating_sub(2)).max(1);
+    let mut left = rows_in(diagnostics);
+    let shown = lines.iter().map_while(|line| {
+        left = left.checked_sub(line.width().div_ceil(width))?;
+        Some(())
+    });
+    let hidden = lines.len() - shown.count();
+    let title = with_hidden("diagnostics (q: quit, tab: next rig)", hidden);
+    let text = Paragraph::new(lines).wrap(Wrap { trim: false });
+    frame.render_widget(text.block(titled(&title)), diagnostics);
+}
+
+/// Rows within the border of an area.
+fn rows_in(area: Rect) -> usize {
+    usize::from(area.height.saturating_sub(2))
+}
+
+/// A title with the number of lines that the area does not show.
+fn with_hidden(title: &str, hidden: usize) -> String {
+    if hidden == 0 { title.to_owned() } else { format!("{title}: +{hidden} more") }
 }
 
 fn titled(title: &str) -> Block<'_> {
@@ -93,7 +108,7 @@ fn draw_rig(
     if let Some((_, rig)) = rig {
         let (status, good) = rig.status.as_ref().map_or(("nothing yet".to_owned(), false), |s| {
             let current = snapshot.now.saturating_sub(s.at) <= 2_000_000_000;
-            (status_line(s), s.valid && current)
+            (status_line(s) + &old(s.at, snapshot.now), s.valid && current)
         });
         let status_color = if good { Color::Green } else { Color::Red };
         lines.push(Line::styled(format!("status  {status}"), Style::new().fg(status_color)));
@@ -104,10 +119,11 @@ fn draw_rig(
                     Style::new().fg(Color::Yellow),
                 )),
                 Some(pose) => {
-                    let old = snapshot.now.saturating_sub(pose.at) > 2_000_000_000;
-                    let style = if old { Style::new().fg(Color::Red) } else { Style::new() };
+                    let age = old(pose.at, snapshot.now);
+                    let fresh = age.is_empty();
+                    let style = if fresh { Style::new() } else { Style::new().fg(Color::Red) };
                     let [position, angles] = pose_lines(pose);
-                    lines.push(Line::styled(format!("{what}  {position}"), style));
+                    lines.push(Line::styled(format!("{what}  {position}{age}"), style));
                     lines.push(Line::styled(format!("        {angles}"), style));
                     if let Some([linear, angular]) = pose.speed {
                         lines.push(Line::styled(
@@ -124,7 +140,7 @@ fn draw_rig(
                     format!("{:7} ", marker.color.name()),
                     Style::new().fg(color(marker.color)),
                 ),
-                Span::raw(marker_line(marker)),
+                Span::raw(marker_line(marker) + &old(rig.markers_at, snapshot.now)),
             ]));
         }
     }
@@ -177,7 +193,10 @@ fn draw_topics(frame: &mut Frame<'_>, area: Rect, snapshot: &Snapshot) {
     ];
     let head = Row::new(["topic", "rate", "stamp to here", "", "lost"])
         .style(Style::new().add_modifier(Modifier::DIM));
-    frame.render_widget(Table::new(rows, widths).header(head).block(titled("topics")), area);
+    // One row is the heading.
+    let hidden = (snapshot.topics.len() + 1).saturating_sub(rows_in(area));
+    let title = with_hidden("topics", hidden);
+    frame.render_widget(Table::new(rows, widths).header(head).block(titled(&title)), area);
 }
 
 fn color(marker: MarkerColor) -> Color {
@@ -259,8 +278,19 @@ mod tests {
         ] {
             assert!(shown.contains(needle), "{needle} in\n{shown}");
         }
+        // Six seconds later, with more topics than rows and a long message.
+        let mut later = Snapshot { now: 6_000_000_001, ..snapshot.clone() };
+        later.rigs[0].1.markers_at = 1;
+        later.topics = vec![later.topics[0].clone(); 30];
+        later.statuses[0].message = "unplugged ".repeat(12) + "at last";
+        later.statuses = vec![later.statuses[0].clone(); 9];
+        let shown = screen(&later, 120, 40);
+        assert_eq!(shown.matches("(6 s ago)").count(), 2, "{shown}");
+        assert!(shown.contains("topics: +14 more") && shown.contains("at last"), "{shown}");
+        assert!(shown.contains("next rig): +"), "{shown}");
         for (width, height) in [(1, 1), (20, 5), (400, 100)] {
             screen(&snapshot, width, height);
+            screen(&later, width, height);
             screen(&Snapshot::default(), width, height);
         }
         let empty = Snapshot { place: "DDS domain 7".to_owned(), ..Snapshot::default() };
