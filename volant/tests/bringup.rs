@@ -316,3 +316,18 @@ fn the_climbers_offset_is_that_of_the_last_bring_up() {
         }
     }
 }
+
+/// A recording of its own is made again, by whatever name the rig file is given.
+#[test]
+fn an_own_recording_is_no_default() {
+    let folder = TempDir::new().unwrap();
+    let own = folder.path().join("rig.yaml.bringup/rest.mcap");
+    fs::create_dir_all(own.parent().unwrap()).unwrap();
+    fs::create_dir(folder.path().join("other")).unwrap();
+    fs::write(&own, "").unwrap();
+    let state = format!(r#"{{"steps": {{}}, "recordings": {{"rest": {:?}}}}}"#, own);
+    bring_up_of(&folder, rig_simulator::RIG_YAML, &state);
+    let rig = folder.path().join("other/../rig.yaml").display().to_string();
+    let (_, printed) = bringup(&["imu", "--rig", &rig], "\n\n");
+    assert!(printed.contains("[live 60]"), "{printed}");
+}

@@ -135,7 +135,9 @@ impl Walk {
     /// The recording of some topics under a name: a bag of the operator's, or a new one.
     fn recording(&mut self, name: &str, topics: &[&str], seconds: f64) -> Result<PathBuf> {
         // A live recording is made again: its step is repeated because the rig has changed.
-        let known = self.state.recordings.get(name).filter(|p| !p.starts_with(&self.folder));
+        let real = |path: &Path| fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let is_own = |path: &Path| real(path).starts_with(real(&self.folder));
+        let known = self.state.recordings.get(name).filter(|path| !is_own(path));
         outln!("  Topics: {}", topics.join(", "))?;
         let path = match dialog::source(known.map(PathBuf::as_path), seconds)? {
             Source::Live(seconds) => {
