@@ -118,6 +118,17 @@ pub fn end_on_signals(
     Ok(())
 }
 
+/// Keeps SIGXFSZ from ending the process: a write beyond the limit of a file's size (`ulimit -f`)
+/// fails instead, and its error names the file.
+///
+/// # Errors
+/// The system does not deliver the signal.
+#[cfg(feature = "signals")]
+pub fn survive_file_size_limit() -> io::Result<()> {
+    let unused = std::sync::Arc::default();
+    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, unused).map(drop)
+}
+
 /// Flag that [`stop_signals`] set.
 ///
 /// # Errors

@@ -4,7 +4,7 @@
 
 use clap::{Command, Parser, builder::Resettable, error::ErrorKind};
 use node_kit::{
-    console::{EXIT_STATUS, OutputError},
+    console::{EXIT_STATUS, OutputError, survive_file_size_limit},
     errln,
     files::{self, FileError},
     out,
@@ -12,12 +12,15 @@ use node_kit::{
 use std::{ffi::OsString, io::Write, ops::RangeInclusive, path::PathBuf, process::ExitCode};
 use thiserror::Error;
 
-/// Parses the command line of the process.
+/// Parses the command line of the process, which from now on reports writes beyond a limit of file
+/// sizes.
 ///
 /// # Errors
 /// The exit status of a wrong command line (reported on standard error), or of `--help` and
 /// `--version` (0, or that of [`OutputError::report`] where writing them fails).
 pub fn parse<P: Parser>() -> Result<P, ExitCode> {
+    // Without it such a write ends the process, as before.
+    let _ = survive_file_size_limit();
     parse_from(std::env::args_os())
 }
 

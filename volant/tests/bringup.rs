@@ -325,7 +325,7 @@ fn an_own_recording_is_no_default() {
     fs::create_dir_all(own.parent().unwrap()).unwrap();
     fs::create_dir(folder.path().join("other")).unwrap();
     fs::write(&own, "").unwrap();
-    let state = format!(r#"{{"steps": {{}}, "recordings": {{"rest": {:?}}}}}"#, own);
+    let state = format!(r#"{{"steps": {{}}, "recordings": {{"rest": {own:?}}}}}"#);
     bring_up_of(&folder, rig_simulator::RIG_YAML, &state);
     let rig = folder.path().join("other/../rig.yaml").display().to_string();
     let (_, printed) = bringup(&["imu", "--rig", &rig], "\n\n");

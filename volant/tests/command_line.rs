@@ -101,6 +101,8 @@ fn a_wrong_command_line_is_2() {
         &["replay", "x", "--rig", "r.yaml", "--out", "y", "--remap", "climber/transform"],
         &["replay", "x", "--rig", "r.yaml", "--out", "y", "--remap", "climber/transfrom:=/crane"],
         &["replay", "x", "--rig", "r.yaml", "--out", "y", "--threads", "0"],
+        &["replay", "x", "--rig", "r.yaml", "--out", "y", "--smooth", "--model", "paper"],
+        &["foxglove", "nonsense"],
         &["play", "x", "--remap", "a=b"],
         &["play", "x", "--delay", "-1"],
         &["markers", "--rig", "r.yaml", "--out", "markers.png"],
@@ -363,4 +365,18 @@ fn an_input_is_no_output_and_two_outputs_have_two_names() {
     let nowhere = place.path("none/x.json");
     fails(&[word("check"), &input, rig_is, &rig, json, &nowhere], &["x.json", "folder"]);
     assert!(!new.exists());
+}
+
+#[test]
+fn a_limit_of_file_sizes_is_a_write_error() {
+    let place = Place::new();
+    let (rig, out) = (place.path("rig.yaml"), place.path("markers.pdf"));
+    let script = "ulimit -f 1; exec \"$0\" markers --rig \"$1\" --out \"$2\"";
+    let mut command = Command::new("sh");
+    command.args(["-c", script, env!("CARGO_BIN_EXE_volant")]).args([&rig, &out]);
+    let output = command.output().unwrap();
+    let printed = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{printed}");
+    assert!(printed.contains("markers.pdf: cannot be written"), "{printed}");
+    assert!(!out.exists());
 }

@@ -247,7 +247,7 @@ fn play_and_record_reject_wrong_arguments() {
         (vec!["record", "-o", there], 1, "exists already"),
         (vec!["up", "warp_drive"], 2, "no node"),
         (vec!["up", "--rig", "gone.yaml"], 1, "gone.yaml"),
-        (vec!["up", "climber_driver", "--foxglove=here"], 1, "ADDRESS:PORT"),
+        (vec!["up", "climber_driver", "--foxglove=here"], 2, "ADDRESS:PORT"),
         // A parameter of a node that is not started.
         (
             vec!["up", "climber_driver", "--ros-args", "-p", "image_transport:=raw"],

@@ -1,10 +1,12 @@
 //! `volant foxglove`, and where `volant up --foxglove` serves.
 
 use crate::terminal;
-use anyhow::Context;
 use node_kit::environment::{DiscoveryRange, Network};
 use std::{net::Ipv4Addr, sync::atomic::Ordering, time::Duration};
-use volant::live::foxglove::{Foxglove, serve_at};
+use volant::{
+    command_line::UsageError,
+    live::foxglove::{Foxglove, serve_at},
+};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -30,12 +32,12 @@ pub fn start(address: Option<&str>) -> anyhow::Result<Foxglove> {
         DiscoveryRange::Localhost => Ipv4Addr::LOCALHOST,
         DiscoveryRange::Subnet => Ipv4Addr::UNSPECIFIED,
     };
-    let address = serve_at(address.unwrap_or_default(), host.into()).with_context(|| {
-        let given = address.unwrap_or_default();
-        format!(
+    let given = address.unwrap_or_default();
+    let address = serve_at(given, host.into()).ok_or_else(|| {
+        UsageError(format!(
             "`{given}` is not an address; give ADDRESS, PORT or ADDRESS:PORT, such as \
              127.0.0.1:8765"
-        )
+        ))
     })?;
     let server = Foxglove::start(address)?;
     terminal::line(&format!("volant: connect Foxglove to ws://{}", server.address()));

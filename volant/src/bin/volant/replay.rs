@@ -12,7 +12,10 @@ use std::{
     path::{Path, PathBuf},
     time::Duration,
 };
-use volant::replay::{ReplayOptions, ReplayReport, replay};
+use volant::{
+    command_line::UsageError,
+    replay::{ReplayOptions, ReplayReport, replay},
+};
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -56,6 +59,10 @@ enum ModelName {
 }
 
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    if arguments.smooth && matches!(arguments.model, Some(ModelName::Paper)) {
+        let text = "--smooth requires the error-state filter; remove --model paper";
+        return Err(UsageError(text.to_owned()).into());
+    }
     let more = &arguments.params_file;
     let inputs: Vec<&Path> =
         [&arguments.input, &arguments.rig].into_iter().chain(more).map(PathBuf::as_path).collect();
@@ -69,7 +76,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     anyhow::ensure!(
         !arguments.smooth || fusion.model == Model::Tight,
-        "--smooth requires the error-state filter; remove --model paper"
+        "--smooth requires the error-state filter; add --model tight"
     );
     let model = fusion.model;
     let workers = arguments

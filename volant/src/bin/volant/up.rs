@@ -12,6 +12,7 @@ use node_kit::{
 };
 use pose_fusion::node::FusionNode;
 use std::process::ExitCode;
+use volant::command_line::failure;
 
 const HELP: &str = "\
 volant up: runs nodes in one process; images and samples are passed between them without a copy,
@@ -109,8 +110,7 @@ pub fn run(words: Vec<String>) -> ExitCode {
     {
         Ok(server) => server,
         Err(error) => {
-            terminal::line(&format!("volant up: {error:#}"));
-            return ExitCode::FAILURE;
+            return failure("volant up", &error);
         }
     };
     match up(&chosen, &ros) {
