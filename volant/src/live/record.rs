@@ -60,8 +60,6 @@ pub struct RecordStatus {
     pub topics: AtomicU64,
     /// Requested topics without a publisher so far.
     pub unpublished: Mutex<Vec<String>>,
-    /// How often the DDS domain was joined again.
-    pub joined_anew: AtomicU64,
 }
 
 /// Result of a recording.
@@ -197,7 +195,6 @@ impl Takers<'_> {
     fn join_anew(&mut self) -> Result<(), LiveError> {
         self.subscriptions.clear();
         self.tap = Tap::join(NODE)?;
-        self.status.joined_anew.fetch_add(1, Ordering::Relaxed);
         Ok(())
     }
 

@@ -1,6 +1,6 @@
 //! The acceptance run: a replay with the finished rig file, and `volant check`.
 
-use super::Walk;
+use super::{Walk, motion::MOTION};
 use anyhow::Result;
 use bag::{BagReader, Compression};
 use node_kit::outln;
@@ -18,15 +18,7 @@ const SETTLING: f64 = 2.0;
 /// Judges a run.
 pub fn acceptance(walk: &mut Walk) -> Result<()> {
     outln!("  Record half a minute of ordinary work, other than the recordings before.")?;
-    let topics = [
-        topics::COMPRESSED_IMAGE,
-        topics::MARKERS,
-        topics::CAMERA_INFO,
-        topics::JOINT_STATES,
-        topics::CLIMBER_TRANSFORM,
-        topics::IMU,
-    ];
-    let bag = walk.recording("acceptance", &topics, 30.0)?;
+    let bag = walk.recording("acceptance", &MOTION, 30.0)?;
     let settings = crate::settings::read(&walk.rig, &[], "")?;
     let output = walk.file("acceptance_replay.mcap");
     let options = ReplayOptions {

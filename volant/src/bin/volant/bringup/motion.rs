@@ -26,7 +26,8 @@ const CORRECTED: &str = "camera mounting corrected";
 const FUSION: &str = "/**/pose_fusion";
 const OFFSET: &str = "clock.climber_offset";
 
-const MOTION: [&str; 6] = [
+/// Topics of a recording in which the rig moves.
+pub const MOTION: [&str; 6] = [
     topics::COMPRESSED_IMAGE,
     topics::MARKERS,
     topics::CAMERA_INFO,
