@@ -36,7 +36,8 @@ pub enum EditError {
 ///
 /// The value is replaced in the block from which the node takes it, else added to the most specific
 /// block that matches the node, else to a new block `node` at the end of the file. The name `/**`
-/// means every node, and `/**/node` that node whatever its namespace. A text without any block is a valid start.
+/// means every node, and `/**/node` that node whatever its namespace. A text without any block is a
+/// valid start.
 ///
 /// # Errors
 /// [`EditError`]; the form of the text does not allow an edit that changes nothing else.

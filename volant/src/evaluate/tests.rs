@@ -4,7 +4,7 @@ use std::path::Path;
 
 const START: i64 = 1_700_000_000_000_000_000;
 
-/// Writes odometry at 100 Hz, stamped from [`START`] on, which was logged `late` s after its stamps.
+/// Writes odometry at 100 Hz, stamped from [`START`] on and logged `late` s after its stamps.
 fn odometry(path: &Path, topic: &str, seconds: f64, late: f64) {
     let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
     let topic = bag.add_topic(Topic::of::<Odometry>(topic, &Qos::RELIABLE));
