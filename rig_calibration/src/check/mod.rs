@@ -83,7 +83,7 @@ pub fn check(
     if state.findings.iter().any(|f| f.blocks) {
         return Ok(Report { findings: state.findings, ..Report::default() });
     }
-state.samples.repair();
+    state.samples.repair();
     for sample in &mut state.samples.climber {
         sample.stamp = sample.stamp.plus_seconds(climber_offset);
     }

@@ -45,7 +45,7 @@ fn some_wrong_images_accuse_nobody() {
                 marker.centroid += Vector2::new(off, 0.0);
             }
         }
-        let report = check(&samples, &rig, None).unwrap();
+        let report = check(&samples, &rig, 0.0, None).unwrap();
         assert!(report.findings.is_empty(), "{seed}: {:?}", report.findings);
     }
 }
@@ -71,7 +71,7 @@ fn repeated_and_invalid_messages_are_left_out() {
     let repaired = Recording::new(&wrong).unwrap();
     assert_eq!((&repaired.imu, &repaired.climber), (&right.imu, &right.climber));
     assert_eq!(repaired.shots.len(), right.shots.len());
-    let report = check(&wrong, &rig, None).unwrap();
+    let report = check(&wrong, &rig, 0.0, None).unwrap();
     // Only the unset stamp is named.
     let keys: Vec<&str> = report.findings.iter().map(|f| f.key.as_str()).collect();
     assert_eq!(keys, ["volant/imu/data"]);
@@ -85,7 +85,7 @@ fn a_step_of_the_clock_accuses_nothing_else() {
         for sample in &mut samples.imu[half..] {
             sample.stamp = sample.stamp.plus_seconds(seconds);
         }
-        let report = check(&samples, &rig, None).unwrap();
+        let report = check(&samples, &rig, 0.0, None).unwrap();
         let found: Vec<_> = report.findings.iter().map(|f| (f.key.as_str(), f.verdict)).collect();
         assert_eq!(found, [("volant/imu/data", Verdict::Wrong)], "{seconds}");
         assert!(examine_stamps(&samples)[0].blocks);
