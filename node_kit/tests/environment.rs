@@ -85,16 +85,17 @@ fn a_folder_that_cannot_be_written_is_named_and_the_node_runs() {
 fn parameters_of_other_nodes_in_a_shared_file_are_ignored_with_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("robot.yaml");
-    let shared = "/**: {ros__parameters: {robot_description: x, use_sim_time: false}}\n";
+    let shared = "/**: {ros__parameters: {robot_description: x, use_sim_tim: false}}\n";
     std::fs::write(&file, shared).unwrap();
     let arguments = ["--ros-args", "--params-file", file.to_str().unwrap()];
     let node = minimal(155, &arguments, &[]);
     let line = node.line_with("robot_description", LONG);
     assert!(line.contains("[WARN]") && line.contains("robot.yaml"), "{line}");
+    let line = node.line_with("use_sim_tim", LONG);
+    assert!(line.contains("[WARN]") && line.contains("use_sim_time"), "{line}");
     drop(node);
     for (text, word) in [
         ("minimal: {ros__parameters: {robot_description: x}}\n", "robot_description"),
-        ("/**: {ros__parameters: {use_sim_tim: true}}\n", "use_sim_time"),
         ("/rig*/minimal: {ros__parameters: {use_sim_time: true}}\n", "/rig*/minimal"),
     ] {
         std::fs::write(&file, text).unwrap();

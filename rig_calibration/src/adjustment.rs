@@ -244,7 +244,7 @@ impl<'a> Adjustment<'a> {
             let new = self.cost(&whiteners, &parameters, &states, true);
             let gain = (cost - new) / cost;
             // A strongly damped step changes little anywhere.
-            self.converged = gain.abs() < CONVERGED && damping < 1.0;
+            self.converged = gain.abs() < CONVERGED && (self.converged || damping < 1.0);
             if new < cost {
                 (self.parameters, self.states) = (parameters, states);
                 damping = (damping * 0.1).max(1e-12);

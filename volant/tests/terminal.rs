@@ -87,7 +87,8 @@ fn the_monitor_ends_when_its_terminal_is_closed_and_on_sigterm() {
     let mut closed = Terminal::start(&[VOLANT, "monitor"]);
     closed.wait_for("diagnostics");
     closed.master = None;
-    assert_eq!(closed.status(), Some(0));
+    // The signal ends it, or the error of its next frame.
+    assert!(matches!(closed.status(), Some(0 | 1)));
     let mut ended = Terminal::start(&[VOLANT, "monitor"]);
     ended.wait_for("diagnostics");
     let id = ended.child.id().to_string();
