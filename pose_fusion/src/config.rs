@@ -153,6 +153,10 @@ parameters! {
         /// Largest jitter of the image stamps (1 sigma) that is identified from their intervals; 0
         /// takes them as exact (a hardware trigger at varying intervals).
         image_jitter: f64 = 0.02, unit("s"), range(0.0..=0.1), name("clock.image_jitter");
+        /// Rolling shutter: time from the exposure of the first row of an image to that of the last
+        /// (negative: the last row comes first). The stamp is that of the middle row, but for the
+        /// camera time offset. 0: global shutter.
+        image_readout: f64 = 0.0, unit("s"), range(-0.1..=0.1), name("clock.image_readout");
         /// Initial camera time offset: image time + offset = IMU time.
         camera_offset: f64 = 0.0, unit("s"), range(-1.0..=1.0), name("clock.camera_offset");
         /// Constant offset of the climber's stamps: encoder time + camera offset + this = IMU time.

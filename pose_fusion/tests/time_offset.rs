@@ -235,6 +235,30 @@ fn a_frozen_filter_keeps_its_pose_when_the_offset_changes() {
     assert!((status.time_offset.offset + 0.06).abs() < 2e-3, "{status:?}");
 }
 
+/// A rolling shutter: each marker is seen at the time of its row.
+#[test]
+fn a_rolling_shutter_with_its_readout_time_costs_little() {
+    for (seed, readout) in [(1, 0.02), (2, -0.02), (3, 0.03)] {
+        let score = |readout: f64, configured: f64| {
+            let sensors = SensorConfig { image_readout: readout, ..SensorConfig::nominal(seed) };
+            let run = simulated::run(MotionConfig::fast_swing(seed), &sensors);
+            let mut config = simulated::config();
+            config.tight.clock.image_readout = configured;
+            let mut fusion = Fusion::new(simulated::rig(), config);
+            let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+            let score = scoring::score(&outputs.odometry, &run.truth, 2.0);
+            print(&format!("{readout} s, configured {configured}"), &score, &fusion.status());
+            score
+        };
+        let (known, ignored) = (score(readout, readout), score(readout, 0.0));
+        let global = score(0.0, 0.0);
+        assert!(known.position_rmse() < 1.2 * global.position_rmse(), "{known}");
+        assert!(known.rotation_rmse() < 1.2 * global.rotation_rmse(), "{known}");
+        assert!(known.nees().0 < 5.0 && known.nees().1 < 5.0, "{known}");
+        assert!(ignored.position_rmse() > 2.0 * known.position_rmse(), "{ignored}");
+    }
+}
+
 /// Images stamped when they arrive: a USB camera's driver, by milliseconds.
 #[test]
 fn jitter_of_the_image_stamps_costs_little() {

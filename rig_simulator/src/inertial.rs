@@ -36,6 +36,8 @@ pub struct SensorConfig {
     pub attitude_error: f64,
     /// Images per second.
     pub image_rate: f64,
+    /// Time from the exposure of the first row of an image to that of the last, s.
+    pub image_readout: f64,
     /// Noise of a marker's coordinates, px (1 sigma).
     pub pixel_noise: f64,
     /// From exposure to arrival, s: shortest and longest.
@@ -74,6 +76,7 @@ impl SensorConfig {
             gravity: 9.81,
             attitude_error: 0.0096,
             image_rate: 30.0,
+            image_readout: 0.0,
             pixel_noise: 0.1,
             image_delay: [0.025, 0.045],
             camera_clock_ahead: 0.0,
@@ -256,7 +259,10 @@ impl<'a> Sensors<'a> {
                 let noise = Vector2::new(r.normal(), r.normal()) * c.pixel_noise;
                 let hidden =
                     c.hidden.iter().any(|(h, from, to)| *h == color && t >= *from && t < *to);
-                match self.ideal_centroid(color, t) {
+                // A row of the marker is exposed where the marker is by then.
+                let row = self.ideal_centroid(color, t).map_or(0.0, |(pixel, _)| pixel.y);
+                let late = c.image_readout * (row / f64::from(self.camera.size().1) - 0.5);
+                match self.ideal_centroid(color, t + late) {
                     Some((pixel, area)) if !hidden => {
                         hidden_for[k] = 0;
                         MarkerObservation {

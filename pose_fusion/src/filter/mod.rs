@@ -84,7 +84,9 @@ impl Filter {
     /// Sets the camera's calibration; a changed one counts from the next image on.
     fn camera(&mut self, camera: &CameraModel) {
         if self.setup.geometry.as_ref().is_none_or(|g| g.camera != *camera) {
-            self.setup.geometry = Some(Geometry::new(&self.setup.rig, camera.clone()));
+            let geometry = Geometry::new(&self.setup.rig, camera.clone());
+            let readout = self.setup.config.clock.image_readout;
+            self.setup.geometry = Some(geometry.with_readout(readout));
         }
     }
 

@@ -16,10 +16,12 @@ pub struct Geometry {
     pub imu_from_volant: Isometry3<f64>,
     /// `climber` from `camera_optical`.
     pub climber_from_camera: Isometry3<f64>,
+    /// Time from the exposure of the first row of an image to that of the last, s.
+    pub readout: f64,
 }
 
 impl Geometry {
-    /// Returns the geometry of a rig with a camera.
+    /// Returns the geometry of a rig with a camera that exposes all rows at once.
     pub fn new(rig: &Rig, camera: CameraModel) -> Self {
         Self {
             camera,
@@ -27,7 +29,18 @@ impl Geometry {
             volant_from_imu: rig.imu.volant_from_imu,
             imu_from_volant: rig.imu.volant_from_imu.inverse(),
             climber_from_camera: rig.climber_from_camera,
+            readout: 0.0,
         }
+    }
+
+    /// Returns the geometry with a camera that exposes one row after the other.
+    pub fn with_readout(self, readout: f64) -> Self {
+        Self { readout, ..self }
+    }
+
+    /// Returns by how much later than the middle of the image a row is exposed, s.
+    pub fn delay_of_row(&self, row: f64) -> f64 {
+        self.readout * (row / f64::from(self.camera.size().1) - 0.5)
     }
 }
 

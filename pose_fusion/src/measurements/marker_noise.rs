@@ -4,8 +4,8 @@ use super::{
     marker_prediction::Linearization,
     markers::{Block, ByCalibration, Image},
 };
-use crate::ekf::{calibration::OFFSETS, consider::MARKERS, propagation::ImuReading, state::State};
-use nalgebra::{Matrix2, SVector, Vector2};
+use crate::ekf::{calibration::OFFSETS, consider::MARKERS, state::State};
+use nalgebra::{Matrix2, Vector2};
 
 /// Returns the covariance that the uncertain places of the markers add to the residuals.
 pub fn layout_spread(state: &State, by_parameter: &ByCalibration) -> Block {
@@ -15,18 +15,8 @@ pub fn layout_spread(state: &State, by_parameter: &ByCalibration) -> Block {
 
 /// Returns the covariance of the centroids of an image: their own, what the motion makes of the
 /// error of its stamp, and the shake of the camera. Of a marker that is absent it is the identity.
-pub fn measurement_noise(
-    state: &State,
-    linear: &Linearization,
-    image: &Image,
-    reading: &ImuReading,
-) -> Block {
-    let mut motion = SVector::<f64, 9>::zeros();
-    let rate = state.attitude * state.motion(reading).angular_velocity;
-    motion.fixed_rows_mut::<3>(0).copy_from(&state.velocity);
-    motion.fixed_rows_mut::<3>(3).copy_from(&rate);
-    motion.fixed_rows_mut::<3>(6).copy_from(&state.climber_rate);
-    let moved = linear.jacobian * motion * f64::from(image.stamp_sigma);
+pub fn measurement_noise(linear: &Linearization, image: &Image) -> Block {
+    let moved = linear.velocity * f64::from(image.stamp_sigma);
     let mut noise = moved * moved.transpose();
     for (axis, variance) in image.shake.iter().enumerate() {
         for i in (axis..8).step_by(2) {

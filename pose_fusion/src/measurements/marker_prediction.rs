@@ -5,7 +5,8 @@
 //! imu_from_volant` (paper, eq. 5), at the time of the exposure. With `c` the square's center and
 //! `R_wc` the camera's attitude, `δc = R_wcᵀ (δp − [R m]× δθ − e_xy δc_xy − (e_z × (X − X_climber))
 //! δturn)`, and the square turns about its center by `R_wcᵀ (δθ − e_z δturn)`. The time offset has
-//! no part in it (see [`crate::ekf::state`]).
+//! no part in it (see [`crate::ekf::state`]). With a rolling shutter a marker has moved on, at its
+//! velocity in the image, by the delay of its row.
 
 use super::{
     geometry::Geometry,
@@ -26,6 +27,8 @@ pub struct Linearization {
     pub residual: Residual,
     /// Derivative of the measurement by the entries [`SEEN`] of the error.
     pub jacobian: Jacobian,
+    /// Velocity of the markers in the image, px/s.
+    pub velocity: Residual,
     /// Which markers could be projected.
     pub valid: [bool; 4],
     /// Camera and volant frames at the linearization point, and the projections there, for
@@ -55,9 +58,14 @@ pub fn linearize(
     let to_camera: &Matrix3<f64> = to_camera.matrix();
     let markers = state.calibration.layout(&geometry.markers);
     let pixels = image.pixels();
+    let mut motion = SVector::<f64, 9>::zeros();
+    motion.fixed_rows_mut::<3>(0).copy_from(&state.velocity);
+    motion.fixed_rows_mut::<3>(3).copy_from(&world_rate);
+    motion.fixed_rows_mut::<3>(6).copy_from(&state.climber_rate);
     let mut linear = Linearization {
         residual: Residual::zeros(),
         jacobian: Jacobian::zeros(),
+        velocity: Residual::zeros(),
         valid: [false; 4],
         camera_from_volant,
         projected: [None; 4],
@@ -72,7 +80,6 @@ pub fn linearize(
         };
         linear.valid[i] = true;
         linear.projected[i] = Some(predicted);
-        linear.residual.fixed_rows_mut::<2>(2 * i).copy_from(&(measured - predicted.pixel));
         let center = world_from_volant * markers.centers[color];
         let by_center: Matrix2x3<f64> = predicted.jacobian_by_center * to_camera;
         let by_turn: Matrix2x3<f64> = predicted.jacobian_by_turn * to_camera;
@@ -85,6 +92,11 @@ pub fn linearize(
         rows.fixed_columns_mut::<3>(3).copy_from(&by_attitude);
         rows.fixed_columns_mut::<2>(6).copy_from(&-by_center.fixed_columns::<2>(0));
         rows.fixed_columns_mut::<1>(8).copy_from(&by_climber_turn);
+        let velocity = linear.jacobian.fixed_rows::<2>(2 * i) * motion;
+        let moved = velocity * geometry.delay_of_row(measured.y);
+        linear.velocity.fixed_rows_mut::<2>(2 * i).copy_from(&velocity);
+        let residual = measured - predicted.pixel - moved;
+        linear.residual.fixed_rows_mut::<2>(2 * i).copy_from(&residual);
     }
     linear
 }

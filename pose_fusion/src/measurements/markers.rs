@@ -172,7 +172,7 @@ pub fn update(
     let linear = linearize(state, geometry, image, reading);
     let gain = covariance_times(&state.covariance, &linear.jacobian);
     let spread = innovation_spread(&linear.jacobian, &gain);
-    let noise = measurement_noise(state, &linear, image, reading);
+    let noise = measurement_noise(&linear, image);
     record.mean_variance = mean_variance(&noise, image);
     let seen =
         SMatrix::<f64, 9, PARAMETERS>::from_fn(|k, j| f64::from(state.sensitivity[(j, SEEN[k])]));
