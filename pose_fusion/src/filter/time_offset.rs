@@ -13,7 +13,7 @@ use crate::{
         time_offset::{FINAL, TimeOffset, WINDOW},
     },
     input::imu::given,
-    measurements::markers::Pixels,
+    measurements::{marker_prediction::linearize, markers::Pixels},
     output::Warning,
     timeline::history::{Entry, Event},
 };
@@ -145,7 +145,8 @@ impl Filter {
         let attachment = world_from_climber * Point3::from(attachment);
         let calibration =
             self.state().map_or_else(|| self.calibration(), |state| state.calibration);
-        let found = from_image::candidates(geometry, &calibration, pixels, None);
+        let pixels = self.at_one_time(stamp, pixels);
+        let found = from_image::candidates(geometry, &calibration, &pixels, None);
         let tilted = |pose: &PlanarPose| {
             let Some(up) = up else { return pose.pixel_cost };
             let world_from_volant = world_from_camera * pose.camera_from_volant;
@@ -173,6 +174,26 @@ impl Filter {
         }
         covariance[(5, 5)] += noise.z * noise.z;
         Some((world_from_camera * best.camera_from_volant, covariance))
+    }
+
+    /// Returns the markers of an image on the time line where they are in the middle of the exposure
+    /// of a rolling shutter.
+    fn at_one_time(&self, stamp: Stamp, pixels: &Pixels) -> Pixels {
+        let mut moved = *pixels;
+        let is_image =
+            |entry: &&Entry| matches!(entry.event, Event::Image { stamp: s, .. } if s == stamp);
+        if let (Some(geometry), Some(entry)) =
+            (&self.setup.geometry, self.history.iter().rev().find(is_image))
+            && let (Event::Image { image, .. }, true) = (&entry.event, geometry.readout != 0.0)
+        {
+            let velocity = linearize(&entry.state, geometry, image, &entry.reading).velocity;
+            for (i, pixel) in moved.iter_mut().enumerate() {
+                if let Some((pixel, _)) = pixel {
+                    *pixel -= velocity.fixed_rows::<2>(2 * i) * geometry.delay_of_row(pixel.y);
+                }
+            }
+        }
+        moved
     }
 
     /// Restarts with the time offset at the oldest image of the history, unless the filter has

@@ -1,7 +1,7 @@
 //! The light check that `pose_fusion` runs, over a recording.
 
 use crate::robustness::recording::Recording;
-use pose_fusion::{Fusion, FusionConfig, Output, RigCheck};
+use pose_fusion::{Fusion, FusionConfig, Input, Output, RigCheck};
 
 /// Time between two looks at the findings, as in the node, s.
 const PERIOD: f64 = 1.0;
@@ -12,6 +12,9 @@ pub fn findings_while_running(recording: &Recording) -> Vec<String> {
     let mut fusion = Fusion::new(recording.rig.clone(), FusionConfig::default());
     let (mut check, mut newest, mut last) = (RigCheck::default(), Vec::new(), None);
     for (at, input) in &recording.inputs {
+        if let Input::Camera(_) = input {
+            check.note_camera();
+        }
         fusion.handle(input.clone());
         while let Some(output) = fusion.poll() {
             if let Output::MarkerUpdates(image) = output {

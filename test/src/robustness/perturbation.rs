@@ -1,7 +1,7 @@
 //! Perturbations: one change to a recording or its rig file each, by name.
 
 use super::recording::Recording;
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use pose_fusion::Input;
 use rig_model::{CameraModel, ImuSample, MarkerObservation, Stamp};
 use rig_simulator::random::Random;
@@ -54,6 +54,8 @@ pub enum Perturbation {
     CameraDelay(f64),
     /// The images' stamps are off by up to this, each by another number, s.
     ImageJitter(f64),
+    /// All markers of an image are off together by this, px (1 sigma), by another number in each.
+    CameraShake(f64),
     /// A second publisher repeats every IMU sample.
     ImuTwice,
     /// The IMU's samples arrive in bursts of this many, with the stamps of their arrival.
@@ -63,7 +65,7 @@ pub enum Perturbation {
 }
 
 /// Perturbations of the table.
-pub const TABLE: [Perturbation; 36] = {
+pub const TABLE: [Perturbation; 37] = {
     use Perturbation::*;
     [
         GyroScale(0.002),
@@ -99,6 +101,7 @@ pub const TABLE: [Perturbation; 36] = {
         ImagesLost(2.0),
         CameraDelay(0.1),
         ImageJitter(0.005),
+        CameraShake(0.3),
         ImuTwice,
         ImuBursts(5),
         Exchanged(0.5),
@@ -130,6 +133,7 @@ impl fmt::Display for Perturbation {
             Self::EncodersLost(t) => write!(f, "no encoders for {t} s"),
             Self::ImagesLost(t) => write!(f, "no images for {t} s"),
             Self::CameraDelay(t) => write!(f, "camera and encoder stamps {:+.0} ms", t * 1e3),
+            Self::CameraShake(px) => write!(f, "camera shakes by {px} px"),
             Self::ImageJitter(t) => write!(f, "image stamps off by up to {:.0} ms", t * 1e3),
             Self::ImuTwice => write!(f, "every IMU sample twice"),
             Self::ImuBursts(n) => write!(f, "IMU stamped on arrival in bursts of {n}"),
@@ -276,6 +280,15 @@ impl Perturbation {
                 for (_, input) in &mut recording.inputs {
                     if let Input::Markers(m) = input {
                         m.stamp = m.stamp.plus_seconds(random.within(-most, most));
+                    }
+                }
+            }
+            Self::CameraShake(sigma) => {
+                let mut random = Random::fork(1, "shake");
+                for (_, input) in &mut recording.inputs {
+                    if let Input::Markers(m) = input {
+                        let off = Vector2::from_fn(|_, _| sigma * random.normal());
+                        m.markers.0.iter_mut().for_each(|marker| marker.centroid += off);
                     }
                 }
             }
