@@ -119,25 +119,29 @@ fn noise_that_passes_is_not_learned_as_an_error_of_the_layout() {
     }
 }
 
-/// The camera shakes, from the beginning or for a while: all markers of an image are off together,
-/// by another amount in each. That is noise of the images, and neither shocks nor a wrong rig file.
-/// Before, the pose was LOST for most of the time.
+/// All markers of an image off together, px by time: noise of the images, and neither shocks nor a
+/// wrong rig file. At least this share of the poses is valid.
+fn shaken(seed: u64, valid: f64, mut off: impl FnMut(f64) -> Vector2<f64>) {
+    let o = with_markers(seed, |t, markers| {
+        let off = off(t);
+        markers.0.iter_mut().for_each(|marker| marker.centroid += off);
+    });
+    let statuses: Vec<_> = o.outputs.status.iter().skip(400).collect();
+    let count = statuses.iter().filter(|status| status.valid).count();
+    assert!(o.score.position_rmse() < 2.0 && o.score.position.max() < 15.0, "{}", o.score);
+    assert!(o.score.nees().0 < 6.0 && o.score.nees().1 < 6.0, "{}", o.score);
+    assert!(count as f64 > statuses.len() as f64 * valid, "valid {count} of {}", statuses.len());
+}
+
+/// The camera shakes, from the beginning or for a while. Before, the pose was LOST most of the time.
 #[test]
 fn a_camera_that_shakes_costs_accuracy_and_not_the_pose() {
     for (seed, sigma, from, to) in [(1, 0.3, 0.0, 20.0), (2, 0.5, 5.0, 8.0), (3, 0.2, 0.0, 20.0)] {
         let mut random = rig_simulator::random::Random::new(seed);
-        let o = with_markers(seed, |t, markers| {
-            let shake = Vector2::from_fn(|_, _| sigma * random.normal());
-            if (from..to).contains(&t) {
-                markers.0.iter_mut().for_each(|marker| marker.centroid += shake);
-            }
+        shaken(seed, 0.95, |t| {
+            let off = Vector2::from_fn(|_, _| sigma * random.normal());
+            if (from..to).contains(&t) { off } else { Vector2::zeros() }
         });
-        let statuses: Vec<_> = o.outputs.status.iter().skip(400).collect();
-        let valid = statuses.iter().filter(|status| status.valid).count();
-        println!("{sigma} px: {}, valid {valid} of {}", o.score, statuses.len());
-        assert!(o.score.position_rmse() < 2.0 && o.score.position.max() < 15.0, "{}", o.score);
-        assert!(o.score.nees().0 < 6.0 && o.score.nees().1 < 6.0, "{}", o.score);
-        assert!(valid * 100 > statuses.len() * 95, "valid {valid} of {}", statuses.len());
     }
 }
 
@@ -145,17 +149,10 @@ fn a_camera_that_shakes_costs_accuracy_and_not_the_pose() {
 #[test]
 fn a_camera_mount_that_vibrates_costs_accuracy_and_not_the_pose() {
     for (seed, amplitude) in [(1, 0.2), (2, 0.5), (3, 2.0)] {
-        let o = with_markers(seed, |t, markers| {
+        shaken(seed, 0.9, |t| {
             let angle = std::f64::consts::TAU * 9.0 * t;
-            let off = Vector2::new(angle.sin(), angle.cos()) * amplitude;
-            markers.0.iter_mut().for_each(|marker| marker.centroid += off);
+            Vector2::new(angle.sin(), angle.cos()) * amplitude
         });
-        let statuses: Vec<_> = o.outputs.status.iter().skip(400).collect();
-        let valid = statuses.iter().filter(|status| status.valid).count();
-        println!("{amplitude} px: {}, valid {valid} of {}", o.score, statuses.len());
-        assert!(o.score.position_rmse() < 3.0 && o.score.position.max() < 15.0, "{}", o.score);
-        assert!(o.score.nees().0 < 6.0 && o.score.nees().1 < 6.0, "{}", o.score);
-        assert!(valid * 100 > statuses.len() * 90, "valid {valid} of {}", statuses.len());
     }
 }
 
