@@ -170,6 +170,33 @@ fn imu_samples_in_any_order_within_a_fifth_of_a_second_cost_no_accuracy() {
     assert!(score.position_rmse() < 1.2 && score.rotation_rmse() < 0.2, "{score}");
 }
 
+/// A clock that is set back by less than a second after three seconds: of all sensors, or of the
+/// IMU alone, whose samples were ahead of the images by that before.
+#[test]
+fn a_clock_set_back_by_less_than_a_second_starts_again() {
+    let run = recording();
+    let step = scoring::start(&run.truth).plus_seconds(3.0);
+    for (back, imu_alone) in [(0.05, true), (0.2, true), (0.05, false), (0.2, false), (0.7, false)]
+    {
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        let moved = |at: Stamp, input: &Input| {
+            let moves = at < step && (!imu_alone || matches!(input, Input::Imu(_)));
+            shifted(input, if moves { back } else { 0.0 })
+        };
+        let (before, after): (Vec<_>, Vec<_>) = run.inputs.iter().partition(|(at, _)| *at < step);
+        scoring::run(&mut fusion, before.iter().map(|(at, input)| moved(*at, input)));
+        let outputs = scoring::run(&mut fusion, after.iter().map(|(at, input)| moved(*at, input)));
+        let wrong = fusion.status().counts.resets.time_jumps;
+        let score = scoring::score(&outputs.odometry, &run.truth, 3.15);
+        println!("{back} s, the IMU's alone: {imu_alone}: {wrong} jumps, {score}");
+        assert_eq!(wrong, 1);
+        assert!(outputs.odometry.len() > 200 && score.nees().0 < 6.0, "{score}");
+        let warned =
+            |w: &Warning| matches!(w, Warning::TimeJump { by_s } if (by_s - back).abs() < 0.02);
+        assert!(outputs.warnings.iter().any(warned));
+    }
+}
+
 #[test]
 fn a_looped_recording_reinitializes() {
     let run = recording();

@@ -10,13 +10,15 @@ use crate::{
     timeline::{
         arrival::{AHEAD, ImuArrival, JUMP, Source},
         dropout::{GAP, INTERPOLATED},
-        history::Event,
+        history::{Entry, Event},
     },
 };
 use rig_model::{ClimberSample, ImuSample, MarkerObservations, Sample, Stamp};
 
 /// Largest standard deviation of the attitude with which the pose goes on after a gap, rad.
 const LARGEST_ATTITUDE: f64 = 0.2;
+/// Samples further apart than this many periods have a gap between them.
+const FILLED: f64 = 1.5;
 /// Smallest uncertainty of the IMU's own roll and pitch, rad.
 const SMALLEST_ATTITUDE: f64 = 0.01;
 
@@ -72,10 +74,7 @@ impl Filter {
         match self.arrival.classify(stamp) {
             ImuArrival::First => self.next_imu(sample, reading, None),
             ImuArrival::Next(dt) => self.next_imu(sample, reading, Some(dt)),
-            ImuArrival::Late => self.late_imu(stamp, reading),
-            ImuArrival::Duplicate => {
-                self.publisher.refuse(Warning::Duplicate { from: Source::Imu, stamp });
-            }
+            ImuArrival::NotNewer => self.late_imu(sample, reading),
             ImuArrival::Unconfirmed(ahead_s) => {
                 self.publisher.refuse(if ahead_s < 0.0 {
                     Warning::TooOld { from: Source::Imu, stamp, age_s: -ahead_s }
@@ -87,13 +86,16 @@ impl Filter {
                 let dt = self.arrival.newest_imu().map(|(newest, _)| stamp.seconds_since(newest));
                 self.next_imu(sample, reading, dt);
             }
-            ImuArrival::Back(by_s) => {
-                self.publisher.warn(Warning::TimeJump { by_s });
-                self.publisher.counts.resets.time_jumps += 1;
-                self.reset();
-                self.next_imu(sample, reading, None);
-            }
+            ImuArrival::Back(by_s) => self.set_back(sample, reading, by_s),
         }
+    }
+
+    /// Starts again with a sample of an IMU whose clock was set back.
+    fn set_back(&mut self, sample: &ImuSample, reading: ImuReading, by_s: f64) {
+        self.publisher.warn(Warning::TimeJump { by_s });
+        self.publisher.counts.resets.time_jumps += 1;
+        self.reset();
+        self.next_imu(sample, reading, None);
     }
 
     fn next_imu(&mut self, sample: &ImuSample, reading: ImuReading, dt: Option<f64>) {
@@ -178,10 +180,18 @@ impl Filter {
         self.history.rewind(from);
     }
 
-    fn late_imu(&mut self, stamp: Stamp, reading: ImuReading) {
+    fn late_imu(&mut self, sample: &ImuSample, reading: ImuReading) {
+        let stamp = sample.stamp;
         let place = self.history.place_of(stamp);
         let before = place.checked_sub(1).and_then(|p| self.history.get(p));
-        if before.is_some_and(|n| n.stamp == stamp && matches!(n.event, Event::Imu { .. })) {
+        let same = before.filter(|n| n.stamp == stamp && matches!(n.event, Event::Imu { .. }));
+        if same.is_some_and(|n| n.reading == reading) {
+            return self.publisher.refuse(Warning::Duplicate { from: Source::Imu, stamp });
+        }
+        if let Some(by_s) = self.arrival.late_imu(stamp, self.fills_gap(place)) {
+            return self.set_back(sample, reading, by_s);
+        }
+        if same.is_some() {
             return self.publisher.refuse(Warning::Duplicate { from: Source::Imu, stamp });
         }
         if before.is_none() {
@@ -195,6 +205,14 @@ impl Filter {
         if self.start.started {
             self.process();
         }
+    }
+
+    /// Whether the IMU samples around a place are so far apart that one is missing between them.
+    fn fills_gap(&self, place: usize) -> bool {
+        let is_imu = |entry: &&Entry| matches!(entry.event, Event::Imu { .. });
+        let before = (0..place).rev().filter_map(|p| self.history.get(p)).find(is_imu);
+        let interval = before.zip(self.history.next_imu(place));
+        interval.is_some_and(|(b, a)| a.stamp.seconds_since(b.stamp) > FILLED * self.imu.period())
     }
 
     /// Takes in the markers of an image.

@@ -13,6 +13,11 @@ pub const JUMP: f64 = 1.0;
 const HELD_UP: f64 = 10.0;
 /// Number of consecutive samples that confirm a jump.
 const CONFIRMED: u32 = 3;
+/// Number of consecutive samples, each later than the one before, in places that have a sample
+/// already, that show a clock that was set back: samples that come in any order fill gaps.
+const REPEATED: u32 = 4;
+/// Shortest step back of a clock that is told from jitter of the stamps, s.
+const SHORTEST_STEP: f64 = 0.03;
 /// Images or encoder readings that advance by this, in at least [`MESSAGES`] messages, without an
 /// IMU sample in between mean that the IMU is lost, s.
 const SILENCE: f64 = 0.1;
@@ -27,10 +32,8 @@ pub enum ImuArrival {
     First,
     /// Next sample, this many seconds after the previous one.
     Next(f64),
-    /// Older than the newest one.
-    Late,
-    /// The stamp of the newest one.
-    Duplicate,
+    /// As old as the newest one, or older.
+    NotNewer,
     /// Far from the others and not confirmed: this many seconds ahead (negative: back).
     Unconfirmed(f64),
     /// Confirmed jump ahead: an outage.
@@ -44,6 +47,8 @@ pub enum ImuArrival {
 pub struct Arrival {
     newest_imu: Option<(Stamp, ImuReading)>,
     jump: Option<(Stamp, u32)>,
+    /// First and newest of the late samples in a row that fill no gap, and their number.
+    repeated: Option<(Stamp, Stamp, u32)>,
     /// Images and encoder readings since the newest IMU sample, by [`Source`].
     others: [Since; 2],
     frontier: Option<Stamp>,
@@ -143,9 +148,21 @@ impl Arrival {
         self.jump = None;
         match ahead {
             a if a > 0.0 => ImuArrival::Next(a),
-            a if a < 0.0 => ImuArrival::Late,
-            _ => ImuArrival::Duplicate,
+            _ => ImuArrival::NotNewer,
         }
+    }
+
+    /// Notes a late IMU sample; `fills_gap`: none of its samples' time was there. Returns by how many
+    /// seconds the IMU's clock was set back, where samples repeat the time of former ones.
+    pub fn late_imu(&mut self, stamp: Stamp, fills_gap: bool) -> Option<f64> {
+        self.repeated = match self.repeated {
+            _ if fills_gap => None,
+            Some((first, last, count)) if stamp > last => Some((first, stamp, count + 1)),
+            _ => Some((stamp, stamp, 1)),
+        };
+        let (first, ..) = self.repeated.filter(|(.., count)| *count >= REPEATED)?;
+        let by_s = self.newest_imu?.0.seconds_since(first);
+        (by_s > SHORTEST_STEP).then_some(by_s)
     }
 
     /// Notes the newest IMU sample.
@@ -158,7 +175,7 @@ impl Arrival {
         // samples up for less.
         let near = self.frontier.filter(|end| end.seconds_since(stamp) < HELD_UP);
         self.frontier = near.max(Some(stamp));
-        self.jump = None;
+        (self.jump, self.repeated) = (None, None);
     }
 
     /// Notes the stamp of an image or encoder reading. While there are no IMU samples to compare it
@@ -215,8 +232,8 @@ mod tests {
         assert_eq!(arrival.classify(at(0)), ImuArrival::First);
         arrival.imu(at(0), ImuReading::default());
         assert_eq!(arrival.classify(at(10)), ImuArrival::Next(0.01));
-        assert_eq!(arrival.classify(at(-10)), ImuArrival::Late);
-        assert_eq!(arrival.classify(at(0)), ImuArrival::Duplicate);
+        assert_eq!(arrival.classify(at(-10)), ImuArrival::NotNewer);
+        assert_eq!(arrival.classify(at(0)), ImuArrival::NotNewer);
         assert_eq!(arrival.classify(at(5000)), ImuArrival::Unconfirmed(5.0));
         assert_eq!(arrival.classify(at(-5000)), ImuArrival::Unconfirmed(-5.0));
         assert!(matches!(arrival.classify(at(-4990)), ImuArrival::Unconfirmed(_)));
