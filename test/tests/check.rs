@@ -101,6 +101,17 @@ fn a_climber_at_rest_is_unobservable_and_not_frozen() {
     }
 }
 
+/// With the markers that the tracker finds in the images.
+#[test]
+fn the_running_filter_reports_exchanged_colors_in_a_recording_with_images() {
+    let Some(shared) = test_support::recordings() else { return };
+    let bench = Bench::read(&shared.join("bags/nominal")).unwrap();
+    let fault = FAULTS.iter().find(|f| f.name == "red and green swapped").unwrap();
+    let found = bench.while_running(Some(fault)).join("; ");
+    assert!(found.contains("no pose fits"), "{found}");
+    assert!(bench.while_running(None).is_empty(), "{:?}", bench.while_running(None));
+}
+
 fn check(bag: &Path, rig: &Path, json: &Path) -> Output {
     let volant = Path::new(env!("CARGO_BIN_EXE_volant-rig")).with_file_name("volant");
     Command::new(volant)

@@ -163,11 +163,10 @@ fn work(arguments: &Arguments) -> Result<usize> {
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     match work(&arguments) {
+        Ok(0) => ExitCode::SUCCESS,
         Ok(failed) => {
-            if failed > 0 {
-                eprintln!("volant-peers: {failed} figures are short of their target");
-            }
-            ExitCode::SUCCESS
+            eprintln!("volant-peers: {failed} figures are short of their target");
+            ExitCode::FAILURE
         }
         Err(error) => {
             eprintln!("volant-peers: {error:#}");

@@ -57,9 +57,8 @@ impl Bench {
             let names = TopicNames::default();
             let markers = track_bag(&bag, &rig.markers, &tracker(rig), &camera, None, &names)?;
             if !markers.is_empty() {
-                recording.inputs.retain(|(_, i)| !matches!(i, Input::Markers(_)));
-                let inputs = markers.into_iter().map(|m| (m.stamp, Input::Markers(m)));
-                recording.inputs.extend(inputs);
+                let markers = markers.into_iter().map(|m| (m.stamp, m)).collect();
+                recording = Recording::read_with(folder, &markers)?;
                 images = Some(bag);
             }
         }

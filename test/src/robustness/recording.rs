@@ -1,6 +1,6 @@
 //! Recordings with ground truth as inputs of the estimator.
 
-use bag::recording::{self, RecordingError, read_markers, true_centroids};
+use bag::recording::{self, Markers, RecordingError, read_markers, true_centroids};
 use nalgebra::Isometry3;
 use pose_fusion::Input;
 use rig_model::{CameraModel, Rig, Stamp, score::Truth};
@@ -39,8 +39,16 @@ impl Recording {
             let mut random = Random::fork(1, "pixels");
             images = true_centroids(folder, 0.1, || random.normal())?;
         }
+        Self::read_with(folder, &images)
+    }
+
+    /// Reads a folder with these observations of its images, unless it has its own.
+    ///
+    /// # Errors
+    /// A missing or unreadable file, by name.
+    pub fn read_with(folder: &Path, images: &Markers) -> Result<Self, RecordingError> {
         let recording::Recording { rig, samples, truth } =
-            recording::Recording::read(folder, &images)?;
+            recording::Recording::read(folder, images)?;
         let name = folder.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned());
         Ok(Self { name, rig, inputs: samples, truth, perturbed_from: PERTURBED_FROM })
     }

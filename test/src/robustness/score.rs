@@ -16,7 +16,8 @@ pub struct Sample {
     pub rotation: Vector3<f64>,
     /// Normalized estimation error squared of position and rotation (3 degrees of freedom each).
     pub nees: [f64; 2],
-    /// Largest standard deviation of position (m) and rotation (rad).
+    /// Standard deviation of the length of the error of position (m) and rotation (rad): the square
+    /// root of the trace of its covariance.
     pub sigmas: [f64; 2],
     /// The pose was called valid.
     pub valid: bool,
@@ -51,7 +52,7 @@ pub fn run(recording: &Recording, config: &FusionConfig) -> Scored {
                     let Some(truth) = recording.pose_at(o.stamp) else { continue };
                     let error = PoseError::new(pose, &truth);
                     let variances = o.pose_covariance.diagonal();
-                    let sigma = |i: usize| variances.fixed_rows::<3>(i).max().max(0.0).sqrt();
+                    let sigma = |i: usize| variances.fixed_rows::<3>(i).sum().max(0.0).sqrt();
                     scored.samples.push(Sample {
                         time: o.stamp.seconds_since(start),
                         position: error.position,
@@ -87,7 +88,7 @@ pub struct Figures {
     pub nees: [f64; 2],
     /// Largest position error of a pose that was called valid, m.
     pub worst_valid: f64,
-    /// Share of the valid poses whose position error exceeds three times the largest sigma.
+    /// Share of the valid poses whose position or rotation error exceeds three sigma.
     pub beyond: f64,
 }
 
@@ -106,9 +107,7 @@ impl Scored {
             f.nees[1] += s.nees[1];
             if s.valid {
                 valid += 1;
-                beyond += usize::from(
-                    p > 3.0 * s.sigmas[0] * 3f64.sqrt() || r > 3.0 * s.sigmas[1] * 3f64.sqrt(),
-                );
+                beyond += usize::from(p > 3.0 * s.sigmas[0] || r > 3.0 * s.sigmas[1]);
                 f.worst_valid = f.worst_valid.max(p);
             }
         }

@@ -7,7 +7,7 @@ use super::{
     score::{self, Figures, Scored},
 };
 use pose_fusion::FusionConfig;
-use std::fmt::Write;
+use std::{fmt::Write, mem::discriminant};
 
 /// No pose further off than this may be called valid, m.
 const WRONG: f64 = 1.0;
@@ -100,7 +100,11 @@ fn catastrophe(scored: &Scored, whole: &Figures) -> Option<String> {
     if scored.non_finite {
         return Some("a number that is not finite".to_owned());
     }
-    let worst = scored.figures(0.0, f64::INFINITY).worst_valid.max(whole.worst_valid);
+    let all = scored.figures(0.0, f64::INFINITY);
+    if all.count == 0 {
+        return Some("no pose".to_owned());
+    }
+    let worst = all.worst_valid.max(whole.worst_valid);
     (worst > WRONG).then(|| format!("a valid pose {worst:.1} m wrong"))
 }
 
@@ -161,10 +165,15 @@ impl Bench {
     }
 }
 
-/// Returns all pairs of perturbations.
+/// Returns all pairs of perturbations of different kinds: two of one kind are another one of it.
 pub fn pairs() -> Vec<(Perturbation, Perturbation)> {
     let later = |i: usize| TABLE.iter().skip(i + 1);
-    TABLE.iter().enumerate().flat_map(|(i, a)| later(i).map(move |b| (*a, *b))).collect()
+    let other = |a: &Perturbation, b: &Perturbation| discriminant(a) != discriminant(b);
+    let pairs = |(i, a): (usize, &Perturbation)| {
+        let a = *a;
+        later(i).filter(move |b| other(&a, b)).map(move |b| (a, *b))
+    };
+    TABLE.iter().enumerate().flat_map(pairs).collect()
 }
 
 /// Returns the table as Markdown. A cell is the position RMSE over that of the unchanged run, the
