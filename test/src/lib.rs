@@ -11,7 +11,6 @@ pub mod check;
 pub mod faults;
 pub mod hosts;
 pub mod live;
-pub mod load_test;
 pub mod paper;
 pub mod report;
 pub mod robustness;

@@ -235,7 +235,6 @@ fn a_folder_of_the_users_is_left_alone_by_the_simulated_rig() {
         &["soak", "--out", out],
         &["faults", "--out", out],
         &["hosts", "--out", out],
-        &["rigs", "--rigs", "1", "--out", out],
     ] {
         refused(&volant(words), &["not from an earlier run", "nothing is removed"]);
     }

@@ -151,11 +151,9 @@ fn figures() -> String {
          | table | rows that hold | written by |\n| --- | --- | --- |\n\
          | [faults on live processes](table-faults.md) | {} | `volant faults --table \
          test/FAULTS.md --overwrite` |\n\
-         | [two computers with a bad link](table-hosts.md) | {} | `volant hosts`{dated} |\n\
-         | [many rigs on one machine](table-rigs.md) | {} | `volant rigs` |\n\n",
+         | [two computers with a bad link](table-hosts.md) | {} | `volant hosts`{dated} |\n\n",
         holds("test/FAULTS.md"),
         holds("test/HOSTS.md"),
-        holds("test/RIGS.md"),
     )
     .unwrap();
     let robustness = read("test/ROBUSTNESS.md");

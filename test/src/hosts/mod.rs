@@ -64,50 +64,13 @@ impl Hosts {
     }
 }
 
-/// A separate computer for the calling thread and for what it starts afterwards.
-pub struct Island(String);
-
-impl Island {
-    /// Moves the calling thread into a network namespace with a loopback and one more interface.
-    ///
-    /// # Errors
-    /// What is missing.
-    pub fn enter() -> Result<Self, NotPermitted> {
-        remove_left_over();
-        let name = format!("volant-i-{}", std::process::id());
-        ip(&["netns", "add", &name])?;
-        let island = Self(name);
-        let at = ["-n", &island.0];
-        let [near, far] = ["vi0", "vi1"];
-        for command in [
-            &["link", "set", "lo", "up"][..],
-            &["link", "add", near, "type", "veth", "peer", "name", far],
-            &["address", "add", "10.78.0.1/24", "dev", near],
-            &["link", "set", near, "up"],
-            &["link", "set", far, "up"],
-            &["route", "add", "224.0.0.0/4", "dev", near],
-        ] {
-            ip(&[&at, command].concat())?;
-        }
-        crate::live::site::enter(&island.0).map_err(|e| NotPermitted { reason: e.to_string() })?;
-        Ok(island)
-    }
-}
-
-impl Drop for Island {
-    fn drop(&mut self) {
-        let _ = ip(&["netns", "delete", &self.0]);
-    }
-}
-
 /// Takes away what a process that was killed has left.
 fn remove_left_over() {
     let Ok(folder) = std::fs::read_dir("/run/netns") else { return };
     for name in
         folder.filter_map(Result::ok).filter_map(|entry| entry.file_name().into_string().ok())
     {
-        let id =
-            ["c", "p", "i"].iter().find_map(|kind| name.strip_prefix(&format!("volant-{kind}-")));
+        let id = ["c", "p"].iter().find_map(|kind| name.strip_prefix(&format!("volant-{kind}-")));
         if id.is_some_and(|id| !std::path::Path::new("/proc").join(id).exists()) {
             let _ = ip(&["netns", "delete", &name]);
         }

@@ -23,4 +23,4 @@ pub use processes::{Node, Nodes, ProcessError};
 pub use received::{Received, TopicLog, quantile};
 pub use run::{Ended, NODES, Run, RunError};
 pub use scenario::{Cover, Scenario};
-pub use site::{ClockError, Host, Namespaces, Site, Subscriptions};
+pub use site::{ClockError, Host, Namespaces, Site};

@@ -221,11 +221,6 @@ impl Node {
         process::threads(self.id()).unwrap_or(0)
     }
 
-    /// Processor time used so far, s; 0 if it is unknown.
-    pub fn processor_seconds(&self) -> f64 {
-        process::processor_time(self.id()).unwrap_or_default().as_secs_f64()
-    }
-
     #[allow(clippy::disallowed_methods)] // a shell: it waits for a process
     fn wait_until(&mut self, deadline: Instant) -> Option<ExitStatus> {
         loop {

@@ -124,9 +124,6 @@ impl Run {
             if let Some(own) = own {
                 arguments.extend(["-p".into(), own]);
             }
-            if !site.namespace.is_empty() {
-                arguments.extend(["-r".into(), format!("__ns:={}", site.namespace)]);
-            }
             let mut environment =
                 vec![("ROS_DOMAIN_ID".to_owned(), site.network.domain_id.to_string())];
             environment.extend(clock.iter().flat_map(SettableClock::environment));

@@ -1,4 +1,4 @@
-//! Where a simulated rig lives: on which computers, in which DDS domain, under which name.
+//! Where a simulated rig lives: on which computers, in which DDS domain.
 
 use node_kit::{
     environment::Network,
@@ -46,29 +46,15 @@ pub struct ClockError {
     pub ppm: f64,
 }
 
-/// What is listened to.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Subscriptions {
-    /// All topics of the nodes.
-    #[default]
-    All,
-    /// The poses, what became of the markers, and the diagnostics.
-    Few,
-}
-
 /// Where a rig lives.
 #[derive(Clone, Debug, Default)]
 pub struct Site {
     /// The DDS domain.
     pub network: Network,
-    /// ROS namespace of all of its nodes, such as `/rig3`; empty for none.
-    pub namespace: String,
     /// Its two computers; `None`: this one.
     pub hosts: Option<Namespaces>,
     /// How the climber's clock is off: that of camera and encoders.
     pub climber_clock: ClockError,
-    /// What is listened to.
-    pub subscriptions: Subscriptions,
     /// The nodes' clock, and that of camera and encoders, can be set ([`super::Run::set_clock`]).
     pub settable_clock: bool,
     /// Options of every node's process, such as `--realtime-priority 20`.
@@ -91,14 +77,6 @@ impl Site {
         })
     }
 
-    /// ROS arguments of every node.
-    pub fn ros_arguments(&self) -> Vec<String> {
-        if self.namespace.is_empty() {
-            return Vec::new();
-        }
-        ["--ros-args".to_owned(), "-r".to_owned(), format!("__ns:={}", self.namespace)].to_vec()
-    }
-
     /// Joins the DDS domain on a computer. A socket belongs to the network namespace of the thread
     /// that creates it, so a separate thread joins.
     pub(super) fn join(&self, host: Host) -> Result<Process, NodeError> {
@@ -119,7 +97,7 @@ impl Site {
 }
 
 /// Moves the calling thread into a network namespace that `ip netns` made.
-pub(crate) fn enter(name: &str) -> io::Result<()> {
+fn enter(name: &str) -> io::Result<()> {
     let file = File::open(format!("/run/netns/{name}"))?;
     Ok(move_into_link_name_space(file.as_fd(), Some(LinkNameSpaceType::Network))?)
 }

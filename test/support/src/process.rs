@@ -49,7 +49,7 @@ fn status<T: FromStr>(id: u32, key: &str) -> Option<T> {
 }
 
 /// Processor time of all threads of a process; `None` if it has ended.
-pub fn processor_time(id: u32) -> Option<Duration> {
+fn processor_time(id: u32) -> Option<Duration> {
     let stat = std::fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
     let fields: Vec<&str> = stat.rsplit(')').next()?.split_whitespace().collect();
     let ticks = |i: usize| fields.get(i)?.parse::<u64>().ok();

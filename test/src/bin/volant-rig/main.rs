@@ -1,6 +1,6 @@
 //! `volant-rig`: what is done with the simulated rig and the real nodes: `volant checks`, `demo`,
-//! `faults`, `hosts`, `rigs`, `robustness`, `simulate`, `sites`, `soak` and `reproduce`. One
-//! executable for all, so that their common code is built and linked once.
+//! `faults`, `hosts`, `robustness`, `simulate`, `sites`, `soak` and `reproduce`. One executable for
+//! all, so that their common code is built and linked once.
 //!
 //! Exit status: [`EXIT_STATUS`].
 
@@ -9,7 +9,6 @@ mod demo;
 mod faults;
 mod hosts;
 mod reproduce;
-mod rigs;
 mod robustness;
 mod simulate;
 mod sites;
@@ -37,7 +36,6 @@ enum Action {
     Faults(faults::Arguments),
     Hosts(hosts::Arguments),
     Reproduce(reproduce::Arguments),
-    Rigs(rigs::Arguments),
     Robustness(robustness::Arguments),
     Simulate(simulate::Arguments),
     Sites(sites::Arguments),
@@ -56,7 +54,6 @@ impl Action {
             Self::Faults(a) => ("faults", faults::run(a)),
             Self::Hosts(a) => ("hosts", hosts::run(a)),
             Self::Reproduce(a) => ("reproduce", reproduce::run(a).map(|()| true)),
-            Self::Rigs(a) => ("rigs", rigs::run(a).map(|()| true)),
             Self::Robustness(a) => ("robustness", robustness::run(a)),
             Self::Simulate(a) => ("simulate", simulate::run(a).map(|()| true)),
             Self::Sites(a) => ("sites", sites::run(a).map(|()| true)),

@@ -151,7 +151,7 @@ impl SimulatedHardware {
         port: &Path,
     ) -> Result<Self, HardwareError> {
         let received = Arc::new(Mutex::new(Received::default()));
-        let names = RosArguments::parse(site.ros_arguments()).map_err(NodeError::from)?.0;
+        let names = RosArguments::default();
         let (sender, receiver) = sync_channel(1);
         let mut climber = site.join(Host::Climber)?;
         climber.start_with(&names, move |context, ()| RigPublisher::advertise(context, &sender))?;
@@ -160,9 +160,9 @@ impl SimulatedHardware {
             processes.push(site.join(Host::Platform)?);
         }
         if let Some(platform) = processes.last_mut() {
-            let (subscriptions, received) = (site.subscriptions, Arc::clone(&received));
+            let received = Arc::clone(&received);
             platform.start_with(&names, move |context, ()| {
-                RigSubscriber::subscribe(context, subscriptions, &received)
+                RigSubscriber::subscribe(context, &received)
             })?;
         }
         let publishers = receiver.recv().map_err(|_| HardwareError::NotStarted)?;

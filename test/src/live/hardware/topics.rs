@@ -1,7 +1,6 @@
 //! The hardware's publishers and the subscriber to the nodes' topics.
 
 use super::{Received, lock};
-use crate::live::site::Subscriptions;
 use node_kit::{
     node::{NodeContext, NodeError, NodeShell, Publisher},
     qos::QosPreset,
@@ -63,10 +62,9 @@ impl NodeShell for RigSubscriber {
 }
 
 impl RigSubscriber {
-    /// Subscribes to the topics that `subscriptions` names and keeps their messages.
+    /// Subscribes to all topics of the nodes and keeps their messages.
     pub(super) fn subscribe(
         context: &mut NodeContext<()>,
-        subscriptions: Subscriptions,
         received: &Arc<Mutex<Received>>,
     ) -> Result<Self, NodeError> {
         subscribe(context, topics::ODOMETRY, QosPreset::State, received, |h| &mut h.odometry)?;
@@ -79,9 +77,6 @@ impl RigSubscriber {
         subscribe(context, topics::absolute::DIAGNOSTICS, QosPreset::State, received, |h| {
             &mut h.diagnostics
         })?;
-        if subscriptions == Subscriptions::Few {
-            return Ok(Self);
-        }
         subscribe(context, topics::POSE, QosPreset::State, received, |h| &mut h.pose)?;
         subscribe(context, topics::STATUS, QosPreset::State, received, |h| &mut h.status)?;
         subscribe(context, topics::FUSED_POSE, QosPreset::State, received, |h| &mut h.fused_pose)?;

@@ -26,7 +26,7 @@ const fn external(name: &'static str, executable: &'static str, about: &'static 
 }
 
 /// What needs the simulated rig or all of OpenCV does not weigh on the robot.
-const EXTERNAL: [External; 12] = [
+const EXTERNAL: [External; 11] = [
     external("imu", "volant-imu", "Find, inspect, configure and log Xsens IMUs; decode logs"),
     external(
         "calibrate",
@@ -38,7 +38,6 @@ const EXTERNAL: [External; 12] = [
     external("faults", "volant-rig", "Inject faults into a live simulated rig"),
     external("hosts", "volant-rig", "Run the rig on two computers with a bad link (as root)"),
     external("reproduce", "volant-rig", "Reproduce the paper's figures and tables"),
-    external("rigs", "volant-rig", "Load test: add rigs until the computer is saturated"),
     external("robustness", "volant-rig", "Replay recordings with wrong rig files"),
     external("simulate", "volant-rig", "Write simulated recordings with ground truth"),
     external("sites", "volant-rig", "Run rigs and an operator on two sites with bridges (as root)"),
@@ -57,7 +56,6 @@ const GROUPS: [(&str, &[&str]); 5] = [
             "faults",
             "checks",
             "hosts",
-            "rigs",
             "robustness",
             "simulate",
             "sites",
