@@ -103,8 +103,6 @@ bench: peers
 	$(CARGO) test --release -p marker_tracker --test cost -- --include-ignored --nocapture
 	VOLANT_RUNS=200 $(CARGO) test --release -p pose_fusion --test bounds -- --nocapture
 	$(CARGO) test --release -p pose_fusion --test cost -- --include-ignored --nocapture
-	@launch_config/setup/install-debian-packages launch_config/setup/debian-packages-cyclone.txt
-	$(CARGO) test --release --workspace --test dds_cost -- --ignored --nocapture
 
 # Recordings that differ from their rig file: VOLANT_SHARED is the folder that has them under bags/.
 robustness: build
