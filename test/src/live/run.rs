@@ -113,9 +113,8 @@ impl Run {
         let hardware = SimulatedHardware::start(scenario, images, site, &port)?;
         let mut nodes = Nodes::default();
         for name in NODES {
-            let mut arguments = site.node_options.clone();
             let rig = rig_file.display().to_string();
-            arguments.extend(["--ros-args".into(), "--params-file".into(), rig]);
+            let mut arguments = vec!["--ros-args".to_owned(), "--params-file".to_owned(), rig];
             let own = match name {
                 "imu_driver" => Some(format!("port:={}", port.display())),
                 "marker_tracker" => Some("image_transport:=compressed".to_owned()),

@@ -57,8 +57,6 @@ pub struct Site {
     pub climber_clock: ClockError,
     /// The nodes' clock, and that of camera and encoders, can be set ([`super::Run::set_clock`]).
     pub settable_clock: bool,
-    /// Options of every node's process, such as `--realtime-priority 20`.
-    pub node_options: Vec<String>,
     /// The scenario repeats, and published messages are not kept.
     pub endless: bool,
 }
