@@ -20,14 +20,13 @@ use volant_test::{
 
 /// What `volant-peers` wrote in a run of its own, so that its figures are drawn here without the
 /// large OpenCV.
-const PEERS: [(&str, &str); 7] = [
+const PEERS: [(&str, &str); 6] = [
     ("fig-2.csv", include_str!("data/fig-2.csv")),
     ("fig-7.csv", include_str!("data/fig-7.csv")),
     ("fig-11.csv", include_str!("data/fig-11.csv")),
     ("fig-12.csv", include_str!("data/fig-12.csv")),
     ("table-1.csv", include_str!("data/table-1.csv")),
     ("bench.csv", include_str!("data/bench.csv")),
-    ("occlusion.csv", include_str!("data/occlusion.csv")),
 ];
 
 /// Every figure, from runs that are as short as they may be.
@@ -45,7 +44,6 @@ fn make(folder: &Path) -> Vec<Made> {
         stages.figure_4(folder).unwrap(),
         stages.figure_5(folder).unwrap(),
         figure_6(1, folder, threads, |_| {}).unwrap(),
-        peers::occlusion(folder).unwrap(),
         peers::boards("fig-7", folder).unwrap(),
         figure_9(1, folder).unwrap(),
         peers::table_1(folder).unwrap(),

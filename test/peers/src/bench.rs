@@ -12,7 +12,6 @@ use crate::{
     trajectory,
 };
 use anyhow::{Result, bail};
-use marker_tracker::TrackerConfig;
 use rig_model::{MarkerLayout, MarkerState};
 use std::{path::Path, time::Duration};
 
@@ -33,7 +32,7 @@ pub fn layout(stage: &Stage) -> Result<MarkerLayout> {
 /// Every method, ours first, the recipe second.
 pub fn methods(camera: &Pinhole, layout: &MarkerLayout, seed: u64) -> Result<Vec<Box<dyn Method>>> {
     Ok(vec![
-        Box::new(Ours::new(camera, layout.clone(), TrackerConfig::default())),
+        Box::new(Ours::new(camera, layout.clone())),
         Box::new(Recipe::new(camera, layout)?),
         Box::new(Aruco::new(camera, FOOTPRINT)?),
         Box::new(AprilTag::new(camera, 1, FOOTPRINT)?),
@@ -73,7 +72,7 @@ pub fn run(images: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
     let layout = layout(&stage)?;
     let mut methods = methods(&camera, &layout, seed)?;
     let mut records = vec![Record::default(); methods.len()];
-    let mut ours = Ours::new(&camera, layout.clone(), TrackerConfig::default());
+    let mut ours = Ours::new(&camera, layout.clone());
     let (mut allocated, mut nees, mut detected) = (Vec::new(), 0.0, 0usize);
     let (mut first, mut again, mut acquired, mut tried) = (Vec::new(), Vec::new(), 0usize, 0usize);
     // Nine different gray images: repetitions of one image would be a frozen camera.
@@ -128,8 +127,7 @@ pub fn run(images: usize, seed: u64, progress: &Progress) -> Result<Outcome> {
                 }
             }
             if number % 10 == 0 {
-                let mut fresh_tracker =
-                    Ours::new(&camera, layout.clone(), TrackerConfig::default());
+                let mut fresh_tracker = Ours::new(&camera, layout.clone());
                 tried += 2;
                 let image = fresh(&shots[0]);
                 first.push(fresh_tracker.track(&image).as_secs_f64() * 1e6);

@@ -12,7 +12,6 @@ use crate::{
     sweep::{Condition, motion},
 };
 use anyhow::Result;
-use marker_tracker::TrackerConfig;
 use nalgebra::{Isometry3, Point3, Vector2};
 use opencv::{
     calib3d::{self, SolvePnPMethod},
@@ -105,7 +104,7 @@ pub fn run(folder: &Path, per_condition: usize, seed: u64, progress: &Progress) 
     let matrix = camera_matrix(&camera)?;
     let plate = corners();
     let mut recipe = Recipe::new(&camera, &layout)?;
-    let mut ours = Ours::new(&camera, layout, TrackerConfig::default());
+    let mut ours = Ours::new(&camera, layout);
     let mut rng = Rng::new(seed ^ 0xb0a2d);
     let header = "angle_deg,method,images,found,mean_mm,std_mm,mean_deg,std_deg";
     let (mut fig_2, mut fig_7) = (Csv::new(header), Csv::new(header));

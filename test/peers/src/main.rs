@@ -3,15 +3,13 @@
 //!
 //! `bench` prints the main table (time, accuracy, success) and the targets of the tracker; `sweep`
 //! the success over viewing angle and distance; `boards` compares markers with chessboards;
-//! `occlusion` hides a part of the targets; `trials` what the tracker does in scenes that are made
-//! to mislead it.
+//! `trials` what the tracker does in scenes that are made to mislead it.
 
 mod bench;
 mod boards;
 mod clock;
 mod measure;
 mod methods;
-mod occlusion;
 mod progress;
 mod report;
 mod scene;
@@ -106,12 +104,6 @@ enum Command {
         #[arg(long, default_value_t = 16)]
         images: usize,
     },
-    /// Success and error with one marker or tag corner hidden, two, and a hand; occlusion.csv.
-    Occlusion {
-        /// Images per condition.
-        #[arg(long, default_value_t = 60)]
-        images: usize,
-    },
     /// Scenes that are made to mislead the tracker; trials.csv.
     Trials {
         /// Only scenes whose name contains this.
@@ -144,10 +136,6 @@ fn work(arguments: &Arguments) -> Result<usize> {
         }
         Command::Boards { images } => {
             boards::run(&arguments.out, *images, arguments.seed, &progress)?;
-            Ok(0)
-        }
-        Command::Occlusion { images } => {
-            occlusion::run(&arguments.out, *images, arguments.seed, &progress)?;
             Ok(0)
         }
         Command::Trials { images: true, .. } => {

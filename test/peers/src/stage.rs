@@ -70,17 +70,6 @@ impl Stage {
     /// The frame `number` of a carrier at a pose: noise σ = 3, ±10 % of light over time and over
     /// the frame.
     pub fn shoot(&mut self, carrier: Carrier, pose: &Isometry3<f64>, number: usize) -> Frame {
-        self.shoot_covered(carrier, pose, number, &[])
-    }
-
-    /// The same with things before the platform.
-    pub fn shoot_covered(
-        &mut self,
-        carrier: Carrier,
-        pose: &Isometry3<f64>,
-        number: usize,
-        covers: &[Thing],
-    ) -> Frame {
         let phase = number as f64;
         let light = Light {
             gain: 1.0 + 0.1 * (0.061 * phase).sin(),
@@ -90,10 +79,6 @@ impl Stage {
         };
         self.floor.copy_to(&mut self.canvas, Vector2::zeros());
         self.plates[carrier as usize].draw(&mut self.canvas, &self.camera, &[*pose]);
-        for cover in covers {
-            self.canvas.add(&cover.outline, cover.color, 1.0);
-            self.canvas.flatten();
-        }
         let mut rng = Rng::new(
             self.seed ^ (number as u64 * 3 + carrier as u64 + 1).wrapping_mul(0x2545_f491),
         );

@@ -8,7 +8,6 @@ use crate::{
     scene::{Canvas, Frame, MarkerTruth, Pinhole, PlateKind, Rng},
 };
 use anyhow::{Result, bail};
-use marker_tracker::TrackerConfig;
 use nalgebra::Vector2;
 use rig_model::{MarkerColor, MarkerState};
 use scenes::Scene;
@@ -154,7 +153,7 @@ fn run_scene(scene: &Scene, seed: u64, closeups: Option<&Path>) -> Result<Tally>
     let PlateKind::Markers { layout, .. } = &scene.plate.kind else {
         bail!("a trial's plate bears markers")
     };
-    let mut ours = Ours::new(&camera, layout.clone(), TrackerConfig::default());
+    let mut ours = Ours::new(&camera, layout.clone());
     let mut canvas = Canvas::new(camera.width, camera.height);
     let mut rng = Rng::new(seed ^ 0x7717);
     let mut tally = Tally::default();

@@ -1,25 +1,19 @@
 //! The project's own tracker, as a node drives it, and the pose by Gauss–Newton from the previous
-//! one; or the published tracker with the published pose.
+//! one.
 
 use super::{Carrier, Estimate, Method, gauss_newton, pose_from_centroids};
 use crate::clock::Clock;
 use crate::scene::{Frame, Pinhole};
 use anyhow::Result;
-use marker_tracker::{
-    BinaryThreshold, ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig,
-};
+use marker_tracker::{ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig};
 use nalgebra::{Isometry3, Vector2};
-use pose_fusion::reference::published_pose::published_pose;
-use rig_model::{
-    CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState, PerColor, Stamp,
-};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState, Stamp};
 use std::time::Duration;
 
 /// Tracker and pose.
 pub struct Ours {
     layout: MarkerLayout,
     camera: CameraModel,
-    config: TrackerConfig,
     tracker: Tracker,
     pose: Option<Isometry3<f64>>,
     stamp: i64,
@@ -31,12 +25,11 @@ pub struct Ours {
 
 impl Ours {
     /// A tracker that has seen nothing yet.
-    pub fn new(camera: &Pinhole, layout: MarkerLayout, config: TrackerConfig) -> Self {
+    pub fn new(camera: &Pinhole, layout: MarkerLayout) -> Self {
         let mut ours = Self {
-            tracker: Tracker::new(layout.clone(), config.clone()),
+            tracker: Tracker::new(layout.clone(), TrackerConfig::default()),
             camera: camera.model(),
             layout,
-            config,
             pose: None,
             stamp: 1_000_000_000,
             observed: None,
@@ -46,32 +39,9 @@ impl Ours {
         ours
     }
 
-    /// The published tracker and pose.
-    pub fn published(camera: &Pinhole, layout: MarkerLayout) -> Self {
-        let method = marker_tracker::Method::Paper(BinaryThreshold::default());
-        Self::new(camera, layout, TrackerConfig { method, ..TrackerConfig::default() })
-    }
-
-    fn is_published(&self) -> bool {
-        self.config.method != marker_tracker::Method::Outline
-    }
-
     /// Pose of what was observed, from the previous one where it helps.
     fn solve(&self, observed: &MarkerObservations) -> Option<Isometry3<f64>> {
         let (layout, camera) = (&self.layout, &self.camera);
-        if self.is_published() {
-            let count = |state| observed.markers.0.iter().filter(|m| m.state == state).count();
-            // Two hidden markers leave no visual pose; eq. 3 places one.
-            if count(MarkerState::Detected) < 3 {
-                return None;
-            }
-            let pixels = PerColor::from_fn(|color| {
-                let m = &observed.markers[color];
-                (m.state != MarkerState::Lost).then_some((m.centroid, m.covariance))
-            });
-            let pose = published_pose(layout, camera, &pixels, self.pose.as_ref());
-            return pose.map(|p| p.camera_from_volant);
-        }
         let prior = self.pose.as_ref();
         prior
             .and_then(|prior| gauss_newton(layout, camera, observed, prior))
@@ -117,11 +87,7 @@ impl Ours {
 
 impl Method for Ours {
     fn name(&self) -> &'static str {
-        if self.is_published() {
-            "the published tracker and pose"
-        } else {
-            "volant: all criteria, and pose"
-        }
+        "volant: all criteria, and pose"
     }
 
     fn carrier(&self) -> Carrier {
@@ -151,7 +117,7 @@ impl Method for Ours {
     }
 
     fn forget(&mut self) {
-        self.tracker = Tracker::new(self.layout.clone(), self.config.clone());
+        self.tracker = Tracker::new(self.layout.clone(), TrackerConfig::default());
         self.tracker.handle(Input::Camera(self.camera.clone()));
         while self.tracker.poll().is_some() {}
         self.pose = None;

@@ -28,14 +28,13 @@ use volant_test::{
 
 /// Reproduce the paper's tables and figures with the program's own nodes on a simulated bench.
 ///
-/// fig-2, fig-7, fig-11, fig-12, table-1 and occlusion compare with peers, which need the large
-/// OpenCV: `make reproduce` builds them and writes everything. Without them the other results are
-/// written, and the missing ones are named.
+/// fig-2, fig-7, fig-11, fig-12 and table-1 compare with peers, which need the large OpenCV: `make
+/// reproduce` builds them and writes everything. Without them the other results are written, and
+/// the missing ones are named.
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// What to make (all without a name, or `all`): fig-2, fig-4, fig-5, fig-6, fig-7, fig-9,
-    /// fig-11, fig-12, fig-13, table-1, table-2, occlusion (the rivals under occlusion), ratio (R/Q
-    /// of the published filter)
+    /// fig-11, fig-12, fig-13, table-1, table-2, ratio (R/Q of the published filter)
     #[arg(value_parser = name)]
     names: Vec<String>,
     /// Folder for NAME.csv, NAME.svg and report.html
@@ -67,18 +66,16 @@ enum Job {
     Bench,
     Sweep,
     Boards,
-    Hidden,
     Swing,
     Occlusion,
     Stages,
     Rest,
 }
 
-const JOBS: [(Job, f64, &[&str]); 8] = [
+const JOBS: [(Job, f64, &[&str]); 7] = [
     (Job::Bench, 70.0, &["table-1", "fig-12"]),
     (Job::Sweep, 70.0, &["fig-11"]),
     (Job::Boards, 30.0, &["fig-2", "fig-7"]),
-    (Job::Hidden, 60.0, &["occlusion"]),
     (Job::Swing, 60.0, &["fig-13", "table-2", "ratio"]),
     (Job::Occlusion, 18.0, &["fig-6"]),
     (Job::Stages, 5.0, &["fig-4", "fig-5"]),
@@ -197,13 +194,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
                     results.take(name, peers::boards(name, out));
                 }
             }
-            if run_peers(&mut results, Job::Hidden, "occlusion", "targets under occlusion") {
-                results.take("occlusion", peers::occlusion(out));
-            }
             results
         });
-        let beside =
-            peers.is_some() && [Job::Sweep, Job::Boards, Job::Hidden].into_iter().any(&has);
+        let beside = peers.is_some() && [Job::Sweep, Job::Boards].into_iter().any(&has);
         let threads = if beside { cores.saturating_sub(1).max(1) } else { cores.min(4) };
         let own = simulate(arguments, out, &wanted, &has, &bar, threads);
         (own, others.join())

@@ -1,18 +1,15 @@
-//! Measurements of `volant-peers` as charts: Figs. 2, 7, 11, 12, Table I and the rivals under
-//! occlusion.
+//! Measurements of `volant-peers` as charts: Figs. 2, 7, 11, 12 and Table I.
 //!
 //! The peers need all of OpenCV and AprilTag, which nothing that runs on the robot does; so they
 //! live in an executable of their own, and this one runs it and draws its tables.
 
 mod boards;
 mod errors;
-mod hidden;
 mod success;
 mod times;
 
 pub use boards::boards;
 pub use errors::figure_12;
-pub use hidden::occlusion;
 pub use success::figure_11;
 pub use times::table_1;
 
@@ -132,7 +129,6 @@ fn label(method: &str) -> (String, Color) {
     let color = match method {
         m if m.starts_with("volant") || m.contains("default") => colors::FUSED,
         m if m.contains("recipe") => colors::PAPER,
-        m if m.contains("published") => colors::CAMERA,
         m if m.contains("ArUco") => colors::INERTIAL,
         m if m.contains("decimate 1") => colors::VIOLET,
         m if m.contains("decimate 2") => colors::BROWN,
@@ -143,7 +139,6 @@ fn label(method: &str) -> (String, Color) {
     let name = match method {
         m if m.starts_with("volant") => "four markers, default",
         m if m.starts_with("the paper's recipe") => "four markers, the paper's recipe",
-        m if m.starts_with("the published") => "four markers, published tracker and pose",
         m => m,
     };
     (name.to_owned(), color)
@@ -214,29 +209,6 @@ mod tests {
             made.shows.contains("not below ArUco")
                 && made.shows.contains("ArUco 36h11 in 3 images")
         );
-        std::fs::remove_dir_all(&folder).unwrap();
-    }
-
-    #[test]
-    fn occlusion_is_one_table_with_a_row_per_method() {
-        let folder = folder("hidden");
-        std::fs::write(
-            folder.join("occlusion.csv"),
-            "hidden,method,images,successes,mean_mm,max_mm,mean_deg,max_deg\n\
-             nothing,\"volant: all criteria, and pose\",60,60,0.1,0.2,0.02,0.1\n\
-             nothing,ArUco 36h11,60,57,2,3,0.2,0.4\n\
-             one corner,\"volant: all criteria, and pose\",60,60,0.3,0.5,0.04,0.1\n\
-             one corner,ArUco 36h11,60,0,,,,\n",
-        )
-        .unwrap();
-        let made = occlusion(&folder).unwrap();
-        let table = made.table.unwrap();
-        assert_eq!(table.head[1..], ["nothing", "one corner"]);
-        let texts: Vec<Vec<&str>> =
-            table.rows.iter().map(|r| r.iter().map(|c| c.0.as_str()).collect()).collect();
-        assert_eq!(texts[0][2], "100 %: 0.30 mm, 0.040°");
-        assert_eq!(texts[1], ["ArUco 36h11", "95 %: 2.00 mm, 0.200°", "0 %"]);
-        assert!(made.svg.is_file());
         std::fs::remove_dir_all(&folder).unwrap();
     }
 
