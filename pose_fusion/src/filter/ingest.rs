@@ -27,7 +27,7 @@ impl Filter {
     pub fn handle(&mut self, input: &Sample) {
         match input {
             Sample::Imu(sample) => {
-                let stamp = self.imu_stamp(sample.stamp);
+                let stamp = self.imu_stamp(sample);
                 self.imu(&ImuSample { stamp, ..*sample });
             }
             Sample::Markers(observations) => self.markers(observations),
@@ -43,9 +43,14 @@ impl Filter {
 
     /// Returns the stamp with which an IMU sample counts. Where it turns out that the samples come
     /// in bursts, everything is identified again with their right stamps.
-    fn imu_stamp(&mut self, arrived: Stamp) -> Stamp {
+    fn imu_stamp(&mut self, sample: &ImuSample) -> Stamp {
         let known = self.imu.bursts().is_some();
-        let stamp = self.imu.stamp(arrived);
+        let repeats = |newest: ImuReading| {
+            newest.specific_force == sample.specific_force
+                && newest.angular_velocity == sample.angular_velocity
+        };
+        let repeated = self.arrival.newest_imu().is_some_and(|(_, newest)| repeats(newest));
+        let stamp = self.imu.stamp(sample.stamp, repeated);
         if let (false, Some(Bursts { period, samples })) = (known, self.imu.bursts()) {
             self.publisher.warn(Warning::ImuBursts { samples, every_s: samples * period });
             self.reset();

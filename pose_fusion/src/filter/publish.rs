@@ -197,11 +197,14 @@ impl Filter {
             }
         }
         let odometry = odometry(end, state, reading, geometry, &settings);
+        let estimated = odometry.world_from_volant.translation.vector;
         let continuity = &mut self.publisher.continuity;
         let mut limited =
             if silent { continuity.follow(odometry) } else { continuity.limit(odometry) };
-        if let Some(dispute) = self.trust.dispute() {
-            limited.add_dispute(&dispute, &state.climber);
+        let behind = limited.world_from_volant.translation.vector - estimated;
+        let dispute = self.trust.dispute();
+        if let Some(dispute) = &dispute {
+            limited.add_dispute(dispute, &state.climber);
         }
         let position_sigma = largest_sigma(&limited.pose_covariance, 0);
         let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| end.seconds_since(s));
@@ -227,9 +230,14 @@ impl Filter {
         }
         let predicted = (horizon > 0.0).then(|| {
             let (noise, changes) = (self.process_noise(), &self.publisher.changes);
-            prediction::predicted(
+            let mut predicted = prediction::predicted(
                 end, state, reading, horizon, &noise, changes, geometry, &settings,
-            )
+            );
+            predicted.displace(&behind);
+            if let Some(dispute) = &dispute {
+                predicted.add_dispute(dispute, &state.climber);
+            }
+            predicted
         });
         let config = &self.setup.config;
         let swing = self.climber.newest().filter(|_| config.swing).map(|(_, _, rest)| {

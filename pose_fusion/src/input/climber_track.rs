@@ -14,6 +14,8 @@ use std::collections::VecDeque;
 const KEPT: usize = 400;
 /// Readings within this time of an instant give the rates, s.
 const NEAR: f64 = 0.25;
+/// Readings that are less than this apart are interpolated without more uncertainty, s.
+const INTERPOLATED: f64 = 0.1;
 /// Shortest span of readings that gives rates, s.
 const SHORTEST: f64 = 0.03;
 /// No climber is faster than this (x, y, m/s; turn, rad/s; 1 sigma) …
@@ -155,7 +157,10 @@ impl ClimberTrack {
         let before = after.checked_sub(1).and_then(|i| self.readings.get(i));
         let next = self.readings.get(after);
         let (nearest, distance) = match (before, next) {
-            (Some(a), Some(_)) => (a, 0.0),
+            (Some(a), Some(b)) => {
+                let (since, until) = (stamp.seconds_since(a.0), b.0.seconds_since(stamp));
+                (a, if since + until < INTERPOLATED { 0.0 } else { since.min(until) })
+            }
             (Some(a), None) => (a, stamp.seconds_since(a.0)),
             (None, Some(b)) => (b, b.0.seconds_since(stamp)),
             (None, None) => return None,
@@ -232,6 +237,20 @@ mod tests {
         }
         assert!(track.is_moving());
         assert!(track.at(start.plus_seconds(4.0)).unwrap().growth.x > 0.3);
+    }
+
+    #[test]
+    fn between_readings_far_apart_the_climber_may_have_moved() {
+        let mut track = ClimberTrack::new(&ClimberConfig::default());
+        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+        let at = |t: f64| Stamp::from_nanos(1_760_001_000_000_000_000).plus_seconds(t);
+        for t in (0..20).map(|k| f64::from(k) * 0.02).chain([1.4]) {
+            assert!(track.add(at(t), Vector3::zeros(), rest).is_some());
+        }
+        let near = track.at(at(0.37)).unwrap();
+        assert_eq!((near.distance, near.growth), (0.0, Vector3::zeros()));
+        let far = track.at(at(0.88)).unwrap();
+        assert!((far.distance - 0.5).abs() < 1e-6 && far.growth.x > 0.01, "{far:?}");
     }
 
     #[test]

@@ -86,9 +86,9 @@ impl ImuInput {
         Ok(reading)
     }
 
-    /// Returns the stamp with which a sample counts.
-    pub fn stamp(&mut self, arrived: Stamp) -> Stamp {
-        self.stamps.add(arrived)
+    /// Returns the stamp with which a sample counts; `repeated`: it has the newest one's values.
+    pub fn stamp(&mut self, arrived: Stamp, repeated: bool) -> Stamp {
+        self.stamps.add(arrived, repeated)
     }
 
     /// Returns the bursts in which the samples come, if they do.

@@ -48,11 +48,12 @@ pub struct ImuStamps {
 
 impl ImuStamps {
     /// Returns the stamp with which a sample counts: its own unless the samples come in bursts.
-    pub fn add(&mut self, stamp: Stamp) -> Stamp {
+    /// `repeated`: it has the values of the newest one.
+    pub fn add(&mut self, stamp: Stamp, repeated: bool) -> Stamp {
         let interval = self.arrived.back().map(|last| stamp.seconds_since(*last));
         let early = self.arrived.back().map_or(0.0, |last| last.seconds_since(self.newest));
         match interval {
-            Some(0.0) => return self.newest,
+            Some(0.0) if repeated => return self.newest,
             Some(late) if (-INTERRUPTED..0.0).contains(&late) => return stamp,
             Some(next) if next.abs() < INTERRUPTED => self.arrived.push_back(stamp),
             _ => self.arrived = VecDeque::from([stamp]),
@@ -121,8 +122,8 @@ mod tests {
     const PERIOD: f64 = 0.01;
 
     /// Largest difference of a stamp from the time of its sample after 3 s, where samples arrive in
-    /// bursts of `burst` and those that `lost` names do not.
-    fn largest_error(burst: usize, jitter: f64, lost: impl Fn(usize) -> bool) -> f64 {
+    /// bursts of `burst`, stamped `apart` (s) from each other, and those that `lost` names do not.
+    fn largest_error(burst: usize, apart: f64, jitter: f64, lost: impl Fn(usize) -> bool) -> f64 {
         let (mut stamps, mut random) = (ImuStamps::default(), Random::new(3));
         let (start, mut previous, mut worst) = (Stamp::from_nanos(1), Stamp::default(), 0.0f64);
         let mut delay = 0.0;
@@ -131,13 +132,14 @@ mod tests {
             if k % burst == 0 {
                 delay = jitter * random.unit();
             }
-            let arrives =
-                (k / burst * burst + burst - 1) as f64 * PERIOD + 1e-4 * (k % burst) as f64 + delay;
+            let arrives = (k / burst * burst + burst - 1) as f64 * PERIOD
+                + apart * (k % burst) as f64
+                + delay;
             if lost(k) {
                 continue;
             }
-            let counts = stamps.add(start.plus_seconds(arrives));
-            assert!(counts > previous, "{k}");
+            let counts = stamps.add(start.plus_seconds(arrives), false);
+            assert!(counts > previous || apart == 0.0 && counts == previous, "{k}");
             previous = counts;
             if k > 300 && !(600..680).contains(&k) {
                 worst = worst.max((counts.seconds_since(start) - taken).abs());
@@ -149,15 +151,15 @@ mod tests {
 
     #[test]
     fn samples_of_a_burst_are_equally_spaced_and_others_keep_their_stamps() {
-        assert!(largest_error(1, 0.0, |_| false) < 1e-9);
+        assert!(largest_error(1, 1e-4, 0.0, |_| false) < 1e-9);
         // One that is stamped with jitter, but singly.
-        assert!(largest_error(1, 0.005, |_| false) < 0.0051);
-        for burst in [2, 5, 8] {
-            let error = largest_error(burst, 0.0, |_| false);
+        assert!(largest_error(1, 1e-4, 0.005, |_| false) < 0.0051);
+        for (burst, apart) in [(2, 1e-4), (5, 1e-4), (8, 1e-4), (2, 0.0), (5, 0.0), (8, 0.0)] {
+            let error = largest_error(burst, apart, 0.0, |_| false);
             assert!(error < 0.0025, "{burst}: {error}");
-            let error = largest_error(burst, 0.003, |_| false);
+            let error = largest_error(burst, apart, 0.003, |_| false);
             assert!(error < 0.005, "{burst}, jitter: {error}");
-            let error = largest_error(burst, 0.0, |k| k == 500 || (600..630).contains(&k));
+            let error = largest_error(burst, apart, 0.0, |k| k == 500 || (600..630).contains(&k));
             assert!(error < 0.04, "{burst}, lost: {error}");
         }
     }
@@ -172,7 +174,7 @@ mod tests {
             let arrives = (k / burst * burst + burst - 1) as f64 * PERIOD;
             let at = Stamp::from_nanos(1).plus_seconds(arrives + 1e-4 * (k % burst) as f64);
             let known = stamps.bursts().is_some();
-            let counts = stamps.add(at);
+            let counts = stamps.add(at, false);
             found += usize::from(!known && stamps.bursts().is_some());
             if k % 500 > 300 && k > 500 {
                 worst = worst
@@ -188,9 +190,9 @@ mod tests {
         let at = |ms: i64| Stamp::from_nanos(ms * 1_000_000);
         let mut stamps = ImuStamps::default();
         for k in 0..200 {
-            assert_eq!(stamps.add(at(10 * k)), at(10 * k));
-            assert_eq!(stamps.add(at(10 * k)), at(10 * k), "the same sample twice");
-            assert_eq!(stamps.add(at(10 * k - 5)), at(10 * k - 5), "late");
+            assert_eq!(stamps.add(at(10 * k), false), at(10 * k));
+            assert_eq!(stamps.add(at(10 * k), true), at(10 * k), "the same sample twice");
+            assert_eq!(stamps.add(at(10 * k - 5), false), at(10 * k - 5), "late");
         }
         assert_eq!(stamps.bursts(), None);
     }

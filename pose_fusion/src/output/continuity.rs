@@ -45,10 +45,7 @@ impl Continuity {
             let distance = step.norm();
             if (0.0..SEQUENCE).contains(&dt) && (STEP..REINITIALIZED).contains(&distance) {
                 let left = step * (1.0 - STEP / distance);
-                odometry.world_from_volant.translation.vector -= left;
-                let spread = left * left.transpose();
-                let mut block = odometry.pose_covariance.fixed_view_mut::<3, 3>(0, 0);
-                block += spread;
+                odometry.displace(&-left);
             }
         }
         self.follow(odometry)

@@ -78,6 +78,13 @@ impl Odometry {
         }
     }
 
+    /// Moves the position, world, m; the covariance contains it.
+    pub(crate) fn displace(&mut self, by: &Vector3<f64>) {
+        self.world_from_volant.translation.vector += by;
+        let mut block = self.pose_covariance.fixed_view_mut::<3, 3>(0, 0);
+        block += by * by.transpose();
+    }
+
     /// Adds the distance between encoders and estimate (x, y, m; turn, rad) to the covariance of a
     /// pose that moves with a climber at `climber` (x, y, m; turn, rad).
     pub(crate) fn add_dispute(&mut self, dispute: &Vector3<f64>, climber: &Vector3<f64>) {

@@ -1,7 +1,7 @@
 //! `volant/predicted_odometry` against the truth at its own stamp.
 
 use super::common::{scoring, simulated};
-use pose_fusion::Fusion;
+use pose_fusion::{Fusion, Input, Odometry};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
 /// The covariance grows with the motion at hand, calm or fast, and with the horizon.
@@ -28,4 +28,30 @@ fn predictions_are_consistent_in_calm_and_fast_motion() {
             assert!((1.0..6.0).contains(&position) && (1.0..6.0).contains(&rotation));
         }
     }
+}
+
+/// Encoders that step by half a meter: the prediction contains the step as the estimate does.
+#[test]
+fn a_prediction_contains_what_encoders_and_estimate_disagree_about() {
+    let run = simulated::run(MotionConfig::nominal(1), &SensorConfig::nominal(1));
+    let mut config = simulated::config();
+    config.tight.prediction_horizon = 0.02;
+    let mut fusion = Fusion::new(simulated::rig(), config);
+    let step = scoring::start(&run.truth).plus_seconds(6.0);
+    let inputs = run.inputs.into_iter().map(|(at, mut input)| {
+        if let (true, Input::Climber(sample)) = (at > step, &mut input) {
+            sample.world_from_climber.translation.x += 0.5;
+        }
+        input
+    });
+    let outputs = scoring::run(&mut fusion, inputs);
+    let sigma = |o: &Odometry| o.pose_covariance[(0, 0)].sqrt();
+    let mut disputed = 0;
+    for predicted in &outputs.predicted {
+        let now = predicted.stamp.plus_seconds(-0.02);
+        let Some(estimate) = outputs.odometry.iter().find(|o| o.stamp == now) else { continue };
+        disputed += usize::from(sigma(estimate) > 0.4);
+        assert!(sigma(predicted) > 0.9 * sigma(estimate), "{predicted:?} {estimate:?}");
+    }
+    assert!(disputed > 10, "{disputed}");
 }
