@@ -54,8 +54,8 @@ parameters! {
     pub struct TightConfig {
         /// Gravity.
         gravity: f64 = 9.80665, unit("m/s^2"), range(9.0..=10.5);
-        /// How far back delayed measurements are accepted.
-        history: f64 = 0.6, unit("s"), range(0.1..=1.0);
+        /// How far back delayed measurements are accepted: the largest camera time offset and 0.1 s.
+        history: f64 = 0.6, unit("s"), range(0.4..=1.0);
         /// Velocity of a platform at rest for the zero-velocity update (1 sigma); 0 disables it.
         zero_velocity_sigma: f64 = 0.002, unit("m/s"), range(0.0..=1.0);
         /// How far ahead volant/predicted_odometry lies; 0 publishes nothing.

@@ -170,6 +170,33 @@ fn imu_samples_in_any_order_within_a_fifth_of_a_second_cost_no_accuracy() {
     assert!(score.position_rmse() < 1.2 && score.rotation_rmse() < 0.2, "{score}");
 }
 
+/// Single IMU samples whose stamp is wrong, and ones that are sent again and again.
+#[test]
+fn imu_samples_stamped_ahead_hold_up_nothing() {
+    let run = recording();
+    let step = scoring::start(&run.truth).plus_seconds(3.0);
+    let followed = |strays: &[f64]| {
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        let mut done = false;
+        let inputs = run.inputs.iter().flat_map(|(at, input)| {
+            let now = !done && *at > step && matches!(input, Input::Imu(_));
+            done |= now;
+            let strays = if now { strays } else { &[] };
+            std::iter::once(input.clone()).chain(strays.iter().map(|by| shifted(input, *by)))
+        });
+        let outputs = scoring::run(&mut fusion, inputs);
+        let score = scoring::score(&outputs.odometry, &run.truth, 1.0);
+        assert_eq!(fusion.status().counts.resets.time_jumps, 0);
+        println!("{strays:?}: {} poses, {score}", outputs.odometry.len());
+        assert!(score.position_rmse() < 1.2, "{score}");
+        outputs.odometry.len()
+    };
+    let clean = followed(&[]);
+    for strays in [&[0.12][..], &[0.4], &[0.9], &[0.4, 0.4, 0.4], &[5.0, 5.0, 5.0]] {
+        assert_eq!(followed(strays), clean);
+    }
+}
+
 /// A clock that is set back by less than a second after three seconds: of all sensors, or of the
 /// IMU alone, whose samples were ahead of the images by that before.
 #[test]

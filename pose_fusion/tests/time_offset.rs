@@ -14,6 +14,7 @@ use common::{
     scoring::{self, Score},
     simulated,
 };
+use nalgebra::Vector3;
 use pose_fusion::{Fusion, FusionConfig, Input, Status, Warning};
 use rig_model::{ClimberSample, MarkerObservations, Stamp};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, random::Random};
@@ -132,6 +133,42 @@ fn a_large_configured_offset_is_the_middle_of_what_is_searched() {
         assert!((status.time_offset.offset + ahead).abs() < 1.5e-3, "{status:?}");
         assert!(score.position_rmse() < 1.5 && score.nees().0 < 6.0, "{score}");
     }
+}
+
+/// With `clock.camera_sigma: 0` the offset is what the configuration says, also where images
+/// contradict the prediction: here their stamps are 30 ms late from the middle on.
+#[test]
+fn a_known_offset_is_never_estimated() {
+    let run = simulated::run(MotionConfig::nominal(3), &SensorConfig::nominal(3));
+    let middle = scoring::start(&run.truth).plus_seconds(6.0);
+    let mut config = simulated::config();
+    config.tight.clock.camera_sigma = 0.0;
+    let mut fusion = Fusion::new(simulated::rig(), config);
+    let inputs = run.inputs.into_iter().map(|(at, input)| match input {
+        Input::Markers(markers) if at > middle => Input::Markers(MarkerObservations {
+            stamp: markers.stamp.plus_seconds(0.03),
+            ..markers
+        }),
+        other => other,
+    });
+    scoring::run(&mut fusion, inputs);
+    let status = fusion.status();
+    assert!(status.counts.gated_markers > 0, "{status:?}");
+    assert_eq!([status.time_offset.offset, status.time_offset.sigma], [0.0; 2], "{status:?}");
+}
+
+#[test]
+fn the_offset_is_found_with_biases_that_are_known() {
+    let mut config = simulated::config();
+    (config.tight.imu.accelerometer_bias, config.tight.imu.gyroscope_bias) = (0.0, 0.0);
+    let sensors = SensorConfig {
+        accelerometer_bias: Vector3::zeros(),
+        gyroscope_bias: Vector3::zeros(),
+        ..shared(0.2, 2)
+    };
+    let (score, status) = follow(MotionConfig::nominal(2), &sensors, config, 3.0);
+    print("without biases", &score, &status);
+    assert!((status.time_offset.offset + 0.2).abs() < 1.5e-3, "{status:?}");
 }
 
 #[test]

@@ -69,6 +69,9 @@ impl Default for Excess {
 impl Excess {
     /// Adds this part of an image's NIS. Returns whether the factor grows.
     pub fn add(&mut self, nis: f64, tuning: &Tuning) -> bool {
+        if !nis.is_finite() {
+            return false;
+        }
         let ratio = (nis / tuning.freedom).clamp(0.0, 6.0);
         self.ratio += (ratio - self.ratio) / tuning.memory;
         let grows = self.ratio > tuning.large;

@@ -117,8 +117,8 @@ impl ImuIntegrity {
         self.unchanged = if *reading == previous { self.unchanged + dt } else { 0.0 };
         let stuck = self.unchanged > STUCK;
         let saturated = [
-            self.is_saturated(0, &reading.specific_force),
-            self.is_saturated(1, &reading.angular_velocity),
+            self.is_saturated(0, &previous.specific_force, &reading.specific_force),
+            self.is_saturated(1, &previous.angular_velocity, &reading.angular_velocity),
         ];
         self.hides_motion = stuck || saturated[0] || saturated[1];
         if stuck || saturated[0] {
@@ -130,12 +130,18 @@ impl ImuIntegrity {
         more
     }
 
-    fn is_saturated(&mut self, signal: usize, values: &Vector3<f64>) -> bool {
+    fn is_saturated(
+        &mut self,
+        signal: usize,
+        previous: &Vector3<f64>,
+        values: &Vector3<f64>,
+    ) -> bool {
         let mut saturated = false;
         for (axis, (peak, count)) in self.peaks[signal].iter_mut().enumerate() {
-            let magnitude = values[axis].abs();
+            let (magnitude, before) = (values[axis].abs(), previous[axis].abs());
+            // A single sample may be an error of the transmission.
+            *peak = peak.max(magnitude.min(before));
             *count = if magnitude == *peak { *count + 1 } else { 0 };
-            *peak = peak.max(magnitude);
             saturated |= *count + 1 >= REPEATED && magnitude > SATURATION[signal];
         }
         saturated
@@ -190,6 +196,16 @@ mod tests {
         assert!(saturated.rate > 1.0 && saturated.force < 1.1, "{saturated:?}");
         let stuck = (0..10).map(|_| next(reading(0.02, 0.05))).last().unwrap();
         assert!(stuck.rate > 1.0 && stuck.force > 1.0, "{stuck:?}");
+    }
+
+    #[test]
+    fn saturation_is_found_after_a_single_sample_that_was_larger() {
+        let mut integrity = ImuIntegrity::default();
+        let mut next = |r: ImuReading| integrity.additional(&r, 0.01, &VARIANCES, 1.0);
+        for rate in [0.4, 3.0, 0.4, 0.5, 0.5] {
+            next(reading(0.02 * rate, rate));
+        }
+        assert!(next(reading(0.01, 0.5)).rate > 1.0);
     }
 
     #[test]

@@ -63,6 +63,12 @@ impl Uncertainty {
         Self { variances, size }
     }
 
+    /// Multiplies every standard deviation by a factor.
+    pub fn scale(&mut self, factor: f64) {
+        self.variances *= factor * factor;
+        self.size *= factor;
+    }
+
     /// Returns the covariance `V Σ Vᵀ` of values with the sensitivity `by` to the parameters, what
     /// is known of the estimated ones included.
     pub fn spread<const M: usize>(

@@ -218,6 +218,9 @@ impl State {
         self.covariance.column_mut(index).fill(0.0);
         self.sensitivity.column_mut(index).fill(0.0);
         self.covariance[(index, index)] = sigma * sigma;
+        if index == TIME_OFFSET {
+            self.sensitivity[(TIME_OFFSET_ERROR, TIME_OFFSET)] = 1.0;
+        }
     }
 }
 

@@ -103,6 +103,7 @@ impl Filter {
     /// Drops everything that was estimated: it was unsound.
     pub(super) fn reset_estimate(&mut self) {
         self.restart();
+        self.markers.forget_layout();
         self.start = Start { markers_seen: self.start.markers_seen, ..Start::default() };
         self.search = search(&self.setup.config);
     }
@@ -126,10 +127,11 @@ impl Filter {
 
     /// Resumes a restored state, where it is so recent that an IMU sample at `stamp` continues it.
     pub(super) fn resume(&mut self, stamp: Stamp) -> bool {
+        if self.setup.geometry.is_none() {
+            return false;
+        }
         let Some(at) = self.start.kept_at.take() else { return false };
-        let recent =
-            (0.0..crate::timeline::dropout::INTERPOLATED).contains(&stamp.seconds_since(at));
-        if !recent || self.setup.geometry.is_none() {
+        if !(0.0..crate::timeline::dropout::INTERPOLATED).contains(&stamp.seconds_since(at)) {
             return false;
         }
         let Some(state) = self.start.kept.take() else { return false };
@@ -277,6 +279,7 @@ impl Filter {
             entry.state = state;
         }
         self.history.set_processed(1);
+        self.lock_out.begin(at);
         self.process();
     }
 
@@ -290,7 +293,8 @@ impl Filter {
         uses_up: bool,
     ) -> bool {
         let Some(old) = self.state().cloned() else { return false };
-        let at = stamp.plus_seconds(old.time_offset);
+        // Behind the image's place on the time line, so that the image is not used once more.
+        let at = stamp.plus_seconds(old.time_offset.max(image.time_offset));
         let mut image = *image;
         image.time_offset = old.time_offset;
         let ups = [self.imu.own_up_at(at), self.imu.force_up_at(at, &self.history)];

@@ -94,6 +94,9 @@ impl Filter {
     /// latency may have changed. Until an alignment says otherwise the estimate counts; where the
     /// image's markers agree with each other (`agrees`), it may follow a small change.
     pub(super) fn search_again(&mut self, agrees: bool) {
+        if self.setup.config.clock.camera_sigma == 0.0 {
+            return;
+        }
         let reopened = if agrees { REOPENED * REOPENED } else { 0.0 };
         if self.search.is_none() {
             self.search = super::search(&self.setup.config);
@@ -256,6 +259,9 @@ impl Filter {
                 }
             };
             self.history.insert(at.plus_seconds(moved), event, reading);
+        }
+        if kept.is_none() {
+            self.markers.forget_layout();
         }
         self.start.kept = kept.map(Box::new);
         if let Some((stamp, pixels, up)) = first {

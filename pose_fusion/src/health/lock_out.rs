@@ -65,6 +65,11 @@ impl LockOut {
         };
     }
 
+    /// Notes that the estimate begins, unless an image began it.
+    pub fn begin(&mut self, at: Stamp) {
+        self.initialized.get_or_insert(at);
+    }
+
     /// Returns the newest image that was used and did not contradict.
     pub fn last_used(&self) -> Option<Stamp> {
         self.last_used
@@ -77,7 +82,7 @@ impl LockOut {
         (0..4).any(|i| rejected[i] && !before[i])
     }
 
-    /// Returns the image that the pose was initialized from.
+    /// Returns the image that the pose was initialized from, or when it was set.
     pub fn initialized_at(&self) -> Option<Stamp> {
         self.initialized
     }

@@ -9,7 +9,7 @@ const LATENCY: f64 = 0.1;
 
 /// Returns the largest camera time offset that the history can hold, s.
 pub fn largest_offset(config: &TightConfig) -> f64 {
-    (config.history - LATENCY).clamp(0.05, REACH + 0.1)
+    (config.history - LATENCY).clamp(REACH, REACH + 0.1)
 }
 
 /// Returns whether every number of a state is finite and within physical bounds.

@@ -27,6 +27,8 @@ const EDGE: f64 = 0.003;
 pub(super) const STEP: f64 = 0.01;
 /// Number of candidates.
 pub(super) const CANDIDATES: usize = 61;
+/// Smallest standard deviation of a bias, m/s², rad/s: a bias that is known has one, too.
+const SMALLEST_BIAS: f64 = 1e-6;
 /// Fewest images of an alignment.
 pub(super) const FEWEST: usize = 12;
 /// Largest standard deviation of an offset that is returned, s.
@@ -245,7 +247,9 @@ impl Alignment<'_> {
         let mut normal = Normal::zeros();
         let mut right = Unknowns::zeros();
         let mut square = 0.0;
-        let prior = [OPEN[0], OPEN[1], self.imu.accelerometer_bias, self.imu.gyroscope_bias];
+        let bias = [self.imu.accelerometer_bias, self.imu.gyroscope_bias];
+        let bias = bias.map(|sigma| sigma.max(SMALLEST_BIAS));
+        let prior = [OPEN[0], OPEN[1], bias[0], bias[1]];
         for (k, sigma) in prior.into_iter().enumerate() {
             for i in 0..3 {
                 let index = 3 * (k + 1) + i;

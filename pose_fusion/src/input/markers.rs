@@ -59,6 +59,11 @@ impl MarkerInput {
         self.layout_doubt = self.misfit.add(misfit).or(self.layout_doubt);
     }
 
+    /// Discards what the images have told of the layout: the estimate of it is dropped.
+    pub fn forget_layout(&mut self) {
+        (self.misfit, self.layout_doubt) = (LayoutMisfit::default(), None);
+    }
+
     /// Returns and forgets the standard deviation of the markers' places, m, where images
     /// contradict the layout.
     pub fn take_layout_doubt(&mut self) -> Option<f64> {

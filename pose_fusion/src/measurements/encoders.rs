@@ -42,6 +42,10 @@ pub struct EncoderReading {
 pub fn innovation(state: &State, reading: &EncoderReading, climber_offset: f64) -> Innovation<3> {
     // The reading's own instant is `late` after the place it was given on the time line.
     let late = state.time_offset + climber_offset - reading.time_offset;
+    innovation_at(state, reading, late)
+}
+
+fn innovation_at(state: &State, reading: &EncoderReading, late: f64) -> Innovation<3> {
     let predicted = state.climber
         + state.climber_rate * late
         + state.climber_acceleration * (late * late / 2.0);
@@ -71,7 +75,7 @@ pub fn update(
     let late = state.time_offset + climber_offset - reading.time_offset;
     let before = state.time_offset;
     for axis in 0..3 {
-        let residual = innovation(state, reading, climber_offset).residual[axis];
+        let residual = innovation_at(state, reading, late).residual[axis];
         let h = [(CLIMBER + axis, 1.0), (CLIMBER_RATE + axis, late)];
         let by = by_parameter(axis, reading.values[axis], state.climber_rate[axis]);
         update::scalar(state, &h, residual, reading.variance[axis], &by);

@@ -11,6 +11,9 @@ pub const AHEAD: f64 = 0.5;
 pub const JUMP: f64 = 1.0;
 /// IMU samples are held up for less than this, s.
 const HELD_UP: f64 = 10.0;
+/// A sample this far ahead of the newest one may have a wrong stamp, s: images and encoder readings,
+/// or the next sample, confirm it.
+const STRAY: f64 = 0.1;
 /// Number of consecutive samples that confirm a jump.
 const CONFIRMED: u32 = 3;
 /// Number of consecutive samples, each later than the one before, in places that have a sample
@@ -125,9 +128,9 @@ impl Arrival {
     pub fn classify(&mut self, stamp: Stamp) -> ImuArrival {
         let Some((newest, _)) = self.newest_imu else { return ImuArrival::First };
         let ahead = stamp.seconds_since(newest);
-        if ahead.abs() > JUMP {
+        if ahead > STRAY || ahead < -JUMP {
             let count = match self.jump {
-                Some((last, count)) if (0.0..JUMP).contains(&stamp.seconds_since(last)) => {
+                Some((last, count)) if stamp > last && stamp.seconds_since(last) < JUMP => {
                     count + 1
                 }
                 _ => 1,
@@ -136,13 +139,12 @@ impl Arrival {
             // Images have gone on to there without the IMU: they confirm it.
             let followed = self.is_imu_silent()
                 && self.frontier.is_some_and(|end| stamp.seconds_since(end).abs() < JUMP);
-            if followed {
-                return ImuArrival::Outage;
-            }
-            return match (count < CONFIRMED, ahead > 0.0) {
-                (true, _) => ImuArrival::Unconfirmed(ahead),
-                (false, true) => ImuArrival::Outage,
-                (false, false) => ImuArrival::Back(-ahead),
+            let needed = if ahead.abs() > JUMP { CONFIRMED } else { 2 };
+            return match (followed || count >= needed, ahead) {
+                (true, ahead) if ahead > JUMP => ImuArrival::Outage,
+                (true, ahead) if ahead > 0.0 => ImuArrival::Next(ahead),
+                (true, ahead) if count >= needed => ImuArrival::Back(-ahead),
+                _ => ImuArrival::Unconfirmed(ahead),
             };
         }
         self.jump = None;
@@ -238,6 +240,20 @@ mod tests {
         assert_eq!(arrival.classify(at(-5000)), ImuArrival::Unconfirmed(-5.0));
         assert!(matches!(arrival.classify(at(-4990)), ImuArrival::Unconfirmed(_)));
         assert_eq!(arrival.classify(at(-4980)), ImuArrival::Back(4.98));
+    }
+
+    #[test]
+    fn a_sample_ahead_is_confirmed_by_the_next_and_copies_confirm_nothing() {
+        let mut arrival = Arrival::default();
+        arrival.imu(at(0), ImuReading::default());
+        assert!(matches!(arrival.classify(at(200)), ImuArrival::Unconfirmed(_)));
+        assert!(matches!(arrival.classify(at(200)), ImuArrival::Unconfirmed(_)));
+        assert_eq!(arrival.classify(at(10)), ImuArrival::Next(0.01));
+        assert!(matches!(arrival.classify(at(200)), ImuArrival::Unconfirmed(_)));
+        assert_eq!(arrival.classify(at(210)), ImuArrival::Next(0.21));
+        for _ in 0..5 {
+            assert!(matches!(arrival.classify(at(5000)), ImuArrival::Unconfirmed(_)));
+        }
     }
 
     #[test]
