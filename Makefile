@@ -11,7 +11,6 @@
 # make checks      recordings whose files are wrong, and what `volant check` names: test/CHECK.md
 # make loop        a crane in MuJoCo in a closed loop with the nodes: OUT=folder; make loop-test
 # make pages       generated pages (docs/src/parameters.md, figures.md, README.md)
-# make measured    what the tests measure: docs/src/measured.md (some minutes; VOLANT_SHARED)
 # make deb         Debian packages of the release: target/debian; make deb-test: one in a new Debian
 # make deb-arm64   the same for 64-bit ARM, cross-compiled; make arm64-test: tests in an emulator
 # make tarball     statically linked programs for any amd64 Linux: target/tarball; make tarball-test
@@ -27,7 +26,7 @@
 SHELL := /bin/bash
 .DEFAULT_GOAL := build
 .PHONY: setup build demo test long lint bench peers \
-  loop loop-test reproduce faults broad robustness checks pages measured book man \
+  loop loop-test reproduce faults broad robustness checks pages book man \
   fuzz audit security calibrate calibrate-test browser clean-setup deb deb-test deb-arm64 \
   arm64-test tarball tarball-test bridge
 
@@ -135,11 +134,6 @@ checks: build
 # write.
 pages: .setup/debian
 	VOLANT_UPDATE_PAGES=1 $(CARGO) test --release -p volant --test pages
-
-# What the tests print. Tests on recordings need VOLANT_SHARED, the folder that has them under
-# bags/.
-measured: setup
-	test/measure docs/src/measured.md
 
 book:
 	@command -v mdbook > /dev/null || { echo "make book: cargo install mdbook"; exit 1; }

@@ -127,7 +127,7 @@ fn figures() -> String {
          run.\n\
          NEES has three degrees of freedom: 3 is the expected value of an exact covariance, less \
          is\n\
-         cautious. [Measured by the tests](measured.md) has the figures of the simulated rig.\n\n\
+         cautious.\n\n\
          ## Recorded runs\n\n",
     );
     writeln!(
