@@ -17,6 +17,7 @@ import argparse
 import concurrent.futures
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -101,6 +102,16 @@ def evaluate(volant, folder):
     return found["volant/odometry"]
 
 
+def measured_with():
+    """Sentence that names the version and commit of a table."""
+    root = Path(__file__).resolve().parents[2]
+    manifest = (root / "Cargo.toml").read_text(encoding="utf-8")
+    version = re.search(r'^version = "(.*)"', manifest, re.MULTILINE)[1]
+    command = ["git", "-C", str(root), "log", "-1", "--format=, commit %h of %cs"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return f"Measured with version {version}{done.stdout.rstrip()}."
+
+
 def table(results):
     lines = [
         "# Real IMU samples",
@@ -113,6 +124,8 @@ def table(results):
         "27 vibrates, 15, 16 and 18 reach 5 to 10 g. NEES is 3 where the covariance is right.",
         "The truth is smoothed from motion capture and the same IMU samples: an error of the IMU",
         "shows less than it would against a reference of its own.",
+        "",
+        measured_with(),
         "",
         "| recording | position RMSE, max (mm) | rotation RMSE, max (°) | NEES position, rotation |",
         "| --- | --- | --- | --- |",

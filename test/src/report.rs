@@ -1,8 +1,20 @@
-//! What a run has shown, for people: a table like the paper's Table II. Charts and the page are in
-//! `volant::report`.
+//! Text reports: a table like the paper's Table II, and the version of a measured table. Charts and
+//! the page are in `volant::report`.
 
 use crate::accuracy::{AXES, Errors, UNITS};
-use std::fmt::Write;
+use std::{fmt::Write, process::Command};
+
+/// Paragraph that names the version with which a table was measured, and the commit where git knows
+/// it.
+pub fn measured_with() -> String {
+    let git = Command::new("git")
+        .args(["-C", env!("CARGO_MANIFEST_DIR"), "log", "-1", "--format=, commit %h of %cs"])
+        .output();
+    let commit = git.ok().filter(|output| output.status.success());
+    let commit = commit.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
+    let version = env!("CARGO_PKG_VERSION");
+    format!("Measured with version {version}{}.\n\n", commit.unwrap_or_default())
+}
 
 /// One estimate: its name, and the errors that it made.
 pub type Row<'a> = (&'a str, &'a Errors);
@@ -38,6 +50,13 @@ pub fn table(rows: &[Row<'_>]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_measured_table_names_its_version() {
+        let text = measured_with();
+        assert!(text.starts_with(concat!("Measured with version ", env!("CARGO_PKG_VERSION"))));
+        assert!(text.ends_with(".\n\n") && text.lines().count() == 2, "{text}");
+    }
 
     #[test]
     fn the_table_names_every_axis_and_estimate() {

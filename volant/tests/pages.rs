@@ -21,6 +21,8 @@ use std::{
 const UPDATE: &str = "VOLANT_UPDATE_PAGES";
 const REPLAY: &str = "volant/tests/replay_figures.csv";
 const PEERS: &str = "test/tests/data/bench.csv";
+/// Version with which [`PEERS`] was measured.
+const PEERS_VERSION: &str = "0.1.0, commit 2460bae of 2026-11-22";
 /// Around the generated table in `README.md`.
 const BEGIN: &str = "<!-- figures: written by `make pages` -->\n\n";
 const END: &str = "\n<!-- end of the figures -->";
@@ -110,12 +112,45 @@ fn readme_table() -> String {
     text
 }
 
-/// Counts the rows of a generated table that end in "holds", and all rows.
+/// Counts the rows of a generated table that end in "holds", and all rows with a verdict.
 fn holds(path: &str) -> String {
     let text = read(path);
-    let rows: Vec<&str> = text.lines().filter(|l| l.starts_with("| ")).skip(2).collect();
+    let verdict = |row: &&str| !row.ends_with("|  |");
+    let rows = text.lines().filter(|l| l.starts_with("| ")).skip(2).filter(verdict);
+    let rows: Vec<&str> = rows.collect();
     let held = rows.iter().filter(|row| row.ends_with("| holds |")).count();
     format!("{held} of {}", rows.len())
+}
+
+/// Rest of the line of a file that begins with `start`.
+fn rest_of_line(path: &str, start: &str) -> String {
+    let text = read(path);
+    let found = text.lines().find_map(|line| line.strip_prefix(start));
+    found.unwrap_or_else(|| panic!("{path}: no line begins with `{start}`")).to_owned()
+}
+
+/// Tables with a verdict: what holds, and the version that was measured.
+fn verdicts() -> String {
+    let right = rest_of_line("test/CHECK.md", "Right: ");
+    let right = right.split(" (").next().unwrap_or_default();
+    let mut text = String::from(
+        "\n## Tables with a verdict\n\n\
+         | table | what holds | version | written by |\n| --- | --- | --- | --- |\n",
+    );
+    for (title, page, file, held, command) in [
+        ("faults on live processes", "faults", "FAULTS", None, "volant faults --table"),
+        ("wrong files that `volant check` names", "check", "CHECK", Some(right), "make checks"),
+        ("closed loop", "loop", "LOOP", None, "make loop TABLE=…"),
+        ("two computers with a bad link", "hosts", "HOSTS", None, "volant hosts --table"),
+    ] {
+        let path = format!("test/{file}.md");
+        let held = held.map_or_else(|| format!("{} rows", holds(&path)), |h| format!("{h} cells"));
+        let version = rest_of_line(&path, "Measured with version ");
+        let version = version.trim_end_matches('.');
+        writeln!(text, "| [{title}](table-{page}.md) | {held} | {version} | `{command}` |")
+            .unwrap();
+    }
+    text
 }
 
 fn figures() -> String {
@@ -143,19 +178,8 @@ fn figures() -> String {
         let fields = fields.join(" | ");
         writeln!(text, "| {run} | {model} | `{estimate}` | {fields} |").unwrap();
     }
-    let old = read("test/HOSTS.md").contains("measured with version 0.1.0");
-    let dated = if old { " (version 0.1.0)" } else { "" };
-    write!(
-        text,
-        "\n## Tables with a verdict\n\n\
-         | table | rows that hold | written by |\n| --- | --- | --- |\n\
-         | [faults on live processes](table-faults.md) | {} | `volant faults --table \
-         test/FAULTS.md --overwrite` |\n\
-         | [two computers with a bad link](table-hosts.md) | {} | `volant hosts`{dated} |\n\n",
-        holds("test/FAULTS.md"),
-        holds("test/HOSTS.md"),
-    )
-    .unwrap();
+    text += &verdicts();
+    text.push('\n');
     let robustness = read("test/ROBUSTNESS.md");
     let row = |start: &str| robustness.lines().find(|l| l.starts_with(start)).unwrap_or_default();
     let header = row("| perturbation");
@@ -173,7 +197,7 @@ fn figures() -> String {
         text,
         "## Marker tracker beside other methods\n\n\
          One image with its pose, on synthetic scenes, in one run of `make reproduce`\n\
-         (`{PEERS}`).\n\n\
+         (`{PEERS}`, version {PEERS_VERSION}).\n\n\
          | method | median, µs | over the paper's recipe | centroid RMS, px | position RMSE, mm \
          | rotation RMSE, ° | success | gross errors |\n\
          | --- | --- | --- | --- | --- | --- | --- | --- |"

@@ -9,7 +9,10 @@ use std::{
     fs,
     path::{Path, PathBuf},
 };
-use volant_test::check::{Bench, FAULTS};
+use volant_test::{
+    check::{Bench, FAULTS},
+    report::measured_with,
+};
 
 /// Make the files and messages of recordings wrong in one thing, and check them.
 #[derive(Args)]
@@ -148,7 +151,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         outln!("false alarm: {alarm}")?;
     }
     if let Some(path) = &arguments.table {
-        let text = format!("{HEAD}{text}");
+        let text = format!("{HEAD}{}{text}", measured_with());
         files::write(path, text.as_bytes(), arguments.overwrite)?;
     }
     outln!("{text}")?;

@@ -9,6 +9,7 @@ use std::{path::PathBuf, sync::Arc};
 use volant_test::{
     faults::{LENGTH, Outcome, Verdict, markdown, table},
     live::{ImageSequence, Scenario},
+    report::measured_with,
     run_folder::RunFolder,
 };
 
@@ -84,7 +85,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     }
     let text = markdown(&outcomes);
     if let Some(path) = &arguments.table {
-        files::write(path, format!("{HEAD}{text}").as_bytes(), arguments.overwrite)?;
+        let page = format!("{HEAD}{}{text}", measured_with());
+        files::write(path, page.as_bytes(), arguments.overwrite)?;
     }
     outln!("{text}")?;
     let held = outcomes.iter().filter(|(_, o)| o.verdict == Verdict::Holds).count();

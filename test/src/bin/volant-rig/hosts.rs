@@ -11,6 +11,7 @@ use volant_test::{
         Hosts,
         trial::{COMPARED, LENGTH, Place, Seen, Swing, markdown, trials},
     },
+    report::measured_with,
     run_folder::RunFolder,
 };
 
@@ -89,7 +90,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     }
     let text = markdown(&rows);
     if let Some(path) = &arguments.table {
-        files::write(path, format!("{HEAD}{text}").as_bytes(), arguments.overwrite)?;
+        let page = format!("{HEAD}{}{text}", measured_with());
+        files::write(path, page.as_bytes(), arguments.overwrite)?;
     }
     outln!("{text}")?;
     let held = rows.iter().filter(|(_, s)| s.as_ref().is_ok_and(|s| s.failures.is_empty())).count();

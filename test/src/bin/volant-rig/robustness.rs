@@ -12,10 +12,13 @@ use std::{
     fs,
     path::{Path, PathBuf},
 };
-use volant_test::robustness::{
-    perturbation::{Perturbation, TABLE},
-    recording::{PERTURBED_FROM, Recording},
-    table::{self, Bench},
+use volant_test::{
+    report::measured_with,
+    robustness::{
+        perturbation::{Perturbation, TABLE},
+        recording::{PERTURBED_FROM, Recording},
+        table::{self, Bench},
+    },
 };
 
 /// Change recordings in one thing, or in two, and compare the pose with the truth.
@@ -91,7 +94,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     } else {
         format!("Perturbations of limited duration begin at {from} s (`--from {from}`).\n\n")
     };
-    let mut text = format!("{HEAD}{beginning}{}", table::markdown(&benches, &rows));
+    let mut text =
+        format!("{HEAD}{}{beginning}{}", measured_with(), table::markdown(&benches, &rows));
     if arguments.pairs {
         let pairs = table::pairs();
         catastrophes.extend(of_pairs(&benches, &pairs));

@@ -9,6 +9,7 @@ use volant_test::{
         Hosts,
         sites::{Trial, markdown, rows},
     },
+    report::measured_with,
     run_folder::RunFolder,
 };
 
@@ -70,7 +71,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     };
     let text = markdown(&trial.run()?);
     if let Some(path) = &arguments.table {
-        files::write(path, format!("{HEAD}{text}").as_bytes(), arguments.overwrite)?;
+        let page = format!("{HEAD}{}{text}", measured_with());
+        files::write(path, page.as_bytes(), arguments.overwrite)?;
     }
     outln!("{text}")?;
     Ok(())
