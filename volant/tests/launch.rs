@@ -155,6 +155,28 @@ fn arguments_override_the_rig_file_only_where_they_are_given() {
 }
 
 #[test]
+fn another_driver_can_take_the_place_of_imu_driver() {
+    for name in ["platform.launch.xml", "rig.launch.xml"] {
+        let all = elements(&folder().join(name));
+        let is_imu = |e: &Element| e.0 == "arg" && attribute(e, "name") == Some("imu");
+        let (argument, _) = all.iter().find(|(e, within)| is_imu(e) && within.is_none()).unwrap();
+        assert_eq!(attribute(argument, "default"), Some("true"), "{name}");
+        for (element, _) in &all {
+            let driver = element.0 == "node" && attribute(element, "exec") == Some("imu_driver");
+            let condition = attribute(element, "if") == Some("$(var imu)");
+            assert_eq!(condition, driver, "{name}: {element:?}");
+        }
+    }
+    let rig = elements(&folder().join("rig.launch.xml"));
+    let passed = |(e, within): &(Element, Option<String>)| {
+        within.as_ref().is_some_and(|file| file.ends_with("platform.launch.xml"))
+            && attribute(e, "name") == Some("imu")
+            && attribute(e, "value") == Some("$(var imu)")
+    };
+    assert!(rig.iter().any(passed));
+}
+
+#[test]
 fn the_nodes_of_a_rig_respawn_and_the_launch_can_record() {
     for name in ["climber.launch.xml", "platform.launch.xml"] {
         for (element, _) in elements(&folder().join(name)) {
