@@ -254,7 +254,9 @@ fn parameters() -> String {
          (`ros2 param set`).\n\n\
          QoS: `qos_overrides.<topic>.<publisher|subscription>.<reliability|durability|depth>` \
          as in\n\
-         rclcpp, with the absolute topic.\n\n",
+         rclcpp, with the absolute topic; `….publisher.max_samples` bounds what a reliable \
+         publisher keeps\n\
+         for readers that do not acknowledge.\n\n",
         &section::<MarkerTrackerNode>(),
         &section::<ImuNode>(),
         &section::<ClimberNode>(),
