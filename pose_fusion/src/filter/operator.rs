@@ -2,7 +2,8 @@
 
 use super::Filter;
 use crate::{
-    ekf::state::{ATTITUDE, POSITION, TIME_OFFSET, VELOCITY},
+    ekf::state::{ATTITUDE, POSITION, State, TIME_OFFSET, VELOCITY},
+    health::sanity,
     initialization::{
         checkpoint::{Checkpoint, Refusal},
         from_image::{self, ClimberPrior, INITIAL_VELOCITY},
@@ -32,9 +33,10 @@ impl Filter {
     /// offset and biases, and the next image gives the pose.
     ///
     /// # Errors
-    /// The checkpoint is invalid; nothing is changed then.
+    /// The checkpoint is invalid, or its state beyond physical bounds; nothing is changed then.
     pub fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), Refusal> {
         let state = checkpoint.state()?;
+        self.check("the checkpoint", &state)?;
         self.restart();
         self.publisher.continuity.reset();
         let known = state.sigma(TIME_OFFSET) < OFFSET_KNOWN;
@@ -45,12 +47,20 @@ impl Filter {
         Ok(())
     }
 
+    /// Refuses a state beyond physical bounds, with which the filter would reinitialize at once.
+    fn check(&self, what: &'static str, state: &State) -> Result<(), Refusal> {
+        match sanity::violation(state, &self.setup.config) {
+            Some(why) => Err(Refusal::Invalid { what, why }),
+            None => Ok(()),
+        }
+    }
+
     /// Puts the platform at a pose with its covariance (position and rotation about world axes).
     /// Its velocity becomes the climber's within `INITIAL_VELOCITY`; time offset and biases stay.
     ///
     /// # Errors
     /// No camera model, IMU sample or encoder reading yet; a stamp that the history does not reach;
-    /// invalid numbers.
+    /// invalid numbers; a pose beyond physical bounds. Nothing is changed then.
     pub fn set_pose(&mut self, pose: &PoseEstimate) -> Result<(), Refusal> {
         let Some(geometry) = self.setup.geometry.clone() else {
             return Err(Refusal::Missing { what: "camera_info" });
@@ -81,6 +91,7 @@ impl Filter {
         let before = self.history.place_of(at).min(self.history.processed()).checked_sub(1);
         let before = before.filter(|_| self.start.started);
         let before = before.and_then(|place| self.history.get(place));
+        let initialized = before.is_some();
         let mut state = match (before, self.climber.at(read)) {
             (Some(entry), _) => {
                 let mut state = entry.state.clone();
@@ -92,7 +103,6 @@ impl Filter {
                     from_image::unknown(&self.setup.config, &ClimberPrior::from_readings(&climber));
                 state.time_offset = self.time_offset();
                 state.calibration = self.calibration();
-                self.remember(&mut state);
                 state
             }
             (None, None) => return Err(Refusal::Missing { what: "climber transform" }),
@@ -104,6 +114,10 @@ impl Filter {
             state.set_sigmas(first, &INITIAL_VELOCITY.into());
         }
         state.velocity = Vector3::new(state.climber_rate.x, state.climber_rate.y, 0.0);
+        self.check("the pose", &state)?;
+        if !initialized {
+            self.remember(&mut state);
+        }
         // δp_imu = δp − [R t]× δθ.
         let lever = p.rotation * geometry.volant_from_imu.translation.vector;
         let mut by = Matrix6::identity();

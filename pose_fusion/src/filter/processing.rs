@@ -65,8 +65,8 @@ impl Filter {
         while let Some((place, step)) = self.step(end) {
             let Some(entry) = self.history.get(place) else { return };
             let at = entry.stamp;
-            if !sanity::is_sound(&entry.state, &self.setup.config) {
-                self.publisher.warn(Warning::Diverged { stamp: at });
+            if let Some(what) = sanity::violation(&entry.state, &self.setup.config) {
+                self.publisher.warn(Warning::Diverged { stamp: at, what });
                 self.publisher.counts.resets.divergences += 1;
                 self.lock_out.responded(at);
                 return self.reset_estimate();

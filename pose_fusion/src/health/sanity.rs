@@ -12,16 +12,26 @@ pub fn largest_offset(config: &TightConfig) -> f64 {
     (config.history - LATENCY).clamp(REACH, REACH + 0.1)
 }
 
-/// Returns whether every number of a state is finite and within physical bounds.
-pub fn is_sound(state: &State, config: &TightConfig) -> bool {
+/// Returns the first bound that a state violates; `None` where every number is finite and within
+/// physical bounds.
+pub fn violation(state: &State, config: &TightConfig) -> Option<&'static str> {
     let from_climber = (state.position.xy() - state.climber.xy()).norm();
     let offset = state.time_offset - config.clock.camera_offset;
-    state.is_finite()
-        && from_climber <= config.limits.max_range
-        && state.velocity.norm() <= config.limits.max_speed
-        && state.accelerometer_bias.amax() <= LARGEST_BIAS[0]
-        && state.gyroscope_bias.amax() <= LARGEST_BIAS[1]
-        && offset.abs() <= largest_offset(config)
+    if !state.is_finite() {
+        Some("a number is not finite")
+    } else if from_climber > config.limits.max_range {
+        Some("the horizontal distance from the climber exceeds limits.max_range")
+    } else if state.velocity.norm() > config.limits.max_speed {
+        Some("the speed exceeds limits.max_speed")
+    } else if state.accelerometer_bias.amax() > LARGEST_BIAS[0] {
+        Some("the accelerometer bias exceeds 5 m/s^2")
+    } else if state.gyroscope_bias.amax() > LARGEST_BIAS[1] {
+        Some("the gyroscope bias exceeds 1 rad/s")
+    } else if offset.abs() > largest_offset(config) {
+        Some("the camera time offset is further from clock.camera_offset than history allows")
+    } else {
+        None
+    }
 }
 
 #[cfg(test)]
@@ -29,21 +39,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_bound_is_checked() {
+    fn every_bound_is_checked_and_named() {
         let config = TightConfig::default();
-        assert!(is_sound(&State::zero(), &config));
-        let spoil: [fn(&mut State); 6] = [
-            |s| s.position.x = 100.0,
-            |s| s.velocity.z = 20.0,
-            |s| s.accelerometer_bias.y = 8.0,
-            |s| s.gyroscope_bias.y = 2.0,
-            |s| s.time_offset = 0.5,
-            |s| s.climber.x = f64::NAN,
+        assert_eq!(violation(&State::zero(), &config), None);
+        let spoil: [(fn(&mut State), &str); 6] = [
+            (|s| s.position.x = 100.0, "limits.max_range"),
+            (|s| s.velocity.z = 20.0, "limits.max_speed"),
+            (|s| s.accelerometer_bias.y = 8.0, "accelerometer bias"),
+            (|s| s.gyroscope_bias.y = 2.0, "gyroscope bias"),
+            (|s| s.time_offset = 0.5, "clock.camera_offset"),
+            (|s| s.climber.x = f64::NAN, "not finite"),
         ];
-        for change in spoil {
+        for (change, name) in spoil {
             let mut state = State::zero();
             change(&mut state);
-            assert!(!is_sound(&state, &config), "{state:?}");
+            let what = violation(&state, &config);
+            assert!(what.is_some_and(|what| what.contains(name)), "{name}: {what:?}");
         }
     }
 }

@@ -115,10 +115,10 @@ pub enum Warning {
     PoseLost { stamp: Stamp, reason: String },
     /// The state was not finite or beyond its bounds.
     #[error(
-        "the estimate at {stamp} is not finite or beyond limits.max_range or limits.max_speed; \
-         the filter reinitializes"
+        "the estimate at {stamp} diverged: {what}; the filter reinitializes; look for the cause with \
+         `volant check`"
     )]
-    Diverged { stamp: Stamp },
+    Diverged { stamp: Stamp, what: &'static str },
 }
 
 impl Warning {

@@ -88,9 +88,11 @@ fn an_invalid_checkpoint_is_rejected() {
     let good = first.checkpoint().unwrap();
     assert!(first.restore(&good).is_ok());
     type Corruption = fn(&mut pose_fusion::Checkpoint);
-    let corruptions: [Corruption; 11] = [
+    let corruptions: [Corruption; 13] = [
         |c| c.version = 99,
         |c| c.position[1] = f64::NAN,
+        |c| c.position[0] += 100.0,
+        |c| c.time_offset = 2.0,
         |c| c.attitude = [0.0; 4],
         |c| c.covariance.truncate(100),
         |c| c.covariance[1] += 1.0,
@@ -130,6 +132,10 @@ fn a_set_pose_is_used_and_an_invalid_one_rejected() {
     assert!(matches!(fusion.set_pose(&late), Err(Refusal::OutOfReach { .. })));
     let vague = PoseEstimate { covariance: Matrix6::zeros(), ..pose.clone() };
     assert!(matches!(fusion.set_pose(&vague), Err(Refusal::Invalid { .. })));
+    let mut far = pose.clone();
+    far.pose.translation.vector.x += 100.0;
+    assert!(matches!(fusion.set_pose(&far), Err(Refusal::Invalid { .. })));
+    assert!(fusion.status().initialized);
     fusion.set_pose(&pose).unwrap();
     let outputs = scoring::run(&mut fusion, after);
     let next = &outputs.odometry[0];
