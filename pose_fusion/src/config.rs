@@ -46,6 +46,29 @@ parameters! {
             paper: PaperConfig;
         }
     }
+    check(p) { p.check() }
+}
+
+impl FusionConfig {
+    /// Checks values that are valid by themselves and exclude each other.
+    fn check(&self) -> Result<(), String> {
+        let (horizon, history) = (self.tight.prediction_horizon, self.tight.history);
+        let (max, lost) = (self.status.max_position_sigma, self.status.lost_position_sigma);
+        if horizon > history {
+            // The prediction's noise is measured in the history.
+            Err(format!(
+                "`prediction_horizon` is {horizon} s and exceeds `history`, {history} s: increase \
+                 `history` or predict less far"
+            ))
+        } else if max > lost {
+            Err(format!(
+                "`status.max_position_sigma` is {max} m and exceeds `lost_position`, {lost} m, \
+                 above which no pose is valid: increase `lost_position`"
+            ))
+        } else {
+            Ok(())
+        }
+    }
 }
 
 parameters! {
@@ -271,5 +294,21 @@ parameters! {
         // The paper names nothing that corrects the inertial velocity.
         /// Takes the published filter's inertial velocity from the fused poses.
         velocity_from_fused: bool = false, name("paper.velocity_from_fused");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ros_parameters::{ParameterMap, ParameterSet, ParameterValue};
+
+    #[test]
+    fn values_that_exclude_each_other_are_rejected_with_their_names() {
+        assert_eq!(FusionConfig::default().check(), Ok(()));
+        for (name, value) in [("prediction_horizon", 0.8), ("status.max_position_sigma", 0.5)] {
+            let map = ParameterMap::from([(name.to_owned(), ParameterValue::Double(value))]);
+            let error = FusionConfig::from_map(&map).unwrap_err().to_string();
+            assert!(error.contains(name), "{error}");
+        }
     }
 }

@@ -89,13 +89,20 @@ impl PoseStatus {
             PoseState::Tracking
         };
         self.valid = self.state != PoseState::Lost && !beyond_position && !beyond_rotation;
+        let lasting = |what: &str, age: f64| {
+            if age.is_finite() { format!("{what} for {age:.2} s") } else { what.to_owned() }
+        };
         self.reason = match self.state {
             _ if contradicted => CONTRADICTED.to_owned(),
             _ if mirrored => MIRRORED.to_owned(),
-            PoseState::VisionOnly => format!("no IMU sample for {:.2} s", self.imu_age),
+            PoseState::VisionOnly => lasting("no IMU sample", self.imu_age),
             PoseState::Coasting | PoseState::Lost if self.image_age > config.max_image_age => {
-                format!("no image used for {:.2} s", self.image_age)
+                lasting("no image used", self.image_age)
             }
+            PoseState::Lost if !beyond_position => format!(
+                "position sigma {:.3} m above lost_position {} m",
+                self.position_sigma, config.lost_position_sigma
+            ),
             _ => String::new(),
         };
         for (beyond, what, sigma, limit, name) in [
@@ -156,6 +163,12 @@ mod tests {
                 && lost.reason.contains("no image used for 3.00 s")
         );
         assert!(!judged(|s| s.position_sigma = f64::NAN, false).valid);
+        let never = judged(|s| s.imu_age = f64::INFINITY, true);
+        assert_eq!(never.reason, "no IMU sample");
+        let config = StatusConfig { max_position_sigma: 1.0, ..StatusConfig::default() };
+        let lost = PoseStatus { position_sigma: 0.5, ..tracking.clone() };
+        let lost = lost.judged(&config, false, false);
+        assert!(lost.state == PoseState::Lost && lost.reason.contains("lost_position"), "{lost:?}");
         let contradicted = tracking.judged(&StatusConfig::default(), false, true);
         assert!(!contradicted.valid && contradicted.state == PoseState::Lost);
         assert!(contradicted.reason.contains("units"), "{}", contradicted.reason);
