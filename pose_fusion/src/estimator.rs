@@ -47,6 +47,8 @@ pub struct Fusion {
     config: FusionConfig,
     outputs: VecDeque<Output>,
     rate_limit: RateLimit,
+    /// Ages of the newest used image, IMU sample and used encoder reading at the newest status, s.
+    ages: [f64; 3],
 }
 
 impl Fusion {
@@ -65,6 +67,7 @@ impl Fusion {
             config,
             outputs: VecDeque::with_capacity(256),
             rate_limit: RateLimit::default(),
+            ages: [f64::INFINITY; 3],
         }
     }
 
@@ -105,6 +108,9 @@ impl Fusion {
         let rate = self.config.publish_rate;
         loop {
             let output = self.outputs.pop_front()?;
+            if let Output::Status(status) = &output {
+                self.ages = [status.image_age, status.imu_age, status.climber_age];
+            }
             if self.rate_limit.passes(&output, rate) {
                 return Some(output);
             }
@@ -209,16 +215,22 @@ impl Fusion {
 
     /// Returns the status at `now` where no input has come for `silence` seconds.
     pub fn silent_status(&self, now: Stamp, silence: f64) -> PoseStatus {
-        let status = self.status();
-        let age = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
+        let [image_age, imu_age, climber_age] = self.ages(silence);
         PoseStatus {
             state: PoseState::Lost,
-            image_age: age(status.last_used_image),
-            imu_age: age(status.imu.newest),
-            climber_age: silence,
-            time_offset: status.time_offset.offset,
+            image_age,
+            imu_age,
+            climber_age,
+            time_offset: self.status().time_offset.offset,
             ..PoseStatus::initializing(now, format!("no input for {silence:.1} s"))
         }
+    }
+
+    /// Returns the ages of the newest used image, IMU sample and used encoder reading, `silence`
+    /// seconds after the newest status, s; infinite if none. They are measured on the sensors'
+    /// clocks, which another clock need not agree with.
+    pub fn ages(&self, silence: f64) -> [f64; 3] {
+        self.ages.map(|age| age + silence)
     }
 
     /// Whether the published filter runs with an IMU that outputs no attitude, so that it is
@@ -238,3 +250,26 @@ impl Fusion {
 
 const NOT_OF_THE_PAPER: Refusal =
     Refusal::Invalid { what: "the request", why: "the published filter runs (parameter `model`)" };
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ages_grow_with_the_silence_whatever_the_clock_of_the_node() {
+        let rig = Rig::from_yaml(rig_simulator::RIG_YAML).unwrap();
+        let mut fusion = Fusion::new(rig, FusionConfig::default());
+        let initializing = PoseStatus::initializing(Stamp::default(), String::new());
+        assert_eq!(fusion.status().position_sigma, f64::INFINITY);
+        fusion.outputs.push_back(Output::Status(PoseStatus {
+            image_age: 0.25,
+            imu_age: 0.0,
+            climber_age: 0.5,
+            ..initializing
+        }));
+        assert!(fusion.poll().is_some());
+        let silent = fusion.silent_status(Stamp::from_nanos(-1_000_000_000), 1.0);
+        let ages = [silent.image_age, silent.imu_age, silent.climber_age];
+        assert_eq!((ages, silent.state), ([1.25, 1.0, 1.5], PoseState::Lost));
+    }
+}

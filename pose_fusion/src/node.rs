@@ -15,7 +15,7 @@ use node_kit::{
     qos::QosPreset,
 };
 use rejections::Rejections;
-use rig_model::{Frames, Stamp, topics};
+use rig_model::{Frames, topics};
 use std::{
     sync::{
         Arc,
@@ -199,9 +199,10 @@ impl NodeShell for FusionNode {
                 self.quiet = self.quiet.saturating_add(1);
                 let (now, missing) = (context.now(), self.missing());
                 let status = if !missing.is_empty() {
-                    PoseStatus::initializing(now, missing)
-                } else if self.silence() > ENDED + 2.0 * self.period() {
-                    self.fusion.silent_status(now, self.silence())
+                    let time_offset = self.fusion.status().time_offset.offset;
+                    PoseStatus { time_offset, ..PoseStatus::initializing(now, missing) }
+                } else if let Some(silence) = self.ended() {
+                    self.fusion.silent_status(now, silence)
                 } else {
                     return;
                 };
@@ -226,9 +227,7 @@ impl NodeShell for FusionNode {
 
     fn tick(&mut self, context: &mut NodeContext<Event>) {
         let s = self.fusion.status();
-        let now: Stamp = context.now();
-        let age = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s));
-        let (imu_age, image_age) = (age(s.imu.newest), age(s.last_used_image));
+        let [image_age, imu_age, _] = self.fusion.ages(self.ended().unwrap_or(0.0));
         let gated = s.counts.gated_markers - self.gated_before.min(s.counts.gated_markers);
         self.gated_before = s.counts.gated_markers;
         let published = self.parameters.core.model == Model::Paper;
@@ -287,7 +286,12 @@ impl NodeShell for FusionNode {
         } else {
             self.rejections.report(health, message)
         };
-        context.diagnose("filter", health, &message, &diagnostics::values(&s));
+        let mut values = diagnostics::values(&s);
+        if published {
+            // The published filter identifies none of the values after the first.
+            values.truncate(1);
+        }
+        context.diagnose("filter", health, &message, &values);
         if self.parameters.core.model == Model::Tight {
             // Markers are not used either while other inputs are missing.
             let starved = !s.initialized && self.fusion.waits_for_messages();
@@ -334,6 +338,12 @@ impl FusionNode {
     /// Time since the estimator's newest status, s.
     fn silence(&self) -> f64 {
         f64::from(self.quiet) * STATUS_PERIOD.as_secs_f64()
+    }
+
+    /// Time since the estimator's newest status where its inputs have ended, s.
+    fn ended(&self) -> Option<f64> {
+        let silence = self.silence();
+        (silence > ENDED + 2.0 * self.period()).then_some(silence)
     }
 
     fn publish(&mut self, context: &mut NodeContext<Event>, output: Output) {

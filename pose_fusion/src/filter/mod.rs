@@ -130,6 +130,12 @@ impl Filter {
                 bursts: self.imu.bursts(),
             },
             last_used_image: self.lock_out.last_used(),
+            position_sigma: f64::INFINITY,
+            time_offset: TimeOffsetStatus {
+                offset: self.time_offset(),
+                sigma: config.clock.camera_sigma,
+                searching: self.search.is_some(),
+            },
             pixel_noise_factor: self.markers.noise_factor().sqrt(),
             rope: geometry.and_then(|g| self.publisher.rope.rope(&config.pendulum, g)),
             counts: self.publisher.counts,
@@ -137,11 +143,8 @@ impl Filter {
         };
         status.counts.inputs.overflows += self.history.overflows();
         if let Some(state) = self.state() {
-            status.time_offset = TimeOffsetStatus {
-                offset: state.time_offset,
-                sigma: state.sigma(crate::ekf::state::TIME_OFFSET).hypot(self.offset_doubt()),
-                searching: self.search.is_some(),
-            };
+            status.time_offset.sigma =
+                state.sigma(crate::ekf::state::TIME_OFFSET).hypot(self.offset_doubt());
             status.biases = [state.accelerometer_bias, state.gyroscope_bias];
             status.constants = state.calibration.constants();
             status.position_sigma = self.publisher.position_sigma;

@@ -207,7 +207,8 @@ impl Filter {
             limited.add_dispute(dispute, &state.climber);
         }
         let position_sigma = largest_sigma(&limited.pose_covariance, 0);
-        let since = |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| end.seconds_since(s));
+        let since =
+            |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| end.seconds_since(s).max(0.0));
         let status = PoseStatus {
             stamp: end,
             position_sigma,
@@ -283,23 +284,23 @@ impl Filter {
             return;
         }
         self.publisher.last_status = Some(now);
+        let time_offset = self.time_offset();
         let status = if started {
-            let offset = self.time_offset();
-            let image = self.lock_out.last_used().map(|image| image.plus_seconds(offset));
-            let encoders = self.climber.newest().map(|(newest, _, _)| *newest);
+            let age = |stamp: Option<Stamp>| since(stamp).max(0.0);
+            let image = self.lock_out.last_used().map(|image| image.plus_seconds(time_offset));
             PoseStatus {
                 state: PoseState::Lost,
-                image_age: since(image),
-                imu_age: since(self.arrival.newest_imu().map(|(stamp, _)| stamp)),
-                climber_age: since(encoders.map(|read| read.plus_seconds(self.encoder_offset()))),
-                time_offset: offset,
+                image_age: age(image),
+                imu_age: age(self.arrival.newest_imu().map(|(stamp, _)| stamp)),
+                climber_age: age(self.publisher.last_encoders),
+                time_offset,
                 ..PoseStatus::initializing(
                     now,
                     format!("no IMU sample and no image with markers for {silent:.1} s"),
                 )
             }
         } else {
-            PoseStatus::initializing(now, self.missing())
+            PoseStatus { time_offset, ..PoseStatus::initializing(now, self.missing()) }
         };
         self.publisher.out.push_back(Output::Status(status));
     }

@@ -86,7 +86,7 @@ pub struct Status {
     pub imu: ImuStatus,
     /// Newest image that was used.
     pub last_used_image: Option<Stamp>,
-    /// Largest standard deviation of the position, m.
+    /// Largest standard deviation of the position, m; infinite without an estimate.
     pub position_sigma: f64,
     /// Camera time offset, s (image time + offset = IMU time).
     pub time_offset: TimeOffsetStatus,
@@ -127,7 +127,7 @@ pub struct ImuStatus {
 pub struct TimeOffsetStatus {
     /// Offset, s.
     pub offset: f64,
-    /// Standard deviation, s.
+    /// Standard deviation, s; NaN where it is not estimated (published filter).
     pub sigma: f64,
     /// The initial search still runs.
     pub searching: bool,
