@@ -133,6 +133,7 @@ impl Filter {
             position_sigma: f64::INFINITY,
             time_offset: TimeOffsetStatus {
                 offset: self.time_offset(),
+                configured: config.clock.camera_offset,
                 sigma: config.clock.camera_sigma,
                 searching: self.search.is_some(),
             },

@@ -9,7 +9,7 @@
 //! recordings, three of them with real IMU samples; `test/tests/check.rs` repeats it.
 
 use crate::{
-    health::status::Status,
+    health::status::{Status, TimeOffsetStatus},
     input::imu_stamps::Bursts,
     measurements::{Innovation, Outcome},
     output::MarkerUpdates,
@@ -36,7 +36,8 @@ const SCALE: [f64; 2] = [0.015, 0.02];
 const ROTATION: [f64; 2] = [0.03, 0.04];
 /// Estimated offset of a marker from its place in the rig file, m (0.00002).
 const OFFSET: f64 = 0.0003;
-/// Camera time offset, s (0.001): more than the age of an image of a usual camera.
+/// Camera time offset beside the configured one, s (0.001): more than the age of an image of a usual
+/// camera.
 const TIME_OFFSET: f64 = 0.05;
 
 /// Recent measurements of one marker.
@@ -155,11 +156,13 @@ fn filter_findings(status: &Status, found: &mut Vec<String>) {
             1e3 * status.marker_offset()
         ));
     }
-    let offset = status.time_offset.offset;
-    if offset.abs() > TIME_OFFSET {
+    let TimeOffsetStatus { offset, configured, .. } = status.time_offset;
+    if (offset - configured).abs() > TIME_OFFSET {
         found.push(format!(
-            "image time and IMU time differ by {:.0} ms (stamps of camera and IMU)",
-            1e3 * offset
+            "image time and IMU time differ by {:.0} ms, and `clock.camera_offset` is {:.0} ms \
+             (stamps of camera and IMU)",
+            1e3 * offset,
+            1e3 * configured
         ));
     }
     let names = ["accelerometer", "gyroscope"];
@@ -189,6 +192,17 @@ fn filter_findings(status: &Status, found: &mut Vec<String>) {
 mod tests {
     use super::*;
     use rig_model::Stamp;
+
+    #[test]
+    fn a_configured_time_offset_is_no_finding() {
+        for (configured, findings) in [(0.2, 0), (0.1, 1), (0.0, 1)] {
+            let time_offset =
+                TimeOffsetStatus { offset: 0.2, configured, ..TimeOffsetStatus::default() };
+            let mut found = Vec::new();
+            filter_findings(&Status { time_offset, ..Status::default() }, &mut found);
+            assert_eq!(found.len(), findings, "{found:?}");
+        }
+    }
 
     #[test]
     fn images_before_the_camera_model_are_no_finding() {

@@ -127,6 +127,8 @@ pub struct ImuStatus {
 pub struct TimeOffsetStatus {
     /// Offset, s.
     pub offset: f64,
+    /// `clock.camera_offset`, s.
+    pub configured: f64,
     /// Standard deviation, s; NaN where it is not estimated (published filter).
     pub sigma: f64,
     /// The initial search still runs.
