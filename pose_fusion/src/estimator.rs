@@ -117,11 +117,14 @@ impl Fusion {
         }
     }
 
-    /// Discards the estimate; the next image initializes it.
+    /// Discards the estimate; the next image initializes it. A frozen filter uses markers again.
     pub fn reset(&mut self) {
         self.single_image.reset();
         match &mut self.estimator {
-            Estimator::TightlyCoupled(filter) => filter.reset(),
+            Estimator::TightlyCoupled(filter) => {
+                filter.freeze(false);
+                filter.reset();
+            }
             Estimator::Paper(paper) => paper.reset(),
         }
     }
@@ -167,9 +170,16 @@ impl Fusion {
 
     /// Stops or resumes using markers (error-state filter): what is not used is still compared and
     /// recorded.
-    pub fn freeze(&mut self, frozen: bool) {
-        if let Estimator::TightlyCoupled(filter) = &mut self.estimator {
-            filter.freeze(frozen);
+    ///
+    /// # Errors
+    /// The published filter runs.
+    pub fn freeze(&mut self, frozen: bool) -> Result<(), Refusal> {
+        match &mut self.estimator {
+            Estimator::TightlyCoupled(filter) => {
+                filter.freeze(frozen);
+                Ok(())
+            }
+            Estimator::Paper(_) => Err(NOT_OF_THE_PAPER),
         }
     }
 
@@ -248,12 +258,22 @@ impl Fusion {
     }
 }
 
-const NOT_OF_THE_PAPER: Refusal =
-    Refusal::Invalid { what: "the request", why: "the published filter runs (parameter `model`)" };
+const NOT_OF_THE_PAPER: Refusal = Refusal::Invalid {
+    what: "the request",
+    why: "the published filter has no such function; start the node with `model: tight`",
+};
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_published_filter_is_not_frozen() {
+        let rig = Rig::from_yaml(rig_simulator::RIG_YAML).unwrap();
+        let config = FusionConfig { model: Model::Paper, ..FusionConfig::default() };
+        let refusal = Fusion::new(rig, config).freeze(true).unwrap_err();
+        assert!(refusal.to_string().contains("`model: tight`"), "{refusal}");
+    }
 
     #[test]
     fn ages_grow_with_the_silence_whatever_the_clock_of_the_node() {

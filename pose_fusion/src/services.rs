@@ -55,8 +55,12 @@ fn pose_estimate(m: &PoseWithCovarianceStamped, world: &str) -> Result<PoseEstim
     if m.header.frame_id != world {
         return Err(format!("the pose is in frame '{}', expected '{world}'", m.header.frame_id));
     }
+    let stamp = convert::stamp(&m.header.stamp);
+    if stamp.is_unset() {
+        return Err("the stamp is zero; its publisher must set header.stamp".to_owned());
+    }
     Ok(PoseEstimate {
-        stamp: convert::stamp(&m.header.stamp),
+        stamp,
         pose: convert::pose(&m.pose.pose, topics::SET_POSE).map_err(|e| e.to_string())?,
         covariance: convert::covariance6(&m.pose.covariance),
     })
@@ -75,10 +79,18 @@ pub(crate) fn answer(fusion: &mut Fusion, request: Request, file: &str) -> Resul
             answer.respond(reply(Ok("the next image initializes the filter".to_owned())));
         }
         Request::Freeze(frozen, answer) => {
-            fusion.freeze(frozen);
-            let message =
-                if frozen { "markers are compared and not used" } else { "markers are used" };
-            answer.respond(SetBoolResponse { success: true, message: message.to_owned() });
+            let result = fusion.freeze(frozen).map(|()| {
+                if !frozen {
+                    "markers are used"
+                } else if fusion.missing().is_empty() {
+                    "markers are compared and not used"
+                } else {
+                    "markers are not used: no image initializes the pose while frozen"
+                }
+            });
+            let success = result.is_ok();
+            let message = result.map_or_else(|refusal| refusal.to_string(), str::to_owned);
+            answer.respond(SetBoolResponse { success, message });
         }
         Request::Save(answer) => answer.respond(reply(save(fusion, file))),
         Request::Load(answer) => answer.respond(reply(load(fusion, file))),
@@ -104,13 +116,17 @@ fn save(fusion: &Fusion, file: &str) -> Result<String, String> {
     Ok(format!("written to {}", path.display()))
 }
 
+const SAVE: &str = "write one with ~/save_checkpoint of this version";
+
 fn load(fusion: &mut Fusion, file: &str) -> Result<String, String> {
     let path = path(file)?;
     let text =
         fs::read_to_string(path).map_err(|e| format!("{}: cannot be read: {e}", path.display()))?;
     let checkpoint: Checkpoint = serde_json::from_str(&text)
-        .map_err(|e| format!("{}: not a checkpoint: {e}", path.display()))?;
-    fusion.restore(&checkpoint).map_err(|refusal| format!("{}: {refusal}", path.display()))?;
+        .map_err(|e| format!("{}: not a checkpoint: {e}; {SAVE}", path.display()))?;
+    fusion
+        .restore(&checkpoint)
+        .map_err(|refusal| format!("{}: {refusal}; {SAVE}", path.display()))?;
     Ok(format!("restored from {}", path.display()))
 }
 
@@ -128,9 +144,11 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_in_another_frame_is_rejected() {
+    fn a_pose_in_another_frame_or_without_a_stamp_is_rejected() {
         let mut m = PoseWithCovarianceStamped::default();
         m.header.frame_id = "map".to_owned();
         assert!(pose_estimate(&m, "world").unwrap_err().contains("'map'"));
+        m.header.frame_id = "world".to_owned();
+        assert!(pose_estimate(&m, "world").unwrap_err().contains("stamp"));
     }
 }

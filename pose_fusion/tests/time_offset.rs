@@ -256,13 +256,13 @@ fn a_frozen_filter_keeps_its_pose_when_the_offset_changes() {
         let since =
             fusion.status().imu.newest.map(|at| at.seconds_since(scoring::start(&run.truth)));
         if since.is_some_and(|s| s > CHANGE) && searches && frozen == 0 {
-            fusion.freeze(true);
+            fusion.freeze(true).unwrap();
             frozen = 1;
         } else if (1..400).contains(&frozen) {
             frozen += 1;
             lost += usize::from(!fusion.status().initialized);
             if frozen == 400 {
-                fusion.freeze(false);
+                fusion.freeze(false).unwrap();
             }
         }
     }

@@ -12,7 +12,7 @@ use crate::{
     timeline::arrival::AHEAD,
 };
 use nalgebra::{Matrix6, Vector3};
-use rig_model::Stamp;
+use rig_model::{Stamp, topics};
 
 /// A restored time offset that is better known than this needs no search, s.
 const OFFSET_KNOWN: f64 = 5e-3;
@@ -63,10 +63,10 @@ impl Filter {
     /// invalid numbers; a pose beyond physical bounds. Nothing is changed then.
     pub fn set_pose(&mut self, pose: &PoseEstimate) -> Result<(), Refusal> {
         let Some(geometry) = self.setup.geometry.clone() else {
-            return Err(Refusal::Missing { what: "camera_info" });
+            return Err(Refusal::Missing { what: topics::CAMERA_INFO });
         };
         let Some((newest, _)) = self.arrival.newest_imu() else {
-            return Err(Refusal::Missing { what: "IMU sample" });
+            return Err(Refusal::Missing { what: topics::IMU });
         };
         let symmetric = (pose.covariance + pose.covariance.transpose()) * 0.5;
         let p = &pose.pose;
@@ -105,7 +105,7 @@ impl Filter {
                 state.calibration = self.calibration();
                 state
             }
-            (None, None) => return Err(Refusal::Missing { what: "climber transform" }),
+            (None, None) => return Err(Refusal::Missing { what: topics::CLIMBER_TRANSFORM }),
         };
         let world_from_imu = p * geometry.volant_from_imu;
         state.position = world_from_imu.translation.vector;

@@ -316,23 +316,25 @@ impl Filter {
     /// Returns what the initialization waits for.
     pub fn missing(&self) -> String {
         let missing = self.absent();
-        if let (true, Some(force)) = (missing.is_empty(), self.start.wrong_gravity) {
+        if !missing.is_empty() {
+            format!("no message on {}", missing.join(", "))
+        } else if self.setup.frozen {
+            "markers are not used: call ~/freeze with false, or ~/reset".to_owned()
+        } else if let Some(force) = self.start.wrong_gravity {
             format!(
                 "{}: linear_acceleration is {force:.2} m/s^2 upward on average, not {:.2}: its \
                  unit (not g), sign, orientation, gravity removed?",
                 topics::IMU,
                 self.setup.config.gravity
             )
-        } else if missing.is_empty() && self.climber.leaps_now() {
+        } else if self.climber.leaps_now() {
             format!(
                 "{}: the readings leap further than a climber moves: encoder, scale, second \
                  publisher?",
                 topics::CLIMBER_TRANSFORM
             )
-        } else if missing.is_empty() {
-            "no image with three markers that fit together".to_owned()
         } else {
-            format!("no message on {}", missing.join(", "))
+            "no image with three markers that fit together".to_owned()
         }
     }
 

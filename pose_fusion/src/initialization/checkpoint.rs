@@ -48,21 +48,23 @@ pub struct Checkpoint {
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum Refusal {
     /// There is no estimate.
-    #[error("the filter is not initialized: there is nothing to save")]
+    #[error("the filter is not initialized: there is nothing to save before its first pose")]
     NotInitialized,
     /// A message is missing.
-    #[error("no {what} has arrived yet")]
+    #[error("no message on {what} yet: start its publisher")]
     Missing {
-        /// Which.
+        /// Topic.
         what: &'static str,
     },
     /// The stamp is out of reach.
     #[error(
-        "the stamp is {away_s:.3} s before the newest IMU sample; the history reaches \
-         {limit_s:.1} s back"
+        "the stamp is {:.3} s {} the newest IMU sample, and the history reaches {limit_s:.1} s \
+         back: stamp the pose with the present time, and synchronize the clocks",
+        away_s.abs(),
+        if away_s.is_sign_negative() { "ahead of" } else { "before" }
     )]
     OutOfReach {
-        /// Distance.
+        /// Distance; negative: ahead.
         away_s: f64,
         /// Largest distance.
         limit_s: f64,

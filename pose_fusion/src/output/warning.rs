@@ -115,8 +115,8 @@ pub enum Warning {
     PoseLost { stamp: Stamp, reason: String },
     /// The state was not finite or beyond its bounds.
     #[error(
-        "the estimate at {stamp} diverged: {what}; the filter reinitializes; look for the cause with \
-         `volant check`"
+        "the estimate at {stamp} diverged: {what}; the filter reinitializes; look for the cause \
+         with `volant check`"
     )]
     Diverged { stamp: Stamp, what: &'static str },
 }

@@ -190,7 +190,7 @@ fn a_frozen_filter_ignores_markers_and_a_reset_reinitializes() {
     let (before, after) = cut(&run, &sensors, 5.0);
     let mut fusion = fusion();
     scoring::run(&mut fusion, before);
-    fusion.freeze(true);
+    fusion.freeze(true).unwrap();
     let used = fusion.status().counts.used_markers;
     let (while_frozen, rest) = after.split_at(after.len() / 3);
     let outputs = scoring::run(&mut fusion, while_frozen.to_vec());
@@ -198,7 +198,7 @@ fn a_frozen_filter_ignores_markers_and_a_reset_reinitializes() {
     assert!(
         outputs.records().any(|r| r.outcome == pose_fusion::Outcome::Frozen && r.nis.is_finite())
     );
-    fusion.freeze(false);
+    // A reset ends freezing.
     fusion.reset();
     assert!(!fusion.status().initialized);
     let outputs = scoring::run(&mut fusion, rest.to_vec());
