@@ -71,8 +71,8 @@ pub enum Event {
     OtherFrame(Box<Input>, String),
     /// Request of an operator.
     Request(Request),
-    /// Message that cannot be used, and why.
-    Rejected(String),
+    /// Message that cannot be used: its topic, and why.
+    Rejected(&'static str, String),
     /// The status is due where there is no pose.
     StatusDue,
 }
@@ -137,7 +137,7 @@ impl NodeShell for FusionNode {
             QosPreset::Measurement,
             |m: Arc<MarkerObservations>| match convert::marker_observations(&m) {
                 Ok(markers) => input(Input::Markers(markers)),
-                Err(error) => Some(Event::Rejected(error.to_string())),
+                Err(error) => Some(Event::Rejected(topics::MARKERS, error.to_string())),
             },
         )?;
         let names = frames.clone();
@@ -146,7 +146,7 @@ impl NodeShell for FusionNode {
             QosPreset::Measurement,
             move |m: Arc<TransformStamped>| match convert::climber_sample(&m, &names) {
                 Ok(sample) => input(Input::Climber(sample)),
-                Err(error) => Some(Event::Rejected(error.to_string())),
+                Err(error) => Some(Event::Rejected(topics::CLIMBER_TRANSFORM, error.to_string())),
             },
         )?;
         let cameras = CameraChanges::default();
@@ -156,7 +156,7 @@ impl NodeShell for FusionNode {
             move |m: Arc<sensor_msgs::msg::CameraInfo>| {
                 IfChanged(cameras.model(m).map(|camera| match camera {
                     Ok(camera) => input(Input::Camera(camera)),
-                    Err(error) => Some(Event::Rejected(error.to_string())),
+                    Err(error) => Some(Event::Rejected(topics::CAMERA_INFO, error.to_string())),
                 }))
             },
         )?;
@@ -212,12 +212,13 @@ impl NodeShell for FusionNode {
                 let done =
                     services::answer(&mut self.fusion, request, &self.parameters.checkpoint_file);
                 if let Err(why) = done {
-                    context.log_throttled(Level::Warn, "rejected", &why);
+                    context.log_throttled(Level::Warn, topics::SET_POSE, &why);
+                    self.rejections.note_message(topics::SET_POSE, why);
                 }
             }
-            Event::Rejected(why) => {
-                context.log_throttled(Level::Warn, "rejected", &why);
-                self.rejections.note_message(why);
+            Event::Rejected(topic, why) => {
+                context.log_throttled(Level::Warn, topic, &why);
+                self.rejections.note_message(topic, why);
             }
         }
         while let Some(output) = self.fusion.poll() {
@@ -393,7 +394,10 @@ impl FusionNode {
                     Warning::Diverged { .. } | Warning::ImuLost { .. } => Level::Error,
                     _ => Level::Warn,
                 };
-                context.log_throttled(level, warning.kind(), warning.to_string());
+                // A source must not hide another one's warnings.
+                let source = warning.origin().map_or_else(String::new, |s| s.to_string());
+                let key = format!("{} {source}", warning.kind());
+                context.log_throttled(level, &key, warning.to_string());
             }
         }
     }

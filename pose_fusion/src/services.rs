@@ -45,7 +45,9 @@ pub(crate) fn offer(context: &mut NodeContext<Event>, frames: &Frames) -> Result
         move |m: Arc<PoseWithCovarianceStamped>| {
             Some(match pose_estimate(&m, &world) {
                 Ok(pose) => Event::Request(Request::SetPose(Box::new(pose))),
-                Err(why) => Event::Rejected(format!("volant/set_pose: {why}")),
+                Err(why) => {
+                    Event::Rejected(topics::SET_POSE, format!("{}: {why}", topics::SET_POSE))
+                }
             })
         },
     )
@@ -61,7 +63,7 @@ fn pose_estimate(m: &PoseWithCovarianceStamped, world: &str) -> Result<PoseEstim
     }
     Ok(PoseEstimate {
         stamp,
-        pose: convert::pose(&m.pose.pose, topics::SET_POSE).map_err(|e| e.to_string())?,
+        pose: convert::pose(&m.pose.pose, "the pose").map_err(|e| e.to_string())?,
         covariance: convert::covariance6(&m.pose.covariance),
     })
 }

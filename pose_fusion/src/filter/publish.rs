@@ -101,18 +101,12 @@ impl Publisher {
     /// Counts an input that is rejected, and outputs why.
     pub fn refuse(&mut self, why: Warning) {
         let Counts { inputs, rejected, .. } = &mut self.counts;
-        match &why {
-            Warning::Duplicate { .. } => inputs.duplicates += 1,
-            Warning::NotFinite { from, .. }
-            | Warning::TooOld { from, .. }
-            | Warning::NoStamp { from }
-            | Warning::Jump { from, .. }
-            | Warning::Ahead { from, .. } => match from {
-                Source::Imu => rejected.imu += 1,
-                Source::Image => rejected.images += 1,
-                Source::Encoders => rejected.climber += 1,
-            },
-            _ => {}
+        match (&why, why.origin()) {
+            (Warning::Duplicate { .. }, _) => inputs.duplicates += 1,
+            (_, Some(Source::Imu)) => rejected.imu += 1,
+            (_, Some(Source::Image)) => rejected.images += 1,
+            (_, Some(Source::Encoders)) => rejected.climber += 1,
+            (_, None) => {}
         }
         self.warn(why);
     }

@@ -29,6 +29,7 @@ pub fn values(s: &Status) -> Vec<(&'static str, String)> {
         ("IMU samples late", inputs.late_imu.to_string()),
         ("IMU gaps", inputs.imu_gaps.to_string()),
         ("images rejected", rejected.images.to_string()),
+        ("markers with invalid values", rejected.markers.to_string()),
         ("climber samples rejected", rejected.climber.to_string()),
         ("duplicates", inputs.duplicates.to_string()),
         ("history overflows", inputs.overflows.to_string()),

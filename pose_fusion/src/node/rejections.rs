@@ -2,14 +2,16 @@
 
 use crate::Warning;
 use node_kit::node::Health;
+use rig_model::topics;
+use std::collections::BTreeMap;
 
 /// Inputs that were rejected in this second and the last one, and why the newest was.
 #[derive(Debug, Default)]
 pub(super) struct Rejections {
     /// Why `camera_info` is rejected; it is reported until another one is received.
     pub camera: Option<String>,
-    count: u64,
-    newest: String,
+    /// Number and newest reason by topic, since the last report.
+    rejected: BTreeMap<String, (u64, String)>,
     unusable: Option<String>,
     /// Of the last second.
     last_unusable: Option<String>,
@@ -17,27 +19,33 @@ pub(super) struct Rejections {
 
 impl Rejections {
     /// Notes a message that is unusable, whatever its stamp is.
-    pub fn note_message(&mut self, why: String) {
-        if why.starts_with("camera_info") {
+    pub fn note_message(&mut self, topic: &str, why: String) {
+        if topic == topics::CAMERA_INFO {
             self.camera = Some(why);
-        } else {
-            self.count += 1;
-            self.newest.clone_from(&why);
+            return;
+        }
+        self.count(topic, &why);
+        // The filter waits for no pose of an operator.
+        if topic != topics::SET_POSE {
             self.unusable = Some(why);
         }
     }
 
+    fn count(&mut self, topic: &str, why: &str) {
+        let (count, newest) = self.rejected.entry(topic.to_owned()).or_default();
+        *count += 1;
+        why.clone_into(newest);
+    }
+
     /// Notes an input that the estimator rejects.
     pub fn note(&mut self, warning: &Warning) {
+        let Some(topic) = warning.origin().map(|source| source.to_string()) else { return };
         match warning {
             Warning::NotFinite { .. } | Warning::NoStamp { .. } => {
-                self.note_message(warning.to_string());
+                self.note_message(&topic, warning.to_string());
             }
-            Warning::Ahead { .. } | Warning::TooOld { .. } => {
-                self.count += 1;
-                self.newest = warning.to_string();
-            }
-            _ => {}
+            Warning::Duplicate { .. } => {}
+            _ => self.count(&topic, &warning.to_string()),
         }
     }
 
@@ -53,19 +61,19 @@ impl Rejections {
 
     /// Adds the rejections since the last report to the state of the last second.
     pub fn report(&mut self, health: Health, message: String) -> (Health, String) {
-        let (count, newest) = (std::mem::take(&mut self.count), std::mem::take(&mut self.newest));
-        if count == 0 {
-            return (health, message);
-        }
-        let report = format!(
-            "{message}; {count} inputs of the last second were rejected, the newest: {newest}"
-        );
-        (health.max(Health::Warn), report)
+        let rejected = std::mem::take(&mut self.rejected);
+        let health = if rejected.is_empty() { health } else { health.max(Health::Warn) };
+        let report = rejected.into_iter().fold(message, |report, (topic, (count, newest))| {
+            format!(
+                "{report}; {count} of {topic} rejected in the last second, the newest: {newest}"
+            )
+        });
+        (health, report)
     }
 
     /// Drops the rejections since the last report.
     pub fn drop_report(&mut self) {
-        (self.count, self.newest) = (0, String::new());
+        self.rejected.clear();
     }
 }
 
@@ -81,8 +89,13 @@ mod tests {
             Warning::TooOld { from: crate::Source::Image, stamp: Stamp::default(), age_s: 9.0 };
         rejections.note(&late);
         assert_eq!(rejections.unusable(), None);
-        rejections.note_message("climber/transform: the frames".to_owned());
-        for expected in [Some("climber/transform: the frames"); 2] {
+        let set = "volant/set_pose: the frame";
+        rejections.note_message(topics::SET_POSE, set.to_owned());
+        assert_eq!(rejections.unusable(), None);
+        let frames = "climber/transform: the frames";
+        rejections.note_message(topics::CLIMBER_TRANSFORM, frames.to_owned());
+        rejections.note_message(topics::CLIMBER_TRANSFORM, frames.to_owned());
+        for expected in [Some(frames); 2] {
             assert_eq!(rejections.unusable(), expected);
             rejections.end_second();
         }
@@ -90,7 +103,9 @@ mod tests {
         assert_eq!(rejections.unusable(), None);
         let (health, message) = rejections.report(Health::Ok, "fusing".to_owned());
         assert_eq!(health, Health::Warn);
-        assert!(message.starts_with("fusing; 2 inputs of the last second were rejected"));
+        assert!(message.starts_with("fusing; 1 of climber/markers rejected"), "{message}");
+        assert!(message.contains("; 2 of climber/transform rejected"), "{message}");
+        assert!(message.ends_with(set), "{message}");
         assert_eq!(rejections.report(Health::Ok, String::new()).0, Health::Ok);
     }
 }

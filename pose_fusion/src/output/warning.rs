@@ -122,6 +122,19 @@ pub enum Warning {
 }
 
 impl Warning {
+    /// Returns where an input that is rejected is from.
+    pub const fn origin(&self) -> Option<Source> {
+        match self {
+            Self::NotFinite { from, .. }
+            | Self::TooOld { from, .. }
+            | Self::NoStamp { from }
+            | Self::Duplicate { from, .. }
+            | Self::Ahead { from, .. }
+            | Self::Jump { from, .. } => Some(*from),
+            _ => None,
+        }
+    }
+
     /// Returns a short name of the kind, to throttle and to count by.
     pub const fn kind(&self) -> &'static str {
         match self {
