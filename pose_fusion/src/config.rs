@@ -180,7 +180,8 @@ parameters! {
         /// (negative: the last row comes first). The stamp is that of the middle row, but for the
         /// camera time offset. 0: global shutter.
         image_readout: f64 = 0.0, unit("s"), range(-0.1..=0.1), name("clock.image_readout");
-        /// Initial camera time offset: image time + offset = IMU time.
+        /// Initial camera time offset: image time + offset = IMU time. With model paper it is not
+        /// estimated.
         camera_offset: f64 = 0.0, unit("s"), range(-1.0..=1.0), name("clock.camera_offset");
         /// Constant offset of the climber's stamps: encoder time + camera offset + this = IMU time.
         climber_offset: f64 = 0.0, unit("s"), range(-1.0..=1.0), name("clock.climber_offset");

@@ -89,10 +89,10 @@ impl Fusion {
         }
         self.take_outputs();
         self.outputs.extend(visual.map(|visual| Output::VisualPose(visual.pose)));
-        let Some((_, stamp)) = stamp else { return };
+        let Some((from, stamp)) = stamp else { return };
         match &mut self.estimator {
             Estimator::TightlyCoupled(filter) => filter.publish_status(),
-            Estimator::Paper(paper) => self.outputs.extend(paper.silence(stamp)),
+            Estimator::Paper(paper) => self.outputs.extend(paper.silence(from, stamp)),
         }
         self.take_outputs();
     }

@@ -94,18 +94,19 @@ impl NodeShell for FusionNode {
     ) -> Result<Self, NodeError> {
         let rig = context.rig()?;
         let frames = rig.frames.clone();
+        let is_tight = parameters.core.model == Model::Tight;
         let publishers = Publishers {
             odometry: context.advertise(topics::ODOMETRY, QosPreset::State)?,
             fused_pose: context.advertise(topics::FUSED_POSE, QosPreset::State)?,
             pose: context.advertise(topics::POSE, QosPreset::State)?,
             visual_pose: context.advertise(topics::VISUAL_POSE, QosPreset::State)?,
             status: context.advertise(topics::STATUS, QosPreset::State)?,
-            predicted: if parameters.core.tight.prediction_horizon > 0.0 {
+            predicted: if is_tight && parameters.core.tight.prediction_horizon > 0.0 {
                 Some(context.advertise(topics::PREDICTED_ODOMETRY, QosPreset::State)?)
             } else {
                 None
             },
-            swing: if parameters.core.tight.swing && parameters.core.model == Model::Tight {
+            swing: if is_tight && parameters.core.tight.swing {
                 Some(context.advertise(topics::SWING, QosPreset::State)?)
             } else {
                 None

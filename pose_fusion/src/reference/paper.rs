@@ -34,6 +34,9 @@ use std::collections::VecDeque;
 /// Largest number of waiting IMU samples: ten seconds at 100 Hz.
 const WAITING: usize = 1024;
 
+/// A stamp this far before the newest one of its source is of a clock that was set back, s.
+const SET_BACK: f64 = 1.0;
+
 /// Published filter.
 #[derive(Debug)]
 pub struct Paper {
@@ -110,7 +113,7 @@ impl Paper {
             return;
         }
         let newest = self.waiting.back().or(self.last_sample.as_ref()).map(|s| s.stamp);
-        if newest.is_some_and(|n| n.seconds_since(sample.stamp) > 1.0) {
+        if newest.is_some_and(|n| n.seconds_since(sample.stamp) > SET_BACK) {
             self.reset();
         } else if newest.is_some_and(|n| n >= sample.stamp) {
             return;
@@ -143,7 +146,10 @@ impl Paper {
     /// Takes in an image at `stamp` with its visual pose, where it has one, and returns the fused
     /// estimate.
     pub fn image(&mut self, stamp: Stamp, visual: Option<&Visual>) -> Option<Odometry> {
-        if self.state.as_ref().is_some_and(|s| s.stamp >= stamp) {
+        let newest = self.stamp();
+        if newest.is_some_and(|n| n.seconds_since(stamp) > SET_BACK) {
+            self.reset();
+        } else if newest.is_some_and(|n| n >= stamp) {
             return None;
         }
         self.integrate_to(stamp);

@@ -2,24 +2,28 @@
 
 use super::{paper::Paper, single_image::Visual};
 use crate::{
-    config::{FusionConfig, StatusConfig},
+    config::{ClockConfig, FusionConfig, StatusConfig},
     health::{
         pose_status::{PoseState, PoseStatus},
-        status::{Counts, ImuStatus, InputCounts, Status},
+        status::{Counts, ImuStatus, InputCounts, Status, TimeOffsetStatus},
     },
     output::{Output, largest_sigma},
-    timeline::dropout::GAP,
+    timeline::{arrival::Source, dropout::GAP},
 };
 use rig_model::{Rig, Sample, Stamp};
 
 /// Without images the status is reported this often, s.
 const STATUS_PERIOD: f64 = 0.1;
 
-/// Published filter with its status.
+/// Published filter with its status. The time offsets of camera and climber are those configured:
+/// the paper estimates none. Its time is that of the IMU.
 #[derive(Debug)]
 pub struct PublishedFilter {
     filter: Paper,
     limits: StatusConfig,
+    clock: ClockConfig,
+    /// Uncertainty of the acceleration that is integrated (1 sigma), m/s².
+    acceleration_sigma: f64,
     inputs: InputCounts,
     last_status: Option<Stamp>,
 }
@@ -30,6 +34,8 @@ impl PublishedFilter {
         Self {
             filter: Paper::new(rig, config.paper.clone(), config.tight.gravity),
             limits: config.status.clone(),
+            clock: config.tight.clock.clone(),
+            acceleration_sigma: config.tight.imu.accelerometer_bias,
             inputs: InputCounts::default(),
             last_status: None,
         }
@@ -50,9 +56,10 @@ impl PublishedFilter {
             }
             Sample::Markers(markers) => {
                 self.inputs.images += 1;
-                if let Some(odometry) = self.filter.image(markers.stamp, visual) {
-                    self.last_status = Some(markers.stamp);
-                    let status = self.pose_status(markers.stamp);
+                let at = markers.stamp.plus_seconds(self.clock.camera_offset);
+                if let Some(odometry) = self.filter.image(at, visual) {
+                    self.last_status = Some(at);
+                    let status = self.pose_status(at);
                     return vec![Output::Odometry(odometry), Output::Status(status)];
                 }
             }
@@ -61,8 +68,15 @@ impl PublishedFilter {
         Vec::new()
     }
 
-    /// Returns the status at 10 Hz of data time while no image gives a pose.
-    pub fn silence(&mut self, now: Stamp) -> Option<Output> {
+    /// Returns the status at 10 Hz of data time while no image gives a pose; `stamp` is that of an
+    /// input.
+    pub fn silence(&mut self, from: Source, stamp: Stamp) -> Option<Output> {
+        let ClockConfig { camera_offset, climber_offset, .. } = self.clock;
+        let now = match from {
+            Source::Imu => stamp,
+            Source::Image => stamp.plus_seconds(camera_offset),
+            Source::Encoders => stamp.plus_seconds(climber_offset + camera_offset),
+        };
         let since = |last: Option<Stamp>| last.map_or(f64::INFINITY, |l| now.seconds_since(l));
         let silent = since(self.filter.stamp());
         let due = !(0.0..STATUS_PERIOD).contains(&since(self.last_status));
@@ -93,11 +107,18 @@ impl PublishedFilter {
 
     /// Returns counters and insights for diagnostics.
     pub fn status(&self) -> Status {
+        let (image, camera_offset) = (self.filter.last_visual(), self.clock.camera_offset);
         Status {
             initialized: self.filter.stamp().is_some(),
             imu: ImuStatus { newest: self.filter.newest_imu(), ..ImuStatus::default() },
-            last_used_image: self.filter.last_visual().map(|(stamp, _)| stamp),
+            last_used_image: image.map(|(at, _)| at.plus_seconds(-camera_offset)),
             position_sigma: self.sigma(0),
+            time_offset: TimeOffsetStatus {
+                offset: camera_offset,
+                configured: camera_offset,
+                sigma: f64::NAN,
+                searching: false,
+            },
             counts: Counts { inputs: self.inputs, ..Counts::default() },
             ..Status::default()
         }
@@ -105,7 +126,9 @@ impl PublishedFilter {
 
     fn pose_status(&self, now: Stamp) -> PoseStatus {
         if self.filter.stamp().is_none() {
-            return PoseStatus::initializing(now, self.filter.missing().to_owned());
+            let missing = self.filter.missing().to_owned();
+            let time_offset = self.clock.camera_offset;
+            return PoseStatus { time_offset, ..PoseStatus::initializing(now, missing) };
         }
         let since =
             |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s).max(0.0));
@@ -120,13 +143,17 @@ impl PublishedFilter {
             // A visual pose rests on an encoder reading of its instant.
             climber_age: image_age,
             markers_used: last_visual.map_or(0, |(_, markers)| markers),
+            time_offset: self.clock.camera_offset,
             ..PoseStatus::initializing(now, String::new())
         }
         .judged(&self.limits, imu_age > GAP, false);
         if status.state == PoseState::Coasting {
+            // The published covariance does not contain what an acceleration's error becomes.
+            let drift = self.acceleration_sigma * image_age * image_age / 2.0;
+            status.valid &= drift <= self.limits.max_position_sigma;
             status.reason = format!(
                 "two or more markers hidden, or no climber/transform: {}; the doubly integrated \
-                 accelerations carry the pose",
+                 accelerations carry the pose and may be off by {drift:.2} m",
                 status.reason
             );
         }

@@ -74,6 +74,8 @@ pub struct SingleImagePose {
     last: Option<(Stamp, Isometry3<f64>)>,
     floor: f64,
     max_range: f64,
+    /// Image time + this = IMU time, s.
+    camera_offset: f64,
     /// Encoder time + this = camera time, s.
     climber_offset: f64,
     solver: Solver,
@@ -93,6 +95,7 @@ impl SingleImagePose {
             last: None,
             floor: tight.markers.pixel_floor,
             max_range: tight.limits.max_range,
+            camera_offset: tight.clock.camera_offset,
             climber_offset: tight.clock.climber_offset,
             solver: match config.model {
                 Model::Paper => Solver::Published,
@@ -177,7 +180,7 @@ impl SingleImagePose {
         } else {
             let mut found = planar_pose::candidates(&self.rig.markers, camera, &pixels, None);
             found.retain(within);
-            let up = nearest(&self.ups, stamp);
+            let up = nearest(&self.ups, stamp.plus_seconds(self.camera_offset));
             let cost = |c: &PlanarPose| {
                 let rotation = (world_from_camera * c.camera_from_volant).rotation;
                 let unlikely = match (up, last) {

@@ -90,8 +90,55 @@ fn the_status_of_the_published_filter_names_what_is_missing() {
     }
     for status in statuses(|input| !matches!(input, Input::Climber(_))) {
         assert_eq!(status.state, PoseState::Coasting, "{status:?}");
+        assert!(status.image_age < 1.01 || !status.valid, "{status:?}");
         assert!(status.reason.contains("no climber/transform"), "{}", status.reason);
     }
+}
+
+#[test]
+fn a_configured_camera_offset_counts_in_the_published_filter() {
+    let sensors = SensorConfig::nominal(1);
+    let odometry = |offset: f64| {
+        let motion = MotionConfig { duration: 4.0, ..MotionConfig::nominal(1) };
+        let mut run = simulated::run(motion, &sensors);
+        for (_, input) in &mut run.inputs {
+            match input {
+                Input::Markers(m) => m.stamp = m.stamp.plus_seconds(-offset),
+                Input::Climber(c) => c.stamp = c.stamp.plus_seconds(-offset),
+                Input::Imu(_) | Input::Camera(_) => {}
+            }
+        }
+        let mut config = config(PaperMeasurement::Pose);
+        config.tight.clock.camera_offset = offset;
+        let mut fusion = Fusion::new(simulated::rig(), config);
+        let outputs = scoring::run(&mut fusion, run.inputs.into_iter().map(|(_, input)| input));
+        assert_eq!(outputs.status.last().map(|s| s.time_offset), Some(offset));
+        outputs.odometry
+    };
+    let (expected, found) = (odometry(0.0), odometry(0.1));
+    assert!(!found.is_empty() && found.len() == expected.len());
+    for (found, expected) in found.iter().zip(&expected) {
+        let step = found.world_from_volant.translation.vector
+            - expected.world_from_volant.translation.vector;
+        assert!(found.stamp == expected.stamp && step.norm() < 1e-6, "{step}");
+    }
+}
+
+#[test]
+fn an_image_stamped_far_ahead_does_not_end_the_published_filter() {
+    let sensors = SensorConfig::nominal(1);
+    let motion = MotionConfig { duration: 5.0, ..MotionConfig::nominal(1) };
+    let mut run = simulated::run(motion, &sensors);
+    let is_image = |input: &Input| matches!(input, Input::Markers(_));
+    let after = sensors.epoch.plus_seconds(3.0);
+    let place = run.inputs.iter().position(|(at, input)| *at > after && is_image(input)).unwrap();
+    if let Input::Markers(markers) = &mut run.inputs[place].1 {
+        markers.stamp = markers.stamp.plus_seconds(100.0);
+    }
+    let mut fusion = Fusion::new(simulated::rig(), config(PaperMeasurement::Pose));
+    let outputs = scoring::run(&mut fusion, run.inputs.into_iter().map(|(_, input)| input));
+    let last = outputs.status.last().unwrap();
+    assert!(last.state == PoseState::Tracking && last.valid, "{last:?}");
 }
 
 #[test]
