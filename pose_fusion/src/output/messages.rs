@@ -120,8 +120,8 @@ mod tests {
             MarkerUpdate::GATED,
             MarkerUpdate::INCONSISTENT,
             MarkerUpdate::NOT_PREDICTABLE,
-            MarkerUpdate::NOT_INITIALISED,
-            MarkerUpdate::REFUSED,
+            MarkerUpdate::NOT_INITIALIZED,
+            MarkerUpdate::REJECTED,
             MarkerUpdate::FROZEN,
         ];
         assert_eq!(ours.map(|outcome| outcome as u8), theirs);
