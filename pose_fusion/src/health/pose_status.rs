@@ -4,7 +4,7 @@ use crate::config::StatusConfig;
 use rig_model::Stamp;
 
 const MIRRORED: &str = "no IMU sample, and fewer than four markers: they fit two tilts";
-const CONTRADICTED: &str = "images contradict the IMU or the encoders again and again: units, \
+const CONTRADICTED: &str = "images contradict the IMU or the encoders repeatedly: check units, \
                             signs, orientations and frames (`volant check` names the cause)";
 
 /// What carries the pose.

@@ -56,9 +56,9 @@ pub enum Warning {
     ImuBursts { samples: f64, every_s: f64 },
     /// The IMU's own attitude is off by more than it claims.
     #[error(
-        "the IMU's own attitude at {stamp} is {:.1}° beside what the markers show and is not used: \
-         increase the driver's orientation covariance (orientation_stddev.tilt) to what holds \
-         during a swing, and check imu.orientation",
+        "the IMU's own attitude at {stamp} deviates by {:.1}° from that of the markers and is not \
+         used: increase the driver's orientation covariance (orientation_stddev.tilt) to what \
+         holds during a swing, and check imu.orientation",
         angle_rad.to_degrees()
     )]
     ImuAttitude { stamp: Stamp, angle_rad: f64 },
@@ -74,7 +74,7 @@ pub enum Warning {
     /// The camera time offset was initialized.
     #[error("camera time offset {offset_s:+.4} s (image time + offset = IMU time)")]
     TimeOffset { offset_s: f64 },
-    /// The platform was struck between two IMU samples.
+    /// A shock of the platform between two IMU samples.
     #[error(
         "the images since {since} contradict the prediction: a shock that the IMU missed; process \
          noise is added from the last used image to {stamp}"
@@ -83,14 +83,14 @@ pub enum Warning {
     /// Most markers contradicted the estimate for several images and were consistent with each
     /// other.
     #[error(
-        "the markers contradict the estimate since {since} and agree with each other; \
+        "the markers contradict the estimate since {since} and are consistent with each other; \
          reinitialized from the image at {stamp}"
     )]
     LockOutRecovered { since: Stamp, stamp: Stamp },
     /// The encoders contradict images and IMU.
     #[error(
         "the encoder reading at {stamp} contradicts the estimate by {distance_m:.3} m; the \
-         encoders are not used until they agree again"
+         encoders are not used until they are consistent with it again"
     )]
     EncodersSuspended { stamp: Stamp, distance_m: f64 },
     /// The encoders repeat one reading while the images show that the climber moves, or one stopped
@@ -102,12 +102,13 @@ pub enum Warning {
     )]
     EncodersFrozen { since: Stamp },
     /// The encoders agree with the estimate again.
-    #[error("the encoders agree with the estimate again at {stamp}")]
+    #[error("the encoders are consistent with the estimate again at {stamp} and are used")]
     EncodersResumed { stamp: Stamp },
     /// The encoders have contradicted the estimate for too long and are adopted.
     #[error(
         "the encoders at {stamp} still contradict the estimate, after climber.step_timeout or after \
-         they were frozen; they are adopted and the pose reinitializes: were they homed?"
+         they were frozen; they are adopted and the pose reinitializes; check whether they \
+         were homed"
     )]
     EncoderStep { stamp: Stamp },
     /// The pose must not be used any more.

@@ -88,7 +88,7 @@ impl PublishedFilter {
         if self.filter.stamp().is_some() {
             (status.state, status.valid) = (PoseState::Lost, false);
             status.reason = format!(
-                "no climber/markers for {silent:.1} s: the published filter gives a pose with \
+                "no climber/markers for {silent:.1} s: the published filter outputs a pose with \
                  images only"
             );
         }
