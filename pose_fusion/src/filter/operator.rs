@@ -41,7 +41,7 @@ impl Filter {
         self.publisher.continuity.reset();
         let known = state.sigma(TIME_OFFSET) < OFFSET_KNOWN;
         self.search = super::search(&self.setup.config).filter(|_| !known);
-        self.start.offset_doubt = None;
+        (self.start.offset_doubt, self.start.searches_again) = (None, false);
         self.start.kept = Some(Box::new(state));
         self.start.kept_at = Some(Stamp::from_nanos(checkpoint.stamp_ns));
         Ok(())
