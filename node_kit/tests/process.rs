@@ -95,6 +95,28 @@ impl NodeShell for Broken {
     }
 }
 
+/// Handles its timer more slowly than the timer's period, and ends by its tick.
+struct Slow;
+
+impl NodeShell for Slow {
+    const NAME: &'static str = "slow";
+    type Parameters = ();
+    type Input = ();
+
+    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
+        context.timer(Duration::from_millis(1), || ());
+        Ok(Self)
+    }
+
+    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
+        std::thread::sleep(Duration::from_millis(3));
+    }
+
+    fn tick(&mut self, context: &mut NodeContext<()>) {
+        context.finish();
+    }
+}
+
 fn network(domain_id: u16) -> Network {
     Network { domain_id, ..Network::default() }
 }
@@ -146,6 +168,13 @@ fn a_node_that_breaks_is_named_and_ends_the_process_in_order() {
     process.start::<Broken>(&RosArguments::default()).unwrap();
     let error = process.wait().unwrap_err().to_string();
     assert!(error.contains("/broken") && error.contains("on purpose"), "{error}");
+}
+
+#[test]
+fn a_handler_slower_than_its_timer_holds_up_nothing_else() {
+    let mut process = Process::new(network(23)).unwrap();
+    process.start::<Slow>(&RosArguments::default()).unwrap();
+    process.wait().unwrap();
 }
 
 #[test]

@@ -229,7 +229,7 @@ impl<I: Send + 'static> NodeContext<I> {
         self.timers.next(&self.clock)
     }
 
-    pub(crate) fn due_timer(&mut self) -> Option<I> {
+    pub(crate) fn due_timers(&mut self) -> Vec<I> {
         self.timers.due(&self.handle.clock)
     }
 

@@ -100,7 +100,8 @@ impl<S: NodeShell> NodeRunner<S> {
             if self.state.get() == LifecycleState::Active
                 && let Some(shell) = &mut self.shell
             {
-                while let Some(input) = self.context.due_timer() {
+                // One input of each: a handler slower than a period holds up nothing else.
+                for input in self.context.due_timers() {
                     shell.handle(&mut self.context, input);
                 }
             }

@@ -52,18 +52,18 @@ impl<I> Timers<I> {
         if clock.is_simulated() { None } else { self.0.iter().map(|t| t.next).min() }
     }
 
-    /// Input of a timer that is due.
-    pub fn due(&mut self, clock: &Clock) -> Option<I> {
+    /// Inputs of the timers that are due, one of each.
+    pub fn due(&mut self, clock: &Clock) -> Vec<I> {
         let simulated = clock.is_simulated().then(|| clock.now());
         let steady = now();
-        let timer = self.0.iter_mut().find_map(|timer| {
+        let due = self.0.iter_mut().filter_map(|timer| {
             let due = match simulated {
                 Some(stamp) => timer.is_due_simulated(stamp),
                 None => timer.is_due(steady),
             };
-            due.then_some(timer)
-        })?;
-        Some((timer.make)())
+            due.then(|| (timer.make)())
+        });
+        due.collect()
     }
 }
 
