@@ -123,6 +123,10 @@ impl<M: Message> Inner<M> {
     fn publish(&self, message: Arc<M>) {
         self.counts.published.fetch_add(1, Ordering::Relaxed);
         if self.qos.transient_local {
+            if self.qos.depth == 1 {
+                // This message replaces one that DDS refused before.
+                *self.pending.lock() = None;
+            }
             self.channel.deliver_latched(self.id, &message, self.qos.depth);
         } else {
             self.channel.deliver(&message);
