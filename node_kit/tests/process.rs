@@ -176,17 +176,3 @@ fn a_handler_slower_than_its_timer_holds_up_nothing_else() {
     process.start::<Slow>(&RosArguments::default()).unwrap();
     process.wait().unwrap();
 }
-
-#[test]
-fn a_stopper_ends_all_nodes() {
-    let mut process = Process::new(network(24)).unwrap();
-    process.start::<Source>(&RosArguments::default()).unwrap();
-    process.start::<Sink>(&RosArguments::default()).unwrap();
-    let stopper = process.stopper();
-    let stopping = std::thread::spawn(move || {
-        std::thread::sleep(Duration::from_millis(100));
-        stopper.stop();
-    });
-    process.wait().unwrap();
-    stopping.join().unwrap();
-}

@@ -45,7 +45,7 @@ pub use handle::NodeHandle;
 pub use logger::Logger;
 pub use middleware::{Loss, MiddlewareWatch};
 pub use participant::join;
-pub use process::{Process, Stopper};
+pub use process::Process;
 pub use publisher::Publisher;
 pub use run::{run_node, run_node_with};
 pub use service::Responder;

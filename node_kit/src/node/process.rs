@@ -91,17 +91,6 @@ impl Drop for ReportEnd {
     }
 }
 
-/// Stops a [`Process`] from any thread.
-#[derive(Clone)]
-pub struct Stopper(SyncSender<Ended>);
-
-impl Stopper {
-    /// Requests the stop and returns at once. Further calls have no effect.
-    pub fn stop(&self) {
-        let _ = self.0.try_send(Ended::Stop);
-    }
-}
-
 impl Process {
     /// Joins the DDS domain that the environment names.
     ///
@@ -237,11 +226,6 @@ impl Process {
         self.domain.ended.load(std::sync::atomic::Ordering::Acquire)
     }
 
-    /// A handle that stops the process from another thread.
-    pub fn stopper(&self) -> Stopper {
-        Stopper(self.ended_sender.clone())
-    }
-
     /// Stops the process in order on each of [`console::stop_signals`]. A signal that arrives 3 s
     /// after the first or later ends it at once; earlier ones are ignored, because Ctrl-C in a
     /// terminal sends a launched node two in a row, one of the terminal and one of `ros2 launch`.
@@ -252,13 +236,13 @@ impl Process {
         use signal_hook::{iterator::Signals, low_level::emulate_default_handler};
         let refused = |source| NodeError::System { what: "a signal handler".into(), source };
         let mut signals = Signals::new(console::stop_signals()).map_err(refused)?;
-        let stopper = self.stopper();
+        let ended = self.ended_sender.clone();
         std::thread::Builder::new()
             .name("signals".into())
             .spawn(move || {
                 let mut first = None;
                 for signal in signals.forever() {
-                    stopper.stop();
+                    let _ = ended.try_send(Ended::Stop);
                     if now().duration_since(*first.get_or_insert_with(now)) >= GRACE_PERIOD {
                         let _ = emulate_default_handler(signal);
                     }
