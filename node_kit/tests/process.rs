@@ -19,11 +19,11 @@ type Reports = mpsc::SyncSender<Report>;
 struct Source {
     images: Publisher<Image>,
     number: u32,
-    reports: Option<Reports>,
+    reports: Reports,
 }
 
 impl Source {
-    fn new(context: &mut NodeContext<()>, reports: Option<Reports>) -> Result<Self, NodeError> {
+    fn new(context: &mut NodeContext<()>, reports: Reports) -> Result<Self, NodeError> {
         context.timer(Duration::from_millis(20), || ());
         Ok(Self { images: context.advertise("image", QosPreset::Image)?, number: 0, reports })
     }
@@ -34,28 +34,19 @@ impl NodeShell for Source {
     type Parameters = ();
     type Input = ();
 
-    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
-        Self::new(context, None)
-    }
-
     fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
         self.number += 1;
         let image =
             Arc::new(Image { width: self.number, data: vec![7; 100_000], ..Image::default() });
-        if let Some(reports) = &self.reports {
-            let _ = reports.try_send(("source", Arc::clone(&image)));
-        }
+        let _ = self.reports.try_send(("source", Arc::clone(&image)));
         self.images.publish_shared(image);
     }
 }
 
-struct Sink(Option<Reports>);
+struct Sink(Reports);
 
 impl Sink {
-    fn new(
-        context: &mut NodeContext<Arc<Image>>,
-        reports: Option<Reports>,
-    ) -> Result<Self, NodeError> {
+    fn new(context: &mut NodeContext<Arc<Image>>, reports: Reports) -> Result<Self, NodeError> {
         context.subscribe("image", QosPreset::Image, Some)?;
         Ok(Self(reports))
     }
@@ -66,15 +57,9 @@ impl NodeShell for Sink {
     type Parameters = ();
     type Input = Arc<Image>;
 
-    fn start(context: &mut NodeContext<Arc<Image>>, (): ()) -> Result<Self, NodeError> {
-        Self::new(context, None)
-    }
-
     fn handle(&mut self, context: &mut NodeContext<Arc<Image>>, image: Arc<Image>) {
         let who = if context.name().base() == "outside" { "outside" } else { "inside" };
-        if let Some(reports) = &self.0 {
-            let _ = reports.try_send((who, image));
-        }
+        let _ = self.0.try_send((who, image));
     }
 }
 
@@ -124,12 +109,11 @@ fn network(domain_id: u16) -> Network {
 #[test]
 fn inside_it_is_the_same_image_outside_a_copy_and_each_comes_once() {
     let (sender, reports) = mpsc::sync_channel(1000);
-    let to = || Some(sender.clone());
     let sink = || {
-        let reports = to();
+        let reports = sender.clone();
         move |context: &mut NodeContext<_>, ()| Sink::new(context, reports.clone())
     };
-    let reports_of_source = to();
+    let reports_of_source = sender.clone();
     let arguments = RosArguments::default();
     let mut inside = Process::new(network(21)).unwrap();
     inside.start_with(&arguments, sink()).unwrap();
@@ -164,7 +148,7 @@ fn inside_it_is_the_same_image_outside_a_copy_and_each_comes_once() {
 #[test]
 fn a_node_that_breaks_is_named_and_ends_the_process_in_order() {
     let mut process = Process::new(network(22)).unwrap();
-    process.start::<Source>(&RosArguments::default()).unwrap();
+    process.start::<Slow>(&RosArguments::default()).unwrap();
     process.start::<Broken>(&RosArguments::default()).unwrap();
     let error = process.wait().unwrap_err().to_string();
     assert!(error.contains("/broken") && error.contains("on purpose"), "{error}");
