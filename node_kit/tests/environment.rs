@@ -4,15 +4,10 @@
 
 mod common;
 
-use common::start;
+use common::minimal;
 use std::{path::Path, time::Duration};
-use test_support::process::{Running, example};
 
 const LONG: Duration = Duration::from_secs(20);
-
-fn minimal(domain: u16, arguments: &[&str], environment: &[(&str, &str)]) -> Running {
-    start(domain, &example("minimal_node"), arguments, environment)
-}
 
 /// Names and texts of the files of a folder.
 fn files(folder: &Path) -> Vec<(String, String)> {

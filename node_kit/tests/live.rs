@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Announced, peer, python, start};
+use common::{Announced, minimal, peer, python, start};
 use node_kit::{environment::Network, node::join};
 use rustdds::{GUID, RTPSEntity};
 use std::{
@@ -12,14 +12,10 @@ use std::{
     process::Command,
     time::{Duration, Instant},
 };
-use test_support::process::{Running, example};
+use test_support::process::example;
 use volant_msgs::{Message, geometry_msgs::msg::PoseWithCovarianceStamped};
 
 const LONG: Duration = Duration::from_secs(20);
-
-fn minimal(domain: u16, arguments: &[&str], environment: &[(&str, &str)]) -> Running {
-    start(domain, &example("minimal_node"), arguments, environment)
-}
 
 #[test]
 fn messages_cross_both_ways_unchanged() {

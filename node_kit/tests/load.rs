@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{peer, python, start};
+use common::{minimal, peer, python, start};
 use node_kit::{
     NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments,
     environment::Network,
@@ -22,7 +22,7 @@ const LONG: Duration = Duration::from_secs(20);
 
 #[test]
 fn an_idle_node_needs_little() {
-    let node = start(11, &example("minimal_node"), &["--beat", "0.1"], &[]);
+    let node = minimal(11, &["--beat", "0.1"], &[]);
     std::thread::sleep(Duration::from_secs(2));
     let before = node.processor_time();
     std::thread::sleep(Duration::from_secs(4));

@@ -4,12 +4,12 @@
 
 mod common;
 
-use common::start;
+use common::{minimal, script};
 use std::{
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
-use test_support::process::{Running, example};
+use test_support::process::Running;
 use volant_msgs::{Message, SERVICES, geometry_msgs::msg::PoseWithCovarianceStamped};
 
 const LONG: Duration = Duration::from_secs(40);
@@ -20,10 +20,7 @@ fn rclpy() -> Option<PathBuf> {
 }
 
 fn peer(domain: u16, python: &Path, arguments: &[&str]) -> Running {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/ros2_peer.py");
-    let mut all = vec![script.to_str().unwrap()];
-    all.extend(arguments);
-    start(domain, python, &all, &[])
+    script(domain, python, "ros2_peer.py", arguments)
 }
 
 /// The JSON line that the peer prints.
@@ -36,7 +33,7 @@ fn output(domain: u16, python: &Path, arguments: &[&str]) -> String {
 #[test]
 fn the_graph_is_that_of_any_node() {
     let Some(python) = rclpy() else { return };
-    let _node = start(41, &example("minimal_node"), &["--ros-args", "-r", "__ns:=/rig1"], &[]);
+    let _node = minimal(41, &["--ros-args", "-r", "__ns:=/rig1"], &[]);
     let line = output(41, &python, &["look", "/rig1/minimal"]);
     for needle in [
         r#""/rig1/echo": ["geometry_msgs/msg/PoseWithCovarianceStamped"]"#,
@@ -56,7 +53,7 @@ fn the_graph_is_that_of_any_node() {
 #[test]
 fn parameters_are_listed_described_dumped_and_set() {
     let Some(python) = rclpy() else { return };
-    let _node = start(42, &example("minimal_node"), &[], &[]);
+    let _node = minimal(42, &[], &[]);
     for times in ["1", "20", "100"] {
         let line = output(42, &python, &["parameters", "/minimal", times]);
         assert!(line.contains(r#""described": true"#), "{line}");
@@ -86,7 +83,7 @@ fn parameters_are_listed_described_dumped_and_set() {
 #[test]
 fn the_lifecycle_changes_state() {
     let Some(python) = rclpy() else { return };
-    let _node = start(43, &example("minimal_node"), &[], &[]);
+    let _node = minimal(43, &[], &[]);
     assert_eq!(
         output(43, &python, &["lifecycle", "/minimal"]),
         concat!(
@@ -99,7 +96,7 @@ fn the_lifecycle_changes_state() {
 #[test]
 fn messages_arrive_at_their_rate() {
     let Some(python) = rclpy() else { return };
-    let _node = start(44, &example("minimal_node"), &["--beat", "50"], &[]);
+    let _node = minimal(44, &["--beat", "50"], &[]);
     let line = output(
         44,
         &python,
@@ -115,7 +112,7 @@ fn messages_arrive_at_their_rate() {
 fn topics_and_services_are_gone_within_a_second_of_a_signal() {
     let Some(python) = rclpy() else { return };
     for (domain, signal) in [(45, "INT"), (46, "TERM")] {
-        let mut node = start(domain, &example("minimal_node"), &[], &[]);
+        let mut node = minimal(domain, &[], &[]);
         let watcher = peer(domain, &python, &["endpoints_gone", "/minimal", "30"]);
         watcher.line_with("there", LONG);
         let interrupted = Instant::now();
@@ -138,7 +135,7 @@ fn a_single_message_of_a_short_lived_publisher_arrives() {
         let publisher = peer(domain, &python, &["once", "/pose", &TRIES.to_string(), alive]);
         std::thread::sleep(Duration::from_secs(1));
         let talk = ["--talk", "true"];
-        let node = start(domain, &example("minimal_node"), &talk, &[]);
+        let node = minimal(domain, &talk, &[]);
         let (status, lines) = publisher.finish(2 * LONG);
         assert!(status.success(), "{lines:?}");
         std::thread::sleep(Duration::from_millis(500));
@@ -153,7 +150,7 @@ fn a_single_message_of_a_short_lived_publisher_arrives() {
 #[test]
 fn types_are_described_as_rclpy_describes_them() {
     let Some(python) = rclpy() else { return };
-    let _node = start(50, &example("minimal_node"), &[], &[]);
+    let _node = minimal(50, &[], &[]);
     let service = SERVICES.iter().find(|(name, _)| name.ends_with("/SetParameters")).unwrap();
     type Pose = PoseWithCovarianceStamped;
     for (name, hash) in [(Pose::TYPE_NAME, Pose::RIHS01_HASH), *service] {
@@ -161,7 +158,7 @@ fn types_are_described_as_rclpy_describes_them() {
         assert!(line.contains(r#"{"equal": true, "texts_equal": true"#), "{line}");
     }
     let off = ["--ros-args", "-p", "start_type_description_service:=false", "-r", "__node:=off"];
-    let _off = start(50, &example("minimal_node"), &off, &[]);
+    let _off = minimal(50, &off, &[]);
     let line = output(50, &python, &["look", "/off"]);
     assert!(line.contains("/off/get_parameters"), "{line}");
     assert!(!line.contains("/off/get_type_description"), "{line}");
@@ -171,7 +168,7 @@ fn types_are_described_as_rclpy_describes_them() {
 #[test]
 fn type_hashes_enclave_and_parameter_events_are_those_of_rclpy() {
     let Some(python) = rclpy() else { return };
-    let _node = start(49, &example("minimal_node"), &[], &[]);
+    let _node = minimal(49, &[], &[]);
     let line = output(49, &python, &["announced", "/minimal"]);
     for needle in [
         r#""one_each": true"#,

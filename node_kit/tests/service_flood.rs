@@ -4,10 +4,10 @@
 
 mod common;
 
-use common::{client, client_node, start};
+use common::{client, client_node, minimal};
 use ros2_client::rcl_interfaces as rcl;
 use std::time::Duration;
-use test_support::process::{Running, example};
+use test_support::process::Running;
 
 const DOMAIN: u16 = 14;
 /// Requests sent to each service.
@@ -39,7 +39,7 @@ fn flood(node: &Running, what: &str, mut send: impl FnMut() -> bool) -> u64 {
 
 #[test]
 fn a_flood_of_requests_does_not_grow_the_node() {
-    let node = start(DOMAIN, &example("minimal_node"), &[], &[]);
+    let node = minimal(DOMAIN, &[], &[]);
     let mut own = client_node(DOMAIN);
     let describe = client::<rcl::DescribeParametersRequest, rcl::DescribeParametersResponse>(
         &mut own,

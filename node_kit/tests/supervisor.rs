@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::start;
+use common::{minimal, start};
 use node_kit::{
     NodeContext, NodeError, NodeShell, Process, RosArguments, environment::Network,
     scheduling::Scheduling,
@@ -17,7 +17,7 @@ use std::{
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
-use test_support::process::{Running, example};
+use test_support::process::example;
 
 /// Watchdog period of the tests, µs: a beat at least every 200 ms.
 const PERIOD: &str = "400000";
@@ -69,10 +69,6 @@ impl Drop for Manager {
     fn drop(&mut self) {
         let _ = std::fs::remove_file(&self.path);
     }
-}
-
-fn minimal(domain: u16, arguments: &[&str], environment: &[(&str, &str)]) -> Running {
-    start(domain, &example("minimal_node"), arguments, environment)
 }
 
 #[test]

@@ -18,7 +18,7 @@ use std::{
     collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
 };
-use test_support::process::{Running, in_domain};
+use test_support::process::{Running, example, in_domain};
 
 /// The Python that has `cyclonedds`, else a skip.
 pub fn python() -> Option<PathBuf> {
@@ -67,10 +67,20 @@ pub fn start(
     )
 }
 
+/// Starts the example `minimal_node`.
+pub fn minimal(domain: u16, arguments: &[&str], environment: &[(&str, &str)]) -> Running {
+    start(domain, &example("minimal_node"), arguments, environment)
+}
+
 /// Starts a command of `tests/peer.py`.
 pub fn peer(domain: u16, python: &Path, arguments: &[&str]) -> Running {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peer.py");
-    let mut all = vec![script.to_str().unwrap()];
+    script(domain, python, "peer.py", arguments)
+}
+
+/// Starts a script of `tests` with Python.
+pub fn script(domain: u16, python: &Path, name: &str, arguments: &[&str]) -> Running {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests").join(name);
+    let mut all = vec![path.to_str().unwrap()];
     all.extend(arguments);
     start(domain, python, &all, &[])
 }
