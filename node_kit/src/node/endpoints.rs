@@ -6,7 +6,6 @@ use super::{
     logger::Logger,
     publisher::{Publisher, Publishing},
     reactor::Reactor,
-    wire::Shared,
 };
 use crate::{
     inbox::Sources,
@@ -114,7 +113,7 @@ impl Endpoints {
         let qos = self.overridden(&name, qos, Endpoint::Publisher)?;
         let channel = self.domain.transport.channel::<M>(&name)?;
         let dds_topic = self.dds_topic::<M>(&name, &qos)?;
-        let writer = self.node.create_publisher::<Shared<M>>(&dds_topic, None).map_err(|e| {
+        let writer = self.node.create_publisher::<Arc<M>>(&dds_topic, None).map_err(|e| {
             NodeError::Middleware {
                 what: format!("the publisher of {name}"),
                 reason: e.to_string(),

@@ -31,7 +31,6 @@ mod supervisor;
 mod tf;
 mod timers;
 mod type_description;
-mod wire;
 
 pub use bare::{AnnouncedReader, BareNode};
 pub use camera::CameraChanges;

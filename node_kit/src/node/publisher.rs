@@ -1,6 +1,6 @@
 //! Publishers of messages.
 
-use super::{intra_process::Channel, wire::Shared};
+use super::intra_process::Channel;
 use crate::{inbox::now, qos::Qos};
 use parking_lot::Mutex;
 use ros2_client::WriteError;
@@ -31,7 +31,7 @@ struct Inner<M: Message> {
     id: u64,
     qos: Qos,
     channel: Arc<Channel<M>>,
-    writer: ros2_client::Publisher<Shared<M>>,
+    writer: ros2_client::Publisher<Arc<M>>,
     active: Arc<AtomicBool>,
     counts: Arc<PublisherCounts>,
     /// Of a latched topic: message published while the node was inactive, or refused by DDS.
@@ -63,7 +63,7 @@ impl<M: Message> Publisher<M> {
         topic: String,
         qos: Qos,
         channel: Arc<Channel<M>>,
-        writer: ros2_client::Publisher<Shared<M>>,
+        writer: ros2_client::Publisher<Arc<M>>,
         active: Arc<AtomicBool>,
     ) -> Self {
         let gid = writer.gid();
@@ -145,9 +145,9 @@ impl<M: Message> Inner<M> {
 
     /// Writes to DDS; returns the message if its queue is full.
     fn write(&self, message: Arc<M>) -> Result<(), Arc<M>> {
-        match self.writer.publish(Shared(message)) {
+        match self.writer.publish(message) {
             Ok(()) => Ok(()),
-            Err(WriteError::WouldBlock { data }) => Err(data.0),
+            Err(WriteError::WouldBlock { data }) => Err(data),
             // Other errors (serialization, a participant that has ended) do not go away by
             // retrying.
             Err(_) => {

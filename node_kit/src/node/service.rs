@@ -3,16 +3,14 @@
 use super::{
     endpoints::{Endpoints, policies, with_type_hash},
     error::NodeError,
-    logger::Logger,
     reply_budget::ReplyBudget,
-    wire::Half,
 };
 use crate::{environment::ServiceFlavour, inbox::now, level::Level, qos::Qos};
 use async_executor::Task;
 use futures_lite::StreamExt;
-use ros2_client::{MessageInfo, RmwRequestId, ServiceTypeName};
+use ros2_client::{MessageInfo, RmwRequestId, ServiceTypeName, Subscription};
 use rustdds::{RTPSEntity, SampleIdentity, SequenceNumber, Topic, TopicKind, WriteOptionsBuilder};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::{fmt::Display, future::Future, time::Duration};
 use volant_msgs::{Message, Service};
 
@@ -68,40 +66,24 @@ impl Endpoints {
         let writer = participant
             .create_publisher(&policies(&REPLIES))
             .and_then(|p| {
-                p.create_datawriter_no_key_cdr::<Half<S::Response>>(
-                    &replies,
-                    Some(policies(&REPLIES)),
-                )
+                p.create_datawriter_no_key_cdr::<S::Response>(&replies, Some(policies(&REPLIES)))
             })
             .map_err(|e| failed(&name, e))?;
         self.node.add_writer(writer.guid().into());
-        let log = ServiceLog { logger: self.logger.clone(), name };
-        let mut budget = ReplyBudget::new();
-        Ok(self.reactor.spawn(async move {
-            let mut stream = std::pin::pin!(requests.async_stream());
-            while let Some(request) = stream.next().await {
-                let (request, info) = match request {
-                    Ok(request) => request,
-                    Err(error) => {
-                        log.unreadable(error);
-                        continue;
-                    }
-                };
-                let identity = identity_of(&info);
-                let Some(response) = answer(request).await else { continue };
-                if !budget.take(volant_msgs::cdr::to_bytes(&response).len(), now()) {
-                    log.over_budget();
-                    continue;
-                }
+        Ok(self.answer_requests(
+            name,
+            requests,
+            |request, info| (identity_of(info), request),
+            answer,
+            move |identity, response| {
                 let options = WriteOptionsBuilder::new()
                     .source_timestamp(rustdds::Timestamp::now())
                     .related_sample_identity(identity)
                     .build();
-                if let Err(error) = writer.write_with_options(Half(response), options) {
-                    log.unsent(error.forget_data());
-                }
-            }
-        }))
+                let sent = writer.write_with_options(response, options);
+                sent.map(drop).map_err(|error| error.forget_data().to_string())
+            },
+        ))
     }
 
     /// Serves with a request's identity in front of the payload: Cyclone DDS.
@@ -120,26 +102,64 @@ impl Endpoints {
             .node
             .create_publisher::<WithIdentity<S::Response>>(&replies, None)
             .map_err(|e| failed(&name, e))?;
-        let log = ServiceLog { logger: self.logger.clone(), name };
+        Ok(self.answer_requests(
+            name,
+            requests,
+            |WithIdentity { client, number, half }, _| ((client, number), half),
+            answer,
+            move |(client, number), half| {
+                let sent = replies.publish(WithIdentity { client, number, half });
+                sent.map_err(|error| error.to_string())
+            },
+        ))
+    }
+
+    /// Answers requests, one at a time, within the service's [`ReplyBudget`]. `split` returns a
+    /// request's identity and payload; `reply` sends the response to the client of an identity.
+    fn answer_requests<R, I, Request, Response, F>(
+        &self,
+        name: String,
+        requests: Subscription<R>,
+        split: impl Fn(R, &MessageInfo) -> (I, Request) + Send + 'static,
+        answer: impl Fn(Request) -> F + Send + Sync + 'static,
+        reply: impl Fn(I, Response) -> Result<(), String> + Send + 'static,
+    ) -> Task<()>
+    where
+        R: DeserializeOwned + Send + Sync + 'static,
+        I: Send + 'static,
+        Request: Message,
+        Response: Message,
+        F: Future<Output = Option<Response>> + Send,
+    {
+        let logger = self.logger.clone();
         let mut budget = ReplyBudget::new();
-        Ok(self.reactor.spawn(async move {
+        self.reactor.spawn(async move {
+            let warn = |seconds: u64, text: String| {
+                logger.throttled(Level::Warn, &name, Duration::from_secs(seconds), text);
+            };
             let mut stream = std::pin::pin!(requests.async_stream());
-            while let Some(request) = stream.next().await {
-                let WithIdentity { client, number, half } = match request {
-                    Ok((request, _)) => request,
+            while let Some(received) = stream.next().await {
+                let (identity, request) = match received {
+                    Ok((request, info)) => split(request, &info),
                     Err(error) => {
-                        log.unreadable(error);
+                        // Most likely a client whose middleware has another wire format.
+                        let text = format!(
+                            "a request for {name} cannot be read ({error}); is \
+                             RMW_IMPLEMENTATION here the client's?"
+                        );
+                        warn(60, text);
                         continue;
                     }
                 };
-                let Some(half) = answer(half).await else { continue };
-                if !budget.take(volant_msgs::cdr::to_bytes(&half).len(), now()) {
-                    log.over_budget();
-                } else if let Err(error) = replies.publish(WithIdentity { client, number, half }) {
-                    log.unsent(error);
+                let Some(response) = answer(request).await else { continue };
+                if !budget.take(volant_msgs::cdr::to_bytes(&response).len(), now()) {
+                    let text = "gets more requests than it can answer; some replies are not sent";
+                    warn(5, format!("{name} {text}"));
+                } else if let Err(error) = reply(identity, response) {
+                    warn(5, format!("an answer of {name} cannot be sent: {error}"));
                 }
             }
-        }))
+        })
     }
 
     /// The DDS topics of requests and replies.
@@ -200,39 +220,4 @@ struct WithIdentity<M> {
 
 fn failed(service: &str, reason: impl Display) -> NodeError {
     NodeError::Middleware { what: format!("the service {service}"), reason: reason.to_string() }
-}
-
-struct ServiceLog {
-    logger: Logger,
-    name: String,
-}
-
-impl ServiceLog {
-    fn warn(&self, seconds: u64, text: String) {
-        self.logger.throttled(Level::Warn, &self.name, Duration::from_secs(seconds), text);
-    }
-
-    /// Most likely a client whose middleware has another wire format for services.
-    fn unreadable(&self, error: impl Display) {
-        let name = &self.name;
-        self.warn(
-            60,
-            format!(
-                "a request for {name} cannot be read ({error}); is RMW_IMPLEMENTATION here the \
-                 client's?"
-            ),
-        );
-    }
-
-    fn unsent(&self, error: impl Display) {
-        self.warn(5, format!("an answer of {} cannot be sent: {error}", self.name));
-    }
-
-    fn over_budget(&self) {
-        let name = &self.name;
-        self.warn(
-            5,
-            format!("{name} gets more requests than it can answer; some replies are not sent"),
-        );
-    }
 }
