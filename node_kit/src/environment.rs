@@ -98,10 +98,12 @@ impl Network {
     /// As [`Network::from_environment`].
     pub fn from_variables(get: impl Fn(&str) -> Option<String>) -> Result<Self, EnvironmentError> {
         let get = |name| get(name).filter(|value| !value.is_empty());
-        if let Some(error) = unsupported(get) {
-            return Err(error);
-        }
         let wrong = |name, value: String, expected| EnvironmentError { name, value, expected };
+        for (name, is_unsupported, expected) in UNSUPPORTED {
+            if let Some(value) = get(name).filter(|value| is_unsupported(value)) {
+                return Err(wrong(name, value, expected));
+            }
+        }
         let domain_id = match get("ROS_DOMAIN_ID") {
             None => 0,
             Some(value) => value.parse().ok().filter(|id| *id <= 232).ok_or_else(|| {
@@ -195,37 +197,33 @@ const PROFILES: [&str; 4] = [
 const DDS: [&str; 4] =
     ["rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp", "rmw_connextdds"];
 
-/// Returns an error for settings with which this process would find nobody.
-fn unsupported(get: impl Fn(&'static str) -> Option<String>) -> Option<EnvironmentError> {
-    let set = |name, expected| get(name).map(|value| EnvironmentError { name, value, expected });
-    set(
+/// Settings with which this process would find nobody: variable, whether a value of it is such a
+/// setting, and what is expected.
+const UNSUPPORTED: [(&str, fn(&str) -> bool, &str); 4] = [
+    (
         "ROS_STATIC_PEERS",
-        "nothing: RustDDS 0.15.1 discovers by multicast only; unset it for this process, and connect \
-         networks without multicast by a bridge",
-    )
-    .or_else(|| {
-        set(
-            "ROS_DISCOVERY_SERVER",
-            "nothing: RustDDS 0.15.1 has no discovery server; unset it in all processes of the rig",
-        )
-    })
-    .or_else(|| {
-        set(
-            "RMW_IMPLEMENTATION",
-            "rmw_fastrtps_cpp, rmw_cyclonedds_cpp or rmw_connextdds: this process communicates by DDS",
-        )
-        .filter(|error| !DDS.contains(&error.value.as_str()))
-    })
-    .or_else(|| {
-        set(
-            "ROS_DISTRO",
-            "iron, jazzy or a later one: Humble and older announce nodes in another format, and \
-             neither side could read the other's; run this process where that ROS is not sourced, \
-             and exchange bags or connect newer computers",
-        )
-        .filter(|error| OLD_DISTROS.contains(&error.value.as_str()))
-    })
-}
+        |_| true,
+        "nothing: RustDDS 0.15.1 discovers by multicast only; unset it for this process, and \
+         connect networks without multicast by a bridge",
+    ),
+    (
+        "ROS_DISCOVERY_SERVER",
+        |_| true,
+        "nothing: RustDDS 0.15.1 has no discovery server; unset it in all processes of the rig",
+    ),
+    (
+        "RMW_IMPLEMENTATION",
+        |rmw| !DDS.contains(&rmw),
+        "rmw_fastrtps_cpp, rmw_cyclonedds_cpp or rmw_connextdds: this process communicates by DDS",
+    ),
+    (
+        "ROS_DISTRO",
+        |distro| OLD_DISTROS.contains(&distro),
+        "iron, jazzy or a later one: Humble and older announce nodes in another format, and \
+         neither side could read the other's; run this process where that ROS is not sourced, and \
+         exchange bags or connect newer computers",
+    ),
+];
 
 /// Distributions whose `ros_discovery_info` has ids of 24 bytes instead of 16.
 const OLD_DISTROS: [&str; 8] =
