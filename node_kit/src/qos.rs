@@ -109,42 +109,25 @@ impl Qos {
     /// defaults are the values of `self`.
     pub fn descriptors(&self, topic: &str, endpoint: Endpoint) -> Vec<Descriptor> {
         let end = endpoint.name();
-        let name = |policy: &str| format!("qos_overrides.{topic}.{end}.{policy}");
-        let text = |s: &str| Some(ParameterValue::String(s.to_owned()));
-        let number = |n: usize| Some(ParameterValue::Integer(i64::try_from(n).unwrap_or(i64::MAX)));
+        let declare = |policy: &str, default: ParameterValue, description: String| {
+            let name = format!("qos_overrides.{topic}.{end}.{policy}");
+            Descriptor::new(name, ParameterKind::of(&default), Some(default), description)
+        };
+        let text = |s: &str| ParameterValue::String(s.to_owned());
+        let number = |n: usize| ParameterValue::Integer(i64::try_from(n).unwrap_or(i64::MAX));
+        let reliability = text(if self.reliable { "reliable" } else { "best_effort" });
+        let durability = text(if self.transient_local { "transient_local" } else { "volatile" });
+        let keeps = format!("Messages that the {end} of {topic} keeps.");
         let mut all = vec![
-            Descriptor::new(
-                name("reliability"),
-                ParameterKind::String,
-                text(if self.reliable { "reliable" } else { "best_effort" }),
-                format!("Reliability of the {end} of {topic}."),
-            )
-            .one_of(&["reliable", "best_effort"]),
-            Descriptor::new(
-                name("durability"),
-                ParameterKind::String,
-                text(if self.transient_local { "transient_local" } else { "volatile" }),
-                format!("Durability of the {end} of {topic}."),
-            )
-            .one_of(&["volatile", "transient_local"]),
-            Descriptor::new(
-                name("depth"),
-                ParameterKind::Integer,
-                number(self.depth),
-                format!("Messages that the {end} of {topic} keeps."),
-            )
-            .range(1..=100_000),
+            declare("reliability", reliability, format!("Reliability of the {end} of {topic}."))
+                .one_of(&["reliable", "best_effort"]),
+            declare("durability", durability, format!("Durability of the {end} of {topic}."))
+                .one_of(&["volatile", "transient_local"]),
+            declare("depth", number(self.depth), keeps).range(1..=100_000),
         ];
         if endpoint == Endpoint::Publisher {
-            all.push(
-                Descriptor::new(
-                    name("max_samples"),
-                    ParameterKind::Integer,
-                    number(self.max_samples),
-                    format!("Most samples of {topic} kept for readers that do not acknowledge."),
-                )
-                .range(1..=1_000_000),
-            );
+            let most = format!("Most samples of {topic} kept for readers that do not acknowledge.");
+            all.push(declare("max_samples", number(self.max_samples), most).range(1..=1_000_000));
         }
         all
     }
