@@ -15,8 +15,6 @@ pub(crate) enum Event<I> {
     Input(I),
     /// For the node's runner.
     Control(Control),
-    /// Time has moved: due timers run.
-    Wake,
 }
 
 /// Request that the node's own thread answers.
@@ -25,11 +23,33 @@ pub(crate) enum Control {
     Set { changes: Vec<(String, ParameterValue)>, reply: Sender<Result<(), String>> },
     /// Changes the lifecycle state.
     Transition { id: u8, label: String, reply: Sender<bool> },
+    /// Time has moved: due timers run.
+    Wake,
 }
 
 /// Index of a source in its inbox.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SourceId(usize);
+
+/// What a source of an inbox is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SourceKind {
+    /// A topic that the diagnostics report while it is missing.
+    Expected,
+    /// Another topic, or a device.
+    Optional,
+    /// Requests of a service. They pass even while the inbox does not accept: a client waits for
+    /// the reply.
+    Service,
+    /// Control of the node itself; passes like a service, and is not among the counts.
+    Control,
+}
+
+impl SourceKind {
+    fn always_passes(self) -> bool {
+        matches!(self, Self::Service | Self::Control)
+    }
+}
 
 /// Counts of a source.
 #[derive(Clone, Debug)]
@@ -46,13 +66,8 @@ pub struct SourceCount {
     pub lost: u64,
     /// Time of the latest entry.
     pub latest: Option<Instant>,
-    /// Whether the diagnostics report the source while it is missing.
-    pub expected: bool,
-    /// Requests of a service rather than a topic or device. They pass even while the inbox does not
-    /// accept: a client waits for the reply.
-    pub service: bool,
-    /// Control of the node itself.
-    control: bool,
+    /// What it is.
+    pub kind: SourceKind,
     retired: bool,
     depth: usize,
     queued: usize,
@@ -130,7 +145,7 @@ impl<I> Inbox<I> {
         let count = &mut state.sources[source];
         count.received += 1;
         count.latest = Some(now);
-        if !accepting && !count.service {
+        if !accepting && !count.kind.always_passes() {
             return;
         }
         if count.queued == count.depth {
@@ -176,15 +191,9 @@ impl<I> Inbox<I> {
 /// A node's inbox, whatever its inputs are.
 pub(crate) trait Sources: Send + Sync {
     /// Adds a source of which at most `depth` entries wait.
-    fn add_source(&self, name: &str, depth: usize, expected: bool) -> SourceId;
-    /// Adds the requests of a service.
-    fn add_service(&self, name: &str, depth: usize) -> SourceId;
-    /// Adds the requests that control the node itself, which are not among the counts.
-    fn add_control(&self, name: &str, depth: usize) -> SourceId;
+    fn add_source(&self, name: &str, depth: usize, kind: SourceKind) -> SourceId;
     /// Puts in a request for the node's runner.
     fn put_control(&self, source: SourceId, control: Control);
-    /// Makes the node's runner check its timers.
-    fn wake(&self, source: SourceId);
     /// Counts a message that could not be used.
     fn refuse(&self, source: SourceId);
     /// Counts a message that needs no handling.
@@ -202,7 +211,7 @@ pub(crate) trait Sources: Send + Sync {
 }
 
 impl<I: Send + 'static> Sources for Inbox<I> {
-    fn add_source(&self, name: &str, depth: usize, expected: bool) -> SourceId {
+    fn add_source(&self, name: &str, depth: usize, kind: SourceKind) -> SourceId {
         let mut state = self.lock();
         state.sources.push(SourceCount {
             name: name.to_owned(),
@@ -211,9 +220,7 @@ impl<I: Send + 'static> Sources for Inbox<I> {
             refused: 0,
             lost: 0,
             latest: None,
-            expected,
-            service: false,
-            control: false,
+            kind,
             retired: false,
             depth: depth.max(1),
             queued: 0,
@@ -221,24 +228,8 @@ impl<I: Send + 'static> Sources for Inbox<I> {
         SourceId(state.sources.len() - 1)
     }
 
-    fn add_service(&self, name: &str, depth: usize) -> SourceId {
-        let SourceId(index) = self.add_source(name, depth, false);
-        self.lock().sources[index].service = true;
-        SourceId(index)
-    }
-
-    fn add_control(&self, name: &str, depth: usize) -> SourceId {
-        let SourceId(index) = self.add_service(name, depth);
-        self.lock().sources[index].control = true;
-        SourceId(index)
-    }
-
     fn put_control(&self, source: SourceId, control: Control) {
         self.put(source, Event::Control(control), now());
-    }
-
-    fn wake(&self, source: SourceId) {
-        self.put(source, Event::Wake, now());
     }
 
     fn refuse(&self, SourceId(source): SourceId) {
@@ -268,15 +259,18 @@ impl<I: Send + 'static> Sources for Inbox<I> {
         let mut state = self.lock();
         state.accepting = accepting;
         if !accepting {
-            state.sources.iter_mut().filter(|s| !s.service).for_each(|s| s.queued = 0);
-            let gone = state.remove(|s, sources| !sources[s].service);
+            let dropped = state.sources.iter_mut().filter(|s| !s.kind.always_passes());
+            dropped.for_each(|s| s.queued = 0);
+            let gone = state.remove(|s, sources| !sources[s].kind.always_passes());
             drop(state);
             drop(gone);
         }
     }
 
     fn counts(&self) -> Vec<SourceCount> {
-        self.lock().sources.iter().filter(|s| !s.control && !s.retired).cloned().collect()
+        let state = self.lock();
+        let shown = |s: &&SourceCount| s.kind != SourceKind::Control && !s.retired;
+        state.sources.iter().filter(shown).cloned().collect()
     }
 
     fn close(&self) {
@@ -304,8 +298,8 @@ mod tests {
     #[test]
     fn order_is_that_of_arrival_and_a_full_source_drops_only_its_own_oldest() {
         let inbox = Inbox::new();
-        let images = inbox.add_source("/image", 2, true);
-        let samples = inbox.add_source("/imu", 3, true);
+        let images = inbox.add_source("/image", 2, SourceKind::Expected);
+        let samples = inbox.add_source("/imu", 3, SourceKind::Expected);
         for i in 0..4 {
             inbox.put(images, Event::Input(("image", i)), now());
             inbox.put(samples, Event::Input(("imu", i)), now());
@@ -323,7 +317,7 @@ mod tests {
     #[test]
     fn a_closed_inbox_wakes_its_reader_and_takes_nothing() {
         let inbox = Inbox::<u8>::new();
-        let source = inbox.add_source("/x", 1, true);
+        let source = inbox.add_source("/x", 1, SourceKind::Expected);
         let reader = std::thread::spawn({
             let inbox = inbox.clone();
             move || inbox.take(None)
@@ -337,8 +331,8 @@ mod tests {
     #[test]
     fn an_inbox_that_does_not_accept_still_counts_and_serves() {
         let inbox = Inbox::new();
-        let source = inbox.add_source("/x", 1, true);
-        let service = inbox.add_service("/reset", 16);
+        let source = inbox.add_source("/x", 1, SourceKind::Expected);
+        let service = inbox.add_source("/reset", 16, SourceKind::Service);
         inbox.put(source, Event::Input(1), now());
         inbox.put(service, Event::Input(2), now());
         inbox.set_accepting(false);

@@ -10,7 +10,7 @@ use super::{
     timers::Timers,
 };
 use crate::{
-    inbox::{Event, Inbox, Sources, now},
+    inbox::{Event, Inbox, SourceKind, Sources, now},
     level::Level,
     qos::{Endpoint, QosPreset},
 };
@@ -104,7 +104,7 @@ impl<I: Send + 'static> NodeContext<I> {
         preset: QosPreset,
         make: impl Fn(Arc<M>) -> R + Send + Sync + 'static,
     ) -> Result<(), NodeError> {
-        self.make_subscription(topic, preset, true, make)
+        self.make_subscription(topic, preset, SourceKind::Expected, make)
     }
 
     /// Subscribes like [`NodeContext::subscribe`], without a report while the topic is missing.
@@ -117,7 +117,7 @@ impl<I: Send + 'static> NodeContext<I> {
         preset: QosPreset,
         make: impl Fn(Arc<M>) -> R + Send + Sync + 'static,
     ) -> Result<(), NodeError> {
-        self.make_subscription(topic, preset, false, make)
+        self.make_subscription(topic, preset, SourceKind::Optional, make)
     }
 
     /// Ends the subscriptions of a topic, with the messages that wait or were received in part.
@@ -131,7 +131,7 @@ impl<I: Send + 'static> NodeContext<I> {
         &mut self,
         topic: &str,
         preset: QosPreset,
-        expected: bool,
+        kind: SourceKind,
         make: impl Fn(Arc<M>) -> R + Send + Sync + 'static,
     ) -> Result<(), NodeError> {
         let (logger, inbox) = (self.logger(), self.inbox.clone());
@@ -141,7 +141,7 @@ impl<I: Send + 'static> NodeContext<I> {
         let subscription = self.endpoints.subscribe(
             topic,
             preset.qos(Endpoint::Subscription),
-            expected,
+            kind,
             move |source, name, m| match make(Arc::clone(m)).into_input() {
                 Ok(Some(input)) => inbox.put(source, Event::Input(input), now()),
                 Ok(None) => inbox.touch(source),
@@ -173,7 +173,7 @@ impl<I: Send + 'static> NodeContext<I> {
         make: impl Fn(S::Request, Responder<S>) -> I + Send + Sync + 'static,
     ) -> Result<(), NodeError> {
         let inbox = self.inbox.clone();
-        let source = inbox.add_service(&self.resolve(name)?, 16);
+        let source = inbox.add_source(&self.resolve(name)?, 16, SourceKind::Service);
         let task = self.endpoints.serve::<S, _>(name, move |request| {
             let (responder, response) = Responder::new();
             inbox.put(source, Event::Input(make(request, responder)), now());

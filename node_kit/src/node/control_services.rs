@@ -2,7 +2,7 @@
 
 use super::{endpoints::Endpoints, error::NodeError, type_description};
 use crate::{
-    inbox::Control,
+    inbox::{Control, SourceKind},
     lifecycle::{LifecycleState, Transition},
     parameters::{
         ParameterKind, ParameterValue, START_TYPE_DESCRIPTION_SERVICE,
@@ -102,8 +102,8 @@ fn offer_parameters(endpoints: &mut Endpoints) -> Result<[Task<()>; 6], NodeErro
         let result = msg::ListParametersResult { names, prefixes };
         std::future::ready(Some(srv::ListParametersResponse { result }))
     };
-    let (inbox, source) =
-        (Arc::clone(&endpoints.sources), endpoints.sources.add_control("parameters", 64));
+    let inbox = Arc::clone(&endpoints.sources);
+    let source = inbox.add_source("parameters", 64, SourceKind::Control);
     let apply = move |parameters: Vec<msg::Parameter>| {
         let inbox = Arc::clone(&inbox);
         async move {
@@ -179,8 +179,8 @@ fn offer_lifecycle(
     let available =
         move |_: lifecycle::GetAvailableTransitionsRequest| transitions(Some(state.get()));
     let graph = move |_: lifecycle::GetAvailableTransitionsRequest| transitions(None);
-    let (inbox, source) =
-        (Arc::clone(&endpoints.sources), endpoints.sources.add_control("lifecycle", 8));
+    let inbox = Arc::clone(&endpoints.sources);
+    let source = inbox.add_source("lifecycle", 8, SourceKind::Control);
     let change = move |request: lifecycle::ChangeStateRequest| {
         let (reply, answer) = async_channel::bounded(1);
         let TransitionMessage { id, label } = request.transition;

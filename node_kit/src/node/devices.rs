@@ -1,7 +1,7 @@
 //! Threads of a node's devices, and how they hand events to the node.
 
 use super::error::NodeError;
-use crate::inbox::{Event, Inbox, SourceId, Sources, now};
+use crate::inbox::{Event, Inbox, SourceId, SourceKind, Sources, now};
 use std::{
     sync::{
         Arc,
@@ -44,7 +44,7 @@ impl Devices {
         name: &str,
         depth: usize,
     ) -> DeviceSender<I> {
-        let source = inbox.add_source(name, depth, false);
+        let source = inbox.add_source(name, depth, SourceKind::Optional);
         self.sources.push(source);
         DeviceSender { inbox: inbox.clone(), source, open: Arc::clone(&self.open) }
     }

@@ -9,7 +9,7 @@ use super::{
     publisher::{Publisher, Rate},
 };
 use crate::{
-    inbox::{SourceCount, now},
+    inbox::{SourceCount, SourceKind, now},
     level::Level,
     lifecycle::LifecycleState,
     names::NodeName,
@@ -141,15 +141,15 @@ impl Diagnostics {
         let now_steady = now();
         let is_missing = |s: &SourceCount| {
             let silent = |at| now_steady.duration_since(at) > MISSING_AFTER;
-            s.expected && s.latest.is_none_or(silent)
+            s.kind == SourceKind::Expected && s.latest.is_none_or(silent)
         };
         let missing: Vec<String> =
             sources.iter().filter(|s| is_missing(s)).map(|s| s.name.clone()).collect();
         let mut values = Vec::new();
         let mut trouble = Vec::new();
-        for SourceCount { name, received, dropped, refused, lost, service, .. } in sources {
+        for SourceCount { name, received, dropped, refused, lost, kind, .. } in sources {
             // Monitors show these rows as topics and devices.
-            if !service {
+            if kind != SourceKind::Service {
                 let rate = self.rate(&name, received);
                 values.push(pair(format!("{name} rate [Hz]"), format!("{rate:.1}")));
                 values.push(pair(format!("{name} received"), received));
@@ -199,7 +199,7 @@ impl Diagnostics {
             .iter()
             .filter_map(|(name, _, state)| {
                 let source = sources.iter().find(|source| source.name == *name)?;
-                Some((name.clone(), &**state, source.expected))
+                Some((name.clone(), &**state, source.kind == SourceKind::Expected))
             })
             .collect();
         let conflicts = endpoints.domain.graph.conflicts(&endpoints.name, &topics).join("; ");

@@ -14,7 +14,7 @@ use super::{
     tf::Transforms,
 };
 use crate::{
-    inbox::Sources,
+    inbox::{Control, SourceKind, Sources},
     level::Level,
     lifecycle::LifecycleState,
     names::{NodeName, Remap},
@@ -283,15 +283,15 @@ impl NodeHandle {
             self.own.subscriptions.clear();
         } else if self.own.subscriptions.is_empty() {
             let (clock, sources) = (self.clock.clone(), Arc::clone(&self.endpoints.sources));
-            let wake = sources.add_control("clock", 1);
+            let wake = sources.add_source("clock", 1, SourceKind::Control);
             let subscription = self.endpoints.subscribe(
                 topics::absolute::CLOCK,
                 CLOCK,
-                true,
+                SourceKind::Expected,
                 move |source, _, m: &Arc<ClockMessage>| {
                     clock.set(Stamp::from_sec_nanosec(m.clock.sec, m.clock.nanosec));
                     sources.touch(source);
-                    sources.wake(wake);
+                    sources.put_control(wake, Control::Wake);
                 },
             )?;
             self.own.subscriptions.push(subscription);

@@ -94,7 +94,7 @@ impl<S: NodeShell> NodeRunner<S> {
                     }
                 }
                 Taken::Entry(Event::Control(control)) => self.control(control),
-                Taken::Entry(Event::Wake) | Taken::Deadline => {}
+                Taken::Deadline => {}
                 Taken::Closed => return,
             }
             if self.state.get() == LifecycleState::Active
@@ -121,6 +121,7 @@ impl<S: NodeShell> NodeRunner<S> {
 
     fn control(&mut self, control: Control) {
         match control {
+            Control::Wake => {}
             Control::Set { changes, reply } => {
                 let _ = reply.try_send(self.set(&changes));
             }

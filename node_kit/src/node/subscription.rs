@@ -6,7 +6,7 @@ use super::{
     intra_process::{Deliver, SubscriberGuard},
 };
 use crate::{
-    inbox::{SourceId, Sources, now},
+    inbox::{SourceId, SourceKind, Sources, now},
     qos::{Endpoint, Qos},
 };
 use async_executor::Task;
@@ -33,12 +33,12 @@ impl Drop for Subscription {
 
 impl Endpoints {
     /// Subscribes to a topic; `deliver` gets each message with its source and the topic's absolute
-    /// name. The diagnostics report an `expected` topic that is missing.
+    /// name.
     pub fn subscribe<M: Message>(
         &mut self,
         topic: &str,
         qos: Qos,
-        expected: bool,
+        kind: SourceKind,
         deliver: impl Fn(SourceId, &str, &Arc<M>) + Send + Sync + 'static,
     ) -> Result<Subscription, NodeError> {
         let name = self.resolve(topic)?;
@@ -51,7 +51,7 @@ impl Endpoints {
                 reason: e.to_string(),
             }
         })?;
-        let source = self.sources.add_source(&name, qos.depth, expected);
+        let source = self.sources.add_source(&name, qos.depth, kind);
         let state = Arc::clone(&channel.state);
         let sources = Arc::clone(&self.sources);
         let deliver: Deliver<M> = {
