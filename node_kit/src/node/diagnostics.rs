@@ -18,7 +18,7 @@ use crate::{
 use rig_model::{Stamp, topics};
 use std::{
     collections::{BTreeMap, HashMap},
-    sync::{Weak, atomic::Ordering},
+    sync::Weak,
     time::Duration,
 };
 use volant_msgs::{
@@ -56,8 +56,8 @@ pub(crate) struct Diagnostics {
     /// Set by the shell.
     statuses: BTreeMap<String, DiagnosticStatus>,
     rates: HashMap<String, Rate>,
-    /// Dropped, refused and lost messages by topic, a second ago.
-    previous: HashMap<String, (u64, u64, u64)>,
+    /// Counts of what went wrong, a second ago.
+    previous: HashMap<String, u64>,
     /// How late this second's tick is, where that is long.
     held_up: Option<Duration>,
     /// Conflicts that were logged.
@@ -136,6 +136,11 @@ impl Diagnostics {
         self.rates.entry(key.to_owned()).or_insert_with(Rate::new).update(count)
     }
 
+    /// Increase of a count within the last second.
+    fn gain(&mut self, key: String, count: u64) -> u64 {
+        count.saturating_sub(self.previous.insert(key, count).unwrap_or(0))
+    }
+
     fn inputs(&mut self, endpoints: &Endpoints, state: LifecycleState) -> DiagnosticStatus {
         let sources = endpoints.sources.counts();
         let now_steady = now();
@@ -149,23 +154,22 @@ impl Diagnostics {
         let mut trouble = Vec::new();
         for SourceCount { name, received, dropped, refused, lost, kind, .. } in sources {
             // Monitors show these rows as topics and devices.
-            if kind != SourceKind::Service {
+            let is_shown = kind != SourceKind::Service;
+            if is_shown {
                 let rate = self.rate(&name, received);
                 values.push(pair(format!("{name} rate [Hz]"), format!("{rate:.1}")));
                 values.push(pair(format!("{name} received"), received));
-                values.push(pair(format!("{name} dropped"), dropped));
-                values.push(pair(format!("{name} rejected"), refused));
-                values.push(pair(format!("{name} lost in transport"), lost));
             }
-            let counts = (dropped, refused, lost);
-            let previous = self.previous.insert(name.clone(), counts).unwrap_or_default();
-            for (what, now, previous) in [
-                ("dropped", dropped, previous.0),
-                ("rejected", refused, previous.1),
-                ("lost in transport", lost, previous.2),
-            ] {
-                if now > previous {
-                    trouble.push(format!("{} {what} on {name}", now - previous));
+            for (what, count) in
+                [("dropped", dropped), ("rejected", refused), ("lost in transport", lost)]
+            {
+                let key = format!("{name} {what}");
+                if is_shown {
+                    values.push(pair(&key, count));
+                }
+                let more = self.gain(key, count);
+                if more > 0 {
+                    trouble.push(format!("{more} {what} on {name}"));
                 }
             }
         }
@@ -222,16 +226,13 @@ impl Diagnostics {
         for publisher in endpoints.publishers.iter().filter_map(Weak::upgrade) {
             publisher.retry();
             let name = publisher.topic();
-            let published = publisher.counts().published.load(Ordering::Relaxed);
-            let refused = publisher.counts().refused.load(Ordering::Relaxed);
             let key = format!("{name} (out)");
-            let rate = self.rate(&key, published);
+            let rate = self.rate(&key, publisher.published());
             values.push(pair(format!("{name} rate [Hz]"), format!("{rate:.1}")));
-            let previous = self.previous.insert(key, (refused, 0, 0)).unwrap_or_default().0;
-            if refused > previous {
+            let refused = self.gain(key, publisher.refused());
+            if refused > 0 {
                 trouble.push(format!(
-                    "{} not sent on {name}: a reliable reader does not answer",
-                    refused - previous
+                    "{refused} not sent on {name}: a reliable reader does not answer"
                 ));
             }
         }

@@ -100,9 +100,4 @@ impl Logger {
         }
         self.log(level, text);
     }
-
-    /// Name in each line: `rig1.pose_fusion`.
-    pub fn name(&self) -> &str {
-        &self.0.name
-    }
 }

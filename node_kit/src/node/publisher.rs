@@ -33,7 +33,8 @@ struct Inner<M: Message> {
     channel: Arc<Channel<M>>,
     writer: ros2_client::Publisher<Arc<M>>,
     active: Arc<AtomicBool>,
-    counts: Arc<PublisherCounts>,
+    published: AtomicU64,
+    refused: AtomicU64,
     /// Of a latched topic: message published while the node was inactive, or refused by DDS.
     pending: Mutex<Option<Pending<M>>>,
 }
@@ -43,17 +44,11 @@ enum Pending<M> {
     Unwritten(Arc<M>),
 }
 
-/// Counts of a publisher.
-#[derive(Debug, Default)]
-pub(crate) struct PublisherCounts {
-    pub published: AtomicU64,
-    pub refused: AtomicU64,
-}
-
 /// A publisher without its type, for the diagnostics.
 pub(crate) trait Publishing: Send + Sync {
     fn topic(&self) -> &str;
-    fn counts(&self) -> &PublisherCounts;
+    fn published(&self) -> u64;
+    fn refused(&self) -> u64;
     /// Publishes the pending message of a latched topic again.
     fn retry(&self);
 }
@@ -75,7 +70,8 @@ impl<M: Message> Publisher<M> {
             channel,
             writer,
             active,
-            counts: Arc::default(),
+            published: AtomicU64::new(0),
+            refused: AtomicU64::new(0),
             pending: Mutex::new(None),
         }))
     }
@@ -103,14 +99,9 @@ impl<M: Message> Publisher<M> {
             + self.0.channel.state.remote_readers.load(Ordering::Relaxed)
     }
 
-    /// Absolute name of the topic.
-    pub fn topic(&self) -> &str {
-        &self.0.topic
-    }
-
     /// Number of publications refused by DDS because a reliable reader did not acknowledge.
     pub fn refused(&self) -> u64 {
-        self.0.counts.refused.load(Ordering::Relaxed)
+        self.0.refused.load(Ordering::Relaxed)
     }
 
     pub(crate) fn weak(&self) -> std::sync::Weak<dyn Publishing> {
@@ -121,7 +112,7 @@ impl<M: Message> Publisher<M> {
 
 impl<M: Message> Inner<M> {
     fn publish(&self, message: Arc<M>) {
-        self.counts.published.fetch_add(1, Ordering::Relaxed);
+        self.published.fetch_add(1, Ordering::Relaxed);
         if self.qos.transient_local {
             if self.qos.depth == 1 {
                 // This message replaces one that DDS refused before.
@@ -136,7 +127,7 @@ impl<M: Message> Inner<M> {
             }
         }
         if let Err(message) = self.write(message) {
-            self.counts.refused.fetch_add(1, Ordering::Relaxed);
+            self.refused.fetch_add(1, Ordering::Relaxed);
             if self.qos.transient_local {
                 *self.pending.lock() = Some(Pending::Unwritten(message));
             }
@@ -151,7 +142,7 @@ impl<M: Message> Inner<M> {
             // Other errors (serialization, a participant that has ended) do not go away by
             // retrying.
             Err(_) => {
-                self.counts.refused.fetch_add(1, Ordering::Relaxed);
+                self.refused.fetch_add(1, Ordering::Relaxed);
                 Ok(())
             }
         }
@@ -163,8 +154,12 @@ impl<M: Message> Publishing for Inner<M> {
         &self.topic
     }
 
-    fn counts(&self) -> &PublisherCounts {
-        &self.counts
+    fn published(&self) -> u64 {
+        self.published.load(Ordering::Relaxed)
+    }
+
+    fn refused(&self) -> u64 {
+        self.refused.load(Ordering::Relaxed)
     }
 
     fn retry(&self) {
