@@ -10,10 +10,8 @@ use crate::{
     },
 };
 use async_executor::Task;
-use std::sync::{
-    Arc,
-    atomic::{AtomicU8, Ordering},
-};
+use parking_lot::Mutex;
+use std::sync::Arc;
 use volant_msgs::{
     lifecycle_msgs::{
         msg::{State, Transition as TransitionMessage, TransitionDescription},
@@ -22,27 +20,8 @@ use volant_msgs::{
     rcl_interfaces::{msg, srv},
 };
 
-/// Lifecycle state, shared with the threads that serve it.
-#[derive(Clone)]
-pub(crate) struct SharedState(Arc<AtomicU8>);
-
-impl SharedState {
-    pub fn new(state: LifecycleState) -> Self {
-        Self(Arc::new(AtomicU8::new(state as u8)))
-    }
-
-    pub fn set(&self, state: LifecycleState) {
-        self.0.store(state as u8, Ordering::Release);
-    }
-
-    pub fn get(&self) -> LifecycleState {
-        let number = self.0.load(Ordering::Acquire);
-        LifecycleState::ALL
-            .into_iter()
-            .find(|s| *s as u8 == number)
-            .unwrap_or(LifecycleState::Finalized)
-    }
-}
+/// Lifecycle state, shared with the thread that serves it.
+pub(crate) type SharedState = Arc<Mutex<LifecycleState>>;
 
 fn state_message(state: LifecycleState) -> State {
     State { id: state as u8, label: state.label().to_owned() }
@@ -159,10 +138,10 @@ fn offer_lifecycle(
     endpoints: &mut Endpoints,
     state: &SharedState,
 ) -> Result<[Task<()>; 5], NodeError> {
-    let own_state = state.clone();
+    let own_state = Arc::clone(state);
     let get = move |_: lifecycle::GetStateRequest| {
         std::future::ready(Some(lifecycle::GetStateResponse {
-            current_state: state_message(own_state.get()),
+            current_state: state_message(*own_state.lock()),
         }))
     };
     let states = |_: lifecycle::GetAvailableStatesRequest| {
@@ -175,9 +154,9 @@ fn offer_lifecycle(
         let response = lifecycle::GetAvailableTransitionsResponse { available_transitions };
         std::future::ready(Some(response))
     };
-    let state = state.clone();
+    let state = Arc::clone(state);
     let available =
-        move |_: lifecycle::GetAvailableTransitionsRequest| transitions(Some(state.get()));
+        move |_: lifecycle::GetAvailableTransitionsRequest| transitions(Some(*state.lock()));
     let graph = move |_: lifecycle::GetAvailableTransitionsRequest| transitions(None);
     let inbox = Arc::clone(&endpoints.sources);
     let source = inbox.add_source("lifecycle", 8, SourceKind::Control);

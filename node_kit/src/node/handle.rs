@@ -22,7 +22,7 @@ use crate::{
     qos::{Qos, QosPreset},
 };
 use async_executor::Task;
-use parking_lot::MutexGuard;
+use parking_lot::{Mutex, MutexGuard};
 use rig_model::{Rig, Stamp, topics};
 use std::{
     sync::{Arc, Weak, atomic::Ordering},
@@ -87,7 +87,7 @@ impl NodeHandle {
             transforms: Transforms::default(),
             diagnostics: Diagnostics::new(&mut endpoints)?,
             devices: Devices::default(),
-            lifecycle: SharedState::new(LifecycleState::Unconfigured),
+            lifecycle: Arc::new(Mutex::new(LifecycleState::Unconfigured)),
             ending: None,
             clock,
             endpoints,
@@ -271,7 +271,8 @@ impl NodeHandle {
 
     /// Publishes the diagnostics of this second.
     pub(crate) fn publish_diagnostics(&mut self) {
-        self.diagnostics.publish(&mut self.endpoints, self.lifecycle.get(), self.clock.now());
+        let state = *self.lifecycle.lock();
+        self.diagnostics.publish(&mut self.endpoints, state, self.clock.now());
     }
 
     /// Subscribes to `/clock` if `use_sim_time` is set, else ends the subscription.

@@ -83,8 +83,7 @@ impl<S: NodeShell> NodeRunner<S> {
         let mut next_tick = now() + TICK;
         loop {
             supervised.passed();
-            let active = self.state.get() == LifecycleState::Active;
-            let timer = if active { self.context.next_timer() } else { None };
+            let timer = if self.is_active() { self.context.next_timer() } else { None };
             let beat = supervised.interval().map(|interval| now() + interval);
             let deadline = [timer, beat].into_iter().flatten().fold(next_tick, Instant::min);
             match self.context.inbox.take(Some(deadline)) {
@@ -97,7 +96,7 @@ impl<S: NodeShell> NodeRunner<S> {
                 Taken::Deadline => {}
                 Taken::Closed => return,
             }
-            if self.state.get() == LifecycleState::Active
+            if self.is_active()
                 && let Some(shell) = &mut self.shell
             {
                 // One input of each: a handler slower than a period holds up nothing else.
@@ -109,7 +108,7 @@ impl<S: NodeShell> NodeRunner<S> {
             if now() >= next_tick {
                 self.context.diagnostics.ticked(late);
                 next_tick = now() + TICK;
-                if self.state.get() == LifecycleState::Active
+                if self.is_active()
                     && let Some(shell) = &mut self.shell
                 {
                     shell.tick(&mut self.context);
@@ -119,6 +118,10 @@ impl<S: NodeShell> NodeRunner<S> {
         }
     }
 
+    fn is_active(&self) -> bool {
+        *self.state.lock() == LifecycleState::Active
+    }
+
     fn control(&mut self, control: Control) {
         match control {
             Control::Wake => {}
@@ -126,9 +129,10 @@ impl<S: NodeShell> NodeRunner<S> {
                 let _ = reply.try_send(self.set(&changes));
             }
             Control::Transition { id, label, reply } => {
-                let success = match Transition::requested(self.state.get(), id, &label) {
+                let state = *self.state.lock();
+                let success = match Transition::requested(state, id, &label) {
                     None => {
-                        let state = self.state.get().label();
+                        let state = state.label();
                         self.context.log(
                             Level::Warn,
                             format!("the transition {id} `{label}` is not possible from {state}"),
@@ -188,7 +192,7 @@ impl<S: NodeShell> NodeRunner<S> {
             }
         };
         let reached = if outcome.is_ok() { goal } else { start };
-        self.state.set(reached);
+        *self.state.lock() = reached;
         if outcome.is_ok() {
             let description = transition_description(transition);
             self.events.publish(TransitionEvent {
