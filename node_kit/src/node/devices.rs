@@ -11,17 +11,12 @@ use std::{
 };
 
 /// Device threads of one start of the shell.
+#[derive(Default)]
 pub(crate) struct Devices {
     threads: Vec<JoinHandle<()>>,
     sources: Vec<SourceId>,
-    /// False when the threads must end.
-    open: Arc<AtomicBool>,
-}
-
-impl Default for Devices {
-    fn default() -> Self {
-        Self { threads: Vec::new(), sources: Vec::new(), open: Arc::new(AtomicBool::new(true)) }
-    }
+    /// Set when the threads must end.
+    ending: Arc<AtomicBool>,
 }
 
 impl Devices {
@@ -46,13 +41,13 @@ impl Devices {
     ) -> DeviceSender<I> {
         let source = inbox.add_source(name, depth, SourceKind::Optional);
         self.sources.push(source);
-        DeviceSender { inbox: inbox.clone(), source, open: Arc::clone(&self.open) }
+        DeviceSender { inbox: inbox.clone(), source, ending: Arc::clone(&self.ending) }
     }
 
     /// Ends the threads, waits for them and retires their sources.
     pub fn end(&mut self, inbox: &dyn Sources) {
-        let Self { threads, sources, open } = std::mem::take(self);
-        open.store(false, Ordering::Release);
+        let Self { threads, sources, ending } = std::mem::take(self);
+        ending.store(true, Ordering::Release);
         for thread in threads {
             let _ = thread.join();
         }
@@ -65,12 +60,12 @@ impl Devices {
 pub struct DeviceSender<I> {
     inbox: Inbox<I>,
     source: SourceId,
-    open: Arc<AtomicBool>,
+    ending: Arc<AtomicBool>,
 }
 
 impl<I> Clone for DeviceSender<I> {
     fn clone(&self) -> Self {
-        Self { inbox: self.inbox.clone(), source: self.source, open: Arc::clone(&self.open) }
+        Self { inbox: self.inbox.clone(), source: self.source, ending: Arc::clone(&self.ending) }
     }
 }
 
@@ -90,6 +85,6 @@ impl<I: Send + 'static> DeviceSender<I> {
     /// Returns whether the node still runs. A device's thread checks this at least every 0.2 s,
     /// because the end of the node waits for it.
     pub fn is_open(&self) -> bool {
-        self.open.load(Ordering::Acquire) && !self.inbox.is_closed()
+        !self.ending.load(Ordering::Acquire) && !self.inbox.is_closed()
     }
 }
