@@ -18,7 +18,7 @@ use crate::{
     level::Level,
     lifecycle::LifecycleState,
     names::{NodeName, Remap},
-    parameters::{Change, ParameterMap, ParameterStore, ParameterValue},
+    parameters::{Changes, ParameterMap, ParameterStore, ParameterValue},
     qos::{Qos, QosPreset},
 };
 use async_executor::Task;
@@ -302,19 +302,15 @@ impl NodeHandle {
 
     /// Publishes all parameters on `/parameter_events`.
     pub(crate) fn announce_parameters(&self) {
-        let all: Vec<Change> = self
-            .parameter_values()
-            .into_iter()
-            .map(|(name, value)| Change { name, value })
-            .collect();
+        let all: Changes = self.parameter_values().into_iter().collect();
         self.announce(&all);
     }
 
     /// Publishes changes on `/parameter_events`, the only use of ros2-client's copy of the
     /// parameters.
-    pub(crate) fn announce(&self, changes: &[Change]) {
+    pub(crate) fn announce(&self, changes: &[(String, ParameterValue)]) {
         use ros2_client::ParameterValue as R;
-        for Change { name, value } in changes {
+        for (name, value) in changes {
             let value = match value.clone() {
                 ParameterValue::Bool(x) => R::Boolean(x),
                 ParameterValue::Integer(x) => R::Integer(x),

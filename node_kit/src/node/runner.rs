@@ -164,7 +164,7 @@ impl<S: NodeShell> NodeRunner<S> {
         }
         self.context.parameter_store().commit(values);
         self.context.announce(&made);
-        if made.iter().any(|c| c.name == "use_sim_time") {
+        if made.iter().any(|(name, _)| name == "use_sim_time") {
             self.context.follow_use_sim_time().map_err(|e| e.to_string())?;
         }
         Ok(())

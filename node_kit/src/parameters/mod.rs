@@ -12,5 +12,5 @@ pub use ros_parameters::{
     Descriptor, ParameterError, ParameterKind, ParameterMap, ParameterSet, ParameterType,
     ParameterValue,
 };
-pub use store::{Change, ParameterStore};
+pub use store::{Changes, ParameterStore};
 pub use tables::{help_table, markdown_table, yaml_file};

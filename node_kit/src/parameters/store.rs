@@ -9,14 +9,8 @@ use std::collections::BTreeMap;
 /// Prefix of a topic's QoS overrides, which are declared with the topic.
 const QOS_OVERRIDES: &str = "qos_overrides.";
 
-/// A new or changed parameter.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Change {
-    /// Flat name.
-    pub name: String,
-    /// The current value.
-    pub value: ParameterValue,
-}
+/// Names and values of new or changed parameters.
+pub type Changes = Vec<(String, ParameterValue)>;
 
 /// All parameters of one node.
 #[derive(Clone, Debug, Default)]
@@ -118,11 +112,6 @@ impl ParameterStore {
         self.declared.get(name)
     }
 
-    /// All declarations, by name.
-    pub fn descriptors(&self) -> impl Iterator<Item = &Descriptor> {
-        self.declared.values()
-    }
-
     /// Values after applying all of `changes` at once, and the changes as stored. Nothing is stored
     /// before [`ParameterStore::commit`], so that the node can validate the whole.
     ///
@@ -131,7 +120,7 @@ impl ParameterStore {
     pub fn propose(
         &self,
         changes: &[(String, ParameterValue)],
-    ) -> Result<(ParameterMap, Vec<Change>), ParameterError> {
+    ) -> Result<(ParameterMap, Changes), ParameterError> {
         let mut values = self.values.clone();
         let mut made = Vec::new();
         for (name, value) in changes {
@@ -141,7 +130,7 @@ impl ParameterStore {
                 return Err(ParameterError::ReadOnly { name: name.clone() });
             }
             values.insert(name.clone(), value.clone());
-            made.push(Change { name: name.clone(), value });
+            made.push((name.clone(), value));
         }
         Ok((values, made))
     }
@@ -274,7 +263,7 @@ mod tests {
             )),
             Ok(None)
         );
-        assert_eq!(store.descriptors().count(), 1);
+        assert_eq!(store.declared.len(), 1);
     }
 
     #[test]
