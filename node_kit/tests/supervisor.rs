@@ -17,6 +17,7 @@ use std::{
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
+use tempfile::TempDir;
 use test_support::process::example;
 
 /// Watchdog period of the tests, µs: a beat at least every 200 ms.
@@ -30,9 +31,8 @@ struct Manager {
 }
 
 impl Manager {
-    fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("volant-{name}-{}", std::process::id()));
-        let _ = std::fs::remove_file(&path);
+    fn new(folder: &TempDir) -> Self {
+        let path = folder.path().join("notify");
         Self { socket: UnixDatagram::bind(&path).unwrap(), path }
     }
 
@@ -65,15 +65,10 @@ impl Manager {
     }
 }
 
-impl Drop for Manager {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.path);
-    }
-}
-
 #[test]
 fn a_node_reports_its_start_its_beats_and_its_end() {
-    let manager = Manager::new("notify");
+    let folder = tempfile::tempdir().unwrap();
+    let manager = Manager::new(&folder);
     let socket = manager.path.to_str().unwrap();
     let mut node = minimal(140, &[], &[("NOTIFY_SOCKET", socket), ("WATCHDOG_USEC", PERIOD)]);
     manager.wait_for("READY=1");
@@ -162,7 +157,8 @@ fn process_with_a_node_that_hangs() {
 
 #[test]
 fn one_hanging_event_loop_stops_the_beat_of_its_process() {
-    let manager = Manager::new("hang");
+    let folder = tempfile::tempdir().unwrap();
+    let manager = Manager::new(&folder);
     let _process = start(
         143,
         &std::env::current_exe().unwrap(),

@@ -7,9 +7,8 @@ fn words(text: &str) -> Vec<String> {
 
 #[test]
 fn the_arguments_of_ros2_launch_are_parsed() {
-    let folder = std::env::temp_dir().join(format!("volant_args_{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let (a, b) = (folder.join("a.yaml"), folder.join("b.yaml"));
+    let folder = tempfile::tempdir().unwrap();
+    let (a, b) = (folder.path().join("a.yaml"), folder.path().join("b.yaml"));
     std::fs::write(
         &a,
         "/**: {ros__parameters: {sub: {x: 1}, y: 2, z: 3}}\nother: {ros__parameters: {y: 9}}",
@@ -35,7 +34,6 @@ fn the_arguments_of_ros2_launch_are_parsed() {
     assert_eq!(ros.overrides(&node)["y"].origin, b.display().to_string());
     assert_eq!(resolve(&node, &ros.remaps(), "pose").unwrap(), "/robot1/est/pose");
     assert_eq!(resolve(&node, &ros.remaps(), "/imu").unwrap(), "/sensors/imu");
-    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]
@@ -65,9 +63,8 @@ fn node_prefixes_limit_rules_to_one_node_of_a_process() {
 
 #[test]
 fn a_mistyped_node_name_is_rejected_and_that_of_another_node_is_not() {
-    let folder = std::env::temp_dir().join(format!("volant_selectors_{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let path = folder.join("params.yaml");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("params.yaml");
     let check_in = |file: &str, selector: &str, node: &str, kind: &str| {
         let text = format!("{file}\n{selector}: {{ros__parameters: {{x: 1}}}}");
         std::fs::write(&path, text).unwrap();
@@ -110,5 +107,4 @@ fn a_mistyped_node_name_is_rejected_and_that_of_another_node_is_not() {
         assert_eq!(result.is_ok(), right, "{rule}: {result:?}");
         assert!(result.is_ok() || result.is_err_and(|error| error.is_usage()), "{rule}");
     }
-    std::fs::remove_dir_all(&folder).unwrap();
 }

@@ -3,42 +3,27 @@ use std::{
     fs::Permissions,
     os::unix::fs::{PermissionsExt, symlink},
 };
+use tempfile::TempDir;
 
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("volant-{name}-{}", std::process::id()));
-        fs::create_dir(&path).unwrap();
-        Self(path)
-    }
-
-    fn file(&self, name: &str, text: &str) -> PathBuf {
-        let path = self.0.join(name);
-        fs::write(&path, text).unwrap();
-        path
-    }
-
-    fn names(&self) -> Vec<String> {
-        let entries = fs::read_dir(&self.0).unwrap();
-        let mut names: Vec<_> =
-            entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
-    }
+fn file(folder: &TempDir, name: &str, text: &str) -> PathBuf {
+    let path = folder.path().join(name);
+    fs::write(&path, text).unwrap();
+    path
 }
 
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.0);
-    }
+fn names(folder: &TempDir) -> Vec<String> {
+    let entries = fs::read_dir(folder).unwrap();
+    let mut names: Vec<_> =
+        entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
 }
 
 #[test]
 fn text_is_read_and_an_endless_file_rejected() {
-    let folder = Folder::new("read");
-    assert_eq!(read_text(&folder.file("a", "a: 1\n")).unwrap(), "a: 1\n");
-    let path = folder.0.join("a");
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(read_text(&file(&folder, "a", "a: 1\n")).unwrap(), "a: 1\n");
+    let path = folder.path().join("a");
     fs::write(&path, [0xFF, 0xFE]).unwrap();
     assert_eq!(read_text(&path).unwrap_err().kind(), ErrorKind::InvalidData);
     fs::remove_file(&path).unwrap();
@@ -48,8 +33,8 @@ fn text_is_read_and_an_endless_file_rejected() {
 
 #[test]
 fn a_file_appears_when_it_is_complete() {
-    let folder = Folder::new("complete");
-    let path = folder.0.join("out");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("out");
     let mut output = OutputFile::create(&path, false).unwrap();
     output.write_all(b"new").unwrap();
     assert!(!path.exists());
@@ -58,40 +43,40 @@ fn a_file_appears_when_it_is_complete() {
     fs::write(&path, "of another").unwrap();
     assert!(matches!(output.commit(), Err(FileError::Exists { .. })));
     assert_eq!(
-        (fs::read_to_string(&path).unwrap().as_str(), folder.names().len()),
+        (fs::read_to_string(&path).unwrap().as_str(), names(&folder).len()),
         ("of another", 1)
     );
     fs::remove_file(&path).unwrap();
     write(&path, b"new", false).unwrap();
-    assert_eq!((fs::read_to_string(&path).unwrap().as_str(), folder.names().len()), ("new", 1));
+    assert_eq!((fs::read_to_string(&path).unwrap().as_str(), names(&folder).len()), ("new", 1));
 }
 
 #[test]
 fn an_existing_file_is_replaced_only_on_request_and_keeps_its_mode_and_links() {
-    let folder = Folder::new("replace");
-    let path = folder.file("out", "former");
+    let folder = tempfile::tempdir().unwrap();
+    let path = file(&folder, "out", "former");
     fs::set_permissions(&path, Permissions::from_mode(0o640)).unwrap();
     assert!(matches!(write(&path, b"new", false), Err(FileError::Exists { .. })));
     drop(OutputFile::create(&path, true).unwrap());
     assert_eq!(fs::read_to_string(&path).unwrap(), "former");
-    let link = folder.0.join("link");
+    let link = folder.path().join("link");
     symlink(&path, &link).unwrap();
     write(&link, b"new", true).unwrap();
     assert!(link.is_symlink());
     assert_eq!(fs::read_to_string(&path).unwrap(), "new");
     assert_eq!(fs::metadata(&path).unwrap().mode() & 0o777, 0o640);
-    assert_eq!(folder.names(), ["link", "out"]);
-    assert!(matches!(write(&folder.0, b"", true), Err(FileError::Folder { .. })));
+    assert_eq!(names(&folder), ["link", "out"]);
+    assert!(matches!(write(folder.path(), b"", true), Err(FileError::Folder { .. })));
 }
 
 #[test]
 fn an_input_is_found_under_any_name() {
-    let folder = Folder::new("input");
-    let bag = folder.0.join("bag");
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag");
     fs::create_dir(&bag).unwrap();
     let member = bag.join("bag_0.mcap");
     fs::write(&member, "").unwrap();
-    let (soft, hard) = (folder.0.join("soft"), folder.0.join("hard"));
+    let (soft, hard) = (folder.path().join("soft"), folder.path().join("hard"));
     symlink(&member, &soft).unwrap();
     fs::hard_link(&member, &hard).unwrap();
     let dotted = bag.join("../bag/bag_0.mcap");
@@ -111,9 +96,9 @@ fn an_input_is_found_under_any_name() {
 
 #[test]
 fn outputs_need_a_folder_and_names_of_their_own() {
-    let folder = Folder::new("outputs");
-    let (a, b) = (folder.0.join("a"), folder.0.join("b"));
-    let dotted = folder.0.join("./a");
+    let folder = tempfile::tempdir().unwrap();
+    let (a, b) = (folder.path().join("a"), folder.path().join("b"));
+    let dotted = folder.path().join("./a");
     assert!(check_outputs(&[&a, &b], false, &[]).is_ok());
     assert!(
         check_outputs(
@@ -124,11 +109,11 @@ fn outputs_need_a_folder_and_names_of_their_own() {
         .is_ok()
     );
     assert!(matches!(check_outputs(&[&a, &dotted], false, &[]), Err(FileError::Twice { .. })));
-    folder.file("a", "text");
+    file(&folder, "a", "text");
     symlink(&a, &b).unwrap();
     assert!(matches!(check_outputs(&[&a, &b], true, &[]), Err(FileError::Twice { .. })));
     assert!(matches!(check_outputs(&[&a], true, &[&a]), Err(FileError::Input { .. })));
-    for nowhere in [folder.0.join("none/c"), a.join("c")] {
+    for nowhere in [folder.path().join("none/c"), a.join("c")] {
         let error = check_outputs(&[&nowhere], false, &[]).unwrap_err().to_string();
         assert!(error.contains("/c: cannot be written") && error.contains("folder"), "{error}");
     }
