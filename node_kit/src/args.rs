@@ -29,16 +29,17 @@ pub struct RosArguments {
     remaps: Vec<Remap>,
     sources: Vec<ParameterSource>,
     levels: Vec<(Option<String>, Level)>,
-    rosout: Option<bool>,
     outputs: LogOutputs,
     of_others: BTreeSet<String>,
     strict: bool,
     enclave: Option<String>,
 }
 
-/// Where the log goes besides `/rosout`.
+/// Where the log goes.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct LogOutputs {
+    /// `--disable-rosout-logs`: not to `/rosout`.
+    pub no_rosout: bool,
     /// `--disable-stdout-logs`: not to the console.
     pub no_console: bool,
     /// `--disable-external-lib-logs`: not to a file.
@@ -93,8 +94,8 @@ impl RosArguments {
                 "-p" | "--param" => ros.add_value(&argument, &value(ASSIGNMENT)?)?,
                 "--params-file" => ros.add_file(value("the path of a parameter file")?.into())?,
                 "--log-level" => ros.add_level(&argument, &value(LEVEL)?)?,
-                "--enable-rosout-logs" => ros.rosout = Some(true),
-                "--disable-rosout-logs" => ros.rosout = Some(false),
+                "--enable-rosout-logs" => ros.outputs.no_rosout = false,
+                "--disable-rosout-logs" => ros.outputs.no_rosout = true,
                 "--enable-stdout-logs" => ros.outputs.no_console = false,
                 "--disable-stdout-logs" => ros.outputs.no_console = true,
                 "--enable-external-lib-logs" => ros.outputs.no_file = false,
@@ -118,38 +119,28 @@ impl RosArguments {
         self.enclave.as_deref()
     }
 
-    /// Where the log goes besides `/rosout`.
+    /// Where the log goes.
     #[cfg(feature = "dds")]
     pub(crate) fn log_outputs(&self) -> &LogOutputs {
         &self.outputs
     }
 
     fn add_remap(&mut self, option: &str, text: &str) -> Result<(), ArgumentError> {
-        let malformed = || ArgumentError::Malformed {
-            option: option.to_owned(),
-            text: text.to_owned(),
-            expected: REMAP,
-        };
-        let (from, to) = text.split_once(":=").ok_or_else(malformed)?;
-        if from.is_empty() || to.is_empty() {
-            return Err(malformed());
-        }
+        let (from, to) = text
+            .split_once(":=")
+            .filter(|(from, to)| !from.is_empty() && !to.is_empty())
+            .ok_or_else(|| malformed(option, text, REMAP))?;
         let (node, from) = split_node(from);
         self.remaps.push(Remap { node, from: from.to_owned(), to: to.to_owned() });
         Ok(())
     }
 
     fn add_value(&mut self, option: &str, text: &str) -> Result<(), ArgumentError> {
-        let malformed = || ArgumentError::Malformed {
-            option: option.to_owned(),
-            text: text.to_owned(),
-            expected: ASSIGNMENT,
-        };
-        let (name, value) = text.split_once(":=").ok_or_else(malformed)?;
-        let (node, name) = split_node(name);
-        if name.is_empty() {
-            return Err(malformed());
-        }
+        let ((node, name), value) = text
+            .split_once(":=")
+            .map(|(name, value)| (split_node(name), value))
+            .filter(|((_, name), _)| !name.is_empty())
+            .ok_or_else(|| malformed(option, text, ASSIGNMENT))?;
         let value = parse_value(name, value)
             .map_err(|source| ArgumentError::ParameterValue { text: text.to_owned(), source })?;
         self.sources.push(ParameterSource::Value { node, name: name.to_owned(), value });
@@ -195,11 +186,7 @@ impl RosArguments {
             Some((logger, level)) => (Some(logger.to_owned()), level),
             None => (None, text),
         };
-        let level = level.parse().map_err(|()| ArgumentError::Malformed {
-            option: option.to_owned(),
-            text: text.to_owned(),
-            expected: LEVEL,
-        })?;
+        let level = level.parse().map_err(|()| malformed(option, text, LEVEL))?;
         self.levels.push((logger, level));
         Ok(())
     }
@@ -234,11 +221,6 @@ impl RosArguments {
             .rev()
             .find(|(name, _)| name.as_deref().is_none_or(|n| n == logger || n == node.base()))
             .map_or(Level::Info, |(_, level)| *level)
-    }
-
-    /// Returns whether the log is published on `/rosout`.
-    pub fn rosout(&self) -> bool {
-        self.rosout.unwrap_or(true)
     }
 
     /// Checks the node selectors of parameter files, of `-p` and of `-r` for mistyped forms of
@@ -355,6 +337,10 @@ const RIG_KEY: &str = "markers.size";
 const REMAP: &str = "`from:=to` (or `__node:=name`, `__ns:=/namespace`)";
 const ASSIGNMENT: &str = "`name:=value`";
 const LEVEL: &str = "debug, info, warn, error or fatal (or `logger:=level`)";
+
+fn malformed(option: &str, text: &str, expected: &'static str) -> ArgumentError {
+    ArgumentError::Malformed { option: option.to_owned(), text: text.to_owned(), expected }
+}
 
 /// Splits `node:rest`; the `:` of `rostopic://` separates no node.
 fn split_node(text: &str) -> (Option<String>, &str) {

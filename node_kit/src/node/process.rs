@@ -186,7 +186,7 @@ impl Process {
         }
         let parts = NodeParts {
             remaps: arguments.remaps(),
-            rosout: arguments.rosout(),
+            rosout: !arguments.log_outputs().no_rosout,
             name: name.clone(),
             store,
             clock,
