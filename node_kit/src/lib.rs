@@ -33,7 +33,7 @@ pub use names::NodeName;
 #[cfg(feature = "dds")]
 pub use node::{
     Clock, DeviceSender, Health, Logger, NodeContext, NodeError, NodeShell, Process, Publisher,
-    Responder, run_node, run_node_with,
+    Responder, run_node,
 };
 pub use parameters::{ParameterError, ParameterSet};
 pub use qos::QosPreset;

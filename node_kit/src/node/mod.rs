@@ -46,6 +46,6 @@ pub use middleware::{Loss, MiddlewareWatch};
 pub use participant::join;
 pub use process::Process;
 pub use publisher::Publisher;
-pub use run::{run_node, run_node_with};
+pub use run::run_node;
 pub use service::Responder;
 pub use shell::NodeShell;

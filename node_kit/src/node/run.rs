@@ -19,20 +19,15 @@ use std::{ffi::OsString, process::ExitCode};
 /// `--rig rig.yaml` stands for `--ros-args --params-file rig.yaml`. A launch file passes its
 /// arguments with `--name=…`: an empty value is not given.
 pub fn run_node<S: NodeShell>() -> ExitCode {
+    let own = S::Parameters::descriptors();
     let words: Result<Vec<_>, _> = std::env::args_os().skip(1).map(OsString::into_string).collect();
-    match words {
-        Ok(words) => run_node_with::<S>(words),
-        Err(word) => report::<S>(&NodeError::from(ArgumentError::UnknownArgument {
+    let parsed = words
+        .map_err(|word| ArgumentError::UnknownArgument {
             argument: word.to_string_lossy().into_owned(),
             hint: " (it is not UTF-8)".to_owned(),
-        })),
-    }
-}
-
-/// Runs one node as [`run_node`] does, with this command line (without the program's name).
-pub fn run_node_with<S: NodeShell>(arguments: impl IntoIterator<Item = String>) -> ExitCode {
-    let own = S::Parameters::descriptors();
-    let (ros, rest) = match RosArguments::parse(arguments) {
+        })
+        .and_then(RosArguments::parse);
+    let (ros, rest) = match parsed {
         Ok(parsed) => parsed,
         Err(error) => return report::<S>(&error.into()),
     };
