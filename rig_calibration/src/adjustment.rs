@@ -5,7 +5,7 @@ use crate::{
     arrow::{Arrow, STATE},
     median::median,
     parameters::{self, PARAMETERS, Parameters},
-    problem::{State, integrated, motion, pixel_whitener, pixels},
+    problem::{CLIMBER_NOISE, State, integrated, motion, pixel_whitener, pixels},
     recording::Recording,
 };
 use nalgebra::{DMatrix, DVector, SMatrix};
@@ -55,7 +55,6 @@ impl<'a> Adjustment<'a> {
         start: Parameters,
         states: Vec<State>,
         priors: Vec<f64>,
-        climber_noise: [f64; 4],
     ) -> Self {
         Self {
             recording,
@@ -63,7 +62,7 @@ impl<'a> Adjustment<'a> {
             start,
             priors,
             gauge: None,
-            climber_noise,
+            climber_noise: CLIMBER_NOISE,
             used: vec![true; states.len()],
             weights: vec![1.0; states.len()],
             states,

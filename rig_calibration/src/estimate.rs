@@ -7,7 +7,7 @@ use crate::{
     adjustment::Adjustment,
     initial::first_states,
     parameters::{PARAMETERS, Parameters},
-    problem::{CLIMBER_NOISE, layout_gauge},
+    problem::layout_gauge,
     recording::Recording,
 };
 use nalgebra::DMatrix;
@@ -122,7 +122,7 @@ pub fn refine_rig(
     let states = first_states(recording, &start)?;
     let mut priors = vec![0.0; PARAMETERS];
     priors.iter_mut().zip(&traits).for_each(|(prior, t)| *prior = t.prior);
-    let mut work = Adjustment::new(recording, start, states, priors, CLIMBER_NOISE);
+    let mut work = Adjustment::new(recording, start, states, priors);
     work.gauge = Some(layout_gauge(rig));
     let (covariance, _) = work.solve()?;
     let mut verdicts: Vec<Refinement> = (0..REFINED)

@@ -14,7 +14,6 @@ use crate::{
     adjustment::Adjustment,
     initial::first_states,
     parameters::{CLIMBER_CLOCK, Parameters, RAILS, TURN_SCALE},
-    problem::CLIMBER_NOISE,
     recording::Recording,
 };
 use nalgebra::{DMatrix, Isometry3, Matrix2, Translation3, UnitQuaternion, Vector3};
@@ -79,7 +78,7 @@ impl Solved {
         priors[TURN_SCALE] = WIDE;
         priors[CLIMBER_CLOCK] = CLOCK;
         let freedom = 8.0 * states.len() as f64;
-        let mut work = Adjustment::new(recording, start, states, priors, CLIMBER_NOISE);
+        let mut work = Adjustment::new(recording, start, states, priors);
         work.iterations = 15;
         let solved = work.solve().ok().zip(work.data_cost());
         Ok(solved.map(|((covariance, _), cost)| Self {

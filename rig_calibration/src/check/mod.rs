@@ -21,7 +21,6 @@ use crate::{
     adjustment::Adjustment,
     initial::first_states,
     parameters::{PARAMETERS, Parameters},
-    problem::CLIMBER_NOISE,
     recording::Recording,
 };
 use nalgebra::DVector;
@@ -107,8 +106,7 @@ pub fn check(
     let mut file = Parameters::new(rig, &recording);
     let start = Parameters::new(&state.rig, &recording);
     let states = first_states(&recording, &start)?;
-    let priors = vec![0.0; PARAMETERS];
-    let work = Adjustment::new(&recording, start, states, priors, CLIMBER_NOISE);
+    let work = Adjustment::new(&recording, start, states, vec![0.0; PARAMETERS]);
     let outcome = match select::explain(work, state.moved)? {
         select::Explained::By(outcome) => outcome,
         select::Explained::Deaf(axes) => {
