@@ -128,21 +128,6 @@ fn a_participant_without_a_key_receives_and_injects_nothing() {
     drop((climber, platform, nobody, stranger));
 }
 
-#[test]
-fn without_its_keys_an_enforced_process_does_not_start() {
-    let security = Some(Security::enforced("/nowhere", "/rig/climber"));
-    let error =
-        Process::new(Network { domain_id: 32, security, ..Network::default() }).err().unwrap();
-    let error = error.to_string();
-    for needle in [
-        "enclave /rig/climber of the keystore /nowhere",
-        "/nowhere/enclaves/rig/climber/cert.pem is missing",
-        "make-keystore /nowhere /rig/climber",
-    ] {
-        assert!(error.contains(needle), "{error}");
-    }
-}
-
 /// RustDDS as published locks the participant and the security plugins in both orders, so that a
 /// node hung at its start now and then, and its two threads wait for each other's queues
 /// (`rustdds-11-security-lock-order` and `rustdds-12-discovery-commands` in `forks/patches`).
