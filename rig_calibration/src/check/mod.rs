@@ -51,8 +51,6 @@ pub(crate) struct Corrected {
     pub other_mirror: Option<(MarkerLayout, String)>,
     /// Offset that was removed from the IMU's stamps, s.
     pub imu_clock: f64,
-    /// Rounds of corrections of the encoders.
-    pub rounds: usize,
     pub findings: Vec<Finding>,
 }
 
@@ -76,7 +74,6 @@ pub fn check(
         moved: None,
         other_mirror: None,
         imu_clock: 0.0,
-        rounds: 0,
         findings: stamps::examine(samples),
     };
     if state.findings.iter().any(|f| f.blocks) {
@@ -98,8 +95,10 @@ pub fn check(
     let mut recording = Recording::new(&state.samples)?;
     recording.keep_liveliest(SPAN, EVERY);
     inertial::examine_noise(&mut state, &recording);
-    while state.rounds < ROUNDS && encoders::examine(&mut state, &recording)? {
-        state.rounds += 1;
+    for _ in 0..ROUNDS {
+        if !encoders::examine(&mut state, &recording)? {
+            break;
+        }
         recording = Recording::new(&state.samples)?;
         recording.keep_liveliest(SPAN, EVERY);
     }
