@@ -4,7 +4,7 @@
 //! `ros2 topic echo /demo/echo`.
 
 use node_kit::{
-    Level, NodeContext, NodeError, NodeShell, Publisher, QosPreset, parameters, run_node,
+    Level, NodeContext, NodeError, NodeShell, Publisher, QosPreset, convert, parameters, run_node,
 };
 use std::{process::ExitCode, sync::Arc, time::Duration};
 use volant_msgs::{
@@ -79,8 +79,7 @@ impl NodeShell for Minimal {
             Input::Imu(imu) => self.imu_echo.publish_shared(imu),
             Input::Beat => {
                 let mut beat = PoseWithCovarianceStamped::default();
-                let (sec, nanosec) = context.now().to_sec_nanosec();
-                (beat.header.stamp.sec, beat.header.stamp.nanosec) = (sec, nanosec);
+                beat.header.stamp = convert::time(context.now());
                 self.beats.publish(beat);
             }
         }

@@ -9,6 +9,7 @@ use super::{
     publisher::{Publisher, Rate},
 };
 use crate::{
+    convert,
     inbox::{SourceCount, SourceKind, now},
     level::Level,
     lifecycle::LifecycleState,
@@ -21,11 +22,7 @@ use std::{
     sync::Weak,
     time::Duration,
 };
-use volant_msgs::{
-    builtin_interfaces::msg::Time,
-    diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus, KeyValue},
-    std_msgs::msg::Header,
-};
+use volant_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus, KeyValue};
 
 /// A topic on which nothing arrived for this long is missing.
 const MISSING_AFTER: Duration = Duration::from_secs(2);
@@ -125,11 +122,7 @@ impl Diagnostics {
         let mut all =
             vec![self.inputs(endpoints, state), self.outputs(endpoints), self.graph(endpoints)];
         all.extend(self.statuses.values().cloned());
-        let (sec, nanosec) = now.to_sec_nanosec();
-        self.publisher.publish(DiagnosticArray {
-            header: Header { stamp: Time { sec, nanosec }, ..Header::default() },
-            status: all,
-        });
+        self.publisher.publish(DiagnosticArray { header: convert::header("", now), status: all });
     }
 
     fn rate(&mut self, key: &str, count: u64) -> f64 {

@@ -14,6 +14,7 @@ use super::{
     tf::Transforms,
 };
 use crate::{
+    convert,
     inbox::{Control, SourceKind, Sources},
     level::Level,
     lifecycle::LifecycleState,
@@ -290,7 +291,7 @@ impl NodeHandle {
                 CLOCK,
                 SourceKind::Expected,
                 move |source, _, m: &Arc<ClockMessage>| {
-                    clock.set(Stamp::from_sec_nanosec(m.clock.sec, m.clock.nanosec));
+                    clock.set(convert::stamp(&m.clock));
                     sources.touch(source);
                     sources.put_control(wake, Control::Wake);
                 },

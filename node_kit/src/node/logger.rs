@@ -1,7 +1,7 @@
 //! The log: on standard error and in a file in rclcpp's format, and on `/rosout`.
 
 use super::{clock::Clock, publisher::Publisher};
-use crate::{inbox::now, level::Level};
+use crate::{convert, inbox::now, level::Level};
 use parking_lot::Mutex;
 use std::{
     collections::HashMap,
@@ -11,7 +11,7 @@ use std::{
     sync::{Arc, OnceLock},
     time::{Duration, Instant},
 };
-use volant_msgs::{builtin_interfaces::msg::Time, rcl_interfaces::msg::Log};
+use volant_msgs::rcl_interfaces::msg::Log;
 
 /// Log of one node. Clones belong to the same node; any thread may write.
 #[derive(Clone)]
@@ -69,10 +69,9 @@ impl Logger {
             let _ = file.lock().write_all(line.as_bytes());
         }
         if let Some(rosout) = state.rosout.get() {
-            let (sec, nanosec) = stamp.to_sec_nanosec();
             let caller = Location::caller();
             rosout.publish(Log {
-                stamp: Time { sec, nanosec },
+                stamp: convert::time(stamp),
                 level: level as u8,
                 name: state.name.clone(),
                 msg: text.to_owned(),
