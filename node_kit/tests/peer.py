@@ -95,7 +95,6 @@ KINDS = {
     "tf": TFMessage,
     "diagnostics": DiagnosticArray,
     "clock": Clock,
-    "log": Log,
     "image": Image,
 }
 
@@ -173,7 +172,7 @@ def echo(participant, topic_in, topic_out, kind, count):
 
 
 def receive(participant, topic, kind, count, seconds):
-    latched = topic in ("/tf_static", "/rosout")
+    latched = topic == "/tf_static"
     r = reader(participant, topic, kind, reliable=kind != "imu", latched=latched)
     for sample in samples(r, float(seconds), int(count)):
         print(json.dumps(plain(sample)), flush=True)

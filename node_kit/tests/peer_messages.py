@@ -127,17 +127,6 @@ class Clock(IdlStruct, typename="rosgraph_msgs::msg::dds_::Clock_"):
 
 
 @dataclass
-class Log(IdlStruct, typename="rcl_interfaces::msg::dds_::Log_"):
-    stamp: Time
-    level: types.uint8
-    name: str
-    msg: str
-    file: str
-    function: str
-    line: types.uint32
-
-
-@dataclass
 class ParameterValue(IdlStruct, typename="rcl_interfaces::msg::dds_::ParameterValue_"):
     type: types.uint8 = 0
     bool_value: bool = False
