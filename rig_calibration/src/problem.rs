@@ -10,8 +10,8 @@ use nalgebra::{
 };
 use rig_model::{MarkerColor, Rig};
 
-/// Gravity in world, m/s².
-const GRAVITY: f64 = 9.806_65;
+/// Standard gravity, m/s².
+pub const GRAVITY: f64 = 9.806_65;
 /// Standard deviation of a fitted climber pose: m along each axis, rad about the vertical.
 pub const CLIMBER_NOISE: [f64; 4] = [0.25e-3, 0.25e-3, 0.25e-3, 1.5e-4];
 /// Standard deviation of a centroid beyond its covariance, px.

@@ -1,12 +1,10 @@
 //! Units and noise of the IMU.
 
 use super::{Corrected, findings::Finding};
-use crate::{median::median, recording::Recording};
+use crate::{median::median, problem::GRAVITY, recording::Recording};
 use nalgebra::Vector3;
 use rig_model::topics;
 
-/// Norm of the specific force that is gravity, m/s².
-const GRAVITY: f64 = 9.806_65;
 /// Relative deviation of its median that motion and bias explain.
 const TOLERANCE: f64 = 0.15;
 /// Factor by which the measured noise exceeds the file's where the file is wrong.
