@@ -1,9 +1,6 @@
 //! Network settings from ROS 2's environment variables.
 
-use std::{
-    net::{IpAddr, Ipv4Addr},
-    path::PathBuf,
-};
+use std::path::PathBuf;
 use thiserror::Error;
 
 /// An environment variable with an invalid value.
@@ -174,14 +171,6 @@ impl Network {
             enclave.clone_into(&mut security.enclave);
         }
         self
-    }
-
-    /// Local addresses that discovery is limited to; `None` for all of the host.
-    pub fn only_addresses(&self) -> Option<Vec<IpAddr>> {
-        match self.range {
-            DiscoveryRange::Localhost => Some(vec![IpAddr::V4(Ipv4Addr::LOCALHOST)]),
-            DiscoveryRange::Subnet => None,
-        }
     }
 }
 

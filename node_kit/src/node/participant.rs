@@ -11,11 +11,11 @@ use super::{
     middleware::MiddlewareWatch,
 };
 use crate::{
-    environment::{Network, Security},
+    environment::{DiscoveryRange, Network, Security},
     level::Level,
 };
 use rustdds::{DomainParticipant, DomainParticipantBuilder};
-use std::path::PathBuf;
+use std::{net::Ipv4Addr, path::PathBuf};
 
 /// Joins a DDS domain: creates a participant with the domain, discovery range and security of
 /// `network` ([`Network::from_environment`]), and a watch that reports when it becomes unusable.
@@ -29,8 +29,8 @@ pub fn join(network: &Network) -> Result<(DomainParticipant, MiddlewareWatch), N
     let enclave = network.security.as_ref().map_or("/", |security| security.enclave.as_str());
     let mut builder = DomainParticipantBuilder::new(network.domain_id)
         .with_user_data(format!("enclave={enclave};").into_bytes());
-    if let Some(addresses) = network.only_addresses() {
-        builder = builder.with_only_networks(addresses);
+    if network.range == DiscoveryRange::Localhost {
+        builder = builder.with_only_networks([Ipv4Addr::LOCALHOST]);
     }
     if let Some(security) = &network.security {
         builder = secure(builder, security)?;
