@@ -3,11 +3,8 @@
 
 mod common;
 
-use common::{minimal, peer, python, start};
-use node_kit::{
-    NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments,
-    environment::Network,
-};
+use common::{Listener, Timed, minimal, peer, python, start};
+use node_kit::{NodeContext, Process, QosPreset, environment::Network};
 use std::{
     sync::{
         Arc,
@@ -70,50 +67,6 @@ fn a_subscriber_killed_while_images_flow_costs_neither_memory_nor_time() {
     }
 }
 
-/// Publishes 200 messages per second on a reliable topic.
-struct Talker(Publisher<Header>, Arc<AtomicU64>);
-
-impl NodeShell for Talker {
-    const NAME: &'static str = "talker";
-    type Parameters = ();
-    type Input = ();
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
-        self.0.publish(Header::default());
-        self.1.fetch_add(1, Ordering::Relaxed);
-        assert_eq!(self.0.refused(), 0);
-    }
-}
-
-impl Talker {
-    fn new(context: &mut NodeContext<()>, count: Arc<AtomicU64>) -> Result<Self, NodeError> {
-        context.timer(Duration::from_millis(5), || ());
-        Ok(Self(context.advertise("talk", QosPreset::Measurement)?, count))
-    }
-}
-
-struct Listener(Arc<AtomicU64>);
-
-impl NodeShell for Listener {
-    const NAME: &'static str = "listener";
-    type Parameters = ();
-    type Input = Arc<Header>;
-
-    fn handle(&mut self, _: &mut NodeContext<Arc<Header>>, _: Arc<Header>) {
-        self.0.fetch_add(1, Ordering::Relaxed);
-    }
-}
-
-impl Listener {
-    fn new(
-        context: &mut NodeContext<Arc<Header>>,
-        count: Arc<AtomicU64>,
-    ) -> Result<Self, NodeError> {
-        context.subscribe("talk", QosPreset::Measurement, Some)?;
-        Ok(Self(count))
-    }
-}
-
 /// Wake-ups of the middleware's event loops of this process.
 fn wake_ups() -> u64 {
     let tasks = std::fs::read_dir("/proc/self/task").unwrap().filter_map(Result::ok);
@@ -133,18 +86,24 @@ fn a_reliable_message_wakes_each_event_loop_about_once() {
     let (sent, received) = (Arc::<AtomicU64>::default(), Arc::<AtomicU64>::default());
     let mut listener = Process::new(network()).unwrap();
     let count = Arc::clone(&received);
-    listener
-        .start_with(&RosArguments::default(), move |context, ()| {
-            Listener::new(context, Arc::clone(&count))
-        })
-        .unwrap();
+    Listener::<Header>::launch(&mut listener, "listener", "talk", QosPreset::Measurement, move || {
+        let count = Arc::clone(&count);
+        move |_: Arc<Header>| {
+            count.fetch_add(1, Ordering::Relaxed);
+        }
+    });
     let mut talker = Process::new(network()).unwrap();
     let count = Arc::clone(&sent);
-    talker
-        .start_with(&RosArguments::default(), move |context, ()| {
-            Talker::new(context, Arc::clone(&count))
+    // 200 messages per second on a reliable topic.
+    Timed::launch(&mut talker, "talker", Duration::from_millis(5), move |context| {
+        let talk = context.advertise::<Header>("talk", QosPreset::Measurement)?;
+        let count = Arc::clone(&count);
+        Ok(move |_: &mut NodeContext<()>| {
+            talk.publish(Header::default());
+            count.fetch_add(1, Ordering::Relaxed);
+            assert_eq!(talk.refused(), 0);
         })
-        .unwrap();
+    });
     std::thread::sleep(Duration::from_secs(3));
     let counts = || [&sent, &received].map(|c| c.load(Ordering::Relaxed));
     let (before, woken) = (counts(), wake_ups());

@@ -2,105 +2,15 @@
 //! message once.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-use node_kit::{
-    NodeContext, NodeError, NodeShell, Process, Publisher, QosPreset, RosArguments,
-    environment::Network,
-};
+mod common;
+
+use common::{Listener, Timed};
+use node_kit::{NodeContext, Process, QosPreset, environment::Network};
 use std::{
     sync::{Arc, mpsc},
     time::Duration,
 };
 use volant_msgs::sensor_msgs::msg::Image;
-
-/// Name of the node, and the image that it published or received.
-type Report = (&'static str, Arc<Image>);
-type Reports = mpsc::SyncSender<Report>;
-
-struct Source {
-    images: Publisher<Image>,
-    number: u32,
-    reports: Reports,
-}
-
-impl Source {
-    fn new(context: &mut NodeContext<()>, reports: Reports) -> Result<Self, NodeError> {
-        context.timer(Duration::from_millis(20), || ());
-        Ok(Self { images: context.advertise("image", QosPreset::Image)?, number: 0, reports })
-    }
-}
-
-impl NodeShell for Source {
-    const NAME: &'static str = "source";
-    type Parameters = ();
-    type Input = ();
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
-        self.number += 1;
-        let image =
-            Arc::new(Image { width: self.number, data: vec![7; 100_000], ..Image::default() });
-        let _ = self.reports.try_send(("source", Arc::clone(&image)));
-        self.images.publish_shared(image);
-    }
-}
-
-struct Sink(Reports);
-
-impl Sink {
-    fn new(context: &mut NodeContext<Arc<Image>>, reports: Reports) -> Result<Self, NodeError> {
-        context.subscribe("image", QosPreset::Image, Some)?;
-        Ok(Self(reports))
-    }
-}
-
-impl NodeShell for Sink {
-    const NAME: &'static str = "sink";
-    type Parameters = ();
-    type Input = Arc<Image>;
-
-    fn handle(&mut self, context: &mut NodeContext<Arc<Image>>, image: Arc<Image>) {
-        let who = if context.name().base() == "outside" { "outside" } else { "inside" };
-        let _ = self.0.try_send((who, image));
-    }
-}
-
-struct Broken;
-
-impl NodeShell for Broken {
-    const NAME: &'static str = "broken";
-    type Parameters = ();
-    type Input = ();
-
-    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
-        context.timer(Duration::from_millis(1), || ());
-        Ok(Self)
-    }
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
-        panic!("on purpose");
-    }
-}
-
-/// Handles its timer more slowly than the timer's period, and ends by its tick.
-struct Slow;
-
-impl NodeShell for Slow {
-    const NAME: &'static str = "slow";
-    type Parameters = ();
-    type Input = ();
-
-    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
-        context.timer(Duration::from_millis(1), || ());
-        Ok(Self)
-    }
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
-        std::thread::sleep(Duration::from_millis(3));
-    }
-
-    fn tick(&mut self, context: &mut NodeContext<()>) {
-        context.finish();
-    }
-}
 
 fn network(domain_id: u16) -> Network {
     Network { domain_id, ..Network::default() }
@@ -108,23 +18,34 @@ fn network(domain_id: u16) -> Network {
 
 #[test]
 fn inside_it_is_the_same_image_outside_a_copy_and_each_comes_once() {
-    let (sender, reports) = mpsc::sync_channel(1000);
-    let sink = || {
+    // Name of the node, and the image that it published or received.
+    let (sender, reports) = mpsc::sync_channel::<(&'static str, Arc<Image>)>(1000);
+    let sink = |process: &mut Process, name: &'static str| {
         let reports = sender.clone();
-        move |context: &mut NodeContext<_>, ()| Sink::new(context, reports.clone())
+        Listener::<Image>::launch(process, name, "image", QosPreset::Image, move || {
+            let reports = reports.clone();
+            move |image: Arc<Image>| {
+                let _ = reports.try_send((name, image));
+            }
+        });
     };
-    let reports_of_source = sender.clone();
-    let arguments = RosArguments::default();
     let mut inside = Process::new(network(21)).unwrap();
-    inside.start_with(&arguments, sink()).unwrap();
-    inside
-        .start_with(&arguments, move |context, ()| Source::new(context, reports_of_source.clone()))
-        .unwrap();
+    sink(&mut inside, "inside");
+    let reports_of_source = sender.clone();
+    Timed::launch(&mut inside, "source", Duration::from_millis(20), move |context| {
+        let images = context.advertise::<Image>("image", QosPreset::Image)?;
+        let (reports, mut number) = (reports_of_source.clone(), 0);
+        Ok(move |_: &mut NodeContext<()>| {
+            number += 1;
+            let image = Image { width: number, data: vec![7; 100_000], ..Image::default() };
+            let image = Arc::new(image);
+            let _ = reports.try_send(("source", Arc::clone(&image)));
+            images.publish_shared(image);
+        })
+    });
     // Another participant, like another process.
     let mut outside = Process::new(network(21)).unwrap();
-    let mut renamed = RosArguments::default();
-    renamed.remap("__node", "outside");
-    outside.start_with(&renamed, sink()).unwrap();
+    sink(&mut outside, "outside");
     std::thread::sleep(Duration::from_millis(1500));
     drop(inside);
     drop(outside);
@@ -148,8 +69,11 @@ fn inside_it_is_the_same_image_outside_a_copy_and_each_comes_once() {
 #[test]
 fn a_node_that_breaks_is_named_and_ends_the_process_in_order() {
     let mut process = Process::new(network(22)).unwrap();
-    process.start::<Slow>(&RosArguments::default()).unwrap();
-    process.start::<Broken>(&RosArguments::default()).unwrap();
+    let period = Duration::from_millis(20);
+    Timed::launch(&mut process, "well", period, |_| Ok(|_: &mut NodeContext<()>| {}));
+    Timed::launch(&mut process, "broken", period, |_| {
+        Ok(|_: &mut NodeContext<()>| panic!("on purpose"))
+    });
     let error = process.wait().unwrap_err().to_string();
     assert!(error.contains("/broken") && error.contains("on purpose"), "{error}");
 }
@@ -157,6 +81,15 @@ fn a_node_that_breaks_is_named_and_ends_the_process_in_order() {
 #[test]
 fn a_handler_slower_than_its_timer_holds_up_nothing_else() {
     let mut process = Process::new(network(23)).unwrap();
-    process.start::<Slow>(&RosArguments::default()).unwrap();
+    Timed::launch(&mut process, "slow", Duration::from_millis(1), |_| {
+        let mut left = 20;
+        Ok(move |context: &mut NodeContext<()>| {
+            std::thread::sleep(Duration::from_millis(3));
+            left -= 1;
+            if left == 0 {
+                context.finish();
+            }
+        })
+    });
     process.wait().unwrap();
 }

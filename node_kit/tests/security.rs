@@ -2,11 +2,12 @@
 //! Needs `--features security` and the `openssl` program.
 #![cfg(feature = "security")]
 
+mod common;
+
+use common::{Listener, Timed};
 use node_kit::{
-    RosArguments,
+    NodeContext, Process, QosPreset,
     environment::{Network, Security},
-    node::{NodeContext, NodeError, NodeShell, Process},
-    qos::QosPreset,
 };
 use parking_lot::Mutex;
 use rustdds::{DomainParticipant, QosPolicyBuilder, TopicKind};
@@ -21,49 +22,6 @@ use volant_msgs::std_msgs::msg::Header;
 /// Received messages: name of the listener, name of the talker.
 type Received = Arc<Mutex<Vec<(String, String)>>>;
 
-struct Talker(node_kit::node::Publisher<Header>, String);
-
-impl NodeShell for Talker {
-    const NAME: &'static str = "talker";
-    type Parameters = ();
-    type Input = ();
-
-    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
-        context.timer(Duration::from_millis(50), || ());
-        let name = context.name().base().to_owned();
-        Ok(Self(context.advertise("/secret", QosPreset::State)?, name))
-    }
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
-        self.0.publish(Header { frame_id: self.1.clone(), ..Header::default() });
-    }
-}
-
-struct Listener(String, Received);
-
-impl Listener {
-    fn new(context: &mut NodeContext<Arc<Header>>, received: &Received) -> Result<Self, NodeError> {
-        context.subscribe("/secret", QosPreset::State, Some)?;
-        Ok(Self(context.name().base().to_owned(), Arc::clone(received)))
-    }
-}
-
-impl NodeShell for Listener {
-    const NAME: &'static str = "listener";
-    type Parameters = ();
-    type Input = Arc<Header>;
-
-    fn handle(&mut self, _: &mut NodeContext<Arc<Header>>, message: Arc<Header>) {
-        self.1.lock().push((self.0.clone(), message.frame_id.clone()));
-    }
-}
-
-fn named(name: &str) -> RosArguments {
-    let mut arguments = RosArguments::default();
-    arguments.remap("__node", name);
-    arguments
-}
-
 fn keystore(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     let _ = std::fs::remove_dir_all(&folder);
@@ -77,13 +35,20 @@ fn keystore(name: &str) -> PathBuf {
 fn join(name: &str, security: Option<Security>, received: &Received) -> Process {
     let mut process =
         Process::new(Network { domain_id: 31, security, ..Network::default() }).unwrap();
-    process.start::<Talker>(&named(&format!("{name}_talker"))).unwrap();
-    let received = Arc::clone(received);
-    process
-        .start_with(&named(&format!("{name}_listener")), move |context, ()| {
-            Listener::new(context, &received)
+    let (talker, listener) = (format!("{name}_talker"), format!("{name}_listener"));
+    let own = talker.clone();
+    Timed::launch(&mut process, &talker, Duration::from_millis(50), move |context| {
+        let secret = context.advertise::<Header>("/secret", QosPreset::State)?;
+        let own = own.clone();
+        Ok(move |_: &mut NodeContext<()>| {
+            secret.publish(Header { frame_id: own.clone(), ..Header::default() });
         })
-        .unwrap();
+    });
+    let (own, received) = (listener.clone(), Arc::clone(received));
+    Listener::<Header>::launch(&mut process, &listener, "/secret", QosPreset::State, move || {
+        let (own, received) = (own.clone(), Arc::clone(&received));
+        move |message: Arc<Header>| received.lock().push((own.clone(), message.frame_id.clone()))
+    });
     process
 }
 

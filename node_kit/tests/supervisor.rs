@@ -4,11 +4,8 @@
 
 mod common;
 
-use common::{minimal, start};
-use node_kit::{
-    NodeContext, NodeError, NodeShell, Process, RosArguments, environment::Network,
-    scheduling::Scheduling,
-};
+use common::{Timed, minimal, start};
+use node_kit::{NodeContext, Process, environment::Network, scheduling::Scheduling};
 use std::{
     os::{
         linux::net::SocketAddrExt,
@@ -105,42 +102,6 @@ fn a_socket_that_is_gone_is_reported_and_the_node_runs() {
     assert!(line.contains("[WARN]"), "{line}");
 }
 
-/// Runs well for ever.
-struct Well;
-
-impl NodeShell for Well {
-    const NAME: &'static str = "well";
-    type Parameters = ();
-    type Input = ();
-
-    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
-        context.timer(Duration::from_millis(20), || ());
-        Ok(Self)
-    }
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {}
-}
-
-/// Hangs in its handler from the third second on.
-struct Hanging(Instant);
-
-impl NodeShell for Hanging {
-    const NAME: &'static str = "hanging";
-    type Parameters = ();
-    type Input = ();
-
-    fn start(context: &mut NodeContext<()>, (): ()) -> Result<Self, NodeError> {
-        context.timer(Duration::from_millis(20), || ());
-        Ok(Self(Instant::now()))
-    }
-
-    fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {
-        while self.0.elapsed() > Duration::from_secs(3) {
-            std::thread::sleep(Duration::from_secs(1));
-        }
-    }
-}
-
 /// The process of the test below.
 #[test]
 #[ignore = "a process that another test starts"]
@@ -150,8 +111,17 @@ fn process_with_a_node_that_hangs() {
     }
     let network = Network { domain_id: 143, ..Network::default() };
     let mut process = Process::new(network).unwrap();
-    process.start::<Well>(&RosArguments::default()).unwrap();
-    process.start::<Hanging>(&RosArguments::default()).unwrap();
+    let period = Duration::from_millis(20);
+    Timed::launch(&mut process, "well", period, |_| Ok(|_: &mut NodeContext<()>| {}));
+    // Hangs in its handler from the third second on.
+    Timed::launch(&mut process, "hanging", period, |_| {
+        let begin = Instant::now();
+        Ok(move |_: &mut NodeContext<()>| {
+            while begin.elapsed() > Duration::from_secs(3) {
+                std::thread::sleep(Duration::from_secs(1));
+            }
+        })
+    });
     process.wait().unwrap();
 }
 

@@ -2,7 +2,10 @@
 #![allow(dead_code, reason = "each test uses a part")]
 #![allow(clippy::unwrap_used, clippy::panic, clippy::disallowed_methods, reason = "tests")]
 
-use node_kit::{environment::Network, node::join};
+use node_kit::{
+    NodeContext, NodeError, NodeShell, Process, QosPreset, RosArguments, environment::Network,
+    node::join,
+};
 use ros2_client::{
     Context, Message, Name, Node, NodeName, NodeOptions, QosProfile, ServiceMapping,
     ServiceTypeName, qos::WhenFull, service::Client,
@@ -17,6 +20,8 @@ use std::{
     cell::RefCell,
     collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
 };
 use test_support::process::{Running, example, in_domain};
 
@@ -83,6 +88,74 @@ pub fn script(domain: u16, python: &Path, name: &str, arguments: &[&str]) -> Run
     let mut all = vec![path.to_str().unwrap()];
     all.extend(arguments);
     start(domain, python, &all, &[])
+}
+
+/// A node that acts on a timer.
+pub struct Timed(Box<dyn FnMut(&mut NodeContext<()>)>);
+
+impl Timed {
+    /// Starts a node of this name; `make` advertises its topics and returns what it does each
+    /// period.
+    pub fn launch<F: FnMut(&mut NodeContext<()>) + 'static>(
+        process: &mut Process,
+        name: &str,
+        period: Duration,
+        make: impl Fn(&mut NodeContext<()>) -> Result<F, NodeError> + Send + 'static,
+    ) {
+        process
+            .start_with::<Self>(&named(name), move |context, ()| {
+                context.timer(period, || ());
+                Ok(Self(Box::new(make(context)?)))
+            })
+            .unwrap();
+    }
+}
+
+impl NodeShell for Timed {
+    const NAME: &'static str = "timed";
+    type Parameters = ();
+    type Input = ();
+
+    fn handle(&mut self, context: &mut NodeContext<()>, (): ()) {
+        (self.0)(context);
+    }
+}
+
+/// A node that hands each message of a topic to a closure.
+pub struct Listener<M>(Box<dyn FnMut(Arc<M>)>);
+
+impl<M: volant_msgs::Message> Listener<M> {
+    /// Starts a node of this name; `make` returns what it does with a message.
+    pub fn launch<F: FnMut(Arc<M>) + 'static>(
+        process: &mut Process,
+        name: &str,
+        topic: &'static str,
+        preset: QosPreset,
+        make: impl Fn() -> F + Send + 'static,
+    ) {
+        process
+            .start_with::<Self>(&named(name), move |context, ()| {
+                context.subscribe(topic, preset, Some::<Arc<M>>)?;
+                Ok(Self(Box::new(make())))
+            })
+            .unwrap();
+    }
+}
+
+impl<M: volant_msgs::Message> NodeShell for Listener<M> {
+    const NAME: &'static str = "listener";
+    type Parameters = ();
+    type Input = Arc<M>;
+
+    fn handle(&mut self, _: &mut NodeContext<Arc<M>>, message: Arc<M>) {
+        (self.0)(message);
+    }
+}
+
+fn named(name: &str) -> RosArguments {
+    let mut arguments = RosArguments::default();
+    arguments.remap("__node", name);
+    arguments
 }
 
 /// Subscription of `ros_discovery_info`: which node has which endpoint.
