@@ -69,27 +69,18 @@ impl QosPreset {
     /// The QoS of this preset.
     pub const fn qos(self, endpoint: Endpoint) -> Qos {
         match (self, endpoint) {
-            (Self::Image | Self::CameraInfo, _) => {
-                Qos { reliable: false, transient_local: false, depth: 4, max_samples: 4 }
+            (Self::Image | Self::CameraInfo, _) => Qos { depth: 4, max_samples: 4, ..Qos::SENSOR },
+            (Self::Sensor, _) | (Self::Measurement, Endpoint::Subscription) => {
+                Qos { depth: 100, max_samples: 100, ..Qos::SENSOR }
             }
-            (Self::Sensor, _) => {
-                Qos { reliable: false, transient_local: false, depth: 100, max_samples: 100 }
-            }
-            (Self::State, Endpoint::Publisher) => {
-                Qos { reliable: true, transient_local: false, depth: 10, max_samples: 8192 }
-            }
-            (Self::Measurement, Endpoint::Publisher) => {
-                Qos { max_samples: 4096, ..Self::State.qos(Endpoint::Publisher) }
-            }
-            (Self::Measurement, Endpoint::Subscription) => Self::Sensor.qos(Endpoint::Subscription),
+            (Self::State, Endpoint::Publisher) => Qos { max_samples: 8192, ..Qos::RELIABLE },
+            (Self::Measurement, Endpoint::Publisher) => Qos { max_samples: 4096, ..Qos::RELIABLE },
             (Self::State, Endpoint::Subscription) => {
-                Qos { reliable: true, transient_local: false, depth: 100, max_samples: 100 }
+                Qos { depth: 100, max_samples: 100, ..Qos::RELIABLE }
             }
-            (Self::Latched, Endpoint::Publisher) => {
-                Qos { reliable: true, transient_local: true, depth: 1, max_samples: 1 }
-            }
+            (Self::Latched, Endpoint::Publisher) => Qos::LATCHED,
             (Self::Latched, Endpoint::Subscription) => {
-                Qos { reliable: true, transient_local: true, depth: 100, max_samples: 100 }
+                Qos { depth: 100, max_samples: 100, ..Qos::LATCHED }
             }
         }
     }

@@ -30,8 +30,7 @@ const MISSING_AFTER: Duration = Duration::from_secs(2);
 const HELD_UP_AFTER: Duration = Duration::from_secs(1);
 /// How long a restart of the node is reported.
 const RESTART_REPORTED_FOR: Duration = Duration::from_secs(5);
-const DIAGNOSTICS: Qos =
-    Qos { reliable: true, transient_local: false, depth: 10, max_samples: 100 };
+const DIAGNOSTICS: Qos = Qos { max_samples: 100, ..Qos::RELIABLE };
 
 /// Level of a status, with the numbers of `diagnostic_msgs/DiagnosticStatus`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

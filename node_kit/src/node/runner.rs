@@ -24,8 +24,7 @@ use volant_msgs::lifecycle_msgs::msg::TransitionEvent;
 
 /// Period of the shell's tick and the diagnostics.
 const TICK: Duration = Duration::from_secs(1);
-const TRANSITION_EVENTS: Qos =
-    Qos { reliable: true, transient_local: false, depth: 10, max_samples: 100 };
+const TRANSITION_EVENTS: Qos = Qos { max_samples: 100, ..Qos::RELIABLE };
 
 /// Creates the shell of a node.
 type Start<S> = Box<

@@ -194,9 +194,9 @@ impl Endpoints {
 
 /// rmw's default for services, with a bound. RustDDS 0.15.1 keeps the newest `max_samples`
 /// requests, read or not, until newer ones replace them; a request can have 64 kB and more.
-const REQUESTS: Qos = Qos { reliable: true, transient_local: false, depth: 10, max_samples: 32 };
+const REQUESTS: Qos = Qos { max_samples: 32, ..Qos::RELIABLE };
 /// rmw's default for services; [`ReplyBudget`] bounds the bytes.
-const REPLIES: Qos = Qos { reliable: true, transient_local: false, depth: 10, max_samples: 1000 };
+const REPLIES: Qos = Qos { max_samples: 1000, ..Qos::RELIABLE };
 
 /// Identity of a request, by which a client recognizes the reply.
 fn identity_of(info: &MessageInfo) -> SampleIdentity {
