@@ -1,14 +1,14 @@
 //! Services.
 
 use super::{
-    endpoints::{Endpoints, policies, with_type_hash},
+    endpoints::{Endpoints, dds_type_name, policies, with_type_hash},
     error::NodeError,
     reply_budget::ReplyBudget,
 };
 use crate::{environment::ServiceFlavour, inbox::now, level::Level, qos::Qos};
 use async_executor::Task;
 use futures_lite::StreamExt;
-use ros2_client::{MessageInfo, RmwRequestId, ServiceTypeName, Subscription};
+use ros2_client::{MessageInfo, RmwRequestId, Subscription};
 use rustdds::{RTPSEntity, SampleIdentity, SequenceNumber, Topic, TopicKind, WriteOptionsBuilder};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::{fmt::Display, future::Future, time::Duration};
@@ -38,14 +38,9 @@ impl Endpoints {
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
     ) -> Result<Task<()>, NodeError> {
         let name = self.resolve(name)?;
-        let (package, type_name) = match S::TYPE_NAME.split_once("/srv/") {
-            Some(parts) => parts,
-            None => return Err(failed(&name, format!("{} is no service type", S::TYPE_NAME))),
-        };
-        let type_name = ServiceTypeName::new(package, type_name);
         match self.domain.network.services {
-            ServiceFlavour::Enhanced => self.serve_enhanced::<S, F>(name, &type_name, answer),
-            ServiceFlavour::Cyclone => self.serve_cyclone::<S, F>(name, &type_name, answer),
+            ServiceFlavour::Enhanced => self.serve_enhanced::<S, F>(name, answer),
+            ServiceFlavour::Cyclone => self.serve_cyclone::<S, F>(name, answer),
         }
     }
 
@@ -53,10 +48,10 @@ impl Endpoints {
     fn serve_enhanced<S: Service, F: Future<Output = Option<S::Response>> + Send>(
         &mut self,
         name: String,
-        type_name: &ServiceTypeName,
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
     ) -> Result<Task<()>, NodeError> {
-        let (requests, replies) = self.service_topics::<S>(&name, type_name)?;
+        let requests = self.service_topic::<S::Request>(&name, "rq", "Request", &REQUESTS)?;
+        let replies = self.service_topic::<S::Response>(&name, "rr", "Reply", &REPLIES)?;
         let requests = self
             .node
             .create_subscription::<S::Request>(&requests, None)
@@ -90,10 +85,10 @@ impl Endpoints {
     fn serve_cyclone<S: Service, F: Future<Output = Option<S::Response>> + Send>(
         &mut self,
         name: String,
-        type_name: &ServiceTypeName,
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
     ) -> Result<Task<()>, NodeError> {
-        let (requests, replies) = self.service_topics::<S>(&name, type_name)?;
+        let requests = self.service_topic::<S::Request>(&name, "rq", "Request", &REQUESTS)?;
+        let replies = self.service_topic::<S::Response>(&name, "rr", "Reply", &REPLIES)?;
         let requests = self
             .node
             .create_subscription::<WithIdentity<S::Request>>(&requests, None)
@@ -162,33 +157,20 @@ impl Endpoints {
         })
     }
 
-    /// The DDS topics of requests and replies.
-    fn service_topics<S: Service>(
+    /// The DDS topic of a service's requests or replies, named `<prefix><service><suffix>`.
+    fn service_topic<M: Message>(
         &self,
-        name: &str,
-        type_name: &ServiceTypeName,
-    ) -> Result<(Topic, Topic), NodeError> {
-        let topic = |dds_name: String, half: &str, qos: &Qos, hash: &str| {
-            let dds_type = format!(
-                "{}::srv::dds_::{}_{half}_",
-                type_name.package_name(),
-                type_name.type_name()
-            );
-            self.domain
-                .context
-                .domain_participant()
-                .create_topic(
-                    dds_name,
-                    dds_type,
-                    &with_type_hash(policies(qos), hash),
-                    TopicKind::NoKey,
-                )
-                .map_err(|e| failed(name, e))
-        };
-        Ok((
-            topic(format!("rq{name}Request"), "Request", &REQUESTS, S::Request::RIHS01_HASH)?,
-            topic(format!("rr{name}Reply"), "Response", &REPLIES, S::Response::RIHS01_HASH)?,
-        ))
+        service: &str,
+        prefix: &str,
+        suffix: &str,
+        qos: &Qos,
+    ) -> Result<Topic, NodeError> {
+        let name = format!("{prefix}{service}{suffix}");
+        let policies = with_type_hash(policies(qos), M::RIHS01_HASH);
+        let participant = self.domain.context.domain_participant();
+        participant
+            .create_topic(name, dds_type_name(M::TYPE_NAME), &policies, TopicKind::NoKey)
+            .map_err(|e| failed(service, e))
     }
 }
 
