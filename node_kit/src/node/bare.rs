@@ -27,14 +27,13 @@ impl BareNode {
     /// # Errors
     /// As [`join`], and [`NodeError::Middleware`] for an invalid name.
     pub fn join(network: &Network, name: &str) -> Result<(Self, MiddlewareWatch), NodeError> {
-        let failed =
-            |reason: String| NodeError::Middleware { what: format!("the node /{name}"), reason };
+        let what = || format!("the node /{name}");
         let (participant, watch) = join(network)?;
         let context = Context::from_domain_participant(participant.clone())
-            .map_err(|e| failed(e.to_string()))?;
+            .map_err(|e| NodeError::middleware(what(), e))?;
         let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
-        let name = NodeName::new("/", name).map_err(|e| failed(e.to_string()))?;
-        let node = context.new_node(name, options).map_err(|e| failed(e.to_string()))?;
+        let name = NodeName::new("/", name).map_err(|e| NodeError::middleware(what(), e))?;
+        let node = context.new_node(name, options).map_err(|e| NodeError::middleware(what(), e))?;
         Ok((Self { node: Arc::new(Mutex::new(node)), participant }, watch))
     }
 

@@ -67,11 +67,9 @@ impl Domain {
         lost: impl FnOnce(Loss) + Send + 'static,
     ) -> Result<Self, NodeError> {
         let (participant, middleware) = join(&network)?;
-        let context =
-            Context::from_domain_participant(participant).map_err(|e| NodeError::Middleware {
-                what: format!("the participant in domain {}", network.domain_id),
-                reason: e.to_string(),
-            })?;
+        let context = Context::from_domain_participant(participant).map_err(|e| {
+            NodeError::middleware(format!("the participant in domain {}", network.domain_id), e)
+        })?;
         let transport = Arc::<IntraProcess>::default();
         let graph = Arc::<Graph>::default();
         let stop = Arc::<AtomicBool>::default();

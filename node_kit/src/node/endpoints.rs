@@ -51,19 +51,19 @@ impl Endpoints {
         store: ParameterStore,
         logger: Logger,
     ) -> Result<Self, NodeError> {
-        let failed = |reason: String| NodeError::Middleware {
-            what: format!("the node {}", name.fully_qualified()),
-            reason,
-        };
+        let what = || format!("the node {}", name.fully_qualified());
         let ros_name = ros2_client::NodeName::new(name.namespace(), name.base())
-            .map_err(|e| failed(e.to_string()))?;
+            .map_err(|e| NodeError::middleware(what(), e))?;
         // ros2-client 0.12.1's own parameter services have one wire format only and no
         // descriptors; its /rosout has no bound.
         let options = ros2_client::NodeOptions::new()
             .enable_rosout(false)
             .start_parameter_services(false)
             .allow_undeclared_parameters(true);
-        let node = domain.context.new_node(ros_name, options).map_err(|e| failed(e.to_string()))?;
+        let node = domain
+            .context
+            .new_node(ros_name, options)
+            .map_err(|e| NodeError::middleware(what(), e))?;
         let reactor = Reactor::start(name.base())?;
         Ok(Self {
             name,
@@ -113,12 +113,10 @@ impl Endpoints {
         let qos = self.overridden(&name, qos, Endpoint::Publisher)?;
         let channel = self.domain.transport.channel::<M>(&name)?;
         let dds_topic = self.dds_topic::<M>(&name, &qos)?;
-        let writer = self.node.create_publisher::<Arc<M>>(&dds_topic, None).map_err(|e| {
-            NodeError::Middleware {
-                what: format!("the publisher of {name}"),
-                reason: e.to_string(),
-            }
-        })?;
+        let writer = self
+            .node
+            .create_publisher::<Arc<M>>(&dds_topic, None)
+            .map_err(|e| NodeError::middleware(format!("the publisher of {name}"), e))?;
         let publisher = Publisher::new(name, qos, channel, writer, active);
         self.publishers.push(publisher.weak());
         self.domain.refresh();
@@ -170,10 +168,7 @@ pub fn ros_topic(
 ) -> Result<Topic, NodeError> {
     participant
         .create_topic(format!("rt{name}"), dds_type_name(type_name), policies, TopicKind::NoKey)
-        .map_err(|e| NodeError::Middleware {
-            what: format!("the topic {name}"),
-            reason: e.to_string(),
-        })
+        .map_err(|e| NodeError::middleware(format!("the topic {name}"), e))
 }
 
 /// Adds a type's RIHS01 hash to the policies of a publisher or subscription, as every rmw announces

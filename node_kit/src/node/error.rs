@@ -5,7 +5,7 @@ use crate::{
     parameters::ParameterError, scheduling::SchedulingError,
 };
 use rig_model::RigError;
-use std::path::PathBuf;
+use std::{fmt::Display, path::PathBuf};
 use thiserror::Error;
 
 /// Why a node cannot start or continue.
@@ -97,6 +97,11 @@ impl NodeError {
     /// A node's own reason: one line that names the file, topic or device, and the remedy.
     pub fn shell(message: impl Into<String>) -> Self {
         Self::Shell { message: message.into() }
+    }
+
+    /// What the middleware could not create, with its message.
+    pub(super) fn middleware(what: String, reason: impl Display) -> Self {
+        Self::Middleware { what, reason: reason.to_string() }
     }
 
     /// Returns whether the command line is wrong (exit status 2) rather than the work impossible

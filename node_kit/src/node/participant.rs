@@ -36,9 +36,8 @@ pub fn join(network: &Network) -> Result<(DomainParticipant, MiddlewareWatch), N
         builder = secure(builder, security)?;
     }
     let (participant, watch) = MiddlewareWatch::of(|| builder.build());
-    let participant = participant.map_err(|e| NodeError::Middleware {
-        what: format!("the participant in domain {}", network.domain_id),
-        reason: e.to_string(),
+    let participant = participant.map_err(|e| {
+        NodeError::middleware(format!("the participant in domain {}", network.domain_id), e)
     })?;
     Ok((participant, watch))
 }

@@ -201,5 +201,5 @@ struct WithIdentity<M> {
 }
 
 fn failed(service: &str, reason: impl Display) -> NodeError {
-    NodeError::Middleware { what: format!("the service {service}"), reason: reason.to_string() }
+    NodeError::middleware(format!("the service {service}"), reason)
 }

@@ -45,12 +45,10 @@ impl Endpoints {
         let qos = self.overridden(&name, qos, Endpoint::Subscription)?;
         let channel = self.domain.transport.channel::<M>(&name)?;
         let dds_topic = self.dds_topic::<M>(&name, &qos)?;
-        let subscription = self.node.create_subscription::<M>(&dds_topic, None).map_err(|e| {
-            NodeError::Middleware {
-                what: format!("the subscription of {name}"),
-                reason: e.to_string(),
-            }
-        })?;
+        let subscription = self
+            .node
+            .create_subscription::<M>(&dds_topic, None)
+            .map_err(|e| NodeError::middleware(format!("the subscription of {name}"), e))?;
         let source = self.sources.add_source(&name, qos.depth, kind);
         let state = Arc::clone(&channel.state);
         let sources = Arc::clone(&self.sources);
