@@ -9,9 +9,7 @@
 
 use imu_driver::protocol::{
     Attitude, Configuration, Decoder, FrameParser, GlobalFrame, LegacyFormat, Measurement,
-    MessageId, NumberFormat, Orientation, OutputMode, OutputSettings, Status, Utc, frame,
-    measurement::{RawGps, RawInertial},
-    mtdata2,
+    MessageId, NumberFormat, Orientation, OutputMode, OutputSettings, Status, frame, mtdata2,
 };
 use proptest::{collection::vec, prelude::*};
 
@@ -48,80 +46,67 @@ fn attitude(form: u32) -> BoxedStrategy<Attitude> {
 
 prop_compose! {
     fn any_measurement(form: u32)(
-        vectors in vector::<12>(),
-        numbers in vector::<4>(),
+        vectors in vector::<9>(),
+        temperature in number(),
         attitude in attitude(form),
-        words in any::<[u16; 13]>(),
-        utc in any::<(u32, u16, [u8; 6])>(),
-        gps in vec(any::<u8>(), 44),
+        counter in any::<u16>(),
         status in any::<u8>(),
     ) -> Measurement {
         let v = |i: usize| Some([vectors[i], vectors[i + 1], vectors[i + 2]]);
-        let w = |i: usize| [words[i], words[i + 1], words[i + 2]];
-        let (nanosecond, year, [month, day, hour, minute, second, flags]) = utc;
         Measurement {
             acceleration: v(0),
             angular_velocity: v(3),
             magnetic_field: v(6),
-            velocity: v(9),
-            temperature: Some(numbers[0]),
-            latitude_longitude: Some([numbers[1], numbers[2]]),
-            altitude: Some(numbers[3]),
+            temperature: Some(temperature),
             orientation: Some(Orientation { attitude, frame: GlobalFrame::NorthWestUp }),
-            raw: Some(RawInertial {
-                acceleration: w(0),
-                angular_velocity: w(3),
-                magnetic_field: w(6),
-                temperature: words[9],
-            }),
-            raw_gps: Some(RawGps(gps.try_into().unwrap())),
-            analog: [Some(words[10]), Some(words[11])],
-            counter: Some(words[12]),
+            counter: Some(counter),
             status: Some(Status::from_bits_retain(u32::from(status))),
-            utc: Some(Utc { nanosecond, year, month, day, hour, minute, second, flags }),
             ..Measurement::default()
         }
+    }
+}
+
+/// The measurement with its numbers in this format.
+fn rounded(m: Measurement, format: NumberFormat) -> Measurement {
+    let round = |x: f64| format.quantize(x);
+    let vector = |v: Option<[f64; 3]>| v.map(|v| v.map(round));
+    Measurement {
+        acceleration: vector(m.acceleration),
+        angular_velocity: vector(m.angular_velocity),
+        magnetic_field: vector(m.magnetic_field),
+        temperature: m.temperature.map(round),
+        orientation: m.orientation.map(|o| Orientation {
+            attitude: match o.attitude {
+                Attitude::Quaternion(q) => Attitude::Quaternion(q.map(round)),
+                Attitude::Euler(e) => Attitude::Euler(e.map(round)),
+                Attitude::Matrix(c) => Attitude::Matrix(c.map(round)),
+            },
+            ..o
+        }),
+        ..m
     }
 }
 
 /// The measurement after a round trip in this format.
 fn as_encoded(m: &Measurement, format: LegacyFormat) -> Measurement {
     let (mode, settings) = (format.mode, format.settings);
-    let round = |x: f64| settings.number_format().quantize(x);
-    let vector = |v: Option<[f64; 3]>| v.map(|v| v.map(round));
-    let calibrated =
-        |bit: OutputSettings, v| if format.sends_vector(bit) { vector(v) } else { None };
     let when = |bit: OutputMode| mode.contains(bit);
-    let gps = when(OutputMode::RAW_GPS);
+    let calibrated = |omit| when(OutputMode::CALIBRATED) && !settings.contains(omit);
+    let m = rounded(m.clone(), settings.number_format());
     Measurement {
-        acceleration: calibrated(OutputSettings::NO_ACCELERATION, m.acceleration),
-        angular_velocity: calibrated(OutputSettings::NO_ANGULAR_VELOCITY, m.angular_velocity),
-        magnetic_field: calibrated(OutputSettings::NO_MAGNETIC_FIELD, m.magnetic_field),
-        velocity: vector(m.velocity).filter(|_| when(OutputMode::VELOCITY)),
-        temperature: m.temperature.map(round).filter(|_| when(OutputMode::TEMPERATURE)),
-        latitude_longitude: m
-            .latitude_longitude
-            .map(|v| v.map(round))
-            .filter(|_| when(OutputMode::POSITION)),
-        altitude: m.altitude.map(round).filter(|_| when(OutputMode::POSITION)),
-        orientation: m.orientation.filter(|_| when(OutputMode::ORIENTATION)).map(|o| Orientation {
-            attitude: match o.attitude {
-                Attitude::Quaternion(q) => Attitude::Quaternion(q.map(round)),
-                Attitude::Euler(e) => Attitude::Euler(e.map(round)),
-                Attitude::Matrix(c) => Attitude::Matrix(c.map(round)),
-            },
-            frame: settings.global_frame(),
-        }),
-        raw: m.raw.filter(|_| when(OutputMode::RAW_INERTIAL)),
-        raw_gps: m.raw_gps.filter(|_| gps),
-        has_gnss: gps,
-        analog: [OutputSettings::NO_ANALOG_1, OutputSettings::NO_ANALOG_2].map(|bit| {
-            let index = usize::from(bit == OutputSettings::NO_ANALOG_2);
-            m.analog[index].filter(|_| when(OutputMode::AUXILIARY) && !settings.contains(bit))
-        }),
+        acceleration: m.acceleration.filter(|_| calibrated(OutputSettings::NO_ACCELERATION)),
+        angular_velocity: m
+            .angular_velocity
+            .filter(|_| calibrated(OutputSettings::NO_ANGULAR_VELOCITY)),
+        magnetic_field: m.magnetic_field.filter(|_| calibrated(OutputSettings::NO_MAGNETIC_FIELD)),
+        temperature: m.temperature.filter(|_| when(OutputMode::TEMPERATURE)),
+        orientation: m
+            .orientation
+            .filter(|_| when(OutputMode::ORIENTATION))
+            .map(|o| Orientation { frame: settings.global_frame(), ..o }),
         counter: m.counter.filter(|_| settings.contains(OutputSettings::COUNTER)),
         status: m.status.filter(|_| when(OutputMode::STATUS)),
-        utc: m.utc.filter(|_| settings.contains(OutputSettings::UTC)),
+        other_inertial: when(OutputMode::RAW_INERTIAL),
         ..Measurement::default()
     }
 }
@@ -211,35 +196,10 @@ proptest! {
         fine in any::<u32>(),
     ) {
         let format = NumberFormat::from_bits(bits);
-        let m = Measurement {
-            sample_time_fine: Some(fine),
-            pressure: Some(fine),
-            raw: None,
-            raw_gps: None,
-            analog: [None; 2],
-            ..m
-        };
+        let m = Measurement { sample_time_fine: Some(fine), ..m };
         let mut data = Vec::new();
         mtdata2::encode(&m, format, &mut data);
-        let round3 = |v: Option<[f64; 3]>| v.map(|v| v.map(|x| format.quantize(x)));
-        let expected = Measurement {
-            acceleration: round3(m.acceleration),
-            angular_velocity: round3(m.angular_velocity),
-            magnetic_field: round3(m.magnetic_field),
-            velocity: round3(m.velocity),
-            temperature: m.temperature.map(|x| format.quantize(x)),
-            altitude: m.altitude.map(|x| format.quantize(x)),
-            latitude_longitude: m.latitude_longitude.map(|v| v.map(|x| format.quantize(x))),
-            orientation: m.orientation.map(|o| match o.attitude {
-                Attitude::Quaternion(q) => {
-                    let attitude = Attitude::Quaternion(q.map(|x| format.quantize(x)));
-                    Orientation { attitude, ..o }
-                }
-                _ => o,
-            }),
-            ..m.clone()
-        };
-        prop_assert_eq!(mtdata2::decode(&data), Ok(expected));
+        prop_assert_eq!(mtdata2::decode(&data), Ok(rounded(m, format)));
     }
 }
 

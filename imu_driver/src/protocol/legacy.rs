@@ -5,9 +5,7 @@
 
 use super::{
     DecodeError,
-    measurement::{
-        Attitude, GlobalFrame, Measurement, Orientation, RawGps, RawInertial, Status, Utc,
-    },
+    measurement::{Attitude, GlobalFrame, Measurement, Orientation, Status},
     number::{NumberFormat, Reader},
 };
 use bitflags::bitflags;
@@ -75,6 +73,17 @@ pub enum OrientationForm {
     Matrix,
 }
 
+impl OrientationForm {
+    /// The identity in this form.
+    const fn identity(self) -> &'static [f64] {
+        match self {
+            Self::Quaternion => &[1.0, 0.0, 0.0, 0.0],
+            Self::Euler => &[0.0; 3],
+            Self::Matrix => &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        }
+    }
+}
+
 impl OutputSettings {
     /// Number format of bits 9:8.
     pub const fn number_format(self) -> NumberFormat {
@@ -96,7 +105,7 @@ impl OutputSettings {
         }
     }
 
-    /// Global frame of orientation and velocity.
+    /// Global frame of the orientation.
     pub const fn global_frame(self) -> GlobalFrame {
         if self.contains(Self::NED) { GlobalFrame::NorthEastDown } else { GlobalFrame::NorthWestUp }
     }
@@ -111,9 +120,19 @@ pub struct LegacyFormat {
     pub settings: OutputSettings,
 }
 
-const RAW_LENGTH: usize = 20;
-const RAW_GPS_LENGTH: usize = 44;
-const UTC_LENGTH: usize = 12;
+/// Item of a message.
+#[derive(Clone, Copy)]
+enum Item {
+    /// Data that the driver does not use.
+    Skipped,
+    Temperature,
+    Acceleration,
+    AngularVelocity,
+    MagneticField,
+    Orientation,
+    Status,
+    Counter,
+}
 
 impl LegacyFormat {
     /// Calibrated data, quaternion, counter, float32: the format that the driver sets.
@@ -122,42 +141,37 @@ impl LegacyFormat {
         settings: OutputSettings::COUNTER,
     };
 
-    /// Whether the message contains the calibrated vector that `omit` would omit.
-    pub const fn sends_vector(&self, omit: OutputSettings) -> bool {
-        self.mode.contains(OutputMode::CALIBRATED) && !self.settings.contains(omit)
-    }
-
-    fn sends_analog(&self, omit: OutputSettings) -> bool {
-        self.mode.contains(OutputMode::AUXILIARY) && !self.settings.contains(omit)
+    /// Items in the order of the message, with their lengths, bytes; zero if they are not sent.
+    fn items(&self) -> [(Item, usize); 14] {
+        use OutputMode as M;
+        use OutputSettings as S;
+        let size = self.settings.number_format().size();
+        let attitude = self.settings.orientation_form().map_or(0, |form| form.identity().len());
+        let with = |mode: M, length: usize| if self.mode.contains(mode) { length } else { 0 };
+        let set = |bit: S, length: usize| if self.settings.contains(bit) { length } else { 0 };
+        let unless = |bit: S, length: usize| if self.settings.contains(bit) { 0 } else { length };
+        let vector = |omit| with(M::CALIBRATED, unless(omit, 3 * size));
+        [
+            (Item::Skipped, with(M::RAW_INERTIAL, 20)),
+            (Item::Skipped, with(M::RAW_GPS, 44)),
+            (Item::Temperature, with(M::TEMPERATURE, size)),
+            (Item::Acceleration, vector(S::NO_ACCELERATION)),
+            (Item::AngularVelocity, vector(S::NO_ANGULAR_VELOCITY)),
+            (Item::MagneticField, vector(S::NO_MAGNETIC_FIELD)),
+            (Item::Orientation, with(M::ORIENTATION, attitude * size)),
+            (Item::Skipped, with(M::AUXILIARY, unless(S::NO_ANALOG_1, 2))),
+            (Item::Skipped, with(M::AUXILIARY, unless(S::NO_ANALOG_2, 2))),
+            (Item::Skipped, with(M::POSITION, 3 * size)),
+            (Item::Skipped, with(M::VELOCITY, 3 * size)),
+            (Item::Status, with(M::STATUS, 1)),
+            (Item::Counter, set(S::COUNTER, 2)),
+            (Item::Skipped, set(S::UTC, 12)),
+        ]
     }
 
     /// Length of the data of a message in this format, bytes.
     pub fn data_length(&self) -> usize {
-        use OutputMode as M;
-        use OutputSettings as S;
-        let size = self.settings.number_format().size();
-        let if_set = |bit, n| if self.mode.contains(bit) { n } else { 0 };
-        let vectors = [S::NO_ACCELERATION, S::NO_ANGULAR_VELOCITY, S::NO_MAGNETIC_FIELD];
-        let attitude = match self.settings.orientation_form() {
-            Some(OrientationForm::Quaternion) => 4,
-            Some(OrientationForm::Euler) => 3,
-            Some(OrientationForm::Matrix) => 9,
-            None => 0,
-        };
-        let numbers = if_set(M::TEMPERATURE, 1)
-            + 3 * vectors.iter().filter(|v| self.sends_vector(**v)).count()
-            + if_set(M::ORIENTATION, attitude)
-            + if_set(M::POSITION, 3)
-            + if_set(M::VELOCITY, 3);
-        let analogs =
-            [S::NO_ANALOG_1, S::NO_ANALOG_2].iter().filter(|a| self.sends_analog(**a)).count();
-        numbers * size
-            + if_set(M::RAW_INERTIAL, RAW_LENGTH)
-            + if_set(M::RAW_GPS, RAW_GPS_LENGTH)
-            + 2 * analogs
-            + if_set(M::STATUS, 1)
-            + if self.settings.contains(S::COUNTER) { 2 } else { 0 }
-            + if self.settings.contains(S::UTC) { UTC_LENGTH } else { 0 }
+        self.items().iter().map(|(_, length)| length).sum()
     }
 
     /// Decodes the data of one MTData message.
@@ -175,72 +189,36 @@ impl LegacyFormat {
     }
 
     fn read(&self, data: &[u8]) -> Option<Measurement> {
-        use OutputMode as M;
-        use OutputSettings as S;
-        let mut m = Measurement::default();
+        let mut m = Measurement {
+            other_inertial: self.mode.contains(OutputMode::RAW_INERTIAL),
+            ..Measurement::default()
+        };
         let r = &mut Reader::new(data);
         let format = self.settings.number_format();
-        if self.mode.contains(M::RAW_INERTIAL) {
-            let mut words = [0_u16; 10];
-            for word in &mut words {
-                *word = r.u16()?;
+        for (item, length) in self.items() {
+            if length == 0 {
+                continue;
             }
-            let [ax, ay, az, gx, gy, gz, mx, my, mz, temperature] = words;
-            m.raw = Some(RawInertial {
-                acceleration: [ax, ay, az],
-                angular_velocity: [gx, gy, gz],
-                magnetic_field: [mx, my, mz],
-                temperature,
-            });
-        }
-        if self.mode.contains(M::RAW_GPS) {
-            m.raw_gps = Some(RawGps(r.take(RAW_GPS_LENGTH)?.try_into().ok()?));
-            m.has_gnss = true;
-        }
-        if self.mode.contains(M::TEMPERATURE) {
-            m.temperature = Some(r.numbers::<1>(format)?[0]);
-        }
-        if self.sends_vector(S::NO_ACCELERATION) {
-            m.acceleration = Some(r.numbers(format)?);
-        }
-        if self.sends_vector(S::NO_ANGULAR_VELOCITY) {
-            m.angular_velocity = Some(r.numbers(format)?);
-        }
-        if self.sends_vector(S::NO_MAGNETIC_FIELD) {
-            m.magnetic_field = Some(r.numbers(format)?);
-        }
-        if self.mode.contains(M::ORIENTATION) {
-            let frame = self.settings.global_frame();
-            let attitude = match self.settings.orientation_form() {
-                Some(OrientationForm::Quaternion) => Some(Attitude::Quaternion(r.numbers(format)?)),
-                Some(OrientationForm::Euler) => Some(Attitude::Euler(r.numbers(format)?)),
-                Some(OrientationForm::Matrix) => Some(Attitude::Matrix(r.numbers(format)?)),
-                None => None,
-            };
-            m.orientation = attitude.map(|attitude| Orientation { attitude, frame });
-        }
-        if self.sends_analog(S::NO_ANALOG_1) {
-            m.analog[0] = Some(r.u16()?);
-        }
-        if self.sends_analog(S::NO_ANALOG_2) {
-            m.analog[1] = Some(r.u16()?);
-        }
-        if self.mode.contains(M::POSITION) {
-            let [latitude, longitude, altitude] = r.numbers(format)?;
-            m.latitude_longitude = Some([latitude, longitude]);
-            m.altitude = Some(altitude);
-        }
-        if self.mode.contains(M::VELOCITY) {
-            m.velocity = Some(r.numbers(format)?);
-        }
-        if self.mode.contains(M::STATUS) {
-            m.status = Some(Status::from_bits_retain(u32::from(r.u8()?)));
-        }
-        if self.settings.contains(S::COUNTER) {
-            m.counter = Some(r.u16()?);
-        }
-        if self.settings.contains(S::UTC) {
-            m.utc = Some(read_utc(r)?);
+            match item {
+                Item::Skipped => {
+                    r.take(length)?;
+                }
+                Item::Temperature => m.temperature = Some(r.numbers::<1>(format)?[0]),
+                Item::Acceleration => m.acceleration = Some(r.numbers(format)?),
+                Item::AngularVelocity => m.angular_velocity = Some(r.numbers(format)?),
+                Item::MagneticField => m.magnetic_field = Some(r.numbers(format)?),
+                Item::Orientation => {
+                    let attitude = match self.settings.orientation_form()? {
+                        OrientationForm::Quaternion => Attitude::Quaternion(r.numbers(format)?),
+                        OrientationForm::Euler => Attitude::Euler(r.numbers(format)?),
+                        OrientationForm::Matrix => Attitude::Matrix(r.numbers(format)?),
+                    };
+                    let frame = self.settings.global_frame();
+                    m.orientation = Some(Orientation { attitude, frame });
+                }
+                Item::Status => m.status = Some(Status::from_bits_retain(u32::from(r.u8()?))),
+                Item::Counter => m.counter = Some(r.u16()?),
+            }
         }
         Some(m)
     }
@@ -249,91 +227,33 @@ impl LegacyFormat {
     ///
     /// Data missing in the measurement are zero, a missing orientation is the identity.
     pub fn encode(&self, m: &Measurement, out: &mut Vec<u8>) {
-        use OutputMode as M;
-        use OutputSettings as S;
         let format = self.settings.number_format();
         let write =
             |values: &[f64], out: &mut Vec<u8>| values.iter().for_each(|v| format.write(*v, out));
-        if self.mode.contains(M::RAW_INERTIAL) {
-            let raw = m.raw.unwrap_or_default();
-            let words = [raw.acceleration, raw.angular_velocity, raw.magnetic_field];
-            for word in words.iter().flatten().chain(std::iter::once(&raw.temperature)) {
-                out.extend_from_slice(&word.to_be_bytes());
+        for (item, length) in self.items() {
+            if length == 0 {
+                continue;
             }
-        }
-        if self.mode.contains(M::RAW_GPS) {
-            out.extend_from_slice(&m.raw_gps.map_or([0; RAW_GPS_LENGTH], |g| g.0));
-        }
-        if self.mode.contains(M::TEMPERATURE) {
-            write(&[m.temperature.unwrap_or_default()], out);
-        }
-        let vectors = [
-            (S::NO_ACCELERATION, m.acceleration),
-            (S::NO_ANGULAR_VELOCITY, m.angular_velocity),
-            (S::NO_MAGNETIC_FIELD, m.magnetic_field),
-        ];
-        for (omit, vector) in vectors {
-            if self.sends_vector(omit) {
-                write(&vector.unwrap_or_default(), out);
-            }
-        }
-        if self.mode.contains(M::ORIENTATION) {
-            let attitude = m.orientation.map(|o| o.attitude);
-            match (self.settings.orientation_form(), attitude) {
-                (Some(OrientationForm::Quaternion), Some(Attitude::Quaternion(q))) => {
-                    write(&q, out)
+            match item {
+                Item::Skipped => out.resize(out.len() + length, 0),
+                Item::Temperature => write(&[m.temperature.unwrap_or_default()], out),
+                Item::Acceleration => write(&m.acceleration.unwrap_or_default(), out),
+                Item::AngularVelocity => write(&m.angular_velocity.unwrap_or_default(), out),
+                Item::MagneticField => write(&m.magnetic_field.unwrap_or_default(), out),
+                Item::Orientation => {
+                    let Some(form) = self.settings.orientation_form() else { continue };
+                    let identity = form.identity();
+                    let given = m.orientation.as_ref().map(|o| o.attitude.numbers());
+                    let fitting = given.filter(|numbers| numbers.len() == identity.len());
+                    write(fitting.unwrap_or(identity), out);
                 }
-                (Some(OrientationForm::Quaternion), _) => write(&[1.0, 0.0, 0.0, 0.0], out),
-                (Some(OrientationForm::Euler), Some(Attitude::Euler(e))) => write(&e, out),
-                (Some(OrientationForm::Euler), _) => write(&[0.0; 3], out),
-                (Some(OrientationForm::Matrix), Some(Attitude::Matrix(c))) => write(&c, out),
-                (Some(OrientationForm::Matrix), _) => {
-                    write(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], out);
+                Item::Status => out.push(m.status.unwrap_or_default().bits() as u8),
+                Item::Counter => {
+                    out.extend_from_slice(&m.counter.unwrap_or_default().to_be_bytes());
                 }
-                (None, _) => {}
             }
-        }
-        for (omit, value) in [(S::NO_ANALOG_1, m.analog[0]), (S::NO_ANALOG_2, m.analog[1])] {
-            if self.sends_analog(omit) {
-                out.extend_from_slice(&value.unwrap_or_default().to_be_bytes());
-            }
-        }
-        if self.mode.contains(M::POSITION) {
-            let [latitude, longitude] = m.latitude_longitude.unwrap_or_default();
-            write(&[latitude, longitude, m.altitude.unwrap_or_default()], out);
-        }
-        if self.mode.contains(M::VELOCITY) {
-            write(&m.velocity.unwrap_or_default(), out);
-        }
-        if self.mode.contains(M::STATUS) {
-            out.push(m.status.unwrap_or_default().bits() as u8);
-        }
-        if self.settings.contains(S::COUNTER) {
-            out.extend_from_slice(&m.counter.unwrap_or_default().to_be_bytes());
-        }
-        if self.settings.contains(S::UTC) {
-            write_utc(&m.utc.unwrap_or_default(), out);
         }
     }
-}
-
-pub(super) fn read_utc(r: &mut Reader<'_>) -> Option<Utc> {
-    Some(Utc {
-        nanosecond: r.u32()?,
-        year: r.u16()?,
-        month: r.u8()?,
-        day: r.u8()?,
-        hour: r.u8()?,
-        minute: r.u8()?,
-        second: r.u8()?,
-        flags: r.u8()?,
-    })
-}
-
-pub(super) fn write_utc(utc: &Utc, out: &mut Vec<u8>) {
-    out.extend_from_slice(&utc.nanosecond.to_be_bytes());
-    out.extend_from_slice(&utc.year.to_be_bytes());
-    out.extend_from_slice(&[utc.month, utc.day, utc.hour, utc.minute, utc.second, utc.flags]);
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use bitflags::bitflags;
 
-/// Global frame of orientation and velocity.
+/// Global frame of the orientation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum GlobalFrame {
     /// x east, y north, z up: default of MTi-1, 10, 100, 600 series.
@@ -24,6 +24,17 @@ pub enum Attitude {
     Matrix([f64; 9]),
 }
 
+impl Attitude {
+    /// The numbers of the form.
+    pub fn numbers(&self) -> &[f64] {
+        match self {
+            Self::Quaternion(q) => q,
+            Self::Euler(angles) => angles,
+            Self::Matrix(columns) => columns,
+        }
+    }
+}
+
 /// Orientation of the device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orientation {
@@ -31,27 +42,6 @@ pub struct Orientation {
     pub attitude: Attitude,
     /// The global frame.
     pub frame: GlobalFrame,
-}
-
-/// Date and time of a device with GNSS.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Utc {
-    /// Nanoseconds of the second.
-    pub nanosecond: u32,
-    /// Year.
-    pub year: u16,
-    /// 1–12.
-    pub month: u8,
-    /// 1–31.
-    pub day: u8,
-    /// 0–23.
-    pub hour: u8,
-    /// 0–59.
-    pub minute: u8,
-    /// 0–59 (60 in a leap second).
-    pub second: u8,
-    /// Validity of the fields.
-    pub flags: u8,
 }
 
 bitflags! {
@@ -62,50 +52,25 @@ bitflags! {
         const SELF_TEST_PASSED = 1;
         /// The output of the orientation filter is valid.
         const FILTER_VALID = 2;
-        /// A GNSS fix is available.
-        const GNSS_FIX = 4;
         /// Clipping of accelerometers (x, y, z in bits 8–10), gyroscopes (11–13), magnetometers
         /// (14–16), or any of them (19).
         const CLIPPING = (0x1FF << 8) | (1 << 19);
     }
 }
 
-/// Uncalibrated readings of the analog-to-digital converter.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct RawInertial {
-    /// Accelerometers.
-    pub acceleration: [u16; 3],
-    /// Gyroscopes.
-    pub angular_velocity: [u16; 3],
-    /// Magnetometers.
-    pub magnetic_field: [u16; 3],
-    /// Temperature.
-    pub temperature: u16,
-}
-
-/// Raw GPS data of an MTi-G, 44 bytes, not decoded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RawGps(pub [u8; 44]);
-
-/// Decoded data message; vectors are in the sensor frame unless noted.
+/// Decoded data message; vectors are in the sensor frame.
 ///
-/// One field per data item of the two protocols, hence their number.
+/// One field per data item of the two protocols that the driver uses, hence their number.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measurement {
     /// Message counter; wraps.
     pub counter: Option<u16>,
     /// Sample time, ticks of 0.1 ms; wraps.
     pub sample_time_fine: Option<u32>,
-    /// Sample time, s.
-    pub sample_time_coarse: Option<u32>,
-    /// Date and time.
-    pub utc: Option<Utc>,
     /// Specific force, m/s²: +9.81 up at rest.
     pub acceleration: Option<[f64; 3]>,
     /// Specific force from the high-rate channel, m/s².
     pub acceleration_hr: Option<[f64; 3]>,
-    /// Acceleration without gravity, m/s², in the global frame.
-    pub free_acceleration: Option<[f64; 3]>,
     /// Velocity increment over one sample, m/s.
     pub delta_velocity: Option<[f64; 3]>,
     /// Angular velocity, rad/s.
@@ -122,26 +87,11 @@ pub struct Measurement {
     pub further_orientations: [Option<Orientation>; 2],
     /// Temperature, °C.
     pub temperature: Option<f64>,
-    /// Pressure, Pa.
-    pub pressure: Option<u32>,
     /// Status bits.
     pub status: Option<Status>,
-    /// Analog inputs, digits of the converter.
-    pub analog: [Option<u16>; 2],
-    /// Latitude and longitude, degrees.
-    pub latitude_longitude: Option<[f64; 2]>,
-    /// Height above the ellipsoid, m.
-    pub altitude: Option<f64>,
-    /// Earth-centered position, m.
-    pub position_ecef: Option<[f64; 3]>,
-    /// Velocity, m/s, in the global frame.
-    pub velocity: Option<[f64; 3]>,
-    /// Uncalibrated readings.
-    pub raw: Option<RawInertial>,
-    /// Raw GPS data.
-    pub raw_gps: Option<RawGps>,
-    /// The message contains GNSS receiver data, which are not decoded.
-    pub has_gnss: bool,
+    /// The message contains inertial data that are not decoded: uncalibrated readings or
+    /// acceleration without gravity.
+    pub other_inertial: bool,
 }
 
 impl Measurement {
@@ -158,8 +108,7 @@ impl Measurement {
             || self.delta_orientation.is_some()
             || self.magnetic_field.is_some()
             || self.orientation.is_some()
-            || self.free_acceleration.is_some()
-            || self.raw.is_some()
+            || self.other_inertial
     }
 
     /// Quaternion w, x, y, z, if the message contains one; other forms are not converted.

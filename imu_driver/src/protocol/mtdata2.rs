@@ -1,10 +1,9 @@
 //! MTData2, the data message of the MTi-1, 10, 100, 600 series.
 //!
-//! A list of `identifier u16 | size u8 | data`; items with an unknown identifier are skipped.
+//! A list of `identifier u16 | size u8 | data`; items that the driver does not use are skipped.
 
 use super::{
     DecodeError,
-    legacy::{read_utc, write_utc},
     measurement::{Attitude, GlobalFrame, Measurement, Orientation, Status},
     number::{NumberFormat, Reader},
 };
@@ -95,26 +94,18 @@ fn read_item(m: &mut Measurement, id: u16, r: &mut Reader<'_>) -> Option<()> {
     };
     match id & 0xFFF0 {
         xdi::TEMPERATURE => m.temperature = Some(r.numbers::<1>(format)?[0]),
-        xdi::UTC => m.utc = Some(read_utc(r)?),
         xdi::COUNTER => m.counter = Some(r.u16()?),
         xdi::SAMPLE_TIME_FINE => m.sample_time_fine = Some(r.u32()?),
-        xdi::SAMPLE_TIME_COARSE => m.sample_time_coarse = Some(r.u32()?),
         xdi::QUATERNION => attitude(m, Attitude::Quaternion(r.numbers(format)?)),
         xdi::MATRIX => attitude(m, Attitude::Matrix(r.numbers(format)?)),
         xdi::EULER => attitude(m, Attitude::Euler(r.numbers(format)?)),
-        xdi::PRESSURE => m.pressure = Some(r.u32()?),
         xdi::DELTA_VELOCITY => m.delta_velocity = Some(r.numbers(format)?),
         xdi::ACCELERATION => m.acceleration = Some(r.numbers(format)?),
-        xdi::FREE_ACCELERATION => m.free_acceleration = Some(r.numbers(format)?),
         xdi::ACCELERATION_HR => m.acceleration_hr = Some(r.numbers(format)?),
-        xdi::ALTITUDE => m.altitude = Some(r.numbers::<1>(format)?[0]),
-        xdi::POSITION_ECEF => m.position_ecef = Some(r.numbers(format)?),
-        xdi::LATITUDE_LONGITUDE => m.latitude_longitude = Some(r.numbers(format)?),
         xdi::ANGULAR_VELOCITY => m.angular_velocity = Some(r.numbers(format)?),
         xdi::DELTA_ORIENTATION => m.delta_orientation = Some(r.numbers(format)?),
         xdi::ANGULAR_VELOCITY_HR => m.angular_velocity_hr = Some(r.numbers(format)?),
         xdi::MAGNETIC_FIELD => m.magnetic_field = Some(r.numbers(format)?),
-        xdi::VELOCITY => m.velocity = Some(r.numbers(format)?),
         // A status word takes precedence over a status byte, in any order.
         xdi::STATUS_BYTE => {
             let byte = u32::from(r.u8()?);
@@ -122,7 +113,7 @@ fn read_item(m: &mut Measurement, id: u16, r: &mut Reader<'_>) -> Option<()> {
         }
         xdi::STATUS_WORD => m.status = Some(Status::from_bits_retain(r.u32()?)),
         other => {
-            m.has_gnss |= matches!(other, xdi::GNSS_PVT | xdi::GNSS_SATELLITES);
+            m.other_inertial |= other == xdi::FREE_ACCELERATION;
             r.take(r.rest().len())?;
         }
     }
@@ -153,11 +144,6 @@ pub fn encode(m: &Measurement, format: NumberFormat, out: &mut Vec<u8>) {
         out.extend_from_slice(&counter.to_be_bytes());
     }
     words(out, xdi::SAMPLE_TIME_FINE, m.sample_time_fine);
-    words(out, xdi::SAMPLE_TIME_COARSE, m.sample_time_coarse);
-    if let Some(utc) = &m.utc {
-        head(out, xdi::UTC, 12);
-        write_utc(utc, out);
-    }
     numbers(out, xdi::TEMPERATURE, m.temperature.as_ref().map(std::slice::from_ref));
     for orientation in std::iter::once(&m.orientation).chain(&m.further_orientations).flatten() {
         let frame = match orientation.frame {
@@ -165,26 +151,21 @@ pub fn encode(m: &Measurement, format: NumberFormat, out: &mut Vec<u8>) {
             GlobalFrame::NorthEastDown => 4,
             GlobalFrame::NorthWestUp => 8,
         };
-        match &orientation.attitude {
-            Attitude::Quaternion(q) => numbers(out, xdi::QUATERNION | frame, Some(q)),
-            Attitude::Matrix(c) => numbers(out, xdi::MATRIX | frame, Some(c)),
-            Attitude::Euler(e) => numbers(out, xdi::EULER | frame, Some(e)),
-        }
+        let id = match orientation.attitude {
+            Attitude::Quaternion(_) => xdi::QUATERNION,
+            Attitude::Matrix(_) => xdi::MATRIX,
+            Attitude::Euler(_) => xdi::EULER,
+        };
+        numbers(out, id | frame, Some(orientation.attitude.numbers()));
     }
-    words(out, xdi::PRESSURE, m.pressure);
-    let vectors: [(u16, Option<&[f64]>); 12] = [
+    let vectors: [(u16, Option<&[f64]>); 7] = [
         (xdi::DELTA_VELOCITY, m.delta_velocity.as_ref().map(|v| v.as_slice())),
         (xdi::ACCELERATION, m.acceleration.as_ref().map(|v| v.as_slice())),
-        (xdi::FREE_ACCELERATION, m.free_acceleration.as_ref().map(|v| v.as_slice())),
         (xdi::ACCELERATION_HR, m.acceleration_hr.as_ref().map(|v| v.as_slice())),
-        (xdi::ALTITUDE, m.altitude.as_ref().map(std::slice::from_ref)),
-        (xdi::POSITION_ECEF, m.position_ecef.as_ref().map(|v| v.as_slice())),
-        (xdi::LATITUDE_LONGITUDE, m.latitude_longitude.as_ref().map(|v| v.as_slice())),
         (xdi::ANGULAR_VELOCITY, m.angular_velocity.as_ref().map(|v| v.as_slice())),
         (xdi::DELTA_ORIENTATION, m.delta_orientation.as_ref().map(|v| v.as_slice())),
         (xdi::ANGULAR_VELOCITY_HR, m.angular_velocity_hr.as_ref().map(|v| v.as_slice())),
         (xdi::MAGNETIC_FIELD, m.magnetic_field.as_ref().map(|v| v.as_slice())),
-        (xdi::VELOCITY, m.velocity.as_ref().map(|v| v.as_slice())),
     ];
     for (id, values) in vectors {
         numbers(out, id, values);
@@ -200,7 +181,7 @@ mod tests {
     fn unknown_items_are_skipped() {
         let data = [0x12, 0x34, 2, 9, 9, 0x10, 0x20, 2, 0x01, 0x02, 0x70, 0x10, 1, 7];
         let m = decode(&data).unwrap();
-        assert_eq!((m.counter, m.has_gnss, m.is_inertial()), (Some(0x0102), true, false));
+        assert_eq!((m.counter, m.is_inertial()), (Some(0x0102), false));
     }
 
     #[test]

@@ -116,41 +116,27 @@ impl<'a> Reader<'a> {
         self.array().map(u32::from_be_bytes)
     }
 
-    /// Four bytes, signed.
     #[inline]
-    pub fn i32(&mut self) -> Option<i32> {
-        self.array().map(i32::from_be_bytes)
+    fn number(&mut self, format: NumberFormat) -> Option<f64> {
+        Some(match format {
+            NumberFormat::Float32 => f64::from(f32::from_be_bytes(self.array()?)),
+            NumberFormat::Fp1220 => f64::from(i32::from_be_bytes(self.array()?)) / 1_048_576.0,
+            NumberFormat::Fp1632 => {
+                let fraction = u32::from_be_bytes(self.array()?);
+                let integer = i16::from_be_bytes(self.array()?);
+                let scaled = (i64::from(integer) << 32) | i64::from(fraction);
+                scaled as f64 / 4_294_967_296.0
+            }
+            NumberFormat::Float64 => f64::from_be_bytes(self.array()?),
+        })
     }
 
     /// `N` numbers in `format`.
     #[inline]
     pub fn numbers<const N: usize>(&mut self, format: NumberFormat) -> Option<[f64; N]> {
-        let bytes = self.take(N * format.size())?;
         let mut values = [0.0; N];
-        match format {
-            NumberFormat::Float32 => {
-                for (value, b) in values.iter_mut().zip(bytes.as_chunks::<4>().0) {
-                    *value = f64::from(f32::from_be_bytes(*b));
-                }
-            }
-            NumberFormat::Fp1220 => {
-                for (value, b) in values.iter_mut().zip(bytes.as_chunks::<4>().0) {
-                    *value = f64::from(i32::from_be_bytes(*b)) / 1_048_576.0;
-                }
-            }
-            NumberFormat::Fp1632 => {
-                for (value, b) in values.iter_mut().zip(bytes.as_chunks::<6>().0) {
-                    let fraction = u32::from_be_bytes([b[0], b[1], b[2], b[3]]);
-                    let integer = i16::from_be_bytes([b[4], b[5]]);
-                    let scaled = (i64::from(integer) << 32) | i64::from(fraction);
-                    *value = scaled as f64 / 4_294_967_296.0;
-                }
-            }
-            NumberFormat::Float64 => {
-                for (value, b) in values.iter_mut().zip(bytes.as_chunks::<8>().0) {
-                    *value = f64::from_be_bytes(*b);
-                }
-            }
+        for value in &mut values {
+            *value = self.number(format)?;
         }
         Some(values)
     }
