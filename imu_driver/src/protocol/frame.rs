@@ -7,23 +7,21 @@
 use super::message::MessageId;
 
 /// First byte of every frame.
-pub const PREAMBLE: u8 = 0xFA;
+const PREAMBLE: u8 = 0xFA;
 /// Bus identifier of the master, and of the data of a stand-alone device.
-pub const BUS_MASTER: u8 = 0xFF;
+const BUS_MASTER: u8 = 0xFF;
 /// Bus identifier that also addresses a stand-alone device.
-pub const BUS_STANDALONE: u8 = 0x01;
+const BUS_STANDALONE: u8 = 0x01;
 /// Largest length of data, bytes: 2048 in the manual, 8192 in the vendor's legacy library.
 pub const MAX_DATA: usize = 8192;
 /// Largest overhead of a frame, bytes: preamble, BID, MID, LEN, EXTLEN, checksum.
-pub const MAX_OVERHEAD: usize = 7;
+const MAX_OVERHEAD: usize = 7;
 
 const CAPACITY: usize = 2 * (MAX_DATA + MAX_OVERHEAD);
 
 /// A frame with a valid checksum, borrowed from the parser's buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame<'a> {
-    /// Bus identifier, FF or 01.
-    pub bus_id: u8,
     /// Message identifier.
     pub message: MessageId,
     /// Data of the message.
@@ -63,7 +61,7 @@ impl Default for FrameParser {
 }
 
 enum Step {
-    Frame { bus_id: u8, message: u8, data: (usize, usize), length: usize },
+    Frame { message: u8, data: (usize, usize), length: usize },
     Invalid { bad_checksum: bool },
     NeedMore,
 }
@@ -170,7 +168,7 @@ impl FrameParser {
                 continue;
             }
             match examine(waiting) {
-                Step::Frame { bus_id, message, data: (from, to), length } => {
+                Step::Frame { message, data: (from, to), length } => {
                     let base = self.start;
                     let offset = self.counts.frame_bytes + self.counts.skipped_bytes;
                     self.start += length;
@@ -178,7 +176,7 @@ impl FrameParser {
                     self.counts.frame_bytes += length as u64;
                     let data = self.buffer.get(base + from..base + to)?;
                     let message = MessageId(message);
-                    return Some(Frame { bus_id, message, data, wire_length: length, offset });
+                    return Some(Frame { message, data, wire_length: length, offset });
                 }
                 Step::Invalid { bad_checksum } => {
                     self.counts.bad_checksums += u64::from(bad_checksum);
@@ -200,7 +198,7 @@ fn examine(bytes: &[u8]) -> Step {
         Some(&(BUS_MASTER | BUS_STANDALONE)) => {}
         Some(_) => return invalid,
     }
-    let &[_, bus_id, message, short_length, ..] = bytes else {
+    let &[_, _, message, short_length, ..] = bytes else {
         return Step::NeedMore;
     };
     let (header, data_length) = if short_length == 0xFF {
@@ -221,14 +219,16 @@ fn examine(bytes: &[u8]) -> Step {
     if checked.iter().fold(0_u8, |sum, &b| sum.wrapping_add(b)) != 0 {
         return Step::Invalid { bad_checksum: true };
     }
-    Step::Frame { bus_id, message, data: (header, header + data_length), length }
+    Step::Frame { message, data: (header, header + data_length), length }
 }
 
-/// Appends a frame to `out`; data beyond [`MAX_DATA`] are truncated.
-pub fn write_frame(bus_id: u8, message: MessageId, data: &[u8], out: &mut Vec<u8>) {
+/// Returns a frame from the master, or from a stand-alone device.
+///
+/// Data beyond [`MAX_DATA`] are truncated.
+pub fn frame(message: MessageId, data: &[u8]) -> Vec<u8> {
     let data = data.get(..MAX_DATA).unwrap_or(data);
-    let start = out.len();
-    out.extend_from_slice(&[PREAMBLE, bus_id, message.0]);
+    let mut out = Vec::with_capacity(data.len() + MAX_OVERHEAD);
+    out.extend_from_slice(&[PREAMBLE, BUS_MASTER, message.0]);
     match u8::try_from(data.len()) {
         Ok(length) if length < 0xFF => out.push(length),
         _ => {
@@ -237,14 +237,8 @@ pub fn write_frame(bus_id: u8, message: MessageId, data: &[u8], out: &mut Vec<u8
         }
     }
     out.extend_from_slice(data);
-    let sum = out.iter().skip(start + 1).fold(0_u8, |sum, &b| sum.wrapping_add(b));
+    let sum = out.iter().skip(1).fold(0_u8, |sum, &b| sum.wrapping_add(b));
     out.push(sum.wrapping_neg());
-}
-
-/// Returns a frame from the master.
-pub fn frame(message: MessageId, data: &[u8]) -> Vec<u8> {
-    let mut out = Vec::with_capacity(data.len() + MAX_OVERHEAD);
-    write_frame(BUS_MASTER, message, data, &mut out);
     out
 }
 

@@ -15,7 +15,7 @@ pub mod mtdata2;
 pub mod number;
 
 pub use configuration::{Configuration, DeviceId, OutputEntry};
-pub use frame::{Frame, FrameParser, ParserCounts, frame, write_frame};
+pub use frame::{Frame, FrameParser, ParserCounts, frame};
 pub use legacy::{LegacyFormat, OrientationForm, OutputMode, OutputSettings};
 pub use measurement::{Attitude, GlobalFrame, Measurement, Orientation, Status};
 pub use message::{DeviceError, MessageId};

@@ -10,7 +10,7 @@ use crate::{
         Attitude, FrameParser, GlobalFrame, Measurement, MessageId, NumberFormat, Orientation,
         OrientationForm, Status,
         configuration::TICKS_PER_SECOND,
-        frame::write_frame,
+        frame,
         mtdata2::{self, xdi},
     },
 };
@@ -112,12 +112,12 @@ impl SimulatedImu {
             return;
         }
         let mut requests = Vec::new();
-        self.parser.parse(bytes, |f| requests.push((f.bus_id, f.message, f.data.to_vec())));
-        for (bus_id, message, data) in requests {
+        self.parser.parse(bytes, |f| requests.push((f.message, f.data.to_vec())));
+        for (message, data) in requests {
             if self.ignored_requests > 0 {
                 self.ignored_requests -= 1;
             } else {
-                self.answer(bus_id, message, &data, now);
+                self.answer(message, &data, now);
             }
         }
     }
@@ -223,7 +223,7 @@ impl SimulatedImu {
         loop {
             match self.state {
                 State::Booting { until } if until <= now => {
-                    self.send(0xFF, MessageId::WAKE_UP, &[], until);
+                    self.transmit(frame(MessageId::WAKE_UP, &[]), until, None);
                     self.state = State::Waking { until: until.plus_seconds(0.5) };
                 }
                 State::Waking { until } if until <= now => {
@@ -261,9 +261,7 @@ impl SimulatedImu {
             self.config.format.encode(&measurement, &mut data);
             MessageId::MT_DATA
         };
-        let mut bytes = Vec::with_capacity(data.len() + 7);
-        write_frame(0xFF, message, &data, &mut bytes);
-        let sent = self.transmit(bytes, at, Some(self.truth.count));
+        let sent = self.transmit(frame(message, &data), at, Some(self.truth.count));
         self.truth.count += 1;
         if self.truth.sent.len() >= 1 << 20 {
             self.truth.sent.pop_front();
@@ -312,18 +310,10 @@ impl SimulatedImu {
         }
     }
 
-    pub(super) fn send(&mut self, bus_id: u8, message: MessageId, data: &[u8], at: Stamp) {
-        let mut bytes = Vec::with_capacity(data.len() + 7);
-        write_frame(bus_id, message, data, &mut bytes);
-        self.transmit(bytes, at, None);
-    }
-
     /// Queues a reply; replies keep their order.
-    pub(super) fn reply(&mut self, bus_id: u8, message: MessageId, data: &[u8], due: Stamp) {
-        let mut bytes = Vec::with_capacity(data.len() + 7);
-        write_frame(bus_id, message, data, &mut bytes);
+    pub(super) fn reply(&mut self, message: MessageId, data: &[u8], due: Stamp) {
         let due = self.replies.back().map_or(due, |(last, _)| due.max(*last));
-        self.replies.push_back((due, bytes));
+        self.replies.push_back((due, frame(message, data)));
     }
 
     fn transmit(&mut self, bytes: Vec<u8>, at: Stamp, sample: Option<u64>) -> Stamp {

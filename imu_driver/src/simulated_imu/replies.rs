@@ -16,7 +16,7 @@ const PARAMETER_INVALID: u8 = 0x21;
 const TOO_MUCH_DATA: u8 = 0x29;
 
 impl SimulatedImu {
-    pub(super) fn answer(&mut self, bus_id: u8, message: MessageId, data: &[u8], now: Stamp) {
+    pub(super) fn answer(&mut self, message: MessageId, data: &[u8], now: Stamp) {
         let soon = now.plus_seconds(self.config.ack_delay);
         match (self.state, message) {
             (_, MessageId::GO_TO_CONFIG) => {
@@ -26,18 +26,18 @@ impl SimulatedImu {
                 } else {
                     self.state = State::Config;
                 }
-                self.reply(bus_id, message.ack(), &[], late);
+                self.reply(message.ack(), &[], late);
             }
             (_, MessageId::RESET) => {
-                self.reply(bus_id, message.ack(), &[], soon);
+                self.reply(message.ack(), &[], soon);
                 self.wire.baud = self.config.baud;
                 self.counter = self.config.first_counter;
                 self.state = State::Booting { until: soon.plus_seconds(self.config.boot) };
             }
             (State::Waking { .. }, MessageId::WAKE_UP_ACK) => self.state = State::Config,
             (State::Config, _) => match self.config_state(message, data, now) {
-                Ok(reply) => self.reply(bus_id, message.ack(), &reply, soon),
-                Err(code) => self.reply(bus_id, MessageId::ERROR, &[code], soon),
+                Ok(reply) => self.reply(message.ack(), &reply, soon),
+                Err(code) => self.reply(MessageId::ERROR, &[code], soon),
             },
             // While measuring, other requests are ignored.
             _ => {}

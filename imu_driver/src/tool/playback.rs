@@ -9,7 +9,6 @@ use crate::{
         configuration::{output_configuration_from_data, output_configuration_to_data},
         frame,
         mtdata2::xdi,
-        write_frame,
     },
 };
 use node_kit::{
@@ -66,9 +65,7 @@ fn read(arguments: &Playback) -> Result<Replayed, Failure> {
         }
         if f.message.is_data() {
             modern |= f.message == MessageId::MT_DATA2;
-            let mut bytes = Vec::with_capacity(f.wire_length);
-            write_frame(f.bus_id, f.message, f.data, &mut bytes);
-            data.push(bytes);
+            data.push(frame(f.message, f.data));
         }
     });
     if data.is_empty() {
