@@ -22,50 +22,26 @@
 use rig_model::Stamp;
 use std::collections::VecDeque;
 
-/// Parameters of the clock fit.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ClockFitConfig {
-    /// Time window of the samples used, s.
-    pub window: f64,
-    /// Largest drift between the clocks, s/s.
-    pub max_drift: f64,
-    /// Largest correction of a stamp towards a new fit, relative to the time since the last stamp.
-    pub slew: f64,
-    /// Difference between arrivals and fit, s, which, if it lasts for [`ClockFitConfig::patience`],
-    /// means that a clock was set or the device restarted.
-    pub step: f64,
-    /// Time until a difference counts as a step, s.
-    pub patience: f64,
-    /// Arrival before the fit, s, beyond which the host's clock was set back; a smaller difference
-    /// means that all samples before were late.
-    pub step_back: f64,
-    /// Largest delay relative to the fastest sample, s, of the consistent samples of a settled fit.
-    pub consistency: f64,
-    /// Number of consistent samples of a settled fit: the delays of a busy host vary.
-    pub consistent: usize,
-    /// Shortest time from the first sample to a settled fit, s.
-    pub settling: f64,
-    /// Longest time from the first sample to a settled fit, s, for irregular adapters.
-    pub longest_settling: f64,
-}
-
-impl Default for ClockFitConfig {
-    fn default() -> Self {
-        Self {
-            window: 120.0,
-            max_drift: 150e-6,
-            slew: 0.1,
-            step: 0.1,
-            patience: 1.0,
-            step_back: 1.0,
-            consistency: 0.3e-3,
-            consistent: 5,
-            settling: 0.2,
-            longest_settling: 1.0,
-        }
-    }
-}
-
+/// Time window of the samples used, s.
+const WINDOW: f64 = 120.0;
+/// Largest drift between the clocks, s/s.
+pub const MAX_DRIFT: f64 = 150e-6;
+/// Largest correction of a stamp towards a new fit, relative to the time since the last stamp.
+const SLEW: f64 = 0.1;
+/// Difference between arrivals and fit, s, which, if it lasts, means that a clock was set or the
+/// device restarted.
+const STEP: f64 = 0.1;
+/// Arrival before the fit, s, beyond which the host's clock was set back; a smaller difference
+/// means that all samples before were late.
+const STEP_BACK: f64 = 1.0;
+/// Largest delay relative to the fastest sample, s, of the consistent samples of a settled fit.
+const CONSISTENCY: f64 = 0.3e-3;
+/// Number of consistent samples of a settled fit: the delays of a busy host vary.
+const CONSISTENT: usize = 5;
+/// Shortest time from the first sample to a settled fit, s.
+const SETTLING: f64 = 0.2;
+/// Longest time from the first sample to a settled fit, s, for irregular adapters.
+const LONGEST_SETTLING: f64 = 1.0;
 /// Duration over which only the earliest arrival is a point of the fit, s, which bounds the memory.
 const BUCKET: f64 = 0.5;
 
@@ -104,29 +80,30 @@ impl Settling {
         self.settled = false;
     }
 
-    fn observe(&mut self, point: Point, config: &ClockFitConfig) {
+    fn observe(&mut self, point: Point) {
         if self.settled {
             return;
         }
         self.delays.push(point.y);
         let fastest = self.delays.iter().copied().fold(f64::INFINITY, f64::min);
-        let consistent = self.delays.iter().filter(|d| **d - fastest < config.consistency).count();
-        self.settled = point.x >= config.longest_settling
+        let consistent = self.delays.iter().filter(|d| **d - fastest < CONSISTENCY).count();
+        self.settled = point.x >= LONGEST_SETTLING
             || self.delays.len() >= MOST_SETTLING
-            || point.x >= config.settling && consistent >= config.consistent;
+            || point.x >= SETTLING && consistent >= CONSISTENT;
     }
 }
 
 /// Fit of host time to device time.
 #[derive(Clone, Debug)]
 pub struct ClockFit {
-    config: ClockFitConfig,
+    /// Time until a difference counts as a clock step, s.
+    patience: f64,
     origin: Option<Origin>,
     points: VecDeque<Point>,
     hull: Vec<Point>,
     /// Offset at the origin (s) and drift (s/s).
     line: (f64, f64),
-    /// The drift of the points exceeds [`ClockFitConfig::max_drift`].
+    /// The drift of the points exceeds [`MAX_DRIFT`].
     limited: bool,
     /// Correction of the last stamp, s, which follows the line with a limited slew.
     applied: f64,
@@ -140,11 +117,12 @@ pub struct ClockFit {
 }
 
 impl ClockFit {
-    /// Creates a fit without samples.
-    pub fn new(config: ClockFitConfig) -> Self {
-        let capacity = (config.window / BUCKET).ceil() as usize + 2;
+    /// Creates a fit without samples; a difference between arrivals and fit counts as a clock step
+    /// after `patience` seconds.
+    pub fn new(patience: f64) -> Self {
+        let capacity = (WINDOW / BUCKET).ceil() as usize + 2;
         Self {
-            config,
+            patience,
             origin: None,
             points: VecDeque::with_capacity(capacity),
             hull: Vec::with_capacity(capacity),
@@ -176,8 +154,8 @@ impl ClockFit {
         (self.points.len() >= 10).then_some(self.line.1)
     }
 
-    /// Whether the clocks drift by more than [`ClockFitConfig::max_drift`]: the rate of messages is
-    /// not the assumed one, or a clock is wrong. Stamps do not follow.
+    /// Whether the clocks drift by more than [`MAX_DRIFT`]: the rate of messages is not the assumed
+    /// one, or a clock is wrong. Stamps do not follow.
     pub fn drift_exceeded(&self) -> bool {
         self.limited && self.points.len() >= DRIFT_POINTS
     }
@@ -198,8 +176,7 @@ impl ClockFit {
         self.restart();
         // After the host's clock was set back, stamps that keep increasing would be constant for as
         // long. If the device's clock jumped ahead instead, they continue.
-        let earlier =
-            self.last_arrival.is_some_and(|last| arrival.seconds_since(last) < -self.config.step);
+        let earlier = self.last_arrival.is_some_and(|last| arrival.seconds_since(last) < -STEP);
         if jump < 0.0 && earlier {
             self.last_stamp = None;
         }
@@ -215,7 +192,7 @@ impl ClockFit {
         if self.add(point) {
             self.fit();
         }
-        self.settling.observe(point, &self.config);
+        self.settling.observe(point);
         self.last_arrival = Some(arrival);
     }
 
@@ -239,7 +216,7 @@ impl ClockFit {
                 // A large error (the first samples were late) is corrected faster, but never
                 // backwards.
                 let far = (target - self.applied).abs() > 5e-3;
-                let limit = if far { 0.5 } else { self.config.slew } * elapsed;
+                let limit = if far { 0.5 } else { SLEW } * elapsed;
                 self.applied + (target - self.applied).clamp(-limit, limit)
             }
             None => target,
@@ -266,10 +243,10 @@ impl ClockFit {
     /// Size of a clock step, s, once it has lasted for `patience`.
     fn clock_stepped(&mut self, point: Point) -> Option<f64> {
         let above = point.y - (self.line.0 + self.line.1 * point.x);
-        if above < -self.config.step_back {
+        if above < -STEP_BACK {
             return Some(above);
         }
-        if above < self.config.step {
+        if above < STEP {
             self.suspicious = None;
             return None;
         }
@@ -280,7 +257,7 @@ impl ClockFit {
         // once.
         let by_device = point.x - since.x;
         let by_host = by_device + point.y - since.y;
-        (by_device.min(by_host) > self.config.patience).then_some(smallest)
+        (by_device.min(by_host) > self.patience).then_some(smallest)
     }
 
     /// Adds a point; returns whether the points of the fit have changed.
@@ -296,7 +273,7 @@ impl ClockFit {
                 false
             }
             _ => {
-                while self.points.front().is_some_and(|p| point.x - p.x > self.config.window) {
+                while self.points.front().is_some_and(|p| point.x - p.x > WINDOW) {
                     self.points.pop_front();
                 }
                 self.points.push_back(point);
@@ -324,8 +301,8 @@ impl ClockFit {
         });
         let drift = edge.map_or(0.0, |(_, slope)| slope);
         let drift = if drift.is_finite() { drift } else { 0.0 };
-        self.limited = drift.abs() > self.config.max_drift;
-        let drift = drift.clamp(-self.config.max_drift, self.config.max_drift);
+        self.limited = drift.abs() > MAX_DRIFT;
+        let drift = drift.clamp(-MAX_DRIFT, MAX_DRIFT);
         // The highest line of that drift below all points.
         let offset = self.hull.iter().map(|p| p.y - drift * p.x).fold(f64::INFINITY, f64::min);
         if offset.is_finite() {

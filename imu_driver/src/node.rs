@@ -2,7 +2,6 @@
 //! `/diagnostics`.
 
 use crate::{
-    clock_fit::ClockFitConfig,
     driver::{Driver, DriverConfig, Event, Sample, Severity, Statistics},
     protocol::Status,
     serial::{DriverStatus, Port, Report, Runner},
@@ -88,8 +87,7 @@ impl NodeShell for ImuNode {
         parameters: ImuParameters,
     ) -> Result<Self, NodeError> {
         let rig = context.rig()?;
-        let clock = ClockFitConfig { patience: PATIENCE, ..ClockFitConfig::default() };
-        let config = DriverConfig { clock, ..parameters.core.clone() };
+        let config = DriverConfig { step_patience: PATIENCE, ..parameters.core.clone() };
         let (first_baud, two_stop_bits) = (config.first_baud(), config.two_stop_bits);
         let driver = Driver::new(config).map_err(|e| NodeError::shell(e.to_string()))?;
         let data = context.advertise(topics::IMU, QosPreset::Sensor)?;
@@ -318,7 +316,7 @@ impl ImuNode {
             | Event::Measuring(_)
             | Event::Rejected { .. }
             | Event::Unanswered { .. } => context.log_throttled(level, &line, &line),
-            Event::DriftExceeded { .. } => context.log_throttled(level, "drift", line),
+            Event::DriftExceeded => context.log_throttled(level, "drift", line),
             _ => context.log(level, line),
         }
     }

@@ -1,13 +1,10 @@
 //! Configuration of the driver, and the device settings that follow from it.
 
-use crate::{
-    clock_fit::ClockFitConfig,
-    protocol::{
-        LegacyFormat, NumberFormat, OutputEntry, OutputMode, OutputSettings,
-        configuration::{TICKS_PER_SECOND, period_and_skip},
-        message::BAUD_SCAN,
-        mtdata2::xdi,
-    },
+use crate::protocol::{
+    LegacyFormat, NumberFormat, OutputEntry, OutputMode, OutputSettings,
+    configuration::{TICKS_PER_SECOND, period_and_skip},
+    message::BAUD_SCAN,
+    mtdata2::xdi,
 };
 use thiserror::Error;
 
@@ -41,8 +38,8 @@ ros_parameters::parameters! {
         plain {
             /// Only set the device to the baud rate of this code, followed by a reset.
             set_baud: Option<u8> = None;
-            /// Parameters of the clock fit.
-            clock: ClockFitConfig = ClockFitConfig::default();
+            /// Time until late arrivals count as a clock step, s.
+            step_patience: f64 = 1.0;
         }
     }
     check(config) { config.check().map_err(|e| e.to_string()) }

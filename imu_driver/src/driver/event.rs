@@ -1,7 +1,10 @@
 //! Events of the driver, for the log and the diagnostics of its shell.
 
 use super::ConfigError;
-use crate::protocol::{Configuration, DeviceError, DeviceId, MessageId, OutputEntry};
+use crate::{
+    clock_fit::MAX_DRIFT,
+    protocol::{Configuration, DeviceError, DeviceId, MessageId, OutputEntry},
+};
 use std::fmt;
 
 /// Severity of an event.
@@ -143,11 +146,8 @@ pub enum Event {
         /// Change of the offset, s.
         seconds: f64,
     },
-    /// The clocks of device and host drift by more than the limit; reported repeatedly.
-    DriftExceeded {
-        /// The limit, ppm.
-        limit_ppm: f64,
-    },
+    /// The clocks of device and host drift by more than [`MAX_DRIFT`]; reported repeatedly.
+    DriftExceeded,
 }
 
 impl Event {
@@ -232,11 +232,12 @@ impl fmt::Display for Event {
                 "samples arrive {seconds:+.3} s later than the clock of the IMU indicates: \
                  one of the two clocks was set, or its data are delayed"
             ),
-            Self::DriftExceeded { limit_ppm } => write!(
+            Self::DriftExceeded => write!(
                 f,
-                "the clocks of IMU and host drift by more than {limit_ppm:.0} ppm, so that stamps \
-                 are wrong: let the driver set the rate (leave_settings: false), and check whether \
-                 the host's clock is being corrected (chrony, ntpd)"
+                "the clocks of IMU and host drift by more than {:.0} ppm, so that stamps are \
+                 wrong: let the driver set the rate (leave_settings: false), and check whether \
+                 the host's clock is being corrected (chrony, ntpd)",
+                MAX_DRIFT * 1e6
             ),
         }
     }

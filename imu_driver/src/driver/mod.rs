@@ -171,7 +171,7 @@ impl Driver {
             arrivals: Arrivals::new(),
             incomplete_since: None,
             identity: Identity::default(),
-            stream: Stream::new(config.clock),
+            stream: Stream::new(config.step_patience),
             outputs: VecDeque::new(),
             config,
         })

@@ -2,7 +2,7 @@
 
 use super::{Driver, Event, Identity, Output, Phase, Sample, sample_of};
 use crate::{
-    clock_fit::{ClockFit, ClockFitConfig},
+    clock_fit::ClockFit,
     device_time::DeviceTime,
     protocol::{Decoder, DeviceError, Frame, MessageId, OutputEntry, ParserCounts, Status},
 };
@@ -61,11 +61,11 @@ pub(super) struct Stream {
 }
 
 impl Stream {
-    pub(super) fn new(clock: ClockFitConfig) -> Self {
+    pub(super) fn new(step_patience: f64) -> Self {
         Self {
             decoder: Decoder::default(),
             time: DeviceTime::new(1152, 115_200),
-            clock: ClockFit::new(clock),
+            clock: ClockFit::new(step_patience),
             waiting: VecDeque::new(),
             last_data: 0.0,
             on_request: false,
@@ -212,8 +212,7 @@ impl Driver {
         let (now, stream) = (self.time.now, &mut self.stream);
         if stream.clock.drift_exceeded() && now - stream.drift_reported_at >= DRIFT_INTERVAL {
             stream.drift_reported_at = now;
-            let limit_ppm = self.config.clock.max_drift * 1e6;
-            self.event(Event::DriftExceeded { limit_ppm });
+            self.event(Event::DriftExceeded);
         }
         self.stream.waiting.push_back((placed.device, sample));
         if self.stream.clock.is_settled() {
