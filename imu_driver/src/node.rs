@@ -305,17 +305,17 @@ impl ImuNode {
         }
         // Events that may occur many times per second are throttled; the diagnostics count them.
         match event {
-            Event::Lost { .. } => context.log_throttled(level, "lost", line),
-            Event::DeviceFault { .. } => context.log_throttled(level, "fault", line),
-            Event::ClockSet { .. } | Event::ClockStepped { .. } | Event::DeviceRestarted => {
+            Event::Lost(_) => context.log_throttled(level, "lost", line),
+            Event::DeviceFault(_) => context.log_throttled(level, "fault", line),
+            Event::ClockSet(_) | Event::ClockStepped(_) | Event::DeviceRestarted => {
                 context.log_throttled(level, "clock", line)
             }
             // Repeated with every attempt to start a device that does not measure.
-            Event::Silent { .. } => context.log_throttled(level, "silent", line),
+            Event::Silent(_) => context.log_throttled(level, "silent", line),
             Event::Found(_)
             | Event::Measuring(_)
             | Event::Rejected { .. }
-            | Event::Unanswered { .. } => context.log_throttled(level, &line, &line),
+            | Event::Unanswered(_) => context.log_throttled(level, &line, &line),
             Event::DriftExceeded => context.log_throttled(level, "drift", line),
             _ => context.log(level, line),
         }

@@ -102,7 +102,7 @@ impl Driver {
         self.arrivals.clear();
         self.incomplete_since = None;
         if !self.connection.reported_no_answer {
-            self.event(Event::PortOpened { baud: self.connection.baud() });
+            self.event(Event::PortOpened(self.connection.baud()));
         }
         self.phase = Phase::Settling { until: self.time.now + SETTLING };
     }
@@ -121,7 +121,7 @@ impl Driver {
         self.parser.reset();
         self.incomplete_since = None;
         self.connection.restart();
-        self.event(Event::PortLost { reason: reason.to_owned() });
+        self.event(Event::PortLost(reason.to_owned()));
         self.phase = Phase::Closed { retry_at: self.time.now + FIRST_PAUSE };
     }
 

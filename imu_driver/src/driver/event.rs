@@ -6,6 +6,7 @@ use crate::{
     protocol::{Configuration, DeviceError, DeviceId, MessageId, OutputEntry},
 };
 use std::fmt;
+use thiserror::Error;
 
 /// Severity of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -48,26 +49,24 @@ impl fmt::Display for Identity {
 }
 
 /// Event of the driver.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Error, PartialEq)]
 pub enum Event {
     /// The port could not be opened.
+    #[error("{reason}; next attempt in {pause:.1} s")]
     PortMissing {
         /// Reason, with the name of the port.
         reason: String,
         /// Time until the next attempt, s.
         pause: f64,
     },
-    /// The open port was lost.
-    PortLost {
-        /// Reason.
-        reason: String,
-    },
-    /// The port was opened.
-    PortOpened {
-        /// Baud rate.
-        baud: u32,
-    },
+    /// The open port was lost, with the reason.
+    #[error("the port was lost ({0}); reconnect the adapter")]
+    PortLost(String),
+    /// The port was opened at this baud rate.
+    #[error("port open at {0} baud")]
+    PortOpened(u32),
     /// No device answers on the open port.
+    #[error("{}", no_answer(bauds, *heard_at, *garbage))]
     NoAnswer {
         /// Baud rates tried.
         bauds: Vec<u32>,
@@ -76,33 +75,31 @@ pub enum Event {
         /// Bytes are received, but no valid frames (wrong baud rate, other device).
         garbage: bool,
     },
-    /// No message was received.
-    Silent {
-        /// Time since the last message, s.
-        seconds: f64,
-    },
+    /// No message was received for this time, s.
+    #[error("no message for {0:.1} s; querying the IMU")]
+    Silent(f64),
     /// A device answered.
+    #[error("found {0}")]
     Found(Identity),
     /// The device has started (power-up, brown-out, reset).
+    #[error("the IMU has started")]
     WokeUp,
-    /// A setting was written to the flash of the device.
-    Set {
-        /// The setting.
-        what: MessageId,
-    },
+    /// This setting was written to the flash of the device.
+    #[error("{0}: written to the IMU")]
+    Set(MessageId),
     /// The device rejected a setting or a request.
+    #[error("the IMU rejected {what}: {error}")]
     Rejected {
         /// The message.
         what: MessageId,
         /// Reason.
         error: DeviceError,
     },
-    /// The device does not answer a request.
-    Unanswered {
-        /// The message.
-        what: MessageId,
-    },
+    /// The device does not answer this request.
+    #[error("the IMU does not answer {0}; configuring it again")]
+    Unanswered(MessageId),
     /// A setting read back differs from the written one; the driver uses the former.
+    #[error("{what}: {wanted} was written, but the IMU has {found}, which is used")]
     NotApplied {
         /// The setting.
         what: MessageId,
@@ -112,133 +109,86 @@ pub enum Event {
         found: String,
     },
     /// The line on which the device was found is too slow for the settings; none was written.
+    #[error("no setting was written: {0}")]
     LineTooSlow(ConfigError),
     /// The device entered the measurement state.
+    #[error("measuring: {0}")]
     Measuring(Identity),
     /// The device sends on request only: no samples will come.
+    #[error(
+        "the IMU sends on request only (OutputSkipFactor FFFF); \
+         let the driver set its rate (leave_settings: false)"
+    )]
     OnRequestOnly,
     /// The device reported an error while measuring.
-    DeviceFault {
-        /// The error.
-        error: DeviceError,
-    },
-    /// Messages could not be decoded; the configuration is read again.
-    Unreadable {
-        /// Reason.
-        reason: String,
-    },
+    #[error("the IMU reports {0}")]
+    DeviceFault(DeviceError),
+    /// Messages could not be decoded for this reason; the configuration is read again.
+    #[error("messages cannot be decoded: {0}")]
+    Unreadable(String),
     /// The messages lack acceleration or angular velocity.
+    #[error(
+        "the messages lack acceleration or angular velocity; \
+         let the driver set the outputs (leave_settings: false)"
+    )]
     NoInertialData,
-    /// Messages are missing, according to the counter.
-    Lost {
-        /// Number of messages.
-        count: u64,
-    },
+    /// This number of messages is missing, according to the counter.
+    #[error("{0} messages lost")]
+    Lost(u64),
     /// The clock of the device restarted.
+    #[error("the clock of the IMU restarted")]
     DeviceRestarted,
-    /// The host's clock was set; stamps follow at once.
-    ClockSet {
-        /// New time minus old time, s.
-        seconds: f64,
-    },
-    /// The clocks of device and host have a new offset.
-    ClockStepped {
-        /// Change of the offset, s.
-        seconds: f64,
-    },
+    /// The host's clock was set by this time (new minus old), s; stamps follow at once.
+    #[error("the host's clock was set by {0:+.3} s")]
+    ClockSet(f64),
+    /// The offset of the clocks of device and host changed by this time, s.
+    #[error(
+        "samples arrive {0:+.3} s later than the clock of the IMU indicates: \
+         one of the two clocks was set, or its data are delayed"
+    )]
+    ClockStepped(f64),
     /// The clocks of device and host drift by more than [`MAX_DRIFT`]; reported repeatedly.
+    #[error(
+        "the clocks of IMU and host drift by more than {:.0} ppm, so that stamps are wrong: \
+         let the driver set the rate (leave_settings: false), and check whether the host's clock \
+         is being corrected (chrony, ntpd)",
+        MAX_DRIFT * 1e6
+    )]
     DriftExceeded,
+}
+
+fn no_answer(bauds: &[u32], heard_at: Option<u32>, garbage: bool) -> String {
+    if let Some(baud) = heard_at {
+        return format!(
+            "valid messages at {baud} baud, but no answer to requests: set two_stop_bits: true \
+             (an MTx from before 2008 requires it), or check the line from host to IMU"
+        );
+    }
+    let bauds: Vec<String> = bauds.iter().map(u32::to_string).collect();
+    let remedy = if garbage {
+        "the bytes received contain no valid message: \
+         set the baud rate (baud: 0 searches) and check the device on this port"
+    } else {
+        "check power supply and port (an MTx from before 2008 needs two_stop_bits: true)"
+    };
+    format!("no IMU answers at {} baud; {remedy}", bauds.join(", "))
 }
 
 impl Event {
     /// Severity of the event.
     pub fn severity(&self) -> Severity {
         match self {
-            Self::PortOpened { .. } | Self::Found(_) | Self::Set { .. } | Self::Measuring(_) => {
+            Self::PortOpened(_) | Self::Found(_) | Self::Set(_) | Self::Measuring(_) => {
                 Severity::Info
             }
             Self::PortMissing { .. }
-            | Self::PortLost { .. }
+            | Self::PortLost(_)
             | Self::NoAnswer { .. }
-            | Self::Silent { .. }
+            | Self::Silent(_)
             | Self::LineTooSlow(_)
             | Self::OnRequestOnly
             | Self::NoInertialData => Severity::Error,
             _ => Severity::Warning,
-        }
-    }
-}
-
-impl fmt::Display for Event {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::PortMissing { reason, pause } => {
-                write!(f, "{reason}; next attempt in {pause:.1} s")
-            }
-            Self::PortLost { reason } => {
-                write!(f, "the port was lost ({reason}); reconnect the adapter")
-            }
-            Self::PortOpened { baud } => write!(f, "port open at {baud} baud"),
-            Self::NoAnswer { heard_at: Some(baud), .. } => write!(
-                f,
-                "valid messages at {baud} baud, but no answer to requests: set two_stop_bits: true \
-                 (an MTx from before 2008 requires it), or check the line from host to IMU"
-            ),
-            Self::NoAnswer { bauds, garbage, .. } => {
-                let bauds: Vec<String> = bauds.iter().map(u32::to_string).collect();
-                write!(f, "no IMU answers at {} baud; ", bauds.join(", "))?;
-                if *garbage {
-                    f.write_str(
-                        "the bytes received contain no valid message: \
-                         set the baud rate (baud: 0 searches) and check the device on this port",
-                    )
-                } else {
-                    f.write_str(
-                        "check power supply and port \
-                         (an MTx from before 2008 needs two_stop_bits: true)",
-                    )
-                }
-            }
-            Self::Silent { seconds } => {
-                write!(f, "no message for {seconds:.1} s; querying the IMU")
-            }
-            Self::Found(identity) => write!(f, "found {identity}"),
-            Self::WokeUp => f.write_str("the IMU has started"),
-            Self::Set { what } => write!(f, "{what}: written to the IMU"),
-            Self::Rejected { what, error } => write!(f, "the IMU rejected {what}: {error}"),
-            Self::Unanswered { what } => {
-                write!(f, "the IMU does not answer {what}; configuring it again")
-            }
-            Self::NotApplied { what, wanted, found } => {
-                write!(f, "{what}: {wanted} was written, but the IMU has {found}, which is used")
-            }
-            Self::LineTooSlow(error) => write!(f, "no setting was written: {error}"),
-            Self::Measuring(identity) => write!(f, "measuring: {identity}"),
-            Self::OnRequestOnly => f.write_str(
-                "the IMU sends on request only (OutputSkipFactor FFFF); \
-                 let the driver set its rate (leave_settings: false)",
-            ),
-            Self::DeviceFault { error } => write!(f, "the IMU reports {error}"),
-            Self::Unreadable { reason } => write!(f, "messages cannot be decoded: {reason}"),
-            Self::NoInertialData => f.write_str(
-                "the messages lack acceleration or angular velocity; \
-                 let the driver set the outputs (leave_settings: false)",
-            ),
-            Self::Lost { count } => write!(f, "{count} messages lost"),
-            Self::DeviceRestarted => f.write_str("the clock of the IMU restarted"),
-            Self::ClockSet { seconds } => write!(f, "the host's clock was set by {seconds:+.3} s"),
-            Self::ClockStepped { seconds } => write!(
-                f,
-                "samples arrive {seconds:+.3} s later than the clock of the IMU indicates: \
-                 one of the two clocks was set, or its data are delayed"
-            ),
-            Self::DriftExceeded => write!(
-                f,
-                "the clocks of IMU and host drift by more than {:.0} ppm, so that stamps are \
-                 wrong: let the driver set the rate (leave_settings: false), and check whether \
-                 the host's clock is being corrected (chrony, ntpd)",
-                MAX_DRIFT * 1e6
-            ),
         }
     }
 }

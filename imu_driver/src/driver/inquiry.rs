@@ -150,7 +150,7 @@ impl Driver {
         } else if request.is_optional() {
             self.proceed(&request);
         } else {
-            self.event(Event::Unanswered { what: request.message });
+            self.event(Event::Unanswered(request.message));
             self.call(0.0);
         }
     }
@@ -214,7 +214,7 @@ impl Driver {
             }
             MessageId::REQ_CONFIGURATION => match Configuration::from_data(data) {
                 Ok(configuration) => self.identity.configuration = Some(configuration),
-                Err(error) => self.event(Event::Unreadable { reason: error.to_string() }),
+                Err(error) => self.event(Event::Unreadable(error.to_string())),
             },
             MessageId::OUTPUT_CONFIGURATION => {
                 if let Ok(outputs) = output_configuration_from_data(data) {
@@ -229,7 +229,7 @@ impl Driver {
                 // Effective after a reset.
                 self.write(MessageId::RESET, &[]);
             }
-            self.event(Event::Set { what: request.message });
+            self.event(Event::Set(request.message));
             if let Phase::Asking(inquiry) = &mut self.phase {
                 inquiry.changed = true;
             }
@@ -295,7 +295,7 @@ impl Driver {
             self.compare_read_back();
         }
         if self.identity.configuration.is_none() && self.identity.outputs.is_none() {
-            self.event(Event::Unanswered { what: MessageId::REQ_CONFIGURATION });
+            self.event(Event::Unanswered(MessageId::REQ_CONFIGURATION));
             let pause = self.connection.grow_pause();
             return self.call(pause);
         }

@@ -188,7 +188,7 @@ impl Driver {
             Input::ClockSet { by } => {
                 // Waiting samples are stamped on the new clock.
                 self.time.set_by = self.time.set_by.saturating_add(by);
-                return self.event(Event::ClockSet { seconds: by as f64 * 1e-9 });
+                return self.event(Event::ClockSet(by as f64 * 1e-9));
             }
         };
         let at = self.time.advance(at);
@@ -325,7 +325,7 @@ impl Driver {
             Phase::Asking(_) => self.tick_inquiry(),
             Phase::Measuring => {
                 if let Some(seconds) = self.stream.silent_for(now) {
-                    self.event(Event::Silent { seconds });
+                    self.event(Event::Silent(seconds));
                     self.call(0.0);
                 }
             }

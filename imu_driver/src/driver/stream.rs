@@ -132,7 +132,7 @@ impl Driver {
     pub(super) fn data(&mut self, frame: &Frame<'_>, arrival: Stamp) {
         if frame.message == MessageId::ERROR {
             let error = DeviceError(frame.data.first().copied().unwrap_or_default());
-            return self.event(Event::DeviceFault { error });
+            return self.event(Event::DeviceFault(error));
         }
         // The device sends one stop bit, even if it requires two.
         let byte_time = 10.0 / f64::from(self.connection.baud());
@@ -147,7 +147,7 @@ impl Driver {
                 stream.statistics.unreadable += 1;
                 stream.unreadable_in_a_row += 1;
                 if stream.unreadable_in_a_row >= UNREADABLE_LIMIT {
-                    self.event(Event::Unreadable { reason: error.to_string() });
+                    self.event(Event::Unreadable(error.to_string()));
                     self.call(0.0);
                 }
                 return;
@@ -201,10 +201,10 @@ impl Driver {
             self.event(Event::DeviceRestarted);
         }
         if placed.lost > 0 {
-            self.event(Event::Lost { count: placed.lost });
+            self.event(Event::Lost(placed.lost));
         }
         if let Some(seconds) = stepped {
-            self.event(Event::ClockStepped { seconds });
+            self.event(Event::ClockStepped(seconds));
         }
         if missing {
             self.event(Event::NoInertialData);

@@ -149,8 +149,7 @@ fn identify(line: &Line, config: DriverConfig, verbose: bool) -> Result<Identity
                 too_slow = Some(event.to_string());
                 return false;
             }
-            if verbose && (event.severity() > Severity::Info || matches!(event, Event::Set { .. }))
-            {
+            if verbose && (event.severity() > Severity::Info || matches!(event, Event::Set(_))) {
                 errln!("{event}");
             }
             match event {
@@ -283,7 +282,7 @@ fn set_baud(line: &Line, baud: u32) -> Result<(), Failure> {
     converse(line, config, line.timeout, false, &NEVER, |report| {
         if let Report::Event(event) = report {
             errln!("{event}");
-            set |= *event == Event::Set { what: MessageId::BAUD_RATE };
+            set |= *event == Event::Set(MessageId::BAUD_RATE);
             if set {
                 // Keeps the port open until the device has received the Reset.
                 std::thread::sleep(Duration::from_millis(100));

@@ -67,7 +67,7 @@ fn a_device_that_sends_on_request_only_is_named_once() {
     let mut bench = Bench::new(driver, imu.clone());
     bench.run(10.0);
     assert!(bench.samples.is_empty());
-    assert!(!bench.has(|e| matches!(e, Event::Silent { .. })), "{:?}", bench.events);
+    assert!(!bench.has(|e| matches!(e, Event::Silent(_))), "{:?}", bench.events);
     let named = bench.events.iter().filter(|e| **e == Event::OnRequestOnly).count();
     assert_eq!(named, 1, "{:?}", bench.events);
     // The driver sets the skip factor.
