@@ -18,14 +18,6 @@ impl Line {
     pub const CLOSED: Self = Self { baud: 0, two_stop_bits: false };
 }
 
-/// Bytes on their way to the host.
-struct Arrival {
-    at: Stamp,
-    bytes: Vec<u8>,
-    /// Number of the sample that these bytes complete.
-    sample: Option<u64>,
-}
-
 /// Transmission from the IMU to the host.
 pub(super) struct Wire {
     /// Baud rate in effect; that in flash takes effect on a reset.
@@ -34,7 +26,8 @@ pub(super) struct Wire {
     pub free: Stamp,
     /// A broken wire: nothing arrives.
     pub mute: bool,
-    arrivals: VecDeque<Arrival>,
+    /// Bytes on their way to the host, with their time of arrival.
+    arrivals: VecDeque<(Stamp, Vec<u8>)>,
     next_burst: Option<Stamp>,
     /// State of a xorshift generator: the model has no clock or random source.
     random: u64,
@@ -66,14 +59,13 @@ impl Wire {
 
     /// Time of the next arrival.
     pub(super) fn next_arrival(&self) -> Option<Stamp> {
-        self.arrivals.front().map(|a| a.at)
+        self.arrivals.front().map(|(at, _)| *at)
     }
 
-    /// Next bytes that have arrived by `now`, corrupted if the baud rates differ, and the sample
-    /// that they complete.
-    pub(super) fn receive(&mut self, line: Line, now: Stamp) -> Option<(Vec<u8>, Option<u64>)> {
+    /// Next bytes that have arrived by `now`, corrupted if the baud rates differ.
+    pub(super) fn receive(&mut self, line: Line, now: Stamp) -> Option<Vec<u8>> {
         self.next_arrival().filter(|at| *at <= now)?;
-        let Arrival { mut bytes, sample, .. } = self.arrivals.pop_front()?;
+        let (_, mut bytes) = self.arrivals.pop_front()?;
         if std::mem::take(&mut self.just_opened) {
             bytes.drain(..bytes.len() * 2 / 3);
         }
@@ -85,7 +77,7 @@ impl Wire {
                 *byte = byte.rotate_left(3) ^ 0xA5;
             }
         }
-        Some((bytes, sample))
+        Some(bytes)
     }
 
     /// Transmits bytes as soon as the line is free after `at`; returns the time of the last bit.
@@ -93,7 +85,6 @@ impl Wire {
         &mut self,
         mut bytes: Vec<u8>,
         at: Stamp,
-        sample: Option<u64>,
         config: &SimulatedImuConfig,
     ) -> Stamp {
         let start = at.max(self.free);
@@ -101,7 +92,7 @@ impl Wire {
         let sent = start.plus_seconds(bytes.len() as f64 * byte_time);
         self.free = sent;
         let Some(period) = config.burst.filter(|period| *period > 0.0) else {
-            self.arrive(sent, bytes, sample);
+            self.arrive(sent, bytes);
             return sent;
         };
         // The adapter forwards the bytes that it has at the end of each period, also parts of
@@ -114,16 +105,16 @@ impl Wire {
             let count = received.saturating_sub(before).clamp(1, bytes.len());
             let rest = bytes.split_off(count);
             before += count;
-            self.arrive(burst, bytes, sample.filter(|_| rest.is_empty()));
+            self.arrive(burst, bytes);
             bytes = rest;
         }
         sent
     }
 
     /// Queues an arrival; an adapter preserves the order.
-    fn arrive(&mut self, at: Stamp, bytes: Vec<u8>, sample: Option<u64>) {
-        let at = self.arrivals.back().map_or(at, |last| at.max(last.at));
-        self.arrivals.push_back(Arrival { at, bytes, sample });
+    fn arrive(&mut self, at: Stamp, bytes: Vec<u8>) {
+        let at = self.arrivals.back().map_or(at, |(last, _)| at.max(*last));
+        self.arrivals.push_back((at, bytes));
     }
 
     fn burst_after(&mut self, sent: Stamp, period: f64, jitter: f64) -> Stamp {

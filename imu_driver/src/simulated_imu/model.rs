@@ -27,8 +27,6 @@ pub struct SentSample {
     pub measured: Stamp,
     /// Time of its last bit on the line.
     pub sent: Stamp,
-    /// Time at which it was written to the host ([`SimulatedImu::note_written`]).
-    pub written: Option<Stamp>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,17 +47,6 @@ pub(super) enum State {
     },
 }
 
-/// Samples sent, with their true times.
-#[derive(Default)]
-struct Truth {
-    /// Number of samples taken.
-    count: u64,
-    /// Number of the last sample that the host received.
-    received: Option<u64>,
-    /// The newest samples.
-    sent: VecDeque<SentSample>,
-}
-
 /// Simulated IMU.
 pub struct SimulatedImu {
     pub(super) config: SimulatedImuConfig,
@@ -72,7 +59,8 @@ pub struct SimulatedImu {
     replies: VecDeque<(Stamp, Vec<u8>)>,
     /// Time at which GoToConfig is acknowledged; data are sent until then.
     pub(super) config_at: Option<Stamp>,
-    truth: Truth,
+    /// The newest samples sent, with their true times.
+    sent: VecDeque<SentSample>,
     pub(super) flash_writes: u32,
     ignored_requests: u32,
 }
@@ -94,7 +82,7 @@ impl SimulatedImu {
             source,
             replies: VecDeque::new(),
             config_at: None,
-            truth: Truth::default(),
+            sent: VecDeque::new(),
             flash_writes: 0,
             config,
         }
@@ -125,9 +113,7 @@ impl SimulatedImu {
     /// Returns the next bytes that have reached the host by `now`; corrupted at another baud rate.
     pub fn poll(&mut self, line: Line, now: Stamp) -> Option<Vec<u8>> {
         self.advance(now);
-        let (bytes, sample) = self.wire.receive(line, now)?;
-        self.truth.received = sample;
-        Some(bytes)
+        self.wire.receive(line, now)
     }
 
     /// Time of the next output of [`SimulatedImu::poll`] or change of state.
@@ -166,24 +152,12 @@ impl SimulatedImu {
 
     /// Transmits arbitrary bytes.
     pub fn inject(&mut self, bytes: &[u8], now: Stamp) {
-        self.transmit(bytes.to_vec(), now, None);
+        self.transmit(bytes.to_vec(), now);
     }
 
     /// Returns the samples sent since the last call.
     pub fn take_sent(&mut self) -> Vec<SentSample> {
-        self.truth.sent.drain(..).collect()
-    }
-
-    /// Records the time at which the last bytes of [`SimulatedImu::poll`] were written to the host.
-    pub fn note_written(&mut self, now: Stamp) {
-        let Some(number) = self.truth.received else {
-            return;
-        };
-        let first = self.truth.count - self.truth.sent.len() as u64;
-        let index = number.checked_sub(first).and_then(|i| usize::try_from(i).ok());
-        if let Some(sample) = index.and_then(|i| self.truth.sent.get_mut(i)) {
-            sample.written = Some(now);
-        }
+        self.sent.drain(..).collect()
     }
 
     /// Number of settings written to flash.
@@ -211,7 +185,7 @@ impl SimulatedImu {
             match self.replies.front() {
                 Some((at, _)) if *at <= now => {
                     if let Some((at, bytes)) = self.replies.pop_front() {
-                        self.transmit(bytes, at, None);
+                        self.transmit(bytes, at);
                     }
                 }
                 _ => return,
@@ -223,7 +197,7 @@ impl SimulatedImu {
         loop {
             match self.state {
                 State::Booting { until } if until <= now => {
-                    self.transmit(frame(MessageId::WAKE_UP, &[]), until, None);
+                    self.transmit(frame(MessageId::WAKE_UP, &[]), until);
                     self.state = State::Waking { until: until.plus_seconds(0.5) };
                 }
                 State::Waking { until } if until <= now => {
@@ -261,17 +235,11 @@ impl SimulatedImu {
             self.config.format.encode(&measurement, &mut data);
             MessageId::MT_DATA
         };
-        let sent = self.transmit(frame(message, &data), at, Some(self.truth.count));
-        self.truth.count += 1;
-        if self.truth.sent.len() >= 1 << 20 {
-            self.truth.sent.pop_front();
+        let sent = self.transmit(frame(message, &data), at);
+        if self.sent.len() >= 1 << 20 {
+            self.sent.pop_front();
         }
-        self.truth.sent.push_back(SentSample {
-            counter: self.counter,
-            measured: at,
-            sent,
-            written: None,
-        });
+        self.sent.push_back(SentSample { counter: self.counter, measured: at, sent });
         self.counter = self.counter.wrapping_add(1);
     }
 
@@ -316,8 +284,8 @@ impl SimulatedImu {
         self.replies.push_back((due, frame(message, data)));
     }
 
-    fn transmit(&mut self, bytes: Vec<u8>, at: Stamp, sample: Option<u64>) -> Stamp {
-        self.wire.transmit(bytes, at, sample, &self.config)
+    fn transmit(&mut self, bytes: Vec<u8>, at: Stamp) -> Stamp {
+        self.wire.transmit(bytes, at, &self.config)
     }
 
     /// Whether the baud rate is sufficient for the configured data.

@@ -196,7 +196,6 @@ fn run(mut imu: SimulatedImu, mut port: Option<Port>, link: &Path, commands: &Re
                 backlog.extend_from_slice(&bytes);
             }
             write_out(open, &mut backlog);
-            imu.note_written(now());
         }
         if open_by_host {
             write_out(open, &mut backlog);
