@@ -160,6 +160,7 @@ impl NodeShell for ImuNode {
         let skipped = now.parser.skipped_bytes - before.parser.skipped_bytes;
         let clipped = self.clipped - std::mem::replace(&mut self.clipped_before, self.clipped);
         let self_test = now.status.map(|s| s.contains(Status::SELF_TEST_PASSED));
+        let warn = |text: &str| (Health::Warn, text.to_owned());
         let (health, message) = if !status.measuring {
             (Health::Error, self.last_error.clone().unwrap_or_else(|| status.state.to_owned()))
         } else if self_test == Some(false) {
@@ -168,34 +169,21 @@ impl NodeShell for ImuNode {
             let reason = self.last_error.as_deref().unwrap_or("no samples in the last second");
             (Health::Error, reason.to_owned())
         } else if before.connections > 0 && now.connections > before.connections {
-            (
-                Health::Warn,
-                "the IMU was silent or restarted in the last second and was set up again"
-                    .to_owned(),
-            )
+            warn("the IMU was silent or restarted in the last second and was set up again")
         } else if lost > 0 {
-            (Health::Warn, format!("{lost} samples lost in the last second"))
+            warn(&format!("{lost} samples lost in the last second"))
         } else if checksums > 0 {
-            (
-                Health::Warn,
-                format!("{checksums} checksum errors in the last second: check the cable"),
-            )
+            warn(&format!("{checksums} checksum errors in the last second: check the cable"))
         } else if skipped > 0 {
-            (
-                Health::Warn,
-                format!(
-                    "{skipped} bytes in the last second belonged to no message: check the cable"
-                ),
-            )
+            let text = "bytes in the last second belonged to no message: check the cable";
+            warn(&format!("{skipped} {text}"))
         } else if now.drift_exceeded {
-            (
-                Health::Warn,
+            warn(
                 "the clocks of IMU and host drift too fast for the clock fit: stamps are wrong; \
-                 see the log"
-                    .to_owned(),
+                 see the log",
             )
         } else if clipped > 0 {
-            (Health::Warn, format!("{clipped} samples clipped in the last second"))
+            warn(&format!("{clipped} samples clipped in the last second"))
         } else {
             (Health::Ok, "samples are published".to_owned())
         };
@@ -242,12 +230,6 @@ fn exceeds(range: f64, v: &nalgebra::Vector3<f64>) -> bool {
     range > 0.0 && v.amax() >= range
 }
 
-/// Rate of the samples, Hz: the device's (its settings may have been left as they are), and the
-/// configured one until that is known.
-fn sample_rate(statistics: Option<&Statistics>, configured: f64) -> f64 {
-    statistics.map(|s| s.rate).filter(|rate| *rate > 0.0).unwrap_or(configured)
-}
-
 impl ImuNode {
     fn publish(&mut self, sample: Sample) {
         let p = &self.parameters;
@@ -264,7 +246,9 @@ impl ImuNode {
                 let diagonal = nalgebra::Vector3::new(tilt, tilt, heading);
                 orientation.covariance = Some(Matrix3::from_diagonal(&diagonal));
             }
-            let rate = sample_rate(self.status.as_ref().map(|s| &s.statistics), p.core.rate);
+            // The device's rate, Hz: its settings may have been left as they are.
+            let device_rate = self.status.as_ref().map(|s| s.statistics.rate);
+            let rate = device_rate.filter(|rate| *rate > 0.0).unwrap_or(p.core.rate);
             let variance = |stddev: f64, density: f64| {
                 let v = if stddev > 0.0 { stddev * stddev } else { density * density * rate };
                 (v > 0.0).then_some(v)
@@ -319,19 +303,5 @@ impl ImuNode {
             Event::DriftExceeded => context.log_throttled(level, "drift", line),
             _ => context.log(level, line),
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_covariance_is_that_of_the_devices_rate() {
-        assert_eq!(sample_rate(None, 100.0), 100.0);
-        let mut statistics = Statistics::default();
-        assert_eq!(sample_rate(Some(&statistics), 100.0), 100.0, "before the device measures");
-        statistics.rate = 400.0;
-        assert_eq!(sample_rate(Some(&statistics), 100.0), 400.0);
     }
 }
