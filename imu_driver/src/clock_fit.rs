@@ -164,8 +164,23 @@ impl ClockFit {
     ///
     /// `device`: unwrapped device time of a sample, ns; `arrival`: its arrival.
     pub fn jump(&mut self, device: i64, arrival: Stamp) -> Option<f64> {
-        let origin = self.origin?;
-        self.clock_stepped(point_of(&origin, device, arrival))
+        let point = point_of(&self.origin?, device, arrival);
+        let above = point.y - (self.line.0 + self.line.1 * point.x);
+        if above < -STEP_BACK {
+            return Some(above);
+        }
+        if above < STEP {
+            self.suspicious = None;
+            return None;
+        }
+        let (since, smallest) = self.suspicious.unwrap_or((point, above));
+        let smallest = smallest.min(above);
+        self.suspicious = Some((since, smallest));
+        // By both clocks: a host that slept reads seconds of late messages from its buffers at
+        // once.
+        let by_device = point.x - since.x;
+        let by_host = by_device + point.y - since.y;
+        (by_device.min(by_host) > self.patience).then_some(smallest)
     }
 
     /// Restarts the fit after a step of `jump` seconds, detected by a sample that arrived at
@@ -184,11 +199,8 @@ impl ClockFit {
 
     /// Adds a sample: device time, ns, and arrival.
     pub fn observe(&mut self, device: i64, arrival: Stamp) {
-        let origin = match self.origin {
-            Some(origin) => origin,
-            None => self.begin(device, arrival),
-        };
-        let point = point_of(&origin, device, arrival);
+        let origin = self.origin.get_or_insert(Origin { device, host: arrival });
+        let point = point_of(origin, device, arrival);
         if self.add(point) {
             self.fit();
         }
@@ -232,32 +244,6 @@ impl ClockFit {
         };
         self.last_stamp = Some(stamp);
         stamp
-    }
-
-    fn begin(&mut self, device: i64, arrival: Stamp) -> Origin {
-        let origin = Origin { device, host: arrival };
-        self.origin = Some(origin);
-        origin
-    }
-
-    /// Size of a clock step, s, once it has lasted for `patience`.
-    fn clock_stepped(&mut self, point: Point) -> Option<f64> {
-        let above = point.y - (self.line.0 + self.line.1 * point.x);
-        if above < -STEP_BACK {
-            return Some(above);
-        }
-        if above < STEP {
-            self.suspicious = None;
-            return None;
-        }
-        let (since, smallest) = self.suspicious.unwrap_or((point, above));
-        let smallest = smallest.min(above);
-        self.suspicious = Some((since, smallest));
-        // By both clocks: a host that slept reads seconds of late messages from its buffers at
-        // once.
-        let by_device = point.x - since.x;
-        let by_host = by_device + point.y - since.y;
-        (by_device.min(by_host) > self.patience).then_some(smallest)
     }
 
     /// Adds a point; returns whether the points of the fit have changed.

@@ -16,20 +16,20 @@ pub fn enu_from_global(frame: GlobalFrame) -> UnitQuaternion<f64> {
     UnitQuaternion::new_unchecked(q)
 }
 
+/// Rotation of the quaternion w, x, y, z; `None` if its norm differs from 1 by more than 5 %.
+pub fn rotation_of([w, x, y, z]: [f64; 4]) -> Option<UnitQuaternion<f64>> {
+    let q = Quaternion::new(w, x, y, z);
+    let norm = q.norm();
+    ((norm - 1.0).abs() <= 0.05).then(|| UnitQuaternion::new_unchecked(q / norm))
+}
+
 /// Rotation from the sensor frame to east-north-up.
 ///
 /// `None` if the orientation is not finite, or differs from a unit quaternion or orthonormal matrix
 /// by more than 5 %.
 pub fn enu_from_imu(orientation: &Orientation) -> Option<UnitQuaternion<f64>> {
     let global_from_imu = match orientation.attitude {
-        Attitude::Quaternion([w, x, y, z]) => {
-            let q = Quaternion::new(w, x, y, z);
-            let norm = q.norm();
-            if norm.is_nan() || (norm - 1.0).abs() > 0.05 {
-                return None;
-            }
-            UnitQuaternion::new_unchecked(q / norm)
-        }
+        Attitude::Quaternion(q) => rotation_of(q)?,
         Attitude::Euler(degrees) => {
             if degrees.iter().any(|d| !d.is_finite() || d.abs() > 720.0) {
                 return None;

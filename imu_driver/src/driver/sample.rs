@@ -1,10 +1,10 @@
 //! Conversion of a measurement to a sample with the conventions of REP-145.
 
 use crate::{
-    orientation::enu_from_imu,
+    orientation::{enu_from_imu, rotation_of},
     protocol::{Measurement, Status},
 };
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use rig_model::{ImuSample, OrientationSample, Stamp};
 
 /// Sample of the IMU.
@@ -53,7 +53,7 @@ pub fn sample_of(m: &Measurement, stamp: Stamp, period: f64) -> Sample {
         .angular_velocity
         .or(m.angular_velocity_hr)
         .and_then(finite)
-        .or_else(|| m.delta_orientation.and_then(|q| rate_of(q, period)));
+        .or_else(|| Some(rotation_of(m.delta_orientation?)?.scaled_axis() / period));
     let orientation = m
         .orientation
         .as_ref()
@@ -72,19 +72,10 @@ pub fn sample_of(m: &Measurement, stamp: Stamp, period: f64) -> Sample {
     }
 }
 
-/// Mean angular velocity, rad/s, of a rotation by the quaternion w, x, y, z within `period` (s).
-fn rate_of([w, x, y, z]: [f64; 4], period: f64) -> Option<Vector3<f64>> {
-    let q = Quaternion::new(w, x, y, z);
-    let norm = q.norm();
-    if norm.is_nan() || (norm - 1.0).abs() > 0.05 || period <= 0.0 {
-        return None;
-    }
-    Some(UnitQuaternion::new_unchecked(q / norm).scaled_axis() / period)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::UnitQuaternion;
 
     #[test]
     fn increments_become_rates_and_nan_is_omitted() {

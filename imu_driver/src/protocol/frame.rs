@@ -121,14 +121,8 @@ impl FrameParser {
     }
 
     /// Discards the first byte of an incomplete frame that timed out, so that the search continues.
-    ///
-    /// Returns false if no bytes are buffered.
-    pub fn give_up_candidate(&mut self) -> bool {
-        if self.start == self.end {
-            return false;
-        }
-        self.skip(1);
-        true
+    pub fn give_up_candidate(&mut self) {
+        self.skip(self.pending().min(1));
     }
 
     /// Discards the buffered bytes before another stream starts; they count as skipped.

@@ -21,12 +21,7 @@ impl NumberFormat {
 
     /// Format of bits 1:0; the other bits are ignored.
     pub const fn from_bits(bits: u32) -> Self {
-        match bits & 3 {
-            0 => Self::Float32,
-            1 => Self::Fp1220,
-            2 => Self::Fp1632,
-            _ => Self::Float64,
-        }
+        Self::ALL[(bits & 3) as usize]
     }
 
     /// Code of the format, bits 1:0.
