@@ -135,40 +135,26 @@ fn set_low_latency(tty: &TTYPort) -> bool {
     unsafe { libc::ioctl(fd, libc::TIOCSSERIAL as _, serial.as_ptr()) == 0 }
 }
 
-/// Serial port that may have an IMU.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Candidate {
-    /// Path of the port.
-    pub path: String,
-    /// Description of the adapter.
-    pub adapter: String,
-    /// The adapter has an identifier of the manufacturer.
-    pub likely: bool,
-}
-
-/// Serial ports of this computer, likely ones first.
-pub fn candidates() -> Vec<Candidate> {
-    let mut found: Vec<Candidate> = serialport::available_ports()
+/// Serial ports of this computer with descriptions of their adapters; adapters with an identifier
+/// of the manufacturer first.
+pub fn candidates() -> Vec<(String, String)> {
+    let mut found: Vec<(bool, String, String)> = serialport::available_ports()
         .unwrap_or_default()
         .into_iter()
         .map(|port| match port.port_type {
-            SerialPortType::UsbPort(usb) => Candidate {
-                path: port.port_name,
+            SerialPortType::UsbPort(usb) => {
                 // Vendor 2639; 0403 with d388 to d38f: its FTDI cables.
-                likely: usb.vid == 0x2639
-                    || (usb.vid == 0x0403 && (0xD388..=0xD38F).contains(&usb.pid)),
-                adapter: format!(
-                    "USB {:04x}:{:04x} {}",
-                    usb.vid,
-                    usb.pid,
-                    usb.product.or(usb.manufacturer).unwrap_or_default()
-                ),
-            },
-            _ => Candidate { path: port.port_name, adapter: "serial port".into(), likely: false },
+                let likely = usb.vid == 0x2639
+                    || (usb.vid == 0x0403 && (0xD388..=0xD38F).contains(&usb.pid));
+                let product = usb.product.or(usb.manufacturer).unwrap_or_default();
+                let adapter = format!("USB {:04x}:{:04x} {product}", usb.vid, usb.pid);
+                (!likely, port.port_name, adapter)
+            }
+            _ => (true, port.port_name, "serial port".to_owned()),
         })
         .collect();
-    found.sort_by(|a, b| b.likely.cmp(&a.likely).then_with(|| a.path.cmp(&b.path)));
-    found
+    found.sort();
+    found.into_iter().map(|(_, path, adapter)| (path, adapter)).collect()
 }
 
 /// Status of the driver, reported twice per second.

@@ -3,7 +3,7 @@
 use super::{Failure, seconds};
 use crate::{
     driver::{Driver, DriverConfig, Event, Identity, Severity},
-    protocol::{MessageId, OrientationForm, message::baud_from_code, mtdata2},
+    protocol::{MessageId, OrientationForm, message::baud_code, mtdata2},
     serial::{Port, Report, Runner, candidates},
 };
 use node_kit::{
@@ -184,7 +184,7 @@ pub(super) fn find(arguments: &Find) -> Result<(), Failure> {
     let mut ports: Vec<(String, String)> =
         arguments.port.iter().map(|p| (p.clone(), "as given".to_owned())).collect();
     if ports.is_empty() {
-        ports = candidates().into_iter().map(|c| (c.path, c.adapter)).collect();
+        ports = candidates();
     }
     if ports.is_empty() {
         let remedy = "connect the IMU (and check `dmesg`), or give --port";
@@ -274,9 +274,7 @@ pub(super) fn configure(arguments: &Configure) -> Result<(), Failure> {
 }
 
 fn set_baud(line: &Line, baud: u32) -> Result<(), Failure> {
-    let code = crate::protocol::message::baud_code(baud)
-        .and_then(|code| baud_from_code(code).map(|_| code))
-        .ok_or_else(|| format!("{baud} baud is not supported by the IMU"))?;
+    let code = baud_code(baud).ok_or_else(|| format!("{baud} baud is not supported by the IMU"))?;
     let config = DriverConfig { set_baud: Some(code), ..read_only() };
     let mut set = false;
     converse(line, config, line.timeout, false, &NEVER, |report| {

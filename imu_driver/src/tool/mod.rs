@@ -161,15 +161,14 @@ pub(crate) fn read_configuration(path: Option<&Path>) -> Result<Option<LegacyFor
     saved_configuration(&read_log(path)?).map_err(|e| format!("{}: {e}", path.display()).into())
 }
 
-impl Decode {
-    fn inputs(&self) -> Vec<&Path> {
-        std::iter::once(&self.log).chain(&self.config).map(PathBuf::as_path).collect()
-    }
+/// Input files of a command.
+pub(crate) fn inputs<'a>(log: &'a Path, config: Option<&'a Path>) -> Vec<&'a Path> {
+    std::iter::once(log).chain(config).collect()
 }
 
 fn run_decode(arguments: &Decode) -> Result<(), Failure> {
     let csv = &arguments.csv;
-    check_output(csv, arguments.overwrite, &arguments.inputs())?;
+    check_output(csv, arguments.overwrite, &inputs(&arguments.log, arguments.config.as_deref()))?;
     let log = read_log(&arguments.log)?;
     let format = read_configuration(arguments.config.as_deref())?;
     // The CSV is too large to keep in memory; of an invalid log none is left.

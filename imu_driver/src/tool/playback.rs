@@ -1,6 +1,6 @@
 //! Processing of a log with the driver.
 
-use super::{Failure, read_configuration, read_log};
+use super::{Failure, inputs, read_configuration, read_log};
 use crate::{
     driver::{Driver, DriverConfig, Event, Input, Output, Severity},
     log::{configuration_in, frames_of},
@@ -18,7 +18,7 @@ use node_kit::{
 use rig_model::Stamp;
 use std::{
     io::{BufWriter, Write},
-    path::{Path, PathBuf},
+    path::PathBuf,
 };
 
 /// Arguments of `volant imu playback`.
@@ -113,8 +113,7 @@ impl Replayed {
 }
 
 pub(super) fn playback(arguments: &Playback) -> Result<(), Failure> {
-    let inputs: Vec<&Path> =
-        std::iter::once(&arguments.log).chain(&arguments.config).map(PathBuf::as_path).collect();
+    let inputs = inputs(&arguments.log, arguments.config.as_deref());
     let mut table = match &arguments.csv {
         Some(path) => {
             check_output(path, arguments.overwrite, &inputs)?;
