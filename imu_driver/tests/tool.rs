@@ -59,28 +59,18 @@ fn a_corrupted_legacy_log_is_decoded_and_its_losses_are_counted() {
     log[59 * 3 + 20] ^= 0x10;
     log.extend(&legacy_message(4)[..30]);
     std::fs::write(path("log.bin"), &log).unwrap();
-    let done = volant_imu(&[
-        "decode",
-        &path("log.bin"),
-        "--config",
-        &path("configuration.bin"),
-        "--csv",
-        &path("out.csv"),
-    ]);
+    let run = |command: &str, csv: &str| {
+        let (log, config) = (path("log.bin"), path("configuration.bin"));
+        volant_imu(&[command, &log, "--config", &config, "--csv", &path(csv)])
+    };
+    let done = run("decode", "out.csv");
     assert!(done.status.success(), "{}", last_line(&done));
     assert_eq!(last_line(&done), "9 frames, 1 bad checksums, 89 skipped bytes");
     let table = std::fs::read_to_string(path("out.csv")).unwrap();
     let rows: Vec<&str> = table.lines().collect();
     assert_eq!(rows.len(), 10);
     assert_eq!(rows[1], "65530,,0.5,-0.25,9.75,0.125,0,-1.5,1,0,0,0");
-    let played = volant_imu(&[
-        "playback",
-        &path("log.bin"),
-        "--config",
-        &path("configuration.bin"),
-        "--csv",
-        &path("played.csv"),
-    ]);
+    let played = run("playback", "played.csv");
     assert!(played.status.success(), "{}", last_line(&played));
     assert_eq!(last_line(&played), "9 messages, 9 samples, 1 lost, 0 unreadable");
     assert_eq!(std::fs::read_to_string(path("played.csv")).unwrap().lines().count(), 10);
@@ -150,24 +140,16 @@ fn errors_are_one_line_with_file_and_remedy() {
     std::fs::write(path("legacy.bin"), legacy_message(1)).unwrap();
     std::fs::write(path("bad_config.bin"), [1, 2, 3]).unwrap();
     let csv = path("out.csv");
-    for (arguments, expected) in [
-        (vec!["decode".to_owned(), path("missing.bin")], "missing.bin"),
-        (vec!["decode".to_owned(), path("empty.bin")], "empty"),
-        (vec!["decode".to_owned(), path("foreign.bin")], "no valid frame"),
-        (vec!["decode".to_owned(), path("legacy.bin")], "--config"),
-        (
-            vec![
-                "decode".to_owned(),
-                path("legacy.bin"),
-                "--config".into(),
-                path("bad_config.bin"),
-            ],
-            "bad_config.bin",
-        ),
-    ] {
-        let mut all: Vec<&str> = arguments.iter().map(String::as_str).collect();
-        all.extend(["--csv", &csv]);
-        let done = volant_imu(&all);
+    let bad_config = path("bad_config.bin");
+    let cases: [(&str, &[&str], &str); 5] = [
+        ("missing.bin", &[], "missing.bin"),
+        ("empty.bin", &[], "empty"),
+        ("foreign.bin", &[], "no valid frame"),
+        ("legacy.bin", &[], "--config"),
+        ("legacy.bin", &["--config", &bad_config], "bad_config.bin"),
+    ];
+    for (log, config, expected) in cases {
+        let done = volant_imu(&[&["decode", &path(log), "--csv", &csv], config].concat());
         let text = String::from_utf8_lossy(&done.stderr).into_owned();
         assert_eq!(done.status.code(), Some(1), "{text}");
         assert_eq!(text.lines().count(), 1, "{text}");
@@ -216,27 +198,18 @@ fn an_imu_is_found_configured_and_logged_and_the_log_decoded() {
         "{text}"
     );
     assert_eq!(imu.with(|u, _| u.flash_writes()), Some(0));
-    let set = volant_imu(&[
-        "configure",
-        "--port",
-        &tty,
-        "--baud",
-        "57600",
-        "--set-baud",
-        "115200",
-        "--rate",
-        "50",
-    ]);
+    let faster = ["--baud", "57600", "--set-baud", "115200", "--rate", "50"];
+    let set = volant_imu(&[&["configure", "--port", &tty], &faster[..]].concat());
     let text = String::from_utf8_lossy(&set.stdout).into_owned();
     assert!(
         set.status.success() && text.contains("50.000 Hz") && text.contains("115200 baud"),
         "{text} {set:?}"
     );
-    let info = volant_imu(&["info", "--port", &tty, "--baud", "115200"]);
+    let line = ["--port", &tty, "--baud", "115200"];
+    let info = volant_imu(&[&["info"], &line[..]].concat());
     let text = String::from_utf8_lossy(&info.stdout).into_owned();
     assert!(text.contains("mode 0006, settings 00000001"), "{text}");
     // Other outputs, then the standard ones again.
-    let line = ["--port", &tty, "--baud", "115200"];
     let outputs =
         ["--rate", "100", "--temperature", "--status", "--no-magnetic-field", "--no-orientation"];
     let set = volant_imu(&[&["configure"], &line[..], &outputs].concat());
@@ -250,17 +223,9 @@ fn an_imu_is_found_configured_and_logged_and_the_log_decoded() {
     assert!(again.status.success() && imu.with(|u, _| u.flash_writes()) == written, "{again:?}");
     let set = volant_imu(&[&["configure"], &line[..], &["--rate", "50"]].concat());
     assert!(set.status.success(), "{set:?}");
-    let log = volant_imu(&[
-        "log",
-        "--port",
-        &tty,
-        "--baud",
-        "115200",
-        "--out",
-        &path("log.bin"),
-        "--duration",
-        "1",
-    ]);
+    let file = path("log.bin");
+    let out = ["--out", &file, "--duration", "1"];
+    let log = volant_imu(&[&["log"], &line[..], &out].concat());
     assert!(log.status.success(), "{log:?}");
     let decoded = volant_imu(&["decode", &path("log.bin"), "--csv", &path("log.csv")]);
     assert!(decoded.status.success(), "{decoded:?}");

@@ -3,6 +3,7 @@
 use crate::bench::Bench;
 use imu_driver::{
     driver::{DriverConfig, Event},
+    protocol::{DeviceError, MessageId},
     simulated_imu::SimulatedImuConfig,
 };
 
@@ -84,8 +85,10 @@ fn rejected_requests_are_repeated_after_growing_pauses() {
     let imu = SimulatedImuConfig { period: 288, ..SimulatedImuConfig::default() };
     let mut bench = Bench::new(driver, imu);
     bench.run(30.0);
-    let rejected = bench.events.iter().filter(|e| matches!(e, Event::Rejected { .. })).count();
+    let event = Event::Rejected { what: MessageId::GO_TO_MEASUREMENT, error: DeviceError(0x29) };
+    let rejected = bench.events.iter().filter(|e| **e == event).count();
     assert!((20..35).contains(&rejected), "{rejected}");
+    assert_eq!(bench.imu.flash_writes(), 0);
 }
 
 #[test]
