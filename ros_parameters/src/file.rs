@@ -31,20 +31,6 @@ pub enum ParameterValue {
 }
 
 impl ParameterValue {
-    /// Name of the type, as `ros2 param describe` prints it.
-    pub const fn type_name(&self) -> &'static str {
-        match self {
-            Self::Bool(_) => "boolean",
-            Self::Integer(_) => "integer",
-            Self::Double(_) => "double",
-            Self::String(_) => "string",
-            Self::BoolArray(_) => "boolean array",
-            Self::IntegerArray(_) => "integer array",
-            Self::DoubleArray(_) => "double array",
-            Self::StringArray(_) => "string array",
-        }
-    }
-
     /// The number, whether it was written with a decimal point or not.
     pub fn as_f64(&self) -> Option<f64> {
         match self {

@@ -3,7 +3,7 @@
 use super::RigError;
 use crate::topics::frames;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use ros_parameters::{ParameterMap, ParameterValue};
+use ros_parameters::{ParameterKind, ParameterMap, ParameterValue};
 
 /// A key of the rig file.
 #[derive(Clone, Debug)]
@@ -96,7 +96,7 @@ impl<'a> Reader<'a> {
             .ok_or_else(|| RigError::Missing { key: key.to_owned(), expected })?;
         convert(value).ok_or_else(|| RigError::Type {
             key: key.to_owned(),
-            found: value.type_name(),
+            found: ParameterKind::of(value).name(),
             expected,
         })
     }
