@@ -2,9 +2,9 @@
 
 use super::model::{SimulatedImu, State};
 use crate::protocol::{
-    LegacyFormat, MessageId, OutputMode, OutputSettings,
+    MessageId, OutputMode, OutputSettings,
     configuration::{output_configuration_from_data, output_configuration_to_data},
-    message::{baud_code, baud_from_code},
+    message::baud_from_code,
 };
 use rig_model::Stamp;
 
@@ -45,7 +45,6 @@ impl SimulatedImu {
     }
 
     fn config_state(&mut self, message: MessageId, data: &[u8], now: Stamp) -> Result<Vec<u8>, u8> {
-        let modern = self.config.outputs.is_some();
         match message {
             MessageId::REQ_DEVICE_ID => Ok((self.config.device_id.0 as u32).to_be_bytes().to_vec()),
             MessageId::REQ_PRODUCT_CODE => {
@@ -62,81 +61,57 @@ impl SimulatedImu {
                 self.state = State::Measuring { since, next: 0 };
                 Ok(vec![])
             }
-            MessageId::PERIOD => self.setting_u16(data, self.config.period, |imu, period| {
-                if !(225..=11_520).contains(&period) {
-                    return Err(PERIOD_OUT_OF_RANGE);
-                }
-                imu.config.period = period;
-                Ok(())
-            }),
-            MessageId::OUTPUT_SKIP_FACTOR if !modern => {
-                self.setting_u16(data, self.config.skip, |imu, skip| {
-                    imu.config.skip = skip;
-                    Ok(())
-                })
-            }
-            MessageId::OUTPUT_MODE if !modern => {
-                self.setting_u16(data, self.config.format.mode.bits(), |imu, mode| {
-                    let mode = OutputMode::from_bits_retain(mode);
-                    let exclusive = OutputMode::CALIBRATED | OutputMode::ORIENTATION;
-                    if mode.contains(OutputMode::RAW_INERTIAL) && mode.intersects(exclusive) {
-                        return Err(PARAMETER_INVALID);
-                    }
-                    imu.config.format.mode = mode;
-                    Ok(())
-                })
-            }
-            MessageId::OUTPUT_SETTINGS if !modern => match *data {
-                [] => Ok(self.config.format.settings.bits().to_be_bytes().to_vec()),
-                [a, b, c, d] => {
-                    let settings =
-                        OutputSettings::from_bits_retain(u32::from_be_bytes([a, b, c, d]));
-                    if settings.orientation_form().is_none() {
-                        return Err(PARAMETER_INVALID);
-                    }
-                    self.config.format = LegacyFormat { settings, ..self.config.format };
-                    self.flash_writes += 1;
-                    Ok(vec![])
-                }
-                _ => Err(PARAMETER_INVALID),
-            },
-            MessageId::OUTPUT_CONFIGURATION if modern => {
+            MessageId::OUTPUT_CONFIGURATION => {
                 if !data.is_empty() {
-                    let entries =
-                        output_configuration_from_data(data).map_err(|_| PARAMETER_INVALID)?;
-                    self.config.outputs = Some(entries);
-                    self.flash_writes += 1;
+                    self.set(message, data)?;
                 }
-                let entries = self.config.outputs.clone().unwrap_or_default();
-                Ok(output_configuration_to_data(&entries))
+                let entries = self.config.outputs.as_ref().ok_or(INVALID_MESSAGE)?;
+                Ok(output_configuration_to_data(entries))
             }
-            MessageId::BAUD_RATE => match *data {
-                [] => Ok(vec![baud_code(self.config.baud).unwrap_or(2)]),
-                [code] => {
-                    self.config.baud = baud_from_code(code).ok_or(BAUD_UNSUPPORTED)?;
-                    self.flash_writes += 1;
-                    Ok(vec![])
-                }
-                _ => Err(PARAMETER_INVALID),
-            },
-            _ => Err(INVALID_MESSAGE),
+            _ => self.set(message, data).map(|()| vec![]),
         }
     }
 
-    fn setting_u16(
-        &mut self,
-        data: &[u8],
-        current: u16,
-        set: impl FnOnce(&mut Self, u16) -> Result<(), u8>,
-    ) -> Result<Vec<u8>, u8> {
-        match *data {
-            [] => Ok(current.to_be_bytes().to_vec()),
-            [a, b] => {
-                set(self, u16::from_be_bytes([a, b]))?;
-                self.flash_writes += 1;
-                Ok(vec![])
+    /// Writes a setting to flash.
+    fn set(&mut self, message: MessageId, data: &[u8]) -> Result<(), u8> {
+        let modern = self.config.outputs.is_some();
+        let word = <[u8; 2]>::try_from(data).map(u16::from_be_bytes).or(Err(PARAMETER_INVALID));
+        match message {
+            MessageId::PERIOD => {
+                let period = word?;
+                if !(225..=11_520).contains(&period) {
+                    return Err(PERIOD_OUT_OF_RANGE);
+                }
+                self.config.period = period;
             }
-            _ => Err(PARAMETER_INVALID),
+            MessageId::OUTPUT_SKIP_FACTOR if !modern => self.config.skip = word?,
+            MessageId::OUTPUT_MODE if !modern => {
+                let mode = OutputMode::from_bits_retain(word?);
+                let exclusive = OutputMode::CALIBRATED | OutputMode::ORIENTATION;
+                if mode.contains(OutputMode::RAW_INERTIAL) && mode.intersects(exclusive) {
+                    return Err(PARAMETER_INVALID);
+                }
+                self.config.format.mode = mode;
+            }
+            MessageId::OUTPUT_SETTINGS if !modern => {
+                let bits = <[u8; 4]>::try_from(data).or(Err(PARAMETER_INVALID))?;
+                let settings = OutputSettings::from_bits_retain(u32::from_be_bytes(bits));
+                if settings.orientation_form().is_none() {
+                    return Err(PARAMETER_INVALID);
+                }
+                self.config.format.settings = settings;
+            }
+            MessageId::OUTPUT_CONFIGURATION if modern => {
+                let entries = output_configuration_from_data(data).or(Err(PARAMETER_INVALID))?;
+                self.config.outputs = Some(entries);
+            }
+            MessageId::BAUD_RATE => {
+                let &[code] = data else { return Err(PARAMETER_INVALID) };
+                self.config.baud = baud_from_code(code).ok_or(BAUD_UNSUPPORTED)?;
+            }
+            _ => return Err(INVALID_MESSAGE),
         }
+        self.flash_writes += 1;
+        Ok(())
     }
 }
