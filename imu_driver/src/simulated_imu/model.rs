@@ -244,20 +244,15 @@ impl SimulatedImu {
     }
 
     fn measurement(&self, s: &SimulatedSample, at: Stamp) -> Measurement {
-        let sends = |id: u16| match self.config.mtdata2() {
-            Some(outputs) => outputs.iter().any(|o| o.id & 0xFFF0 == id),
-            None => true,
-        };
-        let frame = if self.config.mtdata2().is_some() {
-            GlobalFrame::EastNorthUp
-        } else {
-            self.config.format.settings.global_frame()
+        let outputs = self.config.mtdata2();
+        let sends =
+            |id: u16| outputs.is_none_or(|outputs| outputs.iter().any(|o| o.id & 0xFFF0 == id));
+        let settings = self.config.format.settings;
+        let (frame, form) = match outputs {
+            Some(_) => (GlobalFrame::EastNorthUp, Some(OrientationForm::Quaternion)),
+            None => (settings.global_frame(), settings.orientation_form()),
         };
         let q = enu_from_global(frame).inverse() * s.enu_from_imu;
-        let form = match self.config.mtdata2() {
-            Some(_) => Some(OrientationForm::Quaternion),
-            None => self.config.format.settings.orientation_form(),
-        };
         let ticks = (at.as_nanos() as f64 * (1.0 + self.config.clock_ppm * 1e-6) / 1e5).round();
         Measurement {
             counter: sends(xdi::COUNTER).then_some(self.counter),
@@ -267,11 +262,9 @@ impl SimulatedImu {
             angular_velocity: sends(xdi::ANGULAR_VELOCITY).then_some(s.angular_velocity.into()),
             magnetic_field: sends(xdi::MAGNETIC_FIELD).then_some(s.magnetic_field.into()),
             temperature: sends(xdi::TEMPERATURE).then_some(s.temperature),
-            orientation: if sends(xdi::QUATERNION) {
-                form.map(|form| Orientation { attitude: attitude(form, &q), frame })
-            } else {
-                None
-            },
+            orientation: form
+                .filter(|_| sends(xdi::QUATERNION))
+                .map(|form| Orientation { attitude: attitude(form, &q), frame }),
             status: sends(xdi::STATUS_WORD)
                 .then_some(Status::SELF_TEST_PASSED | Status::FILTER_VALID),
             ..Measurement::default()
