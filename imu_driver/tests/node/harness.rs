@@ -11,7 +11,7 @@ use node_kit::{
 use rig_model::{Stamp, topics};
 use std::{
     io::Read,
-    path::{Path, PathBuf},
+    path::PathBuf,
     process::{Child, Command, Stdio},
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Duration,
@@ -22,29 +22,8 @@ use volant_msgs::{
     tf2_msgs::msg::TFMessage,
 };
 
-const RIG: &str = "/**:
-  ros__parameters:
-    camera: {position: [0.0, 0.0, -0.10], orientation: [0.70710678, 0.70710678, 0.0, 0.0]}
-    imu:
-      position: [0.01, 0.02, 0.03]
-      orientation: [0.0, 0.0, 0.0, 1.0]
-      accelerometer_noise_density: 0.002
-      gyroscope_noise_density: 0.00087
-    markers:
-      size: 0.076
-      red: [0.15, 0.15, 0.02]
-      green: [-0.15, 0.15, 0.02]
-      blue: [-0.15, -0.15, 0.02]
-      yellow: [0.15, -0.15, 0.02]
-";
-
-/// Writes the rig file into `folder`, which is created.
-pub fn rig_file(folder: &Path) -> PathBuf {
-    std::fs::create_dir_all(folder).unwrap();
-    let rig = folder.join("rig.yaml");
-    std::fs::write(&rig, RIG).unwrap();
-    rig
-}
+/// The rig file of the nodes.
+pub const RIG: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../rig_simulator/rig.yaml");
 
 /// Messages received, samples with their time of receipt.
 #[derive(Default)]
@@ -130,14 +109,14 @@ impl Harness {
         received(|r| *r = Received::default());
         let folder =
             std::env::temp_dir().join(format!("volant-imu-node-{name}-{}", std::process::id()));
-        let rig = rig_file(&folder);
+        std::fs::create_dir_all(&folder).unwrap();
         let port = folder.join("tty");
         let imu = PtyImu::start(imu, &port, Box::new(motion)).unwrap();
         let network = Network { domain_id: domain, ..Network::default() };
         let mut subscriber = Process::new(network).unwrap();
         subscriber.start::<Subscriber>(&RosArguments::default()).unwrap();
         let node = Command::new(env!("CARGO_BIN_EXE_imu_driver"))
-            .args(["--ros-args", "--params-file", rig.to_str().unwrap()])
+            .args(["--ros-args", "--params-file", RIG])
             .args(["-p", &format!("port:={}", port.display())])
             .args(arguments)
             .env("ROS_DOMAIN_ID", domain.to_string())
