@@ -38,30 +38,12 @@ impl Distortion {
     ) -> Option<(Vector2<f64>, Matrix2<f64>)> {
         let r2 = n.norm_squared();
         match self {
-            Self::PlumbBob([k1, k2, p1, p2, k3]) => {
+            Self::PlumbBob([_, _, p1, p2, ..]) | Self::RationalPolynomial([_, _, p1, p2, ..]) => {
                 if r2 > max_radius * max_radius {
                     return None;
                 }
-                let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-                let by_r2 = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
+                let (radial, by_r2) = self.radial(r2)?;
                 Some(radial_and_tangential(n, radial, by_r2, *p1, *p2))
-            }
-            Self::RationalPolynomial([k1, k2, p1, p2, k3, k4, k5, k6]) => {
-                if r2 > max_radius * max_radius {
-                    return None;
-                }
-                let top = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-                let bottom = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
-                let d_top = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
-                let d_bottom = k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6);
-                let radial = top / bottom;
-                Some(radial_and_tangential(
-                    n,
-                    radial,
-                    (d_top - radial * d_bottom) / bottom,
-                    *p1,
-                    *p2,
-                ))
             }
             Self::Equidistant(k) => {
                 let r = r2.sqrt();
@@ -87,38 +69,42 @@ impl Distortion {
     /// from the optical axis). The first zero of the derivative of the distorted radius, searched
     /// in steps of 1e-4 of the range.
     pub(super) fn max_radius(&self) -> f64 {
-        let (growth, limit): (Box<dyn Fn(f64) -> f64>, f64) = match *self {
-            Self::PlumbBob([k1, k2, _, _, k3]) => (
-                Box::new(move |r| {
-                    let s = r * r;
-                    1.0 + s * (3.0 * k1 + s * (5.0 * k2 + s * 7.0 * k3))
-                }),
-                10.0,
-            ),
-            Self::RationalPolynomial([k1, k2, _, _, k3, k4, k5, k6]) => (
-                Box::new(move |r| {
-                    let s = r * r;
-                    let top = 1.0 + s * (k1 + s * (k2 + s * k3));
-                    let bottom = 1.0 + s * (k4 + s * (k5 + s * k6));
-                    let d_top = 2.0 * s * (k1 + s * (2.0 * k2 + s * 3.0 * k3));
-                    let d_bottom = 2.0 * s * (k4 + s * (2.0 * k5 + s * 3.0 * k6));
-                    if bottom <= 0.0 {
-                        -1.0
-                    } else {
-                        top / bottom + (d_top * bottom - top * d_bottom) / (bottom * bottom)
-                    }
-                }),
-                10.0,
-            ),
-            Self::Equidistant(k) => {
-                (Box::new(move |theta| equidistant_angle(&k, theta).1), std::f64::consts::FRAC_PI_2)
-            }
+        let limit = match self {
+            Self::Equidistant(_) => std::f64::consts::FRAC_PI_2,
+            _ => 10.0,
         };
         let steps = 10_000;
+        let grows = |r: f64| match self {
+            Self::Equidistant(k) => equidistant_angle(k, r).1 > 0.0,
+            _ => {
+                let radial = self.radial(r * r);
+                radial.is_some_and(|(radial, by_r2)| radial + 2.0 * r * r * by_r2 > 0.0)
+            }
+        };
         (1..=steps)
             .map(|i| limit * f64::from(i) / f64::from(steps))
-            .find(|&r| growth(r) <= 0.0)
+            .find(|&r| !grows(r))
             .unwrap_or(limit)
+    }
+
+    /// Radial factor of a perspective model at the squared radius `r2`, and its derivative by `r2`.
+    ///
+    /// `None` where the denominator of the rational model is not positive.
+    #[inline]
+    fn radial(&self, r2: f64) -> Option<(f64, f64)> {
+        let polynomial = |a: f64, b: f64, c: f64| {
+            (1.0 + r2 * (a + r2 * (b + r2 * c)), a + r2 * (2.0 * b + r2 * 3.0 * c))
+        };
+        match *self {
+            Self::PlumbBob([k1, k2, _, _, k3]) => Some(polynomial(k1, k2, k3)),
+            Self::RationalPolynomial([k1, k2, _, _, k3, k4, k5, k6]) => {
+                let (top, d_top) = polynomial(k1, k2, k3);
+                let (bottom, d_bottom) = polynomial(k4, k5, k6);
+                let radial = top / bottom;
+                (bottom > 0.0).then_some((radial, (d_top - radial * d_bottom) / bottom))
+            }
+            Self::Equidistant(_) => None,
+        }
     }
 }
 
