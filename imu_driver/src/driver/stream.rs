@@ -11,6 +11,8 @@ use std::collections::VecDeque;
 
 /// Consecutive undecodable messages after which the configuration is read again.
 const UNREADABLE_LIMIT: u32 = 5;
+/// Consecutive messages without acceleration or angular velocity after which they are reported.
+const INERTIAL_MISSING_LIMIT: u32 = 100;
 /// Time without data after which the device counts as silent, s; at least five message periods.
 const SILENCE: f64 = 0.5;
 /// Interval at which a drift beyond the limit is reported, s.
@@ -52,7 +54,6 @@ pub(super) struct Stream {
     /// The device sends on request only: silence is no fault of the connection.
     on_request: bool,
     unreadable_in_a_row: u32,
-    reported_no_inertial: bool,
     inertial_missing: u32,
     drift_reported_at: f64,
     statistics: Statistics,
@@ -70,7 +71,6 @@ impl Stream {
             last_data: 0.0,
             on_request: false,
             unreadable_in_a_row: 0,
-            reported_no_inertial: false,
             inertial_missing: 0,
             drift_reported_at: f64::NEG_INFINITY,
             statistics: Statistics::default(),
@@ -189,13 +189,10 @@ impl Driver {
         let missing = if sample.imu.is_some() {
             statistics.samples += 1;
             stream.inertial_missing = 0;
-            stream.reported_no_inertial = false;
             false
         } else {
             stream.inertial_missing += 1;
-            let report = stream.inertial_missing >= 100 && !stream.reported_no_inertial;
-            stream.reported_no_inertial |= report;
-            report
+            stream.inertial_missing == INERTIAL_MISSING_LIMIT
         };
         if placed.restarted {
             self.event(Event::DeviceRestarted);

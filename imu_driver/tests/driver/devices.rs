@@ -3,7 +3,7 @@
 use crate::bench::Bench;
 use imu_driver::{
     driver::{DriverConfig, Event},
-    protocol::{DeviceError, MessageId},
+    protocol::{DeviceError, MessageId, OutputMode},
     simulated_imu::SimulatedImuConfig,
 };
 
@@ -76,6 +76,18 @@ fn a_device_that_sends_on_request_only_is_named_once() {
     bench.run(3.0);
     assert!(bench.samples.len() > 150, "{:?}", bench.events);
     assert!(!bench.has(|e| *e == Event::OnRequestOnly));
+}
+
+#[test]
+fn messages_without_inertial_data_are_reported_after_every_connection() {
+    let mut imu = SimulatedImuConfig::default();
+    imu.format.mode = OutputMode::ORIENTATION;
+    let driver = DriverConfig { leave_settings: true, ..DriverConfig::default() };
+    let mut bench = Bench::new(driver, imu);
+    bench.run(3.0);
+    bench.replug(0.2, 3.0);
+    let reports = bench.events.iter().filter(|e| **e == Event::NoInertialData).count();
+    assert_eq!(reports, 2, "{:?}", bench.events);
 }
 
 #[test]
