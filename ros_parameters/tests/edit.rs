@@ -114,13 +114,6 @@ fn a_value_is_replaced_in_the_style_of_the_file() {
 
 #[test]
 fn what_cannot_be_edited_alone_is_refused_with_the_line_to_enter() {
-    for text in [
-        "/**: {ros__parameters: {a: &x [1.0], b: *x}}",
-        "/**:\n  ros__parameters:\n    a: 3\n    a.b.c: {d: 1}\nx: {ros__parameters: *y}",
-    ] {
-        let Err(error) = set(text, "/**", "a", &P::DoubleArray(vec![2.0])) else { continue };
-        assert!(error.to_string().contains("a"), "{error}");
-    }
     let error =
         set("/**: {ros__parameters: {a: &x [1.0], b: *x}}", "/**", "a", &P::DoubleArray(vec![2.0]))
             .unwrap_err()
@@ -180,15 +173,12 @@ fn written(tree: &Tree, depth: usize, style: &mut impl FnMut(u32) -> u32, out: &
                     &format!("\n{}- {x:?}{}", indent(depth), ["", "  # note"][style(2) as usize]);
             }
         }
-        Tree::Value(P::Double(x)) => *out += &format!(" {}", yaml_double(*x)),
+        Tree::Value(value @ P::Double(_)) => *out += &format!(" {}", value.to_yaml()),
         Tree::Value(P::String(s)) if style(2) == 0 => {
             *out += &format!(" '{}'", s.replace('\'', "''"))
         }
         Tree::Value(value) => *out += &format!(" {value}"),
-        Tree::Map(entries) if style(3) == 0 => {
-            let entries: Vec<_> = entries.iter().map(|(k, t)| format!("{k}:{}", flow(t))).collect();
-            *out += &format!(" {{{}}}", entries.join(", "));
-        }
+        Tree::Map(_) if style(3) == 0 => *out += &flow(tree),
         Tree::Map(entries) => {
             for (key, below) in entries {
                 *out += ["", "", "\n\n# a line: of text"][style(3) as usize];
@@ -197,14 +187,6 @@ fn written(tree: &Tree, depth: usize, style: &mut impl FnMut(u32) -> u32, out: &
                 *out += ["", "   # comment"][style(2) as usize];
             }
         }
-    }
-}
-
-fn yaml_double(x: f64) -> String {
-    match x {
-        _ if x.is_nan() => ".nan".into(),
-        _ if x.is_infinite() => format!("{}.inf", if x < 0.0 { "-" } else { "" }),
-        _ => format!("{x:?}"),
     }
 }
 
