@@ -229,20 +229,10 @@ fn normal_equations(
 mod tests {
     use super::*;
     use crate::camera::Distortion;
-    use nalgebra::Point3;
     use proptest::prelude::*;
 
     fn rig() -> (MarkerLayout, CameraModel) {
-        let at = |x, y| Point3::new(x, y, 0.0158);
-        let layout = MarkerLayout {
-            side: 0.076,
-            centers: PerColor([
-                at(0.1483, 0.143),
-                at(-0.1505, 0.1567),
-                at(-0.1558, -0.1516),
-                at(0.1492, -0.1429),
-            ]),
-        };
+        let layout = crate::Rig::from_yaml(rig_simulator::RIG_YAML).unwrap().markers;
         let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
         (layout, CameraModel::new(640, 480, [591.0, 589.0, 319.3, 235.2], lens).unwrap())
     }

@@ -1,9 +1,9 @@
 //! Planar ambiguity: four coplanar points seen from straight above, with and without a tilt prior.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
 
-use nalgebra::{Isometry3, Matrix2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix2, Translation3, UnitQuaternion, Vector2, Vector3};
 use rig_model::{
-    CameraModel, Distortion, MarkerLayout, PerColor,
+    CameraModel, Distortion, PerColor, Rig,
     planar_pose::{self, TiltPrior},
 };
 use rig_simulator::random::Random;
@@ -11,16 +11,7 @@ use rig_simulator::random::Random;
 /// Number of frames with a tilt error above 5°, without and with prior, and the largest error with
 /// prior, degrees.
 fn frames(seed: u64, count: u64) -> (u64, u64, f64) {
-    let at = |x, y| Point3::new(x, y, 0.0158);
-    let layout = MarkerLayout {
-        side: 0.076,
-        centers: PerColor([
-            at(0.1483, 0.143),
-            at(-0.1505, 0.1567),
-            at(-0.1558, -0.1516),
-            at(0.1492, -0.1429),
-        ]),
-    };
+    let layout = Rig::from_yaml(rig_simulator::RIG_YAML).unwrap().markers;
     let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
     let camera = CameraModel::new(640, 480, [591.0, 589.0, 319.3, 235.2], lens).unwrap();
     let mut r = Random::new(seed);
