@@ -24,14 +24,25 @@ const ATTEMPTS_IF_OPTIONAL: u32 = 3;
 /// Time after which a request is no longer expected to be answered, s.
 const EXPIRY: f64 = 5.0;
 
+#[derive(Clone, Copy, Debug)]
+enum Stage {
+    /// Identity and configuration.
+    Reading,
+    /// Settings that differ.
+    Writing,
+    /// Configuration with the settings that were written.
+    ReadingBack,
+}
+
 #[derive(Debug)]
 pub(super) struct Inquiry {
+    stage: Stage,
+    /// Pending request.
     request: Request,
     sent_at: f64,
     attempts: u32,
-    /// Settings to write.
-    to_set: VecDeque<Request>,
-    read_back: bool,
+    /// Further requests of the stage.
+    queue: VecDeque<Request>,
     /// Unanswered requests, oldest first. The device answers in order, so that late replies and
     /// errors (which do not identify their request) are assigned to the right one.
     in_flight: VecDeque<InFlight>,
@@ -39,8 +50,6 @@ pub(super) struct Inquiry {
     number: u32,
     /// At least one setting was written.
     changed: bool,
-    /// The device was identified before: its product code and firmware are not requested again.
-    known: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -119,16 +128,21 @@ impl Driver {
         self.connection.found();
         self.identity.baud = self.connection.baud();
         let request = Request::ask(MessageId::REQ_DEVICE_ID);
+        let queue = [
+            MessageId::REQ_PRODUCT_CODE,
+            MessageId::REQ_FIRMWARE,
+            MessageId::REQ_CONFIGURATION,
+            MessageId::OUTPUT_CONFIGURATION,
+        ];
         self.phase = Phase::Asking(Inquiry {
+            stage: Stage::Reading,
             request: request.clone(),
             sent_at: self.time.now,
             attempts: 0,
-            to_set: VecDeque::new(),
-            read_back: false,
+            queue: queue.map(Request::ask).into(),
             in_flight: VecDeque::new(),
             number: 0,
             changed: false,
-            known: false,
         });
         self.send_request(request);
     }
@@ -148,7 +162,7 @@ impl Driver {
             inquiry.send(now);
             self.write(request.message, &request.data);
         } else if request.is_optional() {
-            self.proceed(&request);
+            self.proceed();
         } else {
             self.event(Event::Unanswered(request.message));
             self.call(0.0);
@@ -182,14 +196,14 @@ impl Driver {
         if request.message == MessageId::OUTPUT_CONFIGURATION && !request.is_setting() {
             // A legacy device does not support the message, which distinguishes the two kinds.
             self.identity.outputs = None;
-            return self.proceed(request);
+            return self.proceed();
         }
         self.event(Event::Rejected { what: request.message, error });
         if request.message == MessageId::GO_TO_MEASUREMENT {
             let pause = self.connection.grow_pause();
             self.call(pause);
         } else {
-            self.proceed(request);
+            self.proceed();
         }
     }
 
@@ -202,10 +216,12 @@ impl Driver {
                     self.identity = Identity { device_id, ..Identity::default() };
                 }
                 self.identity.baud = self.connection.baud();
-                let known =
-                    self.identity.configuration.is_some() || self.identity.outputs.is_some();
-                if let Phase::Asking(inquiry) = &mut self.phase {
-                    inquiry.known = known;
+                if self.is_identified() {
+                    // Its product code and firmware do not change.
+                    let requests = self.configuration_requests();
+                    if let Phase::Asking(inquiry) = &mut self.phase {
+                        inquiry.queue = requests;
+                    }
                 }
             }
             MessageId::REQ_PRODUCT_CODE => self.identity.product_code = text_from_data(data),
@@ -234,72 +250,60 @@ impl Driver {
                 inquiry.changed = true;
             }
         }
-        self.proceed(request);
+        self.proceed();
     }
 
-    /// Sends the request that follows `done`, answered or not.
-    fn proceed(&mut self, done: &Request) {
-        let Phase::Asking(inquiry) = &mut self.phase else {
-            return;
-        };
-        let known = inquiry.known;
-        let next = if inquiry.read_back {
-            match done.message {
-                MessageId::REQ_CONFIGURATION if self.identity.outputs.is_some() => {
-                    Some(Request::ask(MessageId::OUTPUT_CONFIGURATION))
-                }
-                _ => None,
+    /// Whether the configuration of the device was read before.
+    fn is_identified(&self) -> bool {
+        self.identity.configuration.is_some() || self.identity.outputs.is_some()
+    }
+
+    /// Requests of the configuration of a device whose kind is known.
+    fn configuration_requests(&self) -> VecDeque<Request> {
+        let outputs = self.identity.outputs.as_ref().map(|_| MessageId::OUTPUT_CONFIGURATION);
+        std::iter::once(MessageId::REQ_CONFIGURATION).chain(outputs).map(Request::ask).collect()
+    }
+
+    /// Sends the next request of the stage; after the last one, begins the next stage.
+    fn proceed(&mut self) {
+        loop {
+            let Phase::Asking(inquiry) = &mut self.phase else {
+                return;
+            };
+            if let Some(next) = inquiry.queue.pop_front() {
+                return self.send_request(next);
             }
-        } else {
-            match done.message {
-                MessageId::REQ_DEVICE_ID if known => {
-                    Some(Request::ask(MessageId::REQ_CONFIGURATION))
+            let (stage, queue) = match (inquiry.stage, inquiry.changed) {
+                (Stage::Reading, _) => {
+                    let settings = self.differences();
+                    if !settings.is_empty()
+                        && let Err(error) = self.config.check_line(self.connection.baud())
+                    {
+                        return self.line_too_slow(error);
+                    }
+                    self.event(Event::Found(self.identity.clone()));
+                    (Stage::Writing, settings)
                 }
-                MessageId::REQ_DEVICE_ID => Some(Request::ask(MessageId::REQ_PRODUCT_CODE)),
-                MessageId::REQ_PRODUCT_CODE => Some(Request::ask(MessageId::REQ_FIRMWARE)),
-                MessageId::REQ_FIRMWARE => Some(Request::ask(MessageId::REQ_CONFIGURATION)),
-                MessageId::REQ_CONFIGURATION if !known || self.identity.outputs.is_some() => {
-                    Some(Request::ask(MessageId::OUTPUT_CONFIGURATION))
+                (Stage::Writing, true) => (Stage::ReadingBack, self.configuration_requests()),
+                (Stage::Writing, false) => return self.request_measurement(),
+                (Stage::ReadingBack, _) => {
+                    self.compare_read_back();
+                    return self.request_measurement();
                 }
-                _ => None,
-            }
-        };
-        if let Some(next) = next {
-            return self.send_request(next);
-        }
-        if !inquiry.read_back && inquiry.to_set.is_empty() && !inquiry.changed && !done.is_setting()
-        {
-            // Everything is read.
-            let settings = self.differences();
-            if !settings.is_empty()
-                && let Err(error) = self.config.check_line(self.connection.baud())
-            {
-                return self.line_too_slow(error);
-            }
-            self.event(Event::Found(self.identity.clone()));
+            };
             if let Phase::Asking(inquiry) = &mut self.phase {
-                inquiry.to_set = settings.into();
+                (inquiry.stage, inquiry.queue) = (stage, queue);
             }
         }
-        let Phase::Asking(inquiry) = &mut self.phase else {
-            return;
-        };
-        if let Some(setting) = inquiry.to_set.pop_front() {
-            return self.send_request(setting);
+    }
+
+    fn request_measurement(&mut self) {
+        if self.is_identified() {
+            return self.send_request(Request::ask(MessageId::GO_TO_MEASUREMENT));
         }
-        if done.is_setting() && inquiry.changed {
-            inquiry.read_back = true;
-            return self.send_request(Request::ask(MessageId::REQ_CONFIGURATION));
-        }
-        if inquiry.read_back {
-            self.compare_read_back();
-        }
-        if self.identity.configuration.is_none() && self.identity.outputs.is_none() {
-            self.event(Event::Unanswered(MessageId::REQ_CONFIGURATION));
-            let pause = self.connection.grow_pause();
-            return self.call(pause);
-        }
-        self.send_request(Request::ask(MessageId::GO_TO_MEASUREMENT));
+        self.event(Event::Unanswered(MessageId::REQ_CONFIGURATION));
+        let pause = self.connection.grow_pause();
+        self.call(pause);
     }
 
     fn send_request(&mut self, request: Request) {
@@ -353,13 +357,13 @@ impl Driver {
     }
 
     /// Settings to write: only those that differ, because each write wears the flash.
-    fn differences(&self) -> Vec<Request> {
+    fn differences(&self) -> VecDeque<Request> {
         if let Some(code) = self.config.set_baud {
-            return vec![Request { message: MessageId::BAUD_RATE, data: vec![code] }];
+            return [Request { message: MessageId::BAUD_RATE, data: vec![code] }].into();
         }
         let settled = self.stream.settled_outputs(&self.config.outputs());
         if self.config.leave_settings || settled.is_some_and(|found| self.has_outputs(found)) {
-            return Vec::new();
+            return VecDeque::new();
         }
         let differing = self.settings().into_iter().filter(|s| s.wanted != s.found);
         differing.map(|s| Request { message: s.message, data: s.data }).collect()
