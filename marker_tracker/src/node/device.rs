@@ -7,7 +7,10 @@ use std::{io, time::Duration};
 use v4l::{
     Device, FourCC,
     buffer::{Flags, Type},
-    io::{mmap::Stream, traits::CaptureStream},
+    io::{
+        mmap::Stream,
+        traits::{CaptureStream, Stream as _},
+    },
     video::{Capture, capture::Parameters},
 };
 
@@ -23,6 +26,13 @@ const FORMATS: [(&[u8; 4], Option<&str>); 9] = [
     (b"GRBG", Some("bayer_grbg8")),
     (b"MJPG", None),
 ];
+
+/// Time between two checks of whether the node has ended while no image comes, ms, and their number
+/// after which the device is reopened: 5 s.
+const WAIT: i32 = 200;
+const MAX_WAITS: u32 = 25;
+/// The event "data can be read" of poll(2).
+const POLLIN: i16 = 1;
 
 /// An opened device and its image format.
 struct Opened {
@@ -116,18 +126,29 @@ fn stream(
     let opened = open(parameters)?;
     let failed = |e: io::Error| format!("camera {}: {e}", parameters.device_path);
     let mut stream = Stream::with_buffers(&opened.device, Type::VideoCapture, 4).map_err(failed)?;
-    stream.set_timeout(Duration::from_millis(200));
-    let mut silent = 0;
+    // `next` queues the buffer of the last image, the first time that of index 0, and waits for
+    // another. It is only called where one is there: after a timeout it would queue the same buffer
+    // again, which the kernel rejects. Queueing fails at the first index without a buffer.
+    let mut index = 1;
+    while stream.queue(index).is_ok() {
+        index += 1;
+    }
+    stream.start().map_err(failed)?;
+    let handle = opened.device.handle();
+    let mut waits = 0;
     while sender.is_open() {
-        let (buffer, meta) = match stream.next() {
-            Ok(frame) => frame,
-            Err(e) if e.kind() == io::ErrorKind::TimedOut && silent < 25 => {
-                silent += 1;
-                continue;
+        if handle.poll(POLLIN, WAIT).map_err(failed)? == 0 {
+            waits += 1;
+            if waits == MAX_WAITS {
+                return Err(format!(
+                    "camera {}: no image for 5 s; check its trigger and its cable",
+                    parameters.device_path
+                ));
             }
-            Err(e) => return Err(failed(e)),
-        };
-        silent = 0;
+            continue;
+        }
+        waits = 0;
+        let (buffer, meta) = stream.next().map_err(failed)?;
         if meta.flags.contains(Flags::ERROR) {
             sender.refuse();
             continue;
