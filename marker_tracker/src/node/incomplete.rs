@@ -14,7 +14,7 @@ use std::{
 /// Memory of incomplete images at which the subscription is renewed, bytes: four of the largest
 /// images of common 8 MP cameras, and 13 of 2048×1536.
 const LIMIT: usize = 128 << 20;
-/// Bytes per pixel of a raw image at most (bgra8); most cameras send three.
+/// Bytes per pixel of most cameras' raw images.
 const BYTES_PER_PIXEL: usize = 3;
 
 /// Counts announced and complete images since the last renewal.
@@ -82,11 +82,11 @@ impl SharedCounts {
     }
 }
 
-/// Resident memory of the process, bytes.
+/// Resident memory of the process, bytes. (`statm` has it in pages, whose size varies on ARM.)
 fn resident() -> Option<usize> {
-    const PAGE: usize = 4096;
-    let pages = fs::read_to_string("/proc/self/statm").ok()?;
-    Some(pages.split_whitespace().nth(1)?.parse::<usize>().ok()? * PAGE)
+    let status = fs::read_to_string("/proc/self/status").ok()?;
+    let kilobytes = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    Some(kilobytes.split_whitespace().next()?.parse::<usize>().ok()? << 10)
 }
 
 #[cfg(test)]
@@ -132,6 +132,15 @@ mod tests {
     fn neither_complete_images_nor_unsent_ones_renew_the_subscription() {
         assert_eq!(hold(Some(1), IMAGE).1, 0);
         assert_eq!(hold(Some(3), 0).1, 0);
+    }
+
+    #[test]
+    fn the_memory_of_the_process_is_in_bytes() {
+        let before = resident().unwrap();
+        let block = std::hint::black_box(vec![1u8; 256 << 20]);
+        let more = resident().unwrap().saturating_sub(before);
+        assert!((200 << 20..300 << 20).contains(&more), "{more} bytes");
+        drop(block);
     }
 
     #[test]
