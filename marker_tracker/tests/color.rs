@@ -1,15 +1,13 @@
 //! Real images of a ceiling camera: patches of red, green, blue and yellow paper, found in a video.
-//! The test prints the folder of its debug images.
 
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
 
-use marker_tracker::{ImageView, OwnedImage, Patch, PixelFormat, find_patches};
+use marker_tracker::{ImageView, Patch, PixelFormat, decode_compressed, find_patches};
 use nalgebra::Vector2;
 use rig_model::{MarkerColor, Stamp};
 use std::{
-    fs::File,
-    io::{BufWriter, Read},
-    path::{Path, PathBuf},
+    io::Read,
+    path::PathBuf,
     process::{Command, Stdio},
 };
 
@@ -20,46 +18,15 @@ fn folder() -> Option<PathBuf> {
     Some(test_support::recordings()?.join("data/colour"))
 }
 
-fn out() -> PathBuf {
-    let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("colour");
-    std::fs::create_dir_all(&out).unwrap();
-    out
-}
-
-fn view(data: &[u8], width: usize, height: usize) -> ImageView<'_> {
-    let stamp = Stamp::from_nanos(0);
-    ImageView { stamp, width, height, step: 3 * width, format: PixelFormat::Rgb8, data }
-}
-
-/// Draws a box around each patch.
-fn draw(path: &Path, data: &[u8], width: usize, height: usize, patches: &[Patch]) {
-    let mut data = data.to_vec();
-    let mut put = |x: i32, y: i32, rgb: [u8; 3]| {
-        if x >= 0 && y >= 0 && (x as usize) < width && (y as usize) < height {
-            let i = 3 * (y as usize * width + x as usize);
-            data[i..i + 3].copy_from_slice(&rgb);
-        }
-    };
-    for p in patches {
-        let rgb = match p.color {
-            MarkerColor::Red => [255, 0, 0],
-            MarkerColor::Green => [0, 255, 0],
-            MarkerColor::Blue => [0, 160, 255],
-            MarkerColor::Yellow => [255, 255, 0],
-        };
-        let (cx, cy) = (p.centroid.x.round() as i32, p.centroid.y.round() as i32);
-        let h = (p.area.sqrt() / 2.0) as i32 + 3;
-        for i in -h..=h {
-            for (x, y) in [(i, -h), (i, h), (-h, i), (h, i)] {
-                put(cx + x, cy + y, rgb);
-            }
-        }
+fn view(data: &[u8]) -> ImageView<'_> {
+    ImageView {
+        stamp: Stamp::from_nanos(0),
+        width: WIDTH,
+        height: HEIGHT,
+        step: 3 * WIDTH,
+        format: PixelFormat::Rgb8,
+        data,
     }
-    let mut encoder =
-        png::Encoder::new(BufWriter::new(File::create(path).unwrap()), width as u32, height as u32);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder.set_depth(png::BitDepth::Eight);
-    encoder.write_header().unwrap().write_image_data(&data).unwrap();
 }
 
 /// Patches in the first image, located by eye: color and center, px. Pink paper has red's hue. (A
@@ -99,12 +66,11 @@ fn every_patch_is_found_throughout_the_video() {
         return;
     };
     let mut pipe = child.stdout.take().unwrap();
-    let out = out();
     let mut data = vec![0u8; 3 * WIDTH * HEIGHT];
     let mut found = [0usize; FIRST.len()];
     let mut images = 0;
     while pipe.read_exact(&mut data).is_ok() {
-        let patches = find_patches(&view(&data, WIDTH, HEIGHT), 60.0).unwrap();
+        let patches = find_patches(&view(&data), 60.0).unwrap();
         for (count, (color, x, y)) in found.iter_mut().zip(FIRST) {
             assert!(
                 images > 0 || is_found(&patches, color, (x, y), 4.0),
@@ -120,13 +86,9 @@ fn every_patch_is_found_throughout_the_video() {
                 assert!(is_there, "{color} at ({x}, {y}) is not among {patches:?}");
             }
         }
-        if images % 50 == 0 {
-            draw(&out.join(format!("robot_move_{images:03}.png")), &data, WIDTH, HEIGHT, &patches);
-        }
         images += 1;
     }
     child.wait().unwrap();
-    eprintln!("debug images: {}", out.display());
     assert_eq!(images, 502);
     for (k, (color, x, y)) in FIRST.iter().enumerate() {
         let share = found[k] as f64 / images as f64;
@@ -141,13 +103,8 @@ fn every_patch_is_found_throughout_the_video() {
 fn the_patches_of_a_still_image_are_found() {
     let Some(folder) = folder() else { return };
     let bytes = std::fs::read(folder.join("field_640x480.png")).unwrap();
-    let mut image = OwnedImage::default();
-    marker_tracker::decode_compressed_into("png", &bytes, &mut image).unwrap();
-    let view = image.view(Stamp::from_nanos(0));
-    let patches = find_patches(&view, 40.0).unwrap();
-    let out = out();
-    draw(&out.join("field.png"), &view.to_rgb(), image.width, image.height, &patches);
-    eprintln!("debug image: {}", out.join("field.png").display());
+    let image = decode_compressed("png", &bytes).unwrap();
+    let patches = find_patches(&image.view(Stamp::from_nanos(0)), 40.0).unwrap();
     for color in [MarkerColor::Blue, MarkerColor::Green, MarkerColor::Yellow] {
         let count = patches.iter().filter(|p| p.color == color).count();
         eprintln!("{color}: {count} patches");
