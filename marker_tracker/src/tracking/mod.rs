@@ -207,23 +207,16 @@ impl Pipeline {
     /// Measures the markers that are not whole at the places that the other markers' pose gives;
     /// returns the number of detected markers.
     fn measure_partial(&mut self, image: &Pixels<'_>, view: &View<'_>, whole: &Fits) -> usize {
-        let mut search = PartialSearch::new(image, view, whole);
+        let palette = self.acquisition.palette();
+        let mut search = PartialSearch::new(image, view, whole, palette, &self.config);
         for color in MarkerColor::ALL {
             let meter = self.meter(color);
             if let Some(fit) = whole[color] {
                 self.state.markers[color].fit = Some(fit);
                 self.state.markers[color].outcome = Outcome::Whole;
             } else if search.determining > 0 {
-                let palette = self.acquisition.palette();
                 let track = &mut self.state.markers[color];
-                track.outcome = search.run(
-                    color,
-                    track,
-                    &meter,
-                    &mut self.state.platform,
-                    palette,
-                    &self.config,
-                );
+                track.outcome = search.run(color, track, &meter, &mut self.state.platform);
             }
         }
         search.detected

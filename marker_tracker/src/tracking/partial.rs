@@ -36,6 +36,8 @@ pub(super) struct PartialSearch<'a, 'p> {
     image: &'a Pixels<'p>,
     view: &'a View<'a>,
     whole: &'a Fits,
+    palette: &'a Palette,
+    config: &'a TrackerConfig,
     /// Number of markers that determine the pose: those in `whole`.
     pub determining: usize,
     /// Detected markers so far.
@@ -44,9 +46,15 @@ pub(super) struct PartialSearch<'a, 'p> {
 
 impl<'a, 'p> PartialSearch<'a, 'p> {
     /// Prepares the search where the markers in `whole` determine the view.
-    pub fn new(image: &'a Pixels<'p>, view: &'a View<'a>, whole: &'a Fits) -> Self {
+    pub fn new(
+        image: &'a Pixels<'p>,
+        view: &'a View<'a>,
+        whole: &'a Fits,
+        palette: &'a Palette,
+        config: &'a TrackerConfig,
+    ) -> Self {
         let determining = whole.0.iter().flatten().count();
-        Self { image, view, whole, determining, detected: determining }
+        Self { image, view, whole, palette, config, determining, detected: determining }
     }
 
     /// Searches one marker; stores its measurement in the track where it is accepted.
@@ -56,8 +64,6 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
         track: &mut MarkerTrack,
         meter: &OutlineMeter,
         platform: &mut PlatformModel,
-        palette: &Palette,
-        config: &TrackerConfig,
     ) -> Outcome {
         // Rows with their own levels first: they bear a shadow's edge as well as a cover's. Where
         // too few are left, a shadow lies along an edge.
@@ -65,16 +71,16 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
         let mut outcome = Outcome::Covered;
         for light in by_row.into_iter().chain([Light::ByPixel, Light::Even]) {
             let meter = meter.in_light(light);
-            outcome = self.accept(color, track, &meter, platform, palette, config);
+            outcome = self.accept(color, track, &meter, platform);
             if track.fit.is_some() {
                 return outcome;
             }
         }
-        if track.fit.is_none() && self.restart(color, track, platform) {
+        if self.restart(color, track, platform) {
             return Outcome::Whole;
         }
         let is_old = track.occluded.is_some_and(|images| images >= COLORS_AGE);
-        if is_old && self.resample(color, track, meter, platform, palette, config) {
+        if is_old && self.resample(color, track, meter, platform) {
             return Outcome::Whole;
         }
         outcome
@@ -88,11 +94,9 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
         track: &mut MarkerTrack,
         meter: &OutlineMeter,
         platform: &PlatformModel,
-        palette: &Palette,
-        config: &TrackerConfig,
     ) -> bool {
         let known = (track.appearance.take(), track.edges.levels.take());
-        self.accept(color, track, &meter.without_levels(), platform, palette, config);
+        self.accept(color, track, &meter.without_levels(), platform);
         if track.fit.is_none() {
             (track.appearance, track.edges.levels) = known;
         }
@@ -135,8 +139,6 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
         track: &mut MarkerTrack,
         meter: &OutlineMeter,
         platform: &PlatformModel,
-        palette: &Palette,
-        config: &TrackerConfig,
     ) -> Outcome {
         // Standard deviations of place and edges, px: what one, two or three markers leave of a
         // pose's uncertainty at the place of another.
@@ -146,14 +148,13 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
             _ => (0.8, 0.1),
         };
         let tolerance = Tolerance { edge: edge_sigma, place: place_sigma, ..KNOWN };
-        let Some(fit) = self.measure(color, track, meter, platform, palette, config, tolerance)
-        else {
+        let Some(fit) = self.measure(color, track, meter, platform, tolerance) else {
             return Outcome::Covered;
         };
         if !fit.relit && fit.is_shaded() {
             return Outcome::Covered;
         }
-        if config.use_hue && !track.has_hue(self.image, &fit.quad) {
+        if self.config.use_hue && !track.has_hue(self.image, &fit.quad) {
             return Outcome::OtherHue;
         }
         let geometry = &platform.markers[color];
@@ -194,22 +195,19 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
     }
 
     /// Measures a marker at the place that the pose gives.
-    #[allow(clippy::too_many_arguments)] // one caller; the components are separate values
     fn measure(
         &self,
         color: MarkerColor,
         track: &mut MarkerTrack,
         meter: &OutlineMeter,
         platform: &PlatformModel,
-        palette: &Palette,
-        config: &TrackerConfig,
         tolerance: Tolerance,
     ) -> Option<QuadFit> {
         let outline = platform.outline(color, self.view)?;
         let appearance = match track.appearance {
             Some(appearance) => appearance,
             None => Appearance::sample(self.image, &outline)
-                .filter(|a| palette.classify_mean(a.marker) == Some(color))?,
+                .filter(|a| self.palette.classify_mean(a.marker) == Some(color))?,
         };
         let sampler = Sampler::new(self.image, &appearance.discriminant);
         // New colors may be those of a cover, which is no whole square.
@@ -219,7 +217,7 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
             let first = meter.measure(&sampler, &outline, wide)?;
             let outline = outline.shifted(first.centroid - place);
             let fit = meter.measure(&sampler, &outline, Tolerance { half_width: 2.5, ..wide })?;
-            fit.determines_centroid(config.max_centroid_sigma).then_some(fit)
+            fit.determines_centroid(self.config.max_centroid_sigma).then_some(fit)
         } else {
             meter.whole(&sampler, &outline, UNKNOWN)
         }?;
