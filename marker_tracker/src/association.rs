@@ -39,12 +39,10 @@ pub(crate) enum Extent {
 
 /// Maximum number of hypotheses that are returned, half of which are expected to be used.
 const KEEP: usize = 8;
-/// Maximum number of patches per color, of sets of four that are ranked, and of sets of four and of
-/// three (of each three colors) whose pose is estimated: they bound the cost of a search. Tuned;
-/// the cluttered scenes of `volant-peers trials` find the markers within them, and `make bench`
-/// bounds the time.
+/// Maximum number of patches per color, and of sets of four and of three (of each three colors)
+/// whose pose is estimated: they bound the cost of a search. Tuned; the cluttered scenes of
+/// `volant-peers trials` find the markers within them, and `make bench` bounds the time.
 const PER_COLOR: usize = 24;
-const RANKED_FOURS: usize = 64;
 const FOURS: usize = 32;
 const THREES: usize = 32;
 /// Number of sets of four whose pose is estimated before a quick search asks for a good one, and
@@ -52,34 +50,13 @@ const THREES: usize = 32;
 const BATCH: usize = 4;
 const GOOD: f64 = 0.12;
 
-/// Items by their rank, lowest first, of which the first `N` are kept; of equal ones the earlier
-/// comes first.
-struct Ranked<T, const N: usize> {
-    items: [(f64, T); N],
-    count: usize,
-}
-
-impl<T: Copy + Default, const N: usize> Ranked<T, N> {
-    fn new() -> Self {
-        Self { items: [(0.0, T::default()); N], count: 0 }
-    }
-
-    fn insert(&mut self, rank: f64, item: T) {
-        if self.count < N {
-            self.count += 1;
-        } else if self.items[N - 1].0 <= rank {
-            return;
-        }
-        let mut k = self.count - 1;
-        while k > 0 && self.items[k - 1].0 > rank {
-            self.items[k] = self.items[k - 1];
-            k -= 1;
-        }
-        self.items[k] = (rank, item);
-    }
-
-    fn iter(&self) -> impl Iterator<Item = T> {
-        self.items[..self.count].iter().map(|(_, item)| *item)
+/// Inserts an item into a list by rank, lowest first, of which the first `most` are kept; of equal
+/// ones the earlier comes first.
+fn insert_ranked<T>(ranked: &mut Vec<(f64, T)>, most: usize, rank: f64, item: T) {
+    let at = ranked.partition_point(|(other, _)| *other <= rank);
+    if at < most {
+        ranked.truncate(most - 1);
+        ranked.insert(at, (rank, item));
     }
 }
 
@@ -98,16 +75,16 @@ pub(crate) fn hypotheses(
     let by_threes = extent == Extent::Threes;
     // The most colourful and most square patches first; of wood and cardboard there may be
     // hundreds.
-    let mut of = PerColor::from_fn(|_| Ranked::<usize, PER_COLOR>::new());
+    let mut of: PerColor<Vec<(f64, usize)>> = PerColor::default();
     for (i, blob) in blobs.iter().enumerate() {
         let fill = blob.fill();
         if !(0.55..1.35).contains(&fill) || blob.elongation() >= 5.0 {
             continue;
         }
         let merit = f64::from(blob.saturation()) * (-2.0 * fill.ln().abs()).exp();
-        of[blob.color].insert(-merit, i);
+        insert_ranked(&mut of[blob.color], PER_COLOR, -merit, i);
     }
-    let mut fours = Ranked::<[usize; 4], RANKED_FOURS>::new();
+    let mut fours: Vec<(f64, [usize; 4])> = Vec::new();
     for first in 0..(if by_threes { 4 } else { 1 }) {
         let [a, b, c, d] = std::array::from_fn(|i| MarkerColor::ALL[(first + i) % 4]);
         let mut threes = THREES;
@@ -126,15 +103,15 @@ pub(crate) fn hypotheses(
         let w = (pd - pa).xy();
         let (s, t) = ((w.x * v.y - w.y * v.x) / twist, (u.x * w.y - u.y * w.x) / twist);
         let reach = u.norm().max(v.norm()) / layout.side;
-        for ia in of[a].iter() {
-            for ib in of[b].iter() {
+        for &(_, ia) in &of[a] {
+            for &(_, ib) in &of[b] {
                 let (ba, bb) = (&blobs[ia], &blobs[ib]);
                 let side = (ba.area * bb.area).sqrt().sqrt();
                 let limit = 2.6 * side * reach + 10.0;
                 if (ba.centroid - bb.centroid).norm() > limit || !like_areas(ba.area, bb.area) {
                     continue;
                 }
-                for ic in of[c].iter() {
+                for &(_, ic) in &of[c] {
                     let bc = &blobs[ic];
                     if !like_areas(ba.area, bc.area) || !like_areas(bb.area, bc.area) {
                         continue;
@@ -147,7 +124,7 @@ pub(crate) fn hypotheses(
                     }
                     if !by_threes {
                         let guess = ba.centroid + iu * s + iv * t;
-                        for id in of[d].iter() {
+                        for &(_, id) in &of[d] {
                             let bd = &blobs[id];
                             let off = (bd.centroid - guess).norm();
                             if off >= 0.35 * reach * side + 3.0 || !like_areas(area, bd.area) {
@@ -160,7 +137,7 @@ pub(crate) fn hypotheses(
                             let colorful: f64 =
                                 [ba, bb, bc, bd].iter().map(|b| f64::from(b.saturation())).sum();
                             let rank = off / (reach * side) + 0.2 * uneven - 0.2 * colorful;
-                            fours.insert(rank, [ia, ib, ic, id]);
+                            insert_ranked(&mut fours, FOURS, rank, [ia, ib, ic, id]);
                         }
                     }
                     if by_threes && threes > 0 {
@@ -171,7 +148,7 @@ pub(crate) fn hypotheses(
             }
         }
     }
-    for (count, indices) in fours.iter().take(FOURS).enumerate() {
+    for (count, &(_, indices)) in fours.iter().enumerate() {
         // Where a quick search has found a good one, the rest of the ranking is left out.
         let is_good = |h: &Hypothesis| h.score < GOOD;
         if extent == Extent::Quick && count % BATCH == 0 && search.found.iter().any(is_good) {
