@@ -133,24 +133,9 @@ impl RowPlan {
     }
 
     /// The middle line of the `i`-th of `possible` equal parts of the edge.
+    #[inline(always)]
     pub fn line(&self, i: i32) -> i32 {
         self.first + (i * self.usable + self.usable / 2) / self.possible
-    }
-
-    /// All lines, [`RowPlan::line`] of each part, without divisions.
-    #[inline(always)]
-    pub fn lines(&self) -> impl Iterator<Item = i32> + use<> {
-        let (possible, usable) = (self.possible, self.usable);
-        let (quotient, remainder) = (usable / possible, usable % possible);
-        let (mut line, mut part) = (self.line(0), (usable / 2) % possible);
-        (0..possible).map(move |_| {
-            let this = line;
-            (line, part) = (line + quotient, part + remainder);
-            if part >= possible {
-                (line, part) = (line + 1, part - possible);
-            }
-            this
-        })
     }
 
     #[inline(always)]

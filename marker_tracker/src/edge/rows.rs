@@ -100,7 +100,7 @@ impl Rows {
         // The edge is straight: where both of its ends are in the image, all of it is.
         let whole = is_inside(plan.line(0)) && is_inside(plan.line(plan.possible - 1));
         let mut cut = false;
-        for line in plan.lines() {
+        for line in (0..plan.possible).map(|i| plan.line(i)) {
             if whole || is_inside(line) {
                 let crossing = plan.crossing(line);
                 let from = plan.band_start(&crossing);
