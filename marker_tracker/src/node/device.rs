@@ -157,7 +157,7 @@ fn stream(
         let stamp = driver_stamp(meta, clock).plus_seconds(parameters.device_stamp_offset);
         let frame = Frame {
             stamp,
-            sequence: Some(meta.sequence),
+            sequence: meta.sequence,
             encoding: opened.encoding,
             width: opened.width,
             height: opened.height,

@@ -24,7 +24,7 @@ use crate::{
 };
 use incomplete::SharedCounts;
 use node_kit::{
-    Level, NodeContext, NodeError, NodeShell, Publisher, QosPreset, convert,
+    Level, NodeContext, NodeError, NodeShell, Publisher, QosPreset,
     node::{CameraChanges, IfChanged},
 };
 use rig_model::{CameraModel, CameraModelError, Rig, topics};
@@ -78,15 +78,11 @@ pub struct MarkerTrackerNode {
     debug: Publisher<CompressedImage>,
 }
 
-/// Topics of the camera.
-const RAW: &str = topics::IMAGE;
-const COMPRESSED: &str = topics::COMPRESSED_IMAGE;
-
 fn subscribe_raw(
     context: &mut NodeContext<Arrival>,
     counts: SharedCounts,
 ) -> Result<(), NodeError> {
-    context.subscribe(RAW, QosPreset::Image, move |message| image_input(&counts, message))
+    context.subscribe(topics::IMAGE, QosPreset::Image, move |message| image_input(&counts, message))
 }
 
 fn image_input(counts: &SharedCounts, message: Arc<Image>) -> Option<Arrival> {
@@ -202,7 +198,7 @@ impl MarkerTrackerNode {
             camera_info_input(raw.as_ref(), &changes, message)
         })?;
         if is_compressed {
-            context.subscribe(COMPRESSED, QosPreset::Image, |message| {
+            context.subscribe(topics::COMPRESSED_IMAGE, QosPreset::Image, |message| {
                 Some(Arrival::Compressed(message))
             })
         } else {
@@ -212,7 +208,7 @@ impl MarkerTrackerNode {
 
     /// Renews the subscription to raw images, which frees the buffers of incomplete ones.
     fn renew_raw(&mut self, context: &mut NodeContext<Arrival>) {
-        context.unsubscribe(RAW);
+        context.unsubscribe(topics::IMAGE);
         context.log_throttled(Level::Warn, "incomplete", self.incomplete.lock().why_none());
         if let Err(error) = subscribe_raw(context, self.incomplete.clone()) {
             context.fail(error);
@@ -232,8 +228,8 @@ impl MarkerTrackerNode {
             self.camera = Some(camera);
         }
         self.republished = Some(Republished {
-            raw: context.advertise(RAW, QosPreset::Image)?,
-            compressed: context.advertise(COMPRESSED, QosPreset::Image)?,
+            raw: context.advertise(topics::IMAGE, QosPreset::Image)?,
+            compressed: context.advertise(topics::COMPRESSED_IMAGE, QosPreset::Image)?,
             info: context.advertise(topics::CAMERA_INFO, QosPreset::CameraInfo)?,
             sequence: None,
         });
@@ -246,40 +242,6 @@ impl MarkerTrackerNode {
         } else {
             let video = video::probe(&parameters.file_path).map_err(NodeError::shell)?;
             context.spawn("video", move || video::run(&parameters, video, &sender, &clock))
-        }
-    }
-
-    fn frame(&mut self, context: &mut NodeContext<Arrival>, frame: Frame) {
-        if let Some(out) = &mut self.republished {
-            if let (Some(now), Some(before)) = (frame.sequence, out.sequence) {
-                let skipped = now.wrapping_sub(before).wrapping_sub(1);
-                // A number that goes back belongs to a reopened camera.
-                if skipped > 0 && skipped < 1000 {
-                    context.log_throttled(
-                        Level::Warn,
-                        "lost",
-                        format!("the camera lost {skipped} images before number {now}"),
-                    );
-                }
-            }
-            out.sequence = frame.sequence;
-            if let Some(camera) = &self.camera {
-                out.info.publish(convert::camera_message(&self.frame, frame.stamp, camera));
-            }
-        }
-        match frame.into_message(&self.frame) {
-            source::ImageMessage::Raw(message) => {
-                if let Some(out) = &self.republished {
-                    out.raw.publish_shared(Arc::clone(&message));
-                }
-                self.raw(context, &message);
-            }
-            source::ImageMessage::Compressed(message) => {
-                if let Some(out) = &self.republished {
-                    out.compressed.publish_shared(Arc::clone(&message));
-                }
-                self.compressed(context, &message);
-            }
         }
     }
 }

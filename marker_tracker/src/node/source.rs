@@ -1,6 +1,7 @@
-//! Frames of a camera device or a video file, and their messages.
+//! Frames of a camera device or a video file.
 
-use node_kit::convert;
+use super::{Arrival, MarkerTrackerNode};
+use node_kit::{Level, NodeContext, convert};
 use rig_model::Stamp;
 use std::sync::Arc;
 use volant_msgs::sensor_msgs::msg::{CompressedImage, Image};
@@ -9,8 +10,8 @@ use volant_msgs::sensor_msgs::msg::{CompressedImage, Image};
 #[derive(Debug)]
 pub struct Frame {
     pub(crate) stamp: Stamp,
-    /// The driver's sequence number.
-    pub(crate) sequence: Option<u32>,
+    /// Number of the frame, as the driver counts.
+    pub(crate) sequence: u32,
     /// Encoding as in `sensor_msgs/Image`; `None` for a JPEG.
     pub(crate) encoding: Option<&'static str>,
     pub(crate) width: u32,
@@ -19,31 +20,44 @@ pub struct Frame {
     pub(crate) data: Vec<u8>,
 }
 
-/// The message of a frame.
-pub(crate) enum ImageMessage {
-    Raw(Arc<Image>),
-    Compressed(Arc<CompressedImage>),
-}
-
-impl Frame {
-    /// Turns the frame into a message in the frame `frame_id`.
-    pub(crate) fn into_message(self, frame_id: &str) -> ImageMessage {
-        let header = convert::header(frame_id, self.stamp);
-        match self.encoding {
-            Some(encoding) => ImageMessage::Raw(Arc::new(Image {
+impl MarkerTrackerNode {
+    /// Publishes and processes a frame.
+    pub(super) fn frame(&mut self, context: &mut NodeContext<Arrival>, frame: Frame) {
+        let Some(out) = &mut self.republished else { return };
+        if let Some(before) = out.sequence {
+            let now = frame.sequence;
+            let skipped = now.wrapping_sub(before).wrapping_sub(1);
+            // A number that goes back belongs to a reopened camera.
+            if skipped > 0 && skipped < 1000 {
+                context.log_throttled(
+                    Level::Warn,
+                    "lost",
+                    format!("the camera lost {skipped} images before number {now}"),
+                );
+            }
+        }
+        out.sequence = Some(frame.sequence);
+        if let Some(camera) = &self.camera {
+            out.info.publish(convert::camera_message(&self.frame, frame.stamp, camera));
+        }
+        let header = convert::header(&self.frame, frame.stamp);
+        if let Some(encoding) = frame.encoding {
+            let message = Arc::new(Image {
                 header,
-                height: self.height,
-                width: self.width,
+                height: frame.height,
+                width: frame.width,
                 encoding: encoding.to_owned(),
                 is_bigendian: 0,
-                step: self.step,
-                data: self.data,
-            })),
-            None => ImageMessage::Compressed(Arc::new(CompressedImage {
-                header,
-                format: "jpeg".to_owned(),
-                data: self.data,
-            })),
+                step: frame.step,
+                data: frame.data,
+            });
+            out.raw.publish_shared(Arc::clone(&message));
+            self.raw(context, &message);
+        } else {
+            let format = "jpeg".to_owned();
+            let message = Arc::new(CompressedImage { header, format, data: frame.data });
+            out.compressed.publish_shared(Arc::clone(&message));
+            self.compressed(context, &message);
         }
     }
 }

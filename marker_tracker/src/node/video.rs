@@ -170,7 +170,7 @@ fn play(
         }
         let frame = Frame {
             stamp,
-            sequence: Some(number),
+            sequence: number,
             encoding: Some("rgb8"),
             width: video.width,
             height: video.height,
