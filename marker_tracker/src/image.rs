@@ -30,16 +30,6 @@ impl PixelFormat {
     pub const fn blue_first(self) -> bool {
         matches!(self, PixelFormat::Bgr8 | PixelFormat::Bgra8)
     }
-
-    /// The name in `sensor_msgs/Image.encoding`.
-    pub const fn encoding(self) -> &'static str {
-        match self {
-            PixelFormat::Rgb8 => "rgb8",
-            PixelFormat::Bgr8 => "bgr8",
-            PixelFormat::Rgba8 => "rgba8",
-            PixelFormat::Bgra8 => "bgra8",
-        }
-    }
 }
 
 /// Why an image cannot be used.

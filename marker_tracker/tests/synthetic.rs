@@ -134,7 +134,7 @@ fn a_marker_whose_color_has_changed_is_found_again_after_30_images() {
         let m = &o.markers[MarkerColor::Red];
         let outcome = tracker.outcomes()[MarkerColor::Red];
         let is_detected = m.state == MarkerState::Detected;
-        assert_eq!(is_detected, !(10..40).contains(&k), "image {k}: {outcome}");
+        assert_eq!(is_detected, !(10..40).contains(&k), "image {k}: {outcome:?}");
         if is_detected {
             let off = (m.centroid - truth(MarkerColor::Red, &pose)).norm();
             assert!(off < 0.1, "image {k}: {off} px");

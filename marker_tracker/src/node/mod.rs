@@ -170,7 +170,7 @@ impl NodeShell for MarkerTrackerNode {
         values.push(("incomplete images dropped", incomplete.dropped.to_string()));
         drop(incomplete);
         let outcomes = self.tracker.outcomes();
-        values.extend(outcomes.iter().map(|(color, o)| (color.name(), o.to_string())));
+        values.extend(outcomes.iter().map(|(color, o)| (color.name(), o.as_str().to_owned())));
         context.diagnose("tracking", health, &message, &values);
     }
 

@@ -67,7 +67,7 @@ pub(super) fn misfit(
         // Width k is the distance between the edges k and k + 2.
         let (Some(a), Some(b)) = (fit.edges[k], fit.edges[k + 2]) else { continue };
         let sigma = (a.covariance[(0, 0)] + b.covariance[(0, 0)]).sqrt();
-        let off = (measured - predicted - 2.0 * geometry.edge_bias()[k]).abs();
+        let off = (measured - predicted - 2.0 * geometry.edge_bias[k]).abs();
         worst = worst.max(off / (width + GATE * sigma));
     }
     let (mut turns, mut mean, mut seen) = ([0.0; 4], 0.0, 0.0);

@@ -61,7 +61,7 @@ impl OutlineMeter {
     pub fn new(geometry: &MarkerGeometry, edges: &EdgeHistory, noise: &NoiseModel) -> Self {
         Self {
             prior: ShapePrior {
-                edge_bias: geometry.edge_bias(),
+                edge_bias: geometry.edge_bias,
                 correlation: noise.correlation(),
                 inflation: noise.inflation(),
                 // Until the shape is known all edges are needed, whatever is beside them.

@@ -1,7 +1,5 @@
 //! What became of a marker in one image.
 
-use std::fmt;
-
 /// Outcome of the search for one marker in one image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Outcome {
@@ -43,11 +41,5 @@ impl Outcome {
             Self::OtherMotion => "of another motion than the markers",
             Self::RepeatedImage => "the image is byte for byte the previous one",
         }
-    }
-}
-
-impl fmt::Display for Outcome {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
     }
 }

@@ -29,8 +29,9 @@ pub(super) struct MarkerGeometry {
     /// Turn in its plane, rad.
     turn: f64,
     turn_updates: u32,
-    /// Distance of its edges outside of the nominal square, px: first and third edge, and others.
-    edge_bias: [f64; 2],
+    /// Distance of its edges outside of the nominal square, px (paper cut too large, blooming):
+    /// first and third edge, second and fourth edge.
+    pub edge_bias: [f64; 2],
     edge_bias_updates: u32,
     place_updates: u32,
     /// Recent distance of its centroid from its adapted place, px.
@@ -38,12 +39,6 @@ pub(super) struct MarkerGeometry {
 }
 
 impl MarkerGeometry {
-    /// Distance of its edges outside of the nominal square, px (paper cut too large, blooming):
-    /// first and third edge, second and fourth edge.
-    pub fn edge_bias(&self) -> [f64; 2] {
-        self.edge_bias
-    }
-
     /// Sets the turn, rad, unless one is known.
     pub fn init_turn(&mut self, turn: f64) {
         if self.turn_updates == 0 {
