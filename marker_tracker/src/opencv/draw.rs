@@ -25,90 +25,57 @@ pub fn draw(view: &ImageView<'_>, markers: &PerColor<MarkerView>) -> Result<Owne
         format: PixelFormat::Rgb8,
         data: view.to_rgb(),
     };
-    let mut draw = || -> opencv::Result<()> {
-        let mut out = Mat::new_rows_cols_with_bytes_mut::<Vec3b>(
-            view.height as i32,
-            view.width as i32,
-            &mut image.data,
-        )?;
-        // OpenCV draws in units of 1/16 px.
-        let place =
-            |v: Vector2<f64>| Point::new((v.x * 16.0).round() as i32, (v.y * 16.0).round() as i32);
-        let smooth = imgproc::LINE_AA;
-        for (color, m) in markers.iter() {
-            let ink = match color {
-                MarkerColor::Red => Scalar::new(255.0, 120.0, 120.0, 0.0),
-                MarkerColor::Green => Scalar::new(120.0, 255.0, 120.0, 0.0),
-                MarkerColor::Blue => Scalar::new(120.0, 200.0, 255.0, 0.0),
-                MarkerColor::Yellow => Scalar::new(255.0, 255.0, 90.0, 0.0),
-            };
-            let white = Scalar::new(255.0, 255.0, 255.0, 0.0);
-            let [x0, y0, x1, y1] = m.window;
-            if x1 > x0 && y1 > y0 {
-                imgproc::rectangle_points(
-                    &mut out,
-                    Point::new(x0, y0),
-                    Point::new(x1 - 1, y1 - 1),
-                    ink,
-                    1,
-                    imgproc::LINE_8,
-                    0,
-                )?;
-            }
-            if let Some(outline) = m.outline {
-                for i in 0..4 {
-                    imgproc::line(
-                        &mut out,
-                        place(outline[i]),
-                        place(outline[(i + 1) % 4]),
-                        white,
-                        1,
-                        smooth,
-                        4,
-                    )?;
-                }
-            }
-            if !m.centroid.x.is_finite() || !m.centroid.y.is_finite() {
-                continue;
-            }
-            imgproc::circle(
-                &mut out,
-                place(m.centroid),
-                3 * 16,
-                if m.state == MarkerState::Detected { white } else { ink },
-                1,
-                smooth,
-                4,
-            )?;
-            imgproc::line(
-                &mut out,
-                place(m.centroid),
-                place(m.centroid + m.flow * 10.0),
-                white,
-                1,
-                smooth,
-                4,
-            )?;
-            let word = match m.state {
-                MarkerState::Detected => "detected",
-                MarkerState::Predicted => "predicted",
-                MarkerState::Lost => "lost",
-            };
-            let at = Point::new(x0.max(0), (y0 - 3).max(8));
-            imgproc::put_text(
-                &mut out,
-                &format!("{color} {word}"),
-                at,
-                imgproc::FONT_HERSHEY_SIMPLEX,
-                0.35,
-                ink,
-                1,
-                smooth,
-                false,
-            )?;
-        }
-        Ok(())
-    };
-    draw().map_err(|e| e.to_string())?;
+    draw_markers(&mut image, markers).map_err(|e| e.to_string())?;
     Ok(image)
+}
+
+fn draw_markers(image: &mut OwnedImage, markers: &PerColor<MarkerView>) -> opencv::Result<()> {
+    let (height, width) = (image.height as i32, image.width as i32);
+    let mut out = Mat::new_rows_cols_with_bytes_mut::<Vec3b>(height, width, &mut image.data)?;
+    let white = Scalar::new(255.0, 255.0, 255.0, 0.0);
+    for (color, m) in markers.iter() {
+        let ink = match color {
+            MarkerColor::Red => Scalar::new(255.0, 120.0, 120.0, 0.0),
+            MarkerColor::Green => Scalar::new(120.0, 255.0, 120.0, 0.0),
+            MarkerColor::Blue => Scalar::new(120.0, 200.0, 255.0, 0.0),
+            MarkerColor::Yellow => Scalar::new(255.0, 255.0, 90.0, 0.0),
+        };
+        let [x0, y0, x1, y1] = m.window;
+        if x1 > x0 && y1 > y0 {
+            let last = Point::new(x1 - 1, y1 - 1);
+            imgproc::rectangle_points_def(&mut out, Point::new(x0, y0), last, ink)?;
+        }
+        if let Some(outline) = m.outline {
+            for i in 0..4 {
+                let (from, to) = (fine(outline[i]), fine(outline[(i + 1) % 4]));
+                imgproc::line(&mut out, from, to, white, 1, imgproc::LINE_AA, FINE_BITS)?;
+            }
+        }
+        if !m.centroid.x.is_finite() || !m.centroid.y.is_finite() {
+            continue;
+        }
+        let (center, ring) =
+            (fine(m.centroid), if m.state == MarkerState::Detected { white } else { ink });
+        imgproc::circle(&mut out, center, 3 << FINE_BITS, ring, 1, imgproc::LINE_AA, FINE_BITS)?;
+        let end = fine(m.centroid + m.flow * 10.0);
+        imgproc::line(&mut out, center, end, white, 1, imgproc::LINE_AA, FINE_BITS)?;
+        let word = match m.state {
+            MarkerState::Detected => "detected",
+            MarkerState::Predicted => "predicted",
+            MarkerState::Lost => "lost",
+        };
+        let (text, at) = (format!("{color} {word}"), Point::new(x0.max(0), (y0 - 3).max(8)));
+        let (font, smooth) = (imgproc::FONT_HERSHEY_SIMPLEX, imgproc::LINE_AA);
+        imgproc::put_text(&mut out, &text, at, font, 0.35, ink, 1, smooth, false)?;
+    }
+    Ok(())
+}
+
+/// Binary digits of a pixel's fractions with which lines and circles are drawn.
+const FINE_BITS: i32 = 4;
+
+/// A place (px) in units of 1/16 px.
+fn fine(place: Vector2<f64>) -> Point {
+    let scale = f64::from(1 << FINE_BITS);
+    Point::new((place.x * scale).round() as i32, (place.y * scale).round() as i32)
 }
