@@ -91,7 +91,7 @@ pub(crate) fn hypotheses(
         let (pa, pb, pc, pd) =
             (layout.centers[a], layout.centers[b], layout.centers[c], layout.centers[d]);
         let (u, v) = ((pb - pa).xy(), (pc - pa).xy());
-        let twist = u.x * v.y - u.y * v.x;
+        let twist = u.perp(&v);
         let side2 = layout.side * layout.side;
         if twist.abs() < side2 * 0.5 {
             continue;
@@ -101,7 +101,7 @@ pub(crate) fn hypotheses(
         let expected = -twist / side2;
         // Place of d in the affine frame of the other three.
         let w = (pd - pa).xy();
-        let (s, t) = ((w.x * v.y - w.y * v.x) / twist, (u.x * w.y - u.y * w.x) / twist);
+        let (s, t) = (w.perp(&v) / twist, u.perp(&w) / twist);
         let reach = u.norm().max(v.norm()) / layout.side;
         for &(_, ia) in &of[a] {
             for &(_, ib) in &of[b] {
@@ -118,7 +118,7 @@ pub(crate) fn hypotheses(
                     }
                     let (iu, iv) = (bb.centroid - ba.centroid, bc.centroid - ba.centroid);
                     let area = (ba.area * bb.area * bc.area).cbrt();
-                    let ratio = (iu.x * iv.y - iu.y * iv.x) / area / expected;
+                    let ratio = iu.perp(&iv) / area / expected;
                     if !(0.55..2.2).contains(&ratio) {
                         continue;
                     }

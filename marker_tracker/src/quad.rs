@@ -19,7 +19,7 @@ impl Quad {
         let (mut area, mut moment) = (0.0, Vector2::zeros());
         for i in 0..4 {
             let (a, b) = (self.0[i] - origin, self.0[(i + 1) % 4] - origin);
-            let cross = a.x * b.y - a.y * b.x;
+            let cross = a.perp(&b);
             area += cross;
             moment += (a + b) * cross;
         }
@@ -61,15 +61,24 @@ impl Quad {
         ]
     }
 
+    /// The sides, each from a corner to the next, px.
+    fn sides(&self) -> [Vector2<f64>; 4] {
+        std::array::from_fn(|i| self.0[(i + 1) % 4] - self.0[i])
+    }
+
+    /// Angles of the sides of another quadrangle from the same sides of this one, rad.
+    pub fn turns_to(&self, other: &Self) -> [f64; 4] {
+        let (from, to) = (self.sides(), other.sides());
+        std::array::from_fn(|i| from[i].perp(&to[i]).atan2(from[i].dot(&to[i])))
+    }
+
     /// Distances between the middles of opposite edges, across them, px.
     pub fn widths(&self) -> [f64; 2] {
+        let sides = self.sides();
+        let middle = |k: usize| (self.0[k % 4] + self.0[(k + 1) % 4]) / 2.0;
         [0, 1].map(|i| {
-            let middle = |k: usize| (self.0[k % 4] + self.0[(k + 1) % 4]) / 2.0;
-            let (a, b) = (middle(i), middle(i + 2));
-            let edge =
-                (self.0[(i + 1) % 4] - self.0[i]) - (self.0[(i + 3) % 4] - self.0[(i + 2) % 4]);
-            let length = edge.norm().max(1e-9);
-            ((b - a).x * edge.y - (b - a).y * edge.x).abs() / length
+            let edge = sides[i] - sides[i + 2];
+            (middle(i + 2) - middle(i)).perp(&edge).abs() / edge.norm().max(1e-9)
         })
     }
 
@@ -84,7 +93,7 @@ impl Quad {
 
     /// Thickness (px): the area over the longest side.
     pub fn thickness_of(&self, area: f64) -> f64 {
-        let longest = (0..4).map(|i| (self.0[(i + 1) % 4] - self.0[i]).norm()).fold(0.0, f64::max);
+        let longest = self.sides().iter().map(|side| side.norm()).fold(0.0, f64::max);
         if longest > 0.0 { area.abs() / longest } else { 0.0 }
     }
 }

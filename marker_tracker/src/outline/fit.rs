@@ -86,10 +86,9 @@ fn finish(
     for i in 0..4 {
         // Corner i + 1 is where edge i meets edge i + 1.
         let ((p, d), (q, e)) = (line[i], line[(i + 1) % 4]);
-        let cross = d.x * e.y - d.y * e.x;
+        let cross = d.perp(&e);
         if cross.abs() > 1e-6 {
-            let w = q - p;
-            quad.0[(i + 1) % 4] = p + d * ((w.x * e.y - w.y * e.x) / cross);
+            quad.0[(i + 1) % 4] = p + d * ((q - p).perp(&e) / cross);
         }
     }
     let (area, centroid) = quad.area_and_centroid();

@@ -3,7 +3,6 @@
 use crate::{
     geometry::{PoseObservation, PosePrior},
     outline::QuadFit,
-    quad::Quad,
     tracking::{camera::View, marker::MarkerTrack, platform::PlatformModel},
 };
 use nalgebra::Isometry3;
@@ -70,18 +69,10 @@ pub(super) fn misfit(
         let off = (measured - predicted - 2.0 * geometry.edge_bias[k]).abs();
         worst = worst.max(off / (width + GATE * sigma));
     }
-    let (mut turns, mut mean, mut seen) = ([0.0; 4], 0.0, 0.0);
-    for (i, turn) in turns.iter_mut().enumerate() {
-        let side = |q: &Quad| q.0[(i + 1) % 4] - q.0[i];
-        let (a, b) = (side(&expected), side(&fit.quad));
-        *turn = (a.x * b.y - a.y * b.x).atan2(a.dot(&b));
-        if fit.edges[i].is_some() {
-            (mean, seen) = (mean + *turn, seen + 1.0);
-        }
-    }
-    mean /= f64::max(seen, 1.0);
-    for (turn, edge) in turns.iter().zip(&fit.edges) {
-        let Some(e) = edge else { continue };
+    let turns = expected.turns_to(&fit.quad);
+    let seen = || turns.iter().zip(&fit.edges).filter_map(|(turn, e)| Some((turn, e.as_ref()?)));
+    let mean = seen().map(|(turn, _)| turn).sum::<f64>() / seen().count().max(1) as f64;
+    for (turn, e) in seen() {
         let sigma = e.covariance[(1, 1)].sqrt();
         worst = worst.max((turn - mean).abs() / (slope + GATE * sigma));
     }

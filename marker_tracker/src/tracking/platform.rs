@@ -2,12 +2,12 @@
 //! plane, and how far their edges lie outside of the nominal square.
 
 use crate::{
+    edge::Side,
     geometry::{Geometry, PoseObservation, project_square},
     outline::QuadFit,
     quad::Quad,
     tracking::camera::View,
 };
-use nalgebra::Vector2;
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, PerColor};
 
 /// Largest turn of a square in its plane, rad (20°): markers are mounted "a few degrees" off.
@@ -267,22 +267,17 @@ impl PlatformModel {
         let here = project_square(&self.layout, color, turn, view.camera, &view.pose)?;
         let turned = project_square(&self.layout, color, turn + STEP, view.camera, &view.pose)?;
         let (mut gain, mut sum, mut edge_bias) = (0.0, 0.0, [0.0; 2]);
+        let (by_step, measured) = (here.turns_to(&turned), here.turns_to(&fit.quad));
         let (_, here_center) = here.area_and_centroid();
-        for i in 0..4 {
-            let side = |q: &Quad| q.0[(i + 1) % 4] - q.0[i];
-            let (a, b, measured) = (side(&here), side(&turned), side(&fit.quad));
-            let turn_of = |v: &Vector2<f64>| (a.x * v.y - a.y * v.x).atan2(a.dot(v));
-            let g = turn_of(&b) / STEP;
+        for (i, side) in Side::of(&here, here_center).iter().enumerate() {
+            let g = by_step[i] / STEP;
             gain += g * g;
-            sum += g * turn_of(&measured);
+            sum += g * measured[i];
             // Distance of the measured edge's middle outside of the predicted one, about the same
             // center.
-            let normal = Vector2::new(a.y, -a.x) / a.norm();
-            let outward = (here.0[i] + here.0[(i + 1) % 4]) / 2.0 - here_center;
-            let normal = if normal.dot(&outward) < 0.0 { -normal } else { normal };
-            let half =
-                |q: &Quad, c: Vector2<f64>| ((q.0[i] + q.0[(i + 1) % 4]) / 2.0 - c).dot(&normal);
-            edge_bias[i % 2] += (half(&fit.quad, fit.centroid) - half(&here, here_center)) / 2.0;
+            let middle = (fit.quad.0[i] + fit.quad.0[(i + 1) % 4]) / 2.0;
+            let distance = (middle - fit.centroid).dot(&side.normal);
+            edge_bias[i % 2] += (distance - side.distance) / 2.0;
         }
         let turn = sum / gain;
         let finite = turn.is_finite() && edge_bias.iter().all(|b| b.is_finite());
