@@ -171,7 +171,7 @@ fn is_color_finer_than_luma(jpeg: &[u8], width: usize, height: usize) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use jpeg_encoder::{ColorType, Encoder};
+    use crate::decode::fixtures::encoded;
 
     #[test]
     fn a_cut_off_image_differs_from_a_padded_one() {
@@ -183,17 +183,9 @@ mod tests {
         assert!(cut.contains("cut off"), "{cut}");
     }
 
-    fn progressive(scans: u8) -> Vec<u8> {
-        let mut jpeg = Vec::new();
-        let mut encoder = Encoder::new(&mut jpeg, 80);
-        encoder.set_progressive_scans(scans);
-        encoder.encode(&[90; 3 * 64 * 64], 64, 64, ColorType::Rgb).unwrap();
-        jpeg
-    }
-
     #[test]
     fn an_ordinary_progressive_image_is_decoded() {
-        let jpeg = progressive(10);
+        let jpeg = encoded(64, 64, |e| e.set_progressive_scans(10));
         assert!((10..MAX_SCANS).contains(&count_scans(&jpeg)), "{}", count_scans(&jpeg));
         decode(&jpeg, &mut OwnedImage::default()).unwrap();
     }
@@ -201,7 +193,7 @@ mod tests {
     #[test]
     fn an_image_with_2000_scans_is_rejected_before_it_is_decoded() {
         // The last scan of an ordinary image, repeated.
-        let jpeg = progressive(4);
+        let jpeg = encoded(64, 64, |e| e.set_progressive_scans(4));
         let last = jpeg.windows(2).rposition(|pair| pair == [0xff, 0xda]).unwrap();
         let (head, scan) = (&jpeg[..last], &jpeg[last..jpeg.len() - 2]);
         let bomb = [head, &scan.repeat(2000), &[0xff, 0xd9]].concat();

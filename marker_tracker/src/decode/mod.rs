@@ -45,3 +45,33 @@ pub fn decode_compressed_into(
 fn is_jpeg(data: &[u8]) -> bool {
     data.starts_with(&[0xff, 0xd8, 0xff])
 }
+
+#[cfg(test)]
+mod fixtures {
+    use crate::image::{OwnedImage, Window};
+    use jpeg_encoder::{ColorType, Encoder};
+
+    /// A JPEG of a colored image with noise, so that no block is like another.
+    pub fn encoded(
+        width: u16,
+        height: u16,
+        change: impl Fn(&mut Encoder<&mut Vec<u8>>),
+    ) -> Vec<u8> {
+        let pixels: Vec<u8> = (0..u32::from(width) * u32::from(height) * 3)
+            .map(|i| (i / 7 % 200) as u8 + (i.wrapping_mul(2_654_435_761) >> 29) as u8)
+            .collect();
+        let mut jpeg = Vec::new();
+        let mut encoder = Encoder::new(&mut jpeg, 85);
+        change(&mut encoder);
+        encoder.encode(&pixels, width, height, ColorType::Rgb).unwrap();
+        jpeg
+    }
+
+    /// Asserts that two images have the same pixels in a window.
+    pub fn assert_same(a: &OwnedImage, b: &OwnedImage, [x0, y0, x1, y1]: Window, what: &str) {
+        for y in y0..y1 {
+            let row = y * a.step + 3 * x0..y * a.step + 3 * x1;
+            assert_eq!(a.data[row.clone()], b.data[row], "{what}: {y}");
+        }
+    }
+}
