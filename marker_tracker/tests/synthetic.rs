@@ -84,22 +84,6 @@ fn predictions_are_consistent_however_many_markers_are_hidden() {
 }
 
 #[test]
-fn all_four_are_detected_in_the_first_image_that_shows_them_again() {
-    let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(3));
-    for k in 0..20 {
-        let gone = (4..16).contains(&k);
-        let o = observe(
-            &mut tracker,
-            k,
-            &draw(&pose(0.05 * k as f64), if gone { [None; 4] } else { ALL }, &mut noise),
-        );
-        for (_, m) in o.markers.iter() {
-            assert_eq!(m.state == MarkerState::Detected, !gone, "image {k}");
-        }
-    }
-}
-
-#[test]
 fn either_criterion_switched_off_changes_the_result() {
     let run = |config: TrackerConfig, last: [Option<[f64; 3]>; 4]| {
         let (mut tracker, mut noise) = (new_tracker(config), Noise(4));
