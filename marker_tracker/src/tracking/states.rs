@@ -41,32 +41,22 @@ impl CommonFlow {
         let flows = PerColor::from_fn(|c| {
             tracks[c].fit.zip(before[c]).map(|(fit, before)| fit.centroid - before)
         });
-        let (mut mean, mut count) = (Vector2::zeros(), 0.0);
-        for flow in flows.0.iter().flatten() {
-            mean += flow;
-            count += 1.0;
-        }
-        let mut spread = 1.0;
-        if count > 0.0 {
-            mean /= count;
-            let sum: f64 = flows.0.iter().flatten().map(|f| (f - mean).norm_squared()).sum();
-            // One flow alone does not determine the rotation about it.
-            spread = if count > 1.0 {
-                (sum / count / 2.0).sqrt() + 0.05
-            } else {
-                1.0 + mean.norm() * 0.5
-            };
+        let measured = || flows.0.iter().flatten();
+        let count = measured().count() as f64;
+        let mean = if count > 0.0 {
+            measured().sum::<Vector2<f64>>() / count
         } else {
-            let (mut sum, mut known) = (Vector2::zeros(), 0.0);
-            for m in tracks.0.iter().filter(|m| m.centroid.is_some()) {
-                sum += m.flow * ratio;
-                known += 1.0;
-            }
-            if known > 0.0 {
-                mean = sum / known;
-                spread = 1.0 + mean.norm() * 0.5;
-            }
-        }
+            let last =
+                || tracks.0.iter().filter(|m| m.centroid.is_some()).map(move |m| m.flow * ratio);
+            last().sum::<Vector2<f64>>() / last().count().max(1) as f64
+        };
+        // One flow alone does not determine the rotation about it.
+        let spread = if count > 1.0 {
+            let square: f64 = measured().map(|f| (f - mean).norm_squared()).sum();
+            (square / count / 2.0).sqrt() + 0.05
+        } else {
+            1.0 + mean.norm() * 0.5
+        };
         Self { flows, mean, spread, count }
     }
 
@@ -149,7 +139,7 @@ impl MarkerTrack {
         match self.centroid {
             Some(centroid) if since <= max_predicted => {
                 self.sigma += 1.0 + self.flow.norm();
-                self.predict(since, centroid, Matrix2::identity() * self.sigma * self.sigma)
+                self.predict(since, centroid, isotropic(self.sigma))
             }
             _ => {
                 self.flow = Vector2::zeros();
