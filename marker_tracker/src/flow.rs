@@ -12,8 +12,9 @@ use crate::{
 use nalgebra::Vector2;
 use wide::f32x8;
 
-/// Maximum number of pixels that are kept.
-const MAX_POINTS: usize = 64;
+/// Largest number of pixels that are kept, on each edge and in all.
+const PER_EDGE: usize = 8;
+const POINTS: usize = 4 * PER_EDGE;
 /// Gauss–Newton steps: at 2 px each they reach 10 px.
 const ITERATIONS: usize = 5;
 /// Largest correction of the start, px; beyond it, the features may match another edge.
@@ -27,13 +28,13 @@ const DIVERGED: f64 = 1.2;
 const MAX_RESIDUAL: f32 = 2.3;
 
 /// Pixels on a marker's outline in the previous image, with their signal and its gradient.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct FlowFeatures {
-    x: [i32; MAX_POINTS],
-    y: [i32; MAX_POINTS],
-    value: [f32; MAX_POINTS],
-    gx: [f32; MAX_POINTS],
-    gy: [f32; MAX_POINTS],
+    x: [i32; POINTS],
+    y: [i32; POINTS],
+    value: [f32; POINTS],
+    gx: [f32; POINTS],
+    gy: [f32; POINTS],
     count: usize,
     /// Σ g·gᵀ: xx, xy, yy.
     normal: [f32; 3],
@@ -45,21 +46,6 @@ struct Differences {
     by: f32,
     square: f32,
     seen: usize,
-}
-
-impl Default for FlowFeatures {
-    fn default() -> Self {
-        let zero = [0.0; MAX_POINTS];
-        Self {
-            x: [0; MAX_POINTS],
-            y: [0; MAX_POINTS],
-            value: zero,
-            gx: zero,
-            gy: zero,
-            count: 0,
-            normal: [0.0; 3],
-        }
-    }
 }
 
 impl FlowFeatures {
@@ -77,7 +63,6 @@ impl FlowFeatures {
     pub fn extract(&mut self, sampler: &Sampler<'_>, quad: &Quad) {
         self.count = 0;
         self.normal = [0.0; 3];
-        const PER_EDGE: usize = 8;
         for i in 0..4 {
             let (p, q) = (quad.0[i], quad.0[(i + 1) % 4]);
             let d = q - p;
@@ -181,7 +166,7 @@ impl FlowFeatures {
                     seen += 1;
                 }
             }
-            let of = |column: &[f32; MAX_POINTS]| eight(column, group);
+            let of = |column: &[f32; POINTS]| eight(column, group);
             let difference = (sampler.eight(&begin) * scale - of(&self.value)) * f32x8::from(there);
             square += difference * difference;
             bx += of(&self.gx) * difference;
