@@ -59,8 +59,6 @@ pub use decode::{Decoder, PartialImage, decode_compressed, decode_compressed_int
 pub use encoding::from_encoding;
 pub use hue::hue;
 pub use image::{ImageError, ImageView, OwnedImage, PixelFormat};
-#[cfg(feature = "opencv")]
-pub use opencv::draw;
 pub use patches::{Patch, find_patches};
 pub use tracker::{Input, Output, Tracker, Warning};
 pub use tracking::Outcome;

@@ -1,10 +1,8 @@
-//! OpenCV: conversion of Bayer and YUV images, debug images, and the published tracker. Nothing
-//! else uses it.
+//! OpenCV: conversion of Bayer and YUV images, and the published tracker. Beside them only the
+//! node's debug images use it.
 
 mod convert;
-mod draw;
 mod paper;
 
 pub(crate) use convert::convert;
-pub use draw::draw;
 pub(crate) use paper::PaperTracker;
