@@ -109,14 +109,4 @@ mod tests {
         assert!(MarkerTrackerParameters::from_map(&map("papers")).is_err());
         assert_eq!(MarkerTrackerParameters::default().method(), Method::Outline);
     }
-
-    #[test]
-    fn the_method_does_not_change_while_the_node_runs() {
-        for descriptor in MarkerTrackerParameters::descriptors() {
-            let is_live = descriptor.name.starts_with("paper.") || descriptor.name.contains("use_");
-            if is_live || descriptor.name == "method" {
-                assert_eq!(descriptor.live, is_live, "{}", descriptor.name);
-            }
-        }
-    }
 }
