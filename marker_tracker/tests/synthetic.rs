@@ -5,13 +5,13 @@
 mod common;
 
 use common::{
-    ALL, Noise, camera, draw, errors::Errors, image, in_other_formats, layout, new_tracker,
+    ALL, Noise, WIDTH, camera, draw, errors::Errors, image, in_other_formats, layout, new_tracker,
     observe, pose, truth,
 };
 use marker_tracker::{
     ImageView, Input, Outcome, Output, PixelFormat, Tracker, TrackerConfig, Warning,
 };
-use nalgebra::Vector2;
+use nalgebra::{Translation3, Vector2};
 use rig_model::{CameraModel, Distortion, MarkerColor, MarkerState, Stamp};
 
 #[test]
@@ -123,6 +123,29 @@ fn a_marker_whose_color_has_changed_is_found_again_after_30_images() {
             let off = (m.centroid - truth(MarkerColor::Red, &pose)).norm();
             assert!(off < 0.1, "image {k}: {off} px");
         }
+    }
+}
+
+#[test]
+fn a_thing_at_a_former_place_is_no_marker_once_the_others_were_found_elsewhere() {
+    let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(11));
+    for k in 0..8 {
+        observe(&mut tracker, k, &draw(&pose(0.033 * k as f64), ALL, &mut noise));
+    }
+    // The platform is 0.2 m further without its red marker, which is where it was.
+    let former = pose(0.033 * 8.0);
+    let moved = Translation3::new(-0.2, 0.0, 0.0) * former;
+    let mut data = draw(&moved, [None, ALL[1], ALL[2], ALL[3]], &mut noise);
+    let left = draw(&former, [ALL[0], None, None, None], &mut noise);
+    let place = truth(MarkerColor::Red, &former);
+    let (x, y) = (place.x as usize - 30, place.y as usize - 30);
+    for row in y..y + 60 {
+        let bytes = 3 * (row * WIDTH + x)..3 * (row * WIDTH + x + 60);
+        data[bytes.clone()].copy_from_slice(&left[bytes]);
+    }
+    for (color, m) in observe(&mut tracker, 8, &data).markers.iter() {
+        let is_detected = m.state == MarkerState::Detected;
+        assert_eq!(is_detected, color != MarkerColor::Red, "{color}: {:?}", tracker.outcomes());
     }
 }
 

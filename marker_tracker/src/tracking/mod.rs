@@ -106,7 +106,11 @@ impl Pipeline {
         let mut detected = if pose_before.is_some() { self.track(image, camera, ratio) } else { 0 };
         let followed = detected >= 3;
         if detected < 2 && self.acquire(image, camera) {
-            self.state.markers.0.iter_mut().for_each(MarkerTrack::forget_flow);
+            for track in &mut self.state.markers.0 {
+                // What was measured at the former pose may be another thing.
+                track.begin_image();
+                track.forget_flow();
+            }
             self.state.motion.last = None;
             detected = self.track(image, camera, 1.0);
         }
