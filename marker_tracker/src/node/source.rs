@@ -32,7 +32,10 @@ impl MarkerTrackerNode {
                 context.log_throttled(
                     Level::Warn,
                     "lost",
-                    format!("the camera lost {skipped} images before number {now}"),
+                    format!(
+                        "{skipped} images before number {now} are missing: the source lost them, \
+                         or the node is too slow for its rate and dropped them"
+                    ),
                 );
             }
         }
