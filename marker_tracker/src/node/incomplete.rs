@@ -26,6 +26,8 @@ pub(super) struct IncompleteImages {
     resident: Option<usize>,
     /// Number of incomplete images that were dropped since the start.
     pub dropped: u64,
+    /// Number of images that were announced since the last report of the node's state.
+    pub recent: u32,
 }
 
 impl IncompleteImages {
@@ -45,6 +47,7 @@ impl IncompleteImages {
     fn is_full_with(&mut self, size: (u32, u32), resident: impl Fn() -> Option<usize>) -> bool {
         let base = *self.resident.get_or_insert_with(|| resident().unwrap_or(0));
         self.announced += 1;
+        self.recent = self.recent.saturating_add(1);
         let missing = self.announced.saturating_sub(self.received);
         let bytes = [size.0 as usize, size.1 as usize, BYTES_PER_PIXEL]
             .into_iter()
@@ -59,9 +62,14 @@ impl IncompleteImages {
 
     /// Explains a second without images.
     pub fn why_none(&self) -> String {
-        if self.dropped == 0 {
+        if self.dropped == 0 || self.recent == 0 {
             return "no image arrived in the last second".to_owned();
         }
+        self.why_dropped()
+    }
+
+    /// Explains dropped images.
+    pub fn why_dropped(&self) -> String {
         format!(
             "{} images arrived incomplete and were dropped: the socket buffer is too small for raw \
              images of this size and rate; raise net.core.rmem_max or set image_transport to \
@@ -150,6 +158,9 @@ mod tests {
         while !images.is_full_with(SIZE, || None) {}
         assert_eq!(images.dropped as usize, LIMIT / IMAGE + 1);
         assert!(images.why_none().contains("rmem_max"));
+        // The camera is silent now, with its camera_info.
+        images.recent = 0;
+        assert!(images.why_none().contains("no image"));
     }
 
     #[test]

@@ -164,10 +164,11 @@ impl NodeShell for MarkerTrackerNode {
 
     fn tick(&mut self, context: &mut NodeContext<Arrival>) {
         let stages = std::mem::take(&mut self.stages);
-        let incomplete = self.incomplete.lock();
+        let mut incomplete = self.incomplete.lock();
         let (health, message) = health::assess(&stages, self.camera.as_ref(), &incomplete);
         let mut values = stages.values();
         values.push(("incomplete images dropped", incomplete.dropped.to_string()));
+        incomplete.recent = 0;
         drop(incomplete);
         let outcomes = self.tracker.outcomes();
         values.extend(outcomes.iter().map(|(color, o)| (color.name(), o.as_str().to_owned())));
@@ -209,7 +210,7 @@ impl MarkerTrackerNode {
     /// Renews the subscription to raw images, which frees the buffers of incomplete ones.
     fn renew_raw(&mut self, context: &mut NodeContext<Arrival>) {
         context.unsubscribe(topics::IMAGE);
-        context.log_throttled(Level::Warn, "incomplete", self.incomplete.lock().why_none());
+        context.log_throttled(Level::Warn, "incomplete", self.incomplete.lock().why_dropped());
         if let Err(error) = subscribe_raw(context, self.incomplete.clone()) {
             context.fail(error);
         }
