@@ -3,14 +3,11 @@
 //! skipped. `volant/fused_pose` is inverted first, so that all errors are those of the platform in
 //! the world frame.
 
-mod many;
 mod page;
 mod report;
 
-pub use many::{RunFiles, RunResult, csv_of_many, evaluate_many, pairs, table_of_many};
-pub use page::{page, page_of_many};
+pub use page::page;
 pub use report::{csv, table};
-pub use rig_model::score::{Nees, PoseError, Spread, Truth, TruthSample, inverse};
 
 use crate::{replay::TopicNames, report::Track};
 use bag::{BagError, BagReader, recording::read_truth};
@@ -18,7 +15,7 @@ use nalgebra::{Isometry3, Matrix6, Vector3};
 use node_kit::convert;
 use rig_model::{
     Stamp,
-    score::{Score, SpreadSum},
+    score::{Score, Spread, SpreadSum, Truth, TruthSample, inverse},
     topics,
 };
 use serde::Serialize;
@@ -29,7 +26,7 @@ use volant_msgs::{cdr, geometry_msgs::msg::PoseWithCovarianceStamped, nav_msgs::
 /// Shortest gap that is counted, s.
 const GAP: f64 = 0.030;
 /// Relative topics of the estimates; `replay --smooth` adds the last one.
-pub const ESTIMATES: [&str; 4] =
+const ESTIMATES: [&str; 4] =
     [topics::ODOMETRY, topics::FUSED_POSE, topics::VISUAL_POSE, topics::SMOOTHED_ODOMETRY];
 const TRUTH: &str = topics::GROUND_TRUTH;
 
@@ -136,14 +133,6 @@ pub enum EvaluateError {
         path: PathBuf,
         /// The topics.
         topics: Vec<String>,
-    },
-    /// A folder of runs is incomplete.
-    #[error("{}: {reason}", path.display())]
-    Folder {
-        /// The folder.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
     },
     /// Estimates and truth do not overlap in time.
     #[error("{}: none of its estimates lies within the truth's time ({from} to {to}, without the \

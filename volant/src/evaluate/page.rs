@@ -1,6 +1,6 @@
 //! HTML page of an evaluation: table of errors, curves of the poses and of their errors.
 
-use super::{EvaluateOptions, Evaluation, Quality, RunResult, Truth, many, report};
+use super::{EvaluateOptions, Evaluation, Truth, report};
 use crate::report::{
     Axis, Block, ChartError, Color, Curve, Page, Panel, Run, Section, Series, Shape, Sheet, Track,
     colors, panels, six_curves,
@@ -11,7 +11,7 @@ use rig_model::{Stamp, topics};
 /// Most points of a drawn curve.
 const POINTS: usize = 1500;
 
-/// Lays out the page of one evaluation.
+/// Lays out the page of an evaluation.
 ///
 /// # Errors
 /// A figure cannot be drawn.
@@ -102,74 +102,6 @@ pub fn page(evaluation: &Evaluation, options: &EvaluateOptions) -> Result<Page, 
     })
 }
 
-/// Lays out the page of many runs: a table, and the errors of each.
-///
-/// # Errors
-/// A figure cannot be drawn.
-pub fn page_of_many(results: &[RunResult], command: &str) -> Result<Page, ChartError> {
-    let all = many::qualities(results);
-    let mut blocks = vec![Block::Table(many::rows(results))];
-    for (name, result) in results {
-        if let Err(e) = result {
-            blocks.push(Block::labelled(&format!("{name} failed:"), e.to_string()));
-        }
-    }
-    let shown = |estimate: &str, of: &dyn Fn(&Quality) -> f64| -> Vec<(f64, f64)> {
-        let runs = all.iter().filter(|(_, q)| q.estimate == estimate);
-        runs.enumerate().map(|(i, (_, q))| (i as f64 + 1.0, of(q))).collect()
-    };
-    let panel = |title: &str, unit: &str, of: &dyn Fn(&Quality) -> f64| {
-        let series: Vec<Series> = [
-            ("fused", topics::ODOMETRY, colors::FUSED),
-            ("camera alone", topics::VISUAL_POSE, colors::CAMERA),
-        ]
-        .into_iter()
-        .map(|(name, estimate, color)| Series {
-            name: name.into(),
-            color,
-            shape: Shape::Dots,
-            points: shown(estimate, of),
-            spread: Vec::new(),
-        })
-        .collect();
-        let top = series.iter().flat_map(|s| &s.points).map(|p| p.1).fold(0.0, f64::max);
-        Panel {
-            title: title.into(),
-            x: Axis {
-                name: "run, in the table's order".into(),
-                range: [0.5, results.len() as f64 + 0.5],
-                log: false,
-            },
-            y: Axis {
-                name: format!("RMSE [{unit}]"),
-                range: [0.0, (1.2 * top).max(1e-3)],
-                log: false,
-            },
-            series,
-        }
-    };
-    let drawn = panels(
-        Sheet { title: "Error of each run", size: (1120, 440), grid: (1, 2) },
-        &[
-            panel("position", "mm", &|q| q.position_mm.rmse),
-            panel("rotation", "deg", &|q| q.rotation_deg.rmse),
-        ],
-    )?;
-    blocks.push(Block::Figure(drawn));
-    Ok(Page {
-        over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
-        title: format!("{} runs against the truth", results.len()),
-        lead: "Each row is one estimate of one run. NEES (of the position, of the rotation) is 3 \
-               at best."
-            .into(),
-        facts: vec![
-            ("Made by".into(), format!("volant {}", env!("CARGO_PKG_VERSION"))),
-            ("Command".into(), format!("`{command}`")),
-        ],
-        sections: vec![Section { id: "runs".into(), title: "Errors of all runs".into(), blocks }],
-    })
-}
-
 fn distances(
     began: Stamp,
     seconds: f64,
@@ -228,7 +160,7 @@ fn distances(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluate::{Spread, Tracks, TruthSample};
+    use crate::evaluate::{Quality, Spread, Tracks, TruthSample};
     use nalgebra::{Translation3, Vector3};
 
     fn evaluation() -> Evaluation {

@@ -6,11 +6,11 @@ use std::fmt::Write;
 
 /// Formats a text table with one column per estimate.
 pub fn table(evaluation: &Evaluation) -> String {
-    rows(&evaluation.estimates).to_text(1)
+    rows(&evaluation.estimates).to_text()
 }
 
 /// Formats a figure to three decimals; `-` where nothing was compared.
-pub(super) fn figure(value: f64) -> String {
+fn figure(value: f64) -> String {
     if value.is_nan() { "-".to_owned() } else { format!("{value:.3}") }
 }
 

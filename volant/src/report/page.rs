@@ -115,9 +115,9 @@ impl Table {
         self.rows.push(cells.into_iter().map(|cell| (cell, false)).collect());
     }
 
-    /// Formats the table as text with aligned columns: the first `left` to the left, the others to
-    /// the right.
-    pub fn to_text(&self, left: usize) -> String {
+    /// Formats the table as text with aligned columns: the first to the left, the others to the
+    /// right.
+    pub fn to_text(&self) -> String {
         let rows = self.rows.iter().map(|row| row.iter().map(|(cell, _)| cell).collect());
         let rows: Vec<Vec<&String>> =
             std::iter::once(self.head.iter().collect()).chain(rows).collect();
@@ -126,7 +126,7 @@ impl Table {
         let mut text = String::new();
         for row in &rows {
             for (i, (cell, w)) in row.iter().zip(&widths).enumerate() {
-                let _ = if i < left {
+                let _ = if i == 0 {
                     write!(text, "{cell:<w$}  ")
                 } else {
                     write!(text, "{cell:>w$}  ")
