@@ -1,7 +1,6 @@
 //! Reads ahead: one thread reads the bag, others decode its images, and everything is returned in
 //! the bag's order.
 
-use crate::stopwatch::WorkWatch;
 use bag::{BagError, BagMessage, BagReader, BagSummary};
 use marker_tracker::{ImageError, OwnedImage, decode_compressed, from_encoding};
 use rig_model::Stamp;
@@ -13,7 +12,6 @@ use std::{
         mpsc::{Receiver, SyncSender, sync_channel},
     },
     thread::JoinHandle,
-    time::Duration,
 };
 use volant_msgs::{
     Message, cdr,
@@ -82,7 +80,6 @@ pub struct Feed {
 
 #[derive(Default)]
 struct Shared {
-    decode_nanos: AtomicU64,
     bytes_read: AtomicU64,
     losses: Mutex<Vec<String>>,
 }
@@ -111,8 +108,8 @@ impl Feed {
         let compressed = matches!(images, Some(ImageTopic::Compressed(_)));
         let mut threads = vec![];
         for _ in 0..workers.max(1) {
-            let (jobs, shared) = (jobs.clone(), shared.clone());
-            threads.push(std::thread::spawn(move || decode_all(&jobs, &shared, compressed)));
+            let jobs = jobs.clone();
+            threads.push(std::thread::spawn(move || decode_all(&jobs, compressed)));
         }
         let (slot_sender, slots) = sync_channel(8 * AHEAD);
         let reading = shared.clone();
@@ -138,11 +135,6 @@ impl Feed {
             }
             Slot::Failed(error) => Err(error),
         }
-    }
-
-    /// CPU time spent in decoding, summed over the threads.
-    pub fn decode_time(&self) -> Duration {
-        Duration::from_nanos(self.shared.decode_nanos.load(Ordering::Relaxed))
     }
 
     /// Bytes of the bag read so far.
@@ -205,7 +197,7 @@ fn read_all(
     }
 }
 
-fn decode_all(jobs: &Mutex<Receiver<Job>>, shared: &Shared, compressed: bool) {
+fn decode_all(jobs: &Mutex<Receiver<Job>>, compressed: bool) {
     loop {
         // One worker at a time waits for a job; a poisoned lock means that another worker panicked.
         let job = match jobs.lock() {
@@ -213,10 +205,7 @@ fn decode_all(jobs: &Mutex<Receiver<Job>>, shared: &Shared, compressed: bool) {
             Err(_) => return,
         };
         let Ok(job) = job else { return };
-        let watch = WorkWatch::start();
         let result = if compressed { compressed_image(&job.data) } else { raw_image(&job.data) };
-        let nanos = watch.elapsed().as_nanos() as u64;
-        shared.decode_nanos.fetch_add(nanos, Ordering::Relaxed);
         // The feed may have been dropped; receiving the next job detects it.
         let _ = job.done.send(result);
     }

@@ -9,7 +9,7 @@ mod pipeline;
 mod topic_names;
 
 pub use feed::{Fed, Feed, ImageTopic};
-pub use pipeline::{Counts, Spent};
+pub use pipeline::Counts;
 pub use topic_names::{Remap, TopicNameError, TopicNames};
 
 use crate::stopwatch::Stopwatch;
@@ -60,10 +60,6 @@ pub struct ReplayOptions {
 pub struct ReplayReport {
     /// Counts of inputs and outputs.
     pub counts: Counts,
-    /// CPU time in the estimators and the output.
-    pub spent: Spent,
-    /// CPU time in image decoding, over all threads.
-    pub decoding: Duration,
     /// Wall-clock time.
     pub wall: Duration,
     /// Duration of the bag, s.
@@ -173,18 +169,15 @@ pub fn replay(
             Fed::Image(Err(reason)) => pipeline.bad_image(&reason),
         }
     }
-    let (decoding, losses) = (feed.decode_time(), feed.losses());
+    let losses = feed.losses();
     if pipeline.counts.odometry == 0 {
         return Err(ReplayError::NoEstimate {
             path: input.clone(),
             why: why_silent(&pipeline, &losses),
         });
     }
-    let (counts, spent) = pipeline.finish()?;
     Ok(ReplayReport {
-        counts,
-        spent,
-        decoding,
+        counts: pipeline.finish()?,
         wall: watch.elapsed(),
         recorded: (end.saturating_sub(start)) as f64 * 1e-9,
         losses,

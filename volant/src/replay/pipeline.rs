@@ -1,14 +1,13 @@
 //! The nodes' cores connected in sequence, fed in the order in which the bag logged the messages.
 
 use super::output::OutputBag;
-use crate::stopwatch::WorkWatch;
 use bag::BagError;
 use climber_driver::{Climber, JointReading};
 use marker_tracker::{OwnedImage, Tracker};
 use node_kit::convert;
 use pose_fusion::{Fusion, Outcome, Output, RigCheck, messages};
 use rig_model::{CameraModel, MarkerObservations, MarkerState, Rig, Stamp, topics};
-use std::{collections::BTreeMap, time::Duration};
+use std::collections::BTreeMap;
 use volant_msgs::{
     geometry_msgs::msg::TransformStamped, msg, sensor_msgs::msg as sensor, tf2_msgs::msg::TFMessage,
 };
@@ -71,17 +70,6 @@ impl Counts {
     }
 }
 
-/// CPU time, without decoding.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Spent {
-    /// CPU time in the tracker.
-    pub tracker: Duration,
-    /// CPU time in the filter.
-    pub fusion: Duration,
-    /// CPU time in writing the output.
-    pub output: Duration,
-}
-
 /// The cores and the output.
 #[derive(Debug)]
 pub(super) struct Pipeline {
@@ -96,8 +84,6 @@ pub(super) struct Pipeline {
     rig_check: RigCheck,
     /// Counts so far.
     pub(super) counts: Counts,
-    /// CPU time so far.
-    pub(super) spent: Spent,
 }
 
 impl Pipeline {
@@ -119,7 +105,6 @@ impl Pipeline {
             climber: None,
             rig_check: RigCheck::default(),
             counts: Counts::default(),
-            spent: Spent::default(),
         }
     }
 
@@ -178,12 +163,9 @@ impl Pipeline {
         match convert::climber_sample(message, &self.rig.frames) {
             Ok(sample) => {
                 self.counts.climber += 1;
-                let (output, frames) = (&mut self.output, &self.rig.frames);
-                WorkWatch::add_to(&mut self.spent.output, || {
-                    let message = convert::climber_message(&sample, frames);
-                    output.put(topics::CLIMBER_TRANSFORM, sample.stamp, &message)?;
-                    output.transform(sample.stamp, message)
-                })?;
+                let message = convert::climber_message(&sample, &self.rig.frames);
+                self.output.put(topics::CLIMBER_TRANSFORM, sample.stamp, &message)?;
+                self.output.transform(sample.stamp, message)?;
                 self.fuse(pose_fusion::Input::Climber(sample))
             }
             Err(error) => {
@@ -242,10 +224,7 @@ impl Pipeline {
 
     /// Handles an image.
     pub(super) fn image(&mut self, stamp: Stamp, image: &OwnedImage) -> Result<(), BagError> {
-        let tracker = &mut self.tracker;
-        WorkWatch::add_to(&mut self.spent.tracker, || {
-            tracker.handle(marker_tracker::Input::Image(image.view(stamp)));
-        });
+        self.tracker.handle(marker_tracker::Input::Image(image.view(stamp)));
         self.counts.images += 1;
         while let Some(output) = self.tracker.poll() {
             match output {
@@ -311,21 +290,18 @@ impl Pipeline {
     }
 
     /// Closes the output.
-    pub(super) fn finish(mut self) -> Result<(Counts, Spent), BagError> {
+    pub(super) fn finish(mut self) -> Result<Counts, BagError> {
         self.write_smoothed(true)?;
         self.counts.findings = self.findings();
-        let mut spent = self.spent;
-        WorkWatch::add_to(&mut spent.output, || self.output.finish())?;
-        Ok((self.counts, spent))
+        self.output.finish()?;
+        Ok(self.counts)
     }
 
     fn write_smoothed(&mut self, end: bool) -> Result<(), BagError> {
         if self.smooth {
-            let fusion = &mut self.fusion;
-            let smoothed = WorkWatch::add_to(&mut self.spent.fusion, || fusion.smoothed(end));
-            for odometry in &smoothed {
+            for odometry in self.fusion.smoothed(end) {
                 self.counts.smoothed += 1;
-                let message = messages::odometry(odometry, &self.rig.frames);
+                let message = messages::odometry(&odometry, &self.rig.frames);
                 self.output.put(topics::SMOOTHED_ODOMETRY, odometry.stamp, &message)?;
             }
         }
@@ -337,19 +313,14 @@ impl Pipeline {
             observations.markers.iter().filter(|(_, m)| m.state == MarkerState::Detected).count();
         self.counts.markers += 1;
         self.counts.detected += detected as u64;
-        let (output, frame) = (&mut self.output, &self.rig.frames.camera);
-        WorkWatch::add_to(&mut self.spent.output, || {
-            let message = convert::markers_message(frame, &observations);
-            output.put(topics::MARKERS, observations.stamp, &message)
-        })?;
+        let message = convert::markers_message(&self.rig.frames.camera, &observations);
+        self.output.put(topics::MARKERS, observations.stamp, &message)?;
         self.fuse(pose_fusion::Input::Markers(observations))?;
         self.write_smoothed(false)
     }
 
     fn fuse(&mut self, input: pose_fusion::Input) -> Result<(), BagError> {
-        let fusion = &mut self.fusion;
-        WorkWatch::add_to(&mut self.spent.fusion, || fusion.handle(input));
-        let watch = WorkWatch::start();
+        self.fusion.handle(input);
         while let Some(output) = self.fusion.poll() {
             self.output.fused(&output)?;
             match output {
@@ -366,7 +337,6 @@ impl Pipeline {
                 Output::Status(_) | Output::Predicted(_) | Output::Swing(_) => {}
             }
         }
-        self.spent.output += watch.elapsed();
         Ok(())
     }
 

@@ -8,10 +8,7 @@ use anyhow::Context;
 use bag::{BagReader, Compression};
 use node_kit::{files, out, outln};
 use pose_fusion::Model;
-use std::{
-    path::{Path, PathBuf},
-    time::Duration,
-};
+use std::path::{Path, PathBuf};
 use volant::{
     command_line::UsageError,
     replay::{ReplayOptions, ReplayReport, replay},
@@ -136,13 +133,9 @@ fn check_command(arguments: &Arguments) -> String {
 }
 
 fn summary(report: &ReplayReport, model: Model, workers: usize) -> String {
-    let (c, s) = (&report.counts, &report.spent);
+    let c = &report.counts;
     let share = |part: u64, of: u64| if of == 0 { 0.0 } else { 100.0 * part as f64 / of as f64 };
-    let seconds = |d: Duration| d.as_secs_f64();
-    let work =
-        seconds(report.decoding) + seconds(s.tracker) + seconds(s.fusion) + seconds(s.output);
-    let of_work = |d: Duration| if work > 0.0 { 100.0 * seconds(d) / work } else { 0.0 };
-    let wall = seconds(report.wall).max(1e-9);
+    let wall = report.wall.as_secs_f64().max(1e-9);
     let mut out = String::new();
     if c.images > 0 {
         out += &format!("images    {}\n", c.images);
@@ -177,14 +170,6 @@ fn summary(report: &ReplayReport, model: Model, workers: usize) -> String {
         report.recorded,
         report.recorded / wall,
         if workers == 1 { "" } else { "s" }
-    );
-    out += &format!(
-        "work      {work:.3} s of one core: {:.1} % outside JPEG decoding (tracker {:.1} %, \
-         filter {:.1} %, output {:.1} %)\n",
-        100.0 - of_work(report.decoding),
-        of_work(s.tracker),
-        of_work(s.fusion),
-        of_work(s.output)
     );
     out
 }
