@@ -4,13 +4,16 @@
 use super::LiveError;
 use node_kit::{
     RosArguments,
-    node::{NodeContext, NodeError, NodeHandle, NodeShell, Process, Responder},
+    node::{NodeContext, NodeError, NodeHandle, NodeShell, Process},
 };
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc::sync_channel};
-use volant_msgs::rosbag2_interfaces::srv::{
-    Burst, BurstResponse, GetRate, GetRateResponse, IsPaused, IsPausedResponse, Pause,
-    PauseResponse, PlayNext, PlayNextResponse, Resume, ResumeResponse, Seek, SeekResponse, SetRate,
-    SetRateResponse, Stop, StopResponse, TogglePaused, TogglePausedResponse,
+use volant_msgs::{
+    Service,
+    rosbag2_interfaces::srv::{
+        Burst, BurstResponse, GetRate, GetRateResponse, IsPaused, IsPausedResponse, Pause,
+        PauseResponse, PlayNext, PlayNextResponse, Resume, ResumeResponse, Seek, SeekResponse,
+        SetRate, SetRateResponse, Stop, StopResponse, TogglePaused, TogglePausedResponse,
+    },
 };
 
 /// Controls of a playback, for use from any thread.
@@ -171,48 +174,64 @@ impl PlayControl {
     }
 }
 
-/// Request of a service.
-pub enum Ask {
-    /// Pause.
-    Pause(Responder<Pause>),
-    /// Resume.
-    Resume(Responder<Resume>),
-    /// Toggles between paused and playing.
-    Toggle(Responder<TogglePaused>),
-    /// Whether the playback is paused.
-    IsPaused(Responder<IsPaused>),
-    /// Get the rate.
-    GetRate(Responder<GetRate>),
-    /// Set the rate.
-    SetRate(f64, Responder<SetRate>),
-    /// Play the next message.
-    Next(Responder<PlayNext>),
-    /// Play a number of messages.
-    Burst(u64, Responder<Burst>),
-    /// Seek.
-    Seek(Option<u64>, Responder<Seek>),
-    /// Stop.
-    Stop(Responder<Stop>),
+/// Replies to a request of a service, on the node's thread.
+type Reply = Box<dyn FnOnce(&PlayControl) + Send>;
+
+/// Offers a service; `answer` returns the response to a request.
+fn serve<S: Service>(
+    context: &mut NodeContext<Reply>,
+    name: &str,
+    answer: fn(&PlayControl, S::Request) -> S::Response,
+) -> Result<(), NodeError> {
+    context.serve::<S>(name, move |request, responder| -> Reply {
+        Box::new(move |control: &PlayControl| responder.respond(answer(control, request)))
+    })
 }
 
 struct Player(Arc<PlayControl>);
 
 impl Player {
     /// Offers rosbag2's services over `control`.
-    fn offer(context: &mut NodeContext<Ask>, control: Arc<PlayControl>) -> Result<Self, NodeError> {
-        context.serve::<Pause>("~/pause", |_, answer| Ask::Pause(answer))?;
-        context.serve::<Resume>("~/resume", |_, answer| Ask::Resume(answer))?;
-        context.serve::<TogglePaused>("~/toggle_paused", |_, answer| Ask::Toggle(answer))?;
-        context.serve::<IsPaused>("~/is_paused", |_, answer| Ask::IsPaused(answer))?;
-        context.serve::<GetRate>("~/get_rate", |_, answer| Ask::GetRate(answer))?;
-        context.serve::<SetRate>("~/set_rate", |ask, answer| Ask::SetRate(ask.rate, answer))?;
-        context.serve::<PlayNext>("~/play_next", |_, answer| Ask::Next(answer))?;
-        context.serve::<Burst>("~/burst", |ask, answer| Ask::Burst(ask.num_messages, answer))?;
-        context.serve::<Seek>("~/seek", |ask, answer| {
-            let seconds = u64::try_from(ask.time.sec).ok();
-            Ask::Seek(seconds.map(|s| s * 1_000_000_000 + u64::from(ask.time.nanosec)), answer)
+    fn offer(
+        context: &mut NodeContext<Reply>,
+        control: Arc<PlayControl>,
+    ) -> Result<Self, NodeError> {
+        serve::<Pause>(context, "~/pause", |control, _| {
+            control.set_paused(true);
+            PauseResponse::default()
         })?;
-        context.serve::<Stop>("~/stop", |_, answer| Ask::Stop(answer))?;
+        serve::<Resume>(context, "~/resume", |control, _| {
+            control.set_paused(false);
+            ResumeResponse::default()
+        })?;
+        serve::<TogglePaused>(context, "~/toggle_paused", |control, _| {
+            control.toggle_paused();
+            TogglePausedResponse::default()
+        })?;
+        serve::<IsPaused>(context, "~/is_paused", |control, _| IsPausedResponse {
+            paused: control.is_paused(),
+        })?;
+        serve::<GetRate>(context, "~/get_rate", |control, _| GetRateResponse {
+            rate: control.rate(),
+        })?;
+        serve::<SetRate>(context, "~/set_rate", |control, request| SetRateResponse {
+            success: control.set_rate(request.rate),
+        })?;
+        serve::<PlayNext>(context, "~/play_next", |control, _| PlayNextResponse {
+            success: control.burst(1) == 1,
+        })?;
+        serve::<Burst>(context, "~/burst", |control, request| BurstResponse {
+            actually_burst: control.burst(request.num_messages),
+        })?;
+        serve::<Seek>(context, "~/seek", |control, request| {
+            let seconds = u64::try_from(request.time.sec).ok();
+            let nanos = |s: u64| s * 1_000_000_000 + u64::from(request.time.nanosec);
+            SeekResponse { success: seconds.is_some_and(|s| control.seek(nanos(s))) }
+        })?;
+        serve::<Stop>(context, "~/stop", |control, _| {
+            control.stop();
+            StopResponse::default()
+        })?;
         Ok(Self(control))
     }
 }
@@ -221,44 +240,10 @@ impl NodeShell for Player {
     const NAME: &'static str = "rosbag2_player";
     const ABOUT: &'static str = "plays a bag to live topics";
     type Parameters = ();
-    type Input = Ask;
+    type Input = Reply;
 
-    fn handle(&mut self, _: &mut NodeContext<Ask>, ask: Ask) {
-        let control = &self.0;
-        match ask {
-            Ask::Pause(answer) => {
-                control.set_paused(true);
-                answer.respond(PauseResponse::default());
-            }
-            Ask::Resume(answer) => {
-                control.set_paused(false);
-                answer.respond(ResumeResponse::default());
-            }
-            Ask::Toggle(answer) => {
-                control.toggle_paused();
-                answer.respond(TogglePausedResponse::default());
-            }
-            Ask::IsPaused(answer) => {
-                answer.respond(IsPausedResponse { paused: control.is_paused() })
-            }
-            Ask::GetRate(answer) => answer.respond(GetRateResponse { rate: control.rate() }),
-            Ask::SetRate(rate, answer) => {
-                answer.respond(SetRateResponse { success: control.set_rate(rate) })
-            }
-            Ask::Next(answer) => {
-                answer.respond(PlayNextResponse { success: control.burst(1) == 1 })
-            }
-            Ask::Burst(count, answer) => {
-                answer.respond(BurstResponse { actually_burst: control.burst(count) });
-            }
-            Ask::Seek(time, answer) => {
-                answer.respond(SeekResponse { success: time.is_some_and(|t| control.seek(t)) });
-            }
-            Ask::Stop(answer) => {
-                control.stop();
-                answer.respond(StopResponse::default());
-            }
-        }
+    fn handle(&mut self, _: &mut NodeContext<Reply>, reply: Reply) {
+        reply(&self.0);
     }
 }
 
