@@ -10,7 +10,7 @@ use bag::{BagReader, Qos, Topic, qos_from_yaml};
 use node_kit::node::{NodeHandle, ros_topic, unlimited_policies, with_type_hash};
 use rig_model::topics;
 use rustdds::{RTPSEntity, no_key::DataWriter};
-use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Duration};
+use std::{collections::BTreeMap, path::PathBuf, time::Duration};
 use volant_msgs::{Message, builtin_interfaces::msg::Time, cdr, rosgraph_msgs::msg::Clock};
 
 /// Longest sleep between two checks of the controls.
@@ -33,6 +33,8 @@ const LINGER: Duration = Duration::from_millis(500);
 pub struct PlayOptions {
     /// Bag to play.
     pub input: PathBuf,
+    /// Playback rate; 2 is twice as fast as recorded.
+    pub rate: f64,
     /// Whether to restart at the end.
     pub repeat: bool,
     /// Skipped time at the start.
@@ -64,25 +66,15 @@ struct Writer {
     latched: bool,
 }
 
-/// Plays a bag as the node `rosbag2_player`, with rosbag2's services over `control`. `progress` is
-/// called with the bag's time and its span, ns.
+/// Plays a bag as the node `rosbag2_player`. `progress` is called with the bag's time and its span,
+/// ns.
 ///
 /// # Errors
-/// The bag is unreadable, holds nothing to play or lacks a remapped topic, or DDS creates no node or publisher.
+/// The bag is unreadable, holds nothing to play or lacks a remapped topic, or DDS creates no node or
+/// publisher.
 pub fn play(
     options: &PlayOptions,
-    control: &Arc<PlayControl>,
-    progress: impl FnMut(u64, (u64, u64)),
-) -> Result<PlayReport, LiveError> {
-    let result = play_all(options, control, progress);
-    // Callers that wait for a burst return.
-    control.end();
-    result
-}
-
-fn play_all(
-    options: &PlayOptions,
-    control: &Arc<PlayControl>,
+    control: &PlayControl,
     mut progress: impl FnMut(u64, (u64, u64)),
 ) -> Result<PlayReport, LiveError> {
     let summary = BagReader::summary(&options.input)?;
@@ -124,7 +116,7 @@ fn play_all(
         let topic = Topic::of::<Clock>(&name, &qos);
         (Published { name, topic, qos }, 1.0 / hz)
     });
-    let (_node, (writers, clock)) = player::start(control, move |node| {
+    let (_node, (writers, clock)) = player::start(move |node| {
         let mut writers = BTreeMap::new();
         for (name, published) in chosen {
             writers.insert(name, published.advertise(node)?);
@@ -135,42 +127,32 @@ fn play_all(
         };
         Ok((writers, clock))
     })?;
-    control.begin((first, last));
     let mut report = PlayReport::default();
     let mut pace = Pace {
         clock,
         clock_due: 0.0,
         watch: Stopwatch::start(),
         control,
+        rate: options.rate,
         origin: first,
         position: 0.0,
         seen: 0.0,
     };
     pace.hold(options.delay);
-    let mut begin = start;
-    // Latched messages before the start are published once, and not again after a seek.
-    let mut with_latched = true;
     'bag: loop {
         let mut bag = BagReader::open(&options.input)?;
-        pace.leap(begin);
+        pace.leap(start);
         while let Some(message) = bag.next_message()? {
             let Some(writer) = writers.get(&message.topic.name) else { continue };
-            let early = message.log_time < begin;
-            if early && !(writer.latched && with_latched) {
-                continue;
-            }
-            let turn = if early { Turn::Play } else { pace.until(message.log_time) };
-            match turn {
-                Turn::Stop => break 'bag,
-                Turn::Elsewhere => {
-                    begin = control.take_seek().unwrap_or(begin);
-                    with_latched = false;
-                    continue 'bag;
+            // Latched messages before the start are published at once.
+            if message.log_time < start {
+                if !writer.latched {
+                    continue;
                 }
-                Turn::Play | Turn::One => {}
-            }
-            if !early {
+            } else if pace.until(message.log_time) {
                 progress(message.log_time, (first, last));
+            } else {
+                break 'bag;
             }
             let little_endian = message.data.get(..2) == Some(&[0, 1]);
             if little_endian && writer.writer.write(Raw(message.data), None).is_ok() {
@@ -178,15 +160,11 @@ fn play_all(
             } else {
                 report.rejected += 1;
             }
-            if turn == Turn::One {
-                control.one_is_out();
-            }
         }
         report.losses = bag.losses().to_vec();
         if !options.repeat || control.is_stopped() {
             break;
         }
-        (begin, with_latched) = (start, true);
     }
     // DDS repeats what reliable subscribers miss while this waits.
     let watch = Stopwatch::start();
@@ -225,21 +203,12 @@ impl Published {
     }
 }
 
-/// What to do with the next message.
-#[derive(Clone, Copy, PartialEq)]
-enum Turn {
-    Play,
-    /// Publish it although the player is paused.
-    One,
-    Stop,
-    Elsewhere,
-}
-
 struct Pace<'a> {
     clock: Option<(Writer, f64)>,
     clock_due: f64,
     watch: Stopwatch,
     control: &'a PlayControl,
+    rate: f64,
     /// Time in the bag, ns.
     origin: u64,
     /// Position in the bag, s since the origin, and when it was updated, s of the stopwatch.
@@ -268,33 +237,25 @@ impl Pace<'_> {
         (self.position, self.seen) = (self.since_origin(time), self.now());
     }
 
-    /// Waits until the bag's time, and publishes the clock meanwhile. Time stops while paused.
-    fn until(&mut self, log_time: u64) -> Turn {
+    /// Waits until the bag's time, and publishes the clock meanwhile; false where the player is
+    /// stopped. Time stops while paused.
+    fn until(&mut self, log_time: u64) -> bool {
         let due = self.since_origin(log_time);
-        loop {
-            let (wish, now) = (self.control.wish(), self.now());
-            if wish.stop {
-                return Turn::Stop;
-            }
-            if wish.elsewhere {
-                return Turn::Elsewhere;
-            }
-            if !wish.paused {
-                self.position += (now - self.seen) * wish.rate;
+        while !self.control.is_stopped() {
+            let (paused, now) = (self.control.is_paused(), self.now());
+            if !paused {
+                self.position += (now - self.seen) * self.rate;
             }
             self.seen = now;
             let clock_left = self.tick(now);
-            if wish.paused && wish.one {
-                self.position = self.position.max(due);
-                return Turn::One;
-            }
-            let left = if wish.paused { f64::INFINITY } else { (due - self.position) / wish.rate };
+            let left = if paused { f64::INFINITY } else { (due - self.position) / self.rate };
             if left <= 0.0 {
-                return Turn::Play;
+                return true;
             }
             let slice = left.min(clock_left).min(SLICE.as_secs_f64());
             std::thread::sleep(Duration::from_secs_f64(slice.max(0.0)));
         }
+        false
     }
 
     /// Publishes the clock if it is due; returns the time until it is due again, s.

@@ -33,8 +33,7 @@ pub struct Arguments {
         value_parser = number(0.0..=3600.0)
     )]
     delay: f64,
-    /// Start paused; the space bar, SIGUSR1 and rosbag2's services on /rosbag2_player resume and
-    /// pause
+    /// Start paused; the space bar and SIGUSR1 resume and pause
     #[arg(short, long)]
     paused: bool,
     /// Publish /clock at this rate, Hz [without a value: 40]
@@ -60,6 +59,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         |name: &String| if name.starts_with('/') { name.clone() } else { format!("/{name}") };
     let options = PlayOptions {
         input: arguments.input.clone(),
+        rate: arguments.rate,
         repeat: arguments.repeat,
         start_offset: seconds(arguments.start_offset),
         delay: seconds(arguments.delay),
@@ -75,7 +75,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let bag = arguments.input.display();
         terminal::line(&format!("volant: {bag}: no topic {name}; see `volant bag info {bag}`"));
     }
-    let control = Arc::new(PlayControl::new(arguments.rate, arguments.paused));
+    let control = Arc::new(PlayControl::new(arguments.paused));
     signals::on_stop({
         let control = control.clone();
         move || control.stop()
