@@ -7,8 +7,7 @@ use super::{
     summary,
 };
 use std::{
-    cmp::Reverse,
-    collections::{BTreeMap, BinaryHeap, VecDeque},
+    collections::{BTreeMap, VecDeque},
     fs,
     io::{Read, Seek},
     path::{Component, Path, PathBuf},
@@ -49,7 +48,7 @@ pub struct BagReader {
     current: Option<FileReader>,
     bytes_before: u64,
     /// Messages that are read and not yet returned, by log time and then by their order in the bag.
-    pending: BinaryHeap<Reverse<Pending>>,
+    pending: BTreeMap<(u64, u64), BagMessage>,
     /// Bytes in `pending`, and their limit.
     pending_bytes: usize,
     largest_pending: usize,
@@ -58,29 +57,6 @@ pub struct BagReader {
     horizon: Option<u64>,
     read: u64,
     losses: Vec<String>,
-}
-
-#[derive(Debug)]
-struct Pending {
-    key: (u64, u64),
-    message: BagMessage,
-}
-
-impl PartialEq for Pending {
-    fn eq(&self, other: &Self) -> bool {
-        self.key == other.key
-    }
-}
-impl Eq for Pending {}
-impl PartialOrd for Pending {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl Ord for Pending {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        self.key.cmp(&other.key)
-    }
 }
 
 /// Bytes of pending messages beyond which the earliest is returned, in order or not: a bag in which
@@ -120,7 +96,7 @@ impl BagReader {
             waiting,
             current,
             bytes_before: 0,
-            pending: BinaryHeap::new(),
+            pending: BTreeMap::new(),
             pending_bytes: 0,
             largest_pending: LARGEST_PENDING,
             horizon: None,
@@ -182,14 +158,14 @@ impl BagReader {
     /// The operating system fails to read a file.
     pub fn next_message(&mut self) -> Result<Option<BagMessage>, BagError> {
         loop {
-            let ready = match (self.pending.peek(), self.horizon) {
-                (Some(Reverse(first)), Some(horizon)) => first.key.0 < horizon,
+            let ready = match (self.pending.first_key_value(), self.horizon) {
+                (Some(((time, _), _)), Some(horizon)) => *time < horizon,
                 (Some(_), None) => self.at_end(),
                 (None, _) if self.at_end() => return Ok(None),
                 (None, _) => false,
             };
             if ready || self.pending_bytes > self.largest_pending {
-                let message = self.pending.pop().map(|Reverse(p)| p.message);
+                let message = self.pending.pop_first().map(|(_, message)| message);
                 let size = message.as_ref().map_or(0, |m| m.data.len() + PER_MESSAGE);
                 self.pending_bytes = self.pending_bytes.saturating_sub(size);
                 return Ok(message);
@@ -224,7 +200,7 @@ impl BagReader {
             }
             for message in group {
                 self.pending_bytes += message.data.len() + PER_MESSAGE;
-                self.pending.push(Reverse(Pending { key: (message.log_time, self.read), message }));
+                self.pending.insert((message.log_time, self.read), message);
                 self.read += 1;
             }
         } else {
