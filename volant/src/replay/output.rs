@@ -5,8 +5,7 @@ use bag::{BagError, BagSummary, BagWriter, Qos, Topic, TopicId, WriteOptions};
 use pose_fusion::{Output, messages};
 use rig_model::{Frames, Rig, Stamp, topics};
 use std::{
-    cmp::Reverse,
-    collections::{BinaryHeap, HashMap},
+    collections::{BTreeMap, HashMap},
     path::Path,
 };
 use volant_msgs::{
@@ -30,30 +29,11 @@ pub(super) struct OutputBag {
     frames: Frames,
     /// By their names before remapping.
     topics: HashMap<&'static str, TopicId>,
-    waiting: BinaryHeap<Reverse<(u64, u64, Entry)>>,
+    /// Messages with their topics, by time and then by their order.
+    waiting: BTreeMap<(u64, u64), (TopicId, Vec<u8>)>,
     count: u64,
     newest: u64,
     patience: f64,
-}
-
-/// Topics of a bag that is being created.
-struct Adding<'a> {
-    bag: &'a mut BagWriter,
-    names: &'a TopicNames,
-    topics: HashMap<&'static str, TopicId>,
-}
-
-impl Adding<'_> {
-    fn add<M: Message>(&mut self, name: &'static str, qos: &Qos) {
-        let id = self.bag.add_topic(Topic::of::<M>(&self.names.resolve(name), qos));
-        self.topics.insert(name, id);
-    }
-}
-
-#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Entry {
-    topic: TopicId,
-    data: Vec<u8>,
 }
 
 impl OutputBag {
@@ -67,37 +47,39 @@ impl OutputBag {
         first: Stamp,
         smooth: bool,
     ) -> Result<Self, BagError> {
-        let mut bag = BagWriter::create(path, options)?;
-        let mut adding = Adding { bag: &mut bag, names, topics: HashMap::new() };
-        let qos = &Qos::RELIABLE;
-        adding.add::<msg::MarkerObservations>(topics::MARKERS, qos);
-        adding.add::<TransformStamped>(topics::CLIMBER_TRANSFORM, qos);
-        adding.add::<Odometry>(topics::ODOMETRY, qos);
-        adding.add::<PoseWithCovarianceStamped>(topics::FUSED_POSE, qos);
-        adding.add::<PoseWithCovarianceStamped>(topics::POSE, qos);
-        adding.add::<msg::PoseStatus>(topics::STATUS, qos);
-        adding.add::<Odometry>(topics::PREDICTED_ODOMETRY, qos);
-        adding.add::<msg::Swing>(topics::SWING, qos);
-        adding.add::<PoseWithCovarianceStamped>(topics::VISUAL_POSE, qos);
-        adding.add::<msg::MarkerUpdates>(topics::MARKER_UPDATES, qos);
-        adding.add::<TFMessage>(topics::absolute::TF, qos);
-        adding.add::<TFMessage>(topics::absolute::TF_STATIC, &Qos::LATCHED);
-        if smooth {
-            adding.add::<Odometry>(topics::SMOOTHED_ODOMETRY, qos);
-        }
-        let topics = adding.topics;
         let mut output = Self {
-            bag,
+            bag: BagWriter::create(path, options)?,
             frames: rig.frames.clone(),
-            topics,
-            waiting: BinaryHeap::new(),
+            topics: HashMap::new(),
+            waiting: BTreeMap::new(),
             count: 0,
             newest: 0,
             patience: if smooth { PATIENCE_SMOOTHED } else { PATIENCE },
         };
+        let qos = &Qos::RELIABLE;
+        output.add::<msg::MarkerObservations>(names, topics::MARKERS, qos);
+        output.add::<TransformStamped>(names, topics::CLIMBER_TRANSFORM, qos);
+        output.add::<Odometry>(names, topics::ODOMETRY, qos);
+        output.add::<PoseWithCovarianceStamped>(names, topics::FUSED_POSE, qos);
+        output.add::<PoseWithCovarianceStamped>(names, topics::POSE, qos);
+        output.add::<msg::PoseStatus>(names, topics::STATUS, qos);
+        output.add::<Odometry>(names, topics::PREDICTED_ODOMETRY, qos);
+        output.add::<msg::Swing>(names, topics::SWING, qos);
+        output.add::<PoseWithCovarianceStamped>(names, topics::VISUAL_POSE, qos);
+        output.add::<msg::MarkerUpdates>(names, topics::MARKER_UPDATES, qos);
+        output.add::<TFMessage>(names, topics::absolute::TF, qos);
+        output.add::<TFMessage>(names, topics::absolute::TF_STATIC, &Qos::LATCHED);
+        if smooth {
+            output.add::<Odometry>(names, topics::SMOOTHED_ODOMETRY, qos);
+        }
         let transforms = node_kit::convert::static_transforms(rig, first);
         output.put(topics::absolute::TF_STATIC, first, &transforms)?;
         Ok(output)
+    }
+
+    fn add<M: Message>(&mut self, names: &TopicNames, name: &'static str, qos: &Qos) {
+        let id = self.bag.add_topic(Topic::of::<M>(&names.resolve(name), qos));
+        self.topics.insert(name, id);
     }
 
     /// Writes an output of the filter, except for warnings.
@@ -146,8 +128,8 @@ impl OutputBag {
         message: &M,
     ) -> Result<(), BagError> {
         let time = u64::try_from(at.as_nanos()).unwrap_or(0);
-        let entry = Entry { topic: self.topics[topic], data: cdr::to_bytes(message) };
-        self.waiting.push(Reverse((time, self.count, entry)));
+        let entry = (self.topics[topic], cdr::to_bytes(message));
+        self.waiting.insert((time, self.count), entry);
         self.count += 1;
         if time > self.newest {
             self.newest = time;
@@ -157,10 +139,11 @@ impl OutputBag {
     }
 
     fn write_until(&mut self, until: u64) -> Result<(), BagError> {
-        while self.waiting.peek().is_some_and(|Reverse((time, _, _))| *time <= until) {
-            if let Some(Reverse((time, _, entry))) = self.waiting.pop() {
-                self.bag.write(entry.topic, time, time, &entry.data)?;
-            }
+        while let Some(first) = self.waiting.first_entry()
+            && first.key().0 <= until
+        {
+            let ((time, _), (topic, data)) = first.remove_entry();
+            self.bag.write(topic, time, time, &data)?;
         }
         Ok(())
     }
