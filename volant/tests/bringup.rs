@@ -217,7 +217,8 @@ fn a_topic_that_nobody_publishes_is_named_within_seconds_and_a_former_recording_
 fn lengths_in_meters_are_rejected_at_the_prompts_for_millimeters() {
     let folder = TempDir::new().unwrap();
     let rig = folder.path().join("rig.yaml");
-    let centers = "0.15 0.15 0.02\n150 150 20\n-150 150 20\n-150 -150 20\n150 -150 20\n";
+    let centers =
+        "0.15 0.15 0.02\n15O 150 150 20\n150 150 20\n-150 150 20\n-150 -150 20\n150 -150 20\n";
     let mountings = "0 0 -100\n0 0 0 0\n0.7071 0.7071 0 0\n0 0 0\n0 0 0 1\n";
     let answers = format!("\n0.076\n76000\n80\n{centers}{mountings}");
     let (_, printed) = bringup(&["markers", "--rig", &rig.display().to_string()], &answers);
@@ -225,6 +226,7 @@ fn lengths_in_meters_are_rejected_at_the_prompts_for_millimeters() {
         "the side is 0.076 mm: give it in millimeters",
         "the side is 76000 mm",
         "the position is 0.15 0.15 0.02 mm: give it in millimeters",
+        "write 3 numbers",
         "its length is 0.000",
         "markers     PASS",
     ] {

@@ -109,6 +109,7 @@ fn a_wrong_command_line_is_2() {
         &["record", "--out", "run.mcap", "--split-duration", "10"],
         &["record", "--out", "run", "--split-size", "0"],
         &["record", "--out", "run", "--keep", "3"],
+        &["calibrate", "climber", "x", "--rig", "r", "--platform", "0,O,0,0.12"],
         &[
             "calibrate",
             "climber",

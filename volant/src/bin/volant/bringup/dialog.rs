@@ -66,14 +66,13 @@ pub fn numbers<const N: usize>(
             return Ok(default);
         }
         let words = answer.split([' ', ',']).filter(|w| !w.is_empty());
-        let found: Vec<f64> =
-            words.filter_map(|w| w.parse().ok()).filter(|x: &f64| x.is_finite()).collect();
+        let found: Vec<f64> = words.map(|w| w.parse().unwrap_or(f64::NAN)).collect();
         match <[f64; N]>::try_from(found) {
-            Ok(numbers) => match check(&numbers) {
+            Ok(numbers) if numbers.iter().all(|x| x.is_finite()) => match check(&numbers) {
                 Ok(()) => return Ok(numbers),
                 Err(wrong) => outln!("  {wrong}")?,
             },
-            Err(_) => outln!("  write {N} numbers, such as {shown}")?,
+            _ => outln!("  write {N} numbers, such as {shown}")?,
         }
     }
 }

@@ -67,9 +67,9 @@ pub struct Arguments {
 }
 
 fn position(text: &str) -> Result<Vector3<f64>, String> {
-    let numbers: Vec<f64> = text.split(',').filter_map(|n| n.trim().parse().ok()).collect();
-    match numbers.as_slice() {
-        [x, y, z] if numbers.iter().all(|n| n.is_finite()) => Ok(Vector3::new(*x, *y, *z)),
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|n| n.trim().parse()).collect();
+    match numbers.as_deref() {
+        Ok([x, y, z]) if [x, y, z].iter().all(|n| n.is_finite()) => Ok(Vector3::new(*x, *y, *z)),
         _ => Err("write it as X,Y,Z in meters, such as 0,0,0.12".to_owned()),
     }
 }
