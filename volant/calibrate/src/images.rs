@@ -5,7 +5,7 @@ use bag::BagReader;
 use opencv::{core, imgcodecs, imgproc, prelude::*};
 use rig_model::topics;
 use std::{
-    io::{self, BufRead, BufReader, Read},
+    io::{self, BufRead, BufReader},
     os::unix::fs::FileTypeExt,
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
@@ -53,7 +53,7 @@ impl Kind {
         match ending.as_str() {
             _ if special => Self::Device,
             _ if could_be_topic && !source.exists() => Self::Topic,
-            "mcap" | "zstd" => Self::Bag,
+            "mcap" | "zst" | "zstd" => Self::Bag,
             _ if source.join("metadata.yaml").is_file() => Self::Bag,
             "mp4" | "avi" | "mkv" | "mov" | "webm" | "m4v" | "mpg" | "mpeg" | "ogv" => Self::Video,
             _ => Self::Files,
@@ -157,7 +157,11 @@ fn from_ffmpeg(
             )
         })?;
     let mut child = Killed(child);
-    let Some(pipe) = child.0.stdout.take() else { bail!("ffmpeg has no output") };
+    let (Some(pipe), Some(errors)) = (child.0.stdout.take(), child.0.stderr.take()) else {
+        bail!("ffmpeg has no output")
+    };
+    // Read meanwhile: ffmpeg waits where its errors fill the pipe.
+    let reason = std::thread::spawn(|| BufReader::new(errors).lines().map_while(Result::ok).last());
     let mut pipe = BufReader::new(pipe);
     let mut count = 0;
     let name = source.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
@@ -175,11 +179,8 @@ fn from_ffmpeg(
         }
     }
     if count == 0 {
-        let mut words = String::new();
-        if let Some(mut text) = child.0.stderr.take() {
-            let _ = text.read_to_string(&mut words);
-        }
-        let why = words.lines().last().unwrap_or("it has no image").trim().to_owned();
+        let reason = reason.join().ok().flatten();
+        let why = reason.as_deref().map_or("it has no image", str::trim);
         bail!("{shown}: {why}; check that it is a video, or a connected camera that is not in use");
     }
     Ok(count)
@@ -392,7 +393,9 @@ mod tests {
     #[test]
     fn kinds_of_sources_are_detected() {
         assert_eq!(Kind::of(Path::new("/dev/null")), Kind::Device);
-        assert_eq!(Kind::of(Path::new("a/run.mcap")), Kind::Bag);
+        for bag in ["a/run.mcap", "a/run.mcap.zst", "a/run.mcap.zstd"] {
+            assert_eq!(Kind::of(Path::new(bag)), Kind::Bag);
+        }
         assert_eq!(Kind::of(Path::new("boards.MP4")), Kind::Video);
         assert_eq!(Kind::of(Path::new("src")), Kind::Files);
         assert_eq!(Kind::of(Path::new(topics::absolute::IMAGE)), Kind::Topic);
