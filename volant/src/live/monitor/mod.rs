@@ -7,10 +7,7 @@ pub mod screen;
 mod snapshot;
 mod state;
 
-pub use snapshot::{
-    FilterState, Flow, InputLine, MarkerState, PoseState, RigState, Snapshot, StatusLine, TopicLine,
-};
-pub use state::Monitor;
+pub use snapshot::{Flow, InputLine, PoseState, RigState, Snapshot, TopicLine};
 
 use super::{
     LiveError, system_nanos,
@@ -18,6 +15,7 @@ use super::{
 };
 use node_kit::environment::{DiscoveryRange, Network};
 use rig_model::topics;
+use state::Monitor;
 use std::{
     collections::BTreeMap,
     sync::{Arc, Mutex, PoisonError},

@@ -1,16 +1,36 @@
 //! Formats a snapshot as text, for pipes, logs and tests; the screen uses the same cells.
 
-use super::snapshot::{
-    FilterState, Flow, InputLine, MarkerState, PoseState, RigState, Snapshot, StatusLine,
-};
+use super::snapshot::{Flow, InputLine, PoseState, RigState, Snapshot};
+use rig_model::MarkerColor;
 use std::fmt::Write;
+use volant_msgs::{
+    diagnostic_msgs::msg::DiagnosticStatus,
+    msg::{MarkerObservation, PoseStatus},
+};
 
-/// Names of the levels of diagnostics.
-pub const LEVELS: [&str; 4] = ["ok", "WARN", "ERROR", "STALE"];
+/// The name of a number; `?` without one.
+fn named(names: &[&'static str], number: u8) -> &'static str {
+    names.get(usize::from(number)).copied().unwrap_or("?")
+}
 
 /// Name of a diagnostic's level.
-pub fn level(status: &StatusLine) -> &'static str {
-    LEVELS.get(usize::from(status.level)).copied().unwrap_or("?")
+pub fn level(status: &DiagnosticStatus) -> &'static str {
+    named(&["ok", "WARN", "ERROR", "STALE"], status.level)
+}
+
+/// How the screen shows a line about a rig.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tone {
+    /// A current value.
+    Normal,
+    /// The pose may be used.
+    Good,
+    /// The pose must not be used, or the value is old.
+    Bad,
+    /// No message so far.
+    Missing,
+    /// A marker.
+    Marker(MarkerColor),
 }
 
 /// What to check where no topic is found.
@@ -30,8 +50,8 @@ pub fn text(snapshot: &Snapshot) -> String {
     let mut out = String::new();
     for (name, rig) in &snapshot.rigs {
         let _ = writeln!(out, "rig {}", if name.is_empty() { "/" } else { name });
-        for line in rig_lines(rig, snapshot.now) {
-            let _ = writeln!(out, "  {line}");
+        for (_, head, line) in rig_lines(rig, snapshot.now) {
+            let _ = writeln!(out, "  {head:8}{line}");
         }
     }
     let _ = writeln!(out, "topics");
@@ -61,7 +81,7 @@ pub fn text(snapshot: &Snapshot) -> String {
                 out,
                 "  {:5} {}: {}: {}",
                 level(status),
-                status.node,
+                status.hardware_id,
                 status.name,
                 status.message
             );
@@ -70,54 +90,65 @@ pub fn text(snapshot: &Snapshot) -> String {
     out
 }
 
-/// Formats status, poses and markers, one line each.
-pub fn rig_lines(rig: &RigState, now: u64) -> Vec<String> {
-    let mut lines = vec![match &rig.status {
-        Some(status) => format!("status  {}{}", status_line(status), old(status.at, now)),
-        None => "status  nothing yet".to_owned(),
-    }];
-    for (what, pose) in [("fused ", &rig.odometry), ("camera", &rig.visual)] {
-        match pose {
-            Some(pose) => {
-                let [position, angles] = pose_lines(pose);
-                lines.push(format!("{what}  {position}{}", old(pose.at, now)));
-                lines.push(format!("        {angles}"));
-                if let Some([linear, angular]) = pose.speed {
-                    lines.push(format!("        {linear:.3} m/s, {angular:.1} °/s"));
-                }
-            }
-            None => lines.push(format!("{what}  nothing yet")),
+/// Formats status, poses and markers, one line each, with its head.
+pub fn rig_lines(rig: &RigState, now: u64) -> Vec<(Tone, &'static str, String)> {
+    let nothing = || "nothing yet".to_owned();
+    let mut lines = vec![];
+    match &rig.status {
+        Some((at, status)) => {
+            let age = old(*at, now);
+            let tone = if status.valid && age.is_empty() { Tone::Good } else { Tone::Bad };
+            lines.push((tone, "status", status_line(status) + &age));
+        }
+        None => lines.push((Tone::Bad, "status", nothing())),
+    }
+    for (what, pose) in [("fused", &rig.odometry), ("camera", &rig.visual)] {
+        let Some(pose) = pose else {
+            lines.push((Tone::Missing, what, nothing()));
+            continue;
+        };
+        let age = old(pose.at, now);
+        let tone = if age.is_empty() { Tone::Normal } else { Tone::Bad };
+        let [position, angles] = pose_lines(pose);
+        lines.push((tone, what, position + &age));
+        lines.push((tone, "", angles));
+        if let Some([linear, angular]) = pose.speed {
+            lines.push((tone, "", format!("{linear:.3} m/s, {angular:.1} °/s")));
         }
     }
     if rig.markers.is_empty() {
-        lines.push("markers nothing yet".to_owned());
+        lines.push((Tone::Missing, "markers", nothing()));
     }
     for marker in &rig.markers {
-        lines.push(format!(
-            "{:7} {}{}",
-            marker.color.name(),
-            marker_line(marker),
-            old(rig.markers_at, now)
-        ));
+        if let Some(color) = color(marker) {
+            let line = marker_line(marker) + &old(rig.markers_at, now);
+            lines.push((Tone::Marker(color), color.name(), line));
+        }
     }
     lines
 }
 
+/// Color of a marker; `None` for an undefined one.
+pub(super) fn color(marker: &MarkerObservation) -> Option<MarkerColor> {
+    MarkerColor::ALL.get(usize::from(marker.color)).copied()
+}
+
 /// Formats state, validity, standard deviations and reason.
-pub fn status_line(status: &FilterState) -> String {
+fn status_line(status: &PoseStatus) -> String {
+    let states = ["INITIALIZING", "TRACKING", "COASTING", "VISION_ONLY", "LOST"];
     format!(
         "{}, {}  ±{:.2} mm  ±{:.2} °{}{}",
-        status.state,
+        named(&states, status.state),
         if status.valid { "valid" } else { "NOT VALID" },
         1e3 * status.position_sigma,
-        status.rotation_sigma,
+        status.rotation_sigma.to_degrees(),
         if status.reason.is_empty() { "" } else { ": " },
         status.reason
     )
 }
 
 /// Formats position and rotation with their standard deviations.
-pub fn pose_lines(pose: &PoseState) -> [String; 2] {
+fn pose_lines(pose: &PoseState) -> [String; 2] {
     let axes = |names: [&str; 3],
                 values: [f64; 3],
                 sigmas: [f64; 3],
@@ -140,27 +171,21 @@ pub fn pose_lines(pose: &PoseState) -> [String; 2] {
 }
 
 /// Formats state, position and standard deviations of a marker.
-pub fn marker_line(marker: &MarkerState) -> String {
-    let place = if marker.position[0].is_finite() {
-        format!(
-            "({:7.2}, {:7.2}) px ±{:.3}, {:.3}",
-            marker.position[0], marker.position[1], marker.sigma[0], marker.sigma[1]
-        )
+fn marker_line(marker: &MarkerObservation) -> String {
+    let sigma = |i: usize| marker.covariance[i].max(0.0).sqrt();
+    let place = if marker.x.is_finite() {
+        format!("({:7.2}, {:7.2}) px ±{:.3}, {:.3}", marker.x, marker.y, sigma(0), sigma(3))
     } else {
         String::new()
     };
-    let hidden = match marker.hidden_for {
-        Some(0) => String::new(),
-        Some(n) => format!("hidden for {n} images"),
-        None => "never seen".to_owned(),
+    let hidden = match marker.occluded_frames {
+        0 => String::new(),
+        u16::MAX => "never seen".to_owned(),
+        n => format!("hidden for {n} images"),
     };
-    format!(
-        "{:9} {place}{}{hidden}",
-        marker.state,
-        if hidden.is_empty() || place.is_empty() { "" } else { ", " }
-    )
-    .trim_end()
-    .to_owned()
+    let state = named(&["DETECTED", "PREDICTED", "LOST"], marker.state);
+    let comma = if hidden.is_empty() || place.is_empty() { "" } else { ", " };
+    format!("{state:9} {place}{comma}{hidden}").trim_end().to_owned()
 }
 
 /// Formats rate, delay, messages and losses.
@@ -189,7 +214,7 @@ pub fn input_line(input: &InputLine) -> String {
 }
 
 /// Formats the age of a value that is older than two seconds.
-pub(super) fn old(at: u64, now: u64) -> String {
+fn old(at: u64, now: u64) -> String {
     match now.saturating_sub(at) / 1_000_000_000 {
         0 | 1 => String::new(),
         seconds => format!("  ({seconds} s ago)"),
@@ -200,7 +225,6 @@ pub(super) fn old(at: u64, now: u64) -> String {
 mod tests {
     use super::{super::TopicLine, *};
     use nalgebra::Vector3;
-    use rig_model::MarkerColor;
 
     #[test]
     fn what_matters_is_in_the_text() {
@@ -212,38 +236,36 @@ mod tests {
             angle_sigma: [0.05, 0.06, 0.07],
             speed: Some([0.25, 12.0]),
         };
-        let marker = |state, x, hidden_for| MarkerState {
-            color: MarkerColor::Red,
+        let marker = |state, x, occluded_frames| MarkerObservation {
             state,
-            position: [x, 240.0],
-            sigma: [0.02, 0.03],
-            hidden_for,
+            occluded_frames,
+            x,
+            y: 240.0,
+            covariance: [0.0004, 0.0, 0.0, 0.0009],
+            ..MarkerObservation::default()
         };
         let rig = RigState {
             odometry: Some(pose),
             visual: None,
             markers: vec![
-                marker("DETECTED", 320.0, Some(0)),
-                marker("LOST", f64::NAN, None),
-                marker("PREDICTED", 9.0, Some(2)),
+                marker(MarkerObservation::DETECTED, 320.0, 0),
+                marker(MarkerObservation::LOST, f64::NAN, u16::MAX),
+                marker(MarkerObservation::PREDICTED, 9.0, 2),
             ],
             markers_at: 0,
-            status: Some(FilterState {
-                at: 7_000_000_000,
-                state: "LOST",
-                valid: false,
-                position_sigma: 0.25,
-                rotation_sigma: 1.5,
-                reason: "no image for 3.0 s".to_owned(),
-            }),
+            status: Some((
+                7_000_000_000,
+                PoseStatus {
+                    state: PoseStatus::LOST,
+                    position_sigma: 0.25,
+                    rotation_sigma: 1.5_f64.to_radians(),
+                    reason: "no image for 3.0 s".to_owned(),
+                    ..PoseStatus::default()
+                },
+            )),
         };
         let flow = Flow { rate: None, delay: None, count: 2, lost: 0 };
-        let topic = TopicLine {
-            name: "/tf_static".to_owned(),
-            type_name: String::new(),
-            publishers: 1,
-            flow: Some(flow),
-        };
+        let topic = TopicLine { name: "/tf_static".to_owned(), publishers: 1, flow: Some(flow) };
         let snapshot = Snapshot {
             rigs: vec![(String::new(), rig)],
             topics: vec![topic],

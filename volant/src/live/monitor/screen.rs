@@ -1,7 +1,7 @@
 //! Draws a snapshot on a terminal.
 
 use super::{
-    plain::{flow_cells, input_line, level, marker_line, nothing, old, pose_lines, status_line},
+    plain::{self, Tone, flow_cells, input_line, level, nothing, rig_lines},
     snapshot::{RigState, Snapshot},
 };
 use ratatui::{
@@ -56,7 +56,7 @@ pub fn draw(frame: &mut Frame<'_>, snapshot: &Snapshot, chosen: usize) {
             Line::from(vec![
                 Span::styled(format!("{:5} ", level(s)), Style::new().fg(color)),
                 Span::styled(
-                    format!("{}: {}: ", s.node, s.name),
+                    format!("{}: {}: ", s.hardware_id, s.name),
                     Style::new().add_modifier(Modifier::BOLD),
                 ),
                 Span::raw(s.message.as_str()),
@@ -106,46 +106,26 @@ fn draw_rig(
         lines.push(Line::styled(nothing(snapshot), Style::new().fg(Color::Yellow)));
     }
     if let Some((_, rig)) = rig {
-        let (status, good) = rig.status.as_ref().map_or(("nothing yet".to_owned(), false), |s| {
-            let current = snapshot.now.saturating_sub(s.at) <= 2_000_000_000;
-            (status_line(s) + &old(s.at, snapshot.now), s.valid && current)
-        });
-        let status_color = if good { Color::Green } else { Color::Red };
-        lines.push(Line::styled(format!("status  {status}"), Style::new().fg(status_color)));
-        for (what, pose) in [("fused ", &rig.odometry), ("camera", &rig.visual)] {
-            match pose {
-                None => lines.push(Line::styled(
-                    format!("{what}  nothing yet"),
-                    Style::new().fg(Color::Yellow),
-                )),
-                Some(pose) => {
-                    let age = old(pose.at, snapshot.now);
-                    let fresh = age.is_empty();
-                    let style = if fresh { Style::new() } else { Style::new().fg(Color::Red) };
-                    let [position, angles] = pose_lines(pose);
-                    lines.push(Line::styled(format!("{what}  {position}{age}"), style));
-                    lines.push(Line::styled(format!("        {angles}"), style));
-                    if let Some([linear, angular]) = pose.speed {
-                        lines.push(Line::styled(
-                            format!("        {linear:.3} m/s, {angular:.1} °/s"),
-                            style,
-                        ));
-                    }
-                }
-            }
-        }
-        for marker in &rig.markers {
-            lines.push(Line::from(vec![
-                Span::styled(
-                    format!("{:7} ", marker.color.name()),
-                    Style::new().fg(color(marker.color)),
-                ),
-                Span::raw(marker_line(marker) + &old(rig.markers_at, snapshot.now)),
-            ]));
-        }
+        let shown = rig_lines(rig, snapshot.now);
+        lines.extend(shown.into_iter().map(|(tone, head, text)| rig_line(tone, head, text)));
     }
     let text = Paragraph::new(lines).wrap(Wrap { trim: false });
     frame.render_widget(text.block(titled(&title)), area);
+}
+
+fn rig_line(tone: Tone, head: &str, text: String) -> Line<'static> {
+    let head = format!("{head:8}");
+    let style = match tone {
+        Tone::Normal => Style::new(),
+        Tone::Good => Style::new().fg(Color::Green),
+        Tone::Bad => Style::new().fg(Color::Red),
+        Tone::Missing => Style::new().fg(Color::Yellow),
+        Tone::Marker(marker) => {
+            let head = Span::styled(head, Style::new().fg(color(marker)));
+            return Line::from(vec![head, Span::raw(text)]);
+        }
+    };
+    Line::styled(head + &text, style)
 }
 
 /// Draws the markers' positions in the image. The image size is unknown here, so the frame grows
@@ -154,8 +134,8 @@ fn draw_image(frame: &mut Frame<'_>, area: Rect, rig: Option<&RigState>) {
     let seen: Vec<(MarkerColor, f64, f64)> = rig
         .iter()
         .flat_map(|r| &r.markers)
-        .filter(|m| m.position[0].is_finite() && m.position[1].is_finite())
-        .map(|m| (m.color, m.position[0], m.position[1]))
+        .filter(|m| m.x.is_finite() && m.y.is_finite())
+        .filter_map(|m| Some((plain::color(m)?, m.x, m.y)))
         .collect();
     let far = |least: f64, of: fn(&(MarkerColor, f64, f64)) -> f64| {
         seen.iter().map(of).fold(least, f64::max)
@@ -211,8 +191,12 @@ fn color(marker: MarkerColor) -> Color {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::live::monitor::{FilterState, Flow, MarkerState, StatusLine, TopicLine};
+    use crate::live::monitor::{Flow, TopicLine};
     use ratatui::{Terminal, backend::TestBackend};
+    use volant_msgs::{
+        diagnostic_msgs::msg::DiagnosticStatus,
+        msg::{MarkerObservation, PoseStatus},
+    };
 
     fn screen(snapshot: &Snapshot, width: u16, height: u16) -> String {
         let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
@@ -222,29 +206,31 @@ mod tests {
 
     #[test]
     fn the_screen_shows_markers_rates_and_diagnostics_at_any_size() {
-        let marker = MarkerState {
-            color: MarkerColor::Green,
-            state: "DETECTED",
-            position: [320.0, 240.0],
-            sigma: [0.02, 0.02],
-            hidden_for: Some(0),
+        let marker = MarkerObservation {
+            color: MarkerObservation::GREEN,
+            x: 320.0,
+            y: 240.0,
+            ..MarkerObservation::default()
         };
-        let status = FilterState {
-            at: 1,
-            state: "COASTING",
+        let status = PoseStatus {
+            state: PoseStatus::COASTING,
             valid: true,
             position_sigma: 0.002,
-            rotation_sigma: 0.1,
+            rotation_sigma: 0.1_f64.to_radians(),
             reason: "no image for 0.5 s".to_owned(),
+            ..PoseStatus::default()
         };
         let snapshot = Snapshot {
             rigs: vec![(
                 "/rig1".into(),
-                RigState { markers: vec![marker], status: Some(status), ..RigState::default() },
+                RigState {
+                    markers: vec![marker],
+                    status: Some((1, status)),
+                    ..RigState::default()
+                },
             )],
             topics: vec![TopicLine {
                 name: "/rig1/climber/markers".into(),
-                type_name: String::new(),
                 publishers: 1,
                 flow: Some(Flow {
                     rate: Some(30.0),
@@ -254,11 +240,12 @@ mod tests {
                 }),
             }],
             inputs: vec![],
-            statuses: vec![StatusLine {
+            statuses: vec![DiagnosticStatus {
                 level: 1,
-                node: "/rig1/imu".into(),
+                hardware_id: "/rig1/imu".into(),
                 name: "unit".into(),
                 message: "unplugged".into(),
+                values: vec![],
             }],
             now: 1,
             place: String::new(),

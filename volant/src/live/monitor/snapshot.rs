@@ -1,8 +1,10 @@
 //! What the monitor shows: poses, markers, rates and diagnostics at one time.
 
 use nalgebra::{Isometry3, Vector3};
-use rig_model::MarkerColor;
-use volant_msgs::msg::{MarkerObservation, PoseStatus};
+use volant_msgs::{
+    diagnostic_msgs::msg::DiagnosticStatus,
+    msg::{MarkerObservation, PoseStatus},
+};
 
 /// The estimates and measurements of one rig.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -12,28 +14,11 @@ pub struct RigState {
     /// `volant/visual_pose`: `world_from_volant` from one image alone.
     pub visual: Option<PoseState>,
     /// `climber/markers`.
-    pub markers: Vec<MarkerState>,
+    pub markers: Vec<MarkerObservation>,
     /// Arrival of the markers, ns.
     pub markers_at: u64,
-    /// `volant/status`.
-    pub status: Option<FilterState>,
-}
-
-/// The status of the estimator.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FilterState {
-    /// Time of arrival, ns.
-    pub at: u64,
-    /// `TRACKING`, `COASTING`, …, or `?`.
-    pub state: &'static str,
-    /// Whether the pose may be used.
-    pub valid: bool,
-    /// Largest standard deviation of the position, m.
-    pub position_sigma: f64,
-    /// Largest standard deviation of the rotation, degrees.
-    pub rotation_sigma: f64,
-    /// Why it is not TRACKING or not valid; empty otherwise.
-    pub reason: String,
+    /// Arrival of `volant/status`, ns, and the message.
+    pub status: Option<(u64, PoseStatus)>,
 }
 
 /// A pose with its standard deviations.
@@ -53,21 +38,6 @@ pub struct PoseState {
     pub speed: Option<[f64; 2]>,
 }
 
-/// A marker in the latest image.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MarkerState {
-    /// Color of the marker.
-    pub color: MarkerColor,
-    /// `DETECTED`, `PREDICTED`, `LOST`, or `?`.
-    pub state: &'static str,
-    /// Position in the image, px; NaN where it is lost.
-    pub position: [f64; 2],
-    /// Standard deviations of the position, px.
-    pub sigma: [f64; 2],
-    /// Images since it was last detected; `None` if it never was.
-    pub hidden_for: Option<u16>,
-}
-
 /// What the monitor shows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Snapshot {
@@ -77,8 +47,8 @@ pub struct Snapshot {
     pub topics: Vec<TopicLine>,
     /// The nodes' own counts of their inputs.
     pub inputs: Vec<InputLine>,
-    /// Diagnostics, worst first.
-    pub statuses: Vec<StatusLine>,
+    /// Diagnostics without their values, worst first; the node is in `hardware_id` alone.
+    pub statuses: Vec<DiagnosticStatus>,
     /// Time of the snapshot, ns.
     pub now: u64,
     /// Where topics are searched: domain, discovery range, namespace.
@@ -90,8 +60,6 @@ pub struct Snapshot {
 pub struct TopicLine {
     /// Absolute name.
     pub name: String,
-    /// `package/msg/Type`.
-    pub type_name: String,
     /// Number of publishers.
     pub publishers: usize,
     /// Received messages; `None` if the monitor does not subscribe.
@@ -128,19 +96,6 @@ pub struct InputLine {
     pub lost: u64,
 }
 
-/// A line of `/diagnostics`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StatusLine {
-    /// 0 ok, 1 warning, 2 error, 3 stale.
-    pub level: u8,
-    /// Fully qualified name of the node.
-    pub node: String,
-    /// Name of the diagnostic.
-    pub name: String,
-    /// Its message.
-    pub message: String,
-}
-
 impl PoseState {
     /// Converts a received pose; `at` in ns, `speed` in m/s and degrees/s.
     pub(super) fn new(
@@ -159,45 +114,5 @@ impl PoseState {
             angle_sigma: [sigma(3), sigma(4), sigma(5)].map(f64::to_degrees),
             speed,
         }
-    }
-}
-
-impl FilterState {
-    /// Converts a received status; `at` in ns.
-    pub(super) fn new(at: u64, status: PoseStatus) -> Self {
-        Self {
-            at,
-            state: match status.state {
-                PoseStatus::INITIALIZING => "INITIALIZING",
-                PoseStatus::TRACKING => "TRACKING",
-                PoseStatus::COASTING => "COASTING",
-                PoseStatus::VISION_ONLY => "VISION_ONLY",
-                PoseStatus::LOST => "LOST",
-                _ => "?",
-            },
-            valid: status.valid,
-            position_sigma: status.position_sigma,
-            rotation_sigma: status.rotation_sigma.to_degrees(),
-            reason: status.reason,
-        }
-    }
-}
-
-impl MarkerState {
-    /// Converts a received observation; `None` for an unknown color.
-    pub(super) fn new(m: &MarkerObservation) -> Option<Self> {
-        let color = MarkerColor::ALL.into_iter().nth(usize::from(m.color))?;
-        Some(Self {
-            color,
-            state: match m.state {
-                MarkerObservation::DETECTED => "DETECTED",
-                MarkerObservation::PREDICTED => "PREDICTED",
-                MarkerObservation::LOST => "LOST",
-                _ => "?",
-            },
-            position: [m.x, m.y],
-            sigma: [m.covariance[0].max(0.0).sqrt(), m.covariance[3].max(0.0).sqrt()],
-            hidden_for: (m.occluded_frames != u16::MAX).then_some(m.occluded_frames),
-        })
     }
 }

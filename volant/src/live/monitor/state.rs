@@ -1,8 +1,6 @@
 //! State of the monitor: samples in, [`Snapshot`]s out. No clock, thread or terminal.
 
-use super::snapshot::{
-    FilterState, Flow, InputLine, MarkerState, PoseState, RigState, Snapshot, StatusLine, TopicLine,
-};
+use super::snapshot::{Flow, InputLine, PoseState, RigState, Snapshot, TopicLine};
 use crate::live::tap::{Offer, Sample};
 use bag::Topic;
 use node_kit::convert;
@@ -11,7 +9,7 @@ use std::collections::{BTreeMap, VecDeque};
 use volant_msgs::{
     Message, cdr,
     diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus},
-    geometry_msgs::msg::PoseWithCovarianceStamped,
+    geometry_msgs::msg::{PoseWithCovarianceStamped, Vector3},
     msg::{MarkerObservations, PoseStatus},
     nav_msgs::msg::Odometry,
 };
@@ -37,7 +35,6 @@ pub struct Monitor {
 
 #[derive(Debug, Default)]
 struct TopicState {
-    type_name: String,
     publishers: usize,
     subscribed: bool,
     /// Its messages are kept for late subscribers, and not periodic.
@@ -49,10 +46,9 @@ struct TopicState {
 }
 
 impl Monitor {
-    /// Sets a topic's type, QoS and number of publishers, and whether the monitor subscribes.
+    /// Sets a topic's QoS and number of publishers, and whether the monitor subscribes.
     pub fn discover(&mut self, offer: &Offer, subscribed: bool) {
         let topic = self.topics.entry(offer.topic.name.clone()).or_default();
-        topic.type_name.clone_from(&offer.topic.type_name);
         (topic.publishers, topic.subscribed) = (offer.publishers, subscribed);
         topic.latched = offer.qos.transient_local;
     }
@@ -75,48 +71,38 @@ impl Monitor {
             state.arrivals.pop_front();
         }
         state.arrivals.push_back((sample.log_time, age(topic, sample)));
-        let rig = |suffix: &str| topic.name.strip_suffix(suffix).map(str::to_owned);
+        let at = sample.log_time;
         match &*topic.type_name {
             Odometry::TYPE_NAME => {
-                if let (Some(rig), Ok(m)) =
-                    (rig(topics::absolute::ODOMETRY), cdr::from_bytes::<Odometry>(&sample.data))
-                {
+                let received = self.rig::<Odometry>(topic, topics::absolute::ODOMETRY, sample);
+                if let Some((rig, m)) = received {
+                    let norm = |v: &Vector3| v.x.hypot(v.y).hypot(v.z);
                     let twist = &m.twist.twist;
-                    let norm =
-                        |v: &volant_msgs::geometry_msgs::msg::Vector3| v.x.hypot(v.y).hypot(v.z);
                     let speed = [norm(&twist.linear), norm(&twist.angular).to_degrees()];
                     let pose = convert::pose(&m.pose.pose, "odometry").ok();
-                    self.rigs.entry(rig).or_default().odometry = pose.map(|p| {
-                        PoseState::new(sample.log_time, &p, &m.pose.covariance, Some(speed))
-                    });
+                    rig.odometry =
+                        pose.map(|p| PoseState::new(at, &p, &m.pose.covariance, Some(speed)));
                 }
             }
             PoseWithCovarianceStamped::TYPE_NAME => {
-                if let (Some(rig), Ok(m)) = (
-                    rig(topics::absolute::VISUAL_POSE),
-                    cdr::from_bytes::<PoseWithCovarianceStamped>(&sample.data),
-                ) {
+                let topic_name = topics::absolute::VISUAL_POSE;
+                let received = self.rig::<PoseWithCovarianceStamped>(topic, topic_name, sample);
+                if let Some((rig, m)) = received {
                     let pose = convert::pose(&m.pose.pose, "visual_pose").ok();
-                    self.rigs.entry(rig).or_default().visual =
-                        pose.map(|p| PoseState::new(sample.log_time, &p, &m.pose.covariance, None));
+                    rig.visual = pose.map(|p| PoseState::new(at, &p, &m.pose.covariance, None));
                 }
             }
             MarkerObservations::TYPE_NAME => {
-                if let (Some(rig), Ok(m)) = (
-                    rig(topics::absolute::MARKERS),
-                    cdr::from_bytes::<MarkerObservations>(&sample.data),
-                ) {
-                    let rig = self.rigs.entry(rig).or_default();
-                    rig.markers = m.markers.iter().filter_map(MarkerState::new).collect();
-                    rig.markers_at = sample.log_time;
+                let received =
+                    self.rig::<MarkerObservations>(topic, topics::absolute::MARKERS, sample);
+                if let Some((rig, m)) = received {
+                    (rig.markers, rig.markers_at) = (m.markers, at);
                 }
             }
             PoseStatus::TYPE_NAME => {
-                if let (Some(rig), Ok(m)) =
-                    (rig(topics::absolute::STATUS), cdr::from_bytes::<PoseStatus>(&sample.data))
-                {
-                    self.rigs.entry(rig).or_default().status =
-                        Some(FilterState::new(sample.log_time, m));
+                let received = self.rig(topic, topics::absolute::STATUS, sample);
+                if let Some((rig, status)) = received {
+                    rig.status = Some((at, status));
                 }
             }
             DiagnosticArray::TYPE_NAME => {
@@ -125,7 +111,7 @@ impl Monitor {
                 {
                     let key = (status.hardware_id.clone(), status.name.clone());
                     if self.statuses.len() < MOST_STATUSES || self.statuses.contains_key(&key) {
-                        self.statuses.insert(key, (sample.log_time, status));
+                        self.statuses.insert(key, (at, status));
                     }
                 }
             }
@@ -133,34 +119,45 @@ impl Monitor {
         }
     }
 
+    /// The rig whose topic of this relative name is `topic`, and the message; `None` for another
+    /// topic or an undecodable message.
+    fn rig<M: Message>(
+        &mut self,
+        topic: &Topic,
+        name: &str,
+        sample: &Sample,
+    ) -> Option<(&mut RigState, M)> {
+        let namespace = topic.name.strip_suffix(name)?.to_owned();
+        let message = cdr::from_bytes(&sample.data).ok()?;
+        Some((self.rigs.entry(namespace).or_default(), message))
+    }
+
     /// Summarizes what was received; `now` in ns of the samples' clock.
     pub fn snapshot(&self, now: u64) -> Snapshot {
         let topics = self.topics.iter().map(|(name, t)| TopicLine {
             name: name.clone(),
-            type_name: t.type_name.clone(),
             publishers: t.publishers,
             flow: (t.subscribed || t.count > 0).then(|| t.flow(now)),
         });
-        let mut statuses: Vec<StatusLine> = self
-            .statuses
-            .iter()
-            .map(|((node, name), (at, status))| {
-                let silent = now.saturating_sub(*at) > 5 * 1_000_000_000;
-                StatusLine {
-                    level: if silent { DiagnosticStatus::STALE } else { status.level },
-                    node: node.clone(),
-                    // `<node>: <name>`; the node is in a field of its own.
-                    name: status.name.split_once(": ").map_or(name.as_str(), |(_, n)| n).to_owned(),
-                    message: if silent {
-                        format!("no message for 5 s; the last was: {}", status.message)
-                    } else {
-                        status.message.clone()
-                    },
-                }
-            })
-            .collect();
+        let statuses = self.statuses.values().map(|(at, status)| {
+            let silent = now.saturating_sub(*at) > 5 * 1_000_000_000;
+            DiagnosticStatus {
+                level: if silent { DiagnosticStatus::STALE } else { status.level },
+                // `<node>: <name>`; the node is in a field of its own.
+                name: status.name.split_once(": ").map_or(&*status.name, |(_, n)| n).to_owned(),
+                message: if silent {
+                    format!("no message for 5 s; the last was: {}", status.message)
+                } else {
+                    status.message.clone()
+                },
+                hardware_id: status.hardware_id.clone(),
+                values: vec![],
+            }
+        });
+        let mut statuses: Vec<DiagnosticStatus> = statuses.collect();
         statuses.sort_by(|a, b| {
-            b.level.cmp(&a.level).then_with(|| (&a.node, &a.name).cmp(&(&b.node, &b.name)))
+            let of_a = (&a.hardware_id, &a.name);
+            b.level.cmp(&a.level).then_with(|| of_a.cmp(&(&b.hardware_id, &b.name)))
         });
         Snapshot {
             rigs: self.rigs.iter().map(|(name, rig)| (name.clone(), rig.clone())).collect(),
@@ -337,7 +334,7 @@ mod tests {
         monitor.add(&topic, &sample(10 * SECOND, 0, &array));
         let snapshot = monitor.snapshot(11 * SECOND);
         let lines: Vec<_> =
-            snapshot.statuses.iter().map(|s| (s.level, &*s.node, &*s.name)).collect();
+            snapshot.statuses.iter().map(|s| (s.level, &*s.hardware_id, &*s.name)).collect();
         assert_eq!(lines, [(1, "/tracker", "markers"), (0, "/tracker", "inputs")]);
         assert_eq!(
             snapshot.inputs,
