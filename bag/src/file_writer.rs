@@ -5,7 +5,7 @@ use mcap::records::MessageHeader;
 use node_kit::files::OutputFile;
 use std::{
     collections::BTreeMap,
-    io::{self, BufWriter, Seek, SeekFrom, Write},
+    io::BufWriter,
     path::{Path, PathBuf},
 };
 
@@ -25,31 +25,7 @@ pub enum Compression {
 /// Writer of one file.
 pub(crate) struct FileWriter {
     path: PathBuf,
-    writer: mcap::Writer<Counting>,
-}
-
-/// Counts the written bytes, so that a bag can be split by size.
-struct Counting {
-    file: BufWriter<OutputFile>,
-    written: u64,
-}
-
-impl Write for Counting {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let count = self.file.write(bytes)?;
-        self.written += count as u64;
-        Ok(count)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.file.flush()
-    }
-}
-
-impl Seek for Counting {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        self.file.seek(to)
-    }
+    writer: mcap::Writer<BufWriter<OutputFile>>,
 }
 
 impl std::fmt::Debug for FileWriter {
@@ -82,8 +58,8 @@ impl FileWriter {
             .chunk_size(Some(chunk_size))
             // Chunks are written at once: a recorder that is killed leaves complete chunks.
             .disable_seeking(true);
-        let counting = Counting { file: BufWriter::with_capacity(1 << 16, file), written: 0 };
-        let writer = options.create(counting).map_err(|e| mcap_error(path, e))?;
+        let buffered = BufWriter::with_capacity(1 << 16, file);
+        let writer = options.create(buffered).map_err(|e| mcap_error(path, e))?;
         Ok(Self { path: path.to_owned(), writer })
     }
 
@@ -141,8 +117,8 @@ impl FileWriter {
             self.writer.write_metadata(&metadata).map_err(|e| mcap_error(&self.path, e))?;
         }
         self.writer.finish().map_err(|e| mcap_error(&self.path, e))?;
-        let out = self.writer.into_inner();
-        let file = out.file.into_inner().map_err(|e| io_error(&self.path, e.into_error()))?;
+        let buffered = self.writer.into_inner();
+        let file = buffered.into_inner().map_err(|e| io_error(&self.path, e.into_error()))?;
         Ok(file.commit()?)
     }
 }

@@ -71,7 +71,6 @@ pub struct BagWriter {
     /// Number of the next file.
     next_file: usize,
     current: Option<Current>,
-    bytes: u64,
 }
 
 #[derive(Debug)]
@@ -105,7 +104,6 @@ impl BagWriter {
             counts: VecDeque::new(),
             next_file: 0,
             current: None,
-            bytes: 0,
         };
         if !lone {
             if !options.in_place {
@@ -159,7 +157,6 @@ impl BagWriter {
         current.writer.write(channel, log_time, publish_time, data)?;
         current.bytes += data.len() as u64;
         current.topics[topic.0] += 1;
-        self.bytes += data.len() as u64;
         self.topics[topic.0].1 += 1;
         if let Some(file) = self.files.last_mut() {
             file.count += 1;
@@ -190,11 +187,6 @@ impl BagWriter {
             current.writer.flush()?;
         }
         self.write_metadata()
-    }
-
-    /// Bytes of the messages written so far.
-    pub fn bytes(&self) -> u64 {
-        self.bytes
     }
 
     /// Closes the bag and summarizes it.
