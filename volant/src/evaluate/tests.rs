@@ -68,3 +68,18 @@ fn an_estimate_of_which_nothing_was_compared_has_no_figures() {
     let json = serde_json::to_value(&evaluation).unwrap();
     assert!(json["estimates"][1]["position_mm"]["rmse"].is_null());
 }
+
+#[test]
+fn the_page_has_the_table_the_curves_and_the_losses() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = options(folder.path());
+    odometry(&options.truth, topics::absolute::GROUND_TRUTH, 3.0, 0.0);
+    odometry(&options.estimates, topics::absolute::ODOMETRY, 3.0, 0.0);
+    let mut evaluation = evaluate(&options).unwrap();
+    evaluation.losses.push("the bag was cut".into());
+    let html = page(&evaluation, &options).unwrap().render();
+    for part in ["volant evaluate ", "0.000 / 0.000", "the bag was cut", "error [mm]"] {
+        assert!(html.contains(part), "{part}");
+    }
+    assert_eq!(html.matches("<figure>").count(), 2);
+}
