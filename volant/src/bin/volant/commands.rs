@@ -21,30 +21,35 @@ struct External {
     about: &'static str,
 }
 
-const fn external(name: &'static str, executable: &'static str, about: &'static str) -> External {
-    External { name, executable, about }
-}
-
 /// What needs the simulated rig or all of OpenCV does not weigh on the robot.
 const EXTERNAL: [External; 11] = [
-    external("imu", "volant-imu", "Find, inspect, configure and log Xsens IMUs; decode logs"),
-    external(
-        "calibrate",
-        "volant-calibrate",
-        "Calibrate camera, colors, mountings, encoders and IMU",
-    ),
-    external("checks", "volant-rig", "Test `check` on recordings with wrong files"),
-    external("demo", "volant-rig", "Run the four nodes live on the simulated rig"),
-    external("faults", "volant-rig", "Inject faults into a live simulated rig"),
-    external("hosts", "volant-rig", "Run the rig on two computers with a bad link (as root)"),
-    external("reproduce", "volant-rig", "Reproduce the paper's figures and tables"),
-    external("robustness", "volant-rig", "Replay recordings with wrong rig files"),
-    external("simulate", "volant-rig", "Write simulated recordings with ground truth"),
-    external("sites", "volant-rig", "Run rigs and an operator on two sites with bridges (as root)"),
-    external("soak", "volant-rig", "Run the rig for hours with faults at random"),
+    External {
+        name: "imu",
+        executable: "volant-imu",
+        about: "Find, inspect, configure and log Xsens IMUs; decode logs",
+    },
+    External {
+        name: "calibrate",
+        executable: "volant-calibrate",
+        about: "Calibrate camera, colors, mountings, encoders and IMU",
+    },
+    rig("checks", "Test `check` on recordings with wrong files"),
+    rig("demo", "Run the four nodes live on the simulated rig"),
+    rig("faults", "Inject faults into a live simulated rig"),
+    rig("hosts", "Run the rig on two computers with a bad link (as root)"),
+    rig("reproduce", "Reproduce the paper's figures and tables"),
+    rig("robustness", "Replay recordings with wrong rig files"),
+    rig("simulate", "Write simulated recordings with ground truth"),
+    rig("sites", "Run rigs and an operator on two sites with bridges (as root)"),
+    rig("soak", "Run the rig for hours with faults at random"),
 ];
 
-/// Groups of the list; a command that is in none comes last.
+/// A command of the simulated rig's executable.
+const fn rig(name: &'static str, about: &'static str) -> External {
+    External { name, executable: "volant-rig", about }
+}
+
+/// Groups of the list: every command is in one.
 const GROUPS: [(&str, &[&str]); 5] = [
     ("On the rig", &["up", "record", "play", "monitor", "foxglove", "imu"]),
     ("Set up and check", &["bringup", "markers", "calibrate", "check"]),
@@ -69,36 +74,16 @@ const GROUPS: [(&str, &[&str]); 5] = [
 /// The list of all commands, by group, and the exit status: the end of `volant --help`.
 pub fn listing() -> String {
     let own = Action::augment_subcommands(Command::new("volant"));
-    let mut all: Vec<(String, String)> = own
-        .get_subcommands()
-        .map(|c| {
-            (c.get_name().to_owned(), c.get_about().map(ToString::to_string).unwrap_or_default())
-        })
-        .collect();
-    let help = ("help".to_owned(), "Print the help of a command".to_owned());
-    let external = EXTERNAL.iter().map(|e| (e.name.to_owned(), e.about.to_owned()));
-    for command in external.chain([help]) {
-        if !all.iter().any(|(name, _)| *name == command.0) {
-            all.push(command);
-        }
-    }
+    let about = |name: &str| {
+        let external = || EXTERNAL.iter().find(|e| e.name == name).map(|e| e.about.to_owned());
+        let about = own.find_subcommand(name).and_then(Command::get_about);
+        let about = about.map(ToString::to_string).or_else(external);
+        about.unwrap_or_else(|| "Print the help of a command".to_owned())
+    };
     let mut text = String::new();
-    for (title, names) in GROUPS.iter().chain(&[("Others", &[] as &[&str])]) {
-        let mut rows = String::new();
-        for name in *names {
-            if let Some(i) = all.iter().position(|(n, _)| n == name) {
-                let (name, about) = all.remove(i);
-                let _ = write!(rows, "\n  {name:<12} {about}");
-            }
-        }
-        if names.is_empty() {
-            all.drain(..).for_each(|(name, about)| {
-                let _ = write!(rows, "\n  {name:<12} {about}");
-            });
-        }
-        if !rows.is_empty() {
-            let _ = write!(text, "\n{title}:{rows}\n");
-        }
+    for (title, names) in GROUPS {
+        let rows = names.iter().map(|name| format!("  {name:<12} {}\n", about(name)));
+        let _ = write!(text, "\n{title}:\n{}", rows.collect::<String>());
     }
     format!("{}\n{EXIT_STATUS}", text.trim_start())
 }
@@ -162,10 +147,7 @@ fn become_(command: &mut process::Command, name: &str, missing: &str) -> ExitCod
 /// the rest with their names.
 fn whole() -> Command {
     let mut whole = Arguments::command();
-    let calibrate = crate::calibrate::Arguments::command().name("calibrate");
-    if whole.find_subcommand("calibrate").is_none() {
-        whole = whole.subcommand(calibrate);
-    }
+    whole = whole.subcommand(crate::calibrate::Arguments::command().name("calibrate"));
     whole = whole.subcommand(imu_driver::tool::Arguments::command().name("imu"));
     for external in EXTERNAL {
         if whole.find_subcommand(external.name).is_none() {
