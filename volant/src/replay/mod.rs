@@ -130,17 +130,16 @@ pub fn replay(
     node_kit::files::check_output(output, options.overwrite, &[input]).map_err(BagError::from)?;
     let summary = BagReader::summary(input)?;
     let plan = Plan::new(input, &summary, &options.names)?;
-    let climber = match &plan.climber {
-        ClimberTopic::Transform(_) => None,
-        ClimberTopic::Joints(topic) => {
-            let climber = options.climber.clone();
-            let climber = climber.and_then(|c| Climber::new(c).map_err(|e| e.to_string()));
-            Some(climber.map_err(|reason| ReplayError::Climber {
-                path: input.clone(),
-                topic: topic.clone(),
-                reason,
-            })?)
-        }
+    let climber = if plan.has_transforms {
+        None
+    } else {
+        let config = options.climber.clone();
+        let climber = config.and_then(|c| Climber::new(c).map_err(|e| e.to_string()));
+        let failed = |reason| {
+            let (path, topic) = (input.clone(), plan.climber.clone());
+            ReplayError::Climber { path, topic, reason }
+        };
+        Some(climber.map_err(failed)?)
     };
     let (start, end) = summary.span.unwrap_or_default();
     let first = Stamp::from_nanos(i64::try_from(start).unwrap_or(0));
@@ -201,105 +200,78 @@ fn why_silent(pipeline: &Pipeline, losses: &[String]) -> String {
     )
 }
 
+/// Returns the first of some topics, given by relative name and type, that has messages, with its
+/// place among them.
+///
+/// # Errors
+/// [`ReplayError::MissingTopic`]; [`ReplayError::WrongType`].
+fn first_of(
+    path: &Path,
+    bag: &BagSummary,
+    names: &TopicNames,
+    wanted: &[(&'static str, &'static str)],
+) -> Result<(usize, String), ReplayError> {
+    for (place, (name, type_name)) in wanted.iter().enumerate() {
+        let topic = names.resolve(name);
+        let Some((found, _)) = bag.topics.iter().find(|(t, count)| t.name == topic && *count > 0)
+        else {
+            continue;
+        };
+        if found.type_name.is_empty() || found.type_name == *type_name {
+            return Ok((place, topic));
+        }
+        return Err(ReplayError::WrongType {
+            path: path.to_owned(),
+            topic,
+            found: found.type_name.clone(),
+            expected: (*type_name).to_owned(),
+        });
+    }
+    Err(ReplayError::MissingTopic {
+        path: path.to_owned(),
+        topics: names.list(wanted),
+        remedy: names.remedy(bag, wanted),
+    })
+}
+
 /// Names of the bag's topics.
 struct Plan {
     images: Option<ImageTopic>,
     markers: Option<String>,
     imu: String,
-    climber: ClimberTopic,
+    /// Transforms, or the encoder readings where there are none.
+    climber: String,
+    has_transforms: bool,
     camera: String,
     tf_static: String,
 }
 
-/// Topic with the climber's pose.
-enum ClimberTopic {
-    Transform(String),
-    /// Encoder readings, where there are no transforms.
-    Joints(String),
-}
-
-impl ClimberTopic {
-    fn name(&self) -> &String {
-        match self {
-            Self::Transform(name) | Self::Joints(name) => name,
-        }
-    }
-}
-
 impl Plan {
     fn new(path: &Path, bag: &BagSummary, names: &TopicNames) -> Result<Self, ReplayError> {
-        let find =
-            |name: &'static str, type_name: &'static str| -> Result<Option<String>, ReplayError> {
-                let topic = names.resolve(name);
-                let Some((found, _)) =
-                    bag.topics.iter().find(|(t, count)| t.name == topic && *count > 0)
-                else {
-                    return Ok(None);
-                };
-                if found.type_name != type_name && !found.type_name.is_empty() {
-                    return Err(ReplayError::WrongType {
-                        path: path.to_owned(),
-                        topic,
-                        found: found.type_name.clone(),
-                        expected: type_name.to_owned(),
-                    });
-                }
-                Ok(Some(topic))
-            };
-        let missing = |wanted: &[(&'static str, &'static str)]| ReplayError::MissingTopic {
-            path: path.to_owned(),
-            topics: names.list(wanted),
-            remedy: names.remedy(bag, wanted),
+        let need = |wanted: &[_]| first_of(path, bag, names, wanted);
+        let (kind, observed) = need(&[
+            (topics::IMAGE, sensor_msgs::msg::Image::TYPE_NAME),
+            (topics::COMPRESSED_IMAGE, sensor_msgs::msg::CompressedImage::TYPE_NAME),
+            (topics::MARKERS, msg::MarkerObservations::TYPE_NAME),
+        ])?;
+        let (images, markers) = match kind {
+            0 => (Some(ImageTopic::Raw(observed)), None),
+            1 => (Some(ImageTopic::Compressed(observed)), None),
+            _ => (None, Some(observed)),
         };
-        let need = |name: &'static str, type_name: &'static str| {
-            find(name, type_name)?.ok_or_else(|| missing(&[(name, type_name)]))
-        };
-        let raw = find(topics::IMAGE, sensor_msgs::msg::Image::TYPE_NAME)?.map(ImageTopic::Raw);
-        let images = match raw {
-            Some(raw) => Some(raw),
-            None => find(topics::COMPRESSED_IMAGE, sensor_msgs::msg::CompressedImage::TYPE_NAME)?
-                .map(ImageTopic::Compressed),
-        };
-        let markers = match &images {
-            Some(_) => None,
-            None => match find(topics::MARKERS, msg::MarkerObservations::TYPE_NAME)? {
-                Some(markers) => Some(markers),
-                None => {
-                    return Err(missing(&[
-                        (topics::IMAGE, sensor_msgs::msg::Image::TYPE_NAME),
-                        (topics::COMPRESSED_IMAGE, sensor_msgs::msg::CompressedImage::TYPE_NAME),
-                        (topics::MARKERS, msg::MarkerObservations::TYPE_NAME),
-                    ]));
-                }
-            },
-        };
-        let imu = need(topics::IMU, sensor_msgs::msg::Imu::TYPE_NAME)?;
-        let transform = geometry_msgs::msg::TransformStamped::TYPE_NAME;
-        let joints = sensor_msgs::msg::JointState::TYPE_NAME;
-        let climber = match find(topics::CLIMBER_TRANSFORM, transform)? {
-            Some(transform) => ClimberTopic::Transform(transform),
-            None => match find(topics::JOINT_STATES, joints)? {
-                Some(joints) => ClimberTopic::Joints(joints),
-                None => {
-                    return Err(missing(&[
-                        (topics::CLIMBER_TRANSFORM, transform),
-                        (topics::JOINT_STATES, joints),
-                    ]));
-                }
-            },
-        };
-        Ok(Self {
-            images,
-            markers,
-            imu,
-            climber,
-            camera: need(topics::CAMERA_INFO, sensor_msgs::msg::CameraInfo::TYPE_NAME)?,
-            tf_static: names.resolve(topics::absolute::TF_STATIC),
-        })
+        let (_, imu) = need(&[(topics::IMU, sensor_msgs::msg::Imu::TYPE_NAME)])?;
+        let (kind, climber) = need(&[
+            (topics::CLIMBER_TRANSFORM, geometry_msgs::msg::TransformStamped::TYPE_NAME),
+            (topics::JOINT_STATES, sensor_msgs::msg::JointState::TYPE_NAME),
+        ])?;
+        let has_transforms = kind == 0;
+        let (_, camera) = need(&[(topics::CAMERA_INFO, sensor_msgs::msg::CameraInfo::TYPE_NAME)])?;
+        let tf_static = names.resolve(topics::absolute::TF_STATIC);
+        Ok(Self { images, markers, imu, climber, has_transforms, camera, tf_static })
     }
 
     fn wanted(&self) -> Vec<String> {
-        let always = [&self.imu, self.climber.name(), &self.camera, &self.tf_static];
+        let always = [&self.imu, &self.climber, &self.camera, &self.tf_static];
         always.into_iter().chain(&self.markers).cloned().collect()
     }
 
@@ -315,14 +287,11 @@ impl Plan {
         let topic = &message.topic.name;
         if *topic == self.imu {
             read(message, to).map_or(Ok(()), |m| to.imu(&m))
-        } else if topic == self.climber.name() {
-            match self.climber {
-                ClimberTopic::Transform(_) => read(message, to).map_or(Ok(()), |m| to.climber(&m)),
-                ClimberTopic::Joints(_) => {
-                    let at = Stamp::from_nanos(i64::try_from(message.log_time).unwrap_or(0));
-                    read(message, to).map_or(Ok(()), |m| to.joints(m, at))
-                }
-            }
+        } else if *topic == self.climber && self.has_transforms {
+            read(message, to).map_or(Ok(()), |m| to.climber(&m))
+        } else if *topic == self.climber {
+            let at = Stamp::from_nanos(i64::try_from(message.log_time).unwrap_or(0));
+            read(message, to).map_or(Ok(()), |m| to.joints(m, at))
         } else if *topic == self.camera {
             read(message, to).map_or(Ok(()), |m| to.camera(&m))
         } else if Some(topic) == self.markers.as_ref() {
