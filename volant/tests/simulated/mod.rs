@@ -3,7 +3,7 @@
 
 #![allow(dead_code)]
 
-use bag::{BagWriter, Qos, Topic, TopicId, WriteOptions};
+use bag::{BagWriter, Qos, Topic, WriteOptions};
 use nalgebra::{Isometry3, Matrix2, Matrix6, Translation3, UnitQuaternion, Vector2, Vector3};
 use node_kit::convert;
 use rig_model::{
@@ -12,17 +12,12 @@ use rig_model::{
 };
 use rig_simulator::{
     RIG_YAML,
-    inertial::{Message, SensorConfig, Sensors},
+    inertial::{self, SensorConfig, Sensors},
     motion::{Motion, MotionConfig},
     random::Random,
 };
 use std::{f64::consts::TAU, path::Path};
-use volant_msgs::{
-    geometry_msgs::msg::TransformStamped,
-    msg,
-    nav_msgs::msg::Odometry,
-    sensor_msgs::msg::{CameraInfo, Imu, JointState},
-};
+use volant_msgs::{Message, sensor_msgs::msg::JointState};
 
 /// Encoders: names, units per reading and readings at the world's origin, x, y, turn.
 pub struct Encoders {
@@ -50,35 +45,10 @@ pub fn resting() -> Isometry3<f64> {
     )
 }
 
-/// A bag with the topics of the sensors.
-struct Writer {
-    bag: BagWriter,
-    imu: TopicId,
-    markers: TopicId,
-    camera: TopicId,
-    joints: TopicId,
-    transform: TopicId,
-}
-
-impl Writer {
-    fn create(path: &Path) -> Self {
-        let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
-        let quality = &Qos::RELIABLE;
-        Self {
-            imu: bag.add_topic(Topic::of::<Imu>(absolute::IMU, quality)),
-            markers: bag
-                .add_topic(Topic::of::<msg::MarkerObservations>(absolute::MARKERS, quality)),
-            camera: bag.add_topic(Topic::of::<CameraInfo>(absolute::CAMERA_INFO, quality)),
-            joints: bag.add_topic(Topic::of::<JointState>(absolute::JOINT_STATES, quality)),
-            transform: bag
-                .add_topic(Topic::of::<TransformStamped>(absolute::CLIMBER_TRANSFORM, quality)),
-            bag,
-        }
-    }
-}
-
-fn nanos(stamp: Stamp) -> u64 {
-    u64::try_from(stamp.as_nanos()).unwrap()
+/// Writes a message that is logged `at`.
+fn put<M: Message>(bag: &mut BagWriter, topic: &str, at: Stamp, message: &M) {
+    let topic = bag.add_topic(Topic::of::<M>(topic, &Qos::RELIABLE));
+    bag.write_message(topic, u64::try_from(at.as_nanos()).unwrap(), message).unwrap();
 }
 
 impl Simulated {
@@ -113,38 +83,36 @@ impl Simulated {
 
     /// Writes the sensors of a motion; `transform`: whether the climber's pose too.
     pub fn write(&self, path: &Path, motion: &Motion, transform: bool) {
-        let mut writer = Writer::create(path);
+        let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
         let mut config = SensorConfig::nominal(self.seed);
         config.climber_clock_ahead += self.climber_clock_ahead;
         let frames = Frames::default();
-        let at = nanos(config.epoch);
         let info = convert::camera_message(&frames.camera, config.epoch, &self.camera);
-        writer.bag.write_message(writer.camera, at, &info).unwrap();
-        for (arrival, message) in Sensors::new(motion, &self.rig, &self.camera, &config).record() {
-            let at = nanos(arrival);
+        put(&mut bag, absolute::CAMERA_INFO, config.epoch, &info);
+        for (at, message) in Sensors::new(motion, &self.rig, &self.camera, &config).record() {
             match message {
-                Message::Imu(sample) => {
+                inertial::Message::Imu(sample) => {
                     let message = convert::imu_message(&frames.imu, &sample, None, None);
-                    writer.bag.write_message(writer.imu, at, &message).unwrap();
+                    put(&mut bag, absolute::IMU, at, &message);
                 }
-                Message::Markers(markers) => {
+                inertial::Message::Markers(markers) => {
                     let message = convert::markers_message(&frames.camera, &markers);
-                    writer.bag.write_message(writer.markers, at, &message).unwrap();
+                    put(&mut bag, absolute::MARKERS, at, &message);
                 }
-                Message::Climber(sample) => {
+                inertial::Message::Climber(sample) => {
                     let pose = sample.world_from_climber;
                     let p = pose.translation;
                     let axes = [p.x, p.y, pose.rotation.scaled_axis().z];
                     let message = self.joint_state(sample.stamp, axes);
-                    writer.bag.write_message(writer.joints, at, &message).unwrap();
+                    put(&mut bag, absolute::JOINT_STATES, at, &message);
                     if transform {
                         let message = convert::climber_message(&sample, &frames);
-                        writer.bag.write_message(writer.transform, at, &message).unwrap();
+                        put(&mut bag, absolute::CLIMBER_TRANSFORM, at, &message);
                     }
                 }
             }
         }
-        writer.bag.finish().unwrap();
+        bag.finish().unwrap();
     }
 
     /// Writes a minute of the IMU at rest.
@@ -171,7 +139,6 @@ impl Simulated {
     /// Writes the ground truth of a motion.
     pub fn write_truth(&self, path: &Path, motion: &Motion) {
         let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
-        let topic = bag.add_topic(Topic::of::<Odometry>(absolute::GROUND_TRUTH, &Qos::RELIABLE));
         let (epoch, none) = (SensorConfig::nominal(self.seed).epoch, Matrix6::zeros());
         for i in 0..(motion.duration() * 200.0) as usize {
             let t = i as f64 / 200.0;
@@ -187,14 +154,14 @@ impl Simulated {
                 &k.angular_velocity,
                 &none,
             );
-            bag.write_message(topic, nanos(stamp), &message).unwrap();
+            put(&mut bag, absolute::GROUND_TRUTH, stamp, &message);
         }
         bag.finish().unwrap();
     }
 
     /// Writes a jog, one axis after the other, over the platform on the floor.
     pub fn write_jog(&self, path: &Path) {
-        let mut writer = Writer::create(path);
+        let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
         let (frames, epoch) = (Frames::default(), Stamp::from_nanos(1_700_000_000_000_000_000));
         let mut random = Random::fork(self.seed, "jog");
         let axes = |t: f64| {
@@ -202,12 +169,12 @@ impl Simulated {
             [0.8 * jog(1.0), 0.7 * jog(10.0), 0.1 + 0.8 * jog(19.0)]
         };
         let info = convert::camera_message(&frames.camera, epoch, &self.camera);
-        writer.bag.write_message(writer.camera, nanos(epoch), &info).unwrap();
+        put(&mut bag, absolute::CAMERA_INFO, epoch, &info);
         for i in 0..28 * 60 {
             let (t, stamp) = (f64::from(i) / 60.0, epoch.plus_seconds(f64::from(i) / 60.0));
             let mut readings = self.joint_state(stamp, axes(t));
             readings.position[0] = readings.position[0].round();
-            writer.bag.write_message(writer.joints, nanos(stamp), &readings).unwrap();
+            put(&mut bag, absolute::JOINT_STATES, stamp, &readings);
             if i % 3 != 0 {
                 continue;
             }
@@ -230,8 +197,8 @@ impl Simulated {
             });
             let observed = MarkerObservations { stamp: stamp.plus_seconds(0.001), markers };
             let message = convert::markers_message(&frames.camera, &observed);
-            writer.bag.write_message(writer.markers, nanos(stamp), &message).unwrap();
+            put(&mut bag, absolute::MARKERS, stamp, &message);
         }
-        writer.bag.finish().unwrap();
+        bag.finish().unwrap();
     }
 }
