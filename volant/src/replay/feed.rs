@@ -84,12 +84,6 @@ struct Shared {
     losses: Mutex<Vec<String>>,
 }
 
-impl std::fmt::Debug for Feed {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Feed").field("threads", &self.threads.len()).finish_non_exhaustive()
-    }
-}
-
 impl Feed {
     /// Starts to read; messages on topics other than `wanted` and the images' are skipped.
     ///

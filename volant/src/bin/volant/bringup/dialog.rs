@@ -78,7 +78,6 @@ pub fn numbers<const N: usize>(
 }
 
 /// Messages of a step: recorded now, or in a bag.
-#[derive(Clone, Debug, PartialEq)]
 pub enum Source {
     /// Seconds to record.
     Live(f64),
@@ -118,27 +117,5 @@ pub fn source(known: Option<&Path>, seconds: f64) -> Result<Source> {
             Ok(source) => return Ok(source),
             Err(wrong) => outln!("  {wrong}")?,
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_duration_is_understood_or_rejected() {
-        for (answer, seconds) in
-            [("live", 60.0), ("live 2", 2.0), ("live 2s", 2.0), ("live  2.5 s", 2.5)]
-        {
-            assert_eq!(Source::parse(answer, 60.0), Ok(Source::Live(seconds)), "{answer}");
-        }
-        for answer in ["live 2m", "live 0", "live -3", "live inf", "live 1e9", "live2", "60"] {
-            let error = Source::parse(answer, 60.0).unwrap_err();
-            assert!(error.contains("`live 60` records 60 s"), "{answer}: {error}");
-        }
-        // A bag whose name begins with the word.
-        let bag = tempfile::Builder::new().prefix("live ").tempfile().unwrap();
-        let path = bag.path().display().to_string();
-        assert_eq!(Source::parse(&path, 60.0), Ok(Source::Bag(path.into())));
     }
 }
