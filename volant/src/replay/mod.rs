@@ -117,13 +117,13 @@ pub enum ReplayError {
     },
 }
 
-/// Replays a bag. `progress` is called with the bytes read and the bytes of the bag.
+/// Replays a bag. `progress` is called with the bytes read, of [`BagSummary::bytes`].
 ///
 /// # Errors
 /// See [`ReplayError`]. A damaged bag is not an error: its losses are in the report.
 pub fn replay(
     options: &ReplayOptions,
-    mut progress: impl FnMut(u64, u64),
+    mut progress: impl FnMut(u64),
 ) -> Result<ReplayReport, ReplayError> {
     let watch = Stopwatch::start();
     let (input, output) = (&options.input, &options.output);
@@ -161,12 +161,10 @@ pub fn replay(
     while let Some(fed) = feed.take()? {
         match fed {
             Fed::Message(message) => plan.hand_over(&message, &mut pipeline)?,
-            Fed::Image(Ok((stamp, image))) => {
-                pipeline.image(stamp, &image)?;
-                progress(feed.bytes_read(), summary.bytes);
-            }
+            Fed::Image(Ok((stamp, image))) => pipeline.image(stamp, &image)?,
             Fed::Image(Err(reason)) => pipeline.bad_image(&reason),
         }
+        progress(feed.bytes_read());
     }
     let losses = feed.losses();
     if pipeline.counts.odometry == 0 {

@@ -96,7 +96,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     let bytes = BagReader::summary(&arguments.input)?.bytes;
     let bar = terminal::progress("replay", bytes);
-    let result = replay(&options, |read, _| bar.set_position(read));
+    let result = replay(&options, |read| bar.set_position(read));
     bar.finish_and_clear();
     let report = result.context("replay")?;
     for loss in &report.losses {

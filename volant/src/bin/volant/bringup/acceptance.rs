@@ -34,7 +34,7 @@ pub fn acceptance(walk: &mut Walk) -> Result<()> {
         workers: std::thread::available_parallelism().map_or(1, usize::from),
         smooth: false,
     };
-    let report = replay(&options, |_, _| {})?;
+    let report = replay(&options, |_| {})?;
     walk.wrote(&output);
     let counts = &report.counts;
     let share = 100.0 * counts.detected as f64 / (4 * counts.markers).max(1) as f64;
