@@ -152,6 +152,7 @@ pub fn play(
             } else if pace.until(message.log_time) {
                 progress(message.log_time, (first, last));
             } else {
+                report.losses = bag.losses().to_vec();
                 break 'bag;
             }
             let little_endian = message.data.get(..2) == Some(&[0, 1]);
