@@ -179,16 +179,11 @@ impl TopicNames {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use bag::{Qos, Topic};
+    use volant_msgs::std_msgs::msg::String as Text;
 
-    fn topic(name: &str, kind: &str) -> bag::Topic {
-        bag::Topic {
-            name: name.to_owned(),
-            type_name: kind.to_owned(),
-            definition: String::new(),
-            message_encoding: "cdr".to_owned(),
-            type_hash: String::new(),
-            offered_qos_profiles: String::new(),
-        }
+    fn topic(name: &str, kind: &str) -> Topic {
+        Topic { type_name: kind.to_owned(), ..Topic::of::<Text>(name, &Qos::RELIABLE) }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Steps of the camera: images, exposure and colors; the lens.
 
-use super::{Walk, dialog, state::Verdict};
+use super::{Walk, dialog};
 use crate::calibrate::{self, Output};
 use anyhow::{Context, Result};
 use bag::BagReader;
@@ -159,9 +159,8 @@ fn exposure(walk: &mut Walk, bag: &Path, images: ImageTopic) -> Result<()> {
         .map(|i| level(&mut means.iter().map(|m| 100.0 * m[i] / m[1].max(1.0))))
         .into_iter()
         .fold(0.0, f64::max);
-    let verdict = |ok| if ok { Verdict::Pass } else { Verdict::Fail };
-    walk.item(
-        verdict(white < 0.02 && dark < 0.5),
+    walk.check(
+        white < 0.02 && dark < 0.5,
         "exposure",
         format!(
             "{:.1} % of the pixels are saturated, {:.1} % black (2 and 50 at most)",
@@ -169,13 +168,13 @@ fn exposure(walk: &mut Walk, bag: &Path, images: ImageTopic) -> Result<()> {
             100.0 * dark
         ),
     )?;
-    walk.item(
-        verdict(brightness < 0.05),
+    walk.check(
+        brightness < 0.05,
         "exposure lock",
         format!("brightness varies by {:.1} % while nothing moves (5 at most)", 100.0 * brightness),
     )?;
-    walk.item(
-        verdict(tint < 0.03),
+    walk.check(
+        tint < 0.03,
         "white balance lock",
         format!("the tint varies by {:.1} % while nothing moves (3 at most)", 100.0 * tint),
     )

@@ -3,7 +3,7 @@
 use super::Output;
 use crate::settings::BagTopics;
 use anyhow::{Context, Result, bail};
-use bag::BagReader;
+use bag::{BagReader, recording::map_messages};
 use nalgebra::{UnitQuaternion, Vector3};
 use node_kit::{convert, outln};
 use rig_calibration::climber::{
@@ -18,7 +18,7 @@ use volant::{
     parameter_update::{Setting, list, number},
     replay::TopicNames,
 };
-use volant_msgs::{Message, cdr, sensor_msgs::msg::JointState};
+use volant_msgs::{Message, sensor_msgs::msg::JointState};
 
 /// The node whose parameters are found, in any namespace.
 pub const NODE: &str = "/**/climber_driver";
@@ -123,7 +123,11 @@ fn from_bag(
         let topic = names.resolve(topics::JOINT_STATES);
         bail!("{shown}: no sensor_msgs/JointState in it; record {topic}");
     };
-    let joints = read_joints(path, &topic)?;
+    let joints = map_messages(path, &topic, |_, state: JointState| JointReadings {
+        stamp: convert::stamp(&state.header.stamp),
+        names: state.name,
+        positions: state.position,
+    })?;
     let cores = Cores { names: names.clone(), ..Cores::of(rig) };
     let (camera, markers) = read_markers(path, rig, &cores)?;
     // Joints to prefer where two measure the same axis: those in use.
@@ -140,24 +144,6 @@ fn from_bag(
         platform: arguments.platform,
     };
     calibrate_climber(&jog).with_context(|| shown.to_string())
-}
-
-fn read_joints(path: &Path, topic: &str) -> Result<Vec<JointReadings>> {
-    let mut bag = BagReader::open(path)?;
-    let mut joints = vec![];
-    while let Some(message) = bag.next_message()? {
-        if message.topic.name != topic {
-            continue;
-        }
-        let what = || format!("{}: a message on {topic}", path.display());
-        let state: JointState = cdr::from_bytes(&message.data).with_context(what)?;
-        joints.push(JointReadings {
-            stamp: convert::stamp(&state.header.stamp),
-            names: state.name,
-            positions: state.position,
-        });
-    }
-    Ok(joints)
 }
 
 /// Records the jog. Markers of a running tracker are preferred to raw images, which are large.
