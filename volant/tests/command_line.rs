@@ -53,8 +53,15 @@ impl Place {
     }
 
     fn replay_fails(&self, bag: &Path, words: &[&str]) {
+        self.replay_with_fails(bag, &[], words);
+    }
+
+    /// The same with further arguments.
+    fn replay_with_fails(&self, bag: &Path, more: &[&Path], words: &[&str]) {
         let (rig, out) = (self.path("rig.yaml"), self.path("out.mcap"));
-        fails(&["replay".as_ref(), bag, "--rig".as_ref(), &rig, "--out".as_ref(), &out], words);
+        let usual: [&Path; 6] =
+            ["replay".as_ref(), bag, "--rig".as_ref(), &rig, "--out".as_ref(), &out];
+        fails(&[&usual[..], more].concat(), words);
     }
 }
 
@@ -91,6 +98,8 @@ fn bag(path: &Path, without: &str) {
 
 #[test]
 fn a_wrong_command_line_is_2() {
+    let both = "calibrate climber x --rig r --params-file p --camera --out o";
+    let both: Vec<&str> = both.split(' ').collect();
     for arguments in [
         &[][..],
         &["replay"],
@@ -110,18 +119,7 @@ fn a_wrong_command_line_is_2() {
         &["record", "--out", "run", "--split-size", "0"],
         &["record", "--out", "run", "--keep", "3"],
         &["calibrate", "climber", "x", "--rig", "r", "--platform", "0,O,0,0.12"],
-        &[
-            "calibrate",
-            "climber",
-            "x",
-            "--rig",
-            "r",
-            "--params-file",
-            "p",
-            "--camera",
-            "--out",
-            "o",
-        ],
+        both.as_slice(),
     ] {
         let output = Command::new(env!("CARGO_BIN_EXE_volant")).args(arguments).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");
@@ -200,7 +198,6 @@ fn a_rig_file_that_is_wrong_is_named_with_its_key() {
     let place = Place::new();
     let input = place.path("in.mcap");
     bag(&input, "");
-    let out = place.path("out.mcap");
     assert!(RIG.contains("size:"));
     for (text, words) in [
         (RIG.replace("size:", "sise:"), ["markers.sise", "markers.size"]),
@@ -208,14 +205,11 @@ fn a_rig_file_that_is_wrong_is_named_with_its_key() {
         ("{".to_owned(), ["rig.yaml", "not a usable rig file"]),
         (String::new(), ["rig.yaml", "not a usable rig file"]),
     ] {
-        let rig = place.file("rig.yaml", text.as_bytes());
-        fails(&["replay".as_ref(), &input, "--rig".as_ref(), &rig, "--out".as_ref(), &out], &words);
+        place.file("rig.yaml", text.as_bytes());
+        place.replay_fails(&input, &words);
     }
-    let gone = place.path("gone.yaml");
-    fails(
-        &["replay".as_ref(), &input, "--rig".as_ref(), &gone, "--out".as_ref(), &out],
-        &["gone.yaml"],
-    );
+    fs::remove_file(place.path("rig.yaml")).unwrap();
+    place.replay_fails(&input, &["rig.yaml"]);
 }
 
 #[test]
@@ -223,17 +217,8 @@ fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
     let place = Place::new();
     let input = place.path("in.mcap");
     bag(&input, "");
-    let (rig, out) = (place.path("rig.yaml"), place.path("out.mcap"));
-    let gone = place.path("gone.yaml");
     let fails_with = |file: &Path, words: &[&str]| {
-        let words: Vec<&str> = words.iter().copied().chain(["params"]).collect();
-        let option = ["--params-file".as_ref(), file];
-        let rest =
-            ["replay".as_ref(), input.as_path(), "--rig".as_ref(), &rig, "--out".as_ref(), &out];
-        fails(
-            &[rest.as_slice(), &option].concat(),
-            &words[..words.len() - usize::from(file == gone)],
-        );
+        place.replay_with_fails(&input, &["--params-file".as_ref(), file], words);
     };
     for (node, line, words) in [
         ("pose_fusion", "markers: {gait: 9.0}", ["markers.gait", "markers.gate"]),
@@ -256,9 +241,10 @@ fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
         ("marker_tracker", "paper: {threshold: 75}", ["`paper.threshold` is 75", "0.05 and 0.99"]),
     ] {
         let text = format!("{node}:\n  ros__parameters:\n    {line}\n");
-        fails_with(&place.file("params.yaml", text.as_bytes()), &words);
+        let file = place.file("params.yaml", text.as_bytes());
+        fails_with(&file, &[words[0], words[1], "params"]);
     }
-    fails_with(&gone, &["gone.yaml"]);
+    fails_with(&place.path("gone.yaml"), &["gone.yaml"]);
 }
 
 #[test]
