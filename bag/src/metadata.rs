@@ -62,8 +62,15 @@ pub(super) struct FileContents {
     pub path: String,
     /// First and last log time, ns.
     pub span: Option<(u64, u64)>,
+    /// Messages of each topic, up to the last one that it has.
+    pub counts: Vec<u64>,
+}
+
+impl FileContents {
     /// Messages in it.
-    pub count: u64,
+    fn count(&self) -> u64 {
+        self.counts.iter().sum()
+    }
 }
 
 /// The span that covers two spans of log times.
@@ -77,7 +84,7 @@ pub(super) fn to_yaml<'a>(
     topics: impl Iterator<Item = (&'a Topic, u64)>,
 ) -> String {
     let span = files.iter().map(|f| f.span).fold(None, join).unwrap_or_default();
-    let count: u64 = files.iter().map(|f| f.count).sum();
+    let count: u64 = files.iter().map(FileContents::count).sum();
     let times = |indent: &str, (start, end): (u64, u64)| {
         format!(
             "{indent}duration:\n{indent}  nanoseconds: {}\n{indent}starting_time:\n{indent}  \
@@ -124,7 +131,7 @@ pub(super) fn to_yaml<'a>(
     for file in files {
         let _ = writeln!(out, "    - path: {}", quoted(&file.path));
         out += &times("      ", file.span.unwrap_or_default());
-        let _ = writeln!(out, "      message_count: {}", file.count);
+        let _ = writeln!(out, "      message_count: {}", file.count());
     }
     out += "  custom_data: ~\n  ros_distro: jazzy\n";
     out
@@ -145,7 +152,8 @@ mod tests {
             name: "/odd: \"name\"".into(),
             ..Topic::of::<volant_msgs::std_msgs::msg::String>("/x", &Qos::LATCHED)
         };
-        let files = [FileContents { path: "run 1_0.mcap".into(), span: Some((5, 9)), count: 2 }];
+        let files =
+            [FileContents { path: "run 1_0.mcap".into(), span: Some((5, 9)), counts: vec![2] }];
         let text = to_yaml(&files, [(&topic, 2)].into_iter());
         let folder = Folder::parse(&text).unwrap();
         assert_eq!(folder.files, ["run 1_0.mcap"]);

@@ -9,7 +9,6 @@ use super::{
 };
 use node_kit::files::{self, FileError, OutputFile, Pending};
 use std::{
-    collections::VecDeque,
     fs, io,
     path::{Path, PathBuf},
 };
@@ -64,10 +63,8 @@ pub struct BagWriter {
     /// Temporary name of the folder.
     pending: Option<Pending>,
     options: WriteOptions,
-    topics: Vec<(Topic, u64)>,
+    topics: Vec<Topic>,
     files: Vec<FileContents>,
-    /// Messages of each topic in each file that has ended, in the order of `files`.
-    counts: VecDeque<Vec<u64>>,
     /// Number of the next file.
     next_file: usize,
     current: Option<Current>,
@@ -78,7 +75,6 @@ struct Current {
     writer: FileWriter,
     /// The file's number of each topic, once it is used there.
     channels: Vec<Option<u16>>,
-    topics: Vec<u64>,
     bytes: u64,
 }
 
@@ -101,7 +97,6 @@ impl BagWriter {
             options,
             topics: vec![],
             files: vec![],
-            counts: VecDeque::new(),
             next_file: 0,
             current: None,
         };
@@ -120,9 +115,9 @@ impl BagWriter {
 
     /// Adds a topic; an equal topic returns the same identifier.
     pub fn add_topic(&mut self, topic: Topic) -> TopicId {
-        let known = self.topics.iter().position(|(t, _)| *t == topic);
+        let known = self.topics.iter().position(|t| *t == topic);
         TopicId(known.unwrap_or_else(|| {
-            self.topics.push((topic, 0));
+            self.topics.push(topic);
             self.topics.len() - 1
         }))
     }
@@ -139,29 +134,23 @@ impl BagWriter {
         data: &[u8],
     ) -> Result<(), BagError> {
         self.split_if_due(log_time)?;
-        let Some(current) = &mut self.current else {
+        let (Some(current), Some(file)) = (&mut self.current, self.files.last_mut()) else {
             return Ok(());
         };
-        if current.channels.len() < self.topics.len() {
-            current.channels.resize(self.topics.len(), None);
-            current.topics.resize(self.topics.len(), 0);
-        }
+        current.channels.resize(self.topics.len(), None);
+        file.counts.resize(self.topics.len(), 0);
         let channel = match current.channels[topic.0] {
             Some(channel) => channel,
             None => {
-                let channel = current.writer.add_topic(&self.topics[topic.0].0)?;
+                let channel = current.writer.add_topic(&self.topics[topic.0])?;
                 current.channels[topic.0] = Some(channel);
                 channel
             }
         };
         current.writer.write(channel, log_time, publish_time, data)?;
         current.bytes += data.len() as u64;
-        current.topics[topic.0] += 1;
-        self.topics[topic.0].1 += 1;
-        if let Some(file) = self.files.last_mut() {
-            file.count += 1;
-            file.span = join(file.span, Some((log_time, log_time)));
-        }
+        file.counts[topic.0] += 1;
+        file.span = join(file.span, Some((log_time, log_time)));
         Ok(())
     }
 
@@ -209,7 +198,15 @@ impl BagWriter {
             bytes += file_size(file)?;
         }
         let span = self.files.iter().map(|f| f.span).fold(None, join);
-        Ok(BagSummary { topics: self.topics, span, bytes, files, complete: true })
+        let counted = self.counted(&self.files);
+        let topics = counted.map(|(topic, count)| (topic.clone(), count)).collect();
+        Ok(BagSummary { topics, span, bytes, files, complete: true })
+    }
+
+    /// The topics with their number of messages in some files.
+    fn counted<'a>(&'a self, files: &'a [FileContents]) -> impl Iterator<Item = (&'a Topic, u64)> {
+        let count = move |i: usize| files.iter().filter_map(|f| f.counts.get(i)).sum::<u64>();
+        self.topics.iter().enumerate().map(move |(i, topic)| (topic, count(i)))
     }
 
     fn split_if_due(&mut self, log_time: u64) -> Result<(), BagError> {
@@ -224,7 +221,7 @@ impl BagWriter {
             (Some(limit), Some((start, _))) => log_time.saturating_sub(start) >= limit,
             _ => false,
         };
-        if file.count > 0 && (large || long) {
+        if file.span.is_some() && (large || long) {
             self.end_file()?;
             self.begin_file()?;
             let removed = self.forget_oldest();
@@ -237,17 +234,12 @@ impl BagWriter {
         Ok(())
     }
 
-    /// Takes the files beyond [`WriteOptions::keep`] and their counts out of the bag.
+    /// Takes the files beyond [`WriteOptions::keep`] out of the bag.
     fn forget_oldest(&mut self) -> Vec<PathBuf> {
         let (Some(folder), Some(keep)) = (&self.folder, self.options.keep) else {
             return vec![];
         };
         let beyond = self.files.len().saturating_sub(keep.max(1));
-        for counts in self.counts.drain(..beyond.min(self.counts.len())) {
-            for ((_, total), count) in self.topics.iter_mut().zip(counts) {
-                *total -= count;
-            }
-        }
         self.files.drain(..beyond).map(|file| folder.join(file.path)).collect()
     }
 
@@ -267,8 +259,8 @@ impl BagWriter {
         };
         let writer = FileWriter::new(file, &path, options.compression, options.chunk_bytes)?;
         self.next_file += 1;
-        self.files.push(FileContents { path: name, span: None, count: 0 });
-        self.current = Some(Current { writer, channels: vec![], topics: vec![], bytes: 0 });
+        self.files.push(FileContents { path: name, span: None, counts: vec![] });
+        self.current = Some(Current { writer, channels: vec![], bytes: 0 });
         Ok(())
     }
 
@@ -277,22 +269,18 @@ impl BagWriter {
             return Ok(());
         };
         current.channels.resize(self.topics.len(), None);
-        current.topics.resize(self.topics.len(), 0);
         // Topics without messages are announced too.
-        for ((topic, _), channel) in self.topics.iter().zip(&current.channels) {
+        for (topic, channel) in self.topics.iter().zip(&current.channels) {
             if channel.is_none() {
                 current.writer.add_topic(topic)?;
             }
         }
-        let topics = self.topics.iter().map(|(t, _)| t).zip(current.topics.iter().copied());
         // A lone file can be renamed, and two replays must have the same bytes: rosbag2's record,
         // which names the file, belongs to a folder. Without it rosbag2 finds the same in the
         // file's own closing records.
-        let metadata =
-            self.folder.as_ref().map(|_| metadata::to_yaml(std::slice::from_ref(file), topics));
-        current.writer.finish(metadata.as_deref())?;
-        self.counts.push_back(current.topics);
-        Ok(())
+        let file = std::slice::from_ref(file);
+        let metadata = self.folder.as_ref().map(|_| metadata::to_yaml(file, self.counted(file)));
+        current.writer.finish(metadata.as_deref())
     }
 
     /// Replaces `metadata.yaml`, at each flush: a folder whose recorder was killed is a bag.
@@ -300,7 +288,7 @@ impl BagWriter {
         let Some(folder) = &self.folder else {
             return Ok(());
         };
-        let yaml = metadata::to_yaml(&self.files, self.topics.iter().map(|(t, n)| (t, *n)));
+        let yaml = metadata::to_yaml(&self.files, self.counted(&self.files));
         let (new, path) = (folder.join(".metadata.yaml.new"), folder.join("metadata.yaml"));
         let done = |result: io::Result<()>| {
             result.map_err(|source| BagError::Io { path: path.clone(), source })
