@@ -43,9 +43,6 @@ pub struct CameraArguments {
     /// Lens model
     #[arg(long, value_enum, default_value = "plumb_bob")]
     model: LensModel,
-    /// Hold fx = fy
-    #[arg(long)]
-    fix_aspect_ratio: bool,
     /// Half width of the window in which a corner is refined, px (smaller for strongly tilted
     /// boards)
     #[arg(long, default_value_t = 11, value_parser = clap::value_parser!(i32).range(2..=50))]
@@ -56,9 +53,6 @@ pub struct CameraArguments {
     /// Largest number of views from a bag, video or camera; each differs from the earlier ones
     #[arg(long, default_value_t = 80)]
     views: usize,
-    /// Print one line per view
-    #[arg(long)]
-    verbose: bool,
 }
 
 /// Runs the command.
@@ -111,14 +105,11 @@ pub fn run(arguments: &CameraArguments) -> Result<()> {
     for sentence in coverage.missing() {
         outln!("missing: {sentence}")?;
     }
-    let options = Options {
-        lens: arguments.model,
-        fix_aspect_ratio: arguments.fix_aspect_ratio,
-        reject: arguments.reject.unwrap_or(f64::INFINITY),
-    };
+    let options =
+        Options { lens: arguments.model, reject: arguments.reject.unwrap_or(f64::INFINITY) };
     let calibration = calibrate(&board, &views, &options)
         .with_context(|| format!("{shown}: no calibration from {} views", views.len()))?;
-    print(&calibration, arguments)?;
+    print(&calibration)?;
     let name = arguments.name.as_deref();
     let former = camera_info_file::write(&arguments.out, &calibration.model, name)?;
     outln!("written: {}", arguments.out.display())?;
@@ -173,14 +164,12 @@ impl Guide {
     }
 }
 
-fn print(calibration: &Calibration, arguments: &CameraArguments) -> Result<()> {
+fn print(calibration: &Calibration) -> Result<()> {
     let (f, c) = (calibration.model.focal_lengths(), calibration.model.principal_point());
     let sd = &calibration.intrinsic_deviations;
     outln!("\n{:<5} {:>14} {:>12}", "", "value", "std dev")?;
-    // With fx = fy OpenCV estimates the deviation of fy only.
-    let first = if arguments.fix_aspect_ratio { sd[1] } else { sd[0] };
     for (name, value, deviation) in
-        [("fx", f.x, first), ("fy", f.y, sd[1]), ("cx", c.x, sd[2]), ("cy", c.y, sd[3])]
+        [("fx", f.x, sd[0]), ("fy", f.y, sd[1]), ("cx", c.x, sd[2]), ("cy", c.y, sd[3])]
     {
         outln!("{name:<5} {value:>14.4} {deviation:>12.4}  px")?;
     }
@@ -205,10 +194,7 @@ fn print(calibration: &Calibration, arguments: &CameraArguments) -> Result<()> {
     let mut errors: Vec<f64> = calibration.views.iter().map(|v| v.1).collect();
     errors.sort_by(f64::total_cmp);
     let median = errors[errors.len() / 2];
-    for (name, error, tilt) in &calibration.views {
-        if arguments.verbose {
-            outln!("  {name}: {error:.3} px, tilted by {:.0} deg", tilt.to_degrees())?;
-        }
+    for (name, error, _) in &calibration.views {
         if *error > 3.0 * median {
             outln!(
                 "doubtful: {name} is off by {error:.3} px, {:.0} times the median; check it, or \

@@ -25,8 +25,6 @@ pub enum LensModel {
 pub struct Options {
     /// Lens model.
     pub lens: LensModel,
-    /// Whether to hold fx = fy.
-    pub fix_aspect_ratio: bool,
     /// Views with an error above this multiple of the median are rejected, and the rest is solved
     /// again.
     pub reject: f64,
@@ -115,14 +113,11 @@ fn solve(board: &Board, views: &[&View], options: &Options) -> Result<Calibratio
     let object: Vector<Vector<Point3f>> = views.iter().map(|_| board.points()).collect();
     let image: Vector<Vector<Point2f>> = views.iter().map(|v| v.corners.clone()).collect();
     let (width, height) = views[0].size;
-    let mut flags = 0;
+    let flags = match options.lens {
+        LensModel::PlumbBob => 0,
+        LensModel::RationalPolynomial => calib3d::CALIB_RATIONAL_MODEL,
+    };
     let mut matrix = Mat::eye(3, 3, core::CV_64F)?.to_mat()?;
-    if options.fix_aspect_ratio {
-        flags |= calib3d::CALIB_FIX_ASPECT_RATIO;
-    }
-    if options.lens == LensModel::RationalPolynomial {
-        flags |= calib3d::CALIB_RATIONAL_MODEL;
-    }
     let (mut d, mut rvecs, mut tvecs) =
         (Mat::default(), Vector::<Mat>::new(), Vector::<Mat>::new());
     let (mut intrinsic, mut extrinsic, mut per_view) =
