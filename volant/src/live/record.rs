@@ -10,11 +10,12 @@ use crate::stopwatch::Stopwatch;
 use bag::{BagError, BagSummary, BagWriter, Topic, WriteOptions};
 use chrono::{DateTime, Utc};
 use node_kit::node::Loss;
+use parking_lot::Mutex;
 use std::{
     collections::BTreeMap,
     path::PathBuf,
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
         mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel},
     },
@@ -138,7 +139,7 @@ pub fn record(
             }
         }
         let unpublished = takers.unpublished(&options.topics);
-        *status.unpublished.lock().unwrap_or_else(PoisonError::into_inner) = unpublished;
+        *status.unpublished.lock() = unpublished;
         progress(&status);
         std::thread::sleep(LOOK);
     }

@@ -3,11 +3,12 @@
 
 use bag::{BagError, BagMessage, BagReader, BagSummary};
 use marker_tracker::{ImageError, OwnedImage, decode_compressed, from_encoding};
+use parking_lot::Mutex;
 use rig_model::Stamp;
 use std::{
     path::Path,
     sync::{
-        Arc, Mutex,
+        Arc,
         atomic::{AtomicU64, Ordering},
         mpsc::{Receiver, SyncSender, sync_channel},
     },
@@ -138,7 +139,7 @@ impl Feed {
 
     /// Losses in the bag, after its end is reached.
     pub fn losses(&self) -> Vec<String> {
-        self.shared.losses.lock().map(|l| l.clone()).unwrap_or_default()
+        self.shared.losses.lock().clone()
     }
 }
 
@@ -177,9 +178,7 @@ fn read_all(
                 }
             }
             Ok(None) => {
-                if let Ok(mut losses) = shared.losses.lock() {
-                    losses.extend_from_slice(reader.losses());
-                }
+                shared.losses.lock().extend_from_slice(reader.losses());
                 return;
             }
             Err(error) => Slot::Failed(error),
@@ -193,12 +192,8 @@ fn read_all(
 
 fn decode_all(jobs: &Mutex<Receiver<Job>>, compressed: bool) {
     loop {
-        // One worker at a time waits for a job; a poisoned lock means that another worker panicked.
-        let job = match jobs.lock() {
-            Ok(jobs) => jobs.recv(),
-            Err(_) => return,
-        };
-        let Ok(job) = job else { return };
+        // One worker at a time waits for a job.
+        let Ok(job) = jobs.lock().recv() else { return };
         let result = if compressed { compressed_image(&job.data) } else { raw_image(&job.data) };
         // The feed may have been dropped; receiving the next job detects it.
         let _ = job.done.send(result);

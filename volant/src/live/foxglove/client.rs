@@ -1,12 +1,13 @@
 //! A client of the server: its socket and its bounded queue.
 
 use super::protocol::{FromClient, SUBPROTOCOLS, from_client, warning};
+use parking_lot::Mutex;
 use std::{
     collections::HashMap,
     io::ErrorKind,
     net::TcpStream,
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc,
         atomic::{AtomicBool, AtomicUsize, Ordering},
         mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel},
     },
@@ -66,7 +67,7 @@ impl Client {
 
     /// The client's subscription of a channel.
     pub fn subscription(&self, channel: u32) -> Option<u32> {
-        self.subscriptions.lock().unwrap_or_else(PoisonError::into_inner).get(&channel).copied()
+        self.subscriptions.lock().get(&channel).copied()
     }
 
     pub fn close(&self) {

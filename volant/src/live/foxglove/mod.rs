@@ -16,13 +16,14 @@ use super::{
     tap::{Offer, Sample, Subscription, Tap},
 };
 use client::Client;
+use parking_lot::Mutex;
 use protocol::{Channel, FromClient, advertise, message_data, server_info, unadvertise, warning};
 use std::{
     collections::{BTreeMap, HashMap},
     io::ErrorKind,
     net::{IpAddr, SocketAddr, TcpListener},
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc,
         atomic::{AtomicBool, Ordering},
     },
     thread::JoinHandle,
@@ -119,10 +120,6 @@ struct Topic {
     missing: u32,
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 fn run(listener: &TcpListener, mut tap: Tap, stop: &AtomicBool) {
     let shared = Arc::<Shared>::default();
     let mut topics: BTreeMap<String, Topic> = BTreeMap::new();
@@ -141,7 +138,7 @@ fn run(listener: &TcpListener, mut tap: Tap, stop: &AtomicBool) {
             }
         }
         look_for_topics(&tap, &shared, &mut topics, &mut next_id);
-        lock(&shared.clients).retain(|c| !c.is_closed());
+        shared.clients.lock().retain(|c| !c.is_closed());
         threads.retain(|t| !t.is_finished());
         loop {
             match listener.accept() {
@@ -162,7 +159,7 @@ fn run(listener: &TcpListener, mut tap: Tap, stop: &AtomicBool) {
         follow(&mut tap, &shared, &mut topics);
         std::thread::sleep(LOOK);
     }
-    lock(&shared.clients).iter().for_each(|c| c.close());
+    shared.clients.lock().iter().for_each(|c| c.close());
     drop(topics);
     for thread in threads {
         let _ = thread.join();
@@ -215,14 +212,14 @@ fn look_for_topics(
     });
     if !new.is_empty() {
         let text = advertise(&new);
-        lock(&shared.clients).iter().for_each(|c| c.send(Message::text(text.clone())));
+        shared.clients.lock().iter().for_each(|c| c.send(Message::text(text.clone())));
     }
 }
 
 fn leave(shared: &Shared, channel: u32) {
-    lock(&shared.latched).retain(|(id, _), _| *id != channel);
-    for client in lock(&shared.clients).iter() {
-        lock(&client.subscriptions).remove(&channel);
+    shared.latched.lock().retain(|(id, _), _| *id != channel);
+    for client in shared.clients.lock().iter() {
+        client.subscriptions.lock().remove(&channel);
         client.send(Message::text(unadvertise(&[channel])));
     }
 }
@@ -235,7 +232,7 @@ fn welcome(
     // An accepted socket may inherit the listener's mode.
     stream.set_nonblocking(false).ok()?;
     let (client, outgoing) = Client::new();
-    lock(&shared.clients).push(Arc::clone(&client));
+    shared.clients.lock().push(Arc::clone(&client));
     let shared = Arc::clone(shared);
     std::thread::Builder::new()
         .name("foxglove_client".into())
@@ -256,8 +253,8 @@ fn handle_request(shared: &Shared, client: &Client, request: FromClient) {
                 let mut latest: Vec<Arc<Sample>> = vec![];
                 {
                     // Locked over both, so that a latched message is sent once.
-                    let latched = lock(&shared.latched);
-                    lock(&client.subscriptions).insert(subscribe.channel_id, subscribe.id);
+                    let latched = shared.latched.lock();
+                    client.subscriptions.lock().insert(subscribe.channel_id, subscribe.id);
                     latest.extend(
                         latched
                             .iter()
@@ -275,7 +272,7 @@ fn handle_request(shared: &Shared, client: &Client, request: FromClient) {
             }
         }
         FromClient::Unsubscribe { subscription_ids } => {
-            lock(&client.subscriptions).retain(|_, id| !subscription_ids.contains(id));
+            client.subscriptions.lock().retain(|_, id| !subscription_ids.contains(id));
         }
         FromClient::Other => {
             client.send(Message::text(warning("this server only publishes topics")));
@@ -288,10 +285,10 @@ fn follow(tap: &mut Tap, shared: &Arc<Shared>, topics: &mut BTreeMap<String, Top
     for topic in topics.values_mut() {
         let id = topic.channel.id;
         let wanted =
-            lock(&shared.clients).iter().any(|c| !c.is_closed() && c.subscription(id).is_some());
+            shared.clients.lock().iter().any(|c| !c.is_closed() && c.subscription(id).is_some());
         if !wanted {
             if topic.subscription.take().is_some() {
-                lock(&shared.latched).retain(|(channel, _), _| *channel != id);
+                shared.latched.lock().retain(|(channel, _), _| *channel != id);
             }
         } else if topic.subscription.is_none() {
             let latched = topic.offer.qos.transient_local;
@@ -305,13 +302,13 @@ fn follow(tap: &mut Tap, shared: &Arc<Shared>, topics: &mut BTreeMap<String, Top
 
 fn give(shared: &Shared, channel: u32, latched: bool, sample: Sample) {
     let sample = Arc::new(sample);
-    let mut kept = latched.then(|| lock(&shared.latched));
+    let mut kept = latched.then(|| shared.latched.lock());
     if let Some(kept) = &mut kept
         && (kept.len() < 1024 || kept.contains_key(&(channel, sample.writer)))
     {
         kept.insert((channel, sample.writer), Arc::clone(&sample));
     }
-    for client in lock(&shared.clients).iter() {
+    for client in shared.clients.lock().iter() {
         if let Some(subscription) = client.subscription(channel) {
             client.send(Message::binary(message_data(subscription, sample.log_time, &sample.data)));
         }

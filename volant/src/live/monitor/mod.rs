@@ -14,12 +14,10 @@ use super::{
     tap::{Subscription, Tap},
 };
 use node_kit::environment::{DiscoveryRange, Network};
+use parking_lot::Mutex;
 use rig_model::topics;
 use state::Monitor;
-use std::{
-    collections::BTreeMap,
-    sync::{Arc, Mutex, PoisonError},
-};
+use std::{collections::BTreeMap, sync::Arc};
 
 /// Name of the node.
 const NODE: &str = "_volant_monitor";
@@ -88,21 +86,21 @@ impl Watch {
                 matches!(&**type_name, "sensor_msgs/msg/Image" | "sensor_msgs/msg/CompressedImage");
             let known = !offer.topic.definition.is_empty();
             let subscribed = known && (!image || self.options.images);
-            lock(&self.monitor).discover(offer, subscribed);
+            self.monitor.lock().discover(offer, subscribed);
             if subscribed && !self.subscriptions.contains_key(name) {
                 let (monitor, topic) = (Arc::clone(&self.monitor), offer.topic.clone());
                 let subscription =
-                    self.tap.subscribe(offer, move |sample| lock(&monitor).add(&topic, &sample))?;
+                    self.tap.subscribe(offer, move |sample| monitor.lock().add(&topic, &sample))?;
                 self.subscriptions.insert(name.clone(), subscription);
             }
         }
-        lock(&self.monitor).retain_published(|name| offers.iter().any(|o| o.topic.name == name));
+        self.monitor.lock().retain_published(|name| offers.iter().any(|o| o.topic.name == name));
         Ok(())
     }
 
     /// Summarizes what was received until now.
     pub fn snapshot(&self) -> Snapshot {
-        Snapshot { place: self.place.clone(), ..lock(&self.monitor).snapshot(system_nanos()) }
+        Snapshot { place: self.place.clone(), ..self.monitor.lock().snapshot(system_nanos()) }
     }
 
     fn concerns(&self, topic: &str) -> bool {
@@ -125,8 +123,4 @@ impl Watch {
                     .and_then(|t| t.strip_prefix(namespace))
                     .is_some_and(|t| t.starts_with('/')))
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

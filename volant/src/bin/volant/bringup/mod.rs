@@ -18,10 +18,7 @@ use state::{Item, Outcome, Record, State, Verdict};
 use std::{
     fs,
     path::{Path, PathBuf},
-    sync::{
-        PoisonError,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::atomic::{AtomicBool, Ordering},
     time::Duration,
 };
 use volant::{
@@ -170,7 +167,7 @@ fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
     };
     let (stop, watch, mut reported) = (AtomicBool::new(false), Stopwatch::start(), false);
     let report = live::record(&options, &stop, |status| {
-        let unpublished = status.unpublished.lock().unwrap_or_else(PoisonError::into_inner);
+        let unpublished = status.unpublished.lock();
         if reported || unpublished.is_empty() || watch.elapsed() < DISCOVERY {
             return;
         }
