@@ -31,6 +31,14 @@ fn done(arguments: &[&str]) -> String {
     printed.concat()
 }
 
+/// Runs a command that fails; returns its error.
+fn failed(arguments: &[&str]) -> String {
+    let output = volant(arguments);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{arguments:?}: {message}");
+    message
+}
+
 /// A user's rig file: comments, colors, and nodes' parameters after the rig.
 fn dressed(rig: &str) -> String {
     let colors = "markers: # glued on Monday\n      colors: {red: [180.0, 40.0, 40.0]} # by eye\n";
@@ -90,9 +98,7 @@ fn rig_keeps_colors_comments_and_the_nodes_parameters() {
     done(&arguments);
     assert_same_lines(&before, &fs::read_to_string(&out).unwrap(), &changing);
     assert_eq!(fs::read_to_string(&path).unwrap(), after);
-    let again = volant(&arguments);
-    assert_eq!(again.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&again.stderr).contains("--overwrite"));
+    assert!(failed(&arguments).contains("--overwrite"));
 }
 
 #[test]
@@ -101,10 +107,8 @@ fn rig_rejects_a_recording_at_rest() {
     let [bag, rig] = ["rest.mcap", "rig.yaml"].map(|n| folder.path().join(n));
     simulated.write(&bag, &Motion::new(MotionConfig::rest(5)), true);
     fs::write(&rig, rig_simulator::RIG_YAML).unwrap();
-    let output =
-        volant(&["calibrate", "rig", bag.to_str().unwrap(), "--rig", rig.to_str().unwrap()]);
-    let message = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{message}");
+    let message =
+        failed(&["calibrate", "rig", bag.to_str().unwrap(), "--rig", rig.to_str().unwrap()]);
     assert!(message.contains("determines neither"), "{message}");
     assert_eq!(fs::read_to_string(&rig).unwrap(), rig_simulator::RIG_YAML);
 }
@@ -140,9 +144,7 @@ fn rig_writes_nothing_where_a_clock_steps() {
         let stepped = folder.path().join(format!("{seconds}.mcap"));
         step_imu_clock(&bag, &stepped, seconds);
         let [bag, rig] = [&stepped, &path].map(|p| p.to_str().unwrap());
-        let output = volant(&["calibrate", "rig", bag, "--rig", rig]);
-        let message = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(1), "{message}");
+        let message = failed(&["calibrate", "rig", bag, "--rig", rig]);
         let diverged = message.contains("does not converge");
         assert!(message.contains(word) || diverged, "{seconds}: {message}");
         assert_eq!(fs::read_to_string(&path).unwrap(), rig_simulator::RIG_YAML);
@@ -176,8 +178,7 @@ fn colors_are_those_of_the_markers_and_the_rest_of_the_rig_file_stays() {
             assert!(rgb[strong] > 1.2 * rgb[weak], "{name} {color}: {rgb:?}");
         }
         // A file that exists is not replaced by the 190 bytes of the colors.
-        let output = volant(&["calibrate", "colors", bag.to_str().unwrap(), "--out", rig]);
-        assert_eq!(output.status.code(), Some(1));
+        failed(&["calibrate", "colors", bag.to_str().unwrap(), "--out", rig]);
         assert_eq!(fs::read_to_string(&path).unwrap(), after);
     }
 }
@@ -208,9 +209,7 @@ fn imu_writes_the_densities_and_a_figure_and_refuses_motion() {
     assert!(svg.contains("Allan deviation [rad/s]") && svg.contains("averaging time [s]"));
     let moving = folder.path().join("swing.mcap");
     simulated.write(&moving, &simulated.motion(30.0, true), false);
-    let output = volant(&["calibrate", "imu", moving.to_str().unwrap(), "--rig", rig_file]);
-    let message = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{message}");
+    let message = failed(&["calibrate", "imu", moving.to_str().unwrap(), "--rig", rig_file]);
     assert!(message.contains("not at rest") && message.contains("swing.mcap"), "{message}");
     assert_eq!(fs::read_to_string(&rig).unwrap(), after);
 }
@@ -224,10 +223,8 @@ fn imu_finds_no_noise_in_the_motion_of_real_recordings() {
         let rig = folder.path().join("rig.yaml");
         fs::write(&rig, fs::read(recording.join("rig.yaml")).unwrap()).unwrap();
         let bag = recording.join("in.mcap");
-        let output =
-            volant(&["calibrate", "imu", bag.to_str().unwrap(), "--rig", rig.to_str().unwrap()]);
-        let message = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(1), "{name}: {message}");
+        let message =
+            failed(&["calibrate", "imu", bag.to_str().unwrap(), "--rig", rig.to_str().unwrap()]);
         assert!(message.contains("not at rest"), "{name}: {message}");
     }
 }
@@ -277,9 +274,7 @@ fn climber_finds_names_signs_scales_zeros_and_height() {
     // The platform hangs: nothing is written.
     let swing = folder.path().join("swing.mcap");
     simulated.write(&swing, &simulated.motion(15.0, true), false);
-    let output = volant(&["calibrate", "climber", swing.to_str().unwrap(), "--rig", rig_file]);
-    let message = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{message}");
+    let message = failed(&["calibrate", "climber", swing.to_str().unwrap(), "--rig", rig_file]);
     assert!(message.contains("platform"), "{message}");
     assert_eq!(fs::read_to_string(&rig).unwrap(), after);
 }
@@ -308,18 +303,12 @@ fn a_bag_of_two_rigs_is_checked_by_namespace_and_never_mixed() {
     let [both, alone, rig] =
         ["both.mcap", "6.mcap", "rig.yaml"].map(|n| path(n).display().to_string());
     for command in [&["check"][..], &["calibrate", "rig"], &["calibrate", "climber"]] {
-        let output = volant(&[command, &[&both, "--rig", &rig]].concat());
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(!output.status.success(), "{command:?}");
+        let said = failed(&[command, &[&both, "--rig", &rig]].concat());
         assert!(said.contains("/rig5/climber") && said.contains("--namespace"), "{said}");
         assert!(said.contains("both.mcap"), "{said}");
     }
-    let missing = volant(&["check", &both, "--rig", &rig, "--namespace", "rig7"]);
-    let said = String::from_utf8_lossy(&missing.stderr).into_owned();
-    assert!(
-        !missing.status.success() && said.contains("/rig7/climber/camera/camera_info"),
-        "{said}"
-    );
+    let said = failed(&["check", &both, "--rig", &rig, "--namespace", "rig7"]);
+    assert!(said.contains("/rig7/climber/camera/camera_info"), "{said}");
     let expected = volant(&["check", &alone, "--rig", &rig]);
     let found = volant(&["check", &both, "--rig", &rig, "--namespace", "rig6"]);
     assert!(!expected.stdout.is_empty());
