@@ -129,7 +129,9 @@ pub fn record(
         }
         if let Some(loss) = takers.tap.loss() {
             losses.push(loss);
-            takers.join_anew()?;
+            // The topics keep their numbers, and discovery finds them again.
+            takers.subscriptions.clear();
+            takers.tap = Tap::join(NODE)?;
         }
         for offer in takers.tap.offers() {
             let name = &offer.topic.name;
@@ -193,13 +195,6 @@ struct Takers<'a> {
 }
 
 impl Takers<'_> {
-    /// Joins again; the topics keep their numbers, and discovery finds them again.
-    fn join_anew(&mut self) -> Result<(), LiveError> {
-        self.subscriptions.clear();
-        self.tap = Tap::join(NODE)?;
-        Ok(())
-    }
-
     /// Those of the requested topics that had no publisher yet.
     fn unpublished(&self, requested: &[String]) -> Vec<String> {
         requested.iter().filter(|t| !self.topics.contains_key(*t)).cloned().collect()
