@@ -7,7 +7,7 @@ mod sheets;
 mod svg;
 
 pub use pdf::pdf;
-pub use sheets::{FOCAL_LENGTHS, SIDE_IN_IMAGE, sheets};
+pub use sheets::sheets;
 pub use svg::svg;
 
 use thiserror::Error;

@@ -15,9 +15,9 @@ const BAR: f64 = 100.0;
 
 /// Recommended side of a square in the image at the largest distance, px: each edge then has some
 /// 15 pixels that no corner disturbs.
-pub const SIDE_IN_IMAGE: f64 = 20.0;
+const SIDE_IN_IMAGE: f64 = 20.0;
 /// Focal lengths of the table without a camera, px: 640 px wide images of 77 to 30 degrees.
-pub const FOCAL_LENGTHS: [f64; 4] = [400.0, 600.0, 800.0, 1200.0];
+const FOCAL_LENGTHS: [f64; 4] = [400.0, 600.0, 800.0, 1200.0];
 /// Distances of the table, m.
 const DISTANCES: [f64; 8] = [0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0];
 

@@ -13,5 +13,5 @@ pub use chart::{Axis, ChartError, Panel, Series, Shape, Sheet, panels};
 pub use curves::{AXES, Curve, Run, Track, UNITS, six, six_curves};
 pub use drawing::{Anchor, Drawing, Ink};
 pub use page::{Block, Page, Section, Table, cells};
-pub use palette::{colors, finished, hex};
+pub use palette::colors;
 pub use plotters::style::RGBColor as Color;

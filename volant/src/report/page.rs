@@ -59,7 +59,7 @@ pub enum Block {
     },
     /// Small note, such as the source of the numbers.
     Note(String),
-    /// SVG from [`palette::finished`].
+    /// SVG, such as those of [`super::panels`] and [`super::Drawing`].
     Figure(String),
     /// Table.
     Table(Table),

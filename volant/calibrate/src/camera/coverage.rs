@@ -9,7 +9,7 @@ use std::fmt;
 /// Columns and rows of the coverage map.
 const MAP: (usize, usize) = (6, 4);
 /// Wanted views, as many as the paper used.
-pub const WANTED_VIEWS: usize = 40;
+const WANTED_VIEWS: usize = 40;
 /// Wanted tilted views in each of four directions.
 const WANTED_TILTED: usize = 3;
 /// Relative difference of opposite sides of a board tilted by about 15°.
