@@ -70,8 +70,8 @@ struct Writer {
 /// ns.
 ///
 /// # Errors
-/// The bag is unreadable, holds nothing to play or lacks a remapped topic, or DDS creates no node or
-/// publisher.
+/// The bag is unreadable, holds nothing to play or lacks a remapped topic, or DDS creates no node
+/// or publisher.
 pub fn play(
     options: &PlayOptions,
     control: &PlayControl,

@@ -56,8 +56,8 @@ impl NodeShell for Player {
     fn handle(&mut self, _: &mut NodeContext<()>, (): ()) {}
 }
 
-/// Starts the node `rosbag2_player` with what `publish` creates on it; dropping the returned process
-/// ends it.
+/// Starts the node `rosbag2_player` with what `publish` creates on it; dropping the returned
+/// process ends it.
 ///
 /// # Errors
 /// An invalid variable of the environment, DDS creates no participant, or the error of `publish`.
