@@ -86,12 +86,18 @@ fn a_reliable_message_wakes_each_event_loop_about_once() {
     let (sent, received) = (Arc::<AtomicU64>::default(), Arc::<AtomicU64>::default());
     let mut listener = Process::new(network()).unwrap();
     let count = Arc::clone(&received);
-    Listener::<Header>::launch(&mut listener, "listener", "talk", QosPreset::Measurement, move || {
-        let count = Arc::clone(&count);
-        move |_: Arc<Header>| {
-            count.fetch_add(1, Ordering::Relaxed);
-        }
-    });
+    Listener::<Header>::launch(
+        &mut listener,
+        "listener",
+        "talk",
+        QosPreset::Measurement,
+        move || {
+            let count = Arc::clone(&count);
+            move |_: Arc<Header>| {
+                count.fetch_add(1, Ordering::Relaxed);
+            }
+        },
+    );
     let mut talker = Process::new(network()).unwrap();
     let count = Arc::clone(&sent);
     // 200 messages per second on a reliable topic.
