@@ -18,8 +18,8 @@ use wide::f32x8;
 
 /// Largest difference of the level beyond the band from that at its rim, in units of the contrast.
 /// Beside a step there is one level; where another one lies further out, something else is there,
-/// and only a narrower band measures the edge. Tuned; guarded by `volant-peers trials` (poles,
-/// hands).
+/// and only a narrower band measures the edge. Tuned on scenes with poles and
+/// hands before the markers.
 const STEP: f64 = 0.1;
 /// The same for the narrowest band.
 const LARGEST_STEP: f64 = 0.25;

@@ -45,8 +45,8 @@ impl QuadFit {
         (0.8 + 2.5 * widest + (widest - 0.6).max(0.0)).clamp(Self::HALF_WIDTH.0, Self::HALF_WIDTH.1)
     }
 
-    /// Whether all four edges were measured along most of their length. Tuned; `tests/bags.rs` and
-    /// `volant-peers trials` guard it from both sides (whole markers detected, cut ones not).
+    /// Whether all four edges were measured along most of their length. Tuned:
+    /// whole markers are detected (`tests/bags.rs`), cut ones are not.
     pub fn is_whole(&self) -> bool {
         let support = if self.relit { 0.5 } else { 0.7 };
         self.filled > 0.8

@@ -29,8 +29,8 @@ struct ShapeTolerance {
 
 impl ShapeTolerance {
     /// How well the shape is known: of the paper itself and of the pose that it is seen from.
-    /// Tuned; guarded from both sides by `tests/bags.rs` (whole markers are detected) and
-    /// `volant-peers trials` (cut ones are not). `side`: of the square, px.
+    /// Tuned: whole markers are detected (`tests/bags.rs`), cut ones are not. `side`: of the
+    /// square, px.
     fn new(known_camera: bool, known_shape: bool, count: usize, side: f64) -> Self {
         let (width, slope) = match (known_camera, known_shape, count) {
             (true, true, 4) => (0.1 + 0.004 * side, 0.01),

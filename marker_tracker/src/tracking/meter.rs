@@ -39,8 +39,7 @@ pub(super) const KNOWN: Tolerance = Tolerance {
 };
 
 /// Lowest contrast of an edge, in units of the one that the marker's colors were adapted in. Light
-/// may drop to 0.45 of its level (the shade scene of `volant-peers trials`); the rest is left for
-/// noise.
+/// may drop to 0.45 of its level (a deep shade); the rest is left for noise.
 const MIN_CONTRAST: f64 = 0.35;
 
 /// Measures the outline of one marker in one image.

@@ -2,8 +2,7 @@
 //! seed with truth.
 //!
 //! `bench` prints the main table (time, accuracy, success) and the targets of the tracker; `sweep`
-//! the success over viewing angle and distance; `boards` compares markers with chessboards;
-//! `trials` what the tracker does in scenes that are made to mislead it.
+//! the success over viewing angle and distance; `boards` compares markers with chessboards.
 
 mod bench;
 mod boards;
@@ -16,7 +15,6 @@ mod scene;
 mod stage;
 mod sweep;
 mod trajectory;
-mod trials;
 
 /// The texture of the SIFT plate.
 mod sift_texture {
@@ -104,18 +102,6 @@ enum Command {
         #[arg(long, default_value_t = 16)]
         images: usize,
     },
-    /// Scenes that are made to mislead the tracker; trials.csv.
-    Trials {
-        /// Only scenes whose name contains this.
-        #[arg(long, default_value = "")]
-        only: String,
-        /// Every mistake in a line of its own, and what was around it enlarged as PNG.
-        #[arg(long)]
-        verbose: bool,
-        /// One frame of each scene instead, as PNG.
-        #[arg(long)]
-        images: bool,
-    },
 }
 
 fn work(arguments: &Arguments) -> Result<usize> {
@@ -137,13 +123,6 @@ fn work(arguments: &Arguments) -> Result<usize> {
         Command::Boards { images } => {
             boards::run(&arguments.out, *images, arguments.seed, &progress)?;
             Ok(0)
-        }
-        Command::Trials { images: true, .. } => {
-            trials::images(&arguments.out, arguments.seed)?;
-            Ok(0)
-        }
-        Command::Trials { only, verbose, .. } => {
-            trials::run(&arguments.out, arguments.seed, only, *verbose)
         }
     }
 }

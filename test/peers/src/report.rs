@@ -1,11 +1,6 @@
 //! Tables as text and as CSV, and figures beside their targets.
 
-use crate::scene::Frame;
-use anyhow::{Context, Result, ensure};
-use opencv::{
-    core::{self, Mat},
-    imgcodecs, imgproc,
-};
+use anyhow::{Context, Result};
 use std::{fs, path::Path};
 
 /// A number with `digits` decimals; empty if it is not finite.
@@ -75,18 +70,4 @@ impl Targets {
         }
         self.0.iter().filter(|t| !t.3).count()
     }
-}
-
-/// A frame as PNG.
-pub fn write_png(frame: &Frame, path: &Path) -> Result<()> {
-    let rgb = Mat::new_rows_cols_with_bytes::<core::Vec3b>(
-        frame.height as i32,
-        frame.width as i32,
-        &frame.rgb,
-    )?;
-    let mut bgr = Mat::default();
-    imgproc::cvt_color_def(&rgb, &mut bgr, imgproc::COLOR_RGB2BGR)?;
-    let written = imgcodecs::imwrite_def(path, &bgr)?;
-    ensure!(written, "{}: OpenCV could not write the file", path.display());
-    Ok(())
 }

@@ -4,7 +4,7 @@
 use crate::{
     boards,
     methods::{Carrier, tag_frame},
-    scene::{Canvas, Floor, Frame, Light, MarkerTruth, Pinhole, Plate, Rng, Thing},
+    scene::{Canvas, Floor, Frame, Light, Pinhole, Plate, Rng, Thing},
     sift_texture,
 };
 use anyhow::Result;
@@ -17,10 +17,6 @@ pub const FOOTPRINT: f64 = 0.376;
 /// Paper as bright as it is sold: red, green, blue, yellow as the sensor sees them.
 pub const VIVID: [[f32; 3]; 4] =
     [[205.0, 30.0, 35.0], [30.0, 180.0, 60.0], [30.0, 65.0, 200.0], [215.0, 200.0, 30.0]];
-
-/// Pale paper: a layer difference of 95 to 135 gray levels.
-pub const MUTED: [[f32; 3]; 4] =
-    [[190.0, 80.0, 85.0], [80.0, 175.0, 105.0], [75.0, 110.0, 180.0], [200.0, 185.0, 80.0]];
 
 /// Plates, floor and canvas.
 pub struct Stage {
@@ -75,10 +71,9 @@ impl Stage {
             gain: 1.0 + 0.1 * (0.061 * phase).sin(),
             shading: 0.1,
             direction: 0.043 * phase,
-            ..Light::default()
         };
-        self.floor.copy_to(&mut self.canvas, Vector2::zeros());
-        self.plates[carrier as usize].draw(&mut self.canvas, &self.camera, &[*pose]);
+        self.floor.copy_to(&mut self.canvas);
+        self.plates[carrier as usize].draw(&mut self.canvas, &self.camera, pose);
         let mut rng = Rng::new(
             self.seed ^ (number as u64 * 3 + carrier as u64 + 1).wrapping_mul(0x2545_f491),
         );
@@ -88,10 +83,7 @@ impl Stage {
     /// Where the markers, or the corners of the tag's black square, truly are.
     pub fn truth(&self, carrier: Carrier, pose: &Isometry3<f64>) -> Vec<Vector2<f64>> {
         match carrier {
-            Carrier::Markers => {
-                let truth: [MarkerTruth; 4] = self.plates[0].truth(&self.camera, &[*pose], &[]);
-                truth.iter().map(|t| t.centroid).collect()
-            }
+            Carrier::Markers => self.plates[0].truth(&self.camera, pose).to_vec(),
             Carrier::Tag => {
                 let h = 0.4 * FOOTPRINT;
                 self.camera.polygon(pose, &[[-h, h], [h, h], [h, -h], [-h, -h]], 0.0)

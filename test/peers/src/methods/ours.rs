@@ -6,8 +6,8 @@ use crate::clock::Clock;
 use crate::scene::{Frame, Pinhole};
 use anyhow::Result;
 use marker_tracker::{ImageView, Input, Output, PixelFormat, Tracker, TrackerConfig};
-use nalgebra::{Isometry3, Vector2};
-use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState, Stamp};
+use nalgebra::Isometry3;
+use rig_model::{CameraModel, MarkerLayout, MarkerObservations, MarkerState, Stamp};
 use std::time::Duration;
 
 /// Tracker and pose.
@@ -19,8 +19,6 @@ pub struct Ours {
     stamp: i64,
     /// Result for the last frame.
     pub observed: Option<MarkerObservations>,
-    /// Warnings.
-    pub warnings: Vec<String>,
 }
 
 impl Ours {
@@ -33,7 +31,6 @@ impl Ours {
             pose: None,
             stamp: 1_000_000_000,
             observed: None,
-            warnings: Vec::new(),
         };
         ours.forget();
         ours
@@ -47,11 +44,6 @@ impl Ours {
             .and_then(|prior| gauss_newton(layout, camera, observed, prior))
             .map(|p| p.0)
             .or_else(|| pose_from_centroids(layout, camera, observed))
-    }
-
-    /// What became of a marker in the last frame, and the outline that was measured.
-    pub fn account(&self, color: MarkerColor) -> (&'static str, Option<[Vector2<f64>; 4]>) {
-        (self.tracker.outcomes()[color].as_str(), self.tracker.views()[color].outline)
     }
 
     /// The tracker alone: time from pixels to the finished observations, 30 images a second.
@@ -70,15 +62,9 @@ impl Ours {
         self.tracker.handle(Input::Image(view));
         let mut time = start.elapsed();
         while let Some(output) = self.tracker.poll() {
-            match output {
-                Output::Observations(o) => {
-                    time = start.elapsed();
-                    self.observed = Some(o);
-                }
-                Output::Warning(w) => self.warnings.push(w.to_string()),
-                #[allow(unreachable_patterns)]
-                // other outputs of the tracker are not evaluated
-                _ => {}
+            if let Output::Observations(o) = output {
+                time = start.elapsed();
+                self.observed = Some(o);
             }
         }
         time

@@ -40,29 +40,10 @@ pub struct Light {
     pub shading: f64,
     /// Direction of the shading, rad.
     pub direction: f64,
-    /// Factor per channel (white balance).
-    pub white: [f64; 3],
-    /// Standard deviation of the sensor's noise, gray levels.
-    pub noise: f64,
-    /// Standard deviation of the lens's blur, px (0: none).
-    pub blur: f64,
-    /// The sensor's gamma (1: linear): the levels that a scene is given in are those after it.
-    pub gamma: f64,
 }
 
-impl Default for Light {
-    fn default() -> Self {
-        Self {
-            gain: 1.0,
-            shading: 0.0,
-            direction: 0.0,
-            white: [1.0; 3],
-            noise: 3.0,
-            blur: 0.0,
-            gamma: 1.0,
-        }
-    }
-}
+/// Standard deviation of the sensor's noise, gray levels.
+const NOISE: f64 = 3.0;
 
 /// Linear light, and the share of each pixel that the layer in work covers.
 pub struct Canvas {
@@ -90,12 +71,11 @@ impl Canvas {
         }
     }
 
-    /// Adds a convex polygon to the layer in work; polygons of one layer must not overlap. `weight`
-    /// below 1 spreads a moving thing over several sub-exposures.
-    pub fn add(&mut self, polygon: &[Vector2<f64>], color: [f32; 3], weight: f64) {
+    /// Adds a convex polygon to the layer in work; polygons of one layer must not overlap.
+    pub fn add(&mut self, polygon: &[Vector2<f64>], color: [f32; 3]) {
         let (width, height) = (self.width, self.height);
         for_each_covered(polygon, width, height, |index, share| {
-            let w = (share * weight) as f32;
+            let w = share as f32;
             let cell = &mut self.layer[index];
             if cell[3] == 0.0 {
                 self.touched.push(index as u32);
@@ -120,17 +100,7 @@ impl Canvas {
     }
 
     /// Image of the sensor.
-    pub fn expose(&mut self, light: &Light, rng: &mut Rng) -> Frame {
-        if light.blur > 0.0 {
-            self.blur(light.blur);
-        }
-        let curve = |v: f64| {
-            if light.gamma == 1.0 {
-                v
-            } else {
-                255.0 * (v.max(0.0) / 255.0).powf(1.0 / light.gamma)
-            }
-        };
+    pub fn expose(&self, light: &Light, rng: &mut Rng) -> Frame {
         let (w, h) = (self.width, self.height);
         let (sin, cos) = light.direction.sin_cos();
         let mut rgb = vec![0u8; 3 * w * h];
@@ -142,44 +112,17 @@ impl Canvas {
                 let noise = self.noise.four(rng);
                 let pixel = self.light[y * w + x];
                 for c in 0..3 {
-                    let value = curve(f64::from(pixel[c]) * gain * light.white[c])
-                        + light.noise * f64::from(noise[c]);
+                    let value = f64::from(pixel[c]) * gain + NOISE * f64::from(noise[c]);
                     rgb[3 * (y * w + x) + c] = (value + 0.5).clamp(0.0, 255.0) as u8;
                 }
             }
         }
         Frame { width: w, height: h, rgb }
     }
-
-    fn blur(&mut self, sigma: f64) {
-        let radius = (3.0 * sigma).ceil() as i64;
-        let kernel: Vec<f32> = (-radius..=radius)
-            .map(|i| (-(i * i) as f64 / (2.0 * sigma * sigma)).exp() as f32)
-            .collect();
-        let sum: f32 = kernel.iter().sum();
-        let (w, h) = (self.width as i64, self.height as i64);
-        for (dx, dy) in [(1, 0), (0, 1)] {
-            let source = self.light.clone();
-            for y in 0..h {
-                for x in 0..w {
-                    let mut value = [0.0; 3];
-                    for (k, weight) in (-radius..=radius).zip(&kernel) {
-                        let p = source[((y + k * dy).clamp(0, h - 1) * w
-                            + (x + k * dx).clamp(0, w - 1))
-                            as usize];
-                        for c in 0..3 {
-                            value[c] += weight * p[c];
-                        }
-                    }
-                    self.light[(y * w + x) as usize] = value.map(|v| v / sum);
-                }
-            }
-        }
-    }
 }
 
 /// Calls `f(index, share)` for each pixel that a convex polygon covers in part or in full.
-pub fn for_each_covered(
+fn for_each_covered(
     polygon: &[Vector2<f64>],
     width: usize,
     height: usize,

@@ -1,9 +1,9 @@
-//! The floor: a softly mottled ground with things lying about, and things that move.
+//! The floor: a softly mottled ground with things lying about.
 
 use super::{canvas::Canvas, rng::Rng};
 use nalgebra::Vector2;
 
-/// An object of one color on the floor or in front of the platform.
+/// An object of one color on the floor.
 #[derive(Clone, Debug)]
 pub struct Thing {
     /// Convex outline, px.
@@ -33,7 +33,7 @@ impl Thing {
     }
 }
 
-/// Ground that reaches beyond the frame, so that the camera can move over it.
+/// Ground that reaches beyond the frame.
 pub struct Floor {
     ground: Canvas,
     margin: usize,
@@ -71,33 +71,17 @@ impl Floor {
     pub fn strew(&mut self, things: &[Thing]) {
         let shift = Vector2::repeat(self.margin as f64);
         for thing in things {
-            self.ground.add(&thing.moved(shift).outline, thing.color, 1.0);
+            self.ground.add(&thing.moved(shift).outline, thing.color);
             self.ground.flatten();
         }
     }
 
-    /// Copies the ground to a canvas, displaced by `by` px (bilinear between pixels).
-    pub fn copy_to(&self, canvas: &mut Canvas, by: Vector2<f64>) {
-        let limit = self.margin as f64 - 1.0;
-        let shift = Vector2::new(by.x.clamp(-limit, limit), by.y.clamp(-limit, limit));
-        let origin = Vector2::repeat(self.margin as f64) - shift;
-        let (ix, iy) = (origin.x.floor() as usize, origin.y.floor() as usize);
-        let (fx, fy) = ((origin.x - ix as f64) as f32, (origin.y - iy as f64) as f32);
+    /// Copies the ground to a canvas.
+    pub fn copy_to(&self, canvas: &mut Canvas) {
         let stride = self.ground.width;
-        for y in 0..canvas.height {
-            for x in 0..canvas.width {
-                let at = (y + iy) * stride + x + ix;
-                let g = &self.ground.light;
-                let pixel = &mut canvas.light[y * canvas.width + x];
-                if fx == 0.0 && fy == 0.0 {
-                    *pixel = g[at];
-                    continue;
-                }
-                for (c, value) in pixel.iter_mut().enumerate() {
-                    *value = (g[at][c] * (1.0 - fx) + g[at + 1][c] * fx) * (1.0 - fy)
-                        + (g[at + stride][c] * (1.0 - fx) + g[at + stride + 1][c] * fx) * fy;
-                }
-            }
+        for (y, row) in canvas.light.chunks_exact_mut(canvas.width).enumerate() {
+            let from = (y + self.margin) * stride + self.margin;
+            row.copy_from_slice(&self.ground.light[from..from + row.len()]);
         }
     }
 }

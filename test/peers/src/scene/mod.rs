@@ -13,5 +13,5 @@ mod rng;
 pub use canvas::{Canvas, Frame, Light};
 pub use floor::{Floor, Thing};
 pub use geometry::Pinhole;
-pub use plate::{MarkerTruth, Plate, PlateKind};
+pub use plate::{Plate, PlateKind};
 pub use rng::Rng;

@@ -1,9 +1,8 @@
 //! What the platform carries: four markers, a tag, or a texture, all of the same footprint.
 
 use super::{
-    canvas::{Canvas, for_each_covered},
-    floor::Thing,
-    geometry::{Pinhole, clip_area, polygon_centroid},
+    canvas::Canvas,
+    geometry::{Pinhole, polygon_centroid},
     rng::Rng,
 };
 use nalgebra::{Isometry3, Point3, Vector2};
@@ -44,15 +43,6 @@ pub struct Plate {
     pub kind: PlateKind,
 }
 
-/// Where a marker truly is in the frame.
-#[derive(Clone, Copy, Debug)]
-pub struct MarkerTruth {
-    /// Area centroid of the whole square's image, px (the mean over the exposure).
-    pub centroid: Vector2<f64>,
-    /// Share that is in the frame and not covered.
-    pub shown: f64,
-}
-
 impl Plate {
     /// Four 76 mm squares on a 0.30 m square, the bench's standard.
     pub fn markers(colors: [[f32; 3]; 4], rng: &mut Rng) -> Self {
@@ -75,26 +65,17 @@ impl Plate {
         Self { edge: 0.42, color, kind: PlateKind::Cells { side, gray, footprint: 0.376 } }
     }
 
-    /// Draws the plate at each of the poses of an exposure.
-    pub fn draw(&self, canvas: &mut Canvas, camera: &Pinhole, poses: &[Isometry3<f64>]) {
-        let weight = 1.0 / poses.len() as f64;
+    /// Draws the plate.
+    pub fn draw(&self, canvas: &mut Canvas, camera: &Pinhole, pose: &Isometry3<f64>) {
         let half = self.edge / 2.0;
         let rim = [[-half, -half], [half, -half], [half, half], [-half, half]];
-        for pose in poses {
-            canvas.add(&camera.polygon(pose, &rim, 0.0), self.color, weight);
-        }
+        canvas.add(&camera.polygon(pose, &rim, 0.0), self.color);
         canvas.flatten();
         match &self.kind {
             PlateKind::Markers { layout, colors, .. } => {
                 for (color, paint) in colors.iter() {
-                    for pose in poses {
-                        let z = layout.centers[color].z;
-                        canvas.add(
-                            &camera.polygon(pose, &self.square(color.index()), z),
-                            *paint,
-                            weight,
-                        );
-                    }
+                    let square = self.square(color.index());
+                    canvas.add(&camera.polygon(pose, &square, layout.centers[color].z), *paint);
                 }
                 canvas.flatten();
             }
@@ -104,13 +85,7 @@ impl Plate {
                     let x = -footprint / 2.0 + (index % side) as f64 * cell;
                     let y = footprint / 2.0 - (index / side) as f64 * cell;
                     let corners = [[x, y], [x + cell, y], [x + cell, y - cell], [x, y - cell]];
-                    for pose in poses {
-                        canvas.add(
-                            &camera.polygon(pose, &corners, 0.0),
-                            [f32::from(value); 3],
-                            weight,
-                        );
-                    }
+                    canvas.add(&camera.polygon(pose, &corners, 0.0), [f32::from(value); 3]);
                 }
                 canvas.flatten();
             }
@@ -127,36 +102,13 @@ impl Plate {
         })
     }
 
-    /// The truth of each marker under these covers.
-    pub fn truth(
-        &self,
-        camera: &Pinhole,
-        poses: &[Isometry3<f64>],
-        covers: &[Thing],
-    ) -> [MarkerTruth; 4] {
-        let middle = &poses[poses.len() / 2];
+    /// Area centroid of each marker's image, px.
+    pub fn truth(&self, camera: &Pinhole, pose: &Isometry3<f64>) -> [Vector2<f64>; 4] {
         let PlateKind::Markers { layout, .. } = &self.kind else {
-            return [MarkerTruth { centroid: Vector2::zeros(), shown: 0.0 }; 4];
+            return [Vector2::zeros(); 4];
         };
         [0, 1, 2, 3].map(|i| {
-            let z = layout.centers.0[i].z;
-            let images: Vec<_> =
-                poses.iter().map(|p| camera.polygon(p, &self.square(i), z)).collect();
-            let centroid = images.iter().map(|p| polygon_centroid(p).1).sum::<Vector2<f64>>()
-                / poses.len() as f64;
-            let image = camera.polygon(middle, &self.square(i), z);
-            let area = polygon_centroid(&image).0.abs();
-            let mut seen = 0.0;
-            for_each_covered(&image, camera.width, camera.height, |index, share| {
-                let (x, y) = ((index % camera.width) as f64, (index / camera.width) as f64);
-                seen += share * (1.0 - cover_by(covers, x, y));
-            });
-            MarkerTruth { centroid, shown: seen / area }
+            polygon_centroid(&camera.polygon(pose, &self.square(i), layout.centers.0[i].z)).1
         })
     }
-}
-
-/// Share of a pixel that things cover.
-pub fn cover_by(covers: &[Thing], x: f64, y: f64) -> f64 {
-    1.0 - covers.iter().map(|c| 1.0 - clip_area(&c.outline, x, y)).product::<f64>()
 }
