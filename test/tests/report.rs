@@ -13,8 +13,8 @@ use std::path::{Path, PathBuf};
 use volant_test::{
     live::{ImageSequence, Scenario},
     paper::{
-        Made, NAMES, curves::Curves, occlusion::figure_6, peers, ratio::ratio,
-        report::write_report, stages::Stages, stationary::figure_9,
+        Made, NAMES, curves::Curves, occlusion::figure_6, peers, report::write_report,
+        stages::Stages, stationary::figure_9,
     },
 };
 
@@ -51,7 +51,6 @@ fn make(folder: &Path) -> Vec<Made> {
         peers::figure_12(folder).unwrap(),
         curves.figure_13(&scenario, folder).unwrap(),
         curves.table_2(&scenario, folder).unwrap(),
-        ratio(&scenario, &curves, folder).unwrap(),
     ];
     let facts = [("Command".to_owned(), "`cargo test -p volant_test --test report`".to_owned())];
     write_report(folder, &facts, &made, &[("nothing", "a reason why".to_owned())]).unwrap();

@@ -37,14 +37,10 @@ pub struct Column {
 pub struct Curves {
     epoch: Stamp,
     columns: Vec<Column>,
-    /// What the default tracker gave to the filters.
-    pub recording: Recording,
-    /// What the published tracker gave.
-    pub published: Recording,
 }
 
 /// The published filter, optionally with its velocity from the fused poses.
-pub fn published_filter(scenario: &Scenario, velocity_from_fused: bool) -> FusionConfig {
+fn published_filter(scenario: &Scenario, velocity_from_fused: bool) -> FusionConfig {
     let mut config = filter(scenario, Model::Paper);
     config.paper.velocity_from_fused = velocity_from_fused;
     config
@@ -100,7 +96,7 @@ impl Curves {
                 fused(&recording, true)?,
             ),
         ];
-        Ok(Self { epoch, columns, recording, published })
+        Ok(Self { epoch, columns })
     }
 
     /// Errors of each estimate after the first second.
@@ -293,7 +289,7 @@ impl Curves {
 }
 
 /// Errors of a track after the first second.
-pub fn errors_of(scenario: &Scenario, track: &Track) -> Errors {
+fn errors_of(scenario: &Scenario, track: &Track) -> Errors {
     let epoch = scenario.sensors.epoch;
     let (from, to) = (epoch.plus_seconds(1.0), epoch.plus_seconds(scenario.duration()));
     let truth = |at: Stamp| scenario.motion.world_from_volant(at.seconds_since(epoch));

@@ -1,17 +1,15 @@
 //! The paper's experiments on the simulated bench, by the nodes' own cores.
 //!
 //! [`offline`] runs the cores over a scenario's images and samples, in order of arrival; [`curves`]
-//! makes Fig. 13 and Table II, [`ratio`] the sweep of R/Q, [`stationary`] Fig. 9, [`stages`] the
-//! images of Figs. 4 and 5, [`occlusion`] those of Fig. 6; [`peers`] draws what `volant-peers`
-//! measured beside the peers: Figs. 2, 7, 11, 12 and Table I. [`report`] makes the page that shows
-//! them.
+//! makes Fig. 13 and Table II, [`stationary`] Fig. 9, [`stages`] the images of Figs. 4 and 5,
+//! [`occlusion`] those of Fig. 6; [`peers`] draws what `volant-peers` measured beside the peers:
+//! Figs. 2, 7, 11, 12 and Table I. [`report`] makes the page that shows them.
 
 mod bars;
 pub mod curves;
 pub mod occlusion;
 pub mod offline;
 pub mod peers;
-pub mod ratio;
 pub mod report;
 pub mod stages;
 pub mod stationary;
@@ -19,11 +17,10 @@ pub mod stationary;
 use std::path::{Path, PathBuf};
 use volant::report::{ChartError, Table};
 
-/// What can be made, in the order of the paper: its figures and tables, and a statement of its text
-/// (`ratio`: R/Q).
-pub const NAMES: [&str; 12] = [
+/// What can be made, in the order of the paper.
+pub const NAMES: [&str; 11] = [
     "fig-2", "fig-4", "fig-5", "fig-6", "fig-7", "fig-9", "table-1", "fig-11", "fig-12", "fig-13",
-    "table-2", "ratio",
+    "table-2",
 ];
 
 /// A quantity as published and as found here.

@@ -19,7 +19,6 @@ use volant_test::{
         curves::Curves,
         occlusion::figure_6,
         peers,
-        ratio::ratio,
         report::{TITLE, write_report},
         stages::Stages,
         stationary::figure_9,
@@ -34,7 +33,7 @@ use volant_test::{
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// What to make (all without a name, or `all`): fig-2, fig-4, fig-5, fig-6, fig-7, fig-9,
-    /// fig-11, fig-12, fig-13, table-1, table-2, ratio (R/Q of the published filter)
+    /// fig-11, fig-12, fig-13, table-1, table-2
     #[arg(value_parser = name)]
     names: Vec<String>,
     /// Folder for NAME.csv, NAME.svg and report.html
@@ -47,7 +46,7 @@ pub(crate) struct Arguments {
     /// Random seed
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Length of the swing of fig-13, table-2 and ratio, s
+    /// Length of the swing of fig-13 and table-2, s
     #[arg(long, default_value_t = 20.0, value_parser = number(4.0..=120.0))]
     seconds: f64,
 }
@@ -76,7 +75,7 @@ const JOBS: [(Job, f64, &[&str]); 7] = [
     (Job::Bench, 70.0, &["table-1", "fig-12"]),
     (Job::Sweep, 70.0, &["fig-11"]),
     (Job::Boards, 30.0, &["fig-2", "fig-7"]),
-    (Job::Swing, 60.0, &["fig-13", "table-2", "ratio"]),
+    (Job::Swing, 60.0, &["fig-13", "table-2"]),
     (Job::Occlusion, 18.0, &["fig-6"]),
     (Job::Stages, 5.0, &["fig-4", "fig-5"]),
     (Job::Rest, 2.0, &["fig-9"]),
@@ -256,10 +255,6 @@ fn simulate(
         }
         if wanted("fig-13") {
             results.take("fig-13", curves.figure_13(&scenario, out));
-        }
-        if wanted("ratio") {
-            bar.report(Job::Swing, 0.95, "R/Q from 0.1 to 1000");
-            results.take("ratio", ratio(&scenario, &curves, out));
         }
         bar.report(Job::Swing, 1.0, "all estimators");
     }
