@@ -28,8 +28,7 @@ struct Run {
 }
 
 impl Run {
-    fn create(path: &Path, compression: Compression, begin: Stamp) -> Result<Self, BagError> {
-        let options = WriteOptions { compression, ..WriteOptions::default() };
+    fn create(path: &Path, options: WriteOptions, begin: Stamp) -> Result<Self, BagError> {
         Ok(Self { bag: BagWriter::create(path, options)?, entries: Vec::new(), begin })
     }
 
@@ -85,7 +84,8 @@ pub fn write(
     received: &Received,
 ) -> Result<(), BagError> {
     let begin = epoch.plus_seconds(-LEAD);
-    let mut run = Run::create(path, Compression::None, begin)?;
+    let options = WriteOptions { compression: Compression::None, ..WriteOptions::default() };
+    let mut run = Run::create(path, options, begin)?;
     run.put(topics::COMPRESSED_IMAGE, SENSOR, &sent.images);
     run.put(topics::CAMERA_INFO, SENSOR, &sent.camera_info);
     run.put(topics::JOINT_STATES, RELIABLE, &sent.joints);
@@ -109,10 +109,11 @@ pub fn write(
 }
 
 /// Writes what ideal sensors record of a scenario, without nodes: markers, IMU samples, the truth,
-/// and the climber on `topic` as the messages that `climber` makes of it.
+/// and the climber on `topic` as the messages that `climber` makes of it. An existing file is
+/// replaced when the new one is complete.
 ///
 /// # Errors
-/// The file exists or is not writable.
+/// The file is not writable.
 pub fn from_sensors<M: Message>(
     path: &Path,
     scenario: &Scenario,
@@ -120,7 +121,8 @@ pub fn from_sensors<M: Message>(
     mut climber: impl FnMut(&ClimberSample) -> M,
 ) -> Result<(), BagError> {
     let (frames, epoch) = (&scenario.rig.frames, scenario.sensors.epoch);
-    let mut run = Run::create(path, WriteOptions::default().compression, Stamp::default())?;
+    let options = WriteOptions { replace: true, ..WriteOptions::default() };
+    let mut run = Run::create(path, options, Stamp::default())?;
     let (mut imu, mut markers, mut poses) = (vec![], vec![], vec![]);
     let sensors =
         Sensors::new(&scenario.motion, &scenario.rig, &scenario.camera, &scenario.sensors);

@@ -34,9 +34,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         let (bag, rig) = (folder.join("in.mcap"), folder.join("rig.yaml"));
         files::check_output(&bag, arguments.overwrite, &[])?;
         fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-        if bag.exists() {
-            fs::remove_file(&bag).with_context(|| bag.display().to_string())?;
-        }
         let scenario = Scenario::swing(seed, arguments.seconds)?;
         let frames = scenario.rig.frames.clone();
         let topic = topics::absolute::CLIMBER_TRANSFORM;
