@@ -3,7 +3,7 @@
 use super::{Instances, Plan};
 use crate::{
     faults::{Bench, Notes, Row, outcome, table},
-    live::{ImageSequence, Received, Run, RunError, Scenario, Site},
+    live::{ImageSequence, Received, Run, RunError, Scenario, Site, TopicLog},
 };
 use node_kit::environment::Network;
 use rig_model::Stamp;
@@ -153,11 +153,30 @@ fn judge(
     seen.failures.extend(
         outcome::not_a_number(received).map(|why| format!("{over:.0} s, {}: {why}", row.fault)),
     );
+    let settled = epoch.plus_seconds(over + super::BACK_WITHIN);
+    seen.failures.extend(
+        silent(received, settled)
+            .map(|node| format!("{over:.0} s, {}: {node} fell silent", row.fault)),
+    );
     let back = outcome::back(&fused, epoch.plus_seconds(over), end, truth);
     let after = back.map_or(f64::INFINITY, |s| s.seconds_since(epoch.plus_seconds(over)));
     if after > super::BACK_WITHIN {
         seen.late.push((over, row.fault, after));
     }
+}
+
+/// Nodes that published nothing from `since` on.
+fn silent(received: &Received, since: Stamp) -> impl Iterator<Item = &'static str> {
+    fn last<M>(log: &TopicLog<M>) -> Option<Stamp> {
+        log.last().map(|(at, _)| *at)
+    }
+    let nodes = [
+        ("climber_driver", last(&received.climber)),
+        ("imu_driver", last(&received.imu)),
+        ("marker_tracker", last(&received.markers)),
+        ("pose_fusion", last(&received.odometry)),
+    ];
+    nodes.into_iter().filter(move |(_, at)| at.is_none_or(|at| at < since)).map(|(node, _)| node)
 }
 
 fn conclude(seen: &mut Seen) {
