@@ -18,6 +18,7 @@ use volant_msgs::std_msgs::msg::Header;
 const LONG: Duration = Duration::from_secs(20);
 
 #[test]
+#[ignore = "measures time: make long"]
 fn an_idle_node_needs_little() {
     let node = minimal(11, &["--beat", "0.1"], &[]);
     std::thread::sleep(Duration::from_secs(2));
@@ -31,6 +32,7 @@ fn an_idle_node_needs_little() {
 }
 
 #[test]
+#[ignore = "measures time: make long"]
 fn a_subscriber_killed_while_images_flow_costs_neither_memory_nor_time() {
     let Some(python) = python() else { return };
     for (domain, reliability) in [(12, "best_effort"), (13, "reliable")] {

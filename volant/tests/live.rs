@@ -104,16 +104,16 @@ fn copied(domain: u16, play: &[&str], record: &[&str], end: impl FnOnce(Running)
     Recorded { dir, original, copy }
 }
 
+/// Ends a recorder in order.
+fn interrupt(recorder: Running) {
+    recorder.signal("INT");
+    finish(recorder, "record");
+}
+
 #[test]
-fn a_played_bag_is_recorded_byte_for_byte_and_at_its_pace() {
-    let end = |recorder: Running| {
-        recorder.signal("INT");
-        let started = Instant::now();
-        finish(recorder, "record");
-        assert!(started.elapsed() < Duration::from_secs(2), "the end took {:?}", started.elapsed());
-    };
-    let recorded =
-        copied(71, &["--clock"], &["--split-duration", "1", "--compression", "lz4"], end);
+fn a_played_bag_is_recorded_byte_for_byte() {
+    let record = ["--split-duration", "1", "--compression", "lz4"];
+    let recorded = copied(71, &["--clock"], &record, interrupt);
     let summary = BagReader::summary(&recorded.copy).unwrap();
     assert!(summary.complete && summary.files.len() >= 2, "{summary:?}");
     for topic in
@@ -137,10 +137,7 @@ fn a_played_bag_is_recorded_byte_for_byte_and_at_its_pace() {
             "{topic}"
         );
     }
-    // The pace within a tenth: 800 samples in 2 s. Other programs may delay single samples.
     let samples = read(&recorded.copy, topics::absolute::IMU);
-    let took = (samples[799].publish_time - samples[0].publish_time) as f64 * 1e-9;
-    assert!((1.9..3.0).contains(&took), "{took}");
     assert!(samples.iter().all(|m| m.publish_time <= m.log_time + 1_000_000));
     assert!(
         summary.count(topics::absolute::CLOCK) >= 40,
@@ -148,6 +145,20 @@ fn a_played_bag_is_recorded_byte_for_byte_and_at_its_pace() {
         summary.count(topics::absolute::CLOCK)
     );
     drop(recorded.dir);
+}
+
+#[test]
+#[ignore = "measures wall time: make long"]
+fn a_bag_is_played_at_its_pace_and_a_recorder_ends_at_once() {
+    let recorded = copied(71, &[], &[], |recorder| {
+        let started = Instant::now();
+        interrupt(recorder);
+        assert!(started.elapsed() < Duration::from_secs(2), "the end took {:?}", started.elapsed());
+    });
+    // 800 samples in 2 s. Other programs may delay single samples.
+    let samples = read(&recorded.copy, topics::absolute::IMU);
+    let took = (samples[799].publish_time - samples[0].publish_time) as f64 * 1e-9;
+    assert!((1.9..3.0).contains(&took), "{took}");
 }
 
 #[test]
