@@ -1,11 +1,5 @@
 //! Protocol: chunking, round trips in all formats, corrupted streams, allocations.
-#![allow(
-    missing_docs,
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 use allocation_counter::measure;
 use imu_driver::protocol::{

@@ -1,12 +1,6 @@
 //! Executable `volant-imu`.
 #![cfg(feature = "cli")]
-#![allow(
-    missing_docs,
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 use imu_driver::protocol::{
     Configuration, LegacyFormat, Measurement, MessageId, NumberFormat, OutputEntry,

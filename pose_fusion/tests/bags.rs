@@ -1,12 +1,6 @@
 //! The filter on the recordings with true centroids + 0.1 px, and beside other estimators on every
 //! scenario.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::panic,
-    reason = "a test"
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
 mod common;
 
 use common::{

@@ -1,11 +1,5 @@
 //! Allocations of the filter, and its time in multiples of a dense 15×15 product in the same run.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::panic,
-    reason = "a test"
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
 #![allow(clippy::disallowed_methods, reason = "measures time")]
 mod common;
 

@@ -1,11 +1,5 @@
 //! Encoders that freeze, and a climber that runs into its stop and looks like that.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::panic,
-    reason = "a test"
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
 mod common;
 
 use common::{laps, scoring, simulated};

@@ -1,12 +1,6 @@
 //! Dropouts of sensors: after them the errors match the covariance, and soon the pose is as
 //! good as before.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::panic,
-    reason = "a test"
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
 mod common;
 
 use common::{

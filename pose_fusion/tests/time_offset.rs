@@ -1,12 +1,6 @@
 //! Camera and climber share a clock that is off against the IMU's: the offset is found and the
 //! covariance knows.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::panic,
-    reason = "a test"
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
 mod common;
 
 use common::{

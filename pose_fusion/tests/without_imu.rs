@@ -1,11 +1,5 @@
 //! A pose from images alone: three markers fit a tilt and its mirror image, four decide.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::panic,
-    reason = "a test"
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
 mod common;
 
 use common::{scoring, simulated};

@@ -5,13 +5,7 @@
 //! --workspace --bins` makes them; `make test` does that first), or in `VOLANT_BIN`. The peer needs
 //! `VOLANT_PYTHON`, a Python with `test/requirements.txt`; without it the test counts as skipped.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a test"
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 use node_kit::{
     convert::{pose, stamp},

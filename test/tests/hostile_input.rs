@@ -1,13 +1,7 @@
 //! Random bytes through every parser of external data: a few seconds of what `make fuzz` does
 //! without a limit. And the cost of a small input: a declared size is rejected before memory is
 //! allocated for it.
-#![allow(
-    missing_docs,
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 #![allow(unsafe_code, reason = "a counting allocator; it hands on to the system's")]
 #![allow(clippy::disallowed_methods, reason = "a test that measures time")]
 

@@ -1,12 +1,6 @@
 //! The node as a process, between a pseudo-terminal and DDS.
 #![cfg(all(feature = "node", feature = "simulated"))]
-#![allow(
-    missing_docs,
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 mod harness;
 

@@ -1,13 +1,7 @@
 //! The filter against the best that any causal filter can do, and its covariance over many runs.
 //!
 //! The bound is a Riccati recursion of its own, linearised at the truth (`common/bound.rs`).
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::panic,
-    reason = "a test"
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
 #[path = "../common/mod.rs"]
 mod common;
 mod consistency;

@@ -1,11 +1,5 @@
 //! What an operator does: set the pose, freeze, reset, keep what is known and take it up again.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::print_stdout,
-    clippy::panic,
-    reason = "a test"
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
 #[path = "../common/mod.rs"]
 mod common;
 mod live;
