@@ -1,12 +1,13 @@
-//! The long run in real time: four processes, a looped images, rows of the fault table at random.
+//! The long run in real time: four processes, looped images, rows of the fault table at random.
 
-use super::{Instances, Plan};
+use super::Instances;
 use crate::{
     faults::{Bench, Notes, Row, outcome, table},
     live::{ImageSequence, Received, Run, RunError, Scenario, Site, TopicLog},
 };
 use node_kit::environment::Network;
 use rig_model::Stamp;
+use rig_simulator::random::Random;
 use std::{path::Path, sync::Arc};
 
 /// How long, and what.
@@ -58,6 +59,12 @@ pub struct Contradiction {
 /// evaluated separately.
 pub const GROWTH: i64 = 5 << 20;
 
+/// Bounds of a fault's duration, and of the time from its end to the next one, s.
+const LASTS: [f64; 2] = [0.5, 4.0];
+const CALM: [f64; 2] = [4.0, 9.0];
+/// Seconds after a fault during which the pose may still be off before it must be back.
+const BACK_WITHIN: f64 = 3.0;
+
 /// Runs it.
 ///
 /// # Errors
@@ -78,10 +85,10 @@ pub fn run(
     drop(run.hardware.take_received());
     let rows: Vec<Row> = table().into_iter().filter(|row| row.soaks()).collect();
     let mut seen = Seen::default();
-    let mut plan = Plan::new(config.seed, rows.len());
+    let mut random = Random::fork(config.seed, "long run");
     while run.hardware.seconds() < config.seconds {
-        let Some(next) = plan.next() else { break };
-        let Some(row) = rows.get(next.which) else { continue };
+        let row = &rows[random.index(rows.len())];
+        let [calm, lasts] = [CALM, LASTS].map(|[least, most]| random.within(least, most));
         let now = run.hardware.seconds();
         if row.kills.is_some() && now > config.kills_until {
             continue;
@@ -92,10 +99,10 @@ pub fn run(
             seen.instances.killed(now);
         }
         row.start(&mut Bench { run: &mut run, epoch, scenario, notes: &mut notes })?;
-        watch(&mut run, now + next.lasts, &mut seen, &mut progress);
+        watch(&mut run, now + lasts, &mut seen, &mut progress);
         row.stop(&mut Bench { run: &mut run, epoch, scenario, notes: &mut notes })?;
         let over = run.hardware.seconds();
-        watch(&mut run, over + next.calm, &mut seen, &mut progress);
+        watch(&mut run, over + calm, &mut seen, &mut progress);
         seen.failures.extend(notes.failures);
         let received = run.hardware.take_received();
         judge(&received, scenario, epoch, over, row, &mut seen);
@@ -153,14 +160,14 @@ fn judge(
     seen.failures.extend(
         outcome::not_a_number(received).map(|why| format!("{over:.0} s, {}: {why}", row.fault)),
     );
-    let settled = epoch.plus_seconds(over + super::BACK_WITHIN);
+    let settled = epoch.plus_seconds(over + BACK_WITHIN);
     seen.failures.extend(
         silent(received, settled)
             .map(|node| format!("{over:.0} s, {}: {node} fell silent", row.fault)),
     );
     let back = outcome::back(&fused, epoch.plus_seconds(over), end, truth);
     let after = back.map_or(f64::INFINITY, |s| s.seconds_since(epoch.plus_seconds(over)));
-    if after > super::BACK_WITHIN {
+    if after > BACK_WITHIN {
         seen.late.push((over, row.fault, after));
     }
 }
