@@ -123,24 +123,38 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
         .filter(|w| w[0].0 >= from && w[1].0 <= to)
         .map(|w| w[1].0.seconds_since(w[0].0))
         .fold(0.0, f64::max);
-    outln!(
-        "odometry: {} of {expected} IMU samples, longest gap {:.0} ms",
-        of_fused.count,
-        gap * 1e3
-    )?;
     let nees = received.nees(from, to, truth);
     let mean = |k: usize| nees.iter().map(|(_, n)| n[k]).sum::<f64>() / nees.len() as f64;
-    outln!("consistency: NEES of position {:.2}, of rotation {:.2} (ideal 3)", mean(0), mean(1))?;
     let latencies = received.latencies(from, to);
-    outln!(
-        "image's stamp to the odometry that contains it, over DDS: median {:.1} ms, p99 {:.1} ms \
-         of {} images \
-         (one image period: {:.1} ms)",
-        quantile(&latencies, 0.5) * 1e3,
-        quantile(&latencies, 0.99) * 1e3,
-        latencies.len(),
-        1e3 / IMAGE_RATE
-    )?;
+    let numbers = [
+        (
+            "odometry",
+            format!(
+                "{} of {expected} IMU samples, longest gap {:.0} ms",
+                of_fused.count,
+                gap * 1e3
+            ),
+        ),
+        (
+            "consistency",
+            format!("NEES of position {:.2}, of rotation {:.2} (ideal 3)", mean(0), mean(1)),
+        ),
+        (
+            "latency",
+            format!(
+                "from an image's stamp to the odometry that contains it, over DDS: median {:.1} \
+                 ms, p99 {:.1} ms of {} images (one image period: {:.1} ms)",
+                quantile(&latencies, 0.5) * 1e3,
+                quantile(&latencies, 0.99) * 1e3,
+                latencies.len(),
+                1e3 / IMAGE_RATE
+            ),
+        ),
+    ]
+    .map(|(name, text)| (name.to_owned(), text));
+    for (name, text) in &numbers {
+        outln!("{name}: {text}")?;
+    }
     for (name, status) in &ended.ends {
         if !status.success() {
             outln!("{name} ended with {status}")?;
@@ -167,29 +181,6 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
         ],
     )?;
     let page = arguments.out.join("report.html");
-    let numbers = [
-        (
-            "odometry".to_owned(),
-            format!(
-                "{} of {expected} IMU samples, longest gap {:.0} ms",
-                of_fused.count,
-                gap * 1e3
-            ),
-        ),
-        (
-            "consistency".to_owned(),
-            format!("NEES of position {:.2}, of rotation {:.2} (ideal 3)", mean(0), mean(1)),
-        ),
-        (
-            "latency".to_owned(),
-            format!(
-                "from an image's stamp to the odometry that contains it: median {:.1} ms, p99 \
-                 {:.1} ms",
-                quantile(&latencies, 0.5) * 1e3,
-                quantile(&latencies, 0.99) * 1e3
-            ),
-        ),
-    ];
     write(&image, &svg)?;
     write(&page, &demo_page(arguments, &rows, &numbers, svg).render())?;
     outln!("\nbag      {}", bag_path.display())?;
