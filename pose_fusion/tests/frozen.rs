@@ -110,7 +110,7 @@ fn a_climber_that_runs_into_its_stop_keeps_its_encoders() {
             let sensors = SensorConfig::nominal(seed);
             let run = simulated::run(motion, &sensors);
             let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-            let inputs = run.inputs.iter().map(|(_, i)| i.clone());
+            let inputs = run.inputs();
             let outputs = scoring::run(&mut fusion, inputs);
             let doubted = |w: &&Warning| {
                 matches!(w, Warning::EncodersFrozen { .. } | Warning::EncodersSuspended { .. })

@@ -29,8 +29,8 @@ fn row(
         let run = simulated::run(motion.clone(), &sensors);
         let inputs =
             run.inputs.iter().map(|(at, i)| (at.seconds_since(sensors.epoch), i.clone())).collect();
-        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-        let outputs = scoring::run(&mut fusion, change(inputs).into_iter().map(|(_, i)| i));
+        let (fusion, outputs) =
+            scoring::follow(FusionConfig::default(), change(inputs).into_iter().map(|(_, i)| i));
         let (p, r, _, _) = scoring::judge(&outputs, &run, end, end + 1.0);
         let (_, _, position, rotation) = scoring::judge(&outputs, &run, end + 1.0, end + 2.0);
         println!(
@@ -249,8 +249,7 @@ fn blind_for(seconds: f64, motion: Swing, ropes: &[(&str, Rope)]) -> Vec<Score> 
             set(pendulum, rope);
             pendulum.climber_attachment[2] =
                 heights.platform_height + rope - heights.climber_height;
-            let mut fusion = Fusion::new(simulated::rig(), config);
-            let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+            let (fusion, outputs) = scoring::follow(config, run.inputs());
             for o in outputs.odometry.iter().filter(|o| o.stamp.seconds_since(sensors.epoch) > 12.0)
             {
                 let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
@@ -402,8 +401,7 @@ fn a_single_false_marker_moves_no_pose_that_is_known() {
                 }
                 input => input.clone(),
             });
-            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-            let outputs = scoring::run(&mut fusion, inputs);
+            let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
             let error = |o: &&pose_fusion::Odometry| {
                 let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
                 (o.world_from_volant.translation.vector - truth.translation.vector).norm()

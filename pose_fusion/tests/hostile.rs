@@ -33,7 +33,7 @@ fn the_same_inputs_give_the_same_outputs() {
     let run = recording();
     let once = || {
         let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-        scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone())).odometry
+        scoring::run(&mut fusion, run.inputs()).odometry
     };
     assert_eq!(once(), once());
 }
@@ -76,7 +76,7 @@ fn invalid_input_is_rejected_and_has_no_effect() {
     let run = recording();
     let clean = {
         let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-        scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone())).odometry
+        scoring::run(&mut fusion, run.inputs()).odometry
     };
     let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
     let mut inputs = Vec::new();
@@ -133,14 +133,13 @@ fn invalid_input_is_rejected_and_has_no_effect() {
 #[test]
 fn reordered_imu_samples_are_sorted() {
     let run = recording();
-    let mut inputs: Vec<Input> = run.inputs.iter().map(|(_, i)| i.clone()).collect();
+    let mut inputs: Vec<Input> = run.inputs().collect();
     let imu: Vec<usize> =
         (0..inputs.len()).filter(|i| matches!(inputs[*i], Input::Imu(_))).collect();
     for pair in imu.chunks_exact(7) {
         inputs.swap(pair[2], pair[3]);
     }
-    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-    let outputs = scoring::run(&mut fusion, inputs);
+    let (fusion, outputs) = scoring::follow(FusionConfig::default(), inputs);
     let score = scoring::score(&outputs.odometry, &run.truth, 1.0);
     println!("{score}");
     assert!(fusion.status().counts.inputs.late_imu > 50);
@@ -161,8 +160,8 @@ fn imu_samples_in_any_order_within_a_fifth_of_a_second_cost_no_accuracy() {
         }
     }
     inputs.sort_by_key(|(at, _)| *at);
-    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-    let outputs = scoring::run(&mut fusion, inputs.into_iter().map(|(_, input)| input));
+    let (fusion, outputs) =
+        scoring::follow(FusionConfig::default(), inputs.into_iter().map(|(_, input)| input));
     let score = scoring::score(&outputs.odometry, &run.truth, 1.0);
     let counts = fusion.status().counts;
     println!("{score}, {} late", counts.inputs.late_imu);
@@ -228,8 +227,8 @@ fn a_clock_set_back_by_less_than_a_second_starts_again() {
 fn a_looped_recording_reinitializes() {
     let run = recording();
     let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-    let first = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
-    let second = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    let first = scoring::run(&mut fusion, run.inputs());
+    let second = scoring::run(&mut fusion, run.inputs());
     assert_eq!(fusion.status().counts.resets.time_jumps, 1);
     assert!(second.warnings.iter().any(|w| matches!(w, Warning::TimeJump { .. })));
     let score = scoring::score(&second.odometry, &run.truth, 1.0);
@@ -251,8 +250,7 @@ fn the_covariance_stays_consistent_without_vision() {
     let mut config = FusionConfig::default();
     config.tight.clock.camera_sigma = 0.0;
     config.tight.calibration = CalibrationSigmas::NONE;
-    let mut fusion = Fusion::new(simulated::rig(), config);
-    let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    let (_, outputs) = scoring::follow(config, run.inputs());
     let epoch = SensorConfig::nominal(2).epoch;
     let mut last: Option<&Odometry> = None;
     for o in &outputs.odometry {
@@ -344,8 +342,8 @@ fn imu_samples_from_before_the_first_pose_are_rejected() {
         })
         .unwrap();
     let inputs = held_until(first.plus_seconds(1e-4));
-    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
-    let outputs = scoring::run(&mut fusion, inputs.into_iter().map(|(_, input)| input));
+    let (_, outputs) =
+        scoring::follow(simulated::config(), inputs.into_iter().map(|(_, input)| input));
     let score = scoring::score(&outputs.odometry, &run.truth, 0.0);
     println!("{score}");
     assert!(outputs.odometry.len() > 400 && score.position.max() < 0.1, "{score}");
@@ -437,8 +435,8 @@ fn no_start_is_reported_as_lost() {
             };
             let motion = MotionConfig { duration: 1.0, ..MotionConfig::nominal(seed) };
             let run = simulated::run(motion, &sensors);
-            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-            let outputs = scoring::run(&mut fusion, run.inputs.into_iter().map(|(_, i)| i));
+            let (_, outputs) =
+                scoring::follow(FusionConfig::default(), run.inputs.into_iter().map(|(_, i)| i));
             let lost: Vec<_> =
                 outputs.status.iter().filter(|s| s.reason.contains("no IMU sample")).collect();
             assert!(outputs.odometry.len() > 50 && lost.is_empty(), "{ahead} {seed}: {lost:?}");

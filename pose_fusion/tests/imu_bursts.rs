@@ -6,7 +6,7 @@ use common::{
     scoring,
     simulated::{self, Run},
 };
-use pose_fusion::{Fusion, FusionConfig, Input, Warning};
+use pose_fusion::{FusionConfig, Input, Warning};
 use rig_model::{ImuSample, score::Score};
 use rig_simulator::inertial::SensorConfig;
 
@@ -38,8 +38,7 @@ fn arrive_in_bursts(inputs: &[Input], count: usize, on_arrival: Option<f64>) -> 
 
 /// Returns the score of a run with these inputs, and whether the filter names bursts.
 fn follow(inputs: Vec<Input>, run: &Run) -> (Score, bool) {
-    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-    let outputs = scoring::run(&mut fusion, inputs);
+    let (fusion, outputs) = scoring::follow(FusionConfig::default(), inputs);
     let named = outputs.warnings.iter().any(|w| matches!(w, Warning::ImuBursts { .. }));
     assert_eq!(fusion.status().imu.bursts.is_some(), named);
     (scoring::score(&outputs.odometry, &run.truth, 2.0), named)
@@ -49,7 +48,7 @@ fn follow(inputs: Vec<Input>, run: &Run) -> (Score, bool) {
 fn samples_that_arrive_in_bursts_cost_no_accuracy_and_are_named() {
     for (seed, motion) in simulated::motions() {
         let run = simulated::run(motion, &SensorConfig::nominal(seed));
-        let inputs: Vec<Input> = run.inputs.iter().map(|(_, input)| input.clone()).collect();
+        let inputs: Vec<Input> = run.inputs().collect();
         let (usual, named) = follow(inputs.clone(), &run);
         assert!(!named, "seed {seed}: right stamps");
         for (count, apart) in [(2, 1e-4), (5, 1e-4), (8, 1e-4), (2, 0.0), (5, 0.0), (8, 0.0)] {
@@ -68,7 +67,7 @@ fn samples_that_arrive_in_bursts_cost_no_accuracy_and_are_named() {
 fn samples_that_arrive_late_replace_what_images_did_without_them() {
     for (seed, motion) in simulated::motions() {
         let run = simulated::run(motion, &SensorConfig::nominal(seed));
-        let inputs: Vec<Input> = run.inputs.iter().map(|(_, input)| input.clone()).collect();
+        let inputs: Vec<Input> = run.inputs().collect();
         let (score, named) = follow(arrive_in_bursts(&inputs, 14, None), &run);
         println!("seed {seed}: {score}");
         let (position, rotation) = score.nees();

@@ -95,8 +95,7 @@ fn start(seed: u64) -> Start {
         if sensors.attitude_error == 0.0 { " without attitude" } else { "" }
     );
     let run = simulated::run(motion, &sensors);
-    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-    let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    let (_, outputs) = scoring::follow(FusionConfig::default(), run.inputs());
     let score = scoring::score(&outputs.odometry, &run.truth, BEGINNING);
     assert!(score.count() as f64 > 0.9 * (LENGTH - BEGINNING) * sensors.imu_rate, "seed {seed}");
     let step = largest_step(&outputs, &run);
@@ -153,7 +152,7 @@ fn a_pose_is_not_reported_as_lost_while_its_second_image_is_due() {
         // The first 60 ms give no pose; then one or two images do.
         for lost_from in [f64::INFINITY, 4.0, f64::max(1.5 / image_rate, 0.1)] {
             let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-            let inputs = run.inputs.iter().map(|(_, input)| input.clone()).filter(|input| {
+            let inputs = run.inputs().filter(|input| {
                 !matches!(input, Input::Markers(m)
                     if m.stamp.seconds_since(sensors.epoch) > lost_from)
             });
@@ -192,8 +191,7 @@ fn encoder_readings_that_leap_initialize_no_pose_and_are_reported() {
             }
             input
         });
-        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-        let outputs = scoring::run(&mut fusion, inputs);
+        let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
         let valid = outputs.status.iter().filter(|status| status.valid).count();
         let named = outputs.status.iter().filter(|s| s.reason.contains("second publisher")).count();
         println!("{name}: {valid} of {} valid, {named} name the encoders", outputs.status.len());
@@ -222,8 +220,7 @@ fn an_attitude_that_the_imu_claims_wrongly_is_named_and_costs_nothing() {
                 }
                 other => other.clone(),
             });
-            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-            let outputs = scoring::run(&mut fusion, inputs);
+            let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
             let named = outputs.warnings.iter().any(|w| matches!(w, Warning::ImuAttitude { .. }));
             (scoring::score(&outputs.odometry, &run.truth, 4.0), named)
         };

@@ -21,8 +21,7 @@ fn follow(
     from: f64,
 ) -> (Score, Status) {
     let run = simulated::run(motion, sensors);
-    let mut fusion = Fusion::new(simulated::rig(), config);
-    let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    let (fusion, outputs) = scoring::follow(config, run.inputs());
     (scoring::score(&outputs.odometry, &run.truth, from), fusion.status())
 }
 
@@ -107,8 +106,7 @@ fn a_constant_offset_of_the_climber_is_configured() {
     assert!(ignored.position.max() < 1.3 * 0.42 * 0.06, "{ignored}");
 
     let run = simulated::run(MotionConfig::nominal(2), &sensors);
-    let mut fusion = Fusion::new(simulated::rig(), config);
-    let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    let (_, outputs) = scoring::follow(config, run.inputs());
     let mut visual = Score::default();
     for p in &outputs.visual {
         visual.add(&p.pose, &p.covariance, &scoring::pose_at(&run.truth, p.stamp).unwrap());
@@ -170,7 +168,7 @@ fn what_is_smoothed_advances_over_a_restart_with_another_offset() {
     let run = simulated::run(MotionConfig::nominal(3), &shared(0.2, 3));
     let mut fusion = Fusion::new(simulated::rig(), simulated::config());
     fusion.keep_for_smoothing();
-    let _ = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    let _ = scoring::run(&mut fusion, run.inputs());
     assert!(fusion.status().counts.resets.time_offsets > 0);
     let smoothed = fusion.smoothed(true);
     let back = smoothed.windows(2).filter(|w| w[1].stamp <= w[0].stamp).count();
@@ -206,8 +204,7 @@ fn changing_in(motion: MotionConfig, seed: u64, by: f64) -> (simulated::Run, Vec
 fn an_offset_that_changes_is_found_again() {
     for (by, seed) in [(0.06, 1), (-0.06, 2), (0.15, 3), (-0.15, 4)] {
         let (run, inputs) = changing(seed, by);
-        let mut fusion = Fusion::new(simulated::rig(), simulated::config());
-        let outputs = scoring::run(&mut fusion, inputs);
+        let (fusion, outputs) = scoring::follow(simulated::config(), inputs);
         for warning in &outputs.warnings {
             println!("    {warning:?}");
         }
@@ -226,8 +223,7 @@ fn an_offset_that_changes_by_milliseconds_is_followed() {
     for (by, seed) in [(0.008, 1), (-0.008, 2), (0.015, 3), (-0.015, 4)] {
         let motion = MotionConfig { duration: 16.0, ..MotionConfig::fast_swing(seed) };
         let (run, inputs) = changing_in(motion, seed, by);
-        let mut fusion = Fusion::new(simulated::rig(), simulated::config());
-        let outputs = scoring::run(&mut fusion, inputs);
+        let (fusion, outputs) = scoring::follow(simulated::config(), inputs);
         let score = scoring::score(&outputs.odometry, &run.truth, CHANGE + 1.0);
         let status = fusion.status();
         print(&format!("{by:+} s"), &score, &status);
@@ -275,8 +271,7 @@ fn a_rolling_shutter_with_its_readout_time_costs_little() {
             let run = simulated::run(MotionConfig::fast_swing(seed), &sensors);
             let mut config = simulated::config();
             config.tight.clock.image_readout = configured;
-            let mut fusion = Fusion::new(simulated::rig(), config);
-            let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+            let (fusion, outputs) = scoring::follow(config, run.inputs());
             let score = scoring::score(&outputs.odometry, &run.truth, 2.0);
             print(&format!("{readout} s, configured {configured}"), &score, &fusion.status());
             (score, fusion.status())
@@ -307,8 +302,7 @@ fn jitter_of_the_image_stamps_costs_little() {
         let [found, ignored] = [0.02, 0.0].map(|most| {
             let mut config = simulated::config();
             config.tight.clock.image_jitter = most;
-            let mut fusion = Fusion::new(simulated::rig(), config);
-            let outputs = scoring::run(&mut fusion, inputs.iter().map(|(_, i)| i.clone()));
+            let (fusion, outputs) = scoring::follow(config, inputs.iter().map(|(_, i)| i.clone()));
             let score = scoring::score(&outputs.odometry, &run.truth, 4.0);
             print(&format!("off by up to {jitter} s, at most {most}"), &score, &fusion.status());
             score
@@ -347,8 +341,8 @@ fn after_a_rest(seed: u64, ahead: f64, held_up: bool) -> (f64, f64) {
         inputs.push((arrival, input.clone()));
     }
     inputs.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
-    let outputs = scoring::run(&mut fusion, inputs.into_iter().map(|(_, input)| input));
+    let (fusion, outputs) =
+        scoring::follow(simulated::config(), inputs.into_iter().map(|(_, input)| input));
     let beyond = outputs.odometry.iter().filter(|o| {
         let score = scoring::score(std::slice::from_ref(*o), &run.truth, 0.0);
         score.count() > 0 && score.nees().0.max(score.nees().1) > 21.1
@@ -373,8 +367,7 @@ fn clocks_that_drift_apart_are_followed() {
             }
             input
         });
-        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-        let outputs = scoring::run(&mut fusion, inputs);
+        let (fusion, outputs) = scoring::follow(FusionConfig::default(), inputs);
         let (score, status) = (scoring::score(&outputs.odometry, &run.truth, 3.0), fusion.status());
         print(&format!("seed {seed}"), &score, &status);
         // A random walk follows a drift with a lag.

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{scoring, simulated};
-use pose_fusion::{Fusion, FusionConfig, Input, PoseState, PoseStatus};
+use pose_fusion::{FusionConfig, Input, PoseState, PoseStatus};
 use rig_model::{MarkerColor, MarkerObservation};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
@@ -38,8 +38,7 @@ fn poses(hidden: fn(f64) -> bool) -> Vec<Pose> {
             }
             (at <= LOST || !matches!(input, Input::Imu(_))).then_some(input)
         });
-        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-        let outputs = scoring::run(&mut fusion, inputs);
+        let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
         let pose = |o: &pose_fusion::Odometry| {
             let at = o.stamp.seconds_since(sensors.epoch);
             let truth = scoring::pose_at(&run.truth, o.stamp).filter(|_| at > LOST + 1.0)?;

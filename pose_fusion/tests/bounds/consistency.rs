@@ -22,8 +22,7 @@ fn nees(seed: u64) -> Vec<[f64; 3]> {
             sample.specific_force = measured(1, &sample.specific_force);
         }
     }
-    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
-    let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    let (_, outputs) = scoring::follow(simulated::config(), run.inputs());
     let mut found = Vec::new();
     for tenth in FIRST..118 {
         let at = sensors.epoch.plus_seconds(tenth as f64 / 10.0);

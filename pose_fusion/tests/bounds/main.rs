@@ -275,7 +275,7 @@ fn noisy_encoders_keep_the_first_seconds_consistent() {
         let run = simulated::run(motion, &sensors);
         let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
         fusion.handle(Input::Camera(simulated::camera()));
-        let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, input)| input.clone()));
+        let outputs = scoring::run(&mut fusion, run.inputs());
         let errors: Vec<[f64; 3]> = outputs
             .odometry
             .iter()

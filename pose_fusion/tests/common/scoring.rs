@@ -1,7 +1,7 @@
 //! How far an estimate is from the truth, and whether it knows.
 
 use nalgebra::Isometry3;
-use pose_fusion::{Fusion, Input, Odometry, Output, PoseEstimate};
+use pose_fusion::{Fusion, FusionConfig, Input, Odometry, Output, PoseEstimate};
 use rig_model::Stamp;
 pub use rig_model::score::{Nees, PoseError, Score, Truth};
 
@@ -50,6 +50,13 @@ pub fn run(fusion: &mut Fusion, inputs: impl IntoIterator<Item = Input>) -> Outp
         }
     }
     outputs
+}
+
+/// A new filter of the simulated rig after a series of inputs, and all its outputs.
+pub fn follow(config: FusionConfig, inputs: impl IntoIterator<Item = Input>) -> (Fusion, Outputs) {
+    let mut fusion = Fusion::new(super::simulated::rig(), config);
+    let outputs = run(&mut fusion, inputs);
+    (fusion, outputs)
 }
 
 /// The score of odometry from `from` seconds after the first truth on.

@@ -32,6 +32,13 @@ pub struct Run {
     pub truth: Truth,
 }
 
+impl Run {
+    /// The inputs in the order of their arrival.
+    pub fn inputs(&self) -> impl Iterator<Item = Input> {
+        self.inputs.iter().map(|(_, input)| input.clone())
+    }
+}
+
 pub fn run(motion: MotionConfig, sensors: &SensorConfig) -> Run {
     let motion = Motion::new(motion);
     let (rig, camera) = (rig(), camera());

@@ -54,7 +54,7 @@ fn an_old_checkpoint_gives_clocks_and_biases() {
         ..SensorConfig::nominal(2)
     };
     let run = simulated::run(MotionConfig::nominal(2), &sensors);
-    let all: Vec<Input> = run.inputs.iter().map(|(_, i)| i.clone()).collect();
+    let all: Vec<Input> = run.inputs().collect();
     let mut first = fusion();
     scoring::run(&mut first, all.clone());
     let checkpoint = first.checkpoint().unwrap();
@@ -78,7 +78,7 @@ fn an_invalid_checkpoint_is_rejected() {
     let sensors = SensorConfig::nominal(1);
     let run = simulated::run(MotionConfig { duration: 3.0, ..MotionConfig::nominal(1) }, &sensors);
     let mut first = fusion();
-    scoring::run(&mut first, run.inputs.iter().map(|(_, i)| i.clone()));
+    scoring::run(&mut first, run.inputs());
     let good = first.checkpoint().unwrap();
     assert!(first.restore(&good).is_ok());
     type Corruption = fn(&mut pose_fusion::Checkpoint);

@@ -28,8 +28,7 @@ fn follow_from(
     from: f64,
 ) -> Outcome {
     let run = simulated::run(motion, sensors);
-    let mut fusion = Fusion::new(simulated::rig(), config);
-    let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+    let (fusion, outputs) = scoring::follow(config, run.inputs());
     Outcome {
         score: scoring::score(&outputs.odometry, &run.truth, from),
         status: fusion.status(),
@@ -156,7 +155,7 @@ fn ten_times_the_noise_and_large_biases_are_estimated() {
         config.tight.imu.gyroscope_bias = 0.08;
         let run = simulated::run(motion(), &sensors);
         let mut fusion = Fusion::new(rig, config);
-        let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+        let outputs = scoring::run(&mut fusion, run.inputs());
         let best = scoring::score(&outputs.odometry, &run.truth, 10.0);
         println!(
             "{}  densities {:.4} {:.5}\nwith known densities {best}",
@@ -213,8 +212,7 @@ fn a_swing_after_a_short_rest_is_consistent() {
             ..MotionConfig::nominal(4 * (seed % 5))
         };
         let run = simulated::run(motion, &SensorConfig::nominal(seed));
-        let mut fusion = Fusion::new(simulated::rig(), simulated::config());
-        let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+        let (_, outputs) = scoring::follow(simulated::config(), run.inputs());
         let worst = outputs.odometry.iter().filter_map(|o| {
             let at = o.stamp.seconds_since(SensorConfig::nominal(seed).epoch) - rest;
             let truth = scoring::pose_at(&run.truth, o.stamp)?;
@@ -250,7 +248,7 @@ fn a_marker_off_its_place_is_found_and_the_pose_goes_on() {
         let mut rig = simulated::rig();
         rig.markers.centers.0[seed as usize % 4].y += off;
         let mut fusion = Fusion::new(rig, FusionConfig::default());
-        let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+        let outputs = scoring::run(&mut fusion, run.inputs());
         let score = scoring::score(&outputs.odometry, &run.truth, 2.0);
         let (position, rotation) = score.nees();
         println!("{} mm: {score}", 1e3 * off);

@@ -57,8 +57,7 @@ fn with_inputs_and(
         change(at.seconds_since(sensors.epoch), &mut input);
         input
     });
-    let mut fusion = Fusion::new(simulated::rig(), config);
-    let outputs = scoring::run(&mut fusion, inputs);
+    let (fusion, outputs) = scoring::follow(config, inputs);
     let score = scoring::score(&outputs.odometry, &run.truth, since);
     Outcome { score, outputs, status: fusion.status() }
 }

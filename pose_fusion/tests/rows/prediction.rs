@@ -17,8 +17,7 @@ fn predictions_are_consistent_in_calm_and_fast_motion() {
                 let run = simulated::run(motion(seed), &SensorConfig::nominal(seed));
                 let mut config = simulated::config();
                 config.tight.prediction_horizon = horizon;
-                let mut fusion = Fusion::new(simulated::rig(), config);
-                let outputs = scoring::run(&mut fusion, run.inputs.iter().map(|(_, i)| i.clone()));
+                let (_, outputs) = scoring::follow(config, run.inputs());
                 let score = scoring::score(&outputs.predicted, &run.truth, 3.0);
                 println!("{name} {horizon} s, seed {seed}: {score}");
                 position += score.nees().0 / 4.0;
