@@ -215,6 +215,9 @@ fn table_of_the_filter_beside_the_published_one_visual_and_inertial_alone() {
         for other in peers {
             assert!(tight.score.position_rmse() < other.score.position_rmse(), "{}", scenario.name);
         }
+        if scenario.name == "simulated: nominal" {
+            assert!((1.0..6.0).contains(&visual.score.nees().0), "{}", visual.score);
+        }
         // The published filter uses the IMU's own rotation, which a noisy gyroscope does not affect
         // here.
         assert!(tight.score.rotation_rmse() < visual.score.rotation_rmse(), "{}", scenario.name);

@@ -11,7 +11,7 @@ use common::{
     simulated,
 };
 use nalgebra::Vector3;
-use pose_fusion::{Fusion, FusionConfig, Input, Model, Status};
+use pose_fusion::{Fusion, FusionConfig, Input, Status};
 use rig_model::MarkerColor;
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 

@@ -1,4 +1,4 @@
-//! Outliers, a noisy climber, rest, and the other estimators.
+//! Outliers, a noisy climber, rest.
 
 use super::*;
 use nalgebra::Vector2;
@@ -284,36 +284,4 @@ fn rest_and_departure_are_tracked() {
         assert!(rest.score.position_rmse() < 1.0 && off.score.position_rmse() < 1.5);
         assert_eq!(off.status.counts.resets.recoveries, 0);
     }
-}
-
-#[test]
-fn the_tight_filter_beats_the_published_one_and_vision_alone() {
-    let o = follow(MotionConfig::nominal(1), &SensorConfig::nominal(1));
-    let run = simulated::run(MotionConfig::nominal(1), &SensorConfig::nominal(1));
-    let mut visual = Score::default();
-    for p in &o.outputs.visual {
-        if let Some(truth) = scoring::pose_at(&run.truth, p.stamp) {
-            visual.add(&p.pose, &p.covariance, &truth);
-        }
-    }
-    let paper = |velocity_from_fused| {
-        let mut config = FusionConfig { model: Model::Paper, ..FusionConfig::default() };
-        config.paper.velocity_from_fused = velocity_from_fused;
-        follow_from(MotionConfig::nominal(1), &SensorConfig::nominal(1), config, 1.0).score
-    };
-    let (published, aided) = (paper(false), paper(true));
-    println!(
-        "tight          {}\nvisual alone   {visual}\npaper          {published}\npaper, v fused \
-         {aided}",
-        o.score
-    );
-    assert!(
-        o.score.position_rmse() < visual.position_rmse()
-            && visual.position_rmse() < published.position_rmse()
-    );
-    assert!(
-        o.score.rotation_rmse() < visual.rotation_rmse()
-            && aided.rotation_rmse() < visual.rotation_rmse()
-    );
-    assert!((1.0..6.0).contains(&visual.nees().0), "{visual}");
 }
