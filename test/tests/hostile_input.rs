@@ -99,50 +99,26 @@ fn run(name: &str) {
     println!("{name}: {count} inputs, largest piece of memory {} KiB", largest >> 10);
 }
 
-#[test]
-fn messages() {
-    run("cdr");
+macro_rules! tests {
+    ($($name:ident: $target:literal,)*) => {
+        $(#[test]
+        fn $name() {
+            run($target);
+        })*
+    };
 }
 
-#[test]
-fn parameter_files_and_the_rig() {
-    run("parameters");
-}
-
-#[test]
-fn calibration_files() {
-    run("calibration");
-}
-
-#[test]
-fn bag_metadata() {
-    run("metadata");
-}
-
-#[test]
-fn images() {
-    run("image");
-}
-
-#[test]
-fn bags() {
-    run("bag");
-}
-
-#[test]
-fn streams_of_the_imu() {
-    run("stream");
-}
-
-#[test]
-fn logs_of_the_imu() {
-    run("log");
-}
-
-#[test]
-fn conversations_with_the_imu() {
-    run("driver");
-}
+tests!(
+    messages: "cdr",
+    parameter_files_and_the_rig: "parameters",
+    calibration_files: "calibration",
+    bag_metadata: "metadata",
+    images: "image",
+    bags: "bag",
+    streams_of_the_imu: "stream",
+    logs_of_the_imu: "log",
+    conversations_with_the_imu: "driver",
+);
 
 #[test]
 fn the_seeds_are_valid_inputs() {
