@@ -14,8 +14,8 @@ pub use swing::Swing;
 pub use warning::Warning;
 
 use crate::{health::pose_status::PoseStatus, measurements::Innovation};
-use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3, Vector6};
-use rig_model::{PerColor, Stamp};
+use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
+use rig_model::{PerColor, Stamp, score::inverse};
 
 /// One output.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,18 +59,8 @@ pub struct Odometry {
 impl Odometry {
     /// Returns the inverse pose `volant_from_world` with its covariance, whose rotation block is
     /// about the axes of the volant frame (the frame that the message is stamped in).
-    ///
-    /// With `R_true = Exp(δ) R`, `p_true = p + ε` (δ, ε in world axes) the inverse pose has, to
-    /// first order, `δ' = −Rᵀ δ` and `ε' = −Rᵀ ε − Rᵀ [p]× δ`.
     pub fn fused_pose(&self) -> PoseEstimate {
-        let pose = self.world_from_volant.inverse();
-        let rt: Matrix3<f64> = *pose.rotation.to_rotation_matrix().matrix();
-        let p = self.world_from_volant.translation.vector;
-        let mut jacobian = Matrix6::zeros();
-        jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&-rt);
-        jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-rt * p.cross_matrix()));
-        jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&-rt);
-        let covariance = jacobian * self.pose_covariance * jacobian.transpose();
+        let (pose, covariance) = inverse(&self.world_from_volant, &self.pose_covariance);
         PoseEstimate {
             stamp: self.stamp,
             pose,
