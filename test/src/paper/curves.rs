@@ -3,7 +3,7 @@
 
 use super::{
     Made, PaperError, Value,
-    bars::draw_errors,
+    bars::{Bars, decades, draw_bars},
     offline::{Recording, filter, fuse, published_tracker, record, record_observed, track},
     write,
 };
@@ -15,7 +15,7 @@ use nalgebra::Vector3;
 use pose_fusion::{FusionConfig, Model};
 use rig_model::Stamp;
 use std::{fmt::Write, path::Path};
-use volant::report::{Color, Curve, Run, Table, colors, six_curves};
+use volant::report::{Axis, Color, Curve, Run, Table, colors, six_curves};
 
 /// Threshold control as published, m/s.
 const THRESHOLD: f64 = 1e-5;
@@ -286,6 +286,26 @@ impl Curves {
                 .to_owned(),
         })
     }
+}
+
+/// The six errors on logarithmic scales: rotations above, positions below.
+fn draw_errors(errors: &[(&Column, Errors)]) -> String {
+    let rows: Vec<(String, Color)> =
+        errors.iter().map(|(column, _)| (column.name.to_owned(), column.color)).collect();
+    let of = |axis: usize| errors.iter().map(move |(_, e)| e.rmse[axis]);
+    let panels = [3, 4, 5, 0, 1, 2].map(|axis| {
+        let half = axis / 3 * 3;
+        Bars {
+            axis: Axis {
+                name: format!("{} [{}]", AXES[axis], UNITS[axis]),
+                range: decades((half..half + 3).flat_map(of)),
+                log: true,
+            },
+            values: of(axis).collect(),
+            spread: Vec::new(),
+        }
+    });
+    draw_bars("Table II: RMSE of each axis", &rows, 3, &panels)
 }
 
 /// Errors of a track after the first second.

@@ -88,16 +88,12 @@ impl Drawing {
 
     /// Adds a filled rectangle.
     pub fn bar(&mut self, x: f64, y: f64, width: f64, height: f64, color: RGBColor) {
-        self.bar_of(x, y, width, height, &hex(color));
-    }
-
-    /// Adds a filled rectangle whose color is the same in the dark scheme.
-    pub fn bar_of(&mut self, x: f64, y: f64, width: f64, height: f64, css: &str) {
         let _ = writeln!(
             self.body,
-            "<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{:.2}\" height=\"{:.2}\" fill=\"{css}\"/>",
+            "<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{:.2}\" height=\"{:.2}\" fill=\"{}\"/>",
             width.max(0.0),
-            height.max(0.0)
+            height.max(0.0),
+            hex(color)
         );
     }
 

@@ -1,9 +1,13 @@
 //! Fig. 12: mean error and standard deviation, by method.
 
-use super::{Csv, label, named, rounded_up};
-use crate::paper::{Made, PaperError, Value, read, write};
+use super::{Csv, axis, label, named, rounded_up};
+use crate::paper::{
+    Made, PaperError, Value,
+    bars::{Bars, draw_bars},
+    read, write,
+};
 use std::path::Path;
-use volant::report::{Anchor, Drawing, Ink, Table, colors};
+use volant::report::{Color, Table};
 
 /// Fig. 12.
 ///
@@ -17,77 +21,21 @@ pub fn figure_12(folder: &Path) -> Result<Made, PaperError> {
     let [mm, mm_std, deg, deg_std] = values;
     let (mm, mm_std, deg, deg_std) = (mm?, mm_std?, deg?, deg_std?);
     let title = "Fig. 12: mean error and standard deviation";
-    let mut d = Drawing::new(1120.0);
-    d.text(24.0, 34.0, 20.0, colors::INK, Anchor::Start, title);
-    let (names_end, wide, row) = (268.0, 350.0, 46.0);
-    let base = 104.0 + row * methods.len() as f64;
-    for (half, (means, spreads, unit)) in
-        [(&mm, &mm_std, "mm"), (&deg, &deg_std, "deg")].into_iter().enumerate()
-    {
-        let x0 = names_end + 16.0 + (wide + 66.0) * half as f64;
-        let most = means
-            .iter()
-            .zip(spreads)
-            .map(|(m, s)| m + s)
-            .filter(|v| v.is_finite())
-            .fold(0.0, f64::max);
-        let top = rounded_up(most);
-        let x = |v: f64| x0 + wide * (v / top).clamp(0.0, 1.0);
-        let what = if half == 0 { "translation" } else { "rotation" };
-        d.text(
-            x0,
-            78.0,
-            15.0,
-            colors::INK,
-            Anchor::Start,
-            &format!("{what} [{unit}]: bar mean, whisker ± deviation"),
-        );
-        for k in 0..=4 {
-            let v = top * f64::from(k) / 4.0;
-            d.line(
-                [x(v), 92.0],
-                [x(v), base],
-                Ink(if k == 0 { colors::AXIS } else { colors::GRID }, 1.0),
-            );
-            let digits = if top < 1.0 {
-                3
-            } else if top < 10.0 {
-                2
-            } else {
-                1
-            };
-            d.text(x(v), base + 20.0, 13.0, colors::SOFT, Anchor::Middle, &format!("{v:.digits$}"));
+    let rows: Vec<(String, Color)> = methods.iter().map(|name| label(name)).collect();
+    let panel = |what: &str, means: &[f64], spread: &[f64]| {
+        let ends = means.iter().zip(spread).map(|(m, s)| m + s).filter(|v| v.is_finite());
+        Bars {
+            axis: axis(
+                &format!("{what}: bar mean, whisker ± deviation"),
+                [0.0, rounded_up(ends.fold(0.0, f64::max))],
+                false,
+            ),
+            values: means.to_vec(),
+            spread: spread.to_vec(),
         }
-        for (i, name) in methods.iter().enumerate() {
-            let (shown, color) = label(name);
-            let y = 102.0 + row * i as f64;
-            if half == 0 {
-                d.text(names_end, y + 19.0, 15.0, colors::INK, Anchor::End, &shown);
-            }
-            if !means[i].is_finite() {
-                d.text(x0 + 6.0, y + 19.0, 13.0, colors::SOFT, Anchor::Start, "no pose");
-                continue;
-            }
-            d.bar(x0, y, x(means[i]) - x0, 26.0, color);
-            let (low, high) = (x(means[i] - spreads[i]), x(means[i] + spreads[i]));
-            d.line([low, y + 13.0], [high, y + 13.0], Ink(colors::INK, 1.5));
-            for end in [low, high] {
-                d.line([end, y + 8.0], [end, y + 18.0], Ink(colors::INK, 1.5));
-            }
-            let digits = if half == 0 { 2 } else { 3 };
-            // Beside the whisker, or before it where space is missing.
-            let (at, anchor) = if high + 50.0 > x0 + wide + 40.0 {
-                (low - 8.0, Anchor::End)
-            } else {
-                (high + 7.0, Anchor::Start)
-            };
-            let label = format!("{:.digits$}", means[i]);
-            if anchor == Anchor::Start {
-                d.text(at, y + 18.0, 13.0, colors::SOFT, anchor, &label);
-            }
-        }
-    }
-    let svg = write(folder, "fig-12.svg", &d.finish(base + 40.0, title))?;
+    };
+    let panels = [panel("translation [mm]", &mm, &mm_std), panel("rotation [deg]", &deg, &deg_std)];
+    let svg = write(folder, "fig-12.svg", &draw_bars(title, &rows, 2, &panels))?;
     let best = |values: &[f64]| {
         (0..values.len())
             .filter(|i| values[*i].is_finite())

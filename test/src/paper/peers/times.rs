@@ -1,12 +1,14 @@
 //! Table I: time of one pose, by stage.
 
-use super::{Csv, named, rounded_up};
-use crate::paper::{Made, PaperError, Value, read, write};
+use super::{Csv, axis, named};
+use crate::paper::{
+    Made, PaperError, Value,
+    bars::{Bars, decades, draw_bars},
+    read, write,
+};
 use std::path::Path;
-use volant::report::{Anchor, Color, Drawing, Ink, Table, colors};
+use volant::report::{Color, Table, colors};
 
-/// Row of a method that does the first three stages in one pass.
-const ONE_PASS: &str = "flow, tracking and extraction";
 /// Cell of a stage whose time is part of that row.
 const SHARED: &str = "in one pass, below";
 
@@ -24,69 +26,20 @@ pub fn table_1(folder: &Path) -> Result<Made, PaperError> {
     let total =
         stages.iter().position(|s| s == "total").ok_or_else(|| csv.wrong("no row `total`"))?;
     let title = "Table I: time of one pose, by stage";
-    let mut d = Drawing::new(1120.0);
-    d.text(24.0, 34.0, 20.0, colors::INK, Anchor::Start, title);
-    let parts: Vec<(usize, Color)> = [
-        ("optical flow", colors::CAMERA),
-        ("tracking", colors::INERTIAL),
-        ("feature extraction", colors::PAPER),
-        (ONE_PASS, colors::FUSED),
-        ("extrinsics", colors::VIOLET),
-    ]
-    .into_iter()
-    .filter_map(|(name, color)| Some((stages.iter().position(|s| s == name)?, color)))
-    .collect();
-    let mut x = 28.0;
-    for (i, color) in &parts {
-        d.bar(x, 50.0, 20.0, 14.0, *color);
-        d.text(x + 28.0, 63.0, 15.0, colors::INK, Anchor::Start, &stages[*i]);
-        x += 60.0 + 8.2 * stages[*i].len() as f64;
-    }
-    let (x0, wide) = (240.0, 770.0);
-    let top =
-        rounded_up(values.iter().map(|v| v[total]).filter(|v| v.is_finite()).fold(0.0, f64::max));
-    let scale = wide / top;
-    let base = 264.0;
-    for k in 0..=5 {
-        let v = top * f64::from(k) / 5.0;
-        let x = x0 + scale * v;
-        d.line([x, 86.0], [x, base], Ink(if k == 0 { colors::AXIS } else { colors::GRID }, 1.0));
-        d.text(x, base + 20.0, 13.0, colors::SOFT, Anchor::Middle, &format!("{v:.1}"));
-    }
-    d.text(
-        x0 + wide / 2.0,
-        base + 42.0,
-        14.0,
-        colors::INK,
-        Anchor::Middle,
-        "time of one image [ms]",
-    );
-    let rows = ["published, 2010", "the recipe in plain OpenCV", "default tracker"];
-    for (k, (name, times)) in rows.iter().zip(&values).enumerate() {
-        let y = 98.0 + 56.0 * k as f64;
-        d.text(x0 - 14.0, y + 23.0, 15.0, colors::INK, Anchor::End, name);
-        let mut at = x0;
-        for (i, color) in &parts {
-            // The sum of stages that have bars of their own needs none.
-            let is_sum = stages[*i] == ONE_PASS && times[0].is_finite();
-            if times[*i].is_finite() && !is_sum {
-                d.bar(at, y, scale * times[*i], 34.0, *color);
-                at += scale * times[*i];
-            }
-        }
-        if times[total].is_finite() {
-            let end = at.max(x0 + scale * times[total]);
-            d.text(
-                end + 10.0,
-                y + 23.0,
-                14.0,
-                colors::INK,
-                Anchor::Start,
-                &format!("{:.3} ms", times[total]),
-            );
-        }
-    }
-    let svg = write(folder, "table-1.svg", &d.finish(base + 58.0, title))?;
+    let rows: Vec<(String, Color)> =
+        stages.iter().map(|stage| (stage.clone(), colors::CAMERA)).collect();
+    let range = decades(values.iter().flatten().copied());
+    let names = ["published, 2010", "the recipe in plain OpenCV", "default tracker"];
+    let panels: Vec<Bars> = names
+        .iter()
+        .zip(&values)
+        .map(|(name, times)| Bars {
+            axis: axis(&format!("{name} [ms]"), range, true),
+            values: times.clone(),
+            spread: Vec::new(),
+        })
+        .collect();
+    let svg = write(folder, "table-1.svg", &draw_bars(title, &rows, 3, &panels))?;
     let [published, plain, ours] = values.map(|v| v[total]);
     let mut table = named(
         Table::from_csv(&read(&csv.path)?, 3, false),

@@ -1,12 +1,14 @@
 //! Fig. 5: hue histograms of the markers.
 
-use super::{Shot, Stages};
+use super::{Shot, Stages, chart_color};
 use crate::paper::{Made, PaperError, Value, write};
 use marker_tracker::hue;
 use rig_model::{MarkerColor, PerColor};
 use std::{fmt::Write, path::Path};
-use volant::report::{Anchor, Drawing, Ink, Table, colors};
+use volant::report::{Axis, Panel, Series, Shape, Sheet, Table, colors, panels};
 
+/// Title of the figure.
+const TITLE: &str = "Fig. 5: hue histograms of the markers";
 /// Where the default tracker searches.
 const WINDOW: &str = "4.5 px across the predicted edges";
 
@@ -30,7 +32,7 @@ impl Stages {
             let _ = writeln!(csv, ",{rest:.5}");
         }
         let path = write(folder, "fig-5.csv", &csv)?;
-        let svg = write(folder, "fig-5.svg", &draw_5(&estimated, &around))?;
+        let svg = write(folder, "fig-5.svg", &draw_5(&estimated, &around)?)?;
         let mut table = Table {
             head: ["marker", "peak [deg]", "share within 30 deg of it", "rest of the image there"]
                 .map(String::from)
@@ -53,7 +55,7 @@ impl Stages {
         }
         Ok(Made {
             name: "fig-5",
-            title: "Fig. 5: hue histograms of the markers",
+            title: TITLE,
             csv: path,
             svg,
             table: Some(table),
@@ -63,10 +65,10 @@ impl Stages {
             ],
             shows:
                 "The hue histograms that the tracker has estimated from the insides of the four \
-                    squares in that image, in bars of their own hue, beside the hues of the rest \
-                    of the image (line). Each pixel counts by its saturation: a gray pixel's hue \
-                    is noise. The four are separated, but a floor of wood or carpet can share \
-                    one's hue: color alone does not distinguish a marker from its surroundings."
+                    squares in that image, beside the hues of the rest of the image (thin line). \
+                    Each pixel counts by its saturation: a gray pixel's hue is noise. The four are \
+                    separated, but a floor of wood or carpet can share one's hue: color alone does \
+                    not distinguish a marker from its surroundings."
                     .to_owned(),
             published:
                 "The published histograms are an image without numbers. The paper searches each \
@@ -102,53 +104,31 @@ impl Shot {
     }
 }
 
-fn draw_5(estimated: &PerColor<Vec<f32>>, around: &[f32]) -> String {
-    let mut d = Drawing::new(1120.0);
-    d.text(24.0, 34.0, 20.0, colors::INK, Anchor::Start, "Fig. 5: hue histograms of the markers");
-    d.line([28.0, 58.0], [52.0, 58.0], Ink(colors::INK, 2.0));
-    d.text(60.0, 63.0, 15.0, colors::INK, Anchor::Start, "rest of the image");
-    d.bar_of(236.0, 50.0, 24.0, 14.0, "hsl(0 60% 55%)");
-    d.text(
-        268.0,
-        63.0,
-        15.0,
-        colors::INK,
-        Anchor::Start,
-        "the marker, as estimated (in bars of that hue)",
-    );
-    let (wide, high) = (450.0, 170.0);
+fn draw_5(estimated: &PerColor<Vec<f32>>, around: &[f32]) -> Result<String, PaperError> {
     let most = estimated.0.iter().flatten().chain(around).copied().fold(0.1f32, f32::max);
-    let top_value = f64::from((most * 10.0).ceil() / 10.0);
-    for (i, (color, h)) in estimated.iter().enumerate() {
-        let (x0, y0) = (84.0 + 552.0 * (i % 2) as f64, 104.0 + 250.0 * (i / 2) as f64);
-        let base = y0 + high;
-        d.text(x0, y0 - 10.0, 16.0, colors::INK, Anchor::Start, color.name());
-        for k in 0..=2 {
-            let (value, y) = (top_value * f64::from(k) / 2.0, base - high * f64::from(k) / 2.0);
-            d.line(
-                [x0, y],
-                [x0 + wide, y],
-                Ink(if k == 0 { colors::AXIS } else { colors::GRID }, 1.0),
-            );
-            d.text(x0 - 8.0, y + 4.5, 13.0, colors::SOFT, Anchor::End, &format!("{value:.2}"));
-        }
-        for degrees in (0..=360).step_by(60) {
-            let x = x0 + wide * f64::from(degrees) / 360.0;
-            d.line([x, base], [x, base + 5.0], Ink(colors::AXIS, 1.0));
-            d.text(x, base + 20.0, 13.0, colors::SOFT, Anchor::Middle, &degrees.to_string());
-        }
-        d.text(x0 + wide / 2.0, base + 40.0, 14.0, colors::INK, Anchor::Middle, "hue [deg]");
-        let bin = wide / h.len().max(1) as f64;
-        let height = |v: f32| high * f64::from(v) / top_value;
-        for (k, v) in h.iter().enumerate() {
-            let degrees = (k as f64 + 0.5) * 360.0 / h.len() as f64;
-            let css = format!("hsl({degrees:.0} 60% 52%)");
-            d.bar_of(x0 + bin * k as f64 + 0.5, base - height(*v), bin - 1.0, height(*v), &css);
-        }
-        for k in 1..around.len() {
-            let at = |k: usize| [x0 + bin * (k as f64 + 0.5), base - height(around[k])];
-            d.line(at(k - 1), at(k), Ink(colors::INK, 2.0));
-        }
-    }
-    d.finish(590.0, "Fig. 5: hue histograms of the markers")
+    let axis = |name: &str, most| Axis { name: name.into(), range: [0.0, most], log: false };
+    let line = |name: &str, color, width, h: &[f32]| Series {
+        name: name.into(),
+        color,
+        shape: Shape::Line(width),
+        points: h
+            .iter()
+            .enumerate()
+            .map(|(k, v)| ((k as f64 + 0.5) * 360.0 / h.len() as f64, f64::from(*v)))
+            .collect(),
+        spread: Vec::new(),
+    };
+    let drawn: Vec<Panel> = estimated
+        .iter()
+        .map(|(color, h)| Panel {
+            title: String::new(),
+            x: axis("hue [deg]", 360.0),
+            y: axis("share", f64::from((most * 10.0).ceil() / 10.0)),
+            series: vec![
+                line(color.name(), chart_color(color), 4, h),
+                line("rest of the image", colors::INK, 1, around),
+            ],
+        })
+        .collect();
+    Ok(panels(Sheet { title: TITLE, size: (1120, 640), grid: (2, 2) }, &drawn)?)
 }
