@@ -18,22 +18,10 @@ use volant_msgs::{
 
 const RIG: &str = include_str!("../../launch_config/config/rig.yaml");
 
-fn volant(arguments: &[&Path]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_volant")).args(arguments).output().unwrap()
-}
+/// What the commands replay, and where to.
+const REPLAY: &str = "replay in.mcap --rig rig.yaml --out out.mcap";
 
-/// Asserts exit status 1 and one line with these words.
-fn fails(arguments: &[&Path], words: &[&str]) {
-    let output = volant(arguments);
-    let printed = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{arguments:?}: {printed}");
-    assert_eq!(printed.trim_end().lines().count(), 1, "{printed}");
-    for word in words {
-        assert!(printed.contains(word), "`{word}` is not in: {printed}");
-    }
-    assert!(!printed.contains("panicked"), "{printed}");
-}
-
+/// A folder in which the commands run, with a rig file.
 struct Place(TempDir);
 
 impl Place {
@@ -47,21 +35,36 @@ impl Place {
         self.0.path().join(name)
     }
 
-    fn file(&self, name: &str, bytes: &[u8]) -> PathBuf {
+    fn file(&self, name: &str, bytes: &[u8]) {
         fs::write(self.path(name), bytes).unwrap();
-        self.path(name)
     }
 
-    fn replay_fails(&self, bag: &Path, words: &[&str]) {
-        self.replay_with_fails(bag, &[], words);
+    /// With a bag `in.mcap` that has a message on each topic.
+    fn with_bag() -> Self {
+        let place = Self::new();
+        bag(&place.path("in.mcap"), "");
+        place
     }
 
-    /// The same with further arguments.
-    fn replay_with_fails(&self, bag: &Path, more: &[&Path], words: &[&str]) {
-        let (rig, out) = (self.path("rig.yaml"), self.path("out.mcap"));
-        let usual: [&Path; 6] =
-            ["replay".as_ref(), bag, "--rig".as_ref(), &rig, "--out".as_ref(), &out];
-        fails(&[&usual[..], more].concat(), words);
+    fn volant(&self, arguments: &str) -> Output {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_volant"));
+        command.args(arguments.split_whitespace()).current_dir(self.0.path()).output().unwrap()
+    }
+
+    /// Asserts exit status 1 and one line with these words.
+    fn fails(&self, arguments: &str, words: &[&str]) {
+        let output = self.volant(arguments);
+        let printed = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{arguments}: {printed}");
+        assert_eq!(printed.trim_end().lines().count(), 1, "{printed}");
+        for word in words {
+            assert!(printed.contains(word), "`{word}` is not in: {printed}");
+        }
+        assert!(!printed.contains("panicked"), "{printed}");
+    }
+
+    fn replay_fails(&self, bag: &str, words: &[&str]) {
+        self.fails(&REPLAY.replace("in.mcap", bag), words);
     }
 }
 
@@ -98,41 +101,39 @@ fn bag(path: &Path, without: &str) {
 
 #[test]
 fn a_wrong_command_line_is_2() {
-    let both = "calibrate climber x --rig r --params-file p --camera --out o";
-    let both: Vec<&str> = both.split(' ').collect();
+    let place = Place::new();
     for arguments in [
-        &[][..],
-        &["replay"],
-        &["replay", "in.mcap", "--rig", "r.yaml"],
-        &["fly"],
-        &["evaluate", "x", "--bad"],
-        &["evaluate", "x", "--skip", "nan"],
-        &["replay", "x", "--rig", "r.yaml", "--out", "y", "--remap", "climber/transform"],
-        &["replay", "x", "--rig", "r.yaml", "--out", "y", "--remap", "climber/transfrom:=/crane"],
-        &["replay", "x", "--rig", "r.yaml", "--out", "y", "--threads", "0"],
-        &["replay", "x", "--rig", "r.yaml", "--out", "y", "--smooth", "--model", "paper"],
-        &["foxglove", "nonsense"],
-        &["play", "x", "--remap", "a=b"],
-        &["play", "x", "--delay", "-1"],
-        &["markers", "--rig", "r.yaml", "--out", "markers.png"],
-        &["record", "--out", "run.mcap", "--split-duration", "10"],
-        &["record", "--out", "run", "--split-size", "0"],
-        &["record", "--out", "run", "--keep", "3"],
-        &["calibrate", "climber", "x", "--rig", "r", "--platform", "0,O,0,0.12"],
-        both.as_slice(),
+        "",
+        "replay",
+        "replay in.mcap --rig r.yaml",
+        "fly",
+        "evaluate x --bad",
+        "evaluate x --skip nan",
+        "replay x --rig r.yaml --out y --remap climber/transform",
+        "replay x --rig r.yaml --out y --remap climber/transfrom:=/crane",
+        "replay x --rig r.yaml --out y --threads 0",
+        "replay x --rig r.yaml --out y --smooth --model paper",
+        "foxglove nonsense",
+        "play x --remap a=b",
+        "play x --delay -1",
+        "markers --rig r.yaml --out markers.png",
+        "record --out run.mcap --split-duration 10",
+        "record --out run --split-size 0",
+        "record --out run --keep 3",
+        "calibrate climber x --rig r --platform 0,O,0,0.12",
+        "calibrate climber x --rig r --params-file p --camera --out o",
     ] {
-        let output = Command::new(env!("CARGO_BIN_EXE_volant")).args(arguments).output().unwrap();
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        let output = place.volant(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments}");
         assert!(!output.stderr.is_empty());
     }
-    let help = Command::new(env!("CARGO_BIN_EXE_volant")).arg("--help").output().unwrap();
-    assert_eq!(help.status.code(), Some(0));
+    assert_eq!(place.volant("--help").status.code(), Some(0));
 }
 
 #[test]
 fn no_letter_stands_for_two_options() {
     for command in ["replay", "evaluate", "record", "play"] {
-        let output = volant(&[Path::new(command), Path::new("--help")]);
+        let output = Place::new().volant(&format!("{command} --help"));
         let help = String::from_utf8_lossy(&output.stdout).into_owned();
         let mut letters: Vec<char> = help
             .lines()
@@ -150,37 +151,34 @@ fn no_letter_stands_for_two_options() {
 #[test]
 fn bags_that_cannot_be_replayed() {
     let place = Place::new();
-    place.replay_fails(&place.path("gone.mcap"), &["gone.mcap", "no such file", "give an .mcap"]);
-    place.replay_fails(&place.file("empty.mcap", b""), &["empty.mcap", "empty"]);
-    place.replay_fails(
-        &place.file("foreign.mcap", &[7; 4096]),
-        &["foreign.mcap", "not an MCAP file"],
-    );
+    place.file("empty.mcap", b"");
+    place.file("foreign.mcap", &[7; 4096]);
     fs::create_dir(place.path("folder")).unwrap();
-    place.replay_fails(&place.path("folder"), &["metadata.yaml", "missing"]);
+    place.replay_fails("gone.mcap", &["gone.mcap", "no such file", "give an .mcap"]);
+    place.replay_fails("empty.mcap", &["empty.mcap", "empty"]);
+    place.replay_fails("foreign.mcap", &["foreign.mcap", "not an MCAP file"]);
+    place.replay_fails("folder", &["metadata.yaml", "missing"]);
     for (topic, name) in [
         ("compressed", "/climber/camera/image_raw/compressed (sensor_msgs/msg/CompressedImage)"),
         ("camera_info", "/climber/camera/camera_info (sensor_msgs/msg/CameraInfo)"),
         ("data", "/volant/imu/data (sensor_msgs/msg/Imu)"),
         ("transform", "/climber/transform (geometry_msgs/msg/TransformStamped)"),
     ] {
-        let path = place.path(&format!("without_{topic}.mcap"));
-        bag(&path, topic);
-        place.replay_fails(&path, &["no message on", name, "; record "]);
+        let without = format!("without_{topic}.mcap");
+        bag(&place.path(&without), topic);
+        place.replay_fails(&without, &["no message on", name, "; record "]);
     }
     // All topics, with unusable messages.
-    let path = place.path("useless.mcap");
-    bag(&path, "");
+    bag(&place.path("useless.mcap"), "");
     place.replay_fails(
-        &path,
+        "useless.mcap",
         &[
             "the filter never started: camera_info: ",
             "calibrate the camera or set its camera_info_url",
         ],
     );
     // A topic of another type.
-    let path = place.path("other.mcap");
-    let mut writer = BagWriter::create(&path, WriteOptions::default()).unwrap();
+    let mut writer = BagWriter::create(&place.path("other.mcap"), WriteOptions::default()).unwrap();
     let topic = writer.add_topic(Topic::of::<Text>(topics::absolute::IMU, &Qos::RELIABLE));
     writer.write_message(topic, 1, &Text::default()).unwrap();
     let topic = writer
@@ -188,16 +186,14 @@ fn bags_that_cannot_be_replayed() {
     writer.write_message(topic, 1, &CompressedImage::default()).unwrap();
     writer.finish().unwrap();
     place.replay_fails(
-        &path,
+        "other.mcap",
         &["/volant/imu/data is std_msgs/msg/String", "expected sensor_msgs/msg/Imu"],
     );
 }
 
 #[test]
 fn a_rig_file_that_is_wrong_is_named_with_its_key() {
-    let place = Place::new();
-    let input = place.path("in.mcap");
-    bag(&input, "");
+    let place = Place::with_bag();
     assert!(RIG.contains("size:"));
     for (text, words) in [
         (RIG.replace("size:", "sise:"), ["markers.sise", "markers.size"]),
@@ -206,20 +202,17 @@ fn a_rig_file_that_is_wrong_is_named_with_its_key() {
         (String::new(), ["rig.yaml", "not a usable rig file"]),
     ] {
         place.file("rig.yaml", text.as_bytes());
-        place.replay_fails(&input, &words);
+        place.fails(REPLAY, &words);
     }
     fs::remove_file(place.path("rig.yaml")).unwrap();
-    place.replay_fails(&input, &["rig.yaml"]);
+    place.fails(REPLAY, &["rig.yaml"]);
 }
 
 #[test]
 fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
-    let place = Place::new();
-    let input = place.path("in.mcap");
-    bag(&input, "");
-    let fails_with = |file: &Path, words: &[&str]| {
-        place.replay_with_fails(&input, &["--params-file".as_ref(), file], words);
-    };
+    let place = Place::with_bag();
+    let replay = format!("{REPLAY} --params-file params.yaml");
+    place.fails(&replay, &["params.yaml"]);
     for (node, line, words) in [
         ("pose_fusion", "markers: {gait: 9.0}", ["markers.gait", "markers.gate"]),
         ("pose_fusion", "history: 60.0", ["history", "0.1"]),
@@ -241,69 +234,53 @@ fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
         ("marker_tracker", "paper: {threshold: 75}", ["`paper.threshold` is 75", "0.05 and 0.99"]),
     ] {
         let text = format!("{node}:\n  ros__parameters:\n    {line}\n");
-        let file = place.file("params.yaml", text.as_bytes());
-        fails_with(&file, &[words[0], words[1], "params"]);
+        place.file("params.yaml", text.as_bytes());
+        place.fails(&replay, &[&words[..], &["params"]].concat());
     }
-    fails_with(&place.path("gone.yaml"), &["gone.yaml"]);
 }
 
 #[test]
 fn an_output_in_a_missing_folder() {
-    let place = Place::new();
-    let (input, rig) = (place.path("in.mcap"), place.path("rig.yaml"));
-    bag(&input, "");
-    let out = place.path("no/such/folder/out.mcap");
-    let words: [&Path; 6] =
-        ["replay".as_ref(), &input, "--rig".as_ref(), &rig, "--out".as_ref(), &out];
-    fails(&words, &["out.mcap"]);
+    Place::with_bag().fails(&REPLAY.replace("out.mcap", "no/such/folder/out.mcap"), &["out.mcap"]);
 }
 
 #[test]
 fn evaluations_without_truth_or_estimates() {
-    let place = Place::new();
-    let input = place.path("in.mcap");
-    bag(&input, "");
-    fails(
-        &["evaluate".as_ref(), &input, "--truth".as_ref(), &input],
-        &[topics::GROUND_TRUTH, "--truth"],
-    );
-    let gone = place.path("gone.mcap");
-    fails(
-        &["evaluate".as_ref(), &input, "--truth".as_ref(), &gone],
-        &["gone.mcap", "no such file"],
-    );
+    let place = Place::with_bag();
+    place.fails("evaluate in.mcap --truth in.mcap", &[topics::GROUND_TRUTH, "--truth"]);
+    place.fails("evaluate in.mcap --truth gone.mcap", &["gone.mcap", "no such file"]);
 }
 
 #[test]
 fn a_damaged_bag_is_recovered() {
-    let place = Place::new();
-    let (whole, cut, recovered) =
-        (place.path("in.mcap"), place.path("cut.mcap"), place.path("recovered.mcap"));
-    bag(&whole, "");
-    let bytes = fs::read(&whole).unwrap();
+    let place = Place::with_bag();
+    let cut = place.path("cut.mcap");
+    let bytes = fs::read(place.path("in.mcap")).unwrap();
     // Without its closing records: all messages are there, but rosbag2 would not open it.
     fs::write(&cut, &bytes[..bytes.len() - 100]).unwrap();
-    let info = volant(&["bag".as_ref(), "info".as_ref(), &cut]);
+    let info = place.volant("bag info cut.mcap");
     assert!(String::from_utf8_lossy(&info.stdout).contains("volant bag recover"));
-    let recover =
-        |to: &Path| volant(&["bag".as_ref(), "recover".as_ref(), &cut, "--out".as_ref(), to]);
-    let output = recover(&recovered);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let (before, after) =
-        (BagReader::summary(&whole).unwrap(), BagReader::summary(&recovered).unwrap());
+    let recover = |to: &str| {
+        let output = place.volant(&format!("bag recover cut.mcap --out {to}"));
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (status, printed) = recover("recovered.mcap");
+    assert_eq!(status, Some(0), "{printed}");
+    let [before, after] =
+        ["in.mcap", "recovered.mcap"].map(|name| BagReader::summary(&place.path(name)).unwrap());
     assert_eq!(before.topics, after.topics);
     assert!(after.complete);
     // Cut within the messages: the loss is printed.
     fs::write(&cut, &bytes[..bytes.len() * 3 / 10]).unwrap();
-    let output = recover(&place.path("part.mcap"));
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert!(String::from_utf8_lossy(&output.stderr).contains("cut.mcap: the file is cut off"));
+    let (status, printed) = recover("part.mcap");
+    assert_eq!(status, Some(0), "{printed}");
+    assert!(printed.contains("cut.mcap: the file is cut off"), "{printed}");
     // Cut before the first message.
     fs::write(&cut, &bytes[..40]).unwrap();
-    let output = recover(&place.path("nothing.mcap"));
-    assert_eq!(output.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&output.stderr).contains("no readable message"));
-    let output = volant(&["bag".as_ref(), "info".as_ref(), &recovered]);
+    let (status, printed) = recover("nothing.mcap");
+    assert_eq!(status, Some(1));
+    assert!(printed.contains("no readable message"), "{printed}");
+    let output = place.volant("bag info recovered.mcap");
     let printed = String::from_utf8_lossy(&output.stdout);
     assert!(
         output.status.success()
@@ -315,44 +292,31 @@ fn a_damaged_bag_is_recovered() {
 
 #[test]
 fn an_input_is_no_output_and_two_outputs_have_two_names() {
-    let place = Place::new();
-    let (input, rig) = (place.path("in.mcap"), place.path("rig.yaml"));
-    bag(&input, "");
-    let params = place.file("params.yaml", b"pose_fusion: {ros__parameters: {history: 0.5}}\n");
-    let camera = place.file("camera.svg", b"image_width: 640\n");
-    let new = place.path("new.svg");
-    let word = |text: &'static str| Path::new(text);
-    let [rig_is, overwrite] = ["--rig", "--overwrite"].map(word);
-    let is_input = ["the output is the input"];
+    let place = Place::with_bag();
+    place.file("params.yaml", b"pose_fusion: {ros__parameters: {history: 0.5}}\n");
+    place.file("camera.svg", b"image_width: 640\n");
+    let inputs = || {
+        ["in.mcap", "rig.yaml", "params.yaml", "camera.svg"]
+            .map(|name| fs::read(place.path(name)).unwrap())
+    };
+    let before = inputs();
     for arguments in [
-        vec![word("calibrate"), word("imu"), &input, rig_is, &rig, word("--plot"), &rig],
-        vec![word("calibrate"), word("climber"), &input, rig_is, &rig, word("--out"), &input],
-        vec![
-            word("check"),
-            &input,
-            rig_is,
-            &rig,
-            word("--params-file"),
-            &params,
-            word("--json"),
-            &params,
-        ],
-        vec![word("markers"), rig_is, &rig, word("--camera"), &camera, word("--out"), &camera],
+        "calibrate imu in.mcap --rig rig.yaml --plot rig.yaml",
+        "calibrate climber in.mcap --rig rig.yaml --out in.mcap",
+        "check in.mcap --rig rig.yaml --params-file params.yaml --json params.yaml",
+        "markers --rig rig.yaml --camera camera.svg --out camera.svg",
     ] {
-        let before: Vec<_> = [&input, &rig, &params, &camera].map(|f| fs::read(f).unwrap()).into();
-        fails(&[arguments, vec![overwrite]].concat(), &is_input);
-        let after: Vec<_> = [&input, &rig, &params, &camera].map(|f| fs::read(f).unwrap()).into();
-        assert!(before == after);
+        place.fails(&format!("{arguments} --overwrite"), &["the output is the input"]);
+        assert!(inputs() == before);
     }
-    let two = ["two outputs have this name"];
-    let (plot, out) = (word("--plot"), word("--out"));
-    let imu = [word("calibrate"), word("imu"), &input, rig_is, &rig, plot, &new, out, &new];
-    fails(&imu, &two);
-    let (csv, json) = (word("--csv"), word("--json"));
-    fails(&[word("evaluate"), &input, word("--truth"), &input, csv, &new, json, &new], &two);
-    let nowhere = place.path("none/x.json");
-    fails(&[word("check"), &input, rig_is, &rig, json, &nowhere], &["x.json", "folder"]);
-    assert!(!new.exists());
+    for arguments in [
+        "calibrate imu in.mcap --rig rig.yaml --plot new.svg --out new.svg",
+        "evaluate in.mcap --truth in.mcap --csv new.svg --json new.svg",
+    ] {
+        place.fails(arguments, &["two outputs have this name"]);
+    }
+    place.fails("check in.mcap --rig rig.yaml --json none/x.json", &["x.json", "folder"]);
+    assert!(!place.path("new.svg").exists());
 }
 
 #[test]
