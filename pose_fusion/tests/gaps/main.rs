@@ -1,7 +1,12 @@
 //! Dropouts of sensors: after them the errors match the covariance, and soon the pose is as
 //! good as before.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
+#[path = "../common/mod.rs"]
 mod common;
+mod frozen;
+mod imu_bursts;
+mod starts;
+mod without_imu;
 
 use common::{
     laps::Laps,

@@ -1,8 +1,6 @@
 //! A pose from images alone: three markers fit a tilt and its mirror image, four decide.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
-mod common;
 
-use common::{scoring, simulated};
+use super::common::{scoring, simulated};
 use pose_fusion::{FusionConfig, Input, PoseState, PoseStatus};
 use rig_model::{MarkerColor, MarkerObservation};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};

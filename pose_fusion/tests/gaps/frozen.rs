@@ -1,8 +1,6 @@
 //! Encoders that freeze, and a climber that runs into its stop and looks like that.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
-mod common;
 
-use common::{laps, scoring, simulated};
+use super::common::{laps, scoring, simulated};
 use pose_fusion::{Fusion, FusionConfig, Input, Warning};
 use rig_model::score::{Nees, PoseError};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};

@@ -1,8 +1,6 @@
 //! IMU samples that arrive in bursts: with the stamps of their arrival, and late with the right ones.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
-mod common;
 
-use common::{
+use super::common::{
     scoring,
     simulated::{self, Run},
 };

@@ -1,8 +1,6 @@
 //! Starts with nothing known: motion, biases and time offset at random, a rest before some.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
-mod common;
 
-use common::{
+use super::common::{
     scoring::{self, Outputs, Score},
     simulated,
 };
