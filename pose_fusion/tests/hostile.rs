@@ -30,10 +30,7 @@ fn shifted(input: &Input, seconds: f64) -> Input {
 #[test]
 fn the_same_inputs_give_the_same_outputs() {
     let run = recording();
-    let once = || {
-        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-        scoring::run(&mut fusion, run.inputs()).odometry
-    };
+    let once = || scoring::follow(FusionConfig::default(), run.inputs()).1.odometry;
     assert_eq!(once(), once());
 }
 
@@ -41,7 +38,6 @@ fn the_same_inputs_give_the_same_outputs() {
 fn an_input_without_a_stamp_is_named_and_has_no_effect() {
     let run = recording();
     let with_copies = |copies: bool| {
-        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
         let inputs = run.inputs.iter().flat_map(|(at, input)| {
             let mut unset = input.clone();
             match &mut unset {
@@ -53,7 +49,7 @@ fn an_input_without_a_stamp_is_named_and_has_no_effect() {
             let copy = copies && !matches!(input, Input::Camera(_)) && at.as_nanos() % 3 != 0;
             copy.then_some(unset).into_iter().chain([input.clone()])
         });
-        let outputs = scoring::run(&mut fusion, inputs);
+        let (fusion, outputs) = scoring::follow(FusionConfig::default(), inputs);
         (outputs, fusion.status().counts.rejected)
     };
     let (clean, _) = with_copies(false);
@@ -73,11 +69,7 @@ fn an_input_without_a_stamp_is_named_and_has_no_effect() {
 #[test]
 fn invalid_input_is_rejected_and_has_no_effect() {
     let run = recording();
-    let clean = {
-        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-        scoring::run(&mut fusion, run.inputs()).odometry
-    };
-    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+    let clean = scoring::follow(FusionConfig::default(), run.inputs()).1.odometry;
     let mut inputs = Vec::new();
     for (n, (_, input)) in run.inputs.iter().enumerate() {
         let mut broken = input.clone();
@@ -106,7 +98,7 @@ fn invalid_input_is_rejected_and_has_no_effect() {
             inputs.push(shifted(input, 1000.0)); // from the future
         }
     }
-    let outputs = scoring::run(&mut fusion, inputs);
+    let (fusion, outputs) = scoring::follow(FusionConfig::default(), inputs);
     let status = fusion.status();
     assert!(
         status.counts.rejected.imu > 50
@@ -332,8 +324,7 @@ fn stamps_an_hour_ahead_have_no_lasting_effect_without_the_imu() {
             }
         }
         assert!(done);
-        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-        scoring::run(&mut fusion, inputs)
+        scoring::follow(FusionConfig::default(), inputs).1
     };
     let is_image = |input: &Input| matches!(input, Input::Markers(_));
     let is_climber = |input: &Input| matches!(input, Input::Climber(_));
@@ -367,7 +358,6 @@ fn messages_of_another_clock_delay_no_odometry() {
     });
     let reading = reading.unwrap();
     let followed = |ahead: Option<f64>| {
-        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
         let inputs = run.inputs.iter().flat_map(|(_, input)| {
             let wrong = match (input, ahead) {
                 (Input::Imu(s), Some(ahead)) => {
@@ -378,7 +368,7 @@ fn messages_of_another_clock_delay_no_odometry() {
             };
             wrong.into_iter().chain([input.clone()])
         });
-        scoring::run(&mut fusion, inputs).odometry.len()
+        scoring::follow(FusionConfig::default(), inputs).1.odometry.len()
     };
     let (clean, other) = (followed(None), followed(Some(3600.0)));
     assert_eq!(clean, other);

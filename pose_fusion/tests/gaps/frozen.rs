@@ -1,7 +1,7 @@
 //! Encoders that freeze, and a climber that runs into its stop and looks like that.
 
 use super::common::{laps, scoring, simulated};
-use pose_fusion::{Fusion, FusionConfig, Input, Warning};
+use pose_fusion::{FusionConfig, Input, Warning};
 use rig_model::score::{Nees, PoseError};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
@@ -42,9 +42,9 @@ fn freeze(axes: [bool; 3]) -> (f64, f64) {
             let run = simulated::run(motion, &sensors);
             let inputs =
                 run.inputs.iter().map(|(at, i)| (at.seconds_since(sensors.epoch), i.clone()));
-            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
             let inputs = freeze(inputs.collect());
-            let outputs = scoring::run(&mut fusion, inputs.into_iter().map(|(_, i)| i));
+            let (_, outputs) =
+                scoring::follow(FusionConfig::default(), inputs.into_iter().map(|(_, i)| i));
             let (mut worst, mut wrong) = (0.0_f64, 0.0);
             for o in &outputs.odometry {
                 let t = o.stamp.seconds_since(sensors.epoch);
@@ -107,9 +107,7 @@ fn a_climber_that_runs_into_its_stop_keeps_its_encoders() {
             };
             let sensors = SensorConfig::nominal(seed);
             let run = simulated::run(motion, &sensors);
-            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-            let inputs = run.inputs();
-            let outputs = scoring::run(&mut fusion, inputs);
+            let (fusion, outputs) = scoring::follow(FusionConfig::default(), run.inputs());
             let doubted = |w: &&Warning| {
                 matches!(w, Warning::EncodersFrozen { .. } | Warning::EncodersSuspended { .. })
             };

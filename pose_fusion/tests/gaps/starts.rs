@@ -5,7 +5,7 @@ use super::common::{
     simulated,
 };
 use nalgebra::{UnitQuaternion, Vector3};
-use pose_fusion::{Fusion, FusionConfig, Input, Warning};
+use pose_fusion::{FusionConfig, Input, Warning};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, parallel, random::Random};
 
 /// Length of a run, s, and of its beginning that does not count.
@@ -149,12 +149,11 @@ fn a_pose_is_not_reported_as_lost_while_its_second_image_is_due() {
             simulated::run(MotionConfig { duration: 10.0, ..MotionConfig::nominal(3) }, &sensors);
         // The first 60 ms give no pose; then one or two images do.
         for lost_from in [f64::INFINITY, 4.0, f64::max(1.5 / image_rate, 0.1)] {
-            let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
             let inputs = run.inputs().filter(|input| {
                 !matches!(input, Input::Markers(m)
                     if m.stamp.seconds_since(sensors.epoch) > lost_from)
             });
-            let outputs = scoring::run(&mut fusion, inputs);
+            let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
             let lost = |w: &&Warning| matches!(w, Warning::PoseLost { .. });
             let reported = outputs.warnings.iter().filter(lost).count();
             assert_eq!(reported, usize::from(lost_from < 5.0), "{image_rate} {lost_from}");

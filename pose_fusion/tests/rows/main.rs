@@ -277,7 +277,6 @@ fn constant_centroid_offsets_are_in_the_covariance() {
             let mut config = simulated::config();
             config.tight.markers.pixel_floor = 0.0;
             config.tight.calibration.marker = settings * PER_PIXEL;
-            let mut fusion = Fusion::new(simulated::rig(), config);
             let inputs = run.inputs.iter().map(|(_, i)| {
                 let mut input = i.clone();
                 if let Input::Markers(image) = &mut input {
@@ -288,7 +287,7 @@ fn constant_centroid_offsets_are_in_the_covariance() {
                 }
                 input
             });
-            let outputs = scoring::run(&mut fusion, inputs);
+            let (_, outputs) = scoring::follow(config, inputs);
             let score = scoring::score(&outputs.odometry, &run.truth, 5.0);
             nees[0] += score.nees().0 / runs as f64;
             nees[1] += score.nees().1 / runs as f64;

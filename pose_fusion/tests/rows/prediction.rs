@@ -1,7 +1,7 @@
 //! `volant/predicted_odometry` against the truth at its own stamp.
 
 use super::common::{scoring, simulated};
-use pose_fusion::{Fusion, Input, Odometry};
+use pose_fusion::{Input, Odometry};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
 /// The covariance grows with the motion at hand, calm or fast, and with the horizon.
@@ -35,7 +35,6 @@ fn a_prediction_contains_what_encoders_and_estimate_disagree_about() {
     let run = simulated::run(MotionConfig::nominal(1), &SensorConfig::nominal(1));
     let mut config = simulated::config();
     config.tight.prediction_horizon = 0.02;
-    let mut fusion = Fusion::new(simulated::rig(), config);
     let step = scoring::start(&run.truth).plus_seconds(6.0);
     let inputs = run.inputs.into_iter().map(|(at, mut input)| {
         if let (true, Input::Climber(sample)) = (at > step, &mut input) {
@@ -43,7 +42,7 @@ fn a_prediction_contains_what_encoders_and_estimate_disagree_about() {
         }
         input
     });
-    let outputs = scoring::run(&mut fusion, inputs);
+    let (_, outputs) = scoring::follow(config, inputs);
     let sigma = |o: &Odometry| o.pose_covariance[(0, 0)].sqrt();
     let mut disputed = 0;
     for predicted in &outputs.predicted {

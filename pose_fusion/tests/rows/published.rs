@@ -41,8 +41,10 @@ fn an_imu_without_attitude_serves_the_published_filter() {
             sample.orientation = None;
         }
     }
-    let mut fusion = Fusion::new(simulated::rig(), config(PaperMeasurement::Pose));
-    let o = scoring::run(&mut fusion, run.inputs.into_iter().map(|(_, input)| input));
+    let (fusion, o) = scoring::follow(
+        config(PaperMeasurement::Pose),
+        run.inputs.into_iter().map(|(_, input)| input),
+    );
     let score = scoring::score(&o.odometry, &run.truth, 2.0);
     println!("{score}");
     assert!(fusion.computes_attitude());
@@ -160,10 +162,9 @@ fn two_hidden_markers_leave_the_published_filter_coasting() {
 fn before_its_first_pose_the_published_filter_reports_what_it_waits_for() {
     let sensors = SensorConfig::nominal(1);
     let run = simulated::run(MotionConfig { duration: 1.0, ..MotionConfig::nominal(1) }, &sensors);
-    let mut fusion = Fusion::new(simulated::rig(), config(PaperMeasurement::Pose));
     let inputs = run.inputs.into_iter().map(|(_, i)| i);
     let without = inputs.filter(|i| !matches!(i, Input::Climber(_)));
-    let outputs = super::scoring::run(&mut fusion, without);
+    let (fusion, outputs) = super::scoring::follow(config(PaperMeasurement::Pose), without);
     assert!(outputs.odometry.is_empty() && outputs.status.len() >= 9);
     let last = outputs.status.last().unwrap();
     assert_eq!(last.state, PoseState::Initializing);
