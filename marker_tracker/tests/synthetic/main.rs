@@ -2,7 +2,10 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
 
+#[path = "../common/mod.rs"]
 mod common;
+mod shadows;
+mod uncovered;
 
 use common::{
     ALL, Noise, WIDTH, camera, draw, errors::Errors, image, in_other_formats, layout, new_tracker,

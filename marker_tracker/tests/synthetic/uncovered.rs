@@ -1,10 +1,6 @@
 //! A marker that is covered in part in its first images and then becomes whole.
 
-#![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
-
-mod common;
-
-use common::{ALL, HEIGHT, Noise, WIDTH, draw, new_tracker, observe, pose, truth};
+use super::common::{ALL, HEIGHT, Noise, WIDTH, draw, new_tracker, observe, pose, truth};
 use marker_tracker::TrackerConfig;
 use nalgebra::Vector2;
 use rig_model::{MarkerColor, MarkerState};

@@ -2,10 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
 
-#[path = "common/errors.rs"]
+#[path = "../common/errors.rs"]
 mod errors;
-#[path = "common/recording.rs"]
+#[path = "../common/recording.rs"]
 mod recording;
+mod windows;
 
 use errors::Errors;
 use marker_tracker::{Input, Output, Tracker, TrackerConfig, decode_compressed};

@@ -1,12 +1,7 @@
 //! Images of which only the windows that the tracker reads are decoded, beside whole ones.
 
-#![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
-
-#[path = "common/recording.rs"]
-mod recording;
-
+use super::recording::{self, Recorded};
 use marker_tracker::{Decoder, Input, Tracker, TrackerConfig, decode_compressed};
-use recording::Recorded;
 use rig_simulator::random::Random;
 use std::path::Path;
 

@@ -1,11 +1,6 @@
 //! Shadow edges across the markers: of a wall that sweeps over the scene, and of the rope.
 
-#![allow(clippy::unwrap_used, clippy::panic)] // clippy does not recognize helpers of tests
-
-#[path = "common/errors.rs"]
-mod errors;
-
-use errors::Errors;
+use super::common::errors::Errors;
 use marker_tracker::{Input, Output, Tracker, TrackerConfig, decode_compressed};
 use nalgebra::{Point3, Vector2};
 use rig_model::{CameraModel, Distortion, MarkerColor, PerColor, Rig, Stamp};
