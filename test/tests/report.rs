@@ -1,15 +1,12 @@
 //! The report: every figure is in it, and a real browser draws it without fault, in the light and
 //! in the dark.
-//!
-//! `VOLANT_PAGE=page.html` checks another page; `VOLANT_SCREENSHOTS` names a folder for images of
-//! each figure.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of a test")]
 
 mod browser;
 
 use browser::{Browser, installed};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use volant_test::{
     live::{ImageSequence, Scenario},
     paper::{
@@ -59,32 +56,23 @@ fn make(folder: &Path) -> Vec<Made> {
 
 #[test]
 fn a_browser_renders_the_report_in_light_and_dark() {
-    let folder = tempfile();
-    let page = match std::env::var_os("VOLANT_PAGE") {
-        Some(page) => std::fs::canonicalize(page).unwrap(),
-        None => {
-            let made = make(&folder);
-            assert_eq!(made.iter().map(|m| m.name).collect::<Vec<_>>(), NAMES);
-            for m in &made {
-                assert!(m.csv.is_file() && m.svg.is_file(), "{}", m.name);
-                assert!(
-                    !m.shows.contains("NaN") && !m.published.contains("NaN"),
-                    "{}: {} {}",
-                    m.name,
-                    m.shows,
-                    m.published
-                );
-                assert!(!m.values.is_empty(), "{}: published values beside ours", m.name);
-                assert!(!m.values.iter().any(|v| v.here.contains("NaN")), "{:?}", m.values);
-            }
-            let html = std::fs::read_to_string(folder.join("report.html")).unwrap();
-            for name in NAMES {
-                assert!(html.contains(&format!("<section id=\"{name}\">")), "{name}");
-            }
-            assert_eq!(html.matches("<figure>").count(), NAMES.len());
-            folder.join("report.html")
-        }
-    };
+    let folder = std::env::temp_dir().join(format!("volant-report-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let page = folder.join("report.html");
+    let made = make(&folder);
+    assert_eq!(made.iter().map(|m| m.name).collect::<Vec<_>>(), NAMES);
+    for m in &made {
+        assert!(m.csv.is_file() && m.svg.is_file(), "{}", m.name);
+        let words = format!("{}: {} {}", m.name, m.shows, m.published);
+        assert!(!words.contains("NaN"), "{words}");
+        assert!(!m.values.is_empty(), "{}: published values beside ours", m.name);
+        assert!(!m.values.iter().any(|v| v.here.contains("NaN")), "{:?}", m.values);
+    }
+    let html = std::fs::read_to_string(&page).unwrap();
+    for name in NAMES {
+        assert!(html.contains(&format!("<section id=\"{name}\">")), "{name}");
+    }
+    assert_eq!(html.matches("<figure>").count(), NAMES.len());
     match installed() {
         Some(program) => inspect(&program, &page),
         None => test_support::skip(
@@ -106,21 +94,8 @@ fn inspect(program: &Path, page: &Path) {
         let seen = browser.evaluate(include_str!("browser/inspect.js"));
         let problems: Vec<&str> =
             seen["problems"].as_array().unwrap().iter().map(|p| p.as_str().unwrap()).collect();
-        if let Some(out) = std::env::var_os("VOLANT_SCREENSHOTS") {
-            let out = PathBuf::from(out);
-            std::fs::create_dir_all(&out).unwrap();
-            let height = seen["height"].as_f64().unwrap();
-            let top = browser.image([0.0, 0.0, f64::from(width), height.min(1100.0)]);
-            std::fs::write(out.join(format!("{scheme}-{width}-top.png")), top).unwrap();
-            for (i, figure) in seen["figures"].as_array().unwrap().iter().enumerate() {
-                let at = |name: &str| figure[name].as_f64().unwrap();
-                let image =
-                    browser.image([0.0, at("y") - 170.0, f64::from(width), at("height") + 420.0]);
-                std::fs::write(out.join(format!("{scheme}-{width}-{i:02}.png")), image).unwrap();
-            }
-        }
         assert!(problems.is_empty(), "{scheme}, {width} px wide:\n{}", problems.join("\n"));
-        let figures = seen["figures"].as_array().unwrap().len();
+        let figures = seen["figures"].as_u64().unwrap();
         let texts = seen["texts"].as_u64().unwrap();
         assert!(figures > 0 && texts > 20, "{scheme}: {figures} figures, {texts} texts");
         grounds.push(seen["ground"].as_str().unwrap().to_owned());
@@ -147,10 +122,4 @@ fn inspect(program: &Path, page: &Path) {
         eprintln!("{scheme}, {width} px: {figures} figures, {texts} texts, no fault");
     }
     assert_ne!(grounds[0], grounds[1], "the dark is dark");
-}
-
-fn tempfile() -> PathBuf {
-    let folder = std::env::temp_dir().join(format!("volant-report-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    folder
 }

@@ -34,13 +34,12 @@
     if (found < 4.5) problems.push(`contrast ${found.toFixed(2)} of "${what}"`);
     if (parseFloat(style.fontSize) < 12) problems.push(`text of ${style.fontSize}: "${what}"`);
   }
-  const figures = [];
+  let figures = 0;
   for (const figure of document.querySelectorAll('figure')) {
     const svg = figure.querySelector('svg');
     const name = svg?.getAttribute('aria-label') ?? 'a figure without a name';
     const box = svg?.getBoundingClientRect() ?? {width: 0, height: 0};
-    const place = {x: box.x + scrollX, y: box.y + scrollY, width: box.width, height: box.height};
-    figures.push({name, ...place});
+    figures++;
     if (!svg || box.width < 300 || box.height < 100) {
     problems.push(`${name} is ${box.width}x${box.height}`);
     continue;
@@ -84,6 +83,5 @@
   return {
     problems: [...new Set(problems)], texts, figures,
     ground: getComputedStyle(document.body).backgroundColor,
-    height: document.documentElement.scrollHeight,
   };
 })()

@@ -2,7 +2,7 @@
 //! byte.
 //!
 //! The crate headless_chrome 1.0.22 lacks the pipe (it needs a TCP port). It adds 46 crates and a
-//! generated protocol that rustc compiles for more than 90 s with 2 GB; six calls are used here.
+//! generated protocol that rustc compiles for more than 90 s with 2 GB; a few calls are used here.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a helper of a test")]
 
@@ -129,14 +129,6 @@ impl Browser {
         assert!(result["exceptionDetails"].is_null(), "{}", result["exceptionDetails"]);
         result["result"]["value"].clone()
     }
-
-    /// An image of a part of the page (x, y, width, height) as PNG.
-    pub fn image(&mut self, [x, y, width, height]: [f64; 4]) -> Vec<u8> {
-        let clip = json!({"x": x, "y": y, "width": width, "height": height, "scale": 1});
-        let shot = self
-            .call("Page.captureScreenshot", json!({"clip": clip, "captureBeyondViewport": true}));
-        from_base64(shot["data"].as_str().unwrap())
-    }
 }
 
 impl Drop for Browser {
@@ -145,24 +137,4 @@ impl Drop for Browser {
         let _ = self.child.wait();
         let _ = std::fs::remove_dir_all(&self.profile);
     }
-}
-
-fn from_base64(text: &str) -> Vec<u8> {
-    let digit = |c: u8| match c {
-        b'A'..=b'Z' => c - b'A',
-        b'a'..=b'z' => c - b'a' + 26,
-        b'0'..=b'9' => c - b'0' + 52,
-        b'+' => 62,
-        _ => 63,
-    };
-    let (mut data, mut bits, mut count) = (Vec::with_capacity(text.len() * 3 / 4), 0u32, 0);
-    for c in text.bytes().filter(|c| *c != b'=') {
-        bits = bits << 6 | u32::from(digit(c));
-        count += 6;
-        if count >= 8 {
-            count -= 8;
-            data.push((bits >> count) as u8);
-        }
-    }
-    data
 }
