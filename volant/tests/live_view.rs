@@ -3,11 +3,7 @@
 
 use bag::{BagReader, BagWriter, Qos, Topic, WriteOptions};
 use rig_model::topics;
-use std::{
-    path::{Path, PathBuf},
-    process::Command,
-    time::Duration,
-};
+use std::{path::Path, process::Command, time::Duration};
 use tempfile::TempDir;
 use test_support::process::{Running, in_domain};
 use volant_msgs::{
@@ -77,19 +73,17 @@ fn bag(path: &Path, rail_x: f64) {
     bag.finish().unwrap();
 }
 
-fn command(domain: u16, arguments: &[&str]) -> Command {
+fn command(domain: u16, arguments: &str) -> Command {
     let mut command = in_domain(domain, env!("CARGO_BIN_EXE_volant"));
-    command.args(arguments);
+    command.args(arguments.split_whitespace());
     command
 }
 
-fn start(domain: u16, arguments: &[&str]) -> Running {
+fn start(domain: u16, arguments: &str) -> Running {
     Running::start(&mut command(domain, arguments))
 }
 
-fn rig_file() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../launch_config/config/rig.yaml")
-}
+const RIG: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../launch_config/config/rig.yaml");
 
 #[test]
 fn the_monitor_shows_poses_markers_rates_losses_and_missing_nodes() {
@@ -97,20 +91,10 @@ fn the_monitor_shows_poses_markers_rates_losses_and_missing_nodes() {
     let path = dir.path().join("run.mcap");
     bag(&path, 1.0);
     // A parameter of one node may be given to all.
-    let rig = rig_file();
-    let nodes = [
-        "up",
-        "pose_fusion",
-        "climber_driver",
-        "--rig",
-        rig.to_str().unwrap(),
-        "--ros-args",
-        "-p",
-        "model:=tight",
-    ];
+    let nodes = format!("up pose_fusion climber_driver --rig {RIG} --ros-args -p model:=tight");
     let _nodes = start(81, &nodes);
-    let _player = start(81, &["play", "--loop", path.to_str().unwrap()]);
-    let output = command(81, &["monitor", "--once", "--interval", "6"]).output().unwrap();
+    let _player = start(81, &format!("play --loop {}", path.display()));
+    let output = command(81, "monitor --once --interval 6").output().unwrap();
     let printed = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.status.success(), "{printed}{}", String::from_utf8_lossy(&output.stderr));
     for needle in [
@@ -137,17 +121,16 @@ fn the_monitor_shows_poses_markers_rates_losses_and_missing_nodes() {
     assert!((70.0..115.0).contains(&rate) && odometry.contains("0 lost"), "{odometry}");
 
     // Another namespace has no topics.
-    let output =
-        command(81, &["monitor", "--once", "--interval", "3", "-n", "/other"]).output().unwrap();
+    let output = command(81, "monitor --once --interval 3 -n /other").output().unwrap();
     assert!(!String::from_utf8_lossy(&output.stdout).contains("odometry"));
     // Another domain has no topics, which is an error.
-    let output = command(82, &["monitor", "--once", "--interval", "1"]).output().unwrap();
+    let output = command(82, "monitor --once --interval 1").output().unwrap();
     assert_eq!(output.status.code(), Some(1));
     let nothing = "nothing is published in DDS domain 82 on ";
     let printed = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(printed.contains(nothing) && printed.contains("ROS_DOMAIN_ID"), "{printed}");
     // Without `--once` it waits, and says so.
-    let waiting = start(82, &["monitor", "--plain", "--interval", "1"]);
+    let waiting = start(82, "monitor --plain --interval 1");
     waiting.line_with(nothing, Duration::from_secs(10));
 }
 
@@ -157,13 +140,10 @@ fn a_foxglove_client_receives_topics_with_their_schemas() {
     let dir = TempDir::new().unwrap();
     let path = dir.path().join("run.mcap");
     bag(&path, 1.0);
-    let rig = rig_file();
-    let arguments =
-        ["up", "climber_driver", "--rig", rig.to_str().unwrap(), "--foxglove=127.0.0.1:0"];
-    let nodes = start(83, &arguments);
+    let nodes = start(83, &format!("up climber_driver --rig {RIG} --foxglove=127.0.0.1:0"));
     let line = nodes.line_with("ws://", Duration::from_secs(20));
     let url = format!("ws://{}", line.split_once("ws://").unwrap().1);
-    let _player = start(83, &["play", "--loop", path.to_str().unwrap()]);
+    let _player = start(83, &format!("play --loop {}", path.display()));
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/foxglove_client.py");
     let client = |protocol: &str, topics: &[&str]| {
         let output = Command::new(&python)
@@ -230,50 +210,22 @@ fn two_rigs_in_one_domain_are_separate() {
     for (rig, rail_x) in [("rig1", 1.0), ("rig2", 2.0)] {
         let path = dir.path().join(format!("{rig}.mcap"));
         bag(&path, rail_x);
-        let namespace = format!("__ns:=/{rig}");
-        running.push(start(
-            84,
-            &[
-                "up",
-                "climber_driver",
-                "--rig",
-                rig_file().to_str().unwrap(),
-                "--ros-args",
-                "-r",
-                &namespace,
-                "-r",
-                "/tf:=tf",
-                "-r",
-                "/tf_static:=tf_static",
-                // The bag's stamps are in the past: each rig has its own clock.
-                "-r",
-                "/clock:=clock",
-                "-p",
-                "use_sim_time:=true",
-            ],
-        ));
-        let remap = format!("climber/joint_states:=/{rig}/climber/joint_states");
-        let clock = format!("/clock:=/{rig}/clock");
-        running.push(start(
-            84,
-            &[
-                "play",
-                "--delay",
-                "3",
-                "--clock",
-                "100",
-                path.to_str().unwrap(),
-                "--topics",
-                topics::absolute::JOINT_STATES,
-                "--remap",
-                &remap,
-                "--remap",
-                &clock,
-            ],
-        ));
+        // The bag's stamps are in the past: each rig has its own clock.
+        let nodes = format!(
+            "up climber_driver --rig {RIG} --ros-args -r __ns:=/{rig} -r /tf:=tf \
+             -r /tf_static:=tf_static -r /clock:=clock -p use_sim_time:=true"
+        );
+        running.push(start(84, &nodes));
+        let player = format!(
+            "play --delay 3 --clock 100 {} --topics {} --remap \
+             climber/joint_states:=/{rig}/climber/joint_states --remap /clock:=/{rig}/clock",
+            path.display(),
+            topics::absolute::JOINT_STATES,
+        );
+        running.push(start(84, &player));
     }
     let copy = dir.path().join("copy.mcap");
-    let record = ["record", "--duration", "7", "-o", copy.to_str().unwrap()];
+    let record = format!("record --duration 7 -o {}", copy.display());
     let output = command(84, &record).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let mut bag = BagReader::open(&copy).unwrap();
