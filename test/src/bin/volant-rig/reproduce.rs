@@ -2,15 +2,12 @@
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use node_kit::{
     files::{self, Pending},
     outln,
 };
-use std::{
-    path::{Path, PathBuf},
-    sync::Mutex,
-};
+use std::path::{Path, PathBuf};
 use volant::command_line::number;
 use volant_test::{
     live::{ImageSequence, Scenario, processes::executables},
@@ -59,54 +56,39 @@ fn name(text: &str) -> Result<String, String> {
     }
 }
 
-/// The work, with about how long it takes (s on two cores): only the bar's evenness rests on it.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Job {
-    Bench,
-    Sweep,
-    Boards,
-    Swing,
-    Occlusion,
-    Stages,
-    Rest,
-}
+/// What the commands of `volant-peers` measure.
+const BENCH: [&str; 2] = ["table-1", "fig-12"];
+const SWEEP: [&str; 1] = ["fig-11"];
+const BOARDS: [&str; 2] = ["fig-2", "fig-7"];
 
-const JOBS: [(Job, f64, &[&str]); 7] = [
-    (Job::Bench, 70.0, &["table-1", "fig-12"]),
-    (Job::Sweep, 70.0, &["fig-11"]),
-    (Job::Boards, 30.0, &["fig-2", "fig-7"]),
-    (Job::Swing, 60.0, &["fig-13", "table-2"]),
-    (Job::Occlusion, 18.0, &["fig-6"]),
-    (Job::Stages, 5.0, &["fig-4", "fig-5"]),
-    (Job::Rest, 2.0, &["fig-9"]),
-];
+/// A bar for each job, some of which run at the same time.
+struct Bars(MultiProgress);
 
-/// One bar for all jobs, some of which run at the same time.
-struct Bar {
-    bar: ProgressBar,
-    shares: Mutex<Vec<(Job, f64, f64)>>,
-}
-
-impl Bar {
-    fn new(jobs: &[(Job, f64, &[&str])]) -> Self {
-        let bar = ProgressBar::new(1000);
+impl Bars {
+    /// Shows the bar of a job.
+    fn show(&self, what: &'static str) -> Bar {
+        let bar = self.0.add(ProgressBar::new(1000));
         let style = ProgressStyle::with_template("{msg:<40} [{bar:34}] {percent:>3} % {elapsed}");
         bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
+        bar.set_message(what);
         bar.enable_steady_tick(std::time::Duration::from_millis(250));
-        Self {
-            bar,
-            shares: Mutex::new(jobs.iter().map(|(job, weight, _)| (*job, *weight, 0.0)).collect()),
-        }
+        Bar(bar)
     }
+}
 
-    fn report(&self, job: Job, share: f64, what: &'static str) {
-        let Ok(mut shares) = self.shares.lock() else { return };
-        for s in shares.iter_mut().filter(|s| s.0 == job) {
-            s.2 = share.clamp(0.0, 1.0);
-        }
-        let (done, all) = shares.iter().fold((0.0, 0.0), |(d, a), s| (d + s.1 * s.2, a + s.1));
-        self.bar.set_position((1000.0 * done / all) as u64);
-        self.bar.set_message(what);
+/// The bar of a job; it disappears when this drops.
+struct Bar(ProgressBar);
+
+impl Bar {
+    /// Shows the share that is done.
+    fn report(&self, share: f64) {
+        self.0.set_position((1000.0 * share) as u64);
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
     }
 }
 
@@ -142,39 +124,34 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let work = Pending::new(&arguments.out.join("results"), false)?;
     std::fs::create_dir(&work.temporary).with_context(creating)?;
     let out = &work.temporary;
-    let jobs: Vec<_> =
-        JOBS.into_iter().filter(|(_, _, names)| names.iter().any(|n| wanted(n))).collect();
-    let has = |job: Job| jobs.iter().any(|j| j.0 == job);
-    let bar = Bar::new(&jobs);
+    let any = |names: &[&str]| names.iter().any(|n| wanted(n));
+    let bars = Bars(MultiProgress::new());
     let peers = peers::find_peers(&executables());
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let run_peers = |results: &mut Results, job: Job, command: &str, what: &'static str| -> bool {
-        let Some((_, _, names)) = jobs.iter().find(|j| j.0 == job) else { return false };
-        bar.report(job, 0.0, what);
+    let run_peers = |results: &mut Results, names: &[&'static str], command, what| -> bool {
+        if !any(names) {
+            return false;
+        }
+        let bar = bars.show(what);
         let done = match &peers {
             None => Err(format!(
                 "it compares with peers and needs {}, which is not built; `make reproduce` \
                  builds it and makes everything",
                 peers::PEERS
             )),
-            Some(program) => peers::run(program, command, out, arguments.seed, |share| {
-                bar.report(job, share, what)
-            }),
-        };
-        bar.report(job, 1.0, what);
-        match done {
-            Ok(()) => true,
-            Err(why) => {
-                let wanted: Vec<_> = names.iter().copied().filter(|n| wanted(n)).collect();
-                results.missing.extend(wanted.into_iter().map(|n| (n, why.clone())));
-                false
+            Some(program) => {
+                peers::run(program, command, out, arguments.seed, |share| bar.report(share))
             }
-        }
+        };
+        let Err(why) = done else { return true };
+        let missing = names.iter().copied().filter(|n| wanted(n));
+        results.missing.extend(missing.map(|n| (n, why.clone())));
+        false
     };
 
     let mut results = Results::default();
     // Times are measured first, with nothing beside it.
-    if run_peers(&mut results, Job::Bench, "bench", "the tracker beside its peers") {
+    if run_peers(&mut results, &BENCH, "bench", "the tracker beside its peers") {
         if wanted("table-1") {
             results.take("table-1", peers::table_1(out));
         }
@@ -185,26 +162,25 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let (own, others) = std::thread::scope(|scope| {
         let others = scope.spawn(|| {
             let mut results = Results::default();
-            if run_peers(&mut results, Job::Sweep, "sweep", "viewing angle and distance") {
+            if run_peers(&mut results, &SWEEP, "sweep", "viewing angle and distance") {
                 results.take("fig-11", peers::figure_11(out));
             }
-            if run_peers(&mut results, Job::Boards, "boards", "chessboards") {
-                for name in ["fig-2", "fig-7"].into_iter().filter(|n| wanted(n)) {
+            if run_peers(&mut results, &BOARDS, "boards", "chessboards") {
+                for name in BOARDS.into_iter().filter(|n| wanted(n)) {
                     results.take(name, peers::boards(name, out));
                 }
             }
             results
         });
-        let beside = peers.is_some() && [Job::Sweep, Job::Boards].into_iter().any(&has);
+        let beside = peers.is_some() && (any(&SWEEP) || any(&BOARDS));
         let threads = if beside { cores.saturating_sub(1).max(1) } else { cores.min(4) };
-        let own = simulate(arguments, out, &wanted, &has, &bar, threads);
+        let own = simulate(arguments, out, &wanted, &bars, threads);
         (own, others.join())
     });
     for part in [own?, others.unwrap_or_default()] {
         results.made.extend(part.made);
         results.missing.extend(part.missing);
     }
-    bar.bar.finish_and_clear();
     conclude(arguments, out, results)
 }
 
@@ -213,19 +189,17 @@ fn simulate(
     arguments: &Arguments,
     out: &Path,
     wanted: &dyn Fn(&str) -> bool,
-    has: &dyn Fn(Job) -> bool,
-    bar: &Bar,
+    bars: &Bars,
     threads: usize,
 ) -> Result<Results> {
     let seed = arguments.seed;
     let mut results = Results::default();
-    if has(Job::Rest) {
-        bar.report(Job::Rest, 0.1, "a stationary IMU");
+    if wanted("fig-9") {
+        let _bar = bars.show("a stationary IMU");
         results.take("fig-9", figure_9(seed, out));
-        bar.report(Job::Rest, 1.0, "a stationary IMU");
     }
-    if has(Job::Stages) {
-        bar.report(Job::Stages, 0.1, "the tracker's stages");
+    if wanted("fig-4") || wanted("fig-5") {
+        let _bar = bars.show("the tracker's stages");
         let stages = Stages::of(seed, threads)?;
         if wanted("fig-4") {
             results.take("fig-4", stages.figure_4(out));
@@ -233,22 +207,17 @@ fn simulate(
         if wanted("fig-5") {
             results.take("fig-5", stages.figure_5(out));
         }
-        bar.report(Job::Stages, 1.0, "the tracker's stages");
     }
-    if has(Job::Occlusion) {
-        let what = "an occluded marker";
-        results.take(
-            "fig-6",
-            figure_6(seed, out, threads, |s| bar.report(Job::Occlusion, 0.9 * s, what)),
-        );
-        bar.report(Job::Occlusion, 1.0, what);
+    if wanted("fig-6") {
+        let bar = bars.show("an occluded marker");
+        results.take("fig-6", figure_6(seed, out, threads, |share| bar.report(0.9 * share)));
     }
-    if has(Job::Swing) {
+    if wanted("table-2") || wanted("fig-13") {
+        let bar = bars.show("all estimators in a swing");
         let scenario = Scenario::swing(seed, arguments.seconds)?;
         let images = ImageSequence::render(&scenario, threads, |done, of| {
-            bar.report(Job::Swing, 0.9 * done as f64 / of.max(1) as f64, "rendering the camera");
+            bar.report(0.9 * done as f64 / of.max(1) as f64);
         })?;
-        bar.report(Job::Swing, 0.9, "all estimators");
         let curves = Curves::of(&scenario, &images)?;
         if wanted("table-2") {
             results.take("table-2", curves.table_2(&scenario, out));
@@ -256,7 +225,6 @@ fn simulate(
         if wanted("fig-13") {
             results.take("fig-13", curves.figure_13(&scenario, out));
         }
-        bar.report(Job::Swing, 1.0, "all estimators");
     }
     Ok(results)
 }
