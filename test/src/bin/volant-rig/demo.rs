@@ -9,10 +9,10 @@ use rig_model::Stamp;
 use std::{path::PathBuf, sync::Arc};
 use volant::{
     command_line::number,
-    report::{Curve, Run as Drawn, colors, six_curves},
+    report::{Block, Curve, Page, Run as Drawn, Section, Table, colors, six_curves},
 };
 use volant_test::{
-    accuracy::{Errors, inertial_alone},
+    accuracy::{AXES, Errors, UNITS, inertial_alone},
     live::{Ended, ImageSequence, Run, Scenario, Site, bag, quantile, scenario::IMAGE_RATE},
     report::table,
     run_folder::RunFolder,
@@ -126,20 +126,35 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
     let nees = received.nees(from, to, truth);
     let mean = |k: usize| nees.iter().map(|(_, n)| n[k]).sum::<f64>() / nees.len() as f64;
     let latencies = received.latencies(from, to);
-    outln!(
-        "odometry: {} of {expected} IMU samples, longest gap {:.0} ms",
-        of_fused.count,
-        gap * 1e3
-    )?;
-    outln!("consistency: NEES of position {:.2}, of rotation {:.2} (ideal 3)", mean(0), mean(1))?;
-    outln!(
-        "latency: from an image's stamp to the odometry that contains it, over DDS: median {:.1} \
-         ms, p99 {:.1} ms of {} images (one image period: {:.1} ms)",
-        quantile(&latencies, 0.5) * 1e3,
-        quantile(&latencies, 0.99) * 1e3,
-        latencies.len(),
-        1e3 / IMAGE_RATE
-    )?;
+    let numbers = [
+        (
+            "odometry",
+            format!(
+                "{} of {expected} IMU samples, longest gap {:.0} ms",
+                of_fused.count,
+                gap * 1e3
+            ),
+        ),
+        (
+            "consistency",
+            format!("NEES of position {:.2}, of rotation {:.2} (ideal 3)", mean(0), mean(1)),
+        ),
+        (
+            "latency",
+            format!(
+                "from an image's stamp to the odometry that contains it, over DDS: median {:.1} \
+                 ms, p99 {:.1} ms of {} images (one image period: {:.1} ms)",
+                quantile(&latencies, 0.5) * 1e3,
+                quantile(&latencies, 0.99) * 1e3,
+                latencies.len(),
+                1e3 / IMAGE_RATE
+            ),
+        ),
+    ]
+    .map(|(name, text)| (name.to_owned(), text));
+    for (name, text) in &numbers {
+        outln!("{name}: {text}")?;
+    }
     for (name, status) in &ended.ends {
         if !status.success() {
             outln!("{name} ended with {status}")?;
@@ -165,10 +180,75 @@ fn conclude(arguments: &Arguments, scenario: &Scenario, epoch: Stamp, ended: &En
             Curve { name: "fused", track: &fused, color: colors::FUSED, width: 3 },
         ],
     )?;
-    files::write(&image, svg.as_bytes(), false)?;
+    let page = arguments.out.join("report.html");
+    write(&image, &svg)?;
+    write(&page, &demo_page(arguments, &rows, &numbers, svg).render())?;
     outln!("\nbag      {}", bag_path.display())?;
     outln!("rig file {}", arguments.out.join("rig.yaml").display())?;
     outln!("figure   {}", image.display())?;
+    outln!("report   {}", page.display())?;
     outln!("logs     {}", arguments.out.join("*.log").display())?;
     Ok(())
+}
+
+fn write(path: &std::path::Path, text: &str) -> Result<()> {
+    Ok(files::write(path, text.as_bytes(), false)?)
+}
+
+/// The run as a page.
+fn demo_page(
+    arguments: &Arguments,
+    rows: &[(&str, &Errors); 3],
+    numbers: &[(String, String)],
+    svg: String,
+) -> Page {
+    let mut errors = Table { head: vec!["RMSE".into()], rows: Vec::new() };
+    errors.head.extend(rows.iter().map(|(name, _)| (*name).to_owned()));
+    let mut row = |name: String, value: &dyn Fn(&Errors) -> f64| {
+        let values: Vec<f64> = rows.iter().map(|(_, e)| value(e)).collect();
+        let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let mut cells = vec![(name, false)];
+        cells.extend(values.iter().map(|v| (format!("{v:.3}"), *v == least)));
+        errors.rows.push(cells);
+    };
+    for (i, (axis, unit)) in AXES.iter().zip(UNITS).enumerate() {
+        row(format!("{axis} [{unit}]"), &|e| e.rmse[i]);
+    }
+    row("3-D [mm]".into(), &|e| e.position_rmse);
+    row("angle [deg]".into(), &|e| e.rotation_rmse);
+    let mut facts = vec![
+        ("Made by".to_owned(), format!("volant {}", env!("CARGO_PKG_VERSION"))),
+        (
+            "Command".to_owned(),
+            format!("`volant demo --seed {} --seconds {}`", arguments.seed, arguments.seconds),
+        ),
+    ];
+    facts.extend(numbers.iter().cloned());
+    let words = "Position in millimeters and rotation in degrees, against the truth (thin line). \
+                 What leaves a panel has left the \
+                 range of the truth: the IMU's doubly integrated acceleration drifts. \
+                 The camera alone is shown \
+                 where one image determines a pose.";
+    Page {
+        over: "Volant: pose of a robot that hangs from a ceiling crane".into(),
+        title: "A live run on the simulated rig".into(),
+        lead: "Four nodes as processes of their own, live over DDS: marker_tracker, imu_driver, \
+               climber_driver and pose_fusion. \
+               They were fed by a rendered camera, an emulated Xsens IMU on a pseudo-terminal and \
+               encoder readings; the nodes cannot distinguish them from hardware."
+            .into(),
+        facts,
+        sections: vec![
+            Section {
+                id: "errors".into(),
+                title: "Errors against the truth, without the first second".into(),
+                blocks: vec![Block::Table(errors)],
+            },
+            Section {
+                id: "curves".into(),
+                title: "The six curves".into(),
+                blocks: vec![Block::text(words), Block::Figure(svg)],
+            },
+        ],
+    }
 }
