@@ -182,7 +182,7 @@ fn imu_samples_stamped_ahead_hold_up_nothing() {
         outputs.odometry.len()
     };
     let clean = followed(&[]);
-    for strays in [&[0.12][..], &[0.4], &[0.9], &[0.4, 0.4, 0.4], &[5.0, 5.0, 5.0]] {
+    for strays in [&[0.25][..], &[0.4], &[0.9], &[0.4, 0.4, 0.4], &[5.0, 5.0, 5.0]] {
         assert_eq!(followed(strays), clean);
     }
 }

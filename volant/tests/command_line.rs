@@ -215,7 +215,7 @@ fn a_parameter_file_that_is_wrong_is_named_with_its_parameter() {
     place.fails(&replay, &["params.yaml"]);
     for (node, line, words) in [
         ("pose_fusion", "markers: {gait: 9.0}", ["markers.gait", "markers.gate"]),
-        ("pose_fusion", "history: 60.0", ["history", "0.1"]),
+        ("pose_fusion", "history: 60.0", ["history", "0.4"]),
         ("pose_fusion", "prediction_horizon: 0.8", ["`prediction_horizon`", "`history`"]),
         (
             "pose_fusion",

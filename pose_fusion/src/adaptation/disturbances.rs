@@ -101,6 +101,14 @@ impl Disturbances {
         self.0.iter().any(|d| d.jerks_climber(at, span))
     }
 
+    /// Forgets the disturbances of the climber that reach into the `span` seconds before `at`, and
+    /// returns when the first of them began.
+    pub fn forget_climber(&mut self, at: Stamp, span: f64) -> Option<Stamp> {
+        let from = self.0.iter().filter(|d| d.jerks_climber(at, span)).map(|d| d.from).min();
+        self.0.retain(|d| !d.jerks_climber(at, span));
+        from
+    }
+
     /// Returns whether a shock of the platform ends at `to`.
     pub fn has_shock(&self, to: Stamp) -> bool {
         self.0.iter().any(|d| d.force > 0.0 && d.to == to)

@@ -9,6 +9,8 @@ use rig_model::{Stamp, wrap_angle};
 
 /// Over this span a climber's motion is a parabola but for less than its encoders' step, s.
 const SMOOTH: f64 = 0.2;
+/// After this time the noise is known, s.
+const YOUNG: f64 = 1.0;
 /// Noise that is assumed beforehand where the steps are finer (m, m, rad; 1 sigma), that of steps
 /// of 1 mm: readings of fine steps may be noisy …
 const ASSUMED: [f64; 3] = [3e-4, 3e-4, 3e-4];
@@ -24,6 +26,8 @@ pub const STANDING: f64 = 8.0;
 pub struct EncoderNoise {
     last: [(Stamp, Vector3<f64>); 4],
     count: usize,
+    first: Option<Stamp>,
+    newest: Stamp,
     variance: Vector3<f64>,
     weight: Vector3<f64>,
     floor: Vector3<f64>,
@@ -37,6 +41,8 @@ impl EncoderNoise {
         Self {
             last: [(Stamp::default(), Vector3::zeros()); 4],
             count: 0,
+            first: None,
+            newest: Stamp::default(),
             variance: Vector3::from(ASSUMED).map(|s| s * s),
             weight: Vector3::repeat(ASSUMED_WEIGHT),
             floor: steps.map(|q| q * q / 12.0),
@@ -44,9 +50,11 @@ impl EncoderNoise {
         }
     }
 
-    /// Adds a reading that is newer than those before. Returns its variance: that of a moving
-    /// climber's reading times the number of equal readings in a row, at most [`STANDING`].
-    pub fn add(&mut self, stamp: Stamp, values: &Vector3<f64>) -> Vector3<f64> {
+    /// Adds a reading that is newer than those before. Returns the variance of a moving climber's
+    /// reading, and for each value the number of equal readings in a row, at most [`STANDING`].
+    pub fn add(&mut self, stamp: Stamp, values: &Vector3<f64>) -> (Vector3<f64>, [f64; 3]) {
+        self.first.get_or_insert(stamp);
+        self.newest = stamp;
         let before = self.last[3].1;
         let mut values = *values;
         if self.count > 0 {
@@ -77,17 +85,21 @@ impl EncoderNoise {
                 }
             }
         }
-        self.variance().component_mul(&Vector3::from(self.equal))
+        (self.variance(), self.equal)
     }
 
     /// Returns the same for a reading that arrives after newer ones, `neighbor` being the one
     /// before it. It changes nothing, and where it equals its neighbor it counts as little as that
     /// one.
-    pub fn late(&self, values: &Vector3<f64>, neighbor: Option<&Vector3<f64>>) -> Vector3<f64> {
-        let equal = Vector3::from_fn(|axis, _| {
+    pub fn late(
+        &self,
+        values: &Vector3<f64>,
+        neighbor: Option<&Vector3<f64>>,
+    ) -> (Vector3<f64>, [f64; 3]) {
+        let equal = std::array::from_fn(|axis| {
             if neighbor.is_some_and(|n| n[axis] == values[axis]) { STANDING } else { 1.0 }
         });
-        self.variance().component_mul(&equal)
+        (self.variance(), equal)
     }
 
     /// Returns the weights of the third divided difference of the last four readings; `None` where
@@ -114,6 +126,11 @@ impl EncoderNoise {
             let scatter = if count >= 15.0 { 1.5 } else { 1.0 + 7.5 / count };
             if found > scatter * self.floor[axis] { found } else { self.floor[axis] }
         })
+    }
+
+    /// Returns whether the noise is still being identified and may yet change by much.
+    pub fn is_young(&self) -> bool {
+        self.first.is_none_or(|first| self.newest.seconds_since(first) < YOUNG)
     }
 }
 
@@ -154,9 +171,9 @@ mod tests {
         }
         // A late reading that equals its neighbor counts as little as that one.
         let noise = EncoderNoise::new(Vector3::repeat(step));
-        let late = noise.late(&Vector3::new(0.3, 0.2, 0.1), Some(&Vector3::new(0.3, 0.1, 0.1)));
-        let share = late.component_div(&noise.variance());
-        assert!((share - Vector3::new(STANDING, 1.0, STANDING)).amax() < 1e-9);
+        let (_, share) =
+            noise.late(&Vector3::new(0.3, 0.2, 0.1), Some(&Vector3::new(0.3, 0.1, 0.1)));
+        assert_eq!(share, [STANDING, 1.0, STANDING]);
     }
 
     #[test]
@@ -168,10 +185,11 @@ mod tests {
         for i in 0..200 {
             let t = f64::from(i) * 0.02;
             let x = 0.4 * t.sin() + 0.002 * random.normal();
-            found = noise.add(Stamp::default().plus_seconds(t), &Vector3::new(x, 0.3, 0.0));
+            (found, _) = noise.add(Stamp::default().plus_seconds(t), &Vector3::new(x, 0.3, 0.0));
         }
         assert!((found.x.sqrt() / 0.002 - 1.0).abs() < 0.25, "{}", found.x.sqrt());
-        assert!((found.y - STANDING * 1e-6 / 12.0).abs() < 1e-12);
+        assert!((found.y - 1e-6 / 12.0).abs() < 1e-12);
+        assert!(!noise.is_young());
     }
 
     #[test]
@@ -215,9 +233,10 @@ mod tests {
         let values = Vector3::new(0.3, 0.2, 0.1);
         let mut variance = 0.01;
         for i in 0..100 {
-            let found = noise.add(Stamp::default().plus_seconds(f64::from(i) * 0.02), &values);
+            let (moving, equal) =
+                noise.add(Stamp::default().plus_seconds(f64::from(i) * 0.02), &values);
             variance += 1e-8;
-            variance = 1.0 / (1.0 / variance + 1.0 / found.x);
+            variance = 1.0 / (1.0 / variance + 1.0 / (moving.x * equal[0]));
         }
         assert!(variance.sqrt() > 0.0001, "{}", variance.sqrt());
     }

@@ -141,6 +141,11 @@ impl ImuNoise {
     pub fn period(&self) -> f64 {
         self.period.max(1e-4)
     }
+
+    /// Returns whether enough samples came for [`ImuNoise::sample_variances`] to mean something.
+    pub fn is_known(&self) -> bool {
+        self.samples.weight >= FEWEST
+    }
 }
 
 /// Variance of a series by its third differences.

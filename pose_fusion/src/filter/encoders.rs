@@ -16,6 +16,8 @@ use rig_model::Stamp;
 
 /// A disturbance of the climber began at most this many readings before the one that reveals it.
 const DISTURBED_READINGS: usize = 2;
+/// An impossible reading withdraws a jerk of the climber that ended at most this long before it, s.
+const JERKED: f64 = 0.1;
 /// A climber moves where its estimated rate is this many sigma from zero.
 const MOVES: f64 = 5.0;
 
@@ -48,6 +50,7 @@ impl Filter {
         if encoders::is_impossible(innovation, at.seconds_since(from)) {
             self.exclude(place);
             self.suspend_encoders(place, at, innovation);
+            self.withdraw_jerk(at);
         } else if self.disturbances.add_jerk(from, at, innovation) {
             self.climber.adapt_jerk(innovation.nis);
             self.history.rewind(since + 1);
@@ -141,6 +144,14 @@ impl Filter {
             self.trust.suspend(at, Cause::Frozen, false);
         }
         suspected
+    }
+
+    /// Withdraws the process noise of a jerk of the climber shortly before an impossible reading at
+    /// `at`, and excludes the readings that it explained: they were wrong, too.
+    fn withdraw_jerk(&mut self, at: Stamp) {
+        if let Some(from) = self.disturbances.forget_climber(at, JERKED) {
+            self.exclude_since(from);
+        }
     }
 
     /// Returns the offset to place an encoder reading on the IMU's time line with, s.

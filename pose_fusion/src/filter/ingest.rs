@@ -139,6 +139,9 @@ impl Filter {
         }
         let mounting = &self.setup.rig.imu;
         let event = self.imu.event(&reading, dt, mounting);
+        if let Some(more) = self.imu.newly_known_noise(mounting) {
+            self.reweigh_samples(&more);
+        }
         self.imu.remember_attitude(sample, SMALLEST_ATTITUDE);
         let place = self.history.insert(sample.stamp, event, reading);
         self.publisher.note_now(sample.stamp);
@@ -332,16 +335,24 @@ impl Filter {
             self.climber = ClimberTrack::new(&config.climber);
         }
         let (values, rest) = ClimberRest::split(pose);
-        let Some(variance) = self.climber.add(stamp, values, rest) else {
+        let Some((variance, multiplicity)) = self.climber.add(stamp, values, rest) else {
             return self.publisher.refuse(Warning::Duplicate { from: Source::Encoders, stamp });
         };
+        if self.climber.is_young() {
+            self.reweigh_readings(&variance);
+        }
         let time_offset = self.encoder_offset();
         let at = stamp.plus_seconds(time_offset);
         if self.start.started && self.history.get(0).is_none_or(|first| at <= first.stamp) {
             let age_s = self.age(stamp);
             return self.publisher.refuse(Warning::TooOld { from: Source::Encoders, stamp, age_s });
         }
-        let reading = EncoderReading { values, variance, time_offset };
+        let reading = EncoderReading {
+            values,
+            variance: variance.component_mul(&multiplicity),
+            multiplicity,
+            time_offset,
+        };
         self.publisher.note_now(at);
         let end = self.arrival.end().unwrap_or(at);
         if at > end && self.history.is_crowded() {

@@ -4,14 +4,16 @@
 //! Inputs arrive in any order (`ingest`) and go to their place on the time line; the time line is
 //! processed up to its end (`processing`), and the newest state is published (`publish`). Without
 //! a pose an image initializes it (`starting`), with the camera's time offset (`time_offset`).
-//! Readings that contradict the encoders' model are handled in `encoders`, an operator's requests in
-//! `operator`. The parts are values of their own: this type only connects them.
+//! Readings that contradict the encoders' model are handled in `encoders`, what was weighed with
+//! other noise in `reweighing`, an operator's requests in `operator`. The parts are values of their
+//! own: this type only connects them.
 
 mod encoders;
 mod ingest;
 mod operator;
 mod processing;
 mod publish;
+mod reweighing;
 mod starting;
 mod time_offset;
 

@@ -56,6 +56,8 @@ pub struct ClimberAt {
 pub struct ClimberTrack {
     readings: VecDeque<(Stamp, Vector3<f64>, ClimberRest)>,
     noise: EncoderNoise,
+    /// Variance with which the readings on the time line were weighed.
+    assumed: Vector3<f64>,
     jerk_factor: f64,
     /// Per axis, when a moving climber stood at once: between the last reading that moved and the
     /// first that repeats it.
@@ -66,26 +68,29 @@ impl ClimberTrack {
     /// Creates an empty track.
     pub fn new(config: &ClimberConfig) -> Self {
         let steps = Vector3::new(config.quantum, config.quantum, config.turn_quantum);
+        let noise = EncoderNoise::new(steps);
         Self {
             readings: VecDeque::with_capacity(KEPT + 1),
-            noise: EncoderNoise::new(steps),
+            assumed: noise.variance(),
+            noise,
             jerk_factor: SETTING_OFF,
             stopped: [None; 3],
         }
     }
 
-    /// Adds a reading. Returns its variance (m², m², rad²); `None` for a stamp that is there already.
+    /// Adds a reading. Returns its variance (m², m², rad²) as a moving climber's and the factor for
+    /// equal readings; `None` for a stamp that is there already.
     pub fn add(
         &mut self,
         stamp: Stamp,
         values: Vector3<f64>,
         rest: ClimberRest,
-    ) -> Option<Vector3<f64>> {
+    ) -> Option<(Vector3<f64>, Vector3<f64>)> {
         let place = self.readings.partition_point(|(at, _, _)| *at < stamp);
         if self.readings.get(place).is_some_and(|(at, _, _)| *at == stamp) {
             return None;
         }
-        let variance = if place == self.readings.len() {
+        let (variance, equal) = if place == self.readings.len() {
             self.note_stop(stamp, &values);
             self.noise.add(stamp, &values)
         } else {
@@ -99,12 +104,23 @@ impl ClimberTrack {
         if self.readings.len() > KEPT {
             self.readings.pop_front();
         }
-        Some(variance)
+        Some((variance, Vector3::from(equal)))
     }
 
     /// Returns the newest reading: stamp; x, y, turn; height and tilt.
     pub fn newest(&self) -> Option<&(Stamp, Vector3<f64>, ClimberRest)> {
         self.readings.back()
+    }
+
+    /// Returns the variance with which the readings on the time line were weighed, to be replaced
+    /// when they are weighed again.
+    pub fn assumed_variance(&mut self) -> &mut Vector3<f64> {
+        &mut self.assumed
+    }
+
+    /// Returns whether the noise is still being identified.
+    pub fn is_young(&self) -> bool {
+        self.noise.is_young()
     }
 
     /// Returns the factor on the configured jerk density.

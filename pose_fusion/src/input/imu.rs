@@ -68,6 +68,8 @@ pub struct ImuInput {
     model_error: Excess,
     /// Half the width of the mean that is the motion at an image, s.
     smoothing: f64,
+    /// The noise was known at some time.
+    known: bool,
 }
 
 impl ImuInput {
@@ -145,6 +147,18 @@ impl ImuInput {
             }
             self.ups.push_back((sample.stamp, up));
         }
+    }
+
+    /// Returns by how much the noise exceeds the rig file's, once, when it becomes known: the
+    /// samples before were weighed with the rig file's.
+    pub fn newly_known_noise(&mut self, mounting: &ImuMounting) -> Option<Densities> {
+        if self.known || !self.noise.is_known() {
+            return None;
+        }
+        self.known = true;
+        let (now, given) = (self.densities(mounting), given(mounting));
+        let more = Densities { force: now.force - given.force, rate: now.rate - given.rate };
+        (more.force > 0.0 || more.rate > 0.0).then_some(more)
     }
 
     /// Returns which share of the readings' changes between two images is noise: specific force,

@@ -30,6 +30,8 @@ pub struct EncoderReading {
     pub values: Vector3<f64>,
     /// Variance of each, m², m², rad².
     pub variance: Vector3<f64>,
+    /// Factor on the variance of a moving climber's reading, already contained in `variance`.
+    pub multiplicity: Vector3<f64>,
     /// Time offset with which the reading was placed on the IMU's time line, s.
     pub time_offset: f64,
 }
@@ -115,6 +117,7 @@ mod tests {
         let reading = EncoderReading {
             values: Vector3::new(0.31, -0.2, 3.1 - std::f64::consts::TAU),
             variance: Vector3::repeat(1e-6),
+            multiplicity: Vector3::repeat(1.0),
             time_offset: 0.0,
         };
         (state, reading)
