@@ -9,6 +9,7 @@ use crate::{
     output::Warning,
     timeline::{
         arrival::{AHEAD, ImuArrival, JUMP, Source},
+        clock_step::ClockStep,
         dropout::{GAP, INTERPOLATED},
         history::{Entry, Event},
     },
@@ -77,8 +78,17 @@ impl Filter {
             }
         };
         match self.arrival.classify(stamp) {
-            ImuArrival::First => self.next_imu(sample, reading, None),
-            ImuArrival::Next(dt) => self.next_imu(sample, reading, Some(dt)),
+            ImuArrival::First => {
+                let offset = self.time_offset();
+                self.imu.clocks.imu(stamp, 0.0, offset);
+                self.next_imu(sample, reading, None);
+            }
+            ImuArrival::Next(dt) | ImuArrival::Outage(dt) => {
+                let jump = dt - self.imu.period();
+                let offset = self.time_offset();
+                self.imu.clocks.imu(stamp, jump, offset);
+                self.next_imu(sample, reading, Some(dt));
+            }
             ImuArrival::NotNewer => self.late_imu(sample, reading),
             ImuArrival::Unconfirmed(ahead_s) => {
                 self.publisher.refuse(if ahead_s < 0.0 {
@@ -87,20 +97,34 @@ impl Filter {
                     Warning::Ahead { from: Source::Imu, stamp, ahead_s }
                 });
             }
-            ImuArrival::Outage => {
-                let dt = self.arrival.newest_imu().map(|(newest, _)| stamp.seconds_since(newest));
-                self.next_imu(sample, reading, dt);
-            }
             ImuArrival::Back(by_s) => self.set_back(sample, reading, by_s),
         }
     }
 
     /// Starts again with a sample of an IMU whose clock was set back.
     fn set_back(&mut self, sample: &ImuSample, reading: ImuReading, by_s: f64) {
+        let offset = self.time_offset();
+        self.imu.clocks.imu(sample.stamp, -by_s, offset);
         self.publisher.warn(Warning::TimeJump { by_s });
         self.publisher.counts.resets.time_jumps += 1;
         self.reset();
         self.next_imu(sample, reading, None);
+    }
+
+    /// Notes when an image or encoder reading arrives. Where it confirms that the IMU's clock stepped
+    /// against that of camera and encoders, starts again with the time offset that follows from it.
+    fn note_arrival(&mut self, source: Source, stamp: Stamp) {
+        let offset = self.time_offset();
+        let Some(ClockStep { by, offset }) = self.imu.clocks.other(source, stamp, offset) else {
+            return;
+        };
+        self.publisher.warn(Warning::ClockStep { by_s: by });
+        let clock = &mut self.setup.config.clock;
+        if clock.camera_sigma > 0.0 {
+            self.publisher.counts.resets.time_jumps += 1;
+            clock.camera_offset = offset + by;
+            self.reset();
+        }
     }
 
     fn next_imu(&mut self, sample: &ImuSample, reading: ImuReading, dt: Option<f64>) {
@@ -234,6 +258,7 @@ impl Filter {
         if self.markers.is_duplicate(stamp) {
             return self.publisher.refuse(Warning::Duplicate { from: Source::Image, stamp });
         }
+        self.note_arrival(Source::Image, stamp);
         if let Some(by_s) = self.arrival.other(Source::Image, stamp) {
             self.publisher.refuse(Warning::Jump { from: Source::Image, stamp, by_s });
             return self.publisher.reject(stamp, &pixels, Outcome::Rejected);
@@ -317,6 +342,7 @@ impl Filter {
             });
         }
         let from = Source::Encoders;
+        self.note_arrival(from, stamp);
         if let Some(by_s) = self.arrival.other(from, stamp) {
             return self.publisher.refuse(Warning::Jump { from, stamp, by_s });
         }

@@ -10,7 +10,10 @@ use crate::{
     },
     ekf::propagation::ImuReading,
     input::imu_stamps::{Bursts, ImuStamps},
-    timeline::history::{Event, History},
+    timeline::{
+        clock_step::ClockSteps,
+        history::{Event, History},
+    },
 };
 use nalgebra::{UnitQuaternion, Vector3};
 use rig_model::{ImuMounting, ImuSample, Stamp};
@@ -60,6 +63,8 @@ impl Up {
 #[derive(Clone, Debug, Default)]
 pub struct ImuInput {
     stamps: ImuStamps,
+    /// Steps of the IMU's clock against that of camera and encoders.
+    pub clocks: ClockSteps,
     integrity: ImuIntegrity,
     noise: ImuNoise,
     stationary: Stationary,
@@ -98,7 +103,8 @@ impl ImuInput {
 
     /// Discards what was identified with stamps of which it is now known that they were wrong.
     pub fn keep_stamps_only(&mut self) {
-        *self = Self { stamps: std::mem::take(&mut self.stamps), ..Self::default() };
+        let (stamps, clocks) = (std::mem::take(&mut self.stamps), std::mem::take(&mut self.clocks));
+        *self = Self { stamps, clocks, ..Self::default() };
     }
 
     /// Takes in a reading that came `dt` seconds after the previous one (`None`: the first one) and

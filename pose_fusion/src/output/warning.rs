@@ -41,6 +41,12 @@ pub enum Warning {
     /// Time went backwards (a looped bag, a restarted simulation).
     #[error("time jumped back by {by_s:.3} s; the filter reinitializes")]
     TimeJump { by_s: f64 },
+    /// The IMU's clock stepped against that of camera and encoders.
+    #[error(
+        "the IMU's clock stepped by {by_s:+.3} s against that of camera and encoders; the filter \
+         reinitializes: keep both clocks synchronized (docs, Two computers)"
+    )]
+    ClockStep { by_s: f64 },
     /// No IMU sample for a while.
     #[error(
         "no IMU sample between {from} and {to}; check the IMU's cable and driver and the computer's \
@@ -146,6 +152,7 @@ impl Warning {
             Self::Ahead { .. } => "ahead",
             Self::Jump { .. } => "jump",
             Self::TimeJump { .. } => "time_jump",
+            Self::ClockStep { .. } => "clock_step",
             Self::ImuGap { .. } => "imu_gap",
             Self::ImuBursts { .. } => "imu_bursts",
             Self::ImuAttitude { .. } => "imu_attitude",

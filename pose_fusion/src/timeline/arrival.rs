@@ -39,8 +39,8 @@ pub enum ImuArrival {
     NotNewer,
     /// Far from the others and not confirmed: this many seconds ahead (negative: back).
     Unconfirmed(f64),
-    /// Confirmed jump ahead: an outage.
-    Outage,
+    /// Confirmed jump ahead by this many seconds: an outage.
+    Outage(f64),
     /// Confirmed jump back by this many seconds.
     Back(f64),
 }
@@ -141,7 +141,7 @@ impl Arrival {
                 && self.frontier.is_some_and(|end| stamp.seconds_since(end).abs() < JUMP);
             let needed = if ahead.abs() > JUMP { CONFIRMED } else { 2 };
             return match (followed || count >= needed, ahead) {
-                (true, ahead) if ahead > JUMP => ImuArrival::Outage,
+                (true, ahead) if ahead > JUMP => ImuArrival::Outage(ahead),
                 (true, ahead) if ahead > 0.0 => ImuArrival::Next(ahead),
                 (true, ahead) if count >= needed => ImuArrival::Back(-ahead),
                 _ => ImuArrival::Unconfirmed(ahead),
@@ -267,7 +267,7 @@ mod tests {
             }
         }
         assert!(matches!(arrival.classify(at(60_000)), ImuArrival::Unconfirmed(_)));
-        assert_eq!(arrival.classify(at(2000)), ImuArrival::Outage);
+        assert_eq!(arrival.classify(at(2000)), ImuArrival::Outage(2.0));
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! there.
 
 pub mod arrival;
+pub mod clock_step;
 pub mod dropout;
 pub mod history;
 pub mod repropagation;

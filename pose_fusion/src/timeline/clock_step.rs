@@ -1,0 +1,250 @@
+//! Steps of one clock against the other: the IMU's against that of camera and encoders.
+//!
+//! A clock that is set makes its stamps jump, and from then on every message of the other clock
+//! arrives that much later or earlier behind the newest IMU sample. Messages that are lost make
+//! stamps jump as well, and a slow network delays them: neither does both. So a jump of the stamps
+//! counts as a step once the lags of images and encoder readings have changed by as much and stay.
+
+use super::arrival::Source;
+use rig_model::Stamp;
+use std::collections::VecDeque;
+
+/// Smallest step, s: the filter follows a smaller one by itself.
+const SMALLEST: f64 = 0.05;
+/// After a jump, messages that a stalled computer held up come first, s.
+const SETTLING: f64 = 0.15;
+/// Number of images that show the new lag, of which each must agree.
+const IMAGES: u32 = 3;
+/// A change of the lag by a step of `s` is that but for this share of `s`.
+const SHARE: f64 = 0.3;
+/// Number of messages whose median is the usual lag, and the fewest that give one.
+const KEPT: usize = 15;
+const FEWEST: usize = 5;
+
+/// Median of the newest numbers.
+#[derive(Clone, Debug, Default)]
+struct Usual(VecDeque<f64>);
+
+impl Usual {
+    fn add(&mut self, number: f64) {
+        if self.0.len() == KEPT {
+            self.0.pop_front();
+        }
+        self.0.push_back(number);
+    }
+
+    fn median(&self) -> Option<f64> {
+        let mut sorted: Vec<f64> = self.0.iter().copied().collect();
+        sorted.sort_by(f64::total_cmp);
+        sorted.get(sorted.len() / 2).copied().filter(|_| sorted.len() >= FEWEST)
+    }
+}
+
+/// Messages of the camera or the encoders.
+#[derive(Clone, Debug, Default)]
+struct Lags {
+    newest: Option<Stamp>,
+    /// Time from one message to the next, s.
+    interval: Usual,
+    /// Time of the newest IMU sample since the message, when it arrives, s.
+    lag: Usual,
+    /// An IMU sample has come since the newest message.
+    is_current: bool,
+    /// Change of the lag since a jump, s.
+    changed: Option<f64>,
+}
+
+impl Lags {
+    /// Notes the stamp of a message. Returns by how much it is further from the one before than
+    /// usual, s.
+    fn advance(&mut self, stamp: Stamp) -> Option<f64> {
+        let interval = stamp.seconds_since(self.newest.replace(stamp)?);
+        let more = self.interval.median().map(|usual| interval - usual);
+        if more.is_none_or(|more| more.abs() < SMALLEST) {
+            self.interval.add(interval);
+        }
+        more
+    }
+
+    /// Adds a lag, unless the IMU is silent: it shrinks then.
+    fn add(&mut self, lag: f64) {
+        if std::mem::take(&mut self.is_current) {
+            self.lag.add(lag);
+        }
+    }
+}
+
+/// Jump that may be a step.
+#[derive(Clone, Copy, Debug)]
+struct Jump {
+    /// Change of the time offset, s.
+    by: f64,
+    /// Newest IMU sample then, behind the jump.
+    at: Stamp,
+    /// Time offset before, s.
+    offset: f64,
+    images: u32,
+}
+
+/// Change of the time offset (image time + offset = IMU time) by a step of a clock.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClockStep {
+    /// Change, s.
+    pub by: f64,
+    /// Time offset before, s.
+    pub offset: f64,
+}
+
+/// Stamps and lags of the newest messages.
+#[derive(Clone, Debug, Default)]
+pub struct ClockSteps {
+    imu: Option<Stamp>,
+    images: Lags,
+    encoders: Lags,
+    jump: Option<Jump>,
+}
+
+impl ClockSteps {
+    /// Notes an IMU sample; `jump`: by how much its stamp is further from the one before than the
+    /// IMU's period, s; `offset`: the camera time offset before it, s.
+    pub fn imu(&mut self, stamp: Stamp, jump: f64, offset: f64) {
+        self.imu = Some(stamp);
+        (self.images.is_current, self.encoders.is_current) = (true, true);
+        if jump.abs() > SMALLEST {
+            self.jumps(jump, stamp, offset);
+        }
+    }
+
+    fn jumps(&mut self, by: f64, at: Stamp, offset: f64) {
+        let (before, offset) = self.jump.map_or((0.0, offset), |jump| (jump.by, jump.offset));
+        self.jump = Some(Jump { by: before + by, at, offset, images: 0 });
+        (self.images.changed, self.encoders.changed) = (None, None);
+    }
+
+    /// Notes an image or encoder reading as it arrives. Returns the step that it confirms.
+    pub fn other(&mut self, source: Source, stamp: Stamp, offset: f64) -> Option<ClockStep> {
+        let imu = self.imu?;
+        let is_image = source == Source::Image;
+        let lags = if is_image { &mut self.images } else { &mut self.encoders };
+        let jump = lags.advance(stamp).filter(|by| is_image && by.abs() > SMALLEST);
+        if let Some(by) = jump {
+            self.jumps(-by, imu, offset);
+        }
+        let lags = if is_image { &mut self.images } else { &mut self.encoders };
+        let lag = imu.seconds_since(stamp);
+        let Some(jump) = &mut self.jump else {
+            lags.add(lag);
+            return None;
+        };
+        if (0.0..SETTLING).contains(&imu.seconds_since(jump.at)) {
+            return None;
+        }
+        lags.changed = lags.lag.median().map(|usual| lag - usual);
+        if !is_image {
+            return None;
+        }
+        jump.images += 1;
+        let Jump { by, offset, images, .. } = *jump;
+        let is_step = |change: f64| (change - by).abs() < SHARE * by.abs();
+        if by.abs() < SMALLEST
+            || !self.images.changed.is_some_and(is_step)
+            || !self.encoders.changed.is_none_or(is_step)
+        {
+            self.jump = None;
+        } else if images == IMAGES {
+            *self = Self { imu: self.imu, ..Self::default() };
+            return Some(ClockStep { by, offset });
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What happens after 2 s.
+    #[derive(Clone, Copy, Default)]
+    struct Event {
+        /// Steps of the clocks of IMU and camera with encoders, s.
+        imu: f64,
+        camera: f64,
+        /// For so long no message is sent of IMU, images and encoders, s.
+        lost: [f64; 3],
+        /// For so long everything is held up; what is sent then arrives together, s.
+        stall: f64,
+        /// Later messages of the images and encoders are delayed by this, s.
+        delay: [f64; 2],
+    }
+
+    /// Returns the steps that are found in 4 s: IMU at 100 Hz, images at 30 Hz, encoders at 50 Hz.
+    fn found(event: Event) -> Vec<f64> {
+        let mut messages = Vec::new();
+        for (kind, period, latency) in [(0, 0.01, 0.002), (1, 0.0333, 0.03), (2, 0.02, 0.005)] {
+            for k in 0..(4.0 / period) as usize {
+                let t = k as f64 * period;
+                let since = t - 2.0;
+                if (0.0..event.lost[kind]).contains(&since) {
+                    continue;
+                }
+                let step = if kind == 0 { event.imu } else { event.camera };
+                let stamp = 100.0 + t + if since >= 0.0 { step } else { 0.0 };
+                let delay = if kind > 0 && since >= 0.0 { event.delay[kind - 1] } else { 0.0 };
+                let mut arrives = t + latency + delay;
+                if (0.0..event.stall).contains(&since) {
+                    arrives = 2.0 + event.stall + 1e-3 * kind as f64 + 1e-6 * k as f64;
+                }
+                messages.push((arrives, kind, stamp));
+            }
+        }
+        messages.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (mut steps, mut result) = (ClockSteps::default(), Vec::new());
+        let mut last: Option<f64> = None;
+        for (_, kind, stamp) in messages {
+            let at = Stamp::from_nanos((stamp * 1e9) as i64);
+            if kind == 0 {
+                let jump = last.replace(stamp).map_or(0.0, |last| stamp - last - 0.01);
+                steps.imu(at, jump, 0.0);
+            } else {
+                let source = if kind == 1 { Source::Image } else { Source::Encoders };
+                result.extend(steps.other(source, at, 0.0).map(|step| step.by));
+            }
+        }
+        result
+    }
+
+    #[test]
+    fn a_clock_that_steps_alone_is_found_with_its_step() {
+        for by in [-0.5, -0.2, -0.08, 0.08, 0.2, 0.5] {
+            for event in [
+                Event { imu: by, ..Event::default() },
+                Event { camera: -by, ..Event::default() },
+            ] {
+                let found = found(event);
+                assert!(found.len() == 1 && (found[0] - by).abs() < 0.01, "{by}: {found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn losses_stalls_delays_and_steps_of_all_clocks_are_no_step() {
+        for t in [0.1, 0.3, 0.9] {
+            for event in [
+                Event { lost: [t, 0.0, 0.0], ..Event::default() },
+                Event { lost: [0.0, t, 0.0], ..Event::default() },
+                Event { lost: [0.0, 0.0, t], ..Event::default() },
+                Event { lost: [t; 3], ..Event::default() },
+                Event { stall: t, ..Event::default() },
+                Event { stall: t, lost: [t, 0.0, 0.0], ..Event::default() },
+                Event { delay: [t, 0.0], ..Event::default() },
+                Event { delay: [t; 2], ..Event::default() },
+                Event { delay: [t, 0.0], lost: [t, 0.0, 0.0], ..Event::default() },
+                Event { imu: t, camera: t, ..Event::default() },
+                Event { imu: -t, camera: -t, ..Event::default() },
+            ] {
+                let found = found(event);
+                assert!(found.is_empty(), "{t}: {found:?}");
+            }
+        }
+    }
+}
