@@ -11,6 +11,7 @@ use crate::{
         lock_out::{Response, SUSPECT},
         sanity,
     },
+    initialization::from_image,
     measurements::{
         Outcome,
         markers::{ATTITUDE_KNOWN, Image, ImageInnovation},
@@ -42,6 +43,9 @@ const ROTATION_SHARE: f64 = 0.3;
 /// Largest distance (m) and angle (rad) by which a shock moves the platform from one image to the
 /// next. Markers that contradict by more are false more often than true.
 const LARGEST_SHOCK: (f64, f64) = (0.2, 0.1);
+/// Density of the angular velocity's process noise, (rad/s)²/Hz, above which the IMU does not
+/// propagate the attitude from one image to the next: a gap of 0.15 s, invalid samples, a shock.
+const UNCARRIED: f64 = 0.01;
 /// A time offset that is known worse than this explains a contradiction as well as a shock does, s,
 /// where the velocity is known to this, m/s.
 pub(super) const OFFSET_KNOWN: f64 = 0.01;
@@ -137,6 +141,9 @@ impl Filter {
         let (Some(entry), Some(geometry)) = (self.history.get(place), &self.setup.geometry) else {
             return false;
         };
+        if entry.noise.rate > UNCARRIED && from_image::is_mirrored(geometry, &entry.state, image) {
+            return self.reinitialize(stamp, image, stamp, false);
+        }
         let at = entry.stamp;
         // While the time offset is unknown, it contradicts a platform that sets off; the IMU
         // carries a state that it knows well until the offset is found.

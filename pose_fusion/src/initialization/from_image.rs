@@ -41,6 +41,8 @@ const LARGEST_COST: f64 = 40.0;
 /// Largest squared misfit of four markers that fit together: χ² quantile (0.9999) of 2 degrees of
 /// freedom.
 const LARGEST_MISFIT: f64 = 18.42;
+/// A pose that fits worse than another by this (χ², 5 sigma) is not the right one.
+const CLEAR: f64 = 25.0;
 /// Initial position and attitude uncertainty, m and rad: so wide that the image decides.
 const OPEN: [f64; 2] = [2.0, 1.0];
 
@@ -221,6 +223,26 @@ pub fn candidates(
     let more =
         Matrix2::identity() * variance * (geometry.camera.focal_lengths().x / distance).powi(2);
     solve(&pixels.map(|p| p.map(|(pixel, covariance)| (pixel, covariance + more))), tilt)
+}
+
+/// Returns whether four markers reject the pose that `state` is nearest to in favor of another.
+///
+/// A planar target seen from above has two poses that differ by a mirrored tilt (Schweighofer and
+/// Pinz 2006). Where no IMU measures the rotation of a swing, a filter may follow the wrong one.
+pub fn is_mirrored(geometry: &Geometry, state: &State, image: &Image) -> bool {
+    if image.detected() < 4 {
+        return false;
+    }
+    let found = candidates(geometry, &state.calibration, &image.pixels(), None);
+    let [best, others @ ..] = found.as_slice() else { return false };
+    let world_from_camera = image.rest.join(&state.climber) * geometry.climber_from_camera;
+    let away = |pose: &PlanarPose| {
+        let seen = world_from_camera * pose.camera_from_volant * geometry.volant_from_imu;
+        seen.rotation.angle_to(&state.attitude)
+    };
+    let nearer = |other: &&PlanarPose| away(other) < away(best);
+    best.cost < LARGEST_COST
+        && others.iter().find(nearer).is_some_and(|other| other.cost - best.cost > CLEAR)
 }
 
 /// Returns a state with the climber as its encoders have it and everything else as unknown as the
