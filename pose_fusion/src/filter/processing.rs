@@ -17,7 +17,10 @@ use crate::{
         markers::{ATTITUDE_KNOWN, Image, ImageInnovation},
     },
     output::Warning,
-    timeline::repropagation::{self, Context, Step},
+    timeline::{
+        history::Event,
+        repropagation::{self, Context, Step},
+    },
 };
 use nalgebra::Vector3;
 use rig_model::Stamp;
@@ -63,7 +66,7 @@ impl Filter {
     pub(super) fn process(&mut self) {
         let Some(end) = self.arrival.end() else { return };
         while let Some((place, step)) = self.step(end) {
-            let Some(entry) = self.history.get(place) else { return };
+            let Some(entry) = self.history.get_mut(place) else { return };
             let at = entry.stamp;
             if let Some(what) = sanity::violation(&entry.state, &self.setup.config) {
                 self.publisher.warn(Warning::Diverged { stamp: at, what });
@@ -71,19 +74,22 @@ impl Filter {
                 self.lock_out.responded(at);
                 return self.reset_estimate();
             }
-            let done = match step {
-                Step::Inertial => false,
-                Step::Encoders { innovation, excluded, fresh } => {
+            let done = match (step, &mut entry.event) {
+                (Step::Encoders(innovation), Event::Encoders { excluded, fresh, .. }) => {
+                    let (excluded, fresh) = (*excluded, std::mem::take(fresh));
                     self.on_encoders(place, at, &innovation, excluded, fresh)
                 }
-                Step::Image { stamp, image, record, fresh: true, smoothing } => {
-                    self.imu.note_smoothing(smoothing);
-                    self.on_image(place, stamp, &image, &record)
+                (Step::Image(record, smoothing), Event::Image { image, stamp, fresh }) => {
+                    let (image, stamp) = (*image, *stamp);
+                    if std::mem::take(fresh) {
+                        self.imu.note_smoothing(smoothing);
+                        self.on_image(place, stamp, &image, &record)
+                    } else {
+                        self.markers.shake.corrected(stamp, &record);
+                        false
+                    }
                 }
-                Step::Image { stamp, record, .. } => {
-                    self.markers.shake.corrected(stamp, &record);
-                    false
-                }
+                _ => false,
             };
             if done {
                 return;

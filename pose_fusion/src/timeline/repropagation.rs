@@ -12,7 +12,7 @@ use crate::{
         Innovation,
         encoders::{self, CONTRADICTION},
         geometry::{ClimberRest, Geometry},
-        markers::{self, Image, ImageInnovation},
+        markers::{self, ImageInnovation},
         rope::{self, Rope},
         zero_velocity,
     },
@@ -39,7 +39,7 @@ pub struct Context<'a> {
     pub frozen: bool,
 }
 
-/// What a step processed.
+/// What became of the event that a step processed.
 #[derive(Clone, Debug)]
 #[expect(
     clippy::large_enum_variant,
@@ -48,32 +48,14 @@ pub struct Context<'a> {
 pub enum Step {
     /// IMU sample, or a state that was set.
     Inertial,
-    /// Image.
-    Image {
-        /// Stamp of the image, camera time.
-        stamp: Stamp,
-        /// Markers.
-        image: Image,
-        /// Records.
-        record: ImageInnovation,
-        /// Processed for the first time.
-        fresh: bool,
-        /// Half the width of the mean that its motion is, s.
-        smoothing: f64,
-    },
-    /// Encoder reading.
-    Encoders {
-        /// Innovation before the update.
-        innovation: Innovation<3>,
-        /// It was not used.
-        excluded: bool,
-        /// Processed for the first time.
-        fresh: bool,
-    },
+    /// Image: its records, and half the width of the mean that its motion is, s.
+    Image(ImageInnovation, f64),
+    /// Encoder reading: its innovation before the update.
+    Encoders(Innovation<3>),
 }
 
-/// Processes the next event up to `end`. Returns its place and what it was; `None` where nothing is
-/// left.
+/// Processes the next event up to `end`. Returns its place and what became of it; `None` where
+/// nothing is left.
 ///
 /// An encoder reading that contradicts the state is not applied: the caller decides and rewinds, or
 /// excludes it.
@@ -82,54 +64,51 @@ pub fn step(history: &mut History, context: &Context<'_>, end: Stamp) -> Option<
     if history.get(place).is_none_or(|n| n.stamp > end) {
         return None;
     }
-    let drive = Drive::of(history, place);
+    let (source, imu_noise) =
+        source(history, place).unwrap_or((Source::Uniform, Densities::default()));
     let is_image = matches!(history.get(place)?.event, Event::Image { .. });
     let smoothed = if is_image { history.motion(place) } else { None };
-    let smoothing = smoothed.map_or(0.0, |(_, half_width)| half_width);
     let (from, to) = history.step(place)?;
     let gravity = context.config.gravity;
     let dt = to.stamp.seconds_since(from.stamp);
     to.state.clone_from(&from.state);
     let mut noise = context.noise;
-    (noise.force, noise.rate) = (drive.noise.force, drive.noise.rate);
-    let is_imu = matches!(to.event, Event::Imu { .. });
-    let start = match drive.source {
+    (noise.force, noise.rate) = (imu_noise.force, imu_noise.rate);
+    let reading = match source {
         Source::Uniform => {
-            let uniform = ImuReading::of_uniform_motion(&from.state, gravity);
-            if !is_imu {
-                to.reading = uniform;
-            }
             noise = dropout::blind(&noise);
-            to.motion = to.reading.into();
-            (uniform, uniform)
+            ImuReading::of_uniform_motion(&from.state, gravity)
         }
         Source::Held { reading, seconds } => {
-            if !is_imu {
-                to.reading = reading;
-            }
             noise = dropout::extrapolated(&noise, seconds);
-            to.motion = to.reading.into();
-            (reading, reading)
+            reading
         }
         Source::Interpolated { share, next, gap } => {
-            if !is_imu {
-                to.reading = from.reading.lerp(&next, share);
-            }
             if let Some(seconds) = gap {
                 noise = dropout::interpolated(&noise, seconds);
             }
-            to.motion = smoothed.map_or(to.reading.into(), |(motion, _)| motion);
-            let Densities { force, rate } = context.noise_of_changes;
-            noise.change = to.motion.change_since(&from.motion, [force, rate]);
-            (from.reading, to.reading)
+            from.reading.lerp(&next, share)
         }
+    };
+    if !matches!(to.event, Event::Imu { .. }) {
+        to.reading = reading;
+    }
+    to.motion = to.reading.into();
+    let (start, end) = if let Source::Interpolated { .. } = source {
+        to.motion = smoothed.map_or(to.motion, |(motion, _)| motion);
+        let Densities { force, rate } = context.noise_of_changes;
+        noise.change = to.motion.change_since(&from.motion, [force, rate]);
+        (from.reading, to.reading)
+    } else {
+        (reading, reading)
     };
     context.disturbances.add_to(&mut noise, to.stamp);
     to.noise = noise;
-    propagate(&mut to.state, &start.0, &start.1, dt, gravity, &noise);
+    propagate(&mut to.state, &start, &end, dt, gravity, &noise);
     let unseen = from.unseen;
     to.unseen = unseen + dt;
-    let blind = !matches!(drive.source, Source::Interpolated { gap: None, .. });
+    let blind = !matches!(source, Source::Interpolated { gap: None, .. });
+    let smoothing = smoothed.map_or(0.0, |(_, half_width)| half_width);
     let step = apply(to, unseen, blind, smoothing, context);
     history.set_processed(place + 1);
     Some((place, step))
@@ -159,37 +138,26 @@ fn apply(
             }
             Step::Inertial
         }
-        Event::Image { image, stamp, fresh } => {
+        Event::Image { image, .. } => {
             let (gate, geometry, apply) = (config.markers.gate, context.geometry, !context.frozen);
             let record = markers::update(state, geometry, image, reading, gate, gravity, apply);
             if apply && record.used > 0 {
                 *still_unseen = 0.0;
             }
-            Step::Image {
-                stamp: *stamp,
-                image: *image,
-                record,
-                fresh: std::mem::take(fresh),
-                smoothing,
-            }
+            Step::Image(record, smoothing)
         }
-        Event::Encoders { reading: encoder, excluded, fresh } => {
+        Event::Encoders { reading: encoder, excluded, .. } => {
             let offset = config.clock.climber_offset;
             let innovation = encoders::innovation(state, encoder, offset);
             if !*excluded && innovation.nis <= CONTRADICTION {
                 encoders::update(state, encoder, reading, offset, gravity);
             }
-            Step::Encoders { innovation, excluded: *excluded, fresh: std::mem::take(fresh) }
+            Step::Encoders(innovation)
         }
     }
 }
 
-/// Where the readings of a step come from, and the IMU's noise in it.
-struct Drive {
-    source: Source,
-    noise: Densities,
-}
-
+/// Where the readings of a step come from.
 enum Source {
     /// No IMU sample within reach: uniform motion.
     Uniform,
@@ -199,30 +167,25 @@ enum Source {
     Interpolated { share: f64, next: ImuReading, gap: Option<f64> },
 }
 
-impl Drive {
-    fn of(history: &History, place: usize) -> Self {
-        let uniform = Self { source: Source::Uniform, noise: Default::default() };
-        let (Some(last), Some(entry)) = (history.last_imu(place), history.get(place)) else {
-            return uniform;
-        };
-        let Some(next) = history.next_imu(place) else { return uniform };
-        let Event::Imu { noise, .. } = next.event else { return uniform };
-        let Some(before) = place.checked_sub(1).and_then(|p| history.get(p)) else {
-            return uniform;
-        };
-        let gap = next.stamp.seconds_since(last.stamp);
-        if gap > INTERPOLATED {
-            let seconds = next.stamp.seconds_since(before.stamp);
-            let held = Source::Held { reading: next.reading, seconds };
-            return Self { source: if seconds < HELD { held } else { Source::Uniform }, noise };
-        }
-        let span = next.stamp.seconds_since(before.stamp);
+/// Returns where the readings of the step to a place come from, and the IMU's noise in it; `None`
+/// without an IMU sample behind the place.
+fn source(history: &History, place: usize) -> Option<(Source, Densities)> {
+    let (last, next) = (history.last_imu(place)?, history.next_imu(place)?);
+    let Event::Imu { noise, .. } = next.event else { return None };
+    let (before, entry) = (history.get(place.checked_sub(1)?)?, history.get(place)?);
+    let gap = next.stamp.seconds_since(last.stamp);
+    let span = next.stamp.seconds_since(before.stamp);
+    let source = if gap <= INTERPOLATED {
         let share = if span > 0.0 { entry.stamp.seconds_since(before.stamp) / span } else { 0.0 };
-        let source = Source::Interpolated {
+        Source::Interpolated {
             share: share.clamp(0.0, 1.0),
             next: next.reading,
             gap: (gap > GAP).then_some(gap),
-        };
-        Self { source, noise }
-    }
+        }
+    } else if span < HELD {
+        Source::Held { reading: next.reading, seconds: span }
+    } else {
+        Source::Uniform
+    };
+    Some((source, noise))
 }
