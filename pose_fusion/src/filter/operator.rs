@@ -6,7 +6,7 @@ use crate::{
     health::sanity,
     initialization::{
         checkpoint::{Checkpoint, Refusal},
-        from_image::{self, ClimberPrior, INITIAL_VELOCITY},
+        from_image::{self, INITIAL_VELOCITY},
     },
     output::PoseEstimate,
     timeline::arrival::AHEAD,
@@ -99,8 +99,7 @@ impl Filter {
                 state
             }
             (None, Some(climber)) => {
-                let mut state =
-                    from_image::unknown(&self.setup.config, &ClimberPrior::from_readings(&climber));
+                let mut state = from_image::unknown(&self.setup.config, &climber);
                 state.time_offset = self.time_offset();
                 state.calibration = self.calibration();
                 state

@@ -6,12 +6,11 @@ use crate::{
     ekf::{
         calibration::Calibration,
         propagation::ImuReading,
-        state::{ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, State, TIME_OFFSET},
+        state::{
+            ACCELEROMETER_BIAS, ATTITUDE, CLIMBER, CLIMBER_RATE, GYROSCOPE_BIAS, State, TIME_OFFSET,
+        },
     },
-    initialization::{
-        from_image::{self, ClimberPrior},
-        time_offset::TimeOffset,
-    },
+    initialization::{from_image, time_offset::TimeOffset},
     input::{
         climber_track::ClimberAt,
         imu::{SWING_TILT, Up},
@@ -196,9 +195,8 @@ impl Filter {
         image.shake = self.markers.shake.variance().map(|v| v as f32).into();
         let up = up.or_else(|| self.imu.force_up_at(at, &self.history));
         let ups = [self.imu.own_up_at(at), up];
-        let prior = ClimberPrior::from_readings(&climber);
         let known = self.calibration();
-        let Some(start) = self.likeliest_start(at, &image, ups, &prior, &known) else {
+        let Some(start) = self.likeliest_start(at, &image, ups, &climber, &known) else {
             return self.publisher.reject(stamp, pixels, Outcome::Inconsistent);
         };
         self.publisher.record(stamp, &start.record, false);
@@ -221,7 +219,7 @@ impl Filter {
         at: Stamp,
         image: &Image,
         ups: [Option<Up>; 2],
-        climber: &ClimberPrior,
+        climber: &ClimberAt,
         known: &Calibration,
     ) -> Option<from_image::Start> {
         let (geometry, config) = (self.setup.geometry.as_ref()?, &self.setup.config);
@@ -301,9 +299,16 @@ impl Filter {
         let ups = ups.map(|up| up.filter(|_| uses_up));
         // What contradicted the images has moved the climber of the state, too.
         let trusted = (!self.trust.is_suspended()).then(|| self.climber_at(stamp)).flatten();
-        let prior = trusted
-            .map_or_else(|| ClimberPrior::from_state(&old), |at| ClimberPrior::from_readings(&at));
-        let Some(start) = self.likeliest_start(at, &image, ups, &prior, &old.calibration) else {
+        let climber = trusted.unwrap_or_else(|| ClimberAt {
+            values: old.climber,
+            rates: old.climber_rate,
+            noise: Vector3::zeros(),
+            growth: old.sigmas(CLIMBER),
+            rate_sigmas: old.sigmas(CLIMBER_RATE),
+            distance: 0.0,
+            rest: image.rest,
+        });
+        let Some(start) = self.likeliest_start(at, &image, ups, &climber, &old.calibration) else {
             return false;
         };
         self.markers.raise_noise(start.noise_factor);

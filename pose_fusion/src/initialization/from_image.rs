@@ -57,42 +57,6 @@ pub struct Start {
     pub noise_factor: f64,
 }
 
-/// Climber at the image with the uncertainty that an initial state is given.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ClimberPrior {
-    /// x, y (m) and turn (rad).
-    pub values: Vector3<f64>,
-    /// Their rates.
-    pub rates: Vector3<f64>,
-    /// Standard deviations of the values.
-    pub sigmas: Vector3<f64>,
-    /// Standard deviations of the rates.
-    pub rate_sigmas: Vector3<f64>,
-}
-
-impl ClimberPrior {
-    /// Returns the prior from encoder readings: an encoder that only quantizes is off by its step
-    /// at most.
-    pub fn from_readings(at: &ClimberAt) -> Self {
-        Self {
-            values: at.values,
-            rates: at.rates,
-            sigmas: at.noise * 12f64.sqrt() + at.growth,
-            rate_sigmas: at.rate_sigmas,
-        }
-    }
-
-    /// Returns the prior from a state.
-    pub fn from_state(state: &State) -> Self {
-        Self {
-            values: state.climber,
-            rates: state.climber_rate,
-            sigmas: state.sigmas(CLIMBER),
-            rate_sigmas: state.sigmas(CLIMBER_RATE),
-        }
-    }
-}
-
 /// Returns the most likely initial state that the image allows, with the constants that are known;
 /// `None` where its markers fit no pose. Markers that fit one but for some millimeters count as
 /// noisier than they claim by as much: an error of their places stays, and is found from more
@@ -102,7 +66,7 @@ pub fn start(
     config: &TightConfig,
     image: &Image,
     up: Option<&Up>,
-    climber: &ClimberPrior,
+    climber: &ClimberAt,
     calibration: &Calibration,
 ) -> Option<Start> {
     let misfit = match attempt(geometry, config, image, up, climber, calibration) {
@@ -126,7 +90,7 @@ fn attempt(
     config: &TightConfig,
     image: &Image,
     up: Option<&Up>,
-    climber: &ClimberPrior,
+    climber: &ClimberAt,
     calibration: &Calibration,
 ) -> Result<Start, Option<Box<Misfit>>> {
     let world_from_climber = image.rest.join(&climber.values);
@@ -247,14 +211,14 @@ pub fn is_mirrored(geometry: &Geometry, state: &State, image: &Image) -> bool {
 
 /// Returns a state with the climber as its encoders have it and everything else as unknown as the
 /// configuration says.
-pub fn unknown(config: &TightConfig, climber: &ClimberPrior) -> State {
+pub fn unknown(config: &TightConfig, climber: &ClimberAt) -> State {
     let mut state = State::zero();
     state.climber = climber.values;
     state.climber_rate = climber.rates;
     state.set_sigmas(VELOCITY, &INITIAL_VELOCITY.into());
     state.set_sigmas(ACCELEROMETER_BIAS, &Vector3::repeat(config.imu.accelerometer_bias));
     state.set_sigmas(GYROSCOPE_BIAS, &Vector3::repeat(config.imu.gyroscope_bias));
-    state.set_sigmas(CLIMBER, &climber.sigmas);
+    state.set_sigmas(CLIMBER, &climber.sigmas());
     state.set_sigmas(CLIMBER_RATE, &climber.rate_sigmas);
     state.set_sigmas(CLIMBER_ACCELERATION, &ACCELERATION.into());
     state.set_sigma(TIME_OFFSET, config.clock.camera_sigma.min(LINEAR_OFFSET));

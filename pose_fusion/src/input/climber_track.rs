@@ -51,6 +51,14 @@ pub struct ClimberAt {
     pub rest: ClimberRest,
 }
 
+impl ClimberAt {
+    /// Returns the standard deviations of the values, m, m, rad: an encoder that only quantizes is
+    /// off by its step at most.
+    pub fn sigmas(&self) -> Vector3<f64> {
+        self.noise * 12f64.sqrt() + self.growth
+    }
+}
+
 /// The newest readings in the order of their stamps, with the noise and jerk identified from them.
 #[derive(Clone, Debug)]
 pub struct ClimberTrack {
