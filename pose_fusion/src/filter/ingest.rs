@@ -197,23 +197,16 @@ impl Filter {
     /// Processes again what was interpolated over the place of a new IMU sample, or followed without
     /// it: back to the sample before.
     fn interpolate_again(&mut self, place: usize) {
-        let mut from = place;
-        while from > 1
-            && self
-                .history
-                .get(from - 1)
-                .is_some_and(|n| !matches!(n.event, Event::Imu { .. } | Event::Set))
-        {
-            from -= 1;
-        }
-        self.history.rewind(from);
+        let measured = |n: &&Entry| !matches!(n.event, Event::Imu { .. } | Event::Set);
+        let between = self.history.before(place).take_while(measured).count();
+        self.history.rewind(place - between);
     }
 
     fn late_imu(&mut self, sample: &ImuSample, reading: ImuReading) {
         let stamp = sample.stamp;
         let place = self.history.place_of(stamp);
         let before = place.checked_sub(1).and_then(|p| self.history.get(p));
-        let same = before.filter(|n| n.stamp == stamp && matches!(n.event, Event::Imu { .. }));
+        let same = before.filter(|n| n.stamp == stamp && n.is_imu());
         if same.is_some_and(|n| n.reading == reading) {
             return self.publisher.refuse(Warning::Duplicate { from: Source::Imu, stamp });
         }
@@ -238,8 +231,7 @@ impl Filter {
 
     /// Whether the IMU samples around a place are so far apart that one is missing between them.
     fn fills_gap(&self, place: usize) -> bool {
-        let is_imu = |entry: &&Entry| matches!(entry.event, Event::Imu { .. });
-        let before = (0..place).rev().filter_map(|p| self.history.get(p)).find(is_imu);
+        let before = self.history.before(place).find(|entry| entry.is_imu());
         let interval = before.zip(self.history.next_imu(place));
         interval.is_some_and(|(b, a)| a.stamp.seconds_since(b.stamp) > FILLED * self.imu.period())
     }

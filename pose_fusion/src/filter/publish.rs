@@ -20,7 +20,7 @@ use crate::{
     },
     timeline::{
         arrival::{JUMP, Source},
-        history::{Entry, Event},
+        history::Entry,
     },
 };
 use rig_model::{PerColor, Rig, Stamp, topics};
@@ -386,8 +386,7 @@ impl Filter {
         let end = entries.last().map_or(Stamp::default(), |e| e.stamp).plus_seconds(-lag);
         let ready = entries.iter().take_while(|e| e.stamp <= end).count();
         let settings = self.settings();
-        let is_imu = |e: &Entry| matches!(e.event, Event::Imu { .. });
-        let smoothed = entries.iter().zip(&states).take(ready).filter(|(entry, _)| is_imu(entry));
+        let smoothed = entries.iter().zip(&states).take(ready).filter(|(e, _)| e.is_imu());
         let smoothed = smoothed
             .map(|(entry, state)| odometry(entry.stamp, state, &entry.reading, geometry, &settings))
             .collect();

@@ -175,10 +175,7 @@ impl Filter {
     ) {
         let time_offset = self.time_offset();
         let at = stamp.plus_seconds(time_offset);
-        let is_imu_before = |e: &crate::timeline::history::Entry| {
-            matches!(e.event, Event::Imu { .. }) && e.stamp <= at
-        };
-        let measured = absent || self.history.iter().any(is_imu_before);
+        let measured = absent || self.history.iter().any(|e| e.is_imu() && e.stamp <= at);
         let Some(climber) = self.climber_at(stamp) else {
             return self.publisher.reject(stamp, pixels, Outcome::NotInitialized);
         };
@@ -257,7 +254,7 @@ impl Filter {
         let place = self.history.place_of(at);
         let before = place.checked_sub(1).and_then(|p| self.history.get(p));
         let reading = match (before, self.history.next_imu(place)) {
-            (Some(before), Some(next)) if matches!(before.event, Event::Imu { .. }) => {
+            (Some(before), Some(next)) if before.is_imu() => {
                 let span = next.stamp.seconds_since(before.stamp);
                 let share = if span > 0.0 { at.seconds_since(before.stamp) / span } else { 0.0 };
                 before.reading.lerp(&next.reading, share.clamp(0.0, 1.0))

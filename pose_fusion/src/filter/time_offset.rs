@@ -230,8 +230,8 @@ impl Filter {
             kept.set_sigma(TIME_OFFSET, sigma.max(OFFSET_SIGMA[0]));
             kept
         });
-        let is_imu = |entry: &&Entry| matches!(entry.event, Event::Imu { .. });
-        let oldest = self.history.iter().find(is_imu).map_or(Stamp::default(), |e| e.stamp);
+        let oldest = self.history.iter().find(|entry| entry.is_imu());
+        let oldest = oldest.map_or(Stamp::default(), |entry| entry.stamp);
         let first = self.history.iter().find_map(|entry| match &entry.event {
             Event::Image { image, stamp, .. }
                 if image.detected() >= 3 && stamp.plus_seconds(found.offset) >= oldest =>

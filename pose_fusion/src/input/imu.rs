@@ -12,7 +12,7 @@ use crate::{
     input::imu_stamps::{Bursts, ImuStamps},
     timeline::{
         clock_step::ClockSteps,
-        history::{Event, History},
+        history::{Entry, Event, History},
     },
 };
 use nalgebra::{UnitQuaternion, Vector3};
@@ -238,10 +238,8 @@ impl ImuInput {
 
 /// Mean specific force around an instant, IMU axes, m/s².
 fn mean_force(stamp: Stamp, history: &History) -> Option<Vector3<f64>> {
-    let near = history.iter().filter(|entry| {
-        matches!(entry.event, Event::Imu { .. })
-            && entry.stamp.seconds_since(stamp).abs() < MEAN_FORCE
-    });
+    let is_near = |entry: &Entry| entry.stamp.seconds_since(stamp).abs() < MEAN_FORCE;
+    let near = history.iter().filter(|entry| entry.is_imu() && is_near(entry));
     let (count, sum) = near.fold((0.0, Vector3::zeros()), |(count, sum), entry| {
         (count + 1.0, sum + entry.reading.specific_force)
     });

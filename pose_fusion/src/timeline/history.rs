@@ -76,12 +76,19 @@ pub struct Entry {
     pub unseen: f64,
 }
 
+impl Entry {
+    /// Returns whether the event is an IMU sample.
+    pub fn is_imu(&self) -> bool {
+        matches!(self.event, Event::Imu { .. })
+    }
+}
+
 /// Entries in the order of time.
 #[derive(Clone, Debug, Default)]
 pub struct History {
-    store: Vec<Entry>,
-    free: Vec<usize>,
-    order: VecDeque<usize>,
+    entries: VecDeque<Box<Entry>>,
+    /// Entries that are reused: nothing is allocated once the history is as long as configured.
+    free: Vec<Box<Entry>>,
     processed: usize,
     overflows: u64,
 }
@@ -90,19 +97,19 @@ pub struct History {
 impl History {
     /// Removes all entries.
     pub fn clear(&mut self) {
-        self.free.extend(self.order.drain(..));
+        self.free.extend(self.entries.drain(..));
         self.processed = 0;
     }
 
     /// Returns the number of entries.
     pub fn len(&self) -> usize {
-        self.order.len()
+        self.entries.len()
     }
 
-    /// Returns whether more than half of the store is in use: encoder readings that nothing
+    /// Returns whether more than half of the capacity is in use: encoder readings that nothing
     /// processes must not push out the newest state.
     pub fn is_crowded(&self) -> bool {
-        self.order.len() > CAPACITY / 2
+        self.entries.len() > CAPACITY / 2
     }
 
     /// Returns how many of the first entries hold a valid state.
@@ -112,7 +119,7 @@ impl History {
 
     /// Sets how many of the first entries hold a valid state.
     pub fn set_processed(&mut self, processed: usize) {
-        self.processed = processed.min(self.order.len());
+        self.processed = processed.min(self.entries.len());
     }
 
     /// Marks everything from `place` on as to be processed again. The first entry always keeps its
@@ -128,12 +135,12 @@ impl History {
 
     /// Returns the entry at a place.
     pub fn get(&self, place: usize) -> Option<&Entry> {
-        self.order.get(place).and_then(|&i| self.store.get(i))
+        self.entries.get(place).map(|entry| &**entry)
     }
 
     /// Returns the entry at a place, mutable.
     pub fn get_mut(&mut self, place: usize) -> Option<&mut Entry> {
-        self.order.get(place).and_then(|&i| self.store.get_mut(i))
+        self.entries.get_mut(place).map(|entry| &mut **entry)
     }
 
     /// Returns the newest entry with a valid state.
@@ -143,61 +150,63 @@ impl History {
 
     /// Returns the entries in the order of time.
     pub fn iter(&self) -> impl DoubleEndedIterator<Item = &Entry> + ExactSizeIterator {
-        self.order.iter().map(|&i| &self.store[i])
+        self.entries.iter().map(|entry| &**entry)
+    }
+
+    /// Returns the entries before a place, the newest first.
+    pub fn before(&self, place: usize) -> impl Iterator<Item = &Entry> {
+        self.entries.range(..place.min(self.len())).rev().map(|entry| &**entry)
+    }
+
+    /// Returns the IMU samples at and behind a place.
+    fn imu_from(&self, place: usize) -> impl DoubleEndedIterator<Item = &Entry> {
+        let entries = self.entries.range(place.min(self.len())..);
+        entries.map(|entry| &**entry).filter(|entry| entry.is_imu())
     }
 
     /// Returns the place of an event at this stamp: behind all that are not later.
     pub fn place_of(&self, stamp: Stamp) -> usize {
-        let mut place = self.order.len();
-        while place > 0 && self.get(place - 1).is_some_and(|n| n.stamp > stamp) {
-            place -= 1;
-        }
-        place
+        self.len() - self.iter().rev().take_while(|entry| entry.stamp > stamp).count()
     }
 
     /// Inserts an event and returns its place. Everything from there on is to be processed (again);
-    /// where the store is full the oldest entry is dropped and counted.
+    /// where the history is full the oldest entry is dropped and counted.
     pub fn insert(&mut self, stamp: Stamp, event: Event, reading: ImuReading) -> usize {
-        if self.free.is_empty() {
-            if self.store.len() < CAPACITY {
-                self.free.push(self.store.len());
-                let (noise, state) = (ProcessNoise::default(), State::zero());
-                let (event, motion) = (Event::Set, Motion::from(reading));
-                self.store.push(Entry { stamp, event, reading, motion, noise, state, unseen: 0.0 });
-            } else {
-                self.overflows += 1;
-                self.drop_first();
-            }
+        if self.len() == CAPACITY {
+            self.overflows += 1;
+            self.drop_first();
         }
         let place = self.place_of(stamp);
-        if let Some(slot) = self.free.pop() {
-            if let Some(entry) = self.store.get_mut(slot) {
-                entry.stamp = stamp;
-                entry.event = event;
-                entry.unseen = 0.0;
-                entry.reading = reading;
-                entry.motion = reading.into();
+        let motion = reading.into();
+        let entry = match self.free.pop() {
+            Some(mut entry) => {
+                (entry.stamp, entry.event, entry.unseen) = (stamp, event, 0.0);
+                (entry.reading, entry.motion) = (reading, motion);
+                entry
             }
-            self.order.insert(place, slot);
-            self.processed = self.processed.min(place);
-        }
+            None => {
+                let (noise, state) = (ProcessNoise::default(), State::zero());
+                Box::new(Entry { stamp, event, reading, motion, noise, state, unseen: 0.0 })
+            }
+        };
+        self.entries.insert(place, entry);
+        self.processed = self.processed.min(place);
         place
     }
 
     /// Removes the oldest entry.
     pub fn drop_first(&mut self) {
-        if let Some(slot) = self.order.pop_front() {
-            self.free.push(slot);
+        if let Some(entry) = self.entries.pop_front() {
+            self.free.push(entry);
             self.processed = self.processed.saturating_sub(1);
         }
     }
 
     /// Returns the entries at `place - 1` and `place`, for a step from one to the other.
     pub fn step(&mut self, place: usize) -> Option<(&Entry, &mut Entry)> {
-        let from = *self.order.get(place.checked_sub(1)?)?;
-        let to = *self.order.get(place)?;
-        let [from, to] = self.store.get_disjoint_mut([from, to]).ok()?;
-        Some((from, to))
+        let places = [place.checked_sub(1)?, place];
+        let [from, to] = self.entries.make_contiguous().get_disjoint_mut(places).ok()?;
+        Some((&**from, &mut **to))
     }
 
     /// Returns place and stamp of the `count`-th encoder reading before a place, of the oldest
@@ -214,9 +223,7 @@ impl History {
 
     /// Returns the next IMU sample at or behind a place.
     pub fn next_imu(&self, place: usize) -> Option<&Entry> {
-        (place..self.order.len())
-            .filter_map(|i| self.get(i))
-            .find(|n| matches!(n.event, Event::Imu { .. }))
+        self.imu_from(place).next()
     }
 
     /// Returns the motion at an entry with less noise than a single reading, and half the width of
@@ -226,12 +233,11 @@ impl History {
     /// noise in common with the attitude that they were integrated to.
     pub fn motion(&self, place: usize) -> Option<(Motion, f64)> {
         let at = self.get(place)?.stamp;
-        let imu = |p: &usize| self.get(*p).filter(|entry| matches!(entry.event, Event::Imu { .. }));
         let distance = |entry: &Entry| entry.stamp.seconds_since(at);
-        let newest = (place..self.order.len()).rev().find_map(|p| imu(&p))?;
+        let newest = self.imu_from(place).next_back()?;
         let half = SMOOTHING.min(distance(newest));
-        let before = (0..place).rev().filter_map(|p| imu(&p));
-        let after = (place..self.order.len()).filter_map(|p| imu(&p));
+        let before = self.before(place).filter(|entry| entry.is_imu());
+        let after = self.imu_from(place);
         let near = |entry: &&Entry| distance(entry).abs() < half;
         let mut sum = ImuReading::default();
         let (mut weights, mut sides) = (0.0, [0; 2]);
@@ -251,8 +257,7 @@ impl History {
 
     /// Returns the last IMU sample, or set state, before a place.
     pub fn last_imu(&self, place: usize) -> Option<&Entry> {
-        let measured = |n: &&Entry| matches!(n.event, Event::Imu { .. } | Event::Set);
-        (0..place).rev().filter_map(|p| self.get(p)).find(measured)
+        self.before(place).find(|entry| matches!(entry.event, Event::Imu { .. } | Event::Set))
     }
 }
 
