@@ -30,13 +30,7 @@ pub fn scalar(
     if !(innovation > 0.0 && residual.is_finite()) {
         return 0.0;
     }
-    let root = gain / innovation.sqrt();
-    for j in 0..N {
-        let scale = root[j];
-        if scale != 0.0 {
-            state.covariance.column_mut(j).axpy(-scale, &root, 1.0);
-        }
-    }
+    subtract_square(&mut state.covariance, &(gain / innovation.sqrt()));
     gain /= innovation;
     state.add(&(gain * residual));
     consider::correct(&mut state.sensitivity, &gain, &(by_state + by_parameter));

@@ -80,8 +80,7 @@ pub fn update(
         let by = by_parameter(axis, reading.values[axis], state.climber_rate[axis]);
         update::scalar(state, &h, residual, reading.variance[axis], &by);
     }
-    let moved = state.time_offset - before;
-    state.shift_time(imu, moved, gravity);
+    state.shift_time(imu, state.time_offset - before, gravity);
 }
 
 /// Returns the derivative of an encoder's value by the consider parameters.

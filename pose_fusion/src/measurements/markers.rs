@@ -22,17 +22,10 @@ use crate::ekf::{
 use nalgebra::{Cholesky, Matrix2, SMatrix, SVector, Vector2};
 
 /// Entries of the error that an image measures.
-pub const SEEN: [usize; 9] = [
-    POSITION,
-    POSITION + 1,
-    POSITION + 2,
-    ATTITUDE,
-    ATTITUDE + 1,
-    ATTITUDE + 2,
-    CLIMBER,
-    CLIMBER + 1,
-    CLIMBER + 2,
-];
+pub const SEEN: [usize; 9] = {
+    let (p, a, c) = (POSITION, ATTITUDE, CLIMBER);
+    [p, p + 1, p + 2, a, a + 1, a + 2, c, c + 1, c + 2]
+};
 /// Two rows per marker.
 pub type Residual = SVector<f64, 8>;
 /// Derivative of the residual's measurement by the entries [`SEEN`].

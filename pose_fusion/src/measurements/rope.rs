@@ -53,20 +53,10 @@ const MEMORY: f64 = 300.0;
 const CORRELATED: f64 = 15.0;
 
 /// Entries of the error that the rope measures.
-const SEEN: [usize; 12] = [
-    POSITION,
-    POSITION + 1,
-    POSITION + 2,
-    ATTITUDE,
-    ATTITUDE + 1,
-    ATTITUDE + 2,
-    ACCELEROMETER_BIAS,
-    ACCELEROMETER_BIAS + 1,
-    ACCELEROMETER_BIAS + 2,
-    CLIMBER,
-    CLIMBER + 1,
-    CLIMBER + 2,
-];
+const SEEN: [usize; 12] = {
+    let (p, a, b, c) = (POSITION, ATTITUDE, ACCELEROMETER_BIAS, CLIMBER);
+    [p, p + 1, p + 2, a, a + 1, a + 2, b, b + 1, b + 2, c, c + 1, c + 2]
+};
 type Jacobian = SMatrix<f64, 3, 12>;
 
 /// Rope as it is assumed.
@@ -187,8 +177,7 @@ impl Rope {
             let h: [(usize, f64); 12] = std::array::from_fn(|k| (SEEN[k], row[k]));
             update::scalar(state, &h, residual, variance, &none);
         }
-        let moved = state.time_offset - offset;
-        state.shift_time(reading, moved, gravity);
+        state.shift_time(reading, state.time_offset - offset, gravity);
         true
     }
 }
