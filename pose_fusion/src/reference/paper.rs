@@ -54,16 +54,17 @@ pub struct Paper {
     heading: Option<f64>,
     velocity: Vector3<f64>,
     moved: Vector3<f64>,
-    state: Option<Estimate>,
+    pub(super) state: Option<Estimate>,
     /// Stamp of the newest image that gave a pose, and its number of markers.
-    last_visual: Option<(Stamp, u8)>,
+    pub(super) last_visual: Option<(Stamp, u8)>,
 }
 
 #[derive(Clone, Debug)]
-struct Estimate {
+pub(super) struct Estimate {
     stamp: Stamp,
     pose: Vector6<f64>,
-    covariance: Matrix6<f64>,
+    /// Of x, y, z, roll, pitch and yaw.
+    pub(super) covariance: Matrix6<f64>,
     imu_rotation: Vector3<f64>,
 }
 
@@ -100,19 +101,12 @@ impl Paper {
     /// Takes in an IMU sample, which waits for the next image. Once the IMU has output its own
     /// attitude, a sample without it is not used.
     pub fn imu(&mut self, sample: &ImuSample) {
-        let finite = sample
-            .specific_force
-            .iter()
-            .chain(sample.angular_velocity.iter())
-            .all(|x| x.is_finite());
-        let attitude = sample
-            .orientation
-            .as_ref()
-            .is_none_or(|o| o.enu_from_imu.coords.iter().all(|x| x.is_finite()));
-        if !(finite && attitude) {
+        let attitude = sample.orientation.iter().flat_map(|o| &o.enu_from_imu.coords);
+        let numbers = sample.specific_force.iter().chain(&sample.angular_velocity).chain(attitude);
+        if !numbers.into_iter().all(|x| x.is_finite()) {
             return;
         }
-        let newest = self.waiting.back().or(self.last_sample.as_ref()).map(|s| s.stamp);
+        let newest = self.newest_imu();
         if newest.is_some_and(|n| n.seconds_since(sample.stamp) > SET_BACK) {
             self.reset();
         } else if newest.is_some_and(|n| n >= sample.stamp) {
@@ -208,16 +202,6 @@ impl Paper {
     /// Whether the attitude is computed here, because the IMU outputs none.
     pub fn computes_attitude(&self) -> bool {
         !self.own_attitude && self.newest_imu().is_some()
-    }
-
-    /// Returns the stamp of the newest image that gave a pose, and its number of markers.
-    pub fn last_visual(&self) -> Option<(Stamp, u8)> {
-        self.last_visual
-    }
-
-    /// Returns the covariance of x, y, z, roll, pitch and yaw; `None` without an estimate.
-    pub fn covariance(&self) -> Option<&Matrix6<f64>> {
-        self.state.as_ref().map(|s| &s.covariance)
     }
 
     /// Returns what the initialization waits for; empty where there is an estimate.

@@ -107,7 +107,7 @@ impl PublishedFilter {
 
     /// Returns counters and insights for diagnostics.
     pub fn status(&self) -> Status {
-        let (image, camera_offset) = (self.filter.last_visual(), self.clock.camera_offset);
+        let (image, camera_offset) = (self.filter.last_visual, self.clock.camera_offset);
         Status {
             initialized: self.filter.stamp().is_some(),
             imu: ImuStatus { newest: self.filter.newest_imu(), ..ImuStatus::default() },
@@ -132,7 +132,7 @@ impl PublishedFilter {
         }
         let since =
             |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s).max(0.0));
-        let last_visual = self.filter.last_visual();
+        let last_visual = self.filter.last_visual;
         let image_age = since(last_visual.map(|(stamp, _)| stamp));
         let imu_age = since(self.filter.newest_imu());
         let mut status = PoseStatus {
@@ -163,8 +163,7 @@ impl PublishedFilter {
     /// Largest standard deviation of the position (`first` 0, m) or of roll, pitch and yaw (3, rad);
     /// infinite without an estimate.
     fn sigma(&self, first: usize) -> f64 {
-        self.filter
-            .covariance()
-            .map_or(f64::INFINITY, |covariance| largest_sigma(covariance, first))
+        let state = self.filter.state.as_ref();
+        state.map_or(f64::INFINITY, |state| largest_sigma(&state.covariance, first))
     }
 }

@@ -8,7 +8,7 @@
 //! `visual_pose.use_gravity` the IMU's direction of "up"; the pixels alone place the chosen one.
 
 use crate::{
-    config::{ClimberConfig, FusionConfig, Model},
+    config::{FusionConfig, Model, TightConfig},
     input::{
         climber_track::ClimberTrack,
         imu::{Up, nearest, up_of},
@@ -69,15 +69,9 @@ pub struct SingleImagePose {
     camera: Option<CameraModel>,
     ups: VecDeque<(Stamp, Up)>,
     climber: ClimberTrack,
-    climber_config: ClimberConfig,
     /// `world_from_volant` of the newest visual pose.
     last: Option<(Stamp, Isometry3<f64>)>,
-    floor: f64,
-    max_range: f64,
-    /// Image time + this = IMU time, s.
-    camera_offset: f64,
-    /// Encoder time + this = camera time, s.
-    climber_offset: f64,
+    config: TightConfig,
     solver: Solver,
 }
 
@@ -85,18 +79,13 @@ impl SingleImagePose {
     /// Creates an estimator for a rig: of the published pose with `model: paper`, whatever
     /// `visual_pose.use_gravity` is.
     pub fn new(rig: Rig, config: &FusionConfig) -> Self {
-        let tight = &config.tight;
         Self {
             rig,
             camera: None,
             ups: VecDeque::with_capacity(KEPT),
-            climber: ClimberTrack::new(&tight.climber),
-            climber_config: tight.climber.clone(),
+            climber: ClimberTrack::new(&config.tight.climber),
             last: None,
-            floor: tight.markers.pixel_floor,
-            max_range: tight.limits.max_range,
-            camera_offset: tight.clock.camera_offset,
-            climber_offset: tight.clock.climber_offset,
+            config: config.tight.clone(),
             solver: match config.model {
                 Model::Paper => Solver::Published,
                 Model::Tight if config.visual_use_gravity => Solver::WithGravity,
@@ -108,7 +97,7 @@ impl SingleImagePose {
     /// Discards everything but the camera.
     pub fn reset(&mut self) {
         self.ups.clear();
-        self.climber = ClimberTrack::new(&self.climber_config);
+        self.climber = ClimberTrack::new(&self.config.climber);
         self.last = None;
     }
 
@@ -118,16 +107,9 @@ impl SingleImagePose {
             Sample::Imu(sample) => self.imu(sample),
             Sample::Markers(markers) => return self.estimate(markers),
             Sample::Climber(sample) => self.climber(sample),
-            Sample::Camera(camera) => self.camera(camera),
+            Sample::Camera(camera) => self.camera = Some(camera.clone()),
         }
         None
-    }
-
-    /// Sets the camera's calibration.
-    fn camera(&mut self, camera: &CameraModel) {
-        if self.camera.as_ref() != Some(camera) {
-            self.camera = Some(camera.clone());
-        }
     }
 
     /// Takes in an IMU sample, for its attitude.
@@ -151,11 +133,8 @@ impl SingleImagePose {
             return;
         }
         // A looped bag starts again.
-        if self
-            .climber
-            .newest()
-            .is_some_and(|(newest, _, _)| newest.seconds_since(sample.stamp) > 1.0)
-        {
+        let ahead = self.climber.newest().map(|(newest, ..)| newest.seconds_since(sample.stamp));
+        if ahead.is_some_and(|ahead| ahead > 1.0) {
             self.reset();
         }
         let (values, rest) = ClimberRest::split(pose);
@@ -171,8 +150,8 @@ impl SingleImagePose {
         let (world_from_climber, climber_sigma) = self.climber_at(stamp)?;
         let world_from_camera = world_from_climber * self.rig.climber_from_camera;
         // A false marker may put the platform anywhere.
-        let within =
-            |c: &PlanarPose| c.camera_from_volant.translation.vector.norm() < self.max_range;
+        let farthest = self.config.limits.max_range;
+        let within = |c: &PlanarPose| c.camera_from_volant.translation.vector.norm() < farthest;
         let last = self.last.filter(|(last, _)| stamp.seconds_since(*last).abs() < PREVIOUS[0]);
         let found = if self.solver == Solver::Published {
             let before = last.map(|(_, pose)| world_from_camera.inverse() * pose);
@@ -180,7 +159,7 @@ impl SingleImagePose {
         } else {
             let mut found = planar_pose::candidates(&self.rig.markers, camera, &pixels, None);
             found.retain(within);
-            let up = nearest(&self.ups, stamp.plus_seconds(self.camera_offset));
+            let up = nearest(&self.ups, stamp.plus_seconds(self.config.clock.camera_offset));
             let cost = |c: &PlanarPose| {
                 let rotation = (world_from_camera * c.camera_from_volant).rotation;
                 let unlikely = match (up, last) {
@@ -229,7 +208,8 @@ impl SingleImagePose {
         }
         // One hidden marker may be placed by the flow of the others (eq. 3), with its covariance.
         let with_predicted = count(MarkerState::Predicted) == 1;
-        let floor = Matrix2::identity() * (self.floor * self.floor + 1e-4);
+        let floor = self.config.markers.pixel_floor;
+        let floor = Matrix2::identity() * (floor * floor + 1e-4);
         Some(PerColor::from_fn(|color| {
             let m = &observations.markers[color];
             let take = m.state == MarkerState::Detected
@@ -242,7 +222,7 @@ impl SingleImagePose {
     /// `world_from_climber` at an image's stamp with the standard deviations of its position (m)
     /// and turn (rad).
     fn climber_at(&self, stamp: Stamp) -> Option<(Isometry3<f64>, [f64; 2])> {
-        let read = stamp.plus_seconds(-self.climber_offset);
+        let read = stamp.plus_seconds(-self.config.clock.climber_offset);
         let at = self.climber.at(read).filter(|at| at.distance < NEAR)?;
         let sigma = |axis: usize| at.noise[axis].hypot(at.growth[axis]);
         Some((at.rest.join(&at.values), [sigma(0).max(sigma(1)), sigma(2)]))
