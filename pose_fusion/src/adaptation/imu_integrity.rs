@@ -36,17 +36,6 @@ const MEAN_FORCE: f64 = 5.0;
 const LARGEST_FORCE: f64 = 180.0;
 const LARGEST_RATE: f64 = 40.0;
 
-/// Why a sample is rejected.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Implausible {
-    /// The specific force is not finite or beyond the range of any IMU.
-    Force,
-    /// The angular velocity is not finite or beyond the range of any IMU.
-    Rate,
-    /// All six values are zero: a disconnected sensor.
-    AllZero,
-}
-
 /// Memory of the previous sample and of the mean force.
 #[derive(Clone, Debug, Default)]
 pub struct ImuIntegrity {
@@ -63,20 +52,19 @@ impl ImuIntegrity {
     /// Checks a reading against the range of an IMU.
     ///
     /// # Errors
-    /// See [`Implausible`].
-    pub fn check(reading: &ImuReading) -> Result<(), Implausible> {
+    /// What is not finite or beyond the range of any IMU; a disconnected sensor outputs zeros.
+    pub fn check(reading: &ImuReading) -> Result<(), &'static str> {
         let within =
             |v: &Vector3<f64>, most: f64| v.iter().all(|x| x.is_finite() && x.abs() <= most);
         if !within(&reading.specific_force, LARGEST_FORCE) {
-            return Err(Implausible::Force);
+            Err("linear_acceleration")
+        } else if !within(&reading.angular_velocity, LARGEST_RATE) {
+            Err("angular_velocity")
+        } else if *reading == ImuReading::default() {
+            Err("every value is zero: linear_acceleration")
+        } else {
+            Ok(())
         }
-        if !within(&reading.angular_velocity, LARGEST_RATE) {
-            return Err(Implausible::Rate);
-        }
-        if *reading == ImuReading::default() {
-            return Err(Implausible::AllZero);
-        }
-        Ok(())
     }
 
     /// Returns the additional densities of the step of `dt` seconds to this reading: nonlinearity
@@ -173,11 +161,12 @@ mod tests {
 
     #[test]
     fn impossible_samples_are_rejected() {
+        let force = Err("linear_acceleration");
         assert_eq!(ImuIntegrity::check(&reading(1.0, 0.3)), Ok(()));
-        assert_eq!(ImuIntegrity::check(&reading(1000.0, 0.3)), Err(Implausible::Force));
-        assert_eq!(ImuIntegrity::check(&reading(f64::NAN, 0.3)), Err(Implausible::Force));
-        assert_eq!(ImuIntegrity::check(&reading(1.0, 50.0)), Err(Implausible::Rate));
-        assert_eq!(ImuIntegrity::check(&ImuReading::default()), Err(Implausible::AllZero));
+        assert_eq!(ImuIntegrity::check(&reading(1000.0, 0.3)), force);
+        assert_eq!(ImuIntegrity::check(&reading(f64::NAN, 0.3)), force);
+        assert_eq!(ImuIntegrity::check(&reading(1.0, 50.0)), Err("angular_velocity"));
+        assert!(ImuIntegrity::check(&ImuReading::default()).is_err());
     }
 
     #[test]

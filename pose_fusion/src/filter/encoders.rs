@@ -120,7 +120,7 @@ impl Filter {
         let suspected = self.suspect_frozen(standing, since, at);
         if suspected {
             self.trust.note_trial(at);
-            *self.imu.model_error() = Default::default();
+            self.imu.model_error = Default::default();
         }
         suspected
     }

@@ -2,7 +2,6 @@
 
 use super::{Filter, processing::OFFSET_KNOWN};
 use crate::{
-    adaptation::imu_integrity::Implausible,
     ekf::{propagation::ImuReading, state::ATTITUDE},
     input::{climber_track::ClimberTrack, imu::ImuInput, imu_stamps::Bursts},
     measurements::{Outcome, encoders::EncoderReading, geometry::ClimberRest, markers::Image},
@@ -61,21 +60,10 @@ impl Filter {
 
     /// Takes in an IMU sample: moves the estimate to its stamp and publishes it.
     fn imu(&mut self, sample: &ImuSample) {
-        let stamp = sample.stamp;
+        let (from, stamp) = (Source::Imu, sample.stamp);
         let reading = match ImuInput::reading(sample) {
             Ok(reading) => reading,
-            Err(why) => {
-                let what = match why {
-                    Implausible::Force => "linear_acceleration",
-                    Implausible::Rate => "angular_velocity",
-                    Implausible::AllZero => "every value is zero: linear_acceleration",
-                };
-                return self.publisher.refuse(Warning::NotFinite {
-                    from: Source::Imu,
-                    stamp,
-                    what,
-                });
-            }
+            Err(what) => return self.publisher.refuse(Warning::NotFinite { from, stamp, what }),
         };
         match self.arrival.classify(stamp) {
             ImuArrival::First => {
@@ -83,7 +71,7 @@ impl Filter {
                 self.imu.clocks.imu(stamp, 0.0, offset);
                 self.next_imu(sample, reading, None);
             }
-            ImuArrival::Next(dt) | ImuArrival::Outage(dt) => {
+            ImuArrival::Next(dt) => {
                 let jump = dt - self.imu.period();
                 let offset = self.time_offset();
                 self.imu.clocks.imu(stamp, jump, offset);
@@ -92,9 +80,9 @@ impl Filter {
             ImuArrival::NotNewer => self.late_imu(sample, reading),
             ImuArrival::Unconfirmed(ahead_s) => {
                 self.publisher.refuse(if ahead_s < 0.0 {
-                    Warning::TooOld { from: Source::Imu, stamp, age_s: -ahead_s }
+                    Warning::TooOld { from, stamp, age_s: -ahead_s }
                 } else {
-                    Warning::Ahead { from: Source::Imu, stamp, ahead_s }
+                    Warning::Ahead { from, stamp, ahead_s }
                 });
             }
             ImuArrival::Back(by_s) => self.set_back(sample, reading, by_s),
@@ -323,17 +311,11 @@ impl Filter {
 
     /// Takes in an encoder reading.
     fn climber(&mut self, sample: &ClimberSample) {
-        let (pose, stamp) = (&sample.world_from_climber, sample.stamp);
-        if !pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|x| x.is_finite())
-        {
-            let what = "the pose";
-            return self.publisher.refuse(Warning::NotFinite {
-                from: Source::Encoders,
-                stamp,
-                what,
-            });
+        let (pose, stamp, from) = (&sample.world_from_climber, sample.stamp, Source::Encoders);
+        let numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
+        if !numbers.into_iter().all(|x| x.is_finite()) {
+            return self.publisher.refuse(Warning::NotFinite { from, stamp, what: "the pose" });
         }
-        let from = Source::Encoders;
         self.note_arrival(from, stamp);
         if let Some(by_s) = self.arrival.other(from, stamp) {
             return self.publisher.refuse(Warning::Jump { from, stamp, by_s });
@@ -354,7 +336,7 @@ impl Filter {
         }
         let (values, rest) = ClimberRest::split(pose);
         let Some((variance, multiplicity)) = self.climber.add(stamp, values, rest) else {
-            return self.publisher.refuse(Warning::Duplicate { from: Source::Encoders, stamp });
+            return self.publisher.refuse(Warning::Duplicate { from, stamp });
         };
         if self.climber.is_young() {
             self.reweigh_readings(&variance);
@@ -363,7 +345,7 @@ impl Filter {
         let at = stamp.plus_seconds(time_offset);
         if self.start.started && self.history.get(0).is_none_or(|first| at <= first.stamp) {
             let age_s = self.age(stamp);
-            return self.publisher.refuse(Warning::TooOld { from: Source::Encoders, stamp, age_s });
+            return self.publisher.refuse(Warning::TooOld { from, stamp, age_s });
         }
         let reading = EncoderReading {
             values,
@@ -377,12 +359,8 @@ impl Filter {
             // For a long time neither IMU samples nor images have come, which would process it.
             return;
         }
-        let excluded = self.trust.is_suspended();
-        self.history.insert(
-            at,
-            Event::Encoders { reading, excluded, fresh: true },
-            ImuReading::default(),
-        );
+        let event = Event::Encoders { reading, excluded: self.trust.is_suspended(), fresh: true };
+        self.history.insert(at, event, ImuReading::default());
         if self.start.started {
             self.suspend_frozen_encoders(at);
             self.process();

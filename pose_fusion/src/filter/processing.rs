@@ -82,7 +82,7 @@ impl Filter {
                 (Step::Image(record, smoothing), Event::Image { image, stamp, fresh }) => {
                     let (image, stamp) = (*image, *stamp);
                     if std::mem::take(fresh) {
-                        self.imu.note_smoothing(smoothing);
+                        self.imu.smoothing = smoothing;
                         self.on_image(place, stamp, &image, &record)
                     } else {
                         self.markers.shake.corrected(stamp, &record);
@@ -190,7 +190,7 @@ impl Filter {
         );
         let sudden = rejects
             && !self.disturbances.is_climber_disturbed(at, SUSPECT)
-            && self.imu.model_error().factor() <= SUDDEN;
+            && self.imu.model_error.factor() <= SUDDEN;
         let strained = match record.used {
             4 => record.nis > STRAINED,
             _ => record.against_prediction.is_some_and(|nis| nis > CONTRADICTED) && sudden,
@@ -215,12 +215,12 @@ impl Filter {
             _ => None,
         };
         if let (Some(internal), false) = (internal, excused) {
-            let grows = self.imu.model_error().add(record.nis - internal, &MODEL_ERROR);
-            let doubted = self.imu.model_error().ratio() > DOUBTED && self.search.is_none();
+            let grows = self.imu.model_error.add(record.nis - internal, &MODEL_ERROR);
+            let doubted = self.imu.model_error.ratio() > DOUBTED && self.search.is_none();
             if (grows || doubted) && self.try_without_encoders(at) {
                 return false;
             }
-            if self.imu.model_error().factor() > SUDDEN {
+            if self.imu.model_error.factor() > SUDDEN {
                 self.search_again(agrees && grows);
             }
         }
@@ -267,7 +267,7 @@ impl Filter {
         let at = entry.stamp;
         let repeated = self.lock_out.gives_way(stamp);
         self.search_again(record.agrees_with_itself());
-        self.imu.model_error().contradicted(&MODEL_ERROR);
+        self.imu.model_error.contradicted(&MODEL_ERROR);
         // An encoder that stopped while the images see the climber drive on is frozen, unless the time
         // offset is what they contradict.
         let known = self.offset_doubt() <= OFFSET_KNOWN;

@@ -346,7 +346,7 @@ impl Filter {
         let mut calibration = self.publisher.calibration;
         // Images that contradict the prediction throughout mean that the rig's files are wrong by
         // more than their sigmas.
-        calibration.scale(self.imu.model_error_factor());
+        calibration.scale(self.imu.model_error.factor());
         calibration.variances[TIME_OFFSET_ERROR] = self.offset_doubt().powi(2);
         Settings {
             rate_variance: densities.rate / self.imu.period(),

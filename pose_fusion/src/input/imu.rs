@@ -4,7 +4,7 @@
 use crate::{
     adaptation::{
         excess::Excess,
-        imu_integrity::{Implausible, ImuIntegrity},
+        imu_integrity::ImuIntegrity,
         imu_noise::{Densities, ImuNoise},
         stationary::Stationary,
     },
@@ -70,9 +70,10 @@ pub struct ImuInput {
     stationary: Stationary,
     ups: VecDeque<(Stamp, Up)>,
     ignores_attitude: bool,
-    model_error: Excess,
+    /// Model error identified from the images.
+    pub model_error: Excess,
     /// Half the width of the mean that is the motion at an image, s.
-    smoothing: f64,
+    pub smoothing: f64,
     /// The noise was known at some time.
     known: bool,
 }
@@ -81,8 +82,8 @@ impl ImuInput {
     /// Returns the reading of a sample.
     ///
     /// # Errors
-    /// A value that no IMU measures, see [`Implausible`].
-    pub fn reading(sample: &ImuSample) -> Result<ImuReading, Implausible> {
+    /// The field with a value that no IMU measures.
+    pub fn reading(sample: &ImuSample) -> Result<ImuReading, &'static str> {
         let reading = ImuReading {
             specific_force: sample.specific_force,
             angular_velocity: sample.angular_velocity,
@@ -171,21 +172,6 @@ impl ImuInput {
     /// angular velocity.
     pub fn noise_of_changes(&self) -> Densities {
         self.noise.noise_of_changes(self.smoothing)
-    }
-
-    /// Notes over how many seconds before and after an image its motion is a mean.
-    pub fn note_smoothing(&mut self, half_width: f64) {
-        self.smoothing = half_width;
-    }
-
-    /// Returns the factor on the sigmas of the model error, at least 1.
-    pub fn model_error_factor(&self) -> f64 {
-        self.model_error.factor()
-    }
-
-    /// Returns the model error identified from the images.
-    pub fn model_error(&mut self) -> &mut Excess {
-        &mut self.model_error
     }
 
     /// Returns whether the last reading was saturated or stuck.

@@ -39,8 +39,6 @@ pub enum ImuArrival {
     NotNewer,
     /// Far from the others and not confirmed: this many seconds ahead (negative: back).
     Unconfirmed(f64),
-    /// Confirmed jump ahead by this many seconds: an outage.
-    Outage(f64),
     /// Confirmed jump back by this many seconds.
     Back(f64),
 }
@@ -141,17 +139,13 @@ impl Arrival {
                 && self.frontier.is_some_and(|end| stamp.seconds_since(end).abs() < JUMP);
             let needed = if ahead.abs() > JUMP { CONFIRMED } else { 2 };
             return match (followed || count >= needed, ahead) {
-                (true, ahead) if ahead > JUMP => ImuArrival::Outage(ahead),
                 (true, ahead) if ahead > 0.0 => ImuArrival::Next(ahead),
                 (true, ahead) if count >= needed => ImuArrival::Back(-ahead),
                 _ => ImuArrival::Unconfirmed(ahead),
             };
         }
         self.jump = None;
-        match ahead {
-            a if a > 0.0 => ImuArrival::Next(a),
-            _ => ImuArrival::NotNewer,
-        }
+        if ahead > 0.0 { ImuArrival::Next(ahead) } else { ImuArrival::NotNewer }
     }
 
     /// Notes a late IMU sample; `fills_gap`: none of its samples' time was there. Returns by how many
@@ -267,7 +261,7 @@ mod tests {
             }
         }
         assert!(matches!(arrival.classify(at(60_000)), ImuArrival::Unconfirmed(_)));
-        assert_eq!(arrival.classify(at(2000)), ImuArrival::Outage(2.0));
+        assert!(matches!(arrival.classify(at(2000)), ImuArrival::Next(_)));
     }
 
     #[test]
