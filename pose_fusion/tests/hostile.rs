@@ -18,11 +18,8 @@ fn recording() -> simulated::Run {
 
 fn shifted(input: &Input, seconds: f64) -> Input {
     let mut input = input.clone();
-    match &mut input {
-        Input::Imu(s) => s.stamp = s.stamp.plus_seconds(seconds),
-        Input::Markers(s) => s.stamp = s.stamp.plus_seconds(seconds),
-        Input::Climber(s) => s.stamp = s.stamp.plus_seconds(seconds),
-        Input::Camera(_) => {}
+    if let Some(stamp) = simulated::stamp_of(&mut input) {
+        *stamp = stamp.plus_seconds(seconds);
     }
     input
 }
@@ -40,11 +37,8 @@ fn an_input_without_a_stamp_is_named_and_has_no_effect() {
     let with_copies = |copies: bool| {
         let inputs = run.inputs.iter().flat_map(|(at, input)| {
             let mut unset = input.clone();
-            match &mut unset {
-                Input::Imu(s) => s.stamp = Stamp::from_nanos(0),
-                Input::Markers(s) => s.stamp = Stamp::from_nanos(0),
-                Input::Climber(s) => s.stamp = Stamp::from_nanos(0),
-                Input::Camera(_) => {}
+            if let Some(stamp) = simulated::stamp_of(&mut unset) {
+                *stamp = Stamp::default();
             }
             let copy = copies && !matches!(input, Input::Camera(_)) && at.as_nanos() % 3 != 0;
             copy.then_some(unset).into_iter().chain([input.clone()])

@@ -10,7 +10,7 @@ use common::{
 };
 use nalgebra::Vector3;
 use pose_fusion::{Fusion, FusionConfig, Input, Status, Warning};
-use rig_model::{ClimberSample, MarkerObservations, Stamp};
+use rig_model::{MarkerObservations, Stamp};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, random::Random};
 
 /// The score of a run from a time on, and what the filter knows at the end.
@@ -175,6 +175,14 @@ fn what_is_smoothed_advances_over_a_restart_with_another_offset() {
     assert!(smoothed.len() > 500 && back == 0, "{back} of {} go back", smoothed.len());
 }
 
+/// Moves the stamp of an image or encoder reading by seconds that depend on it.
+fn shift(input: &mut Input, by: impl Fn(Stamp) -> f64) {
+    let is_imu = matches!(input, Input::Imu(_));
+    if let Some(stamp) = simulated::stamp_of(input).filter(|_| !is_imu) {
+        *stamp = stamp.plus_seconds(by(*stamp));
+    }
+}
+
 /// When the latency of the camera changes, s after the start: its computer is replaced, or its
 /// driver restarted.
 const CHANGE: f64 = 6.0;
@@ -187,16 +195,7 @@ fn changing(seed: u64, by: f64) -> (simulated::Run, Vec<Input>) {
 fn changing_in(motion: MotionConfig, seed: u64, by: f64) -> (simulated::Run, Vec<Input>) {
     let run = simulated::run(motion, &SensorConfig::nominal(seed));
     let change = scoring::start(&run.truth).plus_seconds(CHANGE);
-    let inputs = run.inputs.iter().map(|(_, input)| {
-        let mut input = input.clone();
-        match &mut input {
-            Input::Markers(m) if m.stamp > change => m.stamp = m.stamp.plus_seconds(by),
-            Input::Climber(c) if c.stamp > change => c.stamp = c.stamp.plus_seconds(by),
-            _ => {}
-        }
-        input
-    });
-    let inputs = inputs.collect();
+    let inputs = run.changed(|_, input| shift(input, |at| if at > change { by } else { 0.0 }));
     (run, inputs)
 }
 
@@ -293,16 +292,15 @@ fn jitter_of_the_image_stamps_costs_little() {
     for (jitter, seed) in [(0.002, 1), (0.005, 2), (0.010, 3)] {
         let run = simulated::run(MotionConfig::nominal(seed), &SensorConfig::nominal(seed));
         let mut random = Random::fork(seed, "stamps");
-        let mut inputs = run.inputs.clone();
-        for (_, input) in &mut inputs {
+        let inputs = run.changed(|_, input| {
             if let Input::Markers(m) = input {
                 m.stamp = m.stamp.plus_seconds(random.within(-jitter, jitter));
             }
-        }
+        });
         let [found, ignored] = [0.02, 0.0].map(|most| {
             let mut config = simulated::config();
             config.tight.clock.image_jitter = most;
-            let (fusion, outputs) = scoring::follow(config, inputs.iter().map(|(_, i)| i.clone()));
+            let (fusion, outputs) = scoring::follow(config, inputs.clone());
             let score = scoring::score(&outputs.odometry, &run.truth, 4.0);
             print(&format!("off by up to {jitter} s, at most {most}"), &score, &fusion.status());
             score
@@ -358,15 +356,8 @@ fn clocks_that_drift_apart_are_followed() {
     for (seed, motion) in simulated::motions() {
         let sensors = SensorConfig::nominal(seed);
         let run = simulated::run(MotionConfig { duration: 60.0, ..motion }, &sensors);
-        let inputs = run.inputs.iter().map(|(_, input)| {
-            let mut input = input.clone();
-            if let Input::Climber(ClimberSample { stamp, .. })
-            | Input::Markers(MarkerObservations { stamp, .. }) = &mut input
-            {
-                *stamp = stamp.plus_seconds(DRIFT * stamp.seconds_since(sensors.epoch));
-            }
-            input
-        });
+        let drift = |at: Stamp| DRIFT * at.seconds_since(sensors.epoch);
+        let inputs = run.changed(|_, input| shift(input, drift));
         let (fusion, outputs) = scoring::follow(FusionConfig::default(), inputs);
         let (score, status) = (scoring::score(&outputs.odometry, &run.truth, 3.0), fusion.status());
         print(&format!("seed {seed}"), &score, &status);
@@ -401,14 +392,7 @@ fn a_recording_with_shifted_camera_and_climber_is_tracked() {
     for name in ["nominal", "occlude_two", "clutter", "fast_swing"] {
         for ahead in [0.0, 0.04, -0.03, 0.2] {
             let Some(mut bag) = bags::read(name, 0.1, 1) else { return };
-            for (_, input) in &mut bag.samples {
-                let shift = |stamp: &mut Stamp| *stamp = stamp.plus_seconds(ahead);
-                match input {
-                    Input::Markers(m) => shift(&mut m.stamp),
-                    Input::Climber(c) => shift(&mut c.stamp),
-                    _ => {}
-                }
-            }
+            bag.samples.iter_mut().for_each(|(_, input)| shift(input, |_| ahead));
             let mut fusion = Fusion::new(bag.rig.clone(), FusionConfig::default());
             let outputs = scoring::run(&mut fusion, bag.samples.iter().map(|(_, i)| i.clone()));
             let (score, status) =

@@ -1,7 +1,7 @@
 //! How far an estimate is from the truth, and whether it knows.
 
 use nalgebra::Isometry3;
-use pose_fusion::{Fusion, FusionConfig, Input, Odometry, Output, PoseEstimate};
+use pose_fusion::{Fusion, FusionConfig, Input, Odometry, Output, PoseEstimate, Swing};
 use rig_model::Stamp;
 pub use rig_model::score::{Nees, PoseError, Score, Truth};
 
@@ -24,6 +24,7 @@ pub struct Outputs {
     pub warnings: Vec<pose_fusion::Warning>,
     pub status: Vec<pose_fusion::PoseStatus>,
     pub predicted: Vec<Odometry>,
+    pub swing: Vec<Swing>,
 }
 
 impl Outputs {
@@ -45,7 +46,7 @@ pub fn run(fusion: &mut Fusion, inputs: impl IntoIterator<Item = Input>) -> Outp
                 Output::Warning(w) => outputs.warnings.push(w),
                 Output::Status(s) => outputs.status.push(s),
                 Output::Predicted(o) => outputs.predicted.push(o),
-                Output::Swing(_) => {}
+                Output::Swing(s) => outputs.swing.push(s),
             }
         }
     }

@@ -37,6 +37,29 @@ impl Run {
     pub fn inputs(&self) -> impl Iterator<Item = Input> {
         self.inputs.iter().map(|(_, input)| input.clone())
     }
+
+    /// The inputs with their times of arrival since the epoch, s.
+    pub fn timed(&self) -> Vec<(f64, Input)> {
+        let epoch = self.inputs[0].0;
+        self.inputs.iter().map(|(at, input)| (at.seconds_since(epoch), input.clone())).collect()
+    }
+
+    /// The inputs, each changed with its time of arrival since the epoch, s.
+    pub fn changed(&self, mut change: impl FnMut(f64, &mut Input)) -> Vec<Input> {
+        let mut inputs = self.timed();
+        inputs.iter_mut().for_each(|(at, input)| change(*at, input));
+        inputs.into_iter().map(|(_, input)| input).collect()
+    }
+}
+
+/// The stamp of an input that has one.
+pub fn stamp_of(input: &mut Input) -> Option<&mut Stamp> {
+    match input {
+        Input::Imu(s) => Some(&mut s.stamp),
+        Input::Markers(s) => Some(&mut s.stamp),
+        Input::Climber(s) => Some(&mut s.stamp),
+        Input::Camera(_) => None,
+    }
 }
 
 pub fn run(motion: MotionConfig, sensors: &SensorConfig) -> Run {

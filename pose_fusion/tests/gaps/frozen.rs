@@ -20,10 +20,12 @@ fn freeze(axes: [bool; 3]) -> (f64, f64) {
     let (mut far, mut count, mut beyond) = (0.0_f64, 0.0, 0.0);
     for begin in [3.0, 4.0, 5.0, 6.0, 7.0, 8.0] {
         let frozen = begin..begin + 2.0;
-        let freeze = |inputs: Vec<(f64, Input)>| {
+        for (seed, motion) in simulated::motions() {
+            let sensors = SensorConfig::nominal(seed);
+            let run = simulated::run(motion, &sensors);
             let mut held = None;
-            let one = |(at, mut input): (f64, Input)| {
-                if let (Input::Climber(sample), true) = (&mut input, frozen.contains(&at)) {
+            let inputs = run.changed(|at, input| {
+                if let (Input::Climber(sample), true) = (input, frozen.contains(&at)) {
                     let now = &mut sample.world_from_climber;
                     let held = *held.get_or_insert(*now);
                     for axis in (0..2).filter(|axis| axes[*axis]) {
@@ -33,18 +35,8 @@ fn freeze(axes: [bool; 3]) -> (f64, f64) {
                         now.rotation = held.rotation;
                     }
                 }
-                (at, input)
-            };
-            inputs.into_iter().map(one).collect::<Vec<_>>()
-        };
-        for (seed, motion) in simulated::motions() {
-            let sensors = SensorConfig::nominal(seed);
-            let run = simulated::run(motion, &sensors);
-            let inputs =
-                run.inputs.iter().map(|(at, i)| (at.seconds_since(sensors.epoch), i.clone()));
-            let inputs = freeze(inputs.collect());
-            let (_, outputs) =
-                scoring::follow(FusionConfig::default(), inputs.into_iter().map(|(_, i)| i));
+            });
+            let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
             let (mut worst, mut wrong) = (0.0_f64, 0.0);
             for o in &outputs.odometry {
                 let t = o.stamp.seconds_since(sensors.epoch);

@@ -14,9 +14,9 @@ use common::{
     simulated,
 };
 use pose_fusion::{
-    Fusion, FusionConfig, Input, Outcome, Output, PendulumConfig, PoseState, Source, Warning,
+    Fusion, FusionConfig, Input, Outcome, PendulumConfig, PoseState, Source, Warning,
 };
-use rig_model::{MarkerColor, MarkerObservation};
+use rig_model::{MarkerColor, MarkerObservation, Stamp};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
 /// The inputs go through `change` with their times of arrival (s); checks the second after `end`,
@@ -30,12 +30,9 @@ fn row(
     let mut shares = [0.0; 2];
     let motions = simulated::motions();
     for (seed, motion) in &motions {
-        let sensors = SensorConfig::nominal(*seed);
-        let run = simulated::run(motion.clone(), &sensors);
-        let inputs =
-            run.inputs.iter().map(|(at, i)| (at.seconds_since(sensors.epoch), i.clone())).collect();
-        let (fusion, outputs) =
-            scoring::follow(FusionConfig::default(), change(inputs).into_iter().map(|(_, i)| i));
+        let run = simulated::run(motion.clone(), &SensorConfig::nominal(*seed));
+        let inputs = change(run.timed()).into_iter().map(|(_, input)| input);
+        let (fusion, outputs) = scoring::follow(FusionConfig::default(), inputs);
         let (p, r, _, _) = scoring::judge(&outputs, &run, end, end + 1.0);
         let (_, _, position, rotation) = scoring::judge(&outputs, &run, end + 1.0, end + 2.0);
         println!(
@@ -321,28 +318,21 @@ fn the_status_reports_that_only_encoder_readings_arrive() {
         &SensorConfig::nominal(3),
     );
     let epoch = SensorConfig::nominal(3).epoch;
-    let mut fusion = Fusion::new(simulated::rig(), simulated::config());
+    let absent = |stamp: Stamp| (3.0..5.0).contains(&stamp.seconds_since(epoch));
+    let inputs = run.inputs().filter(|input| match input {
+        Input::Imu(s) => !absent(s.stamp),
+        Input::Markers(s) => !absent(s.stamp),
+        _ => true,
+    });
     let (mut alone, mut again) = (Vec::new(), None);
-    for (_, input) in &run.inputs {
-        let stamp = match input {
-            Input::Imu(s) => s.stamp,
-            Input::Markers(s) => s.stamp,
-            _ => epoch,
-        };
-        if (3.0..5.0).contains(&stamp.seconds_since(epoch)) {
-            continue;
-        }
-        fusion.handle(input.clone());
-        while let Some(output) = fusion.poll() {
-            let Output::Status(status) = output else { continue };
-            let t = status.stamp.seconds_since(epoch);
-            if (3.2..4.95).contains(&t) {
-                assert!(status.state == PoseState::Lost && !status.valid, "{status:?}");
-                assert!(status.reason.contains("no IMU sample and no image"), "{status:?}");
-                alone.push(t);
-            } else if t > 5.0 && status.valid {
-                again.get_or_insert(t);
-            }
+    for status in scoring::follow(simulated::config(), inputs).1.status {
+        let t = status.stamp.seconds_since(epoch);
+        if (3.2..4.95).contains(&t) {
+            assert!(status.state == PoseState::Lost && !status.valid, "{status:?}");
+            assert!(status.reason.contains("no IMU sample and no image"), "{status:?}");
+            alone.push(t);
+        } else if t > 5.0 && status.valid {
+            again.get_or_insert(t);
         }
     }
     assert!((14..=18).contains(&alone.len()), "{alone:?}");
@@ -391,20 +381,17 @@ fn a_single_false_marker_moves_no_pose_that_is_known() {
     // Offset (px) and how far the pose may be off (m).
     for (offset, farthest) in [(20.0, 0.05), (60.0, 0.02)] {
         for (seed, motion) in simulated::motions() {
-            let sensors = SensorConfig::nominal(seed);
-            let run = simulated::run(motion, &sensors);
-            let inputs = run.inputs.iter().map(|(at, input)| match input {
-                Input::Markers(m) if (6.0..END).contains(&at.seconds_since(sensors.epoch)) => {
-                    let mut markers = m.clone();
+            let run = simulated::run(motion, &SensorConfig::nominal(seed));
+            let inputs = run.changed(|at, input| match input {
+                Input::Markers(m) if (6.0..END).contains(&at) => {
                     for color in MarkerColor::ALL {
                         match color {
-                            MarkerColor::Red => markers.markers[color].centroid.x += offset,
-                            _ => markers.markers[color] = MarkerObservation::lost(1),
+                            MarkerColor::Red => m.markers[color].centroid.x += offset,
+                            _ => m.markers[color] = MarkerObservation::lost(1),
                         }
                     }
-                    Input::Markers(markers)
                 }
-                input => input.clone(),
+                _ => {}
             });
             let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
             let error = |o: &&pose_fusion::Odometry| {

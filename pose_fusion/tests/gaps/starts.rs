@@ -180,13 +180,11 @@ fn encoder_readings_that_leap_initialize_no_pose_and_are_reported() {
         };
         let run = simulated::run(motion, &SensorConfig::nominal(1));
         let mut count = 0;
-        let inputs = run.inputs.iter().map(|(_, input)| {
-            let mut input = input.clone();
-            if let Input::Climber(sample) = &mut input {
+        let inputs = run.changed(|_, input| {
+            if let Input::Climber(sample) = input {
                 change(&mut sample.world_from_climber.translation.vector, count);
                 count += 1;
             }
-            input
         });
         let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
         let valid = outputs.status.iter().filter(|status| status.valid).count();
@@ -208,14 +206,11 @@ fn an_attitude_that_the_imu_claims_wrongly_is_named_and_costs_nothing() {
         let score = |degrees: f64| {
             let axis = Vector3::new((seed as f64).cos(), (seed as f64).sin(), 0.0);
             let error = UnitQuaternion::new(axis * degrees.to_radians());
-            let inputs = run.inputs.iter().map(|(_, input)| match input {
-                Input::Imu(sample) => {
-                    let mut sample = *sample;
+            let inputs = run.changed(|_, input| {
+                if let Input::Imu(sample) = input {
                     let orientation = sample.orientation.as_mut().unwrap();
                     orientation.enu_from_imu = error * orientation.enu_from_imu;
-                    Input::Imu(sample)
                 }
-                other => other.clone(),
             });
             let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
             let named = outputs.warnings.iter().any(|w| matches!(w, Warning::ImuAttitude { .. }));

@@ -277,15 +277,13 @@ fn constant_centroid_offsets_are_in_the_covariance() {
             let mut config = simulated::config();
             config.tight.markers.pixel_floor = 0.0;
             config.tight.calibration.marker = settings * PER_PIXEL;
-            let inputs = run.inputs.iter().map(|(_, i)| {
-                let mut input = i.clone();
-                if let Input::Markers(image) = &mut input {
+            let inputs = run.changed(|_, input| {
+                if let Input::Markers(image) = input {
                     for (color, offset) in MarkerColor::ALL.into_iter().zip(&offsets) {
                         let marker = &mut image.markers[color];
                         marker.centroid += nalgebra::Vector2::from(*offset);
                     }
                 }
-                input
             });
             let (_, outputs) = scoring::follow(config, inputs);
             let score = scoring::score(&outputs.odometry, &run.truth, 5.0);

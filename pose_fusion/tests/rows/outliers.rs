@@ -48,16 +48,10 @@ fn with_inputs_and(
     seed: u64,
     config: pose_fusion::FusionConfig,
     since: f64,
-    mut change: impl FnMut(f64, &mut Input),
+    change: impl FnMut(f64, &mut Input),
 ) -> Outcome {
-    let sensors = SensorConfig::nominal(seed);
-    let run = simulated::run(MotionConfig::nominal(seed), &sensors);
-    let inputs = run.inputs.iter().map(|(at, input)| {
-        let mut input = input.clone();
-        change(at.seconds_since(sensors.epoch), &mut input);
-        input
-    });
-    let (fusion, outputs) = scoring::follow(config, inputs);
+    let run = simulated::run(MotionConfig::nominal(seed), &SensorConfig::nominal(seed));
+    let (fusion, outputs) = scoring::follow(config, run.changed(change));
     let score = scoring::score(&outputs.odometry, &run.truth, since);
     Outcome { score, outputs, status: fusion.status() }
 }

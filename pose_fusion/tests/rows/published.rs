@@ -5,10 +5,8 @@ use super::{
     common::{scoring, simulated},
     follow_from,
 };
-use pose_fusion::{
-    Fusion, FusionConfig, Input, Model, Output, PaperMeasurement, PoseState, PoseStatus,
-};
-use rig_model::{MarkerColor, Stamp};
+use pose_fusion::{FusionConfig, Input, Model, PaperMeasurement, PoseState, PoseStatus};
+use rig_model::MarkerColor;
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
 fn config(measurement: PaperMeasurement) -> FusionConfig {
@@ -35,16 +33,13 @@ fn poses_and_marker_coordinates_correct_the_published_filter() {
 #[test]
 fn an_imu_without_attitude_serves_the_published_filter() {
     let motion = MotionConfig { duration: 10.0, ..MotionConfig::nominal(1) };
-    let mut run = simulated::run(motion, &SensorConfig::nominal(1));
-    for (_, input) in &mut run.inputs {
+    let run = simulated::run(motion, &SensorConfig::nominal(1));
+    let inputs = run.changed(|_, input| {
         if let Input::Imu(sample) = input {
             sample.orientation = None;
         }
-    }
-    let (fusion, o) = scoring::follow(
-        config(PaperMeasurement::Pose),
-        run.inputs.into_iter().map(|(_, input)| input),
-    );
+    });
+    let (fusion, o) = scoring::follow(config(PaperMeasurement::Pose), inputs);
     let score = scoring::score(&o.odometry, &run.truth, 2.0);
     println!("{score}");
     assert!(fusion.computes_attitude());
@@ -56,21 +51,11 @@ fn statuses(keep: impl Fn(&Input) -> bool) -> Vec<PoseStatus> {
     let sensors = SensorConfig::nominal(1);
     let motion = MotionConfig { duration: 6.0, ..MotionConfig::nominal(1) };
     let run = simulated::run(motion, &sensors);
-    let mut fusion = Fusion::new(simulated::rig(), config(PaperMeasurement::Pose));
-    let since = |stamp: Stamp| stamp.seconds_since(sensors.epoch);
-    let mut statuses = Vec::new();
-    for (arrival, input) in run.inputs {
-        if since(arrival) < 4.0 || keep(&input) {
-            fusion.handle(input);
-        }
-        while let Some(output) = fusion.poll() {
-            if let Output::Status(status) = output
-                && since(status.stamp) > 5.0
-            {
-                statuses.push(status);
-            }
-        }
-    }
+    let inputs = run.timed().into_iter().filter(|(at, input)| *at < 4.0 || keep(input));
+    let (_, mut outputs) =
+        scoring::follow(config(PaperMeasurement::Pose), inputs.map(|(_, input)| input));
+    outputs.status.retain(|status| status.stamp.seconds_since(sensors.epoch) > 5.0);
+    let statuses = outputs.status;
     assert!(statuses.len() >= 9, "at 10 Hz at least: {}", statuses.len());
     statuses
 }
@@ -102,18 +87,15 @@ fn a_configured_camera_offset_counts_in_the_published_filter() {
     let sensors = SensorConfig::nominal(1);
     let odometry = |offset: f64| {
         let motion = MotionConfig { duration: 4.0, ..MotionConfig::nominal(1) };
-        let mut run = simulated::run(motion, &sensors);
-        for (_, input) in &mut run.inputs {
-            match input {
-                Input::Markers(m) => m.stamp = m.stamp.plus_seconds(-offset),
-                Input::Climber(c) => c.stamp = c.stamp.plus_seconds(-offset),
-                Input::Imu(_) | Input::Camera(_) => {}
+        let inputs = simulated::run(motion, &sensors).changed(|_, input| {
+            let is_imu = matches!(input, Input::Imu(_));
+            if let Some(stamp) = simulated::stamp_of(input).filter(|_| !is_imu) {
+                *stamp = stamp.plus_seconds(-offset);
             }
-        }
+        });
         let mut config = config(PaperMeasurement::Pose);
         config.tight.clock.camera_offset = offset;
-        let mut fusion = Fusion::new(simulated::rig(), config);
-        let outputs = scoring::run(&mut fusion, run.inputs.into_iter().map(|(_, input)| input));
+        let (_, outputs) = scoring::follow(config, inputs);
         assert_eq!(outputs.status.last().map(|s| s.time_offset), Some(offset));
         outputs.odometry
     };
@@ -137,8 +119,7 @@ fn an_image_stamped_far_ahead_does_not_end_the_published_filter() {
     if let Input::Markers(markers) = &mut run.inputs[place].1 {
         markers.stamp = markers.stamp.plus_seconds(100.0);
     }
-    let mut fusion = Fusion::new(simulated::rig(), config(PaperMeasurement::Pose));
-    let outputs = scoring::run(&mut fusion, run.inputs.into_iter().map(|(_, input)| input));
+    let (_, outputs) = scoring::follow(config(PaperMeasurement::Pose), run.inputs());
     let last = outputs.status.last().unwrap();
     assert!(last.state == PoseState::Tracking && last.valid, "{last:?}");
 }
@@ -162,8 +143,7 @@ fn two_hidden_markers_leave_the_published_filter_coasting() {
 fn before_its_first_pose_the_published_filter_reports_what_it_waits_for() {
     let sensors = SensorConfig::nominal(1);
     let run = simulated::run(MotionConfig { duration: 1.0, ..MotionConfig::nominal(1) }, &sensors);
-    let inputs = run.inputs.into_iter().map(|(_, i)| i);
-    let without = inputs.filter(|i| !matches!(i, Input::Climber(_)));
+    let without = run.inputs().filter(|i| !matches!(i, Input::Climber(_)));
     let (fusion, outputs) = super::scoring::follow(config(PaperMeasurement::Pose), without);
     assert!(outputs.odometry.is_empty() && outputs.status.len() >= 9);
     let last = outputs.status.last().unwrap();

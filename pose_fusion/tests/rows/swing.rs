@@ -1,8 +1,8 @@
 //! `volant/swing` against the simulated rig: its angles and rates by differences of the true poses.
 
-use super::common::simulated;
+use super::common::{scoring, simulated};
 use nalgebra::{Matrix6, Point3, Vector3, Vector6};
-use pose_fusion::{Fusion, FusionConfig, Output, Swing};
+use pose_fusion::{FusionConfig, Swing};
 use rig_simulator::{
     inertial::SensorConfig,
     motion::{Motion, MotionConfig},
@@ -43,20 +43,9 @@ fn config() -> FusionConfig {
 fn swings(motion: MotionConfig, config: FusionConfig) -> (Motion, Vec<(f64, Swing)>) {
     let sensors = SensorConfig::nominal(2);
     let run = simulated::run(motion, &sensors);
-    let mut fusion = Fusion::new(simulated::rig(), config);
-    let mut swings = Vec::new();
-    for (_, input) in run.inputs {
-        fusion.handle(input);
-        while let Some(output) = fusion.poll() {
-            if let Output::Swing(swing) = output {
-                let t = swing.stamp.seconds_since(sensors.epoch);
-                if t > 2.0 {
-                    swings.push((t, swing));
-                }
-            }
-        }
-    }
-    (run.motion, swings)
+    let (_, outputs) = scoring::follow(config, run.inputs());
+    let timed = outputs.swing.into_iter().map(|s| (s.stamp.seconds_since(sensors.epoch), s));
+    (run.motion, timed.filter(|(t, _)| *t > 2.0).collect())
 }
 
 #[test]

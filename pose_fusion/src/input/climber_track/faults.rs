@@ -179,10 +179,23 @@ mod tests {
     use super::*;
     use crate::{config::ClimberConfig, measurements::geometry::ClimberRest};
 
+    const START: Stamp = Stamp::from_nanos(1_760_001_000_000_000_000);
+
+    fn rest() -> ClimberRest {
+        ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() }
+    }
+
+    /// Readings every 20 ms.
+    fn track(count: i32, values: impl Fn(f64) -> Vector3<f64>) -> ClimberTrack {
+        let mut track = ClimberTrack::new(&ClimberConfig::default());
+        for t in (0..count).map(|i| f64::from(i) * 0.02) {
+            track.add(START.plus_seconds(t), values(t), rest());
+        }
+        track
+    }
+
     #[test]
     fn an_encoder_that_freezes_on_one_axis_is_told_from_brakes_and_from_slow_readings() {
-        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
-        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
         let period = 0.02;
         // Readings whose position (m) and turn (rad) are functions of the time; y always moves.
         let stopped = |x: &dyn Fn(f64) -> f64, turn: &dyn Fn(f64) -> f64| {
@@ -192,8 +205,8 @@ mod tests {
                 let t = f64::from(i) * period;
                 let stepped = |v: f64| (v * 1e3).round() * 1e-3;
                 let values = Vector3::new(stepped(x(t)), stepped(0.2 * t), wrap_angle(turn(t)));
-                track.add(start.plus_seconds(t), values, rest);
-                found = found.or(track.stopped_at_once().map(|at| at.seconds_since(start)));
+                track.add(START.plus_seconds(t), values, rest());
+                found = found.or(track.stopped_at_once().map(|at| at.seconds_since(START)));
             }
             found
         };
@@ -223,18 +236,16 @@ mod tests {
 
     #[test]
     fn an_axis_that_stopped_is_distinguished_from_one_that_stood_and_from_one_that_creeps() {
-        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
-        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
         let mut track = ClimberTrack::new(&ClimberConfig::default());
         let mut frozen = None;
         for i in 0..60 {
             let t = f64::from(i) * 0.02;
             // x freezes after 1 s, y stands, and the turn goes on.
             let x = (0.12 * t.min(1.0) * 1e3).round() * 1e-3;
-            track.add(start.plus_seconds(t), Vector3::new(x, 0.5, 0.3 * t), rest);
+            track.add(START.plus_seconds(t), Vector3::new(x, 0.5, 0.3 * t), rest());
             let [stopped, stood, turning] = track.stopped_since();
             assert_eq!((stood, turning), (None, None));
-            frozen = frozen.or(stopped.map(|at| (t, at.seconds_since(start))));
+            frozen = frozen.or(stopped.map(|at| (t, at.seconds_since(START))));
         }
         let (found, since) = frozen.unwrap();
         assert!((since - 1.0).abs() < 0.021 && found < 1.09, "since {since}, found at {found}");
@@ -244,15 +255,13 @@ mod tests {
         for i in 0..200 {
             let t = f64::from(i) * 0.02;
             let x = (0.01 * t * 1e3).round() * 1e-3;
-            creeping.add(start.plus_seconds(t), Vector3::new(x, 0.5, 0.3 * t), rest);
+            creeping.add(START.plus_seconds(t), Vector3::new(x, 0.5, 0.3 * t), rest());
             assert_eq!(creeping.stopped_since(), [None; 3]);
         }
     }
 
     #[test]
     fn a_climber_that_turns_around_has_not_stopped_at_once() {
-        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
-        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
         let mut found = Vec::new();
         // It brakes as hard as a drive can, or less, and drives back; at each phase of the encoder.
         for (rate, decel) in [(50, 3.0), (50, 2.0), (100, 2.0), (500, 1.0), (500, 0.2)] {
@@ -263,7 +272,7 @@ mod tests {
                     let t = f64::from(i) / f64::from(rate);
                     let x = -0.5 * decel * (t - turns).powi(2) + 2e-5 * f64::from(phase);
                     let values = Vector3::new((x * 1e3).round() * 1e-3, 0.0, 0.0);
-                    track.add(start.plus_seconds(t), values, rest);
+                    track.add(START.plus_seconds(t), values, rest());
                     if track.stopped_at_once().is_some() {
                         found.push((rate, decel, phase, t));
                     }
@@ -275,16 +284,10 @@ mod tests {
 
     #[test]
     fn leaping_readings_are_distinguished_from_a_fast_climber() {
-        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
-        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
-        // Readings every 20 ms, and instants near which they leap.
+        // Instants near which readings leap.
         let leaps = |values: &dyn Fn(f64) -> Vector3<f64>| {
-            let mut track = ClimberTrack::new(&ClimberConfig::default());
-            for i in 0..100 {
-                let t = f64::from(i) * 0.02;
-                track.add(start.plus_seconds(t), values(t), rest);
-            }
-            let found = |i: &i32| track.leaps_near(start.plus_seconds(f64::from(*i) * 0.02));
+            let track = track(100, values);
+            let found = |i: &i32| track.leaps_near(START.plus_seconds(f64::from(*i) * 0.02));
             (0..100).filter(found).collect::<Vec<_>>()
         };
         let fast = |t: f64| Vector3::new(1.4 * t, -1.4 * t, wrap_angle(3.0 + t));
@@ -298,17 +301,13 @@ mod tests {
 
     #[test]
     fn a_leap_back_is_distinguished_from_a_leap_away() {
-        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
-        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
         // 0.3 m/s, off by `off` from 0.5 s until 1.5 s and by `after` from then on.
         let leaps = |off: f64, after: f64| {
-            let mut track = ClimberTrack::new(&ClimberConfig::default());
-            for i in 0..100 {
-                let t = f64::from(i) * 0.02;
+            let track = track(100, |t| {
                 let wrong = [0.0, off, after][usize::from(t > 0.49) + usize::from(t > 1.49)];
-                track.add(start.plus_seconds(t), Vector3::new(0.3 * t + wrong, 0.0, 0.0), rest);
-            }
-            [0.48, 0.5, 0.52, 1.5, 1.52].map(|t| track.leap_at(start.plus_seconds(t)))
+                Vector3::new(0.3 * t + wrong, 0.0, 0.0)
+            });
+            [0.48, 0.5, 0.52, 1.5, 1.52].map(|t| track.leap_at(START.plus_seconds(t)))
         };
         assert_eq!(leaps(10.0, 0.0), [None, Some(false), None, Some(true), None]);
         assert_eq!(leaps(10.0, 5.0), [None, Some(false), None, Some(false), None]);
@@ -316,17 +315,13 @@ mod tests {
 
     #[test]
     fn resumed_readings_are_distinguished_from_a_reset_out_of_reach() {
-        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
-        let start = Stamp::from_nanos(1_760_001_000_000_000_000);
-        // A reading every 20 ms: equal from `since` until 1 s, then offset by `off`.
+        // Readings that are equal from `since` until 1 s, then offset by `off`.
         let moves_on = |since: f64, off: f64| {
-            let mut track = ClimberTrack::new(&ClimberConfig::default());
-            for i in 0..=51 {
-                let t = f64::from(i) * 0.02;
+            let track = track(52, |t| {
                 let x = 0.1 * t.min(since) + if t > 0.99 { off } else { 0.0 };
-                track.add(start.plus_seconds(t), Vector3::new(x, 0.3, wrap_angle(3.1)), rest);
-            }
-            [0.98, 1.0, 1.02].map(|t| track.moves_on(start.plus_seconds(t)))
+                Vector3::new(x, 0.3, wrap_angle(3.1))
+            });
+            [0.98, 1.0, 1.02].map(|t| track.moves_on(START.plus_seconds(t)))
         };
         assert_eq!(moves_on(0.5, 0.2), [false, true, false]);
         assert_eq!(moves_on(0.5, 10.0), [false; 3], "out of reach");
