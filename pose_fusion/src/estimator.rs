@@ -3,10 +3,7 @@
 use crate::{
     config::{FusionConfig, Model},
     filter::Filter,
-    health::{
-        pose_status::{PoseState, PoseStatus},
-        status::Status,
-    },
+    health::{pose_status::PoseStatus, status::Status},
     initialization::checkpoint::{Checkpoint, Refusal},
     output::{Odometry, Output, PoseEstimate, Warning, rate_limit::RateLimit},
     reference::{published_filter::PublishedFilter, single_image::SingleImagePose},
@@ -135,12 +132,15 @@ impl Fusion {
     /// # Errors
     /// See [`Refusal`]; nothing is changed then.
     pub fn set_pose(&mut self, pose: &PoseEstimate) -> Result<(), Refusal> {
+        self.tight()?.set_pose(pose)?;
+        self.take_outputs();
+        Ok(())
+    }
+
+    /// Returns the error-state filter.
+    fn tight(&mut self) -> Result<&mut Filter, Refusal> {
         match &mut self.estimator {
-            Estimator::TightlyCoupled(filter) => {
-                filter.set_pose(pose)?;
-                self.take_outputs();
-                Ok(())
-            }
+            Estimator::TightlyCoupled(filter) => Ok(filter),
             Estimator::Paper(_) => Err(NOT_OF_THE_PAPER),
         }
     }
@@ -162,10 +162,7 @@ impl Fusion {
     /// # Errors
     /// The checkpoint is invalid, or the published filter runs; nothing is changed then.
     pub fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), Refusal> {
-        match &mut self.estimator {
-            Estimator::TightlyCoupled(filter) => filter.restore(checkpoint),
-            Estimator::Paper(_) => Err(NOT_OF_THE_PAPER),
-        }
+        self.tight()?.restore(checkpoint)
     }
 
     /// Stops or resumes using markers (error-state filter): what is not used is still compared and
@@ -174,13 +171,8 @@ impl Fusion {
     /// # Errors
     /// The published filter runs.
     pub fn freeze(&mut self, frozen: bool) -> Result<(), Refusal> {
-        match &mut self.estimator {
-            Estimator::TightlyCoupled(filter) => {
-                filter.freeze(frozen);
-                Ok(())
-            }
-            Estimator::Paper(_) => Err(NOT_OF_THE_PAPER),
-        }
+        self.tight()?.freeze(frozen);
+        Ok(())
     }
 
     /// Keeps from now on what [`Fusion::smoothed`] needs.
@@ -225,15 +217,9 @@ impl Fusion {
 
     /// Returns the status at `now` where no input has come for `silence` seconds.
     pub fn silent_status(&self, now: Stamp, silence: f64) -> PoseStatus {
-        let [image_age, imu_age, climber_age] = self.ages(silence);
-        PoseStatus {
-            state: PoseState::Lost,
-            image_age,
-            imu_age,
-            climber_age,
-            time_offset: self.status().time_offset.offset,
-            ..PoseStatus::initializing(now, format!("no input for {silence:.1} s"))
-        }
+        let time_offset = self.status().time_offset.offset;
+        let reason = format!("no input for {silence:.1} s");
+        PoseStatus::lost(now, self.ages(silence), time_offset, reason)
     }
 
     /// Returns the ages of the newest used image, IMU sample and used encoder reading, `silence`
@@ -266,6 +252,7 @@ const NOT_OF_THE_PAPER: Refusal = Refusal::Invalid {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::PoseState;
 
     #[test]
     fn the_published_filter_is_not_frozen() {

@@ -101,21 +101,15 @@ impl NodeShell for FusionNode {
             pose: context.advertise(topics::POSE, QosPreset::State)?,
             visual_pose: context.advertise(topics::VISUAL_POSE, QosPreset::State)?,
             status: context.advertise(topics::STATUS, QosPreset::State)?,
-            predicted: if is_tight && parameters.core.tight.prediction_horizon > 0.0 {
-                Some(context.advertise(topics::PREDICTED_ODOMETRY, QosPreset::State)?)
-            } else {
-                None
-            },
-            swing: if is_tight && parameters.core.tight.swing {
-                Some(context.advertise(topics::SWING, QosPreset::State)?)
-            } else {
-                None
-            },
-            updates: if parameters.publish_marker_updates {
-                Some(context.advertise(topics::MARKER_UPDATES, QosPreset::State)?)
-            } else {
-                None
-            },
+            predicted: (is_tight && parameters.core.tight.prediction_horizon > 0.0)
+                .then(|| context.advertise(topics::PREDICTED_ODOMETRY, QosPreset::State))
+                .transpose()?,
+            swing: (is_tight && parameters.core.tight.swing)
+                .then(|| context.advertise(topics::SWING, QosPreset::State))
+                .transpose()?,
+            updates: (parameters.publish_marker_updates)
+                .then(|| context.advertise(topics::MARKER_UPDATES, QosPreset::State))
+                .transpose()?,
         };
         if parameters.publish_tf {
             context.advertise_transforms()?;
@@ -256,15 +250,11 @@ impl NodeShell for FusionNode {
             };
             (Health::Error, format!("{what}, for {image_age:.1} s"))
         } else if image_age > limit {
-            let lost = s.position_sigma > self.parameters.core.status.lost_position_sigma;
-            let health = if lost { Health::Error } else { Health::Warn };
-            (
-                health,
-                format!(
-                    "no marker used for {image_age:.1} s, position within {:.3} m",
-                    s.position_sigma
-                ),
-            )
+            let (sigma, limit) =
+                (s.position_sigma, self.parameters.core.status.lost_position_sigma);
+            let health = if sigma > limit { Health::Error } else { Health::Warn };
+            let ages = format!("no marker used for {image_age:.1} s");
+            (health, format!("{ages}, position within {sigma:.3} m"))
         } else if s.encoders_suspended {
             (Health::Error, "the encoders contradict images and IMU and are not used".to_owned())
         } else if gated > 0 {

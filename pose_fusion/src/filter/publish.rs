@@ -201,15 +201,14 @@ impl Filter {
             limited.add_dispute(dispute, &state.climber);
         }
         let position_sigma = largest_sigma(&limited.pose_covariance, 0);
-        let since =
-            |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| end.seconds_since(s).max(0.0));
+        let [image_age, imu_age, climber_age] = self.ages(end);
         let status = PoseStatus {
             stamp: end,
             position_sigma,
             rotation_sigma: largest_sigma(&limited.pose_covariance, 3),
-            image_age: since(image),
-            imu_age: since(self.arrival.newest_imu().map(|(stamp, _)| stamp)),
-            climber_age: since(self.publisher.last_encoders),
+            image_age,
+            imu_age,
+            climber_age,
             markers_used: self.publisher.markers_used,
             time_offset: state.time_offset,
             ..PoseStatus::initializing(end, String::new())
@@ -280,23 +279,21 @@ impl Filter {
         self.publisher.last_status = Some(now);
         let time_offset = self.time_offset();
         let status = if started {
-            let age = |stamp: Option<Stamp>| since(stamp).max(0.0);
-            let image = self.lock_out.last_used().map(|image| image.plus_seconds(time_offset));
-            PoseStatus {
-                state: PoseState::Lost,
-                image_age: age(image),
-                imu_age: age(self.arrival.newest_imu().map(|(stamp, _)| stamp)),
-                climber_age: age(self.publisher.last_encoders),
-                time_offset,
-                ..PoseStatus::initializing(
-                    now,
-                    format!("no IMU sample and no image with markers for {silent:.1} s"),
-                )
-            }
+            let reason = format!("no IMU sample and no image with markers for {silent:.1} s");
+            PoseStatus::lost(now, self.ages(now), time_offset, reason)
         } else {
             PoseStatus { time_offset, ..PoseStatus::initializing(now, self.missing()) }
         };
         self.publisher.out.push_back(Output::Status(status));
+    }
+
+    /// Ages of the newest used image, IMU sample and used encoder reading at an instant, s.
+    fn ages(&self, at: Stamp) -> [f64; 3] {
+        let offset = self.time_offset();
+        let image = self.lock_out.last_used().map(|image| image.plus_seconds(offset));
+        let imu = self.arrival.newest_imu().map(|(stamp, _)| stamp);
+        let age = |stamp: Stamp| at.seconds_since(stamp).max(0.0);
+        [image, imu, self.publisher.last_encoders].map(|stamp| stamp.map_or(f64::INFINITY, age))
     }
 
     /// Returns the topics without a usable message, which the initialization waits for.

@@ -69,6 +69,20 @@ impl PoseStatus {
         }
     }
 
+    /// Returns the status of a pose that is lost; `ages` are those of image, IMU sample and encoder
+    /// reading, s.
+    pub fn lost(stamp: Stamp, ages: [f64; 3], time_offset: f64, reason: String) -> Self {
+        let [image_age, imu_age, climber_age] = ages;
+        Self {
+            state: PoseState::Lost,
+            image_age,
+            imu_age,
+            climber_age,
+            time_offset,
+            ..Self::initializing(stamp, reason)
+        }
+    }
+
     /// Fills in state, validity and reason from the ages and sigmas. `vision_only` is whether IMU
     /// samples are missing, `contradicted` whether images contradict the prediction again and
     /// again.
