@@ -31,13 +31,6 @@ struct Disturbance {
     rate: f64,
 }
 
-impl Disturbance {
-    /// Whether this is one of the climber that lasts at `at` or ended within `span` seconds before.
-    fn jerks_climber(&self, at: Stamp, span: f64) -> bool {
-        self.jerk != Vector3::zeros() && self.from <= at && at.seconds_since(self.to) <= span
-    }
-}
-
 /// The newest disturbances.
 #[derive(Clone, Debug)]
 pub struct Disturbances(VecDeque<Disturbance>);
@@ -98,7 +91,8 @@ impl Disturbances {
 
     /// Returns whether the climber is disturbed at `at`, or was within `span` seconds before.
     pub fn is_climber_disturbed(&self, at: Stamp, span: f64) -> bool {
-        self.0.iter().any(|d| d.jerks_climber(at, span))
+        let last = |d: &&Disturbance| d.from <= at && at.seconds_since(d.to) <= span;
+        self.0.iter().filter(last).any(|d| d.jerk != Vector3::zeros())
     }
 
     /// Forgets the disturbances of the climber that reach into the `span` seconds before `at`, and

@@ -44,14 +44,14 @@ impl Filter {
     /// Returns the stamp with which an IMU sample counts. Where it turns out that the samples come
     /// in bursts, everything is identified again with their right stamps.
     fn imu_stamp(&mut self, sample: &ImuSample) -> Stamp {
-        let known = self.imu.bursts().is_some();
+        let known = self.imu.stamps.bursts().is_some();
         let repeats = |newest: ImuReading| {
             newest.specific_force == sample.specific_force
                 && newest.angular_velocity == sample.angular_velocity
         };
         let repeated = self.arrival.newest_imu().is_some_and(|(_, newest)| repeats(newest));
-        let stamp = self.imu.stamp(sample.stamp, repeated);
-        if let (false, Some(Bursts { period, samples })) = (known, self.imu.bursts()) {
+        let stamp = self.imu.stamps.add(sample.stamp, repeated);
+        if let (false, Some(Bursts { period, samples })) = (known, self.imu.stamps.bursts()) {
             self.publisher.warn(Warning::ImuBursts { samples, every_s: samples * period });
             self.reset();
         }
@@ -165,7 +165,7 @@ impl Filter {
         self.arrival.imu(sample.stamp, reading);
         self.publisher.counts.inputs.imu += 1;
         if let Some(search) = &mut self.search {
-            if self.imu.hides_motion() {
+            if self.imu.integrity.hides_motion() {
                 search.clear();
             } else {
                 search.add_reading(sample.stamp, &reading);

@@ -86,7 +86,7 @@ impl Filter {
         if self.setup.geometry.as_ref().is_none_or(|g| g.camera != *camera) {
             let geometry = Geometry::new(&self.setup.rig, camera.clone());
             let readout = self.setup.config.clock.image_readout;
-            self.setup.geometry = Some(geometry.with_readout(readout));
+            self.setup.geometry = Some(Geometry { readout, ..geometry });
         }
     }
 
@@ -127,7 +127,7 @@ impl Filter {
             imu: ImuStatus {
                 newest: self.arrival.newest_imu().map(|(stamp, _)| stamp),
                 densities: self.imu.densities(imu),
-                bursts: self.imu.bursts(),
+                bursts: self.imu.stamps.bursts(),
             },
             last_used_image: self.lock_out.last_used(),
             position_sigma: f64::INFINITY,

@@ -7,16 +7,12 @@ const LARGEST_BIAS: [f64; 2] = [5.0, 1.0];
 /// Latency that the history must hold beside the time offset, s.
 const LATENCY: f64 = 0.1;
 
-/// Returns the largest camera time offset that the history can hold, s.
-pub fn largest_offset(config: &TightConfig) -> f64 {
-    (config.history - LATENCY).clamp(REACH, REACH + 0.1)
-}
-
 /// Returns the first bound that a state violates; `None` where every number is finite and within
 /// physical bounds.
 pub fn violation(state: &State, config: &TightConfig) -> Option<&'static str> {
     let from_climber = (state.position.xy() - state.climber.xy()).norm();
     let offset = state.time_offset - config.clock.camera_offset;
+    let largest_offset = (config.history - LATENCY).clamp(REACH, REACH + 0.1);
     if !state.is_finite() {
         Some("a number is not finite")
     } else if from_climber > config.limits.max_range {
@@ -27,7 +23,7 @@ pub fn violation(state: &State, config: &TightConfig) -> Option<&'static str> {
         Some("the accelerometer bias exceeds 5 m/s^2")
     } else if state.gyroscope_bias.amax() > LARGEST_BIAS[1] {
         Some("the gyroscope bias exceeds 1 rad/s")
-    } else if offset.abs() > largest_offset(config) {
+    } else if offset.abs() > largest_offset {
         Some("the camera time offset is further from clock.camera_offset than history allows")
     } else {
         None

@@ -9,7 +9,7 @@ use crate::{
         stationary::Stationary,
     },
     ekf::propagation::ImuReading,
-    input::imu_stamps::{Bursts, ImuStamps},
+    input::imu_stamps::ImuStamps,
     timeline::{
         clock_step::ClockSteps,
         history::{Entry, Event, History},
@@ -62,10 +62,12 @@ impl Up {
 /// State of the IMU input.
 #[derive(Clone, Debug, Default)]
 pub struct ImuInput {
-    stamps: ImuStamps,
+    /// Stamps with which samples count.
+    pub stamps: ImuStamps,
     /// Steps of the IMU's clock against that of camera and encoders.
     pub clocks: ClockSteps,
-    integrity: ImuIntegrity,
+    /// Whether samples are sound.
+    pub integrity: ImuIntegrity,
     noise: ImuNoise,
     stationary: Stationary,
     ups: VecDeque<(Stamp, Up)>,
@@ -90,16 +92,6 @@ impl ImuInput {
         };
         ImuIntegrity::check(&reading)?;
         Ok(reading)
-    }
-
-    /// Returns the stamp with which a sample counts; `repeated`: it has the newest one's values.
-    pub fn stamp(&mut self, arrived: Stamp, repeated: bool) -> Stamp {
-        self.stamps.add(arrived, repeated)
-    }
-
-    /// Returns the bursts in which the samples come, if they do.
-    pub fn bursts(&self) -> Option<Bursts> {
-        self.stamps.bursts()
     }
 
     /// Discards what was identified with stamps of which it is now known that they were wrong.
@@ -172,11 +164,6 @@ impl ImuInput {
     /// angular velocity.
     pub fn noise_of_changes(&self) -> Densities {
         self.noise.noise_of_changes(self.smoothing)
-    }
-
-    /// Returns whether the last reading was saturated or stuck.
-    pub fn hides_motion(&self) -> bool {
-        self.integrity.hides_motion()
     }
 
     /// Discards what a gap interrupts.

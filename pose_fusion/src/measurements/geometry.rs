@@ -33,11 +33,6 @@ impl Geometry {
         }
     }
 
-    /// Returns the geometry with a camera that exposes one row after the other.
-    pub fn with_readout(self, readout: f64) -> Self {
-        Self { readout, ..self }
-    }
-
     /// Returns by how much later than the middle of the image a row is exposed, s.
     pub fn delay_of_row(&self, row: f64) -> f64 {
         self.readout * (row / f64::from(self.camera.size().1) - 0.5)

@@ -205,7 +205,8 @@ pub fn update(
         }
     }
     if record.misfit.is_some() && count(&chosen) < 4 {
-        record.against_prediction = joint_nis(&linear.residual, &whole);
+        let residual = &linear.residual;
+        record.against_prediction = Cholesky::new(whole).map(|c| residual.dot(&c.solve(residual)));
     }
     let Some((_, solution)) = best else { return record };
     record.used = count(&chosen) as u32;
@@ -228,11 +229,6 @@ pub fn update(
         subtract_square(&mut state.covariance, &solution.root);
     }
     record
-}
-
-/// Returns `rᵀ S⁻¹ r` of four markers with the innovation covariance `S`.
-fn joint_nis(residual: &Residual, covariance: &Block) -> Option<f64> {
-    Some(residual.dot(&Cholesky::new(*covariance)?.solve(residual)))
 }
 
 #[cfg(test)]
