@@ -31,8 +31,7 @@ use volant_msgs::{
 
 /// Time between two status messages while there is no pose.
 const STATUS_PERIOD: Duration = Duration::from_millis(100);
-/// This long without a status of the estimator, and longer than two periods of `publish_rate`, its
-/// inputs have ended, s.
+/// Beside two periods of `publish_rate`, time without a status after which inputs have ended, s.
 const ENDED: f64 = 0.35;
 
 /// Publishers of the estimate.

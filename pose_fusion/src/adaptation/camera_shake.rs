@@ -14,8 +14,7 @@ use rig_model::Stamp;
 
 /// Number of images over which the variances are means.
 const MEMORY: f64 = 15.0;
-/// A difference counts as at most this many times what the ones before lead to expect: one image
-/// does not make a shake.
+/// Largest difference that counts, in units of what earlier ones predict: one image is no shake.
 const SURPRISING: f64 = 3.0;
 /// A variance above this many times what the images claim is a shake …
 const LARGE: f64 = 4.5;

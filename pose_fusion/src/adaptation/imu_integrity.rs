@@ -6,24 +6,17 @@ use nalgebra::Vector3;
 
 use super::imu_noise::Densities;
 
-/// A second difference of samples above this many sigma is a shock that the sampling may have
-/// missed in part. (Second differences cancel a swing: at 1 Hz and 100 samples per second they
-/// leave 0.4 % of it.)
+/// Sigmas of a second difference (which cancels a swing) from which it is an undersampled shock.
 const JUMP_SIGMAS: f64 = 6.0;
-/// Part of a jump that the integration may have missed: between nothing and the whole step, 1
-/// sigma.
+/// Share of a jump that the integration may have missed, 1 sigma.
 const MISSED: f64 = 0.5;
-/// An axis that repeats the largest magnitude it ever had, above this one, is saturated: m/s²,
-/// rad/s.
+/// An axis that repeats its largest magnitude above this is saturated, m/s², rad/s.
 const SATURATION: [f64; 2] = [15.0, 0.1];
-/// Number of equal samples in a row that are no coincidence of a quantized signal at the peak of a
-/// swing.
+/// Equal samples in a row that are no coincidence of a quantized peak.
 const REPEATED: u32 = 3;
-/// Specific force (m/s²) and angular velocity (rad/s) that a saturated or stuck axis may hide, 1
-/// sigma: a fast swing's.
+/// Motion that a saturated or stuck axis may hide, m/s², rad/s, 1 sigma: a fast swing.
 const HIDDEN: [f64; 2] = [3.0, 2.0];
-/// Scale error that the estimated constants ([`crate::ekf::calibration`]) do not describe,
-/// relative: nonlinearity.
+/// Relative scale error beside the estimated constants: nonlinearity.
 const SCALE: f64 = 0.001;
 /// Correlation time of what is hidden and of scale errors in a swing, s.
 const CORRELATION: f64 = 0.3;
@@ -31,8 +24,7 @@ const CORRELATION: f64 = 0.3;
 const STUCK: f64 = 0.05;
 /// Time constant of the mean specific force, whose scale error the bias absorbs, s.
 const MEAN_FORCE: f64 = 5.0;
-/// Largest specific force (m/s²) and angular velocity (rad/s) of a reading: the ranges of an MTx,
-/// 18 g and 2000°/s.
+/// Largest reading, m/s², rad/s: the ranges of an MTx, 18 g and 2000°/s.
 const LARGEST_FORCE: f64 = 180.0;
 const LARGEST_RATE: f64 = 40.0;
 

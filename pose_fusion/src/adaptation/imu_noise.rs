@@ -11,8 +11,7 @@
 use crate::ekf::propagation::ImuReading;
 use nalgebra::Vector3;
 
-/// Length of a block, s: its third differences measure at 8–12 Hz, above a platform's motion and
-/// below its vibration.
+/// Length of a block, s; its differences measure at 8–12 Hz, above motion and below vibration.
 const BLOCK: f64 = 0.04;
 /// Longer intervals between samples interrupt the differences, s.
 const INTERRUPTED: f64 = 0.05;
@@ -39,8 +38,7 @@ pub struct Densities {
     pub rate: f64,
 }
 
-/// The mean over a block has triangular weights, which suppress vibration by the square of what
-/// equal weights do. Its variance is 4/3 of that of equal weights.
+/// Variance of a mean with triangular weights, which suppress vibration, over equal weights.
 const TRIANGULAR: f64 = 4.0 / 3.0;
 
 /// Running estimate of the IMU's noise.

@@ -14,8 +14,7 @@ const CONFIRMED: f64 = 90.0;
 /// A confirmed layout must be contradicted by this many images in a row, five seconds, by more than
 /// twice [`MISFIT`]: a false marker is beside its place for a shorter time.
 const REFUTED: u32 = 150;
-/// Mean misfit of [`FEWEST`] images that is an error of the layout, each axis, m. Correct files
-/// have at most 0.15 mm on seven recordings.
+/// Mean misfit that is an error of the layout, each axis, m; correct files have 0.15 mm at most.
 const MISFIT: f64 = 0.25e-3;
 /// Largest distance of what a layout measured by hand leaves; a larger one is a false marker, m.
 const LARGEST: f64 = 0.005;

@@ -13,8 +13,7 @@ use std::collections::VecDeque;
 pub const KEPT: usize = 64;
 /// Fewest intervals that say anything.
 const FEWEST: usize = 8;
-/// Intervals within this range, in median intervals, measure the period: a shorter one is an image
-/// twice, a longer one a gap.
+/// Intervals that measure the period, in median intervals; others are duplicates and gaps.
 const MEASURES: std::ops::Range<f64> = 0.5..3.5;
 /// A smaller jitter may be one of the exposures, which the stamps tell rightly, s.
 const SMALLEST: f64 = 0.5e-3;

@@ -23,8 +23,7 @@ use crate::config::ImuConfig;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use rig_model::MarkerLayout;
 
-/// Number of constants: scale factors of gyroscope and accelerometer, rotations of both, rad, and
-/// offsets of the markers, m.
+/// Number of constants: six scale factors, six rotations, rad, eight marker offsets, m.
 pub const CONSTANTS: usize = 20;
 /// First rotation.
 const ROTATION: usize = 6;
@@ -32,14 +31,11 @@ const ROTATION: usize = 6;
 pub const MARKERS: usize = 12;
 /// Number of offsets.
 pub const OFFSETS: usize = 8;
-/// Largest scale factor and rotation, rad. An IMU beyond that has another range, or another
-/// mounting, than configured.
+/// Largest scale factor and rotation, rad; beyond that range or mounting are misconfigured.
 const LARGEST: f32 = 0.1;
-/// Largest offset of a marker, m: half the side of the square that the paper used. A marker further
-/// off is another one.
+/// Largest offset of a marker, m: half the side of the paper's square.
 const LARGEST_OFFSET: f64 = 0.04;
-/// A constant this many standard deviations from zero was expected too close to it; its variance is
-/// opened by its square.
+/// Sigmas from zero beyond which a constant's variance is opened by its square.
 const UNEXPECTED: f32 = 3.0;
 
 /// Numbers of one triangle of the covariance.

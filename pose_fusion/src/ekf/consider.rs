@@ -25,8 +25,7 @@ pub const MOUNTING: usize = 1;
 pub const ENCODER_SCALE: usize = 4;
 /// Offset of the climber's stamps, s.
 pub const CLIMBER_OFFSET: usize = 5;
-/// Error of the camera time offset while it is searched, s. The gains assume a small one; the
-/// estimate may be built on a large one.
+/// Error of the camera time offset while it is searched, s; the gains assume a small one.
 pub const TIME_OFFSET_ERROR: usize = 6;
 /// First of the constants that are estimated ([`super::calibration`]): first those of the IMU.
 pub const ESTIMATED: usize = 7;

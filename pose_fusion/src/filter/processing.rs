@@ -31,20 +31,15 @@ const FREE_JERK: f64 = 1000.0;
 /// the gates (0.999 quantile), and where some did not (0.9999 quantile).
 const STRAINED: f64 = 26.12;
 const CONTRADICTED: f64 = 31.83;
-/// Largest factor of the model error with which a gated image means a shock and not one more error
-/// of the model; guarded by the late encoders of `make robustness`.
+/// Largest factor of the model error with which a gated image means a shock.
 const SUDDEN: f64 = 1.5;
-/// Mean square of the images' innovations, per degree of freedom, with which encoders that stand may
-/// be frozen, once the time offset is known.
+/// Mean square of innovations per degree of freedom from which standing encoders may be frozen.
 const DOUBTED: f64 = 1.4;
-/// Markers that do not show that they agree with each other (three, or one of four is false) must
-/// contradict in this many times as many images before the prediction gives way.
+/// Factor on the images that must contradict where their markers may disagree with each other.
 const DISAGREEING: u32 = 3;
-/// Share of a residual that a shock explains by rotation: the IMU measures rotation without
-/// gravity's help, and better.
+/// Share of a residual that a shock explains by rotation, which the IMU measures better.
 const ROTATION_SHARE: f64 = 0.3;
-/// Largest distance (m) and angle (rad) by which a shock moves the platform from one image to the
-/// next. Markers that contradict by more are false more often than true.
+/// Largest distance (m) and angle (rad) of a shock; markers that contradict by more are false.
 const LARGEST_SHOCK: (f64, f64) = (0.2, 0.1);
 /// Density of the angular velocity's process noise, (rad/s)²/Hz, above which the IMU does not
 /// propagate the attitude from one image to the next: a gap of 0.15 s, invalid samples, a shock.
@@ -53,8 +48,7 @@ const UNCARRIED: f64 = 0.01;
 /// where the velocity is known to this, m/s.
 pub(super) const OFFSET_KNOWN: f64 = 0.01;
 const VELOCITY_KNOWN: f64 = 0.1;
-/// Longest time that the IMU carries the state past such images, s: an alignment finds the offset
-/// of a platform that sets off within 0.2 s.
+/// Longest time that the IMU carries the state past such images, s; an alignment takes 0.2 s.
 const CARRIED: f64 = 0.25;
 /// Random walk of the camera time offset, s/√s: clocks that drift apart by up to 200 ppm.
 const OFFSET_WALK: f64 = 1e-4;

@@ -31,8 +31,7 @@ const NEAR: f64 = 1.0;
 /// to the state that serves an instant, s.
 const ESTIMATED_UP: f64 = 0.05;
 const ESTIMATED_NEAR: f64 = 0.05;
-/// The IMU's own attitude is what is wrong where another "up" is off by less than this share of its
-/// angle.
+/// The IMU's own attitude is wrong where another "up" is off by less than this share of it.
 const OWN_WORSE: f64 = 0.5;
 /// Biases known before an outage or recovery are worth half afterwards.
 const REMEMBERED: f64 = 2.0;

@@ -22,21 +22,17 @@ use rig_model::{Stamp, planar_pose::PlanarPose};
 
 /// A filter whose time offset is no further off than this corrects it by itself, s.
 const OFFSET_LINEAR: f64 = 0.008;
-/// A latency that changed by less than this is corrected by the filter too, s; errors of the rig's
-/// files look like a smaller change (`test/tests/check.rs`).
+/// Smallest change of latency that restarts the filter, s; errors of the rig file look smaller.
 const CHANGED: f64 = 0.02;
 /// A filter agrees with an alignment within this many sigma of both.
 const AGREES: f64 = 3.0;
-/// A filter that an alignment contradicts by this many sigma of both restarts before the alignment
-/// is final.
+/// Sigmas of filter and alignment from which the filter restarts before the alignment is final.
 const GROSS: f64 = 4.0;
 /// A filter that knows its time offset to this, s, and agrees with an alignment, needs no other.
 const KNOWN: f64 = 0.003;
-/// Uncertainty that is added to the time offset where images contradict the prediction, s: a smaller
-/// change the filter finds by itself.
+/// Uncertainty added to the offset where images contradict, s, for a change without a restart.
 const REOPENED: f64 = 0.005;
-/// Tilt by which the image poses that are aligned may miss "up", rad: a swing within the offset
-/// that is not known yet.
+/// Tilt by which aligned image poses may miss "up", rad: a swing within the unknown offset.
 const TILT: f64 = 0.1;
 /// An image further from its nearest encoder reading than this is not aligned, s.
 const CLIMBER_NEAR: f64 = 0.05;

@@ -23,13 +23,11 @@ const CONFIRMED: f64 = 1.0;
 
 /// Consistent readings in a row that restore trust.
 const CONSISTENT: u32 = 3;
-/// Readings that do not change must be consistent for this time, s: frozen ones agree while the
-/// climber comes by.
+/// Time for which standing readings must be consistent, s: the climber may come by frozen ones.
 const UNCHANGED: f64 = 1.0;
 /// The same where only one axis stands, which may be at rest, s.
 const PASSED: f64 = 0.3;
-/// Readings that returned from a fault and contradict the estimate for this time afterwards are
-/// right, s: the climber drove on unseen.
+/// Readings that return from a fault and contradict for this long are right, s.
 const RETURNED: f64 = 0.2;
 /// This long after encoders were suspended, images should not contradict the prediction any more, s.
 const EXPLAINED: f64 = 0.2;

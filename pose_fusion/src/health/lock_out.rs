@@ -13,13 +13,11 @@
 
 use rig_model::Stamp;
 
-/// Without an image that did not contradict for this long, the second one in a row that does
-/// reinitializes the pose, s.
+/// Time without a consistent image after which the second contradicting one reinitializes, s.
 const STARVED: f64 = 0.5;
 /// Encoders that jumped within this time before an image may be what contradicts it, s.
 pub const SUSPECT: f64 = 0.5;
-/// The prediction gives way to rejected images this often within [`REPEATED`] seconds before
-/// another explanation is tried.
+/// Shocks within [`REPEATED`] seconds after which another explanation is tried.
 const SHOCKS: u32 = 2;
 const REPEATED: f64 = 0.6;
 /// The pose is contradicted where the prediction gave way three times within this time, and until

@@ -36,8 +36,7 @@ const SCALE: [f64; 2] = [0.015, 0.02];
 const ROTATION: [f64; 2] = [0.03, 0.04];
 /// Estimated offset of a marker from its place in the rig file, m (0.00002).
 const OFFSET: f64 = 0.0003;
-/// Camera time offset beside the configured one, s (0.001): more than the age of an image of a
-/// usual camera.
+/// Camera time offset beside the configured one, s (0.001): more than the age of an image.
 const TIME_OFFSET: f64 = 0.05;
 
 /// Recent measurements of one marker.

@@ -16,11 +16,9 @@ const FEWEST: usize = 24;
 const SHORT: f64 = 0.25;
 /// … and one above this multiple is one between two.
 const LONG: f64 = 1.5;
-/// Share of short intervals from which on the samples come in bursts. A driver that has delivered
-/// bursts once stamps on arrival from then on.
+/// Share of short intervals from which on the samples come in bursts, for good.
 const BURSTS: f64 = 0.3;
-/// Share of the time by which the last sample of a burst counts too early, after a lost one, that
-/// the next burst makes up for.
+/// Share of the last sample's earliness, after a lost one, that the next burst makes up for.
 const CATCH_UP: f64 = 0.5;
 /// A burst is at most this much longer than the mean one.
 const LONGEST: f64 = 1.5;

@@ -15,8 +15,7 @@ use crate::ekf::{
 use nalgebra::{Matrix3, Vector3};
 use rig_model::wrap_angle;
 
-/// Largest acceleration of a climber: m/s², m/s², rad/s² (a drive into its end stop, simulated: 36
-/// m/s²; a wheel that slips).
+/// Largest acceleration of a climber: m/s², m/s², rad/s² (simulated end stop: 36 m/s²).
 const ACCELERATION: f64 = 40.0;
 /// Beyond this span the images decide where the climber went, s.
 const LONGEST: f64 = 0.1;

@@ -41,8 +41,7 @@ pub type Offsets = SVector<f64, OFFSETS>;
 /// Where the attitude is known worse than this, rad, one or two markers fit whatever they are: they
 /// are not used where more are seen. A single one that is seen may contradict it there.
 pub const ATTITUDE_KNOWN: f64 = 0.02;
-/// Largest squared misfit of markers that agree with each other: 0.999 quantile of χ² with two
-/// degrees of freedom.
+/// Largest squared misfit of markers that agree: χ² quantile (0.999), 2 degrees of freedom.
 pub const AGREEING: f64 = 13.82;
 /// Centroid (raw px) and covariance (px²) of each detected marker.
 pub type Pixels = [Option<(Vector2<f64>, Matrix2<f64>)>; 4];

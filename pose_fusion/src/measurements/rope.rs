@@ -47,8 +47,7 @@ const LENGTH_LASTS: f64 = 10.0;
 const STRETCH_LASTS: f64 = 1.0;
 /// Smallest uncertainty of the identified length, m: systematic errors of the images.
 const FLOOR: f64 = 0.5e-3;
-/// Memory of the identification, images (ten seconds), and the number of images that count as one
-/// independent sample.
+/// Memory of the identification, images (10 s), and images that count as one independent sample.
 const MEMORY: f64 = 300.0;
 const CORRELATED: f64 = 15.0;
 

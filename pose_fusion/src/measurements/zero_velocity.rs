@@ -11,8 +11,7 @@ use crate::ekf::{
 };
 use nalgebra::Vector3;
 
-/// Angular velocity of a platform at rest, (rad/s)²: a tenth of a degree per second, which nobody
-/// would see.
+/// Angular velocity of a platform at rest, (rad/s)²: 0.1°/s.
 const REST_RATE: f64 = 3e-6;
 
 /// Applies the update to `state` and returns whether it was consistent with it.

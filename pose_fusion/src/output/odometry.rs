@@ -16,8 +16,7 @@ use crate::{
 use nalgebra::{Isometry3, Matrix3, Matrix6, SMatrix, SVector, Vector3};
 use rig_model::Stamp;
 
-/// Entries of the error that the odometry consists of: position, velocity, attitude, gyroscope
-/// bias.
+/// Entries of the error that the odometry consists of.
 const USED: [usize; 4] = [POSITION, VELOCITY, ATTITUDE, GYROSCOPE_BIAS];
 
 /// What the odometry is computed with beside the state.
@@ -33,8 +32,7 @@ pub struct Settings {
     pub silent: bool,
 }
 
-/// Velocity, m/s, and angular velocity, rad/s, that images alone may miss while the platform's
-/// motion changes.
+/// Changes of velocity, m/s, and angular velocity, rad/s, that images alone may miss.
 const UNSEEN_MOTION: [f64; 2] = [0.3, 0.5];
 
 /// Returns the odometry of a state at `stamp`.

@@ -31,8 +31,7 @@ const KEPT: usize = 64;
 const NEAR: f64 = 0.1;
 /// Smallest uncertainty of the IMU's own roll and pitch, rad.
 const ATTITUDE_FLOOR: f64 = 1e-3;
-/// The previous visual pose decides between two for this long, s, with this uncertainty of the
-/// rotation in between, rad.
+/// The previous visual pose decides for this long, s, with this uncertainty of the rotation, rad.
 const PREVIOUS: [f64; 2] = [0.3, 0.2];
 
 /// How the pose is found in an image.

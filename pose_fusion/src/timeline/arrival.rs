@@ -11,8 +11,7 @@ pub const AHEAD: f64 = 0.5;
 pub const JUMP: f64 = 1.0;
 /// IMU samples are held up for less than this, s.
 const HELD_UP: f64 = 10.0;
-/// A sample this far ahead of the newest one may have a wrong stamp, s: images and encoder readings,
-/// or the next sample, confirm it.
+/// A sample further ahead may have a wrong stamp, s; other messages or the next one confirm it.
 const STRAY: f64 = 0.2;
 /// Number of consecutive samples that confirm a jump.
 const CONFIRMED: u32 = 3;
@@ -21,8 +20,7 @@ const CONFIRMED: u32 = 3;
 const REPEATED: u32 = 4;
 /// Shortest step back of a clock that is told from jitter of the stamps, s.
 const SHORTEST_STEP: f64 = 0.03;
-/// Images or encoder readings that advance by this, in at least [`MESSAGES`] messages, without an
-/// IMU sample in between mean that the IMU is lost, s.
+/// Advance of other messages, at least [`MESSAGES`], from which the IMU is lost, s.
 const SILENCE: f64 = 0.1;
 const MESSAGES: u32 = 4;
 /// After this long without IMU samples a pose is initialized from images alone, s.

@@ -15,8 +15,7 @@ pub const GAP: f64 = 0.05;
 pub const INTERPOLATED: f64 = 0.4;
 /// Before the first sample after a longer gap its reading counts for this time, s.
 pub const HELD: f64 = 0.15;
-/// Specific force of a swinging platform away from its mean, m/s² (1 sigma): 35° at 1 Hz below 0.25
-/// m of rope.
+/// Specific force of a swing beside its mean, m/s² (1 sigma): 35° at 1 Hz, 0.25 m of rope.
 const FORCE: f64 = 3.0;
 /// Its angular velocity, rad/s (1 sigma).
 const RATE: f64 = 2.0;

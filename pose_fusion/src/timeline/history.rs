@@ -17,8 +17,7 @@ use nalgebra::Vector3;
 use rig_model::Stamp;
 use std::collections::VecDeque;
 
-/// Largest number of entries: 1 s of 1,000 IMU samples, 200 encoder readings and 200 images per
-/// second.
+/// Largest number of entries: 1 s of 1,000 IMU samples, 200 readings and 200 images per second.
 pub const CAPACITY: usize = 1400;
 
 /// Half the width of the mean of the readings that is the motion at an image, s.

@@ -7,8 +7,7 @@ use rig_model::{Stamp, wrap_angle};
 
 /// Number of equal readings of encoders that stand.
 const STANDING: usize = 3;
-/// No drive brakes or sets off harder than this (m/s², m/s², rad/s²): a climber that stops at once
-/// has run into /// something, or its encoder is frozen.
+/// Largest acceleration of a drive (m/s², m/s², rad/s²); a harder stop is a collision or a fault.
 const BRAKES: [f64; 3] = [3.0, 3.0, 2.0];
 /// The speed before a stop is that of readings at least this far apart, s.
 const SPEED_SPAN: f64 = 0.03;
