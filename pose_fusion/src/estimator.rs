@@ -122,7 +122,7 @@ impl Fusion {
                 filter.freeze(false);
                 filter.reset();
             }
-            Estimator::Paper(paper) => paper.reset(),
+            Estimator::Paper(paper) => paper.filter.reset(),
         }
     }
 
@@ -203,7 +203,7 @@ impl Fusion {
         match &self.estimator {
             Estimator::TightlyCoupled(filter) if filter.state().is_some() => String::new(),
             Estimator::TightlyCoupled(filter) => filter.missing(),
-            Estimator::Paper(paper) => paper.missing().to_owned(),
+            Estimator::Paper(paper) => paper.filter.missing().to_owned(),
         }
     }
 
@@ -232,7 +232,7 @@ impl Fusion {
     /// Whether the published filter runs with an IMU that outputs no attitude, so that it is
     /// computed from the samples.
     pub fn computes_attitude(&self) -> bool {
-        matches!(&self.estimator, Estimator::Paper(paper) if paper.computes_attitude())
+        matches!(&self.estimator, Estimator::Paper(paper) if paper.filter.computes_attitude())
     }
 
     /// Returns counters and insights for diagnostics.

@@ -48,14 +48,14 @@ impl Filter {
         let (since, from) =
             self.history.reading_before(place, DISTURBED_READINGS).unwrap_or((0, first));
         if encoders::is_impossible(innovation, at.seconds_since(from)) {
-            self.exclude(place);
+            self.set_excluded(place, true);
             self.suspend_encoders(place, at, innovation);
             self.withdraw_jerk(at);
         } else if self.disturbances.add_jerk(from, at, innovation) {
             self.climber.adapt_jerk(innovation.nis);
             self.history.rewind(since + 1);
         } else {
-            self.exclude(place);
+            self.set_excluded(place, true);
         }
         false
     }
@@ -77,11 +77,7 @@ impl Filter {
             Verdict::Exclude => false,
             Verdict::Resume => {
                 self.climber.forget_stop();
-                if let Some(entry) = self.history.get_mut(place)
-                    && let Event::Encoders { excluded, .. } = &mut entry.event
-                {
-                    *excluded = false;
-                }
+                self.set_excluded(place, false);
                 self.history.rewind(place);
                 self.publisher.warn(Warning::EncodersResumed { stamp: at });
                 false
@@ -159,12 +155,12 @@ impl Filter {
         self.time_offset() + self.setup.config.clock.climber_offset
     }
 
-    fn exclude(&mut self, place: usize) {
+    fn set_excluded(&mut self, place: usize, exclude: bool) {
         if let Some(entry) = self.history.get_mut(place)
             && let Event::Encoders { excluded, .. } = &mut entry.event
         {
-            self.publisher.counts.excluded_readings += u64::from(!*excluded);
-            *excluded = true;
+            self.publisher.counts.excluded_readings += u64::from(exclude && !*excluded);
+            *excluded = exclude;
         }
     }
 
@@ -192,7 +188,7 @@ impl Filter {
     pub(super) fn exclude_since(&mut self, from: Stamp) {
         let first = self.history.place_of(from);
         for place in first..self.history.len() {
-            self.exclude(place);
+            self.set_excluded(place, true);
         }
         self.history.rewind(first);
     }

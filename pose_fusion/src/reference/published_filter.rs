@@ -19,7 +19,8 @@ const STATUS_PERIOD: f64 = 0.1;
 /// the paper estimates none. Its time is that of the IMU.
 #[derive(Debug)]
 pub struct PublishedFilter {
-    filter: Paper,
+    /// The filter itself.
+    pub filter: Paper,
     limits: StatusConfig,
     clock: ClockConfig,
     /// Uncertainty of the acceleration that is integrated (1 sigma), m/s².
@@ -39,11 +40,6 @@ impl PublishedFilter {
             inputs: InputCounts::default(),
             last_status: None,
         }
-    }
-
-    /// Discards the estimate.
-    pub fn reset(&mut self) {
-        self.filter.reset();
     }
 
     /// Takes in one input with its visual pose, if it is an image that has one, and returns what
@@ -93,16 +89,6 @@ impl PublishedFilter {
             );
         }
         Some(Output::Status(status))
-    }
-
-    /// Returns what the initialization waits for; empty where there is an estimate.
-    pub fn missing(&self) -> &'static str {
-        self.filter.missing()
-    }
-
-    /// Whether the attitude is computed here, because the IMU outputs none.
-    pub fn computes_attitude(&self) -> bool {
-        self.filter.computes_attitude()
     }
 
     /// Returns counters and insights for diagnostics.
