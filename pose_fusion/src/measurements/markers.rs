@@ -8,8 +8,10 @@ use super::{
     Innovation, Outcome,
     geometry::{ClimberRest, Geometry},
     marker_misfit::{Misfit, misfit},
-    marker_noise::{layout_spread, mean_variance, measurement_noise},
-    marker_prediction::{by_calibration, innovation_spread, linearize, times_error},
+    marker_prediction::{
+        by_calibration, innovation_spread, layout_spread, linearize, mean_variance,
+        measurement_noise, times_error,
+    },
     marker_solution::{Prediction, count, covariance_times, largest_consistent, solve},
 };
 use crate::ekf::{

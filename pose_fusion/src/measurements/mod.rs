@@ -3,7 +3,6 @@
 pub mod encoders;
 pub mod geometry;
 pub mod marker_misfit;
-pub mod marker_noise;
 pub mod marker_prediction;
 mod marker_solution;
 pub mod markers;
