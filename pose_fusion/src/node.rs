@@ -386,7 +386,7 @@ impl FusionNode {
                 };
                 // A source must not hide another one's warnings.
                 let source = warning.origin().map_or_else(String::new, |s| s.to_string());
-                let key = format!("{} {source}", warning.kind());
+                let key = format!("{:?} {source}", std::mem::discriminant(&warning));
                 context.log_throttled(level, &key, warning.to_string());
             }
         }

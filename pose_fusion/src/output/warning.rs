@@ -141,32 +141,4 @@ impl Warning {
             _ => None,
         }
     }
-
-    /// Returns a short name of the kind, to throttle and to count by.
-    pub const fn kind(&self) -> &'static str {
-        match self {
-            Self::NotFinite { .. } => "not_finite",
-            Self::TooOld { .. } => "too_old",
-            Self::NoStamp { .. } => "no_stamp",
-            Self::Duplicate { .. } => "duplicate",
-            Self::Ahead { .. } => "ahead",
-            Self::Jump { .. } => "jump",
-            Self::TimeJump { .. } => "time_jump",
-            Self::ClockStep { .. } => "clock_step",
-            Self::ImuGap { .. } => "imu_gap",
-            Self::ImuBursts { .. } => "imu_bursts",
-            Self::ImuAttitude { .. } => "imu_attitude",
-            Self::ImuLost { .. } => "imu_lost",
-            Self::Initialized { .. } => "initialized",
-            Self::TimeOffset { .. } => "time_offset",
-            Self::Shock { .. } => "shock",
-            Self::LockOutRecovered { .. } => "lock_out_recovered",
-            Self::EncodersSuspended { .. } => "encoders_suspended",
-            Self::EncodersFrozen { .. } => "encoders_frozen",
-            Self::EncodersResumed { .. } => "encoders_resumed",
-            Self::EncoderStep { .. } => "encoder_step",
-            Self::PoseLost { .. } => "pose_lost",
-            Self::Diverged { .. } => "diverged",
-        }
-    }
 }

@@ -302,14 +302,10 @@ impl Paper {
             pose_covariance: (pose_covariance + pose_covariance.transpose()) * 0.5,
             linear_velocity: rotation.inverse() * speed,
             angular_velocity: self.rig.imu.volant_from_imu.rotation * sample.angular_velocity,
-            twist_covariance: Matrix6::from_diagonal(&Vector6::new(
-                2.0 * state.covariance[(0, 0)] / (dt * dt),
-                2.0 * state.covariance[(1, 1)] / (dt * dt),
-                2.0 * state.covariance[(2, 2)] / (dt * dt),
-                1e-4,
-                1e-4,
-                1e-4,
-            )),
+            twist_covariance: Matrix6::from_diagonal(&Vector6::from_fn(|i, _| match i {
+                0..3 => 2.0 * state.covariance[(i, i)] / (dt * dt),
+                _ => 1e-4,
+            })),
         }
     }
 }
