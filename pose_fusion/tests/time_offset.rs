@@ -341,10 +341,8 @@ fn after_a_rest(seed: u64, ahead: f64, held_up: bool) -> (f64, f64) {
     inputs.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (fusion, outputs) =
         scoring::follow(simulated::config(), inputs.into_iter().map(|(_, input)| input));
-    let beyond = outputs.odometry.iter().filter(|o| {
-        let score = scoring::score(std::slice::from_ref(*o), &run.truth, 0.0);
-        score.count() > 0 && score.nees().0.max(score.nees().1) > 21.1
-    });
+    let beyond = scoring::errors(&outputs.odometry, &run.truth)
+        .filter(|(_, _, nees)| nees[0].max(nees[1]) > 21.1);
     let share = beyond.count() as f64 / outputs.odometry.len() as f64;
     (share, fusion.status().time_offset.offset + ahead)
 }

@@ -242,10 +242,7 @@ fn add_noise(p: &mut Covariance, dt: f64, noise: &ProcessNoise) {
 
 #[cfg(test)]
 mod tests {
-    use super::{
-        super::{calibration::CONSTANTS, state::Error},
-        *,
-    };
+    use super::{super::calibration::CONSTANTS, *};
 
     fn example() -> (State, ImuReading) {
         let mut s = State::zero();
@@ -303,10 +300,7 @@ mod tests {
         let mut jacobian = Covariance::zeros();
         for i in 0..N {
             let moved = |sign: f64| {
-                let mut s = start.clone();
-                let mut e = Error::zeros();
-                e[i] = sign * h;
-                s.add(&e);
+                let mut s = start.moved(i, sign * h);
                 propagate(&mut s, &reading, &reading, dt, 9.81, &noise);
                 s.minus(&end)
             };

@@ -133,6 +133,14 @@ impl State {
         self.time_offset += error[TIME_OFFSET];
     }
 
+    /// Returns a state of which one entry of the error is moved.
+    #[cfg(test)]
+    pub fn moved(&self, index: usize, by: f64) -> State {
+        let mut moved = self.clone();
+        moved.add(&Error::from_fn(|i, _| if i == index { by } else { 0.0 }));
+        moved
+    }
+
     /// Returns `self ⊟ other`, the error that leads from `other` to `self`.
     pub fn minus(&self, other: &State) -> Error {
         let mut e = Error::zeros();

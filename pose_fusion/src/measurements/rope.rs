@@ -260,7 +260,7 @@ pub fn is_due(from: f64, to: f64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ekf::state::{Error, N, TIME_OFFSET};
+    use crate::ekf::state::{N, TIME_OFFSET};
     use nalgebra::UnitQuaternion;
 
     fn example() -> (Rope, State, ImuReading, ClimberRest) {
@@ -295,14 +295,8 @@ mod tests {
         assert!(residual.norm() < 1e-12, "{residual}");
         let h = 1e-6;
         for (k, &index) in SEEN.iter().enumerate() {
-            let at = |sign: f64| {
-                let mut moved = state.clone();
-                let mut e = Error::zeros();
-                e[index] = sign * h;
-                moved.add(&e);
-                rope.linearize(&moved, &reading, &rest).0
-            };
-            let numeric = -(at(1.0) - at(-1.0)) / (2.0 * h);
+            let at = |by: f64| rope.linearize(&state.moved(index, by), &reading, &rest).0;
+            let numeric = -(at(h) - at(-h)) / (2.0 * h);
             assert!(
                 (numeric - jacobian.column(k)).amax() < 1e-6,
                 "{index}: {numeric} {}",
@@ -310,10 +304,7 @@ mod tests {
             );
         }
         for index in (0..N).filter(|i| !SEEN.contains(i) && *i != TIME_OFFSET) {
-            let mut moved = state.clone();
-            let mut e = Error::zeros();
-            e[index] = 1e-3;
-            moved.add(&e);
+            let moved = state.moved(index, 1e-3);
             assert!(rope.linearize(&moved, &reading, &rest).0.norm() < 1e-12, "{index}");
         }
     }

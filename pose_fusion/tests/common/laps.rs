@@ -1,11 +1,8 @@
 //! A long run: repetitions of one motion that begins and ends stationary at one place, with faults
 //! of a rig.
 
-use super::{
-    scoring::{self, Nees, PoseError},
-    simulated,
-};
-use pose_fusion::{Fusion, Input, Output, Status};
+use super::{scoring, simulated};
+use pose_fusion::{Fusion, Input, Status};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, random::Random};
 
 /// 0.9999 quantile of χ² with 3 degrees of freedom.
@@ -62,31 +59,19 @@ impl Laps {
                 ..self.sensors.clone()
             };
             let run = simulated::run(self.motion.clone(), &sensors);
-            let mut inputs: Vec<(f64, Input)> = run
-                .inputs
-                .into_iter()
-                .map(|(at, i)| (at.seconds_since(sensors.epoch), i))
-                .collect();
+            let mut inputs = run.timed();
             if self.broken_encoders {
                 found.encoder_faults += corrupt(&mut inputs, self.motion.duration, &mut random);
             }
-            for (_, input) in inputs {
-                fusion.handle(input);
-                while let Some(output) = fusion.poll() {
-                    let Output::Odometry(o) = output else { continue };
-                    let seconds = o.stamp.seconds_since(self.sensors.epoch);
-                    let Some(pose) =
-                        scoring::pose_at(&run.truth, o.stamp).filter(|_| seconds > 10.0)
-                    else {
-                        continue;
-                    };
-                    count += 1.0;
-                    let error = PoseError::new(&o.world_from_volant, &pose);
-                    let nees = Nees::pair(&error, &o.pose_covariance);
-                    for (k, nees) in nees.into_iter().enumerate() {
-                        found.mean_nees[k] += nees;
-                        found.beyond[k] += f64::from(u8::from(nees > BEYOND));
-                    }
+            let outputs = scoring::run(fusion, inputs.into_iter().map(|(_, input)| input));
+            for (t, _, nees) in scoring::errors(&outputs.odometry, &run.truth) {
+                if t <= 10.0 {
+                    continue;
+                }
+                count += 1.0;
+                for (k, nees) in nees.into_iter().enumerate() {
+                    found.mean_nees[k] += nees;
+                    found.beyond[k] += f64::from(u8::from(nees > BEYOND));
                 }
             }
         }

@@ -74,6 +74,20 @@ pub fn score(odometry: &[Odometry], truth: &Truth, from: f64) -> Score {
     score
 }
 
+/// The errors of odometry and their NEES (position, rotation), with the time since the epoch of the
+/// simulated rig, s.
+pub fn errors(
+    odometry: &[Odometry],
+    truth: &Truth,
+) -> impl Iterator<Item = (f64, PoseError, [f64; 2])> {
+    let epoch = rig_simulator::inertial::SensorConfig::nominal(0).epoch;
+    odometry.iter().filter_map(move |o| {
+        let error = PoseError::new(&o.world_from_volant, &pose_at(truth, o.stamp)?);
+        let nees = Nees::pair(&error, &o.pose_covariance);
+        Some((o.stamp.seconds_since(epoch), error, nees))
+    })
+}
+
 /// Share of the odometry from `from` to `to` beyond the gate (position, rotation), and the errors
 /// at the end (m, rad).
 pub fn judge(
@@ -82,17 +96,11 @@ pub fn judge(
     from: f64,
     to: f64,
 ) -> (f64, f64, f64, f64) {
-    let epoch = rig_simulator::inertial::SensorConfig::nominal(0).epoch;
     let (mut count, mut beyond, mut last) = (0.0, [0.0; 2], (0.0, 0.0));
-    for o in &outputs.odometry {
-        let t = o.stamp.seconds_since(epoch);
-        if !(from..to).contains(&t) {
-            continue;
-        }
-        let truth = pose_at(&run.truth, o.stamp).unwrap();
-        let error = PoseError::new(&o.world_from_volant, &truth);
+    let errors = errors(&outputs.odometry, &run.truth);
+    for (_, error, nees) in errors.filter(|(t, ..)| (from..to).contains(t)) {
         count += 1.0;
-        for (k, nees) in Nees::pair(&error, &o.pose_covariance).into_iter().enumerate() {
+        for (k, nees) in nees.into_iter().enumerate() {
             beyond[k] += f64::from(u8::from(nees > super::laps::BEYOND));
         }
         last = (error.position.norm(), error.rotation.norm());

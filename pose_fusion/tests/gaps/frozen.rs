@@ -2,7 +2,6 @@
 
 use super::common::{laps, scoring, simulated};
 use pose_fusion::{FusionConfig, Input, Warning};
-use rig_model::score::{Nees, PoseError};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
 /// Largest error (m) while encoders are frozen and until two seconds later, and share of the
@@ -21,8 +20,7 @@ fn freeze(axes: [bool; 3]) -> (f64, f64) {
     for begin in [3.0, 4.0, 5.0, 6.0, 7.0, 8.0] {
         let frozen = begin..begin + 2.0;
         for (seed, motion) in simulated::motions() {
-            let sensors = SensorConfig::nominal(seed);
-            let run = simulated::run(motion, &sensors);
+            let run = simulated::run(motion, &SensorConfig::nominal(seed));
             let mut held = None;
             let inputs = run.changed(|at, input| {
                 if let (Input::Climber(sample), true) = (input, frozen.contains(&at)) {
@@ -38,14 +36,8 @@ fn freeze(axes: [bool; 3]) -> (f64, f64) {
             });
             let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
             let (mut worst, mut wrong) = (0.0_f64, 0.0);
-            for o in &outputs.odometry {
-                let t = o.stamp.seconds_since(sensors.epoch);
-                if !(begin..begin + 4.0).contains(&t) {
-                    continue;
-                }
-                let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
-                let error = PoseError::new(&o.world_from_volant, &truth);
-                let nees = Nees::pair(&error, &o.pose_covariance);
+            let errors = scoring::errors(&outputs.odometry, &run.truth);
+            for (_, error, nees) in errors.filter(|(t, ..)| (begin..begin + 4.0).contains(t)) {
                 worst = worst.max(error.position.norm());
                 wrong += f64::from(u8::from(nees.iter().any(|n| *n > laps::BEYOND)));
                 count += 1.0;

@@ -213,14 +213,10 @@ fn a_swing_after_a_short_rest_is_consistent() {
         };
         let run = simulated::run(motion, &SensorConfig::nominal(seed));
         let (_, outputs) = scoring::follow(simulated::config(), run.inputs());
-        let worst = outputs.odometry.iter().filter_map(|o| {
-            let at = o.stamp.seconds_since(SensorConfig::nominal(seed).epoch) - rest;
-            let truth = scoring::pose_at(&run.truth, o.stamp)?;
-            let mut one = Score::default();
-            one.add(&o.world_from_volant, &o.pose_covariance, &truth);
-            (at > 0.0).then_some((at, one.nees().0.max(one.nees().1)))
-        });
-        let worst: Vec<_> = worst.collect();
+        let worst: Vec<_> = scoring::errors(&outputs.odometry, &run.truth)
+            .filter(|(t, ..)| *t > rest)
+            .map(|(t, _, [position, rotation])| (t - rest, position.max(rotation)))
+            .collect();
         let outside: Vec<_> = worst.iter().filter(|w| w.1 > 21.1).collect();
         all += worst.len();
         beyond += outside.len();
