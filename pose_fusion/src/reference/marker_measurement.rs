@@ -18,24 +18,18 @@ pub struct SightLine {
     pub direction: Vector3<f64>,
 }
 
-/// Residual (m) of the eight marker coordinates [x_i, y_i] and its measurement matrix.
-#[derive(Clone, Debug)]
-pub struct PlaneResidual {
-    /// Measured minus predicted coordinates; 0 for a marker that is not used.
-    pub residual: SVector<f64, 8>,
-    /// Derivative of the predicted coordinates by the pose vector; 0 for such a marker.
-    pub jacobian: SMatrix<f64, 8, 6>,
-}
-
-/// Returns the residual of eq. 8 at the pose x, y, z, roll, pitch, yaw (m, rad).
+/// Returns the residual of eq. 8 (measured minus predicted \[x_i, y_i\], m) at the
+/// pose x, y, z, roll, pitch, yaw (m, rad), and the derivative of the predicted coordinates by it;
+/// 0 for a marker that is not used.
 pub fn plane_residual(
     pose: &Vector6<f64>,
     layout: &MarkerLayout,
     lines: &PerColor<Option<SightLine>>,
-) -> PlaneResidual {
+) -> (SVector<f64, 8>, SMatrix<f64, 8, 6>) {
     let rotation = UnitQuaternion::from_euler_angles(pose[3], pose[4], pose[5]);
     let rates = world_rates(pose);
-    let mut found = PlaneResidual { residual: SVector::zeros(), jacobian: SMatrix::zeros() };
+    let mut residual = SVector::<f64, 8>::zeros();
+    let mut jacobian = SMatrix::<f64, 8, 6>::zeros();
     for color in MarkerColor::ALL {
         // A horizontal line meets no plane.
         let Some(line) = lines[color].filter(|l| l.direction.z.abs() > 1e-3 * l.direction.norm())
@@ -50,12 +44,12 @@ pub fn plane_residual(
         place.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
         place.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-arm.cross_matrix() * rates));
         let row = 2 * color.index();
-        found.residual.fixed_rows_mut::<2>(row).copy_from(&(reprojected - marker.xy()));
+        residual.fixed_rows_mut::<2>(row).copy_from(&(reprojected - marker.xy()));
         // The plane moves with the marker's height.
-        let jacobian = place.fixed_rows::<2>(0) - slope * place.row(2);
-        found.jacobian.fixed_rows_mut::<2>(row).copy_from(&jacobian);
+        let rows = place.fixed_rows::<2>(0) - slope * place.row(2);
+        jacobian.fixed_rows_mut::<2>(row).copy_from(&rows);
     }
-    found
+    (residual, jacobian)
 }
 
 /// Matrix E of δθ = E δ(roll, pitch, yaw): small rotations about the world's axes that follow from
@@ -89,17 +83,17 @@ mod tests {
     fn markers_on_their_lines_leave_no_residual_and_the_jacobian_is_the_difference_quotient() {
         let truth = Vector6::new(0.2, 0.1, 1.4, 0.1, -0.2, 0.7);
         let seen = lines(&truth);
-        let at_truth = plane_residual(&truth, &layout(), &seen);
-        assert!(at_truth.residual.norm() < 1e-12);
-        assert!(at_truth.jacobian.svd(false, false).singular_values.min() > 0.01, "observable");
+        let (residual, jacobian) = plane_residual(&truth, &layout(), &seen);
+        assert!(residual.norm() < 1e-12);
+        assert!(jacobian.svd(false, false).singular_values.min() > 0.01, "observable");
         let pose = truth + Vector6::new(0.01, -0.02, 0.03, 0.02, 0.01, -0.03);
-        let here = plane_residual(&pose, &layout(), &seen);
+        let (here, jacobian) = plane_residual(&pose, &layout(), &seen);
         for i in 0..6 {
             let mut step = Vector6::zeros();
             step[i] = 1e-6;
-            let there = plane_residual(&(pose + step), &layout(), &seen);
-            let quotient = (here.residual - there.residual) / 1e-6;
-            assert!((quotient - here.jacobian.column(i)).norm() < 1e-5, "column {i}");
+            let (there, _) = plane_residual(&(pose + step), &layout(), &seen);
+            let quotient = (here - there) / 1e-6;
+            assert!((quotient - jacobian.column(i)).norm() < 1e-5, "column {i}");
         }
     }
 
@@ -111,9 +105,9 @@ mod tests {
         if let Some(line) = &mut seen.0[2] {
             line.direction.z = 0.0;
         }
-        let found = plane_residual(&(truth * 1.01), &layout(), &seen);
-        assert!(found.residual.rows(2, 4).iter().all(|v| *v == 0.0));
-        assert!(found.jacobian.rows(2, 4).iter().all(|v| *v == 0.0));
-        assert!(found.residual.norm() > 1e-4);
+        let (residual, jacobian) = plane_residual(&(truth * 1.01), &layout(), &seen);
+        assert!(residual.rows(2, 4).iter().all(|v| *v == 0.0));
+        assert!(jacobian.rows(2, 4).iter().all(|v| *v == 0.0));
+        assert!(residual.norm() > 1e-4);
     }
 }

@@ -19,7 +19,7 @@
 //! `velocity_from_fused` takes it from the fused poses.
 
 use crate::{
-    config::{PaperConfig, PaperMeasurement},
+    config::{FusionConfig, PaperMeasurement},
     output::Odometry,
     reference::{
         gyro_attitude::GyroAttitude,
@@ -40,9 +40,7 @@ const SET_BACK: f64 = 1.0;
 /// Published filter.
 #[derive(Debug)]
 pub struct Paper {
-    config: PaperConfig,
-    /// m/s².
-    gravity: f64,
+    pub(super) config: FusionConfig,
     rig: Rig,
     /// The IMU outputs its own attitude.
     own_attitude: bool,
@@ -69,11 +67,10 @@ pub(super) struct Estimate {
 }
 
 impl Paper {
-    /// Creates a filter without an estimate; `gravity` in m/s².
-    pub fn new(rig: &Rig, config: PaperConfig, gravity: f64) -> Self {
+    /// Creates a filter without an estimate.
+    pub fn new(rig: &Rig, config: &FusionConfig) -> Self {
         Self {
-            config,
-            gravity,
+            config: config.clone(),
             rig: rig.clone(),
             own_attitude: false,
             computed_attitude: GyroAttitude::default(),
@@ -174,14 +171,14 @@ impl Paper {
             pose[3 + i] = wrap_angle(pose[3 + i] + rotated[i]);
         }
         self.moved = Vector3::zeros();
-        let mut covariance = before.covariance + self.measurement_noise() / self.config.ratio;
+        let mut covariance = before.covariance + self.measurement_noise() / self.config.paper.ratio;
         if let Some(visual) = visual {
             self.last_visual = Some((stamp, visual.markers()));
             (pose, covariance) = self.corrected(pose, covariance, visual);
         }
         let dt = stamp.seconds_since(before.stamp);
         let speed = (pose - before.pose).fixed_rows::<3>(0) / dt;
-        if self.config.velocity_from_fused && visual.is_some() {
+        if self.config.paper.velocity_from_fused && visual.is_some() {
             self.velocity = speed;
         }
         let state = Estimate { stamp, pose, covariance, imu_rotation };
@@ -223,7 +220,7 @@ impl Paper {
         covariance: Matrix6<f64>,
         visual: &Visual,
     ) -> (Vector6<f64>, Matrix6<f64>) {
-        let corrected = match self.config.measurement {
+        let corrected = match self.config.paper.measurement {
             PaperMeasurement::Pose => {
                 let mut residual = vector(&visual.pose.pose) - pose;
                 for i in 3..6 {
@@ -233,9 +230,9 @@ impl Paper {
                 correction(&covariance, &Matrix6::identity(), &noise, &residual)
             }
             PaperMeasurement::Markers => {
-                let found = plane_residual(&pose, &self.rig.markers, &visual.lines);
-                let noise = SMatrix::identity() * self.config.position_sigma.powi(2);
-                correction(&covariance, &found.jacobian, &noise, &found.residual)
+                let (residual, h) = plane_residual(&pose, &self.rig.markers, &visual.lines);
+                let noise = SMatrix::identity() * self.config.paper.position_sigma.powi(2);
+                correction(&covariance, &h, &noise, &residual)
             }
         };
         let Some((step, covariance)) = corrected else { return (pose, covariance) };
@@ -253,10 +250,10 @@ impl Paper {
             if let (Some(last), Some(attitude)) = (&self.last_sample, self.imu_attitude(&sample)) {
                 let dt = sample.stamp.seconds_since(last.stamp);
                 let world_from_imu = attitude * self.rig.imu.volant_from_imu.rotation;
-                let gravity = Vector3::new(0.0, 0.0, self.gravity);
+                let gravity = Vector3::new(0.0, 0.0, self.config.tight.gravity);
                 let acceleration = world_from_imu * sample.specific_force - gravity;
                 let velocity = self.velocity + acceleration * dt;
-                if (velocity - self.velocity).norm() >= self.config.velocity_threshold {
+                if (velocity - self.velocity).norm() >= self.config.paper.velocity_threshold {
                     self.moved += (self.velocity + velocity) * (dt / 2.0);
                     self.velocity = velocity;
                 }
@@ -274,7 +271,8 @@ impl Paper {
     }
 
     fn measurement_noise(&self) -> Matrix6<f64> {
-        let (p, r) = (self.config.position_sigma.powi(2), self.config.rotation_sigma.powi(2));
+        let (p, r) =
+            (self.config.paper.position_sigma.powi(2), self.config.paper.rotation_sigma.powi(2));
         Matrix6::from_diagonal(&Vector6::new(p, p, p, r, r, r))
     }
 

@@ -2,7 +2,7 @@
 
 use super::{paper::Paper, single_image::Visual};
 use crate::{
-    config::{ClockConfig, FusionConfig, StatusConfig},
+    config::FusionConfig,
     health::{
         pose_status::{PoseState, PoseStatus},
         status::{Counts, ImuStatus, InputCounts, Status, TimeOffsetStatus},
@@ -21,10 +21,6 @@ const STATUS_PERIOD: f64 = 0.1;
 pub struct PublishedFilter {
     /// The filter itself.
     pub filter: Paper,
-    limits: StatusConfig,
-    clock: ClockConfig,
-    /// Uncertainty of the acceleration that is integrated (1 sigma), m/s².
-    acceleration_sigma: f64,
     inputs: InputCounts,
     last_status: Option<Stamp>,
 }
@@ -32,14 +28,7 @@ pub struct PublishedFilter {
 impl PublishedFilter {
     /// Creates a filter without an estimate.
     pub fn new(rig: &Rig, config: &FusionConfig) -> Self {
-        Self {
-            filter: Paper::new(rig, config.paper.clone(), config.tight.gravity),
-            limits: config.status.clone(),
-            clock: config.tight.clock.clone(),
-            acceleration_sigma: config.tight.imu.accelerometer_bias,
-            inputs: InputCounts::default(),
-            last_status: None,
-        }
+        Self { filter: Paper::new(rig, config), inputs: InputCounts::default(), last_status: None }
     }
 
     /// Takes in one input with its visual pose, if it is an image that has one, and returns what
@@ -52,7 +41,7 @@ impl PublishedFilter {
             }
             Sample::Markers(markers) => {
                 self.inputs.images += 1;
-                let at = markers.stamp.plus_seconds(self.clock.camera_offset);
+                let at = markers.stamp.plus_seconds(self.camera_offset());
                 if let Some(odometry) = self.filter.image(at, visual) {
                     self.last_status = Some(at);
                     let status = self.pose_status(at);
@@ -67,16 +56,16 @@ impl PublishedFilter {
     /// Returns the status at 10 Hz of data time while no image gives a pose; `stamp` is that of an
     /// input.
     pub fn silence(&mut self, from: Source, stamp: Stamp) -> Option<Output> {
-        let ClockConfig { camera_offset, climber_offset, .. } = self.clock;
+        let (camera, config) = (self.camera_offset(), &self.filter.config);
         let now = match from {
             Source::Imu => stamp,
-            Source::Image => stamp.plus_seconds(camera_offset),
-            Source::Encoders => stamp.plus_seconds(climber_offset + camera_offset),
+            Source::Image => stamp.plus_seconds(camera),
+            Source::Encoders => stamp.plus_seconds(config.tight.clock.climber_offset + camera),
         };
         let since = |last: Option<Stamp>| last.map_or(f64::INFINITY, |l| now.seconds_since(l));
         let silent = since(self.filter.stamp());
         let due = !(0.0..STATUS_PERIOD).contains(&since(self.last_status));
-        if silent <= self.limits.max_image_age || !due {
+        if silent <= config.status.max_image_age || !due {
             return None;
         }
         self.last_status = Some(now);
@@ -93,7 +82,7 @@ impl PublishedFilter {
 
     /// Returns counters and insights for diagnostics.
     pub fn status(&self) -> Status {
-        let (image, camera_offset) = (self.filter.last_visual, self.clock.camera_offset);
+        let (image, camera_offset) = (self.filter.last_visual, self.camera_offset());
         Status {
             initialized: self.filter.stamp().is_some(),
             imu: ImuStatus { newest: self.filter.newest_imu(), ..ImuStatus::default() },
@@ -113,12 +102,12 @@ impl PublishedFilter {
     fn pose_status(&self, now: Stamp) -> PoseStatus {
         if self.filter.stamp().is_none() {
             let missing = self.filter.missing().to_owned();
-            let time_offset = self.clock.camera_offset;
+            let time_offset = self.camera_offset();
             return PoseStatus { time_offset, ..PoseStatus::initializing(now, missing) };
         }
         let since =
             |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s).max(0.0));
-        let last_visual = self.filter.last_visual;
+        let (last_visual, limits) = (self.filter.last_visual, &self.filter.config.status);
         let image_age = since(last_visual.map(|(stamp, _)| stamp));
         let imu_age = since(self.filter.newest_imu());
         let mut status = PoseStatus {
@@ -129,14 +118,15 @@ impl PublishedFilter {
             // A visual pose rests on an encoder reading of its instant.
             climber_age: image_age,
             markers_used: last_visual.map_or(0, |(_, markers)| markers),
-            time_offset: self.clock.camera_offset,
+            time_offset: self.camera_offset(),
             ..PoseStatus::initializing(now, String::new())
         }
-        .judged(&self.limits, imu_age > GAP, false);
+        .judged(limits, imu_age > GAP, false);
         if status.state == PoseState::Coasting {
             // The published covariance does not contain what an acceleration's error becomes.
-            let drift = self.acceleration_sigma * image_age * image_age / 2.0;
-            status.valid &= drift <= self.limits.max_position_sigma;
+            let acceleration_sigma = self.filter.config.tight.imu.accelerometer_bias;
+            let drift = acceleration_sigma * image_age * image_age / 2.0;
+            status.valid &= drift <= limits.max_position_sigma;
             status.reason = format!(
                 "two or more markers hidden, or no climber/transform: {}; the doubly integrated \
                  accelerations carry the pose and may be off by {drift:.2} m",
@@ -144,6 +134,11 @@ impl PublishedFilter {
             );
         }
         status
+    }
+
+    /// Image time + this = IMU time, s.
+    fn camera_offset(&self) -> f64 {
+        self.filter.config.tight.clock.camera_offset
     }
 
     /// Largest standard deviation of the position (`first` 0, m) or of roll, pitch and yaw (3, rad);
