@@ -149,33 +149,24 @@ mod tests {
 
     #[test]
     fn each_state_has_its_reason() {
+        use PoseState::{Coasting, Lost, Tracking, VisionOnly};
+        type Case = (fn(&mut PoseStatus), bool, PoseState, bool, &'static str);
+        let cases: [Case; 7] = [
+            (|_| {}, false, Tracking, true, ""),
+            (|s| s.image_age = 0.4, false, Coasting, true, "0.40 s"),
+            (|s| s.imu_age = 0.3, true, VisionOnly, true, "IMU"),
+            (|s| s.markers_used = 3, true, Lost, false, "two tilts"),
+            (|s| s.markers_used = 3, false, Tracking, true, ""),
+            (|s| s.rotation_sigma = 0.3, false, Tracking, false, "status.max_rotation_sigma"),
+            (|s| (s.position_sigma, s.image_age) = (0.5, 3.0), false, Lost, false, "for 3.00 s"),
+        ];
+        for (change, vision_only, state, valid, reason) in cases {
+            let status = judged(change, vision_only);
+            assert_eq!((status.state, status.valid), (state, valid), "{status:?}");
+            assert!(status.reason.contains(reason), "{status:?}");
+            assert_eq!(status.reason.is_empty(), reason.is_empty(), "{status:?}");
+        }
         let tracking = judged(|_| {}, false);
-        assert!(
-            tracking.valid && tracking.state == PoseState::Tracking && tracking.reason.is_empty()
-        );
-        let coasting = judged(|s| s.image_age = 0.4, false);
-        assert!(
-            coasting.valid
-                && coasting.state == PoseState::Coasting
-                && coasting.reason.contains("0.40 s")
-        );
-        let vision = judged(|s| s.imu_age = 0.3, true);
-        assert!(
-            vision.valid && vision.state == PoseState::VisionOnly && vision.reason.contains("IMU")
-        );
-        let mirrored = judged(|s| s.markers_used = 3, true);
-        assert!(!mirrored.valid && mirrored.state == PoseState::Lost, "{mirrored:?}");
-        assert!(mirrored.reason.contains("two tilts"), "{mirrored:?}");
-        assert!(judged(|s| s.markers_used = 3, false).valid);
-        let vague = judged(|s| s.rotation_sigma = 0.3, false);
-        assert!(!vague.valid && vague.state == PoseState::Tracking, "{vague:?}");
-        assert!(vague.reason.contains("status.max_rotation_sigma"), "{}", vague.reason);
-        let lost = judged(|s| (s.position_sigma, s.image_age) = (0.5, 3.0), false);
-        assert!(
-            !lost.valid
-                && lost.state == PoseState::Lost
-                && lost.reason.contains("no image used for 3.00 s")
-        );
         assert!(!judged(|s| s.position_sigma = f64::NAN, false).valid);
         let never = judged(|s| s.imu_age = f64::INFINITY, true);
         assert_eq!(never.reason, "no IMU sample");
