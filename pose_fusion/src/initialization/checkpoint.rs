@@ -46,37 +46,21 @@ pub struct Checkpoint {
 
 /// Why an operator's request is refused.
 #[derive(Clone, Debug, Error, PartialEq)]
+#[allow(missing_docs, reason = "the message explains each variant and names its fields")]
 pub enum Refusal {
-    /// There is no estimate.
     #[error("the filter is not initialized: there is nothing to save before its first pose")]
     NotInitialized,
-    /// A message is missing.
     #[error("no message on {what} yet: start its publisher")]
-    Missing {
-        /// Topic.
-        what: &'static str,
-    },
-    /// The stamp is out of reach.
+    Missing { what: &'static str },
     #[error(
         "the stamp is {:.3} s {} the newest IMU sample, and the history reaches {limit_s:.1} s \
          back: stamp the pose with the present time, and synchronize the clocks",
         away_s.abs(),
         if away_s.is_sign_negative() { "ahead of" } else { "before" }
     )]
-    OutOfReach {
-        /// Distance; negative: ahead.
-        away_s: f64,
-        /// Largest distance.
-        limit_s: f64,
-    },
-    /// Invalid numbers.
+    OutOfReach { away_s: f64, limit_s: f64 },
     #[error("{what} is invalid: {why}")]
-    Invalid {
-        /// Which.
-        what: &'static str,
-        /// Why.
-        why: &'static str,
-    },
+    Invalid { what: &'static str, why: &'static str },
 }
 
 impl Checkpoint {
