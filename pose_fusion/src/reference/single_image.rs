@@ -8,7 +8,7 @@
 //! `visual_pose.use_gravity` the IMU's direction of "up"; the pixels alone place the chosen one.
 
 use crate::{
-    config::{FusionConfig, Model, TightConfig},
+    config::{FusionConfig, Model},
     input::{
         climber_track::ClimberTrack,
         imu::{Up, nearest, up_of},
@@ -33,17 +33,6 @@ const NEAR: f64 = 0.1;
 const ATTITUDE_FLOOR: f64 = 1e-3;
 /// The previous visual pose decides for this long, s, with this uncertainty of the rotation, rad.
 const PREVIOUS: [f64; 2] = [0.3, 0.2];
-
-/// How the pose is found in an image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Solver {
-    /// As published.
-    Published,
-    /// Of all poses that the image allows, the one nearest to the previous visual pose.
-    Continuous,
-    /// The one that fits the IMU's direction of "up" best.
-    WithGravity,
-}
 
 /// Pose from one image, and what eq. 8 needs of it.
 #[derive(Clone, Debug)]
@@ -70,8 +59,7 @@ pub struct SingleImagePose {
     climber: ClimberTrack,
     /// `world_from_volant` of the newest visual pose.
     last: Option<(Stamp, Isometry3<f64>)>,
-    config: TightConfig,
-    solver: Solver,
+    config: FusionConfig,
 }
 
 impl SingleImagePose {
@@ -84,19 +72,14 @@ impl SingleImagePose {
             ups: VecDeque::with_capacity(KEPT),
             climber: ClimberTrack::new(&config.tight.climber),
             last: None,
-            config: config.tight.clone(),
-            solver: match config.model {
-                Model::Paper => Solver::Published,
-                Model::Tight if config.visual_use_gravity => Solver::WithGravity,
-                Model::Tight => Solver::Continuous,
-            },
+            config: config.clone(),
         }
     }
 
     /// Discards everything but the camera.
     pub fn reset(&mut self) {
         self.ups.clear();
-        self.climber = ClimberTrack::new(&self.config.climber);
+        self.climber = ClimberTrack::new(&self.config.tight.climber);
         self.last = None;
     }
 
@@ -113,10 +96,8 @@ impl SingleImagePose {
 
     /// Takes in an IMU sample, for its attitude.
     fn imu(&mut self, sample: &ImuSample) {
-        if self.solver != Solver::WithGravity {
-            return;
-        }
-        if let Some(up) = up_of(sample, ATTITUDE_FLOOR) {
+        let used = self.config.visual_use_gravity && self.config.model == Model::Tight;
+        if let Some(up) = up_of(sample, ATTITUDE_FLOOR).filter(|_| used) {
             if self.ups.len() == KEPT {
                 self.ups.pop_front();
             }
@@ -149,16 +130,16 @@ impl SingleImagePose {
         let (world_from_climber, climber_sigma) = self.climber_at(stamp)?;
         let world_from_camera = world_from_climber * self.rig.climber_from_camera;
         // A false marker may put the platform anywhere.
-        let farthest = self.config.limits.max_range;
+        let farthest = self.config.tight.limits.max_range;
         let within = |c: &PlanarPose| c.camera_from_volant.translation.vector.norm() < farthest;
         let last = self.last.filter(|(last, _)| stamp.seconds_since(*last).abs() < PREVIOUS[0]);
-        let found = if self.solver == Solver::Published {
+        let found = if self.config.model == Model::Paper {
             let before = last.map(|(_, pose)| world_from_camera.inverse() * pose);
             published_pose(&self.rig.markers, camera, &pixels, before.as_ref()).filter(within)?
         } else {
             let mut found = planar_pose::candidates(&self.rig.markers, camera, &pixels, None);
             found.retain(within);
-            let up = nearest(&self.ups, stamp.plus_seconds(self.config.clock.camera_offset));
+            let up = nearest(&self.ups, stamp.plus_seconds(self.config.tight.clock.camera_offset));
             let cost = |c: &PlanarPose| {
                 let rotation = (world_from_camera * c.camera_from_volant).rotation;
                 let unlikely = match (up, last) {
@@ -207,7 +188,7 @@ impl SingleImagePose {
         }
         // One hidden marker may be placed by the flow of the others (eq. 3), with its covariance.
         let with_predicted = count(MarkerState::Predicted) == 1;
-        let floor = self.config.markers.pixel_floor;
+        let floor = self.config.tight.markers.pixel_floor;
         let floor = Matrix2::identity() * (floor * floor + 1e-4);
         Some(PerColor::from_fn(|color| {
             let m = &observations.markers[color];
@@ -221,7 +202,7 @@ impl SingleImagePose {
     /// `world_from_climber` at an image's stamp with the standard deviations of its position (m)
     /// and turn (rad).
     fn climber_at(&self, stamp: Stamp) -> Option<(Isometry3<f64>, [f64; 2])> {
-        let read = stamp.plus_seconds(-self.config.clock.climber_offset);
+        let read = stamp.plus_seconds(-self.config.tight.clock.climber_offset);
         let at = self.climber.at(read).filter(|at| at.distance < NEAR)?;
         let sigma = |axis: usize| at.noise[axis].hypot(at.growth[axis]);
         Some((at.rest.join(&at.values), [sigma(0).max(sigma(1)), sigma(2)]))
