@@ -129,34 +129,19 @@ fn attempt(
     if let Some(up) = up {
         // R u is the known direction in the world; ∂(R u)/∂δθ = −[R u]×.
         let (variance, none) = (up.sigma * up.sigma, ByParameter::zeros());
-        let v = state.attitude * up.in_imu;
-        update::scalar(
-            &mut state,
-            &[(ATTITUDE + 1, v.z), (ATTITUDE + 2, -v.y)],
-            in_world.x - v.x,
-            variance,
-            &none,
-        );
-        let v = state.attitude * up.in_imu;
-        update::scalar(
-            &mut state,
-            &[(ATTITUDE, -v.z), (ATTITUDE + 2, v.x)],
-            in_world.y - v.y,
-            variance,
-            &none,
-        );
+        for axis in 0..2 {
+            let v = state.attitude * up.in_imu;
+            let h = match axis {
+                0 => [(ATTITUDE + 1, v.z), (ATTITUDE + 2, -v.y)],
+                _ => [(ATTITUDE, -v.z), (ATTITUDE + 2, v.x)],
+            };
+            update::scalar(&mut state, &h, in_world[axis] - v[axis], variance, &none);
+        }
         // Prior and image together have their minimum at the candidate.
         (state.position, state.attitude) = (position, attitude);
     }
-    let record = markers::update(
-        &mut state,
-        geometry,
-        image,
-        &ImuReading::default(),
-        f64::INFINITY,
-        config.gravity,
-        true,
-    );
+    let (gate, gravity) = (f64::INFINITY, config.gravity);
+    let record = markers::update(&mut state, geometry, image, &none, gate, gravity, true);
     (state.position, state.attitude) = (position, attitude);
     (state.climber, state.climber_rate) = (climber.values, climber.rates);
     Ok(Start { state, record, noise_factor: 1.0 })

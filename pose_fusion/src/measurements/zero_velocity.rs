@@ -30,18 +30,12 @@ pub fn update(state: &mut State, mean_rate: &Vector3<f64>, sigma: f64, rate_vari
     if !consistent {
         return false;
     }
-    let none = ByParameter::zeros();
+    let (none, rate_variance) = (ByParameter::zeros(), rate_variance + REST_RATE);
     for i in 0..3 {
         let residual = -state.velocity[i];
         update::scalar(state, &[(VELOCITY + i, 1.0)], residual, sigma * sigma, &none);
         let residual = mean_rate[i] - state.gyroscope_bias[i];
-        update::scalar(
-            state,
-            &[(GYROSCOPE_BIAS + i, 1.0)],
-            residual,
-            rate_variance + REST_RATE,
-            &none,
-        );
+        update::scalar(state, &[(GYROSCOPE_BIAS + i, 1.0)], residual, rate_variance, &none);
     }
     true
 }
