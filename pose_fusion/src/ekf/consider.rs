@@ -40,7 +40,7 @@ pub type Sensitivity = SMatrix<f32, PARAMETERS, N>;
 pub type ByParameter = SVector<f64, PARAMETERS>;
 
 /// Configured uncertainty of the consider parameters.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Uncertainty {
     /// Variance of each, in the order of the rows of [`Sensitivity`].
     pub variances: ByParameter,

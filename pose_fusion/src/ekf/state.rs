@@ -57,7 +57,7 @@ pub type Covariance = SMatrix<f64, N, N>;
 pub type Error = SVector<f64, N>;
 
 /// Nominal state with the covariance of its error.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
     /// Position of the IMU, world, m.
     pub position: Vector3<f64>,
@@ -88,20 +88,7 @@ pub struct State {
 impl State {
     /// Returns a state with all values and variances zero.
     pub fn zero() -> Self {
-        Self {
-            position: Vector3::zeros(),
-            velocity: Vector3::zeros(),
-            attitude: UnitQuaternion::identity(),
-            accelerometer_bias: Vector3::zeros(),
-            gyroscope_bias: Vector3::zeros(),
-            climber: Vector3::zeros(),
-            climber_rate: Vector3::zeros(),
-            climber_acceleration: Vector3::zeros(),
-            time_offset: 0.0,
-            covariance: Covariance::zeros(),
-            sensitivity: Sensitivity::zeros(),
-            calibration: Calibration::default(),
-        }
+        Self::default()
     }
 
     /// Returns a reading without the biases.

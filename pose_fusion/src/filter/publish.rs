@@ -51,7 +51,7 @@ pub(super) struct Silence {
 }
 
 /// What publication remembers.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Publisher {
     pub counts: Counts,
     pub continuity: Continuity,
@@ -75,21 +75,10 @@ pub(super) struct Publisher {
 impl Publisher {
     pub fn new(config: &TightConfig, rig: &Rig) -> Self {
         Self {
-            counts: Counts::default(),
-            continuity: Continuity::default(),
-            rope: RopeIdentification::default(),
             position_sigma: f64::INFINITY,
-            changes: Changes::default(),
             calibration: Uncertainty::new(&config.calibration, &rig.markers),
-            now: None,
-            last_published: None,
-            awaited: None,
-            last_encoders: None,
-            markers_used: 0,
-            last_status: None,
-            silence: Silence::default(),
-            archive: None,
             out: VecDeque::with_capacity(256),
+            ..Self::default()
         }
     }
 

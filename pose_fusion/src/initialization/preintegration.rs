@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use rig_model::Stamp;
 
 /// Rotation, velocity and position relative to the first reading, in its axes and without gravity.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Preintegrated {
     /// Time.
     pub stamp: Stamp,
@@ -29,16 +29,7 @@ pub struct Preintegrated {
 impl Preintegrated {
     /// Starts at a reading.
     pub fn first(stamp: Stamp, reading: ImuReading) -> Self {
-        Self {
-            stamp,
-            reading,
-            rotation: UnitQuaternion::identity(),
-            velocity: Vector3::zeros(),
-            position: Vector3::zeros(),
-            rotation_by_gyroscope: Matrix3::zeros(),
-            velocity_by: [Matrix3::zeros(); 2],
-            position_by: [Matrix3::zeros(); 2],
-        }
+        Self { stamp, reading, ..Self::default() }
     }
 
     /// Returns the motion up to a later reading, with the readings as linear in between.

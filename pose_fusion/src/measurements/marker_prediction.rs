@@ -23,6 +23,7 @@ use rig_model::{MarkerColor, marker::ProjectedCentroid};
 
 /// Residuals of an image and their derivatives. A marker that is absent or cannot be projected has
 /// zero rows.
+#[derive(Default)]
 pub struct Linearization {
     /// Measured minus predicted, px, two rows per marker.
     pub residual: Residual,
@@ -63,14 +64,7 @@ pub fn linearize(
     motion.fixed_rows_mut::<3>(0).copy_from(&state.velocity);
     motion.fixed_rows_mut::<3>(3).copy_from(&world_rate);
     motion.fixed_rows_mut::<3>(6).copy_from(&state.climber_rate);
-    let mut linear = Linearization {
-        residual: Residual::zeros(),
-        jacobian: Jacobian::zeros(),
-        velocity: Residual::zeros(),
-        valid: [false; 4],
-        camera_from_volant,
-        projected: [None; 4],
-    };
+    let mut linear = Linearization { camera_from_volant, ..Linearization::default() };
     for color in MarkerColor::ALL {
         let i = color.index();
         let Some((measured, _)) = &pixels[i] else { continue };
