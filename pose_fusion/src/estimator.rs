@@ -74,7 +74,7 @@ impl Fusion {
         if let Some((from, _)) = stamp.filter(|(_, stamp)| stamp.is_unset()) {
             let why = Warning::NoStamp { from };
             match &mut self.estimator {
-                Estimator::TightlyCoupled(filter) => filter.refuse(why),
+                Estimator::TightlyCoupled(filter) => filter.reject(why),
                 Estimator::Paper(_) => self.outputs.push_back(Output::Warning(why)),
             }
             return self.take_outputs();

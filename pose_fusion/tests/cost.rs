@@ -13,7 +13,7 @@ use pose_fusion::{
     },
     filter::Filter,
     measurements::{
-        geometry::{ClimberRest, Geometry},
+        geometry::{ClimberHeightTilt, Geometry},
         markers::{self, Image, ImageInnovation},
     },
     timeline::history::Entry,
@@ -51,7 +51,7 @@ fn example() -> (State, Geometry, Image) {
         propagate(&mut state, &reading(0.0), &reading(0.1), 0.01, 9.81, &noise());
     }
     let geometry = Geometry::new(&simulated::rig(), simulated::camera());
-    let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+    let rest = ClimberHeightTilt { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
     let camera = rest.join(&state.climber) * geometry.climber_from_camera;
     let volant = nalgebra::Isometry3::from_parts(state.position.into(), state.attitude)
         * geometry.imu_from_volant;

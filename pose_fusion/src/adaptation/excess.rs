@@ -93,7 +93,7 @@ impl Excess {
         self.factor = self.factor.max(self.factor * by).min(tuning.limit);
     }
 
-    /// Notes that the prediction had to give way to images that contradict it.
+    /// Notes that images which contradict the prediction are followed.
     pub fn contradicted(&mut self, tuning: &Tuning) {
         self.factor = (self.factor * CONTRADICTED).min(tuning.limit);
     }

@@ -76,14 +76,14 @@ impl Filter {
         match self.trust.judge(at, innovation.nis, &innovation.residual, seen, timeout) {
             Verdict::Exclude => false,
             Verdict::Resume => {
-                self.climber.forget_stop();
+                self.climber.clear_stop();
                 self.set_excluded(place, false);
                 self.history.rewind(place);
                 self.publisher.warn(Warning::EncodersResumed { stamp: at });
                 false
             }
             Verdict::Adopt => {
-                self.climber.forget_stop();
+                self.climber.clear_stop();
                 self.publisher.counts.resets.encoder_steps += 1;
                 self.publisher.warn(Warning::EncoderStep { stamp: at });
                 self.restart();

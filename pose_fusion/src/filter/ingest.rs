@@ -4,7 +4,9 @@ use super::{Filter, processing::OFFSET_KNOWN};
 use crate::{
     ekf::{propagation::ImuReading, state::ATTITUDE},
     input::{climber_track::ClimberTrack, imu::ImuInput, imu_stamps::Bursts},
-    measurements::{Outcome, encoders::EncoderReading, geometry::ClimberRest, markers::Image},
+    measurements::{
+        Outcome, encoders::EncoderReading, geometry::ClimberHeightTilt, markers::Image,
+    },
     output::Warning,
     timeline::{
         arrival::{AHEAD, ImuArrival, JUMP, Source},
@@ -37,8 +39,8 @@ impl Filter {
     }
 
     /// Counts an input that is rejected, and outputs why.
-    pub fn refuse(&mut self, why: Warning) {
-        self.publisher.refuse(why);
+    pub fn reject(&mut self, why: Warning) {
+        self.publisher.reject(why);
     }
 
     /// Returns the stamp with which an IMU sample counts. Where it turns out that the samples come
@@ -63,7 +65,7 @@ impl Filter {
         let (from, stamp) = (Source::Imu, sample.stamp);
         let reading = match ImuInput::reading(sample) {
             Ok(reading) => reading,
-            Err(what) => return self.publisher.refuse(Warning::NotFinite { from, stamp, what }),
+            Err(what) => return self.publisher.reject(Warning::NotFinite { from, stamp, what }),
         };
         match self.arrival.classify(stamp) {
             ImuArrival::First => {
@@ -79,7 +81,7 @@ impl Filter {
             }
             ImuArrival::NotNewer => self.late_imu(sample, reading),
             ImuArrival::Unconfirmed(ahead_s) => {
-                self.publisher.refuse(if ahead_s < 0.0 {
+                self.publisher.reject(if ahead_s < 0.0 {
                     Warning::TooOld { from, stamp, age_s: -ahead_s }
                 } else {
                     Warning::Ahead { from, stamp, ahead_s }
@@ -123,7 +125,7 @@ impl Filter {
             let age_s = first.stamp.seconds_since(sample.stamp);
             self.arrival.imu(sample.stamp, reading);
             let stamp = sample.stamp;
-            self.publisher.refuse(Warning::TooOld { from: Source::Imu, stamp, age_s });
+            self.publisher.reject(Warning::TooOld { from: Source::Imu, stamp, age_s });
             return;
         }
         let mut dt = dt;
@@ -196,17 +198,17 @@ impl Filter {
         let before = place.checked_sub(1).and_then(|p| self.history.get(p));
         let same = before.filter(|n| n.stamp == stamp && n.is_imu());
         if same.is_some_and(|n| n.reading == reading) {
-            return self.publisher.refuse(Warning::Duplicate { from: Source::Imu, stamp });
+            return self.publisher.reject(Warning::Duplicate { from: Source::Imu, stamp });
         }
         if let Some(by_s) = self.arrival.late_imu(stamp, self.fills_gap(place)) {
             return self.set_back(sample, reading, by_s);
         }
         if same.is_some() {
-            return self.publisher.refuse(Warning::Duplicate { from: Source::Imu, stamp });
+            return self.publisher.reject(Warning::Duplicate { from: Source::Imu, stamp });
         }
         if before.is_none() {
             let age_s = self.age(stamp);
-            return self.publisher.refuse(Warning::TooOld { from: Source::Imu, stamp, age_s });
+            return self.publisher.reject(Warning::TooOld { from: Source::Imu, stamp, age_s });
         }
         self.publisher.counts.inputs.late_imu += 1;
         let noise = self.imu.densities(&self.setup.rig.imu);
@@ -236,24 +238,24 @@ impl Filter {
         self.publisher.counts.rejected.markers += unusable;
         self.start.markers_seen = pixels.iter().flatten().count();
         if self.markers.is_duplicate(stamp) {
-            return self.publisher.refuse(Warning::Duplicate { from: Source::Image, stamp });
+            return self.publisher.reject(Warning::Duplicate { from: Source::Image, stamp });
         }
         self.note_arrival(Source::Image, stamp);
         if let Some(by_s) = self.arrival.other(Source::Image, stamp) {
-            self.publisher.refuse(Warning::Jump { from: Source::Image, stamp, by_s });
-            return self.publisher.reject(stamp, &pixels, Outcome::Rejected);
+            self.publisher.reject(Warning::Jump { from: Source::Image, stamp, by_s });
+            return self.publisher.skip(stamp, &pixels, Outcome::Rejected);
         }
         let silent = self.arrival.is_imu_silent();
         let newest = self.arrival.newest_imu().map(|(newest, _)| newest);
         if self.setup.geometry.is_none() || (newest.is_none() && !silent) {
-            return self.publisher.reject(stamp, &pixels, Outcome::NotInitialized);
+            return self.publisher.skip(stamp, &pixels, Outcome::NotInitialized);
         }
         let camera_offset = self.setup.config.clock.camera_offset;
         let ahead_s =
             newest.map_or(0.0, |newest| stamp.plus_seconds(camera_offset).seconds_since(newest));
         if ahead_s > AHEAD && !silent {
-            self.publisher.refuse(Warning::Ahead { from: Source::Image, stamp, ahead_s });
-            return self.publisher.reject(stamp, &pixels, Outcome::Rejected);
+            self.publisher.reject(Warning::Ahead { from: Source::Image, stamp, ahead_s });
+            return self.publisher.skip(stamp, &pixels, Outcome::Rejected);
         }
         self.markers.remember(stamp);
         self.publisher.note_now(stamp.plus_seconds(self.time_offset()));
@@ -265,8 +267,8 @@ impl Filter {
         let time_offset = self.time_offset();
         let at = stamp.plus_seconds(time_offset);
         if self.history.get(0).is_none_or(|first| at <= first.stamp) {
-            self.publisher.refuse(Warning::TooOld { from: Source::Image, stamp, age_s: -ahead_s });
-            return self.publisher.reject(stamp, &pixels, Outcome::Rejected);
+            self.publisher.reject(Warning::TooOld { from: Source::Image, stamp, age_s: -ahead_s });
+            return self.publisher.skip(stamp, &pixels, Outcome::Rejected);
         }
         let Some((_, _, rest)) = self.climber.newest().copied() else { return };
         let stamp_sigma = self.markers.stamp_sigma().min(self.setup.config.clock.image_jitter);
@@ -314,18 +316,18 @@ impl Filter {
         let (pose, stamp, from) = (&sample.world_from_climber, sample.stamp, Source::Encoders);
         let numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
         if !numbers.into_iter().all(|x| x.is_finite()) {
-            return self.publisher.refuse(Warning::NotFinite { from, stamp, what: "the pose" });
+            return self.publisher.reject(Warning::NotFinite { from, stamp, what: "the pose" });
         }
         self.note_arrival(from, stamp);
         if let Some(by_s) = self.arrival.other(from, stamp) {
-            return self.publisher.refuse(Warning::Jump { from, stamp, by_s });
+            return self.publisher.reject(Warning::Jump { from, stamp, by_s });
         }
         let config = &self.setup.config;
         let offset = config.clock.camera_offset + config.clock.climber_offset;
         let imu = self.arrival.newest_imu().filter(|_| !self.arrival.is_imu_silent());
         let ahead = |at: Stamp| imu.map(|(imu, _)| at.plus_seconds(offset).seconds_since(imu));
         if let Some(ahead_s) = ahead(stamp).filter(|ahead_s| *ahead_s > AHEAD) {
-            return self.publisher.refuse(Warning::Ahead { from, stamp, ahead_s });
+            return self.publisher.reject(Warning::Ahead { from, stamp, ahead_s });
         }
         let newest = self.climber.newest().map(|(newest, _, _)| *newest);
         let from_the_future = |newest: &Stamp| {
@@ -334,9 +336,9 @@ impl Filter {
         if newest.as_ref().is_some_and(from_the_future) {
             self.climber = ClimberTrack::new(&config.climber);
         }
-        let (values, rest) = ClimberRest::split(pose);
+        let (values, rest) = ClimberHeightTilt::split(pose);
         let Some((variance, multiplicity)) = self.climber.add(stamp, values, rest) else {
-            return self.publisher.refuse(Warning::Duplicate { from, stamp });
+            return self.publisher.reject(Warning::Duplicate { from, stamp });
         };
         if self.climber.is_young() {
             self.reweigh_readings(&variance);
@@ -345,7 +347,7 @@ impl Filter {
         let at = stamp.plus_seconds(time_offset);
         if self.start.started && self.history.get(0).is_none_or(|first| at <= first.stamp) {
             let age_s = self.age(stamp);
-            return self.publisher.refuse(Warning::TooOld { from, stamp, age_s });
+            return self.publisher.reject(Warning::TooOld { from, stamp, age_s });
         }
         let reading = EncoderReading {
             values,
@@ -355,7 +357,7 @@ impl Filter {
         };
         self.publisher.note_now(at);
         let end = self.arrival.end().unwrap_or(at);
-        if at > end && self.history.is_crowded() {
+        if at > end && self.history.is_half_full() {
             // For a long time neither IMU samples nor images have come, which would process it.
             return;
         }

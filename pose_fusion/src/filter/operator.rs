@@ -130,7 +130,7 @@ impl Filter {
         }
         self.publisher.continuity.reset();
         self.start.started = true;
-        self.begin(at, state);
+        self.set_state(at, state);
         Ok(())
     }
 }

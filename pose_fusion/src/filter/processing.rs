@@ -29,8 +29,8 @@ use rig_model::Stamp;
 const FREE_JERK: f64 = 1000.0;
 /// NIS of four markers (8 degrees of freedom) above which the platform was struck: where all passed
 /// the gates (0.999 quantile), and where some did not (0.9999 quantile).
-const STRAINED: f64 = 26.12;
-const CONTRADICTED: f64 = 31.83;
+const SHOCK_NIS: f64 = 26.12;
+const SHOCK_NIS_GATED: f64 = 31.83;
 /// Largest factor of the model error with which a gated image means a shock.
 const SUDDEN: f64 = 1.5;
 /// Mean square of innovations per degree of freedom from which standing encoders may be frozen.
@@ -185,12 +185,12 @@ impl Filter {
         let sudden = rejects
             && !self.disturbances.is_climber_disturbed(at, SUSPECT)
             && self.imu.model_error.factor() <= SUDDEN;
-        let strained = match record.used {
-            4 => record.nis > STRAINED,
-            _ => record.against_prediction.is_some_and(|nis| nis > CONTRADICTED) && sudden,
+        let is_shock = match record.used {
+            4 => record.nis > SHOCK_NIS,
+            _ => record.against_prediction.is_some_and(|nis| nis > SHOCK_NIS_GATED) && sudden,
         };
-        if strained && agrees && !excused && settled {
-            self.strike(place, last_used.unwrap_or(stamp), record);
+        if is_shock && agrees && !excused && settled {
+            self.add_shock_noise(place, last_used.unwrap_or(stamp), record);
         }
         if let (Some(misfit), true) = (&record.misfit, self.setup.config.calibration.marker > 0.0) {
             self.markers.compare_layout(&misfit.offsets);
@@ -220,14 +220,14 @@ impl Filter {
         }
         let limit = if agrees { limit } else { DISAGREEING * limit };
         let response = self.lock_out.note(stamp, seen, record.used, limit, excused);
-        if response != Response::None && self.trust.acquit(at) {
-            self.climber.forget_stop();
+        if response != Response::None && self.trust.restore_after_contradiction(at) {
+            self.climber.clear_stop();
             self.publisher.warn(Warning::EncodersResumed { stamp: at });
             self.lock_out.responded(stamp);
             return self.reinitialize(stamp, image, stamp, true);
         }
         // Markers that contradict each other as well are noisier than they claim.
-        if let (Response::GiveWay(_), Some(misfit), false) =
+        if let (Response::FollowImages(_), Some(misfit), false) =
             (response, &record.misfit, record.agrees_with_itself())
         {
             self.markers.raise_noise(misfit.noise_factor());
@@ -236,9 +236,9 @@ impl Filter {
         }
         match response {
             Response::None => false,
-            Response::GiveWay(since) => {
+            Response::FollowImages(since) => {
                 self.lock_out.responded(stamp);
-                self.give_way(place, stamp, image, record, (last_used.unwrap_or(since), since))
+                self.follow_images(place, stamp, image, record, (last_used.unwrap_or(since), since))
             }
             Response::Reinitialize(since) => {
                 self.lock_out.responded(stamp);
@@ -247,9 +247,9 @@ impl Filter {
         }
     }
 
-    /// The prediction gives way to images that contradict it: the newest image that was used before
-    /// this one, and the first that contradicted. Returns whether the time line was replaced.
-    fn give_way(
+    /// Follows images that contradict the prediction, given the newest image that was used before
+    /// this one and the first that contradicted. Returns whether the time line was replaced.
+    fn follow_images(
         &mut self,
         place: usize,
         stamp: Stamp,
@@ -259,7 +259,7 @@ impl Filter {
     ) -> bool {
         let Some(entry) = self.history.get(place) else { return false };
         let at = entry.stamp;
-        let repeated = self.lock_out.gives_way(stamp);
+        let repeated = self.lock_out.note_followed(stamp);
         self.search_again(record.agrees_with_itself());
         self.imu.model_error.contradicted(&MODEL_ERROR);
         // An encoder that stopped while the images see the climber drive on is frozen, unless the time
@@ -276,7 +276,7 @@ impl Filter {
         if repeated {
             return self.reinitialize(stamp, image, since, true);
         }
-        self.strike(place, last_used, record);
+        self.add_shock_noise(place, last_used, record);
         self.publisher.counts.resets.shocks += 1;
         self.publisher.warn(Warning::Shock { since, stamp });
         false
@@ -284,7 +284,7 @@ impl Filter {
 
     /// Re-propagates the time since the last used image with the noise of a shock that explains the
     /// residuals of an image.
-    fn strike(&mut self, place: usize, last_used: Stamp, record: &ImageInnovation) {
+    fn add_shock_noise(&mut self, place: usize, last_used: Stamp, record: &ImageInnovation) {
         let Some(entry) = self.history.get(place) else { return };
         let (at, from) = (entry.stamp, last_used.plus_seconds(entry.state.time_offset));
         if self.disturbances.has_shock(at) || from >= at {

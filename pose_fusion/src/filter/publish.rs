@@ -88,7 +88,7 @@ impl Publisher {
     }
 
     /// Counts an input that is rejected, and outputs why.
-    pub fn refuse(&mut self, why: Warning) {
+    pub fn reject(&mut self, why: Warning) {
         let Counts { inputs, rejected, .. } = &mut self.counts;
         match (&why, why.origin()) {
             (Warning::Duplicate { .. }, _) => inputs.duplicates += 1,
@@ -131,7 +131,7 @@ impl Publisher {
     }
 
     /// Outputs the records of an image that is not processed.
-    pub fn reject(&mut self, stamp: Stamp, pixels: &Pixels, outcome: Outcome) {
+    pub fn skip(&mut self, stamp: Stamp, pixels: &Pixels, outcome: Outcome) {
         let markers = pixels.map(|pixel| {
             Innovation::without_values(if pixel.is_some() { outcome } else { Outcome::NotDetected })
         });
@@ -185,9 +185,9 @@ impl Filter {
         let mut limited =
             if silent { continuity.follow(odometry) } else { continuity.limit(odometry) };
         let behind = limited.world_from_volant.translation.vector - estimated;
-        let dispute = self.trust.dispute();
-        if let Some(dispute) = &dispute {
-            limited.add_dispute(dispute, &state.climber);
+        let disagreement = self.trust.disagreement();
+        if let Some(disagreement) = &disagreement {
+            limited.add_disagreement(disagreement, &state.climber);
         }
         let position_sigma = largest_sigma(&limited.pose_covariance, 0);
         let [image_age, imu_age, climber_age] = self.ages(end);
@@ -217,8 +217,8 @@ impl Filter {
                 end, state, reading, horizon, &noise, changes, geometry, &settings,
             );
             predicted.displace(&behind);
-            if let Some(dispute) = &dispute {
-                predicted.add_dispute(dispute, &state.climber);
+            if let Some(disagreement) = &disagreement {
+                predicted.add_disagreement(disagreement, &state.climber);
             }
             predicted
         });

@@ -119,7 +119,7 @@ impl Filter {
             state.set_sigma(TIME_OFFSET, (OFFSET_SIGMA[1] * found.sigma).max(OFFSET_SIGMA[0]));
         }
         if let Some(kept) = self.start.kept.take() {
-            inherit(state, &kept, self.start.searches_again);
+            carry_over(state, &kept, self.start.searches_again);
         }
     }
 
@@ -134,7 +134,7 @@ impl Filter {
         }
         let Some(state) = self.start.kept.take() else { return false };
         self.start.started = true;
-        self.begin(at, *state);
+        self.set_state(at, *state);
         true
     }
 
@@ -150,7 +150,7 @@ impl Filter {
         if stale && pixels.iter().flatten().count() >= 3 {
             self.start.awaited = Some((stamp, pixels));
         } else {
-            self.publisher.reject(stamp, &pixels, Outcome::NotInitialized);
+            self.publisher.skip(stamp, &pixels, Outcome::NotInitialized);
         }
     }
 
@@ -176,16 +176,16 @@ impl Filter {
         let at = stamp.plus_seconds(time_offset);
         let measured = absent || self.history.iter().any(|e| e.is_imu() && e.stamp <= at);
         let Some(climber) = self.climber_at(stamp) else {
-            return self.publisher.reject(stamp, pixels, Outcome::NotInitialized);
+            return self.publisher.skip(stamp, pixels, Outcome::NotInitialized);
         };
         let enough = pixels.iter().flatten().count() >= 3;
         if !enough || !measured || self.setup.frozen {
-            return self.publisher.reject(stamp, pixels, Outcome::NotInitialized);
+            return self.publisher.skip(stamp, pixels, Outcome::NotInitialized);
         }
         self.start.wrong_gravity =
             self.imu.wrong_gravity(at, &self.history, self.setup.config.gravity);
         if !absent && self.start.wrong_gravity.is_some() {
-            return self.publisher.reject(stamp, pixels, Outcome::NotInitialized);
+            return self.publisher.skip(stamp, pixels, Outcome::NotInitialized);
         }
         let mut image = Image::new(pixels, time_offset, climber.rest);
         image.shake = self.markers.shake.variance().map(|v| v as f32).into();
@@ -193,7 +193,7 @@ impl Filter {
         let ups = [self.imu.own_up_at(at), up];
         let known = self.calibration();
         let Some(start) = self.likeliest_start(at, &image, ups, &climber, &known) else {
-            return self.publisher.reject(stamp, pixels, Outcome::Inconsistent);
+            return self.publisher.skip(stamp, pixels, Outcome::Inconsistent);
         };
         self.publisher.record(stamp, &start.record, false);
         self.lock_out.initialized(stamp);
@@ -203,7 +203,7 @@ impl Filter {
         self.markers.shake.interrupt(stamp, &start.record);
         let mut state = start.state;
         self.remember(&mut state);
-        self.begin(at, state);
+        self.set_state(at, state);
     }
 
     /// Returns the initial state from an image. `ups` are the IMU's own attitude, and what else is
@@ -247,7 +247,7 @@ impl Filter {
     }
 
     /// Puts a state at an instant of the time line and processes what is behind it.
-    pub(super) fn begin(&mut self, at: Stamp, state: State) {
+    pub(super) fn set_state(&mut self, at: Stamp, state: State) {
         self.start.initial_offset = state.time_offset;
         self.start.settled = SettledOffset { since: at, offset: state.time_offset };
         let place = self.history.place_of(at);
@@ -273,7 +273,7 @@ impl Filter {
             entry.state = state;
         }
         self.history.set_processed(1);
-        self.lock_out.begin(at);
+        self.lock_out.note_start(at);
         self.process();
     }
 
@@ -310,19 +310,19 @@ impl Filter {
         self.markers.raise_noise(start.noise_factor);
         self.markers.shake.interrupt(stamp, &start.record);
         let mut state = start.state;
-        inherit(&mut state, &old, self.start.searches_again);
+        carry_over(&mut state, &old, self.start.searches_again);
         state.climber_acceleration = old.climber_acceleration;
         self.publisher.counts.resets.recoveries += 1;
         self.lock_out.initialized(stamp);
         self.publisher.warn(Warning::LockOutRecovered { since, stamp });
-        self.begin(at, state);
+        self.set_state(at, state);
         true
     }
 }
 
 /// Takes over time offset and biases of a former state; the biases are worth half, and so is an
 /// offset that is doubted.
-fn inherit(state: &mut State, former: &State, offset_doubted: bool) {
+fn carry_over(state: &mut State, former: &State, offset_doubted: bool) {
     state.accelerometer_bias = former.accelerometer_bias;
     state.gyroscope_bias = former.gyroscope_bias;
     state.time_offset = former.time_offset;

@@ -5,8 +5,8 @@
 //! row restore trust. Readings that contradict the estimate for `climber.step_timeout` are adopted
 //! (the drive was homed, or a wheel slipped): the filter reinitializes with them, and the world
 //! frame moves with the encoders. Until then the pose keeps its frame. Who of the two is wrong is
-//! not known: after `DISPUTED`, and at once where one stopped, the published covariance contains the
-//! distance between them; where they seem to be frozen, until that has been `CONFIRMED`.
+//! not known: after `DISAGREES`, and at once where one stopped, the published covariance contains
+//! the distance between them; where they seem to be frozen, until that has been `CONFIRMED`.
 //! Encoders that are known to be frozen are not adopted before they move again. Readings that
 //! return from a fault and go on moving are right: they are adopted after `RETURNED`. They return
 //! where frozen ones move again, or where they leap to where a climber can have moved to since they
@@ -16,7 +16,7 @@ use nalgebra::Vector3;
 use rig_model::Stamp;
 
 /// Readings that contradict the estimate for longer than this cast doubt on it, s.
-const DISPUTED: f64 = 0.3;
+const DISAGREES: f64 = 0.3;
 
 /// Encoders that seem to be frozen are, where nothing contradicted that for this time, s.
 const CONFIRMED: f64 = 1.0;
@@ -112,15 +112,15 @@ impl EncoderTrust {
 
     /// Returns by how much encoders and estimate contradict each other, x, y (m) and turn (rad),
     /// while it is not known which is wrong.
-    pub fn dispute(&self) -> Option<Vector3<f64>> {
+    pub fn disagreement(&self) -> Option<Vector3<f64>> {
         let (since, cause) = self.suspended?;
         let lasts = self.newest?.seconds_since(since);
-        let disputed = match cause {
+        let disagrees = match cause {
             Cause::Frozen => lasts < CONFIRMED,
             Cause::Stop => true,
-            Cause::Contradiction | Cause::Leap => lasts > DISPUTED,
+            Cause::Contradiction | Cause::Leap => lasts > DISAGREES,
         };
-        disputed.then_some(self.residual)
+        disagrees.then_some(self.residual)
     }
 
     /// Judges a new reading at `at` with this NIS and residual (x, y, m; turn, rad) while the
@@ -138,7 +138,7 @@ impl EncoderTrust {
         let contradicts = at.seconds_since(*since);
         if seen.standing {
             self.returned = None;
-            if seen.moves && contradicts > DISPUTED {
+            if seen.moves && contradicts > DISAGREES {
                 *cause = Cause::Frozen;
             }
         } else if *cause == Cause::Frozen {
@@ -192,7 +192,7 @@ impl EncoderTrust {
 
     /// Trusts encoders again that have not leapt, where images contradict the prediction without
     /// them as well: something else is wrong. Returns whether it does.
-    pub fn acquit(&mut self, at: Stamp) -> bool {
+    pub fn restore_after_contradiction(&mut self, at: Stamp) -> bool {
         let suspected = self.suspended.is_some_and(|(since, cause)| {
             cause != Cause::Leap && at.seconds_since(since) > EXPLAINED
         });
@@ -232,9 +232,9 @@ mod tests {
         trust.suspend(at(100), Cause::Contradiction, false);
         trust.suspend(at(2000), Cause::Contradiction, false);
         assert_eq!(trust.judge(at(2100), 1e6, &off, STRANGE, 3.0), Verdict::Exclude);
-        assert_eq!(trust.dispute(), Some(off));
+        assert_eq!(trust.disagreement(), Some(off));
         trust.suspend(at(2200), Cause::Frozen, false);
-        assert_eq!(trust.dispute(), None);
+        assert_eq!(trust.disagreement(), None);
         // A climber that stands is adopted, one that moves has frozen encoders.
         let mut stopped = EncoderTrust::default();
         stopped.suspend(at(0), Cause::Contradiction, false);
@@ -266,15 +266,15 @@ mod tests {
         assert_eq!(trust.judge(at(9020), 1e6, &off, RETURNS, 30.0), Verdict::Exclude);
         assert_eq!(trust.judge(at(9240), 1e6, &off, STRANGE, 30.0), Verdict::Adopt);
         // What contradicts without them as well is not theirs, unless they have leapt.
-        for (cause, acquitted) in
+        for (cause, restored) in
             [(Cause::Contradiction, true), (Cause::Frozen, true), (Cause::Leap, false)]
         {
             let mut suspect = EncoderTrust::default();
             suspect.suspend(at(5000), cause, false);
-            assert!(!suspect.acquit(at(5100)));
-            assert_eq!(suspect.acquit(at(5300)), acquitted);
+            assert!(!suspect.restore_after_contradiction(at(5100)));
+            assert_eq!(suspect.restore_after_contradiction(at(5300)), restored);
             assert!(!suspect.may_suspect(at(5200), at(5400)));
-            assert_eq!(suspect.may_suspect(at(5350), at(5400)), acquitted);
+            assert_eq!(suspect.may_suspect(at(5350), at(5400)), restored);
         }
         // Readings that stand are tried without once.
         assert!(trust.may_suspect(at(9500), at(10_000)));

@@ -20,10 +20,10 @@ pub const SUSPECT: f64 = 0.5;
 /// Shocks within [`REPEATED`] seconds after which another explanation is tried.
 const SHOCKS: u32 = 2;
 const REPEATED: f64 = 0.6;
-/// The pose is contradicted where the prediction gave way three times within this time, and until
-/// as much time has passed without a further response, s. With correct files it gives way on none
-/// of seven recordings; with a wrong unit, sign or direction of the IMU several times in this
-/// time (`test/tests/robustness.rs`).
+/// The pose is contradicted where the filter responded three times within this time, and until as
+/// much time has passed without a further response, s. With correct files it responds on none of
+/// seven recordings; with a wrong unit, sign or direction of the IMU several times in this time
+/// (`test/tests/robustness.rs`).
 const CONTRADICTED: f64 = 3.0;
 
 /// What follows from an image.
@@ -31,8 +31,8 @@ const CONTRADICTED: f64 = 3.0;
 pub enum Response {
     /// Nothing.
     None,
-    /// The prediction gives way; the first image that contradicted it.
-    GiveWay(Stamp),
+    /// The images are to be followed, with the noise of a shock; the first one that contradicted.
+    FollowImages(Stamp),
     /// The pose is to be reinitialized from the image; the first image that contradicted it.
     Reinitialize(Stamp),
 }
@@ -46,8 +46,8 @@ pub struct LockOut {
     rejected: [bool; 4],
     last_used: Option<Stamp>,
     initialized: Option<Stamp>,
-    /// First of the times that the prediction gave way, and how often it did since.
-    gave_way: Option<(Stamp, u32)>,
+    /// First of the times that contradicting images were followed, and how often since.
+    followed: Option<(Stamp, u32)>,
     /// Images of the last three responses.
     responses: [Option<Stamp>; 3],
 }
@@ -64,7 +64,7 @@ impl LockOut {
     }
 
     /// Notes that the estimate begins, unless an image began it.
-    pub fn begin(&mut self, at: Stamp) {
+    pub fn note_start(&mut self, at: Stamp) {
         self.initialized.get_or_insert(at);
     }
 
@@ -112,19 +112,19 @@ impl LockOut {
         if starved && detected >= 3 {
             Response::Reinitialize(since)
         } else if self.contradictions >= limit {
-            Response::GiveWay(since)
+            Response::FollowImages(since)
         } else {
             Response::None
         }
     }
 
-    /// Notes that the prediction gives way to an image, and returns whether it did so too often.
-    pub fn gives_way(&mut self, image: Stamp) -> bool {
-        let (first, count) = match self.gave_way {
+    /// Notes that a contradicting image is followed, and returns whether that is too often.
+    pub fn note_followed(&mut self, image: Stamp) -> bool {
+        let (first, count) = match self.followed {
             Some((first, count)) if image.seconds_since(first) < REPEATED => (first, count + 1),
             _ => (image, 1),
         };
-        self.gave_way = Some((first, count));
+        self.followed = Some((first, count));
         count > SHOCKS
     }
 
@@ -162,7 +162,7 @@ mod tests {
         assert_eq!(lock_out.note(at(90), 4, 3, 2, false), Response::None);
         assert_eq!(lock_out.note(at(120), 4, 1, 2, true), Response::None);
         assert_eq!(lock_out.note(at(150), 4, 1, 2, false), Response::None);
-        assert_eq!(lock_out.note(at(180), 4, 1, 2, false), Response::GiveWay(at(120)));
+        assert_eq!(lock_out.note(at(180), 4, 1, 2, false), Response::FollowImages(at(120)));
         lock_out.responded(at(180));
         assert_eq!(lock_out.note(at(210), 4, 0, 2, false), Response::None);
         assert_eq!(lock_out.note(at(800), 4, 0, 9, false), Response::Reinitialize(at(210)));
@@ -187,7 +187,7 @@ mod tests {
         lock_out.initialized(at(0));
         assert_eq!(lock_out.note(at(1), 1, 0, 2, false), Response::None);
         assert_eq!(lock_out.note(at(2), 0, 0, 2, false), Response::None);
-        assert_eq!(lock_out.note(at(3), 1, 0, 2, false), Response::GiveWay(at(1)));
+        assert_eq!(lock_out.note(at(3), 1, 0, 2, false), Response::FollowImages(at(1)));
     }
 
     #[test]

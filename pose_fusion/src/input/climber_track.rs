@@ -4,7 +4,7 @@ pub mod faults;
 
 use crate::{
     adaptation::encoder_noise::EncoderNoise, config::ClimberConfig,
-    measurements::geometry::ClimberRest,
+    measurements::geometry::ClimberHeightTilt,
 };
 use nalgebra::Vector3;
 use rig_model::{Stamp, wrap_angle};
@@ -48,7 +48,7 @@ pub struct ClimberAt {
     /// Time to the nearest reading, 0 between two readings, s.
     pub distance: f64,
     /// Height and tilt.
-    pub rest: ClimberRest,
+    pub rest: ClimberHeightTilt,
 }
 
 impl ClimberAt {
@@ -62,7 +62,7 @@ impl ClimberAt {
 /// The newest readings in the order of their stamps, with the noise and jerk identified from them.
 #[derive(Clone, Debug)]
 pub struct ClimberTrack {
-    readings: VecDeque<(Stamp, Vector3<f64>, ClimberRest)>,
+    readings: VecDeque<(Stamp, Vector3<f64>, ClimberHeightTilt)>,
     noise: EncoderNoise,
     /// Variance with which the readings on the time line were weighed.
     assumed: Vector3<f64>,
@@ -92,7 +92,7 @@ impl ClimberTrack {
         &mut self,
         stamp: Stamp,
         values: Vector3<f64>,
-        rest: ClimberRest,
+        rest: ClimberHeightTilt,
     ) -> Option<(Vector3<f64>, Vector3<f64>)> {
         let place = self.readings.partition_point(|(at, _, _)| *at < stamp);
         if self.readings.get(place).is_some_and(|(at, _, _)| *at == stamp) {
@@ -116,7 +116,7 @@ impl ClimberTrack {
     }
 
     /// Returns the newest reading: stamp; x, y, turn; height and tilt.
-    pub fn newest(&self) -> Option<&(Stamp, Vector3<f64>, ClimberRest)> {
+    pub fn newest(&self) -> Option<&(Stamp, Vector3<f64>, ClimberHeightTilt)> {
         self.readings.back()
     }
 
@@ -223,7 +223,7 @@ mod tests {
     #[test]
     fn an_instant_beyond_the_readings_is_where_the_climber_has_moved_to() {
         let mut track = ClimberTrack::new(&ClimberConfig::default());
-        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+        let rest = ClimberHeightTilt { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
         let start = Stamp::from_nanos(1_760_001_000_000_000_000);
         let truth = |t: f64| Vector3::new(0.3 * t + 0.05 * t * t, -0.2 * t, 3.1 + 0.15 * t);
         for i in 0..100 {
@@ -250,7 +250,7 @@ mod tests {
     #[test]
     fn between_readings_far_apart_the_climber_may_have_moved() {
         let mut track = ClimberTrack::new(&ClimberConfig::default());
-        let rest = ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
+        let rest = ClimberHeightTilt { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() };
         let at = |t: f64| Stamp::from_nanos(1_760_001_000_000_000_000).plus_seconds(t);
         for t in (0..20).map(|k| f64::from(k) * 0.02).chain([1.4]) {
             assert!(track.add(at(t), Vector3::zeros(), rest).is_some());

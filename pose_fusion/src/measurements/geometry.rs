@@ -41,22 +41,22 @@ impl Geometry {
 
 /// Part of the climber's pose that its encoders do not measure: height, roll and pitch.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ClimberRest {
+pub struct ClimberHeightTilt {
     /// Height of the climber's frame, m.
     pub height: f64,
     /// `world_from_climber` without the turn about the vertical.
     pub tilt: UnitQuaternion<f64>,
 }
 
-impl ClimberRest {
+impl ClimberHeightTilt {
     /// Splits a pose into (x, y, turn) and the rest, so that
     /// `pose = T(x, y, height) · Rz(turn) · tilt` (swing–twist).
-    pub fn split(pose: &Isometry3<f64>) -> (Vector3<f64>, ClimberRest) {
+    pub fn split(pose: &Isometry3<f64>) -> (Vector3<f64>, Self) {
         let q = pose.rotation;
         let turn = 2.0 * q.k.atan2(q.w);
         let about_z = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
         let t = pose.translation.vector;
-        (Vector3::new(t.x, t.y, turn), ClimberRest { height: t.z, tilt: about_z.inverse() * q })
+        (Vector3::new(t.x, t.y, turn), Self { height: t.z, tilt: about_z.inverse() * q })
     }
 
     /// Returns `world_from_climber` of (x, y, turn) and the rest.
@@ -78,7 +78,7 @@ mod tests {
             Translation3::new(0.3, -0.2, 2.8),
             UnitQuaternion::from_euler_angles(0.02, -0.03, 2.9),
         );
-        let (climber, rest) = ClimberRest::split(&pose);
+        let (climber, rest) = ClimberHeightTilt::split(&pose);
         let back = rest.join(&climber);
         assert!((back.translation.vector - pose.translation.vector).norm() < 1e-12);
         assert!(back.rotation.angle_to(&pose.rotation) < 1e-9);

@@ -6,7 +6,7 @@
 
 use super::{
     Innovation, Outcome,
-    geometry::{ClimberRest, Geometry},
+    geometry::{ClimberHeightTilt, Geometry},
     marker_misfit::{Misfit, misfit},
     marker_prediction::{
         by_calibration, innovation_spread, layout_spread, linearize, mean_variance,
@@ -63,7 +63,7 @@ pub struct Image {
     /// Variance of the error that its markers share, x and y of the image, px².
     pub shake: [f32; 2],
     /// Height and tilt of the climber.
-    pub rest: ClimberRest,
+    pub rest: ClimberHeightTilt,
     /// By how much the images before contradict the places of the markers (1 sigma), where that is
     /// news, m.
     pub layout_doubt: Option<f32>,
@@ -71,7 +71,7 @@ pub struct Image {
 
 impl Image {
     /// Returns an image that was placed on the IMU's time line with a camera time offset, s.
-    pub fn new(pixels: &Pixels, time_offset: f64, rest: ClimberRest) -> Self {
+    pub fn new(pixels: &Pixels, time_offset: f64, rest: ClimberHeightTilt) -> Self {
         let covariance = |c: Matrix2<f64>| [c.m11, c.m21, c.m22].map(|x| x as f32);
         Self {
             centroids: pixels.map(|marker| marker.map_or([0.0; 2], |(pixel, _)| pixel.into())),
@@ -263,7 +263,7 @@ pub(super) mod tests {
         state.climber_rate = Vector3::new(0.2, 0.1, 0.15);
         state.time_offset = 0.004;
         let variance = Matrix2::identity() * 0.01;
-        let rest = ClimberRest { height: 2.8, tilt: UnitQuaternion::identity() };
+        let rest = ClimberHeightTilt { height: 2.8, tilt: UnitQuaternion::identity() };
         let image = Image::new(&[Some((Vector2::zeros(), variance)); 4], 0.001, rest);
         let linear = linearize(&state, &geometry, &image, &READING);
         let pixels = std::array::from_fn(|i| {

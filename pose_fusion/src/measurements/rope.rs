@@ -21,7 +21,7 @@
 //! fits, its scatter and the side force are measured and replace the configured values as far as
 //! they are known better.
 
-use super::geometry::{ClimberRest, Geometry};
+use super::geometry::{ClimberHeightTilt, Geometry};
 use crate::{
     config::PendulumConfig,
     ekf::{
@@ -87,7 +87,7 @@ struct Pull {
 }
 
 impl Rope {
-    fn pull(&self, state: &State, reading: &ImuReading, rest: &ClimberRest) -> Pull {
+    fn pull(&self, state: &State, reading: &ImuReading, rest: &ClimberHeightTilt) -> Pull {
         let world_from_climber = rest.join(&state.climber);
         let lower = state.attitude * self.platform_attachment;
         let upper = world_from_climber.rotation * self.climber_attachment;
@@ -103,7 +103,7 @@ impl Rope {
         &self,
         state: &State,
         reading: &ImuReading,
-        rest: &ClimberRest,
+        rest: &ClimberHeightTilt,
     ) -> (Vector3<f64>, Jacobian) {
         let Pull { span, force, arms: [lower, upper] } = self.pull(state, reading, rest);
         let strength = force.norm();
@@ -129,7 +129,7 @@ impl Rope {
         &self,
         state: &mut State,
         reading: &ImuReading,
-        rest: &ClimberRest,
+        rest: &ClimberHeightTilt,
         force_variance: f64,
         gravity: f64,
     ) -> bool {
@@ -201,7 +201,7 @@ impl RopeIdentification {
         geometry: &Geometry,
         state: &State,
         reading: &ImuReading,
-        rest: &ClimberRest,
+        rest: &ClimberHeightTilt,
         gravity: f64,
     ) {
         let Some(rope) = self.rope(config, geometry) else { return };
@@ -263,7 +263,7 @@ mod tests {
     use crate::ekf::state::{N, TIME_OFFSET};
     use nalgebra::UnitQuaternion;
 
-    fn example() -> (Rope, State, ImuReading, ClimberRest) {
+    fn example() -> (Rope, State, ImuReading, ClimberHeightTilt) {
         let rope = Rope {
             length: 1.2,
             length_variance: 1e-5,
@@ -276,7 +276,7 @@ mod tests {
         state.attitude = UnitQuaternion::from_euler_angles(0.2, -0.1, 0.7);
         state.accelerometer_bias = Vector3::new(0.05, -0.04, 0.03);
         state.climber = Vector3::new(0.3, -0.2, 0.4);
-        let rest = ClimberRest { height: 2.8, tilt: UnitQuaternion::identity() };
+        let rest = ClimberHeightTilt { height: 2.8, tilt: UnitQuaternion::identity() };
         let towards = Vector3::new(-0.2, 0.1, 1.0).normalize();
         let upper = rest.join(&state.climber) * nalgebra::Point3::from(rope.climber_attachment);
         state.position =

@@ -77,11 +77,11 @@ impl Odometry {
 
     /// Adds the distance between encoders and estimate (x, y, m; turn, rad) to the covariance of a
     /// pose that moves with a climber at `climber` (x, y, m; turn, rad).
-    pub(crate) fn add_dispute(&mut self, dispute: &Vector3<f64>, climber: &Vector3<f64>) {
+    pub(crate) fn add_disagreement(&mut self, by: &Vector3<f64>, climber: &Vector3<f64>) {
         let place = self.world_from_volant.translation.vector;
         let arm = Vector3::new(place.x - climber.x, place.y - climber.y, 0.0);
-        let moved = Vector3::new(dispute.x, dispute.y, 0.0) + Vector3::z().cross(&arm) * dispute.z;
-        let off = Vector6::new(moved.x, moved.y, moved.z, 0.0, 0.0, dispute.z);
+        let moved = Vector3::new(by.x, by.y, 0.0) + Vector3::z().cross(&arm) * by.z;
+        let off = Vector6::new(moved.x, moved.y, moved.z, 0.0, 0.0, by.z);
         self.pose_covariance += off * off.transpose();
     }
 }

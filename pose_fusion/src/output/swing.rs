@@ -18,7 +18,7 @@ use crate::{
             VELOCITY,
         },
     },
-    measurements::geometry::{ClimberRest, Geometry},
+    measurements::geometry::{ClimberHeightTilt, Geometry},
 };
 use nalgebra::{Isometry3, Matrix6, Point3, SMatrix, UnitQuaternion, Vector3, Vector6};
 use rig_model::Stamp;
@@ -62,7 +62,7 @@ struct Motion<'a> {
     angular_velocity: Vector3<f64>,
     climber: Vector3<f64>,
     climber_rate: Vector3<f64>,
-    rest: &'a ClimberRest,
+    rest: &'a ClimberHeightTilt,
     /// IMU frame.
     platform_attachment: Vector3<f64>,
     climber_attachment: Vector3<f64>,
@@ -132,7 +132,7 @@ pub fn swing(
     stamp: Stamp,
     state: &State,
     reading: &ImuReading,
-    rest: &ClimberRest,
+    rest: &ClimberHeightTilt,
     geometry: &Geometry,
     pendulum: &PendulumConfig,
     settings: &Settings,

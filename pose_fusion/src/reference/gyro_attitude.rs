@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn free_fall_at_the_start_is_no_attitude_and_a_gap_begins_anew() {
+    fn free_fall_at_the_start_is_no_attitude_and_a_gap_restarts() {
         let mut filter = GyroAttitude::default();
         let (mut first, _) = sample(0.0, Vector3::zeros());
         first.specific_force = Vector3::zeros();

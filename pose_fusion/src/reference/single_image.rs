@@ -13,7 +13,7 @@ use crate::{
         climber_track::ClimberTrack,
         imu::{Up, nearest, up_of},
     },
-    measurements::geometry::ClimberRest,
+    measurements::geometry::ClimberHeightTilt,
     output::PoseEstimate,
     reference::{marker_measurement::SightLine, published_pose::published_pose},
 };
@@ -117,7 +117,7 @@ impl SingleImagePose {
         if ahead.is_some_and(|ahead| ahead > 1.0) {
             self.reset();
         }
-        let (values, rest) = ClimberRest::split(pose);
+        let (values, rest) = ClimberHeightTilt::split(pose);
         self.climber.add(sample.stamp, values, rest);
     }
 

@@ -107,7 +107,7 @@ impl History {
 
     /// Returns whether more than half of the capacity is in use: encoder readings that nothing
     /// processes must not push out the newest state.
-    pub fn is_crowded(&self) -> bool {
+    pub fn is_half_full(&self) -> bool {
         self.entries.len() > CAPACITY / 2
     }
 

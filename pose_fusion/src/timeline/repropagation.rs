@@ -11,7 +11,7 @@ use crate::{
     measurements::{
         Innovation,
         encoders::{self, CONTRADICTION},
-        geometry::{ClimberRest, Geometry},
+        geometry::{ClimberHeightTilt, Geometry},
         markers::{self, ImageInnovation},
         rope::{self, Rope},
         zero_velocity,
@@ -30,7 +30,7 @@ pub struct Context<'a> {
     /// Disturbances.
     pub disturbances: &'a Disturbances,
     /// Rope with the climber's height and tilt, where it is known.
-    pub rope: Option<(Rope, ClimberRest)>,
+    pub rope: Option<(Rope, ClimberHeightTilt)>,
     /// Share of the motion's changes between images that is noise.
     pub noise_of_changes: Densities,
     /// Mean time between IMU samples, s.

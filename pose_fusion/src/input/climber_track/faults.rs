@@ -1,7 +1,7 @@
 //! Detection of encoder readings that are frozen or leap, and of a climber that hit an obstacle.
 
 use super::{ClimberTrack, MOVING_SPAN, MOVING_STEPS, NEAR, SPEED};
-use crate::measurements::geometry::ClimberRest;
+use crate::measurements::geometry::ClimberHeightTilt;
 use nalgebra::Vector3;
 use rig_model::{Stamp, wrap_angle};
 
@@ -16,7 +16,7 @@ pub const STOOD: f64 = 0.2;
 /// Readings leap where they differ by more than this (m, m, rad) beside three sigma of the speed.
 const LEAP: f64 = 0.05;
 
-type Reading = (Stamp, Vector3<f64>, ClimberRest);
+type Reading = (Stamp, Vector3<f64>, ClimberHeightTilt);
 
 /// Returns whether a climber can have moved from one reading to a later one: by `slack` (m, m, rad)
 /// beside three sigma of [`SPEED`].
@@ -128,7 +128,7 @@ impl ClimberTrack {
     }
 
     /// Forgets that an axis stopped at once: the climber has been seen to stand.
-    pub fn forget_stop(&mut self) {
+    pub fn clear_stop(&mut self) {
         self.stopped = [None; 3];
     }
 
@@ -176,12 +176,12 @@ impl ClimberTrack {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{config::ClimberConfig, measurements::geometry::ClimberRest};
+    use crate::{config::ClimberConfig, measurements::geometry::ClimberHeightTilt};
 
     const START: Stamp = Stamp::from_nanos(1_760_001_000_000_000_000);
 
-    fn rest() -> ClimberRest {
-        ClimberRest { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() }
+    fn rest() -> ClimberHeightTilt {
+        ClimberHeightTilt { height: 2.8, tilt: nalgebra::UnitQuaternion::identity() }
     }
 
     /// Readings every 20 ms.
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn an_encoder_that_freezes_on_one_axis_is_told_from_brakes_and_from_slow_readings() {
+    fn an_encoder_that_freezes_on_one_axis_is_distinguished_from_brakes_and_slow_readings() {
         let period = 0.02;
         // Readings whose position (m) and turn (rad) are functions of the time; y always moves.
         let stopped = |x: &dyn Fn(f64) -> f64, turn: &dyn Fn(f64) -> f64| {
