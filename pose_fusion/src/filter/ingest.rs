@@ -272,7 +272,7 @@ impl Filter {
         }
         let Some((_, _, rest)) = self.climber.newest().copied() else { return };
         let stamp_sigma = self.markers.stamp_sigma().min(self.setup.config.clock.image_jitter);
-        let layout_doubt = self.markers.take_layout_doubt();
+        let layout_doubt = self.markers.layout_doubt.take();
         if let (Some(_), Some(search)) = (layout_doubt, &mut self.search) {
             // The image poses that it has are tilted by the layout's error.
             search.clear();

@@ -18,10 +18,7 @@ use rig_model::{Stamp, topics};
 const OFFSET_KNOWN: f64 = 5e-3;
 
 impl Filter {
-    /// Returns what is known now.
-    ///
-    /// # Errors
-    /// There is no estimate.
+    /// See [`crate::Fusion::checkpoint`].
     pub fn checkpoint(&self) -> Result<Checkpoint, Refusal> {
         match self.history.newest_processed() {
             Some(entry) if self.start.started => Ok(Checkpoint::of(&entry.state, entry.stamp)),
@@ -29,11 +26,7 @@ impl Filter {
         }
     }
 
-    /// Restores a checkpoint: all of it where the next IMU sample follows within 0.4 s, else time
-    /// offset and biases, and the next image gives the pose.
-    ///
-    /// # Errors
-    /// The checkpoint is invalid, or its state beyond physical bounds; nothing is changed then.
+    /// See [`crate::Fusion::restore`]; a state beyond physical bounds is refused, too.
     pub fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), Refusal> {
         let state = checkpoint.state()?;
         self.check("the checkpoint", &state)?;

@@ -29,7 +29,7 @@ use crate::{
         markers::{self, Image, ImageInnovation, Pixels},
     },
 };
-use nalgebra::{Matrix2, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix2, Point3, Vector3};
 use rig_model::{
     PerColor,
     planar_pose::{self, PlanarPose, TiltPrior},
@@ -107,8 +107,7 @@ fn attempt(
     let found = solve(tilt.as_ref());
     let best = found.first().ok_or(None)?;
     let world_from_imu = world_from_camera * best.camera_from_volant * geometry.volant_from_imu;
-    let (position, attitude): (Vector3<f64>, UnitQuaternion<f64>) =
-        (world_from_imu.translation.vector, world_from_imu.rotation);
+    let (position, attitude) = (world_from_imu.translation.vector, world_from_imu.rotation);
     let mut state = unknown(config, climber);
     state.position = position;
     state.attitude = attitude;

@@ -30,7 +30,9 @@ pub struct MarkerInput {
     /// Shake of the camera.
     pub shake: CameraShake,
     misfit: LayoutMisfit,
-    layout_doubt: Option<f64>,
+    /// Standard deviation of the markers' places, m, where images contradict the layout, until
+    /// an image has it.
+    pub layout_doubt: Option<f64>,
     /// Misfit of the newest image with four markers, in units of its covariance.
     whitened: Residual,
 }
@@ -62,12 +64,6 @@ impl MarkerInput {
     /// Discards what the images have told of the layout: the estimate of it is dropped.
     pub fn forget_layout(&mut self) {
         (self.misfit, self.layout_doubt) = (LayoutMisfit::default(), None);
-    }
-
-    /// Returns and forgets the standard deviation of the markers' places, m, where images
-    /// contradict the layout.
-    pub fn take_layout_doubt(&mut self) -> Option<f64> {
-        self.layout_doubt.take()
     }
 
     /// Identifies the pixel noise from what no pose explains of an image, in units of its

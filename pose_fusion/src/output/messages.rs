@@ -104,26 +104,17 @@ mod tests {
 
     #[test]
     fn outcomes_have_the_numbers_of_the_message() {
-        let ours = [
-            Outcome::Used,
-            Outcome::NotDetected,
-            Outcome::Gated,
-            Outcome::Inconsistent,
-            Outcome::NotPredictable,
-            Outcome::NotInitialized,
-            Outcome::Rejected,
-            Outcome::Frozen,
-        ];
-        let theirs = [
-            MarkerUpdate::USED,
-            MarkerUpdate::NOT_DETECTED,
-            MarkerUpdate::GATED,
-            MarkerUpdate::INCONSISTENT,
-            MarkerUpdate::NOT_PREDICTABLE,
-            MarkerUpdate::NOT_INITIALIZED,
-            MarkerUpdate::REJECTED,
-            MarkerUpdate::FROZEN,
-        ];
-        assert_eq!(ours.map(|outcome| outcome as u8), theirs);
+        for (ours, theirs) in [
+            (Outcome::Used, MarkerUpdate::USED),
+            (Outcome::NotDetected, MarkerUpdate::NOT_DETECTED),
+            (Outcome::Gated, MarkerUpdate::GATED),
+            (Outcome::Inconsistent, MarkerUpdate::INCONSISTENT),
+            (Outcome::NotPredictable, MarkerUpdate::NOT_PREDICTABLE),
+            (Outcome::NotInitialized, MarkerUpdate::NOT_INITIALIZED),
+            (Outcome::Rejected, MarkerUpdate::REJECTED),
+            (Outcome::Frozen, MarkerUpdate::FROZEN),
+        ] {
+            assert_eq!(ours as u8, theirs, "{ours:?}");
+        }
     }
 }

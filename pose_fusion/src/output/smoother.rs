@@ -131,39 +131,21 @@ mod tests {
         first.covariance[(VELOCITY, VELOCITY)] = 0.25;
         first.covariance[(ACCELEROMETER_BIAS, ACCELEROMETER_BIAS)] = 1e-4;
         let truth = |t: f64| 0.05 + 0.3 * t;
-        let (n, dt) = (40, 0.01);
-        let mut entries = vec![Entry {
-            stamp: Stamp::from_nanos(0),
-            event: Event::Set,
-            reading,
-            motion: reading.into(),
-            noise,
-            state: first.clone(),
-            unseen: 0.0,
-        }];
+        let (n, dt, none) = (40, 0.01, ByParameter::zeros());
+        let entry = |t: f64, event: Event, state: State| {
+            let (stamp, motion) = (Stamp::from_nanos(0).plus_seconds(t), reading.into());
+            Entry { stamp, event, reading, motion, noise, state, unseen: 0.0 }
+        };
+        let mut entries = vec![entry(0.0, Event::Set, first.clone())];
         for i in 1..=n {
             let mut state = entries[i - 1].state.clone();
             propagate(&mut state, &reading, &reading, dt, 9.81, &noise);
             if i % 4 == 0 {
                 let residual = truth(i as f64 * dt) - state.position.x;
-                update::scalar(
-                    &mut state,
-                    &[(POSITION, 1.0)],
-                    residual,
-                    1e-6,
-                    &ByParameter::zeros(),
-                );
+                update::scalar(&mut state, &[(POSITION, 1.0)], residual, 1e-6, &none);
             }
-            let stamp = Stamp::from_nanos(0).plus_seconds(i as f64 * dt);
-            entries.push(Entry {
-                stamp,
-                event: Event::Imu { noise: Densities::default(), at_rest: None },
-                reading,
-                motion: reading.into(),
-                noise,
-                state,
-                unseen: 0.0,
-            });
+            let event = Event::Imu { noise: Densities::default(), at_rest: None };
+            entries.push(entry(i as f64 * dt, event, state));
         }
         let smoothed = smooth(&entries, 9.81);
         // The same by augmenting the first state: its cross-covariance with every later one is
@@ -182,7 +164,7 @@ mod tests {
                 own -= gain * gain.transpose() * spread;
                 let row = now.covariance.column(POSITION).transpose();
                 shared -= gain * row;
-                update::scalar(&mut now, &[(POSITION, 1.0)], residual, 1e-6, &ByParameter::zeros());
+                update::scalar(&mut now, &[(POSITION, 1.0)], residual, 1e-6, &none);
             }
         }
         let error = smoothed[0].minus(&first);
