@@ -229,8 +229,7 @@ impl Fusion {
         self.ages.map(|age| age + silence)
     }
 
-    /// Whether the published filter runs with an IMU that outputs no attitude, so that it is
-    /// computed from the samples.
+    /// Whether the published filter computes the attitude, which its IMU does not output.
     pub fn computes_attitude(&self) -> bool {
         matches!(&self.estimator, Estimator::Paper(paper) if paper.filter.computes_attitude())
     }

@@ -68,8 +68,7 @@ fn pose_estimate(m: &PoseWithCovarianceStamped, world: &str) -> Result<PoseEstim
     })
 }
 
-/// Carries out a request and answers it. A topic has no answer: why a pose cannot be set is
-/// returned.
+/// Carries out a request and answers it; a topic has no answer, so why not is returned.
 pub(crate) fn answer(fusion: &mut Fusion, request: Request, file: &str) -> Result<(), String> {
     let reply = |result: Result<String, String>| match result {
         Ok(message) => TriggerResponse { success: true, message },

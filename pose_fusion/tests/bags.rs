@@ -132,8 +132,7 @@ impl Scenario {
         let images = all().filter(|i| matches!(i, Input::Markers(_))).count();
         visual.share = outputs.visual.len() as f64 / images as f64;
         let tight = Row { score: scoring::score(&outputs.odometry, &self.truth, 1.0), share: 1.0 };
-        // The IMU alone: biases, clocks and pose of the first three seconds, and no
-        // marker from then on.
+        // The IMU alone: no marker after the first three seconds.
         let blind = scoring::start(&self.truth).plus_seconds(3.0);
         let without = all().filter(|i| !matches!(i, Input::Markers(m) if m.stamp > blind));
         let inertial = self.fused(FusionConfig::default(), 3.0, without);
@@ -218,8 +217,7 @@ fn table_of_the_filter_beside_the_published_one_visual_and_inertial_alone() {
         if scenario.name == "simulated: nominal" {
             assert!((1.0..6.0).contains(&visual.score.nees().0), "{}", visual.score);
         }
-        // The published filter uses the IMU's own rotation, which a noisy gyroscope does not affect
-        // here.
+        // The published filter uses the IMU's own rotation, which has no gyroscope noise here.
         assert!(tight.score.rotation_rmse() < visual.score.rotation_rmse(), "{}", scenario.name);
     }
 }

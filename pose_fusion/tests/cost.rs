@@ -37,8 +37,7 @@ fn noise() -> ProcessNoise {
     }
 }
 
-/// A state as it is in the middle of a run, and an image of four markers two pixels off (so that it
-/// is iterated).
+/// A state in the middle of a run, and an image two pixels off, so that it is iterated.
 fn example() -> (State, Geometry, Image) {
     let mut state = State::zero();
     state.position = nalgebra::Vector3::new(0.1, 0.05, 1.4);

@@ -318,8 +318,7 @@ fn the_covariance_stays_consistent_without_vision() {
     assert!(p.norm() < 0.01);
 }
 
-/// A driver holds back the first IMU samples until just after an image alone has initialized the
-/// pose.
+/// A driver holds back the first IMU samples until an image alone has initialized the pose.
 #[test]
 fn imu_samples_from_before_the_first_pose_are_rejected() {
     let run = recording();
@@ -352,8 +351,7 @@ fn imu_samples_from_before_the_first_pose_are_rejected() {
     assert!(outputs.odometry.len() > 400 && score.position.max() < 0.1, "{score}");
 }
 
-/// Messages are stamped an hour ahead, before the first IMU sample or while the IMU is silent: no
-/// sample contradicts them then.
+/// Messages are stamped an hour ahead while no IMU sample contradicts them.
 #[test]
 fn stamps_an_hour_ahead_have_no_lasting_effect_without_the_imu() {
     let run = recording();

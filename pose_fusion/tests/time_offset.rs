@@ -92,8 +92,7 @@ fn the_offset_is_unknown_without_motion() {
 
 #[test]
 fn a_constant_offset_of_the_climber_is_configured() {
-    // The climber's stamps are 60 ms ahead of the camera's: its readings are 60 ms older than their
-    // stamp.
+    // The climber's stamps are 60 ms ahead: its readings are 60 ms older than their stamp.
     let sensors = SensorConfig { climber_clock_ahead: 0.06, ..SensorConfig::nominal(2) };
     let mut config = simulated::config();
     config.tight.clock.climber_offset = -0.06;
@@ -183,8 +182,7 @@ fn shift(input: &mut Input, by: impl Fn(Stamp) -> f64) {
     }
 }
 
-/// When the latency of the camera changes, s after the start: its computer is replaced, or its
-/// driver restarted.
+/// When the camera's latency changes, s after the start: another computer or driver.
 const CHANGE: f64 = 6.0;
 
 /// A run whose images and encoder readings are stamped `by` seconds later from [`CHANGE`] on.

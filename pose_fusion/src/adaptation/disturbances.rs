@@ -64,8 +64,7 @@ impl Disturbances {
         true
     }
 
-    /// Adds a disturbance of the platform that moves it by `distance` (m) and `angle` (rad) between
-    /// `from` and `to`.
+    /// Adds a shock that moves the platform by `distance` (m) and `angle` (rad) in an interval.
     pub fn add_shock(&mut self, from: Stamp, to: Stamp, distance: f64, angle: f64) {
         let span = to.seconds_since(from).max(1e-3);
         let force = 3.0 * distance * distance / span.powi(3);

@@ -35,8 +35,7 @@ pub struct EncoderNoise {
 }
 
 impl EncoderNoise {
-    /// Creates an estimate with the quantization noise step²/12 of the encoders' steps (m, m, rad)
-    /// as the floor.
+    /// Creates an estimate with the quantization noise of the steps (m, m, rad) as the floor.
     pub fn new(steps: Vector3<f64>) -> Self {
         Self {
             last: [(Stamp::default(), Vector3::zeros()); 4],
@@ -121,8 +120,7 @@ impl EncoderNoise {
     pub fn variance(&self) -> Vector3<f64> {
         Vector3::from_fn(|axis, _| {
             let (found, count) = (self.variance[axis], self.weight[axis]);
-            // The estimate scatters, most while it has few differences; what may be scatter is
-            // quantization.
+            // The estimate scatters while it has few differences.
             let scatter = if count >= 15.0 { 1.5 } else { 1.0 + 7.5 / count };
             if found > scatter * self.floor[axis] { found } else { self.floor[axis] }
         })

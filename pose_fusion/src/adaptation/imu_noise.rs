@@ -66,8 +66,7 @@ impl Default for ImuNoise {
 }
 
 impl ImuNoise {
-    /// Adds a reading that came `dt` seconds after the previous one; zero or a gap interrupts the
-    /// differences.
+    /// Adds a reading `dt` seconds after the previous one; zero or a gap interrupts differences.
     pub fn add(&mut self, reading: &ImuReading, dt: f64) {
         if !(dt > 0.0 && dt < INTERRUPTED) {
             self.samples.interrupt();

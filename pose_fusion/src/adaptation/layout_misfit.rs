@@ -36,8 +36,7 @@ pub struct LayoutMisfit {
     contrary: u32,
 }
 
-/// Returns the standard deviation of the markers' places, each axis, m, of a misfit; `None` where
-/// it is that of a false marker.
+/// Returns the sigma of the markers' places, each axis, m; `None` for a false marker.
 pub fn sigma(misfit: &Offsets) -> Option<f64> {
     (misfit.norm() < LARGEST).then(|| (misfit.norm_squared() / SEEN).sqrt())
 }

@@ -20,8 +20,7 @@ const SMALLEST: f64 = 0.5e-3;
 /// Median of the absolute value of a normal distribution, in standard deviations.
 const MEDIAN: f64 = 0.6745;
 
-/// Returns the standard deviation of the stamps, s; 0 where it is below half a millisecond, and as
-/// long as there are too few.
+/// Returns the standard deviation of the stamps, s; 0 below 0.5 ms and of too few.
 pub fn sigma(stamps: &VecDeque<Stamp>) -> f64 {
     // In the order of the stamps: images may arrive late.
     let mut sorted = [Stamp::default(); KEPT];

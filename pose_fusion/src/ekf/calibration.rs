@@ -198,8 +198,7 @@ impl Calibration {
         [(3 * triad, by_scale), (ROTATION + 3 * triad, rotation * m.cross_matrix())]
     }
 
-    /// Corrects the constants by an innovation and returns by how much. `by_parameter` is `B`,
-    /// `whitened` is `L⁻¹ r`.
+    /// Corrects the constants by an innovation, given `B` and `L⁻¹ r`, and returns by how much.
     pub fn correct<const M: usize>(
         &mut self,
         by_parameter: &SMatrix<f64, M, PARAMETERS>,

@@ -45,8 +45,7 @@ impl ImuReading {
         }
     }
 
-    /// Returns the reading that an IMU in state `state` has in uniform motion without rotation.
-    /// `gravity` in m/s².
+    /// Returns the reading of an IMU in uniform motion without rotation. `gravity` in m/s².
     pub fn of_uniform_motion(state: &State, gravity: f64) -> ImuReading {
         let specific_force = state.attitude.inverse() * Vector3::new(0.0, 0.0, gravity);
         let angular_velocity = Vector3::zeros();
@@ -112,8 +111,7 @@ pub struct ProcessNoise {
 }
 
 impl ProcessNoise {
-    /// Returns the noise with more of the specific force, (m/s²)²/Hz, and angular velocity,
-    /// (rad/s)²/Hz.
+    /// Returns the noise with more force, (m/s²)²/Hz, and angular velocity, (rad/s)²/Hz.
     pub fn plus(&self, force: f64, rate: f64) -> Self {
         Self { force: self.force + force, rate: self.rate + rate, ..*self }
     }
@@ -181,8 +179,7 @@ pub fn transition(
     f.transpose()
 }
 
-/// Removes the asymmetry that rounding leaves; no measurement corrects it, and after an hour a
-/// variance would be negative.
+/// Removes asymmetry by rounding, with which a variance would be negative after an hour.
 fn symmetrize(p: &mut Covariance) {
     for j in 0..N {
         for i in j + 1..N {

@@ -99,8 +99,7 @@ impl State {
         }
     }
 
-    /// Returns the specific force (m/s²) and angular velocity (rad/s) that a reading measures, IMU
-    /// axes.
+    /// Returns the specific force (m/s²) and angular velocity (rad/s) of a reading, IMU axes.
     pub fn motion(&self, reading: &ImuReading) -> ImuReading {
         self.calibration.motion(&self.unbiased(reading))
     }
@@ -193,8 +192,7 @@ impl State {
         Vector3::from_fn(|i, _| self.sigma(first + i))
     }
 
-    /// Sets the standard deviations of three entries and clears their correlations and
-    /// sensitivities.
+    /// Sets three standard deviations and clears their correlations and sensitivities.
     pub fn set_sigmas(&mut self, first: usize, sigmas: &Vector3<f64>) {
         for i in 0..3 {
             self.set_sigma(first + i, sigmas[i]);

@@ -164,8 +164,7 @@ impl Filter {
         }
     }
 
-    /// Returns the stamp of the encoder reading at a place; the time offset may have changed since it
-    /// was placed there.
+    /// Returns the stamp of the encoder reading at a place, whose time offset may be an older one.
     fn read_at(&self, place: usize) -> Option<Stamp> {
         let entry = self.history.get(place)?;
         let Event::Encoders { reading, .. } = &entry.event else { return None };

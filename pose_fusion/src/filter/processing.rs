@@ -124,8 +124,7 @@ impl Filter {
         }
     }
 
-    /// Responds to an image that is processed for the first time. Returns whether the time line was
-    /// replaced.
+    /// Responds to a new image. Returns whether the time line was replaced.
     fn on_image(
         &mut self,
         place: usize,
@@ -282,8 +281,7 @@ impl Filter {
         false
     }
 
-    /// Re-propagates the time since the last used image with the noise of a shock that explains the
-    /// residuals of an image.
+    /// Re-propagates since the last used image with the noise of a shock that explains residuals.
     fn add_shock_noise(&mut self, place: usize, last_used: Stamp, record: &ImageInnovation) {
         let Some(entry) = self.history.get(place) else { return };
         let (at, from) = (entry.stamp, last_used.plus_seconds(entry.state.time_offset));
@@ -296,8 +294,7 @@ impl Filter {
         self.history.rewind(first);
     }
 
-    /// Distance (m) and angle (rad) by which a shock moved the platform, from the markers'
-    /// residuals.
+    /// Returns distance (m) and angle (rad) of a shock that explains the markers' residuals.
     fn shock_size(&self, place: usize, record: &ImageInnovation) -> (f64, f64) {
         let (Some(entry), Some(geometry)) = (self.history.get(place), &self.setup.geometry) else {
             return (0.1, 0.1);

@@ -330,8 +330,7 @@ impl Filter {
     fn settings(&self) -> Settings {
         let densities = self.imu.densities(&self.setup.rig.imu);
         let mut calibration = self.publisher.calibration;
-        // Images that contradict the prediction throughout mean that the rig's files are wrong by
-        // more than their sigmas.
+        // Lasting contradictions mean that the rig's files are wrong by more than their sigmas.
         calibration.scale(self.imu.model_error.factor());
         calibration.variances[TIME_OFFSET_ERROR] = self.offset_doubt().powi(2);
         Settings {
@@ -363,8 +362,7 @@ impl Filter {
         }
     }
 
-    /// Returns the smoothed odometry with every IMU sample of what is kept, but for the last `lag`
-    /// seconds, which stay.
+    /// Returns and drops the smoothed odometry but for the last `lag` seconds.
     pub fn smoothed(&mut self, lag: f64) -> Vec<Odometry> {
         let Some(entries) = self.publisher.archive.take() else { return Vec::new() };
         let Some(geometry) = &self.setup.geometry else { return Vec::new() };

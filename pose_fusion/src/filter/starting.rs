@@ -238,8 +238,7 @@ impl Filter {
         Some(found)
     }
 
-    /// Returns the climber by its encoders at an image, where they have readings near it and do not
-    /// leap.
+    /// Returns the climber by its encoders at an image, where readings are near and do not leap.
     pub(super) fn climber_at(&self, image: Stamp) -> Option<ClimberAt> {
         let read = image.plus_seconds(-self.setup.config.clock.climber_offset);
         let climber = self.climber.at(read).filter(|climber| climber.distance <= NEAR);
@@ -320,8 +319,7 @@ impl Filter {
     }
 }
 
-/// Takes over time offset and biases of a former state; the biases are worth half, and so is an
-/// offset that is doubted.
+/// Takes over offset and biases of a former state; biases and a doubted offset count half.
 fn carry_over(state: &mut State, former: &State, offset_doubted: bool) {
     state.accelerometer_bias = former.accelerometer_bias;
     state.gyroscope_bias = former.gyroscope_bias;

@@ -75,8 +75,7 @@ impl Filter {
             Some(found) if found.sigma < FINAL || self.confirms(stamp, &found) => {
                 self.initialize_time_offset(stamp, found);
             }
-            // Known well enough to see that the filter is far off: it restarts, and the search goes
-            // on.
+            // It shows that the filter is far off: the filter restarts, the search goes on.
             Some(found) if self.contradicts(&found) => {
                 self.initialize_time_offset(stamp, found);
                 self.search = Some(search);
@@ -107,8 +106,7 @@ impl Filter {
         }
     }
 
-    /// Whether an alignment of images since the pose was initialized agrees with a filter that
-    /// knows its time offset.
+    /// Whether an alignment since the initialization agrees with a filter that knows its offset.
     fn confirms(&self, stamp: Stamp, found: &TimeOffset) -> bool {
         let independent =
             self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > WINDOW);
@@ -138,8 +136,7 @@ impl Filter {
         let up = (self.imu.own_up_at(at))
             .or_else(|| self.up_of_estimate(at))
             .or_else(|| self.imu.force_up_at(at, &self.history));
-        // "Up" is of another instant as long as the offset is not known: it chooses between the
-        // poses and moves none.
+        // "Up" may be of another instant: it chooses between the poses and moves none.
         let attachment = self.setup.config.pendulum.climber_attachment;
         let attachment = world_from_climber * Point3::from(attachment);
         let calibration =
@@ -175,8 +172,7 @@ impl Filter {
         Some((world_from_camera * best.camera_from_volant, covariance))
     }
 
-    /// Returns the markers of an image on the time line where they are in the middle of the exposure
-    /// of a rolling shutter.
+    /// Returns markers where they are in the middle of a rolling shutter's exposure.
     fn at_one_time(&self, stamp: Stamp, pixels: &Pixels) -> Pixels {
         let mut moved = *pixels;
         let is_image =
@@ -195,8 +191,7 @@ impl Filter {
         moved
     }
 
-    /// Restarts with the time offset at the oldest image of the history, unless the filter has
-    /// found the same.
+    /// Restarts at the oldest image with the time offset, unless the filter has found the same.
     fn initialize_time_offset(&mut self, stamp: Stamp, found: TimeOffset) {
         let first = self.start.time_offset.replace(found).is_none();
         let away = (self.time_offset() - found.offset).abs();

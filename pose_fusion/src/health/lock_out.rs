@@ -73,8 +73,7 @@ impl LockOut {
         self.last_used
     }
 
-    /// Notes the markers of an image that are rejected, and returns whether one was not rejected in
-    /// the image before.
+    /// Notes an image's rejected markers; true where one was not rejected in the image before.
     pub fn rejects(&mut self, rejected: [bool; 4]) -> bool {
         let before = std::mem::replace(&mut self.rejected, rejected);
         (0..4).any(|i| rejected[i] && !before[i])

@@ -30,8 +30,7 @@ pub struct PoseStatus {
     pub stamp: Stamp,
     /// What carries the pose.
     pub state: PoseState,
-    /// The pose may be used: tracking, coasting or vision only, and both sigmas within their
-    /// limits.
+    /// The pose may be used: tracking, coasting or vision only, with both sigmas in limits.
     pub valid: bool,
     /// Largest standard deviation of the position, m.
     pub position_sigma: f64,
@@ -69,8 +68,7 @@ impl PoseStatus {
         }
     }
 
-    /// Returns the status of a pose that is lost; `ages` are those of image, IMU sample and encoder
-    /// reading, s.
+    /// Returns the status of a lost pose; ages of image, IMU sample and encoder reading, s.
     pub fn lost(stamp: Stamp, ages: [f64; 3], time_offset: f64, reason: String) -> Self {
         let [image_age, imu_age, climber_age] = ages;
         Self {

@@ -7,8 +7,7 @@ const LARGEST_BIAS: [f64; 2] = [5.0, 1.0];
 /// Latency that the history must hold beside the time offset, s.
 const LATENCY: f64 = 0.1;
 
-/// Returns the first bound that a state violates; `None` where every number is finite and within
-/// physical bounds.
+/// Returns the first bound of finite numbers and physics that a state violates.
 pub fn violation(state: &State, config: &TightConfig) -> Option<&'static str> {
     let from_climber = (state.position.xy() - state.climber.xy()).norm();
     let offset = state.time_offset - config.clock.camera_offset;

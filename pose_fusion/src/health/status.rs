@@ -104,8 +104,7 @@ pub struct Status {
 }
 
 impl Status {
-    /// Returns the largest estimated offset of a marker from its place in the rig file, in one
-    /// axis, m.
+    /// Returns the largest estimated offset of a marker from the rig file, in one axis, m.
     pub fn marker_offset(&self) -> f64 {
         self.constants.fixed_rows::<OFFSETS>(MARKERS).amax()
     }

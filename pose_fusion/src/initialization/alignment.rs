@@ -86,8 +86,7 @@ pub(super) struct Aligned {
     pub(super) biases: Biases,
     /// χ² per degree of freedom.
     pub(super) scale: f64,
-    /// χ² of each candidate above the best, in units of what noise leaves; NaN where the readings
-    /// do not reach.
+    /// χ² of each candidate above the best, normalized; NaN where the readings do not reach.
     pub(super) costs: [f64; CANDIDATES],
 }
 
@@ -175,8 +174,7 @@ struct Alignment<'a> {
 }
 
 impl Alignment<'_> {
-    /// Cost of an offset; `None` where fewer than half of the images (and [`FEWEST`]) have IMU
-    /// readings around them.
+    /// Cost of an offset; `None` where readings surround less than [`FEWEST`] or half the images.
     fn cost(&self, offset: f64) -> Option<Cost> {
         let motions = self.motions(offset)?;
         let (first, start) = self.origin(&motions)?;
@@ -225,8 +223,7 @@ impl Alignment<'_> {
         (motions.len() >= FEWEST.max(self.poses.len() / 2)).then_some(motions)
     }
 
-    /// First instant, and the attitude there at which the fit is linearized: that which the image
-    /// in the middle gives.
+    /// First instant, and the attitude there by the middle image, to linearize at.
     fn origin(
         &self,
         motions: &[(&VisualPose, Preintegrated)],
@@ -297,8 +294,7 @@ impl Alignment<'_> {
             .collect();
         let (solution, information) =
             self.fit(rows.iter().map(|(_, w, r, j)| (*w, *r, *j)), &Biases::default())?;
-        // Backwards: what an error of attitude, position, velocity and tilt moves in all images
-        // behind it.
+        // Backwards: what an error of each moves in all images behind it.
         let [mut turn, mut shift, mut speed, mut tilt] = [Vector3::zeros(); 4];
         let mut variance = 0.0;
         for (k, (at, weight, by_offset, jacobian)) in rows.iter().enumerate().rev() {

@@ -142,8 +142,7 @@ impl Checkpoint {
     }
 }
 
-/// Returns a covariance from its rows, symmetric and positive but for a `rounding` relative to its
-/// largest entry.
+/// Returns a covariance from its rows, symmetric and positive within a relative `rounding`.
 fn positive<const D: usize>(
     what: &'static str,
     rows: &[f64],

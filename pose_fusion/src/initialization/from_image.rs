@@ -191,8 +191,7 @@ pub fn is_mirrored(geometry: &Geometry, state: &State, image: &Image) -> bool {
         && others.iter().find(nearer).is_some_and(|other| other.cost - best.cost > CLEAR)
 }
 
-/// Returns a state with the climber as its encoders have it and everything else as unknown as the
-/// configuration says.
+/// Returns a state with the climber by its encoders and all else unknown as configured.
 pub fn unknown(config: &TightConfig, climber: &ClimberAt) -> State {
     let mut state = State::zero();
     state.climber = climber.values;

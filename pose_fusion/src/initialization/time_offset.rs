@@ -52,8 +52,7 @@ impl TimeOffsetSearch {
         self.readings.push_back((stamp, *reading));
     }
 
-    /// Adds the pose of an image (camera time; covariance of position and rotation about world
-    /// axes; m², rad²).
+    /// Adds the pose of an image (camera time; rotation about world axes; m², rad²).
     pub fn add_pose(
         &mut self,
         stamp: Stamp,
@@ -129,8 +128,7 @@ impl TimeOffsetSearch {
             return None;
         }
         let settings = (volant_from_imu, gravity, imu, noise);
-        // The second time with the biases that the first one found: over the window they turn by
-        // several degrees.
+        // The second time with the biases of the first: they turn by several degrees.
         let first = align(recent, &self.readings, settings, &Biases::default())?;
         let aligned = align(recent, &self.readings, settings, &first.biases)?;
         // A window in which every image counts for every candidate.

@@ -52,8 +52,7 @@ pub struct ClimberAt {
 }
 
 impl ClimberAt {
-    /// Returns the standard deviations of the values, m, m, rad: an encoder that only quantizes is
-    /// off by its step at most.
+    /// Returns the sigmas of the values, m, m, rad; a quantized value is off by a step at most.
     pub fn sigmas(&self) -> Vector3<f64> {
         self.noise * 12f64.sqrt() + self.growth
     }
@@ -67,8 +66,7 @@ pub struct ClimberTrack {
     /// Variance with which the readings on the time line were weighed.
     assumed: Vector3<f64>,
     jerk_factor: f64,
-    /// Per axis, when a moving climber stood at once: between the last reading that moved and the
-    /// first that repeats it.
+    /// Per axis, when a moving climber stopped at once: before the first repeated reading.
     stopped: [Option<Stamp>; 3],
 }
 

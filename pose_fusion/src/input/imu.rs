@@ -39,8 +39,7 @@ pub struct Up {
     pub in_imu: Vector3<f64>,
     /// Its uncertainty about each horizontal axis, rad.
     pub sigma: f64,
-    /// It is the mean specific force: of a platform that hangs and swings, the direction of the
-    /// rope.
+    /// It is the mean specific force: in a swing, the direction of the rope.
     pub is_specific_force: bool,
 }
 
@@ -100,8 +99,7 @@ impl ImuInput {
         *self = Self { stamps, clocks, ..Self::default() };
     }
 
-    /// Takes in a reading that came `dt` seconds after the previous one (`None`: the first one) and
-    /// returns its event.
+    /// Returns the event of a reading `dt` seconds after the previous one (`None`: the first).
     pub fn event(
         &mut self,
         reading: &ImuReading,
@@ -160,8 +158,7 @@ impl ImuInput {
         (more.force > 0.0 || more.rate > 0.0).then_some(more)
     }
 
-    /// Returns which share of the readings' changes between two images is noise: specific force,
-    /// angular velocity.
+    /// Returns which share of the readings' changes between two images is noise.
     pub fn noise_of_changes(&self) -> Densities {
         self.noise.noise_of_changes(self.smoothing)
     }

@@ -30,8 +30,7 @@ pub struct MarkerInput {
     /// Shake of the camera.
     pub shake: CameraShake,
     misfit: LayoutMisfit,
-    /// Standard deviation of the markers' places, m, where images contradict the layout, until
-    /// an image has it.
+    /// Sigma of the markers' places, m, by images that contradict the layout; until used.
     pub layout_doubt: Option<f64>,
     /// Misfit of the newest image with four markers, in units of its covariance.
     whitened: Residual,

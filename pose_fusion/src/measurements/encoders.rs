@@ -62,8 +62,7 @@ fn innovation_at(state: &State, reading: &EncoderReading, late: f64) -> Innovati
     Innovation { residual, covariance, nis, outcome: Outcome::Used }
 }
 
-/// Corrects `state` by a reading, axis by axis. `imu` is the IMU's reading at that time, `gravity`
-/// in m/s².
+/// Corrects `state` by a reading, with the IMU's reading at that time; `gravity` in m/s².
 pub fn update(
     state: &mut State,
     reading: &EncoderReading,

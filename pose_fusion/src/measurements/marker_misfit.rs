@@ -28,8 +28,7 @@ pub struct Misfit {
 }
 
 impl Misfit {
-    /// Returns the squared residuals: χ² with 8 − 6 degrees of freedom, whatever the error of the
-    /// predicted pose.
+    /// Returns the squared residuals: χ² with 8 − 6 degrees of freedom at any prediction.
     pub fn squared(&self) -> f64 {
         self.whitened.norm_squared()
     }

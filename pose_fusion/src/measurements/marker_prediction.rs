@@ -21,8 +21,7 @@ use crate::ekf::{
 use nalgebra::{Isometry3, Matrix2, Matrix2x3, Matrix3, SVector, UnitQuaternion, Vector2, Vector3};
 use rig_model::{MarkerColor, marker::ProjectedCentroid};
 
-/// Residuals of an image and their derivatives. A marker that is absent or cannot be projected has
-/// zero rows.
+/// Residuals of an image and their derivatives; zero for a marker that is not predicted.
 #[derive(Default)]
 pub struct Linearization {
     /// Measured minus predicted, px, two rows per marker.
@@ -33,8 +32,7 @@ pub struct Linearization {
     pub velocity: Residual,
     /// Which markers could be projected.
     pub valid: [bool; 4],
-    /// Camera and volant frames at the linearization point, and the projections there, for
-    /// [`by_calibration`].
+    /// Frames and projections at the linearization point, for [`by_calibration`].
     camera_from_volant: Isometry3<f64>,
     projected: [Option<ProjectedCentroid>; 4],
 }
@@ -183,8 +181,7 @@ mod tests {
                 |by: f64| linearize(&state.moved(index, by), &geometry, &image, &READING).residual;
             let numeric = -(at(h) - at(-h)) / (2.0 * h);
             let error = (numeric - linear.jacobian.column(k)).amax();
-            // What the projected square's area weights change is left out of the analytical
-            // derivative.
+            // The analytical derivative leaves out changes of the area's weights.
             assert!(error < 0.006 * numeric.amax() + 1e-3, "{k}: {error}");
         }
     }

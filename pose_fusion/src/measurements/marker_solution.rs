@@ -30,8 +30,7 @@ pub struct Solution {
     pub step: Error,
     /// `W = P Hᵀ L⁻ᵀ`.
     pub root: Gain,
-    /// Squared deviation from prior, layout and pixels at the solution, in units of their
-    /// covariances.
+    /// Squared deviation from prior, layout and pixels, in units of their covariances.
     pub cost: f64,
     /// Normalized innovation squared at the prior, the layout's uncertainty included.
     pub nis: f64,

@@ -64,8 +64,7 @@ pub struct Image {
     pub shake: [f32; 2],
     /// Height and tilt of the climber.
     pub rest: ClimberHeightTilt,
-    /// By how much the images before contradict the places of the markers (1 sigma), where that is
-    /// news, m.
+    /// By how much images newly contradict the places of the markers (1 sigma), m.
     pub layout_doubt: Option<f32>,
 }
 
@@ -121,8 +120,7 @@ pub struct ImageInnovation {
     pub used: u32,
     /// What no pose explains; only with four detected markers, used or not.
     pub misfit: Option<Misfit>,
-    /// Normalized innovation squared of four detected markers of which not all are used (8 degrees
-    /// of freedom).
+    /// NIS of four detected markers of which not all are used (8 degrees of freedom).
     pub against_prediction: Option<f64>,
     /// Variance of the mean marker without the shake of the camera, x and y of the image, px².
     pub mean_variance: Vector2<f64>,
@@ -378,8 +376,7 @@ pub(super) mod tests {
         let record = update(&mut state, &geometry, &image, &READING, GATE, 9.81, true);
         assert_eq!(record.markers[2].outcome, Outcome::Inconsistent, "{record:?}");
         assert_eq!(record.used, 3);
-        // The climber is as uncertain: compare what the camera measures, the platform against the
-        // climber.
+        // The camera measures the platform against the climber, which is as uncertain.
         let there = (state.position - truth.position) - (state.climber - truth.climber);
         assert!(there.xy().norm() < 0.05, "{there}");
     }

@@ -193,8 +193,7 @@ pub struct RopeIdentification {
 }
 
 impl RopeIdentification {
-    /// Compares the configured rope with a state that an image has just corrected. `gravity` in
-    /// m/s².
+    /// Compares the configured rope with a state just corrected. `gravity` in m/s².
     pub fn compare(
         &mut self,
         config: &PendulumConfig,
@@ -222,8 +221,7 @@ impl RopeIdentification {
         self.side += (side - self.side) * weight;
     }
 
-    /// Returns the rope: what is configured and, as far as it is known better, what was identified.
-    /// `None` without a rope.
+    /// Returns the rope, configured or as far as known better identified; `None` without one.
     pub fn rope(&self, config: &PendulumConfig, geometry: &Geometry) -> Option<Rope> {
         if config.rope_length <= 0.0 {
             return None;
@@ -251,8 +249,7 @@ impl RopeIdentification {
     }
 }
 
-/// Returns whether the rope is due in a step at whose ends no marker was seen for `from` and `to`
-/// seconds.
+/// Whether the rope is due in a step between these times without a marker, s.
 pub fn is_due(from: f64, to: f64) -> bool {
     to > UNSEEN && (to / PERIOD).floor() > (from / PERIOD).floor()
 }

@@ -22,8 +22,7 @@ use rig_model::{PerColor, Stamp, score::inverse};
 // Nearly every output is odometry, and a box would be an allocation each.
 #[allow(clippy::large_enum_variant)]
 pub enum Output {
-    /// Fused estimate: one per IMU sample with `tight` (per image without IMU), one per image with
-    /// `paper`.
+    /// Fused estimate: per IMU sample (`tight`), or per image (`paper`, or without IMU).
     Odometry(Odometry),
     /// Status of the estimate, after each odometry.
     Status(PoseStatus),

@@ -81,8 +81,7 @@ pub fn odometry(
     }
 }
 
-/// Covariance of position, velocity, attitude and gyroscope bias at IMU time: `δx − ẋ δτ`,
-/// calibration errors included.
+/// Covariance of the used entries at IMU time, `δx − ẋ δτ`, calibration errors included.
 fn covariance_at_imu_time(
     state: &State,
     reading: &ImuReading,

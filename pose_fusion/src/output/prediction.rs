@@ -56,8 +56,7 @@ impl Changes {
         self.rate += (rate - self.rate) * share;
     }
 
-    /// Returns the process noise of a motion that goes on for `horizon` seconds with the last
-    /// reading.
+    /// Returns the process noise of a motion that keeps the last reading for `horizon` seconds.
     fn noise(&self, usual: &ProcessNoise, horizon: f64) -> ProcessNoise {
         if self.measured < MEASURED {
             return dropout::extrapolated(usual, horizon);

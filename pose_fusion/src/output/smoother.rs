@@ -44,8 +44,7 @@ pub fn smooth(entries: &[Entry], gravity: f64) -> Vec<State> {
     states
 }
 
-/// Returns the state that the filter would have had with the constants that are known in
-/// the end, to first order.
+/// Returns the filter's state with the constants known in the end, to first order.
 fn with_calibration(state: &State, calibration: Calibration) -> State {
     let mut moved = state.clone();
     let change = calibration.constants() - state.calibration.constants();
@@ -54,8 +53,7 @@ fn with_calibration(state: &State, calibration: Calibration) -> State {
     moved
 }
 
-/// One step back from the state `now` of an entry; `None` where the prediction's covariance cannot
-/// be factored.
+/// One step back from the state `now`; `None` where the covariance cannot be factored.
 fn step(entry: &Entry, now: &State, next: &Entry, later: &State, gravity: f64) -> Option<State> {
     let dt = next.stamp.seconds_since(entry.stamp);
     let f = transition(now, &entry.reading, &next.reading, dt, &next.noise);
@@ -108,8 +106,7 @@ mod tests {
     use nalgebra::Vector3;
     use rig_model::Stamp;
 
-    /// In a linear problem the smoothed first state is the one that all measurements give in one
-    /// batch.
+    /// In a linear problem the smoothed first state is the batch solution.
     #[test]
     fn the_smoothed_state_is_the_batch_solution() {
         let reading = ImuReading {
@@ -148,8 +145,7 @@ mod tests {
             entries.push(entry(i as f64 * dt, event, state));
         }
         let smoothed = smooth(&entries, 9.81);
-        // The same by augmenting the first state: its cross-covariance with every later one is
-        // carried along.
+        // The same by augmenting the first state, whose cross-covariance is carried along.
         let (mut mean, mut own) = (Error::zeros(), first.covariance);
         let (mut now, mut shared) = (first.clone(), first.covariance);
         for i in 1..=n {

@@ -52,8 +52,7 @@ pub fn plane_residual(
     (residual, jacobian)
 }
 
-/// Matrix E of δθ = E δ(roll, pitch, yaw): small rotations about the world's axes that follow from
-/// changes of the angles.
+/// Matrix E of δθ = E δ(roll, pitch, yaw), with δθ about the world's axes.
 pub fn world_rates(pose: &Vector6<f64>) -> Matrix3<f64> {
     let (sp, cp) = pose[4].sin_cos();
     let (sy, cy) = pose[5].sin_cos();

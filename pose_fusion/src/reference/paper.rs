@@ -47,8 +47,7 @@ pub struct Paper {
     computed_attitude: GyroAttitude,
     waiting: VecDeque<ImuSample>,
     last_sample: Option<ImuSample>,
-    /// Heading that rotates the IMU's east-north-up to the world, rad; known from the first visual
-    /// pose on.
+    /// Rotation of east-north-up to the world, rad; known from the first visual pose on.
     heading: Option<f64>,
     velocity: Vector3<f64>,
     moved: Vector3<f64>,
@@ -134,8 +133,7 @@ impl Paper {
         Some(sample)
     }
 
-    /// Takes in an image at `stamp` with its visual pose, where it has one, and returns the fused
-    /// estimate.
+    /// Takes in an image with its visual pose, if any, and returns the fused estimate.
     pub fn image(&mut self, stamp: Stamp, visual: Option<&Visual>) -> Option<Odometry> {
         let newest = self.stamp();
         if newest.is_some_and(|n| n.seconds_since(stamp) > SET_BACK) {
@@ -285,8 +283,7 @@ impl Paper {
     ) -> Odometry {
         let x = &state.pose;
         let rotation = UnitQuaternion::from_euler_angles(x[3], x[4], x[5]);
-        // Roll, pitch and yaw are rotations about other axes than the world's: δθ = E δ(roll,
-        // pitch, yaw).
+        // Roll, pitch and yaw are about other axes than the world's.
         let mut jacobian = Matrix6::identity();
         jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&world_rates(x));
         let pose_covariance = jacobian * state.covariance * jacobian.transpose();

@@ -53,8 +53,7 @@ impl PublishedFilter {
         Vec::new()
     }
 
-    /// Returns the status at 10 Hz of data time while no image gives a pose; `stamp` is that of an
-    /// input.
+    /// Returns the status at 10 Hz while no image gives a pose, at an input's stamp.
     pub fn silence(&mut self, from: Source, stamp: Stamp) -> Option<Output> {
         let (camera, config) = (self.camera_offset(), &self.filter.config);
         let now = match from {
@@ -141,8 +140,7 @@ impl PublishedFilter {
         self.filter.config.tight.clock.camera_offset
     }
 
-    /// Largest standard deviation of the position (`first` 0, m) or of roll, pitch and yaw (3, rad);
-    /// infinite without an estimate.
+    /// Largest sigma of the position (`first` 0, m) or of roll, pitch and yaw (3, rad).
     fn sigma(&self, first: usize) -> f64 {
         let state = self.filter.state.as_ref();
         state.map_or(f64::INFINITY, |state| largest_sigma(&state.covariance, first))

@@ -63,8 +63,7 @@ pub struct SingleImagePose {
 }
 
 impl SingleImagePose {
-    /// Creates an estimator for a rig: of the published pose with `model: paper`, whatever
-    /// `visual_pose.use_gravity` is.
+    /// Creates an estimator for a rig, with `model: paper` of the published pose.
     pub fn new(rig: Rig, config: &FusionConfig) -> Self {
         Self {
             rig,
@@ -199,8 +198,7 @@ impl SingleImagePose {
         }))
     }
 
-    /// `world_from_climber` at an image's stamp with the standard deviations of its position (m)
-    /// and turn (rad).
+    /// `world_from_climber` at an image's stamp, with the sigmas of place (m) and turn (rad).
     fn climber_at(&self, stamp: Stamp) -> Option<(Isometry3<f64>, [f64; 2])> {
         let read = stamp.plus_seconds(-self.config.tight.clock.climber_offset);
         let at = self.climber.at(read).filter(|at| at.distance < NEAR)?;

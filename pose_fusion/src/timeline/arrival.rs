@@ -53,8 +53,7 @@ pub struct Arrival {
     frontier: Option<Stamp>,
 }
 
-/// Messages of one source since the newest IMU sample. Sources are not mixed: their stamps may
-/// differ by any offset.
+/// Messages of one source since the newest IMU sample; stamps of sources are not compared.
 #[derive(Clone, Copy, Debug, Default)]
 struct Since {
     first: Option<Stamp>,
@@ -165,8 +164,7 @@ impl Arrival {
         for since in &mut self.others {
             since.count = 0;
         }
-        // Images whose clock jumped may have moved the end far ahead; a stalled computer holds
-        // samples up for less.
+        // Images whose clock jumped may have moved the end further than a stall holds up samples.
         let near = self.frontier.filter(|end| end.seconds_since(stamp) < HELD_UP);
         self.frontier = near.max(Some(stamp));
         (self.jump, self.repeated) = (None, None);

@@ -57,8 +57,7 @@ mod tests {
     #[test]
     fn a_swing_that_was_not_measured_is_covered() {
         let usual = ProcessNoise { force: 4e-6, rate: 7.6e-7, ..ProcessNoise::default() };
-        // A swing of 5 m/s² at 1 Hz, interpolated linearly over the gap: the velocity that is
-        // missed.
+        // A swing of 5 m/s² at 1 Hz, interpolated over the gap: the velocity that is missed.
         for gap in [0.06, 0.1, 0.2, 0.4, 0.8] {
             let sigma = (interpolated(&usual, gap).force * gap).sqrt();
             let (mut worst, mut square) = (0.0f64, 0.0);

@@ -32,8 +32,7 @@ pub enum Event {
     Imu {
         /// Noise densities of the step to this sample.
         noise: Densities,
-        /// Mean angular velocity of the window that ends here, where the platform was at rest,
-        /// rad/s.
+        /// Mean angular velocity of the window that ends here, where at rest, rad/s.
         at_rest: Option<Vector3<f64>>,
     },
     /// Image.
@@ -121,8 +120,7 @@ impl History {
         self.processed = processed.min(self.entries.len());
     }
 
-    /// Marks everything from `place` on as to be processed again. The first entry always keeps its
-    /// state.
+    /// Marks everything from `place` on, but for the first entry, as to be processed again.
     pub fn rewind(&mut self, place: usize) {
         self.processed = self.processed.min(place.max(1));
     }
@@ -208,8 +206,7 @@ impl History {
         Some((&**from, &mut **to))
     }
 
-    /// Returns place and stamp of the `count`-th encoder reading before a place, of the oldest
-    /// where there are fewer.
+    /// Returns the `count`-th encoder reading before a place, or the oldest, with its stamp.
     pub fn reading_before(&self, place: usize, count: usize) -> Option<(usize, Stamp)> {
         (0..place)
             .rev()
@@ -284,8 +281,7 @@ mod tests {
         assert_eq!(history.processed(), 1);
     }
 
-    /// A mean of past readings alone would lag behind a ramp, and share its noise with the
-    /// attitude.
+    /// A mean of past readings would lag behind a ramp and share noise with the attitude.
     #[test]
     fn the_motion_at_an_image_reaches_as_far_back_as_samples_follow() {
         let reading = |ms: i64| ImuReading {

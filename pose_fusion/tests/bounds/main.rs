@@ -264,8 +264,7 @@ fn a_noisy_late_climber_reaches_the_bound() {
     );
 }
 
-/// The encoders' noise is unknown at the start: readings before its estimate must not be trusted
-/// too much.
+/// The encoders' noise is unknown at the start: readings must not be trusted too much.
 #[test]
 fn noisy_encoders_keep_the_first_seconds_consistent() {
     let far = in_parallel(0..runs().max(60), |seed| {

@@ -10,8 +10,7 @@ pub fn folder() -> Option<PathBuf> {
     Some(test_support::recordings()?.join("bags"))
 }
 
-/// Reads a bag; markers are the true centroids with `sigma` px of noise, those shown less than 99 %
-/// are lost.
+/// Reads a bag with true centroids and `sigma` px of noise; markers shown below 99 % are lost.
 pub fn read(name: &str, sigma: f64, seed: u64) -> Option<Recording> {
     let folder = folder()?.join(name);
     let mut random = Random::fork(seed, "pixels");

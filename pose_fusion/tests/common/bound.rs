@@ -47,8 +47,7 @@ struct Node {
     datum: Datum,
 }
 
-/// Pixel of a marker when the platform is moved by `turn`, `shift` (world axes, about the IMU), and
-/// the climber by `drive`.
+/// Pixel of a marker with the platform moved by `turn` and `shift`, the climber by `drive`.
 fn pixel(
     scene: &Scene<'_>,
     t: f64,

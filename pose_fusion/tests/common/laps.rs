@@ -15,8 +15,7 @@ pub struct Laps {
     pub sensors: SensorConfig,
     /// How often.
     pub count: u32,
-    /// Encoder faults: silence for up to 3 s, repeated readings, frozen readings while driving,
-    /// delays.
+    /// Encoder faults: up to 3 s of silence, repeated or frozen readings, delays.
     pub broken_encoders: bool,
 }
 

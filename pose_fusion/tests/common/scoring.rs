@@ -74,8 +74,7 @@ pub fn score(odometry: &[Odometry], truth: &Truth, from: f64) -> Score {
     score
 }
 
-/// The errors of odometry and their NEES (position, rotation), with the time since the epoch of the
-/// simulated rig, s.
+/// Errors of odometry and their NEES (position, rotation), with the time since the epoch, s.
 pub fn errors(
     odometry: &[Odometry],
     truth: &Truth,
@@ -88,8 +87,7 @@ pub fn errors(
     })
 }
 
-/// Share of the odometry from `from` to `to` beyond the gate (position, rotation), and the errors
-/// at the end (m, rad).
+/// Share of the odometry beyond the gate (position, rotation) and last errors (m, rad).
 pub fn judge(
     outputs: &Outputs,
     run: &super::simulated::Run,

@@ -19,8 +19,7 @@ use pose_fusion::{
 use rig_model::{MarkerColor, MarkerObservation, Stamp};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig};
 
-/// The inputs go through `change` with their times of arrival (s); checks the second after `end`,
-/// and the state after two.
+/// Changes the inputs (with arrival, s); checks the second after `end` and the next one.
 fn row(
     name: &str,
     end: f64,
@@ -187,8 +186,7 @@ fn lap_row(name: &str, laps: &Laps) -> common::laps::Found {
     found
 }
 
-/// Fifteen seconds from rest to full motion: at first every turn and every speed hides in the
-/// noise.
+/// Fifteen seconds from rest to full motion: at first the noise hides every motion.
 #[test]
 fn a_slow_start_keeps_the_covariance_consistent() {
     for seed in 1..=4 {
@@ -272,8 +270,7 @@ fn blind_for(seconds: f64, motion: Swing, ropes: &[(&str, Rope)]) -> Vec<Score> 
     scores
 }
 
-/// The simulated rope's upper end goes 10 mm up and down, as one that stretches; the climber
-/// drives.
+/// The simulated rope's upper end goes 10 mm up and down while the climber drives.
 #[test]
 fn a_known_rope_length_bounds_the_drift_without_vision() {
     let ropes: [(&str, Rope); 3] = [
@@ -309,8 +306,7 @@ fn a_known_rope_length_bounds_the_drift_without_vision() {
     }
 }
 
-/// Neither IMU samples nor images, only encoder readings: the status reports at 10 Hz that there is
-/// no pose, until there is one.
+/// Encoder readings alone: the status reports at 10 Hz that there is no pose.
 #[test]
 fn the_status_reports_that_only_encoder_readings_arrive() {
     let run = simulated::run(
@@ -373,8 +369,7 @@ fn half_a_minute_with_encoder_readings_alone_costs_no_knowledge() {
     assert!(!fusion.status().time_offset.searching);
 }
 
-/// Three markers are hidden and the fourth is somewhere else: the IMU carries the pose, and is
-/// right.
+/// Three markers are hidden and the fourth is elsewhere: the IMU carries the pose.
 #[test]
 fn a_single_false_marker_moves_no_pose_that_is_known() {
     const END: f64 = 7.5;

@@ -135,8 +135,7 @@ impl Caller {
     }
 }
 
-/// Odometry of at least `seconds` after now's newest, with what came since: stamps, errors in m,
-/// variances of the velocity.
+/// At least `seconds` of new odometry: stamps, errors in m, variances of the velocity.
 fn after(seconds: f64, run: &simulated::Run) -> Vec<(Stamp, f64, f64)> {
     let newest = || RECEIVED.lock().unwrap().last().map(|m| convert::stamp(&m.header.stamp));
     let begin = Instant::now();

@@ -35,8 +35,7 @@ fn a_restored_checkpoint_continues_the_run() {
     second.restore(&checkpoint).unwrap();
     let outputs = scoring::run(&mut second, after.clone());
     let expected = scoring::run(&mut first, after);
-    // From the very next sample on, and within what the first image of a fresh start would not
-    // know.
+    // From the very next sample on, and better than a fresh start.
     assert!(outputs.odometry[0].stamp.seconds_since(expected.odometry[0].stamp).abs() < 0.02);
     let score = scoring::score(&outputs.odometry, &run.truth, 0.0);
     let reference = scoring::score(&expected.odometry, &run.truth, 8.0);

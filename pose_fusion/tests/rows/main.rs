@@ -63,8 +63,7 @@ fn a_tenth_of_a_pixel_gives_a_millimeter_and_a_consistent_covariance() {
     }
 }
 
-/// White noise has the same density at every rate; what is bounded in time must not be bounded in
-/// samples.
+/// White noise has the same density at every rate: bounds must be in time, not in samples.
 #[test]
 fn imu_rates_from_50_to_1000_hz_give_the_same_accuracy() {
     for rate in [50.0, 200.0, 400.0, 1000.0] {

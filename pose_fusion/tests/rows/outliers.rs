@@ -249,8 +249,7 @@ fn a_stuck_axis_of_the_gyroscope_is_not_the_encoders_fault() {
     }
 }
 
-/// Centroids four times as noisy as the tracker says: the filter finds it, and is not much worse
-/// than one image alone.
+/// Centroids four times as noisy as claimed: found, and not much worse than one image.
 #[test]
 fn noise_beyond_the_claimed_covariance_is_found() {
     for seed in [1, 2, 3, 4] {

@@ -28,8 +28,7 @@ fn is_in_reach(to: &Reading, from: &Reading, slack: f64) -> bool {
 }
 
 impl ClimberTrack {
-    /// Returns for each axis whether the newest readings are equal: it is at rest, or its encoder is
-    /// frozen.
+    /// Returns for each axis whether the newest readings are equal: at rest, or frozen.
     pub fn standing(&self) -> [bool; 3] {
         let newest = || self.readings.iter().rev().take(STANDING).map(|(_, values, _)| values);
         std::array::from_fn(|i| {
@@ -216,8 +215,7 @@ mod tests {
         // The turn passes from pi to -pi and freezes.
         let frozen = stopped(&|_| 0.3, &|t| 3.1 + 0.2 * t.min(1.0));
         assert!(frozen.is_some_and(|at| (at - 1.01).abs() < 1e-6), "{frozen:?}");
-        // A drive that brakes with 2 m/s², one that creeps, and an encoder that is read every 0.1
-        // s.
+        // A drive that brakes with 2 m/s², one that creeps, and an encoder that is read at 10 Hz.
         let braked = |t: f64| {
             if t < 1.0 {
                 0.3 * t
