@@ -60,10 +60,10 @@ pub fn world_rates(pose: &Vector6<f64>) -> Matrix3<f64> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    fn layout() -> MarkerLayout {
+    pub fn layout() -> MarkerLayout {
         let at = |x, y| Point3::new(x, y, 0.02);
         let centers = [at(0.15, 0.14), at(-0.15, 0.16), at(-0.16, -0.15), at(0.15, -0.14)];
         MarkerLayout { side: 0.076, centers: PerColor(centers) }

@@ -40,15 +40,9 @@ pub fn published_pose(
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use nalgebra::{Point3, Translation3, UnitQuaternion, Vector2, Vector3};
+    use super::{super::marker_measurement::tests::layout, *};
+    use nalgebra::{Translation3, UnitQuaternion, Vector2, Vector3};
     use rig_model::Distortion;
-
-    fn layout() -> MarkerLayout {
-        let at = |x, y| Point3::new(x, y, 0.02);
-        let centers = [at(0.15, 0.14), at(-0.15, 0.16), at(-0.16, -0.15), at(0.15, -0.14)];
-        MarkerLayout { side: 0.076, centers: PerColor(centers) }
-    }
 
     fn camera() -> CameraModel {
         let lens = Distortion::PlumbBob([-0.23, 0.082, 7e-4, -4e-4, -0.006]);
