@@ -87,14 +87,11 @@ pub fn solve(
     mask: &[bool; 4],
 ) -> Option<Solution> {
     let used = |row: usize| mask[row / 2] && image.has(row / 2);
-    let noise = Block::from_fn(|i, j| match used(i) && used(j) {
-        true => at_prior.noise[(i, j)],
-        false => f64::from(u8::from(i == j)),
-    });
-    let layout = Block::from_fn(|i, j| match used(i) && used(j) {
-        true => at_prior.layout[(i, j)],
-        false => 0.0,
-    });
+    let of_used = |block: &Block, unused: &Block| {
+        Block::from_fn(|i, j| if used(i) && used(j) { block[(i, j)] } else { unused[(i, j)] })
+    };
+    let noise = of_used(&at_prior.noise, &Block::identity());
+    let layout = of_used(&at_prior.layout, &Block::zeros());
     let masked = |linear: &Linearization| {
         let (mut r, mut h) = (linear.residual, linear.jacobian);
         for (i, kept) in mask.iter().enumerate() {

@@ -208,13 +208,9 @@ impl History {
 
     /// Returns the `count`-th encoder reading before a place, or the oldest, with its stamp.
     pub fn reading_before(&self, place: usize, count: usize) -> Option<(usize, Stamp)> {
-        (0..place)
-            .rev()
-            .filter_map(|p| self.get(p).map(|entry| (p, entry)))
-            .filter(|(_, entry)| matches!(entry.event, Event::Encoders { excluded: false, .. }))
-            .take(count)
-            .last()
-            .map(|(p, entry)| (p, entry.stamp))
+        let used = |e: &Entry| matches!(e.event, Event::Encoders { excluded: false, .. });
+        let before = self.before(place).enumerate().filter(|(_, entry)| used(entry));
+        before.take(count).last().map(|(k, entry)| (place - 1 - k, entry.stamp))
     }
 
     /// Returns the next IMU sample at or behind a place.

@@ -85,29 +85,23 @@ pub struct Scene<'a> {
 }
 
 fn image_rows(scene: &Scene<'_>, t: f64, color: MarkerColor) -> Vec<(SVector<f64, N>, f64)> {
-    let zero = Vector3::zeros();
+    let zero = Vector3::<f64>::zeros();
     let mut rows = [SVector::<f64, N>::zeros(); 2];
     let mut put = |index: usize, derivative: Vector2<f64>| {
         rows[0][index] = derivative.x;
         rows[1][index] = derivative.y;
     };
     let h = 1e-5;
-    for axis in 0..3 {
-        let mut e = Vector3::zeros();
-        e[axis] = h;
-        let d = |plus: Vector2<f64>, minus: Vector2<f64>| (plus - minus) / (2.0 * h);
-        put(
-            axis,
-            d(pixel(scene, t, color, &e, &zero, &zero), pixel(scene, t, color, &-e, &zero, &zero)),
-        );
-        put(
-            6 + axis,
-            d(pixel(scene, t, color, &zero, &e, &zero), pixel(scene, t, color, &zero, &-e, &zero)),
-        );
-        put(
-            CLIMBER + axis,
-            d(pixel(scene, t, color, &zero, &zero, &e), pixel(scene, t, color, &zero, &zero, &-e)),
-        );
+    for (k, first) in [0, 6, CLIMBER].into_iter().enumerate() {
+        for axis in 0..3 {
+            let moved = |by: f64| {
+                let mut moved = [zero; 3];
+                moved[k][axis] = by;
+                let [shift, turn, drive] = &moved;
+                pixel(scene, t, color, shift, turn, drive)
+            };
+            put(first + axis, (moved(h) - moved(-h)) / (2.0 * h));
+        }
     }
     let at = |t: f64| pixel(scene, t, color, &zero, &zero, &zero);
     put(CLOCK, (at(t + h) - at(t - h)) / (2.0 * h));
