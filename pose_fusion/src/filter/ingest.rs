@@ -110,7 +110,7 @@ impl Filter {
         };
         self.publisher.warn(Warning::ClockStep { by_s: by });
         let clock = &mut self.setup.config.clock;
-        if clock.camera_sigma > 0.0 {
+        if clock.camera_sigma > 0.0 && !self.setup.frozen {
             self.publisher.counts.resets.time_jumps += 1;
             clock.camera_offset = offset + by;
             self.reset();

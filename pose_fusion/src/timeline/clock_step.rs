@@ -7,7 +7,6 @@
 
 use super::arrival::Source;
 use rig_model::Stamp;
-use std::collections::VecDeque;
 
 /// Smallest step, s: the filter follows a smaller one by itself.
 const SMALLEST: f64 = 0.05;
@@ -22,21 +21,24 @@ const KEPT: usize = 15;
 const FEWEST: usize = 5;
 
 /// Median of the newest numbers.
-#[derive(Clone, Debug, Default)]
-struct Usual(VecDeque<f64>);
+#[derive(Clone, Copy, Debug, Default)]
+struct Usual {
+    newest: [f64; KEPT],
+    count: usize,
+}
 
 impl Usual {
     fn add(&mut self, number: f64) {
-        if self.0.len() == KEPT {
-            self.0.pop_front();
-        }
-        self.0.push_back(number);
+        self.newest.rotate_left(1);
+        self.newest[KEPT - 1] = number;
+        self.count = (self.count + 1).min(KEPT);
     }
 
     fn median(&self) -> Option<f64> {
-        let mut sorted: Vec<f64> = self.0.iter().copied().collect();
-        sorted.sort_by(f64::total_cmp);
-        sorted.get(sorted.len() / 2).copied().filter(|_| sorted.len() >= FEWEST)
+        let mut sorted = self.newest;
+        let sorted = &mut sorted[KEPT - self.count..];
+        sorted.sort_unstable_by(f64::total_cmp);
+        sorted.get(self.count / 2).copied().filter(|_| self.count >= FEWEST)
     }
 }
 
