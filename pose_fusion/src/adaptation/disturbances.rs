@@ -31,6 +31,13 @@ struct Disturbance {
     rate: f64,
 }
 
+impl Disturbance {
+    /// Whether this is one of the climber that lasts at `at` or ended within `span` seconds before.
+    fn jerks_climber(&self, at: Stamp, span: f64) -> bool {
+        self.jerk != Vector3::zeros() && self.from <= at && at.seconds_since(self.to) <= span
+    }
+}
+
 /// The newest disturbances.
 #[derive(Clone, Debug)]
 pub struct Disturbances(VecDeque<Disturbance>);
@@ -64,7 +71,8 @@ impl Disturbances {
         true
     }
 
-    /// Adds a shock that moves the platform by `distance` (m) and `angle` (rad) in an interval.
+    /// Adds a disturbance of the platform that moves it by `distance` (m) and `angle` (rad) between
+    /// `from` and `to`.
     pub fn add_shock(&mut self, from: Stamp, to: Stamp, distance: f64, angle: f64) {
         let span = to.seconds_since(from).max(1e-3);
         let force = 3.0 * distance * distance / span.powi(3);
@@ -90,8 +98,7 @@ impl Disturbances {
 
     /// Returns whether the climber is disturbed at `at`, or was within `span` seconds before.
     pub fn is_climber_disturbed(&self, at: Stamp, span: f64) -> bool {
-        let last = |d: &&Disturbance| d.from <= at && at.seconds_since(d.to) <= span;
-        self.0.iter().filter(last).any(|d| d.jerk != Vector3::zeros())
+        self.0.iter().any(|d| d.jerks_climber(at, span))
     }
 
     /// Forgets the disturbances of the climber that reach into the `span` seconds before `at`, and
