@@ -10,7 +10,7 @@ use common::{
 };
 use nalgebra::Vector3;
 use pose_fusion::{Fusion, FusionConfig, Input, Status, Warning};
-use rig_model::{MarkerObservations, Stamp};
+use rig_model::Stamp;
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, random::Random};
 
 /// The score of a run from a time on, and what the filter knows at the end.
@@ -131,19 +131,13 @@ fn a_large_configured_offset_is_the_middle_of_what_is_searched() {
 #[test]
 fn a_known_offset_is_never_estimated() {
     let run = simulated::run(MotionConfig::nominal(3), &SensorConfig::nominal(3));
-    let middle = scoring::start(&run.truth).plus_seconds(6.0);
     let mut config = simulated::config();
     config.tight.clock.camera_sigma = 0.0;
-    let mut fusion = Fusion::new(simulated::rig(), config);
-    let inputs = run.inputs.into_iter().map(|(at, input)| match input {
-        Input::Markers(markers) if at > middle => Input::Markers(MarkerObservations {
-            stamp: markers.stamp.plus_seconds(0.03),
-            ..markers
-        }),
-        other => other,
+    let inputs = run.changed(|at, input| match input {
+        Input::Markers(m) if at > 6.0 => m.stamp = m.stamp.plus_seconds(0.03),
+        _ => {}
     });
-    scoring::run(&mut fusion, inputs);
-    let status = fusion.status();
+    let status = scoring::follow(config, inputs).0.status();
     assert!(status.counts.gated_markers > 0, "{status:?}");
     assert_eq!([status.time_offset.offset, status.time_offset.sigma], [0.0; 2], "{status:?}");
 }

@@ -49,10 +49,10 @@ impl Kind {
         let ending = source.extension().unwrap_or_default().to_string_lossy().to_lowercase();
         let special = source.metadata().is_ok_and(|m| m.file_type().is_char_device());
         let name = source.to_string_lossy();
-        let could_be_topic = name.chars().all(|c| c.is_ascii_alphanumeric() || "_/".contains(c));
+        let is_topic = name.chars().all(|c| c.is_ascii_alphanumeric() || "_/".contains(c));
         match ending.as_str() {
             _ if special => Self::Device,
-            _ if could_be_topic && !source.exists() => Self::Topic,
+            _ if is_topic && !source.exists() => Self::Topic,
             "mcap" | "zst" | "zstd" => Self::Bag,
             _ if source.join("metadata.yaml").is_file() => Self::Bag,
             "mp4" | "avi" | "mkv" | "mov" | "webm" | "m4v" | "mpg" | "mpeg" | "ogv" => Self::Video,
@@ -97,10 +97,8 @@ fn from_files(source: &Path, take: &mut impl FnMut(Frame) -> Result<bool>) -> Re
             .with_context(|| format!("{}: not readable", source.display()))?
             .filter_map(|entry| entry.ok().map(|e| e.path()))
             .filter(|path| {
-                path.extension().and_then(|e| e.to_str()).is_some_and(|e| {
-                    ["jpg", "jpeg", "png", "bmp", "tif", "tiff"]
-                        .contains(&e.to_ascii_lowercase().as_str())
-                })
+                let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
+                ["jpg", "jpeg", "png", "bmp", "tif", "tiff"].iter().any(|e| ending == *e)
             })
             .collect();
         files.sort();
@@ -392,12 +390,10 @@ mod tests {
 
     #[test]
     fn kinds_of_sources_are_detected() {
-        assert_eq!(Kind::of(Path::new("/dev/null")), Kind::Device);
-        for bag in ["a/run.mcap", "a/run.mcap.zst", "a/run.mcap.zstd"] {
-            assert_eq!(Kind::of(Path::new(bag)), Kind::Bag);
-        }
-        assert_eq!(Kind::of(Path::new("boards.MP4")), Kind::Video);
-        assert_eq!(Kind::of(Path::new("src")), Kind::Files);
-        assert_eq!(Kind::of(Path::new(topics::absolute::IMAGE)), Kind::Topic);
+        let kind = |source: &str| Kind::of(Path::new(source));
+        assert_eq!(kind("/dev/null"), Kind::Device);
+        assert_eq!([kind("a/run.mcap"), kind("a/run.mcap.zst")], [Kind::Bag; 2]);
+        assert_eq!((kind("boards.MP4"), kind("src")), (Kind::Video, Kind::Files));
+        assert_eq!(kind(topics::absolute::IMAGE), Kind::Topic);
     }
 }

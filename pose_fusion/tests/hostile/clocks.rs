@@ -1,0 +1,100 @@
+//! Clocks that are set: of all sensors, or of the IMU or the camera alone.
+
+use super::*;
+
+/// A clock that is set back by less than a second after three seconds: of all sensors, or of the
+/// IMU alone, whose samples were ahead of the images by that before.
+#[test]
+fn a_clock_set_back_by_less_than_a_second_starts_again() {
+    let run = recording();
+    let step = scoring::start(&run.truth).plus_seconds(3.0);
+    for (back, imu_alone) in [(0.05, true), (0.2, true), (0.05, false), (0.2, false), (0.7, false)]
+    {
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        let moved = |at: Stamp, input: &Input| {
+            let moves = at < step && (!imu_alone || matches!(input, Input::Imu(_)));
+            shifted(input, if moves { back } else { 0.0 })
+        };
+        let (before, after): (Vec<_>, Vec<_>) = run.inputs.iter().partition(|(at, _)| *at < step);
+        scoring::run(&mut fusion, before.iter().map(|(at, input)| moved(*at, input)));
+        let outputs = scoring::run(&mut fusion, after.iter().map(|(at, input)| moved(*at, input)));
+        let wrong = fusion.status().counts.resets.time_jumps;
+        let score = scoring::score(&outputs.odometry, &run.truth, 3.15);
+        println!("{back} s, the IMU's alone: {imu_alone}: {wrong} jumps, {score}");
+        // Images and encoders confirm that the IMU's clock stepped alone.
+        assert!(wrong == 1 || wrong == 2 && imu_alone, "{wrong}");
+        assert!(outputs.odometry.len() > 200 && score.nees().0 < 6.0, "{score}");
+        let warned =
+            |w: &Warning| matches!(w, Warning::TimeJump { by_s } if (by_s - back).abs() < 0.02);
+        assert!(outputs.warnings.iter().any(warned));
+    }
+}
+
+/// From three seconds on the IMU's clock is ahead by `by`, or behind, or that of camera and encoders
+/// is: the time offset follows within a second, also beyond the 0.3 s that are searched.
+#[test]
+fn a_step_of_one_clock_moves_the_time_offset() {
+    let run = recording();
+    let step = scoring::start(&run.truth).plus_seconds(2.0);
+    for (by, imu) in [
+        (0.08, true),
+        (0.2, true),
+        (0.5, true),
+        (-0.2, true),
+        (-0.5, true),
+        (0.2, false),
+        (0.45, false),
+        (-0.2, false),
+        (-0.5, false),
+    ] {
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+        let (before, after): (Vec<_>, Vec<_>) = run.inputs.iter().partition(|(at, _)| *at < step);
+        scoring::run(&mut fusion, before.iter().map(|(_, input)| input.clone()));
+        let after = after.iter().map(|(_, input)| {
+            let moves = imu == matches!(input, Input::Imu(_));
+            shifted(input, if moves { by } else { 0.0 })
+        });
+        let outputs = scoring::run(&mut fusion, after);
+        let moved = if imu { by } else { 0.0 };
+        let (mut score, mut wrong) = (scoring::Score::default(), 0.0f64);
+        for (odometry, status) in outputs.odometry.iter().zip(valid(&outputs)) {
+            let at = odometry.stamp.plus_seconds(-moved);
+            let truth = scoring::pose_at(&run.truth, at).unwrap();
+            let since = at.seconds_since(step);
+            if since > 1.5 {
+                score.add(&odometry.world_from_volant, &odometry.pose_covariance, &truth);
+            } else if status {
+                let error = PoseError::new(&odometry.world_from_volant, &truth).position.norm();
+                wrong = wrong.max(error);
+            }
+        }
+        let offset = fusion.status().time_offset.offset;
+        println!("{by:+} s, IMU: {imu}: {score}, offset {offset:+.4}, valid {wrong:.3} m off");
+        let expected = if imu { by } else { -by };
+        assert!((offset - expected).abs() < 2e-3, "{by} {imu}: {offset}");
+        assert!(score.position_rmse() < 2.5 && score.nees().0 < 6.0, "{by} {imu}: {score}");
+        assert!(wrong < 0.15, "{by} {imu}: valid and {wrong} m off");
+        let warned = |w: &Warning| matches!(w, Warning::ClockStep { by_s } if (by_s - expected).abs() < 0.02);
+        assert!(outputs.warnings.iter().any(warned), "{by} {imu}");
+    }
+}
+
+/// Whether each odometry was called valid.
+fn valid(outputs: &scoring::Outputs) -> Vec<bool> {
+    let status = |stamp| outputs.status.iter().find(|s| s.stamp == stamp);
+    outputs.odometry.iter().map(|o| status(o.stamp).is_some_and(|s| s.valid)).collect()
+}
+
+#[test]
+fn a_looped_recording_reinitializes() {
+    let run = recording();
+    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
+    let first = scoring::run(&mut fusion, run.inputs());
+    let second = scoring::run(&mut fusion, run.inputs());
+    assert_eq!(fusion.status().counts.resets.time_jumps, 1);
+    assert!(second.warnings.iter().any(|w| matches!(w, Warning::TimeJump { .. })));
+    let score = scoring::score(&second.odometry, &run.truth, 1.0);
+    println!("{score}");
+    assert!(score.position_rmse() < 1.2, "{score}");
+    assert!(second.odometry.len() + 10 > first.odometry.len());
+}
