@@ -186,9 +186,12 @@ const PROFILES: [&str; 4] = [
 const DDS: [&str; 4] =
     ["rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp", "rmw_connextdds"];
 
+/// Whether a value of a variable is not supported.
+type Matches = fn(&str) -> bool;
+
 /// Settings with which this process would find nobody: variable, whether a value of it is such a
 /// setting, and what is expected.
-const UNSUPPORTED: [(&str, fn(&str) -> bool, &str); 4] = [
+const UNSUPPORTED: [(&str, Matches, &str); 4] = [
     (
         "ROS_STATIC_PEERS",
         |_| true,

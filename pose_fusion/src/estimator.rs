@@ -96,6 +96,11 @@ impl Fusion {
 
     fn take_outputs(&mut self) {
         if let Estimator::TightlyCoupled(filter) = &mut self.estimator {
+            // Encoder readings of former time would lie between those of the present one.
+            let set_back = |o: &Output| matches!(o, Output::Warning(Warning::TimeJump { .. }));
+            if filter.outputs().iter().any(set_back) {
+                self.single_image.reset();
+            }
             self.outputs.append(filter.outputs());
         }
     }

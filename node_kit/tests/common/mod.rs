@@ -91,7 +91,9 @@ pub fn script(domain: u16, python: &Path, name: &str, arguments: &[&str]) -> Run
 }
 
 /// A node that acts on a timer.
-pub struct Timed(Box<dyn FnMut(&mut NodeContext<()>)>);
+pub struct Timed(OnTimer);
+
+type OnTimer = Box<dyn FnMut(&mut NodeContext<()>)>;
 
 impl Timed {
     /// Starts a node of this name; `make` advertises its topics and returns what it does each

@@ -270,7 +270,9 @@ impl Filter {
             self.publisher.reject(Warning::TooOld { from: Source::Image, stamp, age_s: -ahead_s });
             return self.publisher.skip(stamp, &pixels, Outcome::Rejected);
         }
-        let Some((_, _, rest)) = self.climber.newest().copied() else { return };
+        let Some((_, _, rest)) = self.climber.newest().copied() else {
+            return self.publisher.skip(stamp, &pixels, Outcome::NotInitialized);
+        };
         let stamp_sigma = self.markers.stamp_sigma().min(self.setup.config.clock.image_jitter);
         let layout_doubt = self.markers.layout_doubt.take();
         if let (Some(_), Some(search)) = (layout_doubt, &mut self.search) {

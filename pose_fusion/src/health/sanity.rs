@@ -33,11 +33,13 @@ pub fn violation(state: &State, config: &TightConfig) -> Option<&'static str> {
 mod tests {
     use super::*;
 
+    type Spoil = fn(&mut State);
+
     #[test]
     fn every_bound_is_checked_and_named() {
         let config = TightConfig::default();
         assert_eq!(violation(&State::zero(), &config), None);
-        let spoil: [(fn(&mut State), &str); 6] = [
+        let spoil: [(Spoil, &str); 6] = [
             (|s| s.position.x = 100.0, "limits.max_range"),
             (|s| s.velocity.z = 20.0, "limits.max_speed"),
             (|s| s.accelerometer_bias.y = 8.0, "accelerometer bias"),

@@ -123,7 +123,7 @@ impl Arrival {
     pub fn classify(&mut self, stamp: Stamp) -> ImuArrival {
         let Some((newest, _)) = self.newest_imu else { return ImuArrival::First };
         let ahead = stamp.seconds_since(newest);
-        if ahead > STRAY || ahead < -JUMP {
+        if !(-JUMP..=STRAY).contains(&ahead) {
             let count = match self.jump {
                 Some((last, count)) if stamp > last && stamp.seconds_since(last) < JUMP => {
                     count + 1

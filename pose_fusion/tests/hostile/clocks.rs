@@ -21,6 +21,13 @@ fn a_clock_set_back_by_less_than_a_second_starts_again() {
         let wrong = fusion.status().counts.resets.time_jumps;
         let score = scoring::score(&outputs.odometry, &run.truth, 3.15);
         println!("{back} s, the IMU's alone: {imu_alone}: {wrong} jumps, {score}");
+        // The filter knows of the step after four IMU samples.
+        let noticed = step.plus_seconds(0.1);
+        for visual in outputs.visual.iter().filter(|visual| visual.stamp > noticed) {
+            let truth = scoring::pose_at(&run.truth, visual.stamp).unwrap();
+            let error = PoseError::new(&visual.pose, &truth).position.norm();
+            assert!(error < 0.03, "one image alone {back} {imu_alone}: {error} m");
+        }
         // Images and encoders confirm that the IMU's clock stepped alone.
         assert!(wrong == 1 || wrong == 2 && imu_alone, "{wrong}");
         assert!(outputs.odometry.len() > 200 && score.nees().0 < 6.0, "{score}");
