@@ -3,7 +3,6 @@
 use anyhow::{Context, Result, bail, ensure};
 use bag::BagReader;
 use opencv::{core, imgcodecs, imgproc, prelude::*};
-use rig_model::topics;
 use std::{
     io::{self, BufRead, BufReader},
     os::unix::fs::FileTypeExt,
@@ -374,6 +373,7 @@ fn from_message(image: &msg::Image) -> Result<core::Mat> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rig_model::topics;
 
     #[test]
     fn images_of_a_stream_are_separated_and_invalid_ones_are_rejected() {
