@@ -70,7 +70,7 @@ pub enum Event {
     OtherFrame(Box<Input>, String),
     /// Request of an operator.
     Request(Request),
-    /// Message that cannot be used: its topic, and why.
+    /// Unusable message: its topic, and why.
     Rejected(&'static str, String),
     /// The status is due where there is no pose.
     StatusDue,

@@ -126,7 +126,7 @@ fn a_large_configured_offset_is_the_middle_of_what_is_searched() {
     }
 }
 
-/// With `clock.camera_sigma: 0` the offset is what the configuration says, also where images
+/// With `clock.camera: 0` the offset is what the configuration says, also where images
 /// contradict the prediction: here their stamps are 30 ms late from the middle on.
 #[test]
 fn a_known_offset_is_never_estimated() {

@@ -124,7 +124,7 @@ pub enum Event {
     #[error("the IMU reports {0}")]
     DeviceFault(DeviceError),
     /// Messages could not be decoded for this reason; the configuration is read again.
-    #[error("messages cannot be decoded: {0}")]
+    #[error("messages do not decode: {0}")]
     Unreadable(String),
     /// The messages lack acceleration or angular velocity.
     #[error(

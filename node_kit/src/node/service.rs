@@ -139,7 +139,7 @@ impl Endpoints {
                     Err(error) => {
                         // Most likely a client whose middleware has another wire format.
                         let text = format!(
-                            "a request for {name} cannot be read ({error}); is \
+                            "decoding a request for {name} failed ({error}); is \
                              RMW_IMPLEMENTATION here the client's?"
                         );
                         warn(60, text);
@@ -151,7 +151,7 @@ impl Endpoints {
                     let text = "gets more requests than it can answer; some replies are not sent";
                     warn(5, format!("{name} {text}"));
                 } else if let Err(error) = reply(identity, response) {
-                    warn(5, format!("an answer of {name} cannot be sent: {error}"));
+                    warn(5, format!("sending a response of {name} failed: {error}"));
                 }
             }
         })

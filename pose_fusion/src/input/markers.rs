@@ -60,7 +60,7 @@ impl MarkerInput {
         self.layout_doubt = self.misfit.add(misfit).or(self.layout_doubt);
     }
 
-    /// Discards what the images have told of the layout: the estimate of it is dropped.
+    /// Discards the evidence of the images on the layout.
     pub fn forget_layout(&mut self) {
         (self.misfit, self.layout_doubt) = (LayoutMisfit::default(), None);
     }

@@ -53,7 +53,7 @@ fn with_calibration(state: &State, calibration: Calibration) -> State {
     moved
 }
 
-/// One step back from the state `now`; `None` where the covariance cannot be factored.
+/// One step back from the state `now`; `None` where the covariance is not positive definite.
 fn step(entry: &Entry, now: &State, next: &Entry, later: &State, gravity: f64) -> Option<State> {
     let dt = next.stamp.seconds_since(entry.stamp);
     let f = transition(now, &entry.reading, &next.reading, dt, &next.noise);
