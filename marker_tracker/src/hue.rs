@@ -16,7 +16,7 @@ impl HueHistogram {
     pub const BINS: usize = 32;
     /// Lowest Bhattacharyya coefficient of two histograms of the same paper. Tuned; guarded by
     /// `either_criterion_switched_off_changes_the_result` (another red, 320° instead of 359°, must
-    /// fall below) and `tests/bags.rs` (no whole marker may).
+    /// fall below) and `tests/bags` (no whole marker may).
     const MIN_LIKENESS: f32 = 0.6;
 
     /// Histogram of the inside of an outline (px), from 16 pixels; `None` with fewer than 5 of them

@@ -97,7 +97,10 @@ impl Fusion {
     fn take_outputs(&mut self) {
         if let Estimator::TightlyCoupled(filter) = &mut self.estimator {
             // Encoder readings of former time would lie between those of the present one.
-            let set_back = |o: &Output| matches!(o, Output::Warning(Warning::TimeJump { .. }));
+            let set_back = |o: &Output| {
+                use Warning::{ClockStep, TimeJump};
+                matches!(o, Output::Warning(TimeJump { .. } | ClockStep { .. }))
+            };
             if filter.outputs().iter().any(set_back) {
                 self.single_image.reset();
             }
@@ -124,6 +127,7 @@ impl Fusion {
         self.single_image.reset();
         match &mut self.estimator {
             Estimator::TightlyCoupled(filter) => {
+                filter.forget_clock_steps();
                 filter.freeze(false);
                 filter.reset();
             }

@@ -171,4 +171,27 @@ mod tests {
             "{early:?} {late:?}"
         );
     }
+
+    #[test]
+    fn angle_errors_wrap_and_axes_are_separate() {
+        let pose = |x: f64, yaw: f64| {
+            Isometry3::from_parts(
+                Translation3::new(x, 0.0, 0.0),
+                UnitQuaternion::from_euler_angles(0.0, 0.0, yaw.to_radians()),
+            )
+        };
+        let at = Stamp::from_nanos;
+        let track = vec![
+            (at(1), pose(0.003, 179.0)),
+            (at(2), pose(-0.004, -179.0)),
+            (at(9), pose(9.0, 0.0)),
+        ];
+        let errors = Errors::of(&track, at(0), at(5), |_| pose(0.0, 180.0));
+        assert_eq!(errors.count, 2);
+        assert!(
+            (errors.rmse[0] - 12.5_f64.sqrt()).abs() < 1e-9 && (errors.max[0] - 4.0).abs() < 1e-9
+        );
+        assert!((errors.rmse[5] - 1.0).abs() < 1e-9 && errors.rmse[3] < 1e-9);
+        assert!((errors.rotation_rmse - 1.0).abs() < 1e-9);
+    }
 }

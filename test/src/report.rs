@@ -7,11 +7,16 @@ use std::{fmt::Write, process::Command};
 /// Paragraph that names the version with which a table was measured, and the commit where git knows
 /// it.
 pub fn measured_with() -> String {
-    let git = Command::new("git")
-        .args(["-C", env!("CARGO_MANIFEST_DIR"), "log", "-1", "--format=, commit %h of %cs"])
-        .output();
-    let commit = git.ok().filter(|output| output.status.success());
-    let commit = commit.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
+    let git = |arguments: &[&str]| {
+        let mut git = Command::new("git");
+        let output = git.args(["-C", env!("CARGO_MANIFEST_DIR")]).args(arguments).output().ok()?;
+        let text = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+        output.status.success().then_some(text)
+    };
+    let commit = git(&["log", "-1", "--format=, commit %h of %cs"]);
+    let changed = git(&["status", "--porcelain", "--untracked-files=no"]);
+    let changed = changed.is_some_and(|changed| !changed.is_empty());
+    let commit = commit.map(|c| if changed { c + ", with later changes" } else { c });
     let version = env!("CARGO_PKG_VERSION");
     format!("Measured with version {version}{}.\n\n", commit.unwrap_or_default())
 }

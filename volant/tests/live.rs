@@ -150,7 +150,7 @@ fn a_played_bag_is_recorded_byte_for_byte() {
 #[test]
 #[ignore = "measures wall time: make long"]
 fn a_bag_is_played_at_its_pace_and_a_recorder_ends_at_once() {
-    let recorded = copied(71, &[], &[], |recorder| {
+    let recorded = copied(76, &[], &[], |recorder| {
         let started = Instant::now();
         interrupt(recorder);
         assert!(started.elapsed() < Duration::from_secs(2), "the end took {:?}", started.elapsed());

@@ -53,7 +53,8 @@ pub fn sample_of(m: &Measurement, stamp: Stamp, period: f64) -> Sample {
         .angular_velocity
         .or(m.angular_velocity_hr)
         .and_then(finite)
-        .or_else(|| Some(rotation_of(m.delta_orientation?)?.scaled_axis() / period));
+        .or_else(|| Some(rotation_of(m.delta_orientation?)?.scaled_axis() / period))
+        .filter(|rate| rate.iter().all(|x| x.is_finite()));
     let orientation = m
         .orientation
         .as_ref()

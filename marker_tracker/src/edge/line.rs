@@ -22,7 +22,7 @@ const PLAIN: f32 = 0.3;
 const MIN_SUPPORT: f64 = 0.2;
 /// Standard deviation of an edge of which all rows are covered, px: rows that a cover's blur
 /// touches a little go unnoticed, in proportion to the covered share. Tuned; guarded by the bound
-/// on partly covered markers in `tests/bags.rs`.
+/// on partly covered markers in `tests/bags`.
 const COVERED_SIGMA: f64 = 0.2;
 
 /// Places of an edge on its rows: distance along it, and outside of the prediction, px.

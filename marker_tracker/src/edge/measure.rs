@@ -33,11 +33,11 @@ const TAIL: f64 = 0.03;
 /// Standard deviation of an edge's place in a saturated channel, in units of its blur.
 const SATURATED: f64 = 0.15;
 /// Largest [`EdgeFit::shade`] in even light, px: noise and JPEG leave 0.12 of the recorded bags'
-/// rows. Tuned; guarded by `tests/shadows.rs` and `tests/bags.rs`.
+/// rows. Tuned; guarded by `tests/synthetic` and `tests/bags`.
 pub(crate) const SHADE: f64 = 0.2;
 /// Standard deviation of an edge's place, in units of the shade: where the rows are normalized, of
 /// what is above [`SHADE`]; where the pixels are, because light and share of the marker do not
-/// factor within a pixel. Tuned; guarded by `tests/shadows.rs`.
+/// factor within a pixel. Tuned; guarded by `tests/synthetic`.
 const BY_ROW: f64 = 0.3;
 const BY_PIXEL: f64 = 0.08;
 

@@ -13,7 +13,7 @@ const CORNER: f64 = 2.0;
 const OUTSIDE: f64 = 0.1;
 const OUTSIDE_BOUNDS: (f64, f64) = (1.0, 3.0);
 /// How far beside an edge its surroundings are read at most, in units of the square's width: the
-/// platform's rim may be near. Tuned; guarded by `tests/bags.rs`.
+/// platform's rim may be near. Tuned; guarded by `tests/bags`.
 const REACH: f64 = 0.22;
 /// Largest half-width of a band, in units of the square's width: opposite bands must not meet.
 const MAX_SHARE: f64 = 0.2;

@@ -26,7 +26,7 @@ pub(crate) struct PoseObservation {
 
 impl PoseObservation {
     /// Standard deviation of a whole marker's centroid, px: the RMS on the recorded bags is 0.06 px
-    /// at most (`tests/bags.rs`), and the layout adds as much.
+    /// at most (`tests/bags`), and the layout adds as much.
     pub const SIGMA: f64 = 0.1;
     /// A slot without an observation.
     pub const NONE: Self = Self {

@@ -125,7 +125,7 @@ fn stream(
 ) -> Result<(), String> {
     let opened = open(parameters)?;
     let failed = |e: io::Error| format!("camera {}: {e}", parameters.device_path);
-    let mut stream = Stream::with_buffers(&opened.device, Type::VideoCapture, 4).map_err(failed)?;
+    let mut stream = Stream::with_buffers(&opened.device, Type::VideoCapture, 5).map_err(failed)?;
     // `next` queues the buffer of the last image, the first time that of index 0, and waits for
     // another. It is only called where one is there: after a timeout it would queue the same buffer
     // again, which the kernel rejects. Queueing fails at the first index without a buffer.

@@ -46,7 +46,7 @@ impl QuadFit {
     }
 
     /// Whether all four edges were measured along most of their length. Tuned:
-    /// whole markers are detected (`tests/bags.rs`), cut ones are not.
+    /// whole markers are detected (`tests/bags`), cut ones are not.
     pub fn is_whole(&self) -> bool {
         let support = if self.relit { 0.5 } else { 0.7 };
         self.filled > 0.8

@@ -67,7 +67,7 @@ pub(super) struct Acquisition {
 
 impl Acquisition {
     /// RMS error (px) below which a hypothesis with four outlines needs no comparison: tuned;
-    /// guarded by the clutter bag of `tests/bags.rs`.
+    /// guarded by the clutter bag of `tests/bags`.
     const CERTAIN: f64 = 0.6;
 
     /// Creates the search for papers of these colors (mean r, g, b of 0–255), where calibrated.
@@ -246,8 +246,8 @@ impl Verification<'_, '_> {
         side /= count as f64;
         let shape = (shape_error / count as f64).sqrt();
         // Largest RMS errors of position and size, px: of a layout measured by hand and, with an
-        // assumed camera, of its focal length and distortion. Tuned; guarded by `tests/bags.rs` and
-        // `tests/synthetic.rs`.
+        // assumed camera, of its focal length and distortion. Tuned; guarded by `tests/bags` and
+        // `tests/synthetic`.
         let (limit, shape_limit) = if self.known_camera {
             (0.35 + 0.02 * side, 1.0 + 0.05 * side)
         } else {

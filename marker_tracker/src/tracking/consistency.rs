@@ -16,7 +16,7 @@ pub(super) type Fits = PerColor<Option<QuadFit>>;
 const GATE: f64 = 4.0;
 
 /// The same for the reprojection error of three or four centroids: 2.5 σ of the least certain
-/// centroid, plus what the adapted layout leaves. Tuned; guarded by `tests/bags.rs`.
+/// centroid, plus what the adapted layout leaves. Tuned; guarded by `tests/bags`.
 const REPROJECTION: (f64, f64) = (0.08, 2.5);
 
 /// Tolerances of a square's shape in the pose of `count` markers.
@@ -29,7 +29,7 @@ struct ShapeTolerance {
 
 impl ShapeTolerance {
     /// How well the shape is known: of the paper itself and of the pose that it is seen from.
-    /// Tuned: whole markers are detected (`tests/bags.rs`), cut ones are not. `side`: of the
+    /// Tuned: whole markers are detected (`tests/bags`), cut ones are not. `side`: of the
     /// square, px.
     fn new(known_camera: bool, known_shape: bool, count: usize, side: f64) -> Self {
         let (width, slope) = match (known_camera, known_shape, count) {

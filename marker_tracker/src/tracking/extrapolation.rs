@@ -13,7 +13,7 @@ use nalgebra::{Isometry3, Matrix2, Matrix6, Vector2};
 use rig_model::{CameraModel, MarkerColor, PerColor};
 
 /// Longest extrapolation of a motion that fewer than three markers cannot determine, s. Tuned;
-/// guarded by the bounds on predicted markers in `tests/synthetic.rs` and `tests/bags.rs`.
+/// guarded by the bounds on predicted markers in `tests/synthetic` and `tests/bags`.
 const MAX_AGE: f64 = 0.25;
 /// Standard deviations of the growth of the pose's error: error of the measured velocity (m/s,
 /// rad/s) and half the acceleration of a platform on a rope (m/s², rad/s²), for translation and
@@ -25,7 +25,7 @@ const HALF_ACCELERATION_SIGMA: [f64; 2] = [1.0, 3.0];
 const UNKNOWN_SIGMA: f64 = 0.1;
 const START_SIGMA: f64 = 1e-3;
 /// Error of an adapted marker place in a centroid, px: that of the
-/// centroids themselves in `tests/bags.rs`.
+/// centroids themselves in `tests/bags`.
 const LAYOUT_SIGMA: f64 = 0.05;
 
 /// A pose with its covariance.

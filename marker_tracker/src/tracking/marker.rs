@@ -185,7 +185,7 @@ impl EdgeHistory {
     /// come, and its edge may be near.
     pub fn has_changed_light(&self, fit: &QuadFit) -> bool {
         /// Largest relative change of the level inside from image to image without a shadow. Tuned;
-        /// guarded by `tests/shadows.rs` and `tests/bags.rs`.
+        /// guarded by `tests/synthetic` and `tests/bags`.
         const CHANGE: f64 = 0.12;
         /// Least share of the interior that has one level, and of an edge's rows that agree.
         const EVEN: f64 = 0.95;

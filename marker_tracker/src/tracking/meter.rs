@@ -9,12 +9,12 @@ use crate::{
 };
 
 /// Half-width of the band across an edge while it is searched, px: tuned; guarded by
-/// the fast_swing bag of `tests/bags.rs`.
+/// the fast_swing bag of `tests/bags`.
 pub(super) const SEARCH_HALF_WIDTH: f64 = 4.5;
 /// Widest band of a measurement after the search, px.
 pub(super) const MAX_HALF_WIDTH: f64 = SEARCH_HALF_WIDTH - 0.1;
 /// Rows of an edge that are read during the search and in a one-pass measurement. Tuned: `make
-/// bench` bounds the time, `tests/synthetic.rs` the accuracy.
+/// bench` bounds the time, `tests/synthetic` the accuracy.
 pub(super) const SEARCH_ROWS: usize = 16;
 pub(super) const ONE_PASS_ROWS: usize = 32;
 

@@ -22,7 +22,7 @@ pub(super) struct NoiseModel {
 
 impl NoiseModel {
     /// Correlation of neighboring rows that is assumed until it is measured: tuned; guarded by the
-    /// normalized squared error in `tests/synthetic.rs` and `tests/bags.rs`; and its upper bound.
+    /// normalized squared error in `tests/synthetic` and `tests/bags`; and its upper bound.
     const DEFAULT_CORRELATION: f64 = 0.4;
     const MAX_CORRELATION: f64 = 0.7;
     /// Degrees of freedom that the expectation χ² = dof counts for.

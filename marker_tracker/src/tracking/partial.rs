@@ -167,7 +167,7 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
             (0.15 + 3.0 * sigma + 2.0 * geometry.misplacement, 2, 0.4)
         } else if fit.relit {
             // Rows with their own levels measure no cover's edge. Before the geometry is known, it
-            // takes more of them (tuned; guarded by `tests/shadows.rs` and `tests/bags.rs`).
+            // takes more of them (tuned; guarded by `tests/synthetic` and `tests/bags`).
             (3.0 * place_sigma, 3, if trusted { 0.6 } else { 0.85 })
         } else {
             (3.0 * place_sigma, 3, 0.92)

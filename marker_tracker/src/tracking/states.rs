@@ -12,7 +12,7 @@ use nalgebra::{Matrix2, Vector2};
 use rig_model::{MarkerColor, MarkerObservation, MarkerState, PerColor};
 
 /// Standard deviation of a marker about the place that a pose gives it, px; tuned; guarded by
-/// the bounds on predicted markers in `tests/bags.rs`.
+/// the bounds on predicted markers in `tests/bags`.
 const POSE_SIGMA: f64 = 0.1;
 
 /// Covariance of two independent coordinates with standard deviation `sigma`, px².

@@ -353,3 +353,19 @@ fn contradicting_fields_and_old_stamps_are_rejected() {
     tracker.handle(Input::Image(tiny(10)));
     assert!(matches!(tracker.poll(), Some(Output::Warning(Warning::StampFromThePast { .. }))));
 }
+
+#[test]
+fn all_four_are_detected_in_the_first_image_that_shows_them_again() {
+    let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(3));
+    for k in 0..20 {
+        let gone = (4..16).contains(&k);
+        let o = observe(
+            &mut tracker,
+            k,
+            &draw(&pose(0.05 * k as f64), if gone { [None; 4] } else { ALL }, &mut noise),
+        );
+        for (_, m) in o.markers.iter() {
+            assert_eq!(m.state == MarkerState::Detected, !gone, "image {k}");
+        }
+    }
+}

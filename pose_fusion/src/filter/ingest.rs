@@ -10,7 +10,6 @@ use crate::{
     output::Warning,
     timeline::{
         arrival::{AHEAD, ImuArrival, JUMP, Source},
-        clock_step::ClockStep,
         dropout::{GAP, INTERPOLATED},
         history::{Entry, Event},
     },
@@ -101,18 +100,25 @@ impl Filter {
         self.next_imu(sample, reading, None);
     }
 
-    /// Notes when an image or encoder reading arrives. Where it confirms that the IMU's clock stepped
-    /// against that of camera and encoders, starts again with the time offset that follows from it.
+    /// Notes when an image or encoder reading arrives, which may confirm that a clock stepped.
     fn note_arrival(&mut self, source: Source, stamp: Stamp) {
         let offset = self.time_offset();
-        let Some(ClockStep { by, offset }) = self.imu.clocks.other(source, stamp, offset) else {
-            return;
-        };
-        self.publisher.warn(Warning::ClockStep { by_s: by });
-        let clock = &mut self.setup.config.clock;
-        if clock.camera_sigma > 0.0 && !self.setup.frozen {
-            self.publisher.counts.resets.time_jumps += 1;
-            clock.camera_offset = offset + by;
+        let Some(step) = self.imu.clocks.message(source, stamp, offset) else { return };
+        self.publisher.warn(Warning::ClockStep { by_s: step.by });
+        self.publisher.counts.resets.clock_steps += 1;
+        if self.setup.config.clock.camera_sigma > 0.0 {
+            let before = self.setup.stepped.unwrap_or(step.offset);
+            self.setup.stepped = Some(before + step.by);
+            self.follow_clock_step();
+        }
+    }
+
+    /// Starts again with the time offset that follows from a step of a clock, unless the filter is
+    /// frozen.
+    pub(super) fn follow_clock_step(&mut self) {
+        if let (Some(camera_offset), false) = (self.setup.stepped, self.setup.frozen) {
+            self.setup.camera_offset = camera_offset;
+            self.setup.stepped = None;
             self.reset();
         }
     }
@@ -250,7 +256,7 @@ impl Filter {
         if self.setup.geometry.is_none() || (newest.is_none() && !silent) {
             return self.publisher.skip(stamp, &pixels, Outcome::NotInitialized);
         }
-        let camera_offset = self.setup.config.clock.camera_offset;
+        let camera_offset = self.setup.camera_offset;
         let ahead_s =
             newest.map_or(0.0, |newest| stamp.plus_seconds(camera_offset).seconds_since(newest));
         if ahead_s > AHEAD && !silent {
@@ -325,7 +331,7 @@ impl Filter {
             return self.publisher.reject(Warning::Jump { from, stamp, by_s });
         }
         let config = &self.setup.config;
-        let offset = config.clock.camera_offset + config.clock.climber_offset;
+        let offset = self.setup.camera_offset + config.clock.climber_offset;
         let imu = self.arrival.newest_imu().filter(|_| !self.arrival.is_imu_silent());
         let ahead = |at: Stamp| imu.map(|(imu, _)| at.plus_seconds(offset).seconds_since(imu));
         if let Some(ahead_s) = ahead(stamp).filter(|ahead_s| *ahead_s > AHEAD) {

@@ -60,11 +60,26 @@ struct Setup {
     status: StatusConfig,
     geometry: Option<Geometry>,
     frozen: bool,
+    /// Configured time offset of the camera with the steps of the clocks since, s.
+    camera_offset: f64,
+    /// The same after a step that a frozen filter does not follow yet, s.
+    stepped: Option<f64>,
 }
 
 impl Filter {
     /// Creates a filter without an estimate.
     pub fn new(rig: Rig, config: TightConfig, status: StatusConfig) -> Self {
+        let camera_offset = config.clock.camera_offset;
+        let setup = Setup {
+            rig,
+            config,
+            status,
+            geometry: None,
+            frozen: false,
+            camera_offset,
+            stepped: None,
+        };
+        let (rig, config) = (&setup.rig, &setup.config);
         Self {
             arrival: Arrival::default(),
             history: History::default(),
@@ -74,10 +89,10 @@ impl Filter {
             disturbances: Disturbances::default(),
             trust: EncoderTrust::default(),
             lock_out: LockOut::default(),
-            search: search(&config),
+            search: search(config),
             start: Start::default(),
-            publisher: Publisher::new(&config, &rig),
-            setup: Setup { rig, config, status, geometry: None, frozen: false },
+            publisher: Publisher::new(config, rig),
+            setup,
         }
     }
 
@@ -93,17 +108,24 @@ impl Filter {
     /// Stops or resumes using markers; what is not used is still compared and recorded.
     pub fn freeze(&mut self, frozen: bool) {
         self.setup.frozen = frozen;
+        self.follow_clock_step();
+    }
+
+    /// Takes the clocks to differ by the configured offset again.
+    pub fn forget_clock_steps(&mut self) {
+        self.setup.camera_offset = self.setup.config.clock.camera_offset;
+        self.setup.stepped = None;
     }
 
     /// Discards the estimate and everything identified; the next image initializes it. Counters,
-    /// camera and whether the IMU samples come in bursts stay.
+    /// camera, steps of the clocks and whether the IMU samples come in bursts stay.
     pub fn reset(&mut self) {
         self.archive_until(None);
-        let Setup { rig, config, status, geometry, frozen } = self.setup.clone();
-        let mut fresh = Self::new(rig, config, status);
+        let setup = self.setup.clone();
+        let mut fresh = Self::new(setup.rig.clone(), setup.config.clone(), setup.status.clone());
+        fresh.setup = setup;
         self.imu.keep_stamps_only();
         fresh.imu = std::mem::take(&mut self.imu);
-        (fresh.setup.geometry, fresh.setup.frozen) = (geometry, frozen);
         self.publisher.counts.inputs.overflows += self.history.overflows();
         fresh.publisher.keep_from(&mut self.publisher);
         *self = fresh;

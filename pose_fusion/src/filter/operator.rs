@@ -42,7 +42,7 @@ impl Filter {
 
     /// Refuses a state beyond physical bounds, with which the filter would reinitialize at once.
     fn check(&self, what: &'static str, state: &State) -> Result<(), Refusal> {
-        match sanity::violation(state, &self.setup.config) {
+        match sanity::violation(state, &self.setup.config, self.setup.camera_offset) {
             Some(why) => Err(Refusal::Invalid { what, why }),
             None => Ok(()),
         }

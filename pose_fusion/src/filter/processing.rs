@@ -62,7 +62,9 @@ impl Filter {
         while let Some((place, step)) = self.step(end) {
             let Some(entry) = self.history.get_mut(place) else { return };
             let at = entry.stamp;
-            if let Some(what) = sanity::violation(&entry.state, &self.setup.config) {
+            if let Some(what) =
+                sanity::violation(&entry.state, &self.setup.config, self.setup.camera_offset)
+            {
                 self.publisher.warn(Warning::Diverged { stamp: at, what });
                 self.publisher.counts.resets.divergences += 1;
                 self.lock_out.responded(at);
@@ -320,7 +322,7 @@ impl Filter {
         match (known, self.start.time_offset) {
             (Some(state), _) => state.time_offset,
             (None, Some(found)) => found.offset,
-            (None, None) => self.setup.config.clock.camera_offset,
+            (None, None) => self.setup.camera_offset,
         }
     }
 

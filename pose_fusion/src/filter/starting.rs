@@ -247,6 +247,7 @@ impl Filter {
 
     /// Puts a state at an instant of the time line and processes what is behind it.
     pub(super) fn set_state(&mut self, at: Stamp, state: State) {
+        let image = at.plus_seconds(-state.time_offset);
         self.start.initial_offset = state.time_offset;
         self.start.settled = SettledOffset { since: at, offset: state.time_offset };
         let place = self.history.place_of(at);
@@ -272,7 +273,7 @@ impl Filter {
             entry.state = state;
         }
         self.history.set_processed(1);
-        self.lock_out.note_start(at);
+        self.lock_out.note_start(image);
         self.process();
     }
 

@@ -43,7 +43,7 @@ impl Filter {
         let Some(geometry) = &self.setup.geometry else { return };
         let Some(mut search) = self.search.take() else { return };
         // What is searched is the rest beside the configured offset.
-        let middle = self.setup.config.clock.camera_offset;
+        let middle = self.setup.camera_offset;
         if self.trust.cause().is_some_and(|cause| cause != Cause::Contradiction) {
             // Image poses are as wrong as the encoders that they are computed with. A contradiction
             // may as well come from the time offset.

@@ -7,10 +7,11 @@ const LARGEST_BIAS: [f64; 2] = [5.0, 1.0];
 /// Latency that the history must hold beside the time offset, s.
 const LATENCY: f64 = 0.1;
 
-/// Returns the first bound of finite numbers and physics that a state violates.
-pub fn violation(state: &State, config: &TightConfig) -> Option<&'static str> {
+/// Returns the first bound of finite numbers and physics that a state violates. `camera_offset`, s, is
+/// the configured time offset with what steps of the clocks added.
+pub fn violation(state: &State, config: &TightConfig, camera_offset: f64) -> Option<&'static str> {
     let from_climber = (state.position.xy() - state.climber.xy()).norm();
-    let offset = state.time_offset - config.clock.camera_offset;
+    let offset = state.time_offset - camera_offset;
     let largest_offset = (config.history - LATENCY).clamp(REACH, REACH + 0.1);
     if !state.is_finite() {
         Some("a number is not finite")
@@ -38,7 +39,7 @@ mod tests {
     #[test]
     fn every_bound_is_checked_and_named() {
         let config = TightConfig::default();
-        assert_eq!(violation(&State::zero(), &config), None);
+        assert_eq!(violation(&State::zero(), &config, 0.0), None);
         let spoil: [(Spoil, &str); 6] = [
             (|s| s.position.x = 100.0, "limits.max_range"),
             (|s| s.velocity.z = 20.0, "limits.max_speed"),
@@ -50,7 +51,7 @@ mod tests {
         for (change, name) in spoil {
             let mut state = State::zero();
             change(&mut state);
-            let what = violation(&state, &config);
+            let what = violation(&state, &config, 0.0);
             assert!(what.is_some_and(|what| what.contains(name)), "{name}: {what:?}");
         }
     }

@@ -63,6 +63,8 @@ pub struct RejectedCounts {
 pub struct ResetCounts {
     /// Time jumped back: everything was reinitialized.
     pub time_jumps: u64,
+    /// The IMU's clock stepped against that of camera and encoders.
+    pub clock_steps: u64,
     /// Shocks of the platform that images revealed.
     pub shocks: u64,
     /// Poses reinitialized from markers that had contradicted the estimate.

@@ -34,6 +34,7 @@ pub fn values(s: &Status) -> Vec<(&'static str, String)> {
         ("duplicates", inputs.duplicates.to_string()),
         ("history overflows", inputs.overflows.to_string()),
         ("jumps of time", resets.time_jumps.to_string()),
+        ("steps of a clock", resets.clock_steps.to_string()),
         ("camera time offset (ms)", offset),
         ("camera time offset known", (!s.time_offset.searching).to_string()),
         ("accelerometer noise density", format!("{:.5}", s.imu.densities.force.sqrt())),

@@ -32,8 +32,8 @@ pub enum Warning {
     #[error("time jumped back by {by_s:.3} s; the filter reinitializes")]
     TimeJump { by_s: f64 },
     #[error(
-        "the IMU's clock stepped by {by_s:+.3} s against that of camera and encoders; the filter \
-         reinitializes: keep both clocks synchronized (docs, Two computers)"
+        "the IMU's clock stepped by {by_s:+.3} s against that of camera and encoders, and the \
+         time offset with it (unless `clock.camera` is 0): keep the clocks synchronized"
     )]
     ClockStep { by_s: f64 },
     #[error(

@@ -125,6 +125,8 @@ impl Arrival {
         let ahead = stamp.seconds_since(newest);
         if !(-JUMP..=STRAY).contains(&ahead) {
             let count = match self.jump {
+                // The same sample twice is no further one.
+                Some((last, count)) if stamp == last => count,
                 Some((last, count)) if stamp > last && stamp.seconds_since(last) < JUMP => {
                     count + 1
                 }
@@ -244,6 +246,11 @@ mod tests {
         for _ in 0..5 {
             assert!(matches!(arrival.classify(at(5000)), ImuArrival::Unconfirmed(_)));
         }
+        // Two publishers of the same samples.
+        for ms in [5010, 5010] {
+            assert!(matches!(arrival.classify(at(ms)), ImuArrival::Unconfirmed(_)));
+        }
+        assert!(matches!(arrival.classify(at(5020)), ImuArrival::Next(_)));
     }
 
     #[test]

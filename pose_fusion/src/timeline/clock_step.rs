@@ -16,62 +16,61 @@ const SETTLING: f64 = 0.15;
 const IMAGES: u32 = 3;
 /// A change of the lag by a step of `s` is that but for this share of `s`.
 const SHARE: f64 = 0.3;
-/// Number of messages whose median is the usual lag, and the fewest that give one.
-const KEPT: usize = 15;
+/// Number of lags whose median is the usual one, the fewest that give one, and the time between two
+/// of them, s: a link that is congested for less than five seconds does not change it.
+const LAGS: usize = 101;
 const FEWEST: usize = 5;
+const SPACING: f64 = 0.1;
+/// Number of intervals between images whose median is the usual one.
+const INTERVALS: usize = 15;
+/// A jump that is not confirmed within this time is none of a clock, s.
+const FORGOTTEN: f64 = 2.0;
 
-/// Median of the newest numbers.
-#[derive(Clone, Copy, Debug, Default)]
-struct Usual {
-    newest: [f64; KEPT],
+/// Median of the newest `N` numbers.
+#[derive(Clone, Copy, Debug)]
+struct RunningMedian<const N: usize> {
+    newest: [f64; N],
     count: usize,
+    next: usize,
 }
 
-impl Usual {
+impl<const N: usize> Default for RunningMedian<N> {
+    fn default() -> Self {
+        Self { newest: [0.0; N], count: 0, next: 0 }
+    }
+}
+
+impl<const N: usize> RunningMedian<N> {
     fn add(&mut self, number: f64) {
-        self.newest.rotate_left(1);
-        self.newest[KEPT - 1] = number;
-        self.count = (self.count + 1).min(KEPT);
+        self.newest[self.next] = number;
+        self.next = (self.next + 1) % N;
+        self.count = (self.count + 1).min(N);
     }
 
     fn median(&self) -> Option<f64> {
         let mut sorted = self.newest;
-        let sorted = &mut sorted[KEPT - self.count..];
+        let sorted = &mut sorted[..self.count];
         sorted.sort_unstable_by(f64::total_cmp);
         sorted.get(self.count / 2).copied().filter(|_| self.count >= FEWEST)
     }
 }
 
-/// Messages of the camera or the encoders.
+/// Time of the newest IMU sample since the stamp of a message of one source, when it arrives.
 #[derive(Clone, Debug, Default)]
-struct Lags {
-    newest: Option<Stamp>,
-    /// Time from one message to the next, s.
-    interval: Usual,
-    /// Time of the newest IMU sample since the message, when it arrives, s.
-    lag: Usual,
-    /// An IMU sample has come since the newest message.
-    is_current: bool,
-    /// Change of the lag since a jump, s.
+struct Lag {
+    usual: RunningMedian<LAGS>,
+    /// Newest IMU sample when a lag was added last.
+    added: Option<Stamp>,
+    /// Change since a jump, s.
     changed: Option<f64>,
 }
 
-impl Lags {
-    /// Notes the stamp of a message. Returns by how much it is further from the one before than
-    /// usual, s.
-    fn advance(&mut self, stamp: Stamp) -> Option<f64> {
-        let interval = stamp.seconds_since(self.newest.replace(stamp)?);
-        let more = self.interval.median().map(|usual| interval - usual);
-        if more.is_none_or(|more| more.abs() < SMALLEST) {
-            self.interval.add(interval);
-        }
-        more
-    }
-
-    /// Adds a lag, unless the IMU is silent: it shrinks then.
-    fn add(&mut self, lag: f64) {
-        if std::mem::take(&mut self.is_current) {
-            self.lag.add(lag);
+impl Lag {
+    /// Adds a lag unless one was added just before, or the IMU is silent: it shrinks then.
+    fn add(&mut self, lag: f64, imu: Stamp) {
+        if self.added.is_none_or(|added| !(0.0..SPACING).contains(&imu.seconds_since(added))) {
+            self.usual.add(lag);
+            self.added = Some(imu);
         }
     }
 }
@@ -81,7 +80,7 @@ impl Lags {
 struct Jump {
     /// Change of the time offset, s.
     by: f64,
-    /// Newest IMU sample then, behind the jump.
+    /// First IMU sample with the new stamps, or newest one where those of the images jumped.
     at: Stamp,
     /// Time offset before, s.
     offset: f64,
@@ -101,8 +100,11 @@ pub struct ClockStep {
 #[derive(Clone, Debug, Default)]
 pub struct ClockSteps {
     imu: Option<Stamp>,
-    images: Lags,
-    encoders: Lags,
+    image: Option<Stamp>,
+    /// Time from one image to the next, s.
+    interval: RunningMedian<INTERVALS>,
+    images: Lag,
+    encoders: Lag,
     jump: Option<Jump>,
 }
 
@@ -111,7 +113,6 @@ impl ClockSteps {
     /// IMU's period, s; `offset`: the camera time offset before it, s.
     pub fn imu(&mut self, stamp: Stamp, jump: f64, offset: f64) {
         self.imu = Some(stamp);
-        (self.images.is_current, self.encoders.is_current) = (true, true);
         if jump.abs() > SMALLEST {
             self.jumps(jump, stamp, offset);
         }
@@ -123,32 +124,41 @@ impl ClockSteps {
         (self.images.changed, self.encoders.changed) = (None, None);
     }
 
+    /// By how much the stamp of an image is further from the one before than usual, s.
+    fn jump_of_image(&mut self, stamp: Stamp) -> Option<f64> {
+        let interval = stamp.seconds_since(self.image.replace(stamp)?);
+        let more = self.interval.median().map(|usual| interval - usual);
+        self.interval.add(interval);
+        more.filter(|more| more.abs() > SMALLEST)
+    }
+
     /// Notes an image or encoder reading as it arrives. Returns the step that it confirms.
-    pub fn other(&mut self, source: Source, stamp: Stamp, offset: f64) -> Option<ClockStep> {
+    pub fn message(&mut self, source: Source, stamp: Stamp, offset: f64) -> Option<ClockStep> {
         let imu = self.imu?;
         let is_image = source == Source::Image;
-        let lags = if is_image { &mut self.images } else { &mut self.encoders };
-        let jump = lags.advance(stamp).filter(|by| is_image && by.abs() > SMALLEST);
-        if let Some(by) = jump {
+        if let Some(by) = if is_image { self.jump_of_image(stamp) } else { None } {
             self.jumps(-by, imu, offset);
         }
-        let lags = if is_image { &mut self.images } else { &mut self.encoders };
         let lag = imu.seconds_since(stamp);
+        let source = if is_image { &mut self.images } else { &mut self.encoders };
         let Some(jump) = &mut self.jump else {
-            lags.add(lag);
+            source.add(lag, imu);
             return None;
         };
-        if (0.0..SETTLING).contains(&imu.seconds_since(jump.at)) {
+        let since = imu.seconds_since(jump.at);
+        if (0.0..SETTLING).contains(&since) {
             return None;
         }
-        lags.changed = lags.lag.median().map(|usual| lag - usual);
-        if !is_image {
+        source.changed = source.usual.median().map(|usual| lag - usual);
+        let waits = self.encoders.usual.median().is_some() && self.encoders.changed.is_none();
+        if !is_image || waits && since < FORGOTTEN {
             return None;
         }
         jump.images += 1;
         let Jump { by, offset, images, .. } = *jump;
         let is_step = |change: f64| (change - by).abs() < SHARE * by.abs();
-        if by.abs() < SMALLEST
+        if waits
+            || by.abs() < SMALLEST
             || !self.images.changed.is_some_and(is_step)
             || !self.encoders.changed.is_none_or(is_step)
         {
@@ -177,6 +187,8 @@ mod tests {
         stall: f64,
         /// Later messages of the images and encoders are delayed by this, s.
         delay: [f64; 2],
+        /// The same of those in the second before, s.
+        congested: [f64; 2],
     }
 
     /// Returns the steps that are found in 4 s: IMU at 100 Hz, images at 30 Hz, encoders at 50 Hz.
@@ -191,7 +203,12 @@ mod tests {
                 }
                 let step = if kind == 0 { event.imu } else { event.camera };
                 let stamp = 100.0 + t + if since >= 0.0 { step } else { 0.0 };
-                let delay = if kind > 0 && since >= 0.0 { event.delay[kind - 1] } else { 0.0 };
+                let delay = match kind {
+                    0 => 0.0,
+                    _ if since >= 0.0 => event.delay[kind - 1],
+                    _ if since >= -1.0 => event.congested[kind - 1],
+                    _ => 0.0,
+                };
                 let mut arrives = t + latency + delay;
                 if (0.0..event.stall).contains(&since) {
                     arrives = 2.0 + event.stall + 1e-3 * kind as f64 + 1e-6 * k as f64;
@@ -209,7 +226,7 @@ mod tests {
                 steps.imu(at, jump, 0.0);
             } else {
                 let source = if kind == 1 { Source::Image } else { Source::Encoders };
-                result.extend(steps.other(source, at, 0.0).map(|step| step.by));
+                result.extend(steps.message(source, at, 0.0).map(|step| step.by));
             }
         }
         result
@@ -240,6 +257,7 @@ mod tests {
                 Event { delay: [t, 0.0], ..Event::default() },
                 Event { delay: [t; 2], ..Event::default() },
                 Event { delay: [t, 0.0], lost: [t, 0.0, 0.0], ..Event::default() },
+                Event { congested: [t; 2], lost: [0.0, t, t], ..Event::default() },
                 Event { imu: t, camera: t, ..Event::default() },
                 Event { imu: -t, camera: -t, ..Event::default() },
             ] {

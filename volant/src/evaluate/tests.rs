@@ -6,6 +6,11 @@ const START: i64 = 1_700_000_000_000_000_000;
 
 /// Writes odometry at 100 Hz, stamped from [`START`] on and logged `late` s after its stamps.
 fn odometry(path: &Path, topic: &str, seconds: f64, late: f64) {
+    odometry_at(path, topic, seconds, late, 0.0);
+}
+
+/// The same at a place on the x axis, m, known to 1 mm.
+fn odometry_at(path: &Path, topic: &str, seconds: f64, late: f64, x: f64) {
     let mut bag = BagWriter::create(path, WriteOptions::default()).unwrap();
     let topic = bag.add_topic(Topic::of::<Odometry>(topic, &Qos::RELIABLE));
     for i in 0..(100.0 * seconds) as u32 {
@@ -13,6 +18,8 @@ fn odometry(path: &Path, topic: &str, seconds: f64, late: f64) {
         let mut message =
             Odometry { header: convert::header("world", stamp), ..Odometry::default() };
         message.pose.pose.orientation.w = 1.0;
+        message.pose.pose.position.x = x;
+        message.pose.covariance = std::array::from_fn(|i| if i % 7 == 0 { 1e-6 } else { 0.0 });
         let logged = u64::try_from(stamp.plus_seconds(late).as_nanos()).unwrap();
         bag.write_message(topic, logged, &message).unwrap();
     }
@@ -74,12 +81,15 @@ fn the_page_has_the_table_the_curves_and_the_losses() {
     let folder = tempfile::tempdir().unwrap();
     let options = options(folder.path());
     odometry(&options.truth, topics::absolute::GROUND_TRUTH, 3.0, 0.0);
-    odometry(&options.estimates, topics::absolute::ODOMETRY, 3.0, 0.0);
+    odometry_at(&options.estimates, topics::absolute::ODOMETRY, 3.0, 0.0, 0.002);
     let mut evaluation = evaluate(&options).unwrap();
     evaluation.losses.push("the bag was cut".into());
     let html = page(&evaluation, &options).unwrap().render();
-    for part in ["volant evaluate ", "0.000 / 0.000", "the bag was cut", "error [mm]"] {
+    for part in ["volant evaluate ", "2.000 / 2.000", "the bag was cut", "error [mm]"] {
         assert!(html.contains(part), "{part}");
     }
     assert_eq!(html.matches("<figure>").count(), 2);
+    let [fused] = &evaluation.estimates[..] else { panic!("{evaluation:?}") };
+    assert!((fused.axes_mm[0].rmse - 2.0).abs() < 1e-9 && fused.axes_mm[1].max < 1e-9);
+    assert!(table(&evaluation).contains("4.0"), "NEES of 2 sigma on one axis");
 }

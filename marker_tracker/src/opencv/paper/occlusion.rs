@@ -4,7 +4,7 @@ use nalgebra::{Matrix2, Vector2};
 use rig_model::{MarkerObservation, MarkerState, PerColor};
 
 /// Standard deviation of a whole marker's centroid, per axis, px. On the recorded bags the RMS is
-/// 0.10 to 0.36 px from marker to marker; `tests/bags.rs` bounds the normalized squared error.
+/// 0.10 to 0.36 px from marker to marker; `tests/bags` bounds the normalized squared error.
 const DETECTED_SIGMA: f64 = 0.25;
 /// Share of the area that noise may take away.
 const MISSING_NOISE: f64 = 0.05;

@@ -29,10 +29,12 @@ pub(crate) struct Arguments {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    for seed in arguments.seed..arguments.seed + arguments.runs {
+    for seed in arguments.seed..arguments.seed.saturating_add(arguments.runs) {
         let folder = arguments.out.join(format!("run_{seed:05}"));
         let (bag, rig) = (folder.join("in.mcap"), folder.join("rig.yaml"));
-        files::check_output(&bag, arguments.overwrite, &[])?;
+        for output in [&bag, &rig] {
+            files::check_output(output, arguments.overwrite, &[])?;
+        }
         fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
         let scenario = Scenario::swing(seed, arguments.seconds)?;
         let frames = scenario.rig.frames.clone();
