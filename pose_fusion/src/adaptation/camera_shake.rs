@@ -23,6 +23,8 @@ const LARGE: f64 = 4.5;
 const ALTERNATING: f64 = 0.2;
 /// Images further apart than this say nothing: the error of the motion grows, s.
 const APART: f64 = 0.25;
+/// Variance of a shake that the first images cannot exclude, px².
+const UNKNOWN: f64 = 0.2 * 0.2;
 /// `−E[d[k] d[k−1]]` and `E[d²]` of white noise of variance 1.
 const WHITE: [f64; 2] = [4.0, 6.0];
 
@@ -37,6 +39,8 @@ pub struct CameraShake {
     /// Mean square of the second differences, and of what each takes back of the one before, px².
     square: Vector2<f64>,
     alternating: Vector2<f64>,
+    /// Number of second differences in the means, up to [`MEMORY`].
+    count: f64,
     /// Variance of the mean marker that the newest image claims, px².
     claimed: Vector2<f64>,
 }
@@ -50,13 +54,15 @@ impl CameraShake {
         let change = self.change_to(stamp, record);
         self.claimed = record.mean_variance;
         let bend = change.zip(self.change).map(|(change, before)| {
-            let most = self.square.sup(&(self.claimed * WHITE[1]));
+            let least = self.claimed.add_scalar(self.doubt()) * WHITE[1];
+            let most = self.square.sup(&least);
             let most = most.map(|square| SURPRISING * square.sqrt());
             (change - before).zip_map(&most, |d, most| d.clamp(-most, most))
         });
         if let (Some(bend), Some(before)) = (bend, self.bend) {
-            self.square += (bend.component_mul(&bend) - self.square) / MEMORY;
-            self.alternating -= (bend.component_mul(&before) + self.alternating) / MEMORY;
+            self.count = (self.count + 1.0).min(MEMORY);
+            self.square += (bend.component_mul(&bend) - self.square) / self.count;
+            self.alternating -= (bend.component_mul(&before) + self.alternating) / self.count;
         }
         (self.change, self.bend) = (change, bend);
         self.corrected(stamp, record);
@@ -101,8 +107,14 @@ impl CameraShake {
             let variance = alternating / WHITE[0];
             let shakes =
                 variance > LARGE * claimed && alternating > ALTERNATING * self.square[axis];
-            if shakes { variance - claimed } else { 0.0 }
+            let found = if shakes { variance - claimed } else { 0.0 };
+            found.max(self.doubt())
         })
+    }
+
+    /// Returns the variance of a shake that too few images exclude, px².
+    fn doubt(&self) -> f64 {
+        UNKNOWN * (1.0 - self.count / MEMORY).powi(2)
     }
 }
 
@@ -158,6 +170,7 @@ mod tests {
         // 9 Hz at 30 images per second.
         let vibration = found(|k, _| all(0.3 * (k as f64 * 1.885).sin()));
         assert!((0.01..0.1).contains(&vibration), "{vibration}");
+        assert_eq!(CameraShake::default().variance(), Vector2::repeat(UNKNOWN));
         let none = found(|_, _| all(0.0));
         let motion = found(|k, _| all(20.0 * (k as f64 * 0.2).sin()));
         let shocks = found(|k, _| all(2.0 * (k / 60) as f64));

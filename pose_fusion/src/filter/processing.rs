@@ -219,7 +219,7 @@ impl Filter {
                 self.search_again(agrees && grows);
             }
         }
-        let limit = if agrees { limit } else { DISAGREEING * limit };
+        let limit = if agrees || !settled { limit } else { DISAGREEING * limit };
         let response = self.lock_out.note(stamp, seen, record.used, limit, excused);
         if response != Response::None && self.trust.restore_after_contradiction(at) {
             self.climber.clear_stop();
