@@ -251,6 +251,36 @@ fn a_folder_of_the_users_is_left_alone_by_the_simulated_rig() {
 }
 
 #[test]
+fn simulated_runs_replace_nothing_unasked_and_none_is_left_half_written() {
+    let place = TempDir::new().unwrap();
+    let out = place.path().to_str().unwrap();
+    let simulate = |more: &[&str]| {
+        command(&[&["simulate", "--out", out, "--runs", "2", "--seconds"], more].concat())
+    };
+    assert_eq!(simulate(&["1", "--runs", "0"]).output().unwrap().status.code(), Some(2));
+    // The second run exists: the first one is not written either.
+    let mine = place.path().join("run_00002/rig.yaml");
+    fs::create_dir_all(mine.parent().unwrap()).unwrap();
+    fs::write(&mine, "mine").unwrap();
+    refused(&simulate(&["1"]).output().unwrap(), &["run_00002/rig.yaml", "exists already"]);
+    assert_eq!(fs::read(&mine).unwrap(), b"mine");
+    assert!(!place.path().join("run_00001").exists());
+    succeeded(&simulate(&["1", "--overwrite"]).output().unwrap());
+    let bag = place.path().join("run_00001/in.mcap");
+    let former = fs::read(&bag).unwrap();
+    let interrupted = simulate(&["3600", "--overwrite"]).spawn().unwrap();
+    std::thread::sleep(Duration::from_millis(300));
+    kill_process(Pid::from_child(&interrupted), Signal::INT).unwrap();
+    let status = interrupted.wait_with_output().unwrap().status;
+    assert!(!status.success(), "{status}");
+    assert!(fs::read(&bag).unwrap() == former);
+    let folder = fs::read_dir(place.path().join("run_00001")).unwrap();
+    let mut names: Vec<_> = folder.map(|entry| entry.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["in.mcap", "rig.yaml"], "nothing else is left");
+}
+
+#[test]
 fn a_reproduction_keeps_other_results_and_replaces_its_own_on_request() {
     let place = TempDir::new().unwrap();
     let out = place.path().to_str().unwrap();

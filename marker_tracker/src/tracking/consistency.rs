@@ -19,6 +19,10 @@ const GATE: f64 = 4.0;
 /// centroid, plus what the adapted layout leaves. Tuned; guarded by `tests/bags`.
 const REPROJECTION: (f64, f64) = (0.08, 2.5);
 
+/// How evenly paper is cut by hand: largest deviation of an edge's bias from that of the other
+/// markers, px, and in units of the side (0.8 mm of 76 mm).
+pub(super) const UNEVEN: (f64, f64) = (0.25, 0.01);
+
 /// Tolerances of a square's shape in the pose of `count` markers.
 struct ShapeTolerance {
     /// Width between opposite edges, px.
@@ -36,6 +40,7 @@ impl ShapeTolerance {
             (true, true, 4) => (0.1 + 0.004 * side, 0.01),
             (true, true, 3) => (0.2 + 0.008 * side, 0.015),
             (true, true, _) => (0.5 + 0.03 * side, 0.06),
+            (true, false, 3..) => (2.0 * (UNEVEN.0 + UNEVEN.1 * side), 0.08),
             (true, false, _) => (1.0 + 0.05 * side, 0.08),
             (false, ..) => (1.5 + 0.15 * side, 0.15),
         };
@@ -45,18 +50,21 @@ impl ShapeTolerance {
 
 /// How far an outline is off the shape that a pose, determined by `count` markers, gives it, in
 /// units of its tolerance: the widths between opposite edges and the directions of the measured
-/// edges. Whatever hides an edge, or continues it in its color, shows in them.
+/// edges. Whatever hides an edge, or continues it in its color, shows in them. A marker whose shape
+/// is not known has the `typical_bias` of the others.
 pub(super) fn misfit(
     platform: &PlatformModel,
     color: MarkerColor,
     fit: &QuadFit,
     view: &View<'_>,
     count: usize,
+    typical_bias: f64,
 ) -> f64 {
     let Some(expected) = platform.outline(color, view) else { return f64::INFINITY };
     let geometry = &platform.markers[color];
     let side = fit.area.sqrt();
     let tolerance = ShapeTolerance::new(view.is_known, geometry.is_shape_known(), count, side);
+    let edge_bias = if geometry.is_shape_known() { geometry.edge_bias } else { [typical_bias; 2] };
     // While the layout is still adapting, so is the shape.
     let misplacement = platform.largest_misplacement();
     let width = tolerance.width + 1.5 * misplacement;
@@ -66,7 +74,7 @@ pub(super) fn misfit(
         // Width k is the distance between the edges k and k + 2.
         let (Some(a), Some(b)) = (fit.edges[k], fit.edges[k + 2]) else { continue };
         let sigma = (a.covariance[(0, 0)] + b.covariance[(0, 0)]).sqrt();
-        let off = (measured - predicted - 2.0 * geometry.edge_bias[k]).abs();
+        let off = (measured - predicted - 2.0 * edge_bias[k]).abs();
         worst = worst.max(off / (width + GATE * sigma));
     }
     let turns = expected.turns_to(&fit.quad);
@@ -77,6 +85,23 @@ pub(super) fn misfit(
         worst = worst.max((turn - mean).abs() / (slope + GATE * sigma));
     }
     worst
+}
+
+/// Returns by how much the edges of whole outlines lie outside of their prediction, px (median):
+/// the markers share paper, scissors and blooming.
+pub(super) fn typical_bias(platform: &PlatformModel, whole: &Fits, view: &View<'_>) -> f64 {
+    let mut biases = [0.0; 8];
+    let mut count = 0;
+    for (color, fit) in whole.iter() {
+        let (Some(fit), Some(expected)) = (fit, platform.outline(color, view)) else { continue };
+        for (measured, predicted) in fit.quad.widths().iter().zip(expected.widths()) {
+            biases[count] = (measured - predicted) / 2.0;
+            count += 1;
+        }
+    }
+    let biases = &mut biases[..count];
+    biases.sort_unstable_by(f64::total_cmp);
+    biases.get(count / 2).copied().unwrap_or_default()
 }
 
 /// Checks whole outlines against one pose.
@@ -115,10 +140,11 @@ impl Consistency<'_> {
                 return (pose, removed);
             }
             let view = View { pose, ..*start };
+            let typical = typical_bias(self.platform, whole, &view);
             let (mut worst, mut culprit) = (0.0, None);
             for (color, fit) in whole.iter() {
                 let Some(fit) = fit else { continue };
-                let off = misfit(self.platform, color, fit, &view, count);
+                let off = misfit(self.platform, color, fit, &view, count, typical);
                 if off > worst {
                     (worst, culprit) = (off, Some(color));
                 }
@@ -129,7 +155,7 @@ impl Consistency<'_> {
                 }
                 culprit = self.strangest(whole);
             }
-            let Some(culprit) = culprit else { return (pose, removed) };
+            let Some(culprit) = self.newcomer(whole).or(culprit) else { return (pose, removed) };
             whole[culprit] = None;
             removed[culprit] = true;
         }
@@ -153,6 +179,16 @@ impl Consistency<'_> {
             }
             (false, _) => 3.0,
         }
+    }
+
+    /// The marker that was not seen in the last image, where at least two others were: the pose
+    /// that contradicts them is its own. Of several the one furthest from its prediction.
+    fn newcomer(&self, whole: &Fits) -> Option<MarkerColor> {
+        let fits = || whole.iter().filter_map(|(c, f)| Some((c, f.as_ref()?)));
+        let seen = |c: MarkerColor| self.tracks[c].centroid.is_some();
+        let known = fits().filter(|(c, _)| seen(*c)).count();
+        let new = fits().filter(|(c, _)| known >= 2 && !seen(*c));
+        new.max_by(|a, b| a.1.miss.total_cmp(&b.1.miss)).map(|(c, _)| c)
     }
 
     /// The marker whose displacement since the last image differs most from the others' (median of

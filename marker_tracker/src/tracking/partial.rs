@@ -11,7 +11,7 @@ use crate::{
     signal::Sampler,
     tracking::{
         camera::View,
-        consistency::{Fits, misfit},
+        consistency::{Fits, misfit, typical_bias},
         marker::MarkerTrack,
         meter::{KNOWN, OutlineMeter, SEARCH},
         outcome::Outcome,
@@ -181,7 +181,8 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
             return Outcome::Covered;
         }
         let count = self.detected.min(3);
-        if misfit(platform, color, &fit, self.view, count) > 1.0 {
+        let typical = typical_bias(platform, self.whole, self.view);
+        if misfit(platform, color, &fit, self.view, count, typical) > 1.0 {
             return Outcome::OtherShape;
         }
         match platform.layout.projected_centroid(color, self.view.camera, &self.view.pose) {

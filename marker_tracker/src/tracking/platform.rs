@@ -6,7 +6,7 @@ use crate::{
     geometry::{Geometry, PoseObservation, project_square},
     outline::QuadFit,
     quad::Quad,
-    tracking::camera::View,
+    tracking::{camera::View, consistency::UNEVEN},
 };
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, PerColor};
 
@@ -167,9 +167,6 @@ impl PlatformModel {
         /// an edge's noise of 0.05 px.
         const EXCESS: f64 = 0.2;
         const DEFICIT: f64 = 0.15;
-        /// Largest deviation from the other markers' bias, px, and in units of the side (0.8 mm of
-        /// 76 mm): how evenly paper is cut by hand.
-        const UNEVEN: (f64, f64) = (0.25, 0.01);
         let others = self.markers.iter().filter(|(c, m)| *c != color && m.is_shape_known());
         let (mut mean, mut count) = (0.0, 0.0);
         for (_, m) in others {

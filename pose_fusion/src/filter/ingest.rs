@@ -67,17 +67,8 @@ impl Filter {
             Err(what) => return self.publisher.reject(Warning::NotFinite { from, stamp, what }),
         };
         match self.arrival.classify(stamp) {
-            ImuArrival::First => {
-                let offset = self.time_offset();
-                self.imu.clocks.imu(stamp, 0.0, offset);
-                self.next_imu(sample, reading, None);
-            }
-            ImuArrival::Next(dt) => {
-                let jump = dt - self.imu.period();
-                let offset = self.time_offset();
-                self.imu.clocks.imu(stamp, jump, offset);
-                self.next_imu(sample, reading, Some(dt));
-            }
+            ImuArrival::First => self.newer_imu(sample, reading, None),
+            ImuArrival::Next(dt) => self.newer_imu(sample, reading, Some(dt)),
             ImuArrival::NotNewer => self.late_imu(sample, reading),
             ImuArrival::Unconfirmed(ahead_s) => {
                 self.publisher.reject(if ahead_s < 0.0 {
@@ -88,6 +79,14 @@ impl Filter {
             }
             ImuArrival::Back(by_s) => self.set_back(sample, reading, by_s),
         }
+    }
+
+    /// Takes in a sample `dt` seconds after the one before.
+    fn newer_imu(&mut self, sample: &ImuSample, reading: ImuReading, dt: Option<f64>) {
+        let jump = dt.map_or(0.0, |dt| dt - self.imu.period());
+        let offset = self.time_offset();
+        self.imu.clocks.imu(sample.stamp, jump, offset);
+        self.next_imu(sample, reading, dt);
     }
 
     /// Starts again with a sample of an IMU whose clock was set back.

@@ -223,3 +223,20 @@ fn conclude(seen: &mut Seen) {
         seen.failures.push(format!("at {when:.0} s, {fault}: back after {after:.1} s"));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_node_without_a_newer_message_is_silent() {
+        let at = Stamp::from_nanos;
+        let mut received = Received::default();
+        assert_eq!(silent(&received, at(1)).count(), 4);
+        received.imu.push((at(2), Default::default()));
+        received.climber.push((at(3), Default::default()));
+        received.odometry.extend([(at(1), Default::default()), (at(2), Default::default())]);
+        assert_eq!(silent(&received, at(2)).collect::<Vec<_>>(), ["marker_tracker"]);
+        assert_eq!(silent(&received, at(3)).count(), 3);
+    }
+}

@@ -15,7 +15,7 @@ pub(crate) struct Arguments {
     #[arg(long)]
     out: PathBuf,
     /// Number of runs
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     runs: u64,
     /// Duration of each, s
     #[arg(long, default_value_t = 10.0, value_parser = number(1.0..=3600.0))]
@@ -29,12 +29,18 @@ pub(crate) struct Arguments {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    for seed in arguments.seed..arguments.seed.saturating_add(arguments.runs) {
+    let seeds = arguments.seed..arguments.seed.saturating_add(arguments.runs);
+    let outputs = |seed: u64| {
         let folder = arguments.out.join(format!("run_{seed:05}"));
-        let (bag, rig) = (folder.join("in.mcap"), folder.join("rig.yaml"));
+        (folder.join("in.mcap"), folder.join("rig.yaml"), folder)
+    };
+    for (bag, rig, _) in seeds.clone().map(outputs) {
         for output in [&bag, &rig] {
             files::check_output(output, arguments.overwrite, &[])?;
         }
+    }
+    for seed in seeds {
+        let (bag, rig, folder) = outputs(seed);
         fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
         let scenario = Scenario::swing(seed, arguments.seconds)?;
         let frames = scenario.rig.frames.clone();

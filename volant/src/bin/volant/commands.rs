@@ -80,8 +80,14 @@ pub fn listing() -> String {
         let about = about.map(ToString::to_string).or_else(external);
         about.unwrap_or_else(|| "Print the help of a command".to_owned())
     };
+    let grouped = |name: &&str| GROUPS.iter().any(|(_, names)| names.contains(name));
+    let all = own.get_subcommands().map(Command::get_name).chain(EXTERNAL.iter().map(|e| e.name));
+    let rest: Vec<&str> = all.filter(|name| !grouped(name)).collect();
     let mut text = String::new();
-    for (title, names) in GROUPS {
+    for (title, names) in GROUPS.into_iter().chain([("Other", rest.as_slice())]) {
+        if names.is_empty() {
+            continue;
+        }
         let rows = names.iter().map(|name| format!("  {name:<12} {}\n", about(name)));
         let _ = write!(text, "\n{title}:\n{}", rows.collect::<String>());
     }

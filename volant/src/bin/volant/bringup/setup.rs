@@ -132,8 +132,8 @@ fn mounting(name: &str, known: &nalgebra::Isometry3<f64>) -> Result<[Setting; 2]
 /// The IMU: port, rate, units, noise.
 pub fn imu(walk: &mut Walk) -> Result<()> {
     outln!(
-        "  Connect the IMU (udev rule: launch_config/systemd/60-volant-imu.rules). imu_driver \
-         configures it at its start."
+        "  Connect the IMU: with the udev rule 60-volant-imu.rules, which the Debian package \
+         installs, it is /dev/volant_imu. imu_driver configures it at its start."
     )?;
     let question = "  f: find an Xsens IMU, Enter: its samples are published or recorded";
     if dialog::choose(question, &["", "f"])? == "f" {
