@@ -170,7 +170,9 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
             // takes more of them (tuned; guarded by `tests/synthetic` and `tests/bags`).
             (3.0 * place_sigma, 3, if trusted { 0.6 } else { 0.85 })
         } else {
-            (3.0 * place_sigma, 3, 0.92)
+            // A cover's edge would be taken for that of a marker whose shape is not known.
+            let edges = if self.view.is_known && !geometry.is_shape_known() { 4 } else { 3 };
+            (3.0 * place_sigma, edges, 0.92)
         };
         let own = || fit.edges.iter().flatten().filter(|e| !e.foreign);
         let touched = own().count() == 4
