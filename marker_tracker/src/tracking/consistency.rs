@@ -3,7 +3,11 @@
 use crate::{
     geometry::{PoseObservation, PosePrior},
     outline::QuadFit,
-    tracking::{camera::View, marker::MarkerTrack, platform::PlatformModel},
+    tracking::{
+        camera::View,
+        marker::MarkerTrack,
+        platform::{MarkerGeometry, PlatformModel},
+    },
 };
 use nalgebra::Isometry3;
 use rig_model::{MarkerColor, PerColor};
@@ -88,8 +92,11 @@ pub(super) fn misfit(
 }
 
 /// Returns by how much the edges of whole outlines lie outside of their prediction, px (median):
-/// the markers share paper, scissors and blooming.
+/// the markers share paper, scissors and blooming. 0 where the shapes of all are known.
 pub(super) fn typical_bias(platform: &PlatformModel, whole: &Fits, view: &View<'_>) -> f64 {
+    if platform.markers.0.iter().all(MarkerGeometry::is_shape_known) {
+        return 0.0;
+    }
     let mut biases = [0.0; 8];
     let mut count = 0;
     for (color, fit) in whole.iter() {
@@ -181,14 +188,14 @@ impl Consistency<'_> {
         }
     }
 
-    /// The marker that was not seen in the last image, where at least two others were: the pose
-    /// that contradicts them is its own. Of several the one furthest from its prediction.
+    /// The only marker without a place in the last image, where two or three others have one: they
+    /// were followed, and what contradicts them is another thing or a part of it.
     fn newcomer(&self, whole: &Fits) -> Option<MarkerColor> {
-        let fits = || whole.iter().filter_map(|(c, f)| Some((c, f.as_ref()?)));
         let seen = |c: MarkerColor| self.tracks[c].centroid.is_some();
-        let known = fits().filter(|(c, _)| seen(*c)).count();
-        let new = fits().filter(|(c, _)| known >= 2 && !seen(*c));
-        new.max_by(|a, b| a.1.miss.total_cmp(&b.1.miss)).map(|(c, _)| c)
+        let found = || MarkerColor::ALL.into_iter().filter(|c| whole[*c].is_some());
+        let followed = found().filter(|c| seen(*c)).count();
+        let mut new = found().filter(|c| !seen(*c));
+        new.next().filter(|_| followed >= 2 && new.next().is_none())
     }
 
     /// The marker whose displacement since the last image differs most from the others' (median of

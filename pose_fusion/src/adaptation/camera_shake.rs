@@ -39,7 +39,7 @@ pub struct CameraShake {
     /// Mean square of the second differences, and of what each takes back of the one before, px².
     square: Vector2<f64>,
     alternating: Vector2<f64>,
-    /// Number of second differences in the means, up to [`MEMORY`].
+    /// Number of images, up to [`MEMORY`].
     count: f64,
     /// Variance of the mean marker that the newest image claims, px².
     claimed: Vector2<f64>,
@@ -51,6 +51,8 @@ impl CameraShake {
         if !has_enough(record) {
             return;
         }
+        // At a rate at which images say nothing of a shake, the doubt fades as well.
+        self.count = (self.count + 1.0).min(MEMORY);
         let change = self.change_to(stamp, record);
         self.claimed = record.mean_variance;
         let bend = change.zip(self.change).map(|(change, before)| {
@@ -60,7 +62,6 @@ impl CameraShake {
             (change - before).zip_map(&most, |d, most| d.clamp(-most, most))
         });
         if let (Some(bend), Some(before)) = (bend, self.bend) {
-            self.count = (self.count + 1.0).min(MEMORY);
             self.square += (bend.component_mul(&bend) - self.square) / self.count;
             self.alternating -= (bend.component_mul(&before) + self.alternating) / self.count;
         }
@@ -133,7 +134,15 @@ mod tests {
 
     /// Variance found of images at 30 Hz whose markers are off by `error` px (image number), seen by
     /// a filter that takes half of each residual as motion.
-    fn found(mut error: impl FnMut(usize, &mut Random) -> [Vector2<f64>; 4]) -> f64 {
+    fn found(error: impl FnMut(usize, &mut Random) -> [Vector2<f64>; 4]) -> f64 {
+        found_at(33_000_000, error)
+    }
+
+    /// The same with another time between images, ns.
+    fn found_at(
+        interval: i64,
+        mut error: impl FnMut(usize, &mut Random) -> [Vector2<f64>; 4],
+    ) -> f64 {
         let (mut shake, mut random) = (CameraShake::default(), Random::new(4));
         let (mut position, mut velocity) = (Vector2::zeros(), Vector2::zeros());
         for k in 0..300 {
@@ -157,7 +166,7 @@ mod tests {
             for (marker, residual) in record.markers.iter_mut().zip(residuals) {
                 marker.residual = residual;
             }
-            shake.add(Stamp::from_nanos(1 + 33_000_000 * k as i64), &record);
+            shake.add(Stamp::from_nanos(1 + interval * k as i64), &record);
         }
         shake.variance().mean()
     }
@@ -179,6 +188,7 @@ mod tests {
             errors[1].x = 30.0 * random.normal();
             errors
         });
-        assert_eq!([none, motion, shocks, one_false], [0.0; 4]);
+        let slow = found_at(400_000_000, |_, _| all(0.0));
+        assert_eq!([none, motion, shocks, one_false, slow], [0.0; 5]);
     }
 }

@@ -60,9 +60,9 @@ pub fn limits(perturbation: &Perturbation, recording: &Recording) -> Limits {
         // The offset is found while the platform moves, within some seconds.
         CameraDelay(_) => Limits { after: Some(1.2), ..Limits::default() },
         // Each image is worth less, and the IMU goes on between them.
-        ImageJitter(_) => factor(2.0),
+        ImageJitter(_) => Limits { after: Some(2.5), ..factor(2.0) },
         // 5 sigma of the markers.
-        CameraShake(_) => Limits { factor: Some(2.5), nees: Some(6.0), ..Limits::default() },
+        CameraShake(_) => Limits { after: Some(4.0), nees: Some(6.0), ..factor(2.5) },
         ImuTwice => factor(1.01),
         ImuBursts(_) => Limits { factor: Some(1.3), beyond: Some(BEYOND), ..Limits::default() },
         // An exchange that no fourth marker contradicts may move the pose, within its sigma.
