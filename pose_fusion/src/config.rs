@@ -158,9 +158,9 @@ parameters! {
         turn_quantum: f64 = 0.05 * std::f64::consts::PI / 180.0, unit("rad"), range(1e-7..=0.1),
             name("climber.turn_quantum");
         /// Power spectral density of the climber's jerk.
-        jerk: f64 = 0.05, unit("m^2/s^5"), range(1e-9..=1e6), name("climber.jerk");
+        jerk: f64 = 0.2, unit("m^2/s^5"), range(1e-9..=1e6), name("climber.jerk");
         /// Power spectral density of the jerk of the climber's turn.
-        turn_jerk: f64 = 0.01, unit("rad^2/s^5"), range(1e-9..=1e6), name("climber.turn_jerk");
+        turn_jerk: f64 = 0.04, unit("rad^2/s^5"), range(1e-9..=1e6), name("climber.turn_jerk");
         /// Encoders that contradict the estimate for this long are adopted (re-homed or slipped).
         step_timeout: f64 = 3.0, unit("s"), range(0.1..=3600.0), name("climber.step_timeout");
     }

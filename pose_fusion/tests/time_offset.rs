@@ -1,6 +1,6 @@
 //! Camera and climber share a clock that is off against the IMU's: the offset is found and the
 //! covariance knows.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 mod common;
 
 use common::{
@@ -25,14 +25,6 @@ fn follow(
     (scoring::score(&outputs.odometry, &run.truth, from), fusion.status())
 }
 
-fn print(name: &str, score: &Score, s: &Status) {
-    println!(
-        "{name:34} {score}  offset {:+6.2} ± {:5.2} ms",
-        s.time_offset.offset * 1e3,
-        s.time_offset.sigma * 1e3
-    );
-}
-
 fn shared(ahead: f64, seed: u64) -> SensorConfig {
     SensorConfig {
         camera_clock_ahead: ahead,
@@ -47,12 +39,12 @@ fn offsets_up_to_300_ms_are_estimated_to_a_millisecond() {
         for seed in 1..=3 {
             let (score, status) =
                 follow(MotionConfig::nominal(seed), &shared(ahead, seed), simulated::config(), 3.0);
-            print(&format!("{ahead:+.2} s, seed {seed}"), &score, &status);
-            assert!((status.time_offset.offset + ahead).abs() < 1.5e-3, "{status:?}");
-            assert!(status.time_offset.sigma < 1e-3 && !status.time_offset.searching, "{status:?}");
+            let (about, offset) = (format!("{ahead:+.2} s, seed {seed}"), status.time_offset);
+            assert!((offset.offset + ahead).abs() < 1.5e-3, "{about}: {offset:?}");
+            assert!(offset.sigma < 1e-3 && !offset.searching, "{about}: {offset:?}");
             assert!(
                 score.position_rmse() < 1.5 && score.nees().0 < 6.0 && score.nees().1 < 6.0,
-                "{score}"
+                "{about}: {score}"
             );
         }
     }
@@ -67,25 +59,22 @@ fn an_unknown_offset_costs_little() {
         let run = |sigma: f64| {
             let mut config = simulated::config();
             config.tight.clock.camera_sigma = sigma;
-            follow(MotionConfig::nominal(seed), &SensorConfig::nominal(seed), config, 2.0)
+            follow(MotionConfig::nominal(seed), &SensorConfig::nominal(seed), config, 2.0).0
         };
         for (sum, sigma) in squares.iter_mut().zip([0.05, 1e-3]) {
-            let (score, status) = run(sigma);
-            print(&format!("known to {sigma} s"), &score, &status);
-            assert!(score.nees().0 < 5.0 && score.nees().1 < 5.0, "{score}");
+            let score = run(sigma);
+            assert!(score.nees().0 < 5.0 && score.nees().1 < 5.0, "known to {sigma} s: {score}");
             sum[0] += score.position_rmse().powi(2);
             sum[1] += score.rotation_rmse().powi(2);
         }
     }
     let ratio = [0, 1].map(|k| (squares[0][k] / squares[1][k]).sqrt());
-    println!("over that of a filter that knows it: {:.3} / {:.3}", ratio[0], ratio[1]);
     assert!(ratio[0] < 1.12 && ratio[1] < 1.04, "{ratio:?}");
 }
 
 #[test]
 fn the_offset_is_unknown_without_motion() {
     let (score, status) = follow(MotionConfig::rest(1), &shared(0.04, 1), simulated::config(), 1.0);
-    print("stationary", &score, &status);
     assert!(status.time_offset.searching && status.time_offset.sigma > 0.01, "{status:?}");
     assert!(score.position_rmse() < 1.0, "{score}");
 }
@@ -96,13 +85,11 @@ fn a_constant_offset_of_the_climber_is_configured() {
     let sensors = SensorConfig { climber_clock_ahead: 0.06, ..SensorConfig::nominal(2) };
     let mut config = simulated::config();
     config.tight.clock.climber_offset = -0.06;
-    let (configured, status) = follow(MotionConfig::nominal(2), &sensors, config.clone(), 0.3);
-    print("configured", &configured, &status);
+    let (configured, _) = follow(MotionConfig::nominal(2), &sensors, config.clone(), 0.3);
     let (ignored, _) = follow(MotionConfig::nominal(2), &sensors, simulated::config(), 3.0);
-    println!("{:34} {ignored}", "not configured");
-    assert!(configured.position_rmse() < 1.0 && configured.position.max() < 6.0, "{configured}");
+    assert!(configured.position_rmse() < 1.0 && configured.position_max() < 6.0, "{configured}");
     // Not applied, and bounded: the climber's speed (0.42 m/s at most) times the delay.
-    assert!(ignored.position.max() < 1.3 * 0.42 * 0.06, "{ignored}");
+    assert!(ignored.position_max() < 1.3 * 420.0 * 0.06, "{ignored}");
 
     let run = simulated::run(MotionConfig::nominal(2), &sensors);
     let (_, outputs) = scoring::follow(config, run.inputs());
@@ -110,7 +97,6 @@ fn a_constant_offset_of_the_climber_is_configured() {
     for p in &outputs.visual {
         visual.add(&p.pose, &p.covariance, &scoring::pose_at(&run.truth, p.stamp).unwrap());
     }
-    println!("{:34} {visual}", "visual pose");
     assert!(visual.position_rmse() < 5.0, "{visual}");
 }
 
@@ -120,9 +106,8 @@ fn a_large_configured_offset_is_the_middle_of_what_is_searched() {
         let mut config = simulated::config();
         config.tight.clock.camera_offset = configured;
         let (score, status) = follow(MotionConfig::nominal(3), &shared(ahead, 3), config, 3.0);
-        print(&format!("{ahead:+.2} s, configured {configured:+.2} s"), &score, &status);
-        assert!((status.time_offset.offset + ahead).abs() < 1.5e-3, "{status:?}");
-        assert!(score.position_rmse() < 1.5 && score.nees().0 < 6.0, "{score}");
+        assert!((status.time_offset.offset + ahead).abs() < 1.5e-3, "{ahead}: {status:?}");
+        assert!(score.position_rmse() < 1.5 && score.nees().0 < 6.0, "{ahead}: {score}");
     }
 }
 
@@ -151,8 +136,7 @@ fn the_offset_is_found_with_biases_that_are_known() {
         gyroscope_bias: Vector3::zeros(),
         ..shared(0.2, 2)
     };
-    let (score, status) = follow(MotionConfig::nominal(2), &sensors, config, 3.0);
-    print("without biases", &score, &status);
+    let (_, status) = follow(MotionConfig::nominal(2), &sensors, config, 3.0);
     assert!((status.time_offset.offset + 0.2).abs() < 1.5e-3, "{status:?}");
 }
 
@@ -196,14 +180,11 @@ fn an_offset_that_changes_is_found_again() {
     for (by, seed) in [(0.06, 1), (-0.06, 2), (0.15, 3), (-0.15, 4)] {
         let (run, inputs) = changing(seed, by);
         let (fusion, outputs) = scoring::follow(simulated::config(), inputs);
-        for warning in &outputs.warnings {
-            println!("    {warning:?}");
-        }
         let score = scoring::score(&outputs.odometry, &run.truth, CHANGE + 4.0);
         let status = fusion.status();
-        print(&format!("changes by {by:+.2} s, seed {seed}"), &score, &status);
-        assert!((status.time_offset.offset + by).abs() < 2e-3, "{status:?}");
-        assert!(score.position_rmse() < 1.0 && score.nees().0 < 6.0, "{score}");
+        let about = format!("{by:+.2} s: {score}, {:?}", outputs.warnings);
+        assert!((status.time_offset.offset + by).abs() < 2e-3, "{about}, {status:?}");
+        assert!(score.position_rmse() < 1.0 && score.nees().0 < 6.0, "{about}");
     }
 }
 
@@ -214,11 +195,9 @@ fn an_offset_that_changes_by_milliseconds_is_followed() {
     for (by, seed) in [(0.008, 1), (-0.008, 2), (0.015, 3), (-0.015, 4)] {
         let motion = MotionConfig { duration: 16.0, ..MotionConfig::fast_swing(seed) };
         let (run, inputs) = changing_in(motion, seed, by);
-        let (fusion, outputs) = scoring::follow(simulated::config(), inputs);
+        let (_, outputs) = scoring::follow(simulated::config(), inputs);
         let score = scoring::score(&outputs.odometry, &run.truth, CHANGE + 1.0);
-        let status = fusion.status();
-        print(&format!("{by:+} s"), &score, &status);
-        assert!(score.position_rmse() < 2.0 && score.position.max() < 0.02, "{by}: {score}");
+        assert!(score.position_rmse() < 2.0 && score.position_max() < 20.0, "{by}: {score}");
         let lost = outputs.status.iter().filter(|s| !s.valid).count();
         assert!(lost < 100, "{by}: {lost} poses not valid");
     }
@@ -235,7 +214,7 @@ fn a_frozen_filter_keeps_its_pose_when_the_offset_changes() {
         while fusion.poll().is_some() {}
         let searches = fusion.status().time_offset.searching;
         let since =
-            fusion.status().imu.newest.map(|at| at.seconds_since(scoring::start(&run.truth)));
+            fusion.status().newest_imu.map(|at| at.seconds_since(scoring::start(&run.truth)));
         if since.is_some_and(|s| s > CHANGE) && searches && frozen == 0 {
             fusion.freeze(true).unwrap();
             frozen = 1;
@@ -247,7 +226,6 @@ fn a_frozen_filter_keeps_its_pose_when_the_offset_changes() {
             }
         }
     }
-    println!("{frozen} inputs while frozen, {lost} without a pose");
     let status = fusion.status();
     assert!(frozen == 400 && lost == 0, "{frozen} {lost}");
     assert!((status.time_offset.offset + 0.06).abs() < 2e-3, "{status:?}");
@@ -264,7 +242,6 @@ fn a_rolling_shutter_with_its_readout_time_costs_little() {
             config.tight.clock.image_readout = configured;
             let (fusion, outputs) = scoring::follow(config, run.inputs());
             let score = scoring::score(&outputs.odometry, &run.truth, 2.0);
-            print(&format!("{readout} s, configured {configured}"), &score, &fusion.status());
             (score, fusion.status())
         };
         let (known, ignored) = (score(readout, readout), score(readout, 0.0));
@@ -292,12 +269,10 @@ fn jitter_of_the_image_stamps_costs_little() {
         let [found, ignored] = [0.02, 0.0].map(|most| {
             let mut config = simulated::config();
             config.tight.clock.image_jitter = most;
-            let (fusion, outputs) = scoring::follow(config, inputs.clone());
-            let score = scoring::score(&outputs.odometry, &run.truth, 4.0);
-            print(&format!("off by up to {jitter} s, at most {most}"), &score, &fusion.status());
-            score
+            let (_, outputs) = scoring::follow(config, inputs.clone());
+            scoring::score(&outputs.odometry, &run.truth, 4.0)
         });
-        assert!(found.position_rmse() < 1.5 && found.position.max() < 6.0, "{found}");
+        assert!(found.position_rmse() < 1.5 && found.position_max() < 6.0, "{found}");
         for score in [&found, &ignored] {
             assert!(score.nees().0 < 6.0 && score.nees().1 < 6.0, "{score}");
         }
@@ -350,7 +325,6 @@ fn clocks_that_drift_apart_are_followed() {
         let inputs = run.changed(|_, input| shift(input, drift));
         let (fusion, outputs) = scoring::follow(FusionConfig::default(), inputs);
         let (score, status) = (scoring::score(&outputs.odometry, &run.truth, 3.0), fusion.status());
-        print(&format!("seed {seed}"), &score, &status);
         // A random walk follows a drift with a lag.
         assert!((status.time_offset.offset + DRIFT * 60.0).abs() < 4e-3, "{status:?}");
         assert!(score.nees().0 < 7.0 && score.nees().1 < 7.0, "{score}");
@@ -367,11 +341,6 @@ fn rest_and_computer_stalls_do_not_bias_the_offset() {
                 shares += share / 4.0;
                 worst = worst.max(off.abs());
             }
-            println!(
-                "{ahead:+.2} s, held up {held_up}: {:.2} % beyond, offset found to {:.2} ms",
-                shares * 1e2,
-                worst * 1e3
-            );
             assert!(shares < 0.02 && worst < 2e-3, "{ahead} {held_up}: {shares} {worst}");
         }
     }
@@ -387,13 +356,12 @@ fn a_recording_with_shifted_camera_and_climber_is_tracked() {
             let outputs = scoring::run(&mut fusion, bag.samples.iter().map(|(_, i)| i.clone()));
             let (score, status) =
                 (scoring::score(&outputs.odometry, &bag.truth, 6.0), fusion.status());
-            print(&format!("{name} {ahead:+.2}"), &score, &status);
             assert!(
                 outputs.warnings.iter().any(|w| matches!(w, Warning::TimeOffset { .. })),
-                "{name}"
+                "{name} {ahead}"
             );
-            assert!((status.time_offset.offset + ahead).abs() < 1.5e-3, "{status:?}");
-            assert!(score.nees().0 < 6.0 && score.nees().1 < 6.0, "{score}");
+            assert!((status.time_offset.offset + ahead).abs() < 1.5e-3, "{name}: {status:?}");
+            assert!(score.nees().0 < 6.0 && score.nees().1 < 6.0, "{name} {ahead}: {score}");
         }
     }
 }

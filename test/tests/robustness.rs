@@ -1,6 +1,6 @@
 //! The estimator on recordings that differ from their rig file in one thing, and in two (all of
 //! them: `make robustness`).
-#![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
+#![allow(missing_docs, clippy::unwrap_used)]
 
 use pose_fusion::FusionConfig;
 use std::process::Command;
@@ -24,15 +24,18 @@ fn bench(name: &str) -> Option<Bench> {
 const BAGS: [&str; 7] =
     ["nominal", "occlude_two", "clutter", "fast_swing", "real_slow", "real_fast", "real_tapping"];
 
-/// The cells of the table that are known not to hold; the table that `make robustness` writes has
-/// their figures.
+/// The cells that do not hold, and no others; the table that `make robustness` writes has their
+/// figures.
 fn exceeds(name: &str, perturbation: &Perturbation) -> bool {
     use Perturbation::*;
     match perturbation {
         CameraMounting(_) | FocalLength(_) | Layout(_) => true,
         EncoderScale(_) => matches!(name, "nominal" | "occlude_two" | "clutter"),
         AccelerometerScale(_) => name == "fast_swing",
-        EncoderDelay(_) => name.starts_with("real"),
+        EncoderDelay(delay) => match name {
+            "clutter" => *delay >= 0.4,
+            _ => matches!(name, "real_fast" | "real_tapping"),
+        },
         ImuStuck(_) => matches!(name, "nominal" | "real_tapping"),
         EncoderFrozen(_) | AxisFrozen(_) | ImuZeros(_) | ImuSpike(_) | GyroSaturated(_)
         | ImuLost(_) | EncodersLost(_) | ImagesLost(_) | ImuBursts(_) | Exchanged(_) => {
@@ -47,22 +50,13 @@ fn one_perturbation_stays_within_its_bound() {
     for name in BAGS {
         let Some(bench) = bench(name) else { return };
         let base = bench.unchanged();
-        println!(
-            "{name}: {:.3} mm, {:.4}°, NEES {:.2?}",
-            base.position[0], base.rotation[0], base.nees
-        );
         assert!(base.count > 500, "{name}: {} poses", base.count);
         for perturbation in TABLE {
             let cell = bench.single(&perturbation);
             assert_eq!(cell.catastrophe, None, "{name}: {perturbation}");
-            println!(
-                "  {perturbation}: {:.2} ×, {:?}",
-                cell.whole.position[0] / base.position[0],
-                cell.failures
-            );
             assert!(
-                cell.failures.is_empty() || exceeds(name, &perturbation),
-                "{name}: {perturbation}: {:?}",
+                cell.failures.is_empty() != exceeds(name, &perturbation),
+                "{name}: {perturbation}: {:?}; `exceeds` lists what does not hold",
                 cell.failures
             );
         }
@@ -93,7 +87,6 @@ fn a_sensor_that_fails_while_the_filter_starts_does_no_lasting_harm() {
                 let cell = bench.single(&perturbation);
                 let after = cell.after.position[0];
                 let about = format!("{name}: {perturbation} from {from} s");
-                println!("{about}: {after:.2} mm afterwards, {:?}", cell.failures);
                 assert_eq!(cell.catastrophe, None, "{about}");
                 assert!(!recovers || after < RECOVERED, "{about}: {after} mm");
                 assert!(!wrong || cell.failures.is_empty(), "{about}: {:?}", cell.failures);
@@ -139,7 +132,6 @@ fn a_wrong_unit_sign_or_direction_of_the_imu_makes_the_pose_invalid() {
             let valid = scored.samples.iter().filter(|s| s.valid).count() as f64;
             let share = valid / figures.count.max(1) as f64;
             let mistaken = share * figures.beyond;
-            println!("{name}, {change}: valid {share:.3}, mistaken {mistaken:.3}");
             assert!(starts || valid == 0.0, "{name}, {change}: {share}");
             assert!(mistaken <= MISTAKEN, "{name}, {change}: {mistaken}");
         }

@@ -1,12 +1,6 @@
 //! Shake of the camera: an error that all markers of an image share, and that is another one in the
-//! next image.
-//!
-//! From one image to the next, the IMU carries what was left of the residuals after the one to
-//! their prediction for the other. What changes in between is an error of the motion or of the
-//! images; an error of the velocity changes it by the same each time. In the second difference
-//! `d[k] = s[k] − 2 s[k−1] + s[k−2]` of a shake `s` each image contradicts the one before,
-//! `−E[d[k] d[k−1]] = 4 σ²` of a white one, whatever the filter made of the images; what an error
-//! of the acceleration leaves has one sign, and a shock comes once.
+//! next image. It is found in second differences from image to image, of which each takes back the
+//! one before. Equations: `docs/src/equations.md`, "Markers".
 
 use crate::measurements::markers::ImageInnovation;
 use nalgebra::Vector2;

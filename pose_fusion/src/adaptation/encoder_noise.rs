@@ -175,22 +175,6 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_separated_from_motion() {
-        let steps = Vector3::new(0.001, 0.001, 0.00087);
-        let mut noise = EncoderNoise::new(steps);
-        let mut random = Random::new(1);
-        let mut found = Vector3::zeros();
-        for i in 0..200 {
-            let t = f64::from(i) * 0.02;
-            let x = 0.4 * t.sin() + 0.002 * random.normal();
-            (found, _) = noise.add(Stamp::default().plus_seconds(t), &Vector3::new(x, 0.3, 0.0));
-        }
-        assert!((found.x.sqrt() / 0.002 - 1.0).abs() < 0.25, "{}", found.x.sqrt());
-        assert!((found.y - 1e-6 / 12.0).abs() < 1e-12);
-        assert!(!noise.is_young());
-    }
-
-    #[test]
     fn encoders_of_fine_steps_are_not_trusted_before_their_noise_is_known() {
         let step = 1e-5;
         let mut noise = EncoderNoise::new(Vector3::repeat(step));
@@ -204,6 +188,7 @@ mod tests {
             }
             let sigmas = noise.variance().map(f64::sqrt);
             assert!(sigmas.x > least && sigmas.x < most, "{readings}: {sigmas}");
+            assert_eq!(noise.is_young(), readings == 6);
         }
         assert!(noise.variance().y.sqrt() < 1e-4, "no noise: {}", noise.variance());
     }

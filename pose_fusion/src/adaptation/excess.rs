@@ -1,10 +1,6 @@
-//! Excess of the images' innovations over their covariance.
-//!
-//! An image's innovation has two parts. What no pose explains (2 of the 8 numbers of four markers)
-//! is pixel noise and nothing else. What a pose explains (6 numbers) is the error of the
-//! prediction: what neither the noise of the IMU nor its estimated constants
-//! ([`crate::ekf::calibration`]) describe. Where a part is larger than its covariance, its factor
-//! grows, and returns slowly.
+//! Excess of the images' innovations over their covariance. Of the 8 numbers of four markers, 2 are
+//! pixel noise alone, and a pose explains 6: they show the error of the prediction. Where a part is
+//! larger than its covariance, its factor grows, and returns slowly.
 
 /// How fast a factor follows the excess.
 #[derive(Debug)]
@@ -50,13 +46,14 @@ pub const PIXEL_NOISE: Tuning = Tuning {
 
 /// Mean square per degree of freedom of a factor that is far too large.
 const QUIET: f64 = 0.25;
-/// Factor where the images contradict the prediction.
-const CONTRADICTED: f64 = 3.0;
+/// Where images that contradict the prediction are followed, the factor is raised by this.
+pub const CONTRADICTED: f64 = 3.0;
 
 /// Factor that follows the excess.
 #[derive(Clone, Debug)]
 pub struct Excess {
-    ratio: f64,
+    /// Mean square per degree of freedom.
+    pub ratio: f64,
     factor: f64,
 }
 
@@ -93,16 +90,6 @@ impl Excess {
         self.factor = self.factor.max(self.factor * by).min(tuning.limit);
     }
 
-    /// Notes that images which contradict the prediction are followed.
-    pub fn contradicted(&mut self, tuning: &Tuning) {
-        self.factor = (self.factor * CONTRADICTED).min(tuning.limit);
-    }
-
-    /// Returns the mean square per degree of freedom.
-    pub fn ratio(&self) -> f64 {
-        self.ratio
-    }
-
     /// Returns the factor, at least 1.
     pub fn factor(&self) -> f64 {
         self.factor
@@ -114,23 +101,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn factors_grow_with_an_excess_and_return() {
-        // The part's NIS where it is as expected, at most; where it exceeds; where it is small. A
-        // factor that grows by the mean square grows in fewer, larger steps.
-        for (tuning, expected, large, small, growths) in
-            [(MODEL_ERROR, 6.0, 18.0, 6.0, 150), (PIXEL_NOISE, 2.0, 10.0, 1.5, 30)]
-        {
-            let mut excess = Excess::default();
-            let mut grown = |n: usize, nis: f64| {
-                let count = (0..n).filter(|_| excess.add(nis, &tuning)).count();
-                (count, excess.factor())
-            };
-            assert_eq!(grown(200, expected), (0, 1.0));
-            let (count, factor) = grown(200, large);
-            assert!(count > growths && factor == tuning.limit, "{count} {factor}");
-            let (count, factor) = grown(1000, small);
-            assert!(count < 100 && factor == 1.0, "{count} {factor}");
-        }
+    fn the_model_error_grows_with_an_excess_and_returns() {
+        let mut excess = Excess::default();
+        let mut grown = |n: usize, nis: f64| {
+            let count = (0..n).filter(|_| excess.add(nis, &MODEL_ERROR)).count();
+            (count, excess.factor())
+        };
+        assert_eq!(grown(200, 6.0), (0, 1.0));
+        let (count, factor) = grown(200, 18.0);
+        assert!(count > 150 && factor == MODEL_ERROR.limit, "{count} {factor}");
+        let (count, factor) = grown(1000, 6.0);
+        assert!(count < 100 && factor == 1.0, "{count} {factor}");
     }
 
     #[test]

@@ -1,12 +1,5 @@
-//! Noise of the IMU, identified from its own samples.
-//!
-//! Third differences cancel any motion that is smooth over four samples (a 1 Hz swing of 35° leaves
-//! a tenth of an MTx's noise at 100 Hz), and white noise of variance σ² leaves 20 σ² in their
-//! square. They are taken at two time scales: of single samples, and of means over `BLOCK`
-//! seconds. White noise has the same density at both. Vibration is strong between samples and
-//! averages out over a block, where it no longer moves the platform; fast motion is seen by the
-//! blocks and not between samples. So the smaller density is that of the noise which the filter
-//! integrates. The rig file's density is the floor.
+//! Noise of the IMU, identified from its own samples by third differences at two time scales; the
+//! rig file's density is the floor. Why two: `docs/src/equations.md`, "Adaptation".
 
 use crate::ekf::propagation::ImuReading;
 use nalgebra::Vector3;
@@ -107,12 +100,9 @@ impl ImuNoise {
         Densities { force: choose(|d| d.force, given.force), rate: choose(|d| d.rate, given.rate) }
     }
 
-    /// Returns which share of a change of the motion between two images is noise, where the motion
-    /// is the triangular mean of the readings up to `half_width` seconds before and after: of
-    /// specific force and angular velocity.
-    ///
-    /// An image measures the time offset by how much the motion changed since the image before. The
-    /// noise of the readings is part of that change and tells nothing of the offset.
+    /// Returns which share of a change of the motion between two images, by which they measure the
+    /// time offset, is noise, which tells nothing of it: of specific force and angular velocity.
+    /// The motion is the triangular mean of the readings up to `half_width` seconds around it.
     pub fn noise_of_changes(&self, half_width: f64) -> Densities {
         if self.blocks.weight < FEWEST_CHANGES {
             return Densities::default();

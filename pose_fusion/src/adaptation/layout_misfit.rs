@@ -1,7 +1,5 @@
-//! Misfit of the marker layout, identified from the images: what no pose explains of four markers,
-//! and stays, is an error of their places in the rig file.
-//!
-//! It raises the variance of the markers' offsets, which the filter estimates
+//! Misfit of the marker layout: what no pose explains of four markers, and stays, is an error of
+//! their places in the rig file. It raises the variance of the markers' offsets
 //! ([`crate::ekf::calibration`]); by itself it moves nothing.
 
 use crate::measurements::markers::Offsets;
@@ -53,10 +51,8 @@ impl LayoutMisfit {
         let mean = self.mean.norm_squared();
         let lasts = mean > LASTING * (self.square - mean) * weight;
         self.contrary = if own > 2.0 * MISFIT { self.contrary + 1 } else { 0 };
-        let due = match self.count > CONFIRMED {
-            true => self.contrary >= REFUTED,
-            false => self.count >= FEWEST,
-        };
+        let confirmed = self.count > CONFIRMED;
+        let due = if confirmed { self.contrary >= REFUTED } else { self.count >= FEWEST };
         let found = sigma(&self.mean).filter(|sigma| due && lasts && *sigma > MISFIT);
         if found.is_some() {
             *self = Self::default();

@@ -1,10 +1,6 @@
-//! Jitter of the image stamps, identified from the stamps themselves.
-//!
-//! A camera exposes at equal intervals; a driver that stamps on arrival adds the jitter of transfer
-//! and scheduling, milliseconds on USB. At 1 m/s a millisecond is a millimeter. An interval that is
-//! off its multiple of the mean interval by `e` has the jitter of two stamps in it, so that the
-//! median of `|e|` is `0.6745 √2 σ` of a normal distribution. A single late stamp does not count:
-//! the gates reject it.
+//! Jitter of the image stamps (milliseconds on USB, where a driver stamps on arrival), identified
+//! from the stamps: a camera exposes at equal intervals. A single late stamp does not count: the
+//! gates reject it. Equations: `docs/src/equations.md`, "Markers".
 
 use rig_model::Stamp;
 use std::collections::VecDeque;

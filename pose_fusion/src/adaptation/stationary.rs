@@ -36,11 +36,9 @@ pub struct Stationary {
 
 impl Stationary {
     /// Adds a reading `dt` seconds after the previous one, with the variances of one sample,
-    /// (m/s²)² and (rad/s)².
-    ///
-    /// Returns the mean angular velocity of the window (rad/s, IMU axes) at its end where the
-    /// platform was at rest: neither signal scatters by more than 1.5 times its variance, and the
-    /// means of both halves differ by no more than their noise.
+    /// (m/s²)² and (rad/s)². Returns the mean angular velocity of the window (rad/s, IMU axes) at
+    /// its end where the platform was at rest: neither signal scatters by more than 1.5 times its
+    /// variance, and the means of both halves differ by no more than their noise.
     pub fn add(
         &mut self,
         reading: &ImuReading,

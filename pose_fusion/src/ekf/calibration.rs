@@ -1,19 +1,6 @@
 //! Constants that are estimated beside the state: scale factors and misalignment of the IMU, and
-//! the places of the markers.
-//!
-//! Twelve of the constants θ are the IMU's: for gyroscope and accelerometer each three scale
-//! factors `s` and a rotation `ρ` of the triad against the mounting in the rig file. A reading `m`,
-//! less its bias, measures the motion `m − s ∘ m − ρ × m`. Eight are offsets of the markers'
-//! centers from those in the rig file, x and y of the volant frame.
-//!
-//! They are estimated by Friedland's two-stage filter (1969, "Treatment of bias in recursive
-//! filtering"). The state is estimated as if they were known, with the sensitivity `V` of its error
-//! to them (see [`super::consider`]). The innovations `r` of an image, with covariance `L Lᵀ`, have
-//! the expectation `(H V + E) θ`, so that with `B = L⁻¹ (H V + E)` the constants follow by
-//! recursive least squares, row by row: `k = P b / (1 + bᵀ P b)`, `θ ← θ + k (L⁻¹ r)`,
-//! `P ← P − k bᵀ P`. The correction moves the state by `V δθ`: all that follows is linearized at
-//! the corrected constants. This is the Kalman filter of state and constants together, at a cost
-//! that grows with the number of constants instead of its square.
+//! the places of the markers. Equations: `docs/src/equations.md`, "Calibration of the IMU and of
+//! the marker layout".
 
 use super::{
     consider::{ESTIMATED, PARAMETERS},
@@ -297,11 +284,8 @@ mod tests {
                 calibration.correct(&b, &whitened);
             }
             let sigma = calibration.covariance()[(0, 0)].sqrt();
-            assert!(
-                (calibration.constants()[0] - truth).abs() < 3.0 * sigma && sigma < 0.006,
-                "{truth}: {} +- {sigma}",
-                calibration.constants()[0]
-            );
+            let error = calibration.constants()[0] - truth;
+            assert!(error.abs() < 3.0 * sigma && sigma < 0.006, "{truth}: {error}, {sigma}");
             assert_eq!(calibration.constants[4], 0.0);
         }
     }

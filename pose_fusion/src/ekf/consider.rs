@@ -1,11 +1,6 @@
-//! Consider parameters: constant errors of the rig's calibration that widen the covariance.
-//!
-//! Twelve seconds of swing cannot tell these errors from tilt, bias or height, so the filter takes
-//! the files as exact when it computes its gains (Schmidt 1966). Beside the estimate it carries the
-//! sensitivity `V = ∂δx/∂θ` of the estimation error to each parameter θ (Friedland 1969):
-//! `V ← F V` in a propagation, `V ← V − K (H V + E)` in an update with `E = ∂z/∂θ`. The published
-//! covariance is `P + V Σ Vᵀ` with `Σ` the configured variances. What images and IMU do tell is
-//! estimated with the same sensitivity ([`super::calibration`]).
+//! Consider parameters: constant errors of the rig's calibration that widen the covariance and do
+//! not change the estimate. What images and IMU do tell of them is estimated with the same
+//! sensitivity ([`super::calibration`]). Equations: `docs/src/equations.md`, "Consider parameters".
 
 use super::{
     calibration::{self, CONSTANTS, Calibration, OFFSETS},

@@ -1,20 +1,5 @@
-//! Propagation of the state from one instant to the next with inertial readings.
-//!
-//! Specific force `f` and angular velocity `ω` are taken as linear between the two instants, so
-//! that their mean moves the state: `a = R(f − b_a) + g`, `p += v dt + a dt²/2`, `v += a dt`,
-//! `R ← R Exp((ω − b_g) dt)`, with `R` in `a` the attitude in the middle. Two terms correct for the
-//! rotation during the step (Savage 1998, "Strapdown inertial navigation integration algorithm
-//! design"): coning `dt²/12 ω₀ × ω₁` on the rotation, sculling
-//! `dt/12 (ω × Δf − Δω × f) + dt²/24 ω × (ω × f)` on the mean force. In a 1 Hz swing of 35° at 100
-//! Hz they amount to 0.04°/s and 5 mm/s².
-//!
-//! Error dynamics (global attitude error): `δθ' = δθ − R δb_g dt`,
-//! `δv' = δv − [R f]× δθ dt − R δb_a dt`, `δp' = δp + δv dt + (δv' − δv) dt/2`. The climber has
-//! white jerk.
-//!
-//! The error is that at the camera's instant (see [`super::state`]): an error of the time offset
-//! means that other readings should have been integrated, `δv' += R Δf δτ` and `δθ' += R Δω δτ`.
-//! The changes `Δf` and `Δω` come with the noise taken out ([`ProcessNoise::change`]).
+//! Propagation of the state from one instant to the next with inertial readings. Equations:
+//! `docs/src/equations.md`, "Propagation".
 
 use super::{
     calibration::Calibration,

@@ -1,27 +1,6 @@
-//! State of the error-state Kalman filter, its error and their composition.
-//!
-//! | index | error | unit | of |
-//! | --- | --- | --- | --- |
-//! | 0–2 | δp | m | position of the IMU, world |
-//! | 3–5 | δv | m/s | its velocity, world |
-//! | 6–8 | δθ | rad | attitude `world_from_imu`: `R_true = Exp(δθ) R`, a rotation about world axes |
-//! | 9–11 | δb_a | m/s² | accelerometer bias, IMU axes |
-//! | 12–14 | δb_g | rad/s | gyroscope bias, IMU axes |
-//! | 15–17 | δc | m, m, rad | x, y and turn of the climber |
-//! | 18–20 | δċ | per s | their rates |
-//! | 21–23 | δc̈ | per s² | their accelerations |
-//! | 24 | δτ | s | camera time offset: image time + τ = IMU time |
-//!
-//! **Time of the error.** The nominal state lives on the IMU's time line. Its error compares truth
-//! and estimate at the instant that the camera's stamp names. The time offset then does not appear
-//! in the image's measurement equation; it enters where inertial readings are integrated, whose
-//! changes are measured. In the other formulation the offset is multiplied by the velocity, which
-//! is unknown at the start, and an extended Kalman filter gains false information from that
-//! product. The error at IMU time, which is published, is `δx − ẋ δτ`.
-//!
-//! The attitude error is global (Solà 2017, "Quaternion kinematics for the error-state Kalman
-//! filter", section 7): that is the convention of ROS pose covariances, and the error dynamics do
-//! not depend on the angular velocity.
+//! State of the error-state Kalman filter, its error and their composition. The error is that at
+//! the instant which the camera's stamp names, and that of the attitude is global: see
+//! `docs/src/equations.md`, "State".
 
 use super::{
     calibration::Calibration,
@@ -143,11 +122,9 @@ impl State {
         e
     }
 
-    /// Moves the nominal state by `−seconds` along its own motion.
-    ///
-    /// The time offset was corrected by `seconds`: what was known at the camera's instant belongs
-    /// to an instant of the IMU's time line that is later by as much. `reading` is the IMU reading
-    /// at the state, `gravity` in m/s².
+    /// Moves the nominal state by `−seconds` along its own motion: the time offset was corrected by
+    /// `seconds`, so that what was known at the camera's instant belongs to a later instant of the
+    /// IMU's time line. `reading` is the IMU's at the state, `gravity` in m/s².
     pub fn shift_time(&mut self, reading: &ImuReading, seconds: f64, gravity: f64) {
         if seconds == 0.0 {
             return;

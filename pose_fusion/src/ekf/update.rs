@@ -66,7 +66,8 @@ mod tests {
     fn a_scalar_update_equals_joseph_s_form_and_corrects_the_sensitivity() {
         let mut state = State::zero();
         let seed = Covariance::from_fn(|i, j| ((i * 5 + j * 3) % 7) as f64 / 7.0);
-        state.covariance = seed * seed.transpose() + Covariance::identity();
+        let square = seed * seed.transpose();
+        state.covariance = (square + square.transpose()) * 0.5 + Covariance::identity();
         state.sensitivity[(2, POSITION)] = 0.4;
         let (p, v) = (state.covariance, state.sensitivity.map(f64::from).transpose());
         let mut h = nalgebra::RowSVector::<f64, N>::zeros();
@@ -80,6 +81,7 @@ mod tests {
         assert!((nis - 0.49 / s).abs() < 1e-12);
         let joseph = a * p * a.transpose() + k * 0.2 * k.transpose();
         assert!((state.covariance - joseph).amax() < 1e-9);
+        assert_eq!(state.covariance, state.covariance.transpose());
         let corrected = state.sensitivity.map(f64::from).transpose();
         let mut expected = v - k * (h * v + e.transpose());
         expected[(TIME_OFFSET, TIME_OFFSET_ERROR)] = 1.0;

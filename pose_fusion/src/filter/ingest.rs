@@ -2,6 +2,7 @@
 
 use super::{Filter, processing::OFFSET_KNOWN};
 use crate::{
+    adaptation::stamp_jitter,
     ekf::{propagation::ImuReading, state::ATTITUDE},
     input::{climber_track::ClimberTrack, imu::ImuInput, imu_stamps::Bursts},
     measurements::{
@@ -45,14 +46,14 @@ impl Filter {
     /// Returns the stamp with which an IMU sample counts. Where it turns out that the samples come
     /// in bursts, everything is identified again with their right stamps.
     fn imu_stamp(&mut self, sample: &ImuSample) -> Stamp {
-        let known = self.imu.stamps.bursts().is_some();
+        let known = self.imu.stamps.bursts.is_some();
         let repeats = |newest: ImuReading| {
             newest.specific_force == sample.specific_force
                 && newest.angular_velocity == sample.angular_velocity
         };
         let repeated = self.arrival.newest_imu().is_some_and(|(_, newest)| repeats(newest));
         let stamp = self.imu.stamps.add(sample.stamp, repeated);
-        if let (false, Some(Bursts { period, samples })) = (known, self.imu.stamps.bursts()) {
+        if let (false, Some(Bursts { period, samples })) = (known, self.imu.stamps.bursts) {
             self.publisher.warn(Warning::ImuBursts { samples, every_s: samples * period });
             self.reset();
         }
@@ -126,12 +127,10 @@ impl Filter {
         if let (Some(first), true) = (self.history.get(0), self.start.started)
             && sample.stamp <= first.stamp
         {
-            // Held back until after an image alone had initialized the pose.
-            let age_s = first.stamp.seconds_since(sample.stamp);
-            self.arrival.imu(sample.stamp, reading);
-            let stamp = sample.stamp;
-            self.publisher.reject(Warning::TooOld { from: Source::Imu, stamp, age_s });
-            return;
+            // Held back until after an image alone had initialized the pose, or of a clock that is
+            // behind: the pose goes on without it until its stamps have come to the images'.
+            let (stamp, age_s) = (sample.stamp, first.stamp.seconds_since(sample.stamp));
+            return self.publisher.reject(Warning::TooOld { from: Source::Imu, stamp, age_s });
         }
         let mut dt = dt;
         if let (Some(seconds), Some((from, _))) =
@@ -170,9 +169,8 @@ impl Filter {
             self.interpolate_again(place);
         }
         self.arrival.imu(sample.stamp, reading);
-        self.publisher.counts.inputs.imu += 1;
         if let Some(search) = &mut self.search {
-            if self.imu.integrity.hides_motion() {
+            if self.imu.integrity.hides_motion {
                 search.clear();
             } else {
                 search.add_reading(sample.stamp, &reading);
@@ -242,7 +240,7 @@ impl Filter {
         });
         self.publisher.counts.rejected.markers += unusable;
         self.start.markers_seen = pixels.iter().flatten().count();
-        if self.markers.is_duplicate(stamp) {
+        if self.markers.stamps.contains(&stamp) {
             return self.publisher.reject(Warning::Duplicate { from: Source::Image, stamp });
         }
         self.note_arrival(Source::Image, stamp);
@@ -267,7 +265,11 @@ impl Filter {
         self.follow_without_imu(stamp, silent);
         if !self.start.started {
             let absent = self.arrival.is_imu_absent();
-            return self.start_or_wait(stamp, pixels, absent);
+            self.start_or_wait(stamp, pixels, absent);
+            if silent && self.start.started {
+                self.publish();
+            }
+            return;
         }
         let time_offset = self.time_offset();
         let at = stamp.plus_seconds(time_offset);
@@ -278,7 +280,8 @@ impl Filter {
         let Some((_, _, rest)) = self.climber.newest().copied() else {
             return self.publisher.skip(stamp, &pixels, Outcome::NotInitialized);
         };
-        let stamp_sigma = self.markers.stamp_sigma().min(self.setup.config.clock.image_jitter);
+        let jitter = stamp_jitter::sigma(&self.markers.stamps);
+        let stamp_sigma = jitter.min(self.setup.config.clock.image_jitter);
         let layout_doubt = self.markers.layout_doubt.take();
         if let (Some(_), Some(search)) = (layout_doubt, &mut self.search) {
             // The image poses that it has are tilted by the layout's error.
@@ -297,25 +300,6 @@ impl Filter {
             self.trim(self.arrival.end().unwrap_or(at));
             self.publish();
         }
-    }
-
-    /// While the IMU is silent images move the end of the time line.
-    fn follow_without_imu(&mut self, stamp: Stamp, silent: bool) {
-        if !silent {
-            return;
-        }
-        let at = stamp.plus_seconds(self.time_offset());
-        if let (Some((since, _)), true) =
-            (self.arrival.newest_imu(), self.publisher.note_imu_lost())
-        {
-            self.publisher.warn(Warning::ImuLost { since });
-        }
-        if self.arrival.end().is_some_and(|end| at.seconds_since(end) > AHEAD) && self.start.started
-        {
-            // Neither images nor samples for a while: the image initializes the pose.
-            self.restart();
-        }
-        self.arrival.image(at);
     }
 
     /// Takes in an encoder reading.
@@ -364,9 +348,10 @@ impl Filter {
         };
         self.publisher.note_now(at);
         let end = self.arrival.end().unwrap_or(at);
-        if at > end && self.history.is_half_full() {
+        let ahead_s = at.seconds_since(end);
+        if ahead_s > AHEAD && self.history.is_half_full() {
             // For a long time neither IMU samples nor images have come, which would process it.
-            return;
+            return self.publisher.reject(Warning::Ahead { from, stamp, ahead_s });
         }
         let event = Event::Encoders { reading, excluded: self.trust.is_suspended(), fresh: true };
         self.history.insert(at, event, ImuReading::default());

@@ -1,12 +1,7 @@
-//! Tightly coupled error-state filter: marker pixels, encoders and IMU samples, each at its own
-//! time.
-//!
-//! Inputs arrive in any order (`ingest`) and go to their place on the time line; the time line is
-//! processed up to its end (`processing`), and the newest state is published (`publish`). Without
-//! a pose an image initializes it (`starting`), with the camera's time offset (`time_offset`).
-//! Readings that contradict the encoders' model are handled in `encoders`, what was weighed with
-//! other noise in `reweighing`, an operator's requests in `operator`. The parts are values of their
-//! own: this type only connects them.
+//! Tightly coupled error-state filter. Inputs (`ingest`) go to their place on the time line, which
+//! is processed up to its end (`processing`); the newest state is published (`publish`). An image
+//! initializes the pose (`starting`) with the camera's time offset (`time_offset`). The parts are
+//! values of their own: this type only connects them.
 
 mod encoders;
 mod ingest;
@@ -24,7 +19,7 @@ use crate::{
     health::{
         encoder_trust::EncoderTrust,
         lock_out::LockOut,
-        status::{ImuStatus, Status, TimeOffsetStatus},
+        status::{Status, TimeOffsetStatus},
     },
     initialization::time_offset::TimeOffsetSearch,
     input::{climber_track::ClimberTrack, imu::ImuInput, markers::MarkerInput},
@@ -126,7 +121,7 @@ impl Filter {
         fresh.setup = setup;
         self.imu.keep_stamps_only();
         fresh.imu = std::mem::take(&mut self.imu);
-        self.publisher.counts.inputs.overflows += self.history.overflows();
+        self.publisher.counts.inputs.overflows += self.history.overflows;
         fresh.publisher.keep_from(&mut self.publisher);
         *self = fresh;
     }
@@ -146,12 +141,9 @@ impl Filter {
         let mut status = Status {
             initialized: self.start.started,
             encoders_suspended: self.trust.is_suspended(),
-            imu: ImuStatus {
-                newest: self.arrival.newest_imu().map(|(stamp, _)| stamp),
-                densities: self.imu.densities(imu),
-                bursts: self.imu.stamps.bursts(),
-            },
-            last_used_image: self.lock_out.last_used(),
+            newest_imu: self.arrival.newest_imu().map(|(stamp, _)| stamp),
+            imu_noise: self.imu.densities(imu),
+            imu_bursts: self.imu.stamps.bursts,
             position_sigma: f64::INFINITY,
             time_offset: TimeOffsetStatus {
                 offset: self.time_offset(),
@@ -159,12 +151,12 @@ impl Filter {
                 sigma: config.clock.camera_sigma,
                 searching: self.search.is_some(),
             },
-            pixel_noise_factor: self.markers.noise_factor().sqrt(),
+            pixel_noise_factor: self.markers.noise.factor().sqrt(),
             rope: geometry.and_then(|g| self.publisher.rope.rope(&config.pendulum, g)),
             counts: self.publisher.counts,
             ..Status::default()
         };
-        status.counts.inputs.overflows += self.history.overflows();
+        status.counts.inputs.overflows += self.history.overflows;
         if let Some(state) = self.state() {
             status.time_offset.sigma =
                 state.sigma(crate::ekf::state::TIME_OFFSET).hypot(self.offset_doubt());

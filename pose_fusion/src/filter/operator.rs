@@ -55,12 +55,9 @@ impl Filter {
     /// No camera model, IMU sample or encoder reading yet; a stamp that the history does not reach;
     /// invalid numbers; a pose beyond physical bounds. Nothing is changed then.
     pub fn set_pose(&mut self, pose: &PoseEstimate) -> Result<(), Refusal> {
-        let Some(geometry) = self.setup.geometry.clone() else {
-            return Err(Refusal::Missing { what: topics::CAMERA_INFO });
-        };
-        let Some((newest, _)) = self.arrival.newest_imu() else {
-            return Err(Refusal::Missing { what: topics::IMU });
-        };
+        let missing = |what| Refusal::Missing { what };
+        let geometry = self.setup.geometry.clone().ok_or(missing(topics::CAMERA_INFO))?;
+        let (newest, _) = self.arrival.newest_imu().ok_or(missing(topics::IMU))?;
         let symmetric = (pose.covariance + pose.covariance.transpose()) * 0.5;
         let p = &pose.pose;
         let numbers =
@@ -97,7 +94,7 @@ impl Filter {
                 state.calibration = self.calibration();
                 state
             }
-            (None, None) => return Err(Refusal::Missing { what: topics::CLIMBER_TRANSFORM }),
+            (None, None) => return Err(missing(topics::CLIMBER_TRANSFORM)),
         };
         let world_from_imu = p * geometry.volant_from_imu;
         state.position = world_from_imu.translation.vector;

@@ -2,7 +2,10 @@
 
 use super::Filter;
 use crate::{
-    adaptation::{disturbances::SETTLING, excess::MODEL_ERROR},
+    adaptation::{
+        disturbances::SETTLING,
+        excess::{CONTRADICTED, MODEL_ERROR, PIXEL_NOISE},
+    },
     ekf::{
         propagation::{Motion, ProcessNoise},
         state::{ATTITUDE, TIME_OFFSET, VELOCITY},
@@ -26,7 +29,7 @@ use nalgebra::Vector3;
 use rig_model::Stamp;
 
 /// Jerk of a climber whose encoders are not trusted, in units of the configured density.
-const FREE_JERK: f64 = 1000.0;
+const FREE_JERK: f64 = 250.0;
 /// NIS of four markers (8 degrees of freedom) above which the platform was struck: where all passed
 /// the gates (0.999 quantile), and where some did not (0.9999 quantile).
 const SHOCK_NIS: f64 = 26.12;
@@ -67,7 +70,7 @@ impl Filter {
             {
                 self.publisher.warn(Warning::Diverged { stamp: at, what });
                 self.publisher.counts.resets.divergences += 1;
-                self.lock_out.responded(at);
+                self.lock_out.responded(at.plus_seconds(-self.setup.camera_offset));
                 return self.reset_estimate();
             }
             let done = match (step, &mut entry.event) {
@@ -103,7 +106,7 @@ impl Filter {
             noise: self.process_noise(),
             disturbances: &self.disturbances,
             rope: rope.zip(self.climber.newest().map(|(_, _, rest)| *rest)),
-            noise_of_changes: self.imu.noise_of_changes(),
+            noise_of_changes: self.imu.noise.noise_of_changes(self.imu.smoothing),
             imu_period: self.imu.period(),
             frozen: self.setup.frozen,
         };
@@ -211,7 +214,7 @@ impl Filter {
         };
         if let (Some(internal), false) = (internal, excused) {
             let grows = self.imu.model_error.add(record.nis - internal, &MODEL_ERROR);
-            let doubted = self.imu.model_error.ratio() > DOUBTED && self.search.is_none();
+            let doubted = self.imu.model_error.ratio > DOUBTED && self.search.is_none();
             if (grows || doubted) && self.try_without_encoders(at) {
                 return false;
             }
@@ -231,7 +234,7 @@ impl Filter {
         if let (Response::FollowImages(_), Some(misfit), false) =
             (response, &record.misfit, record.agrees_with_itself())
         {
-            self.markers.raise_noise(misfit.noise_factor());
+            self.markers.noise.raise(misfit.noise_factor(), &PIXEL_NOISE);
             self.lock_out.clear();
             return false;
         }
@@ -262,7 +265,7 @@ impl Filter {
         let at = entry.stamp;
         let repeated = self.lock_out.note_followed(stamp);
         self.search_again(record.agrees_with_itself());
-        self.imu.model_error.contradicted(&MODEL_ERROR);
+        self.imu.model_error.raise(CONTRADICTED, &MODEL_ERROR);
         // An encoder that stopped while the images see the climber drive on is frozen, unless the time
         // offset is what they contradict.
         let known = self.offset_doubt() <= OFFSET_KNOWN;

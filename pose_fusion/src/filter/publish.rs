@@ -132,10 +132,9 @@ impl Publisher {
 
     /// Outputs the records of an image that is not processed.
     pub fn skip(&mut self, stamp: Stamp, pixels: &Pixels, outcome: Outcome) {
-        let markers = pixels.map(|pixel| {
+        let markers = PerColor(pixels.map(|pixel| {
             Innovation::without_values(if pixel.is_some() { outcome } else { Outcome::NotDetected })
-        });
-        let markers = PerColor(markers);
+        }));
         self.out.push_back(Output::MarkerUpdates(MarkerUpdates { stamp, markers }));
     }
 
@@ -192,7 +191,6 @@ impl Filter {
         let position_sigma = largest_sigma(&limited.pose_covariance, 0);
         let [image_age, imu_age, climber_age] = self.ages(end);
         let status = PoseStatus {
-            stamp: end,
             position_sigma,
             rotation_sigma: largest_sigma(&limited.pose_covariance, 3),
             image_age,
@@ -202,12 +200,16 @@ impl Filter {
             time_offset: state.time_offset,
             ..PoseStatus::initializing(end, String::new())
         }
-        .judged(&self.setup.status, silent, self.lock_out.is_contradicted(end));
+        .judged(
+            &self.setup.status,
+            silent,
+            self.lock_out.is_contradicted(end.plus_seconds(-state.time_offset)),
+        );
         let horizon = self.setup.config.prediction_horizon;
         let earlier = end.plus_seconds(-horizon);
         let earlier = (self.history.place_of(earlier).checked_sub(1))
             .and_then(|place| self.history.get(place))
-            .filter(|_| horizon > 0.0);
+            .filter(|_| horizon > 0.0 && !silent);
         if let Some(earlier) = earlier {
             self.publisher.changes.add(end, reading, &earlier.reading);
         }
@@ -231,7 +233,6 @@ impl Filter {
         self.publisher.awaited = None;
         self.publisher.silence.imu_lost &= silent;
         self.publisher.silence.resumed = None;
-        self.publisher.counts.odometry += 1;
         let lost = status.state == PoseState::Lost;
         // Between the first image and the second the velocity is not known yet.
         let second_due = self.lock_out.last_used() == self.lock_out.initialized_at()

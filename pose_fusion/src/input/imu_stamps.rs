@@ -1,9 +1,6 @@
-//! Stamps of IMU samples that a driver stamps on arrival.
-//!
-//! A USB–serial adapter collects bytes (16 ms by default) and hands over several samples at once. A
-//! driver that stamps on arrival then gives them nearly one stamp, and the last of a burst the only
-//! right one: integrated as they are, a few samples stand for the whole interval. Such samples are
-//! taken as equally spaced, none later than its arrival.
+//! Stamps of IMU samples that a driver stamps on arrival. A USB–serial adapter collects bytes (16
+//! ms by default) and hands over several samples at once, so that they get nearly one stamp, which
+//! is right for the last only. They are taken as equally spaced, none later than its arrival.
 
 use rig_model::Stamp;
 use std::collections::VecDeque;
@@ -39,7 +36,8 @@ pub struct Bursts {
 pub struct ImuStamps {
     arrived: VecDeque<Stamp>,
     newest: Stamp,
-    bursts: Option<Bursts>,
+    /// Bursts in which the samples come, if they do.
+    pub bursts: Option<Bursts>,
     /// By how much the last sample of the newest complete burst counts too early, s.
     early: f64,
 }
@@ -73,11 +71,6 @@ impl ImuStamps {
             None => stamp,
         };
         self.newest
-    }
-
-    /// Returns the bursts in which the samples come, if they do.
-    pub fn bursts(&self) -> Option<Bursts> {
-        self.bursts
     }
 
     fn mean_interval(&self) -> f64 {
@@ -143,7 +136,7 @@ mod tests {
                 worst = worst.max((counts.seconds_since(start) - taken).abs());
             }
         }
-        assert_eq!(stamps.bursts().is_some(), burst > 1);
+        assert_eq!(stamps.bursts.is_some(), burst > 1);
         worst
     }
 
@@ -171,9 +164,9 @@ mod tests {
             let burst = if k / 500 % 2 == 0 { 5 } else { 1 };
             let arrives = (k / burst * burst + burst - 1) as f64 * PERIOD;
             let at = Stamp::from_nanos(1).plus_seconds(arrives + 1e-4 * (k % burst) as f64);
-            let known = stamps.bursts().is_some();
+            let known = stamps.bursts.is_some();
             let counts = stamps.add(at, false);
-            found += usize::from(!known && stamps.bursts().is_some());
+            found += usize::from(!known && stamps.bursts.is_some());
             if k % 500 > 300 && k > 500 {
                 worst = worst
                     .max((counts.seconds_since(Stamp::from_nanos(1)) - k as f64 * PERIOD).abs());
@@ -192,6 +185,6 @@ mod tests {
             assert_eq!(stamps.add(at(10 * k), true), at(10 * k), "the same sample twice");
             assert_eq!(stamps.add(at(10 * k - 5), false), at(10 * k - 5), "late");
         }
-        assert_eq!(stamps.bursts(), None);
+        assert_eq!(stamps.bursts, None);
     }
 }

@@ -6,7 +6,7 @@ use crate::{
         camera_shake::CameraShake,
         excess::{Excess, PIXEL_NOISE},
         layout_misfit::LayoutMisfit,
-        stamp_jitter::{self, KEPT},
+        stamp_jitter::KEPT,
     },
     config::MarkerConfig,
     measurements::markers::{AGREEING, Offsets, Pixels, Residual},
@@ -25,8 +25,10 @@ const SMALLEST_SIGMA: f64 = 0.01;
 /// State of the marker input.
 #[derive(Clone, Debug, Default)]
 pub struct MarkerInput {
-    stamps: VecDeque<Stamp>,
-    noise: Excess,
+    /// Stamps of the newest images.
+    pub stamps: VecDeque<Stamp>,
+    /// Factor on the claimed pixel variance.
+    pub noise: Excess,
     /// Shake of the camera.
     pub shake: CameraShake,
     misfit: LayoutMisfit,
@@ -37,22 +39,12 @@ pub struct MarkerInput {
 }
 
 impl MarkerInput {
-    /// Returns whether an image of this stamp came already.
-    pub fn is_duplicate(&self, stamp: Stamp) -> bool {
-        self.stamps.contains(&stamp)
-    }
-
     /// Remembers the stamp of an image.
     pub fn remember(&mut self, stamp: Stamp) {
         if self.stamps.len() == KEPT {
             self.stamps.pop_front();
         }
         self.stamps.push_back(stamp);
-    }
-
-    /// Returns the standard deviation of the image stamps, s.
-    pub fn stamp_sigma(&self) -> f64 {
-        stamp_jitter::sigma(&self.stamps)
     }
 
     /// Compares what no pose explains of an image with the layout.
@@ -74,19 +66,9 @@ impl MarkerInput {
         self.whitened = *whitened;
     }
 
-    /// Multiplies the factor on the claimed pixel variance: an image that contains it says so.
-    pub fn raise_noise(&mut self, by: f64) {
-        self.noise.raise(by, &PIXEL_NOISE);
-    }
-
     /// Returns whether the markers of the image before agreed with each other.
     pub fn agreed_before(&self) -> bool {
         self.whitened.norm_squared() < AGREEING
-    }
-
-    /// Returns the factor on the claimed pixel variance.
-    pub fn noise_factor(&self) -> f64 {
-        self.noise.factor()
     }
 
     /// Returns the detected markers of an image with the covariance to assume; `reject` gets a

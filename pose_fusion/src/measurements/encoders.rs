@@ -1,9 +1,6 @@
-//! Update of the climber's x, y and turn by its encoders.
-//!
-//! A reading of a moving climber has an error like white noise (variance step²/12). While the
-//! reading stands still its error stands still too: its variance is multiplied by the number of
-//! equal readings so far (see `adaptation::encoder_noise`). A climber at rest is therefore
-//! never known much better than its encoders' step.
+//! Update of the climber's x, y and turn by its encoders. While a reading stands still its error
+//! does, too: a climber at rest is never known much better than its encoders' step. Equations:
+//! `docs/src/equations.md`, "Encoders".
 
 use super::{Innovation, Outcome};
 use crate::ekf::{
@@ -126,11 +123,8 @@ mod tests {
         let i = innovation(&state, &reading, 0.0);
         assert!((i.residual - Vector3::new(0.01, 0.0, 0.0)).norm() < 1e-9, "{i:?}");
         update(&mut state, &reading, &ImuReading::default(), 0.0, 9.81);
-        assert!(
-            (state.climber - Vector3::new(0.305, -0.2, 3.1)).norm() < 1e-9,
-            "{}",
-            state.climber
-        );
+        let error = state.climber - Vector3::new(0.305, -0.2, 3.1);
+        assert!(error.norm() < 1e-9, "{error}");
     }
 
     #[test]

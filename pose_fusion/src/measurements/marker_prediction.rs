@@ -1,12 +1,5 @@
-//! Predicted marker centroids with their derivatives by state and calibration, and their noise.
-//!
-//! A marker's predicted centroid is that of the projected square at
-//! `camera_from_volant = (world_from_climber · climber_from_camera)⁻¹ · world_from_imu ·
-//! imu_from_volant` (paper, eq. 5), at the time of the exposure. With `c` the square's center and
-//! `R_wc` the camera's attitude, `δc = R_wcᵀ (δp − [R m]× δθ − e_xy δc_xy − (e_z × (X − X_climber))
-//! δturn)`, and the square turns about its center by `R_wcᵀ (δθ − e_z δturn)`. The time offset has
-//! no part in it (see [`crate::ekf::state`]). With a rolling shutter a marker has moved on, at its
-//! velocity in the image, by the delay of its row.
+//! Predicted marker centroids (paper, eq. 5) with their derivatives by state and calibration, and
+//! their noise. Equations: `docs/src/equations.md`, "Markers".
 
 use super::{
     geometry::Geometry,

@@ -50,11 +50,9 @@ pub fn count(mask: &[bool; 4]) -> usize {
     mask.iter().filter(|m| **m).count()
 }
 
-/// Returns the largest consistent subset of `pass`, among equals the likeliest, and its solution;
-/// `None` where there is none. With `any` every subset counts as consistent.
-///
-/// One marker alone is consistent with itself, which proves
-/// nothing: it is used only where it is alone.
+/// Returns the largest consistent subset of `pass`, among equals the likeliest, and its solution.
+/// With `any` every subset counts as consistent. One marker is always consistent with itself, which
+/// proves nothing: it is used only where it is alone.
 pub fn largest_consistent(
     pass: &[bool; 4],
     any: bool,

@@ -1,8 +1,5 @@
-//! Zero-velocity update: a platform at rest has no velocity and no angular velocity.
-//!
-//! Applied where the IMU's samples of a window show no motion (`adaptation::stationary`)
-//! and the state does not contradict it. A slow swing that hides in the IMU's noise contradicts by
-//! its velocity.
+//! Zero-velocity update: a platform at rest has no velocity and no angular velocity. A slow swing
+//! that hides in the IMU's noise (`adaptation::stationary`) contradicts the state by its velocity.
 
 use crate::ekf::{
     consider::ByParameter,
@@ -14,10 +11,9 @@ use nalgebra::Vector3;
 /// Angular velocity of a platform at rest, (rad/s)²: 0.1°/s.
 const REST_RATE: f64 = 3e-6;
 
-/// Applies the update to `state` and returns whether it was consistent with it.
-///
-/// `mean_rate` is the mean gyroscope reading of the window (rad/s, IMU axes), `sigma` the velocity
-/// of a platform at rest (m/s), `rate_variance` the variance of `mean_rate`, (rad/s)².
+/// Applies the update to `state` and returns whether it was consistent with it. `mean_rate` is the
+/// mean gyroscope reading of the window (rad/s, IMU axes), `sigma` the velocity of a platform at
+/// rest (m/s), `rate_variance` the variance of `mean_rate`, (rad/s)².
 pub fn update(state: &mut State, mean_rate: &Vector3<f64>, sigma: f64, rate_variance: f64) -> bool {
     let consistent = (0..3).all(|i| {
         let velocity_sigma = state.sigma(VELOCITY + i).hypot(sigma);

@@ -1,9 +1,6 @@
-//! Continuity of the published position: corrections are spread over several messages.
-//!
-//! A correction of the filter (a shock, a new time offset) may move its estimate by centimeters at
-//! once, which a controller would answer with a jerk. The published position follows the filter's
-//! with at most `STEP` per message beside its own motion, and its covariance contains the
-//! distance that is left.
+//! Continuity of the published position: a correction of centimeters (a shock, a new time offset),
+//! which a controller would answer with a jerk, is spread over several messages. The covariance
+//! contains the distance that is left.
 
 use super::Odometry;
 use nalgebra::Isometry3;
@@ -28,8 +25,8 @@ impl Continuity {
         self.last = None;
     }
 
-    /// Takes a message as it is. For one at the rate of images alone: its velocity is not known
-    /// well enough to tell a correction from the motion, and a limited position would lag behind.
+    /// Takes a message as it is: at the rate of images alone the velocity is not known well enough
+    /// to tell a correction from the motion, and a limited position would lag behind.
     pub fn follow(&mut self, odometry: Odometry) -> Odometry {
         self.last = Some((odometry.stamp, odometry.world_from_volant));
         odometry

@@ -66,6 +66,9 @@ pub fn odometry(
     twist.fixed_view_mut::<3, 3>(0, 9).copy_from(&(lever_cross * by_bias));
     twist.fixed_view_mut::<3, 3>(3, 9).copy_from(&by_bias);
     let symmetric = |m: Matrix6<f64>| (m + m.transpose()) * 0.5;
+    // While the IMU is silent the platform is taken not to turn.
+    let unseen = if settings.silent { UNSEEN_MOTION[1].powi(2) } else { 0.0 };
+    let rate_variance = settings.rate_variance + unseen;
     let mut white = SMatrix::<f64, 6, 3>::zeros();
     white.fixed_view_mut::<3, 3>(0, 0).copy_from(&lever_cross);
     white.fixed_view_mut::<3, 3>(3, 0).fill_with_identity();
@@ -76,7 +79,7 @@ pub fn odometry(
         linear_velocity,
         angular_velocity,
         twist_covariance: symmetric(
-            twist * p * twist.transpose() + white * white.transpose() * settings.rate_variance,
+            twist * p * twist.transpose() + white * white.transpose() * rate_variance,
         ),
     }
 }

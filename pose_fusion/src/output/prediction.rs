@@ -56,9 +56,10 @@ impl Changes {
         self.rate += (rate - self.rate) * share;
     }
 
-    /// Returns the process noise of a motion that keeps the last reading for `horizon` seconds.
-    fn noise(&self, usual: &ProcessNoise, horizon: f64) -> ProcessNoise {
-        if self.measured < MEASURED {
+    /// Returns the process noise of a motion that keeps the last reading for `horizon` seconds;
+    /// `silent`: without an IMU there is no reading to keep.
+    fn noise(&self, usual: &ProcessNoise, horizon: f64, silent: bool) -> ProcessNoise {
+        if silent || self.measured < MEASURED {
             return dropout::extrapolated(usual, horizon);
         }
         usual.plus(self.force / 4.0 * horizon, self.rate / 4.0 * horizon)
@@ -78,7 +79,11 @@ pub fn predicted(
     geometry: &Geometry,
     settings: &Settings,
 ) -> Odometry {
-    let noise = changes.noise(noise, horizon);
+    let changing = changes.noise(noise, horizon, settings.silent);
+    // The variance of the change itself, from the density (d/2)² T.
+    let changed = 4.0 * (changing.rate - noise.rate) / horizon;
+    let settings = &Settings { rate_variance: settings.rate_variance + changed, ..*settings };
+    let noise = changing;
     let mut ahead = state.clone();
     let steps = (horizon / STEP).ceil().max(1.0);
     for _ in 0..steps as usize {

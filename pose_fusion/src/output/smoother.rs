@@ -1,16 +1,6 @@
 //! Fixed-interval smoother: every estimate with the knowledge of all data, those after it included.
-//!
-//! Its input are the filter's [`Entry`]s once nothing changes them any more. From the last entry
-//! back (Rauch, Tung and Striebel 1965; on the error state as in Särkkä, "Bayesian Filtering and
-//! Smoothing", ch. 8): with `x⁺, P⁺` after the event at entry i, `x⁻ = f(x⁺), P⁻ = F P⁺ Fᵀ + Q` the
-//! prediction of entry i + 1 from it,
-//!
-//! `C = P⁺ Fᵀ (P⁻)⁻¹`, `x ← x⁺ ⊞ C (x_{i+1} ⊟ x⁻)`, `P ← P⁺ + C (P_{i+1} − P⁻) Cᵀ`.
-//!
-//! The prediction uses the filter's own [`propagate`]. `P⁻` is scaled to a unit diagonal and
-//! factored by Cholesky. The errors are those at the camera's time (see [`crate::ekf::state`]):
-//! where the time offset differs, the nominal states are moved along their own motion before they
-//! are compared, and after they are corrected.
+//! Its input are the filter's [`Entry`]s once nothing changes them any more. Equations:
+//! `docs/src/equations.md`, "Output".
 
 use crate::{
     ekf::{
@@ -165,11 +155,8 @@ mod tests {
         }
         let error = smoothed[0].minus(&first);
         assert!((error - mean).amax() < 1e-6, "{}", (error - mean).amax());
-        assert!(
-            (smoothed[0].covariance - own).amax() < 1e-7,
-            "{}",
-            (smoothed[0].covariance - own).amax()
-        );
+        let error = (smoothed[0].covariance - own).amax();
+        assert!(error < 1e-7, "{error}");
         assert!((smoothed[0].velocity.x - 0.3).abs() < 0.01);
         assert!(smoothed[0].covariance[(VELOCITY, VELOCITY)] < 1e-3);
     }

@@ -1,11 +1,5 @@
-//! The platform relative to the climber: rope length, swing angles and their rates.
-//!
-//! With `ρ` the rope from the climber's attachment to the platform's in the climber's axes,
-//! `L = |ρ|`, `α_x = atan2(ρ_x, −ρ_z)`, `α_y = atan2(ρ_y, −ρ_z)`; their rates follow from
-//! `ρ̇ = R_cᵀ (v_a − ċ_a − ω_c × (p_a − c_a))`, with the attachments `p_a`, `c_a` and their
-//! velocities in world axes and `ω_c` the climber's rate of turn. The covariance is propagated with
-//! the derivative by central differences; climber and platform are one state, so what is common to
-//! both cancels.
+//! The platform relative to the climber: rope length, swing angles and their rates. Equations:
+//! `docs/src/equations.md`, "Output".
 
 use super::odometry::Settings;
 use crate::{

@@ -1,11 +1,6 @@
 //! Attitude of an IMU that does not compute one, for the published filter: the gyroscope
-//! integrated, its tilt corrected by the accelerometer.
-//!
-//! The passive complementary filter of Mahony, Hamel and Pflimlin ("Nonlinear complementary filters
-//! on the special orthogonal group", IEEE TAC 53(5), 2008, section IV-B) without a bias state:
-//! `Ω = ω + k (a × v)` with the measured direction `a` and the estimated direction `v` of up. The
-//! heading begins at 0 and drifts with the gyroscope's bias, as that of an IMU without a
-//! magnetometer does.
+//! integrated, its tilt corrected by the accelerometer (Mahony, Hamel and Pflimlin 2008).
+//! Equations: `docs/src/equations.md`, "The published filter".
 
 use nalgebra::{UnitQuaternion, Vector3};
 use rig_model::{ImuSample, Stamp};

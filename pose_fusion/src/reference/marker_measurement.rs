@@ -1,10 +1,6 @@
 //! The published visual measurement in its literal form: the markers' coordinates reprojected to
-//! the world plane (eq. 8).
-//!
-//! The paper leaves the height of that plane open. Here each marker's sight line is intersected
-//! with the horizontal plane at the height that the pose gives the marker, so that the residual
-//! vanishes where the marker lies on its line, and four markers determine all six numbers of the
-//! pose.
+//! the world plane (eq. 8). The paper leaves the height of that plane open; here it is that which
+//! the pose gives the marker, so that four markers determine all six numbers of the pose.
 
 use nalgebra::{Matrix3, Point3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 use rig_model::{MarkerColor, MarkerLayout, PerColor};

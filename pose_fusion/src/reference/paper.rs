@@ -1,22 +1,5 @@
 //! Loosely coupled extended Kalman filter as published (Kyriakoulis and Gasteratos 2010, section
-//! III-C).
-//!
-//! The state is the pose vector: three positions, and three rotations as roll, pitch and yaw. IMU
-//! samples wait in a buffer until an image comes; then
-//! - the prediction (eq. 7, 9, 10 with the misprint read as `x⁻ = Ψ x`, Ψ = I) adds the IMU's
-//!   change of translation and rotation since the last image: `x⁻ = x + u`, `P⁻ = P + Q`. The
-//!   translation is the acceleration (rotated to the world by the IMU's own attitude, without
-//!   gravity) integrated twice under the threshold control of section III-A; the rotation is the
-//!   IMU's own attitude, its heading aligned with the world at the first visual pose. For an IMU
-//!   that outputs none it is computed from the samples (`gyro_attitude.rs`);
-//! - the correction (eq. 11–13) is `K = P⁻ Hᵀ (H P⁻ Hᵀ + R)⁻¹`, `x = x⁻ + K r`,
-//!   `P = (I − K H) P⁻`, with R/Q = 10. The measurement is the visual pose (`H = I`, `r = z − x⁻`),
-//!   or with `measurement: markers` the markers' coordinates on the world plane
-//!   ([`crate::reference::marker_measurement`], eq. 8).
-//!
-//! Output is at the image rate. With two or more markers hidden the output is the previous pose
-//! moved by the IMU. Nothing corrects the inertial velocity (the paper names nothing that would);
-//! `velocity_from_fused` takes it from the fused poses.
+//! III-C). Equations: `docs/src/equations.md`, "The published filter".
 
 use crate::{
     config::{FusionConfig, PaperMeasurement},
@@ -85,13 +68,11 @@ impl Paper {
 
     /// Discards the estimate.
     pub fn reset(&mut self) {
-        self.waiting.clear();
-        self.last_sample = None;
-        self.heading = None;
-        self.velocity = Vector3::zeros();
-        self.moved = Vector3::zeros();
-        self.state = None;
-        self.last_visual = None;
+        *self = Self {
+            own_attitude: self.own_attitude,
+            computed_attitude: std::mem::take(&mut self.computed_attitude),
+            ..Self::new(&self.rig, &self.config)
+        };
     }
 
     /// Takes in an IMU sample, which waits for the next image. Once the IMU has output its own

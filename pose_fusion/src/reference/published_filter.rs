@@ -5,7 +5,7 @@ use crate::{
     config::FusionConfig,
     health::{
         pose_status::{PoseState, PoseStatus},
-        status::{Counts, ImuStatus, InputCounts, Status, TimeOffsetStatus},
+        status::{Counts, InputCounts, Status, TimeOffsetStatus},
     },
     output::{Output, largest_sigma},
     timeline::{arrival::Source, dropout::GAP},
@@ -35,10 +35,7 @@ impl PublishedFilter {
     /// follows: of an image odometry and status.
     pub fn handle(&mut self, input: &Sample, visual: Option<&Visual>) -> Vec<Output> {
         match input {
-            Sample::Imu(sample) => {
-                self.filter.imu(sample);
-                self.inputs.imu += 1;
-            }
+            Sample::Imu(sample) => self.filter.imu(sample),
             Sample::Markers(markers) => {
                 self.inputs.images += 1;
                 let at = markers.stamp.plus_seconds(self.camera_offset());
@@ -81,11 +78,10 @@ impl PublishedFilter {
 
     /// Returns counters and insights for diagnostics.
     pub fn status(&self) -> Status {
-        let (image, camera_offset) = (self.filter.last_visual, self.camera_offset());
+        let camera_offset = self.camera_offset();
         Status {
             initialized: self.filter.stamp().is_some(),
-            imu: ImuStatus { newest: self.filter.newest_imu(), ..ImuStatus::default() },
-            last_used_image: image.map(|(at, _)| at.plus_seconds(-camera_offset)),
+            newest_imu: self.filter.newest_imu(),
             position_sigma: self.sigma(0),
             time_offset: TimeOffsetStatus {
                 offset: camera_offset,

@@ -1,12 +1,6 @@
 //! Pose of the camera's frame as published (section II-E): homography, singular value
-//! decomposition, then minimization of the reprojection error, from one image alone.
-//!
-//! The minimizer is [`planar_pose::refine`] with markers of no extent: each center of mass is taken
-//! as the image of the marker's center, and all pixels weigh alike, as in OpenCV's extrinsics
-//! (`solvePnP`, `SOLVEPNP_ITERATIVE`). OpenCV's own is not linked: `calib3d` adds 11 s to the build
-//! of the bindings (38 s instead of 26 s on two cores), but on Debian 12 `libopencv-calib3d-dev`
-//! brings 153 packages (83 MB to download, 304 MB installed; Qt, GDAL and video codecs among them)
-//! to a setup of 113 MB. A test of `test/peers` compares both minimizers.
+//! decomposition, then minimization of the reprojection error, from one image alone. Why the
+//! minimizer is not OpenCV's: `docs/src/equations.md`, "The published filter".
 
 use nalgebra::{Isometry3, Matrix2};
 use rig_model::{

@@ -31,6 +31,10 @@ const KEPT: usize = 64;
 const NEAR: f64 = 0.1;
 /// Smallest uncertainty of the IMU's own roll and pitch, rad.
 const ATTITUDE_FLOOR: f64 = 1e-3;
+/// Squares of four markers' residuals beside the best pose are expected to sum up to this; beyond
+/// this multiple of it (0.999 quantile) a marker is not where it seems to be.
+const FREEDOM: f64 = 2.0;
+const LARGE_MISFIT: f64 = 6.9;
 /// The previous visual pose decides for this long, s, with this uncertainty of the rotation, rad.
 const PREVIOUS: [f64; 2] = [0.3, 0.2];
 
@@ -159,7 +163,10 @@ impl SingleImagePose {
         let mut jacobian = Matrix6::zeros();
         jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
         jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
-        let mut covariance = jacobian * found.covariance * jacobian.transpose();
+        // Markers that do not fit together are not where they seem to be.
+        let misfit = found.pixel_cost / FREEDOM;
+        let unlikely = if misfit > LARGE_MISFIT { misfit } else { 1.0 };
+        let mut covariance = jacobian * found.covariance * jacobian.transpose() * unlikely;
         let [place, angle] = climber_sigma.map(|s| s * s);
         covariance[(0, 0)] += place;
         covariance[(1, 1)] += place;

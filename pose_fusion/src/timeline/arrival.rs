@@ -185,6 +185,11 @@ impl Arrival {
         self.frontier = self.frontier.max(Some(at));
     }
 
+    /// Returns what is known of the other messages, for a time line that begins again without IMU.
+    pub fn beginning(self) -> Self {
+        Self { others: self.others, ..Self::default() }
+    }
+
     /// Returns whether images and encoders arrive and IMU samples do not.
     pub fn is_imu_silent(&self) -> bool {
         self.others.iter().any(|since| since.is_longer_than(SILENCE))

@@ -1,9 +1,6 @@
-//! Steps of one clock against the other: the IMU's against that of camera and encoders.
-//!
-//! A clock that is set makes its stamps jump, and from then on every message of the other clock
-//! arrives that much later or earlier behind the newest IMU sample. Messages that are lost make
-//! stamps jump as well, and a slow network delays them: neither does both. So a jump of the stamps
-//! counts as a step once the lags of images and encoder readings have changed by as much and stay.
+//! Steps of one clock against the other: the IMU's against that of camera and encoders. Lost
+//! messages make stamps jump as well, and a slow network changes the lags; only a step does both,
+//! and lasts. Equations: `docs/src/equations.md`, "Initialization".
 
 use super::arrival::Source;
 use rig_model::Stamp;

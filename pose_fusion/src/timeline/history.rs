@@ -1,9 +1,6 @@
 //! Measurements in the order of their own time, with the state after each, from a store that is
-//! reused.
-//!
-//! The history is trimmed to the configured length in time, so its size follows the rates of the
-//! sensors: 0.6 s at 100 Hz, 50 Hz and 30 Hz are 108 entries of about 9.2 kB. It never holds more
-//! than [`CAPACITY`] entries; what that drops is counted.
+//! reused. It is trimmed to the configured time: 0.6 s at 100 Hz, 50 Hz and 30 Hz are 108 entries
+//! of about 9.2 kB. It never holds more than [`CAPACITY`] entries; what that drops is counted.
 
 use crate::{
     adaptation::imu_noise::Densities,
@@ -88,7 +85,8 @@ pub struct History {
     /// Entries that are reused: nothing is allocated once the history is as long as configured.
     free: Vec<Box<Entry>>,
     processed: usize,
-    overflows: u64,
+    /// Entries that were dropped because the history was full.
+    pub overflows: u64,
 }
 
 #[allow(clippy::len_without_is_empty, reason = "nobody asks")]
@@ -123,11 +121,6 @@ impl History {
     /// Marks everything from `place` on, but for the first entry, as to be processed again.
     pub fn rewind(&mut self, place: usize) {
         self.processed = self.processed.min(place.max(1));
-    }
-
-    /// Returns how many entries were dropped because the history was full.
-    pub fn overflows(&self) -> u64 {
-        self.overflows
     }
 
     /// Returns the entry at a place.
@@ -218,11 +211,9 @@ impl History {
         self.imu_from(place).next()
     }
 
-    /// Returns the motion at an entry with less noise than a single reading, and half the width of
-    /// the mean that it is, s: the triangular mean of the readings before and after it.
-    ///
-    /// It reaches as far before the entry as after it. A mean of past readings alone would have the
-    /// noise in common with the attitude that they were integrated to.
+    /// Returns the motion at an entry as the triangular mean of the readings before and after it,
+    /// and half the width of that mean, s. A mean of past readings alone would have the noise in
+    /// common with the attitude that they were integrated to.
     pub fn motion(&self, place: usize) -> Option<(Motion, f64)> {
         let at = self.get(place)?.stamp;
         let distance = |entry: &Entry| entry.stamp.seconds_since(at);
@@ -303,11 +294,8 @@ mod tests {
             assert_eq!(half_width, expected, "{period} ms, {follow} ms");
             if let Some((motion, _)) = motion {
                 let exact = Motion::from(reading(100));
-                assert!(
-                    (motion.force - exact.force).amax() < 1e-5,
-                    "{period} {follow}: {motion:?}"
-                );
-                assert!((motion.rate - exact.rate).amax() < 1e-6, "{period} {follow}: {motion:?}");
+                let [force, rate] = [motion.force - exact.force, motion.rate - exact.rate];
+                assert!(force.amax() < 1e-5 && rate.amax() < 1e-6, "{period} {follow}: {motion:?}");
             }
         }
     }
@@ -318,7 +306,7 @@ mod tests {
         for ms in 0..CAPACITY as i64 + 5 {
             history.insert(at(ms), Event::Set, ImuReading::default());
         }
-        assert_eq!((history.len(), history.overflows()), (CAPACITY, 5));
+        assert_eq!((history.len(), history.overflows), (CAPACITY, 5));
         assert_eq!(history.get(0).unwrap().stamp, at(5));
     }
 }

@@ -97,13 +97,8 @@ fn against_rig(
     let mut against = Against::default();
     let mut sample_before = None;
     for (_, message) in &recording {
-        let input = match message.clone() {
-            Message::Imu(s) => Input::Imu(s),
-            Message::Markers(s) => Input::Markers(s),
-            Message::Climber(s) => Input::Climber(s),
-        };
         let newest = odometry.last().map(|o| o.stamp);
-        let outputs = scoring::run(&mut fusion, [input]);
+        let outputs = scoring::run(&mut fusion, [simulated::input(message.clone())]);
         if let (Message::Imu(s), true) = (message, newest.is_some()) {
             let last = outputs.odometry.last().map_or(newest.unwrap(), |o| o.stamp);
             if let Some(before) = sample_before {
@@ -242,7 +237,11 @@ fn a_late_link_between_two_hosts_and_its_bound() {
             late[0] / clean[0],
             late[1] / clean[1]
         );
-        assert!(late[0] < 1.05 * late[1], "{pixel_noise} px");
+        for (name, [found, best]) in [("clean", clean), ("late", late)] {
+            assert!(found < 1.05 * best, "{pixel_noise} px, {name}: {found} of {best} mm");
+        }
+        // The better the centroids, the more a late link costs, whatever the filter.
+        assert!(late[1] > 1.25 * clean[1], "{pixel_noise} px: {late:?} {clean:?}");
     }
 }
 

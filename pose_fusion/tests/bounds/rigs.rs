@@ -1,8 +1,8 @@
 //! Rigs that differ in everything: mountings, layouts, lenses, rates, noises and delays at random.
 
 use super::{against_rig, in_parallel, simulated};
-use nalgebra::{UnitQuaternion, Vector3};
-use rig_model::{CameraModel, Distortion, Rig};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use rig_model::{CameraModel, Distortion, Frames, ImuMounting, MarkerLayout, PerColor, Rig};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, random::Random};
 
 fn pick<T: Copy, const N: usize>(r: &mut Random, of: [T; N]) -> T {
@@ -56,50 +56,27 @@ fn case(seed: u64) -> Case {
     let lever = Vector3::new(r.normal(), r.normal(), r.normal()) * 0.5 * spread;
     let [accelerometer, gyroscope] =
         [logarithmic(&mut r, 5e-4, 6e-3), logarithmic(&mut r, 5e-5, 2e-3)];
-    let mut corner = |x: f64, y: f64| {
-        let shift = |r: &mut Random| spread * r.within(-0.15, 0.15);
-        format!(
-            "[{:.4}, {:.4}, {:.4}]",
-            spread * x + shift(&mut r),
-            spread * y + shift(&mut r),
-            0.1 * shift(&mut r)
-        )
+    // Lengths as a rig file has them.
+    let rounded = |v: f64| (v * 1e4).round() / 1e4;
+    let mut center = |x: f64, y: f64| {
+        let mut shift = || spread * r.within(-0.15, 0.15);
+        let center = [spread * x + shift(), spread * y + shift(), 0.1 * shift()];
+        Point3::from(center.map(rounded))
     };
-    let corners = [corner(1.0, 1.0), corner(-1.0, 1.0), corner(-1.0, -1.0), corner(1.0, -1.0)];
-    let q = |q: UnitQuaternion<f64>| format!("[{}, {}, {}, {}]", q.i, q.j, q.k, q.w);
-    let camera_position = [r.within(-0.03, 0.03), r.within(-0.03, 0.03)].map(|x| x * distance);
-    let text = format!(
-        "/**:
-  ros__parameters:
-    camera:
-      position: [{:.3}, {:.3}, -{below:.3}]
-      orientation: {}
-    imu:
-      position: [{:.4}, {:.4}, {:.4}]
-      orientation: {}
-      accelerometer_noise_density: {accelerometer}
-      gyroscope_noise_density: {gyroscope}
-    markers:
-      size: {:.4}
-      red: {}
-      green: {}
-      blue: {}
-      yellow: {}
-",
-        camera_position[0],
-        camera_position[1],
-        q(camera_turn),
-        lever.x,
-        lever.y,
-        lever.z,
-        q(imu_turn),
-        spread * 0.4,
-        corners[0],
-        corners[1],
-        corners[2],
-        corners[3],
-    );
-    let rig = Rig::from_yaml(&text).unwrap();
+    let centers = [center(1.0, 1.0), center(-1.0, 1.0), center(-1.0, -1.0), center(1.0, -1.0)];
+    let [x, y] = [r.within(-0.03, 0.03), r.within(-0.03, 0.03)].map(|x| x * distance);
+    let camera_position = [x, y, -below].map(|v| (v * 1e3).round() / 1e3);
+    let rig = Rig {
+        frames: Frames::default(),
+        climber_from_camera: Isometry3::from_parts(camera_position.into(), camera_turn),
+        imu: ImuMounting {
+            volant_from_imu: Isometry3::from_parts(lever.map(rounded).into(), imu_turn),
+            accelerometer_noise_density: accelerometer,
+            gyroscope_noise_density: gyroscope,
+        },
+        markers: MarkerLayout { side: rounded(spread * 0.4), centers: PerColor(centers) },
+        colors: PerColor([None; 4]),
+    };
     let climber_height = r.within(1.0, 9.0);
     let motion = MotionConfig {
         duration: 16.0,

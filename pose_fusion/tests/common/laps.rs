@@ -2,7 +2,7 @@
 //! of a rig.
 
 use super::{scoring, simulated};
-use pose_fusion::{Fusion, Input, Status};
+use pose_fusion::{Fusion, FusionConfig, Input, Status};
 use rig_simulator::{inertial::SensorConfig, motion::MotionConfig, random::Random};
 
 /// 0.9999 quantile of χ² with 3 degrees of freedom.
@@ -45,7 +45,8 @@ impl Laps {
     }
 
     /// Through a filter that goes on from lap to lap.
-    pub fn follow(&self, fusion: &mut Fusion) -> Found {
+    pub fn follow(&self) -> Found {
+        let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
         let mut random = Random::fork(self.sensors.seed, "encoder faults");
         let mut found = Found::default();
         let mut count = 0.0;
@@ -62,7 +63,7 @@ impl Laps {
             if self.broken_encoders {
                 found.encoder_faults += corrupt(&mut inputs, self.motion.duration, &mut random);
             }
-            let outputs = scoring::run(fusion, inputs.into_iter().map(|(_, input)| input));
+            let outputs = scoring::run(&mut fusion, inputs.into_iter().map(|(_, input)| input));
             for (t, _, nees) in scoring::errors(&outputs.odometry, &run.truth) {
                 if t <= 10.0 {
                     continue;

@@ -1,6 +1,6 @@
 //! What the tests share.
 #![allow(dead_code, missing_docs, unused_imports)] // each test uses its share
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::print_stdout, clippy::panic)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 pub mod bags;
 pub mod bound;

@@ -35,14 +35,10 @@ fn row(
         let (fusion, outputs) = scoring::follow(FusionConfig::default(), inputs);
         let (p, r, _, _) = scoring::judge(&outputs, &run, end, end + 1.0);
         let (_, _, position, rotation) = scoring::judge(&outputs, &run, end + 1.0, end + 2.0);
-        println!(
-            "{name} seed {seed}: beyond {:.1} % {:.1} %, two seconds later {:.2} mm {:.3}°",
-            100.0 * p,
-            100.0 * r,
-            position * 1e3,
-            rotation.to_degrees()
+        assert!(
+            position < 0.01 && rotation < 1.0_f64.to_radians(),
+            "{name} seed {seed}: two seconds later {position} m, {rotation} rad"
         );
-        assert!(position < 0.01 && rotation < 1.0_f64.to_radians(), "{name} seed {seed}: not back");
         shares[0] += p / motions.len() as f64;
         shares[1] += r / motions.len() as f64;
         also(&outputs, &fusion);
@@ -172,34 +168,18 @@ fn images_from_the_future_are_rejected_with_a_reason() {
     );
 }
 
-fn lap_row(name: &str, laps: &Laps) -> common::laps::Found {
-    let mut fusion = Fusion::new(simulated::rig(), FusionConfig::default());
-    let found = laps.follow(&mut fusion);
-    println!(
-        "{name}: {:.2} h, NEES {:.2} {:.2}, beyond the gate {:.2} % {:.2} %, {} encoder faults",
-        found.hours,
-        found.mean_nees[0],
-        found.mean_nees[1],
-        100.0 * found.beyond[0],
-        100.0 * found.beyond[1],
-        found.encoder_faults,
-    );
-    found
-}
-
 /// Fifteen seconds from rest to full motion: at first the noise hides every motion.
 #[test]
 fn a_slow_start_keeps_the_covariance_consistent() {
     for seed in 1..=4 {
-        let found = lap_row(&format!("slow laps, seed {seed}"), &Laps::minutes(seed, 3));
+        let found = Laps::minutes(seed, 3).follow();
         assert!(found.beyond.iter().all(|b| *b < 0.002), "{found:?}");
         assert!(found.mean_nees.iter().all(|n| *n < 6.0), "{found:?}");
     }
 }
 
 fn broken_encoders(seed: u64, laps: u32) {
-    let laps = Laps { broken_encoders: true, ..Laps::minutes(seed, laps) };
-    let found = lap_row(&format!("encoders with faults, seed {seed}"), &laps);
+    let found = Laps { broken_encoders: true, ..Laps::minutes(seed, laps) }.follow();
     assert!(
         found.status.counts.resets.divergences == 0 && found.status.counts.resets.recoveries == 0,
         "{found:?}"
@@ -211,7 +191,7 @@ fn broken_encoders(seed: u64, laps: u32) {
 #[test]
 #[ignore = "three hours of rig time: two minutes"]
 fn hours_do_not_change_the_covariance() {
-    let found = lap_row("three hours, nothing broken", &Laps::minutes(5, 180));
+    let found = Laps::minutes(5, 180).follow();
     assert!(
         found.status.counts.resets.divergences == 0 && found.status.counts.resets.recoveries == 0,
         "{found:?}"
@@ -244,27 +224,17 @@ fn blind_for(seconds: f64, motion: Swing, ropes: &[(&str, Rope)]) -> Vec<Score> 
         let run =
             simulated::run(MotionConfig { duration: 12.0 + seconds, ..motion(seed) }, &sensors);
         let (rope, heights) = (run.motion.rope_length(), run.motion.config());
-        for ((name, set), score) in ropes.iter().zip(&mut scores) {
+        for ((_, set), score) in ropes.iter().zip(&mut scores) {
             let mut config = FusionConfig::default();
             let pendulum = &mut config.tight.pendulum;
             set(pendulum, rope);
             pendulum.climber_attachment[2] =
                 heights.platform_height + rope - heights.climber_height;
-            let (fusion, outputs) = scoring::follow(config, run.inputs());
+            let (_, outputs) = scoring::follow(config, run.inputs());
             for o in outputs.odometry.iter().filter(|o| o.stamp.seconds_since(sensors.epoch) > 12.0)
             {
                 let truth = scoring::pose_at(&run.truth, o.stamp).unwrap();
                 score.add(&o.world_from_volant, &o.pose_covariance, &truth);
-            }
-            if let Some(found) = fusion.status().rope {
-                println!(
-                    "    seed {seed}, {name}: length off by {:+.1} mm ± {:.1}, stretches by {:.1} \
-                     mm, {:.2} m/s² across",
-                    (found.length - rope) * 1e3,
-                    found.length_variance.sqrt() * 1e3,
-                    found.stretch_variance.sqrt() * 1e3,
-                    found.side_variance.sqrt()
-                );
             }
         }
     }
@@ -337,14 +307,11 @@ fn a_single_false_marker_moves_no_pose_that_is_known() {
             let worst =
                 outputs.odometry.iter().filter(hidden).map(|o| error(&o)).fold(0.0, f64::max);
             let (p, r, position, rotation) = scoring::judge(&outputs, &run, END + 0.1, END + 1.0);
-            println!(
-                "{offset} px, seed {seed}: {:.1} mm, then {:.2} mm {:.3}°, beyond {p:.3} {r:.3}",
-                worst * 1e3,
-                position * 1e3,
-                rotation.to_degrees()
-            );
             assert!(worst < farthest, "{offset} px, seed {seed}: {worst} m");
-            assert!(p < 0.02 && r < 0.02 && position < 0.001 && rotation < 3e-3, "seed {seed}");
+            assert!(
+                p < 0.02 && r < 0.02 && position < 0.001 && rotation < 3e-3,
+                "{offset} px, seed {seed}: then {position} m, {rotation} rad, beyond {p} {r}"
+            );
         }
     }
 }

@@ -49,29 +49,27 @@ fn poses(hidden: fn(f64) -> bool) -> Vec<Pose> {
 }
 
 /// Number of poses, of those that are valid, of those with the wrong tilt, and of those with both.
-fn counted(name: &str, poses: &[Pose]) -> [usize; 4] {
+fn counted(poses: &[Pose]) -> [usize; 4] {
     let count = |of: fn(&Pose) -> bool| poses.iter().filter(|pose| of(pose)).count();
-    let found = [
+    [
         count(|_| true),
         count(|p| p.2.valid),
         count(|p| p.1 > WRONG),
         count(|p| p.2.valid && p.1 > WRONG),
-    ];
-    println!("{name}: poses, valid, of the wrong tilt, both: {found:?}");
-    found
+    ]
 }
 
 #[test]
 fn four_markers_decide_between_a_tilt_and_its_mirror_image() {
-    let [all, valid, wrong, _] = counted("four markers", &poses(|_| false));
-    assert!(valid as f64 > 0.95 * all as f64 && wrong == 0);
+    let [all, valid, wrong, _] = counted(&poses(|_| false));
+    assert!(valid as f64 > 0.95 * all as f64 && wrong == 0, "{valid} of {all}, {wrong} wrong");
 }
 
 /// Before, the wrong tilt was valid.
 #[test]
 fn the_mirrored_tilt_that_three_markers_fit_is_not_valid() {
     let poses = poses(|at| at > LOST);
-    let [_, _, wrong, both] = counted("three markers", &poses);
+    let [_, _, wrong, both] = counted(&poses);
     assert!(wrong > 0, "nothing to detect");
     assert_eq!(both, 0);
     let lost = poses.iter().find(|(_, _, status)| status.state == PoseState::Lost).unwrap();
@@ -84,7 +82,59 @@ fn a_single_image_with_four_markers_corrects_the_tilt() {
     let poses = poses(|at| at > LOST && (at / 0.3).fract() > 0.11);
     let (four, three): (Vec<Pose>, Vec<Pose>) =
         poses.into_iter().partition(|(_, _, status)| status.markers_used == 4);
-    assert!(counted("three markers", &three)[2] > 0, "nothing to correct");
-    let [all, _, wrong, _] = counted("four markers", &four);
-    assert!(all > 40 && wrong == 0);
+    assert!(counted(&three)[2] > 0, "nothing to correct");
+    let [all, _, wrong, _] = counted(&four);
+    assert!(all > 40 && wrong == 0, "{wrong} of {all}");
+}
+
+/// Nine seconds of a swing with inputs as `change` makes them of the time of their arrival, s; `None`
+/// for those that do not come.
+fn changed(change: impl Fn(f64, Input) -> Option<Input>) -> (simulated::Run, scoring::Outputs) {
+    let sensors = SensorConfig::nominal(1);
+    let motion = MotionConfig { duration: END, still_until: -10.0, ..MotionConfig::nominal(1) };
+    let run = simulated::run(motion, &sensors);
+    let inputs: Vec<Input> =
+        run.timed().into_iter().filter_map(|(at, input)| change(at, input)).collect();
+    let (_, outputs) = scoring::follow(FusionConfig::default(), inputs);
+    (run, outputs)
+}
+
+fn earlier(mut input: Input, seconds: f64) -> Input {
+    if let Some(stamp) = simulated::stamp_of(&mut input) {
+        *stamp = stamp.plus_seconds(-seconds);
+    }
+    input
+}
+
+/// Before, it was published as zero with the standard deviation of a gyroscope.
+#[test]
+fn the_angular_velocity_is_as_uncertain_as_images_leave_it() {
+    let (run, outputs) =
+        changed(|at, input| (at <= LOST || !matches!(input, Input::Imu(_))).then_some(input));
+    let after = scoring::start(&run.truth).plus_seconds(LOST + 1.0);
+    let nees: Vec<f64> = (outputs.odometry.iter().filter(|o| o.stamp > after))
+        .filter_map(|o| {
+            let truth =
+                run.motion.kinematics(o.stamp.seconds_since(SensorConfig::nominal(1).epoch));
+            let error = o.angular_velocity - truth.angular_velocity;
+            let covariance = o.twist_covariance.fixed_view::<3, 3>(3, 3).into_owned();
+            Some(error.dot(&(covariance.try_inverse()? * error)))
+        })
+        .collect();
+    let mean = nees.iter().sum::<f64>() / nees.len() as f64;
+    assert!(nees.len() > 60 && mean < 6.0, "{mean} of {}", nees.len());
+}
+
+/// Before, its samples, which are of no use, made images and encoders wait for it.
+#[test]
+fn an_imu_that_starts_with_a_clock_behind_leaves_the_pose_to_the_images() {
+    let (_, outputs) = changed(|at, input| match input {
+        Input::Imu(_) if at < 3.0 => None,
+        input @ Input::Imu(_) => Some(earlier(input, 6.0)),
+        input => Some(input),
+    });
+    let last = outputs.odometry.last().unwrap().stamp;
+    let late = outputs.status.iter().filter(|status| last.seconds_since(status.stamp) < 3.0);
+    let valid = late.clone().filter(|s| s.valid && s.state == PoseState::VisionOnly).count();
+    assert!(valid > 60 && valid as f64 > 0.9 * late.count() as f64, "{valid} valid poses");
 }

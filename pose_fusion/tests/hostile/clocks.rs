@@ -20,7 +20,6 @@ fn a_clock_set_back_by_less_than_a_second_starts_again() {
         let outputs = scoring::run(&mut fusion, after.iter().map(|(at, input)| moved(*at, input)));
         let jumps = fusion.status().counts.resets.time_jumps;
         let score = scoring::score(&outputs.odometry, &run.truth, 3.15);
-        println!("{back} s, the IMU's alone: {imu_alone}: {jumps} jumps, {score}");
         // The filter knows of the step after four IMU samples.
         let noticed = step.plus_seconds(0.1);
         for visual in outputs.visual.iter().filter(|visual| visual.stamp > noticed) {
@@ -28,11 +27,12 @@ fn a_clock_set_back_by_less_than_a_second_starts_again() {
             let error = PoseError::new(&visual.pose, &truth).position.norm();
             assert!(error < 0.03, "one image alone {back} {imu_alone}: {error} m");
         }
-        assert_eq!(jumps, 1);
-        assert!(outputs.odometry.len() > 200 && score.nees().0 < 6.0, "{score}");
+        let about = format!("{back} s, the IMU's alone: {imu_alone}");
+        assert_eq!(jumps, 1, "{about}");
+        assert!(outputs.odometry.len() > 200 && score.nees().0 < 6.0, "{about}: {score}");
         let warned =
             |w: &Warning| matches!(w, Warning::TimeJump { by_s } if (by_s - back).abs() < 0.02);
-        assert!(outputs.warnings.iter().any(warned));
+        assert!(outputs.warnings.iter().any(warned), "{about}");
     }
 }
 
@@ -84,7 +84,6 @@ fn a_step_of_one_clock_moves_the_time_offset() {
             }
         }
         let offset = fusion.status().time_offset.offset;
-        println!("{by:+} s, IMU: {imu}: {score}, offset {offset:+.4}, valid {wrong:.3} m off");
         let expected = if imu { by } else { -by };
         assert!((offset - expected).abs() < 2e-3, "{by} {imu}: {offset}");
         assert!(score.position_rmse() < 2.5 && score.nees().0 < 6.0, "{by} {imu}: {score}");
@@ -135,7 +134,6 @@ fn a_looped_recording_reinitializes() {
     assert_eq!(fusion.status().counts.resets.time_jumps, 1);
     assert!(second.warnings.iter().any(|w| matches!(w, Warning::TimeJump { .. })));
     let score = scoring::score(&second.odometry, &run.truth, 1.0);
-    println!("{score}");
     assert!(score.position_rmse() < 1.2, "{score}");
     assert!(second.odometry.len() + 10 > first.odometry.len());
 }

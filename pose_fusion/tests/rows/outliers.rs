@@ -11,8 +11,8 @@ fn false_markers_are_rejected_with_a_reason() {
         let clean = follow(MotionConfig::nominal(seed), &SensorConfig::nominal(seed)).score;
         let sensors = SensorConfig { false_markers: 0.2, ..SensorConfig::nominal(seed) };
         let o = follow(MotionConfig::nominal(seed), &sensors);
-        println!("clean {clean}\nfalse {}  rejected {}", o.score, o.status.counts.gated_markers);
-        assert!(o.score.position_rmse() < 1.2 * clean.position_rmse(), "{}", o.score);
+        let near = o.score.position_rmse() < 1.2 * clean.position_rmse();
+        assert!(near, "clean {clean}\nfalse {}", o.score);
         assert_eq!(o.status.counts.resets.recoveries, 0);
         let rejected = o.outputs.records().filter(|r| {
             matches!(r.outcome, pose_fusion::Outcome::Gated | pose_fusion::Outcome::Inconsistent)
@@ -74,9 +74,8 @@ fn one_encoder_reading_a_few_centimeters_off_is_no_jerk_of_the_climber() {
             }
             _ => {}
         });
-        println!("seed {seed}, {off} m: {}", o.score);
-        assert!(o.score.position_rmse() < 1.5 && o.score.position.max() < 10.0, "{}", o.score);
-        assert!(consistent(&o.score, 0.2, 5.0), "{}", o.score);
+        let near = o.score.position_rmse() < 1.5 && o.score.position_max() < 10.0;
+        assert!(near && consistent(&o.score, 0.2, 5.0), "seed {seed}, {off} m: {}", o.score);
     }
 }
 
@@ -102,13 +101,12 @@ fn noise_that_passes_is_not_learned_as_an_error_of_the_layout() {
                     _ => {}
                 }
             });
-        let shocks = o.status.counts.resets.shocks;
-        println!(
-            "seed {seed}, {sigma} px from {first} s to {last} s: {}, {shocks} shocks",
+        let near = o.score.position_rmse() < 1.5 && o.score.position_max() < 6.0;
+        assert!(
+            near && consistent(&o.score, 0.0, 6.0),
+            "seed {seed}, {sigma} px from {first} s to {last} s: {}",
             o.score
         );
-        assert!(o.score.position_rmse() < 1.5 && o.score.position.max() < 6.0, "{}", o.score);
-        assert!(consistent(&o.score, 0.0, 6.0), "{}", o.score);
     }
 }
 
@@ -121,7 +119,7 @@ fn shaken(seed: u64, valid: f64, mut off: impl FnMut(f64) -> Vector2<f64>) {
     });
     let statuses: Vec<_> = o.outputs.status.iter().skip(400).collect();
     let count = statuses.iter().filter(|status| status.valid).count();
-    assert!(o.score.position_rmse() < 2.0 && o.score.position.max() < 15.0, "{}", o.score);
+    assert!(o.score.position_rmse() < 2.0 && o.score.position_max() < 15.0, "{}", o.score);
     assert!(o.score.nees().0 < 6.0 && o.score.nees().1 < 6.0, "{}", o.score);
     assert!(count as f64 > statuses.len() as f64 * valid, "valid {count} of {}", statuses.len());
 }
@@ -162,7 +160,6 @@ fn a_marker_beside_its_place_is_rejected_and_no_shock() {
                 markers[color].centroid += offset;
             }
         });
-        println!("{color} {offset:?}: {score}");
         assert!(score.position_rmse() < 2.0, "{color}: {score}");
         assert_eq!(status.counts.resets.shocks, 0, "{color}");
         assert!(outputs.status.iter().skip(500).all(|s| s.valid), "{color}");
@@ -183,8 +180,7 @@ fn exchanged_markers_that_no_fourth_one_contradicts_move_the_pose_within_its_sig
             }
         });
         let invalid = outputs.status.iter().skip(500).filter(|s| !s.valid).count();
-        println!("{score}, {invalid} not valid");
-        assert!(score.position.max() < 0.4 && score.rotation.max() < 0.1, "{score}");
+        assert!(score.position_max() < 400.0 && score.rotation_max() < 5.7, "{score}");
         assert!(invalid < 60, "{invalid}");
         let (position, rotation) = score.nees();
         assert!(position < 4.0 && rotation < 4.0, "{score}");
@@ -207,8 +203,7 @@ fn exchanged_markers_with_an_attitude_that_is_hardly_known_are_not_followed() {
             }
             _ => {}
         });
-        println!("from {from:.2} s: {score}");
-        assert!(score.position.max() < 0.5 && score.rotation.max() < 0.2, "{from}: {score}");
+        assert!(score.position_max() < 500.0 && score.rotation_max() < 11.4, "{from}: {score}");
         let (position, rotation) = score.nees();
         assert!(position < 4.0 && rotation < 4.0, "{from}: {score}");
     }
@@ -244,7 +239,6 @@ fn a_stuck_axis_of_the_gyroscope_is_not_the_encoders_fault() {
                 recovered = t;
             }
         }
-        println!("seed {seed}: {worst:.4} m while valid, recovered at {recovered:.2} s");
         assert!(worst < 0.05 && recovered < 11.3, "seed {seed}: {worst} m, {recovered} s");
     }
 }
@@ -259,7 +253,6 @@ fn noise_beyond_the_claimed_covariance_is_found() {
                 marker.centroid += Vector2::from_fn(|_, _| 0.35 * random.normal());
             }
         });
-        println!("seed {seed}: {score}");
         assert!(score.position_rmse() < 10.0, "seed {seed}: {score}");
         assert!(status.pixel_noise_factor > 2.0, "{status:?}");
     }
@@ -273,8 +266,28 @@ fn rest_and_departure_are_tracked() {
             MotionConfig { still_until: 5.0, ..MotionConfig::nominal(seed) },
             &SensorConfig::nominal(seed),
         );
-        println!("rest {}\noff  {}", rest.score, off.score);
-        assert!(rest.score.position_rmse() < 1.0 && off.score.position_rmse() < 1.5);
+        assert!(rest.score.position_rmse() < 1.0, "seed {seed}: {}", rest.score);
+        assert!(off.score.position_rmse() < 1.5, "seed {seed}: {}", off.score);
         assert_eq!(off.status.counts.resets.recoveries, 0);
     }
+}
+
+/// What no pose explains of four markers is in the covariance of the image's pose, though not that
+/// it may be the other tilt. Before, its NEES was in the tens of thousands.
+#[test]
+fn the_pose_of_one_image_with_a_false_marker_is_uncertain() {
+    let run = simulated::run(MotionConfig::nominal(1), &SensorConfig::nominal(1));
+    let inputs = run.changed(|_, input| {
+        if let Input::Markers(image) = input {
+            image.markers.0[0].centroid.x += 6.0;
+        }
+    });
+    let (_, outputs) = scoring::follow(simulated::config(), inputs);
+    let mut score = rig_model::score::Score::default();
+    for visual in &outputs.visual {
+        if let Some(truth) = scoring::pose_at(&run.truth, visual.stamp) {
+            score.add(&visual.pose, &visual.covariance, &truth);
+        }
+    }
+    assert!(score.count() > 100 && score.nees().0 < 100.0 && score.nees().1 < 300.0, "{score}");
 }

@@ -12,21 +12,37 @@ fn predictions_are_consistent_in_calm_and_fast_motion() {
         ("fast", MotionConfig::fast_swing),
     ] {
         for horizon in [0.02, 0.05, 0.1, 0.2] {
-            let (mut position, mut rotation) = (0.0, 0.0);
+            let (mut position, mut rotation, mut rate) = (0.0, 0.0, 0.0);
             for seed in 1..=4 {
                 let run = simulated::run(motion(seed), &SensorConfig::nominal(seed));
                 let mut config = simulated::config();
                 config.tight.prediction_horizon = horizon;
                 let (_, outputs) = scoring::follow(config, run.inputs());
                 let score = scoring::score(&outputs.predicted, &run.truth, 3.0);
-                println!("{name} {horizon} s, seed {seed}: {score}");
                 position += score.nees().0 / 4.0;
                 rotation += score.nees().1 / 4.0;
+                rate += rate_nees(&run, &outputs.predicted) / 4.0;
             }
-            println!("{name} {horizon} s: NEES {position:.2} / {rotation:.2}");
-            assert!((1.0..6.0).contains(&position) && (1.0..6.0).contains(&rotation));
+            assert!(
+                (1.0..6.0).contains(&position) && (1.0..6.0).contains(&rotation) && rate < 6.0,
+                "{name} {horizon} s: NEES {position:.2} / {rotation:.2} / {rate:.2}"
+            );
         }
     }
+}
+
+/// Mean NEES of the angular velocity from 3 s on.
+fn rate_nees(run: &simulated::Run, predicted: &[Odometry]) -> f64 {
+    let start = scoring::start(&run.truth);
+    let nees = |o: &Odometry| {
+        let at = o.stamp.seconds_since(SensorConfig::nominal(1).epoch);
+        let error = o.angular_velocity - run.motion.kinematics(at).angular_velocity;
+        let covariance = o.twist_covariance.fixed_view::<3, 3>(3, 3).into_owned();
+        covariance.try_inverse().map_or(f64::INFINITY, |inverse| error.dot(&(inverse * error)))
+    };
+    let later = predicted.iter().filter(|o| o.stamp.seconds_since(start) > 3.0);
+    let count = later.clone().count();
+    later.map(nees).sum::<f64>() / count as f64
 }
 
 /// Encoders that step by half a meter: the prediction contains the step as the estimate does.

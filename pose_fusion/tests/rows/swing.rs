@@ -67,15 +67,6 @@ fn swing_and_its_rates_agree_with_the_true_poses() {
         assert!(difference.translation.vector.norm() < 5e-3 && difference.rotation.angle() < 5e-3);
     }
     let rmse = Vector6::from_fn(|i, _| squares[(i, i)].sqrt());
-    println!(
-        "rope {:.3} mm, {:.2} mm/s; angles {:.3}, {:.3} mrad, rates {:.2}, {:.2} mrad/s; NEES {nees:.2} of 6; swing to {largest:.2} rad",
-        1e3 * rmse[0],
-        1e3 * rmse[3],
-        1e3 * rmse[1],
-        1e3 * rmse[2],
-        1e3 * rmse[4],
-        1e3 * rmse[5]
-    );
     assert!(largest > 0.05, "the platform swings: {largest} rad");
     assert!(rmse[0] < 1e-3 && rmse[1] < 1e-3 && rmse[2] < 1e-3, "{rmse}");
     assert!(rmse[3] < 10e-3 && rmse[4] < 10e-3 && rmse[5] < 10e-3, "{rmse}");

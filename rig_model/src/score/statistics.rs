@@ -163,9 +163,19 @@ impl Score {
         self.position.rmse() * 1e3
     }
 
+    /// Largest error of the position, mm.
+    pub fn position_max(&self) -> f64 {
+        self.position.max() * 1e3
+    }
+
     /// RMSE of the rotation vector, degrees; NaN without poses.
     pub fn rotation_rmse(&self) -> f64 {
         self.rotation.rmse().to_degrees()
+    }
+
+    /// Largest length of the rotation vector, degrees.
+    pub fn rotation_max(&self) -> f64 {
+        self.rotation.max().to_degrees()
     }
 
     /// Mean NEES of the poses with a positive definite covariance; `None` without any.
@@ -194,9 +204,9 @@ impl fmt::Display for Score {
              NEES {position:5.2} {rotation:5.2}",
             self.count(),
             self.position_rmse(),
-            self.position.max() * 1e3,
+            self.position_max(),
             self.rotation_rmse(),
-            self.rotation.max().to_degrees(),
+            self.rotation_max(),
         )
     }
 }

@@ -5,8 +5,10 @@ use crate::measurements::geometry::ClimberHeightTilt;
 use nalgebra::Vector3;
 use rig_model::{Stamp, wrap_angle};
 
-/// Number of equal readings of encoders that stand.
+/// Number of equal readings of encoders that stand, and their shortest time, s: at a high rate
+/// those of a moving climber repeat as well.
 const STANDING: usize = 3;
+const SHORTEST: f64 = 0.03;
 /// Largest acceleration of a drive (m/s², m/s², rad/s²); a harder stop is a collision or a fault.
 const BRAKES: [f64; 3] = [3.0, 3.0, 2.0];
 /// The speed before a stop is that of readings at least this far apart, s.
@@ -30,19 +32,19 @@ fn is_in_reach(to: &Reading, from: &Reading, slack: f64) -> bool {
 impl ClimberTrack {
     /// Returns for each axis whether the newest readings are equal: at rest, or frozen.
     pub fn standing(&self) -> [bool; 3] {
-        let newest = || self.readings.iter().rev().take(STANDING).map(|(_, values, _)| values);
-        std::array::from_fn(|i| {
+        let equal = |i: usize| {
+            let newest = || self.readings.iter().rev().take(STANDING).map(|(_, values, _)| values);
             newest().next().is_some_and(|last| newest().all(|values| values[i] == last[i]))
-        })
+        };
+        let newest = self.readings.back().map(|(at, _, _)| *at);
+        let lasts =
+            |i: usize| newest.is_some_and(|at| at.seconds_since(self.standing_since[i]) > SHORTEST);
+        std::array::from_fn(|i| equal(i) && lasts(i))
     }
 
     /// Returns since when the readings of each axis have been equal.
     pub fn standing_since(&self) -> [Option<Stamp>; 3] {
-        std::array::from_fn(|i| {
-            let (_, last, _) = self.readings.back()?;
-            let equal = self.readings.iter().rev().take_while(|(_, v, _)| v[i] == last[i]);
-            equal.last().map(|(at, _, _)| *at)
-        })
+        self.standing_since.map(|since| self.readings.back().map(|_| since))
     }
 
     /// Returns since when each axis has stood that moved before, so fast that by now it would have
@@ -255,6 +257,21 @@ mod tests {
             creeping.add(START.plus_seconds(t), Vector3::new(x, 0.5, 0.3 * t), rest());
             assert_eq!(creeping.stopped_since(), [None; 3]);
         }
+    }
+
+    #[test]
+    fn repeated_readings_at_a_high_rate_do_not_stand_and_those_that_do_have_since_they_began() {
+        let mut track = ClimberTrack::new(&ClimberConfig::default());
+        for i in 0..3000 {
+            // 0.25 m/s in steps of 1 mm at 1 kHz: four equal readings each, until 1 s.
+            let t = f64::from(i) * 1e-3;
+            let x = (0.25 * t.min(1.0) * 1e3).floor() * 1e-3;
+            track.add(START.plus_seconds(t), Vector3::new(x, 0.0, 0.0), rest());
+            assert!(t > 1.0 || !track.standing()[0], "{t}");
+        }
+        let since = track.standing_since().map(|since| since.unwrap().seconds_since(START));
+        assert!(track.standing()[0] && (since[0] - 1.0).abs() < 0.004, "{since:?}");
+        assert_eq!(since[1], 0.0, "longer than the readings that are kept");
     }
 
     #[test]
