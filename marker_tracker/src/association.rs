@@ -74,11 +74,12 @@ pub(crate) fn hypotheses(
     let mut search = Search { geometry, blobs, strictness, found };
     let by_threes = extent == Extent::Threes;
     // The most colourful and most square patches first; of wood and cardboard there may be
-    // hundreds.
+    // hundreds. Three alone must be whole.
     let mut of: PerColor<Vec<(f64, usize)>> = PerColor::default();
     for (i, blob) in blobs.iter().enumerate() {
         let fill = blob.fill();
-        if !(0.55..1.35).contains(&fill) || blob.elongation() >= 5.0 {
+        let fills = if by_threes { 0.8..1.2 } else { 0.55..1.35 };
+        if !fills.contains(&fill) || blob.elongation() >= 5.0 || (by_threes && blob.cut) {
             continue;
         }
         let merit = f64::from(blob.saturation()) * (-2.0 * fill.ln().abs()).exp();
@@ -180,10 +181,6 @@ impl Search<'_> {
     fn claim<const N: usize>(&mut self, indices: [usize; N], colors: [MarkerColor; N]) {
         let Geometry { layout, camera } = self.geometry;
         let is_three = N == 3;
-        let is_whole = |blob: &Blob| !blob.cut && (0.8..1.2).contains(&blob.fill());
-        if is_three && !indices.iter().all(|i| is_whole(&self.blobs[*i])) {
-            return;
-        }
         let (mut chosen, mut pixels) = (PerColor([None; 4]), PerColor([None; 4]));
         for (i, color) in indices.into_iter().zip(colors) {
             chosen[color] = Some(i);
@@ -262,5 +259,39 @@ impl Search<'_> {
             self.found.truncate(2 * KEEP);
         }
         self.found.push(Hypothesis { camera_from_volant: pose, blobs: chosen, score });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Point3, Vector2};
+    use rig_model::{CameraModel, Distortion, MarkerLayout};
+
+    #[test]
+    fn three_whole_patches_are_found_beside_many_cut_ones() {
+        let corners = [(0.15, 0.15), (-0.15, 0.15), (-0.15, -0.15), (0.15, -0.15)];
+        let centers = PerColor(corners.map(|(x, y)| Point3::new(x, y, 0.0)));
+        let layout = MarkerLayout { side: 0.076, centers };
+        let lens = Distortion::PlumbBob([0.0; 5]);
+        let camera = CameraModel::new(640, 480, [600.0, 600.0, 319.5, 239.5], lens).unwrap();
+        // At a distance of 1.2 m, seen from in front.
+        let patch = |color: MarkerColor, shift: f64, cut: bool| {
+            let center = layout.centers[color];
+            let centroid = Vector2::new(319.5 + 500.0 * center.x + shift, 239.5 - 500.0 * center.y);
+            let (area, spread) = (38.0 * 38.0, Matrix2::identity() * (38.0 * 38.0 / 12.0));
+            let rgb = if cut { [200.0, 0.0, 0.0] } else { [200.0, 50.0, 50.0] };
+            Blob { color, centroid, area, spread, rgb, cut }
+        };
+        let seen = [MarkerColor::Red, MarkerColor::Green, MarkerColor::Blue];
+        let mut blobs: Vec<Blob> = seen.into_iter().map(|c| patch(c, 0.0, false)).collect();
+        for k in 1..6 {
+            blobs.extend(seen.into_iter().map(|c| patch(c, f64::from(k), true)));
+        }
+        let (geometry, mut found) = (Geometry { layout: &layout, camera: &camera }, Vec::new());
+        let strictness = Strictness { reprojection: 0.08, area: 1.8 };
+        hypotheses(geometry, &blobs, strictness, Extent::Threes, &mut found);
+        let whole = PerColor([Some(0), Some(1), Some(2), None]);
+        assert!(found.iter().any(|h| h.blobs == whole), "{found:?}");
     }
 }

@@ -1,9 +1,10 @@
-//! Color calibration: the mean color of each marker's paper over some images.
+//! Color calibration: the mean color of each marker's paper over some images, and the patches of
+//! the markers' colors without a layout.
 
 use crate::{
     config::TrackerConfig,
     image::{ImageError, ImageView, Pixels},
-    patches::find_patches,
+    scan::{Blob, ScanConfig, Scanner},
     signal::mean_rgb,
     tracker::{Input, Output, Tracker},
 };
@@ -67,7 +68,8 @@ impl ColorCalibration {
                     for (color, _) in
                         o.markers.iter().filter(|(_, m)| m.state == MarkerState::Detected)
                     {
-                        found[color] = tracker.color(color).map(|rgb| rgb.map(f64::from));
+                        let rgb = tracker.views()[color].color;
+                        found[color] = rgb.map(|rgb| rgb.map(f64::from));
                     }
                 }
             }
@@ -105,4 +107,51 @@ impl ColorCalibration {
             Some(CalibratedColor { rgb, spread, images: samples.len() })
         })
     }
+}
+
+/// A patch of one of the markers' colors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Patch {
+    /// Marker whose color it has.
+    pub color: MarkerColor,
+    /// Centroid of its pixels, px.
+    pub centroid: Vector2<f64>,
+    /// Area, px².
+    pub area: f64,
+    /// Mean color, r, g, b of 0–255.
+    pub rgb: [f32; 3],
+}
+
+fn is_square(blob: &Blob) -> bool {
+    !blob.cut
+        && (0.75..1.25).contains(&blob.fill())
+        && blob.elongation() < 2.0
+        && blob.saturation() > 0.2
+}
+
+/// Finds the square-like patches of the markers' colors of at least `min_area` px² in an image, the
+/// largest first.
+///
+/// # Errors
+/// [`ImageError::Size`] where the image's fields contradict each other.
+pub fn find_patches(image: &ImageView<'_>, min_area: f64) -> Result<Vec<Patch>, ImageError> {
+    image.check()?;
+    let (w, h) = (image.width as i32, image.height as i32);
+    let stride = (image.width.max(image.height) / 640).clamp(1, 8);
+    let config = ScanConfig {
+        stride,
+        grid: stride.clamp(4, 8),
+        min_saturation: 0.15,
+        min_layer: 16,
+        min_area,
+        max_area: f64::from(w) * f64::from(h) / 6.0,
+    };
+    let mut scanner = Scanner::default();
+    scanner.scan(&Pixels::whole(*image, None), [0, 0, w, h], &config);
+    let squares = scanner.blobs.iter().filter(|b| is_square(b));
+    let mut patches: Vec<Patch> = squares
+        .map(|b| Patch { color: b.color, centroid: b.centroid, area: b.area, rgb: b.rgb })
+        .collect();
+    patches.sort_by(|a, b| b.area.total_cmp(&a.area));
+    Ok(patches)
 }

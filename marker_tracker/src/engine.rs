@@ -4,7 +4,7 @@ use crate::{
     config::{Method, TrackerConfig},
     debug_view::{MarkerView, SignalView},
     image::{ImageView, Pixels, Window},
-    tracking::{Outcome, Pipeline},
+    tracking::Pipeline,
 };
 use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Stamp};
 use std::fmt::Debug;
@@ -31,6 +31,11 @@ pub(crate) trait Engine: Debug + Send + Sync {
     /// Replaces the settings, except for the method, and keeps all tracks.
     fn set_config(&mut self, config: TrackerConfig);
 
+    /// Whether the method uses the camera's intrinsic parameters.
+    fn uses_camera(&self) -> bool {
+        false
+    }
+
     /// Sets the camera's intrinsic parameters.
     fn set_camera(&mut self, _camera: CameraModel) {}
 
@@ -44,19 +49,11 @@ pub(crate) trait Engine: Debug + Send + Sync {
         0
     }
 
-    /// Outcome of the search for a marker in the last image.
-    fn outcome(&self, color: MarkerColor) -> Outcome;
-
-    /// What a debug image shows of a marker.
+    /// The track of a marker.
     fn view(&self, color: MarkerColor) -> MarkerView;
 
     /// The color signal of a marker's window in the image processed last.
     fn signal(&self, _color: MarkerColor, _image: &Pixels<'_>) -> Option<SignalView> {
-        None
-    }
-
-    /// A marker's adapted color, r, g, b of 0–255.
-    fn color(&self, _color: MarkerColor) -> Option<[f32; 3]> {
         None
     }
 }

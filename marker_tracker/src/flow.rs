@@ -101,11 +101,6 @@ impl FlowFeatures {
         }
     }
 
-    /// Whether every pixel still has exactly its signal.
-    pub fn is_unchanged(&self, sampler: &Sampler<'_>) -> bool {
-        (0..self.count).all(|i| sampler.at(self.x[i], self.y[i]) == Some(self.value[i]))
-    }
-
     /// Removes all pixels.
     pub fn clear(&mut self) {
         self.count = 0;

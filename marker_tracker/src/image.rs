@@ -47,7 +47,7 @@ pub enum ImageError {
     /// An encoding that is not supported.
     #[error(
         "image encoding `{encoding}` is not supported; use rgb8, bgr8, rgba8, bgra8, bayer_*8, \
-         bayer_*16, yuv422 (uyvy), yuv422_yuy2 (yuyv), jpeg or png"
+         bayer_*16, yuv422 (uyvy), yuv422_yuy2 (yuyv), jpeg (YCbCr or RGB) or png"
     )]
     UnknownEncoding {
         /// As in the message.
@@ -76,8 +76,9 @@ pub enum ImageError {
     },
     /// An invalid width, height or step.
     #[error(
-        "image of {width}x{height} with step {step} and {length} bytes of data: the sender's fields \
-         contradict each other; check the camera driver"
+        "image of {width}x{height} with step {step} and {length} bytes of data: a side must have 1 \
+         to 16384 px (Bayer: at least 2, YUV: an even width), and step and data must hold them; \
+         check the camera driver"
     )]
     Size {
         /// Width, px.
@@ -147,22 +148,6 @@ pub struct ImageView<'a> {
 }
 
 impl ImageView<'_> {
-    /// Reads one byte of every cache line of a window (left, top, right, bottom; px, within the
-    /// image), so that the memory of a fresh image arrives for all rows at once.
-    pub(crate) fn prefetch(&self, [x0, y0, x1, y1]: [i32; 4]) {
-        const LINE: usize = 64;
-        let bytes = self.format.bytes_per_pixel();
-        let mut sum = 0u8;
-        for y in y0..y1 {
-            let start = y as usize * self.step;
-            let row = start + x0 as usize * bytes..start + x1 as usize * bytes;
-            for line in self.data.get(row).unwrap_or(&[]).chunks(LINE) {
-                sum ^= line[0];
-            }
-        }
-        std::hint::black_box(sum);
-    }
-
     /// Largest width and height, px.
     pub const MAX_SIDE: usize = 16_384;
     /// Largest number of pixels of a compressed image: 7680 × 4320 is less. (A raw one carries its
@@ -192,17 +177,10 @@ impl ImageView<'_> {
     /// # Errors
     /// [`ImageError::Size`] where they do not.
     pub fn check(&self) -> Result<(), ImageError> {
-        let row = self.width.saturating_mul(self.format.bytes_per_pixel());
-        if Self::fits(self.width, self.height, self.step, row, self.data.len()) {
-            Ok(())
-        } else {
-            Err(ImageError::Size {
-                width: self.width,
-                height: self.height,
-                step: self.step,
-                length: self.data.len(),
-            })
-        }
+        let Self { width, height, step, format, data, .. } = *self;
+        let (row, length) = (width.saturating_mul(format.bytes_per_pixel()), data.len());
+        let fits = Self::fits(width, height, step, row, length);
+        if fits { Ok(()) } else { Err(ImageError::Size { width, height, step, length }) }
     }
 }
 
@@ -235,33 +213,26 @@ impl Coverage {
 pub(crate) struct Pixels<'a> {
     view: ImageView<'a>,
     coverage: Option<Coverage>,
-    /// The previous image as it was compressed, where only a part of it was decoded.
-    pub previous: Option<&'a [u8]>,
+    /// The image as it was compressed; `None` for a raw one.
+    pub compressed: Option<&'a [u8]>,
 }
 
 impl<'a> Pixels<'a> {
     /// A whole image.
-    pub fn whole(view: ImageView<'a>, previous: Option<&'a [u8]>) -> Self {
-        Self { view, coverage: None, previous }
+    pub fn whole(view: ImageView<'a>, compressed: Option<&'a [u8]>) -> Self {
+        Self { view, coverage: None, compressed }
     }
 
-    /// An image of which these windows are decoded.
-    pub fn partial(view: ImageView<'a>, windows: [Window; 4]) -> Self {
+    /// A compressed image of which these windows are decoded.
+    pub fn partial(view: ImageView<'a>, windows: [Window; 4], compressed: &'a [u8]) -> Self {
         let coverage = Coverage { windows, missed: Cell::new(false) };
-        Self { view, coverage: Some(coverage), previous: None }
+        Self { view, coverage: Some(coverage), compressed: Some(compressed) }
     }
 
     /// The windows, where the image is not decoded as a whole.
     #[inline(always)]
     pub fn coverage(&self) -> Option<&Coverage> {
         self.coverage.as_ref()
-    }
-
-    /// Records that all of the image is needed.
-    pub fn need_all(&self) {
-        if let Some(coverage) = &self.coverage {
-            coverage.missed.set(true);
-        }
     }
 
     /// Whether anything was read that is not decoded.
@@ -310,5 +281,27 @@ impl OwnedImage {
             format: self.format,
             data: &self.data,
         }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod fixtures {
+    use super::{OwnedImage, PixelFormat, Window};
+
+    /// A gray rgb8 image with rectangles of other colors.
+    pub fn drawn(
+        width: usize,
+        height: usize,
+        gray: u8,
+        rectangles: &[(Window, [u8; 3])],
+    ) -> OwnedImage {
+        let step = 3 * width;
+        let mut data = vec![gray; step * height];
+        for ([x0, y0, x1, y1], rgb) in rectangles {
+            for row in data.chunks_exact_mut(step).take(*y1).skip(*y0) {
+                row[3 * x0..3 * x1].copy_from_slice(&rgb.repeat(x1 - x0));
+            }
+        }
+        OwnedImage { width, height, step, format: PixelFormat::Rgb8, data }
     }
 }

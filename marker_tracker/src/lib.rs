@@ -43,22 +43,19 @@ pub mod node;
 #[cfg(feature = "opencv")]
 mod opencv;
 mod outline;
-mod patches;
 mod quad;
 mod scan;
 mod signal;
 mod tracker;
 mod tracking;
 
-pub use colors::{CalibratedColor, ColorCalibration};
+pub use colors::{CalibratedColor, ColorCalibration, Patch, find_patches};
 #[cfg(feature = "opencv")]
 pub use config::BinaryThreshold;
 pub use config::{Method, TrackerConfig};
-pub use debug_view::{MarkerView, SignalView};
+pub use debug_view::{MarkerView, Outcome, SignalView};
 pub use decode::{Decoder, PartialImage, decode_compressed, decode_compressed_into};
 pub use encoding::from_encoding;
 pub use hue::hue;
 pub use image::{ImageError, ImageView, OwnedImage, PixelFormat};
-pub use patches::{Patch, find_patches};
 pub use tracker::{Input, Output, Tracker, Warning};
-pub use tracking::Outcome;

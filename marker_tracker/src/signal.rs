@@ -343,42 +343,37 @@ mod tests {
     use rig_model::Stamp;
 
     #[test]
-    fn lines_and_single_pixels_agree_in_every_channel_order() {
+    fn lines_and_single_pixels_agree() {
         let data: Vec<u8> =
             (0..20 * 60u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
         let discriminant =
             Discriminant { weights: [0.31, -0.72, 0.05], light: None, saturated: false };
-        for format in [PixelFormat::Rgb8, PixelFormat::Bgr8, PixelFormat::Rgba8, PixelFormat::Bgra8]
-        {
-            let stamp = Stamp::from_nanos(0);
-            let view = ImageView { stamp, width: 14, height: 20, step: 60, format, data: &data };
-            let view = Pixels::whole(view, None);
-            let sampler = Sampler::new(&view, &discriminant);
-            for (x, y) in [(0, 0), (5, 7), (13, 19)] {
-                let rgb = rgb_at(&view, x, y).unwrap().map(f32::from);
-                let wanted: f32 = rgb.iter().zip(discriminant.weights).map(|(p, w)| p * w).sum();
-                let tolerance = 255.0 * 3.0 * 0.72 / 2048.0;
-                assert!((sampler.at(x, y).unwrap() - wanted).abs() < tolerance);
-            }
-            for (axis, step) in [(0, (1, 0)), (1, (0, 1))] {
-                let (bytes, hop) = sampler.line(3, 4, axis, 8, 1).unwrap();
-                assert_eq!(hop, sampler.hop(axis) as usize);
-                let begin = std::array::from_fn(|j| sampler.begin(3, 4) + (j * hop) as u32);
-                let eight = sampler.eight(&begin).to_array();
-                sampler.each(bytes, hop, |j, value| {
-                    assert_eq!(value as f32, eight[j as usize]);
-                    let at = sampler.at(3 + step.0 * j, 4 + step.1 * j).unwrap();
-                    assert_eq!(value as f32 * sampler.scale, at);
-                });
-            }
-            // The last pixel has no byte after it.
-            let last = sampler.eight(&[sampler.begin(13, 19); 8]).to_array();
-            assert_eq!(last[7] * sampler.scale, sampler.at(13, 19).unwrap());
-            assert!(sampler.at(14, 0).is_none() && sampler.at(0, -1).is_none());
-            assert!(
-                sampler.line(10, 0, 0, 5, 1).is_none() && sampler.line(10, 0, 0, 4, 1).is_some()
-            );
+        let (stamp, format) = (Stamp::from_nanos(0), PixelFormat::Bgra8);
+        let view = ImageView { stamp, width: 14, height: 20, step: 60, format, data: &data };
+        let view = Pixels::whole(view, None);
+        let sampler = Sampler::new(&view, &discriminant);
+        for (x, y) in [(0, 0), (5, 7), (13, 19)] {
+            let rgb = rgb_at(&view, x, y).unwrap().map(f32::from);
+            let wanted: f32 = rgb.iter().zip(discriminant.weights).map(|(p, w)| p * w).sum();
+            let tolerance = 255.0 * 3.0 * 0.72 / 2048.0;
+            assert!((sampler.at(x, y).unwrap() - wanted).abs() < tolerance);
         }
+        for (axis, step) in [(0, (1, 0)), (1, (0, 1))] {
+            let (bytes, hop) = sampler.line(3, 4, axis, 8, 1).unwrap();
+            assert_eq!(hop, sampler.hop(axis) as usize);
+            let begin = std::array::from_fn(|j| sampler.begin(3, 4) + (j * hop) as u32);
+            let eight = sampler.eight(&begin).to_array();
+            sampler.each(bytes, hop, |j, value| {
+                assert_eq!(value as f32, eight[j as usize]);
+                let at = sampler.at(3 + step.0 * j, 4 + step.1 * j).unwrap();
+                assert_eq!(value as f32 * sampler.scale, at);
+            });
+        }
+        // The last pixel has no byte after it.
+        let last = sampler.eight(&[sampler.begin(13, 19); 8]).to_array();
+        assert_eq!(last[7] * sampler.scale, sampler.at(13, 19).unwrap());
+        assert!(sampler.at(14, 0).is_none() && sampler.at(0, -1).is_none());
+        assert!(sampler.line(10, 0, 0, 5, 1).is_none() && sampler.line(10, 0, 0, 4, 1).is_some());
     }
 
     #[test]

@@ -6,11 +6,8 @@ use crate::{
     decode::PartialImage,
     engine::Engine,
     image::{ImageError, ImageView, Pixels, Window},
-    tracking::Outcome,
 };
-use rig_model::{
-    CameraModel, MarkerColor, MarkerLayout, MarkerObservation, MarkerObservations, PerColor, Stamp,
-};
+use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, PerColor, Stamp};
 use std::collections::VecDeque;
 use thiserror::Error;
 
@@ -135,37 +132,30 @@ impl Tracker {
             }
             Input::Image(image) => match self.check(&image) {
                 Ok(()) => self.process(&Pixels::whole(image, None)),
-                Err(warning) => self.outputs.push_back(Output::Warning(warning)),
+                Err(warning) => self.warn(warning),
             },
         }
     }
 
     /// Processes a compressed image as [`Input::Image`] of it, and decodes what is missing of it.
     pub fn handle_partial(&mut self, image: &mut PartialImage<'_>) {
-        match self.check(&image.view()) {
-            Ok(()) => self.process_partial(image),
-            Err(warning) => self.outputs.push_back(Output::Warning(warning)),
+        if let Err(warning) = self.check(&image.view()) {
+            return self.warn(warning);
         }
-    }
-
-    /// Where an image of this stamp will probably be read, px; `None` where all of it is needed.
-    pub(crate) fn windows(&self, stamp: Stamp) -> Option<[Window; 4]> {
-        self.engine.windows(stamp)
-    }
-
-    fn process_partial(&mut self, image: &mut PartialImage<'_>) {
         let observations =
             image.windows().and_then(|windows| self.engine.process_windows(&windows));
         match observations {
             Some(observations) => self.finish(&image.view(), observations),
             None => match image.whole() {
                 Ok(_) => self.process(&image.pixels()),
-                Err(error) => {
-                    return self.outputs.push_back(Output::Warning(Warning::Image(error)));
-                }
+                Err(error) => self.warn(Warning::Image(error)),
             },
         }
-        image.keep();
+    }
+
+    /// Where an image of this stamp will probably be read, px; `None` where all of it is needed.
+    pub(crate) fn windows(&self, stamp: Stamp) -> Option<[Window; 4]> {
+        self.engine.windows(stamp)
     }
 
     /// Rejects images with contradicting fields or an old stamp.
@@ -179,13 +169,10 @@ impl Tracker {
     }
 
     fn process(&mut self, image: &Pixels<'_>) {
-        let observations = self.engine.process(image).unwrap_or_else(|reason| {
-            let warning = Warning::Library { stamp: image.stamp, reason };
-            self.outputs.push_back(Output::Warning(warning));
-            let markers = PerColor([MarkerObservation::lost(MarkerObservation::NEVER); 4]);
-            MarkerObservations { stamp: image.stamp, markers }
-        });
-        self.finish(image, observations);
+        match self.engine.process(image) {
+            Ok(observations) => self.finish(image, observations),
+            Err(reason) => self.warn(Warning::Library { stamp: image.stamp, reason }),
+        }
     }
 
     fn finish(&mut self, image: &ImageView<'_>, observations: MarkerObservations) {
@@ -196,14 +183,16 @@ impl Tracker {
             && self.reported_size != Some((width, height))
         {
             self.reported_size = Some((width, height));
-            let warning = Warning::CameraSize { camera_width, camera_height, width, height };
-            self.outputs.push_back(Output::Warning(warning));
+            self.warn(Warning::CameraSize { camera_width, camera_height, width, height });
         }
         let images = self.engine.repeated();
         if images > 0 {
-            let warning = Warning::Repeated { stamp: image.stamp, images };
-            self.outputs.push_back(Output::Warning(warning));
+            self.warn(Warning::Repeated { stamp: image.stamp, images });
         }
+    }
+
+    fn warn(&mut self, warning: Warning) {
+        self.outputs.push_back(Output::Warning(warning));
     }
 
     /// Replaces the settings, except for the method; all tracks are kept.
@@ -211,7 +200,12 @@ impl Tracker {
         self.engine.set_config(config);
     }
 
-    /// What a debug image of the last image shows, marker by marker.
+    /// Whether the method uses the camera's intrinsic parameters.
+    pub fn uses_camera(&self) -> bool {
+        self.engine.uses_camera()
+    }
+
+    /// The tracks after the last image.
     pub fn views(&self) -> PerColor<MarkerView> {
         PerColor::from_fn(|c| self.engine.view(c))
     }
@@ -222,18 +216,45 @@ impl Tracker {
         self.engine.signal(color, &Pixels::whole(*image, None))
     }
 
-    /// A marker's adapted color, r, g, b of 0–255; `None` until it is known.
-    pub fn color(&self, color: MarkerColor) -> Option<[f32; 3]> {
-        self.engine.color(color)
-    }
-
-    /// Outcome of the search for each marker in the last image.
-    pub fn outcomes(&self) -> PerColor<Outcome> {
-        PerColor::from_fn(|c| self.engine.outcome(c))
-    }
-
     /// The next output, oldest first.
     pub fn poll(&mut self) -> Option<Output> {
         self.outputs.pop_front()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::fixtures::drawn;
+
+    /// A method whose image library always fails.
+    #[derive(Debug)]
+    struct Failing;
+
+    impl Engine for Failing {
+        fn process(&mut self, _: &Pixels<'_>) -> Result<MarkerObservations, String> {
+            Err("no memory".to_owned())
+        }
+
+        fn set_config(&mut self, _: TrackerConfig) {}
+
+        fn view(&self, _: MarkerColor) -> MarkerView {
+            unreachable!("nothing shows it")
+        }
+    }
+
+    #[test]
+    fn an_image_at_which_the_library_fails_is_reported_and_ignored() {
+        let mut tracker = Tracker {
+            engine: Box::new(Failing),
+            last_stamp: None,
+            reported_size: None,
+            outputs: VecDeque::new(),
+        };
+        let (stamp, image) = (Stamp::default(), drawn(1, 1, 0, &[]));
+        tracker.handle(Input::Image(image.view(stamp)));
+        let warning = Warning::Library { stamp, reason: "no memory".to_owned() };
+        assert_eq!(tracker.poll(), Some(Output::Warning(warning)));
+        assert_eq!(tracker.poll(), None);
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::{
     decode::{
-        claim,
+        check_claim,
         crop::{Cropper, Place},
         tables::with_tables,
     },
@@ -98,8 +98,16 @@ fn check<'a>(
     }
     let mut decoder = open(data);
     decoder.decode_headers().map_err(failed)?;
-    if decoder.input_colorspace() == Some(ColorSpace::Luma) {
-        return Err(ImageError::NoColor { encoding: "gray jpeg".to_owned() });
+    match decoder.info().map_or(0, |info| info.components) {
+        1 => return Err(ImageError::NoColor { encoding: "gray jpeg".to_owned() }),
+        // YCbCr or RGB.
+        3 => {}
+        // Often with inverted values, which nothing in the image reveals.
+        4 => return Err(ImageError::UnknownEncoding { encoding: "CMYK or YCCK jpeg".to_owned() }),
+        count => {
+            let encoding = format!("jpeg with {count} components");
+            return Err(ImageError::UnknownEncoding { encoding });
+        }
     }
     let (width, height) = decoder.dimensions().ok_or_else(|| invalid("it has no size"))?;
     // No camera does this, and the decoder panics on some.
@@ -107,7 +115,7 @@ fn check<'a>(
         return Err(invalid("its color is sampled finer than its brightness"));
     }
     let most = data.len().saturating_mul(PIXELS_PER_BYTE);
-    claim::check(width, height, width * height, most, data.len())?;
+    check_claim(width, height, width * height, most, data.len())?;
     image.data.resize(width * height * 3, 0);
     (image.width, image.height, image.step, image.format) =
         (width, height, width * 3, PixelFormat::Rgb8);
@@ -188,6 +196,19 @@ mod tests {
         let jpeg = encoded(64, 64, |e| e.set_progressive_scans(10));
         assert!((10..MAX_SCANS).contains(&count_scans(&jpeg)), "{}", count_scans(&jpeg));
         decode(&jpeg, &mut OwnedImage::default()).unwrap();
+    }
+
+    #[test]
+    fn another_color_space_is_rejected_by_its_name() {
+        use jpeg_encoder::{ColorType, Encoder};
+        let colors = [(ColorType::Cmyk, 4, "CMYK"), (ColorType::Luma, 1, "gray")];
+        for (color, components, name) in colors {
+            let mut jpeg = Vec::new();
+            let pixels = vec![90u8; components * 16 * 16];
+            Encoder::new(&mut jpeg, 90).encode(&pixels, 16, 16, color).unwrap();
+            let error = decode(&jpeg, &mut OwnedImage::default()).unwrap_err().to_string();
+            assert!(error.contains(name), "{error}");
+        }
     }
 
     #[test]

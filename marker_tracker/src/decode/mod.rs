@@ -1,6 +1,5 @@
 //! Decoding of `sensor_msgs/CompressedImage`: JPEG and PNG.
 
-mod claim;
 mod crop;
 mod jpeg;
 mod partial;
@@ -9,7 +8,10 @@ mod tables;
 
 pub use partial::{Decoder, PartialImage};
 
-use crate::image::{ImageError, OwnedImage};
+use crate::image::{ImageError, ImageView, OwnedImage};
+
+/// Allowance, so that a small image need not fill its size, bytes or pixels.
+const SMALL: usize = 1 << 16;
 
 /// Decodes a compressed image into rgb8 or rgba8. Its first bytes determine the format; `format`
 /// (the message's field) only appears in errors, since cameras fill it in many ways.
@@ -17,7 +19,7 @@ use crate::image::{ImageError, OwnedImage};
 /// # Errors
 /// [`ImageError::UnknownCompression`] for anything but JPEG and PNG, [`ImageError::TooLarge`] and
 /// [`ImageError::TooManyScans`] before any work is done, [`ImageError::Decode`] with the decoder's
-/// reason, [`ImageError::NoColor`] for gray images.
+/// reason, [`ImageError::NoColor`] for gray images, [`ImageError::UnknownEncoding`] for CMYK.
 pub fn decode_compressed(format: &str, data: &[u8]) -> Result<OwnedImage, ImageError> {
     let mut image = OwnedImage::default();
     decode_compressed_into(format, data, &mut image)?;
@@ -44,6 +46,28 @@ pub fn decode_compressed_into(
 
 fn is_jpeg(data: &[u8]) -> bool {
     data.starts_with(&[0xff, 0xd8, 0xff])
+}
+
+/// Checks a claimed size (px) before memory is allocated for it: `needed` may not exceed `most`,
+/// which is what `length` bytes can hold.
+///
+/// # Errors
+/// [`ImageError::TooLarge`].
+fn check_claim(
+    width: usize,
+    height: usize,
+    needed: usize,
+    most: usize,
+    length: usize,
+) -> Result<(), ImageError> {
+    let small_side = width <= ImageView::MAX_SIDE && height <= ImageView::MAX_SIDE;
+    // With both sides below 2^14 nothing overflows.
+    if small_side && width * height <= ImageView::MAX_PIXELS && needed <= most.saturating_add(SMALL)
+    {
+        Ok(())
+    } else {
+        Err(ImageError::TooLarge { width, height, length })
+    }
 }
 
 #[cfg(test)]

@@ -12,9 +12,6 @@ use rig_model::Stamp;
 pub struct Decoder {
     image: OwnedImage,
     windows: jpeg::WindowDecoder,
-    /// The last image that the tracker has processed, as it was compressed, where only a part of it
-    /// was decoded.
-    previous: Vec<u8>,
 }
 
 /// A compressed image with the pixels that have been decoded.
@@ -84,19 +81,11 @@ impl PartialImage<'_> {
 
     /// The windows, where the image is not decoded as a whole.
     pub(crate) fn windows(&self) -> Option<Pixels<'_>> {
-        self.windows.map(|windows| Pixels::partial(self.view(), windows))
+        self.windows.map(|windows| Pixels::partial(self.view(), windows, self.data))
     }
 
     /// The pixels of an image that is decoded as a whole.
     pub(crate) fn pixels(&self) -> Pixels<'_> {
-        Pixels::whole(self.view(), Some(&self.decoder.previous))
-    }
-
-    /// Makes this image the previous one.
-    pub(crate) fn keep(&mut self) {
-        self.decoder.previous.clear();
-        if self.windows.is_some() {
-            self.decoder.previous.extend_from_slice(self.data);
-        }
+        Pixels::whole(self.view(), Some(self.data))
     }
 }

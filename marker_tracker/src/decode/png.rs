@@ -1,7 +1,7 @@
 //! PNG.
 
 use crate::{
-    decode::claim,
+    decode::check_claim,
     image::{ImageError, OwnedImage, PixelFormat},
 };
 use std::io::Cursor;
@@ -25,7 +25,7 @@ pub(super) fn decode(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageErr
         let header = decoder.read_header_info().map_err(|e| failed(e.to_string()))?;
         (header.width as usize, header.height as usize)
     };
-    claim::check(width, height, 0, 0, data.len())?;
+    check_claim(width, height, 0, 0, data.len())?;
     let mut reader = decoder.read_info().map_err(|e| failed(e.to_string()))?;
     // The decoder panics where the palette's last color is cut off.
     if reader.info().palette.as_ref().is_some_and(|p| p.len() % 3 != 0) {
@@ -33,7 +33,7 @@ pub(super) fn decode(data: &[u8], image: &mut OwnedImage) -> Result<(), ImageErr
     }
     let (color, _) = reader.output_color_type();
     let needed = reader.info().raw_bytes();
-    claim::check(width, height, needed, data.len().saturating_mul(BYTES_PER_BYTE), data.len())?;
+    check_claim(width, height, needed, data.len().saturating_mul(BYTES_PER_BYTE), data.len())?;
     let format = match color {
         ::png::ColorType::Rgb => PixelFormat::Rgb8,
         ::png::ColorType::Rgba => PixelFormat::Rgba8,

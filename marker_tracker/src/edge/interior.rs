@@ -38,7 +38,6 @@ pub(crate) struct Interior {
 }
 
 /// Sums of a plane's normal equations, about a center and a reference level.
-#[derive(Default)]
 struct Sums {
     n: f64,
     x: f64,
@@ -70,15 +69,8 @@ impl Interior {
     /// The interior after each row was normalized to the light at its place: level 1 and flat.
     pub fn relit(&self) -> Self {
         let scale = self.level.abs().max(0.1);
-        Self {
-            center: self.center,
-            level: 1.0,
-            gradient: Vector2::zeros(),
-            filled: 1.0,
-            sigma: (self.sigma / scale).min(0.1),
-            reach: self.reach,
-            light: self.light,
-        }
+        let (gradient, sigma) = (Vector2::zeros(), (self.sigma / scale).min(0.1));
+        Self { level: 1.0, gradient, filled: 1.0, sigma, ..*self }
     }
 
     /// Fits the plane to the pixels that are `half_width` px away from the edges (to fewer of them
@@ -118,9 +110,8 @@ impl Interior {
         let middle = (nearest(center.x), nearest(center.y));
         // Differences from any pixel inside are small numbers.
         let &Line { x, y, .. } = lines.get(lines.len() / 2)?;
-        let reference = sampler.at(x, y)?;
-        let (mut sums, low, high, light) = plain(sampler, lines, middle, reference);
-        let mut offset = f64::from(reference);
+        let mut offset = sampler.at(x, y)?;
+        let (mut sums, [low, high], light) = gated(sampler, lines, middle, offset, f32::INFINITY);
         let all = sums.n;
         if all < 8.0 {
             return None;
@@ -131,8 +122,9 @@ impl Interior {
         if high - mean > gate || mean - low > gate {
             // Something crosses it.
             let (median, spread) = middle_half(sampler, lines)?;
-            sums = gated(sampler, lines, middle, median, (4.0 * spread).clamp(GATE.0, GATE.1));
-            offset = median;
+            let gate = (4.0 * spread).clamp(GATE.0, GATE.1) as f32;
+            offset = median as f32;
+            (sums, ..) = gated(sampler, lines, middle, offset, gate);
         }
         if sums.n < 8.0 {
             return None;
@@ -168,7 +160,7 @@ impl Interior {
         let variance = (square / (n - 3.0)).max(1e-8);
         Some(Self {
             center: Vector2::new(f64::from(middle.0), f64::from(middle.1)),
-            level: offset + solution.x,
+            level: f64::from(offset) + solution.x,
             gradient: Vector2::new(solution.y, solution.z),
             filled: n / all,
             sigma: variance.sqrt(),
@@ -182,97 +174,56 @@ impl Interior {
     }
 }
 
-/// Sums over all pixels of their difference from `reference`, the lowest and highest difference,
-/// and the sum of the light.
-fn plain(
+/// Sums over the pixels less than `gate` off `reference` of their difference from it; the lowest
+/// and highest difference of all pixels, and the sum of the light on them.
+fn gated(
     sampler: &Sampler<'_>,
     lines: &[Line],
     (cx, cy): (i32, i32),
     reference: f32,
-) -> (Sums, f64, f64, f64) {
+    gate: f32,
+) -> (Sums, [f64; 2], f64) {
     let numbers = f32x8::from([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
     let (scale, reference) = (f32x8::splat(sampler.scale), f32x8::splat(reference));
-    let zero = f32x8::ZERO;
-    // What does not depend on the pixels has closed forms: Σ 1, Σ j and Σ j² of j = 0 … count − 1.
-    let (mut n, mut sx, mut sy, mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-    let (mut s, mut xs, mut ys, mut ss) = (zero, zero, zero, zero);
+    let gate = f32x8::splat(gate);
     let (mut low, mut high) = (f32x8::splat(f32::INFINITY), f32x8::splat(f32::NEG_INFINITY));
-    let mut light = zero;
+    let (mut sums, mut light) = ([f32x8::ZERO; 10], f32x8::ZERO);
     for &Line { x, y, count, hop } in lines {
         let far = sampler.hop(0) * hop as u32;
         let first = sampler.begin(x, y);
         let last = first + (count - 1) as u32 * far;
         sampler.read([x, y], [x + (count - 1) * hop, y]);
         let mut begin: [u32; 8] = std::array::from_fn(|i| first + i as u32 * far);
-        let (x, y, hop) = (f64::from(x - cx), f64::from(y - cy), f64::from(hop));
-        let (one, j) = (f64::from(count), f64::from(count * (count - 1) / 2));
-        let jj = f64::from(count * (count - 1) * (2 * count - 1) / 6);
-        let along = one * x + hop * j;
-        n += one;
-        sx += along;
-        sy += one * y;
-        xx += one * x * x + 2.0 * x * hop * j + hop * hop * jj;
-        xy += along * y;
-        yy += one * y * y;
-        let (y, hop) = (f32x8::splat(y as f32), f32x8::splat(hop as f32));
-        let mut place = numbers * hop + f32x8::splat(x as f32);
+        let (y, hop) = (f32x8::splat((y - cy) as f32), f32x8::splat(hop as f32));
+        let mut place = numbers * hop + f32x8::splat((x - cx) as f32);
         let mut group = 0;
         while group < count {
             // The last pixel stands in for missing ones, so that the extremes are real.
             let (signal, lights) = sampler.eight_with_light(&begin.map(|b| b.min(last)));
-            let all = signal * scale - reference;
-            (low, high) = (low.fast_min(all), high.fast_max(all));
+            let value = signal * scale - reference;
+            (low, high) = (low.fast_min(value), high.fast_max(value));
             let there = (numbers + f32x8::splat(group as f32)).simd_lt(f32x8::splat(count as f32));
-            let value = all & there;
             light += lights & there;
-            s += value;
-            xs += place * value;
-            ys += y * value;
-            ss += value * value;
+            let member = there & value.abs().simd_lt(gate);
+            let (s, x, y) = (value & member, place & member, y & member);
+            let terms = [member & f32x8::ONE, x, y, x * x, x * y, y * y, s, x * s, y * s, s * s];
+            for (sum, term) in sums.iter_mut().zip(terms) {
+                *sum += term;
+            }
             place += hop * f32x8::splat(8.0);
             begin = begin.map(|b| b + 8 * far);
             group += 8;
         }
     }
-    let (x, y) = (sx, sy);
+    let [n, x, y, xx, xy, yy, s, xs, ys, ss] = sums;
+    // Sums of whole numbers are exact in each lane, but not in all together.
+    let whole = |v: f32x8| v.to_array().iter().map(|v| f64::from(*v)).sum::<f64>();
+    let [n, x, y, xx, xy, yy] = [n, x, y, xx, xy, yy].map(whole);
     let [s, xs, ys, ss] = [s, xs, ys, ss].map(|v| f64::from(v.reduce_add()));
-    let (low, high) = (low.to_array(), high.to_array());
-    let low = low.iter().fold(f32::INFINITY, |m, v| m.min(*v));
-    let high = high.iter().fold(f32::NEG_INFINITY, |m, v| m.max(*v));
+    let low = low.to_array().iter().fold(f32::INFINITY, |m, v| m.min(*v));
+    let high = high.to_array().iter().fold(f32::NEG_INFINITY, |m, v| m.max(*v));
     let sums = Sums { n, x, y, xx, xy, yy, s, xs, ys, ss };
-    (sums, f64::from(low), f64::from(high), f64::from(light.reduce_add()))
-}
-
-/// Sums over the pixels less than `gate` off `median` of their difference from it.
-fn gated(
-    sampler: &Sampler<'_>,
-    lines: &[Line],
-    (cx, cy): (i32, i32),
-    median: f64,
-    gate: f64,
-) -> Sums {
-    let mut sums = Sums::default();
-    for &Line { x, y, count, hop } in lines {
-        let Some((bytes, step)) = sampler.line(x, y, 0, count, hop) else { continue };
-        let y = f64::from(y - cy);
-        sampler.each(bytes, step, |j, value| {
-            let d = f64::from(value) * f64::from(sampler.scale) - median;
-            if d.abs() < gate {
-                let x = f64::from(x + j * hop - cx);
-                sums.n += 1.0;
-                sums.x += x;
-                sums.y += y;
-                sums.xx += x * x;
-                sums.xy += x * y;
-                sums.yy += y * y;
-                sums.s += d;
-                sums.xs += x * d;
-                sums.ys += y * d;
-                sums.ss += d * d;
-            }
-        });
-    }
-    sums
+    (sums, [low, high].map(f64::from), f64::from(light.reduce_add()))
 }
 
 /// The median and the standard deviation according to the middle half of the values (for a normal

@@ -1,9 +1,9 @@
-//! Line fit: the straight line through the places of an edge on its rows.
+//! Line fit: the straight line through the places of an edge on its rows, which is the measured
+//! edge.
 
 use crate::edge::{
-    columns::{Column, MAX_ROWS, eight, present},
-    edge_fit::EdgeFit,
     prior::ShapePrior,
+    rows::{Column, MAX_ROWS, eight, present},
 };
 use nalgebra::Matrix2;
 use wide::f32x8;
@@ -24,6 +24,35 @@ const MIN_SUPPORT: f64 = 0.2;
 /// touches a little go unnoticed, in proportion to the covered share. Tuned; guarded by the bound
 /// on partly covered markers in `tests/bags`.
 const COVERED_SIGMA: f64 = 0.2;
+
+/// Number of lags at which the residuals of rows are correlated, lag 0 included.
+pub(crate) const LAGS: usize = 2;
+
+/// A measured edge of a square.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EdgeFit {
+    /// Displacement of the edge's middle along its outward normal, px.
+    pub offset: f64,
+    /// Change of the displacement per pixel along the edge.
+    pub slope: f64,
+    /// Covariance of (offset, slope); px², px, 1.
+    pub covariance: Matrix2<f64>,
+    /// Share of the edge's usable rows that agree with the line.
+    pub support: f64,
+    /// Level outside, at the edge's middle.
+    pub outside: f64,
+    /// Whether the level outside has changed: something lies beside the marker, over its edge or
+    /// just short of it, and this may be that thing's edge.
+    pub foreign: bool,
+    /// ∫ c·(1 − c) across the edge, px, for the share c of the marker: a sixth of the width of a
+    /// motion blur, 0.56 σ of a Gaussian one.
+    pub blur: f64,
+    /// Root mean square, over the rows, of the light that the band has in excess of that inside and
+    /// beyond it, px of the light inside: 0 unless the light changes within the band.
+    pub shade: f64,
+    /// Σ rᵢ² and Σ rᵢ·rᵢ₊₁ of the rows' residuals, px².
+    pub lag: [f64; LAGS],
+}
 
 /// Places of an edge on its rows: distance along it, and outside of the prediction, px.
 pub(super) struct Places {

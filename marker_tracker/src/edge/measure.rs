@@ -2,15 +2,12 @@
 
 use crate::{
     edge::{
-        columns::{Column, MAX_ROWS, eight, present},
-        edge_fit::EdgeFit,
         interior::Interior,
-        line::Places,
+        line::{EdgeFit, Places},
         outside::Outside,
         prior::{Light, ShapePrior},
-        row_plan::{Band, RowPlan},
-        rows::Rows,
-        side::Side,
+        row_plan::{Band, RowPlan, Side},
+        rows::{Column, MAX_ROWS, Rows, eight, present},
     },
     signal::Sampler,
 };
@@ -91,10 +88,12 @@ fn attempt(
     rows: &mut Rows,
 ) -> Option<Attempt> {
     let plan = RowPlan::new(sampler, side, band, prior.tolerance.rows)?;
-    // While the edge is searched, rows that leave the image serve as far as they are in it.
-    rows.read_plan(sampler, &plan, prior.tolerance.edge >= 1.0);
     if let Light::ByRow { brightness } = prior.light {
+        rows.read_plan(sampler, &plan, false);
         rows.relight(sampler, &plan, brightness);
+    } else {
+        // While the edge is searched, rows that leave the image serve as far as they are in it.
+        rows.read_plan(sampler, &plan, prior.tolerance.edge >= 1.0);
     }
     let count = rows.count;
     if count < 3 || count * 4 < plan.possible as usize {
@@ -213,5 +212,46 @@ impl Crossings {
         let product: f32 = excess[..count].windows(2).map(|m| m[0] * m[1]).sum();
         let shade = f64::from(product.max(0.0) / (count - 1) as f32).sqrt();
         Self { places, blur, step, shade }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        edge::Tolerance,
+        image::{Pixels, fixtures::drawn},
+        quad::Quad,
+        signal::Discriminant,
+    };
+    use nalgebra::Vector2;
+    use rig_model::Stamp;
+
+    #[test]
+    fn rows_that_leave_the_image_are_not_normalized_by_those_of_another_edge() {
+        // Two squares; the second one ends 4 px before the image's right border.
+        let squares = [[6, 20, 30, 44], [36, 20, 60, 44]].map(|square| (square, [200, 40, 40]));
+        let image = drawn(64, 64, 120, &squares);
+        let image = Pixels::whole(image.view(Stamp::default()), None);
+        let discriminant = Discriminant::between([200.0, 40.0, 40.0], [120.0; 3]).unwrap();
+        let sampler = Sampler::new(&image, &discriminant);
+        let tolerance =
+            Tolerance { edge: 1.0, slope: 0.06, rows: MAX_ROWS, ..Tolerance::default() };
+        let mut scratch = Rows::new();
+        let mut right_edge = |left: f64, light: Light| {
+            let (right, top, bottom) = (left + 24.0, 19.5, 43.5);
+            let corners = [(left, top), (right, top), (right, bottom), (left, bottom)];
+            let quad = Quad(corners.map(|(x, y)| Vector2::new(x, y)));
+            let interior = Interior::measure(&sampler, &quad, 4.5, false, None).unwrap();
+            let interior = if light == Light::Even { interior } else { interior.relit() };
+            let (correlation, inflation) = (1.0, 1.0);
+            let prior =
+                ShapePrior { tolerance, correlation, inflation, light, ..ShapePrior::default() };
+            let side = Side::of(&quad, quad.area_and_centroid().1)[1];
+            fit_edge(&sampler, &interior, &side, 4.5, &prior, 0.35, &mut scratch)
+        };
+        let by_row = Light::ByRow { brightness: 360.0 / 280.0 };
+        assert!(right_edge(5.5, by_row).is_some() && right_edge(35.5, Light::Even).is_some());
+        assert!(right_edge(5.5, by_row).is_some() && right_edge(35.5, by_row).is_none());
     }
 }

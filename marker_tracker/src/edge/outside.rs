@@ -1,8 +1,8 @@
 //! The level beside an edge.
 
 use crate::edge::{
-    columns::{Column, eight, present},
     interior::Interior,
+    rows::{Column, eight, present},
 };
 use wide::f32x8;
 

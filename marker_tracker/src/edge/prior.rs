@@ -1,6 +1,6 @@
 //! What is known of an outline before it is measured.
 
-use crate::edge::levels::Levels;
+use crate::edge::line::EdgeFit;
 use nalgebra::Vector2;
 
 /// How precisely an outline's edges are known before a measurement, and how they are measured.
@@ -53,4 +53,73 @@ pub(crate) enum Light {
     /// The signal is divided by the light on each pixel: for shadows whose edge lies along the
     /// marker's. A gray cover looks like the surroundings then.
     ByPixel,
+}
+
+/// Signal levels inside of a whole square and beside each of its edges.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Levels {
+    inside: f64,
+    beside: [f64; 4],
+}
+
+impl Levels {
+    /// Change of the level beside an edge, in units of the contrast, from which on something else
+    /// lies there. Tuned on scenes with poles and hands before the markers.
+    const FOREIGN: f64 = 0.15;
+    /// Standard deviation, px, of such an edge's place in addition to its rows': the edge may be
+    /// that thing's, or a gap too narrow to be resolved (uniform over 1 px: 0.29).
+    pub const FOREIGN_SIGMA: f64 = 0.3;
+
+    /// Levels of a whole outline; `None` where an edge was not measured.
+    pub fn of(inside: f64, edges: &[Option<EdgeFit>; 4]) -> Option<Self> {
+        let mut beside = [0.0; 4];
+        for (level, edge) in beside.iter_mut().zip(edges) {
+            *level = edge.as_ref()?.outside;
+        }
+        Some(Self { inside, beside })
+    }
+
+    /// Change of the level inside, in units of the level; 0 where that is too small to measure
+    /// light.
+    pub fn relative_change(&self, inside: f64) -> f64 {
+        if self.inside.abs() > 0.3 { inside / self.inside - 1.0 } else { 0.0 }
+    }
+
+    /// Moves the levels by the share `gain` towards other ones.
+    pub fn adapt(&mut self, other: &Self, gain: f64) {
+        self.inside += gain * (other.inside - self.inside);
+        for (level, now) in self.beside.iter_mut().zip(other.beside) {
+            *level += gain * (now - *level);
+        }
+    }
+
+    /// Marks the edges beside which something else lies now, and widens their covariance. Where
+    /// that is so at most edges, or the level inside differs, the light has changed instead.
+    pub fn mark_foreign(&self, edges: &mut [Option<EdgeFit>; 4], inside: f64) {
+        // Light multiplies both levels.
+        let light = if self.inside.abs() > 0.3 { inside / self.inside } else { 1.0 };
+        if !(0.8..1.25).contains(&light) {
+            return;
+        }
+        // In units of the contrast; 0 where an edge was not measured.
+        let change: [f64; 4] = std::array::from_fn(|i| {
+            let beside = self.beside[i] * light;
+            edges[i].map_or(0.0, |e| (e.outside - beside) / (self.inside * light - beside).abs())
+        });
+        // A change beside all edges is the light's color; a thing changes some of them.
+        let mut sorted = change;
+        sorted.sort_unstable_by(f64::total_cmp);
+        let common = (sorted[1] + sorted[2]) / 2.0;
+        let foreign =
+            change.map(|c| c.abs() > Self::FOREIGN && (c - common).abs() > Self::FOREIGN / 2.0);
+        if foreign.iter().filter(|f| **f).count() > 2 {
+            return;
+        }
+        for (edge, _) in edges.iter_mut().zip(foreign).filter(|(_, f)| *f) {
+            if let Some(e) = edge {
+                e.foreign = true;
+                e.covariance[(0, 0)] += Self::FOREIGN_SIGMA * Self::FOREIGN_SIGMA;
+            }
+        }
+    }
 }

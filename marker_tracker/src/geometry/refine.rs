@@ -4,7 +4,7 @@
 //! more: a prior, with which one centroid suffices, and the squares' corners, which constrain the
 //! tilt that fewer than four centroids leave open.
 
-use crate::{geometry::square::corners_of, quad::Quad};
+use crate::{geometry::corners_of, quad::Quad};
 use nalgebra::{
     Isometry3, Matrix2, Matrix2x3, Matrix2x6, Matrix6, Point3, Translation3, UnitQuaternion,
     Vector2, Vector3, Vector6,

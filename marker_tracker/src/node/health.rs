@@ -8,10 +8,11 @@ use rig_model::CameraModel;
 const NEARLY_BLACK: f64 = 12.0;
 const NEARLY_WHITE: f64 = 243.0;
 
-/// Level and message of the node's status.
+/// Level and message of the node's status; `uses_camera`: whether the method needs a camera model.
 pub(super) fn assess(
     stages: &Stages,
     camera: Option<&CameraModel>,
+    uses_camera: bool,
     incomplete: &IncompleteImages,
 ) -> (Health, String) {
     if stages.convert.count == 0 {
@@ -34,10 +35,15 @@ pub(super) fn assess(
         let message =
             format!("{count} images of the last second were rejected; see the log for the reason");
         (Health::Warn, message)
-    } else if camera.is_none() {
-        (Health::Warn, "no camera_info yet: geometry is only checked coarsely".to_owned())
+    } else if camera.is_none() && uses_camera {
+        let why = if incomplete.is_info_rejected {
+            "camera_info is rejected (see the log for the reason)"
+        } else {
+            "no camera_info yet"
+        };
+        (Health::Warn, format!("{why}: geometry is only checked coarsely"))
     } else if stages.detected[0] == stages.accepted() {
-        (Health::Warn, why_none(stages, camera))
+        (Health::Warn, why_none(stages, camera.filter(|_| uses_camera)))
     } else {
         (Health::Ok, "tracking".to_owned())
     }
@@ -80,27 +86,40 @@ fn why_blank(stages: &Stages) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::{ImageView, PixelFormat};
+    use crate::image::fixtures::drawn;
     use rig_model::Stamp;
 
     #[test]
     fn a_repeated_image_is_a_camera_that_hangs_unless_it_is_black_or_white() {
         for (value, wanted) in [(0, "nearly black"), (90, "hangs"), (255, "nearly white")] {
-            let data = [value; 3 * 16 * 16];
+            let image = drawn(16, 16, value, &[]);
             let mut stages = Stages::default();
             (stages.repeated, stages.detected[0], stages.convert.count) = (30, 30, 30);
             for _ in 0..30 {
-                stages.add_brightness(&ImageView {
-                    stamp: Stamp::default(),
-                    width: 16,
-                    height: 16,
-                    step: 3 * 16,
-                    format: PixelFormat::Rgb8,
-                    data: &data,
-                });
+                stages.add_brightness(&image.view(Stamp::default()));
             }
-            let (_, message) = assess(&stages, None, &IncompleteImages::default());
+            let (_, message) = assess(&stages, None, true, &IncompleteImages::default());
             assert!(message.contains(wanted), "{value}: {message}");
+        }
+    }
+
+    #[test]
+    fn a_camera_model_is_named_only_where_the_method_needs_one() {
+        let mut stages = Stages::default();
+        (stages.size, stages.detected[0], stages.convert.count) = ((320, 240), 30, 30);
+        let mut counts = IncompleteImages::default();
+        let lens = rig_model::Distortion::PlumbBob([0.0; 5]);
+        let large = CameraModel::new(640, 480, [600.0, 600.0, 319.5, 239.5], lens).unwrap();
+        for (camera, is_info_rejected, uses_camera, wanted) in [
+            (None, false, true, "no camera_info yet"),
+            (None, true, true, "camera_info is rejected"),
+            (Some(&large), false, true, "640x480"),
+            (None, true, false, "nearly black"),
+            (Some(&large), false, false, "nearly black"),
+        ] {
+            counts.is_info_rejected = is_info_rejected;
+            let (_, message) = assess(&stages, camera, uses_camera, &counts);
+            assert!(message.contains(wanted), "{message}");
         }
     }
 }

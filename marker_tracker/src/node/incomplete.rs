@@ -22,8 +22,11 @@ const BYTES_PER_PIXEL: usize = 3;
 pub(super) struct IncompleteImages {
     announced: usize,
     received: usize,
-    /// Memory of the process when images were last complete, bytes.
+    /// Memory of the process when images were last complete, bytes; `None` where it is yet to be
+    /// read.
     resident: Option<usize>,
+    /// Whether the last camera_info has no usable model.
+    pub is_info_rejected: bool,
     /// Number of incomplete images that were dropped since the start.
     pub dropped: u64,
     /// Number of images that were announced since the last report of the node's state.
@@ -34,6 +37,9 @@ impl IncompleteImages {
     /// Counts a complete image, whether the node processes it or not.
     pub fn count_received(&mut self) {
         self.received += 1;
+        if self.received >= self.announced {
+            self.resident = None;
+        }
     }
 
     /// Counts an announced image of this size (width, height; px). True where the missing images
@@ -143,6 +149,18 @@ mod tests {
     }
 
     #[test]
+    fn memory_that_grows_while_images_are_complete_is_not_that_of_incomplete_ones() {
+        let mut images = IncompleteImages::default();
+        for k in 0..1200 {
+            // Then the camera announces images that it does not send.
+            if k < 600 {
+                images.count_received();
+            }
+            assert!(!images.is_full_with(SIZE, || Some(k.min(600) << 20)), "image {k}");
+        }
+    }
+
+    #[test]
     fn the_memory_of_the_process_is_in_bytes() {
         let before = resident().unwrap();
         let block = std::hint::black_box(vec![1u8; 256 << 20]);
@@ -168,13 +186,14 @@ mod tests {
         let (counts, changes) = (SharedCounts::default(), CameraChanges::default());
         let uncalibrated =
             Arc::new(CameraInfo { width: 640, height: 480, ..CameraInfo::default() });
-        let IfChanged(first) = camera_info_input(Some(&counts), &changes, uncalibrated.clone());
+        let IfChanged(first) = camera_info_input(&counts, true, &changes, uncalibrated.clone());
         assert!(matches!(first, Some(Err(_))));
-        let _ = camera_info_input(Some(&counts), &changes, uncalibrated);
+        let _ = camera_info_input(&counts, true, &changes, uncalibrated);
         // Nothing handles it.
         let image = image_input(&counts, Arc::new(Image::default()));
         assert!(matches!(image, Some(Arrival::Image(_))));
         let counts = counts.lock();
         assert_eq!((counts.announced, counts.received), (2, 1));
+        assert!(counts.is_info_rejected);
     }
 }

@@ -90,17 +90,23 @@ fn image_input(counts: &SharedCounts, message: Arc<Image>) -> Option<Arrival> {
     Some(Arrival::Image(message))
 }
 
-/// Input of a camera_info, which announces a raw image even if its model is unusable.
+/// Input of a camera_info, which announces an image even if its model is unusable. Incomplete raw
+/// images are counted.
 fn camera_info_input(
-    raw: Option<&SharedCounts>,
+    counts: &SharedCounts,
+    is_raw: bool,
     changes: &CameraChanges,
     message: Arc<CameraInfo>,
 ) -> IfChanged<Result<Arrival, CameraModelError>> {
     let size = (message.width, message.height);
-    if raw.is_some_and(|counts| counts.lock().is_full_after(size)) {
+    if is_raw && counts.lock().is_full_after(size) {
         return IfChanged(Some(Ok(Arrival::Incomplete)));
     }
-    IfChanged(changes.model(message).map(|model| model.map(Arrival::Camera)))
+    let model = changes.model(message);
+    if let Some(model) = &model {
+        counts.lock().is_info_rejected = model.is_err();
+    }
+    IfChanged(model.map(|model| model.map(Arrival::Camera)))
 }
 
 impl NodeShell for MarkerTrackerNode {
@@ -165,13 +171,15 @@ impl NodeShell for MarkerTrackerNode {
     fn tick(&mut self, context: &mut NodeContext<Arrival>) {
         let stages = std::mem::take(&mut self.stages);
         let mut incomplete = self.incomplete.lock();
-        let (health, message) = health::assess(&stages, self.camera.as_ref(), &incomplete);
+        let uses_camera = self.tracker.uses_camera();
+        let (health, message) =
+            health::assess(&stages, self.camera.as_ref(), uses_camera, &incomplete);
         let mut values = stages.values();
         values.push(("incomplete images dropped", incomplete.dropped.to_string()));
         incomplete.recent = 0;
         drop(incomplete);
-        let outcomes = self.tracker.outcomes();
-        values.extend(outcomes.iter().map(|(color, o)| (color.name(), o.as_str().to_owned())));
+        let views = self.tracker.views();
+        values.extend(views.iter().map(|(c, view)| (c.name(), view.outcome.as_str().to_owned())));
         context.diagnose("tracking", health, &message, &values);
     }
 
@@ -193,10 +201,9 @@ impl MarkerTrackerNode {
         parameters: &MarkerTrackerParameters,
     ) -> Result<(), NodeError> {
         let is_compressed = parameters.image_transport == "compressed";
-        let raw = (!is_compressed).then(|| self.incomplete.clone());
-        let changes = CameraChanges::default();
+        let (counts, changes) = (self.incomplete.clone(), CameraChanges::default());
         context.subscribe(topics::CAMERA_INFO, QosPreset::CameraInfo, move |message| {
-            camera_info_input(raw.as_ref(), &changes, message)
+            camera_info_input(&counts, !is_compressed, &changes, message)
         })?;
         if is_compressed {
             context.subscribe(topics::COMPRESSED_IMAGE, QosPreset::Image, |message| {

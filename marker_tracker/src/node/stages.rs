@@ -44,16 +44,18 @@ impl Span {
     }
 }
 
-/// Mean value of an image (0–255), from eight of its rows.
+/// Mean value of an image's colors (0–255), from eight of its rows.
 fn brightness(image: &ImageView<'_>) -> f64 {
     const ROWS: usize = 8;
-    let row = image.width * image.format.bytes_per_pixel();
-    let bytes = (0..ROWS).flat_map(|i| {
+    let bytes = image.format.bytes_per_pixel();
+    let pixels = (0..ROWS).flat_map(|i| {
         let start = (2 * i + 1) * image.height / (2 * ROWS) * image.step;
-        image.data.get(start..start + row).unwrap_or(&[])
+        let row = image.data.get(start..start + image.width * bytes).unwrap_or(&[]);
+        row.chunks_exact(bytes)
     });
-    let (sum, count) =
-        bytes.fold((0_u64, 0_u64), |(sum, count), byte| (sum + u64::from(*byte), count + 1));
+    let (sum, count) = pixels.fold((0_u64, 0_u64), |(sum, count), pixel| {
+        (sum + pixel[..3].iter().map(|v| u64::from(*v)).sum::<u64>(), count + 3)
+    });
     sum as f64 / count.max(1) as f64
 }
 
@@ -94,5 +96,20 @@ impl Stages {
             ("tracking, ms", self.track.text()),
             ("drawing, ms", self.draw.text()),
         ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::PixelFormat;
+    use rig_model::Stamp;
+
+    #[test]
+    fn an_ignored_channel_adds_no_brightness() {
+        let data = [[0u8, 10, 20, 255]; 16].concat();
+        let (stamp, format) = (Stamp::default(), PixelFormat::Rgba8);
+        let view = ImageView { stamp, width: 2, height: 8, step: 8, format, data: &data };
+        assert_eq!(brightness(&view), 10.0);
     }
 }

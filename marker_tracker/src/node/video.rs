@@ -26,15 +26,8 @@ pub(crate) fn probe(path: &str) -> Result<Video, String> {
         return Err(format!("video file {path} does not exist; set file.path"));
     }
     let output = Command::new("ffprobe")
-        .args([
-            "-v",
-            "error",
-            "-select_streams",
-            "v:0",
-            "-show_entries",
-            "stream=width,height,r_frame_rate,avg_frame_rate",
-        ])
-        .args(["-of", "csv=p=0", path])
+        .args(["-v", "error", "-select_streams", "v:0", "-of", "csv=p=0", "-show_entries"])
+        .args(["stream=width,height,r_frame_rate,avg_frame_rate", path])
         .output()
         .map_err(|e| not_installed("ffprobe", &e))?;
     let text = String::from_utf8_lossy(&output.stdout);

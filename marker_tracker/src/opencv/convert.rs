@@ -55,12 +55,11 @@ pub(crate) fn convert(
     let layout = layout(encoding)
         .ok_or_else(|| ImageError::UnknownEncoding { encoding: encoding.to_owned() })?;
     let row = width.saturating_mul(layout.bytes_per_pixel);
-    // Both patterns repeat every two pixels.
-    let holds_pattern = width.is_multiple_of(2) && height >= 2;
+    let yuv = encoding.starts_with('y') || encoding.starts_with('u');
+    let holds_pattern = if yuv { width.is_multiple_of(2) } else { width.min(height) >= 2 };
     if !holds_pattern || !ImageView::fits(width, height, step, row, data.len()) {
         return Err(ImageError::Size { width, height, step, length: data.len() });
     }
-    let yuv = encoding.starts_with('y') || encoding.starts_with('u');
     let packed: Vec<u8>;
     let bytes: &[u8] = if layout.bytes_per_pixel == 2 && !yuv {
         let value = if big_endian { u16::from_be_bytes } else { u16::from_le_bytes };
@@ -107,7 +106,7 @@ mod tests {
     /// A smooth colored image, sampled through a pattern, is recovered with every color in place.
     #[test]
     fn every_bayer_pattern_is_converted() {
-        let (w, h) = (64usize, 48usize);
+        let (w, h) = (65usize, 47usize);
         let truth = |x: usize, y: usize| [60 + x as i32, 200 - 2 * y as i32, 40 + (x + y) as i32];
         for pattern in ["rggb", "bggr", "gbrg", "grbg"] {
             let channel = |x: usize, y: usize| {
@@ -198,18 +197,12 @@ mod tests {
     #[test]
     fn contradicting_sizes_are_rejected() {
         let mut image = OwnedImage::default();
-        assert!(matches!(
-            convert(8, 8, "bayer_rggb8", false, 8, &[0; 63], &mut image),
-            Err(ImageError::Size { .. })
-        ));
-        assert!(matches!(
-            convert(7, 8, "yuv422", false, 14, &[0; 112], &mut image),
-            Err(ImageError::Size { .. })
-        ));
-        assert!(matches!(
-            convert(usize::MAX, 8, "yuv422", false, 14, &[0; 112], &mut image),
-            Err(ImageError::Size { .. })
-        ));
+        for (width, encoding, step, length) in
+            [(8, "bayer_rggb8", 8, 63), (7, "yuv422", 14, 112), (usize::MAX, "yuv422", 14, 112)]
+        {
+            let result = convert(width, 8, encoding, false, step, &[0; 112][..length], &mut image);
+            assert!(matches!(result, Err(ImageError::Size { .. })), "{width} {encoding}");
+        }
         assert!(matches!(
             convert(8, 8, "nv21", false, 8, &[0; 96], &mut image),
             Err(ImageError::UnknownEncoding { .. })

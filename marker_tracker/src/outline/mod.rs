@@ -9,7 +9,5 @@
 
 mod combine;
 mod fit;
-mod quad_fit;
 
-pub(crate) use fit::fit;
-pub(crate) use quad_fit::QuadFit;
+pub(crate) use fit::{QuadFit, fit};

@@ -4,7 +4,7 @@
 use crate::{
     image::Pixels,
     scan::{
-        blob::Blob,
+        Blob,
         palette::Palette,
         tint::{ScanConfig, Tint},
     },

@@ -12,7 +12,7 @@ use crate::{
     signal::{Sampler, mean_rgb},
     tracking::{
         camera::View,
-        meter::{ONE_PASS_ROWS, OutlineMeter, SEARCH_ROWS},
+        meter::{KNOWN, ONE_PASS_ROWS, OutlineMeter, SEARCH},
         platform::{MAX_TURN, PlatformModel},
     },
 };
@@ -270,24 +270,45 @@ impl Verification<'_, '_> {
         predicted: &Quad,
     ) -> Option<QuadFit> {
         let sampler = Sampler::new(self.image, &appearance.discriminant);
-        let wide = Tolerance {
-            half_width: 6.0,
-            edge: if self.known_camera { 1.5 } else { 3.0 },
-            place: 6.0,
-            slope: 0.12,
-            gradient: None,
-            rows: SEARCH_ROWS,
-        };
-        let narrow = Tolerance {
-            half_width: 3.0,
-            edge: 0.5,
-            place: 3.0,
-            slope: 0.05,
-            gradient: None,
-            rows: ONE_PASS_ROWS,
-        };
+        let edge = if self.known_camera { 1.5 } else { 3.0 };
+        let wide = Tolerance { half_width: 6.0, edge, place: 6.0, slope: 0.12, ..SEARCH };
+        let narrow = Tolerance { half_width: 3.0, slope: 0.05, rows: ONE_PASS_ROWS, ..KNOWN };
         let meter = &self.meters[color];
         let first = meter.measure(&sampler, predicted, wide).filter(QuadFit::is_whole)?;
         meter.measure(&sampler, &first.quad, narrow).filter(QuadFit::is_whole)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        config::TrackerConfig, engine::Engine, image::fixtures::drawn, tracking::Pipeline,
+    };
+    use nalgebra::Point3;
+    use rig_model::{Distortion, MarkerLayout, Stamp};
+
+    #[test]
+    fn an_acquisition_forgets_the_levels_of_the_former_colors() {
+        const PAINT: [[u8; 3]; 4] = [[168, 47, 49], [77, 132, 76], [40, 93, 146], [194, 166, 67]];
+        let corners = [(0.15, 0.15), (-0.15, 0.15), (-0.15, -0.15), (0.15, -0.15)];
+        // At a distance of 1.2 m, seen from in front: squares of 25 px.
+        let squares: [_; 4] = std::array::from_fn(|i| {
+            let (x, y) = corners[i];
+            let (left, top) = ((147.0 + 333.0 * x) as usize, (107.0 - 333.0 * y) as usize);
+            ([left, top, left + 25, top + 25], PAINT[i])
+        });
+        let image = drawn(320, 240, 125, &squares);
+        let image = Pixels::whole(image.view(Stamp::default()), None);
+        let centers = PerColor(corners.map(|(x, y)| Point3::new(x, y, 0.0)));
+        let layout = MarkerLayout { side: 0.076, centers };
+        let lens = Distortion::PlumbBob([0.0; 5]);
+        let camera = CameraModel::new(320, 240, [400.0, 400.0, 159.5, 119.5], lens).unwrap();
+        let mut pipeline = Pipeline::new(layout, TrackerConfig::default());
+        pipeline.set_camera(camera.clone());
+        pipeline.process(&image).unwrap();
+        assert!(pipeline.state.markers.0.iter().all(|m| m.edges.levels.is_some()));
+        assert!(pipeline.acquire(&image, &camera));
+        assert!(pipeline.state.markers.0.iter().all(|m| m.edges.levels.is_none()));
     }
 }

@@ -14,28 +14,22 @@ pub(super) struct View<'a> {
     pub pose: Isometry3<f64>,
 }
 
-/// The camera model as it was given, and the one of the images.
+/// The camera model and the size of the images.
 #[derive(Debug, Default)]
 pub(super) struct ImageCamera {
-    given: Option<CameraModel>,
-    fitted: Option<Fitted>,
-}
-
-/// The model for images of one size.
-#[derive(Debug)]
-struct Fitted {
-    size: (u32, u32),
-    /// `None` where the given model is for another size, or the size admits no model.
+    /// The given model, or an assumed one until one is given.
     model: Option<CameraModel>,
+    is_given: bool,
+    /// Of the last image, px; `None` between a new calibration and the next image.
+    size: Option<(u32, u32)>,
 }
 
 impl ImageCamera {
     /// Sets the model from the camera's calibration; returns whether it is another one.
     pub fn set(&mut self, camera: CameraModel) -> bool {
-        let is_new = self.given.as_ref() != Some(&camera);
+        let is_new = !self.is_given || self.model.as_ref() != Some(&camera);
         if is_new {
-            self.given = Some(camera);
-            self.fitted = None;
+            *self = Self { model: Some(camera), is_given: true, size: None };
         }
         is_new
     }
@@ -45,30 +39,27 @@ impl ImageCamera {
     /// `None` where the given one is for another image size: whether the images are scaled or
     /// cropped is unknown, and the filter estimates the pose with the given one.
     pub fn for_image(&mut self, image: &ImageView<'_>) -> Option<CameraModel> {
-        let size = size_of(image);
-        if self.fitted.as_ref().is_none_or(|f| f.size != size) {
-            let model = match &self.given {
-                Some(given) => Some(given.clone()).filter(|c| c.size() == size),
-                None => assumed_camera(image.width, image.height),
-            };
-            self.fitted = Some(Fitted { size, model });
+        let size = Some(size_of(image));
+        if !self.is_given && self.size != size {
+            self.model = assumed_camera(image.width, image.height);
         }
+        self.size = size;
         self.latest().cloned()
     }
 
     /// The model of the last image; `None` between a new calibration and the next image.
     pub fn latest(&self) -> Option<&CameraModel> {
-        self.fitted.as_ref()?.model.as_ref()
+        self.model.as_ref().filter(|model| Some(model.size()) == self.size)
     }
 
     /// Whether the model comes from a calibration.
     pub fn is_known(&self) -> bool {
-        self.given.is_some()
+        self.is_given
     }
 
     /// Size (width, height; px) of the given model where the image has another one.
     pub fn mismatched_size(&self, image: &ImageView<'_>) -> Option<(u32, u32)> {
-        let size = self.given.as_ref()?.size();
+        let size = self.model.as_ref().filter(|_| self.is_given)?.size();
         (size != size_of(image)).then_some(size)
     }
 }

@@ -119,19 +119,25 @@ pub(super) struct Consistency<'a> {
 }
 
 impl Consistency<'_> {
-    /// The pose (`camera_from_volant`) that the whole outlines determine, and which of them were
-    /// removed from `whole` because they contradict the others. `start`: with the predicted pose.
+    /// The pose (`camera_from_volant`) that the whole outlines determine; those that contradict the
+    /// others are removed from `whole`. `start`: with the predicted pose.
     ///
     /// Four centroids over-determine the pose by two, and each square has the widths that the pose
     /// gives it: what does not fit is no marker, or has an edge hidden behind something straight.
-    pub fn pose(&self, start: &View<'_>, whole: &mut Fits) -> (Isometry3<f64>, PerColor<bool>) {
+    /// Returned with the pose: the one marker that was removed although it has the square's shape
+    /// in the pose of the three others.
+    pub fn pose(
+        &self,
+        start: &View<'_>,
+        whole: &mut Fits,
+    ) -> (Isometry3<f64>, Option<MarkerColor>) {
         let prior =
             PosePrior { camera_from_volant: start.pose, position_sigma: 0.1, rotation_sigma: 0.1 };
-        let mut removed = PerColor([false; 4]);
+        let mut removed: Option<(MarkerColor, QuadFit)> = None;
         loop {
             let count = whole.0.iter().flatten().count();
             if count == 0 {
-                return (start.pose, removed);
+                return (start.pose, None);
             }
             let mut observations = [PoseObservation::NONE; 4];
             for ((color, fit), slot) in
@@ -142,9 +148,9 @@ impl Consistency<'_> {
             let observations = &observations[..count];
             let geometry = self.platform.geometry(start.camera);
             let refined = geometry.refine(observations, &start.pose, Some(&prior), 8);
-            let Some((pose, rms)) = refined else { return (start.pose, removed) };
+            let Some((pose, rms)) = refined else { return (start.pose, None) };
             if count < 2 {
-                return (pose, removed);
+                return (pose, None);
             }
             let view = View { pose, ..*start };
             let typical = typical_bias(self.platform, whole, &view);
@@ -158,13 +164,16 @@ impl Consistency<'_> {
             }
             if worst < 1.0 {
                 if count == 2 || rms <= self.reprojection_tolerance(start.is_known, whole) {
-                    return (pose, removed);
+                    let is_square = |(color, fit): &(MarkerColor, QuadFit)| {
+                        misfit(self.platform, *color, fit, &view, count, typical) < 1.0
+                    };
+                    let displaced = removed.filter(|_| count == 3).filter(is_square);
+                    return (pose, displaced.map(|(color, _)| color));
                 }
                 culprit = self.strangest(whole);
             }
-            let Some(culprit) = self.newcomer(whole).or(culprit) else { return (pose, removed) };
-            whole[culprit] = None;
-            removed[culprit] = true;
+            let Some(culprit) = self.newcomer(whole).or(culprit) else { return (pose, None) };
+            removed = whole[culprit].take().map(|fit| (culprit, fit));
         }
     }
 

@@ -2,7 +2,7 @@
 
 use crate::{
     appearance::Appearance,
-    debug_view::{MarkerView, SignalView},
+    debug_view::{MarkerView, Outcome, SignalView},
     edge::{Levels, Tolerance},
     flow::FlowFeatures,
     hue::HueHistogram,
@@ -10,10 +10,7 @@ use crate::{
     outline::QuadFit,
     quad::Quad,
     signal::Sampler,
-    tracking::{
-        meter::{KNOWN, MAX_HALF_WIDTH, ONE_PASS_ROWS, OutlineMeter, SEARCH},
-        outcome::Outcome,
-    },
+    tracking::meter::{KNOWN, MAX_HALF_WIDTH, ONE_PASS_ROWS, OutlineMeter, SEARCH},
 };
 use nalgebra::Vector2;
 use rig_model::MarkerState;
@@ -80,7 +77,7 @@ impl MarkerTrack {
         self.edges.adapt(fit);
     }
 
-    /// What a debug image shows.
+    /// The state of the track.
     pub fn view(&self) -> MarkerView {
         MarkerView {
             window: self.window,
@@ -92,6 +89,8 @@ impl MarkerTrack {
                 (None, Some(_)) => MarkerState::Predicted,
                 (None, None) => MarkerState::Lost,
             },
+            outcome: self.outcome,
+            color: self.appearance.map(|a| a.marker),
         }
     }
 

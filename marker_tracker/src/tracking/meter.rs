@@ -15,7 +15,7 @@ pub(super) const SEARCH_HALF_WIDTH: f64 = 4.5;
 pub(super) const MAX_HALF_WIDTH: f64 = SEARCH_HALF_WIDTH - 0.1;
 /// Rows of an edge that are read during the search and in a one-pass measurement. Tuned: `make
 /// bench` bounds the time, `tests/synthetic` the accuracy.
-pub(super) const SEARCH_ROWS: usize = 16;
+const SEARCH_ROWS: usize = 16;
 pub(super) const ONE_PASS_ROWS: usize = 32;
 
 /// While an outline is searched.

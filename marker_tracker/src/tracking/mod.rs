@@ -14,17 +14,14 @@ mod marker;
 mod meter;
 mod motion;
 mod noise;
-mod outcome;
 mod partial;
 mod platform;
 mod repeat;
 mod states;
 
-pub use outcome::Outcome;
-
 use crate::{
     config::TrackerConfig,
-    debug_view::{MarkerView, SignalView},
+    debug_view::{MarkerView, Outcome, SignalView},
     engine::Engine,
     image::{ImageView, Pixels, Window},
     outline::QuadFit,
@@ -47,10 +44,6 @@ use states::CommonFlow;
 
 /// Margin around the searched outline that a debug view shows, px.
 const VIEW_MARGIN: f64 = 9.0;
-/// Margin around it that one measurement reads, px: the widest band
-/// ([`meter::SEARCH_HALF_WIDTH`]) rounded up.
-const READ_MARGIN: f64 = 5.0;
-
 /// Margin around a predicted outline within which one image's measurements read as a rule, px: the
 /// band, the level beyond it and the error of the prediction. Where more is read, the whole image
 /// is decoded; `windows_suffice_for_most_images` of `tests/bags` counts how often.
@@ -102,16 +95,15 @@ impl Pipeline {
     /// Detects the markers by tracking or, with fewer than two, by acquisition, and updates the
     /// platform's pose and motion.
     fn update_pose(&mut self, image: &Pixels<'_>, camera: &CameraModel, ratio: f64) {
-        let pose_before = self.state.motion.pose;
-        let mut detected = if pose_before.is_some() { self.track(image, camera, ratio) } else { 0 };
-        let followed = detected >= 3;
+        let mut before = self.state.motion.pose;
+        let mut detected = if before.is_some() { self.track(image, camera, ratio) } else { 0 };
         if detected < 2 && self.acquire(image, camera) {
             for track in &mut self.state.markers.0 {
                 // What was measured at the former pose may be another thing.
                 track.begin_image();
                 track.forget_flow();
             }
-            self.state.motion.last = None;
+            (self.state.motion.last, before) = (None, None);
             detected = self.track(image, camera, 1.0);
         }
         self.state.unseen = if detected >= 2 { 0 } else { self.state.unseen + 1 };
@@ -120,12 +112,13 @@ impl Pipeline {
         if self.state.unseen > patience * u32::from(self.config.max_predicted) {
             self.state.motion.pose = None;
         }
-        self.state.motion.update(pose_before.filter(|_| followed));
+        self.state.motion.update(before, detected >= 3);
     }
 
     /// Searches the whole image for the markers; true where they were found, with the pose set.
     fn acquire(&mut self, image: &Pixels<'_>, camera: &CameraModel) -> bool {
-        let meters = PerColor::from_fn(|color| self.meter(color));
+        // The levels are those of the former colors.
+        let meters = PerColor::from_fn(|color| self.meter(color).without_levels());
         let known = self.camera.is_known();
         let found = self.acquisition.search(image, camera, known, &self.state.platform, &meters);
         let Some(found) = found else { return false };
@@ -134,6 +127,7 @@ impl Pipeline {
             let track = &mut self.state.markers[color];
             if let Some(marker) = &found.markers[color] {
                 track.appearance = Some(marker.appearance);
+                track.edges.levels = None;
                 self.state.platform.markers[color].init_turn(marker.turn);
             }
             track.edges.restart(found.markers[color].as_ref().map(|m| m.half_width));
@@ -149,12 +143,7 @@ impl Pipeline {
         let start = View { camera, is_known: self.camera.is_known(), pose };
         let mut whole = self.measure_whole(image, &start);
         let check = Consistency { platform: &self.state.platform, tracks: &self.state.markers };
-        let (pose, inconsistent) = check.pose(&start, &mut whole);
-        for color in MarkerColor::ALL {
-            if inconsistent[color] {
-                self.state.markers[color].outcome = Outcome::Inconsistent;
-            }
-        }
+        let (pose, displaced) = check.pose(&start, &mut whole);
         let view = View { pose, ..start };
         let detected = self.measure_partial(image, &view, &whole);
         // Before the layout adapts to the noise of this image.
@@ -162,24 +151,22 @@ impl Pipeline {
             self.state.noise.adapt_excess(&self.state.platform, &self.state.markers, &view);
         }
         self.adapt(image, &view);
+        self.state.platform.count_displaced(displaced);
         self.state.motion.pose = Some(pose);
         detected
     }
 
     /// Measures each marker as a whole square near the outline that the predicted view has.
     fn measure_whole(&mut self, image: &Pixels<'_>, predicted: &View<'_>) -> Fits {
-        let outlines = PerColor::from_fn(|color| {
-            let outline = self.state.platform.outline(color, predicted)?;
-            image.prefetch(outline.window(image, READ_MARGIN));
-            Some(outline)
-        });
         let mut whole = Fits::default();
         for color in MarkerColor::ALL {
             let meter = self.meter(color);
             let track = &mut self.state.markers[color];
             let Some(appearance) = &track.appearance else { continue };
             let sampler = Sampler::new(image, &appearance.discriminant);
-            let Some(mut outline) = outlines[color] else { continue };
+            let Some(mut outline) = self.state.platform.outline(color, predicted) else {
+                continue;
+            };
             if self.config.use_flow {
                 outline = track.moved_by_flow(&sampler, &outline);
             }
@@ -243,7 +230,7 @@ impl Pipeline {
 
     /// Processes one image.
     fn observe(&mut self, image: &Pixels<'_>) -> MarkerObservations {
-        if self.state.repeats.is_repeated(image, &self.state.markers) {
+        if self.state.repeats.is_repeated(image) {
             let max = self.config.max_predicted;
             let markers = PerColor::from_fn(|color| self.state.markers[color].repeat(max));
             return MarkerObservations { stamp: image.stamp, markers };
@@ -348,6 +335,10 @@ impl Engine for Pipeline {
         self.config = config;
     }
 
+    fn uses_camera(&self) -> bool {
+        true
+    }
+
     fn set_camera(&mut self, camera: CameraModel) {
         if self.camera.set(camera) {
             // They have adapted to the errors of the former model.
@@ -364,19 +355,11 @@ impl Engine for Pipeline {
         self.state.repeats.count
     }
 
-    fn outcome(&self, color: MarkerColor) -> Outcome {
-        self.state.markers[color].outcome
-    }
-
     fn view(&self, color: MarkerColor) -> MarkerView {
         self.state.markers[color].view()
     }
 
     fn signal(&self, color: MarkerColor, image: &Pixels<'_>) -> Option<SignalView> {
         self.state.markers[color].signal(image)
-    }
-
-    fn color(&self, color: MarkerColor) -> Option<[f32; 3]> {
-        self.state.markers[color].appearance.as_ref().map(|a| a.marker)
     }
 }

@@ -40,6 +40,8 @@ pub(super) struct PlatformMotion {
     pub pose: Option<Isometry3<f64>>,
     /// Over the last interval, where three markers determined the pose at both of its ends.
     pub last: Option<Motion>,
+    /// Whether three markers determined the pose in the last image.
+    is_determined: bool,
 }
 
 impl PlatformMotion {
@@ -52,9 +54,12 @@ impl PlatformMotion {
         }
     }
 
-    /// Replaces the last motion by the one from `before` to the current pose.
-    pub fn update(&mut self, before: Option<Isometry3<f64>>) {
+    /// Replaces the last motion by the one from `before` to the current pose, which three markers
+    /// determine where `is_determined`.
+    pub fn update(&mut self, before: Option<Isometry3<f64>>, is_determined: bool) {
+        let before = before.filter(|_| self.is_determined && is_determined);
         self.last = before.zip(self.pose).map(|(from, to)| Motion::between(&from, &to));
+        self.is_determined = is_determined;
     }
 }
 
@@ -87,5 +92,23 @@ impl ImageInterval {
         self.seconds = self.last.map_or(0.0, |last| stamp.seconds_since(last));
         self.last = Some(stamp);
         ratio
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_motion_needs_three_markers_at_both_of_its_ends() {
+        let mut motion = PlatformMotion::default();
+        let images = [true, true, false, true, true];
+        for (k, (is_determined, is_known)) in
+            images.into_iter().zip([false, true, false, false, true]).enumerate()
+        {
+            let before = motion.pose.replace(Isometry3::translation(k as f64, 0.0, 1.0));
+            motion.update(before, is_determined);
+            assert_eq!(motion.last.is_some(), is_known, "image {k}");
+        }
     }
 }

@@ -4,6 +4,7 @@
 use crate::{
     appearance::Appearance,
     config::TrackerConfig,
+    debug_view::Outcome,
     edge::{Light, Tolerance},
     image::Pixels,
     outline::QuadFit,
@@ -14,7 +15,6 @@ use crate::{
         consistency::{Fits, misfit, typical_bias},
         marker::MarkerTrack,
         meter::{KNOWN, OutlineMeter, SEARCH},
-        outcome::Outcome,
         platform::PlatformModel,
     },
 };
@@ -207,11 +207,13 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
         tolerance: Tolerance,
     ) -> Option<QuadFit> {
         let outline = platform.outline(color, self.view)?;
-        let appearance = match track.appearance {
-            Some(appearance) => appearance,
-            None => Appearance::sample(self.image, &outline)
-                .filter(|a| self.palette.classify_mean(a.marker) == Some(color))?,
-        };
+        // Before the first detection they may be those of something else.
+        let known = track.appearance.filter(|_| track.occluded.is_some());
+        let appearance = known.or_else(|| {
+            Appearance::sample(self.image, &outline)
+                .filter(|a| self.palette.classify_mean(a.marker) == Some(color))
+                .or(track.appearance)
+        })?;
         let sampler = Sampler::new(self.image, &appearance.discriminant);
         // New colors may be those of a cover, which is no whole square.
         let fit = if track.appearance.is_some() && platform.markers[color].is_turn_known() {
@@ -226,5 +228,40 @@ impl<'a, 'p> PartialSearch<'a, 'p> {
         }?;
         track.appearance = Some(appearance);
         Some(fit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{hue::HueHistogram, image::fixtures::drawn, signal::Discriminant};
+    use nalgebra::{Isometry3, Point3};
+    use rig_model::{CameraModel, Distortion, MarkerLayout, PerColor, Stamp};
+
+    #[test]
+    fn colors_are_sampled_again_until_the_first_detection() {
+        let (red, blue, gray) = ([168u8, 47, 49], [40.0, 93.0, 146.0], [125.0; 3]);
+        let image = drawn(80, 80, 125, &[([20, 20, 60, 60], red)]);
+        let image = Pixels::whole(image.view(Stamp::default()), None);
+        let lens = Distortion::PlumbBob([0.0; 5]);
+        let camera = CameraModel::new(80, 80, [400.0, 400.0, 39.5, 39.5], lens).unwrap();
+        let pose = Isometry3::translation(0.0, 0.0, 1.0);
+        let view = View { camera: &camera, is_known: true, pose };
+        let layout = MarkerLayout { side: 0.1, centers: PerColor([Point3::origin(); 4]) };
+        let (platform, meter) = (PlatformModel::new(layout), OutlineMeter::default());
+        let (whole, palette, config) =
+            (Fits::default(), Palette::default(), TrackerConfig::default());
+        let search = PartialSearch::new(&image, &view, &whole, &palette, &config);
+        for (occluded, wanted) in [(None, red.map(f32::from)), (Some(1), blue)] {
+            let appearance = Some(Appearance {
+                marker: blue,
+                surroundings: gray,
+                discriminant: Discriminant::between(blue, gray).unwrap(),
+                hue: HueHistogram::default(),
+            });
+            let mut track = MarkerTrack { appearance, occluded, ..MarkerTrack::default() };
+            let _ = search.measure(MarkerColor::Red, &mut track, &meter, &platform, UNKNOWN);
+            assert_eq!(track.appearance.unwrap().marker, wanted, "{occluded:?}");
+        }
     }
 }

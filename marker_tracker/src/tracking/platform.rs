@@ -17,6 +17,9 @@ const SETTLED: u32 = 12;
 /// Largest distance of a marker from where the rig file has it, in units of its side: 11 mm for a
 /// side of 76 mm.
 const MAX_MISPLACEMENT: f64 = 0.15;
+/// Number of images in a row after which a marker at another place was mounted there: two seconds
+/// of a usual camera.
+const REMOUNTED: u32 = 60;
 
 /// Gain of the n-th update of a mean that becomes a running mean.
 fn gain(n: u32) -> f64 {
@@ -88,16 +91,31 @@ pub(super) struct PlatformModel {
     /// Adapted layout (volant frame, m).
     pub layout: MarkerLayout,
     pub markers: PerColor<MarkerGeometry>,
+    /// The marker that is not at its place, and the number of images in a row.
+    displaced: Option<(MarkerColor, u32)>,
 }
 
 impl PlatformModel {
     /// Starts from the layout of the rig file.
     pub fn new(layout: MarkerLayout) -> Self {
-        Self { given: layout.clone(), layout, markers: PerColor::default() }
+        Self { given: layout.clone(), layout, markers: PerColor::default(), displaced: None }
     }
 
-    /// Restarts the adaptation with another camera model; the turns, which hardly depend on it, are
-    /// kept as a start.
+    /// Counts the images in a row in which the three other markers contradict the place of the same
+    /// one. After [`REMOUNTED`] images the adaptation restarts: the tolerances of adapted places
+    /// would reject a marker for good that was mounted elsewhere.
+    pub fn count_displaced(&mut self, color: Option<MarkerColor>) {
+        let before = self.displaced.filter(|(displaced, _)| Some(*displaced) == color);
+        let images = before.map_or(1, |(_, images)| images.saturating_add(1));
+        self.displaced = color.map(|color| (color, images));
+        let is_placed = self.markers.0.iter().all(MarkerGeometry::is_placed);
+        if color.is_some() && images >= REMOUNTED && is_placed {
+            self.restart();
+        }
+    }
+
+    /// Restarts the adaptation; the turns are kept as a start, because they hardly depend on the
+    /// camera model and on the places.
     pub fn restart(&mut self) {
         let turns = PerColor::from_fn(|color| {
             let mut fresh = MarkerGeometry::default();
@@ -279,5 +297,24 @@ impl PlatformModel {
         let turn = sum / gain;
         let finite = turn.is_finite() && edge_bias.iter().all(|b| b.is_finite());
         finite.then_some(OutlineDifference { turn, edge_bias })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Point3;
+
+    #[test]
+    fn the_adaptation_restarts_after_one_marker_was_elsewhere_for_60_images() {
+        let layout = MarkerLayout { side: 0.076, centers: PerColor([Point3::origin(); 4]) };
+        let red = Some(MarkerColor::Red);
+        for last in [red, Some(MarkerColor::Blue), None] {
+            let mut platform = PlatformModel::new(layout.clone());
+            platform.markers.0.iter_mut().for_each(|m| m.place_updates = 100);
+            (1..REMOUNTED).for_each(|_| platform.count_displaced(red));
+            platform.count_displaced(last);
+            assert_eq!(platform.markers[MarkerColor::Blue].is_placed(), last != red);
+        }
     }
 }

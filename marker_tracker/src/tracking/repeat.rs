@@ -1,85 +1,62 @@
 //! Detection of repeated images: a camera that hangs sends the same image again, byte for byte,
 //! including its noise. Such an image is no measurement.
 
-use crate::{
-    decode::decode_compressed,
-    image::{ImageView, Pixels},
-    signal::Sampler,
-    tracking::marker::MarkerTrack,
-};
-use rig_model::PerColor;
+use crate::image::Pixels;
 
-/// Number of places that are compared, and bytes of each. With sensor noise of one gray value the
-/// chance that 768 bytes of another image are the same is below 1e-200.
-const PLACES: usize = 16;
-const BYTES: usize = 48;
+/// Distance of the compared rows of a raw image, px: no marker of 8 px or more lies between them.
+const ROWS: usize = 8;
 
 /// Compares each image with its predecessor.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct RepeatDetector {
-    /// Width, height and bytes per pixel of the sampled image; 0 where only a part of it was
-    /// decoded.
-    size: [usize; 3],
-    bytes: [[u8; BYTES]; PLACES],
+    /// Checksum of the last image.
+    last: Option<u32>,
     /// Number of consecutive repetitions.
     pub count: u32,
 }
 
-impl Default for RepeatDetector {
-    fn default() -> Self {
-        Self { size: [0; 3], bytes: [[0; BYTES]; PLACES], count: 0 }
-    }
-}
-
 impl RepeatDetector {
-    /// Whether the image is a copy of its predecessor: in places all over it and in every pixel of
-    /// the tracked outlines. (A drawn scene without noise may stand still except for the markers.)
-    pub fn is_repeated(&mut self, image: &Pixels<'_>, tracks: &PerColor<MarkerTrack>) -> bool {
-        let unchanged = tracks.0.iter().all(|track| {
-            let Some(appearance) = &track.appearance else { return true };
-            track.features.is_unchanged(&Sampler::new(image, &appearance.discriminant))
-        });
-        if image.coverage().is_some() {
-            if unchanged {
-                image.need_all();
-            }
-            (self.size, self.count) = ([0; 3], 0);
-            return false;
-        }
-        if unchanged
-            && self.size == [0; 3]
-            && let Some(previous) = image.previous.and_then(|p| decode_compressed("", p).ok())
-        {
-            self.is_sample_repeated(&previous.view(image.stamp));
-        }
-        let repeated = self.is_sample_repeated(image) && unchanged;
-        self.count = if repeated { self.count.saturating_add(1) } else { 0 };
-        repeated
-    }
-
-    /// Whether the image has the sampled bytes; samples it otherwise.
-    fn is_sample_repeated(&mut self, image: &ImageView<'_>) -> bool {
-        let size = [image.width, image.height, image.format.bytes_per_pixel()];
-        let same = self.size == size
-            && samples(image).zip(&self.bytes).all(|(new, old)| old[..new.len()] == *new);
-        if !same {
-            self.size = size;
-            for (new, old) in samples(image).zip(&mut self.bytes) {
-                old[..new.len()].copy_from_slice(new);
-            }
-        }
-        same
+    /// Whether the image is a copy of its predecessor.
+    pub fn is_repeated(&mut self, image: &Pixels<'_>) -> bool {
+        let now = Some(checksum(image));
+        let is_repeated = now == self.last;
+        self.last = now;
+        self.count = if is_repeated { self.count.saturating_add(1) } else { 0 };
+        is_repeated
     }
 }
 
-/// Bytes from places spread down the image and across it.
-fn samples<'a>(image: &ImageView<'a>) -> impl Iterator<Item = &'a [u8]> {
-    let ImageView { width, height, step, data, .. } = *image;
-    let row = width * image.format.bytes_per_pixel();
-    (0..PLACES).map(move |i| {
-        let y = (2 * i + 1) * height / (2 * PLACES);
-        let x = (i * 7 % PLACES) * row.saturating_sub(BYTES) / PLACES;
-        let start = y * step + x;
-        data.get(start..start + BYTES.min(row)).unwrap_or(&[])
-    })
+/// Checksum of all bytes of a compressed image, else of every [`ROWS`]-th row: a few microseconds
+/// of a VGA image.
+fn checksum(image: &Pixels<'_>) -> u32 {
+    let mut sum = crc32fast::Hasher::new();
+    if let Some(bytes) = image.compressed {
+        sum.update(bytes);
+    } else {
+        let row = image.width * image.format.bytes_per_pixel();
+        for start in (0..image.height).step_by(ROWS).map(|y| y * image.step) {
+            sum.update(image.data.get(start..start + row).unwrap_or(&[]));
+        }
+    }
+    sum.finalize()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::fixtures::drawn;
+    use rig_model::Stamp;
+
+    #[test]
+    fn a_square_that_appears_before_an_even_background_is_no_repetition() {
+        let images = [drawn(64, 64, 90, &[]), drawn(64, 64, 90, &[([52, 21, 60, 29], [200; 3])])];
+        for is_compressed in [false, true] {
+            let mut detector = RepeatDetector::default();
+            for (i, wanted) in [(0, false), (0, true), (1, false), (1, true)] {
+                let compressed = is_compressed.then_some(&*images[i].data);
+                let image = Pixels::whole(images[i].view(Stamp::default()), compressed);
+                assert_eq!(detector.is_repeated(&image), wanted);
+            }
+        }
+    }
 }

@@ -2,11 +2,8 @@
 //! platform, or lost.
 
 use crate::{
-    config::TrackerConfig,
-    image::Pixels,
-    outline::QuadFit,
-    signal::Sampler,
-    tracking::{marker::MarkerTrack, outcome::Outcome},
+    config::TrackerConfig, debug_view::Outcome, image::Pixels, outline::QuadFit, signal::Sampler,
+    tracking::marker::MarkerTrack,
 };
 use nalgebra::{Matrix2, Vector2};
 use rig_model::{MarkerColor, MarkerObservation, MarkerState, PerColor};

@@ -116,3 +116,31 @@ fn a_pole_before_a_new_marker_is_not_learned_as_its_shape() {
         assert!(10 * whole.len() > 9 * images[1] && worst(&whole) < 0.15, "{all:?}");
     }
 }
+
+#[test]
+fn a_marker_that_was_mounted_elsewhere_is_measured_again_after_two_seconds() {
+    /// Displacement, px: 6 mm.
+    const SHIFT: usize = 3;
+    let (mut tracker, mut noise) = (new_tracker(TrackerConfig::default()), Noise(12));
+    for k in 0..96i64 {
+        let pose = pose(0.033 * k as f64);
+        let red = if (16..24).contains(&k) { None } else { ALL[0] };
+        let mut data = draw(&pose, [red, ALL[1], ALL[2], ALL[3]], &mut noise);
+        let mut center = truth(MarkerColor::Red, &pose);
+        if k >= 24 {
+            let (left, top) = (center.x as usize - 30, center.y as usize - 30);
+            for row in top..top + 60 {
+                let start = 3 * (row * WIDTH + left);
+                data.copy_within(start..start + 3 * 60, start + 3 * SHIFT);
+            }
+            center.x += SHIFT as f64;
+        }
+        let o = observe(&mut tracker, k, &data);
+        if k < 90 {
+            continue;
+        }
+        let off = (o.markers[MarkerColor::Red].centroid - center).norm();
+        let all = o.markers.0.iter().all(|m| m.state == MarkerState::Detected);
+        assert!(all && off < 0.2, "image {k}: {off} px, {:?}", tracker.views());
+    }
+}

@@ -14,7 +14,6 @@ use crate::{
     debug_view::MarkerView,
     engine::Engine,
     image::{self, ImageView},
-    tracking::Outcome,
 };
 use binary::{Binarizer, Pixels};
 use flow::{FrameFlow, Motions, region_flow};
@@ -153,10 +152,6 @@ impl Engine for PaperTracker {
         self.config = config;
     }
 
-    fn outcome(&self, color: MarkerColor) -> Outcome {
-        self.markers[color].outcome
-    }
-
     fn view(&self, color: MarkerColor) -> MarkerView {
         let (observation, w) = (&self.observations[color], self.markers[color].window);
         MarkerView {
@@ -165,6 +160,8 @@ impl Engine for PaperTracker {
             centroid: observation.centroid,
             flow: self.places[color].flow,
             state: observation.state,
+            outcome: self.markers[color].outcome,
+            color: None,
         }
     }
 }

@@ -7,7 +7,7 @@ use super::{
     occlusion::{Place, Sighting},
     regions::{RIM, Region, grown, regions},
 };
-use crate::{config::TrackerConfig, tracking::Outcome};
+use crate::{config::TrackerConfig, debug_view::Outcome};
 use nalgebra::Vector2;
 use opencv::{
     core::{self, Mat, Rect},
