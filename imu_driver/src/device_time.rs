@@ -64,13 +64,6 @@ impl DeviceTime {
         self.period.0 as f64 / self.period.1 as f64 * 1e-9
     }
 
-    /// Resets the clock to zero.
-    pub fn restart(&mut self) {
-        self.count = 0;
-        self.others = 0;
-        self.last = None;
-    }
-
     /// Counts a message without inertial data, whose time is unrelated.
     pub fn pass(&mut self, m: &Measurement) {
         self.others += i64::from(m.counter.is_some());
@@ -98,15 +91,15 @@ impl DeviceTime {
             if ticks < 0 || inconsistent(advance as f64 * 1e-9, elapsed) {
                 return self.first(m, arrival, true);
             }
-            let lost =
-                by_counter.map_or(0, |step| step.saturating_sub(1 + self.others)).max(0) as u64;
+            let lost = by_counter.map_or(0, |step| (step - 1 - self.others).max(0) as u64);
             return self.later(m, arrival, last.device.saturating_add(advance), lost);
         }
         let step = match by_counter {
             Some(0) => return self.repeated(last),
-            Some(step) => step,
-            // Without a counter the message is the next one, unless it is late by several periods.
-            None => ((elapsed / self.period()).round().clamp(0.0, 1e9) as i64 - 1).max(1),
+            Some(step) => (step - self.others).max(1),
+            // Without a counter the message is the next one, however late it is: those behind it
+            // arrive at the same time.
+            None => 1,
         };
         if inconsistent(step as f64 * self.period(), elapsed) {
             return self.first(m, arrival, true);
@@ -114,7 +107,7 @@ impl DeviceTime {
         self.count = self.count.saturating_add(step);
         let device =
             (i128::from(self.count) * i128::from(self.period.0) / i128::from(self.period.1)) as i64;
-        self.later(m, arrival, device, (step - 1 - self.others).max(0) as u64)
+        self.later(m, arrival, device, (step - 1) as u64)
     }
 
     fn first(&mut self, m: &Measurement, arrival: Stamp, restarted: bool) -> Placed {
@@ -217,8 +210,24 @@ mod tests {
     fn without_a_counter_each_message_is_the_next_one() {
         let mut time = DeviceTime::new(1152, 115_200);
         let none = Measurement::default();
-        time.place(&none, at(0.0));
-        assert_eq!(time.place(&none, at(0.016)).device, 10_000_000);
-        assert_eq!(time.place(&none, at(0.017)).device, 20_000_000);
+        // Bursts of 16, 17 and 60 ms; none of the messages is missing.
+        for (k, arrival) in (0..).zip([0.0, 0.016, 0.017, 0.077, 0.077, 0.077]) {
+            let placed = time.place(&none, at(arrival));
+            assert_eq!((placed.device, placed.lost), (k * 10_000_000, 0));
+        }
+        assert!(time.place(&none, at(60.0)).restarted);
+    }
+
+    #[test]
+    fn messages_without_inertial_data_take_no_time() {
+        let mut time = DeviceTime::new(1152, 115_200);
+        time.place(&counted(1), at(0.0));
+        for k in 1..=100_u16 {
+            time.pass(&counted(2 * k));
+            let placed = time.place(&counted(2 * k + 1), at(f64::from(k) * 0.01));
+            assert_eq!((placed.device, placed.lost), (i64::from(k) * 10_000_000, 0));
+        }
+        time.pass(&counted(202));
+        assert_eq!(time.place(&counted(205), at(1.03)).lost, 2);
     }
 }

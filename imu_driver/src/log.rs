@@ -18,21 +18,15 @@ pub enum LogError {
     /// The log is empty.
     #[error("the log is empty; record one with `volant imu log`")]
     Empty,
-    /// The log contains no frame.
-    #[error("no valid frame in {bytes} bytes; give the raw bytes of an IMU")]
-    Foreign {
-        /// Length, bytes.
-        bytes: usize,
-    },
-    /// The format of MTData is unknown.
+    /// The log, of this number of bytes, contains no frame.
+    #[error("no valid frame in {0} bytes; give the raw bytes of an IMU")]
+    Foreign(usize),
+    /// The format of this number of MTData messages is unknown.
     #[error(
-        "{frames} legacy MTData messages, but no Configuration with their format; \
+        "{0} legacy MTData messages, but no Configuration with their format; \
          give the Configuration of the IMU with --config CONFIGURATION.bin"
     )]
-    NoConfiguration {
-        /// Number of messages.
-        frames: u64,
-    },
+    NoConfiguration(u64),
     /// No message fits the Configuration.
     #[error("none of {frames} data messages could be decoded: {reason}")]
     Unreadable {
@@ -41,22 +35,15 @@ pub enum LogError {
         /// Error of the first message.
         reason: DecodeError,
     },
-    /// The bytes are not a Configuration.
+    /// This number of bytes is not a Configuration.
     #[error(
-        "{bytes} bytes are not a Configuration; give the answer to ReqConfiguration \
+        "{0} bytes are not a Configuration; give the answer to ReqConfiguration \
          (118 bytes, or the frame of 123 bytes) or an output configuration"
     )]
-    NotConfiguration {
-        /// Length, bytes.
-        bytes: usize,
-    },
+    NotConfiguration(usize),
     /// The CSV cannot be written.
-    #[error("the CSV cannot be written: {source}")]
-    Write {
-        /// Error of the system.
-        #[from]
-        source: io::Error,
-    },
+    #[error("the CSV cannot be written: {0}")]
+    Write(#[from] io::Error),
 }
 
 /// Counts of a decoded log.
@@ -89,7 +76,7 @@ pub fn saved_configuration(bytes: &[u8]) -> Result<Option<LegacyFormat>, LogErro
     if framed || (!bytes.is_empty() && output_configuration_from_data(bytes).is_ok()) {
         return Ok(None);
     }
-    Err(LogError::NotConfiguration { bytes: bytes.len() })
+    Err(LogError::NotConfiguration(bytes.len()))
 }
 
 /// Legacy format of the first Configuration message in `bytes`.
@@ -147,10 +134,8 @@ pub fn decode_to_csv(
     });
     written?;
     match first_error {
-        _ if counts.parser.frames == 0 => Err(LogError::Foreign { bytes: log.len() }),
-        Some(DecodeError::NoConfiguration) => {
-            Err(LogError::NoConfiguration { frames: counts.unreadable })
-        }
+        _ if counts.parser.frames == 0 => Err(LogError::Foreign(log.len())),
+        Some(DecodeError::NoConfiguration) => Err(LogError::NoConfiguration(counts.unreadable)),
         Some(reason) if counts.rows == 0 && counts.unreadable > 0 => {
             Err(LogError::Unreadable { frames: counts.unreadable, reason })
         }
@@ -207,7 +192,7 @@ mod tests {
         };
         LegacyFormat::STANDARD.encode(&m, &mut data);
         let log = frame(MessageId::MT_DATA, &data);
-        assert!(matches!(table(&log, None), Err(LogError::NoConfiguration { frames: 1 })));
+        assert!(matches!(table(&log, None), Err(LogError::NoConfiguration(1))));
         let (text, counts) = table(&log, Some(LegacyFormat::STANDARD)).unwrap();
         assert_eq!(text, format!("{CSV_HEADER}\n7,,1,2,9.5,0,0,0,1,0,0,0\n"));
         assert_eq!((counts.rows, counts.parser.frames), (1, 1));
@@ -230,7 +215,7 @@ mod tests {
     #[test]
     fn invalid_logs_are_rejected() {
         assert!(matches!(table(&[], None), Err(LogError::Empty)));
-        assert!(matches!(table(b"not a log", None), Err(LogError::Foreign { bytes: 9 })));
+        assert!(matches!(table(b"not a log", None), Err(LogError::Foreign(9))));
         let cut = frame(MessageId::MT_DATA2, &[0x10, 0x20, 2, 1, 2]);
         let log = [&cut[..], &cut[..6]].concat();
         let (_, counts) = table(&log, None).unwrap();

@@ -71,6 +71,8 @@ pub struct ImuNode {
     temperature: Publisher<Temperature>,
     status: Option<DriverStatus>,
     before: Statistics,
+    /// Number of ticks, one per second, since the last sample.
+    idle: u32,
     clipped: u64,
     clipped_before: u64,
     last_error: Option<String>,
@@ -131,6 +133,7 @@ impl NodeShell for ImuNode {
             temperature,
             status: None,
             before: Statistics::default(),
+            idle: 0,
             clipped: 0,
             clipped_before: 0,
             last_error: None,
@@ -155,6 +158,7 @@ impl NodeShell for ImuNode {
         };
         let now = status.statistics;
         let before = std::mem::replace(&mut self.before, now);
+        self.idle = if now.samples == before.samples { self.idle + 1 } else { 0 };
         let lost = now.lost - before.lost;
         let checksums = now.parser.bad_checksums - before.parser.bad_checksums;
         let skipped = now.parser.skipped_bytes - before.parser.skipped_bytes;
@@ -165,9 +169,9 @@ impl NodeShell for ImuNode {
             (Health::Error, self.last_error.clone().unwrap_or_else(|| status.state.to_owned()))
         } else if self_test == Some(false) {
             (Health::Error, "the self-test of the IMU failed: have it repaired".to_owned())
-        } else if now.samples == before.samples {
-            let reason = self.last_error.as_deref().unwrap_or("no samples in the last second");
-            (Health::Error, reason.to_owned())
+        } else if is_silent(self.idle, now.rate) {
+            let reason = || format!("no samples in the last {} s", self.idle);
+            (Health::Error, self.last_error.clone().unwrap_or_else(reason))
         } else if before.connections > 0 && now.connections > before.connections {
             warn("the IMU was silent or restarted in the last second and was set up again")
         } else if lost > 0 {
@@ -224,6 +228,12 @@ impl NodeShell for ImuNode {
         self.parameters = parameters.clone();
         Ok(())
     }
+}
+
+/// Whether a device of this rate, Hz, should have sent within `idle` seconds: two samples of a slow
+/// one.
+fn is_silent(idle: u32, rate: f64) -> bool {
+    f64::from(idle) * rate >= 2.0
 }
 
 fn exceeds(range: f64, v: &nalgebra::Vector3<f64>) -> bool {
@@ -303,5 +313,18 @@ impl ImuNode {
             Event::DriftExceeded => context.log_throttled(level, "drift", line),
             _ => context.log(level, line),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_silent;
+
+    #[test]
+    fn a_slow_rate_is_no_silence() {
+        let silent = |rate| [1, 3, 4].map(|idle| is_silent(idle, rate));
+        assert_eq!(silent(100.0), [true; 3]);
+        assert_eq!(silent(0.5), [false, false, true]);
+        assert_eq!(silent(0.0), [false; 3]);
     }
 }

@@ -21,33 +21,24 @@ const STATUS_INTERVAL: f64 = 0.5;
 /// Error of opening a port.
 #[derive(Debug, Error)]
 pub enum PortError {
-    /// The port does not exist.
+    /// The port at this path does not exist.
     #[error(
-        "the serial port {port} does not exist; \
+        "the serial port {0} does not exist; \
          connect the IMU, or give its port (`volant imu find` lists ports)"
     )]
-    Missing {
-        /// Path of the port.
-        port: String,
-    },
-    /// The user has no permission.
+    Missing(String),
+    /// The user has no permission for the port at this path.
     #[error(
-        "no permission to open the serial port {port}; \
+        "no permission to open the serial port {0}; \
          add the user to the group that owns it (usually `dialout`) and log in again"
     )]
-    Forbidden {
-        /// Path of the port.
-        port: String,
-    },
-    /// Another program uses the port.
+    Forbidden(String),
+    /// Another program uses the port at this path.
     #[error(
-        "the serial port {port} is in use by another program; \
+        "the serial port {0} is in use by another program; \
          stop that program (ModemManager opens such ports)"
     )]
-    Busy {
-        /// Path of the port.
-        port: String,
-    },
+    Busy(String),
     /// Any other error.
     #[error("the serial port {port} cannot be opened: {reason}; check that it is a serial port")]
     Other {
@@ -74,7 +65,7 @@ impl Port {
         let stop_bits = if two_stop_bits { StopBits::Two } else { StopBits::One };
         let named = || port.to_owned();
         if !std::path::Path::new(port).exists() {
-            return Err(PortError::Missing { port: named() });
+            return Err(PortError::Missing(named()));
         }
         let tty = serialport::new(port, baud)
             .data_bits(DataBits::Eight)
@@ -87,14 +78,12 @@ impl Port {
                 let text = error.to_string();
                 match error.kind {
                     serialport::ErrorKind::Io(ErrorKind::PermissionDenied) => {
-                        PortError::Forbidden { port: named() }
+                        PortError::Forbidden(named())
                     }
-                    serialport::ErrorKind::Io(ErrorKind::NotFound) => {
-                        PortError::Missing { port: named() }
-                    }
-                    _ if text.contains("busy") => PortError::Busy { port: named() },
+                    serialport::ErrorKind::Io(ErrorKind::NotFound) => PortError::Missing(named()),
+                    _ if text.contains("busy") => PortError::Busy(named()),
                     serialport::ErrorKind::NoDevice if text.contains("No such") => {
-                        PortError::Missing { port: named() }
+                        PortError::Missing(named())
                     }
                     _ => PortError::Other { port: named(), reason: text },
                 }

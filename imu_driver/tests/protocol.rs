@@ -5,6 +5,7 @@ use allocation_counter::measure;
 use imu_driver::protocol::{
     Attitude, Configuration, Decoder, FrameParser, GlobalFrame, LegacyFormat, Measurement,
     MessageId, NumberFormat, Orientation, OutputMode, OutputSettings, Status, frame, mtdata2,
+    number::Reader,
 };
 use proptest::{collection::vec, prelude::*};
 
@@ -63,7 +64,12 @@ prop_compose! {
 
 /// The measurement with its numbers in this format.
 fn rounded(m: Measurement, format: NumberFormat) -> Measurement {
-    let round = |x: f64| format.quantize(x);
+    let round = |x: f64| {
+        let mut bytes = Vec::new();
+        format.write(x, &mut bytes);
+        let [x] = Reader::new(&bytes).numbers(format).unwrap();
+        x
+    };
     let vector = |v: Option<[f64; 3]>| v.map(|v| v.map(round));
     Measurement {
         acceleration: vector(m.acceleration),

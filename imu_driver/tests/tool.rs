@@ -2,10 +2,7 @@
 #![cfg(feature = "cli")]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
-use imu_driver::protocol::{
-    Configuration, LegacyFormat, Measurement, MessageId, NumberFormat, OutputEntry,
-    configuration::output_configuration_to_data, frame, mtdata2,
-};
+use imu_driver::protocol::{Configuration, LegacyFormat, Measurement, MessageId, frame};
 use std::{
     path::PathBuf,
     process::{Command, Output},
@@ -53,75 +50,14 @@ fn a_corrupted_legacy_log_is_decoded_and_its_losses_are_counted() {
     log[59 * 3 + 20] ^= 0x10;
     log.extend(&legacy_message(4)[..30]);
     std::fs::write(path("log.bin"), &log).unwrap();
-    let run = |command: &str, csv: &str| {
-        let (log, config) = (path("log.bin"), path("configuration.bin"));
-        volant_imu(&[command, &log, "--config", &config, "--csv", &path(csv)])
-    };
-    let done = run("decode", "out.csv");
+    let (log, config, csv) = (path("log.bin"), path("configuration.bin"), path("out.csv"));
+    let done = volant_imu(&["decode", &log, "--config", &config, "--csv", &csv]);
     assert!(done.status.success(), "{}", last_line(&done));
     assert_eq!(last_line(&done), "9 frames, 1 bad checksums, 89 skipped bytes");
-    let table = std::fs::read_to_string(path("out.csv")).unwrap();
+    let table = std::fs::read_to_string(csv).unwrap();
     let rows: Vec<&str> = table.lines().collect();
     assert_eq!(rows.len(), 10);
     assert_eq!(rows[1], "65530,,0.5,-0.25,9.75,0.125,0,-1.5,1,0,0,0");
-    let played = run("playback", "played.csv");
-    assert!(played.status.success(), "{}", last_line(&played));
-    assert_eq!(last_line(&played), "9 messages, 9 samples, 1 lost, 0 unreadable");
-    assert_eq!(std::fs::read_to_string(path("played.csv")).unwrap().lines().count(), 10);
-    std::fs::remove_dir_all(folder).unwrap();
-}
-
-/// A log of MTData2 messages.
-fn mtdata2_log(rate: u32, messages: u32, with_time: bool) -> Vec<u8> {
-    let mut log = Vec::new();
-    for k in 0..messages {
-        let m = Measurement {
-            counter: Some(k as u16),
-            sample_time_fine: with_time.then_some(k * 10_000 / rate),
-            acceleration: Some([0.0, 0.0, 9.81]),
-            angular_velocity: Some([0.01, 0.02, 0.03]),
-            ..Measurement::default()
-        };
-        let mut data = Vec::new();
-        mtdata2::encode(&m, NumberFormat::Float32, &mut data);
-        log.extend(frame(MessageId::MT_DATA2, &data));
-    }
-    log
-}
-
-#[test]
-fn the_time_axis_of_an_mtdata2_log_has_the_rate_of_its_output_configuration() {
-    let folder = folder("rate");
-    let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
-    let outputs = [(0x1020, 0xFFFF), (0x4020, 400), (0x8020, 400)];
-    let outputs = outputs.map(|(id, rate)| OutputEntry { id, rate });
-    let recorded =
-        frame(MessageId::OUTPUT_CONFIGURATION.ack(), &output_configuration_to_data(&outputs));
-    let (nothing, no_option): (&[u8], &[&str]) = (&[], &[]);
-    for (head, rate, with_time, more) in [
-        (&recorded[..], 400, false, no_option),
-        (&recorded[..], 400, true, no_option),
-        (nothing, 400, false, &["--rate", "400"][..]),
-        (nothing, 100, false, no_option),
-    ] {
-        let messages = 3000;
-        let log = [head, &mtdata2_log(rate, messages, with_time)].concat();
-        std::fs::write(path("log.bin"), log).unwrap();
-        let (log, csv) = (path("log.bin"), path("out.csv"));
-        let arguments = ["playback", &log, "--csv", &csv, "--overwrite"];
-        let done = volant_imu(&[&arguments[..], more].concat());
-        assert!(done.status.success(), "{}", last_line(&done));
-        let table = std::fs::read_to_string(&csv).unwrap();
-        let times: Vec<f64> = table
-            .lines()
-            .skip(1)
-            .map(|line| line.split(',').next().unwrap().parse().unwrap())
-            .collect();
-        let expected = f64::from(messages - 1) / f64::from(rate);
-        let span = times[times.len() - 1] - times[0];
-        assert_eq!(times.len(), messages as usize);
-        assert!((span - expected).abs() < 2e-3, "{rate} {with_time}: {span} {expected}");
-    }
     std::fs::remove_dir_all(folder).unwrap();
 }
 
@@ -226,73 +162,20 @@ fn an_imu_is_found_configured_and_logged_and_the_log_decoded() {
     let rows = std::fs::read_to_string(path("log.csv")).unwrap().lines().count();
     // Includes data of the stream before the configuration.
     assert!((50..90).contains(&rows), "{rows}");
-    let played = volant_imu(&["playback", &path("log.bin"), "--csv", &path("played.csv")]);
-    assert!(played.status.success(), "{played:?}");
-    assert!(last_line(&played).contains("0 lost, 0 unreadable"), "{played:?}");
     drop(imu);
     std::fs::remove_dir_all(folder).unwrap();
 }
 
 #[test]
-fn standard_output_that_is_closed_or_full_ends_a_command_without_a_panic() {
-    let run = |arguments: &[&str], stdout: std::process::Stdio| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_volant-imu"));
-        command.args(arguments).stdout(stdout).stderr(std::process::Stdio::piped());
-        let output = command.output().unwrap();
-        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
-    };
-    for arguments in [&["--help"][..], &["--version"], &["find", "--port", "/no/such/port"]] {
-        let (reader, writer) = std::io::pipe().unwrap();
-        drop(reader);
-        assert_eq!(run(arguments, writer.into()), (Some(141), String::new()), "{arguments:?}");
-        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
-        let (status, message) = run(arguments, full.into());
-        assert_eq!((status, message.lines().count()), (Some(1), 1), "{arguments:?}: {message}");
-        assert!(message.starts_with("volant imu: standard output"), "{message}");
-    }
-}
-
-#[test]
-fn a_file_is_replaced_only_on_request_and_a_log_never() {
+fn a_log_is_never_replaced_by_its_table() {
     let folder = folder("files");
     let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
-    let configuration =
-        Configuration { format: LegacyFormat::STANDARD, ..Configuration::default() };
-    let mut log = frame(MessageId::REQ_CONFIGURATION.ack(), &configuration.to_data());
-    for counter in 0..300 {
-        log.extend(legacy_message(counter));
-    }
-    std::fs::write(path("log.bin"), &log).unwrap();
+    std::fs::write(path("log.bin"), legacy_message(1)).unwrap();
     std::fs::hard_link(path("log.bin"), path("other.bin")).unwrap();
-    for command in ["decode", "playback"] {
-        let csv = path(&format!("{command}.csv"));
-        let run = |csv: &str, more: &[&str]| {
-            volant_imu(&[&[command, &path("log.bin"), "--csv", csv], more].concat())
-        };
-        assert!(run(&csv, &[]).status.success());
-        let table = std::fs::read(&csv).unwrap();
-        std::fs::write(&csv, "former").unwrap();
-        let refused = run(&csv, &[]);
-        assert_eq!(refused.status.code(), Some(1));
-        assert!(last_line(&refused).contains("exists already"), "{}", last_line(&refused));
-        assert_eq!(std::fs::read(&csv).unwrap(), b"former");
-        assert!(run(&csv, &["--overwrite"]).status.success());
-        assert!(std::fs::read(&csv).unwrap() == table);
-        for input in ["log.bin", "other.bin"] {
-            let refused = run(&path(input), &["--overwrite"]);
-            assert!(last_line(&refused).contains("the output is the input"));
-        }
+    for csv in ["log.bin", "other.bin"] {
+        let refused = volant_imu(&["decode", &path("log.bin"), "--csv", &path(csv), "--overwrite"]);
+        assert!(last_line(&refused).contains("the output is the input"), "{refused:?}");
     }
-    // Of a log that cannot be decoded, the former table stays.
-    std::fs::write(path("noise.bin"), [1, 2, 3]).unwrap();
-    let csv = path("decode.csv");
-    let before = std::fs::read(&csv).unwrap();
-    assert!(
-        !volant_imu(&["decode", &path("noise.bin"), "--csv", &csv, "--overwrite"]).status.success()
-    );
-    assert!(
-        std::fs::read(&csv).unwrap() == before && std::fs::read(path("log.bin")).unwrap() == log
-    );
-    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 5, "nothing is left beside them");
+    assert_eq!(std::fs::read(path("log.bin")).unwrap(), legacy_message(1));
     std::fs::remove_dir_all(&folder).unwrap();
 }

@@ -291,12 +291,9 @@ impl<'a> Adjustment<'a> {
     /// Takes a climber axis (x, y, turn) as unknown.
     pub fn ignore(&mut self, axis: usize) {
         /// Range of a rail, m, and of the turn, rad.
-        const UNKNOWN: [f64; 2] = [0.3, 0.3];
+        const UNKNOWN: f64 = 0.3;
         self.parameters.ignored[axis] = true;
-        match axis {
-            0 | 1 => self.climber_noise[axis] = UNKNOWN[0],
-            _ => self.climber_noise[3] = UNKNOWN[1],
-        }
+        self.climber_noise[if axis < 2 { axis } else { 3 }] = UNKNOWN;
     }
 
     /// Uses all images and intervals again.

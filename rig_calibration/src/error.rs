@@ -11,15 +11,12 @@ pub enum CalibrationError {
         /// The topic.
         topic: &'static str,
     },
-    /// Too few images show all markers.
+    /// Too few images show all markers: this number.
     #[error(
-        "only {count} images show all four markers; record the fully visible platform for ten \
-         seconds at least"
+        "only {0} images show all four markers; record the fully visible platform for ten seconds \
+         at least"
     )]
-    FewImages {
-        /// Number of usable images.
-        count: usize,
-    },
+    FewImages(usize),
     /// No pose fits the first image.
     #[error("no pose fits the first image; check the markers in the rig file")]
     NoPose,

@@ -94,15 +94,9 @@ fn traits() -> Vec<Trait> {
     }
     three("accelerometer bias", "m/s2", 1.0, [0.3, f64::INFINITY, 0.0]);
     three("gyroscope bias", "deg/s", 1.0 / deg, [0.02, f64::INFINITY, 0.0]);
-    for clock in ["camera clock against imu", "climber clock against camera"] {
-        list.push(Trait {
-            name: clock.to_owned(),
-            unit: "ms",
-            scale: 1e3,
-            prior: 0.03,
-            limit: f64::INFINITY,
-            floor: 0.0,
-        });
+    for name in ["camera clock against imu", "climber clock against camera"].map(str::to_owned) {
+        let (prior, limit, floor) = (0.03, f64::INFINITY, 0.0);
+        list.push(Trait { name, unit: "ms", scale: 1e3, prior, limit, floor });
     }
     list
 }

@@ -1,11 +1,6 @@
 //! Initial states of the bundle adjustment from single images.
 
-use crate::{
-    CalibrationError,
-    parameters::Parameters,
-    problem::{State, camera_from_volant},
-    recording::Recording,
-};
+use crate::{CalibrationError, parameters::Parameters, problem::State, recording::Recording};
 use nalgebra::{Isometry3, Vector3};
 use rig_model::{PerColor, planar_pose};
 
@@ -19,6 +14,7 @@ pub(super) fn first_states(
     p: &Parameters,
 ) -> Result<Vec<State>, CalibrationError> {
     let mut poses: Vec<Isometry3<f64>> = Vec::with_capacity(recording.shots.len());
+    let mut in_front = 0;
     let mounting = p.rig.imu.volant_from_imu.rotation;
     for shot in &recording.shots {
         let near = |t: f64| (t - shot.time - p.camera_clock).abs() < 0.02;
@@ -37,25 +33,21 @@ pub(super) fn first_states(
             Some(best) => world_from_camera * best.camera_from_volant,
             None => *poses.last().ok_or(CalibrationError::NoPose)?,
         };
+        in_front += usize::from((world_from_camera.inverse() * pose).translation.z > 0.0);
         poses.push(pose);
     }
     let arm = p.rig.imu.volant_from_imu.translation.vector;
     let place = |k: usize| poses[k].translation.vector + poses[k].rotation * arm;
     let last = poses.len() - 1;
-    let states: Vec<State> = (0..poses.len())
+    if in_front * 2 <= poses.len() {
+        return Err(CalibrationError::Behind);
+    }
+    Ok((0..poses.len())
         .map(|k| {
             let (a, b) = (k.saturating_sub(1), (k + 1).min(last));
             let velocity =
                 (place(b) - place(a)) / (recording.shots[b].time - recording.shots[a].time);
             State { pose: poses[k], velocity }
         })
-        .collect();
-    let in_front = states.iter().zip(&recording.shots).filter(|(s, shot)| {
-        let camera = camera_from_volant(recording, shot, p, s);
-        camera.translation.vector.z > 0.0
-    });
-    if in_front.count() * 2 <= states.len() {
-        return Err(CalibrationError::Behind);
-    }
-    Ok(states)
+        .collect())
 }

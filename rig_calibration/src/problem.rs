@@ -6,7 +6,7 @@ use crate::{
     recording::{Recording, Shot},
 };
 use nalgebra::{
-    Isometry3, Matrix2, Matrix3, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3,
+    Isometry3, Matrix2, Matrix3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3, Vector4,
 };
 use rig_model::{MarkerColor, Rig};
 
@@ -40,18 +40,11 @@ impl State {
     }
 }
 
-/// `camera_from_volant` of an image.
-pub fn camera_from_volant(
-    recording: &Recording,
-    shot: &Shot,
-    p: &Parameters,
-    state: &State,
-) -> Isometry3<f64> {
-    seen(p, &p.world_from_climber(recording, shot.time), state)
-}
-
-fn seen(p: &Parameters, climber: &Isometry3<f64>, state: &State) -> Isometry3<f64> {
-    (climber * p.rig.climber_from_camera).inverse() * state.pose
+/// Moves the climber along the world's axes (m) and turns it about its own vertical (rad).
+fn moved(climber: &Isometry3<f64>, by: &Vector4<f64>) -> Isometry3<f64> {
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), by.w);
+    let place = Translation3::from(climber.translation.vector + by.xyz());
+    Isometry3::from_parts(place, climber.rotation * turn)
 }
 
 /// Measured minus predicted pixels of the four markers; `None` where one does not project.
@@ -61,12 +54,19 @@ pub fn pixels(
     p: &Parameters,
     state: &State,
 ) -> Option<SVector<f64, 8>> {
-    let climber = p.world_from_climber(recording, shot.time);
+    pixels_from(&p.world_from_climber(recording, shot.time), shot, p, state)
+}
+
+/// [`pixels`] from a climber pose.
+fn pixels_from(
+    climber: &Isometry3<f64>,
+    shot: &Shot,
+    p: &Parameters,
+    state: &State,
+) -> Option<SVector<f64, 8>> {
     let at = |shift: &Vector3<f64>| {
-        let mut moved = climber;
-        moved.translation.vector += Vector3::new(shift.x, shift.y, 0.0);
-        moved.rotation *= UnitQuaternion::from_axis_angle(&Vector3::z_axis(), shift.z);
-        let pose = seen(p, &moved, state);
+        let climber = moved(climber, &Vector4::new(shift.x, shift.y, 0.0, shift.z));
+        let pose = (climber * p.rig.climber_from_camera).inverse() * state.pose;
         let mut residual = SVector::<f64, 8>::zeros();
         for color in MarkerColor::ALL {
             let i = color.index();
@@ -110,26 +110,12 @@ pub fn pixel_whitener(
         let floor = Matrix2::identity() * (PIXEL_FLOOR * PIXEL_FLOOR);
         covariance.fixed_view_mut::<2, 2>(2 * i, 2 * i).copy_from(&(shot.covariances[i] + floor));
     }
-    let here = pixels(recording, shot, p, state)?;
     let climber = p.world_from_climber(recording, shot.time);
+    let here = pixels_from(&climber, shot, p, state)?;
     for (axis, noise) in noise.iter().enumerate() {
-        // Moving the climber is the inverse motion of the platform relative to it.
-        let (moved, size) = if axis < 3 {
-            let mut shift = Vector3::zeros();
-            shift[axis] = 1e-4;
-            let pose =
-                Isometry3::from_parts(Translation3::from(-shift), UnitQuaternion::identity())
-                    * state.pose;
-            (State { pose, ..*state }, 1e-4)
-        } else {
-            let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -1e-4);
-            let about = Point3::from(climber.translation.vector);
-            let turned = Isometry3::from_parts(Translation3::identity(), turn);
-            let around =
-                Translation3::from(about.coords) * turned * Translation3::from(-about.coords);
-            (State { pose: around * state.pose, ..*state }, 1e-4)
-        };
-        let slope = (pixels(recording, shot, p, &moved)? - here) / size;
+        let mut step = Vector4::zeros();
+        step[axis] = 1e-4;
+        let slope = (pixels_from(&moved(&climber, &step), shot, p, state)? - here) / 1e-4;
         covariance += slope * slope.transpose() * (noise * noise);
     }
     covariance.cholesky()?.l().try_inverse()

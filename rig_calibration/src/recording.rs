@@ -1,7 +1,7 @@
 //! A recording as numbers: marker observations, IMU samples, climber poses, camera.
 
 use crate::CalibrationError;
-use nalgebra::{Matrix2, Matrix3, SMatrix, Vector2, Vector3, Vector4};
+use nalgebra::{Matrix2, Matrix3, SMatrix, UnitQuaternion, Vector2, Vector3, Vector4};
 use rig_model::{
     CameraModel, ClimberSample, ImuSample, MarkerObservations, MarkerState, Stamp, topics,
 };
@@ -48,6 +48,17 @@ fn finite<'a>(mut values: impl Iterator<Item = &'a f64>) -> bool {
     values.all(|value| value.is_finite())
 }
 
+/// Whether all four markers were measured.
+pub(crate) fn all_detected(o: &MarkerObservations) -> bool {
+    o.markers.0.iter().all(|m| m.state == MarkerState::Detected)
+}
+
+/// Angle of the rotated x axis about the vertical, rad.
+pub(crate) fn heading(rotation: &UnitQuaternion<f64>) -> f64 {
+    let along = rotation * Vector3::x();
+    along.y.atan2(along.x)
+}
+
 /// One image in which all four markers were measured.
 #[derive(Clone, Debug)]
 pub struct Shot {
@@ -77,6 +88,11 @@ pub struct Recording {
 /// quantization.
 const CLIMBER_WINDOW: f64 = 0.2;
 
+/// Longest part of a recording that a check uses, images, and of how many it takes one in a part of
+/// more than half of that: its time grows with them.
+const SPAN: usize = 900;
+const EVERY: usize = 2;
+
 impl Recording {
     /// Sorts the samples, without those that are repeated or invalid, selects the images with all
     /// four markers, and converts stamps to seconds.
@@ -100,37 +116,39 @@ impl Recording {
             .map(|s| (s.stamp.seconds_since(start), s.specific_force, s.angular_velocity))
             .collect();
         let end = imu[imu.len() - 1].0;
+        // Beyond its ends the climber's readings are unknown.
+        let covered = climber[0].0..=climber[climber.len() - 1].0;
         let mut shots: Vec<Shot> = samples
             .markers
             .iter()
-            .filter(|o| o.markers.0.iter().all(|m| m.state == MarkerState::Detected))
+            .filter(|o| all_detected(o))
             .map(|o| Shot {
                 time: o.stamp.seconds_since(start),
                 pixels: o.markers.0.map(|m| m.centroid),
                 covariances: o.markers.0.map(|m| m.covariance),
             })
             // The IMU samples must extend beyond both ends, also with different clocks.
-            .filter(|s| s.time > 0.2 && s.time < end - 0.2)
+            .filter(|s| s.time > 0.2 && s.time < end - 0.2 && covered.contains(&s.time))
             .collect();
         shots.dedup_by(|a, b| a.time - b.time < 1e-4);
         if shots.len() < 60 {
-            return Err(CalibrationError::FewImages { count: shots.len() });
+            return Err(CalibrationError::FewImages(shots.len()));
         }
         Ok(Self { camera: samples.camera, shots, imu, climber })
     }
 
-    /// Keeps the consecutive images, at most `count`, in which the climber moves most; of more than
-    /// half as many one in `every`.
-    pub(crate) fn keep_liveliest(&mut self, count: usize, every: usize) {
-        if self.shots.len() > count {
-            self.keep_span(count);
+    /// Keeps the consecutive images, at most [`SPAN`], in which the climber moves most; of more than
+    /// half as many one in [`EVERY`].
+    pub(crate) fn keep_liveliest(&mut self) {
+        if self.shots.len() > SPAN {
+            self.keep_span();
         }
-        if self.shots.len() > count / 2 {
-            self.shots = self.shots.iter().step_by(every).cloned().collect();
+        if self.shots.len() > SPAN / 2 {
+            self.shots = self.shots.iter().step_by(EVERY).cloned().collect();
         }
     }
 
-    fn keep_span(&mut self, count: usize) {
+    fn keep_span(&mut self) {
         let way: Vec<f64> = std::iter::once(0.0)
             .chain(self.shots.windows(2).map(|w| {
                 let (a, b) = (self.climber_at(w[0].time), self.climber_at(w[1].time));
@@ -141,10 +159,10 @@ impl Recording {
                 Some(*sum)
             })
             .collect();
-        let last = self.shots.len() - count;
-        let of = |k: &usize| way[k + count - 1] - way[*k];
+        let last = self.shots.len() - SPAN;
+        let of = |k: &usize| way[k + SPAN - 1] - way[*k];
         let first = (0..=last).max_by(|a, b| of(a).total_cmp(&of(b))).unwrap_or(0);
-        self.shots = self.shots[first..first + count].to_vec();
+        self.shots = self.shots[first..first + SPAN].to_vec();
     }
 
     /// Position (m) and turn (rad) of the climber at a time of its clock, by a parabola
@@ -184,8 +202,7 @@ fn climber_line(samples: &[ClimberSample], start: Stamp) -> Vec<(f64, Vector3<f6
     let mut line: Vec<(f64, Vector3<f64>, f64)> = Vec::with_capacity(samples.len());
     for sample in samples {
         let pose = &sample.world_from_climber;
-        let along = pose.rotation * Vector3::x();
-        let mut turn = along.y.atan2(along.x);
+        let mut turn = heading(&pose.rotation);
         let time = sample.stamp.seconds_since(start);
         if let Some(last) = line.last() {
             turn += ((last.2 - turn) / std::f64::consts::TAU).round() * std::f64::consts::TAU;

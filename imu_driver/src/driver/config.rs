@@ -4,7 +4,7 @@ use crate::protocol::{
     LegacyFormat, NumberFormat, OutputEntry, OutputMode, OutputSettings,
     configuration::{TICKS_PER_SECOND, period_and_skip},
     message::BAUD_SCAN,
-    mtdata2::xdi,
+    mtdata2::{data_length, xdi},
 };
 use thiserror::Error;
 
@@ -48,21 +48,15 @@ ros_parameters::parameters! {
 /// Invalid configuration.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ConfigError {
-    /// The rate is out of range.
-    #[error("a rate of {rate} Hz is out of range; use 0.01 to 512 Hz")]
-    Rate {
-        /// Configured rate, Hz.
-        rate: f64,
-    },
-    /// The devices do not support the baud rate.
+    /// This rate, Hz, is out of range.
+    #[error("a rate of {0} Hz is out of range; use 0.01 to 512 Hz")]
+    Rate(f64),
+    /// The devices do not support this baud rate.
     #[error(
-        "{baud} baud is not supported; use {}, or 0 to search",
-        BAUD_SCAN.map(|b| b.to_string()).join(", ")
+        "{0} baud is not supported; use {scanned}, or 0 to search",
+        scanned = BAUD_SCAN.map(|b| b.to_string()).join(", ")
     )]
-    Baud {
-        /// Configured baud rate.
-        baud: u32,
-    },
+    Baud(u32),
     /// The messages exceed the baud rate.
     #[error(
         "{rate} Hz of {bytes} bytes need {needed} baud, but the line has {baud}; \
@@ -88,23 +82,28 @@ impl DriverConfig {
     /// [`ConfigError`] for the first invalid value.
     pub fn check(&self) -> Result<(), ConfigError> {
         if period_and_skip(self.rate).is_none() {
-            return Err(ConfigError::Rate { rate: self.rate });
+            return Err(ConfigError::Rate(self.rate));
         }
         let Some(baud) = self.known_baud() else {
             return Ok(());
         };
         if crate::protocol::message::baud_code(baud).is_none() {
-            return Err(ConfigError::Baud { baud });
+            return Err(ConfigError::Baud(baud));
         }
-        self.check_line(baud)
+        // MTData2 is longer, but which device answers is not known yet.
+        self.check_line(baud, false)
     }
 
-    /// Checks that a line of `baud` carries the messages, unless the settings of the IMU remain.
+    /// Checks that a line of `baud` carries the messages (MTData2 or legacy ones), unless the
+    /// settings of the IMU remain.
     ///
     /// # Errors
     /// [`ConfigError::LineTooSlow`].
-    pub(super) fn check_line(&self, baud: u32) -> Result<(), ConfigError> {
-        let bytes = self.legacy_format().data_length() + 5;
+    pub(super) fn check_line(&self, baud: u32, mtdata2: bool) -> Result<(), ConfigError> {
+        let bytes = 5 + match mtdata2 {
+            true => data_length(&self.outputs()),
+            false => self.legacy_format().data_length(),
+        };
         let needed = (bytes as f64 * 10.0 * self.rate).ceil() as u32;
         if needed > baud && !self.leave_settings {
             return Err(ConfigError::LineTooSlow { rate: self.rate, bytes, needed, baud });

@@ -276,9 +276,9 @@ impl Driver {
             let (stage, queue) = match (inquiry.stage, inquiry.changed) {
                 (Stage::Reading, _) => {
                     let settings = self.differences();
-                    if !settings.is_empty()
-                        && let Err(error) = self.config.check_line(self.connection.baud())
-                    {
+                    let mtdata2 = self.identity.outputs.is_some();
+                    let checked = self.config.check_line(self.connection.baud(), mtdata2);
+                    if let (false, Err(error)) = (settings.is_empty(), checked) {
                         return self.line_too_slow(error);
                     }
                     self.event(Event::Found(self.identity.clone()));

@@ -202,7 +202,7 @@ impl Driver {
         self.tick();
     }
 
-    /// Ends the stream (a log has ended): releases the samples that wait for the clock fit.
+    /// Ends the stream: releases the samples that wait for the clock fit.
     pub fn finish(&mut self) {
         self.release();
     }

@@ -41,9 +41,10 @@ fn finite(v: [f64; 3]) -> Option<Vector3<f64>> {
 
 /// Converts a measurement to a sample; non-finite values are omitted.
 ///
-/// `period` (s) converts increments of velocity and orientation if the message has no rates.
-pub fn sample_of(m: &Measurement, stamp: Stamp, period: f64) -> Sample {
-    let per_second = |v: [f64; 3]| v.map(|x| x / period);
+/// `periods` (s) of the increments of velocity and orientation convert them if the message has no
+/// rates.
+pub fn sample_of(m: &Measurement, stamp: Stamp, periods: [f64; 2]) -> Sample {
+    let per_second = |v: [f64; 3]| v.map(|x| x / periods[0]);
     let specific_force = m
         .acceleration
         .or(m.acceleration_hr)
@@ -53,7 +54,7 @@ pub fn sample_of(m: &Measurement, stamp: Stamp, period: f64) -> Sample {
         .angular_velocity
         .or(m.angular_velocity_hr)
         .and_then(finite)
-        .or_else(|| Some(rotation_of(m.delta_orientation?)?.scaled_axis() / period))
+        .or_else(|| Some(rotation_of(m.delta_orientation?)?.scaled_axis() / periods[1]))
         .filter(|rate| rate.iter().all(|x| x.is_finite()));
     let orientation = m
         .orientation
@@ -86,12 +87,12 @@ mod tests {
             delta_orientation: Some([turn.w, turn.i, turn.j, turn.k]),
             ..Measurement::default()
         };
-        let imu = sample_of(&m, Stamp::default(), 0.01).imu.unwrap();
+        let imu = sample_of(&m, Stamp::default(), [0.01, 0.02]).imu.unwrap();
         assert!((imu.specific_force.z - 9.81).abs() < 1e-12);
-        assert!((imu.angular_velocity - Vector3::new(0.1, -0.2, 0.3)).norm() < 1e-9);
+        assert!((imu.angular_velocity - Vector3::new(0.05, -0.1, 0.15)).norm() < 1e-9);
         let m =
             Measurement { delta_velocity: Some([f64::NAN; 3]), temperature: Some(f64::NAN), ..m };
-        let sample = sample_of(&m, Stamp::default(), 0.01);
+        let sample = sample_of(&m, Stamp::default(), [0.01; 2]);
         assert_eq!((sample.imu, sample.temperature), (None, None));
     }
 }

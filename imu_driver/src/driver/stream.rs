@@ -4,7 +4,10 @@ use super::{Driver, Event, Identity, Output, Phase, Sample, sample_of};
 use crate::{
     clock_fit::ClockFit,
     device_time::DeviceTime,
-    protocol::{Decoder, DeviceError, Frame, MessageId, OutputEntry, ParserCounts, Status},
+    protocol::{
+        Decoder, DeviceError, Frame, MessageId, OutputEntry, ParserCounts, Status,
+        configuration::message_rate, mtdata2::xdi,
+    },
 };
 use rig_model::Stamp;
 use std::collections::VecDeque;
@@ -47,6 +50,8 @@ pub struct Statistics {
 pub(super) struct Stream {
     decoder: Decoder,
     time: DeviceTime,
+    /// Periods of the increments of velocity and orientation, s.
+    increments: [f64; 2],
     clock: ClockFit,
     /// Device time (ns) and sample, until the clock fit has settled.
     waiting: VecDeque<(i64, Sample)>,
@@ -66,6 +71,7 @@ impl Stream {
         Self {
             decoder: Decoder::default(),
             time: DeviceTime::new(1152, 115_200),
+            increments: [0.01; 2],
             clock: ClockFit::new(step_patience),
             waiting: VecDeque::new(),
             last_data: 0.0,
@@ -81,13 +87,16 @@ impl Stream {
     pub(super) fn begin(&mut self, identity: &Identity, now: f64) {
         // Without outputs an MTi-10 or 100 sends legacy messages, at the rate of its Configuration.
         // A rate of zero or FFFF is that of every message.
-        let outputs = identity.outputs.iter().flatten().map(|output| output.rate);
-        let rate = outputs.filter(|rate| (1..u16::MAX).contains(rate)).max();
         let ticks = identity.configuration.and_then(|c| c.ticks_per_message());
-        self.time = match rate {
+        self.time = match identity.outputs.as_deref().and_then(message_rate) {
             Some(rate) => DeviceTime::new(1, u32::from(rate)),
             None => DeviceTime::new(ticks.unwrap_or(1152), 115_200),
         };
+        self.increments = [xdi::DELTA_VELOCITY, xdi::DELTA_ORIENTATION].map(|id| {
+            let own = identity.outputs.iter().flatten().find(|o| o.id & 0xFFF0 == id);
+            let rate = own.and_then(|output| message_rate(&[*output]));
+            rate.map_or(self.time.period(), |rate| 1.0 / f64::from(rate))
+        });
         let legacy = identity.outputs.as_ref().is_none_or(Vec::is_empty);
         self.on_request = legacy && identity.configuration.is_some_and(|c| c.is_on_request());
         self.decoder.format = identity.configuration.map(|c| c.format);
@@ -182,7 +191,7 @@ impl Driver {
             None => {}
         }
         stream.clock.observe(placed.device, ready);
-        let sample = sample_of(&m, ready, stream.time.period());
+        let sample = sample_of(&m, ready, stream.increments);
         let statistics = &mut stream.statistics;
         statistics.lost += placed.lost;
         statistics.status = sample.status.or(statistics.status);
@@ -224,5 +233,20 @@ impl Driver {
             let stamp = self.time.on_host_clock(self.stream.clock.stamp(device));
             self.outputs.push_back(Output::Sample(sample.stamped(stamp)));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn increments_have_the_period_of_their_own_output() {
+        let outputs = [(0x4020, 400), (0x4012, 100), (0x8030, u16::MAX)];
+        let outputs = outputs.map(|(id, rate)| OutputEntry { id, rate }).to_vec();
+        let mut stream = Stream::new(1.0);
+        stream.begin(&Identity { outputs: Some(outputs), ..Identity::default() }, 0.0);
+        let [velocity, orientation] = stream.increments;
+        assert!((velocity - 0.01).abs() < 1e-12 && (orientation - 0.0025).abs() < 1e-12);
     }
 }

@@ -150,6 +150,11 @@ pub struct OutputEntry {
     pub rate: u16,
 }
 
+/// Rate of the messages with these outputs, Hz; `None` if none has a rate of its own.
+pub fn message_rate(outputs: &[OutputEntry]) -> Option<u16> {
+    outputs.iter().map(|output| output.rate).filter(|rate| (1..u16::MAX).contains(rate)).max()
+}
+
 /// Largest number of entries in an output configuration.
 pub const MAX_OUTPUTS: usize = 32;
 

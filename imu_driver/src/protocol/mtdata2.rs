@@ -3,7 +3,8 @@
 //! A list of `identifier u16 | size u8 | data`; items that the driver does not use are skipped.
 
 use super::{
-    DecodeError,
+    DecodeError, OutputEntry,
+    configuration::message_rate,
     measurement::{Attitude, GlobalFrame, Measurement, Orientation, Status},
     number::{NumberFormat, Reader},
 };
@@ -51,6 +52,25 @@ pub mod xdi {
         STATUS_BYTE = 0xE010, "status byte";
         STATUS_WORD = 0xE020, "status word";
     }
+}
+
+/// Length of the data of a message with these outputs, bytes; the rarer ones are not in all.
+///
+/// Knows the sizes of the outputs that the driver sets.
+pub fn data_length(outputs: &[OutputEntry]) -> usize {
+    let rate = message_rate(outputs).unwrap_or(u16::MAX);
+    let frequent = outputs.iter().filter(|output| output.rate >= rate);
+    let length = |id: u16| {
+        let number = NumberFormat::from_bits(u32::from(id)).size();
+        match id & 0xFFF0 {
+            xdi::COUNTER => 2,
+            xdi::SAMPLE_TIME_FINE | xdi::STATUS_WORD => 4,
+            xdi::TEMPERATURE => number,
+            xdi::QUATERNION => 4 * number,
+            _ => 3 * number,
+        }
+    };
+    frequent.map(|output| 3 + length(output.id)).sum()
 }
 
 /// Decodes the data of one MTData2 message.
@@ -176,6 +196,40 @@ pub fn encode(m: &Measurement, format: NumberFormat, out: &mut Vec<u8>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_length_follows_from_the_outputs() {
+        let m = Measurement {
+            counter: Some(1),
+            sample_time_fine: Some(2),
+            acceleration: Some([0.0; 3]),
+            temperature: Some(25.0),
+            orientation: Some(Orientation {
+                attitude: Attitude::Quaternion([1.0, 0.0, 0.0, 0.0]),
+                frame: GlobalFrame::EastNorthUp,
+            }),
+            status: Some(Status::empty()),
+            ..Measurement::default()
+        };
+        for format in NumberFormat::ALL {
+            let mut data = Vec::new();
+            encode(&m, format, &mut data);
+            let output =
+                |(id, rate): (u16, u16)| OutputEntry { id: id | format.bits() as u16, rate };
+            let mut outputs = [
+                (xdi::COUNTER, u16::MAX),
+                (xdi::SAMPLE_TIME_FINE, u16::MAX),
+                (xdi::ACCELERATION, 100),
+                (xdi::TEMPERATURE, 100),
+                (xdi::QUATERNION, 100),
+                (xdi::STATUS_WORD, u16::MAX),
+            ]
+            .map(output);
+            assert_eq!(data_length(&outputs), data.len());
+            outputs[3].rate = 1;
+            assert_eq!(data_length(&outputs), data.len() - 3 - format.size());
+        }
+    }
 
     #[test]
     fn unknown_items_are_skipped() {

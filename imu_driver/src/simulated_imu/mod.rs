@@ -17,7 +17,10 @@ mod replies;
 pub use line::Line;
 pub use model::{SentSample, SimulatedImu};
 
-use crate::protocol::{Configuration, DeviceId, LegacyFormat, OutputEntry, OutputSettings};
+use crate::protocol::{
+    Configuration, DeviceId, LegacyFormat, OutputEntry, OutputSettings,
+    configuration::{TICKS_PER_SECOND, message_rate},
+};
 use nalgebra::{UnitQuaternion, Vector3};
 use rig_model::Stamp;
 
@@ -130,6 +133,14 @@ impl SimulatedImuConfig {
     /// Outputs of MTData2; `None` if the device sends legacy messages.
     pub(super) fn mtdata2(&self) -> Option<&[OutputEntry]> {
         self.outputs.as_deref().filter(|outputs| !outputs.is_empty())
+    }
+
+    /// Ticks of 1/115200 s between two messages; `None`: on request only.
+    pub(super) fn ticks_per_message(&self) -> Option<f64> {
+        match self.mtdata2().and_then(message_rate) {
+            Some(rate) => Some(TICKS_PER_SECOND / f64::from(rate)),
+            None => self.configuration().ticks_per_message().map(f64::from),
+        }
     }
 
     /// Content of the Configuration message.

@@ -171,11 +171,11 @@ impl SimulatedImu {
     }
 
     fn sample_time(&self, since: Stamp, n: u64) -> Stamp {
-        let Some(ticks) = self.config.configuration().ticks_per_message() else {
+        let Some(ticks) = self.config.ticks_per_message() else {
             // On request only.
             return Stamp::from_nanos(i64::MAX);
         };
-        let seconds = n as f64 * f64::from(ticks) / TICKS_PER_SECOND;
+        let seconds = n as f64 * ticks / TICKS_PER_SECOND;
         since.plus_seconds(seconds / (1.0 + self.config.clock_ppm * 1e-6))
     }
 
@@ -283,9 +283,12 @@ impl SimulatedImu {
 
     /// Whether the baud rate is sufficient for the configured data.
     pub(super) fn line_carries_stream(&self) -> bool {
-        let rate = self.config.configuration().rate().unwrap_or(0.0);
-        let bytes = (self.config.format.data_length() + 5) as f64;
-        self.config.outputs.is_some() || bytes * 10.0 * rate <= f64::from(self.wire.baud)
+        let data = match self.config.mtdata2() {
+            Some(outputs) => mtdata2::data_length(outputs),
+            None => self.config.format.data_length(),
+        };
+        let time = (data + 5) as f64 * 10.0 / f64::from(self.wire.baud);
+        self.config.ticks_per_message().is_none_or(|ticks| time <= ticks / TICKS_PER_SECOND)
     }
 }
 

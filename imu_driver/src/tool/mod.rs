@@ -1,12 +1,8 @@
 //! Command `volant imu`.
 
 mod live;
-mod playback;
 
-use crate::{
-    log::{LogCounts, LogError, decode_to_csv, saved_configuration},
-    protocol::LegacyFormat,
-};
+use crate::log::{LogCounts, LogError, decode_to_csv, saved_configuration};
 use clap::{Parser, Subcommand, error::ErrorKind};
 use node_kit::{
     console::{self, EXIT_STATUS, OutputError},
@@ -40,8 +36,6 @@ enum Command {
     Configure(live::Configure),
     /// Record the raw bytes of an IMU, its configuration first
     Log(live::Log),
-    /// Process a log with the driver and report samples and losses
-    Playback(playback::Playback),
     /// Decode a log to CSV
     Decode(Decode),
 }
@@ -71,7 +65,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 
 /// Why a command failed.
 #[derive(Debug, Error)]
-pub(crate) enum Failure {
+enum Failure {
     /// Message of one line: file or device, and remedy.
     #[error("{0}")]
     Work(String),
@@ -122,7 +116,6 @@ fn run(arguments: Arguments) -> ExitCode {
         Command::Info(line) => live::info(&line),
         Command::Configure(configure) => live::configure(&configure),
         Command::Log(log) => live::log(&log),
-        Command::Playback(playback) => playback::playback(&playback),
         Command::Decode(decode) => run_decode(&decode),
     };
     match done {
@@ -138,7 +131,7 @@ fn run(arguments: Arguments) -> ExitCode {
 /// Largest log, bytes: a day at 400 Hz has 2 GB.
 const LONGEST_LOG: u64 = 4 << 30;
 
-pub(crate) fn read_log(path: &Path) -> Result<Vec<u8>, Failure> {
+fn read_log(path: &Path) -> Result<Vec<u8>, Failure> {
     let cannot = |e: std::io::Error| {
         Failure::from(format!("{} cannot be read: {e}; give a log of raw bytes", path.display()))
     };
@@ -154,28 +147,22 @@ pub(crate) fn read_log(path: &Path) -> Result<Vec<u8>, Failure> {
     Ok(log)
 }
 
-pub(crate) fn read_configuration(path: Option<&Path>) -> Result<Option<LegacyFormat>, Failure> {
-    let Some(path) = path else {
-        return Ok(None);
-    };
-    saved_configuration(&read_log(path)?).map_err(|e| format!("{}: {e}", path.display()).into())
-}
-
-/// Input files of a command.
-pub(crate) fn inputs<'a>(log: &'a Path, config: Option<&'a Path>) -> Vec<&'a Path> {
-    std::iter::once(log).chain(config).collect()
-}
-
 fn run_decode(arguments: &Decode) -> Result<(), Failure> {
-    let csv = &arguments.csv;
-    check_output(csv, arguments.overwrite, &inputs(&arguments.log, arguments.config.as_deref()))?;
+    let (csv, config) = (&arguments.csv, arguments.config.as_deref());
+    let inputs: Vec<&Path> = std::iter::once(arguments.log.as_path()).chain(config).collect();
+    check_output(csv, arguments.overwrite, &inputs)?;
     let log = read_log(&arguments.log)?;
-    let format = read_configuration(arguments.config.as_deref())?;
+    let format = match config {
+        Some(path) => {
+            saved_configuration(&read_log(path)?).map_err(|e| format!("{}: {e}", path.display()))?
+        }
+        None => None,
+    };
     // The CSV is too large to keep in memory; of an invalid log none is left.
     let mut file = BufWriter::new(OutputFile::create(csv, arguments.overwrite)?);
     let cannot = |source| FileError::Io { path: csv.clone(), source };
     let counts = decode_to_csv(&log, format, &mut file).map_err(|e| match e {
-        LogError::Write { source } => Failure::from(cannot(source)),
+        LogError::Write(source) => Failure::from(cannot(source)),
         e => format!("{}: {e}", arguments.log.display()).into(),
     })?;
     file.into_inner().map_err(|e| cannot(e.into_error()))?.commit()?;

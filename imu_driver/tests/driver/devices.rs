@@ -3,7 +3,7 @@
 use crate::bench::Bench;
 use imu_driver::{
     driver::{DriverConfig, Event},
-    protocol::{DeviceError, MessageId, OutputMode},
+    protocol::{DeviceError, MessageId, OutputEntry, OutputMode},
     simulated_imu::SimulatedImuConfig,
 };
 
@@ -37,6 +37,22 @@ fn settings_that_the_line_found_cannot_carry_are_not_written() {
     let is_slow = |e: &&Event| matches!(e, Event::LineTooSlow(_));
     let reports: Vec<_> = bench.events.iter().filter(is_slow).map(Event::to_string).collect();
     assert!(matches!(&reports[..], [text] if text.contains("the line has 115200")), "{reports:?}");
+    // The messages of an MTi-100 are longer: 81 bytes instead of 59.
+    let modern = SimulatedImuConfig {
+        outputs: Some(vec![OutputEntry { id: 0x2010, rate: 100 }]),
+        ..SimulatedImuConfig::default()
+    };
+    let faster = DriverConfig { rate: 150.0, ..DriverConfig::default() };
+    let mut other = Bench::new(faster.clone(), modern.clone());
+    other.run(3.0);
+    let slow = other.events.iter().find(is_slow).unwrap().to_string();
+    assert!(slow.contains("121500 baud") && other.imu.flash_writes() == 0, "{slow}");
+    // Nor does the device begin to send them.
+    let leave = DriverConfig { leave_settings: true, ..DriverConfig::default() };
+    let mut other =
+        Bench::new(leave, SimulatedImuConfig { outputs: Some(faster.outputs()), ..modern });
+    other.run(3.0);
+    assert!(!other.driver.is_measuring(), "{:?}", other.events);
     // The device is called again, at the baud rate at which it answers.
     assert!(bench.bauds.is_empty(), "{:?}", bench.bauds);
     // A line that carries them.

@@ -14,7 +14,7 @@ use crate::{
     adjustment::Adjustment,
     initial::first_states,
     parameters::{CLIMBER_CLOCK, Parameters, RAILS, TURN_SCALE},
-    recording::Recording,
+    recording::{Recording, heading},
 };
 use nalgebra::{DMatrix, Isometry3, Matrix2, Translation3, UnitQuaternion, Vector3};
 
@@ -49,9 +49,8 @@ pub(crate) fn examine(
     if reversed {
         state.findings.push(Finding::wrong(
             "climber.turn",
-            "the joint `turn` is reversed: the climber turns the other way than it reports"
-                .to_owned(),
-            "change the sign of `turn` in climber_driver's parameters".to_owned(),
+            "the joint `turn` is reversed: the climber turns the other way than it reports",
+            "change the sign of `turn` in climber_driver's parameters",
         ));
         change(state, |place, turn| (place, -turn));
         // The rails' directions were estimated with the wrong turn.
@@ -73,7 +72,8 @@ impl Solved {
     fn of(state: &Corrected, recording: &Recording) -> Result<Option<Self>, CalibrationError> {
         let start = Parameters::new(&state.rig, recording);
         let states = first_states(recording, &start)?;
-        let mut priors = select::priors(&[Cause::Focal, Cause::LayoutScale], false);
+        let freed = [Cause::Focal, Cause::LayoutScale];
+        let mut priors = select::priors(start.camera.distortion(), &freed, false);
         priors[RAILS].fill(WIDE);
         priors[TURN_SCALE] = WIDE;
         priors[CLIMBER_CLOCK] = CLOCK;
@@ -118,8 +118,7 @@ fn rails(state: &mut Corrected, matrix: &Matrix2<f64>) -> bool {
                 turn.to_degrees()
             ),
             "drive the climber along +x: the platform must leave the image as camera.orientation \
-             says; correct it in the rig file"
-                .to_owned(),
+             says; correct it in the rig file",
         ));
         return true;
     }
@@ -134,7 +133,7 @@ fn rails(state: &mut Corrected, matrix: &Matrix2<f64>) -> bool {
     state.findings.push(Finding::wrong(
         key,
         format!("{text}: the platform moves otherwise than the encoders report"),
-        "correct the joint's name or sign in climber_driver's parameters".to_owned(),
+        "correct the joint's name or sign in climber_driver's parameters",
     ));
     change(state, |place, turn| {
         let xy = nearest * place.xy();
@@ -147,8 +146,7 @@ fn rails(state: &mut Corrected, matrix: &Matrix2<f64>) -> bool {
 fn change(state: &mut Corrected, f: impl Fn(Vector3<f64>, f64) -> (Vector3<f64>, f64)) {
     for sample in &mut state.samples.climber {
         let pose = &sample.world_from_climber;
-        let along = pose.rotation * Vector3::x();
-        let (place, turn) = f(pose.translation.vector, along.y.atan2(along.x));
+        let (place, turn) = f(pose.translation.vector, heading(&pose.rotation));
         sample.world_from_climber = Isometry3::from_parts(
             Translation3::from(place),
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn),

@@ -67,7 +67,8 @@ pub struct Finding {
 }
 
 impl Finding {
-    pub(crate) fn wrong(key: &str, text: String, remedy: String) -> Self {
+    pub(crate) fn wrong(key: &str, text: impl Into<String>, remedy: impl Into<String>) -> Self {
+        let (text, remedy) = (text.into(), remedy.into());
         Self { key: key.to_owned(), verdict: Verdict::Wrong, text, remedy, blocks: false }
     }
 }
@@ -116,15 +117,16 @@ pub(crate) fn report(
     for group in &GROUPS {
         let freed = outcome.explanations.iter().find(|e| e.cause == group.cause);
         let mut worst = Verdict::Unobservable;
-        for i in group.indexes().filter(|_| group.cause != Cause::Biases) {
+        for i in group.indexes() {
             let (further, deviation) = outcome.alone[i];
             let freed = freed.is_some() || group.always_free();
             let value = total(i) + if freed { 0.0 } else { further };
             let significant = value.abs() > SIGNIFICANT * deviation;
-            let verdict = match value.abs() / group.scale(i) {
+            let scale = group.scale(i, file.camera.distortion());
+            let verdict = match value.abs() / scale {
                 v if freed && significant && v > group.sizes[1] => worst_possible,
                 v if freed && significant && v > group.sizes[0] => Verdict::Suspect,
-                _ if group.detectable() * deviation > group.sizes[1] * group.scale(i) => {
+                _ if group.detectable() * deviation > group.sizes[1] * scale => {
                     Verdict::Unobservable
                 }
                 _ => Verdict::Ok,
@@ -151,17 +153,15 @@ pub(crate) fn report(
         ),
     );
     if !fits && findings.iter().all(|f| f.verdict != Verdict::Wrong) {
+        let text = format!(
+            "the recording does not fit the files, and no single cause explains it (squared \
+             residual per degree of freedom {:.1})",
+            outcome.noise
+        );
+        let remedy = "record again with a calmer motion; check that nothing was moved meanwhile";
         findings.push(Finding {
-            key: "recording".to_owned(),
             verdict: Verdict::Suspect,
-            text: format!(
-                "the recording does not fit the files, and no single cause explains it (squared \
-                 residual per degree of freedom {:.1})",
-                outcome.noise
-            ),
-            remedy: "record again with a calmer motion; check that nothing was moved meanwhile"
-                .to_owned(),
-            blocks: false,
+            ..Finding::wrong("recording", text, remedy)
         });
     }
     findings.sort_by_key(|f| std::cmp::Reverse(f.verdict));
@@ -185,15 +185,14 @@ pub(crate) fn deaf(axis: usize) -> Finding {
                 "the joint `{joint}` does not follow the climber's motion: its reading is frozen \
                  or of another axis"
             ),
-            "look at the encoder's cable and at the joint's name in climber_driver's parameters"
-                .to_owned(),
+            "look at the encoder's cable and at the joint's name in climber_driver's parameters",
         )
     }
 }
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-fn row(
+pub(super) fn row(
     group: &Group,
     i: usize,
     file: &Parameters,
@@ -208,7 +207,12 @@ fn row(
     let (name, unit, value, change, deviation) = match group.cause {
         Cause::Focal => {
             let f = file.camera.focal_lengths().x;
-            ("camera_info: fx".to_owned(), "px", f, f * change.exp_m1(), f * deviation)
+            let deviation = f * change.exp() * deviation;
+            ("camera_info: fx".to_owned(), "px", f, f * change.exp_m1(), deviation)
+        }
+        Cause::LayoutScale => {
+            let (change, deviation) = (change.exp_m1() * scale, change.exp() * deviation * scale);
+            (name(group.cause).to_owned(), unit, 100.0, change, deviation)
         }
         Cause::Principal => {
             let c = point[i - PRINCIPAL.start];
@@ -218,7 +222,7 @@ fn row(
             let d = file.camera.distortion().coefficients();
             (format!("camera_info: d[{k}]"), "", d[k], change, deviation)
         }
-        Cause::LayoutScale | Cause::RailX | Cause::RailY | Cause::TurnScale => {
+        Cause::RailX | Cause::RailY | Cause::TurnScale => {
             (name(group.cause).to_owned(), unit, 100.0, change * scale, deviation * scale)
         }
         _ => {
@@ -269,7 +273,6 @@ fn name(cause: Cause) -> &'static str {
         Cause::AccelerometerScale => "accelerometer scale",
         Cause::ClimberClock => "climber clock",
         Cause::ImuClock => "imu clock",
-        Cause::Biases => "imu biases",
     }
 }
 
@@ -329,7 +332,8 @@ fn finding(
         ),
         Cause::Distortion => (
             "camera_info: the distortion coefficients do not fit the images".to_owned(),
-            "run `volant calibrate camera`; the order is k1, k2, p1, p2, k3 (plumb_bob)",
+            "run `volant calibrate camera`; the order is k1, k2, p1, p2, k3 (plumb_bob) or k1, k2, \
+             k3, k4 (equidistant)",
         ),
         Cause::LayoutScale => (
             format!(
@@ -352,12 +356,8 @@ fn finding(
                 "correct the joint's scale in climber_driver's parameters (`volant calibrate climber`)",
             )
         }
-        Cause::GyroScale => (
-            format!("the gyroscope's scale is off by {}", vector()),
-            "check the IMU's unit and range; have it calibrated",
-        ),
-        Cause::AccelerometerScale => (
-            format!("the accelerometer's scale is off by {}", vector()),
+        Cause::GyroScale | Cause::AccelerometerScale => (
+            format!("the {} is off by {}", name(group.cause), vector()),
             "check the IMU's unit and range; have it calibrated",
         ),
         Cause::ClimberClock => (
@@ -373,17 +373,10 @@ fn finding(
             format!("the IMU's stamps are {:+.1} ms from the images'", of(0)),
             "synchronize the clocks, or stamp the images at mid-exposure",
         ),
-        Cause::Biases => ("the IMU's biases are large".to_owned(), "warm the IMU up"),
     };
     if !alternatives.is_empty() {
         let names: Vec<&str> = alternatives.iter().map(|c| name(*c)).collect();
         text = format!("{text} (or {})", names.join(", "));
     }
-    Finding {
-        key: name(group.cause).to_owned(),
-        verdict,
-        text,
-        remedy: remedy.to_owned(),
-        blocks: false,
-    }
+    Finding { verdict, ..Finding::wrong(name(group.cause), text, remedy) }
 }

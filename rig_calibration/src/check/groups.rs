@@ -3,10 +3,10 @@
 
 use super::select::PER_PARAMETER;
 use crate::parameters::{
-    CAMERA_CLOCK, CAMERA_PLACE, CAMERA_TURN, CLIMBER_CLOCK, DISTORTION, FOCAL, FORCE_BIAS,
-    FORCE_SCALE, IMU_PLACE, IMU_TURN, LAYOUT_SCALE, MARKERS, PRINCIPAL, RAILS, RATE_BIAS,
-    RATE_SCALE, TURN_SCALE,
+    CAMERA_CLOCK, CAMERA_PLACE, CAMERA_TURN, CLIMBER_CLOCK, DISTORTION, FOCAL, FORCE_SCALE,
+    IMU_PLACE, IMU_TURN, LAYOUT_SCALE, MARKERS, PRINCIPAL, RAILS, RATE_SCALE, TURN_SCALE,
 };
+use rig_model::Distortion;
 
 /// What can be wrong as a whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -28,7 +28,6 @@ pub(crate) enum Cause {
     AccelerometerScale,
     ClimberClock,
     ImuClock,
-    Biases,
 }
 
 /// One cause, with its parameters.
@@ -72,7 +71,7 @@ const fn marker(i: usize) -> Group {
 
 /// All groups. The sizes are those that cost the pose more than its usual accuracy of some
 /// millimeters (`test/ROBUSTNESS.md`).
-pub(crate) const GROUPS: [Group; 21] = [
+pub(crate) const GROUPS: [Group; 20] = [
     group(Cause::CameraTilt, CAMERA_TURN.start, 2, [0.1 * DEG, 0.5], [0.5 * DEG, 1.0 * DEG], ANGLE),
     group(
         Cause::CameraYaw,
@@ -100,11 +99,7 @@ pub(crate) const GROUPS: [Group; 21] = [
     group(Cause::AccelerometerScale, FORCE_SCALE.start, 3, [3e-3, 0.5], [0.015, 0.03], SHARE),
     group(Cause::ClimberClock, CLIMBER_CLOCK, 1, [2e-3, 0.3], [8e-3, 0.02], TIME),
     group(Cause::ImuClock, CAMERA_CLOCK, 1, [0.03, 0.1], [0.03, 0.1], TIME),
-    group(Cause::Biases, FORCE_BIAS.start, 6, [0.1, 0.3], [0.5, 1.0], ("", 1.0)),
 ];
-
-/// Number of bias parameters, which are always free.
-const _: () = assert!(RATE_BIAS.end - FORCE_BIAS.start == 6);
 
 impl Group {
     /// Indexes of its parameters.
@@ -113,19 +108,18 @@ impl Group {
     }
 
     /// Factor on priors and sizes of a parameter: tangential coefficients act more than radial
-    /// ones.
-    pub fn scale(&self, i: usize) -> f64 {
-        if self.cause == Cause::Distortion && i >= self.first + 2 { 0.03 } else { 1.0 }
+    /// ones, which are all that a fisheye lens has.
+    pub fn scale(&self, i: usize, lens: &Distortion) -> f64 {
+        let tangential = self.cause == Cause::Distortion && i >= self.first + 2;
+        if tangential && !matches!(lens, Distortion::Equidistant(_)) { 0.03 } else { 1.0 }
     }
 
     /// Cost that it must explain to count, in units of the noise. χ² of one degree of freedom
-    /// exceeds
-    /// 8 + 5 with a probability of 3e-4. Encoders count in steps, which are no white noise, and a
-    /// wrong camera position resembles the drift of an IMU: they must explain more.
+    /// exceeds 8 + 5 with a probability of 3e-4. Encoders count in steps, which are no white noise,
+    /// and a wrong camera position resembles the drift of an IMU: they must explain more.
     pub fn least(&self) -> f64 {
         match self.cause {
-            Cause::CameraPlace => 40.0,
-            Cause::RailX | Cause::RailY => 40.0,
+            Cause::CameraPlace | Cause::RailX | Cause::RailY => 40.0,
             _ => 8.0,
         }
     }
@@ -138,6 +132,6 @@ impl Group {
 
     /// Whether it is free in any case: the filter estimates it itself.
     pub fn always_free(&self) -> bool {
-        matches!(self.cause, Cause::Biases | Cause::ImuClock)
+        self.cause == Cause::ImuClock
     }
 }

@@ -69,8 +69,7 @@ pub(crate) fn examine_noise(state: &mut Corrected, recording: &Recording) {
                 "imu.{name}_noise_density is {file:.2e} {unit}; the samples have {measured:.2e}"
             ),
             "measure it with `volant calibrate imu` from a recording at rest, or take it from the \
-             data sheet"
-                .to_owned(),
+             data sheet",
         ));
         *file = measured;
     }

@@ -2,17 +2,19 @@
 //! camera that looks elsewhere.
 
 use super::{Corrected, Track, findings::Finding};
-use crate::{CalibrationError, median::median, recording::Recording};
-use nalgebra::{Matrix2, UnitQuaternion, Vector2, Vector3};
+use crate::{
+    CalibrationError,
+    median::median,
+    recording::{Recording, all_detected},
+};
+use nalgebra::{Matrix2, Quaternion, UnitQuaternion, Vector2, Vector3};
 use rig_model::{
     CameraModel, MarkerColor, MarkerLayout, MarkerObservations, MarkerState, PerColor, planar_pose,
 };
 
-/// Largest and smallest distance of a marker from the layout's center, m: a platform that a climber
-/// carries.
-const REACH: [f64; 2] = [0.03, 3.0];
-/// Largest and smallest side of a marker, m.
-const SIDE: [f64; 2] = [0.01, 1.0];
+/// Largest distance of a marker from the layout's center, and of a sensor from its frame, m: a
+/// platform that a climber carries.
+const REACH: f64 = 3.0;
 /// Share of images with four markers above which the layout is good enough to track with.
 const TRACKED: f64 = 0.3;
 /// First images with which other layouts are tried; more where the first do not show all markers.
@@ -79,7 +81,7 @@ pub(crate) fn examine(
     }
     let shots = centroids(&state.samples.markers);
     if shots.is_empty() {
-        state.findings.push(missing(state).ok_or(CalibrationError::FewImages { count: 0 })?);
+        state.findings.push(missing(state).ok_or(CalibrationError::FewImages(0))?);
         return Ok(());
     }
     let every = (shots.len() / COMPARED).max(1);
@@ -104,8 +106,7 @@ pub(crate) fn examine(
         state.findings.push(Finding::wrong(
             &c.key,
             c.text.clone(),
-            "compare the colors and coordinates in the rig file with the platform, seen from above"
-                .to_owned(),
+            "compare the colors and coordinates in the rig file with the platform, seen from above",
         ));
     } else if let Some(i) = moved
         && file > WORSE * costs[i].max(FITS)
@@ -150,44 +151,33 @@ fn centroids(markers: &[MarkerObservations]) -> Vec<PerColor<Vector2<f64>>> {
     full.map(|m| PerColor(m.markers.0.map(|o| o.centroid))).collect()
 }
 
-fn all_detected(m: &MarkerObservations) -> bool {
-    m.markers.0.iter().all(|o| o.state == MarkerState::Detected)
+/// Reach of a layout that is not in meters, its unit, and the factor to meters.
+///
+/// The side is in meters, because the rig file accepts no other, and markers do not overlap.
+fn unit(layout: &MarkerLayout) -> Option<(f64, &'static str, f64)> {
+    let centers = &layout.centers.0;
+    let mean = centers.iter().map(|c| c.coords).sum::<Vector3<f64>>() / 4.0;
+    let reach = centers.iter().map(|c| (c.coords - mean).norm()).fold(0.0, f64::max);
+    let pairs = (0..4).flat_map(|i| (0..i).map(move |k| (centers[i] - centers[k]).norm()));
+    let spacing = pairs.fold(f64::INFINITY, f64::min);
+    let (unit, factor) =
+        if spacing * 1e-3 >= layout.side { ("millimeters", 1e-3) } else { ("centimeters", 1e-2) };
+    (reach > REACH).then_some((reach, unit, factor))
 }
 
-/// Brings lengths in millimeters or centimeters to meters.
+/// Brings marker positions in millimeters or centimeters to meters.
 fn units(state: &mut Corrected) {
     let layout = &mut state.rig.markers;
-    let mean = layout.centers.0.iter().map(|c| c.coords).sum::<Vector3<f64>>() / 4.0;
-    let reach = layout.centers.0.iter().map(|c| (c.coords - mean).norm()).fold(0.0, f64::max);
-    let factor = |value: f64, [low, high]: [f64; 2]| {
-        [1.0, 1e-2, 1e-3, 1e2, 1e3].into_iter().find(|f| (low..high).contains(&(value * f)))
-    };
-    let unit = |factor: f64| match factor {
-        1e-2 => "in centimeters instead of meters",
-        1e-3 => "in millimeters instead of meters",
-        _ => "too small by a factor of 100 or 1000",
-    };
-    for (key, what, value, limits) in [
-        (
-            "markers.red",
-            "markers.red, markers.green, markers.blue and markers.yellow are",
-            reach,
-            REACH,
+    let Some((reach, unit, factor)) = unit(layout) else { return };
+    layout.centers.0.iter_mut().for_each(|c| c.coords *= factor);
+    state.findings.push(Finding::wrong(
+        "markers.red",
+        format!(
+            "markers.red, markers.green, markers.blue and markers.yellow are in {unit} instead of \
+             meters: {reach:.1} m from their center is impossible"
         ),
-        ("markers.size", "markers.size is", layout.side, SIDE),
-    ] {
-        let Some(factor) = factor(value, limits).filter(|f| *f != 1.0) else { continue };
-        if key == "markers.size" {
-            layout.side *= factor;
-        } else {
-            layout.centers.0.iter_mut().for_each(|c| c.coords *= factor);
-        }
-        state.findings.push(Finding::wrong(
-            key,
-            format!("{what} {}: {value:.3} as a length in m is impossible", unit(factor)),
-            "write the marker positions and their size in meters".to_owned(),
-        ));
-    }
+        "write the marker positions in meters",
+    ));
 }
 
 /// Brings mounting positions in millimeters or centimeters to meters.
@@ -198,10 +188,10 @@ pub(crate) fn examine_places(state: &mut Corrected) {
         ("camera.position", &mut rig.climber_from_camera.translation.vector),
     ] {
         let norm = place.norm();
-        if norm < REACH[1] {
+        if norm < REACH {
             continue;
         }
-        let (unit, factor) = if norm < 1e2 * REACH[1] && norm * 1e-3 < 1e-2 {
+        let (unit, factor) = if norm < 1e2 * REACH && norm * 1e-3 < 1e-2 {
             ("centimeters", 1e-2)
         } else {
             ("millimeters", 1e-3)
@@ -210,7 +200,7 @@ pub(crate) fn examine_places(state: &mut Corrected) {
         state.findings.push(Finding::wrong(
             key,
             format!("{key} is in {unit} instead of meters: {norm:.1} m is impossible"),
-            "write it in meters".to_owned(),
+            "write it in meters",
         ));
     }
 }
@@ -307,6 +297,12 @@ fn cost(layout: &MarkerLayout, camera: &CameraModel, shots: &[PerColor<Vector2<f
     median(costs).unwrap_or(f64::INFINITY)
 }
 
+/// A quaternion whose numbers were read as x, y, z, w, but written with w first.
+pub(super) fn w_first(read: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+    let q = read.coords;
+    UnitQuaternion::from_quaternion(Quaternion::new(q.x, q.y, q.z, q.w))
+}
+
 /// Compares the platform's mean normal with the vertical of the rig file's camera.
 pub(crate) fn examine_view(state: &mut Corrected, recording: &Recording) {
     let covariance = Matrix2::identity() * (PIXEL * PIXEL);
@@ -324,8 +320,7 @@ pub(crate) fn examine_view(state: &mut Corrected, recording: &Recording) {
     if normal.norm() < 1e-9 || up.angle(&Vector3::z()) < LEAN {
         return;
     }
-    let q = camera.coords;
-    let swapped = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q.x, q.y, q.z, q.w));
+    let swapped = w_first(camera);
     let degrees = up.angle(&Vector3::z()).to_degrees();
     let text = if (swapped * normal).angle(&Vector3::z()) < LEAN {
         *camera = swapped;
@@ -338,12 +333,31 @@ pub(crate) fn examine_view(state: &mut Corrected, recording: &Recording) {
     };
     let remedy = "write climber_from_camera_optical as x, y, z, w; for a camera that looks \
                   straight down it is [0.7071, 0.7071, 0, 0]";
-    state.findings.push(Finding::wrong("camera.orientation", text, remedy.to_owned()));
+    state.findings.push(Finding::wrong("camera.orientation", text, remedy));
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Point3;
+
+    #[test]
+    fn the_unit_of_a_layout_follows_from_the_size_of_its_markers() {
+        let layout = |reach: f64, side: f64| MarkerLayout {
+            side,
+            centers: PerColor(
+                [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]
+                    .map(|[x, y]| Point3::new(reach * x, reach * y, 0.0)),
+            ),
+        };
+        let of = |reach, side| unit(&layout(reach, side)).map(|(_, unit, _)| unit);
+        assert_eq!(of(0.15, 0.076), None);
+        assert_eq!(of(15.0, 0.076), Some("centimeters"));
+        assert_eq!(of(75.0, 0.076), Some("millimeters"));
+        // Small markers are possible.
+        assert_eq!(of(0.02, 0.006), None);
+        assert_eq!(of(20.0, 0.006), Some("millimeters"));
+    }
 
     #[test]
     fn exchanged_colors_are_named() {

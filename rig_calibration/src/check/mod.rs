@@ -31,11 +31,6 @@ use rig_model::{CameraModel, MarkerLayout, MarkerObservations, Rig};
 pub type Track<'a> =
     dyn FnMut(&MarkerLayout, &CameraModel, Option<usize>) -> Vec<MarkerObservations> + 'a;
 
-/// Longest part of a recording that the batch uses, images, and of how many it takes one in a part
-/// of more than half of that: its time grows with them.
-const SPAN: usize = 900;
-const EVERY: usize = 2;
-
 /// Largest number of corrections of the encoders: turn, then rails.
 const ROUNDS: usize = 2;
 
@@ -93,14 +88,14 @@ pub fn check(
     layout::examine_view(&mut state, &recording);
     rates::examine(&mut state, &recording);
     let mut recording = Recording::new(&state.samples)?;
-    recording.keep_liveliest(SPAN, EVERY);
+    recording.keep_liveliest();
     inertial::examine_noise(&mut state, &recording);
     for _ in 0..ROUNDS {
         if !encoders::examine(&mut state, &recording)? {
             break;
         }
         recording = Recording::new(&state.samples)?;
-        recording.keep_liveliest(SPAN, EVERY);
+        recording.keep_liveliest();
     }
     let mut file = Parameters::new(rig, &recording);
     let start = Parameters::new(&state.rig, &recording);

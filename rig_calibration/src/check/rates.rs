@@ -1,7 +1,11 @@
 //! Angular rates of the images against those of the gyroscope: time offset, rotation and unit of
 //! the IMU, without knowledge of its mounting.
 
-use super::{Corrected, findings::Finding, layout::MIRRORED};
+use super::{
+    Corrected,
+    findings::Finding,
+    layout::{MIRRORED, w_first},
+};
 use crate::recording::Recording;
 use nalgebra::{Isometry3, Matrix2, Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rig_model::{PerColor, planar_pose};
@@ -10,12 +14,15 @@ use rig_model::{PerColor, planar_pose};
 const SPAN: f64 = 0.2;
 /// Standard deviation of the platform's tilt, rad: separates the two poses of a plane.
 const TILT: f64 = 0.25;
-/// Largest time offset that is searched, s, its step, and the one from which it is gross.
-const LARGEST: f64 = 1.5;
-const STEP: f64 = 0.01;
+/// Searches, the second where the first is in vain: largest time offset and step, s, and the
+/// correlation from which the alignment counts. In the recordings of `test/CHECK.md` a swing
+/// correlates by less than 0.9 with itself half a period later.
+const SEARCHES: [(f64, f64, f64); 2] = [(1.5, 0.01, 0.95), (10.0, 0.05, 0.6)];
+/// Time offset from which it is gross, s.
 const GROSS: f64 = 0.04;
-/// Correlation from which the alignment counts.
-const CERTAIN: f64 = 0.6;
+/// Largest correlation of another rotation, at any time offset, that leaves the rotation certain:
+/// share of the best one.
+const RIVAL: f64 = 0.95;
 /// Angle from which a rotation is gross, rad, and within which a rotation is a special one.
 const GROSS_TURN: f64 = 0.35;
 const SNAP: f64 = 0.3;
@@ -40,17 +47,10 @@ pub(crate) fn examine(state: &mut Corrected, recording: &Recording) {
         return;
     }
     let at = |lag: f64| align(&rates, &integral, lag);
-    let count = (LARGEST / STEP) as i32;
-    let Some((lag, best)) = (-count..=count)
-        .map(|k| f64::from(k) * STEP)
-        .filter_map(|lag| Some((lag, at(lag)?)))
-        .max_by(|a, b| a.1.score.total_cmp(&b.1.score))
+    let Some((lag, best, certain)) = SEARCHES.iter().find_map(|search| best_lag(&at, *search))
     else {
         return;
     };
-    if best.score < CERTAIN {
-        return;
-    }
     if lag.abs() > GROSS && at(0.0).is_none_or(|zero| zero.score < best.score - 0.02) {
         for sample in &mut state.samples.imu {
             sample.stamp = sample.stamp.plus_seconds(-lag);
@@ -65,21 +65,45 @@ pub(crate) fn examine(state: &mut Corrected, recording: &Recording) {
                  instead of rad/s",
                 best.ratio
             ),
-            "let the driver publish rad/s (sensor_msgs/Imu, REP-103)".to_owned(),
+            "let the driver publish rad/s (sensor_msgs/Imu, REP-103)",
         ));
         state.samples.imu.iter_mut().for_each(|s| s.angular_velocity /= DEGREES);
     }
-    rotation(state, &best.rotation);
+    rotation(state, &best.rotation, certain);
+}
+
+/// Returns the lag of the highest correlation, its alignment, and whether the rotation is certain;
+/// `None` where the correlation is low or still rises at an end of the search.
+fn best_lag(
+    at: &impl Fn(f64) -> Option<Aligned>,
+    (largest, step, least): (f64, f64, f64),
+) -> Option<(f64, Aligned, bool)> {
+    let count = (largest / step).round() as i32;
+    let mut lags: Vec<(f64, Aligned)> = (-count..=count)
+        .map(|k| f64::from(k) * step)
+        .filter_map(|lag| Some((lag, at(lag)?)))
+        .collect();
+    let score = |k: &usize| lags[*k].1.score;
+    let place = (0..lags.len()).max_by(|a, b| score(a).total_cmp(&score(b)))?;
+    if score(&place) < least || place == 0 || place + 1 == lags.len() {
+        return None;
+    }
+    let (lag, best) = lags.swap_remove(place);
+    let rival = |a: &Aligned| {
+        a.score > RIVAL * best.score && a.rotation.angle_to(&best.rotation) > GROSS_TURN
+    };
+    let certain = !lags.iter().any(|(_, aligned)| rival(aligned));
+    Some((lag, best, certain))
 }
 
 /// Compares the rotation with the file's, and the direction of gravity with both.
-fn rotation(state: &mut Corrected, measured: &UnitQuaternion<f64>) {
+fn rotation(state: &mut Corrected, measured: &UnitQuaternion<f64>, certain: bool) {
     let mean: Vector3<f64> = state.samples.imu.iter().map(|s| s.specific_force).sum();
     let file = state.rig.imu.volant_from_imu.rotation;
     let off = measured.angle_to(&file);
     let down = |r: &UnitQuaternion<f64>| (r * mean).z < 0.0;
     // A layout with a marker at a guessed place turns the visual rates.
-    if off >= GROSS_TURN && state.moved.is_some() {
+    if off >= GROSS_TURN && (state.moved.is_some() || !certain) {
         return;
     }
     if off < GROSS_TURN {
@@ -87,16 +111,14 @@ fn rotation(state: &mut Corrected, measured: &UnitQuaternion<f64>) {
             state.findings.push(Finding::wrong(
                 "imu.accelerometer.sign",
                 "the accelerometer is negated: it measures gravity downwards at rest, while the \
-                 gyroscope agrees with the images"
-                    .to_owned(),
-                "let the driver publish +9.81 m/s² upwards at rest (REP-145)".to_owned(),
+                 gyroscope agrees with the images",
+                "let the driver publish +9.81 m/s² upwards at rest (REP-145)",
             ));
             state.samples.imu.iter_mut().for_each(|s| s.specific_force = -s.specific_force);
         }
         return;
     }
-    let q = file.coords;
-    let swapped = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q.x, q.y, q.z, q.w));
+    let swapped = w_first(&file);
     let axes = [("x", Vector3::x_axis()), ("y", Vector3::y_axis()), ("z", Vector3::z_axis())];
     let special = axes.iter().flat_map(|(name, axis)| {
         [90.0, 180.0, -90.0].map(|degrees: f64| {
@@ -139,7 +161,7 @@ fn rotation(state: &mut Corrected, measured: &UnitQuaternion<f64>) {
     state.findings.push(Finding::wrong(
         "imu.orientation",
         text,
-        "write volant_from_imu as x, y, z, w; `volant calibrate rig` refines it".to_owned(),
+        "write volant_from_imu as x, y, z, w; `volant calibrate rig` refines it",
     ));
     state.rig.imu.volant_from_imu.rotation = rotation;
 }
@@ -236,4 +258,39 @@ fn align(
         rotation: UnitQuaternion::from_rotation_matrix(&rotation),
         ratio: (gyro / visual.max(1e-12)).sqrt(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Best lag where the stamps of the gyroscope, mounted as `mounting`, are late by `late`
+    /// seconds: 20 s, stamps of the images and of the samples from 0 to 20 s.
+    fn found(late: f64, mounting: &UnitQuaternion<f64>) -> Option<(f64, Aligned, bool)> {
+        // Angles of a swing of 2.9 s about both axes, with turns that are not periodic.
+        let angles = |t: f64| {
+            let swing = 0.2 * (2.17 * t).sin();
+            Vector3::new(swing + 0.04 * (0.9 * t).sin(), 0.7 * swing, 0.06 * (0.4 * t * t).sin())
+        };
+        let visual = |t: f64| (t, t + SPAN, (angles(t + SPAN) - angles(t)) / SPAN);
+        let rates: Vec<_> = (0..590).map(|k| visual(f64::from(k) / 30.0)).collect();
+        let sample = |t: f64| (t, mounting.inverse() * angles(t - late));
+        let integral: Vec<_> = (0..=2000).map(|k| sample(f64::from(k) / 100.0)).collect();
+        let at = |lag: f64| align(&rates, &integral, lag);
+        SEARCHES.iter().find_map(|search| best_lag(&at, *search))
+    }
+
+    #[test]
+    fn a_late_gyroscope_is_not_a_turned_one() {
+        let turned = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 3.0);
+        for late in [0.0, 0.2, -1.0, 3.0, -6.0] {
+            for mounting in [UnitQuaternion::identity(), turned] {
+                let (lag, aligned, certain) = found(late, &mounting).unwrap();
+                assert!(certain && (lag - late).abs() < 0.03, "{late}: {lag}");
+                assert!(aligned.rotation.angle_to(&mounting) < 0.02, "{late}");
+            }
+        }
+        // Beyond the search a swing in the opposite phase fits best, but not alone.
+        assert!(found(14.0, &UnitQuaternion::identity()).is_none_or(|found| !found.2));
+    }
 }

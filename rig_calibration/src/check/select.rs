@@ -8,9 +8,10 @@ use super::groups::{Cause, GROUPS, Group};
 use crate::{
     CalibrationError,
     adjustment::Adjustment,
-    parameters::{PARAMETERS, Parameters},
+    parameters::{FORCE_BIAS, PARAMETERS, Parameters, RATE_BIAS},
 };
 use nalgebra::{DMatrix, DVector};
+use rig_model::Distortion;
 
 /// Cost that a group must explain for each of its parameters, in units of the noise, beyond
 /// [`Group::least`].
@@ -19,6 +20,8 @@ pub(crate) const PER_PARAMETER: f64 = 5.0;
 const MOST: usize = 6;
 /// Another cause counts as an alternative if it explains this share.
 const ALTERNATIVE: f64 = 0.85;
+/// Standard deviation of the biases of the IMU, which the filter estimates itself, m/s² and rad/s.
+const BIAS: f64 = 0.3;
 /// Share of the cost by which it falls where an axis' readings do not follow the motion.
 const NOT_FOLLOWING: f64 = 0.5;
 /// Cost per image of a constant reading that shows that the axis moved; a reading that is right
@@ -70,7 +73,7 @@ impl Local {
     fn of(work: &Adjustment<'_>) -> Option<Self> {
         // All parameters have derivatives here, also those that are held.
         let mut open = work.clone();
-        open.priors = priors(&[], true);
+        open.priors = priors(work.start.camera.distortion(), &[], true);
         let (matrix, right) = open.reduced()?;
         Some(Self { matrix, right, moved: work.parameters.minus(&work.start) })
     }
@@ -94,12 +97,13 @@ impl Local {
 }
 
 /// Priors with these groups freed; `open`: none is held.
-pub(crate) fn priors(freed: &[Cause], open: bool) -> Vec<f64> {
+pub(crate) fn priors(lens: &Distortion, freed: &[Cause], open: bool) -> Vec<f64> {
     let mut priors = vec![if open { 1e-6 } else { 0.0 }; PARAMETERS];
+    priors[FORCE_BIAS.start..RATE_BIAS.end].fill(BIAS);
     for group in &GROUPS {
         let wide = group.always_free() || freed.contains(&group.cause);
         for i in group.indexes() {
-            priors[i] = if wide { group.wide } else { group.tight } * group.scale(i);
+            priors[i] = if wide { group.wide } else { group.tight } * group.scale(i, lens);
         }
     }
     priors
@@ -131,12 +135,13 @@ fn explain_files(
     moved: Option<usize>,
 ) -> Result<Outcome, CalibrationError> {
     let diverged = CalibrationError::Diverged;
+    let lens = *work.start.camera.distortion();
     let mut freed: Vec<Explanation> = moved
         .map(|i| Explanation { cause: Cause::Marker(i), alternatives: vec![] })
         .into_iter()
         .collect();
     let causes = |freed: &[Explanation]| freed.iter().map(|e| e.cause).collect::<Vec<_>>();
-    work.priors = priors(&causes(&freed), false);
+    work.priors = priors(&lens, &causes(&freed), false);
     work.solve()?;
     let mut noise;
     let local = loop {
@@ -144,13 +149,13 @@ fn explain_files(
         let data = work.data_cost().ok_or(diverged.clone())?;
         let freedom = 8.0 * work.used.iter().filter(|u| **u).count() as f64;
         let all: Vec<Cause> = GROUPS.iter().map(|g| g.cause).collect();
-        let least = local.step(&priors(&all, true)).ok_or(diverged.clone())?.0;
+        let least = local.step(&priors(&lens, &all, true)).ok_or(diverged.clone())?.0;
         noise = ((data + least) / freedom).max(0.5);
-        let now = local.step(&priors(&causes(&freed), true)).ok_or(diverged.clone())?.0;
+        let now = local.step(&priors(&lens, &causes(&freed), true)).ok_or(diverged.clone())?.0;
         let gain = |group: &Group| {
             let mut with = causes(&freed);
             with.push(group.cause);
-            let cost = local.step(&priors(&with, true))?.0;
+            let cost = local.step(&priors(&lens, &with, true))?.0;
             Some((now - cost) / noise - PER_PARAMETER * group.count as f64 - group.least())
         };
         let mut gains: Vec<(f64, Cause)> = GROUPS
@@ -166,7 +171,7 @@ fn explain_files(
         let alternatives =
             gains[1..].iter().filter(|g| g.0 > ALTERNATIVE * best).map(|g| g.1).collect();
         freed.push(Explanation { cause, alternatives });
-        work.priors = priors(&causes(&freed), false);
+        work.priors = priors(&lens, &causes(&freed), false);
         work.use_all();
         work.solve()?;
     };
@@ -175,7 +180,7 @@ fn explain_files(
     for group in &GROUPS {
         let mut with = freed_now.clone();
         with.push(group.cause);
-        if let Some((_, step, covariance)) = local.step(&priors(&with, true)) {
+        if let Some((_, step, covariance)) = local.step(&priors(&lens, &with, true)) {
             for i in group.indexes() {
                 alone[i] = (step[i], (covariance[(i, i)] * noise).sqrt());
             }
@@ -196,7 +201,7 @@ fn explain_files(
 /// as long as the files' values do not fit.
 fn deaf_axes(mut work: Adjustment<'_>) -> Result<Vec<usize>, CalibrationError> {
     let mut deaf = vec![];
-    work.priors = priors(&[], false);
+    work.priors = priors(work.start.camera.distortion(), &[], false);
     work.iterations = 12;
     work.solve()?;
     loop {
@@ -238,7 +243,7 @@ fn frozen_axes(work: &Adjustment<'_>) -> Result<Vec<usize>, CalibrationError> {
         (0..climber.len()).all(|k| (reading(*axis, k) - reading(*axis, 0)).abs() < 1e-9)
     };
     let mut with = work.clone();
-    with.priors = priors(&[], false);
+    with.priors = priors(work.start.camera.distortion(), &[], false);
     with.iterations = 20;
     let mut frozen = vec![];
     let candidates: Vec<usize> = (0..3).filter(constant).collect();

@@ -13,6 +13,11 @@ const TWICE: f64 = 0.05;
 const ALTERNATING: f64 = 5.0;
 /// A gap longer than this, s, is reported.
 const GAP: f64 = 1.0;
+/// Both ends of a topic are off those of the images by more than this, s, and by the same: so are
+/// the clocks. Smaller offsets are estimated.
+const SHIFTED: f64 = 2.0;
+/// Share of the images' time that a topic may lack.
+const LACKING: f64 = 0.1;
 /// A step back by more sample periods is one of the clock, where the messages after it stay behind:
 /// a network reorders less.
 const PERIODS: f64 = 5.0;
@@ -39,8 +44,15 @@ pub fn examine(samples: &Samples) -> Vec<Finding> {
         let others = (0..3).filter(|k| *k != i).map(|k| spans[k]).fold(0.0, f64::max);
         found.extend(of_topic(topic, readings, others));
     }
-    let [(_, imu), _, (_, images)] = &topics;
-    found.extend(disjoint(imu, images));
+    let [(_, imu), (_, climber), (_, images)] = &topics;
+    let whole = found.is_empty();
+    for (key, topic, readings) in [
+        ("clock.imu", topics::IMU, imu),
+        (topics::CLIMBER_TRANSFORM, topics::CLIMBER_TRANSFORM, climber),
+    ] {
+        // A step of the stamps moves an end, too.
+        found.extend(beside_images(key, topic, readings, images).filter(|f| f.blocks || whole));
+    }
     found
 }
 
@@ -49,21 +61,19 @@ fn unset(topic: &str, readings: &mut Vec<(Stamp, Vector3<f64>)>) -> Option<Findi
     let all = readings.len();
     readings.retain(|(stamp, _)| !stamp.is_unset());
     let count = all - readings.len();
-    (count > 0).then(|| Finding {
-        key: topic.to_owned(),
-        verdict: Verdict::Wrong,
-        text: format!("the stamps of {count} of {all} messages on {topic} are zero"),
-        remedy: "set header.stamp in its publisher".to_owned(),
-        blocks: 2 * count > all,
-    })
+    let text = format!("the stamps of {count} of {all} messages on {topic} are zero");
+    let finding = Finding::wrong(topic, text, "set header.stamp in its publisher");
+    (count > 0).then(|| Finding { blocks: 2 * count > all, ..finding })
+}
+
+/// First and last stamp.
+fn ends(readings: &[(Stamp, Vector3<f64>)]) -> Option<(Stamp, Stamp)> {
+    Some((readings.first()?.0, readings.last()?.0))
 }
 
 /// Time from the first stamp to the last, s.
 fn span(readings: &[(Stamp, Vector3<f64>)]) -> f64 {
-    match readings {
-        [first, .., last] => last.0.seconds_since(first.0),
-        _ => 0.0,
-    }
+    ends(readings).map_or(0.0, |(first, last)| last.seconds_since(first))
 }
 
 /// Examines one topic; `others` is the longest span of the other ones, s.
@@ -78,24 +88,18 @@ fn of_topic(topic: &str, readings: &[(Stamp, Vector3<f64>)], others: f64) -> Vec
         median(steps.collect()).unwrap_or(0.0)
     };
     let alternating = apart(1) > ALTERNATING * apart(2) && apart(1) > 0.01;
-    let mut found = vec![];
     if not_later > TWICE || alternating {
         let what = if alternating {
             "neighboring messages contradict each other"
         } else {
             "stamps repeat or go backwards"
         };
-        found.push(Finding {
-            key: topic.to_owned(),
-            verdict: Verdict::Wrong,
-            text: format!("two publishers on {topic}: {what}"),
-            remedy: format!(
-                "stop one of them (`ros2 topic info -v {topic}` lists both), or give each rig a \
-                 namespace of its own"
-            ),
-            blocks: alternating,
-        });
-        return found;
+        let remedy = format!(
+            "stop one of them (`ros2 topic info -v {topic}` lists both), or give each rig a \
+             namespace of its own"
+        );
+        let text = format!("two publishers on {topic}: {what}");
+        return vec![Finding { blocks: alternating, ..Finding::wrong(topic, text, remedy) }];
     }
     let period = median(steps.clone()).unwrap_or(0.0);
     let back = |at: usize| {
@@ -105,48 +109,55 @@ fn of_topic(topic: &str, readings: &[(Stamp, Vector3<f64>)], others: f64) -> Vec
             && steps[at] < -PERIODS * period
             && readings[at + 1..].iter().take(STAY).all(behind)
     };
-    let step = (0..steps.len()).find(|at| steps[*at].abs() > GAP || back(*at));
-    if let Some(at) = step {
-        let (jump, since) = (steps[at], readings[at].0.seconds_since(readings[0].0));
-        // Lost messages do not make a topic longer than the others.
-        let ahead = others > 0.0 && span(readings) - others > 0.5 * jump.abs();
-        let clock = back(at) || jump > 0.0 && ahead;
-        found.push(Finding {
-            key: topic.to_owned(),
-            verdict: if clock || jump < 0.0 { Verdict::Wrong } else { Verdict::Suspect },
-            text: format!(
-                "the stamps of {topic} step by {jump:+.3} s, {since:.1} s after their start"
-            ),
-            remedy: if clock {
-                "let the clocks be slewed, not stepped, while the rig runs, and record again"
-            } else {
-                "let the clocks be slewed, not stepped, while the rig runs; where messages were \
-                 lost, look at the network or the recorder"
-            }
-            .to_owned(),
-            // No time offset holds for all of the recording.
-            blocks: clock,
-        });
-    }
-    found
+    let Some(at) = (0..steps.len()).find(|at| steps[*at].abs() > GAP || back(*at)) else {
+        return vec![];
+    };
+    let (jump, since) = (steps[at], readings[at].0.seconds_since(readings[0].0));
+    // Lost messages do not make a topic longer than the others.
+    let ahead = others > 0.0 && span(readings) - others > 0.5 * jump.abs();
+    let clock = back(at) || jump > 0.0 && ahead;
+    let text =
+        format!("the stamps of {topic} step by {jump:+.3} s, {since:.1} s after their start");
+    let remedy = if clock {
+        "let the clocks be slewed, not stepped, while the rig runs, and record again"
+    } else {
+        "let the clocks be slewed, not stepped, while the rig runs; where messages were lost, look \
+         at the network or the recorder"
+    };
+    vec![Finding {
+        verdict: if clock || jump < 0.0 { Verdict::Wrong } else { Verdict::Suspect },
+        // No time offset holds for all of the recording.
+        blocks: clock,
+        ..Finding::wrong(topic, text, remedy)
+    }]
 }
 
-/// The clocks of IMU and camera have no common time.
-fn disjoint(imu: &[(Stamp, Vector3<f64>)], images: &[(Stamp, Vector3<f64>)]) -> Option<Finding> {
-    let span = |list: &[(Stamp, Vector3<f64>)]| Some((list.first()?.0, list.last()?.0));
-    let ((a0, a1), (b0, b1)) = (span(imu)?, span(images)?);
+/// Compares a topic's stamps with the images': clocks without a common time, and a topic that lacks
+/// a part of the recording.
+fn beside_images(
+    key: &str,
+    topic: &str,
+    readings: &[(Stamp, Vector3<f64>)],
+    images: &[(Stamp, Vector3<f64>)],
+) -> Option<Finding> {
+    let ((a0, a1), (b0, b1)) = (ends(readings)?, ends(images)?);
+    let (begin, end) = (a0.seconds_since(b0), a1.seconds_since(b1));
+    let shifted = begin.abs().min(end.abs()) > SHIFTED && (end - begin).abs() < GAP;
     let common = a1.min(b1).seconds_since(a0.max(b0));
-    let shorter = a1.seconds_since(a0).min(b1.seconds_since(b0));
-    (common < 0.5 * shorter).then(|| Finding {
-        key: "clock.imu".to_owned(),
-        verdict: Verdict::Wrong,
-        text: format!(
-            "the IMU's stamps begin {:+.3} s after the images': their clocks are not synchronized",
-            a0.seconds_since(b0)
-        ),
-        remedy: "synchronize the two computers' clocks (chrony or PTP)".to_owned(),
-        blocks: true,
-    })
+    let all = span(images);
+    if shifted || common < 0.5 * all.min(span(readings)) {
+        let text = format!(
+            "the stamps of {topic} begin {begin:+.3} s and end {end:+.3} s after those of the \
+             images: their clocks are not synchronized"
+        );
+        let remedy = "synchronize the two computers' clocks (chrony or PTP)";
+        return Some(Finding { blocks: true, ..Finding::wrong(key, text, remedy) });
+    }
+    let text =
+        format!("{topic} covers {common:.1} s of the images' {all:.1} s; the others are not used");
+    let remedy = "record again, with all nodes running from the beginning to the end";
+    let finding = Finding { verdict: Verdict::Suspect, ..Finding::wrong(topic, text, remedy) };
+    (all - common > LACKING * all).then_some(finding)
 }
 
 #[cfg(test)]
@@ -204,13 +215,5 @@ mod tests {
         assert_eq!(judge(&reordered, 2.0), None);
         reordered[60].0 = reordered[60].0.plus_seconds(0.5);
         assert_eq!(judge(&reordered, 2.0), None);
-    }
-
-    #[test]
-    fn clocks_without_a_common_time_are_found() {
-        let (a, mut b) = (readings(500, |_| 0.0), readings(500, |_| 0.0));
-        assert!(disjoint(&a, &b).is_none());
-        b.iter_mut().for_each(|r| r.0 = r.0.plus_seconds(3600.0));
-        assert!(disjoint(&a, &b).is_some_and(|f| f.text.contains("-3600.000 s")));
     }
 }

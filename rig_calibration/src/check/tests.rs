@@ -1,4 +1,7 @@
-use super::*;
+use super::{
+    groups::{Cause, GROUPS},
+    *,
+};
 use nalgebra::Vector2;
 use rig_model::{Distortion, ImuSample, Stamp};
 use rig_simulator::{
@@ -30,6 +33,52 @@ fn recorded() -> (Samples, Rig) {
         }
     }
     (samples, rig)
+}
+
+fn shift(stamp: &mut Stamp, seconds: f64) {
+    *stamp = stamp.plus_seconds(seconds);
+}
+
+#[test]
+fn clocks_that_are_seconds_or_an_hour_apart_accuse_nothing_else() {
+    let (samples, rig) = recorded();
+    for seconds in [3.0, 3600.0] {
+        let mut late = samples.clone();
+        late.climber.iter_mut().for_each(|s| shift(&mut s.stamp, seconds));
+        let mut early = samples.clone();
+        early.imu.iter_mut().for_each(|s| shift(&mut s.stamp, -seconds));
+        for (samples, key) in [(late, "climber/transform"), (early, "clock.imu")] {
+            let report = check(&samples, &rig, 0.0, None).unwrap();
+            let keys: Vec<&str> = report.findings.iter().map(|f| f.key.as_str()).collect();
+            assert_eq!(keys, [key], "{seconds}");
+        }
+    }
+}
+
+#[test]
+fn images_beyond_the_climbers_readings_are_not_used() {
+    let (mut samples, _) = recorded();
+    samples.climber.truncate(samples.climber.len() * 3 / 4);
+    let recording = Recording::new(&samples).unwrap();
+    let last = recording.shots[recording.shots.len() - 1].time;
+    assert!((14.8..15.2).contains(&last), "{last}");
+    let found = examine_stamps(&samples);
+    assert!(found.len() == 1 && !found[0].blocks, "{found:?}");
+    assert!(found[0].text.starts_with("climber/transform covers 1"), "{found:?}");
+}
+
+#[test]
+fn factors_are_percentages_and_a_fisheye_lens_has_no_tangential_coefficients() {
+    let (samples, rig) = recorded();
+    let file = Parameters::new(&rig, &Recording::new(&samples).unwrap());
+    let group = |cause: Cause| GROUPS.into_iter().find(|group| group.cause == cause).unwrap();
+    let scale = group(Cause::LayoutScale);
+    let row = findings::row(&scale, scale.first, &file, 2f64.ln(), 0.01, Verdict::Wrong);
+    assert!((row.estimate - 200.0).abs() < 1e-9 && (row.deviation - 2.0).abs() < 1e-9, "{row:?}");
+    let lens = group(Cause::Distortion);
+    let third = |model: Distortion| lens.scale(lens.first + 2, &model);
+    assert!(third(Distortion::PlumbBob([0.0; 5])) < 0.1);
+    assert_eq!(third(Distortion::Equidistant([0.0; 4])), 1.0);
 }
 
 /// One marker is 15 to 60 px beside its place in 3 % of the images.

@@ -2,6 +2,7 @@
 //! single images on the readings.
 
 use super::{ClimberError, Series, Shot};
+use crate::recording::heading;
 use nalgebra::{DMatrix, DVector, Rotation2, Vector2};
 use rig_model::wrap_angle;
 
@@ -32,8 +33,7 @@ pub(super) fn assign(
     // Yaw and position of the climber in the platform's frame, in which nothing else moves.
     let (mut yaw, mut place) = (vec![], vec![]);
     for shot in shots {
-        let x = shot.climber_from_volant.rotation * nalgebra::Vector3::x();
-        let own = -x.y.atan2(x.x);
+        let own = -heading(&shot.climber_from_volant.rotation);
         let last = yaw.last().copied().unwrap_or(own);
         yaw.push(last + wrap_angle(own - last));
         place.push(-(Rotation2::new(own) * shot.climber_from_volant.translation.vector.xy()));
@@ -67,7 +67,7 @@ pub(super) fn assign(
             (vec![j], fit)
         });
         let (joints, fit) = best(fits.collect(), |j| prefer(j, &[2]))
-            .ok_or(ClimberError::FewImages { count: shots.len() })?;
+            .ok_or(ClimberError::FewImages(shots.len()))?;
         enough(&fit, "turns", &series[joints[0]].name)?;
         Some((joints[0], fit.coefficients[0]))
     } else {

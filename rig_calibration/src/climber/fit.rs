@@ -5,7 +5,9 @@ use super::{
     assign::Assigned,
 };
 use crate::median::median;
-use nalgebra::{DMatrix, DVector, Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{
+    DMatrix, DVector, Isometry3, Matrix2, Translation3, UnitQuaternion, Vector2, Vector3,
+};
 use rig_model::MarkerColor;
 
 /// Parameters of the fit: rotation of the platform (3), climber at the first image from the
@@ -167,16 +169,22 @@ impl Problem<'_> {
         let axes = [0, 1, 2].map(|i| {
             let (series, start) = self.axes[i]?;
             let scale = start * p[SCALES + i].exp();
-            // Position of the first reading in the world, with its deviation.
+            // Parameter that is the position of the first reading, and that of the platform.
             let known = match (i, self.jog.platform) {
-                (2, _) if rails => Some(value(6)),
-                (0 | 1, Some(platform)) => Some((p[3 + i] + platform[i], value(3 + i).1)),
+                (2, _) if rails => Some((6, 0.0)),
+                (0 | 1, Some(platform)) => Some((3 + i, platform[i])),
                 _ => None,
+            };
+            let zero = |(k, platform): (usize, f64)| {
+                let pair = [k, SCALES + i];
+                let covariance =
+                    Matrix2::from_fn(|row, column| covariance[(pair[row], pair[column])]);
+                reading_at_origin(self.first[i], p[k] + platform, scale, &covariance)
             };
             Some(AxisCalibration {
                 joint: series.name.clone(),
                 scale: (scale, scale.abs() * value(SCALES + i).1),
-                zero: known.map(|(at, sigma)| (self.first[i] - at / scale, sigma / scale.abs())),
+                zero: known.map(zero),
             })
         });
         ClimberCalibration {
@@ -188,5 +196,26 @@ impl Problem<'_> {
             images: self.shots.len(),
             pixel_rms,
         }
+    }
+}
+
+/// Reading at the world's origin, `first − at / scale`, where `first` is that at the position `at`;
+/// `covariance`: of `at` and the logarithm of the scale.
+fn reading_at_origin(first: f64, at: f64, scale: f64, covariance: &Matrix2<f64>) -> Value {
+    let slope = Vector2::new(-1.0, at) / scale;
+    (first - at / scale, slope.dot(&(covariance * slope)).max(0.0).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_zero_far_from_the_readings_is_as_uncertain_as_the_scale_is() {
+        // 1 mm at 4 m, in counts of 50 µm, of which the scale is known to 0.1 %.
+        let covariance = Matrix2::new(1e-6, 0.0, 0.0, 1e-6);
+        let (zero, sigma) = reading_at_origin(100.0, 4.0, -5e-5, &covariance);
+        assert!((zero - 80_100.0).abs() < 1e-6, "{zero}");
+        assert!((sigma - 1e-3 * 17f64.sqrt() / 5e-5).abs() < 1e-6, "{sigma}");
     }
 }

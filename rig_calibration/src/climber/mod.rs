@@ -12,9 +12,10 @@ mod fit;
 #[cfg(test)]
 mod tests;
 
+use crate::recording::all_detected;
 use nalgebra::{Isometry3, Vector2, Vector3};
 use rig_model::{
-    CameraModel, MarkerObservations, MarkerState, PerColor, Rig, Stamp,
+    CameraModel, MarkerObservations, PerColor, Rig, Stamp,
     planar_pose::{self, TiltPrior},
 };
 use thiserror::Error;
@@ -64,15 +65,12 @@ pub struct Jog<'a> {
 /// Why a recording does not calibrate the encoders.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ClimberError {
-    /// Too few images with readings around them.
+    /// Too few images with readings around them: this number.
     #[error(
-        "only {count} images show all four markers while readings arrive; record the visible \
-         platform and joint_states for ten seconds at least"
+        "only {0} images show all four markers while readings arrive; record the visible platform \
+         and joint_states for ten seconds at least"
     )]
-    FewImages {
-        /// Number of usable images.
-        count: usize,
-    },
+    FewImages(usize),
     /// Nothing moved.
     #[error(
         "no axis moved: the camera's position varies by {meters:.3} m and {degrees:.1} deg; jog \
@@ -191,7 +189,7 @@ fn calibrate_within(jog: &Jog<'_>, rounds: usize) -> Result<ClimberCalibration, 
     series.retain(|s| 2 * covered(s) >= most);
     let shots = shots(jog, &images, &series, start);
     if shots.len() < FEWEST {
-        return Err(ClimberError::FewImages { count: shots.len() });
+        return Err(ClimberError::FewImages(shots.len()));
     }
     let assigned = assign::assign(&shots, &series, &jog.preferred)?;
     fit::fit(jog, &shots, &series, &assigned, rounds)
@@ -223,9 +221,7 @@ fn series(joints: &[JointReadings]) -> (Vec<Series>, Stamp) {
 
 /// Images that show all four markers, sorted by time, at most [`MOST`].
 fn images(markers: &[MarkerObservations]) -> Vec<&MarkerObservations> {
-    let whole =
-        |o: &&MarkerObservations| o.markers.0.iter().all(|m| m.state == MarkerState::Detected);
-    let mut seen: Vec<_> = markers.iter().filter(whole).collect();
+    let mut seen: Vec<_> = markers.iter().filter(|o| all_detected(o)).collect();
     seen.sort_by_key(|o| o.stamp);
     let step = seen.len().div_ceil(MOST).max(1);
     seen.into_iter().step_by(step).collect()
