@@ -190,6 +190,11 @@ impl FileReader {
             Ok(_) => Ok(body),
             // A compressed file that is cut off.
             Err(e) if e.kind() == io::ErrorKind::UnexpectedEof => Ok(body),
+            // The operating system's errors have a number, those of the decompression have none.
+            Err(e) if e.raw_os_error().is_none() => {
+                self.lose(format!("its compression is damaged ({e})"));
+                Ok(body)
+            }
             Err(e) => Err(io_error(&self.path, e)),
         }
     }

@@ -7,6 +7,7 @@
 mod channels;
 mod file_reader;
 mod file_writer;
+mod folder;
 mod metadata;
 mod qos;
 mod read;
@@ -16,9 +17,10 @@ mod summary;
 mod write;
 
 pub use file_writer::Compression;
+pub use folder::{files_named_by, files_to_recover};
 pub use node_kit::qos::Qos;
 pub use qos::{qos_from_yaml, qos_to_yaml};
-pub use read::{BagReader, BagSummary, files_named_by};
+pub use read::{BagReader, BagSummary};
 pub use write::{BagWriter, TopicId, WriteOptions};
 
 use std::{path::PathBuf, sync::Arc};

@@ -109,12 +109,13 @@ pub(super) fn to_yaml<'a>(
             quoted(&topic.type_name),
             quoted(&topic.message_encoding)
         );
-        if topic.offered_qos_profiles.trim().is_empty() {
-            out += " []";
-        } else {
-            for line in topic.offered_qos_profiles.lines().filter(|l| !l.trim().is_empty()) {
-                let _ = write!(out, "\n          {line}");
+        match profiles(&topic.offered_qos_profiles) {
+            Some(list) => {
+                for line in list.lines() {
+                    let _ = write!(out, "\n          {line}");
+                }
             }
+            None => out += " []",
         }
         let _ = write!(
             out,
@@ -135,6 +136,13 @@ pub(super) fn to_yaml<'a>(
     }
     out += "  custom_data: ~\n  ros_distro: jazzy\n";
     out
+}
+
+/// Formats the profiles of a topic, whose text another writer may have got wrong; `None` where they
+/// are no YAML list, which rosbag2 requires here.
+fn profiles(text: &str) -> Option<String> {
+    let list = ros_parameters::yaml::parse(text).ok().filter(|value| value.is_sequence())?;
+    serde_yaml_ng::to_string(&list).ok()
 }
 
 /// Names come from the network: quoted where YAML could misread them.
@@ -164,6 +172,29 @@ mod tests {
         assert_eq!(topic["name"], "/odd: \"name\"");
         assert_eq!(topic["offered_qos_profiles"][0]["durability"], "transient_local");
         assert_eq!(value["rosbag2_bagfile_information"]["duration"]["nanoseconds"], 4);
+    }
+
+    #[test]
+    fn profiles_that_are_no_list_are_left_out() {
+        for (profiles, expected) in [
+            ("", 0),
+            ("foo: bar: [baz\n\t- x", 0),
+            ("history: 3\n", 0),
+            ("'a\nb'", 0),
+            ("---\n- {history: 3, depth: 1}\n- history: 3\n", 2),
+        ] {
+            let topic = Topic {
+                offered_qos_profiles: profiles.into(),
+                ..Topic::of::<volant_msgs::std_msgs::msg::String>("/x", &Qos::LATCHED)
+            };
+            let files = [FileContents { path: "run_0.mcap".into(), ..FileContents::default() }];
+            let text = to_yaml(&files, [(&topic, 0)].into_iter());
+            assert_eq!(Folder::parse(&text).unwrap().files, ["run_0.mcap"], "{text}");
+            let value: serde_yaml_ng::Value = serde_yaml_ng::from_str(&text).unwrap();
+            let topics = &value["rosbag2_bagfile_information"]["topics_with_message_count"];
+            let list = &topics[0]["topic_metadata"]["offered_qos_profiles"];
+            assert_eq!(list.as_sequence().map(Vec::len), Some(expected), "{text}");
+        }
     }
 
     #[test]

@@ -2,15 +2,15 @@
 
 use super::{
     BagError, BagMessage, Topic,
-    file_reader::{FileReader, file_size, io_error},
-    metadata::{Folder, join},
+    file_reader::{FileReader, file_size},
+    folder::files_of,
+    metadata::join,
     summary,
 };
 use std::{
-    collections::{BTreeMap, VecDeque},
-    fs,
+    collections::{BTreeMap, BTreeSet, VecDeque},
     io::{Read, Seek},
-    path::{Component, Path, PathBuf},
+    path::{Path, PathBuf},
 };
 
 /// Contents of a bag.
@@ -24,7 +24,8 @@ pub struct BagSummary {
     pub bytes: u64,
     /// The files.
     pub files: Vec<PathBuf>,
-    /// Whether each file has its closing records; rosbag2 requires them.
+    /// Whether each file ends with MCAP's footer, which rosbag2 requires, and none is damaged, as
+    /// far as it was read.
     pub complete: bool,
 }
 
@@ -33,6 +34,14 @@ impl BagSummary {
     pub fn count(&self, topic: &str) -> u64 {
         let on_it = self.topics.iter().filter(|(t, _)| t.name == topic);
         on_it.fold(0, |sum, (_, n)| sum.saturating_add(*n))
+    }
+
+    /// Names of the topics of a type that have messages, sorted. A topic whose publishers offer
+    /// different QoS has several entries in [`BagSummary::topics`], and one name.
+    pub fn topics_of(&self, type_name: &str) -> Vec<&str> {
+        let topics = self.topics.iter().filter(|(t, n)| *n > 0 && t.type_name == type_name);
+        let names: BTreeSet<&str> = topics.map(|(topic, _)| topic.name.as_str()).collect();
+        names.into_iter().collect()
     }
 
     /// All messages.
@@ -143,7 +152,8 @@ impl BagReader {
                 }
                 // The end of a compressed file is not accessible without reading it all.
                 let compressed = file.extension().is_some_and(|e| e != "mcap");
-                summary.complete &= compressed && reader.losses().is_empty();
+                let ends = compressed || summary::has_footer(file);
+                summary.complete &= ends && reader.losses().is_empty();
             }
         }
         summary.files = files;
@@ -155,7 +165,8 @@ impl BagReader {
     /// by [`BagReader::losses`].
     ///
     /// # Errors
-    /// The operating system fails to read a file.
+    /// The operating system fails to read a file. The calls after it return the messages that were
+    /// read before.
     pub fn next_message(&mut self) -> Result<Option<BagMessage>, BagError> {
         loop {
             let ready = match (self.pending.first_key_value(), self.horizon) {
@@ -170,7 +181,10 @@ impl BagReader {
                 self.pending_bytes = self.pending_bytes.saturating_sub(size);
                 return Ok(message);
             }
-            self.read_group()?;
+            if let Err(error) = self.read_group() {
+                (self.current, self.horizon) = (None, None);
+                return Err(error);
+            }
         }
     }
 
@@ -218,78 +232,6 @@ impl BagReader {
     }
 }
 
-/// Returns the files that a rosbag2 folder's `metadata.yaml` names, in their order.
-///
-/// # Errors
-/// A description of what is wrong with the text: not such YAML, another storage or compression, no
-/// file, or one outside of the folder.
-pub fn files_named_by(metadata: &str) -> Result<Vec<String>, String> {
-    let folder = Folder::parse(metadata)?;
-    match not_ours(&folder) {
-        Some((what, remedy)) => Err(format!("{what}; {remedy}")),
-        None => own_files(folder),
-    }
-}
-
-/// Why a folder's files are not supported, and the remedy.
-fn not_ours(folder: &Folder) -> Option<(String, &'static str)> {
-    if folder.storage != "mcap" {
-        let what = format!("its storage is `{}`", folder.storage);
-        return Some((what, "convert it with `ros2 bag convert`, or record with `-s mcap`"));
-    }
-    if folder.compression_mode == "message" || !matches!(&*folder.compression_format, "" | "zstd") {
-        let what = format!(
-            "its messages are compressed one by one, mode `{}`, format `{}`",
-            folder.compression_mode, folder.compression_format
-        );
-        return Some((what, "convert it with `ros2 bag convert` without compression"));
-    }
-    None
-}
-
-/// The files of a folder. Bags come from other people: a name must not lead out of the folder.
-fn own_files(folder: Folder) -> Result<Vec<String>, String> {
-    let inside = |name: &String| {
-        !name.is_empty()
-            && Path::new(name)
-                .components()
-                .all(|c| matches!(c, Component::Normal(_) | Component::CurDir))
-    };
-    if folder.files.is_empty() {
-        return Err("names no file".into());
-    }
-    match folder.files.iter().find(|name| !inside(name)) {
-        Some(foreign) => Err(format!("names {foreign:?}, which is not a file of this folder")),
-        None => Ok(folder.files),
-    }
-}
-
-/// The `.mcap` files of a bag in their order.
-fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
-    if !fs::metadata(path).map_err(|source| io_error(path, source))?.is_dir() {
-        return Ok(vec![path.to_owned()]);
-    }
-    let yaml = path.join("metadata.yaml");
-    let broken = |reason: String| BagError::Metadata { path: yaml.clone(), reason };
-    let text = match node_kit::files::read_text(&yaml) {
-        Ok(text) => text,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-            return Err(broken("is missing, so this folder is not a rosbag2 bag".into()));
-        }
-        Err(source) => return Err(BagError::Io { path: yaml.clone(), source }),
-    };
-    let folder = Folder::parse(&text).map_err(&broken)?;
-    if let Some((what, remedy)) = not_ours(&folder) {
-        return Err(BagError::Foreign { path: path.to_owned(), what, remedy });
-    }
-    let names = own_files(folder).map_err(&broken)?;
-    let files: Vec<PathBuf> = names.iter().map(|name| path.join(name)).collect();
-    if let Some(missing) = files.iter().find(|f| !f.exists()) {
-        return Err(broken(format!("names {}, which is not there", missing.display())));
-    }
-    Ok(files)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -327,21 +269,6 @@ mod tests {
             // One chunk's messages more than the bound.
             assert!(most < bound.saturating_add(5_000), "{most}");
             assert_eq!(bag.pending_bytes, 0);
-        }
-    }
-
-    #[test]
-    fn a_folder_names_its_own_files_only() {
-        let named = |name: &str| {
-            files_named_by(&format!(
-                "rosbag2_bagfile_information: {{storage_identifier: mcap, relative_file_paths: \
-                 [{name}]}}"
-            ))
-        };
-        assert_eq!(named("run_0.mcap").unwrap(), ["run_0.mcap"]);
-        assert_eq!(named("./a/run_0.mcap").unwrap(), ["./a/run_0.mcap"]);
-        for foreign in ["/etc/passwd", "../other/run_0.mcap", "a/../../x", "''"] {
-            assert!(named(foreign).unwrap_err().contains("not a file of this folder"), "{foreign}");
         }
     }
 }

@@ -116,17 +116,57 @@ pub fn map_messages<M: Message, T>(
     topic: &str,
     mut map: impl FnMut(u64, M) -> T,
 ) -> Result<Vec<T>, RecordingError> {
-    let mut bag = BagReader::open(path)?;
-    let mut mapped = Vec::new();
-    while let Some(message) = bag.next_message()? {
-        if message.topic.name == topic {
-            let wrong =
-                |e: cdr::CdrError| RecordingError::file(path, format!("a message on {topic}: {e}"));
-            let decoded = cdr::from_bytes(&message.data).map_err(wrong)?;
-            mapped.push(map(message.log_time, decoded));
+    let (mut mapped, mut undecodable) = (Vec::new(), None);
+    each_message::<M>(path, topic, |log_time, decoded| match decoded {
+        Ok(message) => mapped.push(map(log_time, message)),
+        Err(error) => {
+            undecodable.get_or_insert(error);
         }
+    })?;
+    match undecodable {
+        Some(error) => Err(RecordingError::file(path, format!("a message on {topic}: {error}"))),
+        None => Ok(mapped),
+    }
+}
+
+/// Reads the decodable messages on a topic; what the bag lost, and the number of the other
+/// messages, is appended to `losses`. `map` gets the log time, ns, and the message of each.
+///
+/// # Errors
+/// An unreadable bag.
+pub fn read_messages<M: Message, T>(
+    path: &Path,
+    topic: &str,
+    losses: &mut Vec<String>,
+    mut map: impl FnMut(u64, M) -> T,
+) -> Result<Vec<T>, BagError> {
+    let (mut mapped, mut undecodable) = (Vec::new(), Vec::new());
+    let lost = each_message::<M>(path, topic, |log_time, decoded| match decoded {
+        Ok(message) => mapped.push(map(log_time, message)),
+        Err(error) => undecodable.push(error),
+    })?;
+    losses.extend(lost);
+    if let Some(first) = undecodable.first() {
+        let count = undecodable.len();
+        losses
+            .push(format!("{}: {count} messages on {topic} are ignored: {first}", path.display()));
     }
     Ok(mapped)
+}
+
+/// Passes the messages on a topic with their log times, ns, to `take`; returns what the bag lost.
+fn each_message<M: Message>(
+    path: &Path,
+    topic: &str,
+    mut take: impl FnMut(u64, Result<M, cdr::CdrError>),
+) -> Result<Vec<String>, BagError> {
+    let mut bag = BagReader::open(path)?;
+    while let Some(message) = bag.next_message()? {
+        if message.topic.name == topic {
+            take(message.log_time, cdr::from_bytes(&message.data));
+        }
+    }
+    Ok(bag.losses().to_vec())
 }
 
 /// Reads the marker observations of a bag.

@@ -159,27 +159,3 @@ impl Statistics {
 pub(super) fn summary_start(footer: &[u8]) -> Option<u64> {
     Fields(footer).u64()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_length_beyond_the_record_is_damage() {
-        let mut schema = vec![1, 0];
-        for text in ["name", "ros2msg", "string data"] {
-            schema.extend((text.len() as u32).to_le_bytes());
-            schema.extend(text.as_bytes());
-        }
-        let read = Schema::parse(&schema).unwrap();
-        assert_eq!(
-            (read.id, read.name, read.encoding, read.data),
-            (1, "name", "ros2msg", &b"string data"[..])
-        );
-        for cut in 0..schema.len() {
-            assert!(Schema::parse(&schema[..cut]).is_none());
-        }
-        schema[2..6].fill(0xFF);
-        assert!(Schema::parse(&schema).is_none());
-    }
-}

@@ -17,8 +17,11 @@ use std::{
     path::Path,
 };
 
-/// Reads the closing records of a file; `None` where they are missing or damaged (then the whole
-/// file must be read).
+/// Footer record (head, two positions, checksum) and the magic after it, bytes.
+const CLOSING: u64 = 9 + 20 + 8;
+
+/// Reads the closing records of a file; `None` where they are missing, damaged or incomplete (then
+/// the whole file must be read).
 pub(crate) fn read_summary(path: &Path) -> Option<BagSummary> {
     let mut file = File::open(path).ok()?;
     let size = file.metadata().ok()?.len();
@@ -44,9 +47,11 @@ pub(crate) fn summary_of(file: &mut (impl Read + Seek), size: u64) -> Option<Bag
         rest = next;
     }
     let Statistics { messages, start, end, counts } = statistics?;
-    // An end before the start is damage.
-    (start <= end).then_some(())?;
     let count = |id: u16| counts.get(&id).copied().unwrap_or(0);
+    // A writer may leave out the channels or their counts.
+    let counted = listed.keys().fold(0, |sum: u64, id| sum.saturating_add(count(*id)));
+    // An end before the start is damage.
+    (start <= end && counted == messages).then_some(())?;
     let topics =
         listed.values().map(|channel| (channels.topic_of(channel), count(channel.id))).collect();
     let span = (messages > 0).then_some((start, end));
@@ -69,18 +74,32 @@ pub(crate) fn channels_of(file: &mut (impl Read + Seek), size: u64) -> Channels 
     channels
 }
 
+/// Whether a file ends with MCAP's footer, which one that was cut off lacks.
+pub(crate) fn has_footer(path: &Path) -> bool {
+    let read = || {
+        let mut file = File::open(path).ok()?;
+        let size = file.metadata().ok()?.len();
+        summary_start(&mut file, size)
+    };
+    read().is_some()
+}
+
 /// The bytes of the closing records.
 fn closing_section(file: &mut (impl Read + Seek), size: u64) -> Option<Vec<u8>> {
-    /// Footer record (head, two positions, checksum) and the magic after it.
-    const CLOSING: u64 = 9 + 20 + 8;
-    let footer_at = size.checked_sub(CLOSING)?;
-    let closing = read_at(file, footer_at, CLOSING)?;
+    let start = summary_start(file, size)?;
+    let footer_at = size - CLOSING;
+    (1..=footer_at).contains(&start).then_some(())?;
+    read_at(file, start, (footer_at - start).min(LARGEST_RECORD as u64))
+}
+
+/// Where the closing records start, bytes, from the footer; 0 where there are none before it.
+fn summary_start(file: &mut (impl Read + Seek), size: u64) -> Option<u64> {
+    let closing = read_at(file, size.checked_sub(CLOSING)?, CLOSING)?;
     let footer = closing
         .strip_prefix(&[op::FOOTER])?
         .strip_suffix(mcap::MAGIC)?
         .strip_prefix(&20_u64.to_le_bytes())?;
-    let start = records::summary_start(footer).filter(|start| (1..=footer_at).contains(start))?;
-    read_at(file, start, (footer_at - start).min(LARGEST_RECORD as u64))
+    records::summary_start(footer)
 }
 
 fn read_at(file: &mut (impl Read + Seek), at: u64, length: u64) -> Option<Vec<u8>> {
@@ -88,4 +107,42 @@ fn read_at(file: &mut (impl Read + Seek), at: u64, length: u64) -> Option<Vec<u8
     let mut bytes = vec![];
     file.take(length).read_to_end(&mut bytes).ok()?;
     (bytes.len() as u64 == length).then_some(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::BagReader;
+
+    /// Whole files without the closing records that a summary needs are read instead.
+    #[test]
+    fn closing_records_without_channels_do_not_hide_the_messages() {
+        let dir = tempfile::tempdir().unwrap();
+        for (name, repeat_channels, emit_statistics) in
+            [("no_channels.mcap", false, true), ("no_statistics.mcap", true, false)]
+        {
+            let path = dir.path().join(name);
+            let mut writer = mcap::WriteOptions::new()
+                .repeat_channels(repeat_channels)
+                .emit_statistics(emit_statistics)
+                .create(File::create(&path).unwrap())
+                .unwrap();
+            let schema =
+                writer.add_schema("std_msgs/msg/String", "ros2msg", b"string data").unwrap();
+            let channel = writer.add_channel(schema, "/text", "cdr", &BTreeMap::new()).unwrap();
+            for time in [4, 9] {
+                let header = mcap::records::MessageHeader {
+                    channel_id: channel,
+                    sequence: 0,
+                    log_time: time,
+                    publish_time: time,
+                };
+                writer.write_to_known_channel(&header, b"message").unwrap();
+            }
+            writer.finish().unwrap();
+            let summary = BagReader::summary(&path).unwrap();
+            assert_eq!((summary.count("/text"), summary.span), (2, Some((4, 9))), "{name}");
+            assert!(summary.complete, "{name}");
+        }
+    }
 }

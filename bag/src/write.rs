@@ -6,12 +6,18 @@ use super::{
     file_reader::file_size,
     file_writer::{Compression, FileWriter},
     metadata::{self, FileContents, join},
+    qos_from_yaml,
 };
 use node_kit::files::{self, FileError, OutputFile, Pending};
 use std::{
     fs, io,
     path::{Path, PathBuf},
 };
+use volant_msgs::{Message, tf2_msgs::msg::TFMessage};
+
+/// Different messages of a latched topic with transforms, such as `/tf_static`, that a new file
+/// repeats. It has one publisher per driver, and the transforms of the latest alone would not do.
+const MOST_TRANSFORMS: usize = 64;
 
 /// How a bag is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,7 +31,8 @@ pub struct WriteOptions {
     /// Duration after which a new file is started, ns (folders only).
     pub split_nanos: Option<u64>,
     /// Files that are kept when a new one is started: the oldest of this bag are removed (folders
-    /// only; at least 1).
+    /// only; at least 1). Each new file then begins with the latest message of every transient
+    /// local topic, logged when the file was started.
     pub keep: Option<usize>,
     /// Whether an existing file is replaced; a folder never is.
     pub replace: bool,
@@ -64,11 +71,16 @@ pub struct BagWriter {
     pending: Option<Pending>,
     options: WriteOptions,
     topics: Vec<Topic>,
+    /// Of each topic what a new file repeats; `None`: nothing.
+    latched: Vec<Option<Latched>>,
     files: Vec<FileContents>,
     /// Number of the next file.
     next_file: usize,
     current: Option<Current>,
 }
+
+/// Messages of one topic, oldest first: publish times, ns, and data.
+type Latched = Vec<(u64, Vec<u8>)>;
 
 #[derive(Debug)]
 struct Current {
@@ -96,6 +108,7 @@ impl BagWriter {
             pending: None,
             options,
             topics: vec![],
+            latched: vec![],
             files: vec![],
             next_file: 0,
             current: None,
@@ -117,6 +130,10 @@ impl BagWriter {
     pub fn add_topic(&mut self, topic: Topic) -> TopicId {
         let known = self.topics.iter().position(|t| *t == topic);
         TopicId(known.unwrap_or_else(|| {
+            let repeated = self.options.keep.is_some()
+                && self.folder.is_some()
+                && qos_from_yaml(&topic.offered_qos_profiles).transient_local;
+            self.latched.push(repeated.then(Vec::new));
             self.topics.push(topic);
             self.topics.len() - 1
         }))
@@ -134,6 +151,18 @@ impl BagWriter {
         data: &[u8],
     ) -> Result<(), BagError> {
         self.split_if_due(log_time)?;
+        self.append(topic, log_time, publish_time, data)?;
+        self.remember(topic, publish_time, data);
+        Ok(())
+    }
+
+    fn append(
+        &mut self,
+        topic: TopicId,
+        log_time: u64,
+        publish_time: u64,
+        data: &[u8],
+    ) -> Result<(), BagError> {
         let (Some(current), Some(file)) = (&mut self.current, self.files.last_mut()) else {
             return Ok(());
         };
@@ -154,11 +183,39 @@ impl BagWriter {
         Ok(())
     }
 
+    /// Keeps a message of a latched topic for the next files.
+    fn remember(&mut self, topic: TopicId, publish_time: u64, data: &[u8]) {
+        let Some(Some(messages)) = self.latched.get_mut(topic.0) else { return };
+        let has_transforms = self.topics[topic.0].type_name == TFMessage::TYPE_NAME;
+        let most = if has_transforms { MOST_TRANSFORMS } else { 1 };
+        messages.retain(|(_, known)| known.as_slice() != data);
+        messages.push((publish_time, data.to_vec()));
+        if messages.len() > most {
+            messages.remove(0);
+        }
+    }
+
+    /// Writes the latched messages to a new file: removing the files before it must not lose them.
+    fn repeat_latched(&mut self, log_time: u64) -> Result<(), BagError> {
+        let latched = std::mem::take(&mut self.latched);
+        for (topic, messages) in latched.iter().enumerate() {
+            for (publish_time, data) in messages.iter().flatten() {
+                self.append(TopicId(topic), log_time, *publish_time, data)?;
+            }
+        }
+        self.latched = latched;
+        // They alone never fill a file.
+        if let Some(current) = &mut self.current {
+            current.bytes = 0;
+        }
+        Ok(())
+    }
+
     /// Serializes and appends a message that was published when it was logged; `time` in ns.
     ///
     /// # Errors
     /// As [`BagWriter::write`].
-    pub fn write_message<M: volant_msgs::Message>(
+    pub fn write_message<M: Message>(
         &mut self,
         topic: TopicId,
         time: u64,
@@ -224,6 +281,7 @@ impl BagWriter {
         if file.span.is_some() && (large || long) {
             self.end_file()?;
             self.begin_file()?;
+            self.repeat_latched(log_time)?;
             let removed = self.forget_oldest();
             // First the list without them, so that a reader never misses a file.
             self.write_metadata()?;
@@ -295,5 +353,47 @@ impl BagWriter {
         };
         done(fs::write(&new, yaml))?;
         done(fs::rename(&new, &path))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{BagReader, Qos};
+    use volant_msgs::std_msgs::msg::String as Text;
+
+    /// The file with the only messages of latched topics is removed.
+    #[test]
+    fn each_kept_file_repeats_the_latched_messages() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("kept");
+        let options = WriteOptions {
+            split_nanos: Some(1_000_000_000),
+            keep: Some(1),
+            ..WriteOptions::default()
+        };
+        let mut bag = BagWriter::create(&path, options).unwrap();
+        let text = bag.add_topic(Topic::of::<Text>("/text", &Qos::RELIABLE));
+        let transforms = bag.add_topic(Topic::of::<TFMessage>("/tf_static", &Qos::LATCHED));
+        let latched = bag.add_topic(Topic::of::<Text>("/latched", &Qos::LATCHED));
+        // Two publishers of transforms, one of which repeats its message.
+        for (time, publisher) in [(0, 1), (1, 2), (2, 1)] {
+            bag.write(transforms, time, time, &[publisher; 8]).unwrap();
+            bag.write(latched, time, time, &[publisher + 10; 8]).unwrap();
+        }
+        for i in 0..300 {
+            bag.write(text, i * 10_000_000, 0, &[0; 8]).unwrap();
+        }
+        bag.finish().unwrap();
+        let mut reader = BagReader::open(&path).unwrap();
+        let messages: Vec<_> = std::iter::from_fn(|| reader.next_message().unwrap()).collect();
+        let on = |name: &str| {
+            let messages = messages.iter().filter(|m| m.topic.name == name);
+            messages.map(|m| (m.data[0], m.log_time, m.publish_time)).collect::<Vec<_>>()
+        };
+        assert_eq!(on("/text").len(), 100);
+        let split = 2_000_000_000;
+        assert_eq!(on("/tf_static"), [(2, split, 1), (1, split, 2)]);
+        assert_eq!(on("/latched"), [(11, split, 2)]);
     }
 }

@@ -3,7 +3,6 @@
 
 use bag::{BagError, BagMessage, BagReader, BagWriter, Compression, Qos, Topic, WriteOptions};
 use node_kit::files::FileError;
-use proptest::prelude::*;
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -231,6 +230,21 @@ fn a_damaged_chunk_costs_its_own_messages_only() {
 }
 
 #[test]
+fn a_compressed_file_that_is_damaged_is_read_up_to_the_damage() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("bag.mcap");
+    write(&path, WriteOptions { compression: Compression::None, ..WriteOptions::default() });
+    let mut bytes = zstd::encode_all(fs::File::open(&path).unwrap(), 1).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle..middle + 1000].fill(0xa5);
+    let compressed = dir.path().join("bag.mcap.zstd");
+    fs::write(&compressed, bytes).unwrap();
+    let (messages, losses) = read(&compressed);
+    assert!(!messages.is_empty() && !losses.is_empty(), "{losses:?}");
+    assert!(losses.iter().all(|loss| loss.contains("bag.mcap.zstd")), "{losses:?}");
+}
+
+#[test]
 fn messages_come_in_the_order_of_their_log_times() {
     let dir = TempDir::new().unwrap();
     let path = dir.path().join("bag.mcap");
@@ -291,46 +305,6 @@ fn foreign_files_are_rejected_with_a_remedy() {
     assert!(error.contains("gone.mcap") && error.contains("recover"), "{error}");
     let exists = BagWriter::create(&file("there.mcap", b"x"), WriteOptions::default()).unwrap_err();
     assert!(matches!(exists, BagError::Output(FileError::Exists { .. })));
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
-    /// Reading ends without a panic, whatever bytes of a file are changed.
-    #[test]
-    fn damaged_bytes_never_panic_or_allocate_without_bound(
-        changes in prop::collection::vec((0.0..1.0f64, any::<u8>()), 1..8),
-        cut in 0.0..1.0f64,
-        compressed in any::<bool>(),
-    ) {
-        let dir = TempDir::new().unwrap();
-        let path = dir.path().join("bag.mcap");
-        let compression = if compressed { Compression::Zstd } else { Compression::None };
-        let options = WriteOptions { compression, chunk_bytes: 400, ..WriteOptions::default() };
-        let mut bag = BagWriter::create(&path, options).unwrap();
-        let topic = bag.add_topic(Topic::of::<Text>("/text", &Qos::RELIABLE));
-        for i in 0..40u64 {
-            let text = Text { data: "some text that is written again and again".into() };
-            bag.write_message(topic, i, &text).unwrap();
-        }
-        bag.finish().unwrap();
-        let mut bytes = fs::read(&path).unwrap();
-        for (at, value) in changes {
-            let at = 8 + (at * (bytes.len() - 8) as f64) as usize;
-            bytes[at] = value;
-        }
-        if cut > 0.5 {
-            bytes.truncate(8 + (cut * (bytes.len() - 8) as f64) as usize);
-        }
-        fs::write(&path, bytes).unwrap();
-        let mut count = 0;
-        if let Ok(mut bag) = BagReader::open(&path) {
-            while let Ok(Some(_)) = bag.next_message() {
-                count += 1;
-            }
-        }
-        let _ = BagReader::summary(&path);
-        prop_assert!(count <= 40);
-    }
 }
 
 #[test]

@@ -1,16 +1,19 @@
 //! Reads a bag into the samples of the batch estimators, refines a rig with them, and checks it.
 
-use crate::replay::{Fed, Feed, ImageTopic, TopicNames};
+use crate::replay::{Counts, Fed, Feed, ImageTopic, TopicNames, decode, kind_of};
 use anyhow::{Context, Result, bail};
-use bag::{BagReader, BagSummary};
+use bag::{BagMessage, BagReader};
 use climber_driver::{Climber, ClimberConfig, JointReading};
 use marker_tracker::{Input, Output, Tracker, TrackerConfig};
 use node_kit::convert;
 use rig_calibration::{Estimate, Recording, Report, Samples, Track, examine_stamps, refine_rig};
-use rig_model::{CameraModel, MarkerColor, MarkerLayout, MarkerObservations, Rig, Stamp, topics};
+use rig_model::{
+    CameraModel, ClimberSample, ImuSample, MarkerColor, MarkerLayout, MarkerObservations, Rig,
+    Stamp, topics,
+};
 use std::path::Path;
 use volant_msgs::{
-    Message, cdr, geometry_msgs, msg::MarkerObservations as MarkersMessage, sensor_msgs::msg,
+    Message, geometry_msgs, msg::MarkerObservations as MarkersMessage, sensor_msgs::msg,
 };
 
 /// The images are tracked again until the markers move by less than this, m: a tenth of the
@@ -51,39 +54,36 @@ impl Cores {
     }
 }
 
-/// Returns the topic of a bag's images.
-fn images_of(bag: &BagSummary, names: &TopicNames) -> Result<Option<ImageTopic>> {
-    let alternatives = [
-        (topics::IMAGE, msg::Image::TYPE_NAME),
-        (topics::COMPRESSED_IMAGE, msg::CompressedImage::TYPE_NAME),
-    ];
-    let found = names.choose(bag, &alternatives)?;
-    let kinds = [ImageTopic::Raw, ImageTopic::Compressed];
-    Ok(found.map(|(place, name)| kinds[place](name)))
-}
-
-/// Reads camera and markers of a bag; the markers are tracked again if it holds images.
+/// Reads camera and markers of a bag; the markers are tracked again if it holds images. What the
+/// bag lost, and why inputs are unusable, is appended to `losses`, also before an error.
 ///
 /// # Errors
-/// No `camera_info`, several topics of a type of which none has the rig's name, an undecodable
-/// message, or an unreadable bag.
+/// No usable `camera_info`, several topics of a type of which none has the rig's name, or an
+/// unreadable bag.
 pub fn read_markers(
     path: &Path,
     rig: &Rig,
     cores: &Cores,
+    losses: &mut Vec<String>,
 ) -> Result<(CameraModel, Vec<MarkerObservations>)> {
-    let samples = read(path, rig, cores, false)?;
+    let samples = read(path, rig, cores, false, losses)?;
     Ok((samples.camera, samples.markers))
 }
 
-/// Reads a bag; with `motion`, also what IMU and encoders measured.
-fn read(path: &Path, rig: &Rig, cores: &Cores, motion: bool) -> Result<Samples> {
+/// Reads a bag; with `motion`, also what IMU and encoders measured. `losses`: see [`read_markers`].
+fn read(
+    path: &Path,
+    rig: &Rig,
+    cores: &Cores,
+    motion: bool,
+    losses: &mut Vec<String>,
+) -> Result<Samples> {
     let shown = path.display();
     let summary = BagReader::summary(path)?;
     let choose = |alternatives: &[_]| {
         cores.names.choose(&summary, alternatives).with_context(|| shown.to_string())
     };
-    let images = images_of(&summary, &cores.names).with_context(|| shown.to_string())?;
+    let images = ImageTopic::of(&summary, &cores.names).with_context(|| shown.to_string())?;
     let has_images = images.is_some();
     let mut wanted = vec![choose(&[(topics::CAMERA_INFO, msg::CameraInfo::TYPE_NAME)])?];
     if !has_images {
@@ -106,66 +106,125 @@ fn read(path: &Path, rig: &Rig, cores: &Cores, motion: bool) -> Result<Samples> 
     }
     let wanted = wanted.into_iter().flatten().map(|(_, name)| name).collect();
     let mut feed = Feed::start(path, images, wanted, workers())?;
-    let mut tracker = Tracker::new(rig.markers.clone(), cores.tracker.clone());
-    let (mut camera, mut markers) = (None, vec![]);
-    let (mut imu, mut climber, mut rejected) = (vec![], vec![], vec![]);
+    let mut reading = Reading {
+        rig,
+        tracker: Tracker::new(rig.markers.clone(), cores.tracker.clone()),
+        driver,
+        camera: None,
+        markers: vec![],
+        imu: vec![],
+        climber: vec![],
+        rejected: vec![],
+        counts: Counts::default(),
+    };
     while let Some(fed) = feed.take()? {
-        match fed {
-            Fed::Image(Ok((stamp, image))) => tracker.handle(Input::Image(image.view(stamp))),
-            Fed::Image(Err(_)) => {}
-            Fed::Message(message) => {
-                let what = || format!("{shown}: a message on {}", message.topic.name);
-                let (kind, data) = (message.topic.type_name.as_str(), &message.data);
-                if kind == msg::CameraInfo::TYPE_NAME {
-                    let info = cdr::from_bytes(data).with_context(what)?;
-                    let model = convert::camera_model(&info).with_context(what)?;
-                    tracker.handle(Input::Camera(model.clone()));
-                    camera = Some(model);
-                } else if kind == MarkersMessage::TYPE_NAME {
-                    let observed: MarkersMessage = cdr::from_bytes(data).with_context(what)?;
-                    markers.push(convert::marker_observations(&observed).with_context(what)?);
-                } else if kind == msg::Imu::TYPE_NAME {
-                    imu.push(convert::imu_sample(&cdr::from_bytes(data).with_context(what)?));
-                } else if kind == geometry_msgs::msg::TransformStamped::TYPE_NAME {
-                    let transform = cdr::from_bytes(data).with_context(what)?;
-                    match convert::climber_sample(&transform, &rig.frames) {
-                        Ok(sample) => climber.push(sample),
-                        Err(error) => rejected.push(error),
-                    }
-                } else if let Some(driver) = &mut driver
-                    && kind == msg::JointState::TYPE_NAME
-                {
-                    let joints: msg::JointState = cdr::from_bytes(data).with_context(what)?;
-                    let reading = JointReading {
-                        stamp: convert::stamp(&joints.header.stamp),
-                        names: joints.name,
-                        positions: joints.position,
-                    };
-                    let logged = i64::try_from(message.log_time).unwrap_or(i64::MAX);
-                    driver.handle(&reading, Stamp::from_nanos(logged));
-                    climber.extend(std::iter::from_fn(|| driver.poll()).filter_map(|o| match o {
-                        climber_driver::Output::Sample(sample) => Some(sample),
-                        climber_driver::Output::Warning(_) => None,
-                    }));
-                }
-            }
-        }
-        collect(&mut tracker, &mut markers);
+        reading.take(fed);
     }
-    if let Some(error) = rejected.first()
-        && rejected.len() > climber.len()
-    {
-        let all = rejected.len() + climber.len();
-        bail!("{shown}: {} of {all} climber transforms are rejected: {error}", rejected.len());
+    let Reading { camera, markers, imu, climber, rejected, counts, .. } = reading;
+    losses.extend(feed.losses());
+    losses.extend(counts.warning_lines());
+    if let Some(error) = rejected.first() {
+        let (number, all) = (rejected.len(), rejected.len() + climber.len());
+        let text = format!("{shown}: {number} of {all} climber transforms are rejected: {error}");
+        if number > climber.len() {
+            bail!(text);
+        }
+        losses.push(text);
     }
     let camera = camera.with_context(|| {
         let topic = cores.names.resolve(topics::CAMERA_INFO);
         format!(
-            "{shown}: no camera_info in it; record {topic} too, or name the rig's topics with \
-             --namespace or --remap"
+            "{shown}: no usable camera_info in it; record {topic} too, or name the rig's topics \
+             with --namespace or --remap"
         )
     })?;
     Ok(Samples { camera, markers, imu, climber })
+}
+
+/// The samples of a bag, as far as it is read.
+struct Reading<'a> {
+    rig: &'a Rig,
+    tracker: Tracker,
+    driver: Option<Climber>,
+    camera: Option<CameraModel>,
+    markers: Vec<MarkerObservations>,
+    imu: Vec<ImuSample>,
+    climber: Vec<ClimberSample>,
+    /// Why climber transforms were rejected.
+    rejected: Vec<String>,
+    /// Warnings about the other inputs.
+    counts: Counts,
+}
+
+impl Reading<'_> {
+    fn take(&mut self, fed: Fed) {
+        match fed {
+            Fed::Image(Ok((stamp, image))) => self.tracker.handle(Input::Image(image.view(stamp))),
+            Fed::Image(Err(reason)) => {
+                self.counts.warn("image", || format!("an image is ignored: {reason}"));
+            }
+            Fed::Message(message) => self.message(&message),
+        }
+        while let Some(output) = self.tracker.poll() {
+            match output {
+                Output::Observations(observations) => self.markers.push(observations),
+                Output::Warning(warning) => {
+                    let kind = kind_of("tracker", &warning);
+                    self.counts.warn(&kind, || format!("tracker: {warning}"));
+                }
+            }
+        }
+    }
+
+    fn message(&mut self, message: &BagMessage) {
+        let kind = message.topic.type_name.as_str();
+        if kind == msg::CameraInfo::TYPE_NAME {
+            let Some(info) = decode(message, &mut self.counts) else { return };
+            match convert::camera_model(&info) {
+                Ok(model) => {
+                    self.tracker.handle(Input::Camera(model.clone()));
+                    self.camera = Some(model);
+                }
+                Err(error) => self.counts.warn("camera_info", || error.to_string()),
+            }
+        } else if kind == MarkersMessage::TYPE_NAME {
+            let Some(observed) = decode(message, &mut self.counts) else { return };
+            match convert::marker_observations(&observed) {
+                Ok(observations) => self.markers.push(observations),
+                Err(error) => self
+                    .counts
+                    .warn(topics::MARKERS, || format!("{error}; such messages are ignored")),
+            }
+        } else if kind == msg::Imu::TYPE_NAME {
+            self.imu.extend(decode(message, &mut self.counts).map(|m| convert::imu_sample(&m)));
+        } else if kind == geometry_msgs::msg::TransformStamped::TYPE_NAME {
+            let Some(transform) = decode(message, &mut self.counts) else { return };
+            match convert::climber_sample(&transform, &self.rig.frames) {
+                Ok(sample) => self.climber.push(sample),
+                Err(error) => self.rejected.push(error.to_string()),
+            }
+        } else if let Some(driver) = &mut self.driver
+            && kind == msg::JointState::TYPE_NAME
+        {
+            let Some(joints) = decode::<msg::JointState>(message, &mut self.counts) else { return };
+            let reading = JointReading {
+                stamp: convert::stamp(&joints.header.stamp),
+                names: joints.name,
+                positions: joints.position,
+            };
+            let logged = i64::try_from(message.log_time).unwrap_or(i64::MAX);
+            driver.handle(&reading, Stamp::from_nanos(logged));
+            while let Some(output) = driver.poll() {
+                match output {
+                    climber_driver::Output::Sample(sample) => self.climber.push(sample),
+                    climber_driver::Output::Warning(warning) => {
+                        let kind = format!("climber {}", warning.kind());
+                        self.counts.warn(&kind, || format!("climber: {warning}"));
+                    }
+                }
+            }
+        }
+    }
 }
 
 /// Tracks the markers in the images of a bag, or in its first `limit` images.
@@ -180,7 +239,7 @@ pub fn track_bag(
     limit: Option<usize>,
     names: &TopicNames,
 ) -> Result<Vec<MarkerObservations>> {
-    let images = images_of(&BagReader::summary(path)?, names)?;
+    let images = ImageTopic::of(&BagReader::summary(path)?, names)?;
     let mut feed = Feed::start(path, images, vec![], workers())?;
     let mut tracker = Tracker::new(layout.clone(), config.clone());
     tracker.handle(Input::Camera(camera.clone()));
@@ -197,13 +256,20 @@ pub fn track_bag(
     Ok(markers)
 }
 
-/// Checks a rig's files against a bag; `climber_offset`: see [`rig_calibration::check`].
+/// Checks a rig's files against a bag; `climber_offset`: see [`rig_calibration::check`], `losses`:
+/// see [`read_markers`].
 ///
 /// # Errors
 /// As [`read_markers`] and [`rig_calibration::check`].
-pub fn check_bag(bag: &Path, rig: &Rig, cores: &Cores, climber_offset: f64) -> Result<Report> {
-    let samples = read(bag, rig, cores, true)?;
-    let has_images = images_of(&BagReader::summary(bag)?, &cores.names)?.is_some();
+pub fn check_bag(
+    bag: &Path,
+    rig: &Rig,
+    cores: &Cores,
+    climber_offset: f64,
+    losses: &mut Vec<String>,
+) -> Result<Report> {
+    let samples = read(bag, rig, cores, true, losses)?;
+    let has_images = ImageTopic::of(&BagReader::summary(bag)?, &cores.names)?.is_some();
     let mut track = |layout: &MarkerLayout, camera: &CameraModel, limit| {
         track_bag(bag, layout, &cores.tracker, camera, limit, &cores.names).unwrap_or_default()
     };
@@ -212,18 +278,27 @@ pub fn check_bag(bag: &Path, rig: &Rig, cores: &Cores, climber_offset: f64) -> R
         .with_context(|| bag.display().to_string())
 }
 
-/// Refines a rig with a bag; `held`: see [`refine_rig`].
+/// Refines a rig with a bag; `held`: see [`refine_rig`], `losses`: see [`read_markers`].
 /// The tracker's measurements depend slightly on the marker positions, so the images are tracked
 /// again with the refined positions until these converge. The rig file stays the prior of what the
 /// motion does not determine.
 ///
 /// # Errors
 /// As [`read_markers`] and [`refine_rig`]; stamps with which nothing can be estimated.
-pub fn refine_from_bag(bag: &Path, rig: &Rig, cores: &Cores, held: &[&str]) -> Result<Estimate> {
+pub fn refine_from_bag(
+    bag: &Path,
+    rig: &Rig,
+    cores: &Cores,
+    held: &[&str],
+    losses: &mut Vec<String>,
+) -> Result<Estimate> {
     let mut seen_with = rig.clone();
     let mut round = 1;
+    let known = losses.len();
     loop {
-        let samples = read(bag, &seen_with, cores, true)?;
+        // The same in each round.
+        losses.truncate(known);
+        let samples = read(bag, &seen_with, cores, true, losses)?;
         if let Some(finding) = examine_stamps(&samples).iter().find(|f| f.blocks) {
             bail!("{}: {}; {}", bag.display(), finding.text, finding.remedy);
         }

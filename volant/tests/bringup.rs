@@ -189,6 +189,15 @@ fn only_offered_answers_count_and_a_pause_writes_the_report() {
         assert!(!printed.contains(absent), "{absent} in\n{printed}");
     }
     assert!(fs::read_to_string(&page).unwrap().contains("2. imu: FAIL"));
+
+    // The page is no other file of the bring-up, not even one that does not exist yet.
+    let new = shown("new.yaml");
+    for page in [&new, &format!("{new}.bringup.json")] {
+        let (output, printed) = bringup(&["--rig", &new, "--report", page], "q\n");
+        assert_eq!(output.status.code(), Some(1), "{printed}");
+        assert!(printed.contains("two outputs have this name"), "{printed}");
+        assert!(!Path::new(page).exists());
+    }
 }
 
 #[test]

@@ -4,7 +4,7 @@
 
 mod simulated;
 
-use bag::{BagReader, BagWriter, WriteOptions};
+use bag::{BagReader, BagWriter, Topic, WriteOptions};
 use node_kit::convert;
 use rig_model::{MarkerColor, Rig};
 use rig_simulator::motion::{Motion, MotionConfig};
@@ -113,23 +113,19 @@ fn rig_rejects_a_recording_at_rest() {
     assert_eq!(fs::read_to_string(&rig).unwrap(), rig_simulator::RIG_YAML);
 }
 
-/// Copies a bag in which the IMU's clock steps after 4.5 s.
-fn step_imu_clock(from: &Path, to: &Path, seconds: f64) {
+/// Copies a bag and changes its IMU messages, given with the time of logging, ns.
+fn change_imu(from: &Path, to: &Path, mut change: impl FnMut(u64, &mut Topic, &mut Imu)) {
     let mut reader = BagReader::open(from).unwrap();
     let mut bag = BagWriter::create(to, WriteOptions::default()).unwrap();
-    let mut topics = HashMap::new();
     while let Some(message) = reader.next_message().unwrap() {
-        let (topic, at) = (&message.topic, message.log_time);
-        let id =
-            *topics.entry(topic.name.clone()).or_insert_with(|| bag.add_topic((**topic).clone()));
-        if topic.type_name == Imu::TYPE_NAME && at > 1_700_000_004_500_000_000 {
-            let mut imu: Imu = cdr::from_bytes(&message.data).unwrap();
-            let stamp = convert::stamp(&imu.header.stamp).plus_seconds(seconds);
-            imu.header = convert::header(&imu.header.frame_id, stamp);
-            bag.write_message(id, at, &imu).unwrap();
-        } else {
-            bag.write(id, at, at, &message.data).unwrap();
+        let (mut topic, mut data) = ((*message.topic).clone(), message.data);
+        if topic.type_name == Imu::TYPE_NAME {
+            let mut imu: Imu = cdr::from_bytes(&data).unwrap();
+            change(message.log_time, &mut topic, &mut imu);
+            data = cdr::to_bytes(&imu);
         }
+        let id = bag.add_topic(topic);
+        bag.write(id, message.log_time, message.log_time, &data).unwrap();
     }
     bag.finish().unwrap();
 }
@@ -142,7 +138,12 @@ fn rig_writes_nothing_where_a_clock_steps() {
     fs::write(&path, rig_simulator::RIG_YAML).unwrap();
     for (seconds, word) in [(2.0, "step by"), (-0.3, "step by -0.")] {
         let stepped = folder.path().join(format!("{seconds}.mcap"));
-        step_imu_clock(&bag, &stepped, seconds);
+        change_imu(&bag, &stepped, |at, _, imu| {
+            if at > 1_700_000_004_500_000_000 {
+                let stamp = convert::stamp(&imu.header.stamp).plus_seconds(seconds);
+                imu.header = convert::header(&imu.header.frame_id, stamp);
+            }
+        });
         let [bag, rig] = [&stepped, &path].map(|p| p.to_str().unwrap());
         let message = failed(&["calibrate", "rig", bag, "--rig", rig]);
         let diverged = message.contains("does not converge");
@@ -212,6 +213,30 @@ fn imu_writes_the_densities_and_a_figure_and_refuses_motion() {
     let message = failed(&["calibrate", "imu", moving.to_str().unwrap(), "--rig", rig_file]);
     assert!(message.contains("not at rest") && message.contains("swing.mcap"), "{message}");
     assert_eq!(fs::read_to_string(&rig).unwrap(), after);
+}
+
+/// A driver that was restarted with another QoS has two channels, and another IMU is no choice.
+#[test]
+fn imu_reads_all_channels_of_the_rigs_topic_and_reports_what_is_not_finite() {
+    let (folder, simulated) = (TempDir::new().unwrap(), Simulated::new(3));
+    let [rest, bag, rig] = ["rest.mcap", "changed.mcap", "rig.yaml"].map(|n| folder.path().join(n));
+    simulated.write_rest(&rest);
+    fs::write(&rig, rig_simulator::RIG_YAML).unwrap();
+    let mut count = 0;
+    change_imu(&rest, &bag, |_, topic, imu| {
+        count += 1;
+        match count {
+            100 => imu.linear_acceleration.x = f64::NAN,
+            150 => topic.name = "/another/imu".to_owned(),
+            300.. => topic.offered_qos_profiles.clear(),
+            _ => {}
+        }
+    });
+    let [bag, rig] = [&bag, &rig].map(|p| p.to_str().unwrap());
+    let printed = done(&["calibrate", "imu", bag, "--rig", rig]);
+    assert!(printed.contains("1 of ") && printed.contains("not finite"), "{printed}");
+    let seconds = printed.split(' ').next().unwrap();
+    assert!(seconds.parse::<f64>().unwrap() > 58.0, "{printed}");
 }
 
 #[test]
@@ -297,6 +322,9 @@ fn a_bag_of_two_rigs_is_checked_by_namespace_and_never_mixed() {
             let id = *topics.entry(topic.name.clone()).or_insert_with(|| bag.add_topic(topic));
             bag.write(id, message.log_time, message.log_time, &message.data).unwrap();
         }
+        // One damaged message does not end the check.
+        let imu = topics[&format!("/rig{seed}/volant/imu/data")];
+        bag.write(imu, 1, 1, b"no message").unwrap();
     }
     bag.finish().unwrap();
     fs::write(path("rig.yaml"), rig_simulator::RIG_YAML).unwrap();
@@ -314,6 +342,8 @@ fn a_bag_of_two_rigs_is_checked_by_namespace_and_never_mixed() {
     assert!(!expected.stdout.is_empty());
     assert_eq!(String::from_utf8_lossy(&found.stdout), String::from_utf8_lossy(&expected.stdout));
     assert_eq!(found.status.code(), expected.status.code());
+    let said = String::from_utf8_lossy(&found.stderr);
+    assert!(said.contains("/rig6/volant/imu/data: a message is ignored: "), "{said}");
 }
 
 /// Encoder stamps that are off by a constant are right where the file has it, and only there.

@@ -36,7 +36,8 @@ fn a_wrong_rig_file_is_corrected() {
             wrong.markers.centers[color] += Vector3::new(x, y, 0.0);
         }
         let estimate =
-            refine_from_bag(&folder.join("in.mcap"), &wrong, &Cores::of(&wrong), &[]).unwrap();
+            refine_from_bag(&folder.join("in.mcap"), &wrong, &Cores::of(&wrong), &[], &mut vec![])
+                .unwrap();
         println!("{bag}: {:?}", estimate.pixel_rms);
         let found = &estimate.rig;
         let deviation = |name: &str| {
@@ -90,7 +91,8 @@ fn an_exact_rig_file_stays_as_it_is() {
         let folder = shared.join("bags").join(bag);
         let exact = Rig::from_yaml(&fs::read_to_string(folder.join("rig.yaml")).unwrap()).unwrap();
         let bag_file = folder.join("in.mcap");
-        let estimate = refine_from_bag(&bag_file, &exact, &Cores::of(&exact), &[]).unwrap();
+        let estimate =
+            refine_from_bag(&bag_file, &exact, &Cores::of(&exact), &[], &mut vec![]).unwrap();
         for row in estimate.rows.iter().take(24) {
             let kept =
                 row.refinement != Refinement::Refined || row.change.abs() < 2.0 * row.deviation;

@@ -1,12 +1,14 @@
-//! `volant calibrate colors` without a rig file: from an image file, and its errors.
+//! `volant calibrate colors` without a rig file: from an image file or a bag, and its errors.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use rig_model::{MarkerColor, Rig};
+use bag::{BagWriter, Qos, Topic, WriteOptions};
+use rig_model::{MarkerColor, Rig, topics};
 use std::{
     fs,
     path::Path,
     process::{Command, Output},
 };
+use volant_msgs::sensor_msgs::msg::CompressedImage;
 
 fn calibrate(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_volant"))
@@ -62,6 +64,37 @@ fn an_image_files_colors_become_lines_of_the_rig_file() {
     }
 }
 
+/// A bag with another camera, whose topic is the first by name.
+#[test]
+fn a_bags_colors_are_those_of_the_rigs_camera() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let image = |papers| {
+        write_image(&path("image.png"), papers);
+        let data = fs::read(path("image.png")).unwrap();
+        CompressedImage { format: "png".into(), data, ..CompressedImage::default() }
+    };
+    let (ours, others) = (image(PAPERS.map(Some)), image([None; 4]));
+    let write = |name: &str, ours_on: &str| {
+        let mut bag = BagWriter::create(&path(name), WriteOptions::default()).unwrap();
+        for (topic, image) in [("/a_room/image/compressed", &others), (ours_on, &ours)] {
+            let topic = bag.add_topic(Topic::of::<CompressedImage>(topic, &Qos::SENSOR));
+            bag.write_message(topic, 1, image).unwrap();
+        }
+        bag.finish().unwrap();
+        path(name).into_os_string().into_string().unwrap()
+    };
+    let bag = write("ours.mcap", topics::absolute::COMPRESSED_IMAGE);
+    let output = calibrate(&[&bag]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    // None of two cameras has the rig's name.
+    let bag = write("another.mcap", "/b_room/image/compressed");
+    let output = calibrate(&[&bag]);
+    let printed = String::from_utf8_lossy(&output.stderr);
+    assert!(printed.contains("/b_room/image/compressed; name one with --topic"), "{printed}");
+    assert!(calibrate(&[&bag, "--topic", "/b_room/image/compressed"]).status.success());
+}
+
 #[test]
 fn missing_colors_are_named_in_one_line_and_a_pick_finds_them() {
     let folder = tempfile::TempDir::new().unwrap();
@@ -78,8 +111,10 @@ fn missing_colors_are_named_in_one_line_and_a_pick_finds_them() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let rig = rig_with(&String::from_utf8(output.stdout).unwrap());
     assert_eq!(rig.colors[MarkerColor::Blue], Some([40.0, 160.0, 150.0]));
-    let output = calibrate(&[path.to_str().unwrap(), "--pick", "pink=1,1"]);
-    assert_eq!(output.status.code(), Some(2));
+    for pick in ["pink=1,1", "blue=nan,135", "blue=45,inf"] {
+        let output = calibrate(&[path.to_str().unwrap(), "--pick", pick]);
+        assert_eq!(output.status.code(), Some(2), "{pick}");
+    }
     let output = calibrate(&["no_such_file.png"]);
     assert_eq!(output.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&output.stderr).contains("no_such_file.png"));

@@ -189,6 +189,9 @@ fn bags_that_cannot_be_replayed() {
         "other.mcap",
         &["/volant/imu/data is std_msgs/msg/String", "expected sensor_msgs/msg/Imu"],
     );
+    // `check` names the reasons too, and does not end at the first message.
+    let words = ["climber transforms are rejected", "camera_info: ", "an image is ignored: "];
+    place.fails("check useless.mcap --rig rig.yaml", &words);
 }
 
 #[test]
@@ -288,6 +291,20 @@ fn a_damaged_bag_is_recovered() {
             && printed.contains("messages  4"),
         "{printed}"
     );
+    // Of a folder every readable file is used, whatever its metadata says; the others are named.
+    fs::create_dir(place.path("folder")).unwrap();
+    fs::copy(place.path("in.mcap"), place.path("folder/run_0.mcap")).unwrap();
+    place.file("folder/run_1.mcap", b"");
+    let metadata = "rosbag2_bagfile_information: {storage_identifier: mcap, relative_file_paths: \
+                    [run_1.mcap, gone.mcap]}";
+    for (out, metadata) in [("a.mcap", "{"), ("b.mcap", metadata)] {
+        place.file("folder/metadata.yaml", metadata.as_bytes());
+        let output = place.volant(&format!("bag recover folder --out {out}"));
+        let printed = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && printed.contains("run_1.mcap: the file is empty"));
+        assert_eq!(printed.contains("gone.mcap: no such file"), out == "b.mcap", "{printed}");
+        assert_eq!(BagReader::summary(&place.path(out)).unwrap().messages(), 4);
+    }
 }
 
 #[test]

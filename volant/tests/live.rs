@@ -297,6 +297,23 @@ fn a_paused_player_waits_for_sigusr1() {
 }
 
 #[test]
+fn a_bag_of_one_instant_is_repeated_at_a_bounded_rate() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("instant.mcap");
+    let mut bag = BagWriter::create(&path, WriteOptions::default()).unwrap();
+    let topic = bag.add_topic(Topic::of::<Text>("/text", &Qos::RELIABLE));
+    bag.write_message(topic, START, &Text::default()).unwrap();
+    bag.finish().unwrap();
+    let player = start(77, &["play", path.to_str().unwrap(), "--loop", "--delay", "0"]);
+    std::thread::sleep(Duration::from_secs(2));
+    player.signal("INT");
+    let printed = finish(player, "play");
+    let line = printed.lines().find(|line| line.contains(" messages of ")).unwrap();
+    let count: u32 = line.split(' ').next().unwrap().parse().unwrap();
+    assert!((1..=200).contains(&count), "{printed}");
+}
+
+#[test]
 fn encoders_are_calibrated_from_live_topics() {
     let dir = TempDir::new().unwrap();
     let (jog, rig) = (dir.path().join("jog.mcap"), dir.path().join("rig.yaml"));

@@ -1,9 +1,13 @@
 //! Replay of the recorded runs: the same bytes each time, the tracked figures, and the smoother.
 //!
-//! The recordings are found through `VOLANT_SHARED`; without it these tests are skipped.
+//! The recordings are found through `VOLANT_SHARED`; without it their tests are skipped.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
+mod simulated;
+
+use bag::{BagReader, BagWriter, WriteOptions};
 use rig_model::topics;
+use simulated::Simulated;
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -14,6 +18,7 @@ use volant::{
     evaluate::{EvaluateOptions, Quality, evaluate},
     replay::TopicNames,
 };
+use volant_msgs::{Message, cdr, geometry_msgs::msg::TransformStamped};
 
 const BAGS: [&str; 4] = ["nominal", "occlude_two", "fast_swing", "clutter"];
 /// Recorded without images, with real IMU samples that have no attitude.
@@ -42,6 +47,37 @@ fn replayed(bags: &Path, name: &str, out: &Path, more: &[&str]) {
     let output =
         replay(&bags.join(name).join("in.mcap"), &bags.join(name).join("rig.yaml"), out, more);
     assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// The filter rejects it, and it does not become the end of the output.
+#[test]
+fn a_transform_stamped_in_another_year_does_not_stretch_the_output() {
+    let (dir, simulated) = (TempDir::new().unwrap(), Simulated::new(5));
+    let [bag, changed, rig, out] =
+        ["in.mcap", "changed.mcap", "rig.yaml", "out.mcap"].map(|name| dir.path().join(name));
+    simulated.write(&bag, &simulated.motion(5.0, false), true);
+    fs::write(&rig, rig_simulator::RIG_YAML).unwrap();
+    let mut reader = BagReader::open(&bag).unwrap();
+    let mut copy = BagWriter::create(&changed, WriteOptions::default()).unwrap();
+    let mut count = 0;
+    while let Some(mut message) = reader.next_message().unwrap() {
+        if message.topic.type_name == TransformStamped::TYPE_NAME {
+            count += 1;
+            if count == 100 {
+                let mut transform: TransformStamped = cdr::from_bytes(&message.data).unwrap();
+                transform.header.stamp.sec += 10 * 365 * 86_400;
+                message.data = cdr::to_bytes(&transform);
+            }
+        }
+        let id = copy.add_topic((*message.topic).clone());
+        copy.write(id, message.log_time, message.log_time, &message.data).unwrap();
+    }
+    copy.finish().unwrap();
+    let output = replay(&changed, &rig, &out, &[]);
+    let printed = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && printed.contains("ahead of the IMU"), "{printed}");
+    let (start, end) = BagReader::summary(&out).unwrap().span.unwrap();
+    assert!(end - start < 10_000_000_000, "{start} to {end}");
 }
 
 #[test]
@@ -75,7 +111,7 @@ fn a_replay_ends_with_what_is_wrong_in_the_rig_file() {
     fs::write(&wrong, text.replace(line, &moved)).unwrap();
     let out = dir.path().join("out.mcap");
     let more = dir.path().join("more.yaml");
-    fs::write(&more, "pose_fusion: {ros__parameters: {max_predicted: 6}}\n").unwrap();
+    fs::write(&more, "marker_tracker: {ros__parameters: {max_predicted: 6}}\n").unwrap();
     let more = more.to_str().unwrap();
     let command = format!(
         "`volant check {} --rig '{}' --params-file {more}`",

@@ -10,7 +10,8 @@ pub use page::page;
 pub use report::{csv, table};
 
 use crate::{replay::TopicNames, report::Track};
-use bag::{BagError, BagReader, recording::read_truth};
+use anyhow::bail;
+use bag::{BagReader, recording::read_truth};
 use nalgebra::{Isometry3, Matrix6, Vector3};
 use node_kit::convert;
 use rig_model::{
@@ -20,7 +21,6 @@ use rig_model::{
 };
 use serde::Serialize;
 use std::path::PathBuf;
-use thiserror::Error;
 use volant_msgs::{cdr, geometry_msgs::msg::PoseWithCovarianceStamped, nav_msgs::msg::Odometry};
 
 /// Shortest gap that is counted, s.
@@ -110,45 +110,6 @@ pub struct Tracks {
     pub truth: Truth,
 }
 
-/// Why an evaluation fails.
-#[derive(Debug, Error)]
-pub enum EvaluateError {
-    /// A bag is unreadable.
-    #[error(transparent)]
-    Bag(#[from] BagError),
-    /// The bag holds no truth.
-    #[error("{}: no usable nav_msgs/msg/Odometry on {topic}; give the bag with the truth to \
-             --truth, or name its topic with --remap {TRUTH}:=OTHER", path.display())]
-    NoTruth {
-        /// The bag.
-        path: PathBuf,
-        /// The topic.
-        topic: String,
-    },
-    /// The bag holds no estimate.
-    #[error("{}: no estimate on {}; give the bag that `volant replay --out` \
-             wrote", path.display(), topics.join(", "))]
-    NoEstimate {
-        /// The bag.
-        path: PathBuf,
-        /// The topics.
-        topics: Vec<String>,
-    },
-    /// Estimates and truth do not overlap in time.
-    #[error("{}: none of its estimates lies within the truth's time ({from} to {to}, without the \
-             first {skip} s); check that both bags are of one run", path.display())]
-    Apart {
-        /// Bag with the estimates.
-        path: PathBuf,
-        /// Start of the truth, s.
-        from: Stamp,
-        /// End of the truth, s.
-        to: Stamp,
-        /// Skipped time at the start, s.
-        skip: f64,
-    },
-}
-
 struct Estimate {
     stamp: Stamp,
     pose: Isometry3<f64>,
@@ -159,15 +120,17 @@ struct Estimate {
 /// Evaluates a bag's estimates.
 ///
 /// # Errors
-/// See [`EvaluateError`].
-pub fn evaluate(options: &EvaluateOptions) -> Result<Evaluation, EvaluateError> {
+/// A bag is unreadable, has no truth or no estimate, or no estimate is within the truth's time.
+pub fn evaluate(options: &EvaluateOptions) -> anyhow::Result<Evaluation> {
     let mut losses = vec![];
     let truth = read_truth(&options.truth, &options.names.resolve(TRUTH), &mut losses)?;
     let Some((from, to)) = truth.span() else {
-        return Err(EvaluateError::NoTruth {
-            path: options.truth.clone(),
-            topic: options.names.resolve(TRUTH),
-        });
+        bail!(
+            "{}: no usable nav_msgs/msg/Odometry on {}; give the bag with the truth to --truth, or \
+             name its topic with --remap {TRUTH}:=OTHER",
+            options.truth.display(),
+            options.names.resolve(TRUTH)
+        );
     };
     let topics: Vec<String> = ESTIMATES.iter().map(|name| options.names.resolve(name)).collect();
     let mut collected: [(Vec<Estimate>, u64); ESTIMATES.len()] = Default::default();
@@ -195,7 +158,11 @@ pub fn evaluate(options: &EvaluateOptions) -> Result<Evaluation, EvaluateError> 
     }
     losses.extend_from_slice(bag.losses());
     if collected.iter().all(|(estimates, unusable)| estimates.is_empty() && *unusable == 0) {
-        return Err(EvaluateError::NoEstimate { path: options.estimates.clone(), topics });
+        bail!(
+            "{}: no estimate on {}; give the bag that `volant replay --out` wrote",
+            options.estimates.display(),
+            topics.join(", ")
+        );
     }
     // The bag's start in the time of the stamps: a played bag is recorded at another time.
     let began = first_logged.zip(logged_early);
@@ -217,8 +184,12 @@ pub fn evaluate(options: &EvaluateOptions) -> Result<Evaluation, EvaluateError> 
         })
         .collect();
     if estimates.iter().all(|q| q.count == 0) {
-        let path = options.estimates.clone();
-        return Err(EvaluateError::Apart { path, from, to, skip: options.skip });
+        bail!(
+            "{}: none of its estimates lies within the truth's time ({from} to {to}, without the \
+             first {} s); check that both bags are of one run",
+            options.estimates.display(),
+            options.skip
+        );
     }
     Ok(Evaluation { estimates, losses, tracks })
 }

@@ -13,7 +13,7 @@ use rustdds::{RTPSEntity, no_key::DataWriter};
 use std::{collections::BTreeMap, path::PathBuf, time::Duration};
 use volant_msgs::{Message, builtin_interfaces::msg::Time, cdr, rosgraph_msgs::msg::Clock};
 
-/// Longest sleep between two checks of the controls.
+/// Longest sleep between two checks of the controls, and shortest time of a repetition.
 const SLICE: Duration = Duration::from_millis(20);
 
 /// How long a player waits at its end for acknowledgments of reliable subscribers. (One that was
@@ -141,6 +141,7 @@ pub fn play(
     pace.hold(options.delay);
     'bag: loop {
         let mut bag = BagReader::open(&options.input)?;
+        let pass = Stopwatch::start();
         pace.leap(start);
         while let Some(message) = bag.next_message()? {
             let Some(writer) = writers.get(&message.topic.name) else { continue };
@@ -166,6 +167,8 @@ pub fn play(
         if !options.repeat || control.is_stopped() {
             break;
         }
+        // A bag whose messages have one time is not repeated as fast as possible.
+        pace.hold(SLICE.saturating_sub(pass.elapsed()));
     }
     // DDS repeats what reliable subscribers miss while this waits.
     let watch = Stopwatch::start();

@@ -62,6 +62,18 @@ pub struct RecordStatus {
     pub topics: AtomicU64,
     /// Requested topics without a publisher so far.
     pub unpublished: Mutex<Vec<String>>,
+    /// Why a topic was not subscribed, or the DDS domain not joined again, each once; both are
+    /// tried again.
+    pub failures: Mutex<Vec<String>>,
+}
+
+impl RecordStatus {
+    fn fail(&self, error: &LiveError) {
+        let (mut failures, text) = (self.failures.lock(), error.to_string());
+        if !failures.contains(&text) {
+            failures.push(text);
+        }
+    }
 }
 
 /// Result of a recording.
@@ -78,6 +90,8 @@ pub struct RecordReport {
     /// Why the DDS domain was joined again during the recording; messages published meanwhile are
     /// missing.
     pub losses: Vec<Loss>,
+    /// [`RecordStatus::failures`].
+    pub failures: Vec<String>,
 }
 
 enum Item {
@@ -91,10 +105,11 @@ enum Item {
     },
 }
 
-/// Records until `stop` is set or the duration is over; calls `progress` regularly.
+/// Records until `stop` is set or the duration is over; calls `progress` regularly. What fails
+/// after the start, such as a subscription, is tried again.
 ///
 /// # Errors
-/// The bag is not writable, or DDS creates no subscription.
+/// The DDS domain cannot be joined at the start, or the bag is not writable.
 pub fn record(
     options: &RecordOptions,
     stop: &AtomicBool,
@@ -122,22 +137,32 @@ pub fn record(
         items,
         status: &status,
     };
-    let mut losses = vec![];
+    let (mut losses, mut lost) = (vec![], false);
     while !stop.load(Ordering::Acquire) && !failed.load(Ordering::Acquire) {
         if options.duration.is_some_and(|d| watch.elapsed() >= d) {
             break;
         }
-        if let Some(loss) = takers.tap.loss() {
+        if !lost && let Some(loss) = takers.tap.loss() {
             losses.push(loss);
+            lost = true;
             // The topics keep their numbers, and discovery finds them again.
             takers.subscriptions.clear();
-            takers.tap = Tap::join(NODE)?;
         }
-        for offer in takers.tap.offers() {
+        if lost {
+            match Tap::join(NODE) {
+                Ok(tap) => (takers.tap, lost) = (tap, false),
+                Err(error) => status.fail(&error),
+            }
+        }
+        let offers = if lost { vec![] } else { takers.tap.offers() };
+        for offer in offers {
             let name = &offer.topic.name;
             let selected = options.topics.is_empty() || options.topics.contains(name);
-            if selected && !options.exclude.iter().any(|topic| is_meant(topic, name)) {
-                takers.add(offer)?;
+            if selected
+                && !options.exclude.iter().any(|topic| is_meant(topic, name))
+                && let Err(error) = takers.add(offer)
+            {
+                status.fail(&error);
             }
         }
         let unpublished = takers.unpublished(&options.topics);
@@ -155,6 +180,7 @@ pub fn record(
         lost: status.lost.load(Ordering::Relaxed),
         unpublished,
         losses,
+        failures: std::mem::take(&mut *status.failures.lock()),
     })
 }
 
@@ -259,6 +285,15 @@ mod tests {
         ] {
             assert_eq!(is_meant(topic, name), meant, "{topic} {name}");
         }
+    }
+
+    #[test]
+    fn a_failure_that_is_tried_again_is_noted_once() {
+        let status = RecordStatus::default();
+        for what in ["the subscription of /a", "the subscription of /a", "the subscription of /b"] {
+            status.fail(&LiveError::Middleware { what: what.into(), reason: "no memory".into() });
+        }
+        assert_eq!(status.failures.lock().len(), 2);
     }
 
     #[test]

@@ -1,10 +1,11 @@
 //! Reads ahead: one thread reads the bag, others decode its images, and everything is returned in
 //! the bag's order.
 
+use super::topic_names::TopicNames;
 use bag::{BagError, BagMessage, BagReader, BagSummary};
 use marker_tracker::{ImageError, OwnedImage, decode_compressed, from_encoding};
 use parking_lot::Mutex;
-use rig_model::Stamp;
+use rig_model::{Stamp, topics};
 use std::{
     path::Path,
     sync::{
@@ -32,16 +33,25 @@ pub enum ImageTopic {
 }
 
 impl ImageTopic {
-    /// First topic with images of a bag, raw ones preferred; with `name`, only that topic.
-    pub fn of(bag: &BagSummary, name: Option<&str>) -> Option<Self> {
-        let first = |kind: &str| {
-            let mut topics = bag.topics.iter().filter(|(_, count)| *count > 0).map(|(t, _)| t);
-            let found = topics.find(|t| t.type_name == kind && name.is_none_or(|n| n == t.name));
-            found.map(|topic| topic.name.clone())
-        };
-        first(Image::TYPE_NAME)
-            .map(Self::Raw)
-            .or_else(|| first(CompressedImage::TYPE_NAME).map(Self::Compressed))
+    /// Topic with the rig's images in a bag, raw ones preferred: see [`TopicNames::choose`].
+    ///
+    /// # Errors
+    /// Several topics with images, and none is the rig's.
+    pub fn of(bag: &BagSummary, names: &TopicNames) -> anyhow::Result<Option<Self>> {
+        let alternatives = [
+            (topics::IMAGE, Image::TYPE_NAME),
+            (topics::COMPRESSED_IMAGE, CompressedImage::TYPE_NAME),
+        ];
+        let found = names.choose(bag, &alternatives)?;
+        let kinds = [Self::Raw, Self::Compressed];
+        Ok(found.map(|(place, name)| kinds[place](name)))
+    }
+
+    /// All topics with images of a bag, raw ones first.
+    pub fn all(bag: &BagSummary) -> Vec<Self> {
+        let names = |kind| bag.topics_of(kind).into_iter().map(str::to_owned);
+        let raw = names(Image::TYPE_NAME).map(Self::Raw);
+        raw.chain(names(CompressedImage::TYPE_NAME).map(Self::Compressed)).collect()
     }
 
     /// Name of the topic.

@@ -10,9 +10,11 @@ mod topic_names;
 
 pub use feed::{Fed, Feed, ImageTopic};
 pub use pipeline::Counts;
-pub use topic_names::{Remap, TopicNameError, TopicNames};
+pub(crate) use pipeline::{decode, kind_of};
+pub use topic_names::{Remap, TopicNames};
 
 use crate::stopwatch::Stopwatch;
+use anyhow::{anyhow, bail};
 use bag::{BagError, BagMessage, BagReader, BagSummary, Compression, WriteOptions};
 use climber_driver::{Climber, ClimberConfig};
 use marker_tracker::{Tracker, TrackerConfig};
@@ -24,8 +26,7 @@ use std::{
     path::{Path, PathBuf},
     time::Duration,
 };
-use thiserror::Error;
-use volant_msgs::{Message, cdr, geometry_msgs, msg, sensor_msgs, tf2_msgs};
+use volant_msgs::{Message, geometry_msgs, msg, sensor_msgs, tf2_msgs};
 
 /// Options of a replay.
 #[derive(Clone, Debug)]
@@ -68,66 +69,19 @@ pub struct ReplayReport {
     pub losses: Vec<String>,
 }
 
-/// Why a replay failed.
-#[derive(Debug, Error)]
-pub enum ReplayError {
-    /// A bag is not readable or writable.
-    #[error(transparent)]
-    Bag(#[from] BagError),
-    /// A required topic, or each of its alternatives, has no message.
-    #[error("{}: no message on {topics}; {remedy}", path.display())]
-    MissingTopic {
-        /// Bag to replay.
-        path: PathBuf,
-        /// Names of the topics after remapping, with their types.
-        topics: String,
-        /// What to do: the namespace or the remap with which the bag has one of them.
-        remedy: String,
-    },
-    /// A topic has another type.
-    #[error("{}: {topic} is {found}, expected {expected}; name the right topic with \
-             --remap", path.display())]
-    WrongType {
-        /// Bag to replay.
-        path: PathBuf,
-        /// The topic.
-        topic: String,
-        /// Its type.
-        found: String,
-        /// The expected type.
-        expected: String,
-    },
-    /// The bag needs the climber driver, which would not start.
-    #[error("{}: {topic} is converted by climber_driver: {reason}", path.display())]
-    Climber {
-        /// Bag to replay.
-        path: PathBuf,
-        /// The topic.
-        topic: String,
-        /// The invalid or missing parameter.
-        reason: String,
-    },
-    /// The filter never initialized.
-    #[error("{}: the filter never started: {why}", path.display())]
-    NoEstimate {
-        /// Bag to replay.
-        path: PathBuf,
-        /// What the bag holds, and what to check.
-        why: String,
-    },
-}
-
 /// Replays a bag. `progress` is called with the bytes read, of [`BagSummary::bytes`].
 ///
 /// # Errors
-/// See [`ReplayError`]. A damaged bag is not an error: its losses are in the report.
+/// A bag is not readable or writable; a required topic has no message or another type; the bag
+/// needs the climber driver, which would not start; the filter never initialized. A damaged bag is
+/// not an error: its losses are in the report.
 pub fn replay(
     options: &ReplayOptions,
     mut progress: impl FnMut(u64),
-) -> Result<ReplayReport, ReplayError> {
+) -> anyhow::Result<ReplayReport> {
     let watch = Stopwatch::start();
     let (input, output) = (&options.input, &options.output);
-    node_kit::files::check_output(output, options.overwrite, &[input]).map_err(BagError::from)?;
+    node_kit::files::check_output(output, options.overwrite, &[input])?;
     let summary = BagReader::summary(input)?;
     let plan = Plan::new(input, &summary, &options.names)?;
     let climber = if plan.has_transforms {
@@ -135,9 +89,9 @@ pub fn replay(
     } else {
         let config = options.climber.clone();
         let climber = config.and_then(|c| Climber::new(c).map_err(|e| e.to_string()));
-        let failed = |reason| {
-            let (path, topic) = (input.clone(), plan.climber.clone());
-            ReplayError::Climber { path, topic, reason }
+        let failed = |reason: String| {
+            let (path, topic) = (input.display(), &plan.climber);
+            anyhow!("{path}: {topic} is converted by climber_driver: {reason}")
         };
         Some(climber.map_err(failed)?)
     };
@@ -168,10 +122,8 @@ pub fn replay(
     }
     let losses = feed.losses();
     if pipeline.counts.odometry == 0 {
-        return Err(ReplayError::NoEstimate {
-            path: input.clone(),
-            why: why_silent(&pipeline, &losses),
-        });
+        let why = why_silent(&pipeline, &losses);
+        bail!("{}: the filter never started: {why}", input.display());
     }
     Ok(ReplayReport {
         counts: pipeline.finish()?,
@@ -202,13 +154,14 @@ fn why_silent(pipeline: &Pipeline, losses: &[String]) -> String {
 /// place among them.
 ///
 /// # Errors
-/// [`ReplayError::MissingTopic`]; [`ReplayError::WrongType`].
+/// None has a message, or the first that has is of another type.
 fn first_of(
     path: &Path,
     bag: &BagSummary,
     names: &TopicNames,
     wanted: &[(&'static str, &'static str)],
-) -> Result<(usize, String), ReplayError> {
+) -> anyhow::Result<(usize, String)> {
+    let shown = path.display();
     for (place, (name, type_name)) in wanted.iter().enumerate() {
         let topic = names.resolve(name);
         let Some((found, _)) = bag.topics.iter().find(|(t, count)| t.name == topic && *count > 0)
@@ -218,18 +171,13 @@ fn first_of(
         if found.type_name.is_empty() || found.type_name == *type_name {
             return Ok((place, topic));
         }
-        return Err(ReplayError::WrongType {
-            path: path.to_owned(),
-            topic,
-            found: found.type_name.clone(),
-            expected: (*type_name).to_owned(),
-        });
+        let found = &found.type_name;
+        bail!(
+            "{shown}: {topic} is {found}, expected {type_name}; name the right topic with --remap"
+        );
     }
-    Err(ReplayError::MissingTopic {
-        path: path.to_owned(),
-        topics: names.list(wanted),
-        remedy: names.remedy(bag, wanted),
-    })
+    let (topics, remedy) = (names.list(wanted), names.remedy(bag, wanted));
+    bail!("{shown}: no message on {topics}; {remedy}")
 }
 
 /// Names of the bag's topics.
@@ -245,7 +193,7 @@ struct Plan {
 }
 
 impl Plan {
-    fn new(path: &Path, bag: &BagSummary, names: &TopicNames) -> Result<Self, ReplayError> {
+    fn new(path: &Path, bag: &BagSummary, names: &TopicNames) -> anyhow::Result<Self> {
         let need = |wanted: &[_]| first_of(path, bag, names, wanted);
         let (kind, observed) = need(&[
             (topics::IMAGE, sensor_msgs::msg::Image::TYPE_NAME),
@@ -275,12 +223,7 @@ impl Plan {
 
     fn hand_over(&self, message: &BagMessage, to: &mut Pipeline) -> Result<(), BagError> {
         fn read<M: Message>(message: &BagMessage, to: &mut Pipeline) -> Option<M> {
-            cdr::from_bytes(&message.data)
-                .map_err(|error| {
-                    let topic = &message.topic.name;
-                    to.counts.warn(topic, || format!("{topic}: a message is ignored: {error}"));
-                })
-                .ok()
+            decode(message, &mut to.counts)
         }
         let topic = &message.topic.name;
         if *topic == self.imu {

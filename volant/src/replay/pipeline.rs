@@ -1,7 +1,7 @@
 //! The nodes' cores connected in sequence, fed in the order in which the bag logged the messages.
 
 use super::output::OutputBag;
-use bag::BagError;
+use bag::{BagError, BagMessage};
 use climber_driver::{Climber, JointReading};
 use marker_tracker::{OwnedImage, Tracker};
 use node_kit::convert;
@@ -9,7 +9,8 @@ use pose_fusion::{Fusion, Outcome, Output, RigCheck, messages};
 use rig_model::{CameraModel, MarkerObservations, MarkerState, Rig, Stamp, topics};
 use std::collections::BTreeMap;
 use volant_msgs::{
-    geometry_msgs::msg::TransformStamped, msg, sensor_msgs::msg as sensor, tf2_msgs::msg::TFMessage,
+    Message, cdr, geometry_msgs::msg::TransformStamped, msg, sensor_msgs::msg as sensor,
+    tf2_msgs::msg::TFMessage,
 };
 
 /// Counts of inputs and outputs, and warnings: a flat record, since each field is one number of the
@@ -70,6 +71,10 @@ impl Counts {
     }
 }
 
+/// A stamp further ahead of the IMU's, s, is wrong, since no IMU is out for as long; the filter
+/// rejects it. In the output it would be the end of the bag's time.
+const FAR_AHEAD: f64 = 3600.0;
+
 /// The cores and the output.
 #[derive(Debug)]
 pub(super) struct Pipeline {
@@ -82,6 +87,8 @@ pub(super) struct Pipeline {
     /// The climber driver, where the bag holds its input and not its output.
     pub(super) climber: Option<Climber>,
     rig_check: RigCheck,
+    /// Stamp of the last IMU sample.
+    last_imu: Option<Stamp>,
     /// Counts so far.
     pub(super) counts: Counts,
 }
@@ -104,6 +111,7 @@ impl Pipeline {
             smooth,
             climber: None,
             rig_check: RigCheck::default(),
+            last_imu: None,
             counts: Counts::default(),
         }
     }
@@ -152,6 +160,7 @@ impl Pipeline {
     /// Handles an IMU sample.
     pub(super) fn imu(&mut self, message: &sensor::Imu) -> Result<(), BagError> {
         let sample = convert::imu_sample(message);
+        self.last_imu = Some(sample.stamp);
         self.counts.imu += 1;
         let first = *self.counts.first_imu.get_or_insert(sample.stamp);
         self.counts.imu_settled += u64::from(sample.stamp.seconds_since(first) > 1.0);
@@ -163,9 +172,11 @@ impl Pipeline {
         match convert::climber_sample(message, &self.rig.frames) {
             Ok(sample) => {
                 self.counts.climber += 1;
-                let message = convert::climber_message(&sample, &self.rig.frames);
-                self.output.put(topics::CLIMBER_TRANSFORM, sample.stamp, &message)?;
-                self.output.transform(sample.stamp, message)?;
+                if !self.is_far_ahead(sample.stamp) {
+                    let message = convert::climber_message(&sample, &self.rig.frames);
+                    self.output.put(topics::CLIMBER_TRANSFORM, sample.stamp, &message)?;
+                    self.output.transform(sample.stamp, message)?;
+                }
                 self.fuse(pose_fusion::Input::Climber(sample))
             }
             Err(error) => {
@@ -313,10 +324,16 @@ impl Pipeline {
             observations.markers.iter().filter(|(_, m)| m.state == MarkerState::Detected).count();
         self.counts.markers += 1;
         self.counts.detected += detected as u64;
-        let message = convert::markers_message(&self.rig.frames.camera, &observations);
-        self.output.put(topics::MARKERS, observations.stamp, &message)?;
+        if !self.is_far_ahead(observations.stamp) {
+            let message = convert::markers_message(&self.rig.frames.camera, &observations);
+            self.output.put(topics::MARKERS, observations.stamp, &message)?;
+        }
         self.fuse(pose_fusion::Input::Markers(observations))?;
         self.write_smoothed(false)
+    }
+
+    fn is_far_ahead(&self, stamp: Stamp) -> bool {
+        self.last_imu.is_some_and(|imu| stamp.seconds_since(imu) > FAR_AHEAD)
     }
 
     fn fuse(&mut self, input: pose_fusion::Input) -> Result<(), BagError> {
@@ -354,8 +371,17 @@ impl Pipeline {
     }
 }
 
+/// Decodes a message, or counts it with the warnings.
+pub(crate) fn decode<M: Message>(message: &BagMessage, counts: &mut Counts) -> Option<M> {
+    let topic = &message.topic.name;
+    let warn = |error: cdr::CdrError| {
+        counts.warn(topic, || format!("{topic}: a message is ignored: {error}"))
+    };
+    cdr::from_bytes(&message.data).map_err(warn).ok()
+}
+
 /// Name of a warning's variant.
-fn kind_of(who: &str, warning: &impl std::fmt::Debug) -> String {
+pub(crate) fn kind_of(who: &str, warning: &impl std::fmt::Debug) -> String {
     let text = format!("{warning:?}");
     let end = text.find(|c: char| !c.is_alphanumeric()).unwrap_or(text.len());
     format!("{who} {}", &text[..end])

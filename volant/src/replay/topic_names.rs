@@ -1,8 +1,9 @@
 //! Names of topics after namespace and remapping.
 
+use anyhow::bail;
 use bag::BagSummary;
+use node_kit::NodeName;
 use std::{collections::BTreeMap, fmt, str::FromStr};
-use thiserror::Error;
 
 /// A namespace and remapping rules.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -25,6 +26,12 @@ impl FromStr for Remap {
         let parts = text.split_once(":=").filter(|(from, to)| !from.is_empty() && !to.is_empty());
         let (from, to) =
             parts.ok_or("write it as from:=to, such as climber/transform:=/crane/pose")?;
+        let node = NodeName::new("/", "volant").map_err(|error| error.to_string())?;
+        let expanded = node.expand(to).map_err(|error| error.to_string())?;
+        // `~` and `{node}` name a node's topics.
+        if expanded.trim_start_matches('/') != to.trim_start_matches('/') {
+            return Err(format!("`{to}` depends on a node; write its name, such as /crane/pose"));
+        }
         Ok(Self { from: from.to_owned(), to: to.to_owned() })
     }
 }
@@ -40,27 +47,6 @@ impl fmt::Display for Remap {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}:={}", self.from, self.to)
     }
-}
-
-/// Why no topic is chosen.
-#[derive(Clone, Debug, Error, PartialEq, Eq)]
-pub enum TopicNameError {
-    /// Several topics of a type, and none has the rig's name.
-    #[error(
-        "several topics of {kind}: {}, and none is {resolved}; choose one with --namespace or \
-         --remap {name}:=TOPIC",
-        found.join(", ")
-    )]
-    Several {
-        /// The rig's relative name.
-        name: &'static str,
-        /// Its absolute name.
-        resolved: String,
-        /// Type of the topics.
-        kind: &'static str,
-        /// The topics.
-        found: Vec<String>,
-    },
 }
 
 impl TopicNames {
@@ -96,14 +82,10 @@ impl TopicNames {
         &self,
         bag: &BagSummary,
         alternatives: &[(&'static str, &'static str)],
-    ) -> Result<Option<(usize, String)>, TopicNameError> {
-        let of = |kind: &str| {
-            let topics = bag.topics.iter().filter(|(t, n)| *n > 0 && t.type_name == kind);
-            topics.map(|(t, _)| t.name.clone()).collect::<Vec<_>>()
-        };
+    ) -> anyhow::Result<Option<(usize, String)>> {
         for (place, (name, kind)) in alternatives.iter().enumerate() {
             let resolved = self.resolve(name);
-            if of(kind).contains(&resolved) {
+            if bag.topics_of(kind).contains(&resolved.as_str()) {
                 return Ok(Some((place, resolved)));
             }
         }
@@ -111,14 +93,15 @@ impl TopicNames {
             if !self.namespace.is_empty() || self.remaps.contains_key(&self.absolute(name)) {
                 continue;
             }
-            let mut found = of(kind);
-            match found.len() {
-                0 => {}
-                1 => return Ok(found.pop().map(|only| (place, only))),
-                _ => {
-                    let resolved = self.resolve(name);
-                    return Err(TopicNameError::Several { name, resolved, kind, found });
-                }
+            match bag.topics_of(kind).as_slice() {
+                [] => {}
+                [only] => return Ok(Some((place, (*only).to_owned()))),
+                found => bail!(
+                    "several topics of {kind}: {}, and none is {}; choose one with --namespace or \
+                     --remap {name}:=TOPIC",
+                    found.join(", "),
+                    self.resolve(name)
+                ),
             }
         }
         Ok(None)
@@ -138,13 +121,9 @@ impl TopicNames {
         bag: &BagSummary,
         wanted: &[(&'static str, &'static str)],
     ) -> String {
-        let of = |kind: &str| {
-            let topics = bag.topics.iter().filter(|(t, n)| *n > 0 && t.type_name == kind);
-            topics.map(|(t, _)| t.name.as_str()).collect::<Vec<_>>()
-        };
         let namespaces = wanted.iter().flat_map(|(name, kind)| {
             let suffix = format!("/{name}");
-            of(kind)
+            bag.topics_of(kind)
                 .into_iter()
                 .filter_map(move |topic| Some((topic, topic.strip_suffix(&suffix)?.to_owned())))
         });
@@ -153,7 +132,7 @@ impl TopicNames {
             return format!("the bag has {topic}: give --namespace {namespace}");
         }
         let renamed = wanted.iter().find_map(|(name, kind)| {
-            let found = of(kind);
+            let found = bag.topics_of(kind);
             (!found.is_empty()).then(|| {
                 let found = found.join(", ");
                 format!("the bag has {found}: name the right topic with --remap {name}:=TOPIC")
@@ -193,7 +172,9 @@ mod tests {
         assert_eq!(names.resolve("/tf"), "/tf");
         assert_eq!(names.resolve("climber/transform"), "/crane");
         assert_eq!(TopicNames::default().resolve("volant/odometry"), "/volant/odometry");
-        assert!("a=b".parse::<Remap>().is_err() && ":=b".parse::<Remap>().is_err());
+        for wrong in ["a=b", ":=b", "a:=", "a:=b c", "a:=/b//c", "a:=/b/", "a:=1b", "a:=~/b"] {
+            assert!(wrong.parse::<Remap>().is_err(), "{wrong}");
+        }
     }
 
     #[test]
@@ -227,7 +208,7 @@ mod tests {
         };
         let alternatives = [("camera/image_raw", "Image"), ("camera/compressed", "Compressed")];
         let choose = |names: &TopicNames, topics: &[(&str, &str, u64)]| {
-            names.choose(&bag(topics), &alternatives)
+            names.choose(&bag(topics), &alternatives).map_err(|error| error.to_string())
         };
         let names = TopicNames::default();
         let rig1 = TopicNames::new("rig1", &[]);
@@ -240,7 +221,10 @@ mod tests {
         for names in [&rig1, &renamed] {
             assert_eq!(choose(names, &two[1..]), Ok(None), "{names:?}");
         }
-        let error = choose(&names, &two).unwrap_err().to_string();
+        // One topic with two channels is no choice.
+        let twice = [two[0], two[0]];
+        assert_eq!(choose(&names, &twice), Ok(Some((0, two[0].0.to_owned()))));
+        let error = choose(&names, &two).unwrap_err();
         assert!(error.contains("/rig1/camera/image_raw, /rig2/camera/image_raw"), "{error}");
         assert!(error.contains("--remap camera/image_raw:=TOPIC"), "{error}");
         // The rig's own compressed images count before another's raw ones.

@@ -1,7 +1,7 @@
 //! `volant bag`.
 
 use crate::terminal;
-use bag::{BagReader, BagWriter, Compression, WriteOptions};
+use bag::{BagReader, BagWriter, Compression, WriteOptions, files_to_recover};
 use node_kit::outln;
 use std::{
     collections::HashMap,
@@ -18,8 +18,8 @@ pub enum Action {
     },
     /// Write all readable messages of damaged bags to a new bag
     Recover {
-        /// .mcap files or rosbag2 folders, in order; of a folder without metadata.yaml its .mcap
-        /// files
+        /// .mcap files or rosbag2 folders, in order; of a folder all its .mcap and .mcap.zstd
+        /// files, with or without metadata.yaml
         #[arg(required = true)]
         bags: Vec<PathBuf>,
         /// Bag to write: an .mcap file or a new folder
@@ -82,28 +82,16 @@ fn info(path: &Path) -> anyhow::Result<()> {
 fn recover(paths: &[PathBuf], out: &Path, options: WriteOptions) -> anyhow::Result<()> {
     let inputs: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
     node_kit::files::check_output(out, options.replace, &inputs)?;
-    let mut files = vec![];
+    let (mut files, mut losses) = (vec![], vec![]);
     for path in paths {
-        if path.is_dir() && !path.join("metadata.yaml").exists() {
-            let mut found: Vec<PathBuf> = std::fs::read_dir(path)?
-                .filter_map(|e| Some(e.ok()?.path()))
-                .filter(|p| p.extension().is_some_and(|e| e == "mcap"))
-                .collect();
-            found.sort_by_key(|p| number_of(p));
-            anyhow::ensure!(
-                !found.is_empty(),
-                "{}: the folder holds no .mcap file",
-                path.display()
-            );
-            files.extend(found);
-        } else {
-            files.push(path.clone());
+        match files_to_recover(path) {
+            Ok(found) => files.extend(found),
+            Err(error) => losses.push(error.to_string()),
         }
     }
     let mut writer = BagWriter::create(out, options)?;
     let mut topics = HashMap::new();
     let mut messages = 0u64;
-    let mut losses = vec![];
     for file in &files {
         let mut reader = match BagReader::open(file) {
             Ok(reader) => reader,
@@ -112,7 +100,16 @@ fn recover(paths: &[PathBuf], out: &Path, options: WriteOptions) -> anyhow::Resu
                 continue;
             }
         };
-        while let Some(message) = reader.next_message()? {
+        loop {
+            let message = match reader.next_message() {
+                Ok(Some(message)) => message,
+                Ok(None) => break,
+                // What was read before the error follows.
+                Err(error) => {
+                    losses.push(error.to_string());
+                    continue;
+                }
+            };
             let key = Arc::as_ptr(&message.topic) as usize;
             // The pointer is a fast key; topics are compared too, since an address can be reused.
             let id = match topics.get(&key) {
@@ -135,12 +132,4 @@ fn recover(paths: &[PathBuf], out: &Path, options: WriteOptions) -> anyhow::Resu
     let bag = writer.finish()?;
     outln!("{messages} messages, {}, in {}", terminal::mebibytes(bag.bytes), out.display())?;
     Ok(())
-}
-
-/// `name_12.mcap` → 12, so that 10 comes after 9.
-fn number_of(path: &Path) -> (u64, PathBuf) {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let digits: String = stem.chars().rev().take_while(char::is_ascii_digit).collect();
-    let number = digits.chars().rev().collect::<String>().parse().unwrap_or(0);
-    (number, path.to_owned())
 }

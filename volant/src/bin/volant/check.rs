@@ -43,7 +43,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<bool> {
         settings::read(&arguments.rig, more, &arguments.topics.namespace)?;
     let cores = Cores { tracker, climber, names: arguments.topics.names() };
     let climber_offset = fusion.tight.clock.climber_offset;
-    let report = check_bag(&arguments.bag, &rig, &cores, climber_offset).context("check")?;
+    let mut losses = vec![];
+    let report = check_bag(&arguments.bag, &rig, &cores, climber_offset, &mut losses);
+    let report = terminal::with_losses(report.context("check"), &losses)?;
     if let Some(path) = &arguments.json {
         let text = serde_json::to_string_pretty(&as_json(&report))? + "\n";
         files::write(path, text.as_bytes(), arguments.overwrite)?;

@@ -33,15 +33,15 @@ const EXTERNAL: [External; 11] = [
         executable: "volant-calibrate",
         about: "Calibrate camera, colors, mountings, encoders and IMU",
     },
-    rig("checks", "Test `check` on recordings with wrong files"),
     rig("demo", "Run the four nodes live on the simulated rig"),
     rig("faults", "Inject faults into a live simulated rig"),
+    rig("checks", "Test `check` on recordings with wrong files"),
     rig("hosts", "Run the rig on two computers with a bad link (as root)"),
-    rig("reproduce", "Reproduce the paper's figures and tables"),
     rig("robustness", "Replay recordings with wrong rig files"),
     rig("simulate", "Write simulated recordings with ground truth"),
     rig("sites", "Run rigs and an operator on two sites with bridges (as root)"),
     rig("soak", "Run the rig for hours with faults at random"),
+    rig("reproduce", "Reproduce the paper's figures and tables"),
 ];
 
 /// A command of the simulated rig's executable.
@@ -49,26 +49,11 @@ const fn rig(name: &'static str, about: &'static str) -> External {
     External { name, executable: "volant-rig", about }
 }
 
-/// Groups of the list: every command is in one.
-const GROUPS: [(&str, &[&str]); 5] = [
+/// Groups of the list; those of the simulated rig and the rest follow.
+const GROUPS: [(&str, &[&str]); 3] = [
     ("On the rig", &["up", "record", "play", "monitor", "foxglove", "imu"]),
     ("Set up and check", &["bringup", "markers", "calibrate", "check"]),
     ("Recordings", &["replay", "evaluate", "bag"]),
-    (
-        "Simulated rig",
-        &[
-            "demo",
-            "faults",
-            "checks",
-            "hosts",
-            "robustness",
-            "simulate",
-            "sites",
-            "soak",
-            "reproduce",
-        ],
-    ),
-    ("This command", &["completions", "manual", "help"]),
 ];
 
 /// The list of all commands, by group, and the exit status: the end of `volant --help`.
@@ -81,13 +66,13 @@ pub fn listing() -> String {
         about.unwrap_or_else(|| "Print the help of a command".to_owned())
     };
     let grouped = |name: &&str| GROUPS.iter().any(|(_, names)| names.contains(name));
-    let all = own.get_subcommands().map(Command::get_name).chain(EXTERNAL.iter().map(|e| e.name));
-    let rest: Vec<&str> = all.filter(|name| !grouped(name)).collect();
+    let simulated = EXTERNAL.iter().filter(|e| e.executable == "volant-rig").map(|e| e.name);
+    let simulated: Vec<&str> = simulated.collect();
+    let rest = own.get_subcommands().map(Command::get_name).filter(|name| !grouped(name));
+    let rest: Vec<&str> = rest.chain(["help"]).collect();
+    let more = [("Simulated rig", simulated.as_slice()), ("This command", rest.as_slice())];
     let mut text = String::new();
-    for (title, names) in GROUPS.into_iter().chain([("Other", rest.as_slice())]) {
-        if names.is_empty() {
-            continue;
-        }
+    for (title, names) in GROUPS.into_iter().chain(more) {
         let rows = names.iter().map(|name| format!("  {name:<12} {}\n", about(name)));
         let _ = write!(text, "\n{title}:\n{}", rows.collect::<String>());
     }
@@ -109,8 +94,10 @@ pub fn other(words: &[OsString]) -> ExitCode {
     let executable = known.map_or_else(|| format!("volant-{name}"), |e| e.executable.to_owned());
     let missing = match (known, executable.as_str()) {
         (None, _) => {
-            let names = GROUPS.iter().flat_map(|(_, names)| names.iter().copied());
-            let hint = did_you_mean(&name, names);
+            let own = Action::augment_subcommands(Command::new("volant"));
+            let own = own.get_subcommands().map(Command::get_name);
+            let others = EXTERNAL.iter().map(|e| e.name).chain(["help"]);
+            let hint = did_you_mean(&name, own.chain(others));
             format!(
                 "unknown command `{name}`{hint}, and no executable `{executable}`; see volant --help"
             )

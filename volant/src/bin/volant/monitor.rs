@@ -53,7 +53,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return Ok(on_screen(&mut watch, &stop)?);
     }
     loop {
-        listen(&mut watch, &stop, Duration::from_secs_f64(arguments.interval))?;
+        listen(&mut watch, &stop, Duration::from_secs_f64(arguments.interval));
         let snapshot = watch.snapshot();
         anyhow::ensure!(!arguments.once || !snapshot.topics.is_empty(), plain::nothing(&snapshot));
         // A closed pipe ends it.
@@ -69,16 +69,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
 }
 
-fn listen(watch: &mut Watch, stop: &AtomicBool, time: Duration) -> Result<(), LiveError> {
+fn listen(watch: &mut Watch, stop: &AtomicBool, time: Duration) {
     let polls = time.div_duration_f64(DISCOVERY) as u32;
     for _ in 0..polls.max(1) {
         if stop.load(Ordering::Acquire) {
             break;
         }
-        watch.poll()?;
+        watch.poll();
         std::thread::sleep(DISCOVERY);
     }
-    Ok(())
 }
 
 /// Ends the process on a signal where the screen's loop does not: crossterm polls a terminal that
@@ -100,9 +99,7 @@ fn on_screen(watch: &mut Watch, stop: &AtomicBool) -> Result<(), LiveError> {
     let mut terminal = ratatui::try_init().map_err(failed)?;
     let mut chosen = 0;
     let result = loop {
-        if let Err(error) = watch.poll() {
-            break Err(error);
-        }
+        watch.poll();
         let snapshot = watch.snapshot();
         if let Err(source) = terminal.draw(|frame| screen::draw(frame, &snapshot, chosen)) {
             break Err(failed(source));

@@ -43,7 +43,8 @@ pub struct Arguments {
     /// Start a new file after this time, s (folders only)
     #[arg(long, value_name = "SECONDS", value_parser = number(0.1..=1e9))]
     split_duration: Option<f64>,
-    /// Keep this many files of a split recording, and remove the oldest when a new one starts
+    /// Keep this many files of a split recording, and remove the oldest when a new one starts; each
+    /// new one repeats the latched messages, such as /tf_static
     #[arg(
         long,
         value_name = "FILES",
@@ -91,7 +92,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     let stop = node_kit::console::stop_flag()?;
     let bar = terminal::spinner();
+    let mut reported = 0;
     let result = record(&options, &stop, |status| {
+        let failures = status.failures.lock();
+        for failure in failures.iter().skip(reported) {
+            bar.suspend(|| terminal::line(&format!("volant: {failure}; it is tried again")));
+        }
+        reported = failures.len();
         bar.set_message(format!(
             "recording {} topics, {} messages, {}{}",
             status.topics.load(Ordering::Relaxed),

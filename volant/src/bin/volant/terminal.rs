@@ -1,5 +1,6 @@
 //! Standard error: messages of one line each, and progress bars on a terminal.
 
+use anyhow::anyhow;
 use indicatif::{ProgressBar, ProgressStyle};
 use node_kit::errln;
 use std::path::Path;
@@ -8,6 +9,24 @@ use volant::command_line::one_line;
 /// Prints a message as one line.
 pub fn line(text: &str) {
     errln!("{}", one_line(text));
+}
+
+/// Prints what a recording lacks beside a result, each sentence once; an error names it in its own
+/// line.
+pub fn with_losses<T>(result: anyhow::Result<T>, losses: &[String]) -> anyhow::Result<T> {
+    let mut distinct: Vec<&str> = vec![];
+    for loss in losses {
+        if !distinct.contains(&loss.as_str()) {
+            distinct.push(loss);
+        }
+    }
+    match result {
+        Err(error) if !distinct.is_empty() => Err(anyhow!("{error:#}; {}", distinct.join("; "))),
+        result => {
+            distinct.iter().for_each(|loss| line(&format!("volant: {loss}")));
+            result
+        }
+    }
 }
 
 /// Progress bar over a number of bytes; drawn on a terminal only.

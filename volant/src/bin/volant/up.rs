@@ -60,7 +60,7 @@ pub fn run(words: Vec<String>) -> ExitCode {
         terminal::line(&format!("volant up: {text} (`volant up --help` lists the options)"));
         ExitCode::from(2)
     };
-    let (mut ros, rest) = match RosArguments::parse(words) {
+    let (ros, rest) = match RosArguments::parse(words) {
         Ok(parsed) => parsed,
         Err(error) => return wrong(error.to_string()),
     };
@@ -68,6 +68,7 @@ pub fn run(words: Vec<String>) -> ExitCode {
         Ok(taken) => taken,
         Err(error) => return wrong(error.to_string()),
     };
+    let mut files = RosArguments::default();
     let mut chosen: Vec<Node> = vec![];
     let mut foxglove: Option<String> = None;
     let mut rest = rest.into_iter();
@@ -81,9 +82,8 @@ pub fn run(words: Vec<String>) -> ExitCode {
             }
             "--rig" | "--params-file" => {
                 let Some(path) = rest.next() else { return wrong(format!("{word} needs a file")) };
-                if let Err(error) = ros.add_file(path.into()) {
-                    terminal::line(&format!("volant up: {error}"));
-                    return if error.is_usage() { ExitCode::from(2) } else { ExitCode::FAILURE };
+                if let Err(error) = files.add_file(path.into()) {
+                    return failed(&error.into());
                 }
             }
             "--foxglove" => foxglove = Some(String::new()),
@@ -100,11 +100,13 @@ pub fn run(words: Vec<String>) -> ExitCode {
     if chosen.is_empty() {
         chosen = known.to_vec();
     }
+    let mut ros = ros.over(files);
     ros.allow_of_others(chosen.iter().flat_map(|n| (n.parameters)()));
-    if let Err(error) = scheduling.apply() {
-        terminal::line(&format!("volant up: {error}"));
-        return ExitCode::FAILURE;
-    }
+    // It handles signals before anything joins the domain.
+    let process = match scheduling.apply().and_then(|()| Process::from_arguments(&ros)) {
+        Ok(process) => process,
+        Err(error) => return failed(&error),
+    };
     // Kept until the nodes have ended.
     let _foxglove = match foxglove.map(|address| crate::foxglove::start(Some(&address))).transpose()
     {
@@ -113,17 +115,15 @@ pub fn run(words: Vec<String>) -> ExitCode {
             return failure("volant up", &error);
         }
     };
-    match up(&chosen, &ros) {
+    let start =
+        |process: &mut Process| chosen.iter().try_for_each(|node| (node.start)(process, &ros));
+    match process.run(start) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            terminal::line(&format!("volant up: {error}"));
-            if error.is_usage() { ExitCode::from(2) } else { ExitCode::FAILURE }
-        }
+        Err(error) => failed(&error),
     }
 }
 
-fn up(nodes: &[Node], ros: &RosArguments) -> Result<(), NodeError> {
-    let process = Process::from_arguments(ros)?;
-    process.stop_on_signals()?;
-    process.run(|process| nodes.iter().try_for_each(|node| (node.start)(process, ros)))
+fn failed(error: &NodeError) -> ExitCode {
+    terminal::line(&format!("volant up: {error}"));
+    if error.is_usage() { ExitCode::from(2) } else { ExitCode::FAILURE }
 }

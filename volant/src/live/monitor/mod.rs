@@ -11,13 +11,14 @@ pub use snapshot::{Flow, InputLine, PoseState, RigState, Snapshot, TopicLine};
 
 use super::{
     LiveError, system_nanos,
-    tap::{Subscription, Tap},
+    tap::{Sample, Subscription, Tap},
 };
 use node_kit::environment::{DiscoveryRange, Network};
 use parking_lot::Mutex;
 use rig_model::topics;
 use state::Monitor;
 use std::{collections::BTreeMap, sync::Arc};
+use volant_msgs::diagnostic_msgs::msg::DiagnosticStatus;
 
 /// Name of the node.
 const NODE: &str = "_volant_monitor";
@@ -41,6 +42,10 @@ pub struct Watch {
     options: WatchOptions,
     /// [`Snapshot::place`].
     place: String,
+    /// Whether the DDS domain must be joined again.
+    lost: bool,
+    /// What failed in the last poll.
+    failure: Option<String>,
 }
 
 impl Watch {
@@ -64,18 +69,25 @@ impl Watch {
             monitor: Arc::default(),
             options,
             place,
+            lost: false,
+            failure: None,
         })
     }
 
-    /// Subscribes to new topics; call it a few times a second.
-    ///
-    /// # Errors
-    /// DDS creates no subscription, or the domain cannot be joined again.
-    pub fn poll(&mut self) -> Result<(), LiveError> {
-        if self.tap.loss().is_some() {
+    /// Subscribes to new topics; call it a few times a second. What fails is tried again in the
+    /// next poll, and is among the diagnostics until then.
+    pub fn poll(&mut self) {
+        self.failure = self.try_poll().err().map(|error| error.to_string());
+    }
+
+    fn try_poll(&mut self) -> Result<(), LiveError> {
+        self.lost |= self.tap.loss().is_some();
+        if self.lost {
             self.subscriptions.clear();
             self.tap = Tap::join(NODE)?;
+            self.lost = false;
         }
+        let mut result = Ok(());
         let offers = self.tap.offers();
         for offer in &offers {
             let (name, type_name) = (&offer.topic.name, &offer.topic.type_name);
@@ -89,18 +101,34 @@ impl Watch {
             self.monitor.lock().discover(offer, subscribed);
             if subscribed && !self.subscriptions.contains_key(name) {
                 let (monitor, topic) = (Arc::clone(&self.monitor), offer.topic.clone());
-                let subscription =
-                    self.tap.subscribe(offer, move |sample| monitor.lock().add(&topic, &sample))?;
-                self.subscriptions.insert(name.clone(), subscription);
+                let take = move |sample: Sample| monitor.lock().add(&topic, &sample);
+                match self.tap.subscribe(offer, take) {
+                    Ok(subscription) => {
+                        self.subscriptions.insert(name.clone(), subscription);
+                    }
+                    Err(error) => result = Err(error),
+                }
             }
         }
         self.monitor.lock().retain_published(|name| offers.iter().any(|o| o.topic.name == name));
-        Ok(())
+        result
     }
 
     /// Summarizes what was received until now.
     pub fn snapshot(&self) -> Snapshot {
-        Snapshot { place: self.place.clone(), ..self.monitor.lock().snapshot(system_nanos()) }
+        let mut snapshot = self.monitor.lock().snapshot(system_nanos());
+        snapshot.place.clone_from(&self.place);
+        if let Some(failure) = &self.failure {
+            let status = DiagnosticStatus {
+                level: DiagnosticStatus::ERROR,
+                hardware_id: "volant monitor".into(),
+                name: "subscriptions".into(),
+                message: format!("{failure}; it is tried again"),
+                ..DiagnosticStatus::default()
+            };
+            snapshot.statuses.insert(0, status);
+        }
+        snapshot
     }
 
     fn concerns(&self, topic: &str) -> bool {

@@ -7,7 +7,7 @@ use bag::BagReader;
 use node_kit::{convert, outln};
 use rig_model::{CameraModel, Stamp, topics};
 use std::{path::Path, process::Command};
-use volant::replay::{Fed, Feed, ImageTopic};
+use volant::replay::{Fed, Feed, ImageTopic, TopicNames};
 use volant_msgs::{
     Message, cdr,
     msg::MarkerObservations,
@@ -29,22 +29,24 @@ struct Stream {
 
 fn read(path: &Path) -> Result<Stream> {
     let summary = BagReader::summary(path)?;
-    let images = ImageTopic::of(&summary, None);
+    let names = TopicNames::default();
+    let choose = |name, kind| -> Result<Option<String>> {
+        let found = names.choose(&summary, &[(name, kind)]);
+        Ok(found.with_context(|| path.display().to_string())?.map(|(_, name)| name))
+    };
+    let images = ImageTopic::of(&summary, &names).with_context(|| path.display().to_string())?;
     let timed = match &images {
         Some(images) => Some(images.name().to_owned()),
-        None => {
-            let mut topics = summary.topics.iter().filter(|(_, count)| *count > 0);
-            let markers = topics.find(|(t, _)| t.type_name == MarkerObservations::TYPE_NAME);
-            markers.map(|(topic, _)| topic.name.clone())
-        }
+        None => choose(topics::MARKERS, MarkerObservations::TYPE_NAME)?,
     };
+    let camera = choose(topics::CAMERA_INFO, CameraInfo::TYPE_NAME)?;
     let mut stream = Stream { images, ..Stream::default() };
     let mut bag = BagReader::open(path)?;
     let mut start = None;
     while let Some(message) = bag.next_message()? {
         let what = || format!("{}: a message on {}", path.display(), message.topic.name);
         let (kind, data) = (message.topic.type_name.as_str(), &message.data);
-        if kind == CameraInfo::TYPE_NAME && stream.camera.is_none() {
+        if camera.as_ref() == Some(&message.topic.name) && stream.camera.is_none() {
             let info: CameraInfo = cdr::from_bytes(data).with_context(what)?;
             stream.camera = convert::camera_model(&info).ok();
         }

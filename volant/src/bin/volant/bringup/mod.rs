@@ -190,6 +190,9 @@ fn record(path: &Path, topics: &[&str], seconds: f64) -> Result<()> {
     for topic in report.unpublished {
         outln!("  {topic}: no publisher")?;
     }
+    for failure in report.failures {
+        outln!("  {failure}")?;
+    }
     Ok(())
 }
 
@@ -210,6 +213,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         arguments.overwrite || state.report.is_some() && state.report == arguments.report;
     if let Some(path) = &arguments.report {
         files::check_outputs(&[path], overwrite, &[&arguments.rig, &state_file])?;
+        // Files that do not exist yet are compared by their names.
+        files::check_outputs(&[path, &arguments.rig, &state_file], true, &[])?;
     }
     // Nothing is written before the first answer.
     setup::read(&arguments.rig)?;

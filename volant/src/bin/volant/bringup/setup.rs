@@ -143,7 +143,11 @@ pub fn imu(walk: &mut Walk) -> Result<()> {
     }
     outln!("  Lay the platform on the floor, fans off, and record the IMU for a minute.")?;
     let bag = walk.recording("rest", &[topics::IMU], 60.0)?;
-    let samples = calibrate::imu::read(&bag, None)?;
+    let mut losses = vec![];
+    let samples = calibrate::imu::read(&bag, None, &mut losses)?;
+    for loss in losses {
+        walk.note("recording", loss)?;
+    }
     let mean = |of: fn(&rig_model::ImuSample) -> nalgebra::Vector3<f64>| {
         samples.iter().map(of).sum::<nalgebra::Vector3<f64>>() / samples.len().max(1) as f64
     };

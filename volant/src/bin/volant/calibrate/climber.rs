@@ -1,9 +1,9 @@
 //! `volant calibrate climber`: the encoders' names, signs, scales, zeros and height from a jog.
 
 use super::Output;
-use crate::settings::BagTopics;
+use crate::{settings::BagTopics, terminal};
 use anyhow::{Context, Result, bail};
-use bag::{BagReader, recording::map_messages};
+use bag::{BagReader, recording::read_messages};
 use nalgebra::{UnitQuaternion, Vector3};
 use node_kit::{convert, outln};
 use rig_calibration::climber::{
@@ -116,6 +116,19 @@ fn from_bag(
     rig: &Rig,
     present: &ParameterMap,
 ) -> Result<ClimberCalibration> {
+    let mut losses = vec![];
+    let found = find(path, arguments.platform, names, rig, present, &mut losses);
+    terminal::with_losses(found, &losses)
+}
+
+fn find(
+    path: &Path,
+    platform: Option<Vector3<f64>>,
+    names: &TopicNames,
+    rig: &Rig,
+    present: &ParameterMap,
+    losses: &mut Vec<String>,
+) -> Result<ClimberCalibration> {
     let shown = path.display();
     let summary = BagReader::summary(path)?;
     let topic = names.choose(&summary, &[(topics::JOINT_STATES, JointState::TYPE_NAME)]);
@@ -123,26 +136,19 @@ fn from_bag(
         let topic = names.resolve(topics::JOINT_STATES);
         bail!("{shown}: no sensor_msgs/JointState in it; record {topic}");
     };
-    let joints = map_messages(path, &topic, |_, state: JointState| JointReadings {
+    let joints = read_messages(path, &topic, losses, |_, state: JointState| JointReadings {
         stamp: convert::stamp(&state.header.stamp),
         names: state.name,
         positions: state.position,
     })?;
     let cores = Cores { names: names.clone(), ..Cores::of(rig) };
-    let (camera, markers) = read_markers(path, rig, &cores)?;
+    let (camera, markers) = read_markers(path, rig, &cores, losses)?;
     // Joints to prefer where two measure the same axis: those in use.
     let preferred = AXES.map(|axis| match present.get(&format!("joints.{axis}")) {
         Some(ParameterValue::String(name)) => name.as_str(),
         _ => axis,
     });
-    let jog = Jog {
-        camera: &camera,
-        rig,
-        markers: &markers,
-        joints: &joints,
-        preferred,
-        platform: arguments.platform,
-    };
+    let jog = Jog { camera: &camera, rig, markers: &markers, joints: &joints, preferred, platform };
     calibrate_climber(&jog).with_context(|| shown.to_string())
 }
 

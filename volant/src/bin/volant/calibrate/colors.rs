@@ -3,7 +3,7 @@
 
 use super::Output;
 use crate::terminal;
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow, bail, ensure};
 use bag::BagReader;
 use marker_tracker::{ColorCalibration, OwnedImage, decode_compressed_into};
 use nalgebra::Vector2;
@@ -16,9 +16,9 @@ use std::{
 use volant::{
     command_line::number,
     parameter_update::{Setting, list},
-    replay::{Fed, Feed, ImageTopic},
+    replay::{Counts, Fed, Feed, ImageTopic, TopicNames},
 };
-use volant_msgs::{cdr, sensor_msgs::msg::CameraInfo};
+use volant_msgs::{Message, cdr, sensor_msgs::msg::CameraInfo};
 
 /// Images of a bag or a topic that are evaluated.
 const IMAGES: usize = 60;
@@ -35,7 +35,7 @@ pub struct Arguments {
     /// Measure a marker's color at this pixel, such as red=312,140; repeatable
     #[arg(long, value_name = "COLOR=X,Y", value_parser = pick)]
     pub pick: Vec<(MarkerColor, Vector2<f64>)>,
-    /// Image topic, where a bag has several
+    /// Image topic [default: the rig's, or the only one]
     #[arg(long, value_name = "TOPIC")]
     pub topic: Option<String>,
     /// Duration of recording from a live topic, s
@@ -46,11 +46,12 @@ pub struct Arguments {
 }
 
 fn pick(text: &str) -> Result<(MarkerColor, Vector2<f64>), String> {
+    let number = |text: &str| text.trim().parse().ok().filter(|x: &f64| x.is_finite());
     let parse = || {
         let (name, place) = text.split_once('=')?;
         let color = MarkerColor::ALL.into_iter().find(|c| c.name() == name)?;
         let (x, y) = place.split_once(',')?;
-        Some((color, Vector2::new(x.trim().parse().ok()?, y.trim().parse().ok()?)))
+        Some((color, Vector2::new(number(x)?, number(y)?)))
     };
     parse().ok_or_else(|| {
         "write it as red=312,140 (red, green, blue or yellow; column, row)".to_owned()
@@ -60,6 +61,31 @@ fn pick(text: &str) -> Result<(MarkerColor, Vector2<f64>), String> {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let inputs = arguments.rig.as_deref().into_iter().chain([Path::new(&arguments.source)]);
     arguments.output.check(&inputs.collect::<Vec<_>>())?;
+    let mut losses = vec![];
+    let settings = terminal::with_losses(measure(arguments, &mut losses), &losses)?;
+    match (&arguments.rig, &arguments.output.out) {
+        (Some(rig), _) => arguments.output.update(rig, &settings),
+        (None, out) => {
+            let text = settings.iter().try_fold(String::new(), |text, s| {
+                ros_parameters::edit::set(&text, &s.node, &s.name, &s.value)
+            })?;
+            match out {
+                Some(out) => {
+                    node_kit::files::write(out, text.as_bytes(), arguments.output.overwrite)?;
+                    terminal::line(&format!(
+                        "{}: pass it as a second --params-file, or name the rig file with --rig",
+                        out.display()
+                    ));
+                }
+                None => out!("{text}")?,
+            }
+            Ok(())
+        }
+    }
+}
+
+/// Measures the colors; what the recording lost is appended to `losses`.
+fn measure(arguments: &Arguments, losses: &mut Vec<String>) -> anyhow::Result<Vec<Setting>> {
     let rig = arguments.rig.as_deref().map(super::read_rig);
     let layout = rig.transpose()?.map(|rig| rig.markers);
     let with_layout = layout.is_some();
@@ -75,9 +101,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if is_image_file {
         image_file(path, &mut calibration)?;
     } else if path.exists() {
-        bag(path, arguments.topic.as_deref(), &mut calibration)?;
+        bag(path, arguments.topic.as_deref(), &mut calibration, losses)?;
     } else {
-        topic(arguments, &mut calibration)?;
+        topic(arguments, &mut calibration, losses)?;
     }
     let (mut settings, mut notes, mut missing) = (vec![], vec![], vec![]);
     for (color, found) in calibration.result().iter() {
@@ -109,25 +135,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         );
     }
     notes.iter().for_each(|note| terminal::line(note));
-    match (&arguments.rig, &arguments.output.out) {
-        (Some(rig), _) => arguments.output.update(rig, &settings),
-        (None, out) => {
-            let text = settings.iter().try_fold(String::new(), |text, s| {
-                ros_parameters::edit::set(&text, &s.node, &s.name, &s.value)
-            })?;
-            match out {
-                Some(out) => {
-                    node_kit::files::write(out, text.as_bytes(), arguments.output.overwrite)?;
-                    terminal::line(&format!(
-                        "{}: pass it as a second --params-file, or name the rig file with --rig",
-                        out.display()
-                    ));
-                }
-                None => out!("{text}")?,
-            }
-            Ok(())
-        }
-    }
+    Ok(settings)
 }
 
 fn image_file(path: &Path, calibration: &mut ColorCalibration) -> anyhow::Result<()> {
@@ -139,54 +147,81 @@ fn image_file(path: &Path, calibration: &mut ColorCalibration) -> anyhow::Result
     calibration.add(&image.view(Stamp::from_nanos(0))).with_context(|| path.display().to_string())
 }
 
-fn bag(path: &Path, topic: Option<&str>, calibration: &mut ColorCalibration) -> anyhow::Result<()> {
+fn bag(
+    path: &Path,
+    topic: Option<&str>,
+    calibration: &mut ColorCalibration,
+    losses: &mut Vec<String>,
+) -> anyhow::Result<()> {
+    let shown = path.display();
     let summary = BagReader::summary(path)?;
-    let source = ImageTopic::of(&summary, topic).ok_or_else(|| match topic {
-        Some(name) => anyhow!("{}: no images on {name}", path.display()),
-        None => anyhow!("{}: no images", path.display()),
+    let all = ImageTopic::all(&summary);
+    let images = match topic {
+        Some(name) => all.into_iter().find(|images| images.name() == name),
+        None => ImageTopic::of(&summary, &TopicNames::default()).map_err(|_| {
+            let names: Vec<&str> = all.iter().map(ImageTopic::name).collect();
+            anyhow!("{shown}: images on {}; name one with --topic", names.join(", "))
+        })?,
+    };
+    let images = images.ok_or_else(|| match topic {
+        Some(name) => anyhow!("{shown}: no images on {name}"),
+        None => anyhow!("{shown}: no images"),
     })?;
-    let cameras: Vec<String> = summary
-        .topics
-        .iter()
-        .filter(|(t, _)| t.type_name == "sensor_msgs/msg/CameraInfo")
-        .map(|(t, _)| t.name.clone())
-        .collect();
-    let mut feed = Feed::start(path, Some(source), cameras, 1)?;
-    let mut count = 0;
-    let mut rejected = None;
+    let (beside, known) = (camera_info(images.name()), summary.topics_of(CameraInfo::TYPE_NAME));
+    let camera = known.iter().find(|name| **name == beside).or(match known.as_slice() {
+        [only] => Some(only),
+        _ => None,
+    });
+    let camera = camera.map(|name| (*name).to_owned()).into_iter().collect();
+    let mut feed = Feed::start(path, Some(images), camera, 1)?;
+    let (mut used, mut counts) = (0, Counts::default());
     while let Some(fed) = feed.take()? {
-        match fed {
+        let result = match fed {
             Fed::Message(message) => {
                 if let Ok(info) = cdr::from_bytes::<CameraInfo>(&message.data)
                     && let Ok(camera) = node_kit::convert::camera_model(&info)
                 {
                     calibration.camera(camera);
                 }
+                continue;
             }
             Fed::Image(Ok((stamp, image))) => {
-                calibration.add(&image.view(stamp))?;
-                count += 1;
-                if count == IMAGES {
-                    break;
-                }
+                calibration.add(&image.view(stamp)).map_err(|error| error.to_string())
             }
-            Fed::Image(Err(reason)) => rejected = Some(reason),
+            Fed::Image(Err(reason)) => Err(reason),
+        };
+        match result {
+            Ok(()) => used += 1,
+            Err(reason) => counts.warn("image", || format!("an image is ignored: {reason}")),
+        }
+        if used == IMAGES {
+            break;
         }
     }
-    match rejected {
-        Some(reason) if count == 0 => bail!("{}: no usable image: {reason}", path.display()),
-        _ => Ok(()),
-    }
+    losses.extend(feed.losses());
+    losses.extend(counts.warning_lines());
+    ensure!(used > 0, "{shown}: no usable image");
+    Ok(())
+}
+
+/// Name of the camera_info beside an image topic.
+fn camera_info(images: &str) -> String {
+    let raw = images.strip_suffix("/compressed").unwrap_or(images);
+    let camera = raw.rsplit_once('/').map_or("", |(camera, _)| camera);
+    format!("{camera}/camera_info")
 }
 
 /// Records the topic for a short time and evaluates the recording.
-fn topic(arguments: &Arguments, calibration: &mut ColorCalibration) -> anyhow::Result<()> {
+fn topic(
+    arguments: &Arguments,
+    calibration: &mut ColorCalibration,
+    losses: &mut Vec<String>,
+) -> anyhow::Result<()> {
     let name = match arguments.source.strip_prefix('/') {
         Some(_) => arguments.source.clone(),
         None => format!("/{}", arguments.source),
     };
-    let info = name.split("/image_raw").next().map(|camera| format!("{camera}/camera_info"));
-    let topics = std::iter::once(name.clone()).chain(info).collect();
+    let topics = vec![name.clone(), camera_info(&name)];
     let recorded = super::live::record(topics, arguments.duration)?;
     if recorded.unpublished.contains(&name) {
         bail!(
@@ -194,5 +229,5 @@ fn topic(arguments: &Arguments, calibration: &mut ColorCalibration) -> anyhow::R
              running?"
         );
     }
-    bag(recorded.path(), Some(&name), calibration)
+    bag(recorded.path(), Some(&name), calibration, losses)
 }

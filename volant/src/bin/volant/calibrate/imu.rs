@@ -1,11 +1,12 @@
 //! `volant calibrate imu`: noise densities from a bag at rest.
 
 use super::Output;
+use crate::terminal;
 use anyhow::{Context, Result, bail};
-use bag::{BagReader, recording::map_messages};
+use bag::{BagReader, recording::read_messages};
 use node_kit::{convert, outln};
 use rig_calibration::allan::{ImuNoise, Sensor, imu_noise};
-use rig_model::ImuSample;
+use rig_model::{ImuSample, topics::absolute};
 use std::path::{Path, PathBuf};
 use volant::{
     parameter_update::{Setting, number},
@@ -21,7 +22,7 @@ pub struct Arguments {
     /// Rig file to update
     #[arg(long, value_name = "FILE")]
     pub rig: PathBuf,
-    /// IMU topic, where a bag has several
+    /// IMU topic [default: volant/imu/data, or the only one]
     #[arg(long, value_name = "TOPIC")]
     pub topic: Option<String>,
     /// Figure to write: Allan deviation over averaging time
@@ -39,9 +40,13 @@ pub fn run(arguments: &Arguments) -> Result<ImuNoise> {
     super::read_rig(&arguments.rig)?;
     let inputs: [&Path; 2] = [&arguments.rig, &arguments.bag];
     arguments.output.check_with(arguments.plot.as_deref(), &inputs)?;
-    let mut samples = read(&arguments.bag, arguments.topic.as_deref())?;
-    samples.sort_by_key(|s| s.stamp);
-    let noise = imu_noise(&samples).with_context(|| arguments.bag.display().to_string())?;
+    let mut losses = vec![];
+    let noise =
+        read(&arguments.bag, arguments.topic.as_deref(), &mut losses).and_then(|mut samples| {
+            samples.sort_by_key(|s| s.stamp);
+            imu_noise(&samples).with_context(|| arguments.bag.display().to_string())
+        });
+    let noise = terminal::with_losses(noise, &losses)?;
     print(&noise)?;
     if let Some(plot) = &arguments.plot {
         node_kit::files::write(plot, figure(&noise)?.as_bytes(), arguments.output.overwrite)?;
@@ -53,23 +58,36 @@ pub fn run(arguments: &Arguments) -> Result<ImuNoise> {
     Ok(noise)
 }
 
-/// Reads the IMU samples of a bag.
+/// Reads the finite IMU samples of a bag; what it lost, and the number of the others, is appended
+/// to `losses`.
 ///
 /// # Errors
-/// No or several IMU topics; an unreadable bag.
-pub fn read(path: &Path, topic: Option<&str>) -> Result<Vec<ImuSample>> {
+/// No IMU topic, or several without the rig's; an unreadable bag.
+pub fn read(path: &Path, topic: Option<&str>, losses: &mut Vec<String>) -> Result<Vec<ImuSample>> {
     let shown = path.display();
     let summary = BagReader::summary(path)?;
-    let known = summary.topics.iter().filter(|(t, n)| *n > 0 && t.type_name == Imu::TYPE_NAME);
-    let known: Vec<&str> = known.map(|(t, _)| t.name.as_str()).collect();
+    let known = summary.topics_of(Imu::TYPE_NAME);
     let name = match (topic, known.as_slice()) {
         (Some(topic), _) if known.contains(&topic) => topic,
-        (Some(topic), _) => bail!("{shown}: no IMU samples on {topic}, but on {known:?}"),
+        (_, []) => bail!("{shown}: no IMU samples; record volant/imu/data"),
+        (Some(topic), _) => {
+            bail!("{shown}: no IMU samples on {topic}, but on {}", known.join(", "))
+        }
         (None, [name]) => name,
-        (None, []) => bail!("{shown}: no IMU samples; record volant/imu/data"),
+        (None, _) if known.contains(&absolute::IMU) => absolute::IMU,
         (None, _) => bail!("{shown}: IMU samples on {}; name one with --topic", known.join(", ")),
     };
-    Ok(map_messages(path, name, |_, m: Imu| convert::imu_sample(&m))?)
+    let mut samples = read_messages(path, name, losses, |_, m: Imu| convert::imu_sample(&m))?;
+    let all = samples.len();
+    samples.retain(|s| s.angular_velocity.iter().chain(&s.specific_force).all(|x| x.is_finite()));
+    let lost = all - samples.len();
+    if lost > 0 {
+        losses.push(format!(
+            "{shown}: {lost} of {all} IMU samples on {name} are ignored: they are not finite (NaN \
+             or infinite); check the IMU's driver"
+        ));
+    }
+    Ok(samples)
 }
 
 fn print(noise: &ImuNoise) -> Result<()> {

@@ -43,6 +43,10 @@ pub fn record(topics: Vec<String>, seconds: f64) -> anyhow::Result<Recorded> {
         duration: Some(Duration::try_from_secs_f64(seconds)?),
     };
     let stop = node_kit::console::stop_flag()?;
-    recorded.unpublished = record::record(&options, &stop, |_| {})?.unpublished;
+    let report = record::record(&options, &stop, |_| {})?;
+    for failure in &report.failures {
+        terminal::line(&format!("volant: {failure}"));
+    }
+    recorded.unpublished = report.unpublished;
     Ok(recorded)
 }

@@ -1,7 +1,10 @@
 //! `volant calibrate rig`.
 
 use super::Output;
-use crate::settings::{self, BagTopics, Settings};
+use crate::{
+    settings::{self, BagTopics, Settings},
+    terminal,
+};
 use anyhow::{Result, ensure};
 use node_kit::outln;
 use rig_calibration::{Estimate, MISFIT, Refinement};
@@ -40,7 +43,9 @@ pub fn run(arguments: &Arguments) -> Result<Estimate> {
     let cores = Cores { tracker, climber, names: arguments.topics.names() };
     let camera: &[&str] = &["camera rotation", "camera position"];
     let held = if arguments.hold_camera { camera } else { &[] };
-    let estimate = refine_from_bag(&arguments.bag, &rig, &cores, held)?;
+    let mut losses = vec![];
+    let estimate = refine_from_bag(&arguments.bag, &rig, &cores, held, &mut losses);
+    let estimate = terminal::with_losses(estimate, &losses)?;
     print(&estimate)?;
     ensure!(
         estimate.reduced <= MISFIT,
