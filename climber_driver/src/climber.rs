@@ -38,18 +38,6 @@ pub enum Warning {
     /// A reading was rejected.
     #[error(transparent)]
     Rejected(Rejection),
-    /// No message so far contains a configured joint.
-    #[error(
-        "joint_states: the messages have {found}, but none of {configured}; \
-         set the parameters joints.rail_x, joints.rail_y and joints.turn to the names in the \
-         messages"
-    )]
-    OtherJoints {
-        /// Joint names in the last message.
-        found: String,
-        /// Configured joint names.
-        configured: String,
-    },
     /// Readings after a jump were consistent with each other and are accepted again.
     #[error(
         "position changed by {:+.3} m, {:+.3} m, {:+.4} rad and accepted after {rejected} \
@@ -75,7 +63,6 @@ impl Warning {
     pub const fn kind(&self) -> &'static str {
         match self {
             Self::Rejected(rejection) => rejection.kind(),
-            Self::OtherJoints { .. } => "other joints",
             Self::Relocated { .. } => "relocated",
             Self::TimeWentBack { .. } => "time went back",
         }
@@ -99,11 +86,14 @@ struct Accepted {
     axes: [f64; 3],
 }
 
-/// Readings after a jump that are consistent with each other.
+/// Readings after a jump.
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     last: Accepted,
+    /// Number of the latest ones that are consistent with each other.
     consistent: u32,
+    /// Time from the last accepted reading to the first of these, s.
+    after: f64,
 }
 
 /// Converts encoder readings into the pose of the climber and rejects implausible ones.
@@ -172,7 +162,12 @@ impl Climber {
         }
         self.last_received = Some(received);
         match self.examine(reading, received) {
-            Ok(None) => self.foreign(reading),
+            Ok(None) => {
+                self.counts.foreign += 1;
+                if self.counts.accepted == 0 && self.counts.foreign >= FOREIGN_PATIENCE {
+                    self.reject(self.other_joints(reading));
+                }
+            }
             Ok(Some(accepted)) => {
                 self.counts.accepted += 1;
                 self.last = Some(accepted);
@@ -180,11 +175,13 @@ impl Climber {
                 self.candidate = None;
                 self.outputs.push_back(Output::Sample(self.sample(&accepted)));
             }
-            Err(rejection) => {
-                *self.counts.rejected.entry(rejection.kind()).or_default() += 1;
-                self.outputs.push_back(Output::Warning(Warning::Rejected(rejection)));
-            }
+            Err(rejection) => self.reject(rejection),
         }
+    }
+
+    fn reject(&mut self, rejection: Rejection) {
+        *self.counts.rejected.entry(rejection.kind()).or_default() += 1;
+        self.outputs.push_back(Output::Warning(Warning::Rejected(rejection)));
     }
 
     /// Returns the next output.
@@ -205,20 +202,15 @@ impl Climber {
         (silence > self.config.silence_timeout).then_some(silence)
     }
 
-    /// Counts a message without a configured joint; warns if none of many had one.
-    fn foreign(&mut self, reading: &JointReading) {
-        self.counts.foreign += 1;
-        let counts = &self.counts;
-        let any = counts.accepted > 0 || !counts.rejected.is_empty();
-        if !any && counts.foreign >= FOREIGN_PATIENCE {
-            let found = if reading.names.is_empty() {
-                "no joint names".to_owned()
-            } else {
-                format!("the joints {}", listed(reading.names.iter()))
-            };
-            let configured = listed(self.config.joints.iter().map(|joint| &joint.name));
-            self.outputs.push_back(Output::Warning(Warning::OtherJoints { found, configured }));
-        }
+    /// The joints of a message beside the configured ones.
+    fn other_joints(&self, reading: &JointReading) -> Rejection {
+        let found = if reading.names.is_empty() {
+            "no joint names".to_owned()
+        } else {
+            format!("the joints {}", listed(reading.names.iter()))
+        };
+        let configured = listed(self.config.joints.iter().map(|joint| &joint.name));
+        Rejection::OtherJoints { found, configured }
     }
 
     /// Checks a reading; `Ok(None)` if it contains none of the configured joints.
@@ -255,10 +247,7 @@ impl Climber {
         if reading.stamp <= last.stamp {
             return Err(Rejection::NotNewer { stamp: reading.stamp, last: last.stamp });
         }
-        match self.jump(&last, &now) {
-            None => Ok(Some(now)),
-            Some(rejection) => self.check_candidate(&last, now, rejection).map(Some),
-        }
+        self.check_jump(&last, now).map(Some)
     }
 
     /// Indices of the configured joints in the message; `None` if it contains none of them.
@@ -285,12 +274,11 @@ impl Climber {
         }
     }
 
-    /// Returns the first axis that moved faster than its speed limit.
+    /// Returns the first axis that moved faster than its speed limit, if the change took `seconds`.
     ///
     /// Each reading has a standard deviation of `uncertainty`; the limit allows for three standard
     /// deviations of their difference.
-    fn jump(&self, before: &Accepted, after: &Accepted) -> Option<Rejection> {
-        let seconds = after.stamp.seconds_since(before.stamp);
+    fn jump(&self, before: &Accepted, after: &Accepted, seconds: f64) -> Option<Rejection> {
         Axis::ALL.into_iter().zip(&self.config.joints).enumerate().find_map(|(i, (axis, joint))| {
             let jump = change(axis, before.axes[i], after.axes[i]);
             let allowed = joint.max_speed * seconds + 3.0 * SQRT_2 * joint.uncertainty;
@@ -303,22 +291,36 @@ impl Climber {
         })
     }
 
-    /// Accepts readings after a jump once `jump_patience` of them are consistent with each other.
+    /// Accepts a reading without a jump. After a jump, accepts one that is back where the climber
+    /// can be, or the last of `jump_patience` readings that are consistent with each other.
     ///
-    /// This rejects single spikes and recovers from an encoder that was re-zeroed.
-    fn check_candidate(
-        &mut self,
-        last: &Accepted,
-        now: Accepted,
-        rejection: Rejection,
-    ) -> Result<Accepted, Rejection> {
-        let consistent = match self.candidate {
-            Some(c) if now.stamp <= c.last.stamp => return Err(rejection),
-            Some(c) if self.jump(&c.last, &now).is_none() => c.consistent + 1,
-            _ => 1,
+    /// This rejects single spikes and recovers from an encoder that was re-zeroed. The distance
+    /// that the climber can have moved is that at the time of the jump: with the time since, it
+    /// would soon cover the jump itself.
+    fn check_jump(&mut self, last: &Accepted, now: Accepted) -> Result<Accepted, Rejection> {
+        let elapsed = now.stamp.seconds_since(last.stamp);
+        let Some(candidate) = self.candidate else {
+            let Some(rejection) = self.jump(last, &now, elapsed) else { return Ok(now) };
+            self.candidate = Some(Candidate { last: now, consistent: 1, after: elapsed });
+            return Err(rejection);
+        };
+        let Some(rejection) = self.jump(last, &now, candidate.after.min(elapsed)) else {
+            return Ok(now);
+        };
+        let step = now.stamp.seconds_since(candidate.last.stamp);
+        if step <= 0.0 {
+            return Err(rejection);
+        }
+        let consistent = if self.jump(&candidate.last, &now, step).is_none() {
+            candidate.consistent + 1
+        } else if self.jump(last, &now, candidate.after + step).is_none() {
+            // Away from the candidate, and back but for the motion since that.
+            return Ok(now);
+        } else {
+            1
         };
         if consistent < self.config.jump_patience {
-            self.candidate = Some(Candidate { last: now, consistent });
+            self.candidate = Some(Candidate { last: now, consistent, ..candidate });
             return Err(rejection);
         }
         let change = Axis::ALL.map(|axis| {

@@ -102,42 +102,10 @@ impl JointCalibration {
     }
 }
 
-/// Invalid configuration.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum ConfigError {
-    /// A value is out of range.
-    #[error("the parameter `{name}` is {value}; {requirement}")]
-    Value {
-        /// Parameter name.
-        name: String,
-        /// Its value.
-        value: f64,
-        /// The valid range.
-        requirement: &'static str,
-    },
-    /// Two axes are configured with the same joint.
-    #[error(
-        "the parameters `joints.{first}` and `joints.{second}` are both `{joint}`; \
-         name a different joint for each axis"
-    )]
-    SharedJoint {
-        /// Joint name.
-        joint: String,
-        /// One axis.
-        first: Axis,
-        /// The other.
-        second: Axis,
-    },
-    /// An axis has no joint name.
-    #[error(
-        "the parameter `joints.{axis}` is empty; \
-         set it to the joint in joint_states that measures this axis"
-    )]
-    NoJoint {
-        /// The axis.
-        axis: Axis,
-    },
-}
+/// Invalid configuration: the parameter, its value and the valid ones.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("{0}")]
+pub struct ConfigError(String);
 
 impl ClimberConfig {
     /// Checks joint names, scales and zeros; the declaration of the node's parameters limits the
@@ -148,25 +116,30 @@ impl ClimberConfig {
     pub fn validate(&self) -> Result<(), ConfigError> {
         for (i, axis) in Axis::ALL.into_iter().enumerate() {
             let joint = &self.joints[i];
-            if joint.name.is_empty() {
-                return Err(ConfigError::NoJoint { axis });
-            }
-            if let Some(j) = self.joints[..i].iter().position(|other| other.name == joint.name) {
-                return Err(ConfigError::SharedJoint {
-                    joint: joint.name.clone(),
-                    first: Axis::ALL[j],
-                    second: axis,
-                });
-            }
-            let invalid = |name: &str, value, requirement| {
-                Err(ConfigError::Value { name: format!("{name}.{axis}"), value, requirement })
+            let (name, scale, zero) = (&joint.name, joint.scale, joint.zero);
+            let shared = self.joints[..i].iter().position(|other| other.name == *name);
+            let mistake = if name.is_empty() {
+                format!(
+                    "the parameter `joints.{axis}` is empty; set it to the joint in joint_states \
+                     that measures this axis"
+                )
+            } else if let Some(j) = shared {
+                format!(
+                    "the parameters `joints.{}` and `joints.{axis}` are both `{name}`; name a \
+                     different joint for each axis",
+                    Axis::ALL[j]
+                )
+            } else if !scale.is_finite() || scale == 0.0 {
+                format!(
+                    "the parameter `scale.{axis}` is {scale}; it must be a finite number other \
+                     than zero"
+                )
+            } else if !zero.is_finite() {
+                format!("the parameter `zero.{axis}` is {zero}; it must be a finite number")
+            } else {
+                continue;
             };
-            if !joint.scale.is_finite() || joint.scale == 0.0 {
-                return invalid("scale", joint.scale, "it must be a finite number other than zero");
-            }
-            if !joint.zero.is_finite() {
-                return invalid("zero", joint.zero, "it must be a finite number");
-            }
+            return Err(ConfigError(mistake));
         }
         Ok(())
     }

@@ -98,8 +98,6 @@ pub struct ClimberNode {
     /// Number of rejections at the last tick.
     rejected_before: u64,
     last_rejection: String,
-    /// The warning that no message has a configured joint.
-    other_joints: Option<String>,
 }
 
 impl NodeShell for ClimberNode {
@@ -149,7 +147,6 @@ impl NodeShell for ClimberNode {
             transform,
             rejected_before: 0,
             last_rejection: String::new(),
-            other_joints: None,
         })
     }
 
@@ -167,16 +164,13 @@ impl NodeShell for ClimberNode {
                     self.transform.publish(message);
                 }
                 Output::Warning(warning) => {
-                    match &warning {
-                        Warning::Rejected(rejection) => {
-                            self.last_rejection = rejection.to_string();
-                        }
-                        Warning::OtherJoints { .. } => {
-                            self.other_joints = Some(warning.to_string());
-                        }
-                        Warning::Relocated { .. } | Warning::TimeWentBack { .. } => {}
+                    let text = warning.to_string();
+                    if matches!(warning, Warning::Rejected(_)) {
+                        context.log_throttled(Level::Warn, warning.kind(), &text);
+                        self.last_rejection = text;
+                    } else {
+                        context.log(Level::Warn, text);
                     }
-                    report(context, &warning);
                 }
             }
         }
@@ -195,7 +189,7 @@ impl NodeShell for ClimberNode {
             format!("; {new} readings rejected in the last second, last: {}", self.last_rejection)
         };
         let silence = self.climber.silent_for(context.now());
-        let (health, message) = summary(silence, &why, self.other_joints.as_deref());
+        let (health, message) = summary(silence, &why);
         self.rejected_before = rejected;
         context.diagnose("encoders", health, &message, &values);
     }
@@ -212,51 +206,18 @@ impl NodeShell for ClimberNode {
 /// Health and message of the diagnostics.
 ///
 /// `silence`: as [`Climber::silent_for`]; `why`: rejections of the last second, or empty.
-fn summary(silence: Option<f64>, why: &str, other_joints: Option<&str>) -> (Health, String) {
-    match (silence, other_joints) {
-        (Some(seconds), _) if seconds.is_finite() => {
+fn summary(silence: Option<f64>, why: &str) -> (Health, String) {
+    match silence {
+        Some(seconds) if seconds.is_finite() => {
             (Health::Error, format!("no reading was accepted for {seconds:.1} s{why}"))
         }
-        (Some(_), Some(found)) if why.is_empty() => {
-            (Health::Error, format!("no reading was accepted yet; {found}"))
-        }
-        (Some(_), _) => (
+        Some(_) => (
             Health::Error,
             format!(
                 "no reading was accepted yet; check the publisher of climber/joint_states{why}"
             ),
         ),
-        (None, _) if !why.is_empty() => (Health::Warn, format!("readings are received{why}")),
-        (None, _) => (Health::Ok, "readings are received".to_owned()),
-    }
-}
-
-fn report(context: &mut NodeContext<Received>, warning: &Warning) {
-    match warning {
-        Warning::Rejected(rejection) => {
-            context.log_throttled(Level::Warn, rejection.kind(), rejection.to_string())
-        }
-        Warning::OtherJoints { .. } => {
-            context.log_throttled(Level::Warn, warning.kind(), warning.to_string());
-        }
-        Warning::Relocated { .. } | Warning::TimeWentBack { .. } => {
-            context.log(Level::Warn, warning.to_string());
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_diagnostics_name_joints_that_are_not_configured() {
-        let found = "joint_states: the messages have the joints `bridge`";
-        let (health, message) = summary(Some(f64::INFINITY), "", Some(found));
-        assert!(health == Health::Error && message.contains("`bridge`"), "{message}");
-        // What was rejected since is more specific.
-        let (_, message) = summary(Some(f64::INFINITY), "; 9 readings rejected", Some(found));
-        assert!(message.contains("9 readings") && !message.contains("`bridge`"), "{message}");
-        assert!(summary(None, "", Some(found)).0 == Health::Ok);
+        None if !why.is_empty() => (Health::Warn, format!("readings are received{why}")),
+        None => (Health::Ok, "readings are received".to_owned()),
     }
 }

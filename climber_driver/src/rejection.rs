@@ -17,6 +17,18 @@ pub enum Rejection {
         /// Number of positions.
         positions: usize,
     },
+    /// None of many messages had a configured joint.
+    #[error(
+        "joint_states: the messages have {found}, but none of {configured}; \
+         set the parameters joints.rail_x, joints.rail_y and joints.turn to the names in the \
+         messages"
+    )]
+    OtherJoints {
+        /// Joint names in the last message.
+        found: String,
+        /// Configured joint names.
+        configured: String,
+    },
     /// One configured joint is missing while another one is present.
     #[error(
         "joint_states: the joint `{joint}` ({axis}) is missing; \
@@ -91,7 +103,7 @@ pub enum Rejection {
         axis: Axis,
         /// Change since the last accepted reading, m (rad).
         jump: f64,
-        /// Time since the last accepted reading, s.
+        /// Time within which it changed, s.
         seconds: f64,
         /// Speed limit of the axis, m/s (rad/s).
         limit: f64,
@@ -103,6 +115,7 @@ impl Rejection {
     pub const fn kind(&self) -> &'static str {
         match self {
             Self::LengthMismatch { .. } => "length mismatch",
+            Self::OtherJoints { .. } => "other joints",
             Self::MissingJoint { .. } => "missing joint",
             Self::DuplicateJoint { .. } => "duplicate joint",
             Self::NotFinite { .. } => "not finite",

@@ -48,7 +48,7 @@ fn the_height_must_be_given() {
     let output = node()
         .args(["--ros-args", "--params-file"])
         .arg(&path)
-        .envs([("ROS_DOMAIN_ID", "97"), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")])
+        .envs([("ROS_DOMAIN_ID", "99"), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")])
         .output()
         .unwrap();
     let message = String::from_utf8_lossy(&output.stderr);

@@ -55,7 +55,8 @@ pub struct Override {
     pub value: ParameterValue,
     /// `-p` or the file's name, for messages.
     pub origin: String,
-    /// Given for all nodes in a file that others share: it may be another node's parameter.
+    /// Given for all nodes where others share the file or the process: it may be another node's
+    /// parameter.
     pub shared: bool,
 }
 
@@ -82,10 +83,7 @@ impl RosArguments {
                 continue;
             }
             let mut value = |expected| {
-                arguments.next().ok_or_else(|| ArgumentError::MissingValue {
-                    option: argument.clone(),
-                    expected,
-                })
+                arguments.next().ok_or_else(|| ArgumentError::no_value(&argument, expected))
             };
             match argument.as_str() {
                 "--" => inside = false,
@@ -108,7 +106,10 @@ impl RosArguments {
                 "--log-config-file" => {
                     value("a value")?;
                 }
-                _ => return Err(ArgumentError::UnknownOption { option: argument }),
+                _ => {
+                    let unknown = format!("`{argument}` is not an option of --ros-args");
+                    return Err(ArgumentError::usage(unknown));
+                }
             }
         }
         Ok((ros, rest))
@@ -129,20 +130,21 @@ impl RosArguments {
         let (from, to) = text
             .split_once(":=")
             .filter(|(from, to)| !from.is_empty() && !to.is_empty())
-            .ok_or_else(|| malformed(option, text, REMAP))?;
-        let (node, from) = split_node(from);
+            .ok_or_else(|| ArgumentError::malformed(option, text, REMAP))?;
+        let (node, from) = split_node(option, text, from)?;
         self.remaps.push(Remap { node, from: from.to_owned(), to: to.to_owned() });
         Ok(())
     }
 
     fn add_value(&mut self, option: &str, text: &str) -> Result<(), ArgumentError> {
-        let ((node, name), value) = text
-            .split_once(":=")
-            .map(|(name, value)| (split_node(name), value))
-            .filter(|((_, name), _)| !name.is_empty())
-            .ok_or_else(|| malformed(option, text, ASSIGNMENT))?;
+        let malformed = || ArgumentError::malformed(option, text, ASSIGNMENT);
+        let (name, value) = text.split_once(":=").ok_or_else(malformed)?;
+        let (node, name) = split_node(option, text, name)?;
+        if name.is_empty() {
+            return Err(malformed());
+        }
         let value = parse_value(name, value)
-            .map_err(|source| ArgumentError::ParameterValue { text: text.to_owned(), source })?;
+            .map_err(|error| ArgumentError::usage(format!("`-p {text}`: {error}")))?;
         self.sources.push(ParameterSource::Value { node, name: name.to_owned(), value });
         Ok(())
     }
@@ -150,12 +152,12 @@ impl RosArguments {
     /// Adds a parameter file, as `--params-file` does.
     ///
     /// # Errors
-    /// [`ArgumentError::Unreadable`] or [`ArgumentError::ParameterFile`].
+    /// The file cannot be read, or is no parameter file.
     pub fn add_file(&mut self, path: PathBuf) -> Result<(), ArgumentError> {
-        let text = crate::files::read_text(&path)
-            .map_err(|source| ArgumentError::Unreadable { path: path.clone(), source })?;
-        let file = ParameterFile::parse(&text)
-            .map_err(|source| ArgumentError::ParameterFile { path: path.clone(), source })?;
+        let text =
+            crate::files::read_text(&path).map_err(|error| ArgumentError::file(&path, error))?;
+        let file =
+            ParameterFile::parse(&text).map_err(|error| ArgumentError::file(&path, error))?;
         self.sources.push(ParameterSource::File { path, file });
         Ok(())
     }
@@ -163,6 +165,30 @@ impl RosArguments {
     /// Sets a parameter for every node, as `-p` does.
     pub fn set(&mut self, name: &str, value: ParameterValue) {
         self.sources.push(ParameterSource::Value { node: None, name: name.to_owned(), value });
+    }
+
+    /// Adds what a program's own options give (`--rig FILE`, `--port VALUE`) below `--ros-args`:
+    /// `-p` overrides it, and a file overrides the files. Its values override every file, because a
+    /// launch file passes the rig file in `--ros-args`.
+    #[must_use]
+    pub fn over(mut self, own: Self) -> Self {
+        let is_file = |source: &ParameterSource| matches!(source, ParameterSource::File { .. });
+        let (files, values): (Vec<_>, Vec<_>) = own.sources.into_iter().partition(is_file);
+        let above = std::mem::replace(&mut self.sources, files);
+        self.sources.extend(above);
+        // Backwards, so that the last of several values of one parameter is the uppermost.
+        for value in values.into_iter().rev() {
+            let is_same = |source: &ParameterSource| match (source, &value) {
+                (
+                    ParameterSource::Value { name: a, .. },
+                    ParameterSource::Value { name: b, .. },
+                ) => a == b,
+                _ => false,
+            };
+            let place = self.sources.iter().position(is_same).unwrap_or(self.sources.len());
+            self.sources.insert(place, value);
+        }
+        self
     }
 
     /// Names the parameters of other nodes of this process: given for all nodes, they are no typing
@@ -186,7 +212,7 @@ impl RosArguments {
             Some((logger, level)) => (Some(logger.to_owned()), level),
             None => (None, text),
         };
-        let level = level.parse().map_err(|()| malformed(option, text, LEVEL))?;
+        let level = level.parse().map_err(|()| ArgumentError::malformed(option, text, LEVEL))?;
         self.levels.push((logger, level));
         Ok(())
     }
@@ -196,16 +222,15 @@ impl RosArguments {
     /// # Errors
     /// [`NameError`] for an invalid name.
     pub fn node_name(&self, default: &str) -> Result<NodeName, NameError> {
-        let find = |key: &str| {
+        let find = |key: &str, node: &str| {
             self.remaps
                 .iter()
-                .find(|r| r.from == key && r.node.as_deref().is_none_or(|n| n == default))
+                .find(|r| r.from == key && r.node.as_deref().is_none_or(|n| n == node))
                 .map(|r| r.to.as_str())
         };
-        NodeName::new(
-            find("__ns").unwrap_or("/"),
-            find("__node").or_else(|| find("__name")).unwrap_or(default),
-        )
+        let name = find("__node", default).or_else(|| find("__name", default)).unwrap_or(default);
+        // As in rcl, the namespace's rule is for the name after its own remap.
+        NodeName::new(find("__ns", name).unwrap_or("/"), name)
     }
 
     /// The remaps of topics and services.
@@ -213,13 +238,16 @@ impl RosArguments {
         self.remaps.iter().filter(|r| !r.from.starts_with("__")).cloned().collect()
     }
 
-    /// The lowest level that is logged; [`Level::Info`] by default.
+    /// The lowest level that is logged: that of the node's logger, else that of all;
+    /// [`Level::Info`] by default.
     pub fn level(&self, node: &NodeName) -> Level {
         let logger = node.fully_qualified().trim_start_matches('/').replace('/', ".");
-        self.levels
-            .iter()
-            .rev()
-            .find(|(name, _)| name.as_deref().is_none_or(|n| n == logger || n == node.base()))
+        let is_own = |name: &str| name == logger || name == node.base();
+        let mut latest = self.levels.iter().rev();
+        latest
+            .clone()
+            .find(|(name, _)| name.as_deref().is_some_and(is_own))
+            .or_else(|| latest.find(|(name, _)| name.is_none()))
             .map_or(Level::Info, |(_, level)| *level)
     }
 
@@ -229,7 +257,7 @@ impl RosArguments {
     /// `ins_driver` may be another node beside `imu_driver`.
     ///
     /// # Errors
-    /// [`ArgumentError::UnknownNode`], [`ArgumentError::UnknownSelector`]
+    /// The first mistyped name.
     pub fn check_node_names(
         &self,
         node: &NodeName,
@@ -248,11 +276,13 @@ impl RosArguments {
         for source in &self.sources {
             let ParameterSource::File { path, file } = source else { continue };
             for selector in file.selectors().filter(mistyped) {
-                let unknown = ArgumentError::UnknownNode {
-                    path: path.clone(),
-                    selector: selector.to_owned(),
-                    name: kind.to_owned(),
-                };
+                let unknown = ArgumentError::file(
+                    path,
+                    format!(
+                        "the block `{selector}` matches no node (did you mean `{kind}`?); \
+                         correct its spelling"
+                    ),
+                );
                 if self.is_own(file, node) {
                     return Err(unknown);
                 }
@@ -265,10 +295,9 @@ impl RosArguments {
         });
         let of_remaps = self.remaps.iter().filter_map(|remap| remap.node.as_deref());
         match of_values.chain(of_remaps).find(mistyped) {
-            Some(selector) => Err(ArgumentError::UnknownSelector {
-                selector: selector.to_owned(),
-                name: kind.to_owned(),
-            }),
+            Some(selector) => Err(ArgumentError::usage(format!(
+                "`{selector}:` matches no node (did you mean `{kind}:`?); correct its spelling"
+            ))),
             None => Ok(doubtful),
         }
     }
@@ -290,8 +319,9 @@ impl RosArguments {
         let mut descriptors = P::descriptors();
         descriptors.extend(common_descriptors());
         let mut overrides = self.overrides(node);
-        overrides.retain(|name, _| {
-            !self.of_others.contains(name) || descriptors.iter().any(|d| d.name == *name)
+        overrides.retain(|name, given| {
+            let of_another = given.shared && self.of_others.contains(name);
+            !of_another || descriptors.iter().any(|d| d.name == *name)
         });
         ParameterStore::new(descriptors, overrides)
     }
@@ -305,7 +335,8 @@ impl RosArguments {
                     let own = self.is_own(file, node);
                     let (origin, node) = (path.display().to_string(), node.fully_qualified());
                     all.extend(file.for_node(&node).into_iter().map(|(name, value)| {
-                        let shared = !own && file.is_for_all(&node, &name);
+                        let shared = (!own || self.of_others.contains(&name))
+                            && file.is_for_all(&node, &name);
                         (name, Override { value, origin: origin.clone(), shared })
                     }));
                 }
@@ -316,7 +347,7 @@ impl RosArguments {
                             Override {
                                 value: value.clone(),
                                 origin: "-p".to_owned(),
-                                shared: false,
+                                shared: only.is_none() && self.of_others.contains(name),
                             },
                         );
                     }
@@ -338,15 +369,20 @@ const REMAP: &str = "`from:=to` (or `__node:=name`, `__ns:=/namespace`)";
 const ASSIGNMENT: &str = "`name:=value`";
 const LEVEL: &str = "debug, info, warn, error or fatal (or `logger:=level`)";
 
-fn malformed(option: &str, text: &str, expected: &'static str) -> ArgumentError {
-    ArgumentError::Malformed { option: option.to_owned(), text: text.to_owned(), expected }
-}
+const NODE: &str = "a node's name without a namespace or wildcard before the `:`";
 
-/// Splits `node:rest`; the `:` of `rostopic://` separates no node.
-fn split_node(text: &str) -> (Option<String>, &str) {
-    match text.split_once(':') {
-        Some((node, rest)) if !rest.starts_with("//") => (Some(node.to_owned()), rest),
-        _ => (None, text),
+/// Splits `node:rest` in the `text` of an option; the `:` of `rostopic://` separates no node.
+fn split_node<'a>(
+    option: &str,
+    text: &str,
+    rule: &'a str,
+) -> Result<(Option<String>, &'a str), ArgumentError> {
+    match rule.split_once(':') {
+        Some((node, rest)) if !rest.starts_with("//") => {
+            NodeName::new("/", node).map_err(|_| ArgumentError::malformed(option, text, NODE))?;
+            Ok((Some(node.to_owned()), rest))
+        }
+        _ => Ok((None, rule)),
     }
 }
 

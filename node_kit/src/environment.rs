@@ -56,8 +56,6 @@ pub struct Security {
     pub keystore: PathBuf,
     /// The enclave's absolute name: `ROS_SECURITY_ENCLAVE_OVERRIDE`, else `--enclave`, else `/`.
     pub enclave: String,
-    /// Set by `ROS_SECURITY_ENCLAVE_OVERRIDE`: `--enclave` is ignored.
-    overridden: bool,
     /// `ROS_SECURITY_STRATEGY=Enforce`: without its keys the process does not start. Otherwise it
     /// starts unprotected, with a warning, as in rcl.
     pub enforce: bool,
@@ -66,12 +64,7 @@ pub struct Security {
 impl Security {
     /// An enclave of a keystore, enforced.
     pub fn enforced(keystore: impl Into<PathBuf>, enclave: impl Into<String>) -> Self {
-        Self {
-            keystore: keystore.into(),
-            enclave: enclave.into(),
-            overridden: false,
-            enforce: true,
-        }
+        Self { keystore: keystore.into(), enclave: enclave.into(), enforce: true }
     }
 
     /// Folder of the enclave's certificates, keys and permissions.
@@ -86,14 +79,23 @@ impl Network {
     /// # Errors
     /// [`EnvironmentError`] for a value that ROS 2 does not define.
     pub fn from_environment() -> Result<Self, EnvironmentError> {
-        Self::from_variables(|name| std::env::var(name).ok())
+        Self::from_environment_in(None)
     }
 
-    /// Reads variables with `get`; an empty value counts as not set, as in rcl.
+    /// Reads the environment of this process, with the enclave of its command line
+    /// (`--ros-args --enclave /rig/climber`).
     ///
     /// # Errors
     /// As [`Network::from_environment`].
-    pub fn from_variables(get: impl Fn(&str) -> Option<String>) -> Result<Self, EnvironmentError> {
+    pub fn from_environment_in(enclave: Option<&str>) -> Result<Self, EnvironmentError> {
+        Self::from_variables(|name| std::env::var(name).ok(), enclave)
+    }
+
+    /// Reads variables with `get`; an empty value counts as not set, as in rcl.
+    fn from_variables(
+        get: impl Fn(&str) -> Option<String>,
+        enclave: Option<&str>,
+    ) -> Result<Self, EnvironmentError> {
         let get = |name| get(name).filter(|value| !value.is_empty());
         let wrong = |name, value: String, expected| EnvironmentError { name, value, expected };
         for (name, is_unsupported, expected) in UNSUPPORTED {
@@ -134,11 +136,10 @@ impl Network {
                     let expected = "the keystore's folder, because ROS_SECURITY_ENABLE is true";
                     wrong("ROS_SECURITY_KEYSTORE", String::new(), expected)
                 })?;
-                let enclave = get("ROS_SECURITY_ENCLAVE_OVERRIDE");
+                let overriding = get("ROS_SECURITY_ENCLAVE_OVERRIDE");
                 Some(Security {
                     keystore: keystore.into(),
-                    overridden: enclave.is_some(),
-                    enclave: enclave.unwrap_or_else(|| "/".to_owned()),
+                    enclave: overriding.unwrap_or_else(|| enclave.unwrap_or("/").to_owned()),
                     enforce: get("ROS_SECURITY_STRATEGY").as_deref() == Some("Enforce"),
                 })
             }
@@ -160,17 +161,6 @@ impl Network {
                 )
             })
             .collect()
-    }
-
-    /// Sets the enclave of the command line (`--ros-args --enclave /rig/climber`).
-    #[must_use]
-    pub fn with_enclave(mut self, enclave: Option<&str>) -> Self {
-        if let (Some(security), Some(enclave)) = (&mut self.security, enclave)
-            && !security.overridden
-        {
-            enclave.clone_into(&mut security.enclave);
-        }
-        self
     }
 }
 
@@ -226,9 +216,17 @@ mod tests {
     use super::*;
 
     fn network(variables: &[(&str, &str)]) -> Result<Network, EnvironmentError> {
-        Network::from_variables(|name| {
+        network_in(None, variables)
+    }
+
+    fn network_in(
+        enclave: Option<&str>,
+        variables: &[(&str, &str)],
+    ) -> Result<Network, EnvironmentError> {
+        let get = |name: &str| {
             variables.iter().find(|(n, _)| *n == name).map(|(_, value)| (*value).to_owned())
-        })
+        };
+        Network::from_variables(get, enclave)
     }
 
     #[test]
@@ -257,17 +255,16 @@ mod tests {
         let missing = network(&[("ROS_SECURITY_ENABLE", "true")]).unwrap_err().to_string();
         assert!(missing.contains("ROS_SECURITY_KEYSTORE"), "{missing}");
         let enabled = [("ROS_SECURITY_ENABLE", "true"), ("ROS_SECURITY_KEYSTORE", "/keys")];
-        let network_ = network(&enabled).unwrap();
-        let security = network_.clone().security.unwrap();
+        let security = network(&enabled).unwrap().security.unwrap();
         assert!(!security.enforce && security.folder() == std::path::Path::new("/keys/enclaves"));
-        let named = network_.with_enclave(Some("/rig/climber")).security.unwrap();
+        let named = network_in(Some("/rig/climber"), &enabled).unwrap().security.unwrap();
         assert_eq!(named.folder(), PathBuf::from("/keys/enclaves/rig/climber"));
         let mut more = enabled.to_vec();
         more.extend([
             ("ROS_SECURITY_ENCLAVE_OVERRIDE", "/b"),
             ("ROS_SECURITY_STRATEGY", "Enforce"),
         ]);
-        let overridden = network(&more).unwrap().with_enclave(Some("/a")).security.unwrap();
+        let overridden = network_in(Some("/a"), &more).unwrap().security.unwrap();
         assert!(
             overridden.enforce && overridden.folder() == std::path::Path::new("/keys/enclaves/b")
         );

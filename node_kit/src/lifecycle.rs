@@ -1,6 +1,6 @@
-//! States and transitions of a managed node, with the numbers of `lifecycle_msgs`.
+//! States and transitions of a managed node, with the numbers and labels of `lifecycle_msgs`.
 
-/// A primary state.
+/// A state: a primary one, or one of a transition that is under way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum LifecycleState {
@@ -12,11 +12,31 @@ pub enum LifecycleState {
     Active = 3,
     /// Ended; the node waits for its process to end.
     Finalized = 4,
+    /// Topics and devices are being opened.
+    Configuring = 10,
+    /// Topics and devices are being closed.
+    CleaningUp = 11,
+    /// The node is being ended.
+    ShuttingDown = 12,
+    /// Inputs are about to be handled.
+    Activating = 13,
+    /// Inputs are no longer handled.
+    Deactivating = 14,
 }
 
 impl LifecycleState {
     /// All, by number.
-    pub const ALL: [Self; 4] = [Self::Unconfigured, Self::Inactive, Self::Active, Self::Finalized];
+    pub const ALL: [Self; 9] = [
+        Self::Unconfigured,
+        Self::Inactive,
+        Self::Active,
+        Self::Finalized,
+        Self::Configuring,
+        Self::CleaningUp,
+        Self::ShuttingDown,
+        Self::Activating,
+        Self::Deactivating,
+    ];
 
     /// Name, as `ros2 lifecycle get` prints it.
     pub const fn label(self) -> &'static str {
@@ -25,76 +45,75 @@ impl LifecycleState {
             Self::Inactive => "inactive",
             Self::Active => "active",
             Self::Finalized => "finalized",
+            Self::Configuring => "configuring",
+            Self::CleaningUp => "cleaningup",
+            Self::ShuttingDown => "shuttingdown",
+            Self::Activating => "activating",
+            Self::Deactivating => "deactivating",
         }
     }
 }
 
-/// A transition between states.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum Transition {
-    /// Opens topics and devices with the current parameters.
-    Configure = 1,
-    /// Closes topics and devices.
-    Cleanup = 2,
-    /// Starts to handle inputs.
-    Activate = 3,
-    /// Stops to handle inputs.
-    Deactivate = 4,
-    /// Ends, from unconfigured.
-    UnconfiguredShutdown = 5,
-    /// Ends, from inactive.
-    InactiveShutdown = 6,
-    /// Ends, from active.
-    ActiveShutdown = 7,
+/// A requested transition between primary states.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Transition {
+    /// Number of the request.
+    pub id: u8,
+    /// Name, as in `ros2 lifecycle set`.
+    pub label: &'static str,
+    /// State in which it is possible, and to which the node returns if it fails.
+    pub start: LifecycleState,
+    /// State while it is under way.
+    pub through: LifecycleState,
+    /// State after it.
+    pub goal: LifecycleState,
+}
+
+const fn row(
+    id: u8,
+    label: &'static str,
+    [start, through, goal]: [LifecycleState; 3],
+) -> Transition {
+    Transition { id, label, start, through, goal }
 }
 
 impl Transition {
+    /// Opens topics and devices with the current parameters.
+    pub const CONFIGURE: Self = Self::ALL[0];
+    /// Starts to handle inputs.
+    pub const ACTIVATE: Self = Self::ALL[2];
+
     /// All, by number.
-    pub const ALL: [Self; 7] = [
-        Self::Configure,
-        Self::Cleanup,
-        Self::Activate,
-        Self::Deactivate,
-        Self::UnconfiguredShutdown,
-        Self::InactiveShutdown,
-        Self::ActiveShutdown,
-    ];
-
-    /// Name, as in `ros2 lifecycle set`.
-    pub const fn label(self) -> &'static str {
-        match self {
-            Self::Configure => "configure",
-            Self::Cleanup => "cleanup",
-            Self::Activate => "activate",
-            Self::Deactivate => "deactivate",
-            Self::UnconfiguredShutdown | Self::InactiveShutdown | Self::ActiveShutdown => {
-                "shutdown"
-            }
-        }
-    }
-
-    /// Start and goal state.
-    pub const fn ends(self) -> (LifecycleState, LifecycleState) {
-        use LifecycleState as S;
-        match self {
-            Self::Configure => (S::Unconfigured, S::Inactive),
-            Self::Cleanup => (S::Inactive, S::Unconfigured),
-            Self::Activate => (S::Inactive, S::Active),
-            Self::Deactivate => (S::Active, S::Inactive),
-            Self::UnconfiguredShutdown => (S::Unconfigured, S::Finalized),
-            Self::InactiveShutdown => (S::Inactive, S::Finalized),
-            Self::ActiveShutdown => (S::Active, S::Finalized),
-        }
-    }
+    pub const ALL: [Self; 7] = {
+        use LifecycleState::{
+            Activating, Active, CleaningUp, Configuring, Deactivating, Finalized, Inactive,
+            ShuttingDown, Unconfigured,
+        };
+        [
+            row(1, "configure", [Unconfigured, Configuring, Inactive]),
+            row(2, "cleanup", [Inactive, CleaningUp, Unconfigured]),
+            row(3, "activate", [Inactive, Activating, Active]),
+            row(4, "deactivate", [Active, Deactivating, Inactive]),
+            row(5, "shutdown", [Unconfigured, ShuttingDown, Finalized]),
+            row(6, "shutdown", [Inactive, ShuttingDown, Finalized]),
+            row(7, "shutdown", [Active, ShuttingDown, Finalized]),
+        ]
+    };
 
     /// The transition that a `ChangeState` request names, if it is possible from `state`: by
     /// number, or by label if the number is zero.
     pub fn requested(state: LifecycleState, id: u8, label: &str) -> Option<Self> {
         Self::ALL
             .into_iter()
-            .filter(|t| t.ends().0 == state)
-            .find(|t| if id == 0 { t.label() == label } else { *t as u8 == id })
+            .filter(|t| t.start == state)
+            .find(|t| if id == 0 { t.label == label } else { t.id == id })
+    }
+
+    /// Number and name of the transition out of [`Transition::through`].
+    pub const fn end(self, success: bool) -> (u8, &'static str) {
+        // `TRANSITION_ON_CONFIGURE_SUCCESS` is 10, `…_FAILURE` 11; the three shutdowns share 50.
+        let tens = if self.id < 5 { 10 * self.id } else { 50 };
+        if success { (tens, "transition_success") } else { (tens + 1, "transition_failure") }
     }
 }
 
@@ -105,16 +124,29 @@ mod tests {
     #[test]
     fn only_possible_transitions_are_found() {
         use LifecycleState as S;
-        assert_eq!(Transition::requested(S::Unconfigured, 1, ""), Some(Transition::Configure));
-        assert_eq!(Transition::requested(S::Active, 1, ""), None);
-        assert_eq!(
-            Transition::requested(S::Active, 0, "shutdown"),
-            Some(Transition::ActiveShutdown)
-        );
-        assert_eq!(
-            Transition::requested(S::Inactive, 0, "shutdown"),
-            Some(Transition::InactiveShutdown)
-        );
-        assert_eq!(Transition::requested(S::Finalized, 0, "configure"), None);
+        let goal = |state, id, label| Transition::requested(state, id, label).map(|t| t.goal);
+        assert_eq!(Transition::requested(S::Unconfigured, 1, ""), Some(Transition::CONFIGURE));
+        assert_eq!(Transition::requested(S::Inactive, 0, "activate"), Some(Transition::ACTIVATE));
+        assert_eq!(goal(S::Active, 1, ""), None);
+        assert_eq!(goal(S::Active, 0, "shutdown"), Some(S::Finalized));
+        assert_eq!(goal(S::Configuring, 5, ""), None);
+        assert_eq!(goal(S::Finalized, 0, "configure"), None);
+    }
+
+    /// The numbers of `lifecycle_msgs/Transition` and `State`.
+    #[test]
+    fn each_transition_leads_through_a_state_of_its_own() {
+        let rows = Transition::ALL.map(|t| (t.id, t.through as u8, t.end(true).0));
+        let expected = [
+            (1, 10, 10),
+            (2, 11, 20),
+            (3, 13, 30),
+            (4, 14, 40),
+            (5, 12, 50),
+            (6, 12, 50),
+            (7, 12, 50),
+        ];
+        assert_eq!(rows, expected);
+        assert_eq!(Transition::CONFIGURE.end(false), (11, "transition_failure"));
     }
 }

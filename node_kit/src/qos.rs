@@ -41,8 +41,7 @@ pub enum QosPreset {
     /// are worth more.
     ///
     /// RustDDS 0.15.1 keeps samples for a best-effort reader as for one that acknowledges, so fewer
-    /// are kept than of a [`State`](Self::State): enough at 80 Hz for the lease of a reader that
-    /// was killed.
+    /// are kept than of a [`State`](Self::State).
     Measurement,
     /// State for late joiners, such as `/tf_static`: reliable, transient local, the last message of
     /// each publisher.
@@ -59,9 +58,10 @@ pub struct Qos {
     /// Messages kept, at least one; for a subscription, how many wait in the node's inbox.
     pub depth: usize,
     /// Samples that a reliable publisher keeps for readers that do not acknowledge. When they are
-    /// full, publishing fails, is counted and never blocks. A reader that was killed holds all
-    /// samples back until its lease is over (10 s for Cyclone DDS, 20 s for Fast DDS, 50 s for
-    /// RustDDS).
+    /// full, publishing fails, is counted and never blocks: no reader in another process gets any
+    /// more. A reader that was killed holds all samples back until its lease is over (10 s for
+    /// Cyclone DDS, 20 s for Fast DDS, 50 s for RustDDS): a topic of more than 100 Hz needs more
+    /// than the presets have.
     pub max_samples: usize,
 }
 
@@ -74,7 +74,8 @@ impl QosPreset {
                 Qos { depth: 100, max_samples: 100, ..Qos::SENSOR }
             }
             (Self::State, Endpoint::Publisher) => Qos { max_samples: 8192, ..Qos::RELIABLE },
-            (Self::Measurement, Endpoint::Publisher) => Qos { max_samples: 4096, ..Qos::RELIABLE },
+            // A minute at 100 Hz.
+            (Self::Measurement, Endpoint::Publisher) => Qos { max_samples: 6000, ..Qos::RELIABLE },
             (Self::State, Endpoint::Subscription) => {
                 Qos { depth: 100, max_samples: 100, ..Qos::RELIABLE }
             }
@@ -147,6 +148,14 @@ impl Qos {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A killed reader of RustDDS is dropped up to 2 s after its lease of 50 s.
+    #[test]
+    fn a_killed_reader_silences_no_topic_of_100_hz() {
+        for preset in [QosPreset::State, QosPreset::Measurement] {
+            assert!(preset.qos(Endpoint::Publisher).max_samples > 52 * 100, "{preset:?}");
+        }
+    }
 
     #[test]
     fn every_policy_is_overridden_by_its_parameter() {

@@ -4,7 +4,7 @@
 //! joined covers the nodes, their devices and the middleware. The allocator's own threads, which
 //! return memory to the system, start before `main` and keep the usual priority.
 
-use crate::args::ArgumentError;
+use crate::{args::ArgumentError, node::NodeError};
 use rustix::{
     io::Errno,
     mm::{MlockAllFlags, mlockall},
@@ -12,7 +12,6 @@ use rustix::{
     thread::{CapabilitySet, CpuSet, capabilities, sched_setaffinity},
 };
 use std::io;
-use thiserror::Error;
 
 /// Options of [`Scheduling`] on a command line.
 pub const OPTIONS: [&str; 3] = ["realtime-priority", "cpus", "lock-memory"];
@@ -33,42 +32,6 @@ pub struct Scheduling {
     pub cpus: Vec<usize>,
     /// Whether all memory stays resident.
     pub lock_memory: bool,
-}
-
-/// Why the system does not permit a [`Scheduling`].
-#[derive(Debug, Error)]
-pub enum SchedulingError {
-    /// Real-time priority.
-    #[error(
-        "--realtime-priority {priority}: {source}; permit it with LimitRTPRIO={priority} in the \
-         systemd unit, or with `USER - rtprio {priority}` in /etc/security/limits.conf"
-    )]
-    Priority {
-        /// The requested priority.
-        priority: u8,
-        /// The system's message.
-        source: io::Error,
-    },
-    /// Affinity.
-    #[error(
-        "--cpus {cpus}: {source}; `cat /sys/fs/cgroup/cpuset.cpus.effective` and `nproc --all` \
-         show which processors there are"
-    )]
-    Cpus {
-        /// The requested processors.
-        cpus: String,
-        /// The system's message.
-        source: io::Error,
-    },
-    /// Memory lock.
-    #[error(
-        "--lock-memory: {source}; permit it with LimitMEMLOCK=infinity in the systemd unit, or \
-         with `USER - memlock unlimited` in /etc/security/limits.conf"
-    )]
-    Memory {
-        /// The system's message.
-        source: io::Error,
-    },
 }
 
 impl Scheduling {
@@ -96,11 +59,10 @@ impl Scheduling {
                     continue;
                 }
             };
-            let option = name.to_owned();
             let value = inline
                 .or_else(|| words.next())
-                .ok_or_else(|| ArgumentError::MissingValue { option: option.clone(), expected })?;
-            let understood = if option == "--cpus" {
+                .ok_or_else(|| ArgumentError::no_value(name, expected))?;
+            let understood = if name == "--cpus" {
                 let cpus: Option<Vec<usize>> =
                     value.split(',').map(|n| n.trim().parse().ok()).collect();
                 let limited = cpus.filter(|all| all.iter().all(|n| *n < CpuSet::MAX_CPU));
@@ -110,7 +72,7 @@ impl Scheduling {
                 priority.map(|n| scheduling.priority = Some(n))
             };
             if understood.is_none() {
-                return Err(ArgumentError::Malformed { option, text: value, expected });
+                return Err(ArgumentError::malformed(name, &value, expected));
             }
         }
         Ok((scheduling, rest))
@@ -120,13 +82,17 @@ impl Scheduling {
     ///
     /// # Errors
     /// What the system does not permit, with the remedy.
-    pub fn apply(&self) -> Result<(), SchedulingError> {
+    pub fn apply(&self) -> Result<(), NodeError> {
         if !self.cpus.is_empty() {
             let mut set = CpuSet::new();
             self.cpus.iter().for_each(|n| set.set(*n));
-            sched_setaffinity(None, &set).map_err(|e| SchedulingError::Cpus {
-                cpus: self.cpus.iter().map(usize::to_string).collect::<Vec<_>>().join(","),
-                source: e.into(),
+            sched_setaffinity(None, &set).map_err(|e| {
+                let cpus = self.cpus.iter().map(usize::to_string).collect::<Vec<_>>().join(",");
+                NodeError::shell(format!(
+                    "--cpus {cpus}: {}; `cat /sys/fs/cgroup/cpuset.cpus.effective` and `nproc \
+                     --all` show which processors there are",
+                    io::Error::from(e)
+                ))
             })?;
         }
         if self.lock_memory {
@@ -140,10 +106,22 @@ impl Scheduling {
             } else {
                 Err(Errno::PERM)
             };
-            locked.map_err(|e| SchedulingError::Memory { source: e.into() })?;
+            locked.map_err(|e| {
+                NodeError::shell(format!(
+                    "--lock-memory: {}; permit it with LimitMEMLOCK=infinity in the systemd unit, \
+                     or with `USER - memlock unlimited` in /etc/security/limits.conf",
+                    io::Error::from(e)
+                ))
+            })?;
         }
         if let Some(priority) = self.priority {
-            set_fifo(priority).map_err(|source| SchedulingError::Priority { priority, source })?;
+            set_fifo(priority).map_err(|error| {
+                NodeError::shell(format!(
+                    "--realtime-priority {priority}: {error}; permit it with \
+                     LimitRTPRIO={priority} in the systemd unit, or with `USER - rtprio \
+                     {priority}` in /etc/security/limits.conf"
+                ))
+            })?;
         }
         Ok(())
     }

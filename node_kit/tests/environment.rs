@@ -27,7 +27,7 @@ fn the_log_is_in_a_file_as_on_the_console() {
     let logs = folder.path().join("logs");
     let profile = ("CYCLONEDDS_URI", "file:///etc/cyclone.xml");
     let environment = [("ROS_LOG_DIR", logs.to_str().unwrap()), profile];
-    let mut node = minimal(150, &[], &environment);
+    let mut node = minimal(57, &[], &environment);
     let line = node.line_with("CYCLONEDDS_URI is set", LONG);
     assert!(line.starts_with("[WARN] ["), "{line}");
     node.wait_for_signal_handler();
@@ -50,7 +50,7 @@ fn the_console_and_the_file_can_be_turned_off() {
     let environment =
         [("ROS_LOG_DIR", folder.path().to_str().unwrap()), ("CYCLONEDDS_URI", "file:///x")];
     let quiet = ["--ros-args", "--disable-stdout-logs", "--log-file-name", "mine"];
-    let node = minimal(151, &quiet, &environment);
+    let node = minimal(58, &quiet, &environment);
     let deadline = std::time::Instant::now() + LONG;
     while !files(folder.path()).iter().any(|(_, text)| text.contains("CYCLONEDDS_URI")) {
         assert!(std::time::Instant::now() < deadline);
@@ -64,14 +64,14 @@ fn the_console_and_the_file_can_be_turned_off() {
     let folder = tempfile::tempdir().unwrap();
     let environment =
         [("ROS_LOG_DIR", folder.path().to_str().unwrap()), ("CYCLONEDDS_URI", "file:///x")];
-    let node = minimal(152, &["--ros-args", "--disable-external-lib-logs"], &environment);
+    let node = minimal(59, &["--ros-args", "--disable-external-lib-logs"], &environment);
     node.line_with("CYCLONEDDS_URI", LONG);
     assert_eq!(files(folder.path()), []);
 }
 
 #[test]
 fn a_folder_that_cannot_be_written_is_named_and_the_node_runs() {
-    let node = minimal(153, &[], &[("ROS_LOG_DIR", "/proc/none")]);
+    let node = minimal(60, &[], &[("ROS_LOG_DIR", "/proc/none")]);
     let line = node.line_with("no log file", LONG);
     assert!(line.contains("/proc/none") && line.contains("ROS_LOG_DIR"), "{line}");
 }
@@ -83,7 +83,7 @@ fn parameters_of_other_nodes_in_a_shared_file_are_ignored_with_a_warning() {
     let shared = "/**: {ros__parameters: {robot_description: x, use_sim_tim: false}}\n";
     std::fs::write(&file, shared).unwrap();
     let arguments = ["--ros-args", "--params-file", file.to_str().unwrap()];
-    let node = minimal(155, &arguments, &[]);
+    let node = minimal(61, &arguments, &[]);
     let line = node.line_with("robot_description", LONG);
     assert!(line.contains("[WARN]") && line.contains("robot.yaml"), "{line}");
     let line = node.line_with("use_sim_tim", LONG);
@@ -94,7 +94,7 @@ fn parameters_of_other_nodes_in_a_shared_file_are_ignored_with_a_warning() {
         ("/rig*/minimal: {ros__parameters: {use_sim_time: true}}\n", "/rig*/minimal"),
     ] {
         std::fs::write(&file, text).unwrap();
-        let (status, lines) = minimal(155, &arguments, &[]).finish(LONG);
+        let (status, lines) = minimal(61, &arguments, &[]).finish(LONG);
         assert_eq!(status.code(), Some(1), "{text}: {lines:?}");
         assert!(lines.iter().any(|line| line.contains(word)), "{text}: {lines:?}");
     }

@@ -1,19 +1,11 @@
 //! Nodes of `node_kit` against a foreign DDS peer (PyPI `cyclonedds`), in processes of their own.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
-#![allow(clippy::disallowed_methods, reason = "tests")]
 
 mod common;
 
-use common::{Announced, minimal, peer, python, start};
-use node_kit::{environment::Network, node::join};
-use rustdds::{GUID, RTPSEntity};
-use std::{
-    collections::BTreeSet,
-    process::Command,
-    time::{Duration, Instant},
-};
+use common::{minimal, peer, python, start};
+use std::{process::Command, time::Duration};
 use test_support::process::example;
-use volant_msgs::{Message, geometry_msgs::msg::PoseWithCovarianceStamped};
 
 const LONG: Duration = Duration::from_secs(20);
 
@@ -35,36 +27,6 @@ fn a_late_joiner_gets_the_static_transform_once() {
     let (_, lines) = peer(2, &python, &["receive", "/tf_static", "tf", "5", "1.5"]).finish(LONG);
     assert_eq!(lines.len(), 1, "{lines:?}");
     assert!(lines[0].contains(r#""child_frame_id": "minimal""#), "{lines:?}");
-}
-
-#[test]
-fn sigterm_and_sigint_end_a_node_at_once_and_leave_no_ghost() {
-    let Some(python) = python() else { return };
-    for (domain, signal) in [(3, "TERM"), (4, "INT")] {
-        let graph = peer(domain, &python, &["graph", "30", "rt/"]);
-        let mut node = minimal(
-            domain,
-            &["--ros-args", "-r", "__ns:=/rig1", "-r", "pose:=/elsewhere/pose"],
-            &[],
-        );
-        // Publications and subscriptions are discovered one after the other.
-        let topics = [
-            "\"rt/rig1/minimal/beats\"",
-            "\"rt/elsewhere/pose\"",
-            "\"rt/rig1/imu\"",
-            "\"rt/rig1/echo\"",
-            "\"rt/tf_static\"",
-            "\"rt/rosout\"",
-        ];
-        let seen = graph.line_with_all(&topics, LONG);
-        assert!(!seen.contains("rt/clock") && !seen.contains("rt//"), "{seen}");
-        node.signal(signal);
-        // `ros2 launch` in a terminal sends a second one at once, which must not interrupt the end.
-        node.signal(signal);
-        assert!(node.wait(Duration::from_secs(1)).success());
-        // The lease of a ghost is 50 s.
-        graph.line_with(r#""pub": [], "sub": []"#, Duration::from_secs(1));
-    }
 }
 
 /// RustDDS's threads end when the process is stopped and continued; the node rejoins the domain.
@@ -125,60 +87,6 @@ fn parameters_and_lifecycle_are_served() {
     let (_, lines) = peer(6, &python, &["echo", "/pose", "/echo", "pose", "5"]).finish(LONG);
     assert_eq!(lines, ["5"]);
     drop(node);
-}
-
-/// Without them, `ros2` on Cyclone DDS warns of every endpoint.
-#[test]
-fn participant_and_endpoints_announce_enclave_and_type_hash() {
-    let Some(python) = python() else { return };
-    let _node = minimal(9, &[], &[]);
-    let (_, lines) = peer(9, &python, &["user_data", "3"]).finish(LONG);
-    let line = lines.last().unwrap();
-    assert!(line.starts_with(r#"{"participants": ["enclave=/;"], "#), "{line}");
-    let topics: Vec<&str> = line.split("[\"r").skip(1).collect();
-    assert!(topics.len() > 20, "{line}");
-    for topic in &topics {
-        assert!(topic.contains(r#", "typehash=RIHS01_"#), "{topic} in {line}");
-    }
-    let pose = PoseWithCovarianceStamped::RIHS01_HASH;
-    assert!(topics.contains(&format!(r#"t/pose", "typehash={pose};"], "#).as_str()), "{line}");
-}
-
-/// A bridge forwards what `ros_discovery_info` lists only, the replies of services included.
-#[test]
-fn every_endpoint_is_announced_as_the_nodes() {
-    let _node = minimal(10, &[], &[]);
-    let network = Network { domain_id: 10, ..Network::default() };
-    let (participant, _watch) = join(&network).unwrap();
-    let announced = Announced::subscribe(&participant);
-    let by_participant = |key: GUID, topic: &str| {
-        let ours = key.prefix == participant.guid().prefix;
-        (!ours && topic.starts_with('r') && topic != "ros_discovery_info").then(|| key.to_bytes())
-    };
-    let deadline = Instant::now() + LONG;
-    loop {
-        let listed = announced.endpoints("minimal");
-        let mut there = BTreeSet::new();
-        for r in participant.discovered_readers() {
-            let data = &r.subscription_topic_data;
-            there.extend(by_participant(r.reader_proxy.remote_reader_guid, data.topic_name()));
-        }
-        for w in participant.discovered_writers() {
-            let data = &w.publication_topic_data;
-            there.extend(by_participant(data.key, &data.topic_name));
-        }
-        // Twelve services with two endpoints each, and the topics.
-        if there.len() > 30 && listed == there {
-            return;
-        }
-        assert!(
-            Instant::now() < deadline,
-            "not announced: {:?}; announced, not there: {:?}",
-            there.difference(&listed).collect::<Vec<_>>(),
-            listed.difference(&there).collect::<Vec<_>>()
-        );
-        std::thread::sleep(Duration::from_millis(100));
-    }
 }
 
 /// As rmw_cyclonedds configures Cyclone DDS for `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`: RViz or

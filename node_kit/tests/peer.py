@@ -6,8 +6,6 @@ peer.py receive TOPIC tf|imu|pose|diagnostics N SECONDS
     Print the received messages, one JSON a line.
 peer.py graph SECONDS PREFIX
     Print the endpoints whose topic has the prefix, again on each change.
-peer.py user_data SECONDS
-    Print the USER_DATA of all participants and, by topic, of all endpoints.
 peer.py clock START N
     Publish /clock from START (s) on, 0.1 s a step.
 peer.py watch TOPIC KIND reliable|best_effort
@@ -21,12 +19,7 @@ import os
 import sys
 import time
 
-from cyclonedds.builtin import (
-    BuiltinDataReader,
-    BuiltinTopicDcpsParticipant,
-    BuiltinTopicDcpsPublication,
-    BuiltinTopicDcpsSubscription,
-)
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
 from cyclonedds.core import InstanceState, Policy, Qos, ReadCondition, SampleState, ViewState
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.internal import InvalidSample
@@ -223,29 +216,9 @@ def graph(participant, seconds, prefix):
         time.sleep(0.01)
 
 
-def user_data(participant, seconds):
-    participants = BuiltinDataReader(participant, BuiltinTopicDcpsParticipant)
-    endpoints = [
-        BuiltinDataReader(participant, BuiltinTopicDcpsPublication),
-        BuiltinDataReader(participant, BuiltinTopicDcpsSubscription),
-    ]
-    time.sleep(float(seconds))
-
-    def of(sample):
-        data = sample.qos[Policy.Userdata] if Policy.Userdata in sample.qos else None
-        return bytes(data.data).decode() if data else ""
-
-    alive = [s for s in participants.take(N=100) if not isinstance(s, InvalidSample)]
-    found = sorted(of(s) for s in alive if s.key != participant.guid)
-    topics = [
-        (s.topic_name, of(s)) for r in endpoints for s in r.take(N=500) if not isinstance(s, InvalidSample)
-    ]
-    print(json.dumps({"participants": found, "topics": sorted(topics)}), flush=True)
-
-
 def main():
     participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
-    commands = [echo, receive, clock, graph, user_data, calls, watch]
+    commands = [echo, receive, clock, graph, calls, watch]
     {c.__name__: c for c in commands}[sys.argv[1]](participant, *sys.argv[2:])
 
 

@@ -33,11 +33,13 @@ fn output(domain: u16, python: &Path, arguments: &[&str]) -> String {
 #[test]
 fn the_graph_is_that_of_any_node() {
     let Some(python) = rclpy() else { return };
-    let _node = minimal(41, &["--ros-args", "-r", "__ns:=/rig1"], &[]);
+    let names = ["--ros-args", "-r", "__ns:=/rig1", "-r", "pose:=/elsewhere/pose"];
+    let _node = minimal(41, &names, &[]);
     let line = output(41, &python, &["look", "/rig1/minimal"]);
     for needle in [
         r#""/rig1/echo": ["geometry_msgs/msg/PoseWithCovarianceStamped"]"#,
-        r#""/rig1/pose": ["geometry_msgs/msg/PoseWithCovarianceStamped"]"#,
+        r#""/rig1/minimal/beats": ["geometry_msgs/msg/PoseWithCovarianceStamped"]"#,
+        r#""/elsewhere/pose": ["geometry_msgs/msg/PoseWithCovarianceStamped"]"#,
         r#""/rig1/imu": ["sensor_msgs/msg/Imu"]"#,
         r#""/tf_static": ["tf2_msgs/msg/TFMessage"]"#,
         r#""/rosout": ["rcl_interfaces/msg/Log"]"#,
@@ -47,6 +49,7 @@ fn the_graph_is_that_of_any_node() {
     ] {
         assert!(line.contains(needle), "{needle} in {line}");
     }
+    assert!(!line.contains(r#""/clock""#) && !line.contains(r#""//"#), "{line}");
 }
 
 /// `ros2 param list`, `describe`, `get`, `dump` and `set`; the replies have up to 500 kB.
@@ -61,11 +64,6 @@ fn parameters_are_listed_described_dumped_and_set() {
             let rest = line.split(&format!("\"{key}\": ")).nth(1).unwrap();
             rest.split([',', '}']).next().unwrap().parse().unwrap()
         };
-        eprintln!(
-            "{} parameters in one request: {:.1} ms",
-            number("requested"),
-            number("seconds") * 1e3
-        );
         assert_eq!(number("requested"), number("values"));
         assert!(number("requested") >= 20.0 * times.parse::<f64>().unwrap());
         assert!(
@@ -117,11 +115,12 @@ fn topics_and_services_are_gone_within_a_second_of_a_signal() {
         watcher.line_with("there", LONG);
         let interrupted = Instant::now();
         node.signal(signal);
+        // `ros2 launch` in a terminal sends a second one at once, which must not interrupt the end.
+        node.signal(signal);
         let line = watcher.line_with("gone", LONG);
         let seconds = interrupted.elapsed().as_secs_f64();
-        eprintln!("endpoints gone from the graph of Fast DDS {seconds:.3} s after SIG{signal}");
         assert!(line.contains(r#""gone": true"#) && seconds < 1.0, "{seconds:.3} s: {line}");
-        assert!(node.wait(LONG).success());
+        assert!(node.wait(Duration::from_secs(1)).success());
     }
 }
 
@@ -164,7 +163,9 @@ fn types_are_described_as_rclpy_describes_them() {
     assert!(!line.contains("/off/get_type_description"), "{line}");
 }
 
-/// What `ros2 topic info -v` prints: hashes as rosidl computes them, and the QoS of rclcpp.
+/// What `ros2 topic info -v` prints: hashes as rosidl computes them (without them `ros2` on Cyclone
+/// DDS warns of every endpoint), and the QoS of rclcpp. `ros_discovery_info` lists every endpoint,
+/// the replies of services included: a bridge ignores others.
 #[test]
 fn type_hashes_enclave_and_parameter_events_are_those_of_rclpy() {
     let Some(python) = rclpy() else { return };
@@ -175,9 +176,12 @@ fn type_hashes_enclave_and_parameter_events_are_those_of_rclpy() {
         r#""valid": true"#,
         r#""enclaves": ["/"]"#,
         r#""durability": ["VOLATILE"]"#,
+        r#""nodeless": ["ros_discovery_info"]"#,
         r#""event": true"#,
         PoseWithCovarianceStamped::RIHS01_HASH,
     ] {
         assert!(line.contains(needle), "{needle} in {line}");
     }
+    // Twelve services with two topics each, those of the peer, and the topics.
+    assert!(line.matches("RIHS01_").count() > 40, "{line}");
 }

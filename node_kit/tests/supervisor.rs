@@ -67,7 +67,7 @@ fn a_node_reports_its_start_its_beats_and_its_end() {
     let folder = tempfile::tempdir().unwrap();
     let manager = Manager::new(&folder);
     let socket = manager.path.to_str().unwrap();
-    let mut node = minimal(140, &[], &[("NOTIFY_SOCKET", socket), ("WATCHDOG_USEC", PERIOD)]);
+    let mut node = minimal(51, &[], &[("NOTIFY_SOCKET", socket), ("WATCHDOG_USEC", PERIOD)]);
     manager.wait_for("READY=1");
     let beats = manager.beats(Duration::from_secs(2));
     // 20 at most: four per period.
@@ -85,40 +85,37 @@ fn an_abstract_socket_is_reached_and_without_a_watchdog_there_is_no_beat() {
         Manager { socket: UnixDatagram::bind_addr(&address).unwrap(), path: "/nowhere".into() };
     let socket = format!("@{name}");
     let environment = [("NOTIFY_SOCKET", &*socket), ("WATCHDOG_USEC", PERIOD)];
-    let _node = minimal(141, &[], &environment[..1]);
+    let _node = minimal(52, &[], &environment[..1]);
     manager.wait_for("READY=1");
     assert_eq!(manager.beats(Duration::from_secs(1)), 0);
     // The watchdog of another process, such as a shell that started this one.
     let of_another = [environment[0], environment[1], ("WATCHDOG_PID", "1")];
-    let _other = minimal(141, &[], &of_another);
+    let _other = minimal(52, &[], &of_another);
     manager.wait_for("READY=1");
     assert_eq!(manager.beats(Duration::from_secs(1)), 0);
 }
 
 #[test]
 fn a_socket_that_is_gone_is_reported_and_the_node_runs() {
-    let node = minimal(142, &[], &[("NOTIFY_SOCKET", "/no/such/socket")]);
+    let node = minimal(53, &[], &[("NOTIFY_SOCKET", "/no/such/socket")]);
     let line = node.line_with("NOTIFY_SOCKET=/no/such/socket", LONG);
     assert!(line.contains("[WARN]"), "{line}");
 }
 
-/// The process of the test below.
-#[test]
-#[ignore = "a process that another test starts"]
-fn process_with_a_node_that_hangs() {
-    if std::env::var_os("NOTIFY_SOCKET").is_none() {
-        return;
-    }
-    let network = Network { domain_id: 143, ..Network::default() };
+/// File while which the node `hanging` hangs in its handler; names the process of the test below.
+const HANGS: &str = "VOLANT_TEST_HANGS";
+
+/// Two nodes, of which one hangs while the file exists.
+fn process_with_a_node_that_hangs(file: PathBuf) {
+    let network = Network { domain_id: 54, ..Network::default() };
     let mut process = Process::new(network).unwrap();
     let period = Duration::from_millis(20);
     Timed::launch(&mut process, "well", period, |_| Ok(|_: &mut NodeContext<()>| {}));
-    // Hangs in its handler from the third second on.
-    Timed::launch(&mut process, "hanging", period, |_| {
-        let begin = Instant::now();
+    Timed::launch(&mut process, "hanging", period, move |_| {
+        let file = file.clone();
         Ok(move |_: &mut NodeContext<()>| {
-            while begin.elapsed() > Duration::from_secs(3) {
-                std::thread::sleep(Duration::from_secs(1));
+            while file.exists() {
+                std::thread::sleep(Duration::from_millis(10));
             }
         })
     });
@@ -127,21 +124,26 @@ fn process_with_a_node_that_hangs() {
 
 #[test]
 fn one_hanging_event_loop_stops_the_beat_of_its_process() {
+    if let Some(file) = std::env::var_os(HANGS) {
+        return process_with_a_node_that_hangs(file.into());
+    }
     let folder = tempfile::tempdir().unwrap();
     let manager = Manager::new(&folder);
-    let _process = start(
-        143,
-        &std::env::current_exe().unwrap(),
-        &["--exact", "process_with_a_node_that_hangs", "--ignored"],
-        &[("NOTIFY_SOCKET", manager.path.to_str().unwrap()), ("WATCHDOG_USEC", PERIOD)],
-    );
+    let (socket, hangs) = (manager.path.to_str().unwrap(), folder.path().join("hangs"));
+    let environment =
+        [("NOTIFY_SOCKET", socket), ("WATCHDOG_USEC", PERIOD), (HANGS, hangs.to_str().unwrap())];
+    let this = ["--exact", "one_hanging_event_loop_stops_the_beat_of_its_process"];
+    let _process = start(54, &std::env::current_exe().unwrap(), &this, &environment);
     manager.wait_for("READY=1");
     let beats = manager.beats(Duration::from_secs(2));
     assert!(beats >= 8, "{beats}");
+    std::fs::write(&hangs, "").unwrap();
     // The other node's loop runs on.
-    std::thread::sleep(Duration::from_secs(2));
+    std::thread::sleep(Duration::from_secs(1));
     while manager.signal(Duration::from_millis(1)).is_some() {}
     assert_eq!(manager.beats(Duration::from_secs(2)), 0);
+    std::fs::remove_file(&hangs).unwrap();
+    manager.wait_for("WATCHDOG=1");
 }
 
 /// Scheduling policy of each thread of a process (`man 5 proc`: field 41 of `stat`; 1 is FIFO).
@@ -167,11 +169,10 @@ fn priority_affinity_and_memory_lock_hold_for_every_thread() {
         return;
     }
     let options = ["--realtime-priority", "7", "--cpus", "0", "--lock-memory"];
-    let node = minimal(144, &options, &[]);
-    let deadline = Instant::now() + LONG;
-    while node.threads() < 8 && Instant::now() < deadline {
-        std::thread::sleep(Duration::from_millis(50));
-    }
+    let folder = tempfile::tempdir().unwrap();
+    let manager = Manager::new(&folder);
+    let node = minimal(55, &options, &[("NOTIFY_SOCKET", manager.path.to_str().unwrap())]);
+    manager.wait_for("READY=1");
     let policies = policies(node.id());
     assert!(policies.len() >= 5 && policies.iter().all(|policy| policy == "1 7"), "{policies:?}");
     let status = std::fs::read_to_string(format!("/proc/{}/status", node.id())).unwrap();
@@ -194,7 +195,7 @@ fn what_the_system_does_not_permit_is_named_with_its_remedy() {
         let mut words = vec!["--reuid=65534", "--regid=65534", "--clear-groups", "--"];
         words.push(node.to_str().unwrap());
         words.extend(option);
-        let (status, lines) = start(145, Path::new("setpriv"), &words, &[]).finish(LONG);
+        let (status, lines) = start(56, Path::new("setpriv"), &words, &[]).finish(LONG);
         assert_eq!(status.code(), Some(1), "{lines:?}");
         assert!(lines.len() == 1 && lines[0].contains(remedy), "{lines:?}");
     }

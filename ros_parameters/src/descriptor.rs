@@ -218,7 +218,8 @@ impl Descriptor {
         }
     }
 
-    /// Validates a value and converts whole numbers to declared doubles.
+    /// Validates a value and converts whole numbers to declared doubles, and `yes` or `off` to
+    /// declared booleans.
     ///
     /// # Errors
     /// [`ParameterError`] for another type, a NaN, a value out of range or not among the choices.
@@ -271,15 +272,8 @@ impl Descriptor {
             (ParameterKind::DoubleArray, ParameterValue::IntegerArray(_)) => {
                 value.as_f64_array().map(ParameterValue::DoubleArray)
             }
-            // An empty list has no type of its own.
-            (ParameterKind::BoolArray, ParameterValue::DoubleArray(a)) if a.is_empty() => {
-                Some(ParameterValue::BoolArray(Vec::new()))
-            }
-            (ParameterKind::IntegerArray, ParameterValue::DoubleArray(a)) if a.is_empty() => {
-                Some(ParameterValue::IntegerArray(Vec::new()))
-            }
-            (ParameterKind::StringArray, ParameterValue::DoubleArray(a)) if a.is_empty() => {
-                Some(ParameterValue::StringArray(Vec::new()))
+            (ParameterKind::Bool, ParameterValue::String(text)) => {
+                yaml_boolean(text).map(ParameterValue::Bool)
             }
             // `-p name:=5` and `-p name:=true` are texts if a text is declared (a serial number).
             (ParameterKind::String, ParameterValue::Integer(_) | ParameterValue::Bool(_)) => {
@@ -296,9 +290,30 @@ impl Descriptor {
     }
 }
 
+/// A boolean of YAML 1.1 that YAML 1.2 reads as text, in the three capitalizations that rcl knows.
+fn yaml_boolean(text: &str) -> Option<bool> {
+    match text {
+        "y" | "Y" | "yes" | "Yes" | "YES" | "on" | "On" | "ON" => Some(true),
+        "n" | "N" | "no" | "No" | "NO" | "off" | "Off" | "OFF" => Some(false),
+        _ => None,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn words_of_yaml_1_1_are_declared_booleans() {
+        let flag = Descriptor::new("f", ParameterKind::Bool, None, "");
+        for (text, value) in [("yes", Some(true)), ("OFF", Some(false)), ("oFF", None)] {
+            let accepted = flag.accept(&crate::parse_value("f", text).unwrap());
+            assert_eq!(accepted.ok(), value.map(ParameterValue::Bool), "{text}");
+        }
+        let text = Descriptor::new("t", ParameterKind::String, None, "");
+        let no = ParameterValue::String("no".into());
+        assert_eq!(text.accept(&no), Ok(no));
+    }
 
     #[test]
     fn values_are_converted_only_without_loss() {
@@ -312,10 +327,5 @@ mod tests {
         let text =
             Descriptor::new("t", ParameterKind::String, None, "").one_of(&["tight", "paper"]);
         assert!(text.accept(&ParameterValue::String("papr".into())).is_err());
-        let list = Descriptor::new("l", ParameterKind::StringArray, None, "");
-        assert_eq!(
-            list.accept(&ParameterValue::DoubleArray(vec![])),
-            Ok(ParameterValue::StringArray(vec![]))
-        );
     }
 }

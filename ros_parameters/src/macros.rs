@@ -23,49 +23,24 @@ use crate::{Descriptor, ParameterError, ParameterMap, ParameterType, ParameterVa
 ///     }
 /// }
 /// ros_parameters::parameters! {
-///     /// Parameters of the log.
-///     #[derive(PartialEq)]
-///     pub struct LogParameters {
-///         /// Folder of the log.
-///         folder: String = "log", name("log.folder");
-///     }
-/// }
-/// ros_parameters::parameters! {
 ///     /// Parameters of a driver.
-///     #[derive(PartialEq)]
 ///     pub struct DriverParameters {
-///         /// Serial port of the IMU.
-///         port: String = "/dev/ttyUSB0";
 ///         /// Samples per second.
 ///         rate: f64 = 100.0, unit("Hz"), range(1.0..=512.0), name("sampling.rate");
-///         /// Lost samples that cause a warning.
-///         loss_limit: u32 = 3, range(1..=1000), live;
 ///         /// What is sent.
-///         output: Output = Output::All;
-///         groups {
-///             /// The log.
-///             log: LogParameters;
-///         }
+///         output: Output = Output::All, live;
 ///     }
 ///     check(p) {
-///         if p.rate * f64::from(p.loss_limit) > 5000.0 {
-///             Err("rate times loss_limit exceeds 5000".to_owned())
+///         if p.output == Output::Half && p.rate < 2.0 {
+///             Err("half of the samples of sampling.rate are fewer than one per second".to_owned())
 ///         } else {
 ///             Ok(())
 ///         }
 ///     }
 /// }
 /// use ros_parameters::{ParameterMap, ParameterSet, ParameterValue};
-/// assert_eq!(DriverParameters::default().rate, 100.0);
 /// let map = ParameterMap::from([("sampling.rate".to_owned(), ParameterValue::Integer(400))]);
 /// assert_eq!(DriverParameters::from_map(&map).unwrap().rate, 400.0);
-/// let map = ParameterMap::from([
-///     ("output".to_owned(), ParameterValue::String("half".to_owned())),
-///     ("log.folder".to_owned(), ParameterValue::String("/tmp".to_owned())),
-/// ]);
-/// let set = DriverParameters::from_map(&map).unwrap();
-/// assert_eq!((set.output, set.log.folder.as_str()), (Output::Half, "/tmp"));
-/// assert_eq!(DriverParameters::descriptors()[4].name, "log.folder");
 /// let map = ParameterMap::from([("sampling.rate".to_owned(), ParameterValue::Integer(4000))]);
 /// assert!(DriverParameters::from_map(&map).is_err());
 /// ```

@@ -164,19 +164,41 @@ fn spikes_are_rejected_and_a_lasting_step_is_accepted_after_the_patience() {
         let out = process(&mut climber, &reading(0.02 * f64::from(i), x, 0.0, 0.0));
         assert_eq!(matches!(out[..], [Output::Sample(_)]), !spike, "{i}");
     }
-    let mut rejected = 0;
-    for i in 200.. {
-        let out = process(&mut climber, &reading(0.02 * f64::from(i), 5.0, 0.0, 0.0));
-        match out.as_slice() {
-            [Output::Warning(Warning::Rejected(Rejection::Jump { .. }))] => rejected += 1,
-            [Output::Warning(Warning::Relocated { change, rejected: n }), Output::Sample(s)] => {
-                assert_eq!((*n, rejected), (patience - 1, patience - 1));
-                assert_eq!((change[0], s.world_from_climber.translation.x), (5.0, 5.0));
-                break;
+    // The climber could cover the smaller step within the patience.
+    for (from, step) in [(200, 5.0), (300, 5.5)] {
+        let mut rejected = 0;
+        for i in from.. {
+            let out = process(&mut climber, &reading(0.02 * f64::from(i), step, 0.0, 0.0));
+            match out.as_slice() {
+                [Output::Warning(Warning::Rejected(Rejection::Jump { .. }))] => rejected += 1,
+                [
+                    Output::Warning(Warning::Relocated { change, rejected: n }),
+                    Output::Sample(s),
+                ] => {
+                    assert_eq!((*n, rejected), (patience - 1, patience - 1));
+                    assert_eq!(change[0], if from == 200 { 5.0 } else { 0.5 });
+                    assert_eq!(s.world_from_climber.translation.x, step);
+                    break;
+                }
+                other => panic!("{other:?}"),
             }
-            other => panic!("{other:?}"),
+            assert!(i < from + 100);
         }
-        assert!(i < 300);
+        for i in from + 50..from + 100 {
+            let out = process(&mut climber, &reading(0.02 * f64::from(i), step, 0.0, 0.0));
+            assert!(matches!(out[..], [Output::Sample(_)]), "{i}: {out:?}");
+        }
+    }
+}
+
+#[test]
+fn a_moving_climber_is_followed_beside_spikes() {
+    let mut climber = climber();
+    for i in 0..100 {
+        let seconds = 0.02 * f64::from(i);
+        let spike = if i % 2 == 1 { 0.5 } else { 0.0 };
+        let out = process(&mut climber, &reading(seconds, 1.9 * seconds + spike, 0.0, 0.0));
+        assert_eq!(matches!(out[..], [Output::Sample(_)]), spike == 0.0, "{i}: {out:?}");
     }
 }
 

@@ -43,6 +43,8 @@ fn every_mistake_is_named() {
         ("--ros-args -r a", "from:=to", true),
         ("--ros-args -p a", "name:=value", true),
         ("--ros-args -p a:={b:1", "-p a", true),
+        ("--ros-args -p /rig1/fusion:a:=1", "without a namespace", true),
+        ("--ros-args -r */fusion:a:=b", "without a namespace", true),
         ("--ros-args --log-level loud", "loud", true),
         ("--ros-args --bogus", "--bogus", true),
         ("--ros-args --params-file /no/such.yaml", "/no/such.yaml", false),
@@ -55,10 +57,46 @@ fn every_mistake_is_named() {
 
 #[test]
 fn node_prefixes_limit_rules_to_one_node_of_a_process() {
-    let (ros, _) =
-        RosArguments::parse(words("--ros-args -r a:__node:=first -r b:__ns:=/two")).unwrap();
-    assert_eq!(ros.node_name("a").unwrap().fully_qualified(), "/first");
+    let rules = "--ros-args -r a:__node:=first -r b:__ns:=/two -r first:__ns:=/one -r a:__ns:=/no";
+    let (ros, _) = RosArguments::parse(words(rules)).unwrap();
+    assert_eq!(ros.node_name("a").unwrap().fully_qualified(), "/one/first");
     assert_eq!(ros.node_name("b").unwrap().fully_qualified(), "/two/b");
+}
+
+#[test]
+fn a_loggers_own_level_wins_over_that_of_all() {
+    for line in ["--log-level a:=debug --log-level warn", "--log-level warn --log-level a:=debug"] {
+        let (ros, _) = RosArguments::parse(words(&format!("--ros-args {line}"))).unwrap();
+        let level = |name| ros.level(&NodeName::new("/", name).unwrap());
+        assert_eq!((level("a"), level("b")), (Level::Debug, Level::Warn), "{line}");
+    }
+}
+
+#[test]
+fn another_nodes_parameter_is_allowed_only_where_it_is_given_for_all() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rig.yaml");
+    let node = NodeName::new("/", "pose_fusion").unwrap();
+    for (selector, line, right) in [
+        ("/**", "", true),
+        ("imu_driver", "", true),
+        ("pose_fusion", "", false),
+        ("imu_driver", "-p port:=a", true),
+        ("imu_driver", "-p imu_driver:port:=a", true),
+        ("imu_driver", "-p pose_fusion:port:=a", false),
+    ] {
+        let rig = "/**: {ros__parameters: {markers: {size: 0.076}";
+        let text = match selector {
+            "/**" => format!("{rig}, port: a}}}}"),
+            _ => format!("{rig}}}}}\n{selector}: {{ros__parameters: {{port: a}}}}"),
+        };
+        std::fs::write(&path, text).unwrap();
+        let (mut ros, _) = RosArguments::parse(words(&format!("--ros-args {line}"))).unwrap();
+        ros.add_file(path.clone()).unwrap();
+        ros.allow_of_others(["port".to_owned()]);
+        let declared = ros.declare::<()>(&node);
+        assert_eq!(declared.is_ok(), right, "{selector} {line}: {declared:?}");
+    }
 }
 
 #[test]

@@ -25,7 +25,7 @@ impl BareNode {
     /// Joins a domain as [`join`] with a node of this name in the namespace `/`.
     ///
     /// # Errors
-    /// As [`join`], and [`NodeError::Middleware`] for an invalid name.
+    /// As [`join`], and an invalid name.
     pub fn join(network: &Network, name: &str) -> Result<(Self, MiddlewareWatch), NodeError> {
         let what = || format!("the node /{name}");
         let (participant, watch) = join(network)?;
@@ -46,7 +46,14 @@ impl BareNode {
     pub fn announce_reader(&self, reader: GUID) -> AnnouncedReader {
         let reader = Gid::from(reader);
         self.node.lock().add_reader(reader);
-        AnnouncedReader { node: Arc::clone(&self.node), reader }
+        AnnouncedReader::of(&self.node, reader)
+    }
+}
+
+impl AnnouncedReader {
+    /// A subscription that `node` has announced already.
+    pub(super) fn of(node: &Arc<Mutex<Node>>, reader: Gid) -> Self {
+        Self { node: Arc::clone(node), reader }
     }
 }
 

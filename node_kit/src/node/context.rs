@@ -2,7 +2,6 @@
 
 use super::{
     devices::DeviceSender,
-    diagnostics::Health,
     domain::Domain,
     error::NodeError,
     handle::{NodeHandle, NodeParts},
@@ -174,12 +173,13 @@ impl<I: Send + 'static> NodeContext<I> {
     ) -> Result<(), NodeError> {
         let inbox = self.inbox.clone();
         let source = inbox.add_source(&self.resolve(name)?, 16, SourceKind::Service);
-        let task = self.endpoints.serve::<S, _>(name, move |request| {
+        self.shell.sources.push(source);
+        let service = self.endpoints.serve::<S, _>(name, move |request| {
             let (responder, response) = Responder::new();
             inbox.put(source, Event::Input(make(request, responder)), now());
             async move { response.recv().await.ok() }
         })?;
-        self.shell.services.push(task);
+        self.shell.services.push(service);
         Ok(())
     }
 
@@ -195,29 +195,8 @@ impl<I: Send + 'static> NodeContext<I> {
         self.handle.devices.sender(&self.inbox, name, depth)
     }
 
-    // The next three take `&mut self` and often an argument such as `self.now()`: through
-    // `deref_mut` the borrows would clash.
-
-    /// [`NodeHandle::diagnose`].
-    pub fn diagnose(
-        &mut self,
-        name: &str,
-        health: Health,
-        message: &str,
-        values: &[(&str, String)],
-    ) {
-        self.handle.diagnose(name, health, message, values);
-    }
-
-    /// [`NodeHandle::send_transform`].
-    ///
-    /// # Errors
-    /// The first call advertises the topic, which can fail.
-    pub fn send_transform(&mut self, transform: TransformStamped) -> Result<(), NodeError> {
-        self.handle.send_transform(transform)
-    }
-
-    /// [`NodeHandle::send_static_transform`].
+    /// [`NodeHandle::send_static_transform`]; its argument may use `self.now()`, which the borrow
+    /// of `deref_mut` would forbid.
     ///
     /// # Errors
     /// The first call advertises the topic, which can fail.

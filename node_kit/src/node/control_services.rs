@@ -1,6 +1,6 @@
 //! Services that every node offers: parameters and lifecycle.
 
-use super::{endpoints::Endpoints, error::NodeError, type_description};
+use super::{endpoints::Endpoints, error::NodeError, service::OfferedService, type_description};
 use crate::{
     inbox::{Control, SourceKind},
     lifecycle::{LifecycleState, Transition},
@@ -9,7 +9,6 @@ use crate::{
         messages::{descriptor_message, value, value_message},
     },
 };
-use async_executor::Task;
 use parking_lot::Mutex;
 use std::sync::Arc;
 use volant_msgs::{
@@ -27,13 +26,14 @@ fn state_message(state: LifecycleState) -> State {
     State { id: state as u8, label: state.label().to_owned() }
 }
 
-pub(crate) fn transition_description(transition: Transition) -> TransitionDescription {
-    let (start, goal) = transition.ends();
+/// Description of a transition by its number and name.
+pub(crate) fn description(
+    (id, label): (u8, &str),
+    start: LifecycleState,
+    goal: LifecycleState,
+) -> TransitionDescription {
     TransitionDescription {
-        transition: TransitionMessage {
-            id: transition as u8,
-            label: transition.label().to_owned(),
-        },
+        transition: TransitionMessage { id, label: label.to_owned() },
         start_state: state_message(start),
         goal_state: state_message(goal),
     }
@@ -44,7 +44,7 @@ pub(crate) fn transition_description(transition: Transition) -> TransitionDescri
 pub(crate) fn offer(
     endpoints: &mut Endpoints,
     state: &SharedState,
-) -> Result<Vec<Task<()>>, NodeError> {
+) -> Result<Vec<OfferedService>, NodeError> {
     let mut tasks = Vec::from(offer_parameters(endpoints)?);
     tasks.extend(offer_lifecycle(endpoints, state)?);
     let described = endpoints.store.lock().get(START_TYPE_DESCRIPTION_SERVICE).cloned();
@@ -54,7 +54,7 @@ pub(crate) fn offer(
     Ok(tasks)
 }
 
-fn offer_parameters(endpoints: &mut Endpoints) -> Result<[Task<()>; 6], NodeError> {
+fn offer_parameters(endpoints: &mut Endpoints) -> Result<[OfferedService; 6], NodeError> {
     let store = Arc::clone(&endpoints.store);
     let get = move |request: srv::GetParametersRequest| {
         let store = store.lock();
@@ -137,7 +137,7 @@ fn offer_parameters(endpoints: &mut Endpoints) -> Result<[Task<()>; 6], NodeErro
 fn offer_lifecycle(
     endpoints: &mut Endpoints,
     state: &SharedState,
-) -> Result<[Task<()>; 5], NodeError> {
+) -> Result<[OfferedService; 5], NodeError> {
     let own_state = Arc::clone(state);
     let get = move |_: lifecycle::GetStateRequest| {
         std::future::ready(Some(lifecycle::GetStateResponse {
@@ -149,8 +149,15 @@ fn offer_lifecycle(
         std::future::ready(Some(lifecycle::GetAvailableStatesResponse { available_states }))
     };
     let transitions = |from: Option<LifecycleState>| {
-        let all = Transition::ALL.into_iter().filter(|t| from.is_none_or(|s| t.ends().0 == s));
-        let available_transitions = all.map(transition_description).collect();
+        let all = Transition::ALL.into_iter().filter(|t| from.is_none_or(|s| t.start == s));
+        let mut available_transitions: Vec<_> =
+            all.map(|t| description((t.id, t.label), t.start, t.through)).collect();
+        if from.is_none() {
+            let ends = Transition::ALL.map(|t| description(t.end(true), t.through, t.goal));
+            available_transitions.extend(ends);
+            // The three shutdowns end alike.
+            available_transitions.dedup();
+        }
         let response = lifecycle::GetAvailableTransitionsResponse { available_transitions };
         std::future::ready(Some(response))
     };

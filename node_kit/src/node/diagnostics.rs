@@ -42,8 +42,6 @@ pub enum Health {
     Warn = DiagnosticStatus::WARN,
     /// Does not work.
     Error = DiagnosticStatus::ERROR,
-    /// Unknown, because no data arrive.
-    Stale = DiagnosticStatus::STALE,
 }
 
 /// Statuses of one node.

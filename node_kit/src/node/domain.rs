@@ -60,7 +60,7 @@ impl Domain {
     /// becomes unusable.
     ///
     /// # Errors
-    /// As [`join`]; [`NodeError::System`] if the system refuses the thread.
+    /// As [`join`], or the system refuses the thread.
     pub fn join(
         network: Network,
         log: Logger,

@@ -33,7 +33,7 @@ pub(crate) struct Endpoints {
     pub publishers: Vec<Weak<dyn Publishing>>,
     // Dropped in this order: the readers' thread, the ROS node, the participant.
     pub reactor: Reactor,
-    pub node: ros2_client::Node,
+    pub node: Arc<Mutex<ros2_client::Node>>,
     pub domain: Arc<Domain>,
 }
 
@@ -41,8 +41,7 @@ impl Endpoints {
     /// Creates the ROS node in `domain`.
     ///
     /// # Errors
-    /// [`NodeError::Middleware`] if DDS refuses the node; [`NodeError::System`] if the system
-    /// refuses the thread.
+    /// DDS refuses the node, or the system the thread.
     pub fn new(
         domain: Arc<Domain>,
         sources: Arc<dyn Sources>,
@@ -74,7 +73,7 @@ impl Endpoints {
             active: Arc::new(AtomicBool::new(true)),
             publishers: Vec::new(),
             reactor,
-            node,
+            node: Arc::new(Mutex::new(node)),
             domain,
         })
     }
@@ -115,6 +114,7 @@ impl Endpoints {
         let dds_topic = self.dds_topic::<M>(&name, &qos)?;
         let writer = self
             .node
+            .lock()
             .create_publisher::<Arc<M>>(&dds_topic, None)
             .map_err(|e| NodeError::middleware(format!("the publisher of {name}"), e))?;
         let publisher = Publisher::new(name, qos, channel, writer, active);
@@ -159,7 +159,7 @@ pub fn dds_type_name(type_name: &str) -> String {
 /// Creates the DDS topic of a ROS topic with an absolute name.
 ///
 /// # Errors
-/// [`NodeError::Middleware`]: DDS does not create it.
+/// DDS does not create it.
 pub fn ros_topic(
     participant: &DomainParticipant,
     name: &str,

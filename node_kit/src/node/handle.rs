@@ -10,19 +10,19 @@ use super::{
     error::NodeError,
     logger::Logger,
     publisher::Publisher,
+    service::OfferedService,
     subscription::Subscription,
     tf::Transforms,
 };
 use crate::{
     convert,
-    inbox::{Control, SourceKind, Sources},
+    inbox::{Control, SourceId, SourceKind, Sources},
     level::Level,
     lifecycle::LifecycleState,
     names::{NodeName, Remap},
     parameters::{Changes, ParameterMap, ParameterStore, ParameterValue},
     qos::{Qos, QosPreset},
 };
-use async_executor::Task;
 use parking_lot::{Mutex, MutexGuard};
 use rig_model::{Rig, Stamp, topics};
 use std::{
@@ -37,7 +37,9 @@ use volant_msgs::{
 #[derive(Default)]
 pub(crate) struct Held {
     pub subscriptions: Vec<Subscription>,
-    pub services: Vec<Task<()>>,
+    pub services: Vec<OfferedService>,
+    /// Inbox sources of the services.
+    pub sources: Vec<SourceId>,
 }
 
 /// The part of a node's context that does not depend on the node's inputs: publishers, clock, log,
@@ -126,7 +128,7 @@ impl NodeHandle {
 
     /// Announces a publisher of the participant as this node's.
     pub fn announce_writer(&mut self, writer: rustdds::GUID) {
-        self.endpoints.node.add_writer(writer.into());
+        self.endpoints.node.lock().add_writer(writer.into());
     }
 
     /// Starts a named thread for a device. It must end soon after
@@ -217,7 +219,9 @@ impl NodeHandle {
     /// # Errors
     /// A key that is missing or invalid.
     pub fn rig(&self) -> Result<Rig, NodeError> {
-        Ok(Rig::from_parameters(&self.parameter_values())?)
+        Rig::from_parameters(&self.parameter_values()).map_err(|error| {
+            NodeError::shell(format!("{error}; is `--ros-args --params-file rig.yaml` given?"))
+        })
     }
 
     /// Current values of all parameters.
@@ -265,7 +269,9 @@ impl NodeHandle {
 
     /// Ends the shell's subscriptions, services, transforms and statuses.
     pub(crate) fn clear_shell(&mut self) {
-        self.shell = Held::default();
+        let Held { subscriptions, services, sources } = std::mem::take(&mut self.shell);
+        drop((subscriptions, services));
+        sources.into_iter().for_each(|source| self.endpoints.sources.retire(source));
         self.transforms = Transforms::default();
         self.diagnostics.clear();
     }
@@ -322,7 +328,8 @@ impl NodeHandle {
                 ParameterValue::DoubleArray(x) => R::DoubleArray(x),
                 ParameterValue::StringArray(x) => R::StringArray(x),
             };
-            if let Err(reason) = self.endpoints.node.set_parameter(name, value) {
+            let published = self.endpoints.node.lock().set_parameter(name, value);
+            if let Err(reason) = published {
                 self.log(Level::Debug, format!("no event for the parameter {name}: {reason}"));
             }
         }

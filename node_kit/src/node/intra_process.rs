@@ -126,7 +126,7 @@ impl IntraProcess {
     /// Returns the channel of the topic with this absolute name.
     ///
     /// # Errors
-    /// [`NodeError::TypeClash`] if the topic has another type in this process.
+    /// The topic has another type in this process.
     pub fn channel<M: Message>(&self, topic: &str) -> Result<Arc<Channel<M>>, NodeError> {
         let mut topics = self.topics.lock();
         let entry = topics.entry(topic.to_owned()).or_insert_with(|| {
@@ -142,10 +142,12 @@ impl IntraProcess {
                 }),
             }
         });
-        Arc::clone(&entry.channel).downcast().map_err(|_| NodeError::TypeClash {
-            topic: topic.to_owned(),
-            here: M::TYPE_NAME,
-            there: entry.type_name,
+        Arc::clone(&entry.channel).downcast().map_err(|_| {
+            NodeError::shell(format!(
+                "the topic {topic} is {} in this process already, not {}; remap one of the two",
+                entry.type_name,
+                M::TYPE_NAME
+            ))
         })
     }
 

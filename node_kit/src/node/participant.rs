@@ -21,8 +21,8 @@ use std::{net::Ipv4Addr, path::PathBuf};
 /// `network` ([`Network::from_environment`]), and a watch that reports when it becomes unusable.
 ///
 /// # Errors
-/// [`NodeError::Security`] if `ROS_SECURITY_STRATEGY` is `Enforce` and the enclave cannot be used;
-/// [`NodeError::Middleware`] if DDS cannot create the participant (no network interface, no ports).
+/// `ROS_SECURITY_STRATEGY` is `Enforce` and the enclave cannot be used, or DDS cannot create the
+/// participant (no network interface, no ports).
 #[allow(clippy::disallowed_methods, reason = "the one place")]
 pub fn join(network: &Network) -> Result<(DomainParticipant, MiddlewareWatch), NodeError> {
     // As every rmw announces it; `/` without security.
@@ -81,11 +81,9 @@ fn secure(
         return Ok(with_keys(builder, folder));
     };
     if security.enforce {
-        return Err(NodeError::Security {
-            enclave: enclave.clone(),
-            keystore: security.keystore.clone(),
-            reason,
-        });
+        return Err(NodeError::shell(format!(
+            "DDS security: the enclave {enclave} of the keystore {keystore}: {reason}"
+        )));
     }
     process_log().log(
         Level::Warn,

@@ -30,32 +30,7 @@ use std::{
     time::Duration,
 };
 
-/// Nodes of one process.
-///
-/// ```no_run
-/// # use node_kit::node::{NodeContext, NodeError, NodeShell, Process};
-/// # macro_rules! node { ($Name:ident, $name:literal) => {
-/// #     struct $Name;
-/// #     impl NodeShell for $Name {
-/// #         const NAME: &'static str = $name;
-/// #         type Parameters = ();
-/// #         type Input = ();
-/// #         fn start(_: &mut NodeContext<()>, _: ()) -> Result<Self, NodeError> { Ok(Self) }
-/// #         fn handle(&mut self, _: &mut NodeContext<()>, _: ()) {}
-/// #     }
-/// # } }
-/// # node!(Camera, "camera");
-/// # node!(Tracker, "tracker");
-/// # fn main() -> Result<(), NodeError> {
-/// let (ros, _) = node_kit::RosArguments::parse(std::env::args().skip(1))?;
-/// let process = Process::from_environment()?;
-/// process.stop_on_signals()?;
-/// process.run(|process| {
-///     process.start::<Camera>(&ros)?;
-///     process.start::<Tracker>(&ros)
-/// })
-/// # }
-/// ```
+/// Nodes of one process; `volant/examples/embedded_nodes.rs` is a program around one.
 pub struct Process {
     nodes: Vec<Running>,
     ended: Receiver<Ended>,
@@ -73,6 +48,14 @@ struct Running {
 
 /// Time for an orderly end, after which a further signal ends the process at once.
 const GRACE_PERIOD: Duration = Duration::from_secs(3);
+
+/// Events that can wait.
+const ENDS: usize = 64;
+const MIDDLEWARE_ENDED: &str = "the DDS middleware ended: it was interrupted (the process was \
+                                stopped and continued), the computer was suspended, or its clock \
+                                was set back; start again";
+
+type Ends = (SyncSender<Ended>, Receiver<Ended>);
 
 /// Event that wakes [`Process::wait`].
 #[derive(Clone, Copy, PartialEq)]
@@ -95,17 +78,24 @@ impl Process {
     /// Joins the DDS domain that the environment names.
     ///
     /// # Errors
-    /// [`NodeError::Environment`] for a variable with an invalid value; else as [`Process::new`].
+    /// A variable with an invalid value; else as [`Process::new`].
     pub fn from_environment() -> Result<Self, NodeError> {
-        Self::from_arguments(&RosArguments::default())
+        Self::with_arguments(&RosArguments::default(), sync_channel(ENDS))
     }
 
     /// Joins the DDS domain that the environment names, in the security enclave that the command
-    /// line names.
+    /// line names. Signals stop the process from the beginning ([`Process::stop_on_signals`]): one
+    /// that came while it joins would leave a participant behind.
     ///
     /// # Errors
-    /// As [`Process::from_environment`].
+    /// As [`Process::from_environment`] and [`Process::stop_on_signals`].
     pub fn from_arguments(arguments: &RosArguments) -> Result<Self, NodeError> {
+        let ends = sync_channel(ENDS);
+        handle_signals(ends.0.clone())?;
+        Self::with_arguments(arguments, ends)
+    }
+
+    fn with_arguments(arguments: &RosArguments, ends: Ends) -> Result<Self, NodeError> {
         let outputs = arguments.log_outputs();
         let mut sinks = Sinks { no_console: outputs.no_console, file: None };
         let mut trouble = Network::ignored_variables();
@@ -119,8 +109,8 @@ impl Process {
                 )),
             }
         }
-        let network = Network::from_environment()?.with_enclave(arguments.enclave());
-        let process = Self::with_sinks(network, sinks)?;
+        let network = Network::from_environment_in(arguments.enclave())?;
+        let process = Self::with_sinks(network, sinks, ends)?;
         trouble.iter().for_each(|line| process.log.log(Level::Warn, line));
         Ok(process)
     }
@@ -130,12 +120,15 @@ impl Process {
     /// # Errors
     /// As [`join`](super::join).
     pub fn new(network: Network) -> Result<Self, NodeError> {
-        Self::with_sinks(network, Sinks::default())
+        Self::with_sinks(network, Sinks::default(), sync_channel(ENDS))
     }
 
-    fn with_sinks(network: Network, sinks: Sinks) -> Result<Self, NodeError> {
+    fn with_sinks(
+        network: Network,
+        sinks: Sinks,
+        (ended_sender, ended): Ends,
+    ) -> Result<Self, NodeError> {
         let log = Logger::new("volant".to_owned(), Level::Info, Clock::default(), sinks.clone());
-        let (ended_sender, ended) = sync_channel(64);
         let domain = Arc::new(join_domain(network, &log, &ended_sender)?);
         Ok(Self { nodes: Vec::new(), ended, ended_sender, log, sinks, domain })
     }
@@ -233,36 +226,20 @@ impl Process {
     /// # Errors
     /// The system refuses the handler.
     pub fn stop_on_signals(&self) -> Result<(), NodeError> {
-        use signal_hook::{iterator::Signals, low_level::emulate_default_handler};
-        let refused = |source| NodeError::System { what: "a signal handler".into(), source };
-        let mut signals = Signals::new(console::stop_signals()).map_err(refused)?;
-        let ended = self.ended_sender.clone();
-        std::thread::Builder::new()
-            .name("signals".into())
-            .spawn(move || {
-                let mut first = None;
-                for signal in signals.forever() {
-                    let _ = ended.try_send(Ended::Stop);
-                    if now().duration_since(*first.get_or_insert_with(now)) >= GRACE_PERIOD {
-                        let _ = emulate_default_handler(signal);
-                    }
-                }
-            })
-            .map_err(refused)?;
-        Ok(())
+        handle_signals(self.ended_sender.clone())
     }
 
     /// Waits until the process is stopped or a node ends; then stops all nodes and leaves the
     /// domain.
     ///
     /// # Errors
-    /// The first error of a node, or [`NodeError::MiddlewareEnded`].
+    /// The first error of a node, or that the middleware ended.
     pub fn wait(mut self) -> Result<(), NodeError> {
         self.domain.supervisor.ready();
         let lost = !self.nodes.is_empty() && matches!(self.ended.recv(), Ok(Ended::Middleware(_)));
         self.domain.supervisor.stopping();
         let outcome = self.shut_down();
-        if lost { Err(NodeError::MiddlewareEnded) } else { outcome }
+        if lost { Err(NodeError::shell(MIDDLEWARE_ENDED)) } else { outcome }
     }
 
     /// Starts nodes with `start` and waits as [`Process::wait`] does. When the middleware becomes
@@ -313,6 +290,25 @@ impl Process {
     }
 }
 
+fn handle_signals(ended: SyncSender<Ended>) -> Result<(), NodeError> {
+    use signal_hook::{iterator::Signals, low_level::emulate_default_handler};
+    let refused = |source| NodeError::System { what: "a signal handler".into(), source };
+    let mut signals = Signals::new(console::stop_signals()).map_err(refused)?;
+    std::thread::Builder::new()
+        .name("signals".into())
+        .spawn(move || {
+            let mut first = None;
+            for signal in signals.forever() {
+                let _ = ended.try_send(Ended::Stop);
+                if now().duration_since(*first.get_or_insert_with(now)) >= GRACE_PERIOD {
+                    let _ = emulate_default_handler(signal);
+                }
+            }
+        })
+        .map_err(refused)?;
+    Ok(())
+}
+
 fn join_domain(
     network: Network,
     log: &Logger,
@@ -338,6 +334,8 @@ fn join(thread: JoinHandle<Result<(), NodeError>>, node: &str) -> Result<(), Nod
             .map(|s| (*s).to_owned())
             .or_else(|| panic.downcast_ref::<String>().cloned())
             .unwrap_or_default();
-        Err(NodeError::Panicked { node: node.to_owned(), message })
+        Err(NodeError::shell(format!(
+            "the node {node} stopped on an internal error: {message}; please report it"
+        )))
     })
 }

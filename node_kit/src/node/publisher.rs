@@ -39,9 +39,10 @@ struct Inner<M: Message> {
     pending: Mutex<Option<Pending<M>>>,
 }
 
-enum Pending<M> {
-    Unpublished(Arc<M>),
-    Unwritten(Arc<M>),
+struct Pending<M> {
+    message: Arc<M>,
+    /// Delivered in this process: only DDS is missing.
+    delivered: bool,
 }
 
 /// A publisher without its type, for the diagnostics.
@@ -86,7 +87,7 @@ impl<M: Message> Publisher<M> {
         let inner = &*self.0;
         if !inner.active.load(Ordering::Acquire) {
             if inner.qos.transient_local {
-                *inner.pending.lock() = Some(Pending::Unpublished(message));
+                *inner.pending.lock() = Some(Pending { message, delivered: false });
             }
             return;
         }
@@ -129,7 +130,7 @@ impl<M: Message> Inner<M> {
         if let Err(message) = self.write(message) {
             self.refused.fetch_add(1, Ordering::Relaxed);
             if self.qos.transient_local {
-                *self.pending.lock() = Some(Pending::Unwritten(message));
+                *self.pending.lock() = Some(Pending { message, delivered: true });
             }
         }
     }
@@ -164,18 +165,18 @@ impl<M: Message> Publishing for Inner<M> {
 
     fn retry(&self) {
         let pending = self.pending.lock().take();
-        match pending {
-            None => {}
-            Some(Pending::Unpublished(message)) if self.active.load(Ordering::Acquire) => {
-                self.publish(message)
-            }
-            Some(unpublished @ Pending::Unpublished(_)) => *self.pending.lock() = Some(unpublished),
-            Some(Pending::Unwritten(message)) => {
-                if let Err(message) = self.write(message) {
-                    // Unless a newer one is pending by now.
-                    self.pending.lock().get_or_insert(Pending::Unwritten(message));
-                }
-            }
+        let Some(Pending { message, delivered }) = pending else { return };
+        let left = if delivered {
+            self.write(message).err()
+        } else if self.active.load(Ordering::Acquire) {
+            self.publish(message);
+            None
+        } else {
+            Some(message)
+        };
+        if let Some(message) = left {
+            // Unless a newer one is pending by now.
+            self.pending.lock().get_or_insert(Pending { message, delivered });
         }
     }
 }

@@ -15,17 +15,14 @@ use std::{ffi::OsString, process::ExitCode};
 /// Runs one node until SIGINT, SIGTERM or a failure. Exit status: 0 done, 1 failed (one line on
 /// standard error), 2 wrong command line.
 ///
-/// Besides `--ros-args …`, each parameter of the node can be given as `--name value`, and
-/// `--rig rig.yaml` stands for `--ros-args --params-file rig.yaml`. A launch file passes its
-/// arguments with `--name=…`: an empty value is not given.
+/// Besides `--ros-args …`, each parameter of the node can be given as `--name value`, and the rig
+/// file as `--rig rig.yaml`; see [`RosArguments::over`]. A launch file passes its arguments with
+/// `--name=…`: an empty value is not given.
 pub fn run_node<S: NodeShell>() -> ExitCode {
     let own = S::Parameters::descriptors();
     let words: Result<Vec<_>, _> = std::env::args_os().skip(1).map(OsString::into_string).collect();
     let parsed = words
-        .map_err(|word| ArgumentError::UnknownArgument {
-            argument: word.to_string_lossy().into_owned(),
-            hint: " (it is not UTF-8)".to_owned(),
-        })
+        .map_err(|word| unknown_argument(&word.to_string_lossy(), " (it is not UTF-8)"))
         .and_then(RosArguments::parse);
     let (ros, rest) = match parsed {
         Ok(parsed) => parsed,
@@ -58,28 +55,27 @@ pub fn run_node<S: NodeShell>() -> ExitCode {
 }
 
 fn run<S: NodeShell>(ros: &RosArguments) -> Result<(), NodeError> {
-    let process = Process::from_arguments(ros)?;
-    process.stop_on_signals()?;
-    process.run(|process| process.start::<S>(ros))
+    Process::from_arguments(ros)?.run(|process| process.start::<S>(ros))
 }
 
-/// Adds `--name value`, `--name=value` and `--rig file` to `ros`.
+fn unknown_argument(argument: &str, hint: &str) -> ArgumentError {
+    ArgumentError::usage(format!("`{argument}` is not known{hint}"))
+}
+
+/// Adds `--name value`, `--name=value` and `--rig file` below `ros`.
 fn own_arguments(
-    mut ros: RosArguments,
+    ros: RosArguments,
     rest: Vec<String>,
     own: &[Descriptor],
 ) -> Result<RosArguments, ArgumentError> {
+    let mut given = RosArguments::default();
     let mut rest = rest.into_iter();
     while let Some(argument) = rest.next() {
-        let unknown = || ArgumentError::UnknownArgument {
-            argument: argument.clone(),
-            hint: did_you_mean(
-                argument.trim_start_matches('-'),
-                own.iter()
-                    .map(|d| d.name.as_str())
-                    .chain(["rig", "help", "version", "ros-args"])
-                    .chain(scheduling::OPTIONS),
-            ),
+        let unknown = || {
+            let names = own.iter().map(|d| d.name.as_str());
+            let names = names.chain(["rig", "help", "version", "ros-args"]);
+            let names = names.chain(scheduling::OPTIONS);
+            unknown_argument(&argument, &did_you_mean(argument.trim_start_matches('-'), names))
         };
         let Some(option) = argument.strip_prefix("--") else { return Err(unknown()) };
         let (name, inline) = match option.split_once('=') {
@@ -90,23 +86,21 @@ fn own_arguments(
         if !known && !matches!(name, "rig" | "params-file") {
             return Err(unknown());
         }
-        let value = inline.or_else(|| rest.next()).ok_or_else(|| ArgumentError::MissingValue {
-            option: argument.clone(),
-            expected: "a value",
-        })?;
+        let value = inline
+            .or_else(|| rest.next())
+            .ok_or_else(|| ArgumentError::no_value(&argument, "a value"))?;
         if known && value.is_empty() {
             continue;
         }
         if known {
-            let value = parse_value(name, &value).map_err(|source| {
-                ArgumentError::ParameterValue { text: argument.clone(), source }
-            })?;
-            ros.set(name, value);
+            let value = parse_value(name, &value)
+                .map_err(|error| ArgumentError::usage(format!("`{argument}`: {error}")))?;
+            given.set(name, value);
         } else {
-            ros.add_file(value.into())?;
+            given.add_file(value.into())?;
         }
     }
-    Ok(ros)
+    Ok(ros.over(given))
 }
 
 fn help<S: NodeShell>(own: &[Descriptor]) -> String {
@@ -166,5 +160,34 @@ mod tests {
         };
         assert_eq!(port("--port="), ParameterValue::String("/dev/imu".into()));
         assert_eq!(port("--port=/dev/ttyUSB1"), ParameterValue::String("/dev/ttyUSB1".into()));
+    }
+
+    #[test]
+    fn ros_args_override_what_is_given_outside() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let [rig, other] = ["rig", "other"].map(|name| {
+            let path = folder.path().join(name);
+            let text = format!("/**: {{ros__parameters: {{port: {name}, source: {name}}}}}");
+            std::fs::write(&path, text).unwrap();
+            path.display().to_string()
+        });
+        let own = [Descriptor::new("port", ParameterKind::String, None, "")];
+        let node = NodeName::new("/", "imu_driver").unwrap();
+        for (line, port, source) in [
+            ("--port A --rig RIG --ros-args -p port:=B", "B", "rig"),
+            ("--rig RIG --ros-args --params-file OTHER", "other", "other"),
+            ("--port A --port C --rig RIG --ros-args --params-file OTHER", "C", "other"),
+        ] {
+            let line = line.replace("RIG", &rig).replace("OTHER", &other);
+            let words = line.split(' ').map(str::to_owned);
+            let (ros, rest) = RosArguments::parse(words).unwrap();
+            let values = own_arguments(ros, rest, &own).unwrap().values(&node);
+            let text = |text: &str| ParameterValue::String(text.to_owned());
+            assert_eq!(
+                (&values["port"], &values["source"]),
+                (&text(port), &text(source)),
+                "{line}"
+            );
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{
     context::NodeContext,
-    control_services::{SharedState, transition_description},
+    control_services::{SharedState, description},
     domain::Domain,
     error::NodeError,
     handle::NodeParts,
@@ -20,7 +20,7 @@ use std::{
     sync::{Arc, mpsc::SyncSender},
     time::{Duration, Instant},
 };
-use volant_msgs::lifecycle_msgs::msg::TransitionEvent;
+use volant_msgs::lifecycle_msgs::msg::{TransitionDescription, TransitionEvent};
 
 /// Period of the shell's tick and the diagnostics.
 const TICK: Duration = Duration::from_secs(1);
@@ -67,8 +67,8 @@ pub(crate) fn run<S: NodeShell>(
     if autostart {
         // Active before the start, so that what a node publishes in it is published.
         runner.context.set_active(true);
-        runner.change(Transition::Configure)?;
-        runner.change(Transition::Activate)?;
+        runner.change(Transition::CONFIGURE)?;
+        runner.change(Transition::ACTIVATE)?;
     }
     runner.context.announce_parameters();
     let _ = started.send(());
@@ -141,10 +141,8 @@ impl<S: NodeShell> NodeRunner<S> {
                     Some(transition) => match self.change(transition) {
                         Ok(()) => true,
                         Err(error) => {
-                            self.context.log(
-                                Level::Error,
-                                format!("cannot {}: {error}", transition.label()),
-                            );
+                            self.context
+                                .log(Level::Error, format!("cannot {}: {error}", transition.label));
                             false
                         }
                     },
@@ -170,38 +168,36 @@ impl<S: NodeShell> NodeRunner<S> {
     }
 
     fn change(&mut self, transition: Transition) -> Result<(), NodeError> {
-        let (start, goal) = transition.ends();
-        let outcome = match transition {
-            Transition::Configure => self.configure(),
-            Transition::Activate => {
+        let Transition { id, label, start, through, goal } = transition;
+        self.enter((id, label), start, through);
+        let outcome = match through {
+            LifecycleState::Configuring => self.configure(),
+            LifecycleState::Activating => {
                 self.context.set_active(true);
                 Ok(())
             }
-            Transition::Deactivate => {
+            LifecycleState::Deactivating => {
                 self.context.set_active(false);
                 Ok(())
             }
-            Transition::Cleanup
-            | Transition::UnconfiguredShutdown
-            | Transition::InactiveShutdown
-            | Transition::ActiveShutdown => {
+            _ => {
                 self.context.set_active(false);
                 self.clean_up();
                 Ok(())
             }
         };
-        let reached = if outcome.is_ok() { goal } else { start };
-        *self.state.lock() = reached;
-        if outcome.is_ok() {
-            let description = transition_description(transition);
-            self.events.publish(TransitionEvent {
-                timestamp: u64::try_from(self.context.now().as_nanos()).unwrap_or(0),
-                transition: description.transition,
-                start_state: description.start_state,
-                goal_state: description.goal_state,
-            });
-        }
+        let success = outcome.is_ok();
+        self.enter(transition.end(success), through, if success { goal } else { start });
         outcome
+    }
+
+    /// Enters a state and publishes that, as rcl does for both halves of a transition.
+    fn enter(&self, transition: (u8, &str), from: LifecycleState, to: LifecycleState) {
+        *self.state.lock() = to;
+        let TransitionDescription { transition, start_state, goal_state } =
+            description(transition, from, to);
+        let timestamp = u64::try_from(self.context.now().as_nanos()).unwrap_or(0);
+        self.events.publish(TransitionEvent { timestamp, transition, start_state, goal_state });
     }
 
     fn configure(&mut self) -> Result<(), NodeError> {

@@ -1,6 +1,7 @@
 //! Services.
 
 use super::{
+    bare::AnnouncedReader,
     endpoints::{Endpoints, dds_type_name, policies, with_type_hash},
     error::NodeError,
     reply_budget::ReplyBudget,
@@ -13,6 +14,9 @@ use rustdds::{RTPSEntity, SampleIdentity, SequenceNumber, Topic, TopicKind, Writ
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::{fmt::Display, future::Future, time::Duration};
 use volant_msgs::{Message, Service};
+
+/// A service with the announcement of its requests' subscription; it ends when this drops.
+pub(crate) type OfferedService = (Task<()>, AnnouncedReader);
 
 /// Replies to one request of a service. If it is dropped unused, the client gets no reply.
 pub struct Responder<S: Service>(async_channel::Sender<S::Response>);
@@ -31,12 +35,12 @@ impl<S: Service> Responder<S> {
 
 impl Endpoints {
     /// Offers a service; `answer` yields the reply to a request, or `None` for no reply. Requests
-    /// of one service are answered one at a time. The service ends when the task drops.
+    /// of one service are answered one at a time.
     pub fn serve<S: Service, F: Future<Output = Option<S::Response>> + Send>(
         &mut self,
         name: &str,
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
-    ) -> Result<Task<()>, NodeError> {
+    ) -> Result<OfferedService, NodeError> {
         let name = self.resolve(name)?;
         match self.domain.network.services {
             ServiceFlavour::Enhanced => self.serve_enhanced::<S, F>(name, answer),
@@ -49,11 +53,12 @@ impl Endpoints {
         &mut self,
         name: String,
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
-    ) -> Result<Task<()>, NodeError> {
+    ) -> Result<OfferedService, NodeError> {
         let requests = self.service_topic::<S::Request>(&name, "rq", "Request", &REQUESTS)?;
         let replies = self.service_topic::<S::Response>(&name, "rr", "Reply", &REPLIES)?;
         let requests = self
             .node
+            .lock()
             .create_subscription::<S::Request>(&requests, None)
             .map_err(|e| failed(&name, e))?;
         let participant = self.domain.context.domain_participant();
@@ -64,7 +69,7 @@ impl Endpoints {
                 p.create_datawriter_no_key_cdr::<S::Response>(&replies, Some(policies(&REPLIES)))
             })
             .map_err(|e| failed(&name, e))?;
-        self.node.add_writer(writer.guid().into());
+        self.node.lock().add_writer(writer.guid().into());
         Ok(self.answer_requests(
             name,
             requests,
@@ -86,15 +91,17 @@ impl Endpoints {
         &mut self,
         name: String,
         answer: impl Fn(S::Request) -> F + Send + Sync + 'static,
-    ) -> Result<Task<()>, NodeError> {
+    ) -> Result<OfferedService, NodeError> {
         let requests = self.service_topic::<S::Request>(&name, "rq", "Request", &REQUESTS)?;
         let replies = self.service_topic::<S::Response>(&name, "rr", "Reply", &REPLIES)?;
         let requests = self
             .node
+            .lock()
             .create_subscription::<WithIdentity<S::Request>>(&requests, None)
             .map_err(|e| failed(&name, e))?;
         let replies = self
             .node
+            .lock()
             .create_publisher::<WithIdentity<S::Response>>(&replies, None)
             .map_err(|e| failed(&name, e))?;
         Ok(self.answer_requests(
@@ -118,7 +125,7 @@ impl Endpoints {
         split: impl Fn(R, &MessageInfo) -> (I, Request) + Send + 'static,
         answer: impl Fn(Request) -> F + Send + Sync + 'static,
         reply: impl Fn(I, Response) -> Result<(), String> + Send + 'static,
-    ) -> Task<()>
+    ) -> OfferedService
     where
         R: DeserializeOwned + Send + Sync + 'static,
         I: Send + 'static,
@@ -128,7 +135,8 @@ impl Endpoints {
     {
         let logger = self.logger.clone();
         let mut budget = ReplyBudget::new();
-        self.reactor.spawn(async move {
+        let announced = AnnouncedReader::of(&self.node, requests.gid());
+        let task = self.reactor.spawn(async move {
             let warn = |seconds: u64, text: String| {
                 logger.throttled(Level::Warn, &name, Duration::from_secs(seconds), text);
             };
@@ -154,7 +162,8 @@ impl Endpoints {
                     warn(5, format!("sending a response of {name} failed: {error}"));
                 }
             }
-        })
+        });
+        (task, announced)
     }
 
     /// The DDS topic of a service's requests or replies, named `<prefix><service><suffix>`.

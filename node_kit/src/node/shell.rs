@@ -33,7 +33,8 @@ pub trait NodeShell: Sized + 'static {
     /// Handles one input.
     fn handle(&mut self, context: &mut NodeContext<Self::Input>, input: Self::Input);
 
-    /// Runs once a second, before the diagnostics are published; see [`NodeContext::diagnose`].
+    /// Runs once a second, before the diagnostics are published; see
+    /// [`NodeHandle::diagnose`](super::NodeHandle::diagnose).
     fn tick(&mut self, _context: &mut NodeContext<Self::Input>) {}
 
     /// Applies a change of live parameters; `parameters` holds all of them, validated.

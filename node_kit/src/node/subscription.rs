@@ -1,6 +1,7 @@
 //! Subscriptions: over DDS and inside of the process.
 
 use super::{
+    bare::AnnouncedReader,
     endpoints::Endpoints,
     error::NodeError,
     intra_process::{Deliver, SubscriberGuard},
@@ -21,7 +22,7 @@ pub(crate) struct Subscription {
     sources: Arc<dyn Sources>,
     source: SourceId,
     // Dropped before the source is retired, so that nothing is put in any more.
-    parts: Option<(SubscriberGuard, Task<()>)>,
+    parts: Option<(SubscriberGuard, Task<()>, AnnouncedReader)>,
 }
 
 impl Drop for Subscription {
@@ -47,8 +48,10 @@ impl Endpoints {
         let dds_topic = self.dds_topic::<M>(&name, &qos)?;
         let subscription = self
             .node
+            .lock()
             .create_subscription::<M>(&dds_topic, None)
             .map_err(|e| NodeError::middleware(format!("the subscription of {name}"), e))?;
+        let announced = AnnouncedReader::of(&self.node, subscription.gid());
         let source = self.sources.add_source(&name, qos.depth, kind);
         let state = Arc::clone(&channel.state);
         let sources = Arc::clone(&self.sources);
@@ -93,6 +96,6 @@ impl Endpoints {
         let guard = channel.subscribe(deliver, qos.transient_local);
         self.domain.refresh();
         let sources = Arc::clone(&self.sources);
-        Ok(Subscription { topic: name, sources, source, parts: Some((guard, task)) })
+        Ok(Subscription { topic: name, sources, source, parts: Some((guard, task, announced)) })
     }
 }

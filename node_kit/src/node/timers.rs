@@ -13,8 +13,8 @@ struct Timer<I> {
     make: Box<dyn FnMut() -> I + Send>,
     /// On the steady clock.
     next: Instant,
-    /// On simulated time; set when that is first known.
-    next_simulated: Option<Stamp>,
+    /// On simulated time, ns; set when that is first known.
+    next_simulated: Option<i64>,
 }
 
 impl<I> Default for Timers<I> {
@@ -69,14 +69,18 @@ impl<I> Timers<I> {
 
 impl<I> Timer<I> {
     fn is_due_simulated(&mut self, stamp: Stamp) -> bool {
-        let period = self.period.as_secs_f64();
-        let next = *self.next_simulated.get_or_insert_with(|| stamp.plus_seconds(period));
-        let due = stamp >= next;
-        // A jump back in time (a bag that loops) restarts the period.
-        if due || next.seconds_since(stamp) > period {
-            self.next_simulated = Some(stamp.plus_seconds(period));
+        let period = i64::try_from(self.period.as_nanos()).unwrap_or(i64::MAX);
+        let now = stamp.as_nanos();
+        let next = *self.next_simulated.get_or_insert(now.saturating_add(period));
+        let late = now.saturating_sub(next);
+        if late >= 0 {
+            // In step with the first time, skipping the missed ones.
+            self.next_simulated = Some(now.saturating_add(period - late % period));
+        } else if late < -period {
+            // A jump back in time (a bag that loops) restarts the period.
+            self.next_simulated = Some(now.saturating_add(period));
         }
-        due
+        late >= 0
     }
 
     fn is_due(&mut self, steady: Instant) -> bool {
@@ -92,5 +96,31 @@ impl<I> Timer<I> {
                 .unwrap_or(steady + self.period);
         }
         due
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A timer of 0.25 s on a clock of 10 Hz.
+    #[test]
+    fn a_timer_keeps_its_rate_on_a_coarse_simulated_clock_and_restarts_after_a_jump_back() {
+        let clock = Clock::default();
+        clock.set_simulated(true);
+        let mut timers = Timers::default();
+        timers.add(Duration::from_millis(250), || ());
+        let mut run = |from: i64, to: i64| {
+            let ticks = (from..to).map(|tick| {
+                clock.set(Stamp::from_nanos(tick * 100_000_000));
+                timers.due(&clock).len()
+            });
+            ticks.sum::<usize>()
+        };
+        assert_eq!(run(10_000, 10_100), 39);
+        // Skipped periods are one input.
+        assert_eq!(run(10_200, 10_201), 1);
+        assert_eq!(run(5_000, 5_003), 0);
+        assert_eq!(run(5_003, 5_101), 40);
     }
 }

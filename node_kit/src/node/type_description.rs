@@ -1,7 +1,6 @@
 //! `~/get_type_description`: the fields and texts of the node's types (REP-2016).
 
-use super::{endpoints::Endpoints, error::NodeError};
-use async_executor::Task;
+use super::{endpoints::Endpoints, error::NodeError, service::OfferedService};
 use volant_msgs::{
     MessageInfo, SERVICES, description,
     type_description_interfaces::srv::{
@@ -13,7 +12,7 @@ use volant_msgs::{
 ///
 /// # Errors
 /// As [`Endpoints::serve`].
-pub(crate) fn offer(endpoints: &mut Endpoints) -> Result<Task<()>, NodeError> {
+pub(crate) fn offer(endpoints: &mut Endpoints) -> Result<OfferedService, NodeError> {
     endpoints.serve::<GetTypeDescription, _>("~/get_type_description", |request| {
         std::future::ready(Some(answer(&request)))
     })

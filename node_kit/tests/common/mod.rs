@@ -10,15 +10,7 @@ use ros2_client::{
     Context, Message, Name, Node, NodeName, NodeOptions, QosProfile, ServiceMapping,
     ServiceTypeName, qos::WhenFull, service::Client,
 };
-use rustdds::{
-    CDRDeserializerAdapter, DomainParticipant, QosPolicyBuilder, ReadCondition, TopicKind,
-    no_key::DataReader,
-    policy::{Durability, History, Reliability},
-};
-use serde::Deserialize;
 use std::{
-    cell::RefCell,
-    collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
@@ -158,57 +150,4 @@ fn named(name: &str) -> RosArguments {
     let mut arguments = RosArguments::default();
     arguments.remap("__node", name);
     arguments
-}
-
-/// Subscription of `ros_discovery_info`: which node has which endpoint.
-pub struct Announced(RefCell<Reader>, RefCell<BTreeMap<[u8; 16], Vec<Announcement>>>);
-
-type Reader = DataReader<Entities, CDRDeserializerAdapter<Entities>>;
-type Announcement = (String, BTreeSet<[u8; 16]>);
-
-#[derive(Deserialize)]
-struct Entities {
-    gid: [u8; 16],
-    nodes: Vec<EntitiesOfNode>,
-}
-
-#[derive(Deserialize)]
-struct EntitiesOfNode {
-    _namespace: String,
-    name: String,
-    readers: Vec<[u8; 16]>,
-    writers: Vec<[u8; 16]>,
-}
-
-impl Announced {
-    pub fn subscribe(participant: &DomainParticipant) -> Self {
-        let qos = QosPolicyBuilder::new()
-            .reliability(Reliability::Reliable { max_blocking_time: rustdds::Duration::ZERO })
-            .durability(Durability::TransientLocal)
-            .history(History::KeepAll)
-            .build();
-        let type_name = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_".to_owned();
-        let topic = participant
-            .create_topic("ros_discovery_info".to_owned(), type_name, &qos, TopicKind::NoKey)
-            .unwrap();
-        let subscriber = participant.create_subscriber(&qos).unwrap();
-        Self(
-            subscriber.create_datareader_no_key(&topic, Some(qos)).unwrap().into(),
-            RefCell::default(),
-        )
-    }
-
-    /// Endpoints of the nodes with this base name, by what was announced last.
-    pub fn endpoints(&self, node: &str) -> BTreeSet<[u8; 16]> {
-        let mut all = self.1.borrow_mut();
-        for sample in self.0.borrow_mut().take(1000, ReadCondition::any()).unwrap() {
-            let Entities { gid, nodes } = sample.into_value();
-            let nodes = nodes
-                .into_iter()
-                .map(|n| (n.name, n.readers.into_iter().chain(n.writers).collect()));
-            all.insert(gid, nodes.collect());
-        }
-        let of_node = all.values().flatten().filter(|(name, _)| name == node);
-        of_node.flat_map(|(_, endpoints)| endpoints.iter().copied()).collect()
-    }
 }
