@@ -4,6 +4,7 @@
 //! the same folder removes what is on that list and unchanged; where the folder holds anything else
 //! it removes nothing and ends.
 
+use anyhow::{Result, anyhow, ensure};
 use std::{
     collections::BTreeSet,
     fmt::Write as _,
@@ -12,29 +13,8 @@ use std::{
     path::{Path, PathBuf},
     sync::{Mutex, PoisonError},
 };
-use thiserror::Error;
 
 const LIST: &str = ".volant-run";
-
-/// Why a folder is not used.
-#[derive(Debug, Error)]
-pub enum RunFolderError {
-    /// It holds something that no earlier run wrote.
-    #[error("{}: it is not from an earlier run, or was changed since; nothing is removed: give \
-             --out an empty or new folder", path.display())]
-    Foreign {
-        /// The file.
-        path: PathBuf,
-    },
-    /// A system call failed.
-    #[error("{}: {source}; check its folder and the permissions", path.display())]
-    Io {
-        /// The file or folder.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
-}
 
 /// Folder of a run; its list is written when this is dropped, or by [`write_lists`].
 #[derive(Debug)]
@@ -44,32 +24,34 @@ static RUNNING: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
 impl RunFolder {
     /// Creates the folder, or empties it of what an earlier run wrote.
-    ///
-    /// # Errors
-    /// It holds something else, or is not writable.
-    pub fn create(path: &Path) -> Result<Self, RunFolderError> {
-        let failed = |path: &Path| {
-            let path = path.to_owned();
-            move |source| RunFolderError::Io { path, source }
+    pub fn create(path: &Path) -> Result<Self> {
+        let failed = |path: &Path, error: &io::Error| {
+            anyhow!("{}: {error}; check its folder and the permissions", path.display())
         };
-        fs::create_dir_all(path).map_err(failed(path))?;
+        fs::create_dir_all(path).map_err(|e| failed(path, &e))?;
         let list = fs::read_to_string(path.join(LIST)).unwrap_or_default();
         let listed: BTreeSet<&str> = list.lines().collect();
         let (mut files, mut folders) = (vec![], vec![]);
-        walk_run(path, &mut files, &mut folders).map_err(failed(path))?;
-        if let Some(foreign) =
-            files.iter().find(|f| !entry(path, f).is_some_and(|e| listed.contains(e.as_str())))
-        {
-            return Err(RunFolderError::Foreign { path: foreign.clone() });
+        walk_run(path, &mut files, &mut folders).map_err(|e| failed(path, &e))?;
+        for file in &files {
+            ensure!(
+                entry(path, file).is_some_and(|entry| listed.contains(entry.as_str())),
+                "{}: it is not from an earlier run, or was changed since; nothing is removed: give \
+                 --out an empty or new folder",
+                file.display()
+            );
         }
-        files.iter().try_for_each(|file| fs::remove_file(file).map_err(failed(file)))?;
+        for file in &files {
+            fs::remove_file(file).map_err(|e| failed(file, &e))?;
+        }
         // The innermost first.
-        folders.iter().rev().try_for_each(|f| fs::remove_dir(f).map_err(failed(f)))?;
+        for folder in folders.iter().rev() {
+            fs::remove_dir(folder).map_err(|e| failed(folder, &e))?;
+        }
         running().insert(path.to_owned());
         Ok(Self(path.to_owned()))
     }
 
-    /// Its path.
     pub fn path(&self) -> &Path {
         &self.0
     }
@@ -145,7 +127,7 @@ mod tests {
             fs::write(run.path().join("bag/metadata.yaml"), "").unwrap();
             fs::write(run.path().join("node.log"), "log").unwrap();
             drop(RunFolder::create(&run.path().join("inner")).unwrap());
-            Ok::<_, RunFolderError>(())
+            anyhow::Ok(())
         };
         run().unwrap();
         assert_eq!(fs::read_to_string(folder.join(LIST)).unwrap().lines().count(), 3);
@@ -169,7 +151,8 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         fs::create_dir(place.path().join("bag")).unwrap();
         fs::write(place.path().join("bag/metadata.yaml"), "mine").unwrap();
-        assert!(matches!(RunFolder::create(place.path()), Err(RunFolderError::Foreign { .. })));
+        let error = RunFolder::create(place.path()).unwrap_err().to_string();
+        assert!(error.contains("not from an earlier run"), "{error}");
         assert!(place.path().join("bag/metadata.yaml").is_file());
     }
 }

@@ -99,10 +99,6 @@ fn four_processes_turn_frames_bytes_and_encoders_into_the_pose() {
     check_markers(received, &scenario, epoch);
 
     let errors = Errors::of(&received.fused(), from, to, truth);
-    println!(
-        "fused: {:.2} mm, {:.3} deg RMSE over {} poses",
-        errors.position_rmse, errors.rotation_rmse, errors.count
-    );
     assert!(errors.position_rmse <= 2.0 && errors.rotation_rmse <= 0.3, "{errors:?}");
     let nees = received.nees(from, to, truth);
     for k in 0..2 {
@@ -326,7 +322,6 @@ fn check_peer(
                 assert!(same(values, theirs), "{topic} at {at}: {values:?} {theirs:?}");
             }
         }
-        println!("the peer received {found} of {} on {topic}", of_topic.len());
         assert!(
             found as f64 > 0.97 * of_topic.len() as f64 && found > 100,
             "{topic}: {found} of {}",

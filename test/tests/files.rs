@@ -56,12 +56,16 @@ impl Place {
     }
 
     fn names(&self) -> Vec<String> {
-        let entries = fs::read_dir(self.0.path()).unwrap();
-        let mut names: Vec<_> =
-            entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
+        names(self.0.path())
     }
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).unwrap();
+    let mut names: Vec<_> =
+        entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
 }
 
 /// Asserts exit status 1 and one line with these words.
@@ -149,23 +153,20 @@ fn a_full_disk_leaves_the_former_file() {
     let place = Place::new(3.0);
     let disk = place.text("disk");
     fs::create_dir(&disk).unwrap();
+    let mount = format!("mount -t tmpfs -o size=16k none {disk}");
+    let inside = |script: &str| Command::new("unshare").args(["-rm", "sh", "-c", script]).output();
+    match inside(&mount) {
+        Ok(output) if output.status.success() => {}
+        other => return test_support::skip(format!("no disk can be mounted here: {other:?}")),
+    }
     let script = format!(
-        "mount -t tmpfs -o size=16k none {disk} || exit 77; cd {disk}; echo former > out.mcap; \
-         {volant} replay {bag} --rig {rig} --out out.mcap --overwrite >&2; status=$?; cat *; \
-         exit $status",
+        "{mount} && cd {disk} && echo former > out.mcap || exit 77; {volant} replay {bag} \
+         --rig {rig} --out out.mcap --overwrite >&2; status=$?; cat *; exit $status",
         volant = executables().join("volant").display(),
         bag = place.text("in.mcap"),
         rig = place.text("rig.yaml"),
     );
-    let output = Command::new("unshare").args(["-rm", "sh", "-c", &script]).output();
-    let output = match output {
-        Ok(output) if !matches!(output.status.code(), Some(0..=2)) => {
-            let reason = String::from_utf8_lossy(&output.stderr).into_owned();
-            return test_support::skip(format!("no disk can be mounted here: {reason}"));
-        }
-        Ok(output) => output,
-        Err(error) => return test_support::skip(format!("unshare: {error}")),
-    };
+    let output = inside(&script).unwrap();
     refused(&output, &["out.mcap", "No space left on device", "the space on the disk"]);
     assert_eq!(output.stdout, b"former\n", "nothing else is left");
 }
@@ -179,7 +180,7 @@ fn a_replay_that_was_started_to_ignore_a_hangup_goes_on() {
     command.args(["-c", "trap '' HUP; exec \"$@\"", "sh"]).arg(replay.get_program());
     command.args(replay.get_args()).stdout(Stdio::null()).stderr(Stdio::piped());
     let child = command.spawn().unwrap();
-    let (status, stderr) = signaled(&place, child, Signal::HUP);
+    let (status, stderr) = signaled(place.0.path(), child, Signal::HUP);
     assert_eq!(status, Some(0), "{stderr}");
     assert_eq!(place.names(), ["in.mcap", "out.mcap", "rig.yaml"]);
 }
@@ -187,12 +188,13 @@ fn a_replay_that_was_started_to_ignore_a_hangup_goes_on() {
 /// Interrupts a replay as soon as it writes, and returns its exit status and standard error.
 fn interrupted(place: &Place, signal: Signal, more: &[&str]) -> (Option<i32>, String) {
     let child = place.replay("out.mcap", more).spawn().unwrap();
-    signaled(place, child, signal)
+    signaled(place.0.path(), child, signal)
 }
 
-fn signaled(place: &Place, child: Child, signal: Signal) -> (Option<i32>, String) {
+/// Signals a process as soon as it writes in a folder.
+fn signaled(folder: &Path, child: Child, signal: Signal) -> (Option<i32>, String) {
     let deadline = Instant::now() + Duration::from_secs(20);
-    while !place.names().iter().any(|name| name.ends_with(".partial")) {
+    while !names(folder).iter().any(|name| name.ends_with(".partial")) {
         assert!(Instant::now() < deadline, "it does not write");
         std::thread::sleep(Duration::from_millis(1));
     }
@@ -244,10 +246,35 @@ fn a_folder_of_the_users_is_left_alone_by_the_simulated_rig() {
     refused(&volant(&["faults", "--table", table]), &["rig.yaml", "exists already"]);
     let bags = place.path().to_str().unwrap();
     let words = ["robustness", "--bags", bags, "--table", table, "--overwrite"];
-    refused(&volant(&words), &[]);
+    refused(&volant(&words), &["rig.yaml", "the output is the input"]);
     for name in ["bag/metadata.yaml", "01/notes.txt", "rig.yaml"] {
         assert_eq!(fs::read(place.path().join(name)).unwrap(), b"mine", "{name}");
     }
+}
+
+#[test]
+fn a_name_that_nothing_has_and_a_table_without_a_folder_are_errors_before_the_work() {
+    let place = TempDir::new().unwrap();
+    let path = |name: &str| place.path().join(name).into_os_string().into_string().unwrap();
+    let paths = ["out", "no/table.md", "", "no"].map(path);
+    let [out, table, bags, markers] = paths.each_ref().map(String::as_str);
+    fs::create_dir(path("run")).unwrap();
+    for name in ["run/in.mcap", "run/truth.mcap"] {
+        fs::write(path(name), "").unwrap();
+    }
+    for (words, named) in [
+        (vec!["faults", "--out", out, "--only", "no such row"], "--only no such row"),
+        (vec!["hosts", "--out", out, "--only", "no such row"], "--only no such row"),
+        (vec!["checks", "--fault", "no such fault"], "--fault no such fault"),
+        (vec!["checks", "--only", "no such recording"], "no such recording"),
+        (vec!["robustness", "--bags", bags, "--only", "no such recording"], "no such recording"),
+        (vec!["robustness", "--bags", bags, "--markers", markers], "run.mcap is not there"),
+        (vec!["faults", "--out", out, "--table", table], "table.md"),
+        (vec!["hosts", "--out", out, "--table", table], "table.md"),
+    ] {
+        refused(&volant(&words), &[named]);
+    }
+    assert!(!Path::new(out).exists());
 }
 
 #[test]
@@ -258,6 +285,8 @@ fn simulated_runs_replace_nothing_unasked_and_none_is_left_half_written() {
         command(&[&["simulate", "--out", out, "--runs", "2", "--seconds"], more].concat())
     };
     assert_eq!(simulate(&["1", "--runs", "0"]).output().unwrap().status.code(), Some(2));
+    let last = u64::MAX.to_string();
+    assert_eq!(simulate(&["1", "--seed", &last]).output().unwrap().status.code(), Some(2));
     // The second run exists: the first one is not written either.
     let mine = place.path().join("run_00002/rig.yaml");
     fs::create_dir_all(mine.parent().unwrap()).unwrap();
@@ -268,16 +297,12 @@ fn simulated_runs_replace_nothing_unasked_and_none_is_left_half_written() {
     succeeded(&simulate(&["1", "--overwrite"]).output().unwrap());
     let bag = place.path().join("run_00001/in.mcap");
     let former = fs::read(&bag).unwrap();
-    let interrupted = simulate(&["3600", "--overwrite"]).spawn().unwrap();
-    std::thread::sleep(Duration::from_millis(300));
-    kill_process(Pid::from_child(&interrupted), Signal::INT).unwrap();
-    let status = interrupted.wait_with_output().unwrap().status;
-    assert!(!status.success(), "{status}");
+    let folder = place.path().join("run_00001");
+    let child = simulate(&["3600", "--overwrite"]).spawn().unwrap();
+    let (status, stderr) = signaled(&folder, child, Signal::INT);
+    assert_eq!(status, Some(130), "{stderr}");
     assert!(fs::read(&bag).unwrap() == former);
-    let folder = fs::read_dir(place.path().join("run_00001")).unwrap();
-    let mut names: Vec<_> = folder.map(|entry| entry.unwrap().file_name()).collect();
-    names.sort();
-    assert_eq!(names, ["in.mcap", "rig.yaml"], "nothing else is left");
+    assert_eq!(names(&folder), ["in.mcap", "rig.yaml"], "nothing else is left");
 }
 
 #[test]

@@ -126,7 +126,7 @@ const WARN: u8 = DiagnosticStatus::WARN;
 
 #[test]
 fn two_drivers_and_then_two_rigs_in_one_namespace_are_named() {
-    const DOMAIN: u16 = 151;
+    const DOMAIN: u16 = 62;
     let observed = Observed::start(DOMAIN);
     let driver = node(DOMAIN, "first", "climber_driver", &[]);
     let _fusion = node(DOMAIN, "first", "pose_fusion", &[]);
@@ -172,7 +172,7 @@ fn two_drivers_and_then_two_rigs_in_one_namespace_are_named() {
 /// A node that was killed is listed until its lease ends; its successor is no second publisher.
 #[test]
 fn a_publisher_that_was_killed_is_no_second_one() {
-    const DOMAIN: u16 = 152;
+    const DOMAIN: u16 = 63;
     let observed = Observed::start(DOMAIN);
     let mut driver = node(DOMAIN, "killed", "climber_driver", &[]);
     let _fusion = node(DOMAIN, "killed", "pose_fusion", &[]);
@@ -197,7 +197,7 @@ impl Drop for Foreign {
 #[test]
 fn foreign_publishers_beside_ours_are_named() {
     let names = [("cyclonedds", "a publisher without a node name"), ("rclpy", "/foreign at ")];
-    for (domain, (module, name)) in (153..).zip(names) {
+    for (domain, (module, name)) in (64..).zip(names) {
         let Some(python) = test_support::python(module) else { return };
         let observed = Observed::start(domain);
         let _driver = node(domain, module, "climber_driver", &[]);

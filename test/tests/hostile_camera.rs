@@ -18,7 +18,7 @@ use volant_msgs::{
 };
 use volant_test::live::processes::Node;
 
-const DOMAIN: u16 = 159;
+const DOMAIN: u16 = 69;
 const WIDTH: u16 = 640;
 const HEIGHT: u16 = 480;
 /// Images that are sent after the first answer; every second one is hostile.

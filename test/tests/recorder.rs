@@ -1,6 +1,6 @@
 //! Interruptions of a recorder: the system's clock is set back, its process is stopped and
 //! continued. RustDDS receives nothing after either; the recording continues.
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test")]
 
 use bag::{BagWriter, Qos, Topic, WriteOptions, recording::map_messages};
 use rig_model::topics;
@@ -70,7 +70,6 @@ fn recorded(
 /// From the first to the last, but for what was published until the recorder was back.
 fn check(numbers: &[u64], stderr: &str, words: &str) {
     let missing = RATE * SECONDS - numbers.len() as u64;
-    println!("{missing} of {} missing; {stderr}", RATE * SECONDS);
     assert_eq!(
         (numbers.first(), numbers.last()),
         (Some(&0), Some(&(RATE * SECONDS - 1))),

@@ -46,7 +46,6 @@ pub fn fresh(frame: &Frame) -> Frame {
     frame.clone()
 }
 
-/// What the bench found.
 pub struct Outcome {
     /// Name of the method and its record, in the order of [`methods`].
     pub records: Vec<(&'static str, Record)>,

@@ -3,17 +3,14 @@
 
 use std::time::Duration;
 
-/// A started clock.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock(Duration);
 
 impl Clock {
-    /// Starts now.
     pub fn start() -> Self {
         Self(thread_time())
     }
 
-    /// Since the start.
     pub fn elapsed(&self) -> Duration {
         thread_time().saturating_sub(self.0)
     }

@@ -25,7 +25,6 @@ pub struct Record {
     pub pixel: (Vector2<f64>, usize),
     /// Sum of point errors, px.
     pub bias: Vector2<f64>,
-    /// Images.
     pub images: usize,
     /// Images with a pose within 5 mm and 1°.
     pub successes: usize,
@@ -34,7 +33,6 @@ pub struct Record {
 }
 
 impl Record {
-    /// Adds a frame's result.
     pub fn add(&mut self, estimate: &Estimate, truth: &Isometry3<f64>, points: &[Vector2<f64>]) {
         self.images += 1;
         self.times.push(estimate.stages.clone());
@@ -93,18 +91,15 @@ impl Record {
         rms(&self.degrees)
     }
 
-    /// Share of successes.
     pub fn success(&self) -> f64 {
         self.successes as f64 / self.images as f64
     }
 }
 
-/// Root of the mean square.
 pub fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// Mean and standard deviation.
 pub fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let variance =

@@ -8,12 +8,10 @@ pub fn number(value: f64, digits: usize) -> String {
     if value.is_finite() { format!("{value:.digits$}") } else { String::new() }
 }
 
-/// Rows of a CSV file.
 #[derive(Clone, Debug)]
 pub struct Csv(String);
 
 impl Csv {
-    /// With this header line.
     pub fn new(header: &str) -> Self {
         Self(format!("{header}\n"))
     }
@@ -28,7 +26,6 @@ impl Csv {
         self.0.push('\n');
     }
 
-    /// Into a file.
     pub fn write(&self, path: &Path) -> Result<()> {
         fs::write(path, &self.0).with_context(|| format!("writing {}", path.display()))
     }
@@ -39,17 +36,14 @@ impl Csv {
 pub struct Targets(Vec<(String, f64, String, bool)>);
 
 impl Targets {
-    /// `value` must not exceed `limit`.
     pub fn at_most(&mut self, what: &str, value: f64, limit: f64) {
         self.0.push((what.into(), value, format!("<= {limit:.4}"), value <= limit));
     }
 
-    /// `value` must reach `limit`.
     pub fn at_least(&mut self, what: &str, value: f64, limit: f64) {
         self.0.push((what.into(), value, format!(">= {limit:.4}"), value >= limit));
     }
 
-    /// `value` must lie between the two.
     pub fn within(&mut self, what: &str, value: f64, low: f64, high: f64) {
         self.0.push((
             what.into(),

@@ -20,7 +20,6 @@ pub const VIVID: [[f32; 3]; 4] =
 
 /// Plates, floor and canvas.
 pub struct Stage {
-    /// The camera.
     pub camera: Pinhole,
     canvas: Canvas,
     floor: Floor,
@@ -58,7 +57,6 @@ impl Stage {
         Ok(Self { canvas: Canvas::new(camera.width, camera.height), camera, floor, plates, seed })
     }
 
-    /// The plate that bears `carrier`.
     pub fn plate(&self, carrier: Carrier) -> &Plate {
         &self.plates[carrier as usize]
     }

@@ -17,9 +17,7 @@ use std::path::Path;
 
 /// One condition of a sweep.
 pub struct Condition {
-    /// Which sweep it belongs to.
     pub sweep: &'static str,
-    /// The value that is swept.
     pub value: f64,
     /// m.
     pub range: f64,

@@ -34,7 +34,6 @@ pub struct Cell {
     pub right: bool,
     /// Verdict and keys.
     pub text: String,
-    /// The report's sentences.
     pub sentences: Vec<String>,
 }
 
@@ -44,9 +43,6 @@ fn tracker(rig: &Rig) -> TrackerConfig {
 
 impl Bench {
     /// Reads a folder with `in.mcap`, `rig.yaml`, `truth.mcap` and `truth_markers.csv`.
-    ///
-    /// # Errors
-    /// A missing or unreadable file, or a recording that cannot be checked.
     pub fn read(folder: &Path) -> anyhow::Result<Self> {
         let mut recording = Recording::read(folder, None)?;
         let bag = folder.join("in.mcap");
@@ -66,9 +62,6 @@ impl Bench {
     }
 
     /// Simulates a run in which all axes of the climber move; `seed` fixes it.
-    ///
-    /// # Errors
-    /// The simulated recording cannot be checked.
     pub fn simulated(seed: u64) -> anyhow::Result<Self> {
         let config = MotionConfig {
             duration: 20.0,
@@ -81,9 +74,6 @@ impl Bench {
     }
 
     /// Simulates a run with a motion and its seed.
-    ///
-    /// # Errors
-    /// The simulated recording cannot be checked.
     pub fn of_motion(config: MotionConfig) -> anyhow::Result<Self> {
         let seed = config.seed;
         let motion = Motion::new(config);
@@ -118,12 +108,10 @@ impl Bench {
         Ok(bench)
     }
 
-    /// The recording's name.
     pub fn name(&self) -> &str {
         &self.recording.name
     }
 
-    /// Report of the unchanged recording.
     pub fn clean(&self) -> &Report {
         &self.clean
     }

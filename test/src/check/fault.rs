@@ -9,12 +9,9 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use pose_fusion::Input;
 use rig_model::{CameraModel, ClimberSample, Distortion, Rig};
 
-/// One fault.
 #[derive(Clone, Copy)]
 pub struct Fault {
-    /// Its name in the table.
     pub name: &'static str,
-    /// Applies it.
     pub apply: fn(&mut Recording),
     /// Beginnings of the keys of findings that name it.
     pub keys: &'static [&'static str],
@@ -53,7 +50,6 @@ const fn late(name: &'static str, apply: fn(&mut Recording), row: &'static str, 
     Fault { offset: Some((row, ms, 2.0)), ..fault(name, apply, keys) }
 }
 
-/// All faults.
 pub const FAULTS: &[Fault] = &[
     or(
         fault(
@@ -78,7 +74,7 @@ pub const FAULTS: &[Fault] = &[
     ),
     or(seen("layout × 1.01", |r| P::Layout(0.01).apply(r), SCALE), SCALE),
     seen("layout × 1.1", |r| P::Layout(0.1).apply(r), SCALE),
-    seen("layout in cm", |r| P::Layout(99.0).apply(r), &["markers.red", "markers.size"]),
+    seen("layout in cm", |r| each_center(&mut r.rig, |c| *c *= 100.0), &["markers.red"]),
     seen("red marker 20 cm off", |r| r.rig.markers.centers.0[0].x += 0.2, &["markers.red"]),
     seen("red and green swapped", |r| r.rig.markers.centers.0.swap(0, 1), &["markers.red"]),
     seen(
@@ -153,8 +149,8 @@ pub const FAULTS: &[Fault] = &[
         },
         &["climber"],
     ),
-    or(fault("height + 0.5 m", |r| each_climber(r, |p, _| p.z += 0.5), &[]), HEIGHT),
-    or(fault("height 0", |r| each_climber(r, |p, _| p.z = 0.0), &[]), HEIGHT),
+    or(fault("height + 0.5 m", |r| each_climber(r, |p, _| p.z += 0.5), HEIGHT), HEIGHT),
+    or(fault("height 0", |r| each_climber(r, |p, _| p.z = 0.0), HEIGHT), HEIGHT),
     or(fault("turn reversed", |r| each_climber(r, |_, t| *t = -*t), TURN), TURN),
     or(
         fault("turn + 10°", |r| each_climber(r, |_, t| *t += 10f64.to_radians()), CAMERA),

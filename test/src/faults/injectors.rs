@@ -41,7 +41,6 @@ pub fn joints_as(
     })
 }
 
-/// Changes images.
 pub fn images(mut change: impl FnMut(&mut CompressedImage) + Send + 'static) -> FaultInjector {
     images_as(move |_, mut m| {
         change(&mut m);
@@ -49,7 +48,6 @@ pub fn images(mut change: impl FnMut(&mut CompressedImage) + Send + 'static) -> 
     })
 }
 
-/// Changes encoder readings.
 pub fn joints(mut change: impl FnMut(&mut JointState) + Send + 'static) -> FaultInjector {
     joints_as(move |_, mut m| {
         change(&mut m);

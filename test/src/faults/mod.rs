@@ -11,7 +11,8 @@ mod table;
 pub use outcome::{Outcome, Verdict};
 pub use table::table;
 
-use crate::live::{ImageSequence, Run, RunError, Scenario, Site, bag};
+use crate::live::{ImageSequence, Run, Scenario, Site, bag};
+use anyhow::{Result, anyhow};
 use node_kit::environment::Network;
 use rig_model::Stamp;
 use std::{fmt::Write, path::Path, sync::Arc};
@@ -23,11 +24,9 @@ pub const LENGTH: f64 = 9.0;
 
 /// A live rig, and what a fault needs of it.
 pub struct Bench<'a> {
-    /// Hardware and nodes.
     pub run: &'a mut Run,
     /// Stamp of the scenario's zero.
     pub epoch: Stamp,
-    /// The scenario.
     pub scenario: &'a Scenario,
     /// What the row itself found.
     pub notes: &'a mut Notes,
@@ -38,11 +37,10 @@ pub struct Bench<'a> {
 pub struct Notes {
     /// Report of the fault by a process without diagnostics.
     pub report: Option<String>,
-    /// What is not as it must be.
     pub failures: Vec<String>,
 }
 
-type Action = Box<dyn Fn(&mut Bench<'_>) -> Result<(), RunError>>;
+type Action = Box<dyn Fn(&mut Bench<'_>) -> Result<()>>;
 
 /// What the odometry does while the fault lasts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,11 +55,9 @@ pub enum Flow {
 
 /// One row: a fault and what must hold.
 pub struct Row {
-    /// What is broken.
     pub fault: &'static str,
     begin: Action,
     end: Action,
-    /// The odometry meanwhile.
     pub flow: Flow,
     /// Node whose diagnostics must report the fault at WARN or above, and words of which one must
     /// occur in the line: they name the fault itself, so that no other fault is accepted in its
@@ -76,19 +72,11 @@ pub struct Row {
 }
 
 impl Row {
-    /// Begins the fault.
-    ///
-    /// # Errors
-    /// A requirement of the row is missing.
-    pub fn start(&self, bench: &mut Bench<'_>) -> Result<(), RunError> {
+    pub fn start(&self, bench: &mut Bench<'_>) -> Result<()> {
         (self.begin)(bench)
     }
 
-    /// Ends it.
-    ///
-    /// # Errors
-    /// A node could not be restarted.
-    pub fn stop(&self, bench: &mut Bench<'_>) -> Result<(), RunError> {
+    pub fn stop(&self, bench: &mut Bench<'_>) -> Result<()> {
         (self.end)(bench)
     }
 
@@ -98,10 +86,7 @@ impl Row {
     }
 
     /// Runs the row on the DDS domain of `network`, in `folder`, and writes its bag where one is
-    /// asked for.
-    ///
-    /// # Errors
-    /// The rig did not start or a process hung: no verdict.
+    /// asked for. An error means that there is no verdict.
     pub fn run(
         &self,
         scenario: &Scenario,
@@ -109,7 +94,7 @@ impl Row {
         network: &Network,
         folder: &Path,
         bag: Option<&Path>,
-    ) -> Result<Outcome, RunError> {
+    ) -> Result<Outcome> {
         let site = Site { settable_clock: self.clock_ahead != 0.0, ..Site::here(network) };
         let mut run = Run::start(scenario, Arc::clone(images), &site, folder)?;
         run.wait_for_pose(30.0)?;
@@ -123,9 +108,8 @@ impl Row {
         let logs = folder.to_owned();
         let ended = run.finish()?;
         if let Some(bag) = bag {
-            bag::write(bag, scenario, epoch, &ended.sent, &ended.received).map_err(|e| {
-                RunError::NotPossible { what: "the run's bag", reason: e.to_string() }
-            })?;
+            bag::write(bag, scenario, epoch, &ended.sent, &ended.received)
+                .map_err(|error| anyhow!("the run's bag: {error}"))?;
         }
         Ok(outcome::judge(self, scenario, &ended, &logs, notes))
     }
@@ -133,7 +117,7 @@ impl Row {
 
 /// Waits for a time of the scenario; a node that ended meanwhile is an error unless the fault kills
 /// it.
-fn wait(run: &mut Run, until: f64, may_end: bool) -> Result<(), RunError> {
+fn wait(run: &mut Run, until: f64, may_end: bool) -> Result<()> {
     if !may_end {
         return run.play_until(until, |_, _| {});
     }

@@ -13,15 +13,12 @@ use volant_msgs::{diagnostic_msgs::msg::DiagnosticStatus, msg::MarkerObservation
 /// Whether a row holds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Everything is as it must be.
     Holds,
-    /// What is not.
     Fails(Vec<String>),
     /// It could not be tried, and why.
     Skipped(String),
 }
 
-/// What was seen.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// Odometry per IMU sample that was due while the fault lasted.
@@ -36,12 +33,10 @@ pub struct Outcome {
     pub report: Option<String>,
     /// From the fault's end until the pose was back to stay, s.
     pub back_after: Option<f64>,
-    /// The judgement.
     pub verdict: Verdict,
 }
 
 impl Outcome {
-    /// A row that could not be tried.
     pub fn skipped(reason: String) -> Self {
         Self {
             rate: f64::NAN,
@@ -63,7 +58,6 @@ pub(crate) const GATE: [f64; 2] = [NEES_LIMIT, NEES_SHARE];
 const NEES_LIMIT: f64 = 21.1;
 const NEES_SHARE: f64 = 0.02;
 
-/// Judges a run.
 pub fn judge(
     row: &Row,
     scenario: &Scenario,

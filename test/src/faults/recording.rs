@@ -4,10 +4,12 @@ use super::{
     Action, Bench, Row,
     table::{action, row},
 };
-use crate::live::{RunError, processes::executables};
+use crate::live::processes::executables;
+use anyhow::{Result, anyhow};
 use bag::{BagError, BagReader};
 use std::{
     cell::RefCell,
+    fmt::Display,
     io::Read,
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
@@ -28,19 +30,18 @@ struct Recorder {
 struct Disk(PathBuf);
 
 impl Disk {
-    fn mount(at: &Path) -> Result<Self, RunError> {
-        let impossible = |reason: String| RunError::NotPossible {
-            what: "a small file system (`mount -t tmpfs`, as root)",
-            reason,
+    fn mount(at: &Path) -> Result<Self> {
+        let impossible = |reason: &dyn Display| {
+            anyhow!("a small file system (`mount -t tmpfs`, as root): {reason}")
         };
-        std::fs::create_dir_all(at).map_err(|e| impossible(e.to_string()))?;
+        std::fs::create_dir_all(at).map_err(|e| impossible(&e))?;
         let output = Command::new("mount")
             .args(["-t", "tmpfs", "-o", SIZE, "tmpfs"])
             .arg(at)
             .output()
-            .map_err(|e| impossible(e.to_string()))?;
+            .map_err(|e| impossible(&e))?;
         if !output.status.success() {
-            return Err(impossible(String::from_utf8_lossy(&output.stderr).trim().to_owned()));
+            return Err(impossible(&String::from_utf8_lossy(&output.stderr).trim()));
         }
         Ok(Self(at.to_owned()))
     }
@@ -52,7 +53,6 @@ impl Drop for Disk {
     }
 }
 
-/// The row.
 pub(super) fn disk_full() -> Row {
     let recorder = Rc::new(RefCell::new(None));
     let begin: Action = {
@@ -71,7 +71,7 @@ pub(super) fn disk_full() -> Row {
     row("disk full while `volant record` writes", None, begin, end, 0.2)
 }
 
-fn start(b: &mut Bench<'_>) -> Result<Recorder, RunError> {
+fn start(b: &mut Bench<'_>) -> Result<Recorder> {
     let folder = b.run.folder.join("full");
     let disk = Disk::mount(&folder)?;
     let path = executables().join("volant");
@@ -83,7 +83,7 @@ fn start(b: &mut Bench<'_>) -> Result<Recorder, RunError> {
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
         .spawn()
-        .map_err(|error| RunError::Io { path, error })?;
+        .map_err(|error| anyhow!("{}: {error}", path.display()))?;
     Ok(Recorder { child, disk })
 }
 

@@ -6,7 +6,8 @@ use super::{
     injectors::{images, images_as, joints, joints_as, shift, uniform_images},
     recording,
 };
-use crate::live::{FaultInjector, Node, ProcessError, RunError, processes::Signal};
+use crate::live::{FaultInjector, Node, processes::Signal};
+use anyhow::{Context, Result};
 use imu_driver::simulated_imu::SimulatedImu;
 use rig_model::Stamp;
 use std::time::Duration;
@@ -15,7 +16,7 @@ type Words = &'static [&'static str];
 /// Node that reports the fault, and the words: see [`Row::diagnostics`].
 type Report = Option<(&'static str, Words)>;
 
-pub(super) fn action(f: impl Fn(&mut Bench<'_>) -> Result<(), RunError> + 'static) -> Action {
+pub(super) fn action(f: impl Fn(&mut Bench<'_>) -> Result<()> + 'static) -> Action {
     Box::new(f)
 }
 
@@ -72,9 +73,8 @@ fn with_imu(f: fn(&mut SimulatedImu, Stamp)) -> impl Fn(&mut Bench<'_>) {
 }
 
 /// An action on the named node.
-fn on(name: &'static str, f: fn(&mut Node) -> Result<(), ProcessError>) -> Action {
-    let missing = move || ProcessError::NotBuilt { name: name.into(), path: name.into() };
-    action(move |b| Ok(f(b.run.nodes.get(name).ok_or_else(missing)?)?))
+fn on(name: &'static str, f: fn(&mut Node) -> Result<()>) -> Action {
+    action(move |b| f(b.run.nodes.get(name).with_context(|| format!("no node {name}"))?))
 }
 
 /// The named node is killed as by `kill -9`, and started again when the window ends.
@@ -100,7 +100,6 @@ fn clock_set(fault: &'static str, ahead: f64) -> Row {
     Row { flow: Flow::Gaps, clock_ahead: ahead, ..row }
 }
 
-/// Every fault.
 pub fn table() -> Vec<Row> {
     use Flow::{Gaps, Stops, Unbroken};
     let tracker = |words: Words| Some(("marker_tracker", words));

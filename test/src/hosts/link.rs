@@ -22,7 +22,6 @@ use tun_rs::{DeviceBuilder, Layer, SyncDevice};
 pub struct Traffic {
     /// Frames that came in.
     pub frames: AtomicU64,
-    /// Their bytes.
     pub bytes: AtomicU64,
     /// Frames that did not come out.
     pub lost: AtomicU64,
@@ -39,9 +38,6 @@ pub struct Link {
 impl Link {
     /// Creates two Ethernet interfaces with these names in the caller's network namespace and
     /// connects them.
-    ///
-    /// # Errors
-    /// No `/dev/net/tun`, or no right to make an interface.
     pub fn new(names: [&str; 2], seed: u64) -> io::Result<Self> {
         let end = |name: &str| -> io::Result<SyncDevice> {
             let device =
@@ -66,7 +62,6 @@ impl Link {
         *self.impairment.lock().unwrap_or_else(PoisonError::into_inner) = impairment;
     }
 
-    /// What went through.
     pub fn traffic(&self) -> &Traffic {
         &self.traffic
     }

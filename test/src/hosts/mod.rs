@@ -13,33 +13,18 @@ pub use impairment::Impairment;
 pub use link::Link;
 
 use crate::live::Namespaces;
-use std::process::Command;
-use thiserror::Error;
-
-/// The two computers could not be created on this machine.
-#[derive(Debug, Error)]
-#[error(
-    "two hosts need network namespaces and a tap device, that is root (or CAP_NET_ADMIN and \
-     CAP_SYS_ADMIN), iproute2 and /dev/net/tun: {reason}"
-)]
-pub struct NotPermitted {
-    reason: String,
-}
+use anyhow::{Error, Result, anyhow};
+use std::{fmt::Display, process::Command};
 
 /// Two computers with a link between them. All of it is gone when this drops.
 pub struct Hosts {
-    /// The link.
     pub link: Link,
-    /// Their names.
     pub namespaces: Namespaces,
 }
 
 impl Hosts {
     /// Creates them. The process id is part of their names, so that several can exist at once.
-    ///
-    /// # Errors
-    /// What is missing.
-    pub fn new(seed: u64) -> Result<Self, NotPermitted> {
+    pub fn new(seed: u64) -> Result<Self> {
         remove_left_over();
         let id = std::process::id();
         let namespaces =
@@ -50,7 +35,7 @@ impl Hosts {
             ip(&["netns", "add", name])?;
         }
         let link = Link::new([&names[0], &names[1]], seed)
-            .map_err(|e| NotPermitted { reason: format!("a tap device: {e}") })?;
+            .map_err(|e| not_permitted("a tap device", e))?;
         for (i, place) in [&namespaces.climber, &namespaces.platform].into_iter().enumerate() {
             let end = names[i].as_str();
             ip(&["link", "set", end, "netns", place])?;
@@ -94,15 +79,19 @@ impl Drop for Hosts {
     }
 }
 
-fn ip(arguments: &[&str]) -> Result<(), NotPermitted> {
-    let line = || format!("`ip {}`", arguments.join(" "));
-    let output = Command::new("ip")
-        .args(arguments)
-        .output()
-        .map_err(|e| NotPermitted { reason: format!("{}: {e}", line()) })?;
+fn ip(arguments: &[&str]) -> Result<()> {
+    let line = format!("`ip {}`", arguments.join(" "));
+    let output =
+        Command::new("ip").args(arguments).output().map_err(|e| not_permitted(&line, e))?;
     if output.status.success() {
         return Ok(());
     }
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    Err(NotPermitted { reason: format!("{}: {}", line(), stderr.trim()) })
+    Err(not_permitted(&line, String::from_utf8_lossy(&output.stderr).trim()))
+}
+
+fn not_permitted(what: &str, reason: impl Display) -> Error {
+    anyhow!(
+        "two hosts need network namespaces and a tap device, that is root (or CAP_NET_ADMIN and \
+         CAP_SYS_ADMIN), iproute2 and /dev/net/tun: {what}: {reason}"
+    )
 }

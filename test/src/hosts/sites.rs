@@ -33,9 +33,7 @@ const DRAWING: Duration = Duration::from_secs(600);
 const STEP: Duration = Duration::from_millis(100);
 const GRACE_STEPS: u32 = 100;
 
-/// What is run.
 pub struct Trial<'a> {
-    /// The two sites.
     pub hosts: &'a Hosts,
     /// The executable `zenoh-bridge-ros2dds`.
     pub bridge: &'a Path,
@@ -43,9 +41,7 @@ pub struct Trial<'a> {
     pub config: &'a Path,
     /// For logs and bags.
     pub folder: &'a Path,
-    /// Number of rigs.
     pub rigs: usize,
-    /// Everything random in the rigs follows from it.
     pub seed: u64,
 }
 
@@ -185,9 +181,6 @@ impl Trial<'_> {
     }
 
     /// Runs all rows one after the other.
-    ///
-    /// # Errors
-    /// A process does not start, a rig gives no pose, or a bag is not readable.
     pub fn run(&self) -> Result<Vec<Row>> {
         let [rig_site, operator_site] =
             [&self.hosts.namespaces.climber, &self.hosts.namespaces.platform];
@@ -313,7 +306,6 @@ fn row(span: &Span, received: &[[Received; 2]]) -> Row {
     }
 }
 
-/// The table as Markdown.
 pub fn markdown(rows: &[Row]) -> String {
     let mut text = String::from(
         "| link | odometry of those due | stamp to operator, median / p99 | at the rig | longest \

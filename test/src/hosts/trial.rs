@@ -5,8 +5,9 @@ use super::{Hosts, Impairment};
 use crate::{
     accuracy::Errors,
     faults::outcome,
-    live::{ClockError, Host, ImageSequence, NODES, Run, RunError, Scenario, Site},
+    live::{ClockError, Host, ImageSequence, NODES, Run, Scenario, Site},
 };
+use anyhow::Result;
 use node_kit::environment::Network;
 use rig_model::Stamp;
 use std::{
@@ -35,10 +36,7 @@ pub struct Swing {
 
 impl Swing {
     /// The rig of this seed, no marker covered; its images are drawn on `threads` threads.
-    ///
-    /// # Errors
-    /// The scenario's, or the JPEG encoder's.
-    pub fn new(seed: u64, threads: usize) -> anyhow::Result<Self> {
+    pub fn new(seed: u64, threads: usize) -> Result<Self> {
         let mut scenario = Scenario::swing(seed, LENGTH)?;
         scenario.covers.clear();
         let images = Arc::new(ImageSequence::render(&scenario, threads, |_, _| {})?);
@@ -46,11 +44,8 @@ impl Swing {
     }
 }
 
-/// Where it is tried.
 pub struct Place<'a> {
-    /// The two computers.
     pub hosts: &'a Hosts,
-    /// The DDS domain.
     pub network: &'a Network,
     /// For the nodes' logs.
     pub folder: PathBuf,
@@ -69,12 +64,9 @@ pub enum Trouble {
     Clock(ClockError),
 }
 
-/// One run.
 #[derive(Clone, Debug)]
 pub struct Trial {
-    /// What happens.
     pub name: &'static str,
-    /// The same.
     pub trouble: Trouble,
     /// The odometry must come with every IMU sample, all the time.
     pub unbroken: bool,
@@ -125,7 +117,6 @@ pub fn trials() -> Vec<Trial> {
     ]
 }
 
-/// What was seen.
 #[derive(Clone, Debug)]
 pub struct Seen {
     /// From the start of the nodes to the first pose, s.
@@ -142,7 +133,6 @@ pub struct Seen {
     pub back_after: Option<f64>,
     /// Frames and share of them that the link lost.
     pub frames: [f64; 2],
-    /// What is not as it must be.
     pub failures: Vec<String>,
 }
 
@@ -168,16 +158,7 @@ impl Seen {
 
 impl Trial {
     /// Runs it with its number of rigs. `clean` is the position error over the clean link, mm.
-    ///
-    /// # Errors
-    /// The rig did not start, or a process hung. [`Hosts::new`] reports why two hosts are not
-    /// possible.
-    pub fn run(
-        &self,
-        swings: &[Swing],
-        place: &Place<'_>,
-        clean: Option<f64>,
-    ) -> Result<Seen, RunError> {
+    pub fn run(&self, swings: &[Swing], place: &Place<'_>, clean: Option<f64>) -> Result<Seen> {
         let mut seen = Vec::with_capacity(self.rigs);
         for (i, swing) in swings.iter().take(self.rigs).enumerate() {
             seen.push(self.once(swing, place, &place.folder.join(format!("rig{i}")))?);
@@ -193,7 +174,7 @@ impl Trial {
     }
 
     #[allow(clippy::disallowed_methods, reason = "it measures how long a start takes")]
-    fn once(&self, swing: &Swing, place: &Place<'_>, folder: &Path) -> Result<Seen, RunError> {
+    fn once(&self, swing: &Swing, place: &Place<'_>, folder: &Path) -> Result<Seen> {
         let (Swing { scenario, images }, Place { hosts, network, .. }) = (swing, place);
         use std::sync::atomic::Ordering::Relaxed;
         let mut site = Site { hosts: Some(hosts.namespaces.clone()), ..Site::here(network) };
@@ -263,7 +244,7 @@ impl Trial {
     }
 
     /// Plays until `end`; when the trouble is over, s, where it has an end.
-    fn play(&self, run: &mut Run, hosts: &Hosts, end: f64) -> Result<Option<f64>, RunError> {
+    fn play(&self, run: &mut Run, hosts: &Hosts, end: f64) -> Result<Option<f64>> {
         let wait = |run: &Run, until: f64| {
             while run.hardware.seconds() < until {
                 std::thread::sleep(Duration::from_millis(5));
@@ -300,7 +281,6 @@ impl Trial {
     }
 }
 
-/// The table as Markdown.
 pub fn markdown(rows: &[(&'static str, Result<Seen, String>)]) -> String {
     let mut text = String::from(
         "| between the hosts | first pose after | position, rotation RMSE | odometry | back after \

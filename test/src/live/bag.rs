@@ -73,9 +73,6 @@ impl Run {
 }
 
 /// Writes the run, from half a second before `epoch` (the scenario's zero) on, as a rosbag2 folder.
-///
-/// # Errors
-/// The file exists or is not writable.
 pub fn write(
     path: &Path,
     scenario: &Scenario,
@@ -111,9 +108,6 @@ pub fn write(
 /// Writes what ideal sensors record of a scenario, without nodes: markers, IMU samples, the truth,
 /// and the climber on `topic` as the messages that `climber` makes of it. An existing file is
 /// replaced when the new one is complete.
-///
-/// # Errors
-/// The file is not writable.
 pub fn from_sensors<M: Message>(
     path: &Path,
     scenario: &Scenario,

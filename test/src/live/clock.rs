@@ -1,13 +1,12 @@
 //! A settable clock for the nodes' processes: libfaketime, controlled by a file. The machine's own
 //! clock is not changed.
 
-use super::RunError;
+use anyhow::{Context, Result, anyhow};
 use std::{
-    fs, io,
+    fs,
     path::{Path, PathBuf},
 };
 
-/// The clock of a rig's nodes.
 #[derive(Clone, Debug)]
 pub struct SettableClock {
     library: PathBuf,
@@ -16,10 +15,7 @@ pub struct SettableClock {
 
 impl SettableClock {
     /// A clock that shows the time as it is, with its file in `folder`.
-    ///
-    /// # Errors
-    /// libfaketime is not installed, or the file is not writable.
-    pub fn new(folder: &Path) -> Result<Self, RunError> {
+    pub fn new(folder: &Path) -> Result<Self> {
         let multiarch = format!("/usr/lib/{}-linux-gnu/faketime", std::env::consts::ARCH);
         let places = [
             multiarch.as_str(),
@@ -28,28 +24,22 @@ impl SettableClock {
             "/usr/local/lib/faketime",
         ];
         let library = places.iter().map(|place| Path::new(place).join("libfaketimeMT.so.1"));
-        let library = library.into_iter().find(|path| path.is_file()).ok_or_else(|| {
-            RunError::NotPossible {
-                what: "a clock that can be set",
-                reason: "libfaketime is not there; install it (Debian: apt install libfaketime)"
-                    .to_owned(),
-            }
-        })?;
+        let library = library.into_iter().find(|path| path.is_file()).context(
+            "a clock that can be set: libfaketime is not there; install it (Debian: apt install \
+             libfaketime)",
+        )?;
         let clock = Self { library, file: folder.join("clock") };
         clock.set(0.0)?;
         Ok(clock)
     }
 
     /// Sets it this many seconds ahead of the true time.
-    ///
-    /// # Errors
-    /// The file is not writable.
-    pub fn set(&self, ahead: f64) -> Result<(), RunError> {
-        let io = |error: io::Error| RunError::Io { path: self.file.clone(), error };
+    pub fn set(&self, ahead: f64) -> Result<()> {
         // Written in one piece: libfaketime reads it whenever a process reads the clock.
         let next = self.file.with_extension("next");
-        fs::write(&next, format!("{ahead:+.6}\n")).map_err(io)?;
-        fs::rename(&next, &self.file).map_err(io)
+        fs::write(&next, format!("{ahead:+.6}\n"))
+            .and_then(|()| fs::rename(&next, &self.file))
+            .map_err(|error| anyhow!("{}: {error}", self.file.display()))
     }
 
     /// What a process needs in its environment to live by it.

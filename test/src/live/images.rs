@@ -4,7 +4,6 @@ use super::scenario::{EXPOSURE, IMAGE_RATE, Scenario};
 use rig_simulator::{Exposure, Renderer, parallel, random::Random};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// One image.
 #[derive(Clone, Debug)]
 pub struct Frame {
     /// Middle of its exposure, s of the scenario.
@@ -13,7 +12,6 @@ pub struct Frame {
     pub jpeg: Vec<u8>,
 }
 
-/// All images of a run.
 #[derive(Clone, Debug)]
 pub struct ImageSequence {
     /// The stationary rig, repeated until the run begins.
@@ -25,9 +23,6 @@ pub struct ImageSequence {
 impl ImageSequence {
     /// Renders all images of the scenario on `threads` threads; calls `progress(done, of)` after
     /// each one.
-    ///
-    /// # Errors
-    /// The JPEG encoder's error.
     pub fn render(
         scenario: &Scenario,
         threads: usize,

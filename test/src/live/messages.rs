@@ -10,7 +10,6 @@ use volant_msgs::{
     sensor_msgs::msg::{CompressedImage, JointState},
 };
 
-/// A JPEG image.
 pub fn compressed_image(stamp: Stamp, frame_id: &str, jpeg: Vec<u8>) -> CompressedImage {
     CompressedImage {
         header: convert::header(frame_id, stamp),

@@ -17,10 +17,10 @@ pub mod scenario;
 pub mod site;
 
 pub use clock::SettableClock;
-pub use hardware::{FaultInjector, HardwareError, SensorMessage, Sent, SimulatedHardware};
+pub use hardware::{FaultInjector, SensorMessage, Sent, SimulatedHardware};
 pub use images::{Frame, ImageSequence};
-pub use processes::{Node, Nodes, ProcessError};
+pub use processes::{Node, Nodes};
 pub use received::{Received, TopicLog, quantile};
-pub use run::{Ended, NODES, Run, RunError};
+pub use run::{Ended, NODES, Run};
 pub use scenario::{Cover, Scenario};
 pub use site::{ClockError, Host, Namespaces, Site};

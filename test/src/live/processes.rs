@@ -1,5 +1,6 @@
 //! The four nodes as processes, started from the command line and ended by SIGINT.
 
+use anyhow::{Result, anyhow, bail, ensure};
 pub use rustix::process::Signal;
 use rustix::process::{Pid, kill_process};
 use std::{
@@ -12,51 +13,6 @@ use std::{
     time::{Duration, Instant},
 };
 use test_support::process;
-use thiserror::Error;
-
-/// What can go wrong with a node's process.
-#[derive(Debug, Error)]
-pub enum ProcessError {
-    /// The executable is not there.
-    #[error(
-        "{name}: no executable at {path}; build it with `cargo build --release --workspace \
-         --bins`, or name its folder in VOLANT_BIN"
-    )]
-    NotBuilt {
-        /// The node.
-        name: String,
-        /// Where it should be.
-        path: PathBuf,
-    },
-    /// A system call failed.
-    #[error("{name}: {error}")]
-    Io {
-        /// The node.
-        name: String,
-        /// Error of the system call.
-        error: io::Error,
-    },
-    /// It ended though nobody asked it to.
-    #[error("{name} ended with {status} in mid-run; its last words are in {log}")]
-    Ended {
-        /// The node.
-        name: String,
-        /// How.
-        status: ExitStatus,
-        /// Log file.
-        log: PathBuf,
-    },
-    /// It did not end when it was asked to.
-    #[error("{name} did not end within {seconds} s of SIGINT and was killed; see {log}")]
-    Hangs {
-        /// The node.
-        name: String,
-        /// How long it was given.
-        seconds: u64,
-        /// Log file.
-        log: PathBuf,
-    },
-}
 
 /// Folder of the executables: `VOLANT_BIN`, else where this executable is (for a test, one above).
 pub fn executables() -> PathBuf {
@@ -86,7 +42,6 @@ pub fn kill_all() {
     }
 }
 
-/// One running node.
 #[derive(Debug)]
 pub struct Node {
     /// Its executable's name.
@@ -103,21 +58,21 @@ pub struct Node {
 impl Node {
     /// Starts the executable `name` with `arguments` in the network namespace `place`, `None` for
     /// this process's; its output is appended to `folder`/`name`.log.
-    ///
-    /// # Errors
-    /// The executable is missing, or it cannot be started.
     pub fn start(
         place: Option<&str>,
         name: &str,
         arguments: &[String],
         environment: &[(String, String)],
         folder: &Path,
-    ) -> Result<Self, ProcessError> {
+    ) -> Result<Self> {
         let path = executables().join(name);
-        if !path.is_file() {
-            return Err(ProcessError::NotBuilt { name: name.into(), path });
-        }
-        let io = |error| ProcessError::Io { name: name.into(), error };
+        ensure!(
+            path.is_file(),
+            "{name}: no executable at {}; build it with `cargo build --release --workspace \
+             --bins`, or name its folder in VOLANT_BIN",
+            path.display()
+        );
+        let io = |error: io::Error| anyhow!("{name}: {error}");
         let log = folder.join(format!("{name}.log"));
         let out = File::options().create(true).append(true).open(&log).map_err(io)?;
         // `ip netns exec` becomes the node: the process id is the node's.
@@ -149,7 +104,6 @@ impl Node {
         })
     }
 
-    /// Process id.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
@@ -157,13 +111,10 @@ impl Node {
     /// Sends a signal by a system call, not by a `kill` process: a signal that arrives while a
     /// process is spawned (such as SIGCHLD) can interrupt RustDDS's threads in this process, which
     /// ends them.
-    ///
-    /// # Errors
-    /// The system call failed.
-    pub fn signal(&self, signal: Signal) -> Result<(), ProcessError> {
-        let io = |error| ProcessError::Io { name: self.name.clone(), error };
+    pub fn signal(&self, signal: Signal) -> Result<()> {
         let id = i32::try_from(self.id()).ok().and_then(Pid::from_raw);
-        id.map_or(Ok(()), |id| kill_process(id, signal)).map_err(|e| io(e.into()))
+        id.map_or(Ok(()), |id| kill_process(id, signal))
+            .map_err(|error| anyhow!("{}: {error}", self.name))
     }
 
     /// How it ended, if it did.
@@ -179,13 +130,9 @@ impl Node {
     }
 
     /// Kills it, as `kill -9` does.
-    ///
-    /// # Errors
-    /// The system call failed.
-    pub fn kill(&mut self) -> Result<(), ProcessError> {
-        let name = self.name.clone();
-        let io = |error| ProcessError::Io { name: name.clone(), error };
+    pub fn kill(&mut self) -> Result<()> {
         if self.ended().is_none() {
+            let io = |error: io::Error| anyhow!("{}: {error}", self.name);
             self.child.kill().map_err(io)?;
             let mut running = running();
             self.status = Some(self.child.wait().map_err(io)?);
@@ -195,10 +142,7 @@ impl Node {
     }
 
     /// Restarts it with the same arguments after it ended.
-    ///
-    /// # Errors
-    /// As [`Node::start`].
-    pub fn restart(&mut self) -> Result<(), ProcessError> {
+    pub fn restart(&mut self) -> Result<()> {
         let folder = self.log.parent().unwrap_or(Path::new(".")).to_owned();
         let next = Self::start(
             self.place.as_deref(),
@@ -241,7 +185,6 @@ impl Drop for Node {
     }
 }
 
-/// The processes of a run.
 #[derive(Debug, Default)]
 pub struct Nodes(Vec<Node>);
 
@@ -249,44 +192,33 @@ pub struct Nodes(Vec<Node>);
 const GRACE: u64 = 5;
 
 impl Nodes {
-    /// Adds one.
     pub fn push(&mut self, node: Node) {
         self.0.push(node);
     }
 
-    /// The node of this name.
     pub fn get(&mut self, name: &str) -> Option<&mut Node> {
         self.0.iter_mut().find(|n| n.name == name)
     }
 
-    /// All of them.
     pub fn iter(&self) -> impl Iterator<Item = &Node> {
         self.0.iter()
     }
 
-    /// That all of them still run.
-    ///
-    /// # Errors
-    /// The first one that ended.
-    pub fn check(&mut self) -> Result<(), ProcessError> {
+    /// Fails with the first one that has ended.
+    pub fn check(&mut self) -> Result<()> {
         for node in &mut self.0 {
             if let Some(status) = node.ended() {
-                return Err(ProcessError::Ended {
-                    name: node.name.clone(),
-                    status,
-                    log: node.log.clone(),
-                });
+                let (name, log) = (&node.name, node.log.display());
+                bail!("{name} ended with {status} in mid-run; its last words are in {log}");
             }
         }
         Ok(())
     }
 
-    /// Ends all of them by SIGINT and returns the exit status of each.
-    ///
-    /// # Errors
-    /// A node that hangs; the others are ended all the same.
+    /// Ends all of them by SIGINT and returns the exit status of each; where one hangs, the others
+    /// are ended all the same.
     #[allow(clippy::disallowed_methods)] // a shell: it waits for processes
-    pub fn stop(mut self) -> Result<Vec<(String, ExitStatus)>, ProcessError> {
+    pub fn stop(mut self) -> Result<Vec<(String, ExitStatus)>> {
         for node in &self.0 {
             node.signal(Signal::INT)?;
         }
@@ -297,11 +229,11 @@ impl Nodes {
             match node.wait_until(deadline) {
                 Some(status) => ends.push((node.name.clone(), status)),
                 None => {
-                    hanging = Some(ProcessError::Hangs {
-                        name: node.name.clone(),
-                        seconds: GRACE,
-                        log: node.log.clone(),
-                    });
+                    hanging = Some(anyhow!(
+                        "{} did not end within {GRACE} s of SIGINT and was killed; see {}",
+                        node.name,
+                        node.log.display()
+                    ));
                 }
             }
         }

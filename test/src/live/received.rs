@@ -20,37 +20,26 @@ use volant_msgs::{
 /// Messages of one topic with their times of receipt.
 pub type TopicLog<M> = Vec<(Stamp, Arc<M>)>;
 
-/// Everything that was received, in order of receipt per topic.
+/// Everything that was received, in order of receipt per topic, each under the topic's name.
 #[derive(Clone, Debug, Default)]
 pub struct Received {
-    /// `volant/odometry`.
     pub odometry: TopicLog<Odometry>,
-    /// `volant/pose`.
     pub pose: TopicLog<PoseWithCovarianceStamped>,
-    /// `volant/status`.
     pub status: TopicLog<PoseStatus>,
-    /// `volant/fused_pose`.
     pub fused_pose: TopicLog<PoseWithCovarianceStamped>,
-    /// `volant/visual_pose`.
     pub visual_pose: TopicLog<PoseWithCovarianceStamped>,
     /// `volant/imu/data`.
     pub imu: TopicLog<Imu>,
-    /// `climber/markers`.
     pub markers: TopicLog<MarkerObservations>,
-    /// `volant/marker_updates`.
     pub marker_updates: TopicLog<MarkerUpdates>,
     /// `climber/transform`.
     pub climber: TopicLog<TransformStamped>,
-    /// `/tf`.
     pub tf: TopicLog<TFMessage>,
-    /// `/tf_static`.
     pub tf_static: TopicLog<TFMessage>,
-    /// `/diagnostics`.
     pub diagnostics: TopicLog<DiagnosticArray>,
 }
 
 impl Received {
-    /// The fused poses.
     pub fn fused(&self) -> Track {
         let one = |(_, m): &(Stamp, Arc<Odometry>)| {
             Some((stamp(&m.header.stamp), pose(&m.pose.pose, "pose").ok()?))
@@ -83,7 +72,6 @@ impl Received {
         Self { odometry: self.odometry.iter().map(as_it_is).collect(), ..self.clone() }
     }
 
-    /// The IMU samples.
     pub fn inertial(&self) -> Vec<ImuSample> {
         self.imu.iter().map(|(_, m)| convert::imu_sample(m)).collect()
     }

@@ -1,9 +1,10 @@
 //! A run from start to clean end: hardware, four nodes, first fused pose, scenario, exit.
 
 use super::{
-    HardwareError, Host, ImageSequence, Node, Nodes, ProcessError, Received, Scenario, Sent,
-    SettableClock, SimulatedHardware, Site,
+    Host, ImageSequence, Node, Nodes, Received, Scenario, Sent, SettableClock, SimulatedHardware,
+    Site,
 };
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use node_kit::convert::stamp;
 use rig_model::Stamp;
 use std::{
@@ -14,60 +15,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Why a run did not come to its end.
-#[derive(Debug, thiserror::Error)]
-pub enum RunError {
-    /// The hardware.
-    #[error(transparent)]
-    Hardware(#[from] HardwareError),
-    /// A node's process.
-    #[error(transparent)]
-    Process(#[from] ProcessError),
-    /// A file.
-    #[error("{}: {error}", path.display())]
-    Io {
-        /// Which.
-        path: PathBuf,
-        /// Error of the system call.
-        error: io::Error,
-    },
-    /// The machine lacks a requirement of the run.
-    #[error("{what}: {reason}")]
-    NotPossible {
-        /// What is needed.
-        what: &'static str,
-        /// Why it is not there.
-        reason: String,
-    },
-    /// The run's own DDS participant ended.
-    #[error(
-        "the test's own DDS participant was interrupted and ended (RustDDS does that); run it again"
-    )]
-    Interrupted,
-    /// Nothing came.
-    #[error(
-        "no fused pose within {seconds:.0} s (received: {received}); the logs of the nodes are in \
-         {}",
-        folder.display()
-    )]
-    NoPose {
-        /// How long it was waited.
-        seconds: f64,
-        /// What was received instead.
-        received: String,
-        /// Where the logs are.
-        folder: PathBuf,
-    },
-}
-
-/// The nodes.
 pub const NODES: [&str; 4] = ["climber_driver", "imu_driver", "marker_tracker", "pose_fusion"];
 
 /// A running rig.
 pub struct Run {
-    /// The hardware.
     pub hardware: SimulatedHardware,
-    /// The processes.
     pub nodes: Nodes,
     /// Where logs, rig file and port are.
     pub folder: PathBuf,
@@ -85,29 +37,22 @@ pub struct Ended {
     pub received: Received,
     /// Messages of the hardware.
     pub sent: Sent,
-    /// How each node ended.
     pub ends: Vec<(String, ExitStatus)>,
 }
 
 impl Run {
     /// Starts hardware and nodes at `site`, with logs, rig file and port in `folder` (created if
     /// missing).
-    ///
-    /// # Errors
-    /// What is missing, by name.
     pub fn start(
         scenario: &Scenario,
         images: Arc<ImageSequence>,
         site: &Site,
         folder: &Path,
-    ) -> Result<Self, RunError> {
-        let io = |path: &Path| {
-            let path = path.to_owned();
-            move |error| RunError::Io { path, error }
-        };
-        std::fs::create_dir_all(folder).map_err(io(folder))?;
+    ) -> Result<Self> {
+        let failed = |path: &Path, error: &io::Error| anyhow!("{}: {error}", path.display());
+        std::fs::create_dir_all(folder).map_err(|e| failed(folder, &e))?;
         let rig_file = folder.join("rig.yaml");
-        std::fs::write(&rig_file, scenario.rig_file()).map_err(io(&rig_file))?;
+        std::fs::write(&rig_file, scenario.rig_file()).map_err(|e| failed(&rig_file, &e))?;
         let port = folder.join("mtx");
         let clock = site.settable_clock.then(|| SettableClock::new(folder)).transpose()?;
         let hardware = SimulatedHardware::start(scenario, images, site, &port)?;
@@ -134,29 +79,19 @@ impl Run {
     }
 
     /// Sets the clock of the nodes, camera and encoders `ahead` seconds ahead of the true time.
-    ///
-    /// # Errors
-    /// The site has no clock that can be set.
-    pub fn set_clock(&self, ahead: f64) -> Result<(), RunError> {
-        let clock = self.clock.as_ref().ok_or_else(|| RunError::NotPossible {
-            what: "a clock that can be set",
-            reason: "the site was not asked for one".to_owned(),
-        })?;
+    pub fn set_clock(&self, ahead: f64) -> Result<()> {
+        let clock = self.clock.as_ref().context("the site has no clock that can be set")?;
         self.hardware.set_clock(ahead);
         clock.set(ahead)
     }
 
-    /// The DDS domain that it is in.
     pub fn domain(&self) -> u16 {
         self.domain
     }
 
     /// Waits until fused poses come, at most `seconds`.
-    ///
-    /// # Errors
-    /// None came, or a node ended.
     #[allow(clippy::disallowed_methods)] // a shell: it waits
-    pub fn wait_for_pose(&mut self, seconds: f64) -> Result<(), RunError> {
+    pub fn wait_for_pose(&mut self, seconds: f64) -> Result<()> {
         let start = Instant::now();
         loop {
             self.nodes.check()?;
@@ -170,19 +105,17 @@ impl Run {
             }
             if start.elapsed().as_secs_f64() > seconds {
                 let h = self.hardware.received();
-                return Err(RunError::NoPose {
-                    seconds,
-                    received: format!(
-                        "{} IMU samples, {} climber transforms, {} marker observations, \
-                        {} fused and {} visual poses",
-                        h.imu.len(),
-                        h.climber.len(),
-                        h.markers.len(),
-                        h.odometry.len(),
-                        h.visual_pose.len()
-                    ),
-                    folder: self.folder.clone(),
-                });
+                bail!(
+                    "no fused pose within {seconds:.0} s (received: {} IMU samples, {} climber \
+                     transforms, {} marker observations, {} fused and {} visual poses); the logs \
+                     of the nodes are in {}",
+                    h.imu.len(),
+                    h.climber.len(),
+                    h.markers.len(),
+                    h.odometry.len(),
+                    h.visual_pose.len(),
+                    self.folder.display()
+                );
             }
             std::thread::sleep(Duration::from_millis(20));
         }
@@ -195,14 +128,11 @@ impl Run {
 
     /// Waits until `seconds` of the scenario are over; calls `progress` with its time about ten
     /// times a second.
-    ///
-    /// # Errors
-    /// A node ended.
     pub fn play_until(
         &mut self,
         seconds: f64,
         mut progress: impl FnMut(f64, &SimulatedHardware),
-    ) -> Result<(), RunError> {
+    ) -> Result<()> {
         loop {
             self.nodes.check()?;
             let now = self.hardware.seconds();
@@ -215,13 +145,12 @@ impl Run {
     }
 
     /// Ends the nodes by SIGINT and returns all messages.
-    ///
-    /// # Errors
-    /// A node that hangs.
-    pub fn finish(self) -> Result<Ended, RunError> {
-        if self.hardware.middleware_ended() {
-            return Err(RunError::Interrupted);
-        }
+    pub fn finish(self) -> Result<Ended> {
+        ensure!(
+            !self.hardware.middleware_ended(),
+            "the test's own DDS participant was interrupted and ended (RustDDS does that); run it \
+             again"
+        );
         let ends = self.nodes.stop()?;
         let received = self.hardware.received().clone();
         let sent = self.hardware.sent();

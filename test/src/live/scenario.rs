@@ -1,7 +1,8 @@
 //! What happens in a run: how the rig moves, what its sensors are like, when a marker is covered.
 
+use anyhow::{Context, Result};
 use nalgebra::{Isometry3, Vector2, Vector3};
-use rig_model::{CameraModel, CameraModelError, Distortion, MarkerColor, Rig, RigError};
+use rig_model::{CameraModel, Distortion, MarkerColor, Rig};
 use rig_simulator::{
     Covers, Instant, RIG_YAML, SceneConfig,
     inertial::SensorConfig,
@@ -17,7 +18,6 @@ pub const IMAGE_RATE: f64 = 30.0;
 /// A plank over a marker for a while.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cover {
-    /// The marker.
     pub color: MarkerColor,
     /// First and last instant at which nothing of it is seen, s.
     pub seconds: [f64; 2],
@@ -26,19 +26,14 @@ pub struct Cover {
 /// A run, fixed by a seed. Times count from the start of the platform's swing, s.
 #[derive(Clone, Debug)]
 pub struct Scenario {
-    /// The rig file.
     pub rig: Rig,
-    /// Its text.
     pub rig_yaml: String,
-    /// The camera's lens.
     pub camera: CameraModel,
     /// Motion of the rig; stationary before zero.
     pub motion: Arc<Motion>,
     /// Biases and noise of the sensors.
     pub sensors: SensorConfig,
-    /// What there is to see.
     pub scene: SceneConfig,
-    /// Planks.
     pub covers: Vec<Cover>,
 }
 
@@ -47,18 +42,12 @@ const SLIDE: f64 = 0.3;
 
 impl Scenario {
     /// A swing of `duration` seconds with one marker covered for a while in its middle.
-    ///
-    /// # Errors
-    /// None but those of a rig file or lens that were edited wrongly.
-    pub fn swing(seed: u64, duration: f64) -> Result<Self, ScenarioError> {
+    pub fn swing(seed: u64, duration: f64) -> Result<Self> {
         Self::new(MotionConfig { duration, still_until: 0.0, ..MotionConfig::nominal(seed) })
     }
 
     /// A swing of `duration` seconds that ends stationary where it began, to be repeated.
-    ///
-    /// # Errors
-    /// None but those of a rig file or lens that were edited wrongly.
-    pub fn lap(seed: u64, duration: f64) -> Result<Self, ScenarioError> {
+    pub fn lap(seed: u64, duration: f64) -> Result<Self> {
         // Each lap's end must not be a dash that no crane can drive.
         let motion = MotionConfig {
             duration,
@@ -71,17 +60,15 @@ impl Scenario {
     }
 
     /// The run of this motion, with the usual rig, lens and sensors.
-    ///
-    /// # Errors
-    /// None but those of a rig file or lens that were edited wrongly.
-    pub fn new(motion: MotionConfig) -> Result<Self, ScenarioError> {
+    pub fn new(motion: MotionConfig) -> Result<Self> {
         let lens = Distortion::PlumbBob([-0.229_544, 0.082_09, 0.000_69, -0.000_372, -0.006_257]);
         let (seed, duration) = (motion.seed, motion.duration);
         let colors = MarkerColor::ALL;
         Ok(Self {
-            rig: Rig::from_yaml(RIG_YAML)?,
+            rig: Rig::from_yaml(RIG_YAML).context("the simulated rig's rig file")?,
             rig_yaml: RIG_YAML.to_owned(),
-            camera: CameraModel::new(640, 480, [591.322, 589.677, 319.275, 235.227], lens)?,
+            camera: CameraModel::new(640, 480, [591.322, 589.677, 319.275, 235.227], lens)
+                .context("the simulated rig's lens")?,
             motion: Arc::new(Motion::new(motion)),
             sensors: SensorConfig::nominal(seed),
             scene: SceneConfig { seed, ..SceneConfig::default() },
@@ -106,7 +93,6 @@ impl Scenario {
         self.motion.duration()
     }
 
-    /// Where everything is at `t`.
     pub fn instant(&self, t: f64) -> Instant {
         Instant {
             world_from_climber: self.motion.world_from_climber(t),
@@ -142,15 +128,4 @@ impl Scenario {
         }
         covers
     }
-}
-
-/// An invalid rig file or lens.
-#[derive(Debug, thiserror::Error)]
-pub enum ScenarioError {
-    /// The rig file.
-    #[error("the simulated rig's rig file: {0}")]
-    Rig(#[from] RigError),
-    /// The lens.
-    #[error("the simulated rig's lens: {0}")]
-    Camera(#[from] CameraModelError),
 }

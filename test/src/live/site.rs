@@ -31,9 +31,7 @@ impl Host {
 /// Network namespaces of the two computers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Namespaces {
-    /// The climber's.
     pub climber: String,
-    /// The platform's.
     pub platform: String,
 }
 
@@ -46,10 +44,8 @@ pub struct ClockError {
     pub ppm: f64,
 }
 
-/// Where a rig lives.
 #[derive(Clone, Debug, Default)]
 pub struct Site {
-    /// The DDS domain.
     pub network: Network,
     /// Its two computers; `None`: this one.
     pub hosts: Option<Namespaces>,
@@ -62,12 +58,10 @@ pub struct Site {
 }
 
 impl Site {
-    /// On this computer.
     pub fn here(network: &Network) -> Self {
         Self { network: network.clone(), ..Self::default() }
     }
 
-    /// The network namespace of a computer.
     pub fn namespace_of(&self, host: Host) -> Option<&str> {
         self.hosts.as_ref().map(|n| match host {
             Host::Climber => n.climber.as_str(),

@@ -4,7 +4,6 @@ use volant::report::{Anchor, Axis, Color, Drawing, Ink, colors};
 
 /// A panel.
 pub(super) struct Bars {
-    /// Its scale.
     pub axis: Axis,
     /// Length of the bar of each row.
     pub values: Vec<f64>,

@@ -2,7 +2,7 @@
 //! and the default one, all with the same gravity.
 
 use super::{
-    Made, PaperError, Value,
+    Made, Value,
     bars::{Bars, decades, draw_bars},
     offline::{Recording, filter, fuse, published_tracker, record, record_observed, track},
     write,
@@ -11,6 +11,7 @@ use crate::{
     accuracy::{AXES, Errors, Track, UNITS, inertial_alone, six},
     live::{ImageSequence, Scenario},
 };
+use anyhow::Result;
 use nalgebra::Vector3;
 use pose_fusion::{FusionConfig, Model};
 use rig_model::Stamp;
@@ -26,7 +27,6 @@ pub struct Column {
     pub key: &'static str,
     /// Name in the charts.
     pub name: &'static str,
-    /// Color in the charts.
     pub color: Color,
     /// Line width in Fig. 13, px; 0: dots.
     width: u32,
@@ -48,10 +48,7 @@ fn published_filter(scenario: &Scenario, velocity_from_fused: bool) -> FusionCon
 
 impl Curves {
     /// Runs all estimators over the scenario.
-    ///
-    /// # Errors
-    /// An invalid image, or a filter without output.
-    pub fn of(scenario: &Scenario, images: &ImageSequence) -> Result<Self, PaperError> {
+    pub fn of(scenario: &Scenario, images: &ImageSequence) -> Result<Self> {
         let recording = record(scenario, images)?;
         let published = record_observed(scenario, track(scenario, images, published_tracker())?);
         let epoch = scenario.sensors.epoch;
@@ -105,10 +102,7 @@ impl Curves {
     }
 
     /// Writes `table-2.csv`.
-    ///
-    /// # Errors
-    /// The folder is not writable.
-    pub fn table_2(&self, scenario: &Scenario, folder: &Path) -> Result<Made, PaperError> {
+    pub fn table_2(&self, scenario: &Scenario, folder: &Path) -> Result<Made> {
         let errors = self.errors(scenario);
         let mut csv = String::from("axis");
         for (column, _) in &errors {
@@ -199,10 +193,7 @@ impl Curves {
     }
 
     /// Writes `fig-13.csv` and `fig-13.svg`.
-    ///
-    /// # Errors
-    /// The folder is not writable.
-    pub fn figure_13(&self, scenario: &Scenario, folder: &Path) -> Result<Made, PaperError> {
+    pub fn figure_13(&self, scenario: &Scenario, folder: &Path) -> Result<Made> {
         let mut csv = String::from("seconds,estimate");
         for (axis, unit) in AXES.iter().zip(UNITS) {
             let _ = write!(csv, ",{axis}_{unit}");

@@ -14,8 +14,9 @@ pub mod report;
 pub mod stages;
 pub mod stationary;
 
+use anyhow::{Context, Result};
 use std::path::{Path, PathBuf};
-use volant::report::{ChartError, Table};
+use volant::report::Table;
 
 /// What can be made, in the order of the paper.
 pub const NAMES: [&str; 11] = [
@@ -30,7 +31,6 @@ pub struct Value {
     pub what: String,
     /// As published; `–` where nothing is.
     pub published: String,
-    /// As found here.
     pub here: String,
 }
 
@@ -46,11 +46,8 @@ impl Value {
 pub struct Made {
     /// As in the contract: `table-2`, `fig-13`, …
     pub name: &'static str,
-    /// Title.
     pub title: &'static str,
-    /// The numbers.
     pub csv: PathBuf,
-    /// The image.
     pub svg: PathBuf,
     /// Numbers for the report below the image.
     pub table: Option<Table>,
@@ -62,61 +59,14 @@ pub struct Made {
     pub published: String,
 }
 
-/// Why an experiment could not be made.
-#[derive(Debug, thiserror::Error)]
-pub enum PaperError {
-    /// A file.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// Which.
-        path: PathBuf,
-        /// Error of the system call.
-        source: std::io::Error,
-    },
-    /// The simulated rig.
-    #[error(transparent)]
-    Scenario(#[from] crate::live::scenario::ScenarioError),
-    /// The camera's images.
-    #[error("an image: {0}")]
-    Image(String),
-    /// The drawing.
-    #[error("a drawing: {0}")]
-    Drawing(#[from] ChartError),
-    /// A table of `volant-peers` that is not as it should be.
-    #[error("{}: {what}; rebuild volant-peers with `make reproduce`, so that the versions \
-             match", path.display())]
-    Table {
-        /// Which.
-        path: PathBuf,
-        /// What is wrong with it.
-        what: String,
-    },
-    /// A filter without output.
-    #[error("the model {model} gave no pose; its warnings: {warnings}")]
-    NoPose {
-        /// Which.
-        model: &'static str,
-        /// Its name.
-        warnings: String,
-    },
-}
-
 /// Writes a file in a folder and returns its path; names it where that fails.
-///
-/// # Errors
-/// Writing failed.
-pub(crate) fn write(folder: &Path, name: &str, text: &str) -> Result<PathBuf, PaperError> {
+pub(crate) fn write(folder: &Path, name: &str, text: &str) -> Result<PathBuf> {
     let path = folder.join(name);
-    match std::fs::write(&path, text) {
-        Ok(()) => Ok(path),
-        Err(source) => Err(PaperError::Io { path, source }),
-    }
+    std::fs::write(&path, text).with_context(|| path.display().to_string())?;
+    Ok(path)
 }
 
 /// Reads a file, and names it where that fails.
-///
-/// # Errors
-/// Reading failed.
-pub(crate) fn read(path: &Path) -> Result<String, PaperError> {
-    std::fs::read_to_string(path).map_err(|source| PaperError::Io { path: path.to_owned(), source })
+pub(crate) fn read(path: &Path) -> Result<String> {
+    std::fs::read_to_string(path).with_context(|| path.display().to_string())
 }

@@ -2,12 +2,13 @@
 //! with and without its predicted position (eq. 3).
 
 use super::{
-    Made, PaperError, Value,
+    Made, Value,
     offline::{filter, fuse, record_observed, track},
     stages::{chart_color, rgb_of},
     write,
 };
 use crate::live::{ImageSequence, Scenario};
+use anyhow::{Context, Result};
 use marker_tracker::TrackerConfig;
 use nalgebra::Vector2;
 use pose_fusion::Model;
@@ -22,31 +23,24 @@ const WITH: &str = "published pose with eq. 3";
 const WITHOUT: &str = "published pose without eq. 3";
 
 /// Makes `fig-6.csv` and `fig-6.svg`.
-///
-/// # Errors
-/// The scenario, an image, or a folder that is not writable.
 pub fn figure_6(
     seed: u64,
     folder: &Path,
     threads: usize,
     progress: impl Fn(f64) + Sync,
-) -> Result<Made, PaperError> {
+) -> Result<Made> {
     let scenario = Scenario::swing(seed, SECONDS)?;
     let images = ImageSequence::render(&scenario, threads, |done, of| {
         progress(done as f64 / of.max(1) as f64)
     })
-    .map_err(|e| PaperError::Image(e.to_string()))?;
+    .context("an image")?;
     let observed = track(&scenario, &images, TrackerConfig::default())?;
     let as_published = track(
         &scenario,
         &images,
         TrackerConfig { rigid_prediction: false, ..TrackerConfig::default() },
     )?;
-    let cover = scenario
-        .covers
-        .first()
-        .copied()
-        .ok_or_else(|| PaperError::Image("nothing is covered".into()))?;
+    let cover = scenario.covers.first().copied().context("nothing is covered")?;
     let run = |observed: &[MarkerObservations], model| {
         let recording = record_observed(&scenario, observed.to_vec());
         fuse(&scenario, &recording, filter(&scenario, model))
@@ -223,7 +217,7 @@ fn draw(
     observed: &[MarkerObservations],
     places: &[Vec<Place>; 2],
     poses: &PoseErrors,
-) -> Result<String, PaperError> {
+) -> Result<String> {
     let cover = scenario.covers[0];
     let [from, to] = cover.seconds;
     let mut d = Drawing::new(1120.0);
@@ -240,12 +234,8 @@ fn draw(
     let (wide, top) = (260.0, 84.0);
     let mut bottom = top;
     for (k, (name, index)) in shots.into_iter().enumerate() {
-        let frame = images
-            .frames
-            .get(index)
-            .ok_or_else(|| PaperError::Image("an image is missing".into()))?;
-        let image = marker_tracker::decode_compressed("jpeg", &frame.jpeg)
-            .map_err(|e| PaperError::Image(e.to_string()))?;
+        let frame = images.frames.get(index).context("an image is missing")?;
+        let image = marker_tracker::decode_compressed("jpeg", &frame.jpeg).context("an image")?;
         let x = 24.0 + (wide + 10.6) * k as f64;
         let high = wide * image.height as f64 / image.width as f64;
         bottom = top + high;

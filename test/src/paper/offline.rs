@@ -1,11 +1,11 @@
 //! The nodes' cores over a scenario, without middleware and clock: images through the tracker, its
 //! observations, the IMU samples and the encoders through the filter, in order of arrival.
 
-use super::PaperError;
 use crate::{
     accuracy::Track,
     live::{ImageSequence, Scenario},
 };
+use anyhow::{Context, Result, ensure};
 use marker_tracker::{BinaryThreshold, Method, Tracker, TrackerConfig};
 use pose_fusion::{Fusion, FusionConfig, Model, Output};
 use rig_model::{ImuSample, MarkerObservations, Stamp};
@@ -23,20 +23,16 @@ pub struct Recording {
 }
 
 /// Tracks the images' markers.
-///
-/// # Errors
-/// An unreadable image.
 pub fn track(
     scenario: &Scenario,
     images: &ImageSequence,
     config: TrackerConfig,
-) -> Result<Vec<MarkerObservations>, PaperError> {
+) -> Result<Vec<MarkerObservations>> {
     let mut tracker = Tracker::new(scenario.rig.markers.clone(), config);
     tracker.handle(marker_tracker::Input::Camera(scenario.camera.clone()));
     let mut observations = Vec::with_capacity(images.frames.len());
     for frame in &images.frames {
-        let image = marker_tracker::decode_compressed("jpeg", &frame.jpeg)
-            .map_err(|e| PaperError::Image(e.to_string()))?;
+        let image = marker_tracker::decode_compressed("jpeg", &frame.jpeg).context("an image")?;
         tracker.handle(marker_tracker::Input::Image(
             image.view(scenario.sensors.epoch.plus_seconds(frame.seconds)),
         ));
@@ -50,10 +46,7 @@ pub fn track(
 }
 
 /// All that arrives at the filter during a scenario.
-///
-/// # Errors
-/// An unreadable image.
-pub fn record(scenario: &Scenario, images: &ImageSequence) -> Result<Recording, PaperError> {
+pub fn record(scenario: &Scenario, images: &ImageSequence) -> Result<Recording> {
     Ok(record_observed(scenario, track(scenario, images, TrackerConfig::default())?))
 }
 
@@ -79,9 +72,7 @@ pub fn record_observed(scenario: &Scenario, observed: Vec<MarkerObservations>) -
 
 /// The filter's poses, and those from one image each.
 pub struct Poses {
-    /// Fused.
     pub fused: Track,
-    /// Visual.
     pub visual: Track,
 }
 
@@ -97,15 +88,7 @@ pub fn filter(scenario: &Scenario, model: Model) -> FusionConfig {
     config
 }
 
-/// Runs a filter over a recording.
-///
-/// # Errors
-/// It gave no pose.
-pub fn fuse(
-    scenario: &Scenario,
-    recording: &Recording,
-    config: FusionConfig,
-) -> Result<Poses, PaperError> {
+pub fn fuse(scenario: &Scenario, recording: &Recording, config: FusionConfig) -> Result<Poses> {
     let model = config.model;
     let mut fusion = Fusion::new(scenario.rig.clone(), config);
     fusion.handle(pose_fusion::Input::Camera(scenario.camera.clone()));
@@ -126,9 +109,10 @@ pub fn fuse(
             }
         }
     }
-    if poses.fused.is_empty() {
-        let model = if model == Model::Paper { "paper" } else { "tight" };
-        return Err(PaperError::NoPose { model, warnings: warnings.join("; ") });
-    }
+    ensure!(
+        !poses.fused.is_empty(),
+        "the model {model:?} gave no pose; its warnings: {}",
+        warnings.join("; ")
+    );
     Ok(poses)
 }

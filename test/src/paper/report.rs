@@ -1,22 +1,19 @@
 //! The page that shows what was made.
 
-use super::{Made, PaperError, read, write};
+use super::{Made, read, write};
+use anyhow::Result;
 use std::path::Path;
 use volant::report::{Block, Page, Section, Table};
 
-/// Title of the page.
 pub const TITLE: &str = "Published figures and tables, reproduced";
 
 /// Writes `report.html` with every figure and table in it.
-///
-/// # Errors
-/// An unreadable figure, or a folder that is not writable.
 pub fn write_report(
     folder: &Path,
     facts: &[(String, String)],
     made: &[Made],
     missing: &[(&str, String)],
-) -> Result<(), PaperError> {
+) -> Result<()> {
     let mut sections = Vec::new();
     for m in made {
         let mut blocks =

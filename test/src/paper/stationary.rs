@@ -1,10 +1,11 @@
 //! Fig. 9: the translation of a stationary IMU, with and without threshold control.
 
-use super::{Made, PaperError, Value, write};
+use super::{Made, Value, write};
 use crate::{
     accuracy::{Track, inertial_alone},
     live::Scenario,
 };
+use anyhow::Result;
 use nalgebra::Vector3;
 use rig_model::ImuSample;
 use rig_simulator::{
@@ -22,10 +23,7 @@ const SECONDS: f64 = 20.0;
 const HELD: f64 = 1.0;
 
 /// Makes `fig-9.csv` and `fig-9.svg`.
-///
-/// # Errors
-/// The scenario, or a folder that is not writable.
-pub fn figure_9(seed: u64, folder: &Path) -> Result<Made, PaperError> {
+pub fn figure_9(seed: u64, folder: &Path) -> Result<Made> {
     let scenario = Scenario::new(MotionConfig { duration: SECONDS, ..MotionConfig::rest(seed) })?;
     let samples: Vec<ImuSample> =
         Sensors::new(&scenario.motion, &scenario.rig, &scenario.camera, &scenario.sensors)
@@ -129,7 +127,7 @@ fn draw(
     literal: &[(f64, f64)],
     held: &[(f64, f64)],
     smallest: f64,
-) -> Result<String, PaperError> {
+) -> Result<String> {
     let line = |name: String, color, width, curve: &[(f64, f64)]| Series {
         name,
         color,

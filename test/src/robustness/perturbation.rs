@@ -64,7 +64,6 @@ pub enum Perturbation {
     Exchanged(f64),
 }
 
-/// Perturbations of the table.
 pub const TABLE: [Perturbation; 37] = {
     use Perturbation::*;
     [
@@ -160,7 +159,6 @@ impl Perturbation {
         }
     }
 
-    /// Applies the change to a recording.
     pub fn apply(&self, recording: &mut Recording) {
         let from = recording.start().plus_seconds(recording.perturbed_from);
         let lasts = self.duration();
@@ -314,7 +312,6 @@ impl Perturbation {
     }
 }
 
-/// Changes each IMU sample.
 pub(crate) fn each_imu(recording: &mut Recording, mut change: impl FnMut(&mut ImuSample)) {
     for (_, input) in &mut recording.inputs {
         if let Input::Imu(sample) = input {

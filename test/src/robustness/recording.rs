@@ -7,16 +7,13 @@ use rig_model::{CameraModel, Rig, Stamp, score::Truth};
 use rig_simulator::random::Random;
 use std::path::Path;
 
-/// Recording of one run.
 #[derive(Clone, Debug)]
 pub struct Recording {
     /// Name of its folder.
     pub name: String,
-    /// Rig file.
     pub rig: Rig,
     /// Inputs with their times of arrival, in the order of arrival.
     pub inputs: Vec<(Stamp, Input)>,
-    /// True motion.
     pub truth: Truth,
     /// Beginning of a perturbation of limited duration, s after the first truth.
     pub perturbed_from: f64,
@@ -30,9 +27,6 @@ impl Recording {
     ///
     /// Markers are those on `climber/markers` of the recording itself, else of the bag `markers` (a
     /// replay's output); without any they are the true centroids with 0.1 px of noise.
-    ///
-    /// # Errors
-    /// A missing or unreadable file, by name.
     pub fn read(folder: &Path, markers: Option<&Path>) -> Result<Self, RecordingError> {
         let mut images = markers.map(read_markers).transpose()?.unwrap_or_default();
         if images.is_empty() {
@@ -43,9 +37,6 @@ impl Recording {
     }
 
     /// Reads a folder with these observations of its images, unless it has its own.
-    ///
-    /// # Errors
-    /// A missing or unreadable file, by name.
     pub fn read_with(folder: &Path, images: &Markers) -> Result<Self, RecordingError> {
         let recording::Recording { rig, samples, truth } =
             recording::Recording::read(folder, images)?;
@@ -86,7 +77,6 @@ impl Recording {
         speeds.filter(|speed| speed.is_finite()).fold(0.0, f64::max)
     }
 
-    /// Returns the camera's calibration.
     pub fn camera(&self) -> Option<&CameraModel> {
         self.inputs.iter().find_map(|(_, input)| match input {
             Input::Camera(camera) => Some(camera),

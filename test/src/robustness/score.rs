@@ -19,11 +19,9 @@ pub struct Sample {
     /// Standard deviation of the length of the error of position (m) and rotation (rad): the square
     /// root of the trace of its covariance.
     pub sigmas: [f64; 2],
-    /// The pose was called valid.
     pub valid: bool,
 }
 
-/// All published poses of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Scored {
     /// Poses in the order of publication.
@@ -75,10 +73,8 @@ pub fn run(recording: &Recording, config: &FusionConfig) -> Scored {
     scored
 }
 
-/// Figures of an interval.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Figures {
-    /// Number of poses.
     pub count: usize,
     /// Position RMSE and largest error, mm.
     pub position: [f64; 2],

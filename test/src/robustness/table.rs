@@ -73,11 +73,9 @@ pub fn limits(perturbation: &Perturbation, recording: &Recording) -> Limits {
 /// One perturbation on one recording.
 #[derive(Clone, Debug)]
 pub struct Cell {
-    /// Figures of the whole run.
     pub whole: Figures,
     /// Figures from one second after the fault on.
     pub after: Figures,
-    /// What does not hold, in words.
     pub failures: Vec<String>,
     /// What never may happen: a number that is not finite, or a valid pose that is `WRONG`.
     pub catastrophe: Option<String>,
@@ -122,17 +120,14 @@ impl Bench {
         Self { recording, config, unchanged }
     }
 
-    /// Returns the figures of the unchanged run.
     pub fn unchanged(&self) -> Figures {
         self.unchanged.figures(begin(&self.recording), f64::INFINITY)
     }
 
-    /// Returns the name of the recording.
     pub fn name(&self) -> &str {
         &self.recording.name
     }
 
-    /// Runs the recording with one change.
     pub fn single(&self, perturbation: &Perturbation) -> Cell {
         let mut changed = self.recording.clone();
         perturbation.apply(&mut changed);

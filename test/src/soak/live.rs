@@ -3,14 +3,14 @@
 use super::Instances;
 use crate::{
     faults::{Bench, Notes, Row, outcome, table},
-    live::{ImageSequence, Received, Run, RunError, Scenario, Site, TopicLog},
+    live::{ImageSequence, Received, Run, Scenario, Site, TopicLog},
 };
+use anyhow::Result;
 use node_kit::environment::Network;
 use rig_model::Stamp;
 use rig_simulator::random::Random;
 use std::{path::Path, sync::Arc};
 
-/// How long, and what.
 #[derive(Clone, Copy, Debug)]
 pub struct SoakConfig {
     /// Rig time, s.
@@ -22,20 +22,16 @@ pub struct SoakConfig {
     pub kills_until: f64,
 }
 
-/// What was seen.
 #[derive(Debug, Default)]
 pub struct Seen {
     /// Faults so far, and what they were.
     pub faults: Vec<(f64, &'static str)>,
-    /// Odometry received.
     pub odometry: u64,
     /// Odometry whose covariance the truth contradicts.
     pub contradicted: u64,
-    /// When that was.
     pub contradictions: Vec<Contradiction>,
     /// Faults after which the pose was not back in time: when, which, after how long.
     pub late: Vec<(f64, &'static str, f64)>,
-    /// What is not as it must be.
     pub failures: Vec<String>,
     /// Memory and threads.
     pub instances: Instances,
@@ -44,9 +40,7 @@ pub struct Seen {
 /// Odometry around a fault whose covariance the truth contradicts.
 #[derive(Clone, Debug)]
 pub struct Contradiction {
-    /// The fault.
     pub fault: &'static str,
-    /// How much of the odometry.
     pub poses: usize,
     /// First and last time, s of the run.
     pub seconds: [f64; 2],
@@ -65,10 +59,6 @@ const CALM: [f64; 2] = [4.0, 9.0];
 /// Seconds after a fault during which the pose may still be off before it must be back.
 const BACK_WITHIN: f64 = 3.0;
 
-/// Runs it.
-///
-/// # Errors
-/// The rig did not come up, or a process hung.
 pub fn run(
     scenario: &Scenario,
     images: Arc<ImageSequence>,
@@ -76,7 +66,7 @@ pub fn run(
     network: &Network,
     folder: &Path,
     mut progress: impl FnMut(f64, &Seen),
-) -> Result<Seen, RunError> {
+) -> Result<Seen> {
     let site = Site { endless: true, ..Site::here(network) };
     let mut run = Run::start(scenario, images, &site, folder)?;
     run.wait_for_pose(30.0)?;

@@ -6,9 +6,7 @@ use std::collections::{BTreeMap, VecDeque};
 /// One process from its start to its end.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Instance {
-    /// The node.
     pub node: String,
-    /// Process id.
     pub id: u32,
     /// When it was first seen, s of the run.
     pub since: f64,
@@ -48,7 +46,6 @@ impl Instance {
     }
 }
 
-/// All instances of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Instances {
     instances: BTreeMap<u32, Instance>,
@@ -56,7 +53,6 @@ pub struct Instances {
 }
 
 impl Instances {
-    /// Samples every process.
     pub fn sample(&mut self, nodes: &Nodes, now: f64) {
         for node in nodes.iter() {
             self.note(&node.name, node.id(), node.resident_bytes(), node.threads(), now);
@@ -95,13 +91,11 @@ impl Instances {
         }
     }
 
-    /// A node was killed.
     pub fn killed(&mut self, now: f64) {
         self.last_kill = now;
         self.instances.values_mut().for_each(|instance| instance.undisturbed = None);
     }
 
-    /// All instances.
     pub fn iter(&self) -> impl Iterator<Item = &Instance> {
         self.instances.values()
     }

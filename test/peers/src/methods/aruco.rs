@@ -16,7 +16,6 @@ use opencv::{
     prelude::*,
 };
 
-/// The detector.
 pub struct Aruco {
     dictionary: core::Ptr<aruco::Dictionary>,
     parameters: core::Ptr<aruco::DetectorParameters>,

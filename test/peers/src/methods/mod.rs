@@ -27,7 +27,6 @@ pub enum Carrier {
     Markers,
     /// A tag36h11 tag.
     Tag,
-    /// A texture.
     Texture,
     /// A chessboard.
     Board,
@@ -36,7 +35,6 @@ pub enum Carrier {
 /// What a method made of one frame.
 #[derive(Clone, Debug, Default)]
 pub struct Estimate {
-    /// `camera_from_volant`.
     pub camera_from_volant: Option<Isometry3<f64>>,
     /// Measured points: number of the marker or corner, px.
     pub points: Vec<(usize, Vector2<f64>)>,
@@ -46,11 +44,9 @@ pub struct Estimate {
 
 /// A way to a pose.
 pub trait Method {
-    /// Its name in tables.
     fn name(&self) -> &'static str;
     /// Plate that it detects.
     fn carrier(&self) -> Carrier;
-    /// What its stages are called.
     fn stages(&self) -> &'static [&'static str];
     /// Processes the next frame. The conversion to gray for methods that need it is not counted.
     fn estimate(&mut self, frame: &Frame) -> Result<Estimate>;

@@ -22,7 +22,6 @@ pub struct Ours {
 }
 
 impl Ours {
-    /// A tracker that has seen nothing yet.
     pub fn new(camera: &Pinhole, layout: MarkerLayout) -> Self {
         let mut ours = Self {
             tracker: Tracker::new(layout.clone(), TrackerConfig::default()),

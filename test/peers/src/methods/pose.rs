@@ -11,7 +11,6 @@ use rig_model::{
     CameraModel, MarkerLayout, MarkerObservations, MarkerState, PerColor, planar_pose,
 };
 
-/// OpenCV's camera matrix.
 pub fn camera_matrix(camera: &Pinhole) -> Result<core::Mat> {
     let c = camera.center();
     Ok(core::Mat::from_slice_2d(&[

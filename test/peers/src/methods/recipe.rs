@@ -35,7 +35,6 @@ pub struct Recipe {
 }
 
 impl Recipe {
-    /// For markers at these places.
     pub fn new(camera: &Pinhole, layout: &MarkerLayout) -> Result<Self> {
         Ok(Self {
             matrix: camera_matrix(camera)?,

@@ -9,9 +9,7 @@ use nalgebra::Vector2;
 /// Interleaved 8-bit RGB.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// Width, px.
     pub width: usize,
-    /// Height, px.
     pub height: usize,
     /// `3 · width · height` bytes.
     pub rgb: Vec<u8>,
@@ -47,9 +45,7 @@ const NOISE: f64 = 3.0;
 
 /// Linear light, and the share of each pixel that the layer in work covers.
 pub struct Canvas {
-    /// Width, px.
     pub width: usize,
-    /// Height, px.
     pub height: usize,
     /// Red, green, blue of every pixel, 0–255 and beyond.
     pub light: Vec<[f32; 3]>,

@@ -8,12 +8,10 @@ use nalgebra::Vector2;
 pub struct Thing {
     /// Convex outline, px.
     pub outline: Vec<Vector2<f64>>,
-    /// Its color.
     pub color: [f32; 3],
 }
 
 impl Thing {
-    /// A rectangle around `center`, turned by `angle`.
     pub fn rectangle(
         center: Vector2<f64>,
         size: Vector2<f64>,
@@ -27,7 +25,6 @@ impl Thing {
         Self { outline, color }
     }
 
-    /// The same, elsewhere.
     pub fn moved(&self, by: Vector2<f64>) -> Self {
         Self { outline: self.outline.iter().map(|p| p + by).collect(), color: self.color }
     }
@@ -76,7 +73,6 @@ impl Floor {
         }
     }
 
-    /// Copies the ground to a canvas.
     pub fn copy_to(&self, canvas: &mut Canvas) {
         let stride = self.ground.width;
         for (y, row) in canvas.light.chunks_exact_mut(canvas.width).enumerate() {

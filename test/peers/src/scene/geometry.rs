@@ -8,9 +8,7 @@ use rig_model::{CameraModel, Distortion};
 pub struct Pinhole {
     /// Focal length, px.
     pub focal: f64,
-    /// Width, px.
     pub width: usize,
-    /// Height, px.
     pub height: usize,
 }
 

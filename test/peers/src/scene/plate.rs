@@ -8,12 +8,10 @@ use super::{
 use nalgebra::{Isometry3, Point3, Vector2};
 use rig_model::{MarkerLayout, PerColor};
 
-/// What is on the plate.
 #[derive(Clone, Debug)]
 pub enum PlateKind {
     /// Four squares: their colors, and the yaw of each in its plane, rad.
     Markers {
-        /// Where they are.
         layout: MarkerLayout,
         /// Red, green, blue, yellow as the sensor sees them.
         colors: PerColor<[f32; 3]>,
@@ -37,9 +35,7 @@ pub enum PlateKind {
 pub struct Plate {
     /// Edge of the plate, m.
     pub edge: f64,
-    /// Its color.
     pub color: [f32; 3],
-    /// What is on it.
     pub kind: PlateKind,
 }
 
@@ -65,7 +61,6 @@ impl Plate {
         Self { edge: 0.42, color, kind: PlateKind::Cells { side, gray, footprint: 0.376 } }
     }
 
-    /// Draws the plate.
     pub fn draw(&self, canvas: &mut Canvas, camera: &Pinhole, pose: &Isometry3<f64>) {
         let half = self.edge / 2.0;
         let rim = [[-half, -half], [half, -half], [half, half], [-half, half]];

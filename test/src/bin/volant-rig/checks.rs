@@ -1,7 +1,7 @@
 //! `volant checks`: faults in the files and messages of recordings, and whether `volant check`
 //! names them. Exit status 0 when at least 95 % are right and no unchanged run is called wrong.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use node_kit::{files, outln};
 use std::{
@@ -46,15 +46,23 @@ const RIGHT: f64 = 0.95;
 pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     if let Some(path) = &arguments.table {
         let inputs: Vec<&Path> = arguments.bags.iter().map(PathBuf::as_path).collect();
-        files::check_output(path, arguments.overwrite, &inputs)?;
+        files::check_outputs(&[path], arguments.overwrite, &inputs)?;
     }
+    let faults = FAULTS.iter().filter(|f| f.name.contains(arguments.fault.as_str()));
+    let faults: Vec<_> = faults.collect();
+    ensure!(
+        !faults.is_empty(),
+        "--fault {}: no fault has this in its name; test/CHECK.md lists them",
+        arguments.fault
+    );
+    let name = |p: &Path| p.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut benches = vec![];
     if let Some(bags) = &arguments.bags {
         let entries = fs::read_dir(bags).with_context(|| format!("{}", bags.display()))?;
         let mut folders: Vec<PathBuf> = entries
             .filter_map(|e| Some(e.ok()?.path()))
             .filter(|p| p.join("truth.mcap").is_file())
-            .filter(|p| p.to_string_lossy().contains(arguments.only.as_str()))
+            .filter(|p| name(p).contains(arguments.only.as_str()))
             .collect();
         folders.sort();
         for folder in folders {
@@ -106,7 +114,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
             }
         }
     }
-    for fault in FAULTS.iter().filter(|f| f.name.contains(arguments.fault.as_str())) {
+    for fault in faults {
         let _ = write!(text, "| {} |", fault.name);
         let mut warned = 0;
         for bench in &benches {

@@ -1,7 +1,7 @@
 //! `make faults`: every fault of the table on real processes. Exit status 0 when each row holds; 1
 //! when one fails or is skipped.
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use clap::Args;
 use node_kit::environment::Network;
 use node_kit::{errln, files, outln};
@@ -52,14 +52,13 @@ const HEAD: &str = "\
 
 pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     if let Some(path) = &arguments.table {
-        files::check_output(path, arguments.overwrite, &[])?;
+        files::check_outputs(&[path], arguments.overwrite, &[])?;
     }
+    let only = arguments.only.as_deref().unwrap_or_default();
+    let rows: Vec<_> = table().into_iter().filter(|row| row.fault.contains(only)).collect();
+    ensure!(!rows.is_empty(), "--only {only}: no row has this in its fault; see test/FAULTS.md");
     let mut scenario = Scenario::swing(arguments.seed, LENGTH)?;
     scenario.covers.clear();
-    let rows: Vec<_> = table()
-        .into_iter()
-        .filter(|row| arguments.only.as_ref().is_none_or(|text| row.fault.contains(text.as_str())))
-        .collect();
     let folders = (1..=rows.len())
         .map(|i| RunFolder::create(&arguments.out.join(format!("{i:02}"))))
         .collect::<Result<Vec<_>, _>>()?;

@@ -1,7 +1,7 @@
 //! `volant hosts`: the live rig on two computers with a bad link. Exit status 0 when each row
 //! holds; 1 when one fails or is skipped.
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use clap::Args;
 use node_kit::environment::Network;
 use node_kit::{errln, files, outln};
@@ -56,13 +56,16 @@ const HEAD: &str = "\
 
 pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
     if let Some(path) = &arguments.table {
-        files::check_output(path, arguments.overwrite, &[])?;
+        files::check_outputs(&[path], arguments.overwrite, &[])?;
     }
-    let wanted = |i: usize, name: &str| {
-        i == 0 || arguments.only.as_ref().is_none_or(|text| name.contains(text.as_str()))
-    };
-    let trials: Vec<_> =
-        trials().into_iter().enumerate().filter(|(i, t)| wanted(*i, t.name)).collect();
+    let only = arguments.only.as_deref().unwrap_or_default();
+    let all = trials();
+    ensure!(
+        all.iter().any(|trial| trial.name.contains(only)),
+        "--only {only}: no row has this in its name; see test/HOSTS.md"
+    );
+    let trials = all.into_iter().enumerate();
+    let trials: Vec<_> = trials.filter(|(i, t)| *i == 0 || t.name.contains(only)).collect();
     let folders = trials
         .iter()
         .map(|(i, _)| RunFolder::create(&arguments.out.join(format!("{:02}", i + 1))))

@@ -12,7 +12,7 @@ use volant::command_line::number;
 use volant_test::{
     live::{ImageSequence, Scenario, processes::executables},
     paper::{
-        Made, NAMES, PaperError,
+        Made, NAMES,
         curves::Curves,
         occlusion::figure_6,
         peers,
@@ -100,10 +100,10 @@ struct Results {
 }
 
 impl Results {
-    fn take(&mut self, name: &'static str, result: Result<Made, PaperError>) {
+    fn take(&mut self, name: &'static str, result: Result<Made>) {
         match result {
             Ok(made) => self.made.push(made),
-            Err(error) => self.missing.push((name, error.to_string())),
+            Err(error) => self.missing.push((name, format!("{error:#}"))),
         }
     }
 }

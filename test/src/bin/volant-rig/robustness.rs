@@ -66,7 +66,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<bool> {
         let recordings: Vec<PathBuf> = recordings.map(|entry| entry.path()).collect();
         let inputs: Vec<&Path> =
             recordings.iter().chain(&arguments.markers).map(PathBuf::as_path).collect();
-        files::check_output(path, arguments.overwrite, &inputs)?;
+        files::check_outputs(&[path], arguments.overwrite, &inputs)?;
     }
     let benches = read(arguments)?;
     let bar = ProgressBar::new((TABLE.len() * benches.len()) as u64);
@@ -150,7 +150,10 @@ fn read(arguments: &Arguments) -> Result<Vec<Bench>> {
     for folder in folders.iter().filter(wanted) {
         let replay =
             |markers: &PathBuf| Some(markers.join(folder.file_name()?).with_extension("mcap"));
-        let markers = arguments.markers.as_ref().and_then(replay).filter(|path| path.is_file());
+        let markers = arguments.markers.as_ref().and_then(replay);
+        if let Some(missing) = markers.as_ref().filter(|path| !path.is_file()) {
+            bail!("--markers: {} is not there; replay the recording into it", missing.display());
+        }
         let mut recording = Recording::read(folder, markers.as_deref())
             .map_err(|e| anyhow::anyhow!("{}: {e}", folder.display()))?;
         let end = recording.truth.span().map_or(0.0, |(first, last)| last.seconds_since(first));
@@ -167,7 +170,8 @@ fn read(arguments: &Arguments) -> Result<Vec<Bench>> {
         benches.push(Bench::new(recording, FusionConfig::default()));
     }
     if benches.is_empty() {
-        bail!("{}: no folder with in.mcap and truth.mcap in it", bags.display());
+        let only = arguments.only.as_deref().unwrap_or_default();
+        bail!("{}: no folder `*{only}*` with in.mcap and truth.mcap in it", bags.display());
     }
     Ok(benches)
 }

@@ -5,7 +5,7 @@ use clap::Args;
 use node_kit::{convert, files, outln};
 use rig_model::topics;
 use std::{fs, path::PathBuf};
-use volant::command_line::number;
+use volant::command_line::{UsageError, number};
 use volant_test::live::{Scenario, bag::from_sensors};
 
 /// Write simulated runs: markers, IMU, climber and ground truth, without images and nodes.
@@ -29,7 +29,12 @@ pub(crate) struct Arguments {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    let seeds = arguments.seed..arguments.seed.saturating_add(arguments.runs);
+    let (seed, runs) = (arguments.seed, arguments.runs);
+    let Some(end) = seed.checked_add(runs) else {
+        let text = format!("--seed {seed}: the seeds of {runs} runs are beyond 64 bits");
+        return Err(UsageError(text).into());
+    };
+    let seeds = seed..end;
     let outputs = |seed: u64| {
         let folder = arguments.out.join(format!("run_{seed:05}"));
         (folder.join("in.mcap"), folder.join("rig.yaml"), folder)

@@ -51,7 +51,7 @@ const HEAD: &str = "\
 
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     if let Some(path) = &arguments.table {
-        files::check_output(path, arguments.overwrite, &[])?;
+        files::check_outputs(&[path], arguments.overwrite, &[])?;
     }
     ensure!(
         arguments.bridge.is_file(),

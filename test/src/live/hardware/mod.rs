@@ -11,11 +11,9 @@ use super::{
     scenario::Scenario,
     site::{ClockError, Host, Site},
 };
+use anyhow::{Context, Result, anyhow};
 use imu_driver::simulated_imu::{SimulatedImuConfig, pty::PtyImu};
-use node_kit::{
-    RosArguments,
-    node::{NodeError, Process},
-};
+use node_kit::{RosArguments, node::Process};
 use rig_model::Stamp;
 use std::{
     path::Path,
@@ -36,9 +34,7 @@ use volant_msgs::sensor_msgs::msg::{CameraInfo, CompressedImage, JointState};
 pub enum SensorMessage {
     /// An image; its camera info follows it.
     Image(CompressedImage),
-    /// The lens.
     CameraInfo(CameraInfo),
-    /// The encoders.
     Joints(JointState),
 }
 
@@ -53,9 +49,7 @@ pub(super) const LEAD: f64 = 0.5;
 pub struct Sent {
     /// Images with their stamps, from the run's first one on.
     pub images: Vec<(Stamp, CompressedImage)>,
-    /// The lens.
     pub camera_info: Vec<(Stamp, CameraInfo)>,
-    /// The encoders.
     pub joints: Vec<(Stamp, JointState)>,
 }
 
@@ -125,31 +119,15 @@ pub struct SimulatedHardware {
     processes: Vec<Process>,
 }
 
-/// Why the simulated hardware did not start.
-#[derive(Debug, thiserror::Error)]
-pub enum HardwareError {
-    /// The middleware.
-    #[error(transparent)]
-    Node(#[from] NodeError),
-    /// A pty or a thread.
-    #[error("the simulated rig: {0}")]
-    Io(#[from] std::io::Error),
-    /// The node did not come up.
-    #[error("the simulated rig's node did not start")]
-    NotStarted,
-}
-
 impl SimulatedHardware {
     /// Starts the hardware: stationary, camera and encoders running, the IMU's port at `port`.
-    ///
-    /// # Errors
-    /// No DDS, no pty, no thread, a network namespace that is not there.
     pub fn start(
         scenario: &Scenario,
         images: Arc<ImageSequence>,
         site: &Site,
         port: &Path,
-    ) -> Result<Self, HardwareError> {
+    ) -> Result<Self> {
+        let failed = |error: std::io::Error| anyhow!("the simulated rig: {error}");
         let received = Arc::new(Mutex::new(Received::default()));
         let names = RosArguments::default();
         let (sender, receiver) = sync_channel(1);
@@ -165,7 +143,7 @@ impl SimulatedHardware {
                 RigSubscriber::subscribe(context, &received)
             })?;
         }
-        let publishers = receiver.recv().map_err(|_| HardwareError::NotStarted)?;
+        let publishers = receiver.recv().context("the simulated rig's node did not start")?;
         let shared = Arc::new(Shared {
             scenario: scenario.clone(),
             epoch: AtomicI64::new(i64::MAX),
@@ -179,9 +157,10 @@ impl SimulatedHardware {
             received,
         });
         let imu =
-            PtyImu::start(SimulatedImuConfig::default(), port, devices::imu(Arc::clone(&shared)))?;
+            PtyImu::start(SimulatedImuConfig::default(), port, devices::imu(Arc::clone(&shared)))
+                .map_err(failed)?;
         let thread = |name: &str, work: Box<dyn FnOnce() + Send>| {
-            std::thread::Builder::new().name(name.to_owned()).spawn(work)
+            std::thread::Builder::new().name(name.to_owned()).spawn(work).map_err(failed)
         };
         let threads = vec![
             thread("camera", {

@@ -1,15 +1,13 @@
 //! Figs. 2 and 7: pose from chessboards and from four markers.
 
 use super::{Csv, axis, distinct, label, rounded_up};
-use crate::paper::{Made, PaperError, Value, write};
+use crate::paper::{Made, Value, write};
+use anyhow::Result;
 use std::path::Path;
 use volant::report::{Panel, Series, Shape, Sheet, Table, panels};
 
 /// Figs. 2 and 7: `which` is the one.
-///
-/// # Errors
-/// A table that is not there or not as it should be.
-pub fn boards(which: &'static str, folder: &Path) -> Result<Made, PaperError> {
+pub fn boards(which: &'static str, folder: &Path) -> Result<Made> {
     let csv = Csv::read(folder.join(format!("{which}.csv")))?;
     let (angle, methods) = (csv.numbers("angle_deg")?, csv.texts("method")?);
     let (mm, mm_std) = (csv.numbers("mean_mm")?, csv.numbers("std_mm")?);

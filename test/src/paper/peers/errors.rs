@@ -2,18 +2,15 @@
 
 use super::{Csv, axis, label, named, rounded_up};
 use crate::paper::{
-    Made, PaperError, Value,
+    Made, Value,
     bars::{Bars, draw_bars},
     read, write,
 };
+use anyhow::Result;
 use std::path::Path;
 use volant::report::{Color, Table};
 
-/// Fig. 12.
-///
-/// # Errors
-/// A table that is not there or not as it should be.
-pub fn figure_12(folder: &Path) -> Result<Made, PaperError> {
+pub fn figure_12(folder: &Path) -> Result<Made> {
     let csv = Csv::read(folder.join("fig-12.csv"))?;
     let methods = csv.texts("method")?;
     let columns = ["mean_mm", "std_mm", "mean_deg", "std_deg"];

@@ -13,7 +13,8 @@ pub use errors::figure_12;
 pub use success::figure_11;
 pub use times::table_1;
 
-use super::{PaperError, read};
+use super::read;
+use anyhow::{Error, Result, anyhow};
 use std::{
     io::{BufRead, BufReader},
     path::{Path, PathBuf},
@@ -31,10 +32,8 @@ pub fn find_peers(executables: &Path) -> Option<PathBuf> {
     named.into_iter().chain([beside]).find(|p| p.is_file())
 }
 
-/// Runs one of its commands; `progress` is given the share that is done.
-///
-/// # Errors
-/// It cannot be run, or it failed: its last line on standard error.
+/// Runs one of its commands; `progress` is given the share that is done. The error is its last line
+/// on standard error.
 pub fn run(
     program: &Path,
     command: &str,
@@ -79,7 +78,7 @@ struct Csv {
 }
 
 impl Csv {
-    fn read(path: PathBuf) -> Result<Self, PaperError> {
+    fn read(path: PathBuf) -> Result<Self> {
         let text = read(&path)?;
         let mut lines = text.lines().map(cells);
         let head = lines.next().unwrap_or_default();
@@ -90,11 +89,14 @@ impl Csv {
         Ok(csv)
     }
 
-    fn wrong(&self, what: &str) -> PaperError {
-        PaperError::Table { path: self.path.clone(), what: what.to_owned() }
+    fn wrong(&self, what: &str) -> Error {
+        anyhow!(
+            "{}: {what}; rebuild volant-peers with `make reproduce`, so that the versions match",
+            self.path.display()
+        )
     }
 
-    fn column(&self, name: &str) -> Result<usize, PaperError> {
+    fn column(&self, name: &str) -> Result<usize> {
         self.head
             .iter()
             .position(|h| h == name)
@@ -102,12 +104,12 @@ impl Csv {
     }
 
     /// A column as numbers; NaN where a cell is empty.
-    fn numbers(&self, name: &str) -> Result<Vec<f64>, PaperError> {
+    fn numbers(&self, name: &str) -> Result<Vec<f64>> {
         let i = self.column(name)?;
         Ok(self.rows.iter().map(|r| r[i].parse().unwrap_or(f64::NAN)).collect())
     }
 
-    fn texts(&self, name: &str) -> Result<Vec<String>, PaperError> {
+    fn texts(&self, name: &str) -> Result<Vec<String>> {
         let i = self.column(name)?;
         Ok(self.rows.iter().map(|r| r[i].clone()).collect())
     }

@@ -1,15 +1,12 @@
 //! Fig. 11: share of poses within 5 mm and 1°, by method.
 
 use super::{Csv, axis, distinct, label};
-use crate::paper::{Made, PaperError, Value, write};
+use crate::paper::{Made, Value, write};
+use anyhow::Result;
 use std::path::Path;
 use volant::report::{Panel, Series, Shape, Sheet, Table, panels};
 
-/// Fig. 11.
-///
-/// # Errors
-/// A table that is not there or not as it should be.
-pub fn figure_11(folder: &Path) -> Result<Made, PaperError> {
+pub fn figure_11(folder: &Path) -> Result<Made> {
     let csv = Csv::read(folder.join("fig-11.csv"))?;
     let (sweep, value) = (csv.texts("sweep")?, csv.numbers("value")?);
     let (methods, success) = (csv.texts("method")?, csv.numbers("success")?);

@@ -2,21 +2,18 @@
 
 use super::{Csv, axis, named};
 use crate::paper::{
-    Made, PaperError, Value,
+    Made, Value,
     bars::{Bars, decades, draw_bars},
     read, write,
 };
+use anyhow::Result;
 use std::path::Path;
 use volant::report::{Color, Table, colors};
 
 /// Cell of a stage whose time is part of that row.
 const SHARED: &str = "in one pass, below";
 
-/// Table I.
-///
-/// # Errors
-/// A table that is not there or not as it should be.
-pub fn table_1(folder: &Path) -> Result<Made, PaperError> {
+pub fn table_1(folder: &Path) -> Result<Made> {
     let csv = Csv::read(folder.join("table-1.csv"))?;
     let stages = csv.texts("stage")?;
     let columns = ["published_ms", "plain_opencv_ms", "ours_ms"];

@@ -1,7 +1,11 @@
 //! Fig. 4: binary images and optical flow of four images.
 
 use super::{SHARE, Shot, Stages, chart_color, layer};
-use crate::paper::{Made, PaperError, Value, write};
+use crate::{
+    live::quantile,
+    paper::{Made, Value, write},
+};
+use anyhow::Result;
 use nalgebra::Vector2;
 use rig_model::MarkerColor;
 use std::{fmt::Write, path::Path};
@@ -24,11 +28,7 @@ struct Tally {
 }
 
 impl Stages {
-    /// Fig. 4.
-    ///
-    /// # Errors
-    /// A drawing, or a folder that is not writable.
-    pub fn figure_4(&self, folder: &Path) -> Result<Made, PaperError> {
+    pub fn figure_4(&self, folder: &Path) -> Result<Made> {
         let mut csv = String::from(concat!(
             "marker,x_px,y_px,flow_x_px,flow_y_px,true_flow_x_px,true_flow_y_px,",
             "largest_layer_value,pixels_over_literal_0.75,",
@@ -94,7 +94,7 @@ impl Stages {
         })
     }
 
-    fn draw_4(&self, binary: &[Vec<u8>]) -> Result<String, PaperError> {
+    fn draw_4(&self, binary: &[Vec<u8>]) -> Result<String> {
         let mut d = Drawing::new(1120.0);
         d.text(24.0, 34.0, 20.0, colors::INK, Anchor::Start, TITLE);
         let (wide, left, top) = (526.0, 24.0, 88.0);
@@ -159,7 +159,7 @@ impl Shot {
             let truth = self.true_flow[color].unwrap_or(Vector2::repeat(f64::NAN));
             tally.worst_flow = tally.worst_flow.max((m.flow - truth).norm());
             tally.least_difference = tally.least_difference.min((m.flow - around).norm());
-            let (inside, beside) = self.signal_levels(color);
+            let [inside, beside] = self.signal_levels(color);
             let _ = writeln!(
                 csv,
                 concat!(
@@ -193,7 +193,7 @@ impl Shot {
         d: &mut Drawing,
         [left, top]: [f64; 2],
         [wide, high]: [f64; 2],
-    ) -> Result<(), PaperError> {
+    ) -> Result<()> {
         d.image(left, top, wide, high, self.image.width, &self.rgb, false)?;
         let scale = wide / self.image.width as f64;
         let place = |p: Vector2<f64>| [left + (p.x + 0.5) * scale, top + (p.y + 0.5) * scale];
@@ -217,12 +217,7 @@ impl Shot {
     }
 
     /// The tracker's color signal of a marker, 256 px wide.
-    fn draw_signal(
-        &self,
-        d: &mut Drawing,
-        color: MarkerColor,
-        [x, row]: [f64; 2],
-    ) -> Result<(), PaperError> {
+    fn draw_signal(&self, d: &mut Drawing, color: MarkerColor, [x, row]: [f64; 2]) -> Result<()> {
         let m = &self.marks[color];
         let name = format!("{color}: signal, flow {:+.1} {:+.1} px", m.flow.x, m.flow.y);
         d.text(x, row - 12.0, 15.0, colors::INK, Anchor::Start, &name);
@@ -247,19 +242,16 @@ impl Shot {
     }
 
     /// Median of the color signal on the marker and at the window's rim.
-    fn signal_levels(&self, color: MarkerColor) -> (f32, f32) {
+    fn signal_levels(&self, color: MarkerColor) -> [f64; 2] {
         let (mut on, mut off) = (Vec::new(), Vec::new());
         if let Some(seen) = &self.seen[color] {
             for (i, v) in seen.signal.iter().enumerate().filter(|(_, v)| v.is_finite()) {
                 let x = f64::from(seen.origin[0]) + (i % seen.width) as f64;
                 let y = f64::from(seen.origin[1]) + (i / seen.width) as f64;
-                if self.on_marker(color, x, y) { on.push(*v) } else { off.push(*v) }
+                let values = if self.on_marker(color, x, y) { &mut on } else { &mut off };
+                values.push(f64::from(*v));
             }
         }
-        let median = |values: &mut Vec<f32>| {
-            values.sort_by(f32::total_cmp);
-            values.get(values.len() / 2).copied().unwrap_or(f32::NAN)
-        };
-        (median(&mut on), median(&mut off))
+        [on, off].map(|values| quantile(&values, 0.5))
     }
 }

@@ -1,6 +1,7 @@
 //! Optical flow of a whole image on a grid, by OpenCV.
 
-use crate::paper::{PaperError, stages::rgb_of};
+use crate::paper::stages::rgb_of;
+use anyhow::{Context, Result};
 use marker_tracker::OwnedImage;
 use nalgebra::Vector2;
 use opencv::{
@@ -18,14 +19,8 @@ const MISMATCH: f32 = 12.0;
 
 /// Returns place and displacement (px) of the grid's points from one image to the next, by
 /// Lucas–Kanade in pyramids, where there is texture.
-///
-/// # Errors
-/// OpenCV fails.
-pub(super) fn between(
-    earlier: &OwnedImage,
-    later: &OwnedImage,
-) -> Result<Vec<[Vector2<f64>; 2]>, PaperError> {
-    flow(earlier, later).map_err(|e| PaperError::Image(format!("its optical flow: {e}")))
+pub(super) fn between(earlier: &OwnedImage, later: &OwnedImage) -> Result<Vec<[Vector2<f64>; 2]>> {
+    flow(earlier, later).context("the optical flow of an image")
 }
 
 fn flow(earlier: &OwnedImage, later: &OwnedImage) -> opencv::Result<Vec<[Vector2<f64>; 2]>> {

@@ -1,23 +1,19 @@
 //! Fig. 5: hue histograms of the markers.
 
 use super::{Shot, Stages, chart_color};
-use crate::paper::{Made, PaperError, Value, write};
+use crate::paper::{Made, Value, write};
+use anyhow::Result;
 use marker_tracker::hue;
 use rig_model::{MarkerColor, PerColor};
 use std::{fmt::Write, path::Path};
 use volant::report::{Axis, Panel, Series, Shape, Sheet, Table, colors, panels};
 
-/// Title of the figure.
 const TITLE: &str = "Fig. 5: hue histograms of the markers";
 /// Where the default tracker searches.
 const WINDOW: &str = "4.5 px across the predicted edges";
 
 impl Stages {
-    /// Fig. 5.
-    ///
-    /// # Errors
-    /// The folder is not writable.
-    pub fn figure_5(&self, folder: &Path) -> Result<Made, PaperError> {
+    pub fn figure_5(&self, folder: &Path) -> Result<Made> {
         let [.., shot] = &self.0;
         let estimated: PerColor<Vec<f32>> =
             PerColor::from_fn(|c| shot.seen[c].as_ref().map(|s| s.hue.clone()).unwrap_or_default());
@@ -104,7 +100,7 @@ impl Shot {
     }
 }
 
-fn draw_5(estimated: &PerColor<Vec<f32>>, around: &[f32]) -> Result<String, PaperError> {
+fn draw_5(estimated: &PerColor<Vec<f32>>, around: &[f32]) -> Result<String> {
     let most = estimated.0.iter().flatten().chain(around).copied().fold(0.1f32, f32::max);
     let axis = |name: &str, most| Axis { name: name.into(), range: [0.0, most], log: false };
     let line = |name: &str, color, width, h: &[f32]| Series {

@@ -5,8 +5,8 @@ mod binary;
 mod flow_field;
 mod hue;
 
-use super::PaperError;
-use crate::live::{ImageSequence, Scenario};
+use crate::live::{ImageSequence, Scenario, quantile};
+use anyhow::{Context, Result, anyhow};
 use marker_tracker::{MarkerView, OwnedImage, SignalView, Tracker, TrackerConfig};
 use nalgebra::Vector2;
 use rig_model::{MarkerColor, PerColor, Stamp};
@@ -65,18 +65,14 @@ pub struct Stages([Shot; SHOWN]);
 
 impl Stages {
     /// Follows a swing for some images and keeps the stages of the last ones.
-    ///
-    /// # Errors
-    /// The scenario or an image.
-    pub fn of(seed: u64, threads: usize) -> Result<Self, PaperError> {
+    pub fn of(seed: u64, threads: usize) -> Result<Self> {
         // Long enough for the full swing, of which the last images are tracked; over objects in the
         // markers' colors.
         let motion =
             MotionConfig { duration: 2.0, still_until: 0.0, ..MotionConfig::fast_swing(seed) };
         let mut scenario = Scenario { covers: Vec::new(), ..Scenario::new(motion)? };
         scenario.scene.clutter = true;
-        let images = ImageSequence::render(&scenario, threads, |_, _| {})
-            .map_err(|e| PaperError::Image(e.to_string()))?;
+        let images = ImageSequence::render(&scenario, threads, |_, _| {}).context("an image")?;
         let mut tracker = Tracker::new(scenario.rig.markers.clone(), TrackerConfig::default());
         tracker.handle(marker_tracker::Input::Camera(scenario.camera.clone()));
         let place = |color: MarkerColor, t: f64| scenario.true_centroid(color, t);
@@ -84,8 +80,8 @@ impl Stages {
         let mut shots = Vec::with_capacity(SHOWN);
         let mut before: Option<(OwnedImage, f64)> = None;
         for (i, frame) in images.frames[first..].iter().enumerate() {
-            let image = marker_tracker::decode_compressed("jpeg", &frame.jpeg)
-                .map_err(|e| PaperError::Image(e.to_string()))?;
+            let image =
+                marker_tracker::decode_compressed("jpeg", &frame.jpeg).context("an image")?;
             let stamp = scenario.sensors.epoch.plus_seconds(frame.seconds);
             tracker.handle(marker_tracker::Input::Image(image.view(stamp)));
             while tracker.poll().is_some() {}
@@ -115,10 +111,7 @@ impl Stages {
             }
             before = Some((image, frame.seconds));
         }
-        shots
-            .try_into()
-            .map(Self)
-            .map_err(|_| PaperError::Image("the swing has too few images".into()))
+        shots.try_into().map(Self).map_err(|_| anyhow!("the swing has too few images"))
     }
 }
 
@@ -126,9 +119,8 @@ impl Shot {
     /// Median flow of the surroundings, px.
     fn surroundings(&self) -> Vector2<f64> {
         let median = |axis: usize| {
-            let mut values: Vec<f64> = self.field.iter().map(|[_, flow]| flow[axis]).collect();
-            values.sort_by(f64::total_cmp);
-            values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+            let values: Vec<f64> = self.field.iter().map(|[_, flow]| flow[axis]).collect();
+            quantile(&values, 0.5)
         };
         Vector2::new(median(0), median(1))
     }
