@@ -152,7 +152,7 @@ impl RosArguments {
     /// Adds a parameter file, as `--params-file` does.
     ///
     /// # Errors
-    /// The file cannot be read, or is no parameter file.
+    /// The file is not readable, or not a parameter file.
     pub fn add_file(&mut self, path: PathBuf) -> Result<(), ArgumentError> {
         let text =
             crate::files::read_text(&path).map_err(|error| ArgumentError::file(&path, error))?;

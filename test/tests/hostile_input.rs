@@ -126,7 +126,7 @@ fn a_small_image_that_declares_a_huge_size_is_rejected_without_allocation() {
             matches!(error, ImageError::TooLarge { .. } | ImageError::Decode { .. }),
             "{what}: {error}"
         );
-        assert!(most < 8 << 20, "{what}: {most} bytes for {}", data.len());
+        assert!(most < 1 << 20, "{what}: {most} bytes for {}", data.len());
     }
 }
 
@@ -234,7 +234,7 @@ fn a_chunk_that_decompresses_without_end_is_rejected() {
                 bag.losses().to_vec()
             });
             assert!(!losses.is_empty());
-            assert!(most < 64 << 20, "{compression} {crc}: {most}");
+            assert!(most < 8 << 20, "{compression} {crc}: {most}");
         }
     }
 }

@@ -27,7 +27,7 @@ impl ArgumentError {
         Self::usage(format!("`{option} {text}` is not understood; expected {expected}"))
     }
 
-    /// A parameter file that cannot be used.
+    /// An invalid parameter file.
     pub(super) fn file(path: &Path, reason: impl std::fmt::Display) -> Self {
         Self { message: format!("the parameter file {}: {reason}", path.display()), usage: false }
     }

@@ -105,10 +105,16 @@ impl Filter {
         }
         let ahead = self.arrival.end().map_or(0.0, |end| at.seconds_since(end));
         if self.start.started && !(-JUMP..=AHEAD).contains(&ahead) {
-            // Neither images nor samples for a while, or a clock that was set back: the image
-            // initializes the pose.
             let arrival = self.arrival.clone();
-            self.restart();
+            if ahead < 0.0 {
+                // The clock was set back.
+                self.publisher.warn(Warning::TimeJump { by_s: -ahead });
+                self.publisher.counts.resets.time_jumps += 1;
+                self.reset();
+            } else {
+                // Neither images nor samples for a while: the image initializes the pose.
+                self.restart();
+            }
             self.arrival = arrival.beginning();
         }
         self.arrival.image(at);

@@ -125,6 +125,21 @@ fn the_angular_velocity_is_as_uncertain_as_images_leave_it() {
     assert!(nees.len() > 60 && mean < 6.0, "{mean} of {}", nees.len());
 }
 
+/// Before, no pose was published for as long as the step.
+#[test]
+fn clocks_that_are_set_back_are_followed() {
+    let (run, outputs) = changed(|at, input| match input {
+        Input::Imu(_) if at > LOST => None,
+        input if at > 6.0 => Some(earlier(input, 3.0)),
+        input => Some(input),
+    });
+    let start = scoring::start(&run.truth);
+    let second = outputs.odometry.iter().position(|o| o.stamp.seconds_since(start) > 5.8).unwrap();
+    let set_back = |o: &&pose_fusion::Odometry| o.stamp.seconds_since(start) < 5.8;
+    let count = outputs.odometry[second..].iter().filter(set_back).count();
+    assert!(count > 45, "{count} poses of 54 that are 0.8 s or more after the step");
+}
+
 /// Before, its samples, which are of no use, made images and encoders wait for it.
 #[test]
 fn an_imu_that_starts_with_a_clock_behind_leaves_the_pose_to_the_images() {
