@@ -14,11 +14,6 @@ pub use rig_model::Sample as Input;
 use rig_model::{Rig, Stamp};
 use std::collections::VecDeque;
 
-/// Length of a batch of smoothed odometry, s.
-const SMOOTHED: f64 = 60.0;
-/// Later data that a smoothed estimate knows at least, s: biases and time offset are found in less.
-const LAG: f64 = 20.0;
-
 /// Source and stamp of an input that has one.
 fn stamp_of(input: &Input) -> Option<(Source, Stamp)> {
     Some(match input {
@@ -197,14 +192,10 @@ impl Fusion {
     /// A minute at a time with the knowledge of 20 s more, so that memory is bounded however long
     /// the run is.
     pub fn smoothed(&mut self, end: bool) -> Vec<Odometry> {
-        let Estimator::TightlyCoupled(filter) = &mut self.estimator else { return Vec::new() };
-        if !end && filter.archived() <= SMOOTHED + LAG {
-            return Vec::new();
+        match &mut self.estimator {
+            Estimator::TightlyCoupled(filter) => filter.smoothed(end),
+            Estimator::Paper(_) => Vec::new(),
         }
-        if end {
-            filter.archive_until(None);
-        }
-        filter.smoothed(if end { 0.0 } else { LAG })
     }
 
     /// Returns why there is no estimate yet; empty where there is one.
@@ -274,14 +265,9 @@ mod tests {
     fn ages_grow_with_the_silence_whatever_the_clock_of_the_node() {
         let rig = Rig::from_yaml(rig_simulator::RIG_YAML).unwrap();
         let mut fusion = Fusion::new(rig, FusionConfig::default());
-        let initializing = PoseStatus::initializing(Stamp::default(), String::new());
         assert_eq!(fusion.status().position_sigma, f64::INFINITY);
-        fusion.outputs.push_back(Output::Status(PoseStatus {
-            image_age: 0.25,
-            imu_age: 0.0,
-            climber_age: 0.5,
-            ..initializing
-        }));
+        let status = PoseStatus::lost(Stamp::default(), [0.25, 0.0, 0.5], 0.0, String::new());
+        fusion.outputs.push_back(Output::Status(status));
         assert!(fusion.poll().is_some());
         let silent = fusion.silent_status(Stamp::from_nanos(-1_000_000_000), 1.0);
         let ages = [silent.image_age, silent.imu_age, silent.climber_age];

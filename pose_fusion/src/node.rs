@@ -194,7 +194,7 @@ impl NodeShell for FusionNode {
                 let (now, missing) = (context.now(), self.missing());
                 let status = if !missing.is_empty() {
                     let time_offset = self.fusion.status().time_offset.offset;
-                    PoseStatus { time_offset, ..PoseStatus::initializing(now, missing) }
+                    PoseStatus::initializing(now, time_offset, missing)
                 } else if let Some(silence) = self.ended() {
                     self.fusion.silent_status(now, silence)
                 } else {

@@ -126,17 +126,9 @@ mod tests {
 
     const CLAIMED: f64 = 0.001;
 
-    /// Variance found of images at 30 Hz whose markers are off by `error` px (image number), seen by
-    /// a filter that takes half of each residual as motion.
-    fn found(error: impl FnMut(usize, &mut Random) -> [Vector2<f64>; 4]) -> f64 {
-        found_at(33_000_000, error)
-    }
-
-    /// The same with another time between images, ns.
-    fn found_at(
-        interval: i64,
-        mut error: impl FnMut(usize, &mut Random) -> [Vector2<f64>; 4],
-    ) -> f64 {
+    /// Variance found of images whose markers are off by `error` px (image number), seen by a
+    /// filter that takes half of each residual as motion; `interval` between the images, ms.
+    fn found(interval: i64, mut error: impl FnMut(usize, &mut Random) -> [Vector2<f64>; 4]) -> f64 {
         let (mut shake, mut random) = (CameraShake::default(), Random::new(4));
         let (mut position, mut velocity) = (Vector2::zeros(), Vector2::zeros());
         for k in 0..300 {
@@ -160,7 +152,7 @@ mod tests {
             for (marker, residual) in record.markers.iter_mut().zip(residuals) {
                 marker.residual = residual;
             }
-            shake.add(Stamp::from_nanos(1 + interval * k as i64), &record);
+            shake.add(Stamp::from_nanos(1 + 1_000_000 * interval * k as i64), &record);
         }
         shake.variance().mean()
     }
@@ -168,21 +160,21 @@ mod tests {
     #[test]
     fn a_shake_is_found_and_motion_shocks_and_false_markers_are_none() {
         let all = |x: f64| [Vector2::new(x, -x); 4];
-        let white = found(|_, random| [Vector2::from_fn(|_, _| 0.3 * random.normal()); 4]);
+        let white = found(33, |_, random| [Vector2::from_fn(|_, _| 0.3 * random.normal()); 4]);
         assert!((0.03..0.2).contains(&white), "{white}");
         // 9 Hz at 30 images per second.
-        let vibration = found(|k, _| all(0.3 * (k as f64 * 1.885).sin()));
+        let vibration = found(33, |k, _| all(0.3 * (k as f64 * 1.885).sin()));
         assert!((0.01..0.1).contains(&vibration), "{vibration}");
         assert_eq!(CameraShake::default().variance(), Vector2::repeat(UNKNOWN));
-        let none = found(|_, _| all(0.0));
-        let motion = found(|k, _| all(20.0 * (k as f64 * 0.2).sin()));
-        let shocks = found(|k, _| all(2.0 * (k / 60) as f64));
-        let one_false = found(|_, random| {
+        let none = found(33, |_, _| all(0.0));
+        let motion = found(33, |k, _| all(20.0 * (k as f64 * 0.2).sin()));
+        let shocks = found(33, |k, _| all(2.0 * (k / 60) as f64));
+        let one_false = found(33, |_, random| {
             let mut errors = all(0.0);
             errors[1].x = 30.0 * random.normal();
             errors
         });
-        let slow = found_at(400_000_000, |_, _| all(0.0));
+        let slow = found(400, |_, _| all(0.0));
         assert_eq!([none, motion, shocks, one_false, slow], [0.0; 5]);
     }
 }

@@ -27,7 +27,6 @@ pub struct EncoderNoise {
     last: [(Stamp, Vector3<f64>); 4],
     count: usize,
     first: Option<Stamp>,
-    newest: Stamp,
     variance: Vector3<f64>,
     weight: Vector3<f64>,
     floor: Vector3<f64>,
@@ -41,7 +40,6 @@ impl EncoderNoise {
             last: [(Stamp::default(), Vector3::zeros()); 4],
             count: 0,
             first: None,
-            newest: Stamp::default(),
             variance: Vector3::from(ASSUMED).map(|s| s * s),
             weight: Vector3::repeat(ASSUMED_WEIGHT),
             floor: steps.map(|q| q * q / 12.0),
@@ -53,7 +51,6 @@ impl EncoderNoise {
     /// reading, and for each value the number of equal readings in a row, at most [`STANDING`].
     pub fn add(&mut self, stamp: Stamp, values: &Vector3<f64>) -> (Vector3<f64>, [f64; 3]) {
         self.first.get_or_insert(stamp);
-        self.newest = stamp;
         let before = self.last[3].1;
         let mut values = *values;
         if self.count > 0 {
@@ -128,7 +125,7 @@ impl EncoderNoise {
 
     /// Returns whether the noise is still being identified and may yet change by much.
     pub fn is_young(&self) -> bool {
-        self.first.is_none_or(|first| self.newest.seconds_since(first) < YOUNG)
+        self.first.is_none_or(|first| self.last[3].0.seconds_since(first) < YOUNG)
     }
 }
 

@@ -54,7 +54,8 @@ pub const CONTRADICTED: f64 = 3.0;
 pub struct Excess {
     /// Mean square per degree of freedom.
     pub ratio: f64,
-    factor: f64,
+    /// The factor, at least 1.
+    pub factor: f64,
 }
 
 impl Default for Excess {
@@ -89,11 +90,6 @@ impl Excess {
     pub fn raise(&mut self, by: f64, tuning: &Tuning) {
         self.factor = self.factor.max(self.factor * by).min(tuning.limit);
     }
-
-    /// Returns the factor, at least 1.
-    pub fn factor(&self) -> f64 {
-        self.factor
-    }
 }
 
 #[cfg(test)]
@@ -105,7 +101,7 @@ mod tests {
         let mut excess = Excess::default();
         let mut grown = |n: usize, nis: f64| {
             let count = (0..n).filter(|_| excess.add(nis, &MODEL_ERROR)).count();
-            (count, excess.factor())
+            (count, excess.factor)
         };
         assert_eq!(grown(200, 6.0), (0, 1.0));
         let (count, factor) = grown(200, 18.0);
@@ -121,8 +117,8 @@ mod tests {
         let mut until = |variance: f64, done: fn(f64) -> bool| {
             (0..1000)
                 .take_while(|_| {
-                    excess.add(2.0 * variance / excess.factor(), &PIXEL_NOISE);
-                    !done(excess.factor())
+                    excess.add(2.0 * variance / excess.factor, &PIXEL_NOISE);
+                    !done(excess.factor)
                 })
                 .count()
         };
@@ -130,8 +126,8 @@ mod tests {
         assert!(found < 30 && forgotten < 180, "{found} {forgotten}");
         excess.raise(f64::NAN, &PIXEL_NOISE);
         excess.raise(0.1, &PIXEL_NOISE);
-        assert!((1.0..2.0).contains(&excess.factor()));
+        assert!((1.0..2.0).contains(&excess.factor));
         excess.raise(1e9, &PIXEL_NOISE);
-        assert_eq!(excess.factor(), PIXEL_NOISE.limit);
+        assert_eq!(excess.factor, PIXEL_NOISE.limit);
     }
 }

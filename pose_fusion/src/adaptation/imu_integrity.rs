@@ -79,19 +79,16 @@ impl ImuIntegrity {
             rate: (scale_factor * SCALE * reading.angular_velocity.norm()).powi(2) * CORRELATION,
         };
         let Some(previous) = self.previous.replace(*reading) else { return more };
-        let force_change = reading.specific_force - previous.specific_force;
-        let rate_change = reading.angular_velocity - previous.angular_velocity;
         if let Some(before) = self.before.replace(previous) {
-            let jump = |bend: Vector3<f64>, variance: f64| {
+            let jump = |of: fn(&ImuReading) -> Vector3<f64>, variance: f64| {
+                let bend = (of(reading) - of(&previous)) - (of(&previous) - of(&before));
                 // Second differences of white noise have six times its variance.
                 let limit = JUMP_SIGMAS * JUMP_SIGMAS * 6.0 * variance;
                 let square = bend.map(|c| if c * c > limit { c * c } else { 0.0 }).sum();
                 MISSED * MISSED * square * dt
             };
-            let last_force = previous.specific_force - before.specific_force;
-            let last_rate = previous.angular_velocity - before.angular_velocity;
-            more.force += jump(force_change - last_force, variances.force);
-            more.rate += jump(rate_change - last_rate, variances.rate);
+            more.force += jump(|r| r.specific_force, variances.force);
+            more.rate += jump(|r| r.angular_velocity, variances.rate);
         }
         self.unchanged = if *reading == previous { self.unchanged + dt } else { 0.0 };
         let stuck = self.unchanged > STUCK;

@@ -31,6 +31,13 @@ pub struct Densities {
     pub rate: f64,
 }
 
+impl Densities {
+    /// Combines both values with those of `other`.
+    pub fn zip(&self, other: &Self, f: impl Fn(f64, f64) -> f64) -> Self {
+        Self { force: f(self.force, other.force), rate: f(self.rate, other.rate) }
+    }
+}
+
 /// Variance of a mean with triangular weights, which suppress vibration, over equal weights.
 const TRIANGULAR: f64 = 4.0 / 3.0;
 
@@ -86,18 +93,16 @@ impl ImuNoise {
 
     /// Returns the densities to assume, given those of the rig file.
     pub fn densities(&self, given: &Densities) -> Densities {
-        let choose = |of: fn(&Differences) -> f64, given: f64| {
-            let samples = of(&self.samples) * self.period;
-            let blocks = of(&self.blocks) * BLOCK / TRIANGULAR;
-            let found = if self.blocks.weight >= FEWEST { samples.min(blocks) } else { samples };
-            let known = self.samples.weight >= FEWEST;
-            if known && found > CONFIRMED * given {
-                found.min(given * LARGEST * LARGEST)
-            } else {
-                given
-            }
-        };
-        Densities { force: choose(|d| d.force, given.force), rate: choose(|d| d.rate, given.rate) }
+        if !self.is_known() {
+            return *given;
+        }
+        let found = self.samples.variance.zip(&self.blocks.variance, |sample, block| {
+            let (sample, block) = (sample * self.period, block * BLOCK / TRIANGULAR);
+            if self.blocks.weight >= FEWEST { sample.min(block) } else { sample }
+        });
+        found.zip(given, |found, given| {
+            if found > CONFIRMED * given { found.min(given * LARGEST * LARGEST) } else { given }
+        })
     }
 
     /// Returns which share of a change of the motion between two images, by which they measure the
@@ -112,16 +117,17 @@ impl ImuNoise {
             let noise = 2.0 * sample / samples;
             noise / (noise + (change - 2.0 * block).max(0.0) + f64::MIN_POSITIVE)
         };
-        let (blocks, samples) = (&self.blocks, &self.samples);
+        let (block, change, sample) =
+            (self.blocks.variance, self.blocks.change, self.samples.variance);
         Densities {
-            force: share(blocks.force, blocks.change.force, samples.force),
-            rate: share(blocks.rate, blocks.change.rate, samples.rate),
+            force: share(block.force, change.force, sample.force),
+            rate: share(block.rate, change.rate, sample.rate),
         }
     }
 
     /// Returns the variances of one sample, (m/s²)² and (rad/s)², at full bandwidth.
     pub fn sample_variances(&self) -> Densities {
-        Densities { force: self.samples.force, rate: self.samples.rate }
+        self.samples.variance
     }
 
     /// Returns the mean time between samples, s.
@@ -141,8 +147,7 @@ struct Differences {
     last: [ImuReading; 4],
     count: usize,
     weight: f64,
-    force: f64,
-    rate: f64,
+    variance: Densities,
     /// Mean squares of the first differences.
     change: Densities,
 }
@@ -159,30 +164,31 @@ impl Differences {
         if self.count < 4 {
             return;
         }
-        self.weight = (self.weight + 1.0).min(MEMORY);
-        let third = |of: fn(&ImuReading) -> Vector3<f64>| {
-            let [a, b, c, d] = &self.last;
-            (of(d) - of(c) * 3.0 + of(b) * 3.0 - of(a)).norm_squared() / 60.0
-        };
-        let (mut force, mut rate) = (third(|r| r.specific_force), third(|r| r.angular_velocity));
-        if self.weight > 20.0 {
+        let weight = (self.weight + 1.0).min(MEMORY);
+        self.weight = weight;
+        let [a, b, c, d] = self.last;
+        let third = squares(|of| of(&d) - of(&c) * 3.0 + of(&b) * 3.0 - of(&a), 60.0);
+        self.variance = self.variance.zip(&third, |mean, square| {
             // A single shock is no noise.
-            force = force.min(20.0 * self.force);
-            rate = rate.min(20.0 * self.rate);
-        }
-        self.force += (force - self.force) / self.weight;
-        self.rate += (rate - self.rate) / self.weight;
-        let first = |of: fn(&ImuReading) -> Vector3<f64>| {
-            (of(&self.last[3]) - of(&self.last[2])).norm_squared() / 3.0
-        };
-        let change =
-            Densities { force: first(|r| r.specific_force), rate: first(|r| r.angular_velocity) };
+            let square = if weight > 20.0 { square.min(20.0 * mean) } else { square };
+            mean + (square - mean) / weight
+        });
+        let first = squares(|of| of(&d) - of(&c), 3.0);
         // A platform that sets off after a rest changes more than it did.
-        let follow = |mean: f64, newest: f64| {
-            (mean + (newest - mean) / self.weight.min(CHANGE_MEMORY)).max(SETS_OFF * newest)
-        };
-        self.change.force = follow(self.change.force, change.force);
-        self.change.rate = follow(self.change.rate, change.rate);
+        self.change = self.change.zip(&first, |mean, newest| {
+            (mean + (newest - mean) / weight.min(CHANGE_MEMORY)).max(SETS_OFF * newest)
+        });
+    }
+}
+
+/// Returns the squares of a difference of both signals over `divisor`.
+fn squares(
+    difference: impl Fn(fn(&ImuReading) -> Vector3<f64>) -> Vector3<f64>,
+    divisor: f64,
+) -> Densities {
+    Densities {
+        force: difference(|r| r.specific_force).norm_squared() / divisor,
+        rate: difference(|r| r.angular_velocity).norm_squared() / divisor,
     }
 }
 
@@ -193,17 +199,22 @@ mod tests {
 
     const GIVEN: Densities = Densities { force: 4e-6, rate: 7.6e-7 };
 
+    /// Reading of a swing at 1 Hz at its `i`-th sample of a hundred, with white noise of these
+    /// standard deviations, m/s² and rad/s.
+    fn swing(i: i32, random: &mut Random, [force, rate]: [f64; 2]) -> ImuReading {
+        let swing = (std::f64::consts::TAU * f64::from(i) * 0.01).sin();
+        let mut white = |s: f64| Vector3::from_fn(|_, _| random.normal()) * s;
+        ImuReading {
+            specific_force: Vector3::new(3.0 * swing, 1.0, 9.8) + white(force),
+            angular_velocity: Vector3::new(3.0 * swing, 0.0, 0.0) + white(rate),
+        }
+    }
+
     #[test]
     fn ten_times_the_noise_is_found_within_a_second_of_swing() {
         let (mut noise, mut random) = (ImuNoise::default(), Random::new(3));
         for i in 0..100 {
-            let swing = (std::f64::consts::TAU * f64::from(i) * 0.01).sin();
-            let mut white = |s: f64| Vector3::from_fn(|_, _| random.normal()) * s;
-            let reading = ImuReading {
-                specific_force: Vector3::new(3.0 * swing, 1.0, 9.8) + white(0.2),
-                angular_velocity: Vector3::new(3.0 * swing, 0.0, 0.0) + white(0.087),
-            };
-            noise.add(&reading, 0.01);
+            noise.add(&swing(i, &mut random, [0.2, 0.087]), 0.01);
         }
         let found = noise.densities(&GIVEN);
         assert!((found.force.sqrt() / 0.02 - 1.0).abs() < 0.3, "{}", found.force.sqrt());
@@ -215,20 +226,14 @@ mod tests {
     #[test]
     fn a_platform_that_sets_off_during_a_gap_is_seen_to_move() {
         let (mut noise, mut random) = (ImuNoise::default(), Random::new(3));
-        let mut add = |swing: f64, dt: f64| {
-            let mut white = |s: f64| Vector3::from_fn(|_, _| random.normal()) * s;
-            let reading = ImuReading {
-                specific_force: Vector3::new(3.0 * swing, 1.0, 9.8) + white(0.02),
-                angular_velocity: Vector3::new(3.0 * swing, 0.0, 0.0) + white(0.0087),
-            };
-            noise.add(&reading, dt);
+        let mut add = |i: i32, dt: f64| {
+            noise.add(&swing(i, &mut random, [0.02, 0.0087]), dt);
             noise.noise_of_changes(0.0)
         };
-        let rest = (0..300).map(|_| add(0.0, 0.01)).last().unwrap();
+        let rest = (0..300).map(|_| add(0, 0.01)).last().unwrap();
         assert!(rest.force > 0.5 && rest.rate > 0.5, "{rest:?}");
-        add(0.0, 2.0);
-        let swing = |i: i32| (std::f64::consts::TAU * f64::from(i) * 0.01).sin();
-        let moving = (1..50).map(|i| add(swing(i), 0.01)).last().unwrap();
+        add(0, 2.0);
+        let moving = (1..50).map(|i| add(i, 0.01)).last().unwrap();
         assert!(moving.force < 0.2 && moving.rate < 0.2, "{moving:?}");
     }
 
@@ -236,15 +241,11 @@ mod tests {
     fn vibration_between_samples_is_not_taken_for_noise_that_is_integrated() {
         let (mut noise, mut random) = (ImuNoise::default(), Random::new(3));
         for i in 0..2000 {
-            let t = f64::from(i) / 286.0;
-            let vibration = (std::f64::consts::TAU * 93.0 * t).sin()
-                + (std::f64::consts::TAU * 118.0 * t).sin();
-            let mut white = |s: f64| Vector3::from_fn(|_, _| random.normal()) * s;
-            let reading = ImuReading {
-                specific_force: Vector3::new(2.0 * vibration, vibration, 9.8)
-                    + white(0.002 * 286f64.sqrt()),
-                angular_velocity: white(0.00087 * 286f64.sqrt()),
-            };
+            let sine = |hertz: f64| (std::f64::consts::TAU * hertz * f64::from(i) / 286.0).sin();
+            let vibration = sine(93.0) + sine(118.0);
+            let mut reading =
+                swing(0, &mut random, [0.002 * 286f64.sqrt(), 0.00087 * 286f64.sqrt()]);
+            reading.specific_force += Vector3::new(2.0 * vibration, vibration - 1.0, 0.0);
             noise.add(&reading, 1.0 / 286.0);
         }
         let found = noise.densities(&GIVEN);

@@ -1,5 +1,6 @@
 //! Detection of a platform at rest from the IMU's samples.
 
+use super::imu_noise::Densities;
 use crate::ekf::propagation::ImuReading;
 use nalgebra::Vector3;
 
@@ -43,8 +44,7 @@ impl Stationary {
         &mut self,
         reading: &ImuReading,
         dt: f64,
-        force_variance: f64,
-        rate_variance: f64,
+        variances: &Densities,
     ) -> Option<Vector3<f64>> {
         let origin = *self.origin.get_or_insert(*reading);
         self.elapsed += dt;
@@ -69,8 +69,8 @@ impl Stationary {
             let drift = (a.sum[k] / a.count - b.sum[k] / b.count).norm_squared() / 3.0;
             (scatter < 1.5 * variance && drift < 12.0 * variance / n).then_some(mean)
         };
-        quiet(0, force_variance)?;
-        Some(quiet(1, rate_variance)? + origin.angular_velocity)
+        quiet(0, variances.force)?;
+        Some(quiet(1, variances.rate)? + origin.angular_velocity)
     }
 
     /// Discards the window.
@@ -82,6 +82,8 @@ impl Stationary {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const VARIANCES: Densities = Densities { force: 4e-4, rate: 1e-4 };
 
     fn found(rate: f64, swing: f64) -> usize {
         let mut stationary = Stationary::default();
@@ -97,7 +99,7 @@ mod tests {
                     angular_velocity: Vector3::new(swing * (3.0 * t).sin(), 0.0, 0.0)
                         + Vector3::new(noise(4), noise(5), noise(6)) * 0.01,
                 };
-                stationary.add(&reading, dt, 4e-4, 1e-4).is_some()
+                stationary.add(&reading, dt, &VARIANCES).is_some()
             })
             .count()
     }

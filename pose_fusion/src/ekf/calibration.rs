@@ -162,12 +162,6 @@ impl Calibration {
         }
     }
 
-    /// Moves one constant.
-    #[cfg(test)]
-    pub fn move_constant(&mut self, index: usize, by: f64) {
-        self.constants[index] += by as f32;
-    }
-
     /// `s ∘ m + ρ × m` of the gyroscope (`triad` 0) or the accelerometer (1).
     fn error(&self, triad: usize, m: &Vector3<f64>) -> Vector3<f64> {
         let three = |first: usize| self.constants.fixed_rows::<3>(first).map(f64::from);

@@ -11,6 +11,7 @@ use super::{
     transition::{Blocks, times_transition},
 };
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use rig_model::ImuSample;
 
 /// Specific force and angular velocity at an instant, IMU axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -19,6 +20,12 @@ pub struct ImuReading {
     pub specific_force: Vector3<f64>,
     /// Angular velocity, rad/s.
     pub angular_velocity: Vector3<f64>,
+}
+
+impl From<&ImuSample> for ImuReading {
+    fn from(sample: &ImuSample) -> Self {
+        Self { specific_force: sample.specific_force, angular_velocity: sample.angular_velocity }
+    }
 }
 
 impl ImuReading {
@@ -224,7 +231,11 @@ fn add_noise(p: &mut Covariance, dt: f64, noise: &ProcessNoise) {
 
 #[cfg(test)]
 mod tests {
-    use super::{super::calibration::CONSTANTS, *};
+    use super::{
+        super::calibration::{CONSTANTS, Constants},
+        *,
+    };
+    use nalgebra::SMatrix;
 
     fn example() -> (State, ImuReading) {
         let mut s = State::zero();
@@ -299,7 +310,8 @@ mod tests {
         for k in 0..CONSTANTS {
             let moved = |sign: f64| {
                 let mut s = s.clone();
-                s.calibration.move_constant(k, sign * h);
+                let constants = Constants::ith(k, sign * h);
+                s.calibration = Calibration::known(constants, &SMatrix::zeros());
                 propagate(&mut s, &reading, &reading, dt, 9.81, &noise);
                 s.minus(&end)
             };

@@ -50,7 +50,10 @@ impl Filter {
         if encoders::is_impossible(innovation, at.seconds_since(from)) {
             self.set_excluded(place, true);
             self.suspend_encoders(place, at, innovation);
-            self.withdraw_jerk(at);
+            // What a jerk just before it explained was wrong, too.
+            if let Some(from) = self.disturbances.forget_climber(at, JERKED) {
+                self.exclude_since(from);
+            }
         } else if self.disturbances.add_jerk(from, at, innovation) {
             self.climber.adapt_jerk(innovation.nis);
             self.history.rewind(since + 1);
@@ -140,14 +143,6 @@ impl Filter {
             self.trust.suspend(at, Cause::Frozen, false);
         }
         suspected
-    }
-
-    /// Withdraws the process noise of a jerk of the climber shortly before an impossible reading at
-    /// `at`, and excludes the readings that it explained: they were wrong, too.
-    fn withdraw_jerk(&mut self, at: Stamp) {
-        if let Some(from) = self.disturbances.forget_climber(at, JERKED) {
-            self.exclude_since(from);
-        }
     }
 
     /// Returns the offset to place an encoder reading on the IMU's time line with, s.

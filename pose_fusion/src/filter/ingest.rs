@@ -2,9 +2,9 @@
 
 use super::{Filter, processing::OFFSET_KNOWN};
 use crate::{
-    adaptation::stamp_jitter,
+    adaptation::{imu_integrity::ImuIntegrity, stamp_jitter},
     ekf::{propagation::ImuReading, state::ATTITUDE},
-    input::{climber_track::ClimberTrack, imu::ImuInput, imu_stamps::Bursts},
+    input::{climber_track::ClimberTrack, imu_stamps::Bursts},
     measurements::{
         Outcome, encoders::EncoderReading, geometry::ClimberHeightTilt, markers::Image,
     },
@@ -12,7 +12,7 @@ use crate::{
     timeline::{
         arrival::{AHEAD, ImuArrival, JUMP, Source},
         dropout::{GAP, INTERPOLATED},
-        history::{Entry, Event},
+        history::{CAPACITY, Entry, Event},
     },
 };
 use rig_model::{ClimberSample, ImuSample, MarkerObservations, Sample, Stamp};
@@ -47,11 +47,8 @@ impl Filter {
     /// in bursts, everything is identified again with their right stamps.
     fn imu_stamp(&mut self, sample: &ImuSample) -> Stamp {
         let known = self.imu.stamps.bursts.is_some();
-        let repeats = |newest: ImuReading| {
-            newest.specific_force == sample.specific_force
-                && newest.angular_velocity == sample.angular_velocity
-        };
-        let repeated = self.arrival.newest_imu().is_some_and(|(_, newest)| repeats(newest));
+        let reading = ImuReading::from(sample);
+        let repeated = self.arrival.newest_imu().is_some_and(|(_, newest)| newest == reading);
         let stamp = self.imu.stamps.add(sample.stamp, repeated);
         if let (false, Some(Bursts { period, samples })) = (known, self.imu.stamps.bursts) {
             self.publisher.warn(Warning::ImuBursts { samples, every_s: samples * period });
@@ -62,11 +59,10 @@ impl Filter {
 
     /// Takes in an IMU sample: moves the estimate to its stamp and publishes it.
     fn imu(&mut self, sample: &ImuSample) {
-        let (from, stamp) = (Source::Imu, sample.stamp);
-        let reading = match ImuInput::reading(sample) {
-            Ok(reading) => reading,
-            Err(what) => return self.publisher.reject(Warning::NotFinite { from, stamp, what }),
-        };
+        let (from, stamp, reading) = (Source::Imu, sample.stamp, ImuReading::from(sample));
+        if let Err(what) = ImuIntegrity::check(&reading) {
+            return self.publisher.reject(Warning::NotFinite { from, stamp, what });
+        }
         match self.arrival.classify(stamp) {
             ImuArrival::First => self.newer_imu(sample, reading, None),
             ImuArrival::Next(dt) => self.newer_imu(sample, reading, Some(dt)),
@@ -84,7 +80,7 @@ impl Filter {
 
     /// Takes in a sample `dt` seconds after the one before.
     fn newer_imu(&mut self, sample: &ImuSample, reading: ImuReading, dt: Option<f64>) {
-        let jump = dt.map_or(0.0, |dt| dt - self.imu.period());
+        let jump = dt.map_or(0.0, |dt| dt - self.imu.noise.period());
         let offset = self.time_offset();
         self.imu.clocks.imu(sample.stamp, jump, offset);
         self.next_imu(sample, reading, dt);
@@ -226,7 +222,8 @@ impl Filter {
     fn fills_gap(&self, place: usize) -> bool {
         let before = self.history.before(place).find(|entry| entry.is_imu());
         let interval = before.zip(self.history.next_imu(place));
-        interval.is_some_and(|(b, a)| a.stamp.seconds_since(b.stamp) > FILLED * self.imu.period())
+        interval
+            .is_some_and(|(b, a)| a.stamp.seconds_since(b.stamp) > FILLED * self.imu.noise.period())
     }
 
     /// Takes in the markers of an image.
@@ -262,10 +259,11 @@ impl Filter {
         }
         self.markers.remember(stamp);
         self.publisher.note_now(stamp.plus_seconds(self.time_offset()));
-        self.follow_without_imu(stamp, silent);
+        if silent {
+            self.follow_without_imu(stamp);
+        }
         if !self.start.started {
-            let absent = self.arrival.is_imu_absent();
-            self.start_or_wait(stamp, pixels, absent);
+            self.start_or_wait(stamp, pixels);
             if silent && self.start.started {
                 self.publish();
             }
@@ -331,7 +329,7 @@ impl Filter {
         let Some((variance, multiplicity)) = self.climber.add(stamp, values, rest) else {
             return self.publisher.reject(Warning::Duplicate { from, stamp });
         };
-        if self.climber.is_young() {
+        if self.climber.noise.is_young() {
             self.reweigh_readings(&variance);
         }
         let time_offset = self.encoder_offset();
@@ -349,8 +347,9 @@ impl Filter {
         self.publisher.note_now(at);
         let end = self.arrival.end().unwrap_or(at);
         let ahead_s = at.seconds_since(end);
-        if ahead_s > AHEAD && self.history.is_half_full() {
-            // For a long time neither IMU samples nor images have come, which would process it.
+        if ahead_s > AHEAD && self.history.len() > CAPACITY / 2 {
+            // For a long time neither IMU samples nor images have come, which would process it: it
+            // must not push out the newest state.
             return self.publisher.reject(Warning::Ahead { from, stamp, ahead_s });
         }
         let event = Event::Encoders { reading, excluded: self.trust.is_suspended(), fresh: true };

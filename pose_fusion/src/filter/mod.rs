@@ -151,7 +151,7 @@ impl Filter {
                 sigma: config.clock.camera_sigma,
                 searching: self.search.is_some(),
             },
-            pixel_noise_factor: self.markers.noise.factor().sqrt(),
+            pixel_noise_factor: self.markers.noise.factor.sqrt(),
             rope: geometry.and_then(|g| self.publisher.rope.rope(&config.pendulum, g)),
             counts: self.publisher.counts,
             ..Status::default()

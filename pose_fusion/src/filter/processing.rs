@@ -21,7 +21,7 @@ use crate::{
     },
     output::Warning,
     timeline::{
-        history::Event,
+        history::{Entry, Event},
         repropagation::{self, Context, Step},
     },
 };
@@ -107,7 +107,7 @@ impl Filter {
             disturbances: &self.disturbances,
             rope: rope.zip(self.climber.newest().map(|(_, _, rest)| *rest)),
             noise_of_changes: self.imu.noise.noise_of_changes(self.imu.smoothing),
-            imu_period: self.imu.period(),
+            imu_period: self.imu.noise.period(),
             frozen: self.setup.frozen,
         };
         repropagation::step(&mut self.history, &context, end)
@@ -116,7 +116,7 @@ impl Filter {
     /// Process noise apart from the IMU's, which comes with each sample.
     pub(super) fn process_noise(&self) -> ProcessNoise {
         let c = &self.setup.config;
-        let factor = if self.trust.is_suspended() { FREE_JERK } else { self.climber.jerk_factor() };
+        let factor = if self.trust.is_suspended() { FREE_JERK } else { self.climber.jerk_factor };
         let densities = self.imu.densities(&self.setup.rig.imu);
         ProcessNoise {
             force: densities.force,
@@ -151,7 +151,7 @@ impl Filter {
         let at = entry.stamp;
         // While the time offset is unknown, it contradicts a platform that sets off; the IMU
         // carries a state that it knows well until the offset is found.
-        let carried = self.lock_out.last_used().is_some_and(|l| stamp.seconds_since(l) < CARRIED);
+        let carried = self.lock_out.last_used.is_some_and(|l| stamp.seconds_since(l) < CARRIED);
         let moves_off = carried
             && !self.start.searches_again
             && self.offset_doubt() > OFFSET_KNOWN
@@ -163,7 +163,7 @@ impl Filter {
         };
         let excused = self.disturbances.is_climber_disturbed(at, SETTLING) || moves_off;
         let settled =
-            self.lock_out.initialized_at().is_some_and(|i| stamp.seconds_since(i) > SETTLED);
+            self.lock_out.initialized_at.is_some_and(|i| stamp.seconds_since(i) > SETTLED);
         if record.used >= 3 && !excused && settled {
             let c = &self.setup.config;
             self.publisher.rope.compare(
@@ -175,20 +175,19 @@ impl Filter {
                 c.gravity,
             );
         }
-        let last_used = self.lock_out.last_used();
+        let last_used = self.lock_out.last_used;
         let limit = self.setup.config.markers.lock_out_images;
         let agrees = record.agrees_with_itself() && self.markers.agreed_before();
         // Encoders that just jumped may be what the image contradicts, and a shock
         // breaks a prediction that held until then: a marker that has been beside its prediction
         // is itself what is wrong.
-        let rejects = self.lock_out.rejects(
-            record
-                .markers
-                .map(|marker| matches!(marker.outcome, Outcome::Gated | Outcome::Inconsistent)),
-        );
+        let rejected = record
+            .markers
+            .map(|marker| matches!(marker.outcome, Outcome::Gated | Outcome::Inconsistent));
+        let rejects = self.lock_out.rejects(rejected);
         let sudden = rejects
             && !self.disturbances.is_climber_disturbed(at, SUSPECT)
-            && self.imu.model_error.factor() <= SUDDEN;
+            && self.imu.model_error.factor <= SUDDEN;
         let is_shock = match record.used {
             4 => record.nis > SHOCK_NIS,
             _ => record.against_prediction.is_some_and(|nis| nis > SHOCK_NIS_GATED) && sudden,
@@ -196,18 +195,14 @@ impl Filter {
         if is_shock && agrees && !excused && settled {
             self.add_shock_noise(place, last_used.unwrap_or(stamp), record);
         }
-        if let (Some(misfit), true) = (&record.misfit, self.setup.config.calibration.marker > 0.0) {
-            self.markers.compare_layout(&misfit.offsets);
+        if let Some(misfit) = &record.misfit {
+            if self.setup.config.calibration.marker > 0.0 {
+                self.markers.compare_layout(&misfit.offsets);
+            }
+            self.markers.add_misfit(&misfit.whitened, record.used < 4);
         }
         let internal = match (&record.misfit, record.used) {
-            (Some(misfit), 4) => {
-                self.markers.add_misfit(&misfit.whitened, false);
-                Some(misfit.squared())
-            }
-            (Some(misfit), _) => {
-                self.markers.add_misfit(&misfit.whitened, true);
-                None
-            }
+            (Some(misfit), 4) => Some(misfit.squared()),
             // A pose explains whatever three markers show.
             (None, 3) => Some(0.0),
             _ => None,
@@ -218,7 +213,7 @@ impl Filter {
             if (grows || doubted) && self.try_without_encoders(at) {
                 return false;
             }
-            if self.imu.model_error.factor() > SUDDEN {
+            if self.imu.model_error.factor > SUDDEN {
                 self.search_again(agrees && grows);
             }
         }
@@ -293,17 +288,15 @@ impl Filter {
         if self.disturbances.has_shock(at) || from >= at {
             return;
         }
-        let (distance, angle) = self.shock_size(place, record);
+        let (distance, angle) = self.shock_size(entry, record);
         self.disturbances.add_shock(from, at, distance, angle);
         let first = self.history.place_of(from);
         self.history.rewind(first);
     }
 
     /// Returns distance (m) and angle (rad) of a shock that explains the markers' residuals.
-    fn shock_size(&self, place: usize, record: &ImageInnovation) -> (f64, f64) {
-        let (Some(entry), Some(geometry)) = (self.history.get(place), &self.setup.geometry) else {
-            return (0.1, 0.1);
-        };
+    fn shock_size(&self, entry: &Entry, record: &ImageInnovation) -> (f64, f64) {
+        let Some(geometry) = &self.setup.geometry else { return (0.1, 0.1) };
         let measured = record
             .markers
             .iter()

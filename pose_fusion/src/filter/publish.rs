@@ -37,6 +37,11 @@ const RESUMING: f64 = 0.3;
 /// Without a pose for longer than this a status alone is published, s.
 const SILENT: f64 = 0.3;
 
+/// Length of a batch of smoothed odometry, s.
+const SMOOTHED: f64 = 60.0;
+/// Later data that a smoothed estimate knows at least, s: biases and time offset are found in less.
+const LAG: f64 = 20.0;
+
 /// A pose is not reported as lost while its second image is expected, s.
 const SECOND_IMAGE: f64 = 1.0;
 
@@ -170,7 +175,7 @@ impl Filter {
         }
         let (state, reading) = (&entry.state, &entry.reading);
         let silent = self.arrival.is_imu_silent();
-        let image = self.lock_out.last_used().map(|image| image.plus_seconds(state.time_offset));
+        let image = self.lock_out.last_used.map(|image| image.plus_seconds(state.time_offset));
         if self.publisher.silence.imu_lost && !silent {
             let resumed = *self.publisher.silence.resumed.get_or_insert(end);
             let followed = image.is_some_and(|image| image >= resumed);
@@ -189,16 +194,11 @@ impl Filter {
             limited.add_disagreement(disagreement, &state.climber);
         }
         let position_sigma = largest_sigma(&limited.pose_covariance, 0);
-        let [image_age, imu_age, climber_age] = self.ages(end);
         let status = PoseStatus {
             position_sigma,
             rotation_sigma: largest_sigma(&limited.pose_covariance, 3),
-            image_age,
-            imu_age,
-            climber_age,
             markers_used: self.publisher.markers_used,
-            time_offset: state.time_offset,
-            ..PoseStatus::initializing(end, String::new())
+            ..PoseStatus::lost(end, self.ages(end), state.time_offset, String::new())
         }
         .judged(
             &self.setup.status,
@@ -235,7 +235,7 @@ impl Filter {
         self.publisher.silence.resumed = None;
         let lost = status.state == PoseState::Lost;
         // Between the first image and the second the velocity is not known yet.
-        let second_due = self.lock_out.last_used() == self.lock_out.initialized_at()
+        let second_due = self.lock_out.last_used == self.lock_out.initialized_at
             && status.image_age < SECOND_IMAGE;
         if lost && !second_due && !self.publisher.silence.pose_lost {
             let reason = status.reason.clone();
@@ -272,7 +272,7 @@ impl Filter {
             let reason = format!("no IMU sample and no image with markers for {silent:.1} s");
             PoseStatus::lost(now, self.ages(now), time_offset, reason)
         } else {
-            PoseStatus { time_offset, ..PoseStatus::initializing(now, self.missing()) }
+            PoseStatus::initializing(now, time_offset, self.missing())
         };
         self.publisher.out.push_back(Output::Status(status));
     }
@@ -280,7 +280,7 @@ impl Filter {
     /// Ages of the newest used image, IMU sample and used encoder reading at an instant, s.
     fn ages(&self, at: Stamp) -> [f64; 3] {
         let offset = self.time_offset();
-        let image = self.lock_out.last_used().map(|image| image.plus_seconds(offset));
+        let image = self.lock_out.last_used.map(|image| image.plus_seconds(offset));
         let imu = self.arrival.newest_imu().map(|(stamp, _)| stamp);
         let age = |stamp: Stamp| at.seconds_since(stamp).max(0.0);
         [image, imu, self.publisher.last_encoders].map(|stamp| stamp.map_or(f64::INFINITY, age))
@@ -332,10 +332,10 @@ impl Filter {
         let densities = self.imu.densities(&self.setup.rig.imu);
         let mut calibration = self.publisher.calibration;
         // Lasting contradictions mean that the rig's files are wrong by more than their sigmas.
-        calibration.scale(self.imu.model_error.factor());
+        calibration.scale(self.imu.model_error.factor);
         calibration.variances[TIME_OFFSET_ERROR] = self.offset_doubt().powi(2);
         Settings {
-            rate_variance: densities.rate / self.imu.period(),
+            rate_variance: densities.rate / self.imu.noise.period(),
             gravity: self.setup.config.gravity,
             calibration,
             silent: self.arrival.is_imu_silent(),
@@ -347,14 +347,8 @@ impl Filter {
         self.publisher.archive.get_or_insert_default();
     }
 
-    /// Returns how much is kept for the smoother, s.
-    pub fn archived(&self) -> f64 {
-        let ends = self.publisher.archive.as_ref().and_then(|a| Some((a.first()?, a.last()?)));
-        ends.map_or(0.0, |(first, last)| last.stamp.seconds_since(first.stamp))
-    }
-
     /// Keeps the processed entries at the end of an estimate: those before `until`, if given.
-    pub fn archive_until(&mut self, until: Option<Stamp>) {
+    pub(super) fn archive_until(&mut self, until: Option<Stamp>) {
         if self.start.started {
             for place in 0..self.history.processed() {
                 let entry = self.history.get(place);
@@ -363,13 +357,26 @@ impl Filter {
         }
     }
 
-    /// Returns and drops the smoothed odometry but for the last `lag` seconds.
-    pub fn smoothed(&mut self, lag: f64) -> Vec<Odometry> {
-        let Some(entries) = self.publisher.archive.take() else { return Vec::new() };
-        let Some(geometry) = &self.setup.geometry else { return Vec::new() };
+    /// See [`crate::Fusion::smoothed`].
+    pub fn smoothed(&mut self, end: bool) -> Vec<Odometry> {
+        if end {
+            self.archive_until(None);
+        }
+        let (Some(archive), Some(geometry)) = (&mut self.publisher.archive, &self.setup.geometry)
+        else {
+            return Vec::new();
+        };
+        let (Some(first), Some(last)) = (archive.first(), archive.last()) else {
+            return Vec::new();
+        };
+        let (first, last) = (first.stamp, last.stamp);
+        if !end && last.seconds_since(first) <= SMOOTHED + LAG {
+            return Vec::new();
+        }
+        let entries = std::mem::take(archive);
         let states = smoother::smooth(&entries, self.setup.config.gravity);
-        let end = entries.last().map_or(Stamp::default(), |e| e.stamp).plus_seconds(-lag);
-        let ready = entries.iter().take_while(|e| e.stamp <= end).count();
+        let until = if end { last } else { last.plus_seconds(-LAG) };
+        let ready = entries.iter().take_while(|e| e.stamp <= until).count();
         let settings = self.settings();
         let smoothed = entries.iter().zip(&states).take(ready).filter(|(e, _)| e.is_imu());
         let smoothed = smoothed

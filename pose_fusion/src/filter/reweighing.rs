@@ -16,12 +16,12 @@ impl Filter {
     /// The first readings identify the encoders' noise and were weighed before that: where it is
     /// found to be another than was assumed, they and the initial state are weighed again.
     pub(super) fn reweigh_readings(&mut self, variance: &Vector3<f64>) {
-        let before = *self.climber.assumed_variance();
+        let before = self.climber.assumed_variance;
         let factor = variance.component_div(&before);
         if factor.iter().all(|f| (1.0 / REWEIGHED..REWEIGHED).contains(f)) {
             return;
         }
-        *self.climber.assumed_variance() = *variance;
+        self.climber.assumed_variance = *variance;
         let more = (variance - before).map(|more| more.max(0.0));
         for place in 0..self.history.len() {
             let Some(entry) = self.history.get_mut(place) else { continue };
@@ -41,7 +41,7 @@ impl Filter {
                 _ => {}
             }
         }
-        self.history.set_processed(self.history.processed().min(1));
+        self.history.rewind(0);
     }
 
     /// Adds noise to the IMU samples on the time line and processes them again.
@@ -50,11 +50,10 @@ impl Filter {
             if let Some(entry) = self.history.get_mut(place)
                 && let Event::Imu { noise, .. } = &mut entry.event
             {
-                noise.force += more.force;
-                noise.rate += more.rate;
+                *noise = noise.zip(more, |noise, more| noise + more);
             }
         }
-        self.history.set_processed(self.history.processed().min(1));
+        self.history.rewind(0);
     }
 }
 

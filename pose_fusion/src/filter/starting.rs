@@ -93,10 +93,7 @@ impl Filter {
     }
 
     /// While the IMU is silent images move the end of the time line.
-    pub(super) fn follow_without_imu(&mut self, stamp: Stamp, silent: bool) {
-        if !silent {
-            return;
-        }
+    pub(super) fn follow_without_imu(&mut self, stamp: Stamp) {
         let at = stamp.plus_seconds(self.time_offset());
         if let (Some((since, _)), true) =
             (self.arrival.newest_imu(), self.publisher.note_imu_lost())
@@ -171,10 +168,11 @@ impl Filter {
     }
 
     /// Starts from an image, or keeps it until the IMU samples have come to its time.
-    pub(super) fn start_or_wait(&mut self, stamp: Stamp, pixels: Pixels, absent: bool) {
+    pub(super) fn start_or_wait(&mut self, stamp: Stamp, pixels: Pixels) {
         let at = stamp.plus_seconds(self.time_offset());
+        let absent = self.arrival.is_imu_absent();
         if absent || self.arrival.newest_imu().is_some_and(|(newest, _)| at <= newest) {
-            return self.try_start(stamp, &pixels, absent, None);
+            return self.try_start(stamp, &pixels, None);
         }
         // The first one is kept: were it replaced by each that follows, none would ever be reached.
         let stale =
@@ -191,21 +189,16 @@ impl Filter {
         let Some((image, pixels)) = self.start.awaited else { return };
         if image.plus_seconds(self.time_offset()) <= newest {
             self.start.awaited = None;
-            self.try_start(image, &pixels, false, None);
+            self.try_start(image, &pixels, None);
         }
     }
 
     /// Initializes the pose from an image. `up` is what a former estimate knew of "up", where there
     /// was one; the IMU's own attitude counts more.
-    pub(super) fn try_start(
-        &mut self,
-        stamp: Stamp,
-        pixels: &Pixels,
-        absent: bool,
-        up: Option<Up>,
-    ) {
+    pub(super) fn try_start(&mut self, stamp: Stamp, pixels: &Pixels, up: Option<Up>) {
         let time_offset = self.time_offset();
         let at = stamp.plus_seconds(time_offset);
+        let absent = self.arrival.is_imu_absent();
         let measured = absent || self.history.iter().any(|e| e.is_imu() && e.stamp <= at);
         let Some(climber) = self.climber_at(stamp) else {
             return self.publisher.skip(stamp, pixels, Outcome::NotInitialized);

@@ -44,8 +44,10 @@ pub struct LockOut {
     since: Option<Stamp>,
     /// Markers of the newest image that were rejected.
     rejected: [bool; 4],
-    last_used: Option<Stamp>,
-    initialized: Option<Stamp>,
+    /// Newest image that was used and did not contradict.
+    pub last_used: Option<Stamp>,
+    /// Image that the pose was initialized from, or when it was set.
+    pub initialized_at: Option<Stamp>,
     /// First of the times that contradicting images were followed, and how often since.
     followed: Option<(Stamp, u32)>,
     /// Images of the last three responses.
@@ -57,7 +59,7 @@ impl LockOut {
     pub fn initialized(&mut self, image: Stamp) {
         *self = Self {
             last_used: self.last_used.max(Some(image)),
-            initialized: Some(image),
+            initialized_at: Some(image),
             responses: self.responses,
             ..Self::default()
         };
@@ -65,23 +67,13 @@ impl LockOut {
 
     /// Notes that the estimate begins, unless an image began it.
     pub fn note_start(&mut self, at: Stamp) {
-        self.initialized.get_or_insert(at);
-    }
-
-    /// Returns the newest image that was used and did not contradict.
-    pub fn last_used(&self) -> Option<Stamp> {
-        self.last_used
+        self.initialized_at.get_or_insert(at);
     }
 
     /// Notes an image's rejected markers; true where one was not rejected in the image before.
     pub fn rejects(&mut self, rejected: [bool; 4]) -> bool {
         let before = std::mem::replace(&mut self.rejected, rejected);
         (0..4).any(|i| rejected[i] && !before[i])
-    }
-
-    /// Returns the image that the pose was initialized from, or when it was set.
-    pub fn initialized_at(&self) -> Option<Stamp> {
-        self.initialized
     }
 
     /// Notes an image of which `used` of `detected` markers were used, and returns what follows.
@@ -150,43 +142,55 @@ impl LockOut {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use Response::{FollowImages, None as Nothing, Reinitialize};
+
+    fn at(ms: i64) -> Stamp {
+        Stamp::from_nanos(ms * 1_000_000)
+    }
+
+    /// A count that began with an image at 0 ms.
+    fn initialized() -> LockOut {
+        LockOut { last_used: Some(at(0)), initialized_at: Some(at(0)), ..LockOut::default() }
+    }
 
     #[test]
     fn contradictions_in_a_row_make_the_prediction_give_way_and_half_a_second_reinitializes() {
-        let at = |ms: i64| Stamp::from_nanos(ms * 1_000_000);
-        let mut lock_out = LockOut::default();
-        lock_out.initialized(at(0));
-        assert_eq!(lock_out.note(at(30), 4, 4, 2, false), Response::None);
-        assert_eq!(lock_out.note(at(60), 4, 0, 2, false), Response::None);
-        assert_eq!(lock_out.note(at(90), 4, 3, 2, false), Response::None);
-        assert_eq!(lock_out.note(at(120), 4, 1, 2, true), Response::None);
-        assert_eq!(lock_out.note(at(150), 4, 1, 2, false), Response::None);
-        assert_eq!(lock_out.note(at(180), 4, 1, 2, false), Response::FollowImages(at(120)));
+        let mut lock_out = initialized();
+        // Stamp (ms), detected and used markers, whether it is excused, what follows.
+        for (ms, detected, used, excused, expected) in [
+            (30, 4, 4, false, Nothing),
+            (60, 4, 0, false, Nothing),
+            (90, 4, 3, false, Nothing),
+            (120, 4, 1, true, Nothing),
+            (150, 4, 1, false, Nothing),
+            (180, 4, 1, false, FollowImages(at(120))),
+        ] {
+            assert_eq!(lock_out.note(at(ms), detected, used, 2, excused), expected, "{ms} ms");
+        }
         lock_out.responded(at(180));
-        assert_eq!(lock_out.note(at(210), 4, 0, 2, false), Response::None);
-        assert_eq!(lock_out.note(at(800), 4, 0, 9, false), Response::Reinitialize(at(210)));
-        assert_eq!(lock_out.last_used(), Some(at(90)));
+        assert_eq!(lock_out.note(at(210), 4, 0, 2, false), Nothing);
+        assert_eq!(lock_out.note(at(800), 4, 0, 9, false), Reinitialize(at(210)));
+        assert_eq!(lock_out.last_used, Some(at(90)));
+        // A single marker contradicts, and an image without markers does not.
+        lock_out = initialized();
+        let images = [(33, 1), (66, 0), (99, 1)];
+        let responses = images.map(|(ms, detected)| lock_out.note(at(ms), detected, 0, 2, false));
+        assert_eq!(responses, [Nothing, Nothing, FollowImages(at(33))]);
+        // One contradiction after a gap reinitializes nothing.
+        lock_out = initialized();
+        let images = [(600, 1), (633, 4), (666, 1)];
+        let responses = images.map(|(ms, used)| lock_out.note(at(ms), 4, used, 6, true));
+        assert_eq!(responses, [Nothing; 3]);
     }
 
     #[test]
     fn one_marker_of_three_keeps_no_pose_that_two_contradict() {
-        let at = |image: i64| Stamp::from_nanos(image * 33_000_000);
-        let mut lock_out = LockOut::default();
-        lock_out.initialized(at(0));
+        let mut lock_out = initialized();
         // Excused, as where the time offset is unknown.
-        let responses = (1..30).map(|image| (image, lock_out.note(at(image), 3, 1, 6, true)));
-        let first = responses.into_iter().find(|(_, response)| *response != Response::None);
-        assert_eq!(first, Some((16, Response::Reinitialize(at(1)))));
-    }
-
-    #[test]
-    fn a_single_marker_contradicts_and_an_image_without_markers_does_not() {
-        let at = |image: i64| Stamp::from_nanos(image * 33_000_000);
-        let mut lock_out = LockOut::default();
-        lock_out.initialized(at(0));
-        assert_eq!(lock_out.note(at(1), 1, 0, 2, false), Response::None);
-        assert_eq!(lock_out.note(at(2), 0, 0, 2, false), Response::None);
-        assert_eq!(lock_out.note(at(3), 1, 0, 2, false), Response::FollowImages(at(1)));
+        let first = (1..30)
+            .map(|k| (k, lock_out.note(at(33 * k), 3, 1, 6, true)))
+            .find(|(_, response)| *response != Nothing);
+        assert_eq!(first, Some((16, Reinitialize(at(33)))));
     }
 
     #[test]
@@ -196,16 +200,6 @@ mod tests {
         let images: [&[usize]; 6] = [&[], &[0], &[0], &[0, 2], &[], &[0]];
         let new = images.map(|rejected| lock_out.rejects(image(rejected)));
         assert_eq!(new, [false, true, false, true, false, true]);
-    }
-
-    #[test]
-    fn one_contradiction_after_a_gap_reinitializes_nothing() {
-        let at = |ms: i64| Stamp::from_nanos(ms * 1_000_000);
-        let mut lock_out = LockOut::default();
-        lock_out.initialized(at(0));
-        assert_eq!(lock_out.note(at(600), 4, 1, 6, true), Response::None);
-        assert_eq!(lock_out.note(at(633), 4, 4, 6, true), Response::None);
-        assert_eq!(lock_out.note(at(666), 4, 1, 6, true), Response::None);
     }
 
     #[test]

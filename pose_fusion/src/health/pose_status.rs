@@ -51,8 +51,8 @@ pub struct PoseStatus {
 }
 
 impl PoseStatus {
-    /// Returns the status where there is no pose.
-    pub fn initializing(stamp: Stamp, reason: String) -> Self {
+    /// Returns the status where there is no pose yet; camera time offset in s.
+    pub fn initializing(stamp: Stamp, time_offset: f64, reason: String) -> Self {
         Self {
             stamp,
             state: PoseState::Initializing,
@@ -63,12 +63,13 @@ impl PoseStatus {
             imu_age: f64::INFINITY,
             climber_age: f64::INFINITY,
             markers_used: 0,
-            time_offset: 0.0,
+            time_offset,
             reason,
         }
     }
 
-    /// Returns the status of a lost pose; ages of image, IMU sample and encoder reading, s.
+    /// Returns the status of a lost pose, or of one that is not judged yet; ages of image, IMU
+    /// sample and encoder reading, and camera time offset, s.
     pub fn lost(stamp: Stamp, ages: [f64; 3], time_offset: f64, reason: String) -> Self {
         let [image_age, imu_age, climber_age] = ages;
         Self {
@@ -76,8 +77,7 @@ impl PoseStatus {
             image_age,
             imu_age,
             climber_age,
-            time_offset,
-            ..Self::initializing(stamp, reason)
+            ..Self::initializing(stamp, time_offset, reason)
         }
     }
 
@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     fn judged(change: impl FnOnce(&mut PoseStatus), vision_only: bool) -> PoseStatus {
-        let mut status = PoseStatus::initializing(Stamp::from_nanos(0), String::new());
+        let mut status = PoseStatus::initializing(Stamp::from_nanos(0), 0.0, String::new());
         (status.position_sigma, status.rotation_sigma) = (0.001, 0.001);
         (status.image_age, status.imu_age, status.climber_age) = (0.04, 0.0, 0.01);
         status.markers_used = 4;

@@ -26,7 +26,7 @@ pub(super) const ACCEPTED: f64 = 0.010;
 /// Every other candidate further away than this, s …
 const APART: f64 = 0.02;
 /// … must fit worse by this (χ²).
-pub(super) const REFUTED: f64 = 16.0;
+const REFUTED: f64 = 16.0;
 /// Largest χ² per degree of freedom of an alignment that means anything.
 pub(super) const LARGEST: f64 = 1.2;
 /// Smallest χ² per degree of freedom that is accepted: the poses' own covariances are cautious.
@@ -63,17 +63,21 @@ pub(super) fn candidate(index: usize) -> f64 {
     index as f64 * STEP - REACH
 }
 
-/// Distance from an offset of this standard deviation from which on candidates must be refuted, s.
-pub(super) fn apart(sigma: f64) -> f64 {
-    APART.max(REFUTED.sqrt() * sigma)
+/// Returns whether every candidate that is apart from an offset of this standard deviation, s, fits
+/// worse than `best` by what refutes it; `costs` are the χ² of the candidates, NaN: no readings.
+pub(super) fn others_are_refuted(costs: &[f64], best: f64, offset: f64, sigma: f64) -> bool {
+    let apart = APART.max(REFUTED.sqrt() * sigma);
+    (costs.iter().enumerate())
+        .filter(|(i, cost)| (candidate(*i) - offset).abs() > apart && !cost.is_nan())
+        .all(|(_, cost)| cost - best > REFUTED)
 }
 
 /// What the alignment of a window found.
 pub(super) struct Aligned {
     /// Best offset, where it is known.
     pub(super) found: Option<TimeOffset>,
-    /// Biases that go with it.
-    pub(super) biases: Biases,
+    /// Biases of the IMU that go with it.
+    pub(super) biases: ImuReading,
     /// χ² per degree of freedom.
     pub(super) scale: f64,
     /// χ² of each candidate above the best, normalized; NaN where the readings do not reach.
@@ -88,7 +92,7 @@ pub(super) fn align(
     poses: &[VisualPose],
     readings: &VecDeque<(Stamp, ImuReading)>,
     (volant_from_imu, gravity, imu, noise): Settings<'_>,
-    biases: &Biases,
+    biases: &ImuReading,
 ) -> Option<Aligned> {
     let track = preintegrate(readings, biases);
     let alignment = Alignment { track: &track, poses, volant_from_imu, gravity, imu, biases };
@@ -104,9 +108,7 @@ pub(super) fn align(
         None => f64::NAN,
     });
     let sigma = (2.0 * unit / curvature).sqrt();
-    let refuted = (costs.iter().enumerate())
-        .filter(|(i, cost)| (candidate(*i) - offset).abs() > apart(sigma) && !cost.is_nan())
-        .all(|(_, cost)| *cost > REFUTED);
+    let refuted = others_are_refuted(&costs, 0.0, offset, sigma);
     let known = curvature > 0.0 && sigma < ACCEPTED && refuted && offset.abs() < REACH - EDGE;
     Some(Aligned {
         found: (known && scale < LARGEST).then_some(TimeOffset { offset, sigma }),
@@ -117,12 +119,15 @@ pub(super) fn align(
 }
 
 /// Motion from reading to reading, without the biases.
-fn preintegrate(readings: &VecDeque<(Stamp, ImuReading)>, biases: &Biases) -> Vec<Preintegrated> {
+fn preintegrate(
+    readings: &VecDeque<(Stamp, ImuReading)>,
+    biases: &ImuReading,
+) -> Vec<Preintegrated> {
     let mut track: Vec<Preintegrated> = Vec::with_capacity(readings.len());
     for (stamp, reading) in readings {
         let reading = &ImuReading {
-            specific_force: reading.specific_force - biases.accelerometer,
-            angular_velocity: reading.angular_velocity - biases.gyroscope,
+            specific_force: reading.specific_force - biases.specific_force,
+            angular_velocity: reading.angular_velocity - biases.angular_velocity,
         };
         let next = match track.last() {
             Some(last) => last.to(*stamp, reading),
@@ -138,7 +143,7 @@ fn preintegrate(readings: &VecDeque<(Stamp, ImuReading)>, biases: &Biases) -> Ve
 struct Cost {
     square: f64,
     rows: f64,
-    biases: Biases,
+    biases: ImuReading,
 }
 
 impl Cost {
@@ -147,35 +152,28 @@ impl Cost {
     }
 }
 
-/// Biases of the IMU, its axes: m/s², rad/s.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Biases {
-    accelerometer: Vector3<f64>,
-    gyroscope: Vector3<f64>,
-}
-
 struct Alignment<'a> {
     track: &'a [Preintegrated],
     poses: &'a [VisualPose],
     volant_from_imu: &'a Isometry3<f64>,
     gravity: f64,
     imu: &'a ImuConfig,
-    biases: &'a Biases,
+    biases: &'a ImuReading,
 }
 
 impl Alignment<'_> {
     /// Cost of an offset; `None` where readings surround less than [`FEWEST`] or half the images.
     fn cost(&self, offset: f64) -> Option<Cost> {
         let motions = self.motions(offset)?;
-        let (first, start) = self.origin(&motions)?;
+        let start = self.start(&motions)?;
         let rows = motions.iter().map(|(pose, motion)| {
-            let (residual, jacobian) = self.row(&start, first, pose, motion);
+            let (residual, jacobian) = self.row(&start, pose, motion);
             (pose.information, residual, jacobian)
         });
         let (solution, square) = self.fit(rows, self.biases)?;
-        let biases = Biases {
-            accelerometer: self.biases.accelerometer + solution.fixed_rows::<3>(9),
-            gyroscope: self.biases.gyroscope + solution.fixed_rows::<3>(12),
+        let biases = ImuReading {
+            specific_force: self.biases.specific_force + solution.fixed_rows::<3>(9),
+            angular_velocity: self.biases.angular_velocity + solution.fixed_rows::<3>(12),
         };
         Some(Cost { square, rows: 6.0 * motions.len() as f64, biases })
     }
@@ -214,7 +212,7 @@ impl Alignment<'_> {
     }
 
     /// First instant, and the attitude there by the middle image, to linearize at.
-    fn origin(
+    fn start(
         &self,
         motions: &[(&VisualPose, Preintegrated)],
     ) -> Option<(Stamp, UnitQuaternion<f64>)> {
@@ -229,7 +227,7 @@ impl Alignment<'_> {
     fn fit(
         &self,
         rows: impl Iterator<Item = (Matrix6<f64>, Vector6<f64>, Jacobian)>,
-        known: &Biases,
+        known: &ImuReading,
     ) -> Option<(Unknowns, f64)> {
         let mut normal = Normal::zeros();
         let mut right = Unknowns::zeros();
@@ -243,7 +241,7 @@ impl Alignment<'_> {
                 normal[(index, index)] += 1.0 / (sigma * sigma);
             }
         }
-        for (k, bias) in [known.accelerometer, known.gyroscope].iter().enumerate() {
+        for (k, bias) in [known.specific_force, known.angular_velocity].iter().enumerate() {
             for i in 0..3 {
                 let (index, weight) = (9 + 3 * k + i, prior[2 + k].powi(-2));
                 right[index] -= bias[i] * weight;
@@ -264,21 +262,21 @@ impl Alignment<'_> {
     /// leave: the IMU's noise adds up, and is common to all later images.
     fn excess(&self, offset: f64, noise: &Densities, scale: f64) -> Option<f64> {
         let motions = self.motions(offset)?;
-        let (first, start) = self.origin(&motions)?;
+        let start = self.start(&motions)?;
         // By a change of the offset: derivative of the residual, and that by the unknowns.
         let rows: Vec<_> = motions
             .iter()
             .filter_map(|(pose, motion)| {
                 let at = |by: f64| self.at(pose.stamp.plus_seconds(offset + by));
                 let (later, earlier) = (at(STEP)?, at(-STEP)?);
-                let residual = |motion| self.row(&start, first, pose, motion).0;
+                let residual = |motion| self.row(&start, pose, motion).0;
                 let by_offset = (residual(&later) - residual(&earlier)) / (2.0 * STEP);
-                let (_, jacobian) = self.row(&start, first, pose, motion);
+                let (_, jacobian) = self.row(&start, pose, motion);
                 Some((motion.stamp, pose.information, by_offset, jacobian))
             })
             .collect();
         let (solution, information) =
-            self.fit(rows.iter().map(|(_, w, r, j)| (*w, *r, *j)), &Biases::default())?;
+            self.fit(rows.iter().map(|(_, w, r, j)| (*w, *r, *j)), &ImuReading::default())?;
         // Backwards: what an error of each moves in all images behind it.
         let [mut turn, mut shift, mut speed, mut tilt] = [Vector3::zeros(); 4];
         let mut variance = 0.0;
@@ -305,12 +303,11 @@ impl Alignment<'_> {
     /// Residual of an image (position, rotation) and its derivative by p₀, v₀, θ₀, b_a, b_g.
     fn row(
         &self,
-        start: &UnitQuaternion<f64>,
-        origin: Stamp,
+        (origin, start): &(Stamp, UnitQuaternion<f64>),
         pose: &VisualPose,
         motion: &Preintegrated,
-    ) -> (Vector6<f64>, SMatrix<f64, 6, UNKNOWNS>) {
-        let s = motion.stamp.seconds_since(origin);
+    ) -> (Vector6<f64>, Jacobian) {
+        let s = motion.stamp.seconds_since(*origin);
         let r0 = start.to_rotation_matrix();
         let r0 = r0.matrix();
         let world_from_imu = start * motion.rotation;
@@ -322,7 +319,7 @@ impl Alignment<'_> {
             (pose.world_from_volant.rotation * world_from_volant.inverse()).scaled_axis();
         let shift = pose.world_from_volant.translation.vector - position;
         let residual = Vector6::new(shift.x, shift.y, shift.z, rotation.x, rotation.y, rotation.z);
-        let mut j = SMatrix::<f64, 6, UNKNOWNS>::zeros();
+        let mut j = Jacobian::zeros();
         let by_gyroscope = r0 * motion.rotation_by_gyroscope;
         j.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
         j.fixed_view_mut::<3, 3>(0, 3).fill_diagonal(s);

@@ -4,7 +4,7 @@
 
 pub use super::alignment::{REACH, TimeOffset, WINDOW};
 use super::{
-    alignment::{Biases, FEWEST, VisualPose, align},
+    alignment::{FEWEST, VisualPose, align},
     windows::Windows,
 };
 use crate::{adaptation::imu_noise::Densities, config::ImuConfig, ekf::propagation::ImuReading};
@@ -70,18 +70,14 @@ impl TimeOffsetSearch {
 
     /// Weighs the poses with the IMU's noise as it is known now.
     fn weigh(&mut self, noise: &Densities, given: &Densities) {
-        let of = |shares: [f64; 3], force: f64, rate: f64| {
+        let of = |shares: [f64; 3], &Densities { force, rate }: &Densities| {
             let [by_force, by_rate, by_tilt] = shares.map(|share| share * share);
             let position =
                 by_force * force * WINDOW.powi(3) + by_tilt * G_SQUARED * rate * WINDOW.powi(5);
             [position, by_rate * rate * WINDOW]
         };
-        let usual = of(IMU_SHARE, given.force, given.rate);
-        let excess = of(
-            EXCESS_SHARE,
-            (noise.force - given.force).max(0.0),
-            (noise.rate - given.rate).max(0.0),
-        );
+        let usual = of(IMU_SHARE, given);
+        let excess = of(EXCESS_SHARE, &noise.zip(given, |noise, given| (noise - given).max(0.0)));
         let imu = [usual[0] + excess[0], usual[1] + excess[1]];
         for pose in &mut self.poses {
             let mut covariance = pose.covariance;
@@ -121,7 +117,7 @@ impl TimeOffsetSearch {
         }
         let settings = (volant_from_imu, gravity, imu, noise);
         // The second time with the biases of the first: they turn by several degrees.
-        let first = align(recent, &self.readings, settings, &Biases::default())?;
+        let first = align(recent, &self.readings, settings, &ImuReading::default())?;
         let aligned = align(recent, &self.readings, settings, &first.biases)?;
         // A window in which every image counts for every candidate.
         let covered = &poses[..poses.partition_point(|pose| age(pose) >= REACH)];

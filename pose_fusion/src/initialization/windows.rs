@@ -1,7 +1,7 @@
 //! Camera time offset from several windows, none of which suffices by itself.
 
 use super::alignment::{
-    ACCEPTED, Aligned, CANDIDATES, LARGEST, REFUTED, STEP, TimeOffset, WINDOW, apart, candidate,
+    ACCEPTED, Aligned, CANDIDATES, LARGEST, STEP, TimeOffset, WINDOW, candidate, others_are_refuted,
 };
 use rig_model::Stamp;
 
@@ -46,21 +46,20 @@ impl Windows {
         let curvature = low + high - 2.0 * costs[best];
         let offset = candidate(best) + STEP * (low - high) / (2.0 * curvature);
         let sigma = STEP * (2.0 / curvature).sqrt();
-        let refuted = (0..CANDIDATES)
-            .filter(|&i| (candidate(i) - offset).abs() > apart(sigma) && !costs[i].is_nan())
-            .all(|i| costs[i] - costs[best] > REFUTED);
+        let refuted = others_are_refuted(costs, costs[best], offset, sigma);
         (sigma < ACCEPTED && refuted).then_some(TimeOffset { offset, sigma })
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{super::alignment::Biases, *};
+    use super::*;
+    use crate::ekf::propagation::ImuReading;
 
     /// A window whose cost is a parabola about `offset` with the standard deviation `sigma`, s.
     fn window(offset: f64, sigma: f64, scale: f64) -> Aligned {
         let costs = std::array::from_fn(|i| ((candidate(i) - offset) / sigma).powi(2));
-        Aligned { found: None, biases: Biases::default(), scale, costs }
+        Aligned { found: None, biases: ImuReading::default(), scale, costs }
     }
 
     #[test]

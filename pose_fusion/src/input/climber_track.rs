@@ -32,6 +32,16 @@ const SETTING_OFF: f64 = 25.0;
 /// Largest factor on the jerk.
 const JERK_LIMIT: f64 = 250.0;
 
+/// Encoder reading: its stamp; x, y (m) and turn (rad); height and tilt.
+type Reading = (Stamp, Vector3<f64>, ClimberHeightTilt);
+
+/// Returns the way from one reading's values to another's, m, m, rad.
+fn way(from: &Vector3<f64>, to: &Vector3<f64>) -> Vector3<f64> {
+    let mut way = to - from;
+    way.z = wrap_angle(way.z);
+    way
+}
+
 /// Climber at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClimberAt {
@@ -61,11 +71,13 @@ impl ClimberAt {
 /// The newest readings in the order of their stamps, with the noise and jerk identified from them.
 #[derive(Clone, Debug)]
 pub struct ClimberTrack {
-    readings: VecDeque<(Stamp, Vector3<f64>, ClimberHeightTilt)>,
-    noise: EncoderNoise,
-    /// Variance with which the readings on the time line were weighed.
-    assumed: Vector3<f64>,
-    jerk_factor: f64,
+    readings: VecDeque<Reading>,
+    /// Noise of the readings.
+    pub noise: EncoderNoise,
+    /// Variance with which the readings on the time line were weighed, m², m², rad².
+    pub assumed_variance: Vector3<f64>,
+    /// Factor on the configured jerk density.
+    pub jerk_factor: f64,
     /// Per axis, the first of the readings that equal the newest one.
     standing_since: [Stamp; 3],
     /// Per axis, when a moving climber stopped at once: before the first repeated reading.
@@ -79,7 +91,7 @@ impl ClimberTrack {
         let noise = EncoderNoise::new(steps);
         Self {
             readings: VecDeque::with_capacity(KEPT + 1),
-            assumed: noise.variance(),
+            assumed_variance: noise.variance(),
             noise,
             jerk_factor: SETTING_OFF,
             standing_since: [Stamp::default(); 3],
@@ -122,24 +134,8 @@ impl ClimberTrack {
     }
 
     /// Returns the newest reading: stamp; x, y, turn; height and tilt.
-    pub fn newest(&self) -> Option<&(Stamp, Vector3<f64>, ClimberHeightTilt)> {
+    pub fn newest(&self) -> Option<&Reading> {
         self.readings.back()
-    }
-
-    /// Returns the variance with which the readings on the time line were weighed, to be replaced
-    /// when they are weighed again.
-    pub fn assumed_variance(&mut self) -> &mut Vector3<f64> {
-        &mut self.assumed
-    }
-
-    /// Returns whether the noise is still being identified.
-    pub fn is_young(&self) -> bool {
-        self.noise.is_young()
-    }
-
-    /// Returns the factor on the configured jerk density.
-    pub fn jerk_factor(&self) -> f64 {
-        self.jerk_factor
     }
 
     /// Adapts the jerk to the NIS of a reading that was used: fast upwards, slowly back.
@@ -151,17 +147,18 @@ impl ClimberTrack {
 
     fn is_moving(&self) -> bool {
         let Some((newest, last, _)) = self.readings.back() else { return false };
-        let limit = self.noise.variance().map(|v| MOVING_STEPS * (12.0 * v).sqrt());
-        let recent = self
-            .readings
-            .iter()
-            .rev()
-            .take_while(|(at, _, _)| newest.seconds_since(*at) < MOVING_SPAN);
-        recent.into_iter().any(|(_, values, _)| {
-            let mut moved = last - values;
-            moved.z = wrap_angle(moved.z);
+        let limit = self.steps() * MOVING_STEPS;
+        let readings = self.readings.iter().rev();
+        let mut recent = readings.take_while(|(at, ..)| newest.seconds_since(*at) < MOVING_SPAN);
+        recent.any(|(_, values, _)| {
+            let moved = way(values, last);
             (0..3).any(|i| moved[i].abs() > limit[i])
         })
+    }
+
+    /// Returns the encoders' steps that their noise amounts to, m, m, rad.
+    fn steps(&self) -> Vector3<f64> {
+        self.noise.variance().map(|v| (12.0 * v).sqrt())
     }
 
     /// Returns the climber at an instant: interpolated between two readings, else moved on with its
@@ -185,9 +182,7 @@ impl ClimberTrack {
             (Some(a), Some(b)) => {
                 let span = b.0.seconds_since(a.0);
                 let share = if span > 0.0 { stamp.seconds_since(a.0) / span } else { 0.0 };
-                let mut way = b.1 - a.1;
-                way.z = wrap_angle(way.z);
-                a.1 + way * share
+                a.1 + way(&a.1, &b.1) * share
             }
             _ => nearest.1 + rates * stamp.seconds_since(nearest.0),
         };
@@ -214,8 +209,7 @@ impl ClimberTrack {
         if span <= SHORTEST {
             return (Vector3::zeros(), fastest);
         }
-        let mut rates = last.1 - first.1;
-        rates.z = wrap_angle(rates.z);
+        let rates = way(&first.1, &last.1);
         let step = noise * 12f64.sqrt();
         let sigmas = (step / span + Vector3::from(ACCELERATION) * span).inf(&fastest);
         ((rates / span).map(|r| if r.is_finite() { r } else { 0.0 }), sigmas)
@@ -270,8 +264,8 @@ mod tests {
     fn jerk_grows_with_surprises_and_a_standing_climber_keeps_room_to_set_off() {
         let mut track = ClimberTrack::new(&ClimberConfig::default());
         track.adapt_jerk(30.0);
-        assert!(track.jerk_factor() > SETTING_OFF);
+        assert!(track.jerk_factor > SETTING_OFF);
         (0..1000).for_each(|_| track.adapt_jerk(1.0));
-        assert_eq!(track.jerk_factor(), SETTING_OFF);
+        assert_eq!(track.jerk_factor, SETTING_OFF);
     }
 }

@@ -79,19 +79,6 @@ pub struct ImuInput {
 }
 
 impl ImuInput {
-    /// Returns the reading of a sample.
-    ///
-    /// # Errors
-    /// The field with a value that no IMU measures.
-    pub fn reading(sample: &ImuSample) -> Result<ImuReading, &'static str> {
-        let reading = ImuReading {
-            specific_force: sample.specific_force,
-            angular_velocity: sample.angular_velocity,
-        };
-        ImuIntegrity::check(&reading)?;
-        Ok(reading)
-    }
-
     /// Discards what was identified with stamps of which it is now known that they were wrong.
     pub fn keep_stamps_only(&mut self) {
         let (stamps, clocks) = (std::mem::take(&mut self.stamps), std::mem::take(&mut self.clocks));
@@ -107,19 +94,14 @@ impl ImuInput {
     ) -> Event {
         let given = given(mounting);
         self.noise.add(reading, dt.unwrap_or(0.0));
-        let mut noise = self.noise.densities(&given);
+        let noise = self.noise.densities(&given);
         let Some(dt) = dt else { return Event::Imu { noise, at_rest: None } };
         let period = self.noise.period();
         let found = self.noise.sample_variances();
-        let variances = Densities {
-            force: found.force.max(given.force / period),
-            rate: found.rate.max(given.rate / period),
-        };
-        let at_rest = self.stationary.add(reading, dt, variances.force, variances.rate);
-        let more = self.integrity.additional(reading, dt, &variances, self.model_error.factor());
-        noise.force += more.force;
-        noise.rate += more.rate;
-        Event::Imu { noise, at_rest }
+        let variances = found.zip(&given, |found, given| found.max(given / period));
+        let at_rest = self.stationary.add(reading, dt, &variances);
+        let more = self.integrity.additional(reading, dt, &variances, self.model_error.factor);
+        Event::Imu { noise: noise.zip(&more, |usual, more| usual + more), at_rest }
     }
 
     /// Ignores the IMU's own attitude from now on.
@@ -149,8 +131,7 @@ impl ImuInput {
             return None;
         }
         self.known = true;
-        let (now, given) = (self.densities(mounting), given(mounting));
-        let more = Densities { force: now.force - given.force, rate: now.rate - given.rate };
+        let more = self.densities(mounting).zip(&given(mounting), |now, given| now - given);
         (more.force > 0.0 || more.rate > 0.0).then_some(more)
     }
 
@@ -163,11 +144,6 @@ impl ImuInput {
     /// Returns the densities identified now, those of the rig file at least.
     pub fn densities(&self, mounting: &ImuMounting) -> Densities {
         self.noise.densities(&given(mounting))
-    }
-
-    /// Returns the mean time between samples, s.
-    pub fn period(&self) -> f64 {
-        self.noise.period()
     }
 
     /// Returns the IMU's own direction of "up" at an instant.

@@ -99,7 +99,7 @@ impl MarkerInput {
             let symmetric = (c + c.transpose()) * 0.5;
             let bounded =
                 symmetric + Matrix2::identity() * (minimum - symmetric.trace() / 2.0).max(0.0);
-            pixels[color.index()] = Some((marker.centroid, bounded * self.noise.factor() + floor));
+            pixels[color.index()] = Some((marker.centroid, bounded * self.noise.factor + floor));
         }
         pixels
     }

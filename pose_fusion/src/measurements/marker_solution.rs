@@ -10,7 +10,7 @@ use crate::ekf::{
     propagation::ImuReading,
     state::{ATTITUDE, Covariance, Error, State},
 };
-use nalgebra::{Cholesky, Const};
+use nalgebra::{Cholesky, Const, SMatrix};
 
 /// What an image's update knows at the prior.
 pub struct Prediction {
@@ -90,16 +90,8 @@ pub fn solve(
     };
     let noise = of_used(&at_prior.noise, &Block::identity());
     let layout = of_used(&at_prior.layout, &Block::zeros());
-    let masked = |linear: &Linearization| {
-        let (mut r, mut h) = (linear.residual, linear.jacobian);
-        for (i, kept) in mask.iter().enumerate() {
-            if !kept {
-                r.fixed_rows_mut::<2>(2 * i).fill(0.0);
-                h.fixed_rows_mut::<2>(2 * i).fill(0.0);
-            }
-        }
-        (r, h)
-    };
+    let masked =
+        |linear: &Linearization| (rows_of(&linear.residual, mask), rows_of(&linear.jacobian, mask));
     let (mut residual, mut jacobian) = masked(&at_prior.linear);
     let mut step = Error::zeros();
     let mut nis = f64::NAN;
@@ -137,11 +129,7 @@ pub fn solve(
         }
         let l = cholesky.l();
         let root = l.solve_lower_triangular(&gain.transpose())?.transpose();
-        let mut by_parameter = at_prior.by_parameter;
-        for (i, _) in mask.iter().enumerate().filter(|(_, kept)| !**kept) {
-            by_parameter.fixed_rows_mut::<2>(2 * i).fill(0.0);
-        }
-        let by_parameter = l.solve_lower_triangular(&by_parameter)?;
+        let by_parameter = l.solve_lower_triangular(&rows_of(&at_prior.by_parameter, mask))?;
         let whitened = l.solve_lower_triangular(&target)?;
         return cost.is_finite().then_some(Solution {
             step,
@@ -153,6 +141,15 @@ pub fn solve(
         });
     }
     None
+}
+
+/// Returns the rows of the markers in `mask`, zero for the others.
+fn rows_of<const C: usize>(all: &SMatrix<f64, 8, C>, mask: &[bool; 4]) -> SMatrix<f64, 8, C> {
+    let mut rows = *all;
+    for i in (0..4).filter(|i| !mask[*i]) {
+        rows.fixed_rows_mut::<2>(2 * i).fill(0.0);
+    }
+    rows
 }
 
 /// Returns `P Hᵀ`, by the columns of P that H touches.

@@ -56,7 +56,7 @@ mod tests {
 
     fn status(ms: i64) -> Output {
         let stamp = Stamp::from_nanos(ms * 1_000_000);
-        Output::Status(PoseStatus::initializing(stamp, String::new()))
+        Output::Status(PoseStatus::initializing(stamp, 0.0, String::new()))
     }
 
     #[test]

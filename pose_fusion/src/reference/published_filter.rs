@@ -97,24 +97,20 @@ impl PublishedFilter {
     fn pose_status(&self, now: Stamp) -> PoseStatus {
         if self.filter.stamp().is_none() {
             let missing = self.filter.missing().to_owned();
-            let time_offset = self.camera_offset();
-            return PoseStatus { time_offset, ..PoseStatus::initializing(now, missing) };
+            return PoseStatus::initializing(now, self.camera_offset(), missing);
         }
         let since =
             |stamp: Option<Stamp>| stamp.map_or(f64::INFINITY, |s| now.seconds_since(s).max(0.0));
         let (last_visual, limits) = (self.filter.last_visual, &self.filter.config.status);
         let image_age = since(last_visual.map(|(stamp, _)| stamp));
         let imu_age = since(self.filter.newest_imu());
+        // A visual pose rests on an encoder reading of its instant.
+        let ages = [image_age, imu_age, image_age];
         let mut status = PoseStatus {
             position_sigma: self.sigma(0),
             rotation_sigma: self.sigma(3),
-            image_age,
-            imu_age,
-            // A visual pose rests on an encoder reading of its instant.
-            climber_age: image_age,
             markers_used: last_visual.map_or(0, |(_, markers)| markers),
-            time_offset: self.camera_offset(),
-            ..PoseStatus::initializing(now, String::new())
+            ..PoseStatus::lost(now, ages, self.camera_offset(), String::new())
         }
         .judged(limits, imu_age > GAP, false);
         if status.state == PoseState::Coasting {

@@ -50,11 +50,11 @@ mod tests {
         Isometry3::from_parts(Translation3::new(0.05, -0.04, 1.2), down * lean)
     }
 
-    /// Images of the markers' centers.
-    fn centers(truth: &Isometry3<f64>) -> MarkerPixels {
-        let points = MarkerLayout { side: 0.0, ..layout() };
+    /// Centroids of markers with this side, m; 0: their centers.
+    fn centroids(truth: &Isometry3<f64>, side: f64) -> MarkerPixels {
+        let markers = MarkerLayout { side, ..layout() };
         PerColor::from_fn(|c| {
-            let place = points.projected_centroid(c, &camera(), truth)?;
+            let place = markers.projected_centroid(c, &camera(), truth)?;
             Some((place.pixel, Matrix2::identity() * 0.01))
         })
     }
@@ -66,26 +66,22 @@ mod tests {
             let found = published_pose(&layout(), &camera(), pixels, None).unwrap();
             (truth.inverse() * found.camera_from_volant).translation.vector.norm()
         };
-        assert!(error(&centers(&truth)) < 1e-7);
-        let areas = PerColor::from_fn(|c| {
-            let place = layout().projected_centroid(c, &camera(), &truth)?;
-            Some((place.pixel, Matrix2::identity() * 0.01))
-        });
-        let bias = error(&areas);
+        assert!(error(&centroids(&truth, 0.0)) < 1e-7);
+        let bias = error(&centroids(&truth, layout().side));
         assert!((1e-4..1e-2).contains(&bias), "{bias} m");
     }
 
     #[test]
     fn three_markers_continue_from_the_image_before() {
         let truth = pose(0.4);
-        let mut pixels = centers(&truth);
+        let mut pixels = centroids(&truth, 0.0);
         pixels.0[1] = None;
         assert!(published_pose(&layout(), &camera(), &pixels, None).is_none());
         let before = pose(0.38);
         let found = published_pose(&layout(), &camera(), &pixels, Some(&before)).unwrap();
         assert!((truth.inverse() * found.camera_from_volant).rotation.angle() < 1e-6);
         // A mirrored image is of no platform below the camera.
-        let mut mirrored = centers(&truth);
+        let mut mirrored = centroids(&truth, 0.0);
         mirrored.0.iter_mut().flatten().for_each(|p| p.0 = Vector2::new(640.0 - p.0.x, p.0.y));
         assert!(published_pose(&layout(), &camera(), &mirrored, None).is_none());
     }

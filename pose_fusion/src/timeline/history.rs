@@ -102,12 +102,6 @@ impl History {
         self.entries.len()
     }
 
-    /// Returns whether more than half of the capacity is in use: encoder readings that nothing
-    /// processes must not push out the newest state.
-    pub fn is_half_full(&self) -> bool {
-        self.entries.len() > CAPACITY / 2
-    }
-
     /// Returns how many of the first entries hold a valid state.
     pub fn processed(&self) -> usize {
         self.processed

@@ -1,9 +1,8 @@
 //! Detection of encoder readings that are frozen or leap, and of a climber that hit an obstacle.
 
-use super::{ClimberTrack, MOVING_SPAN, MOVING_STEPS, NEAR, SPEED};
-use crate::measurements::geometry::ClimberHeightTilt;
+use super::{ClimberTrack, MOVING_SPAN, MOVING_STEPS, NEAR, Reading, SPEED, way};
 use nalgebra::Vector3;
-use rig_model::{Stamp, wrap_angle};
+use rig_model::Stamp;
 
 /// Number of equal readings of encoders that stand, and their shortest time, s: at a high rate
 /// those of a moving climber repeat as well.
@@ -18,13 +17,10 @@ pub const STOOD: f64 = 0.2;
 /// Readings leap where they differ by more than this (m, m, rad) beside three sigma of the speed.
 const LEAP: f64 = 0.05;
 
-type Reading = (Stamp, Vector3<f64>, ClimberHeightTilt);
-
 /// Returns whether a climber can have moved from one reading to a later one: by `slack` (m, m, rad)
 /// beside three sigma of [`SPEED`].
 fn is_in_reach(to: &Reading, from: &Reading, slack: f64) -> bool {
-    let mut way = to.1 - from.1;
-    way.z = wrap_angle(way.z);
+    let way = way(&from.1, &to.1);
     let lasts = to.0.seconds_since(from.0);
     (0..3).all(|i| way[i].abs() <= slack + 3.0 * SPEED[i] * lasts)
 }
@@ -50,7 +46,7 @@ impl ClimberTrack {
     /// Returns since when each axis has stood that moved before, so fast that by now it would have
     /// moved on by several steps.
     pub fn stopped_since(&self) -> [Option<Stamp>; 3] {
-        let least = self.noise.variance().map(|v| MOVING_STEPS * (12.0 * v).sqrt());
+        let least = self.steps() * MOVING_STEPS;
         let (since, standing) = (self.standing_since(), self.standing());
         std::array::from_fn(|i| {
             let since = since[i].filter(|_| standing[i])?;
@@ -58,8 +54,7 @@ impl ClimberTrack {
             let before = self.readings.iter().rev().filter(|(at, _, _)| *at < since);
             let recent = before.take_while(|(at, _, _)| since.seconds_since(*at) < MOVING_SPAN);
             let (first, values, _) = recent.last()?;
-            let way = last[i] - values[i];
-            let way = if i == 2 { wrap_angle(way) } else { way }.abs();
+            let way = way(values, last)[i].abs();
             let missed = way / since.seconds_since(*first) * newest.seconds_since(since);
             (way > least[i] && missed > least[i]).then_some(since)
         })
@@ -104,13 +99,12 @@ impl ClimberTrack {
         let place = self.place_of(stamp);
         let Some(reading) = self.readings.get(place) else { return false };
         let before = || self.readings.iter().take(place).rev();
-        let steps = self.noise.variance().map(|v| (12.0 * v).sqrt());
+        let steps = self.steps();
         (0..3).any(|i| {
             let Some((last, stood, _)) = before().next() else { return false };
             let interval = stamp.seconds_since(*last);
             let sets_off = 2.0 * steps[i] + BRAKES[i] * interval * interval / 2.0;
-            let mut way = reading.1 - stood;
-            way.z = wrap_angle(way.z);
+            let way = way(stood, &reading.1);
             before().take_while(|(_, v, _)| v[i] == stood[i]).last().is_some_and(|first| {
                 let lasts = stamp.seconds_since(first.0);
                 way[i].abs() > sets_off && lasts > STOOD && is_in_reach(reading, first, 0.0)
@@ -138,7 +132,7 @@ impl ClimberTrack {
     /// step has braked harder than [`BRAKES`], averaged from the middle of the time for which the
     /// readings moved to the middle of the time for which they are equal.
     pub(super) fn note_stop(&mut self, newest: Stamp, values: &Vector3<f64>) {
-        let steps = self.noise.variance().map(|v| (12.0 * v).sqrt());
+        let steps = self.steps();
         for axis in 0..3 {
             let readings = || self.readings.iter().rev();
             let recent = readings().take_while(|(at, _, _)| newest.seconds_since(*at) < STOOD);
@@ -158,8 +152,7 @@ impl ClimberTrack {
             let Some(earlier) = before(moving) else { continue };
             // The lowest speed between two readings, 0 where they may be equal.
             let speed = |to: &Reading, from: &Reading| {
-                let way = to.1[axis] - from.1[axis];
-                let way = if axis == 2 { wrap_angle(way) } else { way };
+                let way = way(&from.1, &to.1)[axis];
                 way.signum() * (way.abs() - steps[axis]).max(0.0) / to.0.seconds_since(from.0)
             };
             let (last, previous) = (speed(first, moving), speed(moving, earlier));
@@ -178,6 +171,7 @@ impl ClimberTrack {
 mod tests {
     use super::*;
     use crate::{config::ClimberConfig, measurements::geometry::ClimberHeightTilt};
+    use rig_model::wrap_angle;
 
     const START: Stamp = Stamp::from_nanos(1_760_001_000_000_000_000);
 
